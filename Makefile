@@ -6,7 +6,7 @@ PHYSICS := tests/test_models.py tests/test_plant.py tests/test_stage.py tests/te
 UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_pcl240ms_statements.py tests/chips/test_drive_input.py tests/drives/test_stepper.py
 TYPES := build/types/stage
 
-.PHONY: ci demo docs notebooks tutorials test record test-slow test-oldest test-mujoco soak fuzz coverage memory lint bench results pictures clean help
+.PHONY: ci demo docs notebooks tutorials test record test-slow test-oldest test-libraries test-mujoco soak fuzz coverage memory lint bench results pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
@@ -15,6 +15,7 @@ help:
 	@echo "make soak       24 simulated hours of random moves, checked after each (less than an hour)"
 	@echo "make test-oldest                the everyday suite with the oldest of every dependency, in build/oldest"
 	@echo "make test-small                 what rerun has to do with, without it, in build/small"
+	@echo "make test-libraries             what needs libraries for reinforcement learning, with all of them, in build/libraries"
 	@echo "make test-mujoco VERSION=3.17.0 what touches physics, with another MuJoCo"
 	@echo "make record     write the recorded behaviour of tests/recorded anew: for a change that is meant"
 	@echo "make coverage   lines that the fast tests run, with the compiled code uncompiled"
@@ -77,6 +78,16 @@ test-small:
 	build/small/bin/python -m pip install -q --upgrade pip
 	build/small/bin/python -m pip install -q -e '.[build,plot]' pytest pytest-xdist hypothesis mpmath psutil
 	build/small/bin/python -m pytest -n 2 --dist worksteal tests/recording tests/testing tests/test_cli.py tests/test_cli_options.py tests/test_servo_stage.py tests/test_faults.py tests/board/test_command.py
+
+# docs/rl_libraries.md and the learners of scripts/baselines. RLlib takes one version of Gymnasium alone: an environment of their
+# own. CleanRL is in no package: PULSESTAGE_CLEANRL names its script, see the nightly workflow
+LIBRARIES := tests/envs/test_libraries.py tests/envs/test_stable_baselines_vectors.py tests/envs/test_common.py tests/envs/test_bus_macros.py tests/envs/test_learners.py tests/envs/test_baselines.py tests/study
+test-libraries:
+	rm -rf build/libraries
+	$(PYTHON) -m venv build/libraries
+	build/libraries/bin/python -m pip install -q --upgrade pip
+	build/libraries/bin/python -m pip install -q -e '.[test,libraries]'
+	build/libraries/bin/python -m pytest -n 2 --dist worksteal -rs -m 'slow or not slow' $(LIBRARIES)
 
 # that MuJoCo goes before the one of .venv, whatever pyproject.toml allows; all else stays as it is
 test-mujoco: .venv/.dev

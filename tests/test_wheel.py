@@ -43,6 +43,16 @@ def test_a_workflow_takes_actions_by_their_commits_and_each_job_ends_some_time(w
     assert "permissions:\n  contents: read\n" in text
 
 
+def test_the_libraries_for_reinforcement_learning_are_installed_every_night_and_their_tests_run():
+    # tests/envs/test_libraries.py was skipped everywhere: neither make nor a workflow installed the extra
+    (recipe,) = re.findall(r"^test-libraries:\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(), re.M)
+    assert "'.[test,libraries]'" in recipe
+    nightly = (ROOT / ".github" / "workflows" / "nightly.yml").read_text()
+    assert "run: make test-libraries" in nightly
+    (cleanrl,) = re.findall(r"repository: vwxyzjn/cleanrl, ref: ([0-9a-f]{40})", nightly)
+    assert f"| CleanRL | {cleanrl[:7]} |" in (ROOT / "docs" / "rl_libraries.md").read_text()
+
+
 def test_every_file_of_the_packages_goes_into_the_wheel():
     # pip install pulsestage; stage run sketch.ino: Arduino.h was not there
     folders = {name: ROOT / PACKAGES["package-dir"].get(name, name.replace(".", "/")) for name in PACKAGES["packages"]}

@@ -1,6 +1,7 @@
 """Entries of players that do not learn, for the benchmark's tables; those that are there are not played again.
 
 python scripts/baselines/bench_entries.py -o entries
+python scripts/baselines/bench_entries.py -o entries --tasks few-shot-wide --round 2026-11
 python scripts/baselines/bench_entries.py -o entries --tasks few-shot --splits train weak --players formula search tpe cma-es
 stage bench-table entries/*.bench
 
@@ -16,7 +17,7 @@ from typing import Any
 from stopping import stops
 
 from stage import bench
-from stage.bench.cards import CARDS
+from stage.bench.cards import CARDS, OPEN
 from stage.bench.shipped import OWN
 
 DRAWN = ("random",)
@@ -39,6 +40,7 @@ def main() -> None:
     parser.add_argument("--splits", nargs="+", default=["train"])
     parser.add_argument("--players", nargs="+", help="of those that a task has (default: all)")
     parser.add_argument("--runs", type=int, default=1, help="of players that draw")
+    parser.add_argument("--round", default=OPEN, metavar="WORD", help="whose test episodes (default: the open ones)")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     for task in args.tasks:
@@ -48,7 +50,7 @@ def main() -> None:
                     path = args.out / f"{task}-{split}-{player}-{run}.bench"
                     if path.exists():
                         continue
-                    entry = bench.play(policy_of(player), task, split, name=player, run=run)
+                    entry = bench.play(policy_of(player), task, split, name=player, run=run, round_=args.round)
                     bench.submit(entry, path)
                     print(f"{path}: return {entry.scores['return'].mean():.3f}", flush=True)
 

@@ -2,12 +2,12 @@
 
 python scripts/baselines/learning_curves.py learn -o runs                  some hours of a processor; what is there is kept
 python scripts/baselines/learning_curves.py learn -o quick --quick         a run and a generation of each task, some minutes
-python scripts/baselines/learning_curves.py draw                           the picture, from the published runs
+python scripts/baselines/learning_curves.py draw                           picture and table, from the published runs
 python scripts/baselines/learning_curves.py draw --runs runs               from one's own, which are packed beside it
 
 one-shot, few-shot, few-shot-wide, home, line   CMA-ES on a small rule, rule_learners.py. At each point its middle has played 32
           test episodes, by which nothing is chosen: the interquartile mean of their returns, with its interval by the bootstrap
-          over runs and episodes
+          over whole runs and episodes
 bus       DQN with masks, bus_macros_learners.py: at each point the share of 64 machines of train, on which it does not learn,
           that it solves; a run that is done with a level stays where it is. The interval is by the bootstrap over runs
 Lines across are players that do not learn, on the same test episodes (docs/data/entries). Needs the extras `rl` and `plot`.
@@ -31,6 +31,7 @@ from stage.bench.statistics import interval, iqm
 
 DOCS = Path(__file__).parents[2] / "docs"
 DATA, PICTURE = DOCS / "data" / "learning_curves.csv.gz", DOCS / "pictures" / "learning_curves.png"
+EPISODES = 32  # of a point
 COLUMNS = ("task", "player", "run", "steps", "processor_s", "episode", "return", "success")
 RUNS = {"one-shot": 5, "few-shot": 5, "few-shot-wide": 10, "home": 5, "line": 5}
 BUS = {"origin": (1, 4), "axes": range(5)}
@@ -44,13 +45,14 @@ OTHERS = {"formula": "-.", "scripted": "-.", "search": "--", "random": ":"}
 
 
 def learn(folder: Path, tasks: list[str], quick: bool) -> None:
-    import bus_macros_learners as bus
     import rule_learners as rules
 
     for task in (t for t in RUNS if t in tasks):
         for run in range(1 if quick else RUNS[task]):
             rules.learn(task, run, folder, *((1, 8) if quick else ()))
     if "bus" in tasks:
+        import bus_macros_learners as bus
+
         for level, runs in BUS.items() if not quick else {"target": (0,)}.items():
             for run in runs:
                 if not (folder / f"{level}-dqn-{run}.zip").exists():
@@ -88,13 +90,13 @@ def read(path: Path) -> dict[str, dict[str, dict[str, list[dict]]]]:
     return found
 
 
-def points(runs: dict[str, list[dict]]) -> tuple[np.ndarray, np.ndarray]:
-    """Steps, and returns of all runs and episodes there, (points, runs, episodes)."""
+def points(runs: dict[str, list[dict]], what: str = "return") -> tuple[np.ndarray, np.ndarray]:
+    """Steps, and returns (or another column) of all runs and episodes there, (points, runs, episodes)."""
     every = []
     for rows in runs.values():
         at: dict[int, list[float]] = {}
         for r in rows:
-            at.setdefault(int(r["steps"]), []).append(float(r["return"]))
+            at.setdefault(int(r["steps"]), []).append(float(r[what]))
         every.append(at)
     number = min(len(at) for at in every)
     steps = np.mean([list(at)[:number] for at in every], axis=0)
@@ -108,14 +110,55 @@ def levels(runs: dict[str, list[dict]]) -> tuple[np.ndarray, np.ndarray]:
     return at, np.stack([np.interp(at, *c) for c in curves], axis=1)[:, :, None]
 
 
-def others(task: str, episodes: int) -> dict[str, float]:
-    """What players that do not learn reach, with test episodes as the curves have them."""
+def others(task: str, episodes: int) -> dict[str, dict[str, np.ndarray]]:
+    """Scores of players that do not learn, on the test episodes that the curves have."""
     found = {}
     for name in OTHERS:
         path = DOCS / "data" / "entries" / f"{task}-train-{name}-0.bench"
         if path.exists() and (entry := bench.read(path)).round == OPEN:
-            found[name] = iqm(entry.scores["return"][:episodes])
+            found[name] = {score: values[:episodes] for score, values in entry.scores.items()}
     return found
+
+
+def spread(values: np.ndarray, of: Any = iqm) -> str:
+    """The IQM of returns, (runs, episodes), or another figure, with its interval."""
+    low, high = interval(values, of=of)
+    return f"{of(values):.3f} ({low:.3f} to {high:.3f})"
+
+
+def table(found: dict[str, dict[str, dict[str, list[dict]]]]) -> str:
+    """Markdown: what learners with test episodes reach at each point of their curves, and those who do not learn."""
+    heads = (
+        "task",
+        "player",
+        "runs",
+        "tries a run, without proofs",
+        "s of a processor",
+        "IQM (95 %)",
+        "mean (95 %)",
+        "success",
+    )
+    lines: list[tuple] = [heads, ("---",) * len(heads)]
+    for task in (t for t in PANELS if t in found and t != "bus"):
+        for player, runs in found[task].items():
+            (steps, values), (_, spent), (_, won) = (points(runs, c) for c in ("return", "processor_s", "success"))
+            for at, v, s, w in zip(steps, values, spent, won, strict=True):
+                lines.append(
+                    (
+                        task,
+                        player,
+                        len(runs),
+                        f"{at:.0f}",
+                        f"{s.mean():.0f}",
+                        spread(v),
+                        spread(v, np.mean),
+                        f"{w.mean():.0%}",
+                    )
+                )
+        for name, scores in others(task, EPISODES).items():
+            v, w = scores["return"], scores["success"]
+            lines.append((task, name, "-", "-", "-", spread(v), spread(v, np.mean), f"{w.mean():.0%}"))
+    return "\n".join(f"| {' | '.join(map(str, cells))} |" for cells in lines)
 
 
 def panel(ax: Any, task: str, players: dict[str, dict[str, list[dict]]]) -> None:
@@ -127,11 +170,11 @@ def panel(ax: Any, task: str, players: dict[str, dict[str, list[dict]]]) -> None
         ax.plot(
             at, [iqm(v) for v in values], color=color, lw=1.8, label=f"{player}, {len(runs)} run{'s'[: len(runs) > 1]}"
         )
-    for name, value in ({} if task == "bus" else others(task, 32)).items():  # returns, where bus has shares
-        ax.axhline(value, color=pictures.MUTED, lw=1.2, ls=OTHERS[name], label=name)
+    for name, scores in ({} if task == "bus" else others(task, EPISODES)).items():  # returns, where bus has shares
+        ax.axhline(iqm(scores["return"]), color=pictures.MUTED, lw=1.2, ls=OTHERS[name], label=name)
     pictures.title(ax, PANELS[task])
     what = "solved, of 64 machines" if task == "bus" else "return, IQM of test episodes"
-    ax.set_xlabel("macros of learning" if task == "bus" else "moves of learning", fontsize=8)
+    ax.set_xlabel("macros of learning" if task == "bus" else "tries of learning", fontsize=8)
     ax.set_ylabel(what, fontsize=8)
     pictures.bare(ax)
     ax.legend(frameon=False, fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
@@ -149,6 +192,7 @@ def draw(data: Path, picture: Path) -> None:
     for ax in axes[len(shown) :]:
         ax.set_axis_off()
     figure.savefig(picture, dpi=100)
+    print(table(found))
     print(f"{picture}: written")
 
 

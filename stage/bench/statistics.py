@@ -1,23 +1,26 @@
-"""When one method beats another: interquartile means and stratified bootstrap intervals.
+"""When one method beats another: interquartile means and bootstrap intervals.
 
-As Agarwal et al. (NeurIPS 2021, rliable) have them. Scores are (runs, episodes): each run of a learner plays the same test
-episodes, each of which is a machine of its own. The middle half of all scores is averaged. For the interval, episodes are drawn
-again with replacement, and for each of them the runs: so it has what comes of the machines that were tested, and of the learner's
-chance. Where there is one run, it has the machines alone.
+The interquartile mean is that of Agarwal et al. (NeurIPS 2021, rliable). Scores are (runs, episodes): each run of a learner plays
+the same test episodes, each of which is a machine of its own. For the interval, whole runs are drawn again with replacement, and
+episodes: one training run plays all of its episodes, so its luck is in all of them. Where there is one run, the interval has the
+machines alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
+from stage.bench.cards import card_of, seeds
 from stage.bench.files import Submission
 from stage.errors import ArgumentError
 
 DRAWS, LEVEL = 2000, 0.95
 RUNS = 10  # of a learner, without which it beats nobody
+LONG = {"lost_steps": "steps lost", "limits": "limits", "moves": "steps"}
+"""Scores of which a long table has the mean of an episode, and what it calls them."""
 
 
 def iqm(scores: np.ndarray) -> float:
@@ -27,84 +30,146 @@ def iqm(scores: np.ndarray) -> float:
     return float(values[cut : len(values) - cut].mean())
 
 
-def interval(scores: np.ndarray, draws: int = DRAWS, level: float = LEVEL, seed: int = 0) -> tuple[float, float]:
-    """Of the IQM of scores, (runs, episodes), by the bootstrap."""
+def interval(
+    scores: np.ndarray,
+    draws: int = DRAWS,
+    level: float = LEVEL,
+    seed: int = 0,
+    of: Callable[[np.ndarray], float] = iqm,
+) -> tuple[float, float]:
+    """Of the IQM of scores, (runs, episodes), or of another figure, by the bootstrap over whole runs and episodes."""
     scores = np.atleast_2d(np.asarray(scores, float))
     runs, episodes = scores.shape
     rng = np.random.default_rng(seed)
     found = np.empty(draws)
     for k in range(draws):
         columns = rng.integers(0, episodes, episodes)
-        found[k] = iqm(scores[rng.integers(0, runs, (runs, episodes)), columns])
+        found[k] = of(scores[np.ix_(rng.integers(0, runs, runs), columns)])
     return float(np.quantile(found, 0.5 - level / 2)), float(np.quantile(found, 0.5 + level / 2))
 
 
 @dataclass(frozen=True)
 class Row:
-    """A player on a split: IQM of the return with its interval, over `runs` runs.
+    """A player on a split: IQM of the return (value) and its mean, with their intervals, over `runs` runs.
 
-    success: the share of episodes; None where a task has none. learned: its cost has moves that it learned from.
+    success: the share of episodes; regret: its median over those; lost_steps, limits, moves: means of an episode. None where a
+    task has none. learned: its cost has moves that it learned from.
     """
 
     task: str
     split: str
     track: str
+    round: str
     player: str
     runs: int
     episodes: int
     value: float
     low: float
     high: float
+    mean: float
+    mean_low: float
+    mean_high: float
     success: float | None
+    regret: float | None = None
+    lost_steps: float | None = None
+    limits: float | None = None
+    moves: float | None = None
     learned: bool = False
 
+    @property
+    def place(self) -> tuple[str, str, str, str]:
+        """Rows of one place stand in one table: task, split, track, round."""
+        return self.task, self.split, self.track, self.round
+
     def beats(self, other: Row) -> bool:
-        """The intervals part, and this is the higher. A learner needs RUNS runs to say so."""
-        return self.low > other.high and (self.runs >= RUNS or not self.learned)
+        """The intervals of the IQM part, and this is the higher. A learner needs RUNS runs to say so. Of one place alone."""
+        parted = self.place == other.place and self.low > other.high
+        return parted and (self.runs >= RUNS or not self.learned)
+
+    def cells(self, others: Iterable[Row], long: bool) -> list[str]:
+        """As a table has them."""
+        names = [f"{o.player}{' (lower in the mean)' * (self.mean < o.mean)}" for o in others if self.beats(o)]
+        beaten = ", ".join(names) or "-"
+        if self.learned and self.runs < RUNS:
+            beaten = f"too few runs: {RUNS} are asked"
+        more = [_said(self.regret, ".3f"), *(_said(getattr(self, name), ".1f") for name in LONG)]
+        return [
+            self.player,
+            f"{self.runs} x {self.episodes}",
+            f"{self.value:.3f} ({self.low:.3f} to {self.high:.3f})",
+            f"{self.mean:.3f} ({self.mean_low:.3f} to {self.mean_high:.3f})",
+            _said(self.success, ".0%"),
+            *(more if long else ()),
+            beaten,
+        ]
+
+
+def _said(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
 
 
 def rows(entries: Iterable[Submission]) -> list[Row]:
-    """A row for each task, split, track and player, the best first. Raises ArgumentError where entries of a player are not of the
-    same episodes, or are the same run twice."""
+    """A row for each task, split, track, round and player, the best first. Raises ArgumentError for an entry that has not all
+    test episodes of its round, and where entries of a player are the same run twice."""
     groups: dict[tuple[str, str, str, str, str], list[Submission]] = {}
     for e in entries:
+        _whole(e)
         groups.setdefault((e.task, e.split, e.track, e.round, e.player), []).append(e)
-    found = []
-    for (task, split, track, _, player), some in groups.items():
-        if len({e.seeds for e in some}) > 1:
-            raise ArgumentError(f"{player} on {task} {split}: its entries have different test episodes.")
-        if len({e.run for e in some}) < len(some):
-            raise ArgumentError(
-                f"{player} on {task} {split}: two entries are of the same run; give --run to bench-submit."
-            )
-        scores = np.array([e.scores["return"] for e in some])
-        success = [e.scores["success"] for e in some if "success" in e.scores]
-        share = float(np.mean(success)) if success else None
-        runs, episodes = scores.shape
-        low, high = interval(scores)
-        learned = any(e.cost.get("moves", 0) > 0 for e in some)
-        found.append(Row(task, split, track, player, runs, episodes, iqm(scores), low, high, share, learned))
-    return sorted(found, key=lambda r: (r.task, r.split, r.track, -r.value))
+    found = [_row(some) for some in groups.values()]
+    return sorted(found, key=lambda r: (*r.place, -r.value))
 
 
-def table(entries: Iterable[Submission]) -> str:
-    """Markdown, a table for each task and split; the last column names whom a player beats: whose intervals lie below its own."""
+def _whole(e: Submission) -> None:
+    """Raise ArgumentError for an entry that can stand in no table."""
+    wanted, given = seeds(card_of(e.task), e.split, e.round), list(e.seeds)
+    if given != wanted:
+        part = given == wanted[: len(given)]
+        what = f"{len(given)} of the {len(wanted)}" if part else "others than the"
+        raise ArgumentError(
+            f"{e.player} on {e.task} {e.split}, run {e.run}: it has {what} test episodes of the round {e.round!r}, and can stand "
+            "in no table; leave its file out."
+        )
+
+
+def _row(some: list[Submission]) -> Row:
+    """Of the runs of a player."""
+    e = some[0]
+    if len({e.run for e in some}) < len(some):
+        raise ArgumentError(
+            f"{e.player} on {e.task} {e.split}: two entries are of the same run; give --run to bench-submit."
+        )
+
+    def of(name: str) -> np.ndarray | None:
+        return np.array([e.scores[name] for e in some]) if all(name in e.scores for e in some) else None
+
+    def mean(name: str) -> float | None:
+        values = of(name)
+        return None if values is None else float(values.mean())
+
+    scores, regret = np.array([e.scores["return"] for e in some]), of("regret")
+    known = np.array([]) if regret is None else regret[np.isfinite(regret)]
+    return Row(
+        e.task, e.split, e.track, e.round, e.player, *scores.shape,
+        iqm(scores), *interval(scores), float(scores.mean()), *interval(scores, of=np.mean),
+        mean("success"), float(np.median(known)) if len(known) else None, *(mean(name) for name in LONG),
+        learned=any(e.cost.get("moves", 0) > 0 for e in some),
+    )  # fmt: skip
+
+
+def table(entries: Iterable[Submission], long: bool = False) -> str:
+    """Markdown, a table for each task, split, track and round; the last column names whom a player beats: whose intervals lie
+    below its own, and which of them have the higher mean all the same. long: with regret, damage and steps of the episodes."""
     lines: list[str] = []
     every = rows(entries)
-    for place in dict.fromkeys((r.task, r.split, r.track) for r in every):
-        some = [r for r in every if (r.task, r.split, r.track) == place]
-        lines += [f"**{place[0]}, {place[1]}** (track {place[2]})", ""]
-        lines += [
-            "| player | runs x episodes | IQM of the return | 95 % | success | beats |",
-            "|---|---|---|---|---|---|",
-        ]
-        for r in some:
-            beaten = ", ".join(o.player for o in some if r.beats(o)) or "-"
-            if r.learned and r.runs < RUNS:
-                beaten = f"too few runs: {RUNS} are asked"
-            success = "-" if r.success is None else f"{r.success:.0%}"
-            lines.append(
-                f"| {r.player} | {r.runs} x {r.episodes} | {r.value:.3f} | {r.low:.3f} to {r.high:.3f} | {success} | {beaten} |"
-            )
-        lines.append("")
+    heads = ["player", "runs x episodes", "IQM of the return (95 %)", "mean (95 %)", "success"]
+    heads += [*(["regret", *LONG.values()] if long else []), "beats"]
+    for place in dict.fromkeys(r.place for r in every):
+        some = [r for r in every if r.place == place]
+        task, split, track, round_ = place
+        lines += [f"**{task}, {split}, round {round_}** (track {track})", ""]
+        lines += [_line(heads), "|---" * len(heads) + "|", *(_line(r.cells(some, long)) for r in some), ""]
     return "\n".join(lines).rstrip()
+
+
+def _line(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cells)} |"

@@ -93,7 +93,7 @@ def table(args: argparse.Namespace) -> int:
     entries = [read(path) for path in args.files]
     if args.json:
         tell(args, statistics.rows(entries))
-    print(statistics.table(entries))
+    print(statistics.table(entries, args.long))
     return 0
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stage import bench
-from stage.bench import CARDS
+from stage.bench import CARDS, seeds
 from stage.cli import main
 from stage.cli.bench import _means
 from stage.envs import contexts
@@ -90,14 +90,15 @@ def test_a_replay_has_the_tolerance_that_was_asked_for_and_its_code(monkeypatch,
 
 def test_a_table_in_json_has_its_rows(monkeypatch, capsys):
     entry = SimpleNamespace(
-        task="home", split="worn", track="host", round="open", player="a", run=0, seeds=(1, 2), cost={},
-        scores={"return": np.array([1.0, 3.0]), "success": np.array([1.0, 0.0])},
+        task="home", split="worn", track="host", round="open", player="a", run=0, seeds=seeds(CARDS["home"], "worn"), cost={},
+        scores={"return": np.tile([1.0, 3.0], 32), "success": np.tile([1.0, 0.0], 32)},
     )  # fmt: skip
     monkeypatch.setattr(bench, "read", lambda path: entry)
     assert main(["bench-table", "a.bench", "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)
     assert row["value"] == 2.0
     assert (row["task"], row["split"], row["player"], row["runs"], row["success"]) == ("home", "worn", "a", 1, 0.5)
+    assert (row["round"], row["mean"], row["regret"]) == ("open", 2.0, None)
 
 
 @pytest.mark.parametrize("name", CARDS)

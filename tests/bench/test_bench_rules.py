@@ -21,9 +21,9 @@ def entry(player="a", value=1.0, **how):
         "round": "open",
         "player": player,
         "run": 0,
-        "seeds": (1, 2, 3),
     }
-    made = {**usual, "cost": {}, "scores": {"return": np.full(3, value)}, **how}
+    made = {**usual, "cost": {}, "scores": {"return": np.full(64, value)}, **how}
+    made.setdefault("seeds", tuple(seeds(card_of(made["task"]), made["split"], made["round"])))
     return SimpleNamespace(**made)
 
 
@@ -84,29 +84,73 @@ def test_rows_part_by_tracks_splits_and_tasks_and_the_best_stands_first():
         entry("a", 3.0, track="truth"),
         entry("a", split="worn"),
         entry("a", task="bus"),
+        entry("a", 4.0, round="2027"),
     ]
-    rows = [(r.task, r.split, r.track, r.player, r.value) for r in statistics.rows(some)]
+    rows = [(*r.place, r.player, r.value) for r in statistics.rows(some)]
     assert rows == [
-        ("bus", "train", "host", "a", 1.0),
-        ("home", "train", "host", "a", 2.0),
-        ("home", "train", "host", "b", 1.0),
-        ("home", "train", "truth", "a", 3.0),
-        ("home", "worn", "host", "a", 1.0),
+        ("bus", "train", "host", "open", "a", 1.0),
+        ("home", "train", "host", "2027", "a", 4.0),
+        ("home", "train", "host", "open", "a", 2.0),
+        ("home", "train", "host", "open", "b", 1.0),
+        ("home", "train", "truth", "open", "a", 3.0),
+        ("home", "worn", "host", "open", "a", 1.0),
     ]
 
 
-def test_entries_of_other_episodes_are_no_runs_of_one_player():
-    with pytest.raises(ArgumentError, match="a on home train: its entries have different test episodes"):
-        statistics.rows([entry(), entry(run=1, seeds=(1, 2, 4))])
+def test_each_round_has_a_table_of_its_own_and_nobody_beats_a_player_of_another():
+    some = [entry("a", 1.0), entry("b", 0.0), entry("c", 9.0, round="2027"), entry("d", 8.0, round="2027")]
+    open_, other = sorted(statistics.table(some).split("\n\n**"), key=lambda text: "2027" in text)
+    assert "home, train, round open** (track host)" in open_
+    assert "home, train, round 2027** (track host)" in other
+    assert "| b |\n" in open_
+    assert "| d |\n" in other
+    a, c = (next(r for r in statistics.rows(some) if r.player == name) for name in "ac")
+    assert c.low > a.high
+    assert not c.beats(a)
+
+
+def test_an_entry_of_a_part_or_of_other_episodes_than_its_round_s_stands_in_no_table():
+    with pytest.raises(
+        ArgumentError, match=r"a on home train, run 2: it has 2 of the 64 test episodes of the round 'open'"
+    ):
+        statistics.rows([entry(), entry(run=2, seeds=(FIRST, FIRST + 1))])
+    with pytest.raises(ArgumentError, match="it has others than the test episodes of the round '2027'"):
+        statistics.rows([entry(round="2027", seeds=tuple(range(FIRST, FIRST + 64)))])
+    with pytest.raises(ArgumentError, match="unknown task 'mine'"):
+        statistics.rows([entry(task="mine", seeds=(1, 2))])
 
 
 def test_the_success_of_a_player_is_that_of_all_its_runs_and_of_none_where_a_task_has_none():
     runs = [
-        entry(run=k, scores={"return": np.zeros(2), "success": np.array(s)}) for k, s in enumerate([(1, 1), (0, 1)])
+        entry(run=k, scores={"return": np.zeros(64), "success": np.tile(s, 32)}) for k, s in enumerate([(1, 1), (0, 1)])
     ]
     assert statistics.rows(runs)[0].success == 0.75
     assert "| 75% |" in statistics.table(runs)
     assert statistics.rows([entry()])[0].success is None
+
+
+def test_a_long_table_has_regret_where_there_was_success_and_the_means_of_damage_and_steps():
+    scores = {
+        "return": np.zeros(64), "success": np.repeat([1, 0], 32), "regret": np.repeat([0.25, np.inf], 32),
+        "lost_steps": np.repeat([3, 0], 32), "limits": np.repeat([1, 0], 32), "moves": np.full(64, 8),
+    }  # fmt: skip
+    (row,) = statistics.rows([entry(scores=scores)])
+    assert (row.regret, row.lost_steps, row.limits, row.moves) == (0.25, 1.5, 0.5, 8.0)
+    assert "| success | regret | steps lost | limits | steps | beats |" in statistics.table([entry()], long=True)
+    assert "| 50% | 0.250 | 1.5 | 0.5 | 8.0 | - |" in statistics.table([entry(scores=scores)], long=True)
+    assert "| - | - | - | - | - | - |" in statistics.table([entry()], long=True), "a task that has none of them"
+    assert "regret" not in statistics.table([entry(scores=scores)])
+    none = {**scores, "regret": np.full(64, np.inf)}
+    assert statistics.rows([entry(scores=none)])[0].regret is None
+
+
+def test_who_beats_another_in_the_middle_half_and_is_lower_in_the_mean_is_told_so():
+    bold = np.repeat([2.0, -9.0], [56, 8])
+    said = statistics.table([entry("bold", scores={"return": bold}), entry("safe", 1.0), entry("bad", -5.0)])
+    assert "| safe (lower in the mean), bad |" in said
+    (row,) = statistics.rows([entry(scores={"return": bold})])
+    assert row.mean == bold.mean() == 0.625
+    assert row.mean_low < row.mean < row.mean_high < row.low
 
 
 def test_a_difference_as_large_as_the_tolerance_is_within_it():

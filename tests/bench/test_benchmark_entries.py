@@ -521,10 +521,24 @@ def test_the_middle_half_is_averaged_and_its_interval_holds_the_truth():
     assert statistics.interval(one) == statistics.interval(one)
 
 
-def test_the_runs_are_drawn_anew_for_each_episode():
-    """of a good run and a bad one hardly ever all episodes are of the same"""
-    low, high = statistics.interval(np.repeat([[0.0], [1.0]], 64, axis=1), draws=200)
-    assert 0.0 < low < high < 1.0
+def test_whole_runs_are_drawn_so_that_the_luck_of_training_is_in_the_interval():
+    """a run plays all episodes: of a good one and a bad one a quarter of all draws has the good one alone"""
+    assert statistics.interval(np.repeat([[0.0], [1.0]], 64, axis=1), draws=200) == (0.0, 1.0)
+
+
+def test_runs_and_machines_are_both_in_the_interval():
+    draw = np.random.default_rng(2)
+    runs, machines = draw.normal(size=(10, 1)), draw.normal(size=(1, 32))
+    of_runs, of_machines, both = (
+        np.ptp(statistics.interval(s)) for s in (np.tile(runs, 32), np.tile(machines, (10, 1)), runs + machines)
+    )
+    assert both > max(of_runs, of_machines)
+
+
+def test_an_interval_may_be_of_the_mean():
+    one_bad = np.repeat([[0.0, -64.0]], [63, 1], axis=1)
+    assert statistics.interval(one_bad) == (0.0, 0.0)
+    assert statistics.interval(one_bad, of=np.mean) == (-3.0, 0.0)
 
 
 def test_a_table_says_who_beats_whom_by_intervals_that_part(entry, tmp_path, monkeypatch, capsys):
@@ -544,10 +558,16 @@ def test_a_table_says_who_beats_whom_by_intervals_that_part(entry, tmp_path, mon
     said = capsys.readouterr().out
     assert re.search(r"\| few \| 9 x 3 .* \| too few runs: 10 are asked \|", said), "a learner"
     assert re.search(r"\| many \| 10 x 3 .* \| best, wide, worst \|", said)
-    assert "| best | 2 x 3 | 3.100 |" in said
+    assert "| best | 2 x 3 | 3.100 (" in said
     assert re.search(r"\| best .* \| worst \|\n\| wide .* \| - \|\n\| worst .* \| - \|", said)
+    assert "steps lost" not in said
+    assert main(["bench-table", *files_, "--long"]) == 0
+    assert "steps lost" in capsys.readouterr().out
     assert main(["bench-table", files_[0], files_[0]]) == 2
     assert "two entries are of the same run" in capsys.readouterr().err
+    bench.submit(bench.play("random", "brief", name="quick", episodes=2), "quick.bench")
+    assert main(["bench-table", files_[0], "quick.bench"]) == 2
+    assert "quick on brief train, run 0: it has 2 of the 3 test episodes" in capsys.readouterr().err
 
 
 def test_rows_part_by_rounds_and_who_is_as_good_beats_nobody(entry):
@@ -559,7 +579,8 @@ def test_rows_part_by_rounds_and_who_is_as_good_beats_nobody(entry):
     assert one.low == one.high == other.high
     assert not one.beats(other)
     assert not other.beats(one)
-    rounds = statistics.rows([like("a"), like("a", round="second", seeds=(7, 8, 9))])
+    drawn = tuple(seeds(BRIEF, "train", "second"))
+    rounds = statistics.rows([like("a"), like("a", round="second", seeds=drawn)])
     assert [(row.player, row.runs) for row in rounds] == [("a", 1), ("a", 1)]
     (half,) = statistics.rows([like("a", 0, cost={"moves": 0}), like("a", 1, cost={"moves": 100})])
     assert half.learned, "one run of it has learned"

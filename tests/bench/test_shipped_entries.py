@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from stage import bench
+from stage.bench import statistics
 from stage.bench.cards import CARDS
 from stage.bench.files import Submission
 from stage.bench.versions import versions
@@ -50,6 +51,12 @@ def test_files_are_named_by_what_is_in_them_and_every_task_that_was_played_has_t
         played.setdefault(e.task, set()).add(e.player)
     assert played
     assert all("random" in players for players in played.values()), played
+
+
+def test_the_page_has_the_tables_that_the_published_entries_make():
+    page = (FOLDER.parents[1] / "benchmark.md").read_text()
+    for table in statistics.table([bench.read(path) for path in FILES], long=True).split("\n\n"):
+        assert f"\n{table}\n" in page, table
 
 
 @pytest.mark.parametrize("path", DAILY, ids=lambda p: p.stem)

@@ -135,6 +135,28 @@ def test_memory_pays_where_the_last_try_is_the_answer_by_more_than_the_intervals
     assert found["es with memory"].beats(found["es without memory"])
 
 
+@pytest.fixture
+def curves():
+    pytest.importorskip("matplotlib")
+    import learning_curves
+
+    return learning_curves
+
+
+def test_the_page_has_the_table_of_the_published_curves(curves):
+    assert curves.table(curves.read(curves.DATA)) in (curves.DOCS / "benchmark.md").read_text()
+
+
+def test_of_published_curves_the_processor_s_time_grows_and_has_what_was_tried_in_it(curves):
+    """few-shot-wide: a run's table is some 20 s, from the first point on"""
+    for task, players in curves.read(curves.DATA).items():
+        for player, runs in players.items():
+            for run, points in runs.items():
+                spent = [float(p["processor_s"]) for p in points]
+                assert spent == sorted(spent), (task, player, run)
+                assert spent[-1] > 5, (task, player, run)
+
+
 def test_axes_are_seen_by_their_role_and_macros_are_those_of_the_environment_again():
     pytest.importorskip("stable_baselines3")
     from bus_macros_turned import OF_AXES, Turn

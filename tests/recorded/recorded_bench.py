@@ -409,6 +409,7 @@ def numbers():
             statistics.interval(scores),
             statistics.interval(scores[0], 50, 0.5, 3),
             statistics.interval(scores[:, :1], 200),
+            statistics.interval(scores, 50, of=np.mean),
         ],
         "scored": [
             scored(np.array([1.0, 2.5]), info)
@@ -437,19 +438,22 @@ def numbers():
 def tables():
     d = Draw("rows")
 
-    def made(player, run=0, worth=0.0, task="home", seeds=(1, 2, 3), success=True, **more):
-        scores = {"return": np.array([worth + d.between(0, 100) / 100 for _ in seeds])}
+    def made(player, run=0, worth=0.0, task="home", split="train", round="open", part=64, success=True, **more):
+        drawn = tuple(seeds(card_of(task), split, round))[:part]
+        scores = {"return": np.array([worth + d.between(0, 100) / 100 for _ in drawn])}
         if success:
-            scores["success"] = np.array([1.0, 0.0, 1.0])
+            scores["success"] = np.arange(len(drawn)) % 3 != 1
+            scores["regret"] = np.where(scores["success"], scores["return"], np.inf)
+            scores["lost_steps"] = scores["limits"] = scores["moves"] = np.arange(len(drawn))
         return SimpleNamespace(
             **{
                 "task": task,
-                "split": "train",
+                "split": split,
                 "track": "host",
-                "round": "open",
+                "round": round,
                 "player": player,
                 "run": run,
-                "seeds": seeds,
+                "seeds": drawn,
                 "cost": {},
                 "scores": scores,
                 **more,
@@ -472,9 +476,10 @@ def tables():
     with patch.object(statistics, "interval", partial(statistics.interval, draws=40)):
         return [
             statistics.table(entries),
+            statistics.table(entries, True),
             statistics.rows(entries),
             raised(statistics.rows, [made("a"), made("a")]),
-            raised(statistics.rows, [made("a"), made("a", 1, seeds=(1, 2, 4))]),
+            raised(statistics.rows, [made("a"), made("a", 1, part=5)]),
         ]
 
 

@@ -116,8 +116,10 @@ def _add_bench(commands: Any) -> None:
     )
     p = command(
         commands, "bench-table", "bench:table", "compare entries of the benchmark, as tables in Markdown",
-        "Print a table for each task and split: interquartile mean of the return with its interval, and who beats whom. Entries of "
-        "one player are its runs. Nothing is replayed.",
+        "Print a table for each task, split, track and round: interquartile mean and mean of the return with their intervals, and "
+        "who beats whom. Entries of one player are its runs, and have all test episodes. Nothing is replayed.",
         ("stage bench-table formula.bench mine.bench", "who beats whom"),
+        ("stage bench-table *.bench --long", "regret, damage and steps, too"),
     )  # fmt: skip
     p.add_argument("files", nargs="+", metavar="FILE")
+    p.add_argument("--long", action="store_true", help="with regret, steps lost, end limits and steps of the episodes")

@@ -1,0 +1,69 @@
+"""docs/envs_tasks.md, "Definitions": numbers of the page are those of the code, and no weight of a reward is missing."""
+
+import re
+from ast import literal_eval
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from stage.envs import bus_macros, drifting_home, few_shot, macros, one_shot, synchronized_line
+from stage.firmware.driver import Speeds
+
+PAGE = (Path(__file__).parents[2] / "docs" / "envs_tasks.md").read_text()
+WHOLE = PAGE.partition("## Definitions\n")[2].partition("\n## Splits")[0]
+COMMON, *PARTS = re.split(r"^### ", WHOLE, flags=re.M)
+SECTIONS = {part.partition("\n")[0].rpartition(" ")[2]: part for part in PARTS}
+CODE = {
+    "FewShotTuning": [few_shot.Config(), few_shot.RATES, {"error": one_shot.Config().error}],
+    "DriftingHome": [drifting_home.Config(), drifting_home.RATES, vars(drifting_home)],
+    "SynchronizedLine": [synchronized_line.Config()],
+    "BusMacros": [bus_macros.Config(), macros.RATES, vars(bus_macros)],
+}
+
+
+def told(text):
+    """(name, value) of what stands as `name=value`."""
+    return [(name, literal_eval(value)) for name, value in re.findall(r"`(\w+)=([^`]+)`", text)]
+
+
+def of(name, places):
+    for place in places:
+        values = place if isinstance(place, dict) else vars(place)
+        if name in values:
+            return values[name]
+    raise AssertionError(f"{name} is nowhere in the code")
+
+
+def test_each_task_is_defined():
+    assert SECTIONS.keys() == CODE.keys()
+
+
+@pytest.mark.parametrize("task", CODE)
+def test_numbers_of_a_definition_are_the_code_s_defaults(task):
+    two = ("memory", "answer")  # both values are told
+    found = [(name, value, of(name, CODE[task])) for name, value in told(SECTIONS[task]) if name not in two]
+    assert len(found) > 8
+    assert [row for row in found if row[1] != row[2]] == []
+
+
+@pytest.mark.parametrize("task", CODE)
+def test_no_weight_of_a_reward_is_missing_in_a_definition(task):
+    config = CODE[task][0]
+    own = {f.name for f in fields(config)} & set(type(config).__annotations__)
+    weights = {name for name in own if name.endswith("_weight")}
+    assert weights <= dict(told(SECTIONS[task])).keys()
+
+
+def test_the_usual_time_is_that_of_the_driver_s_speeds():
+    assert dict(told(COMMON)) == {"start": Speeds().start, "drive": Speeds().drive, "up": Speeds().up}
+
+
+def test_figures_that_follow_from_settings_are_right():
+    c, b = drifting_home.Config(), bus_macros.Config()
+    worst = 4 * c.limit * c.time_weight + drifting_home.CAP * c.error_weight + c.missed_weight + 2 * c.damage_weight
+    assert f"which is {worst:.4g} for each" in SECTIONS["DriftingHome"]
+    assert f"up to {b.longest} (twice the sum" in SECTIONS["BusMacros"]
+    assert f"1 to {b.longest // b.grid[0]} times {b.grid[0]} pulses" in SECTIONS["BusMacros"]
+    assert "one of 14 macros" in SECTIONS["BusMacros"]
+    assert len(macros.RATES) + len(b.grid) + len(macros.OTHERS) + len(b.axes) == 14
