@@ -30,7 +30,8 @@ reward        the sum of
                          or to wait, pays no better than a try that loses steps.
 episode       terminated at success: every axis has stopped, stands within `tolerance` of its goal, and (with "position") has
               lost no step. Truncated after `time_limit` s or `cycles` actions.
-goal          "position": random targets, uniform on a log scale, in either direction from the position at power-up.
+goal          "position": random targets, uniform on a log scale, in either direction from the position at power-up, which is that
+              of the model but for the rotor's angle, drawn anywhere in an electrical turn (of a servo, in a count).
               "home": each carriage begins anywhere between its end limits, and must end where ORG trips.
 """
 
@@ -65,6 +66,7 @@ from stage.envs.settings import (
     Word,
 )
 from stage.envs.task import Task
+from stage.envs.trial import Starts
 from stage.errors import ArgumentError, unknown
 from stage.sim import play
 
@@ -153,7 +155,9 @@ class RegisterBus(Task[Config]):
         self.travel = np.array([a.travel for a in self.axes])
         self.limits = np.array([self._limits(a) for a in self.axes])
         self.power_up = self.fleet.truth()["position"][0]
-        room = (np.abs(self.limits - self.power_up[:, None]).min(axis=1) / self.per_pulse).min()
+        self.turn = np.array([Starts(a).turn for a in self.axes])
+        way = np.abs(self.limits - self.power_up[:, None]).min(axis=1) - self.turn
+        room = (way / self.per_pulse).min()
         least, most = DISTANCES
         self.distances = c.distances or (least, max(least, min(most, int(ROOM * room))))
         if c.goal == "home":
@@ -257,7 +261,8 @@ class RegisterBus(Task[Config]):
         else:
             low, high = portable.log(self.distances)
             far = np.rint(portable.exp(rng.uniform(low, high, m))).astype(np.int64)
-            start, target = self.power_up.copy(), far * rng.choice((-1, 1), m)
+            target = far * rng.choice((-1, 1), m)
+            start = (np.floor(self.power_up / self.turn) + rng.uniform(size=m)) * self.turn
         for j, q in self._by_axis("start", options, (int, float)):
             start[j] = q
         for j, pulses in self._by_axis("target", options, (int, np.integer)):
