@@ -19,15 +19,19 @@ observation   float32 in [-1, 1]; for every chip in turn
               entries of age are 1, and no bus cycle is needed.
               With truth=False the info has no truth either, see entries.py.
 reward        the sum of
-              progress   progress_weight x (discount x potential now - potential before); the potential is - the mean of the
-                         axes' errors beyond the tolerance / scale (distances[1], or with "home" the way from EL to EL),
-                         0 at success: it guides the agent and does not change the best policy (discount: the learner's own)
+              progress   progress_weight x (potential now - potential before); the potential is - the mean of the axes' errors
+                         beyond the tolerance / scale (distances[1], or with "home" the way from EL to EL), 0 at success
               time       - time_weight x s
               success    success_weight, once
               lost       - lost_weight for every full step lost, the first 64 of an episode
               failed     - what is left of both at an end without success: time_weight x s up to the time limit, lost_weight x
                          full steps up to 64. So every failure costs the same but for its progress: to be out of actions soon,
                          or to wait, pays no better than a try that loses steps.
+              With a `discount` below 1, the learner's own, these parts are paid at the end of the episode, each whole: their sum
+              is what the episode is worth. Until then there is a loan on it, in progress: discount x loan now - loan before, at
+              every end - loan before. The loan is what the episode was worth so far, at least minus the cost of a failure,
+              / (1 + (1 - discount) x cycles). So the sum, each reward discounted, is discount^(steps - 1) x worth, whatever was
+              lent (potential-based shaping), and the plain sum differs from the worth by less than the largest worth so far.
 episode       terminated at success: every axis has stopped, stands within `tolerance` of its goal, and (with "position") has
               lost no step. Truncated after `time_limit` s or `cycles` actions.
 goal          "position": random targets, uniform on a log scale, in either direction from the position at power-up, which is that
@@ -55,6 +59,7 @@ from stage.envs.settings import (
     Count,
     Counts,
     Cycle,
+    Discount,
     Each,
     Flag,
     Names,
@@ -93,7 +98,7 @@ class Config(Settings):
     cycles: Count = 2000  # actions
     live: Flag = False
     truth: Truths = "info"  # where what no host can see is shown: entries.py
-    discount: Positive = 1.0
+    discount: Discount = 1.0
     progress_weight: Weight = 1.0
     time_weight: Weight = 0.1
     success_weight: Weight = 10.0
