@@ -25,9 +25,11 @@ AXIS = record(
 """What the host remembers of an axis (rates, distance: -1 none; zero, seen: pulses), its goal, and what the judge does: most steps
 lost, whether it stands at an end limit."""
 EPISODE = record(
-    [(name, "i8") for name in "level selected began before limits".split()] + [("potential", "f8"), ("usual", "f8")]
+    [(name, "i8") for name in "level selected began before limits".split()]
+    + [(name, "f8") for name in "potential usual start loan".split()]
 )
-"""ns; end limits hit; the last potential; s, that the formula takes."""
+"""ns; end limits hit; the last potential; s, that the formula takes; the potential at the begin; with a
+discount what has been lent."""
 
 
 class BusHost(MachineTask[Any]):

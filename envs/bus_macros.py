@@ -28,7 +28,7 @@ levels        0 "move"     x alone, origin known, the target one distance of the
               Spaces are the same for all, so that one policy can learn them one after the other. mixed=True draws each
               episode's level evenly from 0 to `level`; reset(options={"level": 1}) sets one.
 reward        the sum of
-              progress   progress_weight x (discount x potential now - potential before). The potential is - the mean of log(1 +
+              progress   progress_weight x (potential now - potential before). The potential is - the mean of log(1 +
                          error beyond `lag` / `tolerance`), / its largest, and - 1/2 of the axes whose origin is not known; 0 at
                          success
               cost       - macro_weight for each action, - time_weight x s
@@ -36,6 +36,7 @@ reward        the sum of
               damage     - damage_weight when the first step is lost, and for each end limit hit
               failed     at an end without success what is left of the cost up to `macros` and `time_limit`, so that no failure is
                          cheaper than another
+              With a `discount` below 1 all is paid at the end, and a loan on it before, as in RegisterBus: register_bus.py.
 episode       terminated when all axes have stopped, their motors pull within `tolerance` of their targets, friction leaves the
               carriages within `lag`, no step is lost, and the origins are known; or when a step is lost while the origin cannot
               be found again (below level 3). Truncated after `macros` actions or `time_limit`.
@@ -59,7 +60,7 @@ from stage.envs.entries import HOST, TRUTH, Entry
 from stage.envs.machines import Machines
 from stage.envs.macros import RATES, Book
 from stage.envs.results import result
-from stage.envs.settings import Count, Each, Flag, Names, Number, Positive, Seconds, Weight, Word
+from stage.envs.settings import Count, Discount, Each, Flag, Names, Number, Positive, Seconds, Weight, Word
 from stage.envs.trial import closed_form
 from stage.errors import ArgumentError, unknown
 from stage.sim.fleet import Played
@@ -83,7 +84,7 @@ class Config(Machines):
     lag: Positive = 16.0  # pulses, that friction may hold the carriage off there: a full step of the default drives
     patience: Seconds = 2.0  # s, that a wait may take
     settle: Annotated[float, Number(high=1.0)] = 0.02  # s, after each stop
-    discount: Positive = 1.0
+    discount: Discount = 1.0
     progress_weight: Weight = 2.0
     macro_weight: Weight = 0.01
     time_weight: Weight = 0.05
@@ -187,7 +188,8 @@ class BusMacros(BusHost):
                 axes[name][a] = int(truth["inputs"][a]) & mask != 0
         straight = np.abs(axes["target"]) + (np.abs(from_origin) if level == 3 else 0)
         e["usual"] = closed_form(straight[:used].astype(float), *RATES["usual"]).max()
-        e["potential"] = self._potential(truth[None], slice(k, k + 1))[0]
+        e["potential"] = e["start"] = self._potential(truth[None], slice(k, k + 1))[0]
+        e["loan"] = 0.0
 
     def _obey(self, axes: Any, options: Mapping[str, Any], level: int) -> None:
         given, c = options.get("targets", {}), self.config
@@ -249,7 +251,7 @@ class BusMacros(BusHost):
         left = np.maximum(c.macros - self.steps, 0) * c.macro_weight
         left = left + np.maximum(c.time_limit - (now - e["began"]) * 1e-9, 0.0) * c.time_weight
         parts = {
-            "progress": c.progress_weight * (c.discount * potential - e["potential"]),
+            "progress": c.progress_weight * (potential - e["potential"]),
             "cost": -c.macro_weight - c.time_weight * seconds,
             "success": np.where(success, c.success_weight, 0.0),
             "damage": -c.damage_weight * (first * 1.0 + hits),
@@ -258,6 +260,8 @@ class BusMacros(BusHost):
         e["potential"][good], e["before"][good] = potential[good], now[good]
         e["limits"][good] += hits[good]
         s["lost"][good], s["limit"][good] = np.maximum(s["lost"], lost)[good], at_limit[good]
+        if c.discount < 1.0:
+            parts |= self._lent(success | failed)
         elapsed = (now - e["began"]) * 1e-9
         info = {
             "level": e["level"], "action_mask": self.masks(), **self.told_of_machines,
@@ -267,6 +271,19 @@ class BusMacros(BusHost):
         self.fill(parts, info, success | hopeless, (over | late) & ~success & ~hopeless)
         time = np.where(success, elapsed, np.inf)
         score.note(self.results["score"], time, e["usual"], self.steps, s["lost"].sum(axis=1), e["limits"])
+
+    def _lent(self, over: np.ndarray) -> dict[str, np.ndarray]:
+        """The parts of a step with a discount: whole where the episode is over, before a loan on them, which the end takes back."""
+        c, e, good = self.config, self.episodes, self.sound
+        progress = c.progress_weight * (e["potential"] - e["start"])
+        cost = -c.macro_weight * self.steps - c.time_weight * 1e-9 * (e["before"] - e["began"])
+        damage = -c.damage_weight * ((self.axis_states["lost"].max(axis=1) > 0) + e["limits"])
+        dearest = c.macro_weight * c.macros + c.time_weight * c.time_limit
+        loan = np.maximum(progress + cost + damage, -dearest) / (1.0 + (1.0 - c.discount) * c.macros)
+        loan = np.where(over, 0.0, loan)
+        paid = np.where(over, progress, c.discount * loan) - e["loan"]
+        e["loan"][good] = loan[good]
+        return {"progress": paid, "cost": np.where(over, cost, 0.0), "damage": np.where(over, damage, 0.0)}
 
     def _potential(self, t: np.ndarray, which: slice) -> np.ndarray:
         """(stages,), from -1.5 or so to 0. t: truth of these stages."""

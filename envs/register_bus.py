@@ -19,18 +19,23 @@ observation   float32 in [-1, 1]; for every chip in turn
               entries of age are 1, and no bus cycle is needed.
               With truth=False the info has no truth either, see entries.py.
 reward        the sum of
-              progress   progress_weight x (discount x potential now - potential before); the potential is - the mean of the
-                         axes' errors beyond the tolerance / scale (distances[1], or with "home" the way from EL to EL),
-                         0 at success: it guides the agent and does not change the best policy (discount: the learner's own)
+              progress   progress_weight x (potential now - potential before); the potential is - the mean of the axes' errors
+                         beyond the tolerance / scale (distances[1], or with "home" the way from EL to EL), 0 at success
               time       - time_weight x s
               success    success_weight, once
               lost       - lost_weight for every full step lost, the first 64 of an episode
               failed     - what is left of both at an end without success: time_weight x s up to the time limit, lost_weight x
                          full steps up to 64. So every failure costs the same but for its progress: to be out of actions soon,
                          or to wait, pays no better than a try that loses steps.
+              With a `discount` below 1, the learner's own, these parts are paid at the end of the episode, each whole: their sum
+              is what the episode is worth. Until then there is a loan on it, in progress: discount x loan now - loan before, at
+              every end - loan before. The loan is what the episode was worth so far, at least minus the cost of a failure,
+              / (1 + (1 - discount) x cycles). So the sum, each reward discounted, is discount^(steps - 1) x worth, whatever was
+              lent (potential-based shaping), and the plain sum differs from the worth by less than the largest worth so far.
 episode       terminated at success: every axis has stopped, stands within `tolerance` of its goal, and (with "position") has
               lost no step. Truncated after `time_limit` s or `cycles` actions.
-goal          "position": random targets, uniform on a log scale, in either direction from the position at power-up.
+goal          "position": random targets, uniform on a log scale, in either direction from the position at power-up, which is that
+              of the model but for the rotor's angle, drawn anywhere in an electrical turn (of a servo, in a count).
               "home": each carriage begins anywhere between its end limits, and must end where ORG trips.
 """
 
@@ -54,6 +59,7 @@ from stage.envs.settings import (
     Count,
     Counts,
     Cycle,
+    Discount,
     Each,
     Flag,
     Names,
@@ -65,6 +71,7 @@ from stage.envs.settings import (
     Word,
 )
 from stage.envs.task import Task
+from stage.envs.trial import Starts
 from stage.errors import ArgumentError, unknown
 from stage.sim import play
 
@@ -91,7 +98,7 @@ class Config(Settings):
     cycles: Count = 2000  # actions
     live: Flag = False
     truth: Truths = "info"  # where what no host can see is shown: entries.py
-    discount: Positive = 1.0
+    discount: Discount = 1.0
     progress_weight: Weight = 1.0
     time_weight: Weight = 0.1
     success_weight: Weight = 10.0
@@ -153,7 +160,9 @@ class RegisterBus(Task[Config]):
         self.travel = np.array([a.travel for a in self.axes])
         self.limits = np.array([self._limits(a) for a in self.axes])
         self.power_up = self.fleet.truth()["position"][0]
-        room = (np.abs(self.limits - self.power_up[:, None]).min(axis=1) / self.per_pulse).min()
+        self.turn = np.array([Starts(a).turn for a in self.axes])
+        way = np.abs(self.limits - self.power_up[:, None]).min(axis=1) - self.turn
+        room = (way / self.per_pulse).min()
         least, most = DISTANCES
         self.distances = c.distances or (least, max(least, min(most, int(ROOM * room))))
         if c.goal == "home":
@@ -257,7 +266,8 @@ class RegisterBus(Task[Config]):
         else:
             low, high = portable.log(self.distances)
             far = np.rint(portable.exp(rng.uniform(low, high, m))).astype(np.int64)
-            start, target = self.power_up.copy(), far * rng.choice((-1, 1), m)
+            target = far * rng.choice((-1, 1), m)
+            start = (np.floor(self.power_up / self.turn) + rng.uniform(size=m)) * self.turn
         for j, q in self._by_axis("start", options, (int, float)):
             start[j] = q
         for j, pulses in self._by_axis("target", options, (int, np.integer)):

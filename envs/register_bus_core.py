@@ -39,8 +39,19 @@ the reward of a divergence; bits of the data bus, address of the status, the lar
 AXIS_RULES = record([(name, "f8") for name in "near per_pulse full_step scale low high".split()] + [("chip", "i8")])
 """Of an axis: tolerance, pulse, full step, error that counts as 1, ends of its travel, all in m; which chip it is on."""
 
-EPISODE = record([("began", "i8"), ("before", "i8"), ("potential", "f8"), ("value", "i8"), ("paid", "i8")])
-"""ns at its begin and at that of the step; the last potential; what was just read, or -1; full steps lost that have been paid."""
+EPISODE = record(
+    [
+        ("began", "i8"),
+        ("before", "i8"),
+        ("potential", "f8"),
+        ("value", "i8"),
+        ("paid", "i8"),
+        ("start", "f8"),
+        ("loan", "f8"),
+    ]
+)
+"""ns at its begin and at that of the step; the last potential; what was just read, or -1; full steps lost that have been paid;
+the potential at its begin; with a discount what has been lent."""
 
 AXIS = record([("goal", "f8"), ("target", "i8"), ("lost", "i8")])
 """Goal, m; target, pulses; most full steps lost so far."""
@@ -119,6 +130,21 @@ def _arrived(r, axes, rules, truth):
 
 
 @hot
+def _lend(r, over, now, potential, episode, parts):
+    """With a discount: the parts are paid at the end, whole; until then a loan on them, which the end takes back."""
+    progress = r.progress_weight * (potential - episode.start)
+    time = -r.time_weight * 1e-9 * (now - episode.began)
+    lost = -r.lost_weight * episode.paid
+    if over:
+        parts.progress, parts.time, parts.lost = progress - episode.loan, time, lost
+        return
+    dearest = r.time_weight * 1e-9 * r.limit + r.lost_weight * DEAREST
+    loan = greatest(progress + time + lost, -dearest) / (1.0 + (1.0 - r.discount) * r.cycles)
+    parts.progress, parts.time, parts.lost = r.discount * loan - episode.loan, 0.0, 0.0
+    episode.loan = loan
+
+
+@hot
 def _judge(r, rules, action, value, bad, steps, episode, axes, words, truth, out):
     """Fill the result of a step that was just played, and keep what the next one needs."""
     now = truth[0].now
@@ -142,7 +168,7 @@ def _judge(r, rules, action, value, bad, steps, episode, axes, words, truth, out
             words[action[1], action[2]].seen, words[action[1], action[2]].when = value, now
         episode.value = value if action[0] == READ else -1
         potential = _potential(axes, rules, truth)
-        parts.progress = r.progress_weight * (r.discount * potential - episode.potential)
+        parts.progress = r.progress_weight * (potential - episode.potential)
         parts.time = -r.time_weight * 1e-9 * (now - episode.before)
         parts.success = r.success_weight if success else 0.0
         more = least(more, DEAREST - episode.paid)
@@ -152,6 +178,8 @@ def _judge(r, rules, action, value, bad, steps, episode, axes, words, truth, out
         if out.truncated:  # what waiting to the end would have cost, and whatever could have been lost
             left = 1e-9 * (r.limit - (now - episode.began))
             parts.failed = -(r.time_weight * left + r.lost_weight * (DEAREST - episode.paid))
+        if r.discount < 1.0:
+            _lend(r, success or out.truncated, now, potential, episode, parts)
         out.reward = parts.progress + parts.time + parts.success + parts.lost + parts.failed
         episode.potential, episode.before = potential, now
         for a in range(len(axes)):
@@ -233,6 +261,7 @@ def conclude(f, begin, end, fresh, results):
             e = episodes[k]
             e.began = e.before = truth[k, 0].now
             e.potential, e.value, e.paid = _potential(axes[k], rules, truth[k]), -1, 0
+            e.start, e.loan = e.potential, 0.0
         else:
             steps[k] += 1
             bad = status[k] == player.DIVERGED

@@ -168,6 +168,7 @@ Cycle = Annotated[float, Number(high=1.0)]
 """s, that a bus cycle takes."""
 Weight = Annotated[float, Number()]
 """Of a part of the reward; which sign the part has is the environment's."""
+Discount = Annotated[float, Number(above=True, high=1.0)]
 Count = Annotated[int, Number(above=True, whole=True)]
 Counts = Annotated[tuple[int, int], Range(1, whole=True)]
 Payloads = Annotated[Pair, Range()]

@@ -43,7 +43,7 @@ from stage.envs.results import result
 from stage.envs.settings import AxisName, Counts, Number, NumberOrRange, Pair, Range, Seconds, Weight
 from stage.envs.synchronized_move import SynchronizedMove
 from stage.envs.task import judged
-from stage.envs.trial import TENTH, Starts, closed_form
+from stage.envs.trial import TENTH, closed_form
 from stage.errors import ArgumentError
 from stage.firmware.driver import Speeds
 from stage.firmware.lines import Asked
@@ -115,7 +115,6 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         m = len(self.axes)
         self.judged, self.point = judged(first, c.axes[0], c.judge_at)
         self.ready()
-        self.starting = [Starts(a) for a in self.axes]
         self.loads = [Load.of(a) for a in self.axes]
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2 + CORRECTIONS * m,), np.float32)
         self.observation_space = self.seen()

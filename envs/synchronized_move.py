@@ -1,7 +1,8 @@
 """`stage/SynchronizedMove-v0`: choose the registers that bring two or three axes along a straight line together.
 
-A step is one whole move of random signed distances, from rest to rest, its middle in the middle of the travel. How the axes are
-kept on the line depends on the family: its `Line` in stage/firmware writes the registers and starts the axes.
+A step is one whole move of random signed distances, from rest to rest, its middle in the middle of the travel but for the rotors'
+angles at the start, which are drawn anywhere in an electrical turn. How the axes are kept on the line depends on the family: its
+`Line` in stage/firmware writes the registers and starts the axes.
     PCL-240           the a:b scheme. Nothing couples the chips but their registers, R0 and R1 to R7 of each, and their start
                       commands, a bus cycle apart, the longest axis last: they deviate from the line by their different rounding.
     MCX514, MCX312    linear interpolation by the chip, where it has all axes; it takes speeds of one axis and finish points of all.
@@ -66,6 +67,7 @@ from stage.envs.settings import (
     Word,
 )
 from stage.envs.task import MoveTask
+from stage.envs.trial import Starts
 from stage.errors import ArgumentError, unknown
 from stage.firmware.driver import driver_of
 from stage.firmware.lines import Asked, line_of
@@ -166,10 +168,9 @@ class SynchronizedMove(MoveTask[Config]):
         self.way = np.array([a.meters_per_pulse * np.sign(a.gear) for a in self.axes])
         self.line = line_of([driver_of(a) for a in self.axes], c)
         self.hz = self.line.hz
-        for a in self.axes:
-            room = int(0.95 * (a.travel[1] - a.travel[0]) / a.meters_per_pulse)
-            if c.distances[1] > room:
-                raise ArgumentError(f"distances={c.distances!r}: axis {a.name} has room for {room} pulses.")
+        self.starting = [Starts(a) for a in self.axes]
+        for starts in self.starting:
+            starts.check(c.distances, "pulses")
         if c.rates[1] > self.line.fastest:
             raise ArgumentError(f"rate={c.rate!r}: up to {self.line.fastest:.0f} pps here.")
         self.registers = RegisterBox(self.line.chip.MAP, self.line.names * self.line.shape[0])
@@ -202,17 +203,16 @@ class SynchronizedMove(MoveTask[Config]):
             self._draw(int(k), {})
 
     def _draw(self, k: int, options: Mapping[str, Any]) -> None:
-        """The next move of stage k, and its carriages where it starts."""
+        """The next move of stage k, and its carriages where it starts, each rotor anywhere in its field."""
         c, rng = self.config, self.rngs[k]
         low, high = portable.log(c.distances)
         sizes = np.rint(portable.exp(rng.uniform(low, high, len(self.axes)))).astype(np.int64)
         self.distances[k] = sizes * rng.choice([-1, 1], len(self.axes))
         self.rate[k] = np.clip(portable.exp(rng.uniform(*portable.log(c.rates))), *c.rates)
         self._obey(k, options)
-        places = {}
-        for a, way, d in zip(self.axes, self.way, self.distances[k], strict=True):
-            places[a.name] = 0.5 * (a.travel[0] + a.travel[1]) - 0.5 * float(way * d)
-        self.stages[k].place(**places)
+        angles = rng.uniform(size=len(self.axes))
+        begin = zip(self.starting, self.distances[k].tolist(), angles.tolist(), strict=True)
+        self.stages[k].place(**{s.axis.name: s.begin(d, angle) for s, d, angle in begin})
 
     def _obey(self, k: int, options: Mapping[str, Any]) -> None:
         c, names = self.config, self.config.axes

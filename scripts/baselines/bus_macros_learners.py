@@ -16,9 +16,9 @@ goes on, and the temperature at which that one acts is chosen on the same machin
 
 Learning has settings of its own for what the task lets one choose; validation and tests have the task's own. A macro costs MACRO,
 that dawdling shows. The way of an axis is worth as much at each level (PROGRESS; the task has the mean of the axes), so that a
-step of it pays for its macros. `discount` is the task's 1, not the learner's GAMMA: with that, an episode that fails gives most
-of its progress back, and standing far away is paid for, so a policy that does not yet succeed has little to go by, and goes round
-in circles of macros that move nothing.
+step of it pays for its macros. `discount` is the task's 1, not the learner's GAMMA: with that, all is paid at the end, and before
+it a loan on it that is less than half as large, so a policy that does not yet succeed has less to go by. (Once it paid for standing
+far away, too, and such a policy went round in circles of macros that move nothing.)
 
 `learn` writes for each level the policy, its temperature, and the curve so far: a CSV with a row for each of these times. A run of
 the same seed learns the same again. `evaluate` plays the test episodes of a policy's level, by the ways that the targets lie.

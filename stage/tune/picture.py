@@ -64,10 +64,10 @@ def _measured(result: Result, plan: Plan, seconds: float) -> tuple[np.ndarray, .
     what is judged."""
     task = result.task
     stage, looks = task.copy(), Looks(task)
-    goal = looks.begin(stage, Case(task.payload, 0.0, 1))
+    goal = looks.begin(stage, Case(task.payload, 0.0, task.way))
     start = stage.axes[task.axis].position
     before = Program()
-    result.plans.write(before, plan, task.pulses)
+    result.plans.write(before, plan, task.signed)
     fleet = Fleet([stage], 1)
     with stage.record(every=LOOK / 2) as recording:
         fleet.play([before])

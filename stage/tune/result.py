@@ -57,19 +57,19 @@ class Result:
 
     @cached_property
     def cycles(self) -> list[Cycle]:
-        """Its bus cycles, in order, of a move towards plus."""
-        return cycles(self.task, program(self.plans, self.answer.plan, self.task.pulses))
+        """Its bus cycles, in order, of a move the way that was asked for."""
+        return cycles(self.task, program(self.plans, self.answer.plan, self.task.signed))
 
     @cached_property
     def rows(self) -> list[Row]:
         """Its registers."""
-        return rows(self.task, said(self.task, program(self.plans, self.answer.plan, self.task.pulses)))
+        return rows(self.task, said(self.task, program(self.plans, self.answer.plan, self.task.signed)))
 
     def way(self) -> str:
         """The distance in words."""
         axis = self.task.stage.axes[self.task.axis]
-        way = PLACES[axis.unit].text(self.task.pulses * axis.meters_per_pulse, "g")
-        return f"{way} ({self.task.pulses} {'counts' if axis.chip.SERVO else 'pulses'})"
+        way = PLACES[axis.unit].text(self.task.signed * axis.meters_per_pulse, "g")
+        return f"{way} ({self.task.signed} {'counts' if axis.chip.SERVO else 'pulses'})"
 
     def proved(self, a: Answer) -> str:
         """What the proof says of an answer, in words."""
@@ -141,7 +141,7 @@ class Result:
         return "\n".join(out)
 
     def listing(self) -> str:
-        """The bus cycles of a move towards plus."""
+        """The bus cycles of a move the way that was asked for."""
         mask = self.task.stage.axes[self.task.axis].chip.DATA_MASK
         digits = (mask.bit_length() + 3) // 4
         out = ["address  data  what it says", "----------------------------"]
@@ -169,7 +169,7 @@ class Result:
         return {
             "axis": task.axis,
             "chip": task.stage.axes[task.axis].chip.MAP.chip,
-            "pulses": task.pulses,
+            "pulses": task.signed,
             "payload": task.payload,
             "spare": task.spare,
             "within": task.within,

@@ -34,10 +34,11 @@ class Case(NamedTuple):
 @told_when_made
 @dataclass(frozen=True)
 class Task:
-    """A move of one axis of a stage, to be made again and again.
+    """A move of one axis of a stage, to be made again and again, and back.
 
     Attributes:
-        stage: the machine, at power-up; it is copied and never moved. axis: its name. pulses: of the move (of a servo counts).
+        stage: the machine, at power-up; it is copied and never moved. axis: its name. pulses: of the move (of a servo counts);
+            below 0 towards minus, which `way` then says.
         payload: kg, the most that it carries; less counts, too, down to nothing. spare: kg on top of it with which no step may be
             lost: the margin. None: 30 % of the payload; without a payload 30 % of what the axis itself moves.
         within, hold: arrived is who stays within so many m (rad) of the goal for so many s. None: a full step, or 10 counts of an
@@ -45,6 +46,7 @@ class Task:
         overshoot: m (rad) beyond the goal, at most. None: twice `within`, and any with judge_at.
         judge_at: site or body that the axis carries, whose place counts: a tool, a camera on a mast. None: the axis itself.
         payload_on: body or site that carries; None: site "work", if it rides on the axis, else what the axis moves.
+        way: 1 or -1, of the bus cycles that are told; registers are tried both ways.
         point: of judge_at, as `Program.look` has it. carrier: the body that carries. moved: kg that the axis moves by itself.
             middle: of the room between the limit switches, m; moves lie around it.
     Raises ArgumentError: no such axis; a distance that it has no room for; a payload that is none.
@@ -60,6 +62,7 @@ class Task:
     overshoot: float | None = None
     judge_at: str | None = None
     payload_on: str | None = None
+    way: int = field(init=False, default=1)
     point: int = field(init=False, default=0)
     carrier: str = field(init=False, default="")
     moved: float = field(init=False, default=0.0)
@@ -97,6 +100,7 @@ class Task:
             put("overshoot", TWICE * float(self.within or 0.0) if self.judge_at is None else math.inf)
         if not float(self.overshoot or 0.0) > 0:
             raise ArgumentError(f"overshoot={self.overshoot!r}: more than 0.")
+        put("way", -1 if self.pulses < 0 else 1)
         put("pulses", abs(int(self.pulses)))
         low, high = room(axis)
         most = math.floor((high - low) / axis.meters_per_pulse) - self.turn
@@ -124,6 +128,11 @@ class Task:
     def length(self, metres: float) -> str:
         """A small length of the axis in words."""
         return SMALL[self.stage.axes[self.axis].unit].text(metres, "g")
+
+    @property
+    def signed(self) -> int:
+        """Pulses of the move that is told, with their sign."""
+        return self.way * self.pulses
 
     @property
     def carries(self) -> str:

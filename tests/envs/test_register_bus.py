@@ -689,9 +689,9 @@ def test_on_a_screw_that_turns_the_other_way_the_target_lies_the_other_way(tmp_p
 
 
 def test_there_is_room_up_to_the_nearer_of_both_end_limits():
-    """z of xyz, put at power-up nearer to one of them"""
+    """z of xyz, put at power-up nearer to one of them; less the electrical turn, 64 pulses, in which it may begin"""
     task = make(axes=("z",))._task
-    for side, most in (((-3000.0, 20_000.0), 2700), ((-20_000.0, 3000.0), 2700), ((-9000.0, 9000.0), 8000)):
+    for side, most in (((-3064.0, 20_000.0), 2700), ((-20_000.0, 3064.0), 2700), ((-9000.0, 9000.0), 8000)):
         task._limits = lambda axis, side=side, p=task.per_pulse[0], at=task.power_up[0]: tuple(at + p * np.array(side))
         task.prepare()
         assert task.distances == pytest.approx((400, most), abs=1)

@@ -114,5 +114,5 @@ def test_a_vector_of_them_gives_the_bits_of_single_ones():
 
 
 def test_targets_that_have_no_room_are_refused_in_counts():
-    with pytest.raises(ArgumentError, match=r"there is room for (19999|20000) pulses"):
+    with pytest.raises(ArgumentError, match=r"there is room for 1999[89] pulses"):
         gymnasium.make("stage/RegisterBus-v0", **{**SETTINGS, "distances": (400, 30_000)})

@@ -90,11 +90,14 @@ def test_the_planners_registers_as_an_action_keep_the_planners_line():
     made = firmware.plan(LINE, rate=16_000, accel=0.05, bus_delay=1e-6)
     rows = [made.axes[n].registers for n in "xy"]
     chip = CHIPS["PCL240K"]
-    _, info, _ = one_move(as_action(chip, rows), options={"distances": LINE}, actions="box")
+    env = SynchronizedMoveEnv(**SHORT, actions="box")
+    env.reset(seed=1, options={"distances": LINE})
+    begin = {n: env.stage.axes[n].position for n in LINE}
+    info = env.step(as_action(chip, rows))[4]
     assert info["registers"].tolist() == [[r[n] for n in REGISTERS] for r in rows]
     assert info["deviation"] == pytest.approx(made.deviation, abs=0.01)
     stage = Stage("xyz", chips=chip)
-    stage.place(**{n: -0.5 * d * stage.axes[n].meters_per_pulse for n, d in LINE.items()})
+    stage.place(**begin)
     report = firmware.synchronized_move(made, stage)
     assert info["duration"] == pytest.approx(made.seconds, abs=2e-6)
     assert info["carriage_deviation"] == pytest.approx(report.carriage_deviation, rel=0.2)
@@ -272,7 +275,10 @@ def test_every_move_of_an_episode_starts_at_rest_around_the_middle():
     for k in range(3):
         for n, d in zip("xy", env._task.distances[0], strict=True):
             axis = env.stage.axes[n]
-            assert axis.position == pytest.approx(-0.5 * d * axis.meters_per_pulse, abs=1e-9)
+            turn = 64 * axis.meters_per_pulse
+            assert axis.position == pytest.approx(-0.5 * d * axis.meters_per_pulse, abs=turn), (
+                "but for the rotor's angle"
+            )
             assert axis.lost_steps == 0
         observation, _, terminated, truncated, info = env.step(NOTHING)
         seen.append(info["distances"].tolist())

@@ -67,6 +67,29 @@ def test_the_answer_arrives_and_keeps_step_up_to_the_margin_in_moves_that_the_se
         assert "faster than the formula's" in result.verdict()
 
 
+@pytest.mark.parametrize("chip", [PCL240K, PCL240MS, MCX514, MCX304, HCTL1100])
+def test_a_distance_below_0_gets_the_bytes_of_a_move_towards_minus(chip):
+    """`stage tune xy --distance -100mm` gave those of +100 mm, and did not say so."""
+    plus, minus = (tune(task_of(chip, pulses=way * PULSES), by="formula", moves=4) for way in (1, -1))
+    assert (minus.task.pulses, minus.task.way, minus.json()["pulses"]) == (PULSES, -1, -PULSES)
+    assert minus.answer.plan == plus.answer.plan, "registers are tried both ways"
+    assert f"({-PULSES} " in str(minus)
+    assert f"({-PULSES} " in minus.c_source()
+    moved = []
+    for result in (plus, minus):
+        stage = result.task.copy()
+        axis = stage.axes["x"]
+        begun = axis.position
+        for cycle in result.cycles:
+            if cycle.address is None:
+                stage.run(cycle.value * 1e-9)
+            else:
+                axis.chip.write(cycle.address, cycle.value)
+        stage.run(LIMIT)
+        moved.append((axis.position - begun) / axis.meters_per_pulse)
+    assert moved == pytest.approx([PULSES, -PULSES], abs=10)
+
+
 def test_the_printed_bytes_are_the_move_and_leave_the_registers_of_the_table(result):
     stage = result.task.copy()
     axis = stage.axes["x"]

@@ -27,7 +27,7 @@ def _add_tune(commands: Any) -> None:
     )  # fmt: skip
     p.add_argument("model", nargs="?", default="xyz", help=model_help())
     p.add_argument("--axis", help="the axis (default: the first of the model)")
-    p.add_argument("--distance", help="of the move: 100mm, 30deg, or pulses (of a servo counts)")
+    p.add_argument("--distance", help="of the move: 100mm, -30deg, or pulses (of a servo counts)")
     p.add_argument("--payload", type=MASS, default=0.0, metavar="KG", help="that it carries at most (default: 0)")
     p.add_argument(
         "--payload-on",
