@@ -21,7 +21,7 @@ import numpy as np
 from common import CANDIDATES, DISTANCE, HELD, LIMIT, MARGIN, MODEL, PAYLOADS, REPEATS, TOLERANCE
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from runs import BOLDEST, FORMULA, HEAVIER, METHODS, MOVES_OF, NEW, QUICK, SHORTER, SHORTEST, Method, Run, Runs
+from runs import BOLDEST, CONTEXTS, FORMULA, HEAVIER, METHODS, NEW, QUICK, SHORTER, SHORTEST, Method, Run, Runs
 
 from stage import Stage, firmware
 from stage.bench.statistics import interval, iqm
@@ -74,10 +74,10 @@ def losses(runs: list[Run], context: str) -> str:
     if not lost:
         return "none"
     some = f", {np.count_nonzero(lost)} of {len(lost)} answers" if any(lost) and len(lost) > 1 else ""
-    return f"{sum(lost)} of {len(lost) * MOVES_OF[context]}{some}"
+    return f"{sum(lost)} of {len(lost) * CONTEXTS[context].moves}{some}"
 
 
-def table(runs: list[Run], payload: str) -> list[str]:
+def table(runs: list[Run].moves, payload: str) -> list[str]:
     lines = [
         "| method | moves | seeds | reward, ms | time, ms | vibration, um | lost: new moves | lost: shorter moves | spare, kg "
         "| moves that kept step | lucky |",
@@ -197,9 +197,8 @@ def page(all_: Runs) -> str:
         versions=versions, minutes=all_.took / 60, moves=sum(len(r.search) for r in runs),
         more=sum(len(log) for r in runs for log in (*r.proofs.values(), *r.test.values())), safety=formula.SAFETY,
         held=HELD, margin=MARGIN, tolerance=TOLERANCE, repeats=REPEATS, candidates=CANDIDATES, model=all_.model,
-        new=MOVES_OF[NEW], shorter=MOVES_OF[SHORTER], shortest=SHORTEST * MM, each=MOVES_OF[f"+{HEAVIER[0]:g} kg"], step=HEAVIER[0],
-        most=HEAVIER[-1], flattered=flattered(runs),
-        enough=SEEDS,
+        new=CONTEXTS[NEW].moves, shorter=CONTEXTS[SHORTER].moves, shortest=SHORTEST * MM,
+        each=CONTEXTS[f"+{HEAVIER[0]:g} kg"].moves, step=HEAVIER[0], most=HEAVIER[-1], flattered=flattered(runs), enough=SEEDS,
     )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from functools import cached_property
 from importlib import import_module, metadata
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import formula
 import numpy as np
@@ -33,9 +33,23 @@ TEST_SEED = 1_000  # of no search, and of no proof
 NEW, SHORTER = "new", "shorter"
 SHORTEST = 12_800  # pulses, 40 mm
 HEAVIER = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)  # kg on top of the payload
-MOVES_OF = {NEW: 128, SHORTER: 64, **{f"+{kg:g} kg": 16 for kg in HEAVIER}}
-"""Moves of each context of the test: `new` as the task has them, `shorter` of distances from SHORTEST on, both with up to MARGIN kg
-more; then so much more payload each. In all of them every second move goes the other way."""
+
+
+class Context(NamedTuple):
+    """Moves of a test. heavier: kg that each has on top of the payload; more, shortest: as Moves has them."""
+
+    moves: int
+    heavier: float = 0.0
+    more: float = 0.0
+    shortest: int | None = None
+
+
+CONTEXTS = {
+    NEW: Context(128, more=MARGIN),
+    SHORTER: Context(64, more=MARGIN, shortest=SHORTEST),
+    **{f"+{kg:g} kg": Context(16, heavier=kg) for kg in HEAVIER},
+}
+"""Of a test. In each every second move goes the other way."""
 
 
 @dataclass(frozen=True)
@@ -157,18 +171,13 @@ class Run:
 def tested(registers: list[int], payload: float, model: str) -> dict[str, Log]:
     """The test of an answer: the same moves for every method."""
     found = {}
-    for k, (context, count) in enumerate(MOVES_OF.items()):
-        heavier = HEAVIER[k - 2] if k > 1 else 0.0
-        made: dict[str, Any] = {
-            "more": 0.0 if heavier else MARGIN,
-            "shortest": SHORTEST if context == SHORTER else None,
-        }
-        seed = TEST_SEED + k
-        with Moves(payload + heavier, count, "registers", seed=seed, model=model, both_ways=True, **made) as moves:
+    for seed, (name, c) in enumerate(CONTEXTS.items(), TEST_SEED):
+        made: dict[str, Any] = {"seed": seed, "model": model, "more": c.more, "shortest": c.shortest, "both_ways": True}
+        with Moves(payload + c.heavier, c.moves, "registers", **made) as moves:
             action = moves.registers.to_action(np.array(registers))
             while moves.left:
                 moves.make_actions(np.tile(action, (moves.lanes, 1)))
-        found[context] = moves.log
+        found[name] = moves.log
     return found
 
 
