@@ -131,10 +131,14 @@ class Run:
         """The share of its moves that kept step."""
         return float(np.mean(self.search.kept))
 
-    def mean(self, name: str, context: str = NEW) -> float:
-        """Of the answer in its test: `reward` in ms, `duration` in ms, `vibration` in um. NaN without an answer."""
-        scale = {"reward": 1e3, "duration": 1e3, "vibration": 1e6}[name]
-        return scale * float(np.mean(getattr(self.test[context], name))) if self.test else np.nan
+    def mean(self, name: str, kept: bool = False) -> float:
+        """Of the answer in new moves: `reward` in ms, `duration` in ms, `vibration` in um. kept: of the moves alone that kept step.
+        NaN without an answer."""
+        if not self.test:
+            return np.nan
+        log = self.test[NEW]
+        values = np.array(getattr(log, name))[log.kept if kept else slice(None)]
+        return {"vibration": 1e6}.get(name, 1e3) * float(np.mean(values))
 
     def lost(self, context: str) -> int:
         """How many moves of its test did not keep step."""
