@@ -27,7 +27,7 @@ help:
 	@echo "make lint       ruff and mypy"
 	@echo "make ci         all that .github/workflows/ci.yml does on this Python"
 	@echo "make bench      speed, as ratios measured in one run"
-	@echo "make results    baselines of RegisterTuning: docs/results.md (extra rl; hours)"
+	@echo "make results    baselines of RegisterTuning: docs/results.md, which says how long it takes (extra rl)"
 	@echo "make pictures   draw every picture of README and docs again"
 
 $(BIN)/python:
@@ -138,7 +138,7 @@ bench: .venv/.dev
 	$(BIN)/python scripts/benchmark_envs.py --most 64 --rounds 3
 
 results: .venv/.dev
-	$(BIN)/python -m pip install -q -e '.[rl,plot]'
+	$(BIN)/python -m pip install -q -e '.[rl,plot,data]'
 	$(BIN)/python scripts/baselines/results.py
 
 pictures: .venv/.dev

@@ -21,6 +21,7 @@ from typing import Any
 import formula
 import gymnasium
 import numpy as np
+from both_ways import BothWaysVectorEnv
 
 from stage import Stage
 from stage.chips import CHIPS, chip_class
@@ -36,14 +37,15 @@ BUDGET = 1_024  # moves
 LANES = 16  # moves made at once
 CHIP, MODEL = "PCL240K", "xyz"
 CANDIDATES, REPEATS, PROOF_SEED = 100, 48, 99  # a method's best moves that are tried again, and how often each
-MARGIN = 0.5  # kg that every method's answer has beyond the payload
+MARGIN = 0.5  # kg: a proof's moves have from none to so much beyond the payload
 HELD = 5  # moves that hold, of which the best by its mean reward is the answer
 SPACES = ("registers", "knobs")
 
 
 @dataclass
 class Log:
-    """Every move made, in order: reward, s, full steps, m, and the registers. `kept`: no step lost, all pulses made."""
+    """Every move made, in order: reward, s, full steps, m, the registers, and what was drawn for it: pulses, kg, and the angle of
+    the rotor in electrical turns. `kept`: no step lost, all pulses made."""
 
     reward: list[float] = field(default_factory=list)
     duration: list[float] = field(default_factory=list)
@@ -51,6 +53,7 @@ class Log:
     vibration: list[float] = field(default_factory=list)
     kept: list[bool] = field(default_factory=list)
     registers: list[list[int]] = field(default_factory=list)
+    drawn: list[tuple[int, float, float]] = field(default_factory=list)
 
     def __len__(self) -> int:
         return len(self.reward)
@@ -66,17 +69,15 @@ class Log:
         return sorted(np.flatnonzero(self.kept).tolist(), key=lambda k: -self.reward[k])
 
     def curve(self) -> np.ndarray:
-        """Of the best move so far: its duration, s, after each move; NaN before the first that kept step."""
-        out, best = np.full(len(self), np.nan), -np.inf
-        for k, (reward, kept) in enumerate(zip(self.reward, self.kept, strict=True)):
-            better = kept and reward > best
-            best = reward if better else best
-            out[k] = self.duration[k] if better else out[k - 1] if k else np.nan
-        return out
+        """The highest reward of a move that kept step, after each move; -inf before the first."""
+        return np.maximum.accumulate(np.where(self.kept, self.reward, -np.inf))
 
 
 class Moves:
     """One move of one payload, made again and again with other registers, `lanes` at a time.
+
+    more: kg that may come on top of the payload. shortest: pulses, where distances are to be drawn from there on. both_ways: every
+    second lane moves the other way.
 
     Attributes: log; size, the numbers of a choice; env, the vector environment; registers, its RegisterBox; axis, with
     just the payload, for whoever reckons.
@@ -92,28 +93,38 @@ class Moves:
         seed: int = 0,
         chip: str = CHIP,
         model: str = MODEL,
+        more: float = 0.0,
+        shortest: int | None = None,
+        both_ways: bool = False,
     ):
         self.payload, self.distance, self.budget, self.lanes, self.model = payload, distance, budget, lanes, model
-        self.env: Any = gymnasium.make_vec(
-            "stage/RegisterTuning-v0",
-            num_envs=lanes,
-            vectorization_mode="vector_entry_point",
-            model=model,
-            chip=chip,
-            s_curve=False,
-            distances=(distance - TURN, distance + TURN),
-            payloads=(payload * (1 - TOLERANCE), payload * (1 + TOLERANCE)),
-            moves=budget + lanes,
-            limit=LIMIT,
+        settings: dict[str, Any] = {
+            "model": model,
+            "chip": chip,
+            "s_curve": False,
+            "distances": (shortest or distance - TURN, distance + TURN),
+            "payloads": (payload * (1 - TOLERANCE), (payload + more) * (1 + TOLERANCE)),
+            "moves": budget + lanes,
+            "limit": LIMIT,
+        }
+        self.env: Any = (
+            BothWaysVectorEnv(num_envs=lanes, **settings)
+            if both_ways
+            else gymnasium.make_vec("stage/RegisterTuning-v0", lanes, "vector_entry_point", **settings)
         )
-        self.observation, _ = self.env.reset(seed=1000 * seed)
+        self._seed = 1000 * seed
+        self.begin()
         nominal = Stage(model, chips=chip_class(chip))
         nominal.set_payload(payload, self.env.unwrapped._task.carrier)
         self.axis = nominal.axes["x"]
         self.registers = RegisterBox(self.axis.chip.MAP, driver_of(self.axis).tuned_by(s_curve=False))
         self.knobs = formula.Knobs(self.axis, distance) if space == "knobs" else None
         self.size = len(self.knobs.ranges) if self.knobs else len(self.registers)
+
+    def begin(self) -> None:
+        """An empty log, and the same draws again."""
         self.log = Log()
+        self.observation, _ = self.env.reset(seed=self._seed)
 
     @property
     def left(self) -> int:
@@ -142,7 +153,8 @@ class Moves:
         parts = info["reward_parts"]
         kept = (parts["lost"] == 0) & (parts["limit"] == 0) & (info["cause"] != "diverged")
         columns = rewards, info["duration"], info["lost_steps"], info["vibration"], kept, info["registers"]
-        for move in zip(*(column[:n].tolist() for column in columns), strict=True):
+        drawn = zip(*(info[name][:n].tolist() for name in ("distance", "payload", "angle")), strict=True)
+        for move in zip(*(column[:n].tolist() for column in columns), drawn, strict=True):
             self.log.note(*move)
 
     def close(self) -> None:
@@ -162,10 +174,31 @@ def prove(
     repeats: int = REPEATS,
     chip: str = CHIP,
     model: str = MODEL,
-) -> tuple[int, Log] | None:
-    """Make moves with each row of registers, `repeats` of them from as many angles of the rotor, until one row loses no step: which
-    it is, and these moves. None: none did. payload: with the margin that the move is to have."""
-    return next(iter(_proven(rows, payload, 1, distance, repeats, chip, model)), None)
+    margin: float = 0.0,
+    most: int = 1,
+) -> list[Log]:
+    """Try rows of registers again, one after the other, until `most` of them hold: the moves of each that was tried.
+
+    A row holds that loses no step in `repeats` moves, from as many angles of the rotor, with up to `margin` kg more. They are the
+    same for all rows; of one that loses a step not all are made.
+    """
+    proofs: list[Log] = []
+    with Moves(payload, repeats, "registers", distance, seed=PROOF_SEED, chip=chip, model=model, more=margin) as moves:
+        for row in rows:
+            moves.begin()
+            action = moves.registers.to_action(np.array(row))
+            while moves.left and all(moves.log.kept):
+                moves.make_actions(np.tile(action, (moves.lanes, 1)))
+            proofs.append(moves.log)
+            if sum(all(log.kept) for log in proofs) == most:
+                break
+    return proofs
+
+
+def best(proofs: Sequence[Log]) -> int | None:
+    """Of the rows that hold, the one with the highest mean reward in its proof. None: none holds."""
+    held = [k for k, log in enumerate(proofs) if all(log.kept)]
+    return max(held, key=lambda k: float(np.mean(proofs[k].reward)), default=None)
 
 
 def answer(
@@ -179,29 +212,11 @@ def answer(
 ) -> tuple[int, Log] | None:
     """The answer of a method, by the same rule for all. rows: its moves that kept step, the highest reward first.
 
-    Of the first HELD that lose no step in `repeats` moves with `margin` kg more, the one with the highest mean reward in these:
-    which it is, and these moves. None: none holds.
+    Of the first HELD that hold, the best: which it is, and the moves of its proof. None: none holds.
     """
-    held = _proven(rows, payload + margin, HELD, distance, repeats, chip, model)
-    return max(held, key=lambda h: float(np.mean(h[1].reward)), default=None)
-
-
-def _proven(
-    rows: Sequence[Sequence[int]], payload: float, most: int, distance: int, repeats: int, chip: str, model: str
-) -> list[tuple[int, Log]]:
-    """The first of these rows that lose no step in so many moves, `most` at most, with the moves."""
-    held: list[tuple[int, Log]] = []
-    with Moves(payload, repeats * len(rows), "registers", distance, seed=PROOF_SEED, chip=chip, model=model) as moves:
-        for k, row in enumerate(rows):
-            moves.log = Log()
-            action = moves.registers.to_action(np.array(row))
-            while len(moves.log) < repeats and all(moves.log.kept):
-                moves.make_actions(np.tile(action, (moves.lanes, 1)))
-            if all(moves.log.kept):
-                held.append((k, moves.log))
-            if len(held) == most:
-                break
-    return held
+    proofs = prove(rows, payload, distance, repeats, chip, model, margin, HELD)
+    which = best(proofs)
+    return None if which is None else (which, proofs[which])
 
 
 def told(
@@ -223,7 +238,7 @@ def told(
     registers = " ".join(f"{n}={v}" for n, v in zip(names, log.registers[k], strict=True))
     return (
         f"{len(log)} moves, {np.mean(log.kept):.0%} kept step. "
-        f"Best that did in {len(again)} more with {margin:g} kg more: number {k + 1}, "
+        f"Best that did in {len(again)} more with up to {margin:g} kg more: number {k + 1}, "
         f"{np.mean(again.duration):.4f} s, {np.mean(again.vibration) * 1e6:.1f} um vibration; {registers}"
     )
 

@@ -77,7 +77,8 @@ class Tuned:
         reward = -duration - c.vibration_weight * min(vibration / TENTH, 100.0)
         reward -= 0.0 if made and kept else c.lost_weight if made else c.limit_weight
         values = axis.chip.values()
-        self.log.note(reward, duration, lost, vibration, kept, [values[n] for n in REGISTERS])
+        drawn = self.distance, stage.payload(), self._angle
+        self.log.note(reward, duration, lost, vibration, kept, [values[n] for n in REGISTERS], drawn)
         self._put_back()
         return {
             "move": len(self.log), "duration_s": round(duration, 6), "steps_lost": lost,
@@ -87,7 +88,10 @@ class Tuned:
     def _put_back(self) -> None:
         low, high = self._axis.travel
         begin = (low + high - self.distance * self._axis.meters_per_pulse) / 2
-        self._stage.place(x=begin + self._rng.uniform(0, TURN) * self._axis.meters_per_pulse)
+        turn = TURN * self._axis.meters_per_pulse
+        at = begin + self._rng.uniform(0, TURN) * self._axis.meters_per_pulse
+        self._angle = at / turn % 1
+        self._stage.place(x=at)
         self._stage.run(0.05)
 
 
