@@ -40,7 +40,9 @@ def main() -> None:
     parser.add_argument("--splits", nargs="+", default=["train"])
     parser.add_argument("--players", nargs="+", help="of those that a task has (default: all)")
     parser.add_argument("--runs", type=int, default=1, help="of players that draw")
-    parser.add_argument("--round", default=OPEN, metavar="WORD", help="whose test episodes (default: the open ones)")
+    parser.add_argument(
+        "--round", default=OPEN, metavar="WORD", help="whose test episodes (default: the open ones); a folder for each"
+    )
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     for task in args.tasks:

@@ -148,10 +148,13 @@ def _row(some: list[Submission]) -> Row:
 
     scores, regret = np.array([e.scores["return"] for e in some]), of("regret")
     known = np.array([]) if regret is None else regret[np.isfinite(regret)]
+    low, high = interval(scores)
+    mean_low, mean_high = interval(scores, of=np.mean)
     return Row(
-        e.task, e.split, e.track, e.round, e.player, *scores.shape,
-        iqm(scores), *interval(scores), float(scores.mean()), *interval(scores, of=np.mean),
-        mean("success"), float(np.median(known)) if len(known) else None, *(mean(name) for name in LONG),
+        task=e.task, split=e.split, track=e.track, round=e.round, player=e.player, runs=scores.shape[0], episodes=scores.shape[1],
+        value=iqm(scores), low=low, high=high, mean=float(scores.mean()), mean_low=mean_low, mean_high=mean_high,
+        success=mean("success"), regret=float(np.median(known)) if len(known) else None,
+        lost_steps=mean("lost_steps"), limits=mean("limits"), moves=mean("moves"),
         learned=any(e.cost.get("moves", 0) > 0 for e in some),
     )  # fmt: skip
 

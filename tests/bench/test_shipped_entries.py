@@ -1,9 +1,12 @@
 """Entries that are published: each is replayed, bit for bit, a few episodes every day and all of them in the long checks."""
 
+import argparse
 import dataclasses
 import os
+import re
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +60,31 @@ def test_the_page_has_the_tables_that_the_published_entries_make():
     page = (FOLDER.parents[1] / "benchmark.md").read_text()
     for table in statistics.table([bench.read(path) for path in FILES], long=True).split("\n\n"):
         assert f"\n{table}\n" in page, table
+
+
+def made_by_the_commands_of_the_page():
+    """(task, split, round, "learned" or a player's name) of commands of the cost table that write entries; of all players: ""."""
+    parser = argparse.ArgumentParser()
+    for name, usual in (("tasks", []), ("splits", ["train"]), ("players", [""])):
+        parser.add_argument(f"--{name}", nargs="+", default=usual)
+    parser.add_argument("--round", default="open")
+    page = (FOLDER.parents[1] / "benchmark.md").read_text()
+    made = set()
+    for script, typed in re.findall(r"`python scripts/baselines/(\w+)\.py ([^`]*-o entries[^`]*)`", page):
+        given, rest = parser.parse_known_args(typed.split())
+        learned = script != "bench_entries"
+        of_file = rest[1].removeprefix("runs/").partition("_") if learned else ("", "", "")
+        tasks = given.tasks or [of_file[0] if of_file[1] else "few-shot"]
+        made |= set(product(tasks, given.splits, [given.round], ["learned"] if learned else given.players))
+    return made
+
+
+def test_each_published_entry_is_made_by_a_command_of_the_page():
+    made = made_by_the_commands_of_the_page()
+    for path in FILES:
+        e = bench.read(path)
+        who = {"learned"} if e.cost.get("moves") else {"", e.player}
+        assert {(e.task, e.split, e.round, name) for name in who} & made, path.name
 
 
 @pytest.mark.parametrize("path", DAILY, ids=lambda p: p.stem)
