@@ -21,9 +21,16 @@ OPEN = "open"  # the round whose seeds stand in the page
 FIRST, LAST = 1_000_000, 1 << 31  # seeds of test episodes; those below FIRST are for learning
 
 
+def without(*splits: str) -> tuple[str, ...]:
+    """All splits but those that a task cannot have, or that do not change it: fewer than a third of its test episodes end with a
+    return that differs from that on train by 0.001, the last figure of the tables, for the scripted and for the random player."""
+    return tuple(split for split in contexts.SPLITS if split not in splits)
+
+
 @dataclass(frozen=True)
 class Card:
-    """A task. settings: of the environment, the same for all; choices: those that a player may choose, and among what."""
+    """A task. settings: of the environment, the same for all; choices: those that a player may choose, and among what; splits:
+    those that change it (`without`), for a split that does not is no test."""
 
     name: str
     id: str
@@ -82,12 +89,14 @@ CARDS = {
             "one-shot",
             "stage/OneShotTuning-v1",
             "a fast move at the first try, that holds with 0.5 kg more, on a machine of which the payload alone is declared",
+            splits=without("ms"),
         ),
         Card(
             "few-shot",
             "stage/FewShotTuning-v1",
             "in eight tries, the fastest move that holds with 0.5 kg more, on a machine that nobody has measured",
             choices={"memory": ("all", "last")},
+            splits=without("ms"),
         ),
         Card(
             "few-shot-wide",
@@ -102,41 +111,46 @@ CARDS = {
                 "torques": (0.4, 1.0),
             },
             choices={"memory": ("all", "last")},
-            splits=("train", "loose", "ms", "nova", "mast", "faults"),
+            splits=without("heavy", "worn", "weak", "ms"),
         ),
         Card(
             "home",
             "stage/DriftingHome-v1",
             "origin returns to the same place, by a switch that walks, on a machine that may be broken, which is to be reported",
+            splits=without("loose"),
         ),
         Card(
             "line",
             "stage/SynchronizedLine-v1",
             "a fast straight line of two axes, by the registers of both",
+            splits=without("loose", "ms"),
         ),
         Card(
             "line-3",
             "stage/SynchronizedLine-v1",
             "the same of three axes",
             settings={"axes": ("x", "y", "z")},
-            splits=tuple(s for s in contexts.SPLITS if s != "mast"),
+            splits=without("loose", "ms", "mast"),
         ),
         Card(
             "bus-target",
             "stage/BusMacros-v1",
             "one axis to a target either way, by phrases of bus cycles",
             settings={"level": "target"},
+            splits=without("loose", "ms", "mast"),
         ),
         Card(
             "bus-axes",
             "stage/BusMacros-v1",
             "both axes to their targets either way, by phrases of bus cycles",
             settings={"level": "axes"},
+            splits=without("loose", "ms", "mast"),
         ),
         Card(
             "bus",
             "stage/BusMacros-v1",
             "both axes from an unknown place by their origins to their targets, by phrases of bus cycles",
+            splits=without("worn", "loose", "ms", "mast"),
         ),
     )
 }
