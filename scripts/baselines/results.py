@@ -180,11 +180,20 @@ def flattered(runs: list[Run]) -> str:
     )
 
 
-def loss(runs: list[Run]) -> float:
-    """The mean reward, s, of new moves that lost steps; NaN where none did."""
+def priced(runs: list[Run]) -> str:
+    """What a loss takes, by the new moves that lost steps, and how many of them went the way that no search has tried."""
     logs = [r.test[NEW] for r in runs if r.test]
-    rewards = [reward for log in logs for reward, kept in zip(log.reward, log.kept, strict=True) if not kept]
-    return float(np.mean(rewards)) if rewards else np.nan
+    lost = [(log.reward[k], log.drawn[k][0]) for log in logs for k in np.flatnonzero(~np.array(log.kept))]
+    if not lost:
+        return "Here no new move lost a step."
+    reward, back = float(np.mean([reward for reward, _ in lost])), sum(distance < 0 for _, distance in lost)
+    return (
+        f"Of the {len(lost)} new moves that lost steps {back} went in\n"
+        "  the other direction, which no search and no proof has tried. Such a move has a reward of "
+        f"{reward:.0f} s on average, 5 of them the price and\n  most of the rest its shaking: one in "
+        f"{CONTEXTS[NEW].moves} takes {-1e3 * reward / CONTEXTS[NEW].moves:.0f} ms off a mean. So losses, rare as they are, decide "
+        "who is ahead by reward."
+    )
 
 
 def made_by(all_: Runs) -> str:
@@ -210,7 +219,7 @@ def page(all_: Runs) -> str:
         held=HELD, margin=MARGIN, tolerance=TOLERANCE, repeats=REPEATS, candidates=CANDIDATES, model=all_.model,
         new=CONTEXTS[NEW].moves, shorter=CONTEXTS[SHORTER].moves, shortest=SHORTEST * MM,
         each=CONTEXTS[f"+{HEAVIER[0]:g} kg"].moves, step=HEAVIER[0], most=HEAVIER[-1], flattered=flattered(runs), enough=SEEDS,
-        loss=loss(runs), share=-1e3 * loss(runs) / CONTEXTS[NEW].moves,
+        priced=priced(runs),
     )  # fmt: skip
 
 
@@ -267,8 +276,7 @@ the moves that lost steps: what a method gains while all goes well.
 - **lucky** counts the moves with a higher reward that are not the answer; **moves that kept step** are those of the search.
 - **What is promised** of an answer is that no step was lost in the {repeats} moves of its proof, with 0 to {margin:g} kg more. That
   is a sample: up to one move in 16 may still lose steps (95 % confidence), and more where several candidates were tried. The
-  columns **lost** say how many did. A move that loses steps has a reward of {loss:.0f} s on average, 5 of them the price and most
-  of the rest its shaking: one in {new} takes {share:.0f} ms off a mean. So losses, rare as they are, decide who is ahead by reward.
+  columns **lost** say how many did. {priced}
 - **spare** is measured, not promised: the payload, in steps of {step:g} kg up to {most:g} kg, that was added without a loss
   in {each} moves each, both ways. Neither reward nor proof has it beyond {margin:g} kg, and a fast move has little of it: the
   formula's safety factor is of use.
