@@ -335,6 +335,9 @@ def test_ctrl_c_ends_a_long_program_of_a_fleet_and_its_stages_go_on_from_there(w
     with interrupted():
         fleet.play([LONG[what]] * n)
     assert 0.1 < fleet.stages[0].time < 1e6
+    before = [stage.now for stage in fleet.stages]
+    fleet.play([Program().wait(0.01)] * n)  # shorter than what is looked for Ctrl-C
+    assert [stage.now for stage in fleet.stages] == [now + 10_000_000 for now in before]
     fleet.play([Program().wait(0.25)] * n)
     if what == "wait":
         twin.run(fleet.stages[0].time - twin.time)

@@ -176,14 +176,21 @@ class Fleet:
         if threading.current_thread() is not threading.main_thread():
             self.spread(work)
             return
-        self.handles["halt"] = 0
-        job = self._workers().submit(self.spread, work)
+
+        def played() -> None:
+            try:
+                self.spread(work)
+            finally:
+                self.handles["halt"] = 0  # also after a second Ctrl-C, when nobody waits any more
+
+        job = self._workers().submit(played)
         try:
             job.result()
         finally:
             if not job.done():
                 self.handles["halt"] = 1
                 wait([job])
+                self.handles["halt"] = 0
 
     def _workers(self) -> ThreadPoolExecutor:
         """The threads of this process; one of them may be who waits for the others."""
