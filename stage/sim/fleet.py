@@ -95,9 +95,8 @@ class Fleet:
         if watched:
             compiled = ops.copy()
             compiled[watched, 0] = END
-        ask = (
-            self._until_halted if ops[:, :, 1:].sum(dtype=float) > play.PIECE else self.spread
-        )  # times are in it, if it can last
+        lasts = ops[:, :, 1:].sum(dtype=float) > play.LONG  # times are in it
+        ask = self._until_halted if lasts else self.spread
         ask(lambda a, b: play.play(self.handles, a, b, compiled, results, extremes, status))
         self.check(status)
         for k in watched:
