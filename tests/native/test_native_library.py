@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from stage import NativeError
-from stage.native import COMPILED, build, load, refusals
+from stage.native import COMPILED, build, load, refusals, seal
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="asks of the compiled library")
 
@@ -203,6 +203,44 @@ def test_a_kept_object_that_is_not_as_it_was_written_is_made_again(toy, damage):
     assert "0 of 1 parts" in run(toy).stderr, "and kept"
 
 
+def test_an_object_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
+    """python -m stage.native stage, and the power fails: empty objects under names that were trusted"""
+    synced = []
+    monkeypatch.setattr(os, "fsync", lambda handle: synced.append(os.fstat(handle).st_ino))
+    seal.keep(tmp_path / "toy.o", b"made")
+    assert synced == [(tmp_path / name).stat().st_ino for name in ("toy.o", "toy.o.sha256")]
+    assert seal.kept(tmp_path / "toy.o")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a linker's option")
+def test_what_is_missing_in_pulsestages_own_library_is_found_by_the_link(toy, tmp_path):
+    """: > stage/__pycache__/stage.chips.pcl240-*.o; rm stage/_native.so; stage chips: linked, and no start could load it"""
+    (part,) = (path for path in (toy / "toy" / "__pycache__").glob("*.o") if path.name != "manifest.o")
+    (tmp_path / "calls.c").write_text(
+        "long toy_1core_1stepped(long); long calls(long n) { return toy_1core_1stepped(n); }"
+    )
+    subprocess.run([*build.linker(), "-fPIC", "-c", "calls.c"], cwd=tmp_path, check=True)
+    calls, manifest = tmp_path / "calls.o", part.with_name("manifest.o")
+    build._link([calls, part], manifest, tmp_path / "whole.so", complete=True)
+    build._link([calls], manifest, tmp_path / "of_a_package.so", complete=False)
+    with pytest.raises(NativeError, match=r"(?s)could not be linked:.*toy_1core_1stepped"):
+        build._link([calls], manifest, tmp_path / "lacks.so", complete=True)
+
+
+def test_a_disk_that_is_full_where_a_library_goes_otherwise_is_told_too(tmp_path, monkeypatch):
+    """python -m stage.native toy, in a read-only package, with a full /tmp"""
+    write(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(build.os, "access", lambda folder, how: False)
+
+    def full(**_):
+        raise OSError(28, "No space left on device", "/tmp/pulsestage-1")
+
+    monkeypatch.setattr(build.tempfile, "mkdtemp", full)
+    with pytest.raises(NativeError, match=r"written to /tmp/pulsestage-1: No space left on device\. Make room there"):
+        build.build("toy")
+
+
 def test_a_disk_that_is_full_while_a_library_is_built_is_told_in_words(tmp_path, monkeypatch):
     """python -m stage.native stage, on a full disk: a traceback that ended in OSError: [Errno 28]"""
     write(tmp_path)
@@ -366,7 +404,7 @@ def test_a_build_by_another_numba_or_a_link_that_fails_leaves_nothing(tmp_path, 
     monkeypatch.setattr(build, "version", lambda name: build.NUMBA)
     monkeypatch.setattr(build, "_emit", lambda parts, *_: None)
 
-    def fails(objects, manifest, path):
+    def fails(objects, manifest, path, complete):
         path.write_text("half")
         raise NativeError("the disk is full")
 
@@ -385,7 +423,7 @@ def test_where_a_package_cannot_be_written_its_library_is_this_process_s_own(tmp
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(build.os, "access", lambda folder, how: False)
     monkeypatch.setattr(build, "_emit", lambda parts, *_: None)
-    monkeypatch.setattr(build, "_link", lambda objects, manifest, path: path.write_text(load.NO_DIGEST))
+    monkeypatch.setattr(build, "_link", lambda objects, manifest, path, complete: path.write_text(load.NO_DIGEST))
     at_exit = []
     monkeypatch.setattr(build.atexit, "register", lambda *call, **how: at_exit.append((call, how)))
     folder = build.build("toy").parent
