@@ -127,6 +127,7 @@ KINDS: dict[str, Kind] = {
     "Program": (lambda v: hasattr(v, "ops"), "Program"),
     "ndarray": (lambda v: hasattr(v, "shape"), "an array"),
     "Plan": (lambda v: hasattr(v, "distances"), "a plan"),
+    "Chip": (lambda v: hasattr(v, "MAP"), "a chip"),
     "type": (lambda v: isinstance(v, type) and hasattr(v, "MAP"), "a class of chips, as PCL240K"),
     "Profile": (lambda v: type(v).__name__ == "Profile", "a Profile, as Profile.of(fh1=8000)"),
 }

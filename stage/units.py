@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -41,6 +42,20 @@ BESIDES = {
 """The same of what is no place: the first with 1.0 is what a number without a unit is in."""
 
 KINDS = {"length": TYPED["m"], "angle": TYPED["rad"], **BESIDES}
+
+
+WHOLE = "0[xX][0-9a-fA-F]+|[0-9a-fA-F]+[hH]|0[bB][01]+|[0-9]+"
+"""A whole number as somebody types it, without a sign. Its digits are those of ASCII."""
+
+
+def whole(text: str) -> int | None:
+    """The whole number that somebody has typed: 31, 1Fh, 0x1F, 0b11111, with a sign or without. None: it is none."""
+    sign, digits = (-1, text[1:]) if text.startswith("-") else (1, text.removeprefix("+"))
+    if not re.fullmatch(WHOLE, digits):
+        return None
+    if digits[-1] in "hH":
+        return sign * int(digits[:-1], 16)
+    return sign * int(digits, {"0x": 16, "0b": 2}.get(digits[:2].lower(), 10))
 
 
 def kind_of(text: str) -> tuple[str, str] | None:

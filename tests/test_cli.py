@@ -10,10 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from support.extras import needs_rerun
+from support.recording_bench import rerun_cli
 
 from stage import Stage
 from stage.cli import demo, main
-from stage.recording.viewer import environment
 
 
 @pytest.fixture
@@ -58,13 +58,7 @@ def test_the_demo_homes_moves_and_writes_a_recording(here, capsys):
     assert said.count("ORG") >= 3
     assert "NO" not in said.split()
     assert (here / "demo.rrd").stat().st_size > 100_000
-    rerun = os.path.join(os.path.dirname(sys.executable), "rerun")
-    assert (
-        subprocess.run(
-            [rerun, "rrd", "verify", "demo.rrd"], capture_output=True, check=False, env=environment()
-        ).returncode
-        == 0
-    )
+    assert rerun_cli("rrd", "verify", "demo.rrd").returncode == 0
 
 
 def test_a_move_lists_its_bytes_and_draws_itself(here, capsys):
@@ -155,15 +149,22 @@ def test_view_without_a_screen_says_what_to_do(here, capsys):
         (["sync", "x=abc"], "a whole number of pulses, or a distance"),
         (["registers", "pcl"], "Known: .*PCL240K"),
         (["move", "x", "100", "--record", "no/such/folder.rrd"], "no folder"),
+        # stage move x 100 --plot a.foo
         (["move", "x", "100", "--plot", "a.foo"], r"a\.foo: a figure is no 'foo'\. .*\.png"),
         (["move", "x", "100", "--picture", "q.jpg"], r"q\.jpg: .*\.png"),
+        # stage pullout --plot a.foo
         (["pullout", "--plot", "a.foo"], "a figure is no 'foo'"),
         (["fault", "start-skew", "--chips", "mcx302", "--model", "xy"], r"one command starts all axes .* one MCX302's"),
         (["fault", "phase-open", "--chips", "hctl1100", "--model", "xy"], r"a DC motor, 14201S003, without phases"),
+        # stage move x 100 --fh1 -5
         (["move", "x", "100", "--fh1", "-5"], r"^stage: --fh1 -5: more than 0\."),
+        # stage move x 100 --fh1 inf
         (["move", "x", "100", "--fh1", "inf"], r"^stage: --fh1 inf: more than 0, and finite\."),
+        # stage move x 100 --from 1000
         (["move", "x", "100", "--from", "1000"], r"--from 1000: axis x travels from -158 to 158 mm"),
+        # stage home y --from nan
         (["home", "y", "--from", "nan"], r"--from nan: axis y travels from .* mm"),
+        # stage sync x=100 x=200
         (["sync", "x=100", "x=200"], "'x=200': axis x has got 100 pulses already"),
     ],
 )
@@ -172,6 +173,7 @@ def test_errors_say_what_was_given_and_what_is_allowed(here, capsys, argv, messa
 
 
 def test_a_plot_of_a_format_that_nobody_draws_is_refused_before_the_work(here, capsys):
+    """stage move x 100 --plot a.foo"""
     said = out(capsys, "move", "x", "100", "--plot", "a.foo", code=2)
     assert "a figure is no 'foo'" in said.err
     assert "100 of 100" not in said.out

@@ -767,11 +767,13 @@ def test_the_ends_of_what_a_fault_takes_are_taken_and_a_supply_tells_that_of_the
 
 
 def test_edges_of_a_window_have_room():
+    """from stage.sim import records; records.EDGES_A_WINDOW"""
     assert records.EDGES_A_WINDOW >= 5 * (1 + records.MAX_TOGGLES) + 3
 
 
 def test_where_there_is_no_room_for_edges_none_is_written(xyz):
-    """`EDGES_A_WINDOW = 49` guarded an unchecked write."""
+    """with faults.bounce(stage.axes["x"], "org", 1e-6, 8): stage.run(0.1)
+    `EDGES_A_WINDOW = 49` guarded an unchecked write."""
     x, room = xyz.axes["x"], len(xyz.state.edges)
     journal = x.chip.journal()
     run_into(x, "org")

@@ -408,7 +408,8 @@ WRONG_TIMES = {
 
 @pytest.mark.parametrize("where", WRONG)
 def test_what_is_no_number_of_64_bits_is_refused_as_soon_as_it_is_said(where):
-    """Program().write(0, 0, 2**70) was a bare OverflowError when it was played, Program().read("x", 0) a bare ValueError"""
+    """Fleet([Stage("xyz")], 1).play([Program().write(0, 0, 2**70)])
+    OverflowError; and Program().read("x", 0): ValueError"""
     make, name = WRONG[where]
     for n in (2**70, -(2**63) - 1, "x", "5", None, 1.5, float("nan"), float("inf"), [0]):
         with pytest.raises(ArgumentError, match=f"^{name}="):
@@ -419,6 +420,20 @@ def test_what_is_no_number_of_64_bits_is_refused_as_soon_as_it_is_said(where):
 
 @pytest.mark.parametrize("where", WRONG_TIMES)
 def test_what_is_no_time_is_refused_as_soon_as_it_is_said(where):
+    """Program().measure("x")"""
     for seconds in ("x", None, float("nan"), float("inf"), 1e300, [0]):
         with pytest.raises(ArgumentError, match="="):
             WRONG_TIMES[where](seconds)
+
+
+def test_a_register_of_a_program_is_one_of_a_chip_and_takes_a_whole_number():
+    """Program().register(0, PCL240K, "R0", "x")
+    TypeError: unsupported operand type(s) for >>: 'str' and 'int'"""
+    for wrong, said in (
+        ((0, PCL240K, "R0", "x"), "value='x': a whole number"),
+        ((0, PCL240K, "R0", 1.5), "value=1.5: a whole number"),
+        ((0, 5, "R0", 1), "chip=5"),
+        ((0, PCL240K, 5, 1), "called by their names"),
+    ):
+        with pytest.raises(ArgumentError, match=said):
+            Program().register(*wrong)

@@ -301,7 +301,8 @@ def interrupted(after=0.2):
 @needs_timers
 @pytest.mark.parametrize("recorded", [False, True])
 def test_ctrl_c_ends_a_long_run_and_the_stage_goes_on_from_there(xy, recorded):
-    """stage.run(1e6), Ctrl-C"""
+    """stage.run(1e6)
+    Ctrl-C."""
     start_preset(xy.axes["x"].chip, 20000)
     twin, recording = copy.deepcopy(xy), xy.record() if recorded else None
     with interrupted():
@@ -327,7 +328,8 @@ LONG = {
 @pytest.mark.parametrize(("threads", "n"), [(1, 1), (2, 3)])
 @pytest.mark.parametrize("what", LONG)
 def test_ctrl_c_ends_a_long_program_of_a_fleet_and_its_stages_go_on_from_there(what, threads, n):
-    """Fleet([Stage("xyz")], 1).play([Program().wait(1000)]), Ctrl-C: it had not ended after 40 s"""
+    """Fleet([Stage("xyz")], 1).play([Program().wait(1000)])
+    Ctrl-C: it had not ended after 40 s."""
     fleet = Fleet([Stage("xy", visuals=False) for _ in range(n)], threads)
     for stage in fleet.stages:
         start_preset(stage.axes["x"].chip, 20000)
@@ -335,6 +337,9 @@ def test_ctrl_c_ends_a_long_program_of_a_fleet_and_its_stages_go_on_from_there(w
     with interrupted():
         fleet.play([LONG[what]] * n)
     assert 0.1 < fleet.stages[0].time < 1e6
+    before = [stage.now for stage in fleet.stages]
+    fleet.play([Program().wait(0.01)] * n)  # shorter than what is looked for Ctrl-C
+    assert [stage.now for stage in fleet.stages] == [now + 10_000_000 for now in before]
     fleet.play([Program().wait(0.25)] * n)
     if what == "wait":
         twin.run(fleet.stages[0].time - twin.time)
@@ -344,7 +349,8 @@ def test_ctrl_c_ends_a_long_program_of_a_fleet_and_its_stages_go_on_from_there(w
 
 @needs_timers
 def test_ctrl_c_ends_a_long_delay_of_a_board_and_its_stage_goes_on_from_there(xy):
-    """Board(Stage("xyz")).delay_us(10**9), Ctrl-C: it had not ended after 40 s"""
+    """Board(Stage("xyz")).delay_us(10**9)
+    Ctrl-C: it had not ended after 40 s."""
     board, twin = Board(xy), copy.deepcopy(xy)
     with interrupted():
         board.delay_us(10**12)
@@ -355,7 +361,8 @@ def test_ctrl_c_ends_a_long_delay_of_a_board_and_its_stage_goes_on_from_there(xy
 
 
 def test_a_long_delay_is_as_long_as_it_says_whatever_hooks_take_of_it(xy):
-    """delay_us(250_000), with a timer whose hook takes 60 ms: it ends 250 ms later, or with the hook that is running then"""
+    """board.on_timer(100_000, lambda: board.delay_us(60_000)); board.delay_us(250_000)
+    It ends 250 ms later, or with the hook that is running then."""
     for us, ends in ((250_000, 260_000_000), (999_999.0, 999_999_000)):
         board, twin = Board(copy.deepcopy(xy)), copy.deepcopy(xy)
         board.on_timer(100_000, lambda board=board: board.delay_us(60_000))

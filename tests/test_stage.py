@@ -307,13 +307,16 @@ def test_arguments_of_a_stage_are_checked_and_leave_it_as_it_was(xyz):
     for wrong in (
         lambda: xyz.step(-1),
         lambda: xyz.step(1.5),
+        # stage.step(2**60)
         lambda: xyz.step(2**60),  # did nothing
         lambda: xyz.step(float("nan")),
         lambda: xyz.run_until(lambda: True, timeout=float("nan")),
         lambda: xyz.run_until(lambda: True, timeout=2.0**60),
         lambda: xyz.run_until(lambda: True, timeout=1, poll=-1),
         lambda: xyz.set_payload(1e9),
+        # stage.record(every=-1)
         lambda: xyz.record(every=-1),
+        # stage.record(every=float("nan"))
         lambda: xyz.record(every=float("nan")),
         lambda: xyz.record(every=1e16),
         lambda: xyz.axes["x"].switches.stick("el_plus", 5),
@@ -367,7 +370,8 @@ def test_a_payload_that_is_too_heavy_is_told_how_heavy_one_may_be(xyz):
 
 
 def test_an_unknown_axis_is_a_key_error_that_names_the_near_misses(xyz):
-    """stage.axes["xx"]"""
+    """stage.axes["q"]
+    stage.axes["xx"]"""
     with pytest.raises(ArgumentError, match=r"^unknown axis 'xx'\. Did you mean 'x'\? Known: x, y, z\.$"):
         xyz.axes["xx"]
     with pytest.raises(KeyError):

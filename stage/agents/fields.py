@@ -17,6 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from stage import units
 from stage.errors import ArgumentError, near_names
 from stage.units import TYPED
 
@@ -27,7 +28,7 @@ LONG = 4000  # characters of a text, at most
 MANY = 256  # numbers of a list, at most
 _MOST = (1 << 63) - 1  # of a whole number: what 64 bits hold
 UNITS = TYPED["m"] | TYPED["rad"]
-DIGITS = r"^\s*[-+]?(0[xX][0-9a-fA-F]+|[0-9a-fA-F]+[hH]|0[bB][01]+|[0-9]+)\s*$"
+DIGITS = rf"^\s*[-+]?({units.WHOLE})\s*$"
 """Whole numbers as texts."""
 SIZES = rf"^\s*[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?\s*({'|'.join(UNITS)})?\s*$"
 """Lengths and angles as texts."""
@@ -245,12 +246,8 @@ def whole(what: str, text: str) -> int:
     typed = _plain(what, text).strip().replace("_", "")
     if len(typed) > 80:
         raise ArgumentError(f"{what}: a number of {len(typed)} characters; no register is so wide.")
-    if re.fullmatch(DIGITS, typed):
-        sign, digits = (-1, typed[1:]) if typed[0] == "-" else (1, typed.removeprefix("+"))
-        if digits[-1] in "hH":
-            return _bounded(what, sign * int(digits[:-1], 16))
-        prefix = digits[:2].lower()
-        return _bounded(what, sign * int(digits, {"0x": 16, "0b": 2}.get(prefix, 10)))
+    if (value := units.whole(typed)) is not None:
+        return _bounded(what, value)
     if re.fullmatch(r"[0-9a-fA-F]+", typed):
         raise ArgumentError(
             f'{what}: {shown(text)} is no decimal number. Did you mean "{typed.upper()}h" ({int(typed, 16)})?'

@@ -20,6 +20,7 @@ from zlib import crc32
 import numpy as np
 
 from stage import snapshots
+from stage.arguments import told
 from stage.chips import contract
 from stage.chips.describe import Decoder, Listener
 from stage.chips.journal import Journal
@@ -341,6 +342,7 @@ class Chip:
         raise NotImplementedError(f"{cls.__name__} does not say how its registers are written.")
 
     @classmethod
+    @told
     def command_cycles(cls, symbol: str, axis: int = 0, datum: int | None = None) -> list[tuple[int, int]]:
         """The bus write cycles, (address, datum), that send a command of the map, or a word that a host writes, see
         `Word.address`, as a driver of the family makes them.

@@ -51,16 +51,17 @@ def build(package: str) -> Path:
     places = load.folders(package)
     folder = places[package]
     try:
-        with _alone(folder):
+        try:
+            with _alone(folder):
+                return _build(package, places, folder)
+        except PermissionError:
+            folder = Path(tempfile.mkdtemp(prefix="pulsestage-"))  # 0700; for this process
+            atexit.register(shutil.rmtree, folder, ignore_errors=True)
             return _build(package, places, folder)
-    except PermissionError:
-        folder = Path(tempfile.mkdtemp(prefix="pulsestage-"))  # 0700; for this process
-        atexit.register(shutil.rmtree, folder, ignore_errors=True)
-        return _build(package, places, folder)
     except OSError as error:
         raise NativeError(
-            f"the native library of {package} could not be written to {folder}: {error.strerror or error}. Make room there, and "
-            "start again."
+            f"the native library of {package} could not be written to {error.filename or folder}: "
+            f"{error.strerror or error}. Make room there, and start again."
         ) from error
 
 
@@ -103,7 +104,7 @@ def _build(package: str, places: dict[str, Path], folder: Path) -> Path:
     }
     temporary = path.with_name(f"{path.name}.{os.getpid()}")
     try:
-        _link(objects, _manifest_object(manifest, kept), temporary)
+        _link(objects, _manifest_object(manifest, kept), temporary, complete=package == "stage")
         if sys.platform == "linux":  # elsewhere the linker signs
             content = temporary.read_bytes()
             digest = load.digest_within(content, load.NO_DIGEST)
@@ -196,10 +197,13 @@ def _manifest_object(manifest: dict[str, Any], kept: Path) -> Path:
     return path
 
 
-def _link(objects: list[Path], manifest: Path, path: Path) -> None:
-    """One shared library of these objects."""
+def _link(objects: list[Path], manifest: Path, path: Path, complete: bool) -> None:
+    """One shared library of these objects. complete: no other library of ours has what it lacks, which
+    is an error where the linker can tell."""
     names = [str(o) for o in (*objects, manifest)]
     symbols = ["-Wl,-Bsymbolic"] if sys.platform == "linux" else ["-undefined", "dynamic_lookup"]
+    if complete and sys.platform == "linux":
+        symbols.append("-Wl,-z,defs")
     try:
         subprocess.run(
             [*linker(), "-shared", "-o", str(path), *names, *symbols, "-lm"], check=True, capture_output=True

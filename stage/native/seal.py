@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 
 
 def keep(path: Path, content: bytes) -> None:
-    """Write an object, and its seal. Raises OSError."""
+    """Write an object, and its seal, so that no power cut leaves the name without the content. Raises OSError."""
     for target, written in ((path, content), (_seal_of(path), hashlib.sha256(content).hexdigest().encode())):
         part = Path(f"{target}.part")
-        part.write_bytes(written)
+        with part.open("wb") as file:
+            file.write(written)
+            file.flush()
+            os.fsync(file.fileno())
         part.replace(target)
 
 

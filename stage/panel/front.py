@@ -15,7 +15,10 @@ from dataclasses import dataclass
 from stage.chips.chip import Chip
 from stage.chips.register_map import EVIDENCE, Field, Register, Word
 from stage.errors import ArgumentError
+from stage.units import WHOLE, whole
 
+LONG = 80
+"""Characters of a number, at most."""
 BY_ROWS = ("data write", "mode write")
 """Kinds of commands that a register's row sends when somebody writes there."""
 
@@ -131,18 +134,10 @@ def number(text: str, bits: int) -> int:
     """What somebody has typed, a whole number that so many bits hold: decimal, 0x1F or 1Fh, 0b101; with a sign it is two's
     complement. Raises ArgumentError, with what was probably meant."""
     typed = re.sub(r"[_\s]", "", text)
-    sign, digits = (-1, typed[1:]) if typed.startswith("-") else (1, typed.removeprefix("+"))
-    for pattern, base in (
-        (r"0[xX]([0-9a-fA-F]+)", 16),
-        (r"([0-9a-fA-F]+)[hH]", 16),
-        (r"0[bB]([01]+)", 2),
-        (r"([0-9]+)", 10),
-    ):
-        if found := re.fullmatch(pattern, digits):
-            value = sign * int(found.group(1), base)
-            break
-    else:
-        raise ArgumentError(_no_number(text, digits))
+    if len(typed) > LONG:
+        raise ArgumentError(f"a number of {len(typed)} characters needs more than {bits} bits.")
+    if (value := whole(typed)) is None:
+        raise ArgumentError(_no_number(text, re.sub(r"^[-+]", "", typed)))
     if not -(1 << bits - 1) <= value < 1 << bits:
         raise ArgumentError(f"{text.strip()} needs more than {bits} bits: {-(1 << bits - 1)} to {(1 << bits) - 1} fit.")
     return value
@@ -153,10 +148,10 @@ def _no_number(text: str, digits: str) -> str:
         return "a number is missing: 100, 64h or 0x64, 0b1100100."
     if re.fullmatch(r"[0-9a-fA-F]+", digits):
         return f"{text.strip()!r} is no decimal number. Did you mean {digits.upper()}h ({int(digits, 16)})?"
-    if re.fullmatch(r"\d*[.,]\d*", digits):
+    if re.fullmatch(r"[0-9]*[.,][0-9]*", digits):
         return f"{text.strip()!r}: registers hold whole numbers. Did you mean {digits.replace(',', '.').partition('.')[0] or 0}?"
     near = digits.translate(str.maketrans("OoIl", "0011"))
-    if re.fullmatch(r"\d+|0[xX][0-9a-fA-F]+|[0-9a-fA-F]+[hH]", near):
+    if re.fullmatch(WHOLE, near):
         return f"{text.strip()!r} is no number. Did you mean {near}?"
     return f"{text.strip()!r} is no number: 100, 64h or 0x64, 0b1100100."
 

@@ -95,9 +95,8 @@ class Fleet:
         if watched:
             compiled = ops.copy()
             compiled[watched, 0] = END
-        ask = (
-            self._until_halted if ops[:, :, 1:].sum(dtype=float) > play.PIECE else self.spread
-        )  # times are in it, if it can last
+        lasts = ops[:, :, 1:].sum(dtype=float) > play.LONG  # times are in it
+        ask = self._until_halted if lasts else self.spread
         ask(lambda a, b: play.play(self.handles, a, b, compiled, results, extremes, status))
         self.check(status)
         for k in watched:
@@ -176,14 +175,21 @@ class Fleet:
         if threading.current_thread() is not threading.main_thread():
             self.spread(work)
             return
-        self.handles["halt"] = 0
-        job = self._workers().submit(self.spread, work)
+
+        def played() -> None:
+            try:
+                self.spread(work)
+            finally:
+                self.handles["halt"] = 0  # also after a second Ctrl-C, when nobody waits any more
+
+        job = self._workers().submit(played)
         try:
             job.result()
         finally:
             if not job.done():
                 self.handles["halt"] = 1
                 wait([job])
+                self.handles["halt"] = 0
 
     def _workers(self) -> ThreadPoolExecutor:
         """The threads of this process; one of them may be who waits for the others."""

@@ -27,6 +27,8 @@ HALTED = -2
 """Whoever has it played has set `halt` in the handle: time stands somewhere in the program."""
 PIECE = 100_000_000
 """ns; after so many at most it is looked whether to halt."""
+LONG = 10 * PIECE
+"""ns; programs of less, all together, are over soon: nobody waits to halt them, which would cost more than it gives."""
 
 TRUTH = record(
     [(name, "f8") for name in "position velocity commanded".split()]

@@ -59,6 +59,7 @@ class Operations(ABC):
         """A command to address 0; more than a byte where the chip's bus is wider."""
         return self.write(axis, 0, value)
 
+    @told
     def register(self, axis: int, chip: Chip | type[Chip], name: str, value: int, chip_axis: int = 0) -> Self:
         """Write a register of a chip as its family does, see `Chip.register_cycles`; chip_axis: the axis of the chip."""
         for address, datum in chip.register_cycles(name, value, chip_axis):

@@ -32,6 +32,7 @@ def test_whole_numbers_as_agents_write_them(given, value):
     ("given", "said"),
     [
         ("1F", 'Did you mean "1Fh" (31)?'),
+        # write R2 ²
         ("²", 'Did you mean "2"?'),
         ("٣١", 'Did you mean "31"?'),
         ("3.5", "is not a whole number"),

@@ -167,6 +167,8 @@ def test_a_stage_that_the_process_cannot_take_over_says_why():
 
 
 def test_writes_leave_the_engine_room_for_what_it_notes_within_a_step():
+    """for (int k = 0; k < 5000; k++) ps_out8(0x300 + k % 6, 5);
+    The room that EDGES_A_WINDOW keeps was written over."""
     b = board("xyz_servo", HCTL1100)
     room = 3 * records.EDGES_A_WINDOW + 20
     b.link.record["edge_room"] = room  # of an array that is longer: what lies behind would be overwritten

@@ -57,6 +57,9 @@ def test_cycles_of_an_axis_that_is_none_or_of_what_is_no_name_are_refused(kind):
         for made in (lambda n: kind.register_cycles(n, 1), kind.command_cycles, kind.MAP.register, kind.MAP.command):
             with pytest.raises(StageError, match="are called by their names"):
                 made(name)
+    for value in ("x", 1.5, None):
+        with pytest.raises(StageError, match=f"^value={value!r}: a whole number"):
+            kind.register_cycles(register, value)
     assert kind.register_cycles(register, 1)
     assert kind.register_cycles(register.lower(), 1, kind.AXES - 1)
 

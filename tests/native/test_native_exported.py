@@ -4,6 +4,7 @@ import ctypes
 import pickle
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from loops.rows import CELL, by_address, by_name, cleared, joined, on_the_stack,
 from stage import ArgumentError
 from stage.chips import PCL240K
 from stage.native import COMPILED, Exported, address_of, array_at, greatest, least, records
+
+TESTS = Path(__file__).parents[1]
 
 
 def cells(*b):
@@ -30,6 +33,14 @@ def test_another_compiled_function_calls_it_by_its_address():
     rows = cells(0.5, 3.0)
     assert by_address(scaled.address, rows.ctypes.data + CELL.itemsize, 7) == 21.0 + 7
     assert rows["a"].tolist() == [0, 7]
+
+
+def test_it_may_be_the_first_that_a_process_does():
+    """python -c "from loops.rows import joined, scaled; print(joined(2, 3), scaled.address > 0)"
+    Compiled code that ran before `ready` had said where others lie went nowhere."""
+    program = "from loops.rows import joined, scaled; print(joined(2, 3), scaled.address > 0)"
+    done = subprocess.run([sys.executable, "-c", program], cwd=TESTS, capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("2003 True\n", "")
 
 
 def test_python_calls_it_with_a_record_or_an_array_and_by_c_with_an_address():

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from stage import NativeError
-from stage.native import COMPILED, build, load, refusals
+from stage.native import COMPILED, build, load, refusals, seal
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="asks of the compiled library")
 
@@ -77,6 +77,8 @@ def test_a_built_library_is_loaded_without_a_word(toy):
 
 
 def test_a_change_of_a_constant_in_a_module_that_a_hot_one_imports_is_built_anew(toy):
+    """sed -i s/2/5/ toy/constants.py; python -c "from toy.core import stepped; print(stepped(40))"
+    A package from outside ran stale code."""
     write(toy, step=5)
     done = run(toy)
     assert done.stdout == "45\n"
@@ -122,7 +124,8 @@ def test_old_code_never_runs_where_nothing_can_be_built(toy):
 
 @pytest.mark.parametrize("project", ["pyproject.toml", None], ids=["beside", "elsewhere, as of src/toy"])
 def test_a_new_module_is_missed_wherever_the_project_file_is(toy, project):
-    """src/toy/second.py added: AttributeError: undefined symbol: toy_1second_1stepped"""
+    """cp src/toy/core.py src/toy/second.py; python -c "from toy.second import stepped; print(stepped(40))"
+    AttributeError: undefined symbol: toy_1second_1stepped"""
     if project:
         (toy / project).touch()
     (toy / "toy" / "second.py").write_text(CORE)
@@ -154,6 +157,7 @@ def test_a_library_for_another_machine_is_refused_in_words(toy, change, words):
     "damage", ["missing", *(pytest.param(damage, marks=pytest.mark.slow) for damage in ("empty", "text")), "cut"]
 )
 def test_a_library_that_is_not_one_is_built_anew_or_an_error(toy, damage):
+    """truncate -s -100 toy/_native.so; python -c "from toy.core import stepped; print(stepped(40))\""""
     path = toy / "toy" / load.NAME
     content = path.read_bytes()
     if damage == "missing":
@@ -188,7 +192,8 @@ def flipped(content):
     "damage", [lambda content: b"", shortened, flipped, None], ids=["empty", "cut", "flipped", "no seal"]
 )
 def test_a_kept_object_that_is_not_as_it_was_written_is_made_again(toy, damage):
-    """: > stage/__pycache__/stage.chips.pcl240-*.o; rm stage/_native.so: every start said "undefined symbol", for ever"""
+    """: > stage/__pycache__/stage.chips.pcl240-*.o; rm stage/_native.so
+    Every start said "undefined symbol", for ever."""
     (part,) = (path for path in (toy / "toy" / "__pycache__").glob("*.o") if path.name != "manifest.o")
     whole = part.read_bytes()
     if damage:
@@ -203,8 +208,50 @@ def test_a_kept_object_that_is_not_as_it_was_written_is_made_again(toy, damage):
     assert "0 of 1 parts" in run(toy).stderr, "and kept"
 
 
+def test_an_object_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
+    """python -m stage.native stage
+    And the power fails: empty objects under names that were trusted."""
+    synced = []
+    monkeypatch.setattr(os, "fsync", lambda handle: synced.append(os.fstat(handle).st_ino))
+    seal.keep(tmp_path / "toy.o", b"made")
+    assert synced == [(tmp_path / name).stat().st_ino for name in ("toy.o", "toy.o.sha256")]
+    assert seal.kept(tmp_path / "toy.o")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a linker's option")
+def test_what_is_missing_in_pulsestages_own_library_is_found_by_the_link(toy, tmp_path):
+    """: > stage/__pycache__/stage.chips.pcl240-*.o; rm stage/_native.so; stage chips
+    It was linked, and no start could load it."""
+    (part,) = (path for path in (toy / "toy" / "__pycache__").glob("*.o") if path.name != "manifest.o")
+    (tmp_path / "calls.c").write_text(
+        "long toy_1core_1stepped(long); long calls(long n) { return toy_1core_1stepped(n); }"
+    )
+    subprocess.run([*build.linker(), "-fPIC", "-c", "calls.c"], cwd=tmp_path, check=True)
+    calls, manifest = tmp_path / "calls.o", part.with_name("manifest.o")
+    build._link([calls, part], manifest, tmp_path / "whole.so", complete=True)
+    build._link([calls], manifest, tmp_path / "of_a_package.so", complete=False)
+    with pytest.raises(NativeError, match=r"(?s)could not be linked:.*toy_1core_1stepped"):
+        build._link([calls], manifest, tmp_path / "lacks.so", complete=True)
+
+
+def test_a_disk_that_is_full_where_a_library_goes_otherwise_is_told_too(tmp_path, monkeypatch):
+    """python -m stage.native toy
+    In a read-only package, with a full /tmp."""
+    write(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(build.os, "access", lambda folder, how: False)
+
+    def full(**_):
+        raise OSError(28, "No space left on device", "/tmp/pulsestage-1")
+
+    monkeypatch.setattr(build.tempfile, "mkdtemp", full)
+    with pytest.raises(NativeError, match=r"written to /tmp/pulsestage-1: No space left on device\. Make room there"):
+        build.build("toy")
+
+
 def test_a_disk_that_is_full_while_a_library_is_built_is_told_in_words(tmp_path, monkeypatch):
-    """python -m stage.native stage, on a full disk: a traceback that ended in OSError: [Errno 28]"""
+    """python -m stage.native stage
+    On a full disk: a traceback that ended in OSError: [Errno 28]."""
     write(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     for name in [name for name in sys.modules if name.partition(".")[0] == "toy"]:
@@ -289,6 +336,7 @@ def test_a_function_that_allocates_is_refused_by_the_build(toy):
 
 
 def test_processes_that_start_at_once_build_it_once(toy):
+    """for n in 1 2; do python -c "from toy.core import stepped; print(stepped(40))" & done"""
     write(toy, step=9)
     command = [sys.executable, "-c", RUN]
     environment = os.environ | {"PYTHONPATH": str(toy)}
@@ -349,6 +397,7 @@ def test_a_library_is_linked_by_the_first_compiler_there_is(tmp_path, monkeypatc
 
 
 def test_a_build_by_another_numba_or_a_link_that_fails_leaves_nothing(tmp_path, monkeypatch):
+    """pip install numba==0.59.0; python -m stage.native toy"""
     from stage.native import build
 
     write(tmp_path)
@@ -366,7 +415,7 @@ def test_a_build_by_another_numba_or_a_link_that_fails_leaves_nothing(tmp_path, 
     monkeypatch.setattr(build, "version", lambda name: build.NUMBA)
     monkeypatch.setattr(build, "_emit", lambda parts, *_: None)
 
-    def fails(objects, manifest, path):
+    def fails(objects, manifest, path, complete):
         path.write_text("half")
         raise NativeError("the disk is full")
 
@@ -378,18 +427,23 @@ def test_a_build_by_another_numba_or_a_link_that_fails_leaves_nothing(tmp_path, 
 
 
 def test_where_a_package_cannot_be_written_its_library_is_this_process_s_own(tmp_path, monkeypatch):
-    """A package of root's, used by somebody else: a private folder, gone with the process."""
-    from stage.native import build
-
+    """mkdir /tmp/pulsestage-0; cp evil.so /tmp/pulsestage-0/_native.so; env -u HOME stage demo
+    A package of root's, used by somebody else: a private folder, gone with the process, and no name that somebody can guess."""
+    planted = tmp_path / "temporary" / f"pulsestage-{os.getuid()}"
+    planted.mkdir(parents=True)
+    (planted / load.NAME).write_text("evil")
+    monkeypatch.setattr(build.tempfile, "tempdir", str(planted.parent))
     write(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(build.os, "access", lambda folder, how: False)
     monkeypatch.setattr(build, "_emit", lambda parts, *_: None)
-    monkeypatch.setattr(build, "_link", lambda objects, manifest, path: path.write_text(load.NO_DIGEST))
+    monkeypatch.setattr(build, "_link", lambda objects, manifest, path, complete: path.write_text(load.NO_DIGEST))
     at_exit = []
     monkeypatch.setattr(build.atexit, "register", lambda *call, **how: at_exit.append((call, how)))
     folder = build.build("toy").parent
-    assert folder != tmp_path / "toy"
+    assert folder.parent == planted.parent
+    assert folder != planted
+    assert (planted / load.NAME).read_text() == "evil"
     assert folder.stat().st_mode & 0o777 == 0o700
     assert [path.name for path in (tmp_path / "toy").iterdir() if path.suffix == ".so"] == []
     (((function, *arguments), how),) = [(call, how) for call, how in at_exit if folder in call]

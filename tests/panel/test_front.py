@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from stage import units
 from stage.chips import CHIPS, HCTL1100, MCX514, PCL240K, PCL240MS
 from stage.errors import ArgumentError
 from stage.panel.front import Front, lit, meant, number, shown, span, with_field, worst
@@ -38,6 +39,7 @@ def test_a_number_is_typed_as_sheets_and_programs_write_it(typed, value):
         ("abcx", "'abcx' is no number"),
         ("8192", "8192 needs more than 13 bits: -4096 to 8191 fit"),
         ("-4097", "needs more than 13 bits"),
+        ("9" * 5000, "a number of 5000 characters needs more than 13 bits"),  # x: R2 <- 999...: a bare ValueError
     ],
 )
 def test_what_is_no_number_is_told_with_what_was_probably_meant(typed, said):
@@ -104,9 +106,18 @@ def test_an_address_that_the_chip_has_not_is_refused_of_reads_and_of_writes(line
 
 @pytest.mark.parametrize("line", ["R2 <- \u0663", "R2 <- 1\u0663", "0: \u0663", "\u0663: 1", "read \u0663"])
 def test_digits_of_another_script_are_none(line):
-    """x: R2 <- \u0663 wrote 3; the agents' tools refuse it"""
+    """x: R2 <- \u0663
+    wrote 3; the agents' tools refuse it"""
     with pytest.raises(ArgumentError, match=r"is no (hexadecimal )?number"):
         understand(PCL240K, line)
+
+
+@pytest.mark.parametrize("typed", ["\u0663", "1\u0663.5", "1O\u0663", "\u00b2"])
+def test_nor_is_anything_with_them_proposed(typed):
+    """x: R2 <- 1O\u0663"""
+    with pytest.raises(ArgumentError, match="is no number: 100, 64h"):
+        number(typed, 13)
+    assert units.whole(typed) is None
 
 
 @pytest.mark.parametrize("line", ["1FF", "2: 100", "15 99999"])

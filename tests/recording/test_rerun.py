@@ -1,5 +1,6 @@
 """The rerun file, verified by rerun and read back: entities, times, values, states, words."""
 
+import sys
 from types import SimpleNamespace
 
 import mujoco
@@ -23,6 +24,16 @@ PCL = SimpleNamespace(chip=PCL240K)
 @pytest.fixture(scope="module")
 def read(rrd):
     return read_rrd(rrd)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="where rerun keeps its settings is another place elsewhere")
+def test_rerun_leaves_nothing_in_the_home_of_who_runs_the_tests(rrd, tmp_path, monkeypatch):
+    """rerun rrd verify demo.rrd"""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("XDG_CONFIG_HOME", "PULSESTAGE_RERUN_ANALYTICS", "CI"):
+        monkeypatch.delenv(name, raising=False)
+    assert rerun_cli("rrd", "verify", rrd).returncode == 0
+    assert list(tmp_path.rglob("*.json")) == []
 
 
 def test_rerun_finds_no_fault_with_the_file(rrd):

@@ -10,10 +10,12 @@
 
 from __future__ import annotations
 
+from operator import index
 from typing import Any, ClassVar
 
 import numpy as np
 
+from stage.arguments import told
 from stage.chips.chip import Chip
 from stage.chips.hctl1100 import core, lint
 from stage.chips.hctl1100.describe import Decoder, Listener
@@ -49,13 +51,14 @@ class HCTL1100(Chip):
     ADDRESS_MASK: ClassVar = ADDRESSES - 1
 
     @classmethod
+    @told
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
         """To its address; a number of several bytes, see `maps.NUMBERS`, by its name, in the order that it asks for."""
         cls._check_axis(axis)
         if isinstance(name, str) and name in NUMBERS:
             addresses = NUMBERS[name].addresses
             return [(a, value >> 8 * (len(addresses) - 1 - k) & 0xFF) for k, a in enumerate(addresses)]
-        return [(cls.MAP.register(name).number, value)]
+        return [(cls.MAP.register(name).number, index(value))]
 
     @classmethod
     def rates(cls, edges: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+from stage.arguments import told
 from stage.chips.chip import Chip, Pins, no_cycle
 from stage.chips.nova import core, lint, state
 from stage.chips.nova.describe import Decoder, Listener
@@ -103,6 +104,7 @@ class Nova(Chip):
         return 0
 
     @classmethod
+    @told
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
         """WR6, WR7 if it has more than 16 bits, and the command that is its number, with the axis' bit where it is an axis' own
         (manual, data writing commands)."""
@@ -113,6 +115,7 @@ class Nova(Chip):
         return [*data[: 2 if r.bits > 16 else 1], (0, select | r.number)]
 
     @classmethod
+    @told
     def command_cycles(cls, symbol: str, axis: int = 0, datum: int | None = None) -> list[tuple[int, int]]:
         """Data to WR6 and WR7, then the code to WR0 with the axis' bit (axis assignment); WR1 to WR3, an axis' own, after a NOP
         that selects it."""

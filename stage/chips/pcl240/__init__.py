@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from stage.arguments import told
 from stage.chips.chip import Chip
 from stage.chips.pcl240 import core, lint, state
 from stage.chips.pcl240.describe import Decoder, Listener
@@ -110,6 +111,7 @@ class PCL240(Chip):
         return until
 
     @classmethod
+    @told
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
         """Select it, then its bytes, high to low: the silicon has no latch, and so a value that grows in motion is never below the
         old one on the way (data sheet section 4)."""
