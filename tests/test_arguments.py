@@ -161,6 +161,10 @@ def test_what_was_typed_is_told_with_what_is_allowed(stage, recording):
         assert str(caught.value).startswith(said), str(caught.value)
     assert list(recording.to_pandas("x/position")) == ["x/position"]
     assert issubclass(UnknownKey, KeyError)
+    assert stage.axes.get("q") is None
+    assert "q" not in stage.axes
+    with pytest.raises(KeyError):
+        stage.axes["q"]
 
 
 def test_an_error_of_somebody_elses_stays_as_it_is(stage):

@@ -6,6 +6,8 @@ import gc
 import os
 import re
 import signal
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -16,6 +18,7 @@ from support.compiled_firmware import firmware
 
 from stage import Stage
 from stage.board import Board, HostError, NativeHost, mapping
+from stage.board.threaded import debugged
 from stage.chips import HCTL1100, PCL240K
 from stage.cli import main
 from stage.errors import StageError
@@ -349,3 +352,20 @@ def test_more_windows_than_there_is_room_for_are_an_error_of_the_run_with_its_ex
         )
         assert "position mm" in said.out
     assert main(["run", str(firmware(asks.replace("257", "3"))), "--model", "xy", "--in-process"]) == 0
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells who debugs whom")
+def test_a_process_that_a_debugger_holds_is_known_by_its_number():
+    """gdb -p NUMBER, of firmware in a process of its own: the run waits"""
+    traced = "import ctypes, sys; ctypes.CDLL(None).ptrace(0, 0, 0, 0); print('held', flush=True); sys.stdin.read()"
+    plain = "import sys; print('free', flush=True); sys.stdin.read()"
+    for program, held in ((traced, True), (plain, False)):
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        with subprocess.Popen([sys.executable, "-c", program], **pipes) as child:
+            try:
+                child.stdout.readline()
+                assert debugged(child.pid) is held
+                assert not debugged()
+            finally:
+                child.kill()
+    assert not debugged(2**22 + 1), "there is none"

@@ -46,6 +46,7 @@ static void bark(int which)
     if (which == 1 && barks[1] < 3)
         wdStart(again, 2, (FUNCPTR)bark, 1);    /* periodic, as they are made */
 }
+static void wake(int unused) { (void)unused; semFlush(done); }
 static int watchdogs(void)
 {
     WDOG_ID w = wdCreate(), never = wdCreate();
@@ -68,6 +69,10 @@ static int watchdogs(void)
     intUnlock(lock);
     taskDelay(1);
     CHECK(barks[0] == 2 && wdDelete(w) == OK);
+    while (semTake(done, NO_WAIT) == OK)
+        ;
+    then = tickGet();
+    CHECK(wdStart(again, 5, (FUNCPTR)wake, 0) == OK && semTake(done, 20) == OK && tickGet() - then <= 6);  /* flushed: woken */
     wdStart(again, 2, (FUNCPTR)bark, 1);
     taskDelay(10);
     CHECK(barks[1] == 3);

@@ -13,7 +13,7 @@ from toy import TOY, TOY8, defects
 
 from stage.chips import CHIPS, PCL240K
 from stage.errors import ArgumentError, NativeError, StageError
-from stage.testing import chip_conformance, conformance, hands
+from stage.testing import chip_conformance, conformance, hands, promises
 from stage.testing.bounded import NOT_ENDED, bounded
 from stage.testing.conformance import NotConforming
 
@@ -176,3 +176,26 @@ def test_what_a_promise_says_arrives_whole_and_a_process_without_a_word_is_told(
 def test_moves_of_a_driver_are_tried_either_way():
     ways = {np.sign(hands.driven(PCL240K(), 0, np.random.default_rng(seed))[1]) for seed in range(8)}
     assert ways == {-1, 1}
+
+
+@pytest.mark.parametrize("address", range(4))
+def test_a_look_that_changes_something_is_found_also_where_reading_acts(address):
+    """A chip whose `peek` clears a latch at an address of READING_ACTS, as its `read` does"""
+
+    class Looks(Exception):
+        pass
+
+    def peek(pointer, at):
+        state[0] += at == address
+
+    def same_bits(before, now, when):
+        if before != now:
+            raise Looks(when)
+
+    state = np.zeros(1, np.int64)
+    chip = SimpleNamespace(
+        AXES=1, ADDRESSES=4, DATA_MASK=255, READING_ACTS={3}, CORE=SimpleNamespace(peek=SimpleNamespace(held=peek)), state=state,
+        pointer=0, output_word=lambda axis: 0, read=lambda at: 0,
+    )  # fmt: skip
+    with pytest.raises(Looks, match=f"^after peek\\({address}h\\)$"):
+        promises.bus._reads(SimpleNamespace(kind=None, same_bits=same_bits), chip)
