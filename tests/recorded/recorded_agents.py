@@ -510,7 +510,7 @@ FILES = {
         "few-shot": partial(game, "few-shot", "coordinate", "nova", 1),
         "one-shot": partial(game, "one-shot", "formula", "train", 1),
         "home": partial(game, "home", "random", "train", 1), "line": partial(game, "line", "random", "train", 1),
-        "line-3": partial(game, "line-3", "formula", "ms", 1),
+        "line-3": partial(game, "line-3", "formula", "worn", 1),
         "bus-target": partial(game, "bus-target", "formula", "train", 2),
     },
 }  # fmt: skip
