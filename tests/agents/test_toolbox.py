@@ -339,6 +339,10 @@ def test_names_are_listed_in_the_order_of_the_axes_whatever_chips_they_have():
             listed = next(f.choices for f in box.tools[tool].fields if f.name == "name")
             first = box.axis("x").chip.MAP
             assert listed[0] in {*(r.name for r in first.registers), *(w.name for w in first.words)}, (chips, tool)
+        ways = next(f.choices for f in box.tools["home"].fields if f.name == "by")
+        own = [box.driver(name).homings() for name in "xy"]
+        assert own[0] != own[1]
+        assert ways == tuple(dict.fromkeys((*own[0], *own[1]))), "each axis can go home as it can"
 
 
 def test_of_time_that_is_spent_nothing_is_left_and_no_minus_nothing(make_box):
