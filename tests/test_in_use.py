@@ -5,6 +5,7 @@ import signal
 import threading
 import time
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -17,6 +18,7 @@ from stage.chips import MCX514, PCL240K
 from stage.errors import ArgumentError
 from stage.native import COMPILED
 from stage.sim import callbacks, faults
+from stage.sim import fleet as fleet_module
 
 
 @pytest.fixture(autouse=True)
@@ -345,6 +347,47 @@ def test_ctrl_c_ends_a_long_program_of_a_fleet_and_its_stages_go_on_from_there(w
         twin.run(fleet.stages[0].time - twin.time)
         assert bits(fleet.stages[0]) == bits(twin)
     fleet.close()
+
+
+@needs_timers
+def test_a_second_ctrl_c_leaves_a_fleet_that_plays_on(monkeypatch):
+    """Fleet([Stage("xyz")], 1).play([Program().wait(1000)])
+    Ctrl-C Ctrl-C: nobody waits any more for what plays."""
+    fleet, slept = Fleet([Stage("xy", visuals=False) for _ in range(3)], 2), []
+
+    def interrupted_once(seconds):
+        slept.append(seconds)
+        if len(slept) == 1:
+            raise KeyboardInterrupt
+        time.sleep(seconds)
+
+    monkeypatch.setattr(fleet_module, "time", SimpleNamespace(sleep=interrupted_once))
+    with interrupted():
+        fleet.play([Program().wait(1e6)] * 3)
+    began = [stage.now for stage in fleet.stages]
+    fleet.play([Program().wait(0.01)] * 3)
+    assert all(stage.now >= now + 10_000_000 for stage, now in zip(fleet.stages, began, strict=True))
+    fleet.close()
+
+
+def test_another_thread_does_not_end_what_the_main_thread_plays():
+    """Thread(target=lambda: fleet.play([Program().wait(0.001)])).start(); fleet.play([Program().wait(5)])"""
+    fleet, refused = Fleet([Stage("xy", visuals=False)], 1), []
+
+    def plays_too():
+        while fleet.stages[0].time == 0:
+            time.sleep(0.001)
+        try:
+            fleet.play([Program().wait(0.001)])
+        except StageError as error:
+            refused.append(error)
+
+    thread = threading.Thread(target=plays_too)
+    thread.start()
+    fleet.play([Program().wait(5)])
+    thread.join()
+    assert len(refused) in (0, 1), "0: it came when the other was over"
+    assert fleet.stages[0].now == 5_000_000_000 + (0 if refused else 1_000_000)
 
 
 @needs_timers

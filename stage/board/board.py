@@ -136,8 +136,8 @@ class Board:
 
     @told
     def delay_us(self, us: int) -> None:
-        """Microseconds pass. Raises ArgumentError below 0, and beyond 1e15 (1e9 s). After Ctrl-C it is over, at the time that is
-        then."""
+        """Microseconds pass. Raises ArgumentError below 0, and beyond 1e15 (1e9 s). After Ctrl-C time stands
+        somewhere in the delay, and the board can be used as before."""
         if not 0 <= us <= LONGEST * 1_000_000:
             raise ArgumentError(f"us={us!r}: a delay takes 0 to 1e15 us (1e9 s).")
         if us <= PIECE_US:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, NamedTuple
@@ -37,6 +38,17 @@ class Played(NamedTuple):
     results: np.ndarray
     extremes: np.ndarray
     diverged: np.ndarray
+
+
+class _Turn:
+    """What the main thread has another one play, and waits for. Of bare locks and flags: Ctrl-C that comes while a Future is asked
+    may leave it locked."""
+
+    def __init__(self) -> None:
+        self.running = self.left = False
+        self.failed: BaseException | None = None
+        self.over = threading.Lock()
+        self.over.acquire()
 
 
 class Fleet:
@@ -66,6 +78,7 @@ class Fleet:
         self.handles = np.zeros(len(self.stages), handle.HANDLE)
         self._truth = np.zeros((len(self.stages), self._axes), play.TRUTH)
         self._pool: ThreadPoolExecutor | None = None
+        self._turn: _Turn | None = None
         for k, stage in enumerate(self.stages):
             handle.fill(self.handles, k, stage.state)
         self.handles["state"] = 0  # nobody takes a step back
@@ -79,7 +92,7 @@ class Fleet:
         """Play programs[k] on stage k; an empty one leaves it alone. Programs may be given as an array (stages, ops, 4).
 
         Raises ArgumentError for a program that names an axis that is not there, or a time that is no time; nothing is played then.
-        After Ctrl-C the stages are where they were in their programs.
+        After Ctrl-C each stage stands somewhere in its program, in a wait for example, and can be used as before.
         """
         ops = programs if isinstance(programs, np.ndarray) else _table(programs)
         if ops.ndim != 3 or len(ops) != len(self) or ops.shape[2] != 4:
@@ -143,12 +156,17 @@ class Fleet:
 
     def close(self) -> None:
         """End the threads."""
+        self._halt()
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None
 
     def spread(self, work: Callable[[int, int], None]) -> None:
         """Call work(begin, end) for ranges of stages that make them all, on the fleet's threads."""
+        self._halt()
+        self._spread(work)
+
+    def _spread(self, work: Callable[[int, int], None]) -> None:
         n = len(self.stages)
         if self.threads == 1:
             work(0, n)
@@ -175,21 +193,39 @@ class Fleet:
         if threading.current_thread() is not threading.main_thread():
             self.spread(work)
             return
+        self._halt()
+        turn = self._turn = _Turn()
 
-        def played() -> None:
+        def play_all() -> None:
+            turn.running = True
             try:
-                self.spread(work)
+                if not turn.left:
+                    self._spread(work)
+            except BaseException as error:
+                turn.failed = error
             finally:
-                self.handles["halt"] = 0  # also after a second Ctrl-C, when nobody waits any more
+                turn.running = False
+                turn.over.release()
 
-        job = self._workers().submit(played)
         try:
-            job.result()
+            self._workers().submit(play_all)
+            turn.over.acquire()
         finally:
-            if not job.done():
-                self.handles["halt"] = 1
-                wait([job])
-                self.handles["halt"] = 0
+            self._halt()
+        if turn.failed is not None:
+            raise turn.failed
+
+    def _halt(self) -> None:
+        """What the main thread has played elsewhere ends. After another Ctrl-C here, whoever comes next does it again."""
+        if threading.current_thread() is not threading.main_thread():
+            return
+        if self._turn is not None and self._process == os.getpid():
+            self._turn.left = True
+            self.handles["halt"] = 1
+            while self._turn.running:
+                time.sleep(1e-3)
+            self.handles["halt"] = 0
+        self._turn = None
 
     def _workers(self) -> ThreadPoolExecutor:
         """The threads of this process; one of them may be who waits for the others."""
