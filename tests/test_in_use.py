@@ -279,6 +279,7 @@ def test_a_fleet_and_a_board_tell_of_a_callback_that_raises(xy):
 # --- Ctrl-C ---
 
 needs_timers = pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no timers here")
+in_pieces = pytest.mark.skipif(not COMPILED, reason="uncompiled, a piece between two looks takes seconds")
 
 
 @contextmanager
@@ -327,6 +328,7 @@ LONG = {
 
 
 @needs_timers
+@in_pieces
 @pytest.mark.parametrize(("threads", "n"), [(1, 1), (2, 3)])
 @pytest.mark.parametrize("what", LONG)
 def test_ctrl_c_ends_a_long_program_of_a_fleet_and_its_stages_go_on_from_there(what, threads, n):
@@ -350,6 +352,7 @@ def test_ctrl_c_ends_a_long_program_of_a_fleet_and_its_stages_go_on_from_there(w
 
 
 @needs_timers
+@in_pieces
 def test_a_second_ctrl_c_leaves_a_fleet_that_plays_on(monkeypatch):
     """Fleet([Stage("xyz")], 1).play([Program().wait(1000)])
     Ctrl-C Ctrl-C: nobody waits any more for what plays."""
@@ -370,6 +373,7 @@ def test_a_second_ctrl_c_leaves_a_fleet_that_plays_on(monkeypatch):
     fleet.close()
 
 
+@in_pieces
 def test_another_thread_does_not_end_what_the_main_thread_plays():
     """Thread(target=lambda: fleet.play([Program().wait(0.001)])).start(); fleet.play([Program().wait(5)])"""
     fleet, refused = Fleet([Stage("xy", visuals=False)], 1), []
@@ -391,6 +395,7 @@ def test_another_thread_does_not_end_what_the_main_thread_plays():
 
 
 @needs_timers
+@in_pieces
 def test_ctrl_c_ends_a_long_delay_of_a_board_and_its_stage_goes_on_from_there(xy):
     """Board(Stage("xyz")).delay_us(10**9)
     Ctrl-C: it had not ended after 40 s."""
