@@ -36,7 +36,16 @@ def outcome(task, split, player, seed):
     return total, np.array(seen, float)
 
 
-@pytest.mark.parametrize(("task", "split"), [(c.name, s) for c in CARDS.values() for s in c.splits if s != "train"])
+LONG = ("home", "bus-target", "bus-axes", "bus")  # seconds an episode
+SPLITS = [
+    pytest.param(c.name, s, marks=[pytest.mark.slow] if c.name in LONG else [])
+    for c in CARDS.values()
+    for s in c.splits
+    if s != "train"
+]
+
+
+@pytest.mark.parametrize(("task", "split"), SPLITS)
 def test_every_split_of_a_card_changes_what_comes_out(task, split):
     for seed, player in product(range(FIRST, FIRST + EPISODES), ("scripted", "random")):
         train, test = (outcome(task, name, player, seed)[0] for name in ("train", split))
