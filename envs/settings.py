@@ -169,6 +169,7 @@ Cycle = Annotated[float, Number(high=1.0)]
 Weight = Annotated[float, Number()]
 """Of a part of the reward; which sign the part has is the environment's."""
 Discount = Annotated[float, Number(above=True, high=1.0)]
+"""A learner's own, of a step."""
 Count = Annotated[int, Number(above=True, whole=True)]
 Counts = Annotated[tuple[int, int], Range(1, whole=True)]
 Payloads = Annotated[Pair, Range()]

@@ -46,6 +46,8 @@ KINDS = {"length": TYPED["m"], "angle": TYPED["rad"], **BESIDES}
 
 WHOLE = "0[xX][0-9a-fA-F]+|[0-9a-fA-F]+[hH]|0[bB][01]+|[0-9]+"
 """A whole number as somebody types it, without a sign. Its digits are those of ASCII."""
+MOST = 80
+"""Characters of one, at most: no register is so wide."""
 
 
 def whole(text: str) -> int | None:

@@ -10,6 +10,7 @@ from support.examples import SEED
 from support.programs import load_registers, start_preset
 
 from stage import ArgumentError, Fleet, Program, RunTimeout, SimulationError, Stage, StageError, firmware
+from stage.board import Board
 from stage.chips import PCL240K
 from stage.drives import stepper
 from stage.sim import plant, records
@@ -483,6 +484,9 @@ def test_a_stage_whose_models_options_were_changed_stands_still_and_says_so(xy, 
     ):
         with pytest.raises(StageError, match=rf"model\.opt has .*{told}.*this stage was built with"):
             act()
+    assert xy.snapshot().state.tobytes() == before
+    with pytest.raises(StageError, match=rf"model\.opt has .*{told}"):
+        Board(xy).delay_us(1)
     assert xy.snapshot().state.tobytes() == before
     with pytest.raises(StageError, match=r"model\.opt"):
         firmware.preset_move(xy.axes["x"], 3200)

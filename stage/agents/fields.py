@@ -244,7 +244,7 @@ def chosen(what: str, given: str, choices: tuple[str, ...]) -> str:
 def whole(what: str, text: str) -> int:
     """A whole number as somebody writes it: 31, 1Fh, 0x1F, 0b11111. Raises ArgumentError."""
     typed = _plain(what, text).strip().replace("_", "")
-    if len(typed) > 80:
+    if len(typed) > units.MOST:
         raise ArgumentError(f"{what}: a number of {len(typed)} characters; no register is so wide.")
     if (value := units.whole(typed)) is not None:
         return _bounded(what, value)

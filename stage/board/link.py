@@ -115,6 +115,7 @@ class Link:
                 "copy, Board(copy.copy(stage))."
             )
         stage.look()
+        stage.loop.check_options()
         asks = 0
         for k, chip in enumerate(stage.chips):
             if chip.glitches:

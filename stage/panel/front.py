@@ -15,10 +15,8 @@ from dataclasses import dataclass
 from stage.chips.chip import Chip
 from stage.chips.register_map import EVIDENCE, Field, Register, Word
 from stage.errors import ArgumentError
-from stage.units import WHOLE, whole
+from stage.units import MOST, WHOLE, whole
 
-LONG = 80
-"""Characters of a number, at most."""
 BY_ROWS = ("data write", "mode write")
 """Kinds of commands that a register's row sends when somebody writes there."""
 
@@ -134,7 +132,7 @@ def number(text: str, bits: int) -> int:
     """What somebody has typed, a whole number that so many bits hold: decimal, 0x1F or 1Fh, 0b101; with a sign it is two's
     complement. Raises ArgumentError, with what was probably meant."""
     typed = re.sub(r"[_\s]", "", text)
-    if len(typed) > LONG:
+    if len(typed) > MOST:
         raise ArgumentError(f"a number of {len(typed)} characters needs more than {bits} bits.")
     if (value := whole(typed)) is None:
         raise ArgumentError(_no_number(text, re.sub(r"^[-+]", "", typed)))

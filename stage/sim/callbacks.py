@@ -74,7 +74,7 @@ def forward(model: mujoco.MjModel, data: mujoco.MjData, back: Callable[[], None]
             back()
             mujoco.mj_forward(model, data)
     if errors:
-        raise raised(errors[0], data.time, "Nothing has changed.") from errors[0]
+        raise raised(errors[0], data.time, "Nothing has changed.")
 
 
 def raised(error: BaseException | None, seconds: float, held: str) -> BaseException:

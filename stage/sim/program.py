@@ -115,9 +115,10 @@ class Program(Operations):
 
         Raises ArgumentError for an axis that no stage has.
         """
-        if not all(0 <= _whole("axis", a) < MOST_AXES for a in axes):
+        indices = {_whole("axis", a) for a in axes}
+        if not all(0 <= a < MOST_AXES for a in indices):
             raise ArgumentError(f"axes={axes!r}: axes are given by their index, from 0 on.")
-        mask = sum(1 << a for a in {int(a) for a in axes})
+        mask = sum(1 << a for a in indices)
         self.ops.append((KEEP if keep_step else STOP, mask, _ns("poll", poll), _ns("limit", limit)))
         return self
 

@@ -119,17 +119,22 @@ def test_journals_of_one_chip_end_in_any_order_and_the_others_go_on():
         assert [e.b for e in journals[0].entries] == [0x08, 0x18]
 
 
+def hear_a_switch(xy, closed, *others):
+    """A switch of x sticks: the other journals note that, and the one that is closed does not. All are closed then."""
+    with faults.switch_stuck(xy.axes["x"], "org", True):
+        xy.step()
+    assert [[e.kind for e in j.entries] for j in others] == [[INPUT, INPUT]] * len(others)
+    assert len(closed.entries) == 0
+    for journal in (*others, closed):
+        journal.close()
+
+
 def test_journals_around_one_that_was_closed_hear_what_the_stage_tells(xy):
     """a, b, c = (x.chip.journal() for _ in range(3)); b.close(); firmware.origin_return(x)"""
     x = xy.axes["x"]
     older, between, younger = (x.chip.journal() for _ in range(3))
     between.close()
-    with faults.switch_stuck(x, "org", True):
-        xy.step()
-    assert [e.kind for e in older.entries] == [e.kind for e in younger.entries] == [INPUT, INPUT]
-    assert len(between.entries) == 0
-    younger.close()
-    older.close()
+    hear_a_switch(xy, between, younger, older)
 
 
 def test_a_course_ends_where_its_journal_was_closed_and_a_younger_one_hears_what_the_stage_tells(xy):
@@ -141,14 +146,7 @@ def test_a_course_ends_where_its_journal_was_closed_and_a_younger_one_hears_what
     xy.run(0.0213)
     assert (older.until, int(older.course().edges["clock"][-1])) == (closed, closed)
     assert younger.until == x.chip.clock == int(younger.course().edges["clock"][-1]) > closed
-    again = x.chip.journal()
-    with faults.switch_stuck(x, "org", True):
-        xy.step()
-    assert [e.kind for e in again.entries] == [e.kind for e in younger.entries] == [INPUT, INPUT]
-    assert len(older.entries) == 0
-    again.close()
-    younger.close()
-    older.close()
+    hear_a_switch(xy, older, x.chip.journal(), younger)
     assert (older.until, x.chip.open_journal) == (closed, None)
 
 

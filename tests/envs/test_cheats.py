@@ -1,5 +1,7 @@
 """Ways to a good reward without the work, each as the policy that took it: they no longer pay."""
 
+from functools import cache
+
 import gymnasium
 import numpy as np
 import pytest
@@ -74,15 +76,13 @@ def played(env, choose, options):
 
 
 DISCOUNTS = (1.0, 0.999, 0.99, 0.9, 0.5, 0.01)
+SOLVES = "solves"
 
 
-@pytest.mark.parametrize("seconds", [10e-3, 0.1])
-@pytest.mark.parametrize("discount", DISCOUNTS)
-def test_no_discount_makes_a_failure_on_the_bus_pay_more_than_to_solve_it(discount, seconds):
-    """discount=0.99, target 8000: to read 2000 times got +13.79, to solve it +13.14; discounted 1.00 and 0.97."""
+def registers(discount, seconds):
+    """By player: what `played` tells of a host that solves RegisterBus, and of those that fail."""
     settings = {"model": "xy", "axes": ("x",), "waits": (seconds,), "time_limit": 10.0}
-    target = {"target": {"x": 8000}}
-    env, worth = make("stage/RegisterBus-v0", discount=discount, **settings), make("stage/RegisterBus-v0", **settings)
+    env = make("stage/RegisterBus-v0", discount=discount, **settings)
     env.action_space.seed(1)
     drawn = [env.action_space.sample() for _ in range(2000)]
     wait, read = np.array((rb.WAIT, 0, 0, 0)), np.array((rb.READ, 0, 0, 0))
@@ -91,48 +91,63 @@ def test_no_discount_makes_a_failure_on_the_bus_pay_more_than_to_solve_it(discou
         actions = [*map(np.array, bus_cycles(fh, pulses)), *[wait] * round(6.0 / seconds)]
         return lambda t: actions[t] if t < len(actions) else then
 
-    solve = moved(100, 8000)
-    failures = {
+    players = {
+        SOLVES: moved(100, 8000),
         "spins": lambda t: read, "waits": lambda t: wait, "random": lambda t: drawn[t], "half way": moved(100, 4000),
         "half way, then spins": moved(100, 4000, read), "loses steps": moved(8000, 8000),
         "goes far beyond, then spins": moved(100, 60_000, read),
     }  # fmt: skip
-    plain, discounted, last, success = played(env, solve, target)
+    return {name: played(env, choose, {"target": {"x": 8000}}) for name, choose in players.items()}
+
+
+def macros(discount, level):
+    """As `registers`, of BusMacros."""
+    env = make("stage/BusMacros-v1", discount=discount, level=level)
+    rng = np.random.default_rng(1)
+    drawn, wait = rng.integers(env.action_space.n, size=120), env.macros.index("wait")
+    masks = rng.permuted(np.tile(np.arange(env.action_space.n), (120, 1)), axis=1)
+    players = {
+        SOLVES: lambda t: env.scripted(),
+        "waits": lambda t: wait, "random": lambda t: int(drawn[t]),
+        "legal": lambda t: next(a for a in masks[t] if env.action_masks()[a]),
+    }  # fmt: skip
+    return {name: played(env, choose, {}) for name, choose in players.items()}
+
+
+@cache
+def worth(players, what):
+    """What they have with no discount, in plain sums: played once, for all discounts."""
+    return {name: plain for name, (plain, *_) in players(1.0, what).items()}
+
+
+@pytest.mark.parametrize("seconds", [10e-3, 0.1])
+@pytest.mark.parametrize("discount", DISCOUNTS)
+def test_no_discount_makes_a_failure_on_the_bus_pay_more_than_to_solve_it(discount, seconds):
+    """discount=0.99, target 8000: to read 2000 times got +13.79, to solve it +13.14; discounted 1.00 and 0.97."""
+    failures = registers(discount, seconds)
+    plain, discounted, last, success = failures.pop(SOLVES)
     assert success
-    assert discounted == pytest.approx(last * played(worth, solve, target)[0], abs=1e-9)
-    for name, choose in failures.items():
-        failed = played(env, choose, target)
+    assert discounted == pytest.approx(last * worth(registers, seconds)[SOLVES], abs=1e-9)
+    for name, failed in failures.items():
         assert not failed[3], name
         assert failed[0] < plain - 1, name
         assert failed[1] < discounted + 1e-12, name
-        assert failed[1] == pytest.approx(failed[2] * played(worth, choose, target)[0], abs=1e-9), name
+        assert failed[1] == pytest.approx(failed[2] * worth(registers, seconds)[name], abs=1e-9), name
 
 
 @pytest.mark.parametrize("level", ["target", "axes", "origin"])
 @pytest.mark.parametrize("discount", DISCOUNTS)
 def test_no_discount_makes_a_failure_by_macros_pay_more_than_to_solve_it(discount, level):
     """discount=0.99: to wait 120 times got +0.445."""
-    env, worth = make("stage/BusMacros-v1", discount=discount, level=level), make("stage/BusMacros-v1", level=level)
-    rng = np.random.default_rng(1)
-    drawn, wait = rng.integers(env.action_space.n, size=120), env.macros.index("wait")
-    masks = rng.permuted(np.tile(np.arange(env.action_space.n), (120, 1)), axis=1)
-
-    def legal(env):
-        return lambda t: next(a for a in masks[t] if env.action_masks()[a])
-
-    def solve(env):
-        return lambda t: env.scripted()
-
-    failures = {"waits": lambda env: lambda t: wait, "random": lambda env: lambda t: int(drawn[t]), "legal": legal}
-    plain, discounted, last, success = played(env, solve(env), {})
+    failures = macros(discount, level)
+    plain, discounted, last, success = failures.pop(SOLVES)
     assert success
-    assert discounted == pytest.approx(last * played(worth, solve(worth), {})[0], abs=1e-9)
-    for name, player in failures.items():
-        failed = played(env, player(env), {})
+    assert discounted == pytest.approx(last * worth(macros, level)[SOLVES], abs=1e-9)
+    for name, failed in failures.items():
         assert not failed[3], name
         assert failed[0] < min(plain - 1, 0), name
         assert failed[1] < discounted + 1e-12, name
-        assert failed[1] == pytest.approx(failed[2] * played(worth, player(worth), {})[0], abs=1e-9), name
+        assert failed[1] == pytest.approx(failed[2] * worth(macros, level)[name], abs=1e-9), name
 
 
 @pytest.mark.parametrize("id_", ["RegisterBus-v0", "BusMacros-v1"])
