@@ -236,6 +236,41 @@ def test_copies_have_the_machines_faults_and_keep_them(xyz, name, twin_of):
     assert twin.faults == (fault.text,)
 
 
+@pytest.mark.parametrize("twin_of", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
+def test_the_contact_of_a_copy_bounces_at_each_edge_as_the_first_one_does(xyz, twin_of):
+    """copy.deepcopy(stage), of which ORG bounces, and then a move over ORG"""
+
+    def passes(stage):
+        x = stage.axes["x"]
+        journal = x.chip.journal()
+        start_preset(x.chip, 3000)
+        stage.run(0.5)
+        journal.close()
+        return [(e.clock, e.b & x.chip.INPUTS["org"]) for e in journal.entries]
+
+    xyz.place(x=touch(xyz.axes["x"], "org") - 2e-3)
+    with faults.bounce(xyz.axes["x"], "org", 2e-3, 6):
+        twin = twin_of(xyz)
+        edges = passes(xyz)
+    assert len(edges) >= 7
+    assert passes(twin) == edges
+
+
+def test_switches_stick_from_the_moment_at_which_a_snapshot_is_restored(xyz):
+    """stage.restore(snapshot) of an asserted switch, after faults.switch_stuck(axis, "el_plus", False)"""
+    x = xyz.axes["x"]
+    for pin, asserted in (("el_plus", True), ("el_minus", False)):
+        xyz.reset()
+        xyz.place(x=touch(x, "el_plus") + 5e-5)
+        xyz.run(0.01)
+        assert getattr(x.switches, pin) is asserted
+        snapshot = xyz.snapshot()
+        with faults.switch_stuck(x, pin, not asserted):
+            xyz.restore(snapshot)
+            assert getattr(x.switches, pin) is not asserted
+            assert getattr(x.pins, pin) is not asserted
+
+
 def test_faults_add_up_and_are_mended_in_any_order_that_nests(xyz):
     x = xyz.axes["x"]
     with faults.bus_voltage(xyz, 20.0), faults.bus_voltage(x, 12.0), faults.phase_open(x, "a"):
