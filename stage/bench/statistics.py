@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -18,16 +20,19 @@ from stage.bench.files import Submission
 from stage.errors import ArgumentError
 
 DRAWS, LEVEL = 2000, 0.95
+NUMBERS = 100_000  # drawn together at most: 800 kB
 RUNS = 10  # of a learner, without which it beats nobody
 LONG = {"lost_steps": "steps lost", "limits": "limits", "moves": "steps"}
 """Scores of which a long table has the mean of an episode, and what it calls them."""
 
 
-def iqm(scores: np.ndarray) -> float:
-    """The mean of the middle half of all numbers; of fewer than four, of all."""
-    values = np.sort(np.asarray(scores, float), axis=None)
-    cut = len(values) // 4
-    return float(values[cut : len(values) - cut].mean())
+def iqm(scores: np.ndarray, axis: int | None = None) -> Any:
+    """The mean of the middle half of all numbers, or of those along `axis`; of fewer than four, of all."""
+    values = np.asarray(scores, float)
+    values = np.sort(values.ravel() if axis is None else np.moveaxis(values, axis, -1), axis=-1)
+    cut = values.shape[-1] // 4
+    middle = values[..., cut : values.shape[-1] - cut].mean(axis=-1)
+    return float(middle) if axis is None else middle
 
 
 def interval(
@@ -35,17 +40,30 @@ def interval(
     draws: int = DRAWS,
     level: float = LEVEL,
     seed: int = 0,
-    of: Callable[[np.ndarray], float] = iqm,
+    of: Callable[..., Any] = iqm,
 ) -> tuple[float, float]:
-    """Of the IQM of scores, (runs, episodes), or of another figure, by the bootstrap over whole runs and episodes."""
+    """Of the IQM of scores, (runs, episodes), or of another figure, by the bootstrap over whole runs and episodes.
+
+    of: called with an array and `axis`, as np.mean is.
+    """
     scores = np.atleast_2d(np.asarray(scores, float))
     runs, episodes = scores.shape
-    rng = np.random.default_rng(seed)
+    which_runs, which_episodes = _drawn(runs, episodes, draws, seed)
     found = np.empty(draws)
-    for k in range(draws):
-        columns = rng.integers(0, episodes, episodes)
-        found[k] = of(scores[np.ix_(rng.integers(0, runs, runs), columns)])
+    together = max(1, NUMBERS // scores.size)
+    for first in range(0, draws, together):
+        some = slice(first, first + together)
+        values = scores[which_runs[some, :, None], which_episodes[some, None, :]]
+        found[some] = of(values.reshape(len(values), -1), axis=1)
     return float(np.quantile(found, 0.5 - level / 2)), float(np.quantile(found, 0.5 + level / 2))
+
+
+@lru_cache(maxsize=8)  # a table has few shapes
+def _drawn(runs: int, episodes: int, draws: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Which runs, (draws, runs), and which episodes, (draws, episodes)."""
+    rng = np.random.default_rng(seed)
+    pairs = [(rng.integers(0, episodes, episodes), rng.integers(0, runs, runs)) for _ in range(draws)]
+    return np.array([r for _, r in pairs]), np.array([e for e, _ in pairs])
 
 
 @dataclass(frozen=True)
