@@ -183,9 +183,8 @@ def test_closing_for_stable_baselines_closes_the_vector(sb3, monkeypatch):
     closed = []
     envs = sb3.StageVecEnv(ID, **SHORT)
     assert envs.num_envs == 1
-    monkeypatch.setattr(
-        StageVectorEnv, "close", lambda self: closed.append(id(self))
-    )  # what `close` owned would be closed as it goes
+    # what a lambda keeps alive would be closed by it as it goes, which ends the process: so no environment, its id
+    monkeypatch.setattr(StageVectorEnv, "close", lambda self: closed.append(id(self)))
     envs.close()
     assert closed == [id(envs.envs)]
 
