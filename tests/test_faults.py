@@ -2,7 +2,7 @@
 
 import copy
 import pickle
-from itertools import chain
+from itertools import chain, permutations
 
 import numpy as np
 import pytest
@@ -280,6 +280,70 @@ def test_faults_add_up_and_are_mended_in_any_order_that_nests(xyz):
         assert x.open_phases == stepper.A
         assert len(xyz.faults) == 3
     assert [a.supply for a in xyz.axes.values()] == [24.0] * 3
+
+
+OF_ONE_THING = {
+    "phases": [lambda s: faults.phase_open(s.axes["x"], "a"), lambda s: faults.phase_open(s.axes["x"], "b")],
+    "supply": [
+        lambda s: faults.bus_voltage(s.axes["x"], 12.0), lambda s: faults.bus_voltage(s, 6.0),
+        lambda s: faults.bus_voltage(s.axes["y"], 8.0),
+    ],
+    "switch": [
+        lambda s: faults.switch_stuck(s.axes["x"], "org", True), lambda s: faults.switch_stuck(s.axes["x"], "org", False),
+        lambda s: faults.vane_missing(s.axes["x"], "org"), lambda s: faults.bounce(s.axes["x"], "org"),
+        lambda s: faults.bounce(s.axes["x"], "org", 1e-3, 4),
+    ],
+    "friction": [lambda s: faults.jam(s.axes["x"], 5.0), lambda s: faults.jam(s.axes["x"], 7.0)],
+    "payload": [lambda s: faults.payload(s, 2.0), lambda s: faults.payload(s, 3.0)],
+    "motor": [lambda s: faults.motor(s.axes["x"], "17HS19-2004S1"), lambda s: faults.motor(s.axes["x"], "17HS15-1504S")],
+}  # fmt: skip
+
+
+def broken(stage):
+    """All of the machine that faults change."""
+    return (
+        [(a.supply, a.open_phases, a.drive) for a in stage.axes.values()], stage.payload(), stage.faults,
+        stage.state.switch_table.tobytes(), stage.model.dof_frictionloss.tobytes(), stage.model.dof_solimp.tobytes(),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("thing", OF_ONE_THING)
+def test_faults_of_one_thing_are_mended_in_any_order_as_if_they_had_not_been(thing):
+    """a = faults.phase_open(x, "a"); b = faults.phase_open(x, "b"); a.mend(); b.mend(): phase a stayed open"""
+    makes = OF_ONE_THING[thing]
+    stage, other = Stage("xy", visuals=False), Stage("xy", visuals=False)
+    for s in (stage, other):
+        s.set_payload(1.0)
+    healthy = broken(stage)
+    for order in permutations(range(len(makes))):
+        made, left = [make(stage) for make in makes], list(range(len(makes)))
+        for k in order:
+            made[k].mend()
+            left.remove(k)
+            rest = [makes[j](other) for j in left]
+            assert broken(stage)[:2] == broken(other)[:2], (order, k)
+            assert broken(stage)[3:] == broken(other)[3:], (order, k)
+            assert stage.faults == tuple(made[j].text for j in left)
+            for fault in reversed(rest):
+                fault.mend()
+        assert broken(stage) == healthy, order
+
+
+def test_a_mended_fault_is_the_only_one_that_a_recording_says_was_mended(xyz):
+    with xyz.record() as recording:
+        first, second = faults.phase_open(xyz.axes["x"], "a"), faults.phase_open(xyz.axes["x"], "b")
+        first.mend()
+        second.mend()
+    said = [note.text for note in recording.notes]
+    assert said == [
+        "axis x: phase a open: begins", "axis x: phase b open: begins",
+        "axis x: phase a open: mended", "axis x: phase b open: mended",
+    ]  # fmt: skip
+
+
+def test_a_supply_that_falls_says_what_all_axes_had(xyz):
+    with faults.bus_voltage(xyz.axes["x"], 10.0), faults.bus_voltage(xyz, 18.0) as both:
+        assert both.text == "all axes: bus voltage 18 V in place of 10 V, 24 V"
 
 
 # --- switches ---

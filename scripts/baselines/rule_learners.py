@@ -31,7 +31,7 @@ from stopping import stops
 from stage import bench
 from stage.bench.cards import CARDS, FIRST, OPEN
 
-BUDGET = {"one-shot": (12, 16), "line": (12, 8), "home": (8, 6)}
+BUDGET = {"one-shot": (12, 16), "line": (12, 8), "home": (8, 12)}
 """Generations, and machines of each."""
 POPULATION = 8
 TABLE, PARTS = 48, (12, 48)

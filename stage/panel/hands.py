@@ -46,11 +46,10 @@ class Breaking(NamedTuple):
 
 @dataclass
 class Made:
-    """A fault in force, and how it was made. asked: the name, the axis ("": all of
+    """A fault in force, and what was asked for it. asked: the name, the axis ("": all of
     them) and the texts that `Hands.make` takes."""
 
     fault: Fault
-    make: Callable[[], Fault]
     asked: tuple[str, str, dict[str, str]]
     key: str = ""
 
@@ -137,26 +136,19 @@ class Hands:
             self.supply_all(float(given["volts"]))
 
     def mend(self, made: Made) -> None:
-        """Mend it, now. What was broken later is broken still: it is mended before, and broken again."""
+        """Mend it, now. What was broken later is broken still."""
         self.session.do(lambda stage: self._mend(made))
 
     def _make(self, make: Callable[[], Fault], asked: tuple[str, str, dict[str, str]], key: str) -> Made:
         before = next((m for m in self.in_force if key and m.key == key), None)
         if before is not None:
             self._mend(before)
-        made = Made(make(), make, asked, key)
+        made = Made(make(), asked, key)
         self._made = [*self.in_force, made]
         return made
 
     def _mend(self, made: Made) -> None:
-        standing = self.in_force
-        if made not in standing:
-            return
-        later = standing[standing.index(made) + 1 :]
-        for m in (*reversed(later), made):
-            m.fault.mend()
-        for m in later:
-            m.fault = m.make()
+        made.fault.mend()
         self._made = self.in_force
 
     def _field(self, axis: str, p: inspect.Parameter) -> Field:

@@ -10,8 +10,8 @@
 
 Each function makes its fault at the present simulated time and returns a `Fault`: leaving the `with`, or `mend()`, ends it.
 Faults of switches and of the bus begin on the nanosecond, also inside a physics step; those of drives and mechanics act on
-the whole physics step (0.25 ms) in which they begin. Several may be in force; `stage.faults` names them, and so does a
-recording, at their moments.
+the whole physics step (0.25 ms) in which they begin. Several may be in force, also of one thing: the last one shows, and when any
+of them is mended, the others stand as if it had not been. `stage.faults` names them, and so does a recording, at their moments.
 
 A fault belongs to the machine, as a payload does: snapshots, `restore` and `reset` do not change it (and over `motor` there is no
 `restore`), copies and pickles of a stage have it too (permanently: `mend` acts on the stage where the fault was made). Its effects
@@ -23,7 +23,7 @@ docs/faults.md has the measured effect of each, and how a host can detect it; `s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -45,21 +45,46 @@ STIFF = (0.9, 0.9, 0.001, 0.5, 2)  # solimp of its friction; from 0.97 on the so
 
 
 class Fault:
-    """A fault in force. A context manager; `text` says what it is."""
+    """A fault in force. A context manager; `text` says what it is.
 
-    def __init__(self, stage: Stage | None, text: str, mend: Callable[[], None]):
+    begin: makes it and returns what ends it; it is called again where a fault before it, of one of the same things, is mended.
+    things: what it changes.
+    """
+
+    def __init__(
+        self, stage: Stage | None, text: str, begin: Callable[[], Callable[[], None]], things: Iterable[Hashable] = ()
+    ):
         self.text, self.in_force = text, True
-        self._stage, self._mend = stage, mend
+        self._stage, self._begin, self._things = stage, begin, frozenset(things)
+        self._end = begin()
         if stage is not None:
+            stage.standing.append(self)
             stage.note_fault(text, True)
 
     def mend(self) -> None:
         """End it, now. Safe to call twice; what it has done stays done."""
-        if self.in_force:
-            self.in_force = False
-            self._mend()
-            if self._stage is not None:
-                self._stage.note_fault(self.text, False)
+        if not self.in_force:
+            return
+        self.in_force = False
+        above = self._above()
+        for fault in (*reversed(above), self):
+            fault._end()
+        for fault in above:
+            fault._end = fault._begin()
+        if self._stage is not None:
+            self._stage.standing.remove(self)
+            self._stage.note_fault(self.text, False)
+
+    def _above(self) -> list[Fault]:
+        """The later faults that have changed what this one or one of them had changed, in their order."""
+        found: list[Fault] = []
+        things = self._things
+        standing = self._stage.standing if self._stage is not None and things else []
+        for fault in standing[standing.index(self) + 1 :] if standing else ():
+            if things & fault._things:
+                found.append(fault)
+                things |= fault._things
+        return found
 
     def __enter__(self) -> Fault:
         return self
@@ -122,9 +147,6 @@ def bounce(axis: Axis, pin: str, seconds: float = 2e-3, toggles: int = 6) -> Fau
 
 def _switches(axis: Axis, what: str, rows: dict[int, dict[str, int]]) -> Fault:
     stage = axis.stage
-    before = {
-        row: {field: int(stage.state.switch_table[row][field]) for field in change} for row, change in rows.items()
-    }
 
     def put(values: dict[int, dict[str, int]]) -> None:
         for row, change in values.items():
@@ -132,8 +154,14 @@ def _switches(axis: Axis, what: str, rows: dict[int, dict[str, int]]) -> Fault:
                 stage.state.switch_table[row][field] = value
         stage.look_again(axis)
 
-    put(rows)
-    return Fault(stage, f"axis {axis.name}: {what}", lambda: put(before))
+    def begin() -> Callable[[], None]:
+        table = stage.state.switch_table
+        before = {row: {field: int(table[row][field]) for field in change} for row, change in rows.items()}
+        put(rows)
+        return lambda: put(before)
+
+    things = [(row, field) for row, change in rows.items() for field in change]
+    return Fault(stage, f"axis {axis.name}: {what}", begin, things)
 
 
 def _vane(axis: Axis, sensor: int) -> int | None:
@@ -165,9 +193,14 @@ def payload(stage: Stage, factor: float = 2.0, body: str | None = None) -> Fault
         raise ArgumentError(
             f"factor={factor!r} of a payload of {before:g} kg: put one on with stage.set_payload; a factor is above 0."
         )
-    stage.set_payload(before * factor, body)
+
+    def begin() -> Callable[[], None]:
+        mass = stage.payload(body)
+        stage.set_payload(mass * factor, body)
+        return lambda: stage.set_payload(mass, body)
+
     text = f"payload {before * factor:g} kg in place of {before:g} kg"
-    return Fault(stage, text, lambda: stage.set_payload(before, body))
+    return Fault(stage, text, begin, ["payload"])
 
 
 @told
@@ -186,14 +219,17 @@ def jam(axis: Axis, force: float | None = None) -> Fault:
         )
     model, dof = axis.stage.model, axis.plant.dof
     fields = (model.dof_frictionloss, model.dof_solref, model.dof_solimp)
-    before = [field[dof].copy() for field in fields]
 
     def put(values: Iterable[Any]) -> None:
         for field, value in zip(fields, values, strict=True):
             field[dof] = value
 
-    put((before[0] + more, (2 * model.opt.timestep, 1), STIFF))
-    return Fault(axis.stage, f"axis {axis.name}: jammed", lambda: put(before))
+    def begin() -> Callable[[], None]:
+        before = [field[dof].copy() for field in fields]
+        put((before[0] + more, (2 * model.opt.timestep, 1), STIFF))
+        return lambda: put(before)
+
+    return Fault(axis.stage, f"axis {axis.name}: jammed", begin, [("friction", axis.name)])
 
 
 # --- drives ---
@@ -212,16 +248,21 @@ def bus_voltage(where: Axis | Stage, volts: float) -> Fault:
             f"volts={volts!r}: a supply has above 0 and up to 400 V; with phase_open there is none at all."
         )
     stage, axes = (where, list(where.axes.values())) if isinstance(where, Stage) else (where.stage, [where])
-    before = [a.supply for a in axes]
 
     def put(values: list[float]) -> None:
         for axis, value in zip(axes, values, strict=True):
             axis.supply = float(value)
         stage.equip()
 
-    put([volts] * len(axes))
+    def begin() -> Callable[[], None]:
+        before = [a.supply for a in axes]
+        put([volts] * len(axes))
+        return lambda: put(before)
+
     who = "all axes" if isinstance(where, Stage) else f"axis {where.name}"
-    return Fault(stage, f"{who}: bus voltage {volts:g} V in place of {before[0]:g} V", lambda: put(before))
+    usual = ", ".join(dict.fromkeys(f"{a.supply:g} V" for a in axes))
+    text = f"{who}: bus voltage {volts:g} V in place of {usual}"
+    return Fault(stage, text, begin, [("supply", a.name) for a in axes])
 
 
 @told
@@ -237,14 +278,17 @@ def phase_open(axis: Axis, phase: str = "a") -> Fault:
         )
     if phase not in PHASES:
         raise unknown(f"phase of axis {axis.name}", phase, PHASES)
-    before = axis.open_phases
 
     def put(value: int) -> None:
         axis.open_phases = value
         axis.stage.equip()
 
-    put(before | PHASES[phase])
-    return Fault(axis.stage, f"axis {axis.name}: phase {phase} open", lambda: put(before))
+    def begin() -> Callable[[], None]:
+        before = axis.open_phases
+        put(before | PHASES[phase])
+        return lambda: put(before)
+
+    return Fault(axis.stage, f"axis {axis.name}: phase {phase} open", begin, [("phases", axis.name)])
 
 
 @told
@@ -268,9 +312,14 @@ def motor(axis: Axis, motor: str | Motor | DCMotor) -> Fault:
             f"motor={after.motor.name!r}: it has {after.motor.steps_per_turn} steps a turn, and axis {axis.name} is made for "
             f"{before.motor.steps_per_turn}: build a stage with it, drives={{{axis.name!r}: ...}}."  # type: ignore[union-attr]
         )
-    axis.stage.refit(axis, after)
+
+    def begin() -> Callable[[], None]:
+        had = axis.drive
+        axis.stage.refit(axis, after)
+        return lambda: axis.stage.refit(axis, had)
+
     text = f"axis {axis.name}: motor {after.motor.name} in place of {before.motor.name}"
-    return Fault(axis.stage, text, lambda: axis.stage.refit(axis, before))
+    return Fault(axis.stage, text, begin, [("motor", axis.name)])
 
 
 # --- the host's board ---
@@ -328,12 +377,15 @@ def lost_write(where: Axis | Chip, address: int | None = None, value: int | None
 def _on_bus(where: Axis | Chip, what: str, glitch: Callable[[int, int], bool]) -> Fault:
     chip, stage = (where, None) if isinstance(where, Chip) else (where.chip, where.stage)
     name = type(where).__name__ if isinstance(where, Chip) else f"axis {where.name}"
-    chip.glitches += (glitch,)
 
-    def mend() -> None:
+    def begin() -> Callable[[], None]:
+        chip.glitches += (glitch,)
+        return end
+
+    def end() -> None:
         chip.glitches = tuple(g for g in chip.glitches if g is not glitch)
 
-    return Fault(stage, f"{name}: {what}", mend)
+    return Fault(stage, f"{name}: {what}", begin)
 
 
 def _check(given: Any, kind: type = Axis) -> None:

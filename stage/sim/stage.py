@@ -146,6 +146,8 @@ class Stage:
     def _wire(self, chip_axes: list[ChipAxis], drives: list[Drive | Servo], bus: int, offset: int) -> None:
         """Lay the state out in userdata; connect the axes of the chips, one an axis of the stage."""
         self._faults: list[str] = []
+        self.standing: list[Any] = []
+        """The faults of `stage.sim.faults` that were made here and are in force, in their order."""
         self._payloads = Payloads()
         chip_of = {p.name: axis.chip for p, axis in zip(self._plant, chip_axes, strict=True)}
         wires = Wires(

@@ -92,7 +92,8 @@ class Visitor:
         self.within(put)
 
     def enter(self, name: Any, text: str) -> None:
-        """Type into a field, and press Enter."""
+        """Type into a field, and press Enter. A key comes first, as from a keyboard: what is typed is not shown over any more."""
+        self.fire(name, "keydown", {"key": text[:1] or "Backspace"})
         self.put(name, text)
         self.fire(name, "keydown", {"key": "Enter"})
 
