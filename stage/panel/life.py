@@ -97,6 +97,7 @@ class Life:
         change()
         self._jumped, self.trouble = True, ""
         self.past.forget_after(self.stage.now)
+        self.past.remember(self.stage)  # there is always a way back: to here, at least
         self.restart_clock()
 
     def publish(self) -> None:

@@ -118,6 +118,18 @@ def test_after_a_reset_one_goes_back_to_what_was_since(session):
     assert session.do(lambda stage: stage.axes["x"].position) == pytest.approx(0.05, abs=1e-4)
 
 
+def test_going_back_while_a_recording_goes_on_is_refused_also_at_once_after_power_up():
+    """stage.run(1); then a panel, paused; power-up; a recording; back: nothing happened, and nobody was told"""
+    stage = Stage("xy", visuals=False)
+    stage.run(1.0)
+    with Session(stage, speed=FREE) as session:
+        session.paused = True
+        session.reset()
+        with session.do(lambda stage: stage.record()), pytest.raises(StageError, match="close the recording"):
+            session.back(5.0)
+        assert session.back(5.0) == 0.0
+
+
 def test_a_single_step_is_the_last_until_time_goes_on(session):
     session.single_step()
     assert session.paused
