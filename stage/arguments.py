@@ -46,6 +46,12 @@ def told(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
     return call
 
 
+def patience(timeout: float | None) -> None:
+    """Raise ArgumentError for a `timeout` that is no time: below 0, or not a number, which would never be over."""
+    if timeout is not None and not timeout >= 0:
+        raise ArgumentError(f"timeout={timeout!r}: seconds, 0 or more; float('inf') waits for ever.")
+
+
 def told_when_made(cls: type[Made]) -> type[Made]:
     """A class whose constructor is `told`; for dataclasses, above their own decorator."""
     cls.__init__ = told(cls.__init__)  # type: ignore[method-assign]

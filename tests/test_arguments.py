@@ -9,6 +9,7 @@ from stage import ArgumentError, Drive, Fleet, Program, Snapshot, Stage, StageEr
 from stage.arguments import WrongType, told
 from stage.board import Board
 from stage.chips import CHIPS, PCL240K, chip_class
+from stage.drives.dc_motors import Servo
 from stage.errors import UnknownKey
 from stage.firmware import Bench, Profile
 from stage.recording import read
@@ -19,7 +20,7 @@ from stage.testing import (
     assert_pins,
     assert_stopped,
 )
-from stage.tune import Task
+from stage.tune import Task, tune
 
 WRONG = ("1", None, math.nan, math.inf, -1, -1.5, [], {}, object(), b"x", "nosuch", 3.5, True, ["q"], {"q": 1})
 
@@ -240,3 +241,31 @@ def test_of_values_that_follow_each_other_the_one_that_does_not_fit_is_named():
     assert add(1, 2.5) == 3.5
     with pytest.raises(WrongType, match="numbers='3': a number"):
         add(1, 2, "3")
+
+
+@pytest.mark.parametrize("counts", [float("nan"), float("inf"), "a", None, 2000.5, True, 3])
+def test_counts_that_no_encoder_has_are_told_in_words(counts):
+    """Servo(counts=float("nan")): a bare ValueError"""
+    with pytest.raises(ArgumentError, match=r"counts=.*: an encoder has a whole number of counts a turn"):
+        Servo(counts=counts)
+
+
+def test_a_servo_says_which_arguments_it_has():
+    """Servo(foo=3), Servo(motor=["14201S003"]): bare TypeErrors"""
+    with pytest.raises(ArgumentError, match=r"Servo has no argument 'foo'"):
+        Servo(foo=3)
+    with pytest.raises(ArgumentError, match=r"unknown DC motor .* Known: 14201S003"):
+        Servo(motor=["14201S003"])
+
+
+def test_the_payload_of_what_is_no_body_is_told_in_words():
+    """stage.payload(3): a page of MuJoCo's"""
+    with pytest.raises(ArgumentError, match=r"body=3: a text or None"):
+        Stage("xy", visuals=False).payload(3)
+
+
+@pytest.mark.parametrize(("name", "value"), [("seed", -1), ("seed", "a"), ("seed", 1.5), ("workers", 0)])
+def test_a_tuning_with_a_number_out_of_range_is_refused_by_its_name(name, value):
+    """tune(task, seed=-1): a ValueError of NumPy; workers=0: "threads=0" """
+    with pytest.raises(ArgumentError, match=rf"^{name}={value!r}: a whole number"):
+        tune(Task(Stage("xy", visuals=False), "x", 1000), **{name: value})

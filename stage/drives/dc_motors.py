@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from numbers import Real
 from typing import Any
 
+from stage.arguments import told_when_made
 from stage.drives.drive import SERVO
 from stage.drives.motors import within
 from stage.errors import ArgumentError, unknown
@@ -13,6 +15,7 @@ from stage.errors import ArgumentError, unknown
 MOST_COUNTS = 1 << 20
 
 
+@told_when_made
 @dataclass(frozen=True)
 class DCMotor:
     """A brushed DC motor with permanent magnets.
@@ -67,11 +70,12 @@ def dc_motor(name: str | DCMotor) -> DCMotor:
     """A preset by name, or the motor itself. Raises ArgumentError with near misses."""
     if isinstance(name, DCMotor):
         return name
-    if name not in DC_MOTORS:
-        raise unknown("DC motor", name, DC_MOTORS)
+    if not isinstance(name, str) or name not in DC_MOTORS:
+        raise unknown("DC motor", str(name), DC_MOTORS)
     return DC_MOTORS[name]
 
 
+@told_when_made
 @dataclass(frozen=True)
 class Servo:
     """A servo amplifier, its DC motor and an incremental encoder on the motor's shaft.
@@ -89,7 +93,8 @@ class Servo:
     def __post_init__(self) -> None:
         object.__setattr__(self, "motor", dc_motor(self.motor))
         within("bus_voltage", self.bus_voltage, 0, 400, "V")
-        if isinstance(self.counts, bool) or int(self.counts) != self.counts or not 4 <= self.counts <= MOST_COUNTS:
+        number = isinstance(self.counts, Real) and not isinstance(self.counts, bool)
+        if not number or not 4 <= self.counts <= MOST_COUNTS or int(self.counts) != self.counts:
             raise ArgumentError(
                 f"counts={self.counts!r}: an encoder has a whole number of counts a turn, 4 to {MOST_COUNTS:,}."
             )

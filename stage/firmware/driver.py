@@ -334,7 +334,7 @@ def wait_until_stopped(
     begin = clock.time
     while running := [a.name for a in axes if a.chip.busy(a.chip_axis)]:
         passed = clock.time - begin
-        if passed >= timeout:
+        if not passed < timeout:
             raise RunTimeout(
                 f"axis {', '.join(running)} still drives after {timeout:.3f} s: give it more time, or stop it."
             )

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from stage.arguments import told
+from stage.arguments import patience, told
 from stage.errors import ArgumentError
 from stage.firmware.axis import Axes, Axis
 from stage.firmware.driver import RAMP, Speeds, driver_of, usual_speeds
@@ -44,6 +44,7 @@ def move(
         s_curve: ramps without corners. timeout: s; default half as much again as the move can take, and one.
     Raises ArgumentError for what the chip cannot do, in words; StageError for an axis that moves already; RunTimeout.
     """
+    patience(timeout)
     driver = driver_of(axis)
     return driver.move(
         pulses_of(axis, distance, pulses), speeds(axis, speed, start_speed, accel, decel, s_curve), timeout
@@ -72,6 +73,7 @@ def home(
     """
     if direction not in (1, -1):
         raise ArgumentError(f"direction={direction!r}: +1 or -1.")
+    patience(timeout)
     driver, wanted = driver_of(axis), speeds(axis, speed, start_speed, accel, None, False)
     if by in (None, "switch", "index"):
         driver.check_origin()
@@ -128,6 +130,7 @@ def line(
     ranges in that ratio, an HCTL-1100 by command positions in each sample. Raises ArgumentError where the chips cannot, with the
     reason; RunTimeout.
     """
+    patience(timeout)
     chosen = chosen_axes(distances, axes, "line")
     drivers = {name: driver_of(axis) for name, (axis, _) in chosen.items()}
     if not drivers:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from stage.arguments import patience
 from stage.errors import ArgumentError
 from stage.firmware.driver import RAMP, Speeds, driver_of
 from stage.firmware.procedures import line, speeds
@@ -43,6 +44,7 @@ def square(
         raise ArgumentError(f"{len(axes)} axes: tandem axes are two or more; use home for one.")
     if direction not in (1, -1):
         raise ArgumentError(f"direction={direction!r}: +1 or -1.")
+    patience(timeout)
     drivers = [driver_of(axis) for axis in axes]
     for driver in drivers:
         driver.check_origin()

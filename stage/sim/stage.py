@@ -285,6 +285,7 @@ class Stage:
         """
         self._payloads.put(self.model, mass, body)
 
+    @told
     def payload(self, body: str | None = None) -> float:
         """kg that `set_payload` put on a body; see there. Raises ArgumentError."""
         return self._payloads.on(self.model, body)

@@ -51,9 +51,11 @@ def tune(
     """
     if by not in WAYS:
         raise ArgumentError(f"by={by!r}: search or formula.")
-    for name, value in (("trials", trials), ("moves", moves)):
+    for name, value in (("trials", trials), ("moves", moves), *([] if workers is None else [("workers", workers)])):
         if isinstance(value, bool) or not isinstance(value, int) or value < 1:
             raise ArgumentError(f"{name}={value!r}: a whole number, 1 or more.")
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise ArgumentError(f"seed={seed!r}: a whole number, 0 or more.")
     if by == "search":
         optuna()
     plans = plans_of(task)

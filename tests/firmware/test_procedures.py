@@ -634,3 +634,36 @@ def test_registers_by_formula_are_for_the_clock_of_the_chip(hz):
     assert made["R2"] * step == pytest.approx(8000, rel=1e-3)
     ramps = [(made["R2"] - made["R1"]) * made[name] / hz for name in ("R4", "R5")]
     assert ramps == pytest.approx([0.1, 0.2], rel=0.01)
+
+
+@each
+@pytest.mark.parametrize("timeout", [math.nan, -1, -1e-9])
+def test_a_timeout_that_is_no_time_is_refused_before_the_first_bus_cycle(stage, timeout):
+    """firmware.home(axis, timeout=float("nan")), where there is no ORG: it never ended"""
+    x = stage.axes["x"]
+    calls = [
+        lambda: firmware.move(x, 1e-3, timeout=timeout), lambda: firmware.home(x, timeout=timeout),
+        lambda: firmware.line({"x": 1e-3, "y": 1e-3}, stage, timeout=timeout),
+        lambda: firmware.square(*stage.axes.values(), timeout=timeout),
+    ]  # fmt: skip
+    if type(x.chip).__name__.startswith("PCL240"):
+        calls += [
+            lambda: firmware.preset_move(x, 100, timeout=timeout), lambda: firmware.origin_return(x, timeout=timeout),
+            lambda: firmware.interrupted_move(x, 100, after=0.01, pause=0.01, timeout=timeout),
+            lambda: firmware.external_count(x, 10, timeout=timeout),
+            lambda: firmware.synchronized_move({"x": 100, "y": 100}, stage, timeout=timeout),
+        ]  # fmt: skip
+    for call in calls:
+        with pytest.raises(ArgumentError, match=r"timeout=.*: seconds, 0 or more; float\('inf'\) waits for ever\."):
+            call()
+    assert stage.now == 0
+
+
+@pytest.mark.parametrize("stage", [name for name in EVERY if name != "MCX501"], indirect=True)
+def test_a_line_ends_at_its_timeout(stage):
+    """firmware.line({"x": 6e-3, "y": 2e-3}, stage, timeout=0.05) with an HCTL-1100: it was drawn to its end"""
+    with pytest.raises(RunTimeout) as caught:
+        firmware.line({"x": 6e-3, "y": 2e-3}, stage, timeout=0.05)
+    assert {r.stopped_by for r in caught.value.reports.values()} == {"timeout"}
+    assert stage.time < 0.2
+    assert stage.axes["x"].position < 6e-3

@@ -345,7 +345,7 @@ def test_it_draws_itself(tmp_path):
         ({"s_curve": 0.2, "chips": {"x": PCL240MS, "y": PCL240MK}}, "axis y has a PCL240MK, which has linear ramps only"),
         ({"automatic": True, "chips": {"x": PCL240MS, "y": PCL240K}}, "axis y has a PCL240K, .* no automatic ramp-down point"),
         ({"automatic": True, "chips": PCL240MK, "accel": 0.2, "decel": 0.1}, "accel=0.2 s, decel=0.1 s: .* R4 .* both ways"),
-        ({"s_curve": 0.7, "chips": PCL240MS}, "s_curve=0.7: True, False, or the share of the ramp at each end, 0 to 0.5"),
+        ({"s_curve": 0.7, "chips": PCL240MS}, "s_curve=0.7: True, False, or the share of the ramp at each end, above 0, up to 0.5"),
         ({"s_curve": 0, "chips": PCL240MS}, "s_curve=0: True, False, or the share"),
         ({"s_curve": "soft", "chips": PCL240MS}, "s_curve='soft': True, False, or the share"),
         ({"chips": {"x": PCL240MS}}, "unknown axis in chips 'y'"),

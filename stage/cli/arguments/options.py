@@ -124,7 +124,7 @@ def ramps(p: argparse.ArgumentParser) -> None:
     g = p.add_argument_group("ramps")
     g.add_argument(
         "--s-curve", nargs="?", type=float, const=True, metavar="SHARE",
-        help="S-curves; with SHARE (0 to 0.5) that part of the ramp is curved at each end (needs PCL240MS)",
+        help="S-curves; with SHARE (above 0, up to 0.5) that part of the ramp is curved at each end (needs PCL240MS)",
     )  # fmt: skip
     g.add_argument(
         "--automatic", action=argparse.BooleanOptionalAction,

@@ -176,8 +176,17 @@ class Hctl1100Driver(Driver):
         with Together({n: Procedure(d.axis, "line") for n, d in mine.items()}, {n: pulses[n] for n in mine}) as line:
             synchronize(ports)
             line.began()
+            begin = ports[0].axis.time
+
+            def look() -> None:
+                line.look()
+                if timeout is not None and not ports[0].axis.time - begin <= timeout:
+                    error = RunTimeout(f"the line was not drawn after {timeout:g} s; the axes are held where they are.")
+                    error.reports = line.reports(dict.fromkeys(mine, "timeout"))  # type: ignore[attr-defined]
+                    raise error
+
             goals = [port.commanded() + d for port, d in zip(ports, rows[-1].tolist(), strict=True)]
-            follow(ports, rows, look=line.look)
+            follow(ports, rows, look=look)
             ports[0].axis.wait(SETTLE)
             line.look()
             ended = {}

@@ -165,7 +165,7 @@ class Port:
         """Poll until `test()` holds; the seconds it took. Raises RunTimeout, and leaves the axis without a motor command."""
         begin = self.axis.time
         while not test():
-            if self.axis.time - begin >= timeout:
+            if not self.axis.time - begin < timeout:
                 said = f"at {self.position()} counts, R07 = {self.status():02X}h"
                 self.idle()
                 raise RunTimeout(

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from stage.arguments import patience
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis
 from stage.firmware.nova.port import MAP, POLL, Port, inputs_514, mask, same_chip, stop
@@ -107,6 +108,7 @@ def draw(segments: Sequence[Segment], *axes: Axis, speed: Speed, timeout: float 
     Raises ArgumentError, before the first bus cycle, where a segment does not suit the axes; RunTimeout after `timeout` s, and
     stops the axes.
     """
+    patience(timeout)
     ports = same_chip(axes)
     words = [_words(segment, len(ports)) for segment in segments]
     if not words:
@@ -120,7 +122,7 @@ def draw(segments: Sequence[Segment], *axes: Axis, speed: Speed, timeout: float 
     def wait_while(bits: int, value: int) -> int:
         """Poll RR0 while the chip drives and RR0 has this value; returns its next value."""
         while (status := main.chip.read(0)) & DRIVING and status & bits == value:
-            if main.axis.time - begin > timeout:
+            if not main.axis.time - begin <= timeout:
                 stop(ports)
                 raise RunTimeout(f"the path was not drawn after {timeout} s; the axes are stopped.")
             main.axis.wait(POLL)

@@ -147,7 +147,7 @@ class Port:
             stopped |= bool(routine and routine())
             if not self.driving():
                 return stopped
-            if self.axis.time >= until:
+            if not self.axis.time < until:
                 raise RunTimeout(f"axis {self.axis.name} still drives after {timeout} s: RR1 = {self.word(1):04X}h.")
             self.axis.wait(poll)
 

@@ -210,7 +210,7 @@ class Port:
         begin = self.axis.time
         while not test(status := self.status()):
             passed = self.axis.time - begin
-            if passed >= timeout:
+            if not passed < timeout:
                 still = "still operates" if status.operating else "has stopped"
                 raise RunTimeout(
                     f"axis {self.axis.name} {still} after {timeout:.3f} s (waiting for {what}): R0 = {self.counter()}, {status}. "

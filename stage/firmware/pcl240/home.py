@@ -9,7 +9,7 @@ ORG is asserted from the origin on to the end of travel, so that firmware knows 
 
 from __future__ import annotations
 
-from stage.arguments import told
+from stage.arguments import patience, told
 from stage.errors import ArgumentError, a_or_an
 from stage.firmware.axis import Axis, check_origin
 from stage.firmware.pcl240 import bus
@@ -55,6 +55,7 @@ def origin_return(
     On MK and MS the position counter R10 is 0 at the origin. Returns a report: `stopped_by` is "ORG", or "EZ", or what was
     met in its place: the end limit ahead (no ORG), the one behind (ORG never let go). Raises ArgumentError, RunTimeout.
     """
+    patience(timeout)
     check_origin(axis)
     profile, logic = _profile(axis, profile), bus.polarity(axis)
     if ez is not None:

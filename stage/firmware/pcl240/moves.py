@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from stage.arguments import told
+from stage.arguments import patience, told
 from stage.chips.pcl240.state import COUNTER_MASK
 from stage.errors import ArgumentError, StageError, a_or_an
 from stage.firmware.axis import Axis
@@ -48,7 +48,7 @@ def preset_move(
 
     Args:
         high_speed: with ramps, to FH1 or (fh2) FH2; otherwise constant speed FH1 or FH2.
-        s_curve: True for S-curves throughout, a share (0 to 0.5) of FH - FL for curved ends with a linear part between, False
+        s_curve: True for S-curves throughout, a share (above 0, up to 0.5) of FH - FL for curved ends, False
             for linear ramps, in the ramp times of the profile; default: as the profile says. S-curves need a PCL240MS.
         automatic: the chip finds the ramp-down point itself, and decelerates on R4 (MK and MS). Default: where it can and
             the profile's R5 is its R4.
@@ -61,6 +61,7 @@ def preset_move(
     Raises ArgumentError (0, or more than 16777215 pulses; a register out of its range), RunTimeout.
     """
     profile, count = _profile(axis, profile), _count(pulses)
+    patience(timeout)
     if s_curve is not None:
         profile = profile.shaped(s_curve, fh2)
     if automatic is None:
@@ -165,6 +166,7 @@ def interrupted_move(
     The reset command re-arms the start and takes /INT back; the ramp-down point is set anew, in case the rest is too short to
     reach the high rate again. Raises ArgumentError, RunTimeout.
     """
+    patience(timeout)
     whole, count = _profile(axis, profile), _count(pulses)
     profile = whole.within(count, fh2)
     after, pause, point = _seconds(after), _seconds(pause), profile.down_point(count, fh2)
@@ -211,6 +213,7 @@ def external_count(
     Raises ArgumentError.
     """
     profile = _profile(axis, profile)
+    patience(timeout)
     count, direction = _count(pulses), _direction(direction)
     if pulses < 0:
         raise ArgumentError(f"pulses={pulses!r}: external pulses are counted from 1 on; direction=-1 runs backwards.")

@@ -190,8 +190,8 @@ def plan(
     Args:
         distances: axis -> signed pulses, up to 16,777,215; 0 leaves the axis out.
         rate, fl: FH and FL of the longest axis, pps. accel, decel: ramp times, s; decel defaults to accel.
-        s_curve: True for S-curves throughout, or the share (0 to 0.5) of FH - FL that each curved end takes, with a linear part
-            between; the ramp times stay as asked. False for linear ramps. Every axis that moves needs a PCL240MS for it.
+        s_curve: True for S-curves throughout, or the share (above 0, up to 0.5) of FH - FL that each curved end takes, with a
+            linear part between; the ramp times stay as asked. False for linear ramps. Every axis that moves needs a PCL240MS.
         automatic: the chips find the ramp-down point and decelerate as they accelerated, R6 is its offset (PCL240MK and
             PCL240MS). Default, as False: R6 is the point.
         chips: the class of the chips, one or one an axis.
@@ -250,7 +250,9 @@ def _share(s_curve: bool | float) -> float:
     if isinstance(s_curve, bool):
         return 0.5 if s_curve else 0.0
     if not isinstance(s_curve, int | float) or not 0 < s_curve <= 0.5:
-        raise ArgumentError(f"s_curve={s_curve!r}: True, False, or the share of the ramp at each end, 0 to 0.5.")
+        raise ArgumentError(
+            f"s_curve={s_curve!r}: True, False, or the share of the ramp at each end, above 0, up to 0.5."
+        )
     return float(s_curve)
 
 

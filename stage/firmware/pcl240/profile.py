@@ -154,7 +154,7 @@ class Profile:
         fl defaults to 1000 pps or the lowest high rate, if that is less; fh2 to twice fh1, where the chip reaches that; decel to
         accel. multiplier: R7; by default the largest, hence the finest speed steps, which gives the rates to 0.02 % and the
         ramps to 1 %, or where none does, the one that comes closest.
-        s_curve: True for S-curves throughout, or the share (0 to 0.5) of FH1 - FL that each curved end takes; needs a
+        s_curve: True for S-curves throughout, or the share (above 0, up to 0.5) of FH1 - FL that each curved end takes; needs a
         PCL240MS. chip: the class of chip that they are for.
         Raises ArgumentError for a rate that the chip does not reach, an FL above a high rate, a ramp that R4 or R5 cannot hold.
         """
@@ -216,7 +216,9 @@ class Profile:
         takes, with a linear part between. Raises ArgumentError.
         """
         if not isinstance(s_curve, bool) and not 0 < s_curve <= 0.5:
-            raise ArgumentError(f"s_curve={s_curve!r}: True, False, or the share of the ramp at each end, 0 to 0.5.")
+            raise ArgumentError(
+                f"s_curve={s_curve!r}: True, False, or the share of the ramp at each end, above 0, up to 0.5."
+            )
         height = max(self.high(fh2) - self.R1, 0)
         span = 0 if s_curve is True or s_curve == 0.5 else max(1, round(s_curve * height))
         spans = None if s_curve is False else (span, span)

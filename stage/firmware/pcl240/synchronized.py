@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from stage.arguments import told
+from stage.arguments import patience, told
 from stage.errors import ArgumentError, RunTimeout, a_or_an
 from stage.firmware.axis import Axes, Axis
 from stage.firmware.pcl240 import bus
@@ -46,7 +46,7 @@ def synchronized_move(
         distances: axis name (or axis) -> signed pulses; 0 keeps an axis still. Or a Plan made before.
         axes: where the names are: a stage, a bench, or a mapping such as stage.axes. Not needed when the keys are axes.
         rate, fl: FH and FL of the longest axis, pps. accel, decel: ramp times, s; decel defaults to accel.
-        s_curve: True for S-curves throughout, a share (0 to 0.5) of FH - FL for curved ends with a linear part between, False
+        s_curve: True for S-curves throughout, a share (above 0, up to 0.5) of FH - FL for curved ends, False
             for linear ramps. Every axis that moves needs a PCL240MS for it.
         automatic: the chips find the ramp-down point themselves, and decelerate as they accelerated (PCL240MK and PCL240MS).
             Default, as False: the plan computes it.
@@ -56,6 +56,7 @@ def synchronized_move(
     slowed down and stopped: the line is lost. Raises ArgumentError when the chips cannot do it, with the reason; RunTimeout,
     whose `reports` tell how far each axis came.
     """
+    patience(timeout)
     if not isinstance(distances, Mapping | Plan):
         distances, axes = axes, distances
     if isinstance(distances, Plan):
