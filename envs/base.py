@@ -366,7 +366,7 @@ class StageVectorEnv(_OfTask, VectorEnv[np.ndarray, Any, np.ndarray]):
         last = infos
         kept: dict[str, Any] = {}
         for k in range(self.num_envs):
-            info = _one(last, k)
+            info = info_of(last, k)
             if self._over[k]:
                 kept = self._add_info(kept, {"final_obs": observations[k].copy(), "final_info": info}, k)
                 self._task.restart(k, {})
@@ -402,10 +402,10 @@ def _join(infos: dict[str, Any], columns: dict[str, Any]) -> None:
     infos.update(columns)
 
 
-def _one(infos: Mapping[str, Any], k: int) -> dict[str, Any]:
+def info_of(infos: Mapping[str, Any], k: int) -> dict[str, Any]:
     """Environment k's info out of a vector's."""
     return {
-        name: _one(v, k) if isinstance(v, dict) else _plain(v[k])
+        name: info_of(v, k) if isinstance(v, dict) else _plain(v[k])
         for name, v in infos.items()
         if not name.startswith("_") and infos[f"_{name}"][k]
     }

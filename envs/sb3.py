@@ -20,7 +20,7 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
 from stage.envs import IDS
-from stage.envs.base import StageVectorEnv, _one
+from stage.envs.base import StageVectorEnv, info_of
 from stage.errors import ArgumentError, unknown
 
 OF_ALL = ("action_masks", "scripted")
@@ -107,10 +107,10 @@ class StageVecEnv(Adapter):
             for k, options in enumerate(self._options):
                 mask = np.arange(self.num_envs) == k
                 seen, infos = self.envs.reset(seed=self._seeds, options={**options, "reset_mask": mask})
-                self.reset_infos[k] = _one(infos, k)
+                self.reset_infos[k] = info_of(infos, k)
         else:
             seen, infos = self.envs.reset(seed=self._seeds)
-            self.reset_infos = [_one(infos, k) for k in range(self.num_envs)]
+            self.reset_infos = [info_of(infos, k) for k in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()
         return seen
@@ -119,7 +119,7 @@ class StageVecEnv(Adapter):
         seen, rewards, terminated, truncated, infos = self.envs.step(self._actions)
         ends, told = terminated | truncated, []
         for k in range(self.num_envs):
-            info = _one(infos, k)
+            info = info_of(infos, k)
             if ends[k]:
                 last, final = info.pop("final_obs"), info.pop("final_info")
                 self.reset_infos[k], info = info, {**final, "terminal_observation": last}

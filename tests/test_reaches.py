@@ -53,6 +53,26 @@ def reaches(source: str) -> list[str]:
     ]
 
 
+def taken(source: str) -> list[str]:
+    """Names with an underscore that a source imports out of a module of ours."""
+    if "import _" not in source and ", _" not in source:
+        return []
+    return [
+        f"line {node.lineno}: {a.name} of {node.module}"
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] in ("stage", "envs")
+        for a in node.names
+        if a.name.startswith("_") and not a.name.startswith("__") and a.name != "_native"
+    ]  # fmt: skip
+
+
+def test_no_module_imports_what_is_another_ones_own():
+    """from stage.envs.base import _one"""
+    assert taken("from stage.envs.base import _one, two") == ["line 1: _one of stage.envs.base"]
+    found = {str(path.relative_to(ROOT)): taken(path.read_text()) for path in SOURCES}
+    assert {name: lines for name, lines in found.items() if lines} == {}
+
+
 def test_no_module_reaches_into_what_is_another_ones_own():
     found = {str(path.relative_to(ROOT)): reaches(path.read_text()) for path in SOURCES}
     assert {name: lines for name, lines in found.items() if lines and name not in INSIDE_NUMBA} == {}

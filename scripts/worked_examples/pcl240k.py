@@ -9,7 +9,6 @@ from worked_examples.table import example, highest_rate, intervals, when, write
 
 CLOCK = 4_915_200  # Hz, the usual reference clock: section 1, (2)
 RESET, FL, FH1, FH1_RAMPS, FL_RAMPS = 0x08, 0x10, 0x11, 0x15, 0x14
-STOP_AT_FL = 0x1C
 MANUAL, PRESET = 0x40, 0x44
 
 sheet = partial(example, "PCL-240K")

@@ -13,7 +13,7 @@ from stage.bench.cards import Card, card_of, seeds
 from stage.bench.files import Refused, Submission, read
 from stage.bench.scores import digest, scored
 from stage.bench.versions import made_of, versions
-from stage.envs.base import _one
+from stage.envs.base import info_of
 from stage.errors import ArgumentError
 
 LANES = 16  # episodes that are played at once
@@ -221,7 +221,7 @@ class _Replay:
                     words = {True: "over", False: "goes on"}
                     self.note(Difference(k, step, "end of the episode", words[last], words[bool(ends[lane])]), np.inf)
                 elif last:
-                    self.scores(k, scored(np.array(rewards[lane]), _one(infos, lane)))
+                    self.scores(k, scored(np.array(rewards[lane]), info_of(infos, lane)))
                 over[lane] |= last
                 busy[lane] = not over[lane]
                 if over[lane] and told:

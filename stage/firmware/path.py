@@ -30,7 +30,7 @@ class Deviation(NamedTuple):
 
 
 @hot
-def _next(times, starts, ends, cursor):
+def _next(times, ends, cursor):
     """The time of the next pulse of any axis; infinite when there is none."""
     t = np.inf
     for k in range(len(cursor)):
@@ -49,7 +49,7 @@ def _walk(times, signs, starts, ends, line, at, cursor, when):
         length2 += line[k] * line[k]
     worst = when[0] = 0.0
     while True:
-        t = _next(times, starts, ends, cursor)
+        t = _next(times, ends, cursor)
         if t == np.inf:
             break
         dot = 0.0

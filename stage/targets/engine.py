@@ -14,7 +14,7 @@ from stage.native import address_of
 from stage.targets import machine
 from stage.targets.gdb import Server
 
-_CODE, _INTR, _INSN = 4, 1, 2
+_CODE, _INSN = 4, 2
 _IN, _OUT = 218, 500  # of x86, as Unicorn numbers them
 _TEXT = 1000
 NEVER = 1 << 62

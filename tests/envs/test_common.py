@@ -160,7 +160,7 @@ def test_a_vector_is_as_many_environments_to_the_bit(any_, mode, threads):
     for k, env in enumerate(parts):
         observation, info = env.reset(seed=11 + k)
         assert same(seen[k], observation)
-        assert same(stage.envs.base._one(infos, k), info)
+        assert same(stage.envs.base.info_of(infos, k), info)
     vector.action_space.seed(11)
     over = np.zeros(n, bool)
     for _ in range(steps):
@@ -175,17 +175,17 @@ def test_a_vector_is_as_many_environments_to_the_bit(any_, mode, threads):
         for k, env in enumerate(parts):
             if over[k] and mode == AutoresetMode.NEXT_STEP:
                 expected = *env.reset(), 0.0
-                got = seen[k], stage.envs.base._one(infos, k), float(rewards[k])
+                got = seen[k], stage.envs.base.info_of(infos, k), float(rewards[k])
             else:
                 observation, reward, ended, cut, info = env.step(actions[k])
                 assert (ended, cut) == (terminated[k], truncated[k])
                 if mode == AutoresetMode.SAME_STEP and (ended or cut):
                     assert same(infos["final_obs"][k], observation)
-                    assert same(stage.envs.base._one(infos["final_info"], k), info)
+                    assert same(stage.envs.base.info_of(infos["final_info"], k), info)
                     observation, info = env.reset()
-                    got = stage.envs.base._one({n: v for n, v in infos.items() if "final" not in n}, k)
+                    got = stage.envs.base.info_of({n: v for n, v in infos.items() if "final" not in n}, k)
                 else:
-                    got = stage.envs.base._one(infos, k)
+                    got = stage.envs.base.info_of(infos, k)
                 expected = observation, info, reward
                 got = seen[k], got, float(rewards[k])
             assert same(got, expected), (k, got, expected)
@@ -219,8 +219,8 @@ def test_an_episode_begins_with_its_own_info_beside_others_that_go_on(id_):
         _, _, terminated, truncated, _ = vector.step(busy(id_, vector.action_space.sample()))
         over = terminated | truncated
     infos = vector.step(busy(id_, vector.action_space.sample()))[4]
-    assert same(stage.envs.base._one(infos, 1), vector.unwrapped._task.told(1))
-    assert "reward_parts" in stage.envs.base._one(infos, 0)
+    assert same(stage.envs.base.info_of(infos, 1), vector.unwrapped._task.told(1))
+    assert "reward_parts" in stage.envs.base.info_of(infos, 0)
 
 
 def test_actions_that_are_none_are_refused_by_name(id_):
@@ -339,10 +339,10 @@ def test_a_stage_that_diverges_ends_its_own_episode_alone(any_):
     vector.stages[1].data.qfrc_applied[:] = 0.0
     again, *_, infos = vector.step(actions)
     assert np.isfinite(again).all(), "it starts anew"
-    assert same(stage.envs.base._one(infos, 1), vector.unwrapped._task.told(1))
+    assert same(stage.envs.base.info_of(infos, 1), vector.unwrapped._task.told(1))
     assert vector.stages[1].time == 0, "and waits for its first action"
     if not ended[0]:  # else it begins anew, too
-        assert stage.envs.base._one(infos, 0)["cause"] == ""
+        assert stage.envs.base.info_of(infos, 0)["cause"] == ""
 
 
 @pytest.mark.usefixtures("elsewhere")

@@ -14,7 +14,7 @@ from stage.agents.arena.table import MOST, Limits, jsonable
 from stage.bench.files import Submission
 from stage.bench.statistics import interval, iqm
 
-TIMED_OUT, FAILED = "timed out", "failed"
+FAILED = "failed"
 
 
 @dataclass(frozen=True)

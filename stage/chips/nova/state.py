@@ -309,8 +309,7 @@ INPUTS_300 = {name: 1 << k for k, name in enumerate(_SIGNALS)} | {"exp_plus": 1 
 """Of the chips before the MCX514."""
 STOP3 = 1 << PIO
 INPUTS_314 = INPUTS_300 | {"stop3": STOP3}
-MORE_PIO = PIO + 8  # PIO8 to PIO13 of the MCX512
-INPUTS_512 = INPUTS | {f"pio{i}": 1 << PIO + i for i in range(8, 14)}
+INPUTS_512 = INPUTS | {f"pio{i}": 1 << PIO + i for i in range(8, 14)}  # PIO8 to PIO13
 EMG_FILTER = 1 << INPUT_PINS  # of `filtered`, of X
 EMG = 1
 COMMON_INPUTS = {"emg": EMG}

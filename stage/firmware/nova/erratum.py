@@ -22,7 +22,7 @@ STOPPED_BY_STOP = sum(MAP.mask("RR1", f"STOP{k}") for k in range(3))
 C_END_ENABLE, C_END = MAP.mask("WR1", "C-END"), MAP.mask("RR3", "C-END")
 STOP_ENABLES = tuple(MAP.mask("WR1", f"SP{k}-E") for k in range(3))
 SOFT_LIMITS = MAP.mask("WR2", "SLMT+") | MAP.mask("WR2", "SLMT-")
-LIMITS_DECELERATE, ALARM_ENABLE = MAP.mask("WR2", "LMTMD"), MAP.mask("WR2", "ALM-E")
+LIMITS_DECELERATE = MAP.mask("WR2", "LMTMD")
 S_CURVE = MAP.mask("WR3", "SACC")
 
 

@@ -14,7 +14,7 @@ from stage.errors import ArgumentError, a_or_an
 from stage.firmware.axis import Axis, check_origin
 from stage.firmware.pcl240 import bus
 from stage.firmware.pcl240.bus import Port, Status, stop_reason
-from stage.firmware.pcl240.moves import SETTLE, _count, _direction, _minus, _profile, prepare
+from stage.firmware.pcl240.moves import SETTLE, either_way, minus_bit, prepare, profile_for, whole_count
 from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import Profile
 from stage.firmware.report import Report
@@ -57,17 +57,17 @@ def origin_return(
     """
     patience(timeout)
     check_origin(axis)
-    profile, logic = _profile(axis, profile), bus.polarity(axis)
+    profile, logic = profile_for(axis, profile), bus.polarity(axis)
     if ez is not None:
         _check_ez(axis, ez)
-    direction, back_off = _direction(direction), _count(back_off)
+    direction, back_off = either_way(direction), whole_count(back_off)
     if not 0 < approach <= profile.step * 8191:
         raise ArgumentError(
             f"approach={approach!r} pps: more than 0, up to {profile.step * 8191:.0f} with R7 = {profile.R7}."
         )
     with Procedure(axis, "origin return" if high_speed else "constant-speed origin return") as p:
         port = p.port
-        prepare(port, profile, _minus(-direction))
+        prepare(port, profile, minus_bit(-direction))
         port.write_registers(**logic)
         status = port.status()
         if status.org:
@@ -105,7 +105,7 @@ def _approach(port: Port, direction: int, high_speed: bool, timeout: float, ez: 
     if port.extended:
         logic = bus.polarity(port.axis).get("R13", 0)
         port.write_register("R13", logic | (bus.EZ_RETURN | bus.EZ_FROM_FL | (ez - 1) << bus.EZ_COUNT if ez else 0))
-    port.control(bus.ORIGIN | (bus.SD if high_speed else 0) | _minus(direction))
+    port.control(bus.ORIGIN | (bus.SD if high_speed else 0) | minus_bit(direction))
     port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
     status = port.wait_until_stopped(timeout)
     at_index = bool(ez) and bool(port.read_register("R17") & bus.EZ_SIGNAL)
@@ -118,7 +118,7 @@ def _approach(port: Port, direction: int, high_speed: bool, timeout: float, ez: 
 
 def _leave(port: Port, direction: int, back_off: int, high_speed: bool, timeout: float) -> Status:
     """Run in `direction` until ORG is released, stop, and go `back_off` pulses further, at FL."""
-    port.control(_minus(direction))
+    port.control(minus_bit(direction))
     port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
     port.wait_until(lambda s: not s.org or not s.operating, timeout, what="ORG to let go")
     port.command(bus.SLOW_DOWN_FH1 if high_speed else bus.RESET)
@@ -126,7 +126,7 @@ def _leave(port: Port, direction: int, back_off: int, high_speed: bool, timeout:
     port.axis.wait(SETTLE)
     port.command(bus.RESET)
     port.write_register("R0", back_off)
-    port.control(bus.PRESET | _minus(direction))
+    port.control(bus.PRESET | minus_bit(direction))
     port.command(bus.START["FL"])
     status = port.wait_until_stopped(timeout)
     port.axis.wait(SETTLE)

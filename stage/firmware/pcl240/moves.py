@@ -60,14 +60,14 @@ def preset_move(
         timeout: s; default half as much again as the move can take, and one.
     Raises ArgumentError (0, or more than 16777215 pulses; a register out of its range), RunTimeout.
     """
-    profile, count = _profile(axis, profile), _count(pulses)
+    profile, count = profile_for(axis, profile), whole_count(pulses)
     patience(timeout)
     if s_curve is not None:
         profile = profile.shaped(s_curve, fh2)
     if automatic is None:
         automatic = high_speed and profile.chip.EXTENDED and profile.R4 == profile.R5
         automatic = automatic and down_point is None and not slow_down
-    control = bus.PRESET | _sd(slow_down) | _minus(pulses)
+    control = bus.PRESET | _sd(slow_down) | minus_bit(pulses)
     if automatic:
         point = _offset(profile, AUTOMATIC_OFFSET if down_point is None else down_point)
         control |= bus.AUTOMATIC
@@ -82,16 +82,16 @@ def preset_move(
         if high_speed:
             p.port.write_register("R6", point)
         p.port.command(_start(high_speed, fh2) | _int(interrupt))
-        status = p.port.wait_until_stopped(_patience(timeout, profile, count))
+        status = p.port.wait_until_stopped(time_limit(timeout, profile, count))
         axis.wait(SETTLE)
         return p.report(stop_reason(status, pulses), pulses)
 
 
 def start_preset(port: Port, profile: Profile, pulses: int) -> None:
     """Begin a high-speed preset move with FH1 and the data sheet's ramp-down point, and do not wait. Raises ArgumentError."""
-    count = _count(pulses)
+    count = whole_count(pulses)
     profile = profile.within(count)
-    prepare(port, profile, bus.PRESET | _minus(pulses))
+    prepare(port, profile, bus.PRESET | minus_bit(pulses))
     port.write_registers(R0=count, R6=profile.down_point(count))
     port.command(_start(True, False))
 
@@ -131,11 +131,11 @@ def continuous_move(
     A high-speed run is stopped decelerating (1Dh, 1Fh) or, `immediate`, by the reset command; a constant-speed run always
     by the reset command. The other arguments are those of `preset_move`. Raises ArgumentError.
     """
-    profile = _profile(axis, profile)
-    direction, seconds = _direction(direction), _seconds(seconds)
+    profile = profile_for(axis, profile)
+    direction, seconds = either_way(direction), some_seconds(seconds)
     slow = high_speed and not immediate
     with Procedure(axis, "continuous move" if high_speed else "constant-speed continuous move") as p:
-        prepare(p.port, profile, _sd(slow_down) | _minus(direction))
+        prepare(p.port, profile, _sd(slow_down) | minus_bit(direction))
         p.port.command(_start(high_speed, fh2) | _int(interrupt))
         axis.wait(seconds)
         by_itself = not p.port.status().operating
@@ -167,18 +167,18 @@ def interrupted_move(
     reach the high rate again. Raises ArgumentError, RunTimeout.
     """
     patience(timeout)
-    whole, count = _profile(axis, profile), _count(pulses)
+    whole, count = profile_for(axis, profile), whole_count(pulses)
     profile = whole.within(count, fh2)
-    after, pause, point = _seconds(after), _seconds(pause), profile.down_point(count, fh2)
+    after, pause, point = some_seconds(after), some_seconds(pause), profile.down_point(count, fh2)
     rate = "FH2" if fh2 else "FH1"
     with Procedure(axis, "interrupted move") as p:
-        prepare(p.port, profile, bus.PRESET | _minus(pulses))
+        prepare(p.port, profile, bus.PRESET | minus_bit(pulses))
         p.port.write_registers(R0=count, R6=point)
         p.port.command(bus.RAMP[rate])
         axis.wait(after)
         if p.port.status().operating:
             p.port.command((bus.SLOW_DOWN_FH2 if fh2 else bus.SLOW_DOWN_FH1) | bus.INTERRUPT)
-        status = p.port.wait_until_stopped(_patience(timeout, profile, count))
+        status = p.port.wait_until_stopped(time_limit(timeout, profile, count))
         if residual := p.port.counter():
             axis.wait(pause)
             p.port.command(bus.RESET)
@@ -187,7 +187,7 @@ def interrupted_move(
                 p.port.write_registers(**rest.registers())
             p.port.write_register("R6", rest.down_point(residual, fh2))
             p.port.command(bus.RAMP[rate])
-            status = p.port.wait_until_stopped(_patience(timeout, profile, residual))
+            status = p.port.wait_until_stopped(time_limit(timeout, profile, residual))
         axis.wait(SETTLE)
         return p.report(stop_reason(status, pulses), pulses)
 
@@ -212,16 +212,16 @@ def external_count(
         timeout: s, after which the reset command ends the run ("timeout").
     Raises ArgumentError.
     """
-    profile = _profile(axis, profile)
+    profile = profile_for(axis, profile)
     patience(timeout)
-    count, direction = _count(pulses), _direction(direction)
+    count, direction = whole_count(pulses), either_way(direction)
     if pulses < 0:
         raise ArgumentError(f"pulses={pulses!r}: external pulses are counted from 1 on; direction=-1 runs backwards.")
     if source is None and not 0 < rate <= axis.chip.clock_hz / 4:
         raise ArgumentError(f"rate={rate!r} Hz: EXTP is sampled by the clock; more than 0 and up to a quarter of it.")
     make = _one_by_one(source) if source is not None else lambda a: _square_wave(a, rate)
     with Procedure(axis, "external count") as p:
-        prepare(p.port, profile, bus.PRESET | _minus(direction), output=bus.EXTERNAL)
+        prepare(p.port, profile, bus.PRESET | minus_bit(direction), output=bus.EXTERNAL)
         p.port.write_register("R0", count)
         p.port.command(bus.START["FL"])
         end, more = axis.time + timeout, True
@@ -267,7 +267,8 @@ def prepare(port: Port, profile: Profile, control: int, output: int = 0) -> None
     port.control(control)
 
 
-def _profile(axis: Axis, profile: Profile | None) -> Profile:
+def profile_for(axis: Axis, profile: Profile | None) -> Profile:
+    """What was given, if it fits the axis' chip and clock; else the usual one. Raises ArgumentError."""
     chip = check(axis)
     if profile is None:
         return Profile.of(clock_hz=axis.chip.clock_hz, chip=chip)
@@ -281,7 +282,8 @@ def _profile(axis: Axis, profile: Profile | None) -> Profile:
     return profile.on(chip)
 
 
-def _count(pulses: int) -> int:
+def whole_count(pulses: int) -> int:
+    """How many pulses, whichever way. Raises ArgumentError."""
     if (
         not isinstance(pulses, int | float)
         or pulses != pulses
@@ -292,19 +294,22 @@ def _count(pulses: int) -> int:
     return abs(int(pulses))
 
 
-def _direction(direction: int) -> int:
+def either_way(direction: int) -> int:
+    """1 or -1. Raises ArgumentError."""
     if direction not in (1, -1):
         raise ArgumentError(f"direction={direction!r}: +1 or -1.")
     return direction
 
 
-def _seconds(seconds: float) -> float:
+def some_seconds(seconds: float) -> float:
+    """0 or more. Raises ArgumentError."""
     if not 0 <= seconds < 1e9:
         raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to 1e9 s.")
     return seconds
 
 
-def _minus(direction: int) -> int:
+def minus_bit(direction: int) -> int:
+    """Of the control command, for a direction or signed pulses."""
     return bus.MINUS if direction < 0 else 0
 
 
@@ -320,5 +325,6 @@ def _start(high_speed: bool, fh2: bool) -> int:
     return (bus.RAMP if high_speed else bus.START)["FH2" if fh2 else "FH1"]
 
 
-def _patience(timeout: float | None, profile: Profile, count: int) -> float:
+def time_limit(timeout: float | None, profile: Profile, count: int) -> float:
+    """Seconds: what was given, or half as much again as the move can take, and one."""
     return 1.5 * profile.seconds(count) + 1 if timeout is None else timeout

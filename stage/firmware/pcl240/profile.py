@@ -20,7 +20,6 @@ from stage.chips.pcl240.state import SPAN
 from stage.errors import ArgumentError, Limit
 from stage.firmware.driver import DRIVE, RAMP, START
 
-_MAP = PCL240K.MAP
 FL, FH1, FH2 = START, DRIVE, 2 * DRIVE
 """Default rates, pps: 3.125, 50 and 100 mm/s on the default stage, where 17HS4401 at 24 V pulls out far above."""
 ACCEL = RAMP

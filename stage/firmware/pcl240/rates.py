@@ -16,7 +16,16 @@ from stage.errors import ArgumentError, Limit
 from stage.firmware.axis import Axis
 from stage.firmware.pcl240 import bus
 from stage.firmware.pcl240.bus import Port, Status, stop_reason
-from stage.firmware.pcl240.moves import SETTLE, _count, _direction, _minus, _patience, _profile, _seconds, prepare
+from stage.firmware.pcl240.moves import (
+    SETTLE,
+    either_way,
+    minus_bit,
+    prepare,
+    profile_for,
+    some_seconds,
+    time_limit,
+    whole_count,
+)
 from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import Profile, down_point, ramp_pulses
 from stage.firmware.report import Report
@@ -50,7 +59,7 @@ def dual_rate_move(
     before the next rate; in motion FL is 14h.
     Raises ArgumentError (also when the pulses do not suffice for the rates), RunTimeout.
     """
-    profile = _profile(axis, profile)
+    profile = profile_for(axis, profile)
     if (pulses is None) == (seconds is None):
         raise ArgumentError("give pulses for a preset move or seconds for a continuous one, not both.")
     rates = list(rates)
@@ -59,16 +68,16 @@ def dual_rate_move(
             raise ArgumentError(f"rate {rate!r}: a chip has FL, FH1 and FH2.")
     if not rates:
         raise ArgumentError("rates is empty: give at least one of FL, FH1, FH2.")
-    dwell = _seconds(dwell)
+    dwell = some_seconds(dwell)
     speeds = [{"FL": profile.R1, "FH1": profile.R2, "FH2": profile.R3}[r] for r in rates]
     if pulses is not None:
-        direction, point = pulses, _down_point(profile, speeds, _count(pulses), dwell)
+        direction, point = pulses, _down_point(profile, speeds, whole_count(pulses), dwell)
     else:
-        direction, seconds = _direction(direction), _seconds(seconds or 0.0)
+        direction, seconds = either_way(direction), some_seconds(seconds or 0.0)
     with Procedure(axis, "dual-rate move") as p:
-        prepare(p.port, profile, (bus.PRESET if pulses is not None else 0) | _minus(direction))
+        prepare(p.port, profile, (bus.PRESET if pulses is not None else 0) | minus_bit(direction))
         if pulses is not None:
-            p.port.write_registers(R0=_count(pulses), R6=point)
+            p.port.write_registers(R0=whole_count(pulses), R6=point)
         constant = rates[0] == "FL"
         p.port.command(bus.START["FL"] if constant else bus.RAMP[rates[0]])
         status = _kept(p.port)
@@ -89,7 +98,7 @@ def dual_rate_move(
                 p.port.wait_until_stopped(LONGEST_RAMP)
                 axis.wait(SETTLE)
                 return p.report("decelerating stop")
-        status = p.port.wait_until_stopped(_patience(timeout, profile, _count(pulses) if pulses else 1))
+        status = p.port.wait_until_stopped(time_limit(timeout, profile, whole_count(pulses) if pulses else 1))
         axis.wait(SETTLE)
         return p.report(stop_reason(status, direction, preset=pulses is not None), pulses)
 
@@ -108,11 +117,11 @@ def speed_change_move(
 
     Raises ArgumentError (also when the pulses do not suffice for the rates), RunTimeout.
     """
-    profile = _profile(axis, profile)
-    speeds, count, dwell = _speeds(axis, profile, rates), _count(pulses), _seconds(dwell)
+    profile = profile_for(axis, profile)
+    speeds, count, dwell = _speeds(axis, profile, rates), whole_count(pulses), some_seconds(dwell)
     point = _down_point(profile, speeds, count, dwell)
     with Procedure(axis, "speed change in motion") as p:
-        prepare(p.port, replace(profile, R2=speeds[0]), bus.PRESET | _minus(pulses))
+        prepare(p.port, replace(profile, R2=speeds[0]), bus.PRESET | minus_bit(pulses))
         p.port.write_registers(R0=count, R6=point)
         p.port.command(bus.RAMP["FH1"])
         for k, speed in enumerate(speeds[1:], 1):
@@ -120,7 +129,7 @@ def speed_change_move(
             if not p.port.status().operating:
                 break
             _select_new(p.port, k, speed)
-        status = p.port.wait_until_stopped(_patience(timeout, _slowest(profile, speeds), count))
+        status = p.port.wait_until_stopped(time_limit(timeout, _slowest(profile, speeds), count))
         axis.wait(SETTLE)
         return p.report(stop_reason(status, pulses), pulses)
 
@@ -139,8 +148,8 @@ def curved_ramp_move(
     are written successively (data sheet, Q & A). Rates rise. The ramp-down is one line to FL, at the profile's R5.
     Raises ArgumentError (also when the pulses do not suffice), RunTimeout.
     """
-    profile = replace(_profile(axis, profile), spans=None)
-    count = _count(pulses)
+    profile = replace(profile_for(axis, profile), spans=None)
+    count = whole_count(pulses)
     speeds = _speeds(axis, profile, [rate for rate, _ in pieces])
     way = [profile.R1, *speeds]
     if any(b <= a for a, b in pairwise(way)):
@@ -155,7 +164,7 @@ def curved_ramp_move(
     point = down_point(count, profile.R1, speeds[-1], 0, profile.R5, profile.R7)
     axis.chip.MAP.checked("R6", point)
     with Procedure(axis, "curved ramp") as p:
-        prepare(p.port, replace(profile, R2=speeds[0], R4=ramps[0]), bus.PRESET | _minus(pulses))
+        prepare(p.port, replace(profile, R2=speeds[0], R4=ramps[0]), bus.PRESET | minus_bit(pulses))
         p.port.write_registers(R0=count, R6=point)
         p.port.command(bus.RAMP["FH1"])
         for k, (speed, ramp) in enumerate(zip(speeds[1:], ramps[1:], strict=True), 1):
@@ -163,7 +172,7 @@ def curved_ramp_move(
                 break
             p.port.write_register("R4", ramp)
             _select_new(p.port, k, speed)
-        status = p.port.wait_until_stopped(_patience(timeout, _slowest(profile, speeds), count))
+        status = p.port.wait_until_stopped(time_limit(timeout, _slowest(profile, speeds), count))
         axis.wait(SETTLE)
         return p.report(stop_reason(status, pulses), pulses)
 

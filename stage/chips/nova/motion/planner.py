@@ -14,7 +14,7 @@ the last of them.
 from __future__ import annotations
 
 from stage.chips.nova.motion import double_double as dd
-from stage.chips.nova.motion.profile import NEVER, _time_in, exactly, piece_at
+from stage.chips.nova.motion.profile import NEVER, exactly, piece_at, time_in
 from stage.chips.nova.state import ACCELERATING, AREA_D, CONSTANT, DECELERATING, MOST_PIECES, RUNAWAY
 from stage.native import hot
 
@@ -305,7 +305,7 @@ def brake_at(x, pulses):
         s -= 1
     far = dd.sub(dd.whole(pulses - x.from_pulse[s]), pair(x.p[s]))
     v, a2, j6 = pair(x.v[s]), pair(x.a2[s]), pair(x.j6[s])
-    t = (_time_in(x, s, far[0], 1e17), 0.0)
+    t = (time_in(x, s, far[0], 1e17), 0.0)
     for _ in range(3):
         off = dd.sub(dd.mul(t, dd.add(v, dd.mul(t, dd.add(a2, dd.mul(t, j6))))), far)
         slope = v[0] + t[0] * (2.0 * a2[0] + 3.0 * t[0] * j6[0])

@@ -77,7 +77,7 @@ def phase_at(x, n):
 
 
 @hot
-def _time_in(x, s, far, longest):
+def time_in(x, s, far, longest):
     """Clocks, a float, after the beginning of piece `s` until `far` more pulses are done, at most `longest`."""
     v, a2, j6 = x.v[s, 0], x.a2[s, 0], x.j6[s, 0]
     root = v * v + 4.0 * a2 * far
@@ -152,7 +152,7 @@ def clock_in(x, s, k):
         return n
     last = s + 1 == x.pieces
     longest = 1e17 if last else (x.t[s + 1, 0] - x.t[s, 0]) + (x.t[s + 1, 1] - x.t[s, 1])
-    t = x.t[s, 0] + _time_in(x, s, greatest(far, 0.0), longest)
+    t = x.t[s, 0] + time_in(x, s, greatest(far, 0.0), longest)
     if not t < 1e17:
         return NEVER
     n = int(math.ceil(t))

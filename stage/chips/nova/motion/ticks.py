@@ -6,7 +6,7 @@ import math
 
 from stage.chips.nova.motion import double_double as dd
 from stage.chips.nova.motion.planner import pair
-from stage.chips.nova.motion.profile import SNAP, _time_in, exactly
+from stage.chips.nova.motion.profile import SNAP, exactly, time_in
 from stage.chips.nova.state import NEVER
 from stage.native import greatest, hot
 
@@ -33,7 +33,7 @@ def clock_at(x, s, place):
         edge = NEVER if last else x.from_clock[s + 1]
         longest = FAR if last else (x.t[s + 1, 0] - x.t[s, 0]) + (x.t[s + 1, 1] - x.t[s, 1])
         far = greatest(dd.sub(dd.sub(place, dd.whole(x.from_pulse[s])), pair(x.p[s]))[0], 0.0)
-        t = _time_in(x, s, far, longest)
+        t = time_in(x, s, far, longest)
         at = x.t[s, 0] + t
         if not at < FAR:
             return NEVER, s
