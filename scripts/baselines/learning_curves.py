@@ -9,7 +9,7 @@ one-shot, few-shot, few-shot-wide, home, line   CMA-ES on a small rule, rule_lea
           test episodes, by which nothing is chosen: the interquartile mean of their returns, with its interval by the bootstrap
           over whole runs and episodes
 bus       DQN with masks, bus_macros_learners.py: at each point the share of 64 machines of train, on which it does not learn,
-          that it solves; a run that is done with a level stays where it is. The interval is by the bootstrap over runs
+          that it solves: none before a run has come to a level, and a run that is done with it stays where it is. The interval is by the bootstrap over runs
 Lines across are players that do not learn, on the same test episodes (docs/data/entries). Needs the extras `rl` and `plot`.
 """
 
@@ -34,7 +34,7 @@ DATA, PICTURE = DOCS / "data" / "learning_curves.csv.gz", DOCS / "pictures" / "l
 EPISODES = 32  # of a point
 COLUMNS = ("task", "player", "run", "steps", "processor_s", "episode", "return", "success")
 RUNS = {"one-shot": 5, "few-shot": 5, "few-shot-wide": 10, "home": 5, "line": 5}
-BUS = {"origin": (1, 4), "axes": range(5)}
+BUS = {"origin": range(5)}
 """Seeds of each level at which a curriculum ends; what ends at a later one has been through those before."""
 PANELS = {
     "one-shot": "T1 OneShotTuning", "few-shot": "T2 FewShotTuning, the best try counts",
@@ -104,10 +104,10 @@ def points(runs: dict[str, list[dict]], what: str = "return") -> tuple[np.ndarra
 
 
 def levels(runs: dict[str, list[dict]]) -> tuple[np.ndarray, np.ndarray]:
-    """Steps, and the share that is solved by each run there, (points, runs, 1)."""
+    """Steps, and the share that is solved by each run there, (points, runs, 1): none before a run has come to the level."""
     curves = [np.array([(float(r["steps"]), float(r["success"])) for r in rows]).T for rows in runs.values()]
     at = np.unique(np.concatenate([c[0] for c in curves]))
-    return at, np.stack([np.interp(at, *c) for c in curves], axis=1)[:, :, None]
+    return at, np.stack([np.interp(at, *c, left=0.0) for c in curves], axis=1)[:, :, None]
 
 
 def others(task: str, episodes: int) -> dict[str, dict[str, np.ndarray]]:
