@@ -9,7 +9,8 @@ one-shot, few-shot, few-shot-wide, home, line   CMA-ES on a small rule, rule_lea
           test episodes, by which nothing is chosen: the interquartile mean of their returns, with its interval by the bootstrap
           over whole runs and episodes
 bus       DQN with masks, bus_macros_learners.py: at each point the share of 64 machines of train, on which it does not learn,
-          that it solves: none before a run has come to a level, and a run that is done with it stays where it is. The interval is by the bootstrap over runs
+          that it solves: none before a run has come to a level, and a run that is done with it stays where it is. The interval
+          is by the bootstrap over runs
 Lines across are players that do not learn, on the same test episodes (docs/data/entries). Needs the extras `rl` and `plot`.
 """
 
