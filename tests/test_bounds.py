@@ -14,7 +14,7 @@ from stage.drives import dynamometer
 from stage.drives.dc_motors import MOST_COUNTS, Servo
 from stage.firmware import Bench, Profile
 from stage.firmware.hctl1100 import profile as servo_profile
-from stage.firmware.pcl240.moves import _offset, _seconds
+from stage.firmware.pcl240.moves import _offset, some_seconds
 from stage.firmware.pcl240.plan import R0_MOST, _check, _share, _whole
 from stage.recording.viewer import web_server
 from stage.sim import faults, records
@@ -55,7 +55,7 @@ PLAIN = {
     "chips of a bench": (lambda v: Bench(*(PCL240K() for _ in range(v))), (1, 6), (0, 7)),
     "wait of a bench": (lambda v: Bench(PCL240K()).wait(v), (0, 1e-3), (-1e-9, 1e9)),
     "seconds of a firmware": (lambda v: _nanoseconds(v, "timeout"), (0, BELOW_9), (-1e-9, 1e9, math.nan, math.inf)),
-    "seconds of a move": (_seconds, (0, BELOW_9), (-1e-9, 1e9)),
+    "seconds of a move": (some_seconds, (0, BELOW_9), (-1e-9, 1e9)),
     "spans": (
         lambda v: Profile(100, 200, 200, 100, 100, 12, chip=PCL240MS, spans=(v, 0)), (0, 4095), (-1, 4096),
     ),

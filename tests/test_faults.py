@@ -857,12 +857,12 @@ def test_errors_say_what_is_allowed_and_break_nothing(xyz, make, message):
     assert bits(xyz) == before
 
 
-def test_the_ends_of_what_a_fault_takes_are_taken_and_a_supply_tells_that_of_the_first_axis(xyz):
+def test_the_ends_of_what_a_fault_takes_are_taken_and_a_supply_tells_that_of_all_axes(xyz):
     with faults.bounce(xyz.axes["x"], "org", 1.0), faults.bus_voltage(xyz.axes["z"], 400):
         assert "axis x: org bounces for 1000 ms" in xyz.faults
         assert "axis z: bus voltage 400 V in place of 24 V" in xyz.faults
         with faults.bus_voltage(xyz, 12):
-            assert xyz.faults[-1] == "all axes: bus voltage 12 V in place of 24 V"
+            assert xyz.faults[-1] == "all axes: bus voltage 12 V in place of 24 V, 400 V"
 
 
 def test_edges_of_a_window_have_room():

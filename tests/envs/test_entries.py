@@ -10,7 +10,7 @@ import pytest
 import stage.envs
 from stage import ArgumentError
 from stage.envs import entries
-from stage.envs.base import _one
+from stage.envs.base import info_of
 
 SHORT = {
     "stage/RegisterTuning-v0": {"model": "xy", "moves": 1, "distances": (300, 900), "limit": 0.3, "settle": 0.01},
@@ -69,11 +69,11 @@ def test_a_vector_without_truth_says_what_one_environment_says(id_):
     seen, infos = envs.reset(seed=4)
     first, info = env.reset(seed=4)
     assert np.array_equal(seen[0], first)
-    assert _one(infos, 0).keys() == info.keys()
+    assert info_of(infos, 0).keys() == info.keys()
     envs.action_space.seed(4)
     actions = envs.action_space.sample()
     (*_, infos), (*_, info) = envs.step(actions), env.step(actions[0])
-    assert _one(infos, 0).keys() == info.keys()
+    assert info_of(infos, 0).keys() == info.keys()
     assert "reward_parts" not in infos
 
 

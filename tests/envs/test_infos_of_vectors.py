@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import stage.envs  # noqa: F401
-from stage.envs.base import _join, _one
+from stage.envs.base import _join, info_of
 
 SHORT = {
     "stage/RegisterTuning-v0": {"model": "xy", "moves": 2, "distances": (300, 900), "limit": 0.3, "settle": 0.01},
@@ -25,7 +25,7 @@ def test_what_a_beginning_episode_and_a_step_both_tell_is_told_of_both_stages(id
     *_, ended, cut, _ = envs.step(actions)
     assert (ended | cut).tolist() == [False, True]
     *_, infos = envs.step(actions)
-    goes_on, begins = (_one(infos, k) for k in (0, 1))
+    goes_on, begins = (info_of(infos, k) for k in (0, 1))
     named = "distances" if "distances" in begins else "distance"
     assert np.array_equal(begins[named], envs._task.told(1)[named])
     assert set(begins) == set(envs._task.told(1)), "of a beginning what a reset tells, and no more"

@@ -21,7 +21,7 @@ from support.mirrored import mirrored
 import stage.envs
 from stage import Stage, chips
 from stage.envs import contexts, faulty, macros, rendering, results, score, settings, trial
-from stage.envs.base import _one
+from stage.envs.base import info_of
 from stage.envs.registers import RegisterBox
 from stage.envs.task import carrier, checked, judged
 from stage.envs.tuning import given
@@ -539,7 +539,7 @@ def columns():
         "columns": whole.columns(active),
         "some": whole.columns(np.array([False, False, False, True, False])),
         "hidden columns": sorted(made.columns(active)),
-        "one": [_one(whole.columns(active), k) for k in (0, 2)],
+        "one": [info_of(whole.columns(active), k) for k in (0, 2)],
         "reward": whole["reward"],
         "scored": [made.scored, whole.scored],
     }
@@ -712,11 +712,11 @@ def modes(id_, mode):
         seen, reward, ended, cut, info = envs.step(actions)
         ends = ended | cut
         final = (
-            [[sums(info["final_obs"][k]), sorted(_one(info, k)["final_info"])] for k in np.flatnonzero(ends)]
+            [[sums(info["final_obs"][k]), sorted(info_of(info, k)["final_info"])] for k in np.flatnonzero(ends)]
             if "final_obs" in info
             else []
         )
-        said.append([sums(seen), reward, ended, cut, final, [sorted(_one(info, k)) for k in range(3)]])
+        said.append([sums(seen), reward, ended, cut, final, [sorted(info_of(info, k)) for k in range(3)]])
         if mode is AutoresetMode.DISABLED and ends.any():
             said.append(raised(envs.step, actions))
             said.append(sums(envs.reset(seed=50, options={"reset_mask": ends, "payload": 0.5})[0]))
