@@ -52,6 +52,12 @@ def patience(timeout: float | None) -> None:
         raise ArgumentError(f"timeout={timeout!r}: seconds, 0 or more; float('inf') waits for ever.")
 
 
+def whole_number(name: str, value: Any, least: int) -> None:
+    """Raise ArgumentError for what is no whole number from `least` on."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise ArgumentError(f"{name}={value!r}: a whole number, {least} or more.")
+
+
 def told_when_made(cls: type[Made]) -> type[Made]:
     """A class whose constructor is `told`; for dataclasses, above their own decorator."""
     cls.__init__ = told(cls.__init__)  # type: ignore[method-assign]

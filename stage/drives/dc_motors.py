@@ -71,7 +71,7 @@ def dc_motor(name: str | DCMotor) -> DCMotor:
     if isinstance(name, DCMotor):
         return name
     if not isinstance(name, str) or name not in DC_MOTORS:
-        raise unknown("DC motor", name if isinstance(name, str | int | float) else str(name), DC_MOTORS)
+        raise unknown("DC motor", name, DC_MOTORS)
     return DC_MOTORS[name]
 
 

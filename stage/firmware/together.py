@@ -8,15 +8,15 @@ with Together({name: Procedure(axis, "line") ...}, distances) as line:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stage import html
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, RunTimeout, unknown
 from stage.firmware.axis import Axes, Axis
 from stage.firmware.path import Deviation, path_deviation, pulses_of
 from stage.firmware.report import Procedure, Report
@@ -150,6 +150,15 @@ class Together:
     def reports(self, stopped_by: Mapping[str, str]) -> dict[str, Report]:
         """Close the books of each axis."""
         return {n: self.watch[n].report(stopped_by[n], d) for n, d in self.distances.items()}
+
+    @contextmanager
+    def in_time(self) -> Iterator[None]:
+        """A RunTimeout out of it has the reports of all axes, as `reports`."""
+        try:
+            yield
+        except RunTimeout as error:
+            error.reports = self.reports(dict.fromkeys(self.distances, "timeout"))  # type: ignore[attr-defined]
+            raise
 
     def report(self, stopped_by: Mapping[str, str], plan: Plan | None = None) -> SynchronizedReport:
         """Close all books."""

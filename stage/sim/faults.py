@@ -58,8 +58,7 @@ class Fault:
         self._stage, self._begin, self._things = stage, begin, frozenset(things)
         self._end = begin()
         if stage is not None:
-            stage.standing.append(self)
-            stage.note_fault(text, True)
+            stage.note_fault(self, True)
 
     def mend(self) -> None:
         """End it, now. Safe to call twice; what it has done stays done."""
@@ -72,15 +71,14 @@ class Fault:
         for fault in above:
             fault._end = fault._begin()
         if self._stage is not None:
-            self._stage.standing.remove(self)
-            self._stage.note_fault(self.text, False)
+            self._stage.note_fault(self, False)
 
     def _above(self) -> list[Fault]:
         """The later faults that have changed what this one or one of them had changed, in their order."""
-        found: list[Fault] = []
-        things = self._things
-        standing = self._stage.standing if self._stage is not None and things else []
-        for fault in standing[standing.index(self) + 1 :] if standing else ():
+        if self._stage is None:
+            return []
+        standing, things, found = self._stage.standing, self._things, list[Fault]()
+        for fault in standing[standing.index(self) + 1 :]:
             if things & fault._things:
                 found.append(fault)
                 things |= fault._things
@@ -94,6 +92,19 @@ class Fault:
 
     def __repr__(self) -> str:
         return f"<Fault {self.text}{'' if self.in_force else ', mended'}>"
+
+
+def _change(
+    get: Callable[[], Any], put: Callable[[Any], None], to: Callable[[Any], Any]
+) -> Callable[[], Callable[[], None]]:
+    """`begin` of a fault that changes what `get` reads and `put` writes `to` another value; what was there comes back."""
+
+    def begin() -> Callable[[], None]:
+        before = get()
+        put(to(before))
+        return lambda: put(before)
+
+    return begin
 
 
 # --- switches ---
@@ -148,20 +159,18 @@ def bounce(axis: Axis, pin: str, seconds: float = 2e-3, toggles: int = 6) -> Fau
 def _switches(axis: Axis, what: str, rows: dict[int, dict[str, int]]) -> Fault:
     stage = axis.stage
 
+    def get() -> dict[int, dict[str, int]]:
+        table = stage.state.switch_table
+        return {row: {field: int(table[row][field]) for field in change} for row, change in rows.items()}
+
     def put(values: dict[int, dict[str, int]]) -> None:
         for row, change in values.items():
             for field, value in change.items():
                 stage.state.switch_table[row][field] = value
         stage.look_again(axis)
 
-    def begin() -> Callable[[], None]:
-        table = stage.state.switch_table
-        before = {row: {field: int(table[row][field]) for field in change} for row, change in rows.items()}
-        put(rows)
-        return lambda: put(before)
-
     things = [(row, field) for row, change in rows.items() for field in change]
-    return Fault(stage, f"axis {axis.name}: {what}", begin, things)
+    return Fault(stage, f"axis {axis.name}: {what}", _change(get, put, lambda _: rows), things)
 
 
 def _vane(axis: Axis, sensor: int) -> int | None:
@@ -193,14 +202,8 @@ def payload(stage: Stage, factor: float = 2.0, body: str | None = None) -> Fault
         raise ArgumentError(
             f"factor={factor!r} of a payload of {before:g} kg: put one on with stage.set_payload; a factor is above 0."
         )
-
-    def begin() -> Callable[[], None]:
-        mass = stage.payload(body)
-        stage.set_payload(mass * factor, body)
-        return lambda: stage.set_payload(mass, body)
-
-    text = f"payload {before * factor:g} kg in place of {before:g} kg"
-    return Fault(stage, text, begin, ["payload"])
+    begin = _change(lambda: stage.payload(body), lambda kg: stage.set_payload(kg, body), lambda kg: kg * factor)
+    return Fault(stage, f"payload {before * factor:g} kg in place of {before:g} kg", begin, ["payload"])
 
 
 @told
@@ -220,15 +223,14 @@ def jam(axis: Axis, force: float | None = None) -> Fault:
     model, dof = axis.stage.model, axis.plant.dof
     fields = (model.dof_frictionloss, model.dof_solref, model.dof_solimp)
 
+    def get() -> list[Any]:
+        return [field[dof].copy() for field in fields]
+
     def put(values: Iterable[Any]) -> None:
         for field, value in zip(fields, values, strict=True):
             field[dof] = value
 
-    def begin() -> Callable[[], None]:
-        before = [field[dof].copy() for field in fields]
-        put((before[0] + more, (2 * model.opt.timestep, 1), STIFF))
-        return lambda: put(before)
-
+    begin = _change(get, put, lambda before: (before[0] + more, (2 * model.opt.timestep, 1), STIFF))
     return Fault(axis.stage, f"axis {axis.name}: jammed", begin, [("friction", axis.name)])
 
 
@@ -254,14 +256,10 @@ def bus_voltage(where: Axis | Stage, volts: float) -> Fault:
             axis.supply = float(value)
         stage.equip()
 
-    def begin() -> Callable[[], None]:
-        before = [a.supply for a in axes]
-        put([volts] * len(axes))
-        return lambda: put(before)
-
     who = "all axes" if isinstance(where, Stage) else f"axis {where.name}"
     usual = ", ".join(dict.fromkeys(f"{a.supply:g} V" for a in axes))
     text = f"{who}: bus voltage {volts:g} V in place of {usual}"
+    begin = _change(lambda: [a.supply for a in axes], put, lambda before: [volts] * len(before))
     return Fault(stage, text, begin, [("supply", a.name) for a in axes])
 
 
@@ -283,11 +281,7 @@ def phase_open(axis: Axis, phase: str = "a") -> Fault:
         axis.open_phases = value
         axis.stage.equip()
 
-    def begin() -> Callable[[], None]:
-        before = axis.open_phases
-        put(before | PHASES[phase])
-        return lambda: put(before)
-
+    begin = _change(lambda: axis.open_phases, put, lambda before: before | PHASES[phase])
     return Fault(axis.stage, f"axis {axis.name}: phase {phase} open", begin, [("phases", axis.name)])
 
 
@@ -312,12 +306,7 @@ def motor(axis: Axis, motor: str | Motor | DCMotor) -> Fault:
             f"motor={after.motor.name!r}: it has {after.motor.steps_per_turn} steps a turn, and axis {axis.name} is made for "
             f"{before.motor.steps_per_turn}: build a stage with it, drives={{{axis.name!r}: ...}}."  # type: ignore[union-attr]
         )
-
-    def begin() -> Callable[[], None]:
-        had = axis.drive
-        axis.stage.refit(axis, after)
-        return lambda: axis.stage.refit(axis, had)
-
+    begin = _change(lambda: axis.drive, lambda drive: axis.stage.refit(axis, drive), lambda _: after)
     text = f"axis {axis.name}: motor {after.motor.name} in place of {before.motor.name}"
     return Fault(axis.stage, text, begin, [("motor", axis.name)])
 

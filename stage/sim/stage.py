@@ -145,7 +145,7 @@ class Stage:
 
     def _wire(self, chip_axes: list[ChipAxis], drives: list[Drive | Servo], bus: int, offset: int) -> None:
         """Lay the state out in userdata; connect the axes of the chips, one an axis of the stage."""
-        self._faults: list[str] = []
+        self._inherited: list[str] = []  # the faults, in words, of the stage that this is a copy of
         self.standing: list[Any] = []
         """The faults of `stage.sim.faults` that were made here and are in force, in their order."""
         self._payloads = Payloads()
@@ -293,13 +293,13 @@ class Stage:
     @property
     def faults(self) -> tuple[str, ...]:
         """The faults in force, in words, see stage.faults. They are the machine's: snapshots and `reset` leave them alone."""
-        return tuple(self._faults)
+        return (*self._inherited, *(fault.text for fault in self.standing))
 
-    def note_fault(self, text: str, begins: bool) -> None:
+    def note_fault(self, fault: Any, begins: bool) -> None:
         """A fault comes or goes: keep the list, tell the recording."""
-        (self._faults.append if begins else self._faults.remove)(text)
+        (self.standing.append if begins else self.standing.remove)(fault)
         if self.recording is not None:
-            self.recording.note(self.time, f"{text}: {'begins' if begins else 'mended'}", self.faults)
+            self.recording.note(self.time, f"{fault.text}: {'begins' if begins else 'mended'}", self.faults)
 
     def look_again(self, axis: Axis) -> None:
         """Somebody has changed this axis' rows of `state.switch_table`: from now on they hold."""
@@ -466,7 +466,7 @@ class Stage:
         recording = self.loop.recording = Recording(self.model, self.axes, steps * dt, self.stop_recording)
         recording.note_host(self)
         handle.log_to(state.handle, recording)
-        if self._faults:
+        if self.faults:
             recording.note(self.time, "in force from the start", self.faults)
         state.clockwork[0].sample_every = steps
         state.world[0].to_sample = steps
@@ -527,7 +527,7 @@ class Stage:
             "mechanics": self._mechanics,
             "switch_faults": self.state.switch_table[list(SWITCH_FAULTS)].copy(),
             "drive_faults": [(a.supply, a.open_phases) for a in self._axes],
-            "faults": list(self._faults),
+            "faults": list(self.faults),
             "payloads": (dict(self._payloads.kg), dict(self._payloads.own)),
         }
 
@@ -548,7 +548,7 @@ class Stage:
             self.state.switch_table[field] = s["switch_faults"][field]
         for axis, fault in zip(self._axes, s["drive_faults"], strict=True):
             axis.supply, axis.open_phases = fault
-        self._faults = s["faults"]
+        self._inherited = s["faults"]
         self._payloads.kg, self._payloads.own = s["payloads"]
         self._initial = s["initial"]
         self.restore(s["now"])
@@ -567,7 +567,7 @@ class Stage:
         return f"<Stage {', '.join(self.axes)}: {chips}, {self.time:.6f} s>"
 
     def _repr_html_(self) -> str:
-        more = f"; faults: {'; '.join(self._faults)}" if self._faults else ""
+        more = f"; faults: {'; '.join(self.faults)}" if self.faults else ""
         return html.heading(f"Stage at {self.time:.6f} s{more}") + axes_table(self._axes)
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
+from stage.arguments import whole_number
 from stage.errors import ArgumentError, StageError
 
 if TYPE_CHECKING:
@@ -42,8 +43,7 @@ def open_study(
     """
     from stage.study.storage import ByNumber, optuna, storage_at
 
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise ArgumentError(f"seed={seed!r}: a whole number, 0 or more.")
+    whole_number("seed", seed, 0)
     study = optuna.create_study(
         storage=storage_at(storage),
         sampler=ByNumber(sampler or optuna.samplers.TPESampler, seed),
@@ -100,9 +100,8 @@ def run(
             must then be importable, and a program that calls this must be guarded by `if __name__ == "__main__"`.
     Raises StageError when workers ended and trials lack.
     """
-    for name, value in (("trials", trials), ("workers", workers)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise ArgumentError(f"{name}={value!r}: a whole number, 1 or more.")
+    whole_number("trials", trials, 1)
+    whole_number("workers", workers, 1)
     how = {"sampler": sampler, "pruner": pruner, "seed": seed}
     study = open_study(objective, storage, **how)  # type: ignore[arg-type]
     if finished(study) >= trials:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from stage.arguments import whole_number
 from stage.errors import ArgumentError, StageError
 from stage.tune.formula import SAFETY
 from stage.tune.looks import LOOK
@@ -51,11 +52,11 @@ def tune(
     """
     if by not in WAYS:
         raise ArgumentError(f"by={by!r}: search or formula.")
-    for name, value in (("trials", trials), ("moves", moves), *([] if workers is None else [("workers", workers)])):
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise ArgumentError(f"{name}={value!r}: a whole number, 1 or more.")
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise ArgumentError(f"seed={seed!r}: a whole number, 0 or more.")
+    whole_number("trials", trials, 1)
+    whole_number("moves", moves, 1)
+    if workers is not None:
+        whole_number("workers", workers, 1)
+    whole_number("seed", seed, 0)
     if by == "search":
         optuna()
     plans = plans_of(task)

@@ -181,12 +181,11 @@ class Hctl1100Driver(Driver):
             def look() -> None:
                 line.look()
                 if timeout is not None and not ports[0].axis.time - begin <= timeout:
-                    error = RunTimeout(f"the line was not drawn after {timeout:g} s; the axes are held where they are.")
-                    error.reports = line.reports(dict.fromkeys(mine, "timeout"))  # type: ignore[attr-defined]
-                    raise error
+                    raise RunTimeout(f"the line was not drawn after {timeout:g} s; the axes are held where they are.")
 
             goals = [port.commanded() + d for port, d in zip(ports, rows[-1].tolist(), strict=True)]
-            follow(ports, rows, look=look)
+            with line.in_time():
+                follow(ports, rows, look=look)
             ports[0].axis.wait(SETTLE)
             line.look()
             ended = {}

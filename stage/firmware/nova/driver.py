@@ -8,7 +8,7 @@ from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 
-from stage.errors import ArgumentError, Limit, RunTimeout, a_or_an
+from stage.errors import ArgumentError, Limit, a_or_an
 from stage.firmware.axis import positive
 from stage.firmware.choices import limits
 from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, that_move, wait_until_stopped
@@ -165,11 +165,8 @@ class NovaDriver(Driver):
                     together.began(*(n for n, at in zip(mine, starts, strict=True) if at == j))
             most = float(asked.longest[0])
             longest = 1.5 * most / min(speeds.start, speeds.drive) + 6 * settings.accel + 1
-            try:
+            with together.in_time():
                 wait_until_stopped(axes, longest if timeout is None else timeout, look=together.look)
-            except RunTimeout as error:
-                error.reports = together.reports(dict.fromkeys(mine, "timeout"))  # type: ignore[attr-defined]
-                raise
             axes[0].wait(SETTLE)
             return together.report({n: d.stopped_by() or cls.DONE for n, d in mine.items()})
 

@@ -93,11 +93,8 @@ def _run(axes: dict[str, Axis], made: Plan, timeout: float | None) -> Synchroniz
         for n, p in watch.items():  # nothing between the starts but the bus
             p.port.command(bus.RAMP["FH1"] if made.axes[n].ramps else bus.START["FH1"])
             line.began(n)
-        try:
+        with line.in_time():
             stopped_by = _wait(watch, made, 1.5 * made.seconds + 1 if timeout is None else timeout, line)
-        except RunTimeout as error:
-            error.reports = line.reports(dict.fromkeys(watch, "timeout"))  # type: ignore[attr-defined]
-            raise
         next(iter(axes.values())).wait(SETTLE)
         return line.report(stopped_by, made)
 
