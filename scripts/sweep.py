@@ -81,6 +81,8 @@ def objective(args: argparse.Namespace) -> Any:
         return made
     try:
         return made(**options)
+    except ArgumentError:
+        raise
     except TypeError as error:
         raise ArgumentError(f"{error}. Options: {', '.join(made.__annotations__)}.") from None
 

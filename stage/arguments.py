@@ -121,6 +121,7 @@ KINDS: dict[str, Kind] = {
     "Callable": (callable, "a function"),
     "Mapping": (lambda v: isinstance(v, Mapping), "a mapping, as {'x': ...}"),
     "dict": (lambda v: isinstance(v, Mapping), "a mapping, as {'x': ...}"),
+    "Space": (lambda v: isinstance(v, Mapping), "a mapping, as {'R2': (100, 200)}"),
     "Sequence": (_iterable, "a list"),
     "Iterable": (_iterable, "a list"),
     "list": (_iterable, "a list"),
@@ -141,6 +142,13 @@ KINDS: dict[str, Kind] = {
     "Plan": (lambda v: hasattr(v, "distances"), "a plan"),
     "Chip": (lambda v: hasattr(v, "MAP"), "a chip"),
     "type": (lambda v: isinstance(v, type) and hasattr(v, "MAP"), "a class of chips, as PCL240K"),
+    "Task": (lambda v: hasattr(v, "pulses") and hasattr(v, "stage"), "a Task"),
+    "Card": (lambda v: hasattr(v, "episodes"), "a card, as CARDS['line']"),
+    "Submission": (lambda v: hasattr(v, "write"), "an entry that `play` or `read` returned"),
+    "Tool": (lambda v: hasattr(v, "act"), "a Tool"),
+    "Board": (lambda v: hasattr(v, "strays"), "a board"),
+    "Trial": (lambda v: hasattr(v, "suggest_int"), "a trial of Optuna"),
+    "Study": (lambda v: hasattr(v, "get_trials"), "a study of Optuna"),
     "Profile": (lambda v: type(v).__name__ == "Profile", "a Profile, as Profile.of(fh1=8000)"),
 }
 """Name in an annotation -> whether a value is such, and what it is in words."""

@@ -22,6 +22,7 @@ from stage.agents.calls import Calls
 from stage.agents.fields import shown
 from stage.agents.notes import Notes
 from stage.agents.tool import Answer, Tool
+from stage.arguments import told, told_when_made
 from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import Driver, driver_of
 from stage.panel.trace import Trace
@@ -31,6 +32,7 @@ from stage.sim.stage import Stage
 MODES = ("host", "truth")
 
 
+@told_when_made
 class Toolbox(Calls):
     """The tools of a stage, for one agent. One call at a time; others wait.
 
@@ -82,6 +84,7 @@ class Toolbox(Calls):
 
     # --- calls ---
 
+    @told
     def act(self, tool: Tool, values: dict[str, Any]) -> Any:
         """Do it, and count. A move that is refused before it has begun is none."""
         self.meter.begin()
@@ -132,8 +135,9 @@ class Toolbox(Calls):
 
     def driver(self, name: str) -> Driver:
         """Of an axis: the same from call to call, for it remembers what it wrote."""
+        axis = self.axis(name)
         if name not in self._drivers:
-            self._drivers[name] = driver_of(self.axis(name))
+            self._drivers[name] = driver_of(axis)
         return self._drivers[name]
 
     def forget(self) -> None:

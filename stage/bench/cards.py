@@ -9,6 +9,7 @@ from typing import Any
 
 import gymnasium
 
+from stage.arguments import told
 from stage.envs import contexts
 from stage.errors import ArgumentError, unknown
 
@@ -165,6 +166,7 @@ def card_of(task: str) -> Card:
     raise unknown("task", task, CARDS)
 
 
+@told
 def seeds(card: Card, split: str, round_: str = OPEN) -> list[int]:
     """Of the test episodes, in their order; each draws a context. Of the open round FIRST, FIRST + 1, ...; of any other what its
     name gives: a referee who wants seeds that nobody has played on announces a name after the policies are handed in."""

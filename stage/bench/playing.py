@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from stage.arguments import told
 from stage.bench.cards import OPEN
 from stage.bench.episodes import Episodes
 from stage.bench.files import Submission
@@ -61,6 +62,7 @@ def play(
         env.close()
 
 
+@told
 def submit(entry: Submission, path: str | os.PathLike, overwrite: bool = False) -> None:
     """Write an entry. Raises FileError where nothing can be written, or another file would be lost."""
     entry.write(path, overwrite)

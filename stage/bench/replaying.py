@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from stage.arguments import told
 from stage.bench.cards import Card, card_of, seeds
 from stage.bench.files import Refused, Submission, read
 from stage.bench.scores import digest, scored
@@ -97,6 +98,7 @@ class Verdict:
         return "\n".join(lines)
 
 
+@told
 def verify(
     entry: Submission | str | os.PathLike,
     tolerance: float | None = None,

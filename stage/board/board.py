@@ -192,6 +192,7 @@ class Board:
 
     # --- devices ---
 
+    @told
     def device(
         self,
         ports: int | Iterable[int],
@@ -305,6 +306,7 @@ class Board:
 
     # --- inside ---
 
+    @told
     def name_of(self, chip: int) -> str:
         """The axes of a chip."""
         return "".join(axis.name for axis in self.stage.axes.values() if axis.chip is self.stage.chips[chip])
@@ -367,6 +369,7 @@ class Board:
         self.check_lines(len(self.log))
         self.log.append((self.stage.time, text))
 
+    @told
     def check_lines(self, lines: int) -> None:
         """Raises HostError if a log has so many lines that there is room for no more."""
         if lines >= MOST_LINES:

@@ -30,6 +30,7 @@ from stage.board.interrupts import (
     SOURCES,
     TIMERS,
 )
+from stage.errors import ArgumentError
 from stage.native import plain
 
 if TYPE_CHECKING:
@@ -74,7 +75,9 @@ class Hooks:
     def set(
         self, source: int, function: Callable[[], None] | None, lines: int = 0, level: int = 1, period: int = 0
     ) -> None:
-        """A hook in Python, or None. period: ns, of a timer."""
+        """A hook in Python, or None. period: ns, of a timer. Raises ArgumentError."""
+        if function is not None and not callable(function):
+            raise ArgumentError(f"hook={function!r}: give a function without arguments, or None.")
         if function is None:
             self.functions.pop(source, None)
         else:

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from stage.arguments import told
 from stage.board import exits, platforms
 from stage.board.bus import REQUEST, compute_as_before, compute_as_usual
 from stage.board.errors import CompileError, LibraryError, NoCompilerError
@@ -79,6 +80,7 @@ def compiler(source: str | Path = "x.c") -> str:
     )
 
 
+@told
 def build(
     sources: str | os.PathLike | Sequence[str | os.PathLike],
     output: str | os.PathLike | None = None,
@@ -140,7 +142,10 @@ def _own_statics(compiler: str) -> tuple[str, ...]:
 
 
 def _listed(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> list[str | os.PathLike]:
-    return [firmware] if isinstance(firmware, str | os.PathLike) else list(firmware)
+    files = [firmware] if isinstance(firmware, str | os.PathLike) else firmware
+    if not (isinstance(files, Sequence) and files and all(isinstance(file, str | os.PathLike) for file in files)):
+        raise ArgumentError(f"firmware={firmware!r}: give the path of a library or of a source, or a list of sources.")
+    return list(files)
 
 
 def are_sources(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> bool:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from stage.arguments import told_when_made
 from stage.board import host
 from stage.board.hooks import named
 from stage.board.interrupts import BACK, JUMPED, LOWERED
@@ -61,6 +62,7 @@ def _interrupt(kind: int, source: int, value: int) -> str:
     return f"interrupt: {name} {how[value]}"
 
 
+@told_when_made
 class BusTrace:
     """The last cycles of a board, oldest first; iterate for `Cycle`s, print for text.
 

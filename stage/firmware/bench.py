@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from stage.arguments import told, told_when_made
 from stage.chips import Chip
 from stage.chips.chip import Bus, Pins
 from stage.errors import ArgumentError, unknown
@@ -52,6 +53,7 @@ class BenchAxis:
         """Seconds since the bench was made."""
         return self._bench.time
 
+    @told
     def wait(self, seconds: float) -> None:
         """`seconds` pass, for all chips of the bench."""
         self._bench.wait(seconds)
@@ -107,6 +109,7 @@ class BenchAxis:
         return f"<BenchAxis {self.name} {self.chip!r}>"
 
 
+@told_when_made
 class Bench(Bus):
     """Chips on one bus and one time line.
 
@@ -155,16 +158,21 @@ class Bench(Bus):
         """One bus cycle passes; chips call it before each read and write."""
         self._advance(self._now + self._bus_ns)
 
+    @told
     def wait(self, seconds: float) -> None:
         """`seconds` pass."""
         if not 0 <= seconds < 1e9:
             raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to 1e9 s.")
         self._advance(self._now + round(seconds * 1e9))
 
+    @told
     def at(self, seconds: float, action: Callable[[], Any]) -> None:
-        """Do `action()` when the bench's time is `seconds`: an input edge, for example."""
+        """Do `action()` when the bench's time is `seconds`: an input edge, for example. Raises ArgumentError."""
+        if not callable(action):
+            raise ArgumentError(f"action={action!r}: give a function without arguments.")
         heapq.heappush(self._events, (round(seconds * 1e9), next(self._order), action))
 
+    @told
     def rail(self, axis: str, at: int = 0, **spans: Span) -> None:
         """Put a carriage that never slips under an axis.
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stage.errors import ArgumentError
 from stage.extras import need
 from stage.files import save_figure
 from stage.firmware.driver import driver_class
@@ -37,6 +38,8 @@ def draw(
 ) -> Any:
     """Draw `report`; see Report.plot. pins: the lanes that may be shown; None: all that play a role."""
     Figure = need("matplotlib.figure", "drawing").Figure
+    if ax is not None and not hasattr(ax, "get_window_extent"):
+        raise ArgumentError(f"ax={ax!r}: give axes of Matplotlib, or None.")
 
     pattern = driver_class(report.course.chip).PATTERN(report)
     t = report.course.seconds - report.began

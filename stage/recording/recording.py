@@ -30,7 +30,7 @@ import mujoco
 import numpy as np
 
 from stage import html
-from stage.arguments import told
+from stage.arguments import told, whole_number
 from stage.chips.journal import Journal
 from stage.errors import ArgumentError, unknown
 from stage.files import RECORDING, WAVEFORMS, FileError, ends_as, is_stream, writable, written
@@ -187,6 +187,7 @@ class Recording(Tabular):
             return
         self._spooled += ROWS
 
+    @told
     def stream(
         self, path: str | os.PathLike, seconds: float = 1.0, overwrite: bool = False, on_error: str = "raise"
     ) -> Recording:
@@ -292,7 +293,9 @@ class Recording(Tabular):
 
     def pieces(self, rows: int = 16 * ROWS, begin: int = 0) -> Iterator[np.ndarray]:
         """The samples in order from number `begin` on, at most `rows` at a time: records with fields `axes` (SAMPLE, one an
-        axis) and `qpos`."""
+        axis) and `qpos`. Raises ArgumentError, when the first is taken, for a number out of range."""
+        whole_number("rows", rows, 1)
+        whole_number("begin", begin, 0)
         self._part()
         held = max(0, begin - self._spooled)
         for at in range(begin, self._spooled, rows):
@@ -327,8 +330,7 @@ class Recording(Tabular):
             for column in (*COLUMNS, *axis.chip.INPUTS, *axis.chip.OUTPUTS)
         }
 
-    def parts(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
-        """These columns, a number of rows at a time; once at least."""
+    def _parts(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
         for piece in self.pieces() if len(self) else [self._pack(0)]:
             yield {name: self._values(piece["axes"], name) for name in names}
 
@@ -360,8 +362,11 @@ class Recording(Tabular):
         axis, column = name.rsplit("/", 1)
         return self.axes[axis], column
 
+    @told
     def seconds(self, axis: str, clock: Number) -> Number:
-        """Stage time, s, of clocks of an axis' chip: both count from power-up."""
+        """Stage time, s, of clocks of an axis' chip: both count from power-up. Raises ArgumentError."""
+        if axis not in self.axes:
+            raise unknown("axis", axis, self.axes)
         return clock / self.axes[axis].chip.clock_hz
 
     def _backwards(self, n: int) -> bool:
@@ -392,6 +397,7 @@ class Recording(Tabular):
             write(self, part)
         return Path(path)
 
+    @told
     def plot(self, path: str | os.PathLike | None = None, *, overwrite: bool = False) -> Figure:
         """One static picture: rates, places, following errors, lost steps and switches over time; saves to `path` if given.
 

@@ -145,7 +145,7 @@ class Saved(Tabular):
     def columns(self) -> dict[str, np.ndarray]:
         return Columns({name: self.column(name) for name in self.units})
 
-    def parts(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
+    def _parts(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
         yield {name: self.column(name) for name in names}
 
     def __repr__(self) -> str:

@@ -48,20 +48,27 @@ class Tabular:
         """Column -> its unit, "" for pins and states; in the order of the columns."""
         raise NotImplementedError
 
+    @told
     def parts(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
-        """These columns, a number of rows at a time; once at least."""
+        """Yield these columns, a number of rows at a time; once at least. Raises ArgumentError for an unknown column."""
+        return self._parts(self._known_columns(names))
+
+    def _parts(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
+        """Yield these columns, which exist."""
         raise NotImplementedError
 
-    def _chosen(self, columns: Sequence[str] | str | None) -> list[str]:
+    def _known_columns(self, names: Sequence[str]) -> list[str]:
         known = list(self.units)
-        if columns is None:
-            return known
-        if isinstance(columns, str):
-            columns = [columns]
-        for name in columns:
+        for name in names:
             if name not in known:
                 raise unknown("column", name, known)
-        return ["time", *(name for name in dict.fromkeys(columns) if name != "time")]
+        return list(names)
+
+    def _chosen(self, columns: Sequence[str] | str | None) -> list[str]:
+        if columns is None:
+            return list(self.units)
+        names = self._known_columns([columns] if isinstance(columns, str) else columns)
+        return ["time", *(name for name in dict.fromkeys(names) if name != "time")]
 
     @told
     def to_pandas(self, columns: Sequence[str] | str | None = None) -> pandas.DataFrame:

@@ -178,7 +178,7 @@ class Axes(Mapping[str, Axis]):
     def __getitem__(self, name: str) -> Axis:
         try:
             return self._axes[name]
-        except KeyError:
+        except (KeyError, TypeError):  # a list has no hash
             raise UnknownKey(str(unknown("axis", name, self))) from None
 
     def __iter__(self) -> Iterator[str]:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stage.errors import ArgumentError
 from stage.snapshots import layout
 
 PART = "devices on its bus"
@@ -25,6 +26,8 @@ class Beside:
 
     def add(self, name: str, arrays: Sequence[np.ndarray]) -> None:
         """Contiguous arrays, which stay where they are."""
+        if not all(isinstance(array, np.ndarray) and array.flags.c_contiguous for array in arrays):
+            raise ArgumentError(f"arrays={arrays!r}: give a list of contiguous NumPy arrays.")
         self._bytes += [array.reshape(-1).view(np.uint8) for array in arrays]
         size, kinds = sum(array.nbytes for array in arrays), " ".join(layout(array.dtype) for array in arrays)
         self._names.append(f"{name} ({size} bytes of layout {kinds})")

@@ -54,6 +54,12 @@ class Fault:
     def __init__(
         self, stage: Stage | None, text: str, begin: Callable[[], Callable[[], None]], things: Iterable[Hashable] = ()
     ):
+        if stage is not None and not isinstance(stage, Stage):
+            raise ArgumentError(f"stage={stage!r}: give a Stage, or None.")
+        if not callable(begin):
+            raise ArgumentError(
+                f"begin={begin!r}: give a function that begins the fault and returns the one that ends it."
+            )
         self.text, self.in_force = text, True
         self._stage, self._begin, self._things = stage, begin, frozenset(things)
         self._end = begin()

@@ -134,6 +134,7 @@ class Fleet:
         return found
 
     @staticmethod
+    @told
     def check(status: np.ndarray) -> None:
         """Raises StageError if one of the stages could not be played. status: of `play.play`."""
         if any(how := status.tolist()):  # of few stages faster than numpy: steps of environments pass here
@@ -161,6 +162,7 @@ class Fleet:
             self._pool.shutdown()
             self._pool = None
 
+    @told
     def spread(self, work: Callable[[int, int], None]) -> None:
         """Call work(begin, end) for ranges of stages that make them all, on the fleet's threads."""
         self._halt()

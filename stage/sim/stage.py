@@ -301,15 +301,19 @@ class Stage:
         if self.recording is not None:
             self.recording.note(self.time, f"{fault.text}: {'begins' if begins else 'mended'}", self.faults)
 
+    @told
     def look_again(self, axis: Axis) -> None:
         """Somebody has changed this axis' rows of `state.switch_table`: from now on they hold."""
         self.loop.look_again(axis.index)
 
+    @told
     def refit(self, axis: Axis, drive: Drive | Servo) -> None:
         """`axis` has this drive from now on, with another motor; see `faults.motor`. Snapshots of before are another stage's.
 
         Raises ArgumentError, ModelError where that cannot be simulated, StageError; the stage is then as it was.
         """
+        if not isinstance(drive, Drive | Servo):
+            raise ArgumentError(f"drive={drive!r}: give a Drive or a Servo.")
         self.change()
         self.loop.check_kept()
         with self.loop.alone():
@@ -386,16 +390,26 @@ class Stage:
 
     def keep(self, state: np.ndarray) -> None:
         """Copy all state but the diagnostics into `state`, float64: MuJoCo's, and what is beside it."""
+        self._check_state(state)
         mujoco.mj_getState(self.model, self.data, state[: len(self.state.saved)], SAVED)
         if self.beside.words:
             self.beside.get(state[len(self.state.saved) :])
 
     def put(self, state: np.ndarray) -> None:
         """The stage is in this state, which `keep` has copied, here or of a stage alike."""
+        self._check_state(state)
         self.loop.put(state[: len(self.state.saved)])
         if self.beside.words:
             self.beside.put(state[len(self.state.saved) :])
 
+    def _check_state(self, state: np.ndarray) -> None:
+        """Raise ArgumentError unless `state` is an array for all of the stage's state, of shape (words,) and float64."""
+        words = len(self.state.saved) + self.beside.words
+        if not isinstance(state, np.ndarray) or state.dtype != np.float64 or state.shape != (words,):
+            what = f"{state.dtype} of shape {state.shape}" if isinstance(state, np.ndarray) else repr(state)
+            raise ArgumentError(f"state={what}: this stage's state is an array of float64 of shape ({words},).")
+
+    @told
     def attach(self, name: str, arrays: Sequence[np.ndarray]) -> None:
         """These arrays are part of the stage's state from now on, as they are now at power-up: a device on its bus."""
         self.beside.add(name, arrays)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
-from stage.arguments import whole_number
+from stage.arguments import told, whole_number
 from stage.errors import ArgumentError, StageError
 
 if TYPE_CHECKING:
@@ -69,7 +69,8 @@ def open_study(
     return study
 
 
-def read_study(storage: Any) -> optuna.Study:
+@told
+def read_study(storage: str | os.PathLike) -> optuna.Study:
     """The study in `storage`, to look at it, also while it runs. Raises ArgumentError: there is none."""
     from stage.study.storage import optuna, storage_at
 
@@ -80,6 +81,7 @@ def read_study(storage: Any) -> optuna.Study:
     raise ArgumentError(f"{storage} holds no study.")
 
 
+@told
 def run(
     objective: Objective,
     storage: Any,
@@ -100,6 +102,8 @@ def run(
             must then be importable, and a program that calls this must be guarded by `if __name__ == "__main__"`.
     Raises StageError when workers ended and trials lack.
     """
+    if not callable(objective):
+        raise ArgumentError(f"objective={objective!r}: give a function of a trial, as PresetMoves().")
     whole_number("trials", trials, 1)
     whole_number("workers", workers, 1)
     how = {"sampler": sampler, "pruner": pruner, "seed": seed}
@@ -135,6 +139,7 @@ def run(
     return study
 
 
+@told
 def finished(study: optuna.Study) -> int:
     """How many trials of the study have ended by themselves: complete, pruned, or failed with an error that was recorded."""
     return sum(

@@ -70,9 +70,11 @@ class ChipConformance:
         Raises NotConforming, ArgumentError for a promise that is not known or a limit that is no time.
         """
         __tracebackhide__ = True
-        if limit is not None and not limit > 0:
+        if limit is not None and not (isinstance(limit, int | float) and limit > 0):
             raise ArgumentError(f"limit={limit!r}: seconds above 0, or None for no limit.")
         kind = chip_class(chip) if isinstance(chip, str) else chip
+        if not isinstance(kind, type):
+            raise ArgumentError(f"chip={chip!r}: give a class of chips, as PCL240K, or the name of one.")
         seed = random.SystemRandom().getrandbits(32) if seed is None else seed
         print(f"chip_conformance({getattr(kind, '__name__', kind)}, seed={seed})")
         trial = Trial(kind, partial(kind, **options), seed, programs)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from stage.arguments import told
 from stage.errors import ArgumentError, unknown
 from stage.testing.assertions import fine
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from stage.recording import Recording
 
 
+@told
 def assert_path_within(
     recording: Recording,
     line: ArrayLike,
@@ -35,7 +37,10 @@ def assert_path_within(
     import numpy as np
 
     __tracebackhide__ = True
-    points = np.asarray(line, float)
+    try:
+        points = np.asarray(line, float)
+    except (TypeError, ValueError):
+        raise ArgumentError(f"line={line!r}: give points of two or three numbers each, in meters.") from None
     if points.ndim != 2 or len(points) < 2 or points.shape[1] not in (2, 3) or not np.isfinite(points).all():
         raise ArgumentError(
             f"line of shape {points.shape}: two points or more, each of two or three numbers, in metres."

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.arguments import whole_number
+from stage.arguments import told, whole_number
 from stage.errors import ArgumentError, StageError
 from stage.tune.formula import SAFETY
 from stage.tune.looks import LOOK
@@ -31,6 +31,7 @@ Told = Callable[[str, float, float | None], None]
 """Progress: what is done, the part that is done, the best time so far, s."""
 
 
+@told
 def tune(
     task: Task,
     *,

@@ -322,7 +322,7 @@ def test_the_command_prints_why_trials_failed(swept, tmp_path):
         ("", "holds no study"),
         ("--trials 0", "trials=0"),
         ("--trials 1 --workers 0", "workers=0"),
-        ("--trials 1 --option pulse=3", "'pulse'. Options: space, goals, model, axis"),
+        ("--trials 1 --option pulse=3", "'pulse'. Did you mean 'pulses'? Known: space, goals, model, axis"),
         ("--trials 1 --space R2=9:1", "R2=9:1"),
         ("--trials 1 --objective not.there:f", "No module named"),
         ("--trials 1 --objective os:getcwd --option a=1", "os:getcwd is a function: it takes no a"),

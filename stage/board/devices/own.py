@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from stage.arguments import told
 from stage.board import library
 from stage.board.devices.device import Device, Encoder, Listener
 from stage.board.errors import LibraryError
@@ -78,6 +79,7 @@ class CDevice(Device):
     Raises LibraryError, CompileError, NoCompilerError, FileError.
     """
 
+    @told
     def __init__(
         self,
         source: str | os.PathLike | Sequence[str | os.PathLike],
@@ -94,8 +96,10 @@ class CDevice(Device):
             self._scratch = Scratch()
             first = source if isinstance(source, str | os.PathLike) else source[0]
             self.path = library.build(source, self._scratch.path / f"{Path(first).stem}.so", flags)
+        elif isinstance(source, str | os.PathLike):
+            self.path = Path(source)
         else:
-            self.path = Path(source)  # type: ignore[arg-type]
+            raise ArgumentError(f"source={source!r}: give one library, or a list of C or C++ sources.")
         self._loaded_from = Scratch()  # a copy of its own, which debuggers and messages about crashes find there
         self.loaded = self._loaded_from.path / f"device-{self.path.name}"
         loaded = _loaded(self.path, self.loaded, source)

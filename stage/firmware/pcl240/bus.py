@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from stage.arguments import told_when_made
 from stage.chips import Chip
 from stage.chips.pcl240 import PCL240, STATUS
 from stage.chips.pcl240 import state as bits
@@ -130,6 +131,7 @@ def polarity(axis: Axis) -> dict[str, int]:
     return bits
 
 
+@told_when_made
 class Port:
     """The bus of one axis' chip."""
 

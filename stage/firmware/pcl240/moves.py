@@ -192,6 +192,7 @@ def interrupted_move(
         return p.report(stop_reason(status, pulses), pulses)
 
 
+@told
 def external_count(
     axis: Axis,
     pulses: int,
@@ -284,12 +285,7 @@ def profile_for(axis: Axis, profile: Profile | None) -> Profile:
 
 def whole_count(pulses: int) -> int:
     """How many pulses, whichever way. Raises ArgumentError."""
-    if (
-        not isinstance(pulses, int | float)
-        or pulses != pulses
-        or int(pulses) != pulses
-        or not 1 <= abs(pulses) <= COUNTER_MASK
-    ):
+    if not isinstance(pulses, int | float) or not 1 <= abs(pulses) <= COUNTER_MASK or int(pulses) != pulses:
         raise ArgumentError(f"pulses={pulses!r}: R0 counts 1 to 16777215 pulses; the sign is the direction.")
     return abs(int(pulses))
 

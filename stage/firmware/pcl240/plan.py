@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from stage.arguments import told
 from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import LINEAR, SPAN
@@ -172,6 +173,7 @@ class Plan:
         return "\n".join([*lines, *self.notes])
 
 
+@told
 def plan(
     distances: Mapping[str, int],
     *,

@@ -13,7 +13,7 @@ from math import isqrt
 
 import numpy as np
 
-from stage.arguments import told
+from stage.arguments import told, told_when_made
 from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import SPAN
@@ -106,6 +106,7 @@ def down_point(r0: int, low: int, high: int, r4: int, r5: int, r7: int, down: in
     return int(ramp_pulses(low, high, r5, r7, down)) + AT_FL
 
 
+@told_when_made
 @dataclass(frozen=True)
 class Profile:
     """The speed registers of a move. Every value is checked against the register map: ArgumentError names the register.

@@ -103,6 +103,7 @@ def dual_rate_move(
         return p.report(stop_reason(status, direction, preset=pulses is not None), pulses)
 
 
+@told
 def speed_change_move(
     axis: Axis,
     pulses: int,
@@ -134,6 +135,7 @@ def speed_change_move(
         return p.report(stop_reason(status, pulses), pulses)
 
 
+@told
 def curved_ramp_move(
     axis: Axis,
     pulses: int,
@@ -150,6 +152,8 @@ def curved_ramp_move(
     """
     profile = replace(profile_for(axis, profile), spans=None)
     count = whole_count(pulses)
+    if not all(isinstance(piece, Sequence) and len(piece) == 2 for piece in pieces):
+        raise ArgumentError(f"pieces={pieces!r}: give pairs of a rate in pps and the time to reach it in seconds.")
     speeds = _speeds(axis, profile, [rate for rate, _ in pieces])
     way = [profile.R1, *speeds]
     if any(b <= a for a, b in pairwise(way)):
