@@ -1,5 +1,6 @@
 """Procedures by bus cycles only: on chips alone, and on the stage."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -255,6 +256,33 @@ def test_the_rest_of_an_interrupted_s_curve_that_is_short_ends_at_fl_by_a_whole_
     first, rest = speed[again[0] : again[1]], speed[again[1] :]
     assert profile.R1 < rest.max() < first.max() == profile.high(fh2)
     assert rest[rest > 0][-1] == profile.R1
+
+
+@pytest.mark.parametrize("chip", [PCL240K, PCL240MK, PCL240MS])
+@pytest.mark.parametrize("fh2", [False, True])
+@pytest.mark.parametrize("pulses", [2400, -4000, 9000])
+@pytest.mark.parametrize("after", [0.2, 0.31])
+def test_r6_of_an_interrupted_moves_rest_is_the_ramping_down_point_of_so_many_pulses(chip, fh2, pulses, after):
+    """R0 keeps the residual pulses (section 4, R0). R6 for them: Psd + 5 (section 4, R6), or R0 R5 / (R4 + R5) of a triangular
+    drive (Q & A), for with R6 > R0 the ramping-up does not occur. The registers and R0 are read on the pins and the bus."""
+    profile = Profile.of(fl=500, fh1=8000, fh2=12_000, accel=0.25, decel=0.1)
+    report = firmware.interrupted_move(Bench(x=chip()).axes["x"], pulses, profile, fh2=fh2, after=after, pause=0.05)
+    assert (report.pulses, report.stopped_by) == (pulses, "R0 = 0")
+    edges, hold = report.course.edges, report.course.pin("hold")
+    starts = np.flatnonzero(hold[:-1] & ~hold[1:]) + 1
+    assert len(starts) == 2, "the start, and that of the rest"
+    r0, speed = int(edges["counter"][starts[1]]), edges["speed"][starts[1] :]
+    assert 0 < r0 < abs(pulses)
+    down_points = [int(word) for *_, said in report.writes() for word in re.findall(r"^R6 <- (\d+)", said)]
+    fh, r1, r4, r5, r7 = (profile.R3 if fh2 else profile.R2), profile.R1, profile.R4, profile.R5, profile.R7
+    squares = fh * fh - r1 * r1
+    if r0 < squares * (r4 + r5) / (16384 * r7):
+        assert r0 * r5 / (r4 + r5) <= down_points[-1] <= r0 * r5 / (r4 + r5) + 3, "triangular"
+        assert r1 < speed.max() < fh
+    else:
+        assert down_points[-1] == squares * r5 // (16384 * r7) + 5
+        assert speed.max() == fh
+    assert speed[speed > 0][-1] == r1, "it ends at FL"
 
 
 @pytest.mark.parametrize("rate", [2000.0, 5000.0, 12_000.0])
