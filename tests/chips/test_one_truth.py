@@ -85,7 +85,7 @@ def test_a_value_is_found_by_its_words_in_place():
 
 def test_the_commands_of_the_pcl240_are_those_of_its_data_sheet():
     """The codes here are copied from section 3, not from the map."""
-    assert (bus.RESET, bus.STOP, bus.SLOW_DOWN_FH1, bus.SLOW_DOWN_FH2, bus.INTERRUPT) == (0x08, 0x18, 0x1D, 0x1F, 0x20)
+    assert (bus.RESET, bus.SLOW_DOWN_FH1, bus.SLOW_DOWN_FH2, bus.INTERRUPT) == (0x08, 0x1D, 0x1F, 0x20)
     assert bus.START == {"FL": 0x10, "FH1": 0x11, "FH2": 0x13}
     assert bus.RAMP == {"FL": 0x14, "FH1": 0x15, "FH2": 0x17}
     assert (bus.ORIGIN, bus.SD, bus.PRESET, bus.MINUS, bus.AUTOMATIC, bus.POSITION) == (1, 2, 4, 8, 0x10, 0x20)

@@ -50,6 +50,15 @@ def test_the_firmwares_speeds_end_within_a_pulse_of_the_origin(chip, start, leav
     assert observation[6:10].tolist() == [1, 0, 0, 1]
 
 
+@pytest.mark.parametrize("chip", [PCL240MK, PCL240MS])
+def test_a_return_to_an_index_pulse_is_not_home_at_the_end_limit_with_and_without_ez_monitor(chip):
+    """x passes three index pulses, 10 mm apart, between ORG and EL-: a 16th never comes."""
+    for ez, home in ((1, True), (3, True), (16, False)):
+        _, _, info = one_return(make(chip=chip, ez=ez), NEAR, approach=80)
+        assert (info["home"], info["end_limit"], info["late"]) == (home, not home, False), ez
+        assert not home or abs(info["error"]) < 8, "at 1600 pps it stops within as many pulses"
+
+
 @pytest.mark.parametrize("axis", "xyz")
 def test_every_axis_finds_its_origin(axis):
     env = make(axis=axis)

@@ -5,7 +5,7 @@ import pytest
 from support.examples import SEED, scaled
 
 from stage import ArgumentError, RunTimeout, firmware
-from stage.chips import PCL240K, PCL240MS
+from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, Port, Profile
 
 P = Profile.of(fl=1000, fh1=16_000, accel=0.1)
@@ -62,12 +62,14 @@ def test_towards_plus_it_is_the_mirror_image():
     assert (report.stopped_by, bench.axes["x"].place, report.ok) == ("EL-", -20_000, False)
 
 
+@pytest.mark.parametrize("chip", [PCL240MK, PCL240MS])
 @pytest.mark.parametrize("ez", [1, 16])
-def test_an_end_limit_before_the_index_pulse_is_no_origin(ez):
+def test_an_end_limit_before_the_index_pulse_is_no_origin(ez, chip):
     """firmware.origin_return(axis, -1, ez=1) of an encoder without index pulses"""
-    x = at(3000, chip=PCL240MS)
-    report = firmware.origin_return(x, -1, P, ez=ez)
+    x = at(3000, chip=chip)
+    report = firmware.origin_return(x, -1, P, ez=ez, approach=500)
     assert (report.stopped_by, x.place, report.ok) == ("EL-", LOW, False)
+    assert x.chip.values()["R1"] == round(500 / P.step), "the speed of the approach, as on every chip"
 
 
 def test_the_approach_is_never_faster_than_fl_and_takes_the_least_speed_there_is():

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stage.chips import MCX304, MCX514, PCL240K, PCL240MK
+from stage.chips import MCX304, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.chips.pcl240.state import S_ORG, S_ZERO
 from stage.firmware import Bench
 from stage.firmware.driver import driver_of
@@ -69,10 +69,14 @@ def test_every_end_of_an_origin_return_of_four_runs_is_told():
     assert set(told["overrun"]) == {480 - 500}
 
 
-def test_of_an_origin_return_to_the_index_pulse_home_is_that_pulse():
-    made = search(FourRuns, PCL240MK, ez=2)
-    results = [four_runs()[0] | {"index": index} for index in (0x10, 0xEF)]
-    assert found(made, results)["home"].tolist() == [True, False], "bit 20 of R17"
+@pytest.mark.parametrize(
+    ("chip", "bit"), [(PCL240MS, 0x10), (PCL240MK, 0x40)], ids=["bit 20 of R17", "status bit 6 of a start"]
+)
+def test_of_an_origin_return_to_the_index_pulse_home_is_that_pulse(chip, bit):
+    """The MK has no EZ monitor: that it accepts a start towards the end limit says that the limit did not end the return."""
+    runs = search(FourRuns, chip, ez=2)
+    results = [four_runs()[0] | {"index": index} for index in (bit, 0xFF & ~bit)]
+    assert found(runs, results)["home"].tolist() == [True, False]
 
 
 @pytest.mark.parametrize("chip", [MCX304, MCX514])
@@ -110,9 +114,9 @@ def test_an_origin_return_to_the_index_pulse_counts_from_fl_on(ez):
     assert any(rows[k : k + len(wanted)] == wanted for k in range(len(rows)))
     written = {}
     status = SimpleNamespace(org=False, _replace=lambda **_: status)
-    axis = SimpleNamespace(wait=lambda _: None)
+    axis = SimpleNamespace(wait=lambda _: None, chip=chip)
     port = SimpleNamespace(
-        extended=True, axis=axis, write_register=written.__setitem__, read_register=lambda _: bus.EZ_SIGNAL,
+        extended=True, axis=axis, write_register=written.__setitem__, is_blocked=lambda _: False,
         control=lambda _: None, command=lambda _: None, wait_until_stopped=lambda _: status, status=lambda: status,
     )  # fmt: skip
     assert home._approach(port, -1, False, 1.0, ez) == "EZ"

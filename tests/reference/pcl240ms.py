@@ -16,7 +16,8 @@ EZ_MONITOR = 0x1F0000  # bits 20..16 of R17
 class ReferencePCL240MK(ReferencePCL240K):
     # Choice: R14 and R15 are as wide on the MK, where they do nothing
     WIDTHS = (24, 13, 13, 13, 14, 14, 20, 10, 24, 24, 24, 24, 16, 12, 24, 24)
-    FIXED = ((R13, 0x800000), (R17, EZ_MONITOR))  # bits that no write changes; R13 b23 is 0 on the MK [seed 2-1]
+    # Bits that no write changes: R13 b23 is 0 on the MK [seed 2-1]; R17 b20..16 came with the MS [seed 1]. Choice: 0, too
+    FIXED = ((R13, 0x800000), (R17, EZ_MONITOR))
     INPUTS = (*INPUTS, "ez")
     CONTROL_BITS, SELECT_BITS, OUTPUT_BITS = 0x3F, 0x37, 0x39
 
@@ -66,12 +67,8 @@ class ReferencePCL240MK(ReferencePCL240K):
         return word >> shift & 0xFF
 
     def value(self, number):
-        """A register as it reads. Choice: the MK has the EZ monitor in R17, too, as the specification's list says."""
-        if number != R17:
-            return self.registers[number]
-        count = self.ez_preset if self.ez_count is None else self.ez_count
-        # Choice: the EZ signal is the pin at the moment of the read, not its last sample
-        return self.registers[R17] | count << 16 | self.ez << 20
+        """A register as it reads."""
+        return self.registers[number]
 
     # Polarity [5 fine points]. Choice: an edge is one of the pin as the chip reads it, so a new logic makes one, too
     org = property(lambda self: self.pins.org != bool(self.registers[R13] >> 23 & 1))
@@ -161,6 +158,14 @@ class ReferencePCL240MK(ReferencePCL240K):
 class ReferencePCL240MS(ReferencePCL240MK):
     WIDTHS = (24, 13, 13, 13, 16, 16, 24, 10, 24, 24, 24, 24, 16, 12, 24, 24)
     FIXED = ((R17, EZ_MONITOR),)
+
+    def value(self, number):
+        """A register as it reads. R17 has the EZ monitor, as the list of additions in the data sheet says [seed 1, 2-4]."""
+        if number != R17:
+            return super().value(number)
+        count = self.ez_preset if self.ez_count is None else self.ez_count
+        # Choice: the EZ signal is the pin at the moment of the read, not its last sample
+        return self.registers[R17] | count << 16 | self.ez << 20
 
     def _forget_the_run(self):
         super()._forget_the_run()

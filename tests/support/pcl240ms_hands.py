@@ -18,7 +18,7 @@ BITS = {
     PCL240MK: K_BITS | EXTENSION_BITS | {"R13": 23},  # its bit 23 "is fixed as 0"
     PCL240MS: K_BITS | EXTENSION_BITS | {"R4": 16, "R5": 16, "R6": 24},
 }
-READ_ONLY = {"R17": 0x1F0000}
+READ_ONLY = {"R17": 0x1F0000}  # the EZ monitor of the MS; always 0 on the MK
 NAMES = tuple(BITS[PCL240MS])
 SWITCH_OFF = ("R1", "R4", "R5", "R14", "R15")  # writing one in motion disables the automatic point
 

@@ -18,8 +18,7 @@ enum pcl240_register {
     PCL240_R7,           /* multiplier, 10 bits */
     PCL240_R10 = 0x10,   /* position, 24 bits, signed */
     PCL240_R12 = 0x12,   /* EC-Z logic */
-    PCL240_R13 = 0x13,   /* EZ counting */
-    PCL240_R17 = 0x17    /* EZ monitor, read only */
+    PCL240_R13 = 0x13    /* EZ counting */
 };
 
 /* 00: operating mode commands */

@@ -154,8 +154,8 @@ def write_byte(c, address, value):
 
 @hot
 def register(c, k):
-    """What register `k` reads as."""
-    if k == R17 and c.extended:
+    """What register `k` reads as. The EZ monitor in R17 came with the MS."""
+    if k == R17 and c.s_curves:
         count = c.ez_left if c.ez_running else c.reg[R13] >> EZ_COUNT & EZ_MOST
         return c.reg[R17] | count << EZ_COUNT | (EZ_SIGNAL if c.seen & EZ else 0)
     return c.reg[k]

@@ -186,6 +186,7 @@ def _extension(s_curves: bool) -> tuple[Register, ...]:
         if s_curves
         else Field("fixed", 23, 23, "always 0", "S", "R")
     )
+    monitor: tuple[Field, ...] = (Field("fixed", 20, 16, "always 0", "I", "R"),)
     up: tuple[Field, ...] = (_stored(15, 0),)
     down: tuple[Field, ...] = (_stored(11, 0),)
     if s_curves:
@@ -199,6 +200,10 @@ def _extension(s_curves: bool) -> tuple[Register, ...]:
             span,
         )  # fmt: skip
         down = (span,)
+        monitor = (
+            Field("ez", 20, 20, "EZ asserted", "I", "R"),
+            Field("ez_counter", 19, 16, "EZ edges to come", "I", "R", note="at rest R13's count"),
+        )
     spans = (0, span.mask)
     note = "S-curve" if s_curves else "no S-curve on this chip; a write in motion ends the automatic point all the same"
     return (
@@ -227,13 +232,8 @@ def _extension(s_curves: bool) -> tuple[Register, ...]:
         Register("R15", 0x15, 12, "RW", "deceleration", None, down, seen, note=note, tuned=spans),
         Register("R16", 0x16, 24, "RW", "stored, no effect", evidence="I"),
         Register(
-            "R17", 0x17, 24, "RW", "EZ monitor", None,
-            (
-                _stored(23, 21),
-                Field("ez", 20, 20, "EZ asserted", seen, "R"),
-                Field("ez_counter", 19, 16, "EZ edges to come", seen, "R", note="at rest R13's count"),
-                _stored(15, 0),
-            ),
+            "R17", 0x17, 24, "RW", "EZ monitor" if s_curves else "stored, no effect", None,
+            (_stored(23, 21), *monitor, _stored(15, 0)),
             seen,
         ),
     )  # fmt: skip

@@ -100,7 +100,7 @@ STATE = record(
         ("ez_running", "i8"),  # the first EZ edge has come
         # what this variant has beyond the 240K: variants differ by data alone
         ("extended", "i8"),  # MK and MS
-        ("s_curves", "i8"),  # MS
+        ("s_curves", "i8"),  # MS; it has the EZ monitor, too
         ("reg", "i8", (REGISTERS,)),  # R0 to R7, R10 to R17
         ("mask", "i8", (REGISTERS,)),  # what can be written to each
         ("top_bit", "i8"),  # the sign of R6 as an offset

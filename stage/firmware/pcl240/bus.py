@@ -38,17 +38,12 @@ from stage.firmware.axis import Axis
 
 START = {"FL": bits.START | bits.FL, "FH1": bits.START | bits.FH1, "FH2": bits.START | bits.FH2}  # constant speed
 RAMP = {name: start | bits.RAMP for name, start in START.items()}
-RESET, STOP, SLOW_DOWN_FH1, SLOW_DOWN_FH2 = (
-    bits.STOP,
-    bits.STOP | START["FL"],
-    bits.STOP | RAMP["FH1"],
-    bits.STOP | RAMP["FH2"],
-)
+RESET, SLOW_DOWN_FH1, SLOW_DOWN_FH2 = bits.STOP, bits.STOP | RAMP["FH1"], bits.STOP | RAMP["FH2"]
 INTERRUPT = bits.INT_AT_STOP
 
 __all__ = ["AUTOMATIC", "COLLECTIVE", "CONTROL", "EXTENSION", "EXTERNAL", "EZ_COUNT", "EZ_FROM_FL", "EZ_RETURN", "EZ_SIGNAL",
            "INTERRUPT", "MINUS", "ORIGIN", "OUTPUT", "POSITION", "PRESET", "RAMP", "RESET", "SD", "SELECT", "SLOW_DOWN_FH1",
-           "SLOW_DOWN_FH2", "START", "STOP", "UNCORRECTED", "Port", "Status", "stop_reason"]  # fmt: skip
+           "SLOW_DOWN_FH2", "START", "UNCORRECTED", "Port", "Status", "has_ez_monitor", "stop_reason"]  # fmt: skip
 
 POLL = 1e-3  # s between two looks at the status byte of a run that takes long
 QUICK = 2e-4  # s, where a command follows at once
@@ -131,6 +126,11 @@ def polarity(axis: Axis) -> dict[str, int]:
     return bits
 
 
+def has_ez_monitor(chip: Chip | type[Chip]) -> bool:
+    """Tell whether R17 of a chip shows the EZ input; that came with the MS."""
+    return any(f.name == "ez" for f in chip.MAP.register("R17").fields)
+
+
 @told_when_made
 class Port:
     """The bus of one axis' chip."""
@@ -192,6 +192,22 @@ class Port:
         self.command(SELECT)
         self.command(output)
         return high << 16 | middle << 8 | low
+
+    def is_blocked(self, direction: int) -> bool:
+        """Ask a halted chip whether the end limit of `direction` is asserted, for no status bit says it.
+
+        A start towards an asserted limit stays halted. This one is at speed step 1, and the reset command follows two bus cycles
+        later, long before the first pulse. Restores R1; the control mode is manual afterwards. Raises StageError on a PCL-240K.
+        """
+        low = self.read_register("R1")
+        self.command(RESET)
+        self.write_register("R1", 1)
+        self.control(MINUS if direction < 0 else 0)
+        self.command(START["FL"])
+        blocked = not self.status().operating
+        self.command(RESET)
+        self.write_register("R1", low)
+        return blocked
 
     def position(self) -> int:
         """R10 of MK and MS: signed pulses since it was last written; an origin return writes 0."""

@@ -108,12 +108,19 @@ def _approach(port: Port, direction: int, high_speed: bool, timeout: float, ez: 
     port.control(bus.ORIGIN | (bus.SD if high_speed else 0) | minus_bit(direction))
     port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
     status = port.wait_until_stopped(timeout)
-    at_index = bool(ez) and bool(port.read_register("R17") & bus.EZ_SIGNAL)
+    at_index = bool(ez) and _is_at_index(port, direction)
     port.axis.wait(SETTLE)
     if ez:
         return "EZ" if at_index else stop_reason(status, direction, preset=False)
     org = status.org or port.status().org
     return stop_reason(status._replace(org=org), direction, preset=False, origin=True)
+
+
+def _is_at_index(port: Port, direction: int) -> bool:
+    """Tell an index pulse from the end limit, after an EZ return has stopped: no status bit shows either."""
+    if bus.has_ez_monitor(port.axis.chip):
+        return bool(port.read_register("R17") & bus.EZ_SIGNAL)
+    return not port.is_blocked(direction)
 
 
 def _leave(port: Port, direction: int, back_off: int, high_speed: bool, timeout: float) -> Status:

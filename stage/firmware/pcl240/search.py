@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.chips.pcl240.state import COUNTER_MASK, S_ORG, S_ZERO
+from stage.chips.pcl240.state import COUNTER_MASK, S_OPERATING, S_ORG, S_ZERO
 from stage.errors import ArgumentError, a_or_an
 from stage.firmware.choices import Choices, limits
 from stage.firmware.pcl240 import bus
@@ -63,7 +63,12 @@ class FourRuns(Search):
                 a, chip, "R13", logic.get("R13", 0) | bus.EZ_RETURN | bus.EZ_FROM_FL | (c.ez - 1) << bus.EZ_COUNT
             )
         self._run(p, "approach", bus.ORIGIN | bus.MINUS, bus.START["FL"], 0, c.settle)
-        if c.ez:  # the index pulse, as R17 shows it: bit 20, in the high byte
+        if c.ez and not bus.has_ez_monitor(
+            chip
+        ):  # a start at speed step 1, taken back at once, is accepted: no end limit
+            p.register(a, chip, "R1", 1).command(a, bus.CONTROL | bus.MINUS).command(a, bus.START["FL"])
+            self._mark("index", p).read(a, 0).command(a, bus.RESET).register(a, chip, "R1", approach)
+        elif c.ez:  # the index pulse, as R17 shows it: bit 20, in the high byte
             p.command(a, bus.OUTPUT | bus.EXTENSION)
             p.command(a, bus.SELECT | bus.COLLECTIVE | chip.MAP.register("R17").number)
             self._mark("index", p).read(a, 3).command(a, bus.OUTPUT)
@@ -85,7 +90,10 @@ class FourRuns(Search):
         }
         late = np.any([said[f"{name} time"] < 0 for name in RUNS], axis=0)
         on_org = {name: s & S_ORG != 0 for name, s in status.items()}
-        arrived = said["index"] & bus.EZ_SIGNAL >> 16 != 0 if self.settings.ez else on_org["approach"]
+        arrived = on_org["approach"]
+        if self.settings.ez:
+            at_index = bus.EZ_SIGNAL >> 16 if bus.has_ez_monitor(self.driver.chip) else S_OPERATING
+            arrived = said["index"] & at_index != 0
         released = ~on_org["back off"]
         short = (status["leave"] & S_ZERO == 0) | (status["back off"] & S_ZERO == 0)
         end_limit = ~late & (short | ~on_org["search"] | (released & ~arrived))
