@@ -84,6 +84,8 @@ def test_an_ez_return_with_every_bit_of_every_register_set_raises_nothing(make):
 @ALL
 def test_bits_above_a_width_are_masked_and_each_byte_that_loses_some_is_noted(make):
     for name, bits in BITS[make].items():
+        if make is PCL240MK and name == "R6":  # all ones are the offset -1
+            continue
         chip = make()
         load(chip, **{name: 0xFFFFFF & ~(0 if name != "R17" else 0x1F0000)})
         about_width = notes(chip, name, f"{bits} bits")
@@ -110,6 +112,51 @@ def test_r13_bit_23_of_the_mk_is_fixed_as_0_and_the_ms_has_it():
     assert mk.values()["R13"] == 0
     assert ms.diagnostics == []
     assert ms.values()["R13"] == 0x800000
+
+
+def write_24_bits(chip, name, value, collective):
+    """Write all 24 bits of a register, byte by byte or as a collective transfer."""
+    commands(chip, select(name) | (0x20 if collective else 0))
+    for address in (3, 2, 1):
+        chip.write(address, value >> 8 * (address - 1) & 0xFF)
+
+
+@BOTH
+@pytest.mark.parametrize("collective", [False, True])
+@pytest.mark.parametrize("offset", [-1, -2, -1000, -524_288])
+def test_a_negative_offset_written_with_24_bits_loses_nothing_and_means_the_same_on_both(make, offset, collective):
+    """chip.write(0, 86h), then FFh, FFh, FEh to addresses 3, 2, 1 of a PCL240MK: docs/chips.md"""
+    chip = make()
+    write_24_bits(chip, "R6", offset & 0xFFFFFF, collective)
+    assert chip.diagnostics == []
+    assert chip.values()["R6"] == offset & (1 << BITS[make]["R6"]) - 1
+
+
+def test_a_move_with_an_offset_of_24_bits_makes_the_same_pulses_on_mk_and_ms():
+    clocks = []
+    for make in (PCL240MK, PCL240MS):
+        chip = begun(make, AUTOMATIC, 0x08, R0=5000, **({"R14": LINEAR | NO_CORRECTION} if make is PCL240MS else {}))
+        write_24_bits(chip, "R6", -40 & 0xFFFFFF, False)
+        commands(chip, 0x15)
+        clocks.append(chip.trace(FOREVER)["clock"])
+        assert chip.diagnostics == []
+        assert 21 < np.diff(clocks[-1])[-1] < 327, "the ramp-down began 40 pulses too late to reach FL"
+    assert len(clocks[0]) == 5000
+    assert (clocks[0] == clocks[1]).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "value", "collective"),
+    [
+        *((PCL240MK, value, c) for value in (0xF00000, 0xF7FFFF, 0x1FFFFF, 0x7FFFFE) for c in (False, True)),
+        (PCL240K, 0xFFFFFE, False),
+    ],
+)
+def test_bits_of_r6_that_repeat_no_sign_are_lost_and_noted(make, value, collective):
+    chip = make()
+    write_24_bits(chip, "R6", value, collective)
+    assert noted(chip, "R6", "20 bits")
+    assert chip.values()["R6"] == value & 0xFFFFF
 
 
 @BOTH

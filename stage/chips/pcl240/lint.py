@@ -48,6 +48,8 @@ _SECTIONS = {"control": "section 3 b", "select": "section 3 c", "output": "secti
 _SPEEDS = MAP.field("operate", "speed").values
 _FH = {FH1: 2, FH2: 3}
 """The register of a speed select; R1 of any other."""
+_WORD = (1 << 24) - 1
+"""The bits of the three data bytes."""
 _RAMPING = ("R1", "R4", "R5", "R14", "R15")
 
 
@@ -72,12 +74,12 @@ def data(map_: RegisterMap, c: Any, address: int, value: int) -> Note | None:
         if address != 1:
             return None
         given = whole = int(c["high"]) << 16 | int(c["middle"]) << 8 | value
-    if lost := given & ~r.mask:
+    if lost := given & ~r.mask & ~_sign_extension(r.name, c, given):
         return (
             f"{r.name} is {r.bits} bits wide: {value:02X}h at address {address} loses bits {lost:06X}h",
             "section 3 c",
         )
-    if fixed := given & ~r.writable:
+    if fixed := given & r.mask & ~r.writable:
         return f"{r.name} bits {fixed:06X}h are read only", "MS section 2-4"
     if r.name in ("R14", "R15") and not c["s_curves"] and given & SPAN:
         return f"{r.name}: this chip has no S-curves; the value is stored and means nothing", "MS section 1"
@@ -93,6 +95,12 @@ def data(map_: RegisterMap, c: Any, address: int, value: int) -> Note | None:
     if r.legal and address == 1 and whole < r.legal[0]:
         return f"{r.name} = {whole}: {r.title} takes {r.legal[0]} to {r.legal[1]}", "section 4"
     return None
+
+
+def _sign_extension(name: str, c: Any, written: int) -> int:
+    """Find the bits of a byte, or of a collective write, that only repeat the sign of R6 as an offset: none of them is lost."""
+    sign = _WORD & ~(int(c["top_bit"]) - 1)
+    return sign if name == "R6" and c["extended"] and written & sign == sign else 0
 
 
 def command(map_: RegisterMap, c: Any, foresight: Foresight, value: int) -> Note | None:
