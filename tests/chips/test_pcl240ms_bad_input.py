@@ -204,6 +204,83 @@ def test_the_legal_minimum_is_judged_by_the_value_that_a_collective_write_transf
     assert noted(chip, "R1")
 
 
+# Commands that are in no table, and a direction that changes in motion
+
+IN_A_TABLE = {0x08} | {code | irq for code in (0x10, 0x11, 0x13, 0x14, 0x15, 0x17, 0x1D, 0x1F) for irq in (0, 0x20)}
+"""Section 3 a of the PCL-240K's data sheet; 28h is not there, for the reset command has no choice of /INT."""
+
+
+@ALL
+@pytest.mark.parametrize("value", range(0x40))
+def test_an_operating_mode_is_noted_where_the_table_of_the_data_sheet_does_not_have_it(make, value):
+    chip = set_up(make, MANUAL, 0x08)
+    assert chip.diagnostics == []
+    chip.write(0, value)
+    if value in IN_A_TABLE:
+        assert chip.diagnostics == []
+    else:
+        assert noted(chip, f"{value:02X}h", "in no table")
+        assert chip.diagnostics[0].source == "section 3 a"
+
+
+@ALL
+@pytest.mark.parametrize(
+    ("start", "command", "effect", "at_once"),
+    [
+        (0x11, 0x18, "stop at once", True),
+        (0x11, 0x19, "stop at once", True),
+        (0x11, 0x1B, "stop at once", True),
+        (0x11, 0x1C, "decelerating stop", False),
+        (0x15, 0x18, "decelerating stop", False),
+        (0x15, 0x19, "decelerating stop", False),
+        (0x15, 0x1C, "decelerating stop", False),
+        (0x15, 0x1E, "decelerating stop", False),
+        (0x15, 0x28, "reset command, with /INT", True),
+        (0x15, 0x0F, "reset command", True),
+        (0x15, 0x00, "does nothing", None),
+        (0x15, 0x27, "does nothing", None),
+    ],
+)
+def test_a_command_in_no_table_does_what_its_note_says(make, start, command, effect, at_once):
+    chip = set_up(make, MANUAL, start)
+    chip.advance(60_000)
+    chip.write(0, command)
+    assert noted(chip, f"{command:02X}h", effect)
+    chip.advance(2 * 8192)  # a period of FL is 328 clocks, a ramp of 750 steps 22,500
+    assert operating(chip) == (not at_once)
+    chip.advance(60_000)
+    assert operating(chip) == (at_once is None)
+    assert chip.pins.irq == (command == 0x28)
+
+
+@ALL
+@pytest.mark.parametrize(("first", "then"), [(0x40, 0x48), (0x48, 0x40)])
+@pytest.mark.parametrize("start", [0x11, 0x15])
+def test_a_new_direction_in_motion_is_noted_and_reverses_the_next_pulse(make, start, first, then):
+    """chip.write(0, 40h); chip.write(0, 15h); chip.write(0, 48h)"""
+    chip = set_up(make, first, start)
+    chip.advance(30_000)
+    chip.write(0, first)
+    assert chip.diagnostics == [], "the same direction again"
+    chip.write(0, then)
+    assert noted(chip, f"{then:02X}h", "direction", "next pulse goes the other way")
+    assert chip.trace(500)["direction"][0] == (-1 if then == 0x48 else 1)
+
+
+@ALL
+def test_a_direction_that_changes_within_the_last_pulse_is_noted_and_one_that_changes_at_rest_is_not(make):
+    chip = set_up(make, MANUAL, 0x11)
+    clocks_while(chip, lambda c: not c.pins.pout)
+    commands(chip, 0x08)
+    assert operating(chip), "POUT is low: the pulse is completed first"
+    chip.write(0, 0x48)
+    assert noted(chip, "48h", "PDIR changes within the last pulse")
+    chip.advance(100)
+    assert not operating(chip)
+    chip.write(0, 0x40)
+    assert len(chip.diagnostics) == 1
+
+
 # What a chip does not have
 
 

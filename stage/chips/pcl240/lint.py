@@ -21,8 +21,10 @@ from stage.chips.pcl240.state import (
     FH1,
     FH2,
     GROUP,
+    INT_AT_STOP,
     LINEAR,
     MAP,
+    MINUS,
     ORG,
     ORG_POSITIVE,
     R13,
@@ -109,13 +111,42 @@ def command(map_: RegisterMap, c: Any, foresight: Foresight, value: int) -> Note
     if where := _SECTIONS.get(name):
         empty = value & ~map_.word(name).used
         bits = " and ".join(str(k) for k in range(7, -1, -1) if empty >> k & 1)
-        return (f"{name} mode {value:02X}h: bit {bits} means nothing on this chip", where) if empty else None
+        if empty:
+            return f"{name} mode {value:02X}h: bit {bits} means nothing on this chip", where
+        return _turn(c, value) if name == "control" else None
+    if value & SPEED not in _SPEEDS and value & START and not value & STOP:
+        return f"speed select {value & SPEED:02b} in {value:02X}h is in no table; it acts as FL", "section 3 a"
+    if value not in (sent := map_.word(name).sends) and (
+        value & ~INT_AT_STOP not in sent or value & ~INT_AT_STOP == STOP
+    ):
+        return f"operating mode {value:02X}h is in no table; {_effect(c, value)}", "section 3 a"
     if not value & START or value & STOP:
         return None
-    if value & SPEED not in _SPEEDS:
-        return f"speed select {value & SPEED:02b} in {value:02X}h is in no table; it acts as FL", "section 3 a"
     said = None if c["running"] else _start(c, foresight, value)
     return said or _too_fast(c, foresight.hz, value)
+
+
+def _turn(c: Any, value: int) -> Note | None:
+    """Note a control mode that changes the direction before status bit 6 is 0."""
+    if bool(value & MINUS) == bool(c["minus"]) or not (c["running"] or c["finishing"]):
+        return None
+    what = "the next pulse goes the other way, without a ramp" if c["running"] else "PDIR changes within the last pulse"
+    return (
+        f"control mode {value:02X}h changes the direction in motion: {what}; wait until status bit 6 is 0",
+        "section 3 b",
+    )
+
+
+def _effect(c: Any, value: int) -> str:
+    """Tell what a command of group 00 that is in no table does."""
+    if value & STOP and value & START:
+        if not c["running"]:
+            return "nothing runs that it could stop"
+        ramps = value & RAMP or c["ramps"]
+        return f"it acts as a {'decelerating stop (1Dh, 1Fh)' if ramps else 'stop at once'}"
+    if value & STOP:
+        return "it acts as the reset command" + (", with /INT" if value & INT_AT_STOP else "")
+    return "it does nothing but " + ("ask for /INT at the stop" if value & INT_AT_STOP else "take /INT back")
 
 
 def _too_fast(c: Any, hz: int, value: int) -> Note | None:
