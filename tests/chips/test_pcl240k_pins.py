@@ -90,6 +90,25 @@ def test_a_high_speed_origin_return_slows_at_sd_and_stops_at_org():
     assert chip.advance(10_000) == 0, "no start towards an ORG that is reached already"
 
 
+def test_hold_is_high_in_the_halt_condition_and_low_in_operation_even_where_no_pulse_can_come():
+    """Pin 29 and section 4, R0: HOLD and the operating status flag "indicate the halt condition" together; docs/chips.md."""
+    for lacking, later in (({"R7": 0}, {"R7": 2}), ({"R1": 0}, {"R1": 50})):
+        chip = PCL240K()
+        load_registers(chip, **({"R0": 100, "R1": 50, "R2": 800, "R3": 800, "R4": 20, "R5": 20, "R7": 2} | lacking))
+        assert (chip.pins.hold, operating(chip)) == (True, False)
+        commands(chip, 0x40, 0x10)
+        assert chip.advance(10**7) == 0, "no pulse comes,"
+        assert "no pulse comes" in chip.diagnostics[-1].message, "which is noted,"
+        assert (chip.pins.hold, operating(chip)) == (False, True), "and the operation is on:"
+        load_registers(chip, **later)
+        assert chip.advance(8192 * 2 + 1) == 50, (
+            "it makes pulses as soon as it can: a new speed acts from the next clock on"
+        )
+        commands(chip, 0x08)
+        chip.advance(1000)
+        assert (chip.pins.hold, operating(chip)) == (True, False)
+
+
 def test_extp_counts_at_the_edge_of_rise_and_stops_a_preset_run_at_0():
     chip = started(*SLOW, r0=3, control=0x44, start=0x08)
     commands(chip, 0xD0, 0x10)

@@ -77,6 +77,22 @@ def test_pulses_pins_status_and_counter_are_those_of_the_chip_to_the_clock(tmp_p
             assert vcd.at(f"x.status.{field.name}", ns) == field.of(status), (seed, now, field.name)
 
 
+def test_hold_is_1_at_rest_and_0_in_operation_in_the_waveforms(tmp_path, bench):
+    """HOLD is active high: 1 when no pulse is output (data sheet, pin 29)."""
+    chip = bench.chip
+    load_registers(chip, R0=5, R1=60, R2=60, R3=60, R7=2)
+    chip.advance(1000)
+    for command in (0x08, 0x44, 0x11):
+        chip.write(0, command)
+    chip.advance(10_000)
+    bench.recording.close()
+    vcd = parse(bench.recording.to_vcd(tmp_path / "x.vcd"))
+    assert [level for _, level in vcd.changes["x.HOLD"]] == [1, 0, 1]
+    assert [clock(t) for t in vcd.edges("x.HOLD", 0)] == [1000], "the start"
+    last = clock(vcd.edges("x.POUT_n", 1)[-1])
+    assert [clock(t) for t in vcd.edges("x.HOLD", 1)] == [last], "POUT is high again after the fifth pulse"
+
+
 def test_in_independent_mode_minus_pulses_are_on_pdir(tmp_path, bench):
     load_registers(bench.chip, R0=50, R1=400, R7=3)
     for command in (0xC1, 0x4C, 0x10):
