@@ -281,6 +281,15 @@ def test_a_direction_that_changes_within_the_last_pulse_is_noted_and_one_that_ch
     assert len(chip.diagnostics) == 1
 
 
+@ALL
+def test_a_high_speed_preset_move_without_ramping_down_point_is_noted(make):
+    """R6 takes 1 to 1048575: R6 = 0 is no point, and the move stops from FH. A constant-speed move needs none."""
+    for start, expected in ((0x11, 0), (0x14, 0), (0x15, 1), (0x17, 1)):
+        chip = set_up(make, PRESET, start, R6=0)
+        assert len(notes(chip, "R6 = 0")) == len(chip.diagnostics) == expected, hex(start)
+    assert set_up(PCL240K, PRESET, 0x15, R6=1).diagnostics == []
+
+
 # What a chip does not have
 
 

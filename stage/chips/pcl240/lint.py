@@ -94,7 +94,7 @@ def data(map_: RegisterMap, c: Any, address: int, value: int) -> Note | None:
                 "MS section 3-5",
             )
     # a register is complete with its low byte, which a host writes last, or whose high bytes are still 0
-    if r.legal and address == 1 and whole < r.legal[0]:
+    if r.legal and address == 1 and whole < r.legal[0] and whole not in r.also:  # a start tells of R0 = 0 and R6 = 0
         return f"{r.name} = {whole}: {r.title} takes {r.legal[0]} to {r.legal[1]}", "section 4"
     return None
 
@@ -187,12 +187,12 @@ def _start(c: Any, foresight: Foresight, value: int) -> Note | None:
         return standing
     if value & RAMP and min(r[4], r[5]) < 2:
         return f"high-speed start with R4 = {r[4]}, R5 = {r[5]}: rates below 2 hold the speed", "section 4 R4"
-    if not c["extended"]:
-        return None
-    if c["origin"] and not r[R13] & EZ_RETURN and r[R13] & (EZ_MOST << EZ_COUNT | EZ_FROM_FL):
+    if c["extended"] and c["origin"] and not r[R13] & EZ_RETURN and r[R13] & (EZ_MOST << EZ_COUNT | EZ_FROM_FL):
         return "R13 counts EZ, but its bit 21 is 0: the origin return ends at ORG", "MS section 2-4"
     if not value & RAMP:
         return None
+    if not c["extended"]:
+        return _without_point(c, r, value & SPEED)
     return _ramps(c, r, value & SPEED) or _triangle(c, r, value, foresight)
 
 
@@ -244,6 +244,15 @@ def _standing(r: list[int], value: int, moves: Callable[[int], bool]) -> Note | 
     return (f"{what}; any data must be set on R1", "Q & A") if 1 in zero else (what, "section 4 R1 to R3")
 
 
+def _without_point(c: Any, r: list[int], select: int) -> Note | None:
+    """Note a high-speed preset move to a rate above FL whose ramping-down point was not set."""
+    fh = _FH.get(select)
+    if not fh or r[1] >= r[fh] or r[6] or not c["preset"] or c["automatic"]:
+        return None
+    message = "R6 = 0 in a high-speed preset move: it stops without ramping down"
+    return (f"{message}. 08h clears R6 on this chip", "MS section 3-4") if c["extended"] else (message, "section 4 R6")
+
+
 def _ramps(c: Any, r: list[int], select: int) -> Note | None:
     """Contradictions of a high-speed start on a chip with the extension."""
     fh = _FH.get(select)
@@ -258,15 +267,8 @@ def _ramps(c: Any, r: list[int], select: int) -> Note | None:
     up, down = (0 if linear or not 0 < 2 * s < height else s for s in (r[R14] & SPAN, r[R15] & SPAN))
     if c["s_curves"] and linear and r[R14] & SPAN | r[R15] & SPAN:
         return "R14 bit 12 selects linear ramps: the spans of R14 and R15 mean nothing", "MS section 2-2"
-    if not c["preset"]:
-        return None
-    if not c["automatic"]:
-        if r[6] == 0:
-            return (
-                "R6 = 0 in a high-speed preset move: it stops without ramping down. 08h clears R6 on this chip",
-                "MS section 3-4",
-            )
-        return None
+    if not c["preset"] or not c["automatic"]:
+        return _without_point(c, r, select)
     offset = r[6] - 2 * int(c["top_bit"]) if r[6] & int(c["top_bit"]) else r[6]
     rising = (r[1] + r[fh]) * (height + 2 * up if up else 2 * height) * r[4] // (32768 * int(c["multiplier"]))
     if offset < 0 and -offset >= min(r[0], rising):

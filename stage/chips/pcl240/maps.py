@@ -3,6 +3,10 @@
 Sources: PCL-240K data sheet (sections 3 and 4), "Differences between PCL-240MK and PCL-240MS" (its sections 2 and 3), a
 vendor header for the 240MK; in place of their lost figures the normative model. PDIR as a pin is asserted
 while low (minus) [I].
+
+S stands where a sentence or a table of these sheets says it. Two rules extend them to the MK and the MS: what the sheet of the 240K
+says of R0 to R7 holds for both unless the other sheet changes it, and what the other sheet describes without naming it among its
+"changes and additions" (section 1) exists on both.
 """
 
 from __future__ import annotations
@@ -40,9 +44,12 @@ def _operating_mode(clears: str) -> Word:
         "operating mode selection, 00xx xxxx at address 0",
         (
             _group(OPERATE),
-            Field("int_at_stop", 5, 5, "/INT at stop", "S", "W", note="0 also clears a pending /INT"),
+            Field("int_at_stop", 5, 5, "/INT at stop", "S", "W", note="0 also clears a pending /INT [H]"),
             Field("start", 4, 4, "start, or a speed change while running", "S", "W"),
-            Field("stop", 3, 3, f"alone: reset command{clears}; with start: stop, with ramp a decelerating one", "S", "W"),
+            Field(
+                "stop", 3, 3, f"alone: reset command{clears}; with start and ramp: decelerating stop", "S", "W",
+                note="with start, without ramp: in no table, stops a constant-speed run at once [I]",
+            ),
             Field("ramp", 2, 2, "", "S", "W", values={0: "constant speed", 1: "high speed (with ramps)"}),
             Field(
                 "speed", 1, 0, "", "S", "W", values={0: "FL", 1: "FH1", 3: "FH2"},
@@ -81,7 +88,7 @@ CONTROL_MODE = Word(
 REGISTER_SELECT = Word(
     "select",
     "register selection, 10xx xxxx at address 0",
-    (_group(SELECT), Field("register", 2, 0, "register", "S", "W", values={k: f"R{k}" for k in range(8)})),
+    (_group(SELECT), Field("register", 2, 0, "register", "I", "W", values={k: f"R{k}" for k in range(8)})),
     address=0,
 )
 OUTPUT_MODE = Word(
@@ -108,7 +115,7 @@ STATUS = Word(
         ),
         Field(
             "operating", 6, 6, "", "S", "R", values={0: "not operating", 1: "operating"},
-            note="until the pulse in progress is complete", silent=None, pins=("/hold",),
+            note="until the pulse in progress is complete; which level is which [H]", silent=None, pins=("/hold",),
         ),
         Field("fkeep", 5, 5, "neither ramping up nor down", "I", "R", pins=("fkeep",)),
         Field("lt", 4, 4, "R0 < R6", "I", "R", pins=("lt",)),
@@ -141,7 +148,7 @@ EXTENDED_SELECT = Word(
             note="the low byte's write transfers all bytes; the high byte's read latches all",
         ),
         Field("extension", 4, 4, "group", "H", "W", values={0: "R0 to R7", 1: "R10 to R17"}),
-        Field("register", 2, 0, "register", "S", "W", values={k: f"R{k} or R1{k}" for k in range(8)}),
+        Field("register", 2, 0, "register", "I", "W", values={k: f"R{k} or R1{k}" for k in range(8)}),
     ),
     address=0,
 )  # fmt: skip
@@ -151,22 +158,29 @@ EXTENDED_OUTPUT_MODE = _with(
 )
 
 
-def _registers(rate_bits: int, point_bits: int, extended: bool) -> tuple[Register, ...]:
+def _registers(rate_bits: int, point: Register, extended: bool) -> tuple[Register, ...]:
+    """R0 to R7. `point`: R6."""
     speed, rate = (1, 8191), (2, (1 << rate_bits) - 1)
-    point, access = (0, (1 << point_bits) - 1), "RW" if extended else "W"
-    offset = f"with the automatic point its offset, sign in b{point_bits - 1}" if extended else ""
+    access = "RW" if extended else "W"
     return (
-        Register("R0", 0, 24, "RW", "down counter", (0, 16777215), unit="pulses", note="pulses left"),
+        Register("R0", 0, 24, "RW", "down counter", (1, 16777215), unit="pulses", note="pulses left", also=(0,)),
         Register("R1", 1, 13, access, "FL speed", speed, unit="speed steps"),
         Register("R2", 2, 13, access, "FH1 speed", speed, unit="speed steps"),
         Register("R3", 3, 13, access, "FH2 speed", speed, unit="speed steps"),
         Register("R4", 4, rate_bits, access, "acceleration rate", rate, unit="clocks per speed step"),
         Register("R5", 5, rate_bits, access, "deceleration rate", rate, unit="clocks per speed step"),
-        Register(
-            "R6", 6, point_bits, access, "ramping-down point", point, unit="pulses", note=offset, tuned=(0, 0xFFFFF)
-        ),
+        point,
         Register("R7", 7, 10, access, "multiplier", (2, 1023), note="one speed step is clock / (8192 R7)"),
     )
+
+
+_POINT = Register("R6", 6, 20, "W", "ramping-down point", (1, 1048575), unit="pulses", also=(0,), tuned=(0, 0xFFFFF))
+_POINT_OR_OFFSET = replace(
+    _POINT, access="RW", legal=(0, 1048575), also=(), note="with the automatic point its offset, sign in b19"
+)
+_WIDE_POINT_OR_OFFSET = replace(
+    _POINT_OR_OFFSET, bits=24, legal=(0, 16777215), note="with the automatic point its offset, sign in b23"
+)
 
 
 def _stored(high: int, low: int) -> Field:
@@ -213,7 +227,7 @@ def _extension(s_curves: bool) -> tuple[Register, ...]:
             "R12", 0x12, 24, "RW", "input logic", None,
             (
                 _stored(23, 13),
-                Field("ez_logic", 12, 12, "EZ logic", "S", values=logic, note=turned),
+                Field("ez_logic", 12, 12, "EZ logic", "I", values=logic, note=f"{turned}; that this bit selects the logic [S]"),
                 _stored(11, 0),
             ),
         ),
@@ -244,21 +258,24 @@ EXTENDED_WORDS = (EXTENDED_OPERATING_MODE, EXTENDED_CONTROL_MODE, EXTENDED_SELEC
 PCL240K_MAP = RegisterMap(
     "PCL240K",
     "Nippon Pulse PCL-240K pulse generator, one axis, 8-bit bus",
-    "data sheet PCL-240K, sections 3 and 4; PDIR as a pin is asserted while low (minus) [I]",
-    _registers(14, 20, extended=False),
+    "data sheet PCL-240K, sections 3 and 4; PDIR as a pin is asserted while low (minus) [I]; "
+    "R6 = 0, as /RESET leaves it, is no point [I]",
+    _registers(14, _POINT, extended=False),
     (OPERATING_MODE, CONTROL_MODE, REGISTER_SELECT, OUTPUT_MODE, STATUS),
 )
 PCL240MK_MAP = RegisterMap(
     "PCL240MK",
     "Nippon Pulse PCL-240MK pulse generator with automatic ramp-down and position counter, one axis, 8-bit bus",
-    'data sheets PCL-240K and "Differences between PCL-240MK and PCL-240MS", vendor header 240MK',
-    (*_registers(14, 20, extended=True), *_extension(s_curves=False)),
+    'data sheets PCL-240K and "Differences between PCL-240MK and PCL-240MS", vendor header 240MK; '
+    "the range of R6 and the sign of its offset follow from its bits [I]",
+    (*_registers(14, _POINT_OR_OFFSET, extended=True), *_extension(s_curves=False)),
     EXTENDED_WORDS,
 )
 PCL240MS_MAP = RegisterMap(
     "PCL240MS",
     "Nippon Pulse PCL-240MS pulse generator with S-curves, automatic ramp-down and position counter, one axis, 8-bit bus",
-    'data sheets PCL-240K and "Differences between PCL-240MK and PCL-240MS", vendor header 240MK',
-    (*_registers(16, 24, extended=True), *_extension(s_curves=True)),
+    'data sheets PCL-240K and "Differences between PCL-240MK and PCL-240MS", vendor header 240MK; '
+    "the ranges of R4 and R5 follow from their bits [I]",
+    (*_registers(16, _WIDE_POINT_OR_OFFSET, extended=True), *_extension(s_curves=True)),
     EXTENDED_WORDS,
 )
