@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 START, DRIVE, RAMP = 1_000.0, 16_000.0, 0.15
 USUAL = 16  # microsteps, that these rates are for
+MAX_POLL_S = 2e-3
 SETTLE = 0.05  # s after a stop, before a report looks where the carriage came to rest
 
 
@@ -328,7 +329,7 @@ class AtOnce(Operations):
 def wait_until_stopped(
     axes: Sequence[Axis], timeout: float, poll: float = 1e-3, look: Callable[[], None] | None = None
 ) -> None:
-    """Poll the status of axes until none drives: every `poll` seconds at first, ever more slowly in a long run.
+    """Poll the status of axes until none drives: every `poll` seconds at first, every MAX_POLL_S in a long run.
     Raises RunTimeout."""
     clock = axes[0]
     begin = clock.time
@@ -340,4 +341,13 @@ def wait_until_stopped(
             )
         if look is not None:
             look()
-        clock.wait(min(max(poll, passed / 200), timeout - passed + 1e-6))
+        clock.wait(min(poll_interval(poll, passed), timeout - passed + 1e-6))
+
+
+def poll_interval(poll: float, passed: float) -> float:
+    """Return the seconds until the next look at something that has been awaited for `passed` seconds.
+
+    It grows from `poll` to MAX_POLL_S, so that an end is seen so late at most; a longer `poll` stays. Beyond 100 s it is
+    1/50,000 of what has passed, or days of pulses would be millions of looks.
+    """
+    return max(poll, min(passed / 200, MAX_POLL_S), passed / 50_000)

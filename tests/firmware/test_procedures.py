@@ -9,7 +9,7 @@ import pytest
 from stage import ArgumentError, Drive, RunTimeout, Stage, StageError, faults, firmware
 from stage.chips import CHIPS, HCTL1100, MCX304, MCX312, MCX501, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench
-from stage.firmware.driver import AtOnce, Speeds, driver_class, driver_of, usual_speeds, wait_until_stopped
+from stage.firmware.driver import SETTLE, AtOnce, Speeds, driver_class, driver_of, usual_speeds, wait_until_stopped
 from stage.firmware.procedures import speeds
 from stage.firmware.report import NOT_AS_ASKED, Procedure
 from stage.sim import plant
@@ -538,9 +538,10 @@ def test_speeds_keep_their_slopes_and_what_is_not_said_is_usual():
         assert speeds(axis, *asked) == pytest.approx(made)
 
 
-@pytest.mark.parametrize(("timeout", "polls"), [(0.0105, 11), (1.0, 522), (10.0, 985)])
-def test_a_wait_ends_at_its_time_and_polls_ever_more_slowly(timeout, polls):
-    """A thousandth of a second apart at first, and from 0.2 s on a 200th of what has passed"""
+@pytest.mark.parametrize(("timeout", "polls"), [(0.0105, 11), (1.0, 639), (10.0, 5139), (1e4, 280_400)])
+def test_a_wait_ends_at_its_time_and_polls_more_slowly_up_to_every_two_milliseconds(timeout, polls):
+    """Every 1 ms at first, from 0.2 s on every 200th of what has passed (139 looks), and from 0.4 s on every 2 ms. Beyond 100 s
+    (50,139 looks) it is every 50,000th of what has passed: 50,000 ln(100) = 230,259 looks more at 10,000 s."""
 
     class Clock:
         time, name, chip_axis, waits, chip = 0.0, "x", 0, 0, SimpleNamespace(busy=lambda k: True)
@@ -553,7 +554,20 @@ def test_a_wait_ends_at_its_time_and_polls_ever_more_slowly(timeout, polls):
     with pytest.raises(RunTimeout, match=rf"axis x still drives after {timeout:.3f} s"):
         wait_until_stopped([clock], timeout)
     assert clock.time == pytest.approx(timeout, abs=2e-6)
-    assert clock.waits == pytest.approx(polls, abs=2)
+    assert clock.waits == pytest.approx(polls, abs=2, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", STEPPING)
+def test_a_wait_returns_within_two_milliseconds_of_the_end_of_a_long_move(name):
+    """driver.start(4000, speeds); driver.wait(60.0); firmware.move(axis, pulses=-4000)"""
+    x = Bench(x=CHIPS[name]()).axes["x"]
+    driver, slow = driver_of(x), Speeds(500, 500)
+    driver.start(4000, slow)
+    begin = x.time
+    driver.wait(60.0)
+    assert 0 <= x.time - begin - 4000 / 500 < 2.2e-3 + 1 / 500
+    report = driver.move(-4000, slow)
+    assert 0 <= x.time - begin - 2 * 4000 / 500 < 2 * 2.2e-3 + 2 / 500 + SETTLE + report.began
 
 
 def test_an_index_pulse_is_not_sought_behind_an_origin_switch_that_is_not_there():

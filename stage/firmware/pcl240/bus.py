@@ -35,6 +35,7 @@ from stage.chips.pcl240.state import (
 )
 from stage.errors import ArgumentError, RunTimeout, StageError, a_or_an
 from stage.firmware.axis import Axis
+from stage.firmware.driver import poll_interval
 
 START = {"FL": bits.START | bits.FL, "FH1": bits.START | bits.FH1, "FH2": bits.START | bits.FH2}  # constant speed
 RAMP = {name: start | bits.RAMP for name, start in START.items()}
@@ -215,7 +216,7 @@ class Port:
         return raw - (1 << 24) if raw & 1 << 23 else raw
 
     def wait_until_stopped(self, timeout: float, poll: float = POLL) -> Status:
-        """Poll status bit 6, every `poll` seconds at first and ever more slowly in a long run, to half a percent of its time.
+        """Poll status bit 6, every `poll` seconds at first and ever more slowly in a long run, see `driver.poll_interval`.
 
         Raises RunTimeout, with what the chip was doing, after `timeout` seconds.
         """
@@ -234,5 +235,5 @@ class Port:
                     f"axis {self.axis.name} {still} after {timeout:.3f} s (waiting for {what}): R0 = {self.counter()}, {status}. "
                     f"Give it more time, or stop it with 08h."
                 )
-            self.axis.wait(min(max(poll, passed / 200), timeout - passed + 1e-6))
+            self.axis.wait(min(poll_interval(poll, passed), timeout - passed + 1e-6))
         return status
