@@ -24,6 +24,7 @@ from stage.sim.stage import Stage
 LAST_LOOK = (
     0.1  # s of real time for which one looks on after a program has done something: those who look seldom see its end
 )
+MAX_BUS_CYCLE_NS = 50_000  # ns: what is shorter is a bus cycle, and nothing comes between the bytes of a number
 ANOTHER = (
     "the stage had another motor then, and was another machine: time goes back no further than to where the motor was changed. "
     "Go back by less, or give the axis the motor that it had."
@@ -49,7 +50,7 @@ class Life:
             stage, self.clock, self.turns, lambda: self.paused, lambda: self.closed or self.ending or not self.program
         )
         self._hasty = self._jumped = False
-        self._changed_at = 0.0
+        self._changed_at, self._looked_at = 0.0, stage.now
         self.wake = threading.Event()
         self.called = threading.Event()  # this thread, while a program has the stage
         self.thread = threading.Thread(target=self._live, name="pulsestage session", daemon=True)
@@ -180,7 +181,7 @@ class Life:
                 raise StageError("this stage lives in a session: give it orders, session.do(...).")
             return until
         now = stage.now
-        if until - now < SHORTEST or self._hasty:
+        if self._hasty or until - now < (SHORTEST if self._has_just_looked(until) else MAX_BUS_CYCLE_NS):
             return until
         self.publish()
         while True:
@@ -191,7 +192,12 @@ class Life:
                 break
             self._rest()
         self.past.remember(stage)
-        return self._due(until)
+        self._looked_at = self._due(until)
+        return self._looked_at
+
+    def _has_just_looked(self, until: int) -> bool:
+        """Tell whether an action may go on to `until` before orders are looked at; many short waits of a poll are a long one."""
+        return self.queues.acting is None or 0 <= until - self._looked_at < SHORTEST
 
     def _due(self, until: int) -> int:
         """How far the stage may go towards `until`, when that is due; orders are carried out until then."""
