@@ -189,7 +189,7 @@ class Motion:
 
     def _at_rest(self, axis: str) -> None:
         a = self._box.axis(axis)
-        if not a.chip.SERVO and a.chip.twin().busy(a.chip_axis):  # the driver would ask by a bus cycle
+        if a.chip.twin().busy(a.chip_axis):  # the driver would ask by a bus cycle
             raise ArgumentError(f"axis {axis} is moving: wait_until_stopped waits for its end, and stop stops it.")
 
     def _ended(self, axis: str, why: str, by_host: str = "") -> dict[str, Any]:

@@ -10,7 +10,7 @@ from stage.firmware.driver import driver_of
 STOPS = {"PCL240K": ("1Dh", "08h"), "PCL240MS": ("1Dh", "08h"), "MCX514": None, "MCX304": None}
 
 
-@pytest.mark.parametrize("chips", STOPS)
+@pytest.mark.parametrize("chips", [*STOPS, "HCTL1100"])
 def test_a_move_that_is_refused_is_not_charged_and_says_what_to_call(make_box, chips):
     box = make_box(chips, budget=Budget(moves=2))
     assert box.call("start", {"axis": "x", "distance": "30mm"}).ok

@@ -23,6 +23,8 @@ from stage.chips.hctl1100.maps import ACTUAL_LOW, ADDRESSES, MAP, NUMBERS, STATU
 
 __all__ = ["HCTL1100"]
 
+INIT, PROFILE = (MAP.mask("R07", name) for name in ("init", "profile"))
+
 
 class HCTL1100(Chip):
     """Agilent HCTL-1100: digital filter, profile generator and commutator for one axis.
@@ -44,7 +46,7 @@ class HCTL1100(Chip):
     CLOCK_RANGE: ClassVar = (100_000, 2_000_000)
     CLOCK_SOURCE: ClassVar = "AC characteristics"
     ADDRESSES: ClassVar = ADDRESSES
-    BUSY: ClassVar = (STATUS, MAP.mask("R07", "profile"))
+    BUSY: ClassVar = (STATUS, PROFILE)
     COUNTER: ClassVar = ("R14", 24)
     DRIVER: ClassVar = "stage.firmware.hctl1100.driver:Hctl1100Driver"
     TRACED: ClassVar = {"R0E": ("command", 24), "MC": ("motor", 8)}
@@ -105,6 +107,11 @@ class HCTL1100(Chip):
     def command_position(self) -> int:
         """R0C to R0E, sign extended: what the loop is given, counts of the actual position."""
         return int(self.state["command"])
+
+    def busy(self, axis: int = 0) -> bool:
+        """Read by one bus cycle whether a trapezoid is in progress: one that LIMIT has ended keeps its flag in Init/Idle."""
+        self._check_axis(axis)
+        return self.read(STATUS) & (INIT | PROFILE) == PROFILE
 
     def net(self, axis: int = 0) -> int:
         """The command position as a raw count of the encoder: there `encoder` is when the actual position is the command position.
