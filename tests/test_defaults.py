@@ -128,7 +128,7 @@ stage.firmware.hctl1100.moves
 stage.firmware.hctl1100.home
     HomeReport: unit='m'
     home: direction=-1, speed=8000, acceleration=400000, index=True, turn=2000, deadband=3, timeout=20.0
-    leave_limit: push=15, timeout=2.0
+    leave_limit: push=15, max_counts=4000, timeout=2.0
 stage.firmware.hctl1100.port
     Port.wait_for_the_safe_part: mode='position'
     Port.wait_until: poll=0.001

@@ -81,3 +81,8 @@ class HasAxes(Protocol):
 
 Axes = HasAxes | Mapping[str, Axis] | None
 """Where axes are found by name."""
+
+
+def forward(axis: Axis) -> int:
+    """Return the direction of the pulses that move the carriage plus: -1 where the motor turns the other way round."""
+    return -1 if getattr(axis, "gear", 1.0) < 0 else 1

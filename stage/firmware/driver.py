@@ -149,9 +149,8 @@ class Driver(ABC):
         """Raises ArgumentError where an origin return would find no switch; it says what else this chip homes by."""
         check_origin(self.axis, [by for by in self.homings() if by not in ("switch", "index")])
 
-    def ready(self, *ways: int) -> Any:
-        """Before a drive: whatever the chip needs once. ways: directions in which the axis may leave a limit switch that it stands
-        on, the likely one first."""
+    def ready(self) -> Any:
+        """Do before a drive whatever the chip needs once; nothing moves. Raises StageError for an axis that moves already."""
         return None
 
     @abstractmethod

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 
 from stage.arguments import patience, told
 from stage.errors import ArgumentError
-from stage.firmware.axis import Axes, Axis
+from stage.firmware.axis import Axes, Axis, forward
 from stage.firmware.driver import RAMP, Speeds, driver_of, usual_speeds
 from stage.firmware.report import Procedure, Report
 from stage.firmware.together import SynchronizedReport, chosen_axes
@@ -91,9 +91,9 @@ def jog(
     second, plus. Raises ArgumentError, StageError."""
     if not 0 <= seconds < 1e9:
         raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to 1e9 s.")
-    driver, direction = driver_of(axis), -_forward(axis) if speed is not None and speed < 0 else _forward(axis)
+    driver, direction = driver_of(axis), -forward(axis) if speed is not None and speed < 0 else forward(axis)
     wanted = speeds(axis, None if speed is None else abs(speed), start_speed, accel, None, False)
-    driver.ready(direction)
+    driver.ready()
     with Procedure(axis, "jog") as p:
         driver.run(direction, wanted)
         axis.wait(seconds)
@@ -169,12 +169,7 @@ def pulses_of(axis: Axis, distance: float | None, pulses: int | None) -> int:
         return int(pulses)
     if not isinstance(distance, int | float) or not math.isfinite(distance):
         raise ArgumentError(f"distance={distance!r}: metres, or radians on a hinge.")
-    return round(_forward(axis) * distance / _unit(axis, "distance"))
-
-
-def _forward(axis: Axis) -> int:
-    """The direction of the pulses that move the carriage plus: -1 where the motor turns the other way round."""
-    return -1 if getattr(axis, "gear", 1.0) < 0 else 1
+    return round(forward(axis) * distance / _unit(axis, "distance"))
 
 
 def _unit(axis: Axis, what: str) -> float:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
-from stage.errors import RunTimeout, StageError
+from stage.errors import StageError
 from stage.firmware import procedures
 from stage.firmware.driver import Driver, driver_of
 from stage.firmware.report import Procedure
@@ -190,10 +190,7 @@ class Jog:
     def order(self, stage: Stage) -> Any:
         """Run until the button is let go or something stops it; a report."""
         driver = driver_of(self.axis)
-        try:
-            driver.ready(self.direction)
-        except RunTimeout as error:  # a servo's chip that its limit switch keeps idle
-            raise self._stands(driver.stopped_by()) from error
+        driver.ready()
         with Procedure(self.axis, "jog") as p:
             driver.run(self.direction, self._speeds)
             stage.run_until(lambda: self._released.is_set() or not driver.runs(), 1e6)

@@ -115,7 +115,7 @@ def test_a_gain_that_is_designed_is_one_that_the_register_holds():
 def test_without_a_common_sample_the_timer_of_each_chip_is_looked_at(stage, monkeypatch):
     """follow(ports, profile, leader_only=False)"""
     ports, asked = [set_up(stage.axes[name]) for name in "xy"], []
-    monkeypatch.setattr(Port, "wait_for_the_safe_part", lambda port: asked.append(port.axis.name))
+    monkeypatch.setattr(Port, "wait_for_the_safe_part", lambda port, mode="position": asked.append(port.axis.name))
     for alone, expected in ((True, ["x", "x"]), (False, ["x", "x", "y"] * 2)):
         follow(ports, np.zeros((2, 2)), leader_only=alone)
         assert asked == expected

@@ -133,7 +133,7 @@ class Tmc5160Driver(Driver):
         most = FULL_SCALE / self.chip.rsense
         return current_registers(min(drive.amplitude, most) if drive is not None else most, self.chip.rsense)
 
-    def ready(self, *ways: int) -> None:
+    def ready(self) -> None:
         """Switch the power stage on, where it is off: currents as the axis' Drive has them."""
         if not self.get("CHOPCONF") & 15:
             self._switch_on(AtOnce(self.axis))

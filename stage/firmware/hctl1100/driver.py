@@ -6,30 +6,33 @@ when the chip stands in Init/Idle, as after power-up.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar, NoReturn, cast
 
 import numpy as np
 
 from stage.chips.hctl1100.maps import CLEAR, FLAG, MINIMUM_T, MODE, NUMBERS
 from stage.errors import ArgumentError, Limit, RunTimeout
-from stage.firmware.axis import positive
+from stage.firmware.axis import forward, positive
 from stage.firmware.choices import Choices
 from stage.firmware.driver import SETTLE, Driver, Speeds, that_move
 from stage.firmware.hctl1100.home import home, leave_limit, stand
 from stage.firmware.hctl1100.model import POLE, Loop, design
 from stage.firmware.hctl1100.moves import (
     Tuning,
+    acceleration_word,
+    brake,
     cruise,
-    profile_end,
+    load_filter,
     set_up,
     settle,
     start_cruise,
     start_trapezoid,
     trapezoid,
+    velocity_word,
 )
 from stage.firmware.hctl1100.pattern import Pattern
-from stage.firmware.hctl1100.port import CONTROL, FLAGS, IDLE, INIT, LIMIT, SET, STOP, Port
+from stage.firmware.hctl1100.port import CONTROL, FLAGS, IDLE, LIMIT, SET, STOP, Port
 from stage.firmware.hctl1100.profile import follow, synchronize
 from stage.firmware.report import Procedure, Report
 from stage.firmware.search import Search
@@ -38,6 +41,7 @@ from stage.sim.program import Operations
 
 PATIENCE = 5.0  # s, to come to rest
 DEADBAND = 10  # counts: a filter without an integral holds a weight by an error
+LIMITS = {1: "el_plus", -1: "el_minus"}  # by the carriage's direction
 
 
 class Hctl1100Driver(Driver):
@@ -52,64 +56,110 @@ class Hctl1100Driver(Driver):
     def __init__(self, axis: Any):
         super().__init__(axis)
         self.port = Port(axis)
-        self._direction = 1
 
-    def ready(self, *ways: int) -> Port:
-        """In position control: set up, where the chip stands in Init/Idle. T cannot be read back, and is loaded anew.
+    def ready(self) -> Port:
+        """Set the chip up where it stands in Init/Idle, and load T, which cannot be read back; returns the port.
 
-        ways: directions in which it may leave a limit switch that it stands on, the likely one first.
+        On a limit switch the chip takes no control mode: it stays in Init/Idle, and its command position is where the axis is.
+        Raises StageError for an axis that moves.
         """
-        if not self.port.status() & INIT:
+        mode = self.port.control_mode()
+        if self._is_moving(mode):
+            raise self.moving()
+        if mode:
             self.port.load(timer=self.tuning.timer)
             return self.port
-        for k, way in enumerate(ways):
-            self.port.idle()
-            if self.port.clear_status() & LIMIT:
-                break
-            try:
-                leave_limit(self.port, way)
-            except RunTimeout:
-                if k == len(ways) - 1:
-                    raise
-        self.port = set_up(self.axis, self.tuning)
+        self.port.idle()
+        if self.port.clear_status() & LIMIT:
+            self.port = set_up(self.axis, self.tuning)
+        else:
+            load_filter(self.port, self.tuning)
+            self.port.load(command_position=self.port.position())
         return self.port
+
+    def _ready_for(self, speeds: Speeds) -> Port:
+        """As `ready`; raises ArgumentError for rates that the chip has not at this sample time, before anything moves."""
+        port = self.ready()
+        velocity_word(port, speeds.drive, "maximum_velocity", 1)
+        acceleration_word(port, speeds.drive / speeds.up)
+        return port
+
+    def _is_moving(self, mode: str) -> bool:
+        """Tell whether the chip moves its command in this control mode; what STOP has stopped rests."""
+        if mode != "integral velocity":
+            return mode in ("trapezoid", "proportional velocity")
+        before = self.port.commanded()
+        self.axis.wait(3 * self.port.sample)
+        return self.port.commanded() != before
+
+    def _blocked_by(self, direction: int) -> str:
+        """Name the limit switch on which the axis stands, unless `direction` leads out of it."""
+        return self._limit(direction) if self.port.limited() and self._limits() != {-direction} else ""
+
+    def _leave_limit(self, direction: int) -> None:
+        """Drive out of the limit switch on which the axis stands, if `direction` leads out of it."""
+        if self.port.limited() and self._limits() == {-direction}:
+            leave_limit(self.port, direction)
+
+    def _limits(self) -> set[int]:
+        """Read which end limits are on, as directions of counts, by inputs of the host's own: the chip has one pin for both."""
+        switches = getattr(self.axis, "switches", None)
+        on = switches.as_dict() if switches is not None else {}
+        return {end * forward(self.axis) for end, name in LIMITS.items() if on.get(name)}
+
+    def _limit(self, direction: int) -> str:
+        """Name the end limit that has triggered LIMIT; where both are on, or neither, that in the direction of the drive."""
+        on = self._limits()
+        end = (on.pop() if len(on) == 1 else direction) * forward(self.axis)
+        return {1: "EL+", -1: "EL-", 0: "LIMIT"}[end]
+
+    def _heading(self) -> int:
+        """The direction of the latest drive, by the registers that it leaves: 1 or -1; 0 of none."""
+        port, flags = self.port, self.chip.read(FLAG)
+        if flags >> FLAGS["trapezoid"] & 1:
+            ahead = port.final_position() - port.commanded()
+        elif flags >> FLAGS["integral velocity"] & 1:
+            ahead = port.commanded_velocity()
+        else:
+            ahead = port.commanded() - port.position()
+        return int(np.sign(ahead))
 
     def start(self, pulses: int, speeds: Speeds) -> None:
         self._check(pulses, speeds)
-        start_trapezoid(self.ready(self._direction), int(pulses), speeds.drive, speeds.drive / speeds.up)
+        start_trapezoid(self._ready_for(speeds), self._counts_left(int(pulses)), speeds.drive, speeds.drive / speeds.up)
 
-    def wait(self, timeout: float, look: Callable[[], None] | None = None) -> str:
-        profile_end(self.port, timeout, look)
-        return self.stopped_by() or self.DONE
+    def _counts_left(self, pulses: int) -> int:
+        """Leave the limit switch on which the axis may stand, and return the counts of a move that are left then."""
+        goal, direction = self.port.commanded() + pulses, int(np.sign(pulses))
+        self._leave_limit(direction)
+        return direction * max(direction * (goal - self.port.commanded()), 0)
 
     def _check(self, pulses: int, speeds: Speeds) -> None:
         if not pulses or int(pulses) != pulses:
             raise ArgumentError(f"pulses={pulses!r}: a whole number of counts, the sign is the direction.")
         self._linear(speeds)
-        self._direction = 1 if pulses > 0 else -1
 
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
         self._check(pulses, speeds)
-        try:
-            port = self.ready(self._direction)
-        except RunTimeout:  # it stands on the end limit that lies there
-            with Procedure(self.axis, "move") as p:
-                return p.report(self.stopped_by(), int(pulses))
+        port = self._ready_for(speeds)
         with Procedure(self.axis, "move") as p:
             most = 1.5 * (abs(pulses) / speeds.drive + speeds.up + speeds.down) + 1
             done = trapezoid(
-                port, int(pulses), velocity=speeds.drive, acceleration=speeds.drive / speeds.up, deadband=DEADBAND,
-                timeout=most if timeout is None else timeout,
+                port, self._counts_left(int(pulses)), velocity=speeds.drive, acceleration=speeds.drive / speeds.up,
+                deadband=DEADBAND, timeout=most if timeout is None else timeout,
             )  # fmt: skip
             return p.report(self.stopped_by() if done.limited else self.DONE, int(pulses))
 
     def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
         if index and positive(self.axis, "ez"):
             raise self.no_positive("ez")
-        port = self.ready(-direction, direction)
+        port = self._ready_for(speeds)
         with Procedure(self.axis, "origin return") as p:
+            first = direction if port.status() & STOP else -direction  # out of the home switch
+            if met := self._blocked_by(first):
+                return p.report(met)
+            self._leave_limit(first)
             turn = getattr(getattr(self.axis, "drive", None), "counts", 2000)
-            self._direction = direction
             try:
                 home(
                     port, direction, speed=speeds.drive, acceleration=speeds.drive / speeds.up, index=index, turn=turn,
@@ -124,27 +174,31 @@ class Hctl1100Driver(Driver):
 
     def run(self, direction: int, speeds: Speeds) -> None:
         self._linear(speeds)
-        port = self.ready(direction)
-        self._direction = direction
+        port = self._ready_for(speeds)
+        self._leave_limit(direction)
         start_cruise(port, direction * speeds.drive, speeds.drive / speeds.up)
 
     def runs(self) -> bool:
-        return not self.stopped_by()
+        return self.port.control_mode() not in ("", "position") and not self.stopped_by()
 
     def halt(self, at_once: bool = False) -> None:
-        if self.port.limited() or self.port.status() & INIT:
+        port, mode = self.port, self.port.control_mode()
+        if not mode:
+            port.idle()  # ends what leaves a limit switch
             return
-        port = self.ready()
-        if at_once:
+        port.load(timer=self.tuning.timer)
+        if at_once or mode == "proportional velocity":
             port.hold()
-        else:
+        elif mode == "trapezoid":
+            brake(port)
+        elif mode == "integral velocity":
             cruise(port, 0)
             stand(port)
         settle(port, self.axis.time, 0, DEADBAND, PATIENCE)
 
     def stopped_by(self) -> str:
         if self.port.limited():
-            return "EL-" if self._direction < 0 else "EL+"
+            return self._limit(self._heading())
         cruises = self.chip.read(FLAG) >> FLAGS["integral velocity"] & 1  # the one mode that obeys STOP
         return "ORG" if cruises and not self.port.status() & STOP else ""
 
@@ -168,13 +222,20 @@ class Hctl1100Driver(Driver):
     ) -> SynchronizedReport:
         """A command position to each chip in each sample, all axes in step by their SYNC pins."""
         mine = that_move(cast("dict[str, Hctl1100Driver]", drivers), pulses)
-        ports = []
-        for n, driver in mine.items():
+        for driver in mine.values():
             driver._linear(speeds)
-            ports.append(driver.ready(1 if pulses[n] > 0 else -1))
-        rows = _rows([pulses[n] for n in mine], speeds, ports[0].sample)
+        ports = [driver.ready() for driver in mine.values()]
+        _rows([pulses[n] for n in mine], speeds, ports[0].sample)  # refuses before anything moves
         with Together({n: Procedure(d.axis, "line") for n, d in mine.items()}, {n: pulses[n] for n in mine}) as line:
-            synchronize(ports)
+            line.began()
+            met = {n: d._blocked_by(int(np.sign(pulses[n]))) for n, d in mine.items()}
+            if any(met.values()):
+                return line.report({n: limit or "decelerating stop" for n, limit in met.items()})
+            with line.in_time():
+                goals = [d._counts_left(pulses[n]) + d.port.commanded() for n, d in mine.items()]
+            synchronize(ports)  # each holds where it is, which may be beside its command
+            left = [goal - port.commanded() for port, goal in zip(ports, goals, strict=True)]
+            rows = _rows(left, speeds, ports[0].sample)
             line.began()
             begin = ports[0].axis.time
 
@@ -183,14 +244,12 @@ class Hctl1100Driver(Driver):
                 if timeout is not None and not ports[0].axis.time - begin <= timeout:
                     raise RunTimeout(f"the line was not drawn after {timeout:g} s; the axes are held where they are.")
 
-            goals = [port.commanded() + d for port, d in zip(ports, rows[-1].tolist(), strict=True)]
             with line.in_time():
                 follow(ports, rows, look=look)
             ports[0].axis.wait(SETTLE)
             line.look()
             ended = {}
             for (n, driver), port, goal in zip(mine.items(), ports, goals, strict=True):
-                driver._direction = 1 if pulses[n] > 0 else -1
                 ended[n] = driver.stopped_by() or cls.DONE
                 if ended[n] == cls.DONE and abs(goal - port.position()) > DEADBAND:
                     raise RunTimeout(
@@ -260,7 +319,7 @@ class Hctl1100Driver(Driver):
 
 def _rows(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:
     """Command positions relative to the start (samples, axes): a trapezoid along the line, its rates those of the longest axis."""
-    longest = max(abs(d) for d in distances)
+    longest = max(abs(d) for d in distances) or 1
     most = NUMBERS["integral_velocity"].most / sample
     if not 0 < speeds.drive <= most:
         raise ArgumentError(

@@ -23,6 +23,7 @@ from stage.firmware.hctl1100.moves import acceleration_word, cruise, trapezoid, 
 from stage.firmware.hctl1100.port import CONTROL, LIMIT, STOP, Port
 
 PUSH = 15  # hundredths of full drive: out of a limit
+MAX_COUNTS = 4000  # counts: a limit switch is left before; two turns of the usual encoder
 SOON = 2e-4  # s between two looks at what should be seen soon
 BACK = 60  # counts before the index pulse, from where it is sought count by count
 STEP = 2e-3  # s for a count
@@ -87,12 +88,28 @@ def home(
     )
 
 
-def leave_limit(port: Port, direction: int, *, push: int = PUSH, timeout: float = 2.0) -> None:
+def leave_limit(
+    port: Port, direction: int, *, push: int = PUSH, max_counts: int = MAX_COUNTS, timeout: float = 2.0
+) -> None:
     """Drive an axis out of its limit switch in Init/Idle, where the chip closes no loop, by hundredths of full drive; then hold it.
-    Which way is out, the host has to know. Raises RunTimeout."""
+
+    Which way is out, the host has to know. Raises RunTimeout after `timeout` seconds, and after `max_counts` counts: a switch that
+    is stuck does not send the axis to its other end. It is in Init/Idle then.
+    """
     port.idle()
+    begin = port.position()
     port.load(motor_command=direction * push)
-    port.wait_until(lambda: bool(port.clear_status() & LIMIT), timeout, "release of the limit switch", SOON)
+
+    def is_released_or_too_far() -> bool:
+        return bool(port.clear_status() & LIMIT) or abs(port.position() - begin) > max_counts
+
+    port.wait_until(is_released_or_too_far, timeout, "release of the limit switch", SOON)
+    if port.limited():
+        port.idle()
+        raise RunTimeout(
+            f"axis {port.axis.name}: its limit switch is still on {max_counts} counts away, at {port.position()} counts. Look "
+            "whether it is stuck; the axis is in Init/Idle now."
+        )
     port.hold()
 
 
@@ -103,13 +120,18 @@ def _to_switch(port: Port, velocity: int, timeout: float) -> int:
     if port.status() & STOP:
         cruise(port, velocity)
     port.wait_until(lambda: port.status() & (STOP | LIMIT) != STOP | LIMIT, timeout, "the home switch", SOON)
-    if port.limited():
-        raise RunTimeout(
-            f"axis {port.axis.name}: LIMIT before the home switch, at {port.position()} counts; it is in Init/Idle now."
-        )
+    _check_limit(port, "the home switch")
     at = port.position()
     stand(port)
     return at
+
+
+def _check_limit(port: Port, what: str) -> None:
+    """Raise RunTimeout where LIMIT has triggered; what: what it came before."""
+    if port.limited():
+        raise RunTimeout(
+            f"axis {port.axis.name}: LIMIT before {what}, at {port.position()} counts; it is in Init/Idle now."
+        )
 
 
 def stand(port: Port) -> None:
@@ -128,9 +150,10 @@ def _out_of_switch(port: Port, way: int, speed: float, acceleration: float, turn
         if port.clear_status() & STOP:
             return True
         trapezoid(port, way * turn // 8, velocity=speed, acceleration=acceleration, deadband=turn)
-        return False
+        return port.limited()
 
     port.wait_until(released, timeout, "release of the home switch", SOON)
+    _check_limit(port, "release of the home switch")
     trapezoid(port, way * turn // 8, velocity=speed, acceleration=acceleration, deadband=turn)
 
 

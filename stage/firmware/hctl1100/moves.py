@@ -13,16 +13,19 @@ ended the procedure, in Init/Idle. See home.py for home, profile.py for motion c
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
-from stage.chips.hctl1100.maps import NUMBERS, after_reset
+import numpy as np
+
+from stage.chips.hctl1100.maps import FLAG, MINIMUM_T, NUMBERS, after_reset
 from stage.errors import ArgumentError, Limit
 from stage.firmware.axis import Axis
-from stage.firmware.hctl1100.port import LIMIT, PROFILE, STOP, Port
+from stage.firmware.hctl1100.port import FLAGS, LIMIT, MARGIN, PROFILE, STOP, Port
+from stage.firmware.hctl1100.profile import follow, next_sample
 
 DWELL = 0.02  # s within the deadband: settled
 LONGEST = 16 * 256  # clocks of a sample
+SPEED_SAMPLES = 3  # samples: positions are whole counts, and a slow profile moves on by less in one sample
 
 
 @dataclass(frozen=True)
@@ -93,9 +96,9 @@ def set_up(axis: Axis, tuning: Tuning | None = None) -> Port:
 
     Raises ArgumentError for an axis without an HCTL-1100, for values that its registers do not hold, and where LIMIT is asserted.
     """
-    port, t = Port(axis), tuning or Tuning()
+    port = Port(axis)
     port.idle()
-    port.load(timer=t.timer, gain=t.gain, zero=t.zero, pole=t.pole)
+    load_filter(port, tuning or Tuning())
     if not port.clear_status() & LIMIT:
         raise ArgumentError(
             f"axis {axis.name} stands on a limit switch, where the chip takes no control mode: see leave_limit."
@@ -103,6 +106,11 @@ def set_up(axis: Axis, tuning: Tuning | None = None) -> Port:
     port.hold()
     axis.wait(LONGEST / port.chip.clock_hz)  # the new T is used after the sample in progress
     return port
+
+
+def load_filter(port: Port, tuning: Tuning) -> None:
+    """Load the filter's numbers and T."""
+    port.load(timer=tuning.timer, gain=tuning.gain, zero=tuning.zero, pole=tuning.pole)
 
 
 def step(port: Port, counts: int, *, deadband: int = 3, timeout: float = 2.0) -> MoveReport:
@@ -137,15 +145,35 @@ def start_trapezoid(port: Port, counts: int, velocity: float, acceleration: floa
     return begin, v / port.sample, a / 256 / port.sample**2
 
 
-def profile_end(port: Port, timeout: float, look: Callable[[], None] | None = None) -> None:
-    """Wait until the profile is over, or LIMIT has ended it. look: called at each poll. Raises RunTimeout."""
+def brake(port: Port) -> None:
+    """Slow a trapezoid down to rest by its own acceleration; the axis is in position control then.
 
-    def over() -> bool:
-        if look is not None:
-            look()
-        return not port.status() & PROFILE or port.limited()
+    The data of a profile may not be written while it runs. So the host ends the profile (F0) and commands the ramp itself: a
+    position in each sample, from the command position on. A sample too short for that ends in a stop at once.
+    """
+    if port.t < MINIMUM_T["trapezoid"] + MARGIN:
+        port.hold()
+        return
+    acceleration, final = port.acceleration(), port.final_position()
+    next_sample(port, "trapezoid")
+    before, since = port.commanded(), port.axis.time
+    port.axis.wait(SPEED_SAMPLES * port.sample)
+    next_sample(port, "trapezoid")
+    begin = port.commanded()
+    speed = abs(begin - before) / round((port.axis.time - since) / port.sample)
+    distance = min(speed**2 / (2 * acceleration), abs(final - begin))
+    samples = math.ceil(2 * distance / speed) if speed else 0
+    rest = 1 - np.arange(1, samples + 1) / max(samples, 1)
+    positions = np.rint(np.copysign(distance, final - begin) * (1 - rest**2)).astype(int)
+    port.chip.write(FLAG, FLAGS["trapezoid"])
+    if samples:
+        port.load(command_position=begin + int(positions[0]))
+        follow([port], positions[1:, None] - positions[0])
 
-    port.wait_until(over, timeout, "the end of its profile")
+
+def profile_end(port: Port, timeout: float) -> None:
+    """Wait until the profile is over, or LIMIT has ended it. Raises RunTimeout."""
+    port.wait_until(lambda: not port.status() & PROFILE or port.limited(), timeout, "the end of its profile")
 
 
 def settle(

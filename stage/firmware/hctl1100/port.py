@@ -12,11 +12,14 @@ from collections.abc import Callable
 
 from stage.chips import HCTL1100
 from stage.chips.hctl1100.maps import (
+    ACCELERATION,
     ACTUAL_POSITION,
     ACTUAL_VELOCITY,
     COMMAND_POSITION,
+    FINAL_POSITION,
     FLAG,
     FLAG_WRITE,
+    INTEGRAL_VELOCITY,
     MAP,
     MINIMUM_T,
     MODE,
@@ -91,6 +94,18 @@ class Port:
         """The command position, counts. Its bytes have no latch: at rest, or slowly, only."""
         return self._read(COMMAND_POSITION)
 
+    def commanded_velocity(self) -> int:
+        """The command velocity of integral velocity mode, counts per sample."""
+        return signed(self.chip.read(INTEGRAL_VELOCITY), 8)
+
+    def final_position(self) -> int:
+        """The end of the latest trapezoid, counts."""
+        return self._read(FINAL_POSITION)
+
+    def acceleration(self) -> float:
+        """The acceleration of trapezoids and integral velocity mode, counts per sample squared."""
+        return self._read(ACCELERATION) / ACCELERATION.scale
+
     def velocity(self) -> int:
         """The actual velocity, counts per sample; the chip knows it in proportional velocity mode only."""
         return self._read(ACTUAL_VELOCITY)
@@ -103,6 +118,13 @@ class Port:
         """Clear what has triggered and is released again; R07 then."""
         self.chip.write(STATUS, self.chip.read(STATUS) & MAP.register("R07").writable)
         return self.status()
+
+    def control_mode(self) -> str:
+        """Read which control mode is in force, a name of `mode`; "" in Init/Idle."""
+        flags = self.chip.read(FLAG)
+        if flags >> MAP.bit("R00", "f1") & 1:
+            return ""
+        return next((name for name, flag in FLAGS.items() if flags >> flag & 1), "position")
 
     def idle(self) -> None:
         """Init/Idle: no motor command."""

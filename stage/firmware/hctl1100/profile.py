@@ -69,7 +69,7 @@ def follow(
     main = ports[0]
     begin = main.axis.time
     for row in rows.tolist():
-        _next_sample(main)
+        next_sample(main)
         for port, value in zip(ports, row, strict=True):
             if not leader_only:
                 port.wait_for_the_safe_part()
@@ -80,10 +80,10 @@ def follow(
     return FollowReport(len(rows), max(round(seconds / main.sample) - len(rows), 0), seconds)
 
 
-def _next_sample(port: Port) -> None:
-    """Wait for the safe part of the next sample, as a timer interrupt and a look at R0F would."""
+def next_sample(port: Port, mode: str = "position") -> None:
+    """Wait for the safe part of the next sample, as a timer interrupt and a look at R0F would. mode: the control mode."""
     port.axis.wait((port.chip.read(TIMER) + MARGIN) * port.count)
-    port.wait_for_the_safe_part()
+    port.wait_for_the_safe_part(mode)
 
 
 def circle(
