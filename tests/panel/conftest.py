@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.visitor import Visitor
+from support.served_panel import ServedPanel
 
 from stage import Stage
 from stage.panel.sampler import Sampler
@@ -279,34 +279,9 @@ def sampler(session):
     sampler.close()
 
 
-class Served:
-    """A panel of xy in the process of the tests; time stands still at first. `visit()`: one more looks at it."""
-
-    def __init__(self, chips="pcl240ms"):
-        from stage.panel.server import Panel
-
-        self.session = Session(Stage("xy", chips=chips, visuals=False), speed=FREE, paused=True)
-        self.panel = Panel(self.session)
-        self._visitors = []
-
-    def visit(self):
-        self._visitors.append(Visitor(self.panel))
-        return self._visitors[-1]
-
-    def leave(self, but=0):
-        """All leave but the first so many."""
-        while self._visitors[but:]:
-            self._visitors.pop().leave()
-
-    def close(self):
-        self.leave()
-        self.panel.close()
-        self.session.close()
-
-
 @pytest.fixture(scope="module")
 def served():
     pytest.importorskip("nicegui")
-    served = Served()
+    served = ServedPanel()
     yield served
     served.close()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("nicegui")
-from conftest import Served
+from support.served_panel import ServedPanel
 
 from stage.errors import StageError
 from stage.panel import chart as charts
@@ -222,7 +222,7 @@ def test_tab_completes_as_far_as_names_agree(page):
 
 @pytest.fixture(scope="module")
 def wide():
-    wide = Served(chips="mcx514")
+    wide = ServedPanel(chips="mcx514")
     yield wide
     wide.close()
 

@@ -7,7 +7,7 @@ import urllib.request
 import pytest
 
 pytest.importorskip("nicegui")
-from conftest import Served
+from support.served_panel import ServedPanel
 
 from stage import Stage
 from stage.errors import ArgumentError, StageError
@@ -29,7 +29,7 @@ def asked(address, **headers):
 
 @pytest.fixture
 def other():
-    other = Served(chips="hctl1100")
+    other = ServedPanel(chips="hctl1100")
     yield other
     other.close()
 

@@ -1,0 +1,75 @@
+"""Every choice of test folders runs in one session, in a fresh checkout, and says at its end what it has not tested."""
+
+import ast
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from stage.extras import LIBRARIES
+from stage.native import COMPILED
+
+ROOT = Path(__file__).parents[1]
+FOLDERS = ("tests", "scripts/acme_chip/tests", "scripts/tmc5160/tests")
+FILES = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))]
+
+
+def run_pytest(*arguments: str, **environment: str) -> str:
+    """Run pytest with this project's settings in a process of its own and return what it prints."""
+    command = [sys.executable, "-m", "pytest", "-c", str(ROOT / "pyproject.toml"), "-p", "no:cacheprovider", *arguments]
+    own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
+    return subprocess.run(command, capture_output=True, text=True, check=False, env=own | environment).stdout
+
+
+def test_no_test_imports_a_conftest_by_its_name():
+    """Several folders have one, and Python keeps the first that is imported: what tests share lies in tests/support."""
+    importing = [
+        path.relative_to(ROOT)
+        for path in FILES
+        for node in ast.walk(ast.parse(path.read_text()))
+        if (isinstance(node, ast.ImportFrom) and node.module == "conftest")
+        or (isinstance(node, ast.Import) and "conftest" in [alias.name for alias in node.names])
+    ]
+    assert not importing
+
+
+def test_modules_of_test_folders_that_are_no_packages_have_names_of_their_own():
+    """pytest imports such a module by its file's name alone, and refuses a second one of that name."""
+    names = Counter(
+        path.stem for path in FILES if path.stem != "conftest" and not (path.parent / "__init__.py").exists()
+    )
+    assert not [name for name, count in names.items() if count > 1]
+
+
+def test_what_is_skipped_is_listed_with_its_reason_at_the_end(tmp_path):
+    (tmp_path / "test_rare.py").write_text("import pytest\n\ndef test():\n    pytest.skip('there is no frobnicator')\n")
+    printed = run_pytest(f"--rootdir={tmp_path}", str(tmp_path))
+    assert re.search(r"^SKIPPED \[1\] \S*test_rare.py:4: there is no frobnicator$", printed, re.M), printed
+
+
+@pytest.mark.skipif(not COMPILED, reason="uncompiled, there is no library")
+def test_the_native_library_is_loaded_before_the_first_test(tmp_path):
+    """A fresh checkout builds it, and prints how far it is: not into what the first test captures."""
+    (tmp_path / "test_first.py").write_text(
+        "from stage.native import load\n\ndef test():\n    assert load._library.cache_info().currsize == 1\n"
+    )
+    printed = run_pytest(f"--rootdir={tmp_path}", "-p", "conftest", str(tmp_path), PYTHONPATH=str(ROOT / "tests"))
+    assert re.search(r"^1 passed", printed, re.M), printed
+
+
+def test_the_dev_extra_has_every_library_that_the_product_can_use():
+    """`make test` installs that extra. Learners and browsers are only needed by tests; their skips are listed."""
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+
+    def expand(extra: str) -> set[str]:
+        inner = [
+            name for need in extras[extra] if (m := re.match(r"pulsestage\[(.*)\]", need)) for name in m[1].split(",")
+        ]
+        return {extra}.union(*map(expand, inner))
+
+    assert expand("dev") >= {library.extra for library in LIBRARIES.values()} | {"build", "targets"}
