@@ -28,6 +28,13 @@ for line in LINES:
     SLOW.setdefault(line.partition("::")[0], []).append(line)
 
 
+def pytest_sessionstart():
+    """Load the native library, which a fresh checkout builds first: its progress is no output of the first test that needs it."""
+    from stage.chips import PCL240K
+
+    PCL240K()
+
+
 class Backwards(pytest.Dir):
     """A folder that is collected from its end."""
 

@@ -1,5 +1,7 @@
 """The product does what it did when tests/recorded/data was written, see store.py: `make record` writes it anew."""
 
+from pathlib import Path
+
 import mujoco
 import pytest
 from recorded import recorded_chips, store
@@ -8,25 +10,10 @@ from recorded.subjects import FILES, PACKAGES, PHYSICS
 from stage.native import COMPILED
 
 SCENES = [(file, scene) for file, scenes in FILES.items() for scene in scenes]
-LONG = {
-    *(("firmware_all", f"{chip} home") for chip in ("PCL240MK", "PCL240MS", "MCX302", "MCX312", "MCX514", "HCTL1100")),
-    *(
-        (file, scene)
-        for file, scene in SCENES
-        if file == "cli_moves" and scene.endswith(": home") and scene[0] in "123"
-    ),
-    ("firmware_pcl240", "PCL240MK"),
-}
-"""Scenes of a second and more, of which others of the same kind are played every day."""
 MOST = 12
 
 
-def marked(file, scene):
-    long = any((file, scene[: len(name)]) == (of, name) for of, name in LONG)
-    return pytest.param(file, scene, id=f"{file}/{scene}", marks=pytest.mark.slow if long else ())
-
-
-@pytest.mark.parametrize(("file", "scene"), [marked(*both) for both in SCENES])
+@pytest.mark.parametrize(("file", "scene"), SCENES, ids=["/".join(scene) for scene in SCENES])
 def test_as_recorded(file, scene, tmp_path, monkeypatch):
     kept = store.load(file)
     assert scene in kept, f"{file}.json has no {scene!r}: is it a new scene? Then `make record`."
@@ -51,3 +38,9 @@ def test_as_recorded(file, scene, tmp_path, monkeypatch):
 def test_nothing_is_recorded_that_no_scene_plays():
     assert {f.stem for f in store.DATA.glob("*.json")} == {*FILES, "about"}
     assert {file: list(store.load(file)) for file in FILES} == {file: list(scenes) for file, scenes in FILES.items()}
+
+
+def test_every_scene_is_compared_every_day():
+    """A recording that is compared now and then goes stale, and its next difference belongs to nobody's change."""
+    slow = (Path(__file__).parents[1] / "slow_tests.txt").read_text()
+    assert "tests/recorded/" not in slow
