@@ -104,6 +104,19 @@ def test_a_changed_word_or_number_of_a_page_would_be_seen():
     assert not agree("data sheet: 2.05 pulses", "data sheet: pulses")
 
 
+@pytest.mark.parametrize(
+    ("printed", "on_page"),
+    [("999", "1000"), ("22206", "22204"), ("-19233", "-19229"), ("5.9145", "6.0"), ("1000.0", "1000")],
+)
+def test_whole_numbers_are_exactly_those_of_the_page_and_decimals_to_its_last_digit(printed, on_page):
+    assert agree(on_page, on_page)
+    assert not agree(printed, on_page)
+
+
+def test_decimals_may_differ_as_another_processor_rounds_them():
+    assert agree("0.0003 s, 155.9145 mm", "0.0004 s, 155.9 mm")
+
+
 @by_page
 def test_commands_print_what_the_page_says(page, capsys):
     text = page.read_text()

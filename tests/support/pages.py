@@ -1,6 +1,7 @@
 """Pages that are followed word for word: their pieces, and whether what is printed is what they say."""
 
 import re
+from decimal import Decimal
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,7 +35,17 @@ def steps(page: Path) -> list[Step]:
 
 
 def agree(said: str, expected: str) -> bool:
-    """The same words, and numbers as near as another processor's arithmetic leaves them."""
-    mine, its = ([float(n) for n in NUMBER.findall(text)] for text in (said, expected))
+    """Compare what is printed with what a page says: the same words and whole numbers, and decimals that are near.
+
+    A decimal may differ by what rounding to the last digit of either explains, or by 0.2 %, as another processor's arithmetic does.
+    """
+    printed, on_page = (NUMBER.findall(text) for text in (said, expected))
     words = NUMBER.sub("#", said).split() == NUMBER.sub("#", expected).split()
-    return words and all(abs(a - b) <= max(0.02, 0.02 * abs(b)) for a, b in zip(mine, its, strict=True))
+    return words and all(_is_same_number(a, b) for a, b in zip(printed, on_page, strict=True))
+
+
+def _is_same_number(printed: str, on_page: str) -> bool:
+    if "." not in on_page and "e" not in on_page:
+        return printed == on_page
+    rounding = sum(0.501 * 10.0 ** int(Decimal(number).as_tuple().exponent) for number in (printed, on_page))
+    return abs(float(printed) - float(on_page)) <= max(rounding, 0.002 * abs(float(on_page)))
