@@ -317,6 +317,24 @@ def test_mistakes_are_told(chip):
     assert "can only be written, gives 0" in chip.diagnostics[-1].message
 
 
+RESETS = {
+    0x06: 0, 0x33: 0, 0x60: 0xAAAAB554, 0x61: 0x4A9554AA, 0x62: 0x24492929, 0x63: 0x10104222, 0x64: 0xFBFFFFFF, 0x65: 0xB5BB777D,
+    0x66: 0x49295556, 0x67: 0x00404222, 0x68: 0xFFFF8056, 0x69: 0x00F70000, 0x6E: 0,
+}  # fmt: skip
+"""Address -> reset value, data sheet pages 32 and 53, of registers of which nothing else is modelled."""
+
+
+def test_a_reset_value_is_no_mistake_where_another_value_is_not_modelled(chip):
+    """Drivers write all registers at their start, as the data sheet's own code does."""
+    for address, value in RESETS.items():
+        chip.transfer40((0x80 | address) << 32 | value)
+        chip.write(address, value)
+    assert [d.message for d in chip.diagnostics] == []
+    for address, value in RESETS.items():
+        chip.write(address, value ^ 0x100)
+        assert "not modelled" in chip.diagnostics[-1].message, f"{address:02X}h"
+
+
 def test_it_goes_home_to_the_index_pulse_from_anywhere(stage_, capsys):
     """And by the command line to a stall"""
     stage_.reset()

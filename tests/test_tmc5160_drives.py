@@ -19,8 +19,9 @@ from stage import ArgumentError, Drive, Stage, StageError, faults, firmware
 from stage.board import Board, NativeHost, build
 from stage.chips import chip_class
 from stage.cli import main
+from stage.cli.firmware import report
 from stage.firmware.driver import Speeds, driver_of
-from stage.testing import chip_conformance
+from stage.testing import assert_no_lost_steps, chip_conformance
 
 SMOOTH = Drive("17HS4401", detent=0.0, mode="sine")
 
@@ -86,6 +87,33 @@ def test_a_motor_without_current_stands_while_the_position_counts(x):
     assert x.chip.values()["XACTUAL"] > 600
     assert abs(x.position) < 2e-5
     assert "TOFF = 0" in x.chip.diagnostics[-1].message
+
+
+def test_a_vertical_axis_that_falls_is_said_to_have_no_current(stage_, capsys):
+    """z of xyz, whose power stage nobody has switched on, falls onto its hard stop at -45 mm while x moves as it should."""
+    xyz = Stage("xyz", chips="tmc5160", visuals=False)
+    x, z = xyz.axes["x"], xyz.axes["z"]
+    firmware.move(x, 10e-3)
+    assert x.position == pytest.approx(10e-3, abs=25e-6)
+    xyz.run(1)
+    assert z.position == pytest.approx(-45e-3, abs=1e-3)
+    never = "; its power stage was never switched on (CHOPCONF.TOFF = 0 after power-up, or DRV_ENN is high)"
+    with pytest.raises(AssertionError) as failed:
+        assert_no_lost_steps(xyz)
+    (line,) = [line for line in str(failed.value).splitlines() if line.startswith("  z is")]
+    assert line.endswith(never)
+    report(Board(xyz))
+    said = capsys.readouterr().out
+    assert f"z has lost steps without current: {never[2:]}.\n" in said
+    assert "x has lost" not in said
+    put(z.chip, CHOPCONF=0x100100C3, IHOLD_IRUN=31 << 8 | 31)
+    xyz.run(0.01)
+    assert z.chip.explain_missing_current() == ""
+    put(z.chip, CHOPCONF=0x10410150)
+    assert z.chip.explain_missing_current().startswith("its power stage is off")
+    copy_ = z.chip.twin(z.chip.state.tobytes())
+    copy_.write(0x6C, 0)
+    assert copy_.explain_missing_current().startswith("its power stage is off"), "a twin knows that it was on"
 
 
 def test_load_lowers_the_result_of_stallguard_and_a_stall_makes_it_0(x):

@@ -243,6 +243,10 @@ class Chip:
         """What a data-sheet reader would say to this write, and where it is written; None if nothing."""
         return None
 
+    def explain_missing_current(self, axis: int = 0) -> str:
+        """Say why a motor has no current, for a chip that is its motor's driver as well; "" while it has, and for other chips."""
+        return ""
+
     def twin(self, state: bytes | None = None) -> Chip:
         """A chip like this one, on no stage and without diagnostics; in the same state, or in that of the bytes given."""
         twin = type(self)(**self.options())

@@ -193,6 +193,9 @@ def report(board: Any) -> None:
         own = PLACES[axis.unit]
         position, commanded = (own.text(q) if mixed else f"{q * own.per:.4f}" for q in (axis.position, axis.commanded))
         print(f"{axis.name:6}{position:>18}{commanded:>19}{axis.lost_steps:6}  {on}".rstrip())
+    for axis in stage.axes.values():
+        if axis.lost_steps and (why := axis.chip.explain_missing_current(axis.chip_axis)):
+            print(f"{axis.name} has lost steps without current: {why}.")
     for k, chip in enumerate(stage.chips):
         said = chip.diagnostics
         if said:

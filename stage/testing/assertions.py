@@ -29,6 +29,7 @@ def assert_no_lost_steps(what: Stage | Axis | Iterable[Axis]) -> None:
             lines.append(
                 f"  {axis.name} is {abs(axis.lost_steps)} full steps {'behind' if axis.lost_steps > 0 else 'ahead of'} its pulses: "
                 f"commanded {distance(axis.commanded, axis.unit)}, is at {distance(axis.position, axis.unit)}"
+                + without_current(axis)
             )
         lines.append(
             "The motor could not follow, or a hard stop was in the way. Look where x/lost_steps leaves 0 in the recording, and at "
@@ -181,6 +182,12 @@ def pulse_rate(axis: Axis) -> float:
 def velocity_of(axis: Axis) -> float:
     """m/s, rad/s on a hinge."""
     return float(axis.stage.data.qvel[axis.plant.dof])
+
+
+def without_current(axis: Axis) -> str:
+    """Say why its motor has no current, as the end of a sentence; "" while it has."""
+    why = axis.chip.explain_missing_current(axis.chip_axis)
+    return f"; {why}" if why else ""
 
 
 def distance(value: float, unit: str) -> str:

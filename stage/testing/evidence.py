@@ -17,7 +17,7 @@ from stage.board.host import STRAY
 from stage.chips.describe import decode
 from stage.errors import StageError
 from stage.sim import plant
-from stage.testing.assertions import distance, pulse_rate
+from stage.testing.assertions import distance, pulse_rate, without_current
 from stage.testing.settings import setting
 from stage.testing.watched import WatchedStage, has_something
 
@@ -105,6 +105,7 @@ class Watch:
                 f"{distance(axis.commanded, axis.unit)}, {axis.lost_steps} full steps lost, "
                 + (f"{rate:+,.0f} pulses/s" if rate else "no pulses")
                 + (f", asserted: {on}" if on else "")
+                + without_current(axis)
             )
         said = sum(len(chip.diagnostics) for chip in stage.chips)
         if said:

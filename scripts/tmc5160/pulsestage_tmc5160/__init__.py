@@ -97,6 +97,14 @@ class TMC5160(Chip):
         """Of the phase currents as the registers ask for them, A; 0 while the power stage is off."""
         return float(core.current.held(self.pointer, 0))
 
+    def explain_missing_current(self, axis: int = 0) -> str:
+        """Say why the power stage gives the motor no current, which on a real board lets a vertical axis fall."""
+        if self.amplitude:
+            return ""
+        if not self.state["powered"]:
+            return "its power stage was never switched on (CHOPCONF.TOFF = 0 after power-up, or DRV_ENN is high)"
+        return "its power stage is off (TOFF = 0, DRV_ENN high, a fault, or FREEWHEEL at IHOLD = 0)"
+
     # --- what the registry asks for ---
 
     @classmethod

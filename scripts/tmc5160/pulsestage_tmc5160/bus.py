@@ -97,7 +97,7 @@ def power_up(c):
     c.sg = c.stall = c.total = c.summed = c.count = c.full = 0
     c.lam, c.emf = 0, 1024
     c.load_of, c.load_n, c.load_sum, c.emf_sum = -1, 0, 0, 0
-    c.gstat, c.shorts, c.hot = 1, 0, 0
+    c.gstat, c.shorts, c.hot, c.powered = 1, 0, 0, 0
     c.csn, c.shift, c.bits, c.out, c.heard = 1, 0, 0, 0, 0
     c.risen = c.shifted = -NEVER
     for k in range(REGISTERS):

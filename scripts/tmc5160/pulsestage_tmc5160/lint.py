@@ -101,7 +101,7 @@ def _register(c: Any, address: int, value: int) -> Note | None:
         if address in READ:
             return f"{READ[address].name} can only be read: nothing changes", SHEET + "31"
         return f"no register at {address:02X}h: nothing changes", SHEET + "31"
-    if r.name in NOT_MODELLED:
+    if r.name in NOT_MODELLED and value != (r.reset or 0):
         return NOT_MODELLED[r.name], "sheet.md of this package, section 10"
     if value > r.mask:
         if address == GLOBALSCALER and value == 256:

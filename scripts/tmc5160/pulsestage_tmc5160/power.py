@@ -133,3 +133,5 @@ def faults(c):
         c.gstat |= 2
     if c.inputs & UV_CP:
         c.gstat |= 4
+    if on(c):
+        c.powered = 1

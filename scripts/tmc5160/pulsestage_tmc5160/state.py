@@ -75,6 +75,7 @@ STATE = record(
         ("gstat", "i8"),
         ("shorts", "i8"),  # latched: S2GA ... S2VSB
         ("hot", "i8"),  # off by overtemperature
+        ("powered", "i8"),  # the power stage has been on since power-up
         # SPI
         ("csn", "i8"),
         ("shift", "i8"),  # 40 bits
