@@ -22,8 +22,8 @@ FILES = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.
 def run_pytest(*arguments: str, **environment: str) -> str:
     """Run pytest with this project's settings in a process of its own and return what it prints."""
     command = [sys.executable, "-m", "pytest", "-c", str(ROOT / "pyproject.toml"), "-p", "no:cacheprovider", *arguments]
-    own = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
-    return subprocess.run(command, capture_output=True, text=True, check=False, env=own | environment).stdout
+    inherited = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
+    return subprocess.run(command, capture_output=True, text=True, check=False, env=inherited | environment).stdout
 
 
 def test_no_test_imports_a_conftest_by_its_name():
@@ -38,7 +38,7 @@ def test_no_test_imports_a_conftest_by_its_name():
     assert not importing
 
 
-def test_modules_of_test_folders_that_are_no_packages_have_names_of_their_own():
+def test_modules_of_test_folders_that_are_no_packages_have_unique_names():
     """pytest imports such a module by its file's name alone, and refuses a second one of that name."""
     names = Counter(
         path.stem for path in FILES if path.stem != "conftest" and not (path.parent / "__init__.py").exists()

@@ -108,7 +108,7 @@ def test_a_changed_word_or_number_of_a_page_would_be_seen():
     ("printed", "on_page"),
     [("999", "1000"), ("22206", "22204"), ("-19233", "-19229"), ("5.9145", "6.0"), ("1000.0", "1000")],
 )
-def test_whole_numbers_are_exactly_those_of_the_page_and_decimals_to_its_last_digit(printed, on_page):
+def test_integers_are_exactly_those_of_the_page_and_decimals_agree_to_its_last_digit(printed, on_page):
     assert agree(on_page, on_page)
     assert not agree(printed, on_page)
 

@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 FOLDERS = {"stage": "stage", "envs": "stage.envs"}
 
 LAYERS = (
-    {"errors", "units", "arguments"},
+    {"errors", "units", "arguments", "identifiers"},
     {"files", "examples", "html", "pictures", "snapshots", "snapshot_files", "opengl", "extras", "portable"},
     {"native"},
     {"chips"},

@@ -89,7 +89,7 @@ def test_a_motor_without_current_stands_while_the_position_counts(x):
     assert "TOFF = 0" in x.chip.diagnostics[-1].message
 
 
-def test_a_vertical_axis_that_falls_is_said_to_have_no_current(stage_, capsys):
+def test_reports_explain_that_a_vertical_axis_falls_without_current(stage_, capsys):
     """z of xyz, whose power stage nobody has switched on, falls onto its hard stop at -45 mm while x moves as it should."""
     xyz = Stage("xyz", chips="tmc5160", visuals=False)
     x, z = xyz.axes["x"], xyz.axes["z"]
@@ -103,9 +103,9 @@ def test_a_vertical_axis_that_falls_is_said_to_have_no_current(stage_, capsys):
     (line,) = [line for line in str(failed.value).splitlines() if line.startswith("  z is")]
     assert line.endswith(never)
     report(Board(xyz))
-    said = capsys.readouterr().out
-    assert f"z has lost steps without current: {never[2:]}.\n" in said
-    assert "x has lost" not in said
+    printed = capsys.readouterr().out
+    assert f"z has lost steps without current: {never[2:]}.\n" in printed
+    assert "x has lost" not in printed
     put(z.chip, CHOPCONF=0x100100C3, IHOLD_IRUN=31 << 8 | 31)
     xyz.run(0.01)
     assert z.chip.explain_missing_current() == ""

@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from stage.board.host import CALLED, IN, IN_WIDE, OUT_WIDE, RETURNED
+from stage.recording.vcd import HOST
 
 if TYPE_CHECKING:
     from stage.board.board import Board
 
-SCOPE = "host"
 KIND = 7  # the bits of a line's kind that say which cycle it is
 NEWEST = 64  # lines that may go on where a recording begins: a read of each port that is polled
 AT_A_TIME = 16384  # cycles
@@ -80,16 +80,16 @@ def _changes(lines: np.ndarray, writer: Any, bus_ns: int, begin: int) -> list[It
     cycles, kinds = lines[~hooks], kind[~hooks]
     wide = bool(np.isin(kinds, (IN_WIDE, OUT_WIDE)).any())
     bits = max(16, int(cycles["port"].max()).bit_length() if len(cycles) else 16)
-    port = writer.register_var(SCOPE, "PORT", "reg", size=bits, init="x")
-    data = writer.register_var(SCOPE, "DATA", "reg", size=16 if wide else 8, init="x")
-    rd, wr = (writer.register_var(SCOPE, name, "wire", size=1, init=1) for name in ("RD_n", "WR_n"))
-    polls = writer.register_var(SCOPE, "POLLS", "wire", size=1, init=0)
+    port = writer.register_var(HOST, "PORT", "reg", size=bits, init="x")
+    data = writer.register_var(HOST, "DATA", "reg", size=16 if wide else 8, init="x")
+    rd, wr = (writer.register_var(HOST, name, "wire", size=1, init=1) for name in ("RD_n", "WR_n"))
+    polls = writer.register_var(HOST, "POLLS", "wire", size=1, init=0)
     streams = [
         _cycles(cycles, np.isin(kinds, (IN, IN_WIDE)), (port, data, rd, wr), bus_ns, begin),
         _polls(cycles, polls),
     ]
     if hooks.any():
-        hook = writer.register_var(SCOPE, "HOOK", "wire", size=1, init=0)
+        hook = writer.register_var(HOST, "HOOK", "wire", size=1, init=0)
         streams.append(
             (t, hook, int(k == CALLED))
             for t, k in zip(lines["first"][hooks].tolist(), kind[hooks].tolist(), strict=True)

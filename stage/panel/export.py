@@ -16,10 +16,10 @@ import numpy as np
 
 from stage.errors import ArgumentError
 from stage.extras import need
+from stage.identifiers import escape_name
 from stage.panel.sampler import Sampler, Trace
 from stage.recording.scene import duration
 from stage.recording.sdk import rr
-from stage.recording.signals import plain
 
 
 def heading(trace: Trace) -> str:
@@ -84,9 +84,11 @@ def to_vcd(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> 
     with VCDWriter(text, "1 ns", date="simulated time since power-up", init_timestamp=int(ns[0])) as writer:
         variables = []
         for t, v in taken:
-            scope, _, name = t.name.partition("/")
+            scope, _, name = t.name.rpartition("/")
             kind, size = ("wire", 1) if t.pin else ("real", 64)
-            variables.append(writer.register_var(plain(scope), plain(name), kind, size=size, init=v[0].item()))
+            variables.append(
+                writer.register_var(escape_name(scope), escape_name(name), kind, size=size, init=v[0].item())
+            )
         changes = [(int(ns[k]), n) for n, (_, v) in enumerate(taken) for k in np.flatnonzero(np.diff(v)) + 1]
         at = {int(time): k for k, time in enumerate(ns)}
         for time, n in sorted(changes):
@@ -104,8 +106,9 @@ def to_rrd(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> 
         out = rr.RecordingStream("pulsestage scope")
         out.save(path)
         for t, v in taken:
-            out.log(t.name, rr.SeriesLines(names=heading(t)), static=True)
-            out.send_columns(t.name, indexes=[duration(times)], columns=rr.Scalars.columns(scalars=v.astype(float)))
+            entity = "/".join(map(escape_name, t.name.rsplit("/", 1)))
+            out.log(entity, rr.SeriesLines(names=heading(t)), static=True)
+            out.send_columns(entity, indexes=[duration(times)], columns=rr.Scalars.columns(scalars=v.astype(float)))
         out.flush()
         out.disconnect()
         with open(path, "rb") as file:

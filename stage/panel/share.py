@@ -110,7 +110,7 @@ def save(panel: Panel) -> bytes:
 def _recording(panel: Panel) -> tuple[str, bytes]:
     """The last minute: its ending and bytes; none where nothing has been sampled."""
     sampler = panel.sampler
-    names = [n for n, t in sampler.traces.items() if t.pin or n.partition("/")[2] in RECORDED]
+    names = [n for n, t in sampler.traces.items() if t.pin or n.rpartition("/")[2] in RECORDED]
     for ending in ("rrd", "csv"):
         try:
             return ending, export.FORMATS[ending](sampler, names, sampler.last - LONGEST, sampler.last)

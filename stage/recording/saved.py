@@ -17,10 +17,10 @@ import numpy as np
 
 from stage.errors import unknown
 from stage.files import readable
+from stage.identifiers import escape_name
 from stage.recording import sdk
 from stage.recording.recording import RecordingError, unit_of
 from stage.recording.series import FORMAT, SERIES
-from stage.recording.signals import plain
 from stage.recording.table import Columns, Tabular
 
 MAGIC = b"RRF"
@@ -75,7 +75,7 @@ class Saved(Tabular):
         found = {}
         for axis in self._kinds:
             for key in SERIES:
-                drawn = self._entities.get(f"/axes/{plain(axis)}/{key}", {}).get("Scalars:scalars")
+                drawn = self._entities.get(f"/axes/{escape_name(axis)}/{key}", {}).get("Scalars:scalars")
                 if drawn is not None and drawn[0] is not None:
                     order = np.argsort(drawn[0], kind="stable")
                     values = np.array([v[0] for v in drawn[1]], float)[order]
@@ -85,9 +85,9 @@ class Saved(Tabular):
     @cached_property
     def states(self) -> dict[str, State]:
         found = {}
-        lanes = {f"{axis}/phase": f"/axes/{plain(axis)}/phase" for axis in self._kinds}
+        lanes = {f"{axis}/phase": f"/axes/{escape_name(axis)}/phase" for axis in self._kinds}
         for axis in self._kinds:
-            begin = f"/axes/{plain(axis)}/switches/"
+            begin = f"/axes/{escape_name(axis)}/switches/"
             lanes |= {f"{axis}/{e.removeprefix(begin)}": e for e in sorted(self._entities) if e.startswith(begin)}
         for lane, entity in (lanes | {"faults": "/faults"}).items():
             times, states = self._entities.get(entity, {}).get("StateChange:state", (None, []))
@@ -100,7 +100,7 @@ class Saved(Tabular):
     def bus(self) -> list[tuple[float, str]]:
         told = []
         for axis in self._kinds:
-            times, texts = self._entities.get(f"/axes/{plain(axis)}/bus", {}).get("TextLog:text", (None, []))
+            times, texts = self._entities.get(f"/axes/{escape_name(axis)}/bus", {}).get("TextLog:text", (None, []))
             if times is not None:
                 told += [(float(t) * 1e-9, text[0].split(maxsplit=1)[1]) for t, text in zip(times, texts, strict=True)]
         return sorted(told)
@@ -185,11 +185,10 @@ def read(path: str | os.PathLike) -> Saved:
 
 def _add(entity: dict[str, Any], batch: Any) -> None:
     """The columns of a chunk: component -> (times ns or None, values), after those that were there."""
-    names = batch.schema.names
-    time = batch.column("time").to_numpy(zero_copy_only=False).astype(np.int64) if "time" in names else None
-    for name in names:
-        if name == "time" or name.startswith("rerun.controls"):
-            continue
+    kinds = {field.name: (field.metadata or {}).get(b"rerun:kind", b"data") for field in batch.schema}
+    timeline = "time" if kinds.get("time") == b"index" else ""  # an axis may have that name, too
+    time = batch.column(timeline).to_numpy(zero_copy_only=False).astype(np.int64) if timeline else None
+    for name in (name for name, kind in kinds.items() if kind == b"data"):
         column, before = batch.column(name), entity.get(name)
         if str(column.type).startswith(
             "timestamp"

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
+from stage.identifiers import escape_name
 from stage.recording import geoms, signals
 from stage.recording.geoms import rotated
 from stage.recording.sdk import rr
@@ -27,6 +28,7 @@ PATH_COLOUR = (255, 138, 48)
 LAMPS = {"el": (255, 66, 54), "sd": (255, 184, 36), "org": (64, 224, 120)}
 DARK = 0.35  # of a lamp that is off
 LIFT = 0.015  # of the model's extent: a lamp stands above its switch
+DIRECTIONS = "directions"  # beside the bodies: the arrows of the axes
 
 
 class Scene:
@@ -119,12 +121,12 @@ class Scene:
 
 def body_path(model: mujoco.MjModel, body: int) -> str:
     """The entity of a body."""
-    return f"stage/{signals.plain(model.body(body).name or f'body{body}')}"
+    return f"stage/{escape_name(model.body(body).name or f'body{body}', reserved=(DIRECTIONS,))}"
 
 
 def axis_path(name: str) -> str:
     """The entity that holds what belongs to an axis."""
-    return f"axes/{signals.plain(name)}"
+    return f"axes/{escape_name(name)}"
 
 
 def _place(out: Any, model: mujoco.MjModel, body: int) -> None:
@@ -198,7 +200,7 @@ def _directions(out: Any, recording: Recording, colours: dict[str, tuple[int, in
     corner[:2] += 0.1 * length
     axes = [data.xaxis[a.joint] for a in recording.axes.values()]
     out.log(
-        "stage/directions",
+        f"stage/{DIRECTIONS}",
         rr.Arrows3D(
             origins=[corner] * len(axes), vectors=[length * a for a in axes], labels=list(recording.axes),
             colors=[colours[n] for n in recording.axes], radii=length * 0.035,
@@ -221,7 +223,7 @@ def _lamps(recording: Recording, name: str) -> Iterator[tuple[str, np.ndarray, s
         geom = next((g for g in pair if model.geom_bodyid[g] != carriage), pair[0])
         body = int(model.geom_bodyid[geom])
         above = rotated(data.xquat[body] * [1, -1, -1, -1], [0, 0, LIFT * model.stat.extent])
-        path = f"{body_path(model, body)}/lamp_{signals.plain(name)}_{pin}"
+        path = f"{body_path(model, body)}/lamp_{escape_name(name)}_{pin}"
         wired, others = axis.chip.wired(pin), axis.switches.as_dict()
         rivals = tuple(p for p in signals.SWITCHES if p != pin and p in others and axis.chip.wired(p) == wired)
         yield path, model.geom_pos[geom] + above, pin, kind, rivals

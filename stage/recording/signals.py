@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from typing import Any
 
@@ -18,11 +17,6 @@ SWITCHES = {
 """Switch pin -> (label, kind), in the order along an axis."""
 
 HOLD, CONTROL = "hold", "control"
-
-
-def plain(name: str) -> str:
-    """An axis or body name as a word that every file format takes: letters, digits and underscores."""
-    return re.sub(r"\W+", "_", name, flags=re.ASCII) or "_"
 
 
 def wire(chip: Any, pin: str) -> tuple[str, int]:

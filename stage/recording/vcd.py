@@ -1,6 +1,6 @@
 """A recording as waveforms: every pin, pulse, status bit and bus write of every chip, to its own clock.
 
-    x                   a scope an axis
+    x                   a scope an axis; "x 1" is x_u20_1, see stage.identifiers
       POUT_n PDIR ...   every pin, as a probe on the wire would show it: `_n` marks what is 0 while asserted
       R0 RATE           down counter, 24 bits; pulse rate, pps. Of an HCTL-1100 R14, the actual position, and R0E, the command
                           position, at the samples that change the command or the motor command MC; RATE in counts a second
@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.chips.entries import LOST, READ, RESET, WRITE
+from stage.identifiers import escape_name
 from stage.recording import signals
 
 if TYPE_CHECKING:
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 
 SECOND = 1_000_000_000
 EDGES = 16384  # at a time
+HOST = "host"
+"""The scope of a board's bus cycles, see stage.board.waveforms."""
 DATE = "simulated time since power-up"  # and not the wall clock: equal runs make equal files
 
 Change = tuple[int, Any, Any]  # ns, variable, value
@@ -48,7 +51,7 @@ def write(recording: Recording, path: Path) -> Path:
     with open(path, "w", encoding="ascii", buffering=1 << 20) as file:
         begin = min(nanoseconds(int(j.start["clock"]), _hz(recording, n)) for n, j in recording.journals.items())
         end = max(nanoseconds(j.until, _hz(recording, n)) for n, j in recording.journals.items())
-        comment = f"PulseStage: {recording!r}"
+        comment = f"PulseStage: {recording!r}".encode("ascii", "backslashreplace").decode().replace("$", r"\x24")
         with VCDWriter(file, "1 ns", date=DATE, comment=comment, init_timestamp=begin) as writer:
             streams = [
                 s for axis in recording.axes for s in (_pins(recording, axis, writer), _bus(recording, axis, writer))
@@ -60,6 +63,11 @@ def write(recording: Recording, path: Path) -> Path:
                 writer.change(variable, ns, value)
             writer.close(end)
     return path
+
+
+def scope_of(axis: str) -> str:
+    """Return the scope of an axis; that of the host's bus is not an axis'."""
+    return escape_name(axis, reserved=(HOST,))
 
 
 def _hz(recording: Recording, axis: str) -> int:
@@ -77,9 +85,9 @@ def _pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
 
     variables, now = {}, {}
     for name, (kind, size, v) in levels(next(journal.pieces(size=256))[:1]).items():
-        scope, _, short = f"{signals.plain(axis)}.{name}".rpartition(".")
+        *scope, short = (scope_of(axis), *map(escape_name, name.split(".")))
         now[name] = v[0].item()
-        variables[name] = writer.register_var(scope, short, kind, size=size, init=now[name])
+        variables[name] = writer.register_var(tuple(scope), short, kind, size=size, init=now[name])
 
     def changes() -> Iterator[Change]:
         for edges in signals.settled(journal.pieces(every_pulse=True, size=EDGES)):
@@ -117,7 +125,7 @@ def _levels(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, tuple[
 
 def _bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
     """Register the bus of an axis now; its writes and resets are the iterator."""
-    chip, journal, scope = recording.axes[axis].chip, recording.journals[axis], f"{signals.plain(axis)}.bus"
+    chip, journal, scope = recording.axes[axis].chip, recording.journals[axis], (scope_of(axis), "bus")
     wr, reset = (writer.register_var(scope, name, "event", size=1) for name in ("WR", "RESET"))
     lost, rd = (_event_if_any(journal, kind, writer, scope, name) for kind, name in ((LOST, "LOST"), (READ, "RD")))
     address = writer.register_var(scope, "A", "reg", size=chip.ADDRESS_MASK.bit_length(), init="x")
@@ -138,7 +146,7 @@ def _bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
     return changes()
 
 
-def _event_if_any(journal: Journal, kind: int, writer: Any, scope: str, name: str) -> Any:
+def _event_if_any(journal: Journal, kind: int, writer: Any, scope: tuple[str, ...], name: str) -> Any:
     """A variable for events that most recordings have none of, or None."""
     if not (journal.entries.packed()["kind"] == kind).any():
         return None

@@ -55,7 +55,7 @@ def c_source(
 ) -> str:
     """The header. name: of its function and array."""
     mask = chip.DATA_MASK
-    name = re.sub(r"\W", "_", name)
+    name = re.sub(r"\W", "_", name, flags=re.ASCII)
     wide = max((len(r.name) for r in rows), default=0)
     defines = "\n".join(
         f"#define {name.upper()}_{_word(r.name):{wide}} {_value(r):>12} /* {_plain(r.words)} */" for r in rows

@@ -8,6 +8,7 @@ from math import isfinite
 from os import PathLike
 from typing import Any
 
+from stage.identifiers import escape_name
 from stage.tune.c_source import c_source
 from stage.tune.looks import LOOK
 from stage.tune.plans import Plan, Plans
@@ -161,7 +162,7 @@ class Result:
             f"(by {'the data sheet formula' if a.name == 'formula' else 'search'}; stage tune, seed {self.seed})",
         ]
         title = f"axis {task.axis}, {chip.MAP.chip}: {self.way()} {task.carries}"
-        return c_source(name or f"{task.axis}_tuned", title, notes, self.rows, self.cycles, chip)
+        return c_source(name or f"{escape_name(task.axis)}_tuned", title, notes, self.rows, self.cycles, chip)
 
     def json(self) -> dict[str, Any]:
         """All of it as numbers and texts: s, m, kg."""

@@ -6,9 +6,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from support.odd_names import ODD_NAMES
+from vcd.reader import TokenKind, tokenize
 
 from stage import firmware
 from stage.errors import ArgumentError
+from stage.identifiers import unescape_name
 from stage.panel.export import FORMATS
 from stage.panel.oscilloscope import BEFORE, DIAGNOSTIC, LOST, Scope
 from stage.sim import faults
@@ -168,6 +171,17 @@ def test_a_change_in_a_vcd_file_has_the_nanosecond_nearest_to_its_time():
     sampler = SimpleNamespace(columns=lambda *_: (times, {"x/org": np.array([0, 1, 0, 1, 1])}), trace=lambda _: level)
     said = FORMATS["vcd"](sampler, ["x/org"], 1.0, 1.2).decode()
     assert re.findall(r"^#(\d+)", said, re.MULTILINE) == [f"{round(t * 1e9)}" for t in times.tolist()]
+
+
+def test_a_window_of_axes_of_any_name_is_waveforms_with_a_scope_for_each():
+    names = [f"{name}/org" for name in ODD_NAMES]
+    values = {name: np.arange(3) % 2 for name in names}
+    sampler = SimpleNamespace(
+        columns=lambda *_: (np.array([0.0, 0.1, 0.2]), values), trace=lambda name: SimpleNamespace(name=name, pin=True)
+    )
+    tokens = tokenize(io.BytesIO(FORMATS["vcd"](sampler, names, 0.0, 0.2)))
+    scopes = [token.scope.ident for token in tokens if token.kind is TokenKind.SCOPE]
+    assert sorted(map(unescape_name, scopes)) == sorted(ODD_NAMES)
 
 
 @pytest.mark.slow

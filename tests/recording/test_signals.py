@@ -5,7 +5,6 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
 from stage.chips import HCTL1100, PCL240K
 from stage.chips.entries import RESET, WRITE
@@ -17,13 +16,6 @@ EDGE = [("clock", "i8"), ("inputs", "i8"), ("outputs", "i8"), ("rate", "f8")]
 def edges(*rows):
     """(clock, inputs, outputs)"""
     return np.array([(*row, 0.0) for row in rows], EDGE)
-
-
-@pytest.mark.parametrize(
-    ("name", "word"), [("x", "x"), ("my x/1", "my_x_1"), ("größe", "gr_e"), ("///", "_"), ("", "_"), ("a_b2", "a_b2")]
-)
-def test_a_name_is_a_word_of_letters_digits_and_underscores(name, word):
-    assert signals.plain(name) == word
 
 
 def test_of_several_edges_at_one_clock_the_last_counts_in_one_piece_and_across_two():

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import pytest
 from _pytest.pytester import SysModulesSnapshot
 from support.extras import needs_rerun
+from support.odd_names import odd_model
 
 import stage.models
 from stage.board import build, exits
@@ -303,6 +304,16 @@ def test_a_failed_test_leaves_recording_waveforms_and_bus_trace_and_names_them(s
     assert any(path.endswith("/cylinders") for path in entities)  # the stage as it looks, though the test ran without
     assert "POUT_n" in (folder / "waveforms.vcd").read_text()
     assert (pytester.path / ".pulsestage" / ".gitignore").read_text() == "*\n"
+
+
+@needs_rerun
+def test_a_failed_test_of_axes_of_any_name_leaves_its_files_too(session, pytester):
+    (pytester.path / "odd.xml").write_text(odd_model().to_xml(), encoding="utf-8")
+    result, printed = session(TURNS, model="odd.xml")
+    result.assert_outcomes(failed=1)
+    for name in ("recording.rrd", "waveforms.vcd"):
+        assert f"{FOLDER}/{name}" in printed
+        assert (pytester.path / FOLDER / name).stat().st_size > 500
 
 
 @needs_cc

@@ -1,7 +1,10 @@
 """What `tune` makes of moves that go as they are told to here: which registers it takes, which are out, and what it says."""
 
 import json
+import re
+from copy import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -293,3 +296,16 @@ def test_on_a_screw_that_turns_the_other_way_the_picture_has_the_move_towards_pl
     deviation = drawn[0].axes[3]
     band = deviation.transData.inverted().transform_bbox(deviation.patches[0].get_extents())
     assert (band.y0, band.y1) == pytest.approx((-1e6 * result.task.within, 1e6 * result.task.within))
+
+
+def test_headers_of_axes_whose_names_c_does_not_take_differ(task, monkeypatch):
+    monkeypatch.setattr(Result, "rows", ())
+    monkeypatch.setattr(Result, "cycles", ())
+    functions = []
+    for name in ("x 1", "轴"):
+        renamed = copy(task)
+        object.__setattr__(renamed, "axis", name)
+        object.__setattr__(renamed, "stage", SimpleNamespace(axes={name: task.stage.axes["x"]}))
+        header = replace(told_of(task), task=renamed).c_source()
+        functions += re.findall(r"static void (\w+_move)\(", header)
+    assert functions == ["x_u20_1_tuned_move", "_u8f74__tuned_move"]
