@@ -301,6 +301,13 @@ def test_axes_on_a_line_keep_the_ratio_to_two_steps_of_256(both, x, y, speed):
     assert all(r.stopped_by == "position reached" for r in report.axes.values())
 
 
+def test_an_axis_that_keeps_still_on_a_line_has_its_power_stage_on(both):
+    both.reset()
+    report = firmware.line({"x": 3000, "y": 0}, both, pulses=True)
+    assert (report.ok, report.distances) == (True, {"x": 3000})
+    assert both.axes["y"].chip.values()["CHOPCONF"] & 15, "TOFF 0 is off: a load would pull the axis away"
+
+
 def test_ramps_of_a_line_are_both_as_long_as_the_longer(both):
     took = []
     for up, down in ((0.05, 0.2), (0.2, 0.05)):

@@ -140,6 +140,7 @@ def _warn_of_tandem(args: argparse.Namespace, axis: Any, behind: Sequence[str], 
 def sync(args: argparse.Namespace) -> int:
     from stage import firmware
     from stage.firmware.driver import driver_of
+    from stage.firmware.procedures import check_one_kind
 
     stage = make_stage(args)
     distances: dict[str, int] = {}
@@ -155,6 +156,7 @@ def sync(args: argparse.Namespace) -> int:
         if behind := [other for other in stage.axes[name].tandem if distances.get(other) != distances[name]]:
             _warn_of_tandem(args, stage.axes[name], behind, args.distances)
     drivers = {name: driver_of(stage.axes[name]) for name in distances}
+    check_one_kind(drivers)
     first = stage.axes[next(iter(distances))]
     with recorded(args, stage), ticking(stage):
         if _is_pcl240(first):

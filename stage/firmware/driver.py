@@ -290,11 +290,12 @@ def driver_class(chip: type[Chip]) -> type[Driver]:
     return found
 
 
-def that_move(drivers: Mapping[str, D], pulses: Mapping[str, int]) -> dict[str, D]:
-    """The drivers whose axes have pulses to make on a line. Raises ArgumentError for fewer than two."""
+def select_moving(drivers: Mapping[str, D], pulses: Mapping[str, int]) -> dict[str, D]:
+    """Return the drivers whose axes have pulses to make on a line; one is enough. Raises ArgumentError where none has."""
     moving = {name: driver for name, driver in drivers.items() if pulses[name]}
-    if len(moving) < 2:
-        raise ArgumentError("a line is of two axes or more; use move for one.")
+    if not moving:
+        given = ", ".join(f"{name} 0" for name in drivers)
+        raise ArgumentError(f"a line of {given} pulses: nothing moves; give at least one axis pulses to make.")
     return moving
 
 

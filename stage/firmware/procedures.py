@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from stage.arguments import patience, told
 from stage.errors import ArgumentError
 from stage.firmware.axis import Axes, Axis, forward
-from stage.firmware.driver import RAMP, Speeds, driver_of, usual_speeds
+from stage.firmware.driver import RAMP, Driver, Speeds, driver_of, usual_speeds
 from stage.firmware.report import Procedure, Report
 from stage.firmware.together import SynchronizedReport, chosen_axes
 
@@ -123,27 +123,33 @@ def line(
     """Move several axes along a straight line.
 
     Args:
-        distances: axis name (or axis) -> m, signed; with `pulses` pulses, of servos counts. 0 keeps an axis still.
+        distances: axis name (or axis) -> m, signed; with `pulses` pulses, of servos counts. 0 keeps an axis still, and the
+            report leaves it out; one axis that moves is enough.
         axes: where the names are: a stage, a bench, or a mapping such as stage.axes. Not needed when the keys are axes.
         speed, start_speed: m/s, of the axis with the most pulses. accel: s of its ramps.
     The PCL-240 draws it by registers in the ratio of the distances, a NOVA chip by its interpolation where it has one, else by
     ranges in that ratio, an HCTL-1100 by command positions in each sample. Raises ArgumentError where the chips cannot, with the
-    reason; RunTimeout.
+    reason, and where every distance is 0; RunTimeout.
     """
     patience(timeout)
     chosen = chosen_axes(distances, axes, "line")
     drivers = {name: driver_of(axis) for name, (axis, _) in chosen.items()}
     if not drivers:
-        raise ArgumentError("no distances: a line is of two axes or more.")
-    kinds = sorted({type(d).__name__: d.chip.MAP.chip for d in drivers.values()}.values())
-    if len(kinds) > 1:
-        raise ArgumentError(f"{' and '.join(kinds)} draw no line together: give the axes one kind of chip.")
+        raise ArgumentError("no distances: give at least one axis a distance.")
+    check_one_kind(drivers)
     counts = {
         name: pulses_of(axis, None, d) if pulses else pulses_of(axis, d, None) for name, (axis, d) in chosen.items()
     }
     longest = chosen[max(counts, key=lambda n: abs(counts[n]))][0]
     first = next(iter(drivers.values()))
     return first.line(drivers, counts, speeds(longest, speed, start_speed, accel, None, s_curve), timeout)
+
+
+def check_one_kind(drivers: Mapping[str, Driver]) -> None:
+    """Raise ArgumentError where the chips of a line's axes are of several kinds."""
+    kinds = sorted({type(d).__name__: d.chip.MAP.chip for d in drivers.values()}.values())
+    if len(kinds) > 1:
+        raise ArgumentError(f"{' and '.join(kinds)} draw no line together: give the axes one kind of chip.")
 
 
 def speeds(

@@ -124,9 +124,8 @@ def _line_fields(stage: Stage, name: str) -> list[Field]:
 
 def _line(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], Any]:
     distances = {n: distance_of(a, n, values[n]) for n, a in stage.axes.items() if values.get(n)}
-    if len(distances) < 2:
-        missing = next(n for n in stage.axes if n not in distances)
-        raise WrongField(missing, "a line is of two axes or more: give another distance.")
+    if not distances:
+        raise WrongField(next(iter(stage.axes)), "nothing moves: give at least one axis a distance.")
     speeds = speeds_of(next(iter(stage.axes.values())), values)
     return lambda stage: procedures.line(distances, stage.axes, **speeds)
 

@@ -403,8 +403,11 @@ def test_what_cannot_be_is_refused_before_the_first_bus_cycle(stage):
     for seconds in (-1, 1e9, math.nan):
         with pytest.raises(ArgumentError, match=f"seconds={seconds}"):
             firmware.jog(x, seconds)
-    with pytest.raises(ArgumentError, match="two axes or more"):
+    with pytest.raises(ArgumentError, match="no distances: give at least one axis a distance"):
         firmware.line({}, stage)
+    for still in ({"x": 0, "y": 0}, {"y": 0}):
+        with pytest.raises(ArgumentError, match="nothing moves; give at least one axis pulses to make"):
+            firmware.line(still, stage)
     with pytest.raises(ArgumentError, match="unknown axis"):
         firmware.line({"q": 1e-3}, stage)
     with pytest.raises(ArgumentError, match=r"axis 'x' is given twice"):
@@ -431,10 +434,41 @@ def test_axes_with_different_chips_draw_no_line():
         firmware.line({"x": 1e-3, "y": 1e-3}, stage)
 
 
-def test_a_line_of_one_axis_is_a_move():
-    stage = Stage("xy", chips=MCX514, visuals=False)
-    with pytest.raises(ArgumentError, match="use move for one"):
-        firmware.line({"x": 1e-3, "y": 0}, stage)
+@each
+@pytest.mark.parametrize("asked", [{"x": 3e-3, "y": 0}, {"x": 0, "y": -2e-3}, {"y": 2e-3}])
+def test_an_axis_whose_part_of_a_line_is_0_keeps_still(stage, asked):
+    """firmware.line({"x": 3e-3, "y": 0}, stage)"""
+    moving = next(name for name, distance in asked.items() if distance)
+    report = firmware.line(asked, stage, speed=0.04)
+    assert report.ok
+    assert report.distances == {moving: round(asked[moving] / stage.axes[moving].meters_per_pulse)}
+    assert {n: r.pulses for n, r in report.axes.items()} == report.distances
+    assert [a.position for a in stage.axes.values()] == pytest.approx(
+        [asked.get(name, 0) for name in stage.axes], abs=NEAR
+    )
+    assert report.carriage_deviation < NEAR
+    assert stage.chips[0].diagnostics == []
+    assert firmware.line({name: -distance for name, distance in asked.items()}, stage, speed=0.04).ok
+
+
+@pytest.mark.parametrize("asked", [{"x": 6e-3, "y": 0, "z": 0}, {"x": 6e-3, "y": -2e-3, "z": 0}])
+def test_a_servo_that_keeps_still_on_a_line_carries_its_load(asked):
+    """A z axis whose chip has just been reset: without a control mode it falls 10 mm while x moves."""
+    stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
+    begin = stage.axes["z"].position
+    assert firmware.line(asked, stage).ok
+    assert stage.axes["z"].position == pytest.approx(begin, abs=0.1e-3)
+
+
+def test_axes_of_one_load_move_alone_and_with_a_third_that_keeps_still():
+    """gantry: y and w carry one beam; x moves on it."""
+    for chip in (MCX514, MCX304, HCTL1100):
+        stage = Stage("gantry", chips=chip, visuals=False)
+        begin = {name: axis.position for name, axis in stage.axes.items()}
+        for asked in ({"x": 0, "y": 3e-3, "w": 3e-3}, {"x": 5e-3, "y": 0, "w": 0}):
+            assert firmware.line(asked, stage).ok
+        moved = {name: axis.position - begin[name] for name, axis in stage.axes.items()}
+        assert moved == pytest.approx({"x": 5e-3, "y": 3e-3, "w": 3e-3}, abs=2 * NEAR)
 
 
 def test_a_move_that_takes_too_long_carries_its_report():

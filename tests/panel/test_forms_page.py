@@ -67,10 +67,10 @@ def test_a_line_is_of_both_axes(bench):
     browser = bench.browser
     before = bench.stage(lambda stage: [a.commanded for a in stage.axes.values()])
     browser.click("tab-line")
-    fill(browser, line__x="6", line__y="")
+    fill(browser, line__x="", line__y="")
     browser.click("go-line")
-    browser.until(lambda: "two axes or more" in browser.error_at("line-y"))
-    fill(browser, line__y="3")
+    browser.until(lambda: "nothing moves" in browser.error_at("line-x"))
+    fill(browser, line__x="6", line__y="3")
     go(browser, "line", "carriages")
     after = bench.stage(lambda stage: [a.commanded for a in stage.axes.values()])
     assert [b - a for a, b in zip(before, after, strict=True)] == pytest.approx([6 * MM, 3 * MM], abs=1e-5)

@@ -92,10 +92,14 @@ def test_a_line_is_of_the_axes_that_have_a_distance(begun):
     assert (name, list(axes)) == ("line", ["x", "y"])
     assert distances == pytest.approx({"x": 0.001, "y": -0.0025})
     assert how == {"speed": pytest.approx(0.008), "accel": 0.4}
-    for given, field in (({"x": ""}, "x"), ({"y": "0"}, "y")):
-        with pytest.raises(WrongField, match="two axes or more") as wrong:
+    for given, moving in (({"x": "", "y": "2"}, "y"), ({"x": "2", "y": "0"}, "x")):
+        _, (distances, axes), _ = begun("line", **given)
+        assert distances == pytest.approx({moving: 0.002})
+        assert list(axes) == ["x", "y"]
+    for given in ({"x": "", "y": ""}, {"x": "0", "y": ""}):
+        with pytest.raises(WrongField, match="nothing moves: give at least one axis a distance") as wrong:
             begun("line", **given)
-        assert wrong.value.field == field
+        assert wrong.value.field == "x"
 
 
 def test_a_circle_goes_round_by_its_radius_whatever_its_sign(begun, stage):

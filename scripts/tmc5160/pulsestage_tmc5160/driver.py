@@ -34,7 +34,7 @@ from pulsestage_tmc5160.state import (
 from stage.errors import ArgumentError, RunTimeout, a_or_an
 from stage.firmware.axis import turned
 from stage.firmware.choices import limits
-from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, that_move, wait_until_stopped
+from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, select_moving, wait_until_stopped
 from stage.firmware.lines import Asked, LineSettings
 from stage.firmware.report import Procedure, Report
 from stage.firmware.together import SynchronizedReport, Together
@@ -307,9 +307,10 @@ class Tmc5160Driver(Driver):
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
         """As `lines`; ramps up and down are alike, the longer of both."""
-        mine: dict[str, Any] = that_move(dict(drivers), pulses)
+        mine: dict[str, Any] = select_moving(dict(drivers), pulses)
         for driver in mine.values():
             driver.check_still()
+        for driver in drivers.values():  # an axis that keeps still needs its power stage, too
             driver.ready()
         ramp = max(speeds.up, speeds.down)
         made = InRatio(list(mine.values()), LineSettings(speeds.start, ramp, speeds.s_curve, axes=tuple(mine)))

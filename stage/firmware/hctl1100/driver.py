@@ -15,7 +15,7 @@ from stage.chips.hctl1100.maps import CLEAR, FLAG, MINIMUM_T, MODE, NUMBERS
 from stage.errors import ArgumentError, Limit, RunTimeout
 from stage.firmware.axis import forward, positive
 from stage.firmware.choices import Choices
-from stage.firmware.driver import SETTLE, Driver, Speeds, that_move
+from stage.firmware.driver import SETTLE, Driver, Speeds, select_moving
 from stage.firmware.hctl1100.home import home, leave_limit, stand
 from stage.firmware.hctl1100.model import POLE, Loop, design
 from stage.firmware.hctl1100.moves import (
@@ -178,6 +178,14 @@ class Hctl1100Driver(Driver):
         self._leave_limit(direction)
         start_cruise(port, direction * speeds.drive, speeds.drive / speeds.up)
 
+    def hold_still(self) -> None:
+        """Take position control where the chip stands in Init/Idle, so that a load does not pull the axis away.
+
+        On a limit switch the chip takes no control mode, and the axis stays as it is.
+        """
+        if self.port.status() & INIT and self.port.clear_status() & LIMIT:
+            self.ready()
+
     def runs(self) -> bool:
         return self.port.control_mode() not in ("", "position") and not self.stopped_by()
 
@@ -221,7 +229,11 @@ class Hctl1100Driver(Driver):
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
         """A command position to each chip in each sample, all axes in step by their SYNC pins."""
-        mine = that_move(cast("dict[str, Hctl1100Driver]", drivers), pulses)
+        everyone = cast("dict[str, Hctl1100Driver]", drivers)
+        mine = select_moving(everyone, pulses)
+        for n, driver in everyone.items():
+            if n not in mine:
+                driver.hold_still()
         for driver in mine.values():
             driver._linear(speeds)
         ports = [driver.ready() for driver in mine.values()]

@@ -11,7 +11,7 @@ import numpy as np
 from stage.errors import ArgumentError, Limit, a_or_an
 from stage.firmware.axis import positive
 from stage.firmware.choices import limits
-from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, that_move, wait_until_stopped
+from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, select_moving, wait_until_stopped
 from stage.firmware.lines import Asked, Line, LineSettings, line_of
 from stage.firmware.nova.line import InRatio, Interpolated
 from stage.firmware.nova.pattern import Pattern
@@ -138,7 +138,7 @@ class NovaDriver(Driver):
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
         """By the chip's linear interpolation where it has it, else by ranges in the ratio of the distances."""
-        mine = that_move(cast("dict[str, NovaDriver]", drivers), pulses)
+        mine = select_moving(cast("dict[str, NovaDriver]", drivers), pulses)
         for driver in mine.values():
             if driver.port.driving():
                 raise driver.moving()

@@ -79,7 +79,12 @@ class Mcx514Driver(NovaDriver):
         return True
 
     def interpolate(self, p: Ops, drivers: Sequence[NovaDriver]) -> Ops:
-        """This axis is the main one; of several chips its own is the master, and starts last."""
+        """Start the line with this axis as the main one; of several chips its own is the master, and starts last.
+
+        One axis alone makes a relative drive: LHK1 is for axes of several chips.
+        """
+        if len(drivers) == 1:
+            return self.command(p, "DRVRL")
         chips: dict[int, list[NovaDriver]] = {}
         for h in drivers:
             chips.setdefault(id(h.chip), []).append(h)
