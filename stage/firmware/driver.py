@@ -16,12 +16,15 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 from stage.chips import Chip, contract
+from stage.chips.entries import WRITE
 from stage.errors import ArgumentError, RunTimeout, StageError, a_or_an
 from stage.firmware.axis import Axis, check_origin
 from stage.firmware.pattern import Pattern
+from stage.firmware.report import UNKNOWN
 from stage.sim.program import Operations
 
 if TYPE_CHECKING:
+    from stage.chips.journal import Journal
     from stage.firmware.choices import Choices
     from stage.firmware.lines import Line
     from stage.firmware.report import Report
@@ -30,6 +33,8 @@ if TYPE_CHECKING:
 
 START, DRIVE, RAMP = 1_000.0, 16_000.0, 0.15
 USUAL = 16  # microsteps, that these rates are for
+STOPPED = "stop command"
+"""What a report says has ended a move that a host has stopped before its end."""
 MAX_POLL_S = 2e-3
 SETTLE = 0.05  # s after a stop, before a report looks where the carriage came to rest
 
@@ -80,6 +85,9 @@ class Driver(ABC):
     TRIMS: ClassVar[Mapping[str, float]] = {}
     """Registers of `tuned_by` that a search may trim beside rates and ramps: by a factor of so much, at most."""
 
+    goal: int | None = None
+    """Net pulses of the chip's axis at the end of what `start` has begun; None where the driver does not keep them."""
+
     def __init__(self, axis: Axis):
         """Raises ArgumentError where a sensor is not of the chip's logic and is none of POSITIVE."""
         self.axis, self.chip = axis, axis.chip
@@ -113,7 +121,7 @@ class Driver(ABC):
         Of a servo the end of its profile: where the carriage is then, nobody has looked. Raises RunTimeout after `timeout` s.
         """
         wait_until_stopped([self.axis], timeout, look=look)
-        return self.stopped_by() or self.DONE
+        return self.explain_end(self.goal in (None, self.chip.net(self.axis.chip_axis)))
 
     def two_rates(self, pulses: int, speeds: Speeds, fast: float, dwell: float) -> Report:
         """A move through two drive speeds, each for `dwell` seconds and more: up to `speeds.drive`, on to `fast` (pps), and back. A
@@ -172,6 +180,21 @@ class Driver(ABC):
     def stopped_by(self) -> str:
         """Why the axis stopped, if the host has not stopped it: "EL+", "EL-", or "" where the chip does not show a reason."""
         return ""
+
+    def explain_end(self, done: bool, journal: Journal | None = None) -> str:
+        """Return what ended a run, as `Report.stopped_by`: what the chip shows, else a stop command in the journal, else UNKNOWN.
+
+        Args:
+            done: Every pulse that was asked for has been made: DONE, where the chip shows nothing else.
+            journal: Of the chip, since before the run.
+        """
+        if shown := self.stopped_by():
+            return shown
+        if done:
+            return self.DONE
+        if journal is not None and any(e.kind == WRITE and self.stops(e.a, e.b) for e in journal.entries):
+            return STOPPED
+        return UNKNOWN
 
     def status_words(self) -> dict[str, int]:
         """What the chip says of the axis, by bus cycles that clear nothing: words and registers of its map by name."""

@@ -97,7 +97,7 @@ def jog(
     with Procedure(axis, "jog") as p:
         driver.run(direction, wanted)
         axis.wait(seconds)
-        met = "" if driver.runs() else driver.stopped_by()
+        met = "" if driver.runs() else driver.explain_end(False, p.journal)
         driver.halt()
         return p.report(met or "decelerating stop")
 

@@ -23,7 +23,12 @@ if TYPE_CHECKING:
 
 
 PRESET = 8  # counts at once, faster than any rate: a host has written the position, and nothing has moved
-NOT_AS_ASKED = ("EL+", "EL-", "STOP0", "ALARM", "EMG", "HOME", "timeout", "Ctrl-C")  # HOME: a chip's home search failed
+UNKNOWN = "unknown"
+"""What a report says has ended a run that stopped early, where neither the chip nor its journal shows a reason."""
+NOT_AS_ASKED = (
+    "EL+", "EL-", "SLMT+", "SLMT-", "STOP0", "ALARM", "EMG", "HOME", "timeout", "Ctrl-C", UNKNOWN
+)  # fmt: skip
+"""Ends that nobody asks for. HOME: a home search failed; SLMT: a software limit."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -38,7 +43,8 @@ class Report:
         start, position: m, where the carriage was before and is after (None without a stage); rad on a hinge.
         lost_steps: full steps lost in the procedure, a multiple of four (None without a motor).
         stopped_by: why it stopped: "R0 = 0" (of a NOVA chip "all pulses", of a servo "end of profile"), "ORG", "EZ", "EL+", "EL-",
-            "decelerating stop", "reset command", "timeout", "Ctrl-C", or the name of another input.
+            "decelerating stop", "reset command", "stop command", "timeout", "Ctrl-C", the name of another input, "another axis" of
+            a line, or "unknown".
         residual: R0 at the end; None of a chip that has none. course: every change of the chip's pins and speed, by the clock.
         said: the bytes written, decoded: commands, and registers with all their bytes. unit: "m", or "rad" on a hinge.
     """
@@ -181,7 +187,13 @@ class Procedure:
         self.journal = self.axis.chip.journal(self.axis.chip_axis)
         self.began = self.axis.time
         self._position, self._lost = self.axis.position, self.axis.lost_steps
+        self._net = self.axis.chip.net(self.axis.chip_axis)
         return self
+
+    @property
+    def made(self) -> int:
+        """Net pulses made since the beginning, signed."""
+        return self.axis.chip.net(self.axis.chip_axis) - self._net
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, RunTimeout):

@@ -193,7 +193,7 @@ class Jog:
         with Procedure(self.axis, "jog") as p:
             driver.run(self.direction, self._speeds)
             stage.run_until(lambda: self._released.is_set() or not driver.runs(), 1e6)
-            met = "" if driver.runs() else driver.stopped_by()
+            met = "" if driver.runs() else driver.explain_end(False, p.journal)
             driver.halt()
             report = p.report(met or "decelerating stop")
         if met and not report.pulses:

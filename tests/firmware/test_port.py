@@ -47,21 +47,6 @@ def test_the_status_is_named_by_the_register_map_and_readable():
     assert status.zero
 
 
-@pytest.mark.parametrize("direction", [1, -1])
-@pytest.mark.parametrize("r7", [2, 1023])
-def test_asking_for_the_end_limit_of_a_direction_moves_nothing_and_leaves_the_speeds(direction, r7):
-    p = Port(Bench(PCL240MK()).axes["x"])
-    p.write_registers(R0=1000, R1=8191, R7=r7)
-    ahead, other = ("el_plus", "el_minus") if direction > 0 else ("el_minus", "el_plus")
-    for asserted in ((), (ahead,), (other,), (ahead, other)):
-        for pin in ("el_plus", "el_minus"):
-            setattr(p.axis.chip.pins, pin, pin in asserted)
-        assert p.is_blocked(direction) == (ahead in asserted)
-        p.axis.wait(0.01)
-        assert (p.counter(), p.status().operating) == (1000, False)
-    assert p.read_register("R1") == 8191
-
-
 def test_reading_a_register_leaves_the_bus_as_it_was():
     p = Port(Bench(PCL240MK()).axes["x"])
     p.command(bus.OUTPUT | bus.EXTERNAL)

@@ -116,10 +116,11 @@ def test_an_origin_return_to_the_index_pulse_counts_from_fl_on(ez):
     status = SimpleNamespace(org=False, _replace=lambda **_: status)
     axis = SimpleNamespace(wait=lambda _: None, chip=chip)
     port = SimpleNamespace(
-        extended=True, axis=axis, write_register=written.__setitem__, is_blocked=lambda _: False,
+        extended=True, axis=axis, write_register=written.__setitem__,
         control=lambda _: None, command=lambda _: None, wait_until_stopped=lambda _: status, status=lambda: status,
     )  # fmt: skip
-    assert home._approach(port, -1, False, 1.0, ez) == "EZ"
+    run = SimpleNamespace(port=port, stop_reason=lambda: "EZ")
+    assert home._approach(run, -1, False, 1.0, ez) == "EZ"
     assert written == {"R13": value}
 
 

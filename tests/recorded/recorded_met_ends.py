@@ -100,8 +100,6 @@ def pulse_ports():
     port.command(bus.START["FL"])
     found["slow bus"] = [said(port.counter), slow.time]
     found["others"] = [said(bus.check, 5), said(bus.check, Bench(HCTL1100()).axes["x"])]
-    found["reasons"] = [bus.stop_reason(bus.Status(*(bool(v >> k & 1) for k in range(8))), d, preset=p, origin=o)
-                        for v in (0, 0x10, 0x40, 0x50) for d in (1, -1) for p in (True, False) for o in (True, False)]  # fmt: skip
     found["words"] = [str(bus._READ[v]) for v in (0x00, 0x40, 0x60, 0x88, 0xFF, 0x1E)]
     return found
 

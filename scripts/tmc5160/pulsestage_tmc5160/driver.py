@@ -194,10 +194,10 @@ class Tmc5160Driver(Driver):
             self.start_with(values, pulses)
             longest = abs(pulses) / speeds.drive + speeds.up + speeds.down
             wait_until_stopped([self.axis], 1.5 * longest + 1 if timeout is None else timeout)
-            met = self.stopped_by()
+            met = self.explain_end(p.made == pulses)
             self.stay()
             self.axis.wait(SETTLE)
-            return p.report(met or self.DONE, pulses)
+            return p.report(met, pulses)
 
     def start(self, pulses: int, speeds: Speeds) -> None:
         self.check_still()
@@ -206,6 +206,7 @@ class Tmc5160Driver(Driver):
     def start_with(self, values: Mapping[str, int], pulses: int) -> None:
         """Begin a move with these registers."""
         self.ready()
+        self.goal = self.chip.net(self.axis.chip_axis) + pulses
         self.put("XTARGET", self.aim(values, pulses))
 
     def aim(self, values: Mapping[str, int], pulses: int) -> int:
@@ -335,7 +336,7 @@ class Tmc5160Driver(Driver):
             except RunTimeout as error:
                 error.reports = together.reports(dict.fromkeys(mine, "timeout"))  # type: ignore[attr-defined]
                 raise
-            ended = {n: d.stopped_by() or cls.DONE for n, d in mine.items()}
+            ended = {n: d.explain_end(together.watch[n].made == wanted[n]) for n, d in mine.items()}
             for driver in mine.values():
                 driver.stay()
             next(iter(mine.values())).axis.wait(SETTLE)

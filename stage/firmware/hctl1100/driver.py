@@ -183,7 +183,7 @@ class Hctl1100Driver(Driver):
 
         On a limit switch the chip takes no control mode, and the axis stays as it is.
         """
-        if self.port.status() & INIT and self.port.clear_status() & LIMIT:
+        if not self.port.control_mode() and not self.port.limited():
             self.ready()
 
     def runs(self) -> bool:

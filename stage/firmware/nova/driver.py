@@ -8,6 +8,7 @@ from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 
+from stage.chips.journal import Journal
 from stage.errors import ArgumentError, Limit, a_or_an
 from stage.firmware.axis import positive
 from stage.firmware.choices import limits
@@ -17,7 +18,7 @@ from stage.firmware.nova.line import InRatio, Interpolated
 from stage.firmware.nova.pattern import Pattern
 from stage.firmware.nova.port import Port
 from stage.firmware.nova.search import HomeSearch
-from stage.firmware.report import Procedure, Report
+from stage.firmware.report import NOT_AS_ASKED, UNKNOWN, Procedure, Report
 from stage.firmware.search import Search
 from stage.firmware.together import SynchronizedReport, Together
 from stage.sim.program import Operations, Program
@@ -27,7 +28,10 @@ Ops = TypeVar("Ops", bound=Operations)
 SEARCHES = 3  # runs that an automatic search stands for: so many times `limit` it may take
 HOME_SPEED = 400.0  # pps; slow, so that the motor does not ring when the switch trips
 PATIENCE = 60.0  # s for a stop
-CAUSES = {"LMT+": "EL+", "LMT-": "EL-", "STOP1": "ORG", "STOP2": "EZ", "STOP0": "STOP0", "EMG": "EMG", "ALARM": "ALARM"}
+CAUSES = {
+    "LMT+": "EL+", "LMT-": "EL-", "STOP1": "ORG", "STOP2": "EZ", "STOP0": "STOP0", "STOP3": "STOP3", "EMG": "EMG",
+    "ALARM": "ALARM", "SYNC": "SYNC",
+}  # fmt: skip
 """Bits that tell what has ended a drive, and a report's words for them."""
 
 
@@ -61,6 +65,7 @@ class NovaDriver(Driver):
             raise ArgumentError("pulses=0: a drive has at least one; its sign is the direction.")
         self.map.checked(self.FINISH, pulses if self.SIGNED else abs(pulses))
         self._prepare(self._registers(speeds, abs(pulses)))
+        self.goal = self.chip.net(self.axis.chip_axis) + pulses
         self.drive(AtOnce(self.axis), pulses)
 
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
@@ -70,7 +75,9 @@ class NovaDriver(Driver):
             longest = 1.5 * abs(pulses) / slowest + 3 * (speeds.up + speeds.down) + 1
             wait_until_stopped([self.axis], longest if timeout is None else timeout)
             self.axis.wait(SETTLE)
-            return p.report(self.stopped_by() or self.DONE, pulses)
+            ended = self.explain_end(p.made == pulses, p.journal)
+            # a drive that nothing has stopped made the pulses that it was told: others than asked, where a write was lost
+            return p.report(self.DONE if ended == UNKNOWN else ended, pulses)
 
     def run(self, direction: int, speeds: Speeds) -> None:
         self._prepare(self._registers(speeds._replace(s_curve=False), 1))
@@ -89,6 +96,11 @@ class NovaDriver(Driver):
         word = self.port.word(int(self.ENDED[2]))
         return next((name for bit, name in CAUSES.items() if word & self._ended(bit)), "")
 
+    def explain_end(self, done: bool, journal: Journal | None = None) -> str:
+        """As that of all drivers; a software limit, which has no bit of its own among the ends, is an error of RR2."""
+        ended = super().explain_end(done, journal)
+        return ended if ended != UNKNOWN else next(iter(self.port.errors()), UNKNOWN)
+
     def status_words(self) -> dict[str, int]:
         """RR0 to RR2, and the input signals RR4 and RR5 where the chip has them. RR3 forgets what is read of it."""
         self.port.command(self.NOP)
@@ -105,9 +117,10 @@ class NovaDriver(Driver):
         raise self.no_reading(r.name)
 
     def _ended(self, bit: str) -> int:
-        """The mask of a cause in ENDED; of the MCX514 END-EMG and END-ALARM."""
+        """The mask of a cause in ENDED, 0 where the chip has none; of the MCX514 END-EMG and END-ALARM."""
         names = {f.name for f in self.map.word(self.ENDED).fields}
-        return self.map.mask(self.ENDED, f"END-{bit}" if f"END-{bit}" in names else bit)
+        name = f"END-{bit}" if f"END-{bit}" in names else bit
+        return self.map.mask(self.ENDED, name) if name in names else 0
 
     def _registers(self, speeds: Speeds, pulses: int) -> dict[str, int]:
         """Of these speeds. Raises ArgumentError for what the chip cannot make."""
@@ -168,7 +181,13 @@ class NovaDriver(Driver):
             with together.in_time():
                 wait_until_stopped(axes, longest if timeout is None else timeout, look=together.look)
             axes[0].wait(SETTLE)
-            return together.report({n: d.stopped_by() or cls.DONE for n, d in mine.items()})
+            ended = {
+                n: d.explain_end(p.made == pulses[n], p.journal)
+                for (n, d), p in zip(mine.items(), together.watch.values(), strict=True)
+            }
+            if any(why in NOT_AS_ASKED and why != UNKNOWN for why in ended.values()):  # it has ended the interpolation
+                ended = {n: "another axis" if why == UNKNOWN else why for n, why in ended.items()}
+            return together.report(ended)
 
     # --- as operations ---
 

@@ -41,7 +41,7 @@ class Mcx514Driver(NovaDriver):
             )[self.axis.name]  # fmt: skip
             self.axis.wait(SETTLE)
             errors = [CAUSES.get(name.removeprefix("H"), name) for name in found.errors]
-            return p.report(next(iter(errors), "EZ" if index else "ORG"))
+            return p.report(next(iter(errors), self.stopped_by() or "HOME"))
 
     def circle(self, other: Driver, radius: int, speeds: Speeds) -> Drawn:
         registers = self._registers(speeds._replace(s_curve=False), 1)

@@ -44,7 +44,7 @@ INTERRUPT = bits.INT_AT_STOP
 
 __all__ = ["AUTOMATIC", "COLLECTIVE", "CONTROL", "EXTENSION", "EXTERNAL", "EZ_COUNT", "EZ_FROM_FL", "EZ_RETURN", "EZ_SIGNAL",
            "INTERRUPT", "MINUS", "ORIGIN", "OUTPUT", "POSITION", "PRESET", "RAMP", "RESET", "SD", "SELECT", "SLOW_DOWN_FH1",
-           "SLOW_DOWN_FH2", "START", "UNCORRECTED", "Port", "Status", "has_ez_monitor", "stop_reason"]  # fmt: skip
+           "SLOW_DOWN_FH2", "START", "UNCORRECTED", "Port", "Status", "has_ez_monitor"]  # fmt: skip
 
 POLL = 1e-3  # s between two looks at the status byte of a run that takes long
 QUICK = 2e-4  # s, where a command follows at once
@@ -96,18 +96,6 @@ class Status(NamedTuple):
 
 assert Status._fields == tuple(f.name for f in STATUS.fields)
 _READ = [Status(*(bool(word >> k & 1) for k in range(7, -1, -1))) for word in range(256)]  # firmware polls it
-
-
-def stop_reason(status: Status, direction: int, *, preset: bool = True, origin: bool = False) -> str:
-    """Why a run ended that no command ended, from the status byte.
-
-    R0 = 0 and ORG can be read; what is left is the end limit, which has no status bit.
-    """
-    if origin and status.org:
-        return "ORG"
-    if preset and status.zero:
-        return "R0 = 0"
-    return "EL-" if direction < 0 else "EL+"
 
 
 def polarity(axis: Axis) -> dict[str, int]:
@@ -193,22 +181,6 @@ class Port:
         self.command(SELECT)
         self.command(output)
         return high << 16 | middle << 8 | low
-
-    def is_blocked(self, direction: int) -> bool:
-        """Ask a halted chip whether the end limit of `direction` is asserted, for no status bit says it.
-
-        A start towards an asserted limit stays halted. This one is at speed step 1, and the reset command follows two bus cycles
-        later, long before the first pulse. Restores R1; the control mode is manual afterwards. Raises StageError on a PCL-240K.
-        """
-        low = self.read_register("R1")
-        self.command(RESET)
-        self.write_register("R1", 1)
-        self.control(MINUS if direction < 0 else 0)
-        self.command(START["FL"])
-        blocked = not self.status().operating
-        self.command(RESET)
-        self.write_register("R1", low)
-        return blocked
 
     def position(self) -> int:
         """R10 of MK and MS: signed pulses since it was last written; an origin return writes 0."""

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, cast
 
+from stage.chips.journal import Journal
 from stage.firmware.driver import Driver, Speeds
 from stage.firmware.pcl240 import bus, moves
-from stage.firmware.pcl240.bus import Port, stop_reason
+from stage.firmware.pcl240.bus import Port
 from stage.firmware.pcl240.home import origin_return
 from stage.firmware.pcl240.line import RatioLine
 from stage.firmware.pcl240.pattern import Pattern
 from stage.firmware.pcl240.profile import Profile
 from stage.firmware.pcl240.rates import dual_rate_move
 from stage.firmware.pcl240.search import FourRuns
+from stage.firmware.pcl240.stop_reason import find_cause, find_stop_reason
 from stage.firmware.pcl240.synchronized import synchronized_move
 from stage.firmware.report import Report
 from stage.firmware.search import Search
@@ -37,7 +40,8 @@ class Pcl240Driver(Driver):
     def __init__(self, axis: Any):
         super().__init__(axis)
         self.port = Port(axis)
-        self._direction, self._preset = 1, False
+        self._journal: Journal | None = None
+        self._close = weakref.finalize(self, lambda: None)
 
     def profile(self, speeds: Speeds, slow: float | None = None) -> Profile:
         """The registers of these speeds, FH2 the drive speed; slow: FH1, default the same, pps."""
@@ -53,21 +57,25 @@ class Pcl240Driver(Driver):
         return made.shaped(True) if speeds.s_curve else made
 
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
+        self._forget()
         return moves.preset_move(self.axis, pulses, self.profile(speeds), timeout=timeout)
 
     def start(self, pulses: int, speeds: Speeds) -> None:
+        self._watch()
+        self.goal = self.chip.net() + pulses
         moves.start_preset(self.port, self.profile(speeds), pulses)
-        self._direction, self._preset = pulses, True
 
     def two_rates(self, pulses: int, speeds: Speeds, fast: float, dwell: float) -> Report:
+        self._forget()
         return dual_rate_move(self.axis, pulses, self.profile(speeds.on_to(fast), speeds.drive), dwell=dwell)
 
     def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
+        self._forget()
         return origin_return(self.axis, direction, self.profile(speeds), ez=1 if index else None, timeout=timeout)
 
     def run(self, direction: int, speeds: Speeds) -> None:
+        self._watch()
         moves.prepare(self.port, self.profile(speeds), bus.MINUS if direction < 0 else 0)
-        self._direction, self._preset = direction, False
         self.port.command(bus.RAMP["FH1"])
 
     def halt(self, at_once: bool = False) -> None:
@@ -79,9 +87,26 @@ class Pcl240Driver(Driver):
     def stops(self, address: int, value: int) -> bool:
         return address == 0 and value >> 6 == 0 and bool(value & bus.RESET)
 
+    def _forget(self) -> None:
+        """Forget the run that this driver has begun."""
+        self._close()
+        self._journal = None
+
+    def _watch(self) -> None:
+        """Keep a journal of the chip from now on, until the run is over or this driver is gone: it tells what has ended the run."""
+        self._forget()
+        self._journal = self.chip.journal()
+        self._close = weakref.finalize(self, self._journal.close)
+
     def stopped_by(self) -> str:
-        status = self.port.status()
-        return "" if status.operating else stop_reason(status, self._direction, preset=self._preset)
+        """Return what ended the run that this driver has begun, a stop command included; "" while it runs.
+
+        Of a run that another host has begun, or none: what would stop the chip now.
+        """
+        if self.port.status().operating:
+            return ""
+        self._close()
+        return find_stop_reason(self._journal) if self._journal is not None else find_cause(self.chip.state)
 
     def read_register(self, name: str) -> int:
         r = self.chip.MAP.register(name)
@@ -96,6 +121,8 @@ class Pcl240Driver(Driver):
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
         axes = {name: driver.axis for name, driver in drivers.items()}
+        for driver in drivers.values():
+            cast("Pcl240Driver", driver)._forget()
         return synchronized_move(
             dict(pulses), axes, rate=speeds.drive, fl=speeds.start, accel=speeds.up, decel=speeds.down,
             s_curve=speeds.s_curve, timeout=timeout,

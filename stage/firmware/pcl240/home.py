@@ -13,7 +13,6 @@ from stage.arguments import patience, told
 from stage.errors import ArgumentError, a_or_an
 from stage.firmware.axis import Axis, check_origin
 from stage.firmware.pcl240 import bus
-from stage.firmware.pcl240.bus import Port, Status, stop_reason
 from stage.firmware.pcl240.moves import SETTLE, either_way, minus_bit, prepare, profile_for, whole_count
 from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import Profile
@@ -53,7 +52,8 @@ def origin_return(
             (R13; data sheet MS, 2-4). Needs a PCL240MK or PCL240MS.
         timeout: s that each of its runs may take.
     On MK and MS the position counter R10 is 0 at the origin. Returns a report: `stopped_by` is "ORG", or "EZ", or what was
-    met in its place: the end limit ahead (no ORG), the one behind (ORG never let go). Raises ArgumentError, RunTimeout.
+    met in its place: the end limit ahead (no ORG), the one behind (ORG never let go), or "HOME" where ORG is asserted again
+    after the axis has left it. Raises ArgumentError, RunTimeout.
     """
     patience(timeout)
     check_origin(axis)
@@ -69,19 +69,13 @@ def origin_return(
         port = p.port
         prepare(port, profile, minus_bit(-direction))
         port.write_registers(**logic)
-        status = port.status()
-        if status.org:
-            status = _leave(port, -direction, back_off, high_speed, timeout)
-        stopped_by = _behind(status, direction)
-        if not stopped_by:
-            stopped_by = _approach(port, direction, high_speed, timeout, None if slow_approach else ez)
+        met = _leave(p, -direction, back_off, high_speed, timeout) if port.status().org else ""
+        stopped_by = met or _approach(p, direction, high_speed, timeout, None if slow_approach else ez)
         if stopped_by == "ORG" and slow_approach:
             port.command(bus.RESET)
             port.write_register("R1", max(1, min(round(approach / profile.step), profile.R1)))
-            status = _leave(port, -direction, back_off, False, timeout)
-            stopped_by = _behind(status, direction)
-            if not stopped_by:
-                stopped_by = _approach(port, direction, False, timeout, ez)
+            met = _leave(p, -direction, back_off, False, timeout)
+            stopped_by = met or _approach(p, direction, False, timeout, ez)
         port.command(bus.RESET)
         if port.extended and stopped_by in ("ORG", "EZ"):
             port.write_register("R10", 0)
@@ -97,34 +91,25 @@ def _check_ez(axis: Axis, ez: int) -> None:
         raise ArgumentError(f"ez={ez!r}: the origin return ends at the 1st to 16th index pulse after ORG.")
 
 
-def _approach(port: Port, direction: int, high_speed: bool, timeout: float, ez: int | None) -> str:
-    """Run until ORG, an index pulse after it (`ez`), or the end limit stops the axis. Returns which.
-
-    A carriage that rings can let go of ORG for a moment: look twice.
-    """
+def _approach(p: Procedure, direction: int, high_speed: bool, timeout: float, ez: int | None) -> str:
+    """Run until ORG, an index pulse after it (`ez`), or the end limit stops the axis. Returns which."""
+    port = p.port
     if port.extended:
         logic = bus.polarity(port.axis).get("R13", 0)
         port.write_register("R13", logic | (bus.EZ_RETURN | bus.EZ_FROM_FL | (ez - 1) << bus.EZ_COUNT if ez else 0))
     port.control(bus.ORIGIN | (bus.SD if high_speed else 0) | minus_bit(direction))
     port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
-    status = port.wait_until_stopped(timeout)
-    at_index = bool(ez) and _is_at_index(port, direction)
+    port.wait_until_stopped(timeout)
     port.axis.wait(SETTLE)
-    if ez:
-        return "EZ" if at_index else stop_reason(status, direction, preset=False)
-    org = status.org or port.status().org
-    return stop_reason(status._replace(org=org), direction, preset=False, origin=True)
+    return p.stop_reason()
 
 
-def _is_at_index(port: Port, direction: int) -> bool:
-    """Tell an index pulse from the end limit, after an EZ return has stopped: no status bit shows either."""
-    if bus.has_ez_monitor(port.axis.chip):
-        return bool(port.read_register("R17") & bus.EZ_SIGNAL)
-    return not port.is_blocked(direction)
+def _leave(p: Procedure, direction: int, back_off: int, high_speed: bool, timeout: float) -> str:
+    """Run in `direction` until ORG is released, stop, and go `back_off` pulses further, at FL.
 
-
-def _leave(port: Port, direction: int, back_off: int, high_speed: bool, timeout: float) -> Status:
-    """Run in `direction` until ORG is released, stop, and go `back_off` pulses further, at FL."""
+    Returns "" where the axis is out of ORG then; else the end limit that it has met, or "HOME" where ORG is asserted all the same.
+    """
+    port = p.port
     port.control(minus_bit(direction))
     port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
     port.wait_until(lambda s: not s.org or not s.operating, timeout, what="ORG to let go")
@@ -137,10 +122,8 @@ def _leave(port: Port, direction: int, back_off: int, high_speed: bool, timeout:
     port.command(bus.START["FL"])
     status = port.wait_until_stopped(timeout)
     port.axis.wait(SETTLE)
+    met = p.stop_reason()
     port.command(bus.RESET)
-    return status
-
-
-def _behind(status: Status, direction: int) -> str:
-    """The end limit that the axis has reached while leaving an ORG that was not released; else nothing."""
-    return ("EL+" if direction < 0 else "EL-") if status.org else ""
+    if not status.org:
+        return ""
+    return met if met in ("EL+", "EL-") else "HOME"

@@ -14,7 +14,7 @@ from stage.errors import ArgumentError, StageError, a_or_an
 from stage.firmware.axis import Axis
 from stage.firmware.driver import SETTLE
 from stage.firmware.pcl240 import bus
-from stage.firmware.pcl240.bus import Port, check, stop_reason
+from stage.firmware.pcl240.bus import Port, check
 from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import Profile
 from stage.firmware.report import Report
@@ -82,9 +82,9 @@ def preset_move(
         if high_speed:
             p.port.write_register("R6", point)
         p.port.command(_start(high_speed, fh2) | _int(interrupt))
-        status = p.port.wait_until_stopped(time_limit(timeout, profile, count))
+        p.port.wait_until_stopped(time_limit(timeout, profile, count))
         axis.wait(SETTLE)
-        return p.report(stop_reason(status, pulses), pulses)
+        return p.report(p.stop_reason(), pulses)
 
 
 def start_preset(port: Port, profile: Profile, pulses: int) -> None:
@@ -138,15 +138,12 @@ def continuous_move(
         prepare(p.port, profile, _sd(slow_down) | minus_bit(direction))
         p.port.command(_start(high_speed, fh2) | _int(interrupt))
         axis.wait(seconds)
-        by_itself = not p.port.status().operating
-        if not by_itself:
+        if p.port.status().operating:
             stop = (bus.SLOW_DOWN_FH2 if fh2 else bus.SLOW_DOWN_FH1) if slow else bus.RESET
             p.port.command(stop | _int(interrupt))
-        status = p.port.wait_until_stopped(2 * profile.decel(fh2) + 1)
+        p.port.wait_until_stopped(2 * profile.decel(fh2) + 1)
         axis.wait(SETTLE)
-        if by_itself:
-            return p.report(stop_reason(status, direction, preset=False))
-        return p.report("decelerating stop" if slow else "reset command")
+        return p.report(p.stop_reason())
 
 
 @told
@@ -178,7 +175,7 @@ def interrupted_move(
         axis.wait(after)
         if p.port.status().operating:
             p.port.command((bus.SLOW_DOWN_FH2 if fh2 else bus.SLOW_DOWN_FH1) | bus.INTERRUPT)
-        status = p.port.wait_until_stopped(time_limit(timeout, profile, count))
+        p.port.wait_until_stopped(time_limit(timeout, profile, count))
         if residual := p.port.counter():
             axis.wait(pause)
             p.port.command(bus.RESET)
@@ -187,9 +184,9 @@ def interrupted_move(
                 p.port.write_registers(**rest.registers())
             p.port.write_register("R6", rest.down_point(residual, fh2))
             p.port.command(bus.RAMP[rate])
-            status = p.port.wait_until_stopped(time_limit(timeout, profile, residual))
+            p.port.wait_until_stopped(time_limit(timeout, profile, residual))
         axis.wait(SETTLE)
-        return p.report(stop_reason(status, pulses), pulses)
+        return p.report(p.stop_reason(), pulses)
 
 
 @told
@@ -238,7 +235,7 @@ def external_count(
         axis.wait(SETTLE)
         if status.operating and not status.zero:
             return p.report("timeout" if more else "reset command")
-        return p.report(stop_reason(status, direction))
+        return p.report(p.stop_reason())
 
 
 def _square_wave(axis: Axis, rate: float) -> bool:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from stage.firmware import report
 from stage.firmware.axis import Axis
 from stage.firmware.pcl240.bus import Port, check
+from stage.firmware.pcl240.stop_reason import find_stop_reason
+from stage.firmware.report import UNKNOWN
 
 
 class Procedure(report.Procedure):
@@ -14,6 +16,10 @@ class Procedure(report.Procedure):
         check(axis)
         super().__init__(axis, name)
         self.port = Port(axis)
+
+    def stop_reason(self) -> str:
+        """Return what ended the axis' last run, see `find_stop_reason`; UNKNOWN where no start has reached the chip."""
+        return find_stop_reason(self.journal) or UNKNOWN
 
     def residual(self) -> int:
         return self.port.counter()

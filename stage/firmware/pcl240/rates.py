@@ -15,7 +15,7 @@ from stage.arguments import told
 from stage.errors import ArgumentError, Limit
 from stage.firmware.axis import Axis
 from stage.firmware.pcl240 import bus
-from stage.firmware.pcl240.bus import Port, Status, stop_reason
+from stage.firmware.pcl240.bus import Port, Status
 from stage.firmware.pcl240.moves import (
     SETTLE,
     either_way,
@@ -97,10 +97,10 @@ def dual_rate_move(
                 p.port.command(bus.SLOW_DOWN_FH2 if rates[-1] == "FH2" else bus.SLOW_DOWN_FH1)
                 p.port.wait_until_stopped(LONGEST_RAMP)
                 axis.wait(SETTLE)
-                return p.report("decelerating stop")
-        status = p.port.wait_until_stopped(time_limit(timeout, profile, whole_count(pulses) if pulses else 1))
+                return p.report(p.stop_reason())
+        p.port.wait_until_stopped(time_limit(timeout, profile, whole_count(pulses) if pulses else 1))
         axis.wait(SETTLE)
-        return p.report(stop_reason(status, direction, preset=pulses is not None), pulses)
+        return p.report(p.stop_reason(), pulses)
 
 
 @told
@@ -130,9 +130,9 @@ def speed_change_move(
             if not p.port.status().operating:
                 break
             _select_new(p.port, k, speed)
-        status = p.port.wait_until_stopped(time_limit(timeout, _slowest(profile, speeds), count))
+        p.port.wait_until_stopped(time_limit(timeout, _slowest(profile, speeds), count))
         axis.wait(SETTLE)
-        return p.report(stop_reason(status, pulses), pulses)
+        return p.report(p.stop_reason(), pulses)
 
 
 @told
@@ -176,9 +176,9 @@ def curved_ramp_move(
                 break
             p.port.write_register("R4", ramp)
             _select_new(p.port, k, speed)
-        status = p.port.wait_until_stopped(time_limit(timeout, _slowest(profile, speeds), count))
+        p.port.wait_until_stopped(time_limit(timeout, _slowest(profile, speeds), count))
         axis.wait(SETTLE)
-        return p.report(stop_reason(status, pulses), pulses)
+        return p.report(p.stop_reason(), pulses)
 
 
 def _kept(port: Port) -> Status:

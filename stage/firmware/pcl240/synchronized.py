@@ -109,10 +109,8 @@ def _wait(watch: dict[str, Procedure], made: Plan, patience: float, line: Togeth
         for n, p in watch.items():
             if n in stopped_by:
                 continue
-            status = p.port.status()
-            if not status.operating:
-                slowed = broken and not status.zero
-                stopped_by[n] = "decelerating stop" if slowed else bus.stop_reason(status, made.axes[n].distance)
+            if not p.port.status().operating:
+                stopped_by[n] = p.stop_reason()
         line.look()
         if len(stopped_by) == len(watch):
             return stopped_by

@@ -1,0 +1,206 @@
+"""A report names what has stopped an axis: by the chip's journal, and by no guess from what is left over."""
+
+import math
+
+import pytest
+
+from stage import Stage, faults, firmware
+from stage.chips import CHIPS, MCX314AS, MCX514, PCL240K, PCL240MK, PCL240MS
+from stage.firmware import Bench, Profile
+from stage.firmware.driver import Speeds, driver_of
+from stage.firmware.nova.port import Port
+from stage.firmware.pcl240 import bus
+
+BLIP_S = 20e-6  # less than the time between two looks of a host, more than a reference clock
+SLOW = Profile.of(fl=200, fh1=400)
+FIRST = ["MCX302", "MCX304", "MCX312", "MCX314AS"]
+NOVA = [*FIRST, "MCX501", "MCX512", "MCX514"]
+
+
+def bench(chip=PCL240K):
+    return Bench(x=chip()).axes["x"]
+
+
+def pulse_pin(x, name, when, length=BLIP_S):
+    """Assert an input of a bench's chip from `when` on, for `length` seconds."""
+    for seconds, level in ((when, True), (when + length, False)):
+        x._bench.at(x.time + seconds, lambda level=level: setattr(x.chip.axes[0].pins, name, level))
+
+
+def write_at(x, seconds, address, value):
+    x._bench.at(x.time + seconds, lambda: x.chip.write(address, value))
+
+
+@pytest.mark.parametrize("chip", [PCL240K, PCL240MS])
+@pytest.mark.parametrize("fl", [2000, 4000])
+@pytest.mark.parametrize("degrees", [10, 31, 40, 59])
+def test_a_hinge_that_rings_off_its_origin_switch_has_found_it(chip, fl, degrees):
+    """stage home a --model xya --constant --fl 4000 --from 40deg: the axis has no end limits"""
+    a = Stage("xya", chips=chip, visuals=False).axes["a"]
+    a.stage.place(a=math.radians(degrees))
+    report = firmware.origin_return(a, -1, Profile.of(fl=fl, fh1=8000, chip=chip), high_speed=False)
+    assert (report.stopped_by, report.ok) == ("ORG", True)
+    assert report.position == pytest.approx(0.0, abs=1.5 * a.meters_per_pulse)
+
+
+@pytest.mark.parametrize(("direction", "pin"), [(1, "el_plus"), (-1, "el_minus")])
+def test_a_limit_that_has_let_go_before_the_host_looks_is_the_reason(direction, pin):
+    x, limit = bench(), {"el_plus": "EL+", "el_minus": "EL-"}[pin]
+    pulse_pin(x, pin, 0.1)
+    assert firmware.preset_move(x, direction * 20_000).stopped_by == limit
+    pulse_pin(x, pin, 0.1)
+    assert firmware.continuous_move(x, 0.3, direction).stopped_by == limit
+    pulse_pin(x, pin, 0.1)
+    assert firmware.dual_rate_move(x, direction * 40_000).stopped_by == limit
+    pulse_pin(x, pin, 0.1)
+    assert firmware.move(x, pulses=direction * 20_000).stopped_by == limit
+    pulse_pin(x, pin, 0.1)
+    assert firmware.line({x: direction * 20_000}, pulses=True).axes["x"].stopped_by == limit
+    driver = driver_of(x)
+    pulse_pin(x, pin, 0.1)
+    driver.start(direction * 20_000, Speeds())
+    assert driver.wait(5.0) == driver.stopped_by() == limit
+
+
+def test_an_origin_switch_that_has_let_go_before_the_host_looks_is_the_reason():
+    x = bench()
+    for _ in range(2):  # the fast approach, then the slow one, whose pulse is low for 1.25 ms
+        pulse_pin(x, "org", 0.2)
+        report = firmware.origin_return(x, -1, SLOW, high_speed=False, slow_approach=False)
+        assert (report.stopped_by, report.ok) == ("ORG", True)
+
+
+def test_an_index_pulse_that_is_over_before_the_host_looks_is_the_reason():
+    x = bench(PCL240MK)
+    x._bench.at(0.1, lambda: setattr(x.chip.pins, "org", True))
+    pulse_pin(x, "ez", 0.2)
+    report = firmware.origin_return(x, -1, SLOW, high_speed=False, slow_approach=False, ez=1)
+    assert report.stopped_by == "EZ"
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"), [(bus.RESET, "reset command"), (bus.SLOW_DOWN_FH1, "decelerating stop")]
+)
+def test_a_host_that_stops_a_move_is_the_reason_and_no_limit(command, reason):
+    x = bench()
+    write_at(x, 0.2, 0, command)
+    report = firmware.preset_move(x, 50_000)
+    assert (report.stopped_by, report.ok) == (reason, False)
+    write_at(x, 0.2, 0, command)
+    assert firmware.jog(x, 0.5).stopped_by == reason
+    driver = driver_of(x)
+    driver.run(1, Speeds())
+    x.wait(0.2)
+    driver_of(x).halt(at_once=command == bus.RESET)
+    assert driver.stopped_by() == reason
+
+
+def test_a_stop_that_comes_with_the_last_pulse_leaves_the_move_done():
+    x = bench()
+    firmware.preset_move(x, 500, SLOW)
+    x.chip.write(0, bus.RESET)
+    assert driver_of(x).stopped_by() == "R0 = 0"
+
+
+def test_a_move_into_a_limit_that_is_on_is_ended_by_it_and_one_out_of_it_is_not():
+    x = bench()
+    x.chip.pins.el_plus = True
+    report = firmware.preset_move(x, 300)
+    assert (report.stopped_by, report.pulses) == ("EL+", 0)
+    assert firmware.preset_move(x, -300).stopped_by == "R0 = 0"
+
+
+def test_a_move_whose_start_was_lost_on_the_bus_was_ended_by_no_limit():
+    """faults.lost_write: the chip stands, R0 is not 0, and no limit is on"""
+    stage = Stage("xy", visuals=False)
+    x = stage.axes["x"]
+    with faults.lost_write(x, 0, bus.RAMP["FH1"]):
+        report = firmware.preset_move(x, 300)
+    driver = driver_of(x)
+    with faults.lost_write(x, 0, bus.RAMP["FH1"]):
+        driver.start(300, Speeds())
+    assert driver.wait(1.0) == "unknown"
+    assert (report.stopped_by, report.pulses, report.ok) == ("unknown", 0, False)
+
+
+def test_a_driver_that_has_begun_nothing_names_no_limit():
+    for direction in (1, -1):
+        x = bench()
+        assert driver_of(x).stopped_by() == ""
+        other = driver_of(x)
+        other.start(direction * 300, Speeds())
+        other.wait(5.0)
+        assert driver_of(x).stopped_by() == "R0 = 0"
+
+
+def test_an_axis_leaves_no_journal_open_when_its_driver_is_gone():
+    x = bench()
+    driver = driver_of(x)
+    driver.run(1, Speeds())
+    assert x.chip.open_journal is not None
+    del driver
+    assert x.chip.open_journal is None
+
+
+@pytest.mark.parametrize("name", [n for n in CHIPS if n.startswith("PCL")])
+def test_an_origin_switch_that_does_not_let_go_is_no_origin(name):
+    """ORG is asserted again when the axis has backed off: a switch whose contact is loose"""
+    x = bench(CHIPS[name])
+    x.chip.pins.org = True
+    x._bench.at(0.2, lambda: setattr(x.chip.pins, "org", False))
+    x._bench.at(0.3, lambda: setattr(x.chip.pins, "org", True))
+    report = firmware.origin_return(x, -1, SLOW, high_speed=False)
+    assert (report.stopped_by, report.ok) == ("HOME", False)
+
+
+@pytest.mark.parametrize("name", NOVA)
+def test_a_host_that_stops_a_nova_drive_is_the_reason(name):
+    x = bench(CHIPS[name])
+    driver, chip = driver_of(x), x.chip
+    stop = 1 << 8 | chip.MAP.command(driver.SLOW_DOWN).code
+    write_at(x, 0.1, 0, stop)
+    report = firmware.move(x, pulses=9000)
+    assert (report.stopped_by, report.ok) == ("stop command", False)
+    assert 0 < report.pulses < 9000
+    write_at(x, 0.1, 0, stop)
+    assert firmware.line({x: 9000}, pulses=True).axes["x"].stopped_by == "stop command"
+    write_at(x, 0.1, 0, stop)
+    assert firmware.jog(x, 0.5).stopped_by == "stop command"
+    driver.start(9000, Speeds())
+    write_at(x, 0.1, 0, stop)
+    assert driver.wait(5.0) == "unknown", "nobody has kept a journal"
+
+
+@pytest.mark.parametrize("name", FIRST)
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_software_limit_that_ends_a_nova_drive_is_the_reason(name, way):
+    """WR2 SLMT+ and SLMT-, at 500 pulses: the drive slows down there"""
+    x = bench(CHIPS[name])
+    port, limit = Port(x), "SLMT+" if way > 0 else "SLMT-"
+    port.load(CP=500, CM=-500)
+    port.mode(WR2=x.chip.MAP.mask("WR2", "SLMT+") | x.chip.MAP.mask("WR2", "SLMT-"))
+    report = firmware.move(x, pulses=4000 * way)
+    assert (report.stopped_by, report.ok) == (limit, False)
+    assert firmware.move(x, pulses=-100 * way).stopped_by == "all pulses", "beyond the limit still, and on its way back"
+    jogged = driver_of(x)
+    jogged.run(way, Speeds())
+    assert not jogged.runs()
+    assert jogged.explain_end(False) == limit
+
+
+@pytest.mark.parametrize("chip", [MCX514, MCX314AS])
+def test_the_axes_of_an_interpolation_that_a_limit_ends_say_which_it_was(chip):
+    stage = Stage("xy", chips=chip, visuals=False)
+    with faults.switch_stuck(stage.axes["x"], "el_plus", True):
+        report = firmware.line({"x": 6e-3, "y": 2e-3}, stage)
+    assert {n: r.stopped_by for n, r in report.axes.items()} == {"x": "EL+", "y": "another axis"}
+    assert not any(r.ok for r in report.axes.values())
+
+
+def test_a_home_search_that_a_host_stops_has_not_found_the_origin():
+    """DRVFBRK while an MCX514 searches ORG"""
+    x = bench(MCX514)
+    write_at(x, 0.2, 0, 1 << 8 | MCX514.MAP.command("DRVFBRK").code)
+    report = firmware.home(x, timeout=2.0)
+    assert report.stopped_by not in driver_of(x).FOUND
+    assert not report.ok
