@@ -740,7 +740,7 @@ def test_the_journal_the_report_and_the_waveforms_show_what_got_lost(xyz, tmp_pa
         assert "LOST: data to address 1" in firmware.preset_move(x, 10).listing()
     assert report.pulses == 0
     assert not report.ok
-    assert report.stopped_by == "EL+", "what is left when a halted chip has pulses left: it never started"
+    assert report.stopped_by == "unknown", "it never started, and no limit is on"
     course = recording.journals["x"].course()
     assert course.pin("hold").all(), "its replay does not see the write either"
     assert course.edges["counter"][-1] == 1000

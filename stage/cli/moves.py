@@ -105,7 +105,8 @@ def dual_rate(args: argparse.Namespace) -> int:
                 f"dual-rate: FH1 and FH2 are of the PCL-240 family; {a_or_an(axis.chip.MAP.chip)} has one drive speed."
             )
         print(wanted := profile(args, axis))
-        return firmware.dual_rate_move(axis, told_of_its_end(args, axis, distance(axis, args.distance)), wanted)
+        pulses, rates = told_of_its_end(args, axis, distance(axis, args.distance)), args.rates.upper().split(",")
+        return firmware.dual_rate_move(axis, pulses, wanted, rates=rates, dwell=args.dwell)
 
     return _single(args, run)
 

@@ -149,11 +149,12 @@ def _more_than_nothing(args: argparse.Namespace, options: Iterable[str]) -> None
 def profile(args: argparse.Namespace, axis: Any) -> Any:
     """The speeds that the options give, in the registers of a PCL-240."""
     from stage.firmware import Profile
+    from stage.firmware.pcl240.clock import require_clock
 
     options = ("fl", "fh1", "fh2", "accel", "decel")
     _more_than_nothing(args, options)
     given = {k: getattr(args, k) for k in options if getattr(args, k, None) is not None}
-    return Profile.of(clock_hz=axis.chip.clock_hz, chip=type(axis.chip), **given)
+    return Profile.of(clock_hz=axis.chip.clock_hz, chip=type(axis.chip), multiplier=require_clock(axis), **given)
 
 
 def distance(axis: Any, text: str) -> int:

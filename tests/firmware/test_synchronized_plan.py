@@ -346,7 +346,7 @@ def test_a_choice_does_not_depend_on_what_was_chosen_before():
 
     def rises(d, room):
         scores, kept = np.empty(fit.KEPT), np.zeros((fit.KEPT, len(leader)), np.int64)
-        fit.accelerations(leader, hz, d, hz, 0.0, 0.0, 16_383, scores, kept, room)
+        fit.accelerations(leader, hz, d, hz, 0.0, 0.0, 16_383, 0, scores, kept, room)
         return kept
 
     def falls(kept, room):

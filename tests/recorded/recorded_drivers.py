@@ -365,6 +365,7 @@ def closed_form():
             4_000_000,
             20.0,
             1e-6,
+            0,
             out,
         )
         found[f"{k} misfits"] = out

@@ -60,12 +60,24 @@ def add(commands: Any) -> None:
     stage_and_outputs(p)
     p = command(
         commands, "dual-rate", "moves:dual_rate", "FL to FH1 to FH2 and back in one move",
-        "A dual-rate move: ramp to FH1, in motion on to FH2 (or down to it), then stop on the pulse.",
+        "A dual-rate move: ramp to FH1, in motion on to FH2 (or down to it) and back, then stop on the pulse. With --rates any "
+        "order of the three: FL,FH1 is the data sheet's dual rate mode (1), ramping up; FH1,FL its mode (2), ramping down.",
         ("stage dual-rate x 40000 --fh1 10000 --fh2 20000", "two rates in one move"),
+        ("stage dual-rate x 8000 --rates FL,FH1 --dwell 0.5", "dual rate mode (1): constant FL, then a ramp up to FH1"),
+        ("stage dual-rate x 8000 --rates FH1,FL", "dual rate mode (2): FH1, then a ramp down to FL"),
         ("stage dual-rate x 100mm --plot dual.png", "the same over 100 mm, drawn"),
     )  # fmt: skip
     p.add_argument("axis", metavar="AXIS")
     p.add_argument("distance", metavar="DISTANCE", help="pulses, or 10mm, 30deg; the sign is the direction")
+    p.add_argument(
+        "--rates",
+        default="FH1,FH2,FH1",
+        metavar="RATE,RATE",
+        help="FL, FH1 and FH2 in any order (default: FH1,FH2,FH1)",
+    )
+    p.add_argument(
+        "--dwell", type=TIME, default=0.1, help="seconds at each rate but the last, after its ramp (default: 0.1)"
+    )
     place(p)
     speeds(p)
     plot(p)

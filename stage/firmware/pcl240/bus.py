@@ -36,6 +36,7 @@ from stage.chips.pcl240.state import (
 from stage.errors import ArgumentError, RunTimeout, StageError, a_or_an
 from stage.firmware.axis import Axis
 from stage.firmware.driver import poll_interval
+from stage.firmware.pcl240.clock import explain_silence
 
 START = {"FL": bits.START | bits.FL, "FH1": bits.START | bits.FH1, "FH2": bits.START | bits.FH2}  # constant speed
 RAMP = {name: start | bits.RAMP for name, start in START.items()}
@@ -205,7 +206,7 @@ class Port:
                 still = "still operates" if status.operating else "has stopped"
                 raise RunTimeout(
                     f"axis {self.axis.name} {still} after {timeout:.3f} s (waiting for {what}): R0 = {self.counter()}, {status}. "
-                    f"Give it more time, or stop it with 08h."
+                    f"{explain_silence(self.axis) or 'Give it more time, or stop it with 08h.'}"
                 )
             self.axis.wait(min(poll_interval(poll, passed), timeout - passed + 1e-6))
         return status

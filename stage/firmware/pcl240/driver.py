@@ -10,6 +10,7 @@ from stage.chips.journal import Journal
 from stage.firmware.driver import Driver, Speeds
 from stage.firmware.pcl240 import bus, moves
 from stage.firmware.pcl240.bus import Port
+from stage.firmware.pcl240.clock import require_clock
 from stage.firmware.pcl240.home import origin_return
 from stage.firmware.pcl240.line import RatioLine
 from stage.firmware.pcl240.pattern import Pattern
@@ -53,6 +54,7 @@ class Pcl240Driver(Driver):
             decel=speeds.down,
             clock_hz=self.chip.clock_hz,
             chip=type(self.chip),
+            multiplier=require_clock(self.axis),
         )
         return made.shaped(True) if speeds.s_curve else made
 

@@ -147,11 +147,11 @@ def _fall(leader, c, hz_leader, due, r, own, hz, lead, rho, lo, hi):
     return _widen(due, r, own, hz, lead, end, lo, hi)
 
 
-@exported(None, ROW, "i8", "i8", "i8", "f8", "f8", "i8", array_of("f8"), array_of("i8", 2), WORK)
-def accelerations(leader, hz_leader, d, hz, lead, share, most, scores, kept, work):
+@exported(None, ROW, "i8", "i8", "i8", "f8", "f8", "i8", "i8", array_of("f8"), array_of("i8", 2), WORK)
+def accelerations(leader, hz_leader, d, hz, lead, share, most, only, scores, kept, work):
     """Choose R1, R2, R4 and R7 of a follower of `d` pulses: for each multiplier the nearest FH, R4 by the slope, and R1 by
     the pulses lost in the ramp. Fills `kept` (rows), best first, and `scores`. leader: its row. share: of the steps in each
-    end of an S-curve, see `bend`. most: the largest R4."""
+    end of an S-curve, see `bend`. most: the largest R4. only: the one R7 that there is; 0 for any."""
     c, own, r, up = work.leader, work.own, work.row[: kept.shape[1]], work.up
     course(leader, c)
     rho = d / leader[0]
@@ -168,7 +168,7 @@ def accelerations(leader, hz_leader, d, hz, lead, share, most, scores, kept, wor
     _due_up(leader, c, hz_leader, rho, up)
     scores[:] = 1e18
     kept[:] = 0
-    for r7 in range(1023, 1, -1):
+    for r7 in range(only if only else 1023, only - 1 if only else 1, -1):
         step = hz / (8192.0 * r7)
         high = max(1, int(np.rint(fh / step)))
         drift = (high * step - fh) * (end - rise)
@@ -268,12 +268,13 @@ def estimate(leader, hz_leader, r, hz, lead, work):
 
 
 @hot
-def misfit(high, r7, hz_leader, rho, hz, least, enough):
+def misfit(high, r7, hz_leader, rho, hz, least, enough, only):
     """The smallest relative error, or one below `enough`, with which registers of at least `least` make rho times the rate
-    of `high` at `r7`."""
+    of `high` at `r7`. only: the one R7 that there is, -1 for `r7`; 0 for any."""
     ratio = rho * high * hz_leader / (r7 * hz)
     best = 1.0
-    for own in range(2, 1024):
+    one = int(r7) if only < 0 else only
+    for own in range(one if one else 2, one + 1 if one else 1024):
         exact = ratio * own
         if exact > 8191.5:
             break
@@ -284,11 +285,11 @@ def misfit(high, r7, hz_leader, rho, hz, least, enough):
     return best
 
 
-@exported(None, array_of("f8"), ROW, "i8", "f8", "i8", "f8", "f8", array_of("f8"))
-def misfits(highs, r7s, hz_leader, rho, hz, least, enough, out):
+@exported(None, array_of("f8"), ROW, "i8", "f8", "i8", "f8", "f8", "i8", array_of("f8"))
+def misfits(highs, r7s, hz_leader, rho, hz, least, enough, only, out):
     """`misfit` for many leaders; raises `out` to it."""
     for k in range(len(out)):
-        out[k] = max(out[k], misfit(highs[k], r7s[k], hz_leader, rho, hz, least, enough))
+        out[k] = max(out[k], misfit(highs[k], r7s[k], hz_leader, rho, hz, least, enough, only))
 
 
 @hot

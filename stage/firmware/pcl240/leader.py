@@ -48,7 +48,8 @@ class Widths(NamedTuple):
 
 class Ask(NamedTuple):
     """The move of the longest axis: pulses, rates in pps, ramp times in s; and all axes' ramps: `share` of the speed steps
-    in each curved end (0 linear, 0.5 curved throughout), and whether the chips find the ramp-down point."""
+    in each curved end (0 linear, 0.5 curved throughout), and whether the chips find the ramp-down point. multiplier: the one R7
+    that there is; 0 for any."""
 
     length: int
     fh: float
@@ -57,15 +58,24 @@ class Ask(NamedTuple):
     down: float
     share: float = 0.0
     automatic: bool = False
+    multiplier: int = 0
+
+
+AS_LEADER = -1
+"""A follower's multiplier: the R7 of the leader, whatever that will be."""
 
 
 class Follower(NamedTuple):
-    """Pulses (unsigned), reference clock, what its registers hold, and seconds that it is started before the leader."""
+    """Pulses (unsigned), reference clock, what its registers hold, and seconds that it is started before the leader.
+
+    multiplier: the one R7 that there is, AS_LEADER; 0 for any.
+    """
 
     pulses: int
     clock_hz: int
     widths: Widths
     lead: float
+    multiplier: int = 0
 
 
 class Kept(NamedTuple):
@@ -84,11 +94,12 @@ def search(ask: Ask, hz: int, widths: Widths, followers: Mapping[str, Follower])
         rises: dict[str, np.ndarray] = {}
         for leader in _with_tails(bare, hz, widths.point):
             found = {}
-            for name, (d, own_hz, (rate, point, size), lead) in followers.items():
+            for name, (d, own_hz, (rate, point, size), lead, multiplier) in followers.items():
+                only = int(leader[7]) if multiplier == AS_LEADER else multiplier
                 if name not in rises:
                     rises[name] = np.zeros((fit.KEPT, size), np.int64)
                     scores = np.empty(fit.KEPT)
-                    fit.accelerations(leader, hz, d, own_hz, lead, ask.share, rate, scores, rises[name], work)
+                    fit.accelerations(leader, hz, d, own_hz, lead, ask.share, rate, only, scores, rises[name], work)
                 found[name] = Kept(np.zeros((fit.BEST, size), np.int64), np.empty(fit.BEST))
                 fit.decelerations(
                     leader, hz, own_hz, lead, ask.automatic, rate, point, rises[name],
@@ -114,6 +125,8 @@ def _leaders(ask: Ask, hz: int, widths: Widths, followers: Mapping[str, Follower
     finest = min(R7_MOST, int(hz * SPEED_MOST / (8192 * ask.fh) + 1e-9))
     tried, around = (LEADERS_LONG, SHIFTS_LONG) if ask.length > LONG else (LEADERS, SHIFTS)
     grids, shifts = np.arange(max(R7_LEAST, finest // 16), finest + 1), np.arange(-around, around + 1)
+    if ask.multiplier:
+        grids = np.array([ask.multiplier])
     r7, shift = np.tile(grids, len(shifts)), np.repeat(shifts, len(grids))
     step = hz / (8192.0 * r7)
     high = np.rint(ask.fh / step) + shift
@@ -132,10 +145,10 @@ def _leaders(ask: Ask, hz: int, widths: Widths, followers: Mapping[str, Follower
     pick = np.flatnonzero(fits & (error <= max(RATE_ERROR, 1.01 * float(error[fits].min()))))
     pick = pick[np.argsort(np.abs(shift[pick]), kind="stable")]
     off = np.zeros(len(pick))
-    for d, own_hz, _, _ in followers.values():
+    for d, own_hz, _, _, multiplier in followers.values():
         misfit = np.zeros(len(pick))
         least = min(100.0, d / ask.length * ask.fh * 8192 * R7_MOST / own_hz / 2)
-        fit.misfits(high[pick], r7[pick], hz, d / ask.length, own_hz, least, MATCH / d, misfit)
+        fit.misfits(high[pick], r7[pick], hz, d / ask.length, own_hz, least, MATCH / d, multiplier, misfit)
         off = np.maximum(off, misfit * d)
     best = pick[np.argsort(np.maximum(off, DRIFT) + error[pick], kind="stable")]
     plain = pick[shift[pick] == 0]

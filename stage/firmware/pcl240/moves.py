@@ -15,6 +15,7 @@ from stage.firmware.axis import Axis
 from stage.firmware.driver import SETTLE
 from stage.firmware.pcl240 import bus
 from stage.firmware.pcl240.bus import Port, check
+from stage.firmware.pcl240.clock import name_leader, require_clock
 from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import Profile
 from stage.firmware.report import Report
@@ -266,16 +267,24 @@ def prepare(port: Port, profile: Profile, control: int, output: int = 0) -> None
 
 
 def profile_for(axis: Axis, profile: Profile | None) -> Profile:
-    """What was given, if it fits the axis' chip and clock; else the usual one. Raises ArgumentError."""
-    chip = check(axis)
+    """Return what was given, if it fits the axis' chip and clock; else the usual one.
+
+    Raises ArgumentError; StageError where the chip follows another (SYNI) that makes no clock.
+    """
+    chip, heard = check(axis), require_clock(axis)
     if profile is None:
-        return Profile.of(clock_hz=axis.chip.clock_hz, chip=chip)
+        return Profile.of(clock_hz=axis.chip.clock_hz, chip=chip, multiplier=heard)
     if not isinstance(profile, Profile):
         raise ArgumentError(f"profile={profile!r}: give a Profile, for example Profile.of(fl=500, fh1=16000).")
     if profile.clock_hz != axis.chip.clock_hz:
         raise ArgumentError(
             f"the profile is for a chip at {profile.clock_hz} Hz, axis {axis.name}'s runs at {axis.chip.clock_hz} Hz: "
             f"Profile.of(..., clock_hz={axis.chip.clock_hz})."
+        )
+    if heard not in (None, profile.R7):
+        raise ArgumentError(
+            f"the profile has R7 = {profile.R7}, and axis {axis.name} counts the clock of {name_leader(axis)} (SYNI), which has "
+            f"R7 = {heard}: Profile.of(..., multiplier={heard})."
         )
     return profile.on(chip)
 

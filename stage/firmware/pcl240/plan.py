@@ -7,7 +7,7 @@ of rates (fit.py). The best registers of each follower are run on emulated chips
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -23,6 +23,7 @@ from stage.firmware.pcl240 import emulated as follow
 from stage.firmware.pcl240 import fit
 from stage.firmware.pcl240.closed_form import course
 from stage.firmware.pcl240.leader import (
+    AS_LEADER,
     R7_LEAST,
     R7_MOST,
     SPEED_MOST,
@@ -186,6 +187,8 @@ def plan(
     chips: type[PCL240] | Mapping[str, type[PCL240]] = PCL240K,
     clock_hz: int | Mapping[str, int] = PCL240K.DEFAULT_CLOCK_HZ,
     bus_delay: float = 0.0,
+    multipliers: Mapping[str, int] | None = None,
+    shared: Collection[str] = (),
 ) -> Plan:
     """Plan a move along a straight line. Touches no chip.
 
@@ -199,6 +202,8 @@ def plan(
         chips: the class of the chips, one or one an axis.
         clock_hz: the chips' reference clock, one number or one an axis.
         bus_delay: seconds between two start commands.
+        multipliers: axis -> R7 that its chip hears at SYNI, from a chip that has no part in the move.
+        shared: axes whose chips count one clock, followers by SYNI and their leader: they have the R7 of the longest axis.
 
     A move too short for `rate` peaks lower, on all axes at once and with the same slopes; a very short one runs at constant FL.
     Raises ArgumentError with the reason when no registers can do it.
@@ -215,10 +220,12 @@ def plan(
     order = _order(moving)
     longest, lead = order[-1], _leads(order, bus_delay)
     ask, notes = _shorten(abs(moving[longest]), rate, fl, accel, decel)
-    ask = ask._replace(share=share, automatic=automatic)
+    only = dict.fromkeys(shared, AS_LEADER) | dict(multipliers or {})
+    ask = ask._replace(share=share, automatic=automatic, multiplier=max(only.get(longest, 0), 0))
     _reach(moving, longest, ask, rate, hz)
+    _check_multipliers(moving, ask, only, hz)
     widths = {n: Widths.of(chip, automatic) for n, (chip, _) in kinds.items()}
-    followers = {n: Follower(abs(moving[n]), hz[n], widths[n], lead[n]) for n in order[:-1]}
+    followers = {n: Follower(abs(moving[n]), hz[n], widths[n], lead[n], only.get(n, 0)) for n in order[:-1]}
     leader, kept = search(ask, hz[longest], widths[longest], followers)
     chosen = {longest: leader} | {n: found.registers[0] for n, found in kept.items()}
     if sum(map(abs, moving.values())) <= PLAYED:
@@ -329,13 +336,30 @@ def _reach(moving: dict, longest: str, ask: Ask, rate: float, hz: dict) -> None:
             )
 
 
+def _check_multipliers(moving: dict, ask: Ask, only: Mapping[str, int], hz: dict) -> None:
+    """Refuse rates that an axis cannot make with the one R7 that its chip hears."""
+    for name, d in moving.items():
+        r7 = only.get(name, 0)
+        if r7 > 0:
+            rate, most, least = (
+                ask.fh * abs(d) / ask.length,
+                hz[name] * SPEED_MOST / (8192 * r7),
+                hz[name] / (8192 * r7),
+            )
+            if not least <= rate <= most:
+                raise ArgumentError(
+                    f"axis {name} would have to run at {rate:.4g} pps, and with R7 = {r7}, which it hears at SYNI, it makes "
+                    f"{least:.4g} to {most:.0f} pps. Choose another rate, or another R7 for the leader."
+                )
+
+
 def _play(chosen: dict, longest: str, kinds: dict, followers: dict[str, Follower], kept: Mapping[str, Kept]) -> None:
     """Choose among the best followers by running emulated chips."""
     leader = chosen[longest]
     pulses = follow.run(leader, kinds[longest][0]) / kinds[longest][1]
     for name, found in kept.items():
         best = np.inf
-        d, hz, _, lead = followers[name]
+        d, hz, _, lead, _ = followers[name]
         for row in found.registers[found.scores < 1e17]:
             own = follow.run(row, kinds[name][0]) / hz - lead
             far = path_deviation([(pulses, 1), (own, 1)], [leader[0], d]).pulses

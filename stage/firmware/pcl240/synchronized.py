@@ -17,6 +17,7 @@ from stage.errors import ArgumentError, RunTimeout, a_or_an
 from stage.firmware.axis import Axes, Axis
 from stage.firmware.pcl240 import bus
 from stage.firmware.pcl240.bus import check
+from stage.firmware.pcl240.clock import name_leader, require_clock
 from stage.firmware.pcl240.moves import SETTLE
 from stage.firmware.pcl240.plan import Plan, plan
 from stage.firmware.pcl240.procedure import Procedure
@@ -62,6 +63,7 @@ def synchronized_move(
     if isinstance(distances, Plan):
         chosen = _chosen(distances.distances, axes)
         _same_chips(distances, chosen)
+        _check_clocks(distances, chosen)
         made = distances.with_bus_delay(_bus_delay(chosen, distances.order))
     else:
         chosen = _chosen(distances, axes)
@@ -70,7 +72,7 @@ def synchronized_move(
         clocks = {n: a.chip.clock_hz for n, (a, _) in chosen.items()}
         wanted = partial(
             plan, asked, rate=rate, fl=fl, accel=accel, decel=decel, s_curve=s_curve, automatic=automatic,
-            chips=chips, clock_hz=clocks,
+            chips=chips, clock_hz=clocks, **_clocks({n: a for n, (a, d) in chosen.items() if d}),
         )  # fmt: skip
         at_once = wanted()  # refuses before the first bus cycle
         delay = _bus_delay(chosen, at_once.order)
@@ -147,6 +149,32 @@ def _same_chips(made: Plan, chosen: dict[str, tuple[Axis, int]]) -> None:
             raise ArgumentError(
                 f"the plan is for a chip at {a.clock_hz} Hz, and axis {n}'s runs at {chosen[n][0].chip.clock_hz} Hz: "
                 f"plan with clock_hz={{{n!r}: {chosen[n][0].chip.clock_hz}}}."
+            )
+
+
+def _clocks(moving: Mapping[str, Axis]) -> dict[str, Any]:
+    """Return the arguments `multipliers` and `shared` of `plan`. Raises StageError for a follower whose leader makes no clock."""
+    multipliers, shared = {}, set()
+    for n, axis in moving.items():
+        leader = getattr(axis.chip, "syni", None)
+        along = [other for other, a in moving.items() if a.chip is leader]
+        if along:
+            shared.update((n, *along))
+        elif (heard := require_clock(axis)) is not None:
+            multipliers[n] = heard
+    return {"multipliers": multipliers, "shared": shared}
+
+
+def _check_clocks(made: Plan, chosen: dict[str, tuple[Axis, int]]) -> None:
+    """Raise ArgumentError for a plan whose followers would hear another R7 than their own."""
+    clocks = _clocks({n: chosen[n][0] for n in made.axes})
+    for n, a in made.axes.items():
+        leaders = [m for m in made.axes if chosen[m][0].chip is getattr(chosen[n][0].chip, "syni", None)]
+        heard = made.axes[leaders[0]].registers["R7"] if leaders else clocks["multipliers"].get(n, a.registers["R7"])
+        if heard != a.registers["R7"]:
+            raise ArgumentError(
+                f"the plan has R7 = {a.registers['R7']} for axis {n}, whose chip counts the clock of {name_leader(chosen[n][0])} "
+                f"(SYNI) with R7 = {heard}: plan with {clocks}."
             )
 
 

@@ -1,0 +1,175 @@
+"""A chip that follows another by SYNI makes pulses of CLOCK speed / (8192 R7) with the leader's R7, and procedures plan by it."""
+
+import contextlib
+import io
+import random
+
+import pytest
+from support.examples import SEED, scaled
+
+from stage import ArgumentError, Stage, StageError, firmware
+from stage.chips import PCL240K, PCL240MS
+from stage.cli import main
+from stage.firmware import Bench, Profile, plan
+from stage.firmware.pcl240 import bus
+
+HZ = 4_915_200
+GOOD = 2.0  # pulses from the line
+
+
+def follow(pairs, chips=PCL240K, model="xyz"):
+    return Stage(model, chips=chips, syni=pairs, visuals=False)
+
+
+def load(axis, **registers):
+    firmware.Port(axis).write_registers(**registers)
+
+
+def run(*argv):
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main([*argv])
+    return code, out.getvalue(), err.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("asked", "syni"),
+    [
+        ({"x": 12_000, "y": 8000}, {"y": "x"}),
+        ({"x": 8000, "y": 12_000}, {"y": "x"}),
+        ({"x": 12_000, "y": -8000, "z": 3001}, {"y": "x", "z": "x"}),
+        ({"x": 12_000, "y": 8000, "z": -3001}, {"z": "y"}),
+    ],
+)
+@pytest.mark.parametrize(("chip", "s_curve"), [(PCL240K, False), (PCL240MS, True)])
+def test_axes_that_share_a_clock_on_a_line_share_its_multiplier_and_lose_no_step(asked, syni, chip, s_curve):
+    """stage sync x=12000 y=8000 --syni y=x: y had an R7 of its own, and lost 436 steps"""
+    report = firmware.synchronized_move(asked, follow(syni, chip), s_curve=s_curve)
+    assert report.ok
+    assert report.distances == asked
+    assert report.deviation.pulses < GOOD
+    assert report.deviation.pulses == pytest.approx(report.plan.deviation, abs=0.1), "as the plan has it"
+    r7 = {name: axis.registers["R7"] for name, axis in report.plan.axes.items()}
+    assert all(r7[follower] == r7[leader] for follower, leader in syni.items())
+    longest = max(r.peak_rate / abs(r.pulses) for r in report.axes.values())
+    assert all(r.peak_rate / abs(r.pulses) == pytest.approx(longest, rel=1e-4) for r in report.axes.values())
+
+
+@pytest.mark.parametrize("asked", [{"x": 0, "y": 8000}, {"y": 8000, "z": 3000}, {"y": 3000, "z": 8000}])
+@pytest.mark.parametrize("r7", [60, 41])
+def test_a_follower_whose_leader_keeps_still_is_planned_with_the_multiplier_that_it_hears(asked, r7):
+    stage = follow({"y": "x"})
+    load(stage.axes["x"], R7=r7)
+    report = firmware.line(asked, stage, pulses=True)
+    assert report.ok
+    assert report.plan.axes["y"].registers["R7"] == r7
+    rate = report.plan.axes["y"].registers["R2"] * HZ / (8192 * r7)
+    assert report.axes["y"].peak_rate == pytest.approx(rate)
+    assert report.deviation.pulses < GOOD
+
+
+def test_shared_multipliers_of_random_lines_keep_to_the_line():
+    print("seed", SEED)
+    rng = random.Random(SEED)
+    for _ in range(scaled(8)):
+        asked = {"x": rng.randint(500, 20_000), "y": rng.randint(500, 20_000)}
+        made = plan(asked, shared=("x", "y"), rate=rng.uniform(4000, 20_000), fl=rng.uniform(500, 2000))
+        assert made.axes["x"].registers["R7"] == made.axes["y"].registers["R7"]
+        assert made.deviation < 4.0, (asked, str(made))
+
+
+def test_a_plan_that_a_follower_cannot_keep_is_refused_before_the_first_bus_cycle():
+    stage = follow({"y": "x"})
+    made = plan({"x": 12_000, "y": 8000})
+    with pytest.raises(
+        ArgumentError, match=r"the plan has R7 = \d+ for axis y.* the clock of axis x \(SYNI\) with R7 ="
+    ):
+        firmware.synchronized_move(made, stage)
+    load(stage.axes["x"], R7=1000)
+    with pytest.raises(ArgumentError, match=r"axis y would have to run at 1.6e\+04 pps, and with R7 = 1000"):
+        firmware.line({"y": 8000}, stage, pulses=True)
+    assert [axis.chip.net() for axis in stage.axes.values()] == [0, 0, 0]
+
+
+def test_moves_of_a_follower_have_the_rates_that_they_are_asked_to():
+    stage = follow({"y": "x"})
+    y = stage.axes["y"]
+    load(stage.axes["x"], R7=60)
+    report = firmware.move(y, pulses=8000, speed=8000 * y.meters_per_pulse)
+    assert (report.ok, report.peak_rate) == (True, pytest.approx(8000, rel=1e-3))
+    for report in (firmware.preset_move(y, 20_000), firmware.continuous_move(y, 0.3, -1)):
+        assert report.peak_rate == pytest.approx(16_000, rel=1e-3)
+    assert firmware.home(y).stopped_by == "ORG"
+    with pytest.raises(ArgumentError, match=r"axis x \(SYNI\), which has R7 = 60: Profile.of\(..., multiplier=60\)"):
+        firmware.preset_move(y, 8000, Profile.of(multiplier=30))
+
+
+def test_a_follower_whose_leader_makes_no_clock_says_so_before_the_first_bus_cycle():
+    stage = follow({"y": "x"})
+    y, said = stage.axes["y"], r"axis y makes no pulses: its chip counts the clock of axis x \(SYNI\), whose R7 is 0"
+    for act in (
+        lambda: firmware.move(y, pulses=100),
+        lambda: firmware.preset_move(y, 100),
+        lambda: firmware.dual_rate_move(y, 40_000),
+        lambda: firmware.home(y),
+        lambda: firmware.jog(y, 0.1),
+        lambda: firmware.line({"y": 100}, stage, pulses=True),
+    ):
+        with pytest.raises(StageError, match=said):
+            act()
+    assert y.chip.values()["R0"] == 0
+
+
+def test_a_wait_for_pulses_that_cannot_come_says_what_is_missing():
+    stage = follow({"y": "x"})
+    for axis, said in (
+        (stage.axes["y"], "clock of axis x .SYNI., whose R7 is 0"),
+        (Bench(PCL240K()).axes["x"], "its R7 is 0"),
+    ):
+        port = firmware.Port(axis)
+        port.write_registers(R0=100, R1=100)
+        port.control(bus.PRESET)
+        port.command(bus.START["FL"])
+        with pytest.raises(StageError, match=said) as caught:
+            port.wait_until_stopped(0.01)
+        assert "more time" not in str(caught.value)
+
+
+def test_the_command_plans_followers_and_names_a_leader_without_a_clock():
+    code, out, _ = run("sync", "x=12000", "y=8000", "--syni", "y=x")
+    assert code == 0
+    assert out.count("lost steps 0") == 2
+    for argv in (["move", "y", "8000"], ["home", "y"], ["dual-rate", "y", "40000"]):
+        code, _, err = run(*argv, "--syni", "y=x")
+        assert code != 0
+        assert "counts the clock of axis x (SYNI), whose R7 is 0" in err
+
+
+@pytest.mark.parametrize(
+    ("rates", "phases"),
+    [
+        ("FL,FH1", ["fkeep", "fup", "fkeep", "fdown", "fkeep"]),
+        ("fh1,fl", ["fup", "fkeep", "fdown", "fkeep"]),
+        ("FH1,FH2,FH1", ["fup", "fkeep", "fup", "fkeep", "fdown", "fkeep", "fdown", "fkeep"]),
+    ],
+)
+def test_the_command_makes_the_dual_rates_of_the_data_sheet(monkeypatch, rates, phases):
+    """Section 6: (1) constant FL, then a ramp up to FH1; (2) FH1, then a ramp down to FL"""
+    made, real = [], firmware.dual_rate_move
+    monkeypatch.setattr(
+        firmware, "dual_rate_move", lambda *args, **kwargs: made.append(real(*args, **kwargs)) or made[0]
+    )
+    code, _, _ = run("dual-rate", "x", "20000", "--rates", rates, "--dwell", "0.15")
+    assert (code, made[0].pulses) == (0, 20_000)
+    course = made[0].course
+    seen = [next((p for p in ("fup", "fdown", "fkeep") if course.pin(p)[k]), "") for k in range(len(course.edges))]
+    moving = [p for p, runs in zip(seen, course.running, strict=True) if runs]
+    assert [p for k, p in enumerate(moving) if not k or moving[k - 1] != p] == phases
+
+
+def test_what_the_refusal_of_a_dual_rate_asks_for_can_be_given():
+    code, _, err = run("dual-rate", "x", "4000")
+    assert code != 0
+    assert "give more, dwell less, or ask for fewer rates" in err
+    assert run("dual-rate", "x", "8000", "--dwell", "0.01")[0] == 0
+    assert run("dual-rate", "x", "4000", "--rates", "FH1")[0] == 0
