@@ -162,7 +162,9 @@ def test_home_of_other_chips_goes_by_what_was_said(monkeypatch, options, expecte
 def test_a_line_of_other_chips_is_curved_where_asked(monkeypatch, options):
     stage, told = Stage("xy", chips="mcx514", visuals=False), []
     report = SimpleNamespace(ok=True, plot=None, json=lambda: {})
-    driver = SimpleNamespace(line=lambda drivers, distances, wanted: told.append((distances, wanted)) or report)
+    driver = SimpleNamespace(
+        chip=stage.chips[0], line=lambda drivers, distances, wanted: told.append((distances, wanted)) or report
+    )
     monkeypatch.setattr(moves, "make_stage", lambda args: stage)
     monkeypatch.setattr("stage.firmware.driver.driver_of", lambda axis: driver)
     assert main(["sync", "x=400", "y=-1mm", "--rate", "5000", "--accel", "0.2", *options.split()]) == 0
@@ -350,7 +352,8 @@ def test_move_ramps_as_the_options_say(bench, monkeypatch, options, expected):
 def test_speeds_and_places_are_in_pps_s_and_mm(bench, monkeypatch, capsys):
     asked = []
 
-    def dual_rate_move(axis, pulses, profile):
+    def dual_rate_move(axis, pulses, profile, *, rates, dwell):
+        assert (rates, dwell) == (["FH1", "FH2", "FH1"], 0.1)
         asked.append((axis.name, pulses, profile, bench.axes["y"].position))
         return report(ok=False)
 

@@ -191,7 +191,7 @@ class Procedure:
         return self
 
     @property
-    def made(self) -> int:
+    def pulses_made(self) -> int:
         """Net pulses made since the beginning, signed."""
         return self.axis.chip.net(self.axis.chip_axis) - self._net
 

@@ -194,7 +194,7 @@ class Tmc5160Driver(Driver):
             self.start_with(values, pulses)
             longest = abs(pulses) / speeds.drive + speeds.up + speeds.down
             wait_until_stopped([self.axis], 1.5 * longest + 1 if timeout is None else timeout)
-            met = self.explain_end(p.made == pulses)
+            met = self.explain_end(p.pulses_made == pulses)
             self.stay()
             self.axis.wait(SETTLE)
             return p.report(met, pulses)
@@ -336,7 +336,7 @@ class Tmc5160Driver(Driver):
             except RunTimeout as error:
                 error.reports = together.reports(dict.fromkeys(mine, "timeout"))  # type: ignore[attr-defined]
                 raise
-            ended = {n: d.explain_end(together.watch[n].made == wanted[n]) for n, d in mine.items()}
+            ended = {n: d.explain_end(together.watch[n].pulses_made == wanted[n]) for n, d in mine.items()}
             for driver in mine.values():
                 driver.stay()
             next(iter(mine.values())).axis.wait(SETTLE)

@@ -75,7 +75,7 @@ class NovaDriver(Driver):
             longest = 1.5 * abs(pulses) / slowest + 3 * (speeds.up + speeds.down) + 1
             wait_until_stopped([self.axis], longest if timeout is None else timeout)
             self.axis.wait(SETTLE)
-            ended = self.explain_end(p.made == pulses, p.journal)
+            ended = self.explain_end(p.pulses_made == pulses, p.journal)
             # a drive that nothing has stopped made the pulses that it was told: others than asked, where a write was lost
             return p.report(self.DONE if ended == UNKNOWN else ended, pulses)
 
@@ -97,7 +97,7 @@ class NovaDriver(Driver):
         return next((name for bit, name in CAUSES.items() if word & self._ended(bit)), "")
 
     def explain_end(self, done: bool, journal: Journal | None = None) -> str:
-        """As that of all drivers; a software limit, which has no bit of its own among the ends, is an error of RR2."""
+        """Return what ended a run; a software limit, which has no bit among the ends, is read from the errors of RR2."""
         ended = super().explain_end(done, journal)
         return ended if ended != UNKNOWN else next(iter(self.port.errors()), UNKNOWN)
 
@@ -182,7 +182,7 @@ class NovaDriver(Driver):
                 wait_until_stopped(axes, longest if timeout is None else timeout, look=together.look)
             axes[0].wait(SETTLE)
             ended = {
-                n: d.explain_end(p.made == pulses[n], p.journal)
+                n: d.explain_end(p.pulses_made == pulses[n], p.journal)
                 for (n, d), p in zip(mine.items(), together.watch.values(), strict=True)
             }
             if any(why in NOT_AS_ASKED and why != UNKNOWN for why in ended.values()):  # it has ended the interpolation

@@ -21,29 +21,29 @@ def name_leader(axis: Axis) -> str:
     return next((f"axis {name}" for name, other in everyone.items() if other.chip is leader), "another chip")
 
 
-def find_heard_multiplier(axis: Axis) -> int | None:
+def read_leader_multiplier(axis: Axis) -> int | None:
     """Return the R7 that the axis' chip hears at SYNI; None where it counts its own clock."""
     leader = getattr(axis.chip, "syni", None)
     return None if leader is None else int(leader.state["reg"][7])
 
 
 def require_clock(axis: Axis) -> int | None:
-    """Return `find_heard_multiplier`. Raises StageError where the leader makes no clock."""
-    heard = find_heard_multiplier(axis)
-    if heard is not None and heard < LEAST:
+    """Return `read_leader_multiplier`. Raises StageError where the leader makes no clock."""
+    multiplier = read_leader_multiplier(axis)
+    if multiplier is not None and multiplier < LEAST:
         raise StageError(f"axis {axis.name} makes no pulses: {explain_silence(axis)}")
-    return heard
+    return multiplier
 
 
 def explain_silence(axis: Axis) -> str:
     """Return why the axis' chip makes no pulses, whatever starts it; "" where it has a clock."""
-    heard = find_heard_multiplier(axis)
-    if heard is not None and heard < LEAST:
+    multiplier = read_leader_multiplier(axis)
+    if multiplier is not None and multiplier < LEAST:
         leader = name_leader(axis)
         return (
-            f"its chip counts the clock of {leader} (SYNI), whose R7 is {heard}, and R7 = 2 to 1023 make a clock. "
+            f"its chip counts the clock of {leader} (SYNI), whose R7 is {multiplier}, and R7 = 2 to 1023 make a clock. "
             f"Write the R7 of {leader}, move both together, or disconnect SYNI."
         )
-    if heard is None and (own := int(axis.chip.state["reg"][7])) < LEAST:
+    if multiplier is None and (own := int(axis.chip.state["reg"][7])) < LEAST:
         return f"its R7 is {own}, and R7 = 2 to 1023 make a clock. Write R7."
     return ""

@@ -271,9 +271,9 @@ def profile_for(axis: Axis, profile: Profile | None) -> Profile:
 
     Raises ArgumentError; StageError where the chip follows another (SYNI) that makes no clock.
     """
-    chip, heard = check(axis), require_clock(axis)
+    chip, multiplier = check(axis), require_clock(axis)
     if profile is None:
-        return Profile.of(clock_hz=axis.chip.clock_hz, chip=chip, multiplier=heard)
+        return Profile.of(clock_hz=axis.chip.clock_hz, chip=chip, multiplier=multiplier)
     if not isinstance(profile, Profile):
         raise ArgumentError(f"profile={profile!r}: give a Profile, for example Profile.of(fl=500, fh1=16000).")
     if profile.clock_hz != axis.chip.clock_hz:
@@ -281,10 +281,10 @@ def profile_for(axis: Axis, profile: Profile | None) -> Profile:
             f"the profile is for a chip at {profile.clock_hz} Hz, axis {axis.name}'s runs at {axis.chip.clock_hz} Hz: "
             f"Profile.of(..., clock_hz={axis.chip.clock_hz})."
         )
-    if heard not in (None, profile.R7):
+    if multiplier not in (None, profile.R7):
         raise ArgumentError(
             f"the profile has R7 = {profile.R7}, and axis {axis.name} counts the clock of {name_leader(axis)} (SYNI), which has "
-            f"R7 = {heard}: Profile.of(..., multiplier={heard})."
+            f"R7 = {multiplier}: Profile.of(..., multiplier={multiplier})."
         )
     return profile.on(chip)
 

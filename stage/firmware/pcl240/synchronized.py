@@ -154,14 +154,15 @@ def _same_chips(made: Plan, chosen: dict[str, tuple[Axis, int]]) -> None:
 
 def _clocks(moving: Mapping[str, Axis]) -> dict[str, Any]:
     """Return the arguments `multipliers` and `shared` of `plan`. Raises StageError for a follower whose leader makes no clock."""
-    multipliers, shared = {}, set()
+    multipliers: dict[str, int] = {}
+    shared: set[str] = set()
     for n, axis in moving.items():
         leader = getattr(axis.chip, "syni", None)
         along = [other for other, a in moving.items() if a.chip is leader]
         if along:
             shared.update((n, *along))
-        elif (heard := require_clock(axis)) is not None:
-            multipliers[n] = heard
+        elif (multiplier := require_clock(axis)) is not None:
+            multipliers[n] = multiplier
     return {"multipliers": multipliers, "shared": shared}
 
 
@@ -170,11 +171,13 @@ def _check_clocks(made: Plan, chosen: dict[str, tuple[Axis, int]]) -> None:
     clocks = _clocks({n: chosen[n][0] for n in made.axes})
     for n, a in made.axes.items():
         leaders = [m for m in made.axes if chosen[m][0].chip is getattr(chosen[n][0].chip, "syni", None)]
-        heard = made.axes[leaders[0]].registers["R7"] if leaders else clocks["multipliers"].get(n, a.registers["R7"])
-        if heard != a.registers["R7"]:
+        multiplier = (
+            made.axes[leaders[0]].registers["R7"] if leaders else clocks["multipliers"].get(n, a.registers["R7"])
+        )
+        if multiplier != a.registers["R7"]:
             raise ArgumentError(
                 f"the plan has R7 = {a.registers['R7']} for axis {n}, whose chip counts the clock of {name_leader(chosen[n][0])} "
-                f"(SYNI) with R7 = {heard}: plan with {clocks}."
+                f"(SYNI) with R7 = {multiplier}: plan with {clocks}."
             )
 
 
