@@ -199,7 +199,7 @@ def test_a_fault_that_comes_and_goes_in_no_time_leaves_every_bit(xyz, name):
             pass
     for stage in (xyz, twin):
         stage.run(0.3)
-    assert (bits(xyz) == bits(twin)) == (name != "stuck closed"), "a chip feels EL+ at once"
+    assert bits(xyz) == bits(twin)
 
 
 @pytest.mark.parametrize("name", [name for name in MACHINES if name != "motor"])  # over that one there is no restore

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from stage.chips import cores
 from stage.chips.entries import INPUT
-from stage.native import floor, greatest, hot, least
-from stage.sim.records import FAR, INDEX, INDEX_HYSTERESIS, NEVER, SECOND, TURN, clock_at
+from stage.native import array_at, floor, hot, least
+from stage.sim.records import FLAG_EDGE, HYSTERESIS, INDEX, INDEX_HYSTERESIS, NEVER, SECOND, TURN, clock_at
+
+UNREACHED = 1e300  # joint travel to an edge that is not ahead
+SURE = 0.8  # share of the travel beside an edge in which the sensor's distance tells the place
 
 
 @hot
@@ -41,20 +44,129 @@ def _foresee_index(world, axis, t, q, v, half):
 
 
 @hot
-def foresee_switch(world, axis, s, t, v, half):
-    """When in this window, from now on, a switch will change; `s.dist` is known. A bouncing contact comes to rest first."""
+def _flag_edges(clockwork):
+    """Return the FLAG_EDGE records of all switches."""
+    return array_at(clockwork.flag_edges, clockwork.n_flag_edges, FLAG_EDGE)
+
+
+@hot
+def _travel_from(edge, q, turn):
+    """Return the joint travel from an edge to `q`; of a joint that turns without end, from the nearest of its repetitions."""
+    x = q - edge.at
+    return x - turn * floor(x / turn + 0.5) if turn else x
+
+
+@hot
+def _nearest_edge(edges, t, q):
+    """Return the index of the flag edge of a switch that is nearest to `q`."""
+    k, nearest = t.first_edge, UNREACHED
+    for i in range(t.first_edge, t.end_edge):
+        away = abs(_travel_from(edges[i], q, t.turn))
+        if away < nearest:
+            k, nearest = i, away
+    return k
+
+
+@hot
+def _outside(edges, t, q):
+    """Return how far `q` is outside the flag of a switch, in joint travel; negative: so far inside."""
+    e = edges[_nearest_edge(edges, t, q)]
+    x = _travel_from(e, q, t.turn)
+    return x if e.slope > 0.0 else -x
+
+
+@hot
+def _follow_flag(edges, s, t, q, dist):
+    """Correct `s.shift` where the sensor's distance, read at joint position `q`, contradicts it.
+
+    Beside an edge the distance tells the place. Elsewhere (far away, or deep in the switch, where the contact's direction changes)
+    it only tells on which side of the edge the joint is, and the shift last found holds.
+    """
+    q -= s.shift
+    e = edges[_nearest_edge(edges, t, q)]
+    x, sensed = _travel_from(e, q, t.turn), dist / e.slope
+    limit = 0.0
+    if sensed < e.below or sensed > e.above:
+        limit = SURE * (e.above if sensed > 0.0 else e.below)
+        if (x - limit) * sensed >= 0.0:
+            return
+    error, correction, allowed = UNREACHED, x - limit, 0.0
+    for i in range(t.first_edge, t.end_edge):
+        e = edges[i]
+        x, sensed = _travel_from(e, q, t.turn), dist / e.slope
+        if e.below <= sensed <= e.above and abs(x - sensed) < error:
+            error, correction, allowed = abs(x - sensed), x - sensed, e.noise + e.bend * sensed * sensed
+    if error > allowed:
+        s.shift += correction
+
+
+@hot
+def _put_flag_ahead(edges, s, t, q, v, dist):
+    """Correct `s.shift` if by it the joint, at whose position `q` the sensor first sees the vane, moves away from the flag."""
+    k, nearest = -1, UNREACHED
+    for i in range(t.first_edge, t.end_edge):
+        away = abs(_travel_from(edges[i], q, t.turn))
+        if edges[i].slope * v < 0.0 and away < nearest:
+            k, nearest = i, away
+    if k >= 0 and dist > 0.0:
+        x, sensed = _travel_from(edges[k], q, t.turn), dist / edges[k].slope
+        if x * sensed < 0.0:
+            s.shift += x - sensed
+
+
+@hot
+def in_flag(clockwork, s, t, q):
+    """Return whether the vane is in its switch with the joint at `q`."""
+    return s.sensed and _outside(_flag_edges(clockwork), t, q - s.shift) <= 0.0
+
+
+@hot
+def _travel_to_change(edges, t, q, direction, gone, on):
+    """Return the travel from flag position `q` after which the switch changes next; `gone` if it should have changed by then.
+
+    Args:
+        edges: FLAG_EDGE records of all switches; t: The switch's row of SWITCH_TABLE.
+        q: Joint position less the flag's shift.
+        direction: Direction of travel, 1.0 or -1.0.
+        gone: Travel from `q` that is behind the joint.
+        on: Whether the switch is asserted there.
+    """
+    hysteresis, ahead = HYSTERESIS if on else 0.0, UNREACHED
+    outside = _outside(edges, t, q + direction * gone)
+    if (outside > hysteresis) if on else (outside <= 0.0):
+        return gone
+    for i in range(t.first_edge, t.end_edge):
+        e = edges[i]
+        if (e.slope * direction > 0.0) == (on != 0):
+            travel = hysteresis - _travel_from(e, q, t.turn) * direction
+            if gone <= travel < ahead:
+                ahead = travel
+    return ahead
+
+
+@hot
+def predict_switch(world, axis, clockwork, s, t, q, v):
+    """Predict when a switch will change between now and the window's end, at most twice. A bouncing contact comes to rest first.
+
+    q, v: Position of the axis' joint at the window's center, and its speed.
+    """
     if s.toggles == 0:
-        s.edge = NEVER
-        approach = -t.slope * v
-        threshold = t.hysteresis if s.on else 0.0
-        on = 1 if s.dist - approach * half <= threshold else 0
-        if t.forced >= 0:
-            on = t.forced
-        if on != s.on:
-            wait = 0.0
-            if t.forced < 0 and approach != 0.0:
-                wait = least(greatest(half + (s.dist - threshold) / approach, 0.0), 2.0 * half)
-            s.edge = greatest(world.start + int(wait * SECOND), world.now)
+        s.edge = s.next_edge = NEVER
+        if t.forced >= 0 or not s.sensed:
+            if s.on != (t.forced if t.forced >= 0 else 0):
+                s.edge = world.now
+        else:
+            edges, direction = _flag_edges(clockwork), 1.0 if v >= 0.0 else -1.0
+            q -= v * clockwork.half + s.shift
+            speed = v * direction
+            last, gone = speed * 2.0 * clockwork.half, speed * (float(world.now - world.start) / SECOND)
+            travel = _travel_to_change(edges, t, q, direction, gone, s.on)
+            if travel <= last:
+                s.edge = world.start + int(travel / speed * SECOND) if travel > gone else world.now
+                if t.bounce == 0:
+                    travel = _travel_to_change(edges, t, q, direction, travel, 1 - s.on)
+                    if gone < travel <= last:
+                        s.next_edge = world.start + int(travel / speed * SECOND)
     axis.next_edge = least(axis.next_edge, s.edge)
 
 
@@ -75,21 +187,26 @@ def foresee(world, axes, table, switches, switch_table, clockwork, sensordata, q
 
     `moved`: qpos has moved since the sensors were read, by one step of the present qvel.
     """
-    half = clockwork.half
+    half, edges = clockwork.half, _flag_edges(clockwork)
     for a in range(len(axes)):
         axes[a].next_edge = NEVER
-        v = qvel[table[a].dof]
+        q, v = qpos[table[a].qpos], qvel[table[a].dof]
         for k in range(table[a].first_switch, table[a].end_switch):
             s, t = switches[k], switch_table[k]
-            s.dist = FAR
             if sensordata[t.found] > 0.0:
-                s.dist = sensordata[t.at] + (t.slope * v * 2.0 * half if moved else 0.0)
-            elif not s.on and t.forced <= 0 and s.toggles == 0:
-                s.edge = NEVER
-                continue
-            foresee_switch(world, axes[a], s, t, v, half)
+                q_sensed, dist = q - v * 2.0 * half if moved else q, sensordata[t.dist]
+                if moved and not s.sensed:
+                    _put_flag_ahead(edges, s, t, q_sensed, v, dist)
+                s.sensed = 1
+                _follow_flag(edges, s, t, q_sensed, dist)
+            else:
+                s.sensed, s.shift = 0, 0.0
+                if not s.on and t.forced <= 0 and s.toggles == 0:
+                    s.edge = s.next_edge = NEVER
+                    continue
+            predict_switch(world, axes[a], clockwork, s, t, q, v)
         if table[a].index_bit:
-            _foresee_index(world, axes[a], table[a], qpos[table[a].qpos], v, half)
+            _foresee_index(world, axes[a], table[a], q, v, half)
 
 
 @hot
@@ -116,7 +233,7 @@ def _meet_axis_edges(axis, t, c, j, switches, switch_table, now):
     for k in range(t.first_switch, t.end_switch):
         s = switches[k]
         if s.edge <= now:
-            s.edge = NEVER
+            s.edge, s.next_edge = s.next_edge, NEVER
             s.on = 1 - s.on
             if s.toggles or switch_table[k].bounce:
                 _bounce(s, switch_table[k], now)

@@ -20,7 +20,17 @@ from stage.chips import cores, links
 from stage.chips.entries import LOAD, SHAFT
 from stage.drives import drive, stepper
 from stage.native import array_at, called, hot, least
-from stage.sim.edges import foresee, foresee_switch, indexed, meet_edges, next_edge, note_input, off_index, switched
+from stage.sim.edges import (
+    foresee,
+    in_flag,
+    indexed,
+    meet_edges,
+    next_edge,
+    note_input,
+    off_index,
+    predict_switch,
+    switched,
+)
 from stage.sim.records import (
     ADDRESS,
     CALLBACKS,
@@ -299,7 +309,7 @@ def run(
 
 
 @hot
-def look_again(world_, axes, switches, table, switch_table, chips, clockwork_, qvel, a, edges, n_edges):
+def look_again(world_, axes, switches, table, switch_table, chips, clockwork_, qpos, qvel, a, edges, n_edges):
     """A fault of axis `a`'s switches has come or gone, at any moment in a window: their levels now, their edges in the rest
     of it. Returns how many edges are noted.
     """
@@ -308,7 +318,7 @@ def look_again(world_, axes, switches, table, switch_table, chips, clockwork_, q
     for k in range(t.first_switch, t.end_switch):
         if switch_table[k].forced >= 0:
             switches[k].toggles = 0
-        foresee_switch(world, axis, switches[k], switch_table[k], qvel[t.dof], clockwork_[0].half)
+        predict_switch(world, axis, clockwork_[0], switches[k], switch_table[k], qpos[t.qpos], qvel[t.dof])
     return meet_edges(chips[t.chip], axes, table, switches, switch_table, world.now, edges, n_edges)
 
 
@@ -322,9 +332,9 @@ def _settle_axis(c, world, axis, t, switches, switch_table, d, clockwork, qpos, 
     for k in range(SLICES):
         axis.counts[k] = drive.at_rest(d, axis.count)
     for k in range(t.first_switch, t.end_switch):
-        s = switches[k]
-        s.edge = NEVER
-        s.on = switch_table[k].forced if switch_table[k].forced >= 0 else (1 if s.dist <= 0.0 else 0)
+        s, row = switches[k], switch_table[k]
+        s.edge = s.next_edge = NEVER
+        s.on = row.forced if row.forced >= 0 else (1 if in_flag(clockwork, s, row, qpos[t.qpos]) else 0)
     word = switched(t, switches, switch_table, cores.inputs(c, t.chip_axis))
     if t.index_bit:
         axis.index_edge = axis.index_end = NEVER
@@ -342,7 +352,8 @@ def settle(world_, axes, drives, switches, table, switch_table, chips, clockwork
     world, clockwork = world_[0], clockwork_[0]
     world.powered = 1
     for k in range(len(switches)):
-        switches[k].toggles, switches[k].edge = 0, NEVER
+        s = switches[k]
+        s.toggles, s.edge, s.shift = 0, NEVER, 0.0
     foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, False)
     for a in range(len(axes)):
         t = table[a]

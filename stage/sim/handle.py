@@ -123,7 +123,7 @@ def look_again(h, axis):
     h.noted = engine.look_again(
         array_at(h.world, 1, WORLD), array_at(h.axes, h.n_axes, AXIS), array_at(h.switches, h.n_switches, SWITCH), table(h),
         array_at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h), array_at(h.clockwork, 1, CLOCKWORK),
-        array_at(h.qvel, h.nv, REAL),
+        array_at(h.qpos, h.nq, REAL), array_at(h.qvel, h.nv, REAL),
         axis, array_at(h.edges, h.edge_room, records.EDGE), h.noted,
     )  # fmt: skip
 

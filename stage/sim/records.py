@@ -13,7 +13,9 @@ from stage.sim.pins import PINS
 
 ADDRESS = np.dtype("i8")
 NEVER = 1 << 62
-FAR = 1.0  # distance of a vane that no sensor sees
+HYSTERESIS = (
+    25e-6  # m (rad on a hinge); a slotted optical switch lets go that much later than it trips (typical data sheets)
+)
 TURN = 2.0 * math.pi
 INDEX, INDEX_HYSTERESIS = 0.01, 5e-4  # turns: width of the encoder's index pulse, and by how much it lets go later
 SECOND = 1_000_000_000
@@ -28,9 +30,10 @@ AXIS = record(
 )
 """Mean pulse counts of the window's slices so far, the count at the last slice's end, time of the next input edge (ns); the
 encoder's index pulse: asserted, its next edge in this window, and the one after (ns)."""
-SWITCH = record([("dist", "f8"), ("edge", "i8"), ("on", "i8"), ("toggles", "i8"), ("until", "i8")])
-"""Distance vane to switch at `qpos`, time of its next edge (ns), asserted; of a contact that bounces, how often it will still
-toggle and when it will have come to rest (ns)."""
+SWITCH = record([("shift", "f8")] + [(name, "i8") for name in "sensed on edge next_edge toggles until".split()])
+"""How far the flag stands from where the plant has measured it, in joint units; whether the contact sensor sees the vane; asserted;
+times of the next edge in this window and of the one after it (ns); of a contact that bounces, how often it will still toggle and
+when it will have come to rest (ns)."""
 
 # --- constants ---
 CALLBACKS = 8  # that MuJoCo has
@@ -53,6 +56,8 @@ CLOCKWORK = record(
         ("mj_step", "i8"),
         ("mj_get_state", "i8"),
         ("state_spec", "i8"),
+        ("flag_edges", "i8"),
+        ("n_flag_edges", "i8"),
         ("clocks", "i8", (SLICES,)),
         ("callbacks", "i8", (CALLBACKS,)),
         ("native", "i8", (CALLBACKS,)),
@@ -62,7 +67,8 @@ CLOCKWORK = record(
 per sample (0: none), axes whose chips see an encoder, set their motor's current, see its load; chips that are linked; how many
 edges a window can have; of MuJoCo's callbacks, see stage.sim.callbacks: whether they are guarded, whether one has failed, where
 their addresses lie and what these are while nobody in Python is called; addresses of MuJoCo's functions, and which parts of its
-state a snapshot has; the clocks of a chip at the ends of the window's slices."""
+state a snapshot has; where the FLAG_EDGE records of all switches lie, and how many they are; the clocks of a chip at the ends of
+the window's slices."""
 CHIP_TABLE = cores.CHIP
 AXIS_TABLE = record(
     [(name, "i8") for name in "chip chip_axis qpos dof actuator first_switch end_switch index_bit positive".split()]
@@ -72,10 +78,13 @@ AXIS_TABLE = record(
 per joint unit; the pin bit of the index pulse (0: not connected) and where in the rotor's turn it stands, in turns; the pin bits
 whose sensors are high while they are on; counts of the encoder that the chip sees per joint unit (0: none)."""
 SWITCH_TABLE = record(
-    [(name, "i8") for name in "bit found at forced bounce toggles".split()] + [("slope", "f8"), ("hysteresis", "f8")]
+    [(name, "i8") for name in "bit found dist forced bounce toggles first_edge end_edge".split()] + [("turn", "f8")]
 )
-"""Pin bit, addresses in sensordata, d dist / d q; `forced`: -1 works, 0 stuck open, 1 stuck closed; how long a contact bounces
-after an edge (ns, 0: not at all), and how often it toggles in that time (even)."""
+"""Pin bit, addresses in sensordata; `forced`: -1 works, 0 stuck open, 1 stuck closed; how long a contact bounces after an edge (ns,
+0: not at all), and how often it toggles in that time (even); which FLAG_EDGE records are its own; after which travel of the joint
+the same edges come again (0: never)."""
+FLAG_EDGE = record([(name, "f8") for name in "at slope bend noise below above".split()])
+"""A place in the joint's travel where a vane enters or leaves its switch, see `stage.sim.plant.switches.FlagEdge`."""
 
 SAMPLE = record(
     [

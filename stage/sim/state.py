@@ -8,6 +8,7 @@ constants (only faults change them) are in arrays beside it. A HANDLE gives comp
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import astuple
 from typing import Any
 
 import mujoco
@@ -23,7 +24,6 @@ from stage.sim.plant import PlantAxis
 from stage.sim.wires import Wires
 
 SAVED = mujoco.mjtState.mjSTATE_INTEGRATION  # all of it: physics, and in userdata chips, drives, switches
-HYSTERESIS = 25e-6  # m; a slotted optical switch lets go that much later than it trips (typical data sheets)
 EDGES = 640
 LINK_EDGES = 64
 _FIELDS = records.WORLD.names or ()
@@ -67,6 +67,8 @@ class State:
     """AXIS_TABLE: which axis of which chip moves which joint, and which switches are its own."""
     switch_table: np.ndarray
     """SWITCH_TABLE: pin bit, sensor, geometry; and what faults do to a switch."""
+    flag_edges: np.ndarray
+    """FLAG_EDGE: where the vanes enter and leave their switches, switch after switch."""
     chip_table: np.ndarray
     """CHIP_TABLE: which core runs each chip, and where its state lies."""
     chip_axes: list[np.ndarray]
@@ -191,7 +193,7 @@ class State:
         wires: Wires,
     ) -> None:
         """The table of axes, that of switches, and of chips what they have to know of their axes."""
-        first = 0
+        first, flag_edges = 0, list[tuple[float, ...]]()
         for k, (p, chip_axis, drive) in enumerate(zip(plant, chip_axes, drives, strict=True)):
             chip, j, t = chip_axis.chip, chip_axis.index, self.axis_table[k]
             t.chip, t.chip_axis = chips.index(chip), j
@@ -208,9 +210,13 @@ class State:
             t.counts = drive.counts * p.gear / (2 * np.pi) if isinstance(drive, Servo) else encoders[k]
             t.first_switch, t.end_switch = first, first + len(p.switches)
             for row, s in zip(self.switch_table[first : t.end_switch], p.switches, strict=True):
-                row.bit, row.found, row.at, row.slope = chip.wired(s.pin), s.found, s.dist, s.slope
-                row.hysteresis, row.forced = HYSTERESIS * abs(s.slope), -1
+                row.bit, row.found, row.dist, row.forced = chip.wired(s.pin), s.found, s.dist, -1
+                row.first_edge, row.turn = len(flag_edges), s.turn
+                flag_edges += [astuple(edge) for edge in s.edges]
+                row.end_edge = len(flag_edges)
             first = int(t.end_switch)
+        self.flag_edges = np.array(flag_edges, records.FLAG_EDGE)
+        self.clockwork["flag_edges"], self.clockwork["n_flag_edges"] = address_of(self.flag_edges), len(flag_edges)
 
 
 def chips_of(axes: Sequence[ChipAxis]) -> tuple[Chip, ...]:

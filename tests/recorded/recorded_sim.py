@@ -103,9 +103,7 @@ def made(name):
             n: stage.state.axis_table[n]
             for n in ("chip", "chip_axis", "positive", "counts", "gear", "index_at", "index_bit")
         },
-        "switch table": digits(
-            repr(stage.state.switch_table[["bit", "forced", "bounce", "slope", "hysteresis"]].tolist())
-        ),
+        "switch table": digits(repr(stage.state.switch_table[["bit", "forced", "bounce"]].tolist())),
         "clockwork": [
             int(stage.state.clockwork[0][n]) for n in ("dt", "encoders", "currents", "loads", "linked", "most_edges")
         ],

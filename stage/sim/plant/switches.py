@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -14,7 +15,33 @@ from stage.sim.plant.problems import Problems, pair_line, sensor_line, slip
 
 LOOK_AHEAD = 0.5e-3  # m; a switch must be seen this far before the touch, so that the edge is found inside a step
 SCAN = 401  # joint positions tried over the range
+NARROWEST = 1e-7  # share of the range; flags are looked for down to this width
+LINEAR = 0.02  # share by which the distance beside an edge may miss its tangent
+TRUSTED = 0.95  # share of the travel over which it does so; where the contact's direction changes is beyond
+SMALLEST = 1e-12  # joint travel; below it the sensor and the joint's position do not differ
+FULL_TURN = 2 * np.pi
 _DATA_DIMS = (("FOUND", 1), ("FORCE", 3), ("TORQUE", 3), ("DIST", 1), ("POS", 3), ("NORMAL", 3), ("TANGENT", 3))
+
+
+@dataclass(frozen=True)
+class FlagEdge:
+    """A place in the joint's travel where a vane enters or leaves its switch.
+
+    Beside it, the contact sensor's distance over `slope` is the joint's travel from the edge, to `noise` + `bend` travel^2.
+
+    Attributes:
+        at: Joint position where the distance is 0.
+        slope: d dist / d q there: negative where the vane enters on the way to plus, positive where it leaves.
+        bend, noise: By how much the travel read from the sensor may miss the joint's, see above.
+        below, above: The travels read from the sensor, to minus and to plus, between which that holds.
+    """
+
+    at: float
+    slope: float
+    bend: float
+    noise: float
+    below: float
+    above: float
 
 
 @dataclass(frozen=True)
@@ -27,6 +54,8 @@ class Switch:
         touch: joint position at which the vane, coming from the middle of travel (to ORG: from plus), trips the switch.
         slope: d dist / d q there; -1 or 1 for flat faces on a slide, m/rad on a hinge.
         lookahead: joint travel before the touch over which `dist` is seen.
+        edges: all edges of its flag in the joint's travel, from minus to plus; both of a short flag.
+        turn: the joint travel after which they come again: a full turn of a hinge that turns as far, else 0.
     """
 
     pin: str
@@ -36,6 +65,8 @@ class Switch:
     touch: float
     slope: float
     lookahead: float
+    edges: tuple[FlagEdge, ...]
+    turn: float
 
 
 class SwitchFinder:
@@ -88,11 +119,12 @@ class SwitchFinder:
         if "FOUND" not in at or "DIST" not in at:
             self.problems.add(axis, f'sensor {name!r} needs data="found dist"', line)
             return None
-        edge = self._edge(joint, vane, switch, low, high, pin, scanned[vane, switch])
-        if isinstance(edge, str):
-            self.problems.add(axis, f"switch {pin}: the vane {edge}")
+        edges = self._find_edges(joint, (vane, switch), low, high, scanned[vane, switch])
+        if isinstance(edges, str):
+            self.problems.add(axis, f"switch {pin}: the vane {edges}")
             return None
-        q, slope = edge
+        entering, leaving = [e for e in edges if e[1] < 0], [e for e in edges if e[1] > 0]
+        q, slope = entering[0] if entering and (pin.endswith("plus") or not leaving) else leaving[-1]
         found, dist = at["FOUND"], at["DIST"]
         here = q + LOOK_AHEAD / slope
         self._forward(joint, here)
@@ -116,7 +148,11 @@ class SwitchFinder:
                 return None
         if pin.startswith("el"):
             self._holds_to_the_stop(axis, pin, joint, found, dist, q, high if pin == "el_plus" else low)
-        return Switch(pin, sensor, found, dist, q, slope, self._look_ahead(joint, found, q, slope, low, high))
+        lookahead = self._look_ahead(joint, found, q, slope, low, high)
+        hinge = m.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+        turn = FULL_TURN if hinge and high - low > FULL_TURN * (1 - NARROWEST) else 0.0
+        measured = [self._measure_edge(joint, found, dist, *edge, high - low) for edge in edges]
+        return Switch(pin, sensor, found, dist, q, slope, lookahead, _limit_to_one_distance(measured, turn > 0), turn)
 
     def _addresses(self, sensor: int) -> dict[str, int]:
         """Field -> address in sensordata."""
@@ -171,35 +207,74 @@ class SwitchFinder:
             return []
         return [set(pair) for pair in contact.geom[contact.efc_address >= 0].tolist()]
 
-    def _edge(
-        self, joint: int, vane: int, switch: int, low: float, high: float, pin: str, scanned: np.ndarray
-    ) -> tuple[float, float] | str:
-        """(joint position where the vane trips the switch, d dist / d q there), or what is wrong."""
-
-        def distance(q: float) -> float:
-            return self._distance(joint, q, vane, switch)
-
+    def _find_edges(
+        self, joint: int, pair: tuple[int, int], low: float, high: float, scanned: np.ndarray
+    ) -> list[tuple[float, float]] | str:
+        """Return all edges of the flag from `low` to `high`, (joint position, d dist / d q) of each, or what is wrong with it."""
         grid, dist = np.linspace(low, high, SCAN).tolist(), scanned.tolist()
-        here, sides = scanned[1:-1], (scanned[:-2], scanned[2:])
-        narrow = (here > 0) & (here <= np.minimum(*sides)) & (2 * here <= np.maximum(*sides))
-        for k in reversed((np.flatnonzero(narrow) + 1).tolist()):  # a narrow vane may pass between two positions tried
-            finer = np.linspace(grid[k - 1], grid[k + 1], 65)[1:-1]
-            grid[k : k + 1] = finer.tolist()
-            dist[k : k + 1] = self._far(joint, finer, [(vane, switch)])[:, 0].tolist()
+        for k in reversed((np.flatnonzero(_may_touch_between(scanned)) + 1).tolist()):
+            finer, near = self._refine_minimum(joint, pair, grid[k - 1], grid[k + 1], NARROWEST * (high - low))
+            grid[k : k + 1], dist[k : k + 1] = finer.tolist(), near.tolist()
         on = np.array(dist) <= 0
         if on.all():
             return f"trips it over the whole range {low:g} to {high:g}"
-        trips, leaves = np.flatnonzero(~on[:-1] & on[1:]), np.flatnonzero(on[:-1] & ~on[1:])
-        if not len(trips) and not len(leaves):
+        changes = np.flatnonzero(on[:-1] != on[1:]).tolist()
+        if not changes:
             k = int(np.argmin(dist))
             return f"cannot reach it: nearest at {grid[k]:g}, {dist[k] * 1e3:.3g} mm away (joint range {low:g} to {high:g})"
-        k = trips[0] if len(trips) and (pin.endswith("plus") or not len(leaves)) else leaves[-1]
-        a, b = grid[k], grid[k + 1]
+        edges = [self._find_edge(joint, pair, grid[k], grid[k + 1], high - low) for k in changes]
+        return edges if all(slope for _, slope in edges) else "grazes it: the distance does not change with the joint"
+
+    def _refine_minimum(
+        self, joint: int, pair: tuple[int, int], a: float, b: float, narrowest: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions between `a` and `b`, ever closer around where vane and switch are nearest, and their distances."""
+        while True:
+            finer = np.linspace(a, b, 65)
+            near = self._far(joint, finer, [pair])[:, 0]
+            may_touch = np.flatnonzero(_may_touch_between(near))
+            if (near <= 0).any() or not len(may_touch) or b - a < narrowest:
+                return finer[1:-1], near[1:-1]
+            k = int(may_touch[np.argmin(near[may_touch + 1])])
+            a, b = finer[k], finer[k + 2]
+
+    def _find_edge(self, joint: int, pair: tuple[int, int], a: float, b: float, span: float) -> tuple[float, float]:
+        """Return the joint position between `a` and `b` where the distance is 0, and d dist / d q there; 0 if it grazes it."""
+
+        def distance(q: float) -> float:
+            return self._distance(joint, q, *pair)
+
+        on = distance(b) <= 0
         while a < (q := 0.5 * (a + b)) < b:
-            a, b = (q, b) if (distance(q) <= 0) == on[k] else (a, q)
-        e = 1e-6 * (high - low)
-        slope = (distance(q + e) - distance(q - e)) / (2 * e)
-        return (float(q), slope) if slope else "grazes it: the distance does not change with the joint"
+            a, b = (a, q) if (distance(q) <= 0) == on else (q, b)
+        steps = span * np.geomspace(1e-6, 1e-2, 5)
+        slopes = [float((distance(q + e) - distance(q - e)) / (2 * e)) for e in steps]
+        right = [(slope < 0) == on and slope != 0 for slope in slopes]
+        steady = [ok and abs(s - t) <= LINEAR * abs(s) for ok, (s, t) in zip(right, pairwise(slopes), strict=False)]
+        choice = next((fit.index(True) for fit in (steady, right) if any(fit)), None)
+        return float(q), 0.0 if choice is None else slopes[choice]
+
+    def _measure_edge(
+        self, joint: int, found_address: int, dist_address: int, at: float, slope: float, span: float
+    ) -> FlagEdge:
+        """Find how far beside an edge the contact sensor tells the place, and how well."""
+        noise, bend, limits = SMALLEST, 0.0, []
+        steps = (span * np.geomspace(NARROWEST, 1, 41)).tolist()
+        for side in (-1, 1):
+            limit = 0.0
+            for step in steps:
+                self._forward(joint, at + side * step)
+                if not self.data.sensordata[found_address] > 0:
+                    break
+                sensed = float(self.data.sensordata[dist_address]) / slope
+                error = abs(sensed - side * step)
+                if step <= 100 * steps[0]:
+                    noise = max(noise, error)
+                elif error > noise + LINEAR * step:
+                    break
+                bend, limit = max(bend, 1.5 * (error - noise) / step**2), TRUSTED * sensed
+            limits.append(limit)
+        return FlagEdge(at, slope, bend, noise, *limits)
 
     def _look_ahead(self, joint: int, found: int, q: float, slope: float, low: float, high: float) -> float:
         """Joint travel before the touch over which the sensor finds the vane."""
@@ -259,3 +334,22 @@ class SwitchFinder:
             if low in by and high in by and by[low].touch > by[high].touch:
                 a, b = f"{low} trips at {by[low].touch:g}", f"{high} at {by[high].touch:g}"
                 self.problems.add(axis, f"{a}, {b}: in this order {meaning}")
+
+
+def _limit_to_one_distance(edges: list[FlagEdge], closed: bool) -> tuple[FlagEdge, ...]:
+    """Return the edges with limits such that a distance beyond them belongs to no place beside either neighbor.
+
+    closed: The last edge and the first are neighbors, too.
+    """
+    for k in range(0 if closed else 1, len(edges) if len(edges) > 1 else 0):
+        a, b = edges[k - 1], edges[k]
+        distance = min(abs(a.above * a.slope), abs(b.below * b.slope))
+        edges[k - 1] = replace(a, above=distance / abs(a.slope))
+        edges[k] = replace(b, below=-distance / abs(b.slope))
+    return tuple(edges)
+
+
+def _may_touch_between(dist: np.ndarray) -> np.ndarray:
+    """Return for each distance but the first and the last whether a narrow vane may pass the switch beside its position unseen."""
+    middle, sides = dist[1:-1], (dist[:-2], dist[2:])
+    return (middle > 0) & (middle <= np.minimum(*sides)) & (2 * middle <= np.maximum(*sides))
