@@ -5,11 +5,14 @@
 
 #include <cstdlib>
 #include <cstring>
+#include <fenv.h>
 #include <pthread.h>
 #include <setjmp.h>
 #include <signal.h>
 #include <stdexcept>
+#include <sys/ptrace.h>
 #include <sys/resource.h>
+#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -65,6 +68,11 @@ static int does(const char *what)
         throw std::runtime_error("nobody catches this");
     if (is("divide"))
         nothing = 5 / zero;
+    if (is("traps")) {
+        volatile double none = 0;
+        feenableexcept(FE_ALL_EXCEPT);
+        nothing = int(1 / none);
+    }
     if (is("free")) {
         void *volatile room = std::malloc(100);
         std::free(room);
@@ -100,6 +108,8 @@ static int does(const char *what)
     }
     if (is("leave"))
         pthread_exit(nullptr);
+    if (is("sysexit"))
+        syscall(SYS_exit, 0);
     if (is("fork")) {
         pid_t child = fork();
         ps_in8(0x301);
@@ -133,6 +143,10 @@ static int does(const char *what)
         ps_delay_us(100);
         sleep(5);
     }
+    if (is("halt"))
+        kill(getppid(), SIGSTOP);
+    if (is("trace"))
+        ptrace(PTRACE_ATTACH, getppid(), nullptr, nullptr);
     if (is("longjmp")) {
         static jmp_buf never;
         longjmp(never, 1);

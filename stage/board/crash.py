@@ -28,7 +28,17 @@ STACK = 16 << 20  # bytes, of the handler: that of the firmware may be full
 DEEPEST = 100  # calls
 SHOWN = 6  # of them in a message
 ENTRY = "pulsestage_main"
-ADDRESS = 16  # in siginfo_t
+CODE, ADDRESS = 8, 16  # in siginfo_t
+ARITHMETIC = {
+    1: "an integer was divided by 0 (or the smallest one by -1)",
+    2: "an integer overflowed",
+    3: "a floating-point number was divided by 0, and the firmware has turned traps on",
+    4: "a floating-point result was too large, and the firmware has turned traps on",
+    5: "a floating-point result was too small, and the firmware has turned traps on",
+    6: "a floating-point result was not exact, and the firmware has turned traps on",
+    7: "a floating-point operation was invalid (0 / 0, the root of a negative number), and the firmware has turned traps on",
+}
+"""What SIGFPE says by its code (FPE_INTDIV, ...); another code: somebody has sent the signal."""
 PLACES = {"x86_64": {"pc": 168, "sp": 160, "error": 192}, "aarch64": {"pc": 440, "sp": 432, "lr": 424}}
 """In ucontext_t: program counter, stack pointer, the register that has the return address; the processor's error code, whose bit
 1 says that it wrote."""
@@ -42,7 +52,7 @@ FORKED = b'"a process that it had forked crashed (it has no bus: only the firmwa
 
 class Crash(NamedTuple):
     """What the handler saw. frames: (library, symbol, offset in the library) of each call, the innermost first. jumped: to
-    the address, from the last place in frames."""
+    the address, from the last place in frames. code: si_code, what kind of the signal it was."""
 
     signal: int
     address: int
@@ -50,6 +60,7 @@ class Crash(NamedTuple):
     stack: bool
     frames: list[tuple[str, str, int]]
     jumped: bool = False
+    code: int = 0
 
 
 # --- in the child ---
@@ -136,7 +147,7 @@ def _seen(libc: Any, calls: Any, number: int, info: int, context: int) -> Crash:
         return int(ctypes.c_uint64.from_address(at).value)
 
     places = PLACES.get(platform.machine(), {})
-    address = word(info + ADDRESS) if number in TOUCHES and ctypes.c_int.from_address(info + 8).value > 0 else -1
+    address = word(info + ADDRESS) if number in TOUCHES and ctypes.c_int.from_address(info + CODE).value > 0 else -1
     pc = word(context + places["pc"]) if "pc" in places else None
     jumped = address >= 0 and pc == address
     if jumped:  # nobody can unwind from there: to read the code at the address is the next fault
@@ -148,12 +159,13 @@ def _seen(libc: Any, calls: Any, number: int, info: int, context: int) -> Crash:
     wrote = bool(word(context + places["error"]) & 2) if "error" in places else None
     near = address >= 0 and "sp" in places and abs(address - word(context + places["sp"])) < NULL
     frames = [_frame(libc, a - (k > 0)) for k, a in enumerate(found) if a]
-    return Crash(number, address, wrote, near and not jumped, frames, jumped)
+    code = ctypes.c_int.from_address(info + CODE).value
+    return Crash(number, address, wrote, near and not jumped, frames, jumped, code)
 
 
 def _from_a_fork(number: int, info: int) -> bool:
     """Whether another process has sent the signal, see `watch`."""
-    sent, sender = ctypes.c_int.from_address(info + 8).value, ctypes.c_int.from_address(info + 16).value
+    sent, sender = ctypes.c_int.from_address(info + CODE).value, ctypes.c_int.from_address(info + 16).value
     return number == signal.SIGABRT and sent == 0 and sender != os.getpid()
 
 
@@ -161,7 +173,7 @@ def _frame(libc: Any, address: int) -> tuple[str, str, int]:
     symbol = _Symbol()
     if not libc.dladdr(ctypes.c_void_p(address), ctypes.byref(symbol)):
         return "", "", address
-    return (symbol.file or b"").decode(), (symbol.name or b"").decode(), address - (symbol.base or 0)
+    return os.fsdecode(symbol.file or b""), os.fsdecode(symbol.name or b""), address - (symbol.base or 0)
 
 
 def file_of(address: int) -> str:
@@ -214,7 +226,7 @@ def _what(crash: Crash, names: set[str]) -> str:
             hint = " (memory-mapped I/O? --map makes bus cycles of it: docs/memory_mapped.md)"
         return f"{verb} address {crash.address:X}h{hint}"
     if crash.signal == signal.SIGFPE:
-        return "an integer was divided by 0"
+        return ARITHMETIC.get(crash.code, "")
     if any("rust_panic" in name or "std::panicking" in name for name in names):
         return "a panic in Rust"
     if any(name.startswith(("__cxa_throw", "_ZSt9terminatev", "_ZN10__cxxabiv1")) for name in names):

@@ -6,7 +6,7 @@ reasons below.
 
 from __future__ import annotations
 
-from stage.native import array_at, called, hot, record
+from stage.native import array_at, called, hot, record, usual_float_mode
 from stage.sim import handle
 from stage.sim.handle import chips, world
 from stage.sim.in_use import ENGINE, claim, release
@@ -143,9 +143,10 @@ def leave(h):
 
 @hot
 def call_out(h, function, argument):
-    """Call a function that may make requests."""
+    """Call a function that may make requests. What it makes of the floating-point mode is its own."""
     leave(h)
     _call(function, (argument,))
+    usual_float_mode()
     while not enter(h):  # another thread is inside, and soon out
         pass
 

@@ -304,7 +304,7 @@ class Isolated:
 
     def _ended_how(self) -> str:
         """How the child ended by itself."""
-        code = self._child.wait() if self._child is not None else 0
+        code = self._child.wait(self._patience + GRACE) if self._child is not None else 0
         stopped = self._child.stopped if self._child is not None else 0
         self._end()
         if stopped:

@@ -6,10 +6,14 @@
 
 The starter begins with the first of them and ends with this process. A child has the standard output, environment, folder and
 sys.path that this process has at its start.
+
+The starter is the parent of firmware, which may do anything to it. One that was ended, stopped, is traced, or does not answer
+within `ANSWER_LIMIT_S` is ended together with its children, and the next start makes another.
 """
 
 from __future__ import annotations
 
+import atexit
 import gc
 import os
 import pickle
@@ -20,6 +24,7 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -27,6 +32,8 @@ from typing import Any, NamedTuple
 
 _HEAD = struct.Struct("q")
 _STATUS = struct.Struct("i")
+ANSWER_LIMIT_S = 30.0  # real time; a starter imports all that children need before its first answer
+_LOOK_INTERVAL_S = 0.25  # between two looks at whether a silent starter was stopped
 _FILES = 4  # that go with a start: pipe, status, standard output, standard error
 _lock = threading.Lock()
 _ending: deque[tuple[Starter, int]] = deque()
@@ -51,7 +58,8 @@ class Process:
 
     def __init__(self, starter: Starter, status: socket.socket):
         self._starter, self._status = starter, status
-        self.pid: int = _HEAD.unpack(_read(status, _HEAD.size))[0]
+        self.pid: int = _HEAD.unpack(starter.read(status, _HEAD.size))[0]
+        starter.children.add(self.pid)
         self._code: int | None = None
         self.stopped = 0
 
@@ -60,26 +68,36 @@ class Process:
         if self._code is None:
             self._starter.kill(self.pid)
 
-    def wait(self) -> int:
-        """Wait for its end. Returns the exit code, minus the signal's number if one ended it."""
+    def wait(self, limit_s: float = ANSWER_LIMIT_S) -> int:
+        """Wait for its end; end it where it, or its starter, is silent for `limit_s` seconds of real time.
+
+        Returns:
+            Its exit code, or minus the number of the signal that ended it.
+        """
         if self._code is None:
             try:
-                status = _STATUS.unpack(_read(self._status, _STATUS.size))[0]
-                if os.WIFSTOPPED(status):
+                status = self._read_status(limit_s)
+                while os.WIFSTOPPED(status):
                     self.stopped = os.WSTOPSIG(status)
-                    status = _STATUS.unpack(_read(self._status, _STATUS.size))[0]
+                    status = self._read_status(limit_s)
                 self._code = os.waitstatus_to_exitcode(status)
-            except EOFError:  # the starter is gone, and its children with it
+            except (EOFError, OSError):  # the starter is gone, and its children with it
+                self._starter.end()
                 self._code = -signal.SIGKILL
+            self._starter.children.discard(self.pid)
             self._status.close()
         return self._code
 
+    def _read_status(self, limit_s: float) -> int:
+        return int(_STATUS.unpack(self._starter.read(self._status, _STATUS.size, limit_s))[0])
+
 
 class Starter:
-    """The end in this process."""
+    """The end in this process. children: the numbers of those that nobody has seen end."""
 
     def __init__(self, preload: str = "") -> None:
         self._owner = os.getpid()
+        self.children: set[int] = set()
         self._control, theirs = socket.socketpair()
         environment = os.environ | {
             "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
@@ -93,9 +111,41 @@ class Starter:
                 stdin=subprocess.DEVNULL, process_group=0, env=environment,
             )  # fmt: skip
 
-    def alive(self) -> bool:
-        """It can be asked."""
-        return self._process.poll() is None
+    def is_alive(self) -> bool:
+        """Whether it can be asked: it has not ended, and neither a signal nor a tracer has stopped it."""
+        return self._process.poll() is None and not _is_stopped(self._process.pid)
+
+    def end(self) -> None:
+        """End it and its children. A fork of this process ends nothing: these belong to the process that it comes from."""
+        if os.getpid() != self._owner:
+            return
+        if self._process.poll() is None:
+            for pid in self.children:  # it has not reaped them, so the numbers are still theirs
+                _end(pid)
+            self._process.kill()
+            self._process.wait()
+        self._control.close()
+
+    def read(self, source: socket.socket, size: int, limit_s: float = ANSWER_LIMIT_S) -> bytes:
+        """Read bytes that this starter sends.
+
+        Raises:
+            EOFError: The starter has ended.
+            TimeoutError: It was stopped, or has sent nothing for `limit_s` seconds of real time.
+        """
+        content, until = b"", time.monotonic() + limit_s
+        source.settimeout(_LOOK_INTERVAL_S)
+        while len(content) < size:
+            try:
+                more = source.recv(size - len(content))
+            except TimeoutError:
+                if time.monotonic() < until and not _is_stopped(self._process.pid):
+                    continue
+                raise
+            if not more:
+                raise EOFError
+            content += more
+        return content
 
     def start(self, pipe: int) -> Process:
         """A child with this end of a pipe."""
@@ -135,17 +185,51 @@ def _end_children() -> None:
 
 
 def start(pipe: int, preload: str = "") -> Process:
-    """A process that runs `stage.board.child` with this end of a pipe. preload: libraries that are loaded first.
+    """Start a process that runs `stage.board.child` with this end of a pipe.
 
-    Raises OSError, EOFError where none can be had.
+    Args:
+        pipe: File descriptor that the process gets.
+        preload: Libraries that are loaded first.
+
+    Raises:
+        OSError, EOFError: No process can be had, nor from a second starter.
     """
+    try:
+        return _find_starter(preload).start(pipe)
+    except (EOFError, TimeoutError, BrokenPipeError, ConnectionResetError):
+        _find_starter(preload, silent=True)
+    return _find_starter(preload).start(pipe)
+
+
+def _find_starter(preload: str, silent: bool = False) -> Starter:
+    """Return the starter of this process; another where it cannot be asked, or is `silent`."""
+    key = os.getpid(), preload
     with _lock:
-        key = os.getpid(), preload
         starter = _starters.get(key)
-        if starter is None or not starter.alive():
+        if starter is not None and (silent or not starter.is_alive()):
+            starter.end()
+            starter = None
+        if starter is None:
             starter = _starters[key] = Starter(preload)
     _end_children()
-    return starter.start(pipe)
+    return starter
+
+
+@atexit.register
+def _end_stopped() -> None:
+    """End starters that do not run: they would not notice the end of this process."""
+    for (owner, _), starter in _starters.items():
+        if owner == os.getpid() and not starter.is_alive():
+            starter.end()
+
+
+def _is_stopped(pid: int) -> bool:
+    """Whether a signal or a tracer has stopped a process; False where the system does not tell."""
+    try:
+        with open(f"/proc/{pid}/stat", "rb") as file:
+            return file.read().rpartition(b")")[2].split()[0] in (b"T", b"t")
+    except (OSError, IndexError):
+        return False
 
 
 def _folder() -> str:
@@ -175,6 +259,7 @@ def _serve(control: socket.socket, run: Callable[[int], None]) -> None:
     woken.setblocking(False)
     signal.set_wakeup_fd(woken.fileno(), warn_on_full_buffer=False)
     signal.signal(signal.SIGCHLD, lambda *_: None)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # firmware may send it to its parent
     children: dict[int, socket.socket] = {}
     with selectors.DefaultSelector() as selector:
         selector.register(control, selectors.EVENT_READ)
@@ -210,20 +295,34 @@ def _bury(children: dict[int, socket.socket]) -> None:
         pid, status = os.waitpid(-1, os.WNOHANG | os.WUNTRACED)
         if not pid:
             return
-        with suppress(OSError):
-            os.killpg(pid, signal.SIGKILL)  # one that was stopped, and what the firmware has started
+        stopped = os.WIFSTOPPED(status)
+        if pid not in children:  # a thread of firmware that has called ptrace(PTRACE_TRACEME)
+            pid = _find_process(pid) if stopped else 0
+        if pid not in children:
+            continue
+        _end(pid, ended=not stopped)  # and what the firmware has started
         with suppress(OSError):  # nobody waits any more
             children[pid].send(_STATUS.pack(status))
-        if not os.WIFSTOPPED(status):
+        if not stopped:
             children.pop(pid).close()
 
 
-def _end(pid: int) -> None:
-    """No child of this number any more, nor a process that it has started."""
+def _find_process(thread: int) -> int:
+    """Return the number of the process that a thread belongs to; 0 where there is no such thread."""
+    try:
+        with open(f"/proc/{thread}/status") as status:
+            return next((int(line.split()[1]) for line in status if line.startswith("Tgid:")), 0)
+    except OSError:
+        return 0
+
+
+def _end(pid: int, ended: bool = False) -> None:
+    """End a child, unless it has `ended`, and the processes that it has started."""
     with suppress(OSError):
         os.killpg(pid, signal.SIGKILL)
-    with suppress(OSError):
-        os.kill(pid, signal.SIGKILL)
+    if not ended:
+        with suppress(OSError):
+            os.kill(pid, signal.SIGKILL)
 
 
 def _become(world: World, files: list[int], run: Callable[[int], None]) -> None:

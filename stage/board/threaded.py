@@ -6,6 +6,7 @@ cycle) is abandoned, with a bus that has no effect any more.
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import threading
@@ -22,6 +23,8 @@ from stage.board.program import Loaded, Program
 
 PATIENCE = 20.0  # s of real time
 STACK = 64 << 20  # bytes
+TASKS = Path("/proc/self/task")
+"""The threads of this process, where the system lists them."""
 GOES_ON = " (Its thread goes on until the process ends; isolated=True ends such a loop.)"
 
 
@@ -138,6 +141,7 @@ class Threaded:
             code = int(loaded.main())
         except Exception as error:
             failed = error
+        _reset_float_environment()
         if self._may_exit:
             handlers.keep_timers_away()
         del exits.leavers[me]
@@ -193,6 +197,12 @@ class Threaded:
         while not self._stands.acquire(timeout=0.2):
             if self._left:
                 return
+            if self._has_lost_its_thread():
+                raise HostError(
+                    f"{self._path.name} has ended its thread by a system call (SYS_exit) at {board.stage.time:.6f} s, after "
+                    f"{board.cycles:,} bus cycles, and PULSESTAGE_MAIN has not returned. Return from there instead. "
+                    f"{board.trace.ending(12)}"
+                )
             now = (int(h["cycles"]), board.stage.now, board.link.calls)
             if now != seen or board.link.calls % 2:  # a call may have much to do
                 seen, since = now, time.monotonic()
@@ -200,6 +210,16 @@ class Threaded:
                 since = time.monotonic()
             elif time.monotonic() - since > self._patience:
                 raise HostError(self._computes(int(h["answers"])))
+
+    def _has_lost_its_thread(self) -> bool:
+        """Whether the firmware's thread has ended without a return of PULSESTAGE_MAIN."""
+        thread = self._thread
+        if thread is None or thread.native_id is None or not TASKS.is_dir() or (TASKS / str(thread.native_id)).is_dir():
+            return False
+        if self._stands.acquire(blocking=False):  # it has stood still or returned meanwhile: the caller is to see that
+            self._stands.release()
+            return False
+        return True
 
     def _computes(self, answers: int) -> str:
         """The patience with it is over; answers: see HOST."""
@@ -235,10 +255,17 @@ class Threaded:
         self._thread = None
 
 
+def _reset_float_environment() -> None:
+    """Let this thread compute in the usual mode again, whatever traps and rounding firmware has left: Python goes on in it."""
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "fesetenv"):
+        libc.fesetenv(ctypes.c_void_p(-1))  # FE_DFL_ENV
+
+
 def native_threads() -> set[int]:
     """The threads of this process that are not Python's, where the system lists them."""
     try:
-        listed = {int(name) for name in os.listdir("/proc/self/task")}
+        listed = {int(name) for name in os.listdir(TASKS)}
     except OSError:
         return set()
     return listed - {thread.native_id for thread in threading.enumerate()}

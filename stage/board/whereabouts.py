@@ -12,6 +12,7 @@ import signal
 import struct
 import threading
 import time
+from contextlib import suppress
 from typing import Any
 
 from stage.board import crash
@@ -47,7 +48,8 @@ def of(thread: threading.Thread | None) -> tuple[int, int]:
     _noted[0] = 0
     libc.sigaction(number, ctypes.byref(action), ctypes.byref(before))
     try:
-        signal.pthread_kill(thread.ident, number)
+        with suppress(OSError):  # the thread has ended without Python's knowledge
+            signal.pthread_kill(thread.ident, number)
         until = time.monotonic() + PATIENCE
         while not _noted[0] and time.monotonic() < until:
             time.sleep(0.002)
