@@ -123,7 +123,7 @@ def memory(kind, id_, n, settings):
     if not os.path.exists("/proc/self/statm"):
         return float("nan")
     what = [sys.executable, __file__, "--grow", kind, id_, str(n), "--settings", json.dumps(settings)]
-    out = subprocess.run(what, capture_output=True, text=True)
+    out = subprocess.run(what, capture_output=True, text=True, errors="replace")
     if out.returncode:
         raise SystemExit(out.stderr)
     return float(out.stdout)

@@ -34,7 +34,7 @@ class Page:
 
     def __init__(self) -> None:
         command = [sys.executable, "-m", "stage", "panel", "xy", "--port", "0", "--no-browser"]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, errors="replace")
         assert self.process.stdout is not None
         self.address = self.process.stdout.readline().strip()
         options = webdriver.ChromeOptions()

@@ -78,7 +78,7 @@ def measured(host: Client) -> dict[str, float]:
 
 def main() -> None:
     command = [sys.executable, "-m", "stage", "serve", "--listen", "0", "--chips", "pcl240mk"]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, errors="replace")
     assert server.stdout is not None
     address = next(found[1] for line in server.stdout if (found := re.match(r"listening on ([\d.:]+);", line)))
     threading.Thread(target=server.stdout.read, daemon=True).start()

@@ -62,7 +62,9 @@ class Person:
             k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "DISPLAY", "WAYLAND_DISPLAY", "VIRTUAL_ENV")
         }
         clean["PATH"] = f"{self.bin}{os.pathsep}{clean['PATH']}"
-        done = subprocess.run(command, cwd=self.folder, env=clean, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            command, cwd=self.folder, env=clean, capture_output=True, text=True, errors="replace", check=False
+        )
         if done.returncode:
             raise Wrong(f"{self.page.name}: {shlex.join(command)}\n{done.stdout}{done.stderr}")
         return done.stdout
@@ -73,7 +75,7 @@ class Person:
 
         if self._session is None:
             self._session = subprocess.Popen(
-                [str(self.bin / "python"), "-c", SESSION], cwd=self.folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+                [str(self.bin / "python"), "-c", SESSION], cwd=self.folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, errors="replace"
             )  # fmt: skip
         self._session.stdin.write(json.dumps(step.text) + "\n")
         self._session.stdin.flush()

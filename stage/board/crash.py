@@ -13,12 +13,13 @@ import os
 import platform
 import shutil
 import signal
-import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
+
+from stage.processes import run_program
 
 HERE = sys.platform == "linux" and sys.maxsize > 1 << 32
 """Where the handler knows what a signal brings."""
@@ -266,7 +267,7 @@ def _by_addr2line(library: Path, offsets: list[int]) -> dict[int, str]:
     if tool is None or not offsets:
         return {}
     command = [tool, "-f", "-C", "-e", str(library), *(f"{offset:#x}" for offset in offsets)]
-    lines = subprocess.run(command, capture_output=True, text=True, check=False).stdout.splitlines()
+    lines = run_program(command).stdout.splitlines()
     found = {}
     for offset, function, line in zip(offsets, lines[::2], lines[1::2], strict=False):
         line = line.split(" (")[0]

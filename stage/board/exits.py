@@ -109,9 +109,9 @@ def _slots(library: Loaded, wanted: Container[str]) -> Iterator[tuple[int, str]]
         found = np.frombuffer(raw, _RELOCATION)
         numbers = found["info"] >> 32
         for number in np.unique(numbers[numbers > 0]).tolist():
-            name = ctypes.string_at(
-                names + ctypes.c_uint32.from_address(symbols + _SYMBOL_SIZE * number).value
-            ).decode()
+            name = ctypes.string_at(names + ctypes.c_uint32.from_address(symbols + _SYMBOL_SIZE * number).value).decode(
+                errors="replace"
+            )
             if name in wanted:
                 for offset in found["offset"][numbers == number].tolist():
                     yield base + offset, name

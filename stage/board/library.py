@@ -9,7 +9,6 @@ import platform
 import re
 import shutil
 import struct
-import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -24,6 +23,7 @@ from stage.board.handlers import Handlers
 from stage.board.scratch import Scratch
 from stage.errors import ArgumentError
 from stage.files import FileError
+from stage.processes import run_program
 
 ABI = 1
 SOURCES = (".c", ".cc", ".cpp", ".cxx", ".ino")
@@ -127,7 +127,7 @@ def build(
 
 
 def _compile(source: Path, command: list[str], platform: platforms.Platform | None = None) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = run_program(command)
     if done.returncode:
         said = (done.stderr + done.stdout).strip()
         raise CompileError(f"{source} does not compile ({command[0]}):\n{said}{platforms.hint(platform, said)}", said)
@@ -137,7 +137,7 @@ def _compile(source: Path, command: list[str], platform: platforms.Platform | No
 def _own_statics(compiler: str) -> tuple[str, ...]:
     """GCC makes static variables of inline functions and templates one for all copies of a library in a process, even of different
     runs. Other compilers do not, and do not know the flag."""
-    said = subprocess.run([*compiler.split(), "--version"], capture_output=True, text=True, check=False).stdout
+    said = run_program([*compiler.split(), "--version"]).stdout
     return ("-fno-gnu-unique",) if "Free Software Foundation" in said else ()
 
 
@@ -247,9 +247,10 @@ class Library:
         mode = compute_as_usual.c()
         try:
             self._library = ctypes.CDLL(str(own), mode=_mode(path))
-        except OSError as error:
+        except (OSError, UnicodeDecodeError) as error:  # ctypes decodes what the loader says as UTF-8
             self._scratch.close()
-            said = str(error).replace(str(own), str(path)).removeprefix(f"{path}: ")
+            whole = error.object.decode(errors="replace") if isinstance(error, UnicodeDecodeError) else str(error)
+            said = whole.replace(str(own), str(path)).removeprefix(f"{path}: ")
             raise LibraryError(
                 f"{path} cannot be loaded: {said}. Link what it needs into it, or add a source that has it (a function of a "
                 f"platform that is not emulated: docs/porting.md); it is built so: {how_to_build(path)}"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import mmap
+import os
 import platform
 import struct
 from collections import deque
@@ -273,7 +274,7 @@ def _in_use(begin: int, end: int) -> str:
     for mapped, pages in _claims.items():
         if any(b < end and begin < e for b, e in pages):
             return f"a window of {mapped._library.path.name}, which has not returned, is there"
-    for line in Path("/proc/self/maps").read_text().splitlines():
+    for line in os.fsdecode(Path("/proc/self/maps").read_bytes()).splitlines():
         place, *rest = line.split(maxsplit=5)
         low, high = (int(n, 16) for n in place.split("-"))
         if low < end and begin < high:

@@ -245,7 +245,7 @@ class Shared:
 
     def note(self, now: int, text: str) -> bool:
         """One more line; False if there is no room for it."""
-        content, begin = text.encode()[: TEXT // 2], self._used[0]
+        content, begin = text.encode(errors="replace")[: TEXT // 2], self._used[0]
         end = begin + _LINE.size + len(content)
         if end > TEXT:
             return False

@@ -310,7 +310,7 @@ def _bury(children: dict[int, socket.socket]) -> None:
 def _find_process(thread: int) -> int:
     """Return the number of the process that a thread belongs to; 0 where there is no such thread."""
     try:
-        with open(f"/proc/{thread}/status") as status:
+        with open(f"/proc/{thread}/status", errors="replace") as status:
             return next((int(line.split()[1]) for line in status if line.startswith("Tgid:")), 0)
     except OSError:
         return 0

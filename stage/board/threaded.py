@@ -31,7 +31,7 @@ GOES_ON = " (Its thread goes on until the process ends; isolated=True ends such 
 def debugged(process: int | str = "self") -> bool:
     """Whether a debugger holds a process: it may stand still for as long as somebody looks."""
     try:
-        with open(f"/proc/{process}/status") as status:
+        with open(f"/proc/{process}/status", errors="replace") as status:
             return any(line.startswith("TracerPid:") and line.split()[1] != "0" for line in status)
     except OSError:
         return False
@@ -40,7 +40,7 @@ def debugged(process: int | str = "self") -> bool:
 def handles_timers(process: int) -> bool:
     """Whether a process has a handler for one of the signals of setitimer, of alarm or of timer_create."""
     try:
-        with open(f"/proc/{process}/status") as status:
+        with open(f"/proc/{process}/status", errors="replace") as status:
             caught = next((int(line.split()[1], 16) for line in status if line.startswith("SigCgt:")), 0)
     except OSError:
         return False

@@ -60,7 +60,7 @@ def interrupted(args: argparse.Namespace) -> str:
 
 def as_json(run: Callable[[argparse.Namespace], int], args: argparse.Namespace) -> int:
     """Run a command; print its facts, the files that it wrote and what it warned of, also where Ctrl-C ends it."""
-    with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
+    with open(os.devnull, "w", encoding="utf-8", errors="replace") as nowhere, redirect_stdout(nowhere):
         try:
             code = run(args)
         except KeyboardInterrupt as stop:

@@ -161,7 +161,7 @@ def write_trace(args: argparse.Namespace, board: Any) -> None:
         print(board.trace.text())
     elif args.trace:
         with written(args.trace, args.force) as part:
-            part.write_text(board.trace.text() + "\n")
+            part.write_text(board.trace.text() + "\n", encoding="utf-8", errors="backslashreplace")
         wrote(args, args.trace, f"{len(board.trace):,} lines of bus cycles")
 
 

@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> int:
     ends_as(args.output, *MODEL)
     writable(args.output, args.force, ask="give --force")
     with written(args.output, args.force) as part:
-        part.write_text(text)
+        part.write_text(text, encoding="utf-8")
     from stage.sim import plant
 
     model = plant.open_spec(args.output).compile()

@@ -1,4 +1,7 @@
-"""Standard output that is closed while a command runs, as in `stage demo | head -1`: the command continues and writes its files."""
+"""Standard output that does not take what a command prints: the command continues and writes its files.
+
+It may be closed on the way, as in `stage demo | head -1`, or lack a character, as ASCII lacks most.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,20 @@ from typing import Any
 
 
 class Output:
-    """A text stream that drops everything after the first write that fails; `error` is what it failed with."""
+    """A text stream that drops everything after the first write that fails; `error` is what it failed with.
+
+    A character that the stream cannot encode is written as an escape, such as \\xb5, as standard error does it.
+    """
 
     def __init__(self, stream: Any):
         self._stream = stream
         self.error: OSError | None = None
 
     def write(self, text: str) -> int:
-        self._try(self._stream.write, text)
+        try:
+            self._try(self._stream.write, text)
+        except UnicodeEncodeError as error:
+            self._try(self._stream.write, text.encode(error.encoding, "backslashreplace").decode(error.encoding))
         return len(text)
 
     def flush(self) -> None:

@@ -27,6 +27,7 @@ from typing import Any
 
 from stage.errors import NativeError
 from stage.native import load, seal
+from stage.processes import ENCODING, ERRORS
 
 NUMBA = "0.68.1"
 """The one version that libraries are made with: what it lowers to is part of what they do."""
@@ -166,7 +167,7 @@ def _emit(parts: list[list[str]], roots: dict[str, Path], processor: str, say: _
         "workers": min(len(parts), os.cpu_count() or 1),
     }
     process: Any = subprocess.Popen(
-        [sys.executable, "-m", "stage.native.emit"], env=environment, text=True,
+        [sys.executable, "-m", "stage.native.emit"], env=environment, encoding=ENCODING, errors=ERRORS,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
     with process:

@@ -179,7 +179,7 @@ def folders(package: str) -> dict[str, Path]:
     if project.is_file():
         import tomllib  # for a checkout only
 
-        settings = tomllib.loads(project.read_text()).get("tool", {}).get("setuptools", {})
+        settings = tomllib.loads(project.read_text(encoding="utf-8")).get("tool", {}).get("setuptools", {})
         for name, folder in settings.get("package-dir", {}).items():
             if name.startswith(f"{package}."):
                 found[name] = root.parent / folder

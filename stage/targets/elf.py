@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import struct
-import subprocess
 from bisect import bisect_right
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import NamedTuple
 
 from stage.board.errors import LibraryError
 from stage.files import FileError
+from stage.processes import run_program
 
 AVR, ARM = 83, 40
 MACHINES = {
@@ -128,7 +128,7 @@ class Elf:
             for place in range(at, at + size, _SYMBOL.size):
                 name_at, value, _, info, _, section = _SYMBOL.unpack_from(self._content, place)
                 begin = names + name_at
-                name = self._content[begin : self._content.index(b"\0", begin)].decode()
+                name = self._content[begin : self._content.index(b"\0", begin)].decode(errors="replace")
                 if not name or not section:
                     continue
                 found[name] = value
@@ -155,9 +155,7 @@ class Elf:
     def _line(self, address: int) -> str:
         for tool in ADDR2LINE:
             if shutil.which(tool):
-                done = subprocess.run(
-                    [tool, "-e", str(self.path), hex(address)], capture_output=True, text=True, check=False
-                )
+                done = run_program([tool, "-e", str(self.path), hex(address)])
                 line = done.stdout.strip().split(" (")[0]
                 if done.returncode == 0 and line and not line.startswith("??") and not line.endswith((":?", ":0")):
                     return Path(line).name

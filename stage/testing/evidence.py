@@ -41,7 +41,8 @@ def folder(config: pytest.Config, nodeid: str) -> Path:
     )
     name = re.sub(r"[^\w.=+-]+", "_", nodeid.replace("/", ".").replace("::", ".")).strip("_")[:LONGEST]
     if not re.fullmatch(r"[\w./:]+", nodeid) or len(nodeid) > LONGEST:  # something was lost
-        name += f"-{hashlib.sha256(nodeid.encode()).hexdigest()[:6]}"
+        digest = hashlib.sha256(nodeid.encode(errors="backslashreplace")).hexdigest()
+        name += f"-{digest[:6]}"
     return where / name
 
 
@@ -149,7 +150,7 @@ class Watch:
             new = not self.folder.parent.exists()
             self.folder.mkdir(parents=True, exist_ok=True)
             if new:
-                (self.folder.parent / ".gitignore").write_text("*\n")
+                (self.folder.parent / ".gitignore").write_text("*\n", encoding="utf-8")
         except OSError as error:
             return f"nothing is saved: {self.folder} cannot be made ({error.strerror})."
         lines = ["saved:"]
@@ -162,7 +163,14 @@ class Watch:
             lines.append("  no recording: it was off, by record=False or pulsestage_record")
         if bus:
             text = "\n".join(bus) + "\n"
-            lines.append(self._saved("bus trace", "bus.txt", "less", lambda path: path.write_text(text)))
+            lines.append(
+                self._saved(
+                    "bus trace",
+                    "bus.txt",
+                    "less",
+                    lambda path: path.write_text(text, encoding="utf-8", errors="backslashreplace"),
+                )
+            )
         return "\n".join(lines)
 
     def _saved(self, what: str, name: str, opener: str, save: Callable[[Path], Any]) -> str:

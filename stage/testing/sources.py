@@ -34,7 +34,7 @@ def library_of(request: pytest.FixtureRequest, arguments: dict[str, Any]) -> Pat
 
 def _built(folder: Path, sources: list[Path], flags: tuple[str, ...], platform: str | None, metered: bool) -> Path:
     said = [*(compiler(source) for source in sources), *flags, *map(str, sources), f"for {platform}", str(metered)]
-    key = hashlib.sha256("\0".join(said).encode())
+    key = hashlib.sha256(os.fsencode("\0".join(said)))
     for source in platforms.whole(sources):
         key.update(source.read_bytes())
     made = folder / key.hexdigest()[:16] / f"{sources[0].stem}.so"

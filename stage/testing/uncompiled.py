@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import Any
 
 from stage.chips import Chip
+from stage.processes import ENCODING, ERRORS
 from stage.testing.hands import do
 from stage.testing.trial import Trial
 
@@ -20,7 +21,7 @@ def compare(kind: type[Chip], options: dict[str, Any], seed: int, programs: int,
     job = json.dumps([kind.__module__, kind.__qualname__, options, seed, programs, sys.path])
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "stage.testing.uncompiled"], input=job, text=True, capture_output=True,
+            [sys.executable, "-m", "stage.testing.uncompiled"], input=job, capture_output=True, encoding=ENCODING, errors=ERRORS,
             env=os.environ | {"NUMBA_DISABLE_JIT": "1"}, timeout=limit,
         )  # fmt: skip
     except subprocess.TimeoutExpired:

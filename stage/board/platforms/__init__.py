@@ -16,6 +16,8 @@ from stage.board.platforms.sketch import SKETCH, folder_of, translated
 from stage.errors import ArgumentError, unknown
 
 HERE = Path(__file__).parent
+BYTES_KEPT = {"encoding": "utf-8", "errors": "surrogateescape"}
+"""How sources are read and written: those of other encodings keep their bytes."""
 
 
 @dataclass(frozen=True)
@@ -128,14 +130,14 @@ def recipe(platform: Platform | None, sources: Sequence[Path], folder: Path) -> 
     function is missing that the program begins with."""
     if platform is None:
         return Recipe(tuple(map(str, sources)), (), any(s.suffix != ".c" for s in sources))
-    texts = {source: source.read_text(errors="replace") for source in sources}
+    texts = {source: source.read_text(**BYTES_KEPT) for source in sources}
     sketches = [source for source in sources if source.suffix == SKETCH]
     files = [source for source in sources if source.suffix != SKETCH]
     flags = [f"-I{HERE / name}" for name in platform.folders]
     flags += ["-idirafter", str(HERE / platform.defaults)] if platform.defaults else []
     if sketches:
         made = folder / f"{sketches[0].stem}.ino.cpp"
-        made.write_text(translated({source: texts[source] for source in sketches}))
+        made.write_text(translated({source: texts[source] for source in sketches}), **BYTES_KEPT)
         files.insert(0, made)
         flags.append(f"-I{sketches[0].parent}")
     if not any("PULSESTAGE_MAIN" in text or "pulsestage_main" in text for text in texts.values()):

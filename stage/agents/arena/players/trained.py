@@ -30,7 +30,7 @@ def play(table: Table) -> None:
     if kind not in FEATURES:
         formula(table)
         return
-    weights = np.array(json.loads(files(__package__).joinpath("trained.json").read_text())[kind])
+    weights = np.array(json.loads(files(__package__).joinpath("trained.json").read_text(encoding="utf-8"))[kind])
     seen = table.call("observe").data["observation"]
     while not table.over:
         answer = table.call("act", arguments(action(weights, features(kind, seen))))
