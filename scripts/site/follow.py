@@ -75,7 +75,8 @@ class Person:
 
         if self._session is None:
             self._session = subprocess.Popen(
-                [str(self.bin / "python"), "-c", SESSION], cwd=self.folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, errors="replace"
+                [str(self.bin / "python"), "-c", SESSION], cwd=self.folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                text=True, errors="replace",
             )  # fmt: skip
         self._session.stdin.write(json.dumps(step.text) + "\n")
         self._session.stdin.flush()
