@@ -6,8 +6,16 @@ from collections.abc import Iterable
 from typing import NamedTuple, Self
 
 
+def escape(text: str) -> str:
+    """Write escapes for what UTF-8 cannot encode: the bytes of file names in other encodings."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
 class StageError(Exception):
-    """Base of every error that PulseStage raises."""
+    """Base of every error that PulseStage raises. Its text can be encoded, whatever the names of files in it."""
+
+    def __str__(self) -> str:
+        return escape(super().__str__())
 
 
 class Limit(NamedTuple):
@@ -39,7 +47,7 @@ class UnknownKey(ArgumentError, KeyError):
     """A mapping has no such key: a KeyError as well, but printed as plain text."""
 
     def __str__(self) -> str:
-        return str(self.args[0])
+        return escape(str(self.args[0]))
 
 
 class ModelError(StageError, ValueError):

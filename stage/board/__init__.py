@@ -1,13 +1,21 @@
 """The host's side: chips behind the ports of a bus, and firmware in C that drives them."""
 
 from stage.board.board import Board
-from stage.board.errors import CompileError, HostError, HostTimeout, LibraryError, NoCompilerError, StormError
+from stage.board.errors import (
+    CompileError,
+    CompilerWarning,
+    HostError,
+    HostTimeout,
+    LibraryError,
+    NoCompilerError,
+    StormError,
+)
 from stage.board.layouts import LAYOUTS, Layout
 from stage.board.library import build, include
 from stage.board.native import NativeHost, Result
 from stage.board.trace import BusTrace, Cycle
 
 __all__ = [
-    "LAYOUTS", "Board", "BusTrace", "CompileError", "Cycle", "HostError", "HostTimeout", "Layout", "LibraryError", "NativeHost",
-    "NoCompilerError", "Result", "StormError", "build", "include",
+    "LAYOUTS", "Board", "BusTrace", "CompileError", "CompilerWarning", "Cycle", "HostError", "HostTimeout", "Layout",
+    "LibraryError", "NativeHost", "NoCompilerError", "Result", "StormError", "build", "include",
 ]  # fmt: skip

@@ -17,6 +17,10 @@ class CompileError(StageError):
         self.output = output
 
 
+class CompilerWarning(UserWarning):
+    """What the compiler or linker said of firmware that it has built."""
+
+
 class NoCompilerError(StageError):
     """There is no C compiler."""
 

@@ -11,6 +11,7 @@ import shutil
 import struct
 import sys
 import tempfile
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,10 @@ from typing import Any
 from stage.arguments import told
 from stage.board import exits, platforms
 from stage.board.bus import REQUEST, compute_as_before, compute_as_usual
-from stage.board.errors import CompileError, LibraryError, NoCompilerError
+from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCompilerError
 from stage.board.handlers import Handlers
 from stage.board.scratch import Scratch
-from stage.errors import ArgumentError
+from stage.errors import ArgumentError, escape
 from stage.files import FileError
 from stage.processes import run_program
 
@@ -31,6 +32,15 @@ ENTRY = "pulsestage_main"
 NEVER = (1 << 63) - 1  # of what a meter counts
 OWN_FIRST = ("-Wl,-Bsymbolic",) if sys.platform == "linux" else ()
 """Calls within the firmware go to its own functions, whatever their names."""
+COMPLETE = ("-lm", "-Wl,-z,defs") if sys.platform == "linux" else ()
+"""What no library is to lack, for the linker."""
+HINT = (
+    "\nAdd the source or library that has it. A function of a platform may not be emulated (docs/porting.md); one in C that C++ "
+    'calls is declared extern "C".'
+)
+_UNDEFINED = re.compile(r"undefined (?:reference to|symbol:?) [`'\"]?(.+?)['\"]?$", re.M)
+_OF_LINKER = re.compile(r"^collect2: |ld returned \d|linker command failed", re.M)
+_OF_GCC = "-fno-gnu-unique"
 METER = Path(__file__).parent / "meter.c"
 """What counts the basic blocks of firmware whose computing takes time."""
 _MACHINES = {
@@ -44,6 +54,13 @@ _MACHINES = {
     243: "RISC-V",
 }
 _OURS = {"x86_64": "x86-64", "AMD64": "x86-64", "arm64": "aarch64"}
+
+
+def _demangle(said: str) -> str:
+    """Write names of C++ functions as their source has them, where there is c++filt."""
+    for name in dict.fromkeys(re.findall(r"\b_Z\w+", said)) if shutil.which("c++filt") else ():
+        said = said.replace(name, run_program(["c++filt", name]).stdout.strip() or name)
+    return said
 
 
 class BusStruct(ctypes.Structure):
@@ -88,12 +105,25 @@ def build(
     platform: str | None = None,
     metered: bool = False,
 ) -> Path:
-    """Build a firmware library from C or C++ sources; returns its path.
+    """Build a firmware library from C or C++ sources.
 
-    output: default a file in a folder for temporary files. flags: for the compiler, after -O2 -g and the
-    sources, so that libraries can be among them. platform: what the sources were written for, see stage.board.platforms.
-    metered: the library counts its basic blocks, for NativeHost(cost=...).
-    Raises FileError, NoCompilerError, CompileError with what the compiler said, ArgumentError.
+    C is compiled as C, also beside C++. What the compiler and linker say of a library that they have built is a CompilerWarning.
+
+    Args:
+        sources: One source, or a sequence.
+        output: The library; default: a file in a folder for temporary files.
+        flags: For the compiler, after -O2 -g and the sources, so that libraries can be among them.
+        platform: What the sources were written for, see stage.board.platforms.
+        metered: Whether the library counts its basic blocks, for NativeHost(cost=...).
+
+    Returns:
+        The path of the library.
+
+    Raises:
+        FileError: A source is missing.
+        NoCompilerError: There is no compiler.
+        CompileError: A source does not compile, or a function is missing; with what the compiler or linker said.
+        ArgumentError: Nothing to build, or an output that is a source.
     """
     files = [Path(s) for s in ([sources] if isinstance(sources, str | os.PathLike) else sources)]
     if not files:
@@ -116,21 +146,92 @@ def build(
             _compile(
                 METER, [*compiler(METER).split(), "-c", "-fPIC", "-O2", f"-I{include()}", str(METER), "-o", str(meter)]
             )
-        recipe = platforms.recipe(of, files, Path(folder))
-        name = compiler(files[0] if not recipe.cplusplus else "x.cpp")
+        recipe = platforms.recipe(
+            of, files, Path(folder), lambda source, given: _needs_cplusplus(source, given, flags, folder)
+        )
+        common = ["-fPIC", "-O2", "-g", *recipe.flags, f"-I{include()}"]
+        said, objects = [], []
+        for k, source in enumerate(recipe.c_files):
+            objects.append(f"{folder}/{k}-{source.stem}.o")
+            command = [*compiler("x.c").split(), "-c", *common, *_flags_of_c(flags), str(source), "-o", objects[-1]]
+            said.append(_compile(source, command, of))
+        name = compiler("x.cpp" if recipe.cplusplus else "x.c")
         command = [
-            *name.split(), "-shared", "-fPIC", "-O2", "-g", *recipe.flags, f"-I{include()}", *OWN_FIRST,
-            *(_own_statics(name) if recipe.cplusplus else ()), *recipe.files, *flags, "-o", str(made),
+            *name.split(), "-shared", *common, *OWN_FIRST, *recipe.cplusplus_flags,
+            *(_flags_of_cplusplus(name, recipe.is_like_c, tuple(flags)) if recipe.cplusplus else ()),
+            *recipe.files, *objects, *flags, "-o", str(made),
         ]  # fmt: skip
-        _compile(files[0], command, of)
+        said.append(_link(files, command, of))
+        if warning := "\n".join(filter(None, said)):
+            warnings.warn(escape(f"{files[0]}: the compiler warns:\n{warning}"), CompilerWarning, stacklevel=2)
     return made
 
 
-def _compile(source: Path, command: list[str], platform: platforms.Platform | None = None) -> None:
+def _compile(source: Path, command: list[str], platform: platforms.Platform | None = None) -> str:
+    """Run a compiler; return what it said. Raises CompileError."""
+    has_failed, said = _run(command)
+    if has_failed:
+        raise _refuse(source, command, said, platform)
+    return said
+
+
+def _link(sources: Sequence[Path], command: list[str], platform: platforms.Platform | None) -> str:
+    """Compile and link a library; return what was said. Raises CompileError, also for a function that no source has and no library
+    of this process: the loader would name it without the place that calls it."""
+    has_failed, said = _run([*command, *COMPLETE])
+    absent = [name for name in _UNDEFINED.findall(said) if not _is_loaded(name)]
+    if has_failed and _UNDEFINED.search(said) and not absent:
+        has_failed, said = _run(command)
+    if has_failed and _OF_LINKER.search(said):
+        names = ", ".join(map(str, sources))
+        raise CompileError(f"{names}: the linker fails ({command[0]}):\n{said}{HINT * bool(absent)}", said)
+    if has_failed:
+        raise _refuse(sources[0], command, said, platform)
+    return said
+
+
+def _refuse(source: Path, command: list[str], said: str, platform: platforms.Platform | None) -> CompileError:
+    """Make the error of a source that does not compile."""
+    return CompileError(f"{source} does not compile ({command[0]}):\n{said}{platforms.hint(platform, said)}", said)
+
+
+def _run(command: list[str]) -> tuple[bool, str]:
+    """Run a compiler; return whether it has failed, and what it said of the sources."""
     done = run_program(command)
-    if done.returncode:
-        said = (done.stderr + done.stdout).strip()
-        raise CompileError(f"{source} does not compile ({command[0]}):\n{said}{platforms.hint(platform, said)}", said)
+    return done.returncode != 0, platforms.leave_wrappers_out((done.stderr + done.stdout).strip())
+
+
+def _is_loaded(symbol: str) -> bool:
+    """Whether a symbol that a library lacks is found when it is loaded: in this process, or in a sanitizer that is loaded first."""
+    return bool(re.match("__(?:[a-z]{1,2}san_|sanitizer_)", symbol)) or hasattr(ctypes.CDLL(None), symbol)
+
+
+def _needs_cplusplus(source: Path, given: Sequence[str], flags: Sequence[str], folder: str) -> bool:
+    """Whether a source in C includes a header of its platform that is C++ here."""
+    preprocessed = ["-E", *given, f"-I{include()}", *_flags_of_c(flags), str(source), "-o", f"{folder}/preprocessed"]
+    return platforms.IS_CPLUSPLUS in run_program([*compiler("x.c").split(), *preprocessed]).stderr
+
+
+def _flags_of_c(flags: Sequence[str]) -> list[str]:
+    """Leave out what a compilation of one source in C does not take: files, libraries, and what is said of C++."""
+    return [
+        flag
+        for flag in flags
+        if not re.match(r"-l|-L|-Wl,|-std=(?:c|gnu)\+\+|[^-].*\.(?:o|a|so[.\d]*|dylib|c|cc|cpp|cxx)$", flag)
+    ]
+
+
+def _flags_of_cplusplus(compiler: str, is_like_c: bool, flags: tuple[str, ...]) -> list[str]:
+    """Return flags that C++ needs. is_like_c: C is compiled as C++, in which a loop without end, and a function without a return
+    whose value nobody takes, mean what they do in C."""
+    chosen = [*_own_statics(compiler)]
+    if is_like_c and not any(flag.startswith("-fsanitize") for flag in flags):
+        chosen += ["-fno-finite-loops"]
+        if chosen[0] == _OF_GCC:  # what makes it leave the end of such a function as it is, and needs no library
+            chosen += ["-fsanitize=unreachable", "-fno-sanitize=return", "-fsanitize-undefined-trap-on-error"]
+        else:
+            chosen += ["-fno-strict-return"]
+    return chosen
 
 
 @functools.cache
@@ -138,7 +239,7 @@ def _own_statics(compiler: str) -> tuple[str, ...]:
     """GCC makes static variables of inline functions and templates one for all copies of a library in a process, even of different
     runs. Other compilers do not, and do not know the flag."""
     said = run_program([*compiler.split(), "--version"]).stdout
-    return ("-fno-gnu-unique",) if "Free Software Foundation" in said else ()
+    return (_OF_GCC,) if "Free Software Foundation" in said else ()
 
 
 def _listed(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> list[str | os.PathLike]:
@@ -250,7 +351,7 @@ class Library:
         except (OSError, UnicodeDecodeError) as error:  # ctypes decodes what the loader says as UTF-8
             self._scratch.close()
             whole = error.object.decode(errors="replace") if isinstance(error, UnicodeDecodeError) else str(error)
-            said = whole.replace(str(own), str(path)).removeprefix(f"{path}: ")
+            said = _demangle(whole.replace(str(own), str(path)).removeprefix(f"{path}: "))
             raise LibraryError(
                 f"{path} cannot be loaded: {said}. Link what it needs into it, or add a source that has it (a function of a "
                 f"platform that is not emulated: docs/porting.md); it is built so: {how_to_build(path)}"

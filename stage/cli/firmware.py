@@ -9,13 +9,14 @@ import signal
 import sys
 import threading
 import time
+import warnings
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from stage.cli.beside import beside, live_on, run_beside
-from stage.cli.facts import tell, wrote
+from stage.cli.facts import tell, warn, wrote
 from stage.cli.files import outputs, recorded
 from stage.cli.progress import note, ticking
 from stage.cli.setup import make_board
@@ -28,13 +29,14 @@ SHOWN = 10
 def run(args: argparse.Namespace) -> int:
     """Run firmware; print what it noted and where the axes are."""
     outputs(args)
-    board = make_board(args)
-    stage = board.stage
     try:
         flags = tuple(shlex.split(args.cflags))
     except ValueError as failed:
         raise ArgumentError(f"--cflags {args.cflags!r}: {failed}.") from None
-    host = _host(args, board, flags)
+    with _compiler_warnings(args):
+        board = make_board(args)
+        host = _host(args, board, flags)
+    stage = board.stage
     ended = threading.Event()
     with beside(args, stage, os.path.basename(args.firmware[0])) as session:
         code = _run(args, board, host, session, ended)
@@ -92,6 +94,25 @@ def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, ended: t
         return 1
     done = result.code == 0 if result is not None else args.seconds is not None
     return 0 if done and not any(a.lost_steps for a in stage.axes.values()) else 1
+
+
+@contextmanager
+def _compiler_warnings(args: argparse.Namespace) -> Iterator[None]:
+    """Say what compilers warn of in this block, as the command says its own warnings."""
+    from stage.board import CompilerWarning
+
+    with warnings.catch_warnings():
+        show_others = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *place: Any, **kwargs: Any) -> None:
+            if issubclass(category, CompilerWarning):
+                warn(args, str(message))
+            else:
+                show_others(message, category, *place, **kwargs)
+
+        warnings.showwarning = show
+        warnings.simplefilter("always", CompilerWarning)
+        yield
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from stage import Stage
-from stage.board import Board, CompileError, HostError, LibraryError, NativeHost, build, crash
+from stage.board import Board, CompileError, CompilerWarning, HostError, LibraryError, NativeHost, build, crash, include
 from stage.cli.output import Output
 from stage.processes import run_program
 
@@ -63,10 +63,12 @@ def test_a_source_in_shift_jis_in_a_folder_in_latin_1_runs_and_its_error_is_told
     board = Board(Stage("xy", visuals=False))
     good = write_source(latin, "PULSESTAGE_MAIN { ps_in8(0x300); return 3; }")
     for isolated in (False, True):
-        assert NativeHost(good, board, isolated=isolated).run().code == 3
-    with pytest.raises(CompileError, match=r"drive\.c does not compile") as refused:
+        with pytest.warns(CompilerWarning, match=r"drive\.c:3:2: warning: #warning"):
+            assert NativeHost(good, board, isolated=isolated).run().code == 3
+    with pytest.raises(CompileError, match=r"d\\udce9p\\udcf4t/drive\.c does not compile") as refused:
         build(write_source(latin, "PULSESTAGE_MAIN { return missing; }"))
     assert "missing" in refused.value.output
+    assert str(refused.value).encode("utf-8"), "pytest-xdist sends it so"
 
 
 def test_a_sketch_in_shift_jis_keeps_the_bytes_of_its_texts(latin):
@@ -87,7 +89,8 @@ def test_a_crash_in_such_a_folder_says_function_and_line(latin):
 
 def test_a_library_in_such_a_folder_that_cannot_be_loaded_says_so(latin):
     source = write_source(latin, "void absent(void);\nPULSESTAGE_MAIN { absent(); return 0; }")
-    made = build(source, latin / "drive.so")
+    made = latin / "drive.so"
+    subprocess.run(["cc", "-w", "-shared", "-fPIC", f"-I{include()}", source, "-o", made], check=True)
     for isolated in (False, True):
         with pytest.raises(LibraryError, match=r"cannot be loaded: .*absent"):
             NativeHost(made, Board(Stage("xy", visuals=False)), isolated=isolated)

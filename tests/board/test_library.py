@@ -84,7 +84,12 @@ def test_a_library_that_needs_another_says_which(board, tmp_path):
         LibraryError, match=r"cannot be loaded: .*nowhere_to_be_found.* add a source that has it .*porting\.md"
     ):
         NativeHost(
-            firmware("extern int nowhere_to_be_found(void); PULSESTAGE_MAIN { return nowhere_to_be_found(); }"), board
+            plain(
+                tmp_path,
+                "#include <pulsestage.h>\nint nowhere_to_be_found(void); PULSESTAGE_MAIN { return nowhere_to_be_found(); }",
+                *("-shared", "-fPIC", f"-I{include()}"),
+            ),
+            board,
         )
 
 

@@ -8,14 +8,18 @@ functions its interrupt line. A program is given its entry, see `entry.c` there,
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stage.board.platforms.sketch import SKETCH, folder_of, translated
 from stage.errors import ArgumentError, unknown
 
 HERE = Path(__file__).parent
+WRAPPER = ".pulsestage.cpp"
+"""How files end that are made to compile C as C++."""
+IS_CPLUSPLUS = "is C++ here"
+"""What a header says that has to be compiled as C++."""
 BYTES_KEPT = {"encoding": "utf-8", "errors": "surrogateescape"}
 """How sources are read and written: those of other encodings keep their bytes."""
 
@@ -25,8 +29,9 @@ class Platform:
     """One kind of driver.
 
     begins: the functions that a program begins with. folders: of headers, the first in front. entry: the source that calls the
-    program. cplusplus: C sources are compiled as C++. flags: for the compiler. sources: compiled with each program. defaults: a
-    folder of headers for programs that do not have them. given: a header of the system itself, and what to do where it is missing.
+    program. has_cplusplus_headers: sources in C that include some of its headers are compiled as C++. flags: for the compiler.
+    sources: compiled with each program. defaults: a folder of headers for programs that do not have them. given: a header of the
+    system itself, and what to do where it is missing.
     """
 
     name: str
@@ -34,7 +39,7 @@ class Platform:
     begins: tuple[str, ...]
     entry: str
     folders: tuple[str, ...]
-    cplusplus: bool = False
+    has_cplusplus_headers: bool = False
     flags: tuple[str, ...] = ()
     sources: tuple[str, ...] = ()
     defaults: str = ""
@@ -51,7 +56,7 @@ PLATFORMS: dict[str, Platform] = {
             "arduino/entry.cpp",
             ("arduino", "avr"),
             True,
-            ("-fpermissive", "-DPULSESTAGE_ARDUINO"),
+            ("-DPULSESTAGE_ARDUINO",),
         ),
         Platform(
             "avr",
@@ -60,7 +65,6 @@ PLATFORMS: dict[str, Platform] = {
             "avr/entry.cpp",
             ("avr",),
             True,
-            ("-fpermissive",),
         ),
         Platform(
             "vxworks",
@@ -97,12 +101,22 @@ PLATFORMS: dict[str, Platform] = {
 
 @dataclass(frozen=True)
 class Recipe:
-    """How sources are compiled. files: what goes to the compiler in place of the sources; flags: before them; cplusplus: C++ is
-    among them."""
+    """How sources are compiled.
+
+    Attributes:
+        files: What goes to the compiler that links the library: C, or C++ if `cplusplus`.
+        c_files: Sources in C beside C++, compiled before.
+        flags: For all of them.
+        cplusplus_flags: For C++ only.
+        is_like_c: Whether C++ includes sources in C.
+    """
 
     files: tuple[str, ...]
+    c_files: tuple[Path, ...] = ()
     flags: tuple[str, ...] = ()
+    cplusplus_flags: tuple[str, ...] = ()
     cplusplus: bool = False
+    is_like_c: bool = False
 
 
 def platform_of(name: str | None, sources: Sequence[Path]) -> Platform | None:
@@ -125,11 +139,25 @@ def whole(sources: Sequence[Path]) -> list[Path]:
     return found
 
 
-def recipe(platform: Platform | None, sources: Sequence[Path], folder: Path) -> Recipe:
-    """How these sources of a platform are compiled. folder: where translated sketches are written. Raises ArgumentError where the
-    function is missing that the program begins with."""
+def recipe(
+    platform: Platform | None,
+    sources: Sequence[Path],
+    folder: Path,
+    needs_cplusplus: Callable[[Path, Sequence[str]], bool] = lambda source, flags: False,
+) -> Recipe:
+    """Choose how sources are compiled: C as C, unless it includes headers of its platform that are C++ here.
+
+    Args:
+        platform: What they were written for, if they were for one.
+        sources: In C, C++, or sketches.
+        folder: Where translated sketches are written, and C++ that includes sources in C.
+        needs_cplusplus: Whether a source in C includes such headers, with these flags.
+
+    Raises:
+        ArgumentError: The function is missing that the program begins with.
+    """
     if platform is None:
-        return Recipe(tuple(map(str, sources)), (), any(s.suffix != ".c" for s in sources))
+        return _recipe_of(sources)
     texts = {source: source.read_text(**BYTES_KEPT) for source in sources}
     sketches = [source for source in sources if source.suffix == SKETCH]
     files = [source for source in sources if source.suffix != SKETCH]
@@ -151,11 +179,34 @@ def recipe(platform: Platform | None, sources: Sequence[Path], folder: Path) -> 
         if any(re.search(r"^[^\S\n]*void[^\S\n]+(?:main|usrAppInit)[^\S\n]*\(", text, re.M) for text in texts.values()):
             flags.append("-DPULSESTAGE_VOID_MAIN")
     files += [HERE / name for name in platform.sources]
-    cplusplus = platform.cplusplus or any(file.suffix != ".c" for file in files)
-    languages = ("-x", "c++") if platform.cplusplus else ()
-    return Recipe(
-        (*languages, *map(str, files), *(("-x", "none") if languages else ())), (*platform.flags, *flags), cplusplus
-    )
+    flags = [*platform.flags, *flags]
+    if not platform.has_cplusplus_headers:
+        return _recipe_of(files, flags)
+    is_like_c = [file.suffix == ".c" and needs_cplusplus(file, flags) for file in files]
+    files = [
+        _include_c(file, folder / f"{k}-{file.name}{WRAPPER}") if is_like_c[k] else file for k, file in enumerate(files)
+    ]
+    return replace(_recipe_of(files, flags), cplusplus_flags=("-fpermissive",), is_like_c=any(is_like_c))
+
+
+def _recipe_of(files: Sequence[Path], flags: Sequence[str] = ()) -> Recipe:
+    """Each file in its own language."""
+    in_c = tuple(file for file in files if file.suffix == ".c")
+    others = tuple(str(file) for file in files if file.suffix != ".c")
+    if not others:
+        return Recipe(tuple(map(str, in_c)), flags=tuple(flags))
+    return Recipe(others, in_c, tuple(flags), cplusplus=True)
+
+
+def leave_wrappers_out(said: str) -> str:
+    """Leave out what a compiler says of the files that include sources in C."""
+    return re.sub(rf"^In file included from [^\n]*{re.escape(WRAPPER)}:\d+:\n", "", said, flags=re.M)
+
+
+def _include_c(source: Path, wrapper: Path) -> Path:
+    """Write a file in C++ that is a source in C: other sources in C find its functions under their own names."""
+    wrapper.write_text(f'extern "C" {{\n#include "{source.resolve()}"\n}}\n', **BYTES_KEPT)
+    return wrapper
 
 
 def hint(platform: Platform | None, said: str) -> str:

@@ -5,6 +5,8 @@
 #ifndef PULSESTAGE_ARDUINO_H
 #define PULSESTAGE_ARDUINO_H
 
+extern "C++" { /* also where a program in C is included */
+
 #ifndef PULSESTAGE_ARDUINO
 #define PULSESTAGE_ARDUINO
 #endif
@@ -192,7 +194,8 @@ static inline void noTone(int) {}
 
 #include <HardwareSerial.h>
 
-void setup(void);
-void loop(void);
+extern "C" void setup(void);
+extern "C" void loop(void);
 
+} /* extern "C++" */
 #endif

@@ -3,6 +3,8 @@
 #ifndef PULSESTAGE_HARDWARESERIAL_H
 #define PULSESTAGE_HARDWARESERIAL_H
 
+extern "C++" { /* also where a program in C is included */
+
 #include <WString.h>
 #include <serialline.h>
 #include <stdarg.h>
@@ -127,4 +129,5 @@ class HardwareSerial : public Stream
 #define SERIAL_8N1 0x06
 static HardwareSerial Serial __attribute__((unused)), Serial1 __attribute__((unused));
 
+} /* extern "C++" */
 #endif

@@ -6,6 +6,8 @@
 #ifndef PULSESTAGE_SPI_H
 #define PULSESTAGE_SPI_H
 
+extern "C++" { /* also where a program in C is included */
+
 #include <Arduino.h>
 
 #define SPI_MODE0 0x00
@@ -99,4 +101,5 @@ inline __attribute__((visibility("hidden"))) SPIClass &pulsestage_spi()
 }
 #define SPI pulsestage_spi()
 
+} /* extern "C++" */
 #endif

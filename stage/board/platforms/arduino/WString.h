@@ -2,6 +2,12 @@
 #ifndef PULSESTAGE_WSTRING_H
 #define PULSESTAGE_WSTRING_H
 
+#ifndef __cplusplus
+#error "WString.h is C++ here: build with --platform"
+#endif
+
+extern "C++" { /* also where a program in C is included */
+
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -135,4 +141,5 @@ class String
     std::string s_;
 };
 
+} /* extern "C++" */
 #endif

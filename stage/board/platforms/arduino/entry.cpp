@@ -3,8 +3,8 @@
 #include <serialline.h>
 #include <setjmp.h>
 
-void setup(void); /* without Arduino.h, whose String takes a second to compile */
-void loop(void);
+extern "C" void setup(void); /* without Arduino.h, whose String takes a second to compile */
+extern "C" void loop(void);
 namespace pulsestage
 {
 [[noreturn]] void end(int code);

@@ -2,6 +2,8 @@
 #ifndef PULSESTAGE_PINS_ARDUINO_H
 #define PULSESTAGE_PINS_ARDUINO_H
 
+extern "C++" { /* also where a program in C is included */
+
 #include <stdint.h>
 
 #if defined(ARDUINO_AVR_MEGA2560)
@@ -56,4 +58,5 @@ inline int core_pin(int pin)
 }
 } // namespace pulsestage
 
+} /* extern "C++" */
 #endif

@@ -1,4 +1,4 @@
-/* entry.c: where an AVR program begins on an emulated board: its main. Compiled as C++, as the program is. */
+/* entry.c: where an AVR program begins on an emulated board: its main, in C or C++. */
 #include <pinbus.h>
 #include <serialline.h>
 

@@ -5,6 +5,12 @@
 #ifndef PULSESTAGE_INTERRUPTLINE_H
 #define PULSESTAGE_INTERRUPTLINE_H
 
+#ifndef __cplusplus
+#error "interruptline.h is C++ here: build with --platform"
+#endif
+
+extern "C++" { /* also where a program in C is included */
+
 #include <pulsestage.h>
 
 namespace pulsestage
@@ -63,4 +69,5 @@ inline __attribute__((visibility("hidden"))) InterruptLine &interrupt_line()
 }
 } // namespace pulsestage
 
+} /* extern "C++" */
 #endif

@@ -22,6 +22,8 @@
 #ifndef PULSESTAGE_PINBUS_H
 #define PULSESTAGE_PINBUS_H
 
+extern "C++" { /* also where a program in C is included */
+
 #include <interruptline.h>
 #include <pulsestage.h>
 #include <stdint.h>
@@ -336,4 +338,5 @@ inline uint8_t look(int at, uint8_t mask = 0xFF)
 }
 } // namespace pulsestage
 
+} /* extern "C++" */
 #endif

@@ -3,6 +3,12 @@
 #ifndef PULSESTAGE_AVR_SERIAL_H
 #define PULSESTAGE_AVR_SERIAL_H
 
+#ifndef __cplusplus
+#error "serialline.h is C++ here: build with --platform"
+#endif
+
+extern "C++" { /* also where a program in C is included */
+
 #include <pulsestage.h>
 #include <stdint.h>
 
@@ -56,4 +62,5 @@ inline void end_of_serial()
 }
 } // namespace pulsestage
 
+} /* extern "C++" */
 #endif

@@ -4,6 +4,8 @@
 #ifndef PULSESTAGE_AVR_INTERRUPT_H
 #define PULSESTAGE_AVR_INTERRUPT_H
 
+extern "C++" { /* also where a program in C is included */
+
 #include <avr/io.h>
 
 #define PULSESTAGE_VECTOR(vector) extern "C" void vector(void) __attribute__((used))
@@ -19,4 +21,5 @@ static inline void sei(void) { SREG |= 0x80; }
 static inline void cli(void) { SREG &= 0x7F; }
 static inline void reti(void) {}
 
+} /* extern "C++" */
 #endif

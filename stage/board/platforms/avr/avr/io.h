@@ -1,5 +1,5 @@
 /* avr/io.h on an emulated board: the ports of an AVR as pins (pinbus.h), interrupt enables, timers (timer_.h) and the serial port.
- * C++11, so that a register is an object whose assignment is seen: C programs are compiled as C++.
+ * C++11, so that a register is an object whose assignment is seen: sources in C that include it are compiled as C++.
  *
  * Converters, EEPROM are not here: a name that does not compile is not emulated. */
 #ifndef PULSESTAGE_AVR_IO_H
@@ -8,6 +8,8 @@
 #ifndef __cplusplus
 #error "avr/io.h is C++ here: build with --platform avr, or with c++ -x c++ -fpermissive"
 #endif
+
+extern "C++" { /* also where a program in C is included */
 
 #include <interruptline.h>
 #include <pinbus.h>
@@ -158,4 +160,5 @@ enum { ISC40, ISC41, ISC50, ISC51, ISC60, ISC61, ISC70, ISC71 };
 #include <avr/timer_.h>
 #include <avr/uart_.h>
 
+} /* extern "C++" */
 #endif

@@ -4,6 +4,8 @@
 #ifndef PULSESTAGE_AVR_TIMER_H
 #define PULSESTAGE_AVR_TIMER_H
 
+extern "C++" { /* also where a program in C is included */
+
 #include <avr/io.h>
 
 #define PULSESTAGE_TIMER(n)                                                                                            \
@@ -129,4 +131,5 @@ enum { WGM00, WGM01 };
 enum { WGM10, WGM11, WGM12 = 3, WGM13 };
 enum { WGM20, WGM21 };
 
+} /* extern "C++" */
 #endif

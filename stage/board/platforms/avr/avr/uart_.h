@@ -2,6 +2,8 @@
 #ifndef PULSESTAGE_AVR_UART_H
 #define PULSESTAGE_AVR_UART_H
 
+extern "C++" { /* also where a program in C is included */
+
 #include <avr/io.h>
 #include <serialline.h>
 
@@ -40,4 +42,5 @@ enum { MPCM, U2X, UPE, DOR, FE, UDRE, TXC, RXC };
 enum { TXB8, RXB8, UCSZ2, TXEN, RXEN, UDRIE, TXCIE, RXCIE };
 enum { UCPOL, UCSZ0, UCSZ1, USBS, UPM0, UPM1, UMSEL, URSEL };
 
+} /* extern "C++" */
 #endif

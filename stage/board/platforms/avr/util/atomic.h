@@ -2,6 +2,8 @@
 #ifndef PULSESTAGE_UTIL_ATOMIC_H
 #define PULSESTAGE_UTIL_ATOMIC_H
 
+extern "C++" { /* also where a program in C is included */
+
 #include <avr/interrupt.h>
 
 namespace pulsestage
@@ -18,4 +20,5 @@ struct Atomic {
 #define ATOMIC_FORCEON false
 #define ATOMIC_BLOCK(how) for (pulsestage::Atomic pulsestage_atomic(how); pulsestage_atomic.first; pulsestage_atomic.first = false)
 
+} /* extern "C++" */
 #endif

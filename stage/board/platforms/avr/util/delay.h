@@ -2,6 +2,8 @@
 #ifndef PULSESTAGE_UTIL_DELAY_H
 #define PULSESTAGE_UTIL_DELAY_H
 
+extern "C++" { /* also where a program in C is included */
+
 #include <interruptline.h>
 
 namespace pulsestage
@@ -26,4 +28,5 @@ static inline void _delay_us(double us)
 }
 static inline void _delay_ms(double ms) { _delay_us(ms * 1000); }
 
+} /* extern "C++" */
 #endif
