@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from stage.board.host import (
     ABOUT_WINDOW,
+    ANOTHER_STACK,
     ASKED_WRITE,
     BEYOND_WINDOW,
     DELAY,
@@ -309,8 +310,20 @@ def _raise(h, which):
 
 
 @hot
+def _look_at_stack(h):
+    """Call Python about a request that comes from another stack than that of the firmware's own thread."""
+    here = frame_address()
+    if here < h.stack_low or here > h.stack_high:
+        h.looks -= 1
+        catch_up(h)
+        ask(h, ANOTHER_STACK)
+
+
+@hot
 def answer(h, what, a, b):
     """The answer to a request of a host, see IN8."""
+    if h.looks:
+        _look_at_stack(h)
     if h.twice:
         h.twice = 0
         ask(h, TWICE)

@@ -4,6 +4,8 @@ In a process of its own such a call ends that process only, and is an error here
 follow, or the recording, and exit(0) would even look like success. So the slots through which a loaded library calls these
 functions are set to our functions: those of the library itself, and of the libraries that were loaded with it. The library may be
 built in any way. Not caught are a system call without libc, a call by a library that was loaded before, and a call during loading.
+
+By the same slots the firmware's runner is told, in either process, of calls that sleep in real time or begin a thread.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ leavers: dict[int, Callable[[str], None]] = {}
 
 _CALL = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 _RELOCATION = np.dtype([("offset", "u8"), ("info", "u8"), ("addend", "i8")])
-_SYMBOL_SIZE = 24
+_SYMBOL_SIZE, _SECTION = 24, 6
 _CALLS_SIZE, _NAMES, _SYMBOLS, _RELOCATIONS, _RELOCATIONS_SIZE, _CALLS = 2, 5, 6, 7, 8, 23
 """Entries of a dynamic section; 0 ends it."""
 
@@ -51,17 +53,35 @@ _NAMED: dict[str, Callable[..., str]] = {
 """What the call is in words, by its arguments."""
 
 
+sleepers: dict[int, Callable[[str], None]] = {}
+"""By the thread that firmware runs in: what is called there with the call by which it is about to sleep in real time."""
+
+_SLEEP = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 5)
+_SLEEPS: dict[str, Callable[..., str]] = {
+    "sleep": lambda seconds, *_: f"sleep({seconds & 0xFFFFFFFF})",
+    "usleep": lambda us, *_: f"usleep({us & 0xFFFFFFFF})",
+    **{name: lambda *_, name=name: f"{name}()" for name in ("nanosleep", "clock_nanosleep", "thrd_sleep")},
+    "select": lambda files, *_: "" if files & 0xFFFFFFFF else "select(0)",
+    "poll": lambda _, files, *__: "" if files else "poll(0, 0)",
+}
+"""What the call is in words, by its arguments; "" where it waits for something else than time."""
+
+creators: dict[int, Callable[[], None]] = {}
+"""By the thread that firmware runs in: what is called there after it has begun another thread."""
+
+_CREATES = frozenset({"pthread_create", "thrd_create"})
+
 ALL = frozenset(_NAMED)
 OF_THREADS = frozenset({"pthread_exit", "thrd_exit"})
 """What ends the thread of the caller and not its process."""
 
 
 def interpose(handle: int, taken: frozenset[str] = ALL) -> None:
-    """Take these calls of the library of that handle, just loaded, and of those that came with it."""
+    """Take these calls of the library of that handle, just loaded, and of those that came with it; and calls that sleep."""
     if HERE:
         library = ctypes.cast(handle, ctypes.POINTER(Loaded))
         while library:
-            for slot, name in _slots(library.contents, taken):
+            for slot, name in _slots(library.contents, taken | _TOLD):
                 _set(slot, _address(name))
             library = library.contents.next
 
@@ -86,12 +106,32 @@ def _taken(name: str) -> Any:
     return _CALL(call)
 
 
+_TOLD = _CREATES | _SLEEPS.keys()
+
+
+def _tell(name: str) -> Any:
+    """Make a function that calls the one of this name of the system; a sleeper is told before, a creator afterwards."""
+
+    def call(*given: int) -> int:
+        tell = sleepers.get(get_ident())
+        if tell is not None and name in _SLEEPS and (words := _SLEEPS[name](*given)):
+            tell(words)
+        answer = int(getattr(ctypes.CDLL(None), name)(*map(ctypes.c_int64, given)))
+        if name in _CREATES and (created := creators.get(get_ident())):
+            created()
+        return answer
+
+    return _SLEEP(call)
+
+
 _OURS: dict[str, Any] = {}
 
 
 def _address(name: str) -> int:
     if name not in _OURS:
-        _OURS[name] = _taken(name)  # for ever: libraries that are never unloaded have its address
+        _OURS[name] = (
+            _tell(name) if name in _TOLD else _taken(name)
+        )  # for ever: libraries that are never unloaded have its address
     return ctypes.cast(_OURS[name], ctypes.c_void_p).value or 0
 
 
@@ -109,10 +149,10 @@ def _slots(library: Loaded, wanted: Container[str]) -> Iterator[tuple[int, str]]
         found = np.frombuffer(raw, _RELOCATION)
         numbers = found["info"] >> 32
         for number in np.unique(numbers[numbers > 0]).tolist():
-            name = ctypes.string_at(names + ctypes.c_uint32.from_address(symbols + _SYMBOL_SIZE * number).value).decode(
-                errors="replace"
-            )
-            if name in wanted:
+            symbol = symbols + _SYMBOL_SIZE * number
+            name = ctypes.string_at(names + ctypes.c_uint32.from_address(symbol).value).decode(errors="replace")
+            is_its_own = ctypes.c_uint16.from_address(symbol + _SECTION).value != 0
+            if name in wanted and not is_its_own:
                 for offset in found["offset"][numbers == number].tolist():
                     yield base + offset, name
 

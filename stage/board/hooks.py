@@ -94,7 +94,7 @@ class Hooks:
         self.sources[[k for k in range(SOURCES) if k not in self.functions]] = np.zeros((), self.sources.dtype)
         self.adopt(self.functions)
         h = self._link.record
-        h["serving"] = h["level"] = h["meter"] = h["stack_low"] = h["stack_high"] = 0
+        h["serving"] = h["level"] = h["meter"] = h["stack_low"] = h["stack_high"] = h["looks"] = 0
         self.look()
 
     def adopt(self, functions: Collection[int], keep: bool = False) -> None:

@@ -26,11 +26,13 @@ UNTIL = 20
 """An emulated processor: its time (a: ns of the stage) is the board's; if `b`, whether the interrupt line then is asserted."""
 OF_LEVEL = 64
 """Added to what is refused when its level is what makes no sense."""
-FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE, BY_HAND, TWICE, DEVICE_CALLED, REFUSED = range(1, 11)
+FULL, DIVERGED, PAUSE, STORM, LINE_OF_LOG, ASKED_WRITE, BY_HAND, TWICE, DEVICE_CALLED, REFUSED, ANOTHER_STACK = range(
+    1, 12
+)
 """Why Python is called: buffers are full; the physics has diverged; time or cycles are up; an interrupt that nothing clears; a
 line to note; a write that Python makes, since a fault of the bus looks at each; the stage's time is to pass and compiled code alone
 may not let it; two threads of the firmware made requests at once; a cycle reaches a device that is written in Python; a request
-that makes no sense."""
+that makes no sense; a request from another stack than that of the firmware's own thread."""
 ABOUT_WINDOW = 20
 """Another: a request about a window."""
 FROM_PYTHON = 64
@@ -68,7 +70,7 @@ HOST = record(
     + [(name, "i8") for name in "regions n_regions ports n_ports lines line_room traced changed".split()]
     + [(name, "i8") for name in "until lazy ahead quiet cycles most_cycles stopped twice call".split()]
     + [(name, "i8") for name in "sources level looked on_lines raised watched due".split()]
-    + [(name, "i8") for name in "hooks serving called stack_low stack_high meter cost rest".split()]
+    + [(name, "i8") for name in "hooks serving called stack_low stack_high looks meter cost rest".split()]
     + [
         (name, "i8")
         for name in "irqs acts before userdata words journals asks asked_chip asked_address asked_way asked reached".split()
@@ -90,6 +92,7 @@ HOST = record(
     due                        when (ns) the next timer is
     hooks, serving, called     the hooks that are being called, the last of them (plus one, 0: none); how many there were so far
     stack_low, stack_high      where the stack of the firmware's own thread is
+    looks                      how many requests from other stacks Python is still called about
     meter, cost, rest          where the firmware counts what it computes, or 0; ps for each; ps left over
     irqs, acts                 of each chip: its IRQ, and the addresses (bits) at which a read changes it
     before, userdata, words    room for a copy of the state in userdata; where that is, and how long

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import threading
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 NOTED = 1 << 14  # edges and writes between two calls of Python
 MOST = 1 << 62
+WAIT_S = 0.05  # of real time, in which threads without a mutex meet on the bus
 UPCALL = ctypes.CFUNCTYPE(None, ctypes.c_int64)
 
 
@@ -40,12 +42,14 @@ class Link:
         answering: the device in Python that answers a bus cycle now, or None.
         stand_still: the function by which firmware in a thread of its own waits, while it runs.
         abandoned: threads of firmware that was given up.
+        own_thread: the identifier of the firmware's own thread; has_other_threads: whether others of it have made bus cycles.
         calls: counts the calls from compiled code into Python, at their begin and at their end: odd within a call.
     """
 
     def __init__(self, board: Board):
         self.board, self.stage = board, board.stage
         self.calls = 0
+        self.own_thread, self.has_other_threads = 0, False
         self.error: BaseException | None = None
         self.windows: Mapped | None = None
         self.answering: Any = None
@@ -194,6 +198,8 @@ class Link:
                     f"one in the middle of another, at {self.stage.time:.6f} s: a bus has one host at a time. Guard the cycles of "
                     "threads by a mutex; timers of the board are ps_timer and ps_on_timer (docs/interrupts.md)."
                 )
+            elif reason == host.ANOTHER_STACK:
+                self._wait_for_others()
             elif reason == host.LINE_OF_LOG and not self.record["asked"]:
                 raise HostError(f"ps_log(0), at {self.stage.time:.6f} s: a null pointer is no text.")
             elif reason == host.LINE_OF_LOG:
@@ -219,6 +225,19 @@ class Link:
         self.calls += 1
         if self.stand_still is not None and (reason == host.PAUSE or self.record["stopped"]):
             self.stand_still()
+
+    def _wait_for_others(self) -> None:
+        """Another thread than the firmware's own makes a bus cycle: one that does so meanwhile is an error, unless a mutex holds it
+        back. Without this wait short threads would miss each other in most runs, and would meet in some."""
+        if threading.get_ident() == self.own_thread:  # a coroutine, or a handler of signals on a stack of its own
+            return
+        if not self.has_other_threads:
+            self.has_other_threads = True
+            self.board.note(
+                "bus cycles come from several threads of the firmware: "
+                "their order is one of real time, and no two runs need be alike"
+            )
+        time.sleep(WAIT_S)
 
     def _note_raised(self, k: int, n: int, way: int, value: int) -> None:
         """The cycle that a device in Python has failed in is a line of the trace, too: the last one."""

@@ -11,6 +11,7 @@ import os
 import signal
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 from stage.board import bus, crash, exits, handlers, host, whereabouts
@@ -20,9 +21,12 @@ from stage.board.errors import HostError
 from stage.board.interrupts import NEAR
 from stage.board.link import MOST
 from stage.board.program import Loaded, Program
+from stage.errors import StageError
 
 PATIENCE = 20.0  # s of real time
 STACK = 64 << 20  # bytes
+LOOKS = 4  # at requests from other threads of the firmware
+BEGIN_S = 0.02  # of real time, for a thread of the firmware to begin
 TASKS = Path("/proc/self/task")
 """The threads of this process, where the system lists them."""
 GOES_ON = " (Its thread goes on until the process ends; isolated=True ends such a loop.)"
@@ -59,6 +63,7 @@ class Threaded:
         self._code: int | None = None
         self._unloadable: list[Loaded] = []
         self._left = ""  # the call by which the firmware would have ended the process
+        self._slept: set[str] = set()  # functions by which it has slept in real time
 
     @property
     def running(self) -> bool:
@@ -116,7 +121,7 @@ class Threaded:
     def _start(self) -> None:
         loaded = self._load()
         self._go, self._stands = threading.Semaphore(0), threading.Semaphore(0)
-        self._code, self._left = None, ""
+        self._code, self._left, self._slept = None, "", set()
         before = threading.stack_size(STACK)
         try:
             name = f"firmware {self._path.name}"
@@ -131,10 +136,12 @@ class Threaded:
         if self._may_exit and crash.HERE:
             crash.OwnStack()
         me = threading.get_ident()
-        exits.leavers[me] = self._leave
+        exits.leavers[me], exits.sleepers[me], exits.creators[me] = self._leave, self._note_sleep, self._wait_for_thread
+        self._board.link.own_thread, self._board.link.has_other_threads = me, False
         code, failed, board, others = 0, None, self._board, native_threads()
         top = bus.here.c()
         board.link.record["stack_low"], board.link.record["stack_high"] = top - STACK, top + NEAR
+        board.link.record["looks"] = LOOKS
         if self._may_exit:
             handlers.let_timers_in()
         try:
@@ -144,7 +151,7 @@ class Threaded:
         _reset_float_environment()
         if self._may_exit:
             handlers.keep_timers_away()
-        del exits.leavers[me]
+        del exits.leavers[me], exits.sleepers[me], exits.creators[me]
         if threading.current_thread() in board.link.abandoned:
             return
         board.link.record["lazy"] = 0
@@ -184,6 +191,25 @@ class Threaded:
             else:  # one that the firmware has started: the firmware stands still at its next request
                 self._board.link.record["until"] = 0
         threading.Event().wait()
+
+    def _note_sleep(self, call: str) -> None:
+        """Note in the log, once for each function and run, that firmware sleeps in real time. In the firmware's thread."""
+        link, name = self._board.link, call.partition("(")[0]
+        if name in self._slept or threading.current_thread() in link.abandoned:
+            return
+        self._slept.add(name)
+        mode = bus.compute_as_usual.c()
+        try:
+            link.request(link.pointer, host.SETTLE, 0, 0)
+            with suppress(StageError):  # the log is full
+                self._board.note(f"{call} passes real time only, and no simulated time: ps_delay_us passes that")
+        finally:
+            bus.compute_as_before.c(mode)
+
+    def _wait_for_thread(self) -> None:
+        """Let a thread that the firmware has begun come to its first bus cycle, see `Link`. In the firmware's thread."""
+        if self._board.link.record["looks"]:
+            time.sleep(BEGIN_S)
 
     def _stand_still(self) -> None:
         """In the firmware's thread, called by compiled code."""
@@ -268,4 +294,7 @@ def native_threads() -> set[int]:
         listed = {int(name) for name in os.listdir(TASKS)}
     except OSError:
         return set()
-    return listed - {thread.native_id for thread in threading.enumerate()}
+    known = (
+        thread for thread in threading.enumerate() if type(thread).__name__ != "_DummyThread"
+    )  # one that has called Python
+    return listed - {thread.native_id for thread in known}

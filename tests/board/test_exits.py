@@ -14,7 +14,7 @@ import pytest
 from support.compiled_firmware import firmware
 
 from stage import Stage
-from stage.board import Board, HostError, NativeHost, exits
+from stage.board import Board, HostError, NativeHost, exits, include
 from stage.chips import PCL240K
 
 here_only = pytest.mark.skipif(not exits.HERE, reason="elsewhere firmware that exits needs isolated=True")
@@ -102,6 +102,58 @@ def test_an_exit_in_an_interrupt_hook_in_a_thread_or_in_a_library_beside_it_is_o
     for _ in range(2):  # the second time the other library is there already
         with pytest.raises(HostError, match=r"exit\(0\)"):
             NativeHost(made, board).run()
+
+
+SLEEPS = {
+    "sleep(1);": "sleep(1)",
+    "usleep(1000);": "usleep(1000)",
+    "struct timespec t = {0, 1000}; nanosleep(&t, 0);": "nanosleep()",
+    "struct timespec t = {0, 1000}; clock_nanosleep(CLOCK_MONOTONIC, 0, &t, 0);": "clock_nanosleep()",
+    "struct timeval t = {0, 1000}; select(0, 0, 0, 0, &t);": "select(0)",
+    "poll(0, 0, 1);": "poll(0, 0)",
+}
+
+
+@here_only
+@pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
+@pytest.mark.parametrize("call", SLEEPS)
+def test_firmware_that_sleeps_in_real_time_is_told_so_once_in_the_log(call, isolated):
+    # sleep(3); in the place of ps_delay_us(3000000);
+    head = "#include <poll.h>\n#include <sys/select.h>\n#include <time.h>\n#include <unistd.h>\n"
+    times = 1 if call == "sleep(1);" else 2
+    body = f"PULSESTAGE_MAIN {{ ps_in8(0x304); for (int k = 0; k < {times}; k++) {{ {call} }} return 0; }}"
+    board = Board(Stage("xy", visuals=False))
+    with NativeHost(firmware(head + body), board, isolated=isolated) as h:
+        result = h.run()
+    assert result.seconds == pytest.approx(1e-6), "no simulated time but that of the bus cycle"
+    assert board.log == [
+        (pytest.approx(1e-6), f"{SLEEPS[call]} passes real time only, and no simulated time: ps_delay_us passes that")
+    ]
+
+
+@here_only
+def test_a_sleep_of_the_firmware_s_own_is_its_own(board, tmp_path):
+    """Without -Bsymbolic the firmware calls it through the table in which calls of the system's are taken."""
+    source, made = tmp_path / "own.c", tmp_path / "own.so"
+    source.write_text(
+        "#include <pulsestage.h>\nint usleep(unsigned us) { ps_delay_us(us); return 5; }\n"
+        "PULSESTAGE_MAIN { return usleep(10); }\n"
+    )
+    subprocess.run(["cc", "-shared", "-fPIC", "-w", f"-I{include()}", source, "-o", made], check=True)
+    before, begin = len(board.log), board.stage.now
+    assert NativeHost(made, board).run().code == 5
+    assert (len(board.log), board.stage.now - begin) == (before, 10_000)
+
+
+@here_only
+def test_a_sleep_with_floating_point_traps_on_is_told_too():
+    head = "#include <fenv.h>\n#include <unistd.h>\n"
+    made = firmware(
+        f"{head}PULSESTAGE_MAIN {{ feenableexcept(FE_ALL_EXCEPT); usleep(10); return 0; }}", "-D_GNU_SOURCE", "-lm"
+    )
+    board = Board(Stage("xy", visuals=False))
+    assert NativeHost(made, board, isolated=True).run().code == 0
+    assert len(board.log) == 1
 
 
 WAYS = {

@@ -285,6 +285,58 @@ def test_two_threads_of_a_firmware_at_once_on_the_bus_are_an_error_in_words():
         h.run()
 
 
+THREADS = """
+#include <pthread.h>
+#include <unistd.h>
+static pthread_mutex_t guard = PTHREAD_MUTEX_INITIALIZER;
+static void cycles(int count, unsigned port)
+{
+    for (int k = 0; k < count; k++) {
+        if (GUARDED) pthread_mutex_lock(&guard);
+        ps_in8(port);
+        if (GUARDED) pthread_mutex_unlock(&guard);
+    }
+}
+static void *other(void *argument) { cycles(200, 0x304); return argument; }
+PULSESTAGE_MAIN
+{
+    pthread_t thread;
+    pthread_create(&thread, 0, other, 0);
+    cycles(OWN, 0x300);
+    pthread_join(thread, 0);
+    return 0;
+}
+"""
+
+
+@pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
+def test_two_threads_that_make_a_few_cycles_without_a_mutex_are_an_error_each_time(isolated):
+    made = firmware(THREADS, "-DGUARDED=0", "-DOWN=200", "-pthread")
+    for _ in range(4):
+        with pytest.raises(HostError, match=r"two threads of the firmware made bus cycles at the same time"):
+            NativeHost(made, board("xy"), isolated=isolated).run()
+
+
+@pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
+@pytest.mark.parametrize("flags", [("-DGUARDED=1", "-DOWN=200"), ("-DGUARDED=0", "-DOWN=0")], ids=["mutex", "join"])
+def test_threads_that_take_turns_run_and_the_log_says_that_there_are_several(flags, isolated):
+    b = board("xy")
+    for _ in range(2):
+        with NativeHost(firmware(THREADS, *flags, "-pthread"), b, isolated=isolated) as h:
+            assert h.run().code == 0
+    assert b.cycles == 2 * (400 if "-DOWN=200" in flags else 200)
+    assert len(b.log) == 2
+    assert "bus cycles come from several threads of the firmware" in b.log[0][1]
+
+
+def test_a_thread_that_has_made_bus_cycles_and_still_runs_at_the_end_is_an_error():
+    forever = THREADS.replace("return argument;", "for (;;) pause(); return argument;").replace(
+        "pthread_join(thread, 0)", "usleep(9000)"
+    )
+    with pytest.raises(HostError, match="1 of its threads still ran"):
+        NativeHost(firmware(forever, "-DGUARDED=1", "-DOWN=200", "-pthread"), board("xy"), isolated=True).run()
+
+
 def test_a_system_timer_that_goes_on_after_the_firmware_has_returned_calls_no_code_that_is_gone():
     # signal(SIGALRM, tick); setitimer(ITIMER_REAL, ...); return 0;
     ticks = """
