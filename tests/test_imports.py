@@ -16,7 +16,18 @@ FOLDERS = {"stage": "stage", "envs": "stage.envs"}
 
 LAYERS = (
     {"errors", "units", "arguments", "identifiers"},
-    {"files", "examples", "html", "pictures", "snapshots", "snapshot_files", "opengl", "extras", "portable"},
+    {
+        "files",
+        "examples",
+        "html",
+        "pictures",
+        "snapshots",
+        "snapshot_files",
+        "opengl",
+        "extras",
+        "portable",
+        "processes",
+    },
     {"native"},
     {"chips"},
     {"drives"},

@@ -310,7 +310,7 @@ def _raise(h, which):
 
 
 @hot
-def _look_at_stack(h):
+def _check_stack(h):
     """Call Python about a request that comes from another stack than that of the firmware's own thread."""
     here = frame_address()
     if here < h.stack_low or here > h.stack_high:
@@ -323,7 +323,7 @@ def _look_at_stack(h):
 def answer(h, what, a, b):
     """The answer to a request of a host, see IN8."""
     if h.looks:
-        _look_at_stack(h)
+        _check_stack(h)
     if h.twice:
         h.twice = 0
         ask(h, TWICE)

@@ -18,7 +18,7 @@ class CompileError(StageError):
 
 
 class CompilerWarning(UserWarning):
-    """What the compiler or linker said of firmware that it has built."""
+    """A message of the compiler or linker about firmware that it has built."""
 
 
 class NoCompilerError(StageError):

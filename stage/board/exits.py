@@ -81,7 +81,7 @@ def interpose(handle: int, taken: frozenset[str] = ALL) -> None:
     if HERE:
         library = ctypes.cast(handle, ctypes.POINTER(Loaded))
         while library:
-            for slot, name in _slots(library.contents, taken | _TOLD):
+            for slot, name in _slots(library.contents, taken | _REPORTED):
                 _set(slot, _address(name))
             library = library.contents.next
 
@@ -106,16 +106,16 @@ def _taken(name: str) -> Any:
     return _CALL(call)
 
 
-_TOLD = _CREATES | _SLEEPS.keys()
+_REPORTED = _CREATES | _SLEEPS.keys()
 
 
-def _tell(name: str) -> Any:
+def _report_call(name: str) -> Any:
     """Make a function that calls the one of this name of the system; a sleeper is told before, a creator afterwards."""
 
     def call(*given: int) -> int:
-        tell = sleepers.get(get_ident())
-        if tell is not None and name in _SLEEPS and (words := _SLEEPS[name](*given)):
-            tell(words)
+        report = sleepers.get(get_ident())
+        if report is not None and name in _SLEEPS and (words := _SLEEPS[name](*given)):
+            report(words)
         answer = int(getattr(ctypes.CDLL(None), name)(*map(ctypes.c_int64, given)))
         if name in _CREATES and (created := creators.get(get_ident())):
             created()
@@ -130,7 +130,7 @@ _OURS: dict[str, Any] = {}
 def _address(name: str) -> int:
     if name not in _OURS:
         _OURS[name] = (
-            _tell(name) if name in _TOLD else _taken(name)
+            _report_call(name) if name in _REPORTED else _taken(name)
         )  # for ever: libraries that are never unloaded have its address
     return ctypes.cast(_OURS[name], ctypes.c_void_p).value or 0
 
@@ -151,8 +151,8 @@ def _slots(library: Loaded, wanted: Container[str]) -> Iterator[tuple[int, str]]
         for number in np.unique(numbers[numbers > 0]).tolist():
             symbol = symbols + _SYMBOL_SIZE * number
             name = ctypes.string_at(names + ctypes.c_uint32.from_address(symbol).value).decode(errors="replace")
-            is_its_own = ctypes.c_uint16.from_address(symbol + _SECTION).value != 0
-            if name in wanted and not is_its_own:
+            is_defined_here = ctypes.c_uint16.from_address(symbol + _SECTION).value != 0
+            if name in wanted and not is_defined_here:
                 for offset in found["offset"][numbers == number].tolist():
                     yield base + offset, name
 

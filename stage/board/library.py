@@ -56,11 +56,11 @@ _MACHINES = {
 _OURS = {"x86_64": "x86-64", "AMD64": "x86-64", "arm64": "aarch64"}
 
 
-def _demangle(said: str) -> str:
+def _demangle(message: str) -> str:
     """Write names of C++ functions as their source has them, where there is c++filt."""
-    for name in dict.fromkeys(re.findall(r"\b_Z\w+", said)) if shutil.which("c++filt") else ():
-        said = said.replace(name, run_program(["c++filt", name]).stdout.strip() or name)
-    return said
+    for name in dict.fromkeys(re.findall(r"\b_Z\w+", message)) if shutil.which("c++filt") else ():
+        message = message.replace(name, run_program(["c++filt", name]).stdout.strip() or name)
+    return message
 
 
 class BusStruct(ctypes.Structure):
@@ -147,52 +147,57 @@ def build(
                 METER, [*compiler(METER).split(), "-c", "-fPIC", "-O2", f"-I{include()}", str(METER), "-o", str(meter)]
             )
         recipe = platforms.recipe(
-            of, files, Path(folder), lambda source, given: _needs_cplusplus(source, given, flags, folder)
+            of,
+            files,
+            Path(folder),
+            lambda source, platform_flags: _needs_cplusplus(source, platform_flags, flags, folder),
         )
         common = ["-fPIC", "-O2", "-g", *recipe.flags, f"-I{include()}"]
-        said, objects = [], []
+        messages, objects = [], []
         for k, source in enumerate(recipe.c_files):
             objects.append(f"{folder}/{k}-{source.stem}.o")
             command = [*compiler("x.c").split(), "-c", *common, *_flags_of_c(flags), str(source), "-o", objects[-1]]
-            said.append(_compile(source, command, of))
+            messages.append(_compile(source, command, of))
         name = compiler("x.cpp" if recipe.cplusplus else "x.c")
         command = [
             *name.split(), "-shared", *common, *OWN_FIRST, *recipe.cplusplus_flags,
             *(_flags_of_cplusplus(name, recipe.is_like_c, tuple(flags)) if recipe.cplusplus else ()),
             *recipe.files, *objects, *flags, "-o", str(made),
         ]  # fmt: skip
-        said.append(_link(files, command, of))
-        if warning := "\n".join(filter(None, said)):
+        messages.append(_link(files, command, of))
+        if warning := "\n".join(filter(None, messages)):
             warnings.warn(escape(f"{files[0]}: the compiler warns:\n{warning}"), CompilerWarning, stacklevel=2)
     return made
 
 
 def _compile(source: Path, command: list[str], platform: platforms.Platform | None = None) -> str:
     """Run a compiler; return what it said. Raises CompileError."""
-    has_failed, said = _run(command)
+    has_failed, message = _run(command)
     if has_failed:
-        raise _refuse(source, command, said, platform)
-    return said
+        raise _refuse(source, command, message, platform)
+    return message
 
 
 def _link(sources: Sequence[Path], command: list[str], platform: platforms.Platform | None) -> str:
     """Compile and link a library; return what was said. Raises CompileError, also for a function that no source has and no library
     of this process: the loader would name it without the place that calls it."""
-    has_failed, said = _run([*command, *COMPLETE])
-    absent = [name for name in _UNDEFINED.findall(said) if not _is_loaded(name)]
-    if has_failed and _UNDEFINED.search(said) and not absent:
-        has_failed, said = _run(command)
-    if has_failed and _OF_LINKER.search(said):
+    has_failed, message = _run([*command, *COMPLETE])
+    absent = [name for name in _UNDEFINED.findall(message) if not _is_loaded(name)]
+    if has_failed and _UNDEFINED.search(message) and not absent:
+        has_failed, message = _run(command)
+    if has_failed and _OF_LINKER.search(message):
         names = ", ".join(map(str, sources))
-        raise CompileError(f"{names}: the linker fails ({command[0]}):\n{said}{HINT * bool(absent)}", said)
+        raise CompileError(f"{names}: the linker fails ({command[0]}):\n{message}{HINT * bool(absent)}", message)
     if has_failed:
-        raise _refuse(sources[0], command, said, platform)
-    return said
+        raise _refuse(sources[0], command, message, platform)
+    return message
 
 
-def _refuse(source: Path, command: list[str], said: str, platform: platforms.Platform | None) -> CompileError:
+def _refuse(source: Path, command: list[str], message: str, platform: platforms.Platform | None) -> CompileError:
     """Make the error of a source that does not compile."""
-    return CompileError(f"{source} does not compile ({command[0]}):\n{said}{platforms.hint(platform, said)}", said)
+    return CompileError(
+        f"{source} does not compile ({command[0]}):\n{message}{platforms.hint(platform, message)}", message
+    )
 
 
 def _run(command: list[str]) -> tuple[bool, str]:
@@ -206,9 +211,17 @@ def _is_loaded(symbol: str) -> bool:
     return bool(re.match("__(?:[a-z]{1,2}san_|sanitizer_)", symbol)) or hasattr(ctypes.CDLL(None), symbol)
 
 
-def _needs_cplusplus(source: Path, given: Sequence[str], flags: Sequence[str], folder: str) -> bool:
+def _needs_cplusplus(source: Path, platform_flags: Sequence[str], flags: Sequence[str], folder: str) -> bool:
     """Whether a source in C includes a header of its platform that is C++ here."""
-    preprocessed = ["-E", *given, f"-I{include()}", *_flags_of_c(flags), str(source), "-o", f"{folder}/preprocessed"]
+    preprocessed = [
+        "-E",
+        *platform_flags,
+        f"-I{include()}",
+        *_flags_of_c(flags),
+        str(source),
+        "-o",
+        f"{folder}/preprocessed",
+    ]
     return platforms.IS_CPLUSPLUS in run_program([*compiler("x.c").split(), *preprocessed]).stderr
 
 
@@ -224,22 +237,22 @@ def _flags_of_c(flags: Sequence[str]) -> list[str]:
 def _flags_of_cplusplus(compiler: str, is_like_c: bool, flags: tuple[str, ...]) -> list[str]:
     """Return flags that C++ needs. is_like_c: C is compiled as C++, in which a loop without end, and a function without a return
     whose value nobody takes, mean what they do in C."""
-    chosen = [*_own_statics(compiler)]
+    selected = [*_own_statics(compiler)]
     if is_like_c and not any(flag.startswith("-fsanitize") for flag in flags):
-        chosen += ["-fno-finite-loops"]
-        if chosen[0] == _OF_GCC:  # what makes it leave the end of such a function as it is, and needs no library
-            chosen += ["-fsanitize=unreachable", "-fno-sanitize=return", "-fsanitize-undefined-trap-on-error"]
+        selected += ["-fno-finite-loops"]
+        if selected[0] == _OF_GCC:  # what makes it leave the end of such a function as it is, and needs no library
+            selected += ["-fsanitize=unreachable", "-fno-sanitize=return", "-fsanitize-undefined-trap-on-error"]
         else:
-            chosen += ["-fno-strict-return"]
-    return chosen
+            selected += ["-fno-strict-return"]
+    return selected
 
 
 @functools.cache
 def _own_statics(compiler: str) -> tuple[str, ...]:
     """GCC makes static variables of inline functions and templates one for all copies of a library in a process, even of different
     runs. Other compilers do not, and do not know the flag."""
-    said = run_program([*compiler.split(), "--version"]).stdout
-    return (_OF_GCC,) if "Free Software Foundation" in said else ()
+    message = run_program([*compiler.split(), "--version"]).stdout
+    return (_OF_GCC,) if "Free Software Foundation" in message else ()
 
 
 def _listed(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> list[str | os.PathLike]:
@@ -262,15 +275,19 @@ def ready(
     metered: bool = False,
 ) -> Path:
     """The library that `firmware` is, or that is built from it, in `folder`. Raises as `build` and `check`."""
-    given = _listed(firmware)
-    if are_sources(given):
-        output = folder / f"{Path(given[0]).stem}.so" if folder else None
-        return check(build(given, output, flags, platform=platform, metered=metered))
+    firmware_files = _listed(firmware)
+    if are_sources(firmware_files):
+        output = folder / f"{Path(firmware_files[0]).stem}.so" if folder else None
+        return check(build(firmware_files, output, flags, platform=platform, metered=metered))
     if platform is not None:
-        raise ArgumentError(f"platform={platform!r}: it says how sources are built, and {given[0]} is built already.")
-    if len(given) > 1:
-        raise ArgumentError(f"{', '.join(map(str, given))}: give one library, or sources only ({', '.join(SOURCES)}).")
-    return check(given[0])
+        raise ArgumentError(
+            f"platform={platform!r}: it says how sources are built, and {firmware_files[0]} is built already."
+        )
+    if len(firmware_files) > 1:
+        raise ArgumentError(
+            f"{', '.join(map(str, firmware_files))}: give one library, or sources only ({', '.join(SOURCES)})."
+        )
+    return check(firmware_files[0])
 
 
 def check(path: str | os.PathLike) -> Path:
@@ -351,9 +368,9 @@ class Library:
         except (OSError, UnicodeDecodeError) as error:  # ctypes decodes what the loader says as UTF-8
             self._scratch.close()
             whole = error.object.decode(errors="replace") if isinstance(error, UnicodeDecodeError) else str(error)
-            said = _demangle(whole.replace(str(own), str(path)).removeprefix(f"{path}: "))
+            message = _demangle(whole.replace(str(own), str(path)).removeprefix(f"{path}: "))
             raise LibraryError(
-                f"{path} cannot be loaded: {said}. Link what it needs into it, or add a source that has it (a function of a "
+                f"{path} cannot be loaded: {message}. Link what it needs into it, or add a source that has it (a function of a "
                 f"platform that is not emulated: docs/porting.md); it is built so: {how_to_build(path)}"
             ) from None
         finally:

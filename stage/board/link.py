@@ -42,14 +42,14 @@ class Link:
         answering: the device in Python that answers a bus cycle now, or None.
         stand_still: the function by which firmware in a thread of its own waits, while it runs.
         abandoned: threads of firmware that was given up.
-        own_thread: the identifier of the firmware's own thread; has_other_threads: whether others of it have made bus cycles.
+        firmware_thread: the identifier of the firmware's own thread; has_other_threads: whether others of it have made bus cycles.
         calls: counts the calls from compiled code into Python, at their begin and at their end: odd within a call.
     """
 
     def __init__(self, board: Board):
         self.board, self.stage = board, board.stage
         self.calls = 0
-        self.own_thread, self.has_other_threads = 0, False
+        self.firmware_thread, self.has_other_threads = 0, False
         self.error: BaseException | None = None
         self.windows: Mapped | None = None
         self.answering: Any = None
@@ -229,7 +229,7 @@ class Link:
     def _wait_for_others(self) -> None:
         """Another thread than the firmware's own makes a bus cycle: one that does so meanwhile is an error, unless a mutex holds it
         back. Without this wait short threads would miss each other in most runs, and would meet in some."""
-        if threading.get_ident() == self.own_thread:  # a coroutine, or a handler of signals on a stack of its own
+        if threading.get_ident() == self.firmware_thread:  # a coroutine, or a handler of signals on a stack of its own
             return
         if not self.has_other_threads:
             self.has_other_threads = True

@@ -137,7 +137,7 @@ class Threaded:
             crash.OwnStack()
         me = threading.get_ident()
         exits.leavers[me], exits.sleepers[me], exits.creators[me] = self._leave, self._note_sleep, self._wait_for_thread
-        self._board.link.own_thread, self._board.link.has_other_threads = me, False
+        self._board.link.firmware_thread, self._board.link.has_other_threads = me, False
         code, failed, board, others = 0, None, self._board, native_threads()
         top = bus.here.c()
         board.link.record["stack_low"], board.link.record["stack_high"] = top - STACK, top + NEAR

@@ -42,15 +42,15 @@ def run_stage(*words: str, folder: Path, **environment: str) -> subprocess.Compl
 
 
 def test_every_program_whose_output_is_decoded_says_what_becomes_of_other_encodings():
-    root, wanting, seen = Path(__file__).parents[2], [], 0
+    root, wanting, calls = Path(__file__).parents[2], [], 0
     for file in (*(root / "stage").rglob("*.py"), *(root / "scripts").rglob("*.py")):
         for call in (node for node in ast.walk(ast.parse(file.read_bytes())) if isinstance(node, ast.Call)):
             given = {keyword.arg for keyword in call.keywords}
             name = getattr(call.func, "attr", "")
             if name in ("run", "Popen", "check_output") and given & {"text", "encoding", "universal_newlines"}:
-                seen += 1
+                calls += 1
                 wanting += [f"{file}:{call.lineno}"] if "errors" not in given else []
-    assert seen >= 5
+    assert calls >= 5
     assert not wanting
 
 
@@ -59,7 +59,7 @@ def test_output_of_another_program_is_text_in_whatever_encoding_it_is():
     assert (done.returncode, done.stdout) == (0, "\ufffd\ufffd of d\ufffdp\ufffdt")
 
 
-def test_a_source_in_shift_jis_in_a_folder_in_latin_1_runs_and_its_error_is_told(latin):
+def test_a_source_in_shift_jis_in_a_folder_in_latin_1_runs_and_its_error_is_reported(latin):
     board = Board(Stage("xy", visuals=False))
     good = write_source(latin, "PULSESTAGE_MAIN { ps_in8(0x300); return 3; }")
     for isolated in (False, True):

@@ -117,7 +117,7 @@ SLEEPS = {
 @here_only
 @pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
 @pytest.mark.parametrize("call", SLEEPS)
-def test_firmware_that_sleeps_in_real_time_is_told_so_once_in_the_log(call, isolated):
+def test_firmware_that_sleeps_in_real_time_is_reported_once_in_the_log(call, isolated):
     # sleep(3); in the place of ps_delay_us(3000000);
     head = "#include <poll.h>\n#include <sys/select.h>\n#include <time.h>\n#include <unistd.h>\n"
     times = 1 if call == "sleep(1);" else 2
@@ -132,8 +132,8 @@ def test_firmware_that_sleeps_in_real_time_is_told_so_once_in_the_log(call, isol
 
 
 @here_only
-def test_a_sleep_of_the_firmware_s_own_is_its_own(board, tmp_path):
-    """Without -Bsymbolic the firmware calls it through the table in which calls of the system's are taken."""
+def test_a_function_named_usleep_of_the_firmware_is_not_replaced(board, tmp_path):
+    """Link without -Bsymbolic: the firmware calls it through the table in which calls of the system's are taken."""
     source, made = tmp_path / "own.c", tmp_path / "own.so"
     source.write_text(
         "#include <pulsestage.h>\nint usleep(unsigned us) { ps_delay_us(us); return 5; }\n"
@@ -146,7 +146,7 @@ def test_a_sleep_of_the_firmware_s_own_is_its_own(board, tmp_path):
 
 
 @here_only
-def test_a_sleep_with_floating_point_traps_on_is_told_too():
+def test_a_sleep_with_floating_point_traps_on_is_reported():
     head = "#include <fenv.h>\n#include <unistd.h>\n"
     made = firmware(
         f"{head}PULSESTAGE_MAIN {{ feenableexcept(FE_ALL_EXCEPT); usleep(10); return 0; }}", "-D_GNU_SOURCE", "-lm"

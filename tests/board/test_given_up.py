@@ -319,7 +319,7 @@ def test_two_threads_that_make_a_few_cycles_without_a_mutex_are_an_error_each_ti
 
 @pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
 @pytest.mark.parametrize("flags", [("-DGUARDED=1", "-DOWN=200"), ("-DGUARDED=0", "-DOWN=0")], ids=["mutex", "join"])
-def test_threads_that_take_turns_run_and_the_log_says_that_there_are_several(flags, isolated):
+def test_threads_that_are_synchronized_run_and_the_log_names_them(flags, isolated):
     b = board("xy")
     for _ in range(2):
         with NativeHost(firmware(THREADS, *flags, "-pthread"), b, isolated=isolated) as h:
@@ -329,7 +329,7 @@ def test_threads_that_take_turns_run_and_the_log_says_that_there_are_several(fla
     assert "bus cycles come from several threads of the firmware" in b.log[0][1]
 
 
-def test_a_thread_that_has_made_bus_cycles_and_still_runs_at_the_end_is_an_error():
+def test_a_thread_that_drives_the_bus_and_still_runs_at_the_end_is_an_error():
     forever = THREADS.replace("return argument;", "for (;;) pause(); return argument;").replace(
         "pthread_join(thread, 0)", "usleep(9000)"
     )

@@ -138,7 +138,7 @@ ENDS = {
 
 @pytest.mark.usefixtures("after")
 @pytest.mark.parametrize("what", ENDS)
-def test_an_abnormal_end_is_told_as_what_it_was(what, board):
+def test_an_abnormal_end_is_reported_with_its_cause(what, board):
     body, said = ENDS[what]
     host = NativeHost(build_firmware(f"PULSESTAGE_MAIN {{ ps_in8(0x304); {body} return 0; }}"), board, isolated=True)
     if said is None:
@@ -150,7 +150,7 @@ def test_an_abnormal_end_is_told_as_what_it_was(what, board):
 
 
 @pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
-def test_a_hook_that_turns_traps_on_leaves_the_stage_its_arithmetic(isolated):
+def test_a_hook_that_enables_traps_does_not_change_the_stage(isolated):
     hook = f"""
     static void hook(void *a) {{ (void)a; {TRAPS} ps_on_timer(0, 0, 0); }}
     PULSESTAGE_MAIN {{ ps_on_timer(1000, hook, 0); ps_delay_us(20000); return 3; }}"""
@@ -162,7 +162,7 @@ def test_a_hook_that_turns_traps_on_leaves_the_stage_its_arithmetic(isolated):
     assert states[0] == states[1]
 
 
-def test_a_thread_that_a_system_call_has_ended_is_told_in_this_process_too(board):
+def test_a_thread_that_a_system_call_ends_is_reported_in_this_process(board):
     host = NativeHost(build_firmware("PULSESTAGE_MAIN { ps_in8(0x304); syscall(SYS_exit, 0); return 0; }"), board)
     with pytest.raises(HostError, match="has ended its thread by a system call"):
         host.run()

@@ -42,7 +42,7 @@ def write(folder, **sources: str):
     return made
 
 
-def test_c_beside_cpp_is_compiled_as_c_and_its_functions_keep_their_names(board, tmp_path):
+def test_c_linked_with_cpp_is_compiled_as_c(board, tmp_path):
     cpp = '#include <pulsestage.h>\nextern "C" int count_c(int);\nPULSESTAGE_MAIN { return count_c(4); }\n'
     for sources in (write(tmp_path, a_cpp=cpp, b_c=ONLY_C), write(tmp_path, b_c=ONLY_C, a_cpp=cpp)):
         library = build(sources, flags=["-Wall", "-Wextra", "-Werror", "-std=c++17"])
@@ -67,7 +67,7 @@ def platform_program(name: str, suffix: str) -> dict[str, str]:
 @pytest.mark.parametrize("suffix", ["c", "cpp"])
 @pytest.mark.parametrize("name", [name for name in PLATFORMS if name != "freertos"])  # its kernel is not here
 def test_c_stays_c_on_every_platform(name, suffix, board, tmp_path):
-    """In C++ it takes extern "C" to call it, as everywhere."""
+    """Declare the function extern "C" in C++, as everywhere."""
     sources = write(tmp_path, **platform_program(name, suffix))
     assert NativeHost(build(sources, platform=name), board).run().code == 7
 

@@ -313,7 +313,7 @@ def sketches(folder):
             if not isinstance(made, str):
                 short = [
                     x.replace(str(platforms.HERE), "H").replace(str(folder), "F")
-                    for x in (*made.files, "|", *made.flags)
+                    for x in (*made.files, "|", *map(str, made.c_files), "|", *made.flags, *made.cplusplus_flags)
                 ]
                 made = [short, made.cplusplus]
             found[f"{files} {name}"] = made
@@ -329,7 +329,7 @@ def sketches(folder):
             platforms.hint(of, said) for of in (None, platforms.PLATFORMS["freertos"], platforms.PLATFORMS["dos"])
         ]
     found["platforms"] = {
-        n: [p.title, p.begins, p.entry, p.folders, p.cplusplus, p.flags, p.sources, p.defaults]
+        n: [p.title, p.begins, p.entry, p.folders, p.has_cplusplus_headers, p.flags, p.sources, p.defaults]
         for n, p in platforms.PLATFORMS.items()
     }
     found["sources"] = [library.are_sources(x) for x in ("a.c", ["a.c", "b.so"], "a.ino", "a.h", Path("a.cxx"), [])]
