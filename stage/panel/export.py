@@ -19,7 +19,7 @@ from stage.extras import need
 from stage.identifiers import escape_name
 from stage.panel.sampler import Sampler, Trace
 from stage.recording.scene import duration
-from stage.recording.sdk import rr
+from stage.recording.sdk import release_streams, rr
 
 
 def heading(trace: Trace) -> str:
@@ -111,9 +111,11 @@ def to_rrd(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> 
             out.send_columns(entity, indexes=[duration(times)], columns=rr.Scalars.columns(scalars=v.astype(float)))
         out.flush()
         out.disconnect()
+        del out
         with open(path, "rb") as file:
             return file.read()
     finally:
+        release_streams()
         os.unlink(path)
 
 

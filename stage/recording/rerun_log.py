@@ -65,12 +65,11 @@ class Log:
         self._colours = {name: COLOURS[colour] for name, colour in colours_of(recording).items()}
         self._lanes = {name: Lanes(recording, name, self._colours[name]) for name in recording.axes}
         self._scene = scene.Scene(recording)
-        self._out = rr.RecordingStream("pulsestage")
-        self._sink = Sink(self._out, path, dashboard(recording), overwrite)
+        self._sink = Sink(rr.RecordingStream("pulsestage"), path, dashboard(recording), overwrite)
         try:
-            _about(self._out, recording)
-            self._scene.begin(self._out, self._colours)
-            _styles(self._out, recording, self._colours)
+            _about(self._sink.out, recording)
+            self._scene.begin(self._sink.out, self._colours)
+            _styles(self._sink.out, recording, self._colours)
             self._sink.flush()
         except BaseException:
             self.close()
@@ -79,24 +78,24 @@ class Log:
     def take(self) -> None:
         """Write what the recording has got since the last time."""
         for piece in self._recording.pieces(begin=self._rows):
-            _series(self._out, self._recording, piece)
-            self._scene.move(self._out, piece)
+            _series(self._sink.out, self._recording, piece)
+            self._scene.move(self._sink.out, piece)
             self._rows += len(piece)
             self._sink.flush()  # or an hour would pile up before it is written
         for name, lanes in self._lanes.items():
-            edges, first = lanes.take(self._out)
-            self._scene.light(self._out, name, edges, first)
+            edges, first = lanes.take(self._sink.out)
+            self._scene.light(self._sink.out, name, edges, first)
         self._scene.lit()
-        _faults(self._out, self._recording.notes, self._noted)
+        _faults(self._sink.out, self._recording.notes, self._noted)
         self._noted = len(self._recording.notes)
         self._sink.flush()
 
     def finish(self) -> None:
         """Write what is known at the end only: the length, the tool's path, the last register's value."""
-        _about(self._out, self._recording)
-        self._scene.end(self._out)
+        _about(self._sink.out, self._recording)
+        self._scene.end(self._sink.out)
         for lanes in self._lanes.values():
-            lanes.end(self._out)
+            lanes.end(self._sink.out)
         self._sink.close()
 
     def close(self) -> None:

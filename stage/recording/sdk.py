@@ -1,8 +1,16 @@
 """rerun, for all that write or show recordings. It is an extra: whoever uses one of these without it gets ExtraMissing."""
 
-from stage.extras import Later
+from stage.extras import Later, need
 
 rr = Later("rerun", "a recording (.rrd)")
 rrb = Later("rerun.blueprint", "a recording (.rrd)")
 experimental = Later("rerun.experimental", "a picture of a recording (.rrd)")
 chunk = Later("rerun.chunk", "reading a recording (.rrd)")
+
+
+def release_streams() -> None:
+    """Free the threads and the memory of every recording stream that nobody refers to any more.
+
+    rerun (0.41) keeps two threads and some MB of each stream, and of each blueprint, until this is called.
+    """
+    need("rerun_bindings", "a recording (.rrd)").flush_and_cleanup_orphaned_recordings()

@@ -16,23 +16,50 @@ import time
 from pathlib import Path
 from typing import Any
 
+from stage.recording.sdk import release_streams
+
 PATIENCE = 60.0  # s that a flush may take
+
+
+class KeptBlueprint:
+    """A rerun blueprint that keeps the stream into which rerun writes it. The methods are those that rerun calls.
+
+    Attributes:
+        stream: the RecordingStream, set when the blueprint is saved.
+    """
+
+    def __init__(self, blueprint: Any):
+        self._blueprint, self.stream = blueprint, None
+
+    def to_blueprint(self) -> KeptBlueprint:
+        """Return itself, as rerun wants a whole blueprint."""
+        return self
+
+    def _log_to_stream(self, stream: Any) -> None:
+        self.stream = stream
+        self._blueprint._log_to_stream(stream)
 
 
 class Sink:
     """The file `path` for the RecordingStream `out`. Raises OSError, and so do `flush` and `close`.
 
     Each flush is one write of whole messages, and after an OSError the file ends with the last flush that succeeded.
+
+    Attributes:
+        out: the RecordingStream until `close` or `abandon`, which free its threads and memory if nobody else refers to it.
     """
 
     def __init__(self, out: Any, path: Path, blueprint: Any, overwrite: bool):
-        self._out, self._bytes, self._closing = out, bytearray(), False
+        self.out, self._bytes, self._closing = out, bytearray(), False
         self._file = open(path, "wb" if overwrite else "xb", buffering=0)  # noqa: SIM115
         self._end, write_end = os.pipe()
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._collect, name="rerun file", daemon=True)
         self._thread.start()
-        out.save(f"/dev/fd/{write_end}", default_blueprint=blueprint)
+        kept = blueprint and KeptBlueprint(blueprint)
+        out.save(f"/dev/fd/{write_end}", default_blueprint=kept)
+        if kept:
+            kept.stream.disconnect()  # it holds itself in memory, and would for ever
         os.close(write_end)
 
     def _collect(self) -> None:
@@ -52,7 +79,7 @@ class Sink:
     def flush(self) -> None:
         """Everything logged so far is in the file, and a kill of this process does not take it away."""
         try:
-            self._out.flush(timeout_sec=PATIENCE)
+            self.out.flush(timeout_sec=PATIENCE)
         except RuntimeError as error:
             raise OSError(f"rerun: {error}") from error
         self._write()
@@ -78,7 +105,7 @@ class Sink:
         if self._file.closed:
             return
         try:
-            self._out.disconnect()
+            self.out.disconnect()
             self._write()
         finally:
             self._stop()
@@ -86,10 +113,12 @@ class Sink:
     def abandon(self) -> None:
         """Let go of the file as it is. Safe to call twice, and after `close`."""
         if not self._file.closed:
-            self._out.disconnect()
+            self.out.disconnect()
             self._stop()
 
     def _stop(self) -> None:
+        self.out = None
+        release_streams()
         self._closing = True
         self._thread.join()
         os.close(self._end)
