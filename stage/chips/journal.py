@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from stage.arguments import whole_number
 from stage.chips.entries import INPUT, LOST, READ, RESET, SHAFT, WRITE, Entries, Entry, bits
 
 if TYPE_CHECKING:
     from stage.chips.chip import Chip
 
 CHUNK = 65536
-ROOM = 64  # a scan needs some to get on
+ROOM = 64  # edges: the least piece, as a scan writes several before it looks whether there is room
 
 
 class Course(NamedTuple):
@@ -117,7 +118,10 @@ class Journal:
         return Course(type(chip), chip.clock_hz, np.concatenate(list(self.pieces(every_pulse))), self.entries[:])
 
     def pieces(self, every_pulse: bool = False, size: int = CHUNK) -> Iterator[np.ndarray]:
-        """The edges of `course`, at most `size` at a time: any length of run in the same memory."""
+        """The edges of `course`, at most `size` at a time: any length of run in the same memory.
+
+        Raises ArgumentError for a `size` below 64.
+        """
         return Replay(self).pieces(every_pulse, size)
 
 
@@ -136,6 +140,10 @@ class Replay:
 
     def pieces(self, every_pulse: bool = False, size: int = CHUNK) -> Iterator[np.ndarray]:
         """As `Journal.pieces`, from where the last call ended; the first edge is the chip as it was there."""
+        whole_number("size", size, ROOM)
+        return self._pieces(every_pulse, size)
+
+    def _pieces(self, every_pulse: bool, size: int) -> Iterator[np.ndarray]:
         core, axis, clock = self._journal.chip.CORE, self._journal.axis, self._rows["clock"]
         chip = self._rows.ctypes.data
         out, done = np.zeros(size, core.EDGE), np.zeros(1, np.int64)

@@ -87,6 +87,17 @@ class Registry(MutableMapping[str, type[Chip]]):
     def __delitem__(self, name: str) -> None:
         del self._loaded[key(name)]
 
+    def clear(self) -> None:
+        """Forget every class that was set or loaded. PulseStage's own chips and those of packages stay known."""
+        self._loaded.clear()
+
+    def popitem(self) -> tuple[str, type[Chip]]:
+        """Remove and return the last class that was set or loaded. Raises UnknownKey where there is none."""
+        try:
+            return self._loaded.popitem()
+        except KeyError:
+            raise UnknownKey("no class of a chip was set or loaded: PulseStage's own chips stay.") from None
+
     def __iter__(self) -> Iterator[str]:
         return iter(dict.fromkeys((*self._own, *_brought(), *self._loaded)))
 

@@ -141,3 +141,17 @@ def test_a_chip_of_ones_own_is_known_by_its_name_in_any_spelling_until_it_is_tak
     assert "MYCHIP" in list(CHIPS)
     del CHIPS["My-chip"]
     assert "my-chip" not in CHIPS
+
+
+def test_clearing_the_registry_ends_and_every_chip_stays_known(monkeypatch):
+    """CHIPS.clear() loaded and dropped the first chip for ever"""
+    monkeypatch.setattr(CHIPS, "_loaded", {})
+    names = list(CHIPS)
+    CHIPS["MINE"] = PCL240K
+    assert CHIPS.popitem() == ("MINE", PCL240K)
+    with pytest.raises(KeyError, match="stay"):
+        CHIPS.popitem()
+    CHIPS["MINE"] = PCL240K
+    CHIPS.clear()
+    assert list(CHIPS) == names
+    assert CHIPS["pcl-240k"] is PCL240K

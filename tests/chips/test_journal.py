@@ -9,6 +9,7 @@ from stage import faults
 from stage.chips import CHIPS, MCX304, MCX514, PCL240K, PCL240MK
 from stage.chips.describe import decode
 from stage.chips.entries import INPUT, PACKED, READ, WRITE, Entries, Entry
+from stage.errors import ArgumentError
 
 
 def command(chip, code, value=0, axes=1):
@@ -208,7 +209,17 @@ def test_pieces_of_any_size_are_the_course_though_all_was_written_at_one_clock()
     chip.advance(10)
     whole = journal.course().edges
     assert len(whole) == 302
-    for size in (65, 66, 100, 301, 302):
+    for size in (64, 65, 66, 100, 301, 302):
         pieces = list(journal.pieces(size=size))
         assert max(map(len, pieces)) <= size
         assert np.concatenate(pieces).tobytes() == whole.tobytes()
+
+
+@pytest.mark.parametrize("size", [-1, 0, 1, 8, 63, 64.0, True, None])
+def test_a_piece_that_a_scan_cannot_be_sure_to_fit_into_is_refused_before_anything_is_written(size):
+    """journal.pieces(size=0) wrote behind its array, and 1 to 8 never ended"""
+    chip = PCL240K()
+    journal = chip.journal()
+    with pytest.raises(ArgumentError, match=f"size={size}: a whole number, 64 or more"):
+        journal.pieces(size=size)
+    assert len(np.concatenate(list(journal.pieces(size=64)))) == 2
