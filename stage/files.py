@@ -41,9 +41,9 @@ def path_of(path: Any, error: type[StageError] = FileError) -> Path:
 
 
 def readable(path: Any, what: str, error: type[StageError] = FileError) -> Path:
-    """`path`, if it is a file with something in it that can be read; what: it should be, as in "recording".
+    """`path`, if it is a regular file with something in it that can be read; what: it should be, as in "recording".
 
-    Raises `error` for what is missing, a folder, empty, or not to be read, each in its own words.
+    Raises `error` for what is missing, a folder, a device or a pipe, empty, or not to be read, each in its own words.
     """
     path = path_of(path, error)
     try:
@@ -54,9 +54,11 @@ def readable(path: Any, what: str, error: type[StageError] = FileError) -> Path:
         raise error(f"{path} cannot be read: {getattr(why, 'strerror', None) or why}.") from why
     if stat.S_ISDIR(there.st_mode):
         raise error(f"{path} is a folder. Name a file in it.")
+    if not stat.S_ISREG(there.st_mode):
+        raise error(f"{path} is {_kind_in_words(there.st_mode)}, and no {what}. Name a regular file.")
     if not os.access(path, os.R_OK):
         raise error(f"{path} cannot be read: no permission. `ls -l` says who may.")
-    if stat.S_ISREG(there.st_mode) and not there.st_size:
+    if not there.st_size:
         raise error(f"{path} is empty, and no {what}.")
     return path
 
@@ -159,6 +161,12 @@ def _kind(path: Path, error: type[FileError]) -> int | None:
         return None
     except (OSError, ValueError) as why:
         raise error(f"{path} cannot be written: {getattr(why, 'strerror', None) or why}. Choose another name.") from why
+
+
+def _kind_in_words(mode: int) -> str:
+    """Return what a mode (of stat) that is no regular file's and no folder's stands for, with its article."""
+    kinds = {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFBLK: "a disk", stat.S_IFCHR: "a device"}
+    return kinds.get(stat.S_IFMT(mode), "no file")
 
 
 def _pour(part: Path, target: Path) -> None:

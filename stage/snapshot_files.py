@@ -23,7 +23,8 @@ from typing import Any, Self
 import numpy as np
 
 from stage.errors import ArgumentError
-from stage.files import readable, written
+from stage.files import written
+from stage.foreign_files import parse_json, read_bytes
 from stage.snapshots import VERSION, Header, Snapshot
 
 MAGIC = b"PulseStage snapshot\n"
@@ -31,6 +32,8 @@ FORMAT = 1
 LENGTHS = struct.Struct("<IIQ")
 SUM = hashlib.sha256().digest_size
 LEAST = len(MAGIC) + LENGTHS.size + SUM
+LARGEST = 1 << 26
+"""Bytes of a file that is read."""
 
 
 class SnapshotError(ArgumentError):
@@ -71,59 +74,60 @@ class FiledSnapshot(Snapshot):
     def load(cls, path: str | os.PathLike) -> Self:
         """The snapshot in a file that `save` has written; `restore` says whether it fits.
 
-        Raises SnapshotError for what is missing, no snapshot, damaged, of another format, or a snapshot of something else.
+        Raises SnapshotError for what is missing, no regular file, no snapshot, larger than 64 MiB, damaged, of another format, or a
+        snapshot of something else.
         """
-        path = readable(path, "snapshot", SnapshotError)
-        try:
-            data = path.read_bytes()
-        except OSError as error:
-            raise SnapshotError(f"{path} cannot be read: {error.strerror or error}.") from error
-        told, state = _parts(path, data)
+        return cls.from_bytes(read_bytes(path, "snapshot", LARGEST, SnapshotError), str(path))
+
+    @classmethod
+    def from_bytes(cls, data: bytes, name: str = "it") -> Self:
+        """Return the snapshot that the bytes of a file hold; `name` says in errors where they come from. Raises as `load`."""
+        told, state = _parts(name, data)
         if told["version"] != VERSION:
             raise SnapshotError(
-                f"{path} is of version {told['version']} of {told['of']}'s state, and this PulseStage reads version {VERSION}: "
+                f"{name} is of version {told['version']} of {told['of']}'s state, and this PulseStage reads version {VERSION}: "
                 "take it anew."
             )
         if told["of"] != cls.of:
-            raise SnapshotError(f"{path} is a snapshot of {told['of']}, and was loaded as one of {cls.of}.")
+            raise SnapshotError(f"{name} is a snapshot of {told['of']}, and was loaded as one of {cls.of}.")
         try:
             parts = tuple((str(what), str(which)) for what, which in told["parts"])
             found = cls(Header(parts), cls._state_of(state), cls._noted_of(told["noted"]), told["checksum"])
             found.checked()
         except (ArgumentError, KeyError, TypeError, ValueError) as error:
-            raise SnapshotError(_damaged(path, "what it says of itself does not fit its state")) from error
+            raise SnapshotError(_damaged(name, "what it says of itself does not fit its state")) from error
         return found
 
 
-def _parts(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
+def _parts(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
     """The head and the state of a file. Raises SnapshotError."""
     if not data.startswith(MAGIC):
         if data and MAGIC.startswith(data[: len(MAGIC)]):
-            raise SnapshotError(_damaged(path, "it ends in its first line"))
+            raise SnapshotError(_damaged(name, "it ends in its first line"))
         raise SnapshotError(
-            f"{path} is no snapshot of PulseStage: it does not begin as one. Give what Snapshot.save has written."
+            f"{name} is no snapshot of PulseStage: it does not begin as one. Give what Snapshot.save has written."
         )
     if len(data) < LEAST:
-        raise SnapshotError(_damaged(path, f"it has {len(data)} bytes, and the shortest has {LEAST}"))
+        raise SnapshotError(_damaged(name, f"it has {len(data)} bytes, and the shortest has {LEAST}"))
     form, head, state = LENGTHS.unpack_from(data, len(MAGIC))
     if form != FORMAT:
         raise SnapshotError(
-            f"{path} is a snapshot of file format {form}, and this PulseStage reads format {FORMAT}: read it with the version that "
+            f"{name} is a snapshot of file format {form}, and this PulseStage reads format {FORMAT}: read it with the version that "
             "wrote it, or take it anew."
         )
     if len(data) != LEAST + head + state:
-        raise SnapshotError(_damaged(path, f"it has {len(data)} bytes, and its beginning says {LEAST + head + state}"))
+        raise SnapshotError(_damaged(name, f"it has {len(data)} bytes, and its beginning says {LEAST + head + state}"))
     if hashlib.sha256(data[:-SUM]).digest() != data[-SUM:]:
-        raise SnapshotError(_damaged(path, "its SHA-256 is not that of its content"))
+        raise SnapshotError(_damaged(name, "its SHA-256 is not that of its content"))
     begin = len(MAGIC) + LENGTHS.size
     try:
-        told = json.loads(data[begin : begin + head])
+        told = parse_json(data[begin : begin + head])
         if not isinstance(told, dict) or not {"of", "version", "parts", "noted", "checksum"} <= told.keys():
             raise ValueError("no head")
-    except (ValueError, RecursionError) as error:
-        raise SnapshotError(_damaged(path, "its head cannot be read")) from error
+    except ValueError as error:
+        raise SnapshotError(_damaged(name, "its head cannot be read")) from error
     return told, data[begin + head : begin + head + state]
 
 
-def _damaged(path: Path, why: str) -> str:
-    return f"{path} is a damaged snapshot: {why}. Take it anew, or copy the file again."
+def _damaged(name: Path, why: str) -> str:
+    return f"{name} is a damaged snapshot: {why}. Take it anew, or copy the file again."

@@ -18,6 +18,7 @@ LAYERS = (
     {"errors", "units", "arguments", "identifiers"},
     {
         "files",
+        "foreign_files",
         "examples",
         "html",
         "pictures",

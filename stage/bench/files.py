@@ -19,18 +19,16 @@ import hashlib
 import io
 import json
 import os
-import stat
 import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from stage.errors import ArgumentError
 from stage.files import written
+from stage.foreign_files import DocumentError, parse_json, read_bytes, read_members
 
 FORMAT = 1
 MARK = "RegisterBench entry"
@@ -113,50 +111,22 @@ class Refused(ArgumentError):
 
 def read(path: str | os.PathLike) -> Submission:
     """An entry from a file; raises Refused in words for any other file, and FileNotFoundError."""
-    try:
-        mode = Path(path).stat()
-        if not stat.S_ISREG(mode.st_mode):
-            raise Refused(f"{path}: not a file. Name one that `stage bench-submit` wrote.")
-        if mode.st_size > LARGEST:
-            raise Refused(f"{path}: {mode.st_size} bytes, and an entry has at most {LARGEST}.")
-        return unpack(Path(path).read_bytes(), str(path))
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{path}: there is no such file.") from None
+    if not os.path.lexists(path):
+        raise FileNotFoundError(f"{path}: there is no such file.")
+    return unpack(read_bytes(path, "entry", LARGEST, Refused), str(path))
 
 
 def unpack(content: bytes, name: str = "the entry") -> Submission:
     """An entry from the bytes of a file. Raises Refused."""
-    raw = _members(content, name)
+
+    def refuse(why: str) -> Refused:
+        return Refused(f"{name}: not an entry of the bench: {why}. Get it again from where it came.")
+
+    raw = read_members(content, MEMBERS, UNPACKED, refuse, only=True)
     said = _said(raw.pop("entry.json"), name)
     if said.pop("checksum", None) != _checksum(said, raw):
         raise Refused(f"{name}: damaged or changed by hand: its checksum is not that of what is in it.")
     return _submission(said, raw, name)
-
-
-def _members(content: bytes, name: str) -> dict[str, bytes]:
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            members = archive.infolist()
-            if sorted(m.filename for m in members) != sorted(MEMBERS):
-                raise Refused(f"{name}: not an entry of the bench: it should hold {', '.join(MEMBERS)}.")
-            size = sum(m.file_size for m in members)
-            if size > UNPACKED:
-                raise Refused(f"{name}: {size} bytes when unpacked, and an entry has at most {UNPACKED}.")
-            raw = {}
-            for m in members:
-                if m.flag_bits & 1 or m.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                    raise Refused(f"{name}: {m.filename} is packed in another way than entries are.")
-                with archive.open(m) as file:
-                    raw[m.filename] = file.read(m.file_size + 1)
-                if len(raw[m.filename]) != m.file_size:
-                    raise Refused(f"{name}: {m.filename} has not the length that it says.")
-            return raw
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, NotImplementedError, RuntimeError) as why:
-        if isinstance(why, Refused):
-            raise
-        raise Refused(
-            f"{name}: not an entry of the bench, or cut off or damaged ({why}). Get it again from where it came."
-        ) from None
 
 
 def _said(text: bytes, name: str) -> dict[str, Any]:
@@ -166,15 +136,15 @@ def _said(text: bytes, name: str) -> dict[str, Any]:
     if len(text) > WORDS:
         raise Refused(f"{name}: entry.json has {len(text)} bytes, and at most {WORDS} are read.")
     try:
-        said = json.loads(text, parse_constant=no_number)
-    except (ValueError, RecursionError) as why:
+        said = parse_json(text, no_number)
+    except DocumentError as why:
         raise Refused(f"{name}: entry.json cannot be read: {why}.") from None
     mark = said.get("format") if isinstance(said, dict) else None
     if not isinstance(mark, list) or len(mark) != 2 or mark[0] != MARK:
         raise Refused(f"{name}: entry.json does not begin as an entry does.")
     if mark[1] != FORMAT or isinstance(mark[1], bool):
         raise Refused(
-            f"{name}: of format {mark[1]!r}, and this PulseStage reads format {FORMAT}: use the PulseStage that it was made with."
+            f"{name}: of format {mark[1]!r:.60}, and this PulseStage reads format {FORMAT}: use the PulseStage that made it."
         )
     return said
 

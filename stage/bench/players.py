@@ -22,6 +22,10 @@ import numpy as np
 from stage.bench.around import Around, Policy
 from stage.bench.shipped import OWN, PLAYERS
 from stage.errors import ArgumentError, unknown
+from stage.foreign_files import DocumentError, parse_array, read_bytes, read_members
+
+LARGEST, UNPACKED = 1 << 28, 1 << 30
+"""Bytes of a file of actions, and of its arrays."""
 
 
 class Player(Protocol):
@@ -109,19 +113,7 @@ class Recorded:
 
     def __init__(self, path: str):
         self.name = path
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                actions = file["actions"]
-                steps = file.get("steps", None)
-        except FileNotFoundError:
-            raise ArgumentError(f"{path}: there is no such file of actions.") from None
-        except (OSError, ValueError, KeyError) as why:
-            raise ArgumentError(f"{path}: no .npz with an array `actions` ({why}).") from why
-        if steps is None and actions.ndim < 2:
-            raise ArgumentError(
-                f"{path}: actions of shape {actions.shape}; (episodes, steps, ...), or give `steps`, too."
-            )
-        self.episodes = list(actions) if steps is None else np.split(actions, np.cumsum(steps)[:-1])
+        self.episodes = _read_episodes(path)
         self.episode, self.at = -1, 0
 
     def begin(self, around: Around) -> None:
@@ -141,3 +133,28 @@ class Recorded:
             raise ArgumentError(
                 f"{self.name}: episode {self.episode} was over after {self.at} actions; there are more."
             )
+
+
+def _read_episodes(path: str) -> list[np.ndarray]:
+    """Return the actions of each episode in an .npz. Raises ArgumentError."""
+
+    def refuse(why: str) -> ArgumentError:
+        return ArgumentError(f"{path}: no .npz with an array `actions` ({why}).")
+
+    content = read_bytes(path, "file of actions", LARGEST, ArgumentError)
+    members = read_members(content, ["actions.npy"], UNPACKED, refuse, optional=["steps.npy"])
+    try:
+        arrays = {name: parse_array(data) for name, data in members.items()}
+    except DocumentError as why:
+        raise refuse(str(why)) from why
+    actions, steps = arrays["actions.npy"], arrays.get("steps.npy")
+    if steps is None and actions.ndim < 2:
+        raise ArgumentError(f"{path}: actions of shape {actions.shape}; (episodes, steps, ...), or give `steps`, too.")
+    if steps is None:
+        return list(actions)
+    whole = steps.ndim == 1 and steps.dtype.kind in "iu" and (steps >= 0).all()
+    if not whole or not actions.ndim or sum(steps.tolist()) != len(actions):
+        raise ArgumentError(
+            f"{path}: `steps` are whole numbers, how many actions each episode has; together they are as many as `actions`."
+        )
+    return np.split(actions, np.cumsum(steps)[:-1])

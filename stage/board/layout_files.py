@@ -14,9 +14,7 @@ be text as well ("0x240"), for JSON. Of what a port reaches, see `WORDS`.
 
 from __future__ import annotations
 
-import json
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +24,7 @@ from stage.board.host import BYTE, HALF, LAST_PORT, LATCH, LATCHED, NOTHING, PUL
 from stage.board.layouts import LAYOUTS, Layout
 from stage.chips import CHIPS, Chip, chip_class
 from stage.errors import ArgumentError, a_or_an, near_names, unknown
-from stage.files import FileError
+from stage.foreign_files import DocumentError, parse_json, parse_toml, read_text
 
 WORDS = {
     "byte": (BYTE, True), "word": (WORD, True), "upper": (HALF, True), "latch": (LATCH, False), "data": (LATCHED, False),
@@ -36,6 +34,8 @@ WORDS = {
 the port behind the word; the address latch; the data, at the port behind it; the chips that pull the interrupt line; nothing."""
 KEYS = ("chip", "like", "title", "base", "stride", "ports", "own", "chips")
 ENDINGS = (".toml", ".json")
+SHOWN = 60
+"""Characters of a value that an error shows."""
 EXAMPLE = 'ports = ["byte 0", "byte 1", "byte 2", "byte 3"]'
 
 
@@ -55,14 +55,10 @@ def read(path: str | os.PathLike) -> Layout:
     file = Path(path)
     if file.suffix not in ENDINGS:
         raise ArgumentError(f"layout {path}: a layout is a file that ends in {' or '.join(ENDINGS)}.")
+    text = read_text(path, "layout")
     try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FileError(f"layout {path} cannot be read: {reason}.") from None
-    try:
-        given = tomllib.loads(text) if file.suffix == ".toml" else json.loads(text)
-    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
+        given = parse_toml(text) if file.suffix == ".toml" else parse_json(text)
+    except DocumentError as error:
         raise ArgumentError(f"layout {path} is no {file.suffix[1:].upper()}: {error}.") from None
     try:
         if not isinstance(given, dict):
@@ -75,7 +71,7 @@ def read(path: str | os.PathLike) -> Layout:
 def _layout(name: str, given: Mapping[str, Any]) -> Layout:
     for key in given:
         if key not in KEYS:
-            raise unknown("key", key, KEYS)
+            raise unknown("key", key[:SHOWN], KEYS)
     start = _start(name, given)
     ports = _ports("ports", given["ports"], start.kind) if "ports" in given else start.ports
     if not ports:
@@ -97,23 +93,26 @@ def _layout(name: str, given: Mapping[str, Any]) -> Layout:
 
 def _start(name: str, given: Mapping[str, Any]) -> Layout:
     """What the file begins with: a shipped layout, or nothing but the class of the chip."""
-    if "like" in given and given["like"] not in LAYOUTS:
-        raise unknown("layout", given["like"], LAYOUTS)
     if "like" in given:
-        start = LAYOUTS[given["like"]]
-        return replace(start, kind=chip_class(given["chip"])) if "chip" in given else start
+        like = str(given["like"])
+        if like not in LAYOUTS:
+            raise unknown("layout", like[:SHOWN], LAYOUTS)
+        start = LAYOUTS[like]
+        return replace(start, kind=chip_class(str(given["chip"])[:SHOWN])) if "chip" in given else start
     if "chip" not in given:
         near = f" (known: {', '.join(CHIPS)})"
         raise ArgumentError(
             f'there is no line that names the class of the chips. Add for example: chip = "PCL240K"{near}'
         )
-    return Layout(name, "a layout of a file", chip_class(str(given["chip"])), (), 1, evidence="I")
+    return Layout(name, "a layout of a file", chip_class(str(given["chip"])[:SHOWN]), (), 1, evidence="I")
 
 
 def _ports(key: str, given: Any, chip: type[Chip]) -> tuple[tuple[int, int], ...]:
     if not isinstance(given, list):
-        raise ArgumentError(f"{key} = {given!r}: a list of what each port reaches. Write for example: {EXAMPLE}")
-    ports = tuple(_port(f"{key}, entry {n + 1}, {text!r}", text, chip) for n, text in enumerate(given))
+        raise ArgumentError(
+            f"{key} = {given!r:.{SHOWN}}: a list of what each port reaches. Write for example: {EXAMPLE}"
+        )
+    ports = tuple(_port(f"{key}, entry {n + 1}, {text!r:.{SHOWN}}", text, chip) for n, text in enumerate(given))
     for n, (kind, address) in enumerate(ports):
         before = ports[n - 1] if n else (NOTHING, 0)
         if kind == HALF and before != (WORD, address):
@@ -162,6 +161,6 @@ def _whole(given: Mapping[str, Any], key: str, default: int, least: int, most: i
         number = None
     if isinstance(number, bool) or not isinstance(number, int) or not least <= number <= most:
         raise ArgumentError(
-            f"{key} = {value!r}: a whole number from {least} to {most}, for example {key} = {max(least, default)}"
+            f"{key} = {value!r:.{SHOWN}}: a whole number from {least} to {most}, for example {key} = {max(least, default)}"
         )
     return number

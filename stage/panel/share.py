@@ -25,12 +25,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from stage.chips.entries import READ, WRITE, Entry
 from stage.errors import ArgumentError, StageError
 from stage.extras import ExtraMissing
+from stage.foreign_files import DocumentError, parse_json, read_bytes, read_members
 from stage.panel import export, written
 from stage.panel.sampler import LONGEST
 from stage.panel.written import Sent
 from stage.sim.records import SECOND
 from stage.sim.stage import Snapshot
-from stage.snapshot_files import SnapshotError
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
@@ -43,7 +43,10 @@ MADE: dict[str, type | tuple[type, ...]] = {
 }  # fmt: skip
 """The options of `stage panel` that say what the stage is made of, and their types."""
 RECORDED = ("position", "commanded", "following_error", "rate", "lost_steps")
-LARGEST = 1 << 28  # bytes of a member that we read
+LARGEST = 1 << 28  # bytes of a file that is read
+UNPACKED = 1 << 27  # bytes of the members that are read
+MEMBERS = ("panel.json", "start.snapshot", "now.snapshot")
+LATEST = 1 << 62  # ns
 
 
 class Shared(NamedTuple):
@@ -128,45 +131,52 @@ def _bytes_of(snapshot: Snapshot) -> bytes:
 
 def read(path: str | os.PathLike) -> Shared:
     """A file that `save` has written. Raises ArgumentError."""
+
+    def refuse(why: str) -> ArgumentError:
+        return ArgumentError(
+            f"{path} is no file of a panel, or a damaged one: {why}. The panel's button Save writes such files."
+        )
+
+    content = read_bytes(path, "file of a panel", LARGEST, ArgumentError)
+    members = read_members(content, MEMBERS, UNPACKED, refuse)
     try:
-        with zipfile.ZipFile(path) as file, tempfile.TemporaryDirectory() as folder:
-            told = json.loads(_member(file, "panel.json"))
-            if told["format"] != FORMAT:
-                raise ArgumentError(
-                    f"{path} is of format {told['format']}, and this PulseStage reads format {FORMAT}: save it anew."
-                )
-            snapshots = []
-            for name in ("start", "now"):
-                one = Path(folder) / name
-                one.write_bytes(_member(file, f"{name}.snapshot"))
-                try:
-                    snapshots.append(Snapshot.load(one))
-                except SnapshotError as error:
-                    said = str(error).replace(str(one), f"{path}: its {name}.snapshot")
-                    raise ArgumentError(said) from error
-            made = told["made"]
-            if made is not None:
-                made = {name: made[name] for name in MADE}
-                if not all(isinstance(made[name], kind) for name, kind in MADE.items()):
-                    raise ValueError("what the stage is made of")
-            payloads = {str(body): float(kg) for body, kg in told["payloads"].items()}
-            broken = [(str(n), str(a), {str(k): str(v) for k, v in g.items()}) for n, a, g in told["faults"]]
-            sent = [Sent(int(t), int(k), int(a), None if v is None else int(v)) for t, k, a, v in told["program"]]
-            return Shared(made, payloads, broken, sent, (int(told["start"]), snapshots[0]), snapshots[1])
-    except OSError as error:
-        raise ArgumentError(f"{path} cannot be read: {error.strerror or error}.") from error
-    except (zipfile.BadZipFile, KeyError, ValueError, TypeError, AttributeError, EOFError) as error:
-        if isinstance(error, StageError):
-            raise
-        raise ArgumentError(
-            f"{path} is no file of a panel, or a damaged one: the panel's button Save writes them."
-        ) from error
+        told = parse_json(members["panel.json"])
+        if told["format"] != FORMAT:
+            raise ArgumentError(
+                f"{path} is of format {told['format']!r:.60}, and this PulseStage reads format {FORMAT}: save it anew."
+            )
+        start, now = (
+            Snapshot.from_bytes(members[f"{name}.snapshot"], f"{path}: its {name}.snapshot")
+            for name in ("start", "now")
+        )
+        made = told["made"]
+        if made is not None:
+            made = {name: made[name] for name in MADE}
+            for name, kind in MADE.items():
+                if not isinstance(made[name], kind) or isinstance(made[name], bool):
+                    raise refuse(f"{name}, of what the stage is made of, is {made[name]!r:.60}")
+        payloads = {str(body): float(kg) for body, kg in told["payloads"].items()}
+        broken = [(str(n), str(a), {str(k): str(v) for k, v in g.items()}) for n, a, g in told["faults"]]
+        sent = [Sent(_time(t), *map(_word, (k, a)), None if v is None else _word(v)) for t, k, a, v in told["program"]]
+        return Shared(made, payloads, broken, sent, (_time(told["start"]), start), now)
+    except (KeyError, ValueError, TypeError, AttributeError, OverflowError) as error:
+        if isinstance(error, DocumentError) or not isinstance(error, StageError):
+            raise refuse(f"its panel.json does not say what it should ({type(error).__name__}: {error})") from error
+        raise
 
 
-def _member(file: zipfile.ZipFile, name: str) -> bytes:
-    if file.getinfo(name).file_size > LARGEST:
-        raise ValueError(f"{name} is too large")
-    return file.read(name)
+def _time(value: Any) -> int:
+    """A time since power-up, ns, of what JSON gave for it. Raises ValueError."""
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < LATEST:
+        raise ValueError(f"{value!r:.60} is no time in ns")
+    return value
+
+
+def _word(value: Any) -> int:
+    """A chip's number, an address or a datum, of what JSON gave for it. Raises ValueError."""
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 1 << 32:
+        raise ValueError(f"{value!r:.60} is no number of 32 bits")
+    return value
 
 
 def put(panel: Panel, shared: Shared) -> None:

@@ -7,7 +7,6 @@ sample's time: within the tolerance of SERIES of what was recorded. Switches and
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -15,16 +14,21 @@ from typing import Any
 
 import numpy as np
 
-from stage.errors import unknown
-from stage.files import readable
+from stage.errors import StageError, unknown
+from stage.extras import has, need
+from stage.foreign_files import open_regular
 from stage.identifiers import escape_name
-from stage.recording import sdk
 from stage.recording.recording import RecordingError, unit_of
+from stage.recording.rrd_process import DamagedFile, read_chunks
 from stage.recording.series import FORMAT, SERIES
 from stage.recording.table import Columns, Tabular
 
 MAGIC = b"RRF"
 WHOLE = ("lost_steps", "counter")
+LARGEST = 1 << 34
+"""Bytes of a file."""
+MOST_SAMPLES = 1 << 28
+"""Three days, a sample every millisecond."""
 NAMED = {"current": "current_a"}
 """Series whose column has another name."""
 
@@ -111,7 +115,10 @@ class Saved(Tabular):
         spans = [(times[0], times[-1]) for *_, times, _ in self._series.values() if len(times)]
         if not spans:
             return np.zeros(0, np.int64)
-        return np.arange(min(b for b, _ in spans), max(e for _, e in spans) + 1, self._every_ns)
+        begin, end = int(min(b for b, _ in spans)), int(max(e for _, e in spans))
+        if (end - begin) // self._every_ns > MOST_SAMPLES:
+            raise ValueError(f"from {begin} ns to {end} ns there are more than {MOST_SAMPLES:,} samples")
+        return np.arange(begin, end + 1, self._every_ns)
 
     def __len__(self) -> int:
         return len(self._ticks)
@@ -125,6 +132,18 @@ class Saved(Tabular):
             }
             units |= {lane: "" for lane in self.states if lane.rpartition("/")[0] == axis}
         return units
+
+    def check(self) -> None:
+        """Raise an error of Python where the columns do not fit together, as those of a damaged file."""
+        if not self._every_ns > 0:
+            raise ValueError(f"a sample every {self._every_ns} ns")
+        for *_, times, values in self._series.values():
+            if len(times) != len(values):
+                raise ValueError(f"{len(times)} times of {len(values)} samples")
+        for lane, (times, states) in self.states.items():
+            if len(times) != len(states):
+                raise ValueError(f"{lane} has {len(times)} times of {len(states)} states")
+        _ = self.bus, self.units, self._ticks
 
     def column(self, name: str) -> np.ndarray:
         """One column, (len(self),). Raises ArgumentError with the near misses."""
@@ -159,28 +178,38 @@ def read(path: str | os.PathLike) -> Saved:
 
     Raises RecordingError for what is missing, damaged or no recording of PulseStage; ExtraMissing without rerun.
     """
-    path = readable(path, "recording", RecordingError)
-    with path.open("rb") as file:
+    with open_regular(path, "recording", LARGEST, RecordingError) as file:
+        path = Path(path)
         if file.read(len(MAGIC)) != MAGIC:
             raise RecordingError(
                 f"{path} is no recording: an .rrd file begins with {MAGIC.decode()}, and this does not. Give one that "
                 "Recording.save or --record has written."
             )
-    reader = sdk.chunk.RrdReader
+    if not has("rerun"):
+        need("rerun", "reading a recording (.rrd)")  # raises ExtraMissing; the import itself takes half a second
     entities: dict[str, dict[str, Any]] = {}
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a file whose run was killed: it has no footer
-            for chunk in reader(str(path)).stream():
-                if not chunk.entity_path.startswith("/stage"):
-                    _add(entities.setdefault(chunk.entity_path, {}), chunk.to_record_batch())
-    except (RuntimeError, ValueError) as error:
-        said = str(error).rpartition("rrd: ")[2].partition("\n")[0][:200]
+        for entity, batch in read_chunks(path):
+            _add(entities.setdefault(entity, {}), batch)
+        saved = Saved(path, entities)
+        saved.check()
+    except (
+        DamagedFile,
+        LookupError,
+        TypeError,
+        ValueError,
+        OverflowError,
+        AttributeError,
+        NotImplementedError,
+    ) as error:
+        if isinstance(error, StageError):
+            raise
+        said = str(error) if isinstance(error, DamagedFile) else f"its columns do not fit together ({error!r:.100})"
         raise RecordingError(
             f"{path} is damaged: {said}. Of a run that was killed while it wrote, `rerun rrd merge {path} -o "
             "whole.rrd` keeps what is whole."
         ) from error
-    return Saved(path, entities)
+    return saved
 
 
 def _add(entity: dict[str, Any], batch: Any) -> None:

@@ -5,7 +5,6 @@ from stage.extras import Later, need
 rr = Later("rerun", "a recording (.rrd)")
 rrb = Later("rerun.blueprint", "a recording (.rrd)")
 experimental = Later("rerun.experimental", "a picture of a recording (.rrd)")
-chunk = Later("rerun.chunk", "reading a recording (.rrd)")
 
 
 def release_streams() -> None:

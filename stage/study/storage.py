@@ -40,6 +40,8 @@ class Journal(JournalFileBackend):
 
     def __init__(self, path: Path):
         if path.exists():
+            if not path.is_file():
+                raise StageError(f"{path} is no regular file: choose another place.")
             with open(path, "rb") as file:
                 head = file.read(len(FIRST))
             if not FIRST.startswith(head):

@@ -11,9 +11,12 @@ from typing import NamedTuple
 
 from stage.board.errors import LibraryError
 from stage.files import FileError
+from stage.foreign_files import read_bytes
 from stage.processes import run_program
 
 AVR, ARM = 83, 40
+LARGEST = 1 << 28
+"""Bytes of a program."""
 MACHINES = {
     2: "SPARC", 3: "x86 (32 bit)", 4: "68000", 8: "MIPS", 20: "PowerPC", AVR: "AVR", ARM: "ARM (32 bit)", 42: "SuperH",
     62: "x86-64", 94: "Xtensa", 105: "MSP430", 183: "aarch64", 243: "RISC-V",
@@ -165,4 +168,4 @@ class Elf:
 def _read(path: Path) -> bytes:
     if not path.is_file():
         raise FileError(f"{path}: there is no such file.")
-    return path.read_bytes()
+    return read_bytes(path, "program", LARGEST)

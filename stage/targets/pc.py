@@ -17,8 +17,9 @@ from stage.board import host
 from stage.board.board import Board
 from stage.board.errors import LibraryError
 from stage.files import FileError
+from stage.foreign_files import read_bytes
 from stage.targets import dos
-from stage.targets.elf import machine_of
+from stage.targets.elf import LARGEST, machine_of
 from stage.targets.engine import NEVER, Engine
 from stage.targets.gdb import Server
 from stage.targets.gdb_registers import PcRegisters
@@ -131,7 +132,7 @@ class Pc(Engine):
                 f"{path} is a source by its name: an 8086 runs a .COM or an .EXE of DOS. Build it first, for example "
                 f"nasm -f bin {path.stem}.asm -o {path.stem}.com."
             )
-        content = path.read_bytes()
+        content = read_bytes(path, "program", LARGEST)
         prefix = bytearray(256)
         prefix[:4] = struct.pack("<HH", 0x20CD, 0xA000)  # int 20h; the end of memory
         prefix[0x80:0x82] = b"\0\r"

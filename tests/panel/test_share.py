@@ -219,7 +219,7 @@ def test_a_stage_of_somebodys_own_has_no_program_but_a_file(tmp_path):
 
 def test_what_is_no_such_file_is_said(tmp_path, file):
     bad = tmp_path / "bad.zip"
-    with pytest.raises(ArgumentError, match="cannot be read"):
+    with pytest.raises(ArgumentError, match="there is no file of a panel"):
         share.read(bad)
     bad.write_bytes(b"PK nothing")
     with pytest.raises(ArgumentError, match="no file of a panel"):

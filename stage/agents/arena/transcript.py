@@ -23,6 +23,7 @@ from stage.agents.arena.table import TOKENS, Limits
 from stage.bench.versions import versions
 from stage.errors import ArgumentError
 from stage.files import FileError, writable
+from stage.foreign_files import open_regular, parse_json
 
 FORMAT = 2
 MARK = "PulseStage transcript"
@@ -127,15 +128,12 @@ def _continued(path: Path, head: Head) -> tuple[IO[str], list[Round]]:
 
 def read(path: str | os.PathLike) -> Transcript:
     """A transcript from a file, as far as it goes. Raises ArgumentError in words for any other file, and FileNotFoundError."""
-    place = Path(path)
-    if not place.is_file():
+    if not os.path.lexists(path):
         raise FileNotFoundError(f"{path}: there is no such file.")
-    if place.stat().st_size > LARGEST:
-        raise ArgumentError(f"{path}: {place.stat().st_size} bytes, and a transcript has at most {LARGEST}.")
-    wrong = (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError, ArgumentError)
-    with place.open("rb") as file:
+    wrong = (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError)
+    with open_regular(path, "transcript", LARGEST, ArgumentError) as file:
         try:
-            head = _head(json.loads(file.readline() or b"null"))
+            head = _head(parse_json(file.readline()))
         except wrong as why:
             raise ArgumentError(f"{path}: no transcript of `stage agent`: {_said(why)}.") from None
         rounds: list[Round] = []
@@ -146,7 +144,7 @@ def read(path: str | os.PathLike) -> Transcript:
             if not text.endswith(b"\n"):
                 break  # it was cut in the middle of a line
             try:
-                line = json.loads(text)
+                line = parse_json(text)
                 if closing is not None:
                     raise ValueError("something stands behind its end")
                 if "played" in line and not open_:

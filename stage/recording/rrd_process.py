@@ -1,0 +1,114 @@
+"""Reads the columns of an .rrd file in a process of its own, as damage in such a file can abort the process inside rerun's reader.
+
+The file runs as a program that writes to standard output, for each chunk, the length of the entity's path and of the columns, the
+path, and the columns as an Arrow stream; at the end, or where the reader fails, it writes its last word as a chunk without columns.
+It imports nothing of PulseStage, so that it starts fast. Arrow has validated what comes out of it: offsets, lengths and texts.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from signal import Signals
+from typing import IO, Any
+
+PROGRAM = __file__
+HEAD = struct.Struct("<IQ")
+END = "whole"
+LIMITS = 256 << 20, 64  # bytes that any file may have when it is unpacked, and times its size
+SECONDS_OF_START, BYTES_A_SECOND = 60.0, 1 << 20
+BYTES_OF_PROCESS = 2 << 30  # of its threads and libraries
+SKIPPED = "/stage"  # the scene: pictures, no columns
+
+
+class DamagedFile(Exception):
+    """A file that rerun's reader cannot read, with what it said."""
+
+
+def read_chunks(path: Path) -> Iterator[tuple[str, Any]]:
+    """Yield the entity path and the Arrow record batch of each chunk, but those of the scene. Raises DamagedFile."""
+    import pyarrow
+
+    size = path.stat().st_size
+    left, seconds = LIMITS[0] + LIMITS[1] * size, SECONDS_OF_START + size / BYTES_A_SECOND
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "RUST_LOG": "off"}
+    process = subprocess.Popen(
+        [sys.executable, "-P", PROGRAM, str(path)], env=environment,
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    watch = threading.Timer(seconds, process.kill)
+    watch.daemon = True
+    watch.start()
+    said = None
+    try:
+        out: IO[bytes] = process.stdout  # type: ignore[assignment]
+        while len(head := out.read(HEAD.size)) == HEAD.size:
+            length, columns = HEAD.unpack(head)
+            if not columns:
+                said = out.read(length).decode(errors="replace")
+                break
+            left -= length + columns
+            if left < 0:
+                raise DamagedFile("it is far larger when it is unpacked")
+            entity, content = out.read(length).decode(), out.read(columns)
+            if len(content) < columns:
+                break
+            yield entity, pyarrow.ipc.open_stream(content).read_next_batch()
+    finally:
+        if said is None:
+            process.kill()
+        code = process.wait()
+        in_time = watch.is_alive()
+        watch.cancel()
+        process.stdout.close()  # type: ignore[union-attr]
+    if said is None:
+        raise DamagedFile(_ended(code) if in_time else f"rerun's reader was not done with it after {seconds:.0f} s")
+    if said != END:
+        raise DamagedFile(said)
+
+
+def _ended(code: int) -> str:
+    """Return in words how the process ended that should have read a file."""
+    return (
+        f"rerun's reader was ended by {Signals(-code).name}" if code < 0 else f"rerun's reader ended with status {code}"
+    )
+
+
+def _write_chunks(path: str, out: IO[bytes]) -> None:
+    """Write the chunks of a file, as the program that `read_chunks` starts."""
+    limit = LIMITS[0] + LIMITS[1] * os.path.getsize(path) + BYTES_OF_PROCESS
+    with suppress(ValueError, OSError):  # somebody has set a lower limit
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+    import pyarrow
+    from rerun.chunk import RrdReader
+
+    said = END
+    try:
+        for chunk in RrdReader(path).stream():
+            if chunk.entity_path.startswith(SKIPPED):
+                continue
+            batch = chunk.to_record_batch()
+            batch.validate(full=True)
+            sink = pyarrow.BufferOutputStream()
+            with pyarrow.ipc.new_stream(sink, batch.schema) as stream:
+                stream.write_batch(batch)
+            entity, content = chunk.entity_path.encode(), sink.getvalue()
+            out.write(HEAD.pack(len(entity), content.size) + entity)
+            out.write(content)
+    except (RuntimeError, ValueError) as error:
+        said = str(error).rpartition("rrd: ")[2].partition("\n")[0][:200]
+    last = said.encode()
+    out.write(HEAD.pack(len(last), 0) + last)
+    out.flush()
+
+
+if __name__ == "__main__":
+    _write_chunks(sys.argv[1], sys.stdout.buffer)
+    os._exit(0)  # threads of rerun may wait for what a damaged file does not have

@@ -1,0 +1,293 @@
+"""Promises about files from elsewhere: whatever is in one, it is read or refused in words, soon, and this process lives on."""
+
+import io
+import json
+import os
+import random
+import struct
+import time
+import zipfile
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from support.damage import damage, replace_value
+from support.examples import SEED, scaled
+
+from stage import Snapshot, Stage, bench, firmware
+from stage.agents.arena import play, save, suite
+from stage.agents.arena import read as read_transcript
+from stage.bench import files as entries
+from stage.bench.players import Recorded
+from stage.board import layout_files
+from stage.chips.chip import Snapshot as ChipSnapshot
+from stage.errors import ArgumentError, StageError
+from stage.foreign_files import DocumentError, parse_json, parse_toml, read_bytes, read_members
+from stage.panel import share
+from stage.recording import RecordingError, read, rrd_process
+from stage.targets.elf import ARM, Elf
+
+TOML = b"""chip = "PCL240K"
+base = 0x240
+stride = 1
+title = "a card"
+ports = ["byte 0", "none", "byte 1", "none", "byte 2", "none", "byte 3", "none"]
+chips = 8
+own = ["interrupts"]
+"""
+JSON = json.dumps({"like": "pcl240", "base": "0x300", "chips": 2, "own": ["interrupts"]}).encode()
+MADE = {"model": "xy", "chips": "pcl240ms", "motor": None, "microsteps": 16, "bus_voltage": 24.0, "bus_cycle": 1e-6,
+        "wiring": [], "multichip": None, "syni": []}  # fmt: skip
+TOLD = {"format": 1, "made": MADE, "payloads": {"x_carriage": 0.5}, "faults": [["motor", "x", {"motor": "SS2422-5041"}]], "now": 9,
+        "start": 0, "program": [[0, 0, 3, 17], [1000, 1, 0, None]]}  # fmt: skip
+
+
+def zipped(members, method=zipfile.ZIP_DEFLATED):
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", method) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return out.getvalue()
+
+
+def elf():
+    """A program of 64 bytes for an ARM, with a section of its own."""
+    head = struct.pack("<16sHHIIIIIHHHHHH", b"\x7fELF\1\1\1", 2, 40, 1, 0x41, 52, 148, 0, 52, 32, 1, 40, 2, 1)
+    segment = struct.pack("<IIIIIIII", 1, 84, 0, 0, 64, 64, 5, 4)
+    sections = bytes(40) + struct.pack("<IIIIIIIIII", 1, 3, 0, 0, 84, 64, 0, 0, 1, 0)
+    return head + segment + b"\0.shstrtab\0".ljust(64, b"\0") + sections
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The bytes of a whole file of each format."""
+    folder = tmp_path_factory.mktemp("whole")
+    stage = Stage("xy", visuals=False)
+    firmware.preset_move(stage.axes["x"], 50)
+    snapshot = stage.snapshot().save(folder / "a.snapshot").read_bytes()
+    chip = stage.axes["x"].chip.snapshot().save(folder / "chip.snapshot").read_bytes()
+    save(play(suite("diagnosis:late"), lambda table: table.call("program"), "looks"), folder / "a.jsonl")
+    played = bench.play("random", "line", episodes=1)
+    np.savez(folder / "a.npz", actions=np.ones((6, 4)), steps=np.array([2, 3, 1]))
+    return {
+        ".snapshot": snapshot,
+        ".chip": chip,
+        ".zip": zipped({"panel.json": json.dumps(TOLD), "start.snapshot": snapshot, "now.snapshot": snapshot}),
+        ".bench": played.pack(),
+        ".jsonl": (folder / "a.jsonl").read_bytes(),
+        ".npz": (folder / "a.npz").read_bytes(),
+        ".toml": TOML,
+        ".json": JSON,
+        ".elf": elf(),
+    }
+
+
+READERS = {
+    ".snapshot": Snapshot.load,
+    ".chip": ChipSnapshot.load,
+    ".zip": share.read,
+    ".bench": entries.read,
+    ".jsonl": read_transcript,
+    ".npz": lambda path: Recorded(str(path)),
+    ".toml": layout_files.read,
+    ".json": layout_files.read,
+    ".elf": lambda path: Elf(path, ARM, "cortex-m3", "build it for one"),
+    ".rrd": read,
+}
+"""The ending of each format, and what reads it."""
+QUICK = [ending for ending in READERS if ending != ".rrd"]
+
+
+def try_damaged(ending, whole, tmp_path, number):
+    """Read `number` damaged copies; each is read, or refused in words, within seconds. Returns how many were refused."""
+    rng, path, refused = random.Random(f"{SEED}{ending}"), tmp_path / f"damaged{ending}", 0
+    longest = 0
+    for k in range(number):
+        path.write_bytes(damage(rng, whole))
+        begin = time.process_time()
+        try:
+            READERS[ending](path)
+        except StageError as error:
+            refused += 1
+            longest = max(longest, len(str(error)))
+        except BaseException as error:
+            pytest.fail(f"{ending}, PULSESTAGE_SEED={SEED}, copy {k}: {error!r}")
+        assert time.process_time() - begin < 5, f"{ending}, PULSESTAGE_SEED={SEED}, copy {k}"
+    assert longest < 2000
+    return refused
+
+
+@pytest.mark.parametrize("ending", QUICK)
+def test_a_whole_file_is_read_and_a_damaged_one_is_read_or_refused_in_words(ending, whole, tmp_path):
+    path = tmp_path / f"whole{ending}"
+    path.write_bytes(whole[ending])
+    READERS[ending](path)
+    assert try_damaged(ending, whole[ending], tmp_path, scaled(100)) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ending", QUICK)
+def test_thousands_of_damaged_files_are_read_or_refused_in_words(ending, whole, tmp_path):
+    assert try_damaged(ending, whole[ending], tmp_path, 4000) > 0
+
+
+def test_a_document_with_a_hostile_value_is_read_or_refused_in_words(whole, tmp_path):
+    """panel.json, entry.json, a layout, the lines of a transcript: inf, 400 digits, texts of 100,000 characters, null, lists"""
+    rng, snapshot, longest = random.Random(SEED), whole[".snapshot"], 0
+    for k in range(scaled(160)):
+        (tmp_path / "a.json").write_text(replace_value(rng, json.loads(JSON)))
+        told = replace_value(rng, TOLD)
+        panel = zipped({"panel.json": told, "start.snapshot": snapshot, "now.snapshot": snapshot}, zipfile.ZIP_STORED)
+        (tmp_path / "a.zip").write_bytes(panel)
+        with zipfile.ZipFile(io.BytesIO(whole[".bench"])) as archive:
+            members = {name: archive.read(name) for name in archive.namelist()}
+        said = replace_value(rng, json.loads(members.pop("entry.json")))
+        (tmp_path / "a.bench").write_bytes(zipped({"entry.json": said, **members}, zipfile.ZIP_STORED))
+        lines = whole[".jsonl"].splitlines()
+        at = rng.randrange(len(lines))
+        lines[at] = replace_value(rng, json.loads(lines[at])).encode()
+        (tmp_path / "a.jsonl").write_bytes(b"\n".join(lines) + b"\n")
+        for ending in (".json", ".zip", ".bench", ".jsonl"):
+            try:
+                READERS[ending](tmp_path / f"a{ending}")
+            except StageError as error:
+                longest = max(longest, len(str(error)))
+            except BaseException as error:
+                pytest.fail(f"{ending}, PULSESTAGE_SEED={SEED}, example {k}: {error!r}")
+    assert longest < 2000
+
+
+@pytest.mark.parametrize("ending", READERS)
+@pytest.mark.parametrize("kind", ["FIFO", "device", "folder", "too large"])
+def test_only_regular_files_of_bounded_size_are_opened(ending, kind, tmp_path):
+    """Snapshot.load("/dev/zero") read until memory was full, and a FIFO until somebody wrote"""
+    path = tmp_path / f"a{ending}"
+    if kind == "FIFO":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        with path.open("wb") as file:
+            file.truncate(1 << 40)
+    with pytest.raises(StageError):
+        READERS[ending](path)
+
+
+# --- recordings ---
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    pytest.importorskip("rerun")
+    stage = Stage("xy", visuals=False)
+    with stage.record() as recording:
+        firmware.preset_move(stage.axes["x"], 100)
+    return recording.save(tmp_path_factory.mktemp("recorded") / "a.rrd").read_bytes()
+
+
+def test_a_damaged_recording_is_read_or_refused_in_words(recorded, tmp_path):
+    """rerun's reader runs in a process of its own, which takes a second: a few copies"""
+    try_damaged(".rrd", recorded, tmp_path, 3)
+
+
+@pytest.mark.slow
+def test_hundreds_of_damaged_recordings_are_read_or_refused_in_words(recorded, tmp_path):
+    assert try_damaged(".rrd", recorded, tmp_path, 200) > 0
+
+
+READER = """
+import os, signal, sys, time
+sys.path.insert(0, {folder!r})
+from stage.recording.rrd_process import END, HEAD
+out = sys.stdout.buffer
+{what}
+"""
+
+
+@pytest.mark.parametrize(
+    ("what", "says"),
+    [
+        ("os.kill(os.getpid(), signal.SIGABRT)", "reader was ended by SIGABRT"),
+        ("out.write(HEAD.pack(4, 1000)); out.flush(); os._exit(0)", "reader ended with status 0"),
+        ("out.write(HEAD.pack(5, 0) + b'other'); out.flush(); os._exit(0)", "is damaged: other"),
+        ("out.write(HEAD.pack(4, 1 << 60)); out.flush(); time.sleep(60)", "far larger when it is unpacked"),
+        ("time.sleep(60)", "was not done with it after 1 s"),
+    ],
+)
+def test_whatever_the_reading_process_does_is_an_error_in_words(recorded, tmp_path, monkeypatch, what, says):
+    """One flipped bit aborted the process inside rerun's reader (rc 134)"""
+    program, path = tmp_path / "reader.py", tmp_path / "a.rrd"
+    program.write_text(READER.format(folder=os.getcwd(), what=what))
+    path.write_bytes(recorded)
+    monkeypatch.setattr(rrd_process, "PROGRAM", str(program))
+    if "sleep" in what:
+        monkeypatch.setattr(rrd_process, "SECONDS_OF_START", 1.0 if what.startswith("time") else 60.0)
+    with pytest.raises(RecordingError, match=says):
+        read(path)
+
+
+# --- documents and archives ---
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, "[" * 65 + "]" * 65])
+def test_a_document_is_nested_64_levels_deep_at_most(text):
+    with pytest.raises(DocumentError, match="deeper than 64 levels"):
+        parse_json(text)
+    assert parse_json("[" * 64 + "]" * 64)
+    with pytest.raises(DocumentError, match="deeper than 64 levels"):
+        parse_toml(f"a = {'[' * 65}{']' * 65}")
+    with pytest.raises(DocumentError):
+        parse_toml("a = " + "[" * 10_000)
+    with pytest.raises(DocumentError, match="deeper than 64 levels"):
+        parse_toml(".".join("a" * 70) + " = 1")
+
+
+def test_an_integer_of_a_document_has_256_bits_at_most(monkeypatch):
+    assert parse_json(str((1 << 256) - 1)) == (1 << 256) - 1
+    for parse, text in ((parse_json, "{}"), (parse_toml, "a = {}"), (parse_json, '{{"a": [{}]}}')):
+        for number in (str(1 << 256), "9" * 5000, "-" + "9" * 5000):
+            with pytest.raises(DocumentError):
+                parse(text.format(number))
+    with pytest.raises(DocumentError, match="256 bits"):
+        parse_toml("a = 0x" + "f" * 5000)
+
+
+@pytest.mark.parametrize("content", [b'{"a": ', b"\xff", b"", b"[1, 2", b"nul"])
+def test_what_is_no_json_is_said(content):
+    with pytest.raises(DocumentError):
+        parse_json(content)
+
+
+def changed_byte(content, mark, at, value):
+    """The archive with another byte in the record of each member in its directory."""
+    changed, k = bytearray(content), -1
+    while (k := content.find(mark, k + 1)) >= 0:
+        changed[k + at] = value
+    return bytes(changed)
+
+
+def test_an_archive_with_what_pulsestage_does_not_pack_is_refused_before_it_is_unpacked():
+    whole = zipped({"a": b"x" * 1000})
+    assert read_members(whole, ["a"], 1000, ArgumentError) == {"a": b"x" * 1000}
+    for content, says in (
+        (zipped({"a": b"x"}, zipfile.ZIP_LZMA), "packed in another way"),
+        (zipped({"a": b"x"}, zipfile.ZIP_BZIP2), "packed in another way"),
+        (changed_byte(whole, b"PK\1\2", 8, 1), "packed in another way"),
+        (changed_byte(whole, b"PK\1\2", 10, 99), "packed in another way"),
+        (zipped({"a": b"x" * 1001}), "has 1,001 bytes when unpacked, and at most 1,000"),
+        (zipped({"b": b"x"}), "it should hold a"),
+        (whole[:-30], "no zip archive"),
+        (b"", "no zip archive"),
+    ):
+        with pytest.raises(ArgumentError, match=says):
+            read_members(content, ["a"], 1000, ArgumentError)
+
+
+def test_a_file_that_grows_while_it_is_read_is_refused(tmp_path, monkeypatch):
+    path = tmp_path / "a"
+    path.write_bytes(bytes(10))
+    monkeypatch.setattr(os, "fstat", lambda file: SimpleNamespace(st_mode=os.stat(path).st_mode, st_size=5))
+    with pytest.raises(StageError, match="grown beyond 5 bytes"):
+        read_bytes(path, "log", 5)
