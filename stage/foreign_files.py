@@ -134,7 +134,7 @@ def read_members(
             OverflowError) as why:  # fmt: skip
         if isinstance(why, StageError):
             raise
-        raise error(f"it is no zip archive, or it is cut off or damaged ({why})") from None
+        raise error(f"it is no zip archive, or it is cut off or damaged ({why!s:.200})") from None
 
 
 def _check_members(
@@ -175,7 +175,7 @@ def parse_array(content: bytes) -> np.ndarray:
         RecursionError,
         struct.error,
     ) as why:
-        raise DocumentError(f"it is no array, or it is cut off or damaged ({why})") from None
+        raise DocumentError(f"it is no array, or it is cut off or damaged ({why!s:.200})") from None
     if array.dtype.kind not in "biuf":
         raise DocumentError(f"it is an array of {array.dtype}, and numbers are wanted")
     return array
@@ -188,7 +188,7 @@ def _parsed(parse: Callable[[], Any]) -> Any:
     except RecursionError:
         raise DocumentError(_too_deep()) from None
     except (ValueError, OverflowError) as why:  # of a syntax, of an encoding, of Python's limit of digits
-        raise DocumentError(str(why).partition("; use sys.")[0]) from None
+        raise DocumentError(str(why).partition("; use sys.")[0][:200]) from None
     values, level = [document], 0
     while values:
         level += 1

@@ -7,6 +7,7 @@ says what to do; 130 interrupted.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -76,6 +77,8 @@ def _main(argv: Sequence[str] | None) -> int:
         )
         return 2
     except KeyboardInterrupt as stop:
+        if argv is None:  # the process ends: a second Ctrl-C ends it at once, without a word
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
         fail(args, stop, interrupted(args))
         return 130
 

@@ -7,8 +7,11 @@ token; a browser that came with it keeps it as a cookie.
 
 from __future__ import annotations
 
+import asyncio
+import logging
 import secrets
-from http.cookies import SimpleCookie
+from contextlib import suppress
+from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -21,6 +24,48 @@ HERE_ONLY = "; ".join(
     )
 )
 """What browsers let the page ask for, as a Content-Security-Policy: nothing from elsewhere."""
+
+MALFORMED = logging.getLogger("stage.panel.malformed")
+TAKES_MESSAGE = "AsyncServer._handle_event"
+"""How the coroutine of socketio begins that gives a message to its handler."""
+LOGGERS = ("engineio.server", "socketio.server", MALFORMED.name)
+"""Loggers of those that take messages of browsers apart, before anything of the panel sees them."""
+
+
+class OnlyFirst(logging.Filter):
+    """Lets the first record of a process through, as one line: whoever can send messages can send any number that are malformed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._was_told = False
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether this is the first record, and take the traceback from it."""
+        if self._was_told:
+            return False
+        self._was_told = True
+        error = record.exc_info[1] if record.exc_info else record.getMessage()
+        record.msg = (
+            "PulseStage: a malformed message came to the panel, and was ignored (%.200r). More of them are not told."
+        )
+        record.args, record.exc_info = (error,), None
+        return True
+
+
+def tell_malformed_messages_once() -> None:
+    """Let the libraries that read messages of browsers write one line for all that are malformed, and no traceback."""
+    first = OnlyFirst()
+    for name in LOGGERS:
+        logging.getLogger(name).addFilter(first)
+
+
+def tell_of_task(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Handle an error of a task that nobody waits for: that of a message as a malformed one, any other as asyncio does."""
+    task = context.get("future")
+    if isinstance(task, asyncio.Task) and getattr(task.get_coro(), "__qualname__", "").startswith(TAKES_MESSAGE):
+        MALFORMED.warning("A message could not be taken.", exc_info=context.get("exception"))
+    else:
+        loop.default_exception_handler(context)
 
 
 class Guard:
@@ -35,7 +80,11 @@ class Guard:
             await self._app(scope, receive, send)
             return
         headers = {name.decode("latin1"): value.decode("latin1") for name, value in scope["headers"]}
-        if reason := self._refuses(scope, headers):
+        try:
+            reason = self._refuses(scope, headers)
+        except (ValueError, CookieError):  # no address, or no cookies
+            reason = "This server does not understand the headers of this request."
+        if reason:
             await _refuse(scope, send, reason)
             return
 
@@ -48,7 +97,14 @@ class Guard:
                 message = {**message, "headers": [*message.get("headers", ()), *added]}
             await send(message)
 
-        await self._app(scope, receive, with_policy)
+        try:
+            await self._app(scope, receive, with_policy)
+        except Exception as error:
+            if scope["type"] != "websocket":
+                raise
+            MALFORMED.warning("A message could not be understood: %r", error, exc_info=True)
+            with suppress(Exception):  # it may be closed already
+                await send({"type": "websocket.close", "code": 1007, "reason": "This message could not be understood."})
 
     def _refuses(self, scope: dict, headers: dict[str, str]) -> str:
         if self._names and headers.get("host", "").lower() not in self._names:

@@ -161,7 +161,9 @@ def read(path: str | os.PathLike) -> Shared:
         return Shared(made, payloads, broken, sent, (_time(told["start"]), start), now)
     except (KeyError, ValueError, TypeError, AttributeError, OverflowError) as error:
         if isinstance(error, DocumentError) or not isinstance(error, StageError):
-            raise refuse(f"its panel.json does not say what it should ({type(error).__name__}: {error})") from error
+            raise refuse(
+                f"its panel.json does not say what it should ({type(error).__name__}: {error!s:.200})"
+            ) from error
         raise
 
 

@@ -76,7 +76,11 @@ class _Handler(BaseHTTPRequestHandler):
         if len(hosts) != 1 or hosts[0].lower() not in self.server.hosts:
             self._refuse(HTTPStatus.FORBIDDEN, f"This server answers to {' and '.join(self.server.hosts)} only.")
             return
-        asked = urlsplit(self.path)
+        try:
+            asked = urlsplit(self.path)
+        except ValueError:
+            self._refuse(HTTPStatus.BAD_REQUEST, "This is no address.")
+            return
         name = asked.path.removeprefix(self.server.folder)
         if name == asked.path:  # not in our folder
             self._refuse(HTTPStatus.NOT_FOUND, "Nothing is served here. Open the address that the command has printed.")

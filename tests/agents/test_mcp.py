@@ -3,6 +3,7 @@
 import asyncio
 import base64
 import contextlib
+import http.client
 import json
 import math
 import os
@@ -15,6 +16,7 @@ import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from urllib.parse import urlsplit
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -28,6 +30,7 @@ from support.mcp_served import Served, over_stdio
 from stage import Stage
 from stage.agents.server.http import Door, HttpServer
 from stage.agents.server.sessions import Maker, Sessions
+from stage.agents.server.stdio import Lines
 
 
 @pytest.fixture(scope="module")
@@ -466,3 +469,83 @@ def test_a_token_that_is_guessed_is_refused(token, monkeypatch, capsys):
     monkeypatch.setenv("PULSESTAGE_TOKEN", token)
     assert main(["mcp", "xy", "--http", "--port", "0"]) == 2
     assert "16 or more" in capsys.readouterr().err
+
+
+BEGIN = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "test", "version": "0"}}
+FIRST = {"jsonrpc": "2.0", "id": 0, "method": "initialize", "params": BEGIN}
+LONG_CALL = {
+    "jsonrpc": "2.0",
+    "id": 1,
+    "method": "tools/call",
+    "params": {"name": "wait", "arguments": {"seconds": 120}},
+}
+
+
+def test_ctrl_c_during_a_call_over_stdio_ends_the_server_without_a_traceback():
+    """The client lives on and keeps its pipe open: the server waited for it, and a second Ctrl-C printed a traceback."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "stage", "mcp", "xy"],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        for line in (FIRST, {"jsonrpc": "2.0", "method": "notifications/initialized"}, LONG_CALL):
+            process.stdin.write(json.dumps(line) + "\n")
+            process.stdin.flush()
+            if line is FIRST:
+                process.stdout.readline()
+        time.sleep(0.3)
+        process.send_signal(signal.SIGINT)
+        try:
+            assert process.wait(30) == 130
+        finally:
+            process.kill()
+        assert process.stderr.read() == "stage: interrupted.\n"
+
+
+@pytest.mark.slow
+def test_ctrl_c_during_a_call_over_http_ends_the_call_and_the_server_without_a_traceback():
+    with subprocess.Popen(
+        [sys.executable, "-m", "stage", "mcp", "xy", "--http"],
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        port, token = urlsplit(process.stdout.readline()).port, process.stdout.readline().split()[-1]
+
+        def ask(method, line=None, **more):
+            connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
+            headers = {"Authorization": f"Bearer {token}", "Accept": "application/json, text/event-stream"}
+            headers |= {"Content-Type": "application/json", **more}
+            connection.request(method, "/mcp", None if line is None else json.dumps(line), headers)
+            return connection.getresponse()
+
+        session = {"mcp-session-id": ask("POST", FIRST).getheader("mcp-session-id")}
+        ask("POST", {"jsonrpc": "2.0", "method": "notifications/initialized"}, **session)
+        said = []
+        calling = threading.Thread(target=lambda: said.append(ask("POST", LONG_CALL, **session).read()))
+        calling.start()
+        assert ask("GET", **session).status == 200  # a line that stays open
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 130
+        calling.join(30)
+        assert b"the session was ended while this call was made" in said[0]
+        assert process.stderr.read() == "stage: interrupted.\n"
+
+
+def test_lines_of_a_pipe_come_whole_in_order_and_the_last_without_its_end():
+    """Cut anywhere, longer than a pipe, with bytes that are no UTF-8"""
+    sent = [b"{}\n", b"\n", b"x" * 200_000 + b"\n", b"\xff\n", b"last"]
+
+    whole = b"".join(sent)
+
+    def write(descriptor):
+        for k in range(0, len(whole), 7001):
+            os.write(descriptor, whole[k : k + 7001])
+        os.close(descriptor)
+
+    async def read():
+        reading, writing = os.pipe()
+        threading.Thread(target=write, args=(writing,)).start()
+        lines = [line async for line in Lines(reading)]
+        os.close(reading)
+        return lines
+
+    assert asyncio.run(read()) == [line.decode(errors="replace") for line in sent]

@@ -1,10 +1,11 @@
 """The panel's server answers its own pages only."""
 
 import asyncio
+import logging
 
 import pytest
 
-from stage.panel.guard import COOKIE, Guard
+from stage.panel.guard import COOKIE, LOGGERS, Guard, OnlyFirst
 
 NAMES = frozenset({"127.0.0.1:7241", "localhost:7241"})
 
@@ -62,3 +63,39 @@ def test_the_page_may_ask_for_nothing_from_elsewhere():
     assert "default-src 'self'" in policy
     assert "http:" not in policy
     assert "*" not in policy
+
+
+@pytest.mark.parametrize("kind", ["http", "websocket"])
+@pytest.mark.parametrize("header", [{"origin": "http://["}, {"origin": "http://[::1"}, {"cookie": "a b=c; \x01=;=,"}])
+def test_headers_that_make_no_sense_are_refused_and_no_error_of_the_server(kind, header):
+    """Origin: http://[ gave 500 and a traceback"""
+    through, sent = asked(Guard(None, frozenset(), "secret"), kind, host="127.0.0.1:7241", **header)
+    assert not through
+    assert (sent[0].get("status"), sent[0].get("code")) in ((403, None), (None, 1008))
+
+
+def test_a_socket_whose_messages_make_no_sense_is_closed_and_the_terminal_gets_one_line(caplog):
+    """29,000 lines were written for some hundred messages"""
+
+    async def app(scope, receive, send):
+        raise ValueError("no packet")
+
+    first, sent = OnlyFirst(), []
+    for name in LOGGERS:
+        logging.getLogger(name).addFilter(first)
+    try:
+        for _ in range(3):
+            scope = {"type": "websocket", "headers": [(b"host", b"localhost:7241")]}
+
+            async def send(message):
+                sent.append(message["code"])
+
+            asyncio.run(Guard(app, NAMES)(scope, None, send))
+            logging.getLogger("engineio.server").error("message async handler error")
+    finally:
+        for name in LOGGERS:
+            logging.getLogger(name).removeFilter(first)
+    assert sent == [1007, 1007, 1007]
+    (record,) = caplog.records
+    assert "malformed message came to the panel, and was ignored (ValueError('no packet'))" in record.getMessage()
+    assert record.exc_info is None

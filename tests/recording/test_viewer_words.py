@@ -207,6 +207,7 @@ def test_a_browser_is_told_to_keep_nothing_guess_nothing_and_tell_nobody(tmp_pat
             got, headers, said = asked(server, server.folder + path, method="HEAD")
             assert (got, said, headers["Content-Length"]) == (status, b"", str(len(content)))
         assert asked(server, server.folder + "favicon.ico", host=f"LocalHost:{server.server_port}")[0] == 200
+        assert asked(server, "http://[")[::2] == (400, b"This is no address.\n")
         rrd.unlink()
         assert asked(server, server.folder + "recording.rrd")[::2] == (404, b"The recording is no longer there.\n")
 

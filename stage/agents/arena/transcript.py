@@ -162,7 +162,8 @@ def read(path: str | os.PathLike) -> Transcript:
 
 
 def _said(why: Exception) -> str:
-    return f"{why}".rstrip(".") if isinstance(why, ValueError) else f"{type(why).__name__}: {why}".rstrip(".")
+    said = str(why)[:200].rstrip(".")
+    return said if isinstance(why, ValueError) else f"{type(why).__name__}: {said}"
 
 
 def _head(line: Any) -> Head:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import secrets
+import signal
 import socket
+import threading
 from collections.abc import Callable
 from contextlib import asynccontextmanager
 from typing import Any
@@ -110,6 +113,23 @@ async def _refuse(send: Any) -> None:
     await send({"type": "http.response.body", "body": said})
 
 
+class Ending(uvicorn.Server):
+    """A server that ends calls in progress at SIGINT and SIGTERM before it waits for them; at a second SIGINT the process ends."""
+
+    def __init__(self, config: uvicorn.Config, sessions: Sessions):
+        super().__init__(config)
+        self._sessions = sessions
+
+    def handle_exit(self, sig: int, frame: Any) -> None:
+        """Take a signal, as uvicorn calls it."""
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        logging.getLogger("uvicorn.error").setLevel(
+            logging.CRITICAL
+        )  # of lines that clients keep open, which break off now
+        threading.Thread(target=self._sessions.close_all, name="end of the sessions", daemon=True).start()
+        super().handle_exit(sig, frame)
+
+
 class HttpServer:
     """Listens from the beginning on; `run` serves. port 0: any that is free. token: None makes one. Raises StageError."""
 
@@ -124,7 +144,7 @@ class HttpServer:
         )  # fmt: skip
         _with_reaper(app, sessions)
         door = Door(app, self.token, sessions)
-        self._server = uvicorn.Server(uvicorn.Config(door, log_level="error", timeout_graceful_shutdown=1))
+        self._server = Ending(uvicorn.Config(door, log_level="error", timeout_graceful_shutdown=1), sessions)
 
     @property
     def address(self) -> str:
