@@ -199,7 +199,7 @@ def told(noted: bytes, *libraries: Path) -> str:
         if isinstance(found, str):
             return f": {found}"
         crash = Crash(*found)
-    except (ValueError, TypeError):  # firmware has written into it
+    except (ValueError, TypeError, RecursionError):  # firmware has written into it
         return ""
     names = [symbol for _, symbol, _ in crash.frames]
     inner = crash.frames[: names.index(ENTRY) + 1] if ENTRY in names else crash.frames

@@ -24,6 +24,7 @@ from typing import Any
 from stage.agents.arena.scores import FAILED
 from stage.agents.arena.table import Table
 from stage.errors import ArgumentError, StageError
+from stage.foreign_files import DocumentError, parse_json
 
 LONG = 1 << 20  # characters of a line
 WRONG = 20  # lines that are no calls, after which the game is ended
@@ -139,8 +140,8 @@ def _read(stream: Any, lines: queue.Queue[str], gone: threading.Event) -> None:
 def _parsed(line: str) -> dict[str, Any] | str:
     """What a line says, or what is wrong with it."""
     try:
-        said = json.loads(line)
-    except (ValueError, RecursionError) as why:
+        said = parse_json(line)
+    except DocumentError as why:
         return f'a line of JSON is expected, {{"call": NAME, "arguments": {{...}}}}: {why}.'
     if not isinstance(said, dict) or not ("call" in said or said.get("done")):
         return 'a line has "call" and "arguments", or "done": true.'

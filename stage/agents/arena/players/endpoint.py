@@ -11,6 +11,7 @@ from typing import Any
 
 from stage.agents.arena.table import Table
 from stage.errors import ArgumentError, StageError
+from stage.foreign_files import DocumentError, parse_json
 
 TIMEOUT = 300.0  # s for a reply
 AGAIN = (429, 500, 502, 503, 504)
@@ -76,7 +77,7 @@ class Endpoint:
         for tried in range(TRIES):
             try:
                 with _OPENER.open(request, timeout=TIMEOUT) as reply:
-                    return json.loads(_all(table, reply))
+                    return parse_json(_all(table, reply))
             except urllib.error.HTTPError as error:
                 if error.code not in AGAIN or tried == TRIES - 1:
                     text = error.read(300).decode(errors="replace")
@@ -84,7 +85,7 @@ class Endpoint:
             except (urllib.error.URLError, TimeoutError, ConnectionError) as error:
                 if tried == TRIES - 1:
                     raise StageError(f"{self.url} cannot be reached: {getattr(error, 'reason', error)}.") from None
-            except (ValueError, RecursionError) as error:
+            except DocumentError as error:
                 raise StageError(f"{self.url} does not answer in JSON: {error}.") from None
             except http.client.HTTPException as error:
                 raise StageError(f"{self.url} does not answer as a server does: {error!r}.") from None
@@ -116,8 +117,8 @@ def _called(table: Table, call: dict[str, Any]) -> str:
     function = call.get("function") or {}
     text = function.get("arguments") or "{}"
     try:
-        arguments = json.loads(text) if isinstance(text, str) else text
-    except (ValueError, RecursionError):
+        arguments = parse_json(text) if isinstance(text, str) else text
+    except DocumentError:
         arguments = text  # the tool says what it should be
     answer = table.call(function.get("name"), arguments)
     return answer.text if answer.ok else f"error: {answer.text}"
