@@ -38,7 +38,7 @@ own = ["interrupts"]
 JSON = json.dumps({"like": "pcl240", "base": "0x300", "chips": 2, "own": ["interrupts"]}).encode()
 MADE = {"model": "xy", "chips": "pcl240ms", "motor": None, "microsteps": 16, "bus_voltage": 24.0, "bus_cycle": 1e-6,
         "wiring": [], "multichip": None, "syni": []}  # fmt: skip
-TOLD = {"format": 1, "made": MADE, "payloads": {"x_carriage": 0.5}, "faults": [["motor", "x", {"motor": "SS2422-5041"}]], "now": 9,
+TOLD = {"format": 1, "made": MADE, "payloads": {"x": 0.5}, "faults": [["motor", "x", {"motor": "SS2422-5041"}]], "now": 9,
         "start": 0, "program": [[0, 0, 3, 17], [1000, 1, 0, None]]}  # fmt: skip
 
 
@@ -155,6 +155,26 @@ def test_a_document_with_a_hostile_value_is_read_or_refused_in_words(whole, tmp_
             except BaseException as error:
                 pytest.fail(f"{ending}, PULSESTAGE_SEED={SEED}, example {k}: {error!r}")
     assert longest < 2000
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        {"wiring": [1]},
+        {"syni": [["y=x"]]},
+        {"microsteps": True},
+        {"bus_voltage": "24"},
+        {"model": "x" * 1001},
+        {"chips": None},
+    ],
+)
+def test_options_of_a_panel_file_are_texts_numbers_and_lists_of_texts(made, whole, tmp_path):
+    """stage panel --open FILE, whose wiring was a list of numbers, gave an AttributeError"""
+    told, snapshot = json.dumps(TOLD | {"made": MADE | made}), whole[".snapshot"]
+    path = tmp_path / "a.zip"
+    path.write_bytes(zipped({"panel.json": told, "start.snapshot": snapshot, "now.snapshot": snapshot}))
+    with pytest.raises(ArgumentError, match=f"{next(iter(made))}, of what the stage is made of, is"):
+        share.read(path)
 
 
 @pytest.mark.parametrize("ending", READERS)

@@ -46,6 +46,7 @@ RECORDED = ("position", "commanded", "following_error", "rate", "lost_steps")
 LARGEST = 1 << 28  # bytes of a file that is read
 UNPACKED = 1 << 27  # bytes of the members that are read
 MEMBERS = ("panel.json", "start.snapshot", "now.snapshot")
+LONGEST_TEXT = 1000  # characters of an option
 LATEST = 1 << 62  # ns
 
 
@@ -153,7 +154,7 @@ def read(path: str | os.PathLike) -> Shared:
         if made is not None:
             made = {name: made[name] for name in MADE}
             for name, kind in MADE.items():
-                if not isinstance(made[name], kind) or isinstance(made[name], bool):
+                if not _is_option(made[name], kind):
                     raise refuse(f"{name}, of what the stage is made of, is {made[name]!r:.60}")
         payloads = {str(body): float(kg) for body, kg in told["payloads"].items()}
         broken = [(str(n), str(a), {str(k): str(v) for k, v in g.items()}) for n, a, g in told["faults"]]
@@ -165,6 +166,13 @@ def read(path: str | os.PathLike) -> Shared:
                 f"its panel.json does not say what it should ({type(error).__name__}: {error!s:.200})"
             ) from error
         raise
+
+
+def _is_option(value: Any, kind: type | tuple[type, ...]) -> bool:
+    """Return whether what JSON gave for an option is of its kind: a short text, a number, or a list of short texts."""
+    texts = value if isinstance(value, list) else [value] if isinstance(value, str) else []
+    short = all(isinstance(text, str) and len(text) <= LONGEST_TEXT for text in texts)
+    return isinstance(value, kind) and not isinstance(value, bool) and short
 
 
 def _time(value: Any) -> int:
