@@ -27,7 +27,6 @@ class Extra(NamedTuple):
 LIBRARIES = {
     "rerun": Extra("rerun", "rerun"),
     "rerun_cli": Extra("rerun", "rerun"),
-    "rerun_bindings": Extra("rerun", "rerun"),
     "matplotlib": Extra("matplotlib", "plot"),
     "pandas": Extra("pandas", "data"),
     "pyarrow": Extra("pyarrow", "data"),

@@ -22,10 +22,10 @@ import numpy as np
 from stage.errors import ArgumentError, StageError, a_or_an
 from stage.files import FileError, readable
 
-DEEPEST_LEVEL = 64
+MAX_LEVELS = 64
 """Lists and mappings inside each other in a document, at most."""
-MOST_INTEGER_BITS = 256
-MOST_DOCUMENT_BYTES = 1 << 20
+MAX_INTEGER_BITS = 256
+MAX_DOCUMENT_BYTES = 1 << 20
 """Of a document that people write, such as a layout."""
 
 
@@ -33,13 +33,13 @@ class DocumentError(ArgumentError):
     """A text is no JSON or TOML, or is nested too deep, or has a number that is too long."""
 
 
-def open_regular(path: str | os.PathLike, what: str, most_bytes: int, error: type[StageError] = FileError) -> BinaryIO:
+def open_regular(path: str | os.PathLike, what: str, max_bytes: int, error: type[StageError] = FileError) -> BinaryIO:
     """Open a regular file with something in it for reading.
 
     Args:
         path: the file.
         what: it should be, as in "recording", for errors.
-        most_bytes: that it may have.
+        max_bytes: that it may have.
         error: is raised for what is missing, no regular file, empty, too large or not to be read.
     """
     path = readable(path, what, error)
@@ -47,35 +47,35 @@ def open_regular(path: str | os.PathLike, what: str, most_bytes: int, error: typ
         file = os.fdopen(os.open(path, os.O_RDONLY | os.O_CLOEXEC | getattr(os, "O_NONBLOCK", 0)), "rb")
     except OSError as why:
         raise error(f"{path} cannot be read: {why.strerror or why}.") from why
-    there = os.fstat(file.fileno())
-    if stat.S_ISREG(there.st_mode) and there.st_size <= most_bytes:
+    status = os.fstat(file.fileno())
+    if stat.S_ISREG(status.st_mode) and status.st_size <= max_bytes:
         return file
     file.close()
-    if stat.S_ISREG(there.st_mode):
-        raise error(f"{path} has {there.st_size:,} bytes, and {a_or_an(what)} has at most {most_bytes:,}.")
+    if stat.S_ISREG(status.st_mode):
+        raise error(f"{path} has {status.st_size:,} bytes, and {a_or_an(what)} has at most {max_bytes:,}.")
     raise error(f"{path} is no regular file, and no {what}. Name a regular file.")
 
 
-def read_bytes(path: str | os.PathLike, what: str, most_bytes: int, error: type[StageError] = FileError) -> bytes:
+def read_bytes(path: str | os.PathLike, what: str, max_bytes: int, error: type[StageError] = FileError) -> bytes:
     """Return all bytes of a regular file. Arguments and errors are those of `open_regular`."""
     try:
-        with open_regular(path, what, most_bytes, error) as file:
-            content = file.read(most_bytes + 1)
+        with open_regular(path, what, max_bytes, error) as file:
+            content = file.read(max_bytes + 1)
     except OSError as why:
         raise error(f"{path} cannot be read: {why.strerror or why}.") from why
-    if len(content) > most_bytes:
+    if len(content) > max_bytes:
         raise error(
-            f"{path} has grown beyond {most_bytes:,} bytes while it was read: {a_or_an(what)} has at most so many."
+            f"{path} has grown beyond {max_bytes:,} bytes while it was read: {a_or_an(what)} has at most so many."
         )
     return content
 
 
 def read_text(
-    path: str | os.PathLike, what: str, most_bytes: int = MOST_DOCUMENT_BYTES, error: type[StageError] = FileError
+    path: str | os.PathLike, what: str, max_bytes: int = MAX_DOCUMENT_BYTES, error: type[StageError] = FileError
 ) -> str:
     """Return the text, in UTF-8, of a regular file. Arguments and errors are those of `open_regular`."""
     try:
-        return read_bytes(path, what, most_bytes, error).decode("utf-8")
+        return read_bytes(path, what, max_bytes, error).decode("utf-8")
     except UnicodeDecodeError as why:
         raise error(f"{path} cannot be read: {why}. {a_or_an(what).capitalize()} is a text in UTF-8.") from None
 
@@ -101,7 +101,7 @@ def parse_toml(text: str) -> dict[str, Any]:
 def read_members(
     content: bytes,
     names: Sequence[str],
-    most_bytes: int,
+    max_bytes: int,
     error: Callable[[str], StageError],
     optional: Sequence[str] = (),
     only: bool = False,
@@ -111,9 +111,9 @@ def read_members(
     Args:
         content: the archive.
         names: members that are wanted; what is neither wanted nor optional is not read.
-        most_bytes: that they may have together when unpacked.
+        max_bytes: that they may have together when unpacked.
         error: makes the error to raise from what is wrong with the archive, in words.
-        optional: members that need not be there.
+        optional: members that need not be status.
         only: refuse an archive with other members, or with one of them twice.
 
     Raises:
@@ -127,8 +127,8 @@ def read_members(
             )
             _check_members(members, names, optional, error)
             size = sum(member.file_size for member in members)
-            if size > most_bytes:
-                raise error(f"it has {size:,} bytes when unpacked, and at most {most_bytes:,} are read")
+            if size > max_bytes:
+                raise error(f"it has {size:,} bytes when unpacked, and at most {max_bytes:,} are read")
             return {member.filename: _read_member(archive, member, error) for member in members}
     except (zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError, ValueError, NotImplementedError, RuntimeError,
             OverflowError) as why:  # fmt: skip
@@ -144,8 +144,8 @@ def _check_members(
     error: Callable[[str], StageError],
 ) -> None:
     """Raise what `error` makes where one is missing, there twice or unexpected, or packed in another way."""
-    found = [member.filename for member in members]
-    if sorted(found) != sorted({*names, *(name for name in optional if name in found)}):
+    present = [member.filename for member in members]
+    if sorted(present) != sorted({*names, *(name for name in optional if name in present)}):
         raise error(f"it should hold {', '.join(names)}")
     for member in members:
         if member.flag_bits & 1 or member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
@@ -195,14 +195,14 @@ def _parsed(parse: Callable[[], Any]) -> Any:
         inner: list[Any] = []
         for value in values:
             if isinstance(value, dict | list):
-                if level > DEEPEST_LEVEL:
+                if level > MAX_LEVELS:
                     raise DocumentError(_too_deep())
                 inner += value.values() if isinstance(value, dict) else value
-            elif isinstance(value, int) and value.bit_length() > MOST_INTEGER_BITS:
-                raise DocumentError(f"an integer in it has more than {MOST_INTEGER_BITS} bits")
+            elif isinstance(value, int) and value.bit_length() > MAX_INTEGER_BITS:
+                raise DocumentError(f"an integer in it has more than {MAX_INTEGER_BITS} bits")
         values = inner
     return document
 
 
 def _too_deep() -> str:
-    return f"it is nested deeper than {DEEPEST_LEVEL} levels"
+    return f"it is nested deeper than {MAX_LEVELS} levels"

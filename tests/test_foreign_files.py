@@ -36,9 +36,9 @@ chips = 8
 own = ["interrupts"]
 """
 JSON = json.dumps({"like": "pcl240", "base": "0x300", "chips": 2, "own": ["interrupts"]}).encode()
-MADE = {"model": "xy", "chips": "pcl240ms", "motor": None, "microsteps": 16, "bus_voltage": 24.0, "bus_cycle": 1e-6,
+OPTIONS = {"model": "xy", "chips": "pcl240ms", "motor": None, "microsteps": 16, "bus_voltage": 24.0, "bus_cycle": 1e-6,
         "wiring": [], "multichip": None, "syni": []}  # fmt: skip
-TOLD = {"format": 1, "made": MADE, "payloads": {"x": 0.5}, "faults": [["motor", "x", {"motor": "SS2422-5041"}]], "now": 9,
+DOCUMENT = {"format": 1, "made": OPTIONS, "payloads": {"x": 0.5}, "faults": [["motor", "x", {"motor": "SS2422-5041"}]], "now": 9,
         "start": 0, "program": [[0, 0, 3, 17], [1000, 1, 0, None]]}  # fmt: skip
 
 
@@ -59,8 +59,8 @@ def elf():
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """The bytes of a whole file of each format."""
+def intact(tmp_path_factory):
+    """The bytes of a intact file of each format."""
     folder = tmp_path_factory.mktemp("whole")
     stage = Stage("xy", visuals=False)
     firmware.preset_move(stage.axes["x"], 50)
@@ -72,7 +72,7 @@ def whole(tmp_path_factory):
     return {
         ".snapshot": snapshot,
         ".chip": chip,
-        ".zip": zipped({"panel.json": json.dumps(TOLD), "start.snapshot": snapshot, "now.snapshot": snapshot}),
+        ".zip": zipped({"panel.json": json.dumps(DOCUMENT), "start.snapshot": snapshot, "now.snapshot": snapshot}),
         ".bench": played.pack(),
         ".jsonl": (folder / "a.jsonl").read_bytes(),
         ".npz": (folder / "a.npz").read_bytes(),
@@ -98,52 +98,54 @@ READERS = {
 QUICK = [ending for ending in READERS if ending != ".rrd"]
 
 
-def try_damaged(ending, whole, tmp_path, number):
+def try_damaged(ending, intact, tmp_path, number):
     """Read `number` damaged copies; each is read, or refused in words, within seconds. Returns how many were refused."""
     rng, path, refused = random.Random(f"{SEED}{ending}"), tmp_path / f"damaged{ending}", 0
-    longest = 0
+    max_length = 0
     for k in range(number):
-        path.write_bytes(damage(rng, whole))
+        path.write_bytes(damage(rng, intact))
         begin = time.process_time()
         try:
             READERS[ending](path)
         except StageError as error:
             refused += 1
-            longest = max(longest, len(str(error)))
+            max_length = max(max_length, len(str(error)))
         except BaseException as error:
             pytest.fail(f"{ending}, PULSESTAGE_SEED={SEED}, copy {k}: {error!r}")
         assert time.process_time() - begin < 5, f"{ending}, PULSESTAGE_SEED={SEED}, copy {k}"
-    assert longest < 2000
+    assert max_length < 2000
     return refused
 
 
 @pytest.mark.parametrize("ending", QUICK)
-def test_a_whole_file_is_read_and_a_damaged_one_is_read_or_refused_in_words(ending, whole, tmp_path):
+def test_an_intact_file_is_read_and_a_damaged_one_is_read_or_refused_in_words(ending, intact, tmp_path):
     path = tmp_path / f"whole{ending}"
-    path.write_bytes(whole[ending])
+    path.write_bytes(intact[ending])
     READERS[ending](path)
-    assert try_damaged(ending, whole[ending], tmp_path, scaled(100)) > 0
+    assert try_damaged(ending, intact[ending], tmp_path, scaled(100)) > 0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", QUICK)
-def test_thousands_of_damaged_files_are_read_or_refused_in_words(ending, whole, tmp_path):
-    assert try_damaged(ending, whole[ending], tmp_path, 4000) > 0
+def test_thousands_of_damaged_files_are_read_or_refused_in_words(ending, intact, tmp_path):
+    assert try_damaged(ending, intact[ending], tmp_path, 4000) > 0
 
 
-def test_a_document_with_a_hostile_value_is_read_or_refused_in_words(whole, tmp_path):
+def test_a_document_with_a_hostile_value_is_read_or_refused_in_words(intact, tmp_path):
     """panel.json, entry.json, a layout, the lines of a transcript: inf, 400 digits, texts of 100,000 characters, null, lists"""
-    rng, snapshot, longest = random.Random(SEED), whole[".snapshot"], 0
+    rng, snapshot, max_length = random.Random(SEED), intact[".snapshot"], 0
     for k in range(scaled(160)):
         (tmp_path / "a.json").write_text(replace_value(rng, json.loads(JSON)))
-        told = replace_value(rng, TOLD)
-        panel = zipped({"panel.json": told, "start.snapshot": snapshot, "now.snapshot": snapshot}, zipfile.ZIP_STORED)
+        document = replace_value(rng, DOCUMENT)
+        panel = zipped(
+            {"panel.json": document, "start.snapshot": snapshot, "now.snapshot": snapshot}, zipfile.ZIP_STORED
+        )
         (tmp_path / "a.zip").write_bytes(panel)
-        with zipfile.ZipFile(io.BytesIO(whole[".bench"])) as archive:
+        with zipfile.ZipFile(io.BytesIO(intact[".bench"])) as archive:
             members = {name: archive.read(name) for name in archive.namelist()}
-        said = replace_value(rng, json.loads(members.pop("entry.json")))
-        (tmp_path / "a.bench").write_bytes(zipped({"entry.json": said, **members}, zipfile.ZIP_STORED))
-        lines = whole[".jsonl"].splitlines()
+        entry = replace_value(rng, json.loads(members.pop("entry.json")))
+        (tmp_path / "a.bench").write_bytes(zipped({"entry.json": entry, **members}, zipfile.ZIP_STORED))
+        lines = intact[".jsonl"].splitlines()
         at = rng.randrange(len(lines))
         lines[at] = replace_value(rng, json.loads(lines[at])).encode()
         (tmp_path / "a.jsonl").write_bytes(b"\n".join(lines) + b"\n")
@@ -151,14 +153,14 @@ def test_a_document_with_a_hostile_value_is_read_or_refused_in_words(whole, tmp_
             try:
                 READERS[ending](tmp_path / f"a{ending}")
             except StageError as error:
-                longest = max(longest, len(str(error)))
+                max_length = max(max_length, len(str(error)))
             except BaseException as error:
                 pytest.fail(f"{ending}, PULSESTAGE_SEED={SEED}, example {k}: {error!r}")
-    assert longest < 2000
+    assert max_length < 2000
 
 
 @pytest.mark.parametrize(
-    "made",
+    "options",
     [
         {"wiring": [1]},
         {"syni": [["y=x"]]},
@@ -168,12 +170,12 @@ def test_a_document_with_a_hostile_value_is_read_or_refused_in_words(whole, tmp_
         {"chips": None},
     ],
 )
-def test_options_of_a_panel_file_are_texts_numbers_and_lists_of_texts(made, whole, tmp_path):
+def test_options_of_a_panel_file_are_texts_numbers_and_lists_of_texts(options, intact, tmp_path):
     """stage panel --open FILE, whose wiring was a list of numbers, gave an AttributeError"""
-    told, snapshot = json.dumps(TOLD | {"made": MADE | made}), whole[".snapshot"]
+    document, snapshot = json.dumps(DOCUMENT | {"made": OPTIONS | options}), intact[".snapshot"]
     path = tmp_path / "a.zip"
-    path.write_bytes(zipped({"panel.json": told, "start.snapshot": snapshot, "now.snapshot": snapshot}))
-    with pytest.raises(ArgumentError, match=f"{next(iter(made))}, of what the stage is made of, is"):
+    path.write_bytes(zipped({"panel.json": document, "start.snapshot": snapshot, "now.snapshot": snapshot}))
+    with pytest.raises(ArgumentError, match=f"{next(iter(options))}, of what the stage is made of, is"):
         share.read(path)
 
 
@@ -252,7 +254,7 @@ def test_whatever_the_reading_process_does_is_an_error_in_words(recorded, tmp_pa
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, "[" * 65 + "]" * 65])
-def test_a_document_is_nested_64_levels_deep_at_most(text):
+def test_a_document_that_is_nested_deeper_than_64_levels_is_refused(text):
     with pytest.raises(DocumentError, match="deeper than 64 levels"):
         parse_json(text)
     assert parse_json("[" * 64 + "]" * 64)
@@ -264,7 +266,7 @@ def test_a_document_is_nested_64_levels_deep_at_most(text):
         parse_toml(".".join("a" * 70) + " = 1")
 
 
-def test_an_integer_of_a_document_has_256_bits_at_most(monkeypatch):
+def test_an_integer_of_more_than_256_bits_is_refused(monkeypatch):
     assert parse_json(str((1 << 256) - 1)) == (1 << 256) - 1
     for parse, text in ((parse_json, "{}"), (parse_toml, "a = {}"), (parse_json, '{{"a": [{}]}}')):
         for number in (str(1 << 256), "9" * 5000, "-" + "9" * 5000):
@@ -275,7 +277,7 @@ def test_an_integer_of_a_document_has_256_bits_at_most(monkeypatch):
 
 
 @pytest.mark.parametrize("content", [b'{"a": ', b"\xff", b"", b"[1, 2", b"nul"])
-def test_what_is_no_json_is_said(content):
+def test_what_is_no_json_is_refused(content):
     with pytest.raises(DocumentError):
         parse_json(content)
 
@@ -289,16 +291,16 @@ def changed_byte(content, mark, at, value):
 
 
 def test_an_archive_with_what_pulsestage_does_not_pack_is_refused_before_it_is_unpacked():
-    whole = zipped({"a": b"x" * 1000})
-    assert read_members(whole, ["a"], 1000, ArgumentError) == {"a": b"x" * 1000}
+    intact = zipped({"a": b"x" * 1000})
+    assert read_members(intact, ["a"], 1000, ArgumentError) == {"a": b"x" * 1000}
     for content, says in (
         (zipped({"a": b"x"}, zipfile.ZIP_LZMA), "packed in another way"),
         (zipped({"a": b"x"}, zipfile.ZIP_BZIP2), "packed in another way"),
-        (changed_byte(whole, b"PK\1\2", 8, 1), "packed in another way"),
-        (changed_byte(whole, b"PK\1\2", 10, 99), "packed in another way"),
+        (changed_byte(intact, b"PK\1\2", 8, 1), "packed in another way"),
+        (changed_byte(intact, b"PK\1\2", 10, 99), "packed in another way"),
         (zipped({"a": b"x" * 1001}), "has 1,001 bytes when unpacked, and at most 1,000"),
         (zipped({"b": b"x"}), "it should hold a"),
-        (whole[:-30], "no zip archive"),
+        (intact[:-30], "no zip archive"),
         (b"", "no zip archive"),
     ):
         with pytest.raises(ArgumentError, match=says):

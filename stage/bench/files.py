@@ -144,7 +144,8 @@ def _said(text: bytes, name: str) -> dict[str, Any]:
         raise Refused(f"{name}: entry.json does not begin as an entry does.")
     if mark[1] != FORMAT or isinstance(mark[1], bool):
         raise Refused(
-            f"{name}: of format {mark[1]!r:.60}, and this PulseStage reads format {FORMAT}: use the PulseStage that made it."
+            f"{name}: of format {mark[1]!r:.60}, and this PulseStage reads format {FORMAT}: "
+            "use the PulseStage that it was made with."
         )
     return said
 

@@ -152,8 +152,8 @@ def _read_episodes(path: str) -> list[np.ndarray]:
         raise ArgumentError(f"{path}: actions of shape {actions.shape}; (episodes, steps, ...), or give `steps`, too.")
     if steps is None:
         return list(actions)
-    whole = steps.ndim == 1 and steps.dtype.kind in "iu" and (steps >= 0).all()
-    if not whole or not actions.ndim or sum(steps.tolist()) != len(actions):
+    valid = steps.ndim == 1 and steps.dtype.kind in "iu" and (steps >= 0).all()
+    if not valid or not actions.ndim or sum(steps.tolist()) != len(actions):
         raise ArgumentError(
             f"{path}: `steps` are whole numbers, how many actions each episode has; together they are as many as `actions`."
         )

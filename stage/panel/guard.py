@@ -37,13 +37,13 @@ class OnlyFirst(logging.Filter):
 
     def __init__(self) -> None:
         super().__init__()
-        self._was_told = False
+        self._has_reported = False
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Return whether this is the first record, and take the traceback from it."""
-        if self._was_told:
+        if self._has_reported:
             return False
-        self._was_told = True
+        self._has_reported = True
         error = record.exc_info[1] if record.exc_info else record.getMessage()
         record.msg = (
             "PulseStage: a malformed message came to the panel, and was ignored (%.200r). More of them are not told."
@@ -52,14 +52,14 @@ class OnlyFirst(logging.Filter):
         return True
 
 
-def tell_malformed_messages_once() -> None:
+def report_malformed_messages_once() -> None:
     """Let the libraries that read messages of browsers write one line for all that are malformed, and no traceback."""
     first = OnlyFirst()
     for name in LOGGERS:
         logging.getLogger(name).addFilter(first)
 
 
-def tell_of_task(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+def report_task_error(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     """Handle an error of a task that nobody waits for: that of a message as a malformed one, any other as asyncio does."""
     task = context.get("future")
     if isinstance(task, asyncio.Task) and getattr(task.get_coro(), "__qualname__", "").startswith(TAKES_MESSAGE):

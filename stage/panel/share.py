@@ -46,7 +46,7 @@ RECORDED = ("position", "commanded", "following_error", "rate", "lost_steps")
 LARGEST = 1 << 28  # bytes of a file that is read
 UNPACKED = 1 << 27  # bytes of the members that are read
 MEMBERS = ("panel.json", "start.snapshot", "now.snapshot")
-LONGEST_TEXT = 1000  # characters of an option
+MAX_TEXT_LENGTH = 1000  # characters of an option
 LATEST = 1 << 62  # ns
 
 
@@ -141,25 +141,27 @@ def read(path: str | os.PathLike) -> Shared:
     content = read_bytes(path, "file of a panel", LARGEST, ArgumentError)
     members = read_members(content, MEMBERS, UNPACKED, refuse)
     try:
-        told = parse_json(members["panel.json"])
-        if told["format"] != FORMAT:
+        document = parse_json(members["panel.json"])
+        if document["format"] != FORMAT:
             raise ArgumentError(
-                f"{path} is of format {told['format']!r:.60}, and this PulseStage reads format {FORMAT}: save it anew."
+                f"{path} is of format {document['format']!r:.60}, and this PulseStage reads format {FORMAT}: save it anew."
             )
         start, now = (
             Snapshot.from_bytes(members[f"{name}.snapshot"], f"{path}: its {name}.snapshot")
             for name in ("start", "now")
         )
-        made = told["made"]
-        if made is not None:
-            made = {name: made[name] for name in MADE}
+        options = document["made"]
+        if options is not None:
+            options = {name: options[name] for name in MADE}
             for name, kind in MADE.items():
-                if not _is_option(made[name], kind):
-                    raise refuse(f"{name}, of what the stage is made of, is {made[name]!r:.60}")
-        payloads = {str(body): float(kg) for body, kg in told["payloads"].items()}
-        broken = [(str(n), str(a), {str(k): str(v) for k, v in g.items()}) for n, a, g in told["faults"]]
-        sent = [Sent(_time(t), *map(_word, (k, a)), None if v is None else _word(v)) for t, k, a, v in told["program"]]
-        return Shared(made, payloads, broken, sent, (_time(told["start"]), start), now)
+                if not _is_option(options[name], kind):
+                    raise refuse(f"{name}, of what the stage is made of, is {options[name]!r:.60}")
+        payloads = {str(body): float(kg) for body, kg in document["payloads"].items()}
+        broken = [(str(n), str(a), {str(k): str(v) for k, v in g.items()}) for n, a, g in document["faults"]]
+        sent = [
+            Sent(_time(t), *map(_word, (k, a)), None if v is None else _word(v)) for t, k, a, v in document["program"]
+        ]
+        return Shared(options, payloads, broken, sent, (_time(document["start"]), start), now)
     except (KeyError, ValueError, TypeError, AttributeError, OverflowError) as error:
         if isinstance(error, DocumentError) or not isinstance(error, StageError):
             raise refuse(
@@ -171,7 +173,7 @@ def read(path: str | os.PathLike) -> Shared:
 def _is_option(value: Any, kind: type | tuple[type, ...]) -> bool:
     """Return whether what JSON gave for an option is of its kind: a short text, a number, or a list of short texts."""
     texts = value if isinstance(value, list) else [value] if isinstance(value, str) else []
-    short = all(isinstance(text, str) and len(text) <= LONGEST_TEXT for text in texts)
+    short = all(isinstance(text, str) and len(text) <= MAX_TEXT_LENGTH for text in texts)
     return isinstance(value, kind) and not isinstance(value, bool) and short
 
 

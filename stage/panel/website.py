@@ -8,7 +8,7 @@ import threading
 from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any
 
-from stage.panel.guard import tell_malformed_messages_once, tell_of_task
+from stage.panel.guard import report_malformed_messages_once, report_task_error
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
@@ -37,7 +37,7 @@ class Website:
         def build(request: Request) -> None:
             page.build(self._panel(request.scope))
 
-        tell_malformed_messages_once()
+        report_malformed_messages_once()
         self.panels: dict[int, Panel] = {}
         self.app = FastAPI(openapi_url=None)
         self.app.add_route("/shape/{body:int}.glb", self._shape)
@@ -58,7 +58,7 @@ class Website:
     async def _live(self, begun: Future) -> None:
         try:
             async with self.app.router.lifespan_context(self.app):
-                asyncio.get_running_loop().set_exception_handler(tell_of_task)
+                asyncio.get_running_loop().set_exception_handler(report_task_error)
                 begun.set_result(asyncio.get_running_loop())
                 await asyncio.Event().wait()
         except BaseException as error:

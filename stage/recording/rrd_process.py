@@ -29,7 +29,7 @@ SKIPPED = "/stage"  # the scene: pictures, no columns
 
 
 class DamagedFile(Exception):
-    """A file that rerun's reader cannot read, with what it said."""
+    """A file that rerun's reader cannot read, with what it message."""
 
 
 def read_chunks(path: Path) -> Iterator[tuple[str, Any]]:
@@ -46,13 +46,13 @@ def read_chunks(path: Path) -> Iterator[tuple[str, Any]]:
     watch = threading.Timer(seconds, process.kill)
     watch.daemon = True
     watch.start()
-    said = None
+    message = None
     try:
         out: IO[bytes] = process.stdout  # type: ignore[assignment]
         while len(head := out.read(HEAD.size)) == HEAD.size:
             length, columns = HEAD.unpack(head)
             if not columns:
-                said = out.read(length).decode(errors="replace")
+                message = out.read(length).decode(errors="replace")
                 break
             left -= length + columns
             if left < 0:
@@ -62,19 +62,21 @@ def read_chunks(path: Path) -> Iterator[tuple[str, Any]]:
                 break
             yield entity, pyarrow.ipc.open_stream(content).read_next_batch()
     finally:
-        if said is None:
+        if message is None:
             process.kill()
         code = process.wait()
         in_time = watch.is_alive()
         watch.cancel()
         process.stdout.close()  # type: ignore[union-attr]
-    if said is None:
-        raise DamagedFile(_ended(code) if in_time else f"rerun's reader was not done with it after {seconds:.0f} s")
-    if said != END:
-        raise DamagedFile(said)
+    if message is None:
+        raise DamagedFile(
+            _describe_end(code) if in_time else f"rerun's reader was not done with it after {seconds:.0f} s"
+        )
+    if message != END:
+        raise DamagedFile(message)
 
 
-def _ended(code: int) -> str:
+def _describe_end(code: int) -> str:
     """Return in words how the process ended that should have read a file."""
     return (
         f"rerun's reader was ended by {Signals(-code).name}" if code < 0 else f"rerun's reader ended with status {code}"
@@ -89,7 +91,7 @@ def _write_chunks(path: str, out: IO[bytes]) -> None:
     import pyarrow
     from rerun.chunk import RrdReader
 
-    said = END
+    message = END
     try:
         for chunk in RrdReader(path).stream():
             if chunk.entity_path.startswith(SKIPPED):
@@ -103,8 +105,8 @@ def _write_chunks(path: str, out: IO[bytes]) -> None:
             out.write(HEAD.pack(len(entity), content.size) + entity)
             out.write(content)
     except (RuntimeError, ValueError) as error:
-        said = str(error).rpartition("rrd: ")[2].partition("\n")[0][:200]
-    last = said.encode()
+        message = str(error).rpartition("rrd: ")[2].partition("\n")[0][:200]
+    last = message.encode()
     out.write(HEAD.pack(len(last), 0) + last)
     out.flush()
 

@@ -27,7 +27,7 @@ MAGIC = b"RRF"
 WHOLE = ("lost_steps", "counter")
 LARGEST = 1 << 34
 """Bytes of a file."""
-MOST_SAMPLES = 1 << 28
+MAX_SAMPLES = 1 << 28
 """Three days, a sample every millisecond."""
 NAMED = {"current": "current_a"}
 """Series whose column has another name."""
@@ -116,8 +116,8 @@ class Saved(Tabular):
         if not spans:
             return np.zeros(0, np.int64)
         begin, end = int(min(b for b, _ in spans)), int(max(e for _, e in spans))
-        if (end - begin) // self._every_ns > MOST_SAMPLES:
-            raise ValueError(f"from {begin} ns to {end} ns there are more than {MOST_SAMPLES:,} samples")
+        if (end - begin) // self._every_ns > MAX_SAMPLES:
+            raise ValueError(f"from {begin} ns to {end} ns there are more than {MAX_SAMPLES:,} samples")
         return np.arange(begin, end + 1, self._every_ns)
 
     def __len__(self) -> int:
@@ -204,9 +204,9 @@ def read(path: str | os.PathLike) -> Saved:
     ) as error:
         if isinstance(error, StageError):
             raise
-        said = str(error) if isinstance(error, DamagedFile) else f"its columns do not fit together ({error!r:.100})"
+        reason = str(error) if isinstance(error, DamagedFile) else f"its columns do not fit together ({error!r:.100})"
         raise RecordingError(
-            f"{path} is damaged: {said}. Of a run that was killed while it wrote, `rerun rrd merge {path} -o "
+            f"{path} is damaged: {reason}. Of a run that was killed while it wrote, `rerun rrd merge {path} -o "
             "whole.rrd` keeps what is whole."
         ) from error
     return saved

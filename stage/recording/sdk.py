@@ -1,6 +1,6 @@
 """rerun, for all that write or show recordings. It is an extra: whoever uses one of these without it gets ExtraMissing."""
 
-from stage.extras import Later, need
+from stage.extras import Later
 
 rr = Later("rerun", "a recording (.rrd)")
 rrb = Later("rerun.blueprint", "a recording (.rrd)")
@@ -12,4 +12,4 @@ def release_streams() -> None:
 
     rerun (0.41) keeps two threads and some MB of each stream, and of each blueprint, until this is called.
     """
-    need("rerun_bindings", "a recording (.rrd)").flush_and_cleanup_orphaned_recordings()
+    rr.bindings.flush_and_cleanup_orphaned_recordings()

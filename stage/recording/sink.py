@@ -21,7 +21,7 @@ from stage.recording.sdk import release_streams
 PATIENCE = 60.0  # s that a flush may take
 
 
-class KeptBlueprint:
+class BlueprintWithStream:
     """A rerun blueprint that keeps the stream into which rerun writes it. The methods are those that rerun calls.
 
     Attributes:
@@ -31,7 +31,7 @@ class KeptBlueprint:
     def __init__(self, blueprint: Any):
         self._blueprint, self.stream = blueprint, None
 
-    def to_blueprint(self) -> KeptBlueprint:
+    def to_blueprint(self) -> BlueprintWithStream:
         """Return itself, as rerun wants a whole blueprint."""
         return self
 
@@ -56,10 +56,10 @@ class Sink:
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._collect, name="rerun file", daemon=True)
         self._thread.start()
-        kept = blueprint and KeptBlueprint(blueprint)
-        out.save(f"/dev/fd/{write_end}", default_blueprint=kept)
-        if kept:
-            kept.stream.disconnect()  # it holds itself in memory, and would for ever
+        wrapped = blueprint and BlueprintWithStream(blueprint)
+        out.save(f"/dev/fd/{write_end}", default_blueprint=wrapped)
+        if wrapped:
+            wrapped.stream.disconnect()  # it holds itself in memory, and would for ever
         os.close(write_end)
 
     def _collect(self) -> None:

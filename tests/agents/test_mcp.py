@@ -509,36 +509,36 @@ def test_ctrl_c_during_a_call_over_http_ends_the_call_and_the_server_without_a_t
     ) as process:  # fmt: skip
         port, token = urlsplit(process.stdout.readline()).port, process.stdout.readline().split()[-1]
 
-        def ask(method, line=None, **more):
+        def request(method, line=None, **more):
             connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
             headers = {"Authorization": f"Bearer {token}", "Accept": "application/json, text/event-stream"}
             headers |= {"Content-Type": "application/json", **more}
             connection.request(method, "/mcp", None if line is None else json.dumps(line), headers)
             return connection.getresponse()
 
-        session = {"mcp-session-id": ask("POST", FIRST).getheader("mcp-session-id")}
-        ask("POST", {"jsonrpc": "2.0", "method": "notifications/initialized"}, **session)
-        said = []
-        calling = threading.Thread(target=lambda: said.append(ask("POST", LONG_CALL, **session).read()))
+        session = {"mcp-session-id": request("POST", FIRST).getheader("mcp-session-id")}
+        request("POST", {"jsonrpc": "2.0", "method": "notifications/initialized"}, **session)
+        answers = []
+        calling = threading.Thread(target=lambda: answers.append(request("POST", LONG_CALL, **session).read()))
         calling.start()
-        assert ask("GET", **session).status == 200  # a line that stays open
+        assert request("GET", **session).status == 200  # a line that stays open
         time.sleep(0.5)
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 130
         calling.join(30)
-        assert b"the session was ended while this call was made" in said[0]
+        assert b"the session was ended while this call was made" in answers[0]
         assert process.stderr.read() == "stage: interrupted.\n"
 
 
-def test_lines_of_a_pipe_come_whole_in_order_and_the_last_without_its_end():
+def test_lines_of_a_pipe_come_in_order_and_the_last_without_its_end():
     """Cut anywhere, longer than a pipe, with bytes that are no UTF-8"""
     sent = [b"{}\n", b"\n", b"x" * 200_000 + b"\n", b"\xff\n", b"last"]
 
-    whole = b"".join(sent)
+    content = b"".join(sent)
 
     def write(descriptor):
-        for k in range(0, len(whole), 7001):
-            os.write(descriptor, whole[k : k + 7001])
+        for k in range(0, len(content), 7001):
+            os.write(descriptor, content[k : k + 7001])
         os.close(descriptor)
 
     async def read():

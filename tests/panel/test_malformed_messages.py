@@ -42,7 +42,7 @@ def test_hundreds_of_malformed_messages_leave_the_panel_alive_and_one_line_on_it
             assert connection.getresponse().status == 200
         finally:
             process.terminate()
-            _, said = process.communicate(timeout=30)
-    print(said)
-    (line,) = said.splitlines()
+            _, output = process.communicate(timeout=30)
+    print(output)
+    (line,) = output.splitlines()
     assert line.startswith("PulseStage: a malformed message came to the panel, and was ignored")

@@ -85,7 +85,7 @@ def condensed(values):
 
 def entities(path):
     """Of each entity and component: when, and what."""
-    from stage.recording.sdk import chunk
+    from rerun import chunk
 
     found = {}
     for one in chunk.RrdReader(str(path)).stream():

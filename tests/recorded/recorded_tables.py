@@ -264,7 +264,7 @@ def lines(folder):
     for name, path in (("none", folder / "none"), ("folder", folder)):
         try:
             read(path)
-        except FileNotFoundError as error:
+        except (FileNotFoundError, ArgumentError) as error:
             found[name] = str(error).replace(str(folder), "")
     (folder / "kept").write_text("mine\n")
     with Writer(folder / "kept", head, overwrite=True) as writer:

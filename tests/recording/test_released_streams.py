@@ -34,7 +34,7 @@ def count_rerun_threads():
 
 
 @pytest.mark.parametrize("write", ["save", "stream"])
-def test_a_recording_that_is_written_leaves_no_thread_behind(tmp_path, write):
+def test_a_recording_that_is_written_leaves_no_thread(tmp_path, write):
     stage = Stage("xy", visuals=False)
     for number in range(3):
         path = tmp_path / f"{number}.rrd"
@@ -46,7 +46,7 @@ def test_a_recording_that_is_written_leaves_no_thread_behind(tmp_path, write):
         assert count_rerun_threads() == 0
 
 
-def test_series_of_the_oscilloscope_leave_no_thread_behind(tmp_path):
+def test_series_of_the_oscilloscope_leave_no_thread(tmp_path):
     pytest.importorskip("nicegui")
     from stage.panel.export import to_rrd
     from stage.panel.sampler import Sampler

@@ -231,7 +231,7 @@ def test_the_waveforms_do_not_depend_on_how_many_edges_are_taken_at_a_time(tmp_p
     """many changes lie where one piece ends and the next begins"""
     wild(bench, 3, steps=10)
     whole = bench.recording.to_vcd(tmp_path / "whole.vcd").read_bytes()
-    monkeypatch.setattr("stage.recording.vcd.EDGES", 60)
+    monkeypatch.setattr("stage.recording.vcd.EDGES", 70)
     assert bench.recording.to_vcd(tmp_path / "pieces.vcd").read_bytes() == whole
 
 

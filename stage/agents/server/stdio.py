@@ -71,16 +71,16 @@ class Lines:
 
     def _read(self, descriptor: int) -> None:
         """Put each line with its end into the queue, and nothing at the end of the file."""
-        begun = bytearray()
+        incomplete = bytearray()
         with suppress(OSError, RuntimeError):  # of a descriptor that was closed, and of a loop that has ended
             while data := os.read(descriptor, 1 << 16):
-                *whole, last = data.split(b"\n")
-                for part in whole:
-                    self._put(bytes(begun + part + b"\n"))
-                    begun.clear()
-                begun += last
-            if begun:
-                self._put(bytes(begun))
+                *complete, last = data.split(b"\n")
+                for part in complete:
+                    self._put(bytes(incomplete + part + b"\n"))
+                    incomplete.clear()
+                incomplete += last
+            if incomplete:
+                self._put(bytes(incomplete))
             self._put(b"")
 
     def _put(self, line: bytes) -> None:
