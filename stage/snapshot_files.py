@@ -129,5 +129,5 @@ def _parts(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
     return told, data[begin + head : begin + head + state]
 
 
-def _damaged(name: Path, why: str) -> str:
+def _damaged(name: str, why: str) -> str:
     return f"{name} is a damaged snapshot: {why}. Take it anew, or copy the file again."

@@ -159,7 +159,7 @@ def read(path: str | os.PathLike) -> Shared:
         payloads = {str(body): float(kg) for body, kg in document["payloads"].items()}
         broken = [(str(n), str(a), {str(k): str(v) for k, v in g.items()}) for n, a, g in document["faults"]]
         sent = [
-            Sent(_time(t), *map(_word, (k, a)), None if v is None else _word(v)) for t, k, a, v in document["program"]
+            Sent(_time(t), _word(k), _word(a), None if v is None else _word(v)) for t, k, a, v in document["program"]
         ]
         return Shared(options, payloads, broken, sent, (_time(document["start"]), start), now)
     except (KeyError, ValueError, TypeError, AttributeError, OverflowError) as error:

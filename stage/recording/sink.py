@@ -29,7 +29,8 @@ class BlueprintWithStream:
     """
 
     def __init__(self, blueprint: Any):
-        self._blueprint, self.stream = blueprint, None
+        self._blueprint = blueprint
+        self.stream: Any = None
 
     def to_blueprint(self) -> BlueprintWithStream:
         """Return itself, as rerun wants a whole blueprint."""
