@@ -197,6 +197,18 @@ def test_only_regular_files_of_bounded_size_are_opened(ending, kind, tmp_path):
         READERS[ending](path)
 
 
+def test_an_elf_file_whose_symbol_has_a_name_without_an_end_is_refused(tmp_path):
+    """The section of 64 bytes becomes a table of symbols, whose names lie at the end of the file"""
+    content = bytearray(elf())
+    struct.pack_into("<IIIIIIIIII", content, 188, 1, 2, 0, 0, 84, 16, 1, 0, 1, 16)
+    struct.pack_into("<I", content, 84, 227 - 84)
+    content[227] = 1
+    path = tmp_path / "a.elf"
+    path.write_bytes(content)
+    with pytest.raises(StageError, match="its tables point behind its end"):
+        READERS[".elf"](path)
+
+
 # --- recordings ---
 
 

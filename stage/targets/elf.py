@@ -87,7 +87,7 @@ class Elf:
             self._tables, self._names_at = tables, tables[names][4] if names < len(tables) else 0
             self.segments = self._segments(n_segments, tables)
             self.symbols = self._symbols(tables)
-        except (struct.error, IndexError, UnicodeDecodeError):
+        except (struct.error, IndexError, ValueError):  # a text without an end, or not in UTF-8
             raise LibraryError(f"{path} is cut off or damaged: its tables point behind its end.") from None
 
     def section(self, name: str) -> bytes:
