@@ -120,11 +120,11 @@ class Host:
         """
         stage = self.board.stage
         begin, name = stage.now, getattr(condition, "__name__", repr(condition))
-        end = begin + _nanoseconds(timeout, "timeout")
+        end, pause = begin + _nanoseconds(timeout, "timeout"), max(_nanoseconds(poll, "poll"), 1)
         while not condition():
             if stage.now >= end:
                 raise RunTimeout(f"condition {name} did not come true in {timeout:g} s (now {stage.time:.6f} s).")
-            done = self.run_for(min(poll, (end - stage.now) * 1e-9))
+            done = self.run_for(min(pause, end - stage.now) * 1e-9)
             if done is not None and not condition():
                 raise RunTimeout(f"{self.path.name} returned at {stage.time:.6f} s, and condition {name} is not true.")
         return (stage.now - begin) * 1e-9

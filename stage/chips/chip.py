@@ -11,8 +11,9 @@ A chip of a stage shares the stage's clock: there a bus cycle takes bus time, an
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
+from time import perf_counter
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 from zlib import crc32
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
 
 MAX_DIAGNOSTICS = 1000
 MAX_CLOCKS = 1 << 45  # a speed of 13 bits times this still fits 63 bits
+LAST_CLOCK = 1 << 59  # what is scheduled from there on still fits 63 bits
+SHORT_RUN_CLOCKS = 1 << 18
+SHORTEST_PIECE_S, LONGEST_PIECE_S = 0.025, 0.1
 
 
 class Diagnostic(NamedTuple):
@@ -318,6 +322,7 @@ class Chip:
         self._check_axis(axis)
         return int(self.CORE.net.held(self.pointer, axis))
 
+    @told
     def set_shaft(self, count: float, rate: float = 0.0, axis: int = 0) -> None:
         """An encoder is on the axis, and from now on at `count + rate * (clock - now)`: edges (between two as the family
         rounds), edges a clock. The axis' counter follows as its mode says; where the shaft is at first counts nothing. Raises
@@ -468,24 +473,50 @@ class Chip:
         return bool(self.read(address) & bit << axis)
 
     def advance(self, clocks: int) -> int:
-        """Let the reference clock run for `clocks` ticks. Returns the pulses begun, all axes."""
-        return int(self.CORE.advance.c(self.pointer, self._until(clocks)))
+        """Let the reference clock run for `clocks` ticks. Returns the pulses begun, all axes.
+
+        Ctrl-C ends a long run early; the chip is then at the clock that it has reached. Raises ArgumentError for what is no whole
+        number of 0 to MAX_CLOCKS, or leads beyond LAST_CLOCK.
+        """
+        until, advance, at = self._until(clocks), self.CORE.advance.c, self.pointer
+        if clocks <= SHORT_RUN_CLOCKS:
+            return int(advance(at, until))
+        return sum(int(advance(at, stop)) for stop in split_run(self.clock, until))
 
     def trace(self, clocks: int) -> np.ndarray:
         """As advance, but returns the pulses: a structured array of `clock` (tick since power-up at which the pulse
         begins, int64), `axis` and `direction` (int8; +1 or -1)."""
         until = self._until(clocks)
         probe = self._rows[self._i : self._i + 1].copy()
-        out = np.zeros(self.CORE.advance(probe, until), self.CORE.PULSE)
-        self.CORE.trace.c(self.pointer, until, out.ctypes.data, len(out))
+        pulses, stops = 0, []
+        for stop in split_run(self.clock, until):
+            pulses += self.CORE.advance(probe, stop)
+            stops.append(stop)
+        try:
+            out = np.zeros(pulses, self.CORE.PULSE)
+        except (MemoryError, ValueError):
+            raise ArgumentError(
+                f"clocks={clocks!r}: there are {pulses} pulses, more than memory holds; trace less."
+            ) from None
+        traced = 0
+        for stop in stops:
+            rest = out[traced:]
+            traced += self.CORE.trace.c(self.pointer, stop, rest.ctypes.data, len(rest))
         return out
 
     def _until(self, clocks: int) -> int:
         if self._bus is not None:
             raise StageError("this chip belongs to a stage and shares its clock: use stage.step, run or run_until.")
-        if int(clocks) != clocks or not 0 <= clocks <= MAX_CLOCKS:
+        try:
+            whole = int(clocks)
+            fits = whole == clocks and bool(0 <= whole <= MAX_CLOCKS)
+        except (TypeError, ValueError, OverflowError):
+            fits = False
+        if not fits:
             raise ArgumentError(f"clocks={clocks!r}: a chip advances by a whole number of 0 to {MAX_CLOCKS} clocks.")
-        return self.clock + int(clocks)
+        until = self.clock + whole
+        check_clock(until)
+        return until
 
     def reset(self) -> None:
         """The /RESET pin. Registers and modes clear; the clock, the inputs and the diagnostics stay."""
@@ -577,6 +608,32 @@ class Chip:
     def __repr__(self) -> str:
         values = " ".join(f"{k}={v}" for k, v in self.values().items())
         return f"<{type(self).__name__} clock={self.clock} {values}>"
+
+
+def check_clock(until: int) -> None:
+    """Raise ArgumentError where a chip's clock would go beyond LAST_CLOCK."""
+    if until > LAST_CLOCK:
+        raise ArgumentError(
+            f"clock {until}: a chip's clock ends at {LAST_CLOCK}, centuries after power-up; make a new chip."
+        )
+
+
+def split_run(begin: int, until: int) -> Iterator[int]:
+    """Yield the clocks at which a run of a chip comes back to Python, so that Ctrl-C works, `until` last.
+
+    The pieces become longer or shorter until one takes some hundredths of a second of real time, whatever the chip does meanwhile.
+    """
+    piece = SHORT_RUN_CLOCKS
+    while until - begin > piece:
+        begin += piece
+        started = perf_counter()
+        yield begin
+        took = perf_counter() - started
+        if took < SHORTEST_PIECE_S:
+            piece *= 2
+        elif took > LONGEST_PIECE_S:
+            piece = max(piece // 2, 1)
+    yield until
 
 
 def no_cycle(what: str, *given: Any) -> ArgumentError:

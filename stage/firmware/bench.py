@@ -21,7 +21,7 @@ import numpy as np
 
 from stage.arguments import told, told_when_made
 from stage.chips import Chip
-from stage.chips.chip import Bus, Pins
+from stage.chips.chip import Bus, Pins, check_clock, split_run
 from stage.errors import ArgumentError, unknown
 
 NAMES = "xyzuvw"
@@ -85,6 +85,11 @@ class BenchAxis:
         return np.frombuffer(bytearray(self.chip.state.tobytes()), self.chip.CORE.STATE)
 
     def _run(self, clock: int) -> None:
+        """Let the chip run up to `clock`, in pieces between which Ctrl-C works."""
+        for stop in split_run(self.chip.clock, clock):
+            self._run_piece(stop)
+
+    def _run_piece(self, clock: int) -> None:
         """Let the chip run up to `clock`, and stop at each pulse that takes the carriage into a span or out of it."""
         chip = self.chip
         core, c = chip.CORE, chip.pointer
@@ -168,6 +173,8 @@ class Bench(Bus):
     @told
     def at(self, seconds: float, action: Callable[[], Any]) -> None:
         """Do `action()` when the bench's time is `seconds`: an input edge, for example. Raises ArgumentError."""
+        if not 0 <= seconds < 1e9:
+            raise ArgumentError(f"seconds={seconds!r}: the time of an event is 0 to 1e9 s.")
         if not callable(action):
             raise ArgumentError(f"action={action!r}: give a function without arguments.")
         heapq.heappush(self._events, (round(seconds * 1e9), next(self._order), action))
@@ -190,6 +197,8 @@ class Bench(Bus):
         self.axes[axis]._lay(at, spans)
 
     def _advance(self, until: int) -> None:
+        for name, axis in self.axes.items():
+            check_clock(self._clock_at(name, axis.chip, until))
         while self._events and self._events[0][0] <= until:
             when, _, action = heapq.heappop(self._events)
             self._run(max(when, self._now))
@@ -199,9 +208,11 @@ class Bench(Bus):
     def _run(self, until: int) -> None:
         self._now = until
         for name, axis in self.axes.items():
-            hz = axis.chip.clock_hz
-            seconds, rest = divmod(until, 1_000_000_000)
-            axis._run(self._start[name] + seconds * hz + rest * hz // 1_000_000_000)
+            axis._run(self._clock_at(name, axis.chip, until))
+
+    def _clock_at(self, name: str, chip: Chip, time: int) -> int:
+        """Return what the chip of axis `name` counts at a time of the bench, ns."""
+        return self._start[name] + time * chip.clock_hz // 1_000_000_000
 
 
 def _within(place: Any, span: Span) -> Any:

@@ -246,7 +246,7 @@ class Stage:
                 f"until={until!r}: a time is a whole number of ns since power-up, {LONGEST:g} s from now at most."
             )
         self.loop.check_options()
-        self.loop.run_to(int(until))
+        self.loop.run_to(max(int(until), self.state.now))
 
     @told
     def run_until(self, condition: Callable[[], bool], timeout: float, poll: float = 1e-3) -> float:

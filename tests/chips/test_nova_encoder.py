@@ -1,6 +1,7 @@
 """Promises of an encoder at ECA and ECB of a NOVA chip: RP, EP counts what pins toggled by hand would make it count."""
 
 import copy
+import math
 import pickle
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from support.nova_bench import command, examples, load, load_304, put
 
 from stage import StageError
-from stage.chips import MCX304, MCX514
+from stage.chips import CHIPS, MCX304, MCX514
 from stage.chips.entries import SHAFT
 from stage.errors import ArgumentError
 
@@ -196,3 +197,127 @@ def test_the_filter_of_the_encoders_pins_delays_what_they_count(slow, fast):
                 assert real_position(chip) == edge - 1, "not yet"
                 chip.advance(1)
             assert real_position(chip) == edge
+
+
+# Comparisons with RP, against a model that passes every edge at its clock
+
+
+OFF, MR1 = 0xFFFFFFFF, 0x11
+CONDITIONS = (lambda a, b: a >= b, lambda a, b: a > b, lambda a, b: a == b, lambda a, b: a < b)
+
+
+class Shaft:
+    """An encoder's shaft and the counter behind it, edge by edge."""
+
+    def __init__(self, mode, exchanged, ring=OFF):
+        self.mode, self.way, self.ring = mode, -1 if exchanged else 1, ring
+        self.edge = self.counter = 0
+        self.at = (0, 0.0, 0)
+
+    def place(self, count, rate, clock):
+        self.at = (count, rate, clock)
+        self.follow(clock)
+
+    def follow(self, clock):
+        """Pass the edges up to a clock; where the shaft turns back, edge n is passed on the way from n to n - 1."""
+        count, rate, since = self.at
+        to = math.floor(count + rate * (clock - since) + 0.5)
+        while self.edge != to:
+            forward = to > self.edge
+            self.edge += 1 if forward else -1
+            self._count(self.edge if forward else self.edge + 1, forward)
+
+    def _count(self, passed, forward):
+        if self.mode == 3:  # rises of ECA count up, rises of ECB down
+            change = {1: 1, 2: -1}.get(passed % 4, 0) if forward else {3: 1, 0: -1}.get(passed % 4, 0)
+        else:
+            change = (1 if forward else -1) if passed % (1 << self.mode) == 0 else 0
+        self.counter += change * self.way
+        if change and self.ring != OFF:
+            self.counter %= self.ring + 1
+
+
+def turning(rng):
+    return rng.uniform(-20, 20), rng.choice((0.0, 0.25, -1.0, rng.uniform(-0.1, 0.1), rng.uniform(-1.6, 1.6)))
+
+
+def test_comparators_of_rp_fire_at_the_clock_of_every_model_edge():
+    """Every mode, either way, with and without a ring, faster than an edge a clock, jumps of the shaft"""
+    for rng in examples(1):
+        mode, exchanged = rng.randrange(4), rng.randrange(2)
+        ring = rng.choice((OFF, OFF, 0, 1, 2, rng.randrange(3, 30), (1 << 31) - 1))
+        condition, than = rng.randrange(4), rng.randrange(-12, 13)
+        chip, shaft = MCX514(), Shaft(mode, exchanged, ring)
+        set_mode(chip, mode, exchanged)
+        put(chip, 0x0F, ring)
+        put(chip, MRM, 1 | condition << 2)  # MR0 with RP
+        put(chip, MR0, than)
+        chip.set_shaft(0)
+        chip.read(1)
+        held = CONDITIONS[condition](0, than)
+        for _ in range(4):
+            where = turning(rng)
+            chip.set_shaft(*where)
+            shaft.place(*where, chip.clock)
+            for _ in range(120):
+                now = CONDITIONS[condition](shaft.counter, than)
+                assert chip.read(1) & RR1_CMR0 == (now and not held), (mode, exchanged, ring, condition, than, where)
+                held = now
+                chip.advance(1)
+                shaft.follow(chip.clock)
+        assert real_position(chip) == shaft.counter
+
+
+def compare_ep(counter, plus, minus):
+    """P>=C-, P<C-, P<C+, P>=C+"""
+    return [counter >= minus, counter < minus, counter < plus, counter >= plus]
+
+
+def test_comparisons_of_ep_change_at_the_clock_of_every_model_edge():
+    for rng in examples(1 / 2):
+        mode, exchanged = rng.choice((0, 1, 2, 3)), rng.randrange(2)
+        plus, minus = rng.randrange(-12, 13), rng.randrange(-12, 13)
+        chip, shaft = MCX304(), Shaft(mode, exchanged)
+        command(chip, 0x0F)
+        chip.write(1, exchanged << 7)
+        chip.write(2, 1 << 5 | (1 << 9 if mode == 3 else mode << 10))  # CMPSL: EP
+        put(chip, 0x0B, plus)
+        put(chip, 0x0C, minus)
+        chip.set_shaft(0)
+        chip.read(3)
+        held = compare_ep(0, plus, minus)
+        for _ in range(4):
+            where = turning(rng)
+            chip.set_shaft(*where)
+            shaft.place(*where, chip.clock)
+            for _ in range(120):
+                now = compare_ep(shaft.counter, plus, minus)
+                risen = sum(1 << k + 1 for k in range(4) if now[k] and not held[k])
+                assert chip.read(3) & 0x1E == risen, (mode, exchanged, plus, minus, where)
+                held = now
+                chip.advance(1)
+                shaft.follow(chip.clock)
+        assert real_position(chip) == shaft.counter
+
+
+@pytest.mark.parametrize("name", ["MCX514", "MCX512", "MCX501", "MCX304", "MCX302", "MCX312", "MCX314AS"])
+@pytest.mark.parametrize("mode", range(4), ids=["x4", "x2", "x1", "up-down"])
+def test_a_resting_chip_costs_nothing_while_its_shaft_turns(name, mode):
+    """Each edge was an event as soon as something looked at RP: these hours of its time took half an hour of ours"""
+    chip, hours = CHIPS[name](), (1 << 36) + 4000
+    older = chip.VARIANT == MCX304.VARIANT
+    command(chip, 0x0F if older else 0x1F)
+    if older:
+        chip.write(2, 1 << 5 | (1 << 9 if mode == 3 else mode << 10))  # CMPSL: EP
+        put(chip, 0x0B, 5)
+    else:
+        chip.write(3, mode << 8)
+        put(chip, MRM, 0b0001)
+        put(chip, MR0, 5)
+        put(chip, MR1, 5)
+    chip.set_shaft(0)
+    chip.set_shaft(0, 0.25)
+    chip.advance(hours)
+    command(chip, 0x11 if older else 0x31)
+    counted = chip.read(6) | chip.read(7) << 16
+    assert counted == (0 if mode == 3 else (hours // 4 >> mode) % (1 << 32))

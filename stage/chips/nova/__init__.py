@@ -176,10 +176,6 @@ class Nova(Chip):
         k = number - state.MODE_FIRST
         return ("mode", k) if 0 <= k < state.MODES else _LATE.get(name)
 
-    def output_word(self, axis: int) -> int:
-        core.settle.held(self.pointer)
-        return super().output_word(axis)
-
 
 class MCX514(Nova):
     """NOVA MCX514: four axes, interpolation, synchronous actions."""

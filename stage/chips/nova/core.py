@@ -47,7 +47,7 @@ HZ = 16_000_000
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "drive_input", "net",
            "outputs", "peek", "power_up", "pulse_rate", "read", "run", "scan", "scan_shaft", "set_shaft",
-           "set_input", "settle", "status", "trace",
+           "set_input", "status", "trace",
            "value", "write"]  # fmt: skip
 
 
@@ -83,7 +83,7 @@ def _settle(c):
         if x.driving:
             at = least(at, drive.next_event(c, x, sync.pulses_ahead(c, x)))
         if encoder.fed(c, j) and comparators.looks_at_rp(c, x):
-            at = least(at, encoder.next_edge(c, x))
+            at = least(at, comparators.next_of_rp(c, x))
     if c.interpolating:
         at = least(at, interpolation.next_event(c))
     c.quiet = greatest(at, c.clock + 1)
@@ -108,13 +108,16 @@ def _drive(c, until):
 
 @exported(None, STATE, "i8")
 def run(c, until):
-    """Let the chip's clock run up to `until`."""
+    """Let the chip's clock run up to `until`. Whoever looks at the chip afterwards finds its counters as they are then, and nothing
+    to be done: so observing changes no bit."""
     if c.stale:
         _settle(c)
     while c.clock < until:
         _pass(c, least(until, c.quiet))
         if c.stale or c.clock >= c.quiet:
             _settle(c)
+    if c.fed:
+        encoder.see(c)
 
 
 # --- the functions for a stage, see stage/chips/cores.py ---
@@ -143,7 +146,7 @@ def set_shaft(c, j, count, rate):
         return
     encoder.set_shaft(c, j, count, rate)
     if comparators.looks_at_rp(c, c.ax[j]):
-        c.stale = 1
+        _settle(c)
 
 
 @exported("i8", STATE, "i8")
@@ -152,8 +155,6 @@ def inputs(c, j):
     heard last on the wires to other chips where it is LINK."""
     if j == LINK:
         return c.heard
-    if c.fed:
-        encoder.see(c)
     return c.emg if j == c.axes else c.ax[j].inputs
 
 
@@ -193,8 +194,6 @@ def status(c, j):
 @exported("i8", STATE, "i8")
 def peek(c, address):
     """RR0 to RR7 as they read, without what reading does."""
-    if c.fed:
-        encoder.see(c)
     x = c.ax[lowest(c)]
     factors, compared = x.factors, x.compared
     word = read_word(c, address)
@@ -304,10 +303,6 @@ def read_word(c, address):
 def write(c, address, value):
     """One bus write cycle: WR0 to WR7, or from 16 on a byte of them, where the high byte of WR0 waits for the low one."""
     value &= 0xFFFF
-    if c.stale:
-        _settle(c)
-    if c.fed:
-        encoder.see(c)
     if address < 16:
         write_word(c, address & 7, value)
     else:
@@ -325,10 +320,6 @@ def write(c, address, value):
 @exported("i8", STATE, "i8")
 def read(c, address):
     """One bus read cycle: RR0 to RR7, or from 16 on a byte of them."""
-    if c.stale:
-        _settle(c)
-    if c.fed:
-        encoder.see(c)
     if address < 16:
         return read_word(c, address & 7)
     return read_word(c, address >> 1 & 7) >> (8 if address & 1 else 0) & 0xFF
@@ -352,20 +343,11 @@ def window(c, row, k):
 @exported(None, STATE)
 def power_up(c):
     """A cleared record becomes a chip that was just switched on."""
-    if c.fed:
-        encoder.see(c)
     if c.variant == MCX514_TYPE:
         bus514.reset(c)
     else:
         bus304.reset(c)
     _settle(c)
-
-
-@exported(None, STATE)
-def settle(c):
-    """What has just been written shows at the output pins."""
-    if c.stale:
-        _settle(c)
 
 
 @exported("i8", STATE, "i8")
@@ -391,6 +373,8 @@ def trace(c, until, out):
         _drive(c, stop)
         if c.stale or c.clock >= c.quiet:
             _settle(c)
+    if c.fed:
+        encoder.see(c)
     _alone(c)
     return k
 
@@ -398,8 +382,6 @@ def trace(c, until, out):
 @exported(None, STATE, "i8", array_of(EDGE), "i8")
 def mark(c, axis, out, k):
     """Write an axis as it stands to `out[k]` (an EDGE record)."""
-    if c.fed:
-        encoder.see(c)
     log(c, axis, out, k, shown(c, axis, outputs(c, axis)), pulse_rate(c, axis, 1.0))
 
 

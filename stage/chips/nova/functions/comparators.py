@@ -5,12 +5,13 @@ What counts is that a comparison becomes true, by whatever cause: a pulse, an ed
 
 from __future__ import annotations
 
-from stage.chips.nova.functions import timer
+from stage.chips.nova.functions import encoder, timer
+from stage.chips.nova.functions.inputs import UP_DOWN
 from stage.chips.nova.motion import counters, drive, rates
 from stage.chips.nova.motion.profile import speed_passes
 from stage.chips.nova.registers.mcx300 import MCX304_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
-from stage.chips.nova.state import COMP_MINUS, COMP_PLUS, LP, MCX514_TYPE, MR0, MRM, NEVER, RP
+from stage.chips.nova.state import COMP_MINUS, COMP_PLUS, LP, MCX514_TYPE, MR0, MRM, NEVER, RP, RX, SM, SP
 from stage.native import hot, least
 
 AT_LP, AT_RP, AT_CV, AT_CT = range(4)
@@ -108,6 +109,52 @@ def pulses_ahead(c, x):
         if _what(x, m) == AT_LP:
             far = least(far, _until(x.reg[LP], x.way, x.reg[MR0 + m]))
     return far
+
+
+@hot
+def _counts_to(counter, way, boundary, most):
+    """Counts until a counter that goes from `most` on to 0 crosses from below a boundary to it, or back, or turns over."""
+    if most == counters.OFF:
+        over = (1 << 31) - counter if way > 0 else counter + (1 << 31) + 1
+    elif not 0 <= counter <= most:
+        return 1  # the ring takes it in with the next count
+    elif not 0 < boundary <= most:
+        return NEVER
+    else:
+        over = most + 1 - counter if way > 0 else counter + 1
+    far = boundary - counter if way > 0 else counter - boundary + 1
+    return least(far, over) if far > 0 else over
+
+
+@hot
+def _counts_ahead(c, x, way):
+    """Counts of RP, up or down, until a comparison or a software limit changes."""
+    far, most, counter = NEVER, counters.OFF, x.reg[RP]
+    if c.variant == MCX514_TYPE:
+        most = x.reg[RX]
+        for m in range(MRS):
+            if _what(x, m) == AT_RP:
+                condition, value = x.mode[MRM] >> 4 * m + 2 & 3, x.reg[MR0 + m]
+                if condition != ABOVE:
+                    far = least(far, _counts_to(counter, way, value, most))
+                if condition in (ABOVE, EQUAL):
+                    far = least(far, _counts_to(counter, way, value + 1, most))
+    if x.soft_rp:
+        far = least(far, _counts_to(counter, way, x.reg[SP] + (1 if c.variant == MCX514_TYPE else 0), most))
+        far = least(far, _counts_to(counter, way, x.reg[SM], most))
+    return far
+
+
+@hot
+def next_of_rp(c, x):
+    """The clock at which a comparison with RP, or a software limit that looks at it, may change while the shaft turns as it does.
+
+    In the up / down mode RP goes to and fro between two values: where one step changes nothing, none does.
+    """
+    if x.encoder == UP_DOWN:
+        way = encoder.next_way_up_down(x)
+        return encoder.next_edge(c, x) if _counts_ahead(c, x, way) == 1 else NEVER
+    return encoder.clock_of_counts(c, x, _counts_ahead(c, x, 1 if encoder.turns_forward(x) else -1))
 
 
 @hot

@@ -17,8 +17,9 @@ from stage.chips.nova.state import ECA, ECB, NEVER
 from stage.native import floor, greatest, hot, least
 
 FAR = float(1 << 53)
-SLOWEST = 1e-9  # edges a clock; what is slower passes no edge before it is seen anew
 PINS = ECA | ECB
+DOWN_BACKWARD, UP_FORWARD, DOWN_FORWARD, UP_BACKWARD = range(4)
+"""Edges modulo 4 at which the up / down mode counts: while the shaft turns forward, edges 1 and 2; backward, 3 and 0."""
 
 
 @hot
@@ -45,8 +46,8 @@ def _counts(mode, begin, end):
     if mode != UP_DOWN:
         return (end >> mode) - (begin >> mode)
     if end >= begin:
-        return _among(begin, end, 1) - _among(begin, end, 2)
-    return _among(end, begin, 3) - _among(end, begin, 0)
+        return _among(begin, end, UP_FORWARD) - _among(begin, end, DOWN_FORWARD)
+    return _among(end, begin, UP_BACKWARD) - _among(end, begin, DOWN_BACKWARD)
 
 
 @hot
@@ -86,18 +87,62 @@ def set_shaft(c, j, count, rate):
 
 
 @hot
-def next_edge(c, x):
-    """The clock after now at which the shaft passes an edge, or an earlier one."""
-    rate = abs(x.shaft_rate)
-    if rate < SLOWEST:
+def _has_passed(x, edge, clock):
+    """Whether the shaft has passed an edge ahead of it at a clock."""
+    return _edge_at(x, clock) >= edge if x.shaft_rate > 0.0 else _edge_at(x, clock) < edge
+
+
+@hot
+def _clock_of(c, x, edge):
+    """Return the first clock after now at which the shaft has passed an edge ahead of it; NEVER where it turns too slowly. Turning
+    backward it passes edge n on the way from n to n - 1."""
+    ahead = greatest((edge - 0.5 - x.shaft) / x.shaft_rate, 0.0)
+    if not ahead < float(NEVER):
         return NEVER
-    low, high = c.clock, c.clock + int(1.0 / rate) + 2
-    if _edge_at(x, high) == x.edge:
-        return high
+    guess = x.seen + int(ahead)
+    low, span = greatest(guess - 2, c.clock), greatest(guess + 2 - c.clock, 1)
+    while not _has_passed(x, edge, c.clock + span):  # floats far from 0 are coarse
+        span *= 2
+        if span >= NEVER:
+            return NEVER
+    if _has_passed(x, edge, low):
+        low = c.clock
+    high = c.clock + span
     while high - low > 1:
         middle = (low + high) // 2
-        if _edge_at(x, middle) == x.edge:
-            low = middle
-        else:
+        if _has_passed(x, edge, middle):
             high = middle
+        else:
+            low = middle
     return high
+
+
+@hot
+def next_edge(c, x):
+    """Return the clock after now at which the shaft passes an edge."""
+    if x.shaft_rate == 0.0:
+        return NEVER
+    return _clock_of(c, x, x.edge + 1 if x.shaft_rate > 0.0 else x.edge)
+
+
+@hot
+def turns_forward(x):
+    """Whether RP counts up while the shaft turns as it does now; not of the up / down mode."""
+    return (x.shaft_rate > 0.0) != (x.exchanges != 0)
+
+
+@hot
+def clock_of_counts(c, x, counts):
+    """Return the clock after now at which RP has moved by so many counts, 1 or more; not of the up / down mode."""
+    if x.shaft_rate == 0.0 or counts >= NEVER:
+        return NEVER
+    count = x.edge >> x.encoder
+    return _clock_of(c, x, (count + counts if x.shaft_rate > 0.0 else count - counts + 1) << x.encoder)
+
+
+@hot
+def next_way_up_down(x):
+    """Return whether the next count of the up / down mode is up, 1, or down, -1."""
+    at = x.edge & 3
+    up = at != UP_FORWARD if x.shaft_rate > 0.0 else at == UP_BACKWARD
+    return 1 if up != (x.exchanges != 0) else -1
