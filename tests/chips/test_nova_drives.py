@@ -687,6 +687,8 @@ def test_s_curves_need_sacc(older):
 @covers("MCX514", "DIRCP", "DIRCM")
 def test_the_direction_signal_is_set_at_rest_and_a_drive_sets_its_own(chip):
     directions = []
+    command(chip, 0x1F, 3)
+    chip.write(3, 1 << 3)  # DPMD: pulse and direction
     for code in (0x59, 0x58, 0x59, PLUS, 0x59, STOP, 0x58, MINUS, 0x58):
         command(chip, code)
         directions.append(chip.axes[0].pins.dir)

@@ -41,6 +41,7 @@ def assert_over(chip, axes=X | Y):
 
 def test_a_direction_command_in_mid_segment_turns_no_direction_signal():
     chip = prepared()
+    set_wr(chip, 3, 1 << 3, X | Y)  # DPMD: pulse and direction
     line(chip, (50, -30))
     chip.advance(10 * PERIOD + PERIOD // 2)
     for code in (0x58, 0x59):  # plus, minus

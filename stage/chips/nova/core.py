@@ -21,13 +21,13 @@ from stage.chips.nova.interpolation import multichip
 from stage.chips.nova.interpolation import run as interpolation
 from stage.chips.nova.motion import drive
 from stage.chips.nova.motion import trace as pulses
-from stage.chips.nova.motion.course import ROOM, log, raise_pulse, shown, stop_at
+from stage.chips.nova.motion.course import ROOM, log, stop_at
 from stage.chips.nova.motion.profile import speed_at
+from stage.chips.nova.motion.pulse_output import half_period, levels, pulse_end, resting_levels
 from stage.chips.nova.state import (
     ASND,
     CNST,
     DCC,
-    DIR,
     DRIVE,
     DSND,
     EDGE,
@@ -213,9 +213,14 @@ def outputs(c, j):
     if j == c.axes:
         return _interrupts(c)
     x = c.ax[j]
-    word = DIR if x.way < 0 else 0
-    if driving(x):
-        word |= DRIVE
+    return _other_outputs(c, j) | levels(c, x, c.clock < pulse_end(x))
+
+
+@hot
+def _other_outputs(c, j):
+    """The output pins of axis `j` but those of its pulses."""
+    x = c.ax[j]
+    word = DRIVE if driving(x) else 0
     bits = phase_bits(c, c.ax[c.ip.main] if x.interpolates else x)
     word |= (ASND if bits & 1 else 0) | (CNST if bits & 2 else 0) | (DSND if bits & 4 else 0)
     word |= (DCC if c.clock < x.dcc else 0) | (SPLIT if x.split_on else 0)
@@ -382,7 +387,14 @@ def trace(c, until, out):
 @exported(None, STATE, "i8", array_of(EDGE), "i8")
 def mark(c, axis, out, k):
     """Write an axis as it stands to `out[k]` (an EDGE record)."""
-    log(c, axis, out, k, shown(c, axis, outputs(c, axis)), pulse_rate(c, axis, 1.0))
+    log(c, axis, out, k, outputs(c, axis), pulse_rate(c, axis, 1.0))
+
+
+@hot
+def _watched_outputs(c, j, every_pulse, off):
+    """The output pins of axis `j`, whose present pulse goes off at clock `off`; without `every_pulse` as if there were none."""
+    x = c.ax[j]
+    return _other_outputs(c, j) | (levels(c, x, c.clock < off) if every_pulse else resting_levels(c, x))
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
@@ -394,10 +406,11 @@ def scan(c, until, every_pulse, axis, out):
     if c.stale:
         _settle(c)
     x = c.ax[axis]
+    off = pulse_end(x)
     while c.clock < until and k < len(out) - ROOM:
-        before, net_before, pins_before = shown(c, axis, outputs(c, axis)), x.net, x.inputs
+        before, net_before, pins_before = _watched_outputs(c, axis, every_pulse, off), x.net, x.inputs
         rate = pulse_rate(c, axis, 1.0)
-        stop = stop_at(c, axis, every_pulse, least(until, c.quiet))
+        stop = stop_at(c, axis, every_pulse, off, least(until, c.quiet))
         if every_pulse and c.interpolating:
             stop = least(stop, interpolation.next_tick(c))
         if every_pulse and encoder.fed(c, axis):
@@ -405,14 +418,14 @@ def scan(c, until, every_pulse, axis, out):
         _pass(c, greatest(stop, c.clock + 1))
         if c.fed:
             encoder.see(c)
-        if every_pulse and x.net != net_before:
-            raise_pulse(c, axis, pulse_rate(c, axis, 1.0))
+        if x.net != net_before:
+            off = c.clock + half_period(speed_at(x, c.clock - x.origin)) if x.driving else x.high
         if c.stale or c.clock >= c.quiet:
             _settle(c)
-        word = shown(c, axis, outputs(c, axis))
+        word = _watched_outputs(c, axis, every_pulse, off)
         now = pulse_rate(c, axis, 1.0)
         if word != before or now != rate or (every_pulse and (x.net != net_before or x.inputs != pins_before)):
-            k = log(c, axis, out, k, word, now)
+            k = log(c, axis, out, k, word if every_pulse else outputs(c, axis), now)
     _alone(c)
     return k
 
@@ -445,12 +458,11 @@ def scan_shaft(c, until, every_pulse, axis, out, clocks, axes, counts, rates, do
 def _hear(c, every_pulse, axis, out, k, low, high):
     """What the wires bring, which can make a pulse: the edges that come of it."""
     x = c.ax[axis]
-    before, net_before, rate = shown(c, axis, outputs(c, axis)), x.net, pulse_rate(c, axis, 1.0)
+    before, net_before = _watched_outputs(c, axis, every_pulse, pulse_end(x)), x.net
+    rate = pulse_rate(c, axis, 1.0)
     set_shaft(c, LINK, low, high)
     now = pulse_rate(c, axis, 1.0)
-    if every_pulse and x.net != net_before:
-        raise_pulse(c, axis, now)
-    word = shown(c, axis, outputs(c, axis))
+    word = _watched_outputs(c, axis, every_pulse, pulse_end(x))
     if word != before or now != rate or (every_pulse and x.net != net_before):
-        k = log(c, axis, out, k, word, now)
+        k = log(c, axis, out, k, outputs(c, axis), now)
     return k

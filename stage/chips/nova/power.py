@@ -21,6 +21,7 @@ def clear(c):
         for k in range(len(x.mode)):
             x.mode[k] = 0
         x.driving = x.waiting = x.held = x.done = x.output = x.fixed = x.slow = 0
+        x.high, x.net_at_reset = 0, x.net
         x.factors = x.fired = x.causes = 0
         x.way = 1
         x.phase = NO_PHASE

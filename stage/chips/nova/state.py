@@ -89,6 +89,7 @@ AXIS = record(
         ("absolute", "i8"),  # to an absolute position
         ("total", "i8"),  # pulses ever
         ("net", "i8"),  # the same, plus minus minus
+        ("net_at_reset", "i8"),  # where A and B of the pulse output begin a period
         # interpolated pulses since the last drive_input
         ("moment", "i8"),  # sum of their clocks, each with its sign
         ("shift", "i8"),  # plus minus minus
@@ -132,7 +133,7 @@ AXIS = record(
         ("interpolates", "i8"),  # 1: takes part, 2: as the main axis
         ("moves", "i8"),  # the segment moves the axis
         # scan and trace
-        ("high", "i8"),  # until when the pulse output is, in a scan
+        ("high", "i8"),  # the clock at which a pulse goes off that the plan in force does not tell, see pulse_output.py
         ("ahead", "i8"),  # pulses logged before they begin
         ("due", "i8"),  # the clock at which the next pulse begins
         ("at", "i8"),  # the piece in which it does

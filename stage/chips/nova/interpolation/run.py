@@ -13,6 +13,7 @@ from stage.chips.nova.motion import counters, drive, rates
 from stage.chips.nova.motion import double_double as dd
 from stage.chips.nova.motion.planner import from_here, pair, put, slow_down
 from stage.chips.nova.motion.profile import piece_at, speed_at
+from stage.chips.nova.motion.pulse_output import half_period
 from stage.chips.nova.registers.mcx300 import MCX312_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.state import (
@@ -199,6 +200,15 @@ def _ask(c):
 
 
 @hot
+def _tick_rate(c):
+    """Ticks per clock."""
+    ip, x = c.ip, c.ax[c.ip.main]
+    if ip.role == SLAVE:
+        return 1.0 / ip.gap if ip.gap > 0 else 0.0
+    return 0.0 if ip.waits else speed_at(x, c.clock - x.origin)
+
+
+@hot
 def tick(c):
     """The prepared tick begins, at the present clock."""
     ip, g = c.ip, c.queue[c.ip.head]
@@ -207,10 +217,12 @@ def tick(c):
         return
     if ip.role == MASTER:
         c.beats += 1
+    off = c.clock + half_period(_tick_rate(c))
     for k in range(g.axes):
         if ip.step[k]:
             x = c.ax[g.axis[k]]
             counters.count(c, x, 1)
+            x.high = off
             x.moment += x.way * c.clock
             x.shift += x.way
             if x.since == 0:
@@ -332,7 +344,7 @@ def single_step(c):
 @hot
 def rate(c, j):
     """Pulses per clock of an axis that takes part; the ticks of constant vector speed are taken as even."""
-    ip, g, x = c.ip, c.queue[c.ip.head], c.ax[c.ip.main]
+    ip, g = c.ip, c.queue[c.ip.head]
     share = 0.0
     for k in range(g.axes):
         if g.axis[k] == j:
@@ -343,9 +355,7 @@ def rate(c, j):
             else:
                 u, v = abs(ip.arc.x), abs(ip.arc.y)
                 share = (v if k == 0 else u) / greatest(greatest(u, v), 1)
-    if ip.role == SLAVE:
-        return share / ip.gap if ip.gap > 0 else 0.0
-    return 0.0 if ip.waits else share * speed_at(x, c.clock - x.origin)
+    return share * _tick_rate(c)
 
 
 @hot

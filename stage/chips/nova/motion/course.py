@@ -1,12 +1,12 @@
 """NOVA chips, compiled: the course of one axis as a list of changes, for waveforms, lanes and drawings.
 
-The pulse output is high for half a period from each pulse on (inferred); a ramp shows as steps of its rate, RAMP in a piece.
+A ramp shows as steps of its rate, RAMP in a piece.
 """
 
 from __future__ import annotations
 
 from stage.chips.nova.motion.profile import clock_of, piece_at
-from stage.chips.nova.state import CONSTANT, LP, PLS
+from stage.chips.nova.state import CONSTANT, LP
 from stage.native import greatest, hot, least
 
 RAMP = 128
@@ -34,25 +34,13 @@ def _step(x, n):
 
 
 @hot
-def stop_at(c, j, every_pulse, until):
-    """How far the chip can run so that nothing of axis `j` is missed."""
+def stop_at(c, j, every_pulse, pulse_end, until):
+    """How far the chip can run so that nothing of axis `j` is missed. pulse_end: the clock at which its present pulse goes off."""
     x = c.ax[j]
-    if x.high > c.clock:
-        until = least(until, x.high)
+    if every_pulse and pulse_end > c.clock:
+        until = least(until, pulse_end)
     if x.driving:
         until = least(until, x.origin + _step(x, c.clock - x.origin))
         if every_pulse and not (x.fixed and x.done >= x.output):
             until = least(until, x.origin + clock_of(x, x.done + 1))
     return until
-
-
-@hot
-def shown(c, j, word):
-    """The output pins, the pulse among them."""
-    return word | PLS if c.ax[j].high > c.clock else word
-
-
-@hot
-def raise_pulse(c, j, rate):
-    """A pulse has begun at the present clock, at `rate` pulses per clock."""
-    c.ax[j].high = c.clock + greatest(1, int(0.5 / rate) if rate > 0.0 else 1)

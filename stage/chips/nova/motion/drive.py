@@ -20,6 +20,7 @@ from stage.chips.nova.motion.planner import (
     to_the_end,
 )  # fmt: skip
 from stage.chips.nova.motion.profile import clock_of, phase_at, piece_at, reached
+from stage.chips.nova.motion.pulse_output import keep_pulse
 from stage.chips.nova.motion.rates import RANGE, take_rates, take_speed
 from stage.chips.nova.state import (
     ALARM,
@@ -209,6 +210,7 @@ def replan(c, x):
     """The drive speed or the number of pulses has changed while driving."""
     if not x.driving or x.slow:
         return
+    keep_pulse(x)
     from_here(x, c.clock - x.origin)
     plan(c, x)
 
@@ -254,6 +256,7 @@ def end(c, x, cause):
     x.causes |= cause
     if x.phase == CONSTANT and c.variant != MCX514_TYPE:
         note(x, C_END)
+    keep_pulse(x)
     x.driving = x.slow = x.interpolates = 0
     x.phase = NO_PHASE
     c.stale = 1
@@ -277,6 +280,7 @@ def request_stop(c, x, cause):
     if s >= x.brake and x.curved and c.variant != MCX514_TYPE and x.kind[s] == DECELERATING:
         return
     x.slow = 1
+    keep_pulse(x)
     from_here(x, n)
     if x.kind[s] == AREA_D:
         put(x.cursor[RATE], dd.ZERO)
