@@ -55,11 +55,12 @@ def _passed() -> int:
     return p.position() - made
 
 
-@mcx514("7.2.7", "of TP = 2,147,483,646 and the next number: the largest without a diagnostic", 2_147_483_646)
+@mcx514("7.2.7", "drives of TP = 2,147,483,646 and of the next number: the largest without a diagnostic", 2_147_483_646)
 def _largest() -> int:
-    chip = MCX514()
     for value in (2_147_483_646, 2_147_483_647):
-        write(chip, TP=value)
+        chip = MCX514()
+        write(chip, **SPEEDS | {"TP": value})
+        chip.write(0, 0x150)
         if chip.diagnostics:
             return value - 1
     return value

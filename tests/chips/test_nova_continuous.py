@@ -293,3 +293,29 @@ def test_advancing_in_pieces_is_advancing_at_once():
         whole = one.trace(sum(pieces))[["clock", "axis", "direction"]].tolist()
         assert [p for n in pieces for p in many.trace(n)[["clock", "axis", "direction"]].tolist()] == whole, segments
         assert one.snapshot().record == many.snapshot().record, segments
+
+
+@pytest.mark.parametrize(
+    ("rise", "turns", "equalized"),
+    [(100, 1, 0), (-283, 1, 0), (284, 3, 0), (333, 1, 0), (-325, 4, 0), (100, 1, 0x100), (-280, 3, 0x100)],
+)
+def test_an_axis_of_a_helix_makes_a_pulse_a_tick_at_most_and_what_is_lost_is_said(rise, turns, equalized):
+    """333 pulses along a circle of 284 ticks made 284 and nobody said so; with equalized short axes (D8 of IPM) 100 made 13"""
+    chip = prepared(X | Y | Z, ipm=equalized)
+    load(chip, X, CP=0, TP=0)
+    load(chip, Y, CP=50, TP=0)
+    load(chip, Z, TP=rise)
+    load(chip, HLN=turns)
+    command(chip, COUNT_CCW, 0)
+    calculated = get(chip, 0x3B)
+    command(chip, HELIX_CCW, 0)
+    chip.advance(ENOUGH)
+    most = min(abs(rise), calculated)
+    assert calculated == 284
+    assert chip.net(2) == (turns * most if rise > 0 else -turns * most)
+    said = [d.message for d in chip.diagnostics]
+    lost = abs(rise) - most
+    assert said == ([] if not lost else [
+        f"6Ah (CCW helical interpolation) with TP = {rise} of Z: the 284 ticks of HLV make one pulse each at most; "
+        f"the other {lost} are lost"
+    ])  # fmt: skip

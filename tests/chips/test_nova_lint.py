@@ -4,12 +4,15 @@ import random
 import re
 
 import pytest
+from reference.nova_profile import SECOND
+from support.covers import covers
+from support.nova_bench import command, load, put
 
 from stage.chips import MCX304, MCX514
 from stage.chips.nova import lint
 from stage.chips.nova.lint import Held
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP
-from stage.chips.nova.registers.mcx514 import MCX514_MAP, POINT
+from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX514_MAP, POINT
 
 X, Y, Z, U = 0x100, 0x200, 0x400, 0x800
 MAPS = (MCX514_MAP, MCX304_MAP, MCX302_MAP, MCX312_MAP)
@@ -51,7 +54,18 @@ MISTAKES = [
     ("a reading of several axes", MCX514_MAP, X | Y | 0x30, {}, "reads one axis: of X, Y only the first", Y | 0x30, {}),
     ("JK above its range", MCX514_MAP, X, data(1_073_741_824), "JK = 1073741824: jerk takes 1 to 1073741823", X, data(1)),
     ("DV of 0", MCX514_MAP, X | 0x05, data(0), "DV = 0: .* takes 1 to 8000000", X | 0x05, data(8_000_000)),
-    ("TP below its range", MCX514_MAP, X | 0x06, data(-2_147_483_647), "TP = -2147483647", X | 0x06, data(-2_147_483_646)),
+    ("a drive with TP below its range", MCX514_MAP, X | 0x50, {"finish": (-2_147_483_647, 0, 0, 0)},
+     r"50h \(relative position drive\) with TP = -2147483647 of X: drive pulse number takes -2147483646 to 2147483646", X | 0x50,
+     {"finish": (-2_147_483_646, -2_147_483_647, 0, 0)}),
+    ("an absolute drive with TP above its range", MCX501_MAP, 0x54, {"finish": (2_147_483_647,)}, "with TP = 2147483647 of X",
+     0x52, {"finish": (2_147_483_647,)}),
+    ("TP below its range in a drive", MCX514_MAP, Y | 0x06, {**data(-2_147_483_648), "relative": 2, "finish": (0, -5, 0, 0)},
+     "TP = -2147483648 while driving: drive pulse number takes", Y | 0x06,
+     {**data(-2_147_483_646), "relative": 2, "finish": (0, -5, 0, 0)}),
+    ("a helix with more pulses along its axis than ticks", MCX514_MAP, 0x69,
+     {"interpolated": 0b1101, "finish": (0, 0, 0, -333), "helix_ticks": 283},
+     "with TP = -333 of U: the 283 ticks of HLV make one pulse each at most; the other 50 are lost", 0x6A,
+     {"interpolated": 0b1101, "finish": (900, 0, 900, -283), "helix_ticks": 283}),
     ("LX above its range", MCX514_MAP, X | 0x0E, data(0x8000_0000), "LX = 2147483648", X | 0x0E, data(0xFFFF_FFFF)),
     ("CP below its range", MCX514_MAP, X | 0x08, data(-1_073_741_824), "CP = -1073741824", X | 0x08, data(-1_073_741_823)),
     ("a split pulse of width 0", MCX514_MAP, X | 0x17, data(0x0000_0005), "WIDTH = 0", X | 0x17, data(0x0001_0005)),
@@ -161,7 +175,7 @@ def test_every_parameter_takes_the_ends_of_its_range_and_nothing_beyond(chip):
     looked = 0
     for c in chip.commands:
         r = chip.register(c.symbol) if c.kind == "data write" else None
-        if r is None or r.legal is None or r.fields:
+        if r is None or r.legal is None or r.fields or r.name == "TP":  # of a bit pattern TP takes any number
             continue
         looked += 1
         low, high = r.legal
@@ -194,3 +208,22 @@ def test_a_drive_that_an_active_stop_input_ends_at_once_is_told(make, word, enab
         chip.write(0, X | drive)
         assert len(chip.diagnostics) == notes
         assert all("starts no drive: X: STOP1 is active and enabled" in d.message for d in chip.diagnostics)
+
+
+@covers("MCX514", "TP", "BHK2")
+@pytest.mark.parametrize("bits", [0x8000_0000, 0x8000_0001, 0x7FFF_FFFF, 0xFFFF_FFFF, 0xAAAA_5555])
+def test_any_32_bits_are_data_of_a_bit_pattern(bits):
+    """Data sheet 7.2.7: the upper 16 bits are those of the - direction. 80000000h was called a wrong number of pulses."""
+    chip = MCX514()
+    load(chip, SV=10_000, DV=10_000)
+    load(chip, IPM=3)
+    for axis, value in ((1, bits), (2, 0x0000_FFFF)):
+        put(chip, 0x06, value, axis)
+    command(chip, 0x66, 0)
+    chip.advance(SECOND)
+    assert chip.diagnostics == []
+    plus, minus = bits & 0xFFFF, bits >> 16
+    ends = [k for k in range(16) if plus >> k & minus >> k & 1]
+    steps = range(ends[0] if ends else 16)
+    assert chip.net(0) == sum((plus >> k & 1) - (minus >> k & 1) for k in steps)
+    assert chip.net(1) == len(steps)

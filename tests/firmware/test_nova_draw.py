@@ -176,3 +176,13 @@ def test_a_line_of_two_to_four_axes_is_one_command():
     for axes in (1, 5):
         with pytest.raises(ArgumentError, match=f"{axes} axes: an MCX514 interpolates 2 to 4"):
             _words(Line(*[100] * axes), axes)
+
+
+def test_a_helix_with_more_pulses_along_its_axis_than_ticks_is_refused_before_it_moves():
+    """Helix(centre=(0, 50), along=(333,)): the circle has 284 ticks, and 49 pulses were lost without a word"""
+    stage = Stage("xyz", chips=MCX514, visuals=False)
+    axes = list(stage.axes.values())
+    with pytest.raises(ArgumentError, match="along=-333 of z: beside this circle an axis makes 284 pulses at most"):
+        draw([Helix(centre=(0, 50), along=(-333,))], *axes, speed=Speed(1000))
+    assert [axis.chip.net(axis.chip_axis) for axis in axes] == [0, 0, 0]
+    assert draw([Helix(centre=(0, 50), along=(284,))], *axes, speed=Speed(1000)).pulses == {"x": 0, "y": 0, "z": 284}

@@ -124,6 +124,10 @@ class Held:
     def finish(self) -> tuple[int, ...]:
         return tuple(int(x["reg"][state.TP]) for x in self._record["ax"])
 
+    @property
+    def helix_ticks(self) -> int:
+        return int(self._axes[0]["reg"][state.HLV])
+
 
 class HeldOfMcx312(Held):
     """Its finish points have a sign, and its speeds no common unit."""

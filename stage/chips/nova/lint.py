@@ -16,6 +16,7 @@ from stage.chips.register_map import Command, Register, RegisterMap, Word
 Note = tuple[str, str]
 CODE, AXIS = MCX514_MAP.field("WR0", "CODE"), MCX514_MAP.field("WR0", "AXIS")
 MLT, LMDF = MCX514_MAP.field("IPM", "MLT"), MCX514_MAP.field("IPM", "LMDF")
+TP_DRIVES, HELICES = ("DRVRL", "DRVNR", "DRVAB"), ("HLCW", "HLCCW")
 _SECTIONS = {"TP": "7.2.7", "DP": "7.2.8"}
 
 
@@ -50,6 +51,8 @@ class Held(NamedTuple):
     """DV of the MCX514, pps."""
     finish: tuple[int, ...] = ()
     """TP of the MCX514."""
+    helix_ticks: int = 0
+    """HLV of the MCX514."""
 
     def refused(self, value: int) -> dict[int, str]:
         """Of a drive command: axes that it does not start, and why, in words."""
@@ -90,6 +93,8 @@ def command(map_: RegisterMap, held: Any, value: int) -> Note | None:
         return f"{name} takes no data: what was written to WR6, WR7 is not used", "data reading commands"
     if c.starts and c.kind == "drive" and (moving := axes & held.driving):
         return f"{name} while {_names(moving)} is driving (n-DRV = 1)", "driving commands"
+    if c.symbol in TP_DRIVES and (said := _pulse_number(map_, held, name, axes)):
+        return said, _SECTIONS["TP"]
     if c.starts and c.kind == "drive" and (refused := held.refused(value)):
         said = "; ".join(f"{_names(1 << k)}: {why}" for k, why in refused.items())
         return f"{name} starts no drive: {said}", "driving commands"
@@ -112,7 +117,7 @@ def _data(r: Register, held: Any, c: Command, axes: int) -> Note | None:
     where = _SECTIONS.get(r.name, f"{c.kind[:4]} writing commands")
     word = (held.wr6 | held.wr7 << 16) & r.mask
     value = r.value(word)
-    if not r.allows(value):
+    if not r.allows(value) and r.name != "TP":  # a bit pattern may be any number; see TP_DRIVES
         return f"{r.name} = {value}: {r.title} takes {r.range[0]} to {r.range[1]}", where
     if c.kind == "mode write" and (empty := word & ~r.used):
         return f"{r.name} = {word:04X}h: it has no {_bits(empty)}", where
@@ -124,13 +129,30 @@ def _data(r: Register, held: Any, c: Command, axes: int) -> Note | None:
             )
     if r.name == "IPM" and MLT.of(word) and LMDF.of(word):
         return f"IPM = {word:04X}h: MLT and LMDF exclude each other; short-axis pulses are not equalized", where
+    if r.name == "TP" and axes & held.relative and not _is_pulse_number(r, value):
+        return f"TP = {value} while driving: {r.title} takes {r.range[0]} to {r.range[1]}", where
     if r.name == "TP" and (moving := axes & held.absolute):
         return f"TP written while {_names(moving)} is in absolute position driving: it cannot be changed", where
     if r.name == "TP" and (turned := _turned(held, axes & held.relative, value)):
-        return f"TP = {value} while {_names(turned)} drives the other way: the direction cannot be changed", where
+        why = "the direction cannot be changed, and the drive stops at once"
+        return f"TP = {value} while {_names(turned)} drives the other way: {why}", where
     if r.name == "DV" and held.interpolating and axes & _main(held) and value > CONTINUOUS_SPEED:
         return f"DV = {value} in continuous interpolation: {CONTINUOUS_SPEED} is the most", "interpolation commands"
     return _fields(r, word, where)
+
+
+def _is_pulse_number(tp: Register, value: int) -> bool:
+    """Whether a value of TP can be a number of pulses; what cannot is data of a bit pattern."""
+    return tp.allows(value)
+
+
+def _pulse_number(map_: RegisterMap, held: Any, name: str, axes: int) -> str:
+    """What is wrong with the TP of a drive command; "" if nothing."""
+    tp = map_.register("TP")
+    for k, value in enumerate(held.finish[: map_.axes]):
+        if (axes >> k & 1 or map_.axes == 1) and not _is_pulse_number(tp, value):
+            return f"{name} with TP = {value} of {AXES[k]}: {tp.title} takes {tp.range[0]} to {tp.range[1]}"
+    return ""
 
 
 def _turned(held: Any, axes: int, value: int) -> int:
@@ -154,7 +176,18 @@ def _interpolation(held: Any, c: Command, name: str) -> Note | None:
     for k, tp in enumerate(held.finish):
         if axes >> k & 1 and c.points and not POINT[0] <= tp <= POINT[1]:
             return f"{name} with TP = {tp} of {AXES[k]}: a finish point takes {POINT[0]} to {POINT[1]}", _SECTIONS["TP"]
+    if c.symbol in HELICES and (said := _lost_along(held, name)):
+        return said, where
     return None
+
+
+def _lost_along(held: Any, name: str) -> str:
+    """What is wrong with the pulses of the axes beside the circle of a helix; "" if nothing."""
+    for k in [k for k in range(len(held.finish)) if held.interpolated >> k & 1][2:]:
+        if (pulses := abs(held.finish[k])) > held.helix_ticks:
+            most = f"the {held.helix_ticks} ticks of HLV make one pulse each at most"
+            return f"{name} with TP = {held.finish[k]} of {AXES[k]}: {most}; the other {pulses - held.helix_ticks} are lost"
+    return ""
 
 
 def _multichip(held: Any, c: Command, name: str) -> str:

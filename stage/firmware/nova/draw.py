@@ -105,8 +105,8 @@ class Drawn:
 def draw(segments: Sequence[Segment], *axes: Axis, speed: Speed, timeout: float = 60.0) -> Drawn:
     """Draw segments with two to four axes of one MCX514, one after the other without a stop.
 
-    Raises ArgumentError, before the first bus cycle, where a segment does not suit the axes; RunTimeout after `timeout` s, and
-    stops the axes.
+    Raises ArgumentError, before the axes move, where a segment does not suit them; RunTimeout after `timeout` s, and stops the
+    axes.
     """
     patience(timeout)
     ports = same_chip(axes)
@@ -186,4 +186,11 @@ def _with_calculation(ports: list[Port], words: Words) -> Words:
     for port, values in zip(ports, axis_words, strict=True):
         port.load(**values)
     ports[0].command(command.replace("HL", "HLP"))
-    return command, {**chip_words, "HLV": ports[0].value("R-HLV")}, axis_words
+    ticks = ports[0].value("R-HLV")
+    for port, values in zip(ports[2:], axis_words[2:], strict=True):
+        if abs(values["TP"]) > ticks:
+            raise ArgumentError(
+                f"along={values['TP']} of {port.axis.name}: beside this circle an axis makes {ticks} pulses at most, one a tick; "
+                "give fewer, or more rotations."
+            )
+    return command, {**chip_words, "HLV": ticks}, axis_words

@@ -1,8 +1,8 @@
 """NOVA chips, compiled: helical interpolation: a circle of the first two axes, on which the others go in proportion to its ticks.
 
 The helical calculation counts the ticks of the arc, or with a rotation number of a whole turn, into HLV; in so many ticks the
-other axes make their pulses. With a rotation number there are so many whole turns, then the arc to a finish point that is not
-the start.
+other axes make their pulses, one a tick at most: pulses beyond HLV are lost [I]. With a rotation number there are so many whole
+turns, then the arc to a finish point that is not the start.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def step(ip, g):
     ip.toward[fast], ip.toward[1 - fast] = circular.AHEAD[o], circular.ASIDE[o]
     ip.toward[1] *= g.mirror
     for k in range(2, g.axes):
-        ip.error[k] += 2 * abs(g.finish[k])
+        ip.error[k] += 2 * abs(g.finish[k]) * g.fine
         ip.step[k] = 0
         if ip.error[k] >= 2 * g.longest:
             ip.error[k] -= 2 * g.longest
@@ -79,6 +79,16 @@ def ticks(a, g):
         rest, more = _count(a, g, False)
         count, both = count + rest, both + more
     return (count - both, both, 0) if g.vector else (count, 0, 0)
+
+
+@hot
+def inner_ticks(a, g, value):
+    """Return HLV in inner ticks: those that the circle has, where the value is what the calculation makes of it. `a` is scratch."""
+    inner, _ = _count(a, g, g.turns > 0)
+    fine, g.fine = g.fine, 1
+    calculated = calculate(a, g)
+    g.fine = fine
+    return greatest(inner, 1) if value == calculated else value * fine
 
 
 @hot

@@ -127,7 +127,8 @@ def _segment(c, code):
         _circle(c, g, word, code in (CIRCLE_CW, HELIX_CW))
         g.kind = HELIX if helix else ARC
         if helix:
-            g.turns, g.longest = c.ax[0].reg[HLN], greatest(c.ax[0].reg[HLV], 1) * g.fine
+            g.turns = c.ax[0].reg[HLN]
+            g.longest = helical.inner_ticks(c.ip.probe, g, greatest(c.ax[0].reg[HLV], 1))
             for k in range(2, g.axes):
                 g.finish[k] = coordinate(c.ax[g.axis[k]].reg[TP], g.fine)
     if role:
