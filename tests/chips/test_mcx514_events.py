@@ -197,6 +197,28 @@ def test_new_cycle_and_width_act_from_the_next_split_pulse_on():
     assert shape == [1, 1, 0, 0, 0, 0] + [1, 0, 0] * 4 + [1, 0]
 
 
+@covers("MCX514", "SP1", "SP2", "SPSTA")
+@pytest.mark.parametrize("after", [1, 2, 4], ids=["at its first pulse", "while it is on", "while it is off"])
+def test_75h_while_split_pulses_run_begins_anew_with_the_next_drive_pulse(after):
+    """The output goes off at once; width, cycle and count begin again. SPLTE comes at the end of the count, not before."""
+    chip = MCX514()
+    load(chip, SP1=3 << 16 | 5, SP2=2)
+    command(chip, 0x75)
+    cruise(chip)
+    for _ in range(after):
+        chip.advance(US)
+    assert chip.axes[0].pins.split == (after < 4)
+    rr1(chip)
+    command(chip, 0x75)
+    assert not chip.axes[0].pins.split, "off until the next drive pulse"
+    shape = []
+    for k in range(11):
+        assert bool(rr1(chip) & SPLTE) == (k == 9), "after the ninth drive pulse the second split pulse is over"
+        chip.advance(US)
+        shape.append(int(chip.axes[0].pins.split))
+    assert shape == [1, 1, 1, 0, 0, 1, 1, 1, 0, 0, 0]
+
+
 @pytest.mark.parametrize("width", [3, 4, 9])
 def test_a_width_of_the_whole_cycle_or_more_still_leaves_the_output_off_for_a_pulse(width):
     chip = MCX514()

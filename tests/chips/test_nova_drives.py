@@ -344,6 +344,54 @@ def test_a_filtered_signal_acts_after_its_delay_and_a_short_one_never():
         assert not driving(chip), f"after {delay} clocks"
 
 
+@pytest.mark.parametrize("beside", [False, True], ids=["alone", "while another signal is in its filter"])
+@covers("MCX514", "FLM")
+def test_a_filter_forgets_a_glitch_whatever_other_signals_do(beside):
+    """Glitches of all but the filter's time, each by itself; then the signal, which acts after the whole of that time"""
+    chip = MCX514()
+    load(chip, SV=1000, DV=1000, AC=1)
+    put(chip, 0x25, 0x43 | 3 << 8 | 15 << 12)  # EMG, LMT+ and LMT-: 64 clocks; STOP2: 262,144
+    for pins, pin in ((chip.axes[0].pins, "lmt_plus"), (chip.axes[0].pins, "lmt_minus"), (chip.pins, "emg")):
+        wr(chip, 2, 1 << 11)
+        command(chip, 0x79)
+        command(chip, MINUS if pin == "lmt_minus" else PLUS)
+        chip.axes[0].pins.stop2 = beside
+        for _ in range(5):
+            setattr(pins, pin, True)
+            chip.advance(63)
+            setattr(pins, pin, False)
+            chip.advance(1)
+        setattr(pins, pin, True)
+        chip.advance(63)
+        assert driving(chip), f"a glitch of {pin} is remembered"
+        chip.advance(1)
+        assert not driving(chip), f"{pin} acts after 64 clocks"
+        setattr(pins, pin, False)
+        chip.axes[0].pins.stop2 = False
+        chip.advance(1000)
+
+
+@pytest.mark.parametrize("beside", [False, True], ids=["alone", "while another signal is in its filter"])
+def test_a_filter_of_the_mcx304_forgets_a_glitch_whatever_other_signals_do(beside):
+    """FE0 and FE1 with a delay of 512 us; STOP2 enters its filter later than LMT+"""
+    chip = MCX304()
+    load_304(chip, R=8_000_000, SV=100, V=100, A=100)
+    set_wr3(chip, 3 << 8 | 2 << 13, nop=NOP_304)
+    command(chip, 0x22)
+    pins, delay = chip.axes[0].pins, 512 * 16
+    for _ in range(3):
+        pins.lmt_plus = True
+        chip.advance(delay - 1)
+        pins.stop2 = beside
+        pins.lmt_plus = False
+        chip.advance(1)
+    pins.lmt_plus = True
+    chip.advance(delay - 1)
+    assert chip.axes[0].pins.drive, "a glitch is remembered"
+    chip.advance(1)
+    assert not chip.axes[0].pins.drive
+
+
 # --- counters ---
 
 
