@@ -37,7 +37,7 @@ MAX_DIAGNOSTICS = 1000
 MAX_CLOCKS = 1 << 45  # a speed of 13 bits times this still fits 63 bits
 LAST_CLOCK = 1 << 59  # what is scheduled from there on still fits 63 bits
 SHORT_RUN_CLOCKS = 1 << 18
-SHORTEST_PIECE_S, LONGEST_PIECE_S = 0.025, 0.1
+MIN_PIECE_S, MAX_PIECE_S = 0.025, 0.1
 
 
 class Diagnostic(NamedTuple):
@@ -508,13 +508,13 @@ class Chip:
         if self._bus is not None:
             raise StageError("this chip belongs to a stage and shares its clock: use stage.step, run or run_until.")
         try:
-            whole = int(clocks)
-            fits = whole == clocks and bool(0 <= whole <= MAX_CLOCKS)
+            number = int(clocks)
+            fits = number == clocks and bool(0 <= number <= MAX_CLOCKS)
         except (TypeError, ValueError, OverflowError):
             fits = False
         if not fits:
             raise ArgumentError(f"clocks={clocks!r}: a chip advances by a whole number of 0 to {MAX_CLOCKS} clocks.")
-        until = self.clock + whole
+        until = self.clock + number
         check_clock(until)
         return until
 
@@ -629,9 +629,9 @@ def split_run(begin: int, until: int) -> Iterator[int]:
         started = perf_counter()
         yield begin
         took = perf_counter() - started
-        if took < SHORTEST_PIECE_S:
+        if took < MIN_PIECE_S:
             piece *= 2
-        elif took > LONGEST_PIECE_S:
+        elif took > MAX_PIECE_S:
             piece = max(piece // 2, 1)
     yield until
 

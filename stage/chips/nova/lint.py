@@ -142,12 +142,12 @@ def _data(r: Register, held: Any, c: Command, axes: int) -> Note | None:
 
 
 def _is_pulse_number(tp: Register, value: int) -> bool:
-    """Whether a value of TP can be a number of pulses; what cannot is data of a bit pattern."""
+    """Return whether a value of TP can be a number of pulses; what cannot is data of a bit pattern."""
     return tp.allows(value)
 
 
 def _pulse_number(map_: RegisterMap, held: Any, name: str, axes: int) -> str:
-    """What is wrong with the TP of a drive command; "" if nothing."""
+    """Return what is wrong with the TP of a drive command; "" if nothing."""
     tp = map_.register("TP")
     for k, value in enumerate(held.finish[: map_.axes]):
         if (axes >> k & 1 or map_.axes == 1) and not _is_pulse_number(tp, value):
@@ -182,11 +182,11 @@ def _interpolation(held: Any, c: Command, name: str) -> Note | None:
 
 
 def _lost_along(held: Any, name: str) -> str:
-    """What is wrong with the pulses of the axes beside the circle of a helix; "" if nothing."""
+    """Return what is wrong with the pulses of the axes beside the circle of a helix; "" if nothing."""
     for k in [k for k in range(len(held.finish)) if held.interpolated >> k & 1][2:]:
         if (pulses := abs(held.finish[k])) > held.helix_ticks:
-            most = f"the {held.helix_ticks} ticks of HLV make one pulse each at most"
-            return f"{name} with TP = {held.finish[k]} of {AXES[k]}: {most}; the other {pulses - held.helix_ticks} are lost"
+            limit = f"the {held.helix_ticks} ticks of HLV make one pulse each at most"
+            return f"{name} with TP = {held.finish[k]} of {AXES[k]}: {limit}; the other {pulses - held.helix_ticks} are lost"
     return ""
 
 

@@ -112,49 +112,52 @@ def pulses_ahead(c, x):
 
 
 @hot
-def _counts_to(counter, way, boundary, most):
-    """Counts until a counter that goes from `most` on to 0 crosses from below a boundary to it, or back, or turns over."""
-    if most == counters.OFF:
-        over = (1 << 31) - counter if way > 0 else counter + (1 << 31) + 1
-    elif not 0 <= counter <= most:
+def _counts_to(counter, direction, boundary, maximum):
+    """Return the counts until a counter that goes from `maximum` on to 0 crosses a boundary, from below to it or back, or turns
+    over."""
+    if maximum == counters.OFF:
+        over = (1 << 31) - counter if direction > 0 else counter + (1 << 31) + 1
+    elif not 0 <= counter <= maximum:
         return 1  # the ring takes it in with the next count
-    elif not 0 < boundary <= most:
+    elif not 0 < boundary <= maximum:
         return NEVER
     else:
-        over = most + 1 - counter if way > 0 else counter + 1
-    far = boundary - counter if way > 0 else counter - boundary + 1
-    return least(far, over) if far > 0 else over
+        over = maximum + 1 - counter if direction > 0 else counter + 1
+    distance = boundary - counter if direction > 0 else counter - boundary + 1
+    return least(distance, over) if distance > 0 else over
 
 
 @hot
-def _counts_ahead(c, x, way):
-    """Counts of RP, up or down, until a comparison or a software limit changes."""
-    far, most, counter = NEVER, counters.OFF, x.reg[RP]
+def _counts_ahead(c, x, direction):
+    """Return the counts of RP, up or down, until a comparison or a software limit changes."""
+    distance, maximum, counter = NEVER, counters.OFF, x.reg[RP]
     if c.variant == MCX514_TYPE:
-        most = x.reg[RX]
+        maximum = x.reg[RX]
         for m in range(MRS):
             if _what(x, m) == AT_RP:
                 condition, value = x.mode[MRM] >> 4 * m + 2 & 3, x.reg[MR0 + m]
                 if condition != ABOVE:
-                    far = least(far, _counts_to(counter, way, value, most))
+                    distance = least(distance, _counts_to(counter, direction, value, maximum))
                 if condition in (ABOVE, EQUAL):
-                    far = least(far, _counts_to(counter, way, value + 1, most))
+                    distance = least(distance, _counts_to(counter, direction, value + 1, maximum))
     if x.soft_rp:
-        far = least(far, _counts_to(counter, way, x.reg[SP] + (1 if c.variant == MCX514_TYPE else 0), most))
-        far = least(far, _counts_to(counter, way, x.reg[SM], most))
-    return far
+        distance = least(
+            distance, _counts_to(counter, direction, x.reg[SP] + (1 if c.variant == MCX514_TYPE else 0), maximum)
+        )
+        distance = least(distance, _counts_to(counter, direction, x.reg[SM], maximum))
+    return distance
 
 
 @hot
 def next_of_rp(c, x):
-    """The clock at which a comparison with RP, or a software limit that looks at it, may change while the shaft turns as it does.
+    """Return the clock at which a comparison with RP, or a software limit that looks at it, changes while the shaft turns so.
 
     In the up / down mode RP goes to and fro between two values: where one step changes nothing, none does.
     """
     if x.encoder == UP_DOWN:
-        way = encoder.next_way_up_down(x)
-        return encoder.next_edge(c, x) if _counts_ahead(c, x, way) == 1 else NEVER
-    return encoder.clock_of_counts(c, x, _counts_ahead(c, x, 1 if encoder.turns_forward(x) else -1))
+        direction = encoder.next_up_down_direction(x)
+        return encoder.next_edge(c, x) if _counts_ahead(c, x, direction) == 1 else NEVER
+    return encoder.clock_of_counts(c, x, _counts_ahead(c, x, 1 if encoder.counts_up(x) else -1))
 
 
 @hot

@@ -88,7 +88,7 @@ def set_shaft(c, j, count, rate):
 
 @hot
 def _has_passed(x, edge, clock):
-    """Whether the shaft has passed an edge ahead of it at a clock."""
+    """Return whether the shaft has passed an edge ahead of it at a clock."""
     return _edge_at(x, clock) >= edge if x.shaft_rate > 0.0 else _edge_at(x, clock) < edge
 
 
@@ -126,8 +126,8 @@ def next_edge(c, x):
 
 
 @hot
-def turns_forward(x):
-    """Whether RP counts up while the shaft turns as it does now; not of the up / down mode."""
+def counts_up(x):
+    """Return whether RP counts up while the shaft turns as it does now; not of the up / down mode."""
     return (x.shaft_rate > 0.0) != (x.exchanges != 0)
 
 
@@ -141,7 +141,7 @@ def clock_of_counts(c, x, counts):
 
 
 @hot
-def next_way_up_down(x):
+def next_up_down_direction(x):
     """Return whether the next count of the up / down mode is up, 1, or down, -1."""
     at = x.edge & 3
     up = at != UP_FORWARD if x.shaft_rate > 0.0 else at == UP_BACKWARD

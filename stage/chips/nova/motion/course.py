@@ -35,7 +35,8 @@ def _step(x, n):
 
 @hot
 def stop_at(c, j, every_pulse, pulse_end, until):
-    """How far the chip can run so that nothing of axis `j` is missed. pulse_end: the clock at which its present pulse goes off."""
+    """Return how far the chip can run so that nothing of axis `j` is missed. pulse_end: the clock at which its present pulse goes
+    off."""
     x = c.ax[j]
     if every_pulse and pulse_end > c.clock:
         until = least(until, pulse_end)

@@ -24,13 +24,13 @@ DPMD = MCX514_MAP.bit("WR3", "DPMD")
 DP_L, DIR_L_514, DPINV = (MCX514_MAP.mask("WR3", name) for name in ("DP-L", "DIR-L", "DPINV"))
 PLSMD, POINV = MCX304_MAP.bit("WR2", "PLSMD"), MCX304_MAP.mask("WR3", "POINV")
 PLS_L, DIR_L_304 = MCX304_MAP.mask("WR2", "PLS-L"), MCX304_MAP.mask("WR2", "DIR-L")
-LONGEST_PULSE = float(1 << 40)
+MAX_PULSE_CLOCKS = float(1 << 40)
 
 
 @hot
 def half_period(rate):
     """Return for how many clocks a pulse is on that begins at `rate` pulses a clock."""
-    return greatest(1, int(least(0.5 / rate, LONGEST_PULSE))) if rate > 0.0 else 1
+    return greatest(1, int(least(0.5 / rate, MAX_PULSE_CLOCKS))) if rate > 0.0 else 1
 
 
 @hot
@@ -55,7 +55,7 @@ def _mode(c, x):
 
 @hot
 def _exchange(c, x, word):
-    """What the pins show of PLS and DIR: the same, or the one in place of the other."""
+    """Return what the pins show of PLS and DIR: the same, or the one in place of the other."""
     inverts = x.wr[3] & DPINV if c.variant == MCX514_TYPE else x.wr[3] & POINV and not c.extended
     return (PLS if word & DIR else 0) | (DIR if word & PLS else 0) if inverts else word
 
