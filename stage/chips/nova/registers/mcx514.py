@@ -48,8 +48,7 @@ PARAMETERS = (
     _parameter(0x04, "SV", "initial speed", SPEED, "pps", 1),
     _parameter(0x05, "DV", "drive speed", SPEED, "pps", 1, note="can be changed while driving"),
     _parameter(0x06, "TP", "drive pulse number", (-2_147_483_646, 2_147_483_646), "pulses", evidence="S", signed=True,
-               note=f"or finish point (interpolation: {POINT[0]} to {POINT[1]}), or data of a bit pattern (any 32 bits); "
-                    "a value of the other direction stops the drive at once [I]"),
+               note=f"or finish point (interpolation: {POINT[0]} to {POINT[1]}), or bit pattern; the other way stops a drive [I]"),
     _parameter(0x07, "DP", "manual deceleration point", (0, 4_294_967_292), "pulses", evidence="S", note="used with MANLD"),
     _parameter(0x08, "CP", "circular centre", POINT, "pulses", signed=True, note="relative"),
     _parameter(0x09, "LP", "logical position counter", None, "pulses", signed=True),
@@ -70,7 +69,7 @@ PARAMETERS = (
     _parameter(0x19, "TX", "maximum finish point of interpolation", (1, 1_073_741_823), "pulses", 1, evidence="D"),
     _parameter(0x1A, "HLN", "helical rotation number", (0, 65535), bits=16),
     _parameter(0x1B, "HLV", "helical calculation value", (1, 2_147_483_646), reset=1,
-               note="ticks; Z and U make one pulse a tick at most, and lose what is more [I]"),
+               note="ticks, each of one pulse of Z and U at most [I]"),
 )  # fmt: skip
 PRESENT = (
     Register("CV", 0x32, 32, "R", "current speed", evidence="S", unit="pps"),
