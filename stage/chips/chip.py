@@ -487,21 +487,22 @@ class Chip:
         """As advance, but returns the pulses: a structured array of `clock` (tick since power-up at which the pulse
         begins, int64), `axis` and `direction` (int8; +1 or -1)."""
         until = self._until(clocks)
-        probe = self._rows[self._i : self._i + 1].copy()
-        pulses, stops = 0, []
+        probe, pulses, stops = self._rows[self._i : self._i + 1].copy(), 0, []
         for stop in split_run(self.clock, until):
             pulses += self.CORE.advance(probe, stop)
             stops.append(stop)
         try:
-            out = np.zeros(pulses, self.CORE.PULSE)
+            np.zeros(pulses, self.CORE.PULSE)
         except (MemoryError, ValueError):
             raise ArgumentError(
                 f"clocks={clocks!r}: there are {pulses} pulses, more than memory holds; trace less."
             ) from None
-        traced = 0
-        for stop in stops:
-            rest = out[traced:]
-            traced += self.CORE.trace.c(self.pointer, stop, rest.ctypes.data, len(rest))
+        return np.concatenate([self._trace_piece(stop) for stop in stops])
+
+    def _trace_piece(self, until: int) -> np.ndarray:
+        """Run up to a clock and return the pulses; how many there will be is tried on a copy."""
+        out = np.zeros(self.CORE.advance(self._rows[self._i : self._i + 1].copy(), until), self.CORE.PULSE)
+        self.CORE.trace.c(self.pointer, until, out.ctypes.data, len(out))
         return out
 
     def _until(self, clocks: int) -> int:
