@@ -82,6 +82,8 @@ class FiledSnapshot(Snapshot):
     @classmethod
     def from_bytes(cls, data: bytes, name: str = "it") -> Self:
         """Return the snapshot that the bytes of a file hold; `name` says in errors where they come from. Raises as `load`."""
+        if not isinstance(data, bytes):
+            raise SnapshotError(f"data={data!r}: give the bytes of a snapshot's file.")
         told, state = _parts(name, data)
         if told["version"] != VERSION:
             raise SnapshotError(

@@ -110,9 +110,7 @@ class Refused(ArgumentError):
 
 
 def read(path: str | os.PathLike) -> Submission:
-    """An entry from a file; raises Refused in words for any other file, and FileNotFoundError."""
-    if not os.path.lexists(path):
-        raise FileNotFoundError(f"{path}: there is no such file.")
+    """Read an entry from a file. Raises Refused for any other file, also for one that does not exist."""
     return unpack(read_bytes(path, "entry", LARGEST, Refused), str(path))
 
 

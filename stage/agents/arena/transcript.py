@@ -127,9 +127,7 @@ def _continued(path: Path, head: Head) -> tuple[IO[str], list[Round]]:
 
 
 def read(path: str | os.PathLike) -> Transcript:
-    """A transcript from a file, as far as it goes. Raises ArgumentError in words for any other file, and FileNotFoundError."""
-    if not os.path.lexists(path):
-        raise FileNotFoundError(f"{path}: there is no such file.")
+    """Read a transcript from a file, as far as it goes. Raises ArgumentError for any other file, or none."""
     wrong = (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError)
     with open_regular(path, "transcript", LARGEST, ArgumentError) as file:
         try:
