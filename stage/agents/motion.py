@@ -14,7 +14,8 @@ from stage.chips.describe import Fields
 from stage.errors import ArgumentError, StageError
 from stage.firmware import procedures
 from stage.firmware.driver import RAMP, SETTLE, wait_until_stopped
-from stage.firmware.report import NOT_AS_ASKED, Procedure, Report
+from stage.firmware.report import Procedure, Report
+from stage.firmware.stop_reasons import NOT_AS_ASKED
 from stage.firmware.tandem import square_by
 from stage.firmware.together import SynchronizedReport
 

@@ -20,7 +20,7 @@ from stage.chips.entries import WRITE
 from stage.errors import ArgumentError, RunTimeout, StageError, a_or_an
 from stage.firmware.axis import Axis, check_origin
 from stage.firmware.pattern import Pattern
-from stage.firmware.report import UNKNOWN
+from stage.firmware.stop_reasons import STOPPED, UNKNOWN
 from stage.sim.program import Operations
 
 if TYPE_CHECKING:
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 START, DRIVE, RAMP = 1_000.0, 16_000.0, 0.15
 USUAL = 16  # microsteps, that these rates are for
-STOPPED = "stop command"
-"""What a report says has ended a move that a host has stopped before its end."""
 MAX_POLL_S = 2e-3
 SETTLE = 0.05  # s after a stop, before a report looks where the carriage came to rest
 

@@ -13,6 +13,7 @@ from stage.chips.describe import Said, decode
 from stage.chips.journal import Course
 from stage.errors import RunTimeout
 from stage.firmware.axis import Axis
+from stage.firmware.stop_reasons import NOT_AS_ASKED
 from stage.units import PLACES
 
 if TYPE_CHECKING:
@@ -23,12 +24,6 @@ if TYPE_CHECKING:
 
 
 PRESET = 8  # counts at once, faster than any rate: a host has written the position, and nothing has moved
-UNKNOWN = "unknown"
-"""What a report says has ended a run that stopped early, where neither the chip nor its journal shows a reason."""
-NOT_AS_ASKED = (
-    "EL+", "EL-", "SLMT+", "SLMT-", "STOP0", "ALARM", "EMG", "HOME", "timeout", "Ctrl-C", UNKNOWN
-)  # fmt: skip
-"""Ends that nobody asks for. HOME: a home search failed; SLMT: a software limit."""
 
 
 @dataclass(frozen=True, repr=False)

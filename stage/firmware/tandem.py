@@ -16,7 +16,8 @@ from stage.arguments import patience
 from stage.errors import ArgumentError
 from stage.firmware.driver import RAMP, Speeds, driver_of
 from stage.firmware.procedures import line, speeds
-from stage.firmware.report import NOT_AS_ASKED, Report
+from stage.firmware.report import Report
+from stage.firmware.stop_reasons import NOT_AS_ASKED
 from stage.firmware.together import SynchronizedReport
 from stage.sim.axis import Axis
 

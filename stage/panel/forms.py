@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from nicegui import ui
 
 from stage.errors import StageError
-from stage.firmware.report import NOT_AS_ASKED
+from stage.firmware.stop_reasons import NOT_AS_ASKED
 from stage.panel import procedures
 from stage.panel.fields import Field, at_its_field, where
 from stage.panel.procedures import FORMS, Form, Jog

@@ -11,7 +11,8 @@ from stage.chips import CHIPS, HCTL1100, MCX304, MCX312, MCX501, MCX514, PCL240K
 from stage.firmware import Bench
 from stage.firmware.driver import SETTLE, AtOnce, Speeds, driver_class, driver_of, usual_speeds, wait_until_stopped
 from stage.firmware.procedures import speeds
-from stage.firmware.report import NOT_AS_ASKED, Procedure
+from stage.firmware.report import Procedure
+from stage.firmware.stop_reasons import NOT_AS_ASKED
 from stage.sim import plant
 
 EVERY = list(CHIPS)

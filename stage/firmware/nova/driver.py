@@ -18,8 +18,9 @@ from stage.firmware.nova.line import InRatio, Interpolated
 from stage.firmware.nova.pattern import Pattern
 from stage.firmware.nova.port import Port
 from stage.firmware.nova.search import HomeSearch
-from stage.firmware.report import NOT_AS_ASKED, UNKNOWN, Procedure, Report
+from stage.firmware.report import Procedure, Report
 from stage.firmware.search import Search
+from stage.firmware.stop_reasons import NOT_AS_ASKED, UNKNOWN
 from stage.firmware.together import SynchronizedReport, Together
 from stage.sim.program import Operations, Program
 

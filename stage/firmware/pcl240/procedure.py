@@ -6,7 +6,7 @@ from stage.firmware import report
 from stage.firmware.axis import Axis
 from stage.firmware.pcl240.bus import Port, check
 from stage.firmware.pcl240.stop_reason import find_stop_reason
-from stage.firmware.report import UNKNOWN
+from stage.firmware.stop_reasons import UNKNOWN
 
 
 class Procedure(report.Procedure):

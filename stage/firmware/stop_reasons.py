@@ -1,0 +1,10 @@
+"""Stop reasons that reports give beside those of the chips: `Report.stopped_by`."""
+
+STOPPED = "stop command"
+"""What a report says has ended a move that a host has stopped before its end."""
+UNKNOWN = "unknown"
+"""What a report says has ended a run that stopped early, where neither the chip nor its journal shows a reason."""
+NOT_AS_ASKED = (
+    "EL+", "EL-", "SLMT+", "SLMT-", "STOP0", "ALARM", "EMG", "HOME", "timeout", "Ctrl-C", UNKNOWN
+)  # fmt: skip
+"""Ends that nobody asks for. HOME: a home search failed; SLMT: a software limit."""
