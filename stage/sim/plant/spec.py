@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from stage.errors import ArgumentError, ModelError, near_names, unknown
-from stage.files import readable
+from stage.sim.plant.model_size import check_model_size
 from stage.sim.plant.problems import actuator_line, similar
 
 
@@ -41,7 +41,7 @@ def open_spec(source: Any) -> Any:
         near = near_names(path.stem, names(), 0.5)
         hint = f" Did you mean the shipped model {near[0]!r}?" if near else ""
         raise ModelError(f"no MJCF file at {path}.{hint} Shipped models, by name: {', '.join(names())}.")
-    readable(path, "MJCF file", ModelError)
+    check_model_size(path)
     try:
         return mujoco.MjSpec.from_file(str(path))
     except ValueError as error:

@@ -1,0 +1,124 @@
+"""Models that expand beyond bounds are refused before MuJoCo reads them; those within, and any that a person writes, are read."""
+
+import os
+import time
+
+import pytest
+
+from stage import ModelError, Stage
+from stage.sim.plant import open_spec
+from stage.sim.plant.model_size import MAX_COMPOSITE_BODIES, MAX_ELEMENTS, MAX_SAMPLES, check_model_size
+
+NESTED = (
+    '<worldbody><replicate count="1000" offset="1 0 0"><replicate count="1000" offset="0 1 0"><geom size=".1"/>'
+    "</replicate></replicate></worldbody>"
+)
+TOO_LARGE = {
+    "nested replicates": (NESTED, "1,001,003 elements at its <geom>"),
+    "replicate": ('<worldbody><replicate count="20001"><site/></replicate></worldbody>', "elements at its <site>"),
+    "composite": (
+        '<worldbody><body><composite type="cable" count="100000 1 1"><geom size=".01"/></composite></body></worldbody>',
+        "100,0.. elements at its <composite>",
+    ),
+    "chain": (
+        '<worldbody><body><composite type="cable" count="1001 1 1"><geom size=".01"/></composite></body></worldbody>',
+        "1,001 bodies at its <composite>, and a model may have 1,000",
+    ),
+    "flex": (
+        '<worldbody><flexcomp name="f" type="grid" count="50 50 50"/></worldbody>',
+        "125,00. elements at its <flexcomp>",
+    ),
+    "height field": (
+        '<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>',
+        "10,000,000,000 samples",
+    ),
+    "texture": (
+        '<asset><texture name="t" builtin="flat" width="100000" height="100000"/></asset>',
+        "10,000,000,000 pixels",
+    ),
+    "keyframes": ('<size nkey="2000000"/>', "2,000,000 nkey at its <size>"),
+    "user data of geoms": ('<size nuser_geom="200000000"/>', "200,000,000 nuser_geom"),
+}
+
+
+def write_model(folder, body, name="model.xml"):
+    path = folder / name
+    path.write_text(f"<mujoco>{body}</mujoco>")
+    return path
+
+
+@pytest.mark.parametrize("what", TOO_LARGE)
+def test_a_model_beyond_the_bounds_is_refused_at_once(what, tmp_path):
+    body, message = TOO_LARGE[what]
+    began = time.process_time()
+    with pytest.raises(ModelError, match=message):
+        Stage(write_model(tmp_path, body))
+    assert time.process_time() - began < 1.0, "MuJoCo has not read it"
+
+
+def test_a_model_at_the_bounds_is_accepted(tmp_path):
+    elements = MAX_ELEMENTS - 3  # mujoco, worldbody, replicate
+    check_model_size(write_model(tmp_path, f'<worldbody><replicate count="{elements}"><geom/></replicate></worldbody>'))
+    with pytest.raises(ModelError):
+        check_model_size(
+            write_model(tmp_path, f'<worldbody><replicate count="{elements + 1}"><geom/></replicate></worldbody>')
+        )
+    check_model_size(write_model(tmp_path, f'<worldbody><composite count="{MAX_COMPOSITE_BODIES} 1 1"/></worldbody>'))
+    check_model_size(write_model(tmp_path, f'<asset><hfield nrow="{MAX_SAMPLES // 4096}" ncol="4096"/></asset>'))
+
+
+def test_files_that_a_model_includes_or_attaches_are_counted_each_time(tmp_path):
+    write_model(tmp_path, '<worldbody><replicate count="150"><geom/></replicate></worldbody>', "part.xml")
+    check_model_size(
+        write_model(tmp_path, '<worldbody><replicate count="100"><include file="part.xml"/></replicate></worldbody>')
+    )
+    body = '<worldbody><replicate count="200"><include file="part.xml"/></replicate></worldbody>'
+    with pytest.raises(ModelError, match="elements at its <geom>"):
+        check_model_size(write_model(tmp_path, body))
+    body = (
+        '<asset><model name="m" file="part.xml"/></asset><worldbody><replicate count="200"><attach model="m" body="b"/>'
+        "</replicate></worldbody>"
+    )
+    with pytest.raises(ModelError, match="elements at its <geom>"):
+        check_model_size(write_model(tmp_path, body))
+
+
+def test_a_model_that_includes_itself_is_refused(tmp_path):
+    path = write_model(tmp_path, '<include file="model.xml"/>')
+    with pytest.raises(ModelError, match="includes itself"):
+        open_spec(path)
+
+
+@pytest.mark.parametrize("tag", ['mesh name="m"', 'hfield name="h"', 'texture name="t" type="2d"', "include"])
+def test_a_file_of_a_model_that_is_a_pipe_is_refused_and_not_opened(tag, tmp_path):
+    os.mkfifo(tmp_path / "pipe.stl")
+    element = f'<{tag} file="pipe.stl"/>'
+    with pytest.raises(ModelError, match=r"pipe.stl is a pipe"):
+        open_spec(write_model(tmp_path, element if tag == "include" else f"<asset>{element}</asset>"))
+    (tmp_path / "meshes").mkdir()
+    os.rename(tmp_path / "pipe.stl", tmp_path / "meshes" / "pipe.stl")
+    if tag.startswith("mesh"):
+        with pytest.raises(ModelError, match=r"pipe.stl is a pipe"):
+            open_spec(write_model(tmp_path, f'<compiler meshdir="meshes"/><asset>{element}</asset>'))
+
+
+@pytest.mark.parametrize("path", ["/dev/zero", "/dev/null"])
+def test_a_model_that_is_a_device_is_refused(path):
+    with pytest.raises(ModelError, match="is a device"):
+        open_spec(path)
+
+
+def test_what_is_no_xml_is_refused_with_the_place(tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text("<mujoco><worldbody></mujoco>")
+    with pytest.raises(ModelError, match=r"not well-formed XML \(mismatched tag: line 1, column 2\d\)"):
+        open_spec(path)
+
+
+def test_dashes_in_comments_and_bytes_that_are_not_utf_8_are_read_as_mujoco_reads_them(tmp_path):
+    path = tmp_path / "model.xml"
+    body = b'<worldbody><geom size=".1"/></worldbody>'
+    path.write_bytes(
+        b'<?xml version="1.0"?>\n<!-- ---- Gr\xfc\xdfe -- ---- -->\n<mujoco><!-- -- -->' + body + b"</mujoco>"
+    )
+    assert len(list(open_spec(path).geoms)) == 1
