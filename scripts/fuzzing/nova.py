@@ -271,7 +271,8 @@ class NovaFamily(Family):
             chip.input_word(0),
         )
         ends_at = tuple(int(last[name]) for name in ("clock", "net", "counter", "outputs", "inputs"))
-        ends_at = (*ends_at[:3], ends_at[3] & ~state.PLS, ends_at[4])
+        pulsed = state.PLS | state.DIR  # carry pulses, which a course has as entries of their own
+        ends_at, is_at = ((*of[:3], of[3] & ~pulsed, of[4]) for of in (ends_at, is_at))
         demand(ends_at == is_at, f"a course that ends with {ends_at}, a chip with {is_at}")
 
     def most_work(self, chip: Chip, pulses: int) -> int:

@@ -249,6 +249,7 @@ class Chip:
 
     def explain_missing_current(self, axis: int = 0) -> str:
         """Say why a motor has no current, for a chip that is its motor's driver as well; "" while it has, and for other chips."""
+        self._check_axis(axis)
         return ""
 
     def twin(self, state: bytes | None = None) -> Chip:
@@ -492,12 +493,17 @@ class Chip:
             pulses += self.CORE.advance(probe, stop)
             stops.append(stop)
         try:
-            np.zeros(pulses, self.CORE.PULSE)
+            out = np.zeros(pulses, self.CORE.PULSE)
         except (MemoryError, ValueError):
             raise ArgumentError(
                 f"clocks={clocks!r}: there are {pulses} pulses, more than memory holds; trace less."
             ) from None
-        return np.concatenate([self._trace_piece(stop) for stop in stops])
+        at = 0
+        for stop in stops:
+            piece = self._trace_piece(stop)
+            out[at : at + len(piece)] = piece  # field by field, so that the padding stays 0
+            at += len(piece)
+        return out
 
     def _trace_piece(self, until: int) -> np.ndarray:
         """Run up to a clock and return the pulses; how many there will be is tried on a copy."""

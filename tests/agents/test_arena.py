@@ -140,7 +140,7 @@ def test_the_command_plays_and_replays(tmp_path, capsys, monkeypatch):
             "no such variable",
         ),
         (["agent", "diagnosis:late", "-o", "t.jsonl"], "exists"),
-        (["agent-replay", "nothing.jsonl"], "no such file"),
+        (["agent-replay", "nothing.jsonl"], "there is no transcript nothing.jsonl"),
     ):
         capsys.readouterr()
         assert main(arguments) == 2

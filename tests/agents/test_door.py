@@ -170,14 +170,14 @@ def made(monkeypatch):
             return SimpleNamespace(router=SimpleNamespace(lifespan_context=None))
 
     class Server:
-        def __init__(self, config):
+        def __init__(self, config, sessions):
             seen.config, self.should_exit = config, False
 
         def run(self, sockets):
             seen.sockets = sockets
 
     monkeypatch.setattr(http, "Protocol", Protocol)
-    monkeypatch.setattr(uvicorn, "Server", Server)
+    monkeypatch.setattr(http, "Ending", Server)
     monkeypatch.setattr(uvicorn, "Config", lambda app, **how: SimpleNamespace(app=app, **how))
     opened = []
 

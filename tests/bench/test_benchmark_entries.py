@@ -480,7 +480,7 @@ def test_the_commands_say_what_is_wrong(entry, tmp_path, monkeypatch, capsys):
     assert main(["bench-verify", "changed.bench"]) == 1
     assert "DIFFERS first in episode 0, step 0, reward: 9.0 in the entry" in capsys.readouterr().out
     for argv, says in (
-        ("bench-verify none.bench", "none.bench: there is no such file"),
+        ("bench-verify none.bench", "there is no entry none.bench"),
         (f"bench-verify {__file__}", "not an entry of the bench"),
         ("bench-submit randon -o a.bench", "unknown player of few-shot 'randon'. Did you mean 'random'"),
         ("bench-submit none_such:policy -o a.bench", "No module named 'none_such'"),

@@ -74,7 +74,7 @@ def test_a_circle_of_the_chips_that_draw_them(fresh):
         ("move", {"distance": "5", "speed": "0"}, "speed"),
         ("move", {"distance": "5", "s_curve": "round"}, "s_curve"),
         ("home", {"by": "smell"}, "by"),
-        ("line", {"x": "5", "y": ""}, "y"),
+        ("line", {"x": "5", "y": "far"}, "y"),
         ("two_rates", {"distance": "5", "fast": "0"}, "fast"),
         ("two_rates", {"distance": "5", "dwell": "-1"}, "dwell"),
     ],

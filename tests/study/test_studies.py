@@ -222,7 +222,7 @@ def test_other_versions_of_the_packages_make_another_study(tmp_path, monkeypatch
 
 def test_what_is_there_and_no_study_stays_as_it_was(tmp_path):
     (tmp_path / "notes").write_text("no end of line")
-    for place, message in (("notes", "holds no study"), ("", "Is a directory"), ("not/there", "No such file")):
+    for place, message in (("notes", "holds no study"), ("", "is no regular file"), ("not/there", "No such file")):
         with pytest.raises(StageError, match=message):
             open_study(valley, tmp_path / place)
     with pytest.raises(StageError, match="cannot hold a study"):
