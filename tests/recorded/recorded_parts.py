@@ -332,7 +332,7 @@ def sketches(folder):
         n: [p.title, p.begins, p.entry, p.folders, p.has_cplusplus_headers, p.flags, p.sources, p.defaults]
         for n, p in platforms.PLATFORMS.items()
     }
-    found["sources"] = [library.are_sources(x) for x in ("a.c", ["a.c", "b.so"], "a.ino", "a.h", Path("a.cxx"), [])]
+    found["sources"] = [library.are_sources(x) for x in ("a.c", ["a.c", "b.so"], "a.ino", "a.h", Path("a.cxx"))]
     found["refused"] = [
         tried(library.build, []),
         tried(library.build, "no.c"),
