@@ -1,5 +1,6 @@
 """An axis without friction keeps its energy: the coupling of drives to MuJoCo's leapfrog neither brakes nor drives it."""
 
+import math
 import re
 from pathlib import Path
 
@@ -8,18 +9,20 @@ import numpy as np
 import pytest
 
 from stage import Stage, faults
-from stage.drives.motors import Drive
+from stage.drives.motors import Drive, Motor
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "models.md"
 
 
-def frictionless(drive):
+def frictionless(drive, integrator="implicitfast"):
     """The page's one axis, without friction, its bumpers out of the way."""
     text = re.search(r"```xml\n(.*?)```", PAGE.read_text(), re.S)[1]
     for old, new in ((' damping="60" frictionloss="4"', ""), ('pos="0.091', 'pos="1'), ('pos="-0.091', 'pos="-1')):
         assert old in text
         text = text.replace(old, new)
-    return Stage(mujoco.MjSpec.from_string(text), drives=drive)
+    spec = mujoco.MjSpec.from_string(text)
+    spec.option.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
+    return Stage(spec, drives=drive)
 
 
 def energies(stage, potential, seconds):
@@ -66,3 +69,20 @@ def test_a_powered_axis_that_was_pushed_rings_as_far_as_at_first(mode):
     stage.run(4.0)
     assert reach() == pytest.approx(first, rel=2e-3)
     assert x.lost_steps == 0
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicit", "implicitfast"])
+def test_an_unpowered_axis_loses_the_energy_of_its_core_loss_and_no_other(integrator):
+    """Speed falls by exp(-b t / J), the energy by its square, with every integrator that a stage takes."""
+    motor = Motor("lossy", 2.0, 1.6, 3.0e-3, 0.56, 0.0, 82e-7, core_loss_resistance=400.0)
+    stage = frictionless(Drive(motor), integrator)
+    x = stage.axes["x"]
+    faults.phase_open(x, "a")
+    faults.phase_open(x, "b")
+    stage.data.qvel[0] = 0.05
+    energy = energies(stage, lambda angle: 0.0, 0.2)
+    time = 0.01 * np.arange(1, len(energy) + 1)
+    damping, inertia = motor.torque_constant**2 / 400.0, float(stage.model.dof_M0[0]) / x.gear**2
+    first = 0.5 * float(stage.model.dof_M0[0]) * 0.05**2
+    assert energy == pytest.approx(first * np.exp(-2 * damping / inertia * time), rel=0.02)
+    assert math.exp(-2 * damping / inertia * 0.2) < 0.2

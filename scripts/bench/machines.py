@@ -72,7 +72,7 @@ class Bare:
         self._match(stage, steps)
 
     def _match(self, stage: Stage, steps: int) -> None:
-        """Friction hardly grows with speed, so that the mean torque alone leaves the speed open: correct it by the damping."""
+        """Correct the torques by the damping: friction hardly grows with speed, so the mean torque alone leaves the speed open."""
         axes = [(p.joint, stage.model.actuator(name).id, p.gear) for name, p in stage.axes.items()]
         seconds = steps * self.model.opt.timestep
         for _ in range(MATCHING):
@@ -81,7 +81,8 @@ class Bare:
             for joint, actuator, gear in axes:
                 dof, q = self.model.jnt_dofadr[joint], self.model.jnt_qposadr[joint]
                 missing = self.began[q] + self.way[q] - self.data.qpos[q]
-                self.torque[actuator] += self.model.dof_damping[dof] * missing / seconds / gear
+                damping = self.model.dof_damping[dof] + self.model.actuator_damping[actuator] * gear**2
+                self.torque[actuator] += damping * missing / seconds / gear
 
     def reset(self) -> None:
         mujoco.mj_setState(self.model, self.data, self.start, STATE)

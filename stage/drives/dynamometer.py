@@ -54,25 +54,29 @@ class PullOut(NamedTuple):
 
 
 def closed_form(motor: Motor, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
-    """Pull-out torque of a sine drive, N m, shape of rpm: min(T_V, T_I), never below 0 (spec/drives.md, 1).
+    """Compute the pull-out torque of a sine drive, N m, shape of rpm: min(T_V, T_I) - b w, never below 0 (spec/drives.md, 1).
 
-    Z = sqrt(R^2 + (Nr w L)^2), T_V = Km (V / Z - Km w R / Z^2), T_I = Km I.
+    Z = sqrt(R^2 + (Nr w L)^2), T_V = Km (V / Z - Km w R / Z^2), T_I = Km I; b is the motor's core loss.
     """
     w = np.asarray(rpm, float) * 2 * math.pi / 60
     km, r = motor.torque_constant, motor.resistance
-    z = np.hypot(r, motor.rotor_teeth * w * motor.inductance)
-    return np.clip(np.minimum(km * (volts / z - km * w * r / z**2), km * current), 0, None)
+    z = np.hypot(r, motor.rotor_teeth * w * motor.phase_inductance)
+    return np.clip(
+        np.minimum(km * (volts / z - km * w * r / z**2), km * current) - motor.core_loss_damping * w, 0, None
+    )
 
 
 def bound_by_both(motor: Motor, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
-    """The most torque of any sinusoidal current with |i| <= current and |v| <= volts at once, N m, shape of rpm.
+    """Compute the most torque of any sinusoidal current with |i| <= current and |v| <= volts at once, N m, shape of rpm.
+
+    The motor's core loss is taken off.
 
     In rotor coordinates the back-EMF E = Km w is real, v = Z i + E with Z = R + j Nr w L, and torque is Km Re i. The currents
     that V allows fill the circle of radius V / |Z| around -E / Z. Its rightmost point is T_V; where that point needs more
     than `current`, the best is where the two circles cross. The closed form min(T_V, T_I) lies above it near its corner.
     """
     w = np.asarray(rpm, float) * 2 * math.pi / 60
-    z = motor.resistance + 1j * motor.rotor_teeth * w * motor.inductance
+    z = motor.resistance + 1j * motor.rotor_teeth * w * motor.phase_inductance
     centre, radius = -motor.torque_constant * w / z, volts / np.abs(z)
     rated_fits = np.abs(current - centre) <= radius  # all of the current on the torque axis
     voltage_fits = np.abs(centre + radius) <= current
@@ -81,7 +85,7 @@ def bound_by_both(motor: Motor, volts: float, current: float, rpm: Floats | floa
     across = np.sqrt(np.maximum(current**2 - along**2, 0))
     crossing = ((along + np.array([[1j], [-1j]]) * across.ravel()) * (centre / distance).ravel()).real.max(0)
     best = np.where(rated_fits, current, np.where(voltage_fits, (centre + radius).real, crossing.reshape(w.shape)))
-    return np.maximum(motor.torque_constant * best, 0)
+    return np.maximum(motor.torque_constant * best - motor.core_loss_damping * w, 0)
 
 
 def natural_frequency(drive: Drive, inertia: float, half_step: bool = False) -> float:
@@ -150,7 +154,8 @@ def follow(
     """Run the motor through `counts`, (n,) commanded pulses a slice; returns TRACE, (n,).
 
     The drive starts on counts[0], the rotor there too or at `theta` rad, turning at `omega` rad/s. inertia: kg m^2, rotor
-    included. load: friction N m, a number or (n,). viscous: N m s/rad to the frame. damper: N m s/rad to a flywheel that
+    included. load: friction N m, a number or (n,). viscous: N m s/rad to the frame, beside the motor's core loss.
+    damper: N m s/rad to a flywheel that
     turns at the starting speed for ever, so that it takes no torque from a rotor that keeps up.
 
     Raises ArgumentError for an inertia that is not above 0, for friction below 0, for an empty course.
@@ -170,7 +175,8 @@ def follow(
     trace = np.zeros(len(course), TRACE)
     brake = np.array(np.broadcast_to(np.asarray(load, float), course.shape))
     start = drive.per_pulse * course[0] / drive.motor.rotor_teeth if theta is None else theta
-    _follow(rows, course, brake, float(inertia), float(viscous), float(damper), float(start), float(omega), trace)
+    viscous = float(viscous) + drive.motor.core_loss_damping
+    _follow(rows, course, brake, float(inertia), viscous, float(damper), float(start), float(omega), trace)
     return trace
 
 
@@ -198,8 +204,20 @@ def _damper(drive: Drive, inertia: float, ratio: float) -> float:
     return 2 * ratio * inertia * 2 * math.pi * natural_frequency(replace(drive, detent=0.0), inertia)
 
 
+def _split_core_loss(drive: Drive) -> tuple[Drive, float]:
+    """Return the drive with its motor's core loss taken away, and that loss, N m s/rad.
+
+    At a commanded speed w0 the loss b w is a brake of b w0 and a damper b that turns at w0. Measured so, the brake comes on
+    smoothly like any other load, and does not hit a rotor that starts in step without a load angle.
+    """
+    loss = drive.motor.core_loss_damping
+    return (replace(drive, motor=replace(drive.motor, core_loss_resistance=None)) if loss else drive), loss
+
+
 def pull_out(drive: Drive, rpm: Floats, inertia: float | None = None, damping_ratio: float = 0.15) -> np.ndarray:
-    """Pull-out torque at each speed, N m, (n,): the most friction with which a rotor keeps up; 0 if it slips unloaded.
+    """Measure the pull-out torque at each speed, N m, (n,): the most friction with which a rotor keeps up; 0 if it slips unloaded.
+
+    The rotor also turns against the motor's core loss, which is thus taken off, as on a real bench.
 
     The rotor starts in step, the brake comes on smoothly over SETTLE and holds for HOLD; bisected to 1/4000 of the holding
     range. (A brake that grows until the rotor slips reads high: while a rotor falls out, slowly, the brake grows on.)
@@ -211,7 +229,8 @@ def pull_out(drive: Drive, rpm: Floats, inertia: float | None = None, damping_ra
     Raises ArgumentError for speeds that are not above 0.
     """
     inertia = 10 * drive.motor.rotor_inertia if inertia is None else inertia
-    damper = _damper(drive, inertia, damping_ratio)
+    drive, loss = _split_core_loss(drive)
+    damper = _damper(drive, inertia, damping_ratio) + loss
     onset = 0.5 - 0.5 * np.cos(math.pi * np.minimum(np.arange(slices(SETTLE + HOLD)) * H / SETTLE, 1))
     speeds = _speeds(rpm)
     torque = np.zeros(len(speeds))
@@ -228,7 +247,7 @@ def pull_out(drive: Drive, rpm: Floats, inertia: float | None = None, damping_ra
         for _ in range(12):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if keeps_up(middle) else (low, middle)
-        torque[k] = low
+        torque[k] = max(low - loss * (speed * 2 * math.pi / 60), 0.0)
     return torque
 
 
@@ -306,12 +325,13 @@ def resonance_sweep(
     rate = np.atleast_1d(np.asarray(rates, float))
     inertia = drive.motor.rotor_inertia if inertia is None else inertia
     rpm = rate / drive.motor.steps_per_turn * 60
-    damper = _damper(drive, inertia, damping_ratio)
+    lossless, loss = _split_core_loss(drive)
+    damper = _damper(drive, inertia, damping_ratio) + loss
     ripple = np.zeros(len(rate))
     for k, speed in enumerate(_speeds(rpm)):
         counts = pulses(np.full(slices(0.4), speed / 60 * drive.pulses_per_turn))
         omega = speed * 2 * math.pi / 60
-        free = follow(drive, counts, inertia, 0.0, 0.0, damper, omega=omega)["omega"][slices(0.2) :]
+        free = follow(lossless, counts, inertia, loss * omega, 0.0, damper, omega=omega)["omega"][slices(0.2) :]
         ripple[k] = math.sqrt(float(np.mean((free - omega) ** 2)))
     return Resonance(rate, pull_out(drive, rpm, inertia, damping_ratio), ripple)
 

@@ -12,27 +12,45 @@ from stage.drives import stepper
 from stage.errors import ArgumentError, unknown
 
 MICROSTEPS = range(1, 257)
+MAX_CORE_LOSS_RESISTANCE_OHM = 1e6
 MODES = {"chopper": stepper.CHOPPER, "sine": stepper.SINE}
 
 
-def within(what: str, value: object, low: float, high: float, unit: str, zero: bool = False) -> None:
-    """Raise ArgumentError unless `value` is a number above `low` (or, if `zero`, from `low` on) up to `high`."""
+def within(
+    what: str, value: object, low: float, high: float, unit: str, zero: bool = False, otherwise: str = ""
+) -> None:
+    """Raise ArgumentError unless `value` is a number above `low` (or, if `zero`, from `low` on) up to `high`.
+
+    `otherwise` ends the sentence with what may be given in place of a number.
+    """
     fits = isinstance(value, Real) and not isinstance(value, bool)
     if fits and (low <= value <= high if zero else low < value <= high):  # type: ignore[operator]
         return
     bound = f"from {low:g}" if zero else f"above {low:g},"
-    raise ArgumentError(f"{what}={value!r}: give a number {bound} up to {high:g} {unit}.")
+    raise ArgumentError(f"{what}={value!r}: give a number {bound} up to {high:g} {unit}{otherwise}.")
 
 
 @dataclass(frozen=True)
 class Motor:
     """A two-phase hybrid stepper motor.
 
-    rated_current A (a phase, both on), resistance ohm and inductance H of a phase, holding_torque N m with both phases at rated
-    current, detent_torque N m, rotor_inertia kg m^2, steps_per_turn. `evidence` says for a field where its value comes
-    from: "table" (spec/drives.md, from data sheets) or "inferred: reason".
+    Attributes:
+        name: Maker's name of the motor.
+        rated_current: Current of a phase with both phases on, A.
+        resistance: Resistance of a phase, ohm.
+        inductance: Inductance of a phase as the data sheet states it, H.
+        holding_torque: Torque with both phases at the rated current, N m.
+        detent_torque: Torque without current, N m.
+        rotor_inertia: kg m^2.
+        steps_per_turn: Full steps of a turn.
+        evidence: Source of a field's value, by the field's name: "table" (spec/drives.md, from data sheets) or "inferred: reason".
+        core_loss_resistance: Resistance across the back-EMF of a phase that stands for iron loss and eddy currents, ohm; None: the
+            motor has no core loss.
+        effective_inductance: Inductance that a published pull-out curve supports, H, used in place of `inductance`; None: there is
+            no such curve.
 
-    Raises ArgumentError for values that no motor has.
+    Raises:
+        ArgumentError: A value that no motor has.
     """
 
     name: str
@@ -44,6 +62,8 @@ class Motor:
     rotor_inertia: float
     steps_per_turn: int = 200
     evidence: dict[str, str] = field(default_factory=dict, hash=False)
+    core_loss_resistance: float | None = None
+    effective_inductance: float | None = None
 
     def __post_init__(self) -> None:
         within(f"{self.name}: rated_current", self.rated_current, 0, 100, "A")
@@ -57,6 +77,14 @@ class Motor:
             raise ArgumentError(
                 f"{self.name}: steps_per_turn={self.steps_per_turn!r}: a tooth is 4 steps; try 200 or 400."
             )
+        if self.effective_inductance is not None:
+            within(f"{self.name}: effective_inductance", self.effective_inductance, 0, 1, "H")
+        if self.core_loss_resistance is not None:
+            least = self.torque_constant**2 * 2 * math.pi / self.holding_torque  # one turn a second takes all torque
+            within(
+                f"{self.name}: core_loss_resistance", self.core_loss_resistance, least, MAX_CORE_LOSS_RESISTANCE_OHM, "ohm",
+                otherwise=", or None for a motor without core loss",
+            )  # fmt: skip
 
     @property
     def rotor_teeth(self) -> int:
@@ -67,6 +95,19 @@ class Motor:
     def torque_constant(self) -> float:
         """Km = T / (sqrt2 I), N m/A; the back-EMF constant in V s/rad as well."""
         return self.holding_torque / (math.sqrt(2) * self.rated_current)
+
+    @property
+    def core_loss_damping(self) -> float:
+        """Braking torque of the core loss over the rotor's speed, Km^2 / Rm, N m s/rad; 0 without core loss.
+
+        Each phase loses e / Rm of its current, and so Km e / Rm of its torque; of both phases that is Km^2 w / Rm at any angle.
+        """
+        return 0.0 if self.core_loss_resistance is None else self.torque_constant**2 / self.core_loss_resistance
+
+    @property
+    def phase_inductance(self) -> float:
+        """Inductance of a phase in the model, H: the effective one where a curve supports it, else that of the data sheet."""
+        return self.inductance if self.effective_inductance is None else self.effective_inductance
 
 
 _TABLE = dict.fromkeys(
@@ -168,7 +209,11 @@ class Drive:
     def fill(self, record: Any) -> None:
         """Write the parameters into a DRIVE record; its state stays."""
         m = self.motor
-        record.resistance, record.inductance, record.torque_constant = m.resistance, m.inductance, m.torque_constant
+        record.resistance, record.inductance, record.torque_constant = (
+            m.resistance,
+            m.phase_inductance,
+            m.torque_constant,
+        )
         record.detent, record.teeth, record.voltage = self.detent_torque, m.rotor_teeth, self.bus_voltage
         record.current, record.per_pulse, record.mode = self.amplitude, self.per_pulse, MODES[self.mode]
         record.open, record.slice = 0, 0.0

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 
 def refit_model(model: Any, here: mujoco.MjData, axes: Sequence[Axis], axis: Axis, drive: Drive | Servo) -> None:
-    """The joint of `axis` turns the rotor of this drive in place of its own, and a <dcmotor> has its constants.
-    here: where all axes are.
+    """Fit the rotor and the core loss of this drive's motor to the joint of `axis` in place of its own; a <dcmotor> gets its
+    constants. here: where all axes are.
 
     Raises ArgumentError, ModelError where that cannot be simulated; the model is then as it was.
     """
@@ -45,7 +45,11 @@ def refit_model(model: Any, here: mujoco.MjData, axes: Sequence[Axis], axis: Axi
 
 def _fit(model: Any, axis: Axis, drive: Drive | Servo, armature: float) -> None:
     model.dof_armature[axis.plant.dof] = armature
-    if isinstance(drive, Servo):
+    if isinstance(drive, Drive) and isinstance(axis.drive, Drive):
+        damping = model.actuator_damping[axis.plant.actuator : axis.plant.actuator + 1]
+        if damping[0] == axis.drive.motor.core_loss_damping:  # else it is the model's own
+            damping[0] = drive.motor.core_loss_damping
+    elif isinstance(drive, Servo):
         model.actuator_gainprm[axis.plant.actuator, :2] = drive.motor.resistance, drive.motor.torque_constant
     mujoco.mj_setConst(model, mujoco.MjData(model))
 

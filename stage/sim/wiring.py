@@ -43,11 +43,14 @@ def wire(
 def fit_rotors(
     model: Any, axes: Sequence[plant.PlantAxis], chip_axes: Sequence[ChipAxis], drives: Sequence[Drive | Servo]
 ) -> None:
-    """Give every joint's armature the rotor that its drive turns, in place of that of the motor which the model names.
+    """Fit the rotor of each drive's motor: its inertia into the joint's armature, its core loss as damping of the actuator.
 
-    Raises ModelError: an actuator of an MjModel that its chip cannot drive; an armature smaller than the rotor inside it.
+    The inertia takes the place of that of the motor which the model names. An actuator that has a damping in the model keeps it.
+
+    Raises:
+        ModelError: An actuator of an MjModel that its chip cannot drive; an armature smaller than the rotor inside it.
     """
-    before = model.dof_armature.copy()
+    before = model.dof_armature.copy(), model.actuator_damping.copy()
     for p, axis, d in zip(axes, chip_axes, drives, strict=True):
         if p.servo != axis.chip.SERVO:
             have, want = ("<dcmotor>", "<motor>") if p.servo else ("<motor>", "<dcmotor>")
@@ -63,9 +66,12 @@ def fit_rotors(
                 f"axis {p.name}: the model names motor {p.motor} inside an armature of {given:g}, but the rotor of that alone "
                 f'makes {inside:g}: write armature="{inside:g}" or more, or leave the text {p.name}_motor out.'
             )
+        if isinstance(d, Drive) and not model.actuator_damping[p.actuator]:
+            model.actuator_damping[p.actuator] = d.motor.core_loss_damping
         _check_losses(model, p, d)
-    if not np.array_equal(model.dof_armature, before):
-        mujoco.mj_setConst(model, mujoco.MjData(model))  # what MuJoCo has worked out of the armature
+    after = model.dof_armature, model.actuator_damping
+    if not all(map(np.array_equal, before, after)):
+        mujoco.mj_setConst(model, mujoco.MjData(model))  # what MuJoCo has worked out of armature and damping
 
 
 def _check_losses(model: Any, p: plant.PlantAxis, drive: Drive | Servo) -> None:

@@ -111,7 +111,8 @@ def test_every_field_of_a_motor_is_checked():
     good = motor("17HS4401")
     most = {
         "rated_current": 100, "resistance": 1000, "inductance": 1, "holding_torque": 1000,
-        "detent_torque": good.holding_torque, "rotor_inertia": 1, "steps_per_turn": 4000,
+        "detent_torque": good.holding_torque, "rotor_inertia": 1, "steps_per_turn": 4000, "core_loss_resistance": 1e6,
+        "effective_inductance": 1,
     }  # fmt: skip
     assert set(most) == {f.name for f in fields(good)} - {"name", "evidence"}
     for name, value in most.items():
