@@ -13,6 +13,7 @@ from stage.drives.motors import within
 from stage.errors import ArgumentError, unknown
 
 MOST_COUNTS = 1 << 20
+MAX_CURRENT_A = 1000
 
 
 @told_when_made
@@ -80,18 +81,29 @@ def dc_motor(name: str | DCMotor) -> DCMotor:
 class Servo:
     """A servo amplifier, its DC motor and an incremental encoder on the motor's shaft.
 
-    motor: a DCMotor or a preset's name; bus_voltage V, up to 400: the voltage at full drive; counts: of the encoder per turn of the
-    rotor, all four edges counted (500 lines make 2000).
+    Attributes:
+        motor: A DCMotor or a preset's name.
+        bus_voltage: Voltage at full drive, V, up to 400.
+        counts: Counts of the encoder per turn of the rotor, all four edges counted (500 lines make 2000).
+        current_limit: Current that the amplifier never exceeds, A; None: the amplifier has no limit, so that a motor at rest takes
+            its stall current.
+        evidence: Source of a field's value, by the field's name, such as {"current_limit": "data sheet of the amplifier"}.
 
-    Raises ArgumentError that says what is allowed.
+    Raises:
+        ArgumentError: A value that no amplifier has.
     """
 
     motor: DCMotor = DC_MOTORS["14201S003"]
     bus_voltage: float = 24.0
     counts: int = 2000
+    current_limit: float | None = None
+    evidence: dict[str, str] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "motor", dc_motor(self.motor))
+        if self.current_limit is not None:
+            otherwise = ", or None for an amplifier without a limit"
+            within("current_limit", self.current_limit, 0, MAX_CURRENT_A, "A", otherwise=otherwise)
         within("bus_voltage", self.bus_voltage, 0, 400, "V")
         number = isinstance(self.counts, Real) and not isinstance(self.counts, bool)
         if not number or not 4 <= self.counts <= MOST_COUNTS or int(self.counts) != self.counts:
@@ -101,7 +113,10 @@ class Servo:
 
     @property
     def peak_torque(self) -> float:
-        """N m: at stall, with the whole bus voltage."""
+        """Torque at stall with the whole bus voltage or the current limit, whichever is less, N m."""
+        stall = self.bus_voltage / self.motor.resistance
+        if self.current_limit is not None and self.current_limit < stall:
+            return self.motor.torque_constant * self.current_limit
         return self.motor.torque_constant * self.bus_voltage / self.motor.resistance
 
     @property
@@ -119,3 +134,4 @@ class Servo:
         record.resistance, record.torque_constant = self.motor.resistance, self.motor.torque_constant
         record.voltage, record.per_pulse, record.teeth = self.bus_voltage, 2 * math.pi / self.counts, 1.0
         record.mode, record.open, record.slice, record.offset = SERVO, 0, 0.0, 0.0
+        record.current = self.current_limit or 0.0

@@ -19,7 +19,7 @@ def effort(d, signal, n, theta, omega, h, gain=0.0):
     """What goes to the actuator, mean over n slices of h seconds, N m or V. signal: (n,), from the chip: mean pulses so far,
     or shares of full drive; theta: rotor angle (rad) in the middle of the first slice; omega: rad/s; gain: see `mean_torque`."""
     if d.mode == SERVO:
-        return servo.voltage(d, signal, n, omega)
+        return servo.voltage(d, signal, n, omega, gain)
     return stepper.mean_torque(d, signal, n, theta, omega, h, gain)
 
 

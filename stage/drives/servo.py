@@ -4,6 +4,8 @@
 
 MuJoCo's <dcmotor> makes the torque from the voltage. The inductance is left out: L / R is little beside the mechanical time
 constant J R / K^2 of a loaded axis. The current that is logged is that of the same formula.
+
+An amplifier with a current limit lowers its voltage to the one at which the limit flows.
 """
 
 from __future__ import annotations
@@ -12,11 +14,23 @@ from stage.native import hot
 
 
 @hot
-def voltage(d, shares, n, omega):
-    """Mean terminal voltage, V, over n slices; shares: (n,), the motor command of each as a share of full drive, -1 to 1."""
+def voltage(d, shares, n, omega, gain=0.0):
+    """Compute the mean terminal voltage, V, over n slices.
+
+    Args:
+        d: DRIVE record of a servo.
+        shares: (n,), the motor command of each slice as a share of full drive, -1 to 1.
+        omega: Speed of the rotor at the beginning, rad/s.
+        gain: Speed that a newton metre adds in half of the n slices, rad/s. MuJoCo takes the back-EMF at the end of the step; a
+            current limit holds with the speed that its own torque adds by then.
+    """
     total = 0.0
     for k in range(n):
         total += shares[k]
     v = d.voltage * total / n
     d.current_a = (v - d.torque_constant * omega) / d.resistance
+    if d.current > 0.0 and abs(d.current_a) > d.current:
+        d.current_a = d.current if d.current_a > 0.0 else -d.current
+        faster = 2.0 * gain * d.torque_constant * d.current_a
+        v = d.torque_constant * (omega + faster) + d.resistance * d.current_a
     return v

@@ -2,8 +2,8 @@
 
 1. Mass that the motor feels: carriages, payload, and rotor and screw through the lead. Friction from the guides' data sheet, weight
    where the axis is not level.
-2. Thrust that the motor has at a rate: its pull-out torque (spec of motor and drive, V and I) by the screw, and no more of it than
-   1 / SAFETY, as motor makers advise for open loop (1.5 to 2).
+2. Thrust that the motor has at a rate: its pull-out torque (spec of motor and drive, V and I, less the motor's core loss) by the
+   screw, and no more of it than 1 / SAFETY, as motor makers advise for open loop (1.5 to 2).
 3. For a top rate, constant acceleration uses that thrust up at the top; deceleration, where friction helps, too. The top rate is
    the one that makes the move shortest.
    But no ramp is shorter than SWINGS periods of the rotor in its field, which would swing out of it.
@@ -83,11 +83,13 @@ class Load:
         return isinstance(self.drive, Drive)
 
     def thrust(self, speed: np.ndarray) -> np.ndarray:
-        """N at the carriage that the motor has at most, at m/s."""
+        """Compute the force at the carriage that the motor has at most, N, at speeds in m/s; its core loss is taken off."""
         if not self.stepper:
             motor, volts = self.drive.motor, self.drive.bus_voltage
             back = motor.torque_constant * speed * self.gear
-            return np.maximum(volts - back, 0.0) * motor.torque_constant / motor.resistance * self.gear
+            thrust = np.maximum(volts - back, 0.0) * motor.torque_constant / motor.resistance * self.gear
+            limit = self.drive.current_limit
+            return thrust if limit is None else np.minimum(thrust, limit * motor.torque_constant * self.gear)
         rpm = speed * self.gear * 60 / (2 * np.pi)
         return closed_form(self.drive.motor, self.drive.bus_voltage, self.drive.amplitude, rpm) * self.gear
 

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from stage import ArgumentError
+from stage import ArgumentError, Stage
 from stage.drives import drive, stepper
 from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo, dc_motor
 from stage.drives.motors import Drive
@@ -81,6 +81,52 @@ def test_a_servo_powers_up_where_it_is_and_loses_no_steps():
     assert drive.at_rest(d, 1234) == 0.0
     assert drive.behind(d, 2000, 0.0) == pytest.approx(2 * math.pi), "2000 counts are a turn"
     assert drive.lost_steps(d, 1_000_000, 0.0) == 0
+
+
+@EVERY
+def test_an_amplifier_with_a_current_limit_never_gives_more(name):
+    servo = Servo(name, current_limit=4.0)
+    d, m = filled(servo), servo.motor
+    for share, omega, amperes in ((1.0, 0.0, 4.0), (-1.0, 0.0, -4.0), (1.0, -200.0, 4.0), (-1.0, 300.0, -4.0)):
+        v = drive.effort(d, shares(share), 1, 0.0, omega, 1e-4)
+        assert d.current_a == amperes
+        assert drive.torque(d, v) == pytest.approx(m.torque_constant * amperes)
+        assert v == pytest.approx(m.resistance * amperes + m.torque_constant * omega)
+
+
+def test_within_its_current_limit_an_amplifier_is_as_one_without():
+    with_limit, without = filled(Servo(current_limit=5.0)), filled()
+    for share, omega in ((0.4, 0.0), (1.0, 300.0), (-0.2, 77.0)):
+        values = [drive.effort(d, shares(share), 1, 0.0, omega, 1e-4) for d in (with_limit, without)]
+        assert values[0] == values[1]
+        assert with_limit.current_a == without.current_a
+
+
+def test_the_peak_torque_is_that_of_the_current_limit_where_it_is_less_than_stall():
+    assert Servo("14204S004").peak_torque == pytest.approx(3.06e-2 * 96, rel=0.01), "96 A without a limit"
+    assert Servo("14204S004", current_limit=10.0).peak_torque == pytest.approx(0.306)
+    assert Servo("14204S004", current_limit=500.0).peak_torque == Servo("14204S004").peak_torque
+
+
+def test_a_servo_says_where_its_current_limit_comes_from():
+    assert Servo(current_limit=10.0, evidence={"current_limit": "data sheet of the amplifier"}).evidence == {
+        "current_limit": "data sheet of the amplifier"
+    }
+
+
+@EVERY
+def test_from_rest_a_servo_accelerates_by_its_current_limit(name):
+    """Accelerate in a stage, whose <dcmotor> takes the back-EMF at the end of each step."""
+    servo = Servo(name, current_limit=1.5)
+    stage = Stage("xyz_servo", chips={"x": "hctl1100"}, drives={"x": servo}, visuals=False)
+    x, model = stage.axes["x"], stage.model
+    model.dof_frictionloss[:] = model.dof_damping[:] = 0.0
+    x.chip.write(0x09, 100)  # full drive
+    stage.run(0.01)
+    first = stage.data.qvel[0]
+    stage.run(0.02)
+    force = 1.5 * servo.motor.torque_constant * abs(x.gear)
+    assert abs(stage.data.qvel[0] - first) / 0.02 == pytest.approx(force / model.dof_M0[0], rel=2e-3)
 
 
 # --- the motor, in MuJoCo ---
@@ -159,6 +205,11 @@ def test_a_servo_takes_a_motor_by_name_and_says_what_it_is():
         (lambda: Servo(counts=3), "counts=3: an encoder has a whole number of counts a turn, 4 to 1,048,576"),
         (lambda: Servo(counts=2000.5), "counts=2000.5"),
         (lambda: Servo(counts=True), "counts=True"),
+        (
+            lambda: Servo(current_limit=-1),
+            "current_limit=-1: give a number above 0, up to 1000 A, or None for an amplifier",
+        ),
+        (lambda: Servo(current_limit=math.inf), "current_limit=inf"),
         (lambda: DCMotor("mine", 0, 0.05, 1e-5, 0.1), "mine: resistance=0: give a number above 0, up to 1000 ohm"),
         (lambda: DCMotor("mine", 2, -0.05, 1e-5, 0.1), "mine: torque_constant=-0.05"),
         (lambda: DCMotor("mine", 2, 0.05, -1e-5, 0.1), "mine: rotor_inertia=-1e-05: give a number from 0"),

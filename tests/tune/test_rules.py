@@ -59,6 +59,9 @@ def test_a_dc_motor_has_its_stall_torque_at_rest_and_nothing_from_its_no_load_sp
     free = volts / motor.torque_constant / servo.gear
     stall = volts / motor.resistance * motor.torque_constant * servo.gear
     assert servo.thrust(np.array([0.0, 0.5 * free, free, 2 * free])) == pytest.approx([stall, 0.5 * stall, 0, 0])
+    limited = replace(servo, drive=replace(servo.drive, current_limit=0.25 * volts / motor.resistance))
+    speeds = np.array([0.0, 0.5 * free, 0.9 * free, free])
+    assert limited.thrust(speeds) == pytest.approx([0.25 * stall, 0.25 * stall, 0.1 * stall, 0], abs=1e-9)
 
 
 def test_what_is_twice_as_strong_as_asked_uses_half(load):
