@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple
 
 from stage.arguments import told_when_made
 from stage.drives import stepper
@@ -13,6 +13,12 @@ from stage.errors import ArgumentError, unknown
 
 MICROSTEPS = range(1, 257)
 MAX_CORE_LOSS_RESISTANCE_OHM = 1e6
+LIKELY_CORE_LOSS_S = (5e-4, 9e-4, 1.6e-3)
+"""Least, middle and most core loss damping of a NEMA 17 motor over its holding torque, s/rad.
+
+From the one published curve, that of the 17HS19-2004S1: the most is its fit with the inductance of the data sheet, the least
+that with an inductance a third larger (spec/drives.md); the middle is their geometric mean.
+"""
 MODES = {"chopper": stepper.CHOPPER, "sine": stepper.SINE}
 
 
@@ -135,6 +141,19 @@ MOTORS: dict[str, Motor] = {
     )
 }  # fmt: skip
 """Presets by name."""
+
+
+class LikelyCoreLoss(NamedTuple):
+    """Core loss damping that a motor without a published curve is likely to have, N m s/rad."""
+
+    low: float
+    middle: float
+    high: float
+
+
+def estimate_core_loss(motor: Motor) -> LikelyCoreLoss:
+    """Estimate the core loss of a motor from its holding torque, after the motor whose curve is published."""
+    return LikelyCoreLoss(*(motor.holding_torque * share for share in LIKELY_CORE_LOSS_S))
 
 
 def motor(name: str | Motor) -> Motor:

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from stage.drives.dynamometer import PullOut, bound_by_both, closed_form
-from stage.drives.motors import Drive
+from stage.drives.motors import Drive, Motor, estimate_core_loss
+from stage.drives.published_curves import PUBLISHED_CURVES, PublishedCurve
 from stage.errors import ArgumentError
 from stage.files import save_figure
 from stage.pictures import COLOURS, INK, MUTED, bare, figure
@@ -42,26 +43,61 @@ def _closed_forms(drive: Drive, rpm_max: float) -> tuple[Any, Any, Any, Any]:
 
 
 def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None, overwrite: bool = False) -> Any:
-    """One motor: measured pull-out torque over speed on the closed forms. Saves to `path` if given; returns the figure.
+    """Draw the pull-out torque of one motor over speed, as simulated, on the closed forms; save it to `path` if given.
 
-    A file that exists stays, unless `overwrite`: FileError.
+    The published curve of the motor is drawn beside what the simulation makes of its settings. A motor without a published curve
+    gets the band of its likely core loss.
+
+    Returns:
+        The figure.
+
+    Raises:
+        FileError: The file exists, unless `overwrite`.
     """
     fig, ax = _figure()
     rpm, at_v, at_most, both = _closed_forms(drive, table.rpm.max())
     ax.fill_between(rpm, at_v, at_most, color=BAND, linewidth=0, label="closed form, from V to 4/π V")
     ax.plot(rpm, at_v, color=MUTED, linewidth=1.2, label="closed form at V: min($T_V$, $T_I$)")
     ax.plot(rpm, both, color=MUTED, linewidth=1.2, linestyle=(0, (1, 1.5)), label="sine bound by V and I at once")
-    ax.plot(table.rpm, table.sine, "o", color=INK, markersize=3.4, clip_on=False, label="ideal sine drive, measured")
-    ax.plot(table.rpm, table.chopper, color=ACCENT, linewidth=2.2, label="chopper drive, measured")
+    ax.plot(table.rpm, table.sine, "o", color=INK, markersize=3.4, clip_on=False, label="ideal sine drive, simulated")
+    ax.plot(table.rpm, table.chopper, color=ACCENT, linewidth=2.2, label="chopper drive, simulated")
+    if drive.motor.name in PUBLISHED_CURVES:
+        _draw_published(ax, PUBLISHED_CURVES[drive.motor.name], drive.motor)
+    else:
+        _draw_likely_loss(ax, drive.motor, table)
     _dress(ax, drive, table.rpm.max(), 1.2 * max(table.chopper.max(), table.ideal_saturated.max()))
     ax.set_title(f"{drive.motor.name}: pull-out torque", loc="left", color=INK, fontsize=12, weight="bold")
     ax.set_title(f"{drive.bus_voltage:g} V, {drive.amplitude:g} A", loc="right", color=MUTED, fontsize=9)
     handles, labels = ax.get_legend_handles_labels()
-    order = [handles[k] for k in (4, 3, 1, 2, 0)], [labels[k] for k in (4, 3, 1, 2, 0)]
+    places = (4, 3, *range(5, len(handles)), 1, 2, 0)
+    order = [handles[k] for k in places], [labels[k] for k in places]
     ax.legend(*order, frameon=False, fontsize=9, loc="upper right")
     if path is not None:
         save_figure(fig, path, 150, overwrite)
     return fig
+
+
+def _draw_published(ax: Any, curve: PublishedCurve, motor: Motor) -> None:
+    """Draw a published curve, and what the simulation makes of the motor at its settings."""
+    comparison, settings = curve.compare(motor), f"{curve.bus_voltage:g} V, {curve.current:g} A"
+    ax.plot(comparison.rpm, comparison.published, "D", color=COLOURS[1], markersize=5, label=f"published, {settings}")
+    ax.plot(
+        comparison.rpm,
+        comparison.simulated,
+        "--",
+        color=COLOURS[1],
+        linewidth=1.6,
+        label=f"chopper drive, simulated, {settings}",
+    )
+
+
+def _draw_likely_loss(ax: Any, motor: Motor, table: PullOut) -> None:
+    """Draw the band between the least and the most core loss that a motor without a published curve is likely to have."""
+    omega, likely = table.rpm * 2 * np.pi / 60, estimate_core_loss(motor)
+    lossless = table.chopper + motor.core_loss_damping * omega
+    high, low = (np.maximum(lossless - loss * omega, 0) for loss in (likely.low, likely.high))
+    label = f"likely: core loss {likely.low:.2g} to {likely.high:.2g} N m s/rad"
+    ax.fill_between(table.rpm, low, high, color=COLOURS[1], alpha=0.25, linewidth=0, label=label)
 
 
 def plot_motors(curves: Sequence[tuple[Drive, PullOut]], path: str | None = None, overwrite: bool = False) -> Any:

@@ -1,0 +1,147 @@
+"""Pull-out curves that makers publish: the simulation beside them, fits of few values to few points, and refused curves."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stage import ArgumentError
+from stage.cli import main
+from stage.drives.dynamometer import pull_out_table
+from stage.drives.motors import MOTORS, Drive, estimate_core_loss, motor
+from stage.drives.picture import plot_pull_out
+from stage.drives.published_curves import PUBLISHED_CURVES, PublishedCurve, fit_curve
+
+CURVE = PUBLISHED_CURVES["17HS19-2004S1"]
+DATA_SHEET = replace(
+    MOTORS["17HS19-2004S1"], resistance=1.6, inductance=3.0e-3, holding_torque=0.59, core_loss_resistance=None
+)
+EVERY_SECOND, BETWEEN = CURVE.rpm[1::2], CURVE.rpm[::2]
+LINE = {"motor": "mine", "bus_voltage": 24.0, "current": 1.0, "microsteps": 8, "source": "a page", "reading": "by eye"}
+
+
+def test_the_curve_of_the_17hs19_2004s1_is_that_of_the_specification():
+    """spec/drives.md, "Losses that grow with speed", N cm."""
+    assert CURVE.rpm == tuple(range(100, 1300, 100))
+    assert np.array(CURVE.torque) * 100 == pytest.approx(
+        [41.2, 40.6, 40.6, 42.2, 40.2, 36.2, 32.4, 28.6, 25.4, 23.2, 20.0, 17.2]
+    )
+    assert (CURVE.bus_voltage, CURVE.current, CURVE.microsteps) == (24.0, 2.2, 8)
+    assert "DM320T" in CURVE.source
+    assert CURVE.reading
+
+
+@pytest.mark.parametrize("speeds", [EVERY_SECOND, BETWEEN])
+def test_two_values_fitted_to_six_points_predict_the_others_within_5_percent(speeds):
+    fit = fit_curve(DATA_SHEET, CURVE, speeds)
+    print(fit)
+    assert fit.rms_of_others < 0.05
+    assert fit.comparison.compute_rms() < 0.05
+    assert 0.53 < fit.motor.holding_torque < 0.59
+    assert 8e-4 < fit.motor.core_loss_damping < 1.1e-3
+    assert (fit.motor.resistance, fit.motor.phase_inductance) == (1.6, 3.0e-3)
+
+
+def test_without_a_core_loss_the_data_sheet_predicts_a_motor_that_is_far_too_strong():
+    comparison = CURVE.compare(DATA_SHEET)
+    assert comparison.deviation[[0, -1]] == pytest.approx([0.11, 0.72], abs=0.02)
+    assert comparison.compute_rms() == pytest.approx(0.36, abs=0.01)
+
+
+def test_a_fit_finds_the_motor_that_a_curve_was_made_of():
+    known = replace(DATA_SHEET, holding_torque=0.54, core_loss_resistance=60.0)
+    made = replace(CURVE, torque=tuple(CURVE.predict(known)))
+    fit = fit_curve(DATA_SHEET, made, [200, 500, 900, 1200])
+    assert fit.motor.holding_torque == pytest.approx(0.54, rel=0.005)
+    assert fit.motor.core_loss_damping == pytest.approx(known.core_loss_damping, rel=0.02)
+    assert fit.rms_of_others < 0.005
+
+
+def test_a_fit_may_choose_an_effective_inductance():
+    known = replace(DATA_SHEET, effective_inductance=3.9e-3)
+    made = replace(CURVE, torque=tuple(CURVE.predict(known)))
+    fit = fit_curve(DATA_SHEET, made, [700, 1000, 1200], ["effective_inductance"])
+    assert fit.motor.effective_inductance == pytest.approx(3.9e-3, rel=0.005)
+    assert fit.motor.inductance == 3.0e-3
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"rpm": (100, 200), "torque": (0.4, 0.3)},
+            "2 speeds and 2 torques; give 3 points or more, a torque at each speed.",
+        ),
+        ({"rpm": (100, 200, 300), "torque": (0.4, 0.3)}, "3 speeds and 2 torques; give 3 points or more"),
+        ({"rpm": (100, 300, 200)}, "rpm=(100, 300, 200); give speeds above 0 in rising order."),
+        ({"rpm": (100, 100, 200)}, "give speeds above 0 in rising order."),
+        ({"rpm": (0, 100, 200)}, "give speeds above 0 in rising order."),
+        ({"rpm": (100, math.nan, 200)}, "give speeds above 0 in rising order."),
+        ({"torque": (0.4, -0.1, 0.2)}, "torque=(0.4, -0.1, 0.2); give N m from 0 on."),
+        ({"torque": (0.4, math.inf, 0.2)}, "give N m from 0 on."),
+    ],
+)
+def test_a_curve_that_is_none_is_refused_in_one_sentence(change, message):
+    with pytest.raises(ArgumentError) as error:
+        PublishedCurve(**(LINE | {"rpm": (100, 200, 300), "torque": (0.4, 0.3, 0.2)} | change))
+    assert str(error.value).startswith("curve of the mine: ")
+    assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("speeds", "values", "message"),
+    [
+        ([100, 250], ["holding_torque"], "give 1 to 6 of the curve's speeds"),
+        (CURVE.rpm[:7], ["holding_torque"], "give 1 to 6 of the curve's speeds"),
+        ([100], ["holding_torque", "core_loss_resistance"], "give 2 to 6 of the curve's speeds"),
+        ([100, 200, 300], [], "a curve fixes one or two values"),
+        ([100, 200], ["holding_torque"] * 2, "a curve fixes one or two values"),
+        ([100, 200, 300], ["holding_torque", "effective_inductance", "core_loss_resistance"], "one or two values"),
+        ([100, 200], ["holding_torqe"], "Did you mean 'holding_torque'"),
+    ],
+)
+def test_a_fit_of_too_much_or_elsewhere_is_refused(speeds, values, message):
+    with pytest.raises(ArgumentError, match=message):
+        fit_curve(DATA_SHEET, CURVE, speeds, values)
+
+
+def test_the_likely_core_loss_grows_with_the_holding_torque_and_holds_that_of_the_curve():
+    small, large = (estimate_core_loss(motor(name)) for name in ("SS2422-5041", "17HS4401"))
+    assert small.low < small.middle < small.high
+    assert large == pytest.approx(np.array(small) * 0.40 / 0.186)
+    assert large == pytest.approx([2.0e-4, 3.6e-4, 6.4e-4])
+    likely = estimate_core_loss(DATA_SHEET)
+    assert likely.low < 3.1e-4 < 9.2e-4 < likely.high, "the two fits of spec/drives.md"
+
+
+# --- what stage pullout shows ---
+
+
+def test_the_picture_has_the_published_points_or_the_band_of_the_likely_loss():
+    for name, label in (
+        ("17HS19-2004S1", "published, 24 V, 2.2 A"),
+        ("17HS4401", "likely: core loss 0.0002 to 0.00064 N m s/rad"),
+    ):
+        drive = Drive(name)
+        (ax,) = plot_pull_out(drive, pull_out_table(drive, [300, 900])).axes
+        assert label in [text.get_text() for text in ax.get_legend().get_texts()]
+    published = next(
+        line for line in plot_pull_out(*both("17HS19-2004S1")).axes[0].lines if "published" in line.get_label()
+    )
+    assert published.get_ydata() == pytest.approx(np.array(CURVE.torque))
+
+
+def both(name):
+    return Drive(name), pull_out_table(Drive(name), [300, 900])
+
+
+def test_pullout_compares_with_the_published_curve(capsys, monkeypatch):
+    monkeypatch.setattr("stage.drives.dynamometer.pull_out_table", lambda drive, progress: "table")
+    assert main(["pullout", "--motor", CURVE.motor]) == 0
+    said = capsys.readouterr().out
+    assert CURVE.source in said
+    assert next(line.split()[:2] for line in said.splitlines() if "%" in line) == ["100", "0.412"]
+    assert main(["pullout", "--motor", CURVE.motor, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["published"]["published"] == list(CURVE.torque)
