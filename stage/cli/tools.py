@@ -36,14 +36,27 @@ def list_(args: argparse.Namespace) -> int:
 
 def _motors(args: argparse.Namespace) -> int:
     from stage.drives.dc_motors import DC_MOTORS
-    from stage.drives.motors import MOTORS
+    from stage.drives.motors import EVIDENCE, MOTORS
 
     tell(args, {"steppers": MOTORS, "dc": DC_MOTORS})
     for name, m in MOTORS.items():
         print(f"{name:16} stepper  {m.rated_current:g} A, holding torque {m.holding_torque:g} N m")
+        _print_evidence(m)
     for name, dc in DC_MOTORS.items():
         print(f"{name:16} DC       {dc.torque_constant * 1e3:g} mN m/A, {dc.resistance:g} ohm")
+        _print_evidence(dc)
+    print("evidence: " + ", ".join(f"{letter} {meaning}" for letter, meaning in EVIDENCE.items()))
     return 0
+
+
+def _print_evidence(motor: Any) -> None:
+    """Print each value of a motor with its unit, the letter of its evidence, and the reason."""
+    from stage.drives.motors import UNITS
+
+    for name, text in motor.evidence.items():
+        letter, _, reason = text.partition(": ")
+        value = f"{getattr(motor, name):.4g} {UNITS[name]}"
+        print(f"  {name:21}{value:16}{letter:3}{reason}".rstrip())
 
 
 def _models(args: argparse.Namespace) -> int:

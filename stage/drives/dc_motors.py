@@ -22,7 +22,7 @@ class DCMotor:
     """A brushed DC motor with permanent magnets.
 
     resistance ohm (terminals), torque_constant N m/A (the back-EMF constant in V s/rad as well), rotor_inertia kg m^2,
-    continuous_torque N m, nominal_voltage V. `evidence` says for a field where its value comes from.
+    continuous_torque N m, nominal_voltage V. `evidence` says for a field where its value comes from, as `motors.EVIDENCE` has it.
 
     Raises ArgumentError for values that no motor has.
     """
@@ -49,9 +49,9 @@ class DCMotor:
 
 
 def _pittman(name: str, torque_constant: float, motor_constant: float, inertia: float, continuous: float) -> DCMotor:
-    evidence = dict.fromkeys(("torque_constant", "rotor_inertia", "continuous_torque"), "data sheet")
-    evidence["resistance"] = "data sheet: (torque constant / motor constant)^2"
-    evidence["nominal_voltage"] = "data sheet: no-load speed times torque constant, rounded up"
+    evidence = dict.fromkeys(("torque_constant", "rotor_inertia", "continuous_torque"), "S")
+    evidence["resistance"] = "S: (torque constant / motor constant)^2"
+    evidence["nominal_voltage"] = "S: no-load speed times torque constant, rounded up"
     return DCMotor(name, (torque_constant / motor_constant) ** 2, torque_constant, inertia, continuous, 24.0, evidence)
 
 

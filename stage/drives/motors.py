@@ -1,4 +1,4 @@
-"""Motors by name, and the drive that feeds one. Values of the makers' data sheets; what they leave out is tagged."""
+"""Motors by name, and the drive that feeds one. Each value of a preset says where it comes from."""
 
 from __future__ import annotations
 
@@ -11,6 +11,14 @@ from stage.arguments import told_when_made
 from stage.drives import stepper
 from stage.errors import ArgumentError, unknown
 
+EVIDENCE = {"C": "fitted to a published pull-out curve", "S": "data sheet", "I": "inferred"}
+"""Letters that begin the evidence of a preset's value, and what they mean; after ": " comes a tolerance or a reason."""
+UNITS = {
+    "rated_current": "A", "resistance": "ohm", "inductance": "H", "holding_torque": "N m", "detent_torque": "N m",
+    "rotor_inertia": "kg m^2", "steps_per_turn": "", "core_loss_resistance": "ohm", "effective_inductance": "H",
+    "torque_constant": "N m/A", "continuous_torque": "N m", "nominal_voltage": "V",
+}  # fmt: skip
+"""Unit of each value of a stepper or DC motor."""
 MICROSTEPS = range(1, 257)
 MAX_CORE_LOSS_RESISTANCE_OHM = 1e6
 LIKELY_CORE_LOSS_S = (5e-4, 9e-4, 1.6e-3)
@@ -49,7 +57,7 @@ class Motor:
         detent_torque: Torque without current, N m.
         rotor_inertia: kg m^2.
         steps_per_turn: Full steps of a turn.
-        evidence: Source of a field's value, by the field's name: "table" (spec/drives.md, from data sheets) or "inferred: reason".
+        evidence: Source of a field's value, by the field's name: a letter of EVIDENCE and a tolerance or reason, "S: +-10 %".
         core_loss_resistance: Resistance across the back-EMF of a phase that stands for iron loss and eddy currents, ohm; None: the
             motor has no core loss.
         effective_inductance: Inductance that a published pull-out curve supports, H, used in place of `inductance`; None: there is
@@ -116,27 +124,29 @@ class Motor:
         return self.inductance if self.effective_inductance is None else self.effective_inductance
 
 
-_TABLE = dict.fromkeys(
-    ("rated_current", "resistance", "inductance", "holding_torque", "detent_torque", "rotor_inertia"), "table"
-)
-_DETENT = "inferred: about 5 % of the holding torque, as the 17HS4401 has 5.5 %; the table gives none"
+_DATA_SHEET = dict.fromkeys(
+    (
+        "rated_current", "resistance", "inductance", "holding_torque", "detent_torque", "rotor_inertia", "steps_per_turn",
+    ), "S",
+)  # fmt: skip
+_DETENT = "I: about 5 % of the holding torque, as the 17HS4401 has 5.5 %; the data sheet gives none"
 MOTORS: dict[str, Motor] = {
     m.name: m
     for m in (
-        Motor("17HS4401", 1.7, 1.5, 2.8e-3, 0.40, 0.022, 54e-7, evidence=_TABLE),
+        Motor("17HS4401", 1.7, 1.5, 2.8e-3, 0.40, 0.022, 54e-7, evidence=_DATA_SHEET),
         Motor(
-            "17HS19-2004S1", 2.0, 1.4, 3.0e-3, 0.59, 0.030, 82e-7,
-            evidence=_TABLE | {"detent_torque": _DETENT, "rotor_inertia": "table: 'about 82 g cm2'"},
+            "17HS19-2004S1", 2.0, 1.6, 3.0e-3, 0.59, 0.030, 82e-7,
+            evidence=_DATA_SHEET | {"resistance": "S: +-10 %", "inductance": "S: +-20 %", "detent_torque": _DETENT},
         ),
         Motor(
             "17HS15-1504S", 1.5, 2.3, 4.4e-3, 0.45, 0.022, 54e-7,
-            evidence=_TABLE | {
+            evidence=_DATA_SHEET | {
                 "detent_torque": _DETENT,
-                "rotor_inertia": "inferred: that of the 17HS4401, the nearest in holding torque; the table gives none",
+                "rotor_inertia": "I: that of the 17HS4401, the nearest in holding torque; the data sheet gives none",
             },
         ),
         Motor(
-            "SS2422-5041", 1.0, 5.4, 2.9e-3, 0.186, 0.009, 28e-7, evidence=_TABLE | {"detent_torque": _DETENT}
+            "SS2422-5041", 1.0, 5.4, 2.9e-3, 0.186, 0.009, 28e-7, evidence=_DATA_SHEET | {"detent_torque": _DETENT}
         ),
     )
 }  # fmt: skip

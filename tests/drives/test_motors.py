@@ -2,37 +2,70 @@
 
 import math
 import pickle
+import re
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from stage.cli import main
 from stage.drives import stepper
-from stage.drives.motors import MOTORS, Drive, Motor, motor
+from stage.drives.dc_motors import DC_MOTORS
+from stage.drives.motors import EVIDENCE, MOTORS, Drive, Motor, motor
 from stage.errors import ArgumentError
 
-TABLE = {  # spec/drives.md: I, R, L, holding, detent, rotor J, Km; None where it has a question mark
+TABLE = {  # spec/drives.md and the full data sheet of the 17HS19-2004S1: I, R, L, holding, detent, rotor J, Km; None: not given
     "17HS4401": (1.7, 1.5, 2.8e-3, 0.40, 0.022, 54e-7, 0.166),
-    "17HS19-2004S1": (2.0, 1.4, 3.0e-3, 0.59, None, 82e-7, 0.209),
+    "17HS19-2004S1": (2.0, 1.6, 3.0e-3, 0.59, None, 82e-7, 0.209),
     "17HS15-1504S": (1.5, 2.3, 4.4e-3, 0.45, None, None, 0.212),
     "SS2422-5041": (1.0, 5.4, 2.9e-3, 0.186, None, 28e-7, 0.132),
 }
 FIELDS = "rated_current resistance inductance holding_torque detent_torque rotor_inertia".split()
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "drives.md"
 
 
 @pytest.mark.parametrize("name", TABLE)
-def test_a_motor_is_that_of_the_table_and_says_which_values_are_not(name):
+def test_a_motor_is_that_of_the_data_sheet_and_says_which_values_are_not(name):
     m = motor(name)
     *values, km = TABLE[name]
     for field, value in zip(FIELDS, values, strict=True):
         if value is None:
-            assert m.evidence[field].startswith("inferred: ")
+            assert m.evidence[field].startswith("I: ")
         else:
             assert getattr(m, field) == pytest.approx(value)
-            assert m.evidence[field].startswith("table")
-    assert set(m.evidence) == set(FIELDS)
+            assert m.evidence[field].startswith("S")
     assert m.torque_constant == pytest.approx(km, abs=6e-4)
     assert m.rotor_teeth == 50
+
+
+@pytest.mark.parametrize("m", [*MOTORS.values(), *DC_MOTORS.values()], ids=lambda m: m.name)
+def test_every_number_of_every_motor_has_a_letter_of_evidence_and_an_inferred_one_a_reason(m):
+    numbers = {f.name for f in fields(m) if isinstance(getattr(m, f.name), int | float)}
+    assert set(m.evidence) == numbers
+    for text in m.evidence.values():
+        letter, _, reason = text.partition(": ")
+        assert letter in EVIDENCE
+        assert letter == "S" or reason
+
+
+def test_the_page_has_the_values_and_letters_of_the_presets():
+    scale = dict(zip(FIELDS, (1, 1, 1e3, 1, 1, 1e7), strict=True))
+    for name, m in MOTORS.items():
+        cells = re.search(rf"^\| {name} \| (.*) \|$", PAGE.read_text(), re.M)[1].split(" | ")
+        for cell, field in zip(cells, FIELDS, strict=False):
+            value, letter = cell.split()
+            assert float(value) == pytest.approx(getattr(m, field) * scale[field])
+            assert letter == m.evidence[field][0], (name, field)
+
+
+def test_list_motors_shows_each_value_with_its_letter_and_reason(capsys):
+    """stage list motors"""
+    assert main(["list", "motors"]) == 0
+    said = capsys.readouterr().out
+    for row in ("resistance           1.6 ohm         S  +-10 %", "torque_constant      0.0525 N m/A    S"):
+        assert f"\n  {row}\n" in said
+    assert said.splitlines()[-1] == "evidence: C fitted to a published pull-out curve, S data sheet, I inferred"
 
 
 def test_the_table_has_all_motors():
