@@ -94,7 +94,7 @@ def registers(args: argparse.Namespace) -> int:
 def pullout(args: argparse.Namespace) -> int:
     """Simulate and print the pull-out curve, and compare it with the published one; draw them with --plot."""
     from stage.drives.dynamometer import pull_out_table
-    from stage.drives.motors import Drive, estimate_core_loss, motor
+    from stage.drives.motors import Drive, describe_core_loss, estimate_core_loss, motor
     from stage.drives.published_curves import PUBLISHED_CURVES
 
     drive = Drive(motor(args.motor), microsteps=args.microsteps, bus_voltage=args.bus_voltage)
@@ -109,12 +109,8 @@ def pullout(args: argparse.Namespace) -> int:
         )
         print(f"\n{curve.source}, and simulated:\n{comparison}\nrms deviation {comparison.compute_rms():.1%}")
     else:
-        likely = estimate_core_loss(drive.motor)
-        tell(args, likely_core_loss=likely)
-        print(
-            f"\nNo pull-out curve of the {args.motor} is at hand: its core loss is likely {likely.low:.2g} to {likely.high:.2g} "
-            f"N m s/rad, simulated with {drive.motor.core_loss_damping:.2g}."
-        )
+        tell(args, likely_core_loss=estimate_core_loss(drive.motor))
+        print(f"\n{describe_core_loss(drive.motor)}")
     if args.plot:
         from stage.drives.picture import plot_pull_out
 

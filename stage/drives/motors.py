@@ -166,6 +166,20 @@ def estimate_core_loss(motor: Motor) -> LikelyCoreLoss:
     return LikelyCoreLoss(*(motor.holding_torque * share for share in LIKELY_CORE_LOSS_S))
 
 
+def describe_core_loss(motor: Motor) -> str:
+    """Say in one sentence how well the core loss of a motor is known."""
+    if motor.evidence.get("core_loss_resistance", "").startswith("C"):
+        return (
+            f"The core loss of the {motor.name}, {motor.core_loss_damping:.2g} N m s/rad, is fitted to its published pull-out "
+            "curve."
+        )
+    likely = estimate_core_loss(motor)
+    return (
+        f"No pull-out curve of the {motor.name} is at hand: its core loss is likely {likely.low:.2g} to {likely.high:.2g} "
+        f"N m s/rad, simulated with {motor.core_loss_damping:.2g}."
+    )
+
+
 def motor(name: str | Motor) -> Motor:
     """A preset by name, or the motor itself. Raises ArgumentError with near misses."""
     if isinstance(name, Motor):

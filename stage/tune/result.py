@@ -8,6 +8,7 @@ from math import isfinite
 from os import PathLike
 from typing import Any
 
+from stage.drives.motors import Drive, describe_core_loss
 from stage.identifiers import escape_name
 from stage.tune.c_source import c_source
 from stage.tune.looks import LOOK
@@ -105,6 +106,7 @@ class Result:
         arrived = f"arrived: {what}within {task.length(float(task.within or 0))} for {task.hold * 1e3:g} ms"
         lines = [
             f"axis {task.axis}, {chip}: {self.way()} {task.carries}, margin {task.spare:.3g} kg more; {arrived}",
+            *([describe_core_loss(axis.drive.motor)] if isinstance(axis.drive, Drive) else []),
             "",
             f"{'':9}{'arrives, mean':>15}{'worst':>11}{'too far':>11}{'spare payload':>15}  proof",
         ]

@@ -12,6 +12,7 @@ from support.mirrored import mirrored
 
 from stage import Stage
 from stage.chips import PCL240K
+from stage.drives.motors import describe_core_loss
 from stage.errors import StageError
 from stage.firmware.driver import Speeds
 from stage.tune import Task, proof, run, tune
@@ -212,6 +213,7 @@ def test_every_number_of_an_answer_is_told_in_its_place(task):
     assert lines[0] == (
         "axis x, PCL240K: 1.25 mm (400 pulses) with up to 2 kg, margin 0.6 kg more; arrived: within 50 um for 20 ms"
     )
+    assert lines.pop(1) == describe_core_loss(task.stage.axes["x"].drive.motor)
     assert (
         lines[3].split()
         == "formula nan ms nan ms 30.0 um 0.61 kg NOT proved: 3 of 4 moves lose no step with up to 2.6 kg".split()
