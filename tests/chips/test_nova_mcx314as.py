@@ -205,3 +205,21 @@ def test_its_synchronous_actions_are_not_modelled_and_each_write_says_so():
         "not modelled: no synchronous action comes",
         "not modelled: it reads 0, as no synchronous action comes",
     ]
+
+
+@pytest.mark.parametrize("ax1, ax2", [(a, b) for a in range(4) for b in range(4) if a != b])
+@pytest.mark.parametrize("ax3", range(4))
+def test_a_line_of_two_axes_does_not_look_at_the_third_of_wr5(ax1, ax2, ax3):
+    chip = ready(ax1 | ax2 << 2 | ax3 << 4)
+    put(chip, 0x06, 300, 1 << ax1)
+    put(chip, 0x06, -200, 1 << ax2)
+    command(chip, 0x30, 0)
+    chip.advance(400 * PERIOD)
+    assert [get_signed(chip, 0x10, 1 << k) for k in (ax1, ax2)] == [300, -200]
+    assert not chip.diagnostics
+
+
+def test_a_line_of_three_axes_with_one_of_them_twice_is_noted():
+    chip = ready(0 | 1 << 2 | 0 << 4)
+    command(chip, 0x31, 0)
+    assert "with 2 axes chosen: X, Y" in chip.diagnostics[-1].message

@@ -10,7 +10,7 @@ from stage.chips.chip import Chip, Pins, no_cycle
 from stage.chips.nova import core, lint, state
 from stage.chips.nova.describe import Decoder, Listener
 from stage.chips.nova.functions import encoder
-from stage.chips.nova.held import Held, HeldOfMcx312
+from stage.chips.nova.held import Held, HeldOfMcx312, HeldOfMcx314as
 from stage.chips.nova.interpolation import run as interpolation
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP, MCX314AS_MAP
 from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
@@ -286,12 +286,12 @@ class MCX314AS(Nova):
     INPUTS: ClassVar = state.INPUTS_314
     READING_ACTS: ClassVar = frozenset({3})  # RR3, the interrupt factors
 
-    def _interpolated(self) -> int:
+    def _interpolated(self, count: int = 3) -> int:
         axes = [f.of(int(self._plain["outputs5"])) for f in (AX1, AX2, AX3)]
-        return sum(1 << j for j in {*axes[:2], *(axes[2:] if len({*axes}) == 3 else ())})
+        return sum(1 << j for j in {*axes[:count]})
 
     def _held(self) -> Held:
-        return HeldOfMcx312(self._plain, self.AXES, self._interpolated)
+        return HeldOfMcx314as(self._plain, self.AXES, self._interpolated)
 
     def _configure(self, record: Any) -> None:
         super()._configure(record)

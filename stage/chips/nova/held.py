@@ -10,6 +10,7 @@ import numpy as np
 
 from stage.chips.nova import core, state
 from stage.chips.nova.interpolation import multichip
+from stage.chips.register_map import Command
 
 REFUSALS = {
     state.E_HLMT_PLUS: "LMT+ is active, drive the other way",
@@ -30,7 +31,7 @@ STOP3 = {state.F_STOP3: "STOP3 is active and enabled"}
 class Held:
     """As `lint.Held`, of a record that is there."""
 
-    def __init__(self, record: Any, axes: int, interpolated: Callable[[], int]):
+    def __init__(self, record: Any, axes: int, interpolated: Callable[..., int]):
         self._record, self._count, self._interpolated = record, axes, interpolated
 
     @cached_property
@@ -82,6 +83,10 @@ class Held:
     @property
     def interpolated(self) -> int:
         return self._interpolated()
+
+    def interpolated_by(self, command: Command) -> int:
+        """Return the axes that take part in an interpolation command, as bits."""
+        return self.interpolated
 
     def refused(self, value: int) -> dict[int, str]:
         """Tried on a twin: the axes that do not begin to drive although they have pulses to make, with what RR2 says of it."""
@@ -143,3 +148,10 @@ class HeldOfMcx312(Held):
     @property
     def finish(self) -> tuple[int, ...]:
         return tuple(p - (p >> 31 << 32) for p in super().finish)
+
+
+class HeldOfMcx314as(HeldOfMcx312):
+    """WR5 names three axes; a command of two does not look at the third."""
+
+    def interpolated_by(self, command: Command) -> int:
+        return self._interpolated(max(command.together))

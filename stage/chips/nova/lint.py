@@ -54,6 +54,10 @@ class Held(NamedTuple):
     helix_ticks: int = 0
     """HLV of the MCX514."""
 
+    def interpolated_by(self, command: Command) -> int:
+        """Return the axes that take part in an interpolation command, as bits."""
+        return self.interpolated
+
     def refused(self, value: int) -> dict[int, str]:
         """Of a drive command: axes that it does not start, and why, in words."""
         return {}
@@ -161,7 +165,7 @@ def _turned(held: Any, axes: int, value: int) -> int:
 
 
 def _interpolation(held: Any, c: Command, name: str) -> Note | None:
-    axes, where = held.interpolated, "interpolation commands"
+    axes, where = held.interpolated_by(c), "interpolation commands"
     if (count := axes.bit_count()) not in c.together:
         return f"{name} with {count} axes chosen{': ' if axes else ''}{_names(axes)}", where
     if held.role and (said := _multichip(held, c, name)):
