@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Container
 from pathlib import Path
 
 from stage.cli.facts import tell, wrote
@@ -29,9 +30,20 @@ def run(args: argparse.Namespace) -> int:
         for name, unit in saved.units.items():
             print(f"  {name:24} {unit}".rstrip())
         return 0
-    names = None if args.columns is None else [name.strip() for name in args.columns.split(",")]
+    names = None if args.columns is None else split_columns(args.columns, saved.units)
     saved.to_file(args.output, names, overwrite=args.force)
     count = len(saved.units) if names is None else len({"time", *names})
     size = Path(args.output).stat().st_size / 1e6
     wrote(args, args.output, f"{len(saved)} samples of {count} columns, {size:.1f} MB")
     return 0
+
+
+def split_columns(text: str, known: Container[str]) -> list[str]:
+    """Split at commas, but for those in the name of a known column: the axis `a,b` has the column `a,b/position`."""
+    parts, names = text.split(","), list[str]()
+    while parts:
+        joined = ((",".join(parts[:n]).strip(), n) for n in range(len(parts), 0, -1))
+        name, n = next((found for found in joined if found[0] in known), (parts[0].strip(), 1))
+        names.append(name)
+        del parts[:n]
+    return names

@@ -9,7 +9,7 @@ from typing import Any
 from stage.cli.facts import tell, warn
 from stage.cli.files import plot, recorded
 from stage.cli.progress import note, ticking
-from stage.cli.setup import distance, find_axis, make_stage, place, profile, speeds, told_of_its_end
+from stage.cli.setup import distance, find_axis, make_stage, place, profile, speeds, split_pair, told_of_its_end
 from stage.errors import ArgumentError, a_or_an
 
 
@@ -129,8 +129,8 @@ def _single(args: argparse.Namespace, run: Any) -> int:
 
 def _warn_of_tandem(args: argparse.Namespace, axis: Any, behind: Sequence[str], asked: list[str]) -> None:
     """asked: what was typed, AXIS=DISTANCE."""
-    way = next(item.partition("=")[2] for item in asked if item.startswith(f"{axis.name}="))
-    kept = [item for item in asked if item.partition("=")[0] not in behind]
+    way = next(value for name, value in map(split_pair, asked) if name == axis.name)
+    kept = [item for item in asked if split_pair(item)[0] not in behind]
     warn(
         args,
         f"axis {axis.name} drives one load with {' and '.join(behind)}, which stays behind: the load is twisted. "
@@ -146,8 +146,8 @@ def sync(args: argparse.Namespace) -> int:
     stage = make_stage(args)
     distances: dict[str, int] = {}
     for item in args.distances:
-        name, _, pulses = item.partition("=")
-        if not pulses:
+        name, pulses = split_pair(item)
+        if not (name and pulses):
             raise ArgumentError(f"{item!r}: write AXIS=PULSES or AXIS=DISTANCE, for example x=20000 or x=10mm.")
         number = told_of_its_end(args, axis := find_axis(stage, name), distance(axis, pulses))
         if name in distances:

@@ -40,8 +40,7 @@ def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
 def chips_of(text: str) -> dict[str, str]:
     """The chip of each axis, of --chips x=pcl240ms,y=mcx304. Raises ArgumentError."""
     found: dict[str, str] = {}
-    for item in text.split(","):
-        axis, _, name = map(str.strip, item.partition("="))
+    for axis, name in split_pairs(text):
         if not axis or not name:
             raise ArgumentError(
                 f"--chips {text}: write one chip for all axes, or AXIS=CHIP,AXIS=CHIP: x=pcl240ms,y=mcx304."
@@ -52,11 +51,30 @@ def chips_of(text: str) -> dict[str, str]:
     return found
 
 
+def split_pair(item: str) -> tuple[str, str]:
+    """Split AXIS=VALUE at its last =, as the name of an axis may have one and no value has. Without = the name is empty."""
+    name, _, value = item.rpartition("=")
+    return name, value
+
+
+def split_pairs(text: str) -> list[tuple[str, str]]:
+    """Split AXIS=VALUE,AXIS=VALUE; a comma before the = of a pair is one of the axis' name."""
+    pairs, name = [], ""
+    for part in text.split(","):
+        if "=" in part:
+            axis, value = split_pair(name + part)
+            pairs.append((axis.strip(), value.strip()))
+            name = ""
+        else:
+            name += f"{part},"
+    return [*pairs, ("", name)] if name else pairs
+
+
 def _encoder(item: str) -> Any:
     """The encoder that --encoder describes. Raises ArgumentError."""
     from stage.sim.encoder import Encoder
 
-    axis, _, text = item.partition("=")
+    axis, text = split_pair(item)
     number, per, turn = text.partition("/")
     try:
         counts = float(number)
@@ -73,9 +91,9 @@ def wiring_of(items: Iterable[str]) -> dict[str, dict[str, str]]:
     """The wiring that --wiring describes. Raises ArgumentError."""
     wiring: dict[str, dict[str, str]] = {}
     for item in items:
-        axis, dot, rest = item.partition(".")
-        sensor, _, logic = rest.partition("=")
-        if not (axis and dot and sensor and logic):
+        where, logic = split_pair(item)
+        axis, _, sensor = where.rpartition(".")
+        if not (axis and sensor and logic):
             raise ArgumentError(f"--wiring {item!r}: write AXIS.SENSOR=LOGIC, for example x.org=positive.")
         wiring.setdefault(axis, {})[sensor] = logic
     return wiring
@@ -94,13 +112,13 @@ def multichip_of(text: str | None) -> list[str] | None:
 def syni_of(items: Iterable[str]) -> dict[str, str]:
     """The follower -> leader pairs that --syni gives. Raises ArgumentError."""
     pairs: dict[str, str] = {}
-    for item in ",".join(items).split(",") if items else ():
-        follower, _, leader = map(str.strip, item.partition("="))
+    text = ",".join(items)
+    for follower, leader in split_pairs(text) if items else ():
         if not (follower and leader):
-            raise ArgumentError(f"--syni {item!r}: write FOLLOWER=LEADER, for example y=x, or y=x,z=x.")
+            raise ArgumentError(f"--syni {text!r}: write FOLLOWER=LEADER, for example y=x, or y=x,z=x.")
         if follower in pairs:
             raise ArgumentError(
-                f"--syni {item!r}: axis {follower} follows {pairs[follower]} already. Give a follower once."
+                f"--syni {text!r}: axis {follower} follows {pairs[follower]} already. Give a follower once."
             )
         pairs[follower] = leader
     return pairs
@@ -113,8 +131,8 @@ def make_board(args: argparse.Namespace) -> Any:
     stage = make_stage(args)
     placed = set()
     for item in args.place:
-        name, _, text = item.partition("=")
-        if not text:
+        name, text = split_pair(item)
+        if not (name and text):
             raise ArgumentError(f"--place {item!r}: write AXIS=PLACE, for example x=62mm.")
         if name in placed:
             raise ArgumentError(f"--place {item!r}: axis {name} has got a place already. Give an axis once.")

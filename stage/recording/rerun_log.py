@@ -113,16 +113,16 @@ def _about(out: Any, recording: Recording) -> None:
     name = model_name(model)
     out.send_recording_name(name)
     rows: list[str] = []
-    facts: dict[str, Any] = {}
+    facts = rr.AnyValues()  # filled one by one: an axis may be called as an argument of AnyValues
     for axis in recording.axes.values():
         chip, drive = axis.chip, getattr(axis, "drive", None)
         motor = drive.title if drive else "-"
         pulse = f"{SMALL[axis.unit].text(axis.meters_per_pulse, '.4g')} a {'count' if chip.SERVO else 'pulse'}"
         rows.append(f"| {axis.name} | {type(chip).__name__} | {chip.clock_hz:,} Hz | {motor} | {pulse} |")
-        facts[axis.name] = f"{type(chip).__name__} at {chip.clock_hz} Hz, {motor}, {pulse}"
+        facts.with_component_from_data(axis.name, f"{type(chip).__name__} at {chip.clock_hz} Hz, {motor}, {pulse}")
     of_stage = {"model": name, "samples": len(recording), "every_s": recording.every, "timestep_s": model.opt.timestep}
     out.send_property("stage", rr.AnyValues(**of_stage))
-    out.send_property("axes", rr.AnyValues(**facts))
+    out.send_property("axes", facts)
     axes = recording.axes.values()
     columns = {
         "axes": [a.name for a in axes],

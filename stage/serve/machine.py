@@ -204,11 +204,10 @@ class Machine:
 
     def _pin(self, body: bytes) -> bytes:
         text = _text("PIN", body)
-        axis, _, name = text.partition(".")
+        axis, name, of_switches = _split_place(text)
         pins: Any = self._axis(axis).pins
-        if name.startswith("switches."):
+        if of_switches:
             found = self._axis(axis).switches
-            name = name.removeprefix("switches.")
             found.row(name)  # says which there are
             return client.ANSWER.pack(getattr(found, name))
         both = {**getattr(self._axis(axis).chip, "pins", pins).as_dict(), **pins.as_dict()}
@@ -220,9 +219,9 @@ class Machine:
 
     def _stick(self, body: bytes) -> bytes:
         how = _word("STICK", body[: client.WORD.size], (client.RELEASED, client.ASSERTED, client.MENDED))
-        axis, _, name = _text("STICK", body[client.WORD.size :]).partition(".")
+        axis, name, _ = _split_place(_text("STICK", body[client.WORD.size :]))
         switches = self._axis(axis).switches
-        switches.stick(name.removeprefix("switches."), None if how == client.MENDED else how == client.ASSERTED)
+        switches.stick(name, None if how == client.MENDED else how == client.ASSERTED)
         return b""
 
     def _axis(self, name: str) -> Any:
@@ -230,6 +229,13 @@ class Machine:
         if name not in axes:
             raise ArgumentError(f"{unknown('axis', name, axes)} Write AXIS.PIN or AXIS.switches.SWITCH.")
         return axes[name]
+
+
+def _split_place(text: str) -> tuple[str, str, bool]:
+    """Split AXIS.PIN or AXIS.switches.SWITCH: axis, name and whether it is a switch. The name of an axis may have dots."""
+    axis, _, name = text.rpartition(".")
+    of_switches = axis.endswith(".switches")
+    return axis.removesuffix(".switches") if of_switches else axis, name, of_switches
 
 
 def said(error: BaseException) -> str:

@@ -340,7 +340,7 @@ class Stage:
     # --- state ---
 
     @told
-    def place(self, **positions: float) -> None:
+    def place(self, /, **positions: float) -> None:
         """Place carriages, at rest, as if moved by hand with the motors off: `stage.place(x=0.05)`, metres (rad).
 
         The drives take hold at the nearest microstep: no jump, no lost step.

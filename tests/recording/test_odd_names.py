@@ -29,6 +29,13 @@ def recording():
     return recording
 
 
+def test_a_carriage_of_any_name_is_placed():
+    stage = Stage(odd_model(), chips=PCL240K, visuals=False)
+    stage.place(**{name: 1e-4 * (k + 1) for k, name in enumerate(ODD_NAMES)})
+    for k, name in enumerate(ODD_NAMES):
+        assert stage.axes[name].position == pytest.approx(1e-4 * (k + 1))
+
+
 def expected_pulses(name):
     return 100 * (ODD_NAMES.index(name) + 1)
 

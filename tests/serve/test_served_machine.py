@@ -6,6 +6,7 @@ import json
 from types import SimpleNamespace
 
 import pytest
+from support.odd_names import odd_model
 
 from stage import Stage, StageError
 from stage.board import Board, HostError
@@ -299,3 +300,14 @@ def test_an_error_of_the_project_is_its_own_words_and_another_has_its_kind():
     assert said(StageError("so it is.")) == "so it is."
     assert said(HostError("a host did it.")) == "a host did it."
     assert said(KeyError("k")) == "KeyError: 'k'"
+
+
+def test_pins_and_switches_of_an_axis_with_dots_in_its_name_are_found():
+    stage = Stage(odd_model(("a.b", "x")), chips=PCL240K, visuals=False)
+    frames = Frames(Board(stage))
+    for place, name in ((b"a.b", "a.b"), (b"x", "x")):
+        assert frames.PIN(place + b".hold") == client.ANSWER.pack(1)
+        with pytest.raises(ArgumentError, match=f"axis {name} has no switch 'org'|unknown switch"):
+            frames.PIN(place + b".switches.org")
+    with pytest.raises(ArgumentError, match=r"unknown axis 'a'.*Write AXIS\.PIN or AXIS\.switches\.SWITCH"):
+        frames.PIN(b"a.org")

@@ -7,7 +7,8 @@ import mujoco
 from support.many_axes import rail_model
 
 ODD_NAMES = (
-    "Achse_ü", "轴", "軸", "x 1", "x_1", "x_u20_1", "$end", "time", "host", "a/b", "a.b", "../c", "1", "say \"'<b>\\",
+    "Achse_ü", "轴", "軸", "x 1", "x_1", "x_u20_1", "$end", "time", "host", "a/b", "a.b", "../c", "1", "say \"'<b>\\", "a=b", "a,b",
+    "self", "drop_untyped_nones",
 )  # fmt: skip
 
 
