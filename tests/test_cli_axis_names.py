@@ -38,7 +38,9 @@ def test_chips_followers_and_wires_are_told_apart_by_their_last_sign():
     assert wiring_of(["a.b.org=positive", "c=d.ez=negative"]) == {"a.b": {"org": "positive"}, "c=d": {"ez": "negative"}}
 
 
-@pytest.mark.parametrize("text", ["", "x", "x=", "=pcl240k", "x=pcl240k,", "x=pcl240k,y", ",", "x=pcl240k,,", "x=pcl240k,=mcx304"])
+@pytest.mark.parametrize(
+    "text", ["", "x", "x=", "=pcl240k", "x=pcl240k,", "x=pcl240k,y", ",", "x=pcl240k,,", "x=pcl240k,=mcx304"]
+)
 def test_a_pair_that_is_not_whole_is_refused(text):
     with pytest.raises(ArgumentError, match="AXIS=CHIP"):
         chips_of(text)

@@ -2,6 +2,8 @@
 
 STOPPED = "stop command"
 """What a report says has ended a move that a host has stopped before its end."""
+ANOTHER_AXIS = "another axis"
+"""What a report says has ended an axis of a line that stopped because another axis of it did."""
 UNKNOWN = "unknown"
 """What a report says has ended a run that stopped early, where neither the chip nor its journal shows a reason."""
 NOT_AS_ASKED = (

@@ -147,6 +147,10 @@ class Together:
         """Note how far the carriages are from the line."""
         self.carriages.look()
 
+    def has_arrived(self, name: str) -> bool:
+        """Return whether an axis has made all pulses of its distance."""
+        return self.watch[name].pulses_made == self.distances[name]
+
     def reports(self, stopped_by: Mapping[str, str]) -> dict[str, Report]:
         """Close the books of each axis."""
         return {n: self.watch[n].report(stopped_by[n], d) for n, d in self.distances.items()}
@@ -175,6 +179,28 @@ class Together:
             reports, plan, path_deviation(list(paths.values()), list(self.distances.values())),
             max(self._began.values()) - first, float(max(ends) - min(ends)) if ends else 0.0, self.carriages.worst, paths,
         )  # fmt: skip
+
+
+class StopTogether:
+    """Called at each poll of a line, `look` of `wait_until_stopped`: slows all axes down once one has stopped early.
+
+    Attributes:
+        stopped: Names of the axes that it has slowed down.
+    """
+
+    def __init__(self, together: Together, drivers: Mapping[str, Any]):
+        """`drivers`: by name, each with `slow_down()`."""
+        self._together, self._drivers = together, drivers
+        self.stopped: set[str] = set()
+
+    def __call__(self) -> None:
+        self._together.look()
+        running = {n for n, d in self._drivers.items() if d.chip.busy(d.axis.chip_axis)}
+        early = (n for n in self._drivers if n not in running and not self._together.has_arrived(n))
+        if running and not self.stopped and any(early):
+            for n in running:
+                self._drivers[n].slow_down()
+            self.stopped = running
 
 
 class Carriages:

@@ -350,13 +350,27 @@ def test_a_jog_onto_an_end_limit_says_so(stage):
         assert firmware.jog(x, 0.5, -0.02).stopped_by == "EL-"
 
 
-def test_a_servo_told_to_jog_on_the_home_switch_says_that_it_obeys_it():
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_servo_jogs_on_its_home_switch_and_over_it(way):
+    """After a home the axis stands on ORG, whose pin STOP ends integral velocity mode."""
     stage = Stage("xy", chips=HCTL1100, visuals=False)
     x = stage.axes["x"]
-    stage.place(x=next(s.touch for s in x.plant.switches if s.pin == "org") - 2e-3)
-    report = firmware.jog(x, 0.2, -0.02)
-    assert (report.stopped_by, report.pulses) == ("ORG", 0)
-    assert firmware.move(x, -2e-3).ok, "other modes do not mind STOP"
+    touch = next(s.touch for s in x.plant.switches if s.pin == "org")
+    for place in (touch - 2e-3, touch - way * 2e-3):
+        stage.reset()
+        stage.place(x=place)
+        report = firmware.jog(x, 0.2, way * 0.02)
+        assert report.ok
+        assert report.stopped_by == "decelerating stop"
+        assert x.position - place == pytest.approx(way * 0.2 * 0.02, abs=0.3e-3), "a ramp up and the same ramp down"
+    assert not x.chip.diagnostics
+
+
+def test_a_servo_jogs_a_table_round_past_its_home_switch():
+    stage = Stage("xya", chips=HCTL1100, visuals=False)
+    report = firmware.jog(stage.axes["a"], 2.0, 4.0)
+    assert report.ok
+    assert report.position == pytest.approx(8.0, rel=0.02), "rad, more than a turn; a speed is whole counts a sample"
 
 
 @pytest.mark.parametrize("met", NOT_AS_ASKED)

@@ -216,10 +216,10 @@ def test_rates_that_the_chip_has_not_are_refused_before_an_axis_leaves_its_limit
 
 @pytest.mark.parametrize(
     ("call", "end"),
-    [(call, end) for call in ("move", "start", "jog", "line") for end in ENDS if (call, end) != ("jog", "EL-")],
+    [(call, end) for call in ("move", "start", "jog", "line") for end in ENDS],
 )
 def test_the_limit_that_ends_a_drive_is_named_also_by_another_driver(stage, call, end):
-    """firmware.line({"x": -5e-3, "y": 5e-3}, stage) that meets EL-; driver_of(axis).stopped_by(). A jog ends at ORG, before EL-."""
+    """firmware.line({"x": -5e-3, "y": 5e-3}, stage) that meets EL-; driver_of(axis).stopped_by()."""
     x = stage.axes["x"]
     way, _ = place_on(x, end)
     stage.place(x=x.position - way * 0.8e-3)

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from support.packages import tmc5160
 
 from stage import Stage, faults, firmware
 from stage.chips import CHIPS, MCX314AS, MCX514, PCL240K, PCL240MK, PCL240MS
@@ -195,6 +196,24 @@ def test_the_axes_of_an_interpolation_that_a_limit_ends_say_which_it_was(chip):
         report = firmware.line({"x": 6e-3, "y": 2e-3}, stage)
     assert {n: r.stopped_by for n, r in report.axes.items()} == {"x": "EL+", "y": "another axis"}
     assert not any(r.ok for r in report.axes.values())
+
+
+@pytest.mark.parametrize(("limited", "other"), [("x", "y"), ("y", "x")])
+@pytest.mark.parametrize("chip", ["PCL240K", "MCX304", "MCX302", "HCTL1100", "TMC5160"])
+def test_a_limit_that_ends_one_axis_of_a_line_slows_the_others_down(chip, limited, other, monkeypatch, tmp_path):
+    """Chips that draw a line each for itself: the rest of it is not the line that was asked for."""
+    tmc5160(monkeypatch, tmp_path)
+    stage = Stage("xy", chips=chip, visuals=False)
+    edge = next(s.touch for s in stage.axes[limited].plant.switches if s.pin == "el_plus")
+    speed, accel, before = 20e-3, 0.1, 3e-3
+    stage.place(**{limited: edge - before})
+    report = firmware.line({limited: 9e-3, other: -9e-3}, stage, speed=speed, accel=accel)
+    reasons = {name: r.stopped_by for name, r in report.axes.items()}
+    assert reasons == {limited: "EL+", other: "decelerating stop" if chip == "PCL240K" else "another axis"}
+    assert not any(r.ok for r in report.axes.values())
+    stopped = before + 0.5 * speed * accel
+    assert -stage.axes[other].position == pytest.approx(stopped, abs=0.2e-3), "a ramp down from where the limit was met"
+    assert firmware.move(stage.axes[other], 1e-3).ok, "and it is at rest, and moves again"
 
 
 def test_a_home_search_that_a_host_stops_has_not_found_the_origin():

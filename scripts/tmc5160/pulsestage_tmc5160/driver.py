@@ -37,7 +37,8 @@ from stage.firmware.choices import limits
 from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, select_moving, wait_until_stopped
 from stage.firmware.lines import Asked, LineSettings
 from stage.firmware.report import Procedure, Report
-from stage.firmware.together import SynchronizedReport, Together
+from stage.firmware.stop_reasons import ANOTHER_AXIS
+from stage.firmware.together import StopTogether, SynchronizedReport, Together
 from stage.sim.program import Operations
 
 CHOPCONF = 0x100100C3
@@ -247,10 +248,14 @@ class Tmc5160Driver(Driver):
             self.put(name, value)
         self.put("RAMPMODE", PLUS if direction > 0 else MINUS)
 
+    def slow_down(self) -> None:
+        """Command a decelerating stop, and do not wait."""
+        self.put("VMAX", 0)
+
     def halt(self, at_once: bool = False) -> None:
         if at_once:  # as the data sheet has it, page 83: the polarity makes a switch
             self.put("SW_MODE", self.switches(STOPS) ^ (POL_L | POL_R))
-        self.put("VMAX", 0)
+        self.slow_down()
         wait_until_stopped([self.axis], 60.0)
         self.stay()
         self.put("SW_MODE", self.switches(STOPS))
@@ -329,14 +334,16 @@ class Tmc5160Driver(Driver):
                 mine[name].put("XTARGET", goal)
                 together.began(name)
             longest = 1.5 * float(asked.longest[0]) / speeds.drive + 6 * ramp + 1
+            look = StopTogether(together, mine)
             try:
-                wait_until_stopped(
-                    [d.axis for d in mine.values()], longest if timeout is None else timeout, look=together.look
-                )
+                wait_until_stopped([d.axis for d in mine.values()], longest if timeout is None else timeout, look=look)
             except RunTimeout as error:
                 error.reports = together.reports(dict.fromkeys(mine, "timeout"))  # type: ignore[attr-defined]
                 raise
-            ended = {n: d.explain_end(together.watch[n].pulses_made == wanted[n]) for n, d in mine.items()}
+            ended = {
+                n: ANOTHER_AXIS if n in look.stopped else d.explain_end(together.has_arrived(n))
+                for n, d in mine.items()
+            }
             for driver in mine.values():
                 driver.stay()
             next(iter(mine.values())).axis.wait(SETTLE)

@@ -6,7 +6,7 @@ when the chip stands in Init/Idle, as after power-up.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NoReturn, cast
 
 import numpy as np
@@ -26,7 +26,6 @@ from stage.firmware.hctl1100.moves import (
     load_filter,
     set_up,
     settle,
-    start_cruise,
     start_trapezoid,
     trapezoid,
     velocity_word,
@@ -36,6 +35,7 @@ from stage.firmware.hctl1100.port import CONTROL, FLAGS, IDLE, LIMIT, SET, STOP,
 from stage.firmware.hctl1100.profile import follow, synchronize
 from stage.firmware.report import Procedure, Report
 from stage.firmware.search import Search
+from stage.firmware.stop_reasons import ANOTHER_AXIS
 from stage.firmware.together import SynchronizedReport, Together
 from stage.sim.program import Operations
 
@@ -173,10 +173,13 @@ class Hctl1100Driver(Driver):
             return p.report("EZ" if index else "ORG")
 
     def run(self, direction: int, speeds: Speeds) -> None:
+        """Run by a trapezoid to the end of the 24 bits, which the home switch does not end as it would integral velocity."""
         self._linear(speeds)
         port = self._ready_for(speeds)
         self._leave_limit(direction)
-        start_cruise(port, direction * speeds.drive, speeds.drive / speeds.up)
+        final = NUMBERS["final_position"]
+        counts = (final.most if direction > 0 else final.least) - port.commanded()
+        start_trapezoid(port, counts, speeds.drive, speeds.drive / speeds.up)
 
     def hold_still(self) -> None:
         """Take position control where the chip stands in Init/Idle, so that a load does not pull the axis away.
@@ -242,7 +245,7 @@ class Hctl1100Driver(Driver):
             line.began()
             met = {n: d._blocked_by(int(np.sign(pulses[n]))) for n, d in mine.items()}
             if any(met.values()):
-                return line.report({n: limit or "decelerating stop" for n, limit in met.items()})
+                return line.report({n: limit or ANOTHER_AXIS for n, limit in met.items()})
             with line.in_time():
                 goals = [d._counts_left(pulses[n]) + d.port.commanded() for n, d in mine.items()]
             synchronize(ports)  # each holds where it is, which may be beside its command
@@ -257,12 +260,12 @@ class Hctl1100Driver(Driver):
                     raise RunTimeout(f"the line was not drawn after {timeout:g} s; the axes are held where they are.")
 
             with line.in_time():
-                follow(ports, rows, look=look)
+                drawn = _draw(ports, rows, max(round(speeds.down / ports[0].sample), 1), look)
             ports[0].axis.wait(SETTLE)
             line.look()
             ended = {}
             for (n, driver), port, goal in zip(mine.items(), ports, goals, strict=True):
-                ended[n] = driver.stopped_by() or cls.DONE
+                ended[n] = driver.stopped_by() or (cls.DONE if drawn else ANOTHER_AXIS)
                 if ended[n] == cls.DONE and abs(goal - port.position()) > DEADBAND:
                     raise RunTimeout(
                         f"axis {n} is {goal - port.position()} counts from its end of the line: slower, or another filter."
@@ -327,6 +330,36 @@ class Hctl1100Driver(Driver):
 
     def lines(self, drivers: Any, settings: Any) -> NoReturn:
         self._no("SynchronizedMove draws lines of pulses")
+
+
+class _LimitMet(Exception):
+    """One axis of a line has met an end limit."""
+
+
+def _draw(ports: list[Port], rows: np.ndarray, braking: int, look: Callable[[], None]) -> bool:
+    """Follow the rows of a line; where an end limit ends one axis, slow the others down along it in `braking` samples.
+
+    Returns whether the line was drawn to its end.
+    """
+    made = 0
+
+    def look_at_limits() -> None:
+        nonlocal made
+        made += 1
+        look()
+        if any(port.limited() for port in ports):
+            raise _LimitMet
+
+    try:
+        follow(ports, rows, look=look_at_limits)
+    except _LimitMet:
+        left = 1 - np.arange(1, braking + 1) / braking
+        times = made - 1 + 0.5 * braking * (1 - left**2)  # of the rows: one a sample at first, none at the end
+        places = np.array([np.interp(times, np.arange(len(rows)), column) for column in rows.T]).T - rows[made - 1]
+        free = [k for k, port in enumerate(ports) if not port.limited()]
+        if free:
+            follow([ports[k] for k in free], places[:, free], look=look)
+    return made == len(rows)
 
 
 def _rows(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:

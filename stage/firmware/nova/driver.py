@@ -20,8 +20,8 @@ from stage.firmware.nova.port import Port
 from stage.firmware.nova.search import HomeSearch
 from stage.firmware.report import Procedure, Report
 from stage.firmware.search import Search
-from stage.firmware.stop_reasons import NOT_AS_ASKED, UNKNOWN
-from stage.firmware.together import SynchronizedReport, Together
+from stage.firmware.stop_reasons import ANOTHER_AXIS, NOT_AS_ASKED, UNKNOWN
+from stage.firmware.together import StopTogether, SynchronizedReport, Together
 from stage.sim.program import Operations, Program
 
 Ops = TypeVar("Ops", bound=Operations)
@@ -83,6 +83,10 @@ class NovaDriver(Driver):
     def run(self, direction: int, speeds: Speeds) -> None:
         self._prepare(self._registers(speeds._replace(s_curve=False), 1))
         self.port.command(self.RUN[direction < 0])
+
+    def slow_down(self) -> None:
+        """Command a decelerating stop, and do not wait."""
+        self.port.command(self.SLOW_DOWN)
 
     def halt(self, at_once: bool = False) -> None:
         if self.port.driving():
@@ -179,15 +183,13 @@ class NovaDriver(Driver):
                     together.began(*(n for n, at in zip(mine, starts, strict=True) if at == j))
             most = float(asked.longest[0])
             longest = 1.5 * most / min(speeds.start, speeds.drive) + 6 * settings.accel + 1
+            look = StopTogether(together, {} if isinstance(made, Interpolated) else mine)  # a chip ends its own
             with together.in_time():
-                wait_until_stopped(axes, longest if timeout is None else timeout, look=together.look)
+                wait_until_stopped(axes, longest if timeout is None else timeout, look=look)
             axes[0].wait(SETTLE)
-            ended = {
-                n: d.explain_end(p.pulses_made == pulses[n], p.journal)
-                for (n, d), p in zip(mine.items(), together.watch.values(), strict=True)
-            }
+            ended = {n: d.explain_end(together.has_arrived(n), together.watch[n].journal) for n, d in mine.items()}
             if any(why in NOT_AS_ASKED and why != UNKNOWN for why in ended.values()):  # it has ended the interpolation
-                ended = {n: "another axis" if why == UNKNOWN else why for n, why in ended.items()}
+                ended = {n: ANOTHER_AXIS if why == UNKNOWN or n in look.stopped else why for n, why in ended.items()}
             return together.report(ended)
 
     # --- as operations ---
