@@ -5,6 +5,7 @@ The bytes go out at the times at which they went out on the panel: in Python to 
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -120,8 +121,8 @@ def to_pytest(panel: Panel, shared: Shared, now: int) -> str:
     asserted = ""
     stage = panel.session.stage
     for name, axis in stage.axes.items():
-        asserted += f'    assert stage.axes["{name}"].position == pytest.approx({axis.position!r}, abs=1e-6)\n'
-        asserted += f'    assert stage.axes["{name}"].lost_steps == {axis.lost_steps}\n'
+        asserted += f"    assert stage.axes[{name!r}].position == pytest.approx({axis.position!r}, abs=1e-6)\n"
+        asserted += f"    assert stage.axes[{name!r}].lost_steps == {axis.lost_steps}\n"
     for k, chip in enumerate(stage.chips):
         asserted += f"    assert [d.message for d in stage.chips[{k}].diagnostics] == {[d.message for d in chip.diagnostics]!r}\n"
     return (
@@ -140,7 +141,8 @@ def to_c(panel: Panel, shared: Shared, now: int) -> str:
         cycles = _ports(places[s.chip], s)
         lines.append(f"    at({s.ns // 1000});{''.join(f' {c};' for c in cycles)}{f' /* {words} */' if words else ''}")
     made = shared.made or {}
-    return f"""/* What was done on a panel: stage run program.c --model {made["model"]} --chips {made["chips"]} */
+    command = shlex.join(["stage", "run", "program.c", "--model", made["model"], "--chips", made["chips"]])
+    return f"""/* What was done on a panel: {command.replace("*/", "* /")} */
 #include <pulsestage.h>
 
 static void at(uint64_t us)

@@ -1,8 +1,11 @@
 """What is written down of a panel, without one: the stage of its options, each cycle at its time, in Python, in C and as a test."""
 
+import ast
+import shlex
 from types import SimpleNamespace
 
 import pytest
+from support.odd_names import ODD_NAMES, odd_model
 
 from stage import Drive, Stage
 from stage.board import Board
@@ -137,13 +140,28 @@ def test_a_test_says_where_the_axes_are_what_was_lost_and_what_was_noted():
     body = [line.strip() for line in text.partition("    play(stage)\n")[2].splitlines()]
     expected = []
     for name, axis in stage.axes.items():
-        expected.append(f'assert stage.axes["{name}"].position == pytest.approx({axis.position!r}, abs=1e-6)')
-        expected.append(f'assert stage.axes["{name}"].lost_steps == {axis.lost_steps}')
+        expected.append(f"assert stage.axes[{name!r}].position == pytest.approx({axis.position!r}, abs=1e-6)")
+        expected.append(f"assert stage.axes[{name!r}].lost_steps == {axis.lost_steps}")
     (noted,) = [d.message for d in stage.chips[1].diagnostics]
     expected += ["assert [d.message for d in stage.chips[0].diagnostics] == []",
                  f"assert [d.message for d in stage.chips[1].diagnostics] == {[noted]!r}"]  # fmt: skip
     assert body == expected
     compile(text, "test_program.py", "exec")
+
+
+def test_a_program_of_axes_of_any_name_is_python_and_c():
+    stage = Stage(odd_model((*ODD_NAMES, "b*/c")), visuals=False)
+    of = SimpleNamespace(session=SimpleNamespace(stage=stage))
+    made = MADE | {"model": "my */ model.xml", "chips": "b*/c=pcl240ms,x 1=pcl240ms"}
+    tree = ast.parse(written.to_pytest(of, shared(made=made), 5))
+    named = {
+        n.slice.value for n in ast.walk(tree) if isinstance(n, ast.Subscript) and isinstance(n.slice, ast.Constant)
+    }
+    assert named >= {*ODD_NAMES, "b*/c"}
+    first = written.to_c(of, shared(made=made), 5).splitlines()[0]
+    assert first.index("*/") == len(first) - 2, "the comment ends at its end only"
+    typed = shlex.split(first.removeprefix("/* What was done on a panel: ").removesuffix(" */"))
+    assert typed[typed.index("--chips") + 1] == "b* /c=pcl240ms,x 1=pcl240ms"
 
 
 @pytest.mark.parametrize("write", written.FORMATS.values())
