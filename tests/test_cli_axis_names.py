@@ -27,12 +27,12 @@ def test_a_line_names_axes_with_equals_signs_commas_and_dots(model, capsys):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_chip_is_given_to_an_axis_of_any_name(model, name, capsys):
+def test_an_axis_of_any_name_takes_a_chip(model, name, capsys):
     assert main(["move", name, "100", "--model", model, "--chips", f"{name}=pcl240ms", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["reports"][0]["pulses"] == 100
 
 
-def test_chips_followers_and_wires_are_told_apart_by_their_last_sign():
+def test_chips_followers_and_wires_split_at_their_last_sign():
     assert chips_of("a,b=pcl240k, c=d = mcx304,x=mcx514") == {"a,b": "pcl240k", "c=d": "mcx304", "x": "mcx514"}
     assert syni_of(["a,b=x,c=d=x", "y=x"]) == {"a,b": "x", "c=d": "x", "y": "x"}
     assert wiring_of(["a.b.org=positive", "c=d.ez=negative"]) == {"a.b": {"org": "positive"}, "c=d": {"ez": "negative"}}
@@ -41,7 +41,7 @@ def test_chips_followers_and_wires_are_told_apart_by_their_last_sign():
 @pytest.mark.parametrize(
     "text", ["", "x", "x=", "=pcl240k", "x=pcl240k,", "x=pcl240k,y", ",", "x=pcl240k,,", "x=pcl240k,=mcx304"]
 )
-def test_a_pair_that_is_not_whole_is_refused(text):
+def test_half_a_pair_is_refused(text):
     with pytest.raises(ArgumentError, match="AXIS=CHIP"):
         chips_of(text)
     with pytest.raises(ArgumentError, match="FOLLOWER=LEADER"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from collections.abc import Sequence
 from typing import Any
 
@@ -134,7 +135,7 @@ def _warn_of_tandem(args: argparse.Namespace, axis: Any, behind: Sequence[str], 
     warn(
         args,
         f"axis {axis.name} drives one load with {' and '.join(behind)}, which stays behind: the load is twisted. "
-        f"All of them: stage sync {' '.join([*kept, *(f'{name}={way}' for name in behind)])}",
+        f"All of them: {shlex.join(['stage', 'sync', *kept, *(f'{name}={way}' for name in behind)])}",
     )
 
 

@@ -128,8 +128,8 @@ def line(
         axes: where the names are: a stage, a bench, or a mapping such as stage.axes. Not needed when the keys are axes.
         speed, start_speed: m/s, of the axis with the most pulses. accel: s of its ramps.
     The PCL-240 draws it by registers in the ratio of the distances, a NOVA chip by its interpolation where it has one, else by
-    ranges in that ratio, an HCTL-1100 by command positions in each sample. When an end limit, or anything else, stops one axis early,
-    the others are slowed down and stopped: the line is lost. Raises ArgumentError where the chips cannot, with the
+    ranges in that ratio, an HCTL-1100 by command positions in each sample. When an end limit, or anything else, stops one axis
+    early, the others are slowed down and stopped: the line is lost. Raises ArgumentError where the chips cannot, with the
     reason, and where every distance is 0; RunTimeout.
     """
     patience(timeout)

@@ -209,7 +209,7 @@ def test_its_synchronous_actions_are_not_modelled_and_each_write_says_so():
 
 @pytest.mark.parametrize(("ax1", "ax2"), [(a, b) for a in range(4) for b in range(4) if a != b])
 @pytest.mark.parametrize("ax3", range(4))
-def test_a_line_of_two_axes_does_not_look_at_the_third_of_wr5(ax1, ax2, ax3):
+def test_a_line_of_two_axes_ignores_the_third_of_wr5(ax1, ax2, ax3):
     chip = ready(ax1 | ax2 << 2 | ax3 << 4)
     put(chip, 0x06, 300, 1 << ax1)
     put(chip, 0x06, -200, 1 << ax2)

@@ -334,14 +334,16 @@ class Tmc5160Driver(Driver):
                 mine[name].put("XTARGET", goal)
                 together.began(name)
             longest = 1.5 * float(asked.longest[0]) / speeds.drive + 6 * ramp + 1
-            look = StopTogether(together, mine)
+            breaker = StopTogether(together, mine)
             try:
-                wait_until_stopped([d.axis for d in mine.values()], longest if timeout is None else timeout, look=look)
+                wait_until_stopped(
+                    [d.axis for d in mine.values()], longest if timeout is None else timeout, look=breaker
+                )
             except RunTimeout as error:
                 error.reports = together.reports(dict.fromkeys(mine, "timeout"))  # type: ignore[attr-defined]
                 raise
             ended = {
-                n: ANOTHER_AXIS if n in look.stopped else d.explain_end(together.has_arrived(n))
+                n: ANOTHER_AXIS if n in breaker.stopped else d.explain_end(together.has_arrived(n))
                 for n, d in mine.items()
             }
             for driver in mine.values():

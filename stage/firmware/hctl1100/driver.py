@@ -336,30 +336,30 @@ class _LimitMet(Exception):
     """One axis of a line has met an end limit."""
 
 
-def _draw(ports: list[Port], rows: np.ndarray, braking: int, look: Callable[[], None]) -> bool:
+def _draw(ports: list[Port], rows: np.ndarray, braking: int, poll: Callable[[], None]) -> bool:
     """Follow the rows of a line; where an end limit ends one axis, slow the others down along it in `braking` samples.
 
     Returns whether the line was drawn to its end.
     """
-    made = 0
+    sample = 0
 
-    def look_at_limits() -> None:
-        nonlocal made
-        made += 1
-        look()
+    def poll_limits() -> None:
+        nonlocal sample
+        sample += 1
+        poll()
         if any(port.limited() for port in ports):
             raise _LimitMet
 
     try:
-        follow(ports, rows, look=look_at_limits)
+        follow(ports, rows, look=poll_limits)
     except _LimitMet:
         left = 1 - np.arange(1, braking + 1) / braking
-        times = made - 1 + 0.5 * braking * (1 - left**2)  # of the rows: one a sample at first, none at the end
-        places = np.array([np.interp(times, np.arange(len(rows)), column) for column in rows.T]).T - rows[made - 1]
+        times = sample - 1 + 0.5 * braking * (1 - left**2)  # of the rows: one a sample at first, none at the end
+        places = np.array([np.interp(times, np.arange(len(rows)), column) for column in rows.T]).T - rows[sample - 1]
         free = [k for k, port in enumerate(ports) if not port.limited()]
         if free:
-            follow([ports[k] for k in free], places[:, free], look=look)
-    return made == len(rows)
+            follow([ports[k] for k in free], places[:, free], look=poll)
+    return sample == len(rows)
 
 
 def _rows(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:

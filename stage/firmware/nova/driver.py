@@ -183,13 +183,13 @@ class NovaDriver(Driver):
                     together.began(*(n for n, at in zip(mine, starts, strict=True) if at == j))
             most = float(asked.longest[0])
             longest = 1.5 * most / min(speeds.start, speeds.drive) + 6 * settings.accel + 1
-            look = StopTogether(together, {} if isinstance(made, Interpolated) else mine)  # a chip ends its own
+            breaker = StopTogether(together, {} if isinstance(made, Interpolated) else mine)  # a chip ends its own
             with together.in_time():
-                wait_until_stopped(axes, longest if timeout is None else timeout, look=look)
+                wait_until_stopped(axes, longest if timeout is None else timeout, look=breaker)
             axes[0].wait(SETTLE)
             ended = {n: d.explain_end(together.has_arrived(n), together.watch[n].journal) for n, d in mine.items()}
             if any(why in NOT_AS_ASKED and why != UNKNOWN for why in ended.values()):  # it has ended the interpolation
-                ended = {n: ANOTHER_AXIS if why == UNKNOWN or n in look.stopped else why for n, why in ended.items()}
+                ended = {n: ANOTHER_AXIS if why == UNKNOWN or n in breaker.stopped else why for n, why in ended.items()}
             return together.report(ended)
 
     # --- as operations ---
