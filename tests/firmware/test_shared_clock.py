@@ -12,6 +12,7 @@ from stage.chips import PCL240K, PCL240MS
 from stage.cli import main
 from stage.firmware import Bench, Profile, plan
 from stage.firmware.pcl240 import bus
+from stage.firmware.pcl240.clock import explain_silence
 
 HZ = 4_915_200
 GOOD = 2.0  # pulses from the line
@@ -173,3 +174,22 @@ def test_what_the_refusal_of_a_dual_rate_asks_for_can_be_given():
     assert "give more, dwell less, or ask for fewer rates" in err
     assert run("dual-rate", "x", "8000", "--dwell", "0.01")[0] == 0
     assert run("dual-rate", "x", "4000", "--rates", "FH1")[0] == 0
+
+
+@pytest.mark.parametrize(("pulses", "is_possible"), [(400, True), (310, True), (290, False)])
+def test_a_follower_runs_at_one_step_of_the_multiplier_that_it_hears_and_not_slower(pulses, is_possible):
+    """CLOCK / (8192 R7) is 300 pps with R7 = 2; of 16,000 pulses at 16,000 pps y has as many pps as pulses."""
+    if is_possible:
+        made = plan({"x": 16_000, "y": pulses}, multipliers={"y": 2})
+        assert made.axes["y"].registers["R7"] == 2
+    else:
+        with pytest.raises(ArgumentError, match="with R7 = 2, which it hears at SYNI, it makes 300 to"):
+            plan({"x": 16_000, "y": pulses}, multipliers={"y": 2})
+
+
+def test_the_own_multiplier_of_a_follower_does_not_silence_it():
+    y = follow({"y": "x"}).axes["y"]
+    load(y.stage.axes["x"], R7=60)
+    assert explain_silence(y) == ""
+    load(y.stage.axes["x"], R7=1)
+    assert "the clock of axis x (SYNI), whose R7 is 1" in explain_silence(y)

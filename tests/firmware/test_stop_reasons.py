@@ -8,7 +8,7 @@ from support.packages import tmc5160
 from stage import Stage, faults, firmware
 from stage.chips import CHIPS, MCX314AS, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, Profile
-from stage.firmware.driver import Speeds, driver_of
+from stage.firmware.driver import Speeds, driver_class, driver_of
 from stage.firmware.nova.port import Port
 from stage.firmware.pcl240 import bus
 
@@ -214,6 +214,24 @@ def test_a_limit_that_ends_one_axis_of_a_line_slows_the_others_down(chip, limite
     stopped = before + 0.5 * speed * accel
     assert -stage.axes[other].position == pytest.approx(stopped, abs=0.2e-3), "a ramp down from where the limit was met"
     assert firmware.move(stage.axes[other], 1e-3).ok, "and it is at rest, and moves again"
+
+
+@pytest.mark.parametrize("chip", ["MCX304", "TMC5160"])
+def test_each_axis_of_a_broken_line_is_told_once_to_slow_down(chip, monkeypatch, tmp_path):
+    """Three axes that come to rest one after the other: all of them say what has ended them."""
+    tmc5160(monkeypatch, tmp_path)
+    stage = Stage("xyz", chips=chip, visuals=False)
+    told, slow_down = [], driver_class(type(stage.axes["x"].chip)).slow_down
+    monkeypatch.setattr(
+        driver_class(type(stage.axes["x"].chip)),
+        "slow_down",
+        lambda driver: (told.append(driver.axis.name), slow_down(driver)),
+    )
+    edge = next(s.touch for s in stage.axes["x"].plant.switches if s.pin == "el_plus")
+    stage.place(x=edge - 3e-3)
+    report = firmware.line({"x": 9e-3, "y": 9e-3, "z": 0.1e-3}, stage, speed=20e-3, accel=0.3)
+    assert sorted(told) == ["y", "z"]
+    assert {n: r.stopped_by for n, r in report.axes.items()} == {"x": "EL+", "y": "another axis", "z": "another axis"}
 
 
 def test_a_home_search_that_a_host_stops_has_not_found_the_origin():

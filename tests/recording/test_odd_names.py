@@ -54,7 +54,14 @@ def test_a_name_that_is_a_word_stays_as_it_is(name):
 
 @pytest.mark.parametrize(
     ("name", "word"),
-    [("my x/1", "my_u20_x_u2f_1"), ("größe", "gr_uf6__udf_e"), ("1", "_u31_"), ("x_u20_1", "x_u5f_u20_1"), ("", "")],
+    [
+        ("my x/1", "my_u20_x_u2f_1"),
+        ("größe", "gr_uf6__udf_e"),
+        ("1", "_u31_"),
+        ("x_u20_1", "x_u5f_u20_1"),
+        ("", ""),
+        ("a_u2ü", "a_u5f_u2_ufc_"),
+    ],  # an escape that follows would end what looks like one
 )
 def test_what_a_word_cannot_hold_is_its_code_point(name, word):
     assert escape_name(name) == word
