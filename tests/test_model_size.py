@@ -1,6 +1,7 @@
 """Models that expand beyond bounds are refused before MuJoCo reads them; those within, and any that a person writes, are read."""
 
 import os
+import struct
 import time
 
 import pytest
@@ -37,6 +38,32 @@ TOO_LARGE = {
         "10,000,000,000 pixels",
     ),
     "keyframes": ('<size nkey="2000000"/>', "2,000,000 nkey at its <size>"),
+    "points of a chain": (
+        f'<worldbody><body><composite type="cable" vertex="{"0 0 0 " * 1001}"><geom size=".01"/></composite></body></worldbody>',
+        "1,001 bodies at its <composite>",
+    ),
+    "height fields together": (
+        "<asset>" + '<hfield nrow="4000" ncol="4000" size="1 1 1 1"/>' * 5 + "</asset>",
+        "80,000,000 samples",
+    ),
+    "textures together": (
+        "<asset>" + '<texture builtin="flat" width="4000" height="4000"/>' * 5 + "</asset>",
+        "80,000,000 pixels",
+    ),
+    "channels": ('<asset><texture builtin="flat" width="4000" height="4000" nchannel="1000"/></asset>', "pixels"),
+    "made mesh": ('<asset><mesh builtin="supertorus" params="100000 1 1 1"/></asset>', "100,000 segments a side"),
+    "sensors": ('<sensor><user dim="100000000"/></sensor>', "100,000,000 readings at its <user>"),
+    "sensors together": ("<sensor>" + '<user dim="500000"/>' * 3 + "</sensor>", "1,500,000 readings at its <user>"),
+    "contacts": ('<sensor><contact num="2000000000"/></sensor>', "2,000,000,000 readings"),
+    "delays": ('<actuator><motor nsample="10000000"/></actuator>', "10,000,000 readings"),
+    "user data together": (
+        '<size nuser_geom="100000"/><worldbody><replicate count="10000"><geom size=".1"/></replicate></worldbody>',
+        "1,000,400,000 numbers of user data",
+    ),
+    "elements of the file": (
+        "<worldbody>" + "<site/>" * 30_000 + "</worldbody>",
+        "more than 20,000 elements, at its <site>",
+    ),
     "user data of geoms": ('<size nuser_geom="200000000"/>', "200,000,000 nuser_geom"),
 }
 
@@ -122,3 +149,60 @@ def test_dashes_in_comments_and_bytes_that_are_not_utf_8_are_read_as_mujoco_read
         b'<?xml version="1.0"?>\n<!-- ---- Gr\xfc\xdfe -- ---- -->\n<mujoco><!-- -- -->' + body + b"</mujoco>"
     )
     assert len(list(open_spec(path).geoms)) == 1
+
+
+HIDDEN = {
+    "a document type that MuJoCo ends before its comment does": (
+        "<!DOCTYPE m [ <!-- ]><mujoco>{bomb}</mujoco><!-- --> ]><mujoco/>",
+    ),
+    "a name": ('<mujoco><worldbody><site name="<!--"/></worldbody>{bomb}<!-- --></mujoco>',),
+    "a section of text": ("<mujoco><![CDATA[<!--]]>{bomb}<!-- --></mujoco>",),
+    "an unknown declaration": ("<mujoco><!a <!-- >{bomb}<!-- --></mujoco>",),
+    "an instruction before the model": ("<?x <!-- ?><mujoco>{bomb}<!-- --></mujoco>",),
+}
+
+
+@pytest.mark.parametrize("where", HIDDEN)
+def test_no_comment_hides_elements_that_mujoco_reads(where, tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text(HIDDEN[where][0].format(bomb=NESTED))
+    with pytest.raises(ModelError, match=r"1,001,00. elements|not well-formed"):
+        check_model_size(path)
+
+
+def test_texts_that_only_mujoco_takes_are_read_as_it_reads_them(tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_bytes(
+        b'<!DOCTYPE m [<!ENTITY n "2">]><mujoco model="a & b &n;"><worldbody><site name="\x01"/></worldbody></mujoco>\0'
+    )
+    assert open_spec(path).modelname == "a & b &n;"
+
+
+def test_a_picture_in_a_file_counts_by_its_header(tmp_path):
+    (tmp_path / "bomb.png").write_bytes(
+        b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + struct.pack(">II", 20_000, 20_000) + b"\0" * 20
+    )
+    for element in (
+        '<texture name="t" type="2d" file="bomb.png"/>',
+        '<hfield name="h" file="bomb.png" size="1 1 1 1"/>',
+    ):
+        with pytest.raises(ModelError, match=r"400,000,00\d "):
+            check_model_size(write_model(tmp_path, f"<asset>{element}</asset>"))
+
+
+def test_a_file_of_points_that_become_bodies_is_bounded(tmp_path):
+    (tmp_path / "points.obj").write_bytes(b"v 0 0 0\n" * 300_000)
+    element = '<worldbody><flexcomp name="f" type="mesh" file="points.obj" dim="2"/></worldbody>'
+    with pytest.raises(
+        ModelError, match=r"points.obj has 2,400,000 bytes, and a file of a model has at most 2,097,152"
+    ):
+        check_model_size(write_model(tmp_path, element))
+
+
+def test_what_mujoco_did_not_foresee_is_a_model_error(monkeypatch, tmp_path):
+    def fail(*_):
+        raise RuntimeError("Caught an unknown exception!")
+
+    monkeypatch.setattr("mujoco.MjSpec.from_file", fail)
+    with pytest.raises(ModelError, match="Caught an unknown exception"):
+        open_spec(write_model(tmp_path, ""))

@@ -44,7 +44,10 @@ def open_spec(source: Any) -> Any:
     check_model_size(path)
     try:
         return mujoco.MjSpec.from_file(str(path))
-    except ValueError as error:
+    except (
+        ValueError,
+        RuntimeError,
+    ) as error:  # a RuntimeError is what MuJoCo itself did not foresee, as want of memory
         raise ModelError(f"{path} is no MJCF that MuJoCo reads: {error}") from error
 
 
@@ -173,7 +176,7 @@ def compile_spec(source: Any, words: int) -> tuple[mujoco.MjModel, int]:
 def _compile(spec: Any) -> Any:
     try:
         return spec.compile()
-    except ValueError as error:
+    except (ValueError, RuntimeError) as error:
         if spec.compiler.discardvisual:  # the inertia of an attached part may hang on what would go
             spec.compiler.discardvisual = False
             return _compile(spec)
