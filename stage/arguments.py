@@ -20,7 +20,7 @@ from stage.errors import ArgumentError, near_names
 Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
 Made = TypeVar("Made")
-RAW = (TypeError, ValueError, AttributeError, KeyError, IndexError, OverflowError)
+RAW = (TypeError, ValueError, AttributeError, KeyError, IndexError, ArithmeticError)
 
 
 class WrongType(ArgumentError, TypeError):

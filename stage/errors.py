@@ -113,6 +113,6 @@ _SPOKEN_WITH_A_VOWEL = frozenset("8AEFHILMNORSX")
 
 def a_or_an(name: str) -> str:
     """With its article: "an MCX304", "a PCL240K", "an ACME1000". What has no vowel is read letter by letter."""
-    first, is_word = name[:1].upper(), any(letter in "AEIOU" for letter in name.upper())
+    first, is_word = name[:1].upper(), any(letter in "AEIOU" for letter in name.partition(" ")[0].upper())
     vowel = first in "AEIOU8" if is_word else first in _SPOKEN_WITH_A_VOWEL
     return f"{'an' if vowel else 'a'} {name}"

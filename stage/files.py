@@ -54,13 +54,27 @@ def readable(path: Any, what: str, error: type[StageError] = FileError) -> Path:
         raise error(f"{path} cannot be read: {getattr(why, 'strerror', None) or why}.") from why
     if stat.S_ISDIR(there.st_mode):
         raise error(f"{path} is a folder. Name a file in it.")
-    if not stat.S_ISREG(there.st_mode):
-        raise error(f"{path} is {_kind_in_words(there.st_mode)}, and no {what}. Name a regular file.")
+    refuse_irregular(path, what, error)
     if not os.access(path, os.R_OK):
         raise error(f"{path} cannot be read: no permission. `ls -l` says who may.")
     if not there.st_size:
         raise error(f"{path} is empty, and no {what}.")
     return path
+
+
+def refuse_irregular(path: Path, what: str, error: type[StageError] = FileError) -> None:
+    """Raise `error` where a device, a pipe, a socket or a circle of links stands at `path`; what: should be there.
+
+    For readers that say in their own words what to do about a missing file or a folder.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except (OSError, ValueError) as why:
+        raise error(f"{path} cannot be read: {getattr(why, 'strerror', None) or why}.") from why
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+        raise error(f"{path} is {_kind_in_words(mode)}, and no {what}. Name a regular file.")
 
 
 def writable(

@@ -84,13 +84,18 @@ def parse_json(text: str | bytes, parse_constant: Callable[[str], Any] | None = 
     """Return what a JSON document says.
 
     Args:
-        text: the document; who calls bounds its length.
+        text: the document, bytes in UTF-8; who calls bounds its length.
         parse_constant: is called for NaN, Infinity and -Infinity, as that of `json.loads`; default: they are floats.
 
     Raises:
         DocumentError: It is no JSON, is nested deeper than 64 levels, or has an integer of more than 256 bits.
     """
-    return _parsed(lambda: json.loads(text, parse_constant=parse_constant))
+
+    def parse() -> Any:
+        document = text if isinstance(text, str) else text.decode("utf-8-sig")
+        return json.loads(document, parse_constant=parse_constant)
+
+    return _parsed(parse)
 
 
 def parse_toml(text: str) -> dict[str, Any]:

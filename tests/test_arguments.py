@@ -2,6 +2,7 @@
 
 import math
 from contextlib import suppress
+from decimal import Decimal
 
 import pytest
 
@@ -22,7 +23,24 @@ from stage.testing import (
 )
 from stage.tune import Task, tune
 
-WRONG = ("1", None, math.nan, math.inf, -1, -1.5, [], {}, object(), b"x", "nosuch", 3.5, True, ["q"], {"q": 1})
+WRONG = (
+    "1",
+    None,
+    math.nan,
+    math.inf,
+    -1,
+    -1.5,
+    [],
+    {},
+    object(),
+    b"x",
+    "nosuch",
+    3.5,
+    True,
+    ["q"],
+    {"q": 1},
+    Decimal("NaN"),
+)
 
 
 @pytest.fixture(scope="module")

@@ -19,12 +19,14 @@ from stage.agents.arena import play, save, suite
 from stage.agents.arena import read as read_transcript
 from stage.bench import files as entries
 from stage.bench.players import Recorded
-from stage.board import layout_files
+from stage.board import layout_files, library
+from stage.board.devices.own import CDevice
 from stage.chips.chip import Snapshot as ChipSnapshot
+from stage.cli import main
 from stage.errors import ArgumentError, StageError
 from stage.foreign_files import DocumentError, parse_json, parse_toml, read_bytes, read_members
 from stage.panel import share
-from stage.recording import RecordingError, read, rrd_process
+from stage.recording import RecordingError, read, rrd_process, viewer
 from stage.targets.elf import ARM, Elf
 
 TOML = b"""chip = "PCL240K"
@@ -325,3 +327,44 @@ def test_a_file_that_grows_while_it_is_read_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fstat", lambda file: SimpleNamespace(st_mode=os.stat(path).st_mode, st_size=5))
     with pytest.raises(StageError, match="grown beyond 5 bytes"):
         read_bytes(path, "log", 5)
+
+
+READERS = {
+    "a library": library.check,
+    "a source": library.build,
+    "a device": CDevice,
+    "a program of a Cortex-M": lambda path: Elf(path, ARM, "cortex-m3", "arm-none-eabi-gcc"),
+    "a recording to look at": lambda path: viewer.serve_web(path, port=0),
+}
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_who_misses_a_file_does_not_say_so_of_a_pipe_a_device_or_a_circle_of_links(reader, tmp_path):
+    os.mkfifo(tmp_path / "pipe.c")
+    (tmp_path / "link.c").symlink_to("link.c")
+    (tmp_path / "zero.c").symlink_to("/dev/zero")
+    for name, words in (
+        ("pipe.c", r"pipe\.c is a pipe, and no \w+\. Name a regular file\."),
+        ("zero.c", r"zero\.c is a device, and no \w+\. Name a regular file\."),
+        ("link.c", r"link\.c cannot be read: Too many levels of symbolic links\."),
+    ):
+        with pytest.raises(StageError, match=words):
+            READERS[reader](tmp_path / name)
+
+
+def test_json_in_bytes_is_utf_8():
+    assert parse_json(b'\xef\xbb\xbf{"caf\xc3\xa9": 1}') == {"caf\u00e9": 1}
+    with pytest.raises(DocumentError, match="'utf-8' codec can't decode byte 0x80 in position 4"):
+        parse_json(b"\x04\0\0\0\x80")
+
+
+def test_an_empty_name_of_a_panels_file_is_refused(capsys):
+    assert main(["panel", "--no-browser", "--port", "0", "--open", ""]) == 2
+    assert "is a folder" in capsys.readouterr().err
+
+
+def test_the_article_of_what_a_file_should_be_goes_by_its_first_word(tmp_path):
+    with (tmp_path / "m.xml").open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(StageError, match="and an MJCF file has at most"):
+        Stage(tmp_path / "m.xml")

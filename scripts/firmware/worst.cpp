@@ -41,6 +41,11 @@ static void *reads(void *)
         ps_in8(0x300);
 }
 
+static void *returns_null(void *)
+{
+    return nullptr;
+}
+
 static void *computes(void *)
 {
     for (;;)
@@ -120,6 +125,23 @@ static int does(const char *what)
     if (is("daemon") && !fork())
         for (;;)
             pause();
+    if (is("child")) {
+        pid_t child = fork();
+        if (!child) {
+            pthread_t other;
+            usleep(1000);
+            pthread_create(&other, nullptr, returns_null, nullptr);
+            pthread_join(other, nullptr);
+            exit(0);
+        }
+        int status = 0;
+        waitpid(child, &status, 0);
+        return status;
+    }
+    if (is("cut"))
+        for (int k = 3; k < 1024; k++)
+            if (ftruncate(k, 0) < 0)
+                zero = 0;
     if (is("exec"))
         execl("/bin/true", "true", static_cast<char *>(nullptr));
     if (is("close")) {

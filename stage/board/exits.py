@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import ctypes
 import mmap
+import os
 import sys
 from collections.abc import Callable, Container, Iterator, Mapping
 from threading import get_ident
@@ -21,8 +22,11 @@ import numpy as np
 
 HERE = sys.platform == "linux" and sys.maxsize > 1 << 32  # 64-bit ELF; elsewhere only isolated=True helps
 
-leavers: dict[int, Callable[[str], None]] = {}
-"""By the thread that firmware runs in: what is called there in place of a call that would end the process; it does not return."""
+Runner = tuple[int, int]
+"""The process and the thread that firmware runs in: a process that it forks has its thread's number, and is none of it."""
+
+leavers: dict[Runner, Callable[[str], None]] = {}
+"""By the runner of the firmware: what is called there in place of a call that would end the process; it does not return."""
 
 _CALL = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 _RELOCATION = np.dtype([("offset", "u8"), ("info", "u8"), ("addend", "i8")])
@@ -53,8 +57,8 @@ _NAMED: dict[str, Callable[..., str]] = {
 """What the call is in words, by its arguments."""
 
 
-sleepers: dict[int, Callable[[str], None]] = {}
-"""By the thread that firmware runs in: what is called there with the call by which it is about to sleep in real time."""
+sleepers: dict[Runner, Callable[[str], None]] = {}
+"""By the runner of the firmware: what is called there with the call by which it is about to sleep in real time."""
 
 _SLEEP = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 5)
 _SLEEPS: dict[str, Callable[..., str]] = {
@@ -66,14 +70,19 @@ _SLEEPS: dict[str, Callable[..., str]] = {
 }
 """What the call is in words, by its arguments; "" where it waits for something else than time."""
 
-creators: dict[int, Callable[[], None]] = {}
-"""By the thread that firmware runs in: what is called there after it has begun another thread."""
+creators: dict[Runner, Callable[[], None]] = {}
+"""By the runner of the firmware: what is called there after it has begun another thread."""
 
 _CREATES = frozenset({"pthread_create", "thrd_create"})
 
 ALL = frozenset(_NAMED)
 OF_THREADS = frozenset({"pthread_exit", "thrd_exit"})
 """What ends the thread of the caller and not its process."""
+
+
+def identify_runner() -> Runner:
+    """Return by what `leavers`, `sleepers` and `creators` know the calling thread."""
+    return os.getpid(), get_ident()
 
 
 def interpose(handle: int, taken: frozenset[str] = ALL) -> None:
@@ -95,9 +104,9 @@ def replace_calls(handle: int, functions: Mapping[str, int]) -> None:
 
 def _taken(name: str) -> Any:
     def call(*given: int) -> None:
-        leave = leavers.get(get_ident()) or next(
-            reversed(list(leavers.values())), None
-        )  # else it is a thread of the firmware's own
+        process, thread = identify_runner()
+        here = {runner[1]: leaver for runner, leaver in list(leavers.items()) if runner[0] == process}
+        leave = here.get(thread) or next(reversed(here.values()), None)  # else it is a thread of the firmware's own
         if leave is not None:
             leave(_NAMED[name](*given))
         else:
@@ -113,11 +122,12 @@ def _report_call(name: str) -> Any:
     """Make a function that calls the one of this name of the system; a sleeper is told before, a creator afterwards."""
 
     def call(*given: int) -> int:
-        report = sleepers.get(get_ident())
+        runner = identify_runner()
+        report = sleepers.get(runner)
         if report is not None and name in _SLEEPS and (words := _SLEEPS[name](*given)):
             report(words)
         answer = int(getattr(ctypes.CDLL(None), name)(*map(ctypes.c_int64, given)))
-        if name in _CREATES and (created := creators.get(get_ident())):
+        if name in _CREATES and (created := creators.get(runner)):
             created()
         return answer
 

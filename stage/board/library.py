@@ -23,7 +23,7 @@ from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCo
 from stage.board.handlers import Handlers
 from stage.board.scratch import Scratch
 from stage.errors import ArgumentError, escape
-from stage.files import FileError
+from stage.files import FileError, refuse_irregular
 from stage.processes import run_program
 
 ABI = 1
@@ -129,6 +129,7 @@ def build(
     if not files:
         raise ArgumentError("nothing to build: give at least one source.")
     for file in files:
+        refuse_irregular(file, "source")
         if not file.is_file():
             raise FileError(f"{file}: there is no such source.")
     if output is not None and Path(output).suffix in (*SOURCES, ".h", ".hpp", ".o"):
@@ -295,6 +296,7 @@ def check(path: str | os.PathLike) -> Path:
     file = Path(path)
     if file.is_dir():
         raise FileError(f"{file} is a folder. Name a library, or the sources of one: {how_to_build()}")
+    refuse_irregular(file, "library")
     if not file.is_file():
         raise FileError(f"{file}: there is no such library. Build it: {how_to_build(file)}")
     with file.open("rb") as f:

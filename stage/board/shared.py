@@ -6,6 +6,7 @@ from time to time the whole state of its stage. A message says how much there is
 
 from __future__ import annotations
 
+import ctypes
 import mmap
 import os
 import struct
@@ -134,6 +135,27 @@ def _within(rows: np.ndarray, **bounds: tuple[int, int]) -> bool:
     return not len(rows) or all(low <= rows[n].min() and rows[n].max() <= high for n, (low, high) in bounds.items())
 
 
+def _map_for_firmware(path: str | Path, size: int) -> np.ndarray:
+    """Map the file for as long as this process lives, and keep no file descriptor: firmware could cut the file by it.
+
+    A process that has mapped more than a file holds ends with SIGBUS where it reads beyond, and the parent maps it, too.
+    """
+    map_file = ctypes.CDLL(None, use_errno=True).mmap
+    map_file.restype = ctypes.c_void_p
+    with open(path, "r+b") as file:
+        address = map_file(
+            None,
+            ctypes.c_size_t(size),
+            mmap.PROT_READ | mmap.PROT_WRITE,
+            mmap.MAP_SHARED,
+            file.fileno(),
+            ctypes.c_long(0),
+        )
+    if address is None or address == ctypes.c_void_p(-1).value:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), str(path))
+    return np.frombuffer((ctypes.c_uint8 * size).from_address(address), np.uint8)
+
+
 class Shared:
     """The file. Both sides make it of boards that are alike.
 
@@ -154,7 +176,9 @@ class Shared:
         places = np.cumsum([0, *(-(-n // _ALIGNED) * _ALIGNED + _GUARD for n in lengths)]).tolist()
         if create:
             _make(Path(path), places[-1])
-        self._map = np.memmap(path, np.uint8, "r+", shape=(places[-1],))
+        self._map = (
+            np.memmap(path, np.uint8, "r+", shape=(places[-1],)) if create else _map_for_firmware(path, places[-1])
+        )
         (
             self.record,
             self.edges,
@@ -188,7 +212,8 @@ class Shared:
     def not_for_forks(self) -> None:
         """A process that this one forks does not have the memory: it would change what it shares with nobody's knowledge."""
         if hasattr(mmap, "MADV_DONTFORK"):
-            self._map._mmap.madvise(mmap.MADV_DONTFORK)  # type: ignore[attr-defined]
+            address, size = ctypes.c_void_p(self._map.ctypes.data), ctypes.c_size_t(self._map.nbytes)
+            ctypes.CDLL(None).madvise(address, size, mmap.MADV_DONTFORK)
 
     # --- whether it is whole ---
 

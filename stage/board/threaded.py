@@ -136,7 +136,9 @@ class Threaded:
         if self._may_exit and crash.HERE:
             crash.OwnStack()
         me = threading.get_ident()
-        exits.leavers[me], exits.sleepers[me], exits.creators[me] = self._leave, self._note_sleep, self._wait_for_thread
+        runner = exits.identify_runner()
+        exits.leavers[runner], exits.sleepers[runner] = self._leave, self._note_sleep
+        exits.creators[runner] = self._wait_for_thread
         self._board.link.firmware_thread, self._board.link.has_other_threads = me, False
         code, failed, board, others = 0, None, self._board, native_threads()
         top = bus.here.c()
@@ -151,7 +153,7 @@ class Threaded:
         _reset_float_environment()
         if self._may_exit:
             handlers.keep_timers_away()
-        del exits.leavers[me], exits.sleepers[me], exits.creators[me]
+        del exits.leavers[runner], exits.sleepers[runner], exits.creators[runner]
         if threading.current_thread() in board.link.abandoned:
             return
         board.link.record["lazy"] = 0

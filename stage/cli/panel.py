@@ -15,7 +15,7 @@ def run(args: argparse.Namespace) -> int:
     from stage.panel.server import Panel
     from stage.panel.session import Session
 
-    shared = share.read(args.open) if args.open else None
+    shared = share.read(args.open) if args.open is not None else None
     if shared is not None and shared.made is not None:
         args = argparse.Namespace(**vars(args) | shared.made)
 

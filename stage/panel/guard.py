@@ -28,8 +28,12 @@ HERE_ONLY = "; ".join(
 MALFORMED = logging.getLogger("stage.panel.malformed")
 TAKES_MESSAGE = "AsyncServer._handle_event"
 """How the coroutine of socketio begins that gives a message to its handler."""
+TAKES_BYTES = "protocol.data_received()"
+"""What asyncio names where a server fails on the bytes of a connection."""
 LOGGERS = ("engineio.server", "socketio.server", MALFORMED.name)
 """Loggers of those that take messages of browsers apart, before anything of the panel sees them."""
+SERVER_LOGGER = "uvicorn.error"
+"""Logger of the server, which takes a socket's texts from their encoding, and reports failures of its own as well."""
 
 
 class OnlyFirst(logging.Filter):
@@ -58,11 +62,25 @@ def report_malformed_messages_once() -> None:
     for name in LOGGERS:
         logging.getLogger(name).addFilter(first)
 
+    def is_own(record: logging.LogRecord) -> bool:
+        is_malformed = bool(record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError))
+        if is_malformed:
+            MALFORMED.warning("A text could not be decoded.", exc_info=record.exc_info)
+        return not is_malformed
+
+    logging.getLogger(SERVER_LOGGER).addFilter(is_own)
+
 
 def report_task_error(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Handle an error of a task that nobody waits for: that of a message as a malformed one, any other as asyncio does."""
+    """Handle an error that nobody waits for: that of a message, or of bytes on a connection, as malformed, any other as asyncio does.
+
+    uvicorn itself fails on a socket's text that is not UTF-8: it closes the connection twice.
+    """
     task = context.get("future")
-    if isinstance(task, asyncio.Task) and getattr(task.get_coro(), "__qualname__", "").startswith(TAKES_MESSAGE):
+    is_of_message = isinstance(task, asyncio.Task) and getattr(task.get_coro(), "__qualname__", "").startswith(
+        TAKES_MESSAGE
+    )
+    if is_of_message or TAKES_BYTES in context.get("message", ""):
         MALFORMED.warning("A message could not be taken.", exc_info=context.get("exception"))
     else:
         loop.default_exception_handler(context)

@@ -25,7 +25,7 @@ from typing import Any
 
 from stage.errors import ArgumentError, StageError
 from stage.extras import need
-from stage.files import written
+from stage.files import refuse_irregular, written
 from stage.opengl import has_screen
 from stage.recording.sdk import experimental
 from stage.recording.web import HOST, PAGE, RECORDING, Server
@@ -216,6 +216,7 @@ def _hold_at(client: Any, at: float | None) -> None:
 
 def _existing(rrd: str | os.PathLike) -> Path:
     path = Path(rrd)
+    refuse_irregular(path, "recording", ViewerError)
     if not path.is_file():
         raise ViewerError(f"there is no recording {path}. Write one: recording.save({str(path)!r}).")
     return path.absolute()

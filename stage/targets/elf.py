@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from stage.board.errors import LibraryError
-from stage.files import FileError
+from stage.files import FileError, refuse_irregular
 from stage.foreign_files import read_bytes
 from stage.processes import run_program
 
@@ -166,6 +166,7 @@ class Elf:
 
 
 def _read(path: Path) -> bytes:
+    refuse_irregular(path, "program")
     if not path.is_file():
         raise FileError(f"{path}: there is no such file.")
     return read_bytes(path, "program", LARGEST)

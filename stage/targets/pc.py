@@ -16,7 +16,7 @@ from typing import Any
 from stage.board import host
 from stage.board.board import Board
 from stage.board.errors import LibraryError
-from stage.files import FileError
+from stage.files import FileError, refuse_irregular
 from stage.foreign_files import read_bytes
 from stage.targets import dos
 from stage.targets.elf import LARGEST, machine_of
@@ -123,6 +123,7 @@ class Pc(Engine):
         return offset, segment
 
     def _load(self, path: Path) -> None:
+        refuse_irregular(path, "program")
         if not path.is_file():
             raise FileError(f"{path}: there is no such file.")
         if machine := machine_of(path):

@@ -229,3 +229,16 @@ def test_firmware_in_a_process_of_its_own_ends_when_its_parent_is_killed(tmp_pat
     finally:
         if not ended(child):
             os.kill(child, signal.SIGKILL)
+
+
+@here_only
+@pytest.mark.parametrize(
+    ("call", "isolated"),
+    [("exit(7)", True), ("_exit(7)", True), ("usleep(1000); _exit(7)", True), ("usleep(1000); _exit(7)", False)],
+)
+def test_a_process_that_firmware_forks_ends_as_any_other_and_makes_no_note(board, call, isolated):
+    code = f"int status = 0; if (!fork()) {{ {call}; }} wait(&status); return WEXITSTATUS(status);"
+    library = firmware(f"#include <sys/wait.h>\n{HEADERS}PULSESTAGE_MAIN {{ {code} }}")
+    h = NativeHost(library, board, isolated=isolated, patience=3)
+    assert h.run().code == 7
+    assert not any("sleep" in line for _, line in h.log)

@@ -23,7 +23,7 @@ ROWS = {
     for name, code, said in re.findall(r"^\| `(\w+)` \|.*\| ([01]) \| (.*) \|$", PAGE.read_text(), re.M)
 }
 LONG = {"log"}  # a million lines
-EVERY_DAY = {"exit", "pointer", "leave", "fork", "close", "write", "stop", "kill"}
+EVERY_DAY = {"exit", "pointer", "leave", "fork", "child", "close", "write", "cut", "stop", "kill"}
 
 pytestmark = [
     pytest.mark.skipif(not crash.HERE, reason="elsewhere a crash says its signal only"),

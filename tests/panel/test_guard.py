@@ -2,10 +2,20 @@
 
 import asyncio
 import logging
+from types import SimpleNamespace
 
 import pytest
 
-from stage.panel.guard import COOKIE, LOGGERS, Guard, OnlyFirst
+from stage.panel.guard import (
+    COOKIE,
+    LOGGERS,
+    MALFORMED,
+    SERVER_LOGGER,
+    Guard,
+    OnlyFirst,
+    report_malformed_messages_once,
+    report_task_error,
+)
 
 NAMES = frozenset({"127.0.0.1:7241", "localhost:7241"})
 
@@ -99,3 +109,28 @@ def test_a_socket_whose_messages_make_no_sense_is_closed_and_the_terminal_gets_o
     (record,) = caplog.records
     assert "malformed message came to the panel, and was ignored (ValueError('no packet'))" in record.getMessage()
     assert record.exc_info is None
+
+
+def test_text_that_is_not_utf_8_is_one_line_and_other_errors_of_the_server_are_told(caplog):
+    names = (*LOGGERS, SERVER_LOGGER)
+    before = {name: list(logging.getLogger(name).filters) for name in names}
+    told = []
+    try:
+        report_malformed_messages_once()
+        for _ in range(3):
+            try:
+                b"\xff".decode()
+            except UnicodeDecodeError as error:  # as uvicorn takes it, and then fails as it closes the connection
+                logging.getLogger(SERVER_LOGGER).exception("Invalid UTF-8 sequence received from client.")
+                loop = SimpleNamespace(default_exception_handler=told.append)
+                report_task_error(
+                    loop, {"message": "Fatal error: protocol.data_received() call failed.", "exception": error}
+                )
+        logging.getLogger(SERVER_LOGGER).error("no port")
+        report_task_error(loop, {"message": "Task exception was never retrieved"})
+    finally:
+        for name in names:
+            logging.getLogger(name).filters[:] = before[name]
+    assert [(r.name, r.exc_info) for r in caplog.records] == [(MALFORMED.name, None), (SERVER_LOGGER, None)]
+    assert "malformed message came to the panel, and was ignored (UnicodeDecodeError(" in caplog.text
+    assert told == [{"message": "Task exception was never retrieved"}]

@@ -36,6 +36,7 @@ def test_hundreds_of_malformed_messages_leave_the_panel_alive_and_one_line_on_it
                 with suppress(Exception), connect(f"ws://127.0.0.1:{port}{SOCKET}&transport=websocket") as socket:
                     for message in rng.choices(MESSAGES, k=10):
                         socket.send(message)
+                    socket.send(b"\xff\xfe", text=True)
                     socket.recv(timeout=0.1)
             connection = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
             connection.request("GET", "/")

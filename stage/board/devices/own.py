@@ -18,7 +18,7 @@ from stage.board.errors import LibraryError
 from stage.board.host import IN8, OUT8, OUT16
 from stage.board.scratch import Scratch
 from stage.errors import ArgumentError
-from stage.files import FileError
+from stage.files import FileError, refuse_irregular
 
 ABI = 1
 Tell = Callable[[int, int, bool], str]
@@ -142,6 +142,7 @@ def _words(state: Any) -> np.ndarray:
 
 def _loaded(path: Path, own: Path, given: Any) -> ctypes.CDLL:
     """A copy of the library, with static variables of its own. given: what it was made of, for messages."""
+    refuse_irregular(path, "library")
     if not path.is_file():
         raise FileError(f"{path}: there is no such library.")
     shutil.copy(path, own)
