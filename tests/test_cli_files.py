@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 
@@ -116,3 +117,17 @@ def test_a_home_that_cannot_be_written_to_makes_matplotlib_say_nothing(tmp_path)
     assert done.stderr == ""
     assert "pulsestage-matplotlib-" in done.stdout
     assert not os.path.exists(done.stdout.strip()), "and the folder goes at the end"
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_command_whose_standard_streams_are_closed_does_its_work(closed, tmp_path):
+    command = f"exec {shlex.quote(sys.executable)} -m stage move x 10 --vcd move.vcd {closed}"
+    assert subprocess.run(["sh", "-c", command], cwd=tmp_path, timeout=60).returncode == 0
+    assert (tmp_path / "move.vcd").read_text().startswith("$")
+
+
+def test_files_do_not_get_the_numbers_of_closed_streams(tmp_path):
+    code = "from stage.cli.output import open_missing_streams as o; o(); print(open('a', 'w').fileno(), file=open('b', 'w'))"
+    command = f"exec {shlex.quote(sys.executable)} -c {shlex.quote(code)} <&- >&- 2>&-"
+    subprocess.run(["sh", "-c", command], cwd=tmp_path, check=True, timeout=60)
+    assert int((tmp_path / "b").read_text()) > 2

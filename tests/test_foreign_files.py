@@ -363,7 +363,7 @@ def test_an_empty_name_of_a_panels_file_is_refused(capsys):
     assert "is a folder" in capsys.readouterr().err
 
 
-def test_the_article_of_what_a_file_should_be_goes_by_its_first_word(tmp_path):
+def test_the_article_of_an_abbreviation_fits_how_it_is_spoken(tmp_path):
     with (tmp_path / "m.xml").open("wb") as file:
         file.truncate(1 << 40)
     with pytest.raises(StageError, match="and an MJCF file has at most"):

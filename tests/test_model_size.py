@@ -199,7 +199,7 @@ def test_a_file_of_points_that_become_bodies_is_bounded(tmp_path):
         check_model_size(write_model(tmp_path, element))
 
 
-def test_what_mujoco_did_not_foresee_is_a_model_error(monkeypatch, tmp_path):
+def test_an_unknown_exception_of_mujoco_is_a_model_error(monkeypatch, tmp_path):
     def fail(*_):
         raise RuntimeError("Caught an unknown exception!")
 

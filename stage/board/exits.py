@@ -105,8 +105,10 @@ def replace_calls(handle: int, functions: Mapping[str, int]) -> None:
 def _taken(name: str) -> Any:
     def call(*given: int) -> None:
         process, thread = identify_runner()
-        here = {runner[1]: leaver for runner, leaver in list(leavers.items()) if runner[0] == process}
-        leave = here.get(thread) or next(reversed(here.values()), None)  # else it is a thread of the firmware's own
+        by_thread = {runner[1]: leaver for runner, leaver in list(leavers.items()) if runner[0] == process}
+        leave = by_thread.get(thread) or next(
+            reversed(by_thread.values()), None
+        )  # else it is a thread of the firmware's own
         if leave is not None:
             leave(_NAMED[name](*given))
         else:

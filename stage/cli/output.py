@@ -48,11 +48,21 @@ class Output:
         return getattr(self._stream, name)
 
 
+def open_missing_streams() -> None:
+    """Let standard streams that were closed when this process began lead to nowhere.
+
+    Otherwise Python has no object for them, and the next files that are opened get their numbers: what a compiler or firmware
+    then prints would go into these files.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
+
+
 def printing(run: Callable[[], int]) -> int:
     """The exit code of `run()`, and what it prints. A reader that has gone away has seen all it wanted; for anything else that
     keeps the text from being written the code is 2."""
-    if sys.stdout is None:
-        return run()
+    open_missing_streams()
     output = Output(sys.stdout)
     ended = None
     with redirect_stdout(output):

@@ -62,17 +62,17 @@ def report_malformed_messages_once() -> None:
     for name in LOGGERS:
         logging.getLogger(name).addFilter(first)
 
-    def is_own(record: logging.LogRecord) -> bool:
+    def is_of_server(record: logging.LogRecord) -> bool:
         is_malformed = bool(record.exc_info and isinstance(record.exc_info[1], UnicodeDecodeError))
         if is_malformed:
             MALFORMED.warning("A text could not be decoded.", exc_info=record.exc_info)
         return not is_malformed
 
-    logging.getLogger(SERVER_LOGGER).addFilter(is_own)
+    logging.getLogger(SERVER_LOGGER).addFilter(is_of_server)
 
 
 def report_task_error(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Handle an error that nobody waits for: that of a message, or of bytes on a connection, as malformed, any other as asyncio does.
+    """Handle an error that nobody waits for: one of a message or of a connection's bytes as malformed, any other as asyncio does.
 
     uvicorn itself fails on a socket's text that is not UTF-8: it closes the connection twice.
     """

@@ -111,10 +111,10 @@ def test_a_socket_whose_messages_make_no_sense_is_closed_and_the_terminal_gets_o
     assert record.exc_info is None
 
 
-def test_text_that_is_not_utf_8_is_one_line_and_other_errors_of_the_server_are_told(caplog):
+def test_text_that_is_not_utf_8_is_one_line_and_other_errors_of_the_server_are_reported(caplog):
     names = (*LOGGERS, SERVER_LOGGER)
     before = {name: list(logging.getLogger(name).filters) for name in names}
-    told = []
+    reported = []
     try:
         report_malformed_messages_once()
         for _ in range(3):
@@ -122,7 +122,7 @@ def test_text_that_is_not_utf_8_is_one_line_and_other_errors_of_the_server_are_t
                 b"\xff".decode()
             except UnicodeDecodeError as error:  # as uvicorn takes it, and then fails as it closes the connection
                 logging.getLogger(SERVER_LOGGER).exception("Invalid UTF-8 sequence received from client.")
-                loop = SimpleNamespace(default_exception_handler=told.append)
+                loop = SimpleNamespace(default_exception_handler=reported.append)
                 report_task_error(
                     loop, {"message": "Fatal error: protocol.data_received() call failed.", "exception": error}
                 )
@@ -133,4 +133,4 @@ def test_text_that_is_not_utf_8_is_one_line_and_other_errors_of_the_server_are_t
             logging.getLogger(name).filters[:] = before[name]
     assert [(r.name, r.exc_info) for r in caplog.records] == [(MALFORMED.name, None), (SERVER_LOGGER, None)]
     assert "malformed message came to the panel, and was ignored (UnicodeDecodeError(" in caplog.text
-    assert told == [{"message": "Task exception was never retrieved"}]
+    assert reported == [{"message": "Task exception was never retrieved"}]

@@ -164,7 +164,7 @@ class _BoundedBuilder(ElementTree.TreeBuilder):
 def _parse(path: Path) -> ElementTree.Element:
     """The root of an XML file, read as leniently as MuJoCo does: any bytes in texts, any dashes in comments, no entities."""
     content = read_bytes(path, "MJCF file", MAX_FILE_BYTES, ModelError).decode(errors="replace")
-    text = _MARKUP.sub(lambda found: found[1] or "", _CONTROL.sub(" ", content))
+    text = _MARKUP.sub(lambda match: match[1] or "", _CONTROL.sub(" ", content))
     text = _LITERAL_AMPERSAND.sub("&amp;", text[max(text.find("<"), 0) :])
     try:
         return ElementTree.fromstring(text, ElementTree.XMLParser(target=_BoundedBuilder(path)))
