@@ -7,7 +7,7 @@ from decimal import Decimal
 import pytest
 
 from stage import ArgumentError, Drive, Fleet, Program, Snapshot, Stage, StageError, faults, firmware
-from stage.arguments import WrongType, told
+from stage.arguments import WrongType, told, whole_number
 from stage.board import Board
 from stage.chips import CHIPS, PCL240K, chip_class
 from stage.drives.dc_motors import Servo
@@ -287,3 +287,12 @@ def test_a_tuning_with_a_number_out_of_range_is_refused_by_its_name(name, value)
     """tune(task, seed=-1): a ValueError of NumPy; workers=0: "threads=0" """
     with pytest.raises(ArgumentError, match=rf"^{name}={value!r}: a whole number"):
         tune(Task(Stage("xy", visuals=False), "x", 1000), **{name: value})
+
+
+@pytest.mark.parametrize("value", [True, False, 2.0, -1, 2, "3", None])
+def test_a_whole_number_is_an_int_from_its_bound_on(value):
+    with pytest.raises(ArgumentError, match=r"^n=.*: a whole number, 3 or more\.$"):
+        whole_number("n", value, 3)
+    with pytest.raises(ArgumentError):
+        whole_number("n", True, 0)
+    whole_number("n", 3, 3)

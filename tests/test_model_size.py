@@ -110,6 +110,17 @@ def test_files_that_a_model_includes_or_attaches_are_counted_each_time(tmp_path)
         check_model_size(write_model(tmp_path, body))
 
 
+def test_sensors_of_an_attached_model_are_counted_each_time(tmp_path):
+    write_model(tmp_path, '<sensor><user dim="10000"/></sensor>', "part.xml")
+    body = (
+        '<asset><model name="m" file="part.xml"/></asset><worldbody><replicate count="{}"><attach model="m"/></replicate>'
+        "</worldbody>"
+    )
+    check_model_size(write_model(tmp_path, body.format(104)))
+    with pytest.raises(ModelError, match="1,050,000 readings at its <user>, and a model may have 1,048,576"):
+        check_model_size(write_model(tmp_path, body.format(105)))
+
+
 def test_a_model_that_includes_itself_is_refused(tmp_path):
     path = write_model(tmp_path, '<include file="model.xml"/>')
     with pytest.raises(ModelError, match="includes itself"):

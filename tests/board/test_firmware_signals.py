@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from contextlib import suppress
+from typing import ClassVar
 
 import pytest
 from support.compiled_firmware import firmware
@@ -186,3 +188,45 @@ def test_a_starter_that_was_stopped_ends_with_its_process(monkeypatch):
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     with pytest.raises(ProcessLookupError):
         os.kill(int(done.stdout), 0)
+
+
+def test_a_process_that_two_signals_stop_before_it_ends_has_ended_as_it_did():
+    class Recorded:
+        """A starter whose answers are given."""
+
+        children: ClassVar[set[int]] = set()
+
+        def __init__(self, *statuses):
+            self.answers = [starter._HEAD.pack(4711), *map(starter._STATUS.pack, statuses)]
+
+        def read(self, source, size, limit_s=0.0):
+            return self.answers.pop(0)
+
+    stopped_by = [number << 8 | 0x7F for number in (signal.SIGUSR2, signal.SIGSTOP)]  # as waitpid encodes them
+    with socket.socket() as status:
+        process = starter.Process(Recorded(*stopped_by, signal.SIGKILL), status)
+        assert process.wait() == -signal.SIGKILL
+    assert process.stopped == signal.SIGSTOP
+
+
+def test_a_coroutine_of_the_firmware_is_none_of_several_threads():
+    library = firmware("""
+        #include <ucontext.h>
+        #include <pulsestage.h>
+        static ucontext_t home, other;
+        static char stack[1 << 18];
+        static void work(void) { for (int k = 0; k < 100; k++) ps_in8(0x300); }
+        PULSESTAGE_MAIN
+        {
+            getcontext(&other);
+            other.uc_stack.ss_sp = stack;
+            other.uc_stack.ss_size = sizeof stack;
+            other.uc_link = &home;
+            makecontext(&other, work, 0);
+            swapcontext(&home, &other);
+            return 0;
+        }
+    """)
+    host = NativeHost(library, Board(Stage("xy", visuals=False)), isolated=True)
+    assert host.run().code == 0
+    assert not [line for _, line in host.log if "threads" in line]

@@ -67,6 +67,13 @@ def test_strangers_need_the_token_and_a_browser_keeps_it():
     assert not asked(guard, "websocket", host="stage.example", cookie=f"{COOKIE}=other")[0]
 
 
+@pytest.mark.parametrize("cookie", ["a/b=c", "a,b=c", '=; ="'])
+def test_cookies_that_are_none_are_refused_in_words(cookie):
+    through, sent = asked(Guard(None, NAMES, "secret"), host="127.0.0.1:7241", cookie=cookie)
+    assert not through
+    assert sent[0]["status"] == 403
+
+
 def test_the_page_may_ask_for_nothing_from_elsewhere():
     _, sent = asked(Guard(None, NAMES), host="127.0.0.1:7241")
     policy = dict(sent[0]["headers"])[b"content-security-policy"].decode()
