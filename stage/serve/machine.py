@@ -233,7 +233,7 @@ class Machine:
 
 def _split_place(text: str) -> tuple[str, str, bool]:
     """Split AXIS.PIN or AXIS.switches.SWITCH: axis, name and whether it is a switch. The name of an axis may have dots."""
-    axis, _, name = text.rpartition(".")
+    axis, _, name = text.rpartition(".") if "." in text else (text, "", "")
     of_switches = axis.endswith(".switches")
     return axis.removesuffix(".switches") if of_switches else axis, name, of_switches
 

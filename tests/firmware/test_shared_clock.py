@@ -180,14 +180,14 @@ def test_what_the_refusal_of_a_dual_rate_asks_for_can_be_given():
 def test_a_follower_runs_at_one_step_of_the_multiplier_that_it_hears_and_not_slower(pulses, is_possible):
     """CLOCK / (8192 R7) is 300 pps with R7 = 2; of 16,000 pulses at 16,000 pps y has as many pps as pulses."""
     if is_possible:
-        made = plan({"x": 16_000, "y": pulses}, multipliers={"y": 2})
-        assert made.axes["y"].registers["R7"] == 2
+        planned = plan({"x": 16_000, "y": pulses}, multipliers={"y": 2})
+        assert planned.axes["y"].registers["R7"] == 2
     else:
         with pytest.raises(ArgumentError, match="with R7 = 2, which it hears at SYNI, it makes 300 to"):
             plan({"x": 16_000, "y": pulses}, multipliers={"y": 2})
 
 
-def test_the_own_multiplier_of_a_follower_does_not_silence_it():
+def test_a_follower_without_a_multiplier_is_not_silent():
     y = follow({"y": "x"}).axes["y"]
     load(y.stage.axes["x"], R7=60)
     assert explain_silence(y) == ""

@@ -217,20 +217,20 @@ def test_a_limit_that_ends_one_axis_of_a_line_slows_the_others_down(chip, limite
 
 
 @pytest.mark.parametrize("chip", ["MCX304", "TMC5160"])
-def test_each_axis_of_a_broken_line_is_told_once_to_slow_down(chip, monkeypatch, tmp_path):
+def test_each_axis_of_a_broken_line_slows_down_once(chip, monkeypatch, tmp_path):
     """Three axes that come to rest one after the other: all of them say what has ended them."""
     tmc5160(monkeypatch, tmp_path)
     stage = Stage("xyz", chips=chip, visuals=False)
-    told, slow_down = [], driver_class(type(stage.axes["x"].chip)).slow_down
+    slowed, slow_down = [], driver_class(type(stage.axes["x"].chip)).slow_down
     monkeypatch.setattr(
         driver_class(type(stage.axes["x"].chip)),
         "slow_down",
-        lambda driver: (told.append(driver.axis.name), slow_down(driver)),
+        lambda driver: (slowed.append(driver.axis.name), slow_down(driver)),
     )
     edge = next(s.touch for s in stage.axes["x"].plant.switches if s.pin == "el_plus")
     stage.place(x=edge - 3e-3)
     report = firmware.line({"x": 9e-3, "y": 9e-3, "z": 0.1e-3}, stage, speed=20e-3, accel=0.3)
-    assert sorted(told) == ["y", "z"]
+    assert sorted(slowed) == ["y", "z"]
     assert {n: r.stopped_by for n, r in report.axes.items()} == {"x": "EL+", "y": "another axis", "z": "another axis"}
 
 
