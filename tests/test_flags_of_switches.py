@@ -10,6 +10,7 @@ import pytest
 from support.examples import SEED, scaled
 
 from stage import Stage, faults, firmware
+from stage.errors import ModelError
 from stage.firmware.driver import Speeds, driver_of
 
 HYSTERESIS = 25e-6  # m, rad on a hinge: docs/engine.md
@@ -18,11 +19,11 @@ GEAR = {"slide": 628.3185307, "hinge": 18.0}
 TRAVEL = {"slide": 0.1, "hinge": 3.14159265}
 BODY = {
     "slide": """
-      <joint name="a" type="slide" axis="1 0 0" range="-{travel} {travel}" limited="false" damping="20" frictionloss="2"
+      <joint name="a" type="slide" axis="1 0 0" range="{low} {high}" limited="false" damping="20" frictionloss="2"
         armature="2"/>
       <geom type="box" size="0.03 0.04 0.01" mass="0.5"/>""",
     "hinge": """
-      <joint name="a" type="hinge" axis="0 0 1" range="-{travel} {travel}" limited="false" damping="0.25" frictionloss="0.3"
+      <joint name="a" type="hinge" axis="0 0 1" range="{low} {high}" limited="false" damping="0.25" frictionloss="0.3"
         armature="0.00175"/>
       <geom type="cylinder" size="0.08 0.007" mass="0.5"/>""",
 }
@@ -48,13 +49,15 @@ def stage_of(joint, size, beam, aside=0.0, turned=0.0, step=0.00025, travel=None
     """Return a stage of one axis.
 
     Args:
-        joint: "slide" or "hinge"; travel: Of the joint to each side, m or rad.
+        joint: "slide" or "hinge"; travel: Of the joint to each side, m or rad; or from where to where.
         size: Half sizes of the vane, m; turned: The vane's angle around z, rad.
         beam: Radius of the beam, m; aside: The beam's y, m.
     """
     radius = 0.0 if joint == "slide" else RADIUS
+    travel = travel or TRAVEL[joint]
+    low, high = travel if isinstance(travel, tuple) else (-travel, travel)
     xml = MODEL.format(
-        body=BODY[joint].format(travel=travel or TRAVEL[joint]),
+        body=BODY[joint].format(low=low, high=high),
         gear=GEAR[joint],
         radius=radius,
         beam=beam,
@@ -325,3 +328,50 @@ def test_a_flag_much_narrower_than_the_travel_is_found():
     """8 um of 200 mm: a carriage at 80 mm/s needs 100 us to cross it"""
     stage, edge = stage_with_flag("slide", 8e-6)
     pass_by(stage, -0.005, 0.08, 0.002).assert_edges([-edge, edge + HYSTERESIS])
+
+
+@pytest.mark.parametrize("travel", [5.0, 20.0], ids="{:g} m to each side".format)
+def test_a_short_flag_of_a_long_slide_trips_at_its_edges(travel):
+    stage, edge = stage_with_flag("slide", 10e-6, travel=travel)
+    pass_by(stage, -0.005, 0.08, 0.002).assert_edges([-edge, edge + HYSTERESIS])
+
+
+@pytest.mark.parametrize("travel", [7.0, 180.0], ids="{:g} rad to each side".format)
+@pytest.mark.parametrize("revolution", [0, 1])
+def test_a_short_flag_of_a_table_trips_at_its_edges_however_far_its_range_goes(travel, revolution):
+    """range="-180 180" of a joint without limits is in radians, though the model's angles are in degrees"""
+    stage, edge = stage_with_flag("hinge", 20e-6, travel=travel)
+    place = 2 * math.pi * revolution
+    passage = pass_by(stage, place - 0.1, 2.0, place + 0.1, 0.02)
+    passage.assert_edges([place - edge, place + edge + HYSTERESIS])
+
+
+@pytest.mark.parametrize("joint", BODY)
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.3, 0.45, 0.9])
+def test_a_short_flag_near_an_end_of_the_travel_is_found(joint, share):
+    """share: of a four-hundredth of the travel, in which positions are tried; a turn ends where the next one begins"""
+    travel = 0.2 if joint == "slide" else 2 * math.pi
+    ends = share * travel / 400 + (50e-6 if joint == "slide" else 1e-3)
+    speed, run_up = (0.08, 0.02) if joint == "slide" else (2.0, 0.1)
+    for side in (1, -1):
+        low, high = sorted((side * ends, side * (ends - travel)))
+        stage, edge = stage_with_flag(joint, 30e-6, travel=(low, high))
+        passage = pass_by(stage, -side * run_up, side * speed, side * (edge + 4 * HYSTERESIS + speed * 2e-3), 0.02)
+        passage.assert_edges([-side * edge, side * (edge + HYSTERESIS)], f"{joint}, {low} to {high}")
+
+
+def test_a_flag_on_both_sides_of_the_place_where_a_turn_begins_is_one_flag():
+    stage, edge = stage_with_flag("hinge", 2e-3, travel=(0.3e-3, 2 * math.pi + 0.3e-3))
+    pass_by(stage, 0.3, -2.0, -0.1, 0.02).assert_edges([edge, -edge - HYSTERESIS])
+
+
+def test_a_flag_beyond_the_travel_is_no_flag_of_it():
+    with pytest.raises(ModelError, match=r"cannot reach it: nearest at -0\.0003, "):
+        stage_with_flag("slide", 100e-6, travel=(-0.2003, -0.0003))
+
+
+def test_a_hinge_without_range_is_answered_with_the_line_of_a_hinge():
+    with pytest.raises(
+        ModelError, match=r'has no range[^$]*<joint name="a" type="hinge" axis="0 0 1" range="-3.1416 3.1416"'
+    ):
+        stage_with_flag("hinge", 1e-3, travel=(0.0, 0.0))

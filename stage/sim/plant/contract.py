@@ -166,9 +166,8 @@ class _Binder:
             return None
         low, high = (float(v) for v in m.jnt_range[joint])
         if not low < high:
-            self.problems.add(
-                name, f"joint {name!r} has no range, so its switches cannot be looked for", joint_line(name)
-            )
+            line = joint_line(name, int(m.jnt_type[joint]) == hinge)
+            self.problems.add(name, f"joint {name!r} has no range, so its switches cannot be looked for", line)
         armature = float(m.dof_armature[m.jnt_dofadr[joint]])
         if not 0 <= armature <= 1e9:
             self.problems.add(

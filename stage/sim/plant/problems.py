@@ -54,8 +54,9 @@ def actuator_line(name: str) -> str:
     return f'<motor name="{name}" joint="{name}" gear="628.3185307"/>'
 
 
-def joint_line(name: str) -> str:
-    return f'<joint name="{name}" type="slide" axis="1 0 0" range="-0.15 0.15" limited="false"/>'
+def joint_line(name: str, hinge: bool = False) -> str:
+    kind = 'hinge" axis="0 0 1" range="-3.1416 3.1416' if hinge else 'slide" axis="1 0 0" range="-0.15 0.15'
+    return f'<joint name="{name}" type="{kind}" limited="false"/>'
 
 
 def sensor_line(axis: str, pin: str, vane: str = "", switch: str = "") -> str:

@@ -96,6 +96,7 @@ class SwitchFinder:
     def find(
         self, axis: str, pin: str, joint: int, low: float, high: float, scanned: dict[tuple[int, int], np.ndarray]
     ) -> Switch | None:
+        low, high, turn = self._limit_to_one_turn(joint, low, high)
         m, obj = self.model, mujoco.mjtObj
         name = f"{axis}_{pin}"
         sensor = self._sensor(name)
@@ -149,10 +150,20 @@ class SwitchFinder:
         if pin.startswith("el"):
             self._holds_to_the_stop(axis, pin, joint, found, dist, q, high if pin == "el_plus" else low)
         lookahead = self._look_ahead(joint, found, q, slope, low, high)
-        hinge = m.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
-        turn = FULL_TURN if hinge and high - low > FULL_TURN * (1 - NARROWEST) else 0.0
-        measured = [self._measure_edge(joint, found, dist, *edge, high - low) for edge in edges]
+        rooms = _measure_free_travel([at for at, _ in edges], high - low)
+        measured = [
+            self._measure_edge(joint, found, dist, *edge, high - low, room)
+            for edge, room in zip(edges, rooms, strict=True)
+        ]
         return Switch(pin, sensor, found, dist, q, slope, lookahead, _limit_to_one_distance(measured, turn > 0), turn)
+
+    def _limit_to_one_turn(self, joint: int, low: float, high: float) -> tuple[float, float, float]:
+        """Return the joint travel in which all edges are found, and after which travel they come again: 0 of no full turn."""
+        hinge = self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+        if not hinge or high - low <= FULL_TURN * (1 - NARROWEST):
+            return low, high, 0.0
+        middle, half = 0.5 * (low + high), 0.5 * min(high - low, FULL_TURN)
+        return middle - half, middle + half, FULL_TURN
 
     def _addresses(self, sensor: int) -> dict[str, int]:
         """Field -> address in sensordata."""
@@ -189,7 +200,8 @@ class SwitchFinder:
         return out
 
     def scanned(self, axis: str, joint: int, low: float, high: float) -> dict[tuple[int, int], np.ndarray]:
-        """Vane and switch -> their distance at SCAN positions over the range; of all the axis' sensors that name two geoms."""
+        """Vane and switch -> their distance at the positions of `_scan_grid`; of all the axis' sensors that name two geoms."""
+        low, high, _ = self._limit_to_one_turn(joint, low, high)
         m, geom = self.model, mujoco.mjtObj.mjOBJ_GEOM
         sensors = [self._sensor(f"{axis}_{pin}") for pin in PINS]
         pairs = [
@@ -199,7 +211,7 @@ class SwitchFinder:
         ]
         for vane, switch in pairs:  # MuJoCo's errors are exceptions in Python only
             mujoco.mj_geomDistance(m, self.data, vane, switch, scan.FAR, None)
-        return dict(zip(pairs, self._far(joint, np.linspace(low, high, SCAN), pairs).T, strict=True))
+        return dict(zip(pairs, self._far(joint, _scan_grid(low, high), pairs).T, strict=True))
 
     def _pushing(self) -> list[set[int]]:
         contact, count = self.data.contact, self.data.ncon
@@ -211,18 +223,25 @@ class SwitchFinder:
         self, joint: int, pair: tuple[int, int], low: float, high: float, scanned: np.ndarray
     ) -> list[tuple[float, float]] | str:
         """Return all edges of the flag from `low` to `high`, (joint position, d dist / d q) of each, or what is wrong with it."""
-        grid, dist = np.linspace(low, high, SCAN).tolist(), scanned.tolist()
+        grid, dist = _scan_grid(low, high).tolist(), scanned.tolist()
         for k in reversed((np.flatnonzero(_may_touch_between(scanned)) + 1).tolist()):
             finer, near = self._refine_minimum(joint, pair, grid[k - 1], grid[k + 1], NARROWEST * (high - low))
             grid[k : k + 1], dist[k : k + 1] = finer.tolist(), near.tolist()
         on = np.array(dist) <= 0
-        if on.all():
-            return f"trips it over the whole range {low:g} to {high:g}"
         changes = np.flatnonzero(on[:-1] != on[1:]).tolist()
-        if not changes:
-            k = int(np.argmin(dist))
+        entered = [(self._find_place(joint, pair, grid[k], grid[k + 1]), bool(on[k + 1])) for k in changes]
+        entered = [(at, entering) for at, entering in entered if low <= at <= high]
+        if not entered:
+            inside = [k for k, q in enumerate(grid) if low <= q <= high]
+            if on[inside[0]]:
+                return f"trips it over the whole range {low:g} to {high:g}"
+            k = min(inside, key=lambda k: dist[k])
             return f"cannot reach it: nearest at {grid[k]:g}, {dist[k] * 1e3:.3g} mm away (joint range {low:g} to {high:g})"
-        edges = [self._find_edge(joint, pair, grid[k], grid[k + 1], high - low) for k in changes]
+        rooms = _measure_free_travel([at for at, _ in entered], high - low)
+        edges = [
+            (at, self._find_slope(joint, pair, at, entering, high - low, room))
+            for (at, entering), room in zip(entered, rooms, strict=True)
+        ]
         return edges if all(slope for _, slope in edges) else "grazes it: the distance does not change with the joint"
 
     def _refine_minimum(
@@ -238,28 +257,41 @@ class SwitchFinder:
             k = int(may_touch[np.argmin(near[may_touch + 1])])
             a, b = finer[k], finer[k + 2]
 
-    def _find_edge(self, joint: int, pair: tuple[int, int], a: float, b: float, span: float) -> tuple[float, float]:
-        """Return the joint position between `a` and `b` where the distance is 0, and d dist / d q there; 0 if it grazes it."""
+    def _find_place(self, joint: int, pair: tuple[int, int], a: float, b: float) -> float:
+        """Return the joint position between `a` and `b` where the distance is 0."""
+        on = self._distance(joint, b, *pair) <= 0
+        while a < (q := 0.5 * (a + b)) < b:
+            a, b = (a, q) if (self._distance(joint, q, *pair) <= 0) == on else (q, b)
+        return float(q)
+
+    def _find_slope(
+        self, joint: int, pair: tuple[int, int], at: float, entering: bool, span: float, room: float
+    ) -> float:
+        """Return d dist / d q at an edge where the vane enters its switch on the way to plus, or leaves it; 0 if it grazes it.
+
+        span: Of the joint's travel; room: Joint travel from this edge to the nearest other one.
+        """
 
         def distance(q: float) -> float:
             return self._distance(joint, q, *pair)
 
-        on = distance(b) <= 0
-        while a < (q := 0.5 * (a + b)) < b:
-            a, b = (a, q) if (distance(q) <= 0) == on else (q, b)
-        steps = span * np.geomspace(1e-6, 1e-2, 5)
-        slopes = [float((distance(q + e) - distance(q - e)) / (2 * e)) for e in steps]
-        right = [(slope < 0) == on and slope != 0 for slope in slopes]
+        steps = np.geomspace(min(1e-6 * span, 1e-2 * room), 1e-2 * span, 5)
+        slopes = [float((distance(at + e) - distance(at - e)) / (2 * e)) for e in steps]
+        right = [(slope < 0) == entering and slope != 0 for slope in slopes]
         steady = [ok and abs(s - t) <= LINEAR * abs(s) for ok, (s, t) in zip(right, pairwise(slopes), strict=False)]
         choice = next((fit.index(True) for fit in (steady, right) if any(fit)), None)
-        return float(q), 0.0 if choice is None else slopes[choice]
+        return 0.0 if choice is None else slopes[choice]
 
     def _measure_edge(
-        self, joint: int, found_address: int, dist_address: int, at: float, slope: float, span: float
+        self, joint: int, found_address: int, dist_address: int, at: float, slope: float, span: float, room: float
     ) -> FlagEdge:
-        """Find how far beside an edge the contact sensor tells the place, and how well."""
+        """Find how far beside an edge the contact sensor tells the place, and how well.
+
+        span, room: As of `_find_slope`.
+        """
         noise, bend, limits = SMALLEST, 0.0, []
-        steps = (span * np.geomspace(NARROWEST, 1, 41)).tolist()
+        nearest = min(NARROWEST * span, 1e-4 * room)  # the first steps, up to 100 times as far, measure the noise
+        steps = (span * np.geomspace(nearest / span, 1, 41)).tolist()
         for side in (-1, 1):
             limit = 0.0
             for step in steps:
@@ -347,6 +379,18 @@ def _limit_to_one_distance(edges: list[FlagEdge], closed: bool) -> tuple[FlagEdg
         edges[k - 1] = replace(a, above=distance / abs(a.slope))
         edges[k] = replace(b, below=-distance / abs(b.slope))
     return tuple(edges)
+
+
+def _scan_grid(low: float, high: float) -> np.ndarray:
+    """Return SCAN positions from `low` to `high` and one beyond each: a narrow flag may lie beside the ends, too."""
+    step = (high - low) / (SCAN - 1)
+    return np.concatenate(([low - step], np.linspace(low, high, SCAN), [high + step]))
+
+
+def _measure_free_travel(places: list[float], span: float) -> list[float]:
+    """Return the distance from each place to the nearest other one, at most `span`; `places` ascend."""
+    gaps = [span, *(max(b - a, SMALLEST) for a, b in pairwise(places)), span]
+    return [min(before, after) for before, after in pairwise(gaps)]
 
 
 def _may_touch_between(dist: np.ndarray) -> np.ndarray:
