@@ -339,6 +339,44 @@ def test_a_line_of_servos_that_a_limit_ends_says_so(stage):
     assert report.axes["y"].stopped_by != "EL+"
 
 
+@pytest.mark.parametrize("stage", [name for name in STEPPING if CHIPS[name].AXES > 1], indirect=True)
+@pytest.mark.parametrize("pulses", [5_000_000_000, -5_000_000_000, 10**24, int(1e300)], ids="{:.0e}".format)
+def test_a_line_longer_than_the_chip_counts_is_refused_and_nothing_moves(stage, pulses):
+    """5e9 pulses are 705,032,704 and a carry in 32 bits"""
+    for also in (16, 0):
+        with pytest.raises(ArgumentError):
+            firmware.line({"x": pulses, "y": also}, stage, pulses=True)
+    assert not any(a.chip.net(a.chip_axis) for a in stage.axes.values())
+    assert stage.axes["x"].chip.diagnostics == []
+
+
+@pytest.mark.parametrize("stage", ["MCX514", "MCX512", "MCX312", "MCX314AS"], indirect=True)
+def test_a_line_whose_finish_point_has_no_room_for_its_sign_is_refused(stage):
+    """3e9 pulses are -1,294,967,296 in a signed register of 32 bits: the other way"""
+    with pytest.raises(ArgumentError, match=r"2147483646|2147483647 to each side"):
+        firmware.line({"x": 3_000_000_000, "y": 16}, stage, pulses=True)
+    assert not any(a.chip.net(a.chip_axis) for a in stage.axes.values())
+
+
+@pytest.mark.parametrize("stage", ["HCTL1100"], indirect=True)
+def test_a_line_of_servos_is_refused_where_its_positions_or_its_time_have_no_end(stage):
+    for distance in (42.0, -42.0, 1e18, 1e300):  # m; 24 bits are 8,388,608 counts of 5 um to each side: 41.9 m
+        with pytest.raises(ArgumentError, match="from -8388608 to 8388607"):
+            firmware.line({"x": distance, "y": 1e-3}, stage)
+    for rate in ({"speed": 1e-9}, {"speed": 1e-300}, {"accel": 1e300}):
+        with pytest.raises(ArgumentError, match="up to 5200 s"):
+            firmware.line({"x": 1e-3}, stage, **rate)
+    assert stage.axes["x"].position == pytest.approx(0, abs=1e-9)
+    assert firmware.line({"x": 1e-3}, stage).ok
+
+
+@pytest.mark.parametrize("stage", ["HCTL1100", "MCX514", "MCX512"], indirect=True)
+def test_an_axis_that_a_limit_of_the_line_keeps_from_beginning_was_stopped_by_another_axis(stage):
+    stage.place(x=0.1505)
+    report = firmware.line({"x": 6e-3, "y": 2e-3}, stage)
+    assert {n: r.stopped_by for n, r in report.axes.items()} == {"x": "EL+", "y": "another axis"}
+
+
 @each
 def test_a_jog_onto_an_end_limit_says_so(stage):
     x = stage.axes["x"]

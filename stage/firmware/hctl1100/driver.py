@@ -41,6 +41,7 @@ from stage.sim.program import Operations
 
 PATIENCE = 5.0  # s, to come to rest
 DEADBAND = 10  # counts: a filter without an integral holds a weight by an error
+SAMPLES_MOST = 10_000_000  # of a line, whose command positions are computed before it begins
 LIMITS = {1: "el_plus", -1: "el_minus"}  # by the carriage's direction
 
 
@@ -133,6 +134,15 @@ class Hctl1100Driver(Driver):
         goal, direction = self.port.commanded() + pulses, int(np.sign(pulses))
         self._leave_limit(direction)
         return direction * max(direction * (goal - self.port.commanded()), 0)
+
+    def _check_goal(self, goal: int) -> None:
+        """Raise ArgumentError for the end of a line, in counts, that the command position does not hold."""
+        number = NUMBERS["command_position"]
+        if not number.least <= goal <= number.most:
+            raise ArgumentError(
+                f"a line to {goal} counts on axis {self.axis.name}: the command position goes from {number.least} to "
+                f"{number.most}. Shorten the line, or clear the position first (R13)."
+            )
 
     def _check(self, pulses: int, speeds: Speeds) -> None:
         if not pulses or int(pulses) != pulses:
@@ -240,6 +250,8 @@ class Hctl1100Driver(Driver):
         for driver in mine.values():
             driver._linear(speeds)
         ports = [driver.ready() for driver in mine.values()]
+        for (n, driver), port in zip(mine.items(), ports, strict=True):
+            driver._check_goal(port.commanded() + pulses[n])
         _rows([pulses[n] for n in mine], speeds, ports[0].sample)  # refuses before anything moves
         with Together({n: Procedure(d.axis, "line") for n, d in mine.items()}, {n: pulses[n] for n in mine}) as line:
             line.began()
@@ -373,8 +385,14 @@ def _rows(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:
     rate = min(speeds.drive, np.sqrt(2.0 * longest * speeds.drive / (speeds.up + speeds.down)))
     up, down = (ramp * rate / speeds.drive for ramp in (speeds.up, speeds.down))
     cruising = longest / rate - 0.5 * (up + down)
-    t = np.arange(1, int(np.ceil((up + cruising + down) / sample)) + 1) * sample
-    rest = np.maximum(up + cruising + down - t, 0.0)
+    seconds = up + cruising + down
+    if not seconds <= SAMPLES_MOST * sample:
+        raise ArgumentError(
+            f"a line of {seconds:g} s: up to {SAMPLES_MOST * sample:g} s at this sample time. Choose a higher speed, or "
+            "shorter ramps."
+        )
+    t = np.arange(1, int(np.ceil(seconds / sample)) + 1) * sample
+    rest = np.maximum(seconds - t, 0.0)
     way = np.where(t < up, 0.5 * rate * t**2 / up, rate * (t - 0.5 * up))
     way = np.where(rest < down, longest - 0.5 * rate * rest**2 / down, way)
     return np.rint(np.outer(np.minimum(way, longest) / longest, distances)).astype(np.int64)

@@ -14,7 +14,7 @@ from stage.firmware.axis import positive
 from stage.firmware.choices import limits
 from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, select_moving, wait_until_stopped
 from stage.firmware.lines import Asked, Line, LineSettings, line_of
-from stage.firmware.nova.line import InRatio, Interpolated
+from stage.firmware.nova.line import InRatio, Interpolated, NovaLine
 from stage.firmware.nova.pattern import Pattern
 from stage.firmware.nova.port import Port
 from stage.firmware.nova.search import HomeSearch
@@ -161,7 +161,9 @@ class NovaDriver(Driver):
             if driver.port.driving():
                 raise driver.moving()
         settings = LineSettings(speeds.start, max(speeds.up, speeds.down), speeds.s_curve, axes=tuple(mine))
-        made = line_of(list(mine.values()), settings)
+        made = cast("NovaLine", line_of(list(mine.values()), settings))
+        for n, driver in mine.items():
+            made.check_pulses(driver, pulses[n])
         if speeds.drive > made.fastest:
             raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {made.fastest:g} here.").of(
                 Limit("speed", speeds.drive, 0.0, made.fastest)

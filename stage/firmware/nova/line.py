@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from stage.chips.nova.registers.mcx300 import RANGE
+from stage.errors import ArgumentError, a_or_an
 from stage.firmware.choices import limits
 from stage.firmware.lines import Asked, Line
 from stage.sim.program import Program
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from stage.firmware.nova.driver import NovaDriver
 
 FACTOR = 2.0  # a correction of 1 doubles a register of the main axis, of -1 halves it
+FINISH_POINT_MOST = (1 << 31) - 1  # pulses in interpolation
 MOST = 8000  # of SV, V
 
 
@@ -31,6 +33,10 @@ class Course(NamedTuple):
 
 class NovaLine(Line):
     """The common part of both ways."""
+
+    def check_pulses(self, driver: NovaDriver, pulses: int) -> None:
+        """Raise ArgumentError for pulses, signed, that an axis' register of the finish point does not hold."""
+        driver.map.checked(driver.FINISH, pulses if driver.SIGNED else abs(pulses))
 
     def _set(self, program: Program, h: NovaDriver, name: str, column: int) -> None:
         """A register whose value is a column."""
@@ -65,6 +71,14 @@ class Interpolated(NovaLine):
         h.interpolate(p, sorted(self.drivers, key=lambda h: h.bit))
         self._template = np.array(p.ops, np.int64)
         return len(p) - 1
+
+    def check_pulses(self, driver: NovaDriver, pulses: int) -> None:
+        super().check_pulses(driver, pulses)
+        if abs(pulses) > FINISH_POINT_MOST:
+            raise ArgumentError(
+                f"a line of {pulses} pulses on axis {driver.axis.name}: in interpolation the finish point of "
+                f"{a_or_an(self.chip.MAP.chip)} is signed, and holds {FINISH_POINT_MOST} to each side. Split a longer line."
+            )
 
     def data_sheet(self, asked: Asked) -> np.ndarray:
         """The formulas of the data sheet for the longest axis."""
