@@ -329,7 +329,7 @@ def test_a_file_that_grows_while_it_is_read_is_refused(tmp_path, monkeypatch):
         read_bytes(path, "log", 5)
 
 
-READERS = {
+FINDERS = {
     "a library": library.check,
     "a source": library.build,
     "a device": CDevice,
@@ -338,7 +338,7 @@ READERS = {
 }
 
 
-@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize("reader", FINDERS)
 def test_who_misses_a_file_does_not_say_so_of_a_pipe_a_device_or_a_circle_of_links(reader, tmp_path):
     os.mkfifo(tmp_path / "pipe.c")
     (tmp_path / "link.c").symlink_to("link.c")
@@ -349,7 +349,7 @@ def test_who_misses_a_file_does_not_say_so_of_a_pipe_a_device_or_a_circle_of_lin
         ("link.c", r"link\.c cannot be read: Too many levels of symbolic links\."),
     ):
         with pytest.raises(StageError, match=words):
-            READERS[reader](tmp_path / name)
+            FINDERS[reader](tmp_path / name)
 
 
 def test_json_in_bytes_is_utf_8():
