@@ -296,3 +296,14 @@ def test_the_panel_stops_a_line_whose_host_waits_for_less_than_a_millisecond_at_
         assert isinstance(line.exception(20), StageError)
         session.paused = True
         assert 2e-3 < x.position < 50e-3
+
+
+def test_a_limit_that_no_drive_has_met_and_no_switch_shows_any_more_is_called_by_its_pin(servo):
+    x = servo.axes["x"]
+    driver = driver_of(x)
+    driver.ready()
+    with faults.switch_stuck(x, "el_plus", True):
+        servo.run(1e-3)
+    assert not x.switches.el_plus
+    assert driver.port.limited()
+    assert driver.stopped_by() == "LIMIT"
