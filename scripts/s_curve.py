@@ -11,7 +11,7 @@ of equal peak acceleration, where its ramp takes twice as long. docs/s_curve.md 
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from matplotlib.patches import Rectangle
 from stage import Stage, firmware
 from stage.chips import PCL240MS
 from stage.drives.dynamometer import closed_form
+from stage.drives.motors import MOTORS
 from stage.firmware import Profile, Report
 from stage.pictures import HAIR, INK, MUTED, bare, title
 
@@ -120,8 +121,12 @@ class Run:
 
 @cache
 def power_up(model: str) -> tuple[Stage, Any]:
-    """A stage with X near its minus end, and the snapshot that every move begins from."""
-    stage = Stage(model, chips=PCL240MS)
+    """Make a stage with X near its minus end, and the snapshot that every move begins from.
+
+    Its motors have no core loss: the page shows what the shape of a ramp does, near the limit of an ideal motor.
+    """
+    motor = replace(MOTORS["17HS4401"], core_loss_resistance=None)
+    stage = Stage(model, chips=PCL240MS, drives=motor)
     stage.place(x=-0.13)
     stage.run(0.05)
     return stage, stage.snapshot()

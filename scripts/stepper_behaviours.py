@@ -30,9 +30,9 @@ from stage.drives.motors import MOTORS, Drive
 from stage.pictures import COLOURS, INK, MUTED, bare, title
 
 BLUE, RED, GREEN = COLOURS[:3]
-DRIVE = Drive()
-SMOOTH = Drive(detent=0.0)
-MOTOR = DRIVE.motor
+MOTOR = replace(MOTORS["17HS4401"], core_loss_resistance=None)  # as the closed form of the page
+DRIVE = Drive(MOTOR)
+SMOOTH = Drive(MOTOR, detent=0.0)
 ROTOR = MOTOR.rotor_inertia
 STEP = 2 * np.pi / MOTOR.steps_per_turn
 FULL_STEP = MOTOR.steps_per_turn / 60  # full steps a second at 1 rpm
@@ -91,7 +91,7 @@ def the_rotor_rings_at_its_natural_frequency(ax):
 def full_steps_lose_torque_at_resonance(ax):
     rates = np.unique(np.r_[np.geomspace(60, 2000, 40), 180:280:5])
     for microsteps, color in ((16, MUTED), (1, BLUE)):
-        sweep = resonance_sweep(Drive(microsteps=microsteps), rates)
+        sweep = resonance_sweep(Drive(MOTOR, microsteps), rates)
         ax.plot(
             sweep.rate,
             sweep.torque,
@@ -107,7 +107,7 @@ def full_steps_lose_torque_at_resonance(ax):
             else "never falls out"
         )
     for ratio in (0.03, 0.06, 0.1):
-        sweep = resonance_sweep(Drive(microsteps=1), rates, damping_ratio=ratio)
+        sweep = resonance_sweep(Drive(MOTOR, 1), rates, damping_ratio=ratio)
         dead = [round(rate) for rate in sweep.rate[sweep.torque == 0]]
         print(f"   full steps, damped by {ratio:.0%} of critical: falls out unloaded at {dead or 'no rate'}")
     natural = ring_down(SMOOTH, ROTOR)
@@ -183,7 +183,7 @@ def missed_steps_never_repair_themselves(ax):
 
 def cost():
     for mode in ("chopper", "sine"):
-        drive = Drive(mode=mode)
+        drive = Drive(MOTOR, mode=mode)
         for rpm in (300, 2000):
             counts = pulses(np.full(300_000, rpm / 60 * drive.pulses_per_turn))
             best = np.inf

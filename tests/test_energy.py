@@ -1,7 +1,8 @@
-"""An axis without friction keeps its energy: the coupling of drives to MuJoCo's leapfrog neither brakes nor drives it."""
+"""An axis without any loss keeps its energy: the coupling of drives to MuJoCo's leapfrog neither brakes nor drives it."""
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -9,8 +10,9 @@ import numpy as np
 import pytest
 
 from stage import Stage, faults
-from stage.drives.motors import Drive, Motor
+from stage.drives.motors import MOTORS, Drive, Motor
 
+LOSSLESS = replace(MOTORS["17HS4401"], core_loss_resistance=None)
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "models.md"
 
 
@@ -39,7 +41,7 @@ def energies(stage, potential, seconds):
 @pytest.mark.parametrize("speed", [0.02, 0.05])
 def test_an_unpowered_axis_glides_over_its_detents_without_gaining_energy(speed, payload):
     """faults.phase_open(x, "a"); faults.phase_open(x, "b"); stage.data.qvel[0] = 0.02; stage.run(4): 24 % more energy."""
-    stage = frictionless(Drive())
+    stage = frictionless(Drive(LOSSLESS))
     x = stage.axes["x"]
     stage.set_payload(payload, "carriage")
     faults.phase_open(x, "a")
@@ -53,7 +55,7 @@ def test_an_unpowered_axis_glides_over_its_detents_without_gaining_energy(speed,
 @pytest.mark.parametrize("mode", ["chopper", "sine"])
 def test_a_powered_axis_that_was_pushed_rings_as_far_as_at_first(mode):
     """Stage(one_axis_without_friction); stage.data.qvel[0] = 0.05; stage.run(4): it slipped, and ran away to 800 rad."""
-    stage = frictionless(Drive(mode=mode))
+    stage = frictionless(Drive(LOSSLESS, mode=mode))
     x = stage.axes["x"]
     stage.data.qvel[0] = 0.05
 

@@ -318,7 +318,7 @@ def test_what_a_point_travels_is_the_diagonal_of_its_box_by_python_as_by_compile
     p = Program().command(0, 0x08)
     for name, value in {"R1": 500, "R2": 500, "R7": 30}.items():
         p.register(0, PCL240K, name, value)
-    p.command(0, 0x40).command(0, 0x10).wait(0.01)
+    p.command(0, 0x40).command(0, 0x10).wait(0.03)
     p.look(0, site, 0).look(0, -body, 2)
     p.measure(0.02, site).measure(0.02, -body).measure(0.02).measure(0, site)
     p.look(0, site, 0).look(0, -body, 2)

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from support.vcd_parser import parse
 from stage import ArgumentError, Fleet, Program, Stage, StageError, faults
 from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK
 from stage.chips.entries import INPUT
+from stage.drives.motors import MOTORS
 from stage.sim import play
 from stage.sim.records import INDEX, INDEX_HYSTERESIS
 
@@ -191,7 +193,8 @@ def test_the_index_pulse_of_the_encoder_is_stop2(made):
 
 def test_an_index_pulse_within_one_step_has_its_whole_width():
     """It lasts INDEX and the hysteresis at the speed of the rotor, which here runs free."""
-    stage = Stage("xy", chips=PCL240MK, visuals=False)
+    motor = replace(MOTORS["17HS4401"], core_loss_resistance=None)
+    stage = Stage("xy", chips=PCL240MK, drives=motor, visuals=False)
     y = stage.axes["y"]
     row = stage.state.axis_table[y.index]
     turn = 2 * np.pi / row.gear

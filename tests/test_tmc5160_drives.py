@@ -57,7 +57,8 @@ def pull_out(x, **registers):
     stage_.run(0.02)
     put(x.chip, RAMPMODE=1)
     stage_.run(0.4)
-    own = stage_.model.dof_frictionloss[dof] + stage_.model.dof_damping[dof] * stage_.data.qvel[dof]
+    damping = stage_.model.dof_damping[dof] + x.drive.motor.core_loss_damping * x.gear**2
+    own = stage_.model.dof_frictionloss[dof] + damping * stage_.data.qvel[dof]
     load = own
     while not x.lost_steps:
         load *= 1.002

@@ -13,13 +13,21 @@ import stage
 import stage.envs
 from stage.native import COMPILED, load
 
+PHYSICS = "2"
+"""Version of the motors' physics. 1, which older entries do not state: motors had no core loss. 2: the presets have one."""
 PACKAGES = ("pulsestage", "mujoco", "numpy", "gymnasium")
 
 
 def versions() -> dict[str, str]:
-    """Of packages, Python, system and processor."""
+    """Return the versions of packages, Python and the physics, the system and the processor, by name."""
     found = {name: metadata.version(name) for name in PACKAGES}
-    return {**found, "python": platform.python_version(), "system": load.target(), "processor": _processor()}
+    return {
+        **found,
+        "python": platform.python_version(),
+        "system": load.target(),
+        "processor": _processor(),
+        "physics": PHYSICS,
+    }
 
 
 def _processor() -> str:

@@ -118,7 +118,7 @@ def speeds(load: Load, pulses: int, safety: float = SAFETY) -> Speeds:
     top = portable.geomspace(low * 1.01 or fastest * 1e-4, fastest, 4000)
     thrust, friction = load.thrust(top) / safety, load.friction + load.damping * top
     gentle = np.full(len(top), np.inf)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # beyond the speed where the motor has no torque left
         if load.stepper:
             gentle = (top - low) * natural_frequency(load.drive, load.inertia) / SWINGS
         free = thrust - load.weight  # it goes both ways

@@ -1,4 +1,5 @@
-"""What a believable stepper does: the five behaviours of spec/drives.md, and the bench that measures them."""
+"""What a believable stepper does: the five behaviours of spec/drives.md, and the bench that measures them. Motors have no core loss
+here, as the spec's closed form has none; tests of the loss are in test_core_loss.py."""
 
 import math
 from dataclasses import replace
@@ -27,9 +28,10 @@ from stage.drives.dynamometer import (
 from stage.drives.motors import MOTORS, Drive
 from stage.errors import ArgumentError
 
-DRIVE = Drive()
-SMOOTH = Drive(detent=0.0)
-MOTOR = DRIVE.motor
+LOSSLESS = {name: replace(motor, core_loss_resistance=None) for name, motor in MOTORS.items()}
+MOTOR = LOSSLESS["17HS4401"]
+DRIVE = Drive(MOTOR)
+SMOOTH = Drive(MOTOR, detent=0.0)
 ROTOR = MOTOR.rotor_inertia
 SPEC_RPM = [300, 900, 1200, 1500, 2000]
 CORNER = np.r_[700 : 1000 : 50 if FIXED else 20]  # rpm, around the speed where T_V falls below T_I
@@ -41,7 +43,7 @@ def test_the_closed_form_gives_the_known_curve():
 
 @pytest.mark.parametrize("name", MOTORS)
 def test_pull_out_torque_of_an_ideal_sine_drive_follows_the_closed_form_within_3_percent(name):
-    m = MOTORS[name]
+    m = LOSSLESS[name]
     measured = pull_out(Drive(m, 256, mode="sine", detent=0.0), SPEC_RPM)
     assert measured == pytest.approx(closed_form(m, 24, m.rated_current, SPEC_RPM), rel=0.03)
 
@@ -101,7 +103,7 @@ def test_an_unloaded_17hs4401_rings_near_300_hz():
 def test_at_full_step_a_rotor_loses_its_torque_near_its_natural_frequency_and_at_microsteps_it_does_not():
     natural = ring_down(SMOOTH, ROTOR)
     rates = natural * np.array([0.5, 0.85, 1.5, 3.0])
-    full, fine = (resonance_sweep(Drive(microsteps=n), rates) for n in (1, 16))
+    full, fine = (resonance_sweep(Drive(MOTOR, n), rates) for n in (1, 16))
     assert full.torque[1] < 0.1 * full.torque.max()
     assert (full.torque[[0, 2, 3]] > 0.9 * full.torque.max()).all()
     assert (fine.torque > 0.85 * fine.torque.max()).all()
@@ -111,7 +113,7 @@ def test_at_full_step_a_rotor_loses_its_torque_near_its_natural_frequency_and_at
 
 def test_the_dip_moves_down_with_the_natural_frequency_when_inertia_is_added():
     rates = np.geomspace(60, 400, 16)
-    one, four = (resonance_sweep(Drive(microsteps=1), rates, k * ROTOR) for k in (1, 4))
+    one, four = (resonance_sweep(Drive(MOTOR, 1), rates, k * ROTOR) for k in (1, 4))
     dips = [s.rate[s.torque < 0.1].mean() for s in (one, four)]
     assert dips[0] / dips[1] == pytest.approx(2, rel=0.25)
 
@@ -205,7 +207,7 @@ def test_pulses_forth_and_back_end_where_they_began():
 
 
 def test_a_torque_far_below_the_rated_one_is_measured_as_well():
-    rpm, drive = [1000, 2000, 3000], Drive(microsteps=256, bus_voltage=5, mode="sine", detent=0.0)
+    rpm, drive = [1000, 2000, 3000], Drive(MOTOR, microsteps=256, bus_voltage=5, mode="sine", detent=0.0)
     assert pull_out(drive, rpm) == pytest.approx(closed_form(MOTOR, 5, 1.7, rpm), rel=0.03)
 
 

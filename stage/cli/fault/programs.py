@@ -144,7 +144,7 @@ def payload(stage: Any, strike: Strike) -> Figures:
     x = first_axis(stage)
     stage.set_payload(10.0)
     with strike(faults.payload, stage, 2.0):
-        return {"payload, kg": stage.payload()} | begin(x, 10, 18.75, 0.0375)()
+        return {"payload, kg": stage.payload()} | begin(x, 10, 18.75, 0.046)()
 
 
 def bus_voltage(stage: Any, strike: Strike) -> Figures:
