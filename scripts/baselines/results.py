@@ -228,8 +228,8 @@ TEXT = """# Learned and searched registers against the data sheet's formula
 Made by `{made_by}` (extras `rl`, `plot`, `data`): {moves} moves of
 searches, {more} more of proofs and tests, {minutes:.0f} minutes on two cores. Do not edit.
 
-**Made with physics 1**, in which motors had no core loss. Since physics 2 every stepper is weaker at speed ([drives.md](drives.md)): moves take
-longer than here, and which method leads may differ.
+**Made with physics 1**, in which motors had no core loss. Since physics 2 every stepper is weaker at speed
+([drives.md](drives.md)): moves take longer than here, and which method leads may differ.
 
 The task is `stage/RegisterTuning-v0` on the X axis of `{model}`: one preset move of {distance} pulses ({mm:g} mm) with a PCL-240K,
 with {payloads} on the table, at most {limit:g} s. As on a bench, each move begins at another rotor angle within

@@ -493,16 +493,18 @@ class Chip:
             pulses += self.CORE.advance(probe, stop)
             stops.append(stop)
         try:
-            out = np.zeros(pulses, self.CORE.PULSE)
+            np.zeros(pulses, self.CORE.PULSE)
         except (MemoryError, ValueError):
             raise ArgumentError(
                 f"clocks={clocks!r}: there are {pulses} pulses, more than memory holds; trace less."
             ) from None
-        at = 0
-        for stop in stops:
-            piece = self._trace_piece(stop)
-            out[at : at + len(piece)] = piece  # field by field, so that the padding stays 0
-            at += len(piece)
+        pieces = [self._trace_piece(stop) for stop in stops]
+        if len(pieces) == 1:
+            return pieces[0]
+        out, end = np.zeros(sum(map(len, pieces)), self.CORE.PULSE), 0
+        for piece in pieces:
+            begin, end = end, end + len(piece)
+            out[begin:end] = piece  # field by field, so that the padding stays 0
         return out
 
     def _trace_piece(self, until: int) -> np.ndarray:
