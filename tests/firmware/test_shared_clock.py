@@ -191,5 +191,6 @@ def test_a_follower_without_a_multiplier_is_not_silent():
     y = follow({"y": "x"}).axes["y"]
     load(y.stage.axes["x"], R7=60)
     assert explain_silence(y) == ""
-    load(y.stage.axes["x"], R7=1)
+    for address, datum in ((0, 0x87), (2, 0), (1, 1)):  # R7 = 1, which the firmware itself does not write
+        y.stage.axes["x"].chip.write(address, datum)
     assert "the clock of axis x (SYNI), whose R7 is 1" in explain_silence(y)
