@@ -20,6 +20,18 @@ from stage.panel.guard import (
 NAMES = frozenset({"127.0.0.1:7241", "localhost:7241"})
 
 
+@pytest.fixture(autouse=True)
+def loggers_without_filters():
+    """Take the filters that a panel of another test has put on the loggers away, for a filter reports once in a process."""
+    loggers = [logging.getLogger(name) for name in (*LOGGERS, SERVER_LOGGER)]
+    before = [list(logger.filters) for logger in loggers]
+    for logger in loggers:
+        logger.filters.clear()
+    yield
+    for logger, filters in zip(loggers, before, strict=True):
+        logger.filters[:] = filters
+
+
 def asked(guard, kind="http", query=b"", **headers):
     """What the guard sends, and whether it let the request through."""
     sent, through = [], []
@@ -119,25 +131,19 @@ def test_a_socket_whose_messages_make_no_sense_is_closed_and_the_terminal_gets_o
 
 
 def test_text_that_is_not_utf_8_is_one_line_and_other_errors_of_the_server_are_reported(caplog):
-    names = (*LOGGERS, SERVER_LOGGER)
-    before = {name: list(logging.getLogger(name).filters) for name in names}
     reported = []
-    try:
-        report_malformed_messages_once()
-        for _ in range(3):
-            try:
-                b"\xff".decode()
-            except UnicodeDecodeError as error:  # as uvicorn takes it, and then fails as it closes the connection
-                logging.getLogger(SERVER_LOGGER).exception("Invalid UTF-8 sequence received from client.")
-                loop = SimpleNamespace(default_exception_handler=reported.append)
-                report_task_error(
-                    loop, {"message": "Fatal error: protocol.data_received() call failed.", "exception": error}
-                )
-        logging.getLogger(SERVER_LOGGER).error("no port")
-        report_task_error(loop, {"message": "Task exception was never retrieved"})
-    finally:
-        for name in names:
-            logging.getLogger(name).filters[:] = before[name]
+    report_malformed_messages_once()
+    for _ in range(3):
+        try:
+            b"\xff".decode()
+        except UnicodeDecodeError as error:  # as uvicorn takes it, and then fails as it closes the connection
+            logging.getLogger(SERVER_LOGGER).exception("Invalid UTF-8 sequence received from client.")
+            loop = SimpleNamespace(default_exception_handler=reported.append)
+            report_task_error(
+                loop, {"message": "Fatal error: protocol.data_received() call failed.", "exception": error}
+            )
+    logging.getLogger(SERVER_LOGGER).error("no port")
+    report_task_error(loop, {"message": "Task exception was never retrieved"})
     assert [(r.name, r.exc_info) for r in caplog.records] == [(MALFORMED.name, None), (SERVER_LOGGER, None)]
     assert "malformed message came to the panel, and was ignored (UnicodeDecodeError(" in caplog.text
     assert reported == [{"message": "Task exception was never retrieved"}]
