@@ -296,3 +296,17 @@ def test_a_whole_number_is_an_int_from_its_bound_on(value):
     with pytest.raises(ArgumentError):
         whole_number("n", True, 0)
     whole_number("n", 3, 3)
+
+
+@pytest.mark.parametrize("name", ["x\0", "x\0y", "\0", "\ud800", "x\ud800"])
+def test_a_name_of_a_body_with_a_nul_or_a_surrogate_is_the_name_of_no_body(name):
+    """MuJoCo's own search ends a name at a NUL: "x", with a NUL and more, was the body x."""
+    stage = Stage("xy", visuals=False)
+    for call in (
+        stage.payload,
+        lambda body: stage.set_payload(1.0, body),
+        lambda body: faults.payload(stage, 2.0, body),
+    ):
+        with pytest.raises(ArgumentError, match="unknown body"):
+            call(name)
+    assert stage.payload("x") == 0.0

@@ -42,7 +42,7 @@ def _carrier(model: Any, body: str | None) -> int:
         if site < 0:
             raise ArgumentError("the model has no site 'work' to put a payload on: name the body.")
         return int(model.site_bodyid[site])
-    k = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body))
-    if k < 0:
-        raise unknown("body", body, (model.body(i).name for i in range(1, model.nbody)))
-    return k
+    names = [model.body(k).name for k in range(model.nbody)]  # MuJoCo's own search ends a name at a NUL
+    if body not in names:
+        raise unknown("body", body, names[1:])
+    return names.index(body)
