@@ -105,11 +105,21 @@ def folder(tmp_path, monkeypatch):
     return os.fspath(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("name", "function"), [pytest.param(n, f, id=n) for n, f in functions_of_modules() if n not in NOT_CALLED_BY_USERS]
-)
-def test_a_public_function_refuses_a_wrong_argument_in_words(name, function, stage):
-    assert_refuses_in_words(name, function, stage)
+TAKES_SECONDS = {"stage.firmware.origin_return", "Report"}
+"""Where many of the wrong values are right for some argument, and each of them homes an axis or draws a picture."""
+
+
+def marked(names):
+    """Return the names as parameters of a test, those that take seconds for the slow suite."""
+    return [pytest.param(n, id=n, marks=pytest.mark.slow if n in TAKES_SECONDS else ()) for n in names]
+
+
+FUNCTIONS = {name: function for name, function in functions_of_modules() if name not in NOT_CALLED_BY_USERS}
+
+
+@pytest.mark.parametrize("name", marked(FUNCTIONS))
+def test_a_public_function_refuses_a_wrong_argument_in_words(name, stage):
+    assert_refuses_in_words(name, FUNCTIONS[name], stage)
 
 
 def recorded(stage):
@@ -132,7 +142,7 @@ OBJECTS = {
 }
 
 
-@pytest.mark.parametrize("kind", OBJECTS)
+@pytest.mark.parametrize("kind", marked(OBJECTS))
 def test_a_method_refuses_a_wrong_argument_in_words(kind, stage):
     value = OBJECTS[kind](stage)
     for name, method in methods_of(value):
