@@ -6,6 +6,7 @@ from typing import Any
 
 import mujoco
 
+from stage.arguments import WrongType
 from stage.errors import ArgumentError, unknown
 
 HEAVIEST = 1e6  # kg
@@ -42,6 +43,8 @@ def _carrier(model: Any, body: str | None) -> int:
         if site < 0:
             raise ArgumentError("the model has no site 'work' to put a payload on: name the body.")
         return int(model.site_bodyid[site])
+    if not isinstance(body, str):
+        raise WrongType(f"body={body!r}: a text or None.")
     names = [model.body(k).name for k in range(model.nbody)]  # MuJoCo's own search ends a name at a NUL
     if body not in names:
         raise unknown("body", body, names[1:])
