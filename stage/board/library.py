@@ -208,12 +208,12 @@ def _run(command: list[str]) -> tuple[bool, str]:
 
 
 def _is_loaded(symbol: str) -> bool:
-    """Whether a symbol that a library lacks is found when it is loaded: in this process, or in a sanitizer that is loaded first."""
+    """Tell whether a symbol that a library lacks is found when it is loaded: in this process, or in a sanitizer loaded first."""
     return bool(re.match("__(?:[a-z]{1,2}san_|sanitizer_)", symbol)) or hasattr(ctypes.CDLL(None), symbol)
 
 
 def _needs_cplusplus(source: Path, platform_flags: Sequence[str], flags: Sequence[str], folder: str) -> bool:
-    """Whether a source in C includes a header of its platform that is C++ here."""
+    """Tell whether a source in C includes a header of its platform that is C++ here."""
     preprocessed = [
         "-E",
         *platform_flags,

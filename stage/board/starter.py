@@ -112,7 +112,7 @@ class Starter:
             )  # fmt: skip
 
     def is_alive(self) -> bool:
-        """Whether it can be asked: it has not ended, and neither a signal nor a tracer has stopped it."""
+        """Tell whether it answers requests: it has not ended, and neither a signal nor a tracer has stopped it."""
         return self._process.poll() is None and not _is_stopped(self._process.pid)
 
     def end(self) -> None:
@@ -224,7 +224,7 @@ def _end_stopped() -> None:
 
 
 def _is_stopped(pid: int) -> bool:
-    """Whether a signal or a tracer has stopped a process; False where the system does not tell."""
+    """Tell whether a signal or a tracer has stopped a process; False where the system does not tell."""
     try:
         with open(f"/proc/{pid}/stat", "rb") as file:
             return file.read().rpartition(b")")[2].split()[0] in (b"T", b"t")

@@ -240,7 +240,7 @@ class Threaded:
                 raise HostError(self._computes(int(h["answers"])))
 
     def _has_lost_its_thread(self) -> bool:
-        """Whether the firmware's thread has ended without a return of PULSESTAGE_MAIN."""
+        """Tell whether the firmware's thread has ended without a return of PULSESTAGE_MAIN."""
         thread = self._thread
         if thread is None or thread.native_id is None or not TASKS.is_dir() or (TASKS / str(thread.native_id)).is_dir():
             return False

@@ -488,6 +488,8 @@ class Chip:
         """As advance, but returns the pulses: a structured array of `clock` (tick since power-up at which the pulse
         begins, int64), `axis` and `direction` (int8; +1 or -1)."""
         until = self._until(clocks)
+        if clocks <= SHORT_RUN_CLOCKS:
+            return self._trace_piece(until)
         probe, pulses, stops = self._rows[self._i : self._i + 1].copy(), 0, []
         for stop in split_run(self.clock, until):
             pulses += self.CORE.advance(probe, stop)
@@ -499,8 +501,6 @@ class Chip:
                 f"clocks={clocks!r}: there are {pulses} pulses, more than memory holds; trace less."
             ) from None
         pieces = [self._trace_piece(stop) for stop in stops]
-        if len(pieces) == 1:
-            return pieces[0]
         out, end = np.zeros(sum(map(len, pieces)), self.CORE.PULSE), 0
         for piece in pieces:
             begin, end = end, end + len(piece)
