@@ -24,11 +24,9 @@ examples:
   stage move x 8000 --chips pcl240ms --s-curve --plot s.png
   stage sync x=20000 y=-7500              two axes along a straight line, in the ratio a:b
   stage tune xy --payload 2 --distance 100mm     registers for an axis: formula, search, proof
-  stage bench-submit formula -o formula.bench    plays the test episodes of a benchmark; `stage bench-verify` replays them
   stage run driver.c --chips pcl240mk     firmware in C drives the chips
   stage panel xy                          a live stage in a browser
   stage mcp xy                            tools for agents, by the Model Context Protocol
-  stage agent diagnosis --by technician   measures an agent; `stage agent-replay` replays what it did
   stage serve --chips mcx304              the chips behind a TCP port, for a host elsewhere
   stage fault                             what can break; `stage fault jam --plot jam.png` breaks it
   stage export demo.rrd -o demo.csv       the columns of a recording as a table
@@ -53,12 +51,12 @@ def _main(argv: Sequence[str] | None) -> int:
     from stage.cli.facts import fail, interrupted
     from stage.errors import StageError
 
-    parser = build_parser()
+    typed = list(sys.argv[1:] if argv is None else argv)
+    parser = build_parser(typed)
     if "_ARGCOMPLETE" in os.environ:  # a shell asks what may come next: `stage completion`
         import argcomplete
 
         argcomplete.autocomplete(parser)
-    typed = list(sys.argv[1:] if argv is None else argv)
     args = parser.parse([*typed[1:], "--help"] if typed[:1] == ["help"] else typed)
     if args.run is None:
         parser.print_help()
@@ -83,8 +81,12 @@ def _main(argv: Sequence[str] | None) -> int:
         return 130
 
 
-def build_parser() -> Parser:
-    """The whole command line; cheap: nothing heavy is imported before a command runs."""
+def build_parser(words: Sequence[str] = ()) -> Parser:
+    """Build the command line; cheap, as nothing heavy is imported before a command runs.
+
+    Args:
+        words: What was typed. Packages are only looked at where the first word is no command of PulseStage's own.
+    """
     from stage import __version__
     from stage.cli.arguments import agents, data, faults, firmware, moves, tools, tuning
     from stage.cli.parser import Parser
@@ -99,4 +101,8 @@ def build_parser() -> Parser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     for group in (moves, tuning, agents, firmware, faults, data, tools):
         group.add(commands)
+    if not (words and words[0] in commands.choices):
+        from stage.cli.package_commands import add_package_commands
+
+        add_package_commands(commands)
     return parser

@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
+from stage.cli.package_commands import explain_missing_command
 from stage.errors import near_names
 from stage.units import kind_of, quantity
 
@@ -34,6 +35,9 @@ class Parser(argparse.ArgumentParser):
         super().__init__(*given, **{"formatter_class": Help, **options})
 
     def error(self, message: str) -> NoReturn:
+        unlisted = re.match(r"argument COMMAND: invalid choice: '([^']*)'", message)
+        if unlisted and (missing := explain_missing_command(unlisted[1])):
+            raise Usage(f"{self.prog}: {missing}")
         raise Usage(f"{self.prog}: {_taught(message)}{self._choices(message)} `{self.prog} --help` has examples.")
 
     def _choices(self, message: str) -> str:

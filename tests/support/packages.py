@@ -7,13 +7,20 @@ import pytest
 from stage.chips import CHIPS
 
 
-def installed(monkeypatch: pytest.MonkeyPatch, folder: Path, name: str, version: str = "1.0", **chips: str) -> None:
-    """`name` brings these chips, "module:Class" by the name of the entry point; its modules lie where Python finds them."""
+def installed(
+    monkeypatch: pytest.MonkeyPatch,
+    folder: Path,
+    name: str,
+    version: str = "1.0",
+    group: str = "pulsestage.chips",
+    **brings: str,
+) -> None:
+    """Package `name` brings these chips (or commands, by `group`), "module:Class" by the name of the entry point."""
     info = folder / f"{name.replace('-', '_')}-{version}.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
-    lines = "".join(f"{chip} = {where}\n" for chip, where in chips.items())
-    (info / "entry_points.txt").write_text(f"[pulsestage.chips]\n{lines}")
+    lines = "".join(f"{point} = {where}\n" for point, where in brings.items())
+    (info / "entry_points.txt").write_text(f"[{group}]\n{lines}")
     monkeypatch.syspath_prepend(folder)
     monkeypatch.setattr(CHIPS, "_loaded", dict(CHIPS._loaded))  # what is loaded meanwhile is unknown again afterwards
 

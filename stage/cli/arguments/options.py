@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from stage.cli.parser import examples
@@ -26,16 +26,24 @@ class Given(argparse.Action):
 def command(
     commands: Any,
     name: str,
-    run: str,
+    run: str | Callable[[argparse.Namespace], int],
     help_: str,
     description: str,
     *shown: tuple[str, str],
     more: str = "",
     json: bool = True,
 ) -> argparse.ArgumentParser:
-    """A subcommand whose work is the function `module:function`, imported when it runs.
+    """Add a subcommand and return its parser.
 
-    shown: examples, (what is typed, what it does); more: what stands behind them; json: it has facts to say, see cli.facts.
+    Args:
+        commands: Subparsers of the command line.
+        name: What is typed after `stage`.
+        run: Function of the parsed arguments that returns the exit code; or "module:function" of stage.cli, imported when it runs.
+        help_: Line for the list of commands.
+        description: Paragraph at the beginning of the command's help.
+        shown: Examples as (what is typed, what it does).
+        more: Paragraph behind the examples.
+        json: Offer --json; the command then says its facts by `tell`.
     """
     p = commands.add_parser(name, help=help_, description=description, epilog=examples(shown, more))
     if json:
@@ -44,8 +52,8 @@ def command(
     def call(args: argparse.Namespace) -> int:
         from importlib import import_module
 
-        module, function = run.split(":")
-        work = getattr(import_module(f"stage.cli.{module}"), function)
+        module, _, function = run.partition(":") if isinstance(run, str) else ("", "", "")
+        work = run if callable(run) else getattr(import_module(f"stage.cli.{module}"), function)
         args.wrote = []
         if not (json and args.json):
             return work(args)
