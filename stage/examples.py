@@ -38,7 +38,7 @@ PLACES = {
     **{name: f"scripts/{name}.py" for name in PROGRAMS},
     "drivers": "scripts/firmware",
     "acme_chip": "scripts/acme_chip",
-    "tmc5160": "scripts/tmc5160",
+    "tmc5160": "packages/trinamic",
     **{f"{name}.ipynb": f"docs/notebooks/{name}.ipynb" for name in NOTEBOOKS},
 }
 """Name of an example -> where it lies in the repository, a file or a folder."""

@@ -15,8 +15,8 @@ from stage.extras import LIBRARIES
 from stage.native import COMPILED
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("tests", "scripts/acme_chip/tests", "scripts/tmc5160/tests")
-FILES = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))]
+FOLDERS = [ROOT / "tests", ROOT / "scripts/acme_chip/tests", *sorted(ROOT.glob("packages/*/tests"))]
+FILES = [path for folder in FOLDERS for path in sorted(folder.rglob("*.py"))]
 
 
 def run_pytest(*arguments: str, **environment: str) -> str:

@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,13 @@ from stage.native import index_page
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def was_made(file):
+    """Whether a file was built of the sources, or lies in a folder that was."""
+    return any(
+        fnmatch(part, pattern) for part in file.parts for pattern in ("__pycache__", "_native.so*", "*.egg-info")
+    )
 
 
 def files(folder):
@@ -36,9 +44,7 @@ def test_an_example_is_copied_whole_and_nothing_that_was_built_of_it(name, tmp_p
     assert copied.name.partition(".")[0] == name.partition(".")[0]
     if source.is_dir():
         there = files(copied)
-        assert {
-            f for f in files(source) if "__pycache__" not in f and not Path(f).name.startswith("_native.so")
-        } == there
+        assert {f for f in files(source) if not was_made(Path(f))} == there
         assert there
     else:
         assert copied.read_bytes() == source.read_bytes()

@@ -128,7 +128,7 @@ class Registry(MutableMapping[str, type[Chip]]):
         if name not in self._own or name in self._told:
             return
         self._told.add(name)
-        if not _somebody_brings():
+        if not _may_be_claimed(name):
             return
         sources = _brought().get(name)
         if sources:
@@ -161,14 +161,15 @@ def _brought() -> dict[str, list[Source]]:
     return found
 
 
-def _somebody_brings() -> bool:
-    """Whether any installed package has chips: a look at their files, some ms, where `_brought` takes 50."""
+def _may_be_claimed(name: str) -> bool:
+    """Whether an installed package that has chips names this one: a look at their files, some ms, where `_brought` takes 50."""
     for folder in sys.path:
         for info in (*glob(join(escape(folder), "*.dist-info")), *glob(join(escape(folder), "*.egg-info"))):
             try:
                 with open(join(info, "entry_points.txt"), "rb") as file:
-                    if GROUP.encode() in file.read():
-                        return True
+                    content = file.read()
+                if GROUP.encode() in content and name in key(content.decode(errors="replace")):
+                    return True
             except OSError:
                 continue
     return False

@@ -19,7 +19,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from setuptools import __version__, build_meta
+from setuptools import __version__, build_meta, find_packages
 from setuptools.build_meta import *  # noqa: F403
 
 try:
@@ -37,7 +37,10 @@ def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_dire
     settings = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8")).get("tool", {}).get("setuptools", {})
     root = Path.cwd() / settings.get("package-dir", {}).get("", "")
     sys.path.insert(0, str(root))  # the sources, not what may be installed
-    for package in dict.fromkeys(name.partition(".")[0] for name in settings.get("packages", [])):
+    packages = settings.get("packages", [])
+    if isinstance(packages, dict):  # those that setuptools finds
+        packages = find_packages(str(root), include=packages.get("find", {}).get("include", ("*",)))
+    for package in dict.fromkeys(name.partition(".")[0] for name in packages):
         if any(load.exporting({package: root / package})):
             build.build(package)
     return str(build_meta.build_wheel(wheel_directory, config_settings, metadata_directory))

@@ -3,7 +3,6 @@
 import math
 
 import pytest
-from support.packages import tmc5160
 
 from stage import Stage, faults, firmware
 from stage.chips import CHIPS, MCX314AS, MCX514, PCL240K, PCL240MK, PCL240MS
@@ -199,10 +198,9 @@ def test_the_axes_of_an_interpolation_that_a_limit_ends_say_which_it_was(chip):
 
 
 @pytest.mark.parametrize(("limited", "other"), [("x", "y"), ("y", "x")])
-@pytest.mark.parametrize("chip", ["PCL240K", "MCX304", "MCX302", "HCTL1100", "TMC5160"])
-def test_a_limit_that_ends_one_axis_of_a_line_slows_the_others_down(chip, limited, other, monkeypatch, tmp_path):
+@pytest.mark.parametrize("chip", ["PCL240K", "MCX304", "MCX302", "HCTL1100"])
+def test_a_limit_that_ends_one_axis_of_a_line_slows_the_others_down(chip, limited, other):
     """Chips that draw a line each for itself: the rest of it is not the line that was asked for."""
-    tmc5160(monkeypatch, tmp_path)
     stage = Stage("xy", chips=chip, visuals=False)
     edge = next(s.touch for s in stage.axes[limited].plant.switches if s.pin == "el_plus")
     speed, accel, before = 20e-3, 0.1, 3e-3
@@ -216,11 +214,9 @@ def test_a_limit_that_ends_one_axis_of_a_line_slows_the_others_down(chip, limite
     assert firmware.move(stage.axes[other], 1e-3).ok, "and it is at rest, and moves again"
 
 
-@pytest.mark.parametrize("chip", ["MCX304", "TMC5160"])
-def test_each_axis_of_a_broken_line_slows_down_once(chip, monkeypatch, tmp_path):
+def test_each_axis_of_a_broken_line_slows_down_once(monkeypatch):
     """Three axes that come to rest one after the other: all of them say what has ended them."""
-    tmc5160(monkeypatch, tmp_path)
-    stage = Stage("xyz", chips=chip, visuals=False)
+    stage = Stage("xyz", chips="mcx304", visuals=False)
     slowed, slow_down = [], driver_class(type(stage.axes["x"].chip)).slow_down
     monkeypatch.setattr(
         driver_class(type(stage.axes["x"].chip)),

@@ -33,13 +33,3 @@ def acme(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     """It, as if it were installed in a folder."""
     monkeypatch.syspath_prepend(ACME)
     installed(monkeypatch, folder, "acme-chips", "0.1.0", ACME1000="acme_chips:ACME1000")
-
-
-TMC5160 = Path(__file__).parents[2] / "scripts" / "tmc5160"
-"""The project of the TMC5160."""
-
-
-def tmc5160(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
-    """It, as if it were installed in a folder."""
-    monkeypatch.syspath_prepend(TMC5160)
-    installed(monkeypatch, folder, "pulsestage-tmc5160", "0.1.0", TMC5160="pulsestage_tmc5160:TMC5160")

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.packages import tmc5160
 
 from stage import Stage
 from stage.board import Board, NativeHost, NoCompilerError, build
@@ -423,20 +422,6 @@ def test_a_chip_that_has_no_ramps_as_short_gets_slower_ones(task):
     made = plans.formula().speeds
     assert 0.2 <= made.down < 0.25
     assert (made.start, made.drive) == (wanted.start, wanted.drive)
-
-
-def test_a_chip_of_another_package_is_tuned_and_its_waits_are_in_the_c(monkeypatch, tmp_path):
-    tmc5160(monkeypatch, tmp_path)
-    from pulsestage_tmc5160 import TMC5160
-
-    task = task_of(TMC5160, pulses=16 * PULSES)
-    plans = plans_of(task)
-    made = plans.formula()
-    for name, value in made.registers.items():
-        assert TMC5160.MAP.register(name).allows(value)
-    shown = written.cycles(task, written.program(plans, made, task.pulses))
-    assert "send(address, value)" in c_source("x", "", [], [], shown, task.stage.axes["x"].chip)
-    assert "50000}, /* CHOPCONF" in c_source("x", "", [], [], shown, task.stage.axes["x"].chip)
 
 
 def test_a_camera_on_a_mast_arrives_later_than_its_carriage():

@@ -1,0 +1,136 @@
+"""Trinamic TMC5160: six-point ramp generator and driver of one two-phase stepper, as a chip of PulseStage.
+
+from stage import Stage
+stage = Stage("xy", chips="tmc5160")              known by its entry point
+chip = stage.axes["x"].chip
+chip.transfer(bytes.fromhex("EC000100C3"))        a datagram of SPI; returns the answer
+chip.write(0x2D, 51200)                           a register, for whoever has no SPI to play
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from pulsestage_trinamic.tmc5160 import core, encoder, lint
+from pulsestage_trinamic.tmc5160.maps import ADDRESSES, M32, M40, MAP, MOTION, SPI_DATAGRAM
+from pulsestage_trinamic.tmc5160.words import Decoder, Listener
+from stage.chips.chip import Chip
+from stage.errors import ArgumentError, StageError
+
+__all__ = ["TMC5160"]
+
+
+class TMC5160(Chip):
+    """One axis. Pins are True at a high level, but the outputs: these are True while active.
+
+    rsense: ohm, of the board's sense resistors; they and GLOBALSCALER, IRUN, IHOLD make the motor's current on a stage. A pulse is
+    1/256 full step of the field, whatever MRES says; XACTUAL counts steps.
+    """
+
+    MAP: ClassVar = MAP
+    CORE: ClassVar = core
+    INPUTS: ClassVar = core.INPUTS
+    OUTPUTS: ClassVar = core.OUTPUTS
+    WIRING: ClassVar = {"el_plus": "refr", "el_minus": "refl", "ez": "encn"}
+    LOGIC: ClassVar = "positive"
+    ENCODERS: ClassVar = True
+    WIRES: ClassVar = {"diag0": ("DIAG0_n", 0), "diag1": ("DIAG1_n", 0), "drv_enn": ("DRV_ENN", 1)}
+    MICROSTEPS: ClassVar = 256
+    LAYOUT: ClassVar = "pulsestage_trinamic.tmc5160.layout:SPI"
+    DRIVER: ClassVar = "pulsestage_trinamic.tmc5160.driver:Tmc5160Driver"
+    DEFAULT_CLOCK_HZ: ClassVar = 12_000_000
+    ADDRESSES: ClassVar = ADDRESSES
+    ADDRESS_MASK: ClassVar = 0xFF
+    DATA_MASK: ClassVar = M40
+    BUSY: ClassVar = (MOTION, 1)
+    COUNTER: ClassVar = ("XACTUAL", 32)
+    IRQ: ClassVar = (0, core.OUTPUTS["diag0"])
+    IN_POSITION: ClassVar = 64.0
+
+    def __init__(self, clock_hz: int | None = None, rsense: float = 0.1):
+        """Power the chip up. Raises ArgumentError."""
+        if isinstance(rsense, bool) or not isinstance(rsense, int | float) or not 0.001 <= rsense <= 10:
+            raise ArgumentError(
+                f"rsense={rsense!r}: sense resistors have 0.001 to 10 ohm; 0.1 makes 2.3 A RMS at most."
+            )
+        self.rsense, self._timed = float(rsense), False
+        super().__init__(clock_hz)
+
+    def _configure(self, record: Any) -> None:
+        record["hz"], record["rsense"] = self.clock_hz, self.rsense
+
+    def options(self) -> dict[str, Any]:
+        return {"clock_hz": self.clock_hz, "rsense": self.rsense}
+
+    # --- SPI ---
+
+    def transfer40(self, datagram: int) -> int:
+        """A datagram of 40 bits; returns the answer to the one before: status byte, and 32 bits of data."""
+        self.write(SPI_DATAGRAM, datagram)
+        return int(self.read(SPI_DATAGRAM))
+
+    def transfer(self, datagram: bytes) -> bytes:
+        """As `transfer40`, 5 bytes each. Raises ArgumentError for another number."""
+        if len(datagram) != 5:
+            raise ArgumentError(f"transfer({bytes(datagram)!r}): a datagram has 5 bytes, address first.")
+        return self.transfer40(int.from_bytes(datagram, "big")).to_bytes(5, "big")
+
+    # --- a stage's load, for a chip on none ---
+
+    def set_load(self, lam: int, emf: int = 1024) -> None:
+        """Load torque (1024: at 90 degrees of load angle) and back EMF (1024: the supply) that StallGuard sees from now on; on a
+        stage they come from the motor. Not noted in journals. Raises ArgumentError."""
+        if self.attached or not (0 <= lam <= 1024 and 0 <= emf <= 1024):
+            raise ArgumentError(f"set_load({lam!r}, {emf!r}): 0 to 1024 each, of a chip on no stage.")
+        core.load.held(self.pointer, int(lam), int(emf))
+
+    def set_input_word(self, axis: int, word: int) -> None:
+        if self._plain["fed"] and (word ^ self.input_word(axis)) & encoder.PINS:
+            raise StageError("ENCA and ENCB are those of the axis' encoder, and cannot be driven by hand.")
+        super().set_input_word(axis, word)
+
+    def shaft_of(self, axis: int) -> tuple[float, float]:
+        return float(self.state["shaft"]), float(self.state["shaft_rate"])
+
+    @property
+    def amplitude(self) -> float:
+        """Of the phase currents as the registers ask for them, A; 0 while the power stage is off."""
+        return float(core.current.held(self.pointer, 0))
+
+    def explain_missing_current(self, axis: int = 0) -> str:
+        """Say why the power stage gives the motor no current, which on a real board lets a vertical axis fall."""
+        if self.amplitude:
+            return ""
+        if not self.state["powered"]:
+            return "its power stage was never switched on (CHOPCONF.TOFF = 0 after power-up, or DRV_ENN is high)"
+        return "its power stage is off (TOFF = 0, DRV_ENN high, a fault, or FREEWHEEL at IHOLD = 0)"
+
+    # --- what the registry asks for ---
+
+    @classmethod
+    def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
+        """One write to the register's own address."""
+        return [(cls.MAP.register(name).number, value & M32)]
+
+    def values(self) -> dict[str, int]:
+        pointer = self.pointer
+        return {r.name: r.value(core.register.held(pointer, r.number)) for r in MAP.registers if r.name != "OUTPUT"}
+
+    def decoder(self, axis: int = 0) -> Decoder:
+        return Decoder()
+
+    def listener(self) -> Listener:
+        return Listener(self.state)
+
+    def mistake(self, address: int, value: int) -> tuple[str, str] | None:
+        said: tuple[str, str] | None = lint.write(self._plain, address, value)
+        if said is None and (self.attached or self._timed):
+            said = lint.timing(self._plain, address, value)
+        return said
+
+    def twin(self, state: bytes | None = None) -> TMC5160:
+        """As every chip's. What looks for the mistakes of a chip of a stage, whose bus takes time, sees them on twins."""
+        twin = super().twin(state)
+        assert isinstance(twin, TMC5160)
+        twin._timed = self.attached or self._timed
+        return twin

@@ -1,0 +1,320 @@
+"""TMC5160, compiled: registers as they are read and written, datagrams of SPI, the flags.
+
+Addresses 0 to 7Fh are the registers, for whoever has no SPI to play. A host with SPI has three more:
+
+    80h   chip select: 0 begins a datagram, 1 ends it
+    81h   a byte written goes out on SDI; then a read gives the byte that came in on SDO meanwhile
+    82h   40 bits written are a whole datagram; then a read gives its answer
+
+83h reads SPI_STATUS, 84h whether a drive is in progress, both without a datagram.
+"""
+
+from __future__ import annotations
+
+from pulsestage_trinamic.tmc5160 import encoder, power, ramp, sequencer, speeds, stallguard
+from pulsestage_trinamic.tmc5160.maps import (
+    M32,
+    M40,
+    MOTION,
+    READABLE,
+    REGISTERS,
+    RESET,
+    SPI_BYTE,
+    SPI_CS,
+    SPI_DATAGRAM,
+    SPI_STATE,
+    STORED,
+)
+from pulsestage_trinamic.tmc5160.state import (
+    CHOPCONF,
+    CLEARED,
+    COOLCONF,
+    DIAG0,
+    DIAG0_STEP,
+    DIAG1,
+    DIAG1_DIR,
+    DRV_STATUS,
+    ENC_LATCH,
+    ENC_STATUS,
+    EVENT_L,
+    EVENT_POS,
+    EVENT_R,
+    EVENT_SG,
+    GCONF,
+    GSTAT,
+    HIGH,
+    IHOLD_IRUN,
+    IOIN,
+    MSCNT,
+    MSCURACT,
+    NEVER,
+    OTPW,
+    POSITION_REACHED,
+    PWM_AUTO,
+    PWMCONF,
+    RAMP_STAT,
+    RAMPMODE,
+    SFILT,
+    STATUS_L,
+    STATUS_R,
+    STATUS_SG,
+    STOP_L,
+    STOP_R,
+    SW_MODE,
+    TSTEP,
+    UNIT,
+    VACTUAL,
+    VELOCITY_REACHED,
+    VHIGHFS,
+    VMAX,
+    VZERO,
+    X_COMPARE,
+    X_ENC,
+    XACTUAL,
+    XLATCH,
+    XTARGET,
+    ZEROWAIT,
+    signed32,
+)
+from stage.native import hot
+
+VERSION = 0x30 << 24
+DATUM = 0x7F  # address bits of a datagram
+FIRST = -1  # the answer to nothing: the status of its own time
+
+
+@hot
+def power_up(c):
+    """The values of the data sheet; clock, pins and the field's count stay."""
+    clock, hz, rsense, inputs, net = c.clock, c.hz, c.rsense, c.inputs, c.net
+    c.fresh = 1
+    c.x = c.target = c.q = c.dir = c.ph = c.brk = c.zw = 0
+    c.events, c.reached = EVENT_POS, 1
+    c.left = c.right = c.latched = 0
+    c.enc = c.part = c.enc_pins = c.enc_met = c.enc_latch = c.enc_flags = 0
+    c.mscnt = c.toggle = c.way = c.current = c.cs = c.speeds = c.cooling = 0
+    c.last, c.falls = clock, NEVER
+    c.sg = c.stall = c.total = c.summed = c.count = c.full = 0
+    c.lam, c.emf = 0, 1024
+    c.load_of, c.load_n, c.load_sum, c.emf_sum = -1, 0, 0, 0
+    c.gstat, c.shorts, c.hot, c.powered = 1, 0, 0, 0
+    c.csn, c.shift, c.bits, c.out, c.heard = 1, 0, 0, 0, 0
+    c.risen = c.shifted = -NEVER
+    for k in range(REGISTERS):
+        c.reg[k] = RESET[k]
+    c.clock, c.hz, c.rsense, c.inputs, c.net = clock, hz, rsense, inputs, net
+    encoder.wake(c)
+    c.answer = FIRST
+
+
+# --- flags ---
+
+
+@hot
+def _event(c, side, way):
+    s = c.dir if c.dir else ramp.wanted(c)
+    return s == way and c.reg[SW_MODE] & (STOP_L if way < 0 else STOP_R) and side
+
+
+@hot
+def ramp_stat(c):
+    word = c.events | (STATUS_L if c.left else 0) | (STATUS_R if c.right else 0)
+    word |= (EVENT_L if _event(c, c.left, -1) else 0) | (EVENT_R if _event(c, c.right, 1) else 0)
+    word |= VELOCITY_REACHED if c.q >> UNIT == c.reg[VMAX] else 0
+    word |= (POSITION_REACHED if c.reached else 0) | (0 if c.q else VZERO) | (ZEROWAIT if c.zw else 0)
+    return word | (STATUS_SG if c.stall and speeds.window(c) else 0)
+
+
+@hot
+def drv_status(c):
+    """DRV_STATUS."""
+    word = c.sg | c.cs << 16 | c.stall << 24
+    word |= 1 << 14 if speeds.stealth(c) else 0
+    word |= 1 << 15 if c.speeds & HIGH and c.reg[CHOPCONF] & VHIGHFS else 0
+    word |= (c.shorts >> 8 & 3) << 27 | (c.shorts >> 10 & 3) << 12
+    word |= (1 << 25 if c.hot else 0) | (1 << 26 if c.inputs & OTPW else 0)
+    word |= (c.inputs >> 14 & 3) << 29
+    return word | (1 << 31 if power.stands(c) else 0)
+
+
+@hot
+def spi_status(c):
+    word = ramp_stat(c)
+    driver = drv_status(c)
+    return (
+        (word & 1) << 6 | (word >> 1 & 1) << 7 | (word >> 9 & 1) << 5 | (word >> 8 & 1) << 4
+        | (driver >> 31) << 3 | (driver >> 24 & 1) << 2 | (c.gstat >> 1 & 1) << 1 | c.gstat & 1
+    )  # fmt: skip
+
+
+@hot
+def drives(c):
+    """A drive is in progress, or begins at the next clock."""
+    return 1 if c.dir or (not speeds.gated(c) and ramp.starts(c)) else 0
+
+
+@hot
+def outputs(c):
+    """DIAG0 and DIAG1: bits of OUTPUTS, 1 = active."""
+    if c.reg[GCONF] & DIAG0_STEP:
+        word = DIAG0 if c.toggle else 0
+    else:
+        events = ramp_stat(c) & (EVENT_POS | EVENT_L | EVENT_R | EVENT_SG)
+        word = DIAG0 if events or c.enc_flags else 0
+    if c.reg[GCONF] & DIAG1_DIR:
+        return word | (DIAG1 if c.way < 0 else 0)
+    return word | (DIAG1 if c.x == signed32(c.reg[X_COMPARE]) else 0)
+
+
+@hot
+def arrived(c):
+    """position_reached anew, and its event."""
+    now = 1 if c.x == c.target else 0
+    if now and not c.reached:
+        c.events |= EVENT_POS
+    c.reached = now
+
+
+# --- registers ---
+
+
+@hot
+def register(c, a):
+    """What a register holds, also one that cannot be read."""
+    if a == GSTAT:
+        return c.gstat
+    if a == IOIN:
+        return VERSION | c.inputs & 0x3F
+    if a == TSTEP:
+        return speeds.tstep(c, c.q)
+    if a == XACTUAL:
+        return c.x & M32
+    if a == XTARGET:
+        return c.target & M32
+    if a == VACTUAL:
+        return c.dir * (c.q >> UNIT) & 0xFFFFFF
+    if a == RAMP_STAT:
+        return ramp_stat(c)
+    if a == XLATCH:
+        return c.latched & M32
+    if a == X_ENC:
+        return c.enc & M32
+    if a == ENC_STATUS:
+        return c.enc_flags
+    if a == ENC_LATCH:
+        return c.enc_latch & M32
+    if a == MSCNT:
+        return c.mscnt
+    if a == MSCURACT:
+        return sequencer.sine(c.mscnt) & 0x1FF | (sequencer.sine(c.mscnt + 256) & 0x1FF) << 16
+    if a == DRV_STATUS:
+        return drv_status(c)
+    if a == PWM_AUTO:
+        return c.reg[PWMCONF] & 0xFF | (c.reg[PWMCONF] >> 8 & 0xFF) << 16
+    return c.reg[a]
+
+
+@hot
+def read_register(c, a):
+    return register(c, a) if READABLE[a] else 0
+
+
+@hot
+def write_register(c, a, value):
+    """A write acts from the next clock on; flags of the position follow at once."""
+    value &= STORED[a]
+    if STORED[a] == 0:
+        return
+    c.fresh = 1
+    if a == XACTUAL:
+        c.x = signed32(value)
+        c.brk = 0
+    elif a == XTARGET:
+        c.target = signed32(value)
+        c.brk = 0
+    elif a == GSTAT:
+        c.gstat &= ~value
+    elif a == RAMP_STAT:
+        c.events &= ~(value & CLEARED)
+    elif a == ENC_STATUS:
+        c.enc_flags &= ~value
+    elif a == X_ENC:
+        c.enc, c.part = signed32(value), 0
+    else:
+        if a == COOLCONF and (value ^ c.reg[a]) & SFILT:
+            c.total = c.summed = 0
+        c.reg[a] = value
+        if a == RAMPMODE:
+            c.brk = 0
+        elif a == IHOLD_IRUN:
+            power.currents_written(c)
+    if a == CHOPCONF and value & 15 == 0:
+        c.shorts = 0
+    stallguard.settle(c)
+    arrived(c)
+
+
+# --- SPI ---
+
+
+@hot
+def answer(c):
+    """What the next datagram gets."""
+    return spi_status(c) << 32 if c.answer == FIRST else c.answer
+
+
+@hot
+def _act(c, word):
+    """A whole datagram has come in, CSN goes high."""
+    a = word >> 32 & DATUM
+    datum = word & M32
+    if word >> 39 & 1:
+        write_register(c, a, datum)
+    else:
+        datum = read_register(c, a)
+    c.answer = spi_status(c) << 32 | datum
+
+
+@hot
+def write(c, address, value):
+    """One write cycle of the bus."""
+    if address < REGISTERS:
+        write_register(c, address, value & M32)
+    elif address == SPI_CS:
+        select(c, value & 1)
+    elif address == SPI_BYTE and not c.csn:
+        c.out = c.shift >> 32
+        c.shift = (c.shift << 8 | value & 0xFF) & M40
+        c.bits += 8
+        c.shifted = c.clock
+    elif address == SPI_DATAGRAM:
+        c.heard = answer(c)
+        _act(c, value & M40)
+
+
+@hot
+def select(c, level):
+    """CSN."""
+    if c.csn and not level:
+        c.shift, c.bits = answer(c), 0
+    elif level and not c.csn:
+        c.risen = c.clock
+        if c.bits >= 40:
+            _act(c, c.shift)
+    c.csn = level
+
+
+@hot
+def peek(c, address):
+    """What a read cycle finds; it changes nothing."""
+    if address < REGISTERS:
+        return read_register(c, address)
+    if address == SPI_CS:
+        return c.csn
+    if address == SPI_BYTE:
+        return c.out
+    if address == SPI_DATAGRAM:
+        return c.heard
+    if address == SPI_STATE:
+        return spi_status(c)
+    return drives(c) if address == MOTION else 0

@@ -1,0 +1,352 @@
+"""How a host controls an axis of a TMC5160: moves, homing by a switch or by StallGuard, register values for rates and ramps.
+
+firmware.move(axis, 10e-3)                    m; the power stage is switched on where it is off
+firmware.home(axis, by="stall")               against the end of travel, without a switch
+current_registers(1.7, 0.1)                   GLOBALSCALER and IHOLD_IRUN for 1.7 A at 0.1 ohm
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar, NoReturn
+
+import numpy as np
+
+from pulsestage_trinamic.tmc5160 import homing
+from pulsestage_trinamic.tmc5160.encoder import DECIMAL
+from pulsestage_trinamic.tmc5160.homing import LEAST_VSTOP, STOPS
+from pulsestage_trinamic.tmc5160.line import NAMES, InRatio
+from pulsestage_trinamic.tmc5160.maps import M32, NUMBER
+from pulsestage_trinamic.tmc5160.power import FULL_SCALE
+from pulsestage_trinamic.tmc5160.state import (
+    EVENT_L,
+    EVENT_POS,
+    EVENT_R,
+    EVENT_SG,
+    HOLD,
+    MINUS,
+    PLUS,
+    POL_L,
+    POL_R,
+    POSITION,
+)
+from stage.errors import ArgumentError, RunTimeout, a_or_an
+from stage.firmware.axis import turned
+from stage.firmware.choices import limits
+from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, select_moving, wait_until_stopped
+from stage.firmware.lines import Asked, LineSettings
+from stage.firmware.report import Procedure, Report
+from stage.firmware.stop_reasons import ANOTHER_AXIS
+from stage.firmware.together import StopTogether, SynchronizedReport, Together
+from stage.sim.program import Operations
+
+CHOPCONF = 0x100100C3
+"""SpreadCycle as in the data sheet's example, with interpolation: TOFF 3, HSTRT 4, HEND 1, TBL 2, MRES 0."""
+SWITCHED_ON = 0.05  # s until the rotor rests where the field is
+IHOLDDELAY, TPOWERDOWN = 6, 10
+
+
+def velocity(pps: float, hz: int) -> int:
+    """Steps a second as the ramp generator's unit, 1 at least."""
+    return max(round(pps * (1 << 24) / hz), 1)
+
+
+def acceleration(pps2: float, hz: int) -> int:
+    """Steps per s2 as the ramp generator's unit, 1 at least."""
+    return max(round(pps2 * (1 << 41) / hz**2), 1)
+
+
+def current_registers(amplitude: float, rsense: float, hold: float = 0.5) -> dict[str, int]:
+    """GLOBALSCALER, IHOLD_IRUN and TPOWERDOWN for a phase current of this amplitude, A; hold: of it, at standstill.
+
+    Raises ArgumentError for more than the sense resistors allow.
+    """
+    share = amplitude * rsense / FULL_SCALE
+    if not 0 < share <= 1.0:
+        raise ArgumentError(
+            f"a current of {amplitude:g} A: sense resistors of {rsense:g} ohm allow above 0 and up to {FULL_SCALE / rsense:.3g} A. "
+            "Take others, TMC5160(rsense=...), or Drive(current=...)."
+        )
+    cs = min(31, max(0, round(256 * share) * 32 // 32 - 1))  # 31 but for very small currents
+    scaler = min(256, max(32, round(256 * share * 32 / (cs + 1))))
+    irun = min(31, max(0, round(share * 32 * 256 / scaler) - 1))
+    ihold = max(0, round((irun + 1) * hold) - 1)
+    return {
+        "GLOBALSCALER": scaler & 0xFF,
+        "IHOLD_IRUN": IHOLDDELAY << 16 | irun << 8 | ihold,
+        "TPOWERDOWN": TPOWERDOWN,
+    }
+
+
+def encoder_registers(edges_per_turn: float, full_steps: int = 200) -> dict[str, int]:
+    """ENC_CONST and ENCMODE by which X_ENC counts as XACTUAL does: steps of an encoder on the motor with so many edges a turn (four
+    a line; below 0 it turns the other way). The decimal fraction where only that is exact; else ENC_CONST is the nearest.
+
+    Raises ArgumentError for an encoder that no factor suits.
+    """
+    if isinstance(edges_per_turn, bool) or not isinstance(edges_per_turn, int | float) or not abs(edges_per_turn) >= 2:
+        raise ArgumentError(f"encoder_registers({edges_per_turn!r}): a number of edges a turn, four a line, 2 or more.")
+    factor = full_steps * 256 / edges_per_turn
+    if not 2**-16 <= abs(factor) < 2**15:
+        raise ArgumentError(
+            f"{edges_per_turn:g} edges a turn: {factor:g} steps an edge; ENC_CONST takes 0.000015 to 32,767, either sign."
+        )
+    parts = {DECIMAL: 10_000, 0: 65_536}
+    mode = min(parts, key=lambda mode: (abs(factor * parts[mode] - round(factor * parts[mode])) > 1e-9, mode))
+    whole, part = divmod(round(factor * parts[mode]), parts[mode])
+    return {"ENC_CONST": (whole & 0xFFFF) << 16 | part, "ENCMODE": mode}
+
+
+class Tmc5160Driver(Driver):
+    """Of the TMC5160. Speeds are those of 1/256 full steps: MRES stays 0."""
+
+    DONE: ClassVar = "position reached"
+    FINISH: ClassVar = "XTARGET"
+    FOUND: ClassVar = ("REFL", "REFR", "ENCN", "stall")
+    HOMINGS: ClassVar = ("switch", "index", "stall")
+    POSITIVE: ClassVar = ("el_minus", "el_plus", "ez")
+    chip: Any
+
+    # --- registers ---
+
+    def put(self, name: str, value: int) -> None:
+        """Write a register."""
+        self.chip.write(NUMBER[name], value & M32)
+
+    def get(self, name: str) -> int:
+        """Read a register."""
+        return int(self.chip.MAP.register(name).value(self.chip.read(NUMBER[name])))
+
+    def read_register(self, name: str) -> int:
+        r = self.chip.MAP.register(name)
+        if "R" not in r.access:
+            raise self.no_reading(r.name)
+        return self.get(r.name)
+
+    def switches(self, bits: int) -> int:
+        """SW_MODE of these bits, with the polarity of the axis' sensors as they are wired."""
+        return bits | (POL_L if turned(self.axis, "el_minus") else 0) | (POL_R if turned(self.axis, "el_plus") else 0)
+
+    def currents(self) -> dict[str, int]:
+        """The registers that give the motor the current of its Drive; as much as the sense resistors allow at most."""
+        drive = getattr(self.axis, "drive", None)
+        most = FULL_SCALE / self.chip.rsense
+        return current_registers(min(drive.amplitude, most) if drive is not None else most, self.chip.rsense)
+
+    def ready(self) -> None:
+        """Switch the power stage on, where it is off: currents as the axis' Drive has them."""
+        if not self.get("CHOPCONF") & 15:
+            self._switch_on(AtOnce(self.axis))
+
+    def switched_on(self) -> dict[str, int]:
+        """The registers that switch the power stage on."""
+        return {**self.currents(), "CHOPCONF": CHOPCONF}
+
+    def _switch_on(self, program: Operations) -> None:
+        for name, value in self.switched_on().items():
+            program.register(self.index, self.chip, name, value)
+        program.wait(SWITCHED_ON)
+
+    def _speeds(self, speeds: Speeds) -> dict[str, int]:
+        """Raises ArgumentError for what the registers cannot hold."""
+        if speeds.s_curve:
+            raise self.no_s_curves()
+        values, hz = self._wanted(speeds.start, speeds.drive, speeds.up, speeds.down), self.chip.clock_hz
+        for name, value in values.items():
+            r = self.chip.MAP.register(name)
+            if not r.allows(value):
+                raise ArgumentError(
+                    f"{name} = {value}: {a_or_an(self.chip.MAP.chip)} takes {r.range[0]} to {r.range[1]}. At {hz:,} Hz a "
+                    f"velocity of 1 is {hz / (1 << 24):.4g} pulses/s, an acceleration of 1 {hz**2 / (1 << 41):.4g} pulses/s2."
+                )
+        return values
+
+    def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:
+        if s_curve:
+            raise self.no_s_curves()
+        return NAMES
+
+    def formula(
+        self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
+    ) -> dict[str, int]:
+        """The nearest of what is chosen from for each register."""
+        self.tuned_by(s_curve)
+        ranges = {name: limits(self.chip.MAP, name) for name in NAMES}
+        return {n: min(max(value, ranges[n][0]), ranges[n][1]) for n, value in self._wanted(fl, fh, up, down).items()}
+
+    def _wanted(self, fl: float, fh: float, up: float, down: float) -> dict[str, int]:
+        hz, rise = self.chip.clock_hz, max(fh - fl, 0.0)
+        start = velocity(fl, hz)
+        return {
+            "VSTART": start,
+            "AMAX": acceleration(rise / up, hz),
+            "VMAX": velocity(max(fh, fl), hz),
+            "DMAX": acceleration(rise / down, hz),
+            "VSTOP": max(start, LEAST_VSTOP),
+        }
+
+    # --- moves ---
+
+    def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
+        values = self._speeds(speeds)
+        self.check_still()
+        with Procedure(self.axis, "move") as p:
+            self.start_with(values, pulses)
+            longest = abs(pulses) / speeds.drive + speeds.up + speeds.down
+            wait_until_stopped([self.axis], 1.5 * longest + 1 if timeout is None else timeout)
+            met = self.explain_end(p.pulses_made == pulses)
+            self.stay()
+            self.axis.wait(SETTLE)
+            return p.report(met, pulses)
+
+    def start(self, pulses: int, speeds: Speeds) -> None:
+        self.check_still()
+        self.start_with(self._speeds(speeds), pulses)
+
+    def start_with(self, values: Mapping[str, int], pulses: int) -> None:
+        """Begin a move with these registers."""
+        self.ready()
+        self.goal = self.chip.net(self.axis.chip_axis) + pulses
+        self.put("XTARGET", self.aim(values, pulses))
+
+    def aim(self, values: Mapping[str, int], pulses: int) -> int:
+        """All but the start of a move with these registers: returns the XTARGET that starts it."""
+        goal = self.get("XACTUAL") + pulses
+        self.stay()
+        for name, value in {
+            **values,
+            "V1": 0,
+            "D1": values["DMAX"],
+            "SW_MODE": self.switches(STOPS),
+            "RAMP_STAT": EVENT_POS,
+        }.items():
+            self.put(name, value)
+        self.put("RAMPMODE", POSITION)
+        return goal
+
+    def check_still(self) -> None:
+        """Raises StageError for an axis that moves."""
+        if self.runs():
+            raise self.moving()
+
+    def stay(self) -> None:
+        """Nothing moves, whatever comes: the target is where the axis is."""
+        self.put("RAMPMODE", HOLD)
+        self.put("XTARGET", self.get("XACTUAL"))
+        self.put("RAMPMODE", POSITION)
+
+    def run(self, direction: int, speeds: Speeds) -> None:
+        values = self._speeds(speeds)
+        self.check_still()
+        self.ready()
+        self.run_with(direction, values, STOPS)
+
+    def run_with(self, direction: int, values: Mapping[str, int], switches: int) -> None:
+        """Begin to run with these registers; switches: of SW_MODE, which stops act."""
+        for name, value in {**values, "V1": 0, "D1": values["DMAX"], "SW_MODE": self.switches(switches)}.items():
+            self.put(name, value)
+        self.put("RAMPMODE", PLUS if direction > 0 else MINUS)
+
+    def slow_down(self) -> None:
+        """Command a decelerating stop, and do not wait."""
+        self.put("VMAX", 0)
+
+    def halt(self, at_once: bool = False) -> None:
+        if at_once:  # as the data sheet has it, page 83: the polarity makes a switch
+            self.put("SW_MODE", self.switches(STOPS) ^ (POL_L | POL_R))
+        self.slow_down()
+        wait_until_stopped([self.axis], 60.0)
+        self.stay()
+        self.put("SW_MODE", self.switches(STOPS))
+
+    def stopped_by(self) -> str:
+        events = self.get("RAMP_STAT")
+        if events & EVENT_SG:
+            return "stall"
+        return "EL-" if events & EVENT_L else "EL+" if events & EVENT_R else ""
+
+    # --- homing ---
+
+    def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
+        return self.home_by("index" if index else "switch", direction, speeds, timeout)
+
+    def home_by(self, what: str, direction: int, speeds: Speeds, timeout: float = 60.0) -> Report:
+        values = self._speeds(speeds)
+        self.check_still()
+        with Procedure(self.axis, "home") as p:
+            self.ready()
+            ended = homing.to_stall(self, direction, values, timeout) if what == "stall" else ""
+            ended = ended or homing.to_switch(self, direction, values, timeout)
+            if what == "index" and ended in self.FOUND:
+                ended = homing.to_index(self, -direction, values, timeout)
+            self.axis.wait(SETTLE)
+            report = p.report(ended)
+        # zero is where the motor has stalled: steps lost before do not count
+        return replace(report, lost_steps=0) if ended == "stall" else report
+
+    # --- as programs ---
+
+    def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
+        self._switch_on(program)
+        more = {"D1": values.get("DMAX", 1), "SW_MODE": self.switches(STOPS), "XTARGET": pulses}
+        for name, value in {**values, **more}.items():
+            program.register(self.index, self.chip, name, value)
+
+    def write_stop(self, program: Operations) -> None:
+        program.register(self.index, self.chip, "VMAX", 0)
+
+    def search(self, settings: Any) -> NoReturn:
+        raise ArgumentError(
+            f"{a_or_an(self.chip.MAP.chip)} has no ORG: its two reference switches are the end limits, and an origin return is to "
+            "find ORG between them. firmware.home homes it by a switch, index or stall."
+        )
+
+    # --- lines ---
+
+    def lines(self, drivers: Sequence[Driver], settings: Any) -> InRatio:
+        """By velocities and accelerations in the ratio of the distances."""
+        return InRatio(drivers, settings)
+
+    @classmethod
+    def line(
+        cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
+    ) -> SynchronizedReport:
+        """As `lines`; ramps up and down are alike, the longer of both."""
+        mine: dict[str, Any] = select_moving(dict(drivers), pulses)
+        for driver in mine.values():
+            driver.check_still()
+        for driver in drivers.values():  # an axis that keeps still needs its power stage, too
+            driver.ready()
+        ramp = max(speeds.up, speeds.down)
+        made = InRatio(list(mine.values()), LineSettings(speeds.start, ramp, speeds.s_curve, axes=tuple(mine)))
+        if speeds.drive > made.fastest:
+            raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {made.fastest:g} here.")
+        asked = Asked(np.array([[pulses[n] for n in mine]]), np.array([speeds.drive]))
+        rows = made.data_sheet(asked)[0].tolist()
+        wanted = {n: pulses[n] for n in mine}
+        with Together({n: Procedure(d.axis, "line") for n, d in mine.items()}, wanted) as together:
+            goals = {
+                n: d.aim(dict(zip(made.names, row, strict=True)), wanted[n])
+                for (n, d), row in zip(mine.items(), rows, strict=True)
+            }
+            for name, goal in goals.items():
+                mine[name].put("XTARGET", goal)
+                together.began(name)
+            longest = 1.5 * float(asked.longest[0]) / speeds.drive + 6 * ramp + 1
+            breaker = StopTogether(together, mine)
+            try:
+                wait_until_stopped(
+                    [d.axis for d in mine.values()], longest if timeout is None else timeout, look=breaker
+                )
+            except RunTimeout as error:
+                error.reports = together.reports(dict.fromkeys(mine, "timeout"))  # type: ignore[attr-defined]
+                raise
+            ended = {
+                n: ANOTHER_AXIS if n in breaker.stopped else d.explain_end(together.has_arrived(n))
+                for n, d in mine.items()
+            }
+            for driver in mine.values():
+                driver.stay()
+            next(iter(mine.values())).axis.wait(SETTLE)
+            return together.report(ended)

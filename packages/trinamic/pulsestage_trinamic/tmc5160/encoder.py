@@ -1,0 +1,208 @@
+"""TMC5160, compiled: the encoder. A and B come by the pins enca and encb, or, where somebody tells where its shaft is, from that.
+
+    edge       0    1    2    3    4    5      A leads B: X_ENC goes up
+    ENCA     __|^^^^^^^^^|_________|^^^^^      rises at 1, 5, ...
+    ENCB     _______|^^^^^^^^^|_________|      rises at 2, 6, ...
+
+The shaft is at shaft + shaft_rate * (clock - seen), in edges; edge n is passed half an edge before n. An edge acts at the clock by
+which it is passed. Where nothing but X_ENC follows from the edges of a stretch, they are counted at its end, all at once.
+"""
+
+from __future__ import annotations
+
+from pulsestage_trinamic.tmc5160.state import (
+    ENC_CONST,
+    ENC_DEVIATION,
+    ENCA,
+    ENCB,
+    ENCMODE,
+    ENCN,
+    GCONF,
+    NEVER,
+    STOP_ENABLE,
+    signed32,
+)
+from stage.native import floor, greatest, hot, least
+
+POL_A, POL_B, POL_N, IGNORE_AB, CLR_CONT, CLR_ONCE = (1 << k for k in range(6))
+CLR_ENC_X, LATCH_X, DECIMAL = 1 << 8, 1 << 9, 1 << 10
+N_EVENT, DEVIATION = 1, 2  # ENC_STATUS
+PINS = ENCA | ENCB
+FAR = float(1 << 45)
+SLOWEST = 1e-9  # edges a clock; what is slower passes no edge before it is seen anew
+PERIOD = 4  # edges after which A and B are the same again
+
+
+@hot
+def wake(c):
+    """At power-up: what the encoder shows is no edge."""
+    c.enc_pins = _levels(c)
+    c.enc_met = _met(c)
+
+
+@hot
+def look(c):
+    """In step 1 of a clock: edges of A and B, N events."""
+    if c.fed:
+        _follow(c, _edge_at(c, c.clock))
+    else:
+        _pins_changed(c)
+    _index(c)
+
+
+@hot
+def deviates(c):
+    """X_ENC is too far from XACTUAL."""
+    most = c.reg[ENC_DEVIATION]
+    return most and abs(c.enc - c.x) > most
+
+
+# --- a shaft ---
+
+
+@hot
+def set_shaft(c, count, rate):
+    """From now on the shaft is at `count + rate * (clock - now)`. Where it is at first counts nothing; later its way from one
+    place to the other is passed in the next clock."""
+    c.seen, c.shaft, c.shaft_rate = c.clock, count, rate
+    if not c.fed:
+        c.fed = 1
+        _show(c, _edge_at(c, c.clock))
+        c.enc_met = _met(c)
+
+
+@hot
+def watched(c):
+    """Something may follow from each edge, in its clock."""
+    if not c.fed:
+        return False
+    mode = c.reg[ENCMODE]
+    if mode & (CLR_CONT | CLR_ONCE) and not mode & IGNORE_AB:
+        return True
+    return c.reg[GCONF] & STOP_ENABLE or (c.reg[ENC_DEVIATION] and not c.enc_flags & DEVIATION)
+
+
+@hot
+def next_edge(c):
+    """The clock at which the shaft next passes an edge, or an earlier one."""
+    if _edge_at(c, c.clock + 1) != c.edge:
+        return c.clock + 1
+    rate = abs(c.shaft_rate)
+    if rate < SLOWEST:
+        return NEVER
+    low, high = c.clock + 1, c.clock + int(1.0 / rate) + 3
+    if _edge_at(c, high) == c.edge:
+        return high
+    while high - low > 1:
+        middle = (low + high) // 2
+        if _edge_at(c, middle) == c.edge:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+@hot
+def catch_up(c):
+    """The edges of a stretch that has passed, of which none was watched."""
+    edge = _edge_at(c, c.clock)
+    if edge != c.edge:
+        _add(c, edge - c.edge)
+        _show(c, edge)
+        if not c.reg[ENCMODE] & IGNORE_AB:  # then no condition of N has lasted
+            c.enc_met = _met(c)
+
+
+@hot
+def _edge_at(c, clock):
+    at = c.shaft + c.shaft_rate * (clock - c.seen) + 0.5
+    return int(floor(least(greatest(at, -FAR), FAR)))
+
+
+@hot
+def _follow(c, edge):
+    """Pass all edges up to this one; the last period of them one by one, as A and B select the N event."""
+    if abs(edge - c.edge) > PERIOD:
+        near = edge - PERIOD if edge > c.edge else edge + PERIOD
+        _add(c, near - c.edge)
+        _show(c, near)
+        _index(c)
+    while c.edge != edge:
+        way = 1 if edge > c.edge else -1
+        _add(c, way)
+        _show(c, c.edge + way)
+        if c.edge != edge:
+            _index(c)
+
+
+@hot
+def _show(c, edge):
+    """The levels at the pins."""
+    c.edge = edge
+    c.inputs = c.inputs & ~PINS | (ENCA if edge + 1 & 2 else 0) | (ENCB if edge & 2 else 0)
+    c.enc_pins = _levels(c)
+
+
+# --- A and B ---
+
+
+@hot
+def _levels(c):
+    return (1 if c.inputs & ENCA else 0) | (2 if c.inputs & ENCB else 0)
+
+
+@hot
+def _pins_changed(c):
+    """Somebody drives the pins."""
+    now, was = _levels(c), c.enc_pins
+    c.enc_pins = now
+    changed = now ^ was
+    if changed == 0 or changed == 3:
+        return
+    # A leads B: 00, 01, 11, 10
+    up = ((now & 1) != (was >> 1 & 1)) if changed & 1 else ((now >> 1 & 1) == (was & 1))
+    _add(c, 1 if up else -1)
+
+
+@hot
+def _add(c, edges):
+    """Edges that count up; below 0 down."""
+    factor = c.reg[ENC_CONST]
+    base = 10_000 if c.reg[ENCMODE] & DECIMAL else 65_536
+    part = c.part + edges * (factor & 0xFFFF)
+    c.enc, c.part = signed32(c.enc + edges * (signed32(factor) >> 16) + part // base), part % base
+
+
+# --- N ---
+
+
+@hot
+def _met(c):
+    """The condition of an N event."""
+    mode = c.reg[ENCMODE]
+    met = (c.inputs & ENCN != 0) == (mode & POL_N != 0)
+    if not mode & IGNORE_AB:
+        met = met and (c.inputs & ENCA != 0) == (mode & POL_A != 0) and (c.inputs & ENCB != 0) == (mode & POL_B != 0)
+    return 1 if met else 0
+
+
+@hot
+def _index(c):
+    mode, now = c.reg[ENCMODE], _met(c)
+    was, done = c.enc_met & 1, c.enc_met & 2 if now else 0
+    c.enc_met = done | now
+    if not mode & (CLR_CONT | CLR_ONCE):
+        return
+    edge = mode >> 6 & 3
+    happens = (now and not done) if edge == 0 else (now != was) and (edge == 3 or (edge == 1) == (now == 1))
+    if not happens:
+        return
+    c.enc_met |= now << 1
+    c.enc_latch = c.enc
+    c.enc_flags |= N_EVENT
+    if mode & CLR_ENC_X:
+        c.enc = c.part = 0
+    if mode & LATCH_X:
+        c.latched = c.x
+    if mode & CLR_ONCE:
+        c.reg[ENCMODE] &= ~CLR_ONCE

@@ -1,0 +1,137 @@
+"""Homing of a TMC5160 as its data sheet has it, pages 46 and 85 to 90: by a switch, by the encoder's index pulse, by a stall. Each
+returns what has ended it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from pulsestage_trinamic.tmc5160.encoder import CLR_ONCE, DECIMAL, IGNORE_AB, LATCH_X, N_EVENT, POL_N
+from pulsestage_trinamic.tmc5160.stallguard import PER_SGT
+from pulsestage_trinamic.tmc5160.state import (
+    EVENT_POS,
+    EVENT_SG,
+    HOLD,
+    LATCH_L_ON,
+    LATCH_R_ON,
+    POSITION,
+    SG_STOP,
+    SOFT_STOP,
+    STATUS_L,
+    STATUS_R,
+    STOP_L,
+    STOP_R,
+    VELOCITY_REACHED,
+)
+from stage.firmware.axis import turned
+from stage.firmware.driver import wait_until_stopped
+
+if TYPE_CHECKING:
+    from pulsestage_trinamic.tmc5160.driver import Tmc5160Driver
+
+STOPS = STOP_L | STOP_R
+LEAST_VSTOP = 10  # recommended
+USUAL_STEPS = 200  # full steps a turn, of a motor that nobody knows
+SLOWLY = 10  # part of VMAX at which the index is sought
+RISING = 1 << 6  # ENCMODE: the event is the beginning of the pulse
+TUNING, FULL_STEP = 8, 256  # full steps that are looked at; steps of each
+WINDOW = 1.2  # TCOOLTHRS over TSTEP
+
+
+def to_switch(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeout: float) -> str:
+    """Data sheet, pages 85 and 86: XACTUAL is 0 where the switch closes, and there the axis is in the end."""
+    left = direction < 0
+    closed, stop, latch = (STATUS_L, STOP_L, LATCH_L_ON) if left else (STATUS_R, STOP_R, LATCH_R_ON)
+    end = d.axis.time + timeout
+    if d.get("RAMP_STAT") & closed:  # off it first
+        d.run_with(-direction, values, STOPS)
+        while d.get("RAMP_STAT") & closed and d.axis.time < end and d.runs():
+            d.axis.wait(1e-3)
+        d.halt()
+    d.run_with(direction, values, stop | latch | SOFT_STOP)
+    wait_until_stopped([d.axis], end - d.axis.time)
+    if not d.get("RAMP_STAT") & closed:
+        d.stay()
+        return d.stopped_by() or "no switch"
+    d.put("SW_MODE", d.switches(0))
+    _zero_at_latch(d)
+    wait_until_stopped([d.axis], end - d.axis.time)
+    d.put("SW_MODE", d.switches(STOPS))
+    return "REFL" if left else "REFR"
+
+
+def to_index(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeout: float) -> str:
+    """Within a turn away from the switch, data sheet, page 46: XACTUAL is 0 where the N event was, and there the axis is in the
+    end. The pulse is passed slowly, always in this direction: it is some steps wide."""
+    motor = getattr(getattr(d.axis, "drive", None), "motor", None)
+    turn = FULL_STEP * getattr(motor, "steps_per_turn", USUAL_STEPS)
+    slow = {**values, "VMAX": max(values["VMAX"] // SLOWLY, LEAST_VSTOP)}
+    slow["VSTART"] = min(values["VSTART"], slow["VMAX"])
+    slow["VSTOP"] = max(slow["VSTART"], LEAST_VSTOP)
+    level = 0 if turned(d.axis, "ez") else POL_N
+    end = d.axis.time + timeout
+    d.put("ENC_STATUS", N_EVENT)
+    d.put("ENCMODE", d.get("ENCMODE") & DECIMAL | level | IGNORE_AB | CLR_ONCE | LATCH_X | RISING)
+    d.run_with(direction, slow, STOPS)
+    begin = d.get("XACTUAL")
+    while not d.get("ENC_STATUS") & N_EVENT and d.runs() and d.axis.time < end:
+        if abs(d.get("XACTUAL") - begin) > turn + FULL_STEP:
+            break
+        d.axis.wait(1e-3)
+    met = d.stopped_by()
+    d.halt()
+    d.put("ENCMODE", d.get("ENCMODE") & DECIMAL)
+    if not d.get("ENC_STATUS") & N_EVENT:
+        return met or "no index"
+    d.put("VMAX", slow["VMAX"])
+    _zero_at_latch(d)
+    wait_until_stopped([d.axis], end - d.axis.time)
+    return "ENCN"
+
+
+def _zero_at_latch(d: Tmc5160Driver) -> None:
+    """XACTUAL becomes 0 where XLATCH was, and the axis goes there."""
+    d.put("RAMPMODE", HOLD)
+    beyond = d.get("XACTUAL") - d.get("XLATCH")
+    d.put("XACTUAL", beyond)
+    d.put("XTARGET", beyond)
+    d.put("RAMPMODE", POSITION)
+    d.put("XTARGET", 0)
+
+
+def to_stall(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeout: float) -> str:
+    """Data sheet, pages 87 to 90: XACTUAL is 0 where the motor stalls.
+
+    SGT makes SG_RESULT 0 at half of what it is in free motion: so the motor stops before its field is half an electrical turn
+    ahead, where it would slip by four full steps or not, by chance.
+    """
+    gconf, tstep = d.get("GCONF"), (1 << 24) // values["VMAX"]
+    settings = {
+        "GCONF": gconf & ~4,
+        "COOLCONF": 0,
+        "TCOOLTHRS": min(round(WINDOW * tstep), 0xFFFFF),
+        "RAMP_STAT": EVENT_SG,
+    }
+    for name, value in settings.items():
+        d.put(name, value)
+    d.run_with(direction, values, 0)
+    end = d.axis.time + timeout
+    while not d.get("RAMP_STAT") & VELOCITY_REACHED and d.axis.time < end:
+        d.axis.wait(1e-3)
+    free = []
+    for _ in range(TUNING):
+        d.axis.wait(FULL_STEP * d.chip.clock_hz**-1 * tstep)
+        free.append(d.get("DRV_STATUS") & 0x3FF)
+    d.put("COOLCONF", (-round(min(free) / 2 / PER_SGT) & 0x7F) << 16)
+    d.put("SW_MODE", d.switches(SG_STOP))
+    wait_until_stopped([d.axis], end - d.axis.time)
+    ended = d.stopped_by()
+    d.put("RAMPMODE", HOLD)
+    d.put("XACTUAL", 0)
+    d.put("XTARGET", 0)
+    d.put("SW_MODE", d.switches(STOPS))
+    d.put("RAMP_STAT", EVENT_SG | EVENT_POS)
+    d.put("TCOOLTHRS", 0)
+    d.put("GCONF", gconf)
+    d.put("RAMPMODE", POSITION)
+    return ended or "no stall"

@@ -1,0 +1,84 @@
+"""Several TMC5160 on a straight line. The chip does not interpolate: all that couples the axes is that their velocities and
+accelerations are in the ratio of their distances, and that XTARGET, which starts each, is written to one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from pulsestage_trinamic.tmc5160.state import STOP_L, STOP_R
+from stage.firmware.driver import Driver
+from stage.firmware.lines import Asked, Line
+from stage.sim.program import Program
+
+NAMES = ("VSTART", "AMAX", "VMAX", "DMAX", "VSTOP")
+VELOCITIES, RATES = [0, 2, 4], [1, 3]  # of NAMES
+V, A = 1 << 24, 1 << 41  # units: fCLK / V steps/s, fCLK^2 / A steps/s2
+
+
+class InRatio(Line):
+    """A row of NAMES an axis: those of the longest axis, times its share."""
+
+    def __init__(self, drivers: Sequence[Driver], settings: Any):
+        names = drivers[0].tuned_by(settings.s_curve)
+        super().__init__(drivers, settings, len(drivers), names)
+        self.fastest = float(self.high[names.index("VMAX")] * self.hz / V)
+        self._write_template()
+
+    def _write_template(self) -> None:
+        p, count = Program(), len(self.drivers)
+        for a, driver in enumerate(self.drivers):
+            for name, value in {**driver.switched_on(), "SW_MODE": driver.switches(STOP_L | STOP_R), "D1": 1}.items():
+                p.register(driver.index, driver.chip, name, value)
+            for column, name in enumerate(self.names):
+                p.register(driver.index, driver.chip, name, 0)
+                self._slot(p, 1, a * len(self.names) + column)
+        for a, driver in enumerate(self.drivers):
+            p.register(driver.index, driver.chip, "XTARGET", 0)
+            self._slot(p, 1, count * len(self.names) + a)
+        self._template = np.array(p.ops, np.int64)
+
+    def data_sheet(self, asked: Asked) -> np.ndarray:
+        """The longest axis' registers by the formulas, rounded; of the others the nearest to their share of them."""
+        c, (peak, ramp) = self.settings, self.reach(asked)
+        low = np.minimum(c.fl, peak)
+        lead = np.zeros((len(peak), len(self.names)))
+        lead[:, 0] = lead[:, 4] = low * V / self.hz
+        lead[:, 2] = peak * V / self.hz
+        lead[:, 1] = lead[:, 3] = (peak - low) / ramp * A / self.hz**2
+        whole = np.maximum(np.rint(lead), 1.0)
+        return self.legal(asked.share[:, :, None] * whole[:, None, :])
+
+    def corrected(self, asked: Asked, corrections: np.ndarray) -> np.ndarray:
+        """By a share of the counts that move the axis by `reach` steps along the line, one at least."""
+        made = self.data_sheet(asked)
+        counts = np.maximum(np.rint(self.settings.reach / self.worth(made, asked)), 1)
+        return self.legal(made + np.rint(corrections * counts))
+
+    def worth(self, registers: np.ndarray, asked: Asked) -> np.ndarray:
+        """By how many steps one count of each register moves an axis along the line."""
+        r = registers.astype(np.float64)
+        up, down = (self._seconds(r, start, rate) for start, rate in ((0, 1), (4, 3)))
+        gained, kept = (0.5 * (r[..., 2] - r[..., start]) * t * self.hz / V for start, t in ((0, up), (4, down)))
+        unit = self.hz / V
+        worth = [up * unit, gained / r[..., 1], asked.size / r[..., 2], kept / r[..., 3], down * unit]
+        return np.maximum(np.stack(worth, axis=2), 1e-9)
+
+    def _seconds(self, r: np.ndarray, start: int, rate: int) -> np.ndarray:
+        """Of a ramp between the columns `start` and VMAX."""
+        return np.maximum(r[..., 2] - r[..., start], 0.0) * (A / V) / (r[..., rate] * self.hz)
+
+    def errors(self, asked: Asked) -> np.ndarray:
+        r, unit = self.data_sheet(asked).astype(np.float64), self.hz / V
+        up, down = self._seconds(r, 0, 1), self._seconds(r, 4, 3)
+        behind, less = 0.5 * (r[..., 2] - r[..., 0]) * unit * up, 0.5 * (r[..., 2] - r[..., 4]) * unit * down
+        return self.strays(asked, r[..., 2] * unit, up, behind, less, 0.5 * (r[..., 2] + r[..., 4]) * unit * down)
+
+    def programs(self, registers: np.ndarray, asked: Asked) -> np.ndarray:
+        columns = [registers.reshape(len(registers), -1), asked.distances & 0xFFFFFFFF]
+        return self._filled(self._template, np.concatenate(columns, axis=1))
+
+    def starts(self, distances: np.ndarray) -> np.ndarray:
+        return np.arange(len(self._template) - len(self.drivers), len(self._template))
