@@ -55,7 +55,10 @@ def test_the_libraries_for_reinforcement_learning_are_installed_every_night_and_
 
 def test_every_file_of_the_packages_goes_into_the_wheel():
     # pip install pulsestage; stage run sketch.ino: Arduino.h was not there
-    folders = {name: ROOT / PACKAGES["package-dir"].get(name, name.replace(".", "/")) for name in PACKAGES["packages"]}
+    assert PACKAGES["packages"]["find"]["include"] == ["stage", "stage.*"]
+    found = {file.parent.relative_to(ROOT) for file in (ROOT / "stage").rglob("__init__.py")}
+    folders = {".".join(folder.parts): ROOT / folder for folder in found}
+    folders |= {name: ROOT / folder for name, folder in PACKAGES["package-dir"].items()}
     taken = {file for folder in folders.values() for file in folder.glob("*.py")}
     taken |= {f for name, ways in PACKAGES["package-data"].items() for way in ways for f in folders[name].glob(way)}
     there = {f for top in ("stage", "envs", "models") for f in (ROOT / top).rglob("*") if f.is_file()}

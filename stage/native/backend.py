@@ -60,7 +60,12 @@ if find_spec("setuptools.command.bdist_wheel"):
     from stage.native.packing import Wheel  # noqa: F401
 
     class Modules(build_py):
-        """The packages, and beside them the examples."""
+        """The packages, those of package-dir that lie elsewhere in the checkout, and the examples."""
+
+        def finalize_options(self) -> None:
+            found = self.distribution.packages
+            found += [name for name in self.distribution.package_dir if name not in found]
+            super().finalize_options()
 
         def run(self) -> None:
             super().run()
