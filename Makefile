@@ -6,11 +6,13 @@ PHYSICS := tests/test_models.py tests/test_plant.py tests/test_stage.py tests/te
 UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_pcl240ms_statements.py tests/chips/test_drive_input.py tests/drives/test_stepper.py
 TYPES := build/types/stage
 
-.PHONY: ci demo docs notebooks tutorials test record test-slow test-oldest test-libraries test-mujoco soak fuzz coverage memory lint bench results pictures clean help
+.PHONY: ci demo docs notebooks tutorials packages test test-packages record test-slow test-oldest test-libraries test-mujoco soak fuzz coverage memory lint bench results pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
 	@echo "make test       the everyday test suite"
+	@echo "make packages   install the distributions of packages/ in .venv, editable"
+	@echo "make test-packages  their tests"
 	@echo "make test-slow  the long checks"
 	@echo "make soak       24 simulated hours of random moves, checked after each (less than an hour)"
 	@echo "make test-oldest                the everyday suite with the oldest of every dependency, in build/oldest"
@@ -27,7 +29,7 @@ help:
 	@echo "make lint       ruff and mypy"
 	@echo "make ci         all that .github/workflows/ci.yml does on this Python"
 	@echo "make bench      speed, as ratios measured in one run"
-	@echo "make results    baselines of RegisterTuning: docs/results.md, which says how long it takes (extra rl)"
+	@echo "make results    baselines of RegisterTuning: packages/registerbench/docs/results.md, which says how long it takes (extra rl)"
 	@echo "make pictures   draw every picture of README and docs again"
 
 $(BIN)/python:
@@ -46,10 +48,22 @@ demo: .venv/.user
 	$(BIN)/stage demo
 
 test: .venv/.dev
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST)
 
-test-slow: .venv/.dev
+PACKAGES := $(patsubst %/pyproject.toml,%,$(wildcard packages/*/pyproject.toml))
+
+packages: .venv/.packages
+
+.venv/.packages: .venv/.dev $(PACKAGES:%=%/pyproject.toml)
+	$(BIN)/python -m pip install -q $(PACKAGES:%=-e ./%)
+	@touch $@
+
+test-packages: .venv/.packages
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST) packages
+
+test-slow: .venv/.packages
 	PULSESTAGE_EXAMPLES=100 $(BIN)/python -m pytest -n 2 --dist worksteal -m 'slow or not slow'
+	PULSESTAGE_EXAMPLES=100 $(BIN)/python -m pytest -n 2 --dist worksteal -m 'slow or not slow' packages
 	PULSESTAGE_EXAMPLES=1500 $(BIN)/python -m pytest -n 2 tests/chips
 
 soak: .venv/.dev
@@ -79,14 +93,14 @@ test-small:
 	build/small/bin/python -m pip install -q -e '.[build,plot]' pytest pytest-xdist hypothesis mpmath psutil
 	build/small/bin/python -m pytest -n 2 --dist worksteal tests/recording tests/testing tests/test_cli.py tests/test_cli_options.py tests/test_servo_stage.py tests/test_faults.py tests/board/test_command.py
 
-# docs/rl_libraries.md and the learners of scripts/baselines. RLlib takes one version of Gymnasium alone: an environment of their
+# docs/rl_libraries.md and the learners of packages/registerbench. RLlib takes one version of Gymnasium alone: an environment of their
 # own. CleanRL is in no package: PULSESTAGE_CLEANRL names its script, see the nightly workflow
-LIBRARIES := tests/envs/test_libraries.py tests/envs/test_stable_baselines_vectors.py tests/envs/test_common.py tests/envs/test_bus_macros.py tests/envs/test_learners.py tests/envs/test_baselines.py tests/study
+LIBRARIES := tests/envs/test_libraries.py tests/envs/test_stable_baselines_vectors.py tests/envs/test_common.py tests/envs/test_bus_macros.py tests/study packages/registerbench/tests/test_learners.py packages/registerbench/tests/test_baselines.py
 test-libraries:
 	rm -rf build/libraries
 	$(PYTHON) -m venv build/libraries
 	build/libraries/bin/python -m pip install -q --upgrade pip
-	build/libraries/bin/python -m pip install -q -e '.[test,libraries]'
+	build/libraries/bin/python -m pip install -q -e '.[test,libraries]' -e ./packages/registerbench
 	build/libraries/bin/python -m pytest -n 2 --dist worksteal -rs -m 'slow or not slow' $(LIBRARIES)
 
 # that MuJoCo goes before the one of .venv, whatever pyproject.toml allows; all else stays as it is
@@ -129,17 +143,17 @@ lint: .venv/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	mkdir -p $(TYPES) && ln -sfn $(CURDIR)/stage/* $(CURDIR)/envs $(TYPES)/  # as installed: envs is stage.envs
-	$(BIN)/mypy $(TYPES)
+	$(BIN)/mypy $(TYPES) packages/registerbench/registerbench
 
-ci: lint test coverage
+ci: lint test test-packages coverage
 
 bench: .venv/.dev
 	$(BIN)/python scripts/benchmark.py --markdown docs/performance.md --picture docs/pictures/performance.png
 	$(BIN)/python scripts/benchmark_envs.py --most 64 --rounds 3
 
 results: .venv/.dev
-	$(BIN)/python -m pip install -q -e '.[rl,plot,data]'
-	$(BIN)/python scripts/baselines/results.py
+	$(BIN)/python -m pip install -q -e '.[rl,plot,data]' -e ./packages/registerbench
+	$(BIN)/python -m registerbench.baselines.results
 
 pictures: .venv/.dev
 	$(BIN)/stage demo --no-view --force --picture docs/pictures/dashboard.png

@@ -54,19 +54,6 @@ def test_a_picture_of_a_model_is_checked_before_it_is_drawn(here, capsys):
     assert "a rendered picture is no 'gif'" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("argv", "said"),
-    [
-        ("agent diagnosis:late -o a.txt", "a.txt: a transcript is no 'txt'. Name a file that ends in .jsonl."),
-        ("agent one-shot --entry a.zip", "a.zip: an entry is no 'zip'. Name a file that ends in .bench."),
-        ("bench-submit random -o a", "Name a file that ends in .bench."),
-    ],
-)
-def test_what_is_played_is_not_lost_to_a_name(argv, said, here, capsys):
-    assert main(argv.split()) == 2
-    assert said in capsys.readouterr().err
-
-
 @pytest.fixture
 def interrupted(monkeypatch):
     """Ctrl-C, 0.05 s after the start of a move."""

@@ -18,6 +18,7 @@ from support.packages import acme
 from support.pages import agree
 
 from stage.cli import build_parser, main
+from stage.cli.package_commands import KNOWN_PACKAGES
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -62,9 +63,10 @@ def blocks(page: Path) -> list[Block]:
     ]
 
 
-def commands(page: Path) -> list[str]:
-    """The command lines that begin with `stage`: those in indented blocks, without their comments."""
-    return [m[1].strip() for m in re.finditer(r"^ {4}(stage [^#\n]*)", page.read_text(), re.M)]
+def commands(page: Path, packages: bool = False) -> list[str]:
+    """Return the command lines in indented blocks, without comments; those that packages bring are tested by these packages."""
+    found = [m[1].strip() for m in re.finditer(r"^ {4}(stage [^#\n]*)", page.read_text(), re.M)]
+    return [line for line in found if packages or line.split()[1] not in KNOWN_PACKAGES]
 
 
 LONG = ("envs_sync", "sweep")  # pages whose programs take seconds
@@ -144,8 +146,15 @@ def test_commands_of_the_pages_run(command, tmp_path, monkeypatch):
 
 @by_page
 def test_commands_that_a_page_names_exist_with_their_options(page):
+    check_commands(page)
+
+
+def check_commands(page: Path, packages: bool = False) -> None:
+    """Check that commands, programs and targets that a page names exist with their options; packages: also what packages bring."""
     text = page.read_text()
-    for command in [*commands(page), *re.findall(r"`(stage [a-z][^`]*)`", text)]:
+    for command in [*commands(page, packages), *re.findall(r"`(stage [a-z][^`]*)`", text)]:
+        if command.split()[1] in KNOWN_PACKAGES and not packages:
+            continue
         build_parser().parse_args(shlex.split(command)[1:])  # ends the program with its usage if it does not know them
     for script, arguments in re.findall(r"python (scripts/[\w/]+\.py)([^`#\n]*)", text):
         source = "".join(path.read_text() for path in (ROOT / script).parent.glob("*.py"))

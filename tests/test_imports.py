@@ -37,7 +37,7 @@ LAYERS = (
     {"firmware"},
     {"recording"},
     {"board"},
-    {"targets", "testing", "serve", "cli", "envs", "study", "tune", "bench", "panel", "agents"},
+    {"targets", "testing", "serve", "cli", "envs", "study", "tune", "panel", "agents"},
     {"__main__"},
 )
 """From the bottom to the top: a module imports from its own layer and from those before."""

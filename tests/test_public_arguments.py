@@ -22,7 +22,6 @@ MODULES = {
     for name in (
         "stage",
         "stage.agents",
-        "stage.bench",
         "stage.board",
         "stage.firmware",
         "stage.recording",

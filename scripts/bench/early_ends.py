@@ -6,10 +6,10 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from baselines.formula import registers
 
 import stage.envs  # noqa: F401 registers the ids
 from bench.timing import timed
+from stage.tune.formula import compute_registers
 
 ID = "stage/RegisterTuning-v0"
 STAGES, THREADS, SEED = 16, 2, 240
@@ -33,7 +33,10 @@ def moves(envs: Any, noise: float | None) -> tuple[list[np.ndarray], float]:
             action = envs.action_space.sample()
         else:
             axes = [stage.axes[task.config.axis] for stage in task.stages]
-            rows = [registers(a, int(d), s_curve=task.config.s_curve) for a, d in zip(axes, task.distance, strict=True)]
+            rows = [
+                compute_registers(a, int(d), s_curve=task.config.s_curve)
+                for a, d in zip(axes, task.distance, strict=True)
+            ]
             action = np.array([task.registers.to_action(row) for row in rows])
             action = np.clip(action + noise * rng.standard_normal(action.shape), -1, 1).astype(np.float32)
         parts = envs.step(action)[4]["reward_parts"]

@@ -3,9 +3,9 @@
     python scripts/site/build.py [FOLDER]   pages, reference and configuration
     cd build/site && zensical build --strict
 
-Pages of docs/ go over as they are; README.md is the start. What they link to elsewhere in the repository becomes a page that shows
-that file, so the site stands alone. The reference is made of what there is: `__all__` of the packages, the parser of the command
-line, the chips' register maps.
+Pages of docs/ go over as they are, those of packages/NAME/ into NAME/; README.md is the start. What they link to elsewhere in the
+repository becomes a page that shows that file, so the site stands alone. The reference is made of what there is: `__all__` of the
+packages, the parser of the command line, the chips' register maps.
 """
 
 from __future__ import annotations
@@ -41,18 +41,52 @@ def main() -> None:
     shutil.rmtree(OUT, ignore_errors=True)
     shutil.copytree(ROOT / "docs", PAGES)
     (PAGES / "index.md").write_text((ROOT / "README.md").read_text())
+    for package in _packages():
+        if (package / "docs").is_dir():
+            shutil.copytree(package / "docs", PAGES / package.name)
+        else:
+            (PAGES / package.name).mkdir()
+        shutil.copy(package / "README.md", PAGES / package.name / "index.md")
     made = reference.write(PAGES)
     gallery.write(ROOT, PAGES)
     shown: set[Path] = set()
     for page in sorted(PAGES.rglob("*.md")):
-        there = page.relative_to(PAGES)
-        source = ROOT / "README.md" if there == Path("index.md") else ROOT / "docs" / there
-        page.write_text(_with_links(page.read_text(), source, page, shown))
+        page.write_text(_with_links(page.read_text(), _source_of(page), page, shown))
     for file in sorted(shown):
         _show(file)
     _lay_source()
     _configure(made)
     print(f"{OUT}: {len(list(PAGES.rglob('*.md')))} pages")
+
+
+def _packages() -> list[Path]:
+    """Return the folders of the distributions of their own."""
+    return sorted(file.parent for file in ROOT.glob("packages/*/pyproject.toml"))
+
+
+def _folders() -> dict[Path, Path]:
+    """Return where the pages of a folder of the repository lie in the site."""
+    return {ROOT / "docs": PAGES} | {package / "docs": PAGES / package.name for package in _packages()}
+
+
+def _source_of(page: Path) -> Path:
+    """Return the file of the repository that a page is a copy of."""
+    for package in (ROOT, *_packages()):
+        if page == (PAGES if package == ROOT else PAGES / package.name) / "index.md":
+            return package / "README.md"
+    folder, into = max(
+        ((f, to) for f, to in _folders().items() if page.is_relative_to(to)), key=lambda pair: len(pair[1].parts)
+    )
+    return folder / page.relative_to(into)
+
+
+def _page_of(file: Path) -> Path | None:
+    """Return the page or picture of the site that a file of the repository becomes, None where it becomes none."""
+    for package in (ROOT, *_packages()):
+        if file == package / "README.md":
+            return (PAGES if package == ROOT else PAGES / package.name) / "index.md"
+    found = [to / file.relative_to(folder) for folder, to in _folders().items() if file.is_relative_to(folder)]
+    return found[0] if found and file.is_file() else None
 
 
 def _with_links(text: str, source: Path, page: Path, shown: set[Path]) -> str:
@@ -64,11 +98,8 @@ def _with_links(text: str, source: Path, page: Path, shown: set[Path]) -> str:
         at = (source.parent / m[2]).resolve()
         if not at.is_relative_to(ROOT) or not at.exists():
             return m[0]  # of the generated pages, or broken: the build says so
-        if at == ROOT / "README.md":
-            to = PAGES / "index.md"
-        elif at.is_relative_to(ROOT / "docs") and at.is_file():
-            to = PAGES / at.relative_to(ROOT / "docs")
-        else:
+        to = _page_of(at)
+        if to is None:
             shown.add(at)
             to = _place(at)
         return f"{m[1]}{Path(os.path.relpath(to, page.parent)).as_posix()}{m[3] or ''}{m[4]}"

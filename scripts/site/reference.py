@@ -14,7 +14,7 @@ from stage.cli import build_parser
 
 PACKAGES = [
     "stage", "stage.chips", "stage.firmware", "stage.drives.motors", "stage.recording", "stage.board", "stage.testing",
-    "stage.targets", "stage.serve.client", "stage.sim.faults", "stage.envs", "stage.tune", "stage.study", "stage.bench",
+    "stage.targets", "stage.serve.client", "stage.sim.faults", "stage.envs", "stage.tune", "stage.study",
     "stage.panel.session",
 ]  # fmt: skip
 

@@ -27,7 +27,8 @@ from stage import portable
 from stage.drives.dynamometer import closed_form, natural_frequency, pull_in
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError
-from stage.firmware.driver import Speeds
+from stage.firmware import Profile
+from stage.firmware.driver import Speeds, driver_of
 
 SAFETY = 1.5
 START = 0.125  # FL in parts of the pull-in rate
@@ -131,3 +132,28 @@ def speeds(load: Load, pulses: int, safety: float = SAFETY) -> Speeds:
     k = int(np.argmin(np.where(fits, seconds, np.inf)))
     rate, fl = top[k] * load.per_metre, low * load.per_metre
     return Speeds(float(fl), float(rate), float((top[k] - low) / up[k]), float((top[k] - low) / down[k]))
+
+
+def plan_profile(load: Load, pulses: int, safety: float = SAFETY) -> Profile:
+    """Plan the shortest move of `pulses` that uses 1 / safety of the pull-out thrust. Raises ArgumentError where there is none."""
+    s = speeds(load, pulses, safety)
+    return Profile.of(s.start, s.drive, s.drive, accel=s.up, decel=s.down)
+
+
+def compute_registers(axis: Any, pulses: int, safety: float = SAFETY, s_curve: bool | None = None) -> dict[str, int]:
+    """Compute the registers of the axis' chip for the shortest move of `pulses`, by that chip's data sheet.
+
+    Args:
+        axis: Axis of a stage, with the payload that it carries now.
+        pulses: Length of the move.
+        safety: Pull-out thrust over the thrust that the move uses.
+        s_curve: Ramp by S-curves; None leaves that to the chip's driver.
+
+    Returns:
+        Values by the names of the registers; of a PCL-240 R1 to R7.
+
+    Raises:
+        ArgumentError: No move of this length is possible.
+    """
+    p = plan_profile(Load.of(axis), pulses, safety)
+    return driver_of(axis).formula(p.fl, p.fh1, p.accel(), p.decel(), pulses, s_curve)

@@ -4,7 +4,6 @@ import pytest
 
 from stage import Stage
 from stage.agents import Budget, Toolbox
-from stage.agents.arena import suite
 
 FREE = {"budget", "describe", "diagnostics", "picture", "registers", "report", "trace"}
 MOVES = {"home", "line", "move", "start"}
@@ -26,18 +25,3 @@ def test_what_is_free_answers_when_the_budget_is_spent_and_nothing_else_does():
     refused = box.call("read_register", {"axis": "x", "name": "R0"})
     assert not refused.ok
     assert "all 0.1 s of simulated time have passed" in refused.text
-
-
-@pytest.mark.parametrize("task", ["one-shot", "few-shot", "bus-target", "home", "line"])
-def test_in_an_episode_of_a_task_only_acting_is_a_move(task):
-    game = next(iter(suite(task, episodes=1)))
-    tools = game.calls.tools.values()
-    assert {t.name for t in tools if t.free} == {"task", "observe", "formula"}
-    assert {t.name for t in tools if t.moves} == {"act"}
-
-
-def test_in_a_broken_set_up_reading_the_program_and_measuring_are_free_and_a_run_is_not():
-    tools = next(iter(suite("diagnosis:late"))).calls.tools.values()
-    more = {"task", "program", "write_program", "measure", "service", "answer", "finish"}
-    assert {t.name for t in tools if t.free} == FREE | more
-    assert {t.name for t in tools if t.moves} == MOVES

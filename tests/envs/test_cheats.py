@@ -204,21 +204,6 @@ def test_the_rotors_stand_anywhere_at_the_start_by_the_seed(id_):
     assert (angles(100) != first).all()
 
 
-def test_a_proof_of_a_move_is_over_many_angles():
-    import sys
-    from pathlib import Path
-
-    sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "baselines"))
-    import common
-
-    with common.Moves(0.5, 4, "registers", 2000, lanes=2, model="xy") as moves:
-        _, info = moves.env.reset(seed=common.PROOF_SEED)
-        angles = set(info["angle"].tolist())
-        moves.make_actions(np.zeros((2, moves.size)))
-        angles |= set(moves.env.unwrapped._task.angle.tolist())
-    assert len(angles) == 4
-
-
 def test_a_servo_that_is_inside_at_the_last_look_alone_is_not_at_rest():
     """R22 = 34, R20 = 69, R21 = 10, T = 7: it swings by 26 counts, and is 2 counts off when the time is up."""
     env = make("stage/ServoTuning-v0", payloads=(0.0, 0.0), distances=(200, 200), limit=0.2, rest=0.1)

@@ -1,6 +1,5 @@
 """RegisterTuning: every family's registers reach the chip and make the move; the data sheet's formula moves without a loss."""
 
-import sys
 from pathlib import Path
 
 import gymnasium
@@ -11,10 +10,7 @@ import stage.envs  # noqa: F401
 from stage import ArgumentError, faults
 from stage.chips import MCX302, MCX304, MCX514, PCL240K, PCL240MS
 from stage.sim import plant
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "baselines"))
-
-import formula
+from stage.tune.formula import compute_registers
 
 pytestmark = pytest.mark.filterwarnings("error")
 DISTANCE = 4000
@@ -105,11 +101,11 @@ def test_an_end_limit_stops_a_nova_move_and_costs():
 )
 def test_the_formulas_registers_for_a_chip_make_the_move_without_a_loss(chip, s_curve):
     env = make(chip=chip, s_curve=s_curve)
-    values = formula.registers(env.stage.axes["x"], DISTANCE, s_curve=s_curve)
+    values = compute_registers(env.stage.axes["x"], DISTANCE, s_curve=s_curve)
     _, info = one_move(values, chip=chip, s_curve=s_curve)
     assert info["finished"]
     assert info["lost_steps"] == 0
-    _, slow = one_move(formula.registers(env.stage.axes["x"], DISTANCE, 2.0, s_curve), chip=chip, s_curve=s_curve)
+    _, slow = one_move(compute_registers(env.stage.axes["x"], DISTANCE, 2.0, s_curve), chip=chip, s_curve=s_curve)
     assert slow["duration"] > info["duration"] - 0.01
 
 

@@ -1,13 +1,10 @@
 """Scores: at the end of an episode, by the same names in every task that has one, on one environment and in a vector."""
 
-from pathlib import Path
-
 import gymnasium
 import numpy as np
 import pytest
 
 import stage.envs
-from stage.envs import contexts
 from stage.envs.score import SCORE
 
 TASKS = {
@@ -72,16 +69,3 @@ def test_what_diverged_came_to_nothing():
     *_, info = env.step(env.scripted())
     assert info["cause"] == "diverged"
     assert (info["score"]["success"], info["score"]["time"], info["score"]["regret"]) == (False, np.inf, np.inf)
-
-
-def test_the_table_of_all_tasks_is_of_whole_episodes_and_names_its_splits(monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "scripts" / "baselines"))
-    import tasks
-
-    monkeypatch.setattr(tasks, "LANES", 2)
-    assert set(tasks.TASKS.values()) == set(TASKS)
-    assert {tasks.splits(id_) for id_ in TASKS} == {tuple(contexts.SPLITS)}
-    totals, score = tasks.play("stage/BusMacros-v1", "scripted", 3, **TASKS["stage/BusMacros-v1"])
-    assert len(totals) == 3
-    assert score["success"].all()
-    assert "| 3 of 3 |" in tasks.row("BusMacros", "train", "scripted", totals, score)

@@ -1,8 +1,5 @@
 """ServoTuning: the registers reach the chip, physics answers, and the engineer's design settles sooner than a reset's values."""
 
-import sys
-from pathlib import Path
-
 import gymnasium
 import numpy as np
 import pytest
@@ -10,10 +7,6 @@ from support.mirrored import mirrored
 
 import stage.envs  # noqa: F401
 from stage import ArgumentError
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "baselines"))
-
-import servo_loop
 
 pytestmark = pytest.mark.filterwarnings("error")
 GOOD = {"R22": 0x40, "R20": 0xE5, "R21": 0x40, "R0F": 0x40}
@@ -99,31 +92,6 @@ def test_settings_that_make_no_sense_are_refused(settings, said):
     env = make()
     with pytest.raises(ArgumentError, match="option distance=1"):
         env.reset(options={"distance": 1})
-
-
-# --- the engineer ---
-
-
-@pytest.mark.parametrize("payload", [pytest.param(0.0, marks=pytest.mark.slow), 10.0])
-def test_the_engineers_design_has_its_margin_and_settles_sooner_than_after_a_reset(payload):
-    pytest.importorskip("control", reason="extra servo is not installed")
-    stage = make().stage
-    stage.set_payload(payload)
-    loop = servo_loop.Loop.of(stage.axes["x"], servo_loop.Tuning(pole=servo_loop.POLE))
-    made = servo_loop.design(loop)
-    assert made.phase_margin == pytest.approx(servo_loop.MARGIN, abs=servo_loop.WITHIN)
-    assert made.gain_margin > 2
-    assert abs(servo_loop.replace(loop, tuning=made.tuning).poles).max() < 1
-    values = servo_loop.registers(stage.axes["x"])
-    (_, designed, info), (_, reset, _) = one_move(values, payload=payload), one_move(GOOD, payload=payload)
-    assert info["finished"]
-    assert designed > reset
-
-
-def test_without_python_control_the_baseline_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(servo_loop.StageError, match=r"pip install 'pulsestage\[servo\]'"):
-        servo_loop.control()
 
 
 def test_distances_and_payloads_are_drawn_within_their_ranges():

@@ -7,16 +7,16 @@ from functools import partial
 import numpy as np
 from recorded.recorded_texts import tried
 
+from registerbench.arena import Game, Limits, Round, Table, play, player, read, replay, save, suite, suites
+from registerbench.arena.replay import again
+from registerbench.arena.scores import Head, closing_of, played, value_of
+from registerbench.arena.transcript import Writer, suite_of
+from registerbench.diagnosis import SETUPS, Case
+from registerbench.diagnosis.program import parse
+from registerbench.diagnosis.trial import Sample, Trial, rests_of
 from stage import Stage
-from stage.agents.arena import Game, Limits, Round, Table, play, player, read, replay, save, suite, suites
-from stage.agents.arena.replay import again
-from stage.agents.arena.scores import Head, closing_of, played, value_of
-from stage.agents.arena.transcript import Writer, suite_of
 from stage.agents.budget import Budget
 from stage.agents.bus import about, overview
-from stage.agents.diagnosis import SETUPS, Case
-from stage.agents.diagnosis.program import parse
-from stage.agents.diagnosis.trial import Sample, Trial, rests_of
 from stage.agents.fields import BYTES, FLAG, LENGTH, LENGTHS, NUMBER, NUMBERS, TEXT, WHOLE, Field, shown, whole
 from stage.agents.recordings import Recordings, thinned
 from stage.agents.tool import Tool

@@ -17,13 +17,16 @@ from gymnasium.spaces import Box, Discrete, MultiDiscrete
 from recorded.player import Draw
 from recorded.store import digits
 
-from stage.bench import files, players, replaying, shipped, statistics
-from stage.bench.around import Around
-from stage.bench.cards import CARDS, Card, card_of, seeds
-from stage.bench.episodes import some
-from stage.bench.files import Submission, unpack
-from stage.bench.replaying import Difference, Verdict
-from stage.bench.scores import NAMES, digest, scored, table
+from registerbench import entry_files as files
+from registerbench import policies as players
+from registerbench import replay as replaying
+from registerbench import shipped_policies as shipped
+from registerbench import statistics
+from registerbench.cards import CARDS, Card, card_of, seeds
+from registerbench.entry_files import Submission, unpack
+from registerbench.episodes import NAMES, digest, scored, some, table
+from registerbench.policies import Around
+from registerbench.replay import Difference, Verdict
 from stage.errors import StageError
 
 OWN = Card(

@@ -254,13 +254,8 @@ def copies():
 
 def baselines():
     """What the baselines' formula says."""
-    import sys
-    from pathlib import Path
-
-    sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-    from baselines import formula
-
     from stage import Stage
+    from stage.tune import formula
 
     found = {}
     for chip in ("PCL240K", "PCL240MS", "MCX514", "MCX304"):
@@ -270,7 +265,7 @@ def baselines():
                 made.set_payload(payload)
                 said = io.StringIO()
                 with redirect_stdout(said):
-                    found[f"{chip} {pulses} {payload:g}"] = formula.registers(made.axes["x"], pulses)
+                    found[f"{chip} {pulses} {payload:g}"] = formula.compute_registers(made.axes["x"], pulses)
     return found
 
 

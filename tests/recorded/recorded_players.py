@@ -19,18 +19,18 @@ from recorded.recorded_agents import Toy
 from recorded.recorded_texts import tried
 from recorded.store import digits
 
+from registerbench.arena import Limits, Table, play, player, suite
+from registerbench.arena.games import Suite
+from registerbench.arena.loop import Guarded, Interrupted, head_of, name_of
+from registerbench.arena.players import client, command, endpoint, searches, simple, technician, trained
+from registerbench.arena.scores import Round
+from registerbench.arena.transcript import Writer, read
+from registerbench.diagnosis import SETUPS, Case
+from registerbench.diagnosis.machine import MENDED, SERVICES
+from registerbench.diagnosis.program import Host, parse
+from registerbench.diagnosis.trial import Watch
 from stage import Stage
-from stage.agents.arena import Limits, Table, play, player, suite
-from stage.agents.arena.games import Suite
-from stage.agents.arena.loop import Guarded, Interrupted, head_of, name_of
-from stage.agents.arena.players import client, command, endpoint, searches, simple, technician, trained
-from stage.agents.arena.scores import Round
-from stage.agents.arena.transcript import Writer, read
 from stage.agents.budget import Budget
-from stage.agents.diagnosis import SETUPS, Case
-from stage.agents.diagnosis.machine import MENDED, SERVICES
-from stage.agents.diagnosis.program import Host, parse
-from stage.agents.diagnosis.trial import Watch
 from stage.agents.fields import FLAG, NUMBER, TEXT, WHOLE, Field
 from stage.agents.server import prompts, resources
 from stage.agents.server.sessions import Maker, Sessions

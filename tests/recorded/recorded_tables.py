@@ -7,14 +7,14 @@ from unittest.mock import patch
 from recorded.recorded_agents import Toy
 from recorded.recorded_texts import tried
 
+from registerbench.arena import Limits, Table, read, save
+from registerbench.arena import table as tables
+from registerbench.arena.scores import Head, Round, played
+from registerbench.arena.transcript import LARGEST, Writer
+from registerbench.diagnosis import SETUPS, Case, Score
 from stage import Stage
-from stage.agents.arena import Limits, Table, read, save
-from stage.agents.arena import table as tables
-from stage.agents.arena.scores import Head, Round, played
-from stage.agents.arena.transcript import LARGEST, Writer
 from stage.agents.budget import Spent
 from stage.agents.calls import Calls
-from stage.agents.diagnosis import SETUPS, Case, Score
 from stage.agents.fields import FLAG, LENGTH, NUMBER, NUMBERS, TEXT, WHOLE, Field
 from stage.agents.tool import Answer, Picture, Tool
 from stage.agents.toolbox import Toolbox

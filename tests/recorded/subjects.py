@@ -1,10 +1,10 @@
 """All files of recorded behaviour and their scenes."""
 
+from importlib.util import find_spec
+
 from recorded import (
-    recorded_agents,
     recorded_agents_bus,
     recorded_around_chips,
-    recorded_bench,
     recorded_boards,
     recorded_chips,
     recorded_cli,
@@ -31,8 +31,8 @@ from recorded import (
 
 PHYSICS = {
     **recorded_cli.FILES, **recorded_texts.FILES, **recorded_stage.FILES, **recorded_firmware.FILES, **recorded_envs.FILES,
-    **recorded_machines.FILES, **recorded_agents.FILES, **recorded_drivers.FILES, **recorded_panel.FILES,
-    **recorded_bench.FILES, **recorded_tune.FILES, **recorded_agents_bus.FILES, **recorded_around_chips.FILES,
+    **recorded_machines.FILES, **recorded_drivers.FILES, **recorded_panel.FILES,
+    **recorded_tune.FILES, **recorded_agents_bus.FILES, **recorded_around_chips.FILES,
     **recorded_sim.FILES, **recorded_pages.FILES, **recorded_rerun.FILES, **recorded_own.FILES, **recorded_env_parts.FILES,
     **recorded_met_ends.FILES,
     **recorded_study.FILES,
@@ -40,6 +40,10 @@ PHYSICS = {
     **recorded_commands.FILES,
 }  # fmt: skip
 """What depends on MuJoCo's version."""
+if find_spec("registerbench"):  # a package of its own, which the core runs without
+    from recorded import recorded_agents, recorded_bench
+
+    PHYSICS |= {**recorded_agents.FILES, **recorded_bench.FILES}
 FILES = {**recorded_chips.FILES, **PHYSICS}
 PACKAGES = {**recorded_pages.PACKAGES, **recorded_rerun.PACKAGES}
 """Files that depend on an optional package's version: what they show is partly that package's own."""

@@ -1,7 +1,9 @@
 """Damage to files as disks, networks and editors do it, and hostile documents, for tests of readers."""
 
+import io
 import json
 import random
+import zipfile
 
 HOSTILE = (
     None, True, -1, 0, 1 << 63, 1 << 200, 10**400, -1e308, "1e400", "", "x" * 100_000,
@@ -45,3 +47,12 @@ def replace_value(rng: random.Random, document) -> str:
     for word in ("1e400", "NaN", "Infinity"):
         text = text.replace(f'"{word}"', word)
     return text
+
+
+def zipped(members, method=zipfile.ZIP_DEFLATED):
+    """Return a zip archive of these members, (name, content) each."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", method) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return out.getvalue()

@@ -1,7 +1,6 @@
 """The TMC5160 keeps what every chip promises, and turns as the example of its data sheet says; runs without a checkout."""
 
 from pulsestage_trinamic.tmc5160 import TMC5160
-
 from stage.testing import chip_conformance
 
 test_conformance = chip_conformance.tests(TMC5160, programs=2)

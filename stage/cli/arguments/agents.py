@@ -1,4 +1,4 @@
-"""mcp, agent, agent-replay."""
+"""mcp."""
 
 from __future__ import annotations
 
@@ -51,60 +51,3 @@ def add(commands: Any) -> None:
     )
     machine(p.add_argument_group("stage"))
     p.set_defaults(encoder=[])
-    _add_agent(commands)
-
-
-def _add_agent(commands: Any) -> None:
-    p = command(
-        commands, "agent", "agent:run", "measure an agent: broken set-ups, or a task of the benchmark by tools",
-        "Let a player play the games of a suite by calling tools, and print its score with an interval. A player is one that is "
-        "shipped, a command that speaks JSON lines, a language model behind an OpenAI-compatible endpoint, or a client of the "
-        "Model Context Protocol. Nothing is called that is not given.",
-        ("stage agent diagnosis --by technician -o technician.jsonl", "the ten broken set-ups, with a transcript"),
-        ("stage agent few-shot --by coordinate --episodes 8", "test episodes of RegisterBench"),
-        ("stage agent diagnosis:late --command 'python agent.py'", "a player of your own, in any language"),
-        ("stage agent diagnosis --endpoint http://127.0.0.1:8000/v1 --model m", "a language model"),
-        more="docs/agents.md says how a player is written, and what the scores are. Exit code 0 if all games were played, "
-        "1 if one took too long, if its player failed, or if no call of all was valid, 2 if the player cannot play.",
-    )  # fmt: skip
-    p.add_argument(
-        "suite", metavar="SUITE", help="diagnosis, one set-up of it (diagnosis:late), or a task of `stage bench`"
-    )
-    g = p.add_argument_group("player")
-    g.add_argument(
-        "--by",
-        metavar="PLAYER",
-        help="formula, random, coordinate, optuna, trained, technician; or module:function of yours (default: formula)",
-    )
-    g.add_argument("--command", metavar="COMMAND", help="a program that reads and writes lines of JSON")
-    g.add_argument("--endpoint", metavar="URL", help="OpenAI-compatible, up to its version: https://host/v1")
-    g.add_argument("--model", metavar="NAME", help="of the endpoint")
-    g.add_argument("--key-env", metavar="VARIABLE", help="the variable of the environment that has the endpoint's key")
-    g.add_argument("--mcp", action="store_true", help="the client at standard input and output; one game")
-    g.add_argument("--name", help="of the player, in transcripts and entries")
-    g = p.add_argument_group("games")
-    g.add_argument("--split", default="train", help="of a task, see `stage bench` (default: train)")
-    g.add_argument("--episodes", type=number, metavar="N", help="only the first N games")
-    g = p.add_argument_group("limits")
-    g.add_argument("--most", type=number, default=400, metavar="N", help="calls of a game, at most (default: 400)")
-    g.add_argument(
-        "--patience", type=TIME, default=600.0, metavar="S", help="seconds in which the next call comes (default: 600)"
-    )
-    g.add_argument(
-        "--time", type=TIME, default=3600.0, metavar="S",
-        help="seconds that the player may take in a game, without those of the simulation (default: 3600)",
-    )  # fmt: skip
-    g = p.add_argument_group("output")
-    g.add_argument("-o", "--output", metavar="FILE.jsonl", help="write a transcript, each game when it ends")
-    g.add_argument(
-        "--resume", action="store_true", help="go on with the transcript that -o names, where a run broke off"
-    )
-    g.add_argument("--entry", metavar="FILE.bench", help="write an entry of RegisterBench, track tools")
-    g.add_argument("--force", action="store_true", help="overwrite files that exist")
-    p = command(
-        commands, "agent-replay", "agent:replay", "make the calls of a transcript again, without the agent",
-        "Make every call of a transcript again, compare answers and scores bit for bit, and print the score that comes of them. "
-        "Exit code 0 if all are equal, 1 if not or if the transcript is cut, 2 if the file is refused.",
-        ("stage agent-replay technician.jsonl", "what was played is what is said"),
-    )  # fmt: skip
-    p.add_argument("file", metavar="FILE.jsonl")

@@ -11,7 +11,6 @@ from stage.cli.quantities import MASS
 def add(commands: Any) -> None:
     """These commands."""
     _add_tune(commands)
-    _add_bench(commands)
 
 
 def _add_tune(commands: Any) -> None:
@@ -61,65 +60,3 @@ def _add_tune(commands: Any) -> None:
     g = p.add_argument_group("output")
     g.add_argument("-o", "--output", metavar="FOLDER", help="write tuned.h, tuned.txt, tuned.json and tuned.png there")
     g.add_argument("--force", action="store_true", help="overwrite files that exist")
-
-
-PROMISED = "docs/benchmark.md says what is promised, and what is not."
-
-
-def _add_bench(commands: Any) -> None:
-    p = command(
-        commands, "bench", "bench:cards", "the tasks of the benchmark and their test episodes",
-        "List the tasks of the benchmark, or show one: what is asked, splits, tracks, settings, players that are shipped.",
-        ("stage bench", "all tasks"),
-        ("stage bench few-shot --json", "one, with the seeds of all test episodes"),
-    )  # fmt: skip
-    p.add_argument("task", nargs="?", metavar="TASK", help="for example few-shot (default: list them all)")
-    p = command(
-        commands, "bench-submit", "bench:submit", "play the test episodes of the benchmark, and pack them into a file",
-        "Play the test episodes of a split with a policy and write its actions, rewards, scores and versions to a file, which "
-        "anybody can replay.",
-        ("stage bench-submit formula -o formula.bench", "a player that is shipped"),
-        ("stage bench-submit mine:policy -o mine.bench --split weak", "`policy` of mine.py: (observation, info) -> action"),
-        ('stage bench-submit moves.npz -o moves.bench --name "by hand"', "recorded actions"),
-        more=PROMISED,
-    )  # fmt: skip
-    p.add_argument(
-        "policy", metavar="POLICY", help="module:name, actions.npz, or a player that is shipped: see `stage bench`"
-    )
-    p.add_argument("-o", "--output", metavar="FILE", required=True, help="of the entry")
-    p.add_argument("--task", default="few-shot", help="see `stage bench` (default: few-shot)")
-    p.add_argument("--split", default="train", help="where the machines of the episodes come from (default: train)")
-    p.add_argument("--track", default="host", help="what the policy sees: host, truth or tools (default: host)")
-    p.add_argument("--round", default="open", metavar="NAME", help="whose seeds are played (default: open)")
-    p.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting that players may choose")
-    p.add_argument("--name", help="of the player (default: POLICY)")
-    p.add_argument(
-        "--run", dest="run_number", type=int, default=0, metavar="N", help="number of the training run (default: 0)"
-    )
-    p.add_argument("--notes", default="", help="a line that goes with it")
-    p.add_argument(
-        "--cost", action="append", default=[], metavar="NAME=NUMBER", help="what it took: moves=, processor_s=, tokens="
-    )
-    p.add_argument("--episodes", type=int, metavar="N", help="only the first N, for a trial")
-    p.add_argument("--force", action="store_true", help="overwrite a file that exists")
-    p = command(
-        commands, "bench-verify", "bench:verify", "replay an entry of the benchmark and compare it bit for bit",
-        "Play the actions of an entry again, without the policy, and compare every reward, observation and score. Exit code 0 if "
-        "they are equal, 1 if not, 2 if the file is refused.",
-        ("stage bench-verify mine.bench", "plays the actions again and compares bit for bit"),
-        ("stage bench-verify mine.bench --tolerance 1e-9", "made on another processor"),
-        more=PROMISED,
-    )  # fmt: skip
-    p.add_argument("file", metavar="FILE", help="an entry, as `stage bench-submit -o FILE` writes it")
-    p.add_argument(
-        "--tolerance", type=float, metavar="T", help="rewards and scores may differ by so much, as on another processor"
-    )
-    p = command(
-        commands, "bench-table", "bench:table", "compare entries of the benchmark, as tables in Markdown",
-        "Print a table for each task, split, track and round: interquartile mean and mean of the return with their intervals, and "
-        "who beats whom. Entries of one player are its runs, and have all test episodes. Nothing is replayed.",
-        ("stage bench-table formula.bench mine.bench", "who beats whom"),
-        ("stage bench-table *.bench --long", "regret, damage and steps, too"),
-    )  # fmt: skip
-    p.add_argument("files", nargs="+", metavar="FILE")
-    p.add_argument("--long", action="store_true", help="with regret, steps lost, end limits and steps of the episodes")

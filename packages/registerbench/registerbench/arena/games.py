@@ -1,0 +1,183 @@
+"""What is played: a broken set-up, or an episode of RegisterBench whose actions are tool calls.
+
+suite("diagnosis")                 the ten set-ups; suite("diagnosis:late"): one of them
+suite("few-shot", episodes=8)      test episodes of a task of the bench
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from registerbench.arena.tool_actions import hands_of
+from registerbench.cards import CARDS, OPEN
+from registerbench.diagnosis import SETUPS, Case
+from registerbench.entry_files import Submission
+from registerbench.episodes import Episodes
+from stage.agents.calls import Calls
+from stage.agents.fields import chosen
+from stage.agents.tool import Tool
+from stage.errors import ArgumentError, StageError
+
+DIAGNOSIS = "diagnosis"
+TRACK = "tools"
+TRAIN = "train"  # the split that is played if none is named
+
+
+class Game:
+    """name; seed: of an episode; task: what a player is told; calls: its tools. over: nothing is left to do."""
+
+    name: str
+    seed: int | None = None
+    task: str
+    calls: Calls
+
+    @property
+    def over(self) -> bool:
+        raise NotImplementedError
+
+    def score(self) -> dict[str, float]:
+        """What has been reached, by name, "value" among them. Called once, at the end."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """The game is put away."""
+        self.calls.close("this game is over.")
+
+
+class Diagnosis(Game):
+    """A broken set-up."""
+
+    def __init__(self, name: str):
+        self.case, self.name = Case(name), f"{DIAGNOSIS}:{name}"
+        self.task, self.calls = self.case.task, self.case.box
+
+    @property
+    def over(self) -> bool:
+        return self.case.over
+
+    def score(self) -> dict[str, float]:
+        reached = self.case.score()
+        return {
+            "value": reached.value,
+            "found": float(reached.found),
+            "mended": float(reached.mended),
+            "work": reached.work,
+            "runs": reached.runs,
+        }
+
+
+ASKED = """RegisterBench, task {name}: {asked}. The machine is drawn anew for each episode, and hidden; you see what a host on the
+bus can know. `observe` tells it, `formula` what the engineer's rule would do, `act` does it: {act} The episode ends by itself."""
+
+
+class Bench(Game):
+    """An episode of a task. The episodes of a suite share `played`."""
+
+    def __init__(self, played: Episodes):
+        self._played, self.number = played, played.done
+        self.name, self.seed = _named(played)[self.number]
+        self._hands = hands_of(played)
+        played.begin()
+        fields = self._hands.fields()
+        self.calls = Calls(
+            [
+                Tool("task", "What is to be done.", lambda: self.task, free=True),
+                Tool("observe", "What a host knows now, by name.", self._hands.observed, free=True),
+                Tool(
+                    "formula", "What the task's own rule would do now, as arguments of act.", self._formula, free=True
+                ),
+                Tool("act", self._hands.says, self._act, fields, moves=True),
+            ]
+        )
+        self.task = ASKED.format(name=played.card.name, asked=played.card.asked, act=self._hands.says)
+
+    @property
+    def over(self) -> bool:
+        return self._played.done > self.number
+
+    def _formula(self) -> dict[str, Any]:
+        self._goes_on()
+        return self._hands.formula()
+
+    def _act(self, **given: Any) -> dict[str, Any]:
+        self._goes_on()
+        self._played.act(self._hands.action(**given))
+        return {"over": self.over, **self._hands.observed()}
+
+    def _goes_on(self) -> None:
+        if self.over:
+            raise StageError("this episode is over: nothing can be done in it any more.")
+
+    def score(self) -> dict[str, float]:
+        given_up = 0
+        while not self.over:  # whoever goes early leaves the rest to the rule of who does nothing
+            self._played.act(self._hands.idle())
+            given_up += 1
+        return {
+            "value": self._played.scores[self.number]["return"],
+            **self._played.scores[self.number],
+            "given_up": given_up,
+        }
+
+
+class Suite:
+    """Games one after the other: `for game in suite` makes each, and puts it away.
+
+    name; split, round: of the bench; games: name and seed of each; of: so many has the whole suite.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        games: Sequence[tuple[str, int | None]],
+        of: int,
+        make: Callable[[int], Game],
+        played: Episodes | None = None,
+    ):
+        self.name, self.games, self.of, self._make, self._played = name, tuple(games), of, make, played
+        self.split, self.round = ("", "") if played is None else (played.split, played.round_)
+
+    def __iter__(self) -> Iterator[Game]:
+        try:
+            for k in range(len(self.games)):
+                game = self._make(k)
+                try:
+                    yield game
+                finally:
+                    game.close()
+        finally:
+            if self._played is not None:
+                self._played.close()
+
+    def entry(self, player: str, cost: dict[str, float], notes: str = "") -> Submission | None:
+        """An entry of the bench, which `stage bench-verify` replays; None of broken set-ups."""
+        return None if self._played is None else self._played.entry(player, 0, notes, cost)
+
+
+def suites() -> list[str]:
+    """The names of all suites."""
+    return [DIAGNOSIS, *CARDS]
+
+
+def suite(name: str, split: str = TRAIN, episodes: int | None = None, round_: str = OPEN) -> Suite:
+    """By its name. episodes: only the first so many. Raises ArgumentError."""
+    first, _, one = name.partition(":")
+    kind = chosen("suite", first, tuple(suites()))
+    if kind == DIAGNOSIS:
+        if split != TRAIN:
+            raise ArgumentError(f"split {split!r}: {DIAGNOSIS} has no splits; they are of RegisterBench's tasks.")
+        names = [chosen("set-up", one, tuple(SETUPS))] if one else list(SETUPS)
+        if episodes is not None and not 1 <= episodes <= len(names):
+            raise ArgumentError(f"episodes={episodes}: 1 to {len(names)} here.")
+        names = names[:episodes]
+        return Suite(name, [(f"{DIAGNOSIS}:{n}", None) for n in names], len(SETUPS), lambda k: Diagnosis(names[k]))
+    if one:
+        raise ArgumentError(f"suite {name!r}: {kind} has episodes, and no names in them; give episodes=1 for one.")
+    played = Episodes(kind, split, TRACK, round_, {}, episodes)
+    return Suite(kind, _named(played), played.card.episodes, lambda k: Bench(played), played)
+
+
+def _named(played: Episodes) -> list[tuple[str, int | None]]:
+    """Of each episode."""
+    return [(f"{played.card.name}:{played.split}:{k}", seed) for k, seed in enumerate(played.wanted)]

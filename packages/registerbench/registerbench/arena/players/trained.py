@@ -1,0 +1,63 @@
+"""A small policy that was trained in the environments: a table of numbers that turns what is observed into rates and ramps.
+
+trained.json has the tables, which baselines/agent_policy.py has found by the cross-entropy method on the split train, with
+seeds below 1,000,000. In tasks without a table it does what the formula does.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from registerbench.arena.players.simple import formula
+from registerbench.arena.table import Table
+from stage.envs.few_shot import RATES
+
+FEATURES = {
+    "one-shot": ("distance", "declared"),
+    "few-shot": ("distance", "left", "best", "last_kept", "last_duration", "boldest"),
+}
+"""Of an observation, in the order of a table's columns; the last column is 1."""
+
+
+def play(table: Table) -> None:
+    """Act by the table, until the game is over."""
+    kind = table.name.partition(":")[0]
+    if kind not in FEATURES:
+        formula(table)
+        return
+    weights = np.array(json.loads(files(__package__).joinpath("trained.json").read_text(encoding="utf-8"))[kind])
+    seen = table.call("observe").data["observation"]
+    while not table.over:
+        answer = table.call("act", arguments(action(weights, features(kind, seen))))
+        if not answer.ok:
+            return
+        seen = answer.data["observation"]
+
+
+def features(kind: str, seen: Mapping[str, Any]) -> np.ndarray:
+    """What the policy looks at, with a 1 behind it; seen: an observation by names."""
+    if kind == "one-shot":
+        return np.array([seen["distance"], seen["declared"], 1.0])
+    made = [k for k, m in enumerate(seen["tried"]) if m > 0]
+    last = made[-1] if made else None
+    kept = 0.0 if last is None else 2.0 * seen["kept"][last] - 1.0
+    took = 0.0 if last is None else seen["duration"][last]
+    good = [seen["tried_drive"][k] for k in made if seen["kept"][k] > 0]
+    return np.array([seen["distance"], seen["left"], seen["best"], kept, took, max(good, default=-1.0), 1.0])
+
+
+def action(weights: np.ndarray, looks: np.ndarray) -> np.ndarray:
+    """The environment's action, (4,)."""
+    return np.tanh(weights @ looks)
+
+
+def arguments(chosen: np.ndarray) -> dict[str, float]:
+    """It as rates and ramps."""
+    low, high = np.log(np.array(list(RATES.values()))).T
+    values = np.exp(low + (high - low) * (chosen + 1) / 2)
+    return {name: float(np.clip(v, *RATES[name])) for name, v in zip(RATES, values, strict=True)}

@@ -1,0 +1,76 @@
+"""Trains the shipped player "trained": tables of numbers that turn an observation into an action, by the cross-entropy method.
+
+python -m registerbench.baselines.agent_policy --generations 12 -o trained.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+import stage.envs  # noqa: F401 (registers the environments)
+from registerbench.arena.players.trained import FEATURES, action, features
+from registerbench.cards import CARDS
+
+TABLES, EACH, ELITE = 24, 4, 6
+MACHINES = TABLES * EACH  # each table plays some
+FIRST = (0.2, 0.9, 0.1, -0.1)  # of the last column: start, drive, up, down, all a little slower than the formula
+
+
+def named(observation: np.ndarray, names: list[str]) -> dict[str, Any]:
+    """One observation by names, as a player's tool tells it."""
+    found: dict[str, Any] = {}
+    for name, value in zip(names, observation.tolist(), strict=True):
+        found.setdefault(name, []).append(value)
+    return {name: v[0] if len(v) == 1 else v for name, v in found.items()}
+
+
+def returns(envs: Any, kind: str, tables: np.ndarray, seed: int) -> np.ndarray:
+    """Of the tables, the mean of an episode each on some machines."""
+    tables = np.repeat(tables, EACH, axis=0)
+    names, total = [e.name for e in envs.entries], np.zeros(MACHINES)
+    seen, _ = envs.reset(seed=seed)
+    while True:
+        chosen = [action(w, features(kind, named(row, names))) for w, row in zip(tables, seen, strict=True)]
+        seen, rewards, terminated, truncated, _ = envs.step(np.array(chosen, np.float32))
+        total += rewards
+        if (terminated | truncated).all():
+            return total.reshape(TABLES, EACH).mean(axis=1)
+
+
+def trained(kind: str, generations: int, start: np.ndarray | None = None) -> np.ndarray:
+    """The table of a task."""
+    card = CARDS[kind]
+    vector: Any = {"vectorization_mode": "vector_entry_point", "autoreset_mode": "Disabled"}
+    envs = gymnasium.make_vec(card.id, MACHINES, **vector, **card.settings, split="train", truth="info").unwrapped
+    rng = np.random.default_rng(0)
+    middle = np.zeros((4, len(FEATURES[kind]) + 1))
+    middle[:, -1] = FIRST
+    spread = np.full(middle.shape, 0.25)
+    for g in range(generations):
+        tables = rng.normal(middle, spread, (TABLES, *middle.shape))
+        tables[0] = middle
+        reached = returns(envs, kind, tables, 1000 + 10_000 * g)
+        best = tables[np.argsort(reached)[-ELITE:]]
+        middle, spread = best.mean(0), best.std(0) + 0.01
+        print(f"{kind}, generation {g}: mean {reached.mean():.3f}, middle {reached[0]:.3f}", flush=True)
+    envs.close()
+    return middle
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--generations", type=int, default=12)
+    parser.add_argument("-o", "--output", default="trained.json")
+    args = parser.parse_args()
+    tables = {kind: np.round(trained(kind, args.generations), 4).tolist() for kind in FEATURES}
+    Path(args.output).write_text(json.dumps(tables, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

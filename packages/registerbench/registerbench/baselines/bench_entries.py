@@ -1,0 +1,61 @@
+"""Entries of players that do not learn, for the benchmark's tables; those that are there are not played again.
+
+python -m registerbench.baselines.bench_entries -o entries
+python -m registerbench.baselines.bench_entries -o entries --tasks few-shot-wide --round 2026-11
+python -m registerbench.baselines.bench_entries -o entries --tasks few-shot --splits train weak --players formula search tpe cma-es
+stage bench-table entries/*.bench
+
+tpe and cma-es are few_shot_optuna.py (extra `rl`). What draws is played in `--runs` runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import registerbench
+from registerbench.baselines.stopping import stops
+from registerbench.cards import CARDS, OPEN
+from registerbench.shipped_policies import OWN
+
+DRAWN = ("random",)
+OPTUNA = {"tpe": "Tpe", "cma-es": "CmaEs"}
+
+
+def players_of(task: str) -> list[str]:
+    own = list(OWN.get(task, {})) or ["scripted"]
+    return ["random", *own, *(OPTUNA if task == "few-shot" else ())]
+
+
+def policy_of(player: str) -> Any:
+    return f"registerbench.baselines.few_shot_optuna:{OPTUNA[player]}" if player in OPTUNA else player
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--out", type=Path, required=True, metavar="FOLDER")
+    parser.add_argument("--tasks", nargs="+", choices=CARDS, default=list(CARDS))
+    parser.add_argument("--splits", nargs="+", default=["train"])
+    parser.add_argument("--players", nargs="+", help="of those that a task has (default: all)")
+    parser.add_argument("--runs", type=int, default=1, help="of players that draw")
+    parser.add_argument(
+        "--round", default=OPEN, metavar="WORD", help="whose test episodes (default: the open ones); a folder for each"
+    )
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    for task in args.tasks:
+        for split in (s for s in args.splits if s in CARDS[task].splits):
+            for player in (p for p in players_of(task) if p in (args.players or players_of(task))):
+                for run in range(args.runs if player in DRAWN else 1):
+                    path = args.out / f"{task}-{split}-{player}-{run}.bench"
+                    if path.exists():
+                        continue
+                    entry = registerbench.play(policy_of(player), task, split, name=player, run=run, round_=args.round)
+                    entry.write(path)
+                    print(f"{path}: return {entry.scores['return'].mean():.3f}", flush=True)
+
+
+if __name__ == "__main__":
+    with stops("entries that are written are kept, and the same command goes on after them."):
+        main()

@@ -1,0 +1,270 @@
+"""What the baselines share: one move to be tuned, a log of the moves made, the proof of the best, and the command line.
+
+The task is `stage/RegisterTuning-v0` with one distance and one payload, as a bench has them: each move begins at another angle of
+the rotor and weighs up to 3 % more or less. A move is an episode of one step, and a budget is a number of moves. What a
+method chooses is an array in [-1, 1]^n, of one of two spaces:
+
+registers   the environment's own action: of a PCL-240 R1, R2, R4, R5, R6, R7, each over its legal range
+knobs       factors on the data sheet's answer, 0 for 1: FL, FH, acceleration, of a PCL-240 also deceleration and ramp-down point;
+            the chip's formulas make registers of them (formula.py)
+
+Any chip that has a driver (`stage.firmware.driver`) can be tuned: --chip MCX514.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from registerbench.baselines import formula
+from registerbench.baselines.both_ways import BothWaysVectorEnv
+from stage import Stage
+from stage.chips import CHIPS, chip_class
+from stage.envs.registers import RegisterBox
+from stage.firmware.driver import driver_of
+
+DISTANCE = 32_000  # pulses, 100 mm on the default stage
+PAYLOADS = {"light": 0.5, "heavy": 10.0}  # kg on the table of the X axis
+TURN = 64  # pulses of an electrical turn: distances vary by so many, and places by half as many, more and less
+TOLERANCE = 0.03  # of the payload
+LIMIT = 1.0  # s, a move may take; twice what the formula needs
+BUDGET = 1_024  # moves
+LANES = 16  # moves made at once
+CHIP, MODEL = "PCL240K", "xyz"
+CANDIDATES, REPEATS, PROOF_SEED = 100, 48, 99  # a method's best moves that are tried again, and how often each
+MARGIN = 0.5  # kg: a proof's moves have from none to so much beyond the payload
+HELD = 5  # moves that hold, of which the best by its mean reward is the answer
+SPACES = ("registers", "knobs")
+
+
+@dataclass
+class Log:
+    """Every move made, in order: reward, s, full steps, m, the registers, and what was drawn for it: pulses, kg, and the angle of
+    the rotor in electrical turns. `kept`: no step lost, all pulses made."""
+
+    reward: list[float] = field(default_factory=list)
+    duration: list[float] = field(default_factory=list)
+    lost: list[int] = field(default_factory=list)
+    vibration: list[float] = field(default_factory=list)
+    kept: list[bool] = field(default_factory=list)
+    registers: list[list[int]] = field(default_factory=list)
+    drawn: list[tuple[int, float, float]] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.reward)
+
+    def note(self, *move: Any) -> None:
+        """Append a move: a value for each field."""
+        for f, value in zip(fields(self), move, strict=True):
+            getattr(self, f.name).append(value)
+
+    @property
+    def ranking(self) -> list[int]:
+        """Which moves kept step, the highest reward first."""
+        return sorted(np.flatnonzero(self.kept).tolist(), key=lambda k: -self.reward[k])
+
+    def curve(self) -> np.ndarray:
+        """The highest reward of a move that kept step, after each move; -inf before the first."""
+        return np.maximum.accumulate(np.where(self.kept, self.reward, -np.inf))
+
+
+class Moves:
+    """One move of one payload, made again and again with other registers, `lanes` at a time.
+
+    more: kg that may come on top of the payload. shortest: pulses, where distances are to be drawn from there on. both_ways: every
+    second lane moves the other way.
+
+    Attributes: log; size, the numbers of a choice; env, the vector environment; registers, its RegisterBox; axis, with
+    just the payload, for whoever reckons.
+    """
+
+    def __init__(
+        self,
+        payload: float,
+        budget: int = BUDGET,
+        space: str = "knobs",
+        distance: int = DISTANCE,
+        lanes: int = LANES,
+        seed: int = 0,
+        chip: str = CHIP,
+        model: str = MODEL,
+        more: float = 0.0,
+        shortest: int | None = None,
+        both_ways: bool = False,
+    ):
+        self.payload, self.distance, self.budget, self.lanes, self.model = payload, distance, budget, lanes, model
+        settings: dict[str, Any] = {
+            "model": model,
+            "chip": chip,
+            "s_curve": False,
+            "distances": (shortest or distance - TURN, distance + TURN),
+            "payloads": (payload * (1 - TOLERANCE), (payload + more) * (1 + TOLERANCE)),
+            "moves": budget + lanes,
+            "limit": LIMIT,
+        }
+        self.env: Any = (
+            BothWaysVectorEnv(num_envs=lanes, **settings)
+            if both_ways
+            else gymnasium.make_vec("stage/RegisterTuning-v0", lanes, "vector_entry_point", **settings)
+        )
+        self._seed = 1000 * seed
+        self.begin()
+        nominal = Stage(model, chips=chip_class(chip))
+        nominal.set_payload(payload, self.env.unwrapped._task.carrier)
+        self.axis = nominal.axes["x"]
+        self.registers = RegisterBox(self.axis.chip.MAP, driver_of(self.axis).tuned_by(s_curve=False))
+        self.knobs = formula.Knobs(self.axis, distance) if space == "knobs" else None
+        self.size = len(self.knobs.ranges) if self.knobs else len(self.registers)
+
+    def begin(self) -> None:
+        """An empty log, and the same draws again."""
+        self.log = Log()
+        self.observation, _ = self.env.reset(seed=self._seed)
+
+    @property
+    def left(self) -> int:
+        """Moves that may still be made."""
+        return self.budget - len(self.log)
+
+    def make(self, choices: np.ndarray) -> np.ndarray:
+        """Make a move for each of up to `lanes` choices, (k, size). Returns rewards, (k,); NaN beyond the budget."""
+        choices = np.clip(np.asarray(choices, float), -1, 1)
+        if self.knobs:
+            choices = np.stack([self.registers.to_action(self.knobs.registers(row)) for row in choices])
+        return self.make_actions(choices)
+
+    def make_actions(self, actions: np.ndarray) -> np.ndarray:
+        """The same of the environment's actions."""
+        n = min(len(actions), self.left)
+        rewards = np.full(len(actions), np.nan)
+        if n:
+            rows = np.resize(actions[:n].astype(np.float32), (self.lanes, len(self.registers)))
+            self.observation, given, _, _, info = self.env.step(rows)
+            rewards[:n] = given[:n]
+            self._note(given[:n], info, n)
+        return rewards
+
+    def _note(self, rewards: np.ndarray, info: dict[str, Any], n: int) -> None:
+        parts = info["reward_parts"]
+        kept = (parts["lost"] == 0) & (parts["limit"] == 0) & (info["cause"] != "diverged")
+        columns = rewards, info["duration"], info["lost_steps"], info["vibration"], kept, info["registers"]
+        drawn = zip(*(info[name][:n].tolist() for name in ("distance", "payload", "angle")), strict=True)
+        for move in zip(*(column[:n].tolist() for column in columns), drawn, strict=True):
+            self.log.note(*move)
+
+    def close(self) -> None:
+        self.env.close()
+
+    def __enter__(self) -> Moves:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def prove(
+    rows: Sequence[Sequence[int]],
+    payload: float,
+    distance: int = DISTANCE,
+    repeats: int = REPEATS,
+    chip: str = CHIP,
+    model: str = MODEL,
+    margin: float = 0.0,
+    most: int = 1,
+) -> list[Log]:
+    """Try rows of registers again, one after the other, until `most` of them hold: the moves of each that was tried.
+
+    A row holds that loses no step in `repeats` moves, from as many angles of the rotor, with up to `margin` kg more. They are the
+    same for all rows; of one that loses a step not all are made.
+    """
+    proofs: list[Log] = []
+    with Moves(payload, repeats, "registers", distance, seed=PROOF_SEED, chip=chip, model=model, more=margin) as moves:
+        for row in rows:
+            moves.begin()
+            action = moves.registers.to_action(np.array(row))
+            while moves.left and all(moves.log.kept):
+                moves.make_actions(np.tile(action, (moves.lanes, 1)))
+            proofs.append(moves.log)
+            if sum(all(log.kept) for log in proofs) == most:
+                break
+    return proofs
+
+
+def best(proofs: Sequence[Log]) -> int | None:
+    """Of the rows that hold, the one with the highest mean reward in its proof. None: none holds."""
+    held = [k for k, log in enumerate(proofs) if all(log.kept)]
+    return max(held, key=lambda k: float(np.mean(proofs[k].reward)), default=None)
+
+
+def answer(
+    rows: Sequence[Sequence[int]],
+    payload: float,
+    distance: int = DISTANCE,
+    repeats: int = REPEATS,
+    chip: str = CHIP,
+    model: str = MODEL,
+    margin: float = MARGIN,
+) -> tuple[int, Log] | None:
+    """The answer of a method, by the same rule for all. rows: its moves that kept step, the highest reward first.
+
+    Of the first HELD that hold, the best: which it is, and the moves of its proof. None: none holds.
+    """
+    proofs = prove(rows, payload, distance, repeats, chip, model, margin, HELD)
+    which = best(proofs)
+    return None if which is None else (which, proofs[which])
+
+
+def told(
+    log: Log,
+    names: Sequence[str],
+    payload: float,
+    distance: int,
+    chip: str = CHIP,
+    model: str = MODEL,
+    margin: float = MARGIN,
+) -> str:
+    """The answer of a method (see `answer`), in a line."""
+    candidates = log.ranking[:CANDIDATES]
+    rows = [log.registers[k] for k in candidates]
+    proven = answer(rows, payload, distance, chip=chip, model=model, margin=margin) if rows else None
+    if proven is None:
+        return f"{len(log)} moves, {np.mean(log.kept):.0%} kept step; none of the best {len(candidates)} does so again and again"
+    k, again = candidates[proven[0]], proven[1]
+    registers = " ".join(f"{n}={v}" for n, v in zip(names, log.registers[k], strict=True))
+    return (
+        f"{len(log)} moves, {np.mean(log.kept):.0%} kept step. "
+        f"Best that did in {len(again)} more with up to {margin:g} kg more: number {k + 1}, "
+        f"{np.mean(again.duration):.4f} s, {np.mean(again.vibration) * 1e6:.1f} um vibration; {registers}"
+    )
+
+
+def run(doc: str | None, search: Callable[[Moves, int], None]) -> None:
+    """The command line of a search: make the moves, tell the best."""
+    args = arguments(doc).parse_args()
+    made = {"seed": args.seed, "chip": args.chip, "model": args.model}
+    with Moves(args.payload, args.budget, args.space, args.distance, **made) as moves:
+        search(moves, args.seed)
+    print(told(moves.log, moves.registers.names, args.payload, args.distance, args.chip, args.model, args.margin))
+
+
+def arguments(doc: str | None, searches: bool = True, chips: bool = True) -> argparse.ArgumentParser:
+    """The options that all baselines have."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--payload", type=float, default=PAYLOADS["light"], metavar="KG", help="on the table")
+    parser.add_argument("--distance", type=int, default=DISTANCE, metavar="PULSES", help="of the move")
+    if chips:
+        parser.add_argument("--chip", choices=CHIPS, default=CHIP)
+    parser.add_argument("--model", default=MODEL, metavar="NAME", help="of the stage, or an MJCF file")
+    parser.add_argument(
+        "--margin", type=float, default=MARGIN, metavar="KG", help="that the proof has beyond the payload"
+    )
+    if searches:
+        parser.add_argument("--budget", type=int, default=BUDGET, metavar="N", help="moves")
+        parser.add_argument("--seed", type=int, default=0)
+        parser.add_argument("--space", choices=SPACES, default="knobs", help="what is chosen")
+    return parser

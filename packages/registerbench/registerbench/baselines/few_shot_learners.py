@@ -1,0 +1,120 @@
+"""PPO on `stage/FewShotTuning-v1`, with a memory and without one: what memory is worth to a learner from scratch.
+
+python -m registerbench.baselines.few_shot_learners learn none --seed 0 -o runs
+python -m registerbench.baselines.few_shot_learners learn recurrent --seed 0 -o runs
+python -m registerbench.baselines.few_shot_learners submit runs/recurrent-0.zip -o entries --splits train weak
+
+none       PPO that sees the distance and how many tries are left, so that each try is as if it were the first
+all        PPO that sees every try of the episode in its observation (memory="all")
+recurrent  recurrent PPO (an LSTM) that sees the last try alone (memory="last") and remembers the others itself
+
+`learn` writes the policy and its curve, a CSV with a row a batch. `submit` plays the test episodes of splits and packs them, see
+docs/benchmark.md. Needs the extra `rl`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from sb3_contrib import RecurrentPPO
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecEnvWrapper
+
+import registerbench
+from registerbench.baselines.learning import Curve, Noted, cost_of, parser_of, save
+from registerbench.baselines.stopping import stops
+from stage.envs.sb3 import StageVecEnv
+
+ID, TASK = "stage/FewShotTuning-v1", "few-shot"
+METHODS = {"none": "last", "all": "all", "recurrent": "last"}
+"""Of a method the setting `memory` of its environment."""
+SEEN = {"none": ("distance", "left")}
+"""Entries of the observation that a method sees, where not all."""
+STEPS, LANES, BATCH = 16_384, 16, 512
+PROOFS = 2  # of training, which are cheaper; the test has the task's own number
+SETTINGS: dict[str, Any] = {
+    "n_steps": BATCH // LANES, "batch_size": 128, "n_epochs": 10, "learning_rate": 1e-3, "gamma": 1.0, "gae_lambda": 0.95,
+    "device": "cpu",
+}  # fmt: skip
+NETS: dict[str, dict[str, Any]] = {
+    "none": {"net_arch": [64, 64], "log_std_init": -0.7},
+    "all": {"net_arch": [64, 64], "log_std_init": -0.7},
+    "recurrent": {"net_arch": [64], "log_std_init": -0.7, "lstm_hidden_size": 64},
+}
+
+
+def columns(method: str, names: Any) -> np.ndarray:
+    """Which numbers of an observation the method sees."""
+    return np.array([k for k, name in enumerate(names) if name in SEEN.get(method, names)])
+
+
+class Partly(VecEnvWrapper):
+    """Some columns of the observations."""
+
+    def __init__(self, envs: Any, which: np.ndarray):
+        super().__init__(envs, gymnasium.spaces.Box(-1.0, 1.0, (len(which),), np.float32))
+        self.which = which
+
+    def reset(self) -> Any:
+        seen: Any = self.venv.reset()
+        return seen[:, self.which]
+
+    def step_wait(self) -> Any:
+        seen, rewards, ends, infos = self.venv.step_wait()
+        for k in np.flatnonzero(ends):
+            infos[k]["terminal_observation"] = infos[k]["terminal_observation"][self.which]
+        return seen[:, self.which], rewards, ends, infos  # type: ignore[index]
+
+
+def learn(method: str, seed: int, steps: int, folder: Path) -> None:
+    torch.set_num_threads(1)
+    raw = StageVecEnv(ID, LANES, threads=1, memory=METHODS[method], proofs=PROOFS)
+    envs = Noted(Partly(raw, columns(method, [e.name for e in raw.envs.entries])))
+    kind: Any = RecurrentPPO if method == "recurrent" else PPO
+    policy = "MlpLstmPolicy" if method == "recurrent" else "MlpPolicy"
+    model = kind(policy, envs, seed=seed, policy_kwargs=NETS[method], **SETTINGS)
+    path = folder / f"{method}-{seed}"
+    model.learn(steps, callback=Curve(path.with_suffix(".csv"), BATCH))
+    envs.close()
+    save(model, path, steps)
+
+
+class Policy:
+    """What a learner has learned, for registerbench."""
+
+    def __init__(self, method: str, path: Path):
+        self.method = method
+        kind: Any = RecurrentPPO if method == "recurrent" else PPO
+        self.model = kind.load(path, device="cpu")
+
+    def reset(self, around: Any) -> None:
+        self.which, self.state = columns(self.method, around.entries), None
+
+    def __call__(self, observation: np.ndarray, info: Any) -> np.ndarray:
+        begins = np.array([self.state is None])
+        action, self.state = self.model.predict(observation[self.which], self.state, begins, deterministic=True)
+        return np.clip(action, -1, 1)
+
+
+def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> None:
+    torch.set_num_threads(1)
+    method, run = path.stem.split("-")
+    folder.mkdir(parents=True, exist_ok=True)
+    for split in splits:
+        name, chosen = f"ppo, memory {method}", {"memory": METHODS[method]}
+        entry = registerbench.play(
+            Policy(method, path), TASK, split, settings=chosen, name=name, run=int(run), cost=cost_of(path)
+        )
+        entry.write(folder / f"{TASK}-{split}-ppo-{method}-{run}.bench", overwrite=True)
+        print(f"{split} {method} {run}: return {entry.scores['return'].mean():.3f}", flush=True)
+
+
+if __name__ == "__main__":
+    parser = parser_of(__doc__, tuple(METHODS), STEPS, learn, submit, (TASK,))
+    args = parser.parse_args()
+    with stops("the curve so far, and what was written before; the same command learns the run anew."):
+        args.run(args)

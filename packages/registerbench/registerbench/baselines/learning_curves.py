@@ -1,0 +1,221 @@
+"""Learning curves of every task of the bench, from scratch: learns them, keeps the raw runs, draws one picture.
+
+python -m registerbench.baselines.learning_curves learn -o runs                  some hours of a processor; what is there is kept
+python -m registerbench.baselines.learning_curves learn -o quick --quick         a run and a generation of each task, some minutes
+python -m registerbench.baselines.learning_curves draw                           picture and table, from the published runs
+python -m registerbench.baselines.learning_curves draw --runs runs               from one's own, which are packed beside it
+
+one-shot, few-shot, few-shot-wide, home, line   CMA-ES on a small rule, rule_learners.py. At each point its middle has played 32
+          test episodes, by which nothing is chosen: the interquartile mean of their returns, with its interval by the bootstrap
+          over whole runs and episodes
+bus       DQN with masks, bus_macros_learners.py: at each point the share of 64 machines of train, on which it does not learn,
+          that it solves: none before a run has come to a level, and a run that is done with it stays where it is. The interval
+          is by the bootstrap over runs
+Lines across are players that do not learn, on the same test episodes (data/entries). Needs the extras `rl` and `plot`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import gzip
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import registerbench
+from registerbench.baselines.stopping import stops
+from registerbench.cards import OPEN
+from registerbench.statistics import interval, iqm
+from stage import pictures
+
+DOCS = Path(__file__).parents[2] / "docs"
+DATA, PICTURE = DOCS / "data" / "learning_curves.csv.gz", DOCS / "pictures" / "learning_curves.png"
+EPISODES = 32  # of a point
+COLUMNS = ("task", "player", "run", "steps", "processor_s", "episode", "return", "success")
+RUNS = {"one-shot": 5, "few-shot": 5, "few-shot-wide": 10, "home": 5, "line": 5}
+BUS = {"origin": range(5)}
+"""Seeds of each level at which a curriculum ends; what ends at a later one has been through those before."""
+PANELS = {
+    "one-shot": "T1 OneShotTuning", "few-shot": "T2 FewShotTuning, the best try counts",
+    "few-shot-wide": "T2 FewShotTuning, wide, the last try counts", "home": "T3 DriftingHome", "bus": "T4 BusMacros",
+    "line": "T5 SynchronizedLine",
+}  # fmt: skip
+OTHERS = {"formula": "-.", "scripted": "-.", "search": "--", "random": ":"}
+
+
+def learn(folder: Path, tasks: list[str], quick: bool) -> None:
+    from registerbench.baselines import rule_learners as rules
+
+    for task in (t for t in RUNS if t in tasks):
+        for run in range(1 if quick else RUNS[task]):
+            rules.learn(task, run, folder, *((1, 8) if quick else ()))
+    if "bus" in tasks:
+        from registerbench.baselines import bus_macros_learners as bus
+
+        for level, runs in BUS.items() if not quick else {"target": (0,)}.items():
+            for run in runs:
+                if not (folder / f"{level}-dqn-{run}.zip").exists():
+                    bus.learn("dqn", run, 0.1 if quick else 1.0, level, folder)
+
+
+def collected(folder: Path) -> Iterator[tuple]:
+    """Rows of all runs of a folder."""
+    for path in sorted(folder.glob("*.csv")):
+        with path.open() as file:
+            rows = list(csv.DictReader(file))
+        task, _, name = path.stem.partition("_")
+        if name:
+            player, _, run = name.rpartition("-")
+            for r in rows:
+                yield task, player.replace("-", " "), run, *(r[k] for k in COLUMNS[3:])
+        elif path.stem.count("-") == 2:
+            level, _, run = path.stem.split("-")
+            for r in (r for r in rows if r["level"] == level):
+                yield "bus", level, run, r["steps"], r["processor_s"], "", r["return"], r["success"]
+
+
+def pack(folder: Path, path: Path) -> None:
+    with path.open("wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
+        text = "\n".join(",".join(map(str, row)) for row in (COLUMNS, *collected(folder)))
+        file.write((text + "\n").encode())
+
+
+def read(path: Path) -> dict[str, dict[str, dict[str, list[dict]]]]:
+    """Rows of each run of each player of each task."""
+    found: dict[str, Any] = {}
+    with gzip.open(path, "rt") as file:
+        for row in csv.DictReader(file):
+            found.setdefault(row["task"], {}).setdefault(row["player"], {}).setdefault(row["run"], []).append(row)
+    return found
+
+
+def points(runs: dict[str, list[dict]], what: str = "return") -> tuple[np.ndarray, np.ndarray]:
+    """Steps, and returns (or another column) of all runs and episodes there, (points, runs, episodes)."""
+    every = []
+    for rows in runs.values():
+        at: dict[int, list[float]] = {}
+        for r in rows:
+            at.setdefault(int(r["steps"]), []).append(float(r[what]))
+        every.append(at)
+    number = min(len(at) for at in every)
+    steps = np.mean([list(at)[:number] for at in every], axis=0)
+    return steps, np.array([[list(at.values())[k] for at in every] for k in range(number)])
+
+
+def levels(runs: dict[str, list[dict]]) -> tuple[np.ndarray, np.ndarray]:
+    """Steps, and the share that is solved by each run there, (points, runs, 1): none before a run has come to the level."""
+    curves = [np.array([(float(r["steps"]), float(r["success"])) for r in rows]).T for rows in runs.values()]
+    at = np.unique(np.concatenate([c[0] for c in curves]))
+    return at, np.stack([np.interp(at, *c, left=0.0) for c in curves], axis=1)[:, :, None]
+
+
+def others(task: str, episodes: int) -> dict[str, dict[str, np.ndarray]]:
+    """Scores of players that do not learn, on the test episodes that the curves have."""
+    found = {}
+    published = registerbench.read_all(DOCS / "data" / "entries" / f"{task}.zip")
+    for name in OTHERS:
+        entry = published.get(f"{task}-train-{name}-0.bench")
+        if entry is not None and entry.round == OPEN:
+            found[name] = {score: values[:episodes] for score, values in entry.scores.items()}
+    return found
+
+
+def spread(values: np.ndarray, of: Any = iqm) -> str:
+    """The IQM of returns, (runs, episodes), or another figure, with its interval."""
+    low, high = interval(values, of=of)
+    return f"{of(values):.3f} ({low:.3f} to {high:.3f})"
+
+
+def table(found: dict[str, dict[str, dict[str, list[dict]]]]) -> str:
+    """Markdown: what learners with test episodes reach at each point of their curves, and those who do not learn."""
+    heads = (
+        "task",
+        "player",
+        "runs",
+        "tries a run, without proofs",
+        "s of a processor",
+        "IQM (95 %)",
+        "mean (95 %)",
+        "success",
+    )
+    lines: list[tuple] = [heads, ("---",) * len(heads)]
+    for task in (t for t in PANELS if t in found and t != "bus"):
+        for player, runs in found[task].items():
+            (steps, values), (_, spent), (_, won) = (points(runs, c) for c in ("return", "processor_s", "success"))
+            for at, v, s, w in zip(steps, values, spent, won, strict=True):
+                lines.append(
+                    (
+                        task,
+                        player,
+                        len(runs),
+                        f"{at:.0f}",
+                        f"{s.mean():.0f}",
+                        spread(v),
+                        spread(v, np.mean),
+                        f"{w.mean():.0%}",
+                    )
+                )
+        for name, scores in others(task, EPISODES).items():
+            v, w = scores["return"], scores["success"]
+            lines.append((task, name, "-", "-", "-", spread(v), spread(v, np.mean), f"{w.mean():.0%}"))
+    return "\n".join(f"| {' | '.join(map(str, cells))} |" for cells in lines)
+
+
+def panel(ax: Any, task: str, players: dict[str, dict[str, list[dict]]]) -> None:
+    ordered = sorted(players.items(), key=lambda of: max(int(r[-1]["steps"]) for r in of[1].values()))
+    for color, (player, runs) in zip(pictures.COLOURS, ordered, strict=False):
+        at, values = levels(runs) if task == "bus" else points(runs)
+        ends = np.array([interval(v, draws=1000) for v in values])
+        ax.fill_between(at, *ends.T, color=color, alpha=0.18, lw=0)
+        ax.plot(
+            at, [iqm(v) for v in values], color=color, lw=1.8, label=f"{player}, {len(runs)} run{'s'[: len(runs) > 1]}"
+        )
+    for name, scores in ({} if task == "bus" else others(task, EPISODES)).items():  # returns, where bus has shares
+        ax.axhline(iqm(scores["return"]), color=pictures.MUTED, lw=1.2, ls=OTHERS[name], label=name)
+    pictures.title(ax, PANELS[task])
+    what = "solved, of 64 machines" if task == "bus" else "return, IQM of test episodes"
+    ax.set_xlabel("macros of learning" if task == "bus" else "tries of learning", fontsize=8)
+    ax.set_ylabel(what, fontsize=8)
+    pictures.bare(ax)
+    ax.legend(frameon=False, fontsize=7.5, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
+
+
+def draw(data: Path, picture: Path) -> None:
+    found = read(data)
+    shown = [task for task in PANELS if task in found]
+    columns = min(len(shown), 3)
+    rows = -(-len(shown) // columns)
+    figure = pictures.figure(4.4 * columns, 4 * rows)
+    axes = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for ax, task in zip(axes, shown, strict=False):
+        panel(ax, task, found[task])
+    for ax in axes[len(shown) :]:
+        ax.set_axis_off()
+    figure.savefig(picture, dpi=100)
+    print(table(found))
+    print(f"{picture}: written")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(required=True)
+    p = commands.add_parser("learn")
+    p.add_argument("--tasks", nargs="+", choices=PANELS, default=list(PANELS))
+    p.add_argument("--quick", action="store_true", help="a run and a generation of each")
+    p.add_argument("-o", "--out", type=Path, required=True, metavar="FOLDER")
+    p.set_defaults(run=lambda a: learn(a.out, a.tasks, a.quick))
+    p = commands.add_parser("draw")
+    p.add_argument("--runs", type=Path, metavar="FOLDER", help="of `learn`; they are packed into --data")
+    p.add_argument("--data", type=Path, default=DATA, metavar="FILE.csv.gz")
+    p.add_argument("--picture", type=Path, default=PICTURE, metavar="FILE.png")
+    p.set_defaults(run=lambda a: (a.runs and pack(a.runs, a.data), draw(a.data, a.picture)))
+    args = parser.parse_args()
+    with stops("runs that are done are kept, and the same command goes on after them."):
+        args.run(args)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+"""What memory can be worth on FewShotTuning at most: every machine is tried at every boldness, and hosts are played on that table.
+
+python -m registerbench.baselines.memory_worth
+python -m registerbench.baselines.memory_worth --tasks few-shot-wide --machines 128
+
+With a table of boldness.py, of machines of train
+knows     has the best boldness of each machine: nobody is better
+blind     eight numbers, the same for all machines, the best that a search from STARTS places finds: it looks at nothing
+looks     the rule with memory of rules.py, its numbers by CMA-ES
+Of each the mean sum of rewards. What is chosen is chosen on the same machines, so each figure flatters. Needs the package cmaes
+(extra `rl`).
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+
+from registerbench.baselines.boldness import BOLDNESS, Table, learned, tabulate
+from registerbench.baselines.rules import TRIES, Remembering
+from registerbench.baselines.stopping import stops
+
+FROM, STARTS = 2000, 6
+
+
+def blind(table: Table) -> float:
+    def mean(tries: list[int]) -> float:
+        return float(table.total(np.array(tries)[:, None]).mean())
+
+    rng, best = np.random.default_rng(0), -np.inf
+    for _ in range(STARTS):
+        tries, value, better = rng.integers(0, len(BOLDNESS), TRIES).tolist(), -np.inf, True
+        while better:
+            others = [[*tries[:j], b, *tries[j + 1 :]] for j in range(TRIES) for b in range(len(BOLDNESS))]
+            tries = max(others, key=mean)
+            value, better = mean(tries), mean(tries) > value
+        best = max(best, value)
+    return best
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--tasks", nargs="+", choices=("few-shot", "few-shot-wide"), default=["few-shot", "few-shot-wide"]
+    )
+    parser.add_argument("--machines", type=int, default=64, metavar="N", help="a multiple of 8")
+    args = parser.parse_args()
+    print("| machines of | answer | knows | blind | looks |\n|---|---|---|---|---|")
+    for task in args.tasks:
+        tried = tabulate(task, FROM, args.machines)
+        for last in (False, True):
+            table = replace(tried, last=last)
+            looks = table.play(Remembering, Remembering.numbers(learned(Remembering, table, 0))).mean()
+            print(
+                f"| {task} | {'the last try' if last else 'the best try'} | {table.worth.max(axis=0).mean():.3f} "
+                f"| {blind(table):.3f} | {looks:.3f} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    with stops("rows above are whole, nothing else is kept."):
+        main()

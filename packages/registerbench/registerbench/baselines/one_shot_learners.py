@@ -1,0 +1,80 @@
+"""PPO and SAC on `stage/OneShotTuning-v1`, by Stable-Baselines3: one move an episode, on a machine whose payload is declared.
+
+python -m registerbench.baselines.one_shot_learners learn sac --seed 0 -o runs
+python -m registerbench.baselines.one_shot_learners submit runs/one-shot_sac-0.zip -o entries
+
+Both learn from scratch what each distance and payload can bear; what is submitted is the policy at the end, at its mean. Learning
+has cheaper settings than the tests, as rule_learners.py. Nothing was chosen by test episodes. `learn` writes the policy and its
+curve, a CSV with a row each BATCH moves. Needs the extra `rl`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import PPO, SAC
+
+import registerbench
+from registerbench.baselines.learning import Curve, Noted, cost_of, parser_of, save
+from registerbench.baselines.rule_learners import CHEAPER
+from registerbench.baselines.stopping import stops
+from stage.envs.sb3 import StageVecEnv
+
+ID, TASK = "stage/OneShotTuning-v1", "one-shot"
+KINDS: dict[str, Any] = {"ppo": PPO, "sac": SAC}
+STEPS, LANES, BATCH = 4_096, 16, 512
+SPREAD = -0.7  # logarithm of the first choices' standard deviation
+SETTINGS: dict[str, dict[str, Any]] = {
+    "ppo": {"n_steps": BATCH // LANES, "batch_size": 128, "n_epochs": 10, "policy_kwargs": {"log_std_init": SPREAD}},
+    "sac": {
+        "learning_starts": BATCH,
+        "train_freq": 1,
+        "gradient_steps": LANES // 2,
+        "batch_size": 128,
+        "ent_coef": 0.01,
+    },
+}
+
+
+def learn(method: str, seed: int, steps: int, folder: Path) -> None:
+    torch.set_num_threads(1)
+    envs = Noted(StageVecEnv(ID, LANES, threads=1, **CHEAPER[TASK]))
+    chosen = {**SETTINGS[method], "learning_rate": 1e-3, "seed": seed, "device": "cpu"}
+    chosen["policy_kwargs"] = {"net_arch": [64, 64], **chosen.get("policy_kwargs", {})}
+    model = KINDS[method]("MlpPolicy", envs, **chosen)
+    if method == "sac":
+        torch.nn.init.constant_(model.actor.log_std.bias, SPREAD)
+    path = folder / f"{TASK}_{method}-{seed}"
+    model.learn(steps, callback=Curve(path.with_suffix(".csv"), BATCH))
+    envs.close()
+    save(model, path, steps)
+
+
+class Policy:
+    """What a learner has learned, for registerbench."""
+
+    def __init__(self, method: str, path: Path):
+        self.model = KINDS[method].load(path, device="cpu")
+
+    def __call__(self, observation: np.ndarray, info: Any) -> np.ndarray:
+        return np.clip(self.model.predict(observation, deterministic=True)[0], -1, 1)
+
+
+def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> None:
+    torch.set_num_threads(1)
+    method, run = path.stem.partition("_")[2].split("-")
+    folder.mkdir(parents=True, exist_ok=True)
+    for split in splits:
+        entry = registerbench.play(Policy(method, path), TASK, split, name=method, run=int(run), cost=cost_of(path))
+        entry.write(folder / f"{TASK}-{split}-{method}-{run}.bench", overwrite=True)
+        print(f"{split} {method} {run}: return {entry.scores['return'].mean():.3f}", flush=True)
+
+
+if __name__ == "__main__":
+    parser = parser_of(__doc__, tuple(KINDS), STEPS, learn, submit, (TASK,))
+    args = parser.parse_args()
+    with stops("the curve so far, and what was written before; the same command learns the run anew."):
+        args.run(args)

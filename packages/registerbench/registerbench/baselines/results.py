@@ -1,0 +1,409 @@
+"""All baselines, compared: runs every one with its budget and seeds, for a light and a heavy payload.
+
+python -m registerbench.baselines.results                  docs/results.md, which says how long it takes, with picture and data
+python -m registerbench.baselines.results --draw           page and picture again, from data/results.parquet; seconds
+python -m registerbench.baselines.results --quick --out build/results      without PPO and SAC, 64 moves, one payload
+python -m registerbench.baselines.results --model xy --payload 2 5 --out build/results
+
+Needs the extras `rl`, `plot` and `data`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from registerbench.baselines import formula
+from registerbench.baselines.common import (
+    CANDIDATES,
+    DISTANCE,
+    HELD,
+    LIMIT,
+    MARGIN,
+    MODEL,
+    PAYLOADS,
+    REPEATS,
+    TOLERANCE,
+)
+from registerbench.baselines.runs import (
+    BOLDEST,
+    CONTEXTS,
+    FORMULA,
+    HEAVIER,
+    METHODS,
+    NEW,
+    QUICK,
+    SHORTER,
+    SHORTEST,
+    Method,
+    Run,
+    Runs,
+)
+from registerbench.statistics import interval, iqm
+from stage import Stage, firmware
+from stage.firmware.report import Report, rates
+from stage.pictures import bare, title
+
+BUDGET, SEEDS = 256, 10  # moves a seed; fewer seeds say nothing of who beats whom
+MM = 3.125e-3  # of a pulse
+DOCS = Path(__file__).parents[2] / "docs"
+DRAWN = [m for m in METHODS if m.space == "knobs"]
+
+
+@cache
+def power_up(model: str) -> tuple[Stage, Any]:
+    stage = Stage(model)
+    stage.place(x=-DISTANCE / 2 * stage.axes["x"].meters_per_pulse)
+    return stage, stage.snapshot()
+
+
+def again(registers: dict[str, int], payload: float, model: str = MODEL) -> Report:
+    """The move made by firmware, with its course."""
+    stage, begin = power_up(model)
+    stage.restore(begin)
+    stage.set_payload(payload)
+    r = registers
+    profile = firmware.Profile(r["R1"], r["R2"], r["R2"], r["R4"], r["R5"], r["R7"])
+    return firmware.preset_move(stage.axes["x"], DISTANCE, profile, down_point=r["R6"])
+
+
+# The page
+
+
+def of(runs: list[Run], payload: str, method: Method) -> list[Run]:
+    return [r for r in runs if (r.payload, r.method) == (payload, method.name)]
+
+
+def spread(values: list[float], form: str) -> str:
+    """IQM, and its 95 % interval where there are several."""
+    known = [v for v in values if v == v]
+    if not known:
+        return "none"
+    middle = format(iqm(np.array(known)), form)
+    low, high = (format(v, form) for v in interval(np.array(known)[:, None]))
+    return middle if len(known) == 1 else f"{middle} ({low} to {high})"
+
+
+def losses(runs: list[Run], context: str) -> str:
+    """Of the moves of all tests, how many lost steps, and of how many answers these were."""
+    lost = [r.lost(context) for r in runs if r.test]
+    if not lost:
+        return "none"
+    some = f", {np.count_nonzero(lost)} of {len(lost)} answers" if any(lost) and len(lost) > 1 else ""
+    return f"{sum(lost)} of {len(lost) * CONTEXTS[context].moves}{some}"
+
+
+def table(runs: list[Run].moves, payload: str) -> list[str]:
+    lines = [
+        "| method | moves | seeds | reward, ms | time, ms | vibration, um | lost: new moves | lost: shorter moves | spare, kg "
+        "| moves that kept step | lucky |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for method in METHODS:
+        rs = of(runs, payload, method)
+        if not rs:
+            continue
+        none = sum(r.answer is None for r in rs)
+        some = f", {none} of {len(rs)} found none" if none else ""
+        lines.append(
+            f"| {method.name} | {len(rs[0].search)} | {'-' if method.fixed else len(rs)} "
+            f"| {spread([r.mean('reward') for r in rs], '.1f')}{some} | {spread([r.mean('duration') for r in rs], '.1f')} "
+            f"| {spread([r.mean('vibration') for r in rs], '.0f')} | {losses(rs, NEW)} | {losses(rs, SHORTER)} "
+            f"| {spread([r.spare for r in rs], '.1f')} "
+            f"| {np.mean([r.kept for r in rs]):.0%} | {spread([r.lucky for r in rs], '.0f')} |"
+        )
+    return lines
+
+
+class Gain(NamedTuple):
+    """ms by which a method is better than a formula. beats: None where there is no verdict; told: for the table."""
+
+    beats: bool | None
+    loses: bool
+    told: str
+
+
+def gain(runs: list[Run], base: Run, name: str, kept: bool = False) -> Gain:
+    """Of `reward` or `duration`, the IQM over the runs that found an answer. It beats the formula where its interval is above 0, in
+    SEEDS runs or more that all found one."""
+    sign = 1 if name == "reward" else -1
+    values = sign * np.array([r.mean(name, kept) - base.mean(name, kept) for r in runs])
+    found = values[~np.isnan(values)]
+    if len(runs) < SEEDS:
+        return Gain(None, False, f"{iqm(found):+.1f}")
+    low, high = interval(found[:, None])
+    return Gain(
+        bool(low > 0 and len(found) == len(runs)), bool(high < 0), f"{iqm(found):+.1f} ({low:+.1f} to {high:+.1f})"
+    )
+
+
+def gains(runs: list[Run], payload: str, against: Method) -> dict[Method, tuple[Gain, Gain, Gain]]:
+    """By reward, in time, and by reward of the moves that kept step; of each method that searched and found something."""
+    (base,) = of(runs, payload, against)
+    some = {m: of(runs, payload, m) for m in METHODS if m not in (FORMULA, BOLDEST)}
+    return {
+        m: (gain(rs, base, "reward"), gain(rs, base, "duration"), gain(rs, base, "reward", kept=True))
+        for m, rs in some.items()
+        if any(r.answer is not None for r in rs)
+    }
+
+
+def verdict(runs: list[Run], payload: str, against: Method) -> str:
+    """Which methods beat the formula, in a sentence."""
+    (base,) = of(runs, payload, against)
+    if base.answer is None:
+        return f"**{payload}**: {against.name} found no move that can be repeated."
+    every = gains(runs, payload, against)
+
+    def named(which: int, beats: bool, loses: bool) -> str:
+        some = [m.name for m, g in every.items() if (g[which].beats, g[which].loses) == (beats, loses)]
+        return ", ".join(some) or "none"
+
+    few = [m.name for m, g in every.items() if g[0].beats is None]
+    alone = f" Fewer than {SEEDS} runs, hence no verdict: {', '.join(few)}." if few else ""
+    return (
+        f"**{payload}, against {against.name}** ({base.mean('reward'):.1f} ms, time {base.mean('duration'):.1f} ms): "
+        f"by reward it is beaten by {named(0, True, False)}; better than {named(0, False, True)}; open: {named(0, False, False)}. "
+        f"In time it is beaten by {named(1, True, False)}; better than {named(1, False, True)}; "
+        f"open: {named(1, False, False)}.{alone}"
+    )
+
+
+def comparison(runs: list[Run], payloads: dict[str, float]) -> list[str]:
+    """The gains that the verdicts are made of."""
+    lines = [
+        "| payload | against | method | runs | by reward, ms | in time, ms | by reward where steps were kept, ms |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for payload in payloads:
+        for against in (FORMULA, BOLDEST):
+            if of(runs, payload, against)[0].answer is not None:
+                for method, some in gains(runs, payload, against).items():
+                    count = len(of(runs, payload, method))
+                    told = " | ".join(g.told for g in some)
+                    lines.append(f"| {payload} | {against.name} | {method.name} | {count} | {told} |")
+    return lines
+
+
+def flattered(runs: list[Run]) -> str:
+    """What the proofs promised more than the tests show, the formula's aside: of it nothing was chosen."""
+    chosen = [r.flattered for r in runs if r.test and r.method != FORMULA.name]
+    (plain, *_) = [r.flattered for r in runs if r.method == FORMULA.name]
+    return (
+        f"In its proof, by which it was\nchosen, an answer had {np.mean(chosen):.0f} ms more of reward than in its test (median "
+        f"{np.median(chosen):.1f}; the formula, of which nothing is chosen, {plain:.1f}):\n"
+        "nearly all of it are steps that the test alone saw lost."
+    )
+
+
+def priced(runs: list[Run]) -> str:
+    """What a loss takes, by the new moves that lost steps, and how many of them went the way that no search has tried."""
+    logs = [r.test[NEW] for r in runs if r.test]
+    lost = [(log.reward[k], log.drawn[k][0]) for log in logs for k in np.flatnonzero(~np.array(log.kept))]
+    if not lost:
+        return "Here no new move lost a step."
+    reward, back = float(np.mean([reward for reward, _ in lost])), sum(distance < 0 for _, distance in lost)
+    return (
+        f"Of the {len(lost)} new moves that lost steps {back} went in\n"
+        "  the other direction, which no search and no proof has tried. Such a move has a reward of "
+        f"{reward:.0f} s on average, 5 of them the price and\n  most of the rest its shaking: one in "
+        f"{CONTEXTS[NEW].moves} takes {-1e3 * reward / CONTEXTS[NEW].moves:.0f} ms off a mean. So losses, rare as they are, decide "
+        "who is ahead by reward."
+    )
+
+
+def made_by(all_: Runs) -> str:
+    """The command that makes the page."""
+    words = ["python", "-m", "registerbench.baselines.results", *(["--quick"] if all_.quick else [])]
+    words += ["--model", all_.model] if all_.model != MODEL else []
+    if not all_.payloads.items() <= PAYLOADS.items():
+        words += ["--payload", *(f"{kg:g}" for kg in all_.payloads.values())]
+    return shlex.join([*words, "--budget", str(all_.budget), "--seeds", str(all_.seeds)])
+
+
+def page(all_: Runs) -> str:
+    runs, payloads_ = all_.runs, all_.payloads
+    versions = ", ".join(f"{p} {v}" for p, v in all_.versions.items())
+    payloads = " and ".join(f"{kg:g} kg ({name})" for name, kg in payloads_.items())
+    tables = [line for p, kg in payloads_.items() for line in (f"### {kg:g} kg, {p}", "", *table(runs, p), "")]
+    verdicts = [f"- {verdict(runs, p, against)}" for p in payloads_ for against in (FORMULA, BOLDEST)]
+    return TEXT.format(
+        made_by=made_by(all_), distance=DISTANCE, mm=DISTANCE * MM, payloads=payloads, budget=all_.budget, seeds=all_.seeds,
+        limit=LIMIT, tables="\n".join(tables), verdicts="\n".join(verdicts), comparison="\n".join(comparison(runs, payloads_)),
+        versions=versions, minutes=all_.took / 60, moves=sum(len(r.search) for r in runs),
+        more=sum(len(log) for r in runs for log in (*r.proofs.values(), *r.test.values())), safety=formula.SAFETY,
+        held=HELD, margin=MARGIN, tolerance=TOLERANCE, repeats=REPEATS, candidates=CANDIDATES, model=all_.model,
+        new=CONTEXTS[NEW].moves, shorter=CONTEXTS[SHORTER].moves, shortest=SHORTEST * MM,
+        each=CONTEXTS[f"+{HEAVIER[0]:g} kg"].moves, step=HEAVIER[0], most=HEAVIER[-1], flattered=flattered(runs), enough=SEEDS,
+        priced=priced(runs),
+    )  # fmt: skip
+
+
+TEXT = """# Learned and searched registers against the data sheet's formula
+
+Made by `{made_by}` (extras `rl`, `plot`, `data`): {moves} moves of
+searches, {more} more of proofs and tests, {minutes:.0f} minutes on two cores. Do not edit.
+
+**Made with physics 1**, in which motors had no core loss. Since physics 2 every stepper is weaker at speed
+([drives.md](../../../docs/drives.md)): moves take longer than here, and which method leads may differ.
+
+The task is `stage/RegisterTuning-v0` on the X axis of `{model}`: one preset move of {distance} pulses ({mm:g} mm) with a PCL-240K,
+with {payloads} on the table, at most {limit:g} s. As on a bench, each move begins at another rotor angle within
+an electrical turn, and the payload is up to {tolerance:.0%} more or less. **The reward** is - time - 1 ms for each um of vibration
+(peak to peak, in the 0.1 s after the stop) - 5 s for a lost step or pulses not made; here it is in ms. It is what searches and
+learners are given, what answers are chosen by, and what they are judged by; time and vibration stand beside it.
+
+**A method's answer**, by the same rule for all: of its moves that kept step, the highest reward first, the first {held} (of up to
+{candidates}) are taken that lose no step in {repeats} more moves, each with 0 to {margin:g} kg more on the table. Of these it is
+the one with the highest mean reward in this proof.
+
+**What is told of it** comes of a test, the same for all, that neither a search nor a proof has seen, and by which nothing is
+chosen: {new} new moves, half of them in the other direction, with other rotor angles and payloads, 0 to {margin:g} kg more;
+and {shorter} shorter ones ({shortest:g} to {mm:g} mm) with the same registers, of which only losses are counted. Numbers are
+interquartile means over the seeds (95 % interval by the bootstrap over seeds). {flattered}
+Every move of searches, proofs and tests: [data/results.parquet](data/results.parquet).
+
+![Learning curves, and the moves found](pictures/results.png)
+
+{tables}
+### Does it beat the formula?
+
+By how many ms a method is better than the formula in the test: the interquartile mean over the seeds, with its interval. It beats
+the formula where the interval is above 0, in {enough} seeds or more that all found an answer; the formula is better where the
+interval is below 0; else it is open. Such an interval is of the seeds, on these moves and this machine. The last column leaves out
+the moves that lost steps: what a method gains while all goes well.
+
+{verdicts}
+
+{comparison}
+
+## How to read it
+
+- **formula** is an engineer's answer without a trial: pull-out torque, reflected inertia, friction, safety factor {safety}, and
+  the best top rate for the distance ([formula.py](../registerbench/baselines/formula.py)). **boldest** is the same formula
+  after trials on the machine: safety factors from 2 down to 1, each tried once; the answer is found by the rule
+  above, which is of reward. So
+  it is not the fastest of the factors that hold: it may be slower than the plain formula where it leaves less vibration. A
+  search must beat this, not the textbook's factor.
+- **random, CMA-ES, PPO, SAC** choose five factors on the formula's answer: FL, FH, acceleration, deceleration, ramp-down point.
+  All but random begin at the formula's answer. **Raw registers** begin without it: R1, R2, R4, R5, R6, R7 over their
+  whole legal ranges, where nearly every move loses steps or takes too long.
+- The learning curves show the highest reward of a single move so far that kept step. It is higher than that of an answer: such a
+  move may have been lucky. The lines across are what the formulas have in the test.
+- PPO and SAC learn a policy, here for one situation only; their result is the best of the moves that they made while learning.
+- **agent loop** is a scripted agent that changes one register at a time, by tools alone (tool_loop.py). It has no
+  chance in it: one run.
+- **lucky** counts the moves with a higher reward that are not the answer; **moves that kept step** are those of the search.
+- **What is promised** of an answer is that no step was lost in the {repeats} moves of its proof, with 0 to {margin:g} kg more. That
+  is a sample: up to one move in 16 may still lose steps (95 % confidence), and more where several candidates were tried. The
+  columns **lost** say how many did. {priced}
+- **spare** is measured, not promised: the payload, in steps of {step:g} kg up to {most:g} kg, that was added without a loss
+  in {each} moves each, both ways. Neither reward nor proof has it beyond {margin:g} kg, and a fast move has little of it: the
+  formula's safety factor is of use.
+- Losing steps is not monotonic: ramps pass resonances, and a faster or heavier move may keep step where a slower or lighter one
+  does not. So a proof with just {margin:g} kg more is none for less: with such a one, four answers were published that lost
+  steps at once with less than it, one of them (random, light) in 66 of 96 moves with the payload itself.
+- **What was tuned beforehand.** The safety factor is the textbook's. The formula's FL (an eighth of pull-in) and shortest ramp
+  (four periods) were chosen after trials on these same stages; so were the ranges of the five factors, narrowed twice, CMA-ES's
+  8 moves a generation (the rest are Optuna's defaults) and, mostly on the light payload, the settings of PPO and SAC. These trials
+  had seed 0, which is none of the seeds here (1 to {seeds}). They were on the same two payloads, and are not in any budget.
+
+Budgets: {budget} moves a seed, {seeds} seeds (raw registers: a quarter of the moves). {versions}.
+"""
+
+
+# The picture
+
+
+def draw(all_: Runs, path: Path) -> None:
+    runs, payloads = all_.runs, all_.payloads
+    figure = Figure(figsize=(6.25 * len(payloads), 8.4), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.12, h_pad=0.12)
+    with rc_context({"font.size": 10}):
+        for (top, bottom), (payload, mass) in zip(
+            figure.subplots(2, len(payloads), squeeze=False).T, payloads.items(), strict=True
+        ):
+            draw_the_learning(top, runs, payload)
+            draw_the_moves(bottom, runs, payload, mass, all_.model)
+            title(top, f"{mass:g} kg: highest reward of a move so far", 12)
+            title(bottom, f"{mass:g} kg: the moves found", 12)
+            for ax in (top, bottom):
+                bare(ax, size=9)
+        handles, labels = bottom.get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False, fontsize=11)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=140)
+
+
+def draw_the_learning(ax: Any, runs: list[Run], payload: str) -> None:
+    for base, style in ((FORMULA, "--"), (BOLDEST, ":")):
+        (run,) = of(runs, payload, base)
+        ax.axhline(run.mean("reward"), color=base.color, ls=style, lw=1.6)
+    for method in DRAWN:
+        mine = of(runs, payload, method)
+        if not mine:
+            continue
+        curves = 1e3 * np.array([r.search.curve() for r in mine])
+        known = np.isfinite(curves).all(axis=0)
+        at = np.arange(1, curves.shape[1] + 1)[known]
+        ax.plot(at, np.median(curves[:, known], axis=0), color=method.color, lw=2)
+        ax.fill_between(
+            at, curves[:, known].min(axis=0), curves[:, known].max(axis=0), color=method.color, alpha=0.13, lw=0
+        )
+    ax.set(xlabel="moves made (median and span of the seeds)", ylabel="reward (ms)", xscale="log", xlim=(1, None))
+
+
+def draw_the_moves(ax: Any, runs: list[Run], payload: str, mass: float, model: str) -> None:
+    for method in (FORMULA, BOLDEST, *DRAWN):
+        found = [r for r in of(runs, payload, method) if r.answer is not None]
+        if not found:
+            continue
+        middle = sorted(found, key=lambda r: r.mean("reward"))[len(found) // 2]
+        course = again(middle.registers, mass, model).course
+        running = np.flatnonzero(~course.pin("hold"))
+        t, rate = (course.seconds - course.seconds[running[0]]) * 1e3, rates(course) / 1e3
+        shown = slice(running[0], running[-1] + 2)
+        style = {FORMULA.name: "--", BOLDEST.name: ":"}.get(method.name, "-")
+        ax.plot(np.r_[0, t[shown]], np.r_[0, rate[shown]], style, color=method.color, lw=1.7, label=method.name)
+    ax.set(xlabel="time (ms; the seed in the middle)", ylabel="pulse rate (kpps)", ylim=(0, None), xlim=(0, None))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--budget", type=int, default=BUDGET, metavar="N", help="moves a seed")
+    parser.add_argument("--seeds", type=int, default=SEEDS, metavar="N")
+    parser.add_argument("--out", type=Path, default=DOCS, metavar="FOLDER", help="of page, picture and data")
+    parser.add_argument("--keep", type=Path, metavar="FILE", help="keep the runs there, and go on with what is there")
+    parser.add_argument("--quick", action="store_true", help=f"{', '.join(QUICK)} alone, 64 moves, one payload")
+    parser.add_argument("--model", default=MODEL, metavar="NAME", help="of the stage, or an MJCF file")
+    parser.add_argument("--payload", type=float, nargs="+", metavar="KG", help="on the table (default: 0.5 and 10)")
+    parser.add_argument(
+        "--draw", action="store_true", help="page and picture from data/results.parquet; nothing is run"
+    )
+    args = parser.parse_args()
+    payloads = {f"{kg:g} kg": kg for kg in args.payload} if args.payload else PAYLOADS
+    if args.quick:
+        payloads, args.budget = dict([*payloads.items()][:1]), min(args.budget, 64)
+    data = args.out / "data" / "results.parquet"
+    if not args.draw:
+        all_ = Runs(args.budget, args.seeds, dict(payloads), args.model, args.quick)
+        if args.keep and args.keep.exists():
+            all_ = Runs.read(args.keep)
+        all_.run_all(args.keep)
+        data.parent.mkdir(parents=True, exist_ok=True)
+        all_.write(data)
+    all_ = Runs.read(data)  # what is published is what the page says
+    draw(all_, args.out / "pictures" / "results.png")
+    (args.out / "results.md").write_text(page(all_))
+    print(f"{args.out}: results.md and pictures/results.png written, from data/results.parquet")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,328 @@
+"""The runs of results.py: a search, the proofs of its best moves, the answer and its test; the Parquet file has every move.
+
+    Runs.read("data/results.parquet").runs[3].answer
+
+The test is made of moves that neither a search nor a proof has seen: other angles of the rotor, other payloads, both directions,
+other distances, and payloads beyond the margin. By it nothing is chosen.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib import import_module, metadata
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+
+from registerbench.baselines import formula, random_search, tool_loop
+from registerbench.baselines.common import CANDIDATES, HELD, LANES, MARGIN, MODEL, Log, Moves, best, prove
+from stage.firmware.pcl240.driver import TUNED as REGISTERS
+
+FIRST_SEED = 1  # with seed 0 the settings were chosen
+TEST_SEED = 1_000  # of no search, and of no proof
+NEW, SHORTER = "new", "shorter"
+SHORTEST = 12_800  # pulses, 40 mm
+HEAVIER = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)  # kg on top of the payload
+
+
+class Context(NamedTuple):
+    """Moves of a test. heavier: kg that each has on top of the payload; more, shortest: as Moves has them."""
+
+    moves: int
+    heavier: float = 0.0
+    more: float = 0.0
+    shortest: int | None = None
+
+
+CONTEXTS = {
+    NEW: Context(128, more=MARGIN),
+    SHORTER: Context(64, more=MARGIN, shortest=SHORTEST),
+    **{f"+{kg:g} kg": Context(16, heavier=kg) for kg in HEAVIER},
+}
+"""Of a test. In each every second move goes the other way."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """search(moves, seed) spends a budget; `fixed` is one that does not grow with --budget, of a method without chance."""
+
+    name: str
+    search: Callable[[Moves, int], None]
+    color: str
+    fixed: int | None = None
+    space: str = "knobs"
+    lanes: int = LANES
+    part: float = 1.0  # of the budget
+
+    def moves(self, budget: int) -> int:
+        return self.fixed or max(int(budget * self.part), 1)
+
+
+def lazily(name: str) -> Callable[[Moves, int], None]:
+    """The search of a baseline whose extra may not be installed."""
+    return lambda moves, seed: import_module(f"registerbench.baselines.{name}").search(moves, seed)
+
+
+FORMULA = Method("formula", formula.search, "#66717d", 1, "registers", 1)
+BOLDEST = Method("formula, boldest", formula.boldest, "#1d2733", len(formula.FACTORS), "registers", 1)
+METHODS = (
+    FORMULA,
+    BOLDEST,
+    Method("agent loop", tool_loop.search, "#8a6bb8", 64, "registers", 1),
+    Method("random", random_search.search, "#d9a441"),
+    Method("CMA-ES", lazily("cma_es"), "#17508f", lanes=8),
+    Method("PPO", lazily("ppo"), "#d1571f"),
+    Method("SAC", lazily("sac"), "#4f9d69"),
+    Method("random, raw registers", random_search.search, "#c9d1da", space="registers", part=1 / 4),
+    Method("CMA-ES, raw registers", lazily("cma_es"), "#9fc3e6", space="registers", lanes=8, part=1 / 4),
+)
+QUICK = ("formula", "formula, boldest", "agent loop", "random", "CMA-ES")
+
+
+@dataclass(eq=False)
+class Run:
+    """One search. proofs: of its best moves, the number of the move and the moves of its proof; test: of the answer, by context."""
+
+    method: str
+    payload: str
+    seed: int
+    search: Log
+    proofs: dict[int, Log] = field(default_factory=dict)
+    test: dict[str, Log] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, method: str, payload: str, seed: int, search: Log, mass: float, model: str) -> Run:
+        run = cls(method, payload, seed, search)
+        ranked = search.ranking[:CANDIDATES]
+        if ranked:
+            rows = [search.registers[k] for k in ranked]
+            run.proofs = dict(zip(ranked, prove(rows, mass, model=model, margin=MARGIN, most=HELD), strict=False))
+        if run.answer is not None:
+            run.test = tested(search.registers[run.answer], mass, model)
+        return run
+
+    @property
+    def answer(self) -> int | None:
+        """The number of its move. None: none of those that were tried again holds."""
+        which = best(list(self.proofs.values()))
+        return None if which is None else list(self.proofs)[which]
+
+    @property
+    def registers(self) -> dict[str, int]:
+        return dict(zip(REGISTERS, self.search.registers[self.answer], strict=True)) if self.answer is not None else {}
+
+    @property
+    def lucky(self) -> int:
+        """Moves with a higher reward that are not the answer."""
+        return list(self.proofs).index(self.answer) if self.answer is not None else len(self.proofs)
+
+    @property
+    def kept(self) -> float:
+        """The share of its moves that kept step."""
+        return float(np.mean(self.search.kept))
+
+    def mean(self, name: str, kept: bool = False) -> float:
+        """Of the answer in new moves: `reward` in ms, `duration` in ms, `vibration` in um. kept: of the moves alone that kept step.
+        NaN without an answer."""
+        if not self.test:
+            return np.nan
+        log = self.test[NEW]
+        values = np.array(getattr(log, name))[log.kept if kept else slice(None)]
+        return {"vibration": 1e6}.get(name, 1e3) * float(np.mean(values))
+
+    def lost(self, context: str) -> int:
+        """How many moves of its test did not keep step."""
+        return self.test[context].kept.count(False)
+
+    @property
+    def flattered(self) -> float:
+        """ms of reward that the proof promised and the test does not show."""
+        return (
+            1e3 * float(np.mean(self.proofs[self.answer].reward)) - self.mean("reward")
+            if self.answer is not None
+            else np.nan
+        )
+
+    @property
+    def spare(self) -> float:
+        """kg on top of the payload, up to which no move of the test lost a step."""
+        held = 0.0
+        for kg in HEAVIER if self.test else ():
+            if self.lost(f"+{kg:g} kg"):
+                return held
+            held = kg
+        return held if self.test else np.nan
+
+    @cached_property
+    def table(self) -> pyarrow.Table:
+        """Its moves, in order."""
+        parts = [("search", "", None, self.search)]
+        parts += [("proof", "", number, log) for number, log in self.proofs.items()]
+        parts += [("test", context, self.answer, log) for context, log in self.test.items()]
+        return pyarrow.concat_tables([rows(self, *part) for part in parts])
+
+
+def tested(registers: list[int], payload: float, model: str) -> dict[str, Log]:
+    """The test of an answer: the same moves for every method."""
+    found = {}
+    for seed, (name, c) in enumerate(CONTEXTS.items(), TEST_SEED):
+        made: dict[str, Any] = {"seed": seed, "model": model, "more": c.more, "shortest": c.shortest, "both_ways": True}
+        with Moves(payload + c.heavier, c.moves, "registers", **made) as moves:
+            action = moves.registers.to_action(np.array(registers))
+            while moves.left:
+                moves.make_actions(np.tile(action, (moves.lanes, 1)))
+        found[name] = moves.log
+    return found
+
+
+# The file: a row a move
+
+WORDS = pyarrow.dictionary(pyarrow.int8(), pyarrow.string())
+UNITS = {
+    "kg": "kg on the table",
+    "angle": "electrical turns",
+    "distance": "pulses",
+    "vibration_um": "um",
+    "duration_s": "s",
+}
+SCHEMA = pyarrow.schema(
+    [
+        *((name, WORDS) for name in ("payload", "method", "part", "context")),
+        ("seed", pyarrow.int16()),
+        ("of", pyarrow.int16()),  # the number of the move of the search whose registers these are
+        ("number", pyarrow.int16()),
+        ("distance", pyarrow.int32()),
+        *((name, pyarrow.float32()) for name in ("kg", "angle")),
+        *((name, pyarrow.int32()) for name in REGISTERS),
+        *((name, pyarrow.float32()) for name in ("reward", "duration_s", "vibration_um")),
+        ("lost_steps", pyarrow.int32()),
+        ("kept", pyarrow.bool_()),
+    ]
+)
+SPLIT = ("kg", "angle", "reward", "duration_s", "vibration_um")
+PLAIN = [f.name for f in SCHEMA if f.name not in SPLIT]
+
+
+def rows(run: Run, part: str, context: str, number: int | None, log: Log) -> pyarrow.Table:
+    count = len(log)
+    order = list(range(count))
+    distance, kg, angle = zip(*log.drawn, strict=True)
+    columns: dict[str, Any] = {
+        "payload": [run.payload] * count, "method": [run.method] * count, "part": [part] * count, "context": [context] * count,
+        "seed": [run.seed] * count, "of": order if number is None else [number] * count, "number": order, "distance": distance,
+        "kg": kg, "angle": angle, **dict(zip(REGISTERS, zip(*log.registers, strict=True), strict=True)), "reward": log.reward,
+        "duration_s": log.duration, "vibration_um": [1e6 * v for v in log.vibration], "lost_steps": log.lost, "kept": log.kept,
+    }  # fmt: skip
+    arrays = [pyarrow.array(columns[f.name], pyarrow.string() if f.type == WORDS else f.type) for f in SCHEMA]
+    return pyarrow.table([a.cast(f.type) for a, f in zip(arrays, SCHEMA, strict=True)], schema=SCHEMA)
+
+
+def log_of(columns: dict[str, list[Any]], begin: int, end: int) -> Log:
+    """The moves of these rows."""
+    c = {name: values[begin:end] for name, values in columns.items()}
+    registers = [list(row) for row in zip(*(c[name] for name in REGISTERS), strict=True)]
+    drawn = list(zip(c["distance"], c["kg"], c["angle"], strict=True))
+    vibration = [1e-6 * v for v in c["vibration_um"]]
+    return Log(c["reward"], c["duration_s"], c["lost_steps"], vibration, c["kept"], registers, drawn)
+
+
+@dataclass
+class Runs:
+    """Everything that was run. took: s; versions: of the packages."""
+
+    budget: int
+    seeds: int
+    payloads: dict[str, float]
+    model: str = MODEL
+    quick: bool = False
+    took: float = 0.0
+    versions: dict[str, str] = field(default_factory=dict)
+    runs: list[Run] = field(default_factory=list)
+
+    @classmethod
+    def read(cls, path: Path) -> Runs:
+        table = pyarrow.parquet.read_table(path)
+        all_ = cls(**json.loads(table.schema.metadata[b"results"]))
+        columns = {name: table[name].to_pylist() for name in table.column_names}
+        keys = list(zip(*(columns[n] for n in ("payload", "method", "seed", "part", "context")), strict=True))
+        of = columns["of"]
+        begin = 0
+        for end in range(1, len(keys) + 1):
+            if end < len(keys) and keys[end] == keys[begin] and (keys[end][3] == "search" or of[end] == of[begin]):
+                continue
+            payload, method, seed, part, context = keys[begin]
+            log = log_of(columns, begin, end)
+            if part == "search":
+                all_.runs.append(Run(method, payload, seed, log))
+            elif part == "proof":
+                all_.runs[-1].proofs[of[begin]] = log
+            else:
+                all_.runs[-1].test[context] = log
+            begin = end
+        return all_
+
+    def write(self, path: Path) -> None:
+        """Equal runs give equal bytes."""
+        about = {
+            name: getattr(self, name) for name in ("budget", "seeds", "payloads", "model", "quick", "took", "versions")
+        }
+        metadata_ = {b"results": json.dumps(about).encode(), b"units": json.dumps(UNITS).encode()}
+        table = pyarrow.concat_tables([run.table for run in self.runs]).replace_schema_metadata(metadata_)
+        pyarrow.parquet.write_table(
+            table,
+            path,
+            compression="zstd",
+            compression_level=19,
+            use_dictionary=PLAIN,
+            use_byte_stream_split=list(SPLIT),
+        )
+
+    def run_all(self, keep: Path | None) -> None:
+        """What is there already is not run again. keep: a file that is written after each run."""
+        done = {(r.payload, r.method, r.seed) for r in self.runs}
+        packages = (
+            "pulsestage",
+            "mujoco",
+            "numpy",
+            "optuna",
+            "cmaes",
+            *(() if self.quick else ("stable-baselines3", "torch")),
+        )
+        self.versions = self.versions or {p: metadata.version(p) for p in packages}
+        for payload, method in product(self.payloads, self.methods):
+            for seed in range(FIRST_SEED, FIRST_SEED + (1 if method.fixed else self.seeds)):
+                if (payload, method.name, seed) not in done:
+                    self.run(payload, method, seed)
+                    if keep:
+                        self.write(keep)
+
+    @property
+    def methods(self) -> list[Method]:
+        return [m for m in METHODS if not self.quick or m.name in QUICK]
+
+    def run(self, payload: str, method: Method, seed: int) -> None:
+        began, mass = time.perf_counter(), self.payloads[payload]
+        made: dict[str, Any] = {"lanes": method.lanes, "seed": seed, "model": self.model}
+        with Moves(mass, method.moves(self.budget), method.space, **made) as moves:
+            method.search(moves, seed)
+        run = Run.of(method.name, payload, seed, moves.log, mass, self.model)
+        took = time.perf_counter() - began
+        self.runs.append(run)
+        self.took += took
+        said = "none holds"
+        if run.test:
+            lost = f"{run.lost(NEW)} and {run.lost(SHORTER)} moves of the test lost"
+            said = f"{run.mean('reward'):.1f} ms, {run.mean('duration'):.1f} of it time; {lost}, {run.spare:.1f} kg to spare"
+        print(
+            f"{payload:6}{run.method:22} seed {seed}: {len(run.search):4} moves, {run.kept:4.0%} kept step, "
+            f"{len(run.proofs)} tried again; {said}; took {took:.0f} s",
+            flush=True,
+        )

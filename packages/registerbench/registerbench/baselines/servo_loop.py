@@ -1,0 +1,152 @@
+"""The engineer's answer to `stage/ServoTuning-v0`: gain, zero and pole by frequency response, without a trial on the machine.
+
+python -m registerbench.baselines.servo_loop --payload 10 --margin 50
+python -m registerbench.baselines.servo_loop --plot build/servo_loop.png       Bode and root locus, by python-control
+
+Of the machine's drawings (motor, masses, friction) it makes the plant as the chip samples it. Then, for every zero that the
+register holds, the highest crossover frequency at which the phase margin is what was asked for, and the gain that puts it there;
+the filter must not answer one count of the encoder by more of a motor command than the engineer allows: a coarse encoder makes a
+fast filter rattle. Of the zeros whose crossover is about the highest it takes the lowest: the stiffest at rest. Needs
+python-control (extra servo).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stage.errors import StageError
+from stage.firmware.hctl1100 import model
+from stage.firmware.hctl1100.model import MARGIN, POLE, RATTLE, Loop
+from stage.firmware.hctl1100.moves import Tuning
+
+TIMER = 0x40  # as after a reset
+WITHIN = 3.0  # degrees, that a rounded gain may take of the margin
+
+
+def control() -> Any:
+    """python-control, or what to do without it."""
+    try:
+        import control
+    except ImportError as error:
+        raise StageError("this baseline needs python-control: pip install 'pulsestage[servo]'.") from error
+    return control
+
+
+class Design(NamedTuple):
+    """tuning; phase margin in degrees, gain margin, crossover in rad/s, as python-control says of the registers' values."""
+
+    tuning: Tuning
+    phase_margin: float
+    gain_margin: float
+    crossover: float
+
+    def __str__(self) -> str:
+        t = self.tuning
+        return (
+            f"gain {t.gain} zero {t.zero} pole {t.pole} T {t.timer}: phase margin {self.phase_margin:.0f} degrees, gain margin "
+            f"{self.gain_margin:.1f}, crossover {self.crossover / (2 * np.pi):.0f} Hz"
+        )
+
+
+def open_loop(loop: Loop) -> Any:
+    """Filter times plant as a transfer function of python-control."""
+    tf, h = control().tf, loop.sample
+    return tf(*loop.filter, h) * tf(*loop.plant, h)
+
+
+def judged(loop: Loop) -> Design:
+    """The margins of a loop."""
+    gain, phase, _, crossover = control().margin(open_loop(loop))
+    return Design(loop.tuning, float(phase), float(gain), float(crossover))
+
+
+def design(loop: Loop, margin: float = MARGIN, rattle: float = RATTLE) -> Design:
+    """Gain and zero for this plant, `stage.firmware.hctl1100.model.design`, and its margins; pole and T stay. Raises StageError."""
+    return judged(replace(loop, tuning=model.design(loop, margin, rattle)))
+
+
+def registers(axis: Any, timer: int = TIMER) -> dict[str, int]:
+    """R22, R20, R21, R0F for an axis of a stage, with the payload that it carries."""
+    t = design(Loop.of(axis, Tuning(pole=POLE, timer=timer))).tuning
+    return {"R22": t.gain, "R20": t.zero, "R21": t.pole, "R0F": t.timer}
+
+
+def plot(d: Design, loop: Loop, path: Path) -> None:
+    """Bode diagram and root locus."""
+    from matplotlib import pyplot as plt
+
+    c, system = control(), open_loop(replace(loop, tuning=d.tuning))
+    figure, axes = plt.subplots(1, 3, figsize=(15, 5), layout="constrained")
+    omega = np.geomspace(1.0, 0.95 * np.pi / loop.sample, 800)
+    response = system(np.exp(1j * omega * loop.sample))
+    axes[0].loglog(omega / (2 * np.pi), np.abs(response))
+    axes[1].semilogx(omega / (2 * np.pi), np.degrees(np.unwrap(np.angle(response))))
+    axes[0].axvline(d.crossover / (2 * np.pi), color="#d1571f", lw=1)
+    axes[1].axvline(d.crossover / (2 * np.pi), color="#d1571f", lw=1)
+    axes[0].set(xlabel="frequency (Hz)", ylabel="open loop", title=f"crossover {d.crossover / (2 * np.pi):.0f} Hz")
+    axes[1].set(xlabel="frequency (Hz)", ylabel="phase (degrees)", title=f"phase margin {d.phase_margin:.0f} degrees")
+    loci = c.root_locus_map(system, gains=np.geomspace(1e-2, 10, 400)).loci
+    axes[2].plot(loci.real, loci.imag, color="#66717d", lw=1)
+    poles = replace(loop, tuning=d.tuning).poles
+    axes[2].plot(poles.real, poles.imag, "x", color="#d1571f")
+    axes[2].add_patch(plt.Circle((0, 0), 1, fill=False, color="#aab4be"))
+    axes[2].set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal", title="root locus in z")
+    figure.savefig(path, dpi=110)
+
+
+def trial(payload: float, values: dict[str, int], distance: int = 200, moves: int = 8) -> dict[str, float]:
+    """Means over a few moves of the environment with these registers."""
+    import gymnasium
+
+    import stage.envs  # noqa: F401
+
+    env = gymnasium.make(
+        "stage/ServoTuning-v0", disable_env_checker=True, moves=moves, distances=(distance, distance + moves),
+        payloads=(payload, payload),
+    ).unwrapped  # fmt: skip
+    env.reset(seed=0)
+    said = []
+    for _ in range(moves):
+        _, reward, *_, info = env.step(env._task.registers.to_action(values))
+        said.append((reward, info["settled"], info["overshoot"], info["unrest"]))
+    return dict(zip(("reward", "settled", "overshoot", "unrest"), np.mean(said, axis=0).tolist(), strict=True))
+
+
+def main() -> None:
+    from stage import Stage
+    from stage.chips import HCTL1100
+
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--payload", type=float, default=0.0, metavar="KG", help="on the table")
+    parser.add_argument("--margin", type=float, default=MARGIN, metavar="DEGREES", help="phase margin")
+    parser.add_argument(
+        "--rattle", type=float, default=RATTLE, metavar="UNITS", help="motor command for one count, at most"
+    )
+    parser.add_argument("--plot", type=Path, metavar="PNG", help="Bode diagram and root locus")
+    args = parser.parse_args()
+    stage = Stage("xyz_servo", chips=HCTL1100)
+    stage.set_payload(args.payload)
+    loop = Loop.of(stage.axes["x"], Tuning(pole=POLE, timer=TIMER))
+    try:
+        by_reset, made = judged(loop), design(loop, args.margin, args.rattle)
+    except StageError as error:
+        sys.exit(str(error))
+    for name, d in (("after a reset", by_reset), ("designed", made)):
+        t = d.tuning
+        print(f"{name}: {d}")
+        said = trial(args.payload, {"R22": t.gain, "R20": t.zero, "R21": t.pole, "R0F": t.timer})
+        print(f"  settles in {said['settled'] * 1e3:.0f} ms, {said['overshoot']:.1f} counts beyond the goal, unrest "
+              f"{said['unrest']:.1f} counts; reward {said['reward']:.4f}")  # fmt: skip
+    if args.plot:
+        plot(made, loop, args.plot)
+        print(f"{args.plot}: drawn")
+
+
+if __name__ == "__main__":
+    main()

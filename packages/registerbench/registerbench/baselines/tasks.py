@@ -1,0 +1,123 @@
+"""The tasks of the benchmark, played at random and by their scripted hosts, on every split: the table of docs/envs_tasks.md.
+
+python -m registerbench.baselines.tasks
+python -m registerbench.baselines.tasks --tasks BusMacros OneShotTuning --splits train heavy --episodes 64
+
+random     draws from the action space; in BusMacros from what is not masked
+scripted   `env.scripted()`: the engineer's formula at every try, the data sheet's registers, the usual rates; it learns nothing
+
+Episodes are those of the seeds from 1,000,000 on, the same for both. A row has the mean sum of rewards with its 95 % interval by
+the bootstrap, how many episodes were a success, and of these the median of time and regret; the mean of moves, and damage an
+episode: full steps lost, end limits hit.
+"""
+
+from __future__ import annotations
+
+import argparse
+from importlib import import_module
+from typing import Any, get_type_hints
+
+import gymnasium
+import numpy as np
+
+import stage.envs
+from registerbench.baselines.few_shot import interval
+from stage.envs.score import SCORE
+
+TASKS = {id_.split("/")[1].split("-")[0]: id_ for id_ in stage.envs.IDS if id_.endswith("-v1")}
+PLAYERS = ("random", "scripted")
+SEED, LANES = 1_000_000, 16
+HEAD = (
+    "| task | split | player | sum of rewards | success | time, s | regret | moves | steps lost | limits |\n"
+    "|---|---|---|---|---|---|---|---|---|---|"
+)
+
+
+def splits(id_: str) -> tuple[str, ...]:
+    """The splits that a task has."""
+    module, name = stage.envs.IDS[id_].split(":")
+    task: Any = getattr(import_module(f"stage.envs.{module}"), name)
+    (known,) = get_type_hints(task.Config, include_extras=True)["split"].__metadata__
+    return tuple(known.known)
+
+
+def play(id_: str, player: str, episodes: int, **settings: Any) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """(sum of rewards, score by name) of so many episodes, (episodes,) each."""
+    totals, scores = [], []
+    envs: Any = gymnasium.make_vec(
+        id_, num_envs=LANES, vectorization_mode="vector_entry_point", autoreset_mode="Disabled", **settings
+    ).unwrapped
+    rng = np.random.default_rng(0)
+    envs.action_space.seed(0)
+    for begin in range(0, episodes, LANES):
+        envs.reset(seed=SEED + begin)
+        total, over = np.zeros(LANES), np.zeros(LANES, bool)
+        found: list[Any] = [None] * LANES
+        while not over.all():
+            _, rewards, terminated, truncated, info = envs.step(choose(envs, player, rng))
+            total += np.where(over, 0.0, rewards)
+            ends = (terminated | truncated) & ~over
+            for k in np.flatnonzero(ends):
+                found[k] = [info["score"][name][k] for name in SCORE.names or ()]
+            over |= ends
+            if over.any() and not over.all():
+                # whoever is done begins an episode that does not count, so that all can step
+                again = terminated | truncated
+                if again.any():
+                    envs.reset(options={"reset_mask": again})
+        totals.append(total)
+        scores += found
+    envs.close()
+    columns = zip(SCORE.names or (), zip(*scores[:episodes], strict=True), strict=True)
+    return np.concatenate(totals)[:episodes], {name: np.array(values) for name, values in columns}
+
+
+def choose(envs: Any, player: str, rng: np.random.Generator) -> np.ndarray:
+    """The next actions of a player."""
+    if player == "scripted":
+        return np.asarray(envs.scripted())
+    if hasattr(envs, "action_masks"):
+        return np.array([rng.choice(np.flatnonzero(row)) for row in envs.action_masks()])
+    return np.asarray(envs.action_space.sample())
+
+
+def row(task: str, split: str, player: str, totals: np.ndarray, score: dict[str, np.ndarray]) -> str:
+    """A row of the table."""
+    low, high = interval(totals)
+    won = score["success"].astype(bool)
+    medians = [f"{np.median(score[name][won]):.3f}" if won.any() else "-" for name in ("time", "regret")]
+    means = [f"{score[name].mean():.1f}" for name in ("moves", "lost_steps", "limits")]
+    cells = [
+        task,
+        split,
+        player,
+        f"{totals.mean():.2f} ({low:.2f} to {high:.2f})",
+        f"{won.sum()} of {len(won)}",
+        *medians,
+        *means,
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--tasks", choices=TASKS, nargs="+", default=list(TASKS), help="which")
+    parser.add_argument("--splits", nargs="+", default=None, metavar="SPLIT", help="default: all that a task has")
+    parser.add_argument("--players", choices=PLAYERS, nargs="+", default=PLAYERS, help="who plays")
+    parser.add_argument("--episodes", type=int, default=32, metavar="N", help="of each row")
+    args = parser.parse_args()
+    known = {name: splits(id_) for name, id_ in TASKS.items()}
+    for split in args.splits or ():
+        if not any(split in known[name] for name in args.tasks):
+            parser.error(
+                f"split {split!r}: these tasks have {', '.join(dict.fromkeys(s for n in args.tasks for s in known[n]))}."
+            )
+    print(HEAD)
+    for name in args.tasks:
+        for split in [s for s in args.splits or known[name] if s in known[name]]:
+            for player in args.players:
+                print(row(name, split, player, *play(TASKS[name], player, args.episodes, split=split)), flush=True)
+
+
+if __name__ == "__main__":
+    main()

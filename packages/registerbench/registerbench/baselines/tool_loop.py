@@ -1,0 +1,152 @@
+"""An agent tunes the registers of a move by calling tools, and nothing else: those of stage.agents, and one that makes the move.
+
+python -m registerbench.baselines.tool_loop --payload 10 --show
+
+`technician` is a scripted agent that reads nothing but answers: one register at a time, a step further as long as the score rises,
+then half the step. docs/agents.md says how a language model takes its place: `Tuned` has `task`, `box.tools` and `box.call`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+import numpy as np
+
+from registerbench.baselines.common import DISTANCE, LIMIT, MODEL, TURN, Log, Moves, arguments, told
+from stage import Stage
+from stage.agents import Budget, Tool, Toolbox
+from stage.envs.register_tuning import Config
+from stage.envs.trial import ALLOWED, TENTH
+from stage.errors import RunTimeout
+from stage.firmware import Port
+from stage.firmware.pcl240 import bus
+from stage.firmware.pcl240.driver import TUNED as REGISTERS
+from stage.firmware.pcl240.profile import AT_FL, ramp_pulses
+
+TASK = """You tune a {chip} that drives a linear axis with a stepper motor. Make a preset move of {pulses} pulses (3.125 um
+each) with {payload:g} kg on the table as short as possible. It must lose no step, and the table should be quiet after the stop; the
+score is - duration / s - vibration / mm - 5 if steps were lost - 5 if not all pulses were made in {limit:g} s. Higher is better.
+Write {names} by write_register, then `attempt` makes the move; afterwards the table is put back to the start.
+Pulse rate = R2 x clock / (8192 R7), FL likewise with R1; clock {clock} Hz. R4 and R5 are clocks per speed step. The ramp-down
+begins when R6 pulses are left. You have {moves} moves."""
+
+
+class Tuned:
+    """An axis whose registers are tuned. box: the agent's tools; task: what it is told; log: the moves made."""
+
+    def __init__(self, payload: float, distance: int = DISTANCE, budget: int = 64, model: str = MODEL):
+        self.distance, self.log = distance, Log()
+        self._stage, self._rng = Stage(model), np.random.default_rng(0)
+        self._stage.set_payload(payload)
+        self._axis = self._stage.axes["x"]
+        self._port = Port(self._axis)
+        attempt = Tool(
+            "attempt",
+            "Make the move with the registers as they are, and put the table back.",
+            self._attempt,
+            moves=True,
+        )
+        self.box = Toolbox(self._stage, "host", Budget(moves=budget), snapshots=False, more=[attempt])
+        chip = self._axis.chip
+        self.task = TASK.format(
+            chip=chip.MAP.chip, pulses=distance, payload=payload, limit=LIMIT, names=", ".join(REGISTERS), clock=chip.clock_hz,
+            moves=budget,
+        )  # fmt: skip
+        self._put_back()
+
+    def _attempt(self) -> dict[str, Any]:
+        stage, axis, port, c = self._stage, self._axis, self._port, Config()
+        port.command(bus.RESET)
+        port.write_register("R0", self.distance)
+        port.command(bus.OUTPUT)
+        port.control(bus.PRESET)
+        began = stage.time
+        port.command(bus.RAMP["FH1"])
+        try:
+            port.wait_until_stopped(LIMIT, bus.QUICK)
+        except RunTimeout:
+            port.command(bus.RESET)
+        duration, places = stage.time - began, []
+        while stage.time < began + duration + c.settle:
+            stage.step()
+            places.append(axis.position)
+        lost, vibration, made = axis.lost_steps, float(np.ptp(places)), port.counter() == 0
+        kept = not lost and made and abs(axis.commanded - axis.position) <= ALLOWED
+        reward = -duration - c.vibration_weight * min(vibration / TENTH, 100.0)
+        reward -= 0.0 if made and kept else c.lost_weight if made else c.limit_weight
+        values = axis.chip.values()
+        drawn = self.distance, stage.payload(), self._angle
+        self.log.note(reward, duration, lost, vibration, kept, [values[n] for n in REGISTERS], drawn)
+        self._put_back()
+        return {
+            "move": len(self.log), "duration_s": round(duration, 6), "steps_lost": lost,
+            "vibration_um": round(vibration * 1e6, 2), "all_pulses_made": made, "score": round(reward, 4),
+        }  # fmt: skip
+
+    def _put_back(self) -> None:
+        low, high = self._axis.travel
+        begin = (low + high - self.distance * self._axis.meters_per_pulse) / 2
+        turn = TURN * self._axis.meters_per_pulse
+        at = begin + self._rng.uniform(0, TURN) * self._axis.meters_per_pulse
+        self._angle = at / turn % 1
+        self._stage.place(x=at)
+        self._stage.run(0.05)
+
+
+FIRST = {"R1": 150, "R2": 4000, "R4": 150, "R5": 150, "R7": 45}
+WAYS = {"R4": -0.16, "R5": -0.16, "R2": 0.12, "R1": 0.3}
+SMALLEST = 0.02
+
+
+def technician(tuned: Tuned, show: bool = False) -> None:
+    """A scripted agent: coordinate search, until the moves are spent or no step is left that is worth one."""
+
+    def attempt(registers: dict[str, int]) -> float | None:
+        point = int(ramp_pulses(*(registers[n] for n in ("R1", "R2", "R5", "R7")))) + AT_FL
+        for name, value in {**registers, "R6": point}.items():
+            tuned.box.call("write_register", {"axis": "x", "name": name, "value": value})
+        answer = tuned.box.call("attempt")
+        if show:
+            print(json.dumps({**registers, "R6": point}), answer, sep="\n  ")
+        return float(answer.data["score"]) if answer.ok else None
+
+    best, ways, queue = dict(FIRST), dict(WAYS), list(WAYS)
+    score = attempt(best)
+    while queue and score is not None:
+        name = queue[0]
+        step = ways[name] * best[name]
+        tried = best | {name: max(2, best[name] + (round(step) or int(np.sign(step))))}
+        now = attempt(tried)
+        if now is None:
+            return
+        queue.pop(0)
+        if now > score:
+            best, score = tried, now
+        else:
+            ways[name] /= -2 if ways[name] * WAYS[name] > 0 else 2  # the other way, then less of it
+            if abs(ways[name]) < SMALLEST:
+                continue
+        queue.append(name)
+
+
+def search(moves: Moves, seed: int = 0) -> None:
+    """The technician's moves, as a search: they fill the log of `moves`."""
+    tuned = Tuned(moves.payload, moves.distance, moves.budget, moves.model)
+    technician(tuned)
+    moves.log = tuned.log
+
+
+def main() -> None:
+    parser: argparse.ArgumentParser = arguments(__doc__, searches=False, chips=False)
+    parser.add_argument("--budget", type=int, default=64, metavar="N", help="moves")
+    parser.add_argument("--show", action="store_true", help="every attempt, and what came of it")
+    args = parser.parse_args()
+    tuned = Tuned(args.payload, args.distance, args.budget, args.model)
+    technician(tuned, args.show)
+    print(told(tuned.log, REGISTERS, args.payload, args.distance, model=args.model, margin=args.margin))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,219 @@
+"""The commands `stage bench`, `stage bench-submit`, `stage bench-verify` and `stage bench-table`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import textwrap
+from typing import Any
+
+from stage.cli.commands import add_command, tell
+from stage.errors import ArgumentError
+
+PROMISED = "docs/benchmark.md says what is promised, and what is not."
+
+
+def add_bench(commands: Any) -> None:
+    """Add `stage bench`."""
+    p = add_command(
+        commands, "bench", list_tasks, "the tasks of the benchmark and their test episodes",
+        "List the tasks of the benchmark, or show one: what is asked, splits, tracks, settings, players that are shipped.",
+        ("stage bench", "all tasks"),
+        ("stage bench few-shot --json", "one, with the seeds of all test episodes"),
+    )  # fmt: skip
+    p.add_argument("task", nargs="?", metavar="TASK", help="for example few-shot (default: list them all)")
+
+
+def add_bench_submit(commands: Any) -> None:
+    """Add `stage bench-submit`."""
+    p = add_command(
+        commands, "bench-submit", submit_entry, "play the test episodes of the benchmark, and pack them into a file",
+        "Play the test episodes of a split with a policy and write its actions, rewards, scores and versions to a file, which "
+        "anybody can replay.",
+        ("stage bench-submit formula -o formula.bench", "a player that is shipped"),
+        ("stage bench-submit mine:policy -o mine.bench --split weak", "`policy` of mine.py: (observation, info) -> action"),
+        ('stage bench-submit moves.npz -o moves.bench --name "by hand"', "recorded actions"),
+        more=PROMISED,
+    )  # fmt: skip
+    p.add_argument(
+        "policy", metavar="POLICY", help="module:name, actions.npz, or a player that is shipped: see `stage bench`"
+    )
+    p.add_argument("-o", "--output", metavar="FILE", required=True, help="of the entry")
+    p.add_argument("--task", default="few-shot", help="see `stage bench` (default: few-shot)")
+    p.add_argument("--split", default="train", help="where the machines of the episodes come from (default: train)")
+    p.add_argument("--track", default="host", help="what the policy sees: host, truth or tools (default: host)")
+    p.add_argument("--round", default="open", metavar="NAME", help="whose seeds are played (default: open)")
+    p.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting that players may choose")
+    p.add_argument("--name", help="of the player (default: POLICY)")
+    p.add_argument(
+        "--run", dest="run_number", type=int, default=0, metavar="N", help="number of the training run (default: 0)"
+    )
+    p.add_argument("--notes", default="", help="a line that goes with it")
+    p.add_argument(
+        "--cost", action="append", default=[], metavar="NAME=NUMBER", help="what it took: moves=, processor_s=, tokens="
+    )
+    p.add_argument("--episodes", type=int, metavar="N", help="only the first N, for a trial")
+    p.add_argument("--force", action="store_true", help="overwrite a file that exists")
+
+
+def add_bench_verify(commands: Any) -> None:
+    """Add `stage bench-verify`."""
+    p = add_command(
+        commands, "bench-verify", verify_entry, "replay an entry of the benchmark and compare it bit for bit",
+        "Play the actions of an entry again, without the policy, and compare every reward, observation and score. Exit code 0 if "
+        "they are equal, 1 if not, 2 if the file is refused.",
+        ("stage bench-verify mine.bench", "plays the actions again and compares bit for bit"),
+        ("stage bench-verify mine.bench --tolerance 1e-9", "made on another processor"),
+        more=PROMISED,
+    )  # fmt: skip
+    p.add_argument(
+        "file", metavar="FILE", help="an entry, as `stage bench-submit -o FILE` writes it, or ARCHIVE.zip/NAME"
+    )
+    p.add_argument(
+        "--tolerance", type=float, metavar="T", help="rewards and scores may differ by so much, as on another processor"
+    )
+
+
+def add_bench_table(commands: Any) -> None:
+    """Add `stage bench-table`."""
+    p = add_command(
+        commands, "bench-table", compare_entries, "compare entries of the benchmark, as tables in Markdown",
+        "Print a table for each task, split, track and round: interquartile mean and mean of the return with their intervals, and "
+        "who beats whom. Entries of one player are its runs, and have all test episodes. Nothing is replayed.",
+        ("stage bench-table formula.bench mine.bench", "who beats whom"),
+        ("stage bench-table *.bench --long", "regret, damage and steps, too"),
+    )  # fmt: skip
+    p.add_argument("files", nargs="+", metavar="FILE", help="an entry, or a zip archive of entries")
+    p.add_argument("--long", action="store_true", help="with regret, steps lost, end limits and steps of the episodes")
+
+
+def list_tasks(args: argparse.Namespace) -> int:
+    """The tasks, or one of them."""
+    from registerbench import CARDS
+    from registerbench.cards import OPEN, TRACKS, card_of, seeds
+    from registerbench.shipped_policies import OWN, PLAYERS
+
+    chosen = [card_of(args.task)] if args.task else list(CARDS.values())
+    if args.json:
+        rows = {
+            c.name: {
+                "id": c.id, "asked": c.asked, "settings": dict(c.settings), "choices": {k: list(v) for k, v in c.choices.items()},
+                "splits": {s: seeds(c, s) for s in c.splits},
+                "machines": {s: c.machines(s) for s in c.splits}, "players": [*PLAYERS, *OWN.get(c.name, {})],
+            }
+            for c in chosen
+        }  # fmt: skip
+        tell(args, rows)
+        return 0
+    for c in chosen:
+        print(f"{c.name}  {c.id}\n  {c.asked}")
+        print(
+            f"  splits: {', '.join(c.splits)}; {c.episodes} test episodes each, seeds from {seeds(c, c.splits[0], OPEN)[0]} on"
+        )
+        for name, values in c.choices.items():
+            print(f"  a player may choose --set {name}=: {', '.join(map(str, values))}")
+        print(f"  players: {', '.join([*PLAYERS, *OWN.get(c.name, {})])}")
+    if args.task:
+        print("machines of a split, where they differ from train:")
+        for split in chosen[0].splits:
+            print(
+                textwrap.fill(chosen[0].machines(split), 118, initial_indent=f"  {split:6} ", subsequent_indent=9 * " ")
+            )
+        print("tracks:")
+        for name, text in TRACKS.items():
+            print(f"  {name:6} {text}")
+    return 0
+
+
+def submit_entry(args: argparse.Namespace) -> int:
+    """Play and pack."""
+    import registerbench
+    from registerbench.cards import card_of
+    from stage.files import ENTRY, ends_as, writable
+
+    card = card_of(args.task)
+    ends_as(args.output, *ENTRY)
+    writable(args.output, args.force, ask="give --force")
+    progress = _Progress("played")
+    entry = registerbench.play(
+        args.policy, args.task, args.split, track=args.track, round_=args.round, settings=_settings(args.set, card.choices),
+        name=args.name, run=args.run_number, notes=args.notes, cost=_cost(args.cost), episodes=args.episodes, told=progress,
+    )  # fmt: skip
+    progress.end()
+    entry.write(args.output, args.force)
+    tell(args, file=args.output, player=entry.player, mean=_means(entry))
+    print(f"{entry.player}, {entry.task} {entry.split}: {len(entry.seeds)} episodes, {len(entry.rewards)} steps")
+    print(", ".join(f"{name} {value:.4g}" for name, value in _means(entry).items() if value is not None) + " (means)")
+    if len(entry.seeds) < card.episodes:
+        print(f"part of the {card.episodes} test episodes alone: this entry can stand in no table")
+    print(f"{args.output}: written")
+    return 0
+
+
+def verify_entry(args: argparse.Namespace) -> int:
+    """Replay. 0: it is what it says; 1: it differs; 2: refused."""
+    import registerbench
+
+    progress = _Progress("replayed")
+    verdict = registerbench.verify(args.file, args.tolerance, progress)
+    progress.end()
+    tell(args, verdict)
+    print(verdict)
+    return 0 if verdict.ok else 1
+
+
+def compare_entries(args: argparse.Namespace) -> int:
+    """Entries compared."""
+    from registerbench import read_all, statistics
+
+    entries = [entry for path in args.files for entry in read_all(path).values()]
+    if args.json:
+        tell(args, statistics.rows(entries))
+    print(statistics.table(entries, args.long))
+    return 0
+
+
+def _means(entry: Any) -> dict[str, float | None]:
+    """Of each score over the episodes; None where one is infinite."""
+    import numpy as np
+
+    return {name: float(v.mean()) if np.isfinite(v).all() else None for name, v in entry.scores.items()}
+
+
+def _settings(pairs: list[str], choices: Any) -> dict[str, Any]:
+    """NAME=VALUE, where VALUE is one of those that the card has. Raises ArgumentError."""
+    chosen = {}
+    for pair in pairs:
+        name, equals, text = pair.partition("=")
+        if not equals:
+            raise ArgumentError(f"--set {pair}: NAME=VALUE, for example memory=last.")
+        chosen[name] = next((v for v in choices.get(name, ()) if str(v) == text), text)
+    return chosen
+
+
+def _cost(pairs: list[str]) -> dict[str, float]:
+    cost = {}
+    for pair in pairs:
+        name, _, text = pair.partition("=")
+        try:
+            cost[name] = float(text)
+            if not (name and 0 <= cost[name] <= 1e15):
+                raise ValueError
+        except ValueError:
+            raise ArgumentError(f"--cost {pair}: NAME=NUMBER, from 0 up, for example moves=20000.") from None
+    return cost
+
+
+class _Progress:
+    """A line on a terminal that says how many episodes are done."""
+
+    def __init__(self, what: str):
+        self._what, self._on = what, sys.stderr.isatty()
+
+    def __call__(self, done: int, of: int) -> None:
+        if self._on:
+            print(f"\r\033[K{self._what} {done} of {of} episodes ...", end="", file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        if self._on:
+            print("\r\033[K", end="", file=sys.stderr, flush=True)

@@ -1,0 +1,225 @@
+"""The ten set-ups: what the customer complains of, the host's program, what is broken, and what the machine shall do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from registerbench.diagnosis.machine import slip, swap_limits, weak_supply
+from registerbench.diagnosis.trial import Trial
+from stage.sim.stage import Stage
+
+CAUSES = {
+    "wrong polarity bit": "the chip is told that a sensor is of the other logic",
+    "R6 missing after reset": "the ramp-down point is gone when the move begins",
+    "R4 wider than its register": "the acceleration rate has more bits than its register",
+    "swapped limit switches": "the wires of the end limits are exchanged",
+    "ramp-down point too late": "the ramp down begins too close to the end",
+    "supply too low": "the drives have less voltage than they should",
+    "wrong base address": "the host speaks to another chip than it believes",
+    "missing reset command": "a start comes without the reset command that has to go before it",
+    "slipping coupling": "not all of the motor's torque reaches the screw",
+    "S-curve failure of the MCX304": "a decelerating stop at the end of an S-curve drive never ends",
+}
+"""What an agent can answer."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A set-up. equip: breaks the machine at power-up, each time, until `cause` has been mended; program: the host's; trial: what
+    the customer wants of the machine and its program."""
+
+    name: str
+    cause: str
+    complaint: str
+    program: str
+    trial: Trial
+    chips: str = "pcl240k"
+    payload: float = 0.0
+    equip: Callable[[Stage], None] | None = None
+
+
+REGISTERS = """\
+x: operate 08h          # reset command
+x: R0 <- 16000          # 50 mm
+x: R1 <- 340            # 1 kpps
+x: R2 <- 8160           # 24 kpps
+x: R4 <- 157
+x: R5 <- 157
+x: R6 <- 3200
+x: R7 <- 204
+"""
+THERE = """\
+x: control 44h          # preset, plus
+x: operate 15h          # start, ramp to FH1
+until x stopped 5
+wait 0.2
+"""
+BACK = """\
+x: operate 08h
+x: R0 <- 16000
+x: R6 <- 3200
+x: control 4Ch          # preset, minus
+x: operate 15h
+until x stopped 5
+wait 0.2
+"""
+MOVE = REGISTERS + THERE + BACK
+FAST = Trial((0.05, 0.0), rate=24_000, seconds=2.6)
+SOFT = """\
+x: operate 08h
+x: R0 <- 16000          # 50 mm
+x: R1 <- 3
+x: R2 <- 80             # 24 kpps
+x: 84 2: 41 1: 10       # R4 <- 16656: a ramp of 0.26 s
+x: R5 <- 16000
+x: R6 <- 3400
+x: R7 <- 2              # steps of 300 pps
+"""
+CURVE = """\
+x: {start}
+until x RR1.DSND 1 4
+until x RR1.DSND 0 4
+wait 0.02
+x: STOP_DEC
+until x stopped 4
+wait 0.2
+"""
+
+SETUPS: dict[str, Setup] = {
+    s.name: s
+    for s in (
+        Setup(
+            "polarity",
+            "wrong polarity bit",
+            "x shall return to its origin, leave it by 10 mm and return again, and never moves. It did with the board of before.",
+            """\
+x: operate 08h
+x: R1 <- 2720           # 8 kpps
+x: R7 <- 204
+x: R13 <- 800000h       # sensors of the new board
+x: control 69h          # minus, origin return
+x: operate 10h          # constant FL
+until x stopped 20
+wait 0.2
+x: operate 08h
+x: R0 <- 3200           # 10 mm
+x: control 44h          # preset, plus
+x: operate 10h
+until x stopped 20
+wait 0.2
+x: operate 08h
+x: control 69h          # and again
+x: operate 10h
+until x stopped 20
+wait 0.2
+""",
+            Trial((-0.12, -0.11, -0.12), rate=8000, seconds=4.0, starts=(-0.1, -0.08), from_start=False, within=3e-4),
+            chips="pcl240ms",
+        ),
+        Setup(
+            "forgotten",
+            "R6 missing after reset",
+            "x shall move 50 mm and back. Since the chip was replaced by its successor it ends with a bang, and stands elsewhere.",
+            REGISTERS + "x: operate 08h          # once more, to be sure\n" + THERE + BACK,
+            FAST,
+            chips="pcl240mk",
+            payload=2.0,
+        ),
+        Setup(
+            "wide",
+            "R4 wider than its register",
+            "x shall move 50 mm and back with a long, soft ramp up. It starts with a jerk, hums, and stays where it is.",
+            SOFT + THERE + BACK.replace("R6 <- 3200", "R6 <- 3400"),
+            replace(FAST, ramp=0.24, seconds=3.2),
+            payload=2.0,
+        ),
+        Setup(
+            "swapped",
+            "swapped limit switches",
+            "x shall run to its plus end, be stopped there by the limit switch, and so at its minus end. It runs against the "
+            "rubber and hums on.",
+            """\
+x: operate 08h
+x: R1 <- 340
+x: R2 <- 5440           # 16 kpps
+x: R4 <- 200
+x: R5 <- 200
+x: R7 <- 204
+x: control 40h          # plus, until something stops it
+x: operate 15h
+until x stopped 5
+wait 0.2
+x: operate 08h
+x: control 48h          # minus, until something stops it
+x: operate 15h
+until x stopped 8
+wait 0.2
+""",
+            Trial((0.15, -0.15), rate=16_000, seconds=9.0, starts=(0.1,), from_start=False, within=1e-3),
+            equip=swap_limits,
+        ),
+        Setup(
+            "late",
+            "ramp-down point too late",
+            "x shall move 50 mm with 2 kg on it, and back. It starts well, stops hard, and stands somewhere else.",
+            REGISTERS.replace("R6 <- 3200", "R6 <- 320 ") + THERE + BACK,
+            FAST,
+            payload=2.0,
+        ),
+        Setup(
+            "supply",
+            "supply too low",
+            "x shall move 50 mm and back. Slow moves are good, and on this one it stands still with a whine half way.",
+            MOVE,
+            FAST,
+            equip=weak_supply,
+        ),
+        Setup(
+            "address",
+            "wrong base address",
+            "x shall move 50 mm and back. x stands still, and something else moves.",
+            "base x 304h             # the card, see its jumpers\n" + MOVE,
+            FAST,
+        ),
+        Setup(
+            "reset",
+            "missing reset command",
+            "x shall move 25 mm twice, with a pause, and back. It makes the first move, and not the second.",
+            (REGISTERS + THERE).replace("R0 <- 16000          # 50 mm", "R0 <- 8000           # 25 mm")
+            + "x: R0 <- 8000           # once more\nx: operate 15h\nuntil x stopped 5\nwait 0.2\n" + BACK,
+            replace(FAST, stops=(0.025, 0.05, 0.0), seconds=3.2),
+        ),
+        Setup(
+            "slip",
+            "slipping coupling",
+            "x shall move 50 mm with 2 kg on it, slowly, and back. The motor was changed yesterday; since then it comes short, at "
+            "any speed.",
+            MOVE.replace("R2 <- 8160           # 24 kpps", "R2 <- 2720           # 8 kpps")
+            .replace("R4 <- 157", "R4 <- 60").replace("R5 <- 157", "R5 <- 60").replace("R6 <- 3200", "R6 <- 400 "),
+            Trial((0.05, 0.0), rate=8000, seconds=5.4),
+            payload=2.0,
+            equip=slip,
+        ),
+        Setup(
+            "erratum",
+            "S-curve failure of the MCX304",
+            "x shall move 125 mm by an S-curve, and back. When the speed falls the host asks for a decelerating stop, to be sure. "
+            "x runs on for ever.",
+            """\
+x: R <- 400000          # units of 20 pps
+x: K <- 20000
+x: A <- 8000
+x: SV <- 400            # 8 kpps
+x: V <- 2000            # 40 kpps
+x: AO <- 0
+x: WR2 0004h            # limits decelerate
+x: WR3 0004h            # S-curve
+x: P <- 40000           # 125 mm
+""" + CURVE.format(start="F_DRV_P") + CURVE.format(start="F_DRV_M"),
+            Trial((0.125, 0.0), rate=27_700, seconds=5.4, starts=(0.02,), within=1e-4),
+            chips="mcx304",
+        ),
+    )
+}  # fmt: skip
+"""By name."""

@@ -1,0 +1,7 @@
+"""Tests of the package as it is installed: `make packages`, then `make test-packages`. They share tests/support of the checkout."""
+
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE), str(HERE.parents[2] / "tests")]  # for fake_model; for support and test_docs

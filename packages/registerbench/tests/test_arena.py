@@ -1,0 +1,181 @@
+"""Games, transcripts, entries, and the players that are shipped."""
+
+import json
+from importlib.util import find_spec
+
+import pytest
+
+import registerbench
+from registerbench.arena import Limits, Table, play, player, suite, suites
+from registerbench.arena.players import SHIPPED
+from registerbench.cards import CARDS
+from stage.cli import main
+from stage.errors import ArgumentError
+
+
+@pytest.fixture(scope="module")
+def late():
+    return play(suite("diagnosis:late"), player("technician"), "technician")
+
+
+@pytest.mark.parametrize("task", CARDS)
+def test_every_task_of_the_bench_is_played_by_tools(task):
+    seen = []
+
+    def formula(table):
+        assert "RegisterBench" in table.task
+        seen.append({t["name"] for t in table.tools})
+        said = table.call("formula")
+        assert said.ok
+        while not table.over:
+            assert table.call("act", table.call("formula").data).ok
+        assert "over" in table.call("act", said.data).text
+
+    played = play(suite(task, episodes=1), formula)
+    assert seen == [{"task", "observe", "formula", "act"}]
+    assert played.rounds[0].score["given_up"] == 0
+    verdict = registerbench.verify(played.entry)
+    assert verdict.exact, verdict
+    assert played.entry.track == "tools"
+
+
+def test_what_the_formula_does_by_tools_it_does_without_them():
+    by_tools = play(suite("one-shot", episodes=3), player("formula"))
+    alone = registerbench.play("formula", "one-shot", episodes=3)
+    assert [r.score["return"] for r in by_tools.rounds] == pytest.approx(alone.scores["return"].tolist(), rel=1e-6)
+
+
+def test_whoever_leaves_early_is_scored_and_the_entry_stands():
+    played = play(suite("bus-target", episodes=1), lambda table: table.call("act", {"macro": "rates usual"}))
+    assert played.rounds[0].score["given_up"] > 10
+    assert registerbench.verify(played.entry).exact
+
+
+@pytest.mark.parametrize("given", [{}, {"start": 1, "drive": 2, "up": 1, "down": 1}, {"start": "NaN"}, {"macro": "x"}])
+def test_an_action_that_is_none_does_nothing(given):
+    def act(table):
+        answer = table.call("act", given)
+        assert not answer.ok
+        assert "act" in answer.text or "start" in answer.text
+
+    assert play(suite("one-shot", episodes=1), act).rounds[0].score["given_up"] == 1
+
+
+@pytest.mark.parametrize("name", sorted(SHIPPED))
+def test_every_shipped_player_plays_a_task_and_a_set_up(name):
+    if name == "optuna":
+        pytest.importorskip("optuna")
+    tries = play(suite("few-shot", episodes=1), player(name), name)
+    assert tries.rounds[0].score["moves"] == 8
+    assert play(suite("diagnosis:late"), player(name), name).value >= -0.5
+
+
+def test_the_technician_finds_and_mends(late):
+    assert late.value > 0.97
+    assert late.rounds[0].score["runs"] == 3
+
+
+@pytest.mark.slow
+def test_the_technician_finds_and_mends_all_ten():
+    assert play(suite("diagnosis"), player("technician")).value > 0.97
+
+
+def test_a_game_has_so_many_calls_and_no_more():
+    def ask(table: Table):
+        while not table.over:
+            table.call("budget")
+        assert "a game has no more" in table.call("finish").text
+
+    assert len(play(suite("diagnosis:late"), ask, limits=Limits(most=5)).rounds[0].calls) == 5
+
+
+# --- words ---
+
+
+NO_SUITES = (
+    ("diagnose", "Did you mean 'diagnosis'"), ("diagnosis:supplly", "Did you mean 'supply'"), ("few-shot:3", "no names in them"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "said"), NO_SUITES)
+def test_a_suite_that_is_none_is_refused(name, said):
+    with pytest.raises(ArgumentError, match=said):
+        suite(name)
+    assert "diagnosis" in suites()
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("techician", "Did you mean 'technician'"),
+        ("nowhere:play", "Name a module"),
+        ("json:nothing", "has no 'nothing'"),
+    ],
+)
+def test_a_player_that_is_none_is_refused(name, said):
+    with pytest.raises(ArgumentError, match=said):
+        player(name)
+
+
+def test_the_command_plays_and_replays(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["agent", "diagnosis:late", "--by", "technician", "-o", "t.jsonl"]) == 0
+    told = capsys.readouterr().out
+    assert "diagnosis:late         found  mended" in told
+    assert "technician on 1 of 10 games of diagnosis: 0.983 (0.983 to 0.983), mean of found and mended; a part" in told
+    assert main(["agent-replay", "t.jsonl"]) == 0
+    assert "bit for bit" in capsys.readouterr().out
+    assert main(["agent", "one-shot", "--episodes", "2", "--entry", "f.bench", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert len(told["games"]) == 2
+    assert main(["bench-verify", "f.bench"]) == 0
+    for arguments, said in (
+        *([(["agent", "diagnosis", "--mcp"], "one game for one client")] if find_spec("mcp") else []),
+        (["agent", "diagnosis", "--mcp", "--by", "x"], "one player at a time"),
+        (["agent", "diagnosis:late", "--entry", "x.bench"], "entries are of RegisterBench"),
+        (["agent", "diagnosis:late", "--endpoint", "ftp://x", "--model", "m"], "begins with http"),
+        (["agent", "diagnosis:late", "--endpoint", "http://x/v1"], "--model NAME"),
+        (
+            ["agent", "diagnosis:late", "--endpoint", "http://x", "--model", "m", "--key-env", "NO_SUCH"],
+            "no such variable",
+        ),
+        (["agent", "diagnosis:late", "-o", "t.jsonl"], "exists"),
+        (["agent-replay", "nothing.jsonl"], "there is no transcript nothing.jsonl"),
+    ):
+        capsys.readouterr()
+        assert main(arguments) == 2
+        assert said in capsys.readouterr().err
+
+
+FREE = {"budget", "describe", "diagnostics", "picture", "registers", "report", "trace"}
+MOVES = {"home", "line", "move", "start"}
+"""Tools of every toolbox that cost nothing, and that count as moves."""
+
+
+@pytest.mark.parametrize("task", ["one-shot", "few-shot", "bus-target", "home", "line"])
+def test_in_an_episode_of_a_task_only_acting_is_a_move(task):
+    game = next(iter(suite(task, episodes=1)))
+    tools = game.calls.tools.values()
+    assert {t.name for t in tools if t.free} == {"task", "observe", "formula"}
+    assert {t.name for t in tools if t.moves} == {"act"}
+
+
+def test_in_a_broken_set_up_reading_the_program_and_measuring_are_free_and_a_run_is_not():
+    tools = next(iter(suite("diagnosis:late"))).calls.tools.values()
+    more = {"task", "program", "write_program", "measure", "service", "answer", "finish"}
+    assert {t.name for t in tools if t.free} == FREE | more
+    assert {t.name for t in tools if t.moves} == MOVES
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        ("agent diagnosis:late -o a.txt", "a.txt: a transcript is no 'txt'. Name a file that ends in .jsonl."),
+        ("agent one-shot --entry a.zip", "a.zip: an entry is no 'zip'. Name a file that ends in .bench."),
+        ("bench-submit random -o a", "Name a file that ends in .bench."),
+    ],
+)
+def test_what_is_played_is_not_lost_to_a_name(argv, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(argv.split()) == 2
+    assert said in capsys.readouterr().err

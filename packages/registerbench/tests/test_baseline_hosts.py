@@ -1,0 +1,59 @@
+"""Baselines that do not learn: the table of all tasks, hosts that search within an episode, the engineer of a servo."""
+
+import sys
+
+import numpy as np
+import pytest
+
+import stage.envs
+from registerbench.baselines import common, few_shot, servo_loop, tasks
+from stage import Stage, StageError
+from stage.chips import HCTL1100
+from stage.envs import contexts
+
+
+def test_the_table_of_all_tasks_is_of_whole_episodes_and_names_its_splits(monkeypatch):
+    monkeypatch.setattr(tasks, "LANES", 2)
+    assert set(tasks.TASKS.values()) == {id_ for id_ in stage.envs.IDS if id_.endswith("-v1")}
+    assert {tasks.splits(id_) for id_ in tasks.TASKS.values()} == {tuple(contexts.SPLITS)}
+    totals, score = tasks.play("stage/BusMacros-v1", "scripted", 3, model="xy", level="move", macros=6)
+    assert len(totals) == 3
+    assert score["success"].all()
+    assert "| 3 of 3 |" in tasks.row("BusMacros", "train", "scripted", totals, score)
+
+
+@pytest.mark.slow
+def test_on_machines_that_differ_a_host_that_remembers_is_better_than_one_that_does_not():
+    fixed, _ = few_shot.play(few_shot.fixed(3.4), "weak", 16, few_shot.TEST)
+    search, times = few_shot.play(few_shot.search(3.4 / few_shot.STEP), "weak", 16, few_shot.TEST)
+    assert few_shot.interval(search, of=np.mean)[0] > few_shot.interval(fixed, of=np.mean)[1]
+    assert np.isfinite(times).mean() > 0.9
+
+
+def test_a_proof_of_a_move_is_over_many_angles():
+    with common.Moves(0.5, 4, "registers", 2000, lanes=2, model="xy", seed=common.PROOF_SEED) as moves:
+        for _ in range(2):
+            moves.make_actions(np.zeros((2, moves.size)))
+        assert len({angle for _, _, angle in moves.log.drawn}) == 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("payload", [0.0, 10.0])
+def test_the_engineers_design_has_its_margin_and_settles_sooner_than_after_a_reset(payload):
+    pytest.importorskip("control", reason="extra servo is not installed")
+    machine = Stage("xyz_servo", chips=HCTL1100, visuals=False)
+    machine.set_payload(payload)
+    loop = servo_loop.Loop.of(machine.axes["x"], servo_loop.Tuning(pole=servo_loop.POLE))
+    made = servo_loop.design(loop)
+    assert made.phase_margin == pytest.approx(servo_loop.MARGIN, abs=servo_loop.WITHIN)
+    assert made.gain_margin > 2
+    assert abs(servo_loop.replace(loop, tuning=made.tuning).poles).max() < 1
+    after_reset = {"R22": 0x40, "R20": 0xE5, "R21": 0x40, "R0F": 0x40}
+    designed = servo_loop.trial(payload, servo_loop.registers(machine.axes["x"]), moves=1)
+    assert designed["reward"] > servo_loop.trial(payload, after_reset, moves=1)["reward"]
+
+
+def test_without_python_control_the_baseline_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(StageError, match=r"pip install 'pulsestage\[servo\]'"):
+        servo_loop.control()

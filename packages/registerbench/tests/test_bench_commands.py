@@ -1,0 +1,121 @@
+"""The commands of the benchmark: every option arrives at what plays, replays and compares; codes and files as their help says."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import registerbench
+from registerbench import CARDS, seeds
+from registerbench.bench_commands import _means
+from stage.cli import main
+from stage.envs import contexts
+
+
+@pytest.fixture
+def played(monkeypatch, tmp_path):
+    """played(arguments) -> (code, what `play` was given, what the entry's `write` was given)."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*typed, episodes=64):
+        given = []
+
+        def play(*of, told=None, **how):
+            given.append((of, how))
+            scores = {"return": np.array([1.0, 2.0]), "time": np.array([1.0, np.inf])}
+            about = {"player": "p", "task": of[1], "split": of[2]}
+            written = lambda *of: given.append(of)  # noqa: E731
+            return SimpleNamespace(**about, seeds=range(episodes), rewards=np.zeros(9), scores=scores, write=written)
+
+        monkeypatch.setattr(registerbench, "play", play)
+        return main(["bench-submit", *typed]), *given
+
+    return run
+
+
+def test_what_was_not_said_is_the_usual(played, capsys):
+    code, (of, how), (path, force) = played("random", "-o", "a.bench")
+    assert (code, of, path, force) == (0, ("random", "few-shot", "train"), "a.bench", False)
+    assert how == {
+        "track": "host", "round_": "open", "settings": {}, "name": None, "run": 0, "notes": "", "cost": {}, "episodes": None,
+    }  # fmt: skip
+    said = capsys.readouterr().out
+    assert "return 1.5 (means)" in said, "what is infinite has no mean"
+    assert "can stand in no table" not in said
+
+
+def test_every_option_is_for_what_its_help_says(played, capsys):
+    code, (of, how), (path, force) = played(
+        "mine:policy", "-o", "b.bench", "--task", "few-shot-wide", "--split", "loose", "--track", "truth", "--round", "2027",
+        "--set", "memory=last", "--name", "me", "--run", "4", "--notes", "by hand", "--cost", "moves=3", "--cost", "tokens=1e6",
+        "--episodes", "5", "--force", episodes=5,
+    )  # fmt: skip
+    assert (code, of, path, force) == (0, ("mine:policy", "few-shot-wide", "loose"), "b.bench", True)
+    assert how == {
+        "track": "truth", "round_": "2027", "settings": {"memory": "last"}, "name": "me", "run": 4, "notes": "by hand",
+        "cost": {"moves": 3.0, "tokens": 1e6}, "episodes": 5,
+    }  # fmt: skip
+    assert "part of the 64 test episodes alone: this entry can stand in no table" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("cost", ["moves=-1", "=3", "moves=", "moves=nan", "moves=1e16"])
+def test_a_cost_that_is_none_is_refused(played, capsys, cost):
+    assert played("random", "-o", "a.bench", "--cost", cost) == (2,)
+    assert f"--cost {cost}: NAME=NUMBER, from 0 up" in capsys.readouterr().err
+
+
+def test_a_mean_is_of_finite_numbers_alone():
+    entry = SimpleNamespace(scores={"a": np.array([1.0, 4.0]), "b": np.array([1.0, np.inf])})
+    assert _means(entry) == {"a": 2.5, "b": None}
+
+
+def test_a_replay_has_the_tolerance_that_was_asked_for_and_its_code(monkeypatch, capsys):
+    asked = []
+
+    class Verdict(SimpleNamespace):
+        def json(self):
+            return {"ok": self.ok}
+
+    def verify(file, tolerance, told):
+        asked.append((file, tolerance))
+        return Verdict(ok=tolerance is not None, exact=False)
+
+    monkeypatch.setattr(registerbench, "verify", verify)
+    assert main(["bench-verify", "a.bench", "--tolerance", "1e-9", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"ok": True}
+    assert main(["bench-verify", "a.bench"]) == 1
+    assert asked == [("a.bench", 1e-9), ("a.bench", None)]
+
+
+def test_a_table_in_json_has_its_rows(monkeypatch, capsys):
+    entry = SimpleNamespace(
+        task="home", split="worn", track="host", round="open", player="a", run=0, seeds=seeds(CARDS["home"], "worn"), cost={},
+        scores={"return": np.tile([1.0, 3.0], 32), "success": np.tile([1.0, 0.0], 32)},
+    )  # fmt: skip
+    monkeypatch.setattr(registerbench, "read_all", lambda path: {"a.bench": entry})
+    assert main(["bench-table", "a.bench", "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert row["value"] == 2.0
+    assert (row["task"], row["split"], row["player"], row["runs"], row["success"]) == ("home", "worn", "a", 1, 0.5)
+    assert (row["round"], row["mean"], row["regret"]) == ("open", 2.0, None)
+
+
+@pytest.mark.parametrize("name", CARDS)
+def test_a_card_says_in_words_which_machines_each_split_has(name, capsys):
+    card = CARDS[name]
+    config = card.make("train", "host", {})._task.config
+    for split in card.splits:
+        said = card.machines(split)
+        asked = contexts.SPLITS[split]
+        assert all(f"{of} {asked[of]}" in said for of in ("model", "chip") if of in asked)
+        for of, (ranges, unit) in contexts.KINDS.items():
+            ends = dict(card.settings).get(ranges, asked.get(ranges)) if ranges in asked else None
+            assert (f"{of} {ends[0]:g} to {ends[1]:g} {unit}" in said) if ends else f"{of} " not in said
+        mine = [fault for fault in asked.get("faults", ()) if fault in config.FAULTS]
+        assert said.endswith(f"a fault: {', '.join(mine)}") if mine else "fault" not in said
+    assert main(["bench", name]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert all(f"{split} {card.machines(split)}" in printed for split in card.splits)
+    assert main(["bench", name, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)[name]["machines"]["train"] == card.machines("train")

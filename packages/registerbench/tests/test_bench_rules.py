@@ -1,0 +1,179 @@
+"""Rules of the bench that entries of other years and other places depend on."""
+
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from registerbench import statistics
+from registerbench.cards import CARDS, FIRST, LAST, card_of, seeds
+from registerbench.episodes import digest, scored
+from registerbench.replay import Difference, _earlier, _Replay
+from stage import ArgumentError
+
+
+def entry(player="a", value=1.0, **how):
+    usual = {
+        "task": "home",
+        "split": "train",
+        "track": "host",
+        "round": "open",
+        "player": player,
+        "run": 0,
+    }
+    made = {**usual, "cost": {}, "scores": {"return": np.full(64, value)}, **how}
+    made.setdefault("seeds", tuple(seeds(card_of(made["task"]), made["split"], made["round"])))
+    return SimpleNamespace(**made)
+
+
+def replay(tolerance):
+    e = SimpleNamespace(steps=np.array([1]), rewards=np.zeros(1), scores={})
+    return _Replay(e, tolerance)
+
+
+def test_seeds_of_a_round_follow_from_its_name_and_the_task_s_for_good():
+    assert seeds(CARDS["home"], "train", "2027")[:2] == [665991244, 1239686963]
+    drawn = [seeds(CARDS[name], "train", "2027") for name in CARDS]
+    assert len({s for some in drawn for s in some}) == sum(map(len, drawn)), "no two tasks have the same"
+    assert all(FIRST + 64 <= s < LAST for some in drawn for s in some)
+    assert seeds(CARDS["home"], "train") == seeds(CARDS["home"], "worn") == list(range(FIRST, FIRST + 64))
+
+
+def test_a_task_is_named_by_its_card_or_its_environment():
+    assert card_of("home") is card_of("stage/DriftingHome-v1") is CARDS["home"]
+    with pytest.raises(ArgumentError, match="unknown task 'hom'"):
+        card_of("hom")
+
+
+def test_a_digest_tells_observations_of_one_content_by_type_and_shape_and_stays_the_same():
+    zeros = np.zeros(4, np.float32)
+    others = (zeros.reshape(2, 2), zeros.reshape(4, 1), np.zeros(4, np.int32), np.zeros(2, np.float64), -zeros)
+    assert len({digest(zeros), *map(digest, others)}) == 6
+    assert digest(np.zeros((2, 4), np.float32)[:, ::2]) == digest(np.zeros((2, 2), np.float32)), (
+        "not how it lies in memory"
+    )
+    assert digest(zeros) == 13031525093526981456
+
+
+def test_an_episode_without_a_score_has_what_it_has():
+    rewards = np.array([1.0, 2.0])
+    assert scored(rewards, {}) == {"return": 3.0, "moves": 2.0}
+    assert scored(rewards, {"proved": 0.5}) == {"return": 3.0, "time": 0.5, "success": 1.0, "moves": 2.0}
+    assert scored(rewards, {"proved": np.inf})["success"] == 0.0
+    assert scored(rewards, {"proved": 0.5, "score": {"time": 7.0}}) == {"return": 3.0, "time": 7.0}
+
+
+def test_the_middle_half_of_few_numbers_is_of_all():
+    assert statistics.iqm([1.0]) == 1.0
+    assert statistics.iqm([0.0, 1.0, 5.0]) == 2.0
+    assert statistics.iqm([0.0, 1.0, 3.0, 100.0]) == 2.0
+
+
+def test_an_interval_of_a_lower_level_lies_within_that_of_a_higher():
+    scores = np.random.default_rng(1).normal(size=(2, 16))
+    low, high = statistics.interval(scores, 200, 0.5)
+    wide = statistics.interval(scores, 200, 0.95)
+    assert wide[0] < low < high < wide[1]
+
+
+def test_rows_part_by_tracks_splits_and_tasks_and_the_best_stands_first():
+    some = [
+        entry("b", 1.0),
+        entry("a", 2.0),
+        entry("a", 3.0, track="truth"),
+        entry("a", split="worn"),
+        entry("a", task="bus"),
+        entry("a", 4.0, round="2027"),
+    ]
+    rows = [(*r.place, r.player, r.value) for r in statistics.rows(some)]
+    assert rows == [
+        ("bus", "train", "host", "open", "a", 1.0),
+        ("home", "train", "host", "2027", "a", 4.0),
+        ("home", "train", "host", "open", "a", 2.0),
+        ("home", "train", "host", "open", "b", 1.0),
+        ("home", "train", "truth", "open", "a", 3.0),
+        ("home", "worn", "host", "open", "a", 1.0),
+    ]
+
+
+def test_each_round_has_a_table_of_its_own_and_nobody_beats_a_player_of_another():
+    some = [entry("a", 1.0), entry("b", 0.0), entry("c", 9.0, round="2027"), entry("d", 8.0, round="2027")]
+    open_, other = sorted(statistics.table(some).split("\n\n**"), key=lambda text: "2027" in text)
+    assert "home, train, round open** (track host)" in open_
+    assert "home, train, round 2027** (track host)" in other
+    assert "| b |\n" in open_
+    assert "| d |\n" in other
+    a, c = (next(r for r in statistics.rows(some) if r.player == name) for name in "ac")
+    assert c.low > a.high
+    assert not c.beats(a)
+
+
+def test_an_entry_of_a_part_or_of_other_episodes_than_its_round_s_stands_in_no_table():
+    with pytest.raises(
+        ArgumentError, match=r"a on home train, run 2: it has 2 of the 64 test episodes of the round 'open'"
+    ):
+        statistics.rows([entry(), entry(run=2, seeds=(FIRST, FIRST + 1))])
+    with pytest.raises(ArgumentError, match="it has others than the test episodes of the round '2027'"):
+        statistics.rows([entry(round="2027", seeds=tuple(range(FIRST, FIRST + 64)))])
+    with pytest.raises(ArgumentError, match="unknown task 'mine'"):
+        statistics.rows([entry(task="mine", seeds=(1, 2))])
+
+
+def test_the_success_of_a_player_is_that_of_all_its_runs_and_of_none_where_a_task_has_none():
+    runs = [
+        entry(run=k, scores={"return": np.zeros(64), "success": np.tile(s, 32)}) for k, s in enumerate([(1, 1), (0, 1)])
+    ]
+    assert statistics.rows(runs)[0].success == 0.75
+    assert "| 75% |" in statistics.table(runs)
+    assert statistics.rows([entry()])[0].success is None
+
+
+def test_a_long_table_has_regret_where_there_was_success_and_the_means_of_damage_and_steps():
+    scores = {
+        "return": np.zeros(64), "success": np.repeat([1, 0], 32), "regret": np.repeat([0.25, np.inf], 32),
+        "lost_steps": np.repeat([3, 0], 32), "limits": np.repeat([1, 0], 32), "moves": np.full(64, 8),
+    }  # fmt: skip
+    (row,) = statistics.rows([entry(scores=scores)])
+    assert (row.regret, row.lost_steps, row.limits, row.moves) == (0.25, 1.5, 0.5, 8.0)
+    assert "| success | regret | steps lost | limits | steps | beats |" in statistics.table([entry()], long=True)
+    assert "| 50% | 0.250 | 1.5 | 0.5 | 8.0 | - |" in statistics.table([entry(scores=scores)], long=True)
+    assert "| - | - | - | - | - | - |" in statistics.table([entry()], long=True), "a task that has none of them"
+    assert "regret" not in statistics.table([entry(scores=scores)])
+    none = {**scores, "regret": np.full(64, np.inf)}
+    assert statistics.rows([entry(scores=none)])[0].regret is None
+
+
+def test_who_beats_another_in_the_middle_half_and_is_lower_in_the_mean_is_told_so():
+    bold = np.repeat([2.0, -9.0], [56, 8])
+    said = statistics.table([entry("bold", scores={"return": bold}), entry("safe", 1.0), entry("bad", -5.0)])
+    assert "| safe (lower in the mean), bad |" in said
+    (row,) = statistics.rows([entry(scores={"return": bold})])
+    assert row.mean == bold.mean() == 0.625
+    assert row.mean_low < row.mean < row.mean_high < row.low
+
+
+def test_a_difference_as_large_as_the_tolerance_is_within_it():
+    for by, far in ((0.25, False), (0.26, True), (np.inf, True), (np.nan, False)):
+        seen = replay(0.25)
+        seen.note(Difference(0, 0, "reward", "", ""), by)
+        assert seen.far == far
+        assert (seen.worst is None) != far
+        assert seen.first is not None
+    seen = replay(None)
+    seen.note(Difference(0, 0, "digest of the observation", "", ""), np.nan)
+    assert seen.far, "without a tolerance every bit counts"
+
+
+def test_of_differences_in_any_order_the_first_in_the_entry_is_told_and_the_largest():
+    places = [(1, 0), (0, 5), (0, -1), (0, None), (None, None)]
+    seen = replay(0.0)
+    for k, (episode, step) in enumerate(places):
+        seen.note(Difference(episode, step, "reward", "", ""), 5.0 - k)
+    assert (seen.first.episode, seen.first.step) == (seen.worst.episode, seen.worst.step) == (0, -1)
+    assert seen.most == 5.0
+    told = [
+        Difference(*place, "reward", "", "")
+        for place in sorted(places, key=lambda p: (p[0] is None, p[0], p[1] is None, p[1]))
+    ]
+    assert all(_earlier(a, b) and not _earlier(b, a) for a, b in pairwise(told))

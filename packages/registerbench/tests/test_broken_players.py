@@ -1,0 +1,219 @@
+"""Players that hang, fail or speak nonsense: the run goes on, and says what went wrong; nobody gets a score without a word."""
+
+import asyncio
+import http.server
+import json
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from fake_model import FakeModel, calls
+
+from registerbench.arena import Limits, play, replay, suite
+from registerbench.arena.players.command import Command
+from registerbench.arena.players.endpoint import Endpoint
+from stage.cli import main
+
+SHORT = Limits(patience=0.15)
+LATE = ["agent", "diagnosis:late"]
+
+
+def ended(player, limits=SHORT):
+    """Why its one game was ended; in time."""
+    begun = time.monotonic()
+    came = play(suite("diagnosis:late"), player, "slow", limits)
+    assert time.monotonic() - begun < 3
+    assert not came.sound
+    assert replay(came).same
+    return came.rounds[0].ended
+
+
+# --- who hangs ---
+
+
+@pytest.mark.parametrize(
+    "words", [["sleep", "1000"], ["sh", "-c", "sleep 1000; true"],
+              ["sh", "-c", 'while true; do echo \'{"call": "program"}\'; done']]
+)  # fmt: skip
+def test_a_command_that_hangs_or_never_reads_is_left(words):
+    assert "timed out" in ended(Command(words), Limits(patience=0.15, most=10**6))
+
+
+def test_a_function_that_hangs_is_left_and_the_next_game_is_played():
+    def hangs(table):
+        table.call("program")
+        if table.name.endswith("polarity"):
+            while True:
+                pass
+
+    came = play(suite("diagnosis", episodes=2), hangs, "hangs", SHORT)
+    assert [r.ended for r in came.rounds] == ["timed out: no call for 0.15 s", ""]
+    assert [r.valid for r in came.rounds] == [1, 1]
+    assert not came.sound
+
+
+def test_a_game_has_its_time_too():
+    def dawdles(table):
+        while not table.over:
+            table.call("task")
+            time.sleep(0.05)
+
+    assert ended(dawdles, Limits(time=0.2)) == "timed out: its calls took 0.2 s in all"
+
+
+def test_a_function_that_ignores_the_end_is_ended():
+    def ignores(table):
+        while True:
+            table.call("budget")
+
+    came = play(suite("diagnosis:late"), ignores, "i", Limits(most=5))
+    assert len(came.rounds[0].calls) == 5
+    assert came.troubles["calls after the end"]
+
+
+def test_the_time_of_the_simulation_is_not_the_players():
+    def waits(table):
+        table.call("wait", {"seconds": 6})
+        table.call("wait", {"seconds": 6})
+
+    assert play(suite("diagnosis:late"), waits, "w", Limits(patience=0.2, time=0.2)).sound
+
+
+class Drips(http.server.BaseHTTPRequestHandler):
+    def do_POST(self):
+        self.send_response(200)
+        self.end_headers()
+        while not self.server.done.wait(0.02):
+            try:
+                self.wfile.write(b" ")
+                self.wfile.flush()
+            except OSError:
+                return
+
+    def log_message(self, *_):
+        pass
+
+
+def test_an_endpoint_that_drips_bytes_is_left():
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Drips) as server:
+        server.done = threading.Event()
+        threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
+        try:
+            assert "timed out" in ended(Endpoint(f"http://127.0.0.1:{server.server_port}/v1", "m"))
+        finally:
+            server.done.set()
+            server.shutdown()
+
+
+@pytest.mark.slow
+def test_a_client_that_hangs_is_left():
+    command = [sys.executable, "-m", "stage", *LATE, "--mcp", "--patience", "0.3"]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as p:
+        assert p.wait(60) == 1
+        assert "timed out: no call for 0.3 s" in p.stderr.read()
+
+
+@pytest.mark.parametrize("given", ["nan", "0", "-1", "inf"])
+def test_limits_are_limits(given, capsys):
+    for name in ("--patience", "--time"):
+        assert main([*LATE, name, given]) == 2
+        assert "seconds, more than 0" in capsys.readouterr().err
+    assert main([*LATE, "--most", "0"]) == 2
+
+
+# --- who is broken ---
+
+BROKEN = (
+    (["--command", "false"], 1, "the command ended with exit code 1"),
+    (["--command", "true"], 1, "the command ended without a call"),
+    (["--command", "cat"], 1, "a line that is no call (20 times)"), (["--command", "yes"], 1, "a line that is no call (20 times)"),
+    (["--command", "echo '{\"call\": \"fly\"}'"], 1, "not one valid call in 1 games; the first answer was: tool: 'fly'"),
+    (["--command", "head -c 100000 /dev/urandom"], 1, "a line that is no call"), (["--command", ""], 2, "is empty"),
+    (["--command", "'unclosed"], 2, "Close its quotes"), (["--command", "/nowhere/agent"], 2, "Name a program"),
+    (["--command", "a\0b"], 2, "Name a program"), (["--by", "../x:y"], 2, "Name a module"), (["--by", ".x:y"], 2, "Name a module"),
+    (["--by", ""], 2, "unknown player"), (["--endpoint", "", "--model", "m"], 2, "begins with http"),
+    (["--by", "formula"], 1, "not one valid"),
+    (["--split", "test"], 2, "has no splits"), (["--by", ":"], 2, "Name a module"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("arguments", "code", "said"), BROKEN)
+def test_a_broken_player_gets_no_score_without_a_word(arguments, code, said, capsys):
+    assert main([*LATE, *arguments]) == code
+    err = capsys.readouterr().err
+    assert said in err
+    assert "Traceback" not in err
+
+
+def test_a_function_of_somebodys_own_that_fails_ends_its_game(tmp_path, monkeypatch, capsys):
+    (tmp_path / "fails_now.py").write_text(
+        "def play(table):\n    table.call('program')\n    if 'forgotten' in table.name:\n        raise KeyError('x')\n"
+        "async def later(table):\n    table.call('program')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert main(["agent", "diagnosis", "--episodes", "3", "--by", "fails_now:play"]) == 1
+    out, err = capsys.readouterr()
+    assert "3 of 10 games" in out
+    assert "stage: diagnosis:forgotten: failed: KeyError: 'x'" in err
+    assert main([*LATE, "--by", "fails_now:later"]) == 0
+    assert "1 calls" in capsys.readouterr().out
+
+
+def test_a_function_without_await_may_be_async():
+    async def later(table):
+        await asyncio.sleep(0)
+        table.call("program")
+
+    assert play(suite("diagnosis:late"), later).rounds[0].valid == 1
+
+
+@pytest.mark.parametrize("tokens", ["12", -1, 1.5, True, [1], 1 << 60])
+def test_tokens_that_are_none_are_not_counted_and_told(tokens):
+    with FakeModel(calls(("finish", {}), tokens=tokens)) as model:
+        came = play(suite("diagnosis:late"), Endpoint(model.url, "fake"))
+    assert came.tokens == 0
+    assert came.troubles["tokens that are no whole number, and are not counted"] == 1
+
+
+@pytest.mark.parametrize("tokens", [0, 1, (1 << 40) - 1])
+def test_a_whole_number_of_tokens_is_counted_none_too(tokens):
+    with FakeModel(calls(("finish", {}), tokens=tokens)) as model:
+        came = play(suite("diagnosis:late"), Endpoint(model.url, "fake"))
+    assert (came.tokens, came.troubles["tokens that are no whole number, and are not counted"]) == (tokens, 0)
+
+
+def nested(depth):
+    value = []
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
+@pytest.mark.parametrize("given", [{b"x": 1}, {"text": nested(100_000)}, {(1, 2): 3}])
+def test_arguments_that_are_no_json_are_refused(given):
+    def odd(table):
+        assert "cannot be written as JSON" in table.call("write_program", given).text
+        table.call("task")
+
+    came = play(suite("diagnosis:late"), odd)
+    assert replay(came).same
+    json.dumps(came.rounds[0].calls)
+
+
+def test_json_that_is_nested_deeply_ends_nothing():
+    code = "import sys; input(); print('{\"call\": \"task\", \"arguments\": ' + '[' * 900 + ']' * 900 + '}', flush=True); input()"
+    came = play(suite("diagnosis:late"), Command([sys.executable, "-c", code]))
+    assert came.rounds[0].valid == 0
+    assert replay(came).same
+
+
+def test_an_answer_behind_the_end_does_not_count():
+    def late(table):
+        table.call("finish")
+        assert "this game is over" in table.call("answer", {"cause": "ramp-down point too late"}).text
+
+    assert play(suite("diagnosis:late"), late).value == 0

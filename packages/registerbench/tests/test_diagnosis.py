@@ -1,0 +1,137 @@
+"""The broken set-ups: each fails as its customer says, and is well again when the cause is mended, and by nothing else."""
+
+import pytest
+
+from registerbench.diagnosis import CAUSES, SERVICES, SETUPS, Case
+from registerbench.diagnosis.program import parse
+from stage.errors import ArgumentError
+
+BETTER = {
+    "polarity": ("x: R13 <- 800000h", "x: R13 <- 0"),
+    "forgotten": ("x: operate 08h          # once more, to be sure\n", ""),
+    "wide": ("2: 41 1: 10", "2: 3F 1: FF"),
+    "late": ("R6 <- 320 ", "R6 <- 3200"),
+    "address": ("304h", "300h"),
+    "reset": ("x: R0 <- 8000           # once more\n", "x: operate 08h\nx: R0 <- 8000\n"),
+    "erratum": ("x: STOP_DEC\n", ""),
+}
+WORK = {cause: work for work, cause in SERVICES.items() if cause}
+
+
+@pytest.fixture
+def case():
+    made = []
+
+    def make(name, **how):
+        made.append(Case(name, **how))
+        return made[-1]
+
+    yield make
+    for c in made:
+        c.box.close()
+
+
+def test_there_are_ten_and_each_cause_has_one():
+    assert sorted(s.cause for s in SETUPS.values()) == sorted(CAUSES)
+    assert len(SETUPS) == 10
+    assert set(BETTER) | {s.name for s in SETUPS.values() if s.cause in WORK} == set(SETUPS)
+
+
+LONG = [name if name in ("late", "forgotten") else pytest.param(name, marks=pytest.mark.slow) for name in SETUPS]
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_it_fails_as_the_customer_says_and_is_well_when_mended(case, name):
+    c = case(name)
+    assert c.box.call("run").ok
+    assert c.why_not()
+    if name in BETTER:
+        assert c.box.call("write_program", {"text": c.box.call("program").text.replace(*BETTER[name])}).ok
+    else:
+        assert c.box.call("service", {"work": WORK[c.setup.cause]}).ok
+    c.box.call("answer", {"cause": c.setup.cause})
+    assert c.score().value >= 0.99
+    assert c.score() == c.score()
+
+
+def test_work_on_what_is_whole_mends_nothing(case):
+    c = case("supply")
+    for work, cause in SERVICES.items():
+        if cause != c.setup.cause:
+            c.box.call("service", {"work": work})
+    assert not c.score().mended
+
+
+def test_a_base_holds_for_its_own_program(case):
+    """A program with a wrong base, and then one without"""
+    c = case("address")
+    c.box.call("run")
+    lines = c.box.call("program").text.splitlines()
+    assert c.box.call("write_program", {"text": "\n".join(line for line in lines if not line.startswith("base"))}).ok
+    c.box.call("run")
+    assert c.score().mended
+
+
+def test_an_agent_is_told_nothing_of_the_machine_that_a_host_cannot_see(case):
+    c = case("slip")
+    said = "".join(c.box.call(name).text for name in ("describe", "run", "measure", "diagnostics"))
+    assert "truth" not in c.box.tools
+    assert not [word for word in ("slip", "torque", "lost") if word in said]
+
+
+def test_runs_are_counted_and_the_first_answer_counts(case):
+    c = case("reset", runs=1)
+    assert c.box.call("run").ok
+    assert "all 1 runs are made" in c.box.call("run").text
+    c.box.call("answer", {"cause": "supply too low"})
+    assert "you have answered already" in c.box.call("answer", {"cause": c.setup.cause}).text
+    assert c.score().value == -0.5
+    assert not c.over
+    c.box.call("finish")
+    assert c.over
+
+
+def test_an_agent_that_spends_everything_is_scored_all_the_same(case):
+    c = case("late")
+    c.box.meter.ns = 10**15
+    assert "have passed" in c.box.call("run").text
+    c.box.call("write_program", {"text": c._text.replace(*BETTER["late"])})
+    assert c.score().mended
+
+
+def test_a_program_writes_into_the_air_where_no_chip_is(case):
+    c = case("address")
+    c.box.call("write_program", {"text": c._text.replace("304h", "340h")})
+    assert "answers FFh for ever" in c.box.call("run").text
+    assert c.box.call("measure").data == {"x_mm": 0.0, "y_mm": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("x operate 15h", "a line begins with an axis"),
+        ("q: operate 15h", "Known: x, y"),
+        ("x: opperate 15h", "Did you mean operate"),
+        ("x: R9 <- 1", "no register or word"),
+        ("x: R1 <- 9999999", "more than 13 bits"),
+        ("wait long", "seconds, 0 to 60"),
+        ("wait nan", "seconds, 0 to 60"),
+        ("until x", "as in `until x stopped 5`"),
+        ("until x status.orgg 1 2", "Did you mean 'org'"),
+        ("until x control.preset 1 2", "no status word that is polled"),
+        ("base x here", "is not a whole number"),
+        ("\n" * 300, "up to 200"),
+    ],
+)
+def test_a_line_that_cannot_be_read_is_told_with_its_number(case, line, said):
+    c = case("reset")
+    with pytest.raises(ArgumentError, match=said.replace("(", r"\(")):
+        parse("# first\n" + line, c.stage)
+    answer = c.box.call("write_program", {"text": "# first\n" + line})
+    assert not answer.ok
+    assert c.box.call("program").text == c.setup.program
+
+
+def test_a_case_that_is_none_is_refused():
+    with pytest.raises(ArgumentError, match="Did you mean 'supply'"):
+        Case("suply")

@@ -1,0 +1,221 @@
+"""What the score of a broken set-up is worth: nothing is had without finding and mending, and work costs."""
+
+import re
+
+import pytest
+
+from registerbench.arena import play, player, suite
+from registerbench.diagnosis import CAUSES, SERVICES, SETUPS, Case
+from registerbench.diagnosis.trial import Sample, Trial, rests_of
+
+EVERY_DAY = ("polarity", "supply")
+NAMES = [name if name in EVERY_DAY else pytest.param(name, marks=pytest.mark.slow) for name in SETUPS]
+
+
+def score(name, act):
+    case = Case(name)
+    try:
+        act(case.box)
+        return case.score()
+    finally:
+        case.box.close()
+
+
+def crawl(box):
+    """Every high speed becomes the chip's low one, and the host waits as long as it may."""
+    text = box.call("program").text
+    text = re.sub(r"operate 15h", "operate 10h", text)
+    text = re.sub(r"R2 <- \d+", "R2 <- 340", text)
+    text = re.sub(r"x: V <- \d+", "x: V <- 400", text)
+    text = re.sub(r"stopped \d+", "stopped 60", text)
+    assert box.call("write_program", {"text": text}).ok
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_who_does_nothing_gets_nothing(name):
+    assert score(name, lambda box: None).value == 0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_who_crawls_mends_nothing(name):
+    got = score(name, crawl)
+    assert not got.mended
+    assert got.value == 0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_who_names_all_causes_gets_nothing(name):
+    def all_causes(box):
+        for cause in CAUSES:
+            box.call("answer", {"cause": cause})
+
+    got = score(name, all_causes)
+    assert got.value == (0.5 if SETUPS[name].cause == next(iter(CAUSES)) else -0.5)
+
+
+def test_as_many_wrong_as_right_guesses_are_nothing():
+    right, wrong = (
+        score("polarity", lambda box, c=c: box.call("answer", {"cause": c})).value for c in list(CAUSES)[:2]
+    )
+    assert right + wrong == 0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_who_orders_all_services_gets_nothing(name):
+    def all_services(box):
+        for work in SERVICES:
+            assert box.call("service", {"work": work}).ok
+
+    assert score(name, all_services).value == 0
+
+
+LATE = ("R6 <- 320 ", "R6 <- 3200")
+TWICE = (r"(?s)x: R0 <- 8000           # once more.*?wait 0.2\n", "")  # one long move in place of two
+Y_TOO = "wait 0.2\ny: operate 08h\ny: R0 <- 99\ny: R1 <- 340\ny: R7 <- 204\ny: control 44h\ny: operate 10h\nuntil y stopped 1"
+NOT_ASKED = (
+    ("reset", (("R0 <- 8000           # 25", "R0 <- 16000  # 50"), TWICE), "it rests at 2 places, and 3"),
+    ("wide", (("84 2: 41 1: 10", "R4 <- 1000"),), "its ramp up takes"),
+    ("late", (LATE, ("R2 <- 8160", "R2 <- 1360")), "it takes more than"),
+    ("late", (LATE, ("R6 <- 3200\n", "R6 <- 12000\n")), "it takes more than"),
+    ("late", (LATE, ("wait 0.2", "wait 0.02")), "places, and 2 are wanted"),
+    ("late", (LATE, ("R0 <- 16000", "R0 <- 15970")), "mm is wanted"),
+    ("address", (("base x 304h", "base x 300h"), ("wait 0.2", Y_TOO)), "y moves"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "changes", "why"), NOT_ASKED)
+def test_what_is_not_asked_for_is_not_mended(name, changes, why):
+    case = Case(name)
+    text = case.setup.program
+    for was, becomes in changes:
+        assert re.search(was, text)
+        text = re.sub(was, becomes, text)
+    assert case.box.call("write_program", {"text": text}).ok
+    assert why in case.why_not()
+    case.box.close()
+
+
+def test_a_program_that_goes_round_a_broken_machine_does_not_mend_it():
+    """Another program than that which came, at half the rate: the machine is as weak as it was."""
+
+    def slower(box):
+        crawl(box)
+        box.call("answer", {"cause": "supply too low"})
+
+    got = score("supply", slower)
+    assert (got.found, got.mended, got.value) == (1, False, 0.5)
+
+
+def test_work_costs():
+    def mend(box, *more):
+        for work in more:
+            box.call("service", {"work": work})
+        box.call("service", {"work": "set the supply of the drives to what is on the nameplate"})
+
+    works = [w for w, cause in SERVICES.items() if not cause]
+    assert score("supply", lambda box: mend(box, *works[:2])).value == 0.25
+
+    def busy(box):
+        mend(box)
+        for _ in range(3):
+            box.call("move", {"axis": "x", "pulses": 10})
+        box.call("wait", {"seconds": 20})
+
+    assert score("supply", busy).value == pytest.approx(0.5 * (1 - 0.03 - 0.02), abs=1e-3)
+
+
+def test_nothing_counts_behind_finish():
+    case = Case("supply")
+    case.box.call("finish")
+    for name, given in (("answer", {"cause": "supply too low"}), ("write_program", {"text": ""}), ("run", {}),
+                        ("service", {"work": "set the supply of the drives to what is on the nameplate"})):  # fmt: skip
+        assert "you have finished" in case.box.call(name, given).text
+    assert case.score().value == 0
+    case.box.close()
+
+
+@pytest.mark.slow
+def test_the_technician_is_near_one_on_all():
+    came = play(suite("diagnosis"), player("technician"))
+    assert all(r.score["value"] > 0.95 for r in came.rounds)
+
+
+def way(stops, rate=1000.0, aside=0.0, lost=0.0, start=0.0, rest=100, ramps=()):
+    """Samples of a way at `rate`, a pulse a millimetre, with rests of 0.2 s; ramps: s up to that rate, of each way."""
+    seen, t, x = [Sample(0.0, start, start, 0.0, 0.0, False)], 0.0, start
+    for stop, ramp in zip(stops, (*ramps, *[0.0] * len(stops)), strict=False):
+        begin = t
+        while abs(stop - x) > 1e-9:
+            now = rate * min((t - begin + 2e-3) / ramp, 1.0) if ramp else rate
+            step = max(-now * 2e-6, min(now * 2e-6, stop - x))
+            t, x = t + 2e-3, x + step
+            seen.append(Sample(t, x, x, 0.0, aside, True))
+        for _ in range(rest):
+            t += 2e-3
+            seen.append(Sample(t, x, x, lost, aside, False))
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("seen", "why"),
+    [
+        (way((0.05, 0.0)), ""),
+        (way((0.05,)), "it rests at 1 places"),
+        (way((0.05, 0.02, 0.0)), "it rests at 3 places"),
+        (way((0.05, 0.001)), "it rests at 1.000 mm"),
+        (way((0.05, 0.0), rate=900), "way 1 has 900 pulses"),
+        (way((0.05, 0.0), rate=1100), "way 1 has 1100 pulses"),
+        (way((0.05, 0.0), aside=1e-3), "y moves"),
+        (way((0.05, 0.0), lost=4), "steps are lost"),
+    ],
+)
+def test_a_trial_sees_what_is_wrong(seen, why):
+    assert len(rests_of(seen))
+    found = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(seen, 0.0, 1e-3)
+    assert found.startswith(why) if why else not found
+
+
+@pytest.mark.parametrize(
+    ("seen", "how", "start", "why"),
+    [
+        (way((0.05, -0.001)), {}, 0.0, "it rests at -1.000 mm, and 0 mm is wanted"),
+        (way((0.05, 0.00005)), {}, 0.0, ""),
+        (way((0.05, -0.00007)), {}, 0.0, "it rests at -0.070 mm"),
+        (way((0.05, -0.00007)), {"within": 1e-4}, 0.0, ""),
+        (way((0.05, 0.0), aside=-1e-3), {}, 0.0, "y moves"),
+        (way((0.05, 0.0), aside=-2e-5), {}, 0.0, ""),
+        (way((0.05, 0.0), lost=-4), {}, 0.0, "steps are lost"),
+        (way((0.06, 0.01), start=0.01), {}, 0.01, ""),
+        (way((0.05, 0.0), start=0.01), {}, 0.01, "it rests at 50.000 mm, and 60 mm is wanted"),
+        (way((0.05, 0.0), start=0.01), {"from_start": False}, 0.01, ""),
+        (way((0.05, 0.0), rest=40), {}, 0.0, "it rests at 0 places, and 2 are wanted"),
+        (way((0.05, 0.0), rest=52), {}, 0.0, ""),
+        (way((0.05, 0.0)), {"ramp": 0.1}, 0.0, "its ramp up takes"),
+        (way((0.05, 0.0), ramps=(0.08,)), {"ramp": 0.08}, 0.0, ""),
+        (way((0.05, 0.0), ramps=(0.02, 0.08)), {"ramp": 0.08}, 0.0, "its ramp up takes"),
+        (way((0.05, 0.0), rate=951), {}, 0.0, ""),
+        (way((0.05, 0.0), rate=1049), {}, 0.0, ""),
+    ],
+)
+def test_a_trial_measures_either_side_and_the_first_ramp_alone(seen, how, start, why):
+    found = Trial((0.05, 0.0), rate=1000, seconds=1.0, **how).wrong(seen, start, 1e-3)
+    assert found.startswith(why) if why else not found, found
+
+
+def test_the_second_way_is_judged_by_itself():
+    """As fast as the first on the way there, too slow back"""
+    there, back = way((0.05,)), way((0.0,), rate=800, start=0.05)
+    last = there[-1].time
+    seen = [*there, *(s._replace(time=s.time + last + 2e-3) for s in back)]
+    found = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(seen, 0.0, 1e-3)
+    assert found.startswith("way 2 has 800 pulses a second")
+
+
+@pytest.mark.parametrize(
+    ("back", "why"), [(1000.0, ""), (800.0, "way 2 has 800 pulses"), (1300.0, "way 2 has 1300 pulses")]
+)
+def test_each_way_has_its_own_rate_seen_from_the_rest_before_it(back, why):
+    out, home = way((0.05,)), way((0.0,), rate=back, start=0.05)
+    seen = out + [s._replace(time=s.time + out[-1].time) for s in home[1:]]
+    found = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(seen, 0.0, 1e-3)
+    assert found.startswith(why) if why else not found

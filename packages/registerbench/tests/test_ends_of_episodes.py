@@ -1,0 +1,73 @@
+"""Episodes of the bench end what they began, and a player's seed is its run."""
+
+import pytest
+
+import registerbench
+from registerbench import episodes
+from registerbench.cards import CARDS, Card
+from registerbench.episodes import Episodes
+from stage.envs.base import StageEnv
+
+BRIEF = Card(
+    "brief",
+    "stage/FewShotTuning-v1",
+    "one try of a short move, for tests",
+    settings={"model": "xy", "distances": (400, 500), "tries": 1, "proofs": 0, "settle": 0.01},
+    episodes=2,
+)
+
+
+@pytest.fixture(autouse=True)
+def brief(monkeypatch):
+    monkeypatch.setitem(CARDS, "brief", BRIEF)
+
+
+@pytest.fixture
+def closed(monkeypatch):
+    found = []
+    monkeypatch.setattr(StageEnv, "close", lambda self: found.append(self))
+    return found
+
+
+def test_episodes_that_are_closed_close_their_environment(closed):
+    made = Episodes("brief", "train", "host", "open", {})
+    made.close()
+    assert closed == [made.env]
+
+
+def test_a_play_closes_its_environment_after_its_end_and_after_an_error(closed):
+    registerbench.play("random", "brief", episodes=1)
+    assert len(closed) == 1
+    with pytest.raises(ZeroDivisionError):
+        registerbench.play(lambda observation, info: 1 / 0, "brief", episodes=1)
+    assert len(closed) == 2
+
+
+def test_a_player_that_draws_is_seeded_by_its_run_and_plays_the_round_that_was_asked_for(monkeypatch):
+    asked, rounds, real, drawn = [], [], episodes.player, episodes.seeds
+    monkeypatch.setattr(episodes, "player", lambda *given: (asked.append(given), real(*given))[1])
+    monkeypatch.setattr(episodes, "seeds", lambda *given: (rounds.append(given[1:]), drawn(*given))[1])
+    made = registerbench.play(
+        "random", "brief", "heavy", run=6, round_="2031", episodes=1, name="dice", notes="n", cost={"moves": 4}
+    )
+    assert asked == [("random", "brief", 6)]
+    assert rounds == [("heavy", "2031")]
+    assert (made.run, made.player, made.notes, made.round, made.split, made.cost["moves"]) == (
+        6,
+        "dice",
+        "n",
+        "2031",
+        "heavy",
+        4,
+    )
+    assert registerbench.play("random", "brief", episodes=1).player == "random"
+    assert made.seeds == (drawn(BRIEF, "heavy", "2031")[0],)
+
+
+def test_what_a_policy_says_of_its_cost_comes_before_what_was_said_of_it_and_what_was_counted_before_both():
+    def frugal(observation, info):
+        return [0.0] * 4
+
+    frugal.cost = {"tokens": 12, "test_moves": 99}
+    made = registerbench.play(frugal, "brief", episodes=1, cost={"tokens": 1, "moves": 7, "test_moves": 5})
+    assert made.cost == {"tokens": 12, "moves": 7, "test_moves": 1}

@@ -1,0 +1,223 @@
+"""The learners of the benchmark: what a policy may know, masks that hold, and that they learn."""
+
+import dataclasses
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+import registerbench
+import stage.envs  # noqa: F401
+from registerbench.cards import CARDS
+from registerbench.policies import Around
+from registerbench.statistics import rows
+
+
+@pytest.fixture
+def rules():
+    from registerbench.baselines import rules
+
+    return rules
+
+
+NAMES = ("distance", "kept")
+
+
+def boldness(rules, kind, w, *kept):
+    """Logarithm of the boldness of each try, after tries that kept step or did not."""
+    rule, tried = kind(w, NAMES), []
+    usual = rules.bold(np.ones(1))[0, 2]
+    per = (rules.bold(np.full(1, np.e))[0, 2] - usual).item()
+    for k in range(len(kept) + 1):
+        seen = np.array([[0.5, float(kept[k - 1]) if k else 0.0]])
+        tried.append((rule(seen)[0, 2] - usual) / per)
+    return pytest.approx(tried, abs=1e-5)
+
+
+def test_a_policy_without_memory_does_the_same_whatever_its_tries_have_shown(rules):
+    w = (0.2, 0.4, 0.8)
+    assert boldness(rules, rules.Blind, w, True, True) == [0.4, 0.5, 0.6]
+    assert boldness(rules, rules.Blind, w, False, True) == [0.4, 0.5, 0.6]
+
+
+def test_a_policy_with_memory_goes_up_until_it_loses_steps_and_then_between(rules):
+    kind, w = rules.Remembering, (0.6, 0.0, 0.2, 0.25, 0.1)
+    assert boldness(rules, kind, w, True, True) == [0.6, 0.8, 1.0]
+    assert boldness(rules, kind, w, False, False) == [0.6, 0.2, -0.2]
+    assert boldness(rules, kind, w, True, False, True) == [0.6, 0.8, 0.65, 0.65 + 0.15 / 4]
+    assert boldness(rules, kind, w, *[True] * 7) == [0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 1.7], "back at last"
+    rule = kind(w, NAMES)
+    for seen in (0.0, 1.0, 0.0):  # the same try, once so and once so
+        rule(np.array([[0.5, seen]]))
+        rule.last[:] = 0.5
+    assert not np.isfinite(rule.held), "it was luck, and is forgotten"
+    assert rule.last == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("task", "player"),
+    [("few-shot-wide", "es with memory"), ("one-shot", "es"), ("line", "es"), ("home", "es")],
+)
+def test_the_policy_of_the_bench_plays_as_the_one_that_learned(rules, task, player):
+    from registerbench.baselines import rule_learners as learners
+
+    kind = rules.RULES[task, player]
+    w = np.array(kind.BEGINS) + 0.1
+    envs = learners.vector(task, 2, **learners.CHEAPER.get(task, {}))
+    total, _, steps = learners.play(envs, kind, w, 5)
+    envs.close()
+    card, policy = CARDS[task], learners.Policy(kind, w.tolist())
+    chosen = {"memory": "last"} if "memory" in card.choices else {}
+    env = gymnasium.make(
+        card.id, disable_env_checker=True, **{**card.settings, **chosen, **learners.CHEAPER.get(task, {})}
+    ).unwrapped
+    made = 0
+    for k in range(2):
+        observation, info = env.reset(seed=5 + k)
+        policy.reset(Around(task, None, None, tuple(e.name for e in env.entries)))
+        alone, over = 0.0, False
+        while not over:
+            observation, reward, terminated, truncated, info = env.step(policy(observation, info))
+            alone, over, made = alone + reward, terminated or truncated, made + 1
+        assert alone == pytest.approx(total[k])
+    assert made == steps
+
+
+@pytest.mark.slow
+def test_cma_es_finds_a_bolder_policy_than_it_begins_with(tmp_path):
+    pytest.importorskip("cmaes")
+    from registerbench.baselines import rule_learners as learners
+
+    learners.learn("few-shot", 0, tmp_path, machines=16)
+    path = tmp_path / "few-shot_es-without-memory-0.csv"
+    points = [r.split(",") for r in path.read_text().splitlines()[1:]]
+    first, last = ([float(r[3]) for r in points if r[0] == points[k][0]] for k in (0, -1))
+    assert len(first) == len(last) == learners.EPISODES
+    assert np.mean(last) > np.mean(first) + 0.2
+    learners.submit(path.with_suffix(".json"), ["train"], tmp_path)
+    entry = registerbench.read(tmp_path / "few-shot-train-es-without-memory-0.bench")
+    assert entry.cost["moves"] == float(points[-1][0])
+    assert entry.scores["return"][: learners.EPISODES] == pytest.approx(last, abs=1e-3), "the curve's end is the entry"
+
+
+def test_a_rule_earns_on_a_table_what_its_tries_are_worth_there(rules):
+    from registerbench.baselines.boldness import BOLDNESS, Table
+
+    edge = np.array([2.0, 4.0])
+    kept = BOLDNESS[:, None] < edge
+    worth = np.where(kept, np.log(BOLDNESS)[:, None], 0.0)
+    table = Table(kept, kept, worth, np.zeros(2), False, 0, 0.05)
+    at = table.at(np.log([1.9, 2.1, 3.9]))
+    assert kept[at].tolist() == [[True, True], [False, True], [False, True]]
+    best = table.total(np.array([at[0], at[2], at[1]])[:, None])
+    assert best == pytest.approx([worth[at[0], 0] - 2 * 0.05, worth[at[2], 1]])
+    answer = dataclasses.replace(table, last=True)
+    assert answer.total(np.array([at[2], at[1]])[:, None]) == pytest.approx([-2 * 0.05, worth[at[1], 1]])
+    w = rules.Remembering.BEGINS
+    closed_in, blind = (answer.play(kind, kind.BEGINS) for kind in (rules.Remembering, rules.Blind))
+    assert (closed_in > np.log(edge) - 0.2 - 5 * 0.05).all(), (
+        "close to each machine's edge, after five tries that were lost"
+    )
+    assert blind[0] == blind[1] < closed_in[1], "the same for both"
+    assert table.part(1).play(rules.Remembering, w) == table.play(rules.Remembering, w)[:1]
+
+
+def test_memory_pays_where_the_last_try_is_the_answer_by_more_than_the_intervals():
+    published = registerbench.read_all(Path(__file__).parents[1] / "docs" / "data" / "entries" / "few-shot-wide.zip")
+    found = {row.player: row for row in rows(published.values()) if row.split == "train"}
+    assert found["es with memory"].beats(found["es without memory"])
+
+
+@pytest.fixture
+def curves():
+    pytest.importorskip("matplotlib")
+    from registerbench.baselines import learning_curves
+
+    return learning_curves
+
+
+def test_the_page_has_the_table_of_the_published_curves(curves):
+    assert curves.table(curves.read(curves.DATA)) in (curves.DOCS / "benchmark.md").read_text()
+
+
+def test_of_published_curves_the_processor_s_time_grows_and_has_what_was_tried_in_it(curves):
+    """few-shot-wide: a run's table is some 20 s, from the first point on"""
+    for task, players in curves.read(curves.DATA).items():
+        for player, runs in players.items():
+            for run, points in runs.items():
+                spent = [float(p["processor_s"]) for p in points]
+                assert spent == sorted(spent), (task, player, run)
+                assert spent[-1] > 5, (task, player, run)
+
+
+def test_axes_are_seen_by_their_role_and_macros_are_those_of_the_environment_again():
+    pytest.importorskip("stable_baselines3")
+    from registerbench.baselines.bus_macros_turned import OF_AXES, Turn
+
+    env = gymnasium.make("stage/BusMacros-v1", disable_env_checker=True, model="xy", level="axes").unwrapped
+    names, macros = [e.name for e in env.entries], list(env.macros)
+    turn, of_axes = Turn(names, len(macros)), names.index("used")
+
+    def now(seen, mask):
+        axis = turn.axis(seen[None])
+        return axis, turn.seen(seen[None], axis)[0], turn.masks(mask[None], axis)[0]
+
+    first, info = env.reset(seed=1, options={"targets": {"x": 16, "y": 16}})
+    axis, x, x_mask = now(first, info["action_mask"])
+    assert np.array_equal(x, first)
+    assert np.array_equal(x_mask, info["action_mask"])
+    second, *_, info = env.step(macros.index("select y"))
+    axis, y, y_mask = now(second, info["action_mask"])
+    assert axis.tolist() == [1]
+    assert not np.array_equal(second[of_axes:], first[of_axes:])
+    assert np.array_equal(y[: of_axes + 2 * len(OF_AXES)], x[: of_axes + 2 * len(OF_AXES)]), "y is now what x was"
+    assert np.array_equal(y_mask, x_mask)
+    other = len(macros) - 1
+    assert [macros[k] for k in turn.back(np.array([0, other, other]), np.array([1, 0, 1]))] == [
+        macros[0],
+        "select y",
+        "select x",
+    ]
+
+
+def test_to_a_learner_the_way_of_an_axis_is_worth_as_much_with_a_second_axis_as_without():
+    pytest.importorskip("sb3_contrib")
+    from registerbench.baselines import bus_macros_learners as learners
+
+    def progress(level, **targets):
+        weight = learners.PROGRESS[level]
+        env = gymnasium.make(learners.ID, disable_env_checker=True, level=level, progress_weight=weight).unwrapped
+        env.reset(seed=1, options={"targets": targets})
+        said = ("rates usual", "distance 1024", "plus", "wait")
+        return sum(env.step(env.macros.index(m))[-1]["reward_parts"]["progress"] for m in said)
+
+    alone = progress("target", x=2048)
+    assert alone > 0.1
+    assert progress("axes", x=2048, y=0) == pytest.approx(alone, abs=1e-3)
+
+
+def test_a_learner_that_is_stopped_says_what_is_kept_and_ends_as_shells_have_it(capsys):
+    from registerbench.baselines.stopping import stops
+
+    with pytest.raises(SystemExit) as stopped, stops("two runs are kept."):
+        raise KeyboardInterrupt
+    assert stopped.value.code == 130
+    assert "two runs are kept." in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_dqn_never_takes_a_macro_that_is_masked_and_learns_one_axis_in_a_minute(tmp_path):
+    pytest.importorskip("sb3_contrib")
+    from registerbench.baselines import bus_macros_learners as learners
+
+    learners.learn("dqn", 0, 0.3, "target", tmp_path)
+    policy, rng = learners.Policy.load(tmp_path / "target-dqn-0.zip"), np.random.default_rng(0)
+    env = gymnasium.make(learners.ID, disable_env_checker=True).unwrapped
+    policy.reset(Around("bus", env.action_space, env.observation_space, tuple(e.name for e in env.entries)))
+    masks = rng.integers(0, 2, (200, env.action_space.n))
+    masks[:, 0] |= masks.sum(axis=1) == 0
+    seen = rng.uniform(-1, 1, (200, env.observation_space.shape[0])).astype(np.float32)
+    assert masks[np.arange(200), policy.choose(seen, masks)].all()
+    entry = registerbench.play(policy, "bus-target", "train", episodes=24)
+    assert entry.scores["success"].mean() > 0.8

@@ -1,0 +1,178 @@
+"""Players from outside: commands that speak JSON lines, OpenAI-compatible endpoints, clients of the Model Context Protocol."""
+
+import asyncio
+import http.server
+import sys
+import threading
+
+import pytest
+from fake_model import FakeModel, calls, says
+
+from registerbench.arena import play, replay, suite
+from registerbench.arena.players.command import Command
+from registerbench.arena.players.endpoint import Endpoint
+from stage.errors import ArgumentError, StageError
+
+SOLVES = """
+import json, sys
+def say(**line):
+    print(json.dumps(line), flush=True)
+    return json.loads(sys.stdin.readline())
+begin = json.loads(sys.stdin.readline())
+assert "customer" in begin["task"] and any(t["name"] == "run" for t in begin["tools"])
+program = say(call="program", tokens=7)["answer"]["text"]
+say(call="write_program", arguments={"text": program.replace("R6 <- 320 ", "R6 <- 3200")})
+assert say(call="answer", arguments={"cause": "ramp-down point too late"})["ok"]
+print(json.dumps({"done": True, "tokens": 5}), flush=True)
+"""
+
+
+def command(code, **how):
+    return Command([sys.executable, "-c", code], **how)
+
+
+def test_a_command_that_speaks_json_lines_plays():
+    played = play(suite("diagnosis:late"), command(SOLVES), "mine")
+    assert played.value == 1.0
+    assert played.tokens == 12
+    assert replay(played).same
+
+
+@pytest.mark.parametrize(
+    "code", ["", "print('hello')", "import sys; sys.exit(3)", "print('[1, 2]', flush=True)", "while True: print('{}', flush=True)",
+             "print('x' * 3_000_000, flush=True)", "import os; os.close(1); input(); input()"]
+)  # fmt: skip
+def test_a_command_that_speaks_nonsense_is_scored_as_it_is(code):
+    played = play(suite("diagnosis:late"), command(code), "odd")
+    assert played.value == 0.0
+
+
+def test_a_command_that_there_is_not_is_told():
+    with pytest.raises(StageError, match="Name a program"):
+        play(suite("diagnosis:late"), Command("/nowhere/agent"))
+    with pytest.raises(ArgumentError, match="is empty"):
+        Command("  ")
+
+
+# --- endpoints ---
+
+
+def mend(body):
+    """What a model would do that has read the program."""
+    program = next(m["content"] for m in body["messages"] if m["role"] == "tool")
+    return calls(
+        ("write_program", {"text": program.replace("R6 <- 320 ", "R6 <- 3200")}),
+        ("answer", {"cause": "ramp-down point too late"}),
+        ("finish", {}),
+    )
+
+
+def test_a_model_behind_an_endpoint_plays():
+    with FakeModel(calls(("program", {})), says("let me see"), mend) as model:
+        played = play(suite("diagnosis:late"), Endpoint(model.url, "fake", "secret"))
+    assert (played.player, played.value, played.tokens) == ("fake", 1.0, 21)
+    assert model.heads[0]["Authorization"] == "Bearer secret"
+    assert model.asked[0]["tools"][0]["type"] == "function"
+    assert model.asked[-1]["messages"][0]["content"].startswith("You act by calling tools")
+    assert replay(played).same
+
+
+def test_what_a_model_gets_wrong_it_is_taught():
+    wrong = calls(("runn", {}), ("service", '{"work": '), ("answer", '["x"]'), ("answer", {"cause": "late"}))
+    with FakeModel(wrong, calls(("finish", {}))) as model:
+        play(suite("diagnosis:late"), Endpoint(model.url, "fake"))
+        said = [m["content"] for m in model.asked[1]["messages"] if m["role"] == "tool"]
+    assert all(text.startswith("error: ") for text in said)
+    assert "Did you mean 'run'" in said[0]
+    assert "should be an object" in said[1]
+
+
+def test_a_model_that_calls_nothing_is_left_alone():
+    with FakeModel() as model:
+        played = play(suite("diagnosis:late"), Endpoint(model.url, "fake"))
+    assert played.value == 0.0
+    assert len(model.asked) == 3
+
+
+def test_an_endpoint_may_be_busy_for_a_while():
+    with FakeModel(503, 429, calls(("finish", {}))) as model:
+        assert play(suite("diagnosis:late"), Endpoint(model.url, "fake", pause=0.0)).rounds[0].calls
+    assert len(model.asked) == 3
+
+
+NO_REPLIES = (
+    (401, "401"), (b"<html>", "does not answer in JSON"), ({"choices": []}, "does not answer as chat"),
+    ({"choices": [{"message": {"tool_calls": [1]}}]}, "does not answer as chat"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("reply", "said"), NO_REPLIES)
+def test_an_endpoint_that_is_none_is_told(reply, said):
+    with FakeModel(reply) as model, pytest.raises(StageError, match=said):
+        play(suite("diagnosis:late"), Endpoint(model.url, "fake", pause=0.0))
+
+
+def test_an_endpoint_that_cannot_be_reached_is_told():
+    with pytest.raises(StageError, match="cannot be reached"):
+        play(suite("diagnosis:late"), Endpoint("http://127.0.0.1:9/v1", "fake", pause=0.0))
+
+
+# --- clients ---
+
+
+@pytest.mark.slow
+def test_a_client_of_the_protocol_plays_a_game(tmp_path):
+    pytest.importorskip("mcp")
+    from mcp import Client
+    from mcp.client.stdio import StdioServerParameters
+
+    file = tmp_path / "t.jsonl"
+
+    async def work():
+        arguments = ["-m", "stage", "agent", "diagnosis:late", "--mcp", "-o", str(file)]
+        async with Client(StdioServerParameters(command=sys.executable, args=arguments)) as client:
+            assert "write_program" in [t.name for t in (await client.list_tools()).tools]
+            assert not (await client.list_resources()).resources
+            program = (await client.call_tool("program", {})).content[0].text
+            better = program.replace("R6 <- 320 ", "R6 <- 3200")
+            await client.call_tool("write_program", {"text": better})
+            await client.call_tool("answer", {"cause": "ramp-down point too late"})
+            await client.call_tool("finish", {})
+            late = await client.call_tool("run", {})
+            assert late.is_error
+            assert "this game is over" in late.content[0].text
+            await asyncio.sleep(0)
+
+    asyncio.run(work())
+    found = replay(file)
+    assert found.same
+    assert found.played.calls == 4
+
+
+def test_the_key_goes_to_the_address_that_was_given_and_to_no_other():
+    """An endpoint that answers 302: the request, with its key, is not sent on"""
+    came = []
+
+    class Elsewhere(http.server.BaseHTTPRequestHandler):
+        def do_GET(self):
+            came.append(self.headers.get("Authorization"))
+            self.send_response(200)
+            self.end_headers()
+
+        def do_POST(self):
+            self.send_response(302)
+            self.send_header("Location", f"http://localhost:{server.server_port}/steal")
+            self.end_headers()
+
+        def log_message(self, *_):
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Elsewhere) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            url = f"http://127.0.0.1:{server.server_port}/v1"
+            with pytest.raises(StageError, match="302"):
+                play(suite("diagnosis:late"), Endpoint(url, "m", "secret", pause=0.0))
+        finally:
+            server.shutdown()
+    assert came == []

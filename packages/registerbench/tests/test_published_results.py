@@ -1,0 +1,179 @@
+"""docs/results.md: its verdicts, the command that makes it, and that every number of it comes from data/results.parquet."""
+
+import importlib
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from registerbench.baselines import runs as published
+from registerbench.baselines.common import HELD, REPEATS, Log
+from registerbench.baselines.runs import Run, Runs
+
+DOCS = Path(__file__).parents[1] / "docs"
+DATA, PAGE = DOCS / "data" / "results.parquet", DOCS / "results.md"
+
+
+@pytest.fixture
+def results(monkeypatch):
+    module = importlib.import_module("registerbench.baselines.results")
+    monkeypatch.delitem(sys.modules, "registerbench.baselines.results")
+    return module
+
+
+def moves(*rewards, kept=True, duration=0.4, more=0.0):
+    log = Log()
+    for k, reward in enumerate(rewards):
+        log.note(
+            reward, duration, 0 if kept else 4, 1e-5, kept, [1, 2, 3, 4, 5, 6], (32_000, 0.5 + more, k / len(rewards))
+        )
+    return log
+
+
+def run(method="CMA-ES", seed=1, reward=-0.4, duration=0.4, found=True):
+    made = Run(method, "heavy", seed, moves(-0.3, -0.35))
+    if found:
+        made.proofs = {0: moves(-5.3, kept=False), 1: moves(*[-0.36] * 48)}
+        made.test = {context: moves(reward, duration=duration) for context in published.CONTEXTS}
+    return made
+
+
+@pytest.fixture(scope="module")
+def all_():
+    return Runs.read(DATA)
+
+
+def test_a_formula_is_beaten_by_an_interval_of_rewards_above_0_of_ten_seeds_or_more_that_all_found_an_answer(results):
+    """Five verdicts were of time alone, and other ones by the reward by which the answers are chosen."""
+    made = [run("formula", reward=-0.44, duration=0.43)]
+    for method, rewards, durations in (
+        ("CMA-ES", np.linspace(-0.41, -0.40, 10), [0.45] * 10),  # better by reward, slower
+        ("PPO", np.linspace(-0.50, -0.40, 10), [0.40] * 10),  # faster
+        ("random", [-0.40] * 10, [0.40] * 10),
+        ("SAC", [-0.40] * 9, [0.40] * 9),
+    ):
+        for k, (reward, duration) in enumerate(zip(rewards, durations, strict=True)):
+            made.append(run(method, k + 1, reward, duration, found=(method, k) != ("random", 9)))
+    made.append(run("agent loop", reward=-0.47, duration=0.47))
+    said = results.verdict(made, "heavy", results.FORMULA)
+    assert "(-440.0 ms, time 430.0 ms): by reward it is beaten by CMA-ES; better than none; open: random, PPO." in said
+    assert "In time it is beaten by PPO; better than CMA-ES; open: random." in said, "one of its ten found none"
+    assert said.endswith("Fewer than 10 runs, hence no verdict: agent loop, SAC.")
+    told = {m.name: g for m, g in results.gains(made, "heavy", results.FORMULA).items()}
+    assert re.fullmatch(r"\+35\.0 \(\+3\d\.\d to \+3\d\.\d\)", told["CMA-ES"][0].told)
+    assert told["agent loop"][0].told == "-30.0"
+
+
+def test_an_answer_is_told_by_its_test_and_not_by_its_proof():
+    made = run(reward=-0.41)
+    assert (made.answer, made.lucky) == (1, 1)
+    assert made.mean("reward") == pytest.approx(-410)
+    assert made.flattered == pytest.approx(50)
+    made.test[published.NEW] = moves(-0.4, -5.4)
+    made.test[published.NEW].kept[1] = False
+    assert made.lost(published.NEW) == 1
+    assert made.mean("reward") == pytest.approx(-2900), "a lost step is paid for"
+    assert made.mean("reward", kept=True) == pytest.approx(-400)
+
+
+def test_spare_ends_at_the_first_payload_with_which_a_step_was_lost():
+    made = run()
+    assert made.spare == 3.0
+    made.test["+2 kg"] = moves(-5.4, kept=False)
+    assert made.spare == 1.5
+    made.test["+0.5 kg"] = moves(-5.4, kept=False)
+    assert made.spare == 0.0
+
+
+def test_runs_come_back_from_their_file_and_equal_ones_give_equal_bytes(tmp_path):
+    some = Runs(2, 2, {"heavy": 10.0}, versions={"mujoco": "3.17.0"}, runs=[run(seed=1), run(seed=2, found=False)])
+    some.write(tmp_path / "a.parquet")
+    back = Runs.read(tmp_path / "a.parquet")
+    back.write(tmp_path / "b.parquet")
+    assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
+    assert (back.budget, back.payloads, back.versions) == (2, {"heavy": 10.0}, {"mujoco": "3.17.0"})
+    for old, new in zip(some.runs, back.runs, strict=True):
+        assert (new.method, new.payload, new.seed, new.answer, new.lucky) == (
+            old.method, old.payload, old.seed, old.answer, old.lucky,
+        )  # fmt: skip
+        assert new.search.registers == old.search.registers
+        assert list(new.proofs) == list(old.proofs)
+        assert list(new.test) == list(old.test)
+        assert new.mean("reward") == pytest.approx(old.mean("reward"), rel=1e-6, nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("made", "options"),
+    [
+        ({"payloads": {"light": 0.5, "heavy": 10.0}}, ""),
+        ({"payloads": {"2 kg": 2.0, "5 kg": 5.0}, "model": "xy"}, "--model xy --payload 2 5 "),
+        ({"payloads": {"light": 0.5}, "quick": True}, "--quick "),
+        (
+            {"payloads": {"2 kg": 2.0}, "quick": True, "model": "my stage.xml"},
+            "--quick --model 'my stage.xml' --payload 2 ",
+        ),
+    ],
+)
+def test_made_by_is_the_command_that_makes_the_page(made, options, results):
+    """`--model xy --payload 2` was missing."""
+    said = results.made_by(Runs(16, 2, **made))
+    assert said == f"python -m registerbench.baselines.results {options}--budget 16 --seeds 2"
+
+
+def test_the_page_is_what_the_published_moves_say(all_, results):
+    assert PAGE.read_text() == results.page(all_)
+
+
+def test_each_published_answer_follows_from_its_proofs(all_):
+    """Written out once more: the first HELD that hold, of these the highest mean reward."""
+    answers = 0
+    for r in all_.runs:
+        ranked = [k for k in np.argsort(-np.array(r.search.reward), kind="stable") if r.search.kept[k]]
+        assert list(r.proofs) == ranked[: len(r.proofs)]
+        held = {k: np.mean(log.reward) for k, log in r.proofs.items() if len(log) == REPEATS and all(log.kept)}
+        assert len(held) <= HELD
+        assert r.answer == (max(held, key=held.get) if held else None)
+        assert {c: len(log) for c, log in r.test.items()} == (
+            {c: k.moves for c, k in published.CONTEXTS.items()} if held else {}
+        )
+        registers = [log.registers for log in r.test.values()]
+        assert all(row == r.search.registers[r.answer] for rows in registers for row in rows)
+        answers += bool(held)
+    assert answers > 80
+
+
+def test_the_table_is_recomputed_from_the_rows_by_pandas(all_):
+    """Of each method: the mean reward and time of each seed's answer in new moves, the middle half of the seeds."""
+    pandas = pytest.importorskip("pandas")
+    table = pandas.read_parquet(DATA)
+    new = table[(table.part == "test") & (table.context == "new")]
+    by_seed = new.groupby(["payload", "method", "seed"], observed=True)[["reward", "duration_s"]].mean() * 1e3
+    lost = (~new.kept).groupby([new.payload, new.method], observed=True).sum()
+    for payload, section in zip(("light", "heavy"), PAGE.read_text().split("### ")[1:3], strict=True):
+        for line in section.splitlines():
+            cells = [c.strip() for c in line.split("|")[1:-1]]
+            if len(cells) == 11 and (payload, cells[0]) in lost.index:
+                seeds = by_seed.loc[payload, cells[0]]
+                for name, cell in (("reward", cells[3]), ("duration_s", cells[4])):
+                    values = np.sort(seeds[name])
+                    cut = len(values) // 4
+                    assert float(cell.split()[0].rstrip(",")) == pytest.approx(
+                        values[cut : len(values) - cut].mean(), abs=0.06
+                    )
+                assert int(cells[6].split()[0]) == lost[payload, cells[0]]
+    assert len(lost) == 14
+
+
+def test_no_search_and_no_proof_has_seen_a_move_of_a_test_and_seed_0_is_not_among_the_seeds(all_):
+    def drawn(logs):
+        return {tuple(row[1:]) for log in logs for row in log.drawn}
+
+    assert {r.seed for r in all_.runs} == set(range(1, 11))
+    tests = drawn(log for r in all_.runs for log in r.test.values())
+    seen = drawn(log for r in all_.runs for log in (r.search, *r.proofs.values()))
+    assert not tests & seen
+    new = next(r.test["new"] for r in all_.runs if r.test)
+    assert all(r.test["new"].drawn == new.drawn for r in all_.runs if r.test and r.payload == all_.runs[0].payload)
+    assert sum(d < 0 for d, *_ in new.drawn) == len(new) // 2

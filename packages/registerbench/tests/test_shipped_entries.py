@@ -1,0 +1,131 @@
+"""Entries that are published: each is replayed, bit for bit, a few episodes every day and all of them in the long checks."""
+
+import argparse
+import dataclasses
+import os
+import re
+import subprocess
+import sys
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import registerbench
+from registerbench import statistics
+from registerbench.cards import CARDS
+from registerbench.entry_files import Submission
+from registerbench.versions import versions
+
+FOLDER = Path(__file__).parents[1] / "docs" / "data" / "entries"
+ENTRIES = {
+    f"{archive.name}/{name}": entry
+    for archive in sorted(FOLDER.glob("*.zip"))
+    for name, entry in registerbench.read_all(archive).items()
+}
+SAME = ("mujoco", "numpy", "system", "physics")
+"""Versions with which an entry promises its bits."""
+FEW = 2  # episodes
+TASKS = ("line", "one-shot", "few-shot", "bus-target", "bus-axes")
+DAILY = [
+    min((n for n, e in ENTRIES.items() if e.task == task), key=lambda n: len(ENTRIES[n].rewards)) for task in TASKS
+]
+"""One with the fewest steps of each task."""
+
+
+def part(entry: Submission, episodes: int) -> Submission:
+    """The first episodes of an entry."""
+    steps = int(entry.steps[:episodes].sum())
+    return dataclasses.replace(
+        entry, seeds=entry.seeds[:episodes], steps=entry.steps[:episodes], actions=entry.actions[:steps],
+        rewards=entry.rewards[:steps], seen=entry.seen[: steps + episodes],
+        scores={name: values[:episodes] for name, values in entry.scores.items()},
+    )  # fmt: skip
+
+
+def bits_are_promised(entry: Submission) -> None:
+    here, there = versions(), {"physics": "1"} | entry.versions
+    if other := [f"{name} {there[name]}" for name in SAME if there[name] != here[name]]:
+        pytest.skip(f"made with {', '.join(other)}")
+
+
+def test_files_are_named_by_what_is_in_them_and_every_task_that_was_played_has_the_random_player():
+    played = {}
+    for name, e in ENTRIES.items():
+        assert name.startswith(f"{e.task}.zip/{e.task}-{e.split}-"), name
+        assert name.endswith(f"-{e.run}.bench"), name
+        assert len(e.seeds) == CARDS[e.task].episodes, name
+        played.setdefault(e.task, set()).add(e.player)
+    assert played
+    assert all("random" in players for players in played.values()), played
+
+
+def test_the_page_has_the_tables_that_the_published_entries_make():
+    page = (FOLDER.parents[1] / "benchmark.md").read_text()
+    for table in statistics.table(ENTRIES.values(), long=True).split("\n\n"):
+        assert f"\n{table}\n" in page, table
+
+
+def made_by_the_commands_of_the_page():
+    """(task, split, round, "learned" or a player's name) of commands of the cost table that write entries; of all players: ""."""
+    parser = argparse.ArgumentParser()
+    for name, usual in (("tasks", []), ("splits", ["train"]), ("players", [""])):
+        parser.add_argument(f"--{name}", nargs="+", default=usual)
+    parser.add_argument("--round", default="open")
+    page = (FOLDER.parents[1] / "benchmark.md").read_text()
+    made = set()
+    for script, typed in re.findall(r"`python -m registerbench\.baselines\.(\w+) ([^`]*-o entries[^`]*)`", page):
+        given, rest = parser.parse_known_args(typed.split())
+        learned = script != "bench_entries"
+        of_file = rest[1].removeprefix("runs/").partition("_") if learned else ("", "", "")
+        tasks = given.tasks or [of_file[0] if of_file[1] else "few-shot"]
+        made |= set(product(tasks, given.splits, [given.round], ["learned"] if learned else given.players))
+    return made
+
+
+def test_each_published_entry_is_made_by_a_command_of_the_page():
+    made = made_by_the_commands_of_the_page()
+    for name, e in ENTRIES.items():
+        who = {"learned"} if e.cost.get("moves") else {"", e.player}
+        assert {(e.task, e.split, e.round, name) for name in who} & made, name
+
+
+@pytest.mark.parametrize("name", DAILY)
+def test_a_published_entry_of_each_task_is_what_was_played(name):
+    entry = ENTRIES[name]
+    bits_are_promised(entry)
+    verdict = registerbench.verify(part(entry, FEW))
+    assert verdict.exact, verdict
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ENTRIES)
+def test_a_published_entry_is_what_was_played_to_its_last_episode(name):
+    bits_are_promised(ENTRIES[name])
+    verdict = registerbench.verify(FOLDER / name)
+    assert verdict.exact, verdict
+    assert verdict.whole
+
+
+def test_a_published_entry_with_one_other_action_is_found_out():
+    entry = part(ENTRIES["line.zip/line-train-random-0.bench"], 1)
+    bits_are_promised(entry)
+    actions = entry.actions.copy()
+    actions[0, 0] = np.float32(-0.9)
+    assert not registerbench.verify(dataclasses.replace(entry, actions=actions)).ok
+
+
+@pytest.mark.slow
+def test_the_bits_do_not_depend_on_what_numpy_makes_of_the_processor():
+    """`stage bench-verify bus-target.zip/bus-target-train-scripted-0.bench`, on processors with AVX-512 and without."""
+    path = FOLDER / "bus-target.zip" / "bus-target-train-scripted-0.bench"
+    bits_are_promised(registerbench.read(path))
+    for disabled in ("", "X86_V4 AVX512_ICL"):
+        done = subprocess.run(
+            [sys.executable, "-c", f"import registerbench; print(registerbench.verify({str(path)!r}).exact)"],
+            env=os.environ | {"NPY_DISABLE_CPU_FEATURES": disabled},
+            capture_output=True,
+            text=True,
+        )
+        assert done.stdout.strip() == "True", done.stderr

@@ -1,0 +1,71 @@
+"""Splits of a card: machines on which something comes out that does not on those of train."""
+
+from functools import cache
+from itertools import product
+
+import gymnasium
+import numpy as np
+import pytest
+
+import stage.envs  # noqa: F401 registers the ids
+from registerbench.cards import CARDS, FIRST
+from stage.envs import contexts
+
+LAST_FIGURE = 1e-3  # of a return, in the tables
+EPISODES = 8
+
+
+def made(card, split):
+    """Whether the card offers it or not."""
+    return gymnasium.make(card.id, disable_env_checker=True, **{**card.settings, "split": split}).unwrapped
+
+
+@cache
+def outcome(task, split, player, seed):
+    """(sum of rewards, observations) of a test episode."""
+    env = made(CARDS[task], split)
+    observation, _ = env.reset(seed=seed)
+    env.action_space.seed(seed)
+    total, seen, over = 0.0, [observation], False
+    while not over:
+        action = env.scripted() if player == "scripted" else env.action_space.sample()
+        observation, reward, terminated, truncated, _ = env.step(action)
+        total, over = total + reward, terminated or truncated
+        seen.append(observation)
+    env.close()
+    return total, np.array(seen, float)
+
+
+LONG = ("home", "bus-target", "bus-axes", "bus")  # seconds an episode
+SPLITS = [
+    pytest.param(c.name, s, marks=[pytest.mark.slow] if c.name in LONG else [])
+    for c in CARDS.values()
+    for s in c.splits
+    if s != "train"
+]
+
+
+@pytest.mark.parametrize(("task", "split"), SPLITS)
+def test_every_split_of_a_card_changes_what_comes_out(task, split):
+    for seed, player in product(range(FIRST, FIRST + EPISODES), ("scripted", "random")):
+        train, test = (outcome(task, name, player, seed)[0] for name in ("train", split))
+        if abs(train - test) > LAST_FIGURE:
+            return
+    pytest.fail(f"{split}: all {EPISODES} returns are those of train")
+
+
+@pytest.mark.parametrize("task", ["home", "line", "line-3", "bus-target", "bus-axes", "bus"])
+def test_looseness_changes_no_bit_of_these_tasks_and_they_do_not_offer_it(task):
+    assert "loose" not in CARDS[task].splits
+    (train, seen), (test, also) = (outcome(task, split, "scripted", FIRST) for split in ("train", "loose"))
+    assert train == test
+    assert (seen == also).all()
+
+
+@pytest.mark.parametrize("card", CARDS.values(), ids=lambda card: card.name)
+def test_environments_take_every_split_whatever_a_card_offers(card):
+    assert set(card.splits) <= set(contexts.SPLITS)
+    assert card.splits[0] == "train"
+    known = [split for split in contexts.SPLITS if split != "mast" or card.name != "line-3"]
+    for split in known:
+        made(card, split).close()

@@ -1,0 +1,274 @@
+"""Transcripts: what they claim is computed again, a part is no suite, and a run that broke off goes on."""
+
+import json
+
+import pytest
+
+from registerbench.arena import Interrupted, Writer, play, player, read, replay, save, suite, transcript
+from registerbench.arena.loop import head_of
+from registerbench.arena.table import Limits
+from stage.cli import main
+from stage.errors import ArgumentError, StageError
+
+
+def looks(table):
+    """A player that costs nothing."""
+    table.call("program")
+    table.spent(7)
+
+
+@pytest.fixture(scope="module")
+def late():
+    return play(suite("diagnosis:late"), player("technician"), "technician")
+
+
+@pytest.fixture(scope="module")
+def three():
+    return play(suite("diagnosis", episodes=3), looks, "looks")
+
+
+def lines(path):
+    return [json.loads(text) for text in path.read_text().splitlines()]
+
+
+def write(path, rows):
+    path.write_text("".join(json.dumps(row) + "\n" for row in rows))
+
+
+def test_a_transcript_is_replayed_bit_for_bit_without_the_player(late, tmp_path):
+    file = tmp_path / "late.jsonl"
+    save(late, file)
+    back = read(file)
+    assert (back.head, back.rounds) == (late.head, late.rounds)
+    found = replay(file)
+    assert found.same
+    assert (found.played.value, found.played.calls) == (late.value, late.calls)
+
+
+CHANGES = (
+    ('"x_mm": 50.0', '"x_mm": 51.0'), ('"mended": 1.0', '"mended": 0.5'), ("R6 <- 3200", "R6 <- 3300"),
+    ('"of": 10, "value": 0.9', '"of": 10, "value": 1.9'), ('"low": 0.9', '"low": 0.8'), ('"high": 0.9', '"high": 1.9'),
+    ('"played": 1', '"played": 10'), ('"calls": ', '"calls": 1'),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("was", "becomes"), CHANGES)
+def test_a_transcript_that_was_changed_differs(late, tmp_path, was, becomes, capsys):
+    file = tmp_path / "late.jsonl"
+    save(late, file)
+    text = file.read_text()
+    assert was in text
+    file.write_text(text.replace(was, becomes, 1))
+    assert main(["agent-replay", str(file)]) == 1
+    told = capsys.readouterr().out
+    assert "DIFFERS" in told
+    assert " to 0.9" not in told
+
+
+def test_what_nobody_can_verify_is_told_as_claimed(three, tmp_path, capsys):
+    file = tmp_path / "t.jsonl"
+    save(three, file)
+    rows = lines(file)
+    rows[0]["player"] = "the best model\x1b[2J of all"
+    write(file, rows)
+    assert main(["agent-replay", str(file)]) == 0
+    told = capsys.readouterr().out
+    assert "Claimed, and not to be verified: the player's name 'the best model\\x1b[2J of all', 21 tokens." in told
+    assert "\x1b" not in told
+
+
+def test_a_part_is_never_told_as_the_suite(three, late, tmp_path, capsys):
+    """Of a part the games are counted, and named as no score of the suite, when it is played and when it is replayed."""
+    for came, said in ((three, "3 of 10 games of diagnosis: "), (late, "1 of 10 games of diagnosis: ")):
+        assert said in str(came)
+        assert "a part, and no score of the suite" in str(came)
+        save(came, tmp_path / "t.jsonl", overwrite=True)
+        assert main(["agent-replay", str(tmp_path / "t.jsonl")]) == 0
+        told = capsys.readouterr().out
+        assert said in told
+        assert "no score of the suite" in told
+    assert main(["agent", "one-shot", "--episodes", "2"]) == 0
+    assert "formula on 2 of 64 games of one-shot train: " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("change", ["of", "fewer", "other", "seed", "round", "split"])
+def test_a_part_cannot_be_written_as_the_whole(tmp_path, change, request):
+    came = play(suite("one-shot", episodes=2), player("random"), "r") if change in ("seed", "round", "split") else None
+    came = came or request.getfixturevalue("three")
+    file = tmp_path / "t.jsonl"
+    save(came, file)
+    rows = lines(file)
+    head = rows[0]
+    if change == "of":
+        head["of"] = 3
+    elif change == "fewer":  # two games of three, the head told so
+        head["games"] = head["games"][1:]
+        first = [k for k, row in enumerate(rows) if "game" in row]
+        rows[first[0] : first[1]] = []
+    elif change == "other":
+        head["games"] = [head["games"][0]] * 3
+    elif change == "seed":
+        head["games"][0][1] += 1
+    elif change == "round":
+        head["round"] = "mine"
+    else:
+        head["split"] = "weak"
+    write(file, rows)
+    with pytest.raises(ArgumentError, match="in the transcript"):
+        replay(file)
+
+
+def test_calls_behind_the_end_or_beyond_the_limit_are_found(tmp_path):
+    came = play(suite("diagnosis:late"), lambda t: t.call("finish"), "f", Limits(most=1))
+    save(came, tmp_path / "t.jsonl")
+    rows = lines(tmp_path / "t.jsonl")
+    more = {
+        "call": "answer",
+        "arguments": {"cause": "ramp-down point too late"},
+        "ok": True,
+        "answer": {"text": "noted."},
+    }
+    write(tmp_path / "more.jsonl", [*rows[:3], more, *rows[3:]])
+    assert "2 calls, and 1 are allowed" in replay(tmp_path / "more.jsonl").first
+    rows[0]["most"] = 400
+    write(tmp_path / "more.jsonl", [*rows[:3], more, *rows[3:]])
+    assert "the game was over before it" in replay(tmp_path / "more.jsonl").first
+
+
+HEAD = '{"format": ["PulseStage transcript", 2], "suite": "diagnosis"'
+WHOLE = HEAD + ', "split": "", "round": "", "player": "", "games": [], "of": 10, "most": 1, "patience": 1, "time": 1}\n'
+OTHERS = (
+    "", "{}", "[]\n", HEAD.replace("2]", "1]") + "}", HEAD + "}", "\0" * 50, "[" * 5000, "null\n", '"format"\n',
+    WHOLE + '{"call": "x"}\n', WHOLE + "[1]\n", WHOLE + '{"score": {}}\n', WHOLE.replace('"most": 1', '"most": -1'),
+    WHOLE + "[" * 5000 + "\n",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("text", OTHERS)
+def test_any_other_file_is_refused_in_words(tmp_path, text):
+    file = tmp_path / "other.jsonl"
+    file.write_text(text)
+    with pytest.raises(ArgumentError, match="no transcript"):
+        read(file)
+    assert main(["agent-replay", str(file)]) == 2
+
+
+@pytest.mark.parametrize(("k", "key", "value"), [(0, "round", "mine"), (0, "split", "train"), (2, "ok", 1)])
+def test_what_a_suite_does_not_have_is_refused(three, tmp_path, k, key, value):
+    save(three, tmp_path / "t.jsonl")
+    rows = lines(tmp_path / "t.jsonl")
+    rows[k][key] = value
+    write(tmp_path / "t.jsonl", rows)
+    assert main(["agent-replay", str(tmp_path / "t.jsonl")]) == 2
+
+
+def test_other_limits_than_the_usual_are_told():
+    assert "up to 9 calls a game, and 400 are usual" in str(play(suite("diagnosis:late"), looks, "l", Limits(most=9)))
+
+
+def test_a_transcript_of_the_bench_is_replayed_too(tmp_path):
+    came = play(suite("few-shot", "weak", 2), player("random"), "random")
+    save(came, tmp_path / "r.jsonl")
+    assert replay(tmp_path / "r.jsonl").same
+
+
+# --- runs that break off ---
+
+
+def breaks(at):
+    """A player that cannot go on at its game `at`."""
+    games = []
+
+    def one(table):
+        games.append(table.name)
+        table.call("program")
+        if len(games) == at:
+            raise StageError("the endpoint is out of money")
+
+    one.games = games
+    return one
+
+
+def test_a_run_that_breaks_off_leaves_its_games_and_goes_on(tmp_path):
+    games, file = suite("diagnosis", episodes=4), tmp_path / "t.jsonl"
+    with Writer(file, head_of(games, "p", Limits())) as writer:
+        with pytest.raises(Interrupted, match=r"^game 3 of 4, diagnosis:wide: the endpoint is out of money$") as error:
+            play(games, breaks(3), "p", told=writer.game)
+        assert len(error.value.played.rounds) == 2
+    found = replay(file)
+    assert not found.same
+    assert "cut: 2 of its 4 games are there" in str(found)
+    file.write_text(
+        file.read_text() + '{"game": "diagnosis:wide", "seed": null}\n{"call": "pro'
+    )  # killed while it wrote
+    assert "2 of its 4 games" in replay(file).cut
+    later = breaks(0)
+    with Writer(file, head_of(games, "p", Limits()), go_on=True) as writer:
+        came = play(games, later, "p", told=writer.game, before=writer.before)
+        writer.end(came)
+    assert later.games == ["diagnosis:wide", "diagnosis:swapped"]
+    assert replay(file).same
+    assert len(read(file).rounds) == 4
+    with pytest.raises(ArgumentError, match="nothing is left"):
+        Writer(file, head_of(games, "p", Limits()), go_on=True)
+
+
+def test_the_command_goes_on_where_it_broke_off(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "broke.py").write_text(
+        "import os\nfrom stage import StageError\ndef play(table):\n    table.call('observe')\n"
+        "    if table.name.endswith(':1') and not os.path.exists('money'):\n        raise StageError('no money')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    run = ["agent", "one-shot", "--episodes", "3", "--by", "broke:play", "-o", "t.jsonl", "--entry", "e.bench"]
+    assert main(run) == 2
+    out, err = capsys.readouterr()
+    assert "1 of 64 games of one-shot train" in out
+    assert "game 2 of 3, one-shot:train:1: no money" in err
+    assert "--resume goes on" in err
+    assert main(["agent-replay", "t.jsonl"]) == 1
+    (tmp_path / "money").touch()
+    assert main([*run[:-4], "-o", "t.jsonl"]) == 2
+    assert "or --resume to go on with it" in capsys.readouterr().err
+    assert main([*run, "--resume", "--most", "9"]) == 2
+    assert "of another run, by its limits" in capsys.readouterr().err
+    assert main([*run, "--resume"]) == 0
+    assert "3 of 64 games" in capsys.readouterr().out
+    assert main(["agent-replay", "t.jsonl"]) == 0
+    assert main(["bench-verify", "e.bench"]) == 0
+
+
+def test_what_was_played_before_must_come_out_the_same(tmp_path, three):
+    file = tmp_path / "t.jsonl"
+    save(three, file)
+    rows = lines(file)[:-1]
+    rows[2]["answer"] = {"text": "nothing"}
+    write(file, rows)
+    with Writer(file, three.head, go_on=True) as writer, pytest.raises(ArgumentError, match="comes out otherwise here"):
+        play(suite("diagnosis", episodes=3), looks, "looks", before=writer.before)
+
+
+def test_an_end_amid_a_game_is_none(tmp_path):
+    """A transcript whose last game has lost the line of its score"""
+    games, file = suite("diagnosis", episodes=2), tmp_path / "t.jsonl"
+    save(play(games, breaks(0), "p"), file)
+    lines = file.read_text().splitlines(keepends=True)
+    scores = [k for k, line in enumerate(lines) if "score" in json.loads(line)]
+    file.write_text("".join(lines[: scores[-1]] + lines[scores[-1] + 1 :]))
+    with pytest.raises(
+        ArgumentError, match=rf"t\.jsonl, line {scores[-1] + 1}: no transcript of `stage agent`: a line out of"
+    ):
+        read(file)
+
+
+def test_what_is_written_of_a_game_is_on_the_disk_when_the_next_begins(tmp_path, monkeypatch, three):
+    synced = []
+    monkeypatch.setattr(transcript.os, "fsync", lambda number: synced.append((tmp_path / "t.jsonl").stat().st_size))
+    with Writer(tmp_path / "t.jsonl", three.head) as writer:
+        for r in three.rounds:
+            writer.game(r)
+        writer.end(three)
+    assert writer._file.closed
+    assert len(synced) == len(three.rounds) + 2
+    assert synced == sorted(set(synced))
+    assert synced[-1] == (tmp_path / "t.jsonl").stat().st_size
