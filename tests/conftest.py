@@ -110,6 +110,20 @@ def pytest_runtest_call():
     return (yield from skipped_without_its_extra())
 
 
+REQUIRED = tuple(filter(None, os.environ.get("PULSESTAGE_REQUIRE", "").split(",")))
+"""Words, as "simavr,avr-gcc": a test whose reason to be skipped has one of them fails instead, for machines that must have it."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport():
+    """Fail a test that is skipped for the lack of what PULSESTAGE_REQUIRE names."""
+    report = yield
+    reason = report.longrepr[2] if report.skipped and isinstance(report.longrepr, tuple) else ""
+    if any(word in reason for word in REQUIRED):
+        report.outcome, report.longrepr = "failed", f"PULSESTAGE_REQUIRE={','.join(REQUIRED)} forbids: {reason}"
+    return report
+
+
 def skipped_without_its_extra():
     """What needs a library that is not installed is skipped, and says which: the small installation is tested, too."""
     from stage.extras import LIBRARIES, ExtraMissing, has

@@ -52,6 +52,20 @@ def test_what_is_skipped_is_listed_with_its_reason_at_the_end(tmp_path):
     assert re.search(r"^SKIPPED \[1\] \S*test_rare.py:4: there is no frobnicator$", printed, re.M), printed
 
 
+@pytest.mark.parametrize(
+    ("required", "outcome"), [("", "1 skipped"), ("simavr,avr-gcc", "1 failed"), ("gdb", "1 skipped")]
+)
+def test_a_test_that_lacks_what_this_machine_must_have_fails_instead_of_being_skipped(required, outcome, tmp_path):
+    """PULSESTAGE_REQUIRE=simavr,avr-gcc, where .ci/run has installed both"""
+    (tmp_path / "test_rare.py").write_text(
+        "import pytest\n\n@pytest.mark.skipif(True, reason='there is no simavr (Debian: apt install libsimavr2)')\n"
+        "def test():\n    pass\n"
+    )
+    environment = {"PYTHONPATH": str(ROOT / "tests"), "PULSESTAGE_REQUIRE": required}
+    printed = run_pytest(f"--rootdir={tmp_path}", "-p", "conftest", str(tmp_path), **environment)
+    assert re.search(rf"^{outcome}", printed, re.M), printed
+
+
 @pytest.mark.skipif(not COMPILED, reason="uncompiled, there is no library")
 def test_the_native_library_is_loaded_before_the_first_test(tmp_path):
     """A fresh checkout builds it, and prints how far it is: not into what the first test captures."""
