@@ -67,6 +67,11 @@ class _OfTask:
         return self._task.entries
 
     @property
+    def task_instance(self) -> Task:
+        """The task as it is played: its settings `config`, its `stages`, what it draws and what it computes for all of them."""
+        return self._task
+
+    @property
     def told(self) -> tuple[Entry, ...]:
         """What `info` tells beside the observation, and whether a host could know it."""
         return (*self._task.TOLD,)

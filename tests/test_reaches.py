@@ -5,7 +5,12 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-SOURCES = sorted(path for folder in ("stage", "envs") for path in (ROOT / folder).rglob("*.py"))
+SOURCES = sorted(
+    path
+    for folder in ("stage", "envs", "packages")
+    for path in (ROOT / folder).rglob("*.py")
+    if "tests" not in path.parts
+)
 
 OF_OTHERS = {
     "_replace", "_make", "_asdict", "_fields", "_fields_",  # of named tuples and of ctypes' structures

@@ -135,6 +135,17 @@ def manifest_of(path: Path) -> dict[str, Any] | None:
     return _manifest(path.read_bytes()) if path.is_file() else None
 
 
+def digest_of_sources() -> str:
+    """Digest of the sources that PulseStage's library was compiled from; "none" without a library, "run as Python" uncompiled."""
+    from stage.native import COMPILED
+
+    if not COMPILED:
+        return "run as Python"
+    manifest = manifest_of(_root("stage") / NAME)
+    sources = json.dumps(manifest["sources"], sort_keys=True).encode() if manifest else b""
+    return hashlib.blake2b(sources, digest_size=8).hexdigest() if manifest else "none"
+
+
 def advice(package: str) -> str:
     """How to get a library."""
     if package == "stage":

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import platform
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import stage
 import stage.envs
-from stage.native import COMPILED, load
+from stage.native.load import digest_of_sources, target
 
 PHYSICS = "2"
 """Version of the motors' physics. 1, which older entries do not state: motors had no core loss. 2: the presets have one."""
@@ -24,7 +22,7 @@ def versions() -> dict[str, str]:
     return {
         **found,
         "python": platform.python_version(),
-        "system": load.target(),
+        "system": target(),
         "processor": _processor(),
         "physics": PHYSICS,
     }
@@ -43,15 +41,10 @@ def made_of(env: Any) -> dict[str, str]:
     """What an environment (or a vector of them) consists of, in words: that of its snapshots, of the compiled sources, and of the
     rules, which are the sources of stage.envs."""
     parts = {what: which for what, which in env.header.parts if what != "stages"}
-    manifest = load.manifest_of(Path(stage.__file__).parent / load.NAME)
-    compiled = _digest(json.dumps(manifest["sources"], sort_keys=True).encode()) if manifest else "none"
     rules = sorted(Path(stage.envs.__file__).parent.glob("*.py"))
+    content = b"\0".join(path.name.encode() + b"\0" + path.read_bytes() for path in rules)
     return {
         **parts,
-        "compiled sources": compiled if COMPILED else "run as Python",
-        "rules": _digest(b"\0".join(path.name.encode() + b"\0" + path.read_bytes() for path in rules)),
+        "compiled sources": digest_of_sources(),
+        "rules": hashlib.blake2b(content, digest_size=8).hexdigest(),
     }
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.blake2b(content, digest_size=8).hexdigest()

@@ -14,9 +14,9 @@ from registerbench.cards import CARDS, OPEN
 from registerbench.diagnosis import SETUPS, Case
 from registerbench.entry_files import Submission
 from registerbench.episodes import Episodes
+from stage.agents import Tool
 from stage.agents.calls import Calls
 from stage.agents.fields import chosen
-from stage.agents.tool import Tool
 from stage.errors import ArgumentError, StageError
 
 DIAGNOSIS = "diagnosis"

@@ -11,8 +11,8 @@ from time import monotonic
 from typing import Any
 
 from registerbench.arena.games import Game
+from stage.agents import Answer
 from stage.agents.fields import shown
-from stage.agents.tool import Answer
 from stage.errors import ArgumentError
 
 MOST, PATIENCE, TIME = 400, 600.0, 3600.0

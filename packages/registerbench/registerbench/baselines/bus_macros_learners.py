@@ -129,8 +129,8 @@ class Judge:
         policy.turn = Turn([e.name for e in envs.entries], envs.single_action_space.n)
         policy.draw = np.random.default_rng(0)
         self.envs.seed(self.first)
-        seen, states = self.envs.reset(), envs._task.axis_states
-        used = envs._task.used[0]
+        seen, states = self.envs.reset(), envs.task_instance.axis_states
+        used = envs.task_instance.used[0]
         self.ways = ["".join("-+"[int(t > 0)] for t in row) for row in states["target"][:, used].tolist()]
         won, moves, total, left = np.zeros(n, bool), np.zeros(n, int), np.zeros(n), np.ones(n, bool)
         while left.any():

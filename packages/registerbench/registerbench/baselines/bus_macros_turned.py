@@ -99,7 +99,7 @@ class Mixed(VecEnvWrapper):
 
     def __init__(self, envs: Any, level: str, seed: int):
         super().__init__(envs)
-        self.rng, self.names = np.random.default_rng(seed), envs.envs._task.config.axes
+        self.rng, self.names = np.random.default_rng(seed), envs.envs.task_instance.config.axes
         self.shares = EASIER[level]
 
     def reset(self) -> np.ndarray:

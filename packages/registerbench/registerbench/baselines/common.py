@@ -115,7 +115,7 @@ class Moves:
         self._seed = 1000 * seed
         self.begin()
         nominal = Stage(model, chips=chip_class(chip))
-        nominal.set_payload(payload, self.env.unwrapped._task.carrier)
+        nominal.set_payload(payload, self.env.unwrapped.task_instance.carrier)
         self.axis = nominal.axes["x"]
         self.registers = RegisterBox(self.axis.chip.MAP, driver_of(self.axis).tuned_by(s_curve=False))
         self.knobs = formula.Knobs(self.axis, distance) if space == "knobs" else None

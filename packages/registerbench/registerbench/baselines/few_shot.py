@@ -69,7 +69,7 @@ def play(host: Callable[[int], Host], split: str, machines: int, seed: int) -> t
         "stage/FewShotTuning-v1", num_envs=LANES, vectorization_mode="vector_entry_point", split=split, memory="last"
     )
     names = [e.name for e in envs.unwrapped.entries]
-    tries = envs.unwrapped._task.config.tries
+    tries = envs.unwrapped.task_instance.config.tries
     for begin in range(0, machines, LANES):
         seen, _ = envs.reset(seed=seed + begin)
         choose, total, before = host(LANES), np.zeros(LANES), np.full(LANES, np.nan)

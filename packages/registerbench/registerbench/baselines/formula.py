@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stage.firmware import Axis
 from stage.firmware.driver import driver_of
-from stage.sim.stage import Axis
 from stage.tune.formula import SAFETY, Load, compute_registers, plan_profile
 
 if TYPE_CHECKING:

@@ -113,7 +113,7 @@ def trial(payload: float, values: dict[str, int], distance: int = 200, moves: in
     env.reset(seed=0)
     said = []
     for _ in range(moves):
-        _, reward, *_, info = env.step(env._task.registers.to_action(values))
+        _, reward, *_, info = env.step(env.task_instance.registers.to_action(values))
         said.append((reward, info["settled"], info["overshoot"], info["unrest"]))
     return dict(zip(("reward", "settled", "overshoot", "unrest"), np.mean(said, axis=0).tolist(), strict=True))
 

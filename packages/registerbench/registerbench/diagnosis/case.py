@@ -9,12 +9,10 @@ from registerbench.diagnosis.machine import MENDED, SERVICES
 from registerbench.diagnosis.program import DONE, Host, parse
 from registerbench.diagnosis.setups import CAUSES, SETUPS, Setup
 from registerbench.diagnosis.trial import Watch
-from stage.agents.budget import Budget
+from stage import Stage
+from stage.agents import Budget, Tool, Toolbox
 from stage.agents.fields import TEXT, Field, chosen
-from stage.agents.tool import Tool
-from stage.agents.toolbox import Toolbox
 from stage.errors import StageError
-from stage.sim.stage import Stage
 
 RUNS, SECONDS = 20, 240.0
 NEEDLESS, EACH, LONG = 0.25, 0.01, 10.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from stage.sim.stage import Stage
+from stage import Stage
 
 SERVICES = {
     "exchange the wires of the end limits of x": "swapped limit switches",

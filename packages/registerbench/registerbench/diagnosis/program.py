@@ -19,12 +19,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from stage import Stage
 from stage.agents.fields import chosen, whole
 from stage.errors import ArgumentError, RunTimeout
+from stage.firmware import Axis
 from stage.firmware.driver import Driver
 from stage.panel.orders import Cycle, understand
-from stage.sim.axis import Axis
-from stage.sim.stage import Stage
 
 MOST = 200  # lines
 WIDE = 200  # characters of a line

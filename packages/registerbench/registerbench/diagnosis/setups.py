@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from registerbench.diagnosis.machine import slip, swap_limits, weak_supply
 from registerbench.diagnosis.trial import Trial
-from stage.sim.stage import Stage
+from stage import Stage
 
 CAUSES = {
     "wrong polarity bit": "the chip is told that a sensor is of the other logic",

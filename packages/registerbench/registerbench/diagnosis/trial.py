@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from registerbench.diagnosis.program import LOOK
+from stage import Stage
 from stage.errors import RunTimeout
-from stage.sim.stage import Stage
 
 WITHIN = 60e-6  # m, of the place that is wanted: a full step and what friction holds
 ASIDE = 30e-6  # m, by which an axis that has nothing to do may be shaken

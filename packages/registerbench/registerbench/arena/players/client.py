@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 from registerbench.arena.table import Table
-from stage.agents.tool import Answer
+from stage.agents import Answer
 
 
 class Client:
