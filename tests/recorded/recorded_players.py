@@ -251,7 +251,7 @@ def policy():
     seen = {"some": EPISODE, "none": none, "lost": lost, "kept last": {**EPISODE, "kept": [0.0, 0.0, 1.0, 0.0]}}
     found = {k: [trained.features(kind, s) for kind in trained.FEATURES] for k, s in seen.items()}
     found["act"] = [
-        trained.arguments(np.array(a, float))
+        trained.rates_of(np.array(a, float))
         for a in ([-1, -1, -1, -1], [1, 1, 1, 1], [0, 0.5, -0.5, 0.25], [9, -9, 0, 0])
     ]
     for name in ("few-shot:train:0", "one-shot:nova:1", "few-shot-wide:train:1", "home:train:2"):

@@ -12,14 +12,19 @@ from stage import Stage
 from stage.errors import ArgumentError
 from stage.tune.formula import Load, compute_registers, plan_profile
 
-EXTRAS = {"cma_es": ("optuna", "cmaes"), "ppo": ("stable_baselines3",), "sac": ("stable_baselines3",)}
-SEARCHES = ("random_search", *EXTRAS)
+EXTRAS = {
+    "search_by_cma_es": ("optuna", "cmaes"),
+    "search_by_ppo": ("stable_baselines3",),
+    "search_by_sac": ("stable_baselines3",),
+}
+SEARCHES = ("search_randomly", *EXTRAS)
 
 
 def search_of(name):
     for extra in EXTRAS.get(name, ()):
         pytest.importorskip(extra, reason=f"{name} needs {extra}: pip install 'pulsestage[rl]'")
-    return importlib.import_module(f"registerbench.baselines.{name}").search
+    module = "sb3_searches" if "stable_baselines3" in EXTRAS.get(name, ()) else "searches"
+    return getattr(importlib.import_module(f"registerbench.baselines.{module}"), name)
 
 
 def found(name, seed, budget=10, lanes=4):
@@ -154,7 +159,7 @@ def test_a_seed_gives_the_same_search_again_and_another_seed_another(name):
     assert found(name, seed=3).registers != found(name, seed=4).registers
 
 
-@pytest.mark.parametrize("name", ["cma_es"])
+@pytest.mark.parametrize("name", ["search_by_cma_es"])
 def test_a_search_that_begins_with_the_formula_makes_its_move_first(name, axis):
     axis.stage.set_payload(0.5)
     first = compute_registers(axis, 2000)
@@ -222,7 +227,7 @@ def test_a_baseline_takes_a_model_and_a_proof_a_margin():
 
 def test_stable_baselines3_accepts_the_vector_environment():
     pytest.importorskip("stable_baselines3", reason="needs stable-baselines3: pip install 'pulsestage[rl]'")
-    from registerbench.baselines.vec_env import SCALE, WORST, MovesVecEnv
+    from registerbench.baselines.sb3_searches import SCALE, WORST, MovesVecEnv
 
     with Moves(0.5, 6, distance=2000, lanes=4) as moves:
         env = MovesVecEnv(moves)

@@ -198,7 +198,7 @@ def test_to_a_learner_the_way_of_an_axis_is_worth_as_much_with_a_second_axis_as_
 
 
 def test_a_learner_that_is_stopped_says_what_is_kept_and_ends_as_shells_have_it(capsys):
-    from registerbench.baselines.stopping import stops
+    from registerbench.baselines import stops
 
     with pytest.raises(SystemExit) as stopped, stops("two runs are kept."):
         raise KeyboardInterrupt

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -11,6 +12,20 @@ from registerbench.episodes import Episodes
 from stage.agents.fields import FLAG, NUMBER, NUMBERS, TEXT, WHOLE, Field
 from stage.envs import drifting_home, few_shot
 from stage.errors import ArgumentError
+
+
+def rates_of(action: np.ndarray) -> dict[str, float]:
+    """Return the rates and ramps of an action of few-shot or one-shot, as arguments of a tool."""
+    return {
+        name: from_log_scale(value, ends)
+        for name, value, ends in zip(few_shot.RATES, action, few_shot.RATES.values(), strict=True)
+    }
+
+
+def from_log_scale(value: float, ends: Sequence[float]) -> float:
+    """Return the number that -1 to 1 stands for on a logarithmic scale between two ends."""
+    low, high = np.log(ends)
+    return float(np.clip(np.exp(low + (high - low) * (value + 1) / 2), *ends))
 
 
 class Hands:
@@ -66,9 +81,7 @@ class Move(Hands):
         return few_shot.action_of(**given)
 
     def formula(self) -> dict[str, Any]:
-        low, high = np.log(np.array(list(few_shot.RATES.values()))).T
-        values = np.exp(low + (high - low) * (self._env.scripted().astype(float) + 1) / 2)
-        return {name: float(np.clip(v, *few_shot.RATES[name])) for name, v in zip(few_shot.RATES, values, strict=True)}
+        return rates_of(self._env.scripted().astype(float))
 
 
 class Home(Hands):
@@ -132,15 +145,9 @@ class Line(Hands):
         return made
 
     def formula(self) -> dict[str, Any]:
-        action = self._env.scripted().astype(float)
-        said = {}
-        for name, value, ends in (
-            ("rate", action[0], self._env.config.rates),
-            ("ramp", action[1], self._env.config.ramps),
-        ):
-            low, high = np.log(ends)
-            said[name] = float(np.clip(np.exp(low + (high - low) * (value + 1) / 2), *ends))
-        return said
+        rate, ramp, *_ = self._env.scripted().astype(float)
+        c = self._env.config
+        return {"rate": from_log_scale(rate, c.rates), "ramp": from_log_scale(ramp, c.ramps)}
 
 
 class Macro(Hands):

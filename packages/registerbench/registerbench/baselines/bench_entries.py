@@ -15,12 +15,20 @@ from pathlib import Path
 from typing import Any
 
 import registerbench
-from registerbench.baselines.stopping import stops
+from registerbench.baselines import stops
 from registerbench.cards import CARDS, OPEN
 from registerbench.shipped_policies import OWN
 
 DRAWN = ("random",)
 OPTUNA = {"tpe": "Tpe", "cma-es": "CmaEs"}
+
+
+def write_entry(policy: Any, task: str, split: str, folder: Path, method: str, run: int, **how: Any) -> None:
+    """Play the test episodes of a split, write the entry into `folder`, and say what it reached; `how` is for `play`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    entry = registerbench.play(policy, task, split, run=run, **how)
+    entry.write(folder / f"{task}-{split}-{method}-{run}.bench", overwrite=True)
+    print(f"{task} {split} {entry.player} {run}: return {entry.scores['return'].mean():.3f}", flush=True)
 
 
 def players_of(task: str) -> list[str]:
@@ -43,7 +51,6 @@ def main() -> None:
         "--round", default=OPEN, metavar="WORD", help="whose test episodes (default: the open ones); a folder for each"
     )
     args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
     for task in args.tasks:
         for split in (s for s in args.splits if s in CARDS[task].splits):
             for player in (p for p in players_of(task) if p in (args.players or players_of(task))):
@@ -51,9 +58,7 @@ def main() -> None:
                     path = args.out / f"{task}-{split}-{player}-{run}.bench"
                     if path.exists():
                         continue
-                    entry = registerbench.play(policy_of(player), task, split, name=player, run=run, round_=args.round)
-                    entry.write(path)
-                    print(f"{path}: return {entry.scores['return'].mean():.3f}", flush=True)
+                    write_entry(policy_of(player), task, split, args.out, player, run, name=player, round_=args.round)
 
 
 if __name__ == "__main__":

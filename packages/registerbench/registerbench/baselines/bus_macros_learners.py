@@ -31,6 +31,7 @@ import copy
 import csv
 import json
 import time
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -39,11 +40,11 @@ import torch
 from sb3_contrib import MaskablePPO
 from stable_baselines3.common.callbacks import BaseCallback
 
-import registerbench
+from registerbench.baselines import stops
+from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.bus_macros_dqn import MaskedDQN, dqn
 from registerbench.baselines.bus_macros_turned import Mixed, Turn, Turned
 from registerbench.baselines.learning import cost_of, parser_of, wilson
-from registerbench.baselines.stopping import stops
 from registerbench.cards import FIRST
 from stage.envs.sb3 import StageVecEnv
 
@@ -230,14 +231,9 @@ def evaluate(path: Path) -> None:
 def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> None:
     torch.set_num_threads(1)
     _, method, run = path.stem.split("-")
-    folder.mkdir(parents=True, exist_ok=True)
-    for task in tasks:
-        for split in splits:
-            entry = registerbench.play(
-                Policy.load(path), task, split, name=f"{method}-masked", run=int(run), cost=cost_of(path)
-            )
-            entry.write(folder / f"{task}-{split}-{method}-{run}.bench", overwrite=True)
-            print(f"{task} {split} {method} {run}: success {entry.scores['success'].mean():.0%}", flush=True)
+    how = {"name": f"{method}-masked", "cost": cost_of(path)}
+    for task, split in product(tasks, splits):
+        write_entry(Policy.load(path), task, split, folder, method, int(run), **how)
 
 
 if __name__ == "__main__":

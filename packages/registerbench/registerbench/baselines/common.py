@@ -14,7 +14,7 @@ Any chip that has a driver (`stage.firmware.driver`) can be tuned: --chip MCX514
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -22,9 +22,10 @@ import gymnasium
 import numpy as np
 
 from registerbench.baselines import formula
-from registerbench.baselines.both_ways import BothWaysVectorEnv
 from stage import Stage
 from stage.chips import CHIPS, chip_class
+from stage.envs.base import StageVectorEnv
+from stage.envs.register_tuning import RegisterTuning
 from stage.envs.registers import RegisterBox
 from stage.firmware.driver import driver_of
 
@@ -40,6 +41,29 @@ CANDIDATES, REPEATS, PROOF_SEED = 100, 48, 99  # a method's best moves that are 
 MARGIN = 0.5  # kg: a proof's moves have from none to so much beyond the payload
 HELD = 5  # moves that hold, of which the best by its mean reward is the answer
 SPACES = ("registers", "knobs")
+
+
+class BothWays(RegisterTuning):
+    """RegisterTuning there and back: distances of odd stages are negative. No agent plays it, answers are tested by it."""
+
+    def _draw(self, k: int, options: Mapping[str, Any]) -> None:
+        super()._draw(k, options)
+        if k % 2:
+            self.distance[k] *= -1
+            self.stages[k].restore(self.start)
+            self.equip(k)
+            self.stages[k].place(**{self.config.axis: self.starts.begin(float(self.distance[k]), float(self.angle[k]))})
+
+    def observed(self) -> np.ndarray:
+        there_and_back = self.distance
+        self.distance = np.abs(there_and_back)
+        seen = super().observed()
+        self.distance = there_and_back
+        return seen
+
+
+class BothWaysVectorEnv(StageVectorEnv):
+    task = BothWays
 
 
 @dataclass
@@ -243,12 +267,14 @@ def told(
     )
 
 
-def run(doc: str | None, search: Callable[[Moves, int], None]) -> None:
-    """The command line of a search: make the moves, tell the best."""
-    args = arguments(doc).parse_args()
+def run(doc: str | None, searches: Mapping[str, Callable[[Moves, int], None]]) -> None:
+    """Run the command line of searches: make the moves of one of them, tell the best."""
+    parser = arguments(doc)
+    parser.add_argument("search", choices=searches)
+    args = parser.parse_args()
     made = {"seed": args.seed, "chip": args.chip, "model": args.model}
     with Moves(args.payload, args.budget, args.space, args.distance, **made) as moves:
-        search(moves, args.seed)
+        searches[args.search](moves, args.seed)
     print(told(moves.log, moves.registers.names, args.payload, args.distance, args.chip, args.model, args.margin))
 
 

@@ -21,8 +21,9 @@ from collections.abc import Callable
 import gymnasium
 import numpy as np
 
+from registerbench.shipped_policies import action_at
+from registerbench.statistics import interval
 from stage.envs.contexts import SPLITS
-from stage.envs.few_shot import action_of
 
 BOLDNESS = (1.0, 2.0, 2.5, 3.0, 3.2, 3.4, 3.6, 4.0, 5.0)
 STEP, CLOSE, RETREAT = 1.12, 1.1, 1.4
@@ -31,10 +32,6 @@ LANES = 16
 
 Host = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """(boldness of the try before, whether it kept step) of each machine -> boldness of the next."""
-
-
-def action(boldness: float) -> np.ndarray:
-    return action_of(1000 * min(boldness, 1.5), 16_000 * boldness, 0.15 / boldness, 0.15 / boldness)
 
 
 def fixed(boldness: float) -> Callable[[int], Host]:
@@ -75,19 +72,12 @@ def play(host: Callable[[int], Host], split: str, machines: int, seed: int) -> t
         choose, total, before = host(LANES), np.zeros(LANES), np.full(LANES, np.nan)
         for _ in range(tries):
             before = choose(before, seen[:, names.index("kept")] > 0)
-            seen, rewards, *_, info = envs.step(np.stack([action(b) for b in before]))
+            seen, rewards, *_, info = envs.step(np.stack([action_at(b) for b in before]))
             total += rewards
         totals.append(total)
         costs.append(info["proved"] / info["usual"])
     envs.close()
     return np.concatenate(totals)[:machines], np.concatenate(costs)[:machines]
-
-
-def interval(values: np.ndarray, seed: int = 0) -> tuple[float, float]:
-    """Of the mean, 95 %, by the bootstrap."""
-    rng = np.random.default_rng(seed)
-    means = values[rng.integers(0, len(values), (2000, len(values)))].mean(axis=1)
-    return float(np.quantile(means, 0.025)), float(np.quantile(means, 0.975))
 
 
 def main() -> None:
@@ -104,7 +94,7 @@ def main() -> None:
     for split in args.splits:
         for name, host in {"usual": fixed(1.0), "fixed": fixed(best), "search": search(best / STEP)}.items():
             totals, costs = play(host, split, args.machines, TEST)
-            low, high = interval(totals)
+            low, high = interval(totals, of=np.mean)
             held = np.isfinite(costs)
             median = f"{np.median(costs[held]):.3f}" if held.any() else "-"
             print(

@@ -24,9 +24,9 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
-import registerbench
+from registerbench.baselines import stops
+from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.learning import Curve, Noted, cost_of, parser_of, save
-from registerbench.baselines.stopping import stops
 from stage.envs.sb3 import StageVecEnv
 
 ID, TASK = "stage/FewShotTuning-v1", "few-shot"
@@ -103,14 +103,9 @@ class Policy:
 def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> None:
     torch.set_num_threads(1)
     method, run = path.stem.split("-")
-    folder.mkdir(parents=True, exist_ok=True)
     for split in splits:
-        name, chosen = f"ppo, memory {method}", {"memory": METHODS[method]}
-        entry = registerbench.play(
-            Policy(method, path), TASK, split, settings=chosen, name=name, run=int(run), cost=cost_of(path)
-        )
-        entry.write(folder / f"{TASK}-{split}-ppo-{method}-{run}.bench", overwrite=True)
-        print(f"{split} {method} {run}: return {entry.scores['return'].mean():.3f}", flush=True)
+        how = {"settings": {"memory": METHODS[method]}, "name": f"ppo, memory {method}", "cost": cost_of(path)}
+        write_entry(Policy(method, path), TASK, split, folder, f"ppo-{method}", int(run), **how)
 
 
 if __name__ == "__main__":

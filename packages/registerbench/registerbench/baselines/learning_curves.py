@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 import registerbench
-from registerbench.baselines.stopping import stops
+from registerbench.baselines import stops
 from registerbench.cards import OPEN
 from registerbench.statistics import interval, iqm
 from stage import pictures

@@ -18,9 +18,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from registerbench.baselines import stops
 from registerbench.baselines.boldness import BOLDNESS, Table, learned, tabulate
 from registerbench.baselines.rules import TRIES, Remembering
-from registerbench.baselines.stopping import stops
 
 FROM, STARTS = 2000, 6
 

@@ -17,10 +17,10 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO, SAC
 
-import registerbench
+from registerbench.baselines import stops
+from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.learning import Curve, Noted, cost_of, parser_of, save
 from registerbench.baselines.rule_learners import CHEAPER
-from registerbench.baselines.stopping import stops
 from stage.envs.sb3 import StageVecEnv
 
 ID, TASK = "stage/OneShotTuning-v1", "one-shot"
@@ -66,11 +66,8 @@ class Policy:
 def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> None:
     torch.set_num_threads(1)
     method, run = path.stem.partition("_")[2].split("-")
-    folder.mkdir(parents=True, exist_ok=True)
     for split in splits:
-        entry = registerbench.play(Policy(method, path), TASK, split, name=method, run=int(run), cost=cost_of(path))
-        entry.write(folder / f"{TASK}-{split}-{method}-{run}.bench", overwrite=True)
-        print(f"{split} {method} {run}: return {entry.scores['return'].mean():.3f}", flush=True)
+        write_entry(Policy(method, path), TASK, split, folder, method, int(run), name=method, cost=cost_of(path))
 
 
 if __name__ == "__main__":

@@ -25,10 +25,10 @@ from typing import Any
 
 import numpy as np
 
-import registerbench
+from registerbench.baselines import stops
+from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.boldness import learned, tabulate
 from registerbench.baselines.rules import RULES, Bold, Rule
-from registerbench.baselines.stopping import stops
 from registerbench.cards import CARDS, FIRST, OPEN
 
 BUDGET = {"one-shot": (12, 16), "line": (12, 8), "home": (8, 12)}
@@ -184,14 +184,9 @@ def submit(path: Path, splits: list[str], folder: Path, round_: str = OPEN) -> N
     method, _, run = name.rpartition("-")
     player = method.replace("-", " ")
     chosen = {"memory": "last"} if "memory" in CARDS[task].choices else {}
-    folder.mkdir(parents=True, exist_ok=True)
+    how = {"settings": chosen, "name": player, "cost": said["cost"], "round_": round_}
     for split in splits:
-        policy = Policy(RULES[task, player], said["w"])
-        entry = registerbench.play(
-            policy, task, split, settings=chosen, name=player, run=int(run), cost=said["cost"], round_=round_
-        )
-        entry.write(folder / f"{task}-{split}-{method}-{run}.bench", overwrite=True)
-        print(f"{task} {split} {player} {run}: return {entry.scores['return'].mean():.3f}", flush=True)
+        write_entry(Policy(RULES[task, player], said["w"]), task, split, folder, method, int(run), **how)
 
 
 def main() -> None:

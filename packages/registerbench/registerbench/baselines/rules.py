@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from stage.envs.few_shot import action_of
+from registerbench.shipped_policies import action_at
 
 TRIES = 8
 TAMEST, BOLDEST = 0.5, 12.0
@@ -106,7 +106,7 @@ class Home(Rule):
 
 def bold(boldness: np.ndarray) -> np.ndarray:
     """The usual rates times a boldness each, the usual ramps divided by it: actions, (n, 4)."""
-    return np.stack([action_of(1000 * min(b, 1.5), 16_000 * b, 0.15 / b, 0.15 / b) for b in boldness.tolist()])
+    return np.stack([action_at(b) for b in boldness.tolist()])
 
 
 class Bold(Rule):

@@ -22,7 +22,7 @@ import numpy as np
 import pyarrow
 import pyarrow.parquet
 
-from registerbench.baselines import formula, random_search, tool_loop
+from registerbench.baselines import formula, searches, tool_loop
 from registerbench.baselines.common import CANDIDATES, HELD, LANES, MARGIN, MODEL, Log, Moves, best, prove
 from stage.firmware.pcl240.driver import TUNED as REGISTERS
 
@@ -67,8 +67,8 @@ class Method:
 
 
 def lazily(name: str) -> Callable[[Moves, int], None]:
-    """The search of a baseline whose extra may not be installed."""
-    return lambda moves, seed: import_module(f"registerbench.baselines.{name}").search(moves, seed)
+    """A search of sb3_searches.py, whose extra may not be installed."""
+    return lambda moves, seed: getattr(import_module("registerbench.baselines.sb3_searches"), name)(moves, seed)
 
 
 FORMULA = Method("formula", formula.search, "#66717d", 1, "registers", 1)
@@ -77,12 +77,12 @@ METHODS = (
     FORMULA,
     BOLDEST,
     Method("agent loop", tool_loop.search, "#8a6bb8", 64, "registers", 1),
-    Method("random", random_search.search, "#d9a441"),
-    Method("CMA-ES", lazily("cma_es"), "#17508f", lanes=8),
-    Method("PPO", lazily("ppo"), "#d1571f"),
-    Method("SAC", lazily("sac"), "#4f9d69"),
-    Method("random, raw registers", random_search.search, "#c9d1da", space="registers", part=1 / 4),
-    Method("CMA-ES, raw registers", lazily("cma_es"), "#9fc3e6", space="registers", lanes=8, part=1 / 4),
+    Method("random", searches.search_randomly, "#d9a441"),
+    Method("CMA-ES", searches.search_by_cma_es, "#17508f", lanes=8),
+    Method("PPO", lazily("search_by_ppo"), "#d1571f"),
+    Method("SAC", lazily("search_by_sac"), "#4f9d69"),
+    Method("random, raw registers", searches.search_randomly, "#c9d1da", space="registers", part=1 / 4),
+    Method("CMA-ES, raw registers", searches.search_by_cma_es, "#9fc3e6", space="registers", lanes=8, part=1 / 4),
 )
 QUICK = ("formula", "formula, boldest", "agent loop", "random", "CMA-ES")
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from registerbench.arena.players.simple import formula
 from registerbench.arena.table import Table
-from stage.envs.few_shot import RATES
+from registerbench.arena.tool_actions import rates_of
 
 FEATURES = {
     "one-shot": ("distance", "declared"),
@@ -33,7 +33,7 @@ def play(table: Table) -> None:
     weights = np.array(json.loads(files(__package__).joinpath("trained.json").read_text(encoding="utf-8"))[kind])
     seen = table.call("observe").data["observation"]
     while not table.over:
-        answer = table.call("act", arguments(action(weights, features(kind, seen))))
+        answer = table.call("act", rates_of(action(weights, features(kind, seen))))
         if not answer.ok:
             return
         seen = answer.data["observation"]
@@ -54,10 +54,3 @@ def features(kind: str, seen: Mapping[str, Any]) -> np.ndarray:
 def action(weights: np.ndarray, looks: np.ndarray) -> np.ndarray:
     """The environment's action, (4,)."""
     return np.tanh(weights @ looks)
-
-
-def arguments(chosen: np.ndarray) -> dict[str, float]:
-    """It as rates and ramps."""
-    low, high = np.log(np.array(list(RATES.values()))).T
-    values = np.exp(low + (high - low) * (chosen + 1) / 2)
-    return {name: float(np.clip(v, *RATES[name])) for name, v in zip(RATES, values, strict=True)}

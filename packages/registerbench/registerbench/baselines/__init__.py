@@ -1,4 +1,4 @@
-"""Ctrl-C in a command that takes minutes: a line in place of a traceback."""
+"""Methods that the benchmark measures: the formula, searches, learners, and what made docs/results.md and docs/benchmark.md."""
 
 from __future__ import annotations
 

@@ -1,0 +1,88 @@
+"""Searches by the learners of Stable-Baselines3 (extra `rl`): a move is an episode of one step, an action is a choice.
+
+python -m registerbench.baselines.sb3_searches ppo --budget 1024 --seed 0
+python -m registerbench.baselines.sb3_searches sac --space registers
+
+PPO improves a policy of choices a batch of moves at a time; SAC learns what each choice is worth from all moves made so far. Their
+means begin in the middle, which of the knobs is the data sheet's answer.
+"""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import torch
+from stable_baselines3 import PPO, SAC
+
+from registerbench.baselines.common import Moves, run
+from stage.envs.sb3 import Adapter
+
+torch.set_num_threads(1)  # the networks are small, and the stages need the processors
+
+BATCH = 32  # moves between two improvements of PPO
+SPREAD = -1.5  # logarithm of the first choices' standard deviation
+WORST, SCALE = -1.0, 5.0
+"""A learner's reward: SCALE x the environment's, which is cut off at WORST, where steps were lost."""
+
+
+class MovesVecEnv(Adapter):
+    """`moves.lanes` environments; an action is a choice of `moves`, a reward is between SCALE x WORST and 0.
+
+    Closing it leaves the environment to `moves`.
+    """
+
+    def __init__(self, moves: Moves):
+        self.moves = moves
+        super().__init__(moves.env.unwrapped, gymnasium.spaces.Box(-1.0, 1.0, (moves.size,), np.float32))
+
+    def reset(self) -> np.ndarray:
+        return self.moves.observation
+
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict]]:
+        rewards = SCALE * np.maximum(np.nan_to_num(self.moves.make(self._actions)), WORST)
+        seen = self.moves.observation
+        infos = [{"terminal_observation": row} for row in seen]
+        return seen, rewards.astype(np.float32), np.ones(self.num_envs, bool), infos
+
+    def close(self) -> None:
+        pass
+
+
+def search_by_ppo(moves: Moves, seed: int = 0) -> None:
+    """Make the choices of PPO."""
+    model = PPO(
+        "MlpPolicy",
+        MovesVecEnv(moves),
+        n_steps=max(BATCH // moves.lanes, 1),
+        batch_size=BATCH,
+        n_epochs=10,
+        learning_rate=3e-3,
+        clip_range=0.3,
+        policy_kwargs={"log_std_init": SPREAD, "net_arch": [32]},
+        seed=seed,
+        device="cpu",
+    )
+    model.learn(moves.left)
+
+
+def search_by_sac(moves: Moves, seed: int = 0) -> None:
+    """Make the choices of SAC."""
+    model = SAC(
+        "MlpPolicy",
+        MovesVecEnv(moves),
+        learning_starts=moves.lanes,
+        train_freq=1,
+        gradient_steps=moves.lanes,
+        batch_size=128,
+        learning_rate=1e-3,
+        ent_coef=0.01,
+        policy_kwargs={"net_arch": [64, 64]},
+        seed=seed,
+        device="cpu",
+    )
+    torch.nn.init.constant_(model.actor.log_std.bias, SPREAD)
+    model.learn(moves.left)
+
+
+if __name__ == "__main__":
+    run(__doc__, {"ppo": search_by_ppo, "sac": search_by_sac})
