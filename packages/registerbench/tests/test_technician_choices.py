@@ -1,0 +1,87 @@
+"""The shipped technician decides by what a program did, what diagnostics say, and where the scales stand."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from registerbench.arena.players import technician
+from registerbench.diagnosis import CAUSES, SETUPS
+from stage.agents.tool import Answer
+
+WELL = "the program came to its end"
+GAVE_UP = "line 9: x did not stop, and the host gave up"
+FULL_MOVE, SHORT_MOVE = [(0, 0), (-4, 0)], [(0, 0), (-2.9, 0)]
+"""What the scales show before and after the slow move of 4 mm."""
+PROGRAM = SETUPS["late"].program
+
+
+class ScriptedTable:
+    """A table whose answers are written here; it keeps the calls."""
+
+    tools = ({"name": "program"}, {"name": "run"})
+
+    def __init__(self, program, ended=WELL, diagnostics="", places=()):
+        self.answers = {"program": program, "diagnostics": diagnostics}
+        self.ended, self.places, self.calls = ended, list(places), []
+
+    def call(self, name, arguments=None):
+        self.calls.append((name, arguments))
+        data = {"ended": self.ended}
+        if name == "measure":
+            data = dict(zip(("x_mm", "y_mm"), self.places.pop(0), strict=True))
+        return Answer(True, {"text": self.answers[name]}) if name in self.answers else SimpleNamespace(data=data, text="")
+
+    def argument(self, name, key):
+        """Return an argument of the last call of this name."""
+        return [arguments for called, arguments in self.calls if called == name][-1][key]
+
+
+@pytest.mark.parametrize(
+    ("how", "cause"),
+    [
+        *[({"diagnostics": f"x: {sign}."}, cause) for sign, cause in technician.SIGNS],
+        ({"ended": GAVE_UP}, "swapped limit switches"),
+        ({"ended": GAVE_UP, "program": "x: STOP_DEC\n" + PROGRAM}, "S-curve failure of the MCX304"),
+        ({"places": [(0.5, 50)]}, "wrong base address"),
+        ({"places": [(49.0, 0), (50.05, 0)]}, "ramp-down point too late"),
+        ({"places": [(49.0, 0), (49.4, 0), *FULL_MOVE]}, "supply too low"),
+        ({"places": [(20.0, 0), (20.3, 0), *SHORT_MOVE]}, "slipping coupling"),
+        ({"places": [(1.5, 50), (0.02, 0), *SHORT_MOVE]}, "slipping coupling"),
+    ],
+)
+def test_each_sign_leads_to_its_cause_and_the_work_or_program_that_mends_it(how, cause):
+    table = ScriptedTable(**{"program": PROGRAM, **how})
+    technician.play(table)
+    assert cause in CAUSES
+    assert table.argument("answer", "cause") == cause
+    assert table.calls[-1] == ("finish", None)
+    assert ("service" in dict(table.calls)) == (cause in technician.WORK)
+    if cause in technician.WORK:
+        assert table.argument("service", "work") == technician.WORK[cause]
+        assert table.argument("write_program", "text") == table.answers["program"], "the customer's program is back"
+
+
+@pytest.mark.parametrize(
+    ("name", "cause", "removed", "added"),
+    [
+        ("late", "ramp-down point too late", ["R6 <- "], ["R6 <- "]),
+        *[(s.name, s.cause, ["304h"], ["300h"]) for s in SETUPS.values() if s.cause == "wrong base address"],
+        *[(s.name, s.cause, ["R13 <- 800000h"], ["R13 <- 0"]) for s in SETUPS.values() if s.cause == "wrong polarity bit"],
+        *[(s.name, s.cause, ["x: 84 2:"], ["R4 <- 16383"]) for s in SETUPS.values() if s.cause == "R4 wider than its register"],
+    ],
+)  # fmt: skip
+def test_a_mended_program_differs_in_the_lines_that_were_wrong(name, cause, removed, added):
+    before = SETUPS[name].program
+    after = technician.MENDINGS[cause](before)
+    gone = "\n".join(set(before.split("\n")) - set(after.split("\n")))
+    new = "\n".join(set(after.split("\n")) - set(before.split("\n")))
+    assert all(text in gone for text in removed)
+    assert all(text in new for text in added)
+
+
+def test_a_reset_command_is_put_before_each_move_that_lacks_it_and_taken_from_behind_the_registers():
+    parts = "x: R0 <- 16000\nx: R6 <- 3200\nx: operate 15h\n"
+    mended = technician.MENDINGS["missing reset command"](parts + "x: operate 08h\n" + parts)
+    assert mended == "x: operate 08h\n" + parts + "x: operate 08h\n" + parts
+    late = "x: operate 08h\nx: R6 <- 3200\nx: operate 08h  # too late\nx: operate 15h\n"
+    assert technician.MENDINGS["R6 missing after reset"](late) == "x: operate 08h\nx: R6 <- 3200\nx: operate 15h\n"
