@@ -87,4 +87,5 @@ def test_home_of_axes_that_drive_one_load_reports_each(tmp_path, monkeypatch, ca
     assert main(["home", "y", "--model", "gantry", "--from", "-68"]) == 0
     out = capsys.readouterr().out
     assert "axes y and w drive one load" in out
-    assert "on y" in out and "on w" in out
+    assert "on y" in out
+    assert "on w" in out

@@ -11,6 +11,9 @@ stage.sim.stage
     Stage.step: n=1
     Stage.run_until: poll=0.001
     Stage.record: every=0.001, path=None, overwrite=False, on_error='raise'
+    Stage.panel: port=0, host='127.0.0.1', speed=1.0, program='your program', browser=True
+    Stage.payload: body=None
+    Stage.set_payload: body=None
 stage.sim.faults
     bounce: seconds=0.002, toggles=6
     payload: factor=2.0, body=None
@@ -19,8 +22,12 @@ stage.sim.faults
 stage.sim.program
     Program.register: chip_axis=0
     Program.until_stopped: poll=0.00025
+    Program.look: point=0, coordinate=0
+    Program.measure: point=0
 stage.board.board
     Board: layout=None, base=None, stride=None, keep_cycles=100000
+    Board.device: read=None, write=None, source=None, flags=(), state=None, tell=None, name=None, encoders=(), width=8
+    Board.on_timer: n=0, level=1
 stage.board.native
     NativeHost: isolated=False, flags=(), patience=20.0, map=()
     NativeHost.run: timeout=60.0, max_cycles=1000000000
@@ -74,6 +81,16 @@ stage.chips.chip
     Chip.net: axis=0
     Chip.busy: axis=0
     Chip.journal: axis=0
+    Chip: clock_hz=None
+    Chip.attach: rows=None
+    Chip.command_cycles: axis=0, datum=None
+    Chip.decoder: axis=0
+    Chip.diagnose: once=False
+    Chip.register_cycles: axis=0
+    Chip.set_shaft: rate=0.0, axis=0
+    Chip.starts: axis=0
+    Chip.twin: state=None
+    Chip.values_of: axis=0
 stage.chips.journal
     Journal: previous=None, axis=0
     Journal.course: every_pulse=False
@@ -117,6 +134,7 @@ stage.firmware.report
 stage.firmware.pcl240.rates
     dual_rate_move: profile=None, rates=('FH1', 'FH2', 'FH1'), dwell=0.1, seconds=None, direction=1, timeout=None
     speed_change_move: profile=None, dwell=0.1, timeout=None
+    curved_ramp_move: profile=None, timeout=None
 stage.firmware.hctl1100.moves
     Tuning: gain=64, zero=229, pole=64, timer=64
     MoveReport: limited=False
@@ -153,6 +171,9 @@ stage.chips.nova
     MCX312: clock_hz=None, errata=True
 stage.chips.hctl1100
     HCTL1100.set_shaft: rate=0.0
+    HCTL1100.decoder: axis=0
+    HCTL1100.net: axis=0
+    HCTL1100.register_cycles: axis=0
 stage.envs.base
     StageEnv: render_mode=None, camera='overview', record=None
     StageVectorEnv: num_envs=1, threads=None, render_mode=None
@@ -177,6 +198,97 @@ stage.envs.synchronized_move
         32000.0), fl=1000.0, accel=0.1, s_curve=False, reach=4.0, multiplier_reach=1, moves=1, limit=4.0, settle=0.05,
         looks=100, far=20.0, path_weight=1.0, carriage_weight=1.0, time_weight=1.0, lost_weight=10.0, limit_weight=10.0,
         bus_cycle=1e-06
+stage.agents.arena.games
+    suite: split='train', episodes=None, round_='open'
+stage.agents.arena.loop
+    play: name='', limits=None, told=None, before=()
+stage.agents.arena.replay
+    Replayed: cut=''
+    replay: told=None
+stage.agents.arena.scores
+    Played: entry=None
+    Round: ended=''
+stage.agents.arena.table
+    Limits: most=400, patience=600.0, time=3600.0
+    Table: limits=None
+    Table.call: arguments=None
+stage.agents.arena.transcript
+    Writer: overwrite=False, go_on=False
+    save: overwrite=False
+stage.agents.budget
+    Budget: moves=None, seconds=None, cycles=None
+stage.agents.diagnosis.case
+    Case: runs=20
+stage.agents.diagnosis.setups
+    Setup: chips='pcl240k', payload=0.0, equip=None
+stage.agents.tool
+    Answer: png=None
+    Tool: fields=(), moves=False, free=False
+stage.agents.toolbox
+    Toolbox: mode='host', budget=None, snapshots=True, patience=None, more=()
+stage.bench.cards
+    Card: splits=('train', 'heavy', 'worn', 'weak', 'loose', 'ms', 'nova', 'mast', 'faults'), episodes=64
+    Card.make: vector=0
+    seeds: round_='open'
+stage.bench.files
+    Submission.write: overwrite=False
+stage.bench.playing
+    play: split='train', track='host', round_='open', settings=None, name=None, run=0, notes='', cost=None, episodes=None,
+        told=None
+    submit: overwrite=False
+stage.bench.replaying
+    Verdict: unlike=(), tolerance=None, observations=0
+    verify: tolerance=None, told=None
+stage.board.devices.device
+    Device: name=None, encoders=(), width=8
+    Device.pull: on=True, at=None
+stage.board.devices.hctl2016
+    HCTL2016: name=None
+stage.board.devices.latch
+    Latch: changed=None, name=None
+stage.board.devices.ls7166
+    LS7166: name=None
+stage.board.devices.own
+    CDevice: flags=(), tell=None, name=None, encoders=(), width=8
+    PythonDevice: read=None, write=None, state=None, tell=None, name=None, encoders=(), width=8
+stage.board.devices.uart
+    UART: clock=1843200, name=None
+stage.board.errors
+    CompileError: output=''
+stage.board.layouts
+    Layout: base=768, own=(), chips=0, evidence='S'
+stage.board.library
+    build: output=None, flags=(), platform=None, metered=False
+stage.board.trace
+    BusTrace.text: n=None
+stage.errors
+    ModelError: missing=()
+stage.firmware.pcl240.bus
+    Port.wait_until: poll=0.0002, what='a change'
+    Port.wait_until_stopped: poll=0.001
+stage.firmware.procedures
+    home: direction=-1, index=False, speed=None, start_speed=None, accel=0.15, timeout=60.0, by=None
+    jog: speed=None, start_speed=None, accel=0.15
+    line: axes=None, pulses=False, speed=None, start_speed=None, accel=0.15, s_curve=False, timeout=None
+    move: distance=None, pulses=None, speed=None, start_speed=None, accel=0.15, decel=None, s_curve=False, timeout=None
+    stop: at_once=False
+stage.firmware.tandem
+    square: direction=-1, speed=None, start_speed=None, accel=0.15, timeout=60.0
+stage.firmware.together
+    SynchronizedReport.plot: path=None, title=None, overwrite=False
+stage.sim.encoder
+    Encoder: per_metre=None, per_turn=None, zero=None
+stage.sim.fleet
+    Fleet: threads=None
+stage.tune.result
+    Result.c_source: name=None
+    Result.plot: overwrite=False
+stage.tune.run
+    tune: by='search', trials=200, seed=0, workers=None, moves=48
+stage.tune.task
+    Task: payload=0.0, spare=None, within=None, hold=0.05, overshoot=None, judge_at=None, payload_on=None
+    Task.corners: guard=1.0
+    Task.drawn: guard=1.0
 """
 """Modules, their functions and classes, and what these take for an argument that is not given; new ones may come."""
 

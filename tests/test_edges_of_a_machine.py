@@ -219,3 +219,4 @@ def test_a_servo_has_the_motor_that_it_is_given_else_that_of_the_name_else_that_
     assert [axes[n].drive.motor.name for n in "xyz"] == ["14204S004", "14203S010", "that of axis z"]
     motor = axes["z"].drive.motor
     assert (motor.torque_constant, motor.resistance) == (0.04, 2.5)
+    assert motor.continuous_torque == 0.04, "that of 1 A"

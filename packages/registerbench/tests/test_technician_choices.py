@@ -29,7 +29,9 @@ class ScriptedTable:
         data = {"ended": self.ended}
         if name == "measure":
             data = dict(zip(("x_mm", "y_mm"), self.places.pop(0), strict=True))
-        return Answer(True, {"text": self.answers[name]}) if name in self.answers else SimpleNamespace(data=data, text="")
+        return (
+            Answer(True, {"text": self.answers[name]}) if name in self.answers else SimpleNamespace(data=data, text="")
+        )
 
     def argument(self, name, key):
         """Return an argument of the last call of this name."""
