@@ -19,7 +19,7 @@ help:
 	@echo "make test-small                 what rerun has to do with, without it, in build/small"
 	@echo "make test-libraries             what needs libraries for reinforcement learning, with all of them, in build/libraries"
 	@echo "make test-mujoco VERSION=3.17.0 what touches physics, with another MuJoCo"
-	@echo "make record     write the recorded behaviour of tests/recorded anew: for a change that is meant"
+	@echo "make record     write the recorded behavior of tests/recorded again, after an intended change"
 	@echo "make coverage   lines that the fast tests run, with the compiled code uncompiled"
 	@echo "make fuzz       fuzz the bus and the MJCF contract, SECONDS=60 each (extra fuzz)"
 	@echo "make memory     the native library under valgrind (Debian: valgrind), a few minutes"

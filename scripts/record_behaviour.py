@@ -1,7 +1,8 @@
 """Write the recorded behavior of tests/recorded/data again, all of it or the files that are named. Then read the diff: `git diff`.
 
 python scripts/record_behaviour.py
-python scripts/record_behaviour.py chips_PCL240K stages
+python scripts/record_behaviour.py chips_PCL240K drivers
+python scripts/record_behaviour.py --events chips_PCL240K run run-3     print all events of an entry, to compare two versions
 """
 
 from __future__ import annotations
@@ -18,19 +19,32 @@ WORKERS = 2
 sys.path.insert(0, str(TESTS))
 
 
+def play(file: str, scene: str) -> dict[str, list[str]]:
+    """Play a scene in a folder of its own, and return its entries."""
+    from recorded import entries
+    from recorded.catalog import FILES
+
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        played = entries.play(FILES[file][scene], Path(folder))
+        os.chdir(entries.DATA)
+    return played
+
+
 def record(file: str) -> int:
     """Play all scenes of a file, write it, and return how many entries it has."""
     from recorded import entries
     from recorded.catalog import FILES
 
-    scenes = {}
-    for scene, function in FILES[file].items():
-        with tempfile.TemporaryDirectory() as folder:
-            os.chdir(folder)
-            scenes[scene] = entries.play(function, Path(folder))
-            os.chdir(entries.DATA)
+    scenes = {scene: play(file, scene) for scene in FILES[file]}
     entries.save(file, scenes)
     return sum(map(len, scenes.values()))
+
+
+def print_events(file: str, scene: str, entry: str) -> int:
+    """Print an entry's summary, digest, marks and events, a line each."""
+    print(*play(file, scene)[entry], sep="\n")
+    return 0
 
 
 def main(names: list[str]) -> int:
@@ -39,6 +53,8 @@ def main(names: list[str]) -> int:
     from recorded import entries
     from recorded.catalog import FILES
 
+    if names[:1] == ["--events"]:
+        return print_events(*names[1:])
     if unknown := set(names) - set(FILES):
         print(f"There are no files {', '.join(sorted(unknown))}. There are: {', '.join(FILES)}.", file=sys.stderr)
         return 2
