@@ -1,11 +1,13 @@
 """Transcripts: what they claim is computed again, a part is no suite, and a run that broke off goes on."""
 
+import dataclasses
 import json
 
 import pytest
 
 from registerbench.arena import Interrupted, Writer, play, player, read, replay, save, suite, transcript
 from registerbench.arena.loop import head_of
+from registerbench.arena.replay import again
 from registerbench.arena.table import Limits
 from stage.cli import main
 from stage.errors import ArgumentError, StageError
@@ -272,3 +274,42 @@ def test_what_is_written_of_a_game_is_on_the_disk_when_the_next_begins(tmp_path,
     assert len(synced) == len(three.rounds) + 2
     assert synced == sorted(set(synced))
     assert synced[-1] == (tmp_path / "t.jsonl").stat().st_size
+
+
+SPOILED = (
+    (1, "seed", True, "no whole number"), (1, "seed", -1, "no whole number"), (1, "game", 5, "no text"),
+    (1, "game", "g" * 2001, "no text"), (2, "ok", None, "neither true nor false"), (-2, "tokens", 1.5, "no whole number"),
+    (-2, "ended", None, "no text"), (-2, "troubles", {"x": -1}, "no whole number"), (0, "most", 0, "most=0"),
+    (0, "patience", "x", "patience"), (0, "player", None, "no text"), (0, "games", [["a"]], "values"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("row", "key", "value", "says"), SPOILED)
+def test_a_transcript_with_a_wrong_value_is_refused_with_the_value(late, tmp_path, row, key, value, says):
+    file = tmp_path / "late.jsonl"
+    save(late, file)
+    rows = lines(file)
+    assert key in rows[row]
+    rows[row][key] = value
+    write(file, rows)
+    with pytest.raises(ArgumentError, match=rf"no transcript of `stage agent`: .*{says}"):
+        read(file)
+
+
+def test_nothing_stands_behind_the_end_of_a_transcript(late, tmp_path):
+    file = tmp_path / "late.jsonl"
+    save(late, file)
+    rows = lines(file)
+    write(file, [*rows, rows[1]])
+    with pytest.raises(ArgumentError, match=rf"line {len(rows) + 1}\b.*behind its end"):
+        read(file)
+
+
+def test_a_game_that_is_played_again_says_where_it_first_differs(late):
+    (claimed,) = late.rounds
+    made = next(iter(suite("diagnosis:late")))
+    assert "with seed" in again(made, dataclasses.replace(claimed, seed=5))
+    assert "2 are allowed" in again(made, claimed, most=2)
+    unmade = [{**row, "made": False, "ok": True} for row in claimed.calls]
+    assert "call 1, 'program'" in (said := again(made, dataclasses.replace(claimed, calls=unmade)))
+    assert "it was not made, and has an answer" in said
