@@ -253,3 +253,7 @@ def test_the_tour_begins_when_it_is_opened_and_goes_on_by_skip(session, page):
     looks = len(session._life.views._looks)
     page.put("tour", False)
     assert len(session._life.views._looks) == looks - 1
+
+
+def test_the_row_names_the_program(page):
+    assert "PulseStage" in [getattr(element, "text", None) for element in page._all()]
