@@ -19,7 +19,7 @@ from stage.errors import ArgumentError
         (HCTL1100, "R0F", ["R0F: ", "8 bits"]),
     ],
 )
-def test_a_register_word_or_command_is_told_with_bits_range_and_evidence(chip, name, parts):
+def test_a_register_word_or_command_is_described_with_bits_range_and_evidence(chip, name, parts):
     text = about(chip, name)
     for part in parts:
         assert part.lower() in text.lower()

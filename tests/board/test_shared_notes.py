@@ -25,7 +25,7 @@ def test_a_line_is_cut_at_half_of_the_room_and_refused_where_none_is_left(shared
     assert [len(text) for _, text in shared.lines()] == [TEXT // 2]
 
 
-def test_lines_that_firmware_has_written_over_end_there(shared):
+def test_reading_ends_at_a_line_that_firmware_has_overwritten(shared):
     shared.note(0, "kept")
     begin = shared._used[0]
     shared.note(0, "lost")
@@ -33,7 +33,7 @@ def test_lines_that_firmware_has_written_over_end_there(shared):
     assert shared.lines() == [(0.0, "kept")]
 
 
-def test_a_crash_is_kept_to_the_size_of_its_room(shared):
+def test_a_crash_is_stored_up_to_the_size_of_its_room(shared):
     assert shared.crash == b""
     shared.note_crash(b"SIGSEGV at 0\0\0")
     assert shared.crash == b"SIGSEGV at 0"

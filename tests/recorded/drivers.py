@@ -319,7 +319,7 @@ def use_benches():
 
 def compare_paths():
     results = {}
-    ways = {
+    paths = {
         "even": ([([1, 2, 3, 4], 1), ([2, 4], -1)], [4, -2]),
         "at one time": ([([1, 1, 1], 1), ([1, 2, 2], 1)], [3, 3]),
         "back": ([([1, 2, 3, 5], [1, 1, -1, 1]), ([4], 1)], [2, 1]),
@@ -329,7 +329,7 @@ def compare_paths():
         "past the end": ([([1, 2, 3], 1), ([1, 2, 3], 1)], [1, 1]),
         "few": ([([1], 1)], [1, 2]), "no": ([], []), "order": ([([2, 1], 1), ([1], 1)], [2, 1]),
     }  # fmt: skip
-    for name, (pulses, distances) in ways.items():
+    for name, (pulses, distances) in paths.items():
         for hz in (None, 100, [10, 50, 2][: len(pulses)]):
             results[f"{name} {hz}"] = attempt(firmware.path.path_deviation, pulses, distances, hz)
             results[f"points {name} {hz}"] = attempt(path_points, pulses, hz)

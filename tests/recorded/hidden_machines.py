@@ -26,7 +26,7 @@ BOLD = [2, 6, 7, 13, 2, 3, 8, 12, 10, 11] * 4
 """bold, 1024, plus; of y bold, 16, minus; of x wait, read."""
 RASH = [9, 2, 6, 7, 10, 7, 8, 10, 11, 9]
 """home, bold, 1024, plus, wait, plus, minus, wait, read, home"""
-FAR_TARGETS = [8, 1, 5, 7, 9, 10, 7, 9, 10, 12, 6, 11, 8] * 4
+DISTANT_TARGETS = [8, 1, 5, 7, 9, 10, 7, 9, 10, 12, 6, 11, 8] * 4
 """With a grid of three: home, usual, 8192, minus, wait, read, into the end limit; select y, plus, select x, home."""
 SLOW = (a_move(200, 2000, 0.3, 0.3), *MOVES[:2])
 SOUND = {"fault": "none", "payload": 1.0, "friction": 1.2, "supply": 0.9, "torque": 0.9, "switch": 0.3, "drift": 0.05}
@@ -75,7 +75,7 @@ EPISODES = {
         (BOLD, {"level": "axes", "damage_weight": 1.5, "split": "weak"}, {"targets": {"x": 2048, "y": -16}}),
         (RASH, {"split": "weak", "damage_weight": 1.5, "macros": 60, "patience": 0.03}, {"targets": {"x": 16, "y": 32}}),
         (RASH, {"damage_weight": 1.5, "macros": 60, "tolerance": 4.0}, {**SOUND, "payload": 5.0, "torque": 0.6}),
-        (FAR_TARGETS, {"grid": (16, 64, 8192), "damage_weight": 1.5, "success_weight": 2.0}, SOUND),
+        (DISTANT_TARGETS, {"grid": (16, 64, 8192), "damage_weight": 1.5, "success_weight": 2.0}, SOUND),
         ("drawn", {"macro_weight": 0.1, "time_weight": 0.5, "damage_weight": 2.0, "time_limit": 0.5}, {"level": "move"}),
     ],
 }  # fmt: skip

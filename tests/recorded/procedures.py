@@ -259,7 +259,7 @@ def search_home():
     return results
 
 
-def stop_around_erratum():
+def stop_by_workarounds():
     """Try the work-arounds of the S-curve failure, in each phase of a move."""
     results = {}
     for mended, after in itertools.product((False, True), (0.01, 0.05, 0.12)):
@@ -340,5 +340,5 @@ FILES = {
         **{f"{cls.__name__}": partial(run_every_procedure, cls) for cls in CHIPS if cls is not MCX302},
         **{f"{cls.__name__} home": partial(find_home, cls) for cls in CHIPS},
     },
-    "procedures_own": {"draw": draw_paths, "home search": search_home, "erratum": stop_around_erratum, "servo": move_servos},
+    "procedures_own": {"draw": draw_paths, "home search": search_home, "erratum": stop_by_workarounds, "servo": move_servos},
 }  # fmt: skip

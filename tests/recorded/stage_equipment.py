@@ -258,7 +258,7 @@ def change_motors():
     return results
 
 
-def mend_drives():
+def repair_drives():
     """Bring faults of drives about one in the other, and mend them the other way round and in the same order."""
     results = {}
     for order in (1, -1):
@@ -317,7 +317,7 @@ def mend_drives():
 # --- programs ---
 
 
-def look_at_points():
+def measure_points():
     """Look at points of sites and bodies, compiled and by hand: at once, in a row, both ways of a wait that ends."""
     results, stage = {}, make_stage("xyz", {"y": MCX514, "x": PCL240K, "z": HCTL1100})
     m = stage.model
@@ -547,8 +547,8 @@ FILES = {
         "counted": count_encoders,
         "led": lead_chips,
         "refitted": change_motors,
-        "supplies": mend_drives,
-        "pointed": look_at_points,
+        "supplies": repair_drives,
+        "pointed": measure_points,
         "sampled": record_samples,
         "in time": run_to_times,
         "turned": drive_left_handed_screw,

@@ -111,7 +111,7 @@ FAULTS = {
 }
 
 
-def break_and_mend(chips, pin, name):
+def break_and_repair(chips, pin, name):
     """Bring a fault about, and see the time after its mending: over a switch, with a payload on two bodies."""
     stage = make_stage("xy", chips)
     x = stage.axes["x"]
@@ -144,13 +144,13 @@ def break_and_mend(chips, pin, name):
 def break_each(some):
     results = {}
     for name in some:
-        results[name] = break_and_mend(PCL240K, "sd_plus" if "sd" in name or name == "bounce" else "el_plus", name)
+        results[name] = break_and_repair(PCL240K, "sd_plus" if "sd" in name or name == "bounce" else "el_plus", name)
     return results
 
 
 def break_servos():
     return {
-        name: break_and_mend(HCTL1100, "el_plus", name)
+        name: break_and_repair(HCTL1100, "el_plus", name)
         for name in ("jam", "volts", "phase a", "skew", "vane of el", "payload", "lost")
     }
 

@@ -182,14 +182,14 @@ def test_of_differences_in_any_order_the_first_in_the_entry_is_told_and_the_larg
 
 @pytest.mark.parametrize(("exact", "within", "ok"), [(True, None, True), (False, True, True), (False, False, False)])
 def test_a_verdict_as_json_says_what_came_of_the_replay_and_where_it_first_differs(exact, within, ok):
-    made = entry(steps=[2, 1], rewards=np.zeros(3), seeds=(7, 8), scores={"return": np.array([1.0, 2.0])})
+    submission = entry(steps=[2, 1], rewards=np.zeros(3), seeds=(7, 8), scores={"return": np.array([1.0, 2.0])})
     first = None if exact else Difference(1, 0, "reward", "1.0", "1.5")
-    verdict = Verdict(made, exact, within, True, first, 0.5, (("mujoco", "3.17.0", "3.18.0"),), 0.25, 4)
-    told = verdict.json()
-    assert verdict.ok == told["ok"] == ok
-    assert (told["episodes"], told["steps"], told["return"]) == (2, 3, 1.5)
-    assert (told["task"], told["split"], told["player"], told["run"]) == ("home", "train", "a", 0)
-    assert (told["largest_difference"], told["tolerance"], told["observations_that_differ"]) == (0.5, 0.25, 4)
-    assert told["unlike"] == [["mujoco", "3.17.0", "3.18.0"]]
-    assert (told["first_difference"] or {}).get("text") == (None if exact else str(first))
+    verdict = Verdict(submission, exact, within, True, first, 0.5, (("mujoco", "3.17.0", "3.18.0"),), 0.25, 4)
+    data = verdict.json()
+    assert verdict.ok == data["ok"] == ok
+    assert (data["episodes"], data["steps"], data["return"]) == (2, 3, 1.5)
+    assert (data["task"], data["split"], data["player"], data["run"]) == ("home", "train", "a", 0)
+    assert (data["largest_difference"], data["tolerance"], data["observations_that_differ"]) == (0.5, 0.25, 4)
+    assert data["unlike"] == [["mujoco", "3.17.0", "3.18.0"]]
+    assert (data["first_difference"] or {}).get("text") == (None if exact else str(first))
     assert replace(verdict, most=np.inf).json()["largest_difference"] is None

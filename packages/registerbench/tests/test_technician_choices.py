@@ -20,13 +20,13 @@ class ScriptedTable:
 
     tools = ({"name": "program"}, {"name": "run"})
 
-    def __init__(self, program, ended=WELL, diagnostics="", places=()):
+    def __init__(self, program, end_of_run=WELL, diagnostics="", places=()):
         self.answers = {"program": program, "diagnostics": diagnostics}
-        self.ended, self.places, self.calls = ended, list(places), []
+        self.end_of_run, self.places, self.calls = end_of_run, list(places), []
 
     def call(self, name, arguments=None):
         self.calls.append((name, arguments))
-        data = {"ended": self.ended}
+        data = {"ended": self.end_of_run}
         if name == "measure":
             data = dict(zip(("x_mm", "y_mm"), self.places.pop(0), strict=True))
         return (
@@ -42,8 +42,8 @@ class ScriptedTable:
     ("how", "cause"),
     [
         *[({"diagnostics": f"x: {sign}."}, cause) for sign, cause in technician.SIGNS],
-        ({"ended": GAVE_UP}, "swapped limit switches"),
-        ({"ended": GAVE_UP, "program": "x: STOP_DEC\n" + PROGRAM}, "S-curve failure of the MCX304"),
+        ({"end_of_run": GAVE_UP}, "swapped limit switches"),
+        ({"end_of_run": GAVE_UP, "program": "x: STOP_DEC\n" + PROGRAM}, "S-curve failure of the MCX304"),
         ({"places": [(0.5, 50)]}, "wrong base address"),
         ({"places": [(49.0, 0), (50.05, 0)]}, "ramp-down point too late"),
         ({"places": [(49.0, 0), (49.4, 0), *FULL_MOVE]}, "supply too low"),
@@ -72,7 +72,7 @@ def test_each_sign_leads_to_its_cause_and_the_work_or_program_that_mends_it(how,
         *[(s.name, s.cause, ["x: 84 2:"], ["R4 <- 16383"]) for s in SETUPS.values() if s.cause == "R4 wider than its register"],
     ],
 )  # fmt: skip
-def test_a_mended_program_differs_in_the_lines_that_were_wrong(name, cause, removed, added):
+def test_a_repaired_program_differs_in_the_lines_that_were_wrong(name, cause, removed, added):
     before = SETUPS[name].program
     after = technician.MENDINGS[cause](before)
     gone = "\n".join(set(before.split("\n")) - set(after.split("\n")))
@@ -81,9 +81,9 @@ def test_a_mended_program_differs_in_the_lines_that_were_wrong(name, cause, remo
     assert all(text in new for text in added)
 
 
-def test_a_reset_command_is_put_before_each_move_that_lacks_it_and_taken_from_behind_the_registers():
+def test_a_reset_command_stands_before_each_move_and_never_behind_the_registers():
     parts = "x: R0 <- 16000\nx: R6 <- 3200\nx: operate 15h\n"
-    mended = technician.MENDINGS["missing reset command"](parts + "x: operate 08h\n" + parts)
-    assert mended == "x: operate 08h\n" + parts + "x: operate 08h\n" + parts
-    late = "x: operate 08h\nx: R6 <- 3200\nx: operate 08h  # too late\nx: operate 15h\n"
-    assert technician.MENDINGS["R6 missing after reset"](late) == "x: operate 08h\nx: R6 <- 3200\nx: operate 15h\n"
+    repaired = technician.MENDINGS["missing reset command"](parts + "x: operate 08h\n" + parts)
+    assert repaired == "x: operate 08h\n" + parts + "x: operate 08h\n" + parts
+    program = "x: operate 08h\nx: R6 <- 3200\nx: operate 08h  # too late\nx: operate 15h\n"
+    assert technician.MENDINGS["R6 missing after reset"](program) == "x: operate 08h\nx: R6 <- 3200\nx: operate 15h\n"

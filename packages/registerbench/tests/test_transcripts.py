@@ -296,7 +296,7 @@ def test_a_transcript_with_a_wrong_value_is_refused_with_the_value(late, tmp_pat
         read(file)
 
 
-def test_nothing_stands_behind_the_end_of_a_transcript(late, tmp_path):
+def test_a_line_behind_the_end_of_a_transcript_is_refused(late, tmp_path):
     file = tmp_path / "late.jsonl"
     save(late, file)
     rows = lines(file)
@@ -307,9 +307,9 @@ def test_nothing_stands_behind_the_end_of_a_transcript(late, tmp_path):
 
 def test_a_game_that_is_played_again_says_where_it_first_differs(late):
     (claimed,) = late.rounds
-    made = next(iter(suite("diagnosis:late")))
-    assert "with seed" in again(made, dataclasses.replace(claimed, seed=5))
-    assert "2 are allowed" in again(made, claimed, most=2)
+    game = next(iter(suite("diagnosis:late")))
+    assert "with seed" in again(game, dataclasses.replace(claimed, seed=5))
+    assert "2 are allowed" in again(game, claimed, most=2)
     unmade = [{**row, "made": False, "ok": True} for row in claimed.calls]
-    assert "call 1, 'program'" in (said := again(made, dataclasses.replace(claimed, calls=unmade)))
+    assert "call 1, 'program'" in (said := again(game, dataclasses.replace(claimed, calls=unmade)))
     assert "it was not made, and has an answer" in said
