@@ -160,6 +160,13 @@ class Link:
 
     def ask(self, what: int, a: int, b: int) -> int:
         """One request of a host in Python."""
+        lock = self.stage.loop.lock
+        if lock is None:
+            return self._ask(what, a, b)
+        with lock:
+            return self._ask(what, a, b)
+
+    def _ask(self, what: int, a: int, b: int) -> int:
         if self.answering is not None:
             raise StageError(f"{self.answering.name} answers a bus cycle: it can make none itself, and no time passes.")
         self.stage.loop.check_held()
@@ -182,6 +189,15 @@ class Link:
         """Compiled code calls, see stage.board.host."""
         if threading.current_thread() in self.abandoned:
             threading.Event().wait()
+        if (lock := self.stage.loop.lock) is None:
+            self._answer_call(reason)
+        else:  # the thread that runs the firmware has the lock, and waits
+            with lock.acting_for_owner():
+                self._answer_call(reason)
+        if self.stand_still is not None and (reason == host.PAUSE or self.record["stopped"]):
+            self.stand_still()
+
+    def _answer_call(self, reason: int) -> None:
         self.calls += 1
         try:
             self.end()
@@ -223,8 +239,6 @@ class Link:
         except BaseException as error:
             self.fail(error)
         self.calls += 1
-        if self.stand_still is not None and (reason == host.PAUSE or self.record["stopped"]):
-            self.stand_still()
 
     def _wait_for_others(self) -> None:
         """Another thread than the firmware's own makes a bus cycle: one that does so meanwhile is an error, unless a mutex holds it

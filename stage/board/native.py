@@ -23,6 +23,7 @@ from stage.board.link import MOST
 from stage.board.program import NativeProgram, Program
 from stage.board.scratch import Scratch
 from stage.board.threaded import PATIENCE, Threaded
+from stage.chips.sharing import Lock, exclusive
 from stage.errors import ArgumentError, RunTimeout, StageError
 
 MOST_CYCLES = 1_000_000_000
@@ -145,6 +146,12 @@ class Host:
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.path.name}, {'in the middle' if self.running else 'not running'}; {self.board!r}>"
 
+    @property
+    def lock(self) -> Lock | None:
+        """Lock of the board's stage, see `Stage.lock`: a run of firmware has it from its begin to its end."""
+        return self.board.stage.lock
+
+    @exclusive
     def _go_on(self, ns: int, max_cycles: int) -> Result | None:
         board, stage = self.board, self.board.stage
         if int(max_cycles) != max_cycles or max_cycles < 1:

@@ -26,6 +26,7 @@ from stage.chips import contract
 from stage.chips.describe import Decoder, Listener
 from stage.chips.journal import Journal
 from stage.chips.register_map import RegisterMap, Word, dump
+from stage.chips.sharing import Lock, exclusive, exclusively, with_lock
 from stage.errors import ArgumentError, StageError, a_or_an, unknown
 from stage.native import plain
 from stage.snapshot_files import FiledSnapshot
@@ -121,14 +122,15 @@ class Pins:
         if name not in self._inputs:
             kind = "is an output and cannot be driven" if name in self._outputs else "is not a pin"
             raise _NoPin(f"{type(chip).__name__} {name!r} {kind}. Inputs: {', '.join(self._inputs)}.")
-        word = chip.input_word(self._axis)
-        bit = self._inputs[name]
-        new = word | bit if value else word & ~bit
-        if new != word:
-            chip._change()
-            chip.set_input_word(self._axis, new)
-            if chip.open_journal is not None:
-                chip.open_journal.note_input(chip.clock, self._axis, new)
+        with exclusively(chip):
+            word = chip.input_word(self._axis)
+            bit = self._inputs[name]
+            new = word | bit if value else word & ~bit
+            if new != word:
+                chip._change()
+                chip.set_input_word(self._axis, new)
+                if chip.open_journal is not None:
+                    chip.open_journal.note_input(chip.clock, self._axis, new)
 
     def __dir__(self) -> list[str]:
         return [*self._inputs, *self._outputs]
@@ -207,6 +209,8 @@ class Chip:
     one address after the other."""
     BUSY: ClassVar[tuple[int, int]]
     """Where the bus tells that a drive is in progress: address, and the bit of axis 0."""
+    lock: Lock | None = None
+    """Lock that its bus cycles take while threads share the stage, see `share`."""
 
     def __init__(self, clock_hz: int | None = None):
         """Power the chip up. `clock_hz`: reference clock, default the data sheet's."""
@@ -273,6 +277,14 @@ class Chip:
             self._hold(*self._alone)
             self._alone = None
 
+    def share(self, lock: Lock | None) -> None:
+        """Have each bus cycle take `lock` from now on; None: no lock, at no cost. See stage.chips.sharing."""
+        self.lock = lock
+        for name in ("read", "write"):
+            vars(self).pop(name, None)
+            if lock is not None:
+                setattr(self, name, with_lock(lock, getattr(self, name)))
+
     @property
     def attached(self) -> bool:
         """It belongs to a stage or a bench."""
@@ -324,6 +336,7 @@ class Chip:
         return int(self.CORE.net.held(self.pointer, axis))
 
     @told
+    @exclusive
     def set_shaft(self, count: float, rate: float = 0.0, axis: int = 0) -> None:
         """An encoder is on the axis, and from now on at `count + rate * (clock - now)`: edges (between two as the family
         rounds), edges a clock. The axis' counter follows as its mode says; where the shaft is at first counts nothing. Raises
@@ -527,6 +540,7 @@ class Chip:
         check_clock(until)
         return until
 
+    @exclusive
     def reset(self) -> None:
         """The /RESET pin. Registers and modes clear; the clock, the inputs and the diagnostics stay."""
         self._change()

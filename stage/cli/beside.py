@@ -30,7 +30,7 @@ def beside(args: argparse.Namespace, stage: Any, program: str) -> Iterator[Sessi
 
 def live_on(session: Session) -> None:
     """The program has ended: the stage is the page's, until Ctrl-C or SIGTERM."""
-    session.dismiss()
+    session.dismiss_program()
     print("the page lives on; Ctrl-C ends it", flush=True)
     over = threading.Event()
     before = {n: signal.signal(n, lambda *_: over.set()) for n in (signal.SIGINT, signal.SIGTERM)}
@@ -46,8 +46,8 @@ def run_beside(session: Session, host: Any, seconds: float | None, timeout: floa
     stage = host.board.stage
     left = timeout if seconds is None else seconds
     end = stage.now + round(left * 1e9)
-    while (left := (end - stage.now) * 1e-9) > session.piece:
-        result = host.run_for(session.piece)
+    while (left := (end - stage.now) * 1e-9) > session.slice_s:
+        result = host.run_for(session.slice_s)
         if result is not None:
             return result
         session.catch_up()

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 from stage.chips import Chip, contract
 from stage.chips.entries import WRITE
+from stage.chips.sharing import Lock, exclusive
 from stage.errors import ArgumentError, RunTimeout, StageError, a_or_an
 from stage.firmware.axis import Axis, check_origin
 from stage.firmware.pattern import Pattern
@@ -83,6 +84,19 @@ class Driver(ABC):
     TRIMS: ClassVar[Mapping[str, float]] = {}
     """Registers of `tuned_by` that a search may trim beside rates and ramps: by a factor of so much, at most."""
 
+    PROCEDURES: ClassVar[tuple[str, ...]] = (
+        "move",
+        "start",
+        "two_rates",
+        "circle",
+        "home",
+        "home_by",
+        "ready",
+        "run",
+        "halt",
+    )
+    """Methods that make several bus cycles: no other thread comes between them, whatever the family, see stage.chips.sharing."""
+
     goal: int | None = None
     """Net pulses of the chip's axis at the end of what `start` has begun; None where the driver does not keep them."""
 
@@ -93,6 +107,17 @@ class Driver(ABC):
         for sensor in getattr(axis, "wiring", {}):
             if sensor not in self.POSITIVE:
                 raise self.no_positive(sensor)
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        for name in cls.PROCEDURES:
+            if name in vars(cls):
+                setattr(cls, name, exclusive(vars(cls)[name]))
+
+    @property
+    def lock(self) -> Lock | None:
+        """Lock of the chip, see `Chip.lock`."""
+        return self.chip.lock
 
     def no_positive(self, sensor: str) -> ArgumentError:
         """For a sensor that the chip, or its driver, reads the wrong way round."""

@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping
 
 from stage.arguments import patience, told
+from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError
 from stage.firmware.axis import Axes, Axis, forward
 from stage.firmware.driver import RAMP, Driver, Speeds, driver_of, usual_speeds
@@ -84,6 +85,7 @@ def home(
 
 
 @told
+@exclusive
 def jog(
     axis: Axis, seconds: float, speed: float | None = None, *, start_speed: float | None = None, accel: float = RAMP
 ) -> Report:
@@ -109,6 +111,7 @@ def stop(axis: Axis, at_once: bool = False) -> None:
 
 
 @told
+@exclusive
 def line(
     distances: Mapping[str, float] | Mapping[Axis, float],
     axes: Axes = None,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from stage.errors import ArgumentError, StageError, a_or_an
 from stage.firmware import procedures
-from stage.panel.travel import has_ends
+from stage.panel.stage_thread import has_end_limits
 
 if TYPE_CHECKING:
     from stage.sim.axis import Axis
@@ -130,7 +130,7 @@ def speed_fields(axis: Axis) -> list[Field]:
 def distance_of(axis: Axis, name: str, value: float) -> float:
     """m (rad) of what was typed: a pulse or more, and no more than makes sense."""
     unit, k = scale(axis)
-    pulse, most = (axis.meters_per_pulse or 0.0) / k, FAR[has_ends(axis)] * (axis.travel[1] - axis.travel[0]) / k
+    pulse, most = (axis.meters_per_pulse or 0.0) / k, FAR[has_end_limits(axis)] * (axis.travel[1] - axis.travel[0]) / k
     if abs(value) < 0.5 * pulse:
         raise WrongField(name, f"{value:g} {unit}: less than a pulse, which is {pulse:.4g} {unit}.")
     if abs(value) > most:

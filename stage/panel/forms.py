@@ -137,7 +137,7 @@ class Procedures:
             return  # a key that repeats
         if self.session.busy:
             ui.notify(
-                f"{self.session.view.doing or 'a procedure'} is under way: wait, or stop it first.", type="warning"
+                f"{self.session.view.action or 'a procedure'} is under way: wait, or stop it first.", type="warning"
             )
             return
         clear(controls)
@@ -159,7 +159,7 @@ class Procedures:
 
     async def _stop(self, at_once: bool) -> None:
         """All axes; what is under way is abandoned."""
-        self.session.abandon()
+        self.session.stop_actions()
         axes = list(self.session.stage.axes)
         try:
             await asyncio.wrap_future(self.session.act("stop", procedures.stopping(axes, at_once)))

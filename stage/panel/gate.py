@@ -40,7 +40,7 @@ class Gate:
     def drives(self) -> bool:
         """It may drive now."""
         session = self._panel.session
-        return self.mine and (session.taken or not session.program)
+        return self.mine and (session.taken_over or not session.program)
 
     def refresh(self) -> None:
         """Parts that it may not use look so."""

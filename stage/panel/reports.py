@@ -10,7 +10,7 @@ from nicegui import background_tasks, run, ui
 
 from stage.errors import RunTimeout, StageError
 from stage.panel import procedures
-from stage.panel.session import Abandoned
+from stage.panel.session import ActionStopped
 
 if TYPE_CHECKING:
     from stage.panel.session import Session
@@ -49,7 +49,7 @@ class Reports:
         self.say(form, f"{what} ...")
         try:
             report = await asyncio.wrap_future(self._session.act(what, order))
-        except Abandoned:
+        except ActionStopped:
             self.say(form, f"{what}: stopped.")
         except RunTimeout as error:
             self.say(form, f"{error}\n{getattr(error, 'report', '')}", wrong=True)

@@ -48,7 +48,7 @@ def build(panel: Panel, live: Live, gate: Gate) -> None:
 
     async def back(seconds: float) -> None:
         try:
-            await run.io_bound(session.back, seconds)
+            await run.io_bound(session.go_back, seconds)
         except StageError as error:
             ui.notify(str(error), type="warning", multi_line=True)
 
@@ -65,7 +65,7 @@ def build(panel: Panel, live: Live, gate: Gate) -> None:
     live.text(pace, lambda: _pace(session))
     ui.space()
     doing = ui.label().classes("text-caption ellipsis").props("data-test=doing role=status")
-    stop = _button("stop", "stop this action; the chips go on", session.abandon, "abandon")
+    stop = _button("stop", "stop this action; the chips go on", session.stop_actions, "abandon")
     gate.driving(stop)
     good = ui.button("back to a good state", on_click=lambda: run.io_bound(session.recover))
     gate.driving(good.props("dense no-caps color=negative data-test=recover"))
@@ -78,10 +78,10 @@ def build(panel: Panel, live: Live, gate: Gate) -> None:
     def look() -> None:
         view = session.view
         play.props(f"icon={'play_arrow' if session.paused else 'pause'}")
-        doing.text = view.trouble or view.doing
+        doing.text = view.trouble or view.action
         program()
         doing.classes(**({"add": "trouble"} if view.trouble else {"remove": "trouble"}))
-        stop.set_visibility(bool(view.doing))
+        stop.set_visibility(bool(view.action))
         good.set_visibility(bool(view.trouble))
         mine()
 
@@ -91,7 +91,7 @@ def build(panel: Panel, live: Live, gate: Gate) -> None:
 def _pace(session: Session) -> str:
     if session.paused:
         return "stands still"
-    pace = session.view.pace
+    pace = session.view.achieved_speed
     late = session.speed != FREE and pace < LAGS * session.speed
     return f"{pace:.2f} x" + (", cannot keep up" if late else "")
 
@@ -141,7 +141,7 @@ def _program(panel: Panel, gate: Gate) -> Callable[[], None]:
     says = ui.label().classes("text-caption ellipsis").props("data-test=program role=status")
 
     def press() -> None:
-        if session.taken:
+        if session.taken_over:
             session.give_back()
         else:
             session.take_over()
@@ -150,7 +150,7 @@ def _program(panel: Panel, gate: Gate) -> Callable[[], None]:
     gate.machine(button)
 
     def look() -> None:
-        name, taken, waits = session.program, session.taken, session.waits
+        name, taken, waits = session.program, session.taken_over, session.program_waits
         says.text = f"{name} waits" if waits else f"{name} has the stage" if name and not taken else name
         button.text = "Give back" if taken else "Take over"
         button.set_visibility(bool(name))

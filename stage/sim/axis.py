@@ -9,6 +9,7 @@ import numpy as np
 
 from stage import html
 from stage.arguments import told
+from stage.chips.sharing import Lock, exclusively
 from stage.drives import drive as any_drive
 from stage.errors import ArgumentError, StageError, UnknownKey, unknown
 from stage.units import PLACES
@@ -53,9 +54,10 @@ class Switches:
         if asserted is not None and (not isinstance(asserted, int | np.bool_) or asserted not in (0, 1)):
             raise ArgumentError(f"asserted={asserted!r}: True holds {name} asserted, False released, None mends it.")
         stage = self._axis.stage
-        stage.change()
-        stage.state.switch_table[self.row(name)].forced = -1 if asserted is None else int(asserted)
-        stage.look_again(self._axis)
+        with exclusively(stage):
+            stage.change()
+            stage.state.switch_table[self.row(name)].forced = -1 if asserted is None else int(asserted)
+            stage.look_again(self._axis)
 
     def __dir__(self) -> list[str]:
         return [s.pin for s in self._axis.plant.switches]
@@ -100,6 +102,11 @@ class Axis:
         self.meters_per_pulse = 2 * np.pi / drive.pulses_per_turn / abs(self.gear)
         self.switches = Switches(self)
         self.supply, self.open_phases = drive.bus_voltage, 0
+
+    @property
+    def lock(self) -> Lock | None:
+        """Lock of its stage, see `Stage.lock`."""
+        return self.chip.lock
 
     @property
     def pins(self) -> Pins:

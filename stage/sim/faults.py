@@ -31,6 +31,7 @@ import mujoco
 
 from stage.arguments import told
 from stage.chips import Chip
+from stage.chips.sharing import exclusively
 from stage.drives import stepper
 from stage.drives.dc_motors import DC_MOTORS, DCMotor
 from stage.drives.motors import MOTORS, Motor
@@ -62,22 +63,24 @@ class Fault:
             )
         self.text, self.in_force = text, True
         self._stage, self._begin, self._things = stage, begin, frozenset(things)
-        self._end = begin()
-        if stage is not None:
-            stage.note_fault(self, True)
+        with exclusively(stage):
+            self._end = begin()
+            if stage is not None:
+                stage.note_fault(self, True)
 
     def mend(self) -> None:
         """End it, now. Safe to call twice; what it has done stays done."""
         if not self.in_force:
             return
-        self.in_force = False
-        above = self._above()
-        for fault in (*reversed(above), self):
-            fault._end()
-        for fault in above:
-            fault._end = fault._begin()
-        if self._stage is not None:
-            self._stage.note_fault(self, False)
+        with exclusively(self._stage):
+            self.in_force = False
+            above = self._above()
+            for fault in (*reversed(above), self):
+                fault._end()
+            for fault in above:
+                fault._end = fault._begin()
+            if self._stage is not None:
+                self._stage.note_fault(self, False)
 
     def _above(self) -> list[Fault]:
         """The later faults that have changed what this one or one of them had changed, in their order."""

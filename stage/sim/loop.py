@@ -16,6 +16,7 @@ import numpy as np
 
 from stage.chips import Chip
 from stage.chips.entries import LOAD, PACKED, SHAFT
+from stage.chips.sharing import Lock
 from stage.errors import ArgumentError, SimulationError, StageError
 from stage.sim import callbacks, handle, records
 from stage.sim.in_use import token
@@ -43,6 +44,7 @@ class Loop:
             meanwhile, and answers how far it may go now; then it is asked again. Before anything else that changes the stage it is
             asked with the time that is now. None: as fast as it goes.
         each_cycle: who is told before each bus cycle that Python makes, and may refuse it by an error; or None.
+        lock: lock that whoever uses the stage takes while a session is open, see stage.chips.sharing; or None.
     """
 
     def __init__(self, state: State, chips: Sequence[Chip], power_up: Callable[[], None]):
@@ -52,6 +54,7 @@ class Loop:
         self.held = self.keeps = ""
         self.pace: Callable[[int], int] | None = None
         self.each_cycle: Callable[[], None] | None = None
+        self.lock: Lock | None = None
         self._words, self._pointer, self._advance = state.words, state.pointer, handle.advance.c
         self._power_up, self._dt, self._bus = power_up, state.dt, state.bus
         self._opt = state.model.opt
@@ -78,8 +81,8 @@ class Loop:
 
     def change(self) -> None:
         """Somebody is about to change the stage's state. Raises StageError while another thread runs the stage."""
-        if self.pace is not None:
-            self.pace(self._words.item(0))
+        if (pace := self.pace) is not None:
+            pace(self._words.item(0))
         if self.state.clockwork["busy"].item(0):
             raise StageError(IN_USE)
         self.look()
@@ -99,15 +102,15 @@ class Loop:
 
     def check_held(self) -> None:
         """Raises StageError while somebody has the stage stand still."""
-        if self.pace is not None:
-            self.pace(self._words.item(0))
+        if (pace := self.pace) is not None:
+            pace(self._words.item(0))
         if self.held:
             raise StageError(self.held)
 
     def check_kept(self) -> None:
         """Raises StageError while nobody may put another state in the place of this one, or let firmware run."""
-        if self.pace is not None:
-            self.pace(self._words.item(0))
+        if (pace := self.pace) is not None:
+            pace(self._words.item(0))
         if self.held or self.keeps:
             raise StageError(self.held or self.keeps)
 
@@ -127,9 +130,8 @@ class Loop:
         """Let time pass up to `until`, ns since power-up. Raises SimulationError, see `Stage.run`; StageError."""
         if self.held:
             raise StageError(self.held)
-        if self.pace is not None:
-            while self.pace is not None and (goal := self.pace(until)) < until:
-                self._run_to(goal)
+        while (pace := self.pace) is not None and (goal := pace(until)) < until:
+            self._run_to(goal)
         self._run_to(until)
 
     def _run_to(self, until: int) -> None:

@@ -25,6 +25,7 @@ import numpy as np
 from stage import html, snapshots
 from stage.arguments import told
 from stage.chips import ChipAxis
+from stage.chips.sharing import Lock, exclusive
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError, RunTimeout, StageError, unknown
@@ -175,6 +176,11 @@ class Stage:
         """What its snapshots are of, without devices."""
         return header(self.state, self._axes, self._mechanics, self._encoders, self._followers, self._linked)
 
+    @property
+    def lock(self) -> Lock | None:
+        """Lock that whoever uses the stage takes while a session is open, see stage.chips.sharing; None without a session."""
+        return self.loop.lock
+
     # --- time ---
 
     @property
@@ -192,6 +198,7 @@ class Stage:
         """Seconds that one bus cycle takes."""
         return self.state.bus * 1e-9
 
+    @exclusive
     def cycle(self) -> None:
         """Let the time of one bus cycle pass."""
         self.loop.cycle()
@@ -215,6 +222,7 @@ class Stage:
             self._settle(zip(here, given, strict=True))
 
     @told
+    @exclusive
     def step(self, n: int = 1) -> None:
         """Advance to the end of the current physics step, and n - 1 more."""
         dt = self.state.dt
@@ -227,6 +235,7 @@ class Stage:
         self.loop.run_to(self.state.start + int(n) * dt)
 
     @told
+    @exclusive
     def run(self, seconds: float) -> None:
         """Advance by `seconds` of simulated time, rounded to a nanosecond.
 
@@ -239,6 +248,7 @@ class Stage:
         self.loop.run_to(self.state.now + round(seconds * 1e9))
 
     @told
+    @exclusive
     def run_to(self, until: int) -> None:
         """Advance to `until`, ns since power-up; a time that has passed changes nothing. Raises as `run`."""
         if int(until) != until or until - self.state.now > LONGEST * records.SECOND:
@@ -249,6 +259,7 @@ class Stage:
         self.loop.run_to(max(int(until), self.state.now))
 
     @told
+    @exclusive
     def run_until(self, condition: Callable[[], bool], timeout: float, poll: float = 1e-3) -> float:
         """Advance until `condition()` holds, looked at every `poll` seconds. Returns the seconds that passed.
 
@@ -277,6 +288,7 @@ class Stage:
     # --- load and faults ---
 
     @told
+    @exclusive
     def set_payload(self, mass: float, body: str | None = None) -> None:
         """Put `mass` kg on a body, in place of the payload that it had; default: the body that carries the site "work".
 
@@ -302,11 +314,13 @@ class Stage:
             self.recording.note(self.time, f"{fault.text}: {'begins' if begins else 'mended'}", self.faults)
 
     @told
+    @exclusive
     def look_again(self, axis: Axis) -> None:
         """Somebody has changed this axis' rows of `state.switch_table`: from now on they hold."""
         self.loop.look_again(axis.index)
 
     @told
+    @exclusive
     def refit(self, axis: Axis, drive: Drive | Servo) -> None:
         """`axis` has this drive from now on, with another motor; see `faults.motor`. Snapshots of before are another stage's.
 
@@ -326,6 +340,7 @@ class Stage:
         self._header = Header(self._bare.parts + self.beside.part)
         self._initial = _sealed(self._header, refit_power_up(self.state, axis, drive, before.state), before.diagnostics)
 
+    @exclusive
     def equip(self) -> None:
         """Whatever state was restored: the drives have the supply and the wires that their axes say, and stuck switches stick."""
         state = self.state
@@ -340,6 +355,7 @@ class Stage:
     # --- state ---
 
     @told
+    @exclusive
     def place(self, /, **positions: float) -> None:
         """Place carriages, at rest, as if moved by hand with the motors off: `stage.place(x=0.05)`, metres (rad).
 
@@ -381,6 +397,7 @@ class Stage:
         """What its snapshots are of: those of an equal one can be restored."""
         return self._header
 
+    @exclusive
     def snapshot(self) -> Snapshot:
         """All state: physics, chips, drives, switches, time."""
         self.change()
@@ -395,6 +412,7 @@ class Stage:
         if self.beside.words:
             self.beside.get(state[len(self.state.saved) :])
 
+    @exclusive
     def put(self, state: np.ndarray) -> None:
         """The stage is in this state, which `keep` has copied, here or of a stage alike."""
         self._check_state(state)
@@ -410,6 +428,7 @@ class Stage:
             raise ArgumentError(f"state={what}: this stage's state is an array of float64 of shape ({words},).")
 
     @told
+    @exclusive
     def attach(self, name: str, arrays: Sequence[np.ndarray]) -> None:
         """These arrays are part of the stage's state from now on, as they are now at power-up: a device on its bus."""
         self.beside.add(name, arrays)
@@ -424,6 +443,7 @@ class Stage:
         """For a copy of the stage: the devices on its bus stay with its board."""
         return _sealed(self._bare, snapshot.state[: len(self.state.saved)].copy(), snapshot.diagnostics)
 
+    @exclusive
     def restore(self, snapshot: Snapshot) -> None:
         """Continue from `snapshot`, bit for bit. Raises ArgumentError when it is of another kind of stage (axes, chips, drives, bus
         cycle, time step or mechanics of the model), or damaged.
@@ -452,6 +472,7 @@ class Stage:
         return taking if taking is not None and taking.FORWARD else None
 
     @told
+    @exclusive
     def record(
         self,
         every: float = 1e-3,

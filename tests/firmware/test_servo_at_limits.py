@@ -267,7 +267,7 @@ def test_the_panel_jogs_out_of_a_limit_and_refuses_to_jog_further_in(servo, end)
 
 
 def test_a_stop_ends_what_drives_an_axis_out_of_its_limit():
-    """session.abandon(), as the panel's stop does, while the host's motor command pushes"""
+    """session.stop_actions(), as the panel's stop does, while the host's motor command pushes"""
     stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     x = stage.axes["x"]
     x.switches.stick("el_plus", True)
@@ -277,7 +277,7 @@ def test_a_stop_ends_what_drives_an_axis_out_of_its_limit():
         session.paused = False
         until(lambda: session.view.time > 0.05)
         assert x.chip.motor_command == -15
-        session.abandon()
+        session.stop_actions()
         session.act("stop", stopping(["x"], at_once=False)).result(20)
         assert left.exception(20)
         assert x.chip.motor_command == 0
@@ -291,7 +291,7 @@ def test_the_panel_stops_a_line_whose_host_waits_for_less_than_a_millisecond_at_
         line = session.act("line", lambda stage: firmware.line({"x": 0.1, "y": 0.05}, stage, speed=0.01))
         session.paused = False
         until(lambda: session.view.time > 0.3)
-        assert session.abandon()
+        assert session.stop_actions()
         session.act("stop", stopping(["x", "y"], at_once=False)).result(20)
         assert isinstance(line.exception(20), StageError)
         session.paused = True

@@ -202,7 +202,7 @@ def test_the_panel_stops_a_move_of_a_servo_with_its_ramp():
         while session.view.time < 0.3:
             assert time.monotonic() - begin < 20
             time.sleep(1e-3)
-        session.abandon()
+        session.stop_actions()
         at = session.act("stop", lambda stage: (x.position, stopping(["x"], at_once=False)(stage))).result(20)[0]
         assert isinstance(move.exception(20), StageError)
         session.paused = True

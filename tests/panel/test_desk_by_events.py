@@ -420,7 +420,7 @@ def test_window_trigger_and_run_are_those_of_the_controls(served, page, monkeypa
 
 
 def test_what_the_window_shows_is_exported_under_its_end(served, page):
-    served.session.do(lambda stage: (served.session._life.at_once(stage.run, 0.5), served.session._life.publish()))
+    served.session.do(lambda stage: (served.session.run_unpaced(stage.run, 0.5), served.session._publish()))
     chart = chart_of(page)
     page.put("traces", ["x/position", "y/org"])
     page.until(lambda: chart._frame is not None and chart._frame.end == pytest.approx(0.5))

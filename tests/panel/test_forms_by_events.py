@@ -34,7 +34,7 @@ def session(served, page):
     tab(page, "move")
     yield session
     served.leave(but=1)
-    session.abandon()
+    session.stop_actions()
     page.until(lambda: not session.busy)
     session.paused = True
 
@@ -222,7 +222,7 @@ def test_stop_is_of_all_axes_and_ends_what_is_under_way(page, session, ordered, 
     monkeypatch.setattr("stage.panel.procedures.stopping", lambda *what: asked.append(what) or (lambda stage: None))
     session.paused = True
     page.click("go-move")
-    page.until(lambda: session.view.doing == "Move x")
+    page.until(lambda: session.view.action == "Move x")
     page.click(name)
     page.until(lambda: page.panel.reports.last("move").text == "Move x: stopped.")
     page.until(lambda: page.text("report") == "Move x: stopped." and not session.busy)
@@ -272,7 +272,7 @@ def test_an_axis_jogs_its_way_while_a_button_is_held(page, session, ordered, but
     assert other == pytest.approx(0, abs=1e-12)
     assert ordered == ["jog y"]
     page.fire(button, down)
-    page.until(lambda: len(ordered) == 2 and session.view.doing)
+    page.until(lambda: len(ordered) == 2 and session.view.action)
     page.fire(button, "blur")
     page.until(lambda: not session.busy)
 
@@ -282,7 +282,7 @@ def test_who_loses_the_controls_lets_go_of_his_jog(served, page, session):
     session.speed = 1.0
     tab(page, "jog")
     page.fire("jog-plus", "pointerdown")
-    page.until(lambda: session.view.doing == "jog x")
+    page.until(lambda: session.view.action == "jog x")
     second.click("controls")
     page.until(lambda: not session.busy)
     served.leave(but=1)

@@ -41,7 +41,7 @@ def test_what_is_wrong_is_said_at_its_field_and_nothing_moves(bench):
     browser.until(lambda: "more than 0" in browser.error_at("move-speed"))
     assert browser.error_at("move-distance") == ""
     assert bench.x("commanded") == pytest.approx(before, abs=1e-9)
-    assert bench.session.view.doing == ""
+    assert bench.session.view.action == ""
 
 
 def test_two_rates(bench):
@@ -82,13 +82,13 @@ def test_an_axis_jogs_while_a_button_is_held(bench):
     fill(browser, jog__speed="slow")
     with browser.held("jog-plus"):
         browser.until(lambda: "is not a number" in browser.error_at("jog-speed"))
-    assert bench.session.view.doing == ""
+    assert bench.session.view.action == ""
     fill(browser, jog__speed="20")
     before = bench.x("commanded")
     with browser.held("jog-plus"):
         browser.until(lambda: bench.x("commanded") > before + MM)
         assert browser.error_at("jog-speed") == ""
-        assert bench.session.view.doing == "jog x"
+        assert bench.session.view.action == "jog x"
     browser.until(lambda: "decelerating stop" in browser.text("report"))
     at = bench.x("commanded")
     time.sleep(0.2)
@@ -106,7 +106,7 @@ def test_a_jog_by_the_space_bar_ends_with_the_key(bench):
     ActionChains(browser.driver).key_down(Keys.SPACE).perform()
     browser.until(lambda: bench.x("commanded") < before - 1 * MM)
     ActionChains(browser.driver).key_up(Keys.SPACE).perform()
-    browser.until(lambda: bench.session.view.doing == "")
+    browser.until(lambda: bench.session.view.action == "")
 
 
 def test_stop_ends_what_is_under_way_with_a_ramp(bench):
@@ -119,7 +119,7 @@ def test_stop_ends_what_is_under_way_with_a_ramp(bench):
         browser.until(lambda: bench.x("commanded") > before + 1 * MM)
         browser.click("stop")
     browser.until(lambda: "stopped" in browser.text("report"))
-    browser.until(lambda: bench.session.view.doing == "")
+    browser.until(lambda: bench.session.view.action == "")
     assert not bench.stage(lambda stage: stage.axes["x"].chip.busy(0))
     assert bench.x("commanded") < before + 90 * MM
 

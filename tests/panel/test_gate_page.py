@@ -46,9 +46,9 @@ def test_who_loses_the_controls_lets_go_of_a_jog(bench, second):
     first.until(lambda: first.text("controls") == "2 watching")
     first.click("tab-jog")
     with first.held("jog-plus"):
-        first.until(lambda: bench.session.view.doing == "jog x")
+        first.until(lambda: bench.session.view.action == "jog x")
         second.click("controls")
-        second.until(lambda: bench.session.view.doing == "")
+        second.until(lambda: bench.session.view.action == "")
         time.sleep(0.1)
         at = bench.x("commanded")
         time.sleep(0.2)

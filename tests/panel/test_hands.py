@@ -10,7 +10,8 @@ from stage.errors import ArgumentError, StageError
 from stage.panel.fields import WrongField
 from stage.panel.hands import Hands, functions
 from stage.panel.session import FREE, Session
-from stage.panel.travel import outside, strongest_push
+from stage.panel.stage_thread import describe_escape
+from stage.panel.travel import strongest_push
 
 
 @pytest.fixture(scope="module")
@@ -75,8 +76,8 @@ def test_the_motors_of_an_axis_are_those_that_its_chip_can_drive(hands):
 
 def test_time_does_not_go_back_over_a_motor_that_was_changed(hands, session):
     def pass_time(seconds):
-        session.do(lambda stage: session._life.at_once(stage.run, seconds))
-        session.do(session._life.past.remember)
+        session.do(lambda stage: session.run_unpaced(stage.run, seconds))
+        session.do(session._history.remember)
 
     for _ in range(2):
         pass_time(0.1)
@@ -86,12 +87,12 @@ def test_time_does_not_go_back_over_a_motor_that_was_changed(hands, session):
         pass_time(0.1)
     before = session.do(lambda stage: stage.snapshot().state)
     with pytest.raises(StageError, match="the stage had another motor then"):
-        session.back(30.0)
+        session.go_back(30.0)
     assert np.array_equal(session.do(lambda stage: stage.snapshot().state), before)
-    assert session.back(0.1) > changed
+    assert session.go_back(0.1) > changed
     assert session.recover() > changed, "as far as the machine is this one"
     hands.mend(made)
-    assert session.back(30.0) < changed
+    assert session.go_back(30.0) < changed
     session.reset()
 
 
@@ -127,8 +128,8 @@ def test_what_broke_later_is_mended_in_its_order_whatever_was_mended_before(hand
 
 def test_a_push_moves_the_carriage_and_ends_with_the_hand(hands, session):
     def after(seconds):
-        session.do(lambda stage: session._life.at_once(stage.run, seconds))
-        session.do(lambda stage: session._life.publish())
+        session.do(lambda stage: session.run_unpaced(stage.run, seconds))
+        session.do(lambda stage: session._publish())
         return session.do(lambda stage: stage.axes["x"].position)
 
     rest = after(0.05)
@@ -191,7 +192,7 @@ def test_the_strongest_push_leaves_every_carriage_in_its_travel(model):
             stage.data.qfrc_applied[axis.plant.dof] = sign * strongest_push(axis)
             for _ in range(30):
                 stage.run(0.01)
-                assert outside(stage) == ""
+                assert describe_escape(stage) == ""
 
 
 def test_a_stronger_push_is_refused(hands):

@@ -137,10 +137,10 @@ def test_a_host_that_polls_has_one_line_that_counts():
 def test_after_an_origin_return_what_was_lost_before_is_lost_no_more(look):
     session = look.session
     fast = {"speed": 0.8, "start_speed": 0.4, "accel": 0.02}
-    session.do(lambda stage: session._life.at_once(lambda: firmware.move(stage.axes["x"], 0.04, **fast)))
+    session.do(lambda stage: session.run_unpaced(lambda: firmware.move(stage.axes["x"], 0.04, **fast)))
     session.do(look.take)
     assert look.axes["x"].lost
-    session.do(lambda stage: session._life.at_once(firmware.home, stage.axes["x"]))
+    session.do(lambda stage: session.run_unpaced(firmware.home, stage.axes["x"]))
     session.do(lambda stage: look.found_origin("x", stage))
     session.do(look.take)
     seen = look.axes["x"]

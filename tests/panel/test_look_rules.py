@@ -98,7 +98,7 @@ def test_what_was_lost_before_an_origin_return_is_in_neither_the_count_nor_the_p
 
 
 def test_a_program_begins_anew_where_time_goes_back_to_before_it_and_where_it_is_too_long(session, look, monkeypatch):
-    session.do(lambda stage: session._life.at_once(stage.run, 0.01))
+    session.do(lambda stage: session.run_unpaced(stage.run, 0.01))
     write = session.stage.chips[0].write
 
     def sent():
@@ -124,9 +124,9 @@ def test_a_program_begins_anew_where_time_goes_back_to_before_it_and_where_it_is
 
 
 def test_a_look_that_has_ended_is_taken_no_more(session, real):
-    slices, journals = len(session._life.views._looks), [chip.open_journal for chip in session.stage.chips]
+    slices, journals = len(session._observers), [chip.open_journal for chip in session.stage.chips]
     look = Look(session)
-    assert len(session._life.views._looks) == slices + 1
+    assert len(session._observers) == slices + 1
     session.do(lambda stage: look.close())
-    assert len(session._life.views._looks) == slices
+    assert len(session._observers) == slices
     assert [chip.open_journal for chip in session.stage.chips] == journals, "and the bus is noted no more"

@@ -18,8 +18,8 @@ from stage.sim import faults
 
 
 def hasty(session, what, *given, **more):
-    result = session.do(lambda stage: session._life.at_once(lambda: what(*given, **more)))
-    session.do(lambda stage: session._life.publish())
+    result = session.do(lambda stage: session.run_unpaced(lambda: what(*given, **more)))
+    session.do(lambda stage: session._publish())
     return result
 
 
@@ -74,7 +74,7 @@ def test_auto_shows_what_there_is_and_time_may_go_back(session, sampler):
     hasty(session, session.stage.run, 1.5)
     assert scope.frame(10).end == pytest.approx(sampler.last)
     session.reset()
-    session.do(lambda stage: session._life.publish())
+    session.do(lambda stage: session._publish())
     hasty(session, session.stage.run, 0.02)
     assert scope.frame(10).end <= 0.03
 
@@ -119,7 +119,7 @@ def test_a_trigger_that_time_has_taken_back_is_none(session, sampler):
     hasty(session, firmware.move, session.stage.axes["x"], 0.004)
     assert scope.frame(10).trigger > 0
     session.restore(begin)
-    session.do(lambda stage: session._life.publish())
+    session.do(lambda stage: session._publish())
     hasty(session, session.stage.run, 0.02)
     again = scope.frame(10)
     assert (again.trigger, again.end) == (None, sampler.last)

@@ -19,7 +19,7 @@ from stage.panel import chart, transport
     ],
 )  # fmt: skip
 def test_a_stage_cannot_keep_up_where_it_lags_by_more_than_a_twentieth(paused, speed, pace, says):
-    session = SimpleNamespace(paused=paused, speed=speed, view=SimpleNamespace(pace=pace))
+    session = SimpleNamespace(paused=paused, speed=speed, view=SimpleNamespace(achieved_speed=pace))
     assert transport._pace(session) == says
 
 

@@ -89,8 +89,8 @@ def test_no_columns_of_pixels_are_refused():
 
 
 def run(session, seconds):
-    session.do(lambda stage: session._life.at_once(stage.run, seconds))
-    session.do(lambda stage: session._life.publish())
+    session.do(lambda stage: session.run_unpaced(stage.run, seconds))
+    session.do(lambda stage: session._publish())
 
 
 def test_a_window_has_both_its_ends_and_is_fine_where_that_is_remembered(session, sampler):
@@ -138,14 +138,14 @@ def test_events_are_of_their_chip_and_time_once_each_and_none_of_before(session)
 
 def test_after_it_nobody_samples_and_nobody_looks(session):
     session.reset()
-    looks = len(session._life.views._looks)
+    looks = len(session._observers)
     sampler = Sampler(session)
     run(session, 0.01)
     at = sampler.last
     assert session.stage.loop.recording is sampler
     sampler.close()
     assert session.stage.loop.recording is None
-    assert len(session._life.views._looks) == looks
+    assert len(session._observers) == looks
     run(session, 0.01)
     assert sampler.last == at
 

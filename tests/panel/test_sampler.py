@@ -11,19 +11,19 @@ from stage.sim.records import SAMPLE
 
 
 def run(session, seconds):
-    session.do(lambda stage: session._life.at_once(stage.run, seconds))
+    session.do(lambda stage: session.run_unpaced(stage.run, seconds))
     looked(session)
 
 
 def looked(session):
-    session.do(lambda stage: session._life.publish())  # and everybody has had his look
+    session.do(lambda stage: session._publish())  # and everybody has had his look
 
 
 def test_samples_are_those_of_a_recording(session, sampler):
     """Position, rate, a pin: equal to what a recording of the same program has, at its times."""
 
     def program(stage):
-        session._life.at_once(firmware.move, stage.axes["x"], 0.002)
+        session.run_unpaced(firmware.move, stage.axes["x"], 0.002)
 
     session.act("move", program).result(30)
     twin = Stage("xy", visuals=False)

@@ -80,10 +80,10 @@ def test_the_end_of_a_panel_leaves_the_session_and_nobody_who_looks():
     with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
         panel = Panel(session)
         panel.hands.push("x", 3.0)
-        assert session._life.views._looks
+        assert session._observers
         with panel:
             pass
-        assert session._life.views._looks == []
+        assert session._observers == ()
         assert session.stage.loop.recording is None
         assert not session.do(lambda stage: stage.data.qfrc_applied.any())
         assert panel.port not in panel._site.panels

@@ -1,19 +1,26 @@
-"""A stage that lives in real time takes orders, and is the stage that it would be without."""
+"""A session: a stage in real time takes orders, is the stage that it would be without, and says what it refuses."""
 
 import threading
 import time
+from concurrent.futures import TimeoutError as Late
 
 import numpy as np
 import pytest
 
 from stage import Stage, firmware
 from stage.errors import ArgumentError, StageError
-from stage.panel.session import FREE, Abandoned, Session
+from stage.panel.session import FREE, RECOVERY_S, ActionStopped, Session
+from stage.panel.snapshot_history import INTERVAL_S
+from stage.panel.stage_thread import MAX_UNPACED_NS
+
+PAUSED = pytest.mark.parametrize("session", [{"paused": True}], indirect=True, ids=["paused"])
+PAUSED_IN_REAL_TIME = pytest.mark.parametrize("session", [{"paused": True, "speed": 1.0}], indirect=True, ids=["1 x"])
 
 
 @pytest.fixture
-def session():
-    with Session(Stage("xy", visuals=False), speed=FREE) as session:
+def session(request):
+    """Session of xy, as fast as it goes; PAUSED and PAUSED_IN_REAL_TIME begin otherwise."""
+    with Session(Stage("xy", visuals=False), **{"speed": FREE} | getattr(request, "param", {})) as session:
         yield session
 
 
@@ -22,6 +29,13 @@ def until(condition, seconds=20.0):
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.002)
+
+
+def run_unpaced(session, seconds, times=1):
+    """Let simulated time pass as fast as it goes, and remember each of the ends."""
+    for _ in range(times):
+        session.do(lambda stage: session.run_unpaced(stage.run, seconds))
+        session.do(lambda stage: session._history.remember(stage))
 
 
 def test_time_passes_by_itself_and_stands_still_while_paused(session):
@@ -52,7 +66,7 @@ def test_a_procedure_in_a_session_is_the_procedure_alone():
         future = session.act("move", lambda stage: firmware.move(stage.axes["x"], distance=0.002))
         assert not future.done()
         session.paused = False
-        until(lambda: session.do(lambda stage: future.done()) or session.view.doing == "move")
+        until(lambda: session.do(lambda stage: future.done()) or session.view.action == "move")
         report = future.result(20)
         session.paused = True
     assert str(report) == str(expected)
@@ -61,11 +75,11 @@ def test_a_procedure_in_a_session_is_the_procedure_alone():
 def test_orders_are_carried_out_while_a_procedure_runs(session):
     session.speed = 1.0
     future = session.act("move", lambda stage: firmware.move(stage.axes["x"], distance=0.05))
-    until(lambda: session.view.doing == "move")
+    until(lambda: session.view.action == "move")
     assert session.do(lambda stage: stage.axes["x"].chip.busy(0))
     assert not future.done()
-    assert session.abandon()
-    with pytest.raises(Abandoned):
+    assert session.stop_actions()
+    with pytest.raises(ActionStopped):
         future.result(5)
     assert session.do(lambda stage: stage.axes["x"].chip.busy(0)), "the chip goes on with what it does"
 
@@ -74,17 +88,17 @@ def test_one_goes_back_and_the_same_future_comes_again(session):
     until(lambda: session.view.time > 0.3)
     session.paused = True
     was = session.do(lambda stage: stage.now)
-    assert session.remembered >= 0.2
-    then = session.back(0.2)
+    assert session.history_s >= 0.2
+    then = session.go_back(0.2)
     assert then <= was * 1e-9 - 0.2 + 1e-9
     assert then >= was * 1e-9 - 0.3
     assert session.do(lambda stage: stage.time) == then
 
     def on(stage):
-        session._life.at_once(stage.run_to, was)
+        session.run_unpaced(stage.run_to, was)
         return stage.snapshot().state
 
-    assert np.array_equal(session.do(on), session.do(lambda stage: (session.back(0.2), on(stage))[1]))
+    assert np.array_equal(session.do(on), session.do(lambda stage: (session.go_back(0.2), on(stage))[1]))
     session.reset()
     assert session.do(lambda stage: stage.now) == 0
 
@@ -101,8 +115,8 @@ def test_time_goes_on_at_once_after_power_up(session):
 def test_who_goes_back_to_a_snapshot_is_at_it(session):
     until(lambda: session.view.time > 0.3)
     session.paused = True
-    then = session.back(0.1)
-    assert session.back(0.0) == then
+    then = session.go_back(0.1)
+    assert session.go_back(0.0) == then
 
 
 def test_after_a_reset_one_goes_back_to_what_was_since(session):
@@ -113,7 +127,7 @@ def test_after_a_reset_one_goes_back_to_what_was_since(session):
     session.paused = False
     until(lambda: session.view.time > 0.3)
     session.paused = True
-    session.back(0.1)
+    session.go_back(0.1)
     assert session.view.time > 0.1
     assert session.do(lambda stage: stage.axes["x"].position) == pytest.approx(0.05, abs=1e-4)
 
@@ -126,8 +140,8 @@ def test_going_back_while_a_recording_goes_on_is_refused_also_at_once_after_powe
         session.paused = True
         session.reset()
         with session.do(lambda stage: stage.record()), pytest.raises(StageError, match="close the recording"):
-            session.back(5.0)
-        assert session.back(5.0) == 0.0
+            session.go_back(5.0)
+        assert session.go_back(5.0) == 0.0
 
 
 def test_a_single_step_is_the_last_until_time_goes_on(session):
@@ -182,7 +196,7 @@ def test_a_simulation_that_diverges_stands_still_and_says_so_and_one_goes_back(s
     until(lambda: session.view.trouble)
     assert "diverged" in session.view.trouble
     session.do(lambda stage: stage.data.qfrc_applied.__setitem__(0, 0.0))
-    session.back(0.1)
+    session.go_back(0.1)
     until(lambda: not session.view.trouble)
     at = session.view.time
     until(lambda: session.view.time > at)
@@ -205,13 +219,13 @@ def test_from_a_divergence_one_recovers_where_all_was_well(session):
 def test_a_carriage_that_leaves_its_travel_stops_time_and_what_is_under_way(session):
     until(lambda: session.view.time > 1.0)
     jog = session.act("wait", lambda stage: stage.run(1e6))
-    until(lambda: session.view.doing)
+    until(lambda: session.view.action)
     session.do(lambda stage: stage.data.qpos.__setitem__(0, -3.0))
     until(lambda: session.view.trouble)
     assert session.view.trouble.startswith(
         "x is out of its travel, at -3000 mm: its end stops are at -158 mm and 158 mm."
     )
-    with pytest.raises(Abandoned):
+    with pytest.raises(ActionStopped):
         jog.result(5)
     at = session.view.time
     session.recover()
@@ -220,3 +234,313 @@ def test_a_carriage_that_leaves_its_travel_stops_time_and_what_is_under_way(sess
     session.paused = False
     until(lambda: session.view.time > at + 0.1)
     assert not session.view.trouble
+
+
+@PAUSED
+def test_in_a_pause_nobody_waits_for_the_next_look(session):
+    """The thread of a session that rests looks again after half a second: who wants something wakes it."""
+    session.do(lambda stage: None)
+    begin = time.monotonic()
+    for _ in range(6):
+        session.do(lambda stage: None)
+        assert session.act("nothing", lambda stage: 7).result(5) == 7
+    assert time.monotonic() - begin < 1.5
+
+    begin = time.monotonic()
+    for _ in range(4):
+        move = session.act("wait", lambda stage: stage.run(1.0))
+        until(lambda: session.view.action == "wait")
+        assert session.stop_actions()
+        with pytest.raises(ActionStopped):
+            move.result(5)
+    assert time.monotonic() - begin < 1.2
+    begin = time.monotonic()
+    for _ in range(4):
+        at = session.do(lambda stage: stage.time)
+        time.sleep(0.02)
+        session.paused = False
+        until(lambda a=at: session.view.time > a)
+        session.paused = True
+    assert time.monotonic() - begin < 1.2
+
+
+@PAUSED
+def test_an_order_is_waited_for_as_long_as_was_said(session):
+    with pytest.raises(Late):
+        session.do(lambda stage: time.sleep(0.15), timeout=0.01)
+    assert session.do(lambda stage: 5, timeout=5) == 5
+
+
+@PAUSED
+def test_within_an_order_another_is_done_at_once(session):
+    seen = []
+    session.do(lambda stage: (seen.append(1), session.do(lambda stage: seen.append(2)), seen.append(3)))
+    assert seen == [1, 2, 3]
+
+
+@PAUSED
+def test_a_stage_has_one_session_at_a_time(session):
+    with pytest.raises(StageError, match="this stage has a session already: close that one first"):
+        Session(session.stage)
+    assert session.do(lambda stage: stage.now) == 0
+    session.close()
+    with Session(session.stage, paused=True) as again:
+        assert again.do(lambda stage: stage.now) == 0
+
+
+def test_its_own_thread_may_end_it():
+    session = Session(Stage("xy", visuals=False), speed=FREE)
+    session.post(lambda stage: session.close()).result(5)
+    session._thread.join(5)
+    assert not session._thread.is_alive()
+    assert session.stage.loop.pace is None
+    with pytest.raises(StageError, match="this session is over"):
+        session.do(lambda stage: None)
+
+
+@PAUSED
+def test_so_many_steps_pass_as_are_asked_for_and_then_time_stands(session):
+    dt = session.stage.state.dt
+    session.paused = False
+    for n, given in ((1, ()), (4, (4,))):
+        session.paused = True
+        at = session.do(lambda stage: stage.now)
+        session.single_step(*given)
+        assert session.paused
+        assert session.do(lambda stage: stage.now) == (at // dt + n) * dt
+        session.paused = False
+        until(lambda a=at: session.view.time * 1e9 > a + 10 * dt)
+
+
+@PAUSED
+@pytest.mark.parametrize("seconds", [-1, -1e-9, float("nan")])
+def test_nobody_goes_back_by_less_than_nothing(session, seconds):
+    with pytest.raises(ArgumentError, match=rf"^go_back\({seconds!r}\): seconds, 0 or more\.$"):
+        session.go_back(seconds)
+
+
+@PAUSED
+def test_one_goes_back_to_the_snapshot_before_and_forgets_what_came_after(session):
+    run_unpaced(session, INTERVAL_S, 12)
+    at = session.do(lambda stage: stage.time)
+    assert session.history_s == pytest.approx(at - INTERVAL_S)
+    then = session.go_back(2.5 * INTERVAL_S)
+    assert then == pytest.approx(at - 3 * INTERVAL_S) == session.do(lambda stage: stage.time)
+    assert session.history_s == pytest.approx(then - INTERVAL_S)
+    assert session.go_back(0) == then, "to where it is, which is remembered"
+    assert session.go_back(1e3) == pytest.approx(INTERVAL_S), "as far as it goes"
+
+
+@PAUSED
+def test_one_recovers_by_half_a_second_and_time_stands(session):
+    run_unpaced(session, INTERVAL_S, 16)
+    at = session.do(lambda stage: stage.time)
+    session._trouble = "something"
+    session.paused = False
+    assert session.recover() == pytest.approx(at - RECOVERY_S)
+    assert session.paused
+    assert session._trouble == ""
+
+
+@PAUSED
+@pytest.mark.parametrize("how", ["back", "reset", "restore", "recover"])
+def test_who_goes_elsewhere_in_time_abandons_what_is_under_way(session, how):
+    kept = session.do(lambda stage: stage.snapshot())
+    session.paused = False
+    move = session.act("wait", lambda stage: stage.run(1e6))
+    until(lambda: session.view.action == "wait" and session.view.time > 0)
+    {"back": lambda: session.go_back(0.0), "reset": session.reset, "restore": lambda: session.restore(kept),
+     "recover": session.recover}[how]()  # fmt: skip
+    with pytest.raises(ActionStopped):
+        move.result(5)
+    until(lambda: not session.busy)
+
+
+def test_only_a_program_can_be_made_to_wait():
+    with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
+        session.take_over()
+        assert not session.taken_over
+        assert not session.program_waits
+    with Session(Stage("xy", visuals=False), speed=FREE, paused=True, program="mine") as session:
+        assert (session.program, session.taken_over) == ("mine", False)
+        session.take_over()
+        assert session.taken_over
+        session.paused = False
+        move = session.act("wait", lambda stage: stage.run(1e6))
+        until(lambda: session.view.action == "wait")
+        session.give_back()
+        assert not session.taken_over
+        with pytest.raises(ActionStopped):
+            move.result(5)
+        session.take_over()
+        session.dismiss_program()
+        assert (session.program, session.taken_over) == ("", False)
+
+
+def test_a_program_that_lets_time_pass_otherwise_waits_for_real_time():
+    stage = Stage("xy", visuals=False)
+    with Session(stage, speed=0.2, program="a board") as session:
+        session.catch_up()
+        assert session.slice_s == pytest.approx(0.02 * 0.2)
+        begin = time.monotonic()
+        session._clock.restart(stage.now - 20_000_000)  # 20 ms too far, which take 0.1 s
+        session.catch_up()
+        assert 0.08 < time.monotonic() - begin < 1
+        assert stage.now == 0, "it waits, and lets nothing pass"
+
+
+def assert_time_goes_on(session):
+    """Time passes from where it is at once, and in real time."""
+    at = session.do(lambda stage: stage.time)
+    begin = time.monotonic()
+    session.paused = False
+    until(lambda: session.view.time > at + 0.03, 1.5)
+    passed = session.view.time - at
+    assert passed <= time.monotonic() - begin + 0.05
+    session.paused = True
+
+
+@PAUSED_IN_REAL_TIME
+def test_after_what_is_done_at_once_time_goes_on_in_real_time(session):
+    run_unpaced(session, 4.0)
+    assert_time_goes_on(session)
+
+    def fails(stage):
+        stage.run(4.0)
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        session.do(lambda stage: session.run_unpaced(fails, stage))
+    assert session.do(lambda stage: stage.time) > 8
+    assert_time_goes_on(session)
+
+
+@PAUSED_IN_REAL_TIME
+def test_who_goes_to_a_snapshot_goes_on_from_there_at_once_whether_it_is_later_or_earlier(session):
+    first = session.do(lambda stage: stage.snapshot())
+    run_unpaced(session, 4.0)
+    later = session.do(lambda stage: stage.snapshot())
+    session.restore(first)
+    session.paused = False
+    until(lambda: session.view.time > 0.02)
+    for then, at in ((later, 4.0), (first, 0.0)):
+        session.restore(then)  # time passes, and goes on doing so
+        begin = time.monotonic()
+        until(lambda now=at: now + 0.03 < session.view.time < now + 2, 1.5)
+        assert session.view.time - at <= time.monotonic() - begin + 0.2
+
+
+@PAUSED_IN_REAL_TIME
+def test_an_order_is_seen_when_it_is_done(session):
+    """Whoever waits for `changed` is told of it, with what it has left."""
+    until(lambda: session.do(lambda stage: True))
+    number, told = session.view.number, threading.Event()
+
+    def wait():
+        with session.changed:
+            session.changed.wait_for(lambda: session.view.qpos[0] > 0.009, 5)
+        told.set()
+
+    waiting = threading.Thread(target=wait)
+    waiting.start()
+    session.do(lambda stage: stage.place(x=0.01))
+    assert told.wait(5)
+    waiting.join()
+    assert session.view.number > number
+    assert session.view.qpos[0] == pytest.approx(0.01)
+
+
+@PAUSED_IN_REAL_TIME
+def test_what_is_under_way_stands_still_while_paused_and_ends_when_it_is_abandoned(session):
+    move = session.act("move", lambda stage: firmware.move(stage.axes["x"], distance=0.05))
+    until(lambda: session.view.action == "move")
+    session.do(lambda stage: None)
+    at = session.do(lambda stage: stage.now)
+    assert at < 1_000_000, "bus cycles take their time"
+    assert session.do(lambda stage: stage.now) == at
+    assert session.busy
+    assert session.stop_actions()
+    with pytest.raises(ActionStopped):
+        move.result(5)
+    until(lambda: session.view.action == "")
+    assert not session.stop_actions(), "none is under way"
+
+
+@PAUSED_IN_REAL_TIME
+def test_trouble_stands_until_time_is_let_on_or_gone_back(session):
+    def diverge(stage):
+        stage.data.qfrc_applied[0] = 1e30
+
+    for end in ("unpause", "reset"):
+        session.do(diverge)
+        session.paused = False
+        until(lambda: "diverged" in session.view.trouble)
+        at = session.do(lambda stage: stage.now)
+        time.sleep(0.03)
+        assert session.do(lambda stage: stage.now) == at, "time stands still"
+        session.paused = True
+        assert session.view.trouble
+        if end == "unpause":
+            session.do(lambda stage: stage.reset())
+            session.paused = False
+        else:
+            session.reset()
+            session.paused = False
+        until(lambda: not session.view.trouble and session.view.time > 0)
+        session.reset()
+
+
+def test_a_program_beside_it_does_what_is_short_also_at_its_end_and_else_is_refused():
+    stage = Stage("xy", visuals=False)
+    with Session(stage, speed=FREE, program="a test") as session:
+        stage.run(0.01)
+        session._ending = True
+        at = stage.now
+        stage.run_to(at + MAX_UNPACED_NS // 2)
+        assert stage.now == at + MAX_UNPACED_NS // 2, "a bus cycle ends"
+        with pytest.raises(ActionStopped, match="the program ends"):
+            stage.run(0.01)
+        session._ending = False
+        stage.run(0.01)
+        session.dismiss_program()
+        with pytest.raises(StageError, match="lives in a session"):
+            stage.run(0.01)
+    stage.run(0.01)
+
+
+def test_trouble_that_a_program_has_mended_is_forgotten():
+    stage = Stage("xy", visuals=False)
+    with Session(stage, speed=FREE, program="a test") as session:
+        session.do(lambda stage: stage.data.qpos.__setitem__(0, -3.0))
+        until(lambda: session.view.trouble.startswith("x is out of its travel"))
+        session.do(lambda stage: stage.place(x=0.0))
+        until(lambda: not session.view.trouble)
+
+
+def test_what_a_program_did_last_is_seen_and_can_be_gone_back_to():
+    stage = Stage("xy", visuals=False)
+    with Session(stage, speed=FREE, program="a test") as session:
+        stage.run(0.2)
+        until(lambda: session.view.time == pytest.approx(0.2))
+        assert session.history_s >= 0
+        stage.run(0.2)
+        until(lambda: session.view.time == pytest.approx(0.4))
+        then = session.go_back(0.1)
+        assert then <= 0.3
+        assert session.do(lambda stage: stage.time) == then
+        assert stage.loop.pace is not None
+    assert stage.loop.pace is None
+
+
+@PAUSED_IN_REAL_TIME
+def test_time_goes_on_as_fast_as_is_said_from_when_it_is_said(session):
+    session.speed = 0.001
+    session.paused = False
+    time.sleep(0.03)
+    assert session.view.time < 0.01
+    session.speed = FREE
+    until(lambda: session.view.time > 1.0)
+    session.speed = 1.0
+    at, begin = session.view.time, time.monotonic()
+    time.sleep(0.05)
+    assert session.view.time - at <= time.monotonic() - begin + 0.1

@@ -45,7 +45,7 @@ class Made:
     def after(self, what):
         """The state, when `what(stage)` has been done at once."""
         session = self.session
-        return session.do(lambda stage: (session._life.at_once(what, stage), stage.snapshot().state)[1])
+        return session.do(lambda stage: (session.run_unpaced(what, stage), stage.snapshot().state)[1])
 
     def close(self):
         self.panel.close()

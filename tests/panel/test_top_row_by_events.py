@@ -25,7 +25,7 @@ def session(served, page):
     page.said.clear()
     page.sent.clear()
     yield served.session
-    served.session.dismiss()
+    served.session.dismiss_program()
     served.leave(but=1)
     assert served.panel.controls.holder == page.client.id
 
@@ -67,7 +67,7 @@ def test_who_only_looks_is_heard_of_nothing_that_is_an_order(served, session, pa
     assert press_all(second) == everything
     second.until(lambda: not any(inert(second, n) for n in (*MACHINE, *DRIVING)))
     page.until(lambda: all(inert(page, n) for n in (*MACHINE, *DRIVING)))
-    session._life.program = "a program"
+    session.program = "a program"
     assert press_all(second) == [*MACHINE, *FREE_TO_ALL], "beside a program: what is not driving"
     second.until(lambda: all(inert(second, n) for n in DRIVING))
     assert not any(inert(second, n) for n in MACHINE)
@@ -141,7 +141,7 @@ def test_a_single_step_is_one_and_time_stands_still(session, page):
 @pytest.mark.parametrize("seconds", transport.BACK)
 def test_one_goes_back_by_what_the_button_says(session, page, monkeypatch, seconds):
     asked = []
-    monkeypatch.setattr(session, "back", lambda by: asked.append(by))
+    monkeypatch.setattr(session, "go_back", lambda by: asked.append(by))
     page.click(f"back-{seconds:g}")
     page.until(lambda: asked)
     assert asked == [seconds]
@@ -156,7 +156,7 @@ def test_what_cannot_be_gone_back_is_said(session, page):
 
 
 def test_power_up_and_what_is_under_way_is_left(session, page):
-    session.do(lambda stage: (stage.place(x=0.01), session._life.at_once(stage.run, 0.01)))
+    session.do(lambda stage: (stage.place(x=0.01), session.run_unpaced(stage.run, 0.01)))
     page.click("reset")
     page.until(lambda: session.do(lambda stage: stage.now) == 0)
     assert session.do(lambda stage: stage.axes["x"].position) == pytest.approx(0)
@@ -171,7 +171,7 @@ def test_power_up_and_what_is_under_way_is_left(session, page):
 
 
 def test_trouble_is_told_before_anything_else_and_there_is_a_way_back(session, page):
-    session.do(lambda stage: (session._life.at_once(stage.run, 0.06), session._life.past.remember(stage)))
+    session.do(lambda stage: (session.run_unpaced(stage.run, 0.06), session._history.remember(stage)))
     session.do(lambda stage: stage.data.qpos.__setitem__(0, -3.0))
     page.until(lambda: page.text("doing").startswith("x is out of its travel"))
     page.until(lambda: page.find("recover").visible)
@@ -186,19 +186,19 @@ def test_trouble_is_told_before_anything_else_and_there_is_a_way_back(session, p
 def test_a_program_has_the_stage_until_it_is_taken_over_and_again_when_it_is_given_back(session, page, monkeypatch):
     program = page.find("take-over")
     page.until(lambda: not program.visible)
-    session._life.program = "mine.py"
+    session.program = "mine.py"
     page.until(lambda: program.visible and program.text == "Take over")
     assert page.text("program") == "mine.py has the stage"
     page.click("take-over")
     page.until(lambda: program.text == "Give back")
-    assert session.taken
+    assert session.taken_over
     assert page.text("program") == "mine.py"
     with monkeypatch.context() as waiting:
-        waiting.setattr(type(session._life.turns), "waiting", True)
+        waiting.setattr(type(session.lock), "has_waiting", True)
         page.until(lambda: page.text("program") == "mine.py waits")
     page.click("take-over")
     page.until(lambda: program.text == "Take over")
-    assert not session.taken
+    assert not session.taken_over
 
 
 def test_light_and_dark_are_turned_from_what_the_browser_prefers(session, page):
@@ -231,7 +231,7 @@ def test_what_was_done_is_saved_under_its_name_as_what_it_says(served, session, 
 
 
 def test_the_clock_and_the_pace_are_those_of_the_session(session, page):
-    session.do(lambda stage: session._life.at_once(stage.run, 0.12345))
+    session.do(lambda stage: session.run_unpaced(stage.run, 0.12345))
     (live,) = (e for e in page._all() if type(e).__name__ == "Live")
     texts = {element.props.get("data-test"): look() for element, look in live._texts.values()}
     assert texts["time"] == f"{session.view.time:.4f} s" == "0.1235 s"
@@ -250,9 +250,9 @@ def test_the_tour_begins_when_it_is_opened_and_goes_on_by_skip(session, page):
     assert page.text("tour-title").startswith("That was all.")
     page.click("tour-skip")
     page.until(lambda: page.text("tour-title") == "1 of 6: First pulse")
-    looks = len(session._life.views._looks)
+    looks = len(session._observers)
     page.put("tour", False)
-    assert len(session._life.views._looks) == looks - 1
+    assert len(session._observers) == looks - 1
 
 
 def test_the_row_names_the_program(page):

@@ -17,7 +17,7 @@ def go(bench, form, **values):
         browser.type(f"{form}-{name}", value)
     browser.click(f"go-{form}")
     browser.until(lambda: "lost steps" in browser.text("report") or "stopped" in browser.text("report"))
-    browser.until(lambda: bench.session.view.doing == "")
+    browser.until(lambda: bench.session.view.action == "")
 
 
 def test_each_step_is_done_by_hand(bench):

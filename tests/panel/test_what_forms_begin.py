@@ -151,7 +151,7 @@ def test_steps_lost_before_the_origin_was_found_are_none_and_the_field_is_where_
 
         def drag(stage):
             stage.data.qpos[x.plant.qpos] += 3 * tooth
-            session._life.at_once(stage.run, 0.3)
+            session.run_unpaced(stage.run, 0.3)
             look.take(stage)
 
         session.do(drag)

@@ -55,7 +55,7 @@ def test_series_of_the_oscilloscope_leave_no_thread(tmp_path):
     session = Session(Stage("xy", visuals=False), speed=FREE, paused=True)
     sampler = Sampler(session)
     try:
-        session.do(lambda stage: session._life.at_once(lambda stage: stage.run(0.01), stage))
+        session.do(lambda stage: session.run_unpaced(lambda stage: stage.run(0.01), stage))
         for _ in range(2):
             assert to_rrd(sampler, ["x/position"], 0, 1).startswith(b"RRF")
             assert count_rerun_threads() == 0

@@ -15,6 +15,7 @@ from stage.chips.nova.interpolation import run as interpolation
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP, MCX314AS_MAP
 from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
 from stage.chips.register_map import Word
+from stage.chips.sharing import exclusive
 from stage.errors import StageError
 
 __all__ = ["MCX302", "MCX304", "MCX312", "MCX314AS", "MCX501", "MCX512", "MCX514", "Nova"]
@@ -195,6 +196,7 @@ class MCX514(Nova):
     def _interpolated(self) -> int:
         return int(self._plain["ax"][0]["mode"][interpolation.IPM]) & 15
 
+    @exclusive
     def write_byte(self, address: int, value: int) -> None:
         """A write cycle of the 8-bit bus. Byte addresses: 0 low byte of WR0, 1 its high byte, to 15; the low byte of WR0 acts.
         Raises ArgumentError for what is no number."""
@@ -204,6 +206,7 @@ class MCX514(Nova):
             raise no_cycle("write_byte", address, value) from None
         self._write(BYTES | at, byte, (BYTES | at if at == address else address, value))
 
+    @exclusive
     def read_byte(self, address: int) -> int:
         """A read cycle of the 8-bit bus. Raises ArgumentError for what is no number."""
         try:

@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from stage.chips.hctl1100.maps import MODE
+from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.hctl1100.moves import acceleration_word, cruise, trapezoid, velocity_word
 from stage.firmware.hctl1100.port import CONTROL, LIMIT, STOP, Port
@@ -52,6 +53,7 @@ class HomeReport:
         return f"{self.axis}: home found in {self.seconds:.3f} s, switch at {self.switch}{index}{where}"
 
 
+@exclusive
 def home(
     port: Port,
     direction: int = -1,
@@ -88,6 +90,7 @@ def home(
     )
 
 
+@exclusive
 def leave_limit(
     port: Port, direction: int, *, push: int = PUSH, max_counts: int = MAX_COUNTS, timeout: float = 2.0
 ) -> None:

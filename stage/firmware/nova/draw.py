@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from stage.arguments import patience
+from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis
 from stage.firmware.nova.port import MAP, POLL, Port, inputs_514, mask, same_chip, stop
@@ -102,6 +103,7 @@ class Drawn:
         return f"{self.segments} segment{'s' * (self.segments > 1)} in {self.seconds:.3f} s: {what}, {moved} pulses"
 
 
+@exclusive
 def draw(segments: Sequence[Segment], *axes: Axis, speed: Speed, timeout: float = 60.0) -> Drawn:
     """Draw segments with two to four axes of one MCX514, one after the other without a stop.
 

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from stage.chips.nova.registers.words514 import HOME_STATES
+from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis
 from stage.firmware.nova.port import MAP, POLL, Port, inputs_514, mask, same_chip, stop
@@ -57,6 +58,7 @@ class HomeReport:
         return "\n".join([*lines, *(f"  {t:8.3f} s  {HOME_STATES[state]}" for t, state in self.states)])
 
 
+@exclusive
 def home_search(
     *axes: Axis,
     direction: int = -1,

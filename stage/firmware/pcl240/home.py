@@ -10,6 +10,7 @@ ORG is asserted from the origin on to the end of travel, so that firmware knows 
 from __future__ import annotations
 
 from stage.arguments import patience, told
+from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, a_or_an
 from stage.firmware.axis import Axis, check_origin
 from stage.firmware.pcl240 import bus
@@ -23,6 +24,7 @@ APPROACH = 400.0  # pps; slow, so that the motor does not ring when the switch t
 
 
 @told
+@exclusive
 def origin_return(
     axis: Axis,
     direction: int = -1,

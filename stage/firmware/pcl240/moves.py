@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 
 from stage.arguments import patience, told
 from stage.chips.pcl240.state import COUNTER_MASK
+from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, StageError, a_or_an
 from stage.firmware.axis import Axis
 from stage.firmware.driver import SETTLE
@@ -24,6 +25,7 @@ AUTOMATIC_OFFSET = 2  # pulses; the counts of ramp-up and ramp-down differ by on
 
 
 @told
+@exclusive
 def preset_move(
     axis: Axis,
     pulses: int,
@@ -110,6 +112,7 @@ def _offset(profile: Profile, offset: int) -> int:
 
 
 @told
+@exclusive
 def continuous_move(
     axis: Axis,
     seconds: float,
@@ -148,6 +151,7 @@ def continuous_move(
 
 
 @told
+@exclusive
 def interrupted_move(
     axis: Axis,
     pulses: int,
@@ -191,6 +195,7 @@ def interrupted_move(
 
 
 @told
+@exclusive
 def external_count(
     axis: Axis,
     pulses: int,

@@ -12,6 +12,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 from stage.arguments import told
+from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, Limit
 from stage.firmware.axis import Axis
 from stage.firmware.pcl240 import bus
@@ -35,6 +36,7 @@ SLACK = 1e-3  # s by which a host that polls may be late at each rate
 
 
 @told
+@exclusive
 def dual_rate_move(
     axis: Axis,
     pulses: int | None,
@@ -104,6 +106,7 @@ def dual_rate_move(
 
 
 @told
+@exclusive
 def speed_change_move(
     axis: Axis,
     pulses: int,
@@ -136,6 +139,7 @@ def speed_change_move(
 
 
 @told
+@exclusive
 def curved_ramp_move(
     axis: Axis,
     pulses: int,

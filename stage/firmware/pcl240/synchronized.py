@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any
 
 from stage.arguments import patience, told
+from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, RunTimeout, a_or_an
 from stage.firmware.axis import Axes, Axis
 from stage.firmware.pcl240 import bus
@@ -29,6 +30,7 @@ LOOKS = 200  # at the status bytes of a long move
 
 
 @told
+@exclusive
 def synchronized_move(
     distances: Mapping[str, int] | Mapping[Axis, int] | Plan,
     axes: Axes = None,

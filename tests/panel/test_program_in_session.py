@@ -8,7 +8,7 @@ import pytest
 
 from stage import Stage, firmware
 from stage.errors import StageError
-from stage.panel.session import FREE, Abandoned, Session
+from stage.panel.session import FREE, ActionStopped, Session
 from stage.panel.trace import Trace
 
 
@@ -77,7 +77,7 @@ def test_while_taken_over_it_waits_and_then_it_goes_on(session):
     session.take_over()
     until(lambda: session.view.time > 0.05)  # the session lets time pass
     driver = Driver(lambda: program(stage))
-    until(lambda: session.waits)
+    until(lambda: session.program_waits)
     at = session.do(lambda stage: stage.axes["x"].commanded)
     move = session.act("move", lambda stage: firmware.move(stage.axes["y"], distance=0.001)).result(20)
     assert move.ok
@@ -86,7 +86,7 @@ def test_while_taken_over_it_waits_and_then_it_goes_on(session):
     session.give_back()
     driver.result()
     assert stage.axes["x"].commanded == pytest.approx(at + 0.002)
-    assert not session.waits
+    assert not session.program_waits
     at = session.do(lambda stage: stage.now)
     time.sleep(0.03)
     assert session.do(lambda stage: stage.now) == at
@@ -99,7 +99,7 @@ def test_a_program_asks_the_session_also_while_that_has_the_stage(session):
     assert session.do(lambda stage: stage.axes["x"].position) == pytest.approx(0.0)
     asked = []
     driver = Driver(lambda: stage.run_until(lambda: asked.append(session.do(lambda s: s.time)) or len(asked) > 2, 1.0))
-    until(lambda: session.waits)
+    until(lambda: session.program_waits)
     session.give_back()
     driver.result()
     assert len(asked) == 3
@@ -118,10 +118,10 @@ def test_paused_it_stands_still(session):
 @pytest.mark.parametrize("end", ["close", "dismiss"])
 def test_a_program_that_waits_is_let_go_at_the_end(session, end):
     session.take_over()
-    until(lambda: session.view.time > 0)  # the session has the stage: a program that comes before that need not wait
+    until(lambda: session.view.time > 0)
     driver = Driver(lambda: session.stage.axes["x"].chip.read(0) if end == "close" else session.catch_up())
-    until(lambda: session.waits)
-    getattr(session, end)()
+    until(lambda: session.program_waits)
+    getattr(session, {"close": "close", "dismiss": "dismiss_program"}[end])()
     driver.result()
 
 
@@ -137,7 +137,7 @@ def test_a_program_that_is_to_end_does_at_once_whatever_it_waits_for(session, st
     def drive():
         try:
             session.stage.run(600.0)
-        except Abandoned:
+        except ActionStopped:
             ended.append(time.monotonic())
 
     driver = Driver(drive)
@@ -151,7 +151,7 @@ def test_a_program_that_is_to_end_does_at_once_whatever_it_waits_for(session, st
 
 def test_dismissed_it_is_refused_and_the_session_lets_time_pass(session):
     session.stage.run(0.001)
-    session.dismiss()
+    session.dismiss_program()
     until(lambda: session.view.time > 0.05)
     with pytest.raises(StageError, match="lives in a session"):
         session.stage.run(0.01)

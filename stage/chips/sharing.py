@@ -1,0 +1,75 @@
+"""How threads share a stage: calls that no other thread cuts into while a session is open.
+
+A stage, its chips, axes, drivers and boards have an attribute `lock`. It is None as long as one thread drives the stage. A session of
+stage.panel sets it: a re-entrant lock that each call below takes from its first bus cycle to its last, and gives away where it lets
+simulated time pass.
+
+    @exclusive
+    def move(self, pulses): ...          the whole method; `self.lock` is asked at each call
+
+    with exclusively(stage): ...         a block
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from functools import wraps
+from typing import Any, ParamSpec, Protocol, TypeVar
+
+Parameters = ParamSpec("Parameters")
+Returned = TypeVar("Returned")
+UNSHARED = nullcontext()
+
+
+class Lock(Protocol):
+    """What a session puts into `lock`: a context manager that the thread which has it may enter again."""
+
+    def __enter__(self) -> Any: ...
+
+    def __exit__(self, *exc: object) -> None: ...
+
+    def acting_for_owner(self) -> AbstractContextManager[Any]:
+        """Let this thread act for the one that has the lock, and that waits for it: firmware that runs on a thread of its own."""
+
+
+def exclusively(owner: Any) -> AbstractContextManager[Any]:
+    """Return the lock of what `owner` belongs to, or a context that does nothing where no session is open."""
+    return getattr(owner, "lock", None) or UNSHARED
+
+
+def exclusive(function: Callable[Parameters, Returned]) -> Callable[Parameters, Returned]:
+    """Decorate a method, or a function of axes, to run as one piece; see the module."""
+
+    @wraps(function)
+    def call(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Returned:
+        __tracebackhide__ = True  # pytest shows the caller
+        lock = _find_lock((*args, *kwargs.values()))
+        if lock is None:
+            return function(*args, **kwargs)
+        with lock:
+            return function(*args, **kwargs)
+
+    return call
+
+
+def _find_lock(values: Iterable[Any]) -> Lock | None:
+    """Return the lock of the first value that has one, or of what is in the first mapping of such values."""
+    for value in values:
+        if isinstance(value, Mapping):
+            lock = _find_lock((*value.keys(), *value.values()))
+            if lock is not None:
+                return lock
+        elif not isinstance(value, type) and hasattr(value, "lock"):
+            return value.lock
+    return None
+
+
+def with_lock(lock: Lock, method: Callable[..., Returned]) -> Callable[..., Returned]:
+    """Return a function that calls `method` while it holds `lock`."""
+
+    def call(*args: Any) -> Returned:
+        with lock:
+            return method(*args)
+
+    return call

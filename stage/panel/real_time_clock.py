@@ -1,0 +1,97 @@
+"""`RealTimeClock`: how fast simulated time passes beside real time. It knows no stage: simulated times are given to it, in ns.
+
+clock = RealTimeClock(1.0, stage.now)
+goal = clock.plan_slice(stage.now, until, step)      how far to go next
+clock.seconds_until(goal, stage.now)                 real seconds until that is due
+"""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+from stage.errors import ArgumentError
+
+SLICE_S = 0.02  # real seconds that pass between two looks at what users want
+MAX_LAG_S = 0.2  # real seconds that a stage may be late before it gives up catching up
+MEASURING_TIME_S = 0.25  # real seconds over which the achieved speed is taken, at least
+MIN_SPEED, MAX_SPEED = 0.001, 1000.0
+FREE = float("inf")
+"""The speed of a stage that waits for nobody."""
+
+
+class RealTimeClock:
+    """Compares simulated with real time.
+
+    Args:
+        speed: Simulated seconds in a real second, MIN_SPEED to MAX_SPEED, or FREE.
+        now: Simulated time, ns.
+
+    Attributes:
+        achieved_speed: Simulated seconds in a real second of late; `speed` at first.
+    """
+
+    def __init__(self, speed: float, now: int):
+        self.speed = speed
+        self.achieved_speed = self._speed
+        self._ns_per_slice = float("inf")  # simulated ns that the machine can compute in a slice
+        self.restart(now)
+
+    @property
+    def speed(self) -> float:
+        """Simulated seconds in a real second. Call `restart` after a change. Raises ArgumentError."""
+        return self._speed
+
+    @speed.setter
+    def speed(self, value: float) -> None:
+        if value != FREE and not MIN_SPEED <= value <= MAX_SPEED:
+            raise ArgumentError(
+                f"speed={value!r}: {MIN_SPEED:g} to {MAX_SPEED:g} simulated seconds a second, or FREE, as fast as it goes."
+            )
+        self._speed = float(value)
+
+    @property
+    def slice_s(self) -> float:
+        """Simulated seconds of a slice."""
+        return SLICE_S * (1.0 if self._speed == FREE else self._speed)
+
+    def restart(self, now: int) -> None:
+        """Begin again at simulated time `now`: nothing is late, nothing is early."""
+        self._real, self._simulated = perf_counter(), now
+        self._measured = (self._real, now)
+        self._slice_began: tuple[float, int] | None = None
+
+    def plan_slice(self, now: int, until: int, min_ns: int, seconds: float = SLICE_S) -> int:
+        """Return how far to go towards `until`, ns.
+
+        Args:
+            now: Simulated time, ns.
+            until: Simulated time that is wanted, ns.
+            min_ns: What to go at least, ns.
+            seconds: Real seconds that the slice is for. A machine that cannot keep up goes as far as it can in SLICE_S.
+        """
+        if self._slice_began is not None:
+            (real, simulated), self._slice_began = self._slice_began, None
+            if simulated < now:
+                self._ns_per_slice = (now - simulated) * SLICE_S / max(perf_counter() - real, 1e-9)
+        length = min(self.slice_s if self._speed == FREE else seconds * self._speed, self._ns_per_slice * 1e-9)
+        return min(until, now + max(round(length * 1e9), min_ns))
+
+    def start_slice(self, now: int) -> None:
+        """Note that a slice begins at simulated time `now`: what it takes tells how long the next may be."""
+        self._slice_began = perf_counter(), now
+
+    def seconds_until(self, goal: int, now: int) -> float:
+        """Return the real seconds until simulated time `goal` is due, negative where it is late; what is very late is given up."""
+        if self._speed == FREE:
+            return 0.0
+        left = self._real + (goal - self._simulated) * 1e-9 / self._speed - perf_counter()
+        if left < -MAX_LAG_S:
+            self.restart(now)
+        return left
+
+    def measure(self, now: int) -> None:
+        """Look at the time, for `achieved_speed`."""
+        passed = perf_counter() - self._measured[0]
+        if passed > MEASURING_TIME_S:
+            self.achieved_speed = (now - self._measured[1]) * 1e-9 / passed
+            self._measured = (perf_counter(), now)

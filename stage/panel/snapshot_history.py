@@ -1,0 +1,55 @@
+"""`SnapshotHistory`: the snapshots of the last half minute, by which a session goes back in time."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from stage.sim.stage import Snapshot, Stage
+from stage.snapshots import Header
+
+MAX_AGE_S = 30.0  # simulated seconds that a session can go back
+INTERVAL_S = 0.05  # simulated seconds between two snapshots
+
+
+class SnapshotHistory:
+    """Snapshots of one stage by their times, ns. Not for several threads at a time.
+
+    Attributes:
+        oldest: Time of the oldest snapshot, ns; None where there is none. Any thread may read it.
+    """
+
+    def __init__(self) -> None:
+        self._snapshots: deque[tuple[int, Snapshot]] = deque()
+        self.oldest: int | None = None
+
+    def remember(self, stage: Stage) -> None:
+        """Take a snapshot where the newest is INTERVAL_S old, and drop those that are too old."""
+        snapshots, now = self._snapshots, stage.now
+        if snapshots and now - snapshots[-1][0] < INTERVAL_S * 1e9:
+            return
+        snapshots.append((now, stage.snapshot()))
+        while now - snapshots[0][0] > MAX_AGE_S * 1e9 and len(snapshots) > 1:
+            snapshots.popleft()
+        self.oldest = snapshots[0][0]
+
+    def find_before(self, goal: int) -> Snapshot | None:
+        """Return the newest snapshot of `goal` (ns) or earlier, else the oldest; None where there is none."""
+        snapshots = self._snapshots
+        oldest = snapshots[0][1] if snapshots else None
+        return next((snapshot for time, snapshot in reversed(snapshots) if time <= goal), oldest)
+
+    def find_oldest_of(self, header: Header) -> Snapshot | None:
+        """Return the oldest snapshot since which the machine has been the one of `header`; None where it is another now."""
+        oldest = None
+        for _, snapshot in reversed(self._snapshots):
+            if snapshot.header != header:
+                break
+            oldest = snapshot
+        return oldest
+
+    def forget_after(self, now: int) -> None:
+        """Drop the snapshots that are later than `now`, ns."""
+        while self._snapshots and self._snapshots[-1][0] > now:
+            self._snapshots.pop()
+        if not self._snapshots:
+            self.oldest = None

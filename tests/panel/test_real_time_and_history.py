@@ -1,0 +1,143 @@
+"""The real-time clock and the snapshot history of a session, each by itself, without a thread."""
+
+from math import inf
+from types import SimpleNamespace
+
+import pytest
+
+from stage.errors import ArgumentError
+from stage.panel import real_time_clock
+from stage.panel.real_time_clock import FREE, MAX_LAG_S, SLICE_S, RealTimeClock
+from stage.panel.snapshot_history import INTERVAL_S, MAX_AGE_S, SnapshotHistory
+
+MS = 1_000_000  # ns
+
+
+@pytest.fixture
+def real(monkeypatch):
+    """Real time, s, that stands still: real.now."""
+    time = SimpleNamespace(now=100.0)
+    monkeypatch.setattr(real_time_clock, "perf_counter", lambda: time.now)
+    return time
+
+
+@pytest.mark.parametrize(("speed", "slice_"), [(1.0, 20), (0.5, 10), (4.0, 80)])
+def test_a_slice_is_what_passes_in_a_fiftieth_of_a_second(real, speed, slice_):
+    clock = RealTimeClock(speed, 5 * MS)
+    assert clock.slice_s == pytest.approx(slice_ * 1e-3) == pytest.approx(SLICE_S * speed)
+    assert clock.plan_slice(5 * MS, 1000 * MS, 1) == (5 + slice_) * MS
+    assert clock.plan_slice(5 * MS, 7 * MS, 1) == 7 * MS, "no farther than asked"
+    assert clock.plan_slice(5 * MS, 1000 * MS, 300 * MS) == 305 * MS, "but a step at least"
+    assert clock.plan_slice(5 * MS, 1000 * MS, 1, seconds=0.1) == (5 + 5 * slice_) * MS
+
+
+def test_what_is_early_waits_and_what_is_late_hurries_until_it_is_given_up(real):
+    clock = RealTimeClock(2.0, 0)
+    assert clock.seconds_until(100 * MS, 0) == pytest.approx(0.05)
+    real.now += 0.03
+    assert clock.seconds_until(100 * MS, 0) == pytest.approx(0.02)
+    real.now += 0.1
+    assert clock.seconds_until(100 * MS, 60 * MS) == pytest.approx(-0.08), "it may catch up"
+    real.now += MAX_LAG_S
+    assert clock.seconds_until(100 * MS, 60 * MS) < -MAX_LAG_S
+    assert clock.seconds_until(100 * MS, 60 * MS) == pytest.approx(0.02), "and from now on as if nothing were late"
+
+
+def test_as_fast_as_it_goes_is_never_early(real):
+    clock = RealTimeClock(FREE, 0)
+    assert (clock.slice_s, clock.seconds_until(10**12, 0)) == (SLICE_S, 0.0)
+    assert clock.plan_slice(0, 10**12, 1) == 20 * MS
+    assert clock.plan_slice(0, 5 * MS, 1) == 5 * MS
+
+
+def test_a_machine_that_cannot_keep_up_has_shorter_slices_so_that_it_is_asked_as_often(real):
+    """At 1000 x a slice is 20 s of simulated time; a machine that computes 50 x gets one of 1 s."""
+    clock = RealTimeClock(1000.0, 0)
+    assert clock.plan_slice(0, 10**12, 1) == 20_000 * MS
+    clock.start_slice(0)
+    real.now += 0.4
+    assert clock.plan_slice(20_000 * MS, 10**12, 1) == pytest.approx(21_000 * MS)
+    real.now += 5.0  # somebody had paused meanwhile
+    assert clock.plan_slice(20_000 * MS, 10**12, 1) == pytest.approx(21_000 * MS)
+    clock.start_slice(20_000 * MS)
+    real.now += 0.001
+    assert clock.plan_slice(21_000 * MS, 10**12, 1) == pytest.approx(41_000 * MS), "it can again"
+
+
+def test_a_pace_is_measured_over_a_quarter_of_a_second_and_more(real):
+    clock = RealTimeClock(3.0, 0)
+    assert clock.achieved_speed == 3.0
+    real.now += 0.2
+    clock.measure(100 * MS)
+    assert clock.achieved_speed == 3.0
+    real.now += 0.2
+    clock.measure(100 * MS)
+    assert clock.achieved_speed == pytest.approx(0.25)
+    real.now += 0.5
+    clock.measure(1100 * MS)
+    assert clock.achieved_speed == pytest.approx(2.0), "since the last that was taken"
+
+
+def test_the_ends_of_a_speed_are_speeds():
+    for speed in (0.001, 1000.0, FREE, 1):
+        assert RealTimeClock(speed, 0).speed == speed
+    for wrong in (0.0009, 1000.1, -inf, float("nan")):
+        with pytest.raises(ArgumentError, match=r"0\.001 to 1000 simulated seconds a second"):
+            RealTimeClock(wrong, 0)
+
+
+class NumberedStage:
+    """A stage of which snapshots are numbers."""
+
+    def __init__(self):
+        self.now, self.machine = 0, "a"
+
+    def snapshot(self):
+        return SimpleNamespace(at=self.now, header=self.machine)
+
+
+def remembered(ms, past=None):
+    past, stage = past or SnapshotHistory(), NumberedStage()
+    for at in ms:
+        stage.now = at * MS
+        past.remember(stage)
+    return past
+
+
+def test_the_past_has_a_snapshot_every_twentieth_of_a_second():
+    past = remembered(range(0, 400, 10))
+    assert [at // MS for at, _ in past._snapshots] == list(range(0, 400, round(INTERVAL_S * 1e3)))
+    assert past.find_before(199 * MS).at == 150 * MS
+    assert past.find_before(200 * MS).at == 200 * MS
+    assert past.find_before(10**12).at == 350 * MS
+    assert past.find_before(-1).at == 0, "the oldest, where none is as old"
+    assert (390 * MS - past.oldest) * 1e-9 == pytest.approx(0.39)
+    assert (SnapshotHistory().find_before(0), SnapshotHistory().oldest) == (None, None)
+
+
+def test_the_past_goes_back_half_a_minute():
+    past = remembered(range(0, 40_000, 100))
+    assert (39_900 * MS - past.oldest) * 1e-9 == pytest.approx(MAX_AGE_S)
+    assert past.find_before(0).at == 9_900 * MS
+    late = remembered([0, 100_000])
+    assert [at // MS for at, _ in late._snapshots] == [100_000]
+
+
+def test_who_goes_back_forgets_what_comes_after():
+    past = remembered(range(0, 400, 50))
+    past.forget_after(200 * MS)
+    assert past.find_before(10**12).at == 200 * MS
+    past.forget_after(-1)
+    assert past.find_before(0) is None
+
+
+def test_the_past_of_another_machine_is_told_apart():
+    past, stage = SnapshotHistory(), NumberedStage()
+    for k, stage.machine in enumerate("abba" + "aab"):
+        stage.now = 100 * k * MS
+        past.remember(stage)
+    assert past.find_oldest_of("b").at == 600 * MS
+    past.forget_after(500 * MS)
+    assert past.find_oldest_of("a").at == 300 * MS
+    assert past.find_oldest_of("b") is None
+    assert INTERVAL_S < 0.1

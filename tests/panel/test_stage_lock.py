@@ -1,0 +1,184 @@
+"""The lock of a stage that threads share: who is next, who waits, who is refused, and who is let go."""
+
+import threading
+import time
+
+import pytest
+
+from stage.errors import StageError
+from stage.panel.stage_lock import StageLock
+
+
+@pytest.fixture
+def lock():
+    return StageLock()
+
+
+class Visitor(threading.Thread):
+    """Enters the lock, calls `inside()`, and leaves. `entered`: an Event; `error`: what it got in place of the lock."""
+
+    def __init__(self, lock, inside=lambda: None):
+        super().__init__(daemon=True)
+        self.lock, self.inside = lock, inside
+        self.entered, self.error = threading.Event(), None
+        self.start()
+
+    def run(self):
+        try:
+            with self.lock:
+                self.entered.set()
+                self.inside()
+        except StageError as error:
+            self.error = error
+
+
+def until(condition, seconds=10.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.001)
+
+
+def test_one_thread_has_it_at_a_time_and_may_enter_again(lock):
+    with lock, lock:
+        assert lock.is_held()
+        other = Visitor(lock)
+        until(lambda: lock.has_waiting)
+        with lock:
+            pass
+        assert not other.entered.wait(0.02)
+    assert other.entered.wait(5)
+    other.join(5)
+    assert not lock.is_held()
+
+
+def test_who_came_first_is_first_also_after_one_who_has_just_left(lock):
+    order, visitors = [], []
+    with lock:
+        for k in range(4):
+            visitors.append(Visitor(lock, lambda k=k: order.append(k)))
+            until(lambda n=k: len(lock._waiting) == n + 1)
+    with lock:  # at once again: those that wait were here before
+        order.append("again")
+    for visitor in visitors:
+        visitor.join(5)
+    assert order == [0, 1, 2, 3, "again"]
+
+
+def test_it_is_given_away_whole_while_its_owner_waits_and_taken_back_as_deep(lock):
+    with lock, lock:
+        other = Visitor(lock)
+        lock.wait(0.05)
+        assert other.entered.is_set()
+        assert lock.is_held()
+        lock.release()
+        assert lock.is_held(), "once more than it was left"
+        lock.acquire()
+    assert not lock.is_held()
+
+
+def test_giving_way_lets_those_that_wait_go_first_and_nobody_else(lock):
+    order = []
+    with lock:
+        first = Visitor(lock, lambda: order.append("first"))
+        until(lambda: lock.has_waiting)
+        lock.give_way()
+        order.append("owner")
+        lock.give_way()
+    first.join(5)
+    assert order == ["first", "owner"]
+
+
+def test_a_wait_ends_when_somebody_calls_and_else_with_its_time(lock):
+    begin = time.monotonic()
+    with lock:
+        lock.wait(0.03)
+        assert time.monotonic() - begin > 0.02
+        threading.Timer(0.02, lock.wake_all).start()
+        lock.wait(30)
+    assert time.monotonic() - begin < 15
+
+
+def test_who_has_no_patience_goes_without_it_and_holds_nobody_up(lock):
+    with lock:
+        impatient = threading.Thread(target=lambda: answers.append(lock.acquire(0.02)), daemon=True)
+        answers: list[bool] = []
+        impatient.start()
+        impatient.join(5)
+        assert answers == [False]
+        assert not lock.has_waiting
+    assert lock.acquire(0.02)
+    lock.release()
+
+
+def test_reserved_it_is_for_one_thread_and_the_others_wait_until_it_is_not(lock):
+    lock.reserve(threading.get_ident())
+    other = Visitor(lock)
+    until(lambda: lock.has_waiting)
+    for _ in range(3):
+        with lock:  # past those that wait
+            lock.give_way()
+    assert not other.entered.wait(0.02)
+    lock.reserve(0)
+    assert other.entered.wait(5)
+
+
+@pytest.mark.parametrize("comes", ["before", "after"])
+def test_reserved_with_a_refusal_the_others_are_told_at_once_whenever_they_came(lock, comes):
+    with lock:
+        other = Visitor(lock) if comes == "before" else None
+        if other:
+            until(lambda: lock.has_waiting)
+        lock.reserve(threading.get_ident(), "not yours.")
+        other = other or Visitor(lock)
+        other.join(5)
+    assert str(other.error) == "not yours."
+    assert not lock.has_waiting
+
+
+def test_who_is_refused_while_it_waits_inside_leaves_without_harm(lock):
+    def inside():
+        lock.wait()
+
+    with lock:
+        pass
+    other = Visitor(lock, inside)
+    other.entered.wait(5)
+    lock.reserve(threading.get_ident(), "not yours.")
+    other.join(5)
+    assert str(other.error) == "not yours."
+    with lock:
+        assert lock.is_held()
+
+
+def test_a_thread_may_act_for_the_owner_that_waits_for_it(lock):
+    """Firmware runs on a thread of its own, and calls Python there while its host waits."""
+    done = threading.Event()
+
+    def firmware():
+        with lock.acting_for_owner(), lock:
+            done.set()
+
+    with lock:
+        thread = threading.Thread(target=firmware, daemon=True)
+        thread.start()
+        thread.join(5)
+        assert done.is_set()
+        assert lock.is_held()
+
+
+def test_an_error_inside_leaves_the_lock_free(lock):
+    with pytest.raises(ZeroDivisionError), lock, lock:
+        raise ZeroDivisionError
+    assert Visitor(lock).entered.wait(5)
+
+
+def test_what_an_interrupt_has_left_is_freed_by_its_own_thread_only(lock):
+    lock.acquire()
+    lock.acquire()
+    other = threading.Thread(target=lock.release_all, daemon=True)
+    other.start()
+    other.join(5)
+    assert lock.is_held()
+    lock.release_all()
+    assert Visitor(lock).entered.wait(5)
