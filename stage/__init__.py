@@ -39,6 +39,8 @@ _LAZY = {
     "Drive": "stage.drives.motors",
     "Motor": "stage.drives.motors",
 }
+_METHODS_OF_STAGE = {"record": "stage.recording:Recording", "panel": "stage.panel:open"}
+"""Conveniences of `Stage` that packages above stage.sim provide: method -> what is called with the stage and its arguments."""
 _MODULES = {"faults": "stage.sim.faults", "firmware": "stage.firmware"}
 
 __all__ = [
@@ -53,6 +55,12 @@ def __getattr__(name: str) -> Any:
     if name in _LAZY:
         return getattr(_loaded(_LAZY[name]), name)
     raise AttributeError(f"module 'stage' has no attribute {name!r}")
+
+
+def load_method_of_stage(name: str) -> Any:
+    """Return what a convenience of `Stage` calls, and load its package."""
+    module, _, attribute = _METHODS_OF_STAGE[name].partition(":")
+    return getattr(_loaded(module), attribute)
 
 
 def _loaded(module: str) -> Any:

@@ -44,14 +44,6 @@ LAYERS = (
 
 ALLOWED = {
     (
-        "stage.sim.stage",
-        "stage.recording",
-    ): "Stage.record makes a Recording, and loads it then: most stages are never recorded",
-    (
-        "stage.sim.stage",
-        "stage.panel.server",
-    ): "Stage.panel opens a page of the stage, and loads what it needs then: it is an extra",
-    (
         "stage.native.load",
         "stage.native.build",
     ): "a library that does not fit its sources is built, with tools that few have",

@@ -1,8 +1,8 @@
 """How threads share a stage: calls that no other thread cuts into while a session is open.
 
-A stage, its chips, axes, drivers and boards have an attribute `lock`. It is None as long as one thread drives the stage. A session of
-stage.panel sets it: a re-entrant lock that each call below takes from its first bus cycle to its last, and gives away where it lets
-simulated time pass.
+A stage, its chips, axes, drivers and boards have an attribute `lock`, None as long as one thread drives the stage. A session of
+stage.panel sets it: a re-entrant lock that each call below takes from its first bus cycle to its last, and gives away where it
+lets simulated time pass.
 
     @exclusive
     def move(self, pulses): ...          the whole method; `self.lock` is asked at each call

@@ -20,9 +20,9 @@ def beside(args: argparse.Namespace, stage: Any, program: str) -> Iterator[Sessi
     if not args.panel:
         yield None
         return
-    from stage.panel.server import open_panel
+    from stage import panel as panels
 
-    with open_panel(stage, args.panel_port, speed=args.speed, program=program, browser=not args.no_browser) as panel:
+    with panels.open(stage, args.panel_port, speed=args.speed, program=program, browser=not args.no_browser) as panel:
         print(f"{panel.address}\n{program} begins when a browser shows this page", flush=True)
         panel.until_watched()
         yield panel.session

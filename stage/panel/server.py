@@ -3,8 +3,6 @@
 panel = Panel(Session(Stage("xyz")))
 print(panel.address)
 panel.close()
-
-panel = open_panel(Stage("xyz"))          as Stage.panel: beside a program of one's own
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ from stage.panel.sampler import Sampler
 from stage.panel.session import Session
 
 if TYPE_CHECKING:
-    from stage.sim.stage import Stage
+    pass
 
 HERE = "127.0.0.1"
 
@@ -37,7 +35,14 @@ class Panel:
     ask for the token in its link. made: what `stage panel` has made the stage of, see share.py; None where a program has. Raises
     StageError where the port cannot be had, or NiceGUI is not there."""
 
-    def __init__(self, session: Session, port: int = 0, host: str = HERE, made: dict[str, Any] | None = None):
+    def __init__(
+        self,
+        session: Session,
+        port: int = 0,
+        host: str = HERE,
+        made: dict[str, Any] | None = None,
+        owns_session: bool = False,
+    ):
         need("nicegui", "the panel")
         import uvicorn
 
@@ -47,7 +52,7 @@ class Panel:
         from stage.panel import glb
         from stage.panel.reports import Reports
 
-        self.session, self.controls, self._with_session = session, Controls(), False
+        self.session, self.controls, self._owns_session = session, Controls(), owns_session
         self.reports = Reports(session)
         self.made = made
         self._socket = _listening(host, port)
@@ -117,30 +122,8 @@ class Panel:
         self.look.close()
         self.sampler.close()
         self.hands.close()
-        if self._with_session:
+        if self._owns_session:
             self.session.close()
-
-
-def open_panel(
-    stage: Stage,
-    port: int = 0,
-    *,
-    host: str = HERE,
-    speed: float = 1.0,
-    program: str = "your program",
-    browser: bool = True,
-) -> Panel:
-    """See `Stage.panel`."""
-    session = Session(stage, speed=speed, program=program)
-    try:
-        panel = Panel(session, port, host)
-    except BaseException:
-        session.close()
-        raise
-    panel._with_session = True
-    if browser:
-        panel.show()
-    return panel
 
 
 def _listening(host: str, port: int) -> socket.socket:

@@ -7,9 +7,9 @@
         session.go_back(2.0)                                                 to two seconds ago, by a snapshot
         session.view                                                         what was there after the last slice
 
-Session(stage, program="mine") leaves the stage to a program: it drives from its own threads as it would without a session, in real
-time, and no time passes but by it, so its run is bit for bit that without a session. `take_over()` makes it wait where it next comes
-to the stage, and time passes as if there were no program; `give_back()` lets it go on.
+Session(stage, program="mine") leaves the stage to a program: it drives from its own threads as it would without a session, in
+real time, and no time passes but by it, so its run is bit for bit that without a session. `take_over()` makes it wait where it next
+comes to the stage, and time passes as if there were no program; `give_back()` lets it go on.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
     with lock:                 first come, first served; a thread that has it may enter again
         lock.wait(0.02)        somebody else may have it for so long, or until `wake_all()`
 
-Python's RLock alone is not fair: a thread in a loop of bus cycles takes it again before those that wait have woken up. So whoever does
-not get it at once waits in a line, and nobody takes it past the line. As long as there is no line it costs what RLock costs.
+Python's RLock alone is not fair: a thread in a loop of bus cycles takes it again before those that wait have woken up. So whoever
+does not get it at once waits in a line, and nobody takes it past the line. Without a line it costs little more than RLock does.
 """
 
 from __future__ import annotations

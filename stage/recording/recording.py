@@ -22,17 +22,17 @@ import os
 import tempfile
 import warnings
 import weakref
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
-import mujoco
 import numpy as np
 
 from stage import html
 from stage.arguments import told, whole_number
 from stage.chips.journal import Journal
-from stage.errors import ArgumentError, unknown
+from stage.chips.sharing import exclusively
+from stage.errors import ArgumentError, StageError, unknown
 from stage.files import RECORDING, WAVEFORMS, FileError, ends_as, is_stream, writable, written
 from stage.recording.host_part import HostPart
 from stage.recording.table import Columns, Tabular
@@ -96,10 +96,21 @@ def _unwritten(path: Path, error: OSError) -> RecordingError:
 
 
 class Recording(Tabular):
-    """Samples and journals of a run. Made by `Stage.record`; a context manager, usable after its end.
+    """Samples and journals of a run, from now to its `close`. A context manager, usable after its end.
 
-    on_error: what a full disk does while it records: "raise" a RecordingError in the run, which can then continue without it,
-    or "warn" (RecordingWarning) and go on.
+    Args:
+        stage: A stage that is not recorded.
+        every: Seconds between samples, up to 1e6, rounded to whole physics steps, one at least; switch edges and bus writes are
+            exact anyway.
+        path: Write a rerun file as it goes, see `stream`.
+        overwrite: The file may exist.
+        on_error: What a full disk does while it records: "raise" a RecordingError in the run, which can then continue without it, or
+            "warn" (RecordingWarning) and go on.
+
+    Raises:
+        ArgumentError: A time between samples that cannot be.
+        StageError: Another recording goes on.
+        RecordingError: The stage drives no axis, or the file cannot be written.
 
     Attributes:
         model: the MjModel. axes: the stage's axes by name. every: seconds between samples.
@@ -111,11 +122,34 @@ class Recording(Tabular):
     FORWARD = True
     """While it goes on, the stage's time may not go back."""
 
-    def __init__(self, model: mujoco.MjModel, axes: Mapping[str, Any], every: float, on_close: Callable[[], None]):
-        if not axes:
+    def __init__(
+        self,
+        stage: Any,
+        every: float = 1e-3,
+        path: str | os.PathLike | None = None,
+        *,
+        overwrite: bool = False,
+        on_error: str = "raise",
+    ):
+        if stage.recording is not None:
+            raise StageError("this stage is already being recorded; close that recording first.")
+        if not 0 < every <= 1e6:
+            raise ArgumentError(f"every={every!r}: the samples of a recording are more than 0 and up to 1e6 s apart.")
+        if not stage.axes:
             raise RecordingError("this stage drives no axis: there is nothing to record.")
-        self.model, self.axes, self.every = model, axes, every
-        self._on_close: Callable[[], None] | None = on_close
+        with exclusively(stage):
+            self._begin(stage, max(1, round(every * 1e9 / stage.state.dt)))
+        if path is not None:
+            try:
+                self.stream(path, overwrite=overwrite, on_error=on_error)
+            except BaseException:
+                self.close()
+                raise
+
+    def _begin(self, stage: Any, steps: int) -> None:
+        model, axes = stage.model, stage.axes
+        self.model, self.axes, self.every = model, axes, steps * stage.state.dt * 1e-9
+        self._on_close: Callable[[], None] | None = stage.stop_recording
         self._dtype = np.dtype([("axes", _SAMPLE, (len(axes),)), ("qpos", "f8", (model.nq,))])
         self._open()
         self._spooled = 0
@@ -127,12 +161,11 @@ class Recording(Tabular):
         self.filled = 0
         self._disorder = False
         self.notes: list[Note] = []
-        self.host: HostPart | None = None
         self.journals: dict[str, Journal] = {name: axis.chip.journal(axis.chip_axis) for name, axis in axes.items()}
-
-    def note_host(self, stage: Any) -> None:
-        """The bus cycles of the stage's board, from now to the end, are part of it."""
         self.host = HostPart(stage)
+        stage.begin_recording(self, steps)
+        if stage.faults:
+            self.note(stage.time, "in force from the start", stage.faults)
 
     def _open(self) -> None:
         self._process = os.getpid()
@@ -261,8 +294,7 @@ class Recording(Tabular):
             atexit.unregister(self._close_at_exit)
             for journal in self.journals.values():
                 journal.close()
-            if self.host is not None:
-                self.host.close()
+            self.host.close()
             self.flush()
             if self._log is not None:
                 self._writing(self._log.finish)

@@ -22,7 +22,7 @@ from zlib import crc32
 import mujoco
 import numpy as np
 
-from stage import html, snapshots
+from stage import html, load_method_of_stage, snapshots
 from stage.arguments import told
 from stage.chips import ChipAxis
 from stage.chips.sharing import Lock, exclusive
@@ -472,7 +472,6 @@ class Stage:
         return taking if taking is not None and taking.FORWARD else None
 
     @told
-    @exclusive
     def record(
         self,
         every: float = 1e-3,
@@ -488,30 +487,15 @@ class Stage:
         path: write a rerun file as it goes, see `Recording.stream`, as for overwrite and on_error ("raise" or "warn").
         Raises ArgumentError; StageError while another recording goes on; RecordingError.
         """
-        from stage.recording import Recording
+        return load_method_of_stage("record")(self, every, path, overwrite=overwrite, on_error=on_error)
 
-        if self.recording is not None:
-            raise StageError("this stage is already being recorded; close that recording first.")
-        if not 0 < every <= 1e6:
-            raise ArgumentError(f"every={every!r}: the samples of a recording are more than 0 and up to 1e6 s apart.")
+    @exclusive
+    def begin_recording(self, recording: Any, steps: int) -> None:
+        """Have the engine sample every so many physics steps into the buffers of `recording`, see `Loop.recording`."""
         self.change()
-        state = self.state
-        steps = max(1, round(every * 1e9 / state.dt))
-        dt = state.dt * 1e-9
-        recording = self.loop.recording = Recording(self.model, self.axes, steps * dt, self.stop_recording)
-        recording.note_host(self)
-        handle.log_to(state.handle, recording)
-        if self.faults:
-            recording.note(self.time, "in force from the start", self.faults)
-        state.clockwork[0].sample_every = steps
-        state.world[0].to_sample = steps
-        if path is not None:
-            try:
-                recording.stream(path, overwrite=overwrite, on_error=on_error)
-            except BaseException:
-                recording.close()
-                raise
-        return recording
+        self.loop.recording = recording
+        handle.log_to(self.state.handle, recording)
+        self.state.clockwork[0].sample_every = self.state.world[0].to_sample = steps
 
     def stop_recording(self) -> None:
         """Whoever records, or looks at samples as they come, does so no longer. `Recording.close` is the usual way."""
@@ -539,9 +523,7 @@ class Stage:
         program: what the page calls the program. browser: open the page; its link is `.address`. Raises ArgumentError; StageError
         where NiceGUI is not there, the port cannot be had or the stage has a session already.
         """
-        from stage.panel.server import open_panel
-
-        return open_panel(self, port, host=host, speed=speed, program=program, browser=browser)
+        return load_method_of_stage("panel")(self, port, host=host, speed=speed, program=program, browser=browser)
 
     # --- copies ---
 

@@ -12,9 +12,10 @@ from support.served_panel import ServedPanel
 from stage import Stage
 from stage.errors import ArgumentError, StageError
 from stage.panel import forms, server, touch
+from stage.panel import open as open_panel
 from stage.panel.glb import bodies
 from stage.panel.guard import HERE_ONLY
-from stage.panel.server import Panel, open_panel
+from stage.panel.server import Panel
 from stage.panel.session import FREE, Session
 
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.examples import scaled
 from support.programs import load_registers
-from support.recording_bench import ONE_AXIS, feed, make_bench, read_rrd, rerun_cli
+from support.recording_bench import ONE_AXIS, feed, make_bench, read_rrd, rerun_cli, stage_of
 
 from stage.chips import PCL240K
 from stage.chips.entries import INPUT
@@ -150,7 +150,7 @@ def test_names_that_no_file_format_likes_are_escaped_in_entity_paths(tmp_path):
         switches=SimpleNamespace(as_dict=lambda: {"org": False}),
     )  # fmt: skip
     xml = '<mujoco><worldbody><body name="a body"><joint name="my x/1"/><geom size="1"/></body></worldbody></mujoco>'
-    recording = Recording(mujoco.MjModel.from_xml_string(xml), {"my x/1": axis}, 1e-3, lambda: None)
+    recording = Recording(stage_of(mujoco.MjModel.from_xml_string(xml), {"my x/1": axis}))
     feed(recording, 10)
     recording.close()
     entities = set(read_rrd(recording.save(tmp_path / "x.rrd")))

@@ -32,6 +32,14 @@ def drive(stage):
     stage.run(0.05)
 
 
+def stage_of(model, axes):
+    """What a recording needs of a stage: time that stands still, without chips that run."""
+    return SimpleNamespace(
+        model=model, axes=axes, recording=None, host=None, faults=(), now=0, time=0.0, lock=None,
+        state=SimpleNamespace(dt=1_000_000), begin_recording=lambda recording, steps: None, stop_recording=lambda: None,
+    )  # fmt: skip
+
+
 def make_bench(axes=1, mjcf=ONE_AXIS):
     model = mujoco.MjModel.from_xml_string(mjcf)
     table = {
@@ -42,7 +50,7 @@ def make_bench(axes=1, mjcf=ONE_AXIS):
         )
         for k, name in enumerate("xyz"[:axes])
     }  # fmt: skip
-    recording = Recording(model, table, 1e-3, lambda: None)
+    recording = Recording(stage_of(model, table))
     return SimpleNamespace(recording=recording, chip=table["x"].chip, axes=table, model=model)
 
 
