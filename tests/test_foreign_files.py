@@ -19,7 +19,7 @@ from stage.chips.chip import Snapshot as ChipSnapshot
 from stage.cli import main
 from stage.errors import ArgumentError, StageError
 from stage.foreign_files import DocumentError, parse_json, parse_toml, read_bytes, read_members
-from stage.panel import share
+from stage.panel import saved_panel as share
 from stage.recording import RecordingError, read, rrd_process, viewer
 from stage.targets.elf import ARM, Elf
 

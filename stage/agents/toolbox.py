@@ -25,7 +25,7 @@ from stage.agents.tool import Answer, Tool
 from stage.arguments import told, told_when_made
 from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import Driver, driver_of
-from stage.panel.trace import Trace
+from stage.panel.stage_observer import Trace
 from stage.sim.axis import Axis
 from stage.sim.stage import Stage
 

@@ -9,7 +9,7 @@ from stage.agents.bus import axis_field
 from stage.agents.fields import FLAG, LENGTH, NUMBER, TEXT, WHOLE, Field
 from stage.agents.tool import Tool
 from stage.errors import ArgumentError, StageError
-from stage.panel.hands import SAME, UNITS, functions
+from stage.panel.fault_controls import SAME, UNITS, functions
 from stage.sim import faults
 
 if TYPE_CHECKING:

@@ -11,11 +11,11 @@ from stage.cli.setup import make_stage
 
 def run(args: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C or SIGTERM."""
-    from stage.panel import share
+    from stage.panel import saved_panel
     from stage.panel.server import Panel
     from stage.panel.session import Session
 
-    shared = share.read(args.open) if args.open is not None else None
+    shared = saved_panel.read(args.open) if args.open is not None else None
     if shared is not None and shared.made is not None:
         args = argparse.Namespace(**vars(args) | shared.made)
 
@@ -23,10 +23,12 @@ def run(args: argparse.Namespace) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: over.set())
     with Session(make_stage(args), speed=args.speed, paused=True) as session:
-        made = {name: getattr(args, name) for name in share.MADE} if shared is None or shared.made else None
+        made = (
+            {name: getattr(args, name) for name in saved_panel.STAGE_OPTIONS} if shared is None or shared.made else None
+        )
         panel = Panel(session, args.port, args.host, made)
         if shared is not None:
-            share.put(panel, shared)
+            saved_panel.put(panel, shared)
         session.paused = args.paused
         print(f"{panel.address}\nCtrl-C ends it", flush=True)
         if not args.no_browser and not panel.show():

@@ -1,4 +1,4 @@
-"""A live stage in a browser: `Session`, a stage in real time that takes orders; `Panel`, the server of its page; `open` makes both."""
+"""A live stage in a browser: `Session`, a stage in real time; `Panel`, the server of its page; `open` makes both."""
 
 from __future__ import annotations
 

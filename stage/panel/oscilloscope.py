@@ -1,19 +1,31 @@
-"""`Scope`: what an oscilloscope shows of a `Sampler`: a window of time, traces, a trigger. No page.
+"""`Oscilloscope`: a window of time of a `Sampler`, its traces, a trigger; and files of what the window shows. No page.
 
-scope = Scope(sampler, ["x/rate", "x/org"], span=0.5)
-scope.trigger("normal", "x/org", rising=True)
-frame = scope.frame(600)            frame.curves["x/rate"]: (times, values) for 600 columns of pixels
+    scope = Oscilloscope(sampler, ["x/rate", "x/org"], span=0.5)
+    scope.set_trigger("normal", "x/org", rising=True)
+    frame = scope.frame(600)            frame.curves["x/rate"]: (times, values) for 600 columns of pixels
+
+In files pins are as they are at each sample, a physics step or a millisecond apart; a recording has them to the clock, see
+Stage.record.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import csv
+import io
+import os
+import tempfile
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from stage.errors import ArgumentError
-from stage.panel.sampler import LONGEST, Sampler
+from stage.extras import need
+from stage.identifiers import escape_name
+from stage.panel.sampler import LONGEST, Sampler, Trace
+from stage.recording.scene import duration
+from stage.recording.sdk import release_streams, rr
 
 SHORTEST = 1e-3  # s
 SPANS = (1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
@@ -24,7 +36,7 @@ PATIENCE = 1.0  # s of simulated time after which "auto" shows what there is
 
 
 @dataclass(frozen=True)
-class Frame:
+class OscilloscopeFrame:
     """One picture. begin, end: s; curves: by trace, times (s) and values; trigger: its time, s, or None; state: in a word."""
 
     begin: float
@@ -34,7 +46,7 @@ class Frame:
     state: str
 
 
-class Scope:
+class Oscilloscope:
     """Args: names of traces; span: s of the window. Raises ArgumentError."""
 
     def __init__(self, sampler: Sampler, names: Sequence[str] = (), span: float = 2.0):
@@ -90,14 +102,14 @@ class Scope:
             self.arm()
         self._running = bool(value)
 
-    def frame(self, points: int) -> Frame:
+    def frame(self, points: int) -> OscilloscopeFrame:
         """The picture now, for so many columns of pixels."""
         now = self.sampler.last
         if self._running:
             self._follow(now)
         begin, end = self._window
         curves = self.sampler.drawn(self.names, begin, end, points)
-        return Frame(begin, end, curves, self._at, self._state(now))
+        return OscilloscopeFrame(begin, end, curves, self._at, self._state(now))
 
     def _follow(self, now: float) -> None:
         if now < self._seen:  # time has gone back: what was shown is not any more
@@ -154,4 +166,107 @@ class Scope:
         return "triggered" if self._at is not None and now < self._window[1] else "waits for the trigger"
 
 
-__all__ = ["BEFORE", "DIAGNOSTIC", "LOST", "MODES", "SPANS", "Frame", "Scope"]
+__all__ = ["BEFORE", "DIAGNOSTIC", "LOST", "MODES", "SPANS", "OscilloscopeFrame", "Oscilloscope"]
+
+
+def heading(trace: Trace) -> str:
+    """ "x position (mm)"."""
+    return f"{trace.title} ({trace.unit})" if trace.unit else trace.title
+
+
+def _taken(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> tuple[np.ndarray, list[tuple]]:
+    if not names:
+        raise ArgumentError("nothing to export: choose a trace first.")
+    times, values = sampler.columns(names, begin, end)
+    if not len(times):
+        raise ArgumentError(f"nothing to export: no samples between {begin:g} and {end:g} s.")
+    return times, [(sampler.trace(name), values[name]) for name in names]
+
+
+def to_csv(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> bytes:
+    """A row a sample, a column a trace, in its unit."""
+    times, taken = _taken(sampler, names, begin, end)
+    text = io.StringIO(newline="")
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["time (s)", *(heading(t) for t, _ in taken)])
+    for k, time in enumerate(times):
+        rows.writerow([f"{time:.6f}", *(f"{v[k]:.9g}" for _, v in taken)])
+    return text.getvalue().encode()
+
+
+def to_png(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> bytes:
+    """As on the page: a picture a unit, a lane a pin. Needs matplotlib (extra `plot`)."""
+    Figure = need("matplotlib.figure", "drawing").Figure
+    times, taken = _taken(sampler, names, begin, end)
+    units = list(dict.fromkeys(t.unit for t, _ in taken if not t.pin))
+    pins = [(t, v) for t, v in taken if t.pin]
+    heights = [3.0] * len(units) + [0.35] * len(pins)
+    figure = Figure(figsize=(9, sum(heights) * 0.75 + 0.8), layout="constrained")
+    plots = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+    for plot, unit in zip(plots, units, strict=False):
+        for t, v in taken:
+            if not t.pin and t.unit == unit:
+                plot.plot(times, v, label=t.title, linewidth=1)
+        plot.set_ylabel(unit)
+        plot.legend(loc="upper right", fontsize=8)
+        plot.grid(alpha=0.3)
+    for plot, (t, v) in zip(plots[len(units) :], pins, strict=True):
+        plot.fill_between(times, v, step="post")
+        plot.set_ylim(0, 1.1)
+        plot.set_yticks([])
+        plot.set_ylabel(t.title, rotation=0, ha="right", va="center", fontsize=8)
+    plots[-1].set_xlabel("time, s")
+    out = io.BytesIO()
+    figure.savefig(out, format="png", dpi=120)
+    return out.getvalue()
+
+
+def to_vcd(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> bytes:
+    """Pins as wires, 1 while asserted; everything else as reals."""
+    from vcd import VCDWriter
+
+    times, taken = _taken(sampler, names, begin, end)
+    ns = np.rint(times * 1e9).astype(np.int64)
+    text = io.StringIO()
+    with VCDWriter(text, "1 ns", date="simulated time since power-up", init_timestamp=int(ns[0])) as writer:
+        variables = []
+        for t, v in taken:
+            scope, _, name = t.name.rpartition("/")
+            kind, size = ("wire", 1) if t.pin else ("real", 64)
+            variables.append(
+                writer.register_var(escape_name(scope), escape_name(name), kind, size=size, init=v[0].item())
+            )
+        changes = [(int(ns[k]), n) for n, (_, v) in enumerate(taken) for k in np.flatnonzero(np.diff(v)) + 1]
+        at = {int(time): k for k, time in enumerate(ns)}
+        for time, n in sorted(changes):
+            writer.change(variables[n], time, taken[n][1][at[time]].item())
+        writer.close(int(ns[-1]))
+    return text.getvalue().encode()
+
+
+def to_rrd(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> bytes:
+    """Series for rerun, an entity a trace. Needs rerun (extra `rerun`)."""
+    times, taken = _taken(sampler, names, begin, end)
+    handle, path = tempfile.mkstemp(suffix=".rrd")
+    os.close(handle)
+    try:
+        out = rr.RecordingStream("pulsestage scope")
+        out.save(path)
+        for t, v in taken:
+            entity = "/".join(map(escape_name, t.name.rsplit("/", 1)))
+            out.log(entity, rr.SeriesLines(names=heading(t)), static=True)
+            out.send_columns(entity, indexes=[duration(times)], columns=rr.Scalars.columns(scalars=v.astype(float)))
+        out.flush()
+        out.disconnect()
+        del out
+        with open(path, "rb") as file:
+            return file.read()
+    finally:
+        release_streams()
+        os.unlink(path)
+
+
+FORMATS: dict[str, Callable[[Sampler, Sequence[str], float, float], Any]] = {
+    "csv": to_csv, "png": to_png, "vcd": to_vcd, "rrd": to_rrd,
+}  # fmt: skip
+"""By the ending of the file's name."""

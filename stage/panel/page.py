@@ -1,43 +1,369 @@
-"""The page of the panel: what stands where. Each part is a file of its own with a `build`."""
+"""The page of the panel: what stands where, its toolbar, the stage in 3D, a card for each axis, and the tour."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from math import degrees
 from typing import TYPE_CHECKING
 
-from nicegui import ui
+import mujoco
+import numpy as np
+from nicegui import context, run, ui
 
-from stage.panel import axes, chart, chips, console, forms, guide, scene, touch, transport
-from stage.panel.gate import Gate
-from stage.panel.live import Live
+from stage.errors import StageError
+from stage.identifiers import escape_name
+from stage.panel import saved_panel
+from stage.panel.access_control import EventGate
+from stage.panel.browser_updates import FRAMES, BrowserUpdates
+from stage.panel.bus_console import build_console
+from stage.panel.chip_panel import STYLE as CHIP_STYLE
+from stage.panel.chip_panel import build_chip_panels
+from stage.panel.fault_page import build_fault_controls
+from stage.panel.oscilloscope_page import build_oscilloscope
+from stage.panel.procedure_page import build_procedures
+from stage.panel.session import FREE, Session
+from stage.panel.tour import STEPS, Tour
 
 if TYPE_CHECKING:
+    from stage.panel.access_control import EventGate
     from stage.panel.server import Panel
+    from stage.sim.axis import Axis
 
 
-def build(panel: Panel) -> None:
+def place(unit: str, position: float, commanded: float, lost: int) -> str:
+    """Where an axis is, in mm (degrees)."""
+    scale, name = (1e3, "mm") if unit == "m" else (degrees(1), "deg")
+    return (
+        f"position   {position * scale:z10.4f} {name}\n"
+        f"commanded  {commanded * scale:z10.4f} {name}\n"
+        f"error      {(commanded - position) * scale:z10.4f} {name}\n"
+        f"lost steps {lost:10d}"
+    )
+
+
+VIEWS = {"corner": (0.75, -1.1, 0.75), "front": (0, -1.5, 0.15), "side": (1.5, 0, 0.15), "top": (0, -0.01, 1.6)}
+"""Where the camera stands, from the centre of the model, in its extents."""
+
+
+class Poses(ui.element, component="poses.js"):
+    """Where the bodies of a scene are."""
+
+    def __init__(self, scene: ui.scene):
+        super().__init__()
+        self._props["scene"] = scene.id
+
+
+def build_scene(panel: Panel, live: BrowserUpdates) -> None:
+    session = panel.session
+    model = session.stage.model
+    data = mujoco.MjData(model)  # this page's own: the stage's belongs to its thread
+    extent, (cx, cy, cz) = float(model.stat.extent), model.stat.center
+    camera = ui.scene.perspective_camera(fov=40, near=extent / 100, far=extent * 20)
+    with ui.element("div").classes("relative-position"):
+        with ui.scene(grid=False, camera=camera, background_color="#20242b", fps=FRAMES).classes("scene") as scene:
+            moving = {}
+            for body in panel.shapes:
+                with scene.group() as group:
+                    scene.gltf(f"/shape/{body}.glb")
+                moving[body] = group
+
+        def look_from(name: str, duration: float = 0.4) -> None:
+            x, y, z = (extent * way for way in VIEWS[name])
+            scene.move_camera(cx + x, cy + y, cz + z, cx, cy, cz, 0, 0, 1, duration=duration)
+
+        with ui.button_group().props("flat").classes("view"):
+            for name in VIEWS:
+                ui.button(name, on_click=lambda name=name: look_from(name)).props(
+                    f"dense flat no-caps color=white size=sm data-test=view-{name}"
+                )
+    look_from("corner", 0)
+    seen = np.full(model.nq, np.nan)
+    placed: dict[int, list] = {}
+
+    def look() -> list | None:
+        view = session.view
+        if np.array_equal(view.qpos, seen):
+            return None
+        seen[:] = view.qpos
+        data.qpos[:] = view.qpos
+        mujoco.mj_kinematics(model, data)
+        poses = []
+        for body, group in moving.items():
+            where = [data.xpos[body].round(6).tolist(), data.xmat[body].reshape(3, 3).round(6).tolist()]
+            if placed.get(body) != where:
+                placed[body] = where
+                poses.append([group.id, *where])
+        return [poses] if poses else None
+
+    live.call(Poses(scene), "move", look)
+
+
+def build_axis_cards(panel: Panel, live: BrowserUpdates) -> None:
+    stage = panel.session.stage
+    with ui.row().classes("w-full"):
+        for axis in stage.axes.values():
+            with ui.card().classes("col q-pa-sm").style("min-width: 205px").mark(f"axis-{escape_name(axis.name)}"):
+                ui.label(f"{axis.name}  {type(axis.chip).__name__}").classes("text-weight-bold")
+                motor = ui.element("div").classes("text-caption").props(f'data-test="motor-{escape_name(axis.name)}"')
+                live.text(motor, partial(_motor, axis))
+                text = ui.element("div").classes("number").style("white-space: pre; font-size: 12px")
+                live.text(text.props(f'data-test="place-{escape_name(axis.name)}"'), partial(_where, panel, axis))
+                with ui.row().classes("q-gutter-none"):
+                    for name in axis.switches.as_dict():
+                        lamp = ui.label(name.replace("_plus", "+").replace("_minus", "-")).classes("lamp")
+                        live.lamp(
+                            lamp.props(f'data-test="switch-{escape_name(axis.name)}-{name}"'),
+                            partial(_on, panel, axis.name, name),
+                        )
+
+
+def _motor(axis: Axis) -> str:
+    return axis.drive.motor.name
+
+
+def _where(panel: Panel, axis: Axis) -> str:
+    seen = panel.observer.axes[axis.name]
+    return place(axis.unit, seen.position, seen.commanded, seen.lost or 0)
+
+
+def _on(panel: Panel, axis: str, switch: str) -> bool:
+    return panel.observer.axes[axis].switches[switch]
+
+
+def build_tour(panel: Panel) -> None:
+    tour: list[Tour] = []
+    with ui.expansion("A tour in six steps", icon="explore").classes("w-full").props("data-test=tour") as fold:
+        bar = ui.linear_progress(0.0, show_value=False)
+        title = ui.label().classes("text-weight-bold q-mt-sm").props("data-test=tour-title aria-live=polite")
+        task = ui.label().props("data-test=tour-task")
+        sheet = ui.label().classes("text-caption q-mt-xs")
+        on = ui.button("Skip", on_click=lambda: skip())
+        on.props("flat dense no-caps data-test=tour-skip")
+
+    def skip() -> None:
+        if tour and tour[0].step is None:
+            end()
+            open_or_close()
+        for t in tour[:1] if on.text == "Skip" else ():
+            t.skip()
+
+    def open_or_close() -> None:
+        if fold.value and not tour:
+            tour.append(Tour(panel.session))
+        elif not fold.value:
+            end()
+
+    def end() -> None:
+        while tour:
+            tour.pop().close()
+
+    def look() -> None:
+        if not tour:
+            return
+        number, step = tour[0].number, tour[0].step
+        on.text = "Skip" if step else "Begin again"
+        bar.value = number / len(STEPS)
+        title.text = (
+            f"{number + 1} of {len(STEPS)}: {step.title}" if step else "That was all. The rest is in the data sheets."
+        )
+        task.text = step.task if step else ""
+        sheet.text = f"In data sheets: {step.sheet}" if step else ""
+
+    fold.on_value_change(open_or_close)
+    context.client.on_disconnect(end)
+    ui.timer(0.2, look)
+
+
+SPEEDS = {
+    0.01: "0.01 x",
+    0.1: "0.1 x",
+    0.25: "0.25 x",
+    0.5: "0.5 x",
+    1.0: "1 x",
+    2.0: "2 x",
+    5.0: "5 x",
+    FREE: "full speed",
+}
+BACK = (0.1, 1.0, 5.0, 30.0)  # s
+LAGS = 0.95  # of the speed that was asked for: less is told
+
+
+def build_toolbar(panel: Panel, live: BrowserUpdates, gate: EventGate) -> None:
+    """Of one browser, which may use what its gate lets it."""
+    session = panel.session
+    ui.label("PulseStage").classes("text-weight-bold q-mr-sm gt-xs")
+    with ui.row().classes("items-center q-gutter-none") as row:
+
+        def toggle() -> None:
+            session.paused = not session.paused
+
+        play = _button("pause", "pause", toggle, "play")
+        ui.select(SPEEDS, value=_nearest(session.speed), on_change=lambda e: setattr(session, "speed", e.value)).props(
+            "dense dark borderless options-dense aria-label='simulated seconds a second' data-test=speed"
+        )
+    gate.machine(row)
+
+    async def back(seconds: float) -> None:
+        try:
+            await run.io_bound(session.go_back, seconds)
+        except StageError as error:
+            ui.notify(str(error), type="warning", multi_line=True)
+
+    with ui.row().classes("items-center q-gutter-none") as row:
+        _button("skip_next", "one physics step", session.single_step, "step")
+        with _button("replay", "go back", None, "back"), ui.menu():
+            for seconds in BACK:
+                ui.menu_item(f"{seconds:g} s back", partial(back, seconds)).props(f"data-test=back-{seconds:g}")
+        _button("restart_alt", "power-up", lambda: run.io_bound(session.reset), "reset")
+    gate.driving(row)
+    clock = ui.element("div").classes("number q-ml-sm").props("data-test=time role=timer aria-label='simulated time'")
+    pace = ui.element("div").classes("number q-ml-sm text-caption").props("data-test=pace")
+    live.text(clock, lambda: f"{session.view.time:.4f} s")
+    live.text(pace, lambda: _pace(session))
+    ui.space()
+    doing = ui.label().classes("text-caption ellipsis").props("data-test=doing role=status")
+    stop = _button("stop", "stop this action; the chips go on", session.stop_actions, "abandon")
+    gate.driving(stop)
+    good = ui.button("back to a good state", on_click=lambda: run.io_bound(session.recover))
+    gate.driving(good.props("dense no-caps color=negative data-test=recover"))
+    program = _program(panel, gate)
+    mine = _controls(panel, gate)
+    _share(panel)
+    dark = ui.dark_mode(None)
+    _button("contrast", "light or dark", lambda: _turn(dark), "dark")
+
+    def look() -> None:
+        view = session.view
+        play.props(f"icon={'play_arrow' if session.paused else 'pause'}")
+        doing.text = view.trouble or view.action
+        program()
+        doing.classes(**({"add": "trouble"} if view.trouble else {"remove": "trouble"}))
+        stop.set_visibility(bool(view.action))
+        good.set_visibility(bool(view.trouble))
+        mine()
+
+    ui.timer(0.1, look)
+
+
+def _pace(session: Session) -> str:
+    if session.paused:
+        return "stands still"
+    pace = session.view.achieved_speed
+    late = session.speed != FREE and pace < LAGS * session.speed
+    return f"{pace:.2f} x" + (", cannot keep up" if late else "")
+
+
+def _button(icon: str, says: str, does: object, name: str) -> ui.button:
+    button = ui.button(icon=icon, on_click=does if callable(does) else None)
+    return button.props(f"flat dense color=white aria-label='{says}' data-test={name}").tooltip(says)
+
+
+def _nearest(speed: float) -> float:
+    return min(SPEEDS, key=lambda known: 0.0 if known == speed else abs(known - speed) if known != FREE else 1e9)
+
+
+def _turn(dark: ui.dark_mode) -> None:
+    """From what the browser prefers, to dark, to light."""
+    dark.value = {None: True, True: False, False: None}[dark.value]
+
+
+def _share(panel: Panel) -> None:
+    """The menu that saves what was done."""
+    programs = {
+        "program.py": "the program as Python",
+        "program.c": "the program as C",
+        "test_program.py": "the program as a test",
+    }
+
+    async def keep(name: str) -> None:
+        try:
+            if name in programs:
+                data = ((await run.io_bound(saved_panel.program, panel, name)) or "").encode()
+            else:
+                data = await run.io_bound(saved_panel.save, panel) or b""
+        except StageError as error:
+            ui.notify(str(error), type="negative", multi_line=True)
+        else:
+            ui.download.content(data, name)
+
+    with _button("save_alt", "save and share", None, "share"), ui.menu():
+        for name, title in {"panel.zip": "everything, to go on from here", **programs}.items():
+            item = ui.menu_item(title, lambda name=name: keep(name)).tooltip(name)
+            item.props(f"data-test=save-{name.partition('.')[0] if name != 'program.c' else 'c'}")
+
+
+def _program(panel: Panel, gate: EventGate) -> Callable[[], None]:
+    """Which program has the stage, and the button by which one takes it over and gives it back; returns what looks again."""
+    session = panel.session
+    says = ui.label().classes("text-caption ellipsis").props("data-test=program role=status")
+
+    def press() -> None:
+        if session.taken_over:
+            session.give_back()
+        else:
+            session.take_over()
+
+    button = ui.button(on_click=press).props("dense no-caps color=orange-9 data-test=take-over")
+    gate.machine(button)
+
+    def look() -> None:
+        name, taken, waits = session.program, session.taken_over, session.program_waits
+        says.text = f"{name} waits" if waits else f"{name} has the stage" if name and not taken else name
+        button.text = "Give back" if taken else "Take over"
+        button.set_visibility(bool(name))
+
+    return look
+
+
+def _controls(panel: Panel, gate: EventGate) -> Callable[[], None]:
+    """The button of who has the controls; returns what looks again."""
+    controls, me = panel.controls, context.client.id
+    button = ui.button(on_click=lambda: controls.take(me)).props("flat dense no-caps color=white data-test=controls")
+    context.client.on_connect(lambda: controls.come(me))
+    context.client.on_disconnect(lambda: controls.go(me))
+    context.client.on_delete(lambda: controls.forget(me))
+    shown: list[object] = []
+
+    def look() -> None:
+        gate.refresh()
+        mine = gate.mine
+        state = [mine, controls.watching]
+        if shown == state:
+            return
+        shown[:] = state
+        button.text = (
+            "Take the controls" if not mine else f"{controls.watching} watching" if controls.watching > 1 else ""
+        )
+        button.set_visibility(not mine or controls.watching > 1)
+
+    return look
+
+
+def build_page(panel: Panel) -> None:
     """One browser's page."""
-    ui.add_css(STYLE + chips.STYLE)
+    ui.add_css(STYLE + CHIP_STYLE)
     ui.colors(primary=PRIMARY)
-    live = Live()
-    gate = Gate(panel, ui.context.client)
+    live = BrowserUpdates()
+    gate = EventGate(panel, ui.context.client)
     with ui.header().classes("items-center q-py-xs q-px-md"):
-        transport.build(panel, live, gate)
+        build_toolbar(panel, live, gate)
     with ui.element("div").classes("panel"):
         with ui.element("div").classes("machine"):
-            scene.build(panel, live)
-            axes.build(panel, live)
-            chart.build(panel, live)
+            build_scene(panel, live)
+            build_axis_cards(panel, live)
+            build_oscilloscope(panel, live)
         with ui.element("div").classes("desk"):
-            guide.build(panel)
+            build_tour(panel)
             with ui.element("div").classes("desk") as drives:
-                forms.build(panel)
+                build_procedures(panel)
             gate.driving(drives)
             with ui.element("div").classes("desk") as machine:
-                touch.build(panel)
+                build_fault_controls(panel)
             gate.machine(machine)
             with ui.element("div").classes("desk") as drives:
-                console.build(panel, live)
-                chips.build(panel, live)
+                build_console(panel, live)
+                build_chip_panels(panel, live)
             gate.driving(drives)
 
 

@@ -90,7 +90,7 @@ class RealTimeClock:
         return left
 
     def measure(self, now: int) -> None:
-        """Look at the time, for `achieved_speed`."""
+        """StageObserver at the time, for `achieved_speed`."""
         passed = perf_counter() - self._measured[0]
         if passed > MEASURING_TIME_S:
             self.achieved_speed = (now - self._measured[1]) * 1e-9 / passed

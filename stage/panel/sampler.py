@@ -110,7 +110,7 @@ def _pins(axis: Axis) -> list[Trace]:
     return out
 
 
-class Ring:
+class SampleBuffer:
     """The last `room` samples of all axes, by field. `end`: samples that ever came, less those forgotten by going back."""
 
     def __init__(self, room: int, axes: int):
@@ -171,7 +171,7 @@ class Ring:
 
 
 class _Columns:
-    def __init__(self, ring: Ring, axis: int, begin: int, end: int):
+    def __init__(self, ring: SampleBuffer, axis: int, begin: int, end: int):
         self._given = ring, axis, begin, end
 
     def __getitem__(self, field: str) -> np.ndarray:
@@ -198,8 +198,8 @@ class Sampler:
         self._thin = max(1, round(COARSE / self.dt))
         self.lock = threading.Lock()
         axes = len(stage.axes)
-        self._fine = Ring(max(64, round(FINE / self.dt)), axes)
-        self._coarse = Ring(max(64, round(LONGEST / self._thin / self.dt)), axes)
+        self._fine = SampleBuffer(max(64, round(FINE / self.dt)), axes)
+        self._coarse = SampleBuffer(max(64, round(LONGEST / self._thin / self.dt)), axes)
         self._phase = 0
         self._recording, self._read = None, 0
         self.events: deque[Event] = deque(maxlen=EVENTS)
@@ -307,9 +307,9 @@ class Sampler:
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """As `columns`, for `points` columns of pixels: of each the least and the greatest value, no peak is missing."""
         times, values = self.columns(names, begin, end)
-        return {name: thinned(times, v, points) for name, v in values.items()}
+        return {name: thin_curve(times, v, points) for name, v in values.items()}
 
-    def _ring(self, begin: float) -> Ring:
+    def _ring(self, begin: float) -> SampleBuffer:
         return self._fine if self._fine.first <= max(begin, self._coarse.first) else self._coarse
 
     def close(self) -> None:
@@ -318,7 +318,7 @@ class Sampler:
         self.session.do(self._detach)
 
 
-def thinned(times: np.ndarray, values: np.ndarray, points: int) -> tuple[np.ndarray, np.ndarray]:
+def thin_curve(times: np.ndarray, values: np.ndarray, points: int) -> tuple[np.ndarray, np.ndarray]:
     """At most 2 `points` of a curve: the least and the greatest of each stretch, in the order in which they come."""
     if points < 1:
         raise ArgumentError(f"points={points!r}: 1 or more columns of pixels.")
@@ -334,4 +334,4 @@ def thinned(times: np.ndarray, values: np.ndarray, points: int) -> tuple[np.ndar
     return times[at], values[at]
 
 
-__all__ = ["COARSE", "FINE", "LONGEST", "SERIES", "Event", "Ring", "Sampler", "Trace", "thinned", "traces"]
+__all__ = ["COARSE", "FINE", "LONGEST", "SERIES", "Event", "SampleBuffer", "Sampler", "Trace", "thin_curve", "traces"]

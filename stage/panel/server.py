@@ -11,21 +11,86 @@ import asyncio
 import errno
 import secrets
 import socket
+import threading
 import webbrowser
+from concurrent.futures import Future
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError, StageError
 from stage.extras import need
-from stage.panel.controls import Controls
-from stage.panel.guard import Guard
-from stage.panel.hands import Hands
-from stage.panel.look import Look
+from stage.panel.access_control import Controls, RequestGuard, report_malformed_messages_once, report_task_error
+from stage.panel.fault_controls import FaultControls
 from stage.panel.sampler import Sampler
 from stage.panel.session import Session
+from stage.panel.stage_observer import StageObserver
 
 if TYPE_CHECKING:
     pass
+
+
+_alone = threading.Lock()
+_sites: list[Website] = []
+
+
+def website() -> Website:
+    """The one of this process. Raises ImportError where NiceGUI is not there."""
+    with _alone:
+        if not _sites:
+            _sites.append(Website())
+        return _sites[0]
+
+
+class Website:
+    """Attributes: app, an ASGI application; loop; panels, by port."""
+
+    def __init__(self) -> None:
+        from fastapi import FastAPI, Request
+        from nicegui import ui
+
+        from stage.panel import page
+
+        def build(request: Request) -> None:
+            page.build_page(self._panel(request.scope))
+
+        report_malformed_messages_once()
+        self.panels: dict[int, Panel] = {}
+        self.app = FastAPI(openapi_url=None)
+        self.app.add_route("/shape/{body:int}.glb", self._shape)
+        build.__annotations__["request"] = Request
+        ui.run_with(
+            self.app,
+            root=build,
+            title="PulseStage",
+            dark=None,
+            show_welcome_message=False,
+            reconnect_timeout=20,
+            binding_refresh_interval=None,  # nothing here is bound
+        )
+        begun: Future[asyncio.AbstractEventLoop] = Future()
+        threading.Thread(target=asyncio.run, args=(self._live(begun),), name="pulsestage panel", daemon=True).start()
+        self.loop = begun.result()
+
+    async def _live(self, begun: Future) -> None:
+        try:
+            async with self.app.router.lifespan_context(self.app):
+                asyncio.get_running_loop().set_exception_handler(report_task_error)
+                begun.set_result(asyncio.get_running_loop())
+                await asyncio.Event().wait()
+        except BaseException as error:
+            if not begun.done():
+                begun.set_exception(error)
+            raise
+
+    def _panel(self, scope: Any) -> Panel:
+        return self.panels[scope["server"][1]]
+
+    async def _shape(self, request: Any) -> Any:
+        from starlette.responses import Response
+
+        found = self._panel(request.scope).shapes.get(request.path_params["body"])
+        return Response(found or b"", status_code=200 if found else 404, media_type="model/gltf-binary")
+
 
 HERE = "127.0.0.1"
 
@@ -46,11 +111,9 @@ class Panel:
         need("nicegui", "the panel")
         import uvicorn
 
-        from stage.panel.website import website
-
         self._site = website()
         from stage.panel import glb
-        from stage.panel.reports import Reports
+        from stage.panel.procedure_page import Reports
 
         self.session, self.controls, self._owns_session = session, Controls(), owns_session
         self.reports = Reports(session)
@@ -58,11 +121,15 @@ class Panel:
         self._socket = _listening(host, port)
         self.port = self._socket.getsockname()[1]
         self.token = "" if host == HERE else secrets.token_urlsafe(16)
-        self.look, self.sampler, self.hands = Look(session), Sampler(session), Hands(session)
+        self.observer, self.sampler, self.fault_controls = (
+            StageObserver(session),
+            Sampler(session),
+            FaultControls(session),
+        )
         self.shapes = dict(glb.bodies(session.stage.model))
         names = frozenset(f"{name}:{self.port}" for name in (HERE, "localhost")) if host == HERE else frozenset()
         config = uvicorn.Config(
-            Guard(self._site.app, names, self.token),
+            RequestGuard(self._site.app, names, self.token),
             log_level="error",
             ws_ping_interval=20,
             ws_per_message_deflate=False,  # it takes longer than what it saves
@@ -119,9 +186,9 @@ class Panel:
         except TimeoutError:
             self._served.cancel()
         self._site.panels.pop(self.port, None)
-        self.look.close()
+        self.observer.close()
         self.sampler.close()
-        self.hands.close()
+        self.fault_controls.close()
         if self._owns_session:
             self.session.close()
 

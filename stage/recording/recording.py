@@ -104,8 +104,8 @@ class Recording(Tabular):
             exact anyway.
         path: Write a rerun file as it goes, see `stream`.
         overwrite: The file may exist.
-        on_error: What a full disk does while it records: "raise" a RecordingError in the run, which can then continue without it, or
-            "warn" (RecordingWarning) and go on.
+        on_error: What a full disk does while it records: "raise" a RecordingError in the run, which can then continue without it,
+            or "warn" (RecordingWarning) and go on.
 
     Raises:
         ArgumentError: A time between samples that cannot be.

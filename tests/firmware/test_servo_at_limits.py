@@ -11,7 +11,7 @@ from stage.firmware.driver import Speeds, driver_of
 from stage.firmware.hctl1100.home import leave_limit
 from stage.firmware.hctl1100.port import Port
 from stage.firmware.report import Procedure
-from stage.panel.procedures import Jog, stopping
+from stage.panel.procedure_forms import Jog
 from stage.panel.session import FREE, Session
 from stage.sim import plant
 
@@ -278,7 +278,7 @@ def test_a_stop_ends_what_drives_an_axis_out_of_its_limit():
         until(lambda: session.view.time > 0.05)
         assert x.chip.motor_command == -15
         session.stop_actions()
-        session.act("stop", stopping(["x"], at_once=False)).result(20)
+        session.act("stop", lambda stage: firmware.stop(stage.axes["x"])).result(20)
         assert left.exception(20)
         assert x.chip.motor_command == 0
 
@@ -292,7 +292,7 @@ def test_the_panel_stops_a_line_whose_host_waits_for_less_than_a_millisecond_at_
         session.paused = False
         until(lambda: session.view.time > 0.3)
         assert session.stop_actions()
-        session.act("stop", stopping(["x", "y"], at_once=False)).result(20)
+        session.stop().result(20)
         assert isinstance(line.exception(20), StageError)
         session.paused = True
         assert 2e-3 < x.position < 50e-3

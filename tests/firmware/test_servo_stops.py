@@ -12,7 +12,6 @@ from stage.chips import HCTL1100
 from stage.firmware.driver import Speeds, driver_of
 from stage.firmware.hctl1100.driver import Hctl1100Driver
 from stage.firmware.hctl1100.moves import Tuning, proportional_velocity, set_up
-from stage.panel.procedures import stopping
 from stage.panel.session import FREE, Session
 
 COUNT = 5e-6  # m
@@ -203,7 +202,7 @@ def test_the_panel_stops_a_move_of_a_servo_with_its_ramp():
             assert time.monotonic() - begin < 20
             time.sleep(1e-3)
         session.stop_actions()
-        at = session.act("stop", lambda stage: (x.position, stopping(["x"], at_once=False)(stage))).result(20)[0]
+        at = session.act("stop", lambda stage: (x.position, firmware.stop(stage.axes["x"]))).result(20)[0]
         assert isinstance(move.exception(20), StageError)
         session.paused = True
         ramp = braking_distance(10_000, Speeds(drive=10_000)) * COUNT

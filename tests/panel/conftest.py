@@ -219,9 +219,9 @@ class Bench:
 
     def fresh(self):
         """The page as at first, and the stage at power-up, in real time."""
-        for made in reversed(self.panel.hands.in_force):
-            self.panel.hands.mend(made)
-        self.panel.hands.load(0.0)
+        for made in reversed(self.panel.fault_controls.in_force):
+            self.panel.fault_controls.mend(made)
+        self.panel.fault_controls.load(0.0)
         self.session.reset()
         self.session.paused, self.session.speed = False, 1.0
         self.browser.open(self.panel.address)

@@ -1,6 +1,6 @@
 """Many may look at a panel; one has the controls."""
 
-from stage.panel.controls import Controls
+from stage.panel.access_control import Controls
 
 
 def test_the_first_has_the_controls_until_somebody_takes_them():

@@ -1,4 +1,4 @@
-"""Hands, console, front panels and oscilloscope by a browser's events, without a browser: what happens to the stage and is said."""
+"""FaultControls, console, front panels and oscilloscope by a browser's events, without a browser."""
 
 from itertools import pairwise
 from types import SimpleNamespace
@@ -10,12 +10,11 @@ pytest.importorskip("nicegui")
 from support.served_panel import ServedPanel
 
 from stage.errors import StageError
-from stage.panel import chart as charts
-from stage.panel import chips
-from stage.panel.front import Front
-from stage.panel.orders import Cycle
-from stage.panel.oscilloscope import SPANS, Frame
-from stage.panel.words import place
+from stage.panel import chip_panel as chips
+from stage.panel import oscilloscope_page as charts
+from stage.panel.oscilloscope import SPANS, OscilloscopeFrame
+from stage.panel.page import place
+from stage.panel.register_text import BusCycle, FrontPanel
 
 
 @pytest.fixture(scope="module")
@@ -29,9 +28,9 @@ def _as_at_first(served, page):
     page.said.clear()
     yield
     served.leave(but=1)
-    for made in reversed(served.panel.hands.in_force):
-        served.panel.hands.mend(made)
-    served.panel.hands.load(0.0)
+    for made in reversed(served.panel.fault_controls.in_force):
+        served.panel.fault_controls.mend(made)
+    served.panel.fault_controls.load(0.0)
 
 
 def of(served, look):
@@ -47,9 +46,9 @@ def pushes(served):
 
 def test_a_card_of_each_axis_has_its_motor_its_place_and_its_switches(served, page):
     of(served, lambda stage: stage.place(x=0.0123, y=stage.axes["y"].travel[1] * 0.985))
-    served.panel.look.want(0, 0)
-    of(served, served.panel.look.take)
-    live, look = live_of(page), served.panel.look
+    served.panel.observer.want(0, 0)
+    of(served, served.panel.observer.take)
+    live, look = live_of(page), served.panel.observer
     texts = {e.props.get("data-test"): now() for e, now in live._texts.values()}
     lamps = {e.props.get("data-test"): now() for e, now in live._lamps.values()}
     assert lamps["switch-y-el_plus"]
@@ -68,7 +67,7 @@ def test_a_card_of_each_axis_has_its_motor_its_place_and_its_switches(served, pa
 
 
 def test_what_can_break_is_there_for_who_comes(served):
-    page, breakings = served.visit(), served.panel.hands.breakings("x")
+    page, breakings = served.visit(), served.panel.fault_controls.list_forms("x")
     assert list(page.find("breaking").options) == [b.name for b in breakings]
     assert page.find("breaking").value == breakings[0].name
     for b in breakings:
@@ -89,7 +88,7 @@ def test_load_and_supply_are_what_the_sliders_say_and_every_page_follows(served,
     assert of(served, lambda stage: stage.payload()) == 0.5
     assert of(served, lambda stage: [a.supply for a in stage.axes.values()]) == [20, 20]
     page.fire("supply", "change", 24)
-    page.until(lambda: not served.panel.hands.in_force)
+    page.until(lambda: not served.panel.fault_controls.in_force)
     assert of(served, lambda stage: [a.supply for a in stage.axes.values()]) == [24, 24]
     page.fire("payload", "change", -1)
     page.until(lambda: page.said)
@@ -136,7 +135,7 @@ def test_a_force_that_cannot_be_is_said_at_its_field_until_the_next(served, page
 
 
 def test_what_is_broken_is_of_the_axis_that_was_chosen_and_each_is_mended_for_itself(served, page):
-    hands = served.panel.hands
+    hands = served.panel.fault_controls
     page.put("breaking", "switch_stuck")
     for axis, pin, closed in (("x", "org", "no"), ("y", "el_plus", "yes"), ("y", "org", "yes")):
         page.put("hands-axis", axis)
@@ -166,7 +165,7 @@ def test_what_is_wrong_with_a_fault_is_said_at_its_field(served, page):
     page.put(field, "much")
     page.click("break")
     page.until(lambda: "'much' is not a number" in page.error(field))
-    assert not served.panel.hands.in_force
+    assert not served.panel.fault_controls.in_force
 
 
 # --- console ---
@@ -263,19 +262,25 @@ def test_each_button_of_a_command_sends_its_cycles_to_the_axis_that_was_chosen(w
     wide.panel.controls.take(page.client.id)
     page.put("axis-of-0", 1)
     monkeypatch.setattr(chips, "send", send)
-    buttons = [b for group in Front(kind).buttons.values() for b in group if not b.takes]
+    buttons = [b for group in FrontPanel(kind).buttons.values() for b in group if not b.takes]
     assert len(buttons) > 20
     for b in buttons:
         sent.clear()
         page.click(f"command-0-{b.symbol}" + (f"-{b.datum:X}" if b.datum is not None else ""))
         page.settled()
-        assert sent == [(True, 0, [Cycle(False, *c) for c in kind.command_cycles(b.symbol, 1, b.datum)])]
+        assert sent == [(True, 0, [BusCycle(False, *c) for c in kind.command_cycles(b.symbol, 1, b.datum)])]
 
 
 def test_cycles_are_made_in_their_order_and_what_was_read_is_told_and_looked_at(served, page):
-    trace = served.panel.look.traces[1]
-    before, number = trace.lines[-1].number if trace.lines else 0, served.panel.look.number
-    cycles = [Cycle(False, 0, 0x81), Cycle(False, 1, 7), Cycle(False, 2, 0), Cycle(True, 1, None), Cycle(True, 0, None)]
+    trace = served.panel.observer.traces[1]
+    before, number = trace.lines[-1].number if trace.lines else 0, served.panel.observer.number
+    cycles = [
+        BusCycle(False, 0, 0x81),
+        BusCycle(False, 1, 7),
+        BusCycle(False, 2, 0),
+        BusCycle(True, 1, None),
+        BusCycle(True, 0, None),
+    ]
     found = page.within(lambda: chips.send(served.panel, 1, cycles))
     assert any(found)
     assert [(line.way, line.address) for line in trace.since(before)] == [
@@ -285,7 +290,7 @@ def test_cycles_are_made_in_their_order_and_what_was_read_is_told_and_looked_at(
         ("R", 1),
         ("R", 0),
     ]
-    assert served.panel.look.number > number
+    assert served.panel.observer.number > number
     assert found == of(served, lambda stage: [stage.chips[1].read(address) for address in (1, 0)])
     assert of(served, lambda stage: [chip.values_of(0)["R1"] for chip in stage.chips]) == [0, 7]
 
@@ -310,7 +315,7 @@ def test_the_trace_is_of_the_chip_that_was_chosen(served, page, wide):
 
 
 def live_of(page):
-    (live,) = (e for e in page._all() if type(e).__name__ == "Live")
+    (live,) = (e for e in page._all() if type(e).__name__ == "BrowserUpdates")
     return live
 
 
@@ -321,7 +326,7 @@ def test_each_cycle_and_each_diagnostic_is_a_line_of_the_trace_and_what_is_bad_l
     log.push = lambda *given: pushed.append(given)
     line(page, "15")
     page.until(lambda: any(kind == "bad" for _, kind, *_ in pushed))
-    trace = served.panel.look.traces[0]
+    trace = served.panel.observer.traces[0]
     told = [(one.text(trace.digits), "bad" if one.way == "!" else "", one.first) for one in trace.lines]
     page.until(lambda: [one for one in pushed if len(one) == 3][-2:] == told[-2:])
     assert ("> 15", "own") in pushed
@@ -355,7 +360,7 @@ def test_a_curve_is_drawn_in_ms_or_s_from_the_trigger_or_from_power_up(served, p
         (2.0, 2.5, 2.2, -200, 300, "ms from the trigger", -100), (2.0, 5.0, 2.5, -0.5, 2.5, "s from the trigger", -0.4),
     ):  # fmt: skip
         curve = np.array([2.1, 2.2, 2.3, 2.4]), np.array([1.0, 1.0, 1.0, 3.0])
-        message = chart._message(Frame(begin, end, {"x/position": curve, "y/org": curve}, trigger, ""))
+        message = chart._message(OscilloscopeFrame(begin, end, {"x/position": curve, "y/org": curve}, trigger, ""))
         lower, upper = message["xAxis"]
         assert (lower["min"], lower["max"]) == pytest.approx((low, high)) == (upper["min"], upper["max"])
         assert "name" not in lower
@@ -374,7 +379,9 @@ def test_what_rests_is_drawn_seldom_and_what_moves_as_it_comes(served, page, mon
     shown = SimpleNamespace(kind="up", end=1.0)
 
     def picture(points):
-        return Frame(shown.end - 1, shown.end, {"x/position": (np.array([0.1, 0.2]), curves[shown.kind])}, None, "")
+        return OscilloscopeFrame(
+            shown.end - 1, shown.end, {"x/position": (np.array([0.1, 0.2]), curves[shown.kind])}, None, ""
+        )
 
     monkeypatch.setattr(chart.scope, "frame", picture)
     monkeypatch.setattr(chart, "_drawn", None)

@@ -36,19 +36,19 @@ def test_a_fault_that_is_asked_for_again_says_only_what_is_wrong_then(served, pa
     page.click("break")
     page.until(lambda: "is not a number" in page.error("break-seconds"))
     assert page.error("break-toggles") == ""
-    assert not served.panel.hands.in_force
+    assert not served.panel.fault_controls.in_force
 
 
 def test_a_force_that_a_stronger_motor_can_is_said_no_more(served, page):
-    most = served.panel.hands.strongest_push
+    most = served.panel.fault_controls.find_max_push
     page.put("push-force", "1e9")
     page.fire("push-plus", "pointerdown")
     page.until(lambda: page.error("push-force"))
-    served.panel.hands.strongest_push = lambda axis: 2e9
+    served.panel.fault_controls.find_max_push = lambda axis: 2e9
     try:
         page.fire("push-plus", "pointerdown")
         page.until(lambda: not page.error("push-force"))
     finally:
-        served.panel.hands.strongest_push = most
+        served.panel.fault_controls.find_max_push = most
         page.fire("push-plus", "pointerup")
         page.until(lambda: not served.session.do(lambda stage: stage.data.qfrc_applied.any()))

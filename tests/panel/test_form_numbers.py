@@ -7,10 +7,18 @@ import pytest
 
 from stage import Stage
 from stage.errors import ArgumentError
-from stage.panel.fields import Field, WrongField, distance_of, parsed, scale, speeds_of, where
+from stage.panel.fault_controls import find_max_push
+from stage.panel.page import place
+from stage.panel.procedure_forms import (
+    Field,
+    FieldError,
+    find_field,
+    find_scale,
+    parse_distance,
+    parse_fields,
+    parse_speeds,
+)
 from stage.panel.stage_thread import describe_escape
-from stage.panel.travel import strongest_push
-from stage.panel.words import place
 
 
 @pytest.fixture(scope="module")
@@ -28,43 +36,48 @@ def test_a_place_is_told_in_the_unit_of_its_axis():
 
 def test_texts_of_a_form_are_numbers_with_a_point_or_a_comma():
     fields = [Field("a", "A", "mm", "3"), Field("b", "B"), Field("c", "C", choices=("x", "y"), default="y")]
-    assert parsed(fields, {"a": " 2,5 ", "b": ""}) == {"a": 2.5, "c": "y"}
-    assert parsed(fields, {"b": "-1e3", "c": "x", "more": "1"}) == {"a": 3.0, "b": -1000.0, "c": "x"}
+    assert parse_fields(fields, {"a": " 2,5 ", "b": ""}) == {"a": 2.5, "c": "y"}
+    assert parse_fields(fields, {"b": "-1e3", "c": "x", "more": "1"}) == {"a": 3.0, "b": -1000.0, "c": "x"}
     for given, name, said in (
         ({"a": "two"}, "a", "'two' is not a number of mm."),
         ({"b": "two"}, "b", "'two' is not a number."),
         ({"b": "inf"}, "b", "'inf': a finite number."),
         ({"c": "z"}, "c", "'z': x, y."),
     ):
-        with pytest.raises(WrongField) as wrong:
-            parsed(fields, given)
-        assert (wrong.value.field, str(wrong.value), where(wrong.value, fields)) == (name, said, name)
-    assert [where(ArgumentError(t), fields) for t in ("b=3: no.", "b: no.", "bb: no.", "no b")] == ["b", "b", "", ""]
+        with pytest.raises(FieldError) as wrong:
+            parse_fields(fields, given)
+        assert (wrong.value.field, str(wrong.value), find_field(wrong.value, fields)) == (name, said, name)
+    assert [find_field(ArgumentError(t), fields) for t in ("b=3: no.", "b: no.", "bb: no.", "no b")] == [
+        "b",
+        "b",
+        "",
+        "",
+    ]
 
 
 @pytest.mark.parametrize(("name", "unit", "k"), [("x", "mm", 1e-3), ("a", "deg", radians(1))])
 def test_distances_and_speeds_of_people_are_metres_and_radians(axes, name, unit, k):
     axis = axes[name]
     pulse = axis.meters_per_pulse / k
-    assert scale(axis) == (unit, pytest.approx(k))
-    assert distance_of(axis, "distance", -2.0) == pytest.approx(-2 * k)
-    assert distance_of(axis, "distance", 0.6 * pulse) == pytest.approx(0.6 * axis.meters_per_pulse)
+    assert find_scale(axis) == (unit, pytest.approx(k))
+    assert parse_distance(axis, "distance", -2.0) == pytest.approx(-2 * k)
+    assert parse_distance(axis, "distance", 0.6 * pulse) == pytest.approx(0.6 * axis.meters_per_pulse)
     most = (10 if name == "x" else 100) * (axis.travel[1] - axis.travel[0]) / k
-    assert distance_of(axis, "distance", -most) == pytest.approx(-most * k)
+    assert parse_distance(axis, "distance", -most) == pytest.approx(-most * k)
     for wrong, said in ((0.4 * pulse, "less than a pulse"), (-1.01 * most, f"up to {most:g} {unit}")):
-        with pytest.raises(WrongField, match=said.replace(".", r"\.").replace("+", r"\+")):
-            distance_of(axis, "distance", wrong)
-    made = speeds_of(axis, {"speed": 3.0, "start_speed": 0.5, "accel": 0.2, "other": 9})
+        with pytest.raises(FieldError, match=said.replace(".", r"\.").replace("+", r"\+")):
+            parse_distance(axis, "distance", wrong)
+    made = parse_speeds(axis, {"speed": 3.0, "start_speed": 0.5, "accel": 0.2, "other": 9})
     assert made == pytest.approx({"speed": 3 * k, "start_speed": 0.5 * k, "accel": 0.2})
-    assert speeds_of(axis, {"accel": 60.0, "speed": 1.01 * pulse})["accel"] == 60
+    assert parse_speeds(axis, {"accel": 60.0, "speed": 1.01 * pulse})["accel"] == 60
     for given, field, said in (
         ({"speed": 0.0}, "speed", "more than 0"),
         ({"accel": 60.1}, "accel", "up to 60 s"),
         ({"accel": -1.0}, "accel", "more than 0"),
         ({"start_speed": 0.9 * pulse}, "start_speed", f"{unit}/s, a pulse a second, or more"),
     ):
-        with pytest.raises(WrongField, match=said) as wrong:
-            speeds_of(axis, given)
+        with pytest.raises(FieldError, match=said) as wrong:
+            parse_speeds(axis, given)
         assert wrong.value.field == field
 
 
@@ -83,5 +96,5 @@ def test_a_carriage_is_out_of_its_travel_beyond_a_tenth_of_it_on_either_side():
     stage.data.qpos[stage.axes["a"].plant.qpos] = 1e3
     assert describe_escape(stage) == "", "a table turns without end"
     x = stage.axes["x"]
-    assert strongest_push(x) == pytest.approx(2 * x.drive.peak_torque * abs(x.gear))
-    assert np.isfinite(strongest_push(x))
+    assert find_max_push(x) == pytest.approx(2 * x.drive.peak_torque * abs(x.gear))
+    assert np.isfinite(find_max_push(x))

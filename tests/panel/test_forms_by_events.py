@@ -6,7 +6,7 @@ import pytest
 
 from stage import Stage, firmware
 from stage.errors import RunTimeout, StageError
-from stage.panel.procedures import FORMS
+from stage.panel.procedure_forms import FORMS
 from stage.panel.session import FREE
 
 
@@ -19,7 +19,7 @@ def page(served):
 @pytest.fixture(autouse=True)
 def _drawn_quickly(monkeypatch):
     """Patterns are drawn elsewhere: here they only say of what they are."""
-    monkeypatch.setattr("stage.panel.procedures.picture", lambda report: f"<svg>{report}")
+    monkeypatch.setattr("stage.panel.procedure_page.picture", lambda report: f"<svg>{report}")
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def session(served, page):
     """At power-up; time passes as fast as it goes."""
     session = served.session
     session.reset()
-    page.within(served.panel.reports._told.clear)
+    page.within(served.panel.reports._outcomes.clear)
     session.speed, session.paused = FREE, False
     page.put("procedure-axis", "y")
     page.put("procedure-axis", "x")  # the forms are as at first
@@ -184,7 +184,7 @@ def test_who_was_shown_an_axis_goes_on_with_the_form_that_was_open(page, session
 
 def test_an_axis_of_a_beam_says_with_whom_it_carries_it(page, session, monkeypatch):
     assert not page.all("tied")
-    monkeypatch.setattr("stage.panel.forms.tied", lambda stage, axis: {"y": ["x", "z"]}.get(axis, []))
+    monkeypatch.setattr("stage.panel.procedure_page.tied", lambda stage, axis: {"y": ["x", "z"]}.get(axis, []))
     page.put("procedure-axis", "y")
     assert page.text("tied").startswith("y carries one beam with x and z: ")
     page.put("procedure-axis", "x")
@@ -207,7 +207,7 @@ def test_an_origin_is_found_by_a_home_that_ended_there_on_the_axis_that_it_was_o
 
     page.put("procedure-axis", "y")
     monkeypatch.setattr(served.panel.reports, "perform", perform)
-    monkeypatch.setattr(served.panel.look, "found_origin", lambda axis, stage: axes.append(axis))
+    monkeypatch.setattr(served.panel.observer, "note_origin", lambda axis, stage: axes.append(axis))
     tab(page, form)
     page.click(f"go-{form}")
     page.until(lambda: done)
@@ -218,8 +218,10 @@ def test_an_origin_is_found_by_a_home_that_ended_there_on_the_axis_that_it_was_o
 
 @pytest.mark.parametrize(("name", "at_once"), [("stop", False), ("stop-at-once", True)])
 def test_stop_is_of_all_axes_and_ends_what_is_under_way(page, session, ordered, monkeypatch, name, at_once):
-    asked = []
-    monkeypatch.setattr("stage.panel.procedures.stopping", lambda *what: asked.append(what) or (lambda stage: None))
+    stopped, stop = [], firmware.procedures.stop
+    monkeypatch.setattr(
+        firmware.procedures, "stop", lambda axis, how: stopped.append((axis.name, how)) or stop(axis, how)
+    )
     session.paused = True
     page.click("go-move")
     page.until(lambda: session.view.action == "Move x")
@@ -227,7 +229,7 @@ def test_stop_is_of_all_axes_and_ends_what_is_under_way(page, session, ordered, 
     page.until(lambda: page.panel.reports.last("move").text == "Move x: stopped.")
     page.until(lambda: page.text("report") == "Move x: stopped." and not session.busy)
     assert ordered == ["Move x", "stop"]
-    assert asked == [(["x", "y"], at_once)]
+    assert sorted(stopped) == [("x", at_once), ("y", at_once)]
     assert not wrong(page)
 
 
@@ -348,7 +350,7 @@ def test_a_picture_is_of_the_report_that_it_was_drawn_of(served, page, session, 
             raise found
         return found
 
-    monkeypatch.setattr("stage.panel.procedures.picture", picture)
+    monkeypatch.setattr("stage.panel.procedure_page.picture", picture)
 
     def perform(name):
         told = SimpleNamespace(ok=True, name=name, plot=None)

@@ -7,8 +7,19 @@ import pytest
 from stage import units
 from stage.chips import CHIPS, HCTL1100, MCX514, PCL240K, PCL240MS
 from stage.errors import ArgumentError
-from stage.panel.front import Front, lit, meant, number, shown, span, with_field, worst
-from stage.panel.orders import Cycle, complete, understand
+from stage.panel.register_text import (
+    BusCycle,
+    FrontPanel,
+    complete,
+    lit,
+    meant,
+    number,
+    parse_line,
+    shown,
+    span,
+    with_field,
+    worst,
+)
 
 
 @pytest.mark.parametrize(
@@ -49,7 +60,7 @@ def test_what_is_no_number_is_told_with_what_was_probably_meant(typed, said):
 
 def test_every_command_of_every_chip_has_a_button_or_a_row():
     for kind in CHIPS.values():
-        front = Front(kind)
+        front = FrontPanel(kind)
         buttons = [b for group in front.buttons.values() for b in group]
         sent = {b.symbol for b in buttons} | {r.name for r in front.registers} | {w.name for w in front.forms}
         assert {c.symbol for c in kind.MAP.commands} <= sent
@@ -65,13 +76,13 @@ def test_a_chip_that_does_not_say_how_its_commands_are_sent_has_no_buttons():
         def command_cycles(cls, symbol, axis=0, datum=None):
             raise NotImplementedError("Mute does not say how its commands are sent.")
 
-    assert Front(Mute).buttons == {}
+    assert FrontPanel(Mute).buttons == {}
     with pytest.raises(ArgumentError, match=r"Mute does not say how its commands are sent\. Write its bytes: `0: 15`"):
-        understand(Mute, "DRVRL")
+        parse_line(Mute, "DRVRL")
 
 
 def test_bytes_that_a_word_has_by_name_carry_its_fixed_bits():
-    buttons = {b.label: b for group in Front(PCL240K).buttons.values() for b in group}
+    buttons = {b.label: b for group in FrontPanel(PCL240K).buttons.values() for b in group}
     assert (buttons["15h"].title, buttons["81h"].title) == ("start with a ramp to FH1", "R1")
     assert PCL240K.command_cycles("select", 0, buttons["81h"].datum) == [(0, 0x81)]
 
@@ -101,7 +112,7 @@ def test_the_evidence_of_a_whole_is_that_of_its_weakest_part():
 @pytest.mark.parametrize("line", ["read 99999", "99999: 1", "read 4", "4: 1", "read -1", "read 0 4"])
 def test_an_address_that_the_chip_has_not_is_refused_of_reads_and_of_writes(line):
     with pytest.raises(ArgumentError, match=r"PCL-?240K has the addresses 0 to 3h"):
-        understand(PCL240K, line)
+        parse_line(PCL240K, line)
 
 
 @pytest.mark.parametrize("line", ["R2 <- \u0663", "R2 <- 1\u0663", "0: \u0663", "\u0663: 1", "read \u0663"])
@@ -109,7 +120,7 @@ def test_digits_of_another_script_are_none(line):
     """x: R2 <- \u0663
     wrote 3; the agents' tools refuse it"""
     with pytest.raises(ArgumentError, match=r"is no (hexadecimal )?number"):
-        understand(PCL240K, line)
+        parse_line(PCL240K, line)
 
 
 @pytest.mark.parametrize("typed", ["\u0663", "1\u0663.5", "1O\u0663", "\u00b2"])
@@ -123,11 +134,11 @@ def test_nor_is_anything_with_them_proposed(typed):
 @pytest.mark.parametrize("line", ["1FF", "2: 100", "15 99999"])
 def test_what_is_wider_than_the_bus_is_refused(line):
     with pytest.raises(ArgumentError, match="takes 0 to FFh in one cycle"):
-        understand(PCL240K, line)
+        parse_line(PCL240K, line)
 
 
 def writes(*cycles):
-    return tuple(Cycle(False, *cycle) for cycle in cycles)
+    return tuple(BusCycle(False, *cycle) for cycle in cycles)
 
 
 @pytest.mark.parametrize(
@@ -137,7 +148,7 @@ def writes(*cycles):
         (PCL240K, "2: 1F 20", writes((2, 0x1F), (2, 0x20))),
         (PCL240K, "r1 <- 100", writes((0, 0x81), (2, 0), (1, 100))),
         (PCL240K, "R1=64h", writes((0, 0x81), (2, 0), (1, 100))),
-        (PCL240K, "read 3 2", (Cycle(True, 3), Cycle(True, 2))),
+        (PCL240K, "read 3 2", (BusCycle(True, 3), BusCycle(True, 2))),
         (PCL240K, "operate 15h", writes((0, 0x15))),
         (PCL240MS, "R14.linear <- 1", writes((0, 0x94), (2, 0x10), (1, 5))),
         (HCTL1100, "mode 3", writes((5, 3))),
@@ -149,7 +160,7 @@ def writes(*cycles):
     ],
 )
 def test_a_line_of_the_console_becomes_bus_cycles(kind, line, cycles):
-    assert understand(kind, line, min(2, kind.AXES - 1), {"R14": 5}).cycles == cycles
+    assert parse_line(kind, line, min(2, kind.AXES - 1), {"R14": 5}).cycles == cycles
 
 
 @pytest.mark.parametrize(
@@ -171,13 +182,13 @@ def test_a_line_of_the_console_becomes_bus_cycles(kind, line, cycles):
 )
 def test_a_line_that_says_nothing_is_answered_with_what_was_probably_meant(kind, line, said):
     with pytest.raises(ArgumentError, match=said):
-        understand(kind, line)
+        parse_line(kind, line)
 
 
 def test_the_console_answers_without_bus_cycles():
-    assert understand(MCX514, "AC", 0, {"AC": 77}) == ((), "AC = 77 pps/s (4Dh): acceleration")
-    assert "R1 <- 100" in understand(PCL240K, "help").answer
-    assert understand(PCL240K, "help r1").answer == "R1: FL speed; 1 to 8191 speed steps"
-    assert ".linear" in understand(PCL240MS, "help R14").answer
+    assert parse_line(MCX514, "AC", 0, {"AC": 77}) == ((), "AC = 77 pps/s (4Dh): acceleration")
+    assert "R1 <- 100" in parse_line(PCL240K, "help").answer
+    assert parse_line(PCL240K, "help r1").answer == "R1: FL speed; 1 to 8191 speed steps"
+    assert ".linear" in parse_line(PCL240MS, "help R14").answer
     assert complete(MCX514, "drvv") == ["DRVVP", "DRVVM"]
     assert complete(MCX514, "") == []

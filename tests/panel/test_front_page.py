@@ -1,4 +1,4 @@
-"""Front panels and the bus console in a real browser: clicks and keys, asserted on the page and on the stage."""
+"""FrontPanel panels and the bus console in a real browser: clicks and keys, asserted on the page and on the stage."""
 
 import pytest
 

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from stage.panel.guard import (
+from stage.panel.access_control import (
     COOKIE,
     LOGGERS,
     MALFORMED,
     SERVER_LOGGER,
-    Guard,
     OnlyFirst,
+    RequestGuard,
     report_malformed_messages_once,
     report_task_error,
 )
@@ -52,22 +52,24 @@ def asked(guard, kind="http", query=b"", **headers):
 
 @pytest.mark.parametrize("kind", ["http", "websocket"])
 def test_a_foreign_name_of_the_host_is_refused(kind):
-    assert asked(Guard(None, NAMES), kind, host="127.0.0.1:7241")[0]
-    through, sent = asked(Guard(None, NAMES), kind, host="evil.example:7241")
+    assert asked(RequestGuard(None, NAMES), kind, host="127.0.0.1:7241")[0]
+    through, sent = asked(RequestGuard(None, NAMES), kind, host="evil.example:7241")
     assert not through
     assert sent[0].get("status", 403) == 403
     assert sent[0]["type"] in ("http.response.start", "websocket.close")
 
 
 def test_a_page_from_elsewhere_is_refused():
-    assert asked(Guard(None, NAMES), host="localhost:7241", origin="http://localhost:7241")[0]
-    assert asked(Guard(None, NAMES), host="LOCALHOST:7241", origin="http://LocalHost:7241")[0], "names are of any case"
-    assert not asked(Guard(None, NAMES), host="localhost:7241", origin="http://evil.example")[0]
-    assert not asked(Guard(None, NAMES), host="localhost:7241", origin="null")[0]
+    assert asked(RequestGuard(None, NAMES), host="localhost:7241", origin="http://localhost:7241")[0]
+    assert asked(RequestGuard(None, NAMES), host="LOCALHOST:7241", origin="http://LocalHost:7241")[0], (
+        "names are of any case"
+    )
+    assert not asked(RequestGuard(None, NAMES), host="localhost:7241", origin="http://evil.example")[0]
+    assert not asked(RequestGuard(None, NAMES), host="localhost:7241", origin="null")[0]
 
 
 def test_strangers_need_the_token_and_a_browser_keeps_it():
-    guard = Guard(None, frozenset(), "secret")
+    guard = RequestGuard(None, frozenset(), "secret")
     assert not asked(guard, host="stage.example")[0]
     assert not asked(guard, host="stage.example", query=b"token=wrong")[0]
     through, sent = asked(guard, host="stage.example", query=b"token=secret")
@@ -81,13 +83,13 @@ def test_strangers_need_the_token_and_a_browser_keeps_it():
 
 @pytest.mark.parametrize("cookie", ["a/b=c", "a,b=c", '=; ="'])
 def test_cookies_that_are_none_are_refused_in_words(cookie):
-    through, sent = asked(Guard(None, NAMES, "secret"), host="127.0.0.1:7241", cookie=cookie)
+    through, sent = asked(RequestGuard(None, NAMES, "secret"), host="127.0.0.1:7241", cookie=cookie)
     assert not through
     assert sent[0]["status"] == 403
 
 
 def test_the_page_may_ask_for_nothing_from_elsewhere():
-    _, sent = asked(Guard(None, NAMES), host="127.0.0.1:7241")
+    _, sent = asked(RequestGuard(None, NAMES), host="127.0.0.1:7241")
     policy = dict(sent[0]["headers"])[b"content-security-policy"].decode()
     assert "default-src 'self'" in policy
     assert "http:" not in policy
@@ -98,7 +100,7 @@ def test_the_page_may_ask_for_nothing_from_elsewhere():
 @pytest.mark.parametrize("header", [{"origin": "http://["}, {"origin": "http://[::1"}, {"cookie": "a b=c; \x01=;=,"}])
 def test_headers_that_make_no_sense_are_refused_and_no_error_of_the_server(kind, header):
     """Origin: http://[ gave 500 and a traceback"""
-    through, sent = asked(Guard(None, frozenset(), "secret"), kind, host="127.0.0.1:7241", **header)
+    through, sent = asked(RequestGuard(None, frozenset(), "secret"), kind, host="127.0.0.1:7241", **header)
     assert not through
     assert (sent[0].get("status"), sent[0].get("code")) in ((403, None), (None, 1008))
 
@@ -119,7 +121,7 @@ def test_a_socket_whose_messages_make_no_sense_is_closed_and_the_terminal_gets_o
             async def send(message):
                 sent.append(message["code"])
 
-            asyncio.run(Guard(app, NAMES)(scope, None, send))
+            asyncio.run(RequestGuard(app, NAMES)(scope, None, send))
             logging.getLogger("engineio.server").error("message async handler error")
     finally:
         for name in LOGGERS:

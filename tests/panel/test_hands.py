@@ -1,4 +1,4 @@
-"""Hands on the machine: what breaks is what stage.sim.faults makes, and mending leaves the machine as it was."""
+"""FaultControls on the machine: what breaks is what stage.sim.faults makes, and mending leaves the machine as it was."""
 
 import numpy as np
 import pytest
@@ -7,11 +7,10 @@ from stage import Stage
 from stage.drives.dc_motors import DC_MOTORS
 from stage.drives.motors import MOTORS
 from stage.errors import ArgumentError, StageError
-from stage.panel.fields import WrongField
-from stage.panel.hands import Hands, functions
+from stage.panel.fault_controls import FaultControls, find_max_push, functions
+from stage.panel.procedure_forms import FieldError
 from stage.panel.session import FREE, Session
 from stage.panel.stage_thread import describe_escape
-from stage.panel.travel import strongest_push
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +22,7 @@ def session():
 @pytest.fixture
 def hands(session):
     session.reset()
-    hands = Hands(session)
+    hands = FaultControls(session)
     yield hands
     for made in reversed(hands.in_force):
         hands.mend(made)
@@ -31,7 +30,7 @@ def hands(session):
 
 
 def test_who_leaves_lets_go(session):
-    hands, dof = Hands(session), session.stage.axes["x"].plant.dof
+    hands, dof = FaultControls(session), session.stage.axes["x"].plant.dof
     hands.push("x", 5.0)
     assert session.stage.data.qfrc_applied[dof] == 5.0
     hands.close()
@@ -40,7 +39,7 @@ def test_who_leaves_lets_go(session):
 
 
 def test_everything_that_can_break_is_offered_with_what_it_asks_for(hands):
-    breakings = {b.name: b for b in hands.breakings("x")}
+    breakings = {b.name: b for b in hands.list_forms("x")}
     assert set(breakings) == set(functions()) >= {"jam", "bounce", "phase_open", "bus_voltage", "lost_write", "payload"}
     pin, closed = breakings["switch_stuck"].fields
     assert "org" in pin.choices
@@ -66,12 +65,12 @@ def test_each_can_be_made_and_mended(hands, session, name, given):
 
 def test_the_motors_of_an_axis_are_those_that_its_chip_can_drive(hands):
     def motors(hands):
-        return next(b for b in hands.breakings("x") if b.name == "motor").fields[0]
+        return next(b for b in hands.list_forms("x") if b.name == "motor").fields[0]
 
     assert motors(hands).choices == tuple(MOTORS)
     assert motors(hands).default != "17HS4401", "the one that it has"
     with Session(Stage("xyz_servo", chips="hctl1100", visuals=False), paused=True) as servo:
-        assert motors(Hands(servo)).choices == tuple(DC_MOTORS)
+        assert motors(FaultControls(servo)).choices == tuple(DC_MOTORS)
 
 
 def test_time_does_not_go_back_over_a_motor_that_was_changed(hands, session):
@@ -149,11 +148,11 @@ def test_load_and_supply(hands, session):
     assert hands.payload == 2.0
     hands.load(0.0)
     nominal = hands.supply
-    hands.supply_all(12.0)
-    hands.supply_all(10.0)
+    hands.set_supply(12.0)
+    hands.set_supply(10.0)
     assert {a.supply for a in session.stage.axes.values()} == {10.0}
     assert len(hands.in_force) == 1
-    hands.supply_all(nominal)
+    hands.set_supply(nominal)
     assert hands.in_force == []
     assert hands.supply == nominal
 
@@ -168,7 +167,7 @@ def test_load_and_supply(hands, session):
     ],
 )
 def test_what_is_wrong_is_said_at_its_field(hands, name, given, field):
-    with pytest.raises(WrongField) as wrong:
+    with pytest.raises(FieldError) as wrong:
         hands.make(name, "x", given)
     assert wrong.value.field == field
     assert hands.in_force == []
@@ -189,14 +188,14 @@ def test_the_strongest_push_leaves_every_carriage_in_its_travel(model):
         for sign in (-1, 1):
             stage.reset()
             stage.change()
-            stage.data.qfrc_applied[axis.plant.dof] = sign * strongest_push(axis)
+            stage.data.qfrc_applied[axis.plant.dof] = sign * find_max_push(axis)
             for _ in range(30):
                 stage.run(0.01)
                 assert describe_escape(stage) == ""
 
 
 def test_a_stronger_push_is_refused(hands):
-    with pytest.raises(WrongField, match="900000 N: up to 503 N") as wrong:
+    with pytest.raises(FieldError, match="900000 N: up to 503 N") as wrong:
         hands.push("x", 9e5)
     assert wrong.value.field == "force"
 

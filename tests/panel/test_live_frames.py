@@ -6,18 +6,17 @@ from types import SimpleNamespace
 import pytest
 
 pytest.importorskip("nicegui")
-from stage.panel import live as lives
-from stage.panel.lines import Lines
-from stage.panel.live import FRAMES, PATIENCE, READ, Live
+from stage.panel import browser_updates as lives
+from stage.panel.browser_updates import FRAMES, PATIENCE, READ, BrowserUpdates, TextLog
 
 
 @pytest.fixture
 def live(monkeypatch):
     """Of no page; live.sent: the messages; live.real.now: real time, s."""
     monkeypatch.setattr(lives.ui, "timer", lambda *given: None)
-    live = Live.__new__(Live)
+    live = BrowserUpdates.__new__(BrowserUpdates)
     monkeypatch.setattr(lives.ui.element, "__init__", lambda self: None)
-    Live.__init__(live)
+    BrowserUpdates.__init__(live)
     live.real, live.sent, live.answers = SimpleNamespace(now=100.0), [], True
     monkeypatch.setattr(lives, "perf_counter", lambda: live.real.now)
 
@@ -97,10 +96,10 @@ def test_what_is_gone_from_the_page_is_looked_at_no_more(live):
 
 
 def test_lines_are_told_once_the_last_so_many_and_a_key_takes_the_place_of_the_line_before(live):
-    lines = Lines.__new__(Lines)
+    lines = TextLog.__new__(TextLog)
     lines._props = {}
     lines.id, lines._deleted = 9, False
-    Lines.__init__(lines, live, 3)
+    TextLog.__init__(lines, live, 3)
     assert lines._props["most"] == 3
     assert lines._take() is None
     for text, kind, key in (("a", "", 1), ("b", "bad", 1), ("c", "", 0), ("d", "", 0)):

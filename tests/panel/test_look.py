@@ -5,15 +5,14 @@ from itertools import pairwise
 import pytest
 
 from stage import Stage, firmware
-from stage.panel.look import Look
 from stage.panel.session import FREE, Session
-from stage.panel.trace import Trace
+from stage.panel.stage_observer import StageObserver, Trace
 
 
 @pytest.fixture
 def look():
     with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
-        look = Look(session)
+        look = StageObserver(session)
         look.session = session
         yield look
         look.close()
@@ -38,7 +37,7 @@ def test_registers_that_nobody_wants_any_more_are_not_read(look, monkeypatch):
     look.want(0, 0)
     look.session.do(look.take)
     assert list(look.chips) == [(0, 0)]
-    monkeypatch.setattr("stage.panel.look.WANTED", 0.0)
+    monkeypatch.setattr("stage.panel.stage_observer.WANTED", 0.0)
     look.session.do(look.take)
     assert look.chips == {}
 
@@ -141,7 +140,7 @@ def test_after_an_origin_return_what_was_lost_before_is_lost_no_more(look):
     session.do(look.take)
     assert look.axes["x"].lost
     session.do(lambda stage: session.run_unpaced(firmware.home, stage.axes["x"]))
-    session.do(lambda stage: look.found_origin("x", stage))
+    session.do(lambda stage: look.note_origin("x", stage))
     session.do(look.take)
     seen = look.axes["x"]
     assert seen.lost == 0

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from stage import Stage
-from stage.panel import look as looks
-from stage.panel.look import FRAMES, WANTED, Look
+from stage.panel import stage_observer as looks
 from stage.panel.session import FREE, Session
+from stage.panel.stage_observer import FRAMES, WANTED, StageObserver
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def real(monkeypatch):
 @pytest.fixture
 def look(session, real):
     session.reset()
-    look = Look(session)
+    look = StageObserver(session)
     look.again = lambda: session.do(look.take)
     yield look
     look.close()
@@ -85,7 +85,7 @@ def axis(lost, now, gear=1.0, name="x", teeth=50):
 def test_what_was_lost_before_an_origin_return_is_in_neither_the_count_nor_the_place(look, gear, teeth, lost):
     before = look._seen(axis(lost, 10, gear, teeth=teeth))
     assert before == (0.2, 0.25, lost, {"org": True})
-    look.found_origin("x", SimpleNamespace(now=50, axes={"x": axis(lost, 50)}))
+    look.note_origin("x", SimpleNamespace(now=50, axes={"x": axis(lost, 50)}))
     for more in (0, 4, -8):
         seen = look._seen(axis(lost + more, 60, gear, teeth=teeth))
         assert seen.lost == more
@@ -125,7 +125,7 @@ def test_a_program_begins_anew_where_time_goes_back_to_before_it_and_where_it_is
 
 def test_a_look_that_has_ended_is_taken_no_more(session, real):
     slices, journals = len(session._observers), [chip.open_journal for chip in session.stage.chips]
-    look = Look(session)
+    look = StageObserver(session)
     assert len(session._observers) == slices + 1
     session.do(lambda stage: look.close())
     assert len(session._observers) == slices

@@ -12,8 +12,7 @@ from vcd.reader import TokenKind, tokenize
 from stage import firmware
 from stage.errors import ArgumentError
 from stage.identifiers import unescape_name
-from stage.panel.export import FORMATS
-from stage.panel.oscilloscope import BEFORE, DIAGNOSTIC, LOST, Scope
+from stage.panel.oscilloscope import BEFORE, DIAGNOSTIC, FORMATS, LOST, Oscilloscope
 from stage.sim import faults
 
 
@@ -24,7 +23,7 @@ def hasty(session, what, *given, **more):
 
 
 def test_the_edge_of_a_trace_stands_where_the_trigger_is(session, sampler):
-    scope = Scope(sampler, ["x/rate", "x/position"], span=0.05)
+    scope = Oscilloscope(sampler, ["x/rate", "x/position"], span=0.05)
     hasty(session, session.stage.run, 0.02)
     scope.trigger("single", "x/rate", True, 8000.0)
     assert scope.frame(100).state == "waits for the trigger"
@@ -42,7 +41,7 @@ def test_the_edge_of_a_trace_stands_where_the_trigger_is(session, sampler):
 
 
 def test_lost_steps_and_diagnostics_are_triggers(session, sampler):
-    scope, other = Scope(sampler, ["x/lost_steps"], span=0.1), Scope(sampler, ["x/rate"], span=0.1)
+    scope, other = Oscilloscope(sampler, ["x/lost_steps"], span=0.1), Oscilloscope(sampler, ["x/rate"], span=0.1)
     scope.trigger("normal", LOST)
     other.trigger("normal", DIAGNOSTIC)
     x = session.stage.axes["x"]
@@ -59,7 +58,7 @@ def test_lost_steps_and_diagnostics_are_triggers(session, sampler):
 
 def test_a_pin_has_an_edge_whatever_level_is_left_from_another_trace(session, sampler):
     pins = [name for name, trace in sampler.traces.items() if trace.pin and name.startswith("x/")]
-    scopes = {name: Scope(sampler, [name], span=0.05) for name in pins}
+    scopes = {name: Oscilloscope(sampler, [name], span=0.05) for name in pins}
     for name, scope in scopes.items():
         scope.trigger("normal", name, True, 8000.0)
     hasty(session, firmware.move, session.stage.axes["x"], 0.004)
@@ -69,7 +68,7 @@ def test_a_pin_has_an_edge_whatever_level_is_left_from_another_trace(session, sa
 
 
 def test_auto_shows_what_there_is_and_time_may_go_back(session, sampler):
-    scope = Scope(sampler, ["x/org"], span=0.01)
+    scope = Oscilloscope(sampler, ["x/org"], span=0.01)
     scope.trigger("auto", "x/org")
     hasty(session, session.stage.run, 1.5)
     assert scope.frame(10).end == pytest.approx(sampler.last)
@@ -82,7 +81,7 @@ def test_auto_shows_what_there_is_and_time_may_go_back(session, sampler):
 @pytest.mark.parametrize("mode", ["single", "normal"])
 def test_a_trigger_stays_until_its_window_is_full(session, sampler, mode):
     """A window of 1 s that fills up in steps of 0.1 s"""
-    scope = Scope(sampler, ["x/rate"], span=1.0)
+    scope = Oscilloscope(sampler, ["x/rate"], span=1.0)
     scope.trigger(mode, "x/rate", True, 8000.0)
     hasty(session, firmware.move, session.stage.axes["x"], 0.004)
     first = scope.frame(10)
@@ -98,7 +97,7 @@ def test_a_trigger_stays_until_its_window_is_full(session, sampler, mode):
 
 def test_of_two_triggers_the_last_whose_window_is_full_is_shown(session, sampler):
     """Two moves since the last look, the second just begun"""
-    scope = Scope(sampler, ["x/rate"], span=0.4)
+    scope = Oscilloscope(sampler, ["x/rate"], span=0.4)
     scope.trigger("normal", "x/rate", True, 8000.0)
     hasty(session, firmware.move, session.stage.axes["x"], 0.004)
     hasty(session, session.stage.run, 0.4)
@@ -113,7 +112,7 @@ def test_of_two_triggers_the_last_whose_window_is_full_is_shown(session, sampler
 
 
 def test_a_trigger_that_time_has_taken_back_is_none(session, sampler):
-    scope = Scope(sampler, ["x/rate"], span=0.1)
+    scope = Oscilloscope(sampler, ["x/rate"], span=0.1)
     scope.trigger("normal", "x/rate", True, 8000.0)
     begin = session.do(lambda stage: stage.snapshot())
     hasty(session, firmware.move, session.stage.axes["x"], 0.004)
@@ -126,7 +125,7 @@ def test_a_trigger_that_time_has_taken_back_is_none(session, sampler):
 
 
 def test_a_picture_that_stands_keeps_its_end_or_its_trigger_in_another_window(session, sampler):
-    free, single = Scope(sampler, ["x/rate"], span=0.1), Scope(sampler, ["x/rate"], span=0.05)
+    free, single = Oscilloscope(sampler, ["x/rate"], span=0.1), Oscilloscope(sampler, ["x/rate"], span=0.05)
     single.trigger("single", "x/rate", True, 8000.0)
     hasty(session, firmware.move, session.stage.axes["x"], 0.004)
     end, trigger = free.frame(10).end, single.frame(10).trigger
@@ -141,9 +140,9 @@ def test_a_picture_that_stands_keeps_its_end_or_its_trigger_in_another_window(se
 
 def test_a_window_that_cannot_be_is_refused(sampler):
     with pytest.raises(ArgumentError, match=r"0\.001 to 60"):
-        Scope(sampler, [], span=100)
+        Oscilloscope(sampler, [], span=100)
     with pytest.raises(ArgumentError, match="free, auto"):
-        Scope(sampler).trigger("sometimes")
+        Oscilloscope(sampler).trigger("sometimes")
 
 
 def test_files_have_what_the_window_shows(session, sampler):

@@ -8,7 +8,8 @@ import pytest
 from stage.panel.session import FREE
 
 pytest.importorskip("nicegui")
-from stage.panel import chart, transport
+from stage.panel import oscilloscope_page as chart
+from stage.panel import page as transport
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,10 @@ import pytest
 
 from stage import Stage, firmware
 from stage.errors import ArgumentError, StageError
-from stage.panel import procedures
-from stage.panel.fields import WrongField, at_its_field, where
-from stage.panel.procedures import FORMS, Jog
+from stage.panel import procedure_forms as procedures
+from stage.panel.fault_controls import tied
+from stage.panel.procedure_forms import FORMS, FieldError, Jog, find_field, to_field_error
 from stage.panel.session import FREE, Session
-from stage.panel.travel import tied
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +58,7 @@ def test_a_circle_of_the_chips_that_draw_them(fresh):
     assert report.pulses == {"x": 0, "y": 0}
     assert farthest[1].max() == pytest.approx(2e-3, abs=1e-5)  # about a centre 1 mm along y
     assert farthest[0].max() == -farthest[0].min() == pytest.approx(1e-3, abs=1e-5)
-    with pytest.raises(WrongField) as wrong:
+    with pytest.raises(FieldError) as wrong:
         form.order(stage, "", {"radius": "0"})
     assert wrong.value.field == "radius"
 
@@ -80,17 +79,17 @@ def test_a_circle_of_the_chips_that_draw_them(fresh):
     ],
 )
 def test_what_is_wrong_is_said_at_its_field(fresh, form, given, field):
-    with pytest.raises(WrongField) as wrong:
+    with pytest.raises(FieldError) as wrong:
         FORMS[form].order(fresh, "x", given)
-    assert where(wrong.value, FORMS[form].fields(fresh, "x")) == field
+    assert find_field(wrong.value, FORMS[form].fields(fresh, "x")) == field
 
 
 def test_what_the_procedure_refuses_is_said_at_its_field(fresh):
     """speed=... from the firmware's own mouth."""
     fields = FORMS["move"].fields(fresh, "x")
-    assert where(ArgumentError("speed=0: more than 0."), fields) == "speed"
-    assert where(ArgumentError("distance: there is no room"), fields) == "distance"
-    assert where(ArgumentError("the chip cannot"), fields) == ""
+    assert find_field(ArgumentError("speed=0: more than 0."), fields) == "speed"
+    assert find_field(ArgumentError("distance: there is no room"), fields) == "distance"
+    assert find_field(ArgumentError("the chip cannot"), fields) == ""
 
 
 WRONG = {
@@ -118,8 +117,8 @@ def test_what_the_chip_cannot_is_said_at_the_field_in_its_unit(chips):
                 stage.reset()
                 with pytest.raises(StageError) as wrong:
                     form.order(stage, "x", given)(stage)
-                told = at_its_field(wrong.value, x, {f.name: given.get(f.name, f.default) for f in fields}, fields)
-                assert where(told, fields) == field.name, (form.name, given, str(told))
+                told = to_field_error(wrong.value, x, {f.name: given.get(f.name, f.default) for f in fields}, fields)
+                assert find_field(told, fields) == field.name, (form.name, given, str(told))
                 assert not COUNTS.search(str(told)), str(told)
                 assert field.unit in str(told)
 

@@ -9,7 +9,7 @@ import pytest
 from stage import Stage, firmware
 from stage.errors import StageError
 from stage.panel.session import FREE, ActionStopped, Session
-from stage.panel.trace import Trace
+from stage.panel.stage_observer import Trace
 
 
 def until(condition, seconds=20.0):

@@ -9,7 +9,7 @@ import pytest
 from stage import Stage
 from stage.errors import ArgumentError
 from stage.panel import sampler as sampling
-from stage.panel.sampler import COARSE, FINE, Ring, Sampler, thinned, traces
+from stage.panel.sampler import COARSE, FINE, SampleBuffer, Sampler, thin_curve, traces
 from stage.sim.records import SAMPLE
 
 
@@ -23,7 +23,7 @@ def rows(times, value=0):
 @pytest.mark.parametrize("seed", range(3))
 def test_a_ring_is_the_end_of_a_list_whatever_comes_and_goes(seed):
     print("seed", seed)
-    dice, ring, kept, time = random.Random(seed), Ring(16, 2), [], 0
+    dice, ring, kept, time = random.Random(seed), SampleBuffer(16, 2), [], 0
     assert (ring.first, ring.last, len(ring.times(0, 0))) == (float("inf"), -1.0, 0)
     for _ in range(150):
         if dice.random() < 0.8:
@@ -52,7 +52,7 @@ def test_a_ring_is_the_end_of_a_list_whatever_comes_and_goes(seed):
 
 
 def test_the_newest_sample_is_the_last_that_is_before_where_time_went_back():
-    ring = Ring(8, 2)
+    ring = SampleBuffer(8, 2)
     ring.extend(rows([1, 2, 3]))
     ring.forget_from(3.5)
     assert ring.last == 3
@@ -68,7 +68,7 @@ def test_the_newest_sample_is_the_last_that_is_before_where_time_went_back():
 def test_a_thinned_curve_has_the_least_and_the_greatest_of_each_stretch_in_their_order(n, points):
     dice = np.random.default_rng(n)
     times, values = np.arange(n) * 0.5, dice.normal(size=n)
-    t, v = thinned(times, values, points)
+    t, v = thin_curve(times, values, points)
     assert len(t) == len(v) <= max(2 * points, 2)
     if n <= 2 * points:
         assert (t.tolist(), v.tolist()) == (times.tolist(), values.tolist())
@@ -85,7 +85,7 @@ def test_a_thinned_curve_has_the_least_and_the_greatest_of_each_stretch_in_their
 def test_no_columns_of_pixels_are_refused():
     for points in (0, -1):
         with pytest.raises(ArgumentError, match=f"points={points}: 1 or more"):
-            thinned(np.zeros(3), np.zeros(3), points)
+            thin_curve(np.zeros(3), np.zeros(3), points)
 
 
 def run(session, seconds):
@@ -113,7 +113,7 @@ def test_what_is_drawn_is_each_trace_for_itself(session, sampler):
     drawn = sampler.drawn(["x/position", "y/position", "x/org"], 0.1, 0.4, 10)
     times, values = sampler.columns(["x/position", "y/position", "x/org"], 0.1, 0.4)
     for name, (t, v) in drawn.items():
-        for mine, its in zip((t, v), thinned(times, values[name], 10), strict=True):
+        for mine, its in zip((t, v), thin_curve(times, values[name], 10), strict=True):
             assert mine.tolist() == its.tolist()
     assert drawn["x/position"][1] == pytest.approx(10, abs=0.5)
     assert drawn["y/position"][1] == pytest.approx(-20, abs=0.5)

@@ -10,8 +10,9 @@ from stage.errors import ArgumentError
 pytest.importorskip("nicegui")
 from nicegui import ui
 
-from stage.panel import front, rows
-from stage.panel.front import choices, fixed, lit, meant, shown, with_field
+from stage.panel import chip_panel as rows
+from stage.panel import register_text as front
+from stage.panel.register_text import choices, fixed, lit, meant, shown, with_field
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +20,7 @@ def page(served):
     return served.visit()
 
 
-class Made:
+class RowOnPage:
     """A row of its own on a page: what it writes, and its parts."""
 
     def __init__(self, page, place):
@@ -30,7 +31,7 @@ class Made:
 
         def build():
             with page.client, ui.element("div") as self.box:
-                self.row = rows.Row(place, write, "made")
+                self.row = rows.RegisterRow(place, write, "made")
 
         page.within(build)
 
@@ -72,7 +73,7 @@ def made(page):
     all_made = []
 
     def make(place):
-        all_made.append(Made(page, place))
+        all_made.append(RowOnPage(page, place))
         return all_made[-1]
 
     yield make
@@ -85,7 +86,7 @@ def register(name, chip=PCL240MS):
 
 
 def word(name, chip=PCL240MS):
-    return next(w for w in front.Front(chip).forms if w.name == name)
+    return next(w for w in front.FrontPanel(chip).forms if w.name == name)
 
 
 def test_enter_writes_what_was_typed_and_what_is_no_number_is_said_and_not_written(page, made):
@@ -259,7 +260,11 @@ def test_fields_are_folded_again_and_stand_below_their_row(page, made):
 def test_fields_of_a_row_stand_before_the_next_row(page, made):
     def both():
         with page.client, ui.element("div") as box:
-            return box, rows.Row(register("R12"), None, "first"), rows.Row(register("R1"), None, "second")
+            return (
+                box,
+                rows.RegisterRow(register("R12"), None, "first"),
+                rows.RegisterRow(register("R1"), None, "second"),
+            )
 
     box, first, _ = page.within(both)
     page.click("fields-first")
@@ -339,12 +344,12 @@ def test_a_number_in_a_word_that_is_put_together_keeps_to_its_own_bits_and_must_
 
 
 def test_a_word_that_a_host_reads_lights_its_lamps_and_is_gone_where_it_cannot_be_seen(page):
-    lamps = front.Front(PCL240MS).lamps
+    lamps = front.FrontPanel(PCL240MS).lamps
     assert lamps
 
     def build(place):
         with page.client, ui.element("div") as box:
-            return box, rows.WordRow(place)
+            return box, rows.LampRow(place)
 
     for place in lamps:
         box, row = page.within(lambda p=place: build(p))

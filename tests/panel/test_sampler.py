@@ -6,7 +6,7 @@ import pytest
 from stage import Stage, firmware
 from stage.errors import ArgumentError
 from stage.panel import sampler as sampling
-from stage.panel.sampler import Ring, Sampler, thinned
+from stage.panel.sampler import SampleBuffer, Sampler, thin_curve
 from stage.sim.records import SAMPLE
 
 
@@ -96,7 +96,7 @@ def test_wrong_names_are_said_with_near_misses(sampler):
 
 
 def test_a_ring_forgets_what_is_old():
-    ring = Ring(10, 2)
+    ring = SampleBuffer(10, 2)
     for k in range(7):
         rows = np.zeros((4, 2), SAMPLE)
         rows["time"] = (4 * k + np.arange(4))[:, None]
@@ -113,7 +113,7 @@ def test_a_ring_forgets_what_is_old():
 def test_thinning_keeps_every_peak():
     values = np.zeros(100_000)
     values[[3, 77_777]] = 1, -2
-    times, v = thinned(np.arange(100_000.0), values, 300)
+    times, v = thin_curve(np.arange(100_000.0), values, 300)
     assert len(v) <= 600
     assert (v.max(), v.min()) == (1, -2)
     assert np.all(np.diff(times) >= 0)

@@ -11,10 +11,12 @@ from support.served_panel import ServedPanel
 
 from stage import Stage
 from stage.errors import ArgumentError, StageError
-from stage.panel import forms, server, touch
+from stage.panel import fault_page as touch
 from stage.panel import open as open_panel
+from stage.panel import procedure_page as forms
+from stage.panel import server
+from stage.panel.access_control import HERE_ONLY
 from stage.panel.glb import bodies
-from stage.panel.guard import HERE_ONLY
 from stage.panel.server import Panel
 from stage.panel.session import FREE, Session
 
@@ -80,7 +82,7 @@ def test_whoever_listens_elsewhere_asks_for_the_token_and_whoever_listens_here_d
 def test_the_end_of_a_panel_leaves_the_session_and_nobody_who_looks():
     with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
         panel = Panel(session)
-        panel.hands.push("x", 3.0)
+        panel.fault_controls.push("x", 3.0)
         assert session._observers
         with panel:
             pass

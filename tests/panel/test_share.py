@@ -13,11 +13,11 @@ from stage import Stage
 from stage.errors import ArgumentError, StageError
 
 pytest.importorskip("nicegui")
-from stage.panel import share, written
+from stage.panel import saved_panel
 from stage.panel.server import Panel
 from stage.panel.session import FREE, Session
 
-MADE = {"model": "xy", "chips": "pcl240ms", "motor": None, "microsteps": 16, "bus_voltage": 24.0, "bus_cycle": 1e-6,
+STAGE_OPTIONS = {"model": "xy", "chips": "pcl240ms", "motor": None, "microsteps": 16, "bus_voltage": 24.0, "bus_cycle": 1e-6,
         "wiring": [], "multichip": None, "syni": []}  # fmt: skip
 MOVE = ((0, 0x08), (1, 50), (2, 2000), (4, 300), (5, 300), (7, 300), (0, 9000))
 
@@ -35,10 +35,10 @@ def move(stage):
     x.read(0)
 
 
-class Made:
+class PausedPanel:
     """A panel whose time stands still, of a stage made as `stage panel` makes one."""
 
-    def __init__(self, made=MADE):
+    def __init__(self, made=STAGE_OPTIONS):
         self.session = Session(Stage("xy", chips=made["chips"] if made else "pcl240ms"), speed=FREE, paused=True)
         self.panel = Panel(self.session, made=made)
 
@@ -54,7 +54,7 @@ class Made:
 
 @pytest.fixture(scope="module")
 def first():
-    made = Made()
+    made = PausedPanel()
     made.after(move)
     yield made
     made.close()
@@ -63,23 +63,23 @@ def first():
 @pytest.fixture(scope="module")
 def file(first, tmp_path_factory):
     path = tmp_path_factory.mktemp("shared") / "panel.zip"
-    path.write_bytes(share.save(first.panel))
+    path.write_bytes(saved_panel.save(first.panel))
     return path
 
 
 def test_another_motor_is_in_the_file_and_it_goes_on_bit_for_bit(tmp_path):
-    saved, opened, path = Made(), Made(), tmp_path / "motor.zip"
+    saved, opened, path = PausedPanel(), PausedPanel(), tmp_path / "motor.zip"
     try:
         saved.after(move)
-        saved.panel.hands.make("motor", "x", {"motor": "SS2422-5041"})
+        saved.panel.fault_controls.make("motor", "x", {"motor": "SS2422-5041"})
         saved.after(lambda stage: stage.run(0.01))
-        path.write_bytes(share.save(saved.panel))
-        share.put(opened.panel, share.read(path))
+        path.write_bytes(saved_panel.save(saved.panel))
+        saved_panel.put(opened.panel, saved_panel.read(path))
         assert opened.session.stage.axes["x"].drive.motor.name == "SS2422-5041"
         ends = [made.after(lambda stage: stage.run(0.3)) for made in (saved, opened)]
         assert np.array_equal(*ends)
-        (made,) = opened.panel.hands.in_force
-        opened.panel.hands.mend(made)
+        (made,) = opened.panel.fault_controls.in_force
+        opened.panel.fault_controls.mend(made)
         assert opened.session.stage.axes["x"].drive.motor.name == "17HS4401"
     finally:
         for made in (saved, opened):
@@ -87,31 +87,31 @@ def test_another_motor_is_in_the_file_and_it_goes_on_bit_for_bit(tmp_path):
 
 
 def test_it_goes_on_bit_for_bit(first, file):
-    other = Made()
+    other = PausedPanel()
     try:
-        share.put(other.panel, share.read(file))
+        saved_panel.put(other.panel, saved_panel.read(file))
         end = first.session.do(lambda stage: stage.now) + 500_000_000
         assert np.array_equal(
             first.after(lambda stage: stage.run_to(end)), other.after(lambda stage: stage.run_to(end))
         )
         assert other.session.do(lambda stage: stage.axes["x"].commanded) > 0.005
-        assert share.program(other.panel, "program.py") == share.program(first.panel, "program.py")
+        assert saved_panel.program(other.panel, "program.py") == saved_panel.program(first.panel, "program.py")
     finally:
         other.close()
 
 
 def test_a_panel_that_goes_on_from_a_file_writes_where_that_program_begins(tmp_path, monkeypatch):
-    monkeypatch.setattr("stage.panel.look.MOST_SENT", 5)
-    first, other, path = Made(), Made(), tmp_path / "late.zip"
+    monkeypatch.setattr("stage.panel.stage_observer.MOST_SENT", 5)
+    first, other, path = PausedPanel(), PausedPanel(), tmp_path / "late.zip"
     try:
         first.after(move)
-        first.session.do(lambda stage: first.panel.look.take(stage))
-        path.write_bytes(share.save(first.panel))
-        began = share.read(path).start
+        first.session.do(lambda stage: first.panel.observer.take(stage))
+        path.write_bytes(saved_panel.save(first.panel))
+        began = saved_panel.read(path).start
         assert 0 < began[0] <= first.session.do(lambda stage: stage.now)
-        share.put(other.panel, share.read(path))
-        path.write_bytes(share.save(other.panel))
-        again = share.read(path).start
+        saved_panel.put(other.panel, saved_panel.read(path))
+        path.write_bytes(saved_panel.save(other.panel))
+        again = saved_panel.read(path).start
         assert (again[0], again[1].state.tobytes()) == (began[0], began[1].state.tobytes())
     finally:
         for made in (first, other):
@@ -119,17 +119,17 @@ def test_a_panel_that_goes_on_from_a_file_writes_where_that_program_begins(tmp_p
 
 
 def test_loads_and_faults_go_with_it(tmp_path):
-    one, other = Made(), Made()
+    one, other = PausedPanel(), PausedPanel()
     try:
-        one.panel.hands.load(0.5)
-        one.panel.hands.supply_all(18.0)
-        one.panel.hands.make("switch_stuck", "y", {"pin": "org", "closed": "yes"})
+        one.panel.fault_controls.load(0.5)
+        one.panel.fault_controls.set_supply(18.0)
+        one.panel.fault_controls.make("switch_stuck", "y", {"pin": "org", "closed": "yes"})
         one.after(move)
         path = tmp_path / "broken.zip"
-        path.write_bytes(share.save(one.panel))
-        share.put(other.panel, share.read(path))
+        path.write_bytes(saved_panel.save(one.panel))
+        saved_panel.put(other.panel, saved_panel.read(path))
         assert other.session.stage.faults == one.session.stage.faults
-        assert other.panel.hands.payload == 0.5
+        assert other.panel.fault_controls.payload == 0.5
         assert np.array_equal(*(made.after(lambda stage: stage.run(0.3)) for made in (one, other)))
     finally:
         one.close()
@@ -146,7 +146,7 @@ def played(text):
 
 
 def test_the_program_in_python_makes_the_same_bits(file):
-    shared = share.read(file)
+    shared = saved_panel.read(file)
     with zipfile.ZipFile(file) as saved:
         stage = played(saved.read("program.py").decode())
     stage.state.world[0].to_sample = 1  # samples are taken on a panel: one more physics step until the next
@@ -154,10 +154,10 @@ def test_the_program_in_python_makes_the_same_bits(file):
 
 
 def test_going_back_takes_cycles_out_of_the_program():
-    made = Made()
+    made = PausedPanel()
 
     def sent():
-        return made.session.do(lambda stage: (made.panel.look.take(stage), len(share.sent_of(made.panel)))[1])
+        return made.session.do(lambda stage: (made.panel.observer.take(stage), len(saved_panel.sent_of(made.panel)))[1])
 
     try:
         made.after(move)
@@ -188,7 +188,7 @@ def test_the_program_as_a_test_passes(file, tmp_path):
 def test_the_program_in_c_does_the_same(file, tmp_path):
     from stage.board import Board, NativeHost, NoCompilerError
 
-    shared = share.read(file)
+    shared = saved_panel.read(file)
     with zipfile.ZipFile(file) as saved:
         saved.extract("program.c", tmp_path)
     stage, twin = Stage("xy", chips="pcl240ms"), Stage("xy", chips="pcl240ms")
@@ -203,16 +203,16 @@ def test_the_program_in_c_does_the_same(file, tmp_path):
 
 
 def test_a_stage_of_somebodys_own_has_no_program_but_a_file(tmp_path):
-    made = Made(None)
+    made = PausedPanel(None)
     try:
         made.after(move)
         with pytest.raises(StageError, match="a program of yours has made this stage"):
-            share.program(made.panel, "program.py")
-        data = share.save(made.panel)
+            saved_panel.program(made.panel, "program.py")
+        data = saved_panel.save(made.panel)
         assert "program.py" not in zipfile.ZipFile(io.BytesIO(data)).namelist()
         path = tmp_path / "own.zip"
         path.write_bytes(data)
-        share.put(made.panel, share.read(path))
+        saved_panel.put(made.panel, saved_panel.read(path))
     finally:
         made.close()
 
@@ -220,10 +220,10 @@ def test_a_stage_of_somebodys_own_has_no_program_but_a_file(tmp_path):
 def test_what_is_no_such_file_is_said(tmp_path, file):
     bad = tmp_path / "bad.zip"
     with pytest.raises(ArgumentError, match="there is no file of a panel"):
-        share.read(bad)
+        saved_panel.read(bad)
     bad.write_bytes(b"PK nothing")
     with pytest.raises(ArgumentError, match="no file of a panel"):
-        share.read(bad)
+        saved_panel.read(bad)
     told = json.loads(zipfile.ZipFile(file).read("panel.json"))
     for change in ({"format": 99}, {"made": {"model": 5}}, {"program": [[1, 2]]}, {"faults": 3}):
         with zipfile.ZipFile(bad, "w") as out:
@@ -231,7 +231,7 @@ def test_what_is_no_such_file_is_said(tmp_path, file):
             for name in ("start.snapshot", "now.snapshot"):
                 out.writestr(name, zipfile.ZipFile(file).read(name))
         with pytest.raises(ArgumentError, match=r"format 99|no file of a panel"):
-            share.read(bad)
+            saved_panel.read(bad)
 
 
 @pytest.mark.parametrize(
@@ -243,4 +243,4 @@ def test_what_is_no_such_file_is_said(tmp_path, file):
     ],
 )
 def test_a_program_makes_its_stage_with_the_options_of_the_panel(option, said):
-    assert written.stage_of(MADE | option) == said
+    assert saved_panel.stage_of(STAGE_OPTIONS | option) == said

@@ -8,7 +8,7 @@ import pytest
 from stage.panel.session import FREE
 
 pytest.importorskip("nicegui")
-from stage.panel import transport
+from stage.panel import page as panel_page
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ def test_time_stands_still_and_goes_on_by_one_button(session, page):
 
 
 def test_every_speed_of_the_list_is_that_speed_and_one_that_is_not_is_shown_as_the_nearest(session, page):
-    for speed in transport.SPEEDS:
+    for speed in panel_page.SPEEDS:
         page.put("speed", speed)
         assert session.speed == speed
     for speed, nearest in (
@@ -120,7 +120,7 @@ def test_every_speed_of_the_list_is_that_speed_and_one_that_is_not_is_shown_as_t
         (3.4, 2.0),
         (0.001, 0.01),
     ):
-        assert transport._nearest(speed) == nearest
+        assert panel_page._nearest(speed) == nearest
 
 
 def test_a_page_that_is_opened_later_shows_the_speed_that_is(served, session):
@@ -138,7 +138,7 @@ def test_a_single_step_is_one_and_time_stands_still(session, page):
     assert session.do(lambda stage: stage.now) - before == session.stage.state.dt
 
 
-@pytest.mark.parametrize("seconds", transport.BACK)
+@pytest.mark.parametrize("seconds", panel_page.BACK)
 def test_one_goes_back_by_what_the_button_says(session, page, monkeypatch, seconds):
     asked = []
     monkeypatch.setattr(session, "go_back", lambda by: asked.append(by))
@@ -221,7 +221,7 @@ def test_what_was_done_is_saved_under_its_name_as_what_it_says(served, session, 
     ((name, data),) = page.sent
     assert name == "panel.zip"
     assert {"panel.json", "now.snapshot"} <= set(zipfile.ZipFile(io.BytesIO(data)).namelist())
-    monkeypatch.setattr("stage.panel.share.program", lambda panel, name: f"{name} of {panel is served.panel}")
+    monkeypatch.setattr("stage.panel.saved_panel.program", lambda panel, name: f"{name} of {panel is served.panel}")
     names = {"save-program": "program.py", "save-c": "program.c", "save-test_program": "test_program.py"}
     for mark, name in names.items():
         page.sent.clear()
@@ -232,7 +232,7 @@ def test_what_was_done_is_saved_under_its_name_as_what_it_says(served, session, 
 
 def test_the_clock_and_the_pace_are_those_of_the_session(session, page):
     session.do(lambda stage: session.run_unpaced(stage.run, 0.12345))
-    (live,) = (e for e in page._all() if type(e).__name__ == "Live")
+    (live,) = (e for e in page._all() if type(e).__name__ == "BrowserUpdates")
     texts = {element.props.get("data-test"): look() for element, look in live._texts.values()}
     assert texts["time"] == f"{session.view.time:.4f} s" == "0.1235 s"
     assert texts["pace"] == "stands still"

@@ -7,12 +7,10 @@ from support.mirrored import mirrored
 
 from stage import Stage
 from stage.chips import MCX514, PCL240K
-from stage.panel import procedures as forms
-from stage.panel.fields import WrongField
-from stage.panel.look import Look
-from stage.panel.procedures import FORMS, Jog, stopping
+from stage.panel import procedure_forms as forms
+from stage.panel.procedure_forms import FORMS, FieldError, Jog
 from stage.panel.session import FREE, Session
-from stage.panel.trace import Line
+from stage.panel.stage_observer import Line, StageObserver
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +55,7 @@ def test_a_move_is_as_it_was_typed_and_else_the_usual(begun, stage):
     _, (axis, distance), how = begun("move", "y", **typed)
     assert (axis.name, distance) == ("y", pytest.approx(-0.0025))
     assert how == {"s_curve": True, "speed": pytest.approx(0.01), "start_speed": pytest.approx(0.001), "accel": 0.2}
-    with pytest.raises(WrongField, match="say how far") as wrong:
+    with pytest.raises(FieldError, match="say how far") as wrong:
         begun("move", distance=" ")
     assert wrong.value.field == "distance"
 
@@ -72,7 +70,7 @@ def test_two_rates_are_pulses_a_second_each_for_its_time(begun, stage):
     assert (pulses, dwell) == (-round(0.008 / per_pulse), 0.0)
     assert (speeds.drive, speeds.up, fast) == pytest.approx((0.005 / per_pulse, 0.3, 0.015 / per_pulse))
     for given, field in (({"fast": "0"}, "fast"), ({"dwell": "-0.1"}, "dwell")):
-        with pytest.raises(WrongField) as wrong:
+        with pytest.raises(FieldError) as wrong:
             begun("two_rates", **given)
         assert wrong.value.field == field
 
@@ -97,7 +95,7 @@ def test_a_line_is_of_the_axes_that_have_a_distance(begun):
         assert distances == pytest.approx({moving: 0.002})
         assert list(axes) == ["x", "y"]
     for given in ({"x": "", "y": ""}, {"x": "0", "y": ""}):
-        with pytest.raises(WrongField, match="nothing moves: give at least one axis a distance") as wrong:
+        with pytest.raises(FieldError, match="nothing moves: give at least one axis a distance") as wrong:
             begun("line", **given)
         assert wrong.value.field == "x"
 
@@ -110,16 +108,6 @@ def test_a_circle_goes_round_by_its_radius_whatever_its_sign(begun, stage):
         assert speeds.drive == pytest.approx(0.004 / per_pulse)
 
 
-def test_all_axes_are_stopped_as_was_asked(begun, stage):
-    for at_once in (False, True):
-        begun.told.clear()
-        stopping(["x", "y"], at_once)(stage)
-        assert [(name, axis.name, how) for name, (axis, how), _ in begun.told] == [
-            ("stop", "x", at_once),
-            ("stop", "y", at_once),
-        ]
-
-
 @pytest.mark.parametrize("direction", [1, -1])
 def test_a_jog_runs_the_way_of_its_button_until_it_is_released(direction):
     stage = Stage("xy", chips=PCL240K, visuals=False)
@@ -129,7 +117,7 @@ def test_a_jog_runs_the_way_of_its_button_until_it_is_released(direction):
     assert 0.2 < stage.time < 0.4
     assert report.pulses * direction > 0
     assert (report.stopped_by, stage.axes["x"].chip.busy(0)) == ("decelerating stop", False)
-    with pytest.raises(WrongField, match="more than 0"):
+    with pytest.raises(FieldError, match="more than 0"):
         Jog(stage.axes["x"], direction, {"speed": "0"})
 
 
@@ -146,7 +134,7 @@ def test_a_line_of_a_trace_says_when_where_and_what():
 def test_steps_lost_before_the_origin_was_found_are_none_and_the_field_is_where_the_carriage_is(tmp_path, turned):
     stage = Stage(mirrored(tmp_path) if turned else "xy", chips=PCL240K, visuals=False)
     with Session(stage, speed=FREE, paused=True) as session:
-        look = Look(session)
+        look = StageObserver(session)
         x, tooth = stage.axes["x"], 64 * stage.axes["x"].meters_per_pulse
 
         def drag(stage):
@@ -158,7 +146,7 @@ def test_steps_lost_before_the_origin_was_found_are_none_and_the_field_is_where_
         lost = look.axes["x"].lost
         assert abs(lost) == 12
         assert look.axes["x"].commanded - look.axes["x"].position == pytest.approx(-3 * tooth, abs=0.1 * tooth)
-        session.do(lambda stage: look.found_origin("x", stage))
+        session.do(lambda stage: look.note_origin("x", stage))
         session.do(look.take)
         assert look.axes["x"].lost == 0
         assert look.axes["x"].commanded == pytest.approx(look.axes["x"].position, abs=0.1 * tooth)

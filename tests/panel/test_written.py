@@ -14,17 +14,16 @@ from stage.chips.entries import READ, WRITE
 from stage.cli.setup import make_stage
 from stage.drives.dc_motors import DC_MOTORS
 from stage.errors import ArgumentError, StageError
-from stage.panel import written
-from stage.panel.share import Shared
-from stage.panel.written import Sent
+from stage.panel import saved_panel
+from stage.panel.saved_panel import ProgramCycle, SavedPanel
 
-MADE = {"model": "xy", "chips": "pcl240ms", "motor": None, "microsteps": 16, "bus_voltage": 24.0, "bus_cycle": 1e-6,
+STAGE_OPTIONS = {"model": "xy", "chips": "pcl240ms", "motor": None, "microsteps": 16, "bus_voltage": 24.0, "bus_cycle": 1e-6,
         "wiring": [], "multichip": None, "syni": []}  # fmt: skip
 
 
-def shared(sent=(), start=0, made=MADE, payloads=None):
+def shared(sent=(), start=0, made=STAGE_OPTIONS, payloads=None):
     """What is saved of a panel, as far as a program needs it."""
-    return Shared(made, payloads or {}, [], list(sent), (start, None), None)
+    return SavedPanel(made, payloads or {}, [], list(sent), (start, None), None)
 
 
 def panel(**options):
@@ -45,16 +44,16 @@ def panel(**options):
     ids=str,
 )  # fmt: skip
 def test_what_is_written_makes_the_stage_that_the_options_make(options):
-    made = MADE | options | ({"motor": list(DC_MOTORS)[-1]} if options.get("motor") == "dc" else {})
+    made = STAGE_OPTIONS | options | ({"motor": list(DC_MOTORS)[-1]} if options.get("motor") == "dc" else {})
     if "multichip" in options:  # of chips that the other options do not have
         with pytest.raises(ArgumentError) as refused:
             make_stage(SimpleNamespace(**made), visuals=False)
         with pytest.raises(ArgumentError) as also:
-            eval(written.stage_of(made), {"Stage": Stage, "Drive": Drive})
+            eval(saved_panel.stage_of(made), {"Stage": Stage, "Drive": Drive})
         assert str(also.value) == str(refused.value)
         return
     expected = make_stage(SimpleNamespace(**made), visuals=False)
-    stage = eval(written.stage_of(made), {"Stage": Stage, "Drive": Drive})
+    stage = eval(saved_panel.stage_of(made), {"Stage": Stage, "Drive": Drive})
     assert stage.header == expected.header
     assert stage.bus_cycle == expected.bus_cycle
     for one, other in zip(stage.axes.values(), expected.axes.values(), strict=True):
@@ -62,8 +61,10 @@ def test_what_is_written_makes_the_stage_that_the_options_make(options):
 
 
 def test_a_program_in_python_makes_each_cycle_at_its_time_and_ends_at_its_own():
-    sent = (Sent(5_000, 1, 0, 0x81), Sent(9_000, 1, 1, 7), Sent(20_000, 0, 0, None))
-    text = written.to_python(panel(chips="pcl240ms"), shared(sent, payloads={"cart": 0.5, "table": 0.0}), 1_234_567_890)
+    sent = (ProgramCycle(5_000, 1, 0, 0x81), ProgramCycle(9_000, 1, 1, 7), ProgramCycle(20_000, 0, 0, None))
+    text = saved_panel.to_python(
+        panel(chips="pcl240ms"), shared(sent, payloads={"cart": 0.5, "table": 0.0}), 1_234_567_890
+    )
     assert text.startswith(
         '"""The panel\'s program, 3 bus cycles in 1.235 s of simulated time."""\n\nfrom stage import Stage\n'
     )
@@ -91,17 +92,17 @@ def test_a_program_in_python_makes_each_cycle_at_its_time_and_ends_at_its_own():
 
 
 def test_what_a_cycle_says_stands_beside_it_as_the_trace_of_its_chip_says():
-    sent = (Sent(5_000, 0, 0, 0x81), Sent(6_000, 0, 1, 0x2C), Sent(7_000, 1, 0, 0x82))
+    sent = (ProgramCycle(5_000, 0, 0, 0x81), ProgramCycle(6_000, 0, 1, 0x2C), ProgramCycle(7_000, 1, 0, 0x82))
     stage = panel(chips="pcl240ms")
     told = [
         line.partition("  # ")[2]
-        for line in written.to_python(stage, shared(sent), 8_000).splitlines()
+        for line in saved_panel.to_python(stage, shared(sent), 8_000).splitlines()
         if "  # " in line
     ]
     hears = [chip.listener() for chip in stage.session.stage.chips]
     told = [words for words in told if not words.startswith("ns")]  # the headings
     assert told == [hears[s.chip].write(s.address, s.value) for s in sent]
-    in_c = written.to_c(stage, shared(sent), 8_000)
+    in_c = saved_panel.to_c(stage, shared(sent), 8_000)
     assert [line for line in in_c.splitlines() if "/* " in line][1:] == [
         f"    at(5); ps_out8(0x300, 0x81); /* {told[0]} */",
         f"    at(6); ps_out8(0x301, 0x2C); /* {told[1]} */",
@@ -110,14 +111,14 @@ def test_what_a_cycle_says_stands_beside_it_as_the_trace_of_its_chip_says():
 
 
 def test_a_drive_is_imported_where_one_is_made():
-    text = written.to_python(panel(), shared(made=MADE | {"microsteps": 8}), 0)
+    text = saved_panel.to_python(panel(), shared(made=STAGE_OPTIONS | {"microsteps": 8}), 0)
     assert "from stage import Drive, Stage\n" in text
 
 
 def test_a_program_in_c_goes_to_the_microsecond_and_says_how_it_is_run():
-    sent = (Sent(1_999, 0, 0, 0x81), Sent(1_000_500, 0, 2, None))
-    text = written.to_c(
-        panel(chips="pcl240ms"), shared(sent, made=MADE | {"chips": "x=pcl240ms,y=pcl240ms"}), 2_000_999
+    sent = (ProgramCycle(1_999, 0, 0, 0x81), ProgramCycle(1_000_500, 0, 2, None))
+    text = saved_panel.to_c(
+        panel(chips="pcl240ms"), shared(sent, made=STAGE_OPTIONS | {"chips": "x=pcl240ms,y=pcl240ms"}), 2_000_999
     )
     assert text.startswith(
         "/* What was done on a panel: stage run program.c --model xy --chips x=pcl240ms,y=pcl240ms */\n"
@@ -132,7 +133,7 @@ def test_a_test_says_where_the_axes_are_what_was_lost_and_what_was_noted():
     stage = of.session.stage
     stage.place(y=0.0125)
     stage.chips[1].write(0, 0x15)
-    text = written.to_pytest(of, shared([], payloads={"cart": 2.0}), 5)
+    text = saved_panel.to_pytest(of, shared([], payloads={"cart": 2.0}), 5)
     begin = text.partition("def test_what_was_done_on_the_panel():\n")[2].splitlines()[:3]
     assert [line.strip() for line in begin] == [
         "stage = Stage('xy', chips='pcl240ms')", "stage.set_payload(2.0, 'cart')", "play(stage)",
@@ -152,19 +153,19 @@ def test_a_test_says_where_the_axes_are_what_was_lost_and_what_was_noted():
 def test_a_program_of_axes_of_any_name_is_python_and_c():
     stage = Stage(odd_model((*ODD_NAMES, "b*/c")), visuals=False)
     of = SimpleNamespace(session=SimpleNamespace(stage=stage))
-    made = MADE | {"model": "my */ model.xml", "chips": "b*/c=pcl240ms,x 1=pcl240ms"}
-    tree = ast.parse(written.to_pytest(of, shared(made=made), 5))
+    made = STAGE_OPTIONS | {"model": "my */ model.xml", "chips": "b*/c=pcl240ms,x 1=pcl240ms"}
+    tree = ast.parse(saved_panel.to_pytest(of, shared(made=made), 5))
     named = {
         n.slice.value for n in ast.walk(tree) if isinstance(n, ast.Subscript) and isinstance(n.slice, ast.Constant)
     }
     assert named >= {*ODD_NAMES, "b*/c"}
-    first = written.to_c(of, shared(made=made), 5).splitlines()[0]
+    first = saved_panel.to_c(of, shared(made=made), 5).splitlines()[0]
     assert first.index("*/") == len(first) - 2, "the comment ends at its end only"
     typed = shlex.split(first.removeprefix("/* What was done on a panel: ").removesuffix(" */"))
     assert typed[typed.index("--chips") + 1] == "b* /c=pcl240ms,x 1=pcl240ms"
 
 
-@pytest.mark.parametrize("write", written.FORMATS.values())
+@pytest.mark.parametrize("write", saved_panel.PROGRAM_FORMATS.values())
 def test_a_program_begins_at_power_up_and_on_a_stage_that_can_be_made_again(write):
     with pytest.raises(ArgumentError, match="does not begin at power-up: press power-up first"):
         write(panel(), shared(start=1), 0)
@@ -179,10 +180,10 @@ def test_the_ports_in_c_reach_the_address_of_the_chip(name):
     board = Board(stage)
     k = len(stage.chips) - 1
     chip = stage.chips[k]
-    place = next(p for p in written.layouts.places(dict(enumerate(stage.chips)), None, None, None) if p.index == k)
+    place = next(p for p in saved_panel.layouts.places(dict(enumerate(stage.chips)), None, None, None) if p.index == k)
     kinds = [kind for kind, _ in place.layout.ports]
-    reached = range(chip.ADDRESSES) if written.LATCH in kinds else [
-        a for kind, a in place.layout.ports if kind in (written.BYTE, written.WORD)
+    reached = range(chip.ADDRESSES) if saved_panel.LATCH in kinds else [
+        a for kind, a in place.layout.ports if kind in (saved_panel.BYTE, saved_panel.WORD)
     ]  # fmt: skip
     assert reached
     journal = chip.journal()
@@ -191,7 +192,7 @@ def test_the_ports_in_c_reach_the_address_of_the_chip(name):
         for value in (0, 0x5A if address else 0x40, None):
             journal.restart()
             before = chip.clock
-            for call in written._ports(place, Sent(0, k, address, value)):
+            for call in saved_panel._ports(place, ProgramCycle(0, k, address, value)):
                 eval(call, {}, calls)
             wrote = [(e.a, e.b) for e in journal.entries if e.kind == WRITE]
             read = [e.a for e in journal.entries if e.kind == READ]
@@ -202,6 +203,6 @@ def test_the_ports_in_c_reach_the_address_of_the_chip(name):
             else:
                 assert wrote == [(address & chip.ADDRESS_MASK, value)]
     journal.close()
-    if written.LATCH not in kinds:
+    if saved_panel.LATCH not in kinds:
         with pytest.raises(StageError, match=rf"address 9999 of {type(chip).__name__} has no port in its layout"):
-            written._ports(place, Sent(0, k, 9999, 1))
+            saved_panel._ports(place, ProgramCycle(0, k, 9999, 1))

@@ -48,7 +48,7 @@ def test_a_recording_that_is_written_leaves_no_thread(tmp_path, write):
 
 def test_series_of_the_oscilloscope_leave_no_thread(tmp_path):
     pytest.importorskip("nicegui")
-    from stage.panel.export import to_rrd
+    from stage.panel.oscilloscope import to_rrd
     from stage.panel.sampler import Sampler
     from stage.panel.session import FREE, Session
 

@@ -24,7 +24,7 @@ from stage.agents.fields import chosen, whole
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware import Axis
 from stage.firmware.driver import Driver
-from stage.panel.orders import Cycle, understand
+from stage.panel.register_text import BusCycle, parse_line
 
 MOST = 200  # lines
 WIDE = 200  # characters of a line
@@ -70,7 +70,7 @@ class Host:
         """From now on the host believes the chip of `axis` there."""
         self._base[axis] = port
 
-    def cycle(self, axis: str, cycle: Cycle) -> None:
+    def cycle(self, axis: str, cycle: BusCycle) -> None:
         """A bus cycle to the ports where the host believes the chip of `axis`."""
         chip = self.stage.axes[axis].chip
         if axis in self._base:
@@ -159,16 +159,16 @@ def _parsed(line: str, stage: Stage) -> Callable[[Host], None]:
     return send
 
 
-def _cycles(axis: Axis, order: str) -> tuple[Cycle, ...]:
+def _cycles(axis: Axis, order: str) -> tuple[BusCycle, ...]:
     """Of what stands behind the colon: an order of the console, or bytes with their addresses among them."""
     kind = type(axis.chip)
     if re.fullmatch(r"[0-9a-fA-F]{1,4}( [0-3]: ?[0-9a-fA-F]{1,4})+", order):
         first, *others = re.split(r" (?=[0-3]:)", order)
         pairs = [("0", first), *(o.split(":") for o in others)]
-        return tuple(Cycle(False, int(a, 16), int(d, 16)) for a, d in pairs)
+        return tuple(BusCycle(False, int(a, 16), int(d, 16)) for a, d in pairs)
     if "." in order.partition("<-")[0] and "<-" in order:
         raise ArgumentError("write the whole register: what its other bits are, a program has to know.")
-    return understand(kind, order, axis.chip_axis).cycles
+    return parse_line(kind, order, axis.chip_axis).cycles
 
 
 def _until(words: list[str], stage: Stage) -> Callable[[Host], None]:

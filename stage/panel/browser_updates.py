@@ -1,12 +1,12 @@
-"""`Live`: what changes many times a second goes to a browser as one message a frame, straight to the elements that show it.
+"""`BrowserUpdates`: what changes many times a second goes to a browser as one message a frame, to the elements that show it.
 
-    live = Live()
-    live.text(element, lambda: f"{session.view.time:.4f} s")
-    live.lamp(element, lambda: axis.switches.org)
-    live.call(chart, "run_chart_method", lambda: ["setOption", message])      None: nothing new
+    updates = BrowserUpdates()
+    updates.show_text(element, lambda: f"{session.view.time:.4f} s")
+    updates.show_lamp(element, lambda: axis.switches.org)
+    updates.call_method(chart, "run_chart_method", lambda: ["setOption", message])      None: nothing new
 
-For an update of its own NiceGUI has the browser compare the whole page, some 50 ms where front panels are open: too dear for a
-clock. The next message waits until the browser has drawn the last one, so a slow browser sees fewer frames, but none that are late.
+For an update of its own NiceGUI has the browser compare the whole page, some 50 ms where front panels are open: too slow for a
+clock. The next message waits until the browser has drawn the last one, so a slow browser gets fewer frames, but none that are late.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ READ = 0.1  # s between texts: nobody reads faster
 PATIENCE = 10.0  # s: a browser that has not answered by then is sent everything again
 
 
-class Live(ui.element, component="live.js"):
+class BrowserUpdates(ui.element, component="live.js"):
     """Of one browser. What it shows is looked at in the server's thread; an element that is shown here has no text of its own."""
 
     def __init__(self) -> None:
@@ -84,3 +84,30 @@ class Live(ui.element, component="live.js"):
                 self._called[k] = now
                 calls.append((element.id, method, given))
         return calls
+
+
+class TextLog(ui.element, component="lines.js"):
+    """The last `most` lines. Scrolled to the end, it stays there."""
+
+    def __init__(self, live: BrowserUpdates, most: int):
+        super().__init__()
+        self._props["most"] = most
+        self._new: list[tuple[str, str, int]] = []
+        self._most = most
+        live.call(self, "push", self._take)
+
+    def push(self, text: str, kind: str = "", key: int = 0) -> None:
+        """One more, of a class `kind`. key: not 0, it takes the place of the last line that had the same."""
+        if key and self._new and self._new[-1][2] == key:
+            self._new.pop()
+        self._new.append((text, kind, key))
+        del self._new[: -self._most]
+
+    def empty(self) -> None:
+        """No lines any more."""
+        self._new.clear()
+        self.run_method("clear")
+
+    def _take(self) -> list | None:
+        new, self._new = self._new, []
+        return [new] if new else None

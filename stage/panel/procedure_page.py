@@ -1,26 +1,103 @@
-"""Procedures on the page: a form each, jog buttons, stop; the report beside, and its operation pattern."""
+"""Procedures on the page: a form each, jog buttons and stop; the report beside, and its operation pattern."""
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from nicegui import ui
+from nicegui import background_tasks, run, ui
 
-from stage.errors import StageError
+from stage.errors import RunTimeout, StageError
 from stage.firmware.stop_reasons import NOT_AS_ASKED
-from stage.panel import procedures
-from stage.panel.fields import Field, at_its_field, where
-from stage.panel.procedures import FORMS, Form, Jog
-from stage.panel.reports import Shown
-from stage.panel.travel import tied
+from stage.panel.fault_controls import tied
+from stage.panel.procedure_forms import FORMS, Field, Jog, ProcedureForm, find_field, picture, to_field_error
+from stage.panel.session import ActionStopped
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
+    from stage.panel.session import Session
 
 
-def build(panel: Panel) -> None:
+class Outcome(NamedTuple):
+    """wrong: it did not do what was asked. picture: the operation pattern as SVG, or ""."""
+
+    text: str = ""
+    wrong: bool = False
+    picture: str = ""
+
+
+NO_OUTCOME = Outcome()
+
+
+class Reports:
+    """Of a panel, by the name of the form."""
+
+    def __init__(self, session: Session):
+        self._session = session
+        self._outcomes: dict[str, Outcome] = {}
+
+    def last(self, form: str) -> Outcome:
+        """What came of it last, or what is under way."""
+        return self._outcomes.get(form, NO_OUTCOME)
+
+    def say(self, form: str, text: str, wrong: bool = False) -> Outcome:
+        """This came of it."""
+        told = self._outcomes[form] = Outcome(text, wrong)
+        return told
+
+    async def perform(self, form: str, what: str, order: Callable[[Any], Any]) -> Any:
+        """Have the session do it, and tell what came of it; its report, or None. Raises StageError where it was not begun: it tells
+        nothing then."""
+        self.say(form, f"{what} ...")
+        try:
+            report = await asyncio.wrap_future(self._session.act(what, order))
+        except ActionStopped:
+            self.say(form, f"{what}: stopped.")
+        except RunTimeout as error:
+            self.say(form, f"{error}\n{getattr(error, 'report', '')}", wrong=True)
+        except BaseException:
+            self.say(form, "")
+            raise
+        else:
+            told = self.say(form, str(report), wrong=not report.ok)
+            background_tasks.create(self._draw(form, told, report))
+            return report
+        return None
+
+    async def _draw(self, form: str, told: Outcome, report: Any) -> None:
+        """The operation pattern, where there is one; it takes a while, and the next procedure may have begun meanwhile."""
+        if not hasattr(report, "plot"):
+            return
+        try:
+            drawn = told._replace(picture=await run.io_bound(picture, report) or "")
+        except StageError as error:
+            drawn = told._replace(text=f"{told.text}\n{error}")
+        if self._outcomes[form] is told:
+            self._outcomes[form] = drawn
+
+
+class OutcomeView:
+    """The report of one form in one browser, for `look` to keep up."""
+
+    def __init__(self, reports: Reports):
+        self._reports, self._outcomes = reports, NO_OUTCOME
+        self._text = ui.label().classes("number").style("white-space: pre-wrap; font-size: 12px")
+        self._text.props("data-test=report aria-live=polite role=status")
+        self._picture = ui.html("", sanitize=False).classes("w-full pattern").props("data-test=pattern")
+
+    def look(self, form: str) -> None:
+        """Show what came last of this form."""
+        told = self._reports.last(form)
+        if told is self._outcomes:
+            return
+        self._outcomes = told
+        self._text.text, self._picture.content = told.text, told.picture
+        self._text.classes(**{"add" if told.wrong else "remove": "text-negative"})
+
+
+def build_procedures(panel: Panel) -> None:
     """One browser's forms."""
     axes = list(panel.session.stage.axes)
     if axes:
@@ -31,7 +108,7 @@ class Procedures:
     """Which axis, which form, and what came of it."""
 
     def __init__(self, panel: Panel, axes: list[str]):
-        self.session, self.reports, self.look = panel.session, panel.reports, panel.look
+        self.session, self.reports, self.observer = panel.session, panel.reports, panel.observer
         self.axis = axes[0]
         self._open, self._goes = "move", list[ui.button]()
         self._jog: Jog | None = None
@@ -48,7 +125,7 @@ class Procedures:
                     "dense color=negative no-caps data-test=stop-at-once"
                 )
             self.box = ui.column().classes("w-full q-gutter-xs")
-            self._shown = Shown(panel.reports)
+            self._shown = OutcomeView(panel.reports)
         panel.controls.when_lost(ui.context.client.id, self._release)
         self._choose(self.axis)
         ui.timer(0.1, self._look)
@@ -89,7 +166,7 @@ class Procedures:
                 with ui.tab_panel("jog").classes("q-pa-xs"):
                     self._jogging()
 
-    def _form(self, form: Form, fields: list[Field]) -> None:
+    def _form(self, form: ProcedureForm, fields: list[Field]) -> None:
         controls: dict[str, Any] = {}
         with ui.row().classes("w-full items-start q-gutter-xs"):
             for field in fields:
@@ -105,9 +182,9 @@ class Procedures:
                     order = form.order(self.session.stage, self.axis, values)
                     report = await self.reports.perform(form.name, what, order)
                     if form.finds_origin and report is not None and report.stopped_by not in NOT_AS_ASKED:
-                        self.session.post(partial(self.look.found_origin, axis))
+                        self.session.post(partial(self.observer.note_origin, axis))
                 except StageError as error:
-                    self._wrong(form.name, self._told(error, controls, fields), fields, controls)
+                    self._wrong(form.name, self._outcomes(error, controls, fields), fields, controls)
 
             button = ui.button("go", on_click=go).props(f"dense no-caps data-test=go-{form.name}").classes("q-mt-sm")
             self._goes.append(button)
@@ -149,7 +226,7 @@ class Procedures:
             finally:
                 self._release(jog)
         except StageError as error:
-            self._wrong("jog", self._told(error, controls, fields), fields, controls)
+            self._wrong("jog", self._outcomes(error, controls, fields), fields, controls)
 
     def _release(self, jog: Jog | None = None) -> None:
         if self._jog is not None and jog in (None, self._jog):
@@ -159,20 +236,18 @@ class Procedures:
 
     async def _stop(self, at_once: bool) -> None:
         """All axes; what is under way is abandoned."""
-        self.session.stop_actions()
-        axes = list(self.session.stage.axes)
         try:
-            await asyncio.wrap_future(self.session.act("stop", procedures.stopping(axes, at_once)))
+            await asyncio.wrap_future(self.session.stop(at_once))
         except StageError as error:
             self.reports.say(self._open, str(error), wrong=True)
 
-    def _told(self, error: StageError, controls: dict[str, Any], fields: list[Field]) -> StageError:
+    def _outcomes(self, error: StageError, controls: dict[str, Any], fields: list[Field]) -> StageError:
         given = {name: c.value for name, c in controls.items()}
-        return at_its_field(error, self.session.stage.axes[self.axis], given, fields)
+        return to_field_error(error, self.session.stage.axes[self.axis], given, fields)
 
     def _wrong(self, form: str, error: BaseException, fields: list[Field], controls: dict[str, Any]) -> None:
         """At the field that it is about; else below."""
-        field = where(error, fields)
+        field = find_field(error, fields)
         if field:
             said_at(controls[field], error)
         else:

@@ -9,15 +9,14 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments
 
 from stage.errors import ArgumentError, StageError
-from stage.panel.chips import axis_names, send
-from stage.panel.lines import Lines
-from stage.panel.live import Live
-from stage.panel.look import seen
-from stage.panel.orders import complete, understand
-from stage.panel.trace import LINES
+from stage.panel.browser_updates import BrowserUpdates, TextLog
+from stage.panel.chip_panel import axis_names, send
+from stage.panel.register_text import complete, parse_line
+from stage.panel.stage_observer import LINES, seen
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
+
 
 KEYS = """(e) => {
   const k = e.key;
@@ -28,7 +27,7 @@ KEYS = """(e) => {
 """Tab completes a name; after a space, or in an empty line, it goes on to the next control as everywhere."""
 
 
-def build(panel: Panel, live: Live) -> None:
+def build_console(panel: Panel, live: BrowserUpdates) -> None:
     """The console of all chips."""
     with ui.card().classes("w-full q-pa-sm"):
         Console(panel, live)
@@ -37,11 +36,11 @@ def build(panel: Panel, live: Live) -> None:
 class Console:
     """One browser's console: its target, its lines before, and what it has shown of the trace."""
 
-    def __init__(self, panel: Panel, live: Live):
+    def __init__(self, panel: Panel, live: BrowserUpdates):
         self._panel, self._target = panel, (0, 0)
         self._past: list[str] = []
         self._at, self._shown = 0, 0
-        self._said = [0] * len(panel.look.traces)
+        self._said = [0] * len(panel.observer.traces)
         stage = panel.session.stage
         self._names = [axis_names(stage, k) for k in range(len(stage.chips))]
         targets = {
@@ -57,11 +56,13 @@ class Console:
             self._line: Any = ui.input(placeholder="10 15   R1 <- 100   read 0   help").classes("col number")
             self._line.props("dense hide-bottom-space autocomplete=off spellcheck=false aria-label='bus console'")
             self._line.props('data-test="console"').on("keydown", self._key, js_handler=KEYS)
-        self._log = Lines(live, LINES).classes("trace w-full").props('data-test="trace" aria-label="the bus, in words"')
+        self._log = (
+            TextLog(live, LINES).classes("trace w-full").props('data-test="trace" aria-label="the bus, in words"')
+        )
         with (
             ui.expansion("diagnostics").props("dense").classes("w-full").props('data-test="diagnostics"') as self._noted
         ):
-            self._bad = Lines(live, LINES).classes("trace w-full").style("height: 130px")
+            self._bad = TextLog(live, LINES).classes("trace w-full").style("height: 130px")
             self._bad.props('data-test="diagnosed" aria-label="diagnostics"')
         ui.timer(0.1, self._look)
 
@@ -100,7 +101,7 @@ class Console:
         kind = type(session.stage.chips[k])
         try:
             values = await asyncio.wrap_future(session.post(lambda stage: seen(stage.chips[k], axis).values))
-            order = understand(kind, text, axis, values)
+            order = parse_line(kind, text, axis, values)
             self._log.push(f"> {text}", "own")
             self._line.value, self._line.error = "", None
             self._past = [*self._past[-199:], text] if self._past[-1:] != [text] else self._past
@@ -116,15 +117,15 @@ class Console:
 
     def _look(self) -> None:
         k = self._target[0]
-        trace = self._panel.look.traces[k]
+        trace = self._panel.observer.traces[k]
         for line in trace.since(self._shown):
             self._shown = line.number
             self._log.push(line.text(trace.digits), "bad" if line.way in ("!", "lost") else "", line.first)
         new = 0
-        for j, one in enumerate(self._panel.look.traces):
+        for j, one in enumerate(self._panel.observer.traces):
             for line in [d for d in tuple(one.said) if d.number > self._said[j]]:
                 self._said[j], new = line.number, new + 1
                 self._bad.push(f"{'/'.join(self._names[j].values())} {line.text(one.digits)}", "bad")
         if new:
-            total = sum(len(one.said) for one in self._panel.look.traces)
+            total = sum(len(one.said) for one in self._panel.observer.traces)
             self._noted.text = f"diagnostics ({total})"

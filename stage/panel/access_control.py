@@ -1,8 +1,11 @@
-"""Who may talk to the panel's server, an ASGI middleware.
+"""Who may talk to the panel's server (`RequestGuard`), who has the controls (`Controls`), and what a page may do (`EventGate`).
 
 A web site can make its name point at 127.0.0.1 (DNS rebinding), and a browser then lets its pages ask there; so requests must name
 this server as their host, and may come from its own pages only. Whoever opens the panel to other machines gives them a link with a
 token; a browser that came with it keeps it as a cookie.
+
+Many may look at a panel; one has the controls and gives orders, and while a program drives the stage nobody drives it from a page
+unless he takes it over. The server refuses the rest, whatever a page does: what comes from a browser can be forged.
 """
 
 from __future__ import annotations
@@ -10,10 +13,18 @@ from __future__ import annotations
 import asyncio
 import logging
 import secrets
+from collections.abc import Callable
 from contextlib import suppress
 from http.cookies import CookieError, SimpleCookie
-from typing import Any
+from threading import Lock
+from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
+
+if TYPE_CHECKING:
+    from nicegui import Client, ui
+
+    from stage.panel.server import Panel
+
 
 COOKIE = "pulsestage"
 HERE_ONLY = "; ".join(
@@ -86,7 +97,7 @@ def report_task_error(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) 
         loop.default_exception_handler(context)
 
 
-class Guard:
+class RequestGuard:
     """Lets through what is asked by our own pages. names: host names of the server, with their ports; token: what strangers must
     bring, or "" where nobody else can come."""
 
@@ -101,7 +112,7 @@ class Guard:
         try:
             reason = self._refuses(scope, headers)
         except (ValueError, CookieError):  # no address, or no cookies
-            reason = "This server does not understand the headers of this request."
+            reason = "This server does not parse_line the headers of this request."
         if reason:
             await _refuse(scope, send, reason)
             return
@@ -146,3 +157,108 @@ async def _refuse(scope: dict, send: Any, reason: str) -> None:
     head = [(b"content-type", b"text/plain; charset=utf-8")]
     await send({"type": "http.response.start", "status": 403, "headers": head})
     await send({"type": "http.response.body", "body": reason.encode()})
+
+
+class Controls:
+    """The first who comes has them; whoever takes them has them; when he is gone, they are free and go to the next in line."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._here: list[str] = []
+        self._letting_go: dict[str, list[Callable[[], None]]] = {}
+        self.holder: str | None = None
+
+    @property
+    def watching(self) -> int:
+        """How many look."""
+        return len(self._here)
+
+    def come(self, who: str) -> None:
+        """Somebody looks from now on."""
+        with self._lock:
+            if who not in self._here:
+                self._here.append(who)
+            self.holder = self.holder or who
+
+    def when_lost(self, who: str, let_go: Callable[[], None]) -> None:
+        """Have `let_go` called when he has the controls no more: what he holds he could not release then."""
+        self._letting_go.setdefault(who, []).append(let_go)
+
+    def go(self, who: str) -> None:
+        """He is gone."""
+        with self._lock:
+            if who in self._here:
+                self._here.remove(who)
+            lost = self.holder == who
+            if lost:
+                self.holder = self._here[0] if self._here else None
+        self._let_go(lost, who)
+
+    def forget(self, who: str) -> None:
+        """He will not come back."""
+        self.go(who)
+        self._letting_go.pop(who, None)
+
+    def take(self, who: str) -> None:
+        """He has the controls now. Who has not come cannot take them."""
+        with self._lock:
+            before = self.holder
+            if who in self._here:
+                self.holder = who
+        self._let_go(before not in (None, self.holder), before or "")
+
+    def _let_go(self, lost: bool, who: str) -> None:
+        for let_go in self._letting_go.get(who, ()) if lost else ():
+            let_go()
+
+
+class EventGate:
+    """Of one browser. From now on no event of a guarded element, or of what stands in one, is heard from it unless it may."""
+
+    def __init__(self, panel: Panel, client: Client):
+        self._panel, self._client = panel, client
+        self._machine: list[ui.element] = []
+        self._driving: list[ui.element] = []
+        self._shown: tuple[bool, bool] | None = None
+        self._hear = client.handle_event
+        client.handle_event = self._hear_if_allowed  # type: ignore[method-assign]
+
+    def machine(self, element: ui.element) -> None:
+        """This is for who has the controls, also beside a program."""
+        self._machine.append(element)
+
+    def driving(self, element: ui.element) -> None:
+        """This drives the stage, or changes its time."""
+        self._driving.append(element)
+
+    @property
+    def mine(self) -> bool:
+        """This browser has the controls."""
+        return self._panel.controls.holder == self._client.id
+
+    @property
+    def drives(self) -> bool:
+        """It may drive now."""
+        session = self._panel.session
+        return self.mine and (session.taken_over or not session.program)
+
+    def refresh(self) -> None:
+        """Parts that it may not use look so."""
+        now = self.mine, self.drives
+        if now == self._shown:
+            return
+        self._shown = now
+        for elements, may in ((self._machine, now[0]), (self._driving, now[1])):
+            for element in elements:
+                element.props(**({"remove": "inert"} if may else {"add": "inert"}))
+
+    def _hear_if_allowed(self, msg: dict) -> None:
+        element = self._client.elements.get(msg.get("id", -1))
+        if element is None:
+            return
+        above = list(element.ancestors(include_self=True))
+        if any(e in self._driving for e in above) and not self.drives:
+            return
+        if any(e in self._machine for e in above) and not self.mine:
+            return
+        self._hear(msg)

@@ -10,15 +10,15 @@ import numpy as np
 from nicegui import run, ui
 
 from stage.errors import StageError
-from stage.panel.export import FORMATS
-from stage.panel.live import Live
-from stage.panel.oscilloscope import DIAGNOSTIC, LOST, MODES, SPANS, Frame, Scope
+from stage.panel.browser_updates import BrowserUpdates
+from stage.panel.oscilloscope import DIAGNOSTIC, FORMATS, LOST, MODES, SPANS, Oscilloscope, OscilloscopeFrame
 
 if TYPE_CHECKING:
     from stage.panel.sampler import Trace
     from stage.panel.server import Panel
 
-POINTS = 300  # columns of pixels that a curve is thinned to
+
+POINTS = 300  # columns of pixels that a curve is thin_curve to
 REDRAWN, RESTING = 0.1, 0.5  # s between pictures, and of flat curves
 HIGH, LANE, GAP, TOP, FOOT, HEAD = (
     120,
@@ -33,33 +33,33 @@ COLOURS = ("#3b8ee0", "#e0813b", "#3bb273", "#b05bd0", "#d0485b", "#9a8b3a", "#3
 FREE_RUNNING = {"free": "no trigger", "auto": "auto", "normal": "normal", "single": "single"}
 
 
-def build(panel: Panel, live: Live) -> None:
+def build_oscilloscope(panel: Panel, live: BrowserUpdates) -> None:
     """One browser's oscilloscope."""
     if not panel.sampler.traces:
         return
-    Chart(panel, live)
+    OscilloscopeView(panel, live)
 
 
-class Chart:
+class OscilloscopeView:
     """Controls and picture."""
 
-    def __init__(self, panel: Panel, live: Live):
+    def __init__(self, panel: Panel, live: BrowserUpdates):
         self.sampler = panel.sampler
         traces = self.sampler.traces
         usual = [n for n in traces if n.endswith(("/position", "/rate"))][:4]
         org = [n for n in traces if n.endswith("/org")][:1]
-        self.scope = Scope(self.sampler, usual + org, span=5.0)
+        self.scope = Oscilloscope(self.sampler, usual + org, span=5.0)
         self._drawn: tuple | None = None
         self._wanted: tuple | None = None
         self._flat, self._at = False, 0.0
-        self._frame: Frame | None = None
+        self._frame: OscilloscopeFrame | None = None
         with ui.card().classes("w-full q-pa-sm").props('data-test=scope role=group aria-label="Oscilloscope"'):
             self._controls(traces, live)
             self.chart = ui.echart({}).classes("w-full").props("data-test=chart")
             self._lay_out()
         live.call(self.chart, "run_chart_method", self._look, REDRAWN)
 
-    def _controls(self, traces: dict[str, Trace], live: Live) -> None:
+    def _controls(self, traces: dict[str, Trace], live: BrowserUpdates) -> None:
         names = {name: t.title + (f" ({t.unit})" if t.unit else "") for name, t in traces.items()}
         with ui.row().classes("w-full items-center q-gutter-xs no-wrap-md"):
             self.run_button = (
@@ -195,7 +195,7 @@ class Chart:
             return frame.state if frame else ""
         return f"{frame.state}, trigger at {frame.trigger:.6f} s"
 
-    def _message(self, frame: Frame) -> dict[str, Any]:
+    def _message(self, frame: OscilloscopeFrame) -> dict[str, Any]:
         """The curves and the time below them: s, or ms; from the trigger, where there is one."""
         short = frame.end - frame.begin < 1
         k, origin = (1e3 if short else 1.0), frame.trigger or 0.0

@@ -1,4 +1,4 @@
-"""Hands on the machine, on the page: load, supply, push, everything that can break, and what is broken now."""
+"""Fault controls on the page: load, supply, push, everything that can break, and what is broken now."""
 
 from __future__ import annotations
 
@@ -8,32 +8,33 @@ from typing import TYPE_CHECKING, Any
 from nicegui import background_tasks, run, ui
 
 from stage.errors import StageError
-from stage.panel.fields import Field, WrongField, parsed, where
-from stage.panel.forms import clear, entry, said_at
-from stage.panel.hands import Breaking, Made
+from stage.panel.fault_controls import ActiveFault, FaultForm
+from stage.panel.procedure_forms import Field, FieldError, find_field, parse_fields
+from stage.panel.procedure_page import clear, entry, said_at
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
 
+
 HEAVIEST = 10.0  # kg on the slider
 
 
-def build(panel: Panel) -> None:
+def build_fault_controls(panel: Panel) -> None:
     """One browser's hands."""
     axes = list(panel.session.stage.axes)
     if axes:
-        Touch(panel, axes)
+        FaultPanel(panel, axes)
 
 
-class Touch:
+class FaultPanel:
     """Sliders, a form for each thing that can break, and the list with "mend"."""
 
     def __init__(self, panel: Panel, axes: list[str]):
-        self.hands, self.axis = panel.hands, axes[0]
-        self._listed: list[tuple[Made, str]] | None = None
+        self.fault_controls, self.axis = panel.fault_controls, axes[0]
+        self._listed: list[tuple[ActiveFault, str]] | None = None
         self._follow: list[Callable[[], None]] = []
         with (
-            ui.expansion("Hands on the machine", icon="back_hand")
+            ui.expansion("FaultControls on the machine", icon="back_hand")
             .classes("w-full")
             .props("data-test=hands dense header-class=text-weight-medium")
         ):
@@ -54,10 +55,22 @@ class Touch:
         ui.timer(0.25, self._look)
 
     def _sliders(self) -> None:
-        nominal, mass = self.hands.supply, self.hands.payload
+        nominal, mass = self.fault_controls.supply, self.fault_controls.payload
         if mass is not None:
-            self._slider("payload", "kg", (0.0, max(HEAVIEST, mass), 0.1), lambda: self.hands.payload, self.hands.load)
-        self._slider("supply", "V", (1.0, round(2 * nominal), 0.5), lambda: self.hands.supply, self.hands.supply_all)
+            self._slider(
+                "payload",
+                "kg",
+                (0.0, max(HEAVIEST, mass), 0.1),
+                lambda: self.fault_controls.payload,
+                self.fault_controls.load,
+            )
+        self._slider(
+            "supply",
+            "V",
+            (1.0, round(2 * nominal), 0.5),
+            lambda: self.fault_controls.supply,
+            self.fault_controls.set_supply,
+        )
 
     def _slider(
         self,
@@ -103,7 +116,7 @@ class Touch:
             button.on(event, lambda e: run.io_bound(self._let_go))
 
     def _force_fields(self) -> list[Field]:
-        return [Field("force", "push with", self.hands.unit_of_push(self.axis), "10")]
+        return [Field("force", "push with", self.fault_controls.find_push_unit(self.axis), "10")]
 
     async def _push(self, sign: int) -> None:
         if self._pushes:
@@ -111,9 +124,9 @@ class Touch:
         self._pushes = self.axis
         clear({"force": self.force})
         try:
-            force = parsed(self._force_fields(), {"force": self.force.value}).get("force", 0.0)
-            await run.io_bound(self.hands.push, self.axis, sign * force)
-        except WrongField as error:
+            force = parse_fields(self._force_fields(), {"force": self.force.value}).get("force", 0.0)
+            await run.io_bound(self.fault_controls.push, self.axis, sign * force)
+        except FieldError as error:
             self._pushes = ""
             said_at(self.force, error)
 
@@ -123,14 +136,14 @@ class Touch:
     def _let_go(self) -> None:
         axis, self._pushes = self._pushes, ""
         if axis:
-            self.hands.push(axis, 0.0)
+            self.fault_controls.push(axis, 0.0)
 
     def _choose(self, axis: str) -> None:
         self.axis = axis
-        self.force.props(f'suffix="{self.hands.unit_of_push(axis)}"')
+        self.force.props(f'suffix="{self.fault_controls.find_push_unit(axis)}"')
         self.box.clear()
         with self.box:
-            breakings = {b.name: b for b in self.hands.breakings(axis)}
+            breakings = {b.name: b for b in self.fault_controls.list_forms(axis)}
             titles = {name: name.replace("_", " ") for name in breakings}
             chosen = ui.select(titles, value=next(iter(titles)), label="what breaks").props(
                 "dense options-dense outlined data-test=breaking"
@@ -148,16 +161,16 @@ class Touch:
             chosen.on_value_change(show)
             show()
 
-    def _form(self, breaking: Breaking) -> None:
+    def _form(self, breaking: FaultForm) -> None:
         controls = {f.name: entry("break", f) for f in breaking.fields}
 
         async def go() -> None:
             clear(controls)
             given = {name: c.value for name, c in controls.items()}
             try:
-                await run.io_bound(self.hands.make, breaking.name, self.axis, given)
+                await run.io_bound(self.fault_controls.make, breaking.name, self.axis, given)
             except StageError as error:
-                field = where(error, breaking.fields)
+                field = find_field(error, breaking.fields)
                 if field:
                     said_at(controls[field], error)
                 else:
@@ -169,7 +182,7 @@ class Touch:
         """What is so now; the list of what is broken, where it has changed."""
         for follow in self._follow:
             follow()
-        now = [(made, made.text) for made in self.hands.in_force]
+        now = [(made, made.text) for made in self.fault_controls.in_force]
         if now == self._listed:
             return
         self._listed = now
@@ -179,7 +192,7 @@ class Touch:
                 with ui.row().classes("items-center q-gutter-xs"):
                     ui.icon("warning", color="deep-orange")
                     ui.label(text)
-                    ui.button("mend", on_click=lambda m=made: run.io_bound(self.hands.mend, m)).props(
+                    ui.button("mend", on_click=lambda m=made: run.io_bound(self.fault_controls.mend, m)).props(
                         f"dense flat no-caps data-test=mend aria-label={mending(text)}"
                     )
 

@@ -1,0 +1,372 @@
+"""Registers in words, made from a chip's register map: what its front panel shows, and what lines of the console mean. No page.
+
+format_value(register, 8000), describe_value(register, 8000)
+parse_number("1F40h", 13)                 8000
+parse_line(PCL240K, "R1 <- 100")          the bus cycles that write it, as a driver makes them
+parse_line(MCX514, "DRVRL", axis=2)       a command, with the axis in it
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from stage.chips.chip import Chip
+from stage.chips.register_map import EVIDENCE, Field, Register, Word
+from stage.errors import ArgumentError, near_names
+from stage.units import MOST, WHOLE, whole
+
+BY_ROWS = ("data write", "mode write")
+"""Kinds of commands that a register's row sends when somebody writes there."""
+
+
+@dataclass(frozen=True)
+class CommandButton:
+    """A command that can be sent. label: short; words: the sheet's; title: all that the map says; symbol, datum: as
+    `Chip.command_cycles` takes them; takes: bits of the data that somebody has to give, 0 for none."""
+
+    label: str
+    title: str
+    symbol: str
+    datum: int | None
+    evidence: str
+    takes: int = 0
+    starts: bool = False
+    words: str = ""
+
+
+class FrontPanel:
+    """The front panel of a kind of chip.
+
+    Attributes:
+        registers: a row each. forms: words that a host composes of fields. lamps: words that it reads. buttons: commands by
+        group; empty where the family does not say how its commands are sent.
+    """
+
+    def __init__(self, kind: type[Chip]):
+        self.kind, self.map = kind, kind.MAP
+        self.registers: tuple[Register, ...] = self.map.registers
+        written = tuple(w for w in self.map.words if w.written and w.fields)
+        coded = {c.address for c in written if self.map.commands} & {0}
+        self.forms = tuple(w for w in written if w.address not in coded and not _is_data(w))
+        self.lamps = tuple(w for w in self.map.words if not w.written and any("R" in f.access for f in w.fields))
+        self.buttons: dict[str, list[CommandButton]] = {}
+        for group, button in (*self._of_words(written, coded), *self._of_commands()):
+            if self._sendable(button):
+                self.buttons.setdefault(group, []).append(button)
+
+    def _of_words(self, written: tuple[Word, ...], coded: set[int | None]) -> Iterator[tuple[str, CommandButton]]:
+        for w in written:
+            if w.address in coded:
+                continue
+            chosen = [f for f in w.fields if not fixed(f)]
+            values = chosen[0].values if len(chosen) == 1 and chosen[0].low == 0 else {}
+            for code, title in (w.sends or values).items():
+                label = f"{w.fixed | code:0{w.bits // 4}X}h"
+                yield f"{w.name}: {w.title}", CommandButton(label, title, w.name, code, worst(w.fields), words=title)
+
+    def _of_commands(self) -> Iterator[tuple[str, CommandButton]]:
+        for c in self.map.commands:
+            if c.kind in BY_ROWS:
+                continue
+            if c.choice:
+                for k, name in enumerate(c.chooses):
+                    title = f"{c.title} {name}"
+                    yield c.kind, CommandButton(f"{c.symbol} {name}", title, c.symbol, 1 << k, c.evidence, words=title)
+            else:
+                takes = 0 if "read" in c.kind else 8 * c.bytes
+                title = f"{c.hex}  {c.what}" + (f"; lacking: {c.lacking}" if c.lacking else "")
+                yield c.kind, CommandButton(c.symbol, title, c.symbol, None, c.evidence, takes, c.starts, c.title)
+
+    def _sendable(self, button: CommandButton) -> bool:
+        try:
+            self.kind.command_cycles(button.symbol, 0, button.datum if not button.takes else 0)
+        except NotImplementedError:
+            return False
+        return True
+
+
+def evidence(letter: str) -> str:
+    """What an evidence letter says."""
+    return f"{letter}: {EVIDENCE.get(letter, 'not said')}"
+
+
+def span(register: Register) -> str:
+    """The values that it takes, as the sheet says, or as its bits are."""
+    low, high = register.range
+    said = " or ".join([f"{low} to {high}", *map(str, register.also)])
+    return said if register.legal else f"{said} ({register.bits} bits)"
+
+
+def shown(register: Register | Word, value: int) -> str:
+    """A value as its field shows it: bits in hexadecimal, numbers in decimal."""
+    if register.fields:
+        return f"{value & (1 << register.bits) - 1:0{(register.bits + 3) // 4}X}h"
+    return str(register.value(value) if isinstance(register, Register) else value)
+
+
+def meant(register: Register | Word, value: int) -> str:
+    """What a value means beside its number: its fields in words, but for what says nothing, or hexadecimal."""
+    word = value & (1 << register.bits) - 1
+    if not register.fields:
+        return f"{word:X}h" if abs(value) > 9 else ""
+    told = [f for f in register.fields if not fixed(f) and f.of(word) != f.silent]
+    said = [f.says(f.of(word)) or (f"{f.name} = {f.of(word)}" if f.of(word) else "") for f in told]
+    return ", ".join(text for text in said if text)
+
+
+def choices(field: Field) -> dict[int, str]:
+    """What a field can be, for a list; empty where it is a number."""
+    if field.values:
+        return {v: f"{v}  {text}" for v, text in field.values.items()}
+    return {}
+
+
+def with_field(word: int, field: Field, value: int) -> int:
+    """`word` with another value of one field."""
+    return word & ~field.mask | value << field.low & field.mask
+
+
+def number(text: str, bits: int) -> int:
+    """What somebody has typed, a whole number that so many bits hold: decimal, 0x1F or 1Fh, 0b101; with a sign it is two's
+    complement. Raises ArgumentError, with what was probably meant."""
+    typed = re.sub(r"[_\s]", "", text)
+    if len(typed) > MOST:
+        raise ArgumentError(f"a number of {len(typed)} characters needs more than {bits} bits.")
+    if (value := whole(typed)) is None:
+        raise ArgumentError(_no_number(text, re.sub(r"^[-+]", "", typed)))
+    if not -(1 << bits - 1) <= value < 1 << bits:
+        raise ArgumentError(f"{text.strip()} needs more than {bits} bits: {-(1 << bits - 1)} to {(1 << bits) - 1} fit.")
+    return value
+
+
+def _no_number(text: str, digits: str) -> str:
+    if not digits:
+        return "a number is missing: 100, 64h or 0x64, 0b1100100."
+    if re.fullmatch(r"[0-9a-fA-F]+", digits):
+        return f"{text.strip()!r} is no decimal number. Did you mean {digits.upper()}h ({int(digits, 16)})?"
+    if re.fullmatch(r"[0-9]*[.,][0-9]*", digits):
+        return f"{text.strip()!r}: registers hold whole numbers. Did you mean {digits.replace(',', '.').partition('.')[0] or 0}?"
+    near = digits.translate(str.maketrans("OoIl", "0011"))
+    if re.fullmatch(WHOLE, near):
+        return f"{text.strip()!r} is no number. Did you mean {near}?"
+    return f"{text.strip()!r} is no number: 100, 64h or 0x64, 0b1100100."
+
+
+def fixed(field: Field) -> bool:
+    """Bits that tell a word from others of its address: nobody chooses them."""
+    return field.legal is not None and field.legal[0] == field.legal[1]
+
+
+def _is_data(word: Word) -> bool:
+    """One number without words: the data of commands."""
+    return len(word.fields) == 1 and not word.fields[0].values and word.fields[0].mask.bit_count() == word.bits
+
+
+def lit(field: Field, value: int) -> tuple[str, bool]:
+    """A field as a lamp: its words, and whether it is on, that is, says something."""
+    on = value != (0 if field.silent is None else field.silent)
+    if field.high != field.low:
+        return f"{field.says(value) or f'{field.name} {value}'}", on
+    return field.says(value) or field.meaning or field.name, on
+
+
+def worst(fields: tuple[Field, ...]) -> str:
+    """The weakest that the parts have."""
+    letters = list(EVIDENCE)
+    return max((f.evidence for f in fields), key=lambda e: letters.index(e) if e in letters else 0)
+
+
+HELP = """\
+10 15           bytes to address 0, in hexadecimal as sheets print them (10, 10h and 0x10 are the same)
+2: 1F           bytes to address 2, one cycle each
+read 0          a read cycle at address 0; read 3 2 1: several
+R1 <- 100       a register, by the cycles of a driver; numbers are decimal, 64h, 0x64 or 0b1100100
+R14.linear <- 1 one field of it, the others stay
+R1              what it holds, without a bus cycle
+operate 15h     a command or a word by its name, with its data
+help R1         what the map says of a name; up and down arrow: lines before; Tab completes names"""
+ASSIGN = re.compile(r"([^\s<=]+)\s*(?:<-|=)\s*(.*)")
+
+
+class BusCycle(NamedTuple):
+    """A bus cycle to be made. read: else a write."""
+
+    read: bool
+    address: int
+    datum: int = 0
+
+
+class Order(NamedTuple):
+    """What a line asks for: cycles, and an answer that needs none."""
+
+    cycles: tuple[BusCycle, ...]
+    answer: str = ""
+
+
+def names(kind: type[Chip]) -> list[str]:
+    """Every name that a line may begin with."""
+    map_ = kind.MAP
+    words = (w.name for w in map_.words if w.written)
+    return list(
+        dict.fromkeys((*(r.name for r in map_.registers), *words, *(c.symbol for c in map_.commands), "read", "help"))
+    )
+
+
+def complete(kind: type[Chip], text: str) -> list[str]:
+    """The names that begin as the last word of `text` does."""
+    last = text.split(" ")[-1].upper()
+    return [name for name in names(kind) if name.upper().startswith(last)] if last else []
+
+
+def parse_line(kind: type[Chip], text: str, axis: int = 0, values: Mapping[str, int] | None = None) -> Order:
+    """What a line of the console asks for. values: what registers hold now, for lines that ask or that change one field. Raises
+    ArgumentError, with near misses."""
+    line, values = text.strip(), values or {}
+    first, _, rest = line.partition(" ")
+    if not line:
+        raise ArgumentError("nothing to do: `help` lists what can be written here.")
+    if first.lower() == "help":
+        return Order((), _help(kind, rest.strip()))
+    if found := ASSIGN.fullmatch(line):
+        return _assign(kind, found.group(1), found.group(2), axis, values)
+    if first.lower() == "read":
+        if not rest.strip():
+            raise ArgumentError(f"read: an address is missing, 0 to {kind.ADDRESSES - 1:X}h.")
+        return Order(tuple(BusCycle(True, _address(kind, a)) for a in rest.split()))
+    if ":" in line:
+        address, _, data = line.partition(":")
+        if not data.strip():
+            raise ArgumentError(f"{line}: the data are missing, as in {address.strip()}: 1F.")
+        at = _address(kind, address)
+        return Order(tuple(BusCycle(False, at, _datum(kind, d)) for d in data.split()))
+    return _named(kind, first, rest.strip(), axis, values) or _bytes(kind, line)
+
+
+def _assign(kind: type[Chip], name: str, given: str, axis: int, values: Mapping[str, int]) -> Order:
+    whole, _, part = name.partition(".")
+    place = _place(kind, whole)
+    if place is None and not part and (cycles := _number_of_several(kind, whole, given, axis)):
+        return Order(cycles)
+    if place is None:
+        raise ArgumentError(f"no register or word of {kind.MAP.chip} is called {whole!r}.{_near(kind, whole)}")
+    if isinstance(place, Register) and "W" not in place.access:
+        raise ArgumentError(f"{place.name} ({place.title}) can only be read.")
+    if part:
+        field = kind.MAP.field(place.name, part)
+        value = with_field(values.get(place.name, 0), field, number(given, field.high - field.low + 1))
+    else:
+        value = number(given, place.bits)
+    return Order(writes(kind, place, value, axis))
+
+
+def _number_of_several(kind: type[Chip], name: str, given: str, axis: int) -> tuple[BusCycle, ...]:
+    """The cycles of a name that the family knows beside its map, such as a number of several registers; () if it does not."""
+    try:
+        kind.register_cycles(name, 0, axis)
+    except (ArgumentError, NotImplementedError):
+        return ()
+    return tuple(BusCycle(False, *cycle) for cycle in kind.register_cycles(name, number(given, 32), axis))
+
+
+def writes(kind: type[Chip], place: Register | Word, value: int, axis: int) -> tuple[BusCycle, ...]:
+    """The cycles that put a value into a register, or into a word that a host writes, as a driver makes them."""
+    bits = value & (1 << place.bits) - 1
+    found = (
+        kind.register_cycles(place.name, bits, axis)
+        if isinstance(place, Register)
+        else kind.command_cycles(place.name, axis, bits)
+    )
+    return tuple(BusCycle(False, *cycle) for cycle in found)
+
+
+def _named(kind: type[Chip], name: str, given: str, axis: int, values: Mapping[str, int]) -> Order | None:
+    """A command, a word or a register by its name; None: it is none."""
+    map_ = kind.MAP
+    if any(c.symbol == name.upper() for c in map_.commands):
+        c = map_.command(name)
+        datum = number(given, 8 * c.bytes or c.choice.bit_length() or 1) if given else None
+        place = _place(kind, name)
+        if datum is None and isinstance(place, Register) and c.kind != "data read":
+            return Order((), _holds(place, values))
+    else:
+        place = _place(kind, name)
+        if place is None:
+            return None
+        if isinstance(place, Register):
+            return _assign(kind, name, given, axis, values) if given else Order((), _holds(place, values))
+        datum, name = (number(given, place.bits) if given else None), place.name
+    try:
+        return Order(tuple(BusCycle(False, *cycle) for cycle in kind.command_cycles(name, axis, datum)))
+    except NotImplementedError as error:
+        raise ArgumentError(f"{error} Write its bytes: `0: 15`.") from error
+
+
+def _bytes(kind: type[Chip], line: str) -> Order:
+    """Bytes to address 0."""
+    words = line.split()
+    if not all(re.fullmatch(r"(0[xX])?[0-9a-fA-F]+[hH]?", w) for w in words):
+        raise ArgumentError(
+            f"{words[0]!r} is no name of {kind.MAP.chip} and no byte.{_near(kind, words[0])} `help` says more."
+        )
+    return Order(tuple(BusCycle(False, 0, _datum(kind, w)) for w in words))
+
+
+def _hexadecimal(text: str) -> int:
+    try:
+        return int(text.strip().rstrip("hH").encode("ascii"), 16)
+    except ValueError:
+        raise ArgumentError(f"{text.strip()!r} is no hexadecimal number, as 1F, 1Fh or 0x1F are.") from None
+
+
+def _address(kind: type[Chip], text: str) -> int:
+    address = _hexadecimal(text)
+    if not 0 <= address < kind.ADDRESSES:
+        raise ArgumentError(f"address {text.strip()}: {kind.MAP.chip} has the addresses 0 to {kind.ADDRESSES - 1:X}h.")
+    return address
+
+
+def _datum(kind: type[Chip], text: str) -> int:
+    datum = _hexadecimal(text)
+    if not 0 <= datum <= kind.DATA_MASK:
+        raise ArgumentError(f"{text.strip()}: the bus of {kind.MAP.chip} takes 0 to {kind.DATA_MASK:X}h in one cycle.")
+    return datum
+
+
+def _place(kind: type[Chip], name: str) -> Register | Word | None:
+    """The register, or the word that a host writes, of this name in any case."""
+    wanted = name.upper()
+    registers = (r for r in kind.MAP.registers if r.name.upper() == wanted)
+    return next(registers, None) or next((w for w in kind.MAP.words if w.written and w.name.upper() == wanted), None)
+
+
+def _near(kind: type[Chip], name: str) -> str:
+    known = {n.upper(): n for n in names(kind)}
+    near = [known[n] for n in near_names(name.upper(), known)]
+    return f" Did you mean {' or '.join(near)}?" if near else ""
+
+
+def _holds(r: Register, values: Mapping[str, int]) -> str:
+    if r.name not in values:
+        return f"{r.name} ({r.text}) cannot be seen."
+    said = meant(r, values[r.name])
+    return f"{r.name} = {shown(r, values[r.name])}{' ' + r.unit if r.unit else ''}{f' ({said})' if said else ''}: {r.title}"
+
+
+def _help(kind: type[Chip], name: str) -> str:
+    if not name:
+        return HELP
+    map_, place = kind.MAP, _place(kind, name)
+    if any(c.symbol == name.upper() for c in map_.commands) and not isinstance(place, Register):
+        c = map_.command(name)
+        return f"{c.symbol} {c.hex}: {c.what}" + (
+            f"; takes {c.bytes} bytes" if c.bytes and "read" not in c.kind else ""
+        )
+    if place is None:
+        raise ArgumentError(f"{map_.chip} has nothing that is called {name!r}.{_near(kind, name)}")
+    head = f"{place.name}: {place.text}"
+    if isinstance(place, Register):
+        head += f"; {span(place)}{' ' + place.unit if place.unit else ''}"
+    return "\n".join([head, *(f"  .{f.name}  b{f.bits}  {f.text}" for f in place.fields)])
