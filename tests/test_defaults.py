@@ -29,7 +29,7 @@ stage.board.board
     Board.device: read=None, write=None, source=None, flags=(), state=None, tell=None, name=None, encoders=(), width=8
     Board.on_timer: n=0, level=1
 stage.board.native
-    NativeHost: isolated=False, flags=(), patience=20.0, map=()
+    NativeHost: isolated=True, flags=(), patience=20.0, map=()
     NativeHost.run: timeout=60.0, max_cycles=1000000000
     NativeHost.run_for: max_cycles=1000000000
     NativeHost.run_until: poll=0.001

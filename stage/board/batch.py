@@ -8,25 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from stage.board import host, waiting
 from stage.board.bus import answer
-from stage.board.host import (
-    DELAY,
-    HOST,
-    IN8,
-    IN16,
-    IN32,
-    LINE,
-    LONGEST_DELAY,
-    MICROS,
-    OUT8,
-    OUT16,
-    OUT32,
-    SPEND,
-    enter,
-    leave,
-    now_of,
-)
-from stage.board.waiting import catch_up, cycle, serve, wait, wait_for_line
 from stage.native import array_of, exported, float_mode_as_before, hot, record, usual_float_mode
 
 SLICE_NS, SLICE_CYCLES = 50_000_000, 100_000
@@ -43,18 +26,18 @@ UNTIL16 only, the mask as 32 bits without a sign."""
 def _wrong(e):
     """Whether an entry asks for what there is not, or gives a number that does not fit."""
     what = e.what
-    if what in (MICROS, LINE):
+    if what in (host.MICROS, host.LINE):
         return False
-    if what in (DELAY, UNTIL_LINE):
-        return e.a < 0 or e.a > LONGEST_DELAY
-    if what == SPEND:
-        return e.a < 0 or e.a > LONGEST_DELAY * 1000
+    if what in (host.DELAY, UNTIL_LINE):
+        return e.a < 0 or e.a > host.LONGEST_DELAY
+    if what == host.SPEND:
+        return e.a < 0 or e.a > host.LONGEST_DELAY * 1000
     if e.a < 0 or e.a > 0xFFFFFFFF:
         return True
-    if what in (IN8, IN16, IN32):
+    if what in (host.IN8, host.IN16, host.IN32):
         return False
-    if what in (OUT8, OUT16, OUT32):
-        return e.b < 0 or e.b > (0xFF if what == OUT8 else 0xFFFF if what == OUT16 else 0xFFFFFFFF)
+    if what in (host.OUT8, host.OUT16, host.OUT32):
+        return e.b < 0 or e.b > (0xFF if what == host.OUT8 else 0xFFFF if what == host.OUT16 else 0xFFFFFFFF)
     if what in (UNTIL8, UNTIL16):
         return e.times < 1 or e.every < 0
     return True
@@ -72,36 +55,36 @@ def first_wrong(entries):
 @hot
 def _until(h, e):
     """The last value that was read."""
-    what, mask, value = IN8 if e.what == UNTIL8 else IN16, int(e.mask) & 0xFFFFFFFF, 0
+    what, mask, value = host.IN8 if e.what == UNTIL8 else host.IN16, int(e.mask) & 0xFFFFFFFF, 0
     for k in range(e.times):
         value = answer(h, what, e.a, 0)
         if h.stopped or (value ^ e.b) & mask == 0:
             break
         if e.every and k < e.times - 1:
-            wait(h, int(e.every) * 1000)
+            waiting.wait(h, int(e.every) * 1000)
     return value
 
 
 @hot
 def _until_line(h, us):
     """1 if the line is asserted. Looking at it takes a bus cycle, as LINE does."""
-    cycle(h)
-    asserted = wait_for_line(h, us * 1000)
-    serve(h)
+    waiting.cycle(h)
+    asserted = waiting.wait_for_line(h, us * 1000)
+    waiting.serve(h)
     return asserted
 
 
 @hot
 def bound(h):
     """From now on it goes on for so long until Python is asked whether it is to."""
-    h.until, h.most_cycles = now_of(h) + SLICE_NS, h.cycles + SLICE_CYCLES
+    h.until, h.most_cycles = host.now_of(h) + SLICE_NS, h.cycles + SLICE_CYCLES
 
 
-@exported("i8", HOST, array_of(ENTRY), array_of(np.int64))
+@exported("i8", host.HOST, array_of(ENTRY), array_of(np.int64))
 def run_batch(h, entries, answers):
     """Do the entries, one after the other, on a board that is not stopped. Returns how many were done to the end: fewer than given
     if the board was stopped on the way; -1 if another thread is in. Now and then it asks Python (PAUSE), which calls `go_on`."""
-    if not enter(h):
+    if not host.enter(h):
         return -1
     mode, done = usual_float_mode(), 0
     lazy, until, most_cycles = h.lazy, h.until, h.most_cycles
@@ -118,16 +101,16 @@ def run_batch(h, entries, answers):
         if h.stopped:
             break
         done += 1
-    catch_up(h)
+    waiting.catch_up(h)
     if h.stopped and done == len(entries):
         done -= 1
     h.lazy, h.until, h.most_cycles = lazy, until, most_cycles
     float_mode_as_before(mode)
-    leave(h)
+    host.leave(h)
     return done
 
 
-@exported(None, HOST)
+@exported(None, host.HOST)
 def go_on(h):
     """A batch that stands still goes on, until Python is asked again."""
     bound(h)

@@ -11,25 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stage.board import bus
+from stage.board import bus, host, interrupts
 from stage.board.errors import HostError
-from stage.board.host import LEVEL, OF_LEVEL, ON_LINE, RAISE, STORM_CALLS, TIMER
-from stage.board.interrupts import (
-    ANY_LINE,
-    FIRST_LINE,
-    FIRST_PYTHON_TIMER,
-    FIRST_SOFTWARE,
-    FIRST_TIMER,
-    HIGHEST,
-    HOOK_CALLED,
-    HOOKS,
-    PYTHON_TIMERS,
-    SOFTWARE,
-    SOFTWARE_LINE,
-    SOURCE,
-    SOURCES,
-    TIMERS,
-)
 from stage.errors import ArgumentError
 from stage.native import plain
 
@@ -37,7 +20,7 @@ if TYPE_CHECKING:
     from stage.board.link import Link
 
 HOOK = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
-PYTHONS_TIMERS = range(FIRST_PYTHON_TIMER, FIRST_PYTHON_TIMER + PYTHON_TIMERS)
+PYTHONS_TIMERS = range(interrupts.FIRST_PYTHON_TIMER, interrupts.FIRST_PYTHON_TIMER + interrupts.PYTHON_TIMERS)
 
 
 class Hooks:
@@ -54,13 +37,13 @@ class Hooks:
         self._trampoline = HOOK(self._called)
         self.pointer = ctypes.cast(self._trampoline, ctypes.c_void_p).value or 0
         self._left: list[np.ndarray] = []
-        self.sources = np.zeros(SOURCES, plain(SOURCE))
+        self.sources = np.zeros(interrupts.SOURCES, plain(interrupts.SOURCE))
         self.move_to(self.sources)
 
     def move_to(self, sources: np.ndarray) -> None:
         """From now on the table is that array; who goes on with the one of before does so without effect."""
         sources[:] = self.sources
-        self.sources, self._hooks = sources, np.zeros(HOOKS, HOOK_CALLED)
+        self.sources, self._hooks = sources, np.zeros(interrupts.HOOKS, interrupts.HOOK_CALLED)
         self._left += [sources, self._hooks]
         h = self._link.record
         h["sources"], h["hooks"] = sources.ctypes.data, self._hooks.ctypes.data
@@ -91,7 +74,9 @@ class Hooks:
 
     def without_firmware(self) -> None:
         """The firmware has gone: its hooks are called no more, and those of Python in their place."""
-        self.sources[[k for k in range(SOURCES) if k not in self.functions]] = np.zeros((), self.sources.dtype)
+        self.sources[[k for k in range(interrupts.SOURCES) if k not in self.functions]] = np.zeros(
+            (), self.sources.dtype
+        )
         self.adopt(self.functions)
         h = self._link.record
         h["serving"] = h["level"] = h["meter"] = h["stack_low"] = h["stack_high"] = h["looks"] = 0
@@ -103,8 +88,8 @@ class Hooks:
             row = self.sources[source]
             row["hook"], row["argument"] = self.pointer if source in functions else 0, source
         if not keep:
-            row = self.sources[ANY_LINE]
-            row["hook"], row["argument"] = self.pointer if ANY_LINE in functions else 0, ANY_LINE
+            row = self.sources[interrupts.ANY_LINE]
+            row["hook"], row["argument"] = self.pointer if interrupts.ANY_LINE in functions else 0, interrupts.ANY_LINE
             row["lines"], row["level"] = -1, 1
         self.look()
 
@@ -112,7 +97,7 @@ class Hooks:
         """Call a hook in Python, uninterrupted."""
         h, loop = self._link.record, self._link.stage.loop
         before, kept = (h["level"], h["lazy"]), loop.keeps
-        h["level"], h["lazy"] = HIGHEST, 0
+        h["level"], h["lazy"] = interrupts.HIGHEST, 0
         loop.keeps = (
             f"the hook of {named(source)} runs, and what it interrupts goes on from here: do that when it is over."
         )
@@ -130,7 +115,7 @@ class Hooks:
         try:
             link.end()  # the hook may write to a chip itself: journals want what was before it first
             try:
-                self.call(source or ANY_LINE)
+                self.call(source or interrupts.ANY_LINE)
             finally:
                 link.begin()
         except BaseException as error:
@@ -147,11 +132,11 @@ class Hooks:
                 f"hooks of interrupts interrupt each other without end, {at}: a hook that lowers the level (ps_level) clears its "
                 "interrupt before."
             )
-        hook = "the interrupt hook" if source == ANY_LINE else f"the hook of {named(source)}"
-        again = f"{hook} was called {STORM_CALLS:,} times in a row {at} and"
+        hook = "the interrupt hook" if source == interrupts.ANY_LINE else f"the hook of {named(source)}"
+        again = f"{hook} was called {host.STORM_CALLS:,} times in a row {at} and"
         if period := int(self.sources[source]["period"]):
             return f"{again} is due again: it takes longer than its period of {period / 1e3:g} us, so that nothing else runs."
-        if source >= FIRST_SOFTWARE:
+        if source >= interrupts.FIRST_SOFTWARE:
             return f"{again} is raised again: it raises itself (ps_raise)."
         return f"{again} the line is still asserted: the hook has to clear the interrupt at its chip."
 
@@ -159,13 +144,13 @@ class Hooks:
         """A request that makes no sense."""
         lines = len(self._link.stage.chips) + int(self._link.record["n_devices"])
         bounds = {
-            TIMER: f"ps_timer({a}, ...), period {b} ns: timers are 0 to {TIMERS - 1}, a period 0 (off) to 1e18 ns",
-            ON_LINE: f"ps_on_line({a}, ...): this board has lines 0 to {lines - 1}, and software interrupts PS_SOFTWARE(0) to "
-            f"PS_SOFTWARE({SOFTWARE - 1})",
-            LEVEL: f"ps_level({a}): levels are 0 to {HIGHEST}",
-            RAISE: f"ps_raise({a}): software interrupts are 0 to {SOFTWARE - 1}",
+            host.TIMER: f"ps_timer({a}, ...), period {b} ns: timers are 0 to {interrupts.TIMERS - 1}, a period 0 (off) to 1e18 ns",
+            host.ON_LINE: f"ps_on_line({a}, ...): this board has lines 0 to {lines - 1}, and software interrupts PS_SOFTWARE(0) to "
+            f"PS_SOFTWARE({interrupts.SOFTWARE - 1})",
+            host.LEVEL: f"ps_level({a}): levels are 0 to {interrupts.HIGHEST}",
+            host.RAISE: f"ps_raise({a}): software interrupts are 0 to {interrupts.SOFTWARE - 1}",
         }
-        of_level = f"level {b} of {_asked_for(what, a)}: levels of hooks are 1 to {HIGHEST}"
+        of_level = f"level {b} of {_asked_for(what, a)}: levels of hooks are 1 to {interrupts.HIGHEST}"
         return f"{bounds.get(what, of_level)}; at {self._link.stage.time:.6f} s."
 
     def check_returned(self) -> None:
@@ -187,18 +172,19 @@ class Hooks:
 
 def named(source: int) -> str:
     """A source in words."""
-    if source == ANY_LINE:
+    if source == interrupts.ANY_LINE:
         return "the interrupt line"
     for first, name, after in (
-        (FIRST_SOFTWARE, "software interrupt", ""), (FIRST_PYTHON_TIMER, "timer", " of Python"), (FIRST_TIMER, "timer", ""),
+        (interrupts.FIRST_SOFTWARE, "software interrupt", ""), (interrupts.FIRST_PYTHON_TIMER, "timer", " of Python"),
+        (interrupts.FIRST_TIMER, "timer", ""),
     ):  # fmt: skip
         if source >= first:
             return f"{name} {source - first}{after}"
-    return f"line {source - FIRST_LINE}"
+    return f"line {source - interrupts.FIRST_LINE}"
 
 
 def _asked_for(what: int, which: int) -> str:
     """What ps_timer or ps_on_line was asked for."""
-    if what & ~OF_LEVEL == TIMER:
+    if what & ~host.OF_LEVEL == host.TIMER:
         return f"timer {which}"
-    return f"line {which}" if which < SOFTWARE_LINE else f"PS_SOFTWARE({which - SOFTWARE_LINE})"
+    return f"line {which}" if which < interrupts.SOFTWARE_LINE else f"PS_SOFTWARE({which - interrupts.SOFTWARE_LINE})"

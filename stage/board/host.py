@@ -1,14 +1,20 @@
-"""`HOST`: the record of a host on the board's bus, and the common part of all its requests. Compiled.
+"""`HOST`: the record of a host on the board's bus, and what all its requests have in common. Compiled.
 
 Where compiled code cannot continue by itself (a buffer is full, the firmware must be paused), it calls Python, with one of the
 reasons below.
+
+A compiled device, of ours or of a C library, is two functions over its state, which see the time and the counts of its encoders:
+
+    access(state, now, counts, n, way, value) -> value      a cycle at its port `n`; way: IN8, OUT8, IN16, OUT16
+    pulls(state, now, counts) -> 1 if it pulls the interrupt line then; changes nothing
 """
 
 from __future__ import annotations
 
-from stage.native import array_at, called, hot, record, usual_float_mode
-from stage.sim import handle
-from stage.sim.handle import chips, world
+from stage.chips import cores
+from stage.native import array_at, called, floor, hot, record, usual_float_mode
+from stage.sim import handle, records
+from stage.sim.handle import REAL, WHOLE, chips, clockwork, table, world
 from stage.sim.in_use import ENGINE, claim, release
 
 IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE, SETTLE = range(10)
@@ -75,7 +81,7 @@ HOST = record(
         (name, "i8")
         for name in "irqs acts before userdata words journals asks asked_chip asked_address asked_way asked reached".split()
     ]
-    + [(name, "i8") for name in "devices n_devices answers".split()]
+    + [(name, "i8") for name in "devices n_devices answers faults".split()]
 )
 """A stage's handle, and
     inside                     whether a request is being answered, see stage.sim.in_use; not while Python or a hook is called
@@ -99,6 +105,7 @@ HOST = record(
     reached                    the stage's time (ns), for whoever sees nothing but this record
     devices, n_devices         DEVICE_TABLE
     answers                    which device's own code runs (plus one, 0: none)
+    faults                     how many faults were accesses to windows
     journals, asks, asked ...  whether journals are kept; chips (bits) whose writes Python looks at; what Python is called about
 """
 
@@ -114,6 +121,8 @@ IRQ = record([("axis", "i8"), ("bits", "i8")])
 
 INSIDE = int(dict(HOST.fields or {})["inside"][1])
 _call = called(None, "i8")
+_access = called("i8", "i8", "i8", "i8", "i8", "i8", "i8")
+_pulls = called("i8", "i8", "i8", "i8")
 
 
 @hot
@@ -160,3 +169,90 @@ def ask(h, reason):
     before, h.in_python = h.in_python, 1
     call_out(h, h.call, reason)
     h.in_python = before
+
+
+@hot
+def note(h, kind, port, value, seen):
+    """A line of the trace about the cycle that has just ended. seen: the last line about a read of this port that may say
+    it all, or -1. Returns the line's number."""
+    if h.stopped:
+        return -1
+    now, lines = now_of(h), array_at(h.lines, h.line_room, CYCLE)
+    if seen >= h.changed and h.traced - seen <= h.line_room:
+        line = lines[seen % h.line_room]
+        if line.value == value and line.kind == kind and line.port == port:
+            line.last, line.count = now, line.count + 1
+            return seen
+    line = lines[h.traced % h.line_room]
+    line.first, line.last, line.count, line.kind, line.port, line.value = now, now, 1, kind, port, value
+    h.traced += 1
+    if kind & ~STRAY not in (IN, IN_WIDE):
+        h.changed = h.traced
+    return h.traced - 1
+
+
+@hot
+def journal(h, kind, chip, address, value):
+    """What a cycle did to a chip, for its journal, in the order of the switches' edges."""
+    if h.noted >= h.edge_room - clockwork(stage_of(h)).most_edges:  # the engine needs that much in any step
+        ask(h, FULL)
+    e = array_at(h.edges, h.edge_room, records.EDGE)[h.noted]
+    c = chip_of(h, chip)
+    e.now, e.clock, e.axis = now_of(h), cores.clock(c), cores.axis_of(c, 0)
+    e.kind, e.a, e.b = kind, address, value
+    h.noted += 1
+
+
+@hot
+def device_of(h, k):
+    return array_at(h.devices, h.n_devices, DEVICE_TABLE)[k]
+
+
+@hot
+def _look_at_encoders(h, d):
+    """The counts of the device's encoders at the host's time."""
+    s = stage_of(h)
+    qpos, qvel, axes = array_at(h.qpos, h.nq, REAL), array_at(h.qvel, h.nv, REAL), table(s)
+    counts, encoders = array_at(d.counts, d.n_encoders, WHOLE), array_at(d.encoders, d.n_encoders, ENCODER)
+    tau = float(now_of(h) - world(s).start) / records.SECOND - clockwork(s).half
+    for k in range(d.n_encoders):
+        e = encoders[k]
+        t = axes[e.axis]
+        counts[k] = int(floor((qpos[t.qpos] + qvel[t.dof] * tau - e.zero) * e.counts + 0.5))
+
+
+@hot
+def at_device(h, k, n, way, value):
+    """A cycle reaches port `n` of device `k`; the answer. Of one in Python the stage has caught up with the host."""
+    if h.stopped:
+        return 0xFFFF
+    d = device_of(h, k)
+    if d.access == 0:
+        h.asked_chip, h.asked_address, h.asked_way, h.asked = k, n, way, value
+        ask(h, DEVICE_CALLED)
+        h.quiet = 0
+        return h.asked
+    if d.n_encoders:
+        _look_at_encoders(h, d)
+    h.answers = k + 1
+    found = _access(d.access, (d.state, now_of(h), d.counts, n, way, value))
+    h.answers = 0
+    return found
+
+
+@hot
+def devices_pulling(h):
+    """The devices that pull the interrupt line, a bit each."""
+    found = 0
+    for k in range(h.n_devices):
+        d = device_of(h, k)
+        on = array_at(d.line, 1, WHOLE)[0] <= now_of(h)
+        if d.pulls and not on:
+            if d.n_encoders:
+                _look_at_encoders(h, d)
+            h.answers = k + 1
+            on = _pulls(d.pulls, (d.state, now_of(h), d.counts)) != 0
+            h.answers = 0
+        if on:
+            found |= 1 << k
+    return found

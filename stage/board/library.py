@@ -14,17 +14,19 @@ import tempfile
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stage.arguments import told
-from stage.board import exits, platforms
+from stage.board import platforms
 from stage.board.bus import REQUEST, compute_as_before, compute_as_usual
 from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCompilerError
-from stage.board.handlers import Handlers
 from stage.board.scratch import Scratch
 from stage.errors import ArgumentError, escape
 from stage.files import FileError, refuse_irregular
 from stage.processes import run_program
+
+if TYPE_CHECKING:
+    from stage.board.link import Link
 
 ABI = 1
 SOURCES = (".c", ".cc", ".cpp", ".cxx", ".ino")
@@ -347,60 +349,84 @@ def _check_sanitizers(path: Path) -> None:
     if first and not any(hasattr(ctypes.CDLL(None), f"__{name[3:7]}_init") for name in first):
         raise LibraryError(
             f"{path} was built with a sanitizer, whose {first[0]} has to be loaded before all else: run it in a process of its own "
-            f"(isolated=True, as stage run does), or start this program with LD_PRELOAD={first[0]}."
+            f"(isolated=True, the default), or start this program with LD_PRELOAD={first[0]}."
         )
 
 
 class Library:
-    """A copy of a library of its own, so that its variables begin as they were compiled, in each run. The file of the copy stays
-    until `close`: debuggers look for symbols there.
+    """Firmware in a library of this machine, loaded by ctypes.
 
-    may_exit: its calls of exit and the like end the process; otherwise they come to us, see stage.board.exits.
+    Each object has a copy of its own, so that its variables begin as they were compiled. The file of the copy stays until `close`:
+    debuggers look for symbols there.
+
+    Args:
+        path: The library.
+        link: The board's, to which its requests go.
+        cost: Picoseconds that each of its basic blocks takes; 0: it does not count them.
+
+    Attributes:
+        copy: The file that is loaded.
+        handle: What the loader calls it.
+        bus: The struct that it makes its requests by.
+
+    Raises:
+        LibraryError: It cannot be loaded, is no firmware, or does not count its basic blocks.
     """
 
-    def __init__(self, path: Path, bus: BusStruct, may_exit: bool = False):
-        self.path = path
+    def __init__(self, path: Path, link: Link, cost: int = 0):
+        self.path, self._link, self._cost = path, link, cost
         _check_sanitizers(path)
         self._scratch = Scratch()
-        self._own, self._handlers = Path(shutil.copy(path, self._scratch.path / path.name)), Handlers()
-        own = self._own
+        self.copy = Path(shutil.copy(path, self._scratch.path / path.name))
         mode = compute_as_usual.c()
         try:
-            self._library = ctypes.CDLL(str(own), mode=_mode(path))
+            self._library = ctypes.CDLL(str(self.copy), mode=_mode(path))
         except (OSError, UnicodeDecodeError) as error:  # ctypes decodes what the loader says as UTF-8
             self._scratch.close()
             whole = error.object.decode(errors="replace") if isinstance(error, UnicodeDecodeError) else str(error)
-            message = _demangle(whole.replace(str(own), str(path)).removeprefix(f"{path}: "))
+            message = _demangle(whole.replace(str(self.copy), str(path)).removeprefix(f"{path}: "))
             raise LibraryError(
                 f"{path} cannot be loaded: {message}. Link what it needs into it, or add a source that has it (a function of a "
                 f"platform that is not emulated: docs/porting.md); it is built so: {how_to_build(path)}"
             ) from None
         finally:
             compute_as_before.c(mode)  # one that was built with -ffast-math changes it as it is loaded
-        self._handle = self._library._handle  # ctypes shows it nowhere else
-        exits.interpose(self._handle, exits.OF_THREADS if may_exit else exits.ALL)
-        abi = self._find(ctypes.c_uint32, "pulsestage_abi").value
+        self.handle: int = self._library._handle  # ctypes shows it nowhere else
+        abi = self._variable(ctypes.c_uint32, "pulsestage_abi").value
         if abi != ABI:
             raise LibraryError(
                 f"{path} was built with pulsestage.h of version {abi}, and this is version {ABI}: build it again."
             )
-        self.bus = bus  # the library points to it
-        self._find(ctypes.c_void_p, "pulsestage_bus").value = ctypes.addressof(bus)
-        self.main: Any = getattr(self._library, ENTRY, None)
-        if self.main is None:
+        self.bus = BusStruct(ABI, ctypes.sizeof(BusStruct), link.pointer, link.request)
+        self._variable(ctypes.c_void_p, "pulsestage_bus").value = ctypes.addressof(self.bus)
+        if not hasattr(self._library, ENTRY):
             raise LibraryError(
                 f"{path} has no entry point {ENTRY}: begin the firmware with `PULSESTAGE_MAIN {{ ... return 0; }}`, which "
                 f"pulsestage.h defines, and build it so: {how_to_build(path)}"
             )
-        self.main.restype = ctypes.c_int
+        self._set_meter(NEVER)
 
-    @property
-    def loaded(self) -> Any:
-        """The loader's list, from this library on: a pointer to `exits.Loaded`."""
-        return ctypes.cast(self._handle, ctypes.POINTER(exits.Loaded))
+    def main(self) -> int:
+        """Call its entry in this thread. What it counts while it is loaded and unloaded takes no time."""
+        h = self._link.record
+        h["cost"], h["rest"] = self._cost, 0
+        h["meter"] = self._set_meter(max(int(h["bus"]) * 1000 // self._cost, 1) if self._cost else NEVER)
+        code = int(self._library[ENTRY]())
+        self._set_meter(NEVER)
+        return code
 
-    def metered(self, turn: int) -> int:
-        """From now on every `turn` basic blocks the firmware turns to the bus. Returns where it counts them."""
+    def close(self) -> None:
+        """Unload it."""
+        if platform.system() != "Windows":
+            import _ctypes
+
+            _ctypes.dlclose(self.handle)
+        self._scratch.close()
+
+    def _set_meter(self, interval: int) -> int:
+        """Have the firmware make a request every `interval` basic blocks. Return where it counts them, or 0 if it need not."""
+        if not self._cost:
+            return 0
         try:
             words = (ctypes.c_int64 * 2).in_dll(self._library, "pulsestage_meter")
         except ValueError:
@@ -409,10 +435,10 @@ class Library:
                 f"of the library, or build it with -fsanitize-coverage=trace-pc, and with an object of {METER} that is compiled "
                 "without."
             ) from None
-        words[0], words[1] = 0, turn
+        words[0], words[1] = 0, interval
         return ctypes.addressof(words)
 
-    def _find(self, kind: Any, name: str) -> Any:
+    def _variable(self, kind: Any, name: str) -> Any:
         try:
             return kind.in_dll(self._library, name)
         except ValueError:
@@ -420,12 +446,3 @@ class Library:
                 f"{self.path} has no {name}: it was not built with pulsestage.h, so nobody knows whether its {ENTRY} is meant. "
                 f"Write `#include <pulsestage.h>` and `PULSESTAGE_MAIN {{ ... }}`, and build it so: {how_to_build(self.path)}"
             ) from None
-
-    def close(self) -> None:
-        """Unload it."""
-        if platform.system() != "Windows":
-            import _ctypes
-
-            self._handlers.remove_those_of(str(self._own))
-            _ctypes.dlclose(self._handle)
-        self._scratch.close()

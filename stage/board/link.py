@@ -16,13 +16,14 @@ import numpy as np
 from stage.board import bus, host
 from stage.board.errors import HostError, StormError
 from stage.board.hooks import Hooks
+from stage.board.windows import explain_missing
 from stage.errors import StageError
 from stage.native import plain
 from stage.sim import handle, records
 
 if TYPE_CHECKING:
     from stage.board.board import Board
-    from stage.board.mapping import Mapped
+    from stage.board.traps.memory import Windows
 
 NOTED = 1 << 14  # edges and writes between two calls of Python
 MOST = 1 << 62
@@ -51,7 +52,7 @@ class Link:
         self.calls = 0
         self.firmware_thread, self.has_other_threads = 0, False
         self.error: BaseException | None = None
-        self.windows: Mapped | None = None
+        self.windows: Windows | None = None
         self.answering: Any = None
         self.stand_still: Callable[[], None] | None = None
         self.abandoned: set[threading.Thread] = set()
@@ -109,15 +110,18 @@ class Link:
         self._devices = np.array(rows, host.DEVICE_TABLE)
         self.record["devices"], self.record["n_devices"] = self._devices.ctypes.data, len(rows)
 
-    def begin(self) -> None:
-        """Before compiled code runs: what it may have to write to, and whom it has to ask. Raises StageError for a board in whose
-        place another has come: each would hold time and interrupts for its own."""
-        stage, h = self.stage, self.record
-        if stage.host is None or stage.host.board is not self.board:
+    def check_is_current(self) -> None:
+        """Raise StageError for a board in whose place another has come: each would hold time and interrupts for its own."""
+        if self.stage.host is None or self.stage.host.board is not self.board:
             raise StageError(
                 "this board's stage has got another board since, and a stage has one: go on with that, or make the other on a "
                 "copy, Board(copy.copy(stage))."
             )
+
+    def begin(self) -> None:
+        """Prepare for compiled code: what it may have to write to, and whom it has to ask. Raises as `check_is_current`."""
+        self.check_is_current()
+        stage, h = self.stage, self.record
         stage.look()
         stage.loop.check_options()
         asks = 0
@@ -267,9 +271,10 @@ class Link:
         """The firmware wants a window, or touches one in a way that is no bus cycle."""
         h = self.record
         what, a, b = (int(h[name]) for name in ("asked_chip", "asked", "asked_address"))
-        assert self.windows is not None
+        if self.windows is None:
+            raise HostError(f"ps_window({a:#x}, {b:#x}): {explain_missing(isolated=False)}")
         if what != host.WINDOW:
-            raise self.windows.refusal(what, a, b)
+            raise self.windows.explain_refusal(what, a, b)
         h["asked"] = self.windows.choose(a, b)
 
     def _diverged(self) -> None:
@@ -283,11 +288,9 @@ class Link:
         if self.error is None:
             self.error = error
 
-    def abandon(self, thread: threading.Thread, stands: bool) -> None:
-        """A firmware's thread, which may still run unless it `stands` still, never reaches this board again: it has a HOST record
-        that is stopped, and the board goes on with a copy."""
-        if stands and self.windows is not None:
-            self.windows.end()
+    def abandon(self, thread: threading.Thread) -> None:
+        """Keep a thread of firmware, which may still run, from this board for ever: it has a HOST record that is stopped, and the
+        board goes on with a copy."""
         self.abandoned.add(thread)
         self.record["stopped"] = 1
         self._left.append(self._rows)

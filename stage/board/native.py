@@ -14,15 +14,16 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol, Self
 
 from stage.board import library, windows
 from stage.board.board import Board
+from stage.board.crash_report import IS_SUPPORTED
 from stage.board.errors import HostTimeout
 from stage.board.link import MOST
-from stage.board.program import NativeProgram, Program
 from stage.board.scratch import Scratch
-from stage.board.threaded import PATIENCE, Threaded
+from stage.board.threaded import PATIENCE, Loaded, Program, Threaded
 from stage.chips.sharing import Lock, exclusive
 from stage.errors import ArgumentError, RunTimeout, StageError
 
@@ -64,7 +65,7 @@ class Host:
         self.path, self.board = program.path, board
         self._runner: Runner
         if isolated:
-            from stage.board.isolated import Isolated
+            from stage.board.isolation.runner import Isolated
 
             self._runner = Isolated(program, board, patience)
         else:
@@ -174,13 +175,33 @@ class Host:
         return HostTimeout(f"{self.path.name} {what} (now {board.stage.time:.6f} s). {board.trace.ending(SHOWN)}")
 
 
+@dataclass(frozen=True)
+class NativeProgram:
+    """A library of this machine. cost: ps that each of its basic blocks takes; 0: it does not count them."""
+
+    path: Path
+    windows: tuple[windows.Window, ...] = ()
+    cost: int = 0
+
+    def load(self, board: Board, isolated: bool) -> Loaded:
+        """See `Program`. Raises LibraryError, ArgumentError for a window that cannot be, StageError for one in process."""
+        if isolated and IS_SUPPORTED:
+            from stage.board.traps import TrappedLibrary
+
+            return TrappedLibrary(self.path, board.link, self.cost, self.windows)
+        if self.windows:
+            raise StageError(f"map={', '.join(map(str, self.windows))}: {windows.explain_missing(isolated)}")
+        return library.Library(self.path, board.link, self.cost)
+
+
 class NativeHost(Host):
     """Firmware as a library of this machine.
 
     Args:
         firmware: a shared library, or C or C++ sources (one, or a sequence), which are built first.
         board: a Board; one firmware at a time drives it.
-        isolated: run it in a process of its own, whose crash is an error here; see stage.board.isolated.
+        isolated: run it in a process of its own, whose crash is an error here (default, on POSIX systems; stage.board.isolation).
+            False is for debuggers: it is then loaded into this process, and whatever it does happens to this process.
         flags: for the compiler.
         platform: what the sources were written for (arduino, avr, vxworks, dos, freertos), see stage.board.platforms.
         patience: seconds of real time that the firmware may compute without a bus cycle.
@@ -198,7 +219,7 @@ class NativeHost(Host):
         firmware: str | os.PathLike | Sequence[str | os.PathLike],
         board: Board,
         *,
-        isolated: bool = False,
+        isolated: bool = os.name == "posix",
         flags: tuple[str, ...] = (),
         platform: str | None = None,
         patience: float = PATIENCE,

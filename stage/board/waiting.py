@@ -2,35 +2,8 @@
 
 from __future__ import annotations
 
-from stage.board.host import (
-    AT_ONCE,
-    BY_HAND,
-    CALLED,
-    DIVERGED,
-    FULL,
-    IRQ,
-    PAUSE,
-    STORM,
-    STORM_CALLS,
-    ask,
-    call_out,
-    chip_of,
-    now_of,
-    stage_of,
-)
-from stage.board.interrupts import (
-    BACK,
-    MARK,
-    MARKED,
-    arm,
-    begin_hook,
-    choose,
-    end_hook,
-    sources_of,
-    tick,
-)
-from stage.board.notes import note
-from stage.board.reaching import pulling as devices_pulling
+from stage.board import host, interrupts
+from stage.board.interrupts import MARK, MARKED
 from stage.chips import cores
 from stage.native import array_at, greatest, hot, least, stack_mark
 from stage.sim import handle, records
@@ -43,16 +16,16 @@ STACK_LEFT = 1 << 20
 @hot
 def _run(h, until):
     """Let the stage's time pass up to `until` ns; journals and recordings take part."""
-    w = world(stage_of(h))
+    w = world(host.stage_of(h))
     while w.now < until and not h.stopped:
-        status = handle.advance(stage_of(h), until)
+        status = handle.advance(host.stage_of(h), until)
         if status == records.DIVERGED:
-            ask(h, DIVERGED)
+            host.ask(h, host.DIVERGED)
         elif status == records.SAMPLES_FULL or status == records.EDGES_FULL:
-            ask(h, FULL)
+            host.ask(h, host.FULL)
         elif status != records.REACHED:
             h.asked = until
-            ask(h, BY_HAND)
+            host.ask(h, host.BY_HAND)
     h.reached = w.now
 
 
@@ -61,29 +34,29 @@ def catch_up(h):
     """Advances the whole stage to the host's time."""
     if h.ahead:
         ahead, h.ahead = h.ahead, 0
-        _run(h, world(stage_of(h)).now + ahead)
+        _run(h, world(host.stage_of(h)).now + ahead)
 
 
 @hot
 def _foresee(h):
     """Up to when nothing but the chips themselves moves: no edge, no end of a slice."""
-    w, axes, dt = world(stage_of(h)), array_at(h.axes, h.n_axes, AXIS), clockwork(stage_of(h)).dt
+    w, axes, dt = world(host.stage_of(h)), array_at(h.axes, h.n_axes, AXIS), clockwork(host.stage_of(h)).dt
     h.quiet = least(least(h.until, h.due), w.start + (w.slice + 1) * dt // records.SLICES)
     for a in range(len(axes)):
         h.quiet = least(h.quiet, axes[a].next_edge)
-    if clockwork(stage_of(h)).linked:  # one of them alone cannot go ahead of the others
+    if clockwork(host.stage_of(h)).linked:  # one of them alone cannot go ahead of the others
         h.quiet = 0
 
 
 @hot
 def _pass(h, ns):
     """`ns` pass; where the firmware is to stand still on the way, it does."""
-    w, left = world(stage_of(h)), ns
+    w, left = world(host.stage_of(h)), ns
     while left > 0 and not h.stopped:
         if w.now >= h.until:
-            ask(h, PAUSE)
+            host.ask(h, host.PAUSE)
             continue
-        end = least(least(w.now + left, h.until), w.now + AT_ONCE)
+        end = least(least(w.now + left, h.until), w.now + host.AT_ONCE)
         left -= end - w.now
         _run(h, end)
 
@@ -93,40 +66,40 @@ def _pass_cycle(h, ns):
     """The time of a bus cycle passes. While nothing but the chips moves, the stage follows later, and of the chips only the one
     that the host turns to is taken along: all of them for each cycle would cost as much as the physics."""
     if h.lazy and h.on_lines <= h.level:
-        if now_of(h) + ns < h.quiet:
+        if host.now_of(h) + ns < h.quiet:
             h.ahead += ns
             return
         catch_up(h)
         _pass(h, ns)
-        if now_of(h) >= h.due:
-            tick(h)
+        if host.now_of(h) >= h.due:
+            interrupts.tick(h)
         _foresee(h)
     else:
         catch_up(h)
         _pass(h, ns)
-        if now_of(h) >= h.due:
-            tick(h)
+        if host.now_of(h) >= h.due:
+            interrupts.tick(h)
 
 
 @hot
 def turn_to(h, chip):
     """Advances the chip to the host's time."""
     if h.ahead:
-        c = chip_of(h, chip)
-        cores.run(c, records.clock_at(now_of(h), c.hz))
+        c = host.chip_of(h, chip)
+        cores.run(c, records.clock_at(host.now_of(h), c.hz))
 
 
 @hot
 def line_of(h):
     """The chips that pull the interrupt line, a bit each, and behind them the devices."""
     catch_up(h)
-    irqs, pulling = array_at(h.irqs, h.n_chips, IRQ), 0
+    irqs, pulling = array_at(h.irqs, h.n_chips, host.IRQ), 0
     for k in range(h.n_chips):
         irq = irqs[k]
-        if irq.bits and cores.outputs(chip_of(h, k), irq.axis) & irq.bits:
+        if irq.bits and cores.outputs(host.chip_of(h, k), irq.axis) & irq.bits:
             pulling |= 1 << k
     if h.n_devices:
-        pulling |= devices_pulling(h) << h.n_chips
+        pulling |= host.devices_pulling(h) << h.n_chips
     return pulling
 
 
@@ -145,12 +118,12 @@ def _serve(h):
         asserted = line_of(h) & h.looked if h.on_lines > h.level else 0
         if asserted == 0 and h.raised == 0:
             return
-        source = choose(h, asserted)
+        source = interrupts.choose(h, asserted)
         if source < 0:
             return
-        if calls == STORM_CALLS:
+        if calls == host.STORM_CALLS:
             h.asked = source
-            ask(h, STORM)
+            host.ask(h, host.STORM)
             return
         calls += 1
         _call_hook(h, source)
@@ -160,17 +133,17 @@ def _serve(h):
 def _call_hook(h, source):
     """A source calls its hook; the processor's level is as before when that has returned."""
     catch_up(h)
-    s, level, outer, outer_number = sources_of(h)[source], h.level, h.serving, 0
+    s, level, outer, outer_number = interrupts.sources_of(h)[source], h.level, h.serving, 0
     mark, missed = stack_mark(MARK, MARKED), s.missed
-    place = -1 if 0 < mark - h.stack_low < STACK_LEFT else begin_hook(h, source, mark)
+    place = -1 if 0 < mark - h.stack_low < STACK_LEFT else interrupts.begin_hook(h, source, mark)
     if place < 0:
         h.asked = -1
-        ask(h, STORM)
+        host.ask(h, host.STORM)
         return
     number, s.missed = h.called, 0
-    note(h, CALLED, source, missed, -1)
-    call_out(h, s.hook, s.argument)
-    end_hook(h, place, number, level, outer, outer_number, BACK)
+    host.note(h, host.CALLED, source, missed, -1)
+    host.call_out(h, s.hook, s.argument)
+    interrupts.end_hook(h, place, number, level, outer, outer_number, interrupts.BACK)
 
 
 @hot
@@ -184,7 +157,7 @@ def _copy(source, target, words):
 def _to_line(h, lines, end):
     """Advances to `end`, but no further than the end of the physics step; or to the ns at which one of the lines (bits) is
     asserted, if that comes before. They are off now, or their hooks were called."""
-    w, dt = world(stage_of(h)), clockwork(stage_of(h)).dt
+    w, dt = world(host.stage_of(h)), clockwork(host.stage_of(h)).dt
     stop = least(end, w.start + dt)
     inside = stop - 1 if stop == w.start + dt else stop  # where no physics has come between, time can be taken back
     begin, noted = w.now, h.noted
@@ -213,26 +186,26 @@ def wait(h, ns):
     """`ns` pass in a delay; an interrupt comes at the ns of its timer, or at which its line is asserted. What its hook takes is
     part of the delay."""
     catch_up(h)
-    w = world(stage_of(h))
+    w = world(host.stage_of(h))
     end = w.now + ns
     while w.now < end and not h.stopped:
         stop = least(end, greatest(h.due, w.now + 1))
         if h.on_lines <= h.level:
             _pass(h, stop - w.now)
         elif w.now >= h.until:
-            ask(h, PAUSE)
+            host.ask(h, host.PAUSE)
             continue
         else:
             _to_line(h, h.looked, least(stop, h.until))
         if w.now >= h.due:
-            tick(h)
+            interrupts.tick(h)
         serve(h)
 
 
 @hot
 def reach(h, until):
     """The host's time gets to `until` ns, if it is not there."""
-    ns = until - now_of(h)
+    ns = until - host.now_of(h)
     if ns > 0:
         _pass_cycle(h, ns)
         serve(h)
@@ -241,16 +214,16 @@ def reach(h, until):
 @hot
 def wait_for_line(h, ns):
     """Time passes until the line is asserted, `ns` at most. Returns 1 if it is, else 0."""
-    asserted, w = line_of(h), world(stage_of(h))
+    asserted, w = line_of(h), world(host.stage_of(h))
     end = w.now + ns
     while not asserted and w.now < end and not h.stopped:
         if w.now >= h.until:
-            ask(h, PAUSE)
+            host.ask(h, host.PAUSE)
             continue
         _to_line(h, -1, least(end, h.until))
         asserted = line_of(h)
     if w.now >= h.due:
-        tick(h)
+        interrupts.tick(h)
     return 1 if asserted else 0
 
 
@@ -272,12 +245,12 @@ def spend(h):
 def set_source(h, source, lines, given, is_on):
     """A source has another hook, or none. given: level, period, hook and argument, see SOURCE."""
     catch_up(h)
-    s = sources_of(h)[source]
+    s = interrupts.sources_of(h)[source]
     s.level, s.hook, s.argument, s.lines = given[1], given[3] if is_on else 0, given[4], lines
-    s.period, s.next, s.missed = given[2] if is_on else 0, now_of(h) + given[2], 0
+    s.period, s.next, s.missed = given[2] if is_on else 0, host.now_of(h) + given[2], 0
     if given[2]:
         s.pending = 0
-    arm(h)
+    interrupts.arm(h)
     h.quiet = 0
     serve(h)
 
@@ -287,7 +260,7 @@ def cycle(h):
     """The time of one bus cycle."""
     if h.cycles >= h.most_cycles:
         catch_up(h)
-        ask(h, PAUSE)
+        host.ask(h, host.PAUSE)
         h.quiet = 0
     h.cycles += 1
     _pass_cycle(h, h.bus)

@@ -8,16 +8,19 @@ An access of 8, 16 or 32 bits at `address + n` is a bus cycle at `port + n`.
 
 from __future__ import annotations
 
+import platform
 import re
 from collections.abc import Iterable
 from itertools import pairwise
 from typing import Any, NamedTuple
 
+from stage.board.crash_report import IS_SUPPORTED
 from stage.board.layouts import MOST_PORTS
 from stage.errors import ArgumentError
 
 FORM = "ADDRESS=PORT+LENGTH, for example 0x40021000=0x300+0x40"
 MOST_ADDRESS = 1 << 47
+PROXIES = "use the registers of pulsestage_mmio.hpp, or macros: docs/memory_mapped.md"
 _NUMBER = r"(0[xX][0-9a-fA-F]+|[0-9]+)"
 _TEXT = re.compile(rf"\s*{_NUMBER}\s*=\s*{_NUMBER}\s*\+\s*{_NUMBER}\s*")
 
@@ -39,6 +42,19 @@ class Window(NamedTuple):
 
 
 Given = str | tuple[int, int, int] | Iterable[str | tuple[int, int, int]]
+
+
+def is_supported() -> bool:
+    """Tell whether firmware can have windows on this system: Linux on x86-64."""
+    return IS_SUPPORTED and platform.machine() == "x86_64"
+
+
+def explain_missing(isolated: bool) -> str:
+    """Say why there can be no windows here."""
+    if is_supported() and not isolated:
+        return f"windows of memory-mapped registers need a process of the firmware's own: isolated=True, the default; or {PROXIES}."
+    where = f"{platform.system()} on {platform.machine()}"
+    return f"windows of memory-mapped registers need Linux on x86-64, and this is {where}: {PROXIES}."
 
 
 def parse(text: str) -> Window:

@@ -64,13 +64,13 @@ class CortexProgram:
     irq: int | None
     gdb: int | None = None
 
-    def load(self, board: Board, may_exit: bool) -> Cortex:
-        """See stage.board.program. Raises LibraryError, FileError."""
+    def load(self, board: Board, isolated: bool) -> Cortex:
+        """See stage.board.threaded. Raises LibraryError, FileError."""
         return Cortex(self, board)
 
 
 class Cortex(Engine):
-    """See stage.board.program."""
+    """See stage.board.threaded."""
 
     def __init__(self, program: CortexProgram, board: Board):
         import unicorn
@@ -158,7 +158,7 @@ class Cortex(Engine):
     # --- exceptions ---
 
     def main(self) -> int:
-        """See stage.board.program."""
+        """See stage.board.threaded."""
         vectors = self.nvic.vectors
         self.set(msp=self.word(vectors), sp=self.word(vectors), lr=0xFFFFFFFF, xpsr=_THUMB)
         self._pc = self.word(vectors + 4) & ~1

@@ -177,7 +177,7 @@ class Engine:
     # --- it runs ---
 
     def main(self) -> int:
-        """See stage.board.program."""
+        """See stage.board.threaded."""
         import unicorn
 
         self.record.begin = self._board.stage.now
@@ -258,4 +258,4 @@ class Engine:
         )
 
     def close(self) -> None:
-        """See stage.board.program."""
+        """See stage.board.threaded."""

@@ -17,8 +17,7 @@ from pathlib import Path
 
 from stage.board.board import Board
 from stage.board.native import Host
-from stage.board.program import Program
-from stage.board.threaded import PATIENCE
+from stage.board.threaded import PATIENCE, Program
 from stage.board.windows import Window, windows
 from stage.errors import ArgumentError
 from stage.targets import mcus
@@ -39,7 +38,7 @@ class TargetHost(Host):
             stage.board.windows; an 8086 has ports of its own.
         mcu_clock: Hz of its clock; default: what is usual for it, see docs/targets.md.
         gdb: TCP port, on 127.0.0.1, at which the processor waits for a GDB.
-        isolated: run it in a process of its own, see stage.board.isolated.
+        isolated: run it in a process of its own, see stage.board.isolation.
         patience: seconds of real time that it may run without simulated time passing.
     Raises:
         ArgumentError: an unknown mcu, a map of another form, a clock or a patience that is none.

@@ -52,13 +52,13 @@ class PcProgram:
     irq: int | None
     gdb: int | None = None
 
-    def load(self, board: Board, may_exit: bool) -> Pc:
-        """See stage.board.program. Raises LibraryError, FileError."""
+    def load(self, board: Board, isolated: bool) -> Pc:
+        """See stage.board.threaded. Raises LibraryError, FileError."""
         return Pc(self, board)
 
 
 class Pc(Engine):
-    """See stage.board.program."""
+    """See stage.board.threaded."""
 
     prefix = LOAD
 

@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from stage.board import bus, exits
+from stage.board import bus
 from stage.board.board import Board
+from stage.board.crash_report import IS_SUPPORTED
 from stage.board.errors import HostError, LibraryError
 from stage.errors import StageError
 from stage.native import address_of, array_at
@@ -83,17 +84,17 @@ class AvrProgram:
     hz: int | None
     gdb: int | None
 
-    def load(self, board: Board, may_exit: bool) -> LoadedAvr:
-        """See stage.board.program. Raises NoEmulatorError, LibraryError, FileError."""
-        return LoadedAvr(self, board)
+    def load(self, board: Board, isolated: bool) -> LoadedAvr:
+        """See stage.board.threaded. Raises NoEmulatorError, LibraryError, FileError."""
+        return LoadedAvr(self, board, isolated)
 
 
 class _Library:
-    """simavr, with its messages and its sleep coming to us."""
+    """simavr, whose messages come to us. In a process of its own also its output, its memory and its server for GDB are changed."""
 
     one: _Library | None = None
 
-    def __init__(self) -> None:
+    def __init__(self, isolated: bool) -> None:
         self.c = simavr()
         self.said: list[tuple[int, str]] = []
         self.runs: Any = None  # the AVR record of what runs
@@ -120,15 +121,18 @@ class _Library:
             room, self._reserves[name] = self._reserves[name], 0
             return libc.calloc(1, size + room)
 
-        malloc = _MALLOC(lambda size: reserved("malloc", size))
-        calloc = _CALLOC(lambda count, size: reserved("calloc", count * size))
-        self._kept = (_LOGGER(logged), _NOTHING(lambda _: 0), _BIND(bind), malloc, calloc)
-        addresses = [ctypes.cast(f, ctypes.c_void_p).value or 0 for f in self._kept]
-        nothing = dict.fromkeys(("usleep", "printf", "__printf_chk", "puts", "putchar"), addresses[1])
-        exits.replace_calls(
-            self.c._handle, nothing | {"bind": addresses[2], "malloc": addresses[3], "calloc": addresses[4]}
-        )
-        self.c["avr_global_logger_set"](self._kept[0])
+        self._logger, self.no_op = _LOGGER(logged), _NOTHING(lambda _: 0)
+        self.is_redirected = isolated and IS_SUPPORTED
+        if self.is_redirected:
+            from stage.board.traps import redirect_calls
+
+            self._functions = {
+                **dict.fromkeys(("printf", "__printf_chk", "puts", "putchar"), self.no_op), "bind": _BIND(bind),
+                "malloc": _MALLOC(lambda size: reserved("malloc", size)),
+                "calloc": _CALLOC(lambda count, size: reserved("calloc", count * size)),
+            }  # fmt: skip
+            redirect_calls(self.c._handle, self._functions)
+        self.c["avr_global_logger_set"](self._logger)
         self.make, self.getirq = self.c["avr_make_mcu_by_name"], self.c["avr_io_getirq"]
         self.make.restype = self.getirq.restype = ctypes.c_void_p
 
@@ -143,21 +147,25 @@ class _Library:
         return ctypes.cast(self.c[name], ctypes.c_void_p).value or 0
 
 
-def _library() -> _Library:
+def _library(isolated: bool) -> _Library:
     if _Library.one is None:
-        _Library.one = _Library()
+        _Library.one = _Library(isolated)
     return _Library.one
 
 
 class LoadedAvr:
-    """See stage.board.program."""
+    """See stage.board.threaded."""
 
-    def __init__(self, program: AvrProgram, board: Board):
+    def __init__(self, program: AvrProgram, board: Board, isolated: bool):
         self.path, self._board, self._gdb = program.path, board, program.gdb
         how = HOW.format(mcu=program.mcu)
         self._elf = Elf(program.path, AVR, program.mcu, how)
         check_avr(self._elf, program.mcu, how)
-        self._simavr = _library()
+        self._simavr = _library(isolated)
+        if program.gdb and not self._simavr.is_redirected:
+            raise StageError(
+                f"gdb={program.gdb}: the server of simavr needs a process of its own on 64-bit Linux (isolated=True)."
+            )
         self._simavr.said.clear()
         self._avr = self._simavr.make(program.mcu.encode())
         if not self._avr:
@@ -188,6 +196,7 @@ class LoadedAvr:
                 "this version of simavr is not known (its avr_t is laid out in another way): 1.6 and 1.7 are."
             )
         words[clock[0]] = hz
+        pointers[sleep[0]] = ctypes.cast(self._simavr.no_op, ctypes.c_void_p).value  # it would sleep in real time
         self._state = words[clock[0] - 1 : clock[0]]
         self._state_at = int(self._avr) + 4 * (clock[0] - 1)
         return int(self._avr) + sleep[0] * 8 + _PC_BEHIND_SLEEP
@@ -280,7 +289,7 @@ class LoadedAvr:
     # --- it runs ---
 
     def main(self) -> int:
-        """See stage.board.program."""
+        """See stage.board.threaded."""
         t = self.record
         t.begin = self._board.stage.now
         t.when = t.quantum
@@ -326,7 +335,7 @@ class LoadedAvr:
         )
 
     def close(self) -> None:
-        """See stage.board.program."""
+        """See stage.board.threaded."""
         if self._avr:
             self._c("avr_terminate")
             self._avr = 0

@@ -9,12 +9,12 @@ import pytest
 from support.vcd_parser import parse
 
 from stage import Stage
-from stage.board import Board, layouts
+from stage.board import Board, host, layouts
 from stage.board.devices import HCTL2016, Encoder
 from stage.board.hooks import named
 from stage.board.interrupts import ANY_LINE, FIRST_LINE, FIRST_PYTHON_TIMER, FIRST_SOFTWARE, FIRST_TIMER, HIGHEST
 from stage.board.layout_files import read
-from stage.board.mapping import BEYOND_WINDOW, Mapped
+from stage.board.traps.memory import Windows
 from stage.board.windows import MOST_ADDRESS, Window, windows
 from stage.chips import HCTL1100, MCX304
 from stage.errors import ArgumentError
@@ -112,13 +112,13 @@ def test_windows_end_with_the_ports_and_addresses_that_there_are():
 )
 def test_an_access_behind_or_before_a_window_is_told_of_the_nearest(address, nearest, monkeypatch):
     given = windows([(0x1000, 0x300, 0x40), (0x2000, 0x340, 0x40), (0x5000, 0x380, 0x40)])
-    monkeypatch.setattr("stage.board.crash.place", lambda *_: "main")
+    monkeypatch.setattr("stage.board.crash_report.locate", lambda *_: "main")
     state = SimpleNamespace(start=0, stack=id(given))
-    monkeypatch.setattr("stage.board.mapping.array_at", lambda *_: [state])
-    mapped = Mapped.__new__(Mapped)
+    monkeypatch.setattr("stage.board.traps.memory.array_at", lambda *_: [state])
+    mapped = Windows.__new__(Windows)
     mapped._windows, mapped._library = list(given), SimpleNamespace(path=SimpleNamespace(name="it.so"))
     mapped._when = lambda: "now"
-    said = str(mapped.refusal(BEYOND_WINDOW, 0, address))
+    said = str(mapped.explain_refusal(host.BEYOND_WINDOW, 0, address))
     assert f"beyond the window {given[nearest]}, which ends at {given[nearest].end - 1:X}h" in said
 
 

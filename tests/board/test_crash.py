@@ -9,11 +9,11 @@ import subprocess
 import pytest
 
 from stage import Stage
-from stage.board import Board, HostError, NativeHost, build, crash
+from stage.board import Board, HostError, NativeHost, build, crash_report
 from stage.board.library import how_to_build
 
 pytestmark = [
-    pytest.mark.skipif(not crash.HERE, reason="elsewhere a crash says its signal only"),
+    pytest.mark.skipif(not crash_report.IS_SUPPORTED, reason="elsewhere a crash says its signal only"),
     pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler"),
 ]
 HEAD = "#include <pulsestage.h>\n#include <signal.h>\n#include <stdlib.h>\n"
@@ -116,10 +116,10 @@ def test_a_library_without_symbols_says_the_function_and_its_offset(tmp_path, mo
     library = build(source)
     subprocess.run(["strip", "--strip-debug", str(library)], check=True)
     assert "a null pointer?, in pulsestage_main;" in crashed(library)
-    monkeypatch.setattr(crash.shutil, "which", lambda name: None)
+    monkeypatch.setattr(crash_report.shutil, "which", lambda name: None)
     assert "a null pointer?, in pulsestage_main;" in crashed(library)
 
 
 def test_nothing_noted_says_nothing(tmp_path):
-    assert crash.told(b"", tmp_path / "it.so") == ""
-    assert crash.told(b"[" * 100_000, tmp_path / "it.so") == "", "firmware has written into it"
+    assert crash_report.describe(b"", tmp_path / "it.so") == ""
+    assert crash_report.describe(b"[" * 100_000, tmp_path / "it.so") == "", "firmware has written into it"

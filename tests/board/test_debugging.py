@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from stage import Stage
-from stage.board import Board, LibraryError, NativeHost, crash
+from stage.board import Board, LibraryError, NativeHost, crash_report
 
 PAGE = Path(__file__).parents[2] / "docs" / "debugging.md"
 DRIVER = re.search(r"```c\n(.*?)```", PAGE.read_text(), re.S)[1]
@@ -35,7 +35,7 @@ PULSESTAGE_MAIN
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(not crash.HERE, reason="gdb, gcc and their libraries on Linux"),
+    pytest.mark.skipif(not crash_report.IS_SUPPORTED, reason="gdb, gcc and their libraries on Linux"),
     pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed"),
 ]
 

@@ -12,7 +12,17 @@ from pathlib import Path
 import pytest
 
 from stage import Stage
-from stage.board import Board, CompileError, CompilerWarning, HostError, LibraryError, NativeHost, build, crash, include
+from stage.board import (
+    Board,
+    CompileError,
+    CompilerWarning,
+    HostError,
+    LibraryError,
+    NativeHost,
+    build,
+    crash_report,
+    include,
+)
 from stage.cli.output import Output
 from stage.processes import run_program
 
@@ -80,7 +90,7 @@ def test_a_sketch_in_shift_jis_keeps_the_bytes_of_its_texts(latin):
     assert [line for _, line in board.log][-1] == str(len(SHIFT_JIS))
 
 
-@pytest.mark.skipif(not crash.HERE, reason="elsewhere a crash says its signal only")
+@pytest.mark.skipif(not crash_report.IS_SUPPORTED, reason="elsewhere a crash says its signal only")
 def test_a_crash_in_such_a_folder_says_function_and_line(latin):
     source = write_source(latin, "volatile int *p;\nPULSESTAGE_MAIN { ps_in8(0x304); return *p; }")
     with pytest.raises(HostError, match=r"a null pointer\?, in pulsestage_main \(.*drive\.c:5\)"):

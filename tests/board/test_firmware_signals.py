@@ -15,9 +15,10 @@ import pytest
 from support.compiled_firmware import firmware
 
 from stage import Stage
-from stage.board import Board, HostError, NativeHost, crash, starter
+from stage.board import Board, HostError, NativeHost, crash_report
+from stage.board.isolation import starter
 
-pytestmark = pytest.mark.skipif(not crash.HERE, reason="signals are numbered as on 64-bit Linux")
+pytestmark = pytest.mark.skipif(not crash_report.IS_SUPPORTED, reason="signals are numbered as on 64-bit Linux")
 HEAD = """
 #include <fenv.h>
 #include <signal.h>
@@ -109,10 +110,6 @@ def test_a_signal_that_firmware_sends_to_its_parent_does_not_reach_later_runs(nu
 
 TRAPS = "feenableexcept(FE_ALL_EXCEPT);"
 ENDS = {
-    "SYS_exit": (
-        "syscall(SYS_exit, 0);",
-        r"has ended its thread by a system call \(SYS_exit\) at 0\.\d+ s, after \d+ bus",
-    ),
     "traced": ("ptrace(PTRACE_TRACEME, 0, 0, 0); raise(SIGUSR1);", "was stopped by SIGUSR1"),
     "traced in silence": ("ptrace(PTRACE_TRACEME, 0, 0, 0);", None),
     "attaches": ("ptrace(PTRACE_ATTACH, getppid(), 0, 0); usleep(20000);", None),
@@ -164,17 +161,11 @@ def test_a_hook_that_enables_traps_does_not_change_the_stage(isolated):
     assert states[0] == states[1]
 
 
-def test_a_thread_that_a_system_call_ends_is_reported_in_this_process(board):
-    host = NativeHost(build_firmware("PULSESTAGE_MAIN { ps_in8(0x304); syscall(SYS_exit, 0); return 0; }"), board)
-    with pytest.raises(HostError, match="has ended its thread by a system call"):
-        host.run()
-    assert NativeHost(firmware("PULSESTAGE_MAIN { return ps_in8(0x300); }"), board).run().code == 0xA8
-
-
 PARENT = """
 import sys
 from stage import Stage
-from stage.board import Board, NativeHost, starter
+from stage.board import Board, NativeHost
+from stage.board.isolation import starter
 with NativeHost(sys.argv[1], Board(Stage("xy", visuals=False)), isolated=True) as host:
     host.run()
     print(next(iter(starter._starters.values()))._process.pid, flush=True)

@@ -17,8 +17,8 @@ import pytest
 from support.compiled_firmware import firmware
 
 from stage import Stage
-from stage.board import Board, HostError, NativeHost, mapping
-from stage.board.threaded import debugged
+from stage.board import Board, HostError, NativeHost, windows
+from stage.board.threaded import is_debugged
 from stage.chips import HCTL1100, PCL240K
 from stage.cli import main
 from stage.errors import StageError
@@ -309,12 +309,11 @@ PULSESTAGE_MAIN
 """
 
 
-@pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
-def test_two_threads_that_make_a_few_cycles_without_a_mutex_are_an_error_each_time(isolated):
+def test_two_threads_that_make_a_few_cycles_without_a_mutex_are_an_error_each_time():
     made = firmware(THREADS, "-DGUARDED=0", "-DOWN=200", "-pthread")
     for _ in range(4):
         with pytest.raises(HostError, match=r"two threads of the firmware made bus cycles at the same time"):
-            NativeHost(made, board("xy"), isolated=isolated).run()
+            NativeHost(made, board("xy")).run()
 
 
 @pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
@@ -357,15 +356,10 @@ def test_a_system_timer_that_goes_on_after_the_firmware_has_returned_calls_no_co
         return 1;
     }
     """
-    before = signal.getsignal(signal.SIGALRM)
-    try:
-        for isolated in (True, False):
-            with run_on(board("xy"), ticks, isolated=isolated) as h:
-                assert h.run().code == 1
-                time.sleep(0.01)
-                assert h.run().code == 2
-    finally:
-        signal.signal(signal.SIGALRM, before)
+    with run_on(board("xy"), ticks, isolated=True) as h:
+        assert h.run().code == 1
+        time.sleep(0.01)
+        assert h.run().code == 2
 
 
 @pytest.mark.parametrize("often", [50, 500])
@@ -394,16 +388,15 @@ def test_a_bus_cycle_in_a_handler_of_signals_is_an_error_in_words_wherever_the_s
 def test_more_windows_than_there_is_room_for_are_an_error_of_the_run_with_its_exit_code(capfd):
     # for (k = 0; k < 257; k++) ps_window(0x300, 4);
     asks = "PULSESTAGE_MAIN { for (int k = 0; k < 257; k++) ps_window(0x300, 4); return 0; }"
-    if not mapping.HERE:
+    if not windows.is_supported():
         pytest.skip("windows are for Linux on x86-64")
-    for where in ([], ["--in-process"]):
-        assert main(["run", str(firmware(asks)), "--model", "xy", *where]) == 1
-        said = capfd.readouterr()
-        assert re.search(
-            r"stage: ps_window\(0x300, 0x4\): \d+ windows and pieces of memory: .* keep the pointer; at 0\.0", said.err
-        )
-        assert "position mm" in said.out
-    assert main(["run", str(firmware(asks.replace("257", "3"))), "--model", "xy", "--in-process"]) == 0
+    assert main(["run", str(firmware(asks)), "--model", "xy"]) == 1
+    said = capfd.readouterr()
+    assert re.search(
+        r"stage: ps_window\(0x300, 0x4\): \d+ windows and pieces of memory: .* keep the pointer; at 0\.0", said.err
+    )
+    assert "position mm" in said.out
+    assert main(["run", str(firmware(asks.replace("257", "3"))), "--model", "xy"]) == 0
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells who debugs whom")
@@ -416,8 +409,8 @@ def test_a_process_that_a_debugger_holds_is_known_by_its_number():
         with subprocess.Popen([sys.executable, "-c", program], **pipes) as child:
             try:
                 child.stdout.readline()
-                assert debugged(child.pid) is held
-                assert not debugged()
+                assert is_debugged(child.pid) is held
+                assert not is_debugged()
             finally:
                 child.kill()
-    assert not debugged(2**22 + 1), "there is none"
+    assert not is_debugged(2**22 + 1), "there is none"

@@ -19,7 +19,8 @@ from board.test_native import MOVE, THREE, host, left_behind
 from support.compiled_firmware import firmware
 
 from stage import Stage, faults
-from stage.board import Board, HostError, NativeHost, crash, starter
+from stage.board import Board, HostError, NativeHost, crash_report
+from stage.board.isolation import starter
 from stage.chips import HCTL1100
 from stage.cli import main
 from stage.errors import StageError
@@ -272,7 +273,7 @@ def test_firmware_that_interrupts_itself_is_ended_by_sigint_and_prints_nothing(c
 
 
 def test_a_note_of_a_crash_that_firmware_has_overwritten_says_nothing(tmp_path):
-    assert crash.told(b"\xff" * 9, tmp_path) == crash.told(b"[1]", tmp_path) == ""
+    assert crash_report.describe(b"\xff" * 9, tmp_path) == crash_report.describe(b"[1]", tmp_path) == ""
 
 
 def test_a_host_that_is_collected_as_garbage_while_another_begins_is_ended_behind_it(monkeypatch):

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import random
 import re
-import subprocess
 import sys
 
 import pytest
 from support.compiled_firmware import firmware
 
 from stage import Stage, faults
-from stage.board import Board, HostError, NativeHost, mapping
+from stage.board import Board, HostError, NativeHost, windows
 from stage.chips import MCX304, PCL240K
 from stage.errors import ArgumentError, StageError
 
-pytestmark = pytest.mark.skipif(not mapping.HERE, reason="windows need Linux on x86-64")
+pytestmark = pytest.mark.skipif(not windows.is_supported(), reason="windows need Linux on x86-64")
 
 AT = 0x40021000
 WINDOW = f"{AT:#x}=0x300+0x20"
@@ -96,12 +95,11 @@ def ran(library, chips=MCX304, pieces: float = 0, **options) -> tuple:
     return board.stage.snapshot().state.tobytes(), board.trace.lines().tobytes(), board.log, board.cycles, code
 
 
-def same_as_ports(body: str, *flags: str, chips=MCX304, isolated=(False, True)) -> None:
+def same_as_ports(body: str, *flags: str, chips=MCX304) -> None:
     """Accesses to a window leave what port cycles leave."""
     by_ports = ran(firmware(HEAD + WAYS + body, "-DPORTS", *flags), chips)
     library = firmware(HEAD + WAYS + body, *flags)
-    for apart in isolated:
-        assert ran(library, chips, map=WINDOW, isolated=apart) == by_ports
+    assert ran(library, chips, map=WINDOW) == by_ports
 
 
 @pytest.mark.parametrize(
@@ -121,9 +119,10 @@ def test_a_loop_with_delays_and_calls_takes_one_signal():
     static __attribute__((noinline)) void wait_a_little(int k) { ps_delay_us(k & 3); WRITE(16, 4, ps_micros()); }
     PULSESTAGE_MAIN { for (int k = 0; k < 50; k++) { DO(16, 6, |, k); wait_a_little(k); } return 0; }
     """
-    before = mapping.faults()
-    same_as_ports(body, isolated=(False,))
-    assert mapping.faults() - before == 1
+    same_as_ports(body)
+    board = Board(Stage("xy", chips=MCX304, visuals=False))
+    NativeHost(firmware(HEAD + WAYS + body), board, map=WINDOW).run()
+    assert board.link.record["faults"] == 1
 
 
 def test_registers_of_cpp_are_the_same_cycles_and_need_no_window():
@@ -162,11 +161,11 @@ def test_registers_of_cpp_are_the_same_cycles_and_need_no_window():
 def test_random_accesses_in_depth(level, seed, monkeypatch):
     pytest.importorskip("ziglang")
     body = accesses(random.Random(seed), 360)
-    same_as_ports(body, level, isolated=(False,))
+    same_as_ports(body, level)
     monkeypatch.setenv(
         "CC", f"{sys.executable} -m ziglang cc -mcpu=baseline"
     )  # clang, which makes one instruction of more of them
-    same_as_ports(body, level, "-DCLANG", "-fno-sanitize=all", isolated=(False,))
+    same_as_ports(body, level, "-DCLANG", "-fno-sanitize=all")
 
 
 def test_a_run_in_pieces_that_end_within_accesses_is_the_same():
@@ -176,7 +175,7 @@ def test_a_run_in_pieces_that_end_within_accesses_is_the_same():
     )
     whole = ran(firmware(body), map=WINDOW)
     assert ran(firmware(body), pieces=7.3e-6, map=WINDOW)[:4] == whole[:4]
-    assert ran(firmware(body), pieces=41e-6, map=WINDOW, isolated=True)[:4] == whole[:4]
+    assert ran(firmware(body), pieces=41e-6, map=WINDOW)[:4] == whole[:4]
 
 
 HOOKED = """
@@ -215,11 +214,10 @@ def test_hooks_and_threads_of_the_firmware_have_windows_too():
         return READ(16, 4);
     }
     """
-    same_as_ports(threads, "-pthread", isolated=(False,))
+    same_as_ports(threads, "-pthread")
 
 
-@pytest.mark.parametrize("isolated", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["thread", "process"])
-def test_python_is_called_within_an_access(isolated):
+def test_python_is_called_within_an_access():
     body = """
     PULSESTAGE_MAIN { for (int k = 0; k < 60; k++) WRITE(8, 1, k); return READ(8, 1); }
     """
@@ -227,7 +225,7 @@ def test_python_is_called_within_an_access(isolated):
     for flags, options in ((("-DPORTS",), {}), ((), {"map": WINDOW})):
         board = Board(Stage("xy", chips=PCL240K, visuals=False))
         faults.lost_write(board.stage.axes["x"], skip=7)
-        host = NativeHost(firmware(HEAD + WAYS + body, *flags), board, isolated=isolated, **options)
+        host = NativeHost(firmware(HEAD + WAYS + body, *flags), board, **options)
         left.append((host.run().code, board.trace.lines().tobytes()))
         assert "lost on the way" in str(board.trace)
     assert left[0] == left[1]
@@ -274,13 +272,12 @@ WRONG = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
-def test_an_access_that_is_no_bus_cycle_is_an_error_in_words(isolated):
+def test_an_access_that_is_no_bus_cycle_is_an_error_in_words():
     for what, (body, said) in WRONG.items():
         board = Board(Stage("xy", chips=MCX304, visuals=False))
         library = firmware(HEAD + body, "-Wno-array-bounds")
         with pytest.raises(HostError, match=said) as error:
-            NativeHost(library, board, map=WINDOW, isolated=isolated).run()
+            NativeHost(library, board, map=WINDOW).run()
         assert board.cycles == 1, what
         assert "304h W 01h" in str(error.value) or what == "ps_window"
 
@@ -308,60 +305,43 @@ def test_a_wild_pointer_is_told_as_without_windows(what):
     body, said = WILD[what]
     board = Board(Stage("xy", chips=MCX304, visuals=False))
     with pytest.raises(HostError, match=f"SIGSEGV.*{said}"):
-        NativeHost(firmware(HEAD + body, "-Wno-infinite-recursion"), board, map=WINDOW, isolated=True).run()
+        NativeHost(firmware(HEAD + body, "-Wno-infinite-recursion"), board, map=WINDOW).run()
 
 
-@pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
-def test_a_window_where_something_else_is_is_refused(isolated):
-    library = firmware("PULSESTAGE_MAIN { return 0; }")
+def test_a_window_where_something_else_is_is_refused():
+    """Ask for a window where a library of the process is: processes of firmware have it at the same place."""
+    library = firmware('PULSESTAGE_MAIN { ps_logf("%llu", (unsigned long long)(uintptr_t)&sprintf); return 0; }')
     board = Board(Stage("xy", chips=MCX304, visuals=False))
     with pytest.raises(ArgumentError, match=r"lets nobody use addresses below 10000h.*pulsestage_mmio"):
-        NativeHost(library, board, map="0x100=0x300+4", isolated=isolated)
-    if not isolated:
-        here = id(board) & -16
-        with pytest.raises(ArgumentError, match=r"its pages are in use in this process, by .*Choose another address"):
-            NativeHost(library, board, map=(here, 0x300, 4))
+        NativeHost(library, board, map="0x100=0x300+4")
+    NativeHost(library, board).run()
+    address = int(board.log[0][1]) & -16
+    with pytest.raises(ArgumentError, match=r"its pages are in use in this process, by .*libc.*Choose another address"):
+        NativeHost(library, board, map=(address, 0x300, 4))
 
 
-def test_two_firmwares_of_one_process_have_a_window_one_after_the_other():
+def test_two_firmwares_have_a_window_at_the_same_address_at_the_same_time():
     endless = firmware(HEAD + "PULSESTAGE_MAIN { for (;;) AT(char, 4); }")
-    first, second = (NativeHost(endless, Board(Stage("xy", chips=MCX304, visuals=False)), map=WINDOW) for _ in range(2))
-    first.run_for(1e-4)
-    with pytest.raises(ArgumentError, match=r"a window of firmware.so, which has not returned, is there"):
-        second.run_for(1e-4)
-    first.close()
-    second.run_for(1e-4)
-    second.close()
+    hosts = [NativeHost(endless, Board(Stage("xy", chips=MCX304, visuals=False)), map=WINDOW) for _ in range(2)]
+    for host in hosts * 2:
+        host.run_for(1e-4)
+    assert [host.board.cycles for host in hosts] == [201, 201]
+    for host in hosts:
+        host.close()
+
+
+def test_windows_need_a_process_of_the_firmware_and_say_so():
+    library = firmware("PULSESTAGE_MAIN { ps_window(0x300, 4); return 0; }")
+    board = Board(Stage("xy", chips=MCX304, visuals=False))
+    with pytest.raises(StageError, match=r"need a process of the firmware's own: isolated=True.*pulsestage_mmio.hpp"):
+        NativeHost(library, board, map=WINDOW, isolated=False)
+    with pytest.raises(HostError, match=r"ps_window\(0x300, 0x4\): windows .*need a process.*isolated=True"):
+        NativeHost(library, board, isolated=False).run()
 
 
 def test_elsewhere_windows_are_refused_and_proxies_named(monkeypatch):
-    monkeypatch.setattr(mapping, "HERE", False)
+    monkeypatch.setattr(windows, "is_supported", lambda: False)
     library = firmware("PULSESTAGE_MAIN { ps_window(0x300, 4); return 0; }")
     board = Board(Stage("xy", chips=MCX304, visuals=False))
     with pytest.raises(StageError, match=r"need Linux on x86-64, and this is .*pulsestage_mmio.hpp"):
-        NativeHost(library, board, map=WINDOW)
-    with pytest.raises(StageError, match=r"ps_window needs Linux on x86-64.*pulsestage_mmio.hpp"):
-        NativeHost(library, board).run()
-
-
-LAST = """
-import ctypes, sys
-from stage import Stage
-from stage.board import Board, NativeHost
-from stage.chips import MCX304
-NativeHost(sys.argv[1], Board(Stage("xy", chips=MCX304, visuals=False)), map=sys.argv[2]).run()
-print("done", flush=True)
-ctypes.string_at(8)
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("options", "said"), [(["-X", "faulthandler"], "Fatal Python error: Segmentation fault"), ([], "")]
-)
-def test_a_fault_of_the_process_itself_goes_to_the_handler_of_before(options, said):
-    library = firmware(HEAD + "PULSESTAGE_MAIN { return AT(char, 4); }")
-    command = [sys.executable, *options, "-c", LAST, str(library), WINDOW]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.stdout, done.returncode) == ("done\n", -11)
-    assert said in done.stderr
+        NativeHost(library, board, map=WINDOW, isolated=False)

@@ -6,10 +6,10 @@ import pytest
 from support.compiled_firmware import firmware
 
 from stage import Stage
-from stage.board import Board, NativeHost, mapping
+from stage.board import Board, NativeHost, windows
 from stage.native import COMPILED
 
-pytestmark = pytest.mark.skipif(not mapping.HERE, reason="windows need Linux on x86-64")
+pytestmark = pytest.mark.skipif(not windows.is_supported(), reason="windows need Linux on x86-64")
 
 NAMES = {8: "rax rbx rcx rdx", 4: "eax ebx ecx edx", 2: "ax bx cx dx", 1: "al bl cl dl"}
 LETTERS = {8: "q", 4: "l", 2: "w", 1: "b"}
@@ -158,11 +158,12 @@ def test_instructions_behind_an_access_do_what_the_processor_does():
     head = f"enum {{ EACH = {EACH} }};\nstatic const uint64_t masks[] = {{{masks}}};\n"
     library = firmware(head + program([text for text, _ in table]), "-mno-red-zone", "-O1")
     board = Board(Stage("xy", visuals=False))
-    before = mapping.faults()
     done = NativeHost(library, board).run()
     assert board.log == []
     assert done.code == 0
-    assert mapping.faults() - before == EACH * len(table), "one for each, since what is between two accesses needs none"
+    assert board.link.record["faults"] == EACH * len(table), (
+        "one for each, since what is between two accesses needs none"
+    )
     assert board.cycles == 4 * EACH * len(table), "a word of a bus of 8 bits is two cycles"
 
 
@@ -175,10 +176,9 @@ def test_what_only_the_processor_can_do_is_left_to_it():
     head = f"enum {{ EACH = 2 }};\nstatic const uint64_t masks[] = {{{', '.join('0' for _ in texts)}}};\n"
     library = firmware(head + program(texts), "-mno-red-zone", "-O1")
     board = Board(Stage("xy", visuals=False))
-    before = mapping.faults()
     done = NativeHost(library, board).run()
     assert (board.log, done.code) == ([], 0)
-    assert mapping.faults() - before == 2 * 2 * len(texts)
+    assert board.link.record["faults"] == 2 * 2 * len(texts)
 
 
 def test_64_bits_are_two_accesses_of_32_the_low_half_first():

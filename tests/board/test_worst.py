@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from stage.board import build, crash
+from stage.board import build, crash_report
 from stage.cli import main
 
 ROOT = Path(__file__).parents[2]
@@ -26,7 +26,7 @@ LONG = {"log"}  # a million lines
 EVERY_DAY = {"exit", "pointer", "leave", "fork", "child", "close", "write", "cut", "stop", "kill"}
 
 pytestmark = [
-    pytest.mark.skipif(not crash.HERE, reason="elsewhere a crash says its signal only"),
+    pytest.mark.skipif(not crash_report.IS_SUPPORTED, reason="elsewhere a crash says its signal only"),
     pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler"),
 ]
 

@@ -17,7 +17,7 @@ from stage.cli import main
 from stage.errors import ArgumentError
 from stage.targets import TargetHost, mcus
 from stage.targets.elf import AVR, Elf
-from stage.targets.simavr import _library
+from stage.targets.simavr import _Library
 
 DATA = Path(__file__).parent / "data"
 FIRMWARE = Path(__file__).parents[2] / "scripts" / "firmware"
@@ -29,7 +29,7 @@ NO_ROUTINE = 10
 ADDRESS_SPACE = 1 << 24  # bytes that an address of an AVR reaches, with RAMPZ before Z: of its flash and of its RAM
 
 
-def faults(case: int, pins: str = PINS, isolated: bool = False, **options) -> TargetHost:
+def faults(case: int, pins: str = PINS, isolated: bool = True, **options) -> TargetHost:
     return TargetHost(DATA / "faults.avr.elf", board_of(case), mcu="atmega2560", map=pins, isolated=isolated, **options)
 
 
@@ -85,7 +85,7 @@ class Mallinfo(ctypes.Structure):
 def test_a_wild_write_stays_in_memory_of_simavrs_own():
     mallinfo = ctypes.CDLL(None).mallinfo2
     mallinfo.restype = Mallinfo
-    simavr = _library()
+    simavr = _Library.one = _Library(isolated=True)  # for ever: simavr calls its functions
     avr = simavr.make(b"atmega328p")
     before = mallinfo().bytes_in_use()
     simavr.init(avr)
@@ -96,7 +96,7 @@ def test_a_wild_write_stays_in_memory_of_simavrs_own():
 @needs_simavr
 def test_an_error_comes_over_from_a_process_of_its_own():
     with pytest.raises(HostError, match=r"wild write .* \(wild_write"):
-        faults(WILD_WRITE, isolated=True).run()
+        faults(WILD_WRITE).run()
 
 
 @needs_simavr

@@ -15,7 +15,7 @@ from support.extras import needs_rerun
 from support.odd_names import odd_model
 
 import stage.models
-from stage.board import build, exits
+from stage.board import build
 from stage.files import FileError
 from stage.testing.markers import firmware_arguments
 
@@ -589,19 +589,6 @@ def test_firmware_that_ends_its_process_fails_its_test_and_the_tests_after_it_ru
     result.assert_outcomes(failed=2)
     assert result.ret == pytest.ExitCode.TESTS_FAILED
     result.stdout.fnmatch_lines(f"*HostError: {said}")
-
-
-@needs_cc
-@pytest.mark.skipif(not exits.HERE, reason="elsewhere firmware that exits ends the process that it is in")
-@pytest.mark.parametrize("way", ["--pulsestage-firmware=in-process", pytest.param("marker", marks=pytest.mark.slow)])
-def test_firmware_that_exits_in_the_process_of_pytest_fails_its_test_and_the_tests_after_it_run(way, pytester, driver):
-    # pytest --pulsestage-firmware in-process
-    ending(driver, "exit(0);")
-    pytester.makepyfile(TESTS.replace('"driver.c"', '"driver.c", isolated=False') if way == "marker" else TESTS)
-    result = pytester.runpytest_subprocess(*PLUGIN, *FEW, *([] if way == "marker" else [way]))
-    result.assert_outcomes(failed=2)
-    assert result.ret == pytest.ExitCode.TESTS_FAILED
-    result.stdout.fnmatch_lines("*HostError: driver.so: exit(0) at *would have ended the process.*")
 
 
 # --- the page ---

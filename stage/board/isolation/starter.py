@@ -1,6 +1,6 @@
 """Starts processes for firmware in milliseconds: one process has imported all that they need, and forks each of them.
 
-    process = start(pipe)          the process runs stage.board.child, with this end of a pipe
+    process = start(pipe)          the process runs stage.board.isolation.child, with this end of a pipe
     process.kill()
     process.wait()                 its exit code; minus the number of the signal that ended it
 
@@ -107,7 +107,7 @@ class Starter:
             environment = SANITIZED | environment | {"LD_PRELOAD": preload}
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "stage.board.starter", str(theirs.fileno())], pass_fds=[theirs.fileno()],
+                [sys.executable, "-m", "stage.board.isolation.starter", str(theirs.fileno())], pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL, process_group=0, env=environment,
             )  # fmt: skip
 
@@ -185,7 +185,7 @@ def _end_children() -> None:
 
 
 def start(pipe: int, preload: str = "") -> Process:
-    """Start a process that runs `stage.board.child` with this end of a pipe.
+    """Start a process that runs `stage.board.isolation.child` with this end of a pipe.
 
     Args:
         pipe: File descriptor that the process gets.
@@ -354,7 +354,7 @@ def _become(world: World, files: list[int], run: Callable[[int], None]) -> None:
 
 
 def main(fileno: int) -> None:
-    from stage.board import child
+    from stage.board.isolation import child
 
     gc.freeze()
     with socket.socket(fileno=fileno) as control:

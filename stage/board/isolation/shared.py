@@ -20,7 +20,7 @@ from stage.board.board import Board
 from stage.board.hooks import PYTHONS_TIMERS
 from stage.board.interrupts import BACK, HIGHEST, LOWERED, SOURCE, SOURCES
 from stage.board.link import NOTED
-from stage.board.program import Program
+from stage.board.threaded import Program
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
 from stage.native import plain
@@ -29,7 +29,7 @@ from stage.sim.records import EDGE, SAMPLE, SECOND
 ROWS = 512  # samples
 TEXT = 1 << 16  # bytes of lines
 CRASH = 1 << 14  # bytes about a crash
-COUNTS = ("cycles", "traced", "changed")  # of HOST
+COUNTS = ("cycles", "traced", "changed", "faults")  # of HOST
 PYTHONS_ROWS = slice(PYTHONS_TIMERS.start, PYTHONS_TIMERS.stop)
 _ALIGNED = 64
 _LINE = struct.Struct("qq")  # time, length
@@ -258,7 +258,7 @@ class Shared:
     # --- a crash ---
 
     def note_crash(self, noted: bytes) -> None:
-        """What `crash.told` reads."""
+        """What `crash_report.describe` reads."""
         self._crash[: min(len(noted), CRASH)] = noted[:CRASH]
 
     @property

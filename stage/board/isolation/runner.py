@@ -10,26 +10,29 @@ from __future__ import annotations
 import hashlib
 import os
 import pickle
+import select
 import signal
+import struct
 import time
 import weakref
+from collections.abc import Callable
 from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
 
 from stage import errors as general
 from stage import files
-from stage.board import crash, errors, starter
-from stage.board.answers import Answers, GarbledError
+from stage.board import crash_report, errors
 from stage.board.board import Board
 from stage.board.devices.own import CDevice
 from stage.board.errors import HostError
+from stage.board.isolation import starter
+from stage.board.isolation.shared import LOADING, Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
 from stage.board.library import sanitizers
-from stage.board.program import Program
 from stage.board.scratch import Scratch
-from stage.board.shared import LOADING, Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
-from stage.board.threaded import debugged, handles_timers
+from stage.board.threaded import Program, is_debugged
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
 from stage.sim import handle
@@ -38,6 +41,64 @@ from stage.sim.fingerprint import fingerprint
 GRACE = 10.0  # s of real time beyond its patience, in which the child gives its firmware up itself
 STARTS = 30.0  # s beyond it that a process may take to begin
 LOADS = 2.0  # s beyond it that loading the firmware may take: constructors run then
+POLL_INTERVAL_MS = 250
+READ_SIZE = 1 << 20
+MAX_MESSAGE = 1 << 28  # bytes: text that comes as a length is more
+_HEAD = struct.Struct("!i")  # as multiprocessing.connection sends it
+
+
+class GarbledError(Exception):
+    """This is no message."""
+
+
+class _Messages:
+    """The messages that come over a pipe from the process of firmware: whole ones, or an error. Never waits for ever.
+
+    The firmware shares its process with the other end of the pipe: it may close it, write into it, or be stopped.
+    """
+
+    def __init__(self, pipe: Connection):
+        self._file = pipe.fileno()
+        self._poll = select.poll()
+        self._poll.register(self._file, select.POLLIN)
+        self._content = bytearray()
+
+    def receive(self, check: Callable[[], None]) -> Any:
+        """Return the next message.
+
+        Args:
+            check: Called again and again while none comes; may raise.
+
+        Raises:
+            EOFError, OSError: The pipe has ended.
+            GarbledError: This is no message.
+        """
+        while (message := self._take_message()) is None:
+            if self._poll.poll(POLL_INTERVAL_MS):
+                more = os.read(self._file, READ_SIZE)
+                if not more:
+                    raise EOFError
+                self._content += more
+            else:
+                check()
+        try:
+            return pickle.loads(message)
+        except Exception as error:
+            raise GarbledError from error
+
+    def _take_message(self) -> bytes | None:
+        content = self._content
+        if len(content) < _HEAD.size:
+            return None
+        size = _HEAD.unpack_from(content)[0]
+        if not 0 <= size < MAX_MESSAGE:
+            raise GarbledError
+        end = _HEAD.size + size
+        if len(content) < end:
+            return None
+        message = bytes(content[_HEAD.size : end])
+        del content[:end]
+        return message
 
 
 class _SilentError(Exception):
@@ -67,6 +128,7 @@ class Isolated:
         board, stage = self._board, self._board.stage
         if os.getpid() != self._owner:
             self._leave_to_owner()
+        board.link.check_is_current()
         if handle.called_back.held(stage.state.pointer):
             raise StageError(
                 "MuJoCo calls a function in Python back, which the process of the firmware does not have: run the firmware with "
@@ -138,7 +200,7 @@ class Isolated:
             self._shared = Shared(shared, board, create=True)
             with theirs:
                 self._child = starter.start(theirs.fileno(), " ".join(sanitizers(self._path)))
-            self._pipe, self._answers = ours, Answers(ours)
+            self._pipe, self._messages = ours, _Messages(ours)
             weakref.finalize(self, self._child.kill)
             ours.send(Begin(self._program, str(shared), given, self._patience))
             self._seen, self._faults = _machine(board.stage), _faults(board.stage)
@@ -215,7 +277,7 @@ class Isolated:
         begin: tuple[float, Any] = time.monotonic(), None
         self._waited = self._patience + grace
 
-        def waits() -> None:
+        def check() -> None:
             nonlocal begin
             theirs = self._shared.record[0]
             now = tuple(int(theirs[name]) for name in ("cycles", "reached"))
@@ -223,12 +285,12 @@ class Isolated:
             if now != seen:
                 begin = time.monotonic(), now
             elif time.monotonic() - since > self._patience + grace:
-                if self._child is not None and debugged(self._child.pid):
+                if self._child is not None and is_debugged(self._child.pid):
                     begin = time.monotonic(), now
                 else:
-                    raise _SilentError(self._child is not None and handles_timers(self._child.pid))
+                    raise _SilentError(self._child is not None and _handles_timers(self._child.pid))
 
-        return self._answers.next(waits)
+        return self._messages.receive(check)
 
     def _given_up(self, error: Exception) -> str:
         if isinstance(error, GarbledError):
@@ -270,7 +332,7 @@ class Isolated:
 
     def _told(self) -> str:
         """What was noted of a crash, in words."""
-        return crash.told(
+        return crash_report.describe(
             self._shared.crash, self._path, *(d.loaded for d in self._board.devices if isinstance(d, CDevice))
         )
 
@@ -347,6 +409,16 @@ def _pickled(stage: Any) -> bytes:
             f"firmware with isolated=True needs a stage that can be pickled: {error}. Define the classes of its chips and layouts "
             "at the top of a module, or run the firmware with isolated=False."
         ) from None
+
+
+def _handles_timers(process: int) -> bool:
+    """Tell whether a process has a handler for one of the signals of setitimer, of alarm or of timer_create."""
+    try:
+        with open(f"/proc/{process}/status", errors="replace") as status:
+            caught = next((int(line.split()[1], 16) for line in status if line.startswith("SigCgt:")), 0)
+    except OSError:
+        return False
+    return any(caught >> number - 1 & 1 for number in (signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF))
 
 
 def _signal(number: int) -> str:

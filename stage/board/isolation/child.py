@@ -1,4 +1,4 @@
-"""The process that isolated firmware runs in, see stage.board.isolated; stage.board.starter begins it."""
+"""The process that isolated firmware runs in; `starter` begins it, and `stage.board.traps` is used here only."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import select
 import shutil
 import threading
 import time
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -17,16 +17,21 @@ from typing import Any
 
 import numpy as np
 
-from stage.board import crash, handlers, scratch
+from stage.board import bus, crash_report, host, scratch
 from stage.board.board import Board
+from stage.board.errors import HostError
 from stage.board.interrupts import ANY_LINE
+from stage.board.isolation.shared import LOADING, Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
 from stage.board.link import NOTED, Link
-from stage.board.shared import LOADING, Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
 from stage.board.threaded import Threaded
 from stage.errors import StageError
 from stage.sim.fingerprint import settings
 from stage.sim.stage import Stage
 
+if crash_report.IS_SUPPORTED:
+    from stage.board import traps
+
+THREAD_START_S = 0.02  # of real time, for a thread of the firmware to begin
 HIGH = 200  # file descriptors: what firmware closes or writes by mistake is mostly below
 CLOSED = "it closed a file descriptor that it had not opened: that was the connection of its process with the stage"
 LOOK_MS = 500  # hanging up is seen at once, unless a process that the parent has forked holds the pipe as well
@@ -81,6 +86,7 @@ class ChildLink(Link):
         h = self.record
         found = Noted(int(h["noted"]), int(h["filled"]))
         self.shared.keep(self.stage)
+        h["faults"] = self.windows.faults if self.windows is not None else 0
         h["noted"] = h["filled"] = self.samples.filled = 0
         return found
 
@@ -154,6 +160,49 @@ class ChildBoard(Board):
         link.hooked(go.hooks)
 
 
+class ChildThread(Threaded):
+    """Firmware in a thread of its own process: what it does beside its requests is noted, and may be the end of it."""
+
+    isolated, outlives = True, ""
+
+    def _prepare_thread(self) -> AbstractContextManager[None]:
+        self._slept: set[str] = set()  # functions by which it has slept in real time
+        if not crash_report.IS_SUPPORTED:
+            return super()._prepare_thread()
+        return traps.trap_thread(self._note_sleep, self._wait_for_thread)
+
+    def _report_threads(self, n: int, code: int) -> None:
+        self._board.link.fail(
+            HostError(
+                f"{self._path.name} has returned {code} while {n} of its threads still ran, at {self._board.stage.time:.6f} s: "
+                "whatever they do or break, nobody would know. Join them before PULSESTAGE_MAIN returns."
+            )
+        )
+
+    def _locate(self, *libraries: Path) -> str:
+        pc, top = traps.find_position(self._thread) if crash_report.IS_SUPPORTED else (0, 0)
+        return f" It is in {crash_report.locate(pc, top, *libraries)}." if pc else ""
+
+    def _note_sleep(self, call: str) -> None:
+        """Note in the log, once for each function and run, that firmware sleeps in real time. In the firmware's thread."""
+        link, name = self._board.link, call.partition("(")[0]
+        if name in self._slept or threading.current_thread() in link.abandoned:
+            return
+        self._slept.add(name)
+        mode = bus.compute_as_usual.c()
+        try:
+            link.request(link.pointer, host.SETTLE, 0, 0)
+            with suppress(StageError):  # the log is full
+                self._board.note(f"{call} passes real time only, and no simulated time: ps_delay_us passes that")
+        finally:
+            bus.compute_as_before.c(mode)
+
+    def _wait_for_thread(self) -> None:
+        """Let a thread that the firmware has begun come to its first bus cycle, see `Link`. In the firmware's thread."""
+        if self._board.link.record["looks"]:
+            time.sleep(THREAD_START_S)
+
+
 def adopt(ours: Stage, stage: Stage) -> None:
     """The parent's stage was changed: ours becomes like it. What drives have of it is state, and comes over as such."""
     for part, name, value in settings(stage.model):
@@ -222,7 +271,8 @@ def _first_to_go() -> None:
 def main(fileno: int) -> None:
     """Run the firmware that comes over this end of a pipe, until the parent is gone."""
     fileno = _out_of_the_way(fileno)
-    handlers.keep_timers_away()
+    if crash_report.IS_SUPPORTED:
+        traps.block_timers()
     begun: list[Begin] = []
     threading.Thread(target=_ends_with, args=(os.getppid(), fileno, begun), name="parent", daemon=True).start()
     _first_to_go()
@@ -232,9 +282,10 @@ def main(fileno: int) -> None:
     scratch.all_within(Path(begin.shared).parent)
     try:
         board = ChildBoard(pipe, begin)
-        crash.watch(board.link.shared.note_crash)
+        if crash_report.IS_SUPPORTED:
+            traps.watch_crashes(board.link.shared.note_crash)
         pipe.send(LOADING)
-        runner = Threaded(begin.program, board, begin.patience, may_exit=True)
+        runner = ChildThread(begin.program, board, begin.patience)
     except StageError as error:
         pipe.send((type(error).__name__, str(error)))
         return
@@ -244,7 +295,7 @@ def main(fileno: int) -> None:
         _tidy(begun)
         raise
     except OSError:
-        board.link.shared.note_crash(crash.in_words(CLOSED))
+        board.link.shared.note_crash(crash_report.format_note(CLOSED))
         os._exit(1)
     except Exception:
         with suppress(SpoiltError):

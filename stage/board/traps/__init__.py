@@ -1,0 +1,85 @@
+"""Catch what firmware does beside its requests: crashes, memory-mapped accesses, sleeps, threads, handlers of signals.
+
+All this changes the process that it happens in: it sets the slots of calls, handles signals in machine code, and emulates x86
+instructions behind a fault. So only the process that `stage.board.isolation` begins for firmware imports this package; firmware in
+the user's own process is a library loaded by ctypes, and nothing else. Needs 64-bit Linux, see `crash_report.IS_SUPPORTED`.
+
+    watch_crashes(note)                    once: a crash leaves a note of what was touched, and by which calls
+    library = TrappedLibrary(...)          firmware with windows of memory-mapped registers, whose sleeps and threads are reported
+    with trap_thread(on_sleep, on_thread): around its entry, in its thread
+    find_position(thread)                  where it computes
+    redirect_calls(handle, functions)      let a library call other functions
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from stage.board.library import Library
+from stage.board.link import Link
+from stage.board.traps.calls import observe, redirect_calls, set_observer
+from stage.board.traps.memory import Windows
+from stage.board.traps.signals import (
+    SignalHandlers,
+    block_timers,
+    find_position,
+    give_stack,
+    unblock_timers,
+    watch_crashes,
+)
+from stage.board.windows import Window
+from stage.errors import StageError
+
+__all__ = ["TrappedLibrary", "block_timers", "find_position", "redirect_calls", "trap_thread", "watch_crashes"]
+
+
+class TrappedLibrary(Library):
+    """A firmware library in its own process.
+
+    Raises:
+        ArgumentError: Something else is where a window is to be.
+        StageError: The system allows no windows; see also `Library`.
+    """
+
+    def __init__(self, path: Path, link: Link, cost: int, windows: tuple[Window, ...]):
+        self._handlers = SignalHandlers()
+        super().__init__(path, link, cost)
+        observe(self.handle)
+        self._windows = link.windows = Windows(self, link)
+        try:
+            for window in windows:
+                self._windows.claim(window)
+        except StageError:
+            self.close()
+            raise
+
+    def main(self) -> int:
+        """Call its entry in this thread."""
+        self._windows.add_stack()
+        return super().main()
+
+    def close(self) -> None:
+        """Unload it, with its windows and the handlers of signals that it has set."""
+        self._windows.close()
+        self._handlers.remove_those_of(str(self.copy))
+        super().close()
+
+
+@contextmanager
+def trap_thread(on_sleep: Callable[[str], None], on_thread: Callable[[], None]) -> Iterator[None]:
+    """Prepare this thread for the entry of firmware.
+
+    Args:
+        on_sleep: Called before it sleeps in real time, with the call in words.
+        on_thread: Called after it has begun another thread.
+    """
+    give_stack()
+    set_observer(on_sleep, on_thread)
+    unblock_timers()
+    try:
+        yield
+    finally:
+        block_timers()
+        set_observer(None)

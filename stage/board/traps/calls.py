@@ -1,0 +1,136 @@
+"""Report calls by which firmware sleeps in real time, and wait for threads that it begins: through the slots of loaded libraries.
+
+A library calls functions of others through slots that the loader fills in. `observe` sets the slots of some calls to functions of
+this module, which report the call and then make it. The libraries may be built in any way. The slots are read from memory, of all
+libraries that were loaded together and at each load, so a reader of ELF files (pyelftools) is of no use here. System calls without
+the C library are not seen.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import mmap
+import os
+from collections.abc import Callable, Iterator, Mapping
+from threading import get_ident
+from typing import Any, NamedTuple
+
+import numpy as np
+
+_SLEEPS: dict[str, Callable[..., str]] = {
+    "sleep": lambda seconds, *_: f"sleep({seconds & 0xFFFFFFFF})",
+    "usleep": lambda us, *_: f"usleep({us & 0xFFFFFFFF})",
+    **{name: lambda *_, name=name: f"{name}()" for name in ("nanosleep", "clock_nanosleep", "thrd_sleep")},
+    "select": lambda files, *_: "" if files & 0xFFFFFFFF else "select(0)",
+    "poll": lambda _, files, *__: "" if files else "poll(0, 0)",
+}
+"""Calls in words, by their arguments; "" for one that waits for something else than time."""
+_THREAD_CREATORS = frozenset({"pthread_create", "thrd_create"})
+_CALL = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 5)
+_RELOCATION = np.dtype([("offset", "u8"), ("info", "u8"), ("addend", "i8")])
+_SYMBOL_SIZE, _SECTION_OFFSET = 24, 6
+_CALLS_SIZE, _NAMES, _SYMBOLS, _RELOCATIONS, _RELOCATIONS_SIZE, _CALLS = 2, 5, 6, 7, 8, 23
+"""Entries of a dynamic section; 0 ends it."""
+
+
+class LoadedLibrary(ctypes.Structure):
+    """struct link_map: a library in memory."""
+
+
+LoadedLibrary._fields_ = [
+    ("base", ctypes.c_uint64), ("name", ctypes.c_char_p), ("dynamic", ctypes.c_uint64), ("next", ctypes.POINTER(LoadedLibrary)),
+]  # fmt: skip
+
+
+class _Observer(NamedTuple):
+    """Who is informed. thread: process and thread of the firmware; a process that it forks is not observed."""
+
+    thread: tuple[int, int]
+    on_sleep: Callable[[str], None]
+    on_thread: Callable[[], None]
+
+
+_observer: _Observer | None = None
+_functions: dict[
+    str, Any
+] = {}  # for as long as the process lives: libraries that are never unloaded have their addresses
+
+
+def set_observer(on_sleep: Callable[[str], None] | None, on_thread: Callable[[], None] = lambda: None) -> None:
+    """Choose what observed calls of this thread are reported to, or None.
+
+    Args:
+        on_sleep: Called before the thread sleeps, with the call in words.
+        on_thread: Called after the thread has begun another one.
+    """
+    global _observer
+    _observer = None if on_sleep is None else _Observer((os.getpid(), get_ident()), on_sleep, on_thread)
+
+
+def loaded_libraries(handle: int) -> Iterator[LoadedLibrary]:
+    """Yield the library with a handle, which was just loaded, and those that were loaded with it."""
+    library = ctypes.cast(handle, ctypes.POINTER(LoadedLibrary))
+    while library:
+        yield library.contents
+        library = library.contents.next
+
+
+def observe(handle: int) -> None:
+    """Report calls that sleep or begin a thread, of the library with this handle and of those that were loaded with it."""
+    for name in _THREAD_CREATORS | _SLEEPS.keys():
+        if name not in _functions:
+            _functions[name] = _CALL(_reporting(name))
+    for library in loaded_libraries(handle):
+        _redirect(library, _functions)
+
+
+def redirect_calls(handle: int, functions: Mapping[str, Any]) -> None:
+    """Let the library with this handle call other functions (of ctypes); they have to live as long as it does."""
+    _redirect(next(loaded_libraries(handle)), functions)
+
+
+def _reporting(name: str) -> Callable[..., int]:
+    """Make a function that calls the one of this name of the system, and reports it."""
+
+    def call(*arguments: int) -> int:
+        observer = _observer if _observer is not None and _observer.thread == (os.getpid(), get_ident()) else None
+        if observer is not None and name in _SLEEPS and (words := _SLEEPS[name](*arguments)):
+            observer.on_sleep(words)
+        result = int(getattr(ctypes.CDLL(None), name)(*map(ctypes.c_int64, arguments)))
+        if observer is not None and name in _THREAD_CREATORS:
+            observer.on_thread()
+        return result
+
+    return call
+
+
+def _redirect(library: LoadedLibrary, functions: Mapping[str, Any]) -> None:
+    """Set the slots by which a library calls these functions, unless it has functions of these names itself."""
+    base, tags, at = library.base, {}, library.dynamic
+    while tag := ctypes.c_int64.from_address(at).value:
+        tags[tag] = ctypes.c_uint64.from_address(at + 8).value
+        at += 16
+    names, symbols = (_absolute(tags.get(tag, 0), base) for tag in (_NAMES, _SYMBOLS))
+    for table, size in ((_CALLS, _CALLS_SIZE), (_RELOCATIONS, _RELOCATIONS_SIZE)):
+        if not tags.get(size):
+            continue
+        raw: Any = (ctypes.c_char * tags[size]).from_address(_absolute(tags[table], base))
+        relocations = np.frombuffer(raw, _RELOCATION)
+        numbers = relocations["info"] >> 32
+        for number in np.unique(numbers[numbers > 0]).tolist():
+            symbol = symbols + _SYMBOL_SIZE * number
+            name = ctypes.string_at(names + ctypes.c_uint32.from_address(symbol).value).decode(errors="replace")
+            if name in functions and ctypes.c_uint16.from_address(symbol + _SECTION_OFFSET).value == 0:
+                for offset in relocations["offset"][numbers == number].tolist():
+                    _set_slot(base + offset, ctypes.cast(functions[name], ctypes.c_void_p).value or 0)
+
+
+def _absolute(address: int, base: int) -> int:
+    """Return an address in memory: some loaders make the addresses of a dynamic section absolute, others leave them."""
+    return address if address >= base else base + address
+
+
+def _set_slot(slot: int, address: int) -> None:
+    page = slot // mmap.PAGESIZE * mmap.PAGESIZE
+    if ctypes.CDLL(None).mprotect(ctypes.c_void_p(page), mmap.PAGESIZE, mmap.PROT_READ | mmap.PROT_WRITE) == 0:
+        ctypes.c_uint64.from_address(slot).value = address

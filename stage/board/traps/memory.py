@@ -1,0 +1,262 @@
+"""Windows in the memory of firmware: pages that nobody may touch, and the handler of the faults that an access to them raises.
+
+The handler (processor.py) makes bus cycles of the access and goes on behind it. Any other fault goes to the handler that was there
+before: that of crashes.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import mmap
+import os
+import struct
+from pathlib import Path
+from signal import SIGSEGV
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from stage.board import bus, crash_report, host
+from stage.board.errors import HostError
+from stage.board.traps import processor
+from stage.board.traps.calls import loaded_libraries
+from stage.board.traps.instructions import TABLE
+from stage.board.traps.signals import (
+    NO_MASK,
+    ON_STACK,
+    WITH_INFO,
+    SignalAction,
+    get_action,
+    make_executable,
+    set_action,
+)
+from stage.board.windows import PROXIES, Window, explain_missing, is_supported, windows
+from stage.errors import ArgumentError, StageError
+from stage.native import array_at
+
+if TYPE_CHECKING:
+    from stage.board.library import Library
+    from stage.board.link import Link
+
+MIN_ADDRESS = 1 << 16  # below the system lets nobody map
+FREE_ADDRESS = 0x5000_0000  # from here on lie windows without an address of their own
+SPACING, MAX_TRIES = 1 << 20, 1024
+STACK_MARGIN = 1 << 16  # bytes at the end of a stack, where the guard may be
+_NO_ACCESS, _FLAGS = (
+    0,
+    2 | 0x20 | 0x4000 | 0x100000,
+)  # of mmap: private, anonymous, no reserve, at this address or not at all
+_ELF, _LOAD, _READ_ONLY = b"\x7fELF", 1, 0x6474E552  # kinds of a program header
+_libc: Any = ctypes.CDLL(None)
+_libc.mmap.restype = _libc.pthread_self.restype = ctypes.c_void_p
+_space = np.zeros(1, processor.SPACE)
+_tables: list[np.ndarray] = []  # the handler in another thread may look at one before
+_thunks: list[int] = []
+
+
+class Windows:
+    """The windows of a firmware library in this process."""
+
+    def __init__(self, library: Library, link: Link):
+        self._library, self._link = library, link
+        self._windows: list[Window] = []
+        self._pages: list[tuple[int, int]] = []
+        self._memory = _memory_of(library) if is_supported() else []
+
+    @property
+    def faults(self) -> int:
+        """How many faults of this process were accesses to windows: the handler goes on behind them as long as it can."""
+        return int(_space["faults"][0])
+
+    def choose(self, port: int, length: int) -> int:
+        """Claim a window at an address of our choice, and return the address.
+
+        Raises:
+            HostError, StageError: There is no such window, or no room for it.
+        """
+        request = f"ps_window({port:#x}, {length:#x})"
+        if not is_supported():
+            raise HostError(f"{request}: {explain_missing(isolated=True)}")
+        try:
+            size = windows((0, port, length))[0].end
+        except ArgumentError as error:
+            raise HostError(f"{request}: {error}") from None
+        begin = max([FREE_ADDRESS, *(-(-end // SPACING) * SPACING for _, end in self._pages)])
+        for address in range(begin, begin + MAX_TRIES * SPACING, SPACING):
+            try:
+                self.claim(Window(address, port, size))
+            except ArgumentError:
+                continue
+            except StageError as error:
+                raise HostError(
+                    f"{request}: {error} Ask once for each window, and keep the pointer; {self._when()}"
+                ) from None
+            return address
+        raise HostError(f"{request}: there is no room for a window of this size.")
+
+    def claim(self, window: Window) -> None:
+        """Make accesses to a window bus cycles.
+
+        Raises:
+            ArgumentError: Something else is there.
+            StageError: There are too many windows, or the system allows none.
+        """
+        if not is_supported():
+            raise StageError(explain_missing(isolated=True))
+        if window.address < MIN_ADDRESS:
+            raise ArgumentError(
+                f"window {window}: the system lets nobody use addresses below {MIN_ADDRESS:X}h, where null pointers lead; "
+                f"{PROXIES}."
+            )
+        begin, end = window.address & -mmap.PAGESIZE, -(-window.end // mmap.PAGESIZE) * mmap.PAGESIZE
+        for first, last in self._pages:
+            begin = last if first <= begin < last else begin
+        for first, last in self._pages:
+            end = first if first < end <= last else end
+        if begin < end:
+            size = ctypes.c_size_t(end - begin)
+            at = _libc.mmap(ctypes.c_void_p(begin), size, _NO_ACCESS, _FLAGS, -1, ctypes.c_long(0))
+            if at != begin:
+                if at != ctypes.c_void_p(-1).value:
+                    _libc.munmap(ctypes.c_void_p(at), size)
+                raise ArgumentError(
+                    f"window {window}: {_describe_use(begin, end)}. Choose another address; or {PROXIES}."
+                )
+            self._pages.append((begin, end))
+        self._windows.append(window)
+        self._publish()
+        _install_handler()
+
+    def close(self) -> None:
+        """Give the windows back."""
+        for begin, end in self._pages:
+            _libc.munmap(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin))
+        if self._pages:
+            self._windows, self._pages = [], []
+            self._publish()
+
+    def add_stack(self) -> None:
+        """Let the handler touch the stack of this thread."""
+        if is_supported():
+            self._memory.append((*_stack(), processor.READABLE | processor.WRITABLE | processor.STACK))
+
+    def _publish(self) -> None:
+        """Inform the handler of windows, their pages and memory."""
+        at = self._link.pointer
+        rows = [(w.address, w.end, processor.WINDOW, w.port, at) for w in self._windows]
+        rows += [(begin, end, processor.PAGE, 0, at) for begin, end in self._pages]
+        rows += [(*memory, 0, at) for memory in self._memory]
+        if len(rows) >= processor.SPANS:
+            raise StageError(f"{len(rows)} windows and pieces of memory: there is room for {processor.SPANS - 1}.")
+        spans = np.zeros(processor.SPANS, processor.SPAN)
+        spans[: len(rows)] = rows
+        _tables.append(spans)
+        _space["spans"] = spans.ctypes.data
+
+    def explain_refusal(self, what: int, step: int, address: int) -> HostError:
+        """Say why an instruction is no bus cycle. step: the address of its STEP."""
+        state: Any = array_at(step, 1, processor.STEP)[0]
+        start, top = int(state.start), ctypes.c_uint64.from_address(int(state.stack)).value
+        place = crash_report.locate(start, top, self._library.path)
+        access = f"{self._library.path.name}: an access to address {address:X}h in {place}"
+        near = next((w for w in self._windows if w.address <= address < w.end), None)
+        if what == host.BEYOND_WINDOW:
+            window = near or min(self._windows, key=lambda w: min(abs(address - w.address), abs(address - w.end)))
+            goes = "goes on" if near else "is"
+            return HostError(
+                f"{access} {goes} beyond the window {window}, which ends at {window.end - 1:X}h. Give it more ports, or another "
+                f"window there (--map, map=); {self._when()}"
+            )
+        code = ctypes.string_at(start, 8).hex(" ")
+        return HostError(
+            f"{access}, in the window {near}, is by an instruction that is no bus cycle (its code begins {code}). Registers are "
+            "read and written one at a time, as `volatile` variables of 8, 16 or 32 bits: not by memcpy or memset, as structs, "
+            f"vectors or floats; {self._when()}"
+        )
+
+    def _when(self) -> str:
+        board = self._link.board
+        return f"at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles:\n{board.trace.text(12)}"
+
+
+def _install_handler() -> None:
+    """Handle faults; the handler of before is called for those that are no accesses to windows."""
+    if not _thunks:
+        _space["opcodes"], _space["signal"] = TABLE.ctypes.data, _address(_libc.signal)
+        _space["request"] = _address(bus.request.pointer)
+        _thunks.append(_make_thunk())
+    action = get_action(SIGSEGV)
+    if action.handler != _thunks[0]:
+        _space["previous"] = action.handler or 0
+        set_action(SIGSEGV, SignalAction(_thunks[0], flags=WITH_INFO | NO_MASK | ON_STACK))
+
+
+def _address(function: Any) -> int:
+    return ctypes.cast(function, ctypes.c_void_p).value or 0
+
+
+def _make_thunk() -> int:
+    """Make the handler in machine code: it gives `on_fault` its two records, of which STEP is on the stack, and jumps on to the
+    handler of before if that is asked for."""
+    size = struct.pack("<i", -(-processor.STEP.itemsize // 16) * 16)
+    previous = _space.ctypes.data + int(dict(processor.SPACE.fields or {})["previous"][1])
+    code = (
+        b"\x57\x56\x52"  # push rdi, rsi, rdx
+        + b"\x48\x81\xec" + size  # sub rsp, size
+        + b"\x49\x89\xe0\x4d\x89\x00"  # mov r8, rsp; mov [r8], r8
+        + b"\x48\xb9" + struct.pack("<Q", _space.ctypes.data)  # mov rcx, the SPACE
+        + b"\x48\xb8" + struct.pack("<Q", _address(processor.on_fault.pointer))  # mov rax, on_fault
+        + b"\xff\xd0"  # call rax
+        + b"\x48\x81\xc4" + size  # add rsp, size
+        + b"\x5a\x5e\x5f"  # pop rdx, rsi, rdi
+        + b"\x85\xc0\x74\x01\xc3"  # return unless eax is 0
+        + b"\x48\xb8" + struct.pack("<Q", previous) + b"\xff\x20"  # mov rax, previous; jmp [rax]
+    )  # fmt: skip
+    try:
+        return make_executable(code)
+    except StageError as error:
+        raise StageError(f"{error} Windows need that: {PROXIES}.") from None
+
+
+def _describe_use(begin: int, end: int) -> str:
+    """Say what lies at these addresses."""
+    for line in os.fsdecode(Path("/proc/self/maps").read_bytes()).splitlines():
+        place, *rest = line.split(maxsplit=5)
+        low, high = (int(n, 16) for n in place.split("-"))
+        if low < end and begin < high:
+            return f"its pages are in use in this process, by {rest[4] if len(rest) > 4 else 'its memory'}"
+    return "its pages cannot be had"
+
+
+def _memory_of(library: Library) -> list[tuple[int, int, int]]:
+    """Return code and data of a library and of those that were loaded with it, and its bus: begin, end, kind."""
+    bus_struct = ctypes.addressof(library.bus)
+    memory = [(bus_struct, bus_struct + ctypes.sizeof(library.bus), processor.READABLE)]
+    for base in (loaded.base for loaded in loaded_libraries(library.handle)):
+        if not base or ctypes.string_at(base, 4) != _ELF:
+            continue
+        header = ctypes.string_at(base, 64)
+        first, size, n = *struct.unpack_from("<Q", header, 32), *struct.unpack_from("<HH", header, 54)
+        rows = [struct.unpack_from("<IIQQQQQ", ctypes.string_at(base + first + k * size, size)) for k in range(n)]
+        for kind in (_READ_ONLY, _LOAD):  # the first that fits is meant
+            memory += [
+                (base + start, base + start + length, processor.READABLE if kind == _READ_ONLY else _access(flags))
+                for what, flags, _, start, _, _, length in rows
+                if what == kind
+            ]
+    return memory
+
+
+def _access(flags: int) -> int:
+    """Convert the flags of a program header: 4 read, 2 write, 1 execute."""
+    names = ((4, processor.READABLE), (2, processor.WRITABLE), (1, processor.CODE))
+    return sum(kind for flag, kind in names if flags & flag)
+
+
+def _stack() -> tuple[int, int]:
+    """Return begin and end of the stack of this thread."""
+    attributes, begin, size = (ctypes.c_uint64 * 8)(), ctypes.c_uint64(), ctypes.c_size_t()
+    _libc.pthread_getattr_np(ctypes.c_void_p(_libc.pthread_self()), attributes)
+    _libc.pthread_attr_getstack(attributes, ctypes.byref(begin), ctypes.byref(size))
+    _libc.pthread_attr_destroy(attributes)
+    return begin.value + STACK_MARGIN, begin.value + size.value

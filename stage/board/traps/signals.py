@@ -1,0 +1,225 @@
+"""Handle signals in the process of firmware: note crashes, find where a thread computes, remove handlers of unloaded code."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import mmap
+import os
+import platform
+import signal
+import struct
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from stage.board.crash_report import TOUCHES, Crash, find_symbol, format_note
+from stage.errors import StageError
+
+CRASHES = (*TOUCHES, signal.SIGILL, signal.SIGFPE, signal.SIGABRT)
+TIMERS = {signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF, *range(signal.SIGRTMIN, signal.SIGRTMAX + 1)}
+"""The signals of setitimer, of alarm, and those that timer_create can be given."""
+STACK_SIZE = 16 << 20  # bytes, of handlers: that of the firmware may be full
+MAX_DEPTH = 100  # calls
+POSITION_LIMIT_S = 0.3  # of real time; a thread may have blocked the signal
+_CODE, _ADDRESS, _SENDER = 8, 16, 16  # in siginfo_t
+_CONTEXT = {"x86_64": {"pc": 168, "sp": 160, "error": 192}, "aarch64": {"pc": 440, "sp": 432, "lr": 424}}
+"""Offsets in ucontext_t: program counter, stack pointer, the register that has the return address; the processor's error code,
+whose bit 1 says that it wrote."""
+_NEAR_STACK = 1 << 16  # bytes
+_DEFAULT, _IGNORE = 0, 1
+WITH_INFO, NO_MASK, RESTART, ON_STACK = 4, 0x40000000, 0x10000000, 0x08000000  # flags of sigaction
+_FORKED = format_note("a process that it had forked crashed (it has no bus: only the firmware itself has)")
+_HANDLER = ctypes.CFUNCTYPE(None, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
+_permanent: list[Any] = []  # objects that live as long as the process
+_position = (ctypes.c_uint64 * 2)()  # program counter, and the word on top of the stack
+_position_handler = 0
+
+
+class SignalAction(ctypes.Structure):
+    """struct sigaction of glibc and musl."""
+
+    _fields_ = (
+        ("handler", ctypes.c_void_p), ("mask", ctypes.c_ulong * 16), ("flags", ctypes.c_int), ("restorer", ctypes.c_void_p),
+    )  # fmt: skip
+
+
+class _Stack(ctypes.Structure):
+    """stack_t."""
+
+    _fields_ = (("begin", ctypes.c_void_p), ("flags", ctypes.c_int), ("size", ctypes.c_size_t))
+
+
+def get_action(number: int) -> SignalAction:
+    """Return how a signal is handled now."""
+    action = SignalAction()
+    ctypes.CDLL(None).sigaction(int(number), None, ctypes.byref(action))
+    return action
+
+
+def set_action(number: int, action: SignalAction) -> None:
+    """Change how a signal is handled."""
+    ctypes.CDLL(None).sigaction(int(number), ctypes.byref(action), None)
+
+
+def make_executable(code: bytes) -> int:
+    """Put machine code into memory, for as long as the process lives, and return its address.
+
+    Raises:
+        StageError: The system lets no program make code.
+    """
+    pages = mmap.mmap(-1, mmap.PAGESIZE, prot=mmap.PROT_READ | mmap.PROT_WRITE)
+    pages.write(code)
+    address = ctypes.addressof(ctypes.c_char.from_buffer(pages))
+    _permanent.append(pages)
+    if ctypes.CDLL(None).mprotect(ctypes.c_void_p(address), mmap.PAGESIZE, mmap.PROT_READ | mmap.PROT_EXEC) != 0:
+        raise StageError("this system lets no program make code.")
+    return address
+
+
+# --- crashes ---
+
+
+def watch_crashes(note: Callable[[bytes], None]) -> None:
+    """Note a crash of this process from now on; the signal then ends the process as it would have done.
+
+    Args:
+        note: Called in the middle of the signal with a `Crash` as JSON.
+    """
+    libc = ctypes.CDLL(None)
+    if not hasattr(libc, "backtrace"):
+        return
+    calls, owner = (ctypes.c_void_p * MAX_DEPTH)(), os.getpid()
+    libc.backtrace(calls, MAX_DEPTH)  # the first call loads a library
+
+    def handle(number: int, info: int, context: int) -> None:
+        libc.signal(number, None)
+        if os.getpid() != owner:
+            os.kill(owner, signal.SIGABRT)  # the run is to fail
+            os._exit(1)
+        try:
+            crash = (
+                _FORKED
+                if _is_from_a_fork(number, info)
+                else json.dumps(_observe(libc, calls, number, info, context)).encode()
+            )
+            note(crash)
+        finally:
+            os.kill(os.getpid(), number)
+
+    handler = _HANDLER(handle)
+    action = SignalAction(ctypes.cast(handler, ctypes.c_void_p), flags=WITH_INFO | ON_STACK)
+    _permanent.extend((handler, action))
+    for number in CRASHES:
+        set_action(number, action)
+
+
+def give_stack() -> None:
+    """Give handlers of signals a stack of their own in this thread, for as long as the process lives."""
+    room = mmap.mmap(-1, STACK_SIZE)
+    _permanent.append(room)
+    begin = ctypes.addressof(ctypes.c_char.from_buffer(room))
+    ctypes.CDLL(None).sigaltstack(ctypes.byref(_Stack(begin, 0, STACK_SIZE)), None)
+
+
+def _observe(libc: Any, calls: Any, number: int, info: int, context: int) -> Crash:
+    def word(at: int) -> int:
+        return int(ctypes.c_uint64.from_address(at).value)
+
+    places = _CONTEXT.get(platform.machine(), {})
+    code = ctypes.c_int.from_address(info + _CODE).value
+    address = word(info + _ADDRESS) if number in TOUCHES and code > 0 else -1
+    pc = word(context + places["pc"]) if "pc" in places else None
+    jumped = address >= 0 and pc == address
+    if jumped:  # nobody can unwind from there: to read the code at the address is the next fault
+        stack = [address, word(context + places["lr"]) if "lr" in places else word(word(context + places["sp"]))]
+    else:
+        stack = [calls[k] or 0 for k in range(libc.backtrace(calls, MAX_DEPTH))]
+    if pc in stack:
+        stack = stack[stack.index(pc) :]
+    wrote = bool(word(context + places["error"]) & 2) if "error" in places else None
+    near = address >= 0 and "sp" in places and abs(address - word(context + places["sp"])) < _NEAR_STACK
+    frames = [find_symbol(a - (k > 0)) for k, a in enumerate(stack) if a]
+    return Crash(number, address, wrote, near and not jumped, frames, jumped, code)
+
+
+def _is_from_a_fork(number: int, info: int) -> bool:
+    """Tell whether another process has sent the signal, see `watch_crashes`."""
+    code, sender = ctypes.c_int.from_address(info + _CODE).value, ctypes.c_int.from_address(info + _SENDER).value
+    return number == signal.SIGABRT and code == 0 and sender != os.getpid()
+
+
+# --- where a thread computes ---
+
+
+def find_position(thread: threading.Thread | None) -> tuple[int, int]:
+    """Return the program counter of a thread and the word on top of its stack; (0, 0) where they cannot be had.
+
+    A signal has the thread note them, and it goes on. The handler is a few bytes of machine code, as the thread may be anywhere, in
+    malloc, too.
+    """
+    global _position_handler
+    if platform.machine() != "x86_64" or thread is None or thread.ident is None or not thread.is_alive():
+        return 0, 0
+    number = int(signal.SIGRTMAX) - 5
+    before = get_action(number)
+    try:
+        _position_handler = _position_handler or _make_position_handler()
+    except StageError:
+        return 0, 0
+    _position[0] = 0
+    set_action(number, SignalAction(_position_handler, flags=RESTART | ON_STACK))
+    with suppress(OSError):  # the thread has ended without Python's knowledge
+        signal.pthread_kill(thread.ident, number)
+    until = time.monotonic() + POSITION_LIMIT_S
+    while not _position[0] and time.monotonic() < until:
+        time.sleep(0.002)
+    if not _position[0]:  # the signal may still come
+        return 0, 0
+    set_action(number, before)
+    return _position[0], _position[1]
+
+
+def _make_position_handler() -> int:
+    pc, sp = (_CONTEXT["x86_64"][name] for name in ("pc", "sp"))
+    return make_executable(
+        b"\x48\x8b\x82" + struct.pack("<i", pc)  # mov rax, [rdx + pc]: of the third argument, a ucontext_t
+        + b"\x48\x8b\x92" + struct.pack("<i", sp)  # mov rdx, [rdx + sp]
+        + b"\x48\x8b\x12"  # mov rdx, [rdx]
+        + b"\x48\xb9" + struct.pack("<Q", ctypes.addressof(_position))  # mov rcx, where it is noted
+        + b"\x48\x89\x51\x08"  # mov [rcx + 8], rdx
+        + b"\x48\x89\x01\xc3"  # mov [rcx], rax; ret
+    )  # fmt: skip
+
+
+# --- handlers that firmware sets ---
+
+
+def block_timers() -> None:
+    """Keep timers of the firmware from interrupting this thread: a handler that makes a bus cycle would break Python."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, TIMERS)
+
+
+def unblock_timers() -> None:
+    """Let timers interrupt this thread: the firmware's."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, TIMERS)
+
+
+class SignalHandlers:
+    """Handlers of this process, as they are when the object is made: before a library is loaded.
+
+    A timer of the system (setitimer, alarm) that goes on would else call code that is gone, after firmware that has returned.
+    """
+
+    def __init__(self) -> None:
+        numbers = {int(n) for n in signal.valid_signals()} - {int(signal.SIGKILL), int(signal.SIGSTOP)}
+        self._before = {number: get_action(number) for number in sorted(numbers)}
+
+    def remove_those_of(self, file: str) -> None:
+        """Restore what handlers in this library have replaced; ignore a signal that nobody handled: it may still come."""
+        for number, before in self._before.items():
+            handler = get_action(number).handler or 0
+            if handler > _IGNORE and find_symbol(handler)[0] == file:
+                set_action(number, before if (before.handler or 0) != _DEFAULT else SignalAction(_IGNORE))
