@@ -18,7 +18,7 @@ from support.examples import FIXED
 from support.programs import start_preset
 
 from stage import Fleet, Program, SimulationError, Stage, faults
-from stage.board import Board, bus, host
+from stage.board import Board, host
 from stage.chips import HCTL1100, MCX302, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.native import COMPILED
 from stage.recording import recording

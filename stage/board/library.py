@@ -45,16 +45,12 @@ _OF_LINKER = re.compile(r"^collect2: |ld returned \d|linker command failed", re.
 _OF_GCC = "-fno-gnu-unique"
 METER = Path(__file__).parent / "meter.c"
 """What counts the basic blocks of firmware whose computing takes time."""
-_MACHINES = {
-    3: "x86 (32 bit)",
-    8: "MIPS",
-    20: "PowerPC",
-    40: "ARM (32 bit)",
-    62: "x86-64",
-    83: "AVR",
-    183: "aarch64",
-    243: "RISC-V",
-}
+MACHINES = {
+    2: "SPARC", 3: "x86 (32 bit)", 4: "68000", 8: "MIPS", 20: "PowerPC", 40: "ARM (32 bit)", 42: "SuperH", 62: "x86-64", 83: "AVR",
+    94: "Xtensa", 105: "MSP430", 183: "aarch64", 243: "RISC-V",
+}  # fmt: skip
+"""By e_machine of an ELF file."""
+ELF_HEAD_SIZE = 20
 _OURS = {"x86_64": "x86-64", "AMD64": "x86-64", "arm64": "aarch64"}
 
 
@@ -302,11 +298,11 @@ def check(path: str | os.PathLike) -> Path:
     if not file.is_file():
         raise FileError(f"{file}: there is no such library. Build it: {how_to_build(file)}")
     with file.open("rb") as f:
-        head = f.read(20)
+        head = read_elf_head(f.read(ELF_HEAD_SIZE))
     ours = _OURS.get(platform.machine(), platform.machine())
-    if head[:4] == b"\x7fELF" and len(head) == 20:
-        kind, machine = struct.unpack("<HH" if head[5] == 1 else ">HH", head[16:20])
-        theirs = _MACHINES.get(machine, f"machine {machine}")
+    if head is not None:
+        kind, machine = head
+        theirs = MACHINES.get(machine, f"machine {machine}")
         if platform.system() == "Linux" and theirs != ours:
             raise LibraryError(
                 f"{file} was built for {theirs}, and this is {ours}. Build it here: {how_to_build(file)}{_emulated(machine)}"
@@ -319,6 +315,17 @@ def check(path: str | os.PathLike) -> Path:
             f"{file} is no shared library of this machine ({ours}, ELF). Build it so: {how_to_build(file)}"
         )
     return file
+
+
+def read_elf_head(head: bytes) -> tuple[int, int] | None:
+    """Read e_type and e_machine from the first 20 bytes of a file; None for no ELF file.
+
+    Firmware of this machine needs these two numbers only, which are no reason for a dependency on pyelftools.
+    """
+    if head[:4] != b"\x7fELF" or len(head) < ELF_HEAD_SIZE:
+        return None
+    kind, machine = struct.unpack("<HH" if head[5] == 1 else ">HH", head[16:20])
+    return kind, machine
 
 
 def _emulated(machine: int) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from stage.board.host import IN8, LOG, OUT8
 from stage.native import array_at, called, exported, hot, record
-from stage.targets.core import BASE, WHOLE, bus_cycle, reach, request
+from stage.targets.machine import BASE, WHOLE, bus_cycle, reach, request
 
 NO_PIN = -1
 PORTS = "ABCDEFGHJKL"

@@ -1,33 +1,47 @@
-"""What is in an ELF file: its machine, what is to be loaded, its symbols."""
+"""Read ELF programs of other processors by pyelftools: what is loaded, symbols, and which processor they were built for.
+
+An AVR's file has its architecture in the ELF flags; its name, where avr-gcc (`.note.gnu.avr.deviceinfo`) or simavr's header
+(`.mmcu`) has written it. A Cortex-M's has the build attributes of Arm (`.ARM.attributes`).
+"""
 
 from __future__ import annotations
 
+import re
 import shutil
-import struct
 from bisect import bisect_right
-from functools import cached_property
+from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from stage.board.errors import LibraryError
+from stage.board.library import ELF_HEAD_SIZE, MACHINES, read_elf_head
+from stage.errors import a_or_an
 from stage.files import FileError, refuse_irregular
 from stage.foreign_files import read_bytes
 from stage.processes import run_program
+from stage.targets.mcus import AVRS
 
 AVR, ARM = 83, 40
-LARGEST = 1 << 28
+MAX_SIZE = 1 << 28
 """Bytes of a program."""
-MACHINES = {
-    2: "SPARC", 3: "x86 (32 bit)", 4: "68000", 8: "MIPS", 20: "PowerPC", AVR: "AVR", ARM: "ARM (32 bit)", 42: "SuperH",
-    62: "x86-64", 94: "Xtensa", 105: "MSP430", 183: "aarch64", 243: "RISC-V",
-}  # fmt: skip
-PROGRAM, LOAD, CONTENT, SYMBOLS, FUNCTION, NOTHING = 2, 1, 1, 2, 2, 8
-WRITABLE, ALLOCATED = 1, 2
-_HEAD = struct.Struct("<16sHHIIIIIHHHHHH")
-_SEGMENT = struct.Struct("<IIIIIIII")
-_SECTION = struct.Struct("<IIIIIIIIII")
-_SYMBOL = struct.Struct("<IIIBBH")
 ADDR2LINE = ("avr-addr2line", "arm-none-eabi-addr2line", "llvm-addr2line", "addr2line")
+_PROGRAM = 2
+_KINDS = {1: "an object file", 3: "a shared library", 4: "a core dump"}
+_WRITABLE, _ALLOCATED = 1, 2
+_RESERVED = 0xFF00  # from this section on
+_ARCHITECTURE = 0x7F  # of the flags
+_UNKNOWN_ARCHITECTURE = 2  # and below: assembled without -mmcu
+_NAME_TAG = 1  # of AVR_MCU(...)
+_SMALL = "attiny"
+V7, V6M, V6SM, V7EM, V8BASE, V8MAIN, V81MAIN = 10, 11, 12, 13, 16, 17, 21
+_ARM_NAMES = {
+    V7: "v7-M (Cortex-M3)", V6M: "v6-M (Cortex-M0)", V6SM: "v6-M (Cortex-M0)", V7EM: "v7E-M (Cortex-M4, M7)",
+    V8BASE: "v8-M (Cortex-M23)", V8MAIN: "v8-M (Cortex-M33)", V81MAIN: "v8.1-M (Cortex-M55)",
+}  # fmt: skip
+_ARM_RUNS = {"cortex-m0": (V6M, V6SM), "cortex-m3": (V6M, V6SM, V7), "cortex-m4": (V6M, V6SM, V7, V7EM)}
+_DAMAGED = (ValueError, LookupError, TypeError, AttributeError, AssertionError, OverflowError)
+"""What pyelftools raises for damaged files, beside its own errors."""
 
 
 class Segment(NamedTuple):
@@ -39,134 +53,213 @@ class Segment(NamedTuple):
 
 
 def machine_of(path: Path) -> str:
-    """The machine that a file is for, in words; "" if it is no ELF file. Raises FileError."""
-    head = _read(path)[:20]
-    if head[:4] != b"\x7fELF" or len(head) < 20:
-        return ""
-    number = struct.unpack("<H" if head[5] == 1 else ">H", head[18:20])[0]
-    return MACHINES.get(number, f"machine {number}")
+    """Return the machine that a file is for, in words; "" if it is no ELF file. Raises FileError."""
+    head = read_elf_head(_read(path)[:ELF_HEAD_SIZE])
+    return MACHINES.get(head[1], f"machine {head[1]}") if head else ""
 
 
 class Elf:
-    """A program of a machine of 32 bits or less, little-endian.
+    """A program of a machine of 32 bits or less.
 
-    Raises FileError: there is no such file; LibraryError: no program, or one for another machine.
+    Attributes:
+        flags, entry: Of the file's head.
+        segments: What is loaded.
+        symbols: Addresses by name.
+
+    Raises:
+        FileError: There is no such file.
+        LibraryError: It is no program, or one for another machine.
     """
 
     def __init__(self, path: Path, machine: int, mcu: str, how: str):
-        self.path, self._content = path, _read(path)
-        self._state = 1 if machine == ARM else 0  # of Thumb, in the address of a function
-        found, content = machine_of(path), self._content
-        if not found:
+        from elftools.common.exceptions import ELFError
+        from elftools.elf.elffile import ELFFile
+
+        self.path, content = path, _read(path)
+        machine_name = machine_of(path)
+        if not machine_name:
             raise LibraryError(f"{path} is no ELF file: {mcu} runs what its linker makes, for example by {how}.")
-        if found != MACHINES[machine]:
-            raise LibraryError(f"{path} was built for {found}, and {mcu} is an {MACHINES[machine]}. Build it by {how}.")
-        if len(content) < _HEAD.size:
-            raise LibraryError(f"{path} is cut off: it has {len(content)} bytes.")
-        (
-            _,
-            kind,
-            _,
-            _,
-            self.entry,
-            self._segments_at,
-            self._sections_at,
-            self.flags,
-            _,
-            _,
-            n_segments,
-            _,
-            n_sections,
-            names,
-        ) = _HEAD.unpack_from(content)
-        if kind != PROGRAM:
-            what = {1: "an object file", 3: "a shared library", 4: "a core dump"}.get(kind, "no program")
-            raise LibraryError(f"{path} is {what}, not a program. Link it by {how}.")
+        if machine_name != MACHINES[machine]:
+            raise LibraryError(
+                f"{path} was built for {machine_name}, and {mcu} is an {MACHINES[machine]}. Build it by {how}."
+            )
+        kind, _ = read_elf_head(content[:ELF_HEAD_SIZE]) or (0, 0)
+        if kind != _PROGRAM:
+            raise LibraryError(f"{path} is {_KINDS.get(kind, 'no program')}, not a program. Link it by {how}.")
+        errors = (ELFError, *_DAMAGED)
         try:
-            tables = [_SECTION.unpack_from(content, self._sections_at + k * _SECTION.size) for k in range(n_sections)]
-            self._tables, self._names_at = tables, tables[names][4] if names < len(tables) else 0
-            self.segments = self._segments(n_segments, tables)
-            self.symbols = self._symbols(tables)
-        except (struct.error, IndexError, ValueError):  # a text without an end, or not in UTF-8
+            self._file = ELFFile(BytesIO(content))
+            self.flags, self.entry = int(self._file.header.e_flags), int(self._file.header.e_entry)
+            self._sections: list[Any] = list(self._file.iter_sections())
+            self.segments = self._read_segments()
+            self.symbols = self._read_symbols(thumb=machine == ARM)
+            self.attributes: dict[str, Any] = {}
+            with suppress(*errors):  # damaged ones tell nothing
+                self.attributes = self._read_attributes()
+            self.device_name = self._read_device_name()
+        except errors:
             raise LibraryError(f"{path} is cut off or damaged: its tables point behind its end.") from None
 
+    def _find_section(self, name: str) -> Any:
+        return next((section for section in self._sections if section.name == name), None)
+
     def section(self, name: str) -> bytes:
-        """What is in the section of that name; b"" if there is none."""
-        for name_at, kind, _, _, at, size, *_ in self._tables:
-            begin = self._names_at + name_at
-            if kind != NOTHING and self._content[begin : begin + len(name) + 1] == name.encode() + b"\0":
-                return self._content[at : at + size]
-        return b""
+        """Return what is in the section of that name; b"" if there is none."""
+        section = self._find_section(name)
+        return b"" if section is None or section["sh_type"] == "SHT_NOBITS" else bytes(section.data())
 
-    def writable(self, begin: int, size: int) -> bool:
-        """The linker has put variables into that memory."""
+    def is_writable(self, begin: int, size: int) -> bool:
+        """Tell whether the linker has put variables into that memory."""
+        wanted = _WRITABLE | _ALLOCATED
         return any(
-            flags & ALLOCATED and flags & WRITABLE and begin <= address < begin + size and length
-            for _, _, flags, address, _, length, *_ in self._tables
+            s["sh_flags"] & wanted == wanted and begin <= s["sh_addr"] < begin + size and s["sh_size"]
+            for s in self._sections
         )
-
-    def _segments(self, n: int, tables: list[tuple[int, ...]]) -> list[Segment]:
-        """What is loaded; without the file's head, which linkers put into the first where there is room."""
-        found, first = (
-            [],
-            min((at for _, kind, flags, _, at, *_ in tables if kind == CONTENT and flags & ALLOCATED), default=0),
-        )
-        for k in range(n):
-            kind, at, used_at, kept_at, size, *_ = _SEGMENT.unpack_from(
-                self._content, self._segments_at + k * _SEGMENT.size
-            )
-            if at == 0 and first:
-                at, used_at, kept_at, size = first, used_at + first, kept_at + first, size - first
-            if kind == LOAD and size > 0:
-                found.append(Segment(kept_at, used_at, self._content[at : at + size]))
-        return found
-
-    def _symbols(self, tables: list[tuple[int, ...]]) -> dict[str, int]:
-        found: dict[str, int] = {}
-        self._functions: list[tuple[int, str]] = []
-        for _, kind, _, _, at, size, link, *_ in tables:
-            if kind != SYMBOLS:
-                continue
-            names = tables[link][4]
-            for place in range(at, at + size, _SYMBOL.size):
-                name_at, value, _, info, _, section = _SYMBOL.unpack_from(self._content, place)
-                begin = names + name_at
-                name = self._content[begin : self._content.index(b"\0", begin)].decode(errors="replace")
-                if not name or not section:
-                    continue
-                found[name] = value
-                if info & 15 in (0, FUNCTION) and 0 < section < 0xFF00 and name[0] != "$":
-                    self._functions.append((value & ~self._state, name))
-        self._functions.sort()
-        return found
-
-    @cached_property
-    def _starts(self) -> list[int]:
-        return [value for value, _ in self._functions]
 
     def where(self, address: int) -> str:
-        """An address in words: with its symbol, and file and line if the file has them."""
-        said = f"{address:04X}h"
-        k = bisect_right(self._starts, address) - 1
+        """Say an address: with its symbol, and file and line if the file has them."""
+        words = f"{address:04X}h"
+        k = bisect_right(self._functions, (address, chr(0x10FFFF))) - 1
         if k >= 0:
             begin, name = self._functions[k]
-            said += f" ({name}{f'+{address - begin:X}h' if address > begin else ''}"
             line = self._line(address)
-            said += f", {line})" if line else ")"
-        return said
+            words += f" ({name}{f'+{address - begin:X}h' if address > begin else ''}{f', {line}' if line else ''})"
+        return words
 
     def _line(self, address: int) -> str:
-        for tool in ADDR2LINE:
-            if shutil.which(tool):
-                done = run_program([tool, "-e", str(self.path), hex(address)])
-                line = done.stdout.strip().split(" (")[0]
-                if done.returncode == 0 and line and not line.startswith("??") and not line.endswith((":?", ":0")):
-                    return Path(line).name
+        for tool in filter(shutil.which, ADDR2LINE):
+            done = run_program([tool, "-e", str(self.path), hex(address)])
+            line = done.stdout.strip().split(" (")[0]
+            if done.returncode == 0 and line and not line.startswith("??") and not line.endswith((":?", ":0")):
+                return Path(line).name
         return ""
+
+    def _read_segments(self) -> list[Segment]:
+        """Read what is loaded; without the file's head, which linkers put into the first where there is room."""
+        contents = [s for s in self._sections if s["sh_type"] == "SHT_PROGBITS" and s["sh_flags"] & _ALLOCATED]
+        first = min((s["sh_offset"] for s in contents), default=0)
+        segments = []
+        for s in self._file.iter_segments("PT_LOAD"):
+            skipped = first if s["p_offset"] == 0 else 0
+            if s["p_filesz"] > skipped:
+                segments.append(Segment(s["p_paddr"] + skipped, s["p_vaddr"] + skipped, bytes(s.data()[skipped:])))
+        return segments
+
+    def _read_symbols(self, thumb: bool) -> dict[str, int]:
+        """Read addresses by name. thumb: the lowest bit of a function's is the state of the processor."""
+        symbols: dict[str, int] = {}
+        self._functions: list[tuple[int, str]] = []
+        for table in (s for s in self._sections if s["sh_type"] == "SHT_SYMTAB"):
+            for symbol in table.iter_symbols():
+                section, name, value = symbol["st_shndx"], symbol.name, int(symbol["st_value"])
+                if not name or section == "SHN_UNDEF":
+                    continue
+                symbols[name] = value
+                is_code = symbol["st_info"]["type"] in ("STT_NOTYPE", "STT_FUNC")
+                if is_code and isinstance(section, int) and section < _RESERVED and name[0] != "$":
+                    self._functions.append((value & ~1 if thumb else value, name))
+        self._functions.sort()
+        return symbols
+
+    def _read_attributes(self) -> dict[str, Any]:
+        """Read the build attributes of Arm, of the whole file, by the names of their tags."""
+        section = self._find_section(".ARM.attributes")
+        if section is None or section["sh_type"] != "SHT_ARM_ATTRIBUTES":
+            return {}
+        public = (sub for sub in section.iter_subsections() if sub.header["vendor_name"] == "aeabi")
+        whole = (part for sub in public for part in sub.iter_subsubsections() if part.header.tag == "TAG_FILE")
+        return {attribute.tag: attribute.value for part in whole for attribute in part.iter_attributes()}
+
+    def _read_device_name(self) -> str:
+        """Read the name that avr-gcc has written; "" if it has not."""
+        section = self._find_section(".note.gnu.avr.deviceinfo")
+        for note in section.iter_notes() if section is not None else ():
+            record = bytes(note["n_descdata"])
+            names_at, offset = (
+                32,
+                int.from_bytes(record[28:32], "little"),
+            )  # behind six sizes of memories, and two words
+            if len(record) > names_at:
+                return record[names_at + offset :].split(b"\0")[0].decode("ascii", "replace").lower()
+        return ""
+
+
+# --- AVR ---
+
+
+def avr_architecture(mcu: str) -> int:
+    """Return the number of avr-gcc's architecture, as it stands in the ELF flags."""
+    if mcu.startswith(_SMALL):
+        return 25
+    if mcu == "at90usb162":
+        return 35
+    if mcu == "atmega2560":
+        return 6
+    if mcu.startswith("atmega128"):
+        return 51
+    return 4 if re.fullmatch(r"atmega(8l?|48p?a?|88p?a?)", mcu) else 5
+
+
+def check_avr(elf: Elf, mcu: str, how: str) -> None:
+    """Raise LibraryError for a program that is for another AVR."""
+    name, number = avr_name(elf), elf.flags & _ARCHITECTURE
+    wanted = avr_architecture(mcu)
+    other_name = name in AVRS and _family(name) != _family(mcu)
+    if number > _UNKNOWN_ARCHITECTURE and (number != wanted or other_name):
+        target = f"{name} (architecture avr{number})" if name else f"an AVR of the architecture avr{number}"
+        hint = f"Run it with --mcu {name}, or build it" if name in AVRS else "Build it"
+        raise LibraryError(f"{elf.path} was built for {target}, and {mcu} is an avr{wanted}. {hint} by {how}.")
+
+
+def _family(name: str) -> str:
+    """Leave out the letters of variants that run the same programs."""
+    return re.sub(r"(p|a|pa|l)$", "", name)
+
+
+def avr_name(elf: Elf) -> str:
+    """Return the name of the processor, for example atmega2560; "" where nobody has written it."""
+    return read_mmcu(elf).get(_NAME_TAG, b"").split(b"\0")[0].decode("ascii", "replace").lower() or elf.device_name
+
+
+def read_mmcu(elf: Elf) -> dict[int, bytes]:
+    """Read what AVR_MCU(...) of simavr's header has put into the section .mmcu, by its tags."""
+    kept = [s.content for s in elf.segments if 0x910000 <= s.used_at < 0x920000]
+    content = elf.section(".mmcu") or (kept[0] if kept else b"")
+    tags: dict[int, bytes] = {}
+    at = 0
+    while at + 2 <= len(content) and content[at]:
+        length = content[at + 1]
+        tags.setdefault(content[at], content[at + 2 : at + 2 + length])
+        at += 2 + length
+    return tags
+
+
+# --- Cortex-M ---
+
+
+def check_arm(elf: Elf, mcu: str, how: str) -> None:
+    """Raise LibraryError for a program with instructions that this Cortex-M does not have."""
+    tags = elf.attributes
+    arch, profile = tags.get("TAG_CPU_ARCH", 0), chr(tags.get("TAG_CPU_ARCH_PROFILE", ord("M")))
+    floats = tags.get("TAG_FP_ARCH")
+    target = ""
+    if arch >= V7 and profile in "AR":
+        target = f"a Cortex-{profile}"
+    elif arch in _ARM_NAMES and arch not in _ARM_RUNS[mcu]:
+        target = _ARM_NAMES[arch]
+    elif mcu != "cortex-m4" and (floats or tags.get("TAG_ABI_VFP_ARGS")):
+        target = "a floating-point unit"
+    if not target:
+        return
+    runs = [name for name in _ARM_RUNS if arch in _ARM_RUNS[name] and (name == "cortex-m4" or not floats)]
+    hint = f"Run it with --mcu {runs[0]}, or build it" if profile == "M" and runs else "Build it"
+    raise LibraryError(
+        f"{elf.path} was built for {target}, and this is {a_or_an(mcu)}. {hint} by {how.format(mcu=mcu)}."
+    )
 
 
 def _read(path: Path) -> bytes:
     refuse_irregular(path, "program")
     if not path.is_file():
         raise FileError(f"{path}: there is no such file.")
-    return read_bytes(path, "program", LARGEST)
+    return read_bytes(path, "program", MAX_SIZE)

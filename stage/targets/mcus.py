@@ -20,6 +20,7 @@ AVRS = (
 CORTEX = ("cortex-m0", "cortex-m3", "cortex-m4")
 X86 = ("8086",)
 SIMAVR = "simavr (Debian: apt install libsimavr2)"
+PYELFTOOLS = "pyelftools (pip install 'pulsestage[targets]')"
 UNICORN = "Unicorn (pip install 'pulsestage[targets]')"
 _NAMES = ("libsimavr.so.2", "libsimavr.so.1", "libsimavr.so", "libsimavr.dylib")
 
@@ -30,7 +31,9 @@ class NoEmulatorError(StageError):
 
 @cache
 def simavr() -> ctypes.CDLL:
-    """simavr's library. Raises NoEmulatorError."""
+    """Load simavr's library. Raises NoEmulatorError, also where there is nothing to read its programs with."""
+    if importlib.util.find_spec("elftools") is None:
+        raise NoEmulatorError(f"there is no {PYELFTOOLS}: install it.")
     for name in (*_NAMES, ctypes.util.find_library("simavr")):
         if name:
             try:
@@ -50,7 +53,7 @@ def has_simavr() -> bool:
 
 def has_unicorn() -> bool:
     """Whether Unicorn is installed."""
-    return importlib.util.find_spec("unicorn") is not None
+    return all(importlib.util.find_spec(name) is not None for name in ("unicorn", "elftools"))
 
 
 def need_unicorn() -> None:

@@ -19,10 +19,9 @@ from stage.board.errors import LibraryError
 from stage.files import FileError, refuse_irregular
 from stage.foreign_files import read_bytes
 from stage.targets import dos
-from stage.targets.elf import LARGEST, machine_of
+from stage.targets.elf import MAX_SIZE, machine_of
 from stage.targets.engine import NEVER, Engine
-from stage.targets.gdb import Server
-from stage.targets.gdb_registers import PcRegisters
+from stage.targets.gdb import PcRegisters, Server
 from stage.targets.machine import looked, wait
 from stage.targets.timer import HZ as TIMER_HZ
 from stage.targets.timer import Timers
@@ -133,7 +132,7 @@ class Pc(Engine):
                 f"{path} is a source by its name: an 8086 runs a .COM or an .EXE of DOS. Build it first, for example "
                 f"nasm -f bin {path.stem}.asm -o {path.stem}.com."
             )
-        content = read_bytes(path, "program", LARGEST)
+        content = read_bytes(path, "program", MAX_SIZE)
         prefix = bytearray(256)
         prefix[:4] = struct.pack("<HH", 0x20CD, 0xA000)  # int 20h; the end of memory
         prefix[0x80:0x82] = b"\0\r"

@@ -3,23 +3,19 @@
 import shutil
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from support.target_boards import board_of
 
 from stage.board import LibraryError
 from stage.targets import TargetHost, mcus
-from stage.targets.built_for import arm_attributes, avr_architecture, avr_name, check_arm
-from stage.targets.elf import AVR, Elf
+from stage.targets.elf import ARM, AVR, Elf, avr_architecture, avr_name, check_arm
 
 DATA = Path(__file__).parent / "data"
 PINS = "data=A,address=C:0-3,cs=B0,wr=G0,rd=G1"
 WINDOW = "0x40021000=0x300+0x40"
 NAME, FLAGS_AT = b"atmega2560\0", 36
-M4F = bytes.fromhex(
-    "413300000061656162690001290000000537452d4d00060d074d09020a061204140115011703180119011a011b011c011e062201"
-)
-"""The attributes of a file of `arm-none-eabi-gcc -mcpu=cortex-m4 -mfloat-abi=hard -mfpu=fpv4-sp-d16`."""
 
 
 def changed_avr(tmp_path: Path, name: bytes, architecture: int) -> Path:
@@ -106,50 +102,23 @@ def test_a_program_of_a_smaller_cortex_runs(tmp_path, arch, mcu):
     assert h.run().code == 9
 
 
-class Attributes:
-    """Of a file that has nothing else."""
-
-    path, content = Path("floats.elf"), M4F
-
-    def section(self, name):
-        return self.content
+def file_with(**tags: int) -> SimpleNamespace:
+    """Stand for a file with build attributes, and nothing else."""
+    return SimpleNamespace(path=Path("floats.elf"), attributes=tags)
 
 
-@pytest.mark.parametrize(("cut", "said"), [(len(M4F), {6: 13, 7: ord("M"), 10: 6, 28: 1}), (20, {}), (3, {}), (0, {})])
-def test_attributes_are_read_and_damaged_ones_tell_nothing(cut, said):
-    elf = Attributes()
-    elf.content = M4F[:cut]
-    told = arm_attributes(elf)
-    assert {tag: told[tag] for tag in said} == said
-    assert bool(told) == bool(said)
+def test_attributes_are_read_and_damaged_ones_tell_nothing(tmp_path):
+    content = (DATA / "faults.m3.elf").read_bytes()
+    assert Elf(DATA / "faults.m3.elf", ARM, "cortex-m3", "").attributes["TAG_CPU_ARCH"] == 10
+    damaged = content.replace(b"aeabi\0\1", b"aeabi\0\xff")
+    assert damaged != content
+    (tmp_path / "damaged.elf").write_bytes(damaged)
+    assert Elf(tmp_path / "damaged.elf", ARM, "cortex-m3", "").attributes == {}
 
 
-def test_a_tag_of_compatibility_is_a_number_and_a_text():
-    """Tag 32 before the others; its text is empty"""
-    elf = Attributes()
-    body = bytes((32, 1, 0)) + bytes((6, 11, 10, 0))
-    body = bytes((1,)) + (5 + len(body)).to_bytes(4, "little") + body
-    elf.content = b"A" + (10 + len(body)).to_bytes(4, "little") + b"aeabi\0" + body
-    assert arm_attributes(elf) == {32: 1, 6: 11, 10: 0}
-
-
-def test_arguments_in_registers_of_floating_point_want_a_unit_too():
-    """-mfloat-abi=hard in a file that computes with whole numbers only"""
-    elf = Attributes()
-    was = bytes((10, 6, 18))
-    assert M4F.count(was) == 1
-    elf.content = M4F.replace(was, bytes((10, 0, 18))).replace(bytes((6, 13, 7)), bytes((6, 10, 7)))
-    told = arm_attributes(elf)
-    assert (told[10], told[28]) == (0, 1)
-    with pytest.raises(LibraryError, match="a floating-point unit, and this is a cortex-m3"):
-        check_arm(elf, "cortex-m3", "{mcu}")
-
-
-def test_floating_point_wants_a_unit():
-    check_arm(Attributes(), "cortex-m4", "")
-    small = Attributes()
-    small.content = M4F.replace(bytes((6, 13, 7)), bytes((6, 10, 7)))
-    with pytest.raises(
-        LibraryError, match=r"a floating-point unit, and this is a cortex-m3\. Run it with --mcu cortex-m4"
-    ):
-        check_arm(small, "cortex-m3", "arm-none-eabi-gcc -mcpu={mcu}")
+@pytest.mark.parametrize("tag", ["TAG_FP_ARCH", "TAG_ABI_VFP_ARGS"])
+def test_floating_point_wants_a_unit_also_in_arguments_only(tag):
+    """-mfloat-abi=hard in a file that computes with whole numbers only has its arguments there"""
+    check_arm(file_with(TAG_CPU_ARCH=10, **{tag: 1}), "cortex-m4", "")
+    with pytest.raises(LibraryError, match=r"a floating-point unit, and this is a cortex-m3.*--mcu cortex-"):
+        check_arm(file_with(TAG_CPU_ARCH=10, **{tag: 1}), "cortex-m3", "arm-none-eabi-gcc -mcpu={mcu}")

@@ -12,12 +12,11 @@ import pytest
 from stage.board import LibraryError
 from stage.board.windows import Window
 from stage.errors import ArgumentError
-from stage.targets.avr_vectors import _target
-from stage.targets.built_for import check_avr
 from stage.targets.cortex import Cortex
-from stage.targets.gdb import Server
-from stage.targets.gdb_registers import PcRegisters
+from stage.targets.elf import check_avr
+from stage.targets.gdb import PcRegisters, Server
 from stage.targets.pc import LOAD, Pc
+from stage.targets.simavr import _target
 
 
 class Seen:
@@ -237,7 +236,7 @@ def test_a_window_on_the_processors_own_registers_or_behind_its_memory_is_refuse
 def test_a_program_of_a_variant_runs_and_one_of_another_processor_does_not(name, mcu, runs):
     """of the same architecture; one whose name is none that is known is taken by its architecture"""
     said = bytes([1, len(name) + 1]) + name.encode() + b"\0\0"
-    elf = SimpleNamespace(path=Path("x.elf"), flags=5, segments=[], section={".mmcu": said}.get)
+    elf = SimpleNamespace(path=Path("x.elf"), flags=5, segments=[], section={".mmcu": said}.get, device_name="")
     if runs:
         check_avr(elf, mcu, "avr-gcc")
     else:
