@@ -1,0 +1,61 @@
+"""Spread of core loss and inductance over machines: each motor's own range, with its evidence."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from stage import ArgumentError
+from stage.drives.motors import EVIDENCE, MOTORS, motor
+from stage.drives.published_curves import PUBLISHED_CURVES, fit_curve
+from stage.drives.spread import estimate_spread, vary
+
+CURVE = PUBLISHED_CURVES["17HS19-2004S1"]
+
+
+@pytest.mark.parametrize("m", MOTORS.values(), ids=lambda m: m.name)
+def test_every_motor_lies_in_its_own_spread_and_each_range_says_its_evidence(m):
+    spread = estimate_spread(m)
+    assert spread["core_loss_damping"].low < m.core_loss_damping < spread["core_loss_damping"].high
+    low, high, _ = spread["inductance"]
+    assert (low, high) == pytest.approx((0.8 * m.inductance, 1.2 * m.inductance))
+    assert all(found.evidence[0] in EVIDENCE and found.evidence[1:3] == ": " for found in spread.values())
+
+
+def test_a_motor_without_a_curve_has_the_likely_loss_and_one_with_a_curve_a_narrower_one():
+    loose, fitted = (estimate_spread(motor(name))["core_loss_damping"] for name in ("17HS4401", CURVE.motor))
+    assert loose[:2] == pytest.approx((2.0e-4, 6.4e-4))
+    assert fitted[:2] == pytest.approx((5.8e-4, 1.11e-3), rel=0.01)
+    assert (loose.evidence[0], fitted.evidence[0]) == ("I", "C")
+    assert fitted.high / fitted.low < loose.high / loose.low
+
+
+@pytest.mark.parametrize(("factor", "end"), [(1.2, "low"), (0.8, "high")])
+def test_the_ends_of_a_fitted_loss_are_fits_with_the_inductances_at_their_ends(factor, end):
+    m = replace(motor(CURVE.motor), effective_inductance=factor * 3.0e-3)
+    fit = fit_curve(m, CURVE, [200, 400, 600, 800, 1000, 1200])
+    expected = getattr(estimate_spread(motor(CURVE.motor))["core_loss_damping"], end)
+    assert fit.motor.core_loss_damping == pytest.approx(expected, rel=0.02)
+
+
+def test_a_share_of_a_range_is_taken_by_its_logarithm():
+    loss = estimate_spread(motor("17HS4401"))["core_loss_damping"]
+    assert loss.interpolate(0) == pytest.approx(loss.low)
+    assert loss.interpolate(1) == pytest.approx(loss.high)
+    assert loss.interpolate(0.5) == pytest.approx(math.sqrt(loss.low * loss.high))
+
+
+def test_a_varied_motor_has_the_values_that_were_given_and_no_other():
+    m = motor("17HS4401")
+    varied = vary(m, core_loss_damping=6.4e-4, inductance=3.3e-3)
+    assert varied.core_loss_damping == pytest.approx(6.4e-4)
+    assert (varied.phase_inductance, varied.inductance) == (3.3e-3, 2.8e-3)
+    assert vary(m) == m
+    assert vary(m, core_loss_damping=0).core_loss_resistance is None
+
+
+@pytest.mark.parametrize("bad", [-1e-4, math.inf, math.nan, "1e-4", 1.0])
+def test_a_loss_that_no_motor_has_is_refused_in_one_sentence(bad):
+    with pytest.raises(ArgumentError) as error:
+        vary(motor("17HS4401"), core_loss_damping=bad)
+    assert str(error.value) == (f"17HS4401: core_loss_damping={bad!r}: give a number from 0 up to 0.063662 N m s/rad.")
