@@ -1,11 +1,11 @@
 """`stage/FewShotTuning-v1`: several tries at the same move on a machine that the host does not know; then a proof of the best.
 
-An episode is one machine and one distance. What the machine is (payload, friction, supply, torque of the motor, place and drift
-of ORG) is hidden, and stays the same for all tries: what a try has shown counts for the next, so memory pays. Each try is a whole
-move from power-up, from where ORG trips. After the last, the best try that kept step is made `proofs` times more with `margin` kg
-beyond the payload. If one of these moves fails, the next best is proved, and so on; what counts is the best that holds. So the
-task remembers for the host, which may try one thing after another without a look. With answer="last" the last try is the answer,
-and is proved alone: a host has to remember what its tries have shown.
+An episode is one machine and one distance. What the machine is (payload, friction, supply, current of the drive, core loss and
+inductance of the motor, place and drift of ORG) is hidden, and stays the same for all tries: what a try has shown counts for
+the next, so memory pays. Each try is a whole move from power-up, from where ORG trips. After the last, the best try that kept
+step is made `proofs` times more with `margin` kg beyond the payload. If one of these moves fails, the next best is proved, and
+so on; what counts is the best that holds. So the task remembers for the host, which may try one thing after another without a
+look. With answer="last" the last try is the answer, and is proved alone: a host has to remember what its tries have shown.
 
 action        Box [-1, 1]^4, the same for every chip: start rate, drive rate, seconds of ramp-up and ramp-down, each by its
               logarithm over RATES; of ramps that do not fit into the move as much as does, as steep. The chip's formulas make

@@ -38,7 +38,9 @@ class Machines(Settings):
     payloads: Payloads | None = None  # kg
     frictions: Annotated[Pair, Range(1e-3)] | None = None  # times the model's
     supplies: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal voltage
-    torques: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the nominal torque constant
+    currents: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the current of the drive
+    losses: Annotated[Pair, Range(0.01, high=10.0)] | None = None  # times the core loss of the motor
+    inductances: Annotated[Pair, Range(0.1, high=10.0)] | None = None  # times the inductance of the motor
     drifts: Annotated[Pair, Range(0.0, high=0.5)] | None = (
         None  # electrical turns; of effect where a task has several tries
     )

@@ -64,8 +64,8 @@ def vary(motor: Motor, core_loss_damping: float | None = None, inductance: float
         ArgumentError: A value that no motor has.
     """
     if core_loss_damping is not None:
-        most = motor.holding_torque / (2 * math.pi)  # one turn a second takes all torque
-        within(f"{motor.name}: core_loss_damping", core_loss_damping, 0, most, "N m s/rad", zero=True)
+        max_loss = motor.holding_torque / (2 * math.pi)  # one turn a second takes all torque
+        within(f"{motor.name}: core_loss_damping", core_loss_damping, 0, max_loss, "N m s/rad", zero=True)
         resistance = motor.torque_constant**2 / core_loss_damping if core_loss_damping else None
         motor = replace(motor, core_loss_resistance=resistance)
     return motor if inductance is None else replace(motor, effective_inductance=inductance)

@@ -14,7 +14,7 @@ CURVE = PUBLISHED_CURVES["17HS19-2004S1"]
 
 
 @pytest.mark.parametrize("m", MOTORS.values(), ids=lambda m: m.name)
-def test_every_motor_lies_in_its_own_spread_and_each_range_says_its_evidence(m):
+def test_every_motor_lies_in_its_spread_and_each_range_says_its_evidence(m):
     spread = estimate_spread(m)
     assert spread["core_loss_damping"].low < m.core_loss_damping < spread["core_loss_damping"].high
     low, high, _ = spread["inductance"]
@@ -38,14 +38,14 @@ def test_the_ends_of_a_fitted_loss_are_fits_with_the_inductances_at_their_ends(f
     assert fit.motor.core_loss_damping == pytest.approx(expected, rel=0.02)
 
 
-def test_a_share_of_a_range_is_taken_by_its_logarithm():
+def test_a_share_of_a_range_counts_by_its_logarithm():
     loss = estimate_spread(motor("17HS4401"))["core_loss_damping"]
     assert loss.interpolate(0) == pytest.approx(loss.low)
     assert loss.interpolate(1) == pytest.approx(loss.high)
     assert loss.interpolate(0.5) == pytest.approx(math.sqrt(loss.low * loss.high))
 
 
-def test_a_varied_motor_has_the_values_that_were_given_and_no_other():
+def test_a_varied_motor_differs_in_the_values_named_alone():
     m = motor("17HS4401")
     varied = vary(m, core_loss_damping=6.4e-4, inductance=3.3e-3)
     assert varied.core_loss_damping == pytest.approx(6.4e-4)

@@ -62,7 +62,7 @@ def test_the_longest_distances_first_lead_to_the_target_on_both_ways(env, level,
 def test_from_an_unknown_place_the_origin_is_found_first(chip):
     env = make(chip=chip, axes=("x",))
     sides = set()
-    for seed in (0, 1, 2, 7):
+    for seed in (0, 1, 2, 8):
         env.reset(seed=seed, options={"targets": {"x": 320}})
         begun = env._task.axis_states[0, 0]
         assert not begun["known"]
@@ -157,7 +157,7 @@ def test_to_give_up_is_no_cheaper_than_to_fail_at_the_end():
     lost, steps, info = course(
         env,
         lambda: env.macros.index(next(crash, "wait")),
-        options={"torque": 0.6, "payload": 5.0, "targets": {"x": 16}},
+        options={"current": 0.6, "payload": 5.0, "targets": {"x": 16}},
     )
     assert steps < 120
     assert info["score"]["lost_steps"] > 0

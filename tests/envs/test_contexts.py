@@ -9,6 +9,7 @@ from stage.envs import contexts, faulty
 from stage.envs.results import Results, result
 from stage.envs.tuning import given
 
+PARTS = {"payload": 1.0, "friction": 3.0, "supply": 0.5, "current": 0.8, "loss": 1.5, "inductance": 1.2}
 ENDS = {"payload": (2.0, 2.0), "friction": (0.5, 2.0)}
 
 
@@ -35,7 +36,13 @@ def test_what_is_given_changes_nothing_that_is_drawn():
     drawn = []
     for asked in ({}, {"payload": 1.0}, {"friction": 1.0, "supply": 1.0}):
         context = np.zeros((), contexts.CONTEXT)
-        ends = {"payload": (0.0, 5.0), "friction": (0.5, 2.0), "supply": (0.7, 1.1), "torque": (0.6, 1.0)}
+        ends = {
+            "payload": (0.0, 5.0),
+            "friction": (0.5, 2.0),
+            "supply": (0.7, 1.1),
+            "current": (0.6, 1.0),
+            "loss": (0.56, 1.78),
+        }
         contexts.draw(np.random.default_rng(3), ends, context, asked)
         drawn.append({name: float(context[name]) for name in ends if name not in asked})
         assert all(context[name] == value for name, value in asked.items())
@@ -62,19 +69,25 @@ def test_an_option_that_is_no_number_of_its_range_is_refused(wrong):
         given({"payload": wrong}, "payload", 1.0, (0.0, 8.0))
 
 
-def test_a_machine_has_the_friction_the_damping_the_supply_and_the_payload_of_its_context():
+def test_a_machine_is_what_its_context_says_and_its_torque_constant_is_that_of_its_motor():
     stage, x, _ = machine()
     x.supply = 36.0
     context = np.zeros((), contexts.CONTEXT)
-    context["payload"], context["friction"], context["supply"], context["torque"] = 1.0, 3.0, 0.5, 0.8
-    dof = x.plant.dof
+    for name, value in PARTS.items():
+        context[name] = value
+    dof, drive, loss = x.plant.dof, stage.state.drives[x.index], stage.model.actuator_damping
     was = stage.model.dof_frictionloss[dof], stage.model.dof_damping[dof]
+    motor = x.drive.motor
     carrier = stage.model.body(int(stage.model.jnt_bodyid[x.joint])).name
     made = contexts.Machine.of(stage, "x", carrier)
     for _ in range(2):
         made.equip(stage, context, more=0.5)
         assert stage.model.dof_frictionloss[dof] == pytest.approx(3 * was[0])
         assert stage.model.dof_damping[dof] == pytest.approx(3 * was[1])
+        assert loss.tolist() == pytest.approx([1.5 * motor.core_loss_damping, motor.core_loss_damping])
+        assert drive.inductance == pytest.approx(1.2 * motor.inductance)
+        assert drive.current == pytest.approx(0.8 * motor.rated_current)
+        assert drive.torque_constant == motor.torque_constant
         assert x.supply == 18.0
         assert stage.payload(carrier) == 1.5
 

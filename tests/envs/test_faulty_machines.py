@@ -19,7 +19,7 @@ SHORT = {
     "stage/DriftingHome-v1": {"returns": 2, "limit": 1.0, "settle": 0.01},
     "stage/BusMacros-v1": {"level": "axes"},
 }
-GIVEN = {"payload": 1.0, "friction": 1.0, "supply": 1.0, "torque": 0.8}
+GIVEN = {"payload": 1.0, "friction": 1.0, "supply": 1.0, "current": 0.8, "loss": 1.0, "inductance": 1.0}
 
 
 def make(id_, **settings):

@@ -82,14 +82,23 @@ def test_where_the_last_try_is_the_answer_nothing_that_came_before_is_kept(monke
 
 def test_a_move_without_margin_does_not_hold_in_the_proof():
     """What is just kept with this payload fails with 300 kg more: the proof is made with the margin, on a machine of its own."""
-    rewards, infos = episode(make(margin=300.0), (BRISK, BRISK, BRISK), options={"torque": 0.7, "payload": 2.0})
+    rewards, infos = episode(make(margin=300.0), (BRISK, BRISK, BRISK), options={"current": 0.7, "payload": 2.0})
     assert infos[0]["kept"]
     assert infos[-1]["proved"] == np.inf
     assert rewards.sum() == pytest.approx(0)
 
 
 def test_the_machine_is_the_one_that_was_drawn_and_stays_so_for_all_tries(env):
-    given = {"payload": 3.0, "friction": 1.5, "supply": 0.95, "torque": 0.9, "switch": 0.25, "drift": 0.05}
+    given = {
+        "payload": 3.0,
+        "friction": 1.5,
+        "supply": 0.95,
+        "current": 0.9,
+        "loss": 1.5,
+        "inductance": 1.1,
+        "switch": 0.25,
+        "drift": 0.05,
+    }
     plain = FewShotTuning(1, Config(**SHORT))
     before = plain.machines[0]
     _, info = env.reset(seed=2, options=given)
@@ -103,7 +112,9 @@ def test_the_machine_is_the_one_that_was_drawn_and_stays_so_for_all_tries(env):
         assert env.stage.model.dof_damping[dof] == pytest.approx(1.5 * before.damping)
         drive = env.stage.state.drives[axis.index]
         assert drive.voltage == axis.supply == pytest.approx(0.95 * before.supply)
-        assert drive.torque_constant == pytest.approx(0.9 * before.torque)
+        assert env.stage.model.actuator_damping[axis.plant.actuator] == pytest.approx(1.5 * before.loss)
+        assert drive.current == pytest.approx(0.9 * before.current)
+        assert drive.inductance == pytest.approx(1.1 * before.inductance)
         angles.add(float(env._task.angle[0]))
         if k < 2:
             env.step(USUAL)
@@ -111,30 +122,49 @@ def test_the_machine_is_the_one_that_was_drawn_and_stays_so_for_all_tries(env):
     assert all(0.2 <= angle <= 0.3 for angle in angles), "where ORG trips, more or less"
 
 
-def test_frictions_are_drawn_by_their_logarithm_and_all_else_evenly():
-    ends = dict.fromkeys(contexts.KINDS, (0.0, 1.0)) | {"friction": (0.25, 4.0), "payload": (1.0, 3.0)}
+def test_frictions_and_losses_are_drawn_by_their_logarithm_and_all_else_evenly():
+    ends = dict.fromkeys(contexts.KINDS, (0.0, 1.0)) | {"payload": (1.0, 3.0)}
+    ends |= {"friction": (0.25, 4.0), "loss": (0.2, 5.0)}
     rng, drawn = np.random.default_rng(0), np.zeros(400, contexts.CONTEXT)
     for row in drawn:
         contexts.draw(rng, ends, row, {})
     middles = {name: float(np.median(drawn[name])) for name in contexts.KINDS}
     assert middles.pop("friction") == pytest.approx(1.0, abs=0.2)
+    assert middles.pop("loss") == pytest.approx(1.0, abs=0.2)
     assert middles.pop("payload") == pytest.approx(2.0, abs=0.15)
-    assert list(middles.values()) == pytest.approx([0.5] * 4, abs=0.08)
+    assert list(middles.values()) == pytest.approx([0.5] * 5, abs=0.08)
 
 
-def test_a_motor_of_another_torque_has_its_back_emf_at_once():
-    """env.reset(options={"torque": 0.7}) of a stage that has run"""
+def test_a_motor_of_another_inductance_has_its_time_constant_at_once():
+    """env.reset(options={"inductance": 1.2}) of a stage that has run: exp(-R t / L) of the current is left after a slice."""
     stage_ = Stage("xy", visuals=False)
     machine = contexts.Machine.of(stage_, "x", "y")
     stage_.run(1e-3)
     context = np.zeros((), contexts.CONTEXT)
-    for name in ("friction", "supply", "torque"):
+    for name in ("friction", "supply", "current", "loss"):
         context[name] = 1.0
-    context["torque"] = 0.7
+    context["inductance"] = 1.2
     machine.equip(stage_, context)
     stage_.run(1e-3)
     drive = stage_.state.drives[stage_.axes["x"].index]
-    assert drive.back == pytest.approx((1 - drive.keep) * 0.7 * machine.torque / drive.resistance, rel=1e-9)
+    slice_s = stage_.model.opt.timestep / 8
+    assert drive.keep == pytest.approx(np.exp(-drive.resistance * slice_s / (1.2 * machine.inductance)), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("machine", "lost"),
+    [
+        ({"loss": 0.56, "inductance": 0.8}, {"fast": False, "steep": False}),
+        ({"loss": 1.78, "inductance": 1.2}, {"fast": True, "steep": False}),
+        ({"current": 0.6}, {"fast": True, "steep": True}),
+    ],
+)
+def test_loss_and_inductance_take_torque_at_speed_and_a_low_current_takes_it_at_any(machine, lost):
+    env = make(distances=(8000, 8000), proofs=0)
+    nominal = {"payload": 2.0, "friction": 1.0, "supply": 1.0, "current": 1.0, "loss": 1.0, "inductance": 1.0}
+    moves = {"fast": action_of(3000, 60_000, 0.02, 0.02), "steep": action_of(3000, 24_000, 0.01, 0.01)}
+    env.reset(seed=1, options={**nominal, "switch": 0.5, "drift": 0.0, **machine})
+    assert {name: bool(env.step(action)[4]["lost_steps"]) for name, action in moves.items()} == lost
 
 
 def test_a_host_sees_its_tries_and_nothing_of_the_machine(env):

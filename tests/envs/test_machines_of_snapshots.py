@@ -33,6 +33,7 @@ def machine(stage_):
             "body_mass",
             "dof_frictionloss",
             "dof_damping",
+            "actuator_damping",
             "dof_solref",
             "dof_solimp",
             "geom_pos",
@@ -40,7 +41,7 @@ def machine(stage_):
         )
     }
     arrays |= {f"switch {name}": state.switch_table[name] for name in ("forced", "bounce", "toggles")}
-    arrays |= {f"drive {name}": state.drives[name] for name in ("voltage", "torque_constant")}
+    arrays |= {f"drive {name}": state.drives[name] for name in ("voltage", "current", "inductance")}
     return {name: array.tolist() for name, array in arrays.items()} | {
         a.name: (a.supply, a.open_phases, a.position, a.commanded) for a in stage_.axes.values()
     }

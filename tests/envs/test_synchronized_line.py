@@ -45,7 +45,7 @@ def test_what_was_gained_and_holds_is_the_logarithm_of_the_cost_saved(env):
 def test_corrections_that_bend_the_line_cost_path(env):
     costs = []
     for corrections in ({}, {"y": (0, 1, 0, 0, 0, 0)}):
-        env.reset(seed=2)
+        env.reset(seed=2, options={"distances": {"x": 2000, "y": -1100}})
         info = env.step(usual(env, **corrections))[4]
         costs.append((info["deviation"], info["proved"]))
     assert costs[1][0] > costs[0][0] + 0.5
@@ -54,7 +54,7 @@ def test_corrections_that_bend_the_line_cost_path(env):
 
 def test_a_line_that_does_not_hold_with_the_margin_gains_nothing():
     env = make(margin=300.0)
-    env.reset(seed=1, options={"torque": 0.6})
+    env.reset(seed=1, options={"current": 0.6})
     _, reward, _, _, info = env.step(usual(env, 20_000, 0.03))
     assert not info["lost_steps"].any()
     assert info["proved"] == info["score"]["time"] == np.inf
@@ -62,7 +62,7 @@ def test_a_line_that_does_not_hold_with_the_margin_gains_nothing():
 
 
 def test_a_line_that_loses_steps_is_damage(env):
-    env.reset(seed=1, options={"torque": 0.6, "payload": 5.0, "distances": {"x": 2000, "y": -1900}})
+    env.reset(seed=1, options={"current": 0.6, "payload": 5.0, "distances": {"x": 2000, "y": -1900}})
     _, reward, _, _, info = env.step(usual(env, 60_000, 0.01))
     assert info["score"]["lost_steps"] == np.abs(info["lost_steps"]).sum() > 0
     assert reward == -0.05

@@ -29,7 +29,7 @@ RASH = [9, 2, 6, 7, 10, 7, 8, 10, 11, 9]
 DISTANT_TARGETS = [8, 1, 5, 7, 9, 10, 7, 9, 10, 12, 6, 11, 8] * 4
 """With a grid of three: home, usual, 8192, minus, wait, read, into the end limit; select y, plus, select x, home."""
 SLOW = (a_move(200, 2000, 0.3, 0.3), *MOVES[:2])
-SOUND = {"fault": "none", "payload": 1.0, "friction": 1.2, "supply": 0.9, "torque": 0.9, "switch": 0.3, "drift": 0.05}
+SOUND = {"fault": "none", "payload": 1.0, "friction": 1.2, "supply": 0.9, "current": 0.9, "switch": 0.3, "drift": 0.05}
 ROUGH = {"walk": 2e-4, "noise": 1e-4, "bounces": (5e-4, 2e-3)}
 WEIGHED = {"time_weight": 1.5, "error_weight": 0.5, "missed_weight": 1.25, "damage_weight": 0.75}
 
@@ -50,7 +50,7 @@ EPISODES = {
         (MOVES, {"answer": "last", "memory": "last", "margin": 3.0, "vibration_weight": 0.2, "damage_weight": 0.5}, {}),
         (MOVES, {"encoder": False, "truth": True, "chip": "MCX514", "axis": "y", "proofs": 0}, {"distance": 640}),
         (SLOW, {"damage_weight": 0.5}, SOUND),
-        (MOVES[::-1], {"margin": 40.0, "tries": 3}, {**SOUND, "torque": 0.6}),
+        (MOVES[::-1], {"margin": 40.0, "tries": 3}, {**SOUND, "current": 0.6}),
         (MOVES, {"split": "faults", "drifts": (0.2, 0.4), "judge_at": "work", "payload_on": "work"}, {"payload": 4.0}),
     ],
     "OneShotTuning": [
@@ -74,7 +74,7 @@ EPISODES = {
         ("scripted", {"chip": "MCX514", "mixed": True, "tolerance": 2.0, "lag": 40.0}, {"level": 1, **SOUND}),
         (BOLD, {"level": "axes", "damage_weight": 1.5, "split": "weak"}, {"targets": {"x": 2048, "y": -16}}),
         (RASH, {"split": "weak", "damage_weight": 1.5, "macros": 60, "patience": 0.03}, {"targets": {"x": 16, "y": 32}}),
-        (RASH, {"damage_weight": 1.5, "macros": 60, "tolerance": 4.0}, {**SOUND, "payload": 5.0, "torque": 0.6}),
+        (RASH, {"damage_weight": 1.5, "macros": 60, "tolerance": 4.0}, {**SOUND, "payload": 5.0, "current": 0.6}),
         (DISTANT_TARGETS, {"grid": (16, 64, 8192), "damage_weight": 1.5, "success_weight": 2.0}, SOUND),
         ("drawn", {"macro_weight": 0.1, "time_weight": 0.5, "damage_weight": 2.0, "time_limit": 0.5}, {"level": "move"}),
     ],

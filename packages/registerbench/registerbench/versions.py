@@ -12,7 +12,8 @@ import stage.envs
 from stage.native.load import digest_of_sources, target
 
 PHYSICS = "2"
-"""Version of the motors' physics. 1, which older entries do not state: motors had no core loss. 2: the presets have one."""
+"""Version of the motors' physics. 1, which older entries do not state: motors had no core loss, and hidden machines scaled
+their torque. 2: the presets have a core loss, and hidden machines differ in it and in the inductance."""
 PACKAGES = ("pulsestage", "mujoco", "numpy", "gymnasium")
 
 

@@ -304,7 +304,7 @@ def test_a_policy_sees_what_its_track_shows():
     assert host.begun[0].env is None
     assert host.begun[0].entries[0] == "distance"
     assert all("distance" in names and not {"payload", "lost_steps", "reward_parts"} & names for _, names in host.seen)
-    assert {"payload", "torque"} <= truth.seen[0][1]
+    assert {"payload", "current", "loss", "inductance"} <= truth.seen[0][1]
     assert truth.seen[0][0][0] == host.seen[0][0][0] + len(contexts.SHOWN)
     assert entry.player == "Watching"
     assert registerbench.verify(entry).exact
@@ -322,7 +322,7 @@ def test_a_player_with_tools_sees_what_a_host_sees():
     registerbench.play(host, "brief", episodes=1)
     registerbench.play(tools, "brief", track="tools", episodes=1)
     assert tools.seen == host.seen
-    assert not {"payload", "torque", "reward_parts", "score"} & tools.seen[-1][1]
+    assert not {"payload", "current", "reward_parts", "score"} & tools.seen[-1][1]
 
 
 def test_moves_of_the_test_are_counted_whatever_is_said():
