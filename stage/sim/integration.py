@@ -46,6 +46,18 @@ def check_options(model: mujoco.MjModel) -> None:
         )
 
 
+def check_dampers(model: mujoco.MjModel, axes: Iterable[PlantAxis], drives: Iterable[Drive | Servo]) -> None:
+    """Raise ModelError for a model without dampers whose motors have a core loss, which is a damping of their actuators."""
+    if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER:
+        return
+    lossy = [p.name for p, d in zip(axes, drives, strict=True) if isinstance(d, Drive) and d.motor.core_loss_damping]
+    if lossy:
+        raise ModelError(
+            f'the model has <flag damper="disable"/>, which would drop the core loss of the motor on axis {", ".join(lossy)}: '
+            'remove it and write damping="0" at joints that have none, or give a motor with core_loss_resistance=None.'
+        )
+
+
 def check_step(
     model: mujoco.MjModel, data: mujoco.MjData, axes: Iterable[PlantAxis], drives: Iterable[Drive | Servo]
 ) -> None:

@@ -14,7 +14,7 @@ from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError
 from stage.sim import callbacks
-from stage.sim.integration import check_step
+from stage.sim.integration import check_dampers, check_step
 from stage.sim.state import SAVED, State
 
 if TYPE_CHECKING:
@@ -39,7 +39,9 @@ def refit_model(model: Any, here: mujoco.MjData, axes: Sequence[Axis], axis: Axi
     data = mujoco.MjData(trial)
     data.time, data.qpos[:] = here.time, here.qpos
     callbacks.forward(trial, data)
-    check_step(trial, data, [a.plant for a in axes], [drive if a is axis else a.drive for a in axes])
+    plants, drives = [a.plant for a in axes], [drive if a is axis else a.drive for a in axes]
+    check_dampers(trial, plants, drives)
+    check_step(trial, data, plants, drives)
     _fit(model, axis, drive, armature)
 
 

@@ -139,6 +139,7 @@ class Stage:
         for k, d in enumerate(drives):
             d.fill(self.state.drives[k])
         callbacks.forward(self.model, self.data)
+        integration.check_dampers(self.model, self._plant, drives)
         integration.check_step(self.model, self.data, self._plant, drives)
         handle.settle.held(self.state.pointer)
         self.run_to(0)

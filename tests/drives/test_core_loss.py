@@ -5,11 +5,12 @@ import math
 import pickle
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from stage import ArgumentError, Stage
+from stage import ArgumentError, ModelError, Stage
 from stage.chips import PCL240K
 from stage.drives.dynamometer import bound_by_both, closed_form, follow, pull_out, pulses, slices
 from stage.drives.motors import Drive, Motor
@@ -166,6 +167,26 @@ def test_a_model_that_states_the_damping_of_an_actuator_keeps_it():
     assert stage.model.actuator_damping[:2] == pytest.approx([1e-4, DAMPING])
     with faults.motor(stage.axes["x"], "17HS4401"):
         assert stage.model.actuator_damping[0] == 1e-4
+
+
+def test_a_model_that_switches_dampers_off_is_refused_before_it_drops_a_loss():
+    """<flag damper="disable"/>: MuJoCo then leaves out the damping of actuators, too."""
+    from stage.sim import plant
+
+    spec = plant.open_spec("xy")
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_DAMPER
+    with pytest.raises(ModelError) as error:
+        Stage(spec, chips=PCL240K, drives={"y": LOSSY, "x": LOSSLESS}, visuals=False)
+    assert str(error.value) == (
+        'the model has <flag damper="disable"/>, which would drop the core loss of the motor on axis y: remove it and write '
+        'damping="0" at joints that have none, or give a motor with core_loss_resistance=None.'
+    )
+    stage = Stage(spec, chips=PCL240K, drives=LOSSLESS, visuals=False)
+    before = stage.snapshot().state.tobytes()
+    with pytest.raises(ModelError, match="core loss of the motor on axis x: "):
+        faults.motor(stage.axes["x"], LOSSY)
+    assert stage.snapshot().state.tobytes() == before
+    assert not stage.model.actuator_damping.any()
 
 
 def test_the_formula_has_the_thrust_less_the_loss_and_friction_without_it():
