@@ -67,14 +67,14 @@ class Config(Machines):
 
     axis: AxisName = "x"
     distances: Counts = (1600, 16_000)  # pulses, drawn evenly by their logarithm
-    judge_at: AxisName | None = None  # site or body at which vibration is measured, as in RegisterTuning
+    judge_at: AxisName | None = None  # site or body at which vibration is observed, as in RegisterTuning
     tries: Count = 8  # an episode
     proofs: Annotated[int, Number(low=0, high=64, whole=True)] = 4  # moves
     margin: Annotated[float, Number(high=1e3)] = 0.5  # kg that the proof has beyond the payload
     encoder: Flag = True  # on the carriage, read by the host after each try
     memory: Annotated[str, Word(MEMORIES)] = "all"  # or "last"
     answer: Annotated[str, Word(ANSWERS)] = "best"  # what is proved: the best try, or the last one
-    settle: Seconds = 0.1  # s, in which vibration and swing are measured
+    settle: Seconds = 0.1  # s, in which vibration and swing are observed
     damage_weight: Weight = 0.05
     vibration_weight: Weight = 0.02  # s for each 0.1 mm
 

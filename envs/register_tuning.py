@@ -17,7 +17,7 @@ reward        the sum of
               limit      - limit_weight if the move did not make its pulses: an end limit, or the time limit
 episode       `moves` moves, then truncated.
 early_ends    a move that fails costs the time of the limit and is over at once. One whose chip, by itself, cannot make the pulses
-              within the limit is not made at all; one that loses a step ends there, its vibration is not measured.
+              within the limit is not made at all; one that loses a step ends there, its vibration is not observed.
 judge_at      a site or body that the axis carries, where the process is: what counts is how far it still travels after the stop.
               None: of the sites tool, camera and work the first that can swing (a camera on a mast), else the first that there is;
               in a model that has none of them the axis itself.
@@ -68,10 +68,10 @@ class Config(Settings):
     payload_on: AxisName | None = (
         None  # body or site that carries it; None: site "work", else the body that the axis moves
     )
-    judge_at: AxisName | None = None  # site or body at which vibration is measured; None: see above
+    judge_at: AxisName | None = None  # site or body at which vibration is observed; None: see above
     moves: Count = 8  # an episode
     limit: Seconds = 4.0  # s, a move may take
-    settle: Seconds = 0.1  # s, in which vibration is measured
+    settle: Seconds = 0.1  # s, in which vibration is observed
     lost_weight: Weight = 5.0
     vibration_weight: Weight = 0.1
     limit_weight: Weight = 5.0

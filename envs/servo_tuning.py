@@ -76,7 +76,7 @@ class Config(Settings):
     acceleration: Positive = 400_000.0  # counts/s2
     deadband: Positive = 3.0  # counts
     limit: Seconds = 0.5  # s, a move may take
-    rest: Annotated[float, Number(LOOK, high=LONGEST)] = 0.1  # s at its end in which unrest is measured
+    rest: Annotated[float, Number(LOOK, high=LONGEST)] = 0.1  # s at its end in which unrest is observed
     overshoot_weight: Weight = 0.2
     unrest_weight: Weight = 0.2
     limit_weight: Weight = 1.0

@@ -61,11 +61,11 @@ class Config(Machines, synchronized_move.Config):
     distances: Counts = (1_600, 12_000)  # pulses of each axis, drawn evenly by their logarithm, with any sign
     rate: Annotated[float | Pair, NumberOrRange(more=", not below fl")] = (2_000.0, 60_000.0)  # pps, that can be chosen
     ramps: Annotated[Pair, Range(1e-3, high=1.0)] = (0.01, 0.3)  # s, that can be chosen
-    judge_at: AxisName | None = None  # site or body that the first axis carries, at which vibration is measured
+    judge_at: AxisName | None = None  # site or body that the first axis carries, at which vibration is observed
     proofs: Annotated[int, Number(low=0, high=64, whole=True)] = 3  # moves
     margin: Annotated[float, Number(high=1e3)] = 0.5  # kg that the proof has beyond the payload
     settle: Seconds = 1e-3  # s after the last pulse, to which the carriages are watched
-    rest: Seconds = 0.1  # s after that, in which vibration is measured
+    rest: Seconds = 0.1  # s after that, in which vibration is observed
     path_weight: Weight = 0.01  # s a pulse
     carriage_weight: Weight = 0.01  # s for each 0.1 mm
     vibration_weight: Weight = 0.02  # s for each 0.1 mm

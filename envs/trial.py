@@ -94,7 +94,7 @@ class Trial(Starts):
     """Moves of an axis from power-up, by its driver.
 
     Args:
-        point: at which vibration is measured, see `Program.measure`; 0: the axis itself. settle: s after the stop in which it is.
+        point: at which vibration is observed, see `Program.measure`; 0: the axis itself. settle: s after the stop in which it is.
         encoder: the host reads one on the carriage before and after the move, and in the settling time.
     """
 

@@ -67,7 +67,7 @@ class Tuning(MoveTask[ConfigT]):
 
     @abstractmethod
     def program(self, row: np.ndarray, distance: int) -> Program:
-        """The bus cycles of a move with these registers, and what is measured. All programs are alike in length."""
+        """The bus cycles of a move with these registers, and what is observed. All programs are alike in length."""
 
     def placed(self, k: int) -> None:
         """Stage k is where its next move begins."""

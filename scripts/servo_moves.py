@@ -47,7 +47,7 @@ class Trapezoid(NamedTuple):
 
     @property
     def deviation(self) -> float:
-        """Largest difference between measured and predicted error, over the largest error predicted."""
+        """Largest difference between simulated and predicted error, over the largest error predicted."""
         return float(np.abs(self.error - self.predicted).max() / np.abs(self.predicted).max())
 
 
@@ -153,7 +153,7 @@ class Results(NamedTuple):
     circles: dict[str, tuple[np.ndarray, np.ndarray, int]]
 
 
-def measure() -> Results:
+def simulate() -> Results:
     circles = {name: run_circle(sync, one) for name, (sync, one, _) in CIRCLES.items()}
     return Results(run_trapezoid(), {"too early": run_line(True), "safe": run_line(False)}, circles)
 
@@ -185,7 +185,7 @@ def draw_the_move(ax: Any, t: Trapezoid) -> None:
 
 def draw_the_error(ax: Any, t: Trapezoid) -> None:
     ax.plot(t.time, t.predicted, color=RED, lw=3, alpha=0.6, label="linear model")
-    ax.plot(t.time, t.error, color=INK, lw=0.9, label="measured")
+    ax.plot(t.time, t.error, color=INK, lw=0.9, label="simulated")
     ax.set(xlabel="time (s)", ylabel="following error (counts)", xlim=(t.time[0], t.report.settled + 0.08))
     said = f"apart by {100 * t.deviation:.1f} % at most"
     ax.text(0.98, 0.95, said, transform=ax.transAxes, ha="right", va="top", color=MUTED)
@@ -233,9 +233,9 @@ if __name__ == "__main__":
     args = parser.parse_args()
     try:
         need("scipy", "this example")
-        measured = measure()
-        tell(measured)
+        results = simulate()
+        tell(results)
         if args.picture:
-            picture(measured, args.picture)
+            picture(results, args.picture)
     except ExtraMissing as missing:
         sys.exit(f"{missing}")

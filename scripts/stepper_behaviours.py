@@ -1,4 +1,4 @@
-"""What a believable stepper does: the five behaviours of docs/drives.md, measured on the bench, drawn and printed.
+"""What a believable stepper does: the five behaviours of docs/drives.md, simulated on the bench, drawn and printed.
 
 python scripts/stepper_behaviours.py [PICTURE.png]     default: docs/pictures/stepper_behaviours.png
 """
@@ -43,9 +43,9 @@ def pull_out_follows_the_closed_form(ax):
     sine = replace(SMOOTH, mode="sine", microsteps=256)
     print("1. pull-out torque, N m, 17HS4401, 24 V, 1.7 A, no detent")
     columns = closed_form(MOTOR, 24, 1.7, spec), pull_out(sine, spec), pull_out(SMOOTH, spec)
-    for rpm, ideal, measured, chopper in zip(spec, *columns, strict=True):
-        ratios = f"sine / closed form {measured / ideal:.4f}, chopper / closed form {chopper / ideal:.3f}"
-        print(f"   {rpm:5} rpm: closed form {ideal:.3f}, sine {measured:.3f}, chopper {chopper:.3f}; {ratios}")
+    for rpm, ideal, sine, chopper in zip(spec, *columns, strict=True):
+        ratios = f"sine / closed form {sine / ideal:.4f}, chopper / closed form {chopper / ideal:.3f}"
+        print(f"   {rpm:5} rpm: closed form {ideal:.3f}, sine {sine:.3f}, chopper {chopper:.3f}; {ratios}")
     rpm = np.r_[50, 150:700:110, 700:1000:20, 1000:2401:100]
     chopper, ideal = pull_out(SMOOTH, rpm), closed_form(MOTOR, 24, 1.7, rpm)
     saturated, both = closed_form(MOTOR, 4 / np.pi * 24, 1.7, rpm), bound_by_both(MOTOR, 24, 1.7, rpm)
@@ -70,14 +70,14 @@ def pull_out_follows_the_closed_form(ax):
 
 
 def the_rotor_rings_at_its_natural_frequency(ax):
-    print("2. natural frequency, Hz, bare rotor: measured (sqrt(stiffness / J) / 2 pi)")
+    print("2. natural frequency, Hz, bare rotor: simulated (sqrt(stiffness / J) / 2 pi)")
     for label, drive, microstep in (
         ("no detent", SMOOTH, 0),
         ("on a full step", DRIVE, 0),
         ("on a half step", DRIVE, DRIVE.microsteps // 2),
     ):
-        measured, formula = ring_down(drive, ROTOR, microstep), natural_frequency(drive, ROTOR, microstep > 0)
-        print(f"   {label}: {measured:.1f} ({formula:.1f})")
+        simulated, formula = ring_down(drive, ROTOR, microstep), natural_frequency(drive, ROTOR, microstep > 0)
+        print(f"   {label}: {simulated:.1f} ({formula:.1f})")
     for times, color in ((1, BLUE), (4, RED)):
         swing = follow(DRIVE, np.zeros(slices(0.03)), times * ROTOR, theta=0.1 * STEP, viscous=5e-4)
         hz = ring_down(DRIVE, times * ROTOR)

@@ -99,7 +99,7 @@ def survey(moves, pairs, seed):
     print(
         f"| {'largest distance from the line, pulses':44} |   median |     95 % |  largest | <= 2   |\n|---|---|---|---|---|"
     )
-    row("planned, measured on chips", far)
+    row("planned, run on emulated chips", far)
     row("perfect axes: rates exactly in ratio", perfect)
     row("one R7 for both axes, the finest", plain)
     for delay in DELAYS[1:]:
@@ -135,7 +135,7 @@ def survey(moves, pairs, seed):
         f"\nplanning takes {np.median(taken):.1f} ms of processor time, at most {max(taken):.1f} ms\n"
         f"ratio error: median {np.median(errors):.1e}, largest {max(errors):.1e}\n"
         f"last pulses are apart by {np.median(apart):.2f} ms, at most {max(apart):.2f} ms\n"
-        f"planned and measured distance differ by at most {surprise:.3f} pulses"
+        f"planned distance and that of the emulated chips differ by at most {surprise:.3f} pulses"
     )
     return asked, far, perfect, plain
 
@@ -180,7 +180,7 @@ def draw(asked, far, perfect, plain, folder):
     left.set_xlabel("largest distance from the line (pulses)", color=INK)
     left.set_ylabel(f"moves of {len(far)}", color=INK)
     ratio = [min(map(abs, d.values())) / max(map(abs, d.values())) for d in asked]
-    right.scatter(ratio, far, s=14, color=blue, linewidths=0, label="planned, measured")
+    right.scatter(ratio, far, s=14, color=blue, linewidths=0, label="planned, emulated")
     order = np.argsort(ratio)
     right.plot(
         np.array(ratio)[order], np.array(perfect)[order], color=MUTED, linewidth=1, label="perfect axes, a common start"

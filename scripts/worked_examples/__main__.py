@@ -24,7 +24,7 @@ def main() -> int:
     if args.markdown:
         page = Path(args.markdown)
         page.write_text(between(page.read_text(), table(found)))
-    return 0 if all(example.agrees(measured) for example, measured in found) else 1
+    return 0 if all(example.agrees(emulated) for example, emulated in found) else 1
 
 
 if __name__ == "__main__":

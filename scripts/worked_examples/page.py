@@ -7,11 +7,11 @@ from importlib import import_module
 from worked_examples.table import EXAMPLES, Example, Number
 
 SHEETS = ("pcl240k", "pcl240ms", "nova", "hctl1100")
-BEGIN, END = "<!-- measured: begin -->\n", "<!-- measured: end -->"
+BEGIN, END = "<!-- emulated: begin -->\n", "<!-- emulated: end -->"
 
 
 def rows() -> list[tuple[Example, Number]]:
-    """Every example and its measured number."""
+    """Return every example with the number of the emulated chip."""
     for name in SHEETS:
         import_module(f"worked_examples.{name}")
     return [(example, example.measure()) for example in EXAMPLES]
@@ -21,13 +21,13 @@ def table(found: list[tuple[Example, Number]]) -> str:
     """In Markdown, a table a sheet."""
     lines: list[str] = []
     sheet = ""
-    for example, measured in found:
+    for example, emulated in found:
         if example.sheet != sheet:
             sheet = example.sheet
-            lines += ["", f"## {sheet}", "", "| place | what | sheet | measured | |", "|---|---|---|---|---|"]
-        number, shown = (said(n, example.unit) for n in (example.number, measured))
+            lines += ["", f"## {sheet}", "", "| place | what | sheet | emulated | |", "|---|---|---|---|---|"]
+        number, shown = (said(n, example.unit) for n in (example.number, emulated))
         differs = "" if number == shown else f"within {example.within:g}: {example.why}"
-        if not example.agrees(measured):
+        if not example.agrees(emulated):
             differs = f"**differs** by more than {example.within:g}"
         lines.append(f"| {example.place} | {example.says} | {number} | {shown} | {differs} |")
     return "\n".join(lines[1:]) + "\n"

@@ -15,10 +15,10 @@ Number = int | float
 
 @dataclass(frozen=True)
 class Example:
-    """A number of a data sheet, and how it is measured.
+    """A number of a data sheet, and how the emulated chip makes it.
 
     sheet, place: which sheet, and where in it. says: what the number is. number: the sheet's own, or what its formula gives for the
-    registers named. within: by how much the measured one may differ, in the same unit; why: where that is not 0, why.
+    registers named. within: by how much the emulated one may differ, in the same unit; why: where that is not 0, why.
     """
 
     sheet: str
@@ -30,9 +30,9 @@ class Example:
     within: float = 0
     why: str = ""
 
-    def agrees(self, measured: Number) -> bool:
+    def agrees(self, emulated: Number) -> bool:
         """Whether this is what the sheet says."""
-        return bool(abs(measured - self.number) <= self.within)
+        return bool(abs(emulated - self.number) <= self.within)
 
 
 EXAMPLES: list[Example] = []

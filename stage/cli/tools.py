@@ -99,7 +99,7 @@ def pullout(args: argparse.Namespace) -> int:
 
     drive = Drive(motor(args.motor), microsteps=args.microsteps, bus_voltage=args.bus_voltage)
     outputs(args)
-    table = pull_out_table(drive, progress=lambda done: progress("measuring", done))
+    table = pull_out_table(drive, progress=lambda done: progress("simulating", done))
     tell(args, motor=args.motor, bus_voltage=args.bus_voltage, microsteps=args.microsteps, pull_out=table)
     print(table)
     if (curve := PUBLISHED_CURVES.get(args.motor)) is not None:

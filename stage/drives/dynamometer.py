@@ -33,7 +33,7 @@ Floats = Sequence[float] | np.ndarray
 
 
 class PullOut(NamedTuple):
-    """A pull-out curve: rpm (n,), and in N m (n,): measured with the drive and with an ideal sine drive, the closed forms at V
+    """A pull-out curve: rpm (n,), and in N m (n,): simulated with the drive and with an ideal sine drive, the closed forms at V
     and at 4/pi V (all that a saturated chopper can reach), and that of a sine drive bound by V and I at once."""
 
     rpm: np.ndarray
@@ -45,9 +45,9 @@ class PullOut(NamedTuple):
     steps_per_turn: int = 200
 
     def __str__(self) -> str:
-        head = f"{'rpm':>6}{'pps, full step':>16}{'measured':>10}{'sine drive':>12}{'closed form':>13}{'at 4/pi V':>11}   N m"
+        head = f"{'rpm':>6}{'pps, full step':>16}{'simulated':>11}{'sine drive':>12}{'closed form':>13}{'at 4/pi V':>11}   N m"
         rows = [
-            f"{r:>6.0f}{r / 60 * self.steps_per_turn:>16.0f}{c:>10.3f}{s:>12.3f}{i:>13.3f}{j:>11.3f}"
+            f"{r:>6.0f}{r / 60 * self.steps_per_turn:>16.0f}{c:>11.3f}{s:>12.3f}{i:>13.3f}{j:>11.3f}"
             for r, c, s, i, j in zip(*self[:5], strict=True)
         ]
         return "\n".join([head, *rows])
@@ -207,7 +207,7 @@ def _damper(drive: Drive, inertia: float, ratio: float) -> float:
 def _split_core_loss(drive: Drive) -> tuple[Drive, float]:
     """Return the drive with its motor's core loss taken away, and that loss, N m s/rad.
 
-    At a commanded speed w0 the loss b w is a brake of b w0 and a damper b that turns at w0. Measured so, the brake comes on
+    At a commanded speed w0 the loss b w is a brake of b w0 and a damper b that turns at w0. Simulated so, the brake comes on
     smoothly like any other load, and does not hit a rotor that starts in step without a load angle.
     """
     loss = drive.motor.core_loss_damping
@@ -215,7 +215,7 @@ def _split_core_loss(drive: Drive) -> tuple[Drive, float]:
 
 
 def pull_out(drive: Drive, rpm: Floats, inertia: float | None = None, damping_ratio: float = 0.15) -> np.ndarray:
-    """Measure the pull-out torque at each speed, N m, (n,): the most friction with which a rotor keeps up; 0 if it slips unloaded.
+    """Simulate the pull-out torque at each speed, N m, (n,): the most friction with which a rotor keeps up; 0 if it slips unloaded.
 
     The rotor also turns against the motor's core loss, which is thus taken off, as on a real bench.
 
@@ -286,7 +286,7 @@ def pull_in(drive: Drive, inertia: float, load: float = 0.0, viscous: float = VI
 
 
 def ring_down(drive: Drive, inertia: float, microstep: int = 0, viscous: float = 0.0) -> float:
-    """Measured natural frequency, Hz: the rotor is let go 1/40 full step beside a microstep; mean of its zero crossings.
+    """Simulate the natural frequency, Hz: the rotor is let go 1/40 full step beside a microstep; mean of its zero crossings.
 
     inertia: kg m^2, rotor included; viscous: N m s/rad.
     """
@@ -343,13 +343,13 @@ def pull_out_table(drive: Drive, rpm: Floats | None = None, progress: Callable[[
     """
     speeds = _speeds(rpm if rpm is not None else np.r_[50, 150:2401:75])
     sine = replace(drive, mode="sine", microsteps=256, detent=0.0)
-    measured, ideal_drive = np.zeros(len(speeds)), np.zeros(len(speeds))
+    simulated, ideal_drive = np.zeros(len(speeds)), np.zeros(len(speeds))
     for k in range(len(speeds)):
-        measured[k], ideal_drive[k] = pull_out(drive, speeds[k])[0], pull_out(sine, speeds[k])[0]
+        simulated[k], ideal_drive[k] = pull_out(drive, speeds[k])[0], pull_out(sine, speeds[k])[0]
         if progress:
             progress((k + 1) / len(speeds))
     m, v, i = drive.motor, drive.bus_voltage, drive.amplitude
     return PullOut(
-        speeds, measured, ideal_drive,
+        speeds, simulated, ideal_drive,
         closed_form(m, v, i, speeds), closed_form(m, 4 / math.pi * v, i, speeds), bound_by_both(m, v, i, speeds), m.steps_per_turn,
     )  # fmt: skip

@@ -37,7 +37,7 @@ def _dress(ax: Any, drive: Drive, rpm_max: float, torque_max: float) -> None:
 
 
 def _closed_forms(drive: Drive, rpm_max: float) -> tuple[Any, Any, Any, Any]:
-    """Speeds, finer than measured, and there the closed forms at V and at 4/pi V, and the bound by V and I at once."""
+    """Speeds, finer than simulated, and there the closed forms at V and at 4/pi V, and the bound by V and I at once."""
     rpm, (m, v, i) = np.linspace(0, rpm_max, 601), (drive.motor, drive.bus_voltage, drive.amplitude)
     return rpm, closed_form(m, v, i, rpm), closed_form(m, 4 / np.pi * v, i, rpm), bound_by_both(m, v, i, rpm)
 

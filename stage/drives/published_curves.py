@@ -75,11 +75,11 @@ class PublishedCurve:
         return Drive(motor, microsteps=self.microsteps, bus_voltage=self.bus_voltage, current=self.current)
 
     def predict(self, motor: Motor) -> np.ndarray:
-        """Measure the pull-out torque of `motor` on the bench at the curve's speeds and settings, N m, (n,)."""
+        """Simulate the pull-out torque of `motor` on the bench at the curve's speeds and settings, N m, (n,)."""
         return pull_out(self.drive(motor), self.rpm)
 
     def compare(self, motor: Motor) -> CurveComparison:
-        """Compare the curve with what the bench measures of `motor`."""
+        """Compare the curve with what the bench simulates of `motor`."""
         return CurveComparison(np.asarray(self.rpm, float), np.asarray(self.torque, float), self.predict(motor))
 
 

@@ -1,4 +1,4 @@
-"""The dashboard that a recording opens as: the stage large, its signals, what was measured, and the bus."""
+"""The dashboard that a recording opens as: the stage large, its signals, what was sampled, and the bus."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 CAMERA = "overview"  # a camera of this name in the MJCF is where the eye begins
 FIELD_OF_VIEW = 55.0  # of rerun's eye, degrees
 MARGIN = 1.12
-MEASURED = ("following_error", "voltage", "current", "load_angle", "lost_steps", "counter")
+SAMPLED = ("following_error", "voltage", "current", "load_angle", "lost_steps", "counter")
 BACKGROUND = (30, 34, 41)
 GRID = (96, 104, 118, 110)
 
@@ -70,7 +70,7 @@ def dashboard(recording: Recording) -> Any:
             rrb.Vertical(
                 plot("rate", said=f": {', '.join(f'{a} {c}' for a, c in colours_of(recording).items())}"),
                 plot("position", "commanded", said=", commanded darker"),
-                rrb.Tabs(*(plot(key) for key in MEASURED if axes_with(recording, key))),
+                rrb.Tabs(*(plot(key) for key in SAMPLED if axes_with(recording, key))),
                 rrb.Tabs(
                     bus,
                     rrb.TextDocumentView(origin="/about", name="About"),

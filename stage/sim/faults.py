@@ -18,7 +18,7 @@ A fault belongs to the machine, as a payload does: snapshots, `restore` and `res
 are state: a contact that is bouncing, a rotor that has slipped, a current. `start_skew` and `lost_write` are faults of the host's
 board: copies do not have them.
 
-docs/faults.md has the measured effect of each, and how a host can detect it; `stage fault` shows it.
+docs/faults.md has the simulated effect of each, and how a host can detect it; `stage fault` shows it.
 """
 
 from __future__ import annotations

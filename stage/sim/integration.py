@@ -1,6 +1,6 @@
 """What a stage needs of MuJoCo's integration: an integrator that is a leapfrog, and a time step that is short for its motors.
 
-docs/models.md, "The time step", has the measurements behind the bounds.
+docs/models.md, "The time step", has the simulated moves behind the bounds.
 """
 
 from __future__ import annotations

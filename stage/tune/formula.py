@@ -107,7 +107,7 @@ class Load:
 
 @cache
 def bare_pull_in(drive: Drive) -> float:
-    """A motor's data sheet gives it; ours are measured on the bench of stage.drives."""
+    """A motor's data sheet gives it; ours are simulated on the bench of stage.drives."""
     return pull_in(drive, drive.motor.rotor_inertia)
 
 

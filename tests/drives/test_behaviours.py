@@ -44,13 +44,13 @@ def test_the_closed_form_gives_the_known_curve():
 @pytest.mark.parametrize("name", MOTORS)
 def test_pull_out_torque_of_an_ideal_sine_drive_follows_the_closed_form_within_3_percent(name):
     m = LOSSLESS[name]
-    measured = pull_out(Drive(m, 256, mode="sine", detent=0.0), SPEC_RPM)
-    assert measured == pytest.approx(closed_form(m, 24, m.rated_current, SPEC_RPM), rel=0.03)
+    simulated = pull_out(Drive(m, 256, mode="sine", detent=0.0), SPEC_RPM)
+    assert simulated == pytest.approx(closed_form(m, 24, m.rated_current, SPEC_RPM), rel=0.03)
 
 
 def test_and_so_it_does_all_along_the_corner():
-    measured = pull_out(replace(SMOOTH, mode="sine", microsteps=256), CORNER)
-    assert measured == pytest.approx(closed_form(MOTOR, 24, 1.7, CORNER), rel=0.03)
+    simulated = pull_out(replace(SMOOTH, mode="sine", microsteps=256), CORNER)
+    assert simulated == pytest.approx(closed_form(MOTOR, 24, 1.7, CORNER), rel=0.03)
 
 
 def test_beyond_its_no_load_speed_a_motor_has_no_torque():
@@ -59,9 +59,9 @@ def test_beyond_its_no_load_speed_a_motor_has_no_torque():
 
 def test_a_chopper_lies_between_what_a_sine_bound_by_both_limits_reaches_and_the_closed_form_at_4_over_pi_v():
     rpm = np.r_[100, 300, CORNER, 1200:2401:400]
-    measured = pull_out(SMOOTH, rpm)
-    assert (measured > 0.99 * bound_by_both(MOTOR, 24, 1.7, rpm)).all()
-    assert (measured < 1.01 * closed_form(MOTOR, 4 / math.pi * 24, 1.7, rpm)).all()
+    simulated = pull_out(SMOOTH, rpm)
+    assert (simulated > 0.99 * bound_by_both(MOTOR, 24, 1.7, rpm)).all()
+    assert (simulated < 1.01 * closed_form(MOTOR, 4 / math.pi * 24, 1.7, rpm)).all()
 
 
 def test_away_from_the_corner_a_chopper_lies_between_the_closed_forms_at_v_and_4_over_pi_v():
@@ -92,8 +92,8 @@ def test_no_sine_within_both_limits_beats_the_bound_and_one_reaches_it():
 @pytest.mark.parametrize("times", [1, 3])
 @pytest.mark.parametrize("half_step", [False, True])
 def test_the_rotor_rings_at_the_root_of_stiffness_over_inertia(times, half_step):
-    measured = ring_down(DRIVE, times * ROTOR, 8 if half_step else 0)
-    assert measured == pytest.approx(natural_frequency(DRIVE, times * ROTOR, half_step), rel=0.01)
+    simulated = ring_down(DRIVE, times * ROTOR, 8 if half_step else 0)
+    assert simulated == pytest.approx(natural_frequency(DRIVE, times * ROTOR, half_step), rel=0.01)
 
 
 def test_an_unloaded_17hs4401_rings_near_300_hz():
@@ -206,7 +206,7 @@ def test_pulses_forth_and_back_end_where_they_began():
         assert pulses(np.concatenate([there, -there, np.zeros(5)]))[-1] == 0
 
 
-def test_a_torque_far_below_the_rated_one_is_measured_as_well():
+def test_a_torque_far_below_the_rated_one_is_found_as_well():
     rpm, drive = [1000, 2000, 3000], Drive(MOTOR, microsteps=256, bus_voltage=5, mode="sine", detent=0.0)
     assert pull_out(drive, rpm) == pytest.approx(closed_form(MOTOR, 5, 1.7, rpm), rel=0.03)
 

@@ -103,9 +103,9 @@ def pull_out_by_ode(motor, volts, current, speed, sine):
 @pytest.mark.parametrize(("rpm", "sine"), [(1500, True), (900, False), (1500, False)])
 def test_an_independent_solver_finds_the_pull_out_torque_of_the_bench(rpm, sine):
     expected = pull_out_by_ode(LOSSY, 24.0, 2.0, rpm * 2 * math.pi / 60, sine)
-    measured = pull_out(Drive(LOSSY, **(SINE if sine else {"microsteps": 64})), [rpm])[0]
-    print(rpm, sine, measured, expected)
-    assert measured == pytest.approx(expected, rel=5e-3)
+    simulated = pull_out(Drive(LOSSY, **(SINE if sine else {"microsteps": 64})), [rpm])[0]
+    print(rpm, sine, simulated, expected)
+    assert simulated == pytest.approx(expected, rel=5e-3)
 
 
 def test_torque_of_the_field_in_step_is_the_load_and_the_core_loss():

@@ -20,7 +20,7 @@ def table():
 
 def test_a_table_has_a_row_for_each_speed_and_the_closed_form_beside_it(table):
     head, *rows = str(table).splitlines()
-    assert head.split()[:1] == ["rpm"]
+    assert head.split()[:5] == ["rpm", "pps,", "full", "step", "simulated"], "nothing here was measured"
     assert [row.split()[:2] for row in rows] == [["300", "1000"], ["900", "3000"], ["1500", "5000"]]
     assert [float(row.split()[4]) for row in rows] == pytest.approx([0.272, 0.245, 0.111])
     assert table.sine == pytest.approx(table.ideal, rel=0.03)
@@ -37,7 +37,7 @@ def test_progress_is_told_from_the_first_speed_to_the_last():
     assert told == pytest.approx([1 / 3, 2 / 3, 1])
 
 
-def test_the_picture_shows_the_measured_curve_and_names_motor_voltage_and_microsteps(table, tmp_path):
+def test_the_picture_shows_the_simulated_curve_and_names_motor_voltage_and_microsteps(table, tmp_path):
     figure = plot_pull_out(Drive(), table, str(tmp_path / "p.png"))
     assert (tmp_path / "p.png").stat().st_size > 20_000
     (ax,) = figure.axes

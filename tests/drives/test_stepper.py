@@ -81,7 +81,7 @@ def reference(drive, speed, lag, seconds, pieces):
     return torques[len(torques) // 2 :].mean()
 
 
-def measured(drive, speed, lag, seconds, h=H):
+def simulated(drive, speed, lag, seconds, h=H):
     d = record(drive)
     thetas, phis = course(speed, lag, h, seconds)
     torques = [stepper.torque(d, p / d.per_pulse, t, speed, h) for t, p in zip(thetas, phis, strict=True)]
@@ -93,7 +93,7 @@ def measured(drive, speed, lag, seconds, h=H):
 def test_the_sine_drive_agrees_with_a_fine_independent_integration(speed, lag):
     drive, seconds = Drive(detent=0.0, mode="sine"), 4 / (speed / 60 * 50)  # whole electrical turns
     slow = reference(drive, rpm(speed), lag, seconds, 40)
-    assert measured(drive, rpm(speed), lag, seconds) == pytest.approx(slow, abs=0.01 * RATED)
+    assert simulated(drive, rpm(speed), lag, seconds) == pytest.approx(slow, abs=0.01 * RATED)
 
 
 DAILY = [(1200, 1.6), (1500, 2.4), (2000, 3.0)]  # each speed, each lag
@@ -110,10 +110,10 @@ def test_a_chopper_agrees_with_it_too_but_for_a_command_that_acts_half_a_slice_l
     """The target of a slice's middle is reached at its end: a shift of the load angle, not a loss of torque."""
     seconds = 8 / (speed / 60 * 50)
     late = reference(SMOOTH, rpm(speed), lag - 50 * rpm(speed) * H / 2, seconds, 20)
-    assert measured(SMOOTH, rpm(speed), lag, seconds) == pytest.approx(late, abs=0.055 * RATED)
+    assert simulated(SMOOTH, rpm(speed), lag, seconds) == pytest.approx(late, abs=0.055 * RATED)
     h = H / 8
     late = reference(SMOOTH, rpm(speed), lag - 50 * rpm(speed) * h / 2, seconds, 40)
-    assert measured(SMOOTH, rpm(speed), lag, seconds, h) == pytest.approx(late, abs=0.01 * RATED)
+    assert simulated(SMOOTH, rpm(speed), lag, seconds, h) == pytest.approx(late, abs=0.01 * RATED)
 
 
 def test_power_from_the_bus_is_copper_loss_plus_mechanical_power_plus_the_change_of_the_field():

@@ -209,7 +209,7 @@ def test_integral_velocity_turns_as_asked_and_stops_in_position_control(stage, r
     port = set_up(stage.axes["x"])
     report = integral_velocity(port, rate, seconds=0.2)
     assert report.asked == pytest.approx(rate, rel=0.08), "whole counts a sample"
-    assert report.measured == pytest.approx(report.asked, rel=0.01)
+    assert report.reached == pytest.approx(report.asked, rel=0.01)
     assert report.ended == ""
     stage.run(0.1)
     assert abs(port.commanded() - port.position()) <= DEADBAND
@@ -226,8 +226,8 @@ def test_proportional_velocity_turns_more_slowly_than_asked_by_what_drag_and_fri
     per = tuning.gain / 4 * port.sample  # motor command for one count/s
     way = np.sign(rate)
     expected = (per * report.asked - way * loop.friction) * loop.gain / (1 + per * loop.gain)
-    assert report.measured == pytest.approx(expected, rel=0.05)
-    assert abs(report.measured) < abs(report.asked)
+    assert report.reached == pytest.approx(expected, rel=0.05)
+    assert abs(report.reached) < abs(report.asked)
     at = stage.axes["x"].position
     stage.run(0.1)
     assert stage.axes["x"].position == pytest.approx(at, abs=DEADBAND * COUNT)
@@ -239,10 +239,10 @@ def test_stop_brakes_integral_velocity_only(stage):
     stage.axes["x"].switches.stick("org", True)
     report = integral_velocity(port, 8_000, seconds=0.2)
     assert report.ended == "STOP"
-    assert abs(report.measured) < 100
+    assert abs(report.reached) < 100
     assert "ended by STOP" in str(report)
     assert trapezoid(port, 500).ok
-    assert proportional_velocity(port, 8_000, seconds=0.2).measured > 6_000
+    assert proportional_velocity(port, 8_000, seconds=0.2).reached > 6_000
 
 
 def test_a_limit_ends_a_run_at_a_velocity(stage):
@@ -254,7 +254,7 @@ def test_a_limit_ends_a_run_at_a_velocity(stage):
     port = set_up(stage.axes["x"], Tuning(gain=0x80))
     stage.axes["x"].switches.stick("el_plus", True)
     report = proportional_velocity(port, 8_000, seconds=0.1)
-    assert (report.ended, abs(report.measured) < 100) == ("LIMIT", True)
+    assert (report.ended, abs(report.reached) < 100) == ("LIMIT", True)
     assert port.status() & INIT
 
 

@@ -46,7 +46,7 @@ return differ from what the way should need by a full electrical period or more,
 3. When one loses steps, close in on the limit to 5 %.
 4. Then find out whether the ramp or the speed is the cause: the same top speed with a ramp of twice the time.
 
-Say the limit in mm/s and in pulses a second, what was measured for it, and what speed you would allow in production, and why.""",
+Say the limit in mm/s and in pulses a second, what was found for it, and what speed you would allow in production, and why.""",
     ),
     "tune_move": Asked(
         "Make one move as fast as it goes without losing steps.",

@@ -32,7 +32,7 @@ def add(commands: Any) -> None:
     chip.known = ALL  # type: ignore[attr-defined]
     p = command(
         commands, "pullout", "tools:pullout", "pull-out torque of a motor and drive over speed",
-        "Measure at which torque the motor slips, beside the closed form of an ideal drive.",
+        "Simulate at which torque the motor slips, beside the closed form of an ideal drive.",
         ("stage pullout --motor 17HS4401 --plot pullout.png", "the curve, drawn"),
         ("stage pullout --bus-voltage 48", "with another supply"),
     )  # fmt: skip

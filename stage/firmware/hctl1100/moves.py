@@ -76,19 +76,19 @@ class MoveReport:
 class VelocityReport:
     """The result of a run at a velocity.
 
-    asked: counts/s as the register holds it; measured: mean over its second half. ended: "LIMIT", which leaves the axis in
+    asked: counts/s as the register holds it; reached: mean over its second half. ended: "LIMIT", which leaves the axis in
     Init/Idle, "STOP", which the chip obeys in integral velocity mode, or "".
     """
 
     axis: str
     mode: str
     asked: float
-    measured: float
+    reached: float
     ended: str = ""
 
     def __str__(self) -> str:
         end = f", ended by {self.ended}" if self.ended else ""
-        return f"{self.axis}: {self.mode} velocity {self.asked:+.0f} counts/s asked, {self.measured:+.0f} measured{end}"
+        return f"{self.axis}: {self.mode} velocity {self.asked:+.0f} counts/s asked, {self.reached:+.0f} reached{end}"
 
 
 def set_up(axis: Axis, tuning: Tuning | None = None) -> Port:
@@ -214,27 +214,27 @@ def proportional_velocity(port: Port, rate: float, seconds: float = 0.5) -> Velo
         port.load(proportional_velocity=value)
 
     turn(word)
-    measured = _measure(port, seconds)
+    reached = _measure(port, seconds)
     turn(0)
     port.axis.wait(port.sample)
     port.wait_until(lambda: not port.velocity() or port.limited(), 2.0, "rest")
     ended = "LIMIT" if port.limited() else ""
     if not ended:
         port.hold()
-    return VelocityReport(port.axis.name, "proportional", word / 16 / port.sample, measured, ended)
+    return VelocityReport(port.axis.name, "proportional", word / 16 / port.sample, reached, ended)
 
 
 def integral_velocity(port: Port, rate: float, seconds: float = 0.5, acceleration: float = 400_000) -> VelocityReport:
     """Turn at counts/s, ramped, by a command position that moves on with each sample, then stop."""
     word, ramp = start_cruise(port, rate, acceleration)
     port.axis.wait(ramp)
-    measured = _measure(port, seconds)
+    reached = _measure(port, seconds)
     ended = "LIMIT" if port.limited() else "" if port.status() & STOP else "STOP"
     if ended != "LIMIT":
         cruise(port, 0)
         port.axis.wait(ramp)
         port.mode("position")
-    return VelocityReport(port.axis.name, "integral", word / port.sample, measured, ended)
+    return VelocityReport(port.axis.name, "integral", word / port.sample, reached, ended)
 
 
 def start_cruise(port: Port, rate: float, acceleration: float) -> tuple[int, float]:

@@ -304,7 +304,7 @@ the moves that lost steps: what a method gains while all goes well.
 - **What is promised** of an answer is that no step was lost in the {repeats} moves of its proof, with 0 to {margin:g} kg more. That
   is a sample: up to one move in 16 may still lose steps (95 % confidence), and more where several candidates were tried. The
   columns **lost** say how many did. {priced}
-- **spare** is measured, not promised: the payload, in steps of {step:g} kg up to {most:g} kg, that was added without a loss
+- **spare** is tried, not promised: the payload, in steps of {step:g} kg up to {most:g} kg, that was added without a loss
   in {each} moves each, both ways. Neither reward nor proof has it beyond {margin:g} kg, and a fast move has little of it: the
   formula's safety factor is of use.
 - Losing steps is not monotonic: ramps pass resonances, and a faster or heavier move may keep step where a slower or lighter one
