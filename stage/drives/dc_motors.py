@@ -9,7 +9,7 @@ from typing import Any
 
 from stage.arguments import told_when_made
 from stage.drives.drive import SERVO
-from stage.drives.motors import within
+from stage.drives.motors import MAX_BUS_VOLTAGE, within
 from stage.errors import ArgumentError, unknown
 
 MOST_COUNTS = 1 << 20
@@ -104,7 +104,7 @@ class Servo:
         if self.current_limit is not None:
             otherwise = ", or None for an amplifier without a limit"
             within("current_limit", self.current_limit, 0, MAX_CURRENT_A, "A", otherwise=otherwise)
-        within("bus_voltage", self.bus_voltage, 0, 400, "V")
+        within("bus_voltage", self.bus_voltage, 0, MAX_BUS_VOLTAGE, "V")
         number = isinstance(self.counts, Real) and not isinstance(self.counts, bool)
         if not number or not 4 <= self.counts <= MOST_COUNTS or int(self.counts) != self.counts:
             raise ArgumentError(

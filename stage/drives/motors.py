@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
 from numbers import Real
 from typing import Any, NamedTuple
@@ -20,6 +21,8 @@ UNITS = {
 }  # fmt: skip
 """Unit of each value of a stepper or DC motor."""
 MICROSTEPS = range(1, 257)
+MAX_BUS_VOLTAGE = 400.0
+"""V."""
 MAX_CORE_LOSS_RESISTANCE_OHM = 1e6
 LIKELY_CORE_LOSS_S = (5e-4, 9e-4, 1.6e-3)
 """Least, middle and most core loss damping of a NEMA 17 motor over its holding torque, s/rad.
@@ -179,9 +182,30 @@ def estimate_core_loss(motor: Motor) -> LikelyCoreLoss:
     return LikelyCoreLoss(*(motor.holding_torque * share for share in LIKELY_CORE_LOSS_S))
 
 
+def is_core_loss_known(motor: Motor) -> bool:
+    """Whether the core loss of a motor is fitted to a curve of it or stated by its data sheet, with or without a tolerance."""
+    return motor.evidence.get("core_loss_resistance", "")[:1] in ("C", "S")
+
+
+def read_tolerance(motor: Any, field: str) -> float | None:
+    """Read the tolerance of a motor's value from its evidence, as 0.1 from "S: +-10 %"; None where it states none.
+
+    Raises:
+        ArgumentError: A tolerance of 100 % or more.
+    """
+    evidence = motor.evidence.get(field, "")
+    stated = re.search(r"\+-\s*(\d+(?:\.\d+)?)\s*%", evidence)
+    if stated is None:
+        return None
+    percent = float(stated[1])
+    if percent >= 100:
+        raise ArgumentError(f"{motor.name}: evidence of {field}, {evidence!r}: give a tolerance below 100 %.")
+    return percent / 100
+
+
 def describe_core_loss(motor: Motor) -> str:
     """Say in one sentence how well the core loss of a motor is known."""
-    if motor.evidence.get("core_loss_resistance", "").startswith("C"):
+    if is_core_loss_known(motor):
         return (
             f"The core loss of the {motor.name}, {motor.core_loss_damping:.2g} N m s/rad, is fitted to its published pull-out "
             "curve."
@@ -225,7 +249,7 @@ class Drive:
         object.__setattr__(self, "motor", motor(self.motor))
         if isinstance(self.microsteps, bool) or self.microsteps not in MICROSTEPS:
             raise ArgumentError(f"microsteps={self.microsteps!r}: a drive takes a whole number from 1 to 256.")
-        within("bus_voltage", self.bus_voltage, 0, 400, "V")
+        within("bus_voltage", self.bus_voltage, 0, MAX_BUS_VOLTAGE, "V")
         if self.current is not None:
             within(f"current of the {self.motor.name}", self.current, 0, 2 * self.motor.rated_current, "A")
         if self.detent is not None:

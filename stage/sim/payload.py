@@ -18,6 +18,7 @@ class Payloads:
     def __init__(self) -> None:
         self.kg: dict[int, float] = {}
         self.own: dict[int, float] = {}
+        self._data: mujoco.MjData | None = None  # to work in: to make one takes most of the time
 
     def put(self, model: Any, mass: float, body: str | None) -> None:
         """`mass` kg on a body, in place of what was put on it before; see `Stage.set_payload`. Raises ArgumentError."""
@@ -29,7 +30,9 @@ class Payloads:
         own = self.own.setdefault(k, float(model.body_mass[k]))
         self.kg[k] = float(mass)
         model.body_mass[k] = own + mass
-        mujoco.mj_setConst(model, mujoco.MjData(model))
+        if self._data is None:
+            self._data = mujoco.MjData(model)
+        mujoco.mj_setConst(model, self._data)
 
     def on(self, model: Any, body: str | None) -> float:
         """kg that were put on a body. Raises ArgumentError."""

@@ -45,15 +45,36 @@ def refit_model(model: Any, here: mujoco.MjData, axes: Sequence[Axis], axis: Axi
     _fit(model, axis, drive, armature)
 
 
+def vary_drive(axis: Axis, drive: Drive | Servo) -> None:
+    """Give an axis another piece of its motor and supply, of other losses, windings and voltage.
+
+    Its rotor is the same, so that MuJoCo has to work out nothing anew but whether there is damping at all, and snapshots of before
+    remain good.
+    """
+    stage, model, actuator = axis.stage, axis.stage.model, axis.plant.actuator
+    stage.change()
+    damped = bool(model.actuator_damping[actuator])
+    _fit_windings(model, axis, drive)
+    if bool(model.actuator_damping[actuator]) != damped:
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+    refit_record(stage.state, axis, drive, stage.state.drives[axis.index])
+    axis.drive, axis.supply = drive, drive.bus_voltage
+    stage.equip()
+
+
 def _fit(model: Any, axis: Axis, drive: Drive | Servo, armature: float) -> None:
     model.dof_armature[axis.plant.dof] = armature
+    _fit_windings(model, axis, drive)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def _fit_windings(model: Any, axis: Axis, drive: Drive | Servo) -> None:
     if isinstance(drive, Drive) and isinstance(axis.drive, Drive):
         damping = model.actuator_damping[axis.plant.actuator : axis.plant.actuator + 1]
         if damping[0] == axis.drive.motor.core_loss_damping:  # else it is the model's own
             damping[0] = drive.motor.core_loss_damping
     elif isinstance(drive, Servo):
         model.actuator_gainprm[axis.plant.actuator, :2] = drive.motor.resistance, drive.motor.torque_constant
-    mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
 def refit_record(state: State, axis: Axis, drive: Drive | Servo, record: Any) -> None:

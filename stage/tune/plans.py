@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import Speeds, driver_of
 from stage.sim.program import Operations
 from stage.tune.formula import SAFETY, Load, speeds
+from stage.tune.machines import Machine
 from stage.tune.task import Task, rides
 
 FARTHEST = {"start": 3.0, "drive": 1.5, "up": 1.7, "down": 1.7}
@@ -45,10 +47,18 @@ class Plans(ABC):
         self.axis: Any = task.stage.axes[task.axis]
         self.driver = driver_of(self.axis)
         self.bare = Load.of(self.axis)
+        self._top: np.ndarray | None = None
 
     def load(self, payload: float) -> Load:
         """With so many kg on it, where these ride on the axis."""
         return self.bare.heavier(payload if rides(self.axis.stage.model, self.task.carrier, self.axis.joint) else 0.0)
+
+    def compute_thrust_left(self, machine: Machine) -> float:
+        """Compute the force that a machine has left over friction at the top rate of the formula, N (N m on a hinge)."""
+        if self._top is None:
+            self._top = np.array([self.speeds(SAFETY).drive / self.bare.per_metre])
+        load, more = replace(self.bare, drive=machine.drive), machine.friction
+        return float((load.thrust(self._top) - more * (load.friction + load.damping * self._top))[0])
 
     def speeds(self, safety: float, payload: float | None = None) -> Speeds:
         """The formula's. Raises ArgumentError, with the most that can be moved."""

@@ -8,13 +8,13 @@ from math import isfinite
 from os import PathLike
 from typing import Any
 
-from stage.drives.motors import Drive, describe_core_loss
 from stage.identifiers import escape_name
 from stage.tune.c_source import c_source
 from stage.tune.looks import LOOK
+from stage.tune.machines import Spread, find_spreads
 from stage.tune.plans import Plan, Plans
 from stage.tune.proof import Proof, gain
-from stage.tune.task import Task
+from stage.tune.task import Case, Task
 from stage.tune.written import Cycle, Row, cycles, program, rows, said
 from stage.units import PLACES, SMALL
 
@@ -37,7 +37,8 @@ class Result:
     """What was found. answers: that of the formula, and of the search if one passed the proof; won: the name of the one to take.
 
     by: search or formula, as asked. safety: factor of the formula. trials: that were made; stopped: Ctrl-C ended them. failed:
-    answers of the search that did not pass moves that it had not seen. moves: that were made in all.
+    answers of the search that did not pass moves that it had not seen. moves: that were made in all. cases: the moves of the proof,
+    each with the machine that made it.
     """
 
     task: Task
@@ -51,6 +52,7 @@ class Result:
     failed: int
     seed: int
     moves: int
+    cases: tuple[Case, ...] = ()
 
     @property
     def answer(self) -> Answer:
@@ -76,9 +78,33 @@ class Result:
     def proved(self, a: Answer) -> str:
         """What the proof says of an answer, in words."""
         servo = self.task.stage.axes[self.task.axis].chip.SERVO
-        what = "arrive" if servo else "lose no step"
+        what = "arrives" if servo else "keeps step"
         failed = "" if a.proof.holds else "NOT proved: "
-        return f"{failed}{a.proof.kept} of {a.proof.moves} moves {what} with up to {self.task.most:.3g} kg"
+        return f"{failed}{what} in {a.proof.kept} of {a.proof.moves} drawn machines with up to {self.task.most:.3g} kg"
+
+    @cached_property
+    def spreads(self) -> dict[str, Spread]:
+        """What the machines of the proof were drawn from: the ranges of their values, of the payload and of the rotor's angle."""
+        return find_spreads(self.task.stage.axes[self.task.axis]) | {
+            "payload": Spread(
+                0.0, self.task.most, "kg", False, "as asked for, a quarter each with none, all, and all and the margin"
+            ),
+            "rotor angle": Spread(-0.5, 0.5, "electrical turns", False, "any"),
+        }
+
+    def describe_spreads(self) -> str:
+        """Describe in a table what the machines of the proof were drawn from."""
+        lines = [f"{'a machine has':15}{'drawn evenly from':40}known from"]
+        for name, spread in self.spreads.items():
+            scale = " (logarithm)" if spread.logarithmic else ""
+            lines.append(f"{name:15}{f'{spread}{scale}':40}{spread.evidence}")
+        return "\n".join(lines)
+
+    def claim(self) -> str:
+        """State for which machines the registers hold, and how well the core loss of their motor is known."""
+        motor, loss = self.task.stage.axes[self.task.axis].drive.motor.name, self.spreads.get("core loss")
+        known = "" if loss is None else f" Core loss of the {motor}: {loss} ({loss.evidence.partition(': ')[2]})."
+        return f"It {self.proved(self.answer)}, from the ranges above.{known}"
 
     def verdict(self) -> str:
         """Which to take, and why."""
@@ -106,7 +132,8 @@ class Result:
         arrived = f"arrived: {what}within {task.length(float(task.within or 0))} for {task.hold * 1e3:g} ms"
         lines = [
             f"axis {task.axis}, {chip}: {self.way()} {task.carries}, margin {task.spare:.3g} kg more; {arrived}",
-            *([describe_core_loss(axis.drive.motor)] if isinstance(axis.drive, Drive) else []),
+            "",
+            self.describe_spreads(),
             "",
             f"{'':9}{'arrives, mean':>15}{'worst':>11}{'too far':>11}{'spare payload':>15}  proof",
         ]
@@ -121,7 +148,7 @@ class Result:
             lines.append(
                 f"{self.failed} of the search's best registers failed in moves that it had not seen, and are out."
             )
-        lines += ["", self.verdict(), self.rates(), "", self.table(), "", self.listing()]
+        lines += ["", self.verdict(), self.claim(), self.rates(), "", self.table(), "", self.listing()]
         return "\n".join(lines)
 
     def rates(self) -> str:
@@ -185,6 +212,7 @@ class Result:
             "stopped": self.stopped,
             "won": self.won,
             "verdict": self.verdict(),
+            "claim": self.claim(),
             "answers": {
                 a.name: {
                     "registers": a.plan.registers,
@@ -196,9 +224,20 @@ class Result:
                     "spare_may_be_more": a.more,
                     "kept": a.proof.kept,
                     "proved": a.proof.moves,
+                    "failed": a.proof.failed,
                 }
                 for a in self.answers
             },
+            "drawn_from": {name: spread._asdict() for name, spread in self.spreads.items()},
+            "machines": [
+                {
+                    **(case.machine or task.machine).values,
+                    "payload": case.payload,
+                    "rotor angle": case.beside / task.turn,
+                    "way": case.way,
+                }
+                for case in self.cases
+            ],
             "registers": [r._asdict() for r in self.rows],
             "bytes": [c._asdict() for c in self.cycles],
         }

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections import Counter
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,17 +13,21 @@ from stage.arguments import told, whole_number
 from stage.errors import ArgumentError, StageError
 from stage.tune.formula import SAFETY
 from stage.tune.looks import LOOK
+from stage.tune.machines import Machine, draw_machines
 from stage.tune.plans import Plan, Plans, plans_of
-from stage.tune.proof import MOVES, gain, prove, spare
+from stage.tune.proof import ANGLES as LADDER_MACHINES
+from stage.tune.proof import MOVES, Proof, gain, prove, spare
 from stage.tune.result import Answer, Result
 from stage.tune.search import Trial, horizon, optuna, search
-from stage.tune.task import Task
+from stage.tune.task import Case, Task
 from stage.tune.tries import Tries
 
 WAYS = ("search", "formula")
 CAREFUL = (1.0, 1.15, 1.3, 1.5, 2.0, 3.0)  # times the safety factor, until the formula keeps step
 CANDIDATES = 8  # of a search, that are tried at once with moves that it has not seen; so many, and again, and
 ROUNDS = 3  # again, until one passes all
+HARD = 6  # moves in which most of those that failed did so: the others must be good in them
+POOL = 4 * MOVES  # machines of which the weakest make the moves of the search
 MORE = 18  # cases of a trial that leads, beside those of every trial
 GUARD = 1.25  # times the spare that was asked for is what the search keeps: the proof then finds less to object to
 ANGLES = 2  # rotor angles of each payload, in a trial
@@ -46,7 +52,8 @@ def tune(
 
     Args:
         by: "search", which begins at the formula; or "formula" alone, which needs no Optuna.
-        trials: of the search. moves: of a proof. workers: threads; the result does not depend on them.
+        trials: of the search. moves: of a proof, each by a machine that is drawn from the evidence (machines.py). workers: threads;
+            the result does not depend on them.
         told: is called as the work goes on.
     Raises ArgumentError: a payload that the motor does not move, a number out of range; StageError: Optuna is missing, or no
         registers keep step.
@@ -61,49 +68,148 @@ def tune(
     if by == "search":
         optuna()
     plans = plans_of(task)
-    *streams, ladder = np.random.SeedSequence(seed).spawn(5)
-    searched, leading, again, proved = (np.random.default_rng(s) for s in streams)
+    cases = _draw_cases(plans, seed, moves)
     with Tries(task, plans, workers) as tries:
         told("the formula", 0.0, None)
-        safety, plan, limit = _formula(tries, plans, task.corners(searched, ANGLES))
-        ranked: list[Trial] = []
-        stopped = False
+        safety, limit, by_formula = _prove_formula(tries, plans, cases)
+        answers, ranked, failed, stopped = [by_formula], list[Trial](), 0, False
         if by == "search":
             ranked, stopped = search(
-                tries, task.corners(searched, ANGLES, GUARD), task.drawn(leading, MORE, GUARD), limit, trials, seed, safety,
+                tries, cases.search, cases.leading, limit, trials, seed, safety,
                 lambda done, best: told(
                     "searching", min(done / trials, 1.0), best.worst if best is not None and not best.broken else None
                 ),
             )  # fmt: skip
         told("the proof", 0.0, None)
-        proof = task.drawn(proved, moves)
-        answers = [_answer(tries, "formula", plan, proof, limit, ladder)]
-        unseen = task.drawn(again, max(moves // 2, 1))
-        failed = 0
-        fine = [trial for trial in ranked if trial.plan is not None and not trial.broken]
-        for k in range(0, min(len(fine), ROUNDS * CANDIDATES), CANDIDATES):
-            some = fine[k : k + CANDIDATES]
-            enough = horizon(max(trial.worst for trial in some), task.hold)
-            held, out = _once_more(tries, [trial.plan for trial in some if trial.plan is not None], unseen, enough)
-            failed += out
-            for candidate in held:
-                tried = _answer(tries, "search", candidate, proof, enough, ladder)
-                if tried.holds:
-                    answers.append(tried)
-                    break
-                failed += 1
-            if len(answers) > 1:
-                break
-        by_formula = answers[0]
-        if not by_formula.holds and len(answers) == 1:
+        found, failed = _prove_best(tries, ranked, cases)
+        if found is not None:
+            answers.append(found)
+        elif not by_formula.holds:
             more = "let it search (--by search)" if by == "formula" else "search longer (--trials)"
             raise StageError(
-                f"no registers are proved with up to {task.most:.3g} kg: a proof wants every move good. Of the formula's "
-                f"{by_formula.proof.said()}. Ask for less payload or spare, give more room (--settle, --overshoot), or {more}."
+                f"no registers are proved with up to {task.most:.3g} kg: a proof wants every drawn machine to be good. Of the "
+                f"formula's {by_formula.proof.said()}.{_describe_failed(plans, cases.proof, by_formula.proof)} "
+                f"Ask for less payload or spare, give more room (--settle, --overshoot), or {more}."
             )
-        won = "search" if len(answers) > 1 and _better(*answers) else "formula"
+        won = "search" if found is not None and _better(*answers) else "formula"
         told("the proof", 1.0, None)
-        return Result(task, plans, tuple(answers), won, safety, by, len(ranked), stopped, failed, seed, tries.made)
+        return Result(
+            task,
+            plans,
+            tuple(answers),
+            won,
+            safety,
+            by,
+            len(ranked),
+            stopped,
+            failed,
+            seed,
+            tries.made,
+            tuple(cases.proof),
+        )
+
+
+class Cases(NamedTuple):
+    """The moves of a run, all drawn before it begins.
+
+    Attributes:
+        formula: Moves that the formula's registers must keep, by machines that are hardly able to.
+        search: Moves of each trial, likewise, with more than the spare.
+        leading: Further moves of a trial that would be the best so far.
+        unseen: Moves of the best trials, before the proof.
+        proof: Moves of the proof, each by another machine.
+        ladder: Seed of the moves with payloads one above the other, and the machines that make them, the weakest of the proof.
+    """
+
+    formula: list[Case]
+    search: list[Case]
+    leading: list[Case]
+    unseen: list[Case]
+    proof: list[Case]
+    ladder: tuple[np.random.SeedSequence, list[Machine]]
+
+
+def _draw_cases(plans: Plans, seed: int, moves: int) -> Cases:
+    """Draw the moves of a run and the machines that make them."""
+    task, axis = plans.task, plans.axis
+    *streams, ladder, machines = np.random.SeedSequence(seed).spawn(6)
+    searched, leading, again, proved = (np.random.default_rng(s) for s in streams)
+    few = max(moves // 4, 1)
+    draw = partial(draw_machines, axis, np.random.default_rng(machines))
+    weak, proving = sorted(draw(POOL), key=plans.compute_thrust_left), draw(moves)
+    weakest = sorted(proving, key=plans.compute_thrust_left)
+    return Cases(
+        task.corners(searched, ANGLES, 1.0, weak),
+        task.corners(searched, ANGLES, GUARD, weak),
+        task.drawn(leading, MORE, GUARD, draw(MORE)),
+        task.drawn(again, few, 1.0, draw(few)),
+        task.drawn(proved, moves, 1.0, proving),
+        (ladder, [weakest[k % moves] for k in range(LADDER_MACHINES)]),
+    )
+
+
+def _prove_formula(tries: Tries, plans: Plans, cases: Cases) -> tuple[float, float, Answer]:
+    """Raise the formula's safety factor until its registers pass the proof. Returns the factor, how long moves are looked at (s),
+    and the answer; it does not hold where no factor helps."""
+    tried, proved = list(cases.formula), None
+    while True:
+        try:
+            safety, plan, limit = _formula(tries, plans, tried)
+        except StageError:
+            if proved is None:
+                raise
+            return proved
+        proved = safety, limit, _answer(tries, "formula", plan, cases, limit)
+        failed = [cases.proof[k] for k in proved[2].proof.failed]
+        if not set(failed) - set(tried):
+            return proved
+        tried += failed
+
+
+def _prove_best(tries: Tries, ranked: Sequence[Trial], cases: Cases) -> tuple[Answer | None, int]:
+    """Find the fastest of a search's trials that passes the proof; and how many faster ones do not.
+
+    The best are proved eight at a time. Where all of these fail, those of the others remain that keep step in the moves which they
+    failed.
+    """
+    left = [trial for trial in ranked if trial.plan is not None and not trial.broken]
+    out = 0
+    for _ in range(ROUNDS):
+        some, left = left[:CANDIDATES], left[CANDIDATES:]
+        if not some:
+            break
+        enough = horizon(max(trial.worst for trial in some), tries.task.hold)
+        plans = [trial.plan for trial in some if trial.plan is not None]
+        proofs = prove(tries, plans, cases.unseen, enough)
+        hard = [cases.unseen[k] for proof in proofs for k in proof.failed]
+        for plan, proof in sorted(zip(plans, proofs, strict=True), key=lambda pair: pair[1].mean):
+            if proof.holds:
+                answer = _answer(tries, "search", plan, cases, enough)
+                if answer.holds:
+                    return answer, out
+                hard += [cases.proof[k] for k in answer.proof.failed]
+            out += 1
+        kept = _select(tries, left, [case for case, _ in Counter(hard).most_common(HARD)])
+        left, out = kept, out + len(left) - len(kept)
+    return None, out
+
+
+def _select(tries: Tries, trials: Sequence[Trial], cases: Sequence[Case]) -> list[Trial]:
+    """Select the trials whose moves are good in these cases, too."""
+    if not trials or not cases:
+        return list(trials)
+    limit = horizon(max(trial.worst for trial in trials), tries.task.hold)
+    outcome = tries.make([trial.plan for trial in trials if trial.plan is not None], cases, limit)
+    good = outcome.good(tries.task, tries.task.asked(list(cases)))
+    return [trial for trial, kept in zip(trials, good, strict=True) if kept.all()]
+
+
+def _describe_failed(plans: Plans, cases: Sequence[Case], proof: Proof) -> str:
+    """Describe, of the machines that failed in a proof, the one with the most thrust, in a sentence with a blank before it."""
+    failed = [machine for k in proof.failed if (machine := cases[k].machine) is not None]
+    if not failed:
+        return ""
+    return f" The strongest of those that failed has {max(failed, key=plans.compute_thrust_left)}."
 
 
 def _formula(tries: Tries, plans: Plans, cases: Any) -> tuple[float, Plan, float]:
@@ -160,13 +266,6 @@ def _carries(tries: Tries, plans: Plans, cases: Any) -> str:
     return f"Up to {loads[int(np.argmin(fine)) - 1]:.2g} kg in all they keep step: take less payload or spare."
 
 
-def _once_more(tries: Tries, plans: list[Plan], cases: Any, limit: float) -> tuple[list[Plan], int]:
-    """Those of a search's answers that keep step in moves that it has not seen, the fastest first; and how many do not."""
-    tried = zip(plans, prove(tries, plans, cases, limit), strict=True)
-    held = [plan for plan, proof in sorted(tried, key=lambda pair: pair[1].mean) if proof.holds]
-    return held, len(plans) - len(held)
-
-
 def _better(formula: Answer, found: Answer) -> bool:
     """Whether a search's answer beats the formula's by more than the proof can tell apart."""
     if not formula.holds:
@@ -175,8 +274,9 @@ def _better(formula: Answer, found: Answer) -> bool:
     return saved - error > LOOK
 
 
-def _answer(tries: Tries, name: str, plan: Plan, cases: Any, limit: float, seed: np.random.SeedSequence) -> Answer:
-    """A plan with its proof: the moves, and if it passes these, payloads one above the other, at the same rotor angles for all."""
-    proof = prove(tries, [plan], cases, limit)[0]
-    kg, more = spare(tries, plan, limit, np.random.default_rng(seed)) if proof.holds else (0.0, False)
+def _answer(tries: Tries, name: str, plan: Plan, cases: Cases, limit: float) -> Answer:
+    """Prove a plan: the moves of the proof, and if it passes these, payloads one above the other, at the same angles for all."""
+    proof = prove(tries, [plan], cases.proof, limit)[0]
+    seed, machines = cases.ladder
+    kg, more = spare(tries, plan, limit, np.random.default_rng(seed), machines) if proof.holds else (0.0, False)
     return Answer(name, plan, proof, kg, more, proof.holds and kg >= float(tries.task.spare or 0.0))

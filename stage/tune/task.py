@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +15,7 @@ from stage import Stage
 from stage.arguments import told_when_made
 from stage.envs.task import carrier, judged
 from stage.errors import ArgumentError, unknown
+from stage.tune.machines import Machine, fit_machine
 from stage.units import PLACES, SMALL
 
 SPARE = 0.3
@@ -24,11 +27,19 @@ ROUNDING = 1e-9  # kg
 
 
 class Case(NamedTuple):
-    """One move to be tried: kg on the axis, where it begins (pulses beside the usual place), which way (+1, -1)."""
+    """One move to be tried.
+
+    Attributes:
+        payload: Mass on the axis, kg.
+        beside: Where it begins, in pulses beside the usual place: the angle of the rotor.
+        way: 1, or -1 towards minus.
+        machine: Machine that makes it; None: the one of the task's stage.
+    """
 
     payload: float
     beside: float
     way: int
+    machine: Machine | None = None
 
 
 @told_when_made
@@ -147,34 +158,53 @@ class Task:
     def begin(self, stage: Stage, case: Case) -> float:
         """Bring a stage at power-up to where a move begins. Returns its goal, m."""
         axis = stage.axes[self.axis]
+        fit_machine(axis, case.machine or self.machine, self.stage.model)
         stage.set_payload(case.payload, self.carrier)
         step = axis.meters_per_pulse * np.sign(axis.gear)
         way = step * self.pulses * case.way
         stage.place(**{self.axis: self.middle - 0.5 * way + case.beside * axis.meters_per_pulse})
         return float((axis.position if axis.chip.SERVO else axis.commanded) + way)
 
+    @property
+    def machine(self) -> Machine:
+        """The machine of `stage` as it is."""
+        axis: Any = self.stage.axes[self.axis]
+        return Machine(replace(axis.drive, bus_voltage=axis.supply), 1.0)
+
     def copy(self) -> Stage:
         """Another machine of the same kind."""
         return copy.deepcopy(self.stage)
 
-    def corners(self, rng: np.random.Generator, angles: int, guard: float = 1.0) -> list[Case]:
-        """Nothing, the payload, the payload with `guard` times the spare: each at some rotor angles, both ways."""
+    def corners(
+        self, rng: np.random.Generator, angles: int, guard: float = 1.0, machines: Iterable[Machine] = ()
+    ) -> list[Case]:
+        """Combine nothing, the payload, the payload with `guard` times the spare with some rotor angles, both ways.
+
+        The heaviest get the first of `machines`; where these end, the moves are those of the task's own machine.
+        """
         loads = sorted({0.0, self.payload, self._loaded(guard)})
         first, n = rng.uniform(0, 1), angles * len(loads)
         places = [(first + k / n) % 1.0 - 0.5 for k in range(n)]
-        return [
+        cases = [
             Case(load, self.turn * places[j * len(loads) + k], 1 - 2 * (j % 2))
             for k, load in enumerate(loads)
             for j in range(angles)
         ]
+        return _with_machines(cases[::-1], machines)[::-1]
 
-    def drawn(self, rng: np.random.Generator, moves: int, guard: float = 1.0) -> list[Case]:
-        """Moves of a proof: the corners' payloads and others in between, any rotor angle, both ways."""
+    def drawn(
+        self, rng: np.random.Generator, moves: int, guard: float = 1.0, machines: Iterable[Machine] = ()
+    ) -> list[Case]:
+        """Draw the moves of a proof: the corners' payloads and others in between, any rotor angle, both ways.
+
+        Each is made by another of `machines`; where these end, by the task's own machine.
+        """
         fixed = (0.0, self.payload, self._loaded(guard))
         loads = [fixed[k % 4] if k % 4 < 3 else float(rng.uniform(0, fixed[2])) for k in range(moves)]
-        return [
+        cases = [
             Case(load, self.turn * float(rng.uniform(-0.5, 0.5)), 1 - 2 * (k // 4 % 2)) for k, load in enumerate(loads)
         ]
+        return _with_machines(cases, machines)
 
     def _loaded(self, guard: float) -> float:
         return self.payload + guard * float(self.spare or 0.0)
@@ -182,6 +212,10 @@ class Task:
     def asked(self, cases: list[Case]) -> np.ndarray:
         """Which cases have no more than the payload: theirs is the time that counts."""
         return np.array([c.payload <= self.payload + ROUNDING for c in cases])
+
+
+def _with_machines(cases: list[Case], machines: Iterable[Machine]) -> list[Case]:
+    return [case._replace(machine=machine) for case, machine in zip_longest(cases, machines) if case is not None]
 
 
 def rides(model: Any, body: str, joint: int) -> bool:

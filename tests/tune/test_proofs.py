@@ -29,14 +29,15 @@ def test_a_proof_counts_what_kept_step_apart_from_what_came_to_rest_and_times_wh
     )
     found = proof.prove(tries(outcome), [None] * 3, CASES, 1.0)
     assert [(p.moves, p.kept, p.lost, p.holds) for p in found] == [(4, 4, 0, True), (4, 2, 1, False), (4, 0, 3, False)]
+    assert [p.failed for p in found] == [(), (1, 3), (0, 1, 2, 3)]
     assert [p.beyond for p in found] == [1e-5, 1e-5, far], "of the moves with up to the payload"
     assert found[0].times.tolist() == found[2].times.tolist() == [0.1, 0.2]
     assert (found[0].mean, found[0].worst) == (pytest.approx(0.15), 0.2)
     assert np.isnan([found[1].mean, found[1].worst]).all(), "what has not arrived has no time"
     assert [p.said() for p in found] == [
-        "4 moves 4 were good",
-        "4 moves 2 were good, 1 did not keep step, 1 did not come to rest at the goal",
-        "4 moves 3 did not keep step, 1 did not come to rest at the goal",
+        "4 machines 4 were good",
+        "4 machines 2 were good, 1 did not keep step, 1 did not come to rest at the goal",
+        "4 machines 3 did not keep step, 1 did not come to rest at the goal",
     ]
 
 

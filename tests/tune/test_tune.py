@@ -58,7 +58,7 @@ def test_the_answer_arrives_and_keeps_step_up_to_the_margin_in_moves_that_the_se
     assert answer.holds
     assert answer.proof.kept == answer.proof.moves == 8
     assert answer.spare >= result.task.spare == pytest.approx(0.6)
-    assert f"8 of 8 moves lose no step with up to {2.6} kg" in str(result)
+    assert f"keeps step in 8 of 8 drawn machines with up to {2.6} kg" in str(result)
     formula = result.answers[0]
     assert formula.name == "formula"
     if result.won == "search":

@@ -45,7 +45,7 @@ def test_what_was_not_said_is_the_usual(told):
     assert rest == [0.0, None, None, 0.05, None, None, None]
     told_ = how.pop("told")
     assert isinstance(told_, _Progress)
-    assert how == {"by": "search", "trials": 200, "seed": 0, "workers": None, "moves": 48}
+    assert how == {"by": "search", "trials": 200, "seed": 0, "workers": None, "moves": 96}
 
 
 def test_every_option_is_for_what_its_help_says(told):

@@ -17,7 +17,8 @@ def _add_tune(commands: Any) -> None:
     p = command(
         commands, "tune", "tune:run", "registers for an axis: formula, search, proof",
         "Find the registers of one move of an axis: by the data sheet's formula, then by a search that keeps a margin, and prove "
-        "them by moves that the search has not seen. Prints registers, bus bytes and a C header.",
+        "them by machines that the search has not seen, drawn from the evidence of motor, supply and friction. Prints registers, "
+        "bus bytes and a C header.",
         ("stage tune xy --payload 2 --distance 100mm", "a PCL-240 on the X axis of xy: prints registers, bytes and C"),
         ("stage tune xy --payload 2 --distance 100mm -o tuned", "the same as files, with a picture"),
         ("stage tune my.xml --axis z --chips mcx514 --payload 0.5 --spare 0.2 --distance 20mm", ""),
@@ -53,7 +54,7 @@ def _add_tune(commands: Any) -> None:
     g = p.add_argument_group("search")
     g.add_argument("--by", choices=("search", "formula"), default="search", help="formula: no search, no Optuna needed")
     g.add_argument("--trials", type=int, default=200, help="registers that are tried (default: 200)")
-    g.add_argument("--moves", type=int, default=48, help="moves of a proof (default: 48)")
+    g.add_argument("--moves", type=int, default=96, help="machines drawn for a proof, each makes a move (default: 96)")
     g.add_argument("--seed", type=int, default=0, help="the same seed gives the same registers (default: 0)")
     g.add_argument("--workers", type=int, help="threads; the result does not depend on them (default: one a processor)")
     machine(p.add_argument_group("stage"))

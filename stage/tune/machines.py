@@ -1,0 +1,146 @@
+"""Machines drawn from the evidence: how far motor, supply and guides of an axis may lie from the values of its model.
+
+    spreads = find_spreads(axis)                                from what to what, and how that is known
+    machines = draw_machines(axis, np.random.default_rng(0), 96)
+    fit_machine(stage.axes["x"], machines[0], model)            model: as it was before, for the friction
+
+A motor's own tolerances are in its evidence (`stage.drives.motors`). What no data sheet states is in `DEFAULTS`, and nowhere else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stage import portable
+from stage.drives.dc_motors import Servo
+from stage.drives.motors import MAX_BUS_VOLTAGE, Drive, Motor, estimate_core_loss, is_core_loss_known, read_tolerance
+from stage.sim.refit import vary_drive
+
+
+class Spread(NamedTuple):
+    """Range that a value of a machine is drawn from, evenly.
+
+    Attributes:
+        low: Least value.
+        high: Greatest value.
+        unit: Unit of both.
+        logarithmic: Whether the logarithm of the value is drawn evenly, in place of the value.
+        evidence: Letter of `stage.drives.motors.EVIDENCE`, and what the range is known from.
+    """
+
+    low: float
+    high: float
+    unit: str
+    logarithmic: bool
+    evidence: str
+
+    def scale(self, value: float, tolerance: float | None = None, evidence: str = "") -> Spread:
+        """Multiply a range of factors by a value; a tolerance that is stated takes the place of the factors."""
+        if tolerance is not None:
+            return self._replace(low=(1 - tolerance) * value, high=(1 + tolerance) * value, evidence=evidence)
+        return self._replace(low=self.low * value, high=self.high * value)
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """Draw a value."""
+        if self.logarithmic:
+            return float(portable.exp(rng.uniform(*portable.log((self.low, self.high)))))
+        return float(rng.uniform(self.low, self.high))
+
+    def __str__(self) -> str:
+        return f"{self.low:.3g} to {self.high:.3g} {self.unit}"
+
+
+DEFAULTS = {
+    "core loss": Spread(
+        0.85, 1.15, "N m s/rad", False, "C: +-15 %, as fits to different points of the 17HS19-2004S1's curve differ"
+    ),
+    "inductance": Spread(0.8, 1.2, "H", False, "I: +-20 %, as the data sheet of the 17HS19-2004S1 has it"),
+    "resistance": Spread(0.9, 1.1, "ohm", False, "I: +-10 %, as the data sheet of the 17HS19-2004S1 has it"),
+    "friction": Spread(0.5, 2.0, "times the model's", True, "I: preload, grease, seals and wear of guides and screw"),
+    "supply": Spread(0.95, 1.05, "V", False, "I: +-5 %, line, load and cable of a regulated supply"),
+}
+"""Ranges where neither a data sheet nor the user states one, as factors of the model's value. The core loss is that of a motor
+whose loss is known; without a published curve it has the band of `estimate_core_loss`."""
+
+
+class Machine(NamedTuple):
+    """One machine of those that an axis may be: its drive with the motor, and its friction over that of the model."""
+
+    drive: Drive | Servo
+    friction: float
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Its values by the names of their spreads, in SI."""
+        drive = self.drive
+        found = {"resistance": drive.motor.resistance, "friction": self.friction, "supply": drive.bus_voltage}
+        if isinstance(drive, Drive):
+            found |= {"core loss": drive.motor.core_loss_damping, "inductance": drive.motor.phase_inductance}
+        return {name: found[name] for name in DEFAULTS if name in found}
+
+    def __str__(self) -> str:
+        return ", ".join(f"{name} {value:.3g} {DEFAULTS[name].unit}" for name, value in self.values.items())
+
+
+def find_spreads(axis: Any) -> dict[str, Spread]:
+    """Find the ranges of the values of an axis' machine, by the names of `DEFAULTS`.
+
+    A servo has no core loss and no inductance, nor has a core loss that the model states itself a range.
+
+    Raises:
+        ArgumentError: A tolerance of 100 % or more in the evidence of the motor.
+    """
+    motor, spreads = axis.drive.motor, {}
+    if isinstance(axis.drive, Drive):
+        if axis.stage.model.actuator_damping[axis.plant.actuator] == motor.core_loss_damping:
+            spreads["core loss"] = _spread_core_loss(motor)
+        field = "inductance" if motor.effective_inductance is None else "effective_inductance"
+        spreads["inductance"] = _spread("inductance", motor.phase_inductance, motor, field)
+    spreads["resistance"] = _spread("resistance", motor.resistance, motor, "resistance")
+    spreads["friction"], supply = DEFAULTS["friction"], DEFAULTS["supply"].scale(axis.supply)
+    spreads["supply"] = supply._replace(high=min(supply.high, MAX_BUS_VOLTAGE))
+    return spreads
+
+
+def _spread(name: str, value: float, motor: Any, field: str) -> Spread:
+    """Spread a value of a motor by the tolerance that its evidence states, or by the default one."""
+    return DEFAULTS[name].scale(value, read_tolerance(motor, field), motor.evidence.get(field, ""))
+
+
+def _spread_core_loss(motor: Motor) -> Spread:
+    if is_core_loss_known(motor) or read_tolerance(motor, "core_loss_resistance") is not None:
+        return _spread("core loss", motor.core_loss_damping, motor, "core_loss_resistance")
+    likely = estimate_core_loss(motor)
+    return DEFAULTS["core loss"]._replace(
+        low=likely.low,
+        high=likely.high,
+        logarithmic=True,
+        evidence=f"I: no pull-out curve of the {motor.name} is at hand; after the 17HS19-2004S1",
+    )
+
+
+def draw_machines(axis: Any, rng: np.random.Generator, count: int) -> list[Machine]:
+    """Draw machines that an axis may be, each value from its own spread and independent of the others."""
+    spreads = find_spreads(axis)
+    return [_build(axis.drive, {name: spread.draw(rng) for name, spread in spreads.items()}) for _ in range(count)]
+
+
+def _build(drive: Drive | Servo, values: dict[str, float]) -> Machine:
+    motor: Any = replace(drive.motor, resistance=values["resistance"])
+    if "inductance" in values:
+        motor = replace(motor, effective_inductance=values["inductance"])
+    if "core loss" in values:
+        loss = values["core loss"]
+        motor = replace(motor, core_loss_resistance=motor.torque_constant**2 / loss if loss > 0 else None)
+    return Machine(replace(drive, motor=motor, bus_voltage=values["supply"]), values["friction"])
+
+
+def fit_machine(axis: Any, machine: Machine, model: Any) -> None:
+    """Make an axis that of a machine. model: the MjModel that nobody has changed, for its friction and damping."""
+    vary_drive(axis, machine.drive)
+    here, dof = axis.stage.model, axis.plant.dof
+    here.dof_frictionloss[dof] = model.dof_frictionloss[dof] * machine.friction
+    here.dof_damping[dof] = model.dof_damping[dof] * machine.friction
