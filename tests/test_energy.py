@@ -88,3 +88,54 @@ def test_an_unpowered_axis_loses_the_energy_of_its_core_loss_and_no_other(integr
     first = 0.5 * float(stage.model.dof_M0[0]) * 0.05**2
     assert energy == pytest.approx(first * np.exp(-2 * damping / inertia * time), rel=0.02)
     assert math.exp(-2 * damping / inertia * 0.2) < 0.2
+
+
+@pytest.mark.parametrize("detent", [0.0, 0.022])
+def test_an_axis_rings_at_its_natural_frequency(detent):
+    """sqrt(stiffness / mass) / 2 pi, stiffness Nr (Km I + 4 Td) gear^2 on a full step (spec/drives.md, 2)."""
+    drive = Drive(LOSSLESS, detent=detent)
+    stage = frictionless(drive)
+    x, mass = stage.axes["x"], float(stage.model.dof_M0[0])
+    stiffness = 50 * (LOSSLESS.torque_constant * 1.7 + 4 * detent) * x.gear**2
+    expected = math.sqrt(stiffness / mass) / (2 * math.pi)
+    stage.data.qvel[0] = 0.05 * 2 * math.pi * expected / (50 * abs(x.gear))  # 0.05 electrical radians
+    position = []
+    for _ in range(4000):
+        stage.step()
+        position.append(stage.data.qpos[0])
+    seen = np.array(position) - np.mean(position)
+    up = np.flatnonzero((seen[:-1] < 0) & (seen[1:] >= 0))
+    at = up - seen[up] / (seen[up + 1] - seen[up])
+    frequency = (len(at) - 1) / ((at[-1] - at[0]) * stage.model.opt.timestep)
+    print(frequency, expected)
+    assert frequency == pytest.approx(expected, rel=5e-3)
+
+
+@pytest.mark.parametrize("payload", [0.0, 2.0])
+def test_the_swing_of_an_unforced_axis_never_grows(payload):
+    """Amplitudes of a second, then of later ones: with friction each is less; here none is there to hide a gain."""
+    stage = frictionless(Drive(LOSSLESS))
+    stage.set_payload(payload, "carriage")
+    stage.data.qvel[0] = 0.03
+    swings = []
+    for _ in range(8):
+        seen = []
+        for _ in range(1000):
+            stage.step()
+            seen.append(abs(stage.axes["x"].load_angle))
+        swings.append(max(seen))
+    assert max(swings[1:]) <= swings[0] * 1.0005
+
+
+@pytest.mark.parametrize("speed", [0.15, 0.3, -0.45])
+def test_an_axis_that_slips_comes_to_rest_whole_electrical_turns_away(speed):
+    """Four full steps of 50 um each; friction leaves the rotor a few um beside its step."""
+    stage = Stage("xyz", drives=Drive(LOSSLESS), visuals=False)
+    x = stage.axes["x"]
+    begin = x.position
+    stage.data.qvel[stage.model.joint("x").dofadr[0]] = speed
+    stage.run(1.0)
+    turns = (x.position - begin) / 2e-4
+    assert abs(round(turns)) >= 1
+    assert turns == pytest.approx(round(turns), abs=0.05)
+    assert x.lost_steps == -4 * round(turns)

@@ -507,34 +507,24 @@ def test_an_open_phase_carries_no_current_and_the_other_is_as_it_was(mode, open_
         Drive(mode=mode).fill(rows[0])
     broken[0].open, broken[0].slice = open_, 0.0
     km, nr, td = whole[0].torque_constant, whole[0].teeth, whole[0].detent
-    h = 31.25e-6
-    for _ in range(200):
-        count, theta, omega = rng.uniform(-1e4, 1e4), rng.uniform(-10, 10), rng.uniform(-150, 150)
-        broken[0].current_a = whole[0].current_a = 0.0 if open_ & stepper.A else rng.uniform(-1.7, 1.7)
-        broken[0].current_b = whole[0].current_b = 0.0 if open_ & stepper.B else rng.uniform(-1.7, 1.7)
-        a0, b0 = broken[0].current_a, broken[0].current_b
-        torque = stepper.mean_torque(broken[0], np.full(8, count), 1, theta, omega, h)
-        stepper.mean_torque(whole[0], np.full(8, count), 1, theta, omega, h)
-        a, b = broken[0].current_a, broken[0].current_b
-        assert a == (0.0 if open_ & stepper.A else whole[0].current_a)
-        assert b == (0.0 if open_ & stepper.B else whole[0].current_b)
-        mean_a = 0.0 if open_ & stepper.A else (a0 + a) / 2
-        mean_b = 0.0 if open_ & stepper.B else (b0 + b) / 2
-        if mode == "chopper":
-            expected = km * (mean_b * np.cos(nr * theta) - mean_a * np.sin(nr * theta)) - td * np.sin(4 * nr * theta)
-            assert torque == pytest.approx(expected, abs=1e-12)
-
-
-def test_eight_slices_with_an_open_phase_are_eight_times_one():
-    rows, h, omega = np.zeros(2, stepper.DRIVE), 31.25e-6, 60.0
-    for d in rows:
-        Drive().fill(d)
-        d.open, d.slice, d.current_b = stepper.A, 0.0, 0.5
-    counts = np.arange(8) * 0.7
-    at_once = stepper.mean_torque(rows[0], counts, 8, 0.01, omega, h)
-    singly = [stepper.mean_torque(rows[1], counts[k : k + 1], 1, 0.01 + k * omega * h, omega, h) for k in range(8)]
-    assert at_once == pytest.approx(np.mean(singly), abs=1e-15)
-    assert rows[0].current_b == pytest.approx(rows[1].current_b, abs=1e-15)
+    h, n = 31.25e-6, stepper.SLICES
+    closed = 0.0 if open_ & stepper.A else 1.0, 0.0 if open_ & stepper.B else 1.0
+    for _ in range(100):
+        count, begin, omega = rng.uniform(-1e4, 1e4), rng.uniform(-10, 10), rng.uniform(-150, 150)
+        counts = count + rng.choice((0.05, 3.0)) * rng.uniform(-1, 1) * np.arange(n)
+        broken[0].current_a = whole[0].current_a = rng.uniform(-1.7, 1.7) * closed[0]
+        broken[0].current_b = whole[0].current_b = rng.uniform(-1.7, 1.7) * closed[1]
+        currents = [(whole[0].current_a, whole[0].current_b)]
+        for k in range(n):
+            stepper.torque(whole[0], counts[k], begin + (k + 0.5) * omega * h, omega, h)
+            currents.append((whole[0].current_a, whole[0].current_b))
+        a, b = (np.array(currents) * closed).T
+        torque = stepper.mean_torque(broken[0], counts, n, begin + 0.5 * n * omega * h, omega, h)
+        assert (broken[0].current_a, broken[0].current_b) == pytest.approx((a[-1], b[-1]), abs=1e-9)
+        ends, middles = (nr * (begin + omega * h * k) for k in (np.arange(n + 1), np.arange(n) + 0.5))
+        at_ends = km * (b * np.cos(ends) - a * np.sin(ends))
+        expected = (at_ends.sum() - 0.5 * (at_ends[0] + at_ends[-1])) / n - td * np.sin(4 * middles).mean()
+        assert torque == pytest.approx(expected, abs=1e-9)
 
 
 def test_the_current_of_an_open_phase_is_zero_in_the_recording_from_the_fault_on(xyz):

@@ -19,13 +19,17 @@ from __future__ import annotations
 
 import math
 
-from stage.drives.trig import sincos
+import numpy as np
+
+from stage.drives.trig import SMALL, sincos, sincos_of_small, turned
 from stage.native import greatest, hot, least, record, room
 
 CHOPPER, SINE, SERVO = range(3)  # modes
 A, B = 1, 2  # phases
-SLICES = 8  # that the engine cuts a physics step into
-ENDS = SLICES + 1
+SLICES = 8  # that the engine cuts a physics step into; mean_torque counts on 8
+ENDS = np.array([-3.0, -2.0, -1.0, -1.0, 1.0, 2.0, 3.0, 4.0])
+"""Of each slice its end, in slices from the middle of the window; of the one that ends there -1, see `_place_targets`."""
+MIDDLE = SLICES // 2 - 1  # the slice that ends in the middle of a window
 
 DRIVE = record(
     [
@@ -42,9 +46,8 @@ DRIVE = record(
 `current` the amplifier's current limit, 0 for none.
 `teeth`: rotor teeth Nr; `per_pulse`: electrical radians a pulse; `open`: the phases that are
 open, A + B; whoever sets a parameter sets `slice` to 0."""
-SIN, COS, CURRENT_A, CURRENT_B, ROTOR_SIN, ROTOR_COS, TORQUE, WAYS = range(8)
-"""What `mean_torque` knows of each slice: the commanded phase; the currents' targets, after the currents at the beginning; the
-rotor's phase; the torque."""
+SIN, COS, WAYS = range(3)
+"""What `mean_torque` keeps of each slice: sine and cosine of an angle."""
 
 
 @hot
@@ -116,94 +119,135 @@ def _slice(d, a, b, ta, tb, s, c, omega):
 
 
 @hot
-def _torque(constant, detent, ia, ib, s, c):
-    return constant * (ib * c - ia * s) - detent * 4.0 * s * c * (c * c - s * s)
+def _place_targets(d, ways, counts, n, turn, omega):
+    """Write into `ways`, of the end of each slice, sine and cosine of the angle from the rotor to the target of the currents, less
+    that of the slice that ends in the middle of the window; in that one's place those of `turn`.
+
+    Returns whether these angles are small, and whether the bus voltage takes the currents from target to target.
+    """
+    per_pulse, middle = d.per_pulse, counts[MIDDLE]
+    allowed = d.reach - abs(d.back * omega) - d.current * (1.0 - d.keep)
+    outside = False
+    for k in range(n):
+        angle = per_pulse * (counts[k] - middle) - turn * ENDS[k]
+        outside |= abs(angle) > SMALL
+        ways[SIN, k], ways[COS, k] = sincos_of_small(angle)
+    for k in range(1, n):
+        outside |= d.current * per_pulse * abs(counts[k] - counts[k - 1]) > allowed
+    return not outside
 
 
 @hot
-def _along(d, ways, n, theta, pace, omega, h):
-    """n slices of h seconds, of a rotor that turns at `pace` and whose back-EMF is that of `omega`: the mean torque and the last
-    currents. theta: in the middle of the first. An open phase carries no current, whatever the drive wants."""
-    s, c = sincos(theta * d.teeth)
-    turn_s, turn_c = sincos(pace * h * d.teeth)  # the rotor turns by as much in every slice
+def _follow_targets(d, ways, s, c, psi_s, psi_c, s4, c4, omega):
+    """Advance the currents of a chopper that reaches its target in every slice; no slice then waits for the one before.
+
+    Args:
+        d, omega: As `mean_torque` takes them.
+        ways: As `_place_targets` leaves them.
+        s, c: Sine and cosine of the rotor's phase in the middle of the window.
+        psi_s, psi_c: Those of the target at the end of the slice that ends there.
+        s4, c4: Those of the angle by which the rotor turns in half of the window.
+
+    Returns:
+        Sum over the slices of the current across the rotor, which makes torque, A; sum of that along the rotor, times the distance
+        from the middle in slices, A; whether the first target is reached. Otherwise nothing has changed.
+    """
+    x, y, current = ways[SIN], ways[COS], d.current
+    target_s, target_c = current * x[0], current * y[0]
+    psi_s, psi_c = turned(psi_s, psi_c, -s, c)
+    # the currents at the beginning, as the rotor sees them then and at the end of the first slice
+    across, along = turned(d.current_b, d.current_a, -s, c)
+    across, along = turned(across, along, s4, c4)
+    then_s, then_c = turned(across, along, -x[MIDDLE], y[MIDDLE])
+    target_s, target_c = turned(target_s, target_c, psi_s, psi_c)
+    change_s, change_c = target_s - d.keep * then_s, target_c - d.keep * then_c
+    reach = d.reach - abs(d.back * omega)
+    if change_s * change_s + change_c * change_c > reach * reach:
+        return 0.0, 0.0, False
+    sum_s = ((x[0] + x[6]) + (x[1] + x[5])) + ((x[2] + x[4]) + 0.5 * x[7])
+    sum_c = ((y[0] + y[6]) + (y[1] + y[5])) + ((y[2] + y[4]) + 0.5 * y[7]) + 1.0
+    moment_s = (3.0 * (x[6] - x[0]) + 2.0 * (x[5] - x[1])) + (x[4] - x[2]) + 2.0 * x[7]
+    moment_c = (3.0 * (y[6] - y[0]) + 2.0 * (y[5] - y[1])) + (y[4] - y[2]) + 2.0 * y[7]
+    last_s, last_c = turned(x[7], y[7], psi_s, psi_c)
+    last_s, last_c = turned(last_s, last_c, s4, c4)
+    last_s, last_c = turned(last_s, last_c, s, c)
+    d.current_a, d.current_b = current * last_c, current * last_s
+    total = current * (sum_s * psi_c + sum_c * psi_s) + 0.5 * across
+    return total, current * (moment_c * psi_c - moment_s * psi_s) - 2.0 * along, True
+
+
+@hot
+def _follow_slices(d, ways, counts, n, s, c, turn_s, turn_c, omega, half):
+    """Advance the currents slice by slice, whatever the drive and however far its voltage goes; see `_follow_targets`.
+
+    s, c: sine and cosine of the rotor's phase at the window's begin; turn_s, turn_c: of what it turns in each slice; half:
+    electrical radians that it turns in half a slice. An open phase carries no current, whatever the drive wants.
+    """
+    for k in range(n):
+        ways[SIN, k], ways[COS, k] = sincos(d.offset + d.per_pulse * counts[k])
     a, b, opened = d.current_a, d.current_b, d.open
-    total = 0.0
+    hs, hc = sincos(half)
+    along = a * c + b * s
+    total, tilt = 0.5 * (b * c - a * s), -0.5 * (SLICES // 2) * along
     for k in range(n):
-        a, b, mean_a, mean_b = _slice(d, a, b, ways[COS, k], ways[SIN, k], s, c, omega)
+        middle_s, middle_c = turned(s, c, hs, hc)
+        a, b, _, _ = _slice(d, a, b, ways[COS, k], ways[SIN, k], middle_s, middle_c, omega)
         if opened & A:
-            a = mean_a = 0.0
+            a = 0.0
         if opened & B:
-            b = mean_b = 0.0
-        total += _torque(d.torque_constant, d.detent, mean_a, mean_b, s, c)
-        s, c = s * turn_c + c * turn_s, c * turn_c - s * turn_s
-    return total / n, a, b
-
-
-@hot
-def _along_within_reach(d, ways, n, theta, pace, omega, h):
-    """`_along` of a CHOPPER whose bus voltage takes both currents to their targets in every slice: no slice then waits for the one
-    before, to the same bits. Returns as well whether it was so; otherwise the torque means nothing."""
-    s, c = sincos(theta * d.teeth)
-    turn_s, turn_c = sincos(pace * h * d.teeth)
-    for k in range(n):
-        ways[ROTOR_SIN, k], ways[ROTOR_COS, k] = s, c
-        s, c = s * turn_c + c * turn_s, c * turn_c - s * turn_s
-    keep, reach, push = d.keep, d.reach, d.back * omega
-    constant, detent, outside = d.torque_constant, d.detent, 0
-    for k in range(n):
-        s, c = ways[ROTOR_SIN, k], ways[ROTOR_COS, k]
-        before_a, before_b, a, b = (
-            ways[CURRENT_A, k],
-            ways[CURRENT_B, k],
-            ways[CURRENT_A, k + 1],
-            ways[CURRENT_B, k + 1],
-        )
-        low_a, high_a = before_a * keep + (push * s - reach), before_a * keep + (push * s + reach)
-        low_b, high_b = before_b * keep - (push * c + reach), before_b * keep - (push * c - reach)
-        outside |= (a < low_a) | (high_a < a) | (b < low_b) | (high_b < b)
-        mean_a, mean_b = 0.5 * (before_a + a), 0.5 * (before_b + b)
-        ways[TORQUE, k] = _torque(constant, detent, mean_a, mean_b, s, c)
-    total = 0.0
-    for k in range(n):
-        total += ways[TORQUE, k]
-    return total / n, outside == 0
+            b = 0.0
+        s, c = turned(s, c, turn_s, turn_c)
+        weight = 0.5 if k == n - 1 else 1.0
+        total += weight * (b * c - a * s)
+        tilt += weight * (k + 1 - SLICES // 2) * (a * c + b * s)
+    d.current_a, d.current_b = a, b
+    return total, tilt
 
 
 @hot
 def mean_torque(d, counts, n, theta, omega, h, gain=0.0):
-    """Advance the currents by n slices of h seconds at constant speed; returns the mean torque on the rotor, N m.
+    """Advance the currents by a window of SLICES slices of h seconds; returns the mean torque on the rotor, N m.
 
-    d: a DRIVE record. counts: (n,), n up to SLICES: commanded pulses, mean over each slice; theta: rotor angle (rad) in the
-    middle of the first; omega: rad/s. gain: rad/s that a newton metre adds to the speed in half of the n slices.
+    The mean is that of the torques at the ends of the slices, the first and the last with half their weight: of what comes again
+    each electrical turn it is exact. A leapfrog's speed is half a window old. The torque along a path of that speed comes late and
+    feeds energy in, enough for a rotor without friction to run away. So the path gets the speed of its middle: T =
+    T(omega + gain T), solved with the slope of T, which is small. The currents take the back-EMF of omega.
 
-    A leapfrog's speed is half a window old. The mean of a torque along a path of that speed comes late and feeds energy in,
-    enough for a rotor without friction to run away. So the path gets the speed of its middle, by the torque of a first try.
+    Args:
+        d: DRIVE record of a stepper.
+        counts: (SLICES,), commanded pulses, mean over each slice.
+        n: SLICES, as a number that the compiler does not know: it would unroll the loops, and make no vectors of them.
+        theta: Rotor angle in the middle of the window, rad.
+        omega: Its speed half a window earlier, rad/s.
+        h: Length of a slice, s.
+        gain: Speed that a newton metre adds in half of the window, rad/s.
     """
     if d.slice != h:
         _prepare(d, h)
-    ways = room(WAYS, ENDS)
-    offset, per_pulse, current = d.offset, d.per_pulse, d.current
-    for k in range(n):
-        s, c = sincos(offset + per_pulse * counts[k])
-        ways[SIN, k], ways[COS, k] = s, c
-        ways[CURRENT_A, k + 1], ways[CURRENT_B, k + 1] = current * c, current * s
-    ways[CURRENT_A, 0], ways[CURRENT_B, 0] = d.current_a, d.current_b
-    a, b, torque = ways[CURRENT_A, n], ways[CURRENT_B, n], 0.0
-    within = d.mode == CHOPPER and d.open == 0
-    if within:
-        torque, within = _along_within_reach(d, ways, n, theta, omega, omega, h)
-    if not within:
-        torque, a, b = _along(d, ways, n, theta, omega, omega, h)
-    if gain != 0.0:
-        more = gain * torque
-        theta -= 0.5 * (n - 1) * h * more
-        pace = omega + more
-        if within:
-            torque, within = _along_within_reach(d, ways, n, theta, pace, omega, h)
-        if not within:
-            torque, a, b = _along(d, ways, n, theta, pace, omega, h)
-    d.current_a, d.current_b = a, b
-    return torque
+    ways = room(WAYS, SLICES)
+    s, c = sincos(theta * d.teeth)
+    psi_s, psi_c = sincos(d.offset + d.per_pulse * counts[MIDDLE])
+    turn = omega * h * d.teeth
+    held = d.mode == CHOPPER and d.open == 0 and _place_targets(d, ways, counts, n, turn, omega)
+    if held:
+        s1, c1 = ways[SIN, MIDDLE], ways[COS, MIDDLE]
+    else:
+        s1, c1 = sincos(turn)
+    s2, c2 = turned(s1, c1, s1, c1)
+    s4, c4 = turned(s2, c2, s2, c2)
+    s8, c8 = turned(s4, c4, s4, c4)
+    total = tilt = 0.0
+    if held:
+        total, tilt, held = _follow_targets(d, ways, s, c, psi_s, psi_c, s4, c4, omega)
+    if not held:
+        begin_s, begin_c = turned(s, c, -s4, c4)
+        total, tilt = _follow_slices(d, ways, counts, n, begin_s, begin_c, s1, c1, omega, 0.5 * turn)
+    # of SLICES angles in equal steps the mean sine is that of the middle times c2 c4 c8
+    detent = d.detent * 4.0 * s * c * (c * c - s * s)
+    constant = d.torque_constant / SLICES
+    torque = constant * total - detent * c2 * c4 * c8
+    slope = 2.0 * detent * (s2 * c4 * c8 + 2.0 * c2 * s4 * c8 + 4.0 * c2 * c4 * s8) - constant * tilt
+    return torque / (1.0 - least(greatest(gain * slope * h * d.teeth, -0.5), 0.5))
 
 
 @hot
@@ -214,4 +258,4 @@ def torque(d, count, theta, omega, h):
     tb, ta = sincos(d.offset + d.per_pulse * count)
     s, c = sincos(theta * d.teeth)
     d.current_a, d.current_b, mean_a, mean_b = _slice(d, d.current_a, d.current_b, ta, tb, s, c, omega)
-    return _torque(d.torque_constant, d.detent, mean_a, mean_b, s, c)
+    return d.torque_constant * (mean_b * c - mean_a * s) - d.detent * 4.0 * s * c * (c * c - s * s)

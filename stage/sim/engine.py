@@ -9,7 +9,7 @@ MuJoCo's integrator is a leapfrog: positions belong to times t, velocities to ha
 position is the mean over the window centred there. So the position in `qpos` is that of a window's centre, not of its start: at a
 chip time tau after the window's start a joint is at q + v (tau - dt / 2). With this the coupling adds no false damping (the ringing
 of a stepper would die out too fast), and a switch's edge is extrapolated by half a step only. The velocity at the centre is not
-known before the force is: a drive that needs it computes twice (`stepper.mean_torque`), or the coupling would add energy.
+known before the force is: a drive that needs it solves for it (`stepper.mean_torque`), or the coupling would add energy.
 
 All state is in records inside MjData.userdata, all tables of constants in arrays beside it; nothing here allocates.
 """
@@ -262,14 +262,12 @@ def run(
             break
         if clockwork.currents:
             _set_currents(chips, drives, table)
-        middle = 0.5 * clockwork.h - clockwork.half  # of the first slice
         for a in range(len(axes)):
             t = table[a]
             omega = qvel[t.dof] * t.gear
-            theta = qpos[t.qpos] * t.gear + omega * middle
             gain = clockwork.half * t.gear * t.gear / inertia[t.dof]
             ctrl[t.actuator] = drive.effort(
-                drives[a], axes[a].counts, clockwork.slices, theta, omega, clockwork.h, gain
+                drives[a], axes[a].counts, clockwork.slices, qpos[t.qpos] * t.gear, omega, clockwork.h, gain
             )
         _step(clockwork.mj_step, (model, data))
         world.slice = 0

@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 from stage import ArgumentError, ModelError, Stage
 from stage.chips import PCL240K
+from stage.drives import stepper
 from stage.drives.dynamometer import bound_by_both, closed_form, follow, pull_out, pulses, slices
 from stage.drives.motors import Drive, Motor
 from stage.sim import faults
@@ -106,6 +107,28 @@ def test_an_independent_solver_finds_the_pull_out_torque_of_the_bench(rpm, sine)
     simulated = pull_out(Drive(LOSSY, **(SINE if sine else {"microsteps": 64})), [rpm])[0]
     print(rpm, sine, simulated, expected)
     assert simulated == pytest.approx(expected, rel=5e-3)
+
+
+@pytest.mark.parametrize(("rpm", "mode"), [(600, "chopper"), (1500, "chopper"), (1500, "sine")])
+def test_the_windows_of_a_stage_have_the_pull_out_torque_of_an_independent_solver(rpm, mode):
+    """At a constant speed, the best of all load angles, over 4 ms in windows of eight slices: whole electrical turns."""
+    speed, slice_s, means = rpm * 2 * math.pi / 60, 31.25e-6, []
+    drive = Drive(LOSSY, microsteps=64, mode=mode)
+    for lead in np.linspace(1.4, 3.8, 13):
+        rows = np.zeros(1, stepper.DRIVE)
+        drive.fill(rows[0])
+        torques = []
+        for k in range(64):
+            middle = speed * 8 * slice_s * (k + 0.5)
+            times = 8 * slice_s * k + slice_s * (np.arange(8) + 0.5)
+            counts = (50 * speed * times + lead) / drive.per_pulse
+            torques.append(stepper.mean_torque(rows[0], counts, 8, middle, speed, slice_s))
+        means.append(np.mean(torques[-16:]))
+    a, b, c = means[np.argmax(means) - 1 : np.argmax(means) + 2]
+    best = b + (a - c) ** 2 / (8 * (2 * b - a - c))
+    expected = pull_out_by_ode(LOSSY, 24.0, 2.0, speed, mode == "sine")
+    print(rpm, mode, best, expected + DAMPING * speed)
+    assert best == pytest.approx(expected + DAMPING * speed, rel=4e-3)
 
 
 def test_torque_of_the_field_in_step_is_the_load_and_the_core_loss():
