@@ -71,10 +71,15 @@ CHIP = record(
         ("ticks", "f8"),  # its clocks in a slice
         # of a window
         ("slices", "i8"),  # how many
-        ("clocks", "i8"),  # address of the clocks at their ends
+        ("ends", "i8"),  # address of their SLICE_END records
+        ("begin", "i8"),  # its clock at the window's begin
+        ("rest", "i8"),  # what has passed of that clock, in shares of a PART
     ]
 )
 """A chip for compiled code."""
+SLICE_END = record([("clocks", "i8"), ("rest", "i8")])
+"""The end of a slice, from the window's begin: whole clocks, and the rest in shares of a PART."""
+PART = 1_000_000_000
 CLOCK = record([("clock", "i8")])
 WIRE_BIT = 16
 """A word of inputs has above this bit what another chip's output drives there, plus 1; 0 where no chip does."""
@@ -125,12 +130,18 @@ def window(c, k):
 
 
 @hot
+def end_of_slice(end, begin, rest):
+    """Return the clock at the end of a slice of a window, from its SLICE_END."""
+    return begin + end.clocks + (1 if rest + end.rest >= PART else 0)
+
+
+@hot
 def through(state, row, k, run, net, drive_input):
     """What a core answers to `window`; run, net, drive_input: its own."""
     c = array_at(row, 1, CHIP)[0]
-    clocks, axes = array_at(c.clocks, c.slices, WORD), array_at(c.table, c.axes, CHIP_AXIS)
+    ends, axes = array_at(c.ends, c.slices, SLICE_END), array_at(c.table, c.axes, CHIP_AXIS)
     while k < c.slices:
-        run(state, clocks[k])
+        run(state, end_of_slice(ends[k], c.begin, c.rest))
         for j in range(c.axes):
             before = array_at(axes[j].net, 1, WORD)
             array_at(axes[j].means, c.slices, REAL)[k] = drive_input(state, j, before[0], c.ticks)

@@ -191,7 +191,11 @@ def foresee(world, axes, table, switches, switch_table, clockwork, sensordata, q
     for a in range(len(axes)):
         axes[a].next_edge = NEVER
         q, v = qpos[table[a].qpos], qvel[table[a].dof]
+        awake = axes[a].awake or not moved
         for k in range(table[a].first_switch, table[a].end_switch):
+            awake |= sensordata[switch_table[k].found] > 0.0 or switch_table[k].forced > 0
+        axes[a].awake = 0
+        for k in range(table[a].first_switch, table[a].end_switch if awake else 0):  # else nothing has changed
             s, t = switches[k], switch_table[k]
             if sensordata[t.found] > 0.0:
                 q_sensed, dist = q - v * 2.0 * half if moved else q, sensordata[t.dist]
@@ -204,6 +208,7 @@ def foresee(world, axes, table, switches, switch_table, clockwork, sensordata, q
                 if not s.on and t.forced <= 0 and s.toggles == 0:
                     s.edge = s.next_edge = NEVER
                     continue
+            axes[a].awake = 1
             predict_switch(world, axes[a], clockwork, s, t, q, v)
         if table[a].index_bit:
             _foresee_index(world, axes[a], table[a], q, v, half)

@@ -70,10 +70,9 @@ def _run_chips(chips, world, axes, table, switches, switch_table, stop, clockwor
         if c.hz != hz:
             hz = c.hz
             clock, rest = clock_at(start, hz), start % SECOND * hz % SECOND
-            for k in range(SLICES):
-                clockwork.clocks[k] = clock + (rest + (k + 1) * dt // SLICES * hz) // SECOND
         k, now = world.slice, 0
         if stop == start + dt and next_edge(axes, c) > stop:
+            c.begin, c.rest = clock, rest
             cores.window(c, k)
             k = SLICES
             continue
@@ -312,7 +311,7 @@ def look_again(world_, axes, switches, table, switch_table, chips, clockwork_, q
     of it. Returns how many edges are noted.
     """
     world, axis, t = world_[0], axes[a], table[a]
-    axis.next_edge = axis.index_edge if t.index_bit else NEVER
+    axis.next_edge, axis.awake = axis.index_edge if t.index_bit else NEVER, 1
     for k in range(t.first_switch, t.end_switch):
         if switch_table[k].forced >= 0:
             switches[k].toggles = 0

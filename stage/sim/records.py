@@ -26,10 +26,12 @@ WORLD = record([(name, "i8") for name in "now start slice steps to_sample powere
 """`now`, `start` of the window (ns); slices and steps done; steps until the next sample; 1 under power: where it is 0, somebody has
 cleared userdata (mj_resetData does), and nothing in it means anything."""
 AXIS = record(
-    [("counts", "f8", (SLICES,))] + [(name, "i8") for name in "count next_edge index_on index_edge index_end".split()]
+    [("counts", "f8", (SLICES,))]
+    + [(name, "i8") for name in "count next_edge awake index_on index_edge index_end".split()]
 )
-"""Mean pulse counts of the window's slices so far, the count at the last slice's end, time of the next input edge (ns); the
-encoder's index pulse: asserted, its next edge in this window, and the one after (ns)."""
+"""Mean pulse counts of the window's slices so far, the count at the last slice's end, time of the next input edge (ns); whether a
+switch of it is on, sees its vane or bounces; the encoder's index pulse: asserted, its next edge in this window, and the one after
+(ns)."""
 SWITCH = record([("shift", "f8")] + [(name, "i8") for name in "sensed on edge next_edge toggles until".split()])
 """How far the flag stands from where the plant has measured it, in joint units; whether the contact sensor sees the vane; asserted;
 times of the next edge in this window and of the one after it (ns); of a contact that bounces, how often it will still toggle and
@@ -58,7 +60,6 @@ CLOCKWORK = record(
         ("state_spec", "i8"),
         ("flag_edges", "i8"),
         ("n_flag_edges", "i8"),
-        ("clocks", "i8", (SLICES,)),
         ("callbacks", "i8", (CALLBACKS,)),
         ("native", "i8", (CALLBACKS,)),
     ]
@@ -67,8 +68,7 @@ CLOCKWORK = record(
 per sample (0: none), axes whose chips see an encoder, set their motor's current, see its load; chips that are linked; how many
 edges a window can have; of MuJoCo's callbacks, see stage.sim.callbacks: whether they are guarded, whether one has failed, where
 their addresses lie and what these are while nobody in Python is called; addresses of MuJoCo's functions, and which parts of its
-state a snapshot has; where the FLAG_EDGE records of all switches lie, and how many they are; the clocks of a chip at the ends of
-the window's slices."""
+state a snapshot has; where the FLAG_EDGE records of all switches lie, and how many they are."""
 CHIP_TABLE = cores.CHIP
 AXIS_TABLE = record(
     [(name, "i8") for name in "chip chip_axis qpos dof actuator first_switch end_switch index_bit positive".split()]

@@ -71,6 +71,8 @@ class State:
     """FLAG_EDGE: where the vanes enter and leave their switches, switch after switch."""
     chip_table: np.ndarray
     """CHIP_TABLE: which core runs each chip, and where its state lies."""
+    slice_ends: dict[int, np.ndarray]
+    """For each reference clock, Hz, where the slices of a window end in it."""
     chip_axes: list[np.ndarray]
     """For each chip its CHIP_AXIS records: which axes of the stage are its own."""
     clockwork: np.ndarray
@@ -171,17 +173,24 @@ class State:
         w.callbacks, w.native = callbacks.ADDRESSES, callbacks.NATIVE
 
     def _set_chip_table(self, chips: Sequence[Chip], leaders: Mapping[Chip, Chip], linked: Sequence[Chip]) -> None:
-        w = self.clockwork[0]
+        w, self.slice_ends = self.clockwork[0], dict[int, np.ndarray]()
         rows_of = dict(zip(chips, self.chips, strict=True))
         self.chip_axes = [np.zeros(chip.AXES, cores.CHIP_AXIS) for chip in chips]
         for chip, rows, axes, c in zip(chips, self.chips, self.chip_axes, self.chip_table, strict=True):
             cores.fill(c, chip.CORE, rows.ctypes.data)
             c.table = axes.ctypes.data
             c.hz, c.ticks = chip.clock_hz, w.h * chip.clock_hz
-            c.slices, c.clocks = w.slices, address_of(w["clocks"])
+            c.slices, c.ends = w.slices, address_of(self._slice_ends(chip.clock_hz))
             if chip in leaders:
                 c.wire = leaders[chip].syno(rows_of[leaders[chip]])
             c.link = 1 if chip in linked else 0
+
+    def _slice_ends(self, hz: int) -> np.ndarray:
+        """SLICE_END records of a window, for the chips of this reference clock."""
+        if hz not in self.slice_ends:
+            ns = [(k + 1) * self.dt // records.SLICES for k in range(records.SLICES)]
+            self.slice_ends[hz] = np.array([divmod(end * hz, cores.PART) for end in ns], cores.SLICE_END)
+        return self.slice_ends[hz]
 
     def _set_axis_table(
         self,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from stage.chips.cores import through
 from stage.chips.pcl240.bus import outputs as output_word
 from stage.chips.pcl240.bus import read_byte, register, write_byte
-from stage.chips.pcl240.motion import run, span
+from stage.chips.pcl240.motion import cruise_through, mean_count, run, span
 from stage.chips.pcl240.state import (
     COUNTER_MASK,
     EDGE,
@@ -99,20 +99,10 @@ def pulse_rate(c, j, hz):
 
 @exported("f8", STATE, "i8", "i8", "f8")
 def drive_input(c, j, before, ticks):
-    """Mean over the last `ticks` of the net pulse count, which was `before` at their start.
-
-    The last pulse began phase / speed ticks ago, the ones before it a period apart each.
-    """
-    n = abs(c.net - before)
-    if n == 0:
-        return float(c.net)
-    if not (c.running or c.finishing) or c.speed == 0:
+    """Mean over the last `ticks` of the net pulse count, which was `before` at their start."""
+    if before != c.net and (not (c.running or c.finishing) or c.speed == 0):
         return 0.5 * (before + c.net)
-    ago = n * c.phase + 4096.0 * c.multiplier * n * (n - 1)  # x speed
-    missing = n - least(
-        ago / (c.speed * ticks), float(n)
-    )  # pulses x the part of the time in which they were still to come
-    return c.net - missing if c.net > before else c.net + missing
+    return mean_count(before, c.net, c.phase, c.multiplier, c.speed, ticks)
 
 
 @hot
@@ -190,7 +180,8 @@ def scan(c, until, every_pulse, axis, out):
 @exported(None, STATE, "i8", "i8")
 def window(c, row, k):
     """Let the chip's clock run through the slices of a window, see stage/chips/cores.py."""
-    through(c, row, k, run, net, drive_input)
+    if not cruise_through(c, row, k):
+        through(c, row, k, run, net, drive_input)
 
 
 @exported(None, STATE)

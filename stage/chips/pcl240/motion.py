@@ -16,6 +16,7 @@ the normative model: 1 limit switches, 2 pulse, 3 speed.
 
 from __future__ import annotations
 
+from stage.chips.cores import CHIP, CHIP_AXIS, REAL, SLICE_END, WORD, end_of_slice
 from stage.chips.pcl240.bus import blocked
 from stage.chips.pcl240.ramp import NEVER, goal_speed, linear_rate, margin, step_speed, took_step, until_step, watching
 from stage.chips.pcl240.state import (
@@ -36,7 +37,7 @@ from stage.chips.pcl240.state import (
     end,
     stop,
 )
-from stage.native import exported, greatest, hot, least
+from stage.native import array_at, exported, greatest, hot, least
 
 FOREVER = 1 << 62
 
@@ -181,6 +182,53 @@ def _cruise(c, until):
         c.low = 1 if 2 * ahead < m else 0
     if pulses:
         _count(c, pulses, not c.output & EXTERNAL)
+
+
+@hot
+def mean_count(before, net, phase, multiplier, speed, ticks):
+    """Compute the mean over the last `ticks` of a count that was `before` at their start and is `net` now.
+
+    The last pulse began phase / speed ticks ago, the ones before it a period apart each.
+    """
+    n = abs(net - before)
+    if n == 0:
+        return float(net)
+    ago = n * phase + 4096.0 * multiplier * n * (n - 1)  # x speed
+    missing = n - least(
+        ago / (speed * ticks), float(n)
+    )  # pulses x the part of the time in which they were still to come
+    return net - missing if net > before else net + missing
+
+
+@hot
+def cruise_through(c, row, k):
+    """Do what `cores.through` does if the chip is at constant speed and without an event all the time; return whether it is.
+
+    What a slice takes over from the one before stays in registers.
+    """
+    r = array_at(row, 1, CHIP)[0]
+    ends, axis = array_at(r.ends, r.slices, SLICE_END), array_at(r.table, 1, CHIP_AXIS)[0]
+    begin, rest, speed, multiplier = r.begin, r.rest, c.speed, c.multiplier
+    last = end_of_slice(ends[r.slices - 1], begin, rest)
+    if c.quiet < last or c.seen != c.sampled or multiplier < 2 or speed == 0:
+        return False
+    means, before = array_at(axis.means, r.slices, REAL), array_at(axis.net, 1, WORD)
+    m, way = 8192 * multiplier, -1 if c.minus else 1
+    clock, phase, net, count = c.clock, c.phase, c.net, before[0]
+    while k < r.slices:
+        until = end_of_slice(ends[k], begin, rest)
+        ahead = phase + (until - clock) * speed
+        pulses = 0
+        if ahead >= m:
+            pulses = 1 if ahead < 2 * m else ahead // m
+        clock, phase = until, ahead - pulses * m
+        net += way * pulses
+        means[k] = mean_count(count, net, phase, multiplier, speed, r.ticks)
+        count = net
+        k += 1
+    before[0] = count
+    _cruise(c, clock)
+    return True
 
 
 @hot

@@ -130,7 +130,9 @@ def _windows(t: Trial, chip: Chip, slices: int, ticks: int) -> None:
     row, table = np.zeros(1, cores.CHIP), np.zeros(chip.AXES, cores.CHIP_AXIS)
     cores.fill(row[0], core, by_window.pointer)
     row["axes"], row["slices"], row["ticks"] = chip.AXES, slices, ticks
-    row["clocks"], row["table"], row["hz"] = clocks.ctypes.data, table.ctypes.data, chip.clock_hz
+    ends = np.zeros(slices, cores.SLICE_END)
+    ends["clocks"] = clocks - chip.clock
+    row["begin"], row["ends"], row["table"], row["hz"] = chip.clock, ends.ctypes.data, table.ctypes.data, chip.clock_hz
     for k in range(chip.AXES):
         table[k]["axis"], table[k]["means"], table[k]["net"] = k, said[k].ctypes.data, counts[k:].ctypes.data
     core.window.c(by_window.pointer, row.ctypes.data, 0)
