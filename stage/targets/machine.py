@@ -1,7 +1,7 @@
 """What emulated processors have in common, compiled: the clock, bus cycles, and on Unicorn the interrupt line, ports and windows.
 
 A processor counts its clock cycles. Before each of its bus cycles the time of the board advances to that of the processor, and at
-the latest after a quantum, when the interrupt line is looked at. Where the board's bus cycle is longer, the processor waits (READY).
+the latest after a quantum, when the interrupt line is read. Where the board's bus cycle is longer, the processor waits (READY).
 
 Unicorn does not know how long an instruction takes. Here each takes a number of cycles, and some for each of its bytes: an
 approximation, which is stated for each processor.

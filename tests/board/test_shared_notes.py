@@ -4,7 +4,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board
-from stage.board.shared import CRASH, TEXT, Shared
+from stage.board.isolation.shared import CRASH, TEXT, Shared
 
 
 @pytest.fixture
