@@ -31,7 +31,7 @@ class Example:
     why: str = ""
 
     def agrees(self, emulated: Number) -> bool:
-        """Whether this is what the sheet says."""
+        """Tell whether this is what the sheet says."""
         return bool(abs(emulated - self.number) <= self.within)
 
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stage.drives import stepper
-from stage.drives.motors import Drive, Motor
+from stage.drives.motors import Drive, Motor, within
 from stage.errors import ArgumentError
 from stage.native import array_of, exported, greatest, least, record
 
@@ -201,6 +201,7 @@ def _speeds(rpm: Floats) -> np.ndarray:
 
 def _damper(drive: Drive, inertia: float, ratio: float) -> float:
     """N m s/rad that damp the rotor's swing about its field by `ratio` of critical."""
+    within("damping_ratio", ratio, 0, 10, "times critical", zero=True)
     return 2 * ratio * inertia * 2 * math.pi * natural_frequency(replace(drive, detent=0.0), inertia)
 
 

@@ -221,7 +221,7 @@ def motor(name: str | Motor) -> Motor:
     """A preset by name, or the motor itself. Raises ArgumentError with near misses."""
     if isinstance(name, Motor):
         return name
-    if name not in MOTORS:
+    if not isinstance(name, str) or name not in MOTORS:
         raise unknown("motor", name, MOTORS)
     return MOTORS[name]
 

@@ -13,12 +13,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from stage.arguments import told
 from stage.drives.dynamometer import pull_out
-from stage.drives.motors import Drive, Motor
+from stage.drives.motors import Drive, Motor, within
 from stage.errors import ArgumentError, unknown
 
 MIN_POINTS = 3
@@ -45,7 +47,8 @@ class PublishedCurve:
         reading: How its numbers were read, and how precisely.
 
     Raises:
-        ArgumentError: Fewer than three points, speeds that do not rise, or a torque that is negative or not finite.
+        ArgumentError: Fewer than three points, speeds that do not rise, a torque that is negative or not finite, or settings that
+            no drive has.
     """
 
     motor: str
@@ -58,6 +61,10 @@ class PublishedCurve:
     reading: str
 
     def __post_init__(self) -> None:
+        for name in ("rpm", "torque"):
+            values = getattr(self, name)
+            if not isinstance(values, Sequence | np.ndarray) or not all(isinstance(value, Real) for value in values):
+                raise ArgumentError(f"curve of the {self.motor}: {name}={values!r}; give a list of numbers.")
         if len(self.rpm) < MIN_POINTS or len(self.torque) != len(self.rpm):
             raise ArgumentError(
                 f"curve of the {self.motor}: {len(self.rpm)} speeds and {len(self.torque)} torques; give {MIN_POINTS} points or "
@@ -69,6 +76,8 @@ class PublishedCurve:
         torques = np.asarray(self.torque, float)
         if not (np.isfinite(torques).all() and (torques >= 0).all()):
             raise ArgumentError(f"curve of the {self.motor}: torque={self.torque!r}; give N m from 0 on.")
+        Drive(microsteps=self.microsteps, bus_voltage=self.bus_voltage)  # raises for settings that no drive has
+        within(f"curve of the {self.motor}: current", self.current, 0, 100, "A")
 
     def drive(self, motor: Motor) -> Drive:
         """Return `motor` on the supply, current and microsteps of the curve."""
@@ -119,6 +128,7 @@ class CurveFit(NamedTuple):
         return f"{self.comparison}\nrms deviation at the speeds that were not fitted: {self.rms_of_others:.1%}"
 
 
+@told
 def fit_curve(
     motor: Motor,
     curve: PublishedCurve,

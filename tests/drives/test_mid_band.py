@@ -21,7 +21,7 @@ def compute_growth(m, volts, rpm, inertia):
     w, n, km, r, b = rpm * 2 * np.pi / 60, m.rotor_teeth, m.torque_constant, m.resistance, m.core_loss_damping
     x, across = n * w * m.inductance, b * w / km
     root = np.sqrt((x * km * w) ** 2 - (r**2 + x**2) * ((x * across) ** 2 + (r * across + km * w) ** 2 - volts**2))
-    found = []
+    growths = []
     for along in ((-x * km * w + sign * root) / (r**2 + x**2) for sign in (1, -1)):
         v_along, v_across = r * along - x * across, r * across + x * along + km * w
         assert np.hypot(v_along, v_across) == pytest.approx(volts)
@@ -31,8 +31,8 @@ def compute_growth(m, volts, rpm, inertia):
             [0, km / inertia, -b / inertia, 0],
             [0, 0, -n, 0],
         ]
-        found.append(np.linalg.eigvals(np.array(matrix)).real.max())
-    return min(found)
+        growths.append(np.linalg.eigvals(np.array(matrix)).real.max())
+    return min(growths)
 
 
 @pytest.mark.parametrize(

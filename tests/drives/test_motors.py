@@ -110,6 +110,7 @@ def test_drives_are_values_compared_pickled_and_hashed():
     [
         (lambda: motor("17HS4410"), "Did you mean '17HS4401'"),
         (lambda: Drive("NEMA17"), "unknown motor 'NEMA17'.*Known: 17HS15-1504S, 17HS19-2004S1, 17HS4401, SS2422-5041"),
+        (lambda: Drive({"resistance": 1.5}), "unknown motor .*resistance.*Known: 17HS15-1504S"),
         (lambda: Drive(microsteps=0), r"microsteps=0: .* 1 to 256"),
         (lambda: Drive(microsteps=257), "1 to 256"),
         (lambda: Drive(microsteps=2.5), "whole number"),

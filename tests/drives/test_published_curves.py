@@ -9,7 +9,7 @@ import pytest
 
 from stage import ArgumentError
 from stage.cli import main
-from stage.drives.dynamometer import pull_out_table
+from stage.drives.dynamometer import pull_out, pull_out_table
 from stage.drives.motors import MOTORS, Drive, describe_core_loss, estimate_core_loss, motor
 from stage.drives.picture import plot_pull_out
 from stage.drives.published_curves import PUBLISHED_CURVES, PublishedCurve, fit_curve
@@ -96,6 +96,11 @@ def test_a_shipped_motor_without_a_curve_has_the_middle_of_its_likely_loss(m):
         ({"rpm": (100, math.nan, 200)}, "give speeds above 0 in rising order."),
         ({"torque": (0.4, -0.1, 0.2)}, "torque=(0.4, -0.1, 0.2); give N m from 0 on."),
         ({"torque": (0.4, math.inf, 0.2)}, "give N m from 0 on."),
+        ({"rpm": "abc"}, "rpm='abc'; give a list of numbers."),
+        ({"rpm": (100, "200", 300)}, "rpm=(100, '200', 300); give a list of numbers."),
+        ({"rpm": None}, "rpm=None; give a list of numbers."),
+        ({"torque": 0.4}, "torque=0.4; give a list of numbers."),
+        ({"current": -2.0}, "current=-2.0: give a number above 0, up to 100 A."),
     ],
 )
 def test_a_curve_that_is_none_is_refused_in_one_sentence(change, message):
@@ -103,6 +108,27 @@ def test_a_curve_that_is_none_is_refused_in_one_sentence(change, message):
         PublishedCurve(**(LINE | {"rpm": (100, 200, 300), "torque": (0.4, 0.3, 0.2)} | change))
     assert str(error.value).startswith("curve of the mine: ")
     assert message in str(error.value)
+
+
+@pytest.mark.parametrize("setting", [{"bus_voltage": -24.0}, {"bus_voltage": "24 V"}, {"microsteps": 0}])
+def test_a_curve_with_settings_that_no_drive_has_is_refused(setting):
+    ((name, value),) = setting.items()
+    with pytest.raises(ArgumentError, match=f"^{name}={value!r}: "):
+        PublishedCurve(**(LINE | {"rpm": (100, 200, 300), "torque": (0.4, 0.3, 0.2)} | setting))
+
+
+@pytest.mark.parametrize("speeds", [None, ["fast", "slow"], [100, None]])
+def test_speeds_that_are_no_numbers_are_refused_by_a_fit(speeds):
+    with pytest.raises(ArgumentError, match=r"speeds=.*a list, of each a number"):
+        fit_curve(DATA_SHEET, CURVE, speeds)
+
+
+@pytest.mark.parametrize("ratio", [-1, math.inf, math.nan, "0.15"])
+def test_a_bench_refuses_a_damper_that_is_none(ratio):
+    with pytest.raises(
+        ArgumentError, match=f"^damping_ratio={ratio!r}: give a number from 0 up to 10 times critical.$"
+    ):
+        pull_out(Drive(), [600], damping_ratio=ratio)
 
 
 @pytest.mark.parametrize(
