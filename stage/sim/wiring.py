@@ -85,6 +85,13 @@ def _check_losses(model: Any, p: plant.PlantAxis, drive: Drive | Servo) -> None:
             f"axis {p.name}: its joint has a friction of {friction:g} {unit}, and {pushes}: it never moves. "
             f'Write frictionloss="{_below(0.05 * force)}", or what is measured; or another gear or motor.'
         )
+    loss = float(model.actuator_damping[p.actuator])
+    if not 0 <= 2 * math.pi * loss < torque:
+        raise ModelError(
+            f"axis {p.name}: its actuator has a damping of {loss:g} N m s/rad, and the core loss of {drive.title} is from 0 up to "
+            f"{torque / (2 * math.pi):.3g}: at one turn a second the motor overcomes no more. Write what is measured, or leave the "
+            "damping out for the core loss of the motor."
+        )
     turn = 2 * math.pi / abs(p.gear)  # in a second
     if friction + damping * turn >= force:
         per = f"{unit} s/{'rad' if p.hinge else 'm'}"

@@ -192,6 +192,20 @@ def test_a_model_that_states_the_damping_of_an_actuator_keeps_it():
         assert stage.model.actuator_damping[0] == 1e-4
 
 
+@pytest.mark.parametrize("damping", [-1e-4, 0.1, math.inf, math.nan])
+def test_a_model_whose_actuator_has_a_damping_that_no_motor_has_is_refused(damping):
+    from stage.sim import plant
+
+    spec = plant.open_spec("xy")
+    next(a for a in spec.actuators if a.name == "x").damping = [damping, 0, 0]
+    with pytest.raises(ModelError) as error:
+        Stage(spec, chips=PCL240K, drives=LOSSY, visuals=False)
+    assert str(error.value).startswith(
+        f"axis x: its actuator has a damping of {damping:g} N m s/rad, and the core loss of lossy"
+    )
+    assert "from 0 up to 0.0891: " in str(error.value)
+
+
 def test_a_model_that_switches_dampers_off_is_refused_before_it_drops_a_loss():
     """<flag damper="disable"/>: MuJoCo then leaves out the damping of actuators, too."""
     from stage.sim import plant
