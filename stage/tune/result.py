@@ -84,7 +84,7 @@ class Result:
 
     @cached_property
     def spreads(self) -> dict[str, Spread]:
-        """What the machines of the proof were drawn from: the ranges of their values, of the payload and of the rotor's angle."""
+        """Ranges that the machines of the proof were drawn from, with those of the payload and of the rotor's angle."""
         return find_spreads(self.task.stage.axes[self.task.axis]) | {
             "payload": Spread(
                 0.0, self.task.most, "kg", False, "as asked for, a quarter each with none, all, and all and the margin"
@@ -104,7 +104,7 @@ class Result:
         """State for which machines the registers hold, and how well the core loss of their motor is known."""
         motor, loss = self.task.stage.axes[self.task.axis].drive.motor.name, self.spreads.get("core loss")
         known = "" if loss is None else f" Core loss of the {motor}: {loss} ({loss.evidence.partition(': ')[2]})."
-        return f"It {self.proved(self.answer)}, from the ranges above.{known}"
+        return f"The axis {self.proved(self.answer)}, from the ranges above.{known}"
 
     def verdict(self) -> str:
         """Which to take, and why."""

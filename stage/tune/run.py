@@ -81,9 +81,9 @@ def tune(
                 ),
             )  # fmt: skip
         told("the proof", 0.0, None)
-        found, failed = _prove_best(tries, ranked, cases)
-        if found is not None:
-            answers.append(found)
+        best, failed = _prove_best(tries, ranked, cases)
+        if best is not None:
+            answers.append(best)
         elif not by_formula.holds:
             more = "let it search (--by search)" if by == "formula" else "search longer (--trials)"
             raise StageError(
@@ -91,7 +91,7 @@ def tune(
                 f"formula's {by_formula.proof.said()}.{_describe_failed(plans, cases.proof, by_formula.proof)} "
                 f"Ask for less payload or spare, give more room (--settle, --overshoot), or {more}."
             )
-        won = "search" if found is not None and _better(*answers) else "formula"
+        won = "search" if best is not None and _better(*answers) else "formula"
         told("the proof", 1.0, None)
         return Result(
             task,
@@ -189,8 +189,8 @@ def _prove_best(tries: Tries, ranked: Sequence[Trial], cases: Cases) -> tuple[An
                     return answer, out
                 hard += [cases.proof[k] for k in answer.proof.failed]
             out += 1
-        kept = _select(tries, left, [case for case, _ in Counter(hard).most_common(HARD)])
-        left, out = kept, out + len(left) - len(kept)
+        passing = _select(tries, left, [case for case, _ in Counter(hard).most_common(HARD)])
+        left, out = passing, out + len(left) - len(passing)
     return None, out
 
 
@@ -201,7 +201,7 @@ def _select(tries: Tries, trials: Sequence[Trial], cases: Sequence[Case]) -> lis
     limit = horizon(max(trial.worst for trial in trials), tries.task.hold)
     outcome = tries.make([trial.plan for trial in trials if trial.plan is not None], cases, limit)
     good = outcome.good(tries.task, tries.task.asked(list(cases)))
-    return [trial for trial, kept in zip(trials, good, strict=True) if kept.all()]
+    return [trial for trial, passes in zip(trials, good, strict=True) if passes.all()]
 
 
 def _describe_failed(plans: Plans, cases: Sequence[Case], proof: Proof) -> str:

@@ -250,8 +250,8 @@ def test_every_number_of_an_answer_is_told_in_its_place(task):
         lines.pop(8)
         == result.claim()
         == (
-            "It keeps step in 4 of 4 drawn machines with up to 2.6 kg, from the ranges above. Core loss of the 17HS4401: 0.0002 to "
-            "0.00064 N m s/rad (no pull-out curve of the 17HS4401 is at hand; after the 17HS19-2004S1)."
+            "The axis keeps step in 4 of 4 drawn machines with up to 2.6 kg, from the ranges above. Core loss of the 17HS4401: "
+            "0.0002 to 0.00064 N m s/rad (no pull-out curve of the 17HS4401 is at hand; after the 17HS19-2004S1)."
         )
     )
     assert lines[8] == "They ask for from 1,000 up to 20,000 pps, ramps of 100.0 and 50.0 ms."

@@ -59,12 +59,12 @@ def test_a_tolerance_in_the_evidence_takes_the_place_of_the_default():
         "inductance": "I: +- 12.5 %, measured on one",
         "core_loss_resistance": "S: +-30 %",
     }
-    own = replace(motor("17HS4401"), evidence=evidence)
-    spreads = find_spreads(axis_with(own))
+    variant = replace(motor("17HS4401"), evidence=evidence)
+    spreads = find_spreads(axis_with(variant))
     for name, value, share in (
         ("resistance", 1.5, 0.05),
         ("inductance", 2.8e-3, 0.125),
-        ("core loss", own.core_loss_damping, 0.3),
+        ("core loss", variant.core_loss_damping, 0.3),
     ):
         assert (spreads[name].low, spreads[name].high) == pytest.approx(((1 - share) * value, (1 + share) * value)), (
             name
@@ -72,11 +72,11 @@ def test_a_tolerance_in_the_evidence_takes_the_place_of_the_default():
 
 
 def test_a_tolerance_of_everything_is_refused():
-    own = replace(motor("17HS4401"), evidence={"resistance": "S: +-150 %"})
+    variant = replace(motor("17HS4401"), evidence={"resistance": "S: +-150 %"})
     with pytest.raises(
         ArgumentError, match=r"17HS4401: evidence of resistance, 'S: \+-150 %': give a tolerance below 100 %\."
     ):
-        tune(task_with(own), by="formula", moves=1)
+        tune(task_with(variant), by="formula", moves=1)
 
 
 def test_a_supply_is_drawn_around_the_one_that_the_axis_has_up_to_what_a_drive_takes():
@@ -96,11 +96,11 @@ def test_a_servo_has_neither_core_loss_nor_inductance():
 
 def test_a_core_loss_that_the_model_states_is_not_drawn():
     axis = axis_with("17HS4401")
-    axis.stage.model.actuator_damping[axis.plant.actuator] = own = 7e-5
+    axis.stage.model.actuator_damping[axis.plant.actuator] = stated = 7e-5
     assert "core loss" not in find_spreads(axis)
     for machine in draw_machines(axis, np.random.default_rng(0), 3):
         fit_machine(axis, machine, axis.stage.model)
-        assert axis.stage.model.actuator_damping[axis.plant.actuator] == own
+        assert axis.stage.model.actuator_damping[axis.plant.actuator] == stated
 
 
 # --- draws ---
@@ -154,39 +154,39 @@ def test_a_machine_leaves_nothing_behind_and_is_the_one_that_a_stage_is_built_wi
         assert np.array_equal(values, getattr(model, name)), name
 
 
-def replay(said, cycles, machine):
-    """Whether a machine of a result's JSON keeps step in the move of these bus cycles, on a stage of its own."""
-    own = replace(
+def replay(record, cycles, machine):
+    """Return whether a machine of a result's JSON keeps step in the move of these bus cycles, on a stage of its own."""
+    variant = replace(
         motor("17HS4401"),
         resistance=machine["resistance"],
         effective_inductance=machine["inductance"],
         core_loss_resistance=motor("17HS4401").torque_constant ** 2 / machine["core loss"],
     )
     stage = Stage(
-        "xy", chips=PCL240K, drives={"x": Drive(own, bus_voltage=machine["supply"]), "y": "17HS4401"}, visuals=False
+        "xy", chips=PCL240K, drives={"x": Drive(variant, bus_voltage=machine["supply"]), "y": "17HS4401"}, visuals=False
     )
     x = stage.axes["x"]
     stage.model.dof_frictionloss[x.plant.dof] *= machine["friction"]
     stage.model.dof_damping[x.plant.dof] *= machine["friction"]
     stage.set_payload(machine["payload"])
-    pulses = said["pulses"] * machine["way"]
+    pulses = record["pulses"] * machine["way"]
     stage.place(x=(-0.5 * pulses + 64 * machine["rotor angle"]) * x.meters_per_pulse)
     for cycle in cycles[machine["way"]]:
         x.chip.write(cycle.address, cycle.value)
-    stage.run(said["answers"][said["won"]]["worst"] + 0.1)
+    stage.run(record["answers"][record["won"]]["worst"] + 0.1)
     return x.lost_steps == 0 and x.chip.net() == pulses
 
 
 def check_claim(moves, pulses, every=1):
     results = {way: tune(task_with(pulses=way * pulses), by="formula", moves=moves) for way in (1, -1)}
-    said = json.loads(json.dumps(results[1].json()))
-    assert len(said["machines"]) == moves
-    answer = said["answers"]["formula"]
+    record = json.loads(json.dumps(results[1].json()))
+    assert len(record["machines"]) == moves
+    answer = record["answers"]["formula"]
     assert (answer["kept"], answer["proved"], answer["failed"]) == (moves, moves, [])
     assert f"keeps step in {moves} of {moves} drawn machines with up to 2.6 kg" in str(results[1])
     cycles = {way: result.cycles for way, result in results.items()}
-    kept = [replay(said, cycles, machine) for machine in said["machines"][::every]]
-    assert all(kept), np.flatnonzero(~np.array(kept))
+    results = [replay(record, cycles, machine) for machine in record["machines"][::every]]
+    assert all(results), np.flatnonzero(~np.array(results))
 
 
 def test_every_machine_that_a_proof_names_keeps_step_when_it_is_built_and_moved_by_itself():
@@ -207,10 +207,10 @@ def test_the_optimum_of_a_motor_without_core_loss_loses_steps_with_any_of_the_lo
     kept = {}
     with Tries(task, plans, lanes=3) as tries:
         for loss in (0.0, spread.low, spread.high):
-            own = replace(
+            variant = replace(
                 motor("17HS4401"), core_loss_resistance=motor("17HS4401").torque_constant ** 2 / loss if loss else None
             )
-            machine = task.machine._replace(drive=replace(task.machine.drive, motor=own))
+            machine = task.machine._replace(drive=replace(task.machine.drive, motor=variant))
             kept[loss] = tries.make(
                 [plan], [Case(PAYLOAD, 5.0 * k, way, machine) for k, way in enumerate((1, -1))], 0.6
             ).kept
@@ -223,7 +223,7 @@ def test_the_optimum_of_a_motor_without_core_loss_loses_steps_with_any_of_the_lo
 
 
 def test_a_motor_with_a_wider_band_of_core_loss_gets_an_answer_that_is_slower_or_equal():
-    """Of the same seed, which draws the same quantiles of each range"""
+    """Compare answers of one seed, which draws the same quantiles of each range"""
     results = [tune(task_with(motor_with(band), pulses=8000), by="formula", moves=12) for band in (2, 95)]
     narrow, wide = (result.answer.plan.speeds for result in results)
     assert wide.drive < narrow.drive
