@@ -284,7 +284,7 @@ stage.tune.result
     Result.c_source: name=None
     Result.plot: overwrite=False
 stage.tune.run
-    tune: by='search', trials=200, seed=0, workers=None, moves=48
+    tune: by='search', trials=200, seed=0, workers=None, moves=96
 stage.tune.task
     Task: payload=0.0, spare=None, within=None, hold=0.05, overshoot=None, judge_at=None, payload_on=None
     Task.corners: guard=1.0

@@ -4,7 +4,9 @@
     spread["core_loss_damping"]                            low, high, and the evidence for them
     vary(motor("17HS4401"), inductance=spread["inductance"].interpolate(0.5))
 
-The hidden machines of the environments are drawn from it. One curve cannot tell a core loss from an inductance, so each of the
+The hidden machines of the environments and the machines of `stage tune` are drawn from it.
+
+One curve cannot tell a core loss from an inductance, so each of the
 two is drawn without regard to the other, which covers more machines than any curve allows.
 """
 
@@ -15,7 +17,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from stage import portable
-from stage.drives.motors import Motor, estimate_core_loss, within
+from stage.drives.motors import Motor, estimate_core_loss, is_core_loss_known, read_tolerance, within
 
 INDUCTANCE_TOLERANCE = 0.2
 """Of an inductance from that of the data sheet; the data sheet of the 17HS19-2004S1 states it."""
@@ -38,7 +40,11 @@ class Spread(NamedTuple):
 
 def estimate_spread(motor: Motor) -> dict[str, Spread]:
     """Estimate the spread of a motor's core loss damping, N m s/rad, and inductance, H, by name, from their evidence."""
-    if motor.evidence.get("core_loss_resistance", "").startswith("C"):
+    tolerance = read_tolerance(motor, "core_loss_resistance")
+    if tolerance is not None:
+        low, high = (share * motor.core_loss_damping for share in (1 - tolerance, 1 + tolerance))
+        loss = Spread(low, high, motor.evidence["core_loss_resistance"])
+    elif is_core_loss_known(motor):
         low, high = (share * motor.core_loss_damping for share in FITTED_LOSS_RANGE)
         loss = Spread(
             low, high, "C: fits to the pull-out curve with the inductance 20 % above and below the data sheet's"
@@ -46,13 +52,15 @@ def estimate_spread(motor: Motor) -> dict[str, Spread]:
     else:
         likely = estimate_core_loss(motor)
         loss = Spread(
-            likely.low, likely.high, "I: 5e-4 to 1.6e-3 s/rad times the holding torque, after the 17HS19-2004S1"
+            likely.low, likely.high, f"I: no pull-out curve of the {motor.name} is at hand; after the 17HS19-2004S1"
         )
-    stated = motor.evidence.get("inductance", "")
+    field = "inductance" if motor.effective_inductance is None else "effective_inductance"
+    stated = read_tolerance(motor, field)
+    tolerance = INDUCTANCE_TOLERANCE if stated is None else stated
     inductance = Spread(
-        (1 - INDUCTANCE_TOLERANCE) * motor.phase_inductance,
-        (1 + INDUCTANCE_TOLERANCE) * motor.phase_inductance,
-        stated if "%" in stated else "I: +-20 %, as the data sheet of the 17HS19-2004S1 states",
+        (1 - tolerance) * motor.phase_inductance,
+        (1 + tolerance) * motor.phase_inductance,
+        "I: +-20 %, as the data sheet of the 17HS19-2004S1 states" if stated is None else motor.evidence[field],
     )
     return {"core_loss_damping": loss, "inductance": inductance}
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from stage import portable
 from stage.drives.dc_motors import Servo
-from stage.drives.motors import MAX_BUS_VOLTAGE, Drive, Motor, estimate_core_loss, is_core_loss_known, read_tolerance
+from stage.drives.motors import MAX_BUS_VOLTAGE, Drive, read_tolerance
+from stage.drives.spread import estimate_spread, vary
 from stage.sim.refit import vary_drive
 
 
@@ -54,16 +55,13 @@ class Spread(NamedTuple):
 
 
 DEFAULTS = {
-    "core loss": Spread(
-        0.85, 1.15, "N m s/rad", False, "C: +-15 %, as fits to different points of the 17HS19-2004S1's curve differ"
-    ),
-    "inductance": Spread(0.8, 1.2, "H", False, "I: +-20 %, as the data sheet of the 17HS19-2004S1 has it"),
     "resistance": Spread(0.9, 1.1, "ohm", False, "I: +-10 %, as the data sheet of the 17HS19-2004S1 has it"),
     "friction": Spread(0.5, 2.0, "times the model's", True, "I: preload, grease, seals and wear of guides and screw"),
     "supply": Spread(0.95, 1.05, "V", False, "I: +-5 %, line, load and cable of a regulated supply"),
 }
-"""Ranges where neither a data sheet nor the user states one, as factors of the model's value. The core loss is that of a motor
-whose loss is known; without a published curve it has the band of `estimate_core_loss`."""
+"""Ranges where neither a data sheet nor the user states one, as factors of the model's value. Those of core loss and inductance are
+in `stage.drives.spread`."""
+UNITS = {"core loss": "N m s/rad", "inductance": "H"} | {name: spread.unit for name, spread in DEFAULTS.items()}
 
 
 class Machine(NamedTuple):
@@ -79,14 +77,14 @@ class Machine(NamedTuple):
         found = {"resistance": drive.motor.resistance, "friction": self.friction, "supply": drive.bus_voltage}
         if isinstance(drive, Drive):
             found |= {"core loss": drive.motor.core_loss_damping, "inductance": drive.motor.phase_inductance}
-        return {name: found[name] for name in DEFAULTS if name in found}
+        return {name: found[name] for name in UNITS if name in found}
 
     def __str__(self) -> str:
-        return ", ".join(f"{name} {value:.3g} {DEFAULTS[name].unit}" for name, value in self.values.items())
+        return ", ".join(f"{name} {value:.3g} {UNITS[name]}" for name, value in self.values.items())
 
 
 def find_spreads(axis: Any) -> dict[str, Spread]:
-    """Find the ranges of the values of an axis' machine, by the names of `DEFAULTS`.
+    """Find the ranges of the values of an axis' machine, by the names of `UNITS`.
 
     A servo has no core loss and no inductance, nor has a core loss that the model states itself a range.
 
@@ -96,30 +94,15 @@ def find_spreads(axis: Any) -> dict[str, Spread]:
     motor, spreads = axis.drive.motor, {}
     if isinstance(axis.drive, Drive):
         if axis.stage.model.actuator_damping[axis.plant.actuator] == motor.core_loss_damping:
-            spreads["core loss"] = _spread_core_loss(motor)
-        field = "inductance" if motor.effective_inductance is None else "effective_inductance"
-        spreads["inductance"] = _spread("inductance", motor.phase_inductance, motor, field)
-    spreads["resistance"] = _spread("resistance", motor.resistance, motor, "resistance")
+            low, high, evidence = estimate_spread(motor)["core_loss_damping"]
+            spreads["core loss"] = Spread(low, high, UNITS["core loss"], low > 0, evidence)
+        low, high, evidence = estimate_spread(motor)["inductance"]
+        spreads["inductance"] = Spread(low, high, UNITS["inductance"], False, evidence)
+    tolerance, stated = read_tolerance(motor, "resistance"), motor.evidence.get("resistance", "")
+    spreads["resistance"] = DEFAULTS["resistance"].scale(motor.resistance, tolerance, stated)
     spreads["friction"], supply = DEFAULTS["friction"], DEFAULTS["supply"].scale(axis.supply)
     spreads["supply"] = supply._replace(high=min(supply.high, MAX_BUS_VOLTAGE))
     return spreads
-
-
-def _spread(name: str, value: float, motor: Any, field: str) -> Spread:
-    """Spread a value of a motor by the tolerance that its evidence states, or by the default one."""
-    return DEFAULTS[name].scale(value, read_tolerance(motor, field), motor.evidence.get(field, ""))
-
-
-def _spread_core_loss(motor: Motor) -> Spread:
-    if is_core_loss_known(motor) or read_tolerance(motor, "core_loss_resistance") is not None:
-        return _spread("core loss", motor.core_loss_damping, motor, "core_loss_resistance")
-    likely = estimate_core_loss(motor)
-    return DEFAULTS["core loss"]._replace(
-        low=likely.low,
-        high=likely.high,
-        logarithmic=True,
-        evidence=f"I: no pull-out curve of the {motor.name} is at hand; after the 17HS19-2004S1",
-    )
 
 
 def draw_machines(axis: Any, rng: np.random.Generator, count: int) -> list[Machine]:
@@ -130,11 +113,8 @@ def draw_machines(axis: Any, rng: np.random.Generator, count: int) -> list[Machi
 
 def _build(drive: Drive | Servo, values: dict[str, float]) -> Machine:
     motor: Any = replace(drive.motor, resistance=values["resistance"])
-    if "inductance" in values:
-        motor = replace(motor, effective_inductance=values["inductance"])
-    if "core loss" in values:
-        loss = values["core loss"]
-        motor = replace(motor, core_loss_resistance=motor.torque_constant**2 / loss if loss > 0 else None)
+    if isinstance(drive, Drive):
+        motor = vary(motor, values.get("core loss"), values["inductance"])
     return Machine(replace(drive, motor=motor, bus_voltage=values["supply"]), values["friction"])
 
 

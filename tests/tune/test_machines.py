@@ -49,7 +49,7 @@ def test_a_motor_without_a_published_curve_has_the_default_band_and_one_with_a_c
     }
     known = find_spreads(axis_with("17HS19-2004S1"))
     damping = MOTORS["17HS19-2004S1"].core_loss_damping
-    assert (known["core loss"].low, known["core loss"].high) == pytest.approx((0.85 * damping, 1.15 * damping))
+    assert (known["core loss"].low, known["core loss"].high) == pytest.approx((0.65 * damping, 1.25 * damping))
     assert (known["resistance"].evidence, known["inductance"].evidence) == ("S: +-10 %", "S: +-20 %")
 
 
