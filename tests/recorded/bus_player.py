@@ -16,6 +16,8 @@ CHECKPOINTS = 3
 """How many a program has, about."""
 EDGES_PER_EVENT = 16
 MAX_CLOCK_OF_SINGLE_PULSES = 20_000
+FINAL_REGISTERS = ("R0", "status", "RR0", "RR1", "R00", "R05", "R07")
+"""Registers of all families in which a summary says how a program ended: pulses left, status, mode."""
 
 
 class Draw:
@@ -50,7 +52,7 @@ class BusPlayer:
     """A chip at a bus, a journal of one of its axes, and the events so far."""
 
     def __init__(self, chip, axis=0):
-        self.chip, self.events, self.reads, self.pulses = chip, {}, 0, 0
+        self.chip, self.events, self.pulses = chip, {}, 0
         self.journal, self.listener = chip.journal(axis), chip.listener()
         self.diagnostics_noted = 0
         self.common_pins = (
@@ -62,10 +64,10 @@ class BusPlayer:
         for operation in program:
             self.run(*operation)
         self.close()
-        net = [self.chip.net(j) for j in range(self.chip.AXES)]
+        chip, values = self.chip, self.chip.values()
         summary = {
-            "clock": self.chip.clock, "net": net, "pulses": self.pulses, "reads": self.reads,
-            "diagnostics": len(self.chip.diagnostics), "status": self.chip.output_word(0),
+            "clock": chip.clock, "net": [chip.net(j) for j in range(chip.AXES)], "pulses": self.pulses,
+            "diagnostics": len(chip.diagnostics), **{name: values[name] for name in FINAL_REGISTERS if name in values},
         }  # fmt: skip
         return {"summary": summary, **self.events}
 
@@ -83,7 +85,6 @@ class BusPlayer:
             chip.write(*rest)
         elif kind == "read":
             value = chip.read(*rest)
-            self.reads += 1
             self.note(label, value, self.listener.read(*rest, value))
         elif kind == "pin":
             axis, name, level = rest
