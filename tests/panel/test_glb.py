@@ -78,3 +78,15 @@ def test_the_shipped_models_have_bodies_to_show():
 
     model = plant.open_spec("xyz").compile()
     assert {model.body(body).name for body, _ in bodies(model)} >= {"x", "y", "z"}
+
+
+@pytest.mark.parametrize("size", ["0 0 .1", "9e9 9e9 .1"])
+def test_a_plane_without_an_end_is_drawn_as_far_as_twice_the_extent(size):
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><statistic extent="2"/><worldbody><geom type="plane" size="1 1 1"/>'
+        f'<body name="wall" euler="90 0 0"><geom type="plane" size="{size}"/></body></worldbody></mujoco>'
+    )
+    ((_, blob),) = [found for found in bodies(model) if found[0] == 1]
+    scene, binary = read(blob)
+    positions = corners(scene, binary, scene["meshes"][0]["primitives"][0]["attributes"]["POSITION"])
+    assert np.ptp(positions, axis=0) == pytest.approx([8.0, 8.0, 0.002], abs=1e-6)

@@ -184,12 +184,21 @@ def test_a_window_of_axes_of_any_name_is_waveforms_with_a_scope_for_each():
 
 
 @pytest.mark.slow
-def test_pictures_and_series_of_a_window(session, sampler, monkeypatch):
+def test_series_of_a_window(session, sampler, monkeypatch):
     hasty(session, session.stage.run, 0.05)
-    assert FORMATS["png"](sampler, ["x/position", "x/org"], 0, 1).startswith(b"\x89PNG")
     import rerun as rr
 
     named, lines = [], rr.SeriesLines
     monkeypatch.setattr(rr, "SeriesLines", lambda names: (named.append(names), lines(names=names))[1])
     assert FORMATS["rrd"](sampler, ["x/position"], 0, 1).startswith(b"RRF")
     assert named == ["x position (mm)"]
+
+
+def test_a_picture_of_a_window_has_a_plot_for_each_unit_and_a_lane_for_each_pin(session, sampler):
+    pytest.importorskip("matplotlib")
+    hasty(session, session.stage.run, 0.02)
+    for names, height in ((["x/position", "x/org"], 3.35), (["x/position", "x/rate", "x/org", "x/el_plus"], 6.7)):
+        png = FORMATS["png"](sampler, names, 0, 1)
+        assert png.startswith(b"\x89PNG")
+        width, pixels = (int.from_bytes(png[at : at + 4], "big") for at in (16, 20))
+        assert (width, pixels) == (1080, int((height * 0.75 + 0.8) * 120))

@@ -122,3 +122,12 @@ def test_floating_point_wants_a_unit_also_in_arguments_only(tag):
     check_arm(file_with(TAG_CPU_ARCH=10, **{tag: 1}), "cortex-m4", "")
     with pytest.raises(LibraryError, match=r"a floating-point unit, and this is a cortex-m3.*--mcu cortex-"):
         check_arm(file_with(TAG_CPU_ARCH=10, **{tag: 1}), "cortex-m3", "arm-none-eabi-gcc -mcpu={mcu}")
+
+
+@pytest.mark.parametrize(
+    ("mcu", "architecture"),
+    [("attiny85", 25), ("at90usb162", 35), ("atmega2560", 6), ("atmega1280", 51), ("atmega128", 51), ("atmega328p", 5),
+     ("atmega8", 4), ("atmega88pa", 4), ("atmega644p", 5)],
+)  # fmt: skip
+def test_each_mcu_has_the_architecture_that_avr_gcc_writes_for_it(mcu, architecture):
+    assert avr_architecture(mcu) == architecture
