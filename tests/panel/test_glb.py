@@ -81,7 +81,7 @@ def test_the_shipped_models_have_bodies_to_show():
 
 
 @pytest.mark.parametrize("size", ["0 0 .1", "9e9 9e9 .1"])
-def test_a_plane_without_an_end_is_drawn_as_far_as_twice_the_extent(size):
+def test_a_plane_without_an_end_is_drawn_to_twice_the_extent(size):
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><statistic extent="2"/><worldbody><geom type="plane" size="1 1 1"/>'
         f'<body name="wall" euler="90 0 0"><geom type="plane" size="{size}"/></body></worldbody></mujoco>'
