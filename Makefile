@@ -48,7 +48,7 @@ demo: .venv/.user
 	$(BIN)/stage demo
 
 test: .venv/.dev
-	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST)
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 PACKAGES := $(patsubst %/pyproject.toml,%,$(wildcard packages/*/pyproject.toml))
 
@@ -59,7 +59,7 @@ packages: .venv/.packages
 	@touch $@
 
 test-packages: .venv/.packages
-	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST) packages
+	$(BIN)/python -m pytest -n 2 --dist worksteal packages
 
 test-slow: .venv/.packages
 	PULSESTAGE_EXAMPLES=100 $(BIN)/python -m pytest -n 2 --dist worksteal -m 'slow or not slow'

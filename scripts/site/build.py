@@ -85,8 +85,8 @@ def _page_of(file: Path) -> Path | None:
     for package in (ROOT, *_packages()):
         if file == package / "README.md":
             return (PAGES if package == ROOT else PAGES / package.name) / "index.md"
-    found = [to / file.relative_to(folder) for folder, to in _folders().items() if file.is_relative_to(folder)]
-    return found[0] if found and file.is_file() else None
+    copies = [to / file.relative_to(folder) for folder, to in _folders().items() if file.is_relative_to(folder)]
+    return copies[0] if copies and file.is_file() else None
 
 
 def _with_links(text: str, source: Path, page: Path, shown: set[Path]) -> str:
