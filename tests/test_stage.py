@@ -130,8 +130,7 @@ def test_a_bus_cycle_takes_bus_time(fresh):
 def test_a_stage_costs_less_than_64_kib_beside_its_mjdata(fresh):
     s = fresh.state
     own = sum(
-        a.nbytes
-        for a in (s.axis_table, s.switch_table, s.flag_edges, s.chip_table, s.clockwork, s.edges, s.counts, s.saved)
+        a.nbytes for a in (s.axis_table, s.switch_table, s.flag_edges, s.chip_table, s.clockwork, s.edges, s.saved)
     )
     assert own + fresh.data.userdata.nbytes < 64 * 1024
 

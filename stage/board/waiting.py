@@ -6,7 +6,8 @@ from stage.board import host, interrupts
 from stage.board.interrupts import MARK, MARKED
 from stage.chips import cores
 from stage.native import array_at, greatest, hot, least, stack_mark
-from stage.sim import handle, records
+from stage.sim import records
+from stage.sim.engine import advance
 from stage.sim.handle import AXIS, WHOLE, clockwork, world
 
 STACK_LEFT = 1 << 20
@@ -18,7 +19,7 @@ def _run(h, until):
     """Let the stage's time pass up to `until` ns; journals and recordings take part."""
     w = world(host.stage_of(h))
     while w.now < until and not h.stopped:
-        status = handle.advance(host.stage_of(h), until)
+        status = advance(host.stage_of(h), until)
         if status == records.DIVERGED:
             host.ask(h, host.DIVERGED)
         elif status == records.SAMPLES_FULL or status == records.EDGES_FULL:

@@ -10,7 +10,8 @@ encoders scan_shaft as well: as scan, while the shafts of `axes` are seen anew a
 counts and rates, from number done[0] on, which goes up. It stops early as scan does: call again until done[0] is all of them and
 the clock is there. A chip that is the driver of its motor has those of OPTIONAL: with
 `current` it sets the current of the stage's motor, by `set_load` it sees the load. A chip that can be wired to others of its
-kind has `says` and `silent`, see stage/chips/links.py.
+kind has `says`, `silent`, `heard` and `hear_wires`, see stage/chips/links.py; in its `scan_shaft` an axis below 0 is such a word,
+negated.
 """
 
 from __future__ import annotations
@@ -44,6 +45,8 @@ OPTIONAL: dict[str, tuple[str | None, ...]] = {
     "set_load": ("i8", "i8", "f8", "f8"),
     "says": ("i8",),
     "silent": ("i8",),
+    "heard": ("i8",),
+    "hear_wires": (None, "i8"),
 }
 """As ANSWERS, of a chip that is the motor's driver as well, or that can be wired to others of its kind; others do not have them,
 and a stage does not ask."""
@@ -84,14 +87,12 @@ CLOCK = record([("clock", "i8")])
 WIRE_BIT = 16
 """A word of inputs has above this bit what another chip's output drives there, plus 1; 0 where no chip does."""
 WORD, REAL = np.dtype("i8"), np.dtype("f8")
-LINK = 63
-"""The axis, as `inputs` and `set_shaft` take it, under which a chip hears the wires between chips, see links.py."""
 SCAN_ROOM = 8
 """So many edges are still free where a scan stops early."""
 
 _TYPES = {types: called(types[0], "i8", *types[1:]) for types in {*ANSWERS.values(), *OPTIONAL.values()}}
 _run, _set_shaft, _set, _window = (_TYPES[ANSWERS[name]] for name in ("run", "set_shaft", "set_input", "window"))
-_current, _load, _says, _silent = (_TYPES[types] for types in OPTIONAL.values())
+_current, _load, _says, _silent, _heard, _hear_wires = (_TYPES[types] for types in OPTIONAL.values())
 _mean, _rate, _word = (_TYPES[ANSWERS[name]] for name in ("drive_input", "pulse_rate", "net"))
 
 
@@ -196,6 +197,18 @@ def says(c):
 def silent(c):
     """The clock up to which that does not change, as long as it hears nothing."""
     return _silent(c.silent, (c.at,))
+
+
+@hot
+def heard(c):
+    """What it has heard last on those wires, see `hear_wires`."""
+    return _heard(c.heard, (c.at,))
+
+
+@hot
+def hear_wires(c, word):
+    """From now on these levels, this number and so many pulses are on the wires between chips."""
+    _hear_wires(c.hear_wires, (c.at, word))
 
 
 @hot

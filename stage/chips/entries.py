@@ -5,13 +5,36 @@ from __future__ import annotations
 import struct
 from array import array
 from collections.abc import Iterator, Sequence
+from enum import IntEnum
 from typing import Any, NamedTuple, overload
 
 import numpy as np
 
-WRITE, INPUT, RESET, LOST, READ, SHAFT = range(6)
-LOAD = -1
-PACKED = np.dtype([(name, "i8") for name in ("clock", "kind", "a", "b")])
+
+class Kind(IntEnum):
+    """What happened to a chip, as an entry says it."""
+
+    WRITE = 0
+    """A bus write cycle: address, value."""
+    INPUT = 1
+    """The input pins of an axis changed: axis, pin word."""
+    RESET = 2
+    LOST = 3
+    """A write that did not arrive: address, value."""
+    READ = 4
+    """A read cycle that changes something, see `Chip.READING_ACTS`: address, value."""
+    SHAFT = 5
+    """Where the shaft of the axis is from now on: count and counts a clock, both as `bits`."""
+    LOAD = 6
+    """A sample of the load of the axis' motor, see `cores.set_load`: angle and share, both as `bits`."""
+    WIRES = 7
+    """What other chips drive onto the wires between them, see stage/chips/links.py: the word."""
+
+
+WRITE, INPUT, RESET, LOST, READ, SHAFT, LOAD, WIRES = map(int, Kind)  # for compiled code
+PACKED = np.dtype([("clock", "i8"), ("kind", "i4"), ("axis", "i4"), ("a", "i8"), ("b", "i8")])
+AXIS = 32
+"""Bit of a packed entry's second word from which on it is the axis."""
 
 
 def bits(number: float) -> int:
@@ -25,15 +48,13 @@ def number(bits: int) -> float:
 
 
 class Entry(NamedTuple):
-    """One event between two ticks: WRITE (address, value), INPUT (axis, pin word), RESET, LOST, a write that did not arrive,
-    READ (address, value), a read cycle that changes something, see `Chip.READING_ACTS`, or SHAFT + j (count, rate, both as `bits`):
-    where the shaft of axis `j` is from then on, in counts and counts a clock. LOAD - j (angle,
-    share, both as `bits`): a sample of its motor's load, see `cores.set_load`."""
+    """One event between two ticks: its `Kind`, and what that says of a and b; axis: of a SHAFT or a LOAD."""
 
     clock: int
     kind: int
     a: int
     b: int
+    axis: int = 0
 
     def apply(self, core: Any, c: Any) -> None:
         """Let it happen to the chip of state `c` (a record, an array of one, an address), whose core this is."""
@@ -45,10 +66,12 @@ class Entry(NamedTuple):
             does, given = core.write, (self.a, self.b)
         elif kind == READ:
             does, given = core.read, (self.a,)
-        elif kind >= SHAFT:
-            does, given = core.set_shaft, (kind - SHAFT, number(self.a), number(self.b))
-        elif kind <= LOAD:
-            does, given = core.set_load, (LOAD - kind, number(self.a), number(self.b))
+        elif kind == SHAFT:
+            does, given = core.set_shaft, (self.axis, number(self.a), number(self.b))
+        elif kind == LOAD:
+            does, given = core.set_load, (self.axis, number(self.a), number(self.b))
+        elif kind == WIRES:
+            does, given = core.hear_wires, (self.a,)
         elif kind == RESET:
             does = core.power_up
         else:
@@ -62,9 +85,9 @@ class Entries(Sequence[Entry]):
     def __init__(self) -> None:
         self._words = array("q")
 
-    def note(self, clock: int, kind: int, a: int, b: int) -> None:
-        """One more at the end."""
-        self._words.extend((clock, kind, a, b))
+    def note(self, clock: int, kind: int, a: int, b: int, axis: int = 0) -> None:
+        """Append one."""
+        self._words.extend((clock, kind | axis << AXIS, a, b))
 
     def extend(self, packed: np.ndarray) -> None:
         """PACKED records at the end."""
@@ -79,7 +102,7 @@ class Entries(Sequence[Entry]):
 
     def __iter__(self) -> Iterator[Entry]:
         words = iter(self._words)
-        return map(Entry._make, zip(words, words, words, words, strict=True))
+        return map(_unpacked, zip(words, words, words, words, strict=True))
 
     @overload
     def __getitem__(self, k: int) -> Entry: ...
@@ -96,4 +119,9 @@ class Entries(Sequence[Entry]):
                 part._words.frombytes(self.packed()[k].tobytes())
             return part
         at = range(len(self))[k] * 4
-        return Entry._make(self._words[at : at + 4])
+        return _unpacked(self._words[at : at + 4])
+
+
+def _unpacked(words: Sequence[int]) -> Entry:
+    clock, kind, a, b = words
+    return Entry(clock, kind & (1 << AXIS) - 1, a, b, kind >> AXIS)

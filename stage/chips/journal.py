@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from stage.arguments import whole_number
-from stage.chips.entries import INPUT, LOST, READ, RESET, SHAFT, WRITE, Entries, Entry, bits
+from stage.chips.entries import INPUT, LOST, READ, RESET, SHAFT, WIRES, WRITE, Entries, Entry, bits
 
 if TYPE_CHECKING:
     from stage.chips.chip import Chip
@@ -73,7 +73,7 @@ class Journal:
         self._note(clock, RESET, 0, 0)
 
     def note_shaft(self, clock: int, axis: int, count: float, rate: float) -> None:
-        self._note(clock, SHAFT + axis, bits(count), bits(rate))
+        self._note(clock, SHAFT, bits(count), bits(rate), axis)
 
     def extend(self, packed: np.ndarray) -> None:
         """Note PACKED records, in the order of their clocks."""
@@ -82,11 +82,11 @@ class Journal:
         if self._previous is not None:
             self._previous.extend(packed)
 
-    def _note(self, clock: int, kind: int, a: int, b: int) -> None:
+    def _note(self, clock: int, kind: int, a: int, b: int, axis: int = 0) -> None:
         if self._end is None:
-            self.entries.note(clock, kind, a, b)
+            self.entries.note(clock, kind, a, b, axis)
         if self._previous is not None:
-            self._previous._note(clock, kind, a, b)
+            self._previous._note(clock, kind, a, b, axis)
 
     def close(self) -> None:
         """Stop noting; the course ends here."""
@@ -181,14 +181,16 @@ NO_SHAFT: Shafts = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), n
 
 
 def _between_shafts(entries: Entries) -> Iterator[tuple[Entry | None, Shafts]]:
-    """Each entry but those of shafts, and after all None, with those since the one before: they come every physics step."""
+    """Each entry but those of shafts and wires, and after all None, with those since the one before: they come every physics step,
+    or with every pulse. Of wires the word, negated, takes the place of the axis."""
     packed = entries.packed()
-    seen = packed["kind"] >= SHAFT
+    wires = packed["kind"] == WIRES
+    seen = (packed["kind"] == SHAFT) | wires
     if not seen.any():
         yield from ((e, NO_SHAFT) for e in entries)
         yield None, NO_SHAFT
         return
-    clocks, axes = np.ascontiguousarray(packed["clock"]), packed["kind"] - SHAFT
+    clocks, axes = np.ascontiguousarray(packed["clock"]), np.where(wires, -packed["a"], packed["axis"])
     counts, rates = (np.ascontiguousarray(packed[name]).view(np.float64) for name in ("a", "b"))
     begin = 0
     for k in (*np.flatnonzero(~seen).tolist(), len(entries)):

@@ -2,8 +2,7 @@
 
 What all of them drive makes one word, of 63 bits: *levels*, which are on where any chip drives them (bit 0 is always on: there are
 wires); a *number*, the largest that any chip gives; and a count of *pulses*, those of all chips together. A chip's own share is
-its answer to `says`; it hears the word under the axis LINK: `inputs` is what it heard last, and `set_shaft`, with the word's two
-halves as floats, lets it hear another one. So a journal notes what a chip has heard as it notes a shaft, and replays as many.
+its answer to `says`; `heard` is the word that it heard last, and `hear_wires` lets it hear another one, which its journal notes.
 
 Nothing on the wires takes time: what a chip drives at a clock the others hear at that clock, after their own pulses of it.
 """
@@ -11,24 +10,16 @@ Nothing on the wires takes time: what a chip drives at a clock the others hear a
 from __future__ import annotations
 
 from stage.chips import cores
-from stage.chips.cores import LINK
-from stage.chips.entries import SHAFT
+from stage.chips.entries import WIRES
 from stage.native import greatest, hot, least
 
 LEVELS = 3
 """Bits of the word that are levels; the lowest says that there are wires."""
 NUMBER, PULSES = LEVELS, 33
 """Where the number and the count of pulses begin; both have 30 bits."""
-HALF = 1 << PULSES
 LINKED = 1
 _ALL = (1 << 30) - 1
 ROUNDS = 8  # of answers at one clock
-
-
-@hot
-def word_of(low, high):
-    """The word from its halves, as `set_shaft` gives them."""
-    return int(low) | int(high) << PULSES
 
 
 @hot
@@ -63,20 +54,18 @@ def _word(chips, link):
 
 @hot
 def exchange(chips, link, now, edges, n_edges):
-    """All hear what is on the wires, and what comes of it. Returns how many edges are noted by now."""
+    """All hear what is on the wires, and what comes of it. Returns how many edges are noted by now, at `now` ns."""
     for _ in range(ROUNDS):
         word, quiet = _word(chips, link), True
         for i in range(len(chips)):
             c = chips[i]
-            if c.link != link or cores.inputs(c, LINK) == word:
+            if c.link != link or cores.heard(c) == word:
                 continue
             quiet = False
-            low, high = float(word & HALF - 1), float(word >> PULSES)
-            cores.set_shaft(c, LINK, low, high)
+            cores.hear_wires(c, word)
             if n_edges < len(edges):
                 e = edges[n_edges]
-                e.now, e.clock, e.axis, e.kind = now, cores.clock(c), cores.axis_of(c, 0), SHAFT + LINK
-                e.count, e.rate = low, high
+                e.now, e.clock, e.axis, e.kind, e.a = now, cores.clock(c), cores.axis_of(c, 0), WIRES, word
                 n_edges += 1
         if quiet:
             break

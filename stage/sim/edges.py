@@ -5,6 +5,19 @@ from __future__ import annotations
 from stage.chips import cores
 from stage.chips.entries import INPUT
 from stage.native import array_at, floor, hot, least
+from stage.sim.handle import (
+    REAL,
+    axes,
+    clockwork,
+    has_room_for_edge,
+    note_edge,
+    qpos,
+    qvel,
+    switch_table,
+    switches,
+    table,
+    world,
+)
 from stage.sim.records import FLAG_EDGE, HYSTERESIS, INDEX, INDEX_HYSTERESIS, NEVER, SECOND, TURN, clock_at
 
 UNREACHED = 1e300  # joint travel to an edge that is not ahead
@@ -182,21 +195,25 @@ def _bounce(s, t, now):
 
 
 @hot
-def foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, moved):
+def foresee(h, moved):
     """At a window's start: where each vane is, and when in this window its switch will change.
 
     `moved`: qpos has moved since the sensors were read, by one step of the present qvel.
     """
-    half, edges = clockwork.half, _flag_edges(clockwork)
-    for a in range(len(axes)):
-        axes[a].next_edge = NEVER
-        q, v = qpos[table[a].qpos], qvel[table[a].dof]
-        awake = axes[a].awake or not moved
-        for k in range(table[a].first_switch, table[a].end_switch):
-            awake |= sensordata[switch_table[k].found] > 0.0 or switch_table[k].forced > 0
-        axes[a].awake = 0
-        for k in range(table[a].first_switch, table[a].end_switch if awake else 0):  # else nothing has changed
-            s, t = switches[k], switch_table[k]
+    clock = clockwork(h)
+    half, edges, now = clock.half, _flag_edges(clock), world(h)
+    axis_records, axis_table, records, rows = axes(h), table(h), switches(h), switch_table(h)
+    sensordata, positions, speeds = array_at(h.sensordata, h.ns, REAL), qpos(h), qvel(h)
+    for a in range(len(axis_records)):
+        axis, of_axis = axis_records[a], axis_table[a]
+        axis.next_edge = NEVER
+        q, v = positions[of_axis.qpos], speeds[of_axis.dof]
+        awake = axis.awake or not moved
+        for k in range(of_axis.first_switch, of_axis.end_switch):
+            awake |= sensordata[rows[k].found] > 0.0 or rows[k].forced > 0
+        axis.awake = 0
+        for k in range(of_axis.first_switch, of_axis.end_switch if awake else 0):  # else nothing has changed
+            s, t = records[k], rows[k]
             if sensordata[t.found] > 0.0:
                 q_sensed, dist = q - v * 2.0 * half if moved else q, sensordata[t.dist]
                 if moved and not s.sensed:
@@ -208,20 +225,20 @@ def foresee(world, axes, table, switches, switch_table, clockwork, sensordata, q
                 if not s.on and t.forced <= 0 and s.toggles == 0:
                     s.edge = s.next_edge = NEVER
                     continue
-            axes[a].awake = 1
-            predict_switch(world, axes[a], clockwork, s, t, q, v)
-        if table[a].index_bit:
-            _foresee_index(world, axes[a], table[a], q, v, half)
+            axis.awake = 1
+            predict_switch(now, axis, clock, s, t, q, v)
+        if of_axis.index_bit:
+            _foresee_index(now, axis, of_axis, q, v, half)
 
 
 @hot
-def switched(t, switches, switch_table, word):
+def switched(t, records, rows, word):
     """The pin word of an axis with its switches as they are. Two that are wired to one pin assert it if either is on. A sensor of
     positive logic sets its pin, which is low then, while it is off."""
     on = off = 0
     for k in range(t.first_switch, t.end_switch):
-        bit = switch_table[k].bit
-        on, off = (on | bit, off) if switches[k].on else (on, off | bit)
+        bit = rows[k].bit
+        on, off = (on | bit, off) if records[k].on else (on, off | bit)
     return word & ~(on | off) | on ^ t.positive & (on | off)
 
 
@@ -232,18 +249,18 @@ def indexed(t, axis, word):
 
 
 @hot
-def _meet_axis_edges(axis, t, c, j, switches, switch_table, now):
+def _meet_axis_edges(axis, t, c, j, records, rows, now):
     """The switches of chip axis `j` that change at `now` do."""
     axis.next_edge = NEVER
     for k in range(t.first_switch, t.end_switch):
-        s = switches[k]
+        s = records[k]
         if s.edge <= now:
             s.edge, s.next_edge = s.next_edge, NEVER
             s.on = 1 - s.on
-            if s.toggles or switch_table[k].bounce:
-                _bounce(s, switch_table[k], now)
+            if s.toggles or rows[k].bounce:
+                _bounce(s, rows[k], now)
         axis.next_edge = least(axis.next_edge, s.edge)
-    word = switched(t, switches, switch_table, cores.inputs(c, j))
+    word = switched(t, records, rows, cores.inputs(c, j))
     if t.index_bit:
         if axis.index_edge <= now:
             axis.index_edge, axis.index_end = axis.index_end, NEVER
@@ -254,42 +271,32 @@ def _meet_axis_edges(axis, t, c, j, switches, switch_table, now):
 
 
 @hot
-def next_edge(axes, c):
+def next_edge(axis_records, c):
     """When the next input of a chip changes."""
-    edge = axes[cores.axis_of(c, 0)].next_edge
+    edge = axis_records[cores.axis_of(c, 0)].next_edge
     for j in range(1, c.axes):
-        edge = least(edge, axes[cores.axis_of(c, j)].next_edge)
+        edge = least(edge, axis_records[cores.axis_of(c, j)].next_edge)
     return edge
 
 
 @hot
-def note_input(c, j, edges, n_edges, now):
-    """The inputs of chip axis `j` have changed: returns how many edges are noted by now."""
-    if n_edges < len(edges):
-        e = edges[n_edges]
-        e.now, e.clock, e.axis, e.kind, e.a, e.b = (
-            now,
-            cores.clock(c),
-            cores.axis_of(c, j),
-            INPUT,
-            j,
-            cores.inputs(c, j),
-        )
-        n_edges += 1
-    return n_edges
+def note_input(h, now, c, j):
+    """The inputs of chip axis `j` have changed at `now` ns."""
+    if has_room_for_edge(h):
+        note_edge(h, now, c, cores.axis_of(c, j), INPUT, j, cores.inputs(c, j))
 
 
 @hot
-def meet_edges(c, axes, table, switches, switch_table, until, edges, n_edges):
-    """Take chip `c` through the edges of its switches up to `until` ns. Returns how many are noted by now."""
-    now = next_edge(axes, c)
+def meet_edges(h, c, until):
+    """Take chip `c` through the edges of its switches up to `until` ns."""
+    axis_records, axis_table = axes(h), table(h)
+    now = next_edge(axis_records, c)
     while now <= until:
         cores.run(c, clock_at(now, c.hz))
         for j in range(c.axes):
             a = cores.axis_of(c, j)
-            if axes[a].next_edge > now:
+            if axis_records[a].next_edge > now:
                 continue
-            _meet_axis_edges(axes[a], table[a], c, j, switches, switch_table, now)
-            n_edges = note_input(c, j, edges, n_edges, now)
-        now = next_edge(axes, c)
-    return n_edges
+            _meet_axis_edges(axis_records[a], axis_table[a], c, j, switches(h), switch_table(h), now)
+            note_input(h, now, c, j)
+        now = next_edge(axis_records, c)

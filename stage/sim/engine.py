@@ -19,7 +19,7 @@ from __future__ import annotations
 from stage.chips import cores, links
 from stage.chips.entries import LOAD, SHAFT
 from stage.drives import drive, stepper
-from stage.native import array_at, called, hot, least
+from stage.native import array_at, called, exported, hot, least
 from stage.sim.edges import (
     foresee,
     in_flag,
@@ -31,16 +31,36 @@ from stage.sim.edges import (
     predict_switch,
     switched,
 )
+from stage.sim.handle import (
+    HANDLE,
+    REAL,
+    axes,
+    chips,
+    clockwork,
+    drives,
+    has_room_for_edge,
+    note_edge,
+    qpos,
+    qvel,
+    switch_table,
+    switches,
+    table,
+    world,
+)
+from stage.sim.in_use import ENGINE, claim, release
 from stage.sim.records import (
     ADDRESS,
     CALLBACKS,
     DIVERGED,
+    EDGE,
     EDGES_FULL,
     FAILED,
+    IN_USE,
     INDEX,
     MAX_SPEED,
     NEVER,
     REACHED,
+    SAMPLE,
     SAMPLES_FULL,
     SECOND,
     SLICES,
@@ -54,24 +74,25 @@ _get_state = called(None, "i8", "i8", "i8", "i4")
 
 
 @hot
-def _run_chips(chips, world, axes, table, switches, switch_table, stop, clockwork, edges, counts):
-    """Run the chips up to `stop` ns, inside the window; counts[1]: edges noted by now. Returns slices done."""
-    start, dt = world.start, clockwork.dt
+def _run_chips(h, stop):
+    """Run the chips up to `stop` ns, inside the window. Returns slices done."""
+    w, rows, axis_records = world(h), chips(h), axes(h)
+    start, dt = w.start, clockwork(h).dt
     hz = clock = rest = 0
-    k = world.slice
-    for i in range(len(chips)):
-        c = chips[i]
+    k = w.slice
+    for i in range(len(rows)):
+        c = rows[i]
         if c.link:
-            if _leads(chips, i):
-                k = _run_linked(chips, i, world, axes, table, switches, switch_table, stop, clockwork, edges, counts)
+            if _leads(rows, i):
+                k = _run_linked(h, i, stop)
             continue
         if cores.hear(c):
-            counts[1] = note_input(c, 0, edges, counts[1], world.now)
+            note_input(h, w.now, c, 0)
         if c.hz != hz:
             hz = c.hz
             clock, rest = clock_at(start, hz), start % SECOND * hz % SECOND
-        k, now = world.slice, 0
-        if stop == start + dt and next_edge(axes, c) > stop:
+        k, now = w.slice, 0
+        if stop == start + dt and next_edge(axis_records, c) > stop:
             c.begin, c.rest = clock, rest
             cores.window(c, k)
             k = SLICES
@@ -79,137 +100,125 @@ def _run_chips(chips, world, axes, table, switches, switch_table, stop, clockwor
         while now < stop:
             bound = start + (k + 1) * dt // SLICES
             now = least(bound, stop)
-            if next_edge(axes, c) <= now:
-                counts[1] = meet_edges(c, axes, table, switches, switch_table, now, edges, counts[1])
+            if next_edge(axis_records, c) <= now:
+                meet_edges(h, c, now)
             cores.run(c, clock + (rest + (now - start) * hz) // SECOND)
             if now == bound:
-                _end_slice(c, axes, k)
+                _end_slice(c, axis_records, k)
                 k += 1
     return k
 
 
 @hot
-def _end_slice(c, axes, k):
+def _end_slice(c, axis_records, k):
     """The axes' mean counts in slice `k`, which ends now."""
     for j in range(c.axes):
-        axis = axes[cores.axis_of(c, j)]
+        axis = axis_records[cores.axis_of(c, j)]
         axis.counts[k] = cores.drive_input(c, j, axis.count, c.ticks)
         axis.count = cores.net(c, j)
 
 
 @hot
-def _leads(chips, i):
+def _leads(rows, i):
     """Chip `i` is the first of those that are linked to it."""
     m = 0
-    while chips[m].link != chips[i].link:
+    while rows[m].link != rows[i].link:
         m += 1
     return m == i
 
 
 @hot
-def _run_linked(chips, first, world, axes, table, switches, switch_table, stop, clockwork, edges, counts):
+def _run_linked(h, first, stop):
     """As `_run_chips`, of the chips that are linked to this first one: an edge of one of them acts on all at its clock."""
-    start, dt, link, hz = world.start, clockwork.dt, chips[first].link, chips[first].hz
-    k, now = world.slice, 0
+    w, rows, axis_records, edges = world(h), chips(h), axes(h), array_at(h.edges, h.edge_room, EDGE)
+    start, dt, link, hz = w.start, clockwork(h).dt, rows[first].link, rows[first].hz
+    k, now = w.slice, 0
     while now < stop:
         bound = start + (k + 1) * dt // SLICES
         now = least(bound, stop)
         while True:
             edge = now + 1
-            for i in range(first, len(chips)):
-                if chips[i].link == link:
-                    edge = least(edge, next_edge(axes, chips[i]))
+            for i in range(first, len(rows)):
+                if rows[i].link == link:
+                    edge = least(edge, next_edge(axis_records, rows[i]))
             at = least(edge, now)
-            counts[1] = links.run(chips, link, clock_at(at, hz), at, edges, counts[1])
+            h.noted = links.run(rows, link, clock_at(at, hz), at, edges, h.noted)
             if edge > now:
                 break
-            for i in range(first, len(chips)):
-                if chips[i].link == link and next_edge(axes, chips[i]) <= edge:
-                    c = chips[i]
-                    counts[1] = meet_edges(c, axes, table, switches, switch_table, edge, edges, counts[1])
+            for i in range(first, len(rows)):
+                if rows[i].link == link and next_edge(axis_records, rows[i]) <= edge:
+                    meet_edges(h, rows[i], edge)
         if now == bound:
-            for i in range(first, len(chips)):
-                if chips[i].link == link:
-                    _end_slice(chips[i], axes, k)
+            for i in range(first, len(rows)):
+                if rows[i].link == link:
+                    _end_slice(rows[i], axis_records, k)
             k += 1
     return k
 
 
 @hot
-def _shaft(world, t, clockwork, qpos, qvel):
+def _shaft(h, t):
     """Where an axis' shaft is now, in counts of its encoder, and how fast, in counts a second."""
-    v = qvel[t.dof]
-    tau = float(world.now - world.start) / SECOND - clockwork.half
-    return (qpos[t.qpos] + v * tau) * t.counts, v * t.counts
+    w, v = world(h), qvel(h)[t.dof]
+    tau = float(w.now - w.start) / SECOND - clockwork(h).half
+    return (qpos(h)[t.qpos] + v * tau) * t.counts, v * t.counts
 
 
 @hot
-def _show_shafts(chips, world, table, clockwork, qpos, qvel, edges, counts):
-    """At a window's start: the shafts, for the chips that look at them. Returns the edges noted by now."""
-    for i in range(len(chips)):
-        c = chips[i]
+def _show_shafts(h):
+    """At a window's start: the shafts, for the chips that look at them."""
+    rows = chips(h)
+    for i in range(len(rows)):
+        c = rows[i]
         for j in range(c.axes):
             a = cores.axis_of(c, j)
-            if table[a].counts == 0.0:
+            if table(h)[a].counts == 0.0:
                 continue
-            count, speed = _shaft(world, table[a], clockwork, qpos, qvel)
+            count, speed = _shaft(h, table(h)[a])
             cores.set_shaft(c, j, count, speed / c.hz)
-            if counts[1] < len(edges):
-                e = edges[counts[1]]
-                e.now, e.clock, e.axis, e.kind, e.count, e.rate = (
-                    world.now,
-                    cores.clock(c),
-                    a,
-                    SHAFT + j,
-                    count,
-                    speed / c.hz,
-                )
-                counts[1] += 1
-    return counts[1]
+            if has_room_for_edge(h):
+                e = note_edge(h, world(h).now, c, a, SHAFT, j, 0)
+                e.count, e.rate = count, speed / c.hz
 
 
 @hot
-def _show_loads(chips, world, axes, drives, table, clockwork, qpos, qvel, edges, counts):
-    """At a window's start: the loads of the motors, for the chips that drive them. Returns the edges noted by now."""
-    for a in range(len(axes)):
-        t, d = table[a], drives[a]
-        c = chips[t.chip]
+def _show_loads(h):
+    """At a window's start: the loads of the motors, for the chips that drive them."""
+    rows, half = drives(h), clockwork(h).half
+    for a in range(len(rows)):
+        t, d = table(h)[a], rows[a]
+        c = chips(h)[t.chip]
         if c.set_load == 0:
             continue
-        v = qvel[t.dof]
-        angle = drive.load_angle(d, cores.net(c, t.chip_axis), (qpos[t.qpos] - v * clockwork.half) * t.gear)
+        v = qvel(h)[t.dof]
+        angle = drive.load_angle(d, cores.net(c, t.chip_axis), (qpos(h)[t.qpos] - v * half) * t.gear)
         share = d.torque_constant * abs(v * t.gear) / d.voltage
-        if cores.set_load(c, t.chip_axis, angle, share) and counts[1] < len(edges):
-            e = edges[counts[1]]
-            e.now, e.clock, e.axis, e.kind, e.count, e.rate = (
-                world.now,
-                cores.clock(c),
-                a,
-                LOAD - t.chip_axis,
-                angle,
-                share,
-            )
-            counts[1] += 1
-    return counts[1]
+        if cores.set_load(c, t.chip_axis, angle, share) and has_room_for_edge(h):
+            e = note_edge(h, world(h).now, c, a, LOAD, t.chip_axis, 0)
+            e.count, e.rate = angle, share
 
 
 @hot
-def _set_currents(chips, drives, table):
+def _set_currents(h):
     """The currents of the motors whose chips drive them."""
-    for a in range(len(drives)):
-        c = chips[table[a].chip]
+    rows = drives(h)
+    for a in range(len(rows)):
+        t = table(h)[a]
+        c = chips(h)[t.chip]
         if c.current:
-            drives[a].current = cores.current(c, table[a].chip_axis)
+            rows[a].current = cores.current(c, t.chip_axis)
 
 
 @hot
-def _sample(world, t, c, d, clockwork, qpos, qvel, effort, out):
-    j = t.chip_axis
+def _sample(h, a, effort, out):
+    """Write axis `a` as it is now into a SAMPLE."""
+    t, d = table(h)[a], drives(h)[a]
+    c, j = chips(h)[t.chip], t.chip_axis
     net = cores.net(c, j)
-    v = qvel[t.dof]
-    q = qpos[t.qpos] - v * clockwork.half
+    v = qvel(h)[t.dof]
+    q = qpos(h)[t.qpos] - v * clockwork(h).half
     theta = q * t.gear
-    out.time = world.now / SECOND
+    out.time = world(h).now / SECOND
     out.position, out.velocity = q, v
     out.commanded = q + drive.behind(d, net, theta) / t.gear
     out.load_angle, out.torque = stepper.load_angle(d, net, theta), drive.torque(d, effort)
@@ -222,139 +231,172 @@ def _sample(world, t, c, d, clockwork, qpos, qvel, effort, out):
 
 
 @hot
-def unguarded(clockwork):
+def _sample_all(h, ctrl):
+    """Write all axes as they are now into the next row of samples."""
+    samples = array_at(h.samples, (h.room, h.n_axes), SAMPLE)
+    positions = array_at(h.positions, (h.room, h.nq), REAL)
+    for a in range(h.n_axes):
+        _sample(h, a, ctrl[table(h)[a].actuator], samples[h.filled, a])
+    for i in range(h.nq):
+        positions[h.filled, i] = qpos(h)[i]
+    h.filled += 1
+
+
+@hot
+def _unguarded(clock):
     """MuJoCo would call a Python callback whose exceptions are not guarded."""
-    if not clockwork.guarded:
+    if not clock.guarded:
         for k in range(CALLBACKS):
-            if array_at(clockwork.callbacks[k], 1, ADDRESS)[0] != clockwork.native[k]:
+            if array_at(clock.callbacks[k], 1, ADDRESS)[0] != clock.native[k]:
                 return True
     return False
 
 
 @hot
-def run(
-    model, data, world_, axes, drives, switches, table, switch_table, chips, clockwork_,
-    qpos, qvel, ctrl, sensordata, inertia, until, samples, positions, n_samples, edges, n_edges, counts, state,
-):  # fmt: skip
-    """Run up to `until` ns. Returns why it returned (REACHED, ...); counts[0], counts[1] = samples and edges written.
-
-    model, data: addresses. chips: CHIP_TABLE. inertia: (nv,), kg or kg m^2 that each degree of freedom moves. samples:
-    (capacity, axes) SAMPLE; positions: (capacity, nq) float64; edges: EDGE. Empty arrays log nothing. state: address (0: none) that
-    takes the state as it is before the physics.
-    """
-    world, clockwork = world_[0], clockwork_[0]
-    status, counts[0], counts[1] = REACHED, n_samples, n_edges
-    if not world.powered:
+def _run(h, until):
+    """Run up to `until` ns. Returns why it returned (REACHED, ...)."""
+    w, clock, axis_records, axis_table, rows = world(h), clockwork(h), axes(h), table(h), drives(h)
+    positions, speeds = qpos(h), qvel(h)
+    ctrl, inertia = array_at(h.ctrl, h.nu, REAL), array_at(h.inertia, h.nv, REAL)
+    if not w.powered:
         return WIPED
-    if world.start + clockwork.dt <= until:
-        if unguarded(clockwork):
+    if w.start + clock.dt <= until:
+        if _unguarded(clock):
             return UNGUARDED
-        if state:
-            _get_state(clockwork.mj_get_state, (model, data, state, clockwork.state_spec))
-    while world.now < until:
-        end = world.start + clockwork.dt
+        if h.state:
+            _get_state(clock.mj_get_state, (h.mj_model, h.mj_data, h.state, clock.state_spec))
+    while w.now < until:
+        end = w.start + clock.dt
         stop = least(until, end)
-        k = _run_chips(chips, world, axes, table, switches, switch_table, stop, clockwork, edges, counts)
-        world.now = stop
-        world.slice = k
+        k = _run_chips(h, stop)
+        w.now = stop
+        w.slice = k
         if stop < end:
             break
-        if clockwork.currents:
-            _set_currents(chips, drives, table)
-        for a in range(len(axes)):
-            t = table[a]
-            omega = qvel[t.dof] * t.gear
-            gain = clockwork.half * t.gear * t.gear / inertia[t.dof]
+        if clock.currents:
+            _set_currents(h)
+        for a in range(len(axis_records)):
+            t = axis_table[a]
+            omega = speeds[t.dof] * t.gear
+            gain = clock.half * t.gear * t.gear / inertia[t.dof]
             ctrl[t.actuator] = drive.effort(
-                drives[a], axes[a].counts, clockwork.slices, qpos[t.qpos] * t.gear, omega, clockwork.h, gain
+                rows[a], axis_records[a].counts, clock.slices, positions[t.qpos] * t.gear, omega, clock.h, gain
             )
-        _step(clockwork.mj_step, (model, data))
-        world.slice = 0
-        world.start += clockwork.dt
-        world.steps += 1
-        for k in range(clockwork.nv):
-            if not abs(qvel[k]) < MAX_SPEED:
-                status = DIVERGED
-        if clockwork.failed:
-            status = FAILED
-        if status != REACHED:
-            break
-        foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, True)
-        if clockwork.encoders:
-            counts[1] = _show_shafts(chips, world, table, clockwork, qpos, qvel, edges, counts)
-        if clockwork.loads:
-            counts[1] = _show_loads(chips, world, axes, drives, table, clockwork, qpos, qvel, edges, counts)
-        if clockwork.sample_every and n_samples < len(samples):
-            world.to_sample -= 1
-            if world.to_sample <= 0:
-                world.to_sample = clockwork.sample_every
-                for a in range(len(axes)):
-                    t = table[a]
-                    c, out, effort = chips[t.chip], samples[n_samples, a], ctrl[t.actuator]
-                    _sample(world, t, c, drives[a], clockwork, qpos, qvel, effort, out)
-                for i in range(len(qpos)):
-                    positions[n_samples, i] = qpos[i]
-                n_samples += 1
-                if n_samples == len(samples):
-                    status = SAMPLES_FULL
-                    break
-        if len(edges) and counts[1] > len(edges) - clockwork.most_edges:
-            status = EDGES_FULL
-            break
-    counts[0] = n_samples
+        _step(clock.mj_step, (h.mj_model, h.mj_data))
+        w.slice = 0
+        w.start += clock.dt
+        w.steps += 1
+        diverged = False
+        for k in range(clock.nv):
+            if not abs(speeds[k]) < MAX_SPEED:
+                diverged = True
+        if clock.failed:
+            return FAILED
+        if diverged:
+            return DIVERGED
+        foresee(h, True)
+        if clock.encoders:
+            _show_shafts(h)
+        if clock.loads:
+            _show_loads(h)
+        if clock.sample_every and h.filled < h.room:
+            w.to_sample -= 1
+            if w.to_sample <= 0:
+                w.to_sample = clock.sample_every
+                _sample_all(h, ctrl)
+                if h.filled == h.room:
+                    return SAMPLES_FULL
+        if h.edge_room and h.noted > h.edge_room - clock.most_edges:
+            return EDGES_FULL
+    return REACHED
+
+
+@exported("i8", HANDLE, "i8")
+def advance(h, until):
+    """Let the stage's time pass up to `until` ns, unless the engine has to stop before; returns why it stopped (REACHED, ...).
+
+    It logs where the handle says. Of a run that is undone nothing stays logged.
+    """
+    if not claim(h.clockwork, ENGINE):
+        return IN_USE
+    filled, noted = h.filled, h.noted
+    status = _run(h, until)
+    if status in (DIVERGED, FAILED):
+        h.filled, h.noted = filled, noted
+    h.status = status
+    release(h.clockwork, ENGINE)
     return status
 
 
-@hot
-def look_again(world_, axes, switches, table, switch_table, chips, clockwork_, qpos, qvel, a, edges, n_edges):
-    """A fault of axis `a`'s switches has come or gone, at any moment in a window: their levels now, their edges in the rest
-    of it. Returns how many edges are noted.
-    """
-    world, axis, t = world_[0], axes[a], table[a]
+@exported("i8", HANDLE)
+def called_back(h):
+    """1 if MuJoCo has a Python callback whose exceptions are not guarded now."""
+    return 1 if _unguarded(clockwork(h)) else 0
+
+
+@exported("i8", HANDLE, "i8")
+def take(h, token):
+    """1 if the stage was free: no other thread can run it until `give` with this token."""
+    return 1 if claim(h.clockwork, token) else 0
+
+
+@exported(None, HANDLE, "i8")
+def give(h, token):
+    """Whoever took it with this token has it no more."""
+    release(h.clockwork, token)
+
+
+@exported(None, HANDLE, "i8")
+def look_again(h, a):
+    """A fault of axis `a`'s switches has come or gone, at any moment in a window: their levels now, and their edges in the rest of
+    it."""
+    axis, t = axes(h)[a], table(h)[a]
     axis.next_edge, axis.awake = axis.index_edge if t.index_bit else NEVER, 1
     for k in range(t.first_switch, t.end_switch):
-        if switch_table[k].forced >= 0:
-            switches[k].toggles = 0
-        predict_switch(world, axis, clockwork_[0], switches[k], switch_table[k], qpos[t.qpos], qvel[t.dof])
-    return meet_edges(chips[t.chip], axes, table, switches, switch_table, world.now, edges, n_edges)
+        if switch_table(h)[k].forced >= 0:
+            switches(h)[k].toggles = 0
+        q, v = qpos(h)[t.qpos], qvel(h)[t.dof]
+        predict_switch(world(h), axis, clockwork(h), switches(h)[k], switch_table(h)[k], q, v)
+    meet_edges(h, chips(h)[t.chip], world(h).now)
 
 
 @hot
-def _settle_axis(c, world, axis, t, switches, switch_table, d, clockwork, qpos, qvel):
+def _settle_axis(h, a):
+    axis, t, d = axes(h)[a], table(h)[a], drives(h)[a]
+    c, q = chips(h)[t.chip], qpos(h)[t.qpos]
     if t.counts != 0.0:
-        count, speed = _shaft(world, t, clockwork, qpos, qvel)
+        count, speed = _shaft(h, t)
         cores.set_shaft(c, t.chip_axis, count, speed / c.hz)
     axis.next_edge = NEVER
     axis.count = cores.net(c, t.chip_axis)
     for k in range(SLICES):
         axis.counts[k] = drive.at_rest(d, axis.count)
     for k in range(t.first_switch, t.end_switch):
-        s, row = switches[k], switch_table[k]
+        s, row = switches(h)[k], switch_table(h)[k]
         s.edge = s.next_edge = NEVER
-        s.on = row.forced if row.forced >= 0 else (1 if in_flag(clockwork, s, row, qpos[t.qpos]) else 0)
-    word = switched(t, switches, switch_table, cores.inputs(c, t.chip_axis))
+        s.on = row.forced if row.forced >= 0 else (1 if in_flag(clockwork(h), s, row, q) else 0)
+    word = switched(t, switches(h), switch_table(h), cores.inputs(c, t.chip_axis))
     if t.index_bit:
         axis.index_edge = axis.index_end = NEVER
-        axis.index_on = 1 if abs(off_index(t, qpos[t.qpos])) <= 0.5 * INDEX else 0
+        axis.index_on = 1 if abs(off_index(t, q)) <= 0.5 * INDEX else 0
         word = indexed(t, axis, word)
     cores.set_input(c, t.chip_axis, word)
     if c.current:
         d.current = cores.current(c, t.chip_axis)
-    drive.align(d, float(axis.count), qpos[t.qpos] * t.gear)
+    drive.align(d, float(axis.count), q * t.gear)
 
 
-@hot
-def settle(world_, axes, drives, switches, table, switch_table, chips, clockwork_, qpos, qvel, sensordata, edges):
+@exported(None, HANDLE)
+def settle(h):
     """Before the first window, or after the carriages were placed: finds switch levels and pending edges again."""
-    world, clockwork = world_[0], clockwork_[0]
-    world.powered = 1
-    for k in range(len(switches)):
-        s = switches[k]
+    world(h).powered = 1
+    for k in range(h.n_switches):
+        s = switches(h)[k]
         s.toggles, s.edge, s.shift = 0, NEVER, 0.0
-    foresee(world, axes, table, switches, switch_table, clockwork, sensordata, qpos, qvel, False)
-    for a in range(len(axes)):
-        t = table[a]
-        _settle_axis(chips[t.chip], world, axes[a], t, switches, switch_table, drives[a], clockwork, qpos, qvel)
-    for i in range(len(chips)):
-        if chips[i].link and _leads(chips, i):
-            links.exchange(chips, chips[i].link, world.now, edges, len(edges))
+    foresee(h, False)
+    for a in range(h.n_axes):
+        _settle_axis(h, a)
+    rows = chips(h)
+    for i in range(len(rows)):
+        if rows[i].link and _leads(rows, i):
+            links.exchange(rows, rows[i].link, world(h).now, array_at(h.edges, 0, EDGE), 0)

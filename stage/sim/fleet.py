@@ -22,7 +22,7 @@ import numpy as np
 
 from stage.arguments import told
 from stage.errors import ArgumentError, StageError
-from stage.sim import handle, play, records
+from stage.sim import engine, handle, play, records
 from stage.sim.loop import IN_USE
 from stage.sim.program import END, KEEP, LOOK, MEASURE, NAMES, READ, STOP, WAIT, WRITE, Program
 from stage.sim.stage import Stage
@@ -120,7 +120,7 @@ class Fleet:
         """The stages that Python has to play: those being recorded, or whose chips keep a journal or lose writes; all of
         them where MuJoCo calls somebody back."""
         found = []
-        all_of_them = handle.called_back.held(self._first)
+        all_of_them = engine.called_back.held(self._first)
         for k, stage in enumerate(self.stages):
             stage.look()
             stage.loop.check_options()

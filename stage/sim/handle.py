@@ -1,8 +1,8 @@
-"""A stage for compiled code: a HANDLE has the addresses of its arrays. And the functions of the engine that take a HANDLE.
+"""A stage for compiled code: a HANDLE has the addresses of its arrays, and the functions here show them as arrays.
 
 handles = np.zeros(1, HANDLE)
 fill(handles, 0, stage.state)
-advance(handles[0], until)       the stage's time passes, in hot functions and in Python
+engine.advance(handles[0], until)       the stage's time passes, in hot functions and in Python
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.drives import drive
-from stage.native import array_at, exported, hot, record
-from stage.sim import engine, records
-from stage.sim.in_use import ENGINE, claim, release
+from stage.chips import cores
+from stage.drives.stepper import DRIVE
+from stage.native import array_at, hot, record
+from stage.sim import records
 
 if TYPE_CHECKING:
     from stage.sim.state import State
@@ -23,17 +23,18 @@ _ARRAYS = (
     "world axes drives switches latches table switch_table chips clockwork qpos qvel ctrl sensordata inertia sites bodies"
 ).split()
 _LENGTHS = "n_axes n_switches n_chips nq nv nu ns n_sites n_bodies".split()
-_LOGS = "samples positions room filled edges edge_room noted counts".split()
+_LOGS = "samples positions room filled edges edge_room noted".split()
 HANDLE_FIELDS: list = [
     (name, "i8")
     for name in ["mj_model", "mj_data", *_ARRAYS, *_LENGTHS, "bus", *_LOGS, "state", "status", "own", "halt"]
 ]
 HANDLE = record(HANDLE_FIELDS)
-"""Where a stage's arrays lie, their lengths, and the ns of a bus cycle. samples ... counts: where the engine logs, as `engine.run`
-takes it; without rooms it logs nothing. state: where the stage's state goes before the physics moves it, or 0; status: what
-`advance` answered last; own: the address of the handle itself; halt: 1 where who plays a program is to stop, see `play`."""
+"""Where a stage's arrays lie, their lengths, and the ns of a bus cycle. samples ... noted: where the engine logs, how much has room
+there, and how much it has logged; without rooms it logs nothing. state: where the state goes before the physics moves it, or
+0; status: what `engine.advance` answered last; own: the address of the handle itself; halt: 1 where who plays a program is to stop,
+see `play`."""
 
-WORLD, AXIS, DRIVE, SWITCH = records.WORLD, records.AXIS, drive.DRIVE, records.SWITCH
+WORLD, AXIS, SWITCH = records.WORLD, records.AXIS, records.SWITCH
 AXIS_TABLE, SWITCH_TABLE, CHIP_TABLE, CLOCKWORK = (
     records.AXIS_TABLE, records.SWITCH_TABLE, records.CHIP_TABLE, records.CLOCKWORK,
 )  # fmt: skip
@@ -64,68 +65,56 @@ def table(h):
     return array_at(h.table, h.n_axes, AXIS_TABLE)
 
 
-@exported("i8", HANDLE, "i8")
-def advance(h, until):
-    """The stage's time passes up to `until` ns, unless the engine has to stop before; why it stopped, as `engine.run`."""
-    if not claim(h.clockwork, ENGINE):
-        return records.IN_USE
-    counts = array_at(h.counts, 2, WHOLE)
-    samples = array_at(h.samples, (h.room, h.n_axes), records.SAMPLE)
-    positions = array_at(h.positions, (h.room, h.nq), REAL)
-    status = engine.run(
-        h.mj_model, h.mj_data, array_at(h.world, 1, WORLD), array_at(h.axes, h.n_axes, AXIS), array_at(h.drives, h.n_axes, DRIVE),
-        array_at(h.switches, h.n_switches, SWITCH), table(h), array_at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h),
-        array_at(h.clockwork, 1, CLOCKWORK), array_at(h.qpos, h.nq, REAL), array_at(h.qvel, h.nv, REAL),
-        array_at(h.ctrl, h.nu, REAL),
-        array_at(h.sensordata, h.ns, REAL), array_at(h.inertia, h.nv, REAL), until, samples, positions, h.filled,
-        array_at(h.edges, h.edge_room, records.EDGE), h.noted, counts, h.state,
-    )  # fmt: skip
-    if status != records.DIVERGED and status != records.FAILED:
-        h.filled, h.noted = counts[0], counts[1]
-    h.status = status
-    release(h.clockwork, ENGINE)
-    return status
+@hot
+def axes(h):
+    """The stage's AXIS records."""
+    return array_at(h.axes, h.n_axes, AXIS)
 
 
-@exported("i8", HANDLE)
-def called_back(h):
-    """1 if MuJoCo has a Python callback whose exceptions are not guarded now."""
-    return 1 if engine.unguarded(clockwork(h)) else 0
+@hot
+def drives(h):
+    """The stage's DRIVE records."""
+    return array_at(h.drives, h.n_axes, DRIVE)
 
 
-@exported("i8", HANDLE, "i8")
-def take(h, token):
-    """1 if the stage was free: no other thread can run it until `give` with this token."""
-    return 1 if claim(h.clockwork, token) else 0
+@hot
+def switches(h):
+    """The stage's SWITCH records."""
+    return array_at(h.switches, h.n_switches, SWITCH)
 
 
-@exported(None, HANDLE, "i8")
-def give(h, token):
-    """Whoever took it with this token has it no more."""
-    release(h.clockwork, token)
+@hot
+def switch_table(h):
+    """The stage's SWITCH_TABLE."""
+    return array_at(h.switch_table, h.n_switches, SWITCH_TABLE)
 
 
-@exported(None, HANDLE)
-def settle(h):
-    """See `engine.settle`."""
-    engine.settle(
-        array_at(h.world, 1, WORLD), array_at(h.axes, h.n_axes, AXIS), array_at(h.drives, h.n_axes, DRIVE),
-        array_at(h.switches, h.n_switches, SWITCH),
-        table(h), array_at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h), array_at(h.clockwork, 1, CLOCKWORK),
-        array_at(h.qpos, h.nq, REAL), array_at(h.qvel, h.nv, REAL), array_at(h.sensordata, h.ns, REAL),
-        array_at(h.edges, 0, records.EDGE),
-    )  # fmt: skip
+@hot
+def qpos(h):
+    """MuJoCo's joint positions."""
+    return array_at(h.qpos, h.nq, REAL)
 
 
-@exported(None, HANDLE, "i8")
-def look_again(h, axis):
-    """See `engine.look_again`."""
-    h.noted = engine.look_again(
-        array_at(h.world, 1, WORLD), array_at(h.axes, h.n_axes, AXIS), array_at(h.switches, h.n_switches, SWITCH), table(h),
-        array_at(h.switch_table, h.n_switches, SWITCH_TABLE), chips(h), array_at(h.clockwork, 1, CLOCKWORK),
-        array_at(h.qpos, h.nq, REAL), array_at(h.qvel, h.nv, REAL),
-        axis, array_at(h.edges, h.edge_room, records.EDGE), h.noted,
-    )  # fmt: skip
+@hot
+def qvel(h):
+    """MuJoCo's joint speeds."""
+    return array_at(h.qvel, h.nv, REAL)
+
+
+@hot
+def has_room_for_edge(h):
+    """Whether another edge can be noted."""
+    return h.noted < h.edge_room
+
+
+@hot
+def note_edge(h, now, c, axis, kind, a, b):
+    """Note what has reached chip `c`, one of whose axes is the stage's `axis`, at `now` ns; the caller has looked for room. Returns
+    the EDGE."""
+    e = array_at(h.edges, h.edge_room, records.EDGE)[h.noted]
+    e.now, e.clock, e.axis, e.kind, e.a, e.b = now, cores.clock(c), axis, kind, a, b
+    h.noted += 1
+    return e
 
 
 def fill(handles: np.ndarray, k: int, state: State) -> None:
@@ -145,7 +134,7 @@ def fill(handles: np.ndarray, k: int, state: State) -> None:
     h["n_sites"], h["n_bodies"] = model.nsite, model.nbody
     h["bus"] = state.bus
     h["samples"] = h["positions"] = h["edges"] = state.saved.ctypes.data  # some address: their rooms are 0
-    h["counts"], h["state"] = state.counts.ctypes.data, state.saved.ctypes.data
+    h["state"] = state.saved.ctypes.data
     h["own"] = handles.ctypes.data + k * handles.itemsize
 
 

@@ -18,7 +18,7 @@ from stage.chips import Chip
 from stage.chips.entries import LOAD, PACKED, SHAFT
 from stage.chips.sharing import Lock
 from stage.errors import ArgumentError, SimulationError, StageError
-from stage.sim import callbacks, handle, records
+from stage.sim import callbacks, engine, records
 from stage.sim.in_use import token
 from stage.sim.state import POWERED, SAVED, START, State
 
@@ -55,7 +55,7 @@ class Loop:
         self.pace: Callable[[int], int] | None = None
         self.each_cycle: Callable[[], None] | None = None
         self.lock: Lock | None = None
-        self._words, self._pointer, self._advance = state.words, state.pointer, handle.advance.c
+        self._words, self._pointer, self._advance = state.words, state.pointer, engine.advance.c
         self._power_up, self._dt, self._bus = power_up, state.dt, state.bus
         self._opt = state.model.opt
         self._built = self._opt.timestep, self._opt.integrator
@@ -92,11 +92,11 @@ class Loop:
         """Within this context no other thread runs the stage. Raises StageError if another thread runs it now."""
         mine = token()
         try:
-            if not handle.take.held(self._pointer, mine):
+            if not engine.take.held(self._pointer, mine):
                 raise StageError(IN_USE)
             yield
         finally:
-            handle.give.held(self._pointer, mine)
+            engine.give.held(self._pointer, mine)
 
     # --- time ---
 
@@ -217,7 +217,7 @@ class Loop:
         """Make a change to MuJoCo's state, and all that follows from it. Raises SimulationError where one of its callbacks raises;
         the state is then as it was. For who has the stage `alone`."""
         model, data = self.state.model, self.state.data
-        if not handle.called_back.held(self._pointer):
+        if not engine.called_back.held(self._pointer):
             change()
             mujoco.mj_forward(model, data)
             return
@@ -239,11 +239,12 @@ class Loop:
             own = np.flatnonzero(chip_of == k)
             if not len(own):
                 continue
-            packed = np.empty(len(own), PACKED)
-            for name in PACKED.names or ():
+            packed = np.zeros(len(own), PACKED)
+            for name in ("clock", "kind", "a", "b"):
                 packed[name] = edges[name][own]
-            seen = np.flatnonzero((packed["kind"] >= SHAFT) | (packed["kind"] <= LOAD))
+            seen = np.flatnonzero((packed["kind"] == SHAFT) | (packed["kind"] == LOAD))
             if len(seen):
+                packed["axis"][seen] = packed["a"][seen]
                 packed["a"][seen] = edges["count"][own[seen]].view(np.int64)
                 packed["b"][seen] = edges["rate"][own[seen]].view(np.int64)
             journal.extend(packed)
@@ -254,7 +255,7 @@ class Loop:
             raise ArgumentError(f"axis={axis!r}: the stage has axes 0 to {len(self.state.axis_table) - 1}.")
         self.look()
         with self.alone():
-            handle.look_again.held(self._pointer, axis)
+            engine.look_again.held(self._pointer, axis)
         if n := int(self.state.handle["noted"]):
             self.note_edges(n)
             self.state.handle["noted"] = 0

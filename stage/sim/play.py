@@ -14,7 +14,8 @@ from stage.chips import cores
 from stage.drives import drive
 from stage.native import array_at, array_of, exported, greatest, hot, least, record
 from stage.sim import records
-from stage.sim.handle import DRIVE, HANDLE, REAL, advance, chips, clockwork, table, world
+from stage.sim.engine import advance
+from stage.sim.handle import DRIVE, HANDLE, REAL, chips, clockwork, table, world
 from stage.sim.program import END, KEEP, LOOK, MEASURE, READ, STOP, WAIT, WRITE
 
 PLAYED, DIVERGED = records.REACHED, records.DIVERGED

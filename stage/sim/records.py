@@ -100,8 +100,8 @@ SAMPLE = record(
 )
 """One axis at one moment. SI units; load angle in electrical radians; voltage at a DC motor; rate in pps, counts a second."""
 EDGE = record([(name, "i8") for name in ("now", "clock", "axis", "kind", "a", "b")] + [("count", "f8"), ("rate", "f8")])
-"""What reached the chip of an axis: time (ns), the chip's clock, and an `Entry` for its journal: kind, a, b; of a SHAFT count and
-rate in their place, of a LOAD angle and share of the supply."""
+"""What reached the chip of an axis: time (ns), the chip's clock, and an `Entry` for its journal: kind, a, b; of a SHAFT the chip's
+axis, count and rate in their place, of a LOAD the axis, angle and share of the supply."""
 
 MAX_TOGGLES = 8
 EDGES_A_WINDOW = len(PINS) * (1 + MAX_TOGGLES) + 2 + 1 + 1 + 1

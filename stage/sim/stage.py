@@ -29,7 +29,7 @@ from stage.chips.sharing import Lock, exclusive
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError, RunTimeout, StageError, unknown
-from stage.sim import callbacks, encoder, handle, integration, plant, records
+from stage.sim import callbacks, encoder, engine, handle, integration, plant, records
 from stage.sim.axis import Axes, Axis, axes_table
 from stage.sim.beside import Beside
 from stage.sim.encoder import EncoderChoice
@@ -141,7 +141,7 @@ class Stage:
         callbacks.forward(self.model, self.data)
         integration.check_dampers(self.model, self._plant, drives)
         integration.check_step(self.model, self.data, self._plant, drives)
-        handle.settle.held(self.state.pointer)
+        engine.settle.held(self.state.pointer)
         self.run_to(0)
         self._initial = self.snapshot()
 
@@ -385,7 +385,7 @@ class Stage:
 
         with self.loop.alone():
             self.loop.moved(put)
-            handle.settle.held(self.state.pointer)
+            engine.settle.held(self.state.pointer)
         for axis in self._axes:
             chip: Any = axis.chip
             if chip.open_journal is not None:

@@ -87,8 +87,6 @@ class State:
     """ns, a bus cycle."""
     saved: np.ndarray
     """float64: MuJoCo's state as it was before the last run of the engine moved it, to go back to."""
-    counts: np.ndarray
-    """int64, 2: how many samples and edges the engine has logged in its last run."""
     edges: np.ndarray
     """EDGE: what reached the chips, where the engine notes it; see `note_in`."""
 
@@ -111,7 +109,6 @@ class State:
         self._set_clockwork(sum(isinstance(drive, Servo) for drive in drives) + sum(map(bool, encoders)))
         self._set_chip_table(chips, wires.leaders, wires.linked)
         self._set_axis_table(plant, chip_axes, drives, chips, encoders, wires)
-        self.counts = np.zeros(2, np.int64)
         self.saved = np.zeros(mujoco.mj_stateSize(model, SAVED))
         rows = np.zeros(1, handle.HANDLE)
         handle.fill(rows, 0, self)

@@ -176,6 +176,7 @@ def test_entries_are_a_sequence_of_32_bytes_each():
     assert not entries
     for row in rows:
         entries.note(*row)
+    rows = [Entry(*row) for row in rows]
     assert list(entries) == rows
     assert (len(entries), entries[0], entries[-1], entries[7].b) == (1000, rows[0], rows[-1], -(1 << 40))
     assert isinstance(entries[5], Entry)

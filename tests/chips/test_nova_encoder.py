@@ -143,8 +143,7 @@ def test_a_journal_a_snapshot_and_a_copy_go_on_with_the_encoders_of_all_axes():
         chip.advance(700)
     others = [copy.copy(chip), pickle.loads(pickle.dumps(chip)), chip.twin()]
     journal.close()
-    kinds = [e.kind for e in journal.entries if e.kind >= SHAFT]
-    assert kinds == [SHAFT, SHAFT + 1, SHAFT]
+    assert [e.axis for e in journal.entries if e.kind == SHAFT] == [0, 1, 0]
     for every_pulse in (False, True):
         edges = np.concatenate(list(journal.pieces(every_pulse, size=80)))
         assert edges["clock"][-1] == chip.clock

@@ -35,7 +35,7 @@ from stage.board.scratch import Scratch
 from stage.board.threaded import Program, is_debugged
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
-from stage.sim import handle
+from stage.sim import engine
 from stage.sim.fingerprint import fingerprint
 
 GRACE = 10.0  # s of real time beyond its patience, in which the child gives its firmware up itself
@@ -129,7 +129,7 @@ class Isolated:
         if os.getpid() != self._owner:
             self._leave_to_owner()
         board.link.check_is_current()
-        if handle.called_back.held(stage.state.pointer):
+        if engine.called_back.held(stage.state.pointer):
             raise StageError(
                 "MuJoCo calls a function in Python back, which the process of the firmware does not have: run the firmware with "
                 "isolated=False."

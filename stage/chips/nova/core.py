@@ -7,8 +7,7 @@ trace.py for a trace of them.
 
 from __future__ import annotations
 
-from stage.chips import links
-from stage.chips.cores import LINK, through
+from stage.chips.cores import through
 from stage.chips.nova.bus import mcx300 as bus304
 from stage.chips.nova.bus import mcx514 as bus514
 from stage.chips.nova.bus.parameters import lowest
@@ -137,13 +136,7 @@ def counter(c, j):
 
 @exported(None, STATE, "i8", "f8", "f8")
 def set_shaft(c, j, count, rate):
-    """From now on axis `j` has an encoder, which is at `count + rate * (clock - now)`: edges of ECA and ECB, edges a clock.
-    Where j is LINK: what the wires to other chips bring."""
-    if j == LINK:
-        if c.stale:
-            _settle(c)
-        multichip.hear(c, links.word_of(count, rate), _settle)
-        return
+    """From now on axis `j` has an encoder, which is at `count + rate * (clock - now)`: edges of ECA and ECB, edges a clock."""
     encoder.set_shaft(c, j, count, rate)
     if comparators.looks_at_rp(c, c.ax[j]):
         _settle(c)
@@ -151,10 +144,7 @@ def set_shaft(c, j, count, rate):
 
 @exported("i8", STATE, "i8")
 def inputs(c, j):
-    """Input pins of axis `j`, see INPUTS; of the whole chip, see COMMON_INPUTS, where j is one more than its last; what was
-    heard last on the wires to other chips where it is LINK."""
-    if j == LINK:
-        return c.heard
+    """Input pins of axis `j`, see INPUTS; of the whole chip, see COMMON_INPUTS, where j is one more than its last."""
     return c.emg if j == c.axes else c.ax[j].inputs
 
 
@@ -183,6 +173,20 @@ def says(c):
 def silent(c):
     """The clock up to which that does not change."""
     return multichip.silent(c)
+
+
+@exported("i8", STATE)
+def heard(c):
+    """What the chip has heard last on those wires."""
+    return c.heard
+
+
+@exported(None, STATE, "i8")
+def hear_wires(c, word):
+    """What the wires to other chips bring."""
+    if c.stale:
+        _settle(c)
+    multichip.hear(c, word, _settle)
 
 
 @exported("i8", STATE, "i8")
@@ -440,8 +444,8 @@ def scan_shaft(c, until, every_pulse, axis, out, clocks, axes, counts, rates, do
     while k < len(out) - 2 * ROOM:
         n = done[0]
         while n < len(clocks) and clocks[n] <= c.clock and k < len(out) - 2 * ROOM:
-            if axes[n] == LINK:
-                k = _hear(c, every_pulse, axis, out, k, counts[n], rates[n])
+            if axes[n] < 0:
+                k = _hear(c, every_pulse, axis, out, k, -axes[n])
             else:
                 set_shaft(c, axes[n], counts[n], rates[n])
             n += 1
@@ -455,12 +459,12 @@ def scan_shaft(c, until, every_pulse, axis, out, clocks, axes, counts, rates, do
 
 
 @hot
-def _hear(c, every_pulse, axis, out, k, low, high):
+def _hear(c, every_pulse, axis, out, k, word):
     """What the wires bring, which can make a pulse: the edges that come of it."""
     x = c.ax[axis]
     before, net_before = _watched_outputs(c, axis, every_pulse, pulse_end(x)), x.net
     rate = pulse_rate(c, axis, 1.0)
-    set_shaft(c, LINK, low, high)
+    hear_wires(c, word)
     now = pulse_rate(c, axis, 1.0)
     word = _watched_outputs(c, axis, every_pulse, pulse_end(x))
     if word != before or now != rate or (every_pulse and x.net != net_before):
