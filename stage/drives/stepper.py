@@ -46,7 +46,7 @@ DRIVE = record(
 `current` the amplifier's current limit, 0 for none.
 `teeth`: rotor teeth Nr; `per_pulse`: electrical radians a pulse; `open`: the phases that are
 open, A + B; whoever sets a parameter sets `slice` to 0."""
-SIN, COS, WAYS = range(3)
+SIN, COS, WAVES = range(3)
 """What `mean_torque` keeps of each slice: sine and cosine of an angle."""
 
 
@@ -119,8 +119,8 @@ def _slice(d, a, b, ta, tb, s, c, omega):
 
 
 @hot
-def _place_targets(d, ways, counts, n, turn, omega):
-    """Write into `ways`, of the end of each slice, sine and cosine of the angle from the rotor to the target of the currents, less
+def _place_targets(d, waves, counts, n, turn, omega):
+    """Write into `waves`, of the end of each slice, sine and cosine of the angle from the rotor to the target of the currents, less
     that of the slice that ends in the middle of the window; in that one's place those of `turn`.
 
     Returns whether these angles are small, and whether the bus voltage takes the currents from target to target.
@@ -131,19 +131,19 @@ def _place_targets(d, ways, counts, n, turn, omega):
     for k in range(n):
         angle = per_pulse * (counts[k] - middle) - turn * ENDS[k]
         outside |= abs(angle) > SMALL
-        ways[SIN, k], ways[COS, k] = sincos_of_small(angle)
+        waves[SIN, k], waves[COS, k] = sincos_of_small(angle)
     for k in range(1, n):
         outside |= d.current * per_pulse * abs(counts[k] - counts[k - 1]) > allowed
     return not outside
 
 
 @hot
-def _follow_targets(d, ways, s, c, psi_s, psi_c, s4, c4, omega):
+def _follow_targets(d, waves, s, c, psi_s, psi_c, s4, c4, omega):
     """Advance the currents of a chopper that reaches its target in every slice; no slice then waits for the one before.
 
     Args:
         d, omega: As `mean_torque` takes them.
-        ways: As `_place_targets` leaves them.
+        waves: As `_place_targets` leaves them.
         s, c: Sine and cosine of the rotor's phase in the middle of the window.
         psi_s, psi_c: Those of the target at the end of the slice that ends there.
         s4, c4: Those of the angle by which the rotor turns in half of the window.
@@ -152,7 +152,7 @@ def _follow_targets(d, ways, s, c, psi_s, psi_c, s4, c4, omega):
         Sum over the slices of the current across the rotor, which makes torque, A; sum of that along the rotor, times the distance
         from the middle in slices, A; whether the first target is reached. Otherwise nothing has changed.
     """
-    x, y, current = ways[SIN], ways[COS], d.current
+    x, y, current = waves[SIN], waves[COS], d.current
     target_s, target_c = current * x[0], current * y[0]
     psi_s, psi_c = turned(psi_s, psi_c, -s, c)
     # the currents at the beginning, as the rotor sees them then and at the end of the first slice
@@ -177,21 +177,21 @@ def _follow_targets(d, ways, s, c, psi_s, psi_c, s4, c4, omega):
 
 
 @hot
-def _follow_slices(d, ways, counts, n, s, c, turn_s, turn_c, omega, half):
+def _follow_slices(d, waves, counts, n, s, c, turn_s, turn_c, omega, half):
     """Advance the currents slice by slice, whatever the drive and however far its voltage goes; see `_follow_targets`.
 
     s, c: sine and cosine of the rotor's phase at the window's begin; turn_s, turn_c: of what it turns in each slice; half:
     electrical radians that it turns in half a slice. An open phase carries no current, whatever the drive wants.
     """
     for k in range(n):
-        ways[SIN, k], ways[COS, k] = sincos(d.offset + d.per_pulse * counts[k])
+        waves[SIN, k], waves[COS, k] = sincos(d.offset + d.per_pulse * counts[k])
     a, b, opened = d.current_a, d.current_b, d.open
     hs, hc = sincos(half)
     along = a * c + b * s
     total, tilt = 0.5 * (b * c - a * s), -0.5 * (SLICES // 2) * along
     for k in range(n):
         middle_s, middle_c = turned(s, c, hs, hc)
-        a, b, _, _ = _slice(d, a, b, ways[COS, k], ways[SIN, k], middle_s, middle_c, omega)
+        a, b, _, _ = _slice(d, a, b, waves[COS, k], waves[SIN, k], middle_s, middle_c, omega)
         if opened & A:
             a = 0.0
         if opened & B:
@@ -224,24 +224,24 @@ def mean_torque(d, counts, n, theta, omega, h, gain=0.0):
     """
     if d.slice != h:
         _prepare(d, h)
-    ways = room(WAYS, SLICES)
+    waves = room(WAVES, SLICES)
     s, c = sincos(theta * d.teeth)
     psi_s, psi_c = sincos(d.offset + d.per_pulse * counts[MIDDLE])
     turn = omega * h * d.teeth
-    held = d.mode == CHOPPER and d.open == 0 and _place_targets(d, ways, counts, n, turn, omega)
-    if held:
-        s1, c1 = ways[SIN, MIDDLE], ways[COS, MIDDLE]
+    on_target = d.mode == CHOPPER and d.open == 0 and _place_targets(d, waves, counts, n, turn, omega)
+    if on_target:
+        s1, c1 = waves[SIN, MIDDLE], waves[COS, MIDDLE]
     else:
         s1, c1 = sincos(turn)
     s2, c2 = turned(s1, c1, s1, c1)
     s4, c4 = turned(s2, c2, s2, c2)
     s8, c8 = turned(s4, c4, s4, c4)
     total = tilt = 0.0
-    if held:
-        total, tilt, held = _follow_targets(d, ways, s, c, psi_s, psi_c, s4, c4, omega)
-    if not held:
+    if on_target:
+        total, tilt, on_target = _follow_targets(d, waves, s, c, psi_s, psi_c, s4, c4, omega)
+    if not on_target:
         begin_s, begin_c = turned(s, c, -s4, c4)
-        total, tilt = _follow_slices(d, ways, counts, n, begin_s, begin_c, s1, c1, omega, 0.5 * turn)
+        total, tilt = _follow_slices(d, waves, counts, n, begin_s, begin_c, s1, c1, omega, 0.5 * turn)
     # of SLICES angles in equal steps the mean sine is that of the middle times c2 c4 c8
     detent = d.detent * 4.0 * s * c * (c * c - s * s)
     constant = d.torque_constant / SLICES
