@@ -99,6 +99,12 @@ def _pull_out_voltage(d, omega):
 
 
 @hot
+def _is_sine_held(d, omega):
+    """Tell whether the bus voltage of a sine drive keeps the currents at their targets at this speed."""
+    return d.mode == SINE and _pull_out_voltage(d, omega) >= d.torque_constant * d.current
+
+
+@hot
 def _slice(d, a, b, ta, tb, s, c, omega):
     """The currents at the end of a slice that they begin as a, b, and their means.
 
@@ -110,11 +116,11 @@ def _slice(d, a, b, ta, tb, s, c, omega):
     if d.mode == CHOPPER:  # on target if a voltage within the bus takes it there, else as far as it gets
         ia = least(greatest(ia, a * d.keep + (push * s - d.reach)), a * d.keep + (push * s + d.reach))
         ib = least(greatest(ib, b * d.keep - (push * c + d.reach)), b * d.keep - (push * c - d.reach))
-    elif _pull_out_voltage(d, omega) < d.torque_constant * d.current:
+    elif _is_sine_held(d, omega):
+        a, b = ia, ib
+    else:
         ia = a * d.keep + (push * s + d.reach * ta)
         ib = b * d.keep - (push * c - d.reach * tb)
-    else:
-        a, b = ia, ib
     return ia, ib, 0.5 * (a + ia), 0.5 * (b + ib)
 
 
@@ -187,8 +193,10 @@ def _follow_slices(d, waves, counts, n, s, c, turn_s, turn_c, omega, half):
         waves[SIN, k], waves[COS, k] = sincos(d.offset + d.per_pulse * counts[k])
     a, b, opened = d.current_a, d.current_b, d.open
     hs, hc = sincos(half)
-    along = a * c + b * s
-    total, tilt = 0.5 * (b * c - a * s), -0.5 * (SLICES // 2) * along
+    held = _is_sine_held(d, omega)
+    total = tilt = 0.0
+    if not held:
+        total, tilt = 0.5 * (b * c - a * s), -0.5 * (SLICES // 2) * (a * c + b * s)
     for k in range(n):
         middle_s, middle_c = turned(s, c, hs, hc)
         a, b, _, _ = _slice(d, a, b, waves[COS, k], waves[SIN, k], middle_s, middle_c, omega)
@@ -197,6 +205,10 @@ def _follow_slices(d, waves, counts, n, s, c, turn_s, turn_c, omega, half):
         if opened & B:
             b = 0.0
         s, c = turned(s, c, turn_s, turn_c)
+        if held:  # the currents are those of the middle of the slice, where the mean count belongs
+            total += b * middle_c - a * middle_s
+            tilt += (k + 0.5 - SLICES // 2) * (a * middle_c + b * middle_s)
+            continue
         weight = 0.5 if k == n - 1 else 1.0
         total += weight * (b * c - a * s)
         tilt += weight * (k + 1 - SLICES // 2) * (a * c + b * s)
