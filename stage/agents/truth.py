@@ -9,7 +9,7 @@ from stage.agents.bus import axis_field
 from stage.agents.fields import FLAG, LENGTH, NUMBER, TEXT, WHOLE, Field
 from stage.agents.tool import Tool
 from stage.errors import ArgumentError, StageError
-from stage.panel.fault_controls import SAME, UNITS, functions
+from stage.panel.fault_controls import IMPLICIT_PARAMETERS, UNITS, fault_functions
 from stage.sim import faults
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def tools(box: Toolbox) -> list[Tool]:
         ),
         Tool("mend", "Mend a fault, the last one, or all of them.", made.mend, (Field("all", FLAG, "all of them"),)),
     ]  # fmt: skip
-    return fields + [made.breaking(name, function) for name, function in functions().items()]
+    return fields + [made.breaking(name, function) for name, function in fault_functions().items()]
 
 
 class Truth:
@@ -80,7 +80,7 @@ class Truth:
         """The tool that makes a fault, its arguments those of the function."""
         first, *rest = inspect.signature(function).parameters.values()
         whole = first.annotation == "Stage"
-        fields = tuple(self._field(p) for p in rest if p.name not in SAME)
+        fields = tuple(self._field(p) for p in rest if p.name not in IMPLICIT_PARAMETERS)
         text = (inspect.getdoc(function) or name).split("\n\n")[0].replace("\n", " ").replace("`", "")
 
         def act(axis: str = "", **given: Any) -> dict[str, Any]:

@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
         )
         panel = Panel(session, args.port, args.host, made)
         if shared is not None:
-            saved_panel.put(panel, shared)
+            saved_panel.restore(panel, shared)
         session.paused = args.paused
         print(f"{panel.address}\nCtrl-C ends it", flush=True)
         if not args.no_browser and not panel.show():

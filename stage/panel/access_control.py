@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 COOKIE = "pulsestage"
-HERE_ONLY = "; ".join(
+CONTENT_POLICY = "; ".join(
     (
         "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:",
         "connect-src 'self' ws: data: blob:",
@@ -48,7 +48,8 @@ SERVER_LOGGER = "uvicorn.error"
 
 
 class OnlyFirst(logging.Filter):
-    """Lets the first record of a process through, as one line: whoever can send messages can send any number that are malformed."""
+    """Filter that lets the first record of a process through, as one line: whoever can send messages can send many that are
+    malformed."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -98,8 +99,13 @@ def report_task_error(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) 
 
 
 class RequestGuard:
-    """Lets through what is asked by our own pages. names: host names of the server, with their ports; token: what strangers must
-    bring, or "" where nobody else can come."""
+    """ASGI middleware that lets through what the server's own pages ask for.
+
+    Args:
+        app: The application behind it.
+        names: Host names of the server, with their ports; empty: any.
+        token: What a browser from another machine must bring; "": nobody else can come.
+    """
 
     def __init__(self, app: Any, names: frozenset[str], token: str = ""):
         self._app, self._names, self._token = app, names, token
@@ -119,7 +125,7 @@ class RequestGuard:
 
         async def with_policy(message: dict) -> None:
             if message["type"] == "http.response.start":
-                added = [(b"content-security-policy", HERE_ONLY.encode()), (b"referrer-policy", b"no-referrer")]
+                added = [(b"content-security-policy", CONTENT_POLICY.encode()), (b"referrer-policy", b"no-referrer")]
                 if self._token:
                     cookie = f"{COOKIE}={self._token}; HttpOnly; SameSite=Strict; Path=/"
                     added.append((b"set-cookie", cookie.encode()))
@@ -160,7 +166,8 @@ async def _refuse(scope: dict, send: Any, reason: str) -> None:
 
 
 class Controls:
-    """The first who comes has them; whoever takes them has them; when he is gone, they are free and go to the next in line."""
+    """Register of who looks at a panel, and of who has the controls: the first to come, whoever takes them, and then the next in
+    line."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -170,22 +177,22 @@ class Controls:
 
     @property
     def watching(self) -> int:
-        """How many look."""
+        """Number of browsers that look."""
         return len(self._here)
 
     def come(self, who: str) -> None:
-        """Somebody looks from now on."""
+        """Add a browser that looks from now on."""
         with self._lock:
             if who not in self._here:
                 self._here.append(who)
             self.holder = self.holder or who
 
     def when_lost(self, who: str, let_go: Callable[[], None]) -> None:
-        """Have `let_go` called when he has the controls no more: what he holds he could not release then."""
+        """Have `let_go` called when this browser loses the controls: what it holds it could not release then."""
         self._letting_go.setdefault(who, []).append(let_go)
 
     def go(self, who: str) -> None:
-        """He is gone."""
+        """Remove a browser that does not look any more; it may come back."""
         with self._lock:
             if who in self._here:
                 self._here.remove(who)
@@ -195,12 +202,12 @@ class Controls:
         self._let_go(lost, who)
 
     def forget(self, who: str) -> None:
-        """He will not come back."""
+        """Remove a browser that will not come back."""
         self.go(who)
         self._letting_go.pop(who, None)
 
     def take(self, who: str) -> None:
-        """He has the controls now. Who has not come cannot take them."""
+        """Give the controls to this browser. One that has not come cannot take them."""
         with self._lock:
             before = self.holder
             if who in self._here:
@@ -213,52 +220,55 @@ class Controls:
 
 
 class EventGate:
-    """Of one browser. From now on no event of a guarded element, or of what stands in one, is heard from it unless it may."""
+    """Gate for the events of one browser: from now on none of a guarded element, or of what stands in one, is heard unless allowed.
+
+    A page that shows its parts as dead is a courtesy; this is the rule.
+    """
 
     def __init__(self, panel: Panel, client: Client):
         self._panel, self._client = panel, client
         self._machine: list[ui.element] = []
         self._driving: list[ui.element] = []
-        self._shown: tuple[bool, bool] | None = None
-        self._hear = client.handle_event
-        client.handle_event = self._hear_if_allowed  # type: ignore[method-assign]
+        self._state: tuple[bool, bool] | None = None
+        self._handle = client.handle_event
+        client.handle_event = self._handle_if_allowed  # type: ignore[method-assign]
 
-    def machine(self, element: ui.element) -> None:
-        """This is for who has the controls, also beside a program."""
+    def guard_machine(self, element: ui.element) -> None:
+        """Let only the browser with the controls use this element, also beside a program."""
         self._machine.append(element)
 
-    def driving(self, element: ui.element) -> None:
-        """This drives the stage, or changes its time."""
+    def guard_driving(self, element: ui.element) -> None:
+        """Let only a browser that may drive use this element: it moves the stage, or changes its time."""
         self._driving.append(element)
 
     @property
-    def mine(self) -> bool:
-        """This browser has the controls."""
+    def has_controls(self) -> bool:
+        """Whether this browser has the controls."""
         return self._panel.controls.holder == self._client.id
 
     @property
-    def drives(self) -> bool:
-        """It may drive now."""
+    def may_drive(self) -> bool:
+        """Whether this browser may drive now."""
         session = self._panel.session
-        return self.mine and (session.taken_over or not session.program)
+        return self.has_controls and (session.taken_over or not session.program)
 
     def refresh(self) -> None:
-        """Parts that it may not use look so."""
-        now = self.mine, self.drives
-        if now == self._shown:
+        """Make the parts that this browser may not use look so."""
+        now = self.has_controls, self.may_drive
+        if now == self._state:
             return
-        self._shown = now
+        self._state = now
         for elements, may in ((self._machine, now[0]), (self._driving, now[1])):
             for element in elements:
                 element.props(**({"remove": "inert"} if may else {"add": "inert"}))
 
-    def _hear_if_allowed(self, msg: dict) -> None:
+    def _handle_if_allowed(self, msg: dict) -> None:
         element = self._client.elements.get(msg.get("id", -1))
         if element is None:
             return
         above = list(element.ancestors(include_self=True))
-        if any(e in self._driving for e in above) and not self.drives:
+        if any(e in self._driving for e in above) and not self.may_drive:
             return
-        if any(e in self._machine for e in above) and not self.mine:
+        if any(e in self._machine for e in above) and not self.has_controls:
             return
-        self._hear(msg)
+        self._handle(msg)

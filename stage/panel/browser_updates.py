@@ -17,13 +17,13 @@ from typing import Any
 
 from nicegui import ui
 
-FRAMES = 25  # a second, at most
-READ = 0.1  # s between texts: nobody reads faster
-PATIENCE = 10.0  # s: a browser that has not answered by then is sent everything again
+FRAMES = 25  # a second, at max_lines
+TEXT_INTERVAL_S = 0.1  # s between texts: nobody reads faster
+ANSWER_TIMEOUT_S = 10.0  # s: a browser that has not answered by then is sent everything again
 
 
 class BrowserUpdates(ui.element, component="live.js"):
-    """Of one browser. What it shows is looked at in the server's thread; an element that is shown here has no text of its own."""
+    """Updates of one browser, read in the server's thread. An element that is shown here has no text of its own."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -35,40 +35,42 @@ class BrowserUpdates(ui.element, component="live.js"):
         self._read = 0.0
         ui.timer(1 / FRAMES, self._frame)
 
-    def text(self, element: ui.element, look: Callable[[], str]) -> ui.element:
-        """This element's text is what `look()` says."""
-        self._texts[element.id] = element, look
+    def show_text(self, element: ui.element, read: Callable[[], str]) -> ui.element:
+        """Keep the text of an element at what `read()` returns."""
+        self._texts[element.id] = element, read
         return element
 
-    def lamp(self, element: ui.element, look: Callable[[], bool]) -> ui.element:
-        """This element is on, of the class `on`, while `look()` is true."""
-        self._lamps[element.id] = element, look
+    def show_lamp(self, element: ui.element, read: Callable[[], bool]) -> ui.element:
+        """Give an element the class `on` while `read()` is true."""
+        self._lamps[element.id] = element, read
         return element
 
-    def call(self, element: ui.element, method: str, look: Callable[[], list | None], every: float = 0.0) -> None:
-        """Call a method of an element in the browser with what `look()` gives, every so many seconds at most; None: not now."""
-        self._calls.append((element, method, look, every))
+    def call_method(
+        self, element: ui.element, method: str, read: Callable[[], list | None], every: float = 0.0
+    ) -> None:
+        """Call a method of an element in the browser with what `read()` returns, every so many seconds at most; None: not now."""
+        self._calls.append((element, method, read, every))
 
     async def _frame(self) -> None:
-        texts, lamps, calls = [], self._new(self._lamps), self._due()
-        if perf_counter() - self._read >= READ:
+        texts, lamps, calls = [], self._collect_changes(self._lamps), self._due()
+        if perf_counter() - self._read >= TEXT_INTERVAL_S:
             self._read = perf_counter()
-            texts = self._new(self._texts)
+            texts = self._collect_changes(self._texts)
         if not (texts or lamps or calls):
             return
         try:
-            await self.run_method("show", texts, lamps, calls, timeout=PATIENCE)
+            await self.run_method("show", texts, lamps, calls, timeout=ANSWER_TIMEOUT_S)
         except TimeoutError:
             self._shown.clear()
 
-    def _new(self, all_of: dict[int, Any]) -> list[tuple[int, str | bool]]:
-        """What has changed since it was sent. Elements that are gone are forgotten."""
+    def _collect_changes(self, all_of: dict[int, Any]) -> list[tuple[int, str | bool]]:
+        """Return what has changed since it was sent, and forget elements that are gone."""
         changed: list[tuple[int, str | bool]] = []
-        for key, (element, look) in tuple(all_of.items()):
+        for key, (element, read) in tuple(all_of.items()):
             if element.is_deleted:
                 del all_of[key]
                 continue
-            now = look()
+            now = read()
             if self._shown.get(key) != now:
                 self._shown[key] = now
                 changed.append((key, now))
@@ -76,38 +78,47 @@ class BrowserUpdates(ui.element, component="live.js"):
 
     def _due(self) -> list[tuple[int, str, list]]:
         calls, now = [], perf_counter()
-        for k, (element, method, look, every) in enumerate(self._calls):
+        for k, (element, method, read, every) in enumerate(self._calls):
             if now - self._called.get(k, 0.0) < every:
                 continue
-            given = look()
-            if given is not None:
+            values = read()
+            if values is not None:
                 self._called[k] = now
-                calls.append((element.id, method, given))
+                calls.append((element.id, method, values))
         return calls
 
 
 class TextLog(ui.element, component="lines.js"):
-    """The last `most` lines. Scrolled to the end, it stays there."""
+    """Last `max_lines` lines of a list that grows at its end. Scrolled to the end, it stays there.
 
-    def __init__(self, live: BrowserUpdates, most: int):
+    The lines are no elements of NiceGUI, which would compare all of them whenever something else on the page changes.
+    """
+
+    def __init__(self, updates: BrowserUpdates, max_lines: int):
         super().__init__()
-        self._props["most"] = most
+        self._props["most"] = max_lines
         self._new: list[tuple[str, str, int]] = []
-        self._most = most
-        live.call(self, "push", self._take)
+        self._max_lines = max_lines
+        updates.call_method(self, "push", self._take_new)
 
-    def push(self, text: str, kind: str = "", key: int = 0) -> None:
-        """One more, of a class `kind`. key: not 0, it takes the place of the last line that had the same."""
+    def append(self, text: str, kind: str = "", key: int = 0) -> None:
+        """Add a line.
+
+        Args:
+            text: The line.
+            kind: CSS class.
+            key: Where it is not 0, the line takes the place of the last one if that had the same key.
+        """
         if key and self._new and self._new[-1][2] == key:
             self._new.pop()
         self._new.append((text, kind, key))
-        del self._new[: -self._most]
+        del self._new[: -self._max_lines]
 
     def empty(self) -> None:
-        """No lines any more."""
+        """Remove all lines."""
         self._new.clear()
         self.run_method("clear")
 
-    def _take(self) -> list | None:
+    def _take_new(self) -> list | None:
         new, self._new = self._new, []
         return [new] if new else None

@@ -11,8 +11,8 @@ from nicegui.events import GenericEventArguments
 from stage.errors import ArgumentError, StageError
 from stage.panel.browser_updates import BrowserUpdates, TextLog
 from stage.panel.chip_panel import axis_names, send
-from stage.panel.register_text import complete, parse_line
-from stage.panel.stage_observer import LINES, seen
+from stage.panel.register_text import complete_name, parse_line
+from stage.panel.stage_observer import LINES, view_axis_of
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
@@ -27,16 +27,16 @@ KEYS = """(e) => {
 """Tab completes a name; after a space, or in an empty line, it goes on to the next control as everywhere."""
 
 
-def build_console(panel: Panel, live: BrowserUpdates) -> None:
-    """The console of all chips."""
+def build_console(panel: Panel, updates: BrowserUpdates) -> None:
+    """Build the console of all chips."""
     with ui.card().classes("w-full q-pa-sm"):
-        Console(panel, live)
+        Console(panel, updates)
 
 
 class Console:
-    """One browser's console: its target, its lines before, and what it has shown of the trace."""
+    """Console of one browser: its target, its earlier lines, and what it has shown of the trace."""
 
-    def __init__(self, panel: Panel, live: BrowserUpdates):
+    def __init__(self, panel: Panel, updates: BrowserUpdates):
         self._panel, self._target = panel, (0, 0)
         self._past: list[str] = []
         self._at, self._shown = 0, 0
@@ -57,13 +57,13 @@ class Console:
             self._line.props("dense hide-bottom-space autocomplete=off spellcheck=false aria-label='bus console'")
             self._line.props('data-test="console"').on("keydown", self._key, js_handler=KEYS)
         self._log = (
-            TextLog(live, LINES).classes("trace w-full").props('data-test="trace" aria-label="the bus, in words"')
+            TextLog(updates, LINES).classes("trace w-full").props('data-test="trace" aria-label="the bus, in words"')
         )
         with (
             ui.expansion("diagnostics").props("dense").classes("w-full").props('data-test="diagnostics"') as self._noted
         ):
-            self._bad = TextLog(live, LINES).classes("trace w-full").style("height: 130px")
-            self._bad.props('data-test="diagnosed" aria-label="diagnostics"')
+            self._diagnostics_log = TextLog(updates, LINES).classes("trace w-full").style("height: 130px")
+            self._diagnostics_log.props('data-test="diagnosed" aria-label="diagnostics"')
         ui.timer(0.1, self._look)
 
     def _choose(self, index: int) -> None:
@@ -85,7 +85,7 @@ class Console:
             self._line.value = self._past[self._at] if self._at < len(self._past) else ""
 
     def _complete(self, text: str) -> None:
-        found = complete(type(self._panel.session.stage.chips[self._target[0]]), text)
+        found = complete_name(type(self._panel.session.stage.chips[self._target[0]]), text)
         head, _, last = text.rpartition(" ")
         common = found[0] if found else last
         for name in found:
@@ -93,23 +93,23 @@ class Console:
                 common = common[:-1]
         self._line.value = f"{head} {common}".lstrip() + (" " if len(found) == 1 else "")
         if len(found) > 1 and len(common) <= len(last):
-            self._log.push("  ".join(found[:40]), "own")
+            self._log.append("  ".join(found[:40]), "own")
 
     async def _enter(self, text: str) -> None:
         k, axis = self._target
         session = self._panel.session
         kind = type(session.stage.chips[k])
         try:
-            values = await asyncio.wrap_future(session.post(lambda stage: seen(stage.chips[k], axis).values))
+            values = await asyncio.wrap_future(session.post(lambda stage: view_axis_of(stage.chips[k], axis).values))
             order = parse_line(kind, text, axis, values)
-            self._log.push(f"> {text}", "own")
+            self._log.append(f"> {text}", "own")
             self._line.value, self._line.error = "", None
             self._past = [*self._past[-199:], text] if self._past[-1:] != [text] else self._past
             self._at = len(self._past)
             if order.cycles:
                 await send(self._panel, k, order.cycles)
             if order.answer:
-                self._log.push(order.answer, "own")
+                self._log.append(order.answer, "own")
         except (ArgumentError, StageError) as error:
             self._line.error = str(error)
             self._line.run_method("select")
@@ -120,12 +120,12 @@ class Console:
         trace = self._panel.observer.traces[k]
         for line in trace.since(self._shown):
             self._shown = line.number
-            self._log.push(line.text(trace.digits), "bad" if line.way in ("!", "lost") else "", line.first)
+            self._log.append(line.text(trace.digits), "bad" if line.way in ("!", "lost") else "", line.first)
         new = 0
         for j, one in enumerate(self._panel.observer.traces):
             for line in [d for d in tuple(one.said) if d.number > self._said[j]]:
                 self._said[j], new = line.number, new + 1
-                self._bad.push(f"{'/'.join(self._names[j].values())} {line.text(one.digits)}", "bad")
+                self._diagnostics_log.append(f"{'/'.join(self._names[j].values())} {line.text(one.digits)}", "bad")
         if new:
             total = sum(len(one.said) for one in self._panel.observer.traces)
             self._noted.text = f"diagnostics ({total})"

@@ -17,17 +17,17 @@ from stage.panel.register_text import (
     BusCycle,
     CommandButton,
     FrontPanel,
-    choices,
-    evidence,
-    fixed,
-    lit,
-    meant,
-    number,
-    shown,
-    span,
-    with_field,
-    worst,
-    writes,
+    describe_evidence,
+    describe_lamp,
+    describe_range,
+    describe_value,
+    find_weakest_evidence,
+    format_value,
+    is_fixed,
+    list_choices,
+    list_write_cycles,
+    parse_number,
+    replace_field,
 )
 from stage.sim.stage import Stage
 
@@ -40,12 +40,15 @@ Write = Callable[[Place, int], Awaitable[None]]
 
 
 class RegisterRow:
-    """A register, or a word that a host writes. Enter writes what was typed, Esc takes it back; a value that changes flashes. A
-    word of which nobody can see what it holds is put together here, and sent by a button."""
+    """Row of a register, or of a word that a host writes, with its fields.
+
+    Enter writes what was typed, Esc takes it back; a value that changes flashes. A word that cannot be read back is composed of its
+    fields here, and sent by a button.
+    """
 
     def __init__(self, place: Place, write: Write, mark: str):
         self.place, self._write, self._mark = place, write, mark
-        self._held: int | None = None
+        self._value_now: int | None = None
         self._flash, self._editing = "", False
         self._fields: list[tuple[Field, Any]] = []
         self._area: ui.element | None = None
@@ -55,7 +58,9 @@ class RegisterRow:
             name = ui.button(place.name, on_click=self._toggle) if place.fields else ui.label(place.name)
         if place.fields:
             name.props("flat dense no-caps size=sm icon-right=expand_more").props(f'data-test="fields-{mark}"')
-        name.props["title"] = f"{span(place)} {place.unit}" if isinstance(place, Register) else f"{place.bits} bits"
+        name.props["title"] = (
+            f"{describe_range(place)} {place.unit}" if isinstance(place, Register) else f"{place.bits} bits"
+        )
         if can_write:
             self._value: Any = ui.input().props(
                 "dense hide-bottom-space no-error-icon autocomplete=off spellcheck=false"
@@ -71,8 +76,8 @@ class RegisterRow:
         else:
             send = ui.button("send", on_click=lambda: self._enter(self._value.value or ""))
             send.props(f'flat dense no-caps size=sm data-test="send-{mark}"')
-        letter = place.evidence if isinstance(place, Register) else worst(place.fields)
-        ui.label(letter).classes("evidence").props["title"] = evidence(letter)
+        letter = place.evidence if isinstance(place, Register) else find_weakest_evidence(place.fields)
+        ui.label(letter).classes("evidence").props["title"] = describe_evidence(letter)
         with ui.element("div").classes("meaning"):
             ui.label(place.title if register or not place.note else place.text)
             self._says = ui.element("small").classes("words" if place.fields else "")
@@ -80,15 +85,15 @@ class RegisterRow:
                 self._words = ui.label()
 
     def forget(self) -> None:
-        """Another axis is shown: nothing flashes for that."""
-        self._held, self._editing = None, False
+        """Forget the value, so that nothing flashes: another axis is shown."""
+        self._value_now, self._editing = None, False
 
-    def look(self, values: Mapping[str, int]) -> None:
-        """Show what is held now."""
+    def update(self, values: Mapping[str, int]) -> None:
+        """Show the value that the chip holds now."""
         value = values.get(self.place.name)
-        if value is None or value == self._held:
+        if value is None or value == self._value_now:
             return
-        before, self._held = self._held, value
+        before, self._value_now = self._value_now, value
         if not self._editing:
             self._show()
         if before is not None:
@@ -98,12 +103,12 @@ class RegisterRow:
             _set_field(field, widget, field.of(value))
 
     def _show(self) -> None:
-        text = shown(self.place, self._held) if self._held is not None else ""
+        text = format_value(self.place, self._value_now) if self._value_now is not None else ""
         if isinstance(self._value, ui.input):
             self._value.value, self._value.error = text, None
         else:
             self._value.text = text
-        self._words.text = meant(self.place, self._held) if self._held is not None else ""
+        self._words.text = describe_value(self.place, self._value_now) if self._value_now is not None else ""
 
     async def _key(self, event: GenericEventArguments) -> None:
         key = event.args.get("key")
@@ -120,19 +125,19 @@ class RegisterRow:
 
     async def _enter(self, text: str) -> None:
         try:
-            value = number(text, self.place.bits)
+            value = parse_number(text, self.place.bits)
         except ArgumentError as error:
             self._value.error = str(error)
             return
         self._editing, self._value.error = False, None
         await self._put(value)
-        if self._held is not None:
+        if self._value_now is not None:
             self._show()
 
     async def _put(self, value: int) -> None:
         await self._write(self.place, value)
-        if self._held is None:  # what was sent stays, to be sent again
-            self._value.value, self._words.text = shown(self.place, value), meant(self.place, value)
+        if self._value_now is None:  # what was sent stays, to be sent again
+            self._value.value, self._words.text = format_value(self.place, value), describe_value(self.place, value)
 
     def _toggle(self) -> None:
         if self._area is not None:
@@ -144,18 +149,18 @@ class RegisterRow:
             here = parent.default_slot.children
             with self._area:
                 for field in self.place.fields:
-                    if not fixed(field):
+                    if not is_fixed(field):
                         self._fields.append((field, self._field(field)))
             own = next(k for k, child in enumerate(here) if child is self._says.parent_slot.parent)  # type: ignore[union-attr]
             self._area.move(parent, own + 1)
 
     def _field(self, field: Field) -> Any:
-        now = field.of(self._held or 0)
+        now = field.of(self._value_now or 0)
         title = f"b{field.bits} {field.name}: {field.text} [{field.evidence}]"
         if "W" not in field.access:
             made: Any = ui.label().classes("lamp")
             _set_field(field, made, now)
-        elif options := choices(field):
+        elif options := list_choices(field):
             made = ui.select(_with(options, now), value=now, label=field.meaning or field.name).props(
                 "dense options-dense"
             )
@@ -171,7 +176,7 @@ class RegisterRow:
 
     async def _typed(self, field: Field, widget: ui.input) -> None:
         try:
-            value = number(widget.value or "", field.high - field.low + 1)
+            value = parse_number(widget.value or "", field.high - field.low + 1)
         except ArgumentError as error:
             widget.error = str(error)
             return
@@ -179,7 +184,7 @@ class RegisterRow:
         await self._chosen(field, value)
 
     async def _chosen(self, field: Field, value: int) -> None:
-        word = self._held
+        word = self._value_now
         if word is None:  # composed here: the other fields are what their widgets say
             try:
                 word = sum(
@@ -187,17 +192,17 @@ class RegisterRow:
                 )
             except ArgumentError:
                 return  # it is said at its widget
-            self._value.value = shown(self.place, with_field(word, field, value))
-            self._words.text = meant(self.place, with_field(word, field, value))
+            self._value.value = format_value(self.place, replace_field(word, field, value))
+            self._words.text = describe_value(self.place, replace_field(word, field, value))
         elif field.of(word) != value:
-            await self._put(with_field(word, field, value))
+            await self._put(replace_field(word, field, value))
 
 
 class LampRow:
-    """A word that a host reads: its bits as lamps, what is longer in words."""
+    """Row of a word that a host reads: its bits as lamps, longer fields in words."""
 
     def __init__(self, word: Word):
-        self._word, self._held = word, -1
+        self._word, self._value_now = word, -1
         with ui.element("div").classes("word") as self._line:
             head = ui.label().classes("number").style("display: inline; margin-right: 10px")
             head.props["title"] = word.text
@@ -209,17 +214,17 @@ class LampRow:
                 self._lamps.append((field, lamp))
 
     def forget(self) -> None:
-        """Another axis is shown."""
-        self._held = -1
+        """Forget the value: another axis is shown."""
+        self._value_now = -1
 
-    def look(self, values: Mapping[str, int]) -> None:
-        """Show what is held now."""
+    def update(self, values: Mapping[str, int]) -> None:
+        """Show the value that the chip holds now."""
         value = values.get(self._word.name)
         self._line.set_visibility(value is not None)
-        if value is None or value == self._held:
+        if value is None or value == self._value_now:
             return
-        self._held = value
-        self._head.text = f"{self._word.name} {shown(self._word, value)}"
+        self._value_now = value
+        self._head.text = f"{self._word.name} {format_value(self._word, value)}"
         for field, lamp in self._lamps:
             _set_field(field, lamp, field.of(value))
 
@@ -227,14 +232,14 @@ class LampRow:
 def _set_field(field: Field, widget: Any, value: int) -> None:
     if isinstance(widget, ui.select):
         if value not in widget.options:
-            widget.set_options(_with(choices(field), value))
+            widget.set_options(_with(list_choices(field), value))
         widget.value = value
     elif isinstance(widget, ui.checkbox):
         widget.value = bool(value)
     elif isinstance(widget, ui.input):
         widget.value = str(value)
     else:
-        text, on = lit(field, value)
+        text, on = describe_lamp(field, value)
         widget.text = text
         widget.classes(add="on") if on else widget.classes(remove="on")
 
@@ -245,7 +250,7 @@ def _value_of(field: Field, widget: Any) -> int:
     if not isinstance(widget, ui.input):
         return 0
     try:
-        return number(widget.value or "", field.high - field.low + 1)
+        return parse_number(widget.value or "", field.high - field.low + 1)
     except ArgumentError as error:
         widget.error = str(error)
         raise
@@ -255,21 +260,21 @@ def _with(options: dict[int, str], value: int) -> dict[int, str]:
     return options if value in options else {**options, value: f"{value}  (not in the map)"}
 
 
-def build_chip_panels(panel: Panel, live: BrowserUpdates) -> None:
-    """A card a chip; what is in it is made when it is opened."""
+def build_chip_panels(panel: Panel, updates: BrowserUpdates) -> None:
+    """Build a card for each chip; its content is built when it is opened."""
     for k in range(len(panel.observer.traces)):
-        ChipCard(panel, live, k)
+        ChipCard(panel, updates, k)
 
 
 def axis_names(stage: Stage, k: int) -> dict[int, str]:
-    """Axes of a chip, and what the stage calls them."""
+    """Return the axes of a chip, and what the stage calls them."""
     chip = stage.chips[k]
     names = {a.chip_axis: a.name for a in stage.axes.values() if a.chip is chip}
     return {j: names.get(j, f"({j})") for j in range(chip.AXES)}
 
 
 async def send(panel: Panel, k: int, cycles: Sequence[BusCycle]) -> list[int]:
-    """Make bus cycles on a chip, in the stage's thread; what was read."""
+    """Make bus cycles on a chip, in the stage's thread, and return what was read."""
     trace = panel.observer.traces[k]
 
     def order(stage: Stage) -> list[int]:
@@ -279,17 +284,17 @@ async def send(panel: Panel, k: int, cycles: Sequence[BusCycle]) -> list[int]:
                 found.append(trace.read(c.address))
             else:
                 stage.chips[k].write(c.address, c.datum)
-        panel.observer.take(stage)
+        panel.observer.observe(stage)
         return found
 
     return await asyncio.wrap_future(panel.session.post(order))
 
 
 class ChipCard:
-    """The front panel of one chip in one browser."""
+    """Front panel of one chip in one browser."""
 
-    def __init__(self, panel: Panel, live: BrowserUpdates, k: int):
-        self.panel, self.live, self.k, self.axis = panel, live, k, 0
+    def __init__(self, panel: Panel, updates: BrowserUpdates, k: int):
+        self.panel, self.updates, self.k, self.axis = panel, updates, k, 0
         stage = panel.session.stage
         self.front = FrontPanel(type(stage.chips[k]))
         self.names = axis_names(stage, k)
@@ -309,7 +314,7 @@ class ChipCard:
         if self._built or not self._body.value:
             return
         self._built = True
-        self.panel.observer.want(self.k, self.axis)
+        self.panel.observer.request_registers(self.k, self.axis)
         with self._body:
             if len(self.names) > 1:
                 ui.toggle(self.names, value=0, on_change=self._choose).props("dense no-caps").props(
@@ -321,7 +326,7 @@ class ChipCard:
 
     def _choose(self, event: object) -> None:
         self.axis = getattr(event, "value", 0)
-        self.panel.observer.want(self.k, self.axis)
+        self.panel.observer.request_registers(self.k, self.axis)
         for row in self._rows:
             row.forget()
 
@@ -343,7 +348,7 @@ class ChipCard:
                     ui.label(what).classes("section")
                     for name in pins:
                         lamp = ui.label(name).classes("lamp").props(f'data-test="pin-{self.k}-{name}"')
-                        self.live.lamp(lamp, partial(self._pin, what, name))
+                        self.updates.show_lamp(lamp, partial(self._pin, what, name))
 
     def _commands(self) -> None:
         for group, buttons in self.front.buttons.items():
@@ -366,7 +371,7 @@ class ChipCard:
 
     async def write(self, place: Place, value: int) -> None:
         """Write a register, or a word, of the axis that is shown."""
-        await self._send(writes(self.front.kind, place, value, self.axis))
+        await self._send(list_write_cycles(self.front.kind, place, value, self.axis))
 
     async def _send(self, cycles: Sequence[BusCycle]) -> None:
         try:
@@ -378,12 +383,12 @@ class ChipCard:
     def _look(self) -> None:
         if not (self._built and self._body.value):
             return
-        self.panel.observer.want(self.k, self.axis)
+        self.panel.observer.request_registers(self.k, self.axis)
         seen = self.panel.observer.chips.get((self.k, self.axis))
         if seen is None:
             return
         for row in self._rows:
-            row.look(seen.values)
+            row.update(seen.values)
 
     def _pin(self, what: str, name: str) -> bool:
         seen = self.panel.observer.chips.get((self.k, self.axis))
@@ -391,7 +396,7 @@ class ChipCard:
 
 
 def _part(title: str, opened: bool = True) -> ui.expansion:
-    """A part of a front panel that can be folded."""
+    """Return a part of a front panel that can be folded."""
     return ui.expansion(title, value=opened).props("dense dense-toggle").classes("w-full part")
 
 

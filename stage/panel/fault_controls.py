@@ -32,17 +32,19 @@ if TYPE_CHECKING:
     from stage.sim.stage import Stage
 
 
-MOST = 2.0  # times what the motor can push at its most
+MAX_PUSH = 2.0  # times what the motor can push at its most
 
 
 def find_max_push(axis: Axis) -> float:
-    """N (N m on a hinge) with which a hand may push an axis: enough to tear it from its motor, whatever that does. With much more
-    the carriage would go through its end stop."""
-    return MOST * axis.drive.peak_torque * abs(axis.gear)
+    """Return the force, N (N m on a hinge), with which users may push an axis.
+
+    It tears the axis from its motor, whatever that does. With much more the carriage would go through its end stop.
+    """
+    return MAX_PUSH * axis.drive.peak_torque * abs(axis.gear)
 
 
-def tied(stage: Stage, name: str) -> list[str]:
-    """The other axes whose carriages an equality of the model holds to this one's, as the two that carry a gantry's beam."""
+def find_coupled_axes(stage: Stage, name: str) -> list[str]:
+    """Return the other axes whose carriages an equality of the model ties to this one's, as the two that carry a gantry's beam."""
     model = stage.model
     by_root = {int(model.jnt_bodyid[a.joint]): n for n, a in stage.axes.items()}
     found = []
@@ -57,7 +59,7 @@ def tied(stage: Stage, name: str) -> list[str]:
 
 
 def _carried_by(model: mujoco.MjModel, body: int, by_root: dict[int, str]) -> str | None:
-    """The axis whose joint is the nearest below this body."""
+    """Return the axis whose joint is the nearest below this body."""
     while body and body not in by_root:
         body = int(model.body_parentid[body])
     return by_root.get(body)
@@ -66,11 +68,18 @@ def _carried_by(model: mujoco.MjModel, body: int, by_root: dict[int, str]) -> st
 YES, NO = "yes", "no"
 UNITS = {"seconds": "s", "volts": "V", "force": "N"}
 UNITS_OF_FORCE = {"m": "N", "rad": "N m"}
-SAME = frozenset({"body"})  # parameters that stay what they are without anybody's word
+IMPLICIT_PARAMETERS = frozenset({"body"})  # parameters that stay what they are without anybody's word
 
 
 class FaultForm(NamedTuple):
-    """Something that can break. title: in words; whole: of the stage and not of an axis; fields: what it asks for."""
+    """Form of a fault that can be made.
+
+    Attributes:
+        name: Of the function in stage.sim.faults.
+        title: The fault in words.
+        whole: It is of the stage and not of an axis.
+        fields: What it needs.
+    """
 
     name: str
     title: str
@@ -80,21 +89,26 @@ class FaultForm(NamedTuple):
 
 @dataclass
 class ActiveFault:
-    """A fault in force, and what was asked for it. asked: the name, the axis ("": all of
-    them) and the texts that `FaultControls.make` takes."""
+    """Fault in force.
+
+    Attributes:
+        fault: The fault.
+        request: What `FaultControls.inject` was called with: name, axis ("": all of them) and texts of the fields.
+        key: Only one fault with the same key is in force; "": any number.
+    """
 
     fault: Fault
-    asked: tuple[str, str, dict[str, str]]
+    request: tuple[str, str, dict[str, str]]
     key: str = ""
 
     @property
     def text(self) -> str:
-        """What it is."""
+        """The fault in words."""
         return self.fault.text
 
 
-def functions() -> dict[str, Callable[..., Fault]]:
-    """Everything of stage.sim.faults that makes a fault, by name."""
+def fault_functions() -> dict[str, Callable[..., Fault]]:
+    """Return the functions of stage.sim.faults that make a fault, by name."""
     return {
         name: f
         for name, f in vars(faults).items()
@@ -103,35 +117,46 @@ def functions() -> dict[str, Callable[..., Fault]]:
 
 
 class FaultControls:
-    """Of a session. Its methods may be called from any thread; they last until the stage's thread has done it."""
+    """Controls of a session. The methods may be called from any thread, and return when the stage's thread has done it."""
 
     def __init__(self, session: Session):
         self.session = session
         self._made: list[ActiveFault] = []
         self._pushed: dict[str, float] = {}
-        self._over = session.on_slice(self._look)
+        self._end_observing = session.on_slice(self._keep_pushing)
 
     # --- faults ---
 
     @property
     def in_force(self) -> list[ActiveFault]:
-        """What has been broken here and is so still, in its order."""
+        """Faults that were made here and are in force, in their order."""
         return [m for m in tuple(self._made) if m.fault.in_force]
 
     def list_forms(self, axis: str) -> list[FaultForm]:
-        """What can break on an axis, and of the stage as a whole."""
+        """Return the forms of what can break on an axis, and of the stage as a whole."""
         out = []
-        for name, function in functions().items():
+        for name, function in fault_functions().items():
             first, *rest = inspect.signature(function).parameters.values()
-            fields = [self._field(axis, p) for p in rest if p.name not in SAME]
+            fields = [self._field(axis, p) for p in rest if p.name not in IMPLICIT_PARAMETERS]
             text = (inspect.getdoc(function) or name).split("\n\n")[0].replace("\n", " ").replace("`", "")
             title = name.replace("_", " ")
             out.append(FaultForm(name, f"{title}: {text}", first.annotation == "Stage", fields))
         return out
 
-    def make(self, name: str, axis: str, given: Mapping[str, str], key: str = "") -> ActiveFault:
-        """Break it, now. key: takes the place of what was made by the same key. Raises FieldError, ArgumentError."""
-        known = functions()
+    def inject(self, name: str, axis: str, texts: Mapping[str, str], key: str = "") -> ActiveFault:
+        """Break something, now.
+
+        Args:
+            name: Name of a function of stage.sim.faults.
+            axis: Name of an axis.
+            texts: Texts of its fields.
+            key: The fault takes the place of the one that was made with the same key.
+
+        Raises:
+            FieldError: A text does not fit its field.
+            ArgumentError: No such fault, or it is in force already.
+        """
+        known = fault_functions()
         if name not in known:
             raise unknown("fault", name, known)
         breaking = next(b for b in self.list_forms(axis) if b.name == name)
@@ -140,7 +165,7 @@ class FaultControls:
         values: dict[str, Any] = {}
         texts = {
             n: _decimal(n, str(t)) if n in numbers and "int" in parameters[n].annotation else t
-            for n, t in given.items()
+            for n, t in texts.items()
         }
         for field, value in parse_fields(breaking.fields, texts).items():
             whole = "int" in parameters[field].annotation
@@ -155,29 +180,29 @@ class FaultControls:
                 raise FieldError(parameter.name, "say what.")
         stage = self.session.stage
         where: Any = stage if breaking.whole else stage.axes[axis]
-        asked = (name, axis, {field: str(text) for field, text in given.items()})
-        same = next((made for made in self.in_force if made.asked == asked and not key), None)
+        request = (name, axis, {field: str(text) for field, text in texts.items()})
+        same = next((made for made in self.in_force if made.request == request and not key), None)
         if same is not None:
             raise ArgumentError(f"{same.text}: it is so already. Mend it, or break something else.")
-        return self.session.do(lambda stage: self._make(lambda: known[name](where, **values), asked, key))
+        return self.session.do(lambda stage: self._make(lambda: known[name](where, **values), request, key))
 
-    def make_again(self, asked: tuple[str, str, dict[str, str]]) -> None:
-        """What `ActiveFault.asked` says. Raises as `make`."""
-        name, axis, given = asked
+    def inject_again(self, request: tuple[str, str, dict[str, str]]) -> None:
+        """Break what `ActiveFault.request` says. Raises as `inject`."""
+        name, axis, texts = request
         if axis:
-            self.make(name, axis, given)
+            self.inject(name, axis, texts)
         else:
-            self.set_supply(float(given["volts"]))
+            self.set_supply(float(texts["volts"]))
 
     def mend(self, made: ActiveFault) -> None:
-        """Mend it, now. What was broken later is broken still."""
+        """Mend a fault, now. What was broken later stays broken."""
         self.session.do(lambda stage: self._mend(made))
 
-    def _make(self, make: Callable[[], Fault], asked: tuple[str, str, dict[str, str]], key: str) -> ActiveFault:
+    def _make(self, make: Callable[[], Fault], request: tuple[str, str, dict[str, str]], key: str) -> ActiveFault:
         before = next((m for m in self.in_force if key and m.key == key), None)
         if before is not None:
             self._mend(before)
-        made = ActiveFault(make(), asked, key)
+        made = ActiveFault(make(), request, key)
         self._made = [*self.in_force, made]
         return made
 
@@ -206,23 +231,23 @@ class FaultControls:
 
     @property
     def payload(self) -> float | None:
-        """kg on the carriage; None where the model has no place for it."""
+        """Mass on the carriage, kg; None where the model has no place for it."""
         try:
             return self.session.stage.payload()
         except StageError:
             return None
 
-    def load(self, mass: float) -> None:
-        """So many kg on the carriage. Raises ArgumentError."""
+    def set_payload(self, mass: float) -> None:
+        """Put a mass, kg, on the carriage. Raises ArgumentError."""
         self.session.do(lambda stage: stage.set_payload(mass))
 
     @property
     def supply(self) -> float:
-        """V that the drives have, of the first axis."""
+        """Supply voltage of the first axis' drive, V."""
         return next(iter(self.session.stage.axes.values())).supply
 
     def set_supply(self, volts: float) -> None:
-        """The supply of all drives is so many V; what it was made with mends it. Raises ArgumentError."""
+        """Set the supply voltage of all drives, V; the voltage that they were made for mends it. Raises ArgumentError."""
         stage = self.session.stage
         nominal = next(iter(stage.axes.values())).drive.bus_voltage
 
@@ -231,21 +256,21 @@ class FaultControls:
                 for made in [m for m in self.in_force if m.key == "supply"]:
                     self._mend(made)
             else:
-                asked = ("bus_voltage", "", {"volts": f"{volts!r}"})
-                self._make(lambda: faults.bus_voltage(stage, volts), asked, "supply")
+                request = ("bus_voltage", "", {"volts": f"{volts!r}"})
+                self._make(lambda: faults.bus_voltage(stage, volts), request, "supply")
 
         self.session.do(order)
 
     def find_push_unit(self, axis: str) -> str:
-        """N, or N m."""
+        """Return the unit of a push, N or N m."""
         return UNITS_OF_FORCE[self.session.stage.axes[axis].unit]
 
     def find_max_push(self, axis: str) -> float:
-        """N (N m on a hinge) that `push` takes, see travel.py."""
+        """Return the force, N (N m on a hinge), that `push` takes, see find_max_push."""
         return find_max_push(self.session.stage.axes[axis])
 
     def push(self, axis: str, force: float) -> None:
-        """A force, N (N m on a hinge), on the carriage from now on; 0 takes the hand away. Raises FieldError."""
+        """Push the carriage with a force, N (N m on a hinge), from now on; 0 takes the push away. Raises FieldError."""
         most = self.find_max_push(axis)
         if not abs(force) <= most:
             unit = self.find_push_unit(axis)
@@ -262,22 +287,22 @@ class FaultControls:
 
         self.session.do(order)
 
-    def _look(self, stage: Stage) -> None:
-        """After each slice: a snapshot in which somebody pushed pushes on no more."""
+    def _keep_pushing(self, stage: Stage) -> None:
+        """Push on after each slice: a snapshot may hold another force."""
         for axis, force in self._pushed.items():
             dof = stage.axes[axis].plant.dof
             if stage.data.qfrc_applied[dof] != force:
                 stage.data.qfrc_applied[dof] = force
 
     def close(self) -> None:
-        """Let go. What is broken stays so."""
-        self._over()
+        """End all pushes. What is broken stays so."""
+        self._end_observing()
         for axis in self._pushed:
             self.push(axis, 0.0)
 
 
 def _decimal(field: str, text: str) -> str:
-    """10h and 0x10 as decimal text; others as they are."""
+    """Return 10h and 0x10 as decimal text, other texts as they are."""
     text = text.strip()
     try:
         if text.lower().startswith("0x"):

@@ -10,24 +10,24 @@ from nicegui import background_tasks, run, ui
 from stage.errors import StageError
 from stage.panel.fault_controls import ActiveFault, FaultForm
 from stage.panel.procedure_forms import Field, FieldError, find_field, parse_fields
-from stage.panel.procedure_page import clear, entry, said_at
+from stage.panel.procedure_page import build_entry, clear_errors, show_error_at
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
 
 
-HEAVIEST = 10.0  # kg on the slider
+MAX_PAYLOAD_KG = 10.0  # kg on the slider
 
 
 def build_fault_controls(panel: Panel) -> None:
-    """One browser's hands."""
+    """Build the fault controls of one browser."""
     axes = list(panel.session.stage.axes)
     if axes:
         FaultPanel(panel, axes)
 
 
 class FaultPanel:
-    """Sliders, a form for each thing that can break, and the list with "mend"."""
+    """Sliders, a form for each fault that can be made, and the list of faults with "mend"."""
 
     def __init__(self, panel: Panel, axes: list[str]):
         self.fault_controls, self.axis = panel.fault_controls, axes[0]
@@ -44,7 +44,7 @@ class FaultPanel:
                 ui.toggle(axes, value=self.axis, on_change=lambda e: self._choose(e.value)).props(
                     "dense no-caps data-test=hands-axis"
                 )
-                self.force = entry("push", *self._force_fields())
+                self.force = build_entry("push", *self._force_fields())
                 for sign, label in ((-1, "push -"), (1, "push +")):
                     self._push_button(sign, label)
             self.box = ui.row().classes("w-full items-start q-gutter-xs")
@@ -52,7 +52,7 @@ class FaultPanel:
         panel.controls.when_lost(ui.context.client.id, self._let_go_soon)
         self._pushes = ""
         self._choose(self.axis)
-        ui.timer(0.25, self._look)
+        ui.timer(0.25, self._update)
 
     def _sliders(self) -> None:
         nominal, mass = self.fault_controls.supply, self.fault_controls.payload
@@ -60,9 +60,9 @@ class FaultPanel:
             self._slider(
                 "payload",
                 "kg",
-                (0.0, max(HEAVIEST, mass), 0.1),
+                (0.0, max(MAX_PAYLOAD_KG, mass), 0.1),
                 lambda: self.fault_controls.payload,
-                self.fault_controls.load,
+                self.fault_controls.set_payload,
             )
         self._slider(
             "supply",
@@ -80,7 +80,7 @@ class FaultPanel:
         look: Callable[[], float | None],
         does: Callable[[float], None],
     ) -> None:
-        """span: least, most, step. It follows what is so, whoever changed it."""
+        """Build a slider over `span`: least, greatest, step. It follows the value that holds, whoever changed it."""
         low, high, step = span
         with ui.column().classes("q-gutter-none").style("width: 200px"):
             text = ui.label().classes("text-caption number").props(f"data-test={name}-value")
@@ -122,13 +122,13 @@ class FaultPanel:
         if self._pushes:
             return
         self._pushes = self.axis
-        clear({"force": self.force})
+        clear_errors({"force": self.force})
         try:
             force = parse_fields(self._force_fields(), {"force": self.force.value}).get("force", 0.0)
             await run.io_bound(self.fault_controls.push, self.axis, sign * force)
         except FieldError as error:
             self._pushes = ""
-            said_at(self.force, error)
+            show_error_at(self.force, error)
 
     def _let_go_soon(self) -> None:
         background_tasks.create(run.io_bound(self._let_go))
@@ -162,24 +162,24 @@ class FaultPanel:
             show()
 
     def _form(self, breaking: FaultForm) -> None:
-        controls = {f.name: entry("break", f) for f in breaking.fields}
+        controls = {f.name: build_entry("break", f) for f in breaking.fields}
 
         async def go() -> None:
-            clear(controls)
+            clear_errors(controls)
             given = {name: c.value for name, c in controls.items()}
             try:
-                await run.io_bound(self.fault_controls.make, breaking.name, self.axis, given)
+                await run.io_bound(self.fault_controls.inject, breaking.name, self.axis, given)
             except StageError as error:
                 field = find_field(error, breaking.fields)
                 if field:
-                    said_at(controls[field], error)
+                    show_error_at(controls[field], error)
                 else:
                     ui.notify(str(error), type="negative", multi_line=True)
 
         ui.button("break it", on_click=go).props("dense no-caps color=deep-orange-9 data-test=break").classes("q-mt-xs")
 
-    def _look(self) -> None:
-        """What is so now; the list of what is broken, where it has changed."""
+    def _update(self) -> None:
+        """Show the values that hold now, and the list of faults where it has changed."""
         for follow in self._follow:
             follow()
         now = [(made, made.text) for made in self.fault_controls.in_force]
@@ -193,10 +193,10 @@ class FaultPanel:
                     ui.icon("warning", color="deep-orange")
                     ui.label(text)
                     ui.button("mend", on_click=lambda m=made: run.io_bound(self.fault_controls.mend, m)).props(
-                        f"dense flat no-caps data-test=mend aria-label={mending(text)}"
+                        f"dense flat no-caps data-test=mend aria-label={quote_label(text)}"
                     )
 
 
-def mending(text: str) -> str:
-    """As the value of a prop."""
+def quote_label(text: str) -> str:
+    """Return the label of a button that mends a fault, as the value of a prop."""
     return '"mend ' + text.replace('"', "'") + '"'

@@ -19,7 +19,7 @@ Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def bodies(model: mujoco.MjModel) -> Iterator[tuple[int, bytes]]:
-    """(body, glTF) for each body that has something to be seen."""
+    """Yield (body, glTF) for each body that is visible."""
     ground = floor(model)
     for body in range(model.nbody):
         geoms = [
@@ -35,7 +35,7 @@ def bodies(model: mujoco.MjModel) -> Iterator[tuple[int, bytes]]:
 
 
 def _joined(meshes: list[Mesh]) -> Mesh:
-    """As one: browsers draw a mesh at a time, and each takes its time."""
+    """Join meshes into one: browsers draw a mesh at a time, and each takes its time."""
     corners, normals, triangles = zip(*meshes, strict=True)
     first = np.cumsum([0, *(len(c) for c in corners[:-1])])
     shifted = [t + np.uint32(n) for t, n in zip(triangles, first, strict=True)]
@@ -43,7 +43,7 @@ def _joined(meshes: list[Mesh]) -> Mesh:
 
 
 def glb(parts: list[tuple[Mesh, np.ndarray]]) -> bytes:
-    """A binary glTF of meshes and their colours (RGBA, 0 to 1)."""
+    """Return a binary glTF of meshes and their colors (RGBA, 0 to 1)."""
     blob, views, accessors, meshes, materials = bytearray(), [], [], [], []
 
     def add(values: np.ndarray, target: int, kind: str, component: int, bounds: bool = False) -> int:
@@ -80,7 +80,7 @@ def glb(parts: list[tuple[Mesh, np.ndarray]]) -> bytes:
 
 
 def _placed(model: mujoco.MjModel, geom: int) -> Mesh:
-    """The mesh of a geom, in its body's frame."""
+    """Return the mesh of a geom, in its body's frame."""
     corners, normals, triangles = _SHAPES[int(model.geom_type[geom])](model, geom)
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
@@ -93,7 +93,7 @@ def _placed(model: mujoco.MjModel, geom: int) -> Mesh:
 
 
 def _flat(corners: np.ndarray, faces: np.ndarray) -> Mesh:
-    """Each triangle by itself: edges of machines are sharp."""
+    """Return a mesh whose triangles share no corner: edges of machines are sharp."""
     triangles = corners[faces]
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -109,7 +109,7 @@ def _box(half: np.ndarray) -> Mesh:
 
 
 def _turned(profile: np.ndarray, lean: np.ndarray) -> Mesh:
-    """A body of revolution about z: profile (n, 2) of radius and height, lean (n, 2) the normals along it."""
+    """Return a body of revolution about z: `profile` (n, 2) of radius and height, `lean` (n, 2) the normals along it."""
     angle = np.linspace(0, 2 * np.pi, FACETS + 1)
     around = np.stack([np.cos(angle), np.sin(angle)], axis=1)
 

@@ -23,21 +23,28 @@ import numpy as np
 from stage.errors import ArgumentError
 from stage.extras import need
 from stage.identifiers import escape_name
-from stage.panel.sampler import LONGEST, Sampler, Trace
+from stage.panel.sampler import MAX_AGE_S, Sampler, Trace
 from stage.recording.scene import duration
 from stage.recording.sdk import release_streams, rr
 
-SHORTEST = 1e-3  # s
+MIN_SPAN_S = 1e-3  # s
 SPANS = (1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 MODES = ("free", "auto", "normal", "single")
 DIAGNOSTIC, LOST = "a diagnostic", "a lost step"
 BEFORE = 0.25  # of the window lies before the trigger
-PATIENCE = 1.0  # s of simulated time after which "auto" shows what there is
+ANSWER_TIMEOUT_S = 1.0  # s of simulated time after which "auto" shows what there is
 
 
 @dataclass(frozen=True)
 class OscilloscopeFrame:
-    """One picture. begin, end: s; curves: by trace, times (s) and values; trigger: its time, s, or None; state: in a word."""
+    """Picture of an oscilloscope.
+
+    Attributes:
+        begin, end: Its window, s.
+        curves: Times (s) and values of each trace.
+        trigger: Time of the trigger, s, or None.
+        state: What the oscilloscope does, in a word.
+    """
 
     begin: float
     end: float
@@ -47,36 +54,54 @@ class OscilloscopeFrame:
 
 
 class Oscilloscope:
-    """Args: names of traces; span: s of the window. Raises ArgumentError."""
+    """Window of time over a sampler's traces.
+
+    Args:
+        sampler: Source of the samples.
+        names: Names of traces.
+        span: Length of the window, s.
+
+    Raises:
+        ArgumentError: An unknown trace, or a window that cannot be.
+    """
 
     def __init__(self, sampler: Sampler, names: Sequence[str] = (), span: float = 2.0):
         self.sampler = sampler
         self.names: list[str] = []
-        self.show(names)
+        self.select_traces(names)
         self.mode, self.source, self.rising, self.level = "free", "", True, 0.5
         self._armed, self._at, self._window = -1.0, None, (0.0, span)  # type: float, float | None, tuple[float, float]
         self._running, self._seen = True, -1.0
-        self.base(span)
+        self.set_span(span)
         self.arm()
 
-    def show(self, names: Sequence[str]) -> None:
-        """These traces. Raises ArgumentError with the near misses."""
+    def select_traces(self, names: Sequence[str]) -> None:
+        """Show these traces. Raises ArgumentError with the near misses."""
         self.names = [self.sampler.trace(name).name for name in names]
 
-    def base(self, span: float) -> None:
-        """The window is `span` s long."""
-        if not SHORTEST <= span <= LONGEST:
-            raise ArgumentError(f"span={span!r}: a window of {SHORTEST:g} to {LONGEST:g} s.")
+    def set_span(self, span: float) -> None:
+        """Set the length of the window, s. Raises ArgumentError."""
+        if not MIN_SPAN_S <= span <= MAX_AGE_S:
+            raise ArgumentError(f"span={span!r}: a window of {MIN_SPAN_S:g} to {MAX_AGE_S:g} s.")
         centre = self._at
         self.span = float(span)
         if centre is not None and not self._running:
-            self._window = self._around(centre)
+            self._window = self._window_around(centre)
         elif not self._running:
             self._window = (self._window[1] - span, self._window[1])
 
-    def trigger(self, mode: str, source: str = "", rising: bool = True, level: float = 0.5) -> None:
-        """mode: "free", no trigger; "auto", by itself where none comes; "normal", only by the trigger; "single", once. source: a
-        trace, which crosses `level` (a pin: its edge), or DIAGNOSTIC, or LOST. Raises ArgumentError."""
+    def set_trigger(self, mode: str, source: str = "", rising: bool = True, level: float = 0.5) -> None:
+        """Set what the window waits for.
+
+        Args:
+            mode: "free", no trigger; "auto", without one where none comes; "normal", only by the trigger; "single", once.
+            source: A trace, which crosses `level` (a pin: its edge), or DIAGNOSTIC, or LOST.
+            rising: Edge of the crossing.
+            level: In the unit of the trace.
+
+        Raises:
+            ArgumentError: An unknown mode or trace, or a level that is not finite.
+        """
         if mode not in MODES:
             raise ArgumentError(f"mode={mode!r}: {', '.join(MODES)}.")
         if mode != "free" and source not in (DIAGNOSTIC, LOST):
@@ -93,22 +118,23 @@ class Oscilloscope:
 
     @property
     def running(self) -> bool:
-        """Follows the time; False: the picture stands."""
+        """Whether the window follows the time; False: the picture stands."""
         return self._running
 
     @running.setter
     def running(self, value: bool) -> None:
+        """Whether the window follows the time; False: the picture stands."""
         if value and not self._running:
             self.arm()
         self._running = bool(value)
 
     def frame(self, points: int) -> OscilloscopeFrame:
-        """The picture now, for so many columns of pixels."""
+        """Return the picture now, for so many columns of pixels."""
         now = self.sampler.last
         if self._running:
             self._follow(now)
         begin, end = self._window
-        curves = self.sampler.drawn(self.names, begin, end, points)
+        curves = self.sampler.thinned_columns(self.names, begin, end, points)
         return OscilloscopeFrame(begin, end, curves, self._at, self._state(now))
 
     def _follow(self, now: float) -> None:
@@ -122,19 +148,19 @@ class Oscilloscope:
             if self.mode == "single" and self._at is not None:
                 self._running = False
                 return
-            if (found := self._found(now)) is not None:
-                self._at, self._window = found, self._around(found)
+            if (found := self._find_trigger(now)) is not None:
+                self._at, self._window = found, self._window_around(found)
                 self._armed = self._window[1]
                 if self.mode == "single" and now >= self._window[1]:
                     self._running = False
-            elif self.mode == "auto" and now - self._armed > max(PATIENCE, self.span):
+            elif self.mode == "auto" and now - self._armed > max(ANSWER_TIMEOUT_S, self.span):
                 self._at, self._window = None, (now - self.span, now)
 
-    def _around(self, at: float) -> tuple[float, float]:
+    def _window_around(self, at: float) -> tuple[float, float]:
         return at - BEFORE * self.span, at + (1 - BEFORE) * self.span
 
-    def _found(self, now: float) -> float | None:
-        """When the trigger came after `armed`: the latest whose window is full; the first of all, for "single" and before that."""
+    def _find_trigger(self, now: float) -> float | None:
+        """Return when the trigger came after `armed`: the latest whose window is full; for "single", and before that, the first."""
         at = self._moments(now)
         if not len(at):
             return None
@@ -169,12 +195,12 @@ class Oscilloscope:
 __all__ = ["BEFORE", "DIAGNOSTIC", "LOST", "MODES", "SPANS", "OscilloscopeFrame", "Oscilloscope"]
 
 
-def heading(trace: Trace) -> str:
-    """ "x position (mm)"."""
+def format_heading(trace: Trace) -> str:
+    """Return the name of a trace with its unit, "x position (mm)"."""
     return f"{trace.title} ({trace.unit})" if trace.unit else trace.title
 
 
-def _taken(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> tuple[np.ndarray, list[tuple]]:
+def _collect(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> tuple[np.ndarray, list[tuple]]:
     if not names:
         raise ArgumentError("nothing to export: choose a trace first.")
     times, values = sampler.columns(names, begin, end)
@@ -184,27 +210,27 @@ def _taken(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> 
 
 
 def to_csv(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> bytes:
-    """A row a sample, a column a trace, in its unit."""
-    times, taken = _taken(sampler, names, begin, end)
+    """Return a row for each sample, a column for each trace, in its unit."""
+    times, columns = _collect(sampler, names, begin, end)
     text = io.StringIO(newline="")
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["time (s)", *(heading(t) for t, _ in taken)])
+    rows.writerow(["time (s)", *(format_heading(t) for t, _ in columns)])
     for k, time in enumerate(times):
-        rows.writerow([f"{time:.6f}", *(f"{v[k]:.9g}" for _, v in taken)])
+        rows.writerow([f"{time:.6f}", *(f"{v[k]:.9g}" for _, v in columns)])
     return text.getvalue().encode()
 
 
 def to_png(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> bytes:
-    """As on the page: a picture a unit, a lane a pin. Needs matplotlib (extra `plot`)."""
+    """Return a picture as on the page: a chart for each unit, a lane for each pin. Needs matplotlib (extra `plot`)."""
     Figure = need("matplotlib.figure", "drawing").Figure
-    times, taken = _taken(sampler, names, begin, end)
-    units = list(dict.fromkeys(t.unit for t, _ in taken if not t.pin))
-    pins = [(t, v) for t, v in taken if t.pin]
+    times, columns = _collect(sampler, names, begin, end)
+    units = list(dict.fromkeys(t.unit for t, _ in columns if not t.pin))
+    pins = [(t, v) for t, v in columns if t.pin]
     heights = [3.0] * len(units) + [0.35] * len(pins)
     figure = Figure(figsize=(9, sum(heights) * 0.75 + 0.8), layout="constrained")
     plots = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     for plot, unit in zip(plots, units, strict=False):
-        for t, v in taken:
+        for t, v in columns:
             if not t.pin and t.unit == unit:
                 plot.plot(times, v, label=t.title, linewidth=1)
         plot.set_ylabel(unit)
@@ -222,39 +248,39 @@ def to_png(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> 
 
 
 def to_vcd(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> bytes:
-    """Pins as wires, 1 while asserted; everything else as reals."""
+    """Return waveforms: pins as wires, 1 while asserted; everything else as reals."""
     from vcd import VCDWriter
 
-    times, taken = _taken(sampler, names, begin, end)
+    times, columns = _collect(sampler, names, begin, end)
     ns = np.rint(times * 1e9).astype(np.int64)
     text = io.StringIO()
     with VCDWriter(text, "1 ns", date="simulated time since power-up", init_timestamp=int(ns[0])) as writer:
         variables = []
-        for t, v in taken:
+        for t, v in columns:
             scope, _, name = t.name.rpartition("/")
             kind, size = ("wire", 1) if t.pin else ("real", 64)
             variables.append(
                 writer.register_var(escape_name(scope), escape_name(name), kind, size=size, init=v[0].item())
             )
-        changes = [(int(ns[k]), n) for n, (_, v) in enumerate(taken) for k in np.flatnonzero(np.diff(v)) + 1]
+        changes = [(int(ns[k]), n) for n, (_, v) in enumerate(columns) for k in np.flatnonzero(np.diff(v)) + 1]
         at = {int(time): k for k, time in enumerate(ns)}
         for time, n in sorted(changes):
-            writer.change(variables[n], time, taken[n][1][at[time]].item())
+            writer.change(variables[n], time, columns[n][1][at[time]].item())
         writer.close(int(ns[-1]))
     return text.getvalue().encode()
 
 
 def to_rrd(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> bytes:
-    """Series for rerun, an entity a trace. Needs rerun (extra `rerun`)."""
-    times, taken = _taken(sampler, names, begin, end)
+    """Return series for rerun, an entity for each trace. Needs rerun (extra `rerun`)."""
+    times, columns = _collect(sampler, names, begin, end)
     handle, path = tempfile.mkstemp(suffix=".rrd")
     os.close(handle)
     try:
         out = rr.RecordingStream("pulsestage scope")
         out.save(path)
-        for t, v in taken:
+        for t, v in columns:
             entity = "/".join(map(escape_name, t.name.rsplit("/", 1)))
-            out.log(entity, rr.SeriesLines(names=heading(t)), static=True)
+            out.log(entity, rr.SeriesLines(names=format_heading(t)), static=True)
             out.send_columns(entity, indexes=[duration(times)], columns=rr.Scalars.columns(scalars=v.astype(float)))
         out.flush()
         out.disconnect()

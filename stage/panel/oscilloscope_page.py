@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 POINTS = 300  # columns of pixels that a curve is thin_curve to
-REDRAWN, RESTING = 0.1, 0.5  # s between pictures, and of flat curves
+FRAME_INTERVAL_S, FLAT_INTERVAL_S = 0.1, 0.5  # s between pictures, and of flat curves
 HIGH, LANE, GAP, TOP, FOOT, HEAD = (
     120,
     18,
@@ -33,33 +33,33 @@ COLOURS = ("#3b8ee0", "#e0813b", "#3bb273", "#b05bd0", "#d0485b", "#9a8b3a", "#3
 FREE_RUNNING = {"free": "no trigger", "auto": "auto", "normal": "normal", "single": "single"}
 
 
-def build_oscilloscope(panel: Panel, live: BrowserUpdates) -> None:
-    """One browser's oscilloscope."""
+def build_oscilloscope(panel: Panel, updates: BrowserUpdates) -> None:
+    """Build the oscilloscope of one browser."""
     if not panel.sampler.traces:
         return
-    OscilloscopeView(panel, live)
+    OscilloscopeView(panel, updates)
 
 
 class OscilloscopeView:
-    """Controls and picture."""
+    """Controls and picture of an oscilloscope."""
 
-    def __init__(self, panel: Panel, live: BrowserUpdates):
+    def __init__(self, panel: Panel, updates: BrowserUpdates):
         self.sampler = panel.sampler
         traces = self.sampler.traces
         usual = [n for n in traces if n.endswith(("/position", "/rate"))][:4]
         org = [n for n in traces if n.endswith("/org")][:1]
         self.scope = Oscilloscope(self.sampler, usual + org, span=5.0)
         self._drawn: tuple | None = None
-        self._wanted: tuple | None = None
+        self._requested: tuple | None = None
         self._flat, self._at = False, 0.0
         self._frame: OscilloscopeFrame | None = None
         with ui.card().classes("w-full q-pa-sm").props('data-test=scope role=group aria-label="Oscilloscope"'):
-            self._controls(traces, live)
+            self._controls(traces, updates)
             self.chart = ui.echart({}).classes("w-full").props("data-test=chart")
-            self._lay_out()
-        live.call(self.chart, "run_chart_method", self._look, REDRAWN)
+            self._build_charts()
+        updates.call_method(self.chart, "run_chart_method", self._next_message, FRAME_INTERVAL_S)
 
-    def _controls(self, traces: dict[str, Trace], live: BrowserUpdates) -> None:
+    def _controls(self, traces: dict[str, Trace], updates: BrowserUpdates) -> None:
         names = {name: t.title + (f" ({t.unit})" if t.unit else "") for name, t in traces.items()}
         with ui.row().classes("w-full items-center q-gutter-xs no-wrap-md"):
             self.run_button = (
@@ -91,7 +91,7 @@ class OscilloscopeView:
                 .style("width: 90px")
             )
             state = ui.element("div").classes("text-caption number").props("data-test=scope-state")
-            live.text(state, self._state)
+            updates.show_text(state, self._state)
             ui.space()
             for ending in FORMATS:
                 ui.button(ending.upper(), on_click=lambda e=ending: self._export(e)).props(
@@ -104,20 +104,20 @@ class OscilloscopeView:
         self.scope.running = not self.scope.running
 
     def _base(self, span: float) -> None:
-        self.scope.base(span)
+        self.scope.set_span(span)
 
     def _show(self, names: list[str]) -> None:
-        self.scope.show(names)
-        self._lay_out()
+        self.scope.select_traces(names)
+        self._build_charts()
 
     def _trigger(self) -> None:
         level = 0.5 if self.level.value is None else self.level.value
         wanted = (self.mode.value, self.source.value or LOST, self.edge.value, level)
-        if wanted == self._wanted:  # a browser tells a value again when its field is left: what was caught stays
+        if wanted == self._requested:  # a browser tells a value again when its field is left: what was caught stays
             return
-        self._wanted = wanted
+        self._requested = wanted
         try:
-            self.scope.trigger(*wanted)
+            self.scope.set_trigger(*wanted)
         except StageError as error:
             ui.notify(str(error), type="negative")
 
@@ -134,8 +134,8 @@ class OscilloscopeView:
 
     # --- picture ---
 
-    def _lay_out(self) -> None:
-        """Which chart shows what: anew when the traces change."""
+    def _build_charts(self) -> None:
+        """Assign traces to charts again: they have changed."""
         chosen = [self.sampler.traces[n] for n in self.scope.names]
         units = list(dict.fromkeys(t.unit for t in chosen if not t.pin))
         places = [(unit, HIGH) for unit in units] + [(t.title, LANE) for t in chosen if t.pin]
@@ -176,7 +176,7 @@ class OscilloscopeView:
         self.chart.update()
         self._drawn, self._flat = None, False
 
-    def _look(self) -> list | None:
+    def _next_message(self) -> list | None:
         scope = self.scope
         frame = self._frame = scope.frame(POINTS)
         running = "stop" if scope.running else "run"
@@ -184,7 +184,7 @@ class OscilloscopeView:
             self.run_button.text = running
         drawn = (frame.begin, frame.end, self.sampler.last if frame.end >= self.sampler.last else None, *scope.names)
         flat = all(len(values) == 0 or values.min() == values.max() for _, values in frame.curves.values())
-        if drawn == self._drawn or (flat and self._flat and perf_counter() - self._at < RESTING):
+        if drawn == self._drawn or (flat and self._flat and perf_counter() - self._at < FLAT_INTERVAL_S):
             return None
         self._drawn, self._flat, self._at = drawn, flat, perf_counter()
         return ["setOption", self._message(frame)]
@@ -196,7 +196,7 @@ class OscilloscopeView:
         return f"{frame.state}, trigger at {frame.trigger:.6f} s"
 
     def _message(self, frame: OscilloscopeFrame) -> dict[str, Any]:
-        """The curves and the time below them: s, or ms; from the trigger, where there is one."""
+        """Return the curves and the time below them: s, or ms; from the trigger, where there is one."""
         short = frame.end - frame.begin < 1
         k, origin = (1e3 if short else 1.0), frame.trigger or 0.0
         axes = len(self.chart.options["xAxis"])
@@ -219,14 +219,15 @@ def _round(value: float) -> float:
 
 
 def _significant(values: np.ndarray, places: int) -> np.ndarray:
-    """Six digits of the greatest, what a screen can show, and no more than `places` decimals: what rests is level."""
+    """Round to six digits of the greatest value, what a screen can show, and to `places` decimals at most, so that what rests is
+    level."""
     top = float(np.max(np.abs(values), initial=0.0))
     digits = min(places, 5 - math.floor(math.log10(top))) if top > 0 else 0
     return np.round(np.asarray(values, float), digits) + 0.0  # no -0
 
 
 def _corners(values: np.ndarray) -> np.ndarray:
-    """Which points of a curve are needed: not those between two of the same value."""
+    """Return which points of a curve are needed: not those between two of the same value."""
     needed = np.ones(len(values), bool)
     needed[1:-1] = (values[1:-1] != values[:-2]) | (values[1:-1] != values[2:])
     return needed

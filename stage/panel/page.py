@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from stage.sim.axis import Axis
 
 
-def place(unit: str, position: float, commanded: float, lost: int) -> str:
-    """Where an axis is, in mm (degrees)."""
+def format_position(unit: str, position: float, commanded: float, lost: int) -> str:
+    """Return where an axis is, in mm (degrees), and its lost steps."""
     scale, name = (1e3, "mm") if unit == "m" else (degrees(1), "deg")
     return (
         f"position   {position * scale:z10.4f} {name}\n"
@@ -47,14 +47,15 @@ VIEWS = {"corner": (0.75, -1.1, 0.75), "front": (0, -1.5, 0.15), "side": (1.5, 0
 
 
 class Poses(ui.element, component="poses.js"):
-    """Where the bodies of a scene are."""
+    """Element that moves the bodies of a scene."""
 
     def __init__(self, scene: ui.scene):
         super().__init__()
         self._props["scene"] = scene.id
 
 
-def build_scene(panel: Panel, live: BrowserUpdates) -> None:
+def build_scene(panel: Panel, updates: BrowserUpdates) -> None:
+    """Build the stage in 3D."""
     session = panel.session
     model = session.stage.model
     data = mujoco.MjData(model)  # this page's own: the stage's belongs to its thread
@@ -96,23 +97,26 @@ def build_scene(panel: Panel, live: BrowserUpdates) -> None:
                 poses.append([group.id, *where])
         return [poses] if poses else None
 
-    live.call(Poses(scene), "move", look)
+    updates.call_method(Poses(scene), "move", look)
 
 
-def build_axis_cards(panel: Panel, live: BrowserUpdates) -> None:
+def build_axis_cards(panel: Panel, updates: BrowserUpdates) -> None:
+    """Build a card for each axis: where it is, and its switches as lamps."""
     stage = panel.session.stage
     with ui.row().classes("w-full"):
         for axis in stage.axes.values():
             with ui.card().classes("col q-pa-sm").style("min-width: 205px").mark(f"axis-{escape_name(axis.name)}"):
                 ui.label(f"{axis.name}  {type(axis.chip).__name__}").classes("text-weight-bold")
                 motor = ui.element("div").classes("text-caption").props(f'data-test="motor-{escape_name(axis.name)}"')
-                live.text(motor, partial(_motor, axis))
+                updates.show_text(motor, partial(_motor, axis))
                 text = ui.element("div").classes("number").style("white-space: pre; font-size: 12px")
-                live.text(text.props(f'data-test="place-{escape_name(axis.name)}"'), partial(_where, panel, axis))
+                updates.show_text(
+                    text.props(f'data-test="place-{escape_name(axis.name)}"'), partial(_where, panel, axis)
+                )
                 with ui.row().classes("q-gutter-none"):
                     for name in axis.switches.as_dict():
                         lamp = ui.label(name.replace("_plus", "+").replace("_minus", "-")).classes("lamp")
-                        live.lamp(
+                        updates.show_lamp(
                             lamp.props(f'data-test="switch-{escape_name(axis.name)}-{name}"'),
                             partial(_on, panel, axis.name, name),
                         )
@@ -124,7 +128,7 @@ def _motor(axis: Axis) -> str:
 
 def _where(panel: Panel, axis: Axis) -> str:
     seen = panel.observer.axes[axis.name]
-    return place(axis.unit, seen.position, seen.commanded, seen.lost or 0)
+    return format_position(axis.unit, seen.position, seen.commanded, seen.lost or 0)
 
 
 def _on(panel: Panel, axis: str, switch: str) -> bool:
@@ -132,6 +136,7 @@ def _on(panel: Panel, axis: str, switch: str) -> bool:
 
 
 def build_tour(panel: Panel) -> None:
+    """Build the tour."""
     tour: list[Tour] = []
     with ui.expansion("A tour in six steps", icon="explore").classes("w-full").props("data-test=tour") as fold:
         bar = ui.linear_progress(0.0, show_value=False)
@@ -189,8 +194,8 @@ BACK = (0.1, 1.0, 5.0, 30.0)  # s
 LAGS = 0.95  # of the speed that was asked for: less is told
 
 
-def build_toolbar(panel: Panel, live: BrowserUpdates, gate: EventGate) -> None:
-    """Of one browser, which may use what its gate lets it."""
+def build_toolbar(panel: Panel, updates: BrowserUpdates, gate: EventGate) -> None:
+    """Build the row on top: time, who has the controls, and how the page looks."""
     session = panel.session
     ui.label("PulseStage").classes("text-weight-bold q-mr-sm gt-xs")
     with ui.row().classes("items-center q-gutter-none") as row:
@@ -202,7 +207,7 @@ def build_toolbar(panel: Panel, live: BrowserUpdates, gate: EventGate) -> None:
         ui.select(SPEEDS, value=_nearest(session.speed), on_change=lambda e: setattr(session, "speed", e.value)).props(
             "dense dark borderless options-dense aria-label='simulated seconds a second' data-test=speed"
         )
-    gate.machine(row)
+    gate.guard_machine(row)
 
     async def back(seconds: float) -> None:
         try:
@@ -216,17 +221,17 @@ def build_toolbar(panel: Panel, live: BrowserUpdates, gate: EventGate) -> None:
             for seconds in BACK:
                 ui.menu_item(f"{seconds:g} s back", partial(back, seconds)).props(f"data-test=back-{seconds:g}")
         _button("restart_alt", "power-up", lambda: run.io_bound(session.reset), "reset")
-    gate.driving(row)
+    gate.guard_driving(row)
     clock = ui.element("div").classes("number q-ml-sm").props("data-test=time role=timer aria-label='simulated time'")
     pace = ui.element("div").classes("number q-ml-sm text-caption").props("data-test=pace")
-    live.text(clock, lambda: f"{session.view.time:.4f} s")
-    live.text(pace, lambda: _pace(session))
+    updates.show_text(clock, lambda: f"{session.view.time:.4f} s")
+    updates.show_text(pace, lambda: _pace(session))
     ui.space()
     doing = ui.label().classes("text-caption ellipsis").props("data-test=doing role=status")
     stop = _button("stop", "stop this action; the chips go on", session.stop_actions, "abandon")
-    gate.driving(stop)
+    gate.guard_driving(stop)
     good = ui.button("back to a good state", on_click=lambda: run.io_bound(session.recover))
-    gate.driving(good.props("dense no-caps color=negative data-test=recover"))
+    gate.guard_driving(good.props("dense no-caps color=negative data-test=recover"))
     program = _program(panel, gate)
     mine = _controls(panel, gate)
     _share(panel)
@@ -264,12 +269,12 @@ def _nearest(speed: float) -> float:
 
 
 def _turn(dark: ui.dark_mode) -> None:
-    """From what the browser prefers, to dark, to light."""
+    """Switch from what the browser prefers to dark, to light."""
     dark.value = {None: True, True: False, False: None}[dark.value]
 
 
 def _share(panel: Panel) -> None:
-    """The menu that saves what was done."""
+    """Build the menu that saves what was done."""
     programs = {
         "program.py": "the program as Python",
         "program.c": "the program as C",
@@ -294,7 +299,7 @@ def _share(panel: Panel) -> None:
 
 
 def _program(panel: Panel, gate: EventGate) -> Callable[[], None]:
-    """Which program has the stage, and the button by which one takes it over and gives it back; returns what looks again."""
+    """Build what tells which program drives, and the button that takes over and gives back; return what updates both."""
     session = panel.session
     says = ui.label().classes("text-caption ellipsis").props("data-test=program role=status")
 
@@ -305,7 +310,7 @@ def _program(panel: Panel, gate: EventGate) -> Callable[[], None]:
             session.take_over()
 
     button = ui.button(on_click=press).props("dense no-caps color=orange-9 data-test=take-over")
-    gate.machine(button)
+    gate.guard_machine(button)
 
     def look() -> None:
         name, taken, waits = session.program, session.taken_over, session.program_waits
@@ -317,7 +322,7 @@ def _program(panel: Panel, gate: EventGate) -> Callable[[], None]:
 
 
 def _controls(panel: Panel, gate: EventGate) -> Callable[[], None]:
-    """The button of who has the controls; returns what looks again."""
+    """Build the button of the controls; return what updates it."""
     controls, me = panel.controls, context.client.id
     button = ui.button(on_click=lambda: controls.take(me)).props("flat dense no-caps color=white data-test=controls")
     context.client.on_connect(lambda: controls.come(me))
@@ -327,7 +332,7 @@ def _controls(panel: Panel, gate: EventGate) -> Callable[[], None]:
 
     def look() -> None:
         gate.refresh()
-        mine = gate.mine
+        mine = gate.has_controls
         state = [mine, controls.watching]
         if shown == state:
             return
@@ -341,30 +346,30 @@ def _controls(panel: Panel, gate: EventGate) -> Callable[[], None]:
 
 
 def build_page(panel: Panel) -> None:
-    """One browser's page."""
+    """Build the page of one browser."""
     ui.add_css(STYLE + CHIP_STYLE)
     ui.colors(primary=PRIMARY)
-    live = BrowserUpdates()
+    updates = BrowserUpdates()
     gate = EventGate(panel, ui.context.client)
     with ui.header().classes("items-center q-py-xs q-px-md"):
-        build_toolbar(panel, live, gate)
+        build_toolbar(panel, updates, gate)
     with ui.element("div").classes("panel"):
         with ui.element("div").classes("machine"):
-            build_scene(panel, live)
-            build_axis_cards(panel, live)
-            build_oscilloscope(panel, live)
+            build_scene(panel, updates)
+            build_axis_cards(panel, updates)
+            build_oscilloscope(panel, updates)
         with ui.element("div").classes("desk"):
             build_tour(panel)
             with ui.element("div").classes("desk") as drives:
                 build_procedures(panel)
-            gate.driving(drives)
+            gate.guard_driving(drives)
             with ui.element("div").classes("desk") as machine:
                 build_fault_controls(panel)
-            gate.machine(machine)
+            gate.guard_machine(machine)
             with ui.element("div").classes("desk") as drives:
-                build_console(panel, live)
-                build_chip_panels(panel, live)
-            gate.driving(drives)
+                build_console(panel, updates)
+                build_chip_panels(panel, updates)
+            gate.guard_driving(drives)
 
 
 PRIMARY = "#2f74b5"  # white on it, and it on white, has a contrast of 4.9

@@ -30,16 +30,24 @@ if TYPE_CHECKING:
     from stage.sim.stage import Stage
 
 
-FAR = {
+MAX_TRAVELS = {
     True: 10,
     False: 100,
 }  # travels, of an axis that has end limits and of one that turns without end: no chip counts less
 SLOWEST = 1.0  # pulses a second
-LONGEST_RAMP = 60.0  # s: chips that take no more fall back on the slowest ramp that they have, without a word
+MAX_RAMP_S = 60.0  # s: chips that take no more fall back on the slowest ramp that they have, without a word
 
 
 class Field(NamedTuple):
-    """One value. unit: "" of a number without; choices: what can be had, else a number; default: as text."""
+    """Field of a form.
+
+    Attributes:
+        name: Name of the value.
+        title: Label.
+        unit: "" of a number without one.
+        default: As text.
+        choices: What can be chosen; empty: a number.
+    """
 
     name: str
     title: str
@@ -49,7 +57,7 @@ class Field(NamedTuple):
 
 
 class FieldError(ArgumentError):
-    """What somebody typed in `field` cannot be; the text says why."""
+    """Error about what a user typed in `field`; the text says why it cannot be."""
 
     def __init__(self, field: str, text: str):
         super().__init__(text)
@@ -57,7 +65,7 @@ class FieldError(ArgumentError):
 
 
 def parse_fields(fields: list[Field], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Values of a form's texts; empty ones are left out. Raises FieldError."""
+    """Return the values of a form's texts; empty ones are left out. Raises FieldError."""
     out: dict[str, Any] = {}
     for field in fields:
         text = str(given.get(field.name, field.default) or "").strip()
@@ -80,12 +88,12 @@ def parse_fields(fields: list[Field], given: Mapping[str, Any]) -> dict[str, Any
 
 
 def find_scale(axis: Axis) -> tuple[str, float]:
-    """The unit that people use of an axis, and what it is in the stage's."""
+    """Return the unit that people use of an axis, and what it is in the stage's."""
     return ("mm", 1e-3) if axis.unit == "m" else ("deg", radians(1))
 
 
 def to_field_error(error: StageError, axis: Axis, given: Mapping[str, Any], fields: list[Field]) -> StageError:
-    """What a chip cannot do, said at the field and in its unit; what is about no field as it is."""
+    """Return an error about what a chip cannot do as one of its field, in its unit; an error about no field as it is."""
     limit, names = getattr(error, "limit", None), {f.name: f for f in fields}
     if limit is None:
         return error
@@ -111,13 +119,13 @@ def to_field_error(error: StageError, axis: Axis, given: Mapping[str, Any], fiel
 
 
 def _typed(given: Mapping[str, Any], name: str, axis: Axis) -> float | None:
-    """A speed that somebody has typed, m/s; None: none."""
+    """Return a speed that a user typed, m/s; None: none."""
     text = str(given.get(name) or "").strip().replace(",", ".")
     return float(text) * find_scale(axis)[1] if text else None
 
 
 def find_field(error: BaseException, fields: list[Field]) -> str:
-    """The field that an error speaks of, or ""."""
+    """Return the field that an error is about, or ""."""
     if isinstance(error, FieldError):
         return error.field
     text = str(error)
@@ -125,12 +133,14 @@ def find_field(error: BaseException, fields: list[Field]) -> str:
 
 
 def require(values: dict[str, Any], name: str, what: str) -> Any:
+    """Return a value of a form. Raises FieldError where it is empty."""
     if name not in values:
         raise FieldError(name, f"say {what}.")
     return values[name]
 
 
 def list_speed_fields(axis: Axis) -> list[Field]:
+    """Return the fields of speed and ramp that an axis has."""
     unit, _ = find_scale(axis)
     fields = [Field("speed", "speed", f"{unit}/s")]
     if not axis.chip.SERVO:
@@ -139,9 +149,12 @@ def list_speed_fields(axis: Axis) -> list[Field]:
 
 
 def parse_distance(axis: Axis, name: str, value: float) -> float:
-    """m (rad) of what was typed: a pulse or more, and no more than makes sense."""
+    """Return a typed distance in m (rad). Raises FieldError for less than a pulse, and for many times the travel."""
     unit, k = find_scale(axis)
-    pulse, most = (axis.meters_per_pulse or 0.0) / k, FAR[has_end_limits(axis)] * (axis.travel[1] - axis.travel[0]) / k
+    pulse, most = (
+        (axis.meters_per_pulse or 0.0) / k,
+        MAX_TRAVELS[has_end_limits(axis)] * (axis.travel[1] - axis.travel[0]) / k,
+    )
     if abs(value) < 0.5 * pulse:
         raise FieldError(name, f"{value:g} {unit}: less than a pulse, which is {pulse:.4g} {unit}.")
     if abs(value) > most:
@@ -150,14 +163,15 @@ def parse_distance(axis: Axis, name: str, value: float) -> float:
 
 
 def parse_speeds(axis: Axis, values: dict[str, Any]) -> dict[str, Any]:
+    """Return typed speeds and ramp in m/s (rad/s) and s. Raises FieldError."""
     _, k = find_scale(axis)
     out: dict[str, Any] = {}
     for name, factor in (("speed", k), ("start_speed", k), ("accel", 1.0)):
         if name in values:
             if not values[name] > 0:
                 raise FieldError(name, f"{values[name]:g}: more than 0.")
-            if name == "accel" and values[name] > LONGEST_RAMP:
-                raise FieldError(name, f"{values[name]:g} s: up to {LONGEST_RAMP:g} s.")
+            if name == "accel" and values[name] > MAX_RAMP_S:
+                raise FieldError(name, f"{values[name]:g} s: up to {MAX_RAMP_S:g} s.")
             out[name] = values[name] * factor
             least = (axis.meters_per_pulse or 0.0) * SLOWEST
             if name != "accel" and out[name] < least:
@@ -167,20 +181,28 @@ def parse_speeds(axis: Axis, values: dict[str, Any]) -> dict[str, Any]:
 
 
 def to_driver_speeds(axis: Axis, speeds: Mapping[str, float]) -> Any:
-    """Physical speeds as the driver takes them."""
+    """Return physical speeds as the driver takes them."""
     return procedures.speeds(
         axis, speeds.get("speed"), speeds.get("start_speed"), speeds.get("accel", procedures.RAMP), None, False
     )
 
 
-ALL = ""
+ALL_AXES = ""
 """The axis of a form that is about several."""
 
 
 @dataclass(frozen=True)
 class ProcedureForm:
-    """A procedure. fields: of an axis by its name, ALL for a form about several; begin: what the stage's thread is to call;
-    finds_origin: after it one knows where the carriage is."""
+    """Form of a procedure.
+
+    Attributes:
+        name, title: For programs, and for people.
+        fields: Returns the fields for an axis, by its name; ALL_AXES for a form about several.
+        begin: Returns what the stage's thread is to call, for the values of the fields.
+        several: It is about several axes.
+        needs: Whether the stage and axis can do it.
+        finds_origin: After it one knows where the carriage is.
+    """
 
     name: str
     title: str
@@ -190,8 +212,8 @@ class ProcedureForm:
     needs: Callable[[Stage, str], bool] = lambda stage, axis: True
     finds_origin: bool = False
 
-    def order(self, stage: Stage, axis: str, given: Mapping[str, str]) -> Callable[[Stage], Any]:
-        """What `Session.act` takes. Raises FieldError, ArgumentError."""
+    def prepare(self, stage: Stage, axis: str, given: Mapping[str, str]) -> Callable[[Stage], Any]:
+        """Return what `Session.act` takes. Raises FieldError, ArgumentError."""
         return self.begin(stage, axis, parse_fields(self.fields(stage, axis), given))
 
 
@@ -238,14 +260,14 @@ def _two(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], A
 
 # --- home ---
 
-WAYS = ("minus", "plus")
+DIRECTIONS = ("minus", "plus")
 
 
 def _home_fields(stage: Stage, name: str) -> list[Field]:
     axis = stage.axes[name]
     how = driver_of(axis).homings()
     return [
-        Field("direction", "origin lies", "", WAYS[0], WAYS),
+        Field("direction", "origin lies", "", DIRECTIONS[0], DIRECTIONS),
         Field("by", "by", "", how[0], how),
         *list_speed_fields(axis),
     ]
@@ -281,7 +303,7 @@ def _line(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], 
 
 
 def _pairs(stage: Stage) -> list[str]:
-    """Two axes of a chip that draws circles with them: "x y"."""
+    """Return two axes each of a chip that draws circles with them: "x y"."""
     axes = [a for a in stage.axes.values() if type(driver_of(a)).circle is not Driver.circle]
     return [f"{a.name} {b.name}" for a, b in combinations(axes, 2) if a.chip is b.chip and a.unit == b.unit]
 
@@ -301,7 +323,7 @@ def _circle(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage]
 
 
 def _two_can(stage: Stage, name: str) -> bool:
-    """Chips of one drive speed would make a plain move of it."""
+    """Return whether the chip has two drive speeds; others would make a plain move of it."""
     return type(driver_of(stage.axes[name])).two_rates is not Driver.two_rates
 
 
@@ -321,9 +343,11 @@ FORMS: dict[str, ProcedureForm] = {
 
 
 class Jog:
-    """An axis that runs while a button is held: `session.act("jog x", Jog(axis, 1, {"speed": "20"}).order)`, then `release()`.
+    """Axis that runs while a button is held: `session.act("jog x", Jog(axis, 1, {"speed": "20"}).run)`, then `release()`.
 
-    Raises FieldError, ArgumentError.
+    Raises:
+        FieldError: A text does not fit its field.
+        ArgumentError: The chip cannot go so fast.
     """
 
     def __init__(self, axis: Axis, direction: int, given: Mapping[str, str]):
@@ -332,11 +356,11 @@ class Jog:
         self._released = threading.Event()
 
     def release(self) -> None:
-        """The button is let go."""
+        """End the run: the button is let go."""
         self._released.set()
 
-    def order(self, stage: Stage) -> Any:
-        """Run until the button is let go or something stops it; a report."""
+    def run(self, stage: Stage) -> Any:
+        """Run until the button is let go or something stops the axis; return a report."""
         driver = driver_of(self.axis)
         driver.ready()
         with Procedure(self.axis, "jog") as p:
@@ -355,8 +379,8 @@ class Jog:
         return StageError(f"{self.axis.name} stands on its end limit{on}, and does not go {way}: jog the other way.")
 
 
-def picture(report: Any) -> str:
-    """The operation pattern of a report as SVG. Raises StageError where matplotlib is not there."""
+def draw_pattern(report: Any) -> str:
+    """Return the operation pattern of a report as SVG. Raises StageError where matplotlib is missing."""
     figure = report.plot()
     if figure is None:
         raise StageError("this report draws no picture.")

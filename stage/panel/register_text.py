@@ -24,8 +24,17 @@ BY_ROWS = ("data write", "mode write")
 
 @dataclass(frozen=True)
 class CommandButton:
-    """A command that can be sent. label: short; words: the sheet's; title: all that the map says; symbol, datum: as
-    `Chip.command_cycles` takes them; takes: bits of the data that somebody has to give, 0 for none."""
+    """Command that can be sent.
+
+    Attributes:
+        label: Short name.
+        title: All that the map says.
+        symbol, datum: As `Chip.command_cycles` takes them.
+        evidence: Letter of the map.
+        takes: Bits of the data that a user has to give, 0 for none.
+        starts: It begins a drive.
+        words: The data sheet's.
+    """
 
     label: str
     title: str
@@ -38,11 +47,13 @@ class CommandButton:
 
 
 class FrontPanel:
-    """The front panel of a kind of chip.
+    """Front panel of a kind of chip.
 
     Attributes:
-        registers: a row each. forms: words that a host composes of fields. lamps: words that it reads. buttons: commands by
-        group; empty where the family does not say how its commands are sent.
+        registers: A row each.
+        forms: Words that a host composes of fields.
+        lamps: Words that a host reads.
+        buttons: Commands by group; empty where the family does not say how its commands are sent.
     """
 
     def __init__(self, kind: type[Chip]):
@@ -61,11 +72,14 @@ class FrontPanel:
         for w in written:
             if w.address in coded:
                 continue
-            chosen = [f for f in w.fields if not fixed(f)]
+            chosen = [f for f in w.fields if not is_fixed(f)]
             values = chosen[0].values if len(chosen) == 1 and chosen[0].low == 0 else {}
             for code, title in (w.sends or values).items():
                 label = f"{w.fixed | code:0{w.bits // 4}X}h"
-                yield f"{w.name}: {w.title}", CommandButton(label, title, w.name, code, worst(w.fields), words=title)
+                yield (
+                    f"{w.name}: {w.title}",
+                    CommandButton(label, title, w.name, code, find_weakest_evidence(w.fields), words=title),
+                )
 
     def _of_commands(self) -> Iterator[tuple[str, CommandButton]]:
         for c in self.map.commands:
@@ -88,50 +102,49 @@ class FrontPanel:
         return True
 
 
-def evidence(letter: str) -> str:
-    """What an evidence letter says."""
+def describe_evidence(letter: str) -> str:
+    """Return what an evidence letter means."""
     return f"{letter}: {EVIDENCE.get(letter, 'not said')}"
 
 
-def span(register: Register) -> str:
-    """The values that it takes, as the sheet says, or as its bits are."""
+def describe_range(register: Register) -> str:
+    """Return the values that a register takes, as the data sheet says, or as its bits are."""
     low, high = register.range
     said = " or ".join([f"{low} to {high}", *map(str, register.also)])
     return said if register.legal else f"{said} ({register.bits} bits)"
 
 
-def shown(register: Register | Word, value: int) -> str:
-    """A value as its field shows it: bits in hexadecimal, numbers in decimal."""
+def format_value(register: Register | Word, value: int) -> str:
+    """Return a value as its field shows it: bits in hexadecimal, numbers in decimal."""
     if register.fields:
         return f"{value & (1 << register.bits) - 1:0{(register.bits + 3) // 4}X}h"
     return str(register.value(value) if isinstance(register, Register) else value)
 
 
-def meant(register: Register | Word, value: int) -> str:
-    """What a value means beside its number: its fields in words, but for what says nothing, or hexadecimal."""
+def describe_value(register: Register | Word, value: int) -> str:
+    """Return what a value means beside its number: its fields in words, but for silent ones, or hexadecimal."""
     word = value & (1 << register.bits) - 1
     if not register.fields:
         return f"{word:X}h" if abs(value) > 9 else ""
-    told = [f for f in register.fields if not fixed(f) and f.of(word) != f.silent]
+    told = [f for f in register.fields if not is_fixed(f) and f.of(word) != f.silent]
     said = [f.says(f.of(word)) or (f"{f.name} = {f.of(word)}" if f.of(word) else "") for f in told]
     return ", ".join(text for text in said if text)
 
 
-def choices(field: Field) -> dict[int, str]:
-    """What a field can be, for a list; empty where it is a number."""
+def list_choices(field: Field) -> dict[int, str]:
+    """Return what a field can be, for a list; empty where it is a number."""
     if field.values:
         return {v: f"{v}  {text}" for v, text in field.values.items()}
     return {}
 
 
-def with_field(word: int, field: Field, value: int) -> int:
-    """`word` with another value of one field."""
+def replace_field(word: int, field: Field, value: int) -> int:
+    """Return `word` with another value of one field."""
     return word & ~field.mask | value << field.low & field.mask
 
 
-def number(text: str, bits: int) -> int:
-    """What somebody has typed, a whole number that so many bits hold: decimal, 0x1F or 1Fh, 0b101; with a sign it is two's
-    complement. Raises ArgumentError, with what was probably meant."""
+def parse_number(text: str, bits: int) -> int:
+    """Return a typed number of so many bits: decimal, 0x1F or 1Fh, 0b101, signed in two's complement. Raises ArgumentError."""
     typed = re.sub(r"[_\s]", "", text)
     if len(typed) > MOST:
         raise ArgumentError(f"a number of {len(typed)} characters needs more than {bits} bits.")
@@ -155,26 +168,26 @@ def _no_number(text: str, digits: str) -> str:
     return f"{text.strip()!r} is no number: 100, 64h or 0x64, 0b1100100."
 
 
-def fixed(field: Field) -> bool:
-    """Bits that tell a word from others of its address: nobody chooses them."""
+def is_fixed(field: Field) -> bool:
+    """Return whether a field's bits tell its word from others of the address: nobody chooses them."""
     return field.legal is not None and field.legal[0] == field.legal[1]
 
 
 def _is_data(word: Word) -> bool:
-    """One number without words: the data of commands."""
+    """Return whether a word is one number without words: the data of commands."""
     return len(word.fields) == 1 and not word.fields[0].values and word.fields[0].mask.bit_count() == word.bits
 
 
-def lit(field: Field, value: int) -> tuple[str, bool]:
-    """A field as a lamp: its words, and whether it is on, that is, says something."""
+def describe_lamp(field: Field, value: int) -> tuple[str, bool]:
+    """Return the words of a field as a lamp, and whether the lamp is on."""
     on = value != (0 if field.silent is None else field.silent)
     if field.high != field.low:
         return f"{field.says(value) or f'{field.name} {value}'}", on
     return field.says(value) or field.meaning or field.name, on
 
 
-def worst(fields: tuple[Field, ...]) -> str:
-    """The weakest that the parts have."""
+def find_weakest_evidence(fields: tuple[Field, ...]) -> str:
+    """Return the weakest evidence letter of some fields."""
     letters = list(EVIDENCE)
     return max((f.evidence for f in fields), key=lambda e: letters.index(e) if e in letters else 0)
 
@@ -192,22 +205,22 @@ ASSIGN = re.compile(r"([^\s<=]+)\s*(?:<-|=)\s*(.*)")
 
 
 class BusCycle(NamedTuple):
-    """A bus cycle to be made. read: else a write."""
+    """Bus cycle to be made. read: else a write."""
 
     read: bool
     address: int
     datum: int = 0
 
 
-class Order(NamedTuple):
-    """What a line asks for: cycles, and an answer that needs none."""
+class ConsoleCommand(NamedTuple):
+    """What a line of the console means: bus cycles, and an answer that needs none."""
 
     cycles: tuple[BusCycle, ...]
     answer: str = ""
 
 
-def names(kind: type[Chip]) -> list[str]:
-    """Every name that a line may begin with."""
+def list_names(kind: type[Chip]) -> list[str]:
+    """Return every name that a line may begin with."""
     map_ = kind.MAP
     words = (w.name for w in map_.words if w.written)
     return list(
@@ -215,64 +228,73 @@ def names(kind: type[Chip]) -> list[str]:
     )
 
 
-def complete(kind: type[Chip], text: str) -> list[str]:
-    """The names that begin as the last word of `text` does."""
+def complete_name(kind: type[Chip], text: str) -> list[str]:
+    """Return the names that begin as the last word of `text` does."""
     last = text.split(" ")[-1].upper()
-    return [name for name in names(kind) if name.upper().startswith(last)] if last else []
+    return [name for name in list_names(kind) if name.upper().startswith(last)] if last else []
 
 
-def parse_line(kind: type[Chip], text: str, axis: int = 0, values: Mapping[str, int] | None = None) -> Order:
-    """What a line of the console asks for. values: what registers hold now, for lines that ask or that change one field. Raises
-    ArgumentError, with near misses."""
+def parse_line(kind: type[Chip], text: str, axis: int = 0, values: Mapping[str, int] | None = None) -> ConsoleCommand:
+    """Return what a line of the console means.
+
+    Args:
+        kind: Class of the chip.
+        text: The line.
+        axis: Axis of the chip.
+        values: What registers hold now, for lines that ask or that change one field.
+
+    Raises:
+        ArgumentError: The line means nothing; the text has the near misses.
+    """
     line, values = text.strip(), values or {}
     first, _, rest = line.partition(" ")
     if not line:
         raise ArgumentError("nothing to do: `help` lists what can be written here.")
     if first.lower() == "help":
-        return Order((), _help(kind, rest.strip()))
+        return ConsoleCommand((), _help(kind, rest.strip()))
     if found := ASSIGN.fullmatch(line):
         return _assign(kind, found.group(1), found.group(2), axis, values)
     if first.lower() == "read":
         if not rest.strip():
             raise ArgumentError(f"read: an address is missing, 0 to {kind.ADDRESSES - 1:X}h.")
-        return Order(tuple(BusCycle(True, _address(kind, a)) for a in rest.split()))
+        return ConsoleCommand(tuple(BusCycle(True, _address(kind, a)) for a in rest.split()))
     if ":" in line:
         address, _, data = line.partition(":")
         if not data.strip():
             raise ArgumentError(f"{line}: the data are missing, as in {address.strip()}: 1F.")
         at = _address(kind, address)
-        return Order(tuple(BusCycle(False, at, _datum(kind, d)) for d in data.split()))
+        return ConsoleCommand(tuple(BusCycle(False, at, _datum(kind, d)) for d in data.split()))
     return _named(kind, first, rest.strip(), axis, values) or _bytes(kind, line)
 
 
-def _assign(kind: type[Chip], name: str, given: str, axis: int, values: Mapping[str, int]) -> Order:
+def _assign(kind: type[Chip], name: str, given: str, axis: int, values: Mapping[str, int]) -> ConsoleCommand:
     whole, _, part = name.partition(".")
     place = _place(kind, whole)
     if place is None and not part and (cycles := _number_of_several(kind, whole, given, axis)):
-        return Order(cycles)
+        return ConsoleCommand(cycles)
     if place is None:
         raise ArgumentError(f"no register or word of {kind.MAP.chip} is called {whole!r}.{_near(kind, whole)}")
     if isinstance(place, Register) and "W" not in place.access:
         raise ArgumentError(f"{place.name} ({place.title}) can only be read.")
     if part:
         field = kind.MAP.field(place.name, part)
-        value = with_field(values.get(place.name, 0), field, number(given, field.high - field.low + 1))
+        value = replace_field(values.get(place.name, 0), field, parse_number(given, field.high - field.low + 1))
     else:
-        value = number(given, place.bits)
-    return Order(writes(kind, place, value, axis))
+        value = parse_number(given, place.bits)
+    return ConsoleCommand(list_write_cycles(kind, place, value, axis))
 
 
 def _number_of_several(kind: type[Chip], name: str, given: str, axis: int) -> tuple[BusCycle, ...]:
-    """The cycles of a name that the family knows beside its map, such as a number of several registers; () if it does not."""
+    """Return the cycles of a name that the family knows beside its map, such as a number of several registers; () for none."""
     try:
         kind.register_cycles(name, 0, axis)
     except (ArgumentError, NotImplementedError):
         return ()
-    return tuple(BusCycle(False, *cycle) for cycle in kind.register_cycles(name, number(given, 32), axis))
+    return tuple(BusCycle(False, *cycle) for cycle in kind.register_cycles(name, parse_number(given, 32), axis))
 
 
-def writes(kind: type[Chip], place: Register | Word, value: int, axis: int) -> tuple[BusCycle, ...]:
-    """The cycles that put a value into a register, or into a word that a host writes, as a driver makes them."""
+def list_write_cycles(kind: type[Chip], place: Register | Word, value: int, axis: int) -> tuple[BusCycle, ...]:
+    """Return the cycles that write a register, or a word that a host writes, as a driver makes them."""
     bits = value & (1 << place.bits) - 1
     found = (
         kind.register_cycles(place.name, bits, axis)
@@ -282,36 +304,36 @@ def writes(kind: type[Chip], place: Register | Word, value: int, axis: int) -> t
     return tuple(BusCycle(False, *cycle) for cycle in found)
 
 
-def _named(kind: type[Chip], name: str, given: str, axis: int, values: Mapping[str, int]) -> Order | None:
-    """A command, a word or a register by its name; None: it is none."""
+def _named(kind: type[Chip], name: str, given: str, axis: int, values: Mapping[str, int]) -> ConsoleCommand | None:
+    """Return a command, a word or a register by its name; None: it is none."""
     map_ = kind.MAP
     if any(c.symbol == name.upper() for c in map_.commands):
         c = map_.command(name)
-        datum = number(given, 8 * c.bytes or c.choice.bit_length() or 1) if given else None
+        datum = parse_number(given, 8 * c.bytes or c.choice.bit_length() or 1) if given else None
         place = _place(kind, name)
         if datum is None and isinstance(place, Register) and c.kind != "data read":
-            return Order((), _holds(place, values))
+            return ConsoleCommand((), _holds(place, values))
     else:
         place = _place(kind, name)
         if place is None:
             return None
         if isinstance(place, Register):
-            return _assign(kind, name, given, axis, values) if given else Order((), _holds(place, values))
-        datum, name = (number(given, place.bits) if given else None), place.name
+            return _assign(kind, name, given, axis, values) if given else ConsoleCommand((), _holds(place, values))
+        datum, name = (parse_number(given, place.bits) if given else None), place.name
     try:
-        return Order(tuple(BusCycle(False, *cycle) for cycle in kind.command_cycles(name, axis, datum)))
+        return ConsoleCommand(tuple(BusCycle(False, *cycle) for cycle in kind.command_cycles(name, axis, datum)))
     except NotImplementedError as error:
         raise ArgumentError(f"{error} Write its bytes: `0: 15`.") from error
 
 
-def _bytes(kind: type[Chip], line: str) -> Order:
-    """Bytes to address 0."""
+def _bytes(kind: type[Chip], line: str) -> ConsoleCommand:
+    """Return bytes to address 0."""
     words = line.split()
     if not all(re.fullmatch(r"(0[xX])?[0-9a-fA-F]+[hH]?", w) for w in words):
         raise ArgumentError(
             f"{words[0]!r} is no name of {kind.MAP.chip} and no byte.{_near(kind, words[0])} `help` says more."
         )
-    return Order(tuple(BusCycle(False, 0, _datum(kind, w)) for w in words))
+    return ConsoleCommand(tuple(BusCycle(False, 0, _datum(kind, w)) for w in words))
 
 
 def _hexadecimal(text: str) -> int:
@@ -336,14 +358,14 @@ def _datum(kind: type[Chip], text: str) -> int:
 
 
 def _place(kind: type[Chip], name: str) -> Register | Word | None:
-    """The register, or the word that a host writes, of this name in any case."""
+    """Return the register, or the word that a host writes, of this name in any case."""
     wanted = name.upper()
     registers = (r for r in kind.MAP.registers if r.name.upper() == wanted)
     return next(registers, None) or next((w for w in kind.MAP.words if w.written and w.name.upper() == wanted), None)
 
 
 def _near(kind: type[Chip], name: str) -> str:
-    known = {n.upper(): n for n in names(kind)}
+    known = {n.upper(): n for n in list_names(kind)}
     near = [known[n] for n in near_names(name.upper(), known)]
     return f" Did you mean {' or '.join(near)}?" if near else ""
 
@@ -351,8 +373,8 @@ def _near(kind: type[Chip], name: str) -> str:
 def _holds(r: Register, values: Mapping[str, int]) -> str:
     if r.name not in values:
         return f"{r.name} ({r.text}) cannot be seen."
-    said = meant(r, values[r.name])
-    return f"{r.name} = {shown(r, values[r.name])}{' ' + r.unit if r.unit else ''}{f' ({said})' if said else ''}: {r.title}"
+    said = describe_value(r, values[r.name])
+    return f"{r.name} = {format_value(r, values[r.name])}{' ' + r.unit if r.unit else ''}{f' ({said})' if said else ''}: {r.title}"
 
 
 def _help(kind: type[Chip], name: str) -> str:
@@ -368,5 +390,5 @@ def _help(kind: type[Chip], name: str) -> str:
         raise ArgumentError(f"{map_.chip} has nothing that is called {name!r}.{_near(kind, name)}")
     head = f"{place.name}: {place.text}"
     if isinstance(place, Register):
-        head += f"; {span(place)}{' ' + place.unit if place.unit else ''}"
+        head += f"; {describe_range(place)}{' ' + place.unit if place.unit else ''}"
     return "\n".join([head, *(f"  .{f.name}  b{f.bits}  {f.text}" for f in place.fields)])

@@ -1,7 +1,7 @@
 """What a stage does, for charts: samples of the last minute, taken while it runs.
 
     sampler = Sampler(session)
-    traces(stage)                                            what there is to see: rates, positions, currents, every pin
+    find_traces(stage)                                            what there is to see: rates, positions, currents, every pin
     sampler.columns(["x/position", "x/org"], begin, end)     every sample between two moments
 
 The engine samples at each physics step, as it does for a recording; nothing else runs in the stage's thread than copying what has
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 ROWS = 4096  # of the engine's buffer: a second, far more than a slice
 FINE = 2.0  # s of physics steps that are kept
-COARSE, LONGEST = 1e-3, 60.0  # s between the samples of long windows, and how far they go back
+COARSE, MAX_AGE_S = 1e-3, 60.0  # s between the samples of long windows, and how far they go back
 EVENTS = 500  # diagnostics that are remembered
 
 _MORE = {
@@ -43,9 +43,16 @@ _MORE = {
 
 
 class Trace(NamedTuple):
-    """Something to see of an axis. name: "x/position"; pin: 0 or 1, on a logic lane; value: from the samples, in `unit`.
+    """Quantity or pin of an axis.
 
-    places: the decimals that mean something: what is below them is the arithmetic's."""
+    Attributes:
+        name: "x/position".
+        axis: Index of the axis.
+        title, unit: For people.
+        pin: 0 or 1, on a logic lane.
+        value: Function of samples, in `unit`.
+        places: Decimals that mean something; those below are rounding errors.
+    """
 
     name: str
     axis: int
@@ -57,14 +64,14 @@ class Trace(NamedTuple):
 
 
 class Event(NamedTuple):
-    """Something that happened at `time`, s."""
+    """Event at `time`, s."""
 
     time: float
     text: str
 
 
-def traces(stage: Stage) -> dict[str, Trace]:
-    """Everything that can be seen of a stage, by name: the quantities of each axis, then its pins."""
+def find_traces(stage: Stage) -> dict[str, Trace]:
+    """Return all traces of a stage by name: the quantities of each axis, then its pins."""
     found = {}
     for axis in stage.axes.values():
         for trace in (*_quantities(axis), *_pins(axis)):
@@ -111,7 +118,7 @@ def _pins(axis: Axis) -> list[Trace]:
 
 
 class SampleBuffer:
-    """The last `room` samples of all axes, by field. `end`: samples that ever came, less those forgotten by going back."""
+    """Last `room` samples of all axes, by field. `end`: samples that ever came, less those forgotten by going back."""
 
     def __init__(self, room: int, axes: int):
         self.room, self.end, self.begin = room, 0, 0
@@ -119,7 +126,7 @@ class SampleBuffer:
         self._fields = {name: np.zeros((axes, room), SAMPLE[name]) for name in SAMPLE.names or () if name != "time"}
 
     def extend(self, rows: np.ndarray) -> None:
-        """Rows (n, axes) of SAMPLE, later than all that are here."""
+        """Add rows (n, axes) of SAMPLE, later than all that are here."""
         rows = rows[-self.room :]
         n, at = len(rows), self.end % self.room
         first = min(n, self.room - at)
@@ -133,22 +140,22 @@ class SampleBuffer:
         self.begin = max(self.begin, self.end - self.room)
 
     def forget_from(self, time: float) -> None:
-        """Time has gone back to `time`, s."""
+        """Forget what is at `time`, s, or later: time has gone back."""
         if self.end > self.begin and self.last >= time:
             self.end = self.find(time)
 
     @property
     def last(self) -> float:
-        """s, of the newest; -1 where there is none."""
+        """Time of the newest sample, s; -1 where there is none."""
         return float(self._times[(self.end - 1) % self.room]) if self.end > self.begin else -1.0
 
     @property
     def first(self) -> float:
-        """s, of the oldest; of none infinitely late."""
+        """Time of the oldest sample, s; infinite where there is none."""
         return float(self._times[self.begin % self.room]) if self.end > self.begin else float("inf")
 
     def find(self, time: float) -> int:
-        """The number of the first sample at `time` or later."""
+        """Return the number of the first sample at `time` or later."""
         low, high = self.begin, self.end
         while low < high:
             middle = (low + high) // 2
@@ -156,11 +163,11 @@ class SampleBuffer:
         return low
 
     def times(self, begin: int, end: int) -> np.ndarray:
-        """Of samples by number, s."""
+        """Return the times of samples by number, s."""
         return self._cut(self._times, begin, end)
 
     def axis(self, axis: int, begin: int, end: int) -> _Columns:
-        """The fields of an axis, of samples by number."""
+        """Return the fields of an axis, of samples by number."""
         return _Columns(self, axis, begin, end)
 
     def _cut(self, kept: np.ndarray, begin: int, end: int) -> np.ndarray:
@@ -171,12 +178,12 @@ class SampleBuffer:
 
 
 class _Columns:
-    def __init__(self, ring: SampleBuffer, axis: int, begin: int, end: int):
-        self._given = ring, axis, begin, end
+    def __init__(self, buffer: SampleBuffer, axis: int, begin: int, end: int):
+        self._given = buffer, axis, begin, end
 
     def __getitem__(self, field: str) -> np.ndarray:
-        ring, axis, begin, end = self._given
-        return ring._cut(ring._fields[field][axis], begin, end)
+        buffer, axis, begin, end = self._given
+        return buffer._cut(buffer._fields[field][axis], begin, end)
 
 
 class Sampler:
@@ -190,7 +197,7 @@ class Sampler:
 
     def __init__(self, session: Session):
         stage = session.stage
-        self.session, self.traces = session, traces(stage)
+        self.session, self.traces = session, find_traces(stage)
         self.samples = np.zeros((ROWS, len(stage.axes)), SAMPLE)
         self.positions = np.zeros((ROWS, stage.model.nq))
         self.filled = 0
@@ -199,7 +206,7 @@ class Sampler:
         self.lock = threading.Lock()
         axes = len(stage.axes)
         self._fine = SampleBuffer(max(64, round(FINE / self.dt)), axes)
-        self._coarse = SampleBuffer(max(64, round(LONGEST / self._thin / self.dt)), axes)
+        self._coarse = SampleBuffer(max(64, round(MAX_AGE_S / self._thin / self.dt)), axes)
         self._phase = 0
         self._recording, self._read = None, 0
         self.events: deque[Event] = deque(maxlen=EVENTS)
@@ -208,12 +215,12 @@ class Sampler:
         self._over = lambda: None
         if axes:
             session.do(self._join)
-            self._over = session.on_slice(self._look)
+            self._over = session.on_slice(self._after_slice)
 
     # --- in the stage's thread ---
 
     def take(self, filled: int) -> None:
-        """The engine has filled the buffers up to row `filled`."""
+        """Take the rows up to `filled`, which the engine has put into the buffers."""
         if filled:
             self.filled = 0
             for sampler in (self, *self._also):
@@ -229,7 +236,7 @@ class Sampler:
             self._phase = (self._phase + len(rows)) % self._thin
 
     def _join(self, stage: Stage) -> None:
-        """Be told of samples: by the engine, by another sampler that it tells, or by the recording that goes on."""
+        """Get samples: from the engine, from another sampler that it fills, or from the recording that goes on."""
         now = stage.loop.recording
         if now is None:
             self._attach(stage)
@@ -245,8 +252,8 @@ class Sampler:
         stage.state.clockwork[0].sample_every = 1
         stage.state.world[0].to_sample = 1
 
-    def _look(self, stage: Stage) -> None:
-        """After each slice."""
+    def _after_slice(self, stage: Stage) -> None:
+        """Join again after each slice, forget what lies in the future, and note diagnostics."""
         self._join(stage)
         if self._fine.last > stage.time or self._coarse.last > stage.time:
             with self.lock:
@@ -261,7 +268,7 @@ class Sampler:
             self._said[id(chip)] = said
 
     def _follow(self, recording: Any) -> None:
-        """Somebody records: what is new there."""
+        """Take what is new in a recording."""
         if recording is not self._recording:
             self._recording, self._read = recording, 0
         for piece in recording.pieces(begin=self._read):
@@ -284,32 +291,34 @@ class Sampler:
 
     @property
     def last(self) -> float:
-        """The time of the newest sample, s; -1 where there is none."""
+        """Time of the newest sample, s; -1 where there is none."""
         return self._fine.last
 
     def trace(self, name: str) -> Trace:
-        """By name. Raises ArgumentError with the near misses."""
+        """Return a trace by name. Raises ArgumentError with the near misses."""
         if name not in self.traces:
             raise unknown("trace", name, self.traces)
         return self.traces[name]
 
     def columns(self, names: Sequence[str], begin: float, end: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """The samples from `begin` to `end`, s: their times, and each trace in its unit. Physics steps, where they still are
-        there; else samples COARSE apart. Raises ArgumentError."""
+        """Return the samples from `begin` to `end`, s: their times, and each trace in its unit.
+
+        They are physics steps where these are still there, else samples COARSE s apart. Raises ArgumentError.
+        """
         chosen = [self.trace(name) for name in names]
         with self.lock:
-            ring = self._ring(begin)
-            a, b = ring.find(begin), ring.find(end + 1e-12)
-            return ring.times(a, b), {t.name: t.value(ring.axis(t.axis, a, b)) for t in chosen}
+            buffer = self._find_buffer(begin)
+            a, b = buffer.find(begin), buffer.find(end + 1e-12)
+            return buffer.times(a, b), {t.name: t.value(buffer.axis(t.axis, a, b)) for t in chosen}
 
-    def drawn(
+    def thinned_columns(
         self, names: Sequence[str], begin: float, end: float, points: int
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """As `columns`, for `points` columns of pixels: of each the least and the greatest value, no peak is missing."""
+        """Return `columns` thinned to `points` columns of pixels: least and greatest of each, so that no peak is missing."""
         times, values = self.columns(names, begin, end)
         return {name: thin_curve(times, v, points) for name, v in values.items()}
 
-    def _ring(self, begin: float) -> SampleBuffer:
+    def _find_buffer(self, begin: float) -> SampleBuffer:
         return self._fine if self._fine.first <= max(begin, self._coarse.first) else self._coarse
 
     def close(self) -> None:
@@ -319,7 +328,7 @@ class Sampler:
 
 
 def thin_curve(times: np.ndarray, values: np.ndarray, points: int) -> tuple[np.ndarray, np.ndarray]:
-    """At most 2 `points` of a curve: the least and the greatest of each stretch, in the order in which they come."""
+    """Return at most 2 `points` of a curve: the least and the greatest of each stretch, in the order in which they come."""
     if points < 1:
         raise ArgumentError(f"points={points!r}: 1 or more columns of pixels.")
     n = len(values)
@@ -334,4 +343,15 @@ def thin_curve(times: np.ndarray, values: np.ndarray, points: int) -> tuple[np.n
     return times[at], values[at]
 
 
-__all__ = ["COARSE", "FINE", "LONGEST", "SERIES", "Event", "SampleBuffer", "Sampler", "Trace", "thin_curve", "traces"]
+__all__ = [
+    "COARSE",
+    "FINE",
+    "MAX_AGE_S",
+    "SERIES",
+    "Event",
+    "SampleBuffer",
+    "Sampler",
+    "Trace",
+    "find_traces",
+    "thin_curve",
+]

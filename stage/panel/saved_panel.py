@@ -31,7 +31,7 @@ from stage.errors import ArgumentError, StageError
 from stage.extras import ExtraMissing
 from stage.foreign_files import DocumentError, parse_json, read_bytes, read_members
 from stage.panel import oscilloscope
-from stage.panel.sampler import LONGEST
+from stage.panel.sampler import MAX_AGE_S
 from stage.sim.records import SECOND
 from stage.sim.stage import Snapshot
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 class ProgramCycle(NamedTuple):
-    """A bus cycle of a program. ns: from when on its chip's clock is that at which it came; value: None of a read."""
+    """Bus cycle of a program. ns: from when on its chip's clock is that at which it came; value: None of a read."""
 
     ns: int
     chip: int
@@ -50,7 +50,7 @@ class ProgramCycle(NamedTuple):
 
 
 def stage_of(made: dict[str, Any]) -> str:
-    """Python that makes the stage of these options."""
+    """Return Python that makes the stage of these options."""
     from stage.cli import setup
 
     given = [repr(made["model"])]
@@ -71,7 +71,7 @@ def stage_of(made: dict[str, Any]) -> str:
 
 
 def _drives(made: dict[str, Any], each: dict[str, str] | None) -> str:
-    """Python that makes the drives of these options, as stage.cli.setup does; "" for the usual ones. each: chips by axis."""
+    """Return Python that makes the drives of these options, as stage.cli.setup does; "" for the usual ones. each: chips by axis."""
     from stage.chips import chip_class
 
     motor = f"motor={made['motor']!r}, " if made["motor"] is not None else ""
@@ -94,7 +94,7 @@ def _of_power_up(panel: Panel, shared: SavedPanel) -> None:
 
 
 def _python_lines(panel: Panel, shared: SavedPanel, now: int) -> tuple[str, str]:
-    """What makes the stage, and what plays the program on it; both begin at the left."""
+    """Return Python that makes the stage, and Python that plays the program on it."""
     drive = "Drive, " if "Drive(" in stage_of(shared.made or {}) else ""
     words = _words(panel, shared)
     rows = "\n".join(
@@ -128,7 +128,7 @@ def play(stage):
 
 
 def to_python(panel: Panel, shared: SavedPanel, now: int) -> str:
-    """A program: the same bits, where nothing was broken or pushed."""
+    """Return a program in Python: the same bits, where nothing was broken or pushed."""
     _check(panel, shared)
     head, make = _python_lines(panel, shared, now)
     said = f"The panel's program, {len(shared.sent)} bus cycles in {now * 1e-9:.3f} s of simulated time."
@@ -137,7 +137,7 @@ def to_python(panel: Panel, shared: SavedPanel, now: int) -> str:
 
 
 def to_pytest(panel: Panel, shared: SavedPanel, now: int) -> str:
-    """A test: the axes end where they are now, with as many steps lost and as many mistakes noted."""
+    """Return a test: the axes end where they are now, with as many steps lost and as many diagnostics."""
     _check(panel, shared)
     head, make = _python_lines(panel, shared, now)
     asserted = ""
@@ -154,7 +154,7 @@ def to_pytest(panel: Panel, shared: SavedPanel, now: int) -> str:
 
 
 def to_c(panel: Panel, shared: SavedPanel, now: int) -> str:
-    """Firmware for `stage run`: the same cycles, to the microsecond."""
+    """Return firmware for `stage run`: the same cycles, to the microsecond."""
     _check(panel, shared)
     chips = {k: chip for k, chip in enumerate(panel.session.stage.chips)}
     places = {p.index: p for p in layouts.places(chips, None, None, None)}
@@ -184,7 +184,7 @@ PULSESTAGE_MAIN
 
 
 def _ports(place: Any, s: ProgramCycle) -> list[str]:
-    """The port cycles that reach an address of a chip."""
+    """Return the port cycles that reach an address of a chip."""
     for n, (kind, address) in enumerate(place.layout.ports):
         bits = {BYTE: 8, WORD: 16}.get(kind)
         if bits and address == s.address:
@@ -201,7 +201,7 @@ def _ports(place: Any, s: ProgramCycle) -> list[str]:
 
 
 def _words(panel: Panel, shared: SavedPanel) -> list[str]:
-    """What each cycle says, as in the trace."""
+    """Return what each cycle says, as in the trace."""
     listeners = [type(chip)(**chip.options()).listener() for chip in panel.session.stage.chips]
     found = []
     for s in shared.sent:
@@ -239,8 +239,16 @@ LATEST = 1 << 62  # ns
 
 
 class SavedPanel(NamedTuple):
-    """What a file holds. made: options, see STAGE_OPTIONS, or None; faults: as `FaultControls.make` takes them;
-    payloads: kg by body."""
+    """Content of a file.
+
+    Attributes:
+        made: Options of the stage, see STAGE_OPTIONS, or None.
+        payloads: Masses by body, kg.
+        faults: As `ActiveFault.request` has them.
+        sent: The program.
+        start: Time, ns, and state in which the program begins.
+        now: State at the end.
+    """
 
     made: dict[str, Any] | None
     payloads: dict[str, float]
@@ -251,7 +259,7 @@ class SavedPanel(NamedTuple):
 
 
 def sent_of(panel: Panel) -> list[ProgramCycle]:
-    """The program so far, in order of time. For the stage's thread."""
+    """Return the program so far, in order of time. For the stage's thread."""
     found = []
     for k, trace in enumerate(panel.observer.traces):
         hz = trace.chip.clock_hz
@@ -261,26 +269,28 @@ def sent_of(panel: Panel) -> list[ProgramCycle]:
     return sorted(found, key=lambda s: s.ns)
 
 
-def taken(panel: Panel) -> tuple[SavedPanel, int]:
-    """What there is now, and the time, ns. For the stage's thread."""
+def capture(panel: Panel) -> tuple[SavedPanel, int]:
+    """Return what there is now, and the time, ns. For the stage's thread."""
     stage = panel.session.stage
-    panel.observer.take(stage)
+    panel.observer.observe(stage)
     kg, _ = stage.machine()["payloads"]
     payloads = {stage.model.body(body).name: mass for body, mass in kg.items()}
-    broken = [made.asked for made in panel.fault_controls.in_force]
-    return SavedPanel(panel.made, payloads, broken, sent_of(panel), panel.observer.start, stage.snapshot()), stage.now
+    broken = [made.request for made in panel.fault_controls.in_force]
+    return SavedPanel(
+        panel.made, payloads, broken, sent_of(panel), panel.observer.program_start, stage.snapshot()
+    ), stage.now
 
 
 def program(panel: Panel, name: str) -> str:
-    """The program so far, as one of PROGRAM_FORMATS. Raises StageError."""
-    return panel.session.do(lambda stage: PROGRAM_FORMATS[name](panel, *taken(panel)))
+    """Return the program so far, as one of PROGRAM_FORMATS. Raises StageError."""
+    return panel.session.do(lambda stage: PROGRAM_FORMATS[name](panel, *capture(panel)))
 
 
 def save(panel: Panel) -> bytes:
-    """The file, of now."""
+    """Return the file, of now."""
 
     def take(stage: Stage) -> tuple[SavedPanel, int, dict[str, str]]:
-        shared, now = taken(panel)
+        shared, now = capture(panel)
         can = shared.made is not None and shared.start[0] == 0
         return shared, now, {name: write(panel, shared, now) for name, write in PROGRAM_FORMATS.items()} if can else {}
 
@@ -303,12 +313,12 @@ def save(panel: Panel) -> bytes:
 
 
 def _recording(panel: Panel) -> tuple[str, bytes]:
-    """The last minute: its ending and bytes; none where nothing has been sampled."""
+    """Return the last minute: the ending of its file and its bytes, none where nothing has been sampled."""
     sampler = panel.sampler
     names = [n for n, t in sampler.traces.items() if t.pin or n.rpartition("/")[2] in RECORDED]
     for ending in ("rrd", "csv"):
         try:
-            return ending, oscilloscope.FORMATS[ending](sampler, names, sampler.last - LONGEST, sampler.last)
+            return ending, oscilloscope.FORMATS[ending](sampler, names, sampler.last - MAX_AGE_S, sampler.last)
         except ExtraMissing:
             continue
         except ArgumentError:
@@ -322,7 +332,7 @@ def _bytes_of(snapshot: Snapshot) -> bytes:
 
 
 def read(path: str | os.PathLike) -> SavedPanel:
-    """A file that `save` has written. Raises ArgumentError."""
+    """Return the content of a file that `save` has written. Raises ArgumentError."""
 
     def refuse(why: str) -> ArgumentError:
         return ArgumentError(
@@ -370,30 +380,30 @@ def _is_option(value: Any, kind: type | tuple[type, ...]) -> bool:
 
 
 def _time(value: Any) -> int:
-    """A time since power-up, ns, of what JSON gave for it. Raises ValueError."""
+    """Return a time since power-up, ns, from JSON. Raises ValueError."""
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < LATEST:
         raise ValueError(f"{value!r:.60} is no time in ns")
     return value
 
 
 def _word(value: Any) -> int:
-    """A chip's number, an address or a datum, of what JSON gave for it. Raises ValueError."""
+    """Return a chip's number, an address or a datum from JSON. Raises ValueError."""
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 1 << 32:
         raise ValueError(f"{value!r:.60} is no number of 32 bits")
     return value
 
 
-def put(panel: Panel, shared: SavedPanel) -> None:
-    """The panel's stage goes on from there. Raises ArgumentError where it is another stage."""
+def restore(panel: Panel, shared: SavedPanel) -> None:
+    """Go on from a file on the panel's stage. Raises ArgumentError where it is another stage."""
 
     def order(stage: Stage) -> None:
         for body, kg in shared.payloads.items():
             stage.set_payload(kg, body)
         for asked in shared.faults:
-            panel.fault_controls.make_again(asked)
+            panel.fault_controls.inject_again(asked)
         panel.session.restore(shared.now)
-        panel.observer.take(stage)
-        panel.observer.start = shared.start
+        panel.observer.observe(stage)
+        panel.observer.program_start = shared.start
         for k, trace in enumerate(panel.observer.traces):
             hz = trace.chip.clock_hz
             trace.sent = [

@@ -34,7 +34,7 @@ _sites: list[Website] = []
 
 
 def website() -> Website:
-    """The one of this process. Raises ImportError where NiceGUI is not there."""
+    """Return the site of this process. Raises ImportError where NiceGUI is missing."""
     with _alone:
         if not _sites:
             _sites.append(Website())
@@ -42,7 +42,15 @@ def website() -> Website:
 
 
 class Website:
-    """Attributes: app, an ASGI application; loop; panels, by port."""
+    """NiceGUI's part of the panels: one in a process, in an event loop and a thread of its own.
+
+    Each panel has a server and a port in that loop, and a page is that of the panel on whose port it is requested.
+
+    Attributes:
+        app: ASGI application.
+        loop: Event loop.
+        panels: By port.
+    """
 
     def __init__(self) -> None:
         from fastapi import FastAPI, Request
@@ -92,19 +100,29 @@ class Website:
         return Response(found or b"", status_code=200 if found else 404, media_type="model/gltf-binary")
 
 
-HERE = "127.0.0.1"
+LOOPBACK = "127.0.0.1"
 
 
 class Panel:
-    """Serves the page of a session. port 0: any that is free. host: the address that it listens on; another than 127.0.0.1 makes it
-    ask for the token in its link. made: what `stage panel` has made the stage of, see share.py; None where a program has. Raises
-    StageError where the port cannot be had, or NiceGUI is not there."""
+    """Server of a session's page.
+
+    Args:
+        session: The session.
+        port: TCP port; 0: one that is free.
+        host: Address to listen on; another than 127.0.0.1 makes the server ask for the token in its link.
+        made: What `stage panel` has made the stage of, see saved_panel.py; None where a program has.
+        owns_session: Close the session with the panel.
+
+    Raises:
+        ArgumentError: A port that cannot be.
+        StageError: The port cannot be had, or NiceGUI is missing.
+    """
 
     def __init__(
         self,
         session: Session,
         port: int = 0,
-        host: str = HERE,
+        host: str = LOOPBACK,
         made: dict[str, Any] | None = None,
         owns_session: bool = False,
     ):
@@ -113,21 +131,23 @@ class Panel:
 
         self._site = website()
         from stage.panel import glb
-        from stage.panel.procedure_page import Reports
+        from stage.panel.procedure_page import ProcedureReports
 
         self.session, self.controls, self._owns_session = session, Controls(), owns_session
-        self.reports = Reports(session)
+        self.reports = ProcedureReports(session)
         self.made = made
         self._socket = _listening(host, port)
         self.port = self._socket.getsockname()[1]
-        self.token = "" if host == HERE else secrets.token_urlsafe(16)
+        self.token = "" if host == LOOPBACK else secrets.token_urlsafe(16)
         self.observer, self.sampler, self.fault_controls = (
             StageObserver(session),
             Sampler(session),
             FaultControls(session),
         )
         self.shapes = dict(glb.bodies(session.stage.model))
-        names = frozenset(f"{name}:{self.port}" for name in (HERE, "localhost")) if host == HERE else frozenset()
+        names = (
+            frozenset(f"{name}:{self.port}" for name in (LOOPBACK, "localhost")) if host == LOOPBACK else frozenset()
+        )
         config = uvicorn.Config(
             RequestGuard(self._site.app, names, self.token),
             log_level="error",
@@ -145,25 +165,25 @@ class Panel:
 
     @property
     def address(self) -> str:
-        """What to open in a browser."""
+        """Link to open in a browser."""
         host = _reached(self._host)
         at = f"http://{f'[{host}]' if ':' in host else host}:{self.port}/"
         return f"{at}?token={self.token}" if self.token else at
 
     @property
     def watched(self) -> bool:
-        """Somebody looks at it."""
+        """Whether a browser shows the page."""
         return self.controls.watching > 0
 
     def until_watched(self, seconds: float = float("inf")) -> bool:
-        """Wait until somebody looks at it, for so long at most; whether somebody does."""
+        """Wait until a browser shows the page, for so long at most, and return whether one does."""
         end = monotonic() + seconds
         while not self.watched and monotonic() < end:
             sleep(0.02)
         return self.watched
 
     def show(self) -> bool:
-        """Open it in a browser; False where there is none."""
+        """Open the page in a browser, and return whether there is one."""
         return webbrowser.open(self.address)
 
     def __enter__(self) -> Panel:
@@ -179,7 +199,7 @@ class Panel:
         return f'<a href="{self.address}" target="_blank">{self.address}</a>'
 
     def close(self) -> None:
-        """End the server; the session lives on, but for one that came with the panel."""
+        """End the server; the session lives on, unless the panel owns it."""
         self._server.should_exit = True
         try:
             self._served.result(5)
@@ -214,7 +234,7 @@ ANYWHERE = {"0.0.0.0": (socket.AF_INET, "192.0.2.1", "127.0.0.1"), "::": (socket
 
 
 def _reached(host: str) -> str:
-    """The address by which browsers reach a server that listens on `host`."""
+    """Return the address by which browsers reach a server that listens on `host`."""
     if host not in ANYWHERE:
         return host
     family, elsewhere, own = ANYWHERE[host]

@@ -141,7 +141,7 @@ class StageLock:
         if me in self._acting:
             return True
         if self.is_held():
-            self._take(depth)
+            self._take_new(depth)
             return True
         with self._mutex:
             self._waiting.append(me)
@@ -154,7 +154,7 @@ class StageLock:
                     if left is not None and left <= 0:
                         return False
                     self._line.wait(left)
-                self._take(depth)
+                self._take_new(depth)
                 self._disown()
                 return True
             finally:
@@ -165,7 +165,7 @@ class StageLock:
     def _is_next(self, me: int) -> bool:
         return me == (self._reserved_for or self._waiting[0])
 
-    def _take(self, depth: int) -> None:
+    def _take_new(self, depth: int) -> None:
         for _ in range(depth):
             self._try_to_own()
         self._depth += depth

@@ -30,8 +30,18 @@ KINDS = {WRITE: "W", READ: "R", LOST: "lost", RESET: "reset"}
 
 
 class Line(NamedTuple):
-    """A bus cycle, or a diagnostic. number: counts up; time: s; way: W, R, lost, reset, ! for a diagnostic. times: so many reads of
-    one address after each other, of which this is the last; first: the number of the first of them."""
+    """Bus cycle or diagnostic in a trace.
+
+    Attributes:
+        number: Counts up.
+        time: s.
+        way: W, R, lost, reset, ! for a diagnostic.
+        address, datum: Of the cycle.
+        words: What it says.
+        source: Of a diagnostic, the data sheet.
+        times: Reads of one address in a row, of which this is the last.
+        first: Number of the first of these.
+    """
 
     number: int
     time: float
@@ -44,7 +54,7 @@ class Line(NamedTuple):
     first: int = 0
 
     def text(self, digits: int) -> str:
-        """As a line of a list; digits: of the datum, hexadecimal."""
+        """Return the line of a list; digits: of the datum, hexadecimal."""
         if self.way in ("reset", "!"):
             return f"{self.time:11.6f}  {self.way}  {self.words}" + (f" [{self.source}]" if self.source else "")
         folded = f"  x {self.times}" if self.times > 1 else ""
@@ -52,9 +62,14 @@ class Line(NamedTuple):
 
 
 class Trace:
-    """The last LINES cycles and diagnostics of a chip. All but `since` are called by the stage's thread.
+    """Last LINES cycles and diagnostics of a chip, in words, whoever makes them. Only `since` is for any thread.
 
-    losses: a write that a fault has lost is told as such; False: as any other, as its host would tell it.
+    Writes come from a journal of the chip, so that none is missing; so do reads that change something. Other reads are noted where
+    they are made, by `read`: hosts that poll would fill the list.
+
+    Args:
+        chip: The chip.
+        losses: Show a write that a fault has lost as such; False: as any other, as its host would see it.
     """
 
     def __init__(self, chip: Chip, losses: bool = True):
@@ -84,7 +99,7 @@ class Trace:
         self._diagnostics()
 
     def read(self, address: int) -> int:
-        """Make a read cycle; it is told, too."""
+        """Make a read cycle, and note it."""
         self.look()
         datum = self.chip.read(address)
         address &= self.chip.ADDRESS_MASK
@@ -94,7 +109,7 @@ class Trace:
         return datum
 
     def since(self, number: int) -> list[Line]:
-        """The lines with higher numbers, oldest first."""
+        """Return the lines with higher numbers, oldest first."""
         return [line for line in tuple(self.lines) if line.number > number]
 
     def close(self) -> None:
@@ -102,7 +117,7 @@ class Trace:
         self._journal.close()
 
     def begin_again(self) -> None:
-        """The chip is in another state than its cycles have brought it to: that of a snapshot."""
+        """Go on from a snapshot: the chip is in another state than its cycles have brought it to."""
         self._journal.restart()
         self._clock = self.chip.clock
         while self.sent and self.sent[-1].clock > self.chip.clock:
@@ -147,13 +162,18 @@ class Trace:
 
 
 FRAMES = 25
-MOST_SENT = 200_000  # bus cycles of a program
-WANTED = 2.0  # s for which the registers of a chip are looked at after somebody wanted them
+MAX_PROGRAM_CYCLES = 200_000  # bus cycles of a program
+REQUEST_LIFETIME_S = 2.0  # s for which the registers of a chip are looked at after somebody wanted them
 
 
 class AxisView(NamedTuple):
-    """position, commanded: m or rad; lost: full steps, since the last origin return from a form; switches: those of the
-    stage, by name."""
+    """What is shown of an axis.
+
+    Attributes:
+        position, commanded: m or rad.
+        lost: Full steps, since the last origin return from a form.
+        switches: Of the stage, by name.
+    """
 
     position: float
     commanded: float
@@ -162,7 +182,12 @@ class AxisView(NamedTuple):
 
 
 class ChipView(NamedTuple):
-    """values: of registers and words; inputs, outputs: pins by name, True is asserted."""
+    """What is shown of one axis of a chip.
+
+    Attributes:
+        values: Of registers and words.
+        inputs, outputs: Pins by name, True is asserted.
+    """
 
     values: dict[str, int]
     inputs: dict[str, bool]
@@ -170,14 +195,19 @@ class ChipView(NamedTuple):
 
 
 class StageObserver:
-    """The latest look at a stage. Attributes are replaced, never changed, and can be read from any thread.
+    """Latest view of a stage. Attributes are replaced, never changed, and can be read from any thread.
 
-    Attributes: number: of looks so far; axes; chips: by index in `Stage.chips` and axis of the chip; traces: one a chip. start: the
-    state in which the program of the traces' `sent` begins, and its time, ns; made anew where time goes back to before it.
+    Attributes:
+        number: Of the views so far.
+        axes: By name.
+        chips: By index in `Stage.chips` and axis of the chip.
+        traces: One for each chip.
+        program_start: Time, ns, and state in which the program of the traces' `sent` begins; taken again where time goes back to
+            before it.
     """
 
     def __init__(self, session: Session):
-        self._session, self._wanted = session, {}  # type: ignore[var-annotated]
+        self._session, self._requested = session, {}  # type: ignore[var-annotated]
         self._at, self.number = 0.0, 0
         self._origins: dict[
             str, tuple[int, int]
@@ -185,32 +215,35 @@ class StageObserver:
         self.axes: dict[str, AxisView] = {}
         self.chips: dict[tuple[int, int], ChipView] = {}
         self.traces: tuple[Trace, ...] = session.do(lambda stage: tuple(Trace(chip) for chip in stage.chips))
-        self.start: tuple[int, Snapshot] = session.do(self._begin)
-        session.do(self.take)
+        self.program_start: tuple[int, Snapshot] = session.do(self._start_program)
+        session.do(self.observe)
         self._end = session.on_slice(self._slice)
 
-    def want(self, chip: int, axis: int) -> None:
-        """Somebody looks at the registers of this axis: they are there after the next look, for WANTED seconds."""
-        self._wanted[chip, axis] = perf_counter()
+    def request_registers(self, chip: int, axis: int) -> None:
+        """Have the registers of this axis in `chips` after the next look, for REQUEST_LIFETIME_S."""
+        self._requested[chip, axis] = perf_counter()
 
     def _slice(self, stage: Stage) -> None:
         if perf_counter() - self._at >= 1 / FRAMES:
-            self.take(stage)
+            self.observe(stage)
 
-    def take(self, stage: Stage) -> None:
-        """StageObserver now, in the stage's thread."""
+    def observe(self, stage: Stage) -> None:
+        """Look now, in the stage's thread."""
         self._at = now = perf_counter()
         self.axes = {a.name: self._seen(a) for a in stage.axes.values()}
-        wanted = [key for key, at in tuple(self._wanted.items()) if now - at < WANTED]
-        self.chips = {(k, axis): seen(stage.chips[k], axis) for k, axis in wanted}
+        wanted = [key for key, at in tuple(self._requested.items()) if now - at < REQUEST_LIFETIME_S]
+        self.chips = {(k, axis): view_axis_of(stage.chips[k], axis) for k, axis in wanted}
         for trace in self.traces:
             trace.look()
-        if stage.now < self.start[0] or sum(len(trace.sent or ()) for trace in self.traces) > MOST_SENT:
-            self.start = self._begin(stage)
+        if (
+            stage.now < self.program_start[0]
+            or sum(len(trace.sent or ()) for trace in self.traces) > MAX_PROGRAM_CYCLES
+        ):
+            self.program_start = self._start_program(stage)
         self.number += 1
 
     def note_origin(self, axis: str, stage: Stage) -> None:
-        """An origin return has found where the carriage is: what was lost before is lost no more. In the stage's thread."""
+        """Note that an origin return has found where the carriage is: earlier lost steps do not count. In the stage's thread."""
         self._origins[axis] = stage.now, stage.axes[axis].lost_steps
 
     def _seen(self, axis: Axis) -> AxisView:
@@ -224,20 +257,20 @@ class StageObserver:
             commanded -= before * (np.pi / 2 / record.teeth) / axis.gear
         return AxisView(axis.position, commanded, lost - before, axis.switches.as_dict())
 
-    def _begin(self, stage: Stage) -> tuple[int, Snapshot]:
+    def _start_program(self, stage: Stage) -> tuple[int, Snapshot]:
         for trace in self.traces:
             trace.sent = []
         return stage.now, stage.snapshot()
 
     def close(self) -> None:
-        """StageObserver no more."""
+        """End."""
         self._end()
         for trace in self.traces:
             trace.close()
 
 
-def seen(chip: Chip, axis: int) -> ChipView:
-    """What one axis of a chip shows now."""
+def view_axis_of(chip: Chip, axis: int) -> ChipView:
+    """Return what one axis of a chip shows now."""
     inputs, outputs = chip.input_word(axis), chip.output_word(axis)
     return ChipView(
         chip.values_of(axis),

@@ -25,9 +25,15 @@ TOGETHER = 0.1  # s: ends of axes that are one
 
 
 @dataclass
-class Drive:
-    """One drive of an axis, from rest to rest. rates: pulses a second, without a sign, every SAMPLE; org: its switch was on;
-    before: it began before the step that waits."""
+class Run:
+    """Run of an axis, from rest to rest.
+
+    Attributes:
+        rates: Pulses a second, without a sign, every SAMPLE.
+        began, ended: s.
+        org: The origin switch was on.
+        before: It began before the step that waits.
+    """
 
     rates: list[float] = field(default_factory=list)
     began: float = 0.0
@@ -36,7 +42,7 @@ class Drive:
     before: bool = False
 
     def plateaus(self) -> list[float]:
-        """The rates that it kept for a while, in their order."""
+        """Return the rates that were kept for a while, in their order."""
         kept: list[float] = []
         for k in range(len(self.rates) - PLATEAU + 1):
             part = self.rates[k : k + PLATEAU]
@@ -47,7 +53,13 @@ class Drive:
 
 @dataclass(frozen=True)
 class Step:
-    """title, task: for the reader; sheet: what data sheets call it; done: whether it has happened."""
+    """Step of the tour.
+
+    Attributes:
+        title, task: For the reader.
+        sheet: What data sheets call it.
+        done: Returns whether it has happened.
+    """
 
     title: str
     task: str
@@ -64,20 +76,20 @@ class Tour:
 
     def __init__(self, session: Session):
         self.number = 0
-        self.finished: list[tuple[str, Drive]] = []
+        self.finished: list[tuple[str, Run]] = []
         self.lost = False
-        self._under_way: dict[str, Drive] = {}
+        self._under_way: dict[str, Run] = {}
         self._nets: dict[str, tuple[float, float]] = {}
         self._lost_at_first: dict[str, int] = {}
         self._end = session.on_slice(self.look)
 
     @property
     def step(self) -> Step | None:
-        """The step that waits; None when all are done."""
+        """Step that waits; None when all are done."""
         return STEPS[self.number] if self.number < len(STEPS) else None
 
     def skip(self) -> None:
-        """On to the next step."""
+        """Go on to the next step."""
         self.number = min(self.number + 1, len(STEPS))
         self._forget()
 
@@ -86,7 +98,7 @@ class Tour:
         self._end()
 
     def look(self, stage: Stage) -> None:
-        """After a slice, in the stage's thread."""
+        """Watch the stage after a slice, in its thread."""
         for axis in stage.axes.values():
             self._follow(axis, stage.time)
         step = self.step
@@ -94,7 +106,7 @@ class Tour:
             self.skip()
 
     def pulses(self) -> bool:
-        """Some axis drives, or has driven since the step began."""
+        """Return whether some axis runs, or has run since the step began."""
         return bool(self.finished or self._under_way)
 
     def _forget(self) -> None:
@@ -116,7 +128,7 @@ class Tour:
         else:
             drive = self._under_way.get(axis.name)
             if net != before and drive is None:
-                drive = self._under_way[axis.name] = Drive(began=then)
+                drive = self._under_way[axis.name] = Run(began=then)
             if drive is not None:
                 drive.org |= bool(axis.switches.as_dict().get("org"))
                 if net != before:
@@ -132,17 +144,17 @@ class Tour:
 
 
 def _ramp(tour: Tour) -> bool:
-    """A drive began slower than it went later, and was slower again before its end."""
+    """Return whether a run began slower than it went later, and was slower again before its end."""
     return any(len(d.rates) >= 3 and max(d.rates[0], d.rates[-1]) < 0.8 * max(d.rates) for _, d in tour.finished)
 
 
 def _two_rates(tour: Tour) -> bool:
-    """From one constant rate up to another; an origin return goes down only."""
+    """Return whether a run went from one constant rate up to another; an origin return goes down only."""
     return any(a < b for _, d in tour.finished for a, b in pairwise(d.plateaus()))
 
 
 def _together(tour: Tour) -> bool:
-    """Two axes drove at the same time and ended as one."""
+    """Return whether two axes ran at the same time and ended as one."""
     return any(
         a != b and abs(d.ended - e.ended) <= TOGETHER and min(d.ended, e.ended) > max(d.began, e.began)
         for (a, d), (b, e) in pairwise(tour.finished)
@@ -186,7 +198,7 @@ STEPS = (
     ),
     Step(
         "Synchronized move",
-        "Drive two axes so that they begin and end together: Line, 30 mm by 10 mm.",
+        "Run two axes so that they begin and end together: Line, 30 mm by 10 mm.",
         "Linear interpolation, or two chips with rates as a : b, started by one command (CSTA, STA, one write to both).",
         _together,
     ),

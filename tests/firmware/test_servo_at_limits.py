@@ -258,11 +258,11 @@ def test_the_panel_jogs_out_of_a_limit_and_refuses_to_jog_further_in(servo, end)
     x = servo.axes["x"]
     way, at = place_on(x, end)
     with pytest.raises(StageError, match=f"x stands on its end limit, {end[:2]}\\{end[2]}, and does not go"):
-        Jog(x, way, {"speed": "20"}).order(servo)
+        Jog(x, way, {"speed": "20"}).run(servo)
     assert x.position == pytest.approx(at, abs=1e-9)
     jog = Jog(x, -way, {"speed": "20"})
     jog.release()
-    jog.order(servo)
+    jog.run(servo)
     assert -way * (x.position - at) > INSIDE
 
 

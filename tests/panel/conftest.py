@@ -68,7 +68,7 @@ class Browser:
         """A real click, of the mouse, where the element is then to be seen."""
         self.shown(name).click()
 
-    def shown(self, name):
+    def format_value(self, name):
         """The element, in the middle of the window, when it has come to rest there."""
         self.until(lambda: self.find(name).is_displayed())
         before: list[dict] = []
@@ -103,7 +103,7 @@ class Browser:
         """The points of a curve of the oscilloscope, as the browser draws it: [[x, y], ...]."""
         return self.driver.execute_script(CURVE, self.find("chart"), k)
 
-    def lit(self, name):
+    def describe_lamp(self, name):
         """Whether a lamp is on."""
         return "on" in self.find(name).get_attribute("class").split()
 
@@ -221,7 +221,7 @@ class Bench:
         """The page as at first, and the stage at power-up, in real time."""
         for made in reversed(self.panel.fault_controls.in_force):
             self.panel.fault_controls.mend(made)
-        self.panel.fault_controls.load(0.0)
+        self.panel.fault_controls.set_payload(0.0)
         self.session.reset()
         self.session.paused, self.session.speed = False, 1.0
         self.browser.open(self.panel.address)

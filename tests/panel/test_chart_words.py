@@ -23,7 +23,7 @@ def test_a_trigger_that_is_refused_is_said(page, monkeypatch):
 
     for name, value in (("mode", "normal"), ("source", "x/rate"), ("edge", False), ("level", 120)):
         page.put(name, value)
-    monkeypatch.setattr(scope, "trigger", refuse)
+    monkeypatch.setattr(scope, "set_trigger", refuse)
     page.put("level", 7)
     assert page.said == ["no such trigger."]
     assert (scope.mode, scope.source, scope.rising, scope.level) == ("normal", "x/rate", False, 120)
@@ -35,8 +35,8 @@ def test_other_traces_are_drawn_at_once_also_while_nothing_moves(page, monkeypat
     monkeypatch.setattr(one, "_calls", [])  # nobody else looks
     page.put("mode", "free")
     page.put("traces", ["x/position"])
-    assert page.within(chart._look)
-    assert page.within(chart._look) is None, "it rests"
+    assert page.within(chart._next_message)
+    assert page.within(chart._next_message) is None, "it rests"
     page.put("traces", ["x/position", "y/position"])
-    method, message = page.within(chart._look)
+    method, message = page.within(chart._next_message)
     assert (method, len(message["series"])) == ("setOption", 2)

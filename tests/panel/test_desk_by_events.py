@@ -13,7 +13,7 @@ from stage.errors import StageError
 from stage.panel import chip_panel as chips
 from stage.panel import oscilloscope_page as charts
 from stage.panel.oscilloscope import SPANS, OscilloscopeFrame
-from stage.panel.page import place
+from stage.panel.page import format_position
 from stage.panel.register_text import BusCycle, FrontPanel
 
 
@@ -30,7 +30,7 @@ def _as_at_first(served, page):
     served.leave(but=1)
     for made in reversed(served.panel.fault_controls.in_force):
         served.panel.fault_controls.mend(made)
-    served.panel.fault_controls.load(0.0)
+    served.panel.fault_controls.set_payload(0.0)
 
 
 def of(served, look):
@@ -46,8 +46,8 @@ def pushes(served):
 
 def test_a_card_of_each_axis_has_its_motor_its_place_and_its_switches(served, page):
     of(served, lambda stage: stage.place(x=0.0123, y=stage.axes["y"].travel[1] * 0.985))
-    served.panel.observer.want(0, 0)
-    of(served, served.panel.observer.take)
+    served.panel.observer.request_registers(0, 0)
+    of(served, served.panel.observer.observe)
     live, look = live_of(page), served.panel.observer
     texts = {e.props.get("data-test"): now() for e, now in live._texts.values()}
     lamps = {e.props.get("data-test"): now() for e, now in live._lamps.values()}
@@ -55,7 +55,7 @@ def test_a_card_of_each_axis_has_its_motor_its_place_and_its_switches(served, pa
     for name, axis in served.session.stage.axes.items():
         seen = look.axes[name]
         assert texts[f"motor-{name}"] == axis.drive.motor.name
-        assert texts[f"place-{name}"] == place(axis.unit, seen.position, seen.commanded, seen.lost)
+        assert texts[f"place-{name}"] == format_position(axis.unit, seen.position, seen.commanded, seen.lost)
         assert {s: lamps[f"switch-{name}-{s}"] for s in axis.switches.as_dict()} == seen.switches
     assert texts["place-x"] != texts["place-y"]
     pins = look.chips[0, 0]
@@ -145,7 +145,7 @@ def test_what_is_broken_is_of_the_axis_that_was_chosen_and_each_is_mended_for_it
         before = len(hands.in_force)
         page.click("break")
         page.until(lambda n=before: len(hands.in_force) == n + 1)
-        assert hands.in_force[-1].asked == ("switch_stuck", axis, {"pin": pin, "closed": closed})
+        assert hands.in_force[-1].request == ("switch_stuck", axis, {"pin": pin, "closed": closed})
     texts = [made.text for made in hands.in_force]
     page.until(lambda: len(page.all("mend")) == 3)
     listed = [e.text for e in page.find("in-force").descendants() if getattr(e, "text", "") in texts]
@@ -323,7 +323,7 @@ def test_each_cycle_and_each_diagnostic_is_a_line_of_the_trace_and_what_is_bad_l
     log, pushed = page.find("trace"), []
     page.put("console-target", 1)
     page.put("console-target", 0)
-    log.push = lambda *given: pushed.append(given)
+    log.append = lambda *given: pushed.append(given)
     line(page, "15")
     page.until(lambda: any(kind == "bad" for _, kind, *_ in pushed))
     trace = served.panel.observer.traces[0]
@@ -389,13 +389,13 @@ def test_what_rests_is_drawn_seldom_and_what_moves_as_it_comes(served, page, mon
     def drawn(kind, after):
         shown.kind, shown.end = kind, shown.end + 0.01
         clock.now += after
-        return page.within(chart._look) is not None
+        return page.within(chart._next_message) is not None
 
     assert drawn("up", 0.0)
     assert drawn("up", 0.01)
     assert drawn("flat", 0.01), "that it rests is drawn at once"
-    assert not drawn("flat", 0.9 * charts.RESTING)
-    assert drawn("flat", 0.2 * charts.RESTING)
+    assert not drawn("flat", 0.9 * charts.FLAT_INTERVAL_S)
+    assert drawn("flat", 0.2 * charts.FLAT_INTERVAL_S)
     assert not drawn("flat", 0.01)
     assert drawn("up", 0.01)
     shown.end -= 0.01
@@ -407,7 +407,7 @@ def test_window_trigger_and_run_are_those_of_the_controls(served, page, monkeypa
     for span in SPANS[:3]:
         page.put("span", span)
         assert chart.scope.span == span
-    monkeypatch.setattr(chart.scope, "trigger", lambda *wanted: asked.append(wanted))
+    monkeypatch.setattr(chart.scope, "set_trigger", lambda *wanted: asked.append(wanted))
     page.put("mode", "single")
     page.put("source", "y/rate")
     page.put("edge", False)

@@ -8,7 +8,7 @@ import pytest
 from stage import Stage
 from stage.errors import ArgumentError
 from stage.panel.fault_controls import find_max_push
-from stage.panel.page import place
+from stage.panel.page import format_position
 from stage.panel.procedure_forms import (
     Field,
     FieldError,
@@ -27,10 +27,10 @@ def axes():
 
 
 def test_a_place_is_told_in_the_unit_of_its_axis():
-    said = place("m", 0.0123456, 0.0125, -4).splitlines()
+    said = format_position("m", 0.0123456, 0.0125, -4).splitlines()
     assert [line.split()[-2:] for line in said[:3]] == [["12.3456", "mm"], ["12.5000", "mm"], ["0.1544", "mm"]]
     assert said[3].split() == ["lost", "steps", "-4"]
-    turned = place("rad", radians(-30), radians(-30.5), 0).splitlines()
+    turned = format_position("rad", radians(-30), radians(-30.5), 0).splitlines()
     assert [line.split()[-2:] for line in turned[:3]] == [["-30.0000", "deg"], ["-30.5000", "deg"], ["-0.5000", "deg"]]
 
 

@@ -19,7 +19,7 @@ def page(served):
 @pytest.fixture(autouse=True)
 def _drawn_quickly(monkeypatch):
     """Patterns are drawn elsewhere: here they only say of what they are."""
-    monkeypatch.setattr("stage.panel.procedure_page.picture", lambda report: f"<svg>{report}")
+    monkeypatch.setattr("stage.panel.procedure_page.draw_pattern", lambda report: f"<svg>{report}")
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def session(served, page):
 
 @pytest.fixture
 def ordered(session, monkeypatch):
-    """What the session is told to do, in words of people."""
+    """What the session is outcome to do, in words of people."""
     names, act = [], session.act
     monkeypatch.setattr(session, "act", lambda name, order: names.append(name) or act(name, order))
     return names
@@ -63,13 +63,13 @@ def go(page, form, says="pulses"):
     before = reports.last(form)
     tab(page, form)
     page.click(f"go-{form}")
-    told = page.until(lambda: says in (now := reports.last(form)).text and now is not before and now)
-    page.until(lambda: page.text("report") == told.text)
-    return told.text
+    outcome = page.until(lambda: says in (now := reports.last(form)).text and now is not before and now)
+    page.until(lambda: page.text("report") == outcome.text)
+    return outcome.text
 
 
 def wrong(page):
-    """The report is told as an error."""
+    """The report is outcome as an error."""
     return "text-negative" in page.find("report").classes
 
 
@@ -184,7 +184,9 @@ def test_who_was_shown_an_axis_goes_on_with_the_form_that_was_open(page, session
 
 def test_an_axis_of_a_beam_says_with_whom_it_carries_it(page, session, monkeypatch):
     assert not page.all("tied")
-    monkeypatch.setattr("stage.panel.procedure_page.tied", lambda stage, axis: {"y": ["x", "z"]}.get(axis, []))
+    monkeypatch.setattr(
+        "stage.panel.procedure_page.find_coupled_axes", lambda stage, axis: {"y": ["x", "z"]}.get(axis, [])
+    )
     page.put("procedure-axis", "y")
     assert page.text("tied").startswith("y carries one beam with x and z: ")
     page.put("procedure-axis", "x")
@@ -345,16 +347,16 @@ def test_a_picture_is_of_the_report_that_it_was_drawn_of(served, page, session, 
 
     def picture(report):
         if report.name == "first":
-            reports.say("home", "newer")  # the next has begun meanwhile
+            reports.note("home", "newer")  # the next has begun meanwhile
         if isinstance(found := pictures[report.name], Exception):
             raise found
         return found
 
-    monkeypatch.setattr("stage.panel.procedure_page.picture", picture)
+    monkeypatch.setattr("stage.panel.procedure_page.draw_pattern", picture)
 
     def perform(name):
-        told = SimpleNamespace(ok=True, name=name, plot=None)
-        page.within(lambda: reports.perform("home", "Home", lambda stage: told))
+        outcome = SimpleNamespace(ok=True, name=name, plot=None)
+        page.within(lambda: reports.perform("home", "Home", lambda stage: outcome))
 
     perform("first")
     page.until(lambda: reports.last("home").text == "newer")

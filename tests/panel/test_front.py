@@ -10,15 +10,15 @@ from stage.errors import ArgumentError
 from stage.panel.register_text import (
     BusCycle,
     FrontPanel,
-    complete,
-    lit,
-    meant,
-    number,
+    complete_name,
+    describe_lamp,
+    describe_range,
+    describe_value,
+    find_weakest_evidence,
+    format_value,
     parse_line,
-    shown,
-    span,
-    with_field,
-    worst,
+    parse_number,
+    replace_field,
 )
 
 
@@ -36,7 +36,7 @@ from stage.panel.register_text import (
     ],
 )
 def test_a_number_is_typed_as_sheets_and_programs_write_it(typed, value):
-    assert number(typed, 13) == value
+    assert parse_number(typed, 13) == value
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_a_number_is_typed_as_sheets_and_programs_write_it(typed, value):
 )
 def test_what_is_no_number_is_told_with_what_was_probably_meant(typed, said):
     with pytest.raises(ArgumentError, match=said):
-        number(typed, 13)
+        parse_number(typed, 13)
 
 
 def test_every_command_of_every_chip_has_a_button_or_a_row():
@@ -89,24 +89,24 @@ def test_bytes_that_a_word_has_by_name_carry_its_fixed_bits():
 
 def test_values_are_shown_and_told_as_the_map_says():
     r14, lp = PCL240MS.MAP.register("R14"), MCX514.MAP.register("LP")
-    assert (shown(r14, 0x9005), meant(r14, 0x1000)) == ("9005h", "linear ramps")
-    assert (shown(lp, -20), meant(lp, -20)) == ("-20", "FFFFFFECh")
+    assert (format_value(r14, 0x9005), describe_value(r14, 0x1000)) == ("9005h", "linear ramps")
+    assert (format_value(lp, -20), describe_value(lp, -20)) == ("-20", "FFFFFFECh")
     linear = PCL240MS.MAP.field("R14", "linear")
-    assert with_field(0x8005, linear, 1) == 0x9005
-    assert with_field(0x8005, linear, 3) == 0x9005, "the bits beside it stay"
-    assert shown(CHIPS["PCL240MK"].MAP.register("R13"), 5) == "000005h", "of 23 bits"
-    assert span(MCX514.MAP.register("LX")) == "1 to 2147483647 or 4294967295"
-    assert span(lp) == f"{lp.range[0]} to {lp.range[1]}{'' if lp.legal else ' (32 bits)'}"
+    assert replace_field(0x8005, linear, 1) == 0x9005
+    assert replace_field(0x8005, linear, 3) == 0x9005, "the bits beside it stay"
+    assert format_value(CHIPS["PCL240MK"].MAP.register("R13"), 5) == "000005h", "of 23 bits"
+    assert describe_range(MCX514.MAP.register("LX")) == "1 to 2147483647 or 4294967295"
+    assert describe_range(lp) == f"{lp.range[0]} to {lp.range[1]}{'' if lp.legal else ' (32 bits)'}"
     operating = PCL240K.MAP.field("status", "operating")
-    assert [lit(operating, v) for v in (0, 1)] == [("not operating", False), ("operating", True)]
+    assert [describe_lamp(operating, v) for v in (0, 1)] == [("not operating", False), ("operating", True)]
     pending = PCL240K.MAP.field("status", "no_int")
-    assert [lit(pending, v) for v in (0, 1)] == [("/INT pending", True), ("no /INT pending", False)]
+    assert [describe_lamp(pending, v) for v in (0, 1)] == [("/INT pending", True), ("no /INT pending", False)]
 
 
 def test_the_evidence_of_a_whole_is_that_of_its_weakest_part():
     field = PCL240K.MAP.field("status", "operating")
     parts = [replace(field, evidence=letter) for letter in ("I", "S", "D")]
-    assert [worst(tuple(parts[k:])) for k in range(3)] == ["I", "D", "D"]
+    assert [find_weakest_evidence(tuple(parts[k:])) for k in range(3)] == ["I", "D", "D"]
 
 
 @pytest.mark.parametrize("line", ["read 99999", "99999: 1", "read 4", "4: 1", "read -1", "read 0 4"])
@@ -127,7 +127,7 @@ def test_digits_of_another_script_are_none(line):
 def test_nor_is_anything_with_them_proposed(typed):
     """x: R2 <- 1O\u0663"""
     with pytest.raises(ArgumentError, match="is no number: 100, 64h"):
-        number(typed, 13)
+        parse_number(typed, 13)
     assert units.whole(typed) is None
 
 
@@ -137,26 +137,26 @@ def test_what_is_wider_than_the_bus_is_refused(line):
         parse_line(PCL240K, line)
 
 
-def writes(*cycles):
+def list_write_cycles(*cycles):
     return tuple(BusCycle(False, *cycle) for cycle in cycles)
 
 
 @pytest.mark.parametrize(
     ("kind", "line", "cycles"),
     [
-        (PCL240K, "10 15h 0x1D", writes((0, 0x10), (0, 0x15), (0, 0x1D))),
-        (PCL240K, "2: 1F 20", writes((2, 0x1F), (2, 0x20))),
-        (PCL240K, "r1 <- 100", writes((0, 0x81), (2, 0), (1, 100))),
-        (PCL240K, "R1=64h", writes((0, 0x81), (2, 0), (1, 100))),
+        (PCL240K, "10 15h 0x1D", list_write_cycles((0, 0x10), (0, 0x15), (0, 0x1D))),
+        (PCL240K, "2: 1F 20", list_write_cycles((2, 0x1F), (2, 0x20))),
+        (PCL240K, "r1 <- 100", list_write_cycles((0, 0x81), (2, 0), (1, 100))),
+        (PCL240K, "R1=64h", list_write_cycles((0, 0x81), (2, 0), (1, 100))),
         (PCL240K, "read 3 2", (BusCycle(True, 3), BusCycle(True, 2))),
-        (PCL240K, "operate 15h", writes((0, 0x15))),
-        (PCL240MS, "R14.linear <- 1", writes((0, 0x94), (2, 0x10), (1, 5))),
-        (HCTL1100, "mode 3", writes((5, 3))),
-        (HCTL1100, "final_position <- -2", writes((0x2B, 0xFF), (0x2A, 0xFF), (0x29, 0xFE))),
-        (MCX514, "DRVRL", writes((0, 0x0450))),
-        (MCX514, "dv 8000", writes((6, 8000), (7, 0), (0, 0x0405))),
-        (MCX514, "WR3 <- 4", writes((0, 0x041F), (3, 4))),
-        (MCX514, "RST", writes((0, 0xFF))),
+        (PCL240K, "operate 15h", list_write_cycles((0, 0x15))),
+        (PCL240MS, "R14.linear <- 1", list_write_cycles((0, 0x94), (2, 0x10), (1, 5))),
+        (HCTL1100, "mode 3", list_write_cycles((5, 3))),
+        (HCTL1100, "final_position <- -2", list_write_cycles((0x2B, 0xFF), (0x2A, 0xFF), (0x29, 0xFE))),
+        (MCX514, "DRVRL", list_write_cycles((0, 0x0450))),
+        (MCX514, "dv 8000", list_write_cycles((6, 8000), (7, 0), (0, 0x0405))),
+        (MCX514, "WR3 <- 4", list_write_cycles((0, 0x041F), (3, 4))),
+        (MCX514, "RST", list_write_cycles((0, 0xFF))),
     ],
 )
 def test_a_line_of_the_console_becomes_bus_cycles(kind, line, cycles):
@@ -190,5 +190,5 @@ def test_the_console_answers_without_bus_cycles():
     assert "R1 <- 100" in parse_line(PCL240K, "help").answer
     assert parse_line(PCL240K, "help r1").answer == "R1: FL speed; 1 to 8191 speed steps"
     assert ".linear" in parse_line(PCL240MS, "help R14").answer
-    assert complete(MCX514, "drvv") == ["DRVVP", "DRVVM"]
-    assert complete(MCX514, "") == []
+    assert complete_name(MCX514, "drvv") == ["DRVVP", "DRVVM"]
+    assert complete_name(MCX514, "") == []

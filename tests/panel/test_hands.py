@@ -7,7 +7,7 @@ from stage import Stage
 from stage.drives.dc_motors import DC_MOTORS
 from stage.drives.motors import MOTORS
 from stage.errors import ArgumentError, StageError
-from stage.panel.fault_controls import FaultControls, find_max_push, functions
+from stage.panel.fault_controls import FaultControls, fault_functions, find_max_push
 from stage.panel.procedure_forms import FieldError
 from stage.panel.session import FREE, Session
 from stage.panel.stage_thread import describe_escape
@@ -40,7 +40,11 @@ def test_who_leaves_lets_go(session):
 
 def test_everything_that_can_break_is_offered_with_what_it_asks_for(hands):
     breakings = {b.name: b for b in hands.list_forms("x")}
-    assert set(breakings) == set(functions()) >= {"jam", "bounce", "phase_open", "bus_voltage", "lost_write", "payload"}
+    assert (
+        set(breakings)
+        == set(fault_functions())
+        >= {"jam", "bounce", "phase_open", "bus_voltage", "lost_write", "payload"}
+    )
     pin, closed = breakings["switch_stuck"].fields
     assert "org" in pin.choices
     assert closed.choices == ("yes", "no")
@@ -56,7 +60,7 @@ def test_everything_that_can_break_is_offered_with_what_it_asks_for(hands):
     ],
 )  # fmt: skip
 def test_each_can_be_made_and_mended(hands, session, name, given):
-    made = hands.make(name, "x", given)
+    made = hands.inject(name, "x", given)
     assert session.stage.faults == (made.text,)
     hands.mend(made)
     assert session.stage.faults == ()
@@ -80,7 +84,7 @@ def test_time_does_not_go_back_over_a_motor_that_was_changed(hands, session):
 
     for _ in range(2):
         pass_time(0.1)
-    made = hands.make("motor", "x", {"motor": "SS2422-5041"})
+    made = hands.inject("motor", "x", {"motor": "SS2422-5041"})
     changed = session.do(lambda stage: stage.time)
     for _ in range(3):
         pass_time(0.1)
@@ -96,7 +100,7 @@ def test_time_does_not_go_back_over_a_motor_that_was_changed(hands, session):
 
 
 def test_a_stuck_switch_is_seen(hands, session):
-    hands.make("switch_stuck", "x", {"pin": "org", "closed": "yes"})
+    hands.inject("switch_stuck", "x", {"pin": "org", "closed": "yes"})
     assert session.do(lambda stage: stage.axes["x"].switches.org)
 
 
@@ -104,7 +108,7 @@ def test_what_broke_first_may_be_mended_first(hands, session):
     """24 V, then 12, then 8: mending the first leaves 8, mending both 24 again."""
     x = session.stage.axes["x"]
     nominal = x.supply
-    first, second = hands.make("bus_voltage", "x", {"volts": "12"}), hands.make("bus_voltage", "x", {"volts": "8"})
+    first, second = hands.inject("bus_voltage", "x", {"volts": "12"}), hands.inject("bus_voltage", "x", {"volts": "8"})
     hands.mend(first)
     assert x.supply == 8
     hands.mend(second)
@@ -116,7 +120,7 @@ def test_what_broke_later_is_mended_in_its_order_whatever_was_mended_before(hand
     x = session.stage.axes["x"]
     nominal = x.supply
     jam, low, lower = (
-        hands.make(*m) for m in (("jam", "x", {}), *(("bus_voltage", "x", {"volts": v}) for v in ("12", "8")))
+        hands.inject(*m) for m in (("jam", "x", {}), *(("bus_voltage", "x", {"volts": v}) for v in ("12", "8")))
     )
     hands.mend(jam)
     hands.mend(lower)
@@ -144,9 +148,9 @@ def test_a_push_moves_the_carriage_and_ends_with_the_hand(hands, session):
 
 
 def test_load_and_supply(hands, session):
-    hands.load(2.0)
+    hands.set_payload(2.0)
     assert hands.payload == 2.0
-    hands.load(0.0)
+    hands.set_payload(0.0)
     nominal = hands.supply
     hands.set_supply(12.0)
     hands.set_supply(10.0)
@@ -168,16 +172,16 @@ def test_load_and_supply(hands, session):
 )
 def test_what_is_wrong_is_said_at_its_field(hands, name, given, field):
     with pytest.raises(FieldError) as wrong:
-        hands.make(name, "x", given)
+        hands.inject(name, "x", given)
     assert wrong.value.field == field
     assert hands.in_force == []
 
 
 def test_what_the_fault_refuses_is_passed_on(hands):
     with pytest.raises(ArgumentError, match="volts=900"):
-        hands.make("bus_voltage", "x", {"volts": "900"})
+        hands.inject("bus_voltage", "x", {"volts": "900"})
     with pytest.raises(ArgumentError, match="jam"):
-        hands.make("jamm", "x", {})
+        hands.inject("jamm", "x", {})
 
 
 @pytest.mark.parametrize("model", ["xy", "xyz", "xyz_servo", "xya"])
@@ -202,9 +206,9 @@ def test_a_stronger_push_is_refused(hands):
 
 def test_what_is_broken_already_is_not_broken_again(hands):
     asked = ("switch_stuck", "x", {"pin": "org", "closed": "yes"})
-    made = hands.make(*asked)
+    made = hands.inject(*asked)
     with pytest.raises(ArgumentError, match="org stuck closed: it is so already"):
-        hands.make(*asked)
+        hands.inject(*asked)
     assert hands.in_force == [made]
     hands.mend(made)
-    assert hands.make(*asked).fault.in_force
+    assert hands.inject(*asked).fault.in_force

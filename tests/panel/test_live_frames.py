@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("nicegui")
 from stage.panel import browser_updates as lives
-from stage.panel.browser_updates import FRAMES, PATIENCE, READ, BrowserUpdates, TextLog
+from stage.panel.browser_updates import ANSWER_TIMEOUT_S, FRAMES, TEXT_INTERVAL_S, BrowserUpdates, TextLog
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def live(monkeypatch):
     monkeypatch.setattr(lives, "perf_counter", lambda: live.real.now)
 
     async def run_method(name, *given, timeout):
-        assert (name, timeout) == ("show", PATIENCE)
+        assert (name, timeout) == ("show", ANSWER_TIMEOUT_S)
         live.sent.append(given)
         if not live.answers:
             raise TimeoutError
@@ -45,25 +45,25 @@ def element(number):
 def test_only_what_has_changed_goes_out_and_texts_at_most_ten_times_a_second(live):
     text, lamp = {1: "a", 2: "b"}, {3: False, 4: True}
     for k in text:
-        assert live.text(one := element(k), lambda k=k: text[k]) is one
+        assert live.show_text(one := element(k), lambda k=k: text[k]) is one
     for k in lamp:
-        assert live.lamp(one := element(k), lambda k=k: lamp[k]) is one
+        assert live.show_lamp(one := element(k), lambda k=k: lamp[k]) is one
     assert frame(live) == ([(1, "a"), (2, "b")], [(3, False), (4, True)], [])
-    assert frame(live, READ) is None
+    assert frame(live, TEXT_INTERVAL_S) is None
     text[2], lamp[3] = "c", True
-    assert frame(live, READ * 1.01) == ([(2, "c")], [(3, True)], [])
+    assert frame(live, TEXT_INTERVAL_S * 1.01) == ([(2, "c")], [(3, True)], [])
     text[1] = "d"
-    assert frame(live, READ / 2) is None, "nobody reads faster"
+    assert frame(live, TEXT_INTERVAL_S / 2) is None, "nobody reads faster"
     lamp[4] = False
     assert frame(live) == ([], [(4, False)], [])
-    assert frame(live, READ * 0.6) == ([(1, "d")], [], [])
-    assert 1 / FRAMES < READ
+    assert frame(live, TEXT_INTERVAL_S * 0.6) == ([(1, "d")], [], [])
+    assert 1 / FRAMES < TEXT_INTERVAL_S
 
 
 def test_a_call_is_made_as_often_as_asked_and_not_where_there_is_nothing_new(live):
     asked, given = [], {"often": [1], "seldom": [2]}
-    live.call(element(7), "often", lambda: given["often"])
-    live.call(element(8), "seldom", lambda: asked.append(1) or given["seldom"], 0.5)
+    live.call_method(element(7), "often", lambda: given["often"])
+    live.call_method(element(8), "seldom", lambda: asked.append(1) or given["seldom"], 0.5)
     assert frame(live) == ([], [], [(7, "often", [1]), (8, "seldom", [2])])
     assert frame(live, 0.4) == ([], [], [(7, "often", [1])])
     assert len(asked) == 1, "it is not even looked at"
@@ -76,8 +76,8 @@ def test_a_call_is_made_as_often_as_asked_and_not_where_there_is_nothing_new(liv
 
 
 def test_who_did_not_answer_is_sent_everything_again(live):
-    live.lamp(element(3), lambda: True)
-    live.text(element(1), lambda: "a")
+    live.show_lamp(element(3), lambda: True)
+    live.show_text(element(1), lambda: "a")
     live.answers = False
     assert frame(live)
     live.answers = True
@@ -87,8 +87,8 @@ def test_who_did_not_answer_is_sent_everything_again(live):
 
 def test_what_is_gone_from_the_page_is_looked_at_no_more(live):
     gone, asked = element(3), []
-    live.lamp(gone, lambda: asked.append(1) or len(asked) % 2 == 0)
-    live.lamp(element(4), lambda: len(asked))
+    live.show_lamp(gone, lambda: asked.append(1) or len(asked) % 2 == 0)
+    live.show_lamp(element(4), lambda: len(asked))
     assert frame(live)[1] == [(3, False), (4, 1)]
     gone.is_deleted = True
     assert frame(live, 1.0) is None
@@ -101,20 +101,20 @@ def test_lines_are_told_once_the_last_so_many_and_a_key_takes_the_place_of_the_l
     lines.id, lines._deleted = 9, False
     TextLog.__init__(lines, live, 3)
     assert lines._props["most"] == 3
-    assert lines._take() is None
+    assert lines._take_new() is None
     for text, kind, key in (("a", "", 1), ("b", "bad", 1), ("c", "", 0), ("d", "", 0)):
-        lines.push(text, kind, key)
+        lines.append(text, kind, key)
     assert frame(live) == ([], [], [(9, "push", [[("b", "bad", 1), ("c", "", 0), ("d", "", 0)]])])
     assert frame(live) is None
     for k in range(5):
-        lines.push(str(k), "", 0)
-    assert [text for text, _, _ in lines._take()[0]] == ["2", "3", "4"]
-    lines.push("a", "", 5)
-    lines.push("b", "", 6)
-    lines.push("c", "", 5)
-    assert [text for text, _, _ in lines._take()[0]] == ["a", "b", "c"], "only of the line right before"
+        lines.append(str(k), "", 0)
+    assert [text for text, _, _ in lines._take_new()[0]] == ["2", "3", "4"]
+    lines.append("a", "", 5)
+    lines.append("b", "", 6)
+    lines.append("c", "", 5)
+    assert [text for text, _, _ in lines._take_new()[0]] == ["a", "b", "c"], "only of the line right before"
     done = []
     lines.run_method = lambda *what: done.append(what)
-    lines.push("gone")
+    lines.append("gone")
     lines.empty()
-    assert (lines._take(), done) == (None, [("clear",)])
+    assert (lines._take_new(), done) == (None, [("clear",)])

@@ -25,20 +25,20 @@ def words(trace):
 def test_a_look_has_axes_always_and_registers_of_what_somebody_wants(look):
     assert set(look.axes) == {"x", "y"}
     assert look.chips == {}
-    look.want(1, 0)
+    look.request_registers(1, 0)
     look.session.do(lambda stage: [stage.chips[1].write(*c) for c in stage.chips[1].register_cycles("R1", 100)])
-    look.session.do(look.take)
+    look.session.do(look.observe)
     assert list(look.chips) == [(1, 0)]
     seen = look.chips[1, 0]
     assert (seen.values["R1"], seen.outputs["hold"], seen.inputs["org"]) == (100, True, False)
 
 
 def test_registers_that_nobody_wants_any_more_are_not_read(look, monkeypatch):
-    look.want(0, 0)
-    look.session.do(look.take)
+    look.request_registers(0, 0)
+    look.session.do(look.observe)
     assert list(look.chips) == [(0, 0)]
-    monkeypatch.setattr("stage.panel.stage_observer.WANTED", 0.0)
-    look.session.do(look.take)
+    monkeypatch.setattr("stage.panel.stage_observer.REQUEST_LIFETIME_S", 0.0)
+    look.session.do(look.observe)
     assert look.chips == {}
 
 
@@ -48,7 +48,7 @@ def test_the_trace_tells_the_cycles_of_whoever_makes_them(look):
     session.paused = False
     session.act("move", lambda stage: firmware.move(stage.axes["x"], 1e-3)).result(30)
     session.paused = True
-    session.do(look.take)
+    session.do(look.observe)
     said = words(trace)
     assert said[0] == ("W", "control mode: preset")
     assert ("W", "start, ramp to FH1") in said
@@ -69,8 +69,8 @@ def test_an_address_is_told_as_the_chip_decodes_it(look):
 def test_diagnostics_stand_in_the_trace_and_in_a_list_of_their_own_once(look):
     trace, session = look.traces[0], look.session
     session.do(lambda stage: stage.chips[0].write(0, 0x15))
-    session.do(look.take)
-    session.do(look.take)
+    session.do(look.observe)
+    session.do(look.observe)
     (noted,) = trace.said
     assert noted in trace.lines
     assert noted.source
@@ -81,12 +81,12 @@ def test_after_a_snapshot_the_trace_goes_on_from_what_the_chip_holds_then(look):
     trace, session = look.traces[0], look.session
     start = session.do(lambda stage: stage.snapshot())
     session.do(lambda stage: stage.chips[0].write(0, 0x81))
-    session.do(look.take)
+    session.do(look.observe)
     session.restore(start)
-    session.do(look.take)
+    session.do(look.observe)
     assert trace.lines[-1].words == "the time went back"
     session.do(lambda stage: stage.chips[0].write(1, 5))
-    session.do(look.take)
+    session.do(look.observe)
     assert "R0" in trace.lines[-1].words, "R1 was selected later"
 
 
@@ -95,16 +95,16 @@ def test_who_goes_back_to_a_snapshot_keeps_the_program_up_to_it(look):
     session.do(lambda stage: stage.chips[0].write(0, 0x81))
     kept = session.do(lambda stage: stage.snapshot())
     session.do(lambda stage: stage.chips[0].write(0, 0x82))
-    session.do(look.take)
+    session.do(look.observe)
     session.restore(kept)
-    session.do(look.take)
+    session.do(look.observe)
     assert [e.b for e in trace.sent] == [0x81]
 
 
 def test_a_trace_and_its_journal_keep_no_more_than_the_last_lines(look):
     trace, session = look.traces[0], look.session
     session.do(lambda stage: [stage.chips[0].write(0, 0x40) for _ in range(1200)])
-    session.do(look.take)
+    session.do(look.observe)
     assert len(trace.lines) == 500
     assert trace.lines[-1].number == 1200
     assert session.do(lambda stage: len(trace._journal.entries)) == 0
@@ -137,15 +137,15 @@ def test_after_an_origin_return_what_was_lost_before_is_lost_no_more(look):
     session = look.session
     fast = {"speed": 0.8, "start_speed": 0.4, "accel": 0.02}
     session.do(lambda stage: session.run_unpaced(lambda: firmware.move(stage.axes["x"], 0.04, **fast)))
-    session.do(look.take)
+    session.do(look.observe)
     assert look.axes["x"].lost
     session.do(lambda stage: session.run_unpaced(firmware.home, stage.axes["x"]))
     session.do(lambda stage: look.note_origin("x", stage))
-    session.do(look.take)
+    session.do(look.observe)
     seen = look.axes["x"]
     assert seen.lost == 0
     assert seen.commanded == pytest.approx(seen.position, abs=5e-5)
     session.reset()
-    session.do(look.take)
+    session.do(look.observe)
     assert look.axes["x"].lost == 0
     assert look.axes["x"].commanded == pytest.approx(look.axes["x"].position, abs=5e-5)

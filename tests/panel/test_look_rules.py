@@ -8,7 +8,7 @@ import pytest
 from stage import Stage
 from stage.panel import stage_observer as looks
 from stage.panel.session import FREE, Session
-from stage.panel.stage_observer import FRAMES, WANTED, StageObserver
+from stage.panel.stage_observer import FRAMES, REQUEST_LIFETIME_S, StageObserver
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def real(monkeypatch):
 def look(session, real):
     session.reset()
     look = StageObserver(session)
-    look.again = lambda: session.do(look.take)
+    look.again = lambda: session.do(look.observe)
     yield look
     look.close()
 
@@ -50,9 +50,9 @@ def test_at_most_so_many_looks_a_second_are_taken_however_many_slices_there_are(
 
 def test_registers_are_there_for_each_axis_of_a_chip_that_somebody_wanted_a_while_ago_at_most(session, look, real):
     session.do(lambda stage: [stage.chips[0].write(*c) for c in stage.chips[0].register_cycles("DV", 77, 1)])
-    look.want(0, 0)
-    real.now += 0.9 * WANTED
-    look.want(0, 1)
+    look.request_registers(0, 0)
+    real.now += 0.9 * REQUEST_LIFETIME_S
+    look.request_registers(0, 1)
     look.again()
     assert set(look.chips) == {(0, 0), (0, 1)}
     chip = session.stage.chips[0]
@@ -63,12 +63,12 @@ def test_registers_are_there_for_each_axis_of_a_chip_that_somebody_wanted_a_whil
             assert shown == {name: word & bit != 0 for name, bit in pins.items()}
     assert [seen.values["DV"] == 77 for seen in look.chips.values()] == [False, True]
     before = look.chips
-    real.now += 0.2 * WANTED
+    real.now += 0.2 * REQUEST_LIFETIME_S
     look.again()
     assert set(look.chips) == {(0, 1)}
     assert set(before) == {(0, 0), (0, 1)}, "replaced, never changed"
-    look.want(0, 1)
-    real.now += 0.9 * WANTED
+    look.request_registers(0, 1)
+    real.now += 0.9 * REQUEST_LIFETIME_S
     look.again()
     assert set(look.chips) == {(0, 1)}, "who wants it again has it for as long again"
 
@@ -106,21 +106,21 @@ def test_a_program_begins_anew_where_time_goes_back_to_before_it_and_where_it_is
         return len(look.traces[0].sent)
 
     session.do(lambda stage: write(6, 1))
-    assert (sent(), look.start[0]) == (1, 0)
-    session.do(lambda stage: look.__setattr__("start", look._begin(stage)))
-    begun, snapshot = look.start
+    assert (sent(), look.program_start[0]) == (1, 0)
+    session.do(lambda stage: look.__setattr__("program_start", look._start_program(stage)))
+    begun, snapshot = look.program_start
     assert (begun, sent()) == (session.stage.now, 0)
     session.restore(snapshot)
     assert session.stage.now == begun
     session.do(lambda stage: write(6, 1))
-    monkeypatch.setattr(looks, "MOST_SENT", 3)
+    monkeypatch.setattr(looks, "MAX_PROGRAM_CYCLES", 3)
     session.do(lambda stage: [write(6, k) for k in range(2)])
-    assert (sent(), look.start[0]) == (3, begun), "as many as that are none too many"
+    assert (sent(), look.program_start[0]) == (3, begun), "as many as that are none too many"
     session.do(lambda stage: write(6, 1))
-    assert (sent(), look.start[0]) == (0, session.stage.now)
+    assert (sent(), look.program_start[0]) == (0, session.stage.now)
     session.reset()
     look.again()
-    assert look.start[0] == 0
+    assert look.program_start[0] == 0
 
 
 def test_a_look_that_has_ended_is_taken_no_more(session, real):

@@ -25,7 +25,7 @@ def hasty(session, what, *given, **more):
 def test_the_edge_of_a_trace_stands_where_the_trigger_is(session, sampler):
     scope = Oscilloscope(sampler, ["x/rate", "x/position"], span=0.05)
     hasty(session, session.stage.run, 0.02)
-    scope.trigger("single", "x/rate", True, 8000.0)
+    scope.set_trigger("single", "x/rate", True, 8000.0)
     assert scope.frame(100).state == "waits for the trigger"
     hasty(session, firmware.move, session.stage.axes["x"], 0.004)
     frame = scope.frame(100)
@@ -42,8 +42,8 @@ def test_the_edge_of_a_trace_stands_where_the_trigger_is(session, sampler):
 
 def test_lost_steps_and_diagnostics_are_triggers(session, sampler):
     scope, other = Oscilloscope(sampler, ["x/lost_steps"], span=0.1), Oscilloscope(sampler, ["x/rate"], span=0.1)
-    scope.trigger("normal", LOST)
-    other.trigger("normal", DIAGNOSTIC)
+    scope.set_trigger("normal", LOST)
+    other.set_trigger("normal", DIAGNOSTIC)
     x = session.stage.axes["x"]
     with session.do(lambda stage: faults.jam(x)) as jam:
         hasty(session, firmware.move, x, 0.004)
@@ -60,7 +60,7 @@ def test_a_pin_has_an_edge_whatever_level_is_left_from_another_trace(session, sa
     pins = [name for name, trace in sampler.traces.items() if trace.pin and name.startswith("x/")]
     scopes = {name: Oscilloscope(sampler, [name], span=0.05) for name in pins}
     for name, scope in scopes.items():
-        scope.trigger("normal", name, True, 8000.0)
+        scope.set_trigger("normal", name, True, 8000.0)
     hasty(session, firmware.move, session.stage.axes["x"], 0.004)
     rose = {name for name in pins if (np.diff(sampler.columns([name], 0, sampler.last)[1][name].astype(int)) > 0).any()}
     assert rose
@@ -69,7 +69,7 @@ def test_a_pin_has_an_edge_whatever_level_is_left_from_another_trace(session, sa
 
 def test_auto_shows_what_there_is_and_time_may_go_back(session, sampler):
     scope = Oscilloscope(sampler, ["x/org"], span=0.01)
-    scope.trigger("auto", "x/org")
+    scope.set_trigger("auto", "x/org")
     hasty(session, session.stage.run, 1.5)
     assert scope.frame(10).end == pytest.approx(sampler.last)
     session.reset()
@@ -82,7 +82,7 @@ def test_auto_shows_what_there_is_and_time_may_go_back(session, sampler):
 def test_a_trigger_stays_until_its_window_is_full(session, sampler, mode):
     """A window of 1 s that fills up in steps of 0.1 s"""
     scope = Oscilloscope(sampler, ["x/rate"], span=1.0)
-    scope.trigger(mode, "x/rate", True, 8000.0)
+    scope.set_trigger(mode, "x/rate", True, 8000.0)
     hasty(session, firmware.move, session.stage.axes["x"], 0.004)
     first = scope.frame(10)
     while sampler.last < first.end - 0.1:
@@ -98,7 +98,7 @@ def test_a_trigger_stays_until_its_window_is_full(session, sampler, mode):
 def test_of_two_triggers_the_last_whose_window_is_full_is_shown(session, sampler):
     """Two moves since the last look, the second just begun"""
     scope = Oscilloscope(sampler, ["x/rate"], span=0.4)
-    scope.trigger("normal", "x/rate", True, 8000.0)
+    scope.set_trigger("normal", "x/rate", True, 8000.0)
     hasty(session, firmware.move, session.stage.axes["x"], 0.004)
     hasty(session, session.stage.run, 0.4)
     between = sampler.last
@@ -113,7 +113,7 @@ def test_of_two_triggers_the_last_whose_window_is_full_is_shown(session, sampler
 
 def test_a_trigger_that_time_has_taken_back_is_none(session, sampler):
     scope = Oscilloscope(sampler, ["x/rate"], span=0.1)
-    scope.trigger("normal", "x/rate", True, 8000.0)
+    scope.set_trigger("normal", "x/rate", True, 8000.0)
     begin = session.do(lambda stage: stage.snapshot())
     hasty(session, firmware.move, session.stage.axes["x"], 0.004)
     assert scope.frame(10).trigger > 0
@@ -126,12 +126,12 @@ def test_a_trigger_that_time_has_taken_back_is_none(session, sampler):
 
 def test_a_picture_that_stands_keeps_its_end_or_its_trigger_in_another_window(session, sampler):
     free, single = Oscilloscope(sampler, ["x/rate"], span=0.1), Oscilloscope(sampler, ["x/rate"], span=0.05)
-    single.trigger("single", "x/rate", True, 8000.0)
+    single.set_trigger("single", "x/rate", True, 8000.0)
     hasty(session, firmware.move, session.stage.axes["x"], 0.004)
     end, trigger = free.frame(10).end, single.frame(10).trigger
     free.running = False
-    free.base(0.02)
-    single.base(0.01)
+    free.set_span(0.02)
+    single.set_span(0.01)
     hasty(session, session.stage.run, 0.2)
     shown, caught = free.frame(10), single.frame(10)
     assert (shown.begin, shown.end) == pytest.approx((end - 0.02, end))
@@ -142,7 +142,7 @@ def test_a_window_that_cannot_be_is_refused(sampler):
     with pytest.raises(ArgumentError, match=r"0\.001 to 60"):
         Oscilloscope(sampler, [], span=100)
     with pytest.raises(ArgumentError, match="free, auto"):
-        Oscilloscope(sampler).trigger("sometimes")
+        Oscilloscope(sampler).set_trigger("sometimes")
 
 
 def test_files_have_what_the_window_shows(session, sampler):

@@ -7,7 +7,7 @@ import pytest
 from stage import Stage, firmware
 from stage.errors import ArgumentError, StageError
 from stage.panel import procedure_forms as procedures
-from stage.panel.fault_controls import tied
+from stage.panel.fault_controls import find_coupled_axes
 from stage.panel.procedure_forms import FORMS, FieldError, Jog, find_field, to_field_error
 from stage.panel.session import FREE, Session
 
@@ -24,7 +24,7 @@ def fresh(stage):
 
 
 def test_a_move_from_a_form_is_the_move_of_a_program(fresh):
-    report = FORMS["move"].order(fresh, "x", {"distance": "2,5", "speed": "20", "start_speed": "", "accel": "0.1"})(
+    report = FORMS["move"].prepare(fresh, "x", {"distance": "2,5", "speed": "20", "start_speed": "", "accel": "0.1"})(
         fresh
     )
     fresh.reset()
@@ -37,12 +37,12 @@ def test_a_report_is_drawn(fresh):
 
 
 def test_a_line_and_two_rates(fresh):
-    line = FORMS["line"].order(fresh, "", {"x": "2", "y": "-1"})(fresh)
+    line = FORMS["line"].prepare(fresh, "", {"x": "2", "y": "-1"})(fresh)
     assert line.distances == {"x": 640, "y": -320}
-    two = FORMS["two_rates"].order(fresh, "x", {"distance": "20", "dwell": "0.05"})(fresh)
+    two = FORMS["two_rates"].prepare(fresh, "x", {"distance": "20", "dwell": "0.05"})(fresh)
     assert two.ok
     assert two.procedure == "dual-rate move"
-    assert FORMS["two_rates"].order(fresh, "x", {"distance": "5", "dwell": "0"}), "at once from one to the other"
+    assert FORMS["two_rates"].prepare(fresh, "x", {"distance": "5", "dwell": "0"}), "at once from one to the other"
 
 
 def test_a_circle_of_the_chips_that_draw_them(fresh):
@@ -50,7 +50,7 @@ def test_a_circle_of_the_chips_that_draw_them(fresh):
     form = FORMS["circle"]
     assert form.needs(stage, "x")
     assert not form.needs(fresh, "x")
-    order = form.order(stage, "", {"radius": "1", "speed": "20", "accel": "0.05"})
+    order = form.prepare(stage, "", {"radius": "1", "speed": "20", "accel": "0.05"})
     with stage.record(1e-3) as recording:
         report = order(stage)
     farthest = [recording.column(f"{name}/commanded") for name in ("x", "y")]
@@ -59,7 +59,7 @@ def test_a_circle_of_the_chips_that_draw_them(fresh):
     assert farthest[1].max() == pytest.approx(2e-3, abs=1e-5)  # about a centre 1 mm along y
     assert farthest[0].max() == -farthest[0].min() == pytest.approx(1e-3, abs=1e-5)
     with pytest.raises(FieldError) as wrong:
-        form.order(stage, "", {"radius": "0"})
+        form.prepare(stage, "", {"radius": "0"})
     assert wrong.value.field == "radius"
 
 
@@ -80,7 +80,7 @@ def test_a_circle_of_the_chips_that_draw_them(fresh):
 )
 def test_what_is_wrong_is_said_at_its_field(fresh, form, given, field):
     with pytest.raises(FieldError) as wrong:
-        FORMS[form].order(fresh, "x", given)
+        FORMS[form].prepare(fresh, "x", given)
     assert find_field(wrong.value, FORMS[form].fields(fresh, "x")) == field
 
 
@@ -116,7 +116,7 @@ def test_what_the_chip_cannot_is_said_at_the_field_in_its_unit(chips):
                 given = {"speed": "20", field.name: text} if field.name == "start_speed" else {field.name: text}
                 stage.reset()
                 with pytest.raises(StageError) as wrong:
-                    form.order(stage, "x", given)(stage)
+                    form.prepare(stage, "x", given)(stage)
                 told = to_field_error(wrong.value, x, {f.name: given.get(f.name, f.default) for f in fields}, fields)
                 assert find_field(told, fields) == field.name, (form.name, given, str(told))
                 assert not COUNTS.search(str(told)), str(told)
@@ -126,7 +126,7 @@ def test_what_the_chip_cannot_is_said_at_the_field_in_its_unit(chips):
 def test_a_jog_into_an_end_limit_says_so(fresh):
     x = fresh.axes["x"]
     fresh.place(x=x.travel[1] - 0.012)
-    assert Jog(x, 1, {"speed": "20"}).order(fresh).stopped_by == "EL+"
+    assert Jog(x, 1, {"speed": "20"}).run(fresh).stopped_by == "EL+"
 
 
 @pytest.mark.parametrize("chips", ["pcl240k", "mcx514", "hctl1100"])
@@ -135,16 +135,16 @@ def test_a_jog_from_an_end_limit_further_on_says_so_and_back_it_goes(chips):
     x = stage.axes["x"]
     stage.place(x=x.travel[1] * 0.985)
     with pytest.raises(StageError, match=r"x stands on its end limit, EL\+, and does not go \+: jog the other way"):
-        Jog(x, 1, {"speed": "20"}).order(stage)
+        Jog(x, 1, {"speed": "20"}).run(stage)
     jog = Jog(x, -1, {"speed": "20"})
     jog.release()
-    assert jog.order(stage).stopped_by == "decelerating stop"
+    assert jog.run(stage).stopped_by == "decelerating stop"
 
 
 def test_an_axis_runs_while_a_button_is_held():
     with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
         jog = Jog(session.stage.axes["x"], 1, {"speed": "10"})
-        future = session.act("jog x", jog.order)
+        future = session.act("jog x", jog.run)
         session.paused = False
         while session.view.time < 0.5:
             pass
@@ -157,5 +157,5 @@ def test_an_axis_runs_while_a_button_is_held():
 
 def test_the_two_axes_that_carry_a_beam_are_known():
     gantry, plain = Stage("gantry", visuals=False), Stage("xyz", visuals=False)
-    assert {name: tied(gantry, name) for name in gantry.axes} == {"y": ["w"], "w": ["y"], "x": []}
-    assert not any(tied(plain, name) for name in plain.axes)
+    assert {name: find_coupled_axes(gantry, name) for name in gantry.axes} == {"y": ["w"], "w": ["y"], "x": []}
+    assert not any(find_coupled_axes(plain, name) for name in plain.axes)

@@ -9,7 +9,7 @@ import pytest
 from stage import Stage
 from stage.errors import ArgumentError
 from stage.panel import sampler as sampling
-from stage.panel.sampler import COARSE, FINE, SampleBuffer, Sampler, thin_curve, traces
+from stage.panel.sampler import COARSE, FINE, SampleBuffer, Sampler, find_traces, thin_curve
 from stage.sim.records import SAMPLE
 
 
@@ -23,43 +23,43 @@ def rows(times, value=0):
 @pytest.mark.parametrize("seed", range(3))
 def test_a_ring_is_the_end_of_a_list_whatever_comes_and_goes(seed):
     print("seed", seed)
-    dice, ring, kept, time = random.Random(seed), SampleBuffer(16, 2), [], 0
-    assert (ring.first, ring.last, len(ring.times(0, 0))) == (float("inf"), -1.0, 0)
+    dice, buffer, kept, time = random.Random(seed), SampleBuffer(16, 2), [], 0
+    assert (buffer.first, buffer.last, len(buffer.times(0, 0))) == (float("inf"), -1.0, 0)
     for _ in range(150):
         if dice.random() < 0.8:
             n = dice.choice((1, 1, 3, 7, 15, 16, 17, 40))
-            ring.extend(rows(range(time, time + n)))
+            buffer.extend(rows(range(time, time + n)))
             kept = (kept + list(range(time, time + n)))[-16:]
             time += n
         elif kept:
             time = dice.randrange(max(0, kept[0] - 2), kept[-1] + 3)
-            ring.forget_from(time)
+            buffer.forget_from(time)
             kept = [t for t in kept if t < time]
             time = max(time, kept[-1] + 1 if kept else time)
-        assert ring.end - ring.begin == len(kept) <= 16
-        assert (ring.first, ring.last) == ((kept[0], kept[-1]) if kept else (float("inf"), -1.0))
-        assert ring.times(ring.begin, ring.end).tolist() == kept
-        assert ring.axis(0, ring.begin, ring.end)["lost_steps"].tolist() == kept
-        assert ring.axis(1, ring.begin, ring.end)["lost_steps"].tolist() == [-t for t in kept]
+        assert buffer.end - buffer.begin == len(kept) <= 16
+        assert (buffer.first, buffer.last) == ((kept[0], kept[-1]) if kept else (float("inf"), -1.0))
+        assert buffer.times(buffer.begin, buffer.end).tolist() == kept
+        assert buffer.axis(0, buffer.begin, buffer.end)["lost_steps"].tolist() == kept
+        assert buffer.axis(1, buffer.begin, buffer.end)["lost_steps"].tolist() == [-t for t in kept]
         for at in (-1, *kept[:1], *kept[-1:], dice.uniform(0, time + 1)):
-            assert ring.find(at) - ring.begin == sum(t < at for t in kept)
+            assert buffer.find(at) - buffer.begin == sum(t < at for t in kept)
         if kept:
-            a, b = sorted(dice.choices(range(ring.begin, ring.end + 1), k=2))
-            part = ring.times(a, b)
-            assert part.tolist() == kept[a - ring.begin : b - ring.begin]
+            a, b = sorted(dice.choices(range(buffer.begin, buffer.end + 1), k=2))
+            part = buffer.times(a, b)
+            assert part.tolist() == kept[a - buffer.begin : b - buffer.begin]
             part[:] = -5
-            assert ring.times(ring.begin, ring.end).tolist() == kept, "what is given is a copy"
+            assert buffer.times(buffer.begin, buffer.end).tolist() == kept, "what is given is a copy"
 
 
 def test_the_newest_sample_is_the_last_that_is_before_where_time_went_back():
-    ring = SampleBuffer(8, 2)
-    ring.extend(rows([1, 2, 3]))
-    ring.forget_from(3.5)
-    assert ring.last == 3
-    ring.forget_from(3)
-    assert ring.last == 2
-    ring.forget_from(0.5)
-    assert (ring.last, ring.first) == (-1.0, float("inf"))
+    buffer = SampleBuffer(8, 2)
+    buffer.extend(rows([1, 2, 3]))
+    buffer.forget_from(3.5)
+    assert buffer.last == 3
+    buffer.forget_from(3)
+    assert buffer.last == 2
+    buffer.forget_from(0.5)
+    assert (buffer.last, buffer.first) == (-1.0, float("inf"))
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_a_window_has_both_its_ends_and_is_fine_where_that_is_remembered(session
 def test_what_is_drawn_is_each_trace_for_itself(session, sampler):
     session.do(lambda stage: stage.place(x=0.01, y=-0.02))
     run(session, 0.5)
-    drawn = sampler.drawn(["x/position", "y/position", "x/org"], 0.1, 0.4, 10)
+    drawn = sampler.thinned_columns(["x/position", "y/position", "x/org"], 0.1, 0.4, 10)
     times, values = sampler.columns(["x/position", "y/position", "x/org"], 0.1, 0.4)
     for name, (t, v) in drawn.items():
         for mine, its in zip((t, v), thin_curve(times, values[name], 10), strict=True):
@@ -191,7 +191,7 @@ def test_where_there_is_no_axis_there_is_nothing_to_see():
 
 
 def test_what_there_is_to_see_has_the_unit_of_its_axis_and_the_parts_of_its_drive():
-    turning = traces(Stage("xya", visuals=False))
+    turning = find_traces(Stage("xya", visuals=False))
     assert [turning[f"{a}/position"].unit for a in "xya"] == ["mm", "mm", "deg"]
     assert [turning[f"{a}/velocity"].unit for a in "xya"] == ["mm/s", "mm/s", "deg/s"]
     row = np.zeros(2, SAMPLE)
@@ -204,14 +204,14 @@ def test_what_there_is_to_see_has_the_unit_of_its_axis_and_the_parts_of_its_driv
     assert (turning["a/position"].title, turning["a/position"].axis) == ("a position", 2)
     assert turning["x/current_a"].places == 4
     assert turning["x/velocity"].places == 4
-    servo = traces(Stage("xy", chips="hctl1100", visuals=False))
+    servo = find_traces(Stage("xy", chips="hctl1100", visuals=False))
     assert "x/current_a" not in servo
     assert {"x/torque", "x/velocity"} <= set(servo)
 
 
 def test_each_pin_is_its_own_bit_of_its_own_word():
     stage = Stage("xy", visuals=False)
-    seen, chip = traces(stage), stage.chips[0]
+    seen, chip = find_traces(stage), stage.chips[0]
     for field, pins in (("inputs", chip.INPUTS), ("outputs", chip.OUTPUTS)):
         for pin, bit in pins.items():
             row = np.zeros(3, SAMPLE)

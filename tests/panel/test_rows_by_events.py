@@ -12,7 +12,7 @@ from nicegui import ui
 
 from stage.panel import chip_panel as rows
 from stage.panel import register_text as front
-from stage.panel.register_text import choices, fixed, lit, meant, shown, with_field
+from stage.panel.register_text import describe_lamp, describe_value, format_value, is_fixed, list_choices, replace_field
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +35,8 @@ class RowOnPage:
 
         page.within(build)
 
-    def look(self, value):
-        self.page.within(lambda: self.row.look({self.place.name: value, "another": 1}))
+    def update(self, value):
+        self.page.within(lambda: self.row.update({self.place.name: value, "another": 1}))
 
     def open(self):
         self.page.click("fields-made")
@@ -91,7 +91,7 @@ def word(name, chip=PCL240MS):
 
 def test_enter_writes_what_was_typed_and_what_is_no_number_is_said_and_not_written(page, made):
     row = made(register("R1"))
-    row.look(7)
+    row.update(7)
     assert row.text == "7"
     page.enter("value-made", "64h")
     page.until(lambda: row.written)
@@ -110,21 +110,21 @@ def test_enter_writes_what_was_typed_and_what_is_no_number_is_said_and_not_writt
 @pytest.mark.parametrize("way", ["escape", "blur"])
 def test_what_is_being_typed_stays_until_it_is_taken_back(page, made, way):
     row = made(register("R1"))
-    row.look(7)
+    row.update(7)
     page.fire("value-made", "keydown", {"key": "Tab"})
-    row.look(8)
+    row.update(8)
     assert row.text == "8", "who passes by with Tab types nothing"
     page.fire("value-made", "keydown", {"key": "1"})
     page.settled()
     page.put("value-made", "12")
-    row.look(9)
+    row.update(9)
     assert row.text == "12"
     page.enter("value-made", "1x")
     page.until(lambda: page.error("value-made"))
     page.fire("value-made", *(("keydown", {"key": "Escape"}) if way == "escape" else ("blur",)))
     page.until(lambda: row.text == "9")
     assert not page.error("value-made")
-    row.look(10)
+    row.update(10)
     assert row.text == "10"
     assert not row.written
 
@@ -133,23 +133,23 @@ def test_a_value_that_changes_flashes_and_another_axis_does_not(made):
     row = made(register("R1"))
     seen = []
     for value in (5, 5, 6, 6, 7, 8):
-        row.look(value)
+        row.update(value)
         seen.append(row.flash)
     assert seen == [[], [], ["flash-a"], ["flash-a"], ["flash-b"], ["flash-a"]]
-    row.row.look({"another": 3})
+    row.row.update({"another": 3})
     assert row.text == "8"
     row.row.forget()
-    row.look(9)
+    row.update(9)
     assert (row.text, row.flash) == ("9", ["flash-a"])
 
 
 def test_who_looks_at_another_axis_types_no_more(page, made):
     row = made(register("R1"))
-    row.look(7)
+    row.update(7)
     page.fire("value-made", "keydown", {"key": "1"})
     page.settled()
     row.row.forget()
-    row.look(8)
+    row.update(8)
     assert row.text == "8"
 
 
@@ -158,38 +158,38 @@ def test_a_row_says_what_a_register_is_and_what_its_value_means(made):
         for place in chip.MAP.registers:
             row = made(place)
             value = place.value(1 << place.bits - 2 | 1)
-            row.look(value)
+            row.update(value)
             can_write = "W" in place.access
-            assert (row.text, row.words) == (shown(place, value), meant(place, value))
+            assert (row.text, row.words) == (format_value(place, value), describe_value(place, value))
             assert isinstance(row.page.find("value-made"), ui.input) == can_write
             texts = {getattr(e, "text", None) for e in row.box.descendants()}
             assert {place.name, place.title, place.evidence} <= texts
             titles = {e.props.get("title") for e in row.box.descendants()}
-            assert {f"{front.span(place)} {place.unit}", front.evidence(place.evidence)} <= titles
+            assert {f"{front.describe_range(place)} {place.unit}", front.describe_evidence(place.evidence)} <= titles
             row.page.within(row.box.clear)
 
 
 def everything(field):
     """Values of a field that differ: those of a list, else its ends and one between."""
     most = (1 << field.high - field.low + 1) - 1
-    return list(choices(field)) or sorted({0, 1, most // 2, most})
+    return list(list_choices(field)) or sorted({0, 1, most // 2, most})
 
 
 @pytest.mark.parametrize("name", ["R12", "R14", "R17"])
 def test_each_field_of_a_register_is_shown_and_writes_its_own_bits(page, made, name):
     place = register(name)
     row, most = made(place), (1 << place.bits) - 1
-    row.look(0)
+    row.update(0)
     row.open()
-    fields = [f for f in place.fields if not fixed(f)]
+    fields = [f for f in place.fields if not is_fixed(f)]
     for field in fields:
         assert row.field(field).props["title"] == f"b{field.bits} {field.name}: {field.text} [{field.evidence}]"
     for held in (0x5A5A5A5A & most, most, 0):
-        row.look(held)
+        row.update(held)
         for field in fields:
             widget, value = row.field(field), field.of(held)
             if "W" not in field.access:
-                assert (widget.text, "on" in widget.classes) == lit(field, value)
+                assert (widget.text, "on" in widget.classes) == describe_lamp(field, value)
                 continue
             assert int(widget.value) == value, "also one that is in no list"
             for other in everything(field):
@@ -199,9 +199,9 @@ def test_each_field_of_a_register_is_shown_and_writes_its_own_bits(page, made, n
                 row.set(field, other)
                 page.until(lambda: row.written)
                 page.settled()
-                assert row.written == [(name, with_field(held, field, other))]
-                row.look(with_field(held, field, other))
-                row.look(held)
+                assert row.written == [(name, replace_field(held, field, other))]
+                row.update(replace_field(held, field, other))
+                row.update(held)
                 page.settled()
                 assert int(widget.value) == value
 
@@ -211,11 +211,11 @@ def test_a_value_that_is_in_no_list_is_shown_as_that(made):
     fields = tuple(replace(f, values={2: "two", 5: "five"}) if f.name == "ez_count" else f for f in place.fields)
     field = next(f for f in fields if f.name == "ez_count")
     row = made(replace(place, fields=fields))
-    row.look(3 << field.low)
+    row.update(3 << field.low)
     row.open()
     listed, strange = {2: "2  two", 5: "5  five"}, "  (not in the map)"
     for value in (3, 5, 7, 2):
-        row.look(value << field.low)
+        row.update(value << field.low)
         widget = row.field(field)
         assert widget.value == value
         if value in listed:
@@ -227,9 +227,9 @@ def test_a_value_that_is_in_no_list_is_shown_as_that(made):
 
 def test_a_field_that_is_a_number_says_what_is_none(page, made):
     place = register("R17")
-    field = next(f for f in place.fields if not fixed(f) and not choices(f) and f.high > f.low)
+    field = next(f for f in place.fields if not is_fixed(f) and not list_choices(f) and f.high > f.low)
     row = made(place)
-    row.look(0)
+    row.update(0)
     row.open()
     name = row.field(field)
     for typed in ("x", str(1 << field.high - field.low + 1)):
@@ -237,7 +237,7 @@ def test_a_field_that_is_a_number_says_what_is_none(page, made):
         page.fire(name, "keydown.enter")
         page.until(lambda: page.error(name))
         with pytest.raises(ArgumentError) as said:
-            front.number(typed, field.high - field.low + 1)
+            front.parse_number(typed, field.high - field.low + 1)
         assert page.error(name) == str(said.value)
         page.put(name, "1")
         page.fire(name, "keydown.enter")
@@ -277,15 +277,15 @@ def test_a_word_that_nobody_can_see_is_put_together_of_its_fields_and_goes_out_b
     place = word("output")
     row = made(place)
     row.open()
-    fields = [f for f in place.fields if not fixed(f)]
+    fields = [f for f in place.fields if not is_fixed(f)]
     chosen = {}
     composed = place.fixed
     for field in fields:
         chosen[field.name] = value = everything(field)[-1]
         row.set(field, value)
         page.settled()
-        composed = with_field(composed, field, value)
-        assert (row.text, row.words) == (shown(place, composed), meant(place, composed))
+        composed = replace_field(composed, field, value)
+        assert (row.text, row.words) == (format_value(place, composed), describe_value(place, composed))
     assert composed & ~place.fixed, chosen
     assert not row.written
     page.click("send-made")
@@ -295,11 +295,11 @@ def test_a_word_that_nobody_can_see_is_put_together_of_its_fields_and_goes_out_b
     page.until(lambda: len(row.written) == 2)
     page.settled()
     assert row.written[1] == row.written[0], "it stands there still, and can be sent again"
-    assert (row.text, row.words) == (shown(place, composed), meant(place, composed))
+    assert (row.text, row.words) == (format_value(place, composed), describe_value(place, composed))
     page.enter("value-made", str(place.fixed))
     page.until(lambda: len(row.written) == 3)
     page.settled()
-    assert (row.text, row.words) == (shown(place, place.fixed), meant(place, place.fixed))
+    assert (row.text, row.words) == (format_value(place, place.fixed), describe_value(place, place.fixed))
     page.put("value-made", "zz")
     page.click("send-made")
     page.until(lambda: page.error("value-made"))
@@ -310,13 +310,13 @@ def test_a_register_of_which_nothing_is_known_yet_is_put_together_of_its_fields(
     place = register("R13")
     row = made(place)
     row.open()
-    field = next(f for f in place.fields if choices(f))
+    field = next(f for f in place.fields if list_choices(f))
     row.set(field, 1)
     page.settled()
-    assert row.text == shown(place, with_field(0, field, 1))
+    assert row.text == format_value(place, replace_field(0, field, 1))
     assert not row.written
-    row.look(0)
-    assert row.text == shown(place, 0)
+    row.update(0)
+    assert row.text == format_value(place, 0)
 
 
 def test_a_number_in_a_word_that_is_put_together_keeps_to_its_own_bits_and_must_be_one(page, made):
@@ -325,22 +325,22 @@ def test_a_number_in_a_word_that_is_put_together_keeps_to_its_own_bits_and_must_
     row = made(place)
     row.open()
     stored = next(f for f in place.fields if f.name == "stored")
-    other = next(f for f in place.fields if choices(f) and f.low > stored.high)
+    other = next(f for f in place.fields if list_choices(f) and f.low > stored.high)
     row.set(stored, -1)
     page.settled()
-    before = with_field(place.fixed, stored, -1)
-    assert row.text == shown(place, before)
+    before = replace_field(place.fixed, stored, -1)
+    assert row.text == format_value(place, before)
     row.set(other, 1)
     page.settled()
-    both = with_field(before, other, 1)
-    assert row.text == shown(place, both)
+    both = replace_field(before, other, 1)
+    assert row.text == format_value(place, both)
     page.put(row.field(stored), "x")
     row.set(other, 0)
     page.until(lambda: page.error(row.field(stored)))
-    assert row.text == shown(place, both)
+    assert row.text == format_value(place, both)
     row.set(stored, 1)
     page.settled()
-    assert row.text == shown(place, with_field(place.fixed, stored, 1))
+    assert row.text == format_value(place, replace_field(place.fixed, stored, 1))
 
 
 def test_a_word_that_a_host_reads_lights_its_lamps_and_is_gone_where_it_cannot_be_seen(page):
@@ -358,19 +358,19 @@ def test_a_word_that_a_host_reads_lights_its_lamps_and_is_gone_where_it_cannot_b
             f"b{f.bits} {f.name}: {f.text} [{f.evidence}]" for f in place.fields
         ]
         for value in ((1 << place.bits) - 1, 0, 0x55 & (1 << place.bits) - 1):
-            row.look({place.name: value})
+            row.update({place.name: value})
             assert row._line.visible
-            assert row._head.text == f"{place.name} {shown(place, value)}"
+            assert row._head.text == f"{place.name} {format_value(place, value)}"
             assert [(lamp.text, "on" in lamp.classes) for _, lamp in row._lamps] == [
-                lit(f, f.of(value)) for f in place.fields
+                describe_lamp(f, f.of(value)) for f in place.fields
             ]
-        row.look({})
+        row.update({})
         assert not row._line.visible
-        row.look({place.name: 1})
+        row.update({place.name: 1})
         row.forget()
         row._head.text = "of another axis"
-        row.look({place.name: 1})
-        assert row._head.text == f"{place.name} {shown(place, 1)}"
+        row.update({place.name: 1})
+        assert row._head.text == f"{place.name} {format_value(place, 1)}"
         page.within(box.delete)
 
 

@@ -96,18 +96,18 @@ def test_wrong_names_are_said_with_near_misses(sampler):
 
 
 def test_a_ring_forgets_what_is_old():
-    ring = SampleBuffer(10, 2)
+    buffer = SampleBuffer(10, 2)
     for k in range(7):
         rows = np.zeros((4, 2), SAMPLE)
         rows["time"] = (4 * k + np.arange(4))[:, None]
         rows["lost_steps"] = [[k, 10 * k]] * 4
-        ring.extend(rows)
-    assert (ring.first, ring.last) == (18, 27)
-    a, b = ring.find(20), ring.find(26)
-    assert list(ring.times(a, b)) == [20, 21, 22, 23, 24, 25]
-    assert list(ring.axis(1, a, b)["lost_steps"]) == [50] * 4 + [60] * 2
-    ring.forget_from(24.0)
-    assert ring.last == 23
+        buffer.extend(rows)
+    assert (buffer.first, buffer.last) == (18, 27)
+    a, b = buffer.find(20), buffer.find(26)
+    assert list(buffer.times(a, b)) == [20, 21, 22, 23, 24, 25]
+    assert list(buffer.axis(1, a, b)["lost_steps"]) == [50] * 4 + [60] * 2
+    buffer.forget_from(24.0)
+    assert buffer.last == 23
 
 
 def test_thinning_keeps_every_peak():
@@ -124,7 +124,7 @@ def test_traces_of_a_stage_have_units(sampler):
     assert sampler.traces["x/position"].unit == "mm"
     assert sampler.traces["y/org"].pin
     assert "x/current_a" in sampler.traces
-    assert sampling.LONGEST == 60
+    assert sampling.MAX_AGE_S == 60
 
 
 def test_a_recording_that_goes_on_is_not_disturbed(session):

@@ -15,7 +15,7 @@ from stage.panel import fault_page as touch
 from stage.panel import open as open_panel
 from stage.panel import procedure_page as forms
 from stage.panel import server
-from stage.panel.access_control import HERE_ONLY
+from stage.panel.access_control import CONTENT_POLICY
 from stage.panel.glb import bodies
 from stage.panel.server import Panel
 from stage.panel.session import FREE, Session
@@ -43,7 +43,7 @@ def test_each_body_is_served_as_gltf_and_what_is_none_is_not_found(served):
     for body, data in expected.items():
         status, headers, found = asked(f"{served.panel.address}shape/{body}.glb")
         assert (status, headers["content-type"], found) == (200, "model/gltf-binary", data)
-        assert headers["content-security-policy"] == HERE_ONLY
+        assert headers["content-security-policy"] == CONTENT_POLICY
     assert asked(f"{served.panel.address}shape/{max(expected) + 1}.glb")[::2] == (404, b"")
 
 
@@ -156,5 +156,5 @@ def test_who_listens_everywhere_is_reached_by_its_own_address_where_there_is_no_
 
 
 def test_a_text_with_quotes_stands_whole_in_a_property():
-    assert touch.mending('jammed by "x"') == "\"mend jammed by 'x'\""
+    assert touch.quote_label('jammed by "x"') == "\"mend jammed by 'x'\""
     assert forms._quoted('a "b" \\ c') == "\"a 'b' \\\\ c\""

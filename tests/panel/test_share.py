@@ -71,10 +71,10 @@ def test_another_motor_is_in_the_file_and_it_goes_on_bit_for_bit(tmp_path):
     saved, opened, path = PausedPanel(), PausedPanel(), tmp_path / "motor.zip"
     try:
         saved.after(move)
-        saved.panel.fault_controls.make("motor", "x", {"motor": "SS2422-5041"})
+        saved.panel.fault_controls.inject("motor", "x", {"motor": "SS2422-5041"})
         saved.after(lambda stage: stage.run(0.01))
         path.write_bytes(saved_panel.save(saved.panel))
-        saved_panel.put(opened.panel, saved_panel.read(path))
+        saved_panel.restore(opened.panel, saved_panel.read(path))
         assert opened.session.stage.axes["x"].drive.motor.name == "SS2422-5041"
         ends = [made.after(lambda stage: stage.run(0.3)) for made in (saved, opened)]
         assert np.array_equal(*ends)
@@ -89,7 +89,7 @@ def test_another_motor_is_in_the_file_and_it_goes_on_bit_for_bit(tmp_path):
 def test_it_goes_on_bit_for_bit(first, file):
     other = PausedPanel()
     try:
-        saved_panel.put(other.panel, saved_panel.read(file))
+        saved_panel.restore(other.panel, saved_panel.read(file))
         end = first.session.do(lambda stage: stage.now) + 500_000_000
         assert np.array_equal(
             first.after(lambda stage: stage.run_to(end)), other.after(lambda stage: stage.run_to(end))
@@ -101,15 +101,15 @@ def test_it_goes_on_bit_for_bit(first, file):
 
 
 def test_a_panel_that_goes_on_from_a_file_writes_where_that_program_begins(tmp_path, monkeypatch):
-    monkeypatch.setattr("stage.panel.stage_observer.MOST_SENT", 5)
+    monkeypatch.setattr("stage.panel.stage_observer.MAX_PROGRAM_CYCLES", 5)
     first, other, path = PausedPanel(), PausedPanel(), tmp_path / "late.zip"
     try:
         first.after(move)
-        first.session.do(lambda stage: first.panel.observer.take(stage))
+        first.session.do(lambda stage: first.panel.observer.observe(stage))
         path.write_bytes(saved_panel.save(first.panel))
         began = saved_panel.read(path).start
         assert 0 < began[0] <= first.session.do(lambda stage: stage.now)
-        saved_panel.put(other.panel, saved_panel.read(path))
+        saved_panel.restore(other.panel, saved_panel.read(path))
         path.write_bytes(saved_panel.save(other.panel))
         again = saved_panel.read(path).start
         assert (again[0], again[1].state.tobytes()) == (began[0], began[1].state.tobytes())
@@ -121,13 +121,13 @@ def test_a_panel_that_goes_on_from_a_file_writes_where_that_program_begins(tmp_p
 def test_loads_and_faults_go_with_it(tmp_path):
     one, other = PausedPanel(), PausedPanel()
     try:
-        one.panel.fault_controls.load(0.5)
+        one.panel.fault_controls.set_payload(0.5)
         one.panel.fault_controls.set_supply(18.0)
-        one.panel.fault_controls.make("switch_stuck", "y", {"pin": "org", "closed": "yes"})
+        one.panel.fault_controls.inject("switch_stuck", "y", {"pin": "org", "closed": "yes"})
         one.after(move)
         path = tmp_path / "broken.zip"
         path.write_bytes(saved_panel.save(one.panel))
-        saved_panel.put(other.panel, saved_panel.read(path))
+        saved_panel.restore(other.panel, saved_panel.read(path))
         assert other.session.stage.faults == one.session.stage.faults
         assert other.panel.fault_controls.payload == 0.5
         assert np.array_equal(*(made.after(lambda stage: stage.run(0.3)) for made in (one, other)))
@@ -157,7 +157,9 @@ def test_going_back_takes_cycles_out_of_the_program():
     made = PausedPanel()
 
     def sent():
-        return made.session.do(lambda stage: (made.panel.observer.take(stage), len(saved_panel.sent_of(made.panel)))[1])
+        return made.session.do(
+            lambda stage: (made.panel.observer.observe(stage), len(saved_panel.sent_of(made.panel)))[1]
+        )
 
     try:
         made.after(move)
@@ -212,7 +214,7 @@ def test_a_stage_of_somebodys_own_has_no_program_but_a_file(tmp_path):
         assert "program.py" not in zipfile.ZipFile(io.BytesIO(data)).namelist()
         path = tmp_path / "own.zip"
         path.write_bytes(data)
-        saved_panel.put(made.panel, saved_panel.read(path))
+        saved_panel.restore(made.panel, saved_panel.read(path))
     finally:
         made.close()
 

@@ -8,7 +8,7 @@ import pytest
 from stage import Stage, firmware
 from stage.firmware.driver import Speeds, driver_of
 from stage.panel.session import FREE, Session
-from stage.panel.tour import STEPS, Drive, Tour
+from stage.panel.tour import STEPS, Run, Tour
 
 
 @pytest.mark.slow
@@ -48,14 +48,14 @@ def test_each_step_waits_until_it_has_been_done(chips):
 
 
 def test_a_drive_with_two_speeds_has_two_plateaus():
-    assert Drive([500, 900, 1000, 1000, 1000, 600, 300]).plateaus() == [1000]
-    assert Drive([500, 1000, 1000, 1001, 1500, 2000, 2000, 2000, 700]).plateaus() == [1000, 2000]
+    assert Run([500, 900, 1000, 1000, 1000, 600, 300]).plateaus() == [1000]
+    assert Run([500, 1000, 1000, 1001, 1500, 2000, 2000, 2000, 700]).plateaus() == [1000, 2000]
 
 
 def test_two_rates_go_up_and_an_origin_return_goes_down():
     up, down = [500] * 4 + [2000] * 4, [2000] * 4 + [500] * 4
     for rates, seen in ((up, True), (down, False)):
-        assert STEPS[4].done(SimpleNamespace(finished=[("x", Drive(rates))])) == seen
+        assert STEPS[4].done(SimpleNamespace(finished=[("x", Run(rates))])) == seen
 
 
 class Slices:

@@ -37,7 +37,7 @@ def begun(stage, monkeypatch):
 
     def begin(name, axis="x", **given):
         told.clear()
-        order = FORMS[name].order(stage, axis, given)
+        order = FORMS[name].prepare(stage, axis, given)
         assert not told, "nothing is done before its turn"
         monkeypatch.setattr(forms, "driver_of", driver_of)
         order(stage)
@@ -113,7 +113,7 @@ def test_a_jog_runs_the_way_of_its_button_until_it_is_released(direction):
     stage = Stage("xy", chips=PCL240K, visuals=False)
     jog = Jog(stage.axes["x"], direction, {"speed": "5", "accel": "0.05"})
     jog._released = SimpleNamespace(is_set=lambda: stage.time > 0.2)
-    report = jog.order(stage)
+    report = jog.run(stage)
     assert 0.2 < stage.time < 0.4
     assert report.pulses * direction > 0
     assert (report.stopped_by, stage.axes["x"].chip.busy(0)) == ("decelerating stop", False)
@@ -140,20 +140,20 @@ def test_steps_lost_before_the_origin_was_found_are_none_and_the_field_is_where_
         def drag(stage):
             stage.data.qpos[x.plant.qpos] += 3 * tooth
             session.run_unpaced(stage.run, 0.3)
-            look.take(stage)
+            look.observe(stage)
 
         session.do(drag)
         lost = look.axes["x"].lost
         assert abs(lost) == 12
         assert look.axes["x"].commanded - look.axes["x"].position == pytest.approx(-3 * tooth, abs=0.1 * tooth)
         session.do(lambda stage: look.note_origin("x", stage))
-        session.do(look.take)
+        session.do(look.observe)
         assert look.axes["x"].lost == 0
         assert look.axes["x"].commanded == pytest.approx(look.axes["x"].position, abs=0.1 * tooth)
         session.do(drag)
         assert look.axes["x"].lost == lost, "since then"
         session.reset()
-        session.do(look.take)
+        session.do(look.observe)
         assert look.axes["x"].lost == 0
         assert look._origins == {}
         look.close()
