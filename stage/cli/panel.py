@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import signal
 import threading
 
@@ -35,4 +36,5 @@ def run(args: argparse.Namespace) -> int:
             print("there is no browser here: open the link in one", flush=True)
         over.wait()
         panel.close()
+    gc.freeze()  # Python would look through all pages that were ever shown, and take seconds to end
     return 0

@@ -12,7 +12,7 @@ from nicegui.events import GenericEventArguments
 
 from stage.chips.register_map import Field, Register, Word
 from stage.errors import ArgumentError, StageError
-from stage.panel.browser_updates import BrowserUpdates
+from stage.panel.browser_updates import BrowserUpdates, on_single_click
 from stage.panel.register_text import (
     BusCycle,
     CommandButton,
@@ -363,7 +363,7 @@ class ChipCard:
             cycles = self.front.kind.command_cycles(b.symbol, self.axis, b.datum)
             await self._send([BusCycle(False, *cycle) for cycle in cycles])
 
-        button = ui.button(f"{b.label}  {b.words}", on_click=press)
+        button = on_single_click(ui.button(f"{b.label}  {b.words}"), press)
         button.props(f"dense no-caps outline size=sm {'color=positive' if b.starts else ''}")
         button.props["title"] = f"{b.title} [{b.evidence}]"
         code = f"-{b.datum:X}" if b.datum is not None else ""

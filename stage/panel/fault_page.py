@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from nicegui import background_tasks, run, ui
 
 from stage.errors import StageError
+from stage.panel.browser_updates import on_single_click
 from stage.panel.fault_controls import ActiveFault, FaultForm
 from stage.panel.procedure_forms import Field, FieldError, find_field, parse_fields
 from stage.panel.procedure_page import build_entry, clear_errors, show_error_at
@@ -176,7 +177,9 @@ class FaultPanel:
                 else:
                     ui.notify(str(error), type="negative", multi_line=True)
 
-        ui.button("break it", on_click=go).props("dense no-caps color=deep-orange-9 data-test=break").classes("q-mt-xs")
+        on_single_click(ui.button("break it"), go).props("dense no-caps color=deep-orange-9 data-test=break").classes(
+            "q-mt-xs"
+        )
 
     def _update(self) -> None:
         """Show the values that hold now, and the list of faults where it has changed."""

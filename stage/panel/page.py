@@ -15,7 +15,7 @@ from stage.errors import StageError
 from stage.identifiers import escape_name
 from stage.panel import saved_panel
 from stage.panel.access_control import EventGate
-from stage.panel.browser_updates import FRAMES, BrowserUpdates
+from stage.panel.browser_updates import FRAMES, BrowserUpdates, on_single_click
 from stage.panel.bus_console import build_console
 from stage.panel.chip_panel import STYLE as CHIP_STYLE
 from stage.panel.chip_panel import build_chip_panels
@@ -216,7 +216,7 @@ def build_toolbar(panel: Panel, updates: BrowserUpdates, gate: EventGate) -> Non
             ui.notify(str(error), type="warning", multi_line=True)
 
     with ui.row().classes("items-center q-gutter-none") as row:
-        _button("skip_next", "one physics step", session.single_step, "step")
+        _button("skip_next", "one physics step", None, "step").on_click(lambda: session.single_step())
         with _button("replay", "go back", None, "back"), ui.menu():
             for seconds in BACK:
                 ui.menu_item(f"{seconds:g} s back", partial(back, seconds)).props(f"data-test=back-{seconds:g}")
@@ -230,7 +230,7 @@ def build_toolbar(panel: Panel, updates: BrowserUpdates, gate: EventGate) -> Non
     doing = ui.label().classes("text-caption ellipsis").props("data-test=doing role=status")
     stop = _button("stop", "stop this action; the chips go on", session.stop_actions, "abandon")
     gate.guard_driving(stop)
-    good = ui.button("back to a good state", on_click=lambda: run.io_bound(session.recover))
+    good = on_single_click(ui.button("back to a good state"), lambda: run.io_bound(session.recover))
     gate.guard_driving(good.props("dense no-caps color=negative data-test=recover"))
     program = _program(panel, gate)
     mine = _controls(panel, gate)
@@ -260,7 +260,9 @@ def _pace(session: Session) -> str:
 
 
 def _button(icon: str, says: str, does: object, name: str) -> ui.button:
-    button = ui.button(icon=icon, on_click=does if callable(does) else None)
+    button = ui.button(icon=icon)
+    if callable(does):  # a menu opens by itself
+        on_single_click(button, does)
     return button.props(f"flat dense color=white aria-label='{says}' data-test={name}").tooltip(says)
 
 
@@ -309,7 +311,7 @@ def _program(panel: Panel, gate: EventGate) -> Callable[[], None]:
         else:
             session.take_over()
 
-    button = ui.button(on_click=press).props("dense no-caps color=orange-9 data-test=take-over")
+    button = on_single_click(ui.button(), press).props("dense no-caps color=orange-9 data-test=take-over")
     gate.guard_machine(button)
 
     def look() -> None:
@@ -324,7 +326,9 @@ def _program(panel: Panel, gate: EventGate) -> Callable[[], None]:
 def _controls(panel: Panel, gate: EventGate) -> Callable[[], None]:
     """Build the button of the controls; return what updates it."""
     controls, me = panel.controls, context.client.id
-    button = ui.button(on_click=lambda: controls.take(me)).props("flat dense no-caps color=white data-test=controls")
+    button = on_single_click(ui.button(), lambda: controls.take(me)).props(
+        "flat dense no-caps color=white data-test=controls"
+    )
     context.client.on_connect(lambda: controls.come(me))
     context.client.on_disconnect(lambda: controls.go(me))
     context.client.on_delete(lambda: controls.forget(me))

@@ -68,7 +68,7 @@ class Browser:
         """A real click, of the mouse, where the element is then to be seen."""
         self.shown(name).click()
 
-    def format_value(self, name):
+    def shown(self, name):
         """The element, in the middle of the window, when it has come to rest there."""
         self.until(lambda: self.find(name).is_displayed())
         before: list[dict] = []
@@ -103,7 +103,7 @@ class Browser:
         """The points of a curve of the oscilloscope, as the browser draws it: [[x, y], ...]."""
         return self.driver.execute_script(CURVE, self.find("chart"), k)
 
-    def describe_lamp(self, name):
+    def lit(self, name):
         """Whether a lamp is on."""
         return "on" in self.find(name).get_attribute("class").split()
 

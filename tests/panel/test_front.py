@@ -137,26 +137,26 @@ def test_what_is_wider_than_the_bus_is_refused(line):
         parse_line(PCL240K, line)
 
 
-def list_write_cycles(*cycles):
+def writes(*cycles):
     return tuple(BusCycle(False, *cycle) for cycle in cycles)
 
 
 @pytest.mark.parametrize(
     ("kind", "line", "cycles"),
     [
-        (PCL240K, "10 15h 0x1D", list_write_cycles((0, 0x10), (0, 0x15), (0, 0x1D))),
-        (PCL240K, "2: 1F 20", list_write_cycles((2, 0x1F), (2, 0x20))),
-        (PCL240K, "r1 <- 100", list_write_cycles((0, 0x81), (2, 0), (1, 100))),
-        (PCL240K, "R1=64h", list_write_cycles((0, 0x81), (2, 0), (1, 100))),
+        (PCL240K, "10 15h 0x1D", writes((0, 0x10), (0, 0x15), (0, 0x1D))),
+        (PCL240K, "2: 1F 20", writes((2, 0x1F), (2, 0x20))),
+        (PCL240K, "r1 <- 100", writes((0, 0x81), (2, 0), (1, 100))),
+        (PCL240K, "R1=64h", writes((0, 0x81), (2, 0), (1, 100))),
         (PCL240K, "read 3 2", (BusCycle(True, 3), BusCycle(True, 2))),
-        (PCL240K, "operate 15h", list_write_cycles((0, 0x15))),
-        (PCL240MS, "R14.linear <- 1", list_write_cycles((0, 0x94), (2, 0x10), (1, 5))),
-        (HCTL1100, "mode 3", list_write_cycles((5, 3))),
-        (HCTL1100, "final_position <- -2", list_write_cycles((0x2B, 0xFF), (0x2A, 0xFF), (0x29, 0xFE))),
-        (MCX514, "DRVRL", list_write_cycles((0, 0x0450))),
-        (MCX514, "dv 8000", list_write_cycles((6, 8000), (7, 0), (0, 0x0405))),
-        (MCX514, "WR3 <- 4", list_write_cycles((0, 0x041F), (3, 4))),
-        (MCX514, "RST", list_write_cycles((0, 0xFF))),
+        (PCL240K, "operate 15h", writes((0, 0x15))),
+        (PCL240MS, "R14.linear <- 1", writes((0, 0x94), (2, 0x10), (1, 5))),
+        (HCTL1100, "mode 3", writes((5, 3))),
+        (HCTL1100, "final_position <- -2", writes((0x2B, 0xFF), (0x2A, 0xFF), (0x29, 0xFE))),
+        (MCX514, "DRVRL", writes((0, 0x0450))),
+        (MCX514, "dv 8000", writes((6, 8000), (7, 0), (0, 0x0405))),
+        (MCX514, "WR3 <- 4", writes((0, 0x041F), (3, 4))),
+        (MCX514, "RST", writes((0, 0xFF))),
     ],
 )
 def test_a_line_of_the_console_becomes_bus_cycles(kind, line, cycles):

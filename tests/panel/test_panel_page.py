@@ -21,6 +21,16 @@ def test_time_passes_on_the_page_and_stands_still_when_it_is_told_to(browser):
     assert " x" in browser.text("pace")
 
 
+def test_a_double_click_is_one_click_on_what_turns_something_on_and_off(browser):
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    browser.until(lambda: "stands still" not in browser.text("pace"))
+    ActionChains(browser.driver).double_click(browser.shown("play")).perform()
+    browser.until(lambda: "stands still" in browser.text("pace"))
+    browser.click("play")
+    browser.until(lambda: "stands still" not in browser.text("pace"))
+
+
 def test_one_goes_back_and_to_power_up(browser):
     browser.until(lambda: browser.time > 1.5)
     browser.click("play")

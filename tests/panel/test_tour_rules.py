@@ -65,7 +65,7 @@ def test_a_plateau_is_three_rates_within_a_thirtieth_and_another_is_a_fifth_away
     assert Run(rates).plateaus() == kept
 
 
-def view_axis_of(number, *drives):
+def seen(number, *drives):
     return STEPS[number].done(SimpleNamespace(finished=[(n, d) for n, d in drives], lost=False))
 
 
@@ -77,17 +77,17 @@ def view_axis_of(number, *drives):
     ],
 )  # fmt: skip
 def test_a_ramp_begins_and_ends_slower_than_four_fifths_of_what_it_reaches(rates, ramp):
-    assert view_axis_of(1, ("x", Run(rates))) == ramp
-    assert view_axis_of(1, ("y", Run([5] * 9)), ("x", Run(rates))) == ramp, "any drive of those"
-    assert view_axis_of(1, ("x", Run(rates)), ("y", Run([5] * 9))) == ramp
+    assert seen(1, ("x", Run(rates))) == ramp
+    assert seen(1, ("y", Run([5] * 9)), ("x", Run(rates))) == ramp, "any drive of those"
+    assert seen(1, ("x", Run(rates)), ("y", Run([5] * 9))) == ramp
 
 
 def test_two_rates_are_one_drive_that_goes_up_from_one_to_the_other():
     slow, fast = [500] * 3, [2000] * 3
-    assert view_axis_of(4, ("x", Run(slow + fast)))
-    assert view_axis_of(4, ("x", Run(fast + slow + fast))), "also later"
-    assert not view_axis_of(4, ("x", Run(slow)), ("x", Run(fast)))
-    assert not view_axis_of(4, ("x", Run(fast + slow)))
+    assert seen(4, ("x", Run(slow + fast)))
+    assert seen(4, ("x", Run(fast + slow + fast))), "also later"
+    assert not seen(4, ("x", Run(slow)), ("x", Run(fast)))
+    assert not seen(4, ("x", Run(fast + slow)))
 
 
 @pytest.mark.parametrize(
@@ -102,10 +102,10 @@ def test_two_rates_are_one_drive_that_goes_up_from_one_to_the_other():
 )  # fmt: skip
 def test_drives_of_two_axes_are_together_where_they_overlap_and_end_within_a_tenth_of_a_second(first, second, together):
     drives = [(name, Run(began=began, ended=ended)) for name, began, ended in (first, second)]
-    assert view_axis_of(5, *drives) == together
+    assert seen(5, *drives) == together
     between = ("x", Run(began=-9.0, ended=-8.0))
-    assert not view_axis_of(5, drives[0], between, drives[1]), "one right after the other ends"
-    assert view_axis_of(5, between, *drives) == together
+    assert not seen(5, drives[0], between, drives[1]), "one right after the other ends"
+    assert seen(5, between, *drives) == together
 
 
 def test_a_drive_is_its_rates_without_sign_from_its_first_pulse_to_its_last(watched):
