@@ -35,7 +35,7 @@ class FaultPanel:
         self._listed: list[tuple[ActiveFault, str]] | None = None
         self._follow: list[Callable[[], None]] = []
         with (
-            ui.expansion("FaultControls on the machine", icon="back_hand")
+            ui.expansion("Faults, load and push", icon="back_hand")
             .classes("w-full")
             .props("data-test=hands dense header-class=text-weight-medium")
         ):

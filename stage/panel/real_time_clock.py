@@ -12,8 +12,10 @@ from time import perf_counter
 from stage.errors import ArgumentError
 
 SLICE_S = 0.02  # real seconds that pass between two looks at what users want
+MAX_COMPUTING_S = 0.01  # real seconds that a slice may compute: half of it, for machines with other work
 MAX_LAG_S = 0.2  # real seconds that a stage may be late before it gives up catching up
 MEASURING_TIME_S = 0.25  # real seconds over which the achieved speed is taken, at least
+MAX_GROWTH = 2  # times the last slice: a short one tells little of how fast the machine is
 MIN_SPEED, MAX_SPEED = 0.001, 1000.0
 FREE = float("inf")
 """The speed of a stage that waits for nobody."""
@@ -33,7 +35,7 @@ class RealTimeClock:
     def __init__(self, speed: float, now: int):
         self.speed = speed
         self.achieved_speed = self._speed
-        self._ns_per_slice = float("inf")  # simulated ns that the machine can compute in a slice
+        self._ns_per_slice = SLICE_S * 1e9  # simulated ns that the machine can compute in a slice
         self.restart(now)
 
     @property
@@ -67,12 +69,14 @@ class RealTimeClock:
             now: Simulated time, ns.
             until: Simulated time that is wanted, ns.
             min_ns: What to go at least, ns.
-            seconds: Real seconds that the slice is for. A machine that cannot keep up goes as far as it can in SLICE_S.
+            seconds: Real seconds that the slice is for. A machine that cannot keep up goes as far as it can in
+                MAX_COMPUTING_S.
         """
         if self._slice_began is not None:
             (real, simulated), self._slice_began = self._slice_began, None
             if simulated < now:
-                self._ns_per_slice = (now - simulated) * SLICE_S / max(perf_counter() - real, 1e-9)
+                measured = (now - simulated) * MAX_COMPUTING_S / max(perf_counter() - real, 1e-9)
+                self._ns_per_slice = min(measured, MAX_GROWTH * self._ns_per_slice)
         length = min(self.slice_s if self._speed == FREE else seconds * self._speed, self._ns_per_slice * 1e-9)
         return min(until, now + max(round(length * 1e9), min_ns))
 

@@ -198,7 +198,7 @@ STEPS = (
     ),
     Step(
         "Synchronized move",
-        "Run two axes so that they begin and end together: Line, 30 mm by 10 mm.",
+        "Drive two axes so that they begin and end together: Line, 30 mm by 10 mm.",
         "Linear interpolation, or two chips with rates as a : b, started by one command (CSTA, STA, one write to both).",
         _together,
     ),

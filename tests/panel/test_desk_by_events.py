@@ -1,4 +1,4 @@
-"""FaultControls, console, front panels and oscilloscope by a browser's events, without a browser."""
+"""Fault controls, console, front panels and oscilloscope by a browser's events, without a browser."""
 
 from itertools import pairwise
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""FaultControls on the machine: what breaks is what stage.sim.faults makes, and mending leaves the machine as it was."""
+"""Fault controls: what breaks is what stage.sim.faults makes, and mending leaves the machine as it was."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""FaultControls on the machine in a real browser: what somebody breaks, loads and pushes on the page happens to the stage."""
+"""Fault controls in a real browser: what somebody breaks, loads and pushes on the page happens to the stage."""
 
 import pytest
 

@@ -21,14 +21,13 @@ def real(monkeypatch):
     return time
 
 
-@pytest.mark.parametrize(("speed", "slice_"), [(1.0, 20), (0.5, 10), (4.0, 80)])
+@pytest.mark.parametrize(("speed", "slice_"), [(1.0, 20), (0.5, 10)])
 def test_a_slice_is_what_passes_in_a_fiftieth_of_a_second(real, speed, slice_):
     clock = RealTimeClock(speed, 5 * MS)
     assert clock.slice_s == pytest.approx(slice_ * 1e-3) == pytest.approx(SLICE_S * speed)
     assert clock.plan_slice(5 * MS, 1000 * MS, 1) == (5 + slice_) * MS
     assert clock.plan_slice(5 * MS, 7 * MS, 1) == 7 * MS, "no farther than asked"
     assert clock.plan_slice(5 * MS, 1000 * MS, 300 * MS) == 305 * MS, "but a step at least"
-    assert clock.plan_slice(5 * MS, 1000 * MS, 1, seconds=0.1) == (5 + 5 * slice_) * MS
 
 
 def test_what_is_early_waits_and_what_is_late_hurries_until_it_is_given_up(real):
@@ -51,17 +50,18 @@ def test_as_fast_as_it_goes_is_never_early(real):
 
 
 def test_a_machine_that_cannot_keep_up_has_shorter_slices_so_that_it_is_asked_as_often(real):
-    """At 1000 x a slice is 20 s of simulated time; a machine that computes 50 x gets one of 1 s."""
-    clock = RealTimeClock(1000.0, 0)
-    assert clock.plan_slice(0, 10**12, 1) == 20_000 * MS
-    clock.start_slice(0)
-    real.now += 0.4
-    assert clock.plan_slice(20_000 * MS, 10**12, 1) == pytest.approx(21_000 * MS)
-    real.now += 5.0  # somebody had paused meanwhile
-    assert clock.plan_slice(20_000 * MS, 10**12, 1) == pytest.approx(21_000 * MS)
-    clock.start_slice(20_000 * MS)
-    real.now += 0.001
-    assert clock.plan_slice(21_000 * MS, 10**12, 1) == pytest.approx(41_000 * MS), "it can again"
+    """At 1000 x a slice would be 20 s of simulated time; a machine that computes 50 x gets one of 0.5 s."""
+    clock, now, lengths = RealTimeClock(1000.0, 0), 0, []
+    for _ in range(8):
+        goal = clock.plan_slice(now, 10**15, 1)
+        lengths.append((goal - now) / MS)
+        clock.start_slice(now)
+        real.now += (goal - now) * 1e-9 / 50
+        now = goal
+    assert lengths == pytest.approx([20, 40, 80, 160, 320, 500, 500, 500]), "it begins with what any machine can"
+    clock.plan_slice(now, 10**15, 1)
+    real.now += 5.0  # somebody has paused meanwhile
+    assert clock.plan_slice(now, 10**15, 1) - now == pytest.approx(500 * MS)
 
 
 def test_a_pace_is_measured_over_a_quarter_of_a_second_and_more(real):
