@@ -7,8 +7,9 @@ import pytest
 
 from stage import Stage, firmware
 from stage.firmware.driver import Speeds, driver_of
+from stage.panel import tour as tours
 from stage.panel.session import FREE, Session
-from stage.panel.tour import STEPS, Run, Tour
+from stage.panel.tour import LONGEST, QUIET, SAMPLE, STEPS, TOGETHER, Run, Tour
 
 
 @pytest.mark.slow
@@ -105,3 +106,221 @@ def test_the_steps_are_those_of_the_page():
     assert [step.title for step in STEPS] == [
         "First pulse", "Ramp", "Stall", "Origin return", "Dual rate", "Synchronized move",
     ]  # fmt: skip
+
+
+class Watched:
+    """A session and a stage of two axes, of which a test says what they have done: stage.x.net, .lost, .org."""
+
+    def __init__(self):
+        self.time = 0.0
+        self.axes = {name: self._axis(name) for name in "xy"}
+        self.x, self.y = self.axes.values()
+        self.tour = Tour(self)
+
+    @staticmethod
+    def _axis(name):
+        axis = SimpleNamespace(name=name, net=0.0, lost_steps=0, org=False)
+        axis.electrics = lambda: (None, axis.net)
+        axis.switches = SimpleNamespace(as_dict=lambda: {"org": axis.org, "el_plus": True})
+        return axis
+
+    def on_slice(self, look):
+        return lambda: None
+
+    def passes(self, seconds, **rates):
+        """So much time in slices of a SAMPLE, at rates of axes, pulses a second."""
+        for _ in range(round(seconds / 0.02)):
+            self.time += 0.02
+            for name, rate in rates.items():
+                self.axes[name].net += rate * 0.02
+            self.tour.look(self)
+
+    def at(self, number):
+        """The tour waits for this step."""
+        while self.tour.number < number:
+            self.tour.skip()
+        return self.tour
+
+    def rest(self):
+        self.passes(QUIET + 0.06)
+
+
+@pytest.fixture
+def watched():
+    watched = Watched()
+    watched.tour.look(watched)
+    return watched
+
+
+@pytest.mark.parametrize(
+    ("rates", "kept"),
+    [
+        ([], []), ([7], []), ([7, 7], []), ([7, 7, 7], [7]), ([5, 7, 7, 7], [7]), ([7, 7, 7, 5], [7]), ([7, 7, 5, 7, 7], []),
+        ([1000, 1030, 1000], [1000]), ([1000, 1032, 1000], []), ([1000, 969, 1000], []), ([1000, 971, 1000], [1000]),
+        ([1000] * 3 + [1190] * 3, [1000]), ([1000] * 3 + [1210] * 3, [1000, 1210]), ([1000] * 3 + [790] * 3, [1000, 790]),
+        ([1000] * 3 + [810] * 3, [1000]), ([10] * 3 + [20] * 3 + [10] * 3, [10, 20, 10]), ([9] * 20, [9]),
+    ],
+)  # fmt: skip
+def test_a_plateau_is_three_rates_within_a_thirtieth_and_another_is_a_fifth_away(rates, kept):
+    assert Run(rates).plateaus() == kept
+
+
+def seen(number, *drives):
+    return STEPS[number].done(SimpleNamespace(finished=[(n, d) for n, d in drives], lost=False))
+
+
+@pytest.mark.parametrize(
+    ("rates", "ramp"),
+    [
+        ([], False), ([1, 2], False), ([1, 2, 1], True), ([2, 1, 2], False), ([1, 2, 2], False), ([2, 2, 1], False),
+        ([79, 100, 79], True), ([80, 100, 79], False), ([79, 100, 80], False), ([10, 50, 100, 100, 60, 20], True),
+    ],
+)  # fmt: skip
+def test_a_ramp_begins_and_ends_slower_than_four_fifths_of_what_it_reaches(rates, ramp):
+    assert seen(1, ("x", Run(rates))) == ramp
+    assert seen(1, ("y", Run([5] * 9)), ("x", Run(rates))) == ramp, "any drive of those"
+    assert seen(1, ("x", Run(rates)), ("y", Run([5] * 9))) == ramp
+
+
+def test_two_rates_are_one_drive_that_goes_up_from_one_to_the_other():
+    slow, fast = [500] * 3, [2000] * 3
+    assert seen(4, ("x", Run(slow + fast)))
+    assert seen(4, ("x", Run(fast + slow + fast))), "also later"
+    assert not seen(4, ("x", Run(slow)), ("x", Run(fast)))
+    assert not seen(4, ("x", Run(fast + slow)))
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "together"),
+    [
+        (("x", 0.0, 1.0), ("y", 0.0, 1.0), True), (("x", 0.0, 1.0), ("x", 0.0, 1.0), False),
+        (("x", 0.0, 1.0), ("y", 0.5, 1.0 + 0.9 * TOGETHER), True), (("x", 0.0, 1.0), ("y", 0.5, 1.0 + 1.1 * TOGETHER), False),
+        (("x", 0.0, 1.0 + 0.9 * TOGETHER), ("y", 0.5, 1.0), True), (("x", 0.0, 1.0 + 1.1 * TOGETHER), ("y", 0.5, 1.0), False),
+        (("x", 0.0, 1.0), ("y", 1.0, 1.05), False), (("x", 1.0, 1.05), ("y", 0.0, 1.0), False),
+        (("x", 0.0, 1.0), ("y", 0.98, 1.05), True),
+    ],
+)  # fmt: skip
+def test_drives_of_two_axes_are_together_where_they_overlap_and_end_within_a_tenth_of_a_second(first, second, together):
+    drives = [(name, Run(began=began, ended=ended)) for name, began, ended in (first, second)]
+    assert seen(5, *drives) == together
+    between = ("x", Run(began=-9.0, ended=-8.0))
+    assert not seen(5, drives[0], between, drives[1]), "one right after the other ends"
+    assert seen(5, between, *drives) == together
+
+
+def test_a_drive_is_its_rates_without_sign_from_its_first_pulse_to_its_last(watched):
+    watched.at(1)
+    watched.passes(0.1)
+    watched.passes(0.06, x=-500.0)
+    watched.passes(0.04, x=-250.0)
+    watched.passes(0.06, y=0.0)
+    assert not watched.tour.finished, "not quiet for long enough"
+    watched.rest()
+    ((name, drive),) = watched.tour.finished
+    assert name == "x"
+    assert drive.rates == pytest.approx([500, 500, 500, 250, 250])
+    assert (drive.began, drive.ended) == pytest.approx((0.1, 0.2))
+    watched.passes(0.04, x=100.0)
+    assert len(watched.tour.finished) == 1
+    watched.rest()
+    assert watched.tour.finished[1][1].rates == pytest.approx([100, 100])
+
+
+def test_a_pause_that_is_shorter_than_quiet_is_of_the_same_drive(watched):
+    watched.at(1)
+    for _ in range(3):
+        watched.passes(0.04, x=500.0)
+        watched.passes(0.06)
+    watched.rest()
+    ((_, drive),) = watched.tour.finished
+    assert len(drive.rates) == 6
+
+
+def test_rates_are_taken_over_a_sample_however_often_one_looks(watched):
+    watched.at(1)
+    for k in range(1, 101):
+        watched.time, watched.x.net = k * 0.001, 0.7 * k
+        watched.tour.look(watched)
+    watched.rest()
+    ((_, drive),) = watched.tour.finished
+    assert drive.rates == pytest.approx([700] * 5)
+    assert 0.001 < SAMPLE < 0.02
+
+
+def test_the_first_pulse_is_seen_while_its_drive_is_under_way(watched):
+    watched.passes(0.1)
+    assert watched.tour.number == 0
+    watched.passes(0.02, y=-50.0)
+    assert watched.tour.number == 1
+    watched.rest()
+    assert not watched.tour.finished, "it began before the step that waits"
+    watched.passes(0.04, y=50.0)
+    watched.rest()
+    assert len(watched.tour.finished) == 1
+
+
+def test_a_stall_is_steps_lost_by_any_axis_since_the_step_began(watched):
+    watched.y.lost_steps = 4
+    tour = watched.at(2)
+    watched.passes(0.1)
+    assert tour.number == 2, "lost before"
+    watched.y.lost_steps = 0
+    watched.passes(0.02)
+    assert tour.number == 3, "they came back by four: that is lost, too"
+    assert not tour.lost
+
+
+def test_a_home_is_a_drive_that_saw_its_own_origin(watched):
+    tour = watched.at(3)
+    watched.y.org = True
+    watched.passes(0.06, x=100.0)
+    watched.rest()
+    assert tour.number == 3, "the switch of another axis"
+    watched.x.org = True
+    watched.passes(0.1)
+    watched.x.org = False
+    watched.passes(0.06, x=100.0)
+    watched.rest()
+    assert tour.number == 3, "it was not on while it drove"
+    watched.passes(0.02, x=100.0)
+    watched.x.org = True
+    watched.passes(0.02, x=100.0)
+    watched.x.org = False
+    watched.passes(0.02, x=100.0)
+    watched.rest()
+    assert tour.number == 4
+
+
+def test_who_goes_back_in_time_has_not_driven(watched):
+    tour = watched.at(1)
+    watched.passes(0.1, x=100.0)
+    watched.time, watched.x.net = 0.01, 0.0
+    tour.look(watched)
+    assert not tour.pulses()
+    watched.rest()
+    assert not tour.finished
+    watched.passes(0.04, x=100.0)
+    watched.rest()
+    assert len(tour.finished) == 1
+
+
+def test_the_tour_remembers_the_last_drives_and_the_last_rates(watched):
+    tour = watched.at(5)
+    for k in range(18):
+        watched.passes(0.04, x=100.0 * (k + 1))
+        watched.rest()
+    assert [round(d.rates[0]) for _, d in tour.finished] == [100 * k for k in range(3, 19)]
+    for k in range(LONGEST + 5):
+        watched.passes(0.02, x=1000.0 + k)
+    rates = tour._under_way["x"].rates
+    assert (len(rates), round(rates[-1])) == (LONGEST, 1000 + LONGEST + 4)
+
+
+def test_after_the_last_step_there_is_none_and_no_skip_goes_further(watched):
+    tour = watched.at(len(STEPS))
+    assert tour.step is None
+    tour.skip()
+    assert tour.number == len(STEPS)
+    watched.passes(0.1, x=100.0)
+    assert tour.number == len(STEPS)
+    assert tours.STEPS[0].done is Tour.pulses

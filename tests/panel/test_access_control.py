@@ -1,4 +1,4 @@
-"""The panel's server answers its own pages only."""
+"""The panel's server answers its own pages only, and one of those that look has the controls."""
 
 import asyncio
 import logging
@@ -11,6 +11,7 @@ from stage.panel.access_control import (
     LOGGERS,
     MALFORMED,
     SERVER_LOGGER,
+    Controls,
     OnlyFirst,
     RequestGuard,
     report_malformed_messages_once,
@@ -149,3 +150,46 @@ def test_text_that_is_not_utf_8_is_one_line_and_other_errors_of_the_server_are_r
     assert [(r.name, r.exc_info) for r in caplog.records] == [(MALFORMED.name, None), (SERVER_LOGGER, None)]
     assert "malformed message came to the panel, and was ignored (UnicodeDecodeError(" in caplog.text
     assert reported == [{"message": "Task exception was never retrieved"}]
+
+
+def test_the_first_has_the_controls_until_somebody_takes_them():
+    controls = Controls()
+    assert controls.holder is None
+    controls.come("a")
+    controls.come("b")
+    controls.come("b")
+    assert (controls.holder, controls.watching) == ("a", 2)
+    controls.take("b")
+    assert controls.holder == "b"
+    controls.take("stranger")
+    assert controls.holder == "b"
+
+
+def test_who_goes_leaves_the_controls_to_the_next():
+    controls = Controls()
+    for who in "abc":
+        controls.come(who)
+    controls.go("b")
+    assert controls.holder == "a"
+    controls.go("a")
+    assert (controls.holder, controls.watching) == ("c", 1)
+    controls.go("c")
+    assert controls.holder is None
+    controls.come("d")
+    assert controls.holder == "d"
+
+
+def test_who_loses_the_controls_lets_go_of_what_he_holds():
+    controls, released = Controls(), []
+    for who in "ab":
+        controls.come(who)
+        controls.when_lost(who, lambda who=who: released.append(who))
+    controls.take("a")
+    assert released == []
+    controls.take("b")
+    controls.take("b")
+    assert released == ["a"]
+    controls.go("a")
+    assert released == ["a"]
+    controls.go("b")
+    assert released == ["a", "b"]
