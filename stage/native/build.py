@@ -1,8 +1,9 @@
 """Build a package's native library: which parts are stale, who emits them, the link.
 
-A part is what one family exports: a folder of the third level, with all below it. Its object depends on the modules that define it
-and on what they import, transitively, and is kept in the package's __pycache__ under a digest of them all: only parts whose sources
-have changed are made again, and those that are not as they were written.
+A part is what one family exports: a folder of the third level, with all below it. Its object depends on the code of the modules
+that define it and of what they import, transitively, but for functions that it calls by their symbols, whose signatures are enough.
+It is kept in the package's __pycache__ under a digest of them all: only parts whose code has changed are made again, and those that
+are not as they were written. A comment or a docstring is no code.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -83,8 +85,8 @@ def _build(package: str, places: dict[str, Path], folder: Path) -> Path:
     sources: dict[str, str] = {}
     objects, missing = [], []
     for name, modules in parts.items():
-        closure = {m: load.digest_of(known[m]) for m in sorted(_closure(modules, known))}
-        sources |= closure
+        closure = _closure(modules, known)
+        sources |= {m.partition(" ")[0]: load.digest_of(known[m.partition(" ")[0]]) for m in closure}
         digest = hashlib.sha256(json.dumps([modules, closure, NUMBA, load.target(), processor]).encode()).hexdigest()[
             :16
         ]
@@ -93,7 +95,7 @@ def _build(package: str, places: dict[str, Path], folder: Path) -> Path:
         if not seal.kept(target):
             for old in kept.glob(f"{name}-*.o*"):
                 old.unlink(missing_ok=True)
-            missing.append((sum(known[m].stat().st_size for m in closure), [str(target), *modules]))
+            missing.append((sum(known[m].stat().st_size for m in closure if m in known), [str(target), *modules]))
     say = _Progress(f"PulseStage: building the native library of {package}", len(missing), len(parts))
     _emit([part for _, part in sorted(missing, reverse=True)], roots, processor, say)
     manifest = {
@@ -128,28 +130,70 @@ def _parts(package: str, places: dict[str, Path]) -> dict[str, list[str]]:
     return parts
 
 
-def _closure(modules: list[str], known: dict[str, Path]) -> set[str]:
-    """These modules and all that they import, of `known`."""
-    found = {f"stage.native.{name}" for name in ("arithmetic", "emit", "passes", "typed")}
-    left = list(modules)
+def _closure(modules: list[str], known: dict[str, Path]) -> dict[str, str]:
+    """Return what the object of these modules depends on, sorted.
+
+    Module -> digest of its code, for them and all that they import, of `known`; "module function" -> digest of the signature, for
+    exported functions that they import and call by their symbols.
+    """
+    found: dict[str, str] = {}
+    left = [f"stage.native.{name}" for name in ("arithmetic", "emit", "typed")] + list(modules)
     while left:
         module = left.pop()
         if module not in found:
-            found.add(module)
-            left += _imports(module, known)
-    return found
+            tree = _code(known[module])
+            found[module] = _digest(tree)
+            for origin, name in _imports(module, tree, known):
+                signature = _signature(_code(known[origin]), name)
+                if signature:
+                    found[f"{origin} {name}"] = _digest(signature)
+                else:
+                    left.append(origin)
+    return dict(sorted(found.items()))
 
 
-def _imports(module: str, known: dict[str, Path]) -> Iterator[str]:
-    for node in ast.walk(ast.parse(known[module].read_text(encoding="utf-8"))):
+def _code(source: Path) -> ast.Module:
+    """Return the code of a source file: no comment, no docstring, no place of a line changes it."""
+    return _parse(source.read_text(encoding="utf-8"))
+
+
+@cache
+def _parse(text: str) -> ast.Module:
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [b for b in body if not (isinstance(b, ast.Expr) and isinstance(b.value, ast.Constant))]  # type: ignore[attr-defined]
+    return tree
+
+
+def _digest(code: ast.AST) -> str:
+    return hashlib.sha256(ast.dump(code).encode()).hexdigest()[:16]
+
+
+def _signature(tree: ast.Module, name: str) -> ast.expr | None:
+    """Return the signature of an exported function that is called by its symbol; one that takes arrays is compiled into callers."""
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef) and node.name == name:
+            for decorator in node.decorator_list:
+                if isinstance(decorator, ast.Call) and ast.unparse(decorator.func) == "exported":
+                    return None if "array_of" in ast.unparse(decorator) else decorator
+    return None
+
+
+def _imports(module: str, tree: ast.Module, known: dict[str, Path]) -> Iterator[tuple[str, str]]:
+    """Yield the modules of `known` that a module imports, and the name that it imports from each, or ""."""
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names if alias.name in known)
+            yield from ((alias.name, "") for alias in node.names if alias.name in known)
         elif isinstance(node, ast.ImportFrom):
             base = ".".join(module.split(".")[: -node.level]) if node.level else ""
             origin = ".".join(filter(None, (base, node.module)))
-            if origin in known:
-                yield origin
-            yield from (name for alias in node.names if (name := f"{origin}.{alias.name}") in known)
+            for alias in node.names:
+                if f"{origin}.{alias.name}" in known:
+                    yield f"{origin}.{alias.name}", ""
+                elif origin in known:
+                    yield origin, alias.name
 
 
 def _emit(parts: list[list[str]], roots: dict[str, Path], processor: str, say: _Progress) -> None:

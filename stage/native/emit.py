@@ -22,8 +22,8 @@ import llvmlite.binding as llvm
 from llvmlite import ir
 from numba.core import codegen, types
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.registry import cpu_target
 
-from stage.native.passes import cpu_target
 from stage.native.refusals import told
 from stage.native.seal import keep
 

@@ -20,7 +20,7 @@ from stage.native import load, records
 from stage.native.mode import COMPILED, EMITTING
 
 if EMITTING:
-    from stage.native import passes, typed
+    from stage.native import typed
 
 _C: dict[str | None, Any] = {None: None, "i4": ctypes.c_int32, "i8": ctypes.c_int64, "f8": ctypes.c_double}
 
@@ -40,7 +40,7 @@ def array_of(dtype: Any, dimensions: int = 1) -> Array:
 
 def hot(function: Callable) -> Any:
     """Compile `function` into what calls it. From Python it runs as Python: what is to be fast there is `exported`."""
-    return passes.hot(function) if EMITTING else function
+    return typed.hot(function) if EMITTING else function
 
 
 def exported(result: str | None, *arguments: Any) -> Callable[[Callable], Exported]:
@@ -65,7 +65,7 @@ class Exported:
         self.symbol = f"{self.module}.{self.name}".replace("_", "_0").replace(".", "_1")
         self.every.append(self)
         if EMITTING:
-            self.hot = passes.hot(function)
+            self.hot = typed.hot(function)
 
     def __call__(self, *given: Any) -> Any:
         """From Python: records as records or arrays of one or more, of which the first is meant; arrays as arrays.

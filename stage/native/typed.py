@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Callable
 from typing import Any
 
 import numba
@@ -13,6 +14,11 @@ from numba.core import cgutils
 from numba.core.errors import TypingError
 from numba.extending import intrinsic, typeof_impl
 from numba.np.arrayobj import make_array, populate_array
+
+
+def hot(function: Callable) -> Any:
+    """Return numba's form of a hot function. No fastmath: the same input gives the same bits."""
+    return numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
 
 
 def lowered_array(context: Any, builder: Any, kind: Any, address: Any, shape: list[Any]) -> Any:

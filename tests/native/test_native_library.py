@@ -91,12 +91,75 @@ def test_a_change_of_a_constant_in_a_module_that_a_hot_one_imports_is_built_anew
 def test_what_a_hot_module_imports_belongs_to_its_sources_however_it_is_imported(tmp_path):
     """`import toy.constants`, `import os, toy.more as m`, `from . import constants`, `from .constants import STEP`"""
     lines = {"import toy.constants": {"toy.constants"}, "import os, toy.more as m": {"toy.more"},
-             "from . import constants": {"toy", "toy.constants"}, "from .constants import STEP": {"toy.constants"},
+             "from . import constants": {"toy.constants"}, "from .constants import STEP": {"toy.constants"},
              "import os": set()}  # fmt: skip
     known = {name: tmp_path / "core.py" for name in ("toy", "toy.core", "toy.constants", "toy.more")}
     for line, found in lines.items():
         (tmp_path / "core.py").write_text(line)
-        assert set(build._imports("toy.core", known)) == found, line
+        assert {origin for origin, _ in build._imports("toy.core", build._parse(line), known)} == found, line
+
+
+CALLER = """
+from stage.native import exported
+from toy.callee import plain, whole
+
+@exported("i8", "i8")
+def call(n):
+    'What calls.'
+    return plain(n) + 1  # one more
+"""
+CALLEE = """
+from stage.native import array_of, exported, hot
+
+@exported("i8", "i8")
+def plain(n):
+    return n
+
+@exported("i8", array_of("i8"))
+def of_array(x):
+    return x[0]
+
+@hot
+def whole(n):
+    return n
+"""
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "changes"),
+    [
+        ("caller", "one more", "two", False),
+        ("caller", "What calls.", "It calls.", False),
+        ("caller", "+ 1", "+ 2", True),
+        ("callee", "def plain(n):\n    return n", "def plain(n):\n    return 7", False),
+        ("callee", '@exported("i8", "i8")', '@exported("i8", "f8")', True),
+    ],
+)
+@pytest.mark.parametrize("imported", ["plain", "plain, whole", "plain, of_array"])
+def test_an_object_is_made_again_for_a_change_of_its_code_and_of_what_is_compiled_into_it(
+    tmp_path, file, old, new, changes, imported
+):
+    """A function that is called by its symbol counts with its signature, one that is hot or takes an array with its module."""
+    texts = {"caller": CALLER.replace("plain, whole", imported), "callee": CALLEE}
+    known = {f"toy.{name}": tmp_path / f"{name}.py" for name in texts}
+    native = Path(build.__file__).parent
+    known |= {f"stage.native.{name}": native / f"{name}.py" for name in ("arithmetic", "emit", "typed")}
+
+    def depends(texts):
+        for name, text in texts.items():
+            (tmp_path / f"{name}.py").write_text(text)
+        return build._closure(["toy.caller"], known)
+
+    before, after = depends(texts), depends(texts | {file: texts[file].replace(old, new)})
+    compiled_in = file == "callee" and imported != "plain"
+    assert (before != after) == (changes or compiled_in)
+
+
+def test_an_edit_of_the_engine_makes_one_part_of_the_library_again():
+    places = load.folders("stage")
+    known = {module: Path(source) for module, source in load.modules(places)}
+    parts = build._parts("stage", places)
+    assert [name for name in parts if "stage.sim.engine" in build._closure(parts[name], known)] == ["stage.sim"]
 
 
 def test_a_terminal_is_told_how_far_a_build_is(monkeypatch):
