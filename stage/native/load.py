@@ -137,7 +137,7 @@ def manifest_of(path: Path) -> dict[str, Any] | None:
 
 def digest_of_sources() -> str:
     """Digest of the sources that PulseStage's library was compiled from; "none" without a library, "run as Python" uncompiled."""
-    from stage.native import COMPILED
+    from stage.native.mode import COMPILED
 
     if not COMPILED:
         return "run as Python"
