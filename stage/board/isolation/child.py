@@ -23,7 +23,7 @@ from stage.board.errors import HostError
 from stage.board.interrupts import ANY_LINE
 from stage.board.isolation.shared import LOADING, Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
 from stage.board.link import NOTED, Link
-from stage.board.threaded import Threaded
+from stage.board.threaded import Loaded, Threaded
 from stage.errors import StageError
 from stage.sim.fingerprint import settings
 from stage.sim.stage import Stage
@@ -164,6 +164,14 @@ class ChildThread(Threaded):
     """Firmware in a thread of its own process: what it does beside its requests is noted, and may be the end of it."""
 
     isolated, outlives = True, ""
+
+    def _check(self) -> None:
+        """Load it, for the first run."""
+        self._checked: Loaded | None = super()._load()
+
+    def _load(self) -> Loaded:
+        loaded, self._checked = self._checked, None
+        return loaded or super()._load()
 
     def _prepare_thread(self) -> AbstractContextManager[None]:
         self._slept: set[str] = set()  # functions by which it has slept in real time

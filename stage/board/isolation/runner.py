@@ -7,7 +7,6 @@ recording, waveforms and diagnostics. After a crash our stage repeats the last b
 
 from __future__ import annotations
 
-import hashlib
 import os
 import pickle
 import select
@@ -36,7 +35,7 @@ from stage.board.threaded import Program, is_debugged
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
 from stage.sim import engine
-from stage.sim.fingerprint import fingerprint
+from stage.sim.fingerprint import settings
 
 GRACE = 10.0  # s of real time beyond its patience, in which the child gives its firmware up itself
 STARTS = 30.0  # s beyond it that a process may take to begin
@@ -118,6 +117,9 @@ class Isolated:
         self._owner = os.getpid()
         self._seen = b""
         self._error: BaseException | None = None
+        settable = list(settings(board.stage.model))
+        self._arrays = [value for _, _, value in settable if isinstance(value, np.ndarray)]
+        self._options = [name for _, name, value in settable if not isinstance(value, np.ndarray)]
         self._start()
 
     @property
@@ -203,7 +205,7 @@ class Isolated:
             self._pipe, self._messages = ours, _Messages(ours)
             weakref.finalize(self, self._child.kill)
             ours.send(Begin(self._program, str(shared), given, self._patience))
-            self._seen, self._faults = _machine(board.stage), _faults(board.stage)
+            self._seen, self._faults = self._machine(), _faults(board.stage)
             answer = self._next(STARTS)
             if answer == LOADING:
                 answer = self._next(LOADS)
@@ -225,8 +227,15 @@ class Isolated:
     def _changed(self) -> bytes | None:
         """The stage, pickled, if the child's is no longer like it in what is no state."""
         stage, before = self._board.stage, self._seen
-        self._seen, self._faults = _machine(stage), _faults(stage)
+        self._seen, self._faults = self._machine(), _faults(stage)
         return _pickled(stage) if self._seen != before else None
+
+    def _machine(self) -> bytes:
+        """Return everything in which the child's stage must be like this one, but for the state. It is compared at each start."""
+        parts = self._board.stage.machine()
+        model = parts.pop("model")
+        options = [getattr(model.opt, name) for name in self._options]
+        return b"".join([*(array.tobytes() for array in self._arrays), _pickled((options, parts))])
 
     def _changed_by_device(self) -> bytes | None:
         """As `_changed`, fast enough for a bus cycle: faults and payloads, and not what somebody changed in the model himself."""
@@ -387,12 +396,6 @@ class Isolated:
 def _ended(child: starter.Process) -> None:
     child.kill()
     child.wait()
-
-
-def _machine(stage: Any) -> bytes:
-    """Of all in which the child's stage must be like this one, but for the state."""
-    parts = stage.machine()
-    return fingerprint(parts.pop("model")) + hashlib.blake2b(_pickled(parts)).digest()
 
 
 def _faults(stage: Any) -> bytes:
