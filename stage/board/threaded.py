@@ -67,13 +67,18 @@ class Program(Protocol):
         ...
 
 
+def read_status(process: int | str) -> dict[str, str]:
+    """Return what the system tells of a process or thread (/proc/PID/status), by name; nothing where it does not."""
+    try:
+        lines = Path(f"/proc/{process}/status").read_text(errors="replace").splitlines()
+    except OSError:
+        return {}
+    return {name: value.strip() for name, _, value in (line.partition(":") for line in lines)}
+
+
 def is_debugged(process: int | str = "self") -> bool:
     """Tell whether a debugger holds a process: it may stand still for as long as somebody looks."""
-    try:
-        with open(f"/proc/{process}/status", errors="replace") as status:
-            return any(line.startswith("TracerPid:") and line.split()[1] != "0" for line in status)
-    except OSError:
-        return False
+    return read_status(process).get("TracerPid", "0") != "0"
 
 
 class Threaded:

@@ -17,7 +17,7 @@ import json
 import socket
 import struct
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 VERSION, PORT, MAGIC = 1, 7240, b"PULSESTG"
 HEAD = struct.Struct("<III")
@@ -45,6 +45,8 @@ PLACE = struct.Struct("<ddq")
 ANSWER, WORD = struct.Struct("<q"), struct.Struct("<I")
 RELEASED, ASSERTED, MENDED = 0, 1, 2
 """STICK: what becomes of the switch."""
+_W = TypeVar("_W")  # what a request that writes returns
+_R = TypeVar("_R")  # what one that reads returns
 
 
 class ServerError(RuntimeError):
@@ -97,7 +99,62 @@ def connect(address: str = "", *, look: bool = False, timeout: float | None = 10
     return client
 
 
-class Batch:
+class _Requests(Generic[_W, _R]):
+    """Requests of bus and time, by one name for each: a `Batch` gathers them, a `Client` makes them at once."""
+
+    def _write(self, what: int, a: int, b: int = 0) -> _W:
+        raise NotImplementedError
+
+    def _read(self, what: int, a: int = 0, b: int = 0, times: int = 0, every: int = 0, mask: int = 0) -> _R:
+        raise NotImplementedError
+
+    def out8(self, port: int, value: int) -> _W:
+        return self._write(OUT8, port, value)
+
+    def in8(self, port: int) -> _R:
+        return self._read(IN8, port)
+
+    def out16(self, port: int, value: int) -> _W:
+        return self._write(OUT16, port, value)
+
+    def in16(self, port: int) -> _R:
+        return self._read(IN16, port)
+
+    def out32(self, port: int, value: int) -> _W:
+        return self._write(OUT32, port, value)
+
+    def in32(self, port: int) -> _R:
+        return self._read(IN32, port)
+
+    def delay_us(self, us: int) -> _W:
+        return self._write(DELAY, us)
+
+    def spend_ns(self, ns: int) -> _W:
+        """Computing that takes time."""
+        return self._write(SPEND, ns)
+
+    def micros(self) -> _R:
+        """The time, us since power-up; the look takes a bus cycle."""
+        return self._read(MICROS)
+
+    def line(self) -> _R:
+        """1 if the interrupt line is asserted; the look takes a bus cycle."""
+        return self._read(LINE)
+
+    def until8(self, port: int, mask: int, value: int, times: int, every_us: int = 0) -> _R:
+        """Read until (what was read & mask) == value, `times` times at most. The answer is what was read last."""
+        return self._read(UNTIL8, port, value, times, every_us, mask)
+
+    def until16(self, port: int, mask: int, value: int, times: int, every_us: int = 0) -> _R:
+        """As until8, of 16 bits."""
+        return self._read(UNTIL16, port, value, times, every_us, mask)
+
+    def until_line(self, us: int) -> _R:
+        """Wait until the interrupt line is asserted, `us` at most. The answer is 1 if it is, else 0."""
+        return self._read(UNTIL_LINE, us)
+
+
+class Batch(_Requests["Batch", "Batch"]):
     """Requests that go together. The methods give the batch itself, so that they can be chained."""
 
     def __init__(self, client: Client | None = None):
@@ -117,50 +174,7 @@ class Batch:
         self._entries += entry
         return self
 
-    def out8(self, port: int, value: int) -> Batch:
-        return self.add(OUT8, port, value)
-
-    def in8(self, port: int) -> Batch:
-        return self.add(IN8, port)
-
-    def out16(self, port: int, value: int) -> Batch:
-        return self.add(OUT16, port, value)
-
-    def in16(self, port: int) -> Batch:
-        return self.add(IN16, port)
-
-    def out32(self, port: int, value: int) -> Batch:
-        return self.add(OUT32, port, value)
-
-    def in32(self, port: int) -> Batch:
-        return self.add(IN32, port)
-
-    def delay_us(self, us: int) -> Batch:
-        return self.add(DELAY, us)
-
-    def spend_ns(self, ns: int) -> Batch:
-        """Computing that takes time."""
-        return self.add(SPEND, ns)
-
-    def micros(self) -> Batch:
-        """The time, us; the look takes a bus cycle."""
-        return self.add(MICROS)
-
-    def line(self) -> Batch:
-        """1 if the interrupt line is asserted; the look takes a bus cycle."""
-        return self.add(LINE)
-
-    def until8(self, port: int, mask: int, value: int, times: int, every_us: int = 0) -> Batch:
-        """Read until (what was read & mask) == value, `times` times at most. The answer is what was read last."""
-        return self.add(UNTIL8, port, value, times, every_us, mask)
-
-    def until16(self, port: int, mask: int, value: int, times: int, every_us: int = 0) -> Batch:
-        """As until8, of 16 bits."""
-        return self.add(UNTIL16, port, value, times, every_us, mask)
-
-    def until_line(self, us: int) -> Batch:
-        """Wait until the interrupt line is asserted, `us` at most. The answer is 1 if it is, else 0."""
-        return self.add(UNTIL_LINE, us)
+    _write = _read = add
 
     def __len__(self) -> int:
         return len(self._entries) // ENTRY.size
@@ -191,7 +205,7 @@ def _answers(content: bytes) -> tuple[int, ...]:
     return struct.unpack(f"<{len(content) // ANSWER.size}q", content)
 
 
-class Client:
+class Client(_Requests[None, int]):
     """A connection; use `connect`. `about`: what the server says of its board, a dict."""
 
     def __init__(self, wire: socket.socket, look: bool = False):
@@ -208,46 +222,19 @@ class Client:
         """Requests for one frame."""
         return Batch(self)
 
-    def out8(self, port: int, value: int) -> None:
-        self.batch().out8(port, value).run()
+    def _write(self, what: int, a: int, b: int = 0) -> None:
+        self.batch().add(what, a, b).run()
 
-    def in8(self, port: int) -> int:
-        return self.batch().in8(port).run()[0]
-
-    def out16(self, port: int, value: int) -> None:
-        self.batch().out16(port, value).run()
-
-    def in16(self, port: int) -> int:
-        return self.batch().in16(port).run()[0]
-
-    def out32(self, port: int, value: int) -> None:
-        self.batch().out32(port, value).run()
-
-    def in32(self, port: int) -> int:
-        return self.batch().in32(port).run()[0]
-
-    def delay_us(self, us: int) -> None:
-        self.batch().delay_us(us).run()
-
-    def spend_ns(self, ns: int) -> None:
-        self.batch().spend_ns(ns).run()
-
-    def micros(self) -> int:
-        """Microseconds since power-up; the look takes a bus cycle."""
-        return self.batch().micros().run()[0]
+    def _read(self, what: int, a: int = 0, b: int = 0, times: int = 0, every: int = 0, mask: int = 0) -> int:
+        return self.batch().add(what, a, b, times, every, mask).run()[0]
 
     def line(self) -> bool:
         """Whether the interrupt line is asserted; the look takes a bus cycle."""
-        return bool(self.batch().line().run()[0])
-
-    def until8(self, port: int, mask: int, value: int, times: int, every_us: int = 0) -> int:
-        return self.batch().until8(port, mask, value, times, every_us).run()[0]
-
-    def until16(self, port: int, mask: int, value: int, times: int, every_us: int = 0) -> int:
-        return self.batch().until16(port, mask, value, times, every_us).run()[0]
+        return bool(super().line())
 
     def until_line(self, us: int) -> bool:
-        return bool(self.batch().until_line(us).run()[0])
+        """Wait until the interrupt line is asserted, `us` at most, and return whether it is."""
+        return bool(super().until_line(us))
 
     def on_interrupt(self, hook: Callable[[], None] | None) -> None:
         """Call `hook` while the interrupt line is asserted: after a bus cycle, or within a delay at that ns. None: nobody."""
@@ -311,8 +298,8 @@ class Client:
         self._number = number = (self._number + 1) & 0xFFFFFFFF
         self._send(HEAD.pack(len(body), kind, number) + body)
         while True:
-            length, said, _ = HEAD.unpack(self._read(HEAD.size))
-            reply = self._read(length)
+            length, said, _ = HEAD.unpack(self._receive(HEAD.size))
+            reply = self._receive(length)
             if said == INTERRUPT:
                 self._interrupted(WORD.unpack(reply)[0])
             elif said == ERROR:
@@ -348,7 +335,7 @@ class Client:
         who = "this connection is closed" if self._wire.fileno() < 0 else "the server has closed the connection"
         return ConnectionError(f"{who}. Make another one: connect().")
 
-    def _read(self, size: int) -> bytes:
+    def _receive(self, size: int) -> bytes:
         content = bytearray()
         while len(content) < size:
             try:

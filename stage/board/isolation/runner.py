@@ -31,7 +31,7 @@ from stage.board.isolation import starter
 from stage.board.isolation.shared import LOADING, Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
 from stage.board.library import sanitizers
 from stage.board.scratch import Scratch
-from stage.board.threaded import Program, is_debugged
+from stage.board.threaded import Program, is_debugged, read_status
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
 from stage.sim import engine
@@ -416,11 +416,7 @@ def _pickled(stage: Any) -> bytes:
 
 def _handles_timers(process: int) -> bool:
     """Tell whether a process has a handler for one of the signals of setitimer, of alarm or of timer_create."""
-    try:
-        with open(f"/proc/{process}/status", errors="replace") as status:
-            caught = next((int(line.split()[1], 16) for line in status if line.startswith("SigCgt:")), 0)
-    except OSError:
-        return False
+    caught = int(read_status(process).get("SigCgt", "0"), 16)
     return any(caught >> number - 1 & 1 for number in (signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF))
 
 

@@ -4,6 +4,9 @@
     process.kill()
     process.wait()                 its exit code; minus the number of the signal that ended it
 
+It is none of multiprocessing's forkserver: that one imports the user's main module into each child, has one environment and one
+standard output for all of them, and does not notice children that are stopped.
+
 The starter begins with the first of them and ends with this process. A child has the standard output, environment, folder and
 sys.path that this process has at its start.
 
@@ -29,6 +32,8 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, NamedTuple
+
+from stage.board.threaded import read_status
 
 _HEAD = struct.Struct("q")
 _STATUS = struct.Struct("i")
@@ -225,11 +230,7 @@ def _end_stopped() -> None:
 
 def _is_stopped(pid: int) -> bool:
     """Tell whether a signal or a tracer has stopped a process; False where the system does not tell."""
-    try:
-        with open(f"/proc/{pid}/stat", "rb") as file:
-            return file.read().rpartition(b")")[2].split()[0] in (b"T", b"t")
-    except (OSError, IndexError):
-        return False
+    return read_status(pid).get("State", "")[:1] in ("T", "t")
 
 
 def _folder() -> str:
@@ -297,7 +298,7 @@ def _bury(children: dict[int, socket.socket]) -> None:
             return
         stopped = os.WIFSTOPPED(status)
         if pid not in children:  # a thread of firmware that has called ptrace(PTRACE_TRACEME)
-            pid = _find_process(pid) if stopped else 0
+            pid = int(read_status(pid).get("Tgid", 0)) if stopped else 0
         if pid not in children:
             continue
         _end(pid, ended=not stopped)  # and what the firmware has started
@@ -305,15 +306,6 @@ def _bury(children: dict[int, socket.socket]) -> None:
             children[pid].send(_STATUS.pack(status))
         if not stopped:
             children.pop(pid).close()
-
-
-def _find_process(thread: int) -> int:
-    """Return the number of the process that a thread belongs to; 0 where there is no such thread."""
-    try:
-        with open(f"/proc/{thread}/status", errors="replace") as status:
-            return next((int(line.split()[1]) for line in status if line.startswith("Tgid:")), 0)
-    except OSError:
-        return 0
 
 
 def _end(pid: int, ended: bool = False) -> None:
