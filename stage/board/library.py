@@ -212,7 +212,7 @@ def _is_loaded(symbol: str) -> bool:
 
 def _needs_cplusplus(source: Path, platform_flags: Sequence[str], flags: Sequence[str], folder: str) -> bool:
     """Tell whether a source in C includes a header of its platform that is C++ here."""
-    preprocessed = [
+    arguments = [
         "-E",
         *platform_flags,
         f"-I{include()}",
@@ -221,7 +221,8 @@ def _needs_cplusplus(source: Path, platform_flags: Sequence[str], flags: Sequenc
         "-o",
         f"{folder}/preprocessed",
     ]
-    return platforms.IS_CPLUSPLUS in run_program([*compiler("x.c").split(), *preprocessed]).stderr
+    command = [*compiler("x.c").split(), *arguments]
+    return platforms.IS_CPLUSPLUS in run_program(command).stderr
 
 
 def _flags_of_c(flags: Sequence[str]) -> list[str]:

@@ -119,17 +119,8 @@ class BusTrace:
             else:
                 meaning = tell(port, value, writes, wide)
             if k >= first:
-                yield Cycle(
-                    at * 1e-9,
-                    until * 1e-9,
-                    count,
-                    "W" if writes else "R",
-                    port,
-                    value,
-                    16 if wide else 8,
-                    stray,
-                    meaning,
-                )
+                way, width = "W" if writes else "R", 16 if wide else 8
+                yield Cycle(at * 1e-9, until * 1e-9, count, way, port, value, width, stray, meaning)
 
     def text(self, n: int | None = None) -> str:
         """The last `n` lines (default: all) as text."""

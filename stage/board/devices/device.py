@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from stage.board import host
 from stage.errors import ArgumentError, StageError
+from stage.native import plain
 from stage.sim import records
 from stage.sim.encoder import Encoder
 
@@ -38,7 +40,7 @@ class Device:
     Attributes:
         ports: those of the board that it takes, once it is there; state: the arrays that snapshots carry.
         PORTS: how many ports it has, where it says; access, pulls: addresses of its compiled functions, see
-            stage.board.reaching, or 0.
+            stage.board.host, or 0.
     """
 
     KIND: ClassVar[str] = "device"
@@ -167,3 +169,30 @@ class Absent(Device):
     def __init__(self, name: str, width: int, size: int, encoders: Sequence[Encoder]):
         super().__init__(name, encoders, width)
         self.state = [np.zeros(size, np.uint8)]
+
+
+class Compiled(Device):
+    """A device whose module exports STATE, `access` and `pulls`, see stage.board.host.
+
+    Attributes: options: its arguments; registers: its state by name.
+    """
+
+    CORE: ClassVar[Any]
+    OPTIONS: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, **base: Any):
+        super().__init__(**base)
+        core: ModuleType = self.CORE
+        self.state = [np.zeros(1, core.STATE)]
+        self.registers = self.state[0].view(plain(core.STATE))[0]
+        self.access, self.pulls = core.access.address, core.pulls.address if hasattr(core, "pulls") else 0
+
+    def twin(self) -> tuple[Any, ...]:
+        options = {"name": self.name, **{name: getattr(self, name) for name in self.OPTIONS}}
+        if self.encoders:
+            options["encoder"] = self.encoders[0]
+        return (_twin, type(self), options)
+
+
+def _twin(cls: type[Compiled], options: dict[str, Any]) -> Compiled:
+    return cls(**options)

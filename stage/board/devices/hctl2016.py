@@ -12,8 +12,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from stage.board.devices import hctl2016_core
-from stage.board.devices.compiled import Compiled
-from stage.board.devices.device import Encoder, Listener
+from stage.board.devices.device import Compiled, Encoder, Listener
 
 
 class HCTL2016(Compiled):

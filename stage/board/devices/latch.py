@@ -6,8 +6,7 @@ from collections.abc import Callable
 from typing import ClassVar
 
 from stage.board.devices import latch_core
-from stage.board.devices.compiled import Compiled
-from stage.board.devices.device import Listener
+from stage.board.devices.device import Compiled, Listener
 from stage.board.host import OUT8
 
 

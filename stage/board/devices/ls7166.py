@@ -20,8 +20,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from stage.board.devices import ls7166_core
-from stage.board.devices.compiled import Compiled
-from stage.board.devices.device import Encoder, Listener
+from stage.board.devices.device import Compiled, Encoder, Listener
 
 _REGISTERS = ("MCR", "ICR", "OCCR", "QR")
 _MASTER = ("pointer = 0", "latch the counter", "counter = 0", "counter = PR", "COMPT = 0", "master reset")

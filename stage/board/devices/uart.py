@@ -14,8 +14,7 @@ from contextlib import suppress
 from typing import ClassVar
 
 from stage.board.devices import uart_core
-from stage.board.devices.compiled import Compiled
-from stage.board.devices.device import Listener
+from stage.board.devices.device import Compiled, Listener
 from stage.errors import ArgumentError, StageError
 
 CLOCK_HZ = 1_843_200

@@ -180,21 +180,12 @@ class Shared:
             np.memmap(path, np.uint8, "r+", shape=(places[-1],)) if create else _map_for_firmware(path, places[-1])
         )
         (
-            self.record,
-            self.edges,
-            self.cycles,
-            self.state,
-            self.samples,
-            self.positions,
-            self.sources,
-            used,
-            text,
-            crash,
+            self.record, self.edges, self.cycles, self.state, self.samples, self.positions, self.sources, used, text, crash,
             self.devices,
         ) = (
             np.asarray(self._map[at : at + n]).view(dtype).reshape(shape)
             for at, n, (dtype, shape) in zip(places, lengths, sizes, strict=False)
-        )
+        )  # fmt: skip
         self._used, self._text, self._crash = used.data, text.data, crash.data
         self._guards = [np.asarray(self._map[end - _GUARD : end]) for end in places[1:]]
         if create:

@@ -49,54 +49,22 @@ class Platform:
 PLATFORMS: dict[str, Platform] = {
     p.name: p
     for p in (
-        Platform(
-            "arduino",
-            "an Arduino sketch: setup and loop, pins, Serial",
-            ("setup", "loop"),
-            "arduino/entry.cpp",
-            ("arduino", "avr"),
-            True,
-            ("-DPULSESTAGE_ARDUINO",),
-        ),
-        Platform(
-            "avr",
-            "a program for an AVR: avr/io.h, avr/interrupt.h, util/delay.h",
-            ("main",),
-            "avr/entry.cpp",
-            ("avr",),
-            True,
-        ),
-        Platform(
-            "vxworks",
-            "a VxWorks driver: sysLib, taskLib, semLib, intLib, logLib",
-            ("usrAppInit",),
-            "vxworks/entry.c",
-            ("vxworks",),
-        ),
-        Platform(
-            "dos",
-            "a DOS program of Borland, Microsoft or Watcom C: dos.h, conio.h",
-            ("main",),
-            "dos/entry.c",
-            ("dos",),
-            flags=("-include", "pulsestage_dos.h"),
-        ),
-        Platform(
-            "freertos",
-            "a program on FreeRTOS, whose sources are given with it",
-            ("main",),
-            "freertos/entry.c",
-            ("freertos",),
-            sources=("freertos/port.c",),
-            defaults="freertos/defaults",
-            given=(
-                "FreeRTOS.h",
-                "it is in FreeRTOS' own sources, which are not here: give them with the program, "
-                'F/tasks.c F/list.c F/queue.c --cflags="-IF/include" where F is the folder of FreeRTOS-Kernel',
-            ),
-        ),
+        Platform("arduino", "an Arduino sketch: setup and loop, pins, Serial", ("setup", "loop"), "arduino/entry.cpp",
+                 ("arduino", "avr"), has_cplusplus_headers=True, flags=("-DPULSESTAGE_ARDUINO",)),
+        Platform("avr", "a program for an AVR: avr/io.h, avr/interrupt.h, util/delay.h", ("main",), "avr/entry.cpp", ("avr",),
+                 has_cplusplus_headers=True),
+        Platform("vxworks", "a VxWorks driver: sysLib, taskLib, semLib, intLib, logLib", ("usrAppInit",), "vxworks/entry.c",
+                 ("vxworks",)),
+        Platform("dos", "a DOS program of Borland, Microsoft or Watcom C: dos.h, conio.h", ("main",), "dos/entry.c", ("dos",),
+                 flags=("-include", "pulsestage_dos.h")),
+        Platform("freertos", "a program on FreeRTOS, whose sources are given with it", ("main",), "freertos/entry.c", ("freertos",),
+                 sources=("freertos/port.c",), defaults="freertos/defaults", given=(
+                     "FreeRTOS.h",
+                     "it is in FreeRTOS' own sources, which are not here: give them with the program, "
+                     'F/tasks.c F/list.c F/queue.c --cflags="-IF/include" where F is the folder of FreeRTOS-Kernel',
+                 )),
     )
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
