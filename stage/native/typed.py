@@ -18,7 +18,8 @@ from numba.np.arrayobj import make_array, populate_array
 
 def hot(function: Callable) -> Any:
     """Return numba's form of a hot function. No fastmath: the same input gives the same bits."""
-    return numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
+    options: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return numba.njit(nogil=True, error_model="numpy", **options)(function)
 
 
 def lowered_array(context: Any, builder: Any, kind: Any, address: Any, shape: list[Any]) -> Any:

@@ -25,7 +25,7 @@ def rates_of(action: np.ndarray) -> dict[str, float]:
 def from_log_scale(value: float, ends: Sequence[float]) -> float:
     """Return the number that -1 to 1 stands for on a logarithmic scale between two ends."""
     low, high = np.log(ends)
-    return float(np.clip(np.exp(low + (high - low) * (value + 1) / 2), *ends))
+    return float(np.clip(np.exp(low + (high - low) * (value + 1) / 2), ends[0], ends[1]))
 
 
 class Hands:

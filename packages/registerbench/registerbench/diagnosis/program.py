@@ -213,7 +213,7 @@ class _Apart:
     """An axis whose bus cycles nobody sees: to ask a driver which words it reads."""
 
     def __init__(self, axis: Axis):
-        self.name, self.chip, self.chip_axis, self.index = axis.name, axis.chip.twin(), axis.chip_axis, axis.index
+        self.name, self.chip, self.chip_axis = axis.name, axis.chip.twin(), axis.chip_axis
 
 
 def _seconds(text: str) -> float:
