@@ -15,7 +15,7 @@ from stage.firmware.report import Procedure
 from stage.firmware.stop_reasons import NOT_AS_ASKED
 from stage.sim import plant
 
-EVERY = list(CHIPS)
+EVERY = list(CHIPS.own)
 STEPPING = [name for name in EVERY if not CHIPS[name].SERVO]
 NEAR = 25e-6  # m: following error at rest, of a stepper under friction and of a servo within its deadband
 

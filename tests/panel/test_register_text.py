@@ -59,7 +59,7 @@ def test_what_is_no_number_is_told_with_what_was_probably_meant(typed, said):
 
 
 def test_every_command_of_every_chip_has_a_button_or_a_row():
-    for kind in CHIPS.values():
+    for kind in map(CHIPS.get, CHIPS.own):
         front = FrontPanel(kind)
         buttons = [b for group in front.buttons.values() for b in group]
         sent = {b.symbol for b in buttons} | {r.name for r in front.registers} | {w.name for w in front.forms}
