@@ -198,47 +198,13 @@ stage.envs.synchronized_move
         32000.0), fl=1000.0, accel=0.1, s_curve=False, reach=4.0, multiplier_reach=1, moves=1, limit=4.0, settle=0.05,
         looks=100, far=20.0, path_weight=1.0, carriage_weight=1.0, time_weight=1.0, lost_weight=10.0, limit_weight=10.0,
         bus_cycle=1e-06
-stage.agents.arena.games
-    suite: split='train', episodes=None, round_='open'
-stage.agents.arena.loop
-    play: name='', limits=None, told=None, before=()
-stage.agents.arena.replay
-    Replayed: cut=''
-    replay: told=None
-stage.agents.arena.scores
-    Played: entry=None
-    Round: ended=''
-stage.agents.arena.table
-    Limits: most=400, patience=600.0, time=3600.0
-    Table: limits=None
-    Table.call: arguments=None
-stage.agents.arena.transcript
-    Writer: overwrite=False, go_on=False
-    save: overwrite=False
 stage.agents.budget
     Budget: moves=None, seconds=None, cycles=None
-stage.agents.diagnosis.case
-    Case: runs=20
-stage.agents.diagnosis.setups
-    Setup: chips='pcl240k', payload=0.0, equip=None
 stage.agents.tool
     Answer: png=None
     Tool: fields=(), moves=False, free=False
 stage.agents.toolbox
     Toolbox: mode='host', budget=None, snapshots=True, patience=None, more=()
-stage.bench.cards
-    Card: splits=('train', 'heavy', 'worn', 'weak', 'loose', 'ms', 'nova', 'mast', 'faults'), episodes=64
-    Card.make: vector=0
-    seeds: round_='open'
-stage.bench.files
-    Submission.write: overwrite=False
-stage.bench.playing
-    play: split='train', track='host', round_='open', settings=None, name=None, run=0, notes='', cost=None, episodes=None,
-        told=None
-    submit: overwrite=False
-stage.bench.replaying
-    Verdict: unlike=(), tolerance=None, observations=0
-    verify: tolerance=None, told=None
 stage.board.devices.device
     Device: name=None, encoders=(), width=8
     Device.pull: on=True, at=None

@@ -10,11 +10,11 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 import pytest
-from support.recording_bench import ONE_AXIS, feed, make_bench, read_rrd
+from support.recording_bench import ONE_AXIS, feed, make_bench, read_rrd, stage_of
 
 from stage.chips import HCTL1100
 from stage.recording import geoms, inline, rerun_log, saved, scene
-from stage.recording.recording import ROWS, RecordingError
+from stage.recording.recording import ROWS, Recording, RecordingError
 from stage.recording.rerun_log import STATES, Lanes
 
 pytest.importorskip("rerun")
@@ -92,7 +92,7 @@ def test_the_facts_are_those_of_each_axis_and_the_length_that_of_the_end(tmp_pat
     bench = make_bench(2)
     servo = bench.axes["y"]
     servo.chip, servo.unit, servo.drive = HCTL1100(), "rad", SimpleNamespace(title="a motor")
-    recording = type(bench.recording)(bench.model, bench.axes, 2e-3, lambda: None)
+    recording = Recording(stage_of(bench.model, bench.axes), 2e-3)
     path = tmp_path / "x.rrd"
     recording.stream(path)
     feed(recording, 5)
