@@ -21,8 +21,10 @@ def voltage(d, shares, n, omega, gain=0.0):
         d: DRIVE record of a servo.
         shares: (n,), the motor command of each slice as a share of full drive, -1 to 1.
         omega: Speed of the rotor at the beginning, rad/s.
-        gain: Speed that a newton metre adds in half of the n slices, rad/s. MuJoCo takes the back-EMF at the end of the step; a
-            current limit holds with the speed that its own torque adds by then.
+        gain: Speed that a newton metre adds in half of the n slices, rad/s.
+
+    MuJoCo takes the back-EMF at the end of the step. A current limit holds for the speed by then, if the rotor gains as much as in
+    the step before: nothing against a load that holds it, and at most what the torque of the limit gives to a free one.
     """
     total = 0.0
     for k in range(n):
@@ -31,6 +33,12 @@ def voltage(d, shares, n, omega, gain=0.0):
     d.current_a = (v - d.torque_constant * omega) / d.resistance
     if d.current > 0.0 and abs(d.current_a) > d.current:
         d.current_a = d.current if d.current_a > 0.0 else -d.current
-        faster = 2.0 * gain * d.torque_constant * d.current_a
+        most = 2.0 * gain * d.torque_constant * d.current_a
+        faster = omega - d.back
+        if faster * most <= 0.0:
+            faster = 0.0
+        elif abs(faster) > abs(most):
+            faster = most
         v = d.torque_constant * (omega + faster) + d.resistance * d.current_a
+    d.back = omega
     return v

@@ -43,7 +43,7 @@ DRIVE = record(
     + [("mode", "i8"), ("open", "i8")]
 )
 """One motor and drive, SI units, or a SERVO: see servo.py; `per_pulse` is then the rotor's angle a count of the encoder, `teeth` 1,
-`current` the amplifier's current limit, 0 for none.
+`current` the amplifier's current limit, 0 for none, and `back` the speed of the rotor at the step before, rad/s.
 `teeth`: rotor teeth Nr; `per_pulse`: electrical radians a pulse; `open`: the phases that are
 open, A + B; whoever sets a parameter sets `slice` to 0."""
 SIN, COS, WAVES = range(3)

@@ -129,6 +129,20 @@ def test_from_rest_a_servo_accelerates_by_its_current_limit(name):
     assert abs(stage.data.qvel[0] - first) / 0.02 == pytest.approx(force / model.dof_M0[0], rel=2e-3)
 
 
+@EVERY
+def test_against_a_hard_stop_the_current_of_a_servo_is_its_limit(name):
+    """Held, the rotor gains no speed; the torque that MuJoCo applies is that of the limit"""
+    servo = Servo(name, current_limit=1.5)
+    stage = Stage("xyz_servo", chips={"x": "hctl1100"}, drives={"x": servo}, visuals=False)
+    x, model = stage.axes["x"], stage.model
+    model.dof_frictionloss[:] = 0.0
+    stage.place(x=x.travel[1])
+    x.chip.write(0x09, 100)  # full drive
+    stage.run(0.2)
+    amperes = stage.data.actuator_force[x.plant.actuator] / servo.motor.torque_constant
+    assert abs(amperes) == pytest.approx(1.5, rel=1e-3)
+
+
 # --- the motor, in MuJoCo ---
 
 
