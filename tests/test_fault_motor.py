@@ -62,6 +62,32 @@ def test_power_up_is_that_of_a_stage_built_with_the_motor(model, chip, name):
         assert np.array_equal(getattr(stage.model, field), getattr(built.model, field))
 
 
+FITTED = "dof_armature", "dof_M0", "dof_invweight0", "body_invweight0", "actuator_damping", "actuator_acc0"
+
+
+@pytest.mark.parametrize("model", ["xyz", "xy", "gantry"])
+def test_a_model_is_to_the_bit_what_it_was_when_all_motors_are_mended(model):
+    stage = Stage(model, chips=PCL240K, visuals=False)
+    before = {name: np.array(getattr(stage.model, name)) for name in FITTED}
+    for axis in stage.axes.values():
+        first, second = (faults.motor(axis, name) for name in ("17HS19-2004S1", SMALL))
+        first.mend()
+        second.mend()
+    for name, values in before.items():
+        assert np.array_equal(getattr(stage.model, name), values), name
+
+
+def test_an_armature_changed_by_hand_stays_what_it_is_beside_the_rotor(xyz):
+    x, armature = xyz.axes["x"], xyz.model.dof_armature
+    dof, as_built = x.plant.dof, armature.copy()
+    rotors = [MOTORS[name].rotor_inertia * x.gear**2 for name in ("17HS4401", SMALL)]
+    armature[dof] += 2.0
+    with faults.motor(x, SMALL):
+        assert armature[dof] == pytest.approx(as_built[dof] + 2.0 + rotors[1] - rotors[0])
+    assert armature[dof] == pytest.approx(as_built[dof] + 2.0)
+    armature[:] = as_built
+
+
 def test_a_change_amid_a_move_makes_no_jump_and_no_other_axis_sees_it(xyz):
     x, y = xyz.axes["x"], xyz.axes["y"]
     for axis in (x, y):

@@ -83,6 +83,7 @@ class Axis:
         stage: the Stage that it belongs to; plant: what the model says of it, a `stage.sim.plant.PlantAxis`.
         supply, open_phases: the voltage (V) that its drive has, and the phases (bits of stage.drives.stepper.A and B) whose wire is
             broken; faults change them, see `Stage.equip`.
+        armature: of its joint, with the rotor of `drive` as the stage was built, see `refit_model`; rotor: that inertia, kg m^2.
     """
 
     def __init__(
@@ -102,6 +103,7 @@ class Axis:
         self.meters_per_pulse = 2 * np.pi / drive.pulses_per_turn / abs(self.gear)
         self.switches = Switches(self)
         self.supply, self.open_phases = drive.bus_voltage, 0
+        self.armature, self.rotor = float(stage.model.dof_armature[plant.dof]), drive.motor.rotor_inertia
 
     @property
     def lock(self) -> Lock | None:
