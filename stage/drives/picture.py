@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from stage.drives.dynamometer import PullOut, bound_by_both, closed_form
+from stage.drives.dynamometer import PullOut, bound_by_both, closed_form, pull_out
 from stage.drives.motors import Drive, Motor, estimate_core_loss
 from stage.drives.published_curves import PUBLISHED_CURVES, PublishedCurve
+from stage.drives.spread import vary
 from stage.errors import ArgumentError
 from stage.files import save_figure
 from stage.pictures import COLOURS, INK, MUTED, bare, figure
@@ -64,7 +66,7 @@ def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None, overwri
     if drive.motor.name in PUBLISHED_CURVES:
         _draw_published(ax, PUBLISHED_CURVES[drive.motor.name], drive.motor)
     else:
-        _draw_likely_loss(ax, drive.motor, table)
+        _draw_likely_loss(ax, drive, table.rpm)
     _dress(ax, drive, table.rpm.max(), 1.2 * max(table.chopper.max(), table.ideal_saturated.max()))
     ax.set_title(f"{drive.motor.name}: pull-out torque", loc="left", color=INK, fontsize=12, weight="bold")
     ax.set_title(f"{drive.bus_voltage:g} V, {drive.amplitude:g} A", loc="right", color=MUTED, fontsize=9)
@@ -91,13 +93,15 @@ def _draw_published(ax: Any, curve: PublishedCurve, motor: Motor) -> None:
     )
 
 
-def _draw_likely_loss(ax: Any, motor: Motor, table: PullOut) -> None:
+def _draw_likely_loss(ax: Any, drive: Drive, rpm: np.ndarray) -> None:
     """Draw the band between the least and the most core loss that a motor without a published curve is likely to have."""
-    omega, likely = table.rpm * 2 * np.pi / 60, estimate_core_loss(motor)
-    lossless = table.chopper + motor.core_loss_damping * omega
-    high, low = (np.maximum(lossless - loss * omega, 0) for loss in (likely.low, likely.high))
+    likely = estimate_core_loss(drive.motor)
+    high, low = (
+        pull_out(replace(drive, motor=vary(drive.motor, core_loss_damping=loss)), rpm)
+        for loss in (likely.low, likely.high)
+    )
     label = f"likely: core loss {likely.low:.2g} to {likely.high:.2g} N m s/rad"
-    ax.fill_between(table.rpm, low, high, color=COLOURS[1], alpha=0.25, linewidth=0, label=label)
+    ax.fill_between(rpm, low, high, color=COLOURS[1], alpha=0.25, linewidth=0, label=label)
 
 
 def plot_motors(curves: Sequence[tuple[Drive, PullOut]], path: str | None = None, overwrite: bool = False) -> Any:

@@ -13,6 +13,7 @@ from stage.drives.dynamometer import pull_out, pull_out_table
 from stage.drives.motors import MOTORS, Drive, describe_core_loss, estimate_core_loss, motor
 from stage.drives.picture import plot_pull_out
 from stage.drives.published_curves import PUBLISHED_CURVES, PublishedCurve, fit_curve
+from stage.drives.spread import vary
 
 CURVE = PUBLISHED_CURVES["17HS19-2004S1"]
 DATA_SHEET = replace(
@@ -172,6 +173,16 @@ def test_the_picture_has_the_published_points_or_the_band_of_the_likely_loss():
         line for line in plot_pull_out(*both("17HS19-2004S1")).axes[0].lines if "published" in line.get_label()
     )
     assert published.get_ydata() == pytest.approx(np.array(CURVE.torque))
+
+
+def test_the_band_of_the_likely_loss_ends_where_such_motors_have_no_torque():
+    """At 8 V the 17HS4401 has no torque from 1650 rpm on; without core loss it would have 0.01 N m at 2400 rpm"""
+    drive, likely, rpm = Drive("17HS4401", bus_voltage=8.0), estimate_core_loss(motor("17HS4401")), [900, 1650, 2400]
+    (ax,) = plot_pull_out(drive, pull_out_table(drive, rpm)).axes
+    band = next(drawn for drawn in ax.collections if "likely" in str(drawn.get_label())).get_paths()[0].vertices
+    for loss, reach in ((likely.low, np.max), (likely.high, np.min)):
+        simulated = pull_out(replace(drive, motor=vary(drive.motor, core_loss_damping=loss)), rpm)
+        assert [reach(band[band[:, 0] == speed, 1]) for speed in rpm] == pytest.approx(list(simulated))
 
 
 def both(name):
