@@ -55,7 +55,7 @@ class Spread(NamedTuple):
 
 
 DEFAULTS = {
-    "resistance": Spread(0.9, 1.1, "ohm", False, "I: +-10 %, as the data sheet of the 17HS19-2004S1 has it"),
+    "resistance": Spread(0.9, 1.1, "ohm", False, "I: +-10 %, as the data sheet of the 17HS19-2004S1 states"),
     "friction": Spread(0.5, 2.0, "times the model's", True, "I: preload, grease, seals and wear of guides and screw"),
     "supply": Spread(0.95, 1.05, "V", False, "I: +-5 %, line, load and cable of a regulated supply"),
 }

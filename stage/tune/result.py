@@ -94,11 +94,11 @@ class Result:
 
     def describe_spreads(self) -> str:
         """Describe in a table what the machines of the proof were drawn from."""
-        lines = [f"{'a machine has':15}{'drawn evenly from':40}known from"]
+        rows = [("a machine has", "drawn evenly from", "known from")]
         for name, spread in self.spreads.items():
-            scale = " (logarithm)" if spread.logarithmic else ""
-            lines.append(f"{name:15}{f'{spread}{scale}':40}{spread.evidence}")
-        return "\n".join(lines)
+            rows.append((name, f"{spread}{' (logarithm)' if spread.logarithmic else ''}", spread.evidence))
+        width = max(len(drawn) for _, drawn, _ in rows) + 1
+        return "\n".join(f"{name:15}{drawn:{width}}{known}" for name, drawn, known in rows)
 
     def claim(self) -> str:
         """State for which machines the registers hold, and how well the core loss of their motor is known."""

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -15,6 +16,7 @@ from stage.errors import ArgumentError
 from stage.tune import Case, Task, tune
 from stage.tune.machines import draw_machines, find_spreads, fit_machine
 from stage.tune.plans import plans_of
+from stage.tune.result import Result
 from stage.tune.tries import Tries
 
 PULSES, PAYLOAD = 400, 2.0
@@ -101,6 +103,17 @@ def test_a_core_loss_that_the_model_states_is_not_drawn():
     for machine in draw_machines(axis, np.random.default_rng(0), 3):
         fit_machine(axis, machine, axis.stage.model)
         assert axis.stage.model.actuator_damping[axis.plant.actuator] == stated
+
+
+def test_the_page_and_every_other_motor_have_the_table_of_ranges_with_a_gap_between_columns():
+    page = (Path(__file__).parents[2] / "docs" / "tuning.md").read_text()
+    for name in MOTORS:
+        task = task_with(name)
+        table = Result(task, plans_of(task), (), "formula", moves=0).describe_spreads()
+        head, *rows = table.splitlines()
+        column = head.index("known from")
+        assert {row[column - 1] for row in rows} == {" "}, table
+        assert name != "17HS4401" or table in page
 
 
 # --- draws ---
