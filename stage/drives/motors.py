@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Real
 from typing import Any, NamedTuple
@@ -83,6 +84,7 @@ class Motor:
     effective_inductance: float | None = None
 
     def __post_init__(self) -> None:
+        _check_evidence(self)
         within(f"{self.name}: rated_current", self.rated_current, 0, 100, "A")
         within(f"{self.name}: resistance", self.resistance, 0, 1000, "ohm")
         within(f"{self.name}: inductance", self.inductance, 0, 1, "H")
@@ -125,6 +127,23 @@ class Motor:
     def phase_inductance(self) -> float:
         """Inductance of a phase in the model, H: the effective one where a curve supports it, else that of the data sheet."""
         return self.inductance if self.effective_inductance is None else self.effective_inductance
+
+
+def _check_evidence(motor: Motor) -> None:
+    """Raise ArgumentError for evidence of a value that a motor does not have, or without a letter of EVIDENCE."""
+    if not isinstance(motor.evidence, Mapping):
+        raise ArgumentError(
+            f"{motor.name}: evidence={motor.evidence!r}: give a mapping, as {{'resistance': 'S: +-10 %'}}."
+        )
+    for name, source in motor.evidence.items():
+        if name not in UNITS:
+            raise unknown(f"value of the {motor.name} in its evidence", name, UNITS)
+        letter, _, _ = source.partition(":") if isinstance(source, str) else ("", "", "")
+        if letter not in EVIDENCE:
+            letters = ", ".join(f"{letter} ({text})" for letter, text in EVIDENCE.items())
+            raise ArgumentError(
+                f"{motor.name}: evidence of {name}, {source!r}: begin with {letters}, as in 'S: +-10 %'."
+            )
 
 
 _DATA_SHEET = dict.fromkeys(
@@ -194,7 +213,7 @@ def read_tolerance(motor: Any, field: str) -> float | None:
         ArgumentError: A tolerance of 100 % or more.
     """
     evidence = motor.evidence.get(field, "")
-    stated = re.search(r"\+-\s*(\d+(?:\.\d+)?)\s*%", evidence)
+    stated = re.search(r"(?:\+-|±)\s*(\d+(?:\.\d+)?)\s*%", evidence)
     if stated is None:
         return None
     percent = float(stated[1])
@@ -206,10 +225,9 @@ def read_tolerance(motor: Any, field: str) -> float | None:
 def describe_core_loss(motor: Motor) -> str:
     """Say in one sentence how well the core loss of a motor is known."""
     if is_core_loss_known(motor):
-        return (
-            f"The core loss of the {motor.name}, {motor.core_loss_damping:.2g} N m s/rad, is fitted to its published pull-out "
-            "curve."
-        )
+        fitted = motor.evidence["core_loss_resistance"].startswith("C")
+        source = "fitted to its published pull-out curve" if fitted else "stated by its data sheet"
+        return f"The core loss of the {motor.name}, {motor.core_loss_damping:.2g} N m s/rad, is {source}."
     likely = estimate_core_loss(motor)
     return (
         f"No pull-out curve of the {motor.name} is at hand: its core loss is likely {likely.low:.2g} to {likely.high:.2g} "

@@ -47,8 +47,8 @@ class PublishedCurve:
         reading: How its numbers were read, and how precisely.
 
     Raises:
-        ArgumentError: Fewer than three points, speeds that do not rise, a torque that is negative or not finite, or settings that
-            no drive has.
+        ArgumentError: Fewer than three points, speeds that do not rise, a torque that is not above 0 or not finite, or settings
+            that no drive has.
     """
 
     motor: str
@@ -65,17 +65,19 @@ class PublishedCurve:
             values = getattr(self, name)
             if not isinstance(values, Sequence | np.ndarray) or not all(isinstance(value, Real) for value in values):
                 raise ArgumentError(f"curve of the {self.motor}: {name}={values!r}; give a list of numbers.")
+            object.__setattr__(self, name, tuple(values))
         if len(self.rpm) < MIN_POINTS or len(self.torque) != len(self.rpm):
             raise ArgumentError(
                 f"curve of the {self.motor}: {len(self.rpm)} speeds and {len(self.torque)} torques; give {MIN_POINTS} points or "
                 "more, a torque at each speed."
             )
-        speeds = np.asarray(self.rpm, float)
+        speeds, torques = np.array(self.rpm, float), np.array(self.torque, float)
         if not (np.isfinite(speeds).all() and speeds[0] > 0 and (np.diff(speeds) > 0).all()):
             raise ArgumentError(f"curve of the {self.motor}: rpm={self.rpm!r}; give speeds above 0 in rising order.")
-        torques = np.asarray(self.torque, float)
-        if not (np.isfinite(torques).all() and (torques >= 0).all()):
-            raise ArgumentError(f"curve of the {self.motor}: torque={self.torque!r}; give N m from 0 on.")
+        if not (np.isfinite(torques).all() and (torques > 0).all()):
+            raise ArgumentError(
+                f"curve of the {self.motor}: torque={self.torque!r}; give N m above 0, as deviations are relative to them."
+            )
         Drive(microsteps=self.microsteps, bus_voltage=self.bus_voltage)  # raises for settings that no drive has
         within(f"curve of the {self.motor}: current", self.current, 0, 100, "A")
 
@@ -89,7 +91,7 @@ class PublishedCurve:
 
     def compare(self, motor: Motor) -> CurveComparison:
         """Compare the curve with what the bench simulates of `motor`."""
-        return CurveComparison(np.asarray(self.rpm, float), np.asarray(self.torque, float), self.predict(motor))
+        return CurveComparison(np.array(self.rpm, float), np.array(self.torque, float), self.predict(motor))
 
 
 class CurveComparison(NamedTuple):
@@ -105,8 +107,14 @@ class CurveComparison(NamedTuple):
         return self.simulated / self.published - 1
 
     def compute_rms(self, speeds: Sequence[float] | None = None) -> float:
-        """Compute the root mean square of the deviation at `speeds`; default: at all."""
+        """Compute the root mean square of the deviation at `speeds`; default: at all.
+
+        Raises:
+            ArgumentError: No speed, or one that the curve does not have.
+        """
         selected = np.isin(self.rpm, self.rpm if speeds is None else speeds)
+        if speeds is not None and not (selected.any() and np.isin(speeds, self.rpm).all()):
+            raise ArgumentError(f"speeds={speeds!r}: give some of the curve's, {self.rpm.tolist()} rpm.")
         return float(np.sqrt(np.mean(self.deviation[selected] ** 2)))
 
     def __str__(self) -> str:
@@ -117,7 +125,7 @@ class CurveComparison(NamedTuple):
 
 class CurveFit(NamedTuple):
     """A motor fitted to some points of a curve: the motor, the speeds fitted (rpm), the comparison at all speeds, and the rms
-    deviation at the speeds that were not fitted."""
+    deviation at the speeds that were not fitted, NaN if all were."""
 
     motor: Motor
     fitted: tuple[float, ...]
@@ -125,7 +133,8 @@ class CurveFit(NamedTuple):
     rms_of_others: float
 
     def __str__(self) -> str:
-        return f"{self.comparison}\nrms deviation at the speeds that were not fitted: {self.rms_of_others:.1%}"
+        others = "all were" if math.isnan(self.rms_of_others) else f"{self.rms_of_others:.1%}"
+        return f"{self.comparison}\nrms deviation at the speeds that were not fitted: {others}"
 
 
 @told
@@ -188,7 +197,7 @@ _VALUES: dict[str, Any] = {
 
 def _fit(motor: Motor, curve: PublishedCurve, speeds: np.ndarray, values: list[str]) -> Motor:
     names = [name for name in _VALUES if name in values]
-    published = np.asarray(curve.torque, float)[np.isin(curve.rpm, speeds)]
+    published = np.array(curve.torque, float)[np.isin(curve.rpm, speeds)]
     least = np.array([_VALUES[name][2] for name in names])
 
     def build(factors: np.ndarray) -> Motor:

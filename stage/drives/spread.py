@@ -46,8 +46,13 @@ def estimate_spread(motor: Motor) -> dict[str, Spread]:
         loss = Spread(low, high, motor.evidence["core_loss_resistance"])
     elif is_core_loss_known(motor):
         low, high = (share * motor.core_loss_damping for share in FITTED_LOSS_RANGE)
+        fitted = motor.evidence["core_loss_resistance"].startswith("C")
         loss = Spread(
-            low, high, "C: fits to the pull-out curve with the inductance 20 % above and below the data sheet's"
+            low,
+            high,
+            "C: fits to the pull-out curve with the inductance 20 % above and below the data sheet's"
+            if fitted
+            else "I: 0.65 to 1.25 times the data sheet's, as a fit to the curve of the 17HS19-2004S1",
         )
     else:
         likely = estimate_core_loss(motor)

@@ -95,8 +95,9 @@ def test_a_shipped_motor_without_a_curve_has_the_middle_of_its_likely_loss(m):
         ({"rpm": (100, 100, 200)}, "give speeds above 0 in rising order."),
         ({"rpm": (0, 100, 200)}, "give speeds above 0 in rising order."),
         ({"rpm": (100, math.nan, 200)}, "give speeds above 0 in rising order."),
-        ({"torque": (0.4, -0.1, 0.2)}, "torque=(0.4, -0.1, 0.2); give N m from 0 on."),
-        ({"torque": (0.4, math.inf, 0.2)}, "give N m from 0 on."),
+        ({"torque": (0.4, -0.1, 0.2)}, "torque=(0.4, -0.1, 0.2); give N m above 0,"),
+        ({"torque": (0.4, math.inf, 0.2)}, "give N m above 0,"),
+        ({"torque": (0.4, 0.3, 0.0)}, "torque=(0.4, 0.3, 0.0); give N m above 0, as deviations are relative to them."),
         ({"rpm": "abc"}, "rpm='abc'; give a list of numbers."),
         ({"rpm": (100, "200", 300)}, "rpm=(100, '200', 300); give a list of numbers."),
         ({"rpm": None}, "rpm=None; give a list of numbers."),
@@ -109,6 +110,30 @@ def test_a_curve_that_is_none_is_refused_in_one_sentence(change, message):
         PublishedCurve(**(LINE | {"rpm": (100, 200, 300), "torque": (0.4, 0.3, 0.2)} | change))
     assert str(error.value).startswith("curve of the mine: ")
     assert message in str(error.value)
+
+
+def test_curves_of_lists_and_arrays_are_those_of_tuples():
+    first, *others = (
+        PublishedCurve(**LINE, rpm=make((100, 200, 300)), torque=make((0.4, 0.3, 0.2)))
+        for make in (tuple, list, np.array)
+    )
+    assert all(other == first and hash(other) == hash(first) for other in others)
+
+
+@pytest.mark.parametrize("speeds", [[], [150], [100, 150]])
+def test_a_deviation_at_speeds_that_the_curve_does_not_have_is_refused(speeds):
+    comparison = CURVE.compare(motor(CURVE.motor))
+    assert comparison.compute_rms([100]) == pytest.approx(abs(comparison.deviation[0]))
+    with pytest.raises(ArgumentError) as error:
+        comparison.compute_rms(speeds)
+    assert str(error.value).startswith(f"speeds={speeds!r}: give some of the curve's, [100.0, 200.0,")
+
+
+def test_a_fit_to_all_points_of_a_curve_predicts_no_others():
+    curve = PublishedCurve(**LINE | {"current": 2.0}, rpm=(300, 600, 900), torque=(0.4, 0.36, 0.25))
+    fit = fit_curve(DATA_SHEET, curve, curve.rpm)
+    assert math.isnan(fit.rms_of_others)
+    assert str(fit).endswith("rms deviation at the speeds that were not fitted: all were")
 
 
 @pytest.mark.parametrize("setting", [{"bus_voltage": -24.0}, {"bus_voltage": "24 V"}, {"microsteps": 0}])

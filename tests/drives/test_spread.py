@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from stage import ArgumentError
-from stage.drives.motors import EVIDENCE, MOTORS, motor
+from stage.drives.motors import EVIDENCE, MOTORS, describe_core_loss, motor, read_tolerance
 from stage.drives.published_curves import PUBLISHED_CURVES, fit_curve
 from stage.drives.spread import estimate_spread, vary
 
@@ -30,12 +30,46 @@ def test_a_motor_without_a_curve_has_the_likely_loss_and_one_with_a_curve_a_narr
     assert fitted.high / fitted.low < loose.high / loose.low
 
 
+def test_a_loss_of_a_data_sheet_is_not_said_to_be_fitted_to_a_curve():
+    stated = replace(motor("17HS4401"), evidence={"core_loss_resistance": "S"})
+    low, high, evidence = estimate_spread(stated)["core_loss_damping"]
+    assert (low, high) == pytest.approx((0.65 * stated.core_loss_damping, 1.25 * stated.core_loss_damping))
+    assert evidence.startswith("I: 0.65 to 1.25 times the data sheet's")
+    assert (
+        describe_core_loss(stated) == "The core loss of the 17HS4401, 0.00036 N m s/rad, is stated by its data sheet."
+    )
+
+
 @pytest.mark.parametrize(("factor", "end"), [(1.2, "low"), (0.8, "high")])
 def test_the_ends_of_a_fitted_loss_are_fits_with_the_inductances_at_their_ends(factor, end):
     m = replace(motor(CURVE.motor), effective_inductance=factor * 3.0e-3)
     fit = fit_curve(m, CURVE, [200, 400, 600, 800, 1000, 1200])
     expected = getattr(estimate_spread(motor(CURVE.motor))["core_loss_damping"], end)
     assert fit.motor.core_loss_damping == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "message"),
+    [
+        (None, r"17HS4401: evidence=None: give a mapping, as \{'resistance': 'S: \+-10 %'\}\."),
+        ("S", "evidence='S': give a mapping"),
+        ({"resistence": "S"}, "Did you mean 'resistance'"),
+        (
+            {"resistance": "X: +-10 %"},
+            r"evidence of resistance, 'X: \+-10 %': begin with C \(fitted .*\), S \(data sheet\), I",
+        ),
+        ({"resistance": "+-10 %"}, "begin with C"),
+        ({"resistance": 3}, "evidence of resistance, 3: begin with C"),
+    ],
+)
+def test_evidence_that_would_be_taken_for_none_is_refused(evidence, message):
+    with pytest.raises(ArgumentError, match=message):
+        replace(motor("17HS4401"), evidence=evidence)
+
+
+@pytest.mark.parametrize("sign", ["+-", "+- ", "±", "± "])
+def test_a_tolerance_is_read_with_either_sign(sign):
+    assert read_tolerance(replace(motor("17HS4401"), evidence={"inductance": f"S: {sign}5 %"}), "inductance") == 0.05
 
 
 def test_a_share_of_a_range_counts_by_its_logarithm():

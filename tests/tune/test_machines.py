@@ -109,7 +109,10 @@ def test_the_page_and_every_other_motor_have_the_table_of_ranges_with_a_gap_betw
     page = (Path(__file__).parents[2] / "docs" / "tuning.md").read_text()
     for name in MOTORS:
         task = task_with(name)
-        table = Result(task, plans_of(task), (), "formula", moves=0).describe_spreads()
+        result = Result(
+            task, plans_of(task), (), "", 1.5, "formula", trials=0, stopped=False, failed=0, seed=0, moves=0
+        )
+        table = result.describe_spreads()
         head, *rows = table.splitlines()
         column = head.index("known from")
         assert {row[column - 1] for row in rows} == {" "}, table
