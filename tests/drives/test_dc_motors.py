@@ -143,6 +143,20 @@ def test_against_a_hard_stop_the_current_of_a_servo_is_its_limit(name):
     assert abs(amperes) == pytest.approx(1.5, rel=1e-3)
 
 
+@EVERY
+def test_a_rotor_that_a_blow_has_sped_up_brakes_with_no_more_than_the_limit(name):
+    """At the next step, in which the rotor does not gain that speed again; a free rotor gains less than 4 % of the limit"""
+    servo = Servo(name, current_limit=1.5)
+    stage = Stage("xyz_servo", chips={"x": "hctl1100"}, drives={"x": servo}, visuals=False)
+    x = stage.axes["x"]
+    x.chip.write(0x09, 100)  # full drive
+    for speed in (2000.0, -2000.0, -500.0):  # rad/s; the last by a push along the current
+        stage.data.qvel[x.plant.dof] = speed / x.gear
+        stage.run(0.00025)
+        amperes = abs(stage.data.actuator_force[x.plant.actuator]) / servo.motor.torque_constant
+        assert amperes == pytest.approx(1.5, rel=0.04)
+
+
 # --- the motor, in MuJoCo ---
 
 

@@ -67,6 +67,12 @@ def test_evidence_that_would_be_taken_for_none_is_refused(evidence, message):
         replace(motor("17HS4401"), evidence=evidence)
 
 
+def test_an_effective_inductance_has_a_tolerance_of_its_own():
+    evidence = {"inductance": "S: +-20 %", "effective_inductance": "C: +-4 %"}
+    fitted = replace(motor("17HS4401"), effective_inductance=4.0e-3, evidence=evidence)
+    assert estimate_spread(fitted)["inductance"] == (pytest.approx(3.84e-3), pytest.approx(4.16e-3), "C: +-4 %")
+
+
 @pytest.mark.parametrize("sign", ["+-", "+- ", "±", "± "])
 def test_a_tolerance_is_read_with_either_sign(sign):
     assert read_tolerance(replace(motor("17HS4401"), evidence={"inductance": f"S: {sign}5 %"}), "inductance") == 0.05

@@ -81,6 +81,13 @@ def test_a_tolerance_of_everything_is_refused():
         tune(task_with(variant), by="formula", moves=1)
 
 
+def test_a_motor_that_is_known_to_have_no_core_loss_is_drawn_without():
+    evidence = {"core_loss_resistance": "S: +-30 %"}
+    axis = axis_with(replace(motor("17HS4401"), core_loss_resistance=None, evidence=evidence))
+    machines = draw_machines(axis, np.random.default_rng(0), 3)
+    assert [machine.values["core loss"] for machine in machines] == [0.0, 0.0, 0.0]
+
+
 def test_a_supply_is_drawn_around_the_one_that_the_axis_has_up_to_what_a_drive_takes():
     assert find_spreads(axis_with(Drive(bus_voltage=400)))["supply"].high == 400
     assert find_spreads(axis_with(Drive(bus_voltage=48)))["supply"][:2] == pytest.approx((45.6, 50.4))
