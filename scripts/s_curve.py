@@ -335,9 +335,10 @@ def draw_the_following_error(ax: Any) -> None:
     for (shape, _), r in bare_runs(HARD_RATE, HARD_RAMP).items():
         if shape is not MIXED:
             ax.plot(r.seconds * 1e3, r.error * 1e6, color=shape.color, lw=1.4)
+            ends = f"{r.lost} steps lost" if r.lost else f"swings by {r.swing * 1e6:.1f} µm"
+            ax.text(410, 92 if shape is LINEAR else 30, ends, color=shape.color, ha="right")
     ax.axvline(HARD_RAMP * 1e3, **MARK)
     ax.text(HARD_RAMP * 1e3 + 5, 114, "end of the ramp", color=MUTED)
-    ax.text(372, 114, "steps lost", color=LINEAR.color, ha="right")
     ax.set(xlabel="time (ms)", ylabel="following error (µm)", xlim=(0, 420), ylim=(-10, 122))
 
 
