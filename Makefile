@@ -6,11 +6,12 @@ PHYSICS := tests/test_models.py tests/test_plant.py tests/test_stage.py tests/te
 UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_pcl240ms_statements.py tests/chips/test_drive_input.py tests/drives/test_stepper.py
 TYPES := build/types/stage
 
-.PHONY: ci demo docs notebooks tutorials packages test test-packages record test-slow test-oldest test-libraries test-mujoco soak fuzz coverage memory lint bench results pictures clean help
+.PHONY: ci demo docs notebooks tutorials packages test quick test-packages record test-slow test-oldest test-libraries test-mujoco soak fuzz coverage memory lint bench results pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
 	@echo "make test       the everyday test suite"
+	@echo "make quick      the tests nearest to what differs from SINCE=origin/main, under 20 seconds"
 	@echo "make packages   install the distributions of packages/ in .venv, editable"
 	@echo "make test-packages  their tests"
 	@echo "make test-slow  the long checks"
@@ -49,6 +50,9 @@ demo: .venv/.user
 
 test: .venv/.dev
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+quick: .venv/.dev
+	$(BIN)/python scripts/quick.py $(if $(SINCE),--since $(SINCE))
 
 PACKAGES := $(patsubst %/pyproject.toml,%,$(wildcard packages/*/pyproject.toml))
 
