@@ -380,7 +380,7 @@ PANELS = (
     ("One distance, 200 mm/s, 250 ms ramps", draw_the_moves),
     ("A camera on a mast, after the stop", draw_the_ringing),
     ("How much it rings, over the ramp time", draw_the_ringing_over_ramp_time),
-    ("Bare stage, 375 mm/s in 80 ms", draw_the_following_error),
+    ("Bare stage, 375 mm/s in 70 ms", draw_the_following_error),
     ("Bare stage, highest rate in step", draw_the_highest_rates),
     ("Why: it pushes where the motor can", draw_the_thrust),
 )
