@@ -87,6 +87,10 @@ class LoadError(StageError, ImportError):
     """A part of the package cannot be loaded, because a library below it cannot."""
 
 
+class GpuMissing(LoadError):
+    """A GPU was asked for, and none can be used here."""
+
+
 class NativeError(LoadError):
     """The native library is missing, or does not fit these sources or this machine, and could not be built."""
 

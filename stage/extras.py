@@ -36,6 +36,10 @@ LIBRARIES = {
     "rerun_notebook": Extra("rerun's widget", "notebook"),
     "nicegui": Extra("NiceGUI", "panel"),
     "mcp": Extra("the package mcp", "agents"),
+    "numba_cuda": Extra("numba-cuda", "gpu"),
+    "numba": Extra("numba", "gpu"),
+    "warp": Extra("NVIDIA Warp", "gpu"),
+    "mujoco_warp": Extra("mujoco-warp", "gpu"),
 }
 
 

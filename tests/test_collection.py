@@ -86,4 +86,5 @@ def test_the_dev_extra_has_every_library_that_the_product_can_use():
         ]
         return {extra}.union(*map(expand, inner))
 
-    assert expand("dev") >= {library.extra for library in LIBRARIES.values()} | {"build", "targets"}
+    used = {library.extra for library in LIBRARIES.values()} - {"gpu"}  # of use only where a GPU is
+    assert expand("dev") >= used | {"build", "targets"}

@@ -44,6 +44,10 @@ LAYERS = (
 
 ALLOWED = {
     (
+        "stage.sim.fleet",
+        "stage.sim.gpu.fleet",
+    ): 'Fleet makes a GpuFleet where device="cuda" is given, and loads it then: few have a GPU',
+    (
         "stage.native.load",
         "stage.native.build",
     ): "a library that does not fit its sources is built, with tools that few have",

@@ -22,8 +22,13 @@ OF_OTHERS = {
 }  # fmt: skip
 """Names that the libraries which have them show to everybody."""
 
-INSIDE_NUMBA = {"stage/native/emit.py", "stage/native/passes.py", "stage/native/typed.py"}
-"""Objects for a baseline processor are nothing that numba offers."""
+INSIDE_NUMBA = {
+    "stage/native/emit.py",
+    "stage/native/passes.py",
+    "stage/native/typed.py",
+    "stage/sim/gpu/device_code.py",
+}
+"""Objects for a baseline processor, and arrays at an address on a GPU, are nothing that numba offers."""
 
 REACH = re.compile(r"(?<!\bself)(?<!\bcls)(?<!\bsuper\(\))\s*\.\s*_(?!_)")
 """Sources without it need not be parsed."""

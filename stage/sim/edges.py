@@ -200,35 +200,54 @@ def foresee(h, moved):
 
     `moved`: qpos has moved since the sensors were read, by one step of the present qvel.
     """
-    clock = clockwork(h)
-    half, edges, now = clock.half, _flag_edges(clock), world(h)
-    axis_records, axis_table, records, rows = axes(h), table(h), switches(h), switch_table(h)
-    sensordata, positions, speeds = array_at(h.sensordata, h.ns, REAL), qpos(h), qvel(h)
+    axis_records, axis_table, sensordata = axes(h), table(h), array_at(h.sensordata, h.ns, REAL)
     for a in range(len(axis_records)):
-        axis, of_axis = axis_records[a], axis_table[a]
-        axis.next_edge = NEVER
-        q, v = positions[of_axis.qpos], speeds[of_axis.dof]
-        awake = axis.awake or not moved
-        for k in range(of_axis.first_switch, of_axis.end_switch):
-            awake |= sensordata[rows[k].found] > 0.0 or rows[k].forced > 0
-        axis.awake = 0
-        for k in range(of_axis.first_switch, of_axis.end_switch if awake else 0):  # else nothing has changed
-            s, t = records[k], rows[k]
-            if sensordata[t.found] > 0.0:
-                q_sensed, dist = q - v * 2.0 * half if moved else q, sensordata[t.dist]
-                if moved and not s.sensed:
-                    _put_flag_ahead(edges, s, t, q_sensed, v, dist)
-                s.sensed = 1
-                _follow_flag(edges, s, t, q_sensed, dist)
-            else:
-                s.sensed, s.shift = 0, 0.0
-                if not s.on and t.forced <= 0 and s.toggles == 0:
-                    s.edge = s.next_edge = NEVER
-                    continue
-            axis.awake = 1
-            predict_switch(now, axis, clock, s, t, q, v)
-        if of_axis.index_bit:
-            _foresee_index(now, axis, of_axis, q, v, half)
+        q, v = qpos(h)[axis_table[a].qpos], qvel(h)[axis_table[a].dof]
+        predict_axis_edges(
+            world(h),
+            clockwork(h),
+            axis_records[a],
+            axis_table[a],
+            switches(h),
+            switch_table(h),
+            sensordata,
+            q,
+            v,
+            moved,
+        )
+
+
+@hot
+def predict_axis_edges(now, clock, axis, of_axis, records, rows, sensordata, q, v, moved):
+    """Foresee the edges of one axis whose joint is at `q` with speed `v`; see `foresee`.
+
+    Args:
+        now, clock, axis, of_axis: WORLD and CLOCKWORK of the stage; AXIS of the axis, its row of AXIS_TABLE.
+        records, rows: SWITCH and SWITCH_TABLE records.
+    """
+    half, edges = clock.half, _flag_edges(clock)
+    axis.next_edge = NEVER
+    awake = axis.awake or not moved
+    for k in range(of_axis.first_switch, of_axis.end_switch):
+        awake |= sensordata[rows[k].found] > 0.0 or rows[k].forced > 0
+    axis.awake = 0
+    for k in range(of_axis.first_switch, of_axis.end_switch if awake else 0):  # else nothing has changed
+        s, t = records[k], rows[k]
+        if sensordata[t.found] > 0.0:
+            q_sensed, dist = q - v * 2.0 * half if moved else q, sensordata[t.dist]
+            if moved and not s.sensed:
+                _put_flag_ahead(edges, s, t, q_sensed, v, dist)
+            s.sensed = 1
+            _follow_flag(edges, s, t, q_sensed, dist)
+        else:
+            s.sensed, s.shift = 0, 0.0
+            if not s.on and t.forced <= 0 and s.toggles == 0:
+                s.edge = s.next_edge = NEVER
+                continue
+        axis.awake = 1
+        predict_switch(now, axis, clock, s, t, q, v)
+    if of_axis.index_bit:
+        _foresee_index(now, axis, of_axis, q, v, half)
 
 
 @hot
@@ -249,7 +268,7 @@ def indexed(t, axis, word):
 
 
 @hot
-def _meet_axis_edges(axis, t, c, j, records, rows, now):
+def process_axis_edges(axis, t, c, j, records, rows, now):
     """The switches of chip axis `j` that change at `now` do."""
     axis.next_edge = NEVER
     for k in range(t.first_switch, t.end_switch):
@@ -297,6 +316,6 @@ def meet_edges(h, c, until):
             a = cores.axis_of(c, j)
             if axis_records[a].next_edge > now:
                 continue
-            _meet_axis_edges(axis_records[a], axis_table[a], c, j, switches(h), switch_table(h), now)
+            process_axis_edges(axis_records[a], axis_table[a], c, j, switches(h), switch_table(h), now)
             note_input(h, now, c, j)
         now = next_edge(axis_records, c)

@@ -21,12 +21,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.arguments import told
-from stage.errors import ArgumentError, StageError
+from stage.errors import ArgumentError, StageError, unknown
 from stage.sim import engine, handle, play, records
 from stage.sim.loop import IN_USE
 from stage.sim.program import END, KEEP, LOOK, MEASURE, NAMES, READ, STOP, WAIT, WRITE, Program
 from stage.sim.stage import Stage
 
+DEVICES = ("cpu", "cuda")
 MOST = records.SECOND * 10**9  # ns
 CHUNKS = 4  # a thread's share, so that a slow stage does not hold up the rest
 
@@ -54,12 +55,43 @@ class _Turn:
 class Fleet:
     """Stages of one model and one set of axes, played together."""
 
-    @told
-    def __init__(self, stages: Sequence[Stage], threads: int | None = None):
-        """threads: default one a processor, at most one a stage. Raises ArgumentError.
+    def __new__(
+        cls,
+        stages: Sequence[Stage] = (),
+        threads: int | None = None,
+        *,
+        device: str = "cpu",
+        copies: int | None = None,
+    ) -> Fleet:
+        """Make room for a fleet on processors, or, with device="cuda", on a GPU; see `__init__`."""
+        if device not in DEVICES:
+            raise unknown("device", device, DEVICES)
+        if device == "cuda" and cls is Fleet:
+            from stage.sim.gpu.fleet import GpuFleet  # few have a GPU
 
-        `handles`: a HANDLE for each stage, for compiled code.
+            return super().__new__(GpuFleet)
+        return super().__new__(cls)
+
+    @told
+    def __init__(
+        self, stages: Sequence[Stage], threads: int | None = None, *, device: str = "cpu", copies: int | None = None
+    ):
+        """Make a fleet of these stages.
+
+        Args:
+            stages: Stages of one model and one set of axes; on a GPU one stage.
+            threads: Default: one a processor, at most one a stage.
+            device: "cpu", or "cuda" for an NVIDIA GPU; see docs/gpu.md.
+            copies: On a GPU, how many copies of the stage there are.
+
+        Attributes:
+            handles: A HANDLE for each stage, for compiled code; not on a GPU.
+
+        Raises:
+            ArgumentError: An argument is out of range. On a GPU also ExtraMissing, GpuMissing and ModelError.
         """
+        if copies is not None:
+            raise ArgumentError(f'copies={copies!r}: of device="cuda" alone; on processors give the stages themselves.')
         if not len(stages):
             raise ArgumentError("a fleet has at least one stage.")
         if len({id(s) for s in stages}) < len(stages):
@@ -94,15 +126,10 @@ class Fleet:
         Raises ArgumentError for a program that names an axis that is not there, or a time that is no time; nothing is played then.
         After Ctrl-C each stage stands somewhere in its program, in a wait for example, and can be used as before.
         """
-        ops = programs if isinstance(programs, np.ndarray) else _table(programs)
-        if ops.ndim != 3 or len(ops) != len(self) or ops.shape[2] != 4:
-            raise ArgumentError(f"programs of shape {ops.shape}: one a stage, ({len(self)}, operations, 4).")
-        n = len(self)
+        n, ops = len(self), check_programs(programs, len(self), self.stages[0], *self._points)
         results, status = np.zeros(ops.shape[:2], np.int64), np.zeros(n, np.int64)
         extremes = np.empty((n, self._nq, 2))
         extremes[:, :, 0], extremes[:, :, 1] = np.inf, -np.inf
-        ops = np.ascontiguousarray(ops, np.int64)
-        _check(ops, list(self.stages[0].axes), *self._points)
         watched = self.watched()
         compiled = ops
         if watched:
@@ -240,6 +267,26 @@ class Fleet:
 
 OF_AN_AXIS = (WRITE, READ, LOOK)
 TIMED = {WAIT: (1,), MEASURE: (1,), STOP: (2, 3), KEEP: (2, 3)}  # which of an operation's numbers are ns
+
+
+def check_programs(
+    programs: Sequence[Program] | np.ndarray, n: int, first: Stage, sites: int | None = None, bodies: int | None = None
+) -> np.ndarray:
+    """Check programs of `n` stages like `first`, and return them as compiled code takes them, (n, operations, 4) int64.
+
+    Args:
+        sites, bodies: How many all stages have; default: those of `first`.
+
+    Raises:
+        ArgumentError: A program names an axis or a point that is not there, or a time that is no time.
+    """
+    ops = programs if isinstance(programs, np.ndarray) else _table(programs)
+    if ops.ndim != 3 or len(ops) != n or ops.shape[2] != 4:
+        raise ArgumentError(f"programs of shape {ops.shape}: one a stage, ({n}, operations, 4).")
+    ops = np.ascontiguousarray(ops, np.int64)
+    model = first.model
+    _check(ops, list(first.axes), model.nsite if sites is None else sites, model.nbody if bodies is None else bodies)
+    return ops
 
 
 def _check(ops: np.ndarray, axes: list[str], sites: int, bodies: int) -> None:

@@ -159,7 +159,7 @@ def play(handles, begin, end, ops, results, extremes, status):
 
 
 @hot
-def _look_at(world, c, t, d, clockwork, qpos, qvel, out):
+def inspect_axis(world, c, t, d, clockwork, qpos, qvel, out):
     tau = (world.now - world.start - 0.5 * clockwork.dt) * 1e-9
     j = t.chip_axis
     net = cores.net(c, j)
@@ -185,7 +185,7 @@ def look(handles, begin, end, truth):
             array_at(h.qvel, h.nv, REAL),
         )
         for a in range(h.n_axes):
-            _look_at(world(h), chips(h)[axes[a].chip], axes[a], drives[a], clockwork(h), qpos, qvel, truth[k, a])
+            inspect_axis(world(h), chips(h)[axes[a].chip], axes[a], drives[a], clockwork(h), qpos, qvel, truth[k, a])
 
 
 @hot

@@ -1,0 +1,211 @@
+"""Compile hot functions for a GPU: one source for CPU and GPU.
+
+A hot function finds the functions that it calls in its module's globals. `DeviceModules` copies a module: same code, but each
+function is a device function of numba-cuda, and its globals are those of the copy. Calls by address, which a GPU does not have,
+become direct calls: the copy of stage.chips.cores calls the core of one family.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from types import FunctionType, ModuleType
+from typing import Any, NamedTuple
+
+from stage import native
+from stage.chips import cores
+from stage.extras import need
+
+WHAT = "a fleet on a GPU"
+"""For what the libraries are needed, in errors."""
+ALL_LANES = 0xFFFFFFFF
+INLINED = ("_flag_edges",)
+"""Functions that return an array made from an address, which numba-cuda only takes where it is inlined."""
+
+
+class LaneChip(NamedTuple):
+    """A chip as device code passes it in place of a CHIP record: its state, number of axes, clock in Hz, clocks in a slice."""
+
+    state: Any
+    axes: int
+    hz: int
+    ticks: float
+
+
+@dataclass(frozen=True, eq=False)
+class Tools:
+    """Compiler of Python functions for a device.
+
+    Attributes:
+        device: Makes a device function of a function. kernel: makes a kernel.
+        replaced: What takes the place of functions of stage.native.
+        lane_names: Names that the copy of lane_program.py has.
+    """
+
+    device: Callable[[FunctionType], Any]
+    kernel: Callable[[FunctionType], Any]
+    replaced: Mapping[Any, Any]
+    lane_names: Mapping[str, Any]
+
+
+@cache
+def cuda_tools() -> Tools:
+    """Return numba-cuda as tools.
+
+    Raises:
+        ExtraMissing: numba-cuda is not installed.
+    """
+    need("numba_cuda", WHAT)
+    cuda = need("numba.cuda", WHAT)
+    extending, types = import_module("numba.cuda.extending"), import_module("numba.cuda.types")
+    cgutils = import_module("numba.cuda.cgutils")
+    ir: Any = import_module("llvmlite.ir")
+
+    def array_value(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -> Any:
+        """Build the value of a contiguous array that lies at the pointer `data`; nobody owns it."""
+        size = context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
+        strides, items = [size], context.get_constant(types.intp, 1)
+        for length in reversed(shape[1:]):
+            strides.insert(0, builder.mul(strides[0], length))
+        for length in shape:
+            items = builder.mul(items, length)
+        array = cgutils.create_struct_proxy(kind)(context, builder)
+        array.data, array.itemsize, array.nitems = data, size, items
+        array.shape, array.strides = cgutils.pack_array(builder, shape), cgutils.pack_array(builder, strides)
+        return array._getvalue()
+
+    @extending.intrinsic
+    def array_at(_context: Any, address: Any, shape: Any, dtype: Any) -> Any:
+        several = isinstance(shape, types.BaseTuple)
+        kind = types.Array(dtype.dtype, len(shape) if several else 1, "C")
+
+        def lower(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            lengths = cgutils.unpack_tuple(builder, values[1]) if several else [values[1]]
+            lengths_as_words = [
+                context.cast(builder, n, t, types.intp)
+                for n, t in zip(lengths, shape if several else [shape], strict=True)
+            ]
+            word = context.cast(builder, values[0], address, types.intp)
+            data = builder.inttoptr(word, context.get_data_type(kind.dtype).as_pointer())
+            return array_value(context, builder, kind, data, lengths_as_words)
+
+        return kind(address, shape, dtype), lower
+
+    literal: Any = vars(extending)["_intrinsic"](prefer_literal=True)
+
+    @literal
+    def room(_context: Any, rows: Any, columns: Any) -> Any:
+        kind = types.Array(types.float64, 2, "C")
+
+        def lower(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            words = rows.literal_value * columns.literal_value
+            place = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), words))
+            data = builder.bitcast(place, ir.DoubleType().as_pointer())
+            shape = [context.get_constant(types.intp, n.literal_value) for n in (rows, columns)]
+            return array_value(context, builder, kind, data, shape)
+
+        return kind(rows, columns), lower
+
+    @literal
+    def words_of(_context: Any, records: Any, count: Any) -> Any:
+        kind = types.Array(types.int64, 1, "C")
+
+        def lower(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            array = cgutils.create_struct_proxy(signature.args[0])(context, builder, value=values[0])
+            data = builder.bitcast(array.data, ir.IntType(64).as_pointer())
+            return array_value(context, builder, kind, data, [context.get_constant(types.intp, count.literal_value)])
+
+        return kind(records, count), lower
+
+    @cuda.jit(device=True)
+    def floor(x: Any) -> Any:
+        return cuda.libdevice.floor(float(x))
+
+    @cuda.jit(device=True)
+    def any_in_warp(condition: Any) -> Any:
+        return cuda.any_sync(ALL_LANES, condition)
+
+    @cuda.jit(device=True)
+    def value_in_warp(value: Any, thread: Any) -> Any:
+        return cuda.shfl_sync(ALL_LANES, value, thread)
+
+    @cuda.jit(device=True)
+    def thread_number() -> Any:
+        return cuda.grid(1)
+
+    return Tools(
+        device=lambda f: cuda.jit(device=True, inline="always" if f.__name__ in INLINED else "never")(f),
+        kernel=cuda.jit,
+        replaced={native.array_at: array_at, native.room: room, native.floor: floor},
+        lane_names={
+            "any_in_warp": any_in_warp, "value_in_warp": value_in_warp, "thread_number": thread_number,
+            "words_of": words_of, "cuda": cuda,
+        },
+    )  # fmt: skip
+
+
+class DeviceModules:
+    """Copies of hot modules for chips of one family, as device functions.
+
+    Args:
+        core: The family's core.
+        tools: What compiles.
+    """
+
+    def __init__(self, core: ModuleType, tools: Tools):
+        self._tools = tools
+        self._modules: dict[str, ModuleType] = {}
+        self._functions: dict[FunctionType, Any] = {}
+        family = self.module(core.__name__)
+        self._modules[cores.__name__] = self._static_cores(family)
+
+    def module(self, name: str, names: Mapping[str, Any] | None = None) -> ModuleType:
+        """Return the copy of a module; names: what it has besides, in place of its own names."""
+        if name in self._modules:
+            return self._modules[name]
+        module_copy = self._modules[name] = ModuleType(name)
+        source = vars(import_module(name))
+        vars(module_copy).update(source)
+        for key, value in source.items():
+            if not key.startswith("__"):
+                vars(module_copy)[key] = self._copy(value, module_copy)
+        vars(module_copy).update(names or {})
+        return module_copy
+
+    def function(self, name: str, module: ModuleType, compiler: Any) -> Any:
+        """Return a function of the module of which `module` is the copy, compiled by `compiler`."""
+        function = vars(import_module(module.__name__))[name]
+        return compiler(FunctionType(function.__code__, vars(module), name))
+
+    def _copy(self, value: Any, module: ModuleType) -> Any:
+        """Return what the copy of a module has in place of a value of the module."""
+        if isinstance(value, native.Exported):
+            value = value.function
+        for function, replacement in self._tools.replaced.items():
+            if value is function:
+                return replacement
+        if isinstance(value, ModuleType) and value.__name__.startswith("stage."):
+            return self.module(value.__name__)
+        if not isinstance(value, FunctionType) or not value.__module__.startswith("stage."):
+            return value
+        home = module if value.__module__ == module.__name__ else self.module(value.__module__)
+        if value not in self._functions:
+            copy = FunctionType(value.__code__, vars(home), value.__name__, value.__defaults__, value.__closure__)
+            self._functions[value] = self._tools.device(copy)
+        return self._functions[value]
+
+    def _static_cores(self, core: ModuleType) -> ModuleType:
+        """Return stage.chips.cores for `LaneChip` tuples of one family."""
+        module_copy = ModuleType(cores.__name__)
+        vars(module_copy).update({name: value for name, value in vars(cores).items() if isinstance(value, int)})
+        sources = {"axis_of": "def axis_of(c, j): return j", "clock": "def clock(c): return c.state.clock"}
+        for name, (_, *arguments) in cores.ANSWERS.items():
+            values = ", ".join("xyz"[: len(arguments)])
+            sources[name] = f"def {name}(c, {values}): return core.{name}(c.state, {values})"
+        for name, source in sources.items():
+            space: dict[str, Any] = {"core": core}
+            exec(source, space)
+            vars(module_copy)[name] = self._tools.device(space[name])
+        return module_copy

@@ -1,0 +1,350 @@
+"""What one lane, a chip of one copy and its axes, does in a physics step: a thread of the kernel. Compiled by device_code.py.
+
+    kernel      see what physics did; play the host's program and run the chip up to the window's end; give physics the torques
+    mj_step     of all copies, by mujoco-warp; and so on
+
+Every lane of a copy plays the same program by itself, with the bus cycles of its own chip. Only polls need the other lanes: each
+polls its own axes, and the lanes of a warp tell each other which are in motion. All of it happens at the times, and in the order,
+of `stage.sim.play` and `stage.sim.engine`, so chips that see the same edges are the same to the bit.
+
+A copy whose program is over stands still, perhaps within a window: mujoco-warp moves it all the same, and the kernel puts it back.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from stage.chips import cores
+from stage.drives import drive
+from stage.sim.edges import next_edge, predict_axis_edges, process_axis_edges
+from stage.sim.gpu.device_code import LaneChip
+from stage.sim.gpu.layout import HOST, PLAYING, WARP
+from stage.sim.play import DIVERGED, PLAYED, inspect_axis
+from stage.sim.program import END, KEEP, LOOK, MEASURE, READ, STOP, WRITE
+from stage.sim.records import AXIS, MAX_SPEED, SECOND, SLICES, SWITCH, WORLD, clock_at
+
+LOST = 1 << 62
+"""Beside the bits of axes in motion: a step was lost that the program wants to keep."""
+
+STATE: Any = None
+DRIVE: Any = None
+LANES = AXES = SWITCHES = BUS = 1
+W_STATE = W_AXES = W_DRIVES = W_SWITCHES = W_WORLD = W_HOST = 1
+ENCODERS = False
+any_in_warp: Any = None
+value_in_warp: Any = None
+thread_number: Any = None
+words_of: Any = None
+cuda: Any = None
+"""`DeviceModules.module` gives these: records, sizes and their words (W_), ns of a bus cycle, functions of the GPU."""
+
+
+def load(records, words, row, thread):
+    """Copy words of a lane to records of its own."""
+    for k in range(records.shape[0]):
+        records[k] = words[row + k, thread]
+
+
+def store(records, words, row, thread):
+    """Copy a lane's own records to its words."""
+    for k in range(records.shape[0]):
+        words[row + k, thread] = records[k]
+
+
+def run_chip(c, axes, table, switches, switch_table, world, dt, k, now, stop):
+    """Run a chip from `now` to `stop` ns, within a window, and its switches; k: the slice. Returns the slice that it is in then."""
+    start, hz, edge = world.start, c.hz, next_edge(axes, c)
+    clock, rest = clock_at(start, hz), start % SECOND * hz % SECOND
+    while now < stop:
+        bound = start + (k + 1) * dt // SLICES
+        now = min(min(bound, stop), max(edge, now))
+        cores.run(c, clock + (rest + (now - start) * hz) // SECOND)
+        if edge <= now:
+            for j in range(c.axes):
+                if axes[j].next_edge <= now:
+                    process_axis_edges(axes[j], table[j], c, j, switches, switch_table, now)
+            edge = next_edge(axes, c)
+        if now == bound:
+            for j in range(c.axes):
+                axis = axes[j]
+                axis.counts[k] = cores.drive_input(c, j, axis.count, c.ticks)
+                axis.count = cores.net(c, j)
+            k += 1
+    return k
+
+
+def begin_operation(host, now, kind, a):
+    """Begin an operation at `now` ns: when it goes on, and what it will have seen."""
+    host.started, host.begin, host.left, host.poll, host.until = 1, now, a, 0, now
+    if kind in (WRITE, READ):
+        host.until = now + BUS
+    elif kind not in (STOP, KEEP, LOOK):
+        host.until = now + a
+    host.x0 = host.y0 = host.z0 = math.inf
+    host.x1 = host.y1 = host.z1 = -math.inf
+
+
+def end_operation(host):
+    """Go on to the next operation."""
+    host.started = 0
+    host.op += 1
+
+
+def point_of(sites, bodies, copy, point, coordinate):
+    """Return a coordinate of a measured point, see `stage.sim.program`."""
+    return sites[copy, point - 1, coordinate] if point > 0 else bodies[copy, -point, coordinate]
+
+
+def measure(host, extremes, q, sites, bodies, copy, point):
+    """Note where the coordinates of a copy, and its measured point, are."""
+    for k in range(q.shape[0]):
+        extremes[k, 0], extremes[k, 1] = min(extremes[k, 0], float(q[k])), max(extremes[k, 1], float(q[k]))
+    if point:
+        x, y, z = (
+            point_of(sites, bodies, copy, point, 0),
+            point_of(sites, bodies, copy, point, 1),
+            point_of(sites, bodies, copy, point, 2),
+        )
+        host.x0, host.y0, host.z0 = min(host.x0, x), min(host.y0, y), min(host.z0, z)
+        host.x1, host.y1, host.z1 = max(host.x1, x), max(host.y1, y), max(host.z1, z)
+
+
+def travel(host):
+    """Return the diagonal of the box that a measured point has kept to, pm."""
+    x, y, z = host.x1 - host.x0, host.y1 - host.y0, host.z1 - host.z0
+    return int(math.sqrt(x * x + y * y + z * z) * 1e12) if x >= 0.0 else 0
+
+
+def see_physics(world, host, c, axes, table, switches, switch_table, clockwork, sensordata, q, v):
+    """Begin the window after a physics step: edges to come, and shafts that chips look at."""
+    host.stepped = 0
+    world.slice = 0
+    world.start += clockwork.dt
+    world.steps += 1
+    for k in range(v.shape[0]):
+        if not abs(v[k]) < MAX_SPEED:
+            host.status = DIVERGED
+    for j in range(c.axes):
+        t = table[j]
+        x, speed = q[t.qpos], v[t.dof]
+        predict_axis_edges(world, clockwork, axes[j], t, switches, switch_table, sensordata, x, speed, True)
+        if ENCODERS:
+            tau = float(world.now - world.start) / SECOND - clockwork.half
+            cores.set_shaft(c, j, (x + speed * tau) * t.counts, speed * t.counts / c.hz)
+
+
+def choose_polls(host, places, lane, end):
+    """Choose the next polls of a round, of each lane at most one.
+
+    Returns:
+        Time of the last of them, ns; their axes as bits; time and axis of this lane's poll, or -1; whether the next poll is beyond
+        the window's end.
+    """
+    now, lanes, polled, time, axis = host.until, 0, 0, -1, -1
+    for k in range(host.poll, places.shape[0]):
+        if host.left >> k & 1:
+            if now + BUS >= end:
+                return now, polled, time, axis, True
+            if lanes >> places[k].lane & 1:
+                break
+            lanes |= 1 << places[k].lane
+            now += BUS
+            polled |= 1 << k
+            if places[k].lane == lane:
+                time, axis = now, k
+    return now, polled, time, axis, False
+
+
+def has_lost_a_step(c, drives, table, axis_numbers, mask, q, v, tau):
+    """Return whether one of the lane's axes in the mask has lost a step; tau: s, now, from the time of `q`."""
+    for j in range(c.axes):
+        t = table[j]
+        if mask >> axis_numbers[j] & 1:
+            theta = (q[t.qpos] + v[t.dof] * tau) * t.gear
+            if drive.lost_steps(drives[j], float(cores.net(c, j)), theta) != 0:
+                return True
+    return False
+
+
+def advance_lanes(
+    words, rows, axis_numbers, places, tables, switch_tables, clockworks, ops, results, extremes,
+    qpos, qvel, ctrl, sensordata, inertia, warmstart, sites, bodies, frozen_coordinates, playing,
+):  # fmt: skip
+    """Advance every lane by a window. The kernel.
+
+    Args:
+        words, rows, axis_numbers, places, tables, switch_tables: See `LaneLayout`.
+        clockworks: One CLOCKWORK.
+        ops, results, extremes: As `stage.sim.play.play` takes them.
+        qpos, qvel, ctrl, sensordata, warmstart, sites, bodies: Arrays of mujoco-warp, a row a copy.
+        inertia: dof_M0 of each copy.
+        frozen_coordinates: (copies, nq + 2 nv), coordinates, speeds and accelerations of copies that stand still.
+        playing: (1,), set to 1 where a program goes on.
+    """
+    thread = thread_number()
+    in_warp = thread % WARP
+    group = in_warp // LANES
+    copy, lane, first = thread // WARP * (WARP // LANES) + group, in_warp - group * LANES, group * LANES
+    in_use = copy < qpos.shape[0] and group < WARP // LANES
+    if not in_use:  # it takes part in the votes of its warp
+        copy = lane = 0
+    clockwork = clockworks[0]
+    dt = clockwork.dt
+    chip_records, axes, drives = cuda.local.array(1, STATE), cuda.local.array(AXES, AXIS), cuda.local.array(AXES, DRIVE)
+    switches, world_records, host_records = (
+        cuda.local.array(SWITCHES, SWITCH),
+        cuda.local.array(1, WORLD),
+        cuda.local.array(1, HOST),
+    )
+    if in_use:
+        load(words_of(chip_records, W_STATE), words, 0, thread)
+        load(words_of(axes, W_AXES), words, W_STATE, thread)
+        load(words_of(drives, W_DRIVES), words, W_STATE + W_AXES, thread)
+        load(words_of(switches, W_SWITCHES), words, W_STATE + W_AXES + W_DRIVES, thread)
+        load(words_of(world_records, W_WORLD), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES, thread)
+        load(words_of(host_records, W_HOST), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES + W_WORLD, thread)
+    world, host = world_records[0], host_records[0]
+    table, switch_table, numbers = tables[lane], switch_tables[lane], axis_numbers[lane]
+    c = LaneChip(chip_records[0], rows[lane].axes, rows[lane].hz, rows[lane].ticks)
+    q, v = qpos[copy], qvel[copy]
+    nq, nv = q.shape[0], v.shape[0]
+    if in_use and host.stepped:
+        see_physics(world, host, c, axes, table, switches, switch_table, clockwork, sensordata[copy], q, v)
+        if lane == 0 and host.started and ops[copy, host.op, 0] == MEASURE:
+            measure(host, extremes[copy], q, sites, bodies, copy, ops[copy, host.op, 2])
+    elif in_use and host.frozen and lane == 0:
+        for k in range(nq):
+            q[k] = frozen_coordinates[copy, k]
+        for k in range(nv):
+            v[k], warmstart[copy, k] = frozen_coordinates[copy, nq + k], frozen_coordinates[copy, nq + nv + k]
+
+    start, end, now = world.start, world.start + dt, world.now
+    chip_now, slice_now = now, world.slice
+    acting, running = in_use and host.status == PLAYING, in_use and not host.frozen
+    while any_in_warp(running):
+        kind, op, a, b, x = END, host.op, 0, 0, 0
+        target, axis, polled, moving, beyond, judged = -1, -1, 0, 0, False, False
+        if running and not acting:  # nothing more to do in this window, or the program is over
+            target = end if host.status == PLAYING else now
+        if acting:
+            if op < ops.shape[1]:
+                kind, a, b, x = ops[copy, op, 0], ops[copy, op, 1], ops[copy, op, 2], ops[copy, op, 3]
+            if kind != END and not host.started:
+                begin_operation(host, now, kind, a)
+            if kind == END:
+                host.status = PLAYED
+                acting = False
+            elif host.until >= end:
+                acting = False
+            elif kind in (STOP, KEEP):
+                judged = host.left >> host.poll == 0
+                now, polled, target, axis, beyond = choose_polls(host, places, lane, end)
+                if judged and kind == KEEP:
+                    target = now
+            else:
+                now = host.until
+                if kind in (WRITE, READ) and places[a].lane == lane:
+                    target = now
+        working = running and target > chip_now
+        if any_in_warp(working) and working:  # the only place: a chip's code is long
+            slice_now = run_chip(c, axes, table, switches, switch_table, world, dt, slice_now, chip_now, target)
+            chip_now = target
+        if running and not acting and target >= 0:
+            running = False
+        polling = acting and kind in (STOP, KEEP)
+        tau = (now - start - 0.5 * dt) * 1e-9
+        if acting and not polling:
+            if kind == WRITE:
+                if places[a].lane == lane:
+                    cores.write(c, b, x)
+            elif kind == READ:
+                if places[a].lane == lane:
+                    results[copy, op] = cores.read(c, b)
+            elif kind == MEASURE:
+                if lane == 0:
+                    if a > 0:
+                        measure(host, extremes[copy], q, sites, bodies, copy, b)
+                    results[copy, op] = travel(host)
+            elif kind == LOOK and lane == 0:
+                place = q[places[a].qpos] + v[places[a].dof] * tau
+                if b:
+                    place = point_of(sites, bodies, copy, b, x)
+                results[copy, op] = int(math.floor(place * 1e12))
+            end_operation(host)
+        if any_in_warp(polling):
+            if axis >= 0 and cores.busy(c, places[axis].axis):
+                moving = 1 << axis
+            if polling and judged and kind == KEEP and has_lost_a_step(c, drives, table, numbers, a, q, v, tau):
+                moving |= LOST
+            in_motion, moving = moving, 0
+            for k in range(LANES):
+                moving |= value_in_warp(in_motion, first + k)
+            if polling:
+                host.left &= ~polled | moving
+                host.until = now
+                for k in range(host.poll, places.shape[0]):
+                    if polled >> k & 1:
+                        host.poll = k + 1
+                if beyond:
+                    acting = False
+                elif judged:
+                    took, lost = now - host.begin, moving & LOST
+                    if lost or host.left == 0 or took >= x:
+                        if lane == 0:
+                            results[copy, op] = took if host.left == 0 and not lost else -took
+                        end_operation(host)
+                        if lost:
+                            host.status = PLAYED
+                            acting = False
+                    else:
+                        host.poll, host.until = 0, now + b
+
+    if in_use and host.status == PLAYING:
+        world.now = end
+        host.stepped = 1
+        for j in range(c.axes):
+            t = table[j]
+            omega = v[t.dof] * t.gear
+            gain = clockwork.half * t.gear * t.gear / inertia[copy, t.dof]
+            ctrl[copy, t.actuator] = drive.effort(
+                drives[j], axes[j].counts, clockwork.slices, q[t.qpos] * t.gear, omega, clockwork.h, gain
+            )
+        if lane == 0:
+            playing[0] = 1
+    elif in_use and not host.frozen:
+        world.slice, world.now, host.frozen = slice_now, now, 1
+        if lane == 0:
+            for k in range(nq):
+                frozen_coordinates[copy, k] = q[k]
+            for k in range(nv):
+                frozen_coordinates[copy, nq + k], frozen_coordinates[copy, nq + nv + k] = v[k], warmstart[copy, k]
+    if in_use:
+        store(words_of(chip_records, W_STATE), words, 0, thread)
+        store(words_of(axes, W_AXES), words, W_STATE, thread)
+        store(words_of(drives, W_DRIVES), words, W_STATE + W_AXES, thread)
+        store(words_of(switches, W_SWITCHES), words, W_STATE + W_AXES + W_DRIVES, thread)
+        store(words_of(world_records, W_WORLD), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES, thread)
+        store(words_of(host_records, W_HOST), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES + W_WORLD, thread)
+
+
+def inspect_lanes(words, rows, axis_numbers, tables, clockworks, qpos, qvel, truth):
+    """Fill truth[copy, axis], TRUTH records, for every axis. A kernel of as many threads as `advance_lanes`."""
+    thread = thread_number()
+    in_warp = thread % WARP
+    group = in_warp // LANES
+    copy, lane = thread // WARP * (WARP // LANES) + group, in_warp - group * LANES
+    if copy >= qpos.shape[0] or group >= WARP // LANES:
+        return
+    chip_records, drives, world_records = (
+        cuda.local.array(1, STATE),
+        cuda.local.array(AXES, DRIVE),
+        cuda.local.array(1, WORLD),
+    )
+    load(words_of(chip_records, W_STATE), words, 0, thread)
+    load(words_of(drives, W_DRIVES), words, W_STATE + W_AXES, thread)
+    load(words_of(world_records, W_WORLD), words, W_STATE + W_AXES + W_DRIVES + W_SWITCHES, thread)
+    c = LaneChip(chip_records[0], rows[lane].axes, rows[lane].hz, rows[lane].ticks)
+    for j in range(c.axes):
+        out = truth[copy, axis_numbers[lane, j]]
+        inspect_axis(world_records[0], c, tables[lane, j], drives[j], clockworks[0], qpos[copy], qvel[copy], out)

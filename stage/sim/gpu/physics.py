@@ -1,0 +1,115 @@
+"""Physics of all copies, by mujoco-warp."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from stage.errors import GpuMissing, ModelError
+from stage.extras import need
+from stage.sim.gpu.device_code import WHAT
+
+POSITIONS_TRIED = 41  # of each joint, where contacts and constraints are counted
+SPARE_CONTACTS, SPARE_CONSTRAINTS = 4, 8
+
+
+def load_warp() -> Any:
+    """Return the module warp.
+
+    Raises:
+        ExtraMissing: warp or mujoco-warp is not installed. GpuMissing: there is no GPU.
+    """
+    warp = need("warp", WHAT)
+    need("mujoco_warp", WHAT)
+    warp.config.quiet = True
+    if not warp.is_cuda_available():
+        raise GpuMissing(
+            'device="cuda": no NVIDIA GPU can be used here (its driver is missing or it is not visible). Leave out device= to '
+            "run the fleet on this machine's processors."
+        )
+    return warp
+
+
+class Physics:
+    """The coordinates of all copies of a stage, and what moves them.
+
+    Args:
+        model, data: Of the stage; the copies begin in its state.
+        copies: How many.
+
+    Attributes:
+        data: mujoco-warp's Data, a row a copy.
+        stream: warp's stream in which all work is done.
+
+    Raises:
+        ModelError: mujoco-warp does not take the model. Errors of `load_warp`.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, copies: int):
+        self.warp = load_warp()
+        self._mujoco_warp: Any = need("mujoco_warp", WHAT)
+        model = copy.copy(model)
+        model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # mujoco-warp has no such flag
+        contacts, constraints = count_constraints(model)
+        begin = mujoco.MjData(model)
+        for name in ("qpos", "qvel", "act", "qacc_warmstart"):
+            getattr(begin, name)[:] = getattr(data, name)
+        mujoco.mj_forward(model, begin)
+        try:
+            self._model = self._mujoco_warp.put_model(model)
+            kinds = self._mujoco_warp.OverflowType
+            self._tolerated = int(kinds.ITERATIONS | kinds.LS_ITERATIONS)
+            self._model.opt.warn_overflow &= ~self._tolerated
+            self.data = self._mujoco_warp.put_data(
+                model, begin, nworld=copies, nconmax=contacts + SPARE_CONTACTS, njmax=constraints + SPARE_CONSTRAINTS
+            )
+        except (NotImplementedError, ValueError) as error:
+            raise ModelError(f'device="cuda": mujoco-warp does not take this model: {error}', ()) from error
+        self.stream = self.warp.Stream(self.warp.get_device())
+
+    def step(self) -> None:
+        """Advance all copies by a physics step."""
+        self._mujoco_warp.step(self._model, self.data)
+
+    def run(self, work: Callable[[], None]) -> None:
+        """Do work in the stream, and wait for its end."""
+        with self.warp.ScopedStream(self.stream):
+            work()
+        self.warp.synchronize_stream(self.stream)
+
+    def capture(self, work: Callable[[], None]) -> Any:
+        """Return a CUDA graph of work that has been done once before, so that all of its code is compiled."""
+        with self.warp.ScopedStream(self.stream), self.warp.ScopedCapture(stream=self.stream) as captured:
+            work()
+        return captured.graph
+
+    def launch(self, graph: Any) -> None:
+        """Do what was captured, and wait for its end."""
+        self.warp.capture_launch(graph, stream=self.stream)
+        self.warp.synchronize_stream(self.stream)
+
+    def overflowed(self) -> np.ndarray:
+        """Return which copies had more contacts or constraints than there is room for, (copies,) bool."""
+        return (self.data.overflow.numpy() & ~self._tolerated) != 0
+
+
+def count_constraints(model: mujoco.MjModel) -> tuple[int, int]:
+    """Count the most contacts and constraints over the travel of each joint, and of all together."""
+    data = mujoco.MjData(model)
+    limited = model.jnt_limited.astype(bool)
+    place = model.jnt_qposadr[limited]
+    low, high = model.jnt_range[limited].T
+    contacts = constraints = 0
+    for share in np.linspace(0.0, 1.0, POSITIONS_TRIED):
+        for k in range(-1, len(place)):
+            data.qpos[:] = model.qpos0
+            data.qpos[place] = 0.5 * (low + high)
+            which = slice(None) if k < 0 else slice(k, k + 1)
+            data.qpos[place[which]] = (low + share * (high - low))[which]
+            mujoco.mj_forward(model, data)
+            contacts, constraints = max(contacts, data.ncon), max(constraints, data.nefc)
+    return contacts, constraints
