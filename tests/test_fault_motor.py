@@ -66,7 +66,7 @@ FITTED = "dof_armature", "dof_M0", "dof_invweight0", "body_invweight0", "actuato
 
 
 @pytest.mark.parametrize("model", ["xyz", "xy", "gantry"])
-def test_a_model_is_to_the_bit_what_it_was_when_all_motors_are_mended(model):
+def test_mending_all_motors_restores_the_model_to_the_bit(model):
     stage = Stage(model, chips=PCL240K, visuals=False)
     before = {name: np.array(getattr(stage.model, name)) for name in FITTED}
     for axis in stage.axes.values():
@@ -77,7 +77,7 @@ def test_a_model_is_to_the_bit_what_it_was_when_all_motors_are_mended(model):
         assert np.array_equal(getattr(stage.model, name), values), name
 
 
-def test_an_armature_changed_by_hand_stays_what_it_is_beside_the_rotor(xyz):
+def test_a_user_defined_armature_survives_another_motor(xyz):
     x, armature = xyz.axes["x"], xyz.model.dof_armature
     dof, as_built = x.plant.dof, armature.copy()
     rotors = [MOTORS[name].rotor_inertia * x.gear**2 for name in ("17HS4401", SMALL)]

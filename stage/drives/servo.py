@@ -33,12 +33,12 @@ def voltage(d, shares, n, omega, gain=0.0):
     d.current_a = (v - d.torque_constant * omega) / d.resistance
     if d.current > 0.0 and abs(d.current_a) > d.current:
         d.current_a = d.current if d.current_a > 0.0 else -d.current
-        most = 2.0 * gain * d.torque_constant * d.current_a
+        max_gain = 2.0 * gain * d.torque_constant * d.current_a
         faster = omega - d.back
-        if faster * most <= 0.0:
+        if faster * max_gain <= 0.0:
             faster = 0.0
-        elif abs(faster) > abs(most):
-            faster = most
+        elif abs(faster) > abs(max_gain):
+            faster = max_gain
         v = d.torque_constant * (omega + faster) + d.resistance * d.current_a
     d.back = omega
     return v

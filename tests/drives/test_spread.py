@@ -30,7 +30,7 @@ def test_a_motor_without_a_curve_has_the_likely_loss_and_one_with_a_curve_a_narr
     assert fitted.high / fitted.low < loose.high / loose.low
 
 
-def test_a_loss_of_a_data_sheet_is_not_said_to_be_fitted_to_a_curve():
+def test_a_core_loss_of_a_data_sheet_does_not_claim_a_fit_to_a_curve():
     stated = replace(motor("17HS4401"), evidence={"core_loss_resistance": "S"})
     low, high, evidence = estimate_spread(stated)["core_loss_damping"]
     assert (low, high) == pytest.approx((0.65 * stated.core_loss_damping, 1.25 * stated.core_loss_damping))
@@ -62,12 +62,12 @@ def test_the_ends_of_a_fitted_loss_are_fits_with_the_inductances_at_their_ends(f
         ({"resistance": 3}, "evidence of resistance, 3: begin with C"),
     ],
 )
-def test_evidence_that_would_be_taken_for_none_is_refused(evidence, message):
+def test_evidence_without_a_known_value_or_letter_is_refused(evidence, message):
     with pytest.raises(ArgumentError, match=message):
         replace(motor("17HS4401"), evidence=evidence)
 
 
-def test_an_effective_inductance_has_a_tolerance_of_its_own():
+def test_the_tolerance_of_an_effective_inductance_replaces_the_default():
     evidence = {"inductance": "S: +-20 %", "effective_inductance": "C: +-4 %"}
     fitted = replace(motor("17HS4401"), effective_inductance=4.0e-3, evidence=evidence)
     assert estimate_spread(fitted)["inductance"] == (pytest.approx(3.84e-3), pytest.approx(4.16e-3), "C: +-4 %")
