@@ -386,29 +386,23 @@ def test_a_stop_by_a_synchronous_action_ends_the_search(action):
     assert chip.advance(1000 * MS) == 0
 
 
-def test_an_alarm_between_two_steps_ends_the_search():
+@pytest.mark.parametrize(
+    ("wr2", "status", "status_later"),
+    [(ENABLE_LIMITS | 0x0200, (0, 0, 0x4010), (0, 0, 0x4010)), (None, (1, 6, 0), (1, 20, 0))],
+    ids=["enabled", "not enabled"],
+)
+def test_an_alarm_between_two_steps_ends_the_search_where_it_is_enabled(wr2, status, status_later):
     chip = MCX514()
     table = put_at(chip, 0, 1, H1M=h1m(1), H2M=0x780)
-    set_word(chip, 2, ENABLE_LIMITS | 0x0200)
+    if wr2 is not None:
+        set_word(chip, 2, wr2)
     command(chip, 0x5A)
     while home_state(chip) != 6:
         go_on(chip, table)
     chip.axes[0].pins.alarm = True
-    chip.advance(1)
-    assert (chip.read(0) & 1, home_state(chip), word(chip, 2) & 0xC0FF) == (0, 0, 0x4010)
-
-
-def test_an_alarm_that_is_not_enabled_lets_the_search_go_on_between_two_steps():
-    chip = MCX514()
-    table = put_at(chip, 0, 1, H1M=h1m(1), H2M=0x780)
-    command(chip, 0x5A)
-    while home_state(chip) != 6:
-        go_on(chip, table)
-    chip.axes[0].pins.alarm = True
-    chip.advance(1)
-    assert (chip.read(0) & 1, home_state(chip), word(chip, 2) & 0xC0FF) == (1, 6, 0)
-    chip.advance(1000 * MS)
-    assert (chip.read(0) & 1, home_state(chip), word(chip, 2) & 0xC0FF) == (1, 20, 0)
+    for clocks, expected in ((1, status), (1000 * MS, status_later)):
+        chip.advance(clocks)
+        assert (chip.read(0) & 1, home_state(chip), word(chip, 2) & 0xC0FF) == expected
 
 
 @pytest.mark.parametrize("make", [MCX514, MCX304])

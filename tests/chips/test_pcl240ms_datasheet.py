@@ -220,18 +220,13 @@ def short_moves(least, most, count=8):
 
 
 @curved
-def test_revised_r2_with_no_linear_part(r):
+@pytest.mark.parametrize("bits", [{}, {"bits": LINEAR}], ids=["S-curves", "linear ramps"])
+def test_revised_r2_with_no_linear_part(r, bits):
     a = automatic(r)
     for r0 in short_moves(0, minimum_trapezoid(a)):
-        assert_peak(r, r0, revised_r2(a, r0))
-    assert_peak(r, math.floor(minimum_trapezoid(a)) + 1, r.R2)
-
-
-@curved
-def test_revised_r2_of_linear_ramps_is_that_with_no_linear_part(r):
-    a = automatic(r)
-    for r0 in short_moves(0, minimum_trapezoid(a)):
-        assert_peak(r, r0, revised_r2(a, r0), bits=LINEAR)
+        assert_peak(r, r0, revised_r2(a, r0), **bits)
+    if not bits:
+        assert_peak(r, math.floor(minimum_trapezoid(a)) + 1, r.R2)
 
 
 @with_linear

@@ -124,7 +124,7 @@ def play_macros(discount, level):
 )
 @pytest.mark.parametrize("discount", DISCOUNTS)
 def test_no_discount_makes_a_failure_pay_more_than_to_solve_it(discount, play, setting, ceiling):
-    """With 0.99 and target 8000, 2000 reads once got +13.79 and the solution +13.14; 120 waits of macros got +0.445."""
+    # discount 0.99, target 8000: 2000 reads once got +13.79 and the solution +13.14; 120 waits of macros got +0.445
     worth = {name: totals[0] for name, totals in play(1.0, setting).items()}
     failures = play(discount, setting) | {}
     plain, discounted, last, success = failures.pop(SOLVES)

@@ -134,39 +134,34 @@ def test_a_fault_is_of_its_episode_and_leaves_nothing_behind(env):
         assert machine() == healthy
 
 
-@pytest.mark.parametrize(("off", "missed"), [(-63, False), (63, False), (-65, True), (65, True)])
-def test_a_return_that_a_chip_calls_one_is_none_with_the_carriage_elsewhere(env, monkeypatch, off, missed):
+def return_to(monkeypatch, env, pulses_off):
+    """Make one scripted return of a healthy machine that ends `pulses_off` pulses away from the origin; return its info."""
     env.reset(seed=1, options={"fault": "none"})
-    task, real = env._task, env._task.fleet.truth
+    task, read_truth = env._task, env._task.fleet.truth
 
-    def elsewhere():
-        truth = real().copy()
-        truth["position"] = task.origin + task.shift[0, 1] + off * task.per_pulse
+    def read_displaced_truth():
+        truth = read_truth().copy()
+        truth["position"] = task.origin + task.shift[0, 1] + pulses_off * task.per_pulse
         return truth
 
-    monkeypatch.setattr(task.fleet, "truth", elsewhere)
-    info = env.step(env.scripted())[4]
+    monkeypatch.setattr(task.fleet, "truth", read_displaced_truth)
+    return env.step(env.scripted())[4]
+
+
+@pytest.mark.parametrize(("off", "missed"), [(-63, False), (63, False), (-65, True), (65, True)])
+def test_a_return_that_a_chip_calls_one_is_none_with_the_carriage_elsewhere(env, monkeypatch, off, missed):
+    info, config = return_to(monkeypatch, env, off), env._task.config
     assert info["home"]
     assert info["error"] == pytest.approx(off)
-    assert info["reward_parts"]["missed"] == (-task.config.missed_weight if missed else 0)
-    assert info["reward_parts"]["error"] == pytest.approx(-task.config.error_weight * min(abs(off), 64))
+    assert info["reward_parts"]["missed"] == (-config.missed_weight if missed else 0)
+    assert info["reward_parts"]["error"] == pytest.approx(-config.error_weight * min(abs(off), 64))
 
 
 @pytest.mark.parametrize(("off", "success"), [(-13, False), (-11, True), (11, True), (13, False)])
 def test_success_is_within_the_tolerance_on_either_side(monkeypatch, off, success):
-    env = make(returns=1)
-    env.reset(seed=1, options={"fault": "none"})
-    task, real = env._task, env._task.fleet.truth
-
-    def beside():
-        truth = real().copy()
-        truth["position"] = task.origin + task.shift[0, 1] + off * task.per_pulse
-        return truth
-
-    monkeypatch.setattr(task.fleet, "truth", beside)
-    info = env.step(env.scripted())[4]
-    assert info["score"]["success"] == success
-    assert np.isfinite(info["score"]["time"]) == success
+    score = return_to(monkeypatch, make(returns=1), off)["score"]
+    assert score["success"] == success
+    assert np.isfinite(score["time"]) == success
 
 
 def test_a_start_is_a_number_between_the_end_limits(env):
