@@ -107,7 +107,9 @@ def find_changes(since: str | None) -> set[Path]:
     """Return the files that differ from a commit, and those that git does not know yet."""
 
     def git(*args: str) -> list[str]:
-        return subprocess.run(["git", *args], cwd=ROOT, capture_output=True, text=True).stdout.split("\n")[:-1]
+        return subprocess.run(
+            ["git", *args], cwd=ROOT, capture_output=True, encoding="utf-8", errors="surrogateescape"
+        ).stdout.split("\n")[:-1]
 
     commit = since or next(iter(git("merge-base", "HEAD", "origin/main")), "HEAD")
     return {
