@@ -57,7 +57,7 @@ class Fleet:
 
     def __new__(
         cls,
-        stages: Sequence[Stage] = (),
+        stages: Sequence[Stage],
         threads: int | None = None,
         *,
         device: str = "cpu",
@@ -175,6 +175,9 @@ class Fleet:
             stage.look()
         play.look(self.handles, 0, len(self), self._truth)
         return self._truth.copy()
+
+    def __getnewargs__(self) -> tuple[list[Stage]]:
+        return (self.stages,)
 
     def __getstate__(self) -> dict[str, Any]:
         return {"stages": self.stages, "threads": self.threads}

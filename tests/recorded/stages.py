@@ -197,7 +197,7 @@ def keep_states():
         "see": lambda: x.switches.nothing,
         "set": lambda: setattr(x.switches, "org", True), "axis": lambda: stage.axes["q"],
         "restore": lambda: stage.restore(make_stage().snapshot()),
-        "poll": lambda: stage.run_until(lambda: True, 1.0, poll=-1), "chips": lambda: make_stage(chips={"x": 5}),
+        "poll": lambda: stage.run_until(lambda: True, 1.0, poll=-1),
         "model": lambda: make_stage("xyy"),
         "drives": lambda: make_stage(chips=HCTL1100, drives="17HS4401"), "cycle": lambda: make_stage(bus_cycle=2),
         "none": lambda: make_stage(chips={"q": PCL240K}),
