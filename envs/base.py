@@ -21,7 +21,7 @@ from stage.envs.results import DIVERGED as DIVERGED
 from stage.envs.settings import Number
 from stage.envs.task import MoveTask, Task, checked, configured
 from stage.errors import ArgumentError, unknown
-from stage.snapshots import Header
+from stage.support.snapshots import Header
 
 RENDER_MODES = ("rgb_array", "rgb_array_list", "human")
 FPS = 30  # of simulated time

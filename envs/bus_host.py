@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from stage import portable
 from stage.envs import contexts
 from stage.envs.entries import HOST, Entry
 from stage.envs.machines import MachineTask
 from stage.envs.macros import OTHERS, RATES, Book
 from stage.native import record
 from stage.sim.fleet import Played
+from stage.support import portable
 
 SWITCHES = ("org", "el_minus", "el_plus")
 AXIS = record(

@@ -52,7 +52,6 @@ from typing import Annotated, Any
 import gymnasium
 import numpy as np
 
-from stage import portable
 from stage.envs import contexts, faulty, score
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.bus_host import AXIS, EPISODE, SWITCHES, BusHost
@@ -64,6 +63,7 @@ from stage.envs.settings import Count, Discount, Each, Flag, Names, Number, Posi
 from stage.envs.trial import closed_form
 from stage.errors import ArgumentError, unknown
 from stage.sim.fleet import Played
+from stage.support import portable
 
 LEVELS = ("move", "target", "axes", "origin")
 BEFORE = 1_000  # pulses on the far side of ORG at which "origin" may begin, at most

@@ -17,12 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from stage import Stage, portable
+from stage import Stage
 from stage.drives.motors import MOTORS
 from stage.drives.spread import estimate_spread
 from stage.envs.entries import TRUTH, Entry
 from stage.envs.options import given
 from stage.native import record
+from stage.support import portable
 
 
 def _compute_factors(value: str) -> tuple[float, float]:

@@ -41,7 +41,6 @@ from typing import Annotated, Any
 import gymnasium
 import numpy as np
 
-from stage import portable
 from stage.envs import contexts, faulty, score
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.entries import HOST, TRUTH, Entry
@@ -52,6 +51,7 @@ from stage.errors import ArgumentError
 from stage.firmware.driver import driver_of
 from stage.sim.fleet import Played
 from stage.sim.program import Program
+from stage.support import portable
 
 RATES = {"search": (1000.0, 30_000.0), "ramp": (0.01, 0.2), "approach": (100.0, 4000.0)}  # pps, s, pps
 LEAVE, BACK_OFF = 9_600, (64, 1600)  # pulses, the most; least and most

@@ -38,7 +38,7 @@ from typing import Annotated, Any, ClassVar
 import gymnasium
 import numpy as np
 
-from stage import Stage, portable
+from stage import Stage
 from stage.envs import contexts, score
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.entries import HOST, TRUTH, Entry
@@ -51,6 +51,7 @@ from stage.envs.trial import ALLOWED, TENTH, Trial, closed_form
 from stage.firmware.driver import Speeds, driver_of
 from stage.sim.fleet import Fleet, Played
 from stage.sim.program import Program
+from stage.support import portable
 from stage.tune.formula import Load, speeds
 
 RATES = {"start": (200.0, 6000.0), "drive": (2000.0, 60_000.0), "up": (0.01, 0.3), "down": (0.01, 0.3)}  # pps, s

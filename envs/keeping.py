@@ -21,10 +21,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from stage import snapshots
 from stage.chips import chip_class
 from stage.envs.task import Task
 from stage.errors import ArgumentError, StageError
+from stage.support import snapshots
 
 
 class EnvSnapshot(snapshots.Snapshot):

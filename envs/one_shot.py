@@ -21,7 +21,6 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from stage import portable
 from stage.envs import contexts, few_shot
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.entries import HOST, Entry
@@ -29,6 +28,7 @@ from stage.envs.few_shot import FewShotTuning
 from stage.envs.options import given
 from stage.envs.settings import Count, Number, Word
 from stage.errors import ArgumentError
+from stage.support import portable
 
 
 @dataclass(frozen=True)

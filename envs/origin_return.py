@@ -43,7 +43,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from stage import Stage, portable
+from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.entries import HOST, TRUTH, Entry
@@ -70,6 +70,7 @@ from stage.firmware.driver import driver_of
 from stage.sim.fleet import Played
 from stage.sim.program import Program
 from stage.sim.records import INDEX
+from stage.support import portable
 
 FROM_LIMIT = 5e-4  # m; no return starts nearer to an end limit
 CAP = 64.0  # pulses, of an error: an electrical period of a motor at 1/16 step

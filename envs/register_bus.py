@@ -48,7 +48,7 @@ from typing import Annotated, Any
 import gymnasium
 import numpy as np
 
-from stage import Stage, portable
+from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs import register_bus_core as core
 from stage.envs.base import StageEnv, StageVectorEnv
@@ -74,6 +74,7 @@ from stage.envs.task import Task
 from stage.envs.trial import Starts
 from stage.errors import ArgumentError, unknown
 from stage.sim import play
+from stage.support import portable
 
 WRITE, READ, WAIT = core.WRITE, core.READ, core.WAIT  # kinds of action; WAIT + k
 GOALS = ("position", "home")

@@ -21,10 +21,10 @@ from collections.abc import Mapping, Sequence
 import gymnasium
 import numpy as np
 
-from stage import portable
 from stage.chips.register_map import RegisterMap
 from stage.errors import ArgumentError
 from stage.firmware.choices import limits
+from stage.support import portable
 
 WIDE = 1 << 16
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from stage import Stage
 from stage.errors import StageError, unknown
-from stage.opengl import check_window, renderer
+from stage.support.opengl import check_window, renderer
 
 if TYPE_CHECKING:
     from stage.recording import Recording

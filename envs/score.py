@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from stage import portable
 from stage.envs.entries import TRUTH, Entry
 from stage.native import record
+from stage.support import portable
 
 SCORE = record(
     [("success", "?"), ("time", "f8"), ("regret", "f8"), ("moves", "i8"), ("lost_steps", "i8"), ("limits", "i8")]

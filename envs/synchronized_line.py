@@ -34,7 +34,7 @@ from typing import Annotated, Any, ClassVar
 import gymnasium
 import numpy as np
 
-from stage import Stage, portable
+from stage import Stage
 from stage.envs import contexts, score, synchronized_move
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.entries import HOST, TRUTH, Entry
@@ -49,6 +49,7 @@ from stage.firmware.driver import Speeds
 from stage.firmware.lines import Asked
 from stage.sim.fleet import Fleet, Played
 from stage.sim.program import MEASURE
+from stage.support import portable
 from stage.tune.formula import Load, speeds
 
 CORRECTIONS = 6  # an axis

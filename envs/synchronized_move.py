@@ -44,7 +44,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from stage import Stage, portable
+from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.entries import HOST, TRUTH, Entry
@@ -75,6 +75,7 @@ from stage.firmware.path import path_deviation
 from stage.sim.fleet import Played
 from stage.sim.program import LOOK, WAIT
 from stage.sim.records import clock_at
+from stage.support import portable
 
 ACTIONS = ("corrections", "box", "registers")
 TENTH = 1e-4  # m

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from stage import Stage, portable
+from stage import Stage
 from stage.chips import Chip
 from stage.envs.entries import HOST, TRUTH, Entry
 from stage.envs.options import given
@@ -22,6 +22,7 @@ from stage.envs.task import MoveTask, carrier
 from stage.envs.trial import Starts
 from stage.errors import unknown
 from stage.sim.program import Program
+from stage.support import portable
 
 ConfigT = TypeVar("ConfigT")
 

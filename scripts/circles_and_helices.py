@@ -17,7 +17,7 @@ from stage import Stage
 from stage.chips import MCX514
 from stage.firmware.nova.draw import Arc, Helix, Line, Speed, draw
 from stage.firmware.nova.home import HomeReport, home_search
-from stage.pictures import GRID, INK, MUTED, bare
+from stage.support.pictures import GRID, INK, MUTED, bare
 
 MM = 320  # pulses
 STARTS = {"x": -0.101, "y": -0.0709, "z": 0.004}  # m: before ORG; on it; before it

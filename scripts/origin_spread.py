@@ -12,7 +12,7 @@ import numpy as np
 
 from stage import ExtraMissing, Stage, firmware
 from stage.chips import PCL240MS
-from stage.extras import need
+from stage.support.extras import need
 
 DRIFT = 1e-4  # m
 WAYS = {"ORG": None, "EZ, 2nd pulse": 2}
@@ -35,7 +35,7 @@ def places(stage, name, ez, drift, returns, rng):
 
 
 def draw(found, path):
-    from stage.pictures import COLOURS, bare, figure, title
+    from stage.support.pictures import COLOURS, bare, figure, title
 
     rng = np.random.default_rng(0)
     fig = figure(9, 3.6)

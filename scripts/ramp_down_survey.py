@@ -112,7 +112,7 @@ def reasons(runs):
 
 
 def draw(runs, path):
-    from stage.pictures import COLOURS, INK, MUTED, bare, figure, title
+    from stage.support.pictures import COLOURS, INK, MUTED, bare, figure, title
 
     colors = dict(zip(SHAPES, (MUTED, COLOURS[0], COLOURS[2], COLOURS[1]), strict=False))
     fig = figure(10, 3.9)

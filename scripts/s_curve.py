@@ -27,7 +27,7 @@ from stage.chips import PCL240MS
 from stage.drives.dynamometer import closed_form
 from stage.drives.motors import MOTORS
 from stage.firmware import Profile, Report
-from stage.pictures import HAIR, INK, MUTED, bare, title
+from stage.support.pictures import HAIR, INK, MUTED, bare, title
 
 FL, R7 = 200, 12  # pps; 50 pps a speed step
 AT_FL = 5  # pulses

@@ -18,12 +18,12 @@ import numpy as np
 from stage import ExtraMissing, Stage
 from stage.chips import HCTL1100
 from stage.chips.hctl1100 import maps
-from stage.extras import need
 from stage.firmware.hctl1100.model import Loop
 from stage.firmware.hctl1100.moves import MoveReport, Tuning, set_up, trapezoid
 from stage.firmware.hctl1100.port import CONTROL, FLAGS, RESET, SET, Port
 from stage.firmware.hctl1100.profile import circle, follow, off_circle, synchronize
-from stage.pictures import INK, MUTED, bare, title
+from stage.support.extras import need
+from stage.support.pictures import INK, MUTED, bare, title
 
 TUNING = Tuning()
 STEP = 0.25e-3  # s between samples of a recording: a physics step

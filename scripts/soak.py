@@ -29,9 +29,9 @@ import numpy as np
 from stage import Fleet, Program, Stage, firmware
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.errors import ArgumentError, StageError
-from stage.files import writable, written
 from stage.firmware import Profile
 from stage.firmware.pcl240 import bus
+from stage.support.files import writable, written
 
 AT_REST = 3.0  # pulses between the carriage and the pulses, at rest: friction and gravity against the motor's stiffness
 HOME_SPREAD = 1.0  # pulses, of the true position; Z, which hangs, comes to rest within its friction

@@ -27,7 +27,7 @@ from stage.drives.dynamometer import (
     slices,
 )  # fmt: skip
 from stage.drives.motors import MOTORS, Drive
-from stage.pictures import COLOURS, INK, MUTED, bare, title
+from stage.support.pictures import COLOURS, INK, MUTED, bare, title
 
 BLUE, RED, GREEN = COLOURS[:3]
 MOTOR = replace(MOTORS["17HS4401"], core_loss_resistance=None)  # as the closed form of the page

@@ -164,7 +164,7 @@ def anything(moves, rng, number):
 
 
 def draw(asked, far, perfect, plain, folder):
-    from stage.pictures import COLOURS, INK, MUTED, bare, figure, title
+    from stage.support.pictures import COLOURS, INK, MUTED, bare, figure, title
 
     blue, orange = COLOURS[:2]
     fig = figure(10, 3.9)

@@ -20,20 +20,20 @@ from stage.errors import ArgumentError, LoadError, ModelError, NativeError, RunT
 if TYPE_CHECKING:
     from stage import firmware
     from stage.drives.motors import Drive, Motor
-    from stage.extras import ExtraMissing
     from stage.sim import faults
     from stage.sim.fleet import Fleet
     from stage.sim.program import Program
     from stage.sim.stage import Snapshot, Stage
-    from stage.snapshot_files import SnapshotError
+    from stage.support.extras import ExtraMissing
+    from stage.support.snapshot_files import SnapshotError
 
 __version__ = "0.1.0"
 
 _LAZY = {
     "Stage": "stage.sim.stage",
     "Snapshot": "stage.sim.stage",
-    "SnapshotError": "stage.snapshot_files",
-    "ExtraMissing": "stage.extras",
+    "SnapshotError": "stage.support.snapshot_files",
+    "ExtraMissing": "stage.support.extras",
     "Fleet": "stage.sim.fleet",
     "Program": "stage.sim.program",
     "Drive": "stage.drives.motors",

@@ -126,7 +126,7 @@ def pytest_runtest_makereport():
 
 def skipped_without_its_extra():
     """What needs a library that is not installed is skipped, and says which: the small installation is tested, too."""
-    from stage.extras import LIBRARIES, ExtraMissing, has
+    from stage.support.extras import LIBRARIES, ExtraMissing, has
 
     try:
         return (yield)

@@ -7,13 +7,13 @@ from decimal import Decimal
 import pytest
 
 from stage import ArgumentError, Drive, Fleet, Program, Snapshot, Stage, StageError, faults, firmware
-from stage.arguments import WrongType, told, whole_number
 from stage.board import Board
 from stage.chips import CHIPS, PCL240K, chip_class
 from stage.drives.dc_motors import Servo
 from stage.errors import UnknownKey
 from stage.firmware import Bench, Profile
 from stage.recording import read
+from stage.support.arguments import WrongType, told, whole_number
 from stage.testing import (
     assert_at,
     assert_no_diagnostics,

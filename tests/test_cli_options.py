@@ -13,15 +13,16 @@ from types import SimpleNamespace
 import pytest
 from support.extras import needs_rerun
 
-from stage import ArgumentError, Stage, StageError, firmware, opengl
+from stage import ArgumentError, Stage, StageError, firmware
 from stage.chips.chip import Diagnostic
 from stage.cli import build_parser, demo, fault, files, main, moves, progress, setup
 from stage.cli.erratum import Shown
 from stage.cli.firmware import report as print_report
 from stage.cli.quantities import Quantity
-from stage.files import FileError
 from stage.firmware.driver import usual_speeds
 from stage.recording import viewer
+from stage.support import opengl
+from stage.support.files import FileError
 
 
 @pytest.fixture(scope="module")
@@ -470,7 +471,7 @@ def test_the_demo_opens_the_viewer_where_there_is_a_screen(bench, monkeypatch, o
         seen.append((args.view, [round(axis.position, 6) for axis in stage.axes.values()]))
         raise ArgumentError("enough")
 
-    monkeypatch.setattr("stage.opengl.has_screen", lambda: screen)
+    monkeypatch.setattr("stage.support.opengl.has_screen", lambda: screen)
     monkeypatch.setattr("stage.cli.demo.make_stage", lambda args: bench)
     monkeypatch.setattr("stage.cli.demo.recorded", recorded)
     assert main(["demo", *options.split()]) == 2

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from stage.extras import LIBRARIES
 from stage.native import COMPILED
+from stage.support.extras import LIBRARIES
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = [ROOT / "tests", ROOT / "scripts/acme_chip/tests", *sorted(ROOT.glob("packages/*/tests"))]

@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 
 import stage
-from stage import ArgumentError, examples
+from stage import ArgumentError
 from stage.cli import main
-from stage.files import FileError
 from stage.native import index_page
+from stage.support import examples
+from stage.support.files import FileError
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

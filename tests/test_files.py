@@ -15,9 +15,9 @@ from stage import Stage, StageError, firmware
 from stage.cli import main
 from stage.drives.motors import Drive
 from stage.drives.picture import plot_pull_out
-from stage.files import FileError, figure_format, is_stream, written
 from stage.recording import RecordingError
 from stage.recording.viewer import screenshot
+from stage.support.files import FileError, figure_format, is_stream, written
 
 pytest.importorskip("matplotlib")
 

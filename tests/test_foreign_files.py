@@ -18,9 +18,9 @@ from stage.board.devices.own import CDevice
 from stage.chips.chip import Snapshot as ChipSnapshot
 from stage.cli import main
 from stage.errors import ArgumentError, StageError
-from stage.foreign_files import DocumentError, parse_json, parse_toml, read_bytes, read_members
 from stage.panel import saved_panel as share
 from stage.recording import RecordingError, read, rrd_process, viewer
+from stage.support.foreign_files import DocumentError, parse_json, parse_toml, read_bytes, read_members
 from stage.targets.elf import ARM, Elf
 
 TOML = b"""chip = "PCL240K"

@@ -8,13 +8,14 @@ from itertools import chain
 import numpy as np
 import pytest
 
-from stage import ArgumentError, Fleet, Program, Stage, extras
+from stage import ArgumentError, Fleet, Program, Stage
 from stage.chips import HCTL1100, MCX514, PCL240K
 from stage.errors import GpuMissing, ModelError
 from stage.firmware.driver import driver_of
 from stage.sim import fleet as fleets
 from stage.sim.gpu import fleet as gpu_fleet
 from stage.sim.gpu import physics
+from stage.support import extras
 
 
 def missing():

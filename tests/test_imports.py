@@ -15,20 +15,8 @@ ROOT = Path(__file__).parents[1]
 FOLDERS = {"stage": "stage", "envs": "stage.envs"}
 
 LAYERS = (
-    {"errors", "units", "arguments", "identifiers"},
-    {
-        "files",
-        "foreign_files",
-        "examples",
-        "html",
-        "pictures",
-        "snapshots",
-        "snapshot_files",
-        "opengl",
-        "extras",
-        "portable",
-        "processes",
-    },
+    {"errors", "units"},
+    {"support"},
     {"native"},
     {"chips"},
     {"drives"},
@@ -146,7 +134,7 @@ def test_circles_are_found():
 
 def test_imports_inside_functions_and_by_the_face_of_the_package_are_found():
     known = modules()
-    lazy = "def f():\n    from stage import Stage, board\n    import stage.files\n"
-    assert imported(lazy, known) == {"stage.sim.stage", "stage.board", "stage.files"}
+    lazy = "def f():\n    from stage import Stage, board\n    import stage.support.files\n"
+    assert imported(lazy, known) == {"stage.sim.stage", "stage.board", "stage.support.files"}
     typed = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from stage import board\n"
     assert imported(typed, known) == set()

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stage import portable
+from stage.support import portable
 
 ROOT = Path(__file__).parents[1]
 OWN = (

@@ -14,8 +14,8 @@ from support.examples import SEED
 from stage import ArgumentError, Snapshot, Stage, firmware
 from stage.chips import PCL240K, PCL240MS
 from stage.chips.chip import Snapshot as ChipSnapshot
-from stage.files import FileError
-from stage.snapshot_files import LENGTHS, MAGIC, SUM, SnapshotError
+from stage.support.files import FileError
+from stage.support.snapshot_files import LENGTHS, MAGIC, SUM, SnapshotError
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from support.examples import SEED
 
-from stage import ArgumentError, Drive, Stage, snapshots
+from stage import ArgumentError, Drive, Stage
 from stage.chips import PCL240K, PCL240MS
 from stage.sim import plant
-from stage.snapshots import Header, layout
+from stage.support import snapshots
+from stage.support.snapshots import Header, layout
 
 
 @pytest.fixture(scope="module")

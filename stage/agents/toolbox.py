@@ -22,12 +22,12 @@ from stage.agents.calls import Calls
 from stage.agents.fields import shown
 from stage.agents.notes import Notes
 from stage.agents.tool import Answer, Tool
-from stage.arguments import told, told_when_made
 from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import Driver, driver_of
 from stage.panel.stage_observer import Trace
 from stage.sim.axis import Axis
 from stage.sim.stage import Stage
+from stage.support.arguments import told, told_when_made
 
 MODES = ("host", "truth")
 

@@ -18,7 +18,6 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from stage.arguments import told
 from stage.board import bus, host, layout_files, layouts
 from stage.board.devices import known
 from stage.board.devices.device import Device, Encoder, Listener
@@ -32,6 +31,7 @@ from stage.board.waveforms import HostWaveforms
 from stage.chips.late import LateLint
 from stage.errors import ArgumentError, StageError, unknown
 from stage.sim.stage import LONGEST, Stage
+from stage.support.arguments import told
 
 KEPT_CYCLES = 100_000
 MOST_LINES = 1_000_000

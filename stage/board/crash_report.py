@@ -13,7 +13,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
-from stage.processes import run_program
+from stage.support.processes import run_program
 
 IS_SUPPORTED = sys.platform == "linux" and sys.maxsize > 1 << 32
 """Whether the process of firmware can note crashes and calls, and have windows: 64-bit Linux."""

@@ -24,7 +24,7 @@ from stage.board.host import BYTE, HALF, LAST_PORT, LATCH, LATCHED, NOTHING, PUL
 from stage.board.layouts import LAYOUTS, Layout
 from stage.chips import CHIPS, Chip, chip_class
 from stage.errors import ArgumentError, a_or_an, near_names, unknown
-from stage.foreign_files import DocumentError, parse_json, parse_toml, read_text
+from stage.support.foreign_files import DocumentError, parse_json, parse_toml, read_text
 
 WORDS = {
     "byte": (BYTE, True), "word": (WORD, True), "upper": (HALF, True), "latch": (LATCH, False), "data": (LATCHED, False),

@@ -16,14 +16,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stage.arguments import told
 from stage.board import platforms
 from stage.board.bus import REQUEST, compute_as_before, compute_as_usual
 from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCompilerError
 from stage.board.scratch import Scratch
 from stage.errors import ArgumentError, escape
-from stage.files import FileError, refuse_irregular
-from stage.processes import run_program
+from stage.support.arguments import told
+from stage.support.files import FileError, refuse_irregular
+from stage.support.processes import run_program
 
 if TYPE_CHECKING:
     from stage.board.link import Link

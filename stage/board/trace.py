@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from stage.arguments import told_when_made
 from stage.board import host
 from stage.board.hooks import named
 from stage.board.interrupts import BACK, JUMPED, LOWERED
+from stage.support.arguments import told_when_made
 
 if TYPE_CHECKING:
     from stage.board.board import Board

@@ -20,8 +20,6 @@ from zlib import crc32
 
 import numpy as np
 
-from stage import snapshots
-from stage.arguments import told
 from stage.chips import contract
 from stage.chips.describe import Decoder, Listener
 from stage.chips.journal import Journal
@@ -29,7 +27,9 @@ from stage.chips.register_map import RegisterMap, Word, dump
 from stage.chips.sharing import Lock, exclusive, exclusively, with_lock
 from stage.errors import ArgumentError, StageError, a_or_an, unknown
 from stage.native import plain
-from stage.snapshot_files import FiledSnapshot
+from stage.support import snapshots
+from stage.support.arguments import told
+from stage.support.snapshot_files import FiledSnapshot
 
 if TYPE_CHECKING:
     from stage.chips.late import LateLint

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from stage.arguments import whole_number
 from stage.chips.entries import INPUT, LOST, READ, RESET, SHAFT, WIRES, WRITE, Entries, Entry, bits
+from stage.support.arguments import whole_number
 
 if TYPE_CHECKING:
     from stage.chips.chip import Chip

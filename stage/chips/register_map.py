@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
 
-from stage import html
+from stage.support import html
 
 EVIDENCE = {
     "S": "data sheet",

@@ -11,7 +11,7 @@ from stage.cli.files import recorded
 from stage.cli.progress import note, ticking
 from stage.cli.setup import make_stage
 from stage.errors import ArgumentError
-from stage.extras import has
+from stage.support.extras import has
 from stage.units import PLACES
 
 WHERE = (0.1962, -0.1435, 0.177)  # where the carriages happen to stand, from the middle of their travel, in travels
@@ -23,7 +23,7 @@ RATE, FAST, DWELL = 20_000, 40_000, 0.25  # pps, pps, s
 def run(args: argparse.Namespace) -> int:
     """Origin return of all axes, a dual-rate move, an a:b move; a table; demo.rrd."""
     from stage.firmware.tandem import tandems
-    from stage.opengl import has_screen
+    from stage.support.opengl import has_screen
 
     begin = time.perf_counter()
     note("building the stage ...")

@@ -17,8 +17,8 @@ LANES = {"ASND": "asnd", "CNST": "cnst", "DSND": "dsnd", "n-DRV": "drive"}
 
 def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     """Rate and position of both runs; beside them, close up, the rate and the bits of RR1 around area d."""
-    from stage.files import save_figure
-    from stage.pictures import COLOURS, INK, MUTED, bare, figure, title
+    from stage.support.files import save_figure
+    from stage.support.pictures import COLOURS, INK, MUTED, bare, figure, title
 
     fig = figure(11, 6)
     (rate, close), (place, lanes) = fig.subplots(2, 2)

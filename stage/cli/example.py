@@ -10,7 +10,7 @@ from stage.cli.facts import tell, wrote
 
 def run(args: argparse.Namespace) -> int:
     """Copy one, or list them all."""
-    from stage import examples
+    from stage.support import examples
 
     if args.name is None:
         titles = {name: _titled(name) for name in examples.PLACES}
@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _titled(name: str) -> str:
     """What it shows, and what it needs, in a line."""
-    from stage import examples
+    from stage.support import examples
 
     needs = examples.EXTRAS.get(name)
     return examples.title(name) + (f" It {needs}." if needs else "")
@@ -34,8 +34,8 @@ def _titled(name: str) -> str:
 
 def _missing(name: str) -> str:
     """What has to be installed for it first."""
-    from stage import examples
-    from stage.extras import has
+    from stage.support import examples
+    from stage.support.extras import has
 
     needs = examples.EXTRAS.get(name)
     return f"; it {needs}" if needs and not has(needs.library) else ""

@@ -12,9 +12,9 @@ from stage.cli.facts import tell, wrote
 
 def run(args: argparse.Namespace) -> int:
     """Write them, or list them."""
-    from stage.files import FileError, writable
     from stage.recording import read
     from stage.recording.table import writer_of
+    from stage.support.files import FileError, writable
 
     if args.output is not None:
         if os.path.realpath(args.output) == os.path.realpath(args.file):

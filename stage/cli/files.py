@@ -12,7 +12,7 @@ from typing import Any
 from stage.cli.facts import tell, wrote
 from stage.cli.progress import note
 from stage.errors import ArgumentError
-from stage.extras import has, need
+from stage.support.extras import has, need
 
 FILES = ("record", "vcd", "picture", "plot", "trace")
 """Options that name a file."""
@@ -59,7 +59,7 @@ def _named(args: argparse.Namespace) -> dict[str, str]:
 
 def _written_apart(args: argparse.Namespace) -> None:
     """Refuse two outputs in one file. Raises FileError."""
-    from stage.files import FileError
+    from stage.support.files import FileError
 
     taken: dict[str, str] = {}
     for name, path in _named(args).items():
@@ -71,7 +71,7 @@ def _written_apart(args: argparse.Namespace) -> None:
 
 def _writable(args: argparse.Namespace) -> None:
     """Refuse names that do not end as what is written there, and what cannot be written. Raises FileError, ArgumentError."""
-    from stage.files import PICTURE, RECORDING, WAVEFORMS, ends_as, figure_format, writable
+    from stage.support.files import PICTURE, RECORDING, WAVEFORMS, ends_as, figure_format, writable
 
     endings = {"record": RECORDING, "vcd": WAVEFORMS, "picture": PICTURE}
     for name, path in _named(args).items():

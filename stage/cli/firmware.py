@@ -176,7 +176,7 @@ def include(args: argparse.Namespace) -> int:
 
 def write_trace(args: argparse.Namespace, board: Any) -> None:
     """The file of --trace."""
-    from stage.files import written
+    from stage.support.files import written
 
     if args.trace == "-":
         print(board.trace.text())

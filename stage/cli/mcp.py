@@ -9,7 +9,7 @@ import sys
 
 from stage.cli.setup import make_stage
 from stage.errors import ArgumentError
-from stage.extras import need
+from stage.support.extras import need
 
 TOKEN = "PULSESTAGE_TOKEN"
 SHORTEST = 16  # characters of a token

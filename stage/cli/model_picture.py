@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from stage.errors import StageError, unknown
-from stage.extras import need
+from stage.support.extras import need
 
 WIDTH, HEIGHT = 1600, 900
 LENGTH = 0.16  # of an arrow, of the model's extent
@@ -18,9 +18,9 @@ def draw(model: Any, path: str, camera: str | None, overwrite: bool, key: str | 
     without matplotlib."""
     import mujoco
 
-    from stage.files import save_figure
-    from stage.opengl import renderer
     from stage.sim import plant
+    from stage.support.files import save_figure
+    from stage.support.opengl import renderer
 
     Figure = need("matplotlib.figure", "drawing").Figure
     cameras = [model.camera(k).name for k in range(model.ncam)]

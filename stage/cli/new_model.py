@@ -10,8 +10,8 @@ from stage.cli.facts import tell, wrote
 
 def run(args: argparse.Namespace) -> int:
     """Write the model, or print it."""
-    from stage.files import MODEL, ends_as, writable, written
     from stage.sim.plant.new import NewAxis, new_model
+    from stage.support.files import MODEL, ends_as, writable, written
 
     text = new_model([NewAxis.of(item) for item in args.axes.split(",")])
     if args.output in (None, "-"):

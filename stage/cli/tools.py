@@ -75,7 +75,7 @@ def _models(args: argparse.Namespace) -> int:
 
 def completion(args: argparse.Namespace) -> int:
     """Print what a shell reads to complete this command line."""
-    from stage.extras import need
+    from stage.support.extras import need
 
     print(need("argcomplete", "completion").shellcode(["stage"], shell=args.shell))
     return 0
@@ -127,9 +127,9 @@ def _axis(a: Any) -> dict[str, Any]:
 
 def view(args: argparse.Namespace) -> int:
     """MuJoCo's own viewer, or the axes as text, or a picture."""
-    from stage.opengl import check_window
     from stage.sim import plant
     from stage.sim.stage import Stage
+    from stage.support.opengl import check_window
 
     outputs(args)
     model, _ = plant.compile_spec(plant.open_spec(args.model), 0)

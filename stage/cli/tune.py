@@ -18,7 +18,7 @@ FILES = {"c": "tuned.h", "text": "tuned.txt", "json": "tuned.json", "picture": "
 
 
 def run(args: argparse.Namespace) -> int:
-    from stage.files import written
+    from stage.support.files import written
     from stage.tune import Task, tune
     from stage.tune.search import optuna
 
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _folder(args: argparse.Namespace) -> Path | None:
     """Where the files go, if they can be written there. Raises FileError."""
-    from stage.files import FileError, writable
+    from stage.support.files import FileError, writable
 
     if args.output is None:
         return None

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from numbers import Real
 from typing import Any
 
-from stage.arguments import told_when_made
 from stage.drives.drive import SERVO
 from stage.drives.motors import MAX_BUS_VOLTAGE, within
 from stage.errors import ArgumentError, unknown
+from stage.support.arguments import told_when_made
 
 MOST_COUNTS = 1 << 20
 MAX_CURRENT_A = 1000

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from numbers import Real
 from typing import Any, NamedTuple
 
-from stage.arguments import told_when_made
 from stage.drives import stepper
 from stage.errors import ArgumentError, unknown
+from stage.support.arguments import told_when_made
 
 EVIDENCE = {"C": "fitted to a published pull-out curve", "S": "data sheet", "I": "inferred"}
 """Letters that begin the evidence of a preset's value, and what they mean; after ": " comes a tolerance or a reason."""

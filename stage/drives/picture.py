@@ -13,8 +13,8 @@ from stage.drives.motors import Drive, Motor, estimate_core_loss
 from stage.drives.published_curves import PUBLISHED_CURVES, PublishedCurve
 from stage.drives.spread import vary
 from stage.errors import ArgumentError
-from stage.files import save_figure
-from stage.pictures import COLOURS, INK, MUTED, bare, figure
+from stage.support.files import save_figure
+from stage.support.pictures import COLOURS, INK, MUTED, bare, figure
 
 ACCENT, BAND = COLOURS[0], "#cfe0f2"
 

@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage.arguments import told
 from stage.drives.dynamometer import pull_out
 from stage.drives.motors import Drive, Motor, within
 from stage.errors import ArgumentError, unknown
+from stage.support.arguments import told
 
 MIN_POINTS = 3
 MAX_FITTED_POINTS = 6

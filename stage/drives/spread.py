@@ -16,8 +16,8 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from stage import portable
 from stage.drives.motors import Motor, estimate_core_loss, is_core_loss_known, read_tolerance, within
+from stage.support import portable
 
 INDUCTANCE_TOLERANCE = 0.2
 """Of an inductance from that of the data sheet; the data sheet of the 17HS19-2004S1 states it."""

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from stage.arguments import told, told_when_made
 from stage.chips import Chip
 from stage.chips.chip import Bus, Pins, check_clock, split_run
 from stage.errors import ArgumentError, unknown
+from stage.support.arguments import told, told_when_made
 
 NAMES = "xyzuvw"
 Span = tuple[int | None, int | None]

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.errors import ArgumentError
-from stage.extras import need
-from stage.files import save_figure
 from stage.firmware.driver import driver_class
 from stage.firmware.pattern import Note, Pattern
-from stage.pictures import COLOURS, HAIR, INK, MUTED, bare
+from stage.support.extras import need
+from stage.support.files import save_figure
+from stage.support.pictures import COLOURS, HAIR, INK, MUTED, bare
 
 if TYPE_CHECKING:
     from stage.firmware.report import Report

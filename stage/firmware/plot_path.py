@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.extras import need
-from stage.files import save_figure
 from stage.firmware.path import path_points
 from stage.firmware.plot import LINE, SIZE
-from stage.pictures import INK, MUTED, bare
+from stage.support.extras import need
+from stage.support.files import save_figure
+from stage.support.pictures import INK, MUTED, bare
 
 if TYPE_CHECKING:
     from stage.firmware.together import SynchronizedReport

@@ -12,13 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from stage.arguments import patience, told
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError
 from stage.firmware.axis import Axes, Axis, forward
 from stage.firmware.driver import RAMP, Driver, Speeds, driver_of, usual_speeds
 from stage.firmware.report import Procedure, Report
 from stage.firmware.together import SynchronizedReport, chosen_axes
+from stage.support.arguments import patience, told
 
 
 @told

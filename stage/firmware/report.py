@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from stage import html
 from stage.chips.describe import Said, decode
 from stage.chips.journal import Course
 from stage.errors import RunTimeout
 from stage.firmware.axis import Axis
 from stage.firmware.stop_reasons import NOT_AS_ASKED
+from stage.support import html
 from stage.units import PLACES
 
 if TYPE_CHECKING:

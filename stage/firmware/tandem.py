@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from stage.arguments import patience
 from stage.errors import ArgumentError
 from stage.firmware.driver import RAMP, Speeds, driver_of
 from stage.firmware.procedures import line, speeds
@@ -20,6 +19,7 @@ from stage.firmware.report import Report
 from stage.firmware.stop_reasons import NOT_AS_ASKED
 from stage.firmware.together import SynchronizedReport
 from stage.sim.axis import Axis
+from stage.support.arguments import patience
 
 PIECE = 1 / 60  # of the travel: what the load bears if one axis alone goes so far
 SLOWLY = 0.25  # of the speed, for an axis alone

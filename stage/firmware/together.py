@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage import html
 from stage.errors import ArgumentError, RunTimeout, unknown
 from stage.firmware.axis import Axes, Axis
 from stage.firmware.path import Deviation, path_deviation, pulses_of
 from stage.firmware.report import Procedure, Report
+from stage.support import html
 
 if TYPE_CHECKING:
     from os import PathLike

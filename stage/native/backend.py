@@ -70,6 +70,6 @@ if find_spec("setuptools.command.bdist_wheel"):
         def run(self) -> None:
             super().run()
             if not self.editable_mode:
-                from stage import examples
+                from stage.support import examples
 
                 examples.install(Path(self.build_lib) / "stage" / examples.INSTALLED.name)

@@ -29,7 +29,7 @@ from typing import Any
 
 from stage.errors import NativeError
 from stage.native import load, seal
-from stage.processes import ENCODING, ERRORS
+from stage.support.processes import ENCODING, ERRORS
 
 NUMBA = "0.68.1"
 """The one version that libraries are made with: what it lowers to is part of what they do."""

@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 
 from stage.errors import ArgumentError
-from stage.extras import need
-from stage.identifiers import escape_name
 from stage.panel.sampler import MAX_AGE_S, Sampler, Trace
 from stage.recording.scene import duration
 from stage.recording.sdk import release_streams, rr
+from stage.support.extras import need
+from stage.support.identifiers import escape_name
 
 MIN_SPAN_S = 1e-3  # s
 SPANS = (1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0)

@@ -12,7 +12,6 @@ import numpy as np
 from nicegui import context, run, ui
 
 from stage.errors import StageError
-from stage.identifiers import escape_name
 from stage.panel import saved_panel
 from stage.panel.access_control import EventGate
 from stage.panel.browser_updates import FRAMES, BrowserUpdates, on_single_click
@@ -24,6 +23,7 @@ from stage.panel.oscilloscope_page import build_oscilloscope
 from stage.panel.procedure_page import build_procedures
 from stage.panel.session import FREE, Session
 from stage.panel.tour import STEPS, Tour
+from stage.support.identifiers import escape_name
 
 if TYPE_CHECKING:
     from stage.panel.access_control import EventGate

@@ -28,12 +28,12 @@ from stage.board import layouts
 from stage.board.host import BYTE, LATCH, LATCHED, WORD
 from stage.chips.entries import READ, WRITE, Entry
 from stage.errors import ArgumentError, StageError
-from stage.extras import ExtraMissing
-from stage.foreign_files import DocumentError, parse_json, read_bytes, read_members
 from stage.panel import oscilloscope
 from stage.panel.sampler import MAX_AGE_S
 from stage.sim.records import SECOND
 from stage.sim.stage import Snapshot
+from stage.support.extras import ExtraMissing
+from stage.support.foreign_files import DocumentError, parse_json, read_bytes, read_members
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel

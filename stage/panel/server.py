@@ -18,12 +18,12 @@ from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError, StageError
-from stage.extras import need
 from stage.panel.access_control import Controls, RequestGuard, report_malformed_messages_once, report_task_error
 from stage.panel.fault_controls import FaultControls
 from stage.panel.sampler import Sampler
 from stage.panel.session import Session
 from stage.panel.stage_observer import StageObserver
+from stage.support.extras import need
 
 if TYPE_CHECKING:
     pass

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 from stage.sim.stage import Snapshot, Stage
-from stage.snapshots import Header
+from stage.support.snapshots import Header
 
 MAX_AGE_S = 30.0  # simulated seconds that a session can go back
 INTERVAL_S = 0.05  # simulated seconds between two snapshots

@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stage.extras import has
+from stage.support.extras import has
 
 if TYPE_CHECKING:
     from stage.recording.recording import Recording

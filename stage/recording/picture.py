@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage import pictures
-from stage.files import save_figure
 from stage.recording.series import SERIES, axes_with, heading
 from stage.recording.signals import SWITCHES
+from stage.support import pictures
+from stage.support.files import save_figure
 
 if TYPE_CHECKING:
     from stage.recording.recording import Recording

@@ -28,15 +28,15 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
-from stage import html
-from stage.arguments import told, whole_number
 from stage.chips.journal import Journal
 from stage.chips.sharing import exclusively
 from stage.errors import ArgumentError, StageError, unknown
-from stage.files import RECORDING, WAVEFORMS, FileError, ends_as, is_stream, writable, written
 from stage.recording.host_part import HostPart
 from stage.recording.table import Columns, Tabular
 from stage.sim.records import SAMPLE
+from stage.support import html
+from stage.support.arguments import told, whole_number
+from stage.support.files import RECORDING, WAVEFORMS, FileError, ends_as, is_stream, writable, written
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from stage.errors import StageError, unknown
-from stage.extras import has, need
-from stage.foreign_files import open_regular
-from stage.identifiers import escape_name
 from stage.recording.recording import RecordingError, unit_of
 from stage.recording.rrd_process import DamagedFile, read_chunks
 from stage.recording.series import FORMAT, SERIES
 from stage.recording.table import Columns, Tabular
+from stage.support.extras import has, need
+from stage.support.foreign_files import open_regular
+from stage.support.identifiers import escape_name
 
 MAGIC = b"RRF"
 WHOLE = ("lost_steps", "counter")

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from stage.identifiers import escape_name
 from stage.recording import geoms, signals
 from stage.recording.geoms import rotated
 from stage.recording.sdk import rr
+from stage.support.identifiers import escape_name
 
 if TYPE_CHECKING:
     from stage.recording.recording import Recording

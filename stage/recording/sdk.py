@@ -1,6 +1,6 @@
 """rerun, for all that write or show recordings. It is an extra: whoever uses one of these without it gets ExtraMissing."""
 
-from stage.extras import Later
+from stage.support.extras import Later
 
 rr = Later("rerun", "a recording (.rrd)")
 rrb = Later("rerun.blueprint", "a recording (.rrd)")

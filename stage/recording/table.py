@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.arguments import told
 from stage.errors import UnknownKey, unknown
-from stage.extras import need
-from stage.files import FileError, ends_as, written
+from stage.support.arguments import told
+from stage.support.extras import need
+from stage.support.files import FileError, ends_as, written
 
 if TYPE_CHECKING:
     import pandas

@@ -24,11 +24,11 @@ from pathlib import Path
 from typing import Any
 
 from stage.errors import ArgumentError, StageError
-from stage.extras import need
-from stage.files import refuse_irregular, written
-from stage.opengl import has_screen
 from stage.recording.sdk import experimental
 from stage.recording.web import HOST, PAGE, RECORDING, Server
+from stage.support.extras import need
+from stage.support.files import refuse_irregular, written
+from stage.support.opengl import has_screen
 
 FRAME = 36  # pixels
 QUIET = {"RUST_LOG": "error"}  # without it the viewer's own messages are in the picture

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage import html
-from stage.arguments import told
 from stage.chips.sharing import Lock, exclusively
 from stage.drives import drive as any_drive
 from stage.errors import ArgumentError, StageError, UnknownKey, unknown
+from stage.support import html
+from stage.support.arguments import told
 from stage.units import PLACES
 
 if TYPE_CHECKING:

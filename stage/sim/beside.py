@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stage.errors import ArgumentError
-from stage.snapshots import layout
+from stage.support.snapshots import layout
 
 PART = "devices on its bus"
 

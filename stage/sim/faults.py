@@ -29,7 +29,6 @@ from typing import Any
 
 import mujoco
 
-from stage.arguments import told
 from stage.chips import Chip
 from stage.chips.sharing import exclusively
 from stage.drives import stepper
@@ -39,6 +38,7 @@ from stage.errors import ArgumentError, unknown
 from stage.sim.axis import Axis
 from stage.sim.records import MAX_TOGGLES
 from stage.sim.stage import Stage
+from stage.support.arguments import told
 
 PHASES = {"a": stepper.A, "b": stepper.B}
 JAM = 10.0  # times what the motor can push at its most

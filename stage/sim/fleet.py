@@ -20,12 +20,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage.arguments import told
 from stage.errors import ArgumentError, StageError, unknown
 from stage.sim import engine, handle, play, records
 from stage.sim.loop import IN_USE
 from stage.sim.program import END, KEEP, LOOK, MEASURE, NAMES, READ, STOP, WAIT, WRITE, Program
 from stage.sim.stage import Stage
+from stage.support.arguments import told
 
 DEVICES = ("cpu", "cuda")
 MOST = records.SECOND * 10**9  # ns

@@ -6,8 +6,8 @@ from typing import Any
 
 import mujoco
 
-from stage.arguments import WrongType
 from stage.errors import ArgumentError, unknown
+from stage.support.arguments import WrongType
 
 HEAVIEST = 1e6  # kg
 

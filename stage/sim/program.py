@@ -25,8 +25,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Self
 
-from stage.arguments import WrongType, told
 from stage.errors import ArgumentError
+from stage.support.arguments import WrongType, told
 
 if TYPE_CHECKING:
     from stage.chips import Chip

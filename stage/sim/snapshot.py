@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from stage import snapshots
 from stage.chips.chip import noted
 from stage.drives.stepper import DRIVE
 from stage.sim import records
-from stage.snapshot_files import FiledSnapshot
+from stage.support import snapshots
+from stage.support.snapshot_files import FiledSnapshot
 
 if TYPE_CHECKING:
     from stage.sim.axis import Axis

@@ -22,8 +22,7 @@ from zlib import crc32
 import mujoco
 import numpy as np
 
-from stage import html, load_method_of_stage, snapshots
-from stage.arguments import told
+from stage import load_method_of_stage
 from stage.chips import ChipAxis
 from stage.chips.sharing import Lock, exclusive
 from stage.drives.dc_motors import Servo
@@ -41,7 +40,9 @@ from stage.sim.snapshot import Snapshot, header
 from stage.sim.state import SAVED, State, chips_of, words_needed
 from stage.sim.wires import Wires, WiringChoice, chosen_wiring, leaders, linked_axes
 from stage.sim.wiring import ChipChoice, DriveChoice, fit_rotors, wire
-from stage.snapshots import Header
+from stage.support import html, snapshots
+from stage.support.arguments import told
+from stage.support.snapshots import Header
 
 if TYPE_CHECKING:
     from os import PathLike

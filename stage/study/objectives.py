@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from stage import Stage, firmware
-from stage.arguments import told, told_when_made
 from stage.chips import chip_class
 from stage.chips.pcl240 import PCL240
 from stage.errors import ArgumentError, unknown
 from stage.firmware import Profile
+from stage.support.arguments import told, told_when_made
 
 if TYPE_CHECKING:
     from optuna import Trial

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
-from stage.arguments import told, whole_number
 from stage.errors import ArgumentError, StageError
+from stage.support.arguments import told, whole_number
 
 if TYPE_CHECKING:
     import optuna

@@ -11,8 +11,8 @@ from typing import IO, Any
 import numpy as np
 
 from stage.errors import StageError
-from stage.extras import need
-from stage.files import FileError
+from stage.support.extras import need
+from stage.support.files import FileError
 
 need("optuna", "a study")
 

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 from stage.board.errors import LibraryError
 from stage.board.library import ELF_HEAD_SIZE, MACHINES, read_elf_head
 from stage.errors import a_or_an
-from stage.files import FileError, refuse_irregular
-from stage.foreign_files import read_bytes
-from stage.processes import run_program
+from stage.support.files import FileError, refuse_irregular
+from stage.support.foreign_files import read_bytes
+from stage.support.processes import run_program
 from stage.targets.mcus import AVRS
 
 AVR, ARM = 83, 40

@@ -16,8 +16,8 @@ from typing import Any
 from stage.board import host
 from stage.board.board import Board
 from stage.board.errors import LibraryError
-from stage.files import FileError, refuse_irregular
-from stage.foreign_files import read_bytes
+from stage.support.files import FileError, refuse_irregular
+from stage.support.foreign_files import read_bytes
 from stage.targets import dos
 from stage.targets.elf import MAX_SIZE, machine_of
 from stage.targets.engine import NEVER, Engine

@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from stage.arguments import told
 from stage.errors import ArgumentError
+from stage.support.arguments import told
 from stage.units import PLACES, SMALL
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from stage.errors import ArgumentError, unknown
-from stage.files import FileError
+from stage.support.files import FileError
 from stage.testing.settings import setting
 
 STAGE = ("model", "chips", "drives", "bus_cycle", "clock", "visuals", "record", "encoders")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from stage.arguments import told
 from stage.errors import ArgumentError, unknown
+from stage.support.arguments import told
 from stage.testing.assertions import fine
 
 if TYPE_CHECKING:

@@ -23,12 +23,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from stage import portable
 from stage.drives.dynamometer import closed_form, natural_frequency, pull_in
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError
 from stage.firmware import Profile
 from stage.firmware.driver import Speeds, driver_of
+from stage.support import portable
 
 SAFETY = 1.5
 START = 0.125  # FL in parts of the pull-in rate

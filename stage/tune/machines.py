@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage import portable
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import MAX_BUS_VOLTAGE, Drive, read_tolerance
 from stage.drives.spread import estimate_spread, vary
 from stage.sim.refit import vary_drive
+from stage.support import portable
 
 
 class Spread(NamedTuple):

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.files import save_figure
-from stage.pictures import COLOURS, MUTED, bare, figure, heading
 from stage.sim.fleet import Fleet
 from stage.sim.program import Program
+from stage.support.files import save_figure
+from stage.support.pictures import COLOURS, MUTED, bare, figure, heading
 from stage.tune.looks import LOOK, Looks
 from stage.tune.plans import Plan
 from stage.tune.task import Case

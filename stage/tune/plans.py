@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage import portable
 from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import Speeds, driver_of
 from stage.sim.program import Operations
+from stage.support import portable
 from stage.tune.formula import SAFETY, Load, speeds
 from stage.tune.machines import Machine
 from stage.tune.task import Task, rides

@@ -8,7 +8,7 @@ from math import isfinite
 from os import PathLike
 from typing import Any
 
-from stage.identifiers import escape_name
+from stage.support.identifiers import escape_name
 from stage.tune.c_source import c_source
 from stage.tune.looks import LOOK
 from stage.tune.machines import Spread, find_spreads

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage.arguments import told, whole_number
 from stage.errors import ArgumentError, StageError
+from stage.support.arguments import told, whole_number
 from stage.tune.formula import SAFETY
 from stage.tune.looks import LOOK
 from stage.tune.machines import Machine, draw_machines

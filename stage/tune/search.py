@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.errors import ArgumentError
-from stage.extras import need
+from stage.support.extras import need
 from stage.tune.formula import SAFETY
 from stage.tune.looks import LOOK
 from stage.tune.plans import Plan, Plans

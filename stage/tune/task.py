@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage import Stage
-from stage.arguments import told_when_made
 from stage.envs.task import carrier, judged
 from stage.errors import ArgumentError, unknown
+from stage.support.arguments import told_when_made
 from stage.tune.machines import Machine, fit_machine
 from stage.units import PLACES, SMALL
 

@@ -20,7 +20,7 @@ from stage.board import Board, CompileError, HostError, LibraryError, NativeHost
 from stage.board.devices import CDevice, Device, Encoder, Latch
 from stage.chips import HCTL1100, PCL240K
 from stage.errors import ArgumentError, StageError
-from stage.files import FileError
+from stage.support.files import FileError
 
 ADC = r"""
 #include <pulsestage_device.h>

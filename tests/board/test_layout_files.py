@@ -16,7 +16,7 @@ from stage.board.layout_files import read
 from stage.chips import MCX304, MCX514, PCL240K
 from stage.cli import main
 from stage.errors import ArgumentError
-from stage.files import FileError
+from stage.support.files import FileError
 
 PAGE = Path(__file__).parents[2] / "docs" / "layouts.md"
 INTERLEAVED = """

@@ -14,7 +14,7 @@ from stage import Stage
 from stage.board import Board, CompileError, LibraryError, NativeHost, NoCompilerError, build, include, library
 from stage.board.library import check, how_to_build
 from stage.errors import ArgumentError
-from stage.files import FileError
+from stage.support.files import FileError
 
 STRICT = ("-std=c99", "-pedantic", "-Werror")
 BUILD = r'cc -shared -fPIC -I"\$\(stage include\)"'

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 import stage.envs  # noqa: F401
-from stage import ArgumentError, StageError, opengl
+from stage import ArgumentError, StageError
 from stage.envs import rendering
+from stage.support import opengl
 
 MOVES = {
     "stage/RegisterTuning-v0": {"distances": (3200, 3200), "payloads": (0.0, 0.0), "moves": 2, "limit": 0.5},
@@ -154,7 +155,7 @@ def test_a_picture_larger_than_the_models_buffer_is_refused_in_words():
     """gymnasium.make(..., model="small_buffer.xml", render_mode="rgb_array").render()"""
     import mujoco
 
-    from stage.opengl import renderer
+    from stage.support.opengl import renderer
 
     model = mujoco.MjModel.from_xml_string('<mujoco><visual><global offwidth="64" offheight="48"/></visual></mujoco>')
     with pytest.raises(StageError, match=r'larger than .* 64 x 48: <visual><global offwidth="640" offheight="480"/>'):

@@ -11,9 +11,9 @@ from vcd.reader import TokenKind, tokenize
 
 from stage import firmware
 from stage.errors import ArgumentError
-from stage.identifiers import unescape_name
 from stage.panel.oscilloscope import BEFORE, DIAGNOSTIC, FORMATS, LOST, Oscilloscope
 from stage.sim import faults
+from stage.support.identifiers import unescape_name
 
 
 def hasty(session, what, *given, **more):

@@ -13,8 +13,8 @@ from vcd.reader import TokenKind, tokenize
 from stage import Stage, firmware
 from stage.board import Board
 from stage.chips import PCL240K
-from stage.identifiers import escape_name, unescape_name
 from stage.recording.saved import read
+from stage.support.identifiers import escape_name, unescape_name
 
 
 @pytest.fixture(scope="module")

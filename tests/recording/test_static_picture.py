@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stage import pictures
 from stage.chips import HCTL1100, PCL240K
 from stage.recording.picture import MOST, draw
+from stage.support import pictures
 
 pytest.importorskip("matplotlib")
 

@@ -15,10 +15,10 @@ from types import SimpleNamespace
 import pytest
 
 from stage.errors import ArgumentError
-from stage.files import FileError
 from stage.recording import viewer
 from stage.recording.viewer import ViewerError
 from stage.recording.web import Server
+from stage.support.files import FileError
 
 
 @pytest.mark.parametrize("port", [0, -1, 65536, 90.5])

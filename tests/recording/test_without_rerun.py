@@ -19,7 +19,7 @@ sys.meta_path.insert(0, Nothing())
 PROGRAM = """
 from stage import Stage, firmware
 from stage.errors import LoadError
-from stage.extras import ExtraMissing
+from stage.support.extras import ExtraMissing
 
 stage = Stage("xy")
 with stage.record() as recording:

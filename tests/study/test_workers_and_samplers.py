@@ -12,10 +12,10 @@ pytest.importorskip("optuna", reason="Optuna is not installed: pip install 'puls
 import optuna
 
 from stage.errors import ArgumentError, StageError
-from stage.files import FileError
 from stage.study import finished, open_study, read_study, run, runner, storage
 from stage.study.runner import _optimize, _work
 from stage.study.storage import ByNumber, Journal, Lock
+from stage.support.files import FileError
 
 
 def valley(trial):

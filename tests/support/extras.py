@@ -2,6 +2,6 @@
 
 import pytest
 
-from stage.extras import has
+from stage.support.extras import has
 
 needs_rerun = pytest.mark.skipif(not has("rerun"), reason="no rerun here: pip install 'pulsestage[rerun]'")

@@ -10,7 +10,7 @@ from stage import Stage
 from stage.board import Board, HostError, HostTimeout, LibraryError
 from stage.chips import MCX304, PCL240K, PCL240MK
 from stage.errors import ArgumentError
-from stage.files import FileError
+from stage.support.files import FileError
 from stage.targets import NoEmulatorError, TargetHost, mcus
 from stage.targets.timer import Timers
 

@@ -16,7 +16,7 @@ from support.odd_names import odd_model
 
 import stage.models
 from stage.board import build
-from stage.files import FileError
+from stage.support.files import FileError
 from stage.testing.markers import firmware_arguments
 
 pytest_plugins = ["pytester"]

@@ -82,7 +82,7 @@ def play_suite(args: argparse.Namespace) -> int:
     """Play a suite with one player; print its score."""
     from registerbench import arena
     from registerbench.arena.loop import head_of, name_of
-    from stage.files import ENTRY, TRANSCRIPT, ends_as, writable
+    from stage.support.files import ENTRY, TRANSCRIPT, ends_as, writable
 
     chosen = [name for name in ("by", "command", "endpoint") if getattr(args, name) is not None] + ["mcp"] * args.mcp
     if len(chosen) > 1:
@@ -185,7 +185,7 @@ def _player(args: argparse.Namespace) -> Any:
 
     if args.mcp:
         from registerbench.arena.players.client import Client
-        from stage.extras import need
+        from stage.support.extras import need
 
         need("mcp", "stage agent --mcp")
         return Client()

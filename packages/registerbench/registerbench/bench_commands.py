@@ -129,7 +129,7 @@ def submit_entry(args: argparse.Namespace) -> int:
     """Play and pack."""
     import registerbench
     from registerbench.cards import card_of
-    from stage.files import ENTRY, ends_as, writable
+    from stage.support.files import ENTRY, ends_as, writable
 
     card = card_of(args.task)
     ends_as(args.output, *ENTRY)

@@ -9,9 +9,9 @@ from typing import Any
 
 import gymnasium
 
-from stage.arguments import told
 from stage.envs import contexts
 from stage.errors import ArgumentError, unknown
+from stage.support.arguments import told
 
 TRACKS = {
     "host": "the policy sees what a host on the bus can know",

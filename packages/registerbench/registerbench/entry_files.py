@@ -31,8 +31,8 @@ from typing import Any
 import numpy as np
 
 from stage.errors import ArgumentError
-from stage.files import written
-from stage.foreign_files import DocumentError, parse_json, read_bytes, read_members
+from stage.support.files import written
+from stage.support.foreign_files import DocumentError, parse_json, read_bytes, read_members
 
 FORMAT = 1
 MARK = "RegisterBench entry"

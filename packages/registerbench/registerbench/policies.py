@@ -22,7 +22,7 @@ import numpy as np
 
 from registerbench.shipped_policies import OWN, PLAYERS
 from stage.errors import ArgumentError, unknown
-from stage.foreign_files import DocumentError, parse_array, read_bytes, read_members
+from stage.support.foreign_files import DocumentError, parse_array, read_bytes, read_members
 
 Policy = Callable[[np.ndarray, Mapping[str, Any]], Any]
 

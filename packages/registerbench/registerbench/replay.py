@@ -13,9 +13,9 @@ from registerbench.cards import Card, card_of, seeds
 from registerbench.entry_files import Refused, Submission, read
 from registerbench.episodes import digest, scored
 from registerbench.versions import made_of, versions
-from stage.arguments import told
 from stage.envs.base import info_of
 from stage.errors import ArgumentError
+from stage.support.arguments import told
 
 LANES = 16  # episodes that are played at once
 

@@ -25,7 +25,7 @@ from stage import ArgumentError
 from stage.cli import main
 from stage.envs import contexts
 from stage.envs.task import configured
-from stage.files import FileError
+from stage.support.files import FileError
 
 BRIEF = Card(
     "brief",

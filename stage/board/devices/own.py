@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from stage.arguments import told
 from stage.board import library
 from stage.board.devices.device import Device, Encoder, Listener
 from stage.board.errors import LibraryError
 from stage.board.host import IN8, OUT8, OUT16
 from stage.board.scratch import Scratch
 from stage.errors import ArgumentError
-from stage.files import FileError, refuse_irregular
+from stage.support.arguments import told
+from stage.support.files import FileError, refuse_irregular
 
 ABI = 1
 Tell = Callable[[int, int, bool], str]

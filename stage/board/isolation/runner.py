@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from stage import errors as general
-from stage import files
 from stage.board import crash_report, errors
 from stage.board.board import Board
 from stage.board.devices.own import CDevice
@@ -36,6 +35,7 @@ from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
 from stage.sim import engine
 from stage.sim.fingerprint import settings
+from stage.support import files
 
 GRACE = 10.0  # s of real time beyond its patience, in which the child gives its firmware up itself
 STARTS = 30.0  # s beyond it that a process may take to begin

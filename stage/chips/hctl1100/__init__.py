@@ -15,11 +15,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from stage.arguments import told
 from stage.chips.chip import Chip
 from stage.chips.hctl1100 import core, lint
 from stage.chips.hctl1100.describe import Decoder, Listener
 from stage.chips.hctl1100.maps import ACTUAL_LOW, ADDRESSES, MAP, NUMBERS, STATUS
+from stage.support.arguments import told
 
 __all__ = ["HCTL1100"]
 

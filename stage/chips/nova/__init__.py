@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from stage.arguments import told
 from stage.chips.chip import Chip, Pins, no_cycle
 from stage.chips.nova import core, lint, state
 from stage.chips.nova.describe import Decoder, Listener
@@ -17,6 +16,7 @@ from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
 from stage.chips.register_map import Word
 from stage.chips.sharing import exclusive
 from stage.errors import StageError
+from stage.support.arguments import told
 
 __all__ = ["MCX302", "MCX304", "MCX312", "MCX314AS", "MCX501", "MCX512", "MCX514", "Nova"]
 

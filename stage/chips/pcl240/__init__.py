@@ -7,7 +7,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from stage.arguments import told
 from stage.chips.chip import Chip
 from stage.chips.pcl240 import core, lint, state
 from stage.chips.pcl240.describe import Decoder, Listener
@@ -23,6 +22,7 @@ from stage.chips.pcl240.maps import (
     WIRES,
 )
 from stage.errors import ArgumentError, StageError
+from stage.support.arguments import told
 
 __all__ = ["OPERATING_MODE", "STATUS", "PCL240", "PCL240K", "PCL240MK", "PCL240MS"]
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage import pictures
+from stage.support import pictures
 from stage.units import PLACES
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ STYLES = (
 
 def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     """Draw `shown`, which has both recordings; see `Shown.plot`."""
-    from stage.files import save_figure
+    from stage.support.files import save_figure
 
     figure = pictures.figure(9, 5.2)
     panels = figure.subplots(2, 1, sharex=True)

@@ -22,8 +22,8 @@ import numpy as np
 
 from stage.chips.hctl1100.motor import FULL_DRIVE
 from stage.errors import StageError
-from stage.extras import need
 from stage.firmware.hctl1100.moves import Tuning
+from stage.support.extras import need
 
 MARGIN = 60.0  # degrees
 RATTLE = 48.0  # units of motor command for one count

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from stage.arguments import told_when_made
 from stage.chips import Chip
 from stage.chips.pcl240 import PCL240, STATUS
 from stage.chips.pcl240 import state as bits
@@ -37,6 +36,7 @@ from stage.errors import ArgumentError, RunTimeout, StageError, a_or_an
 from stage.firmware.axis import Axis
 from stage.firmware.driver import poll_interval
 from stage.firmware.pcl240.clock import explain_silence
+from stage.support.arguments import told_when_made
 
 START = {"FL": bits.START | bits.FL, "FH1": bits.START | bits.FH1, "FH2": bits.START | bits.FH2}  # constant speed
 RAMP = {name: start | bits.RAMP for name, start in START.items()}

@@ -9,7 +9,6 @@ ORG is asserted from the origin on to the end of travel, so that firmware knows 
 
 from __future__ import annotations
 
-from stage.arguments import patience, told
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, a_or_an
 from stage.firmware.axis import Axis, check_origin
@@ -18,6 +17,7 @@ from stage.firmware.pcl240.moves import SETTLE, either_way, minus_bit, prepare, 
 from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import Profile
 from stage.firmware.report import Report
+from stage.support.arguments import patience, told
 
 BACK_OFF = 200  # pulses beyond the release of ORG
 APPROACH = 400.0  # pps; slow, so that the motor does not ring when the switch trips

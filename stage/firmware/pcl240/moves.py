@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from stage.arguments import patience, told
 from stage.chips.pcl240.state import COUNTER_MASK
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, StageError, a_or_an
@@ -20,6 +19,7 @@ from stage.firmware.pcl240.clock import name_leader, require_clock
 from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import Profile
 from stage.firmware.report import Report
+from stage.support.arguments import patience, told
 
 AUTOMATIC_OFFSET = 2  # pulses; the counts of ramp-up and ramp-down differ by one or two, and this way FL is reached
 

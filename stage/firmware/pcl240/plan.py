@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from stage.arguments import told
 from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import LINEAR, SPAN
@@ -36,6 +35,7 @@ from stage.firmware.pcl240.leader import (
     search,
 )
 from stage.firmware.pcl240.profile import ACCEL, FH1, FL, ramp_seconds
+from stage.support.arguments import told
 
 NAMES = (*(f"R{k}" for k in range(8)), "R14", "R15")
 R0_MOST = PCL240K.MAP.registers[0].mask

@@ -13,12 +13,12 @@ from math import isqrt
 
 import numpy as np
 
-from stage.arguments import told, told_when_made
 from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import SPAN
 from stage.errors import ArgumentError, Limit
 from stage.firmware.driver import DRIVE, RAMP, START
+from stage.support.arguments import told, told_when_made
 
 FL, FH1, FH2 = START, DRIVE, 2 * DRIVE
 """Default rates, pps: 3.125, 50 and 100 mm/s on the default stage, where 17HS4401 at 24 V pulls out far above."""

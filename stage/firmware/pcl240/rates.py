@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
-from stage.arguments import told
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, Limit
 from stage.firmware.axis import Axis
@@ -30,6 +29,7 @@ from stage.firmware.pcl240.moves import (
 from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import Profile, down_point, ramp_pulses
 from stage.firmware.report import Report
+from stage.support.arguments import told
 
 LONGEST_RAMP = 60.0  # s; R4 and R5 make no more than 27
 SLACK = 1e-3  # s by which a host that polls may be late at each rate

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from stage.arguments import patience, told
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, RunTimeout, a_or_an
 from stage.firmware.axis import Axes, Axis
@@ -24,6 +23,7 @@ from stage.firmware.pcl240.plan import Plan, plan
 from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import ACCEL, FH1, FL
 from stage.firmware.together import SynchronizedReport, Together, chosen_axes
+from stage.support.arguments import patience, told
 
 WORTH_IT = 0.02  # pulses that a plan for the bus delay may be better than one for a common start
 LOOKS = 200  # at the status bytes of a long move

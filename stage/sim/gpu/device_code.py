@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from stage import native
 from stage.chips import cores
-from stage.extras import need
+from stage.support.extras import need
 
 WHAT = "a fleet on a GPU"
 """For what the libraries are needed, in errors."""

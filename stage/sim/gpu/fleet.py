@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from stage.arguments import told
 from stage.drives.stepper import DRIVE
 from stage.errors import ArgumentError, GpuMissing, StageError
-from stage.extras import need
 from stage.sim import fleet, play, records
 from stage.sim.gpu.device_code import WHAT, DeviceModules, Tools, cuda_tools
 from stage.sim.gpu.layout import HOST, WARP, LaneLayout
 from stage.sim.gpu.physics import Physics, load_warp
 from stage.sim.program import Program
 from stage.sim.stage import Stage
+from stage.support.arguments import told
+from stage.support.extras import need
 
 KERNELS = ("stage.chips.pcl240.core", "stage.chips.hctl1100.core")
 """Cores of the families whose code has run on a GPU."""

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 
 from stage.errors import GpuMissing, ModelError
-from stage.extras import need
 from stage.sim.gpu.device_code import WHAT
+from stage.support.extras import need
 
 POSITIONS_TRIED = 41  # of each joint, where contacts and constraints are counted
 SPARE_CONTACTS, SPARE_CONSTRAINTS = 4, 8

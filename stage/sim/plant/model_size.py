@@ -15,7 +15,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from stage.errors import ModelError
-from stage.foreign_files import open_regular, read_bytes
+from stage.support.foreign_files import open_regular, read_bytes
 
 MAX_ELEMENTS = 20_000
 MAX_COMPOSITE_BODIES = 1_000  # MuJoCo's time to compile a chain grows with the square of its length

@@ -22,8 +22,8 @@ from registerbench.arena.scores import Head, Played, Round, closing_of
 from registerbench.arena.table import TOKENS, Limits
 from registerbench.versions import versions
 from stage.errors import ArgumentError
-from stage.files import FileError, writable
-from stage.foreign_files import open_regular, parse_json
+from stage.support.files import FileError, writable
+from stage.support.foreign_files import open_regular, parse_json
 
 FORMAT = 2
 MARK = "PulseStage transcript"

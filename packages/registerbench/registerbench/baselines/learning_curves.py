@@ -29,7 +29,7 @@ import registerbench
 from registerbench.baselines import stops
 from registerbench.cards import OPEN
 from registerbench.statistics import interval, iqm
-from stage import pictures
+from stage.support import pictures
 
 DOCS = Path(__file__).parents[2] / "docs"
 DATA, PICTURE = DOCS / "data" / "learning_curves.csv.gz", DOCS / "pictures" / "learning_curves.png"

@@ -49,7 +49,7 @@ from registerbench.baselines.runs import (
 from registerbench.statistics import interval, iqm
 from stage import Stage, firmware
 from stage.firmware.report import Report, rates
-from stage.pictures import bare, title
+from stage.support.pictures import bare, title
 
 BUDGET, SEEDS = 256, 10  # moves a seed; fewer seeds say nothing of who beats whom
 MM = 3.125e-3  # of a pulse

@@ -24,7 +24,7 @@ from typing import Any
 from registerbench.arena.scores import FAILED
 from registerbench.arena.table import Table
 from stage.errors import ArgumentError, StageError
-from stage.foreign_files import DocumentError, parse_json
+from stage.support.foreign_files import DocumentError, parse_json
 
 LONG = 1 << 20  # characters of a line
 WRONG = 20  # lines that are no calls, after which the game is ended

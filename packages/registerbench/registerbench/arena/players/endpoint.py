@@ -11,7 +11,7 @@ from typing import Any
 
 from registerbench.arena.table import Table
 from stage.errors import ArgumentError, StageError
-from stage.foreign_files import DocumentError, parse_json
+from stage.support.foreign_files import DocumentError, parse_json
 
 TIMEOUT = 300.0  # s for a reply
 AGAIN = (429, 500, 502, 503, 504)

@@ -12,7 +12,7 @@ import numpy as np
 
 from registerbench.arena.players.simple import formula
 from registerbench.arena.table import Table
-from stage.extras import need
+from stage.support.extras import need
 
 NUMBERS = ("start", "drive", "up", "down")
 FASTER = {"drive": 1.15, "up": 0.85, "down": 0.85, "start": 1.2}

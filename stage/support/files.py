@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from stage.errors import StageError
-from stage.extras import need
+from stage.support.extras import need
 
 PASSING = ("/dev/", "/proc/")  # a regular file named there, as /dev/stdout, is somebody's open file
 

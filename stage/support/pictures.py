@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stage.extras import need
+from stage.support.extras import need
 
 INK, MUTED, HAIR, GRID = "#1d2733", "#66717d", "#c9d1da", "#e7ebef"
 COLOURS = ("#1f5f9e", "#c4572e", "#3a8a5f", "#7b5aa6", "#a8842c", "#4d5866")

@@ -23,9 +23,9 @@ from typing import Any, Self
 import numpy as np
 
 from stage.errors import ArgumentError
-from stage.files import written
-from stage.foreign_files import parse_json, read_bytes
-from stage.snapshots import VERSION, Header, Snapshot
+from stage.support.files import written
+from stage.support.foreign_files import parse_json, read_bytes
+from stage.support.snapshots import VERSION, Header, Snapshot
 
 MAGIC = b"PulseStage snapshot\n"
 FORMAT = 1

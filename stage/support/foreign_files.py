@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from stage.errors import ArgumentError, StageError, a_or_an
-from stage.files import FileError, readable
+from stage.support.files import FileError, readable
 
 MAX_LEVELS = 64
 """Lists and mappings inside each other in a document, at most."""

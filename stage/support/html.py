@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from typing import Any
 
-from stage.extras import ExtraMissing
+from stage.support.extras import ExtraMissing
 
 CELL = 'style="text-align:left"'
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from stage.errors import unknown
-from stage.files import FileError
+from stage.support.files import FileError
 
 
 class Needs(NamedTuple):
@@ -27,8 +27,8 @@ class Needs(NamedTuple):
         return f"needs{f' {self.why}' if self.why else ''}: pip install 'pulsestage[{self.extra}]'"
 
 
-ROOT = Path(__file__).resolve().parents[1]
-INSTALLED = Path(__file__).resolve().parent / "examples_"
+ROOT = Path(__file__).resolve().parents[2]
+INSTALLED = Path(__file__).resolve().parents[1] / "examples_"
 PROGRAMS = (
     "home_and_move", "straight_line", "stall", "own_stage", "circles_and_helices", "s_curve", "servo_moves", "gcode_controller",
     "sweep", "origin_spread",
