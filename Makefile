@@ -27,7 +27,7 @@ help:
 	@echo "make docs       the documentation site, in build/site/html (extra docs)"
 	@echo "make notebooks  runs docs/notebooks from the beginning to the end"
 	@echo "make tutorials  follow every tutorial word for word, each in a fresh environment with a wheel of this checkout"
-	@echo "make lint       ruff and mypy"
+	@echo "make lint       ruff, the layers of the architecture, mypy"
 	@echo "make ci         all that .github/workflows/ci.yml does on this Python"
 	@echo "make bench      speed, as ratios measured in one run"
 	@echo "make results    baselines of RegisterTuning: packages/registerbench/docs/results.md, which says how long it takes (extra rl)"
@@ -145,8 +145,12 @@ notebooks: .venv/.dev
 
 lint: .venv/.dev
 	$(BIN)/ruff check .
+	$(BIN)/ruff check -q --preview --select PLC2701 .  # imports of names with an underscore, a rule in preview
 	$(BIN)/ruff format --check .
-	mkdir -p $(TYPES) && ln -sfn $(CURDIR)/stage/* $(CURDIR)/envs $(TYPES)/  # as installed: envs is stage.envs
+	rm -rf build/types && mkdir -p $(TYPES)
+	ln -s $(CURDIR)/stage/* $(CURDIR)/envs $(TYPES)/  # as installed: envs is stage.envs
+	ln -s $(CURDIR)/packages/registerbench/registerbench $(CURDIR)/packages/trinamic/pulsestage_trinamic build/types/
+	cd build/types && $(CURDIR)/$(BIN)/lint-imports --no-logo --cache-dir=../import_cache ../../pyproject.toml
 	$(BIN)/mypy $(TYPES) packages/registerbench/registerbench
 
 ci: lint test test-packages coverage
