@@ -138,7 +138,7 @@ class Machine:
         loss = float(model.actuator_damping[a.plant.actuator])
         drive = stage.state.drives[a.index]
         current, inductance = float(drive.current), float(drive.inductance)
-        return cls(axis, carrier, friction, damping, float(a.supply), current, loss, inductance)
+        return cls(axis, carrier, friction, damping, float(a.faults.bus_voltage), current, loss, inductance)
 
     def equip(self, stage: Stage, context: Any, more: float = 0.0) -> None:
         """The stage is the machine of a CONTEXT; more: kg beyond its payload. After a stage was restored, for the drive."""
@@ -147,8 +147,8 @@ class Machine:
         stage.set_payload(float(context["payload"]) + more, self.carrier)
         stage.model.dof_frictionloss[dof] = self.friction * context["friction"]
         stage.model.dof_damping[dof] = self.damping * context["friction"]
-        axis.supply = self.supply * float(context["supply"])
+        axis.faults.bus_voltage = self.supply * float(context["supply"])
         stage.model.actuator_damping[axis.plant.actuator] = self.loss * context["loss"]
         drive.current = self.current * context["current"]
         drive.inductance, drive.slice = self.inductance * context["inductance"], 0.0
-        stage.equip()
+        stage.apply_faults()

@@ -76,7 +76,9 @@ class Faulty:
         row = a.switches.row("org") if any(s.pin == "org" for s in a.plant.switches) else None
         dof, forced = a.plant.dof, -1 if row is None else int(stage.state.switch_table[row]["forced"])
         push = a.drive.peak_torque * abs(a.gear)
-        return cls(axis, row, forced, model.dof_solref[dof].copy(), model.dof_solimp[dof].copy(), a.open_phases, push)
+        return cls(
+            axis, row, forced, model.dof_solref[dof].copy(), model.dof_solimp[dof].copy(), a.faults.open_phases, push
+        )
 
     def put(self, stage: Stage, name: str, bounce: float = 0.0) -> None:
         """The machine has this fault and no other, and the contact of ORG bounces for so many seconds. Call it after the context
@@ -88,14 +90,14 @@ class Faulty:
         model.dof_solimp[dof] = STIFF if jammed else self.solimp
         if name in _PUSH:
             model.dof_frictionloss[dof] += _PUSH[name] * self.push
-        axis.open_phases = self.phases | (stepper.A if name == "phase open" else 0)
+        axis.faults.open_phases = self.phases | (stepper.A if name == "phase open" else 0)
         if name in _SUPPLY:
-            axis.supply *= _SUPPLY[name]
+            axis.faults.bus_voltage *= _SUPPLY[name]
         if self.row is not None:
             switch = stage.state.switch_table[self.row]
             switch["forced"] = _SWITCH.get(name, self.forced)
             switch["bounce"], switch["toggles"] = round(bounce * 1e9), TOGGLES if bounce else 0
         elif name in _SWITCH or bounce:
             raise ArgumentError(f"fault {name!r}: axis {self.axis} has no ORG switch.")
-        stage.equip()
+        stage.apply_faults()
         stage.look_again(axis)

@@ -136,7 +136,7 @@ def test_a_device_that_comes_on_the_bus_later_leaves_power_up_where_it_was(stage
 def test_supplies_that_fall_together_are_mended_each_to_its_own(stage):
     twin = copy.deepcopy(stage)
     with faults.bus_voltage(twin.axes["y"], 36.0):
-        own = [axis.supply for axis in twin.axes.values()]
+        own = [axis.faults.bus_voltage for axis in twin.axes.values()]
         with faults.bus_voltage(twin, 12.0):
             assert [float(axis.electrics()[0].voltage) for axis in twin.axes.values()] == [12.0, 12.0]
         assert [float(axis.electrics()[0].voltage) for axis in twin.axes.values()] == own == [24.0, 36.0]

@@ -132,7 +132,7 @@ def test_a_supply_that_fell_and_a_load_stay_what_they_are(xyz):
     x = xyz.axes["x"]
     xyz.set_payload(1.0)
     with faults.bus_voltage(x, 12.0), faults.motor(x, SMALL):
-        assert (x.supply, float(x.electrics()[0].voltage)) == (12.0, 12.0)
+        assert (x.faults.bus_voltage, float(x.electrics()[0].voltage)) == (12.0, 12.0)
         assert xyz.payload() == 1.0
     xyz.set_payload(0.0)
 
@@ -184,7 +184,7 @@ def test_from_the_change_on_the_currents_are_those_of_the_new_motor(xyz, name):
         xyz.run(0.001)
         keep = np.exp(-float(record["slice"]) * motor.resistance / motor.inductance)
         assert float(record["keep"]) == pytest.approx(keep, rel=1e-12)
-        assert float(record["reach"]) == pytest.approx((1 - keep) * x.supply / motor.resistance, rel=1e-12)
+        assert float(record["reach"]) == pytest.approx((1 - keep) * x.faults.bus_voltage / motor.resistance, rel=1e-12)
 
     check(old)
     with faults.motor(x, name):

@@ -274,12 +274,12 @@ def test_switches_stick_from_the_moment_at_which_a_snapshot_is_restored(xyz):
 def test_faults_add_up_and_are_mended_in_any_order_that_nests(xyz):
     x = xyz.axes["x"]
     with faults.bus_voltage(xyz, 20.0), faults.bus_voltage(x, 12.0), faults.phase_open(x, "a"):
-        assert [a.supply for a in xyz.axes.values()] == [12.0, 20.0, 20.0]
+        assert [a.faults.bus_voltage for a in xyz.axes.values()] == [12.0, 20.0, 20.0]
         with faults.phase_open(x, "b"):
-            assert x.open_phases == stepper.A + stepper.B
-        assert x.open_phases == stepper.A
+            assert x.faults.open_phases == stepper.A + stepper.B
+        assert x.faults.open_phases == stepper.A
         assert len(xyz.faults) == 3
-    assert [a.supply for a in xyz.axes.values()] == [24.0] * 3
+    assert [a.faults.bus_voltage for a in xyz.axes.values()] == [24.0] * 3
 
 
 OF_ONE_THING = {
@@ -302,7 +302,7 @@ OF_ONE_THING = {
 def broken(stage):
     """All of the machine that faults change."""
     return (
-        [(a.supply, a.open_phases, a.drive) for a in stage.axes.values()], stage.payload(), stage.faults,
+        [(a.faults.bus_voltage, a.faults.open_phases, a.drive) for a in stage.axes.values()], stage.payload(), stage.faults,
         stage.state.switch_table.tobytes(), stage.model.dof_frictionloss.tobytes(), stage.model.dof_solimp.tobytes(),
     )  # fmt: skip
 

@@ -50,7 +50,7 @@ class Truth:
         axes = {
             a.name: {
                 "position": a.position, "commanded": a.commanded, "lost_steps": a.lost_steps, "load_angle": a.load_angle,
-                "switches": a.switches.as_dict(), "pins": a.pins.as_dict(), "supply_V": a.supply,
+                "switches": a.switches.as_dict(), "pins": a.pins.as_dict(), "supply_V": a.faults.bus_voltage,
             }
             for a in stage.axes.values()
         }  # fmt: skip

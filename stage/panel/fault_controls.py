@@ -244,7 +244,7 @@ class FaultControls:
     @property
     def supply(self) -> float:
         """Supply voltage of the first axis' drive, V."""
-        return next(iter(self.session.stage.axes.values())).supply
+        return next(iter(self.session.stage.axes.values())).faults.bus_voltage
 
     def set_supply(self, volts: float) -> None:
         """Set the supply voltage of all drives, V; the voltage that they were made for mends it. Raises ArgumentError."""

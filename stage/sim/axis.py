@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import ItemsView, Iterable, Iterator, KeysView, Mapping, ValuesView
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,9 @@ from stage.errors import ArgumentError, StageError, UnknownKey, unknown
 from stage.support import html
 from stage.support.arguments import told
 from stage.units import PLACES
+
+SWITCH_FAULTS = ["forced", "bounce", "toggles"]
+"""Fields of SWITCH_TABLE that faults change."""
 
 if TYPE_CHECKING:
     from stage.chips import ChipAxis
@@ -70,6 +74,33 @@ class Switches:
         return f"Switches({', '.join(name for name, on in self.as_dict().items() if on) or 'none asserted'})"
 
 
+@dataclass
+class AxisFaults:
+    """What faults have changed on an axis. Snapshots and `reset` do not change it; copies of a stage have it, too.
+
+    A new fault of an axis adds a field here, and to `Stage.apply_faults` what it means for the records of compiled code.
+
+    Attributes:
+        bus_voltage: Supply voltage of its drive, V.
+        switches: SWITCH_FAULTS of each of its switches: a view of their rows in the table of the stage's state.
+        open_phases: Phases of the motor whose wire is broken, bits of stage.drives.stepper.A and B.
+    """
+
+    bus_voltage: float
+    switches: Any
+    open_phases: int = 0
+
+    def copy(self) -> AxisFaults:
+        """Return the present values as plain data, for `load`."""
+        return replace(self, switches=self.switches.tolist())
+
+    def load(self, copy: AxisFaults) -> None:
+        """Take the values of a copy over, of the same axis of an equal stage."""
+        switches = self.switches
+        switches[:] = copy.switches
+        vars(self).update(vars(copy), switches=switches)
+
+
 class Axis:
     """One axis: chip, drive, motor, joint, switches.
 
@@ -81,8 +112,7 @@ class Axis:
         tandem: names of the axes that drive the same load beside it: a host moves and homes them together, see `firmware.square`.
         wiring: its sensors that are not of the logic of its chip after a reset, {"org": "positive"}.
         stage: the Stage that it belongs to; plant: what the model says of it, a `stage.sim.plant.PlantAxis`.
-        supply, open_phases: the voltage (V) that its drive has, and the phases (bits of stage.drives.stepper.A and B) whose wire is
-            broken; faults change them, see `Stage.equip`.
+        faults: what faults have changed, an `AxisFaults`; after a change call `Stage.apply_faults`.
         armature: of its joint, with the rotor of `drive` as the stage was built, see `refit_model`; rotor: that inertia, kg m^2.
     """
 
@@ -102,7 +132,9 @@ class Axis:
         self.unit = "rad" if plant.hinge else "m"
         self.meters_per_pulse = 2 * np.pi / drive.pulses_per_turn / abs(self.gear)
         self.switches = Switches(self)
-        self.supply, self.open_phases = drive.bus_voltage, 0
+        t = stage.state.axis_table[index]
+        switches = stage.state.switch_table[t.first_switch : t.end_switch][SWITCH_FAULTS]
+        self.faults = AxisFaults(drive.bus_voltage, switches)
         self.armature, self.rotor = float(stage.model.dof_armature[plant.dof]), drive.motor.rotor_inertia
 
     @property

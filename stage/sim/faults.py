@@ -259,17 +259,10 @@ def bus_voltage(where: Axis | Stage, volts: float) -> Fault:
             f"volts={volts!r}: a supply has above 0 and up to 400 V; with phase_open there is none at all."
         )
     stage, axes = (where, list(where.axes.values())) if isinstance(where, Stage) else (where.stage, [where])
-
-    def put(values: list[float]) -> None:
-        for axis, value in zip(axes, values, strict=True):
-            axis.supply = float(value)
-        stage.equip()
-
     who = "all axes" if isinstance(where, Stage) else f"axis {where.name}"
-    usual = ", ".join(dict.fromkeys(f"{a.supply:g} V" for a in axes))
+    usual = ", ".join(dict.fromkeys(f"{a.faults.bus_voltage:g} V" for a in axes))
     text = f"{who}: bus voltage {volts:g} V in place of {usual}"
-    begin = _change(lambda: [a.supply for a in axes], put, lambda before: [volts] * len(before))
-    return Fault(stage, text, begin, [("supply", a.name) for a in axes])
+    return _change_axes(stage, axes, text, "bus_voltage", lambda before: float(volts))
 
 
 @told
@@ -285,13 +278,20 @@ def phase_open(axis: Axis, phase: str = "a") -> Fault:
         )
     if phase not in PHASES:
         raise unknown(f"phase of axis {axis.name}", phase, PHASES)
+    text = f"axis {axis.name}: phase {phase} open"
+    return _change_axes(axis.stage, [axis], text, "open_phases", lambda before: before | PHASES[phase])
 
-    def put(value: int) -> None:
-        axis.open_phases = value
-        axis.stage.equip()
 
-    begin = _change(lambda: axis.open_phases, put, lambda before: before | PHASES[phase])
-    return Fault(axis.stage, f"axis {axis.name}: phase {phase} open", begin, [("phases", axis.name)])
+def _change_axes(stage: Stage, axes: list[Axis], text: str, field: str, to: Callable[[Any], Any]) -> Fault:
+    """Make a fault that changes a field of `Axis.faults` on some axes, from the present value to `to(value)`."""
+
+    def put(values: list[Any]) -> None:
+        for axis, value in zip(axes, values, strict=True):
+            setattr(axis.faults, field, value)
+        stage.apply_faults()
+
+    begin = _change(lambda: [getattr(a.faults, field) for a in axes], put, lambda before: [to(v) for v in before])
+    return Fault(stage, text, begin, [(field, a.name) for a in axes])
 
 
 @told

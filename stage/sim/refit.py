@@ -63,8 +63,8 @@ def vary_drive(axis: Axis, drive: Drive | Servo) -> None:
     if bool(model.actuator_damping[actuator]) != damped:
         mujoco.mj_setConst(model, mujoco.MjData(model))
     refit_record(stage.state, axis, drive, stage.state.drives[axis.index])
-    axis.drive, axis.supply = drive, drive.bus_voltage
-    stage.equip()
+    axis.drive, axis.faults.bus_voltage = drive, drive.bus_voltage
+    stage.apply_faults()
 
 
 def _fit(model: Any, axis: Axis, drive: Drive | Servo, armature: float) -> None:

@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     from stage.recording import Recording
 
 LONGEST = 1_000_000_000  # s that a stage runs at a time: with as much behind it, a time in ns still fits 63 bits
-SWITCH_FAULTS = ("forced", "bounce", "toggles")  # of the table of switches: what faults change
 
 
 class Stage:
@@ -336,19 +335,20 @@ class Stage:
             refit_model(self.model, self.data, self._axes, axis, drive)
             axis.drive = drive
             refit_record(self.state, axis, drive, self.state.drives[axis.index])
-        self.equip()
+        self.apply_faults()
         before = self._initial
         self._bare = self._described()
         self._header = Header(self._bare.parts + self.beside.part)
         self._initial = _sealed(self._header, refit_power_up(self.state, axis, drive, before.state), before.diagnostics)
 
     @exclusive
-    def equip(self) -> None:
-        """Whatever state was restored: the drives have the supply and the wires that their axes say, and stuck switches stick."""
+    def apply_faults(self) -> None:
+        """Make what `Axis.faults` says true of the drives and the switches, after either has changed."""
         state = self.state
         for axis, d in zip(self._axes, state.drives, strict=True):
-            if (d.voltage, d.open) != (axis.supply, axis.open_phases):
-                d.voltage, d.open, d.slice = axis.supply, axis.open_phases, 0.0
+            faults = axis.faults
+            if (d.voltage, d.open) != (faults.bus_voltage, faults.open_phases):
+                d.voltage, d.open, d.slice = faults.bus_voltage, faults.open_phases, 0.0
         forced = state.switch_table["forced"]
         if ((forced >= 0) & (forced != state.switches["on"])).any():
             for axis in self._axes:
@@ -459,7 +459,7 @@ class Stage:
         self.put(snapshot.state)
         for chip, said in zip(self.chips, snapshot.diagnostics, strict=True):
             chip.diagnostics[:] = said
-        self.equip()
+        self.apply_faults()
 
     def reset(self) -> None:
         """Back to power-up: the state that the stage was made with."""
@@ -544,8 +544,7 @@ class Stage:
             "bus_ns": self.state.bus,
             "offset": self.state.offset,
             "mechanics": self._mechanics,
-            "switch_faults": self.state.switch_table[list(SWITCH_FAULTS)].copy(),
-            "drive_faults": [(a.supply, a.open_phases) for a in self._axes],
+            "axis_faults": [a.faults.copy() for a in self._axes],
             "faults": list(self.faults),
             "payloads": (dict(self._payloads.kg), dict(self._payloads.own)),
         }
@@ -563,10 +562,8 @@ class Stage:
         self._positive, self._followers, self._linked = s["positive"], s["followers"], s["linked"]
         chips = [cls(**options) for cls, options in s["chips"]]
         self._wire([chips[k].axes[j] for k, j in s["wired"]], s["drives"], s["bus_ns"], s["offset"])
-        for field in SWITCH_FAULTS:
-            self.state.switch_table[field] = s["switch_faults"][field]
-        for axis, fault in zip(self._axes, s["drive_faults"], strict=True):
-            axis.supply, axis.open_phases = fault
+        for axis, faults in zip(self._axes, s["axis_faults"], strict=True):
+            axis.faults.load(faults)
         self._inherited = s["faults"]
         self._payloads.kg, self._payloads.own = s["payloads"]
         self._initial = s["initial"]

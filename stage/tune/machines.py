@@ -100,7 +100,7 @@ def find_spreads(axis: Any) -> dict[str, Spread]:
         spreads["inductance"] = Spread(low, high, UNITS["inductance"], False, evidence)
     tolerance, stated = read_tolerance(motor, "resistance"), motor.evidence.get("resistance", "")
     spreads["resistance"] = DEFAULTS["resistance"].scale(motor.resistance, tolerance, stated)
-    spreads["friction"], supply = DEFAULTS["friction"], DEFAULTS["supply"].scale(axis.supply)
+    spreads["friction"], supply = DEFAULTS["friction"], DEFAULTS["supply"].scale(axis.faults.bus_voltage)
     spreads["supply"] = supply._replace(high=min(supply.high, MAX_BUS_VOLTAGE))
     return spreads
 

@@ -169,7 +169,7 @@ class Task:
     def machine(self) -> Machine:
         """The machine of `stage` as it is."""
         axis: Any = self.stage.axes[self.axis]
-        return Machine(replace(axis.drive, bus_voltage=axis.supply), 1.0)
+        return Machine(replace(axis.drive, bus_voltage=axis.faults.bus_voltage), 1.0)
 
     def copy(self) -> Stage:
         """Another machine of the same kind."""

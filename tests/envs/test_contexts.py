@@ -71,7 +71,7 @@ def test_an_option_that_is_no_number_of_its_range_is_refused(wrong):
 
 def test_a_machine_is_what_its_context_says_and_its_torque_constant_is_that_of_its_motor():
     stage, x, _ = machine()
-    x.supply = 36.0
+    x.faults.bus_voltage = 36.0
     context = np.zeros((), contexts.CONTEXT)
     for name, value in PARTS.items():
         context[name] = value
@@ -88,7 +88,7 @@ def test_a_machine_is_what_its_context_says_and_its_torque_constant_is_that_of_i
         assert drive.inductance == pytest.approx(1.2 * motor.inductance)
         assert drive.current == pytest.approx(0.8 * motor.rated_current)
         assert drive.torque_constant == motor.torque_constant
-        assert x.supply == 18.0
+        assert x.faults.bus_voltage == 18.0
         assert stage.payload(carrier) == 1.5
 
 
@@ -99,7 +99,7 @@ def test_a_fault_is_gone_with_the_next_one_and_with_none(fault):
 
     def seen():
         switch = int(row["forced"]), int(row["bounce"]), int(row["toggles"])
-        return *stage.model.dof_solref[dof], *stage.model.dof_solimp[dof], x.open_phases, *switch
+        return *stage.model.dof_solref[dof], *stage.model.dof_solimp[dof], x.faults.open_phases, *switch
 
     healthy = seen()
     parts.put(stage, "none")
@@ -128,9 +128,9 @@ def test_a_switch_that_was_stuck_before_stays_so_without_a_fault():
 
 def test_a_supply_sags_from_what_it_is():
     stage, x, parts = machine()
-    x.supply = 36.0
+    x.faults.bus_voltage = 36.0
     parts.put(stage, "sag")
-    assert x.supply == pytest.approx(0.6 * 36.0)
+    assert x.faults.bus_voltage == pytest.approx(0.6 * 36.0)
 
 
 def test_bearings_bind_on_a_screw_that_turns_the_other_way_too(tmp_path):

@@ -119,8 +119,8 @@ def test_a_fault_is_of_its_episode_and_leaves_nothing_behind(env):
         switch = env.stage.state.switch_table[row]
         return (
             switch["forced"],
-            axis.open_phases,
-            axis.supply,
+            axis.faults.open_phases,
+            axis.faults.bus_voltage,
             model.dof_frictionloss[dof],
             model.dof_solimp[dof].tolist(),
         )

@@ -102,12 +102,12 @@ def test_the_contact_of_org_bounces_and_an_origin_is_found_all_the_same():
 def test_a_fault_of_an_episode_leaves_what_was_broken_before():
     machine = Stage("xy", visuals=False)
     x = machine.axes["x"]
-    x.open_phases = stepper.B
+    x.faults.open_phases = stepper.B
     faults_of_x = faulty.Faulty.of(machine, "x")
     faults_of_x.put(machine, "phase open")
-    assert x.open_phases == stepper.A | stepper.B
+    assert x.faults.open_phases == stepper.A | stepper.B
     faults_of_x.put(machine, "none")
-    assert x.open_phases == stepper.B
+    assert x.faults.open_phases == stepper.B
 
 
 def test_a_fault_that_a_task_does_not_have_is_named():

@@ -111,7 +111,7 @@ def test_the_machine_is_the_one_that_was_drawn_and_stays_so_for_all_tries(env):
         assert env.stage.model.dof_frictionloss[dof] == pytest.approx(1.5 * before.friction)
         assert env.stage.model.dof_damping[dof] == pytest.approx(1.5 * before.damping)
         drive = env.stage.state.drives[axis.index]
-        assert drive.voltage == axis.supply == pytest.approx(0.95 * before.supply)
+        assert drive.voltage == axis.faults.bus_voltage == pytest.approx(0.95 * before.supply)
         assert env.stage.model.actuator_damping[axis.plant.actuator] == pytest.approx(1.5 * before.loss)
         assert drive.current == pytest.approx(0.9 * before.current)
         assert drive.inductance == pytest.approx(1.1 * before.inductance)

@@ -43,7 +43,7 @@ def machine(stage_):
     arrays |= {f"switch {name}": state.switch_table[name] for name in ("forced", "bounce", "toggles")}
     arrays |= {f"drive {name}": state.drives[name] for name in ("voltage", "current", "inductance")}
     return {name: array.tolist() for name, array in arrays.items()} | {
-        a.name: (a.supply, a.open_phases, a.position, a.commanded) for a in stage_.axes.values()
+        a.name: (a.faults.bus_voltage, a.faults.open_phases, a.position, a.commanded) for a in stage_.axes.values()
     }
 
 

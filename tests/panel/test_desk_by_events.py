@@ -86,10 +86,10 @@ def test_load_and_supply_are_what_the_sliders_say_and_every_page_follows(served,
         one.until(lambda o=one: o.text("payload-value") == "payload 0.5 kg" and o.find("payload").value == 0.5)
         one.until(lambda o=one: o.text("supply-value") == "supply 20 V" and o.find("supply").value == 20)
     assert of(served, lambda stage: stage.payload()) == 0.5
-    assert of(served, lambda stage: [a.supply for a in stage.axes.values()]) == [20, 20]
+    assert of(served, lambda stage: [a.faults.bus_voltage for a in stage.axes.values()]) == [20, 20]
     page.fire("supply", "change", 24)
     page.until(lambda: not served.panel.fault_controls.in_force)
-    assert of(served, lambda stage: [a.supply for a in stage.axes.values()]) == [24, 24]
+    assert of(served, lambda stage: [a.faults.bus_voltage for a in stage.axes.values()]) == [24, 24]
     page.fire("payload", "change", -1)
     page.until(lambda: page.said)
     assert of(served, lambda stage: stage.payload()) == 0.5

@@ -107,26 +107,26 @@ def test_a_stuck_switch_is_seen(hands, session):
 def test_what_broke_first_may_be_mended_first(hands, session):
     """24 V, then 12, then 8: mending the first leaves 8, mending both 24 again."""
     x = session.stage.axes["x"]
-    nominal = x.supply
+    nominal = x.faults.bus_voltage
     first, second = hands.inject("bus_voltage", "x", {"volts": "12"}), hands.inject("bus_voltage", "x", {"volts": "8"})
     hands.mend(first)
-    assert x.supply == 8
+    assert x.faults.bus_voltage == 8
     hands.mend(second)
-    assert x.supply == nominal
+    assert x.faults.bus_voltage == nominal
 
 
 def test_what_broke_later_is_mended_in_its_order_whatever_was_mended_before(hands, session):
     """A jam, then 12 V, then 8: with the jam mended, mending 8 leaves 12."""
     x = session.stage.axes["x"]
-    nominal = x.supply
+    nominal = x.faults.bus_voltage
     jam, low, lower = (
         hands.inject(*m) for m in (("jam", "x", {}), *(("bus_voltage", "x", {"volts": v}) for v in ("12", "8")))
     )
     hands.mend(jam)
     hands.mend(lower)
-    assert x.supply == 12
+    assert x.faults.bus_voltage == 12
     hands.mend(low)
-    assert x.supply == nominal
+    assert x.faults.bus_voltage == nominal
 
 
 def test_a_push_moves_the_carriage_and_ends_with_the_hand(hands, session):
@@ -154,7 +154,7 @@ def test_load_and_supply(hands, session):
     nominal = hands.supply
     hands.set_supply(12.0)
     hands.set_supply(10.0)
-    assert {a.supply for a in session.stage.axes.values()} == {10.0}
+    assert {a.faults.bus_voltage for a in session.stage.axes.values()} == {10.0}
     assert len(hands.in_force) == 1
     hands.set_supply(nominal)
     assert hands.in_force == []

@@ -10,7 +10,7 @@ def faults(bench):
 
 
 def supply(bench):
-    return bench.stage(lambda stage: {a.supply for a in stage.axes.values()})
+    return bench.stage(lambda stage: {a.faults.bus_voltage for a in stage.axes.values()})
 
 
 @pytest.fixture(scope="module")
@@ -117,9 +117,9 @@ def test_a_stuck_switch_lights_its_lamp_until_it_is_mended(hands):
 
 def test_an_open_wire_is_one_of_the_drive(hands):
     break_it(hands, "phase open", phase="b")
-    assert hands.x("open_phases")
+    assert hands.x("faults").open_phases
     mend(hands)
-    assert not hands.x("open_phases")
+    assert not hands.x("faults").open_phases
 
 
 def test_another_motor_is_chosen_on_the_page_and_stands_on_the_card_of_its_axis(hands):

@@ -169,7 +169,7 @@ def read_end(env):
     stage = env.stage
     observed = {
         "ns": stage.now, "places": [a.position for a in stage.axes.values()],
-        "axes": [[a.lost_steps, a.supply] for a in stage.axes.values()], "mass": float(stage.model.body_mass.sum()),
+        "axes": [[a.lost_steps, a.faults.bus_voltage] for a in stage.axes.values()], "mass": float(stage.model.body_mass.sum()),
         "friction": [stage.model.dof_damping, stage.model.dof_frictionloss],
     }  # fmt: skip
     env.close()

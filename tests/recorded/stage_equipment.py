@@ -93,7 +93,7 @@ def build_stage(name):
                 a.travel,
                 a.unit,
                 a.meters_per_pulse,
-                a.supply,
+                a.faults.bus_voltage,
                 a.wiring,
                 a.drive.title,
             ]
@@ -290,7 +290,7 @@ def repair_drives():
             fault.mend()
             fault.mend()
             observed += [
-                [[a.supply, a.open_phases] for a in (x, y)],
+                [[a.faults.bus_voltage, a.faults.open_phases] for a in (x, y)],
                 list(stage.faults),
                 stage.model.dof_frictionloss.copy(),
             ]
@@ -299,7 +299,7 @@ def repair_drives():
         results[order] = [
             *observed,
             read_positions(stage),
-            [[a.supply, a.open_phases] for a in replica.axes.values()],
+            [[a.faults.bus_voltage, a.faults.open_phases] for a in replica.axes.values()],
             read_stage(replica)["axes"],
             repr(created[0]),
         ]

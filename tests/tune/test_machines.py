@@ -100,7 +100,7 @@ def test_a_servo_has_neither_core_loss_nor_inductance():
     assert isinstance(machine.drive, Servo)
     fit_machine(axis, machine, axis.stage.model)
     assert axis.stage.model.actuator_gainprm[axis.plant.actuator, 0] == machine.drive.motor.resistance
-    assert axis.supply == machine.drive.bus_voltage
+    assert axis.faults.bus_voltage == machine.drive.bus_voltage
 
 
 def test_a_core_loss_that_the_model_states_is_not_drawn():

@@ -232,7 +232,7 @@ class Isolated:
 
     def _machine(self) -> bytes:
         """Return everything in which the child's stage must be like this one, but for the state. It is compared at each start."""
-        parts = _describe(self._board.stage)
+        parts = self._board.stage.machine()
         model = parts.pop("model")
         options = [getattr(model.opt, name) for name in self._options]
         return b"".join([*(array.tobytes() for array in self._arrays), _pickled((options, parts))])
@@ -398,16 +398,10 @@ def _ended(child: starter.Process) -> None:
     child.wait()
 
 
-def _describe(stage: Any) -> dict[str, Any]:
-    """Return what a stage is made of, without the bytes between the fields of its records, which mean nothing."""
-    parts: dict[str, Any] = stage.machine()
-    return parts | {"switch_faults": parts["switch_faults"].tolist()}
-
-
 def _faults(stage: Any) -> bytes:
     """What the methods of a stage and its faults change of the machine."""
-    parts = _describe(stage)
-    return pickle.dumps([parts[name] for name in ("switch_faults", "drive_faults", "faults", "payloads")])
+    parts = stage.machine()
+    return pickle.dumps([parts[name] for name in ("axis_faults", "faults", "payloads")])
 
 
 def _pickled(stage: Any) -> bytes:

@@ -37,15 +37,15 @@ def straighten_limits(stage: Stage) -> None:
 def weak_supply(stage: Stage) -> None:
     """The supply has sunk to a sixth."""
     for axis in stage.axes.values():
-        axis.supply = axis.drive.bus_voltage / 6
-    stage.equip()
+        axis.faults.bus_voltage = axis.drive.bus_voltage / 6
+    stage.apply_faults()
 
 
 def full_supply(stage: Stage) -> None:
     """The supply is what it should be."""
     for axis in stage.axes.values():
-        axis.supply = axis.drive.bus_voltage
-    stage.equip()
+        axis.faults.bus_voltage = axis.drive.bus_voltage
+    stage.apply_faults()
 
 
 def slip(stage: Stage) -> None:
