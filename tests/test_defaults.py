@@ -28,7 +28,7 @@ stage.board.board
     Board: layout=None, base=None, stride=None, keep_cycles=100000
     Board.device: read=None, write=None, source=None, flags=(), state=None, tell=None, name=None, encoders=(), width=8
     Board.on_timer: n=0, level=1
-stage.board.native
+stage.board.host
     NativeHost: isolated=True, flags=(), patience=20.0, map=()
     NativeHost.run: timeout=60.0, max_cycles=1000000000
     NativeHost.run_for: max_cycles=1000000000
@@ -214,7 +214,7 @@ stage.board.devices.latch
     Latch: changed=None, name=None
 stage.board.devices.ls7166
     LS7166: name=None
-stage.board.devices.own
+stage.board.devices.user_devices
     CDevice: flags=(), tell=None, name=None, encoders=(), width=8
     PythonDevice: read=None, write=None, state=None, tell=None, name=None, encoders=(), width=8
 stage.board.devices.uart

@@ -14,7 +14,7 @@ from support.examples import SEED, scaled
 
 from stage import Snapshot, Stage, firmware
 from stage.board import layout_files, library
-from stage.board.devices.own import CDevice
+from stage.board.devices.user_devices import CDevice
 from stage.chips.chip import Snapshot as ChipSnapshot
 from stage.cli import main
 from stage.errors import ArgumentError, StageError

@@ -18,7 +18,8 @@ from support.examples import FIXED
 from support.programs import start_preset
 
 from stage import Fleet, Program, SimulationError, Stage, faults
-from stage.board import Board, host
+from stage.board import Board
+from stage.board.bus import host_record
 from stage.chips import HCTL1100, MCX302, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.native import COMPILED
 from stage.recording import recording
@@ -270,7 +271,7 @@ def on_a_board():
                 board.out8(port, 0x30)
             while board.in8(0x304) & 0x40 and stage.time < 1e-3:
                 seen.append(board.in16(0x301) + board.in8(0x2FF))
-            board.link.ask(host.SETTLE, 0, 0)
+            board.link.ask(host_record.SETTLE, 0, 0)
             faults.lost_write(stage.axes["y"], address=0)
             board.on_interrupt(
                 lambda board=board, seen=seen: (seen.append(board.micros), board.out8(0x300, 0), board.out8(0x304, 0))

@@ -18,13 +18,14 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from stage.board import bus, host, layout_files, layouts
-from stage.board.devices import known
+from stage.board import layout_files, layouts
+from stage.board.bus import host_record, requests
+from stage.board.bus.interrupts import ANY_LINE, HIGHEST
+from stage.board.devices import device_texts
 from stage.board.devices.device import Device, Encoder, Listener
-from stage.board.devices.own import CDevice, PythonDevice, Tell
+from stage.board.devices.user_devices import CDevice, PythonDevice, Tell
 from stage.board.errors import HostError
-from stage.board.hooks import PYTHONS_TIMERS
-from stage.board.interrupts import ANY_LINE, HIGHEST
+from stage.board.interrupt_hooks import PYTHONS_TIMERS
 from stage.board.link import Link
 from stage.board.trace import BusTrace, Cycle, Meaning
 from stage.board.waveforms import HostWaveforms
@@ -50,7 +51,7 @@ class Board:
         base: the first port of the first chip, or a mapping axis -> first port of its chip; default: the layout's.
         stride: ports from one chip to the next; default: the layout's.
         keep_cycles: lines of the bus trace that are kept.
-        devices: what else is on the bus, as text: "hctl2016:0x320:x", see stage.board.devices.known; or later, by `put` and
+        devices: what else is on the bus, as text: "hctl2016:0x320:x", see stage.board.devices.device_texts; or later, by `put` and
             `device`.
     Attributes:
         options: the arguments except stage and devices, by name; places: the chips and their layouts.
@@ -99,40 +100,40 @@ class Board:
         if not isinstance(devices, Iterable):
             raise ArgumentError(f'devices={devices!r}: a list of texts, for example ["hctl2016:0x320:x"].')
         for text in (devices,) if isinstance(devices, str) else devices:
-            known.put(self, text)
+            device_texts.put(self, text)
 
     # --- what a host does ---
 
     @told
     def out8(self, port: int, value: int) -> None:
         """One write cycle of 8 bits. Of a chip with a bus of 16 bits it sets half a register; the other half floats."""
-        self.link.ask(host.OUT8, port, value)
+        self.link.ask(host_record.OUT8, port, value)
 
     @told
     def in8(self, port: int) -> int:
         """One read cycle of 8 bits; FFh where there is nothing."""
-        return self.link.ask(host.IN8, port, 0)
+        return self.link.ask(host_record.IN8, port, 0)
 
     @told
     def out16(self, port: int, value: int) -> None:
         """One write cycle of 16 bits; two of 8, the low byte first, at chips with a bus of 8 bits."""
-        self.link.ask(host.OUT16, port, value)
+        self.link.ask(host_record.OUT16, port, value)
 
     @told
     def in16(self, port: int) -> int:
         """One read cycle of 16 bits; two of 8, the low byte first, at chips with a bus of 8 bits."""
-        return self.link.ask(host.IN16, port, 0)
+        return self.link.ask(host_record.IN16, port, 0)
 
     @told
     def out32(self, port: int, value: int) -> None:
         """Two write cycles of 16 bits, at `port` the low half, then at `port + 2` the high one; four of 8 at chips with a bus of
         8 bits."""
-        self.link.ask(host.OUT32, port, value)
+        self.link.ask(host_record.OUT32, port, value)
 
     @told
     def in32(self, port: int) -> int:
         """Two read cycles of 16 bits, in the same order."""
-        return self.link.ask(host.IN32, port, 0)
+        return self.link.ask(host_record.IN32, port, 0)
 
     @told
     def delay_us(self, us: int) -> None:
@@ -141,12 +142,12 @@ class Board:
         if not 0 <= us <= LONGEST * 1_000_000:
             raise ArgumentError(f"us={us!r}: a delay takes 0 to 1e15 us (1e9 s).")
         if us <= PIECE_US:
-            self.link.ask(host.DELAY, us, 0)
+            self.link.ask(host_record.DELAY, us, 0)
             return
-        self.link.ask(host.SETTLE, 0, 0)
+        self.link.ask(host_record.SETTLE, 0, 0)
         end = self.stage.now + int(us) * 1000
         while (left := end - self.stage.now) > 0:
-            self.link.ask(host.SPEND, min(left, PIECE_US * 1000), 0)
+            self.link.ask(host_record.SPEND, min(left, PIECE_US * 1000), 0)
 
     @property
     def micros(self) -> int:
@@ -161,15 +162,15 @@ class Board:
     def pulling(self) -> int:
         """Who pulls the interrupt line, a bit each: the stage's chips, and behind them the devices. No bus cycle."""
         self.stage.look()
-        return int(bus.pulling.c(self.link.pointer))
+        return int(requests.pulling.c(self.link.pointer))
 
     def on_interrupt(self, hook: Callable[[], None] | None) -> None:
         """Call `hook` while the interrupt line is asserted: after a bus cycle, or within a delay at the very ns; again and
         again until it is released, and not from within itself. It may make bus cycles. None: nobody is called. Firmware's own
         hook comes in its place, until the firmware returns."""
-        self.link.ask(host.SETTLE, 0, 0)
+        self.link.ask(host_record.SETTLE, 0, 0)
         self.link.hooks.set(ANY_LINE, hook, lines=-1)
-        self.link.ask(host.LEVEL, -1, 0)  # the line may be asserted now
+        self.link.ask(host_record.LEVEL, -1, 0)  # the line may be asserted now
 
     def on_timer(self, period_us: float, hook: Callable[[], None] | None, *, n: int = 0, level: int = 1) -> None:
         """Call `hook` every `period_us`, for the first time that long from now: after a bus cycle, or within a delay at the ns.
@@ -187,7 +188,7 @@ class Board:
         if level not in range(1, HIGHEST + 1):
             raise ArgumentError(f"level={level!r}: levels of hooks are 1 to {HIGHEST}.")
         period = round(period_us * 1000)
-        self.link.ask(host.SETTLE, 0, 0)
+        self.link.ask(host_record.SETTLE, 0, 0)
         self.link.hooks.set(PYTHONS_TIMERS[n], hook if period else None, level=level, period=period)
 
     # --- devices ---
@@ -266,14 +267,14 @@ class Board:
         for k, device in enumerate(self.devices):
             for n, port in enumerate(device.ports):
                 wide = device.width == 16
-                mask = host.EIGHT if not wide else host.UPPER if n % 2 else host.WIDE
-                lines[port] = (host.DEVICE, k, n // 2 if wide else n, mask)
+                mask = host_record.EIGHT if not wide else host_record.UPPER if n % 2 else host_record.WIDE
+                lines[port] = (host_record.DEVICE, k, n // 2 if wide else n, mask)
         self.regions, self.port_table = layouts.table(self.places, lines)
         self.link.lay_ports()
 
     def _free(self, n: int) -> int:
         """A port from which on so many are free."""
-        return (max(self.ports) + 16) & ~15 if max(self.ports) + n + 16 <= host.LAST_PORT else 0
+        return (max(self.ports) + 16) & ~15 if max(self.ports) + n + 16 <= host_record.LAST_PORT else 0
 
     # --- what one looks at ---
 
@@ -294,7 +295,7 @@ class Board:
         kinds = ("", "address {}", "address {}", "upper byte of address {}", "address latch", "data", "interrupts")
         return {
             port: f"{names[int(p['chip'])]} {kinds[int(p['kind'])].format(int(p['address']))}"
-            if p["kind"] != host.DEVICE
+            if p["kind"] != host_record.DEVICE
             else f"{self.devices[int(p['chip'])].name}, {self.devices[int(p['chip'])].port_name(int(p['address']))}"
             for port, p in self._by_port()
         }
@@ -319,29 +320,27 @@ class Board:
         told = [device.listener() for device in self.devices]
 
         def tell(port: int, value: int, writes: bool, wide: bool) -> str:
-            kind, chip, address, mask, _ = reached.get(port, (host.NOTHING, 0, 0, 0, 0))
-            if kind == host.NOTHING:
+            kind, chip, address, mask, _ = reached.get(port, (host_record.NOTHING, 0, 0, 0, 0))
+            if kind == host_record.NOTHING:
                 return "nothing is here"
-            if kind == host.PULLS:
+            if kind == host_record.PULLS:
                 on = [self.name_of(k) for k in range(len(self.stage.chips)) if value >> k & 1]
                 return f"interrupts: {', '.join(on) or 'none'}"
-            if kind == host.DEVICE:
-                if mask == host.UPPER:
+            if kind == host_record.DEVICE:
+                if mask == host_record.UPPER:
                     value = value << 8 | (0xFF if writes else 0)
-                elif mask == host.WIDE and writes and not wide:
+                elif mask == host_record.WIDE and writes and not wide:
                     value |= 0xFF00
-                return (
-                    f"{self.devices[chip].name}: {self._told(told[chip], address, value, writes, mask != host.EIGHT)}"
-                )
+                return f"{self.devices[chip].name}: {self._told(told[chip], address, value, writes, mask != host_record.EIGHT)}"
             name = f"{self.name_of(chip)}: "
-            if kind == host.LATCH:
+            if kind == host_record.LATCH:
                 latches[port] = value & mask
                 return name + (f"address latch = {value:02X}h" if writes else "the address latch cannot be read")
-            if kind == host.LATCHED:
+            if kind == host_record.LATCHED:
                 address = latches.get(port - 1, 0)
-            if kind == host.HALF:
+            if kind == host_record.HALF:
                 value = value << 8 | (0xFF if writes else 0)
-            elif kind == host.WORD and writes and not wide:
+            elif kind == host_record.WORD and writes and not wide:
                 value |= 0xFF00
             listener = listeners[chip]
             return name + (listener.write(address, value) if writes else listener.read(address, value))
@@ -375,7 +374,7 @@ class Board:
         if lines >= MOST_LINES:
             raise HostError(
                 f"{MOST_LINES:,} lines were noted by ps_log, and a log keeps no more (now {self.stage.time:.6f} s): a loop without "
-                "end? Note less, or clear host.log between two pieces of a run."
+                "end? Note less, or clear host_record.log between two pieces of a run."
             )
 
 
@@ -398,9 +397,9 @@ def _ports(device: Device, ports: Any) -> list[int]:
     taken = [int(ports)] if one else list(ports) if isinstance(ports, Iterable) else []
     if one and device.PORTS:
         taken = list(range(taken[0], taken[0] + device.PORTS))
-    if not taken or any(not isinstance(p, int | np.integer) or not 0 <= p <= host.LAST_PORT for p in taken):
+    if not taken or any(not isinstance(p, int | np.integer) or not 0 <= p <= host_record.LAST_PORT for p in taken):
         raise ArgumentError(
-            f"{device.name}, ports={shown}: ports are whole numbers from 0 to {host.LAST_PORT:X}h, one at least."
+            f"{device.name}, ports={shown}: ports are whole numbers from 0 to {host_record.LAST_PORT:X}h, one at least."
         )
     if len(set(taken)) != len(taken) or len(taken) > MOST_PORTS:
         raise ArgumentError(f"{device.name}, ports={shown}: each port once, and at most {MOST_PORTS:,} of them.")

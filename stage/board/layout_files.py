@@ -20,7 +20,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from stage.board.host import BYTE, HALF, LAST_PORT, LATCH, LATCHED, NOTHING, PULLS, WORD
+from stage.board.bus.host_record import BYTE, HALF, LAST_PORT, LATCH, LATCHED, NOTHING, PULLS, WORD
 from stage.board.layouts import LAYOUTS, Layout
 from stage.chips import CHIPS, Chip, chip_class
 from stage.errors import ArgumentError, a_or_an, near_names, unknown

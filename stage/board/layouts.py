@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stage.board.host import BYTE, HALF, LAST_PORT, LATCH, LATCHED, NOTHING, PORT, PULLS, REGION, WORD
+from stage.board.bus.host_record import BYTE, HALF, LAST_PORT, LATCH, LATCHED, NOTHING, PORT, PULLS, REGION, WORD
 from stage.chips import Chip, contract
 from stage.chips.hctl1100 import HCTL1100
 from stage.chips.nova import BYTES, MCX514, Nova
@@ -26,7 +26,7 @@ GAP = 64
 class Layout:
     """How one kind of chip lies on the bus.
 
-    ports: of each port of a chip, what it reaches: (kind, address), see stage.board.host. stride: ports from one chip to the next.
+    ports: of each port of a chip, what it reaches: (kind, address), see `host_record`. stride: ports from one chip to the next.
     own: ports of the card itself, behind room for `chips` chips. evidence: S data sheet, I inferred (a card's choice).
     """
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stage.board import platforms
-from stage.board.bus import REQUEST, compute_as_before, compute_as_usual
+from stage.board.bus.requests import REQUEST, compute_as_before, compute_as_usual
 from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCompilerError
 from stage.board.scratch import Scratch
 from stage.errors import ArgumentError, escape

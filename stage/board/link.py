@@ -1,6 +1,6 @@
 """`Link`: connects a board to compiled code: the HOST record, the work before and after each run, the calls back into Python.
 
-For runners of firmware (threaded.py, isolated.py, child.py); a program that drives a board from Python does not need it.
+For runners of firmware; a program that drives a board from Python does not need it.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.board import bus, host
+from stage.board.bus import host_record, requests
 from stage.board.errors import HostError, StormError
-from stage.board.hooks import Hooks
+from stage.board.interrupt_hooks import Hooks
 from stage.board.windows import explain_missing
 from stage.errors import StageError
 from stage.native import plain
@@ -23,7 +23,7 @@ from stage.sim import handle, records
 
 if TYPE_CHECKING:
     from stage.board.board import Board
-    from stage.board.traps.memory import Windows
+    from stage.board.isolation.traps.memory import Windows
 
 NOTED = 1 << 14  # edges and writes between two calls of Python
 MOST = 1 << 62
@@ -58,7 +58,7 @@ class Link:
         self.abandoned: set[threading.Thread] = set()
         self._left: list[np.ndarray] = []
         self._call = UPCALL(self._called)
-        self.request: Any = bus.request.pointer
+        self.request: Any = requests.request.pointer
         self._lay_out()
         self.hooks = Hooks(self)
 
@@ -72,11 +72,11 @@ class Link:
         stage = self.stage
         if len(stage.state.edges) < NOTED:
             stage.state.note_in(np.zeros(NOTED, records.EDGE))
-        self._rows = np.zeros(1, host.HOST)
+        self._rows = np.zeros(1, host_record.HOST)
         self.move_to(self._rows)
         h = self.record
         handle.fill(self._rows, 0, stage.state)
-        self.irqs = np.zeros(len(stage.chips), host.IRQ)
+        self.irqs = np.zeros(len(stage.chips), host_record.IRQ)
         self._acts = np.zeros(len(stage.chips), np.int64)
         for k, chip in enumerate(stage.chips):
             axis, bits = chip.IRQ
@@ -107,7 +107,7 @@ class Link:
     def lay_devices(self) -> None:
         """The devices of the board, for compiled code."""
         rows = [device.row() for device in self.board.devices]
-        self._devices = np.array(rows, host.DEVICE_TABLE)
+        self._devices = np.array(rows, host_record.DEVICE_TABLE)
         self.record["devices"], self.record["n_devices"] = self._devices.ctypes.data, len(rows)
 
     def check_is_current(self) -> None:
@@ -175,8 +175,8 @@ class Link:
             raise StageError(f"{self.answering.name} answers a bus cycle: it can make none itself, and no time passes.")
         self.stage.loop.check_held()
         self.begin()
-        answer = int(self.request(self.pointer, what | host.FROM_PYTHON, int(a), int(b)))
-        if answer == host.TWO_AT_ONCE:
+        answer = int(self.request(self.pointer, what | host_record.FROM_PYTHON, int(a), int(b)))
+        if answer == host_record.TWO_AT_ONCE:
             raise StageError("this board is in use by another thread: a bus has one host at a time.")
         self.end()
         self.raise_error()
@@ -190,7 +190,7 @@ class Link:
             raise error
 
     def _called(self, reason: int) -> None:
-        """Compiled code calls, see stage.board.host."""
+        """Compiled code calls, see stage.board.bus.host_record."""
         if threading.current_thread() in self.abandoned:
             threading.Event().wait()
         if (lock := self.stage.loop.lock) is None:
@@ -198,38 +198,38 @@ class Link:
         else:  # the thread that runs the firmware has the lock, and waits
             with lock.acting_for_owner():
                 self._answer_call(reason)
-        if self.stand_still is not None and (reason == host.PAUSE or self.record["stopped"]):
+        if self.stand_still is not None and (reason == host_record.PAUSE or self.record["stopped"]):
             self.stand_still()
 
     def _answer_call(self, reason: int) -> None:
         self.calls += 1
         try:
             self.end()
-            if reason == host.DIVERGED:
+            if reason == host_record.DIVERGED:
                 self._diverged()
-            elif reason == host.STORM:
+            elif reason == host_record.STORM:
                 raise StormError(f"{self.hooks.storm(int(self.record['asked']))}\n{self.board.trace.text(8)}")
-            elif reason == host.REFUSED:
+            elif reason == host_record.REFUSED:
                 h = self.record
                 raise HostError(self.hooks.refused(int(h["asked_chip"]), int(h["asked_address"]), int(h["asked"])))
-            elif reason == host.TWICE:
+            elif reason == host_record.TWICE:
                 raise HostError(
                     "two threads of the firmware made bus cycles at the same time, or a handler of signals (setitimer, alarm) made "
                     f"one in the middle of another, at {self.stage.time:.6f} s: a bus has one host at a time. Guard the cycles of "
                     "threads by a mutex; timers of the board are ps_timer and ps_on_timer (docs/interrupts.md)."
                 )
-            elif reason == host.ANOTHER_STACK:
+            elif reason == host_record.ANOTHER_STACK:
                 self._wait_for_others()
-            elif reason == host.LINE_OF_LOG and not self.record["asked"]:
+            elif reason == host_record.LINE_OF_LOG and not self.record["asked"]:
                 raise HostError(f"ps_log(0), at {self.stage.time:.6f} s: a null pointer is no text.")
-            elif reason == host.LINE_OF_LOG:
+            elif reason == host_record.LINE_OF_LOG:
                 self.board.note(ctypes.string_at(int(self.record["asked"])).decode(errors="replace"))
-            elif reason == host.ASKED_WRITE:
+            elif reason == host_record.ASKED_WRITE:
                 h = self.record
                 h["asked"] = self.loses(int(h["asked_chip"]), int(h["asked_address"]), int(h["asked"]))
-            elif reason == host.ABOUT_WINDOW:
+            elif reason == host_record.ABOUT_WINDOW:
                 self._about_window()
-            elif reason == host.DEVICE_CALLED:
+            elif reason == host_record.DEVICE_CALLED:
                 h = self.record
                 k, n, way, value = (int(h[name]) for name in ("asked_chip", "asked_address", "asked_way", "asked"))
                 try:
@@ -237,7 +237,7 @@ class Link:
                 except BaseException:
                     self._note_raised(k, n, way, value)
                     raise
-            elif reason == host.BY_HAND:
+            elif reason == host_record.BY_HAND:
                 self.stage.run_to(int(self.record["asked"]))
             self.begin()
         except BaseException as error:
@@ -259,11 +259,10 @@ class Link:
 
     def _note_raised(self, k: int, n: int, way: int, value: int) -> None:
         """The cycle that a device in Python has failed in is a line of the trace, too: the last one."""
-        h, kept, reads = self.record, self.board.trace.kept, way in (host.IN8, host.IN16)
-        kind = {host.IN8: host.IN, host.OUT8: host.OUT, host.IN16: host.IN_WIDE, host.OUT16: host.OUT_WIDE}[way]
+        h, kept, reads = self.record, self.board.trace.kept, way in (host_record.IN8, host_record.IN16)
         now = self.stage.now + int(h["ahead"])
-        seen = (0xFF if way == host.IN8 else 0xFFFF) if reads else value
-        kept[self.traced % len(kept)] = (now, now, 1, kind | host.RAISED, self.board.devices[k].port(n), seen)
+        seen = (0xFF if way == host_record.IN8 else 0xFFFF) if reads else value
+        kept[self.traced % len(kept)] = (now, now, 1, way | host_record.RAISED, self.board.devices[k].port(n), seen)
         h["traced"] += 1
         h["changed"] = h["traced"]
 
@@ -273,7 +272,7 @@ class Link:
         what, a, b = (int(h[name]) for name in ("asked_chip", "asked", "asked_address"))
         if self.windows is None:
             raise HostError(f"ps_window({a:#x}, {b:#x}): {explain_missing(isolated=False)}")
-        if what != host.WINDOW:
+        if what != host_record.WINDOW:
             raise self.windows.explain_refusal(what, a, b)
         h["asked"] = self.windows.choose(a, b)
 
@@ -304,7 +303,7 @@ class Link:
         """After firmware without bus cycles was given up: takes the notes of its last cycles; the stage keeps its state."""
         self.end()
         self.begin()
-        self.request(self.pointer, host.SETTLE, 0, 0)
+        self.request(self.pointer, host_record.SETTLE, 0, 0)
         self.end()
 
     def move_to(self, rows: np.ndarray) -> None:
@@ -312,4 +311,4 @@ class Link:
         rows[:] = self._rows
         self._rows, self.pointer = rows, rows.ctypes.data
         rows["own"] = self.pointer
-        self.record = rows.view(plain(host.HOST))[0]
+        self.record = rows.view(plain(host_record.HOST))[0]

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from stage.board import host
-from stage.board.hooks import named
-from stage.board.interrupts import BACK, JUMPED, LOWERED
+from stage.board.bus import host_record
+from stage.board.bus.interrupts import BACK, JUMPED, LOWERED
+from stage.board.interrupt_hooks import named
 from stage.support.arguments import told_when_made
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ class Cycle(NamedTuple):
         return f"{self.seconds:17.9f}  {self.port:03X}h {self.way} {value:5}  {self.meaning:56}  {again}".rstrip()
 
 
+_FLAGS = host_record.STRAY, host_record.LOST_ON_THE_WAY, host_record.RAISED
 Meaning = Callable[[int, int, bool, bool], str]
 """(port, value, whether it is written, whether with 16 bits) -> what it means."""
 
@@ -51,7 +52,7 @@ Meaning = Callable[[int, int, bool, bool], str]
 def _interrupt(kind: int, source: int, value: int) -> str:
     """A call of a hook, before which so many ticks were missed; or its end."""
     name = named(source) if source else "the hook"
-    if kind == host.CALLED:
+    if kind == host_record.CALLED:
         missed = f" ({value:,} {'tick was' if value == 1 else 'ticks were'} missed)" if value else ""
         return f"interrupt: {name} is called{missed}"
     how = {
@@ -72,7 +73,7 @@ class BusTrace:
 
     def __init__(self, board: Board, room: int):
         self._board = board
-        self.kept = np.zeros(room, host.CYCLE)
+        self.kept = np.zeros(room, host_record.CYCLE)
         self.room = room
 
     def lines(self) -> np.ndarray:
@@ -104,14 +105,17 @@ class BusTrace:
         tell = self._board.teller()
         for k, line in enumerate(lines.tolist()):
             at, until, count, kind, port, value = line
-            stray, lost, raised = (bool(kind & flag) for flag in (host.STRAY, host.LOST_ON_THE_WAY, host.RAISED))
+            stray, lost, raised = (bool(kind & flag) for flag in _FLAGS)
             kind &= 7
-            if kind in (host.CALLED, host.RETURNED):
+            if kind in (host_record.CALLED, host_record.RETURNED):
                 if k >= first:
                     text = _interrupt(kind, port, value)
-                    yield Cycle(at * 1e-9, at * 1e-9, 1, "Ii"[kind - host.CALLED], None, 0, 0, False, text)
+                    yield Cycle(at * 1e-9, at * 1e-9, 1, "Ii"[kind - host_record.CALLED], None, 0, 0, False, text)
                 continue
-            writes, wide = kind in (host.OUT, host.OUT_WIDE), kind in (host.IN_WIDE, host.OUT_WIDE)
+            writes, wide = (
+                kind in (host_record.OUT, host_record.OUT_WIDE),
+                kind in (host_record.IN_WIDE, host_record.OUT_WIDE),
+            )
             if lost:
                 meaning = "lost on the way: it does not reach the chip"
             elif raised:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from stage.board.host import CALLED, IN, IN_WIDE, OUT_WIDE, RETURNED
+from stage.board.bus.host_record import CALLED, IN, IN_WIDE, OUT_WIDE, RETURNED
 from stage.recording.vcd import HOST
 
 if TYPE_CHECKING:

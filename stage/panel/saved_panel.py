@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from stage.board import layouts
-from stage.board.host import BYTE, LATCH, LATCHED, WORD
+from stage.board.bus.host_record import BYTE, LATCH, LATCHED, WORD
 from stage.chips.entries import READ, WRITE, Entry
 from stage.errors import ArgumentError, StageError
 from stage.panel import oscilloscope

@@ -12,8 +12,8 @@ import numpy as np
 
 from stage import __version__
 from stage.board import Board, HostError
-from stage.board.batch import ENTRY, first_wrong, go_on, run_batch
-from stage.board.host import LAST_PORT, LONGEST_DELAY
+from stage.board.bus.batch import ENTRY, first_wrong, go_on, run_batch
+from stage.board.bus.host_record import LAST_PORT, LONGEST_DELAY
 from stage.errors import ArgumentError, StageError, unknown
 from stage.serve import client
 from stage.serve.frames import ENTRIES

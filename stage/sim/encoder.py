@@ -45,7 +45,7 @@ class Encoder:
         return self.per_metre if self.per_metre is not None else (self.per_turn or 0.0) * gear / (2 * math.pi)
 
     def row(self, stage: Stage) -> tuple[int, float, float]:
-        """ENCODER, see stage.board.host."""
+        """ENCODER, see stage.board.bus.host_record."""
         if self.axis not in stage.axes:
             raise unknown("axis", self.axis, stage.axes)
         axis = stage.axes[self.axis]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.board.host import IN8, LOG, OUT8
+from stage.board.bus.host_record import IN8, LOG, OUT8
 from stage.native import array_at, called, exported, hot, record
 from stage.targets.machine import BASE, WHOLE, bus_cycle, reach, request
 

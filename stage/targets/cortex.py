@@ -62,12 +62,12 @@ class CortexProgram:
     gdb: int | None = None
 
     def load(self, board: Board, isolated: bool) -> Cortex:
-        """See stage.board.threaded. Raises LibraryError, FileError."""
+        """See stage.board.thread_runner. Raises LibraryError, FileError."""
         return Cortex(self, board)
 
 
 class Cortex(Engine):
-    """See stage.board.threaded."""
+    """See stage.board.thread_runner."""
 
     def __init__(self, program: CortexProgram, board: Board):
         import unicorn
@@ -155,7 +155,7 @@ class Cortex(Engine):
     # --- exceptions ---
 
     def main(self) -> int:
-        """See stage.board.threaded."""
+        """See stage.board.thread_runner."""
         vectors = self.nvic.vectors
         self.set(msp=self.word(vectors), sp=self.word(vectors), lr=0xFFFFFFFF, xpsr=_THUMB)
         self._pc = self.word(vectors + 4) & ~1

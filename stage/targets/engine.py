@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from stage.board import bus, host
 from stage.board.board import Board
+from stage.board.bus import host_record, requests
 from stage.board.errors import HostError
 from stage.native import address_of
 from stage.targets import machine
@@ -73,7 +73,12 @@ class Engine:
         self._flags = np.zeros(1, "i8")
         t = self.record = _Record.from_buffer(self._row.data)
         link = board.link
-        t.own, t.uc, t.host, t.request = self._row.ctypes.data, self.handle.value, link.pointer, bus.request.address
+        t.own, t.uc, t.host, t.request = (
+            self._row.ctypes.data,
+            self.handle.value,
+            link.pointer,
+            requests.request.address,
+        )
         t.stop, t.reg_read = (self._address(self._lib[name]) for name in ("uc_emu_stop", "uc_reg_read"))
         t.flags_at, t.hz, t.alarm = self._flags.ctypes.data, hz, NEVER
         t.quantum = max(1, round(LATENCY * hz))
@@ -151,7 +156,7 @@ class Engine:
     def _note(self, line: str) -> None:
         text = ctypes.create_string_buffer(line.encode())
         machine.looked.c(self.record.own)
-        self._board.link.request(self._board.link.pointer, host.LOG, ctypes.addressof(text), 0)
+        self._board.link.request(self._board.link.pointer, host_record.LOG, ctypes.addressof(text), 0)
 
     # --- for a debugger ---
 
@@ -177,7 +182,7 @@ class Engine:
     # --- it runs ---
 
     def main(self) -> int:
-        """See stage.board.threaded."""
+        """See stage.board.thread_runner."""
         import unicorn
 
         self.record.begin = self._board.stage.now
@@ -258,4 +263,4 @@ class Engine:
         )
 
     def close(self) -> None:
-        """See stage.board.threaded."""
+        """See stage.board.thread_runner."""

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from stage.board.board import Board
-from stage.board.native import Host
-from stage.board.threaded import PATIENCE, Program
+from stage.board.host import Host
+from stage.board.thread_runner import PATIENCE, Program
 from stage.board.windows import Window, windows
 from stage.errors import ArgumentError
 from stage.targets import mcus

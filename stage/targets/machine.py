@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.board.host import HOST, IN8, IN16, IN32, OUT8, OUT16, OUT32, UNTIL, now_of
+from stage.board.bus.host_record import HOST, IN8, IN16, IN32, OUT8, OUT16, OUT32, UNTIL, now_of
 from stage.native import array_at, called, exported, greatest, hot, least, record
 
 BASE = [(name, "i8") for name in "host request hz begin waits watched line ended code".split()]

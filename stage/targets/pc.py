@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from stage.board import host
 from stage.board.board import Board
+from stage.board.bus.host_record import IN8, IN16, OUT8, OUT16
 from stage.board.errors import LibraryError
 from stage.support.files import FileError, refuse_irregular
 from stage.support.foreign_files import read_bytes
@@ -52,12 +52,12 @@ class PcProgram:
     gdb: int | None = None
 
     def load(self, board: Board, isolated: bool) -> Pc:
-        """See stage.board.threaded. Raises LibraryError, FileError."""
+        """See stage.board.thread_runner. Raises LibraryError, FileError."""
         return Pc(self, board)
 
 
 class Pc(Engine):
-    """See stage.board.threaded."""
+    """See stage.board.thread_runner."""
 
     prefix = LOAD
 
@@ -273,7 +273,7 @@ class Pc(Engine):
 
     def _on_board(self, port: int, size: int, value: int) -> int:
         link = self._board.link
-        what = (host.IN8 if value < 0 else host.OUT8) if size == 1 else (host.IN16 if value < 0 else host.OUT16)
+        what = (OUT8 if size == 1 else OUT16) if value >= 0 else (IN8 if size == 1 else IN16)
         looked.c(self.record.own)
         self.record.due = self.record.cycles
         return int(link.request(link.pointer, what, port, max(value, 0)))

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from stage.board import bus
 from stage.board.board import Board
+from stage.board.bus import requests
 from stage.board.crash_report import IS_SUPPORTED
 from stage.board.errors import HostError, LibraryError
 from stage.errors import StageError
@@ -83,7 +83,7 @@ class AvrProgram:
     gdb: int | None
 
     def load(self, board: Board, isolated: bool) -> LoadedAvr:
-        """See stage.board.threaded. Raises NoEmulatorError, LibraryError, FileError."""
+        """See stage.board.thread_runner. Raises NoEmulatorError, LibraryError, FileError."""
         return LoadedAvr(self, board, isolated)
 
 
@@ -122,7 +122,7 @@ class _Library:
         self._logger, self.no_op = _LOGGER(logged), _NOTHING(lambda _: 0)
         self.is_redirected = isolated and IS_SUPPORTED
         if self.is_redirected:
-            from stage.board.traps import redirect_calls
+            from stage.board.isolation.traps import redirect_calls
 
             self._functions = {
                 **dict.fromkeys(("printf", "__printf_chk", "puts", "putchar"), self.no_op), "bind": _BIND(bind),
@@ -152,7 +152,7 @@ def _library(isolated: bool) -> _Library:
 
 
 class LoadedAvr:
-    """See stage.board.threaded."""
+    """See stage.board.thread_runner."""
 
     def __init__(self, program: AvrProgram, board: Board, isolated: bool):
         self.path, self._board, self._gdb = program.path, board, program.gdb
@@ -230,7 +230,7 @@ class LoadedAvr:
         )
         self._row = np.zeros(1, hot.AVR)
         t = self.record = self._row[0]
-        t.own, t.avr, t.host, t.request = self._row.ctypes.data, self._avr, link.pointer, bus.request.address
+        t.own, t.avr, t.host, t.request = self._row.ctypes.data, self._avr, link.pointer, requests.request.address
         for name in ("run", "raise_irq"):
             t[name] = library.address(f"avr_{name}")
         t.status, t.look = library.address("avr_cycle_timer_status"), library.address("avr_core_watch_read")
@@ -287,7 +287,7 @@ class LoadedAvr:
     # --- it runs ---
 
     def main(self) -> int:
-        """See stage.board.threaded."""
+        """See stage.board.thread_runner."""
         t = self.record
         t.begin = self._board.stage.now
         t.when = t.quantum
@@ -333,7 +333,7 @@ class LoadedAvr:
         )
 
     def close(self) -> None:
-        """See stage.board.threaded."""
+        """See stage.board.thread_runner."""
         if self._avr:
             self._c("avr_terminate")
             self._avr = 0

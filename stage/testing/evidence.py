@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import stage as package
-from stage.board.host import STRAY
+from stage.board.bus.host_record import STRAY
 from stage.chips.describe import decode
 from stage.errors import StageError
 from stage.sim import plant

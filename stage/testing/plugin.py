@@ -16,7 +16,7 @@ from stage.testing.settings import OPTIONS, setting
 
 if TYPE_CHECKING:
     from stage.board import Board
-    from stage.board.native import Host
+    from stage.board.host import Host
     from stage.sim.stage import Stage
 
 MARKERS = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from stage.board.host import LATCH, WORD
+from stage.board.bus.host_record import LATCH, WORD
 from stage.board.layouts import usual
 from stage.chips import Chip
 from stage.tune.written import Cycle, Row

@@ -9,12 +9,13 @@ import pytest
 from support.vcd_parser import parse
 
 from stage import Stage
-from stage.board import Board, host, layouts
+from stage.board import Board, layouts
+from stage.board.bus import host_record
+from stage.board.bus.interrupts import ANY_LINE, FIRST_LINE, FIRST_PYTHON_TIMER, FIRST_SOFTWARE, FIRST_TIMER, HIGHEST
 from stage.board.devices import HCTL2016, Encoder
-from stage.board.hooks import named
-from stage.board.interrupts import ANY_LINE, FIRST_LINE, FIRST_PYTHON_TIMER, FIRST_SOFTWARE, FIRST_TIMER, HIGHEST
+from stage.board.interrupt_hooks import named
+from stage.board.isolation.traps.memory import Windows
 from stage.board.layout_files import read
-from stage.board.traps.memory import Windows
 from stage.board.windows import MOST_ADDRESS, Window, windows
 from stage.chips import HCTL1100, MCX304
 from stage.errors import ArgumentError
@@ -114,11 +115,11 @@ def test_an_access_behind_or_before_a_window_is_told_of_the_nearest(address, nea
     given = windows([(0x1000, 0x300, 0x40), (0x2000, 0x340, 0x40), (0x5000, 0x380, 0x40)])
     monkeypatch.setattr("stage.board.crash_report.locate", lambda *_: "main")
     state = SimpleNamespace(start=0, stack=id(given))
-    monkeypatch.setattr("stage.board.traps.memory.array_at", lambda *_: [state])
+    monkeypatch.setattr("stage.board.isolation.traps.memory.array_at", lambda *_: [state])
     mapped = Windows.__new__(Windows)
     mapped._windows, mapped._library = list(given), SimpleNamespace(path=SimpleNamespace(name="it.so"))
     mapped._when = lambda: "now"
-    said = str(mapped.explain_refusal(host.BEYOND_WINDOW, 0, address))
+    said = str(mapped.explain_refusal(host_record.BEYOND_WINDOW, 0, address))
     assert f"beyond the window {given[nearest]}, which ends at {given[nearest].end - 1:X}h" in said
 
 

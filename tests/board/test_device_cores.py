@@ -321,8 +321,8 @@ def test_a_loop_gives_back_what_it_takes_in_order_a_character_each():
 
 def test_a_batch_refuses_numbers_just_beyond_their_bounds():
     """host.delay_us(10**15 + 1) and -1, ports of 33 bits"""
-    from stage.board.batch import ENTRY, UNTIL_LINE, first_wrong
-    from stage.board.host import DELAY, IN8, LONGEST_DELAY, OUT8, OUT16, OUT32, SPEND
+    from stage.board.bus.batch import ENTRY, UNTIL_LINE, first_wrong
+    from stage.board.bus.host_record import DELAY, IN8, LONGEST_DELAY, OUT8, OUT16, OUT32, SPEND
 
     Board(Stage("xy", visuals=False))
     for what, a, b, wrong in (
@@ -339,8 +339,8 @@ def test_a_batch_refuses_numbers_just_beyond_their_bounds():
 
 def test_a_read_by_a_bus_of_16_bits_is_no_write():
     """inpw(port) of a device on one half of a bus of 16 bits: OUT16 is 3, IN16 is 2"""
+    from stage.board.bus.host_record import IN16, OUT16
     from stage.board.devices import Latch
-    from stage.board.host import IN16, OUT16
 
     latch, counter, axis, line = Bare(Latch()), ls7166(7), Bare(HCTL2016(Encoder("x", per_metre=1e6))), uart()
     latch.write((0, 0x55))

@@ -22,7 +22,7 @@ from stage.board.devices import (
     Latch,
     PythonDevice,
     made,
-    own,
+    user_devices,
 )
 from stage.errors import ArgumentError, StageError
 
@@ -133,7 +133,7 @@ def test_bounds_of_devices_are_what_their_messages_say(tmp_path):
     for clock in (0, 10**9 + 1, 1.5):
         with pytest.raises(ArgumentError, match="1 to 1e9 Hz"):
             UART(clock=clock)
-    most = own.MOST_STATE
+    most = user_devices.MOST_STATE
     for state in (np.zeros(most, np.uint8), bytearray(3), np.zeros(1)):
         assert PythonDevice(state=state).state[0].nbytes == len(memoryview(state).cast("B"))
     locked = np.zeros(3)

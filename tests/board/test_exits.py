@@ -47,7 +47,7 @@ IN_PROCESS = """
     board = Board(Stage("xy", visuals=False))
     before = handled() if sys.platform == "linux" else []
     code = NativeHost(sys.argv[1], board, isolated=False).run().code
-    unwanted = [name for name in sys.modules if name.startswith(("stage.board.traps", "stage.board.isolation"))]
+    unwanted = [name for name in sys.modules if name.startswith(("stage.board.isolation.traps", "stage.board.isolation"))]
     print(code, unwanted, board.log, before == (handled() if sys.platform == "linux" else []))
 """
 

@@ -18,7 +18,7 @@ from support.compiled_firmware import firmware
 
 from stage import Stage
 from stage.board import Board, HostError, NativeHost, windows
-from stage.board.threaded import is_debugged
+from stage.board.thread_runner import is_debugged
 from stage.chips import HCTL1100, PCL240K
 from stage.cli import main
 from stage.errors import StageError
@@ -251,7 +251,7 @@ def test_a_hook_in_python_that_takes_itself_away_is_called_once_and_one_that_sta
 
 
 def test_the_patience_of_a_host_is_the_documented_one():
-    from stage.board.threaded import PATIENCE
+    from stage.board.thread_runner import PATIENCE
 
     page = (Path(__file__).resolve().parents[2] / "docs" / "firmware_in_the_loop.md").read_text()
     assert f"after {PATIENCE:g} s of real time without a cycle" in " ".join(page.split())

@@ -259,7 +259,8 @@ def test_bounds_that_make_no_sense_are_refused(asked):
 
 
 def test_the_header_and_python_agree_on_the_requests():
-    from stage.board import host, library
+    from stage.board import library
+    from stage.board.bus import host_record
 
     text = (library.include() / "pulsestage.h").read_text()
     names = "".join(text[text.index("enum {") + 6 : text.index("};", text.index("enum {"))].split()).split(",")
@@ -267,7 +268,7 @@ def test_the_header_and_python_agree_on_the_requests():
     for name in names:
         name, _, given = name.partition("=")
         number = int(given) if given else number + 1
-        assert getattr(host, name.removeprefix("PS_")) == number, name
+        assert getattr(host_record, name.removeprefix("PS_")) == number, name
     assert len(names) > 10
     assert ctypes.sizeof(library.BusStruct) == 24
 

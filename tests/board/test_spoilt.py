@@ -12,7 +12,7 @@ from support.compiled_firmware import firmware
 
 from stage import Stage
 from stage.board import Board, HostError, NativeHost
-from stage.board.isolation.shared import CRASH, TEXT, Shared, SpoiltError
+from stage.board.isolation.shared_memory import CRASH, TEXT, Shared, SpoiltError
 from stage.cli import main
 
 SPOILS = r"""

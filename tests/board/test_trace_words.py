@@ -6,8 +6,8 @@ import pytest
 
 from stage import Stage
 from stage.board import Board
-from stage.board.host import CALLED, LEVEL, OF_LEVEL, ON_LINE, RAISE, RETURNED, TIMER
-from stage.board.interrupts import FIRST_SOFTWARE, FIRST_TIMER, SOFTWARE_LINE
+from stage.board.bus.host_record import CALLED, LEVEL, OF_LEVEL, ON_LINE, RAISE, RETURNED, TIMER
+from stage.board.bus.interrupts import FIRST_SOFTWARE, FIRST_TIMER, SOFTWARE_LINE
 from stage.board.trace import Cycle, _interrupt
 
 

@@ -15,7 +15,7 @@ from support.vcd_parser import parse
 
 from stage import Stage
 from stage.board import Board, NativeHost
-from stage.board.host import CALLED, CYCLE, IN, IN_WIDE, OUT, OUT_WIDE, RETURNED, STRAY
+from stage.board.bus.host_record import CALLED, CYCLE, IN, IN_WIDE, OUT, OUT_WIDE, RETURNED, STRAY
 from stage.board.waveforms import HostWaveforms, _changes, _polls
 from stage.chips import MCX304
 

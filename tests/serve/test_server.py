@@ -9,12 +9,12 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from pathlib import Path
 
 import pytest
 from support.served import serving
 
 from stage import StageError
+from stage.board import include
 from stage.serve import client, server
 from stage.serve.client import ServerError
 
@@ -394,14 +394,14 @@ def test_the_client_is_one_file_that_needs_python_only(served, tmp_path):
 
 
 def test_the_client_s_numbers_are_those_of_the_board():
-    from stage.board import batch, host
+    from stage.board.bus import batch, host_record
 
     for name in ("IN8", "OUT8", "IN16", "OUT16", "IN32", "OUT32", "DELAY", "MICROS", "LINE", "SPEND"):
-        assert getattr(client, name) == getattr(host, name)
+        assert getattr(client, name) == getattr(host_record, name)
     for name in ("UNTIL8", "UNTIL16", "UNTIL_LINE"):
         assert getattr(client, name) == getattr(batch, name)
     assert client.ENTRY.size == batch.ENTRY.itemsize
-    header = (Path(host.__file__).parent / "pulsestage_remote.h").read_text()
+    header = (include() / "pulsestage_remote.h").read_text()
     assert (
         "PS_F_HELLO = 1, PS_F_BATCH, PS_F_LOG, PS_F_HOOK, PS_F_RETURN, PS_F_TIMER = 13, PS_F_INTERRUPT = 254, PS_F_ERROR = 255"
         in header

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from stage.board import host
+from stage.board.bus import host_record
 from stage.errors import ArgumentError, StageError
 from stage.native import plain
 from stage.sim import records
@@ -40,7 +40,7 @@ class Device:
     Attributes:
         ports: those of the board that it takes, once it is there; state: the arrays that snapshots carry.
         PORTS: how many ports it has, where it says; access, pulls: addresses of its compiled functions, see
-            stage.board.host, or 0.
+            stage.board.bus.host_record, or 0.
     """
 
     KIND: ClassVar[str] = "device"
@@ -104,7 +104,7 @@ class Device:
     # --- for boards ---
 
     def call(self, n: int, way: int, value: int) -> int:
-        """A cycle at its port `n`, of a device in Python; way: IN8, OUT8, IN16, OUT16 of stage.board.host."""
+        """A cycle at its port `n`, of a device in Python; way: IN8, OUT8, IN16, OUT16 of stage.board.bus.host_record."""
         raise NotImplementedError
 
     def listener(self) -> Listener:
@@ -138,14 +138,14 @@ class Device:
         """It is on this board from now on."""
         rows = [e.row(board.stage) for e in self.encoders]
         self.encoders = tuple(replace(e, zero=row[2]) for e, row in zip(self.encoders, rows, strict=True))
-        self._encoders = np.array(rows, host.ENCODER)
+        self._encoders = np.array(rows, host_record.ENCODER)
         self._counts = np.zeros(len(self.encoders), np.int64)
         self.board, self.ports = board, tuple(ports)
         if not self._named:
             self.name = f"{self.KIND} at {self.ports[0]:03X}h"
 
     def row(self) -> tuple[int, ...]:
-        """DEVICE_TABLE, see stage.board.host."""
+        """DEVICE_TABLE, see stage.board.bus.host_record."""
         state = self.state[0].ctypes.data if self.state else 0
         line, counts, encoders = (a.ctypes.data for a in (self.line, self._counts, self._encoders))
         return state, self.access, self.pulls, line, counts, encoders, len(self.encoders)
@@ -172,7 +172,7 @@ class Absent(Device):
 
 
 class Compiled(Device):
-    """A device whose module exports STATE, `access` and `pulls`, see stage.board.host.
+    """A device whose module exports STATE, `access` and `pulls`, see stage.board.bus.host_record.
 
     Attributes: options: its arguments; registers: its state by name.
     """

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import ClassVar
 
+from stage.board.bus.host_record import OUT8
 from stage.board.devices import latch_core
 from stage.board.devices.device import Compiled, Listener
-from stage.board.host import OUT8
 
 
 class Latch(Compiled):

@@ -1,4 +1,4 @@
-"""The process that isolated firmware runs in; `starter` begins it, and `stage.board.traps` is used here only."""
+"""The process that isolated firmware runs in; `starter` begins it, and `stage.board.isolation.traps` is used here only."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ from typing import Any
 
 import numpy as np
 
-from stage.board import bus, crash_report, host, scratch
+from stage.board import crash_report, scratch
 from stage.board.board import Board
+from stage.board.bus import host_record, requests
+from stage.board.bus.interrupts import ANY_LINE
 from stage.board.errors import HostError
-from stage.board.interrupts import ANY_LINE
-from stage.board.isolation.shared import LOADING, Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
+from stage.board.isolation.shared_memory import LOADING, Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
 from stage.board.link import NOTED, Link
-from stage.board.threaded import Loaded, Threaded
+from stage.board.thread_runner import Loaded, Threaded
 from stage.errors import StageError
 from stage.sim.fingerprint import settings
 from stage.sim.stage import Stage
 
 if crash_report.IS_SUPPORTED:
-    from stage.board import traps
+    from stage.board.isolation import traps
 
 THREAD_START_S = 0.02  # of real time, for a thread of the firmware to begin
 HIGH = 200  # file descriptors: what firmware closes or writes by mistake is mostly below
@@ -197,13 +198,13 @@ class ChildThread(Threaded):
         if name in self._slept or threading.current_thread() in link.abandoned:
             return
         self._slept.add(name)
-        mode = bus.compute_as_usual.c()
+        mode = requests.compute_as_usual.c()
         try:
-            link.request(link.pointer, host.SETTLE, 0, 0)
+            link.request(link.pointer, host_record.SETTLE, 0, 0)
             with suppress(StageError):  # the log is full
                 self._board.note(f"{call} passes real time only, and no simulated time: ps_delay_us passes that")
         finally:
-            bus.compute_as_before.c(mode)
+            requests.compute_as_before.c(mode)
 
     def _wait_for_thread(self) -> None:
         """Let a thread that the firmware has begun come to its first bus cycle, see `Link`. In the firmware's thread."""

@@ -33,7 +33,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from stage.board.threaded import read_status
+from stage.board.thread_runner import read_status
 
 _HEAD = struct.Struct("q")
 _STATUS = struct.Struct("i")

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.board import host, waiting
-from stage.board.bus import answer
+from stage.board.bus import host_record, waiting
+from stage.board.bus.requests import answer
 from stage.native import array_of, exported, float_mode_as_before, hot, record, usual_float_mode
 
 SLICE_NS, SLICE_CYCLES = 50_000_000, 100_000
 """After so much of a batch Python is asked whether it is to go on."""
 UNTIL8, UNTIL16, UNTIL_LINE = range(100, 103)
-"""What a batch knows beside the requests of stage.board.host: read a port until (value & mask) == b, `times` times at most and
+"""What a batch knows beside the requests of `host_record`: read a port until (value & mask) == b, `times` times at most and
 `every` us apart; wait until the interrupt line is asserted, `a` us at most."""
 ENTRY = record([*((name, "i4") for name in ("what", "times", "every", "mask")), ("a", "i8"), ("b", "i8")])
 """what: IN8 ... or UNTIL8 ...; a: a port, or us; b: the value that is written, or waited for; times, every, mask: of UNTIL8 and
@@ -26,18 +26,20 @@ UNTIL16 only, the mask as 32 bits without a sign."""
 def _wrong(e):
     """Whether an entry asks for what there is not, or gives a number that does not fit."""
     what = e.what
-    if what in (host.MICROS, host.LINE):
+    if what in (host_record.MICROS, host_record.LINE):
         return False
-    if what in (host.DELAY, UNTIL_LINE):
-        return e.a < 0 or e.a > host.LONGEST_DELAY
-    if what == host.SPEND:
-        return e.a < 0 or e.a > host.LONGEST_DELAY * 1000
+    if what in (host_record.DELAY, UNTIL_LINE):
+        return e.a < 0 or e.a > host_record.LONGEST_DELAY
+    if what == host_record.SPEND:
+        return e.a < 0 or e.a > host_record.LONGEST_DELAY * 1000
     if e.a < 0 or e.a > 0xFFFFFFFF:
         return True
-    if what in (host.IN8, host.IN16, host.IN32):
+    if what in (host_record.IN8, host_record.IN16, host_record.IN32):
         return False
-    if what in (host.OUT8, host.OUT16, host.OUT32):
-        return e.b < 0 or e.b > (0xFF if what == host.OUT8 else 0xFFFF if what == host.OUT16 else 0xFFFFFFFF)
+    if what in (host_record.OUT8, host_record.OUT16, host_record.OUT32):
+        return e.b < 0 or e.b > (
+            0xFF if what == host_record.OUT8 else 0xFFFF if what == host_record.OUT16 else 0xFFFFFFFF
+        )
     if what in (UNTIL8, UNTIL16):
         return e.times < 1 or e.every < 0
     return True
@@ -55,7 +57,7 @@ def first_wrong(entries):
 @hot
 def _until(h, e):
     """The last value that was read."""
-    what, mask, value = host.IN8 if e.what == UNTIL8 else host.IN16, int(e.mask) & 0xFFFFFFFF, 0
+    what, mask, value = host_record.IN8 if e.what == UNTIL8 else host_record.IN16, int(e.mask) & 0xFFFFFFFF, 0
     for k in range(e.times):
         value = answer(h, what, e.a, 0)
         if h.stopped or (value ^ e.b) & mask == 0:
@@ -77,14 +79,14 @@ def _until_line(h, us):
 @hot
 def bound(h):
     """From now on it goes on for so long until Python is asked whether it is to."""
-    h.until, h.most_cycles = host.now_of(h) + SLICE_NS, h.cycles + SLICE_CYCLES
+    h.until, h.most_cycles = host_record.now_of(h) + SLICE_NS, h.cycles + SLICE_CYCLES
 
 
-@exported("i8", host.HOST, array_of(ENTRY), array_of(np.int64))
+@exported("i8", host_record.HOST, array_of(ENTRY), array_of(np.int64))
 def run_batch(h, entries, answers):
     """Do the entries, one after the other, on a board that is not stopped. Returns how many were done to the end: fewer than given
     if the board was stopped on the way; -1 if another thread is in. Now and then it asks Python (PAUSE), which calls `go_on`."""
-    if not host.enter(h):
+    if not host_record.enter(h):
         return -1
     mode, done = usual_float_mode(), 0
     lazy, until, most_cycles = h.lazy, h.until, h.most_cycles
@@ -106,11 +108,11 @@ def run_batch(h, entries, answers):
         done -= 1
     h.lazy, h.until, h.most_cycles = lazy, until, most_cycles
     float_mode_as_before(mode)
-    host.leave(h)
+    host_record.leave(h)
     return done
 
 
-@exported(None, host.HOST)
+@exported(None, host_record.HOST)
 def go_on(h):
     """A batch that stands still goes on, until Python is asked again."""
     bound(h)

@@ -14,8 +14,8 @@ from stage.board.devices.device import Device, Encoder
 from stage.board.devices.hctl2016 import HCTL2000, HCTL2016, HCTL2020
 from stage.board.devices.latch import Latch
 from stage.board.devices.ls7166 import LS7166
-from stage.board.devices.own import CDevice
 from stage.board.devices.uart import UART
+from stage.board.devices.user_devices import CDevice
 from stage.errors import ArgumentError, a_or_an, near_names
 
 if TYPE_CHECKING:

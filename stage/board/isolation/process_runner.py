@@ -24,13 +24,13 @@ import numpy as np
 from stage import errors as general
 from stage.board import crash_report, errors
 from stage.board.board import Board
-from stage.board.devices.own import CDevice
+from stage.board.devices.user_devices import CDevice
 from stage.board.errors import HostError
 from stage.board.isolation import starter
-from stage.board.isolation.shared import LOADING, Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
+from stage.board.isolation.shared_memory import LOADING, Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
 from stage.board.library import sanitizers
 from stage.board.scratch import Scratch
-from stage.board.threaded import Program, is_debugged, read_status
+from stage.board.thread_runner import Program, is_debugged, read_status
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
 from stage.sim import engine

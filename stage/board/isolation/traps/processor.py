@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.board import host
-from stage.board.traps import instructions as x86
+from stage.board.bus import host_record
+from stage.board.isolation.traps import instructions as x86
 from stage.native import array_at, called, exported, hot, record
 
 SPAN = record([(name, "i8") for name in "begin end kind port host".split()])
@@ -128,12 +128,12 @@ def access(s, space, address, size, value, writes):
             s.since = 0
             port, half = int(span.port + address - span.begin), 4 if size == 8 else size
             if writes:
-                what = host.OUT8 if half == 1 else host.OUT16 if half == 2 else host.OUT32
+                what = host_record.OUT8 if half == 1 else host_record.OUT16 if half == 2 else host_record.OUT32
                 _request(space.request, (span.host, what, port, value))
                 if size == 8:
                     _request(space.request, (span.host, what, port + 4, value >> 32))
                 return 0
-            what = host.IN8 if half == 1 else host.IN16 if half == 2 else host.IN32
+            what = host_record.IN8 if half == 1 else host_record.IN16 if half == 2 else host_record.IN32
             value = _request(space.request, (span.host, what, port, 0))
             if size == 8:
                 value |= _request(space.request, (span.host, what, port + 4, 0)) << 32
@@ -539,7 +539,7 @@ def on_fault(number, info, context, space, s):
     s.floor = s.stack - RED_ZONE if same else s.stack & ~0xFFF
     step(s, space)
     if s.status:
-        what = host.BEYOND_WINDOW if s.status == BEYOND else host.NO_CYCLE
+        what = host_record.BEYOND_WINDOW if s.status == BEYOND else host_record.NO_CYCLE
         _request(space.request, (array_at(at, 1, SPAN)[0].host, what, s.own, address))
         return 1
     while s.since < FAR:

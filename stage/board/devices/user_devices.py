@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from stage.board import library
+from stage.board.bus.host_record import IN8, OUT8, OUT16
 from stage.board.devices.device import Device, Encoder, Listener
 from stage.board.errors import LibraryError
-from stage.board.host import IN8, OUT8, OUT16
 from stage.board.scratch import Scratch
 from stage.errors import ArgumentError
 from stage.support.arguments import told

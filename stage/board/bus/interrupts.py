@@ -10,7 +10,7 @@ next request, by where on the stack that is made and by whether the mark below w
 
 from __future__ import annotations
 
-from stage.board.host import RETURNED, note, now_of
+from stage.board.bus.host_record import RETURNED, note, now_of
 from stage.native import array_at, greatest, hot, least, record
 from stage.sim.handle import WHOLE
 

@@ -1,4 +1,4 @@
-"""`Hooks`: the table of the interrupt controller, see stage.board.interrupts, and the hooks in Python.
+"""`Hooks`: the table of the interrupt controller, see stage.board.bus.interrupts, and the hooks in Python.
 
 A hook in Python is not interrupted: it runs at the highest level, whatever its source's.
 """
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stage.board import bus, host, interrupts
+from stage.board.bus import host_record, interrupts, requests
 from stage.board.errors import HostError
 from stage.errors import ArgumentError
 from stage.native import plain
@@ -53,7 +53,7 @@ class Hooks:
     def look(self) -> None:
         """After a change of the table: compiled code looks at it anew."""
         self._link.record["quiet"] = 0
-        bus.look_at_sources.c(self._link.pointer)
+        requests.look_at_sources.c(self._link.pointer)
 
     def set(
         self, source: int, function: Callable[[], None] | None, lines: int = 0, level: int = 1, period: int = 0
@@ -133,7 +133,7 @@ class Hooks:
                 "interrupt before."
             )
         hook = "the interrupt hook" if source == interrupts.ANY_LINE else f"the hook of {named(source)}"
-        again = f"{hook} was called {host.STORM_CALLS:,} times in a row {at} and"
+        again = f"{hook} was called {host_record.STORM_CALLS:,} times in a row {at} and"
         if period := int(self.sources[source]["period"]):
             return f"{again} is due again: it takes longer than its period of {period / 1e3:g} us, so that nothing else runs."
         if source >= interrupts.FIRST_SOFTWARE:
@@ -144,11 +144,12 @@ class Hooks:
         """A request that makes no sense."""
         lines = len(self._link.stage.chips) + int(self._link.record["n_devices"])
         bounds = {
-            host.TIMER: f"ps_timer({a}, ...), period {b} ns: timers are 0 to {interrupts.TIMERS - 1}, a period 0 (off) to 1e18 ns",
-            host.ON_LINE: f"ps_on_line({a}, ...): this board has lines 0 to {lines - 1}, and software interrupts PS_SOFTWARE(0) to "
-            f"PS_SOFTWARE({interrupts.SOFTWARE - 1})",
-            host.LEVEL: f"ps_level({a}): levels are 0 to {interrupts.HIGHEST}",
-            host.RAISE: f"ps_raise({a}): software interrupts are 0 to {interrupts.SOFTWARE - 1}",
+            host_record.TIMER: f"ps_timer({a}, ...), period {b} ns: timers are 0 to {interrupts.TIMERS - 1}, a period 0 (off) "
+            "to 1e18 ns",
+            host_record.ON_LINE: f"ps_on_line({a}, ...): this board has lines 0 to {lines - 1}, and software interrupts "
+            f"PS_SOFTWARE(0) to PS_SOFTWARE({interrupts.SOFTWARE - 1})",
+            host_record.LEVEL: f"ps_level({a}): levels are 0 to {interrupts.HIGHEST}",
+            host_record.RAISE: f"ps_raise({a}): software interrupts are 0 to {interrupts.SOFTWARE - 1}",
         }
         of_level = f"level {b} of {_asked_for(what, a)}: levels of hooks are 1 to {interrupts.HIGHEST}"
         return f"{bounds.get(what, of_level)}; at {self._link.stage.time:.6f} s."
@@ -185,6 +186,6 @@ def named(source: int) -> str:
 
 def _asked_for(what: int, which: int) -> str:
     """What ps_timer or ps_on_line was asked for."""
-    if what & ~host.OF_LEVEL == host.TIMER:
+    if what & ~host_record.OF_LEVEL == host_record.TIMER:
         return f"timer {which}"
     return f"line {which}" if which < interrupts.SOFTWARE_LINE else f"PS_SOFTWARE({which - interrupts.SOFTWARE_LINE})"

@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.board import bus, crash_report, host
+from stage.board import crash_report
+from stage.board.bus import host_record, requests
 from stage.board.errors import HostError
-from stage.board.traps import processor
-from stage.board.traps.calls import loaded_libraries
-from stage.board.traps.instructions import TABLE
-from stage.board.traps.signals import (
+from stage.board.isolation.traps import processor
+from stage.board.isolation.traps.calls import loaded_libraries
+from stage.board.isolation.traps.instructions import TABLE
+from stage.board.isolation.traps.signals import (
     NO_MASK,
     ON_STACK,
     WITH_INFO,
@@ -160,7 +161,7 @@ class Windows:
         place = crash_report.locate(start, top, self._library.path)
         access = f"{self._library.path.name}: an access to address {address:X}h in {place}"
         near = next((w for w in self._windows if w.address <= address < w.end), None)
-        if what == host.BEYOND_WINDOW:
+        if what == host_record.BEYOND_WINDOW:
             window = near or min(self._windows, key=lambda w: min(abs(address - w.address), abs(address - w.end)))
             goes = "goes on" if near else "is"
             return HostError(
@@ -183,7 +184,7 @@ def _install_handler() -> None:
     """Handle faults; the handler of before is called for those that are no accesses to windows."""
     if not _thunks:
         _space["opcodes"], _space["signal"] = TABLE.ctypes.data, _address(_libc.signal)
-        _space["request"] = _address(bus.request.pointer)
+        _space["request"] = _address(requests.request.pointer)
         _thunks.append(_make_thunk())
     action = get_action(SIGSEGV)
     if action.handler != _thunks[0]:

@@ -17,11 +17,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from stage.board.library import Library
-from stage.board.link import Link
-from stage.board.traps.calls import observe, redirect_calls, set_observer
-from stage.board.traps.memory import Windows
-from stage.board.traps.signals import (
+from stage.board.isolation.traps.calls import observe, redirect_calls, set_observer
+from stage.board.isolation.traps.memory import Windows
+from stage.board.isolation.traps.signals import (
     SignalHandlers,
     block_timers,
     find_position,
@@ -29,6 +27,8 @@ from stage.board.traps.signals import (
     unblock_timers,
     watch_crashes,
 )
+from stage.board.library import Library
+from stage.board.link import Link
 from stage.board.windows import Window
 from stage.errors import StageError
 

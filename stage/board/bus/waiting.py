@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from stage.board import host, interrupts
-from stage.board.interrupts import MARK, MARKED
+from stage.board.bus import host_record, interrupts
+from stage.board.bus.interrupts import MARK, MARKED
 from stage.chips import cores
 from stage.native import array_at, greatest, hot, least, stack_mark
 from stage.sim import records
@@ -17,16 +17,16 @@ STACK_LEFT = 1 << 20
 @hot
 def _run(h, until):
     """Let the stage's time pass up to `until` ns; journals and recordings take part."""
-    w = world(host.stage_of(h))
+    w = world(host_record.stage_of(h))
     while w.now < until and not h.stopped:
-        status = advance(host.stage_of(h), until)
+        status = advance(host_record.stage_of(h), until)
         if status == records.DIVERGED:
-            host.ask(h, host.DIVERGED)
+            host_record.ask(h, host_record.DIVERGED)
         elif status == records.SAMPLES_FULL or status == records.EDGES_FULL:
-            host.ask(h, host.FULL)
+            host_record.ask(h, host_record.FULL)
         elif status != records.REACHED:
             h.asked = until
-            host.ask(h, host.BY_HAND)
+            host_record.ask(h, host_record.BY_HAND)
     h.reached = w.now
 
 
@@ -35,29 +35,33 @@ def catch_up(h):
     """Advances the whole stage to the host's time."""
     if h.ahead:
         ahead, h.ahead = h.ahead, 0
-        _run(h, world(host.stage_of(h)).now + ahead)
+        _run(h, world(host_record.stage_of(h)).now + ahead)
 
 
 @hot
 def _foresee(h):
     """Up to when nothing but the chips themselves moves: no edge, no end of a slice."""
-    w, axes, dt = world(host.stage_of(h)), array_at(h.axes, h.n_axes, AXIS), clockwork(host.stage_of(h)).dt
+    w, axes, dt = (
+        world(host_record.stage_of(h)),
+        array_at(h.axes, h.n_axes, AXIS),
+        clockwork(host_record.stage_of(h)).dt,
+    )
     h.quiet = least(least(h.until, h.due), w.start + (w.slice + 1) * dt // records.SLICES)
     for a in range(len(axes)):
         h.quiet = least(h.quiet, axes[a].next_edge)
-    if clockwork(host.stage_of(h)).linked:  # one of them alone cannot go ahead of the others
+    if clockwork(host_record.stage_of(h)).linked:  # one of them alone cannot go ahead of the others
         h.quiet = 0
 
 
 @hot
 def _pass(h, ns):
     """`ns` pass; where the firmware is to stand still on the way, it does."""
-    w, left = world(host.stage_of(h)), ns
+    w, left = world(host_record.stage_of(h)), ns
     while left > 0 and not h.stopped:
         if w.now >= h.until:
-            host.ask(h, host.PAUSE)
+            host_record.ask(h, host_record.PAUSE)
             continue
-        end = least(least(w.now + left, h.until), w.now + host.AT_ONCE)
+        end = least(least(w.now + left, h.until), w.now + host_record.AT_ONCE)
         left -= end - w.now
         _run(h, end)
 
@@ -67,18 +71,18 @@ def _pass_cycle(h, ns):
     """The time of a bus cycle passes. While nothing but the chips moves, the stage follows later, and of the chips only the one
     that the host turns to is taken along: all of them for each cycle would cost as much as the physics."""
     if h.lazy and h.on_lines <= h.level:
-        if host.now_of(h) + ns < h.quiet:
+        if host_record.now_of(h) + ns < h.quiet:
             h.ahead += ns
             return
         catch_up(h)
         _pass(h, ns)
-        if host.now_of(h) >= h.due:
+        if host_record.now_of(h) >= h.due:
             interrupts.tick(h)
         _foresee(h)
     else:
         catch_up(h)
         _pass(h, ns)
-        if host.now_of(h) >= h.due:
+        if host_record.now_of(h) >= h.due:
             interrupts.tick(h)
 
 
@@ -86,21 +90,21 @@ def _pass_cycle(h, ns):
 def turn_to(h, chip):
     """Advances the chip to the host's time."""
     if h.ahead:
-        c = host.chip_of(h, chip)
-        cores.run(c, records.clock_at(host.now_of(h), c.hz))
+        c = host_record.chip_of(h, chip)
+        cores.run(c, records.clock_at(host_record.now_of(h), c.hz))
 
 
 @hot
 def line_of(h):
     """The chips that pull the interrupt line, a bit each, and behind them the devices."""
     catch_up(h)
-    irqs, pulling = array_at(h.irqs, h.n_chips, host.IRQ), 0
+    irqs, pulling = array_at(h.irqs, h.n_chips, host_record.IRQ), 0
     for k in range(h.n_chips):
         irq = irqs[k]
-        if irq.bits and cores.outputs(host.chip_of(h, k), irq.axis) & irq.bits:
+        if irq.bits and cores.outputs(host_record.chip_of(h, k), irq.axis) & irq.bits:
             pulling |= 1 << k
     if h.n_devices:
-        pulling |= host.devices_pulling(h) << h.n_chips
+        pulling |= host_record.devices_pulling(h) << h.n_chips
     return pulling
 
 
@@ -122,9 +126,9 @@ def _serve(h):
         source = interrupts.choose(h, asserted)
         if source < 0:
             return
-        if calls == host.STORM_CALLS:
+        if calls == host_record.STORM_CALLS:
             h.asked = source
-            host.ask(h, host.STORM)
+            host_record.ask(h, host_record.STORM)
             return
         calls += 1
         _call_hook(h, source)
@@ -139,11 +143,11 @@ def _call_hook(h, source):
     place = -1 if 0 < mark - h.stack_low < STACK_LEFT else interrupts.begin_hook(h, source, mark)
     if place < 0:
         h.asked = -1
-        host.ask(h, host.STORM)
+        host_record.ask(h, host_record.STORM)
         return
     number, s.missed = h.called, 0
-    host.note(h, host.CALLED, source, missed, -1)
-    host.call_out(h, s.hook, s.argument)
+    host_record.note(h, host_record.CALLED, source, missed, -1)
+    host_record.call_out(h, s.hook, s.argument)
     interrupts.end_hook(h, place, number, level, outer, outer_number, interrupts.BACK)
 
 
@@ -158,7 +162,7 @@ def _copy(source, target, words):
 def _to_line(h, lines, end):
     """Advances to `end`, but no further than the end of the physics step; or to the ns at which one of the lines (bits) is
     asserted, if that comes before. They are off now, or their hooks were called."""
-    w, dt = world(host.stage_of(h)), clockwork(host.stage_of(h)).dt
+    w, dt = world(host_record.stage_of(h)), clockwork(host_record.stage_of(h)).dt
     stop = least(end, w.start + dt)
     inside = stop - 1 if stop == w.start + dt else stop  # where no physics has come between, time can be taken back
     begin, noted = w.now, h.noted
@@ -187,14 +191,14 @@ def wait(h, ns):
     """`ns` pass in a delay; an interrupt comes at the ns of its timer, or at which its line is asserted. What its hook takes is
     part of the delay."""
     catch_up(h)
-    w = world(host.stage_of(h))
+    w = world(host_record.stage_of(h))
     end = w.now + ns
     while w.now < end and not h.stopped:
         stop = least(end, greatest(h.due, w.now + 1))
         if h.on_lines <= h.level:
             _pass(h, stop - w.now)
         elif w.now >= h.until:
-            host.ask(h, host.PAUSE)
+            host_record.ask(h, host_record.PAUSE)
             continue
         else:
             _to_line(h, h.looked, least(stop, h.until))
@@ -206,7 +210,7 @@ def wait(h, ns):
 @hot
 def reach(h, until):
     """The host's time gets to `until` ns, if it is not there."""
-    ns = until - host.now_of(h)
+    ns = until - host_record.now_of(h)
     if ns > 0:
         _pass_cycle(h, ns)
         serve(h)
@@ -215,11 +219,11 @@ def reach(h, until):
 @hot
 def wait_for_line(h, ns):
     """Time passes until the line is asserted, `ns` at most. Returns 1 if it is, else 0."""
-    asserted, w = line_of(h), world(host.stage_of(h))
+    asserted, w = line_of(h), world(host_record.stage_of(h))
     end = w.now + ns
     while not asserted and w.now < end and not h.stopped:
         if w.now >= h.until:
-            host.ask(h, host.PAUSE)
+            host_record.ask(h, host_record.PAUSE)
             continue
         _to_line(h, -1, least(end, h.until))
         asserted = line_of(h)
@@ -248,7 +252,7 @@ def set_source(h, source, lines, given, is_on):
     catch_up(h)
     s = interrupts.sources_of(h)[source]
     s.level, s.hook, s.argument, s.lines = given[1], given[3] if is_on else 0, given[4], lines
-    s.period, s.next, s.missed = given[2] if is_on else 0, host.now_of(h) + given[2], 0
+    s.period, s.next, s.missed = given[2] if is_on else 0, host_record.now_of(h) + given[2], 0
     if given[2]:
         s.pending = 0
     interrupts.arm(h)
@@ -261,7 +265,7 @@ def cycle(h):
     """The time of one bus cycle."""
     if h.cycles >= h.most_cycles:
         catch_up(h)
-        host.ask(h, host.PAUSE)
+        host_record.ask(h, host_record.PAUSE)
         h.quiet = 0
     h.cycles += 1
     _pass_cycle(h, h.bus)

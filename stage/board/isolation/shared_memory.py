@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage.board import host
 from stage.board.board import Board
-from stage.board.hooks import PYTHONS_TIMERS
-from stage.board.interrupts import BACK, HIGHEST, LOWERED, SOURCE, SOURCES
+from stage.board.bus import host_record
+from stage.board.bus.interrupts import BACK, HIGHEST, LOWERED, SOURCE, SOURCES
+from stage.board.interrupt_hooks import PYTHONS_TIMERS
 from stage.board.link import NOTED
-from stage.board.threaded import Program
+from stage.board.thread_runner import Program
 from stage.chips.entries import LOST, READ, WRITE
 from stage.errors import StageError
 from stage.native import plain
@@ -108,9 +108,9 @@ class Stands(NamedTuple):
 
 
 _LINES = {
-    "kind": (0, 7 | host.STRAY | host.LOST_ON_THE_WAY | host.RAISED),
+    "kind": (0, 7 | host_record.STRAY | host_record.LOST_ON_THE_WAY | host_record.RAISED),
     "count": (1, 1 << 62),
-    "port": (0, host.LAST_PORT),
+    "port": (0, host_record.LAST_PORT),
 }
 
 
@@ -168,7 +168,7 @@ class Shared:
         state = board.stage.state
         axes, nq, words = len(board.stage.axes), state.model.nq, len(state.saved) + board.stage.beside.words
         sizes: list[tuple[Any, tuple[int, ...]]] = [
-            (host.HOST, (1,)), (EDGE, (NOTED,)), (host.CYCLE, (board.trace.room,)), (np.float64, (words,)),
+            (host_record.HOST, (1,)), (EDGE, (NOTED,)), (host_record.CYCLE, (board.trace.room,)), (np.float64, (words,)),
             (SAMPLE, (ROWS, axes)), (np.float64, (ROWS, nq)), (plain(SOURCE), (SOURCES,)), (np.int64, (1,)), (np.uint8, (TEXT,)),
             (np.uint8, (CRASH,)), (np.float64, (board.stage.beside.words,)),
         ]  # fmt: skip
@@ -243,7 +243,7 @@ class Shared:
         )
         lines = self.cycles[lines]
         whole = whole and _within(lines, first=(0, latest), last=(0, latest), **_LINES)
-        if not (whole and _within(lines[lines["kind"] == host.RETURNED], value=(BACK, LOWERED))):
+        if not (whole and _within(lines[lines["kind"] == host_record.RETURNED], value=(BACK, LOWERED))):
             raise SpoiltError
 
     # --- a crash ---

@@ -16,10 +16,10 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from stage.board import bus, host
-from stage.board.devices.own import CDevice
+from stage.board.bus import host_record, requests
+from stage.board.bus.interrupts import NEAR
+from stage.board.devices.user_devices import CDevice
 from stage.board.errors import HostError
-from stage.board.interrupts import NEAR
 from stage.board.link import MOST
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ class Threaded:
         link = self._board.link
         link.firmware_thread, link.has_other_threads = threading.get_ident(), False
         code, failure, others = 0, None, native_threads()
-        top = bus.here.c()
+        top = requests.here.c()
         link.record["stack_low"], link.record["stack_high"] = top - STACK_SIZE, top + NEAR
         link.record["looks"] = MAX_LOOKS
         try:
@@ -184,7 +184,7 @@ class Threaded:
             return
         link.record["lazy"] = 0
         try:
-            link.request(link.pointer, host.SETTLE, 0, 0)
+            link.request(link.pointer, host_record.SETTLE, 0, 0)
             link.end()
             link.hooks.check_returned()
         except BaseException as error:
