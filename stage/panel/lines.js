@@ -1,4 +1,4 @@
-// Lines of text that come at the end: see lines.py.
+// Lines of text that come at the end: see browser_updates.py.
 export default {
   template: '<div tabindex="0" role="log"></div>',
   props: { most: Number },

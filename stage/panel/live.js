@@ -1,4 +1,4 @@
-// What changes many times a second: see live.py. The answer comes after the browser has drawn it.
+// What changes many times a second: see browser_updates.py. The answer comes after the browser has drawn it.
 export default {
   template: '<span style="display: none"></span>',
   methods: {

@@ -7,14 +7,12 @@ from functools import partial
 from math import degrees
 from typing import TYPE_CHECKING
 
-import mujoco
-import numpy as np
 from nicegui import context, run, ui
 
 from stage.errors import StageError
 from stage.panel import saved_panel
 from stage.panel.access_control import EventGate
-from stage.panel.browser_updates import FRAMES, BrowserUpdates, on_single_click
+from stage.panel.browser_updates import BrowserUpdates, on_single_click
 from stage.panel.bus_console import build_console
 from stage.panel.chip_panel import STYLE as CHIP_STYLE
 from stage.panel.chip_panel import build_chip_panels
@@ -22,6 +20,7 @@ from stage.panel.fault_page import build_fault_controls
 from stage.panel.oscilloscope_page import build_oscilloscope
 from stage.panel.procedure_page import build_procedures
 from stage.panel.session import FREE, Session
+from stage.panel.stage_scene import build_scene
 from stage.panel.tour import STEPS, Tour
 from stage.support.identifiers import escape_name
 
@@ -40,64 +39,6 @@ def format_position(unit: str, position: float, commanded: float, lost: int) -> 
         f"error      {(commanded - position) * scale:z10.4f} {name}\n"
         f"lost steps {lost:10d}"
     )
-
-
-VIEWS = {"corner": (0.75, -1.1, 0.75), "front": (0, -1.5, 0.15), "side": (1.5, 0, 0.15), "top": (0, -0.01, 1.6)}
-"""Where the camera stands, from the centre of the model, in its extents."""
-
-
-class Poses(ui.element, component="poses.js"):
-    """Element that moves the bodies of a scene."""
-
-    def __init__(self, scene: ui.scene):
-        super().__init__()
-        self._props["scene"] = scene.id
-
-
-def build_scene(panel: Panel, updates: BrowserUpdates) -> None:
-    """Build the stage in 3D."""
-    session = panel.session
-    model = session.stage.model
-    data = mujoco.MjData(model)  # this page's own: the stage's belongs to its thread
-    extent, (cx, cy, cz) = float(model.stat.extent), model.stat.center
-    camera = ui.scene.perspective_camera(fov=40, near=extent / 100, far=extent * 20)
-    with ui.element("div").classes("relative-position"):
-        with ui.scene(grid=False, camera=camera, background_color="#20242b", fps=FRAMES).classes("scene") as scene:
-            moving = {}
-            for body in panel.shapes:
-                with scene.group() as group:
-                    scene.gltf(f"/shape/{body}.glb")
-                moving[body] = group
-
-        def look_from(name: str, duration: float = 0.4) -> None:
-            x, y, z = (extent * way for way in VIEWS[name])
-            scene.move_camera(cx + x, cy + y, cz + z, cx, cy, cz, 0, 0, 1, duration=duration)
-
-        with ui.button_group().props("flat").classes("view"):
-            for name in VIEWS:
-                ui.button(name, on_click=lambda name=name: look_from(name)).props(
-                    f"dense flat no-caps color=white size=sm data-test=view-{name}"
-                )
-    look_from("corner", 0)
-    seen = np.full(model.nq, np.nan)
-    placed: dict[int, list] = {}
-
-    def look() -> list | None:
-        view = session.view
-        if np.array_equal(view.qpos, seen):
-            return None
-        seen[:] = view.qpos
-        data.qpos[:] = view.qpos
-        mujoco.mj_kinematics(model, data)
-        poses = []
-        for body, group in moving.items():
-            where = [data.xpos[body].round(6).tolist(), data.xmat[body].reshape(3, 3).round(6).tolist()]
-            if placed.get(body) != where:
-                placed[body] = where
-                poses.append([group.id, *where])
-        return [poses] if poses else None
-
-    updates.call_method(Poses(scene), "move", look)
 
 
 def build_axis_cards(panel: Panel, updates: BrowserUpdates) -> None:

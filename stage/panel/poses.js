@@ -1,4 +1,4 @@
-// Where the bodies of a scene are: see scene.py. The scene is drawn when something in it has changed, not all the time. A machine
+// Where the bodies of a scene are: see stage_scene.py. The scene is drawn when something in it has changed, not all the time. A machine
 // without a graphics card draws it by its processor: fewer pictures then, and coarser ones, so that the rest of the page lives.
 const SLOW = 70; // ms for a picture
 const REST = 2; // as long as a slow picture took, times this, nothing is drawn

@@ -15,7 +15,7 @@ import threading
 import webbrowser
 from concurrent.futures import Future
 from time import monotonic, sleep
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from stage.errors import ArgumentError, StageError
 from stage.panel.access_control import Controls, RequestGuard, report_malformed_messages_once, report_task_error
@@ -24,10 +24,6 @@ from stage.panel.sampler import Sampler
 from stage.panel.session import Session
 from stage.panel.stage_observer import StageObserver
 from stage.support.extras import need
-
-if TYPE_CHECKING:
-    pass
-
 
 _alone = threading.Lock()
 _sites: list[Website] = []
@@ -64,7 +60,7 @@ class Website:
         report_malformed_messages_once()
         self.panels: dict[int, Panel] = {}
         self.app = FastAPI(openapi_url=None)
-        self.app.add_route("/shape/{body:int}.glb", self._shape)
+        self.app.add_route("/mesh/{mesh:int}.stl", self._mesh)
         build.__annotations__["request"] = Request
         ui.run_with(
             self.app,
@@ -93,11 +89,15 @@ class Website:
     def _panel(self, scope: Any) -> Panel:
         return self.panels[scope["server"][1]]
 
-    async def _shape(self, request: Any) -> Any:
+    async def _mesh(self, request: Any) -> Any:
         from starlette.responses import Response
 
-        found = self._panel(request.scope).shapes.get(request.path_params["body"])
-        return Response(found or b"", status_code=200 if found else 404, media_type="model/gltf-binary")
+        from stage.panel.stage_scene import mesh_to_stl
+
+        model, mesh = self._panel(request.scope).session.stage.model, request.path_params["mesh"]
+        if mesh >= model.nmesh:
+            return Response(status_code=404)
+        return Response(mesh_to_stl(model, mesh), media_type="model/stl")
 
 
 LOOPBACK = "127.0.0.1"
@@ -130,7 +130,6 @@ class Panel:
         import uvicorn
 
         self._site = website()
-        from stage.panel import glb
         from stage.panel.procedure_page import ProcedureReports
 
         self.session, self.controls, self._owns_session = session, Controls(), owns_session
@@ -144,7 +143,6 @@ class Panel:
             Sampler(session),
             FaultControls(session),
         )
-        self.shapes = dict(glb.bodies(session.stage.model))
         names = (
             frozenset(f"{name}:{self.port}" for name in (LOOPBACK, "localhost")) if host == LOOPBACK else frozenset()
         )

@@ -57,7 +57,7 @@ def test_the_scene_is_drawn(browser):
 def test_no_request_leaves_the_machine(browser, address):
     there = address.split("/")[2]
     asked = browser.asked_for()
-    assert any("/shape/" in url for url in asked)
+    assert any("/mesh/" in url for url in asked)
     assert not [
         url for url in asked if url.split("/")[2:3] != [there] and not url.startswith(("data:", "blob:", "chrome"))
     ]

@@ -21,9 +21,9 @@ from stage.panel import open as open_panel
 from stage.panel import procedure_page as forms
 from stage.panel import server
 from stage.panel.access_control import CONTENT_POLICY
-from stage.panel.glb import bodies
 from stage.panel.server import Panel
 from stage.panel.session import FREE, Session
+from stage.panel.stage_scene import mesh_to_stl
 
 
 def asked(address, **headers):
@@ -42,14 +42,15 @@ def other():
     other.close()
 
 
-def test_each_body_is_served_as_gltf_and_what_is_none_is_not_found(served):
-    expected = dict(bodies(served.session.stage.model))
-    assert len(expected) > 2
-    for body, data in expected.items():
-        status, headers, found = asked(f"{served.panel.address}shape/{body}.glb")
-        assert (status, headers["content-type"], found) == (200, "model/gltf-binary", data)
-        assert headers["content-security-policy"] == CONTENT_POLICY
-    assert asked(f"{served.panel.address}shape/{max(expected) + 1}.glb")[::2] == (404, b"")
+def test_each_mesh_is_served_as_stl_and_any_other_is_not_found():
+    with Session(Stage("xy"), speed=FREE, paused=True) as session, Panel(session) as panel:
+        model = session.stage.model
+        assert model.nmesh > 0
+        for mesh in range(model.nmesh):
+            status, headers, content = asked(f"{panel.address}mesh/{mesh}.stl")
+            assert (status, headers["content-type"], content) == (200, "model/stl", mesh_to_stl(model, mesh))
+            assert headers["content-security-policy"] == CONTENT_POLICY
+        assert asked(f"{panel.address}mesh/{model.nmesh}.stl")[::2] == (404, b"")
 
 
 def test_a_page_is_that_of_the_panel_on_whose_port_it_is_asked_for(served, other):
