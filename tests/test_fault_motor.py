@@ -3,11 +3,12 @@
 import copy
 import pickle
 
+import mujoco
 import numpy as np
 import pytest
 from support.programs import start_preset
 
-from stage import ArgumentError, Drive, Stage, firmware
+from stage import ArgumentError, Drive, Stage, firmware, models
 from stage.chips import HCTL1100, PCL240K
 from stage.drives.motors import MOTORS, Motor
 from stage.sim import faults
@@ -63,6 +64,26 @@ def test_power_up_is_that_of_a_stage_built_with_the_motor(model, chip, name):
 
 
 FITTED = "dof_armature", "dof_M0", "dof_invweight0", "body_invweight0", "actuator_damping", "actuator_acc0"
+
+
+@pytest.mark.parametrize("later", ["17HS19-2004S1", SMALL, "17HS4401"])
+@pytest.mark.parametrize("by_a_fault", [False, True])
+def test_the_model_of_a_stage_takes_another_motor_as_its_file_does(later, by_a_fault):
+    """Stage(stage.model, drives=...): the rotor and the core loss of the former stage's motor are gone."""
+    first = Stage("xyz", drives={"x": SMALL if by_a_fault else "17HS19-2004S1"}, visuals=False)
+    if by_a_fault:
+        faults.motor(first.axes["x"], "17HS19-2004S1")
+    again, expected = (Stage(source, drives={"x": later}, visuals=False) for source in (first.model, "xyz"))
+    for name in FITTED:
+        np.testing.assert_allclose(getattr(again.model, name), getattr(expected.model, name), rtol=1e-12, err_msg=name)
+
+
+def test_a_damping_of_the_model_itself_survives_another_stage_with_another_motor():
+    spec = mujoco.MjSpec.from_file(f"{models.__path__[0]}/xyz.xml")
+    spec.actuator("x").damping[0] = 5e-4
+    first = Stage(spec, drives={"x": "17HS19-2004S1"}, visuals=False)
+    again = Stage(first.model, drives={"x": SMALL})
+    assert [float(s.model.actuator_damping[0]) for s in (first, again)] == [5e-4, 5e-4]
 
 
 @pytest.mark.parametrize("model", ["xyz", "xy", "gantry"])

@@ -9,7 +9,7 @@ import pytest
 
 from stage import Stage
 from stage.drives.dc_motors import DC_MOTORS
-from stage.drives.motors import motor
+from stage.drives.motors import find_motor
 from stage.sim import plant
 
 BENCH = ("xy", "xyz", "xyz_servo", "xy_mast")
@@ -27,7 +27,7 @@ def axes(model):
 
 
 def rotor_inertia(axis):
-    return (DC_MOTORS[axis.motor] if axis.servo else motor(axis.motor)).rotor_inertia
+    return (DC_MOTORS[axis.motor] if axis.servo else find_motor(axis.motor)).rotor_inertia
 
 
 def put(model, data, **positions):

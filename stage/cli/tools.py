@@ -94,10 +94,10 @@ def registers(args: argparse.Namespace) -> int:
 def pullout(args: argparse.Namespace) -> int:
     """Simulate and print the pull-out curve, and compare it with the published one; draw them with --plot."""
     from stage.drives.dynamometer import pull_out_table
-    from stage.drives.motors import Drive, describe_core_loss, estimate_core_loss, motor
+    from stage.drives.motors import Drive, describe_core_loss, estimate_core_loss, find_motor
     from stage.drives.published_curves import PUBLISHED_CURVES
 
-    drive = Drive(motor(args.motor), microsteps=args.microsteps, bus_voltage=args.bus_voltage)
+    drive = Drive(find_motor(args.motor), microsteps=args.microsteps, bus_voltage=args.bus_voltage)
     outputs(args)
     table = pull_out_table(drive, progress=lambda done: progress("simulating", done))
     tell(args, motor=args.motor, bus_voltage=args.bus_voltage, microsteps=args.microsteps, pull_out=table)

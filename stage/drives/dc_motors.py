@@ -67,8 +67,12 @@ DC_MOTORS: dict[str, DCMotor] = {
 """Presets by name: Ametek Pittman."""
 
 
-def dc_motor(name: str | DCMotor) -> DCMotor:
-    """A preset by name, or the motor itself. Raises ArgumentError with near misses."""
+def find_dc_motor(name: str | DCMotor) -> DCMotor:
+    """Return the preset of this name, or the motor itself.
+
+    Raises:
+        ArgumentError: No preset has this name; the error proposes similar ones.
+    """
     if isinstance(name, DCMotor):
         return name
     if not isinstance(name, str) or name not in DC_MOTORS:
@@ -100,7 +104,7 @@ class Servo:
     evidence: dict[str, str] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "motor", dc_motor(self.motor))
+        object.__setattr__(self, "motor", find_dc_motor(self.motor))
         if self.current_limit is not None:
             otherwise = ", or None for an amplifier without a limit"
             within("current_limit", self.current_limit, 0, MAX_CURRENT_A, "A", otherwise=otherwise)

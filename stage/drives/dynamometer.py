@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stage.drives import stepper
-from stage.drives.motors import Drive, Motor, within
+from stage.drives.motors import Drive, Motor, find_motor, within
 from stage.errors import ArgumentError
 from stage.native import array_of, exported, greatest, least, record
 
@@ -53,12 +53,12 @@ class PullOut(NamedTuple):
         return "\n".join([head, *rows])
 
 
-def closed_form(motor: Motor, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
+def closed_form(motor: Motor | str, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
     """Compute the pull-out torque of a sine drive, N m, shape of rpm: min(T_V, T_I) - b w, never below 0 (spec/drives.md, 1).
 
     Z = sqrt(R^2 + (Nr w L)^2), T_V = Km (V / Z - Km w R / Z^2), T_I = Km I; b is the motor's core loss.
     """
-    w = np.asarray(rpm, float) * 2 * math.pi / 60
+    motor, w = find_motor(motor), np.asarray(rpm, float) * 2 * math.pi / 60
     km, r = motor.torque_constant, motor.resistance
     z = np.hypot(r, motor.rotor_teeth * w * motor.phase_inductance)
     return np.clip(
@@ -66,7 +66,7 @@ def closed_form(motor: Motor, volts: float, current: float, rpm: Floats | float)
     )
 
 
-def bound_by_both(motor: Motor, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
+def bound_by_both(motor: Motor | str, volts: float, current: float, rpm: Floats | float) -> np.ndarray:
     """Compute the most torque of any sinusoidal current with |i| <= current and |v| <= volts at once, N m, shape of rpm.
 
     The motor's core loss is taken off.
@@ -75,7 +75,7 @@ def bound_by_both(motor: Motor, volts: float, current: float, rpm: Floats | floa
     that V allows fill the circle of radius V / |Z| around -E / Z. Its rightmost point is T_V; where that point needs more
     than `current`, the best is where the two circles cross. The closed form min(T_V, T_I) lies above it near its corner.
     """
-    w = np.asarray(rpm, float) * 2 * math.pi / 60
+    motor, w = find_motor(motor), np.asarray(rpm, float) * 2 * math.pi / 60
     z = motor.resistance + 1j * motor.rotor_teeth * w * motor.phase_inductance
     centre, radius = -motor.torque_constant * w / z, volts / np.abs(z)
     rated_fits = np.abs(current - centre) <= radius  # all of the current on the torque axis

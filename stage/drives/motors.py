@@ -196,14 +196,14 @@ class LikelyCoreLoss(NamedTuple):
     high: float
 
 
-def estimate_core_loss(motor: Motor) -> LikelyCoreLoss:
+def estimate_core_loss(motor: Motor | str) -> LikelyCoreLoss:
     """Estimate the core loss of a motor from its holding torque, after the motor whose curve is published."""
-    return LikelyCoreLoss(*(motor.holding_torque * share for share in LIKELY_CORE_LOSS_S))
+    return LikelyCoreLoss(*(find_motor(motor).holding_torque * share for share in LIKELY_CORE_LOSS_S))
 
 
-def is_core_loss_known(motor: Motor) -> bool:
+def is_core_loss_known(motor: Motor | str) -> bool:
     """Whether the core loss of a motor is fitted to a curve of it or stated by its data sheet, with or without a tolerance."""
-    return motor.evidence.get("core_loss_resistance", "")[:1] in ("C", "S")
+    return find_motor(motor).evidence.get("core_loss_resistance", "")[:1] in ("C", "S")
 
 
 def read_tolerance(motor: Any, field: str) -> float | None:
@@ -222,8 +222,9 @@ def read_tolerance(motor: Any, field: str) -> float | None:
     return percent / 100
 
 
-def describe_core_loss(motor: Motor) -> str:
+def describe_core_loss(motor: Motor | str) -> str:
     """Say in one sentence how well the core loss of a motor is known."""
+    motor = find_motor(motor)
     if is_core_loss_known(motor):
         fitted = motor.evidence["core_loss_resistance"].startswith("C")
         source = "fitted to its published pull-out curve" if fitted else "stated by its data sheet"
@@ -235,8 +236,12 @@ def describe_core_loss(motor: Motor) -> str:
     )
 
 
-def motor(name: str | Motor) -> Motor:
-    """A preset by name, or the motor itself. Raises ArgumentError with near misses."""
+def find_motor(name: str | Motor) -> Motor:
+    """Return the preset of this name, or the motor itself.
+
+    Raises:
+        ArgumentError: No preset has this name; the error proposes similar ones.
+    """
     if isinstance(name, Motor):
         return name
     if not isinstance(name, str) or name not in MOTORS:
@@ -264,7 +269,7 @@ class Drive:
     detent: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "motor", motor(self.motor))
+        object.__setattr__(self, "motor", find_motor(self.motor))
         if isinstance(self.microsteps, bool) or self.microsteps not in MICROSTEPS:
             raise ArgumentError(f"microsteps={self.microsteps!r}: a drive takes a whole number from 1 to 256.")
         within("bus_voltage", self.bus_voltage, 0, MAX_BUS_VOLTAGE, "V")

@@ -1,7 +1,7 @@
 """Pull-out curves that makers publish, and motors fitted to them.
 
     curve = PUBLISHED_CURVES["17HS19-2004S1"]
-    fit = fit_curve(motor("17HS19-2004S1"), curve, [200, 500, 700, 900])
+    fit = fit_curve("17HS19-2004S1", curve, [200, 500, 700, 900])
     print(fit)                      published, predicted and deviation at each speed
 
 A curve holds for the driver that it was measured with: losses of that driver are in it as well. One curve cannot tell a core
@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.drives.dynamometer import pull_out
-from stage.drives.motors import Drive, Motor, within
+from stage.drives.motors import Drive, Motor, find_motor, within
 from stage.errors import ArgumentError, unknown
 from stage.support.arguments import told
 
@@ -81,15 +81,15 @@ class PublishedCurve:
         Drive(microsteps=self.microsteps, bus_voltage=self.bus_voltage)  # raises for settings that no drive has
         within(f"curve of the {self.motor}: current", self.current, 0, 100, "A")
 
-    def drive(self, motor: Motor) -> Drive:
+    def drive(self, motor: Motor | str) -> Drive:
         """Return `motor` on the supply, current and microsteps of the curve."""
-        return Drive(motor, microsteps=self.microsteps, bus_voltage=self.bus_voltage, current=self.current)
+        return Drive(find_motor(motor), microsteps=self.microsteps, bus_voltage=self.bus_voltage, current=self.current)
 
-    def predict(self, motor: Motor) -> np.ndarray:
+    def predict(self, motor: Motor | str) -> np.ndarray:
         """Simulate the pull-out torque of `motor` on the bench at the curve's speeds and settings, N m, (n,)."""
         return pull_out(self.drive(motor), self.rpm)
 
-    def compare(self, motor: Motor) -> CurveComparison:
+    def compare(self, motor: Motor | str) -> CurveComparison:
         """Compare the curve with what the bench simulates of `motor`."""
         return CurveComparison(np.array(self.rpm, float), np.array(self.torque, float), self.predict(motor))
 
@@ -139,7 +139,7 @@ class CurveFit(NamedTuple):
 
 @told
 def fit_curve(
-    motor: Motor,
+    motor: Motor | str,
     curve: PublishedCurve,
     speeds: Sequence[float],
     values: Sequence[str] = ("holding_torque", "core_loss_resistance"),
@@ -157,6 +157,7 @@ def fit_curve(
     Raises:
         ArgumentError: A speed that the curve does not have, too few or too many speeds or values.
     """
+    motor = find_motor(motor)
     for name in values:
         if name not in _VALUES:
             raise unknown("value to fit", name, _VALUES)

@@ -1,8 +1,8 @@
 """Spread of a motor's values: where the core loss and the inductance of a machine lie that nobody has measured.
 
-    spread = estimate_spread(motor("17HS4401"))
+    spread = estimate_spread("17HS4401")
     spread["core_loss_damping"]                            low, high, and the evidence for them
-    vary(motor("17HS4401"), inductance=spread["inductance"].interpolate(0.5))
+    vary("17HS4401", inductance=spread["inductance"].interpolate(0.5))
 
 The hidden machines of the environments and the machines of `stage tune` are drawn from it.
 
@@ -16,7 +16,7 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from stage.drives.motors import Motor, estimate_core_loss, is_core_loss_known, read_tolerance, within
+from stage.drives.motors import Motor, estimate_core_loss, find_motor, is_core_loss_known, read_tolerance, within
 from stage.support import portable
 
 INDUCTANCE_TOLERANCE = 0.2
@@ -38,8 +38,9 @@ class Spread(NamedTuple):
         return float(portable.exp(low + (high - low) * share))
 
 
-def estimate_spread(motor: Motor) -> dict[str, Spread]:
+def estimate_spread(motor: Motor | str) -> dict[str, Spread]:
     """Estimate the spread of a motor's core loss damping, N m s/rad, and inductance, H, by name, from their evidence."""
+    motor = find_motor(motor)
     tolerance = read_tolerance(motor, "core_loss_resistance")
     if tolerance is not None:
         low, high = (share * motor.core_loss_damping for share in (1 - tolerance, 1 + tolerance))
@@ -70,12 +71,13 @@ def estimate_spread(motor: Motor) -> dict[str, Spread]:
     return {"core_loss_damping": loss, "inductance": inductance}
 
 
-def vary(motor: Motor, core_loss_damping: float | None = None, inductance: float | None = None) -> Motor:
+def vary(motor: Motor | str, core_loss_damping: float | None = None, inductance: float | None = None) -> Motor:
     """Return the motor with another core loss damping, N m s/rad, 0 for none, or inductance, H; None: as it is.
 
     Raises:
         ArgumentError: A value that no motor has.
     """
+    motor = find_motor(motor)
     if core_loss_damping is not None:
         max_loss = motor.holding_torque / (2 * math.pi)  # one turn a second takes all torque
         within(f"{motor.name}: core_loss_damping", core_loss_damping, 0, max_loss, "N m s/rad", zero=True)

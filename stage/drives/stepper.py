@@ -105,18 +105,18 @@ def _is_sine_held(d, omega):
 
 
 @hot
-def _slice(d, a, b, ta, tb, s, c, omega):
-    """The currents at the end of a slice that they begin as a, b, and their means.
+def _slice(d, a, b, ta, tb, s, c, omega, held):
+    """Compute the currents at the end of a slice that begins with a, b, and their means.
 
-    ta, tb: cosine and sine of the commanded phase; s, c: sine and cosine of the rotor's. The mean of a current is that of its
-    ends, exact but for h R / (12 L) of its change.
+    ta, tb: cosine and sine of the commanded phase; s, c: sine and cosine of the rotor's; held: of `_is_sine_held`. The mean of a
+    current is that of its ends, exact but for h R / (12 L) of its change.
     """
     push = d.back * omega
     ia, ib = d.current * ta, d.current * tb
     if d.mode == CHOPPER:  # on target if a voltage within the bus takes it there, else as far as it gets
         ia = least(greatest(ia, a * d.keep + (push * s - d.reach)), a * d.keep + (push * s + d.reach))
         ib = least(greatest(ib, b * d.keep - (push * c + d.reach)), b * d.keep - (push * c - d.reach))
-    elif _is_sine_held(d, omega):
+    elif held:
         a, b = ia, ib
     else:
         ia = a * d.keep + (push * s + d.reach * ta)
@@ -199,7 +199,7 @@ def _follow_slices(d, waves, counts, n, s, c, turn_s, turn_c, omega, half):
         total, tilt = 0.5 * (b * c - a * s), -0.5 * (SLICES // 2) * (a * c + b * s)
     for k in range(n):
         middle_s, middle_c = turned(s, c, hs, hc)
-        a, b, _, _ = _slice(d, a, b, waves[COS, k], waves[SIN, k], middle_s, middle_c, omega)
+        a, b, _, _ = _slice(d, a, b, waves[COS, k], waves[SIN, k], middle_s, middle_c, omega, held)
         if opened & A:
             a = 0.0
         if opened & B:
@@ -269,5 +269,6 @@ def torque(d, count, theta, omega, h):
         _prepare(d, h)
     tb, ta = sincos(d.offset + d.per_pulse * count)
     s, c = sincos(theta * d.teeth)
-    d.current_a, d.current_b, mean_a, mean_b = _slice(d, d.current_a, d.current_b, ta, tb, s, c, omega)
+    held = _is_sine_held(d, omega)
+    d.current_a, d.current_b, mean_a, mean_b = _slice(d, d.current_a, d.current_b, ta, tb, s, c, omega, held)
     return d.torque_constant * (mean_b * c - mean_a * s) - d.detent * 4.0 * s * c * (c * c - s * s)

@@ -15,6 +15,7 @@ from stage.drives.motors import Drive
 from stage.errors import ArgumentError
 from stage.sim import callbacks
 from stage.sim.integration import check_dampers, check_step
+from stage.sim.plant import fitted_values
 from stage.sim.state import SAVED, State
 
 if TYPE_CHECKING:
@@ -69,6 +70,8 @@ def vary_drive(axis: Axis, drive: Drive | Servo) -> None:
 
 def _fit(model: Any, axis: Axis, drive: Drive | Servo, armature: float) -> None:
     model.dof_armature[axis.plant.dof] = armature
+    fitted = fitted_values(model, axis.name)
+    fitted[0] = drive.motor.rotor_inertia if axis.plant.motor else 0.0
     _fit_windings(model, axis, drive)
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
@@ -77,7 +80,7 @@ def _fit_windings(model: Any, axis: Axis, drive: Drive | Servo) -> None:
     if isinstance(drive, Drive) and isinstance(axis.drive, Drive):
         damping = model.actuator_damping[axis.plant.actuator : axis.plant.actuator + 1]
         if damping[0] == axis.drive.motor.core_loss_damping:  # else it is the model's own
-            damping[0] = drive.motor.core_loss_damping
+            damping[0] = fitted_values(model, axis.name)[1] = drive.motor.core_loss_damping
     elif isinstance(drive, Servo):
         model.actuator_gainprm[axis.plant.actuator, :2] = drive.motor.resistance, drive.motor.torque_constant
 

@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 
 from stage.chips import CHIPS, PCL240K, Chip, ChipAxis, chip_class
-from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo, dc_motor
-from stage.drives.motors import MOTORS, Drive, Motor, motor
+from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo, find_dc_motor
+from stage.drives.motors import MOTORS, Drive, Motor, find_motor
 from stage.errors import ArgumentError, ModelError, unknown
 from stage.sim import plant
 
@@ -36,6 +36,7 @@ def wire(
         for name in given if isinstance(given, Mapping) else ():
             if name not in known:
                 raise unknown("axis", name, known)
+    plant.reserve_fitted_values(spec, names)
     axes = _make_chips(chips, names, clock)
     return names, axes, [_choose_drive(drives, name, axis.chip, spec) for name, axis in zip(names, axes, strict=True)]
 
@@ -45,7 +46,8 @@ def fit_rotors(
 ) -> None:
     """Fit the rotor of each drive's motor: its inertia into the joint's armature, its core loss as damping of the actuator.
 
-    The inertia takes the place of that of the motor which the model names. An actuator that has a damping in the model keeps it.
+    The inertia takes the place of that of the motor which the model names, or which a former stage has fitted to this MjModel. An
+    actuator that has a damping of its own in the model keeps it.
 
     Raises:
         ModelError: An actuator of an MjModel that its chip cannot drive; an armature smaller than the rotor inside it.
@@ -58,7 +60,10 @@ def fit_rotors(
                 f"axis {p.name}: {type(axis.chip).__name__} drives a {want}, and this MjModel, which cannot change, has a "
                 f"{have}: pass its path or MjSpec."
             )
-        built_in = _motor_named(p.motor).rotor_inertia if p.motor else d.motor.rotor_inertia
+        fitted = plant.fitted_values(model, p.name)
+        built_in = d.motor.rotor_inertia
+        if p.motor:
+            built_in, fitted[0] = fitted[0] or _motor_named(p.motor).rotor_inertia, d.motor.rotor_inertia
         given, inside = float(model.dof_armature[p.dof]), built_in * p.gear**2
         model.dof_armature[p.dof] += (d.motor.rotor_inertia - built_in) * p.gear**2
         if model.dof_armature[p.dof] < 0:
@@ -66,8 +71,8 @@ def fit_rotors(
                 f"axis {p.name}: the model names motor {p.motor} inside an armature of {given:g}, but the rotor of that alone "
                 f'makes {inside:g}: write armature="{inside:g}" or more, or leave the text {p.name}_motor out.'
             )
-        if isinstance(d, Drive) and not model.actuator_damping[p.actuator]:
-            model.actuator_damping[p.actuator] = d.motor.core_loss_damping
+        if isinstance(d, Drive) and model.actuator_damping[p.actuator] in (0.0, fitted[1]):
+            model.actuator_damping[p.actuator] = fitted[1] = d.motor.core_loss_damping
         _check_losses(model, p, d)
     after = model.dof_armature, model.actuator_damping
     if not all(map(np.array_equal, before, after)):
@@ -139,7 +144,7 @@ def _made(given: Any, clock: int | None) -> Any:
 
 
 def _motor_named(name: str) -> Motor | DCMotor:
-    return DC_MOTORS[name] if name in DC_MOTORS else motor(name)
+    return DC_MOTORS[name] if name in DC_MOTORS else find_motor(name)
 
 
 def _choose_drive(drives: Any, axis: str, chip: Chip, spec: Any) -> Drive | Servo:
@@ -158,14 +163,14 @@ def _choose_drive(drives: Any, axis: str, chip: Chip, spec: Any) -> Drive | Serv
         plant.equip(spec, axis, None)
         if not isinstance(given, Drive):
             given = Drive(
-                motor(given if given is not None else named if named and named not in DC_MOTORS else "17HS4401")
+                find_motor(given if given is not None else named if named and named not in DC_MOTORS else "17HS4401")
             )
         return replace(given, microsteps=chip.MICROSTEPS) if chip.MICROSTEPS else given
     own = plant.dc_constants(spec, axis)
     if isinstance(given, Servo):
         chosen = given
     elif given is not None:
-        chosen = Servo(dc_motor(given))
+        chosen = Servo(find_dc_motor(given))
     elif named in DC_MOTORS:
         chosen = Servo(DC_MOTORS[named])
     elif own is not None:

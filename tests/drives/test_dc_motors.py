@@ -8,7 +8,7 @@ import pytest
 
 from stage import ArgumentError, Stage
 from stage.drives import drive, stepper
-from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo, dc_motor
+from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo, find_dc_motor
 from stage.drives.motors import Drive
 
 EVERY = pytest.mark.parametrize("name", DC_MOTORS)
@@ -212,7 +212,7 @@ def test_presets_say_where_their_values_come_from(name):
     assert m.name == name
     assert set(m.evidence) == {"resistance", "torque_constant", "rotor_inertia", "continuous_torque", "nominal_voltage"}
     assert m.continuous_torque < m.stall_torque
-    assert dc_motor(name) is m is dc_motor(m)
+    assert find_dc_motor(name) is m is find_dc_motor(m)
 
 
 def test_a_servo_takes_a_motor_by_name_and_says_what_it_is():

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from stage.drives.dynamometer import pull_out
-from stage.drives.motors import Drive, motor
+from stage.drives.motors import Drive, find_motor
 
-MOTOR = motor("17HS4401")
+MOTOR = find_motor("17HS4401")
 LOSSLESS = replace(MOTOR, core_loss_resistance=None)
 
 

@@ -12,7 +12,7 @@ import pytest
 from stage.cli import main
 from stage.drives import stepper
 from stage.drives.dc_motors import DC_MOTORS
-from stage.drives.motors import EVIDENCE, MOTORS, Drive, Motor, motor
+from stage.drives.motors import EVIDENCE, MOTORS, Drive, Motor, find_motor
 from stage.errors import ArgumentError
 
 TABLE = {  # spec/drives.md, data sheet and curve of the 17HS19-2004S1: I, R, L, holding, detent, rotor J, Km; None: not given
@@ -27,7 +27,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "drives.md"
 
 @pytest.mark.parametrize("name", TABLE)
 def test_a_motor_is_that_of_the_data_sheet_and_says_which_values_are_not(name):
-    m = motor(name)
+    m = find_motor(name)
     *values, km = TABLE[name]
     for field, value in zip(FIELDS, values, strict=True):
         if value is None:
@@ -108,7 +108,7 @@ def test_drives_are_values_compared_pickled_and_hashed():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: motor("17HS4410"), "Did you mean '17HS4401'"),
+        (lambda: find_motor("17HS4410"), "Did you mean '17HS4401'"),
         (lambda: Drive("NEMA17"), "unknown motor 'NEMA17'.*Known: 17HS15-1504S, 17HS19-2004S1, 17HS4401, SS2422-5041"),
         (lambda: Drive({"resistance": 1.5}), "unknown motor .*resistance.*Known: 17HS15-1504S"),
         (lambda: Drive(microsteps=0), r"microsteps=0: .* 1 to 256"),
@@ -123,8 +123,8 @@ def test_drives_are_values_compared_pickled_and_hashed():
         (lambda: Drive(current=0), "above 0, up to 3.4 A"),
         (lambda: Drive(detent=-1), "detent of the 17HS4401=-1: give a number from 0 up to 0.4 N m"),
         (lambda: Drive(mode="chooper"), "Did you mean 'chopper'"),
-        (lambda: replace(motor("17HS4401"), inductance=0), "17HS4401: inductance=0: give a number above 0"),
-        (lambda: replace(motor("17HS4401"), detent_torque=1.0), "from 0 up to 0.4 N m"),
+        (lambda: replace(find_motor("17HS4401"), inductance=0), "17HS4401: inductance=0: give a number above 0"),
+        (lambda: replace(find_motor("17HS4401"), detent_torque=1.0), "from 0 up to 0.4 N m"),
         (lambda: Motor("odd", 1, 1, 1e-3, 0.1, 0, 1e-6, steps_per_turn=198), "a tooth is 4 steps"),
     ],
 )
@@ -142,7 +142,7 @@ def test_every_field_of_a_drive_is_checked():
 
 
 def test_every_field_of_a_motor_is_checked():
-    good = replace(motor("17HS4401"), core_loss_resistance=None)
+    good = replace(find_motor("17HS4401"), core_loss_resistance=None)
     most = {
         "rated_current": 100, "resistance": 1000, "inductance": 1, "holding_torque": 1000,
         "detent_torque": good.holding_torque, "rotor_inertia": 1, "steps_per_turn": 4000, "core_loss_resistance": 1e6,

@@ -10,7 +10,7 @@ import pytest
 from stage import ArgumentError
 from stage.cli import main
 from stage.drives.dynamometer import pull_out, pull_out_table
-from stage.drives.motors import MOTORS, Drive, describe_core_loss, estimate_core_loss, motor
+from stage.drives.motors import MOTORS, Drive, describe_core_loss, estimate_core_loss, find_motor
 from stage.drives.picture import plot_pull_out
 from stage.drives.published_curves import PUBLISHED_CURVES, PublishedCurve, fit_curve
 from stage.drives.spread import vary
@@ -122,7 +122,7 @@ def test_curves_of_lists_and_arrays_are_those_of_tuples():
 
 @pytest.mark.parametrize("speeds", [[], [150], [100, 150]])
 def test_a_deviation_at_speeds_that_the_curve_does_not_have_is_refused(speeds):
-    comparison = CURVE.compare(motor(CURVE.motor))
+    comparison = CURVE.compare(find_motor(CURVE.motor))
     assert comparison.compute_rms([100]) == pytest.approx(abs(comparison.deviation[0]))
     with pytest.raises(ArgumentError) as error:
         comparison.compute_rms(speeds)
@@ -175,7 +175,7 @@ def test_a_fit_of_too_much_or_elsewhere_is_refused(speeds, values, message):
 
 
 def test_the_likely_core_loss_grows_with_the_holding_torque_and_holds_that_of_the_curve():
-    small, strong = (estimate_core_loss(motor(name)) for name in ("SS2422-5041", "17HS4401"))
+    small, strong = (estimate_core_loss(find_motor(name)) for name in ("SS2422-5041", "17HS4401"))
     assert small.low < small.middle < small.high
     assert strong == pytest.approx(np.array(small) * 0.40 / 0.186)
     assert strong == pytest.approx([2.0e-4, 3.6e-4, 6.4e-4])
@@ -202,7 +202,11 @@ def test_the_picture_has_the_published_points_or_the_band_of_the_likely_loss():
 
 def test_the_band_of_the_likely_loss_ends_where_such_motors_have_no_torque():
     """At 8 V the 17HS4401 has no torque from 1650 rpm on; without core loss it would have 0.01 N m at 2400 rpm"""
-    drive, likely, rpm = Drive("17HS4401", bus_voltage=8.0), estimate_core_loss(motor("17HS4401")), [900, 1650, 2400]
+    drive, likely, rpm = (
+        Drive("17HS4401", bus_voltage=8.0),
+        estimate_core_loss(find_motor("17HS4401")),
+        [900, 1650, 2400],
+    )
     (ax,) = plot_pull_out(drive, pull_out_table(drive, rpm)).axes
     band = next(drawn for drawn in ax.collections if "likely" in str(drawn.get_label())).get_paths()[0].vertices
     for loss, reach in ((likely.low, np.max), (likely.high, np.min)):

@@ -11,7 +11,7 @@ import pytest
 from stage import Stage
 from stage.chips import HCTL1100, PCL240K
 from stage.drives.dc_motors import Servo
-from stage.drives.motors import MOTORS, Drive, motor
+from stage.drives.motors import MOTORS, Drive, find_motor
 from stage.errors import ArgumentError
 from stage.tune import Case, Task, tune
 from stage.tune.machines import draw_machines, find_spreads, fit_machine
@@ -32,8 +32,8 @@ def task_with(drive="17HS4401", **how):
 
 def motor_with(band):
     """The 17HS4401 whose core loss is known to within `band` per cent."""
-    evidence = motor("17HS4401").evidence | {"core_loss_resistance": f"I: +-{band} %"}
-    return replace(motor("17HS4401"), evidence=evidence)
+    evidence = find_motor("17HS4401").evidence | {"core_loss_resistance": f"I: +-{band} %"}
+    return replace(find_motor("17HS4401"), evidence=evidence)
 
 
 # --- where the ranges come from ---
@@ -61,7 +61,7 @@ def test_a_tolerance_in_the_evidence_takes_the_place_of_the_default():
         "inductance": "I: +- 12.5 %, measured on one",
         "core_loss_resistance": "S: +-30 %",
     }
-    variant = replace(motor("17HS4401"), evidence=evidence)
+    variant = replace(find_motor("17HS4401"), evidence=evidence)
     spreads = find_spreads(axis_with(variant))
     for name, value, share in (
         ("resistance", 1.5, 0.05),
@@ -74,7 +74,7 @@ def test_a_tolerance_in_the_evidence_takes_the_place_of_the_default():
 
 
 def test_a_tolerance_of_everything_is_refused():
-    variant = replace(motor("17HS4401"), evidence={"resistance": "S: +-150 %"})
+    variant = replace(find_motor("17HS4401"), evidence={"resistance": "S: +-150 %"})
     with pytest.raises(
         ArgumentError, match=r"17HS4401: evidence of resistance, 'S: \+-150 %': give a tolerance below 100 %\."
     ):
@@ -83,7 +83,7 @@ def test_a_tolerance_of_everything_is_refused():
 
 def test_a_motor_that_is_known_to_have_no_core_loss_is_drawn_without():
     evidence = {"core_loss_resistance": "S: +-30 %"}
-    axis = axis_with(replace(motor("17HS4401"), core_loss_resistance=None, evidence=evidence))
+    axis = axis_with(replace(find_motor("17HS4401"), core_loss_resistance=None, evidence=evidence))
     machines = draw_machines(axis, np.random.default_rng(0), 3)
     assert [machine.values["core loss"] for machine in machines] == [0.0, 0.0, 0.0]
 
@@ -180,10 +180,10 @@ def test_a_machine_leaves_nothing_behind_and_is_the_one_that_a_stage_is_built_wi
 def replay(record, cycles, machine):
     """Return whether a machine of a result's JSON keeps step in the move of these bus cycles, on a stage of its own."""
     variant = replace(
-        motor("17HS4401"),
+        find_motor("17HS4401"),
         resistance=machine["resistance"],
         effective_inductance=machine["inductance"],
-        core_loss_resistance=motor("17HS4401").torque_constant ** 2 / machine["core loss"],
+        core_loss_resistance=find_motor("17HS4401").torque_constant ** 2 / machine["core loss"],
     )
     stage = Stage(
         "xy", chips=PCL240K, drives={"x": Drive(variant, bus_voltage=machine["supply"]), "y": "17HS4401"}, visuals=False
@@ -231,7 +231,8 @@ def test_the_optimum_of_a_motor_without_core_loss_loses_steps_with_any_of_the_lo
     with Tries(task, plans, lanes=3) as tries:
         for loss in (0.0, spread.low, spread.high):
             variant = replace(
-                motor("17HS4401"), core_loss_resistance=motor("17HS4401").torque_constant ** 2 / loss if loss else None
+                find_motor("17HS4401"),
+                core_loss_resistance=find_motor("17HS4401").torque_constant ** 2 / loss if loss else None,
             )
             machine = task.machine._replace(drive=replace(task.machine.drive, motor=variant))
             kept[loss] = tries.make(

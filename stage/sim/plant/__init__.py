@@ -28,13 +28,15 @@ from stage.sim.plant.spec import (
     dc_constants,
     discard_visuals,
     equip,
+    fitted_values,
     motors,
     names,
     open_spec,
+    reserve_fitted_values,
 )  # fmt: skip
 from stage.sim.plant.switches import Switch
 
 __all__ = [
     "PINS", "PlantAxis", "Switch", "axis_names", "bind", "compile_spec", "dc_constants", "describe", "discard_visuals", "equip",
-    "motors", "names", "open_spec",
+    "fitted_values", "motors", "names", "open_spec", "reserve_fitted_values",
 ]  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
+from collections.abc import Iterable
 from functools import cache, lru_cache
 from importlib import import_module
 from pathlib import Path
@@ -132,6 +133,25 @@ def equip(source: Any, axis: str, constants: tuple[float, float] | None) -> None
         actuator.set_to_dcmotor([constants[0]] * 2, constants[1])
     elif actuator.gaintype == mujoco.mjtGain.mjGAIN_DCMOTOR:
         actuator.set_to_motor()
+
+
+def reserve_fitted_values(source: Any, axes: Iterable[str]) -> None:
+    """Give an MjSpec the numeric AXIS_fitted of each axis, see `fitted_values`. An MjModel stays as it is."""
+    if isinstance(source, mujoco.MjSpec):
+        for axis in axes:
+            if all(numeric.name != f"{axis}_fitted" for numeric in source.numerics):
+                source.add_numeric(name=f"{axis}_fitted", data=[0.0, 0.0])
+
+
+def fitted_values(model: mujoco.MjModel, axis: str) -> np.ndarray:
+    """Return what a stage has put into a model for the motor of an axis, a view of its numeric AXIS_fitted.
+
+    Returns:
+        (2,), the rotor inertia in the joint's armature, kg m^2, and the core loss in the actuator's damping, N m s/rad; 0 where
+        no stage has changed the value, and in a model without this numeric.
+    """
+    k = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, f"{axis}_fitted")
+    return model.numeric_data[model.numeric_adr[k] :][:2] if k >= 0 else np.zeros(2)
 
 
 def dc_constants(source: Any, axis: str) -> tuple[float, float] | None:
