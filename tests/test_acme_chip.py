@@ -23,7 +23,7 @@ from stage.board import Board
 from stage.chips import chip_class
 from stage.cli import main
 from stage.testing import chip_conformance
-from stage.testing.hands import driven
+from stage.testing.acts import draw_move
 
 
 @pytest.fixture(autouse=True)
@@ -47,7 +47,7 @@ def test_a_chip_whose_starts_go_less_far_is_asked_for_no_more():
     kind = chip_class("acme1000")
     few = tuple(replace(r, legal=(0, 50)) if r.name == "COUNT" else r for r in kind.MAP.registers)
     short = type("SHORT", (kind,), {"MAP": replace(kind.MAP, registers=few)})
-    asked = [driven(chip(), 0, np.random.default_rng(1))[1] for chip in (kind, short)]
+    asked = [draw_move(chip(), 0, np.random.default_rng(1))[1] for chip in (kind, short)]
     assert asked[0] > 50 == asked[1]
 
 

@@ -1,5 +1,7 @@
-"""Assertions about a stage, an axis or a board, for tests of firmware. A message gives the expected and the actual value and where
-to look next."""
+"""Assertions about a stage, an axis or a board, for tests of firmware.
+
+A message gives the expected and the actual value, and where to look next.
+"""
 
 from __future__ import annotations
 
@@ -14,22 +16,26 @@ if TYPE_CHECKING:
     from stage.board import Board
     from stage.sim.stage import Axis, Stage
 
-SHOWN = 20  # lines of a list
-STILL = 0.01  # m/s, rad/s: a motor that swings about its step is slower
+MAX_LINES = 20  # lines of a list
+STILL_SPEED = 0.01  # m/s, rad/s: a motor that swings about its step is slower
 
 
 @told
 def assert_no_lost_steps(what: Stage | Axis | Iterable[Axis]) -> None:
-    """The rotor of every axis is where its pulses say, to the full step. what: a stage, an axis, or several axes."""
+    """Assert that the rotor of every axis is where its pulses say, to the full step.
+
+    Args:
+        what: A stage, an axis, or several axes.
+    """
     __tracebackhide__ = True
-    bad = [axis for axis in axes_of(what) if axis.lost_steps]
+    bad = [axis for axis in list_axes(what) if axis.lost_steps]
     if bad:
         lines = [f"steps were lost, at {bad[0].time:.6f} s:"]
         for axis in bad:
             lines.append(
                 f"  {axis.name} is {abs(axis.lost_steps)} full steps {'behind' if axis.lost_steps > 0 else 'ahead of'} its pulses: "
-                f"commanded {distance(axis.commanded, axis.unit)}, is at {distance(axis.position, axis.unit)}"
-                + without_current(axis)
+                f"commanded {format_position(axis.commanded, axis.unit)}, is at {format_position(axis.position, axis.unit)}"
+                + describe_missing_current(axis)
             )
         lines.append(
             "The motor could not follow, or a hard stop was in the way. Look where x/lost_steps leaves 0 in the recording, and at "
@@ -42,9 +48,12 @@ def assert_no_lost_steps(what: Stage | Axis | Iterable[Axis]) -> None:
 
 @told
 def assert_at(axis: Axis, position: float, within: float = 25e-6) -> None:
-    """The carriage is at `position`, give or take `within`: metres (rad on a hinge), from the truth and not from any counter.
+    """Assert that the carriage is at `position`: its true place, not that of a counter.
 
-    The default is half a full step of the shipped stages.
+    Args:
+        axis: Axis of a stage.
+        position: Expected position, m (rad on a hinge).
+        within: Allowed deviation, m (rad); the default is half a full step of the shipped stages.
     """
     __tracebackhide__ = True
     if not within >= 0:
@@ -54,13 +63,13 @@ def assert_at(axis: Axis, position: float, within: float = 25e-6) -> None:
         side = "short of" if abs(at) < abs(position) else "beyond"
         lines = [
             f"{axis.name} is not where it was expected, at {axis.time:.6f} s:",
-            f"  expected  {distance(position, unit)} +- {fine(within, unit)}",
-            f"  is at     {distance(at, unit)}: {fine(at - position, unit, sign=True)}, {side} it",
-            f"  commanded {distance(axis.commanded, unit)} by its pulses, {axis.lost_steps} full steps lost",
+            f"  expected  {format_position(position, unit)} +- {format_deviation(within, unit)}",
+            f"  is at     {format_position(at, unit)}: {format_deviation(at - position, unit, sign=True)}, {side} it",
+            f"  commanded {format_position(axis.commanded, unit)} by its pulses, {axis.lost_steps} full steps lost",
         ]
-        if pulse_rate(axis):
+        if read_pulse_rate(axis):
             lines.append(
-                f"It still moves, {pulse_rate(axis):+,.0f} pulses a second: did the test wait for the end of the move?"
+                f"It still moves, {read_pulse_rate(axis):+,.0f} pulses a second: did the test wait for the end of the move?"
             )
         elif axis.lost_steps:
             lines.append("The motor lost its steps: see assert_no_lost_steps.")
@@ -76,20 +85,25 @@ def assert_at(axis: Axis, position: float, within: float = 25e-6) -> None:
 
 
 @told
-def assert_stopped(what: Stage | Axis | Iterable[Axis], speed: float = STILL) -> None:
-    """No axis gets pulses, and none is faster than `speed` (m/s; rad/s on a hinge). For what happens after a limit switch."""
+def assert_stopped(what: Stage | Axis | Iterable[Axis], speed: float = STILL_SPEED) -> None:
+    """Assert that no axis gets pulses, and that none moves. For what happens after a limit switch.
+
+    Args:
+        what: A stage, an axis, or several axes.
+        speed: Speed below which an axis stands still, m/s (rad/s on a hinge).
+    """
     __tracebackhide__ = True
     lines = []
-    for axis in axes_of(what):
-        rate, velocity = pulse_rate(axis), velocity_of(axis)
+    for axis in list_axes(what):
+        rate, velocity = read_pulse_rate(axis), read_velocity(axis)
         if rate or abs(velocity) > speed:
             on = [name for name, asserted in axis.switches.as_dict().items() if asserted]
             lines.append(
                 f"  {axis.name} gets {rate:+,.0f} pulses a second and moves at {velocity * 1e3:+.3f} m{axis.unit}/s, at "
-                f"{distance(axis.position, axis.unit)}; switches asserted: {', '.join(on) or 'none'}"
+                f"{format_position(axis.position, axis.unit)}; switches asserted: {', '.join(on) or 'none'}"
             )
     if lines:
-        time = next(iter(axes_of(what))).time
+        time = next(iter(list_axes(what))).time
         raise AssertionError(
             "\n".join([f"expected to stand still at {time:.6f} s:", *lines, "Look at the last bus cycles before that."])
         )
@@ -97,40 +111,45 @@ def assert_stopped(what: Stage | Axis | Iterable[Axis], speed: float = STILL) ->
 
 @told
 def assert_pins(axis: Axis, **expected: bool) -> None:
-    """Pins of an axis of its chip are asserted or not, whatever their polarity: `assert_pins(x, org=True, irq=False)`."""
+    """Assert that pins of an axis are asserted or not, whatever their polarity: `assert_pins(x, org=True, irq=False)`.
+
+    Args:
+        axis: Axis of a stage.
+        expected: Pins of its axis of the chip by name, True for asserted.
+    """
     __tracebackhide__ = True
-    found = {name: bool(getattr(axis.pins, name)) for name in expected}
-    wrong = [name for name in expected if found[name] != bool(expected[name])]
+    levels = {name: bool(getattr(axis.pins, name)) for name in expected}
+    wrong = [name for name in expected if levels[name] != bool(expected[name])]
     if wrong:
         words = {True: "asserted", False: "not asserted"}
         raise AssertionError(
             f"pins of {axis.name} ({type(axis.chip).__name__}) at {axis.time:.6f} s:\n"
-            + "\n".join(f"  {name} is {words[found[name]]}, expected {words[not found[name]]}" for name in wrong)
-            + f"\n{axis.name} is at {distance(axis.position, axis.unit)}; asserted are: "
+            + "\n".join(f"  {name} is {words[levels[name]]}, expected {words[not levels[name]]}" for name in wrong)
+            + f"\n{axis.name} is at {format_position(axis.position, axis.unit)}; asserted are: "
             + (", ".join(name for name, on in axis.pins.as_dict().items() if on) or "none")
         )
 
 
 @told
 def assert_no_diagnostics(stage: Stage) -> None:
-    """No bus write that a data-sheet reader would call a mistake: what silicon swallows in silence."""
+    """Assert that no bus write was a mistake by the data sheet: what silicon ignores in silence."""
     __tracebackhide__ = True
-    found = []
+    mistakes = []
     for chip in stage.chips:
         names = "".join(axis.name for axis in stage.axes.values() if axis.chip is chip)
         digits = 4 if chip.DATA_MASK > 0xFF else 2
         for d in chip.diagnostics:
-            found.append(
+            mistakes.append(
                 (
                     d.clock / chip.clock_hz,
                     f"{names}: address {d.address} W {d.value:0{digits}X}h  {d.message} ({d.source})",
                 )
             )
-    if found:
+    if mistakes:
         raise AssertionError(
-            listed(
-                f"{len(found)} bus write{'s' * (len(found) > 1)} that a reader of the data sheet would call a mistake:",
-                [f"  {seconds:.9f} s  {text}" for seconds, text in sorted(found)],
+            format_list(
+                f"{len(mistakes)} bus write{'s' * (len(mistakes) > 1)} that a reader of the data sheet would call a mistake:",
+                [f"  {seconds:.9f} s  {text}" for seconds, text in sorted(mistakes)],
                 "The bus trace shows what came before each.",
             )
         )
@@ -138,16 +157,16 @@ def assert_no_diagnostics(stage: Stage) -> None:
 
 @told
 def assert_no_strays(board: Board) -> None:
-    """Every bus cycle that the board's trace keeps reached a chip."""
+    """Assert that every bus cycle in the board's trace reached a chip."""
     __tracebackhide__ = True
     strays = board.strays
     if strays:
         ports, n = sorted(board.ports), sum(c.times for c in strays)
         raise AssertionError(
-            listed(
+            format_list(
                 f"{n:,} bus cycle{'s' * (n > 1)} reached no chip, or half of a register only:",
                 [f"  {cycle}" for cycle in strays],
-                f"Chips are at {', '.join(ranges(ports))}: {board!r}. Wrong base or stride in the firmware, or in "
+                f"Chips are at {', '.join(format_ranges(ports))}: {board!r}. Wrong base or stride in the firmware, or in "
                 "@pytest.mark.board?",
             )
         )
@@ -156,58 +175,58 @@ def assert_no_strays(board: Board) -> None:
 # --- what the messages are made of ---
 
 
-def axes_of(what: Any) -> list[Axis]:
-    """The axes of a stage, an axis, or several."""
+def list_axes(what: Any) -> list[Axis]:
+    """List the axes of a stage, an axis, or several axes."""
     axes = getattr(what, "axes", what)
     if hasattr(axes, "values"):
         return list(axes.values())
     if hasattr(axes, "pins"):
         return [axes]
     try:
-        found = list(axes)
+        axes_found = list(axes)
     except TypeError:
-        found = [axes]
-    for axis in found:
+        axes_found = [axes]
+    for axis in axes_found:
         if not hasattr(axis, "lost_steps"):
             raise ArgumentError(f"{axis!r} is no axis: give a stage, stage.axes['x'], or several axes.")
-    return found
+    return axes_found
 
 
-def pulse_rate(axis: Axis) -> float:
-    """Pulses a second now (counts of a servo), signed."""
+def read_pulse_rate(axis: Axis) -> float:
+    """Return the present pulse rate, pps (counts a second for a servo), signed."""
     chip = axis.chip
     return float(chip.CORE.pulse_rate.c(chip.pointer, axis.chip_axis, float(chip.clock_hz)))
 
 
-def velocity_of(axis: Axis) -> float:
-    """m/s, rad/s on a hinge."""
+def read_velocity(axis: Axis) -> float:
+    """Return the velocity, m/s (rad/s on a hinge)."""
     return float(axis.stage.data.qvel[axis.plant.dof])
 
 
-def without_current(axis: Axis) -> str:
+def describe_missing_current(axis: Axis) -> str:
     """Say why its motor has no current, as the end of a sentence; "" while it has."""
     why = axis.chip.explain_missing_current(axis.chip_axis)
     return f"; {why}" if why else ""
 
 
-def distance(value: float, unit: str) -> str:
-    """A position, in words."""
+def format_position(value: float, unit: str) -> str:
+    """Format a position with its unit."""
     return PLACES[unit].text(value)
 
 
-def fine(value: float, unit: str, sign: bool = False) -> str:
-    """A deviation, in words."""
+def format_deviation(value: float, unit: str, sign: bool = False) -> str:
+    """Format a deviation with its unit."""
     return SMALL[unit].text(value, f"{'+' if sign else ''},.1f")
 
 
-def listed(head: str, lines: list[str], tail: str) -> str:
-    """A message with the first lines of a list."""
-    more = [f"  ... and {len(lines) - SHOWN:,} more"] if len(lines) > SHOWN else []
-    return "\n".join([head, *lines[:SHOWN], *more, tail])
+def format_list(head: str, lines: list[str], tail: str) -> str:
+    """Format a message with the first lines of a list."""
+    more = [f"  ... and {len(lines) - MAX_LINES:,} more"] if len(lines) > MAX_LINES else []
+    return "\n".join([head, *lines[:MAX_LINES], *more, tail])
 
 
-def ranges(ports: list[int]) -> list[str]:
-    """Runs of neighbouring ports."""
+def format_ranges(ports: list[int]) -> list[str]:
+    """Format runs of neighboring ports."""
     firsts = [p for p in ports if p - 1 not in ports]
     lasts = [p for p in ports if p + 1 not in ports]
     return [f"{a:03X}h to {b:03X}h" if a != b else f"{a:03X}h" for a, b in zip(firsts, lasts, strict=True)]

@@ -1,11 +1,11 @@
-"""`chip_conformance`: does a chip keep the promises that stages, boards, recordings and environments build on?
+"""`chip_conformance`: check that a chip keeps the promises that stages, boards, recordings and environments build on.
 
     from stage.testing import chip_conformance
 
     chip_conformance(ACME1000)                         raises NotConforming, with each promise that is broken
     test_acme1000 = chip_conformance.tests(ACME1000)   a line in the chip's own tests: a test a promise
 
-Programs are random: a failure says its seed, and `chip_conformance(ACME1000, seed=...)` tries the same again.
+Programs are random: a failure prints its seed, and `chip_conformance(ACME1000, seed=...)` tries the same again.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from typing import Any
 
 from stage.chips import Chip, chip_class
 from stage.errors import ArgumentError, NativeError, StageError, unknown
-from stage.testing.bounded import NOT_ENDED, bounded
+from stage.testing.child_process import NOT_FINISHED, run_bounded
 from stage.testing.promises import PROMISES
-from stage.testing.trial import Broken, Trial
+from stage.testing.trial import BrokenPromise, Trial
 
 PROGRAMS = 3
 LIMIT = 120.0
@@ -29,7 +29,11 @@ SHORT_LIMIT = 15.0
 
 
 class NotConforming(StageError, AssertionError):
-    """A chip breaks promises; `broken`: promise -> what it does in its place."""
+    """A chip breaks promises.
+
+    Attributes:
+        broken: Name of each broken promise -> what the chip does.
+    """
 
     def __init__(self, message: str, broken: dict[str, str]):
         super().__init__(message)
@@ -40,7 +44,7 @@ class NotConforming(StageError, AssertionError):
 
 
 class ChipConformance:
-    """See this module."""
+    """Conformance suite for chips; call it, or have it make tests. See this module."""
 
     promises = tuple(PROMISES)
     """The names of all promises."""
@@ -56,18 +60,22 @@ class ChipConformance:
         limit: float | None = LIMIT,
         **options: Any,
     ) -> None:
-        """Try every promise, or those named. A chip whose core cannot be compiled is told at once.
+        """Try every promise, or those named. A core that cannot be compiled is reported at once.
 
         Args:
-            chip: a class, or a chip's name.
-            programs: random ones for each promise. 3 take a second or so, 300 find what is rare.
-            seed: of the random numbers; default: another each time. It is printed, and is in the error's text.
-            uncompiled: and the same programs as plain Python, in a process of its own, must give the same bits.
-            limit: seconds of real time for each promise, in a process of its own, so that a core that never answers, or that writes
-                beyond an array, is told as a broken promise. Once one has not ended, the others have SHORT_LIMIT. None: in this
-                process, without a limit, for debuggers.
-            options: what the chip is made with, for example clock_hz.
-        Raises NotConforming, ArgumentError for a promise that is not known or a limit that is no time.
+            chip: Class of a chip, or its name.
+            programs: Random programs for each promise. 3 take a second or so, 300 find what is rare.
+            seed: Seed of the random numbers; default: another each time. It is printed, and is in the error's text.
+            promises: Names of the promises to try; default: all.
+            uncompiled: Whether the same programs, run as plain Python in a process of its own, must give the same bits.
+            limit: Real time for each promise in a process of its own, s, so that a core that never answers, or that writes beyond
+                an array, is reported as a broken promise. After the first such core the others get SHORT_LIMIT. None: this process,
+                without a limit, for debuggers.
+            options: What the chip is made with, for example clock_hz.
+
+        Raises:
+            NotConforming: The chip breaks a promise.
+            ArgumentError: A promise is unknown, or the limit is not a time.
         """
         __tracebackhide__ = True
         if limit is not None and not (isinstance(limit, int | float) and limit > 0):
@@ -88,51 +96,60 @@ class ChipConformance:
         for name in PROMISES if promises is None else promises:
             if name not in PROMISES:
                 raise unknown("promise", name, PROMISES)
-            if said := bounded(partial(_tried, PROMISES[name], trial), limit):
-                broken[name] = said
-                limit = _shorter(limit, broken)
+            if answers := run_bounded(partial(_try_promise, PROMISES[name], trial), limit):
+                broken[name] = answers
+                limit = _shorten_limit(limit, broken)
                 if name == "has_what_every_chip_has":
                     break
         if uncompiled and not broken:
             from stage.testing.uncompiled import compare
 
-            if said := compare(kind, options, seed, programs, limit):
-                broken["compiled = uncompiled"] = said
+            if answers := compare(kind, options, seed, programs, limit):
+                broken["compiled = uncompiled"] = answers
         if broken:
             lines = "\n".join(
                 f"  {PROMISES[n].__doc__ if n in PROMISES else n}\n    but: {b}" for n, b in broken.items()
             )
             raise NotConforming(f"{kind.__name__} breaks {len(broken)} of its promises (seed={seed}):\n{lines}", broken)
 
-    def tests(self, chip: type[Chip] | str, **given: Any) -> Callable:
-        """A test function for pytest, with one test for each promise; arguments as those of a call."""
+    def tests(self, chip: type[Chip] | str, **options: Any) -> Callable:
+        """Make a test function for pytest, with one test for each promise.
+
+        Args:
+            chip: Class of a chip, or its name.
+            options: Arguments of a call.
+        """
         import pytest
 
-        found: dict[str, str] = {}
+        broken: dict[str, str] = {}
 
-        @pytest.mark.parametrize("promise", given.pop("promises", self.promises))
+        @pytest.mark.parametrize("promise", options.pop("promises", self.promises))
         def test_chip_conformance(promise: str) -> None:
             __tracebackhide__ = True
             try:
-                self(chip, promises=[promise], **{**given, "limit": _shorter(given.get("limit", LIMIT), found)})
+                self(
+                    chip,
+                    promises=[promise],
+                    **{**options, "limit": _shorten_limit(options.get("limit", LIMIT), broken)},
+                )
             except NotConforming as error:
-                found.update(error.broken)
+                broken.update(error.broken)
                 raise
 
         return test_chip_conformance
 
 
-def _shorter(limit: float | None, broken: dict[str, str]) -> float | None:
-    """The limit, once some of these are broken."""
-    hangs = limit is not None and any(said.startswith(NOT_ENDED) for said in broken.values())
+def _shorten_limit(limit: float | None, broken: dict[str, str]) -> float | None:
+    """Return the limit for the next promise, given those that are broken."""
+    hangs = limit is not None and any(answers.startswith(NOT_FINISHED) for answers in broken.values())
     return min(limit, SHORT_LIMIT) if limit is not None and hangs else limit
 
 
-def _tried(promise: Callable[[Trial], None], trial: Trial) -> str:
-    """How it is broken, in words; "" if it is kept."""
+def _try_promise(promise: Callable[[Trial], None], trial: Trial) -> str:
+    """Return how a promise is broken; "" if it is kept."""
     try:
         promise(trial)
-    except Broken as error:
+    except BrokenPromise as error:
         return f"{error}."
     except Exception as error:
         import traceback

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,52 +17,54 @@ import stage as package
 from stage.board.bus.host_record import STRAY
 from stage.chips.describe import decode
 from stage.errors import StageError
+from stage.recording import Recording
 from stage.sim import plant
-from stage.testing.assertions import distance, pulse_rate, without_current
-from stage.testing.settings import setting
-from stage.testing.watched import WatchedStage, has_something
+from stage.sim.stage import Snapshot, Stage
+from stage.testing.assertions import describe_missing_current, format_position, read_pulse_rate
+from stage.testing.plugin import read_setting
 
 if TYPE_CHECKING:
     from stage.board import Board
-    from stage.recording import Recording
 
-LAST = 20  # bus cycles in the report
-LOGGED = 10  # lines of the firmware's log
-LONGEST = 120  # characters of a folder's name
-HERE = Path(package.__file__).parent
+REPORTED_CYCLES = 20  # bus cycles in the report
+REPORTED_LOG_LINES = 10  # lines of the firmware's log
+MAX_FOLDER_NAME = 120  # characters of a folder's name
+PACKAGE_FOLDER = Path(package.__file__).parent
 
 
-def folder(config: pytest.Config, nodeid: str) -> Path:
-    """The folder of a test, by its id; two tests never share one."""
-    given = config.getoption("pulsestage_output")
+def choose_folder(config: pytest.Config, nodeid: str) -> Path:
+    """Return the folder of the files of a test, by its id; no two tests share one."""
+    option = config.getoption("pulsestage_output")
     where = (
-        config.invocation_params.dir / given
-        if given
-        else config.rootpath / (setting(config, "output") or ".pulsestage")
+        config.invocation_params.dir / option
+        if option
+        else config.rootpath / (read_setting(config, "output") or ".pulsestage")
     )
-    name = re.sub(r"[^\w.=+-]+", "_", nodeid.replace("/", ".").replace("::", ".")).strip("_")[:LONGEST]
-    if not re.fullmatch(r"[\w./:]+", nodeid) or len(nodeid) > LONGEST:  # something was lost
+    name = re.sub(r"[^\w.=+-]+", "_", nodeid.replace("/", ".").replace("::", ".")).strip("_")[:MAX_FOLDER_NAME]
+    if not re.fullmatch(r"[\w./:]+", nodeid) or len(nodeid) > MAX_FOLDER_NAME:  # something was lost
         digest = hashlib.sha256(nodeid.encode(errors="backslashreplace")).hexdigest()
         name += f"-{digest[:6]}"
     return where / name
 
 
-class Watch:
-    """One test with a stage.
+class Evidence:
+    """Files and report of one test with a stage.
 
     Args:
-        item: the test. stage, model: its stage, and what that was made of.
+        item: Test.
+        stage: Stage of the test.
+        model: Model that the stage was made of, as `Stage` takes it.
     """
 
     def __init__(self, item: pytest.Item, stage: WatchedStage, model: Any):
         self.stage, self._model = stage, model
-        self.folder = folder(item.config, item.nodeid)
+        self.folder = choose_folder(item.config, item.nodeid)
         self._from = item.config.invocation_params.dir
         self.board: Board | None = None
-        self._kept = False
+        self._saved = False
 
     def clear(self) -> None:
-        """A folder is there if its test failed the last time, and not longer."""
+        """Remove the files of an earlier run: a folder exists only if its test failed the last time."""
         if self.folder.is_dir():
             for pattern in ("recording*.rrd", "waveforms*.vcd", "bus.txt"):
                 for file in self.folder.glob(pattern):
@@ -69,49 +72,51 @@ class Watch:
             if not any(self.folder.iterdir()):
                 self.folder.rmdir()
 
-    def shorten(self, error: BaseException) -> None:
-        """An error of this package speaks for itself: its traceback ends in the test."""
+    def shorten_traceback(self, error: BaseException) -> None:
+        """End the traceback of an error of this package in the test: the frames of this package say nothing to its author."""
         if isinstance(error, StageError):
             frame = last = error.__traceback__
             while frame is not None:
-                if not Path(frame.tb_frame.f_code.co_filename).is_relative_to(HERE):
+                if not Path(frame.tb_frame.f_code.co_filename).is_relative_to(PACKAGE_FOLDER):
                     last = frame
                 frame = frame.tb_next
             if last is not None:
                 last.tb_next = None
 
-    def keep(self) -> str:
-        """Save all files; returns the text for the report. "" if nothing has happened yet, or all is saved already."""
-        if self._kept or not (self.stage.time or (self.board and self.board.cycles)):
+    def save(self) -> str:
+        """Save all files and return the text for the report; "" if nothing has happened yet, or if they are saved already."""
+        if self._saved or not (self.stage.time or (self.board and self.board.cycles)):
             return ""
-        self._kept = True
+        self._saved = True
         try:
-            return self._keep()
+            return self._save_all()
         except Exception as error:  # whatever it is, it must not hide why the test failed
             return f"nothing more is saved: {type(error).__name__}: {error}"
 
-    def _keep(self) -> str:
-        bus = self._bus()
-        last = [f"last of {len(bus) - 1:,} lines of the bus trace:", bus[0], *bus[1:][-LAST:]] if bus else []
-        return "\n\n".join(filter(None, [self._state(), self._log(), "\n".join(last), self._files(bus)]))
+    def _save_all(self) -> str:
+        bus = self._list_bus_cycles()
+        last = [f"last of {len(bus) - 1:,} lines of the bus trace:", bus[0], *bus[1:][-REPORTED_CYCLES:]] if bus else []
+        return "\n\n".join(
+            filter(None, [self._describe_state(), self._describe_log(), "\n".join(last), self._save_files(bus)])
+        )
 
-    def _state(self) -> str:
+    def _describe_state(self) -> str:
         stage = self.stage
         lines = [f"stage at {stage.time:.6f} s:"]
         for axis in stage.axes.values():
             on = ", ".join(name for name, asserted in axis.switches.as_dict().items() if asserted)
-            rate = pulse_rate(axis)
+            rate = read_pulse_rate(axis)
             lines.append(
-                f"  {axis.name} ({type(axis.chip).__name__}) at {distance(axis.position, axis.unit)}, commanded "
-                f"{distance(axis.commanded, axis.unit)}, {axis.lost_steps} full steps lost, "
+                f"  {axis.name} ({type(axis.chip).__name__}) at {format_position(axis.position, axis.unit)}, commanded "
+                f"{format_position(axis.commanded, axis.unit)}, {axis.lost_steps} full steps lost, "
                 + (f"{rate:+,.0f} pulses/s" if rate else "no pulses")
                 + (f", asserted: {on}" if on else "")
-                + without_current(axis)
+                + describe_missing_current(axis)
             )
-        said = sum(len(chip.diagnostics) for chip in stage.chips)
-        if said:
+        mistakes = sum(len(chip.diagnostics) for chip in stage.chips)
+        if mistakes:
             lines.append(
-                f"  {said} bus writes that a data-sheet reader would call mistakes: assert_no_diagnostics(stage)"
+                f"  {mistakes} bus writes that a data-sheet reader would call mistakes: assert_no_diagnostics(stage)"
             )
         if self.board is not None:
             cycles = self.board.trace.lines()
@@ -120,32 +125,32 @@ class Watch:
         lines += [f"  fault in force: {fault}" for fault in stage.faults]
         return "\n".join(lines)
 
-    def _log(self) -> str:
+    def _describe_log(self) -> str:
         log = self.board.log if self.board is not None else []
-        more = [f"  ... {len(log) - LOGGED} lines before"] if len(log) > LOGGED else []
-        lines = [f"  {seconds:.9f}  {text}" for seconds, text in log[-LOGGED:]]
+        more = [f"  ... {len(log) - REPORTED_LOG_LINES} lines before"] if len(log) > REPORTED_LOG_LINES else []
+        lines = [f"  {seconds:.9f}  {text}" for seconds, text in log[-REPORTED_LOG_LINES:]]
         return "\n".join(["log of the firmware:", *more, *lines]) if log else ""
 
-    def _bus(self) -> list[str]:
-        """The bus trace in words, after a line that says what it is."""
+    def _list_bus_cycles(self) -> list[str]:
+        """Return the bus trace in words, after a heading."""
         if self.board is not None and len(self.board.trace):
             return str(self.board.trace).splitlines()
         lines = []
-        for recording in self._recordings():  # chips driven from Python: their journals
-            said = [
-                (float(recording.seconds(name, said.clock)), name, str(said))
+        for recording in self._list_recordings():  # chips driven from Python: their journals
+            cycles = [
+                (float(recording.seconds(name, cycle.clock)), name, str(cycle))
                 for name, journal in recording.journals.items()
-                for said in decode(recording.axes[name].chip.decoder(recording.axes[name].chip_axis), journal.entries)
+                for cycle in decode(recording.axes[name].chip.decoder(recording.axes[name].chip_axis), journal.entries)
             ]
-            lines += [f"{seconds:17.9f}  {name}: {text}" for seconds, name, text in sorted(said)]
+            lines += [f"{seconds:17.9f}  {name}: {text}" for seconds, name, text in sorted(cycles)]
         return [f"{'seconds':>17}  bus writes", *lines] if lines else []
 
-    def _recordings(self) -> list[Recording]:
-        """Those in which something happened; after `restore`, `reset` and `record` another one begins."""
-        return [recording for recording in self.stage.recordings if has_something(recording)]
+    def _list_recordings(self) -> list[Recording]:
+        """Return the recordings in which something happened; after `restore`, `reset` and `record` another one begins."""
+        return [recording for recording in self.stage.recordings if has_content(recording)]
 
-    def _files(self, bus: list[str]) -> str:
-        """Write them; a line for each, with the command that opens it."""
+    def _save_files(self, bus: list[str]) -> str:
+        """Write the files; return a line for each with the command that opens it."""
         try:
             new = not self.folder.parent.exists()
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -154,17 +159,21 @@ class Watch:
         except OSError as error:
             return f"nothing is saved: {self.folder} cannot be made ({error.strerror})."
         lines = ["saved:"]
-        recordings = self._recordings()
+        recordings = self._list_recordings()
         for k, recording in enumerate(recordings):
             number = f"-{k + 1}" if len(recordings) > 1 else ""
-            lines.append(self._saved("recording", f"recording{number}.rrd", "rerun", partial(self._picture, recording)))
-            lines.append(self._saved("waveforms", f"waveforms{number}.vcd", "gtkwave", recording.to_vcd))
+            lines.append(
+                self._save_file(
+                    "recording", f"recording{number}.rrd", "rerun", partial(self._save_recording, recording)
+                )
+            )
+            lines.append(self._save_file("waveforms", f"waveforms{number}.vcd", "gtkwave", recording.to_vcd))
         if not recordings:
             lines.append("  no recording: it was off, by record=False or pulsestage_record")
         if bus:
             text = "\n".join(bus) + "\n"
             lines.append(
-                self._saved(
+                self._save_file(
                     "bus trace",
                     "bus.txt",
                     "less",
@@ -173,22 +182,96 @@ class Watch:
             )
         return "\n".join(lines)
 
-    def _saved(self, what: str, name: str, opener: str, save: Callable[[Path], Any]) -> str:
+    def _save_file(self, what: str, name: str, opener: str, save: Callable[[Path], Any]) -> str:
         path = self.folder / name
         try:
             save(path)
         except (StageError, OSError) as error:
             return f"  {what}: not saved: {error}"
-        return f"  {what}: {opener} {self._shown(path)}"
+        return f"  {what}: {opener} {self._format_path(path)}"
 
-    def _picture(self, recording: Recording, path: Path) -> None:
+    def _save_recording(self, recording: Recording, path: Path) -> None:
         """Save the recording with the full model for display; the test's stage was made without visuals."""
         model, _ = plant.compile_spec(plant.open_spec(self._model), 0)
         if model.nq == recording.model.nq:
             recording.model = model
         recording.save(path)
 
-    def _shown(self, path: Path) -> str:
-        """As one would type it."""
+    def _format_path(self, path: Path) -> str:
+        """Return the path as a user would type it."""
         relative = os.path.relpath(path, self._from)
         return relative if not relative.startswith("..") else str(path)
+
+
+MAX_RECORDINGS = 3
+
+
+class WatchedStage(Stage):
+    """Stage that records itself from `watch` to `unwatch`.
+
+    This background recording ends when the test records or restores the stage, and another one begins afterwards. Copies of the
+    stage are not watched.
+
+    Attributes:
+        recordings: The last recordings, in order.
+    """
+
+    recordings: Sequence[Recording] = ()
+    _watched = False
+    _background: Recording | None = None
+
+    def watch(self) -> None:
+        """Begin the background recording."""
+        self._recent: deque[Recording] = deque(maxlen=MAX_RECORDINGS)
+        self.recordings = self._recent
+        self._watched = True
+        self._resume_watch()
+
+    def unwatch(self) -> None:
+        """Stop watching; close a recording of the test that is still open."""
+        self._watched = False
+        if self.recording is not None:
+            self.recording.close()
+
+    def _resume_watch(self) -> None:
+        if self._watched and self.recording is None:
+            self._background = super().record()
+            self._background.on_error = "warn"  # a full disk is not the test's fault
+            self._recent.append(self._background)
+
+    def _pause_watch(self) -> None:
+        if self._background is not None:
+            recording, self._background = self._background, None
+            watched, self._watched = self._watched, False
+            recording.close()
+            self._watched = watched
+            if not has_content(recording):
+                self._recent.remove(recording)
+
+    def record(self, *args: Any, **kwargs: Any) -> Recording:
+        self._pause_watch()
+        try:
+            recording = super().record(*args, **kwargs)
+        finally:
+            self._resume_watch()
+        if self._watched:
+            self._recent.append(recording)
+        return recording
+
+    def restore(self, snapshot: Snapshot) -> None:
+        self._pause_watch()
+        try:
+            super().restore(snapshot)
+        finally:
+            self._resume_watch()
+
+    def stop_recording(self) -> None:
+        super().stop_recording()
+        if self._background is not None:  # `_pause_watch` would write more, and the disk is full
+            self._background, self._watched = None, False
+        self._resume_watch()
+
+
+def has_content(recording: Recording) -> bool:
+    """Whether time passed in a recording, or a bus cycle was made."""
+    return bool(len(recording)) or any(len(journal.entries) for journal in recording.journals.values())

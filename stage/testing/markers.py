@@ -1,4 +1,4 @@
-"""Markers as arguments. The nearest marker of a test wins, argument by argument: function, class, module."""
+"""Arguments of a test's markers. The nearest marker wins, argument by argument: function, class, module."""
 
 from __future__ import annotations
 
@@ -12,93 +12,116 @@ import pytest
 
 from stage.errors import ArgumentError, unknown
 from stage.support.files import FileError
-from stage.testing.settings import setting
+from stage.testing.plugin import read_setting
 
-STAGE = ("model", "chips", "drives", "bus_cycle", "clock", "visuals", "record", "encoders")
-BOARD = ("layout", "base", "stride", "keep_cycles", "devices")
-FIRMWARE = ("flags", "platform", "isolated", "patience", "cost", "mcu", "map", "mcu_clock")
+STAGE_ARGUMENTS = ("model", "chips", "drives", "bus_cycle", "clock", "visuals", "record", "encoders")
+BOARD_ARGUMENTS = ("layout", "base", "stride", "keep_cycles", "devices")
+FIRMWARE_ARGUMENTS = ("flags", "platform", "isolated", "patience", "cost", "mcu", "map", "mcu_clock")
 
 
 def stage_arguments(node: pytest.Item) -> dict[str, Any]:
-    """For Stage, and `record`. Raises ArgumentError."""
-    found: dict[str, Any] = {"visuals": False}
-    for mark in _farthest_first(node, "stage", "model", "chips"):
+    """Return the arguments for Stage, and `record`.
+
+    Raises:
+        ArgumentError: A marker has an argument that does not exist, or one twice.
+    """
+    arguments: dict[str, Any] = {"visuals": False}
+    for mark in _list_markers(node, "stage", "model", "chips"):
         if mark.name == "stage":
-            found |= _bound(mark, STAGE)
+            arguments |= _bind_arguments(mark, STAGE_ARGUMENTS)
         elif mark.name == "model":
-            found |= _bound(mark, ("model",), exactly=True)
+            arguments |= _bind_arguments(mark, ("model",), exactly=True)
         else:
-            found["chips"] = _chips(mark)
-    model = found.get("model")
+            arguments["chips"] = _read_chips(mark)
+    model = arguments.get("model")
     if isinstance(model, str | Path) and Path(model).suffix:  # a file; the shipped models have none
-        found["model"] = find(node, model, "model")
-    return found
+        arguments["model"] = find_file(node, model, "model")
+    return arguments
 
 
 def board_arguments(node: pytest.Item) -> dict[str, Any]:
-    """For Board. Raises ArgumentError, FileError."""
+    """Return the arguments for Board.
+
+    Raises:
+        ArgumentError: A marker has an argument that does not exist, or one twice.
+        FileError: The file of a layout does not exist.
+    """
     from stage.board import layout_files
 
-    found: dict[str, Any] = {}
-    for mark in _farthest_first(node, "board"):
-        found |= _bound(mark, BOARD)
-    if layout_files.is_file(found.get("layout")):
-        found["layout"] = find(node, found["layout"], "layout")
-    return found
+    arguments: dict[str, Any] = {}
+    for mark in _list_markers(node, "board"):
+        arguments |= _bind_arguments(mark, BOARD_ARGUMENTS)
+    if layout_files.is_file(arguments.get("layout")):
+        arguments["layout"] = find_file(node, arguments["layout"], "layout")
+    return arguments
 
 
 def firmware_arguments(node: pytest.Item) -> dict[str, Any]:
-    """`sources` (paths), `flags` (a tuple), `platform`, and what NativeHost takes. Raises ArgumentError, FileError."""
-    found: dict[str, Any] = {}
-    for mark in _farthest_first(node, "firmware"):
+    """Return `sources` (paths), `flags` (a tuple), `platform`, and what NativeHost takes.
+
+    Raises:
+        ArgumentError: No firmware is named, or an argument does not exist.
+        FileError: A source does not exist.
+    """
+    arguments: dict[str, Any] = {}
+    for mark in _list_markers(node, "firmware"):
         if mark.args:
-            found["sources"] = mark.args
-        found |= _bound(pytest.Mark(mark.name, (), mark.kwargs, _ispytest=True), FIRMWARE)
-    if "sources" not in found:
+            arguments["sources"] = mark.args
+        arguments |= _bind_arguments(pytest.Mark(mark.name, (), mark.kwargs, _ispytest=True), FIRMWARE_ARGUMENTS)
+    if "sources" not in arguments:
         raise ArgumentError(
             'the fixture `host` runs a firmware, and this test names none: @pytest.mark.firmware("driver.c"), from where the test '
             "file is."
         )
-    found["sources"] = [find(node, source, "firmware") for source in found["sources"]]
-    found.setdefault("isolated", os.name == "posix" and setting(node.config, "firmware") != "in-process")
-    found.setdefault("platform", None)
-    flags = found.get("flags", ())
-    found["flags"] = tuple(shlex.split(flags) if isinstance(flags, str) else flags)
-    return found
+    arguments["sources"] = [find_file(node, source, "firmware") for source in arguments["sources"]]
+    arguments.setdefault("isolated", os.name == "posix" and read_setting(node.config, "firmware") != "in-process")
+    arguments.setdefault("platform", None)
+    flags = arguments.get("flags", ())
+    arguments["flags"] = tuple(shlex.split(flags) if isinstance(flags, str) else flags)
+    return arguments
 
 
-def find(node: pytest.Item, name: Any, what: str) -> Path:
-    """A file that a marker names: from the folder of the test file, else from pytest's rootdir. Raises FileError."""
+def find_file(node: pytest.Item, name: Any, what: str) -> Path:
+    """Find a file that a marker names: from the folder of the test file, else from pytest's rootdir.
+
+    Args:
+        node: Test.
+        name: Path as the marker gives it.
+        what: Kind of file, for the error.
+
+    Raises:
+        FileError: There is no such file.
+    """
     if not isinstance(name, str | Path):
         raise ArgumentError(f"{what} {name!r}: a path in quotes is wanted.")
     folders = list(dict.fromkeys((node.path.parent, node.config.rootpath)))
-    for folder in folders:
-        if (folder / name).is_file():
-            return (folder / name).resolve()
+    for choose_folder in folders:
+        if (choose_folder / name).is_file():
+            return (choose_folder / name).resolve()
     raise FileError(f"{what} {str(name)!r}: there is no such file, from {' or '.join(map(str, folders))}.")
 
 
-def _farthest_first(node: pytest.Item, *names: str) -> list[pytest.Mark]:
+def _list_markers(node: pytest.Item, *names: str) -> list[pytest.Mark]:
     return [mark for mark in node.iter_markers() if mark.name in names][::-1]
 
 
-def _bound(mark: pytest.Mark, names: Iterable[str], exactly: bool = False) -> dict[str, Any]:
-    """The arguments of a marker by name."""
+def _bind_arguments(mark: pytest.Mark, names: Iterable[str], exactly: bool = False) -> dict[str, Any]:
+    """Return the arguments of a marker by name."""
     names = tuple(names)
     if len(mark.args) > len(names) or (exactly and len(mark.args) + len(mark.kwargs) != len(names)):
-        given = ", ".join([*map(repr, mark.args), *(f"{k}={v!r}" for k, v in mark.kwargs.items())])
-        raise ArgumentError(f"@pytest.mark.{mark.name}({given}): it takes {', '.join(names)}.")
+        text = ", ".join([*map(repr, mark.args), *(f"{k}={v!r}" for k, v in mark.kwargs.items())])
+        raise ArgumentError(f"@pytest.mark.{mark.name}({text}): it takes {', '.join(names)}.")
     for name in mark.kwargs:
         if name not in names:
             raise unknown(f"argument of @pytest.mark.{mark.name}", name, names)
-    found = dict(zip(names, mark.args, strict=False))
+    arguments = dict(zip(names, mark.args, strict=False))
     for name in mark.kwargs:
-        if name in found:
+        if name in arguments:
             raise ArgumentError(f"@pytest.mark.{mark.name}: {name} is given twice.")
-    return found | dict(mark.kwargs)
+    return arguments | dict(mark.kwargs)
 
 
-def _chips(mark: pytest.Mark) -> Any:
+def _read_chips(mark: pytest.Mark) -> Any:
     if len(mark.args) + bool(mark.kwargs) != 1:
         raise ArgumentError(
             '@pytest.mark.chips: one chip for all axes, @pytest.mark.chips("PCL240MS"), or one an axis, '

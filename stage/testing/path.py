@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError, unknown
 from stage.support.arguments import told
-from stage.testing.assertions import fine
+from stage.testing.assertions import format_deviation
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -25,14 +25,18 @@ def assert_path_within(
     begin: float = 0.0,
     end: float = float("inf"),
 ) -> None:
-    """The carriages, together, kept to a line: every sample is within `within` of it, and every point of it was passed.
+    """Assert that the carriages, together, kept to a line: every sample is near it, and every point of it was passed.
 
     Args:
-        recording: of the move: `with stage.record() as recording:`.
-        line: points of a polyline, (n, 2) or (n, 3) metres, n of 2 or more; one number for each of `axes`. A circle is many points.
-        within: metres.
-        axes: names; default: the first two or three axes of the stage.
-        begin, end: stage time, s: only this part of the recording counts.
+        recording: Recording of the move: `with stage.record() as recording:`.
+        line: Points of a polyline, (n, 2) or (n, 3) meters, n of 2 or more; one number for each of `axes`. A circle is many points.
+        within: Distance that is near, m.
+        axes: Names; default: the first two or three axes of the stage.
+        begin, end: Part of the recording that counts, stage time, s.
+
+    Raises:
+        AssertionError: A sample or a point is farther away.
+        ArgumentError: The line is none, an axis does not exist, or there are no samples.
     """
     import numpy as np
 
@@ -43,7 +47,7 @@ def assert_path_within(
         raise ArgumentError(f"line={line!r}: give points of two or three numbers each, in meters.") from None
     if points.ndim != 2 or len(points) < 2 or points.shape[1] not in (2, 3) or not np.isfinite(points).all():
         raise ArgumentError(
-            f"line of shape {points.shape}: two points or more, each of two or three numbers, in metres."
+            f"line of shape {points.shape}: two points or more, each of two or three numbers, in meters."
         )
     names = list(axes) if axes is not None else list(recording.axes)[: points.shape[1]]
     if len(names) != points.shape[1]:
@@ -52,37 +56,46 @@ def assert_path_within(
         if name not in recording.axes:
             raise unknown("axis", name, recording.axes)
     time = recording.column("time")
-    taken = (time >= begin) & (time <= end)
-    time = time[taken]
-    path = np.stack([recording.column(f"{name}/position")[taken] for name in names], axis=1)
+    selected = (time >= begin) & (time <= end)
+    time = time[selected]
+    path = np.stack([recording.column(f"{name}/position")[selected] for name in names], axis=1)
     if len(path) < 2:
         raise ArgumentError(f"{len(path)} samples from {begin} s to {end} s: nothing to judge. {recording!r}")
 
-    off, foot = _distances(path, points)
+    off, foot = _measure_distances(path, points)
     worst = int(np.argmax(off))
     if not off[worst] <= within:
         raise AssertionError(
-            f"the path of {', '.join(names)} left its line: expected within {fine(within, 'm')}, was {fine(off[worst], 'm')} off\n"
-            f"  at   {time[worst]:.6f} s: {_point(names, path[worst])}\n"
-            f"  line {_point(names, foot[worst])}, the nearest point of it\n"
+            f"the path of {', '.join(names)} left its line: expected within {format_deviation(within, 'm')}, was "
+            f"{format_deviation(off[worst], 'm')} off\n"
+            f"  at   {time[worst]:.6f} s: {_format_point(names, path[worst])}\n"
+            f"  line {_format_point(names, foot[worst])}, the nearest point of it\n"
             f"{int((off > within).sum()):,} of {len(path):,} samples are off, first at {time[int(np.argmax(off > within))]:.6f} s. "
             "Look at following_error, lost_steps and rate of these axes there."
         )
-    missed, nearest = _distances(points, path)
+    missed, nearest = _measure_distances(points, path)
     worst = int(np.argmax(missed))
     if not missed[worst] <= within:
         raise AssertionError(
             f"the path of {', '.join(names)} kept to its line and did not pass point {worst} of it: expected within "
-            f"{fine(within, 'm')}, was {fine(missed[worst], 'm')} off\n"
-            f"  point {_point(names, points[worst])}\n"
-            f"  path  {_point(names, nearest[worst])}, the nearest point of it\n"
-            f"It was recorded from {time[0]:.6f} s, {_point(names, path[0])}, to {time[-1]:.6f} s, {_point(names, path[-1])}: is "
-            "the whole move inside?"
+            f"{format_deviation(within, 'm')}, was {format_deviation(missed[worst], 'm')} off\n"
+            f"  point {_format_point(names, points[worst])}\n"
+            f"  path  {_format_point(names, nearest[worst])}, the nearest point of it\n"
+            f"It was recorded from {time[0]:.6f} s, {_format_point(names, path[0])}, to {time[-1]:.6f} s, "
+            f"{_format_point(names, path[-1])}: is the whole move inside?"
         )
 
 
-def _distances(points: Any, line: Any) -> tuple[Any, Any]:
-    """Of each point (n, d) from a polyline (m, d): how far it is, (n,), and the nearest point of the line, (n, d)."""
+def _measure_distances(points: Any, line: Any) -> tuple[Any, Any]:
+    """Measure how far points are from a polyline.
+
+    Args:
+        points: (n, d).
+        line: (m, d), corners of the polyline.
+
+    Returns:
+        Distance of each point, (n,), and the nearest point of the line, (n, d).
+    """
     import numpy as np
 
     a, along = line[:-1], np.diff(line, axis=0)
@@ -100,5 +113,5 @@ def _distances(points: Any, line: Any) -> tuple[Any, Any]:
     return off, foot
 
 
-def _point(names: list[str], values: Any) -> str:
+def _format_point(names: list[str], values: Any) -> str:
     return ", ".join(f"{name} {value * 1e3:.4f} mm" for name, value in zip(names, values, strict=True))

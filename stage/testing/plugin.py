@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from stage.testing.settings import OPTIONS, setting
-
 if TYPE_CHECKING:
     from stage.board import Board
     from stage.board.host import Host
@@ -28,8 +26,22 @@ MARKERS = (
     "firmware(*sources, flags=(), platform=None, isolated=True, patience=20.0, cost=0.0, mcu=None, map=(), mcu_clock=None): C or "
     "C++ sources, a library, or a program of another processor, for the fixture `host`",
 )
-WATCH: pytest.StashKey[Any] = pytest.StashKey()
-"""The evidence.Watch of a test."""
+OPTIONS = {
+    "output": (None, "folder for what failed tests leave: recording, waveforms, bus trace (default: .pulsestage)"),
+    "record": (("on", "off"), "record every test with a stage while it runs (default: on)"),
+    "firmware": (
+        ("isolated", "in-process"),
+        "firmware in a process of its own, or here, for debuggers (default: isolated)",
+    ),
+    "keep": (("failed", "all"), "whose recordings are kept (default: failed)"),
+}
+EVIDENCE_KEY: pytest.StashKey[Any] = pytest.StashKey()
+"""Key of the `evidence.Evidence` of a test."""
+
+
+def read_setting(config: pytest.Config, name: str) -> str:
+    """Read a setting from the command line, else from the ini file; "" if neither has it."""
+    return config.getoption(f"pulsestage_{name}") or config.getini(f"pulsestage_{name}") or ""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -49,58 +61,57 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture
 def stage(request: pytest.FixtureRequest) -> Iterator[Stage]:
-    """A motion stage, new for each test; @pytest.mark.stage(...) says which."""
-    with _plainly():
+    """Yield a new motion stage; @pytest.mark.stage(...) says of which model and chips."""
+    with _report_plainly():
         from stage.testing import evidence, markers
-        from stage.testing.watched import WatchedStage
 
         arguments = markers.stage_arguments(request.node)
-        recorded = arguments.pop("record", True) and setting(request.config, "record") != "off"
-        made = WatchedStage(**arguments)
-        watch = evidence.Watch(request.node, made, arguments.get("model", "xyz"))
+        recorded = arguments.pop("record", True) and read_setting(request.config, "record") != "off"
+        stage = evidence.WatchedStage(**arguments)
+        watch = evidence.Evidence(request.node, stage, arguments.get("model", "xyz"))
         watch.clear()
-    request.node.stash[WATCH] = watch
+    request.node.stash[EVIDENCE_KEY] = watch
     if recorded:
-        made.watch()
-    yield made
-    made.unwatch()
+        stage.watch()
+    yield stage
+    stage.unwatch()
 
 
 @pytest.fixture
 def board(request: pytest.FixtureRequest, stage: Stage) -> Board:
-    """The chips of `stage` behind the ports of a host's bus; @pytest.mark.board(...) says where."""
-    with _plainly():
+    """Put the chips of `stage` behind the ports of a host's bus; @pytest.mark.board(...) says where."""
+    with _report_plainly():
         from stage.board import Board
         from stage.testing import markers
 
-        made = Board(stage, **markers.board_arguments(request.node))
-    if (watch := request.node.stash.get(WATCH, None)) is not None:
-        watch.board = made
-    return made
+        board = Board(stage, **markers.board_arguments(request.node))
+    if (watch := request.node.stash.get(EVIDENCE_KEY, None)) is not None:
+        watch.board = board
+    return board
 
 
 @pytest.fixture
 def host(request: pytest.FixtureRequest, board: Board) -> Iterator[Host]:
-    """The firmware of @pytest.mark.firmware("driver.c"), ready to run on `board`. Built once a session, with cc."""
-    with _plainly():
+    """Yield the firmware of @pytest.mark.firmware("driver.c"), ready to run on `board`; it is built once a session, with cc."""
+    with _report_plainly():
         from stage.board import NativeHost
         from stage.testing import markers, sources
 
         arguments = markers.firmware_arguments(request.node)
-        path = sources.library_of(request, arguments)
+        path = sources.build_library(request, arguments)
         if arguments.get("mcu"):
             from stage.targets import TargetHost
 
-            made: Host = TargetHost(path, board, **arguments)
+            host: Host = TargetHost(path, board, **arguments)
         else:
-            made = NativeHost(path, board, **arguments)
-    with made:
-        yield made
+            host = NativeHost(path, board, **arguments)
+    with host:
+        yield host
 
 
 @contextmanager
-def _plainly() -> Iterator[None]:
-    """What a user has to mend is said without the traceback of this package; without compiler or emulator it is skipped."""
+def _report_plainly() -> Iterator[None]:
+    """Report an error of the user without the traceback of this package; skip the test without compiler or emulator."""
     from stage.errors import StageError
 
     try:
@@ -116,15 +127,15 @@ def _plainly() -> Iterator[None]:
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo) -> Generator[None, Any, None]:
-    watch = item.stash.get(WATCH, None)
+    watch = item.stash.get(EVIDENCE_KEY, None)
     if watch is not None and call.excinfo is not None and not item.config.getoption("fulltrace", False):
-        watch.shorten(call.excinfo.value)
+        watch.shorten_traceback(call.excinfo.value)
     outcome = yield
     if watch is None:
         return
     report = outcome.get_result()
-    wanted = report.failed or (call.when == "call" and setting(item.config, "keep") == "all")
-    if wanted and (text := watch.keep()):
+    wanted = report.failed or (call.when == "call" and read_setting(item.config, "keep") == "all")
+    if wanted and (text := watch.save()):
         report.sections.append(("PulseStage", text))
     if call.when == "teardown":
-        del item.stash[WATCH]
+        del item.stash[EVIDENCE_KEY]

@@ -1,4 +1,4 @@
-"""Firmware libraries of a test session: equal sources with equal flags are built once, for all its worker processes."""
+"""Builds the firmware of a test session: equal sources with equal flags are built once, for all its worker processes."""
 
 from __future__ import annotations
 
@@ -14,10 +14,17 @@ from stage.board.library import SOURCES, compiler
 from stage.errors import ArgumentError
 
 
-def library_of(request: pytest.FixtureRequest, arguments: dict[str, Any]) -> Path:
-    """The library of what @pytest.mark.firmware names; takes `sources`, `flags`, `platform` out of the arguments.
+def build_library(request: pytest.FixtureRequest, arguments: dict[str, Any]) -> Path:
+    """Return the library of what @pytest.mark.firmware names, built if it is not one yet.
 
-    Raises NoCompilerError, CompileError, ArgumentError.
+    Args:
+        request: Request of the fixture.
+        arguments: Arguments of the marker; `sources`, `flags` and `platform` are removed.
+
+    Raises:
+        NoCompilerError: There is no C compiler.
+        CompileError: A source does not compile.
+        ArgumentError: Flags are given for a library, or several libraries.
     """
     sources, flags, platform = (arguments.pop(name) for name in ("sources", "flags", "platform"))
     if not any(source.suffix in SOURCES for source in sources):
@@ -29,20 +36,22 @@ def library_of(request: pytest.FixtureRequest, arguments: dict[str, Any]) -> Pat
     base = request.getfixturevalue("tmp_path_factory").getbasetemp()
     if hasattr(request.config, "workerinput"):  # pytest-xdist: the folder that all workers share
         base = base.parent
-    return _built(base / "pulsestage-firmware", sources, flags, platform, arguments.get("cost", 0) > 0)
+    return _build_once(base / "pulsestage-firmware", sources, flags, platform, arguments.get("cost", 0) > 0)
 
 
-def _built(folder: Path, sources: list[Path], flags: tuple[str, ...], platform: str | None, metered: bool) -> Path:
-    said = [*(compiler(source) for source in sources), *flags, *map(str, sources), f"for {platform}", str(metered)]
-    key = hashlib.sha256(os.fsencode("\0".join(said)))
+def _build_once(
+    choose_folder: Path, sources: list[Path], flags: tuple[str, ...], platform: str | None, metered: bool
+) -> Path:
+    inputs = [*(compiler(source) for source in sources), *flags, *map(str, sources), f"for {platform}", str(metered)]
+    key = hashlib.sha256(os.fsencode("\0".join(inputs)))
     for source in platforms.whole(sources):
         key.update(source.read_bytes())
-    made = folder / key.hexdigest()[:16] / f"{sources[0].stem}.so"
-    if not made.exists():
-        made.parent.mkdir(parents=True, exist_ok=True)
-        part = made.with_suffix(f".{os.getpid()}.part")
+    library = choose_folder / key.hexdigest()[:16] / f"{sources[0].stem}.so"
+    if not library.exists():
+        library.parent.mkdir(parents=True, exist_ok=True)
+        part = library.with_suffix(f".{os.getpid()}.part")
         try:
-            os.replace(build(sources, part, flags, platform, metered), made)
+            os.replace(build(sources, part, flags, platform, metered), library)
         finally:
             part.unlink(missing_ok=True)
-    return made
+    return library

@@ -1,78 +1,132 @@
-"""What a promise is tried with: chips of a kind, random programs and moves, and `Broken`, which a promise raises."""
+"""What a promise is tried with: chips of a kind, random programs and moves; and `BrokenPromise`, which a promise raises."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from stage.chips import Chip
-from stage.testing.hands import Act, beginnings, do_all, driven, fields_that_differ, harmless, under_way, wild
+from stage.testing.acts import (
+    Act,
+    describe_differences,
+    draw_acts,
+    draw_drives,
+    draw_move,
+    limit_pulses,
+    list_start_writes,
+    perform_all,
+)
 
 
-class Broken(Exception):
-    """What a chip does in place of what it promises."""
+class BrokenPromise(Exception):
+    """A chip does something else than it promises; the text says what."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What a promise is tried with. kind, make: the class, and what makes a chip of it."""
+    """Chips, random programs and moves for one promise.
+
+    Attributes:
+        kind: Class of the chip.
+        make: Makes a chip.
+        seed: Seed of all random numbers.
+        programs: Number of random programs.
+    """
 
     kind: type[Chip]
     make: Callable[[], Chip]
     seed: int
     programs: int
 
-    def draws(self) -> Iterator[np.random.Generator]:
-        """For each program its random numbers."""
+    def seeded_generators(self) -> Iterator[np.random.Generator]:
+        """Yield the random numbers of each program."""
         for k in range(self.programs):
             yield np.random.default_rng([self.seed, k])
 
     @cached_property
-    def begins(self) -> list[Act]:
-        """Writes that begin a drive, one for each axis."""
-        return beginnings(self.make())
+    def start_writes(self) -> list[Act]:
+        """Writes that start a drive, one for each axis."""
+        return list_start_writes(self.make())
 
-    def wild(self, rng: np.random.Generator, count: int) -> list[Act]:
-        """Random acts."""
-        return wild(self.kind, rng, count, begins=self.begins)
+    def draw_acts(self, rng: np.random.Generator, count: int) -> list[Act]:
+        """Draw random acts."""
+        return draw_acts(self.kind, rng, count, start_writes=self.start_writes)
 
-    def program(self, rng: np.random.Generator) -> list[Act]:
-        """Moves of some axes and their course, then random acts; or such acts alone."""
+    def draw_program(self, rng: np.random.Generator) -> list[Act]:
+        """Draw a program: moves of some axes, time, and then random acts; or random acts alone."""
         chip = self.make()
-        begin = under_way(chip, rng, int(rng.integers(1, 4))) if rng.integers(4) else []
+        begin = draw_drives(chip, rng, int(rng.integers(1, 4))) if rng.integers(4) else []
         clocks = (
             chip.clock_hz // 4 if rng.integers(3) == 0 else int(rng.integers(1, 200_000))
         )  # in a quarter second they end
-        return harmless([*begin, Act("time", clocks), *self.wild(rng, 25)], chip)
+        return limit_pulses([*begin, Act("time", clocks), *self.draw_acts(rng, 25)], chip)
 
-    def drives(self, chip: Chip, rng: np.random.Generator) -> list[Act]:
-        """Drives of all axes, which begin now."""
-        return harmless(under_way(chip, rng, chip.AXES), chip.twin())
+    def draw_drives(self, chip: Chip, rng: np.random.Generator) -> list[Act]:
+        """Draw drives of all axes that start now."""
+        return limit_pulses(draw_drives(chip, rng, chip.AXES), chip.twin())
 
-    def moving(self, rng: np.random.Generator, slow: bool = False) -> tuple[Chip, int, int]:
-        """A chip at the start of a move, its axis, the pulses, below 0 for minus; of a chip without a driver 0 pulses."""
+    def start_move(self, rng: np.random.Generator, slow: bool = False) -> tuple[Chip, int, int]:
+        """Start a move on a new chip.
+
+        Returns:
+            The chip, its axis, and the pulses to come, negative towards minus; 0 pulses without a driver.
+        """
         chip, axis = self.make(), int(rng.integers(self.kind.AXES))
-        acts, pulses = driven(chip, axis, rng, slow)
-        do_all(chip, acts)
+        acts, pulses = draw_move(chip, axis, rng, slow)
+        perform_all(chip, acts)
         return chip, axis, pulses
 
-    def moves(self, rng: np.random.Generator) -> Iterator[tuple[Chip, int, int]]:
-        """As `moving`, of each axis in either direction; nothing of a servo and of a chip without a driver."""
+    def start_moves(self, rng: np.random.Generator) -> Iterator[tuple[Chip, int, int]]:
+        """Yield, as `start_move`, a move of each axis in each direction; none for a servo or without a driver."""
         for axis in range(self.kind.AXES if self.kind.DRIVER and not self.kind.SERVO else 0):
-            for way in (1, -1):
+            for direction in (1, -1):
                 chip = self.make()
-                acts, pulses = driven(chip, axis, rng, way=way)
-                do_all(chip, acts)
+                acts, pulses = draw_move(chip, axis, rng, direction=direction)
+                perform_all(chip, acts)
                 yield chip, axis, pulses
 
-    def same(self, chip: Chip, other: Chip, when: str) -> None:
-        """Raises Broken where two chips are not in the same state, bit for bit."""
-        self.same_bits(chip.state.tobytes(), other.state.tobytes(), when)
+    def require_same_state(self, chip: Chip, other: Chip, when: str) -> None:
+        """Raise BrokenPromise unless two chips are in the same state, bit for bit."""
+        self.require_same_bits(chip.state.tobytes(), other.state.tobytes(), when)
 
-    def same_bits(self, one: bytes, other: bytes, when: str) -> None:
-        """As `same`, of states."""
+    def require_same_bits(self, one: bytes, other: bytes, when: str) -> None:
+        """Raise BrokenPromise unless two states are equal."""
         if one != other:
-            raise Broken(f"{when}, the state differs in {fields_that_differ(self.kind, one, other)}")
+            raise BrokenPromise(f"{when}, the state differs in {describe_differences(self.kind, one, other)}")
+
+
+def read_counter(chip: Chip, axis: int) -> int:
+    """Read an axis' counter from the core."""
+    return int(chip.CORE.counter.held(chip.pointer, axis))
+
+
+def read_visible_state(chip: Chip) -> Any:
+    """Return all values of registers, output words and input words of a chip."""
+    return (
+        chip.values() | {f"{n} of axis {k}": v for k in range(1, chip.AXES) for n, v in chip.values_of(k).items()},
+        [chip.output_word(k) for k in range(chip.AXES)],
+        [chip.input_word(k) for k in range(chip.AXES)],
+    )
+
+
+def describe_difference(mine: Any, its: Any, when: str = "after power-up") -> str:
+    """Describe the first difference of two results of `read_visible_state`.
+
+    Args:
+        mine, its: The two results.
+        when: When `its` was read.
+    """
+    for name in its[0]:
+        if mine[0].get(name) != its[0][name]:
+            return f"{name} {mine[0].get(name)}, and {when} {its[0][name]}"
+    return f"pins {mine[1:]}, and {when} {its[1:]}"
+
+
+def format_some(numbers: np.ndarray) -> str:
+    """Format the first numbers and the last one."""
+    text = ", ".join(map(str, numbers[:5].tolist()))
+    return f"{text} ... {numbers[-1]}" if len(numbers) > 5 else text

@@ -1,4 +1,4 @@
-"""The same programs compiled and as plain Python: `python -m stage.testing.uncompiled`, in a process of its own."""
+"""Runs the same programs compiled and as plain Python: `python -m stage.testing.uncompiled`, in a process of its own."""
 
 from __future__ import annotations
 
@@ -11,13 +11,24 @@ from typing import Any
 
 from stage.chips import Chip
 from stage.support.processes import ENCODING, ERRORS
-from stage.testing.hands import do
+from stage.testing.acts import perform
 from stage.testing.trial import Trial
 
 
 def compare(kind: type[Chip], options: dict[str, Any], seed: int, programs: int, limit: float | None = None) -> str:
-    """Where the two differ, in words; "" if nowhere. limit: seconds for the plain Python."""
-    here = courses(kind, options, seed, programs)
+    """Compare the answers and states of compiled code with those of plain Python.
+
+    Args:
+        kind: Class of the chip.
+        options: What a chip is made with.
+        seed: Seed of the programs.
+        programs: Number of programs.
+        limit: Real time for the plain Python, s; None: no limit.
+
+    Returns:
+        Where they first differ; "" if they are equal.
+    """
+    compiled = run_programs(kind, options, seed, programs)
     job = json.dumps([kind.__module__, kind.__qualname__, options, seed, programs, sys.path])
     try:
         done = subprocess.run(
@@ -30,34 +41,34 @@ def compare(kind: type[Chip], options: dict[str, Any], seed: int, programs: int,
         lines = done.stderr.strip().splitlines() or ["no word"]
         places = [line.strip() for line in lines if line.startswith("  File ")]
         return f"as plain Python it fails: {lines[-1]}" + (f" ({places[-1]})" if places else "")
-    for k, (one, other) in enumerate(zip(here, json.loads(done.stdout.splitlines()[-1]), strict=True)):
+    for k, (one, other) in enumerate(zip(compiled, json.loads(done.stdout.splitlines()[-1]), strict=True)):
         if one != other:
             n = next((n for n in range(len(one)) if one[n] != other[n]), 0)
             return f"in program {k}, act {n}, compiled code leaves {one[n]}, and plain Python {other[n]}"
     return ""
 
 
-def courses(kind: type[Chip], options: dict[str, Any], seed: int, programs: int) -> list[list[str]]:
-    """What a chip says, and its state, after each act of these programs."""
+def run_programs(kind: type[Chip], options: dict[str, Any], seed: int, programs: int) -> list[list[str]]:
+    """Return, for each program, the chip's answer and state after each act."""
     trial = Trial(kind, lambda: kind(**options), seed, programs)
     found = []
-    for rng in trial.draws():
-        chip, said = trial.make(), []
-        for act in trial.program(rng):
-            answer = do(chip, act)
-            said.append(f"{act.kind} {answer} {chip.state.tobytes().hex()}")
-        found.append(said)
+    for rng in trial.seeded_generators():
+        chip, answers = trial.make(), []
+        for act in trial.draw_program(rng):
+            answer = perform(chip, act)
+            answers.append(f"{act.kind} {answer} {chip.state.tobytes().hex()}")
+        found.append(answers)
     return found
 
 
 def main() -> None:
-    """Read a job as `compare` writes it, print the courses."""
+    """Read a job as `compare` writes it, and print the result of `run_programs`."""
     module, name, options, seed, programs, path = json.load(sys.stdin)
     sys.path[:] = path
     kind: Any = import_module(module)
     for part in name.split("."):
         kind = getattr(kind, part)
-    print(json.dumps(courses(kind, options, seed, programs)))
+    print(json.dumps(run_programs(kind, options, seed, programs)))
 
 
 if __name__ == "__main__":

@@ -23,10 +23,9 @@ from stage.testing import (
     assert_pins,
     assert_stopped,
 )
-from stage.testing.assertions import ranges
-from stage.testing.evidence import Watch, folder
-from stage.testing.path import _distances
-from stage.testing.watched import WatchedStage
+from stage.testing.assertions import format_ranges
+from stage.testing.evidence import Evidence, WatchedStage, choose_folder
+from stage.testing.path import _measure_distances
 
 SLOW = firmware.Profile.of(fh1=8000, accel=0.05)
 TOO_FAST = firmware.Profile.of(fh1=200_000, accel=0.01)
@@ -213,7 +212,7 @@ def test_cycles_that_reach_no_chip_are_told_with_where_the_chips_are(stage):
     assert message.startswith("1 bus cycle reached no chip")
     assert "310h R FFh" in message
     assert "Chips are at 300h to 303h, 320h to 323h" in message
-    assert ranges([0x2F8, 0x300, 0x301, 0x303]) == ["2F8h", "300h to 301h", "303h"]
+    assert format_ranges([0x2F8, 0x300, 0x301, 0x303]) == ["2F8h", "300h to 301h", "303h"]
 
 
 @pytest.fixture(scope="module")
@@ -258,14 +257,14 @@ def test_a_part_of_a_recording_is_judged_alone(corner):
 
 
 def test_distances_from_a_polyline_are_those_of_a_dense_search():
-    from stage.testing.path import _distances
+    from stage.testing.path import _measure_distances
 
     seed = SEED
     print(f"seed {seed}")
     draw = np.random.default_rng(seed)
     line, points = draw.normal(size=(6, 3)), draw.normal(size=(40, 3))
     line[3] = line[2]  # a segment without length
-    off, foot = _distances(points, line)
+    off, foot = _measure_distances(points, line)
     dense = np.concatenate([a + np.linspace(0, 1, 2001)[:, None] * (b - a) for a, b in pairwise(line)])
     nearest = np.sqrt(((points[:, None] - dense) ** 2).sum(axis=-1)).min(axis=1)
     assert (off <= nearest + 1e-12).all()
@@ -292,19 +291,19 @@ def test_a_line_that_is_none_is_refused(corner, line, keywords, message):
 
 
 def test_the_log_of_a_firmware_is_shown_from_its_end_and_its_stray_cycles_are_counted(stage):
-    watch = object.__new__(Watch)
+    watch = object.__new__(Evidence)
     watch.stage, watch.board = stage, Board(stage)
-    assert watch._log() == ""
+    assert watch._describe_log() == ""
     for k in range(12):
         watch.board.note(f"line {k}")
-        assert ("lines before" in watch._log()) == (k >= 10)
-    shown = watch._log().splitlines()
+        assert ("lines before" in watch._describe_log()) == (k >= 10)
+    shown = watch._describe_log().splitlines()
     assert shown[:2] == ["log of the firmware:", "  ... 2 lines before"]
     assert [line.split("  ")[-1] for line in shown[2:]] == [f"line {k}" for k in range(2, 12)]
     for _ in range(3):
         watch.board.in8(0x777)
     with faults.switch_stuck(stage.axes["x"], "org", True):
-        state = watch._state()
+        state = watch._describe_state()
     assert "3 bus cycles reached no chip" in state
     assert "fault in force: axis x: org stuck closed" in state
     assert "asserted: org" in state
@@ -312,7 +311,7 @@ def test_the_log_of_a_firmware_is_shown_from_its_end_and_its_stray_cycles_are_co
     firmware.preset_move(stage.axes["x"], 10, SLOW)
     run_on(stage.axes["x"])
     stage.axes["y"].chip.write(0, 0x15)  # a start without any rate
-    x, y, said = [line for line in watch._state().splitlines() if line.startswith("  ")][:3]
+    x, y, said = [line for line in watch._describe_state().splitlines() if line.startswith("  ")][:3]
     assert re.match(r"  x \(PCL240K\) at .* mm, commanded .* mm, 0 full steps lost, \+[\d,]+ pulses/s$", x)
     assert y.endswith("no pulses")
     assert re.match(r"  \d+ bus writes that a data-sheet reader would call mistakes: assert_no_diagnostics", said)
@@ -329,7 +328,7 @@ def test_two_tests_never_share_a_folder_and_one_has_always_the_same(tmp_path):
             rootpath=tmp_path,
             invocation_params=SimpleNamespace(dir=tmp_path / "here"),
         )
-        return folder(config, nodeid)
+        return choose_folder(config, nodeid)
 
     plain = "tests/a/test_b.py::test_c"
     assert named(plain) == named(plain) == tmp_path / ".pulsestage" / "tests.a.test_b.py.test_c"
@@ -376,7 +375,7 @@ def test_a_watched_stage_keeps_what_came_before_a_recording_of_the_test_that_rec
 
 
 def test_a_copy_of_a_watched_stage_is_not_watched():
-    """copy.deepcopy(stage).record(), of the fixture `stage`: "'WatchedStage' object has no attribute '_kept'" """
+    """copy.deepcopy(stage).record(), of the fixture `stage`: "'WatchedStage' object has no attribute '_recent'" """
     watched = WatchedStage("xy", visuals=False)
     watched.watch()
     assert watched.recording.on_error == "warn", "a full disk is not the test's fault"
@@ -397,7 +396,7 @@ def test_the_traceback_of_an_error_of_the_package_ends_in_the_test_and_that_of_a
         try:
             call()
         except Exception as error:
-            Watch.shorten(object.__new__(Watch), error)
+            Evidence.shorten_traceback(object.__new__(Evidence), error)
             return [frame.name for frame in traceback.extract_tb(error.__traceback__)]
 
     def helper():
@@ -415,8 +414,8 @@ def test_distances_from_a_long_line_are_those_from_its_nearest_piece_whatever_th
     """1000 points, 1100 pieces: more than are looked at once"""
     rng = np.random.default_rng(5)
     points, line = rng.uniform(-1, 1, (1000, 2)), np.cumsum(rng.normal(0, 0.05, (1101, 2)), axis=0)
-    off, foot = _distances(points, line)
-    back, _ = _distances(points, line[::-1])
+    off, foot = _measure_distances(points, line)
+    back, _ = _measure_distances(points, line[::-1])
     assert off == pytest.approx(back, abs=1e-12)
     assert off == pytest.approx(np.hypot(*(points - foot).T), abs=1e-12)
     ends = np.min(np.hypot(*(points[:50, None] - line[None]).transpose(2, 0, 1)), axis=1)

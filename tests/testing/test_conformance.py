@@ -13,8 +13,8 @@ from toy import TOY, TOY8, defects
 
 from stage.chips import CHIPS, PCL240K
 from stage.errors import ArgumentError, NativeError, StageError
-from stage.testing import chip_conformance, conformance, hands, promises
-from stage.testing.bounded import NOT_ENDED, bounded
+from stage.testing import acts, chip_conformance, conformance, promises
+from stage.testing.child_process import NOT_FINISHED, run_bounded
 from stage.testing.conformance import NotConforming
 
 DEFECTS = defects.DEFECTS
@@ -85,9 +85,9 @@ def test_only_a_pin_that_something_else_drives_is_left_out_of_harmless_acts():
         raise StageError("broken")
 
     chip = SimpleNamespace(write=write, axes=[SimpleNamespace(pins=Pins())], INPUTS={"org": 1}, read=lambda address: 0)
-    assert hands.harmless([hands.Act("pin", 0, 0, 1), hands.Act("read", 1)], chip) == [hands.Act("read", 1)]
+    assert acts.limit_pulses([acts.Act("pin", 0, 0, 1), acts.Act("read", 1)], chip) == [acts.Act("read", 1)]
     with pytest.raises(StageError, match="broken"):
-        hands.harmless([hands.Act("write", 0, 1)], chip)
+        acts.limit_pulses([acts.Act("write", 0, 1)], chip)
 
 
 def test_a_move_of_a_test_has_no_more_pulses_than_its_register_holds(monkeypatch):
@@ -96,7 +96,7 @@ def test_a_move_of_a_test_has_no_more_pulses_than_its_register_holds(monkeypatch
         PCL240K.MAP, registers=tuple(replace(r, legal=(0, 70)) if r.name == "R0" else r for r in PCL240K.MAP.registers)
     )
     monkeypatch.setattr(PCL240K, "MAP", small)
-    made = {hands.driven(chip, 0, np.random.default_rng(seed))[1] for seed in range(6)}
+    made = {acts.draw_move(chip, 0, np.random.default_rng(seed))[1] for seed in range(6)}
     assert max(made) == 70
 
 
@@ -122,7 +122,9 @@ def test_a_core_that_ends_its_process_is_told_as_a_broken_promise():
 def test_once_a_promise_has_not_ended_the_others_are_given_less_time(monkeypatch):
     monkeypatch.setattr(conformance, "SHORT_LIMIT", 0.5)
     given = []
-    monkeypatch.setattr(conformance, "bounded", lambda work, limit: given.append(limit) or f"{NOT_ENDED} {limit:g} s")
+    monkeypatch.setattr(
+        conformance, "run_bounded", lambda work, limit: given.append(limit) or f"{NOT_FINISHED} {limit:g} s"
+    )
     with pytest.raises(NotConforming):
         chip_conformance(TOY, promises=["reads", "pins_by_name"], limit=30)
     tests = chip_conformance.tests(TOY, limit=20)
@@ -154,7 +156,7 @@ def test_what_fails_as_plain_python_is_told_with_its_place():
 
 
 def test_a_driver_that_asks_for_the_wiring_of_its_axis_is_told_that_all_is_as_usual():
-    """write_move(...) sets polarities by self.axis.wiring: '_Alone' object has no attribute 'wiring'"""
+    """write_move(...) sets polarities by self.axis.wiring: '_BareAxis' object has no attribute 'wiring'"""
     chip_conformance(defects.Polite, seed=SEED, programs=1, promises=["courses"])
 
 
@@ -164,17 +166,17 @@ def test_a_limit_is_a_time_or_none():
             chip_conformance(TOY, limit=limit)
     chip_conformance(TOY, seed=SEED, programs=1, promises=["pins_by_name"], limit=None)
     with pytest.raises(ZeroDivisionError):
-        bounded(lambda: str(1 // 0), None)
+        run_bounded(lambda: str(1 // 0), None)
 
 
 def test_what_a_promise_says_arrives_whole_and_a_process_without_a_word_is_told():
     words = "it answers " + "x" * 200_000
-    assert bounded(lambda: words, 20) == words
-    assert bounded(lambda: os._exit(3), 20) == "its process ended with status 3 and no word"
+    assert run_bounded(lambda: words, 20) == words
+    assert run_bounded(lambda: os._exit(3), 20) == "its process ended with status 3 and no word"
 
 
 def test_moves_of_a_driver_are_tried_either_way():
-    ways = {np.sign(hands.driven(PCL240K(), 0, np.random.default_rng(seed))[1]) for seed in range(8)}
+    ways = {np.sign(acts.draw_move(PCL240K(), 0, np.random.default_rng(seed))[1]) for seed in range(8)}
     assert ways == {-1, 1}
 
 
@@ -188,7 +190,7 @@ def test_a_look_that_changes_something_is_found_also_where_reading_acts(address)
     def peek(pointer, at):
         state[0] += at == address
 
-    def same_bits(before, now, when):
+    def require_same_bits(before, now, when):
         if before != now:
             raise Looks(when)
 
@@ -198,4 +200,4 @@ def test_a_look_that_changes_something_is_found_also_where_reading_acts(address)
         pointer=0, output_word=lambda axis: 0, read=lambda at: 0,
     )  # fmt: skip
     with pytest.raises(Looks, match=f"^after peek\\({address}h\\)$"):
-        promises.bus._reads(SimpleNamespace(kind=None, same_bits=same_bits), chip)
+        promises.bus._check_reads(SimpleNamespace(kind=None, require_same_bits=require_same_bits), chip)

@@ -1,24 +1,25 @@
-"""The promises that every chip keeps, one function each: it raises `Broken` where a chip breaks it. See conformance.py.
+"""Promises that every chip keeps, one function each: it raises `BrokenPromise` where a chip breaks it. See conformance.py.
 
-A promise is tried with random acts (hands.py) and with moves as the chip's own driver writes them.
+A promise is tried with random acts (acts.py) and with moves as the chip's host driver writes them. Its docstring is what a
+report shows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from stage.testing.axes import axes_alone, limit_switches
 from stage.testing.promises.bus import (
     bus_lines,
     command_cycles,
+    diagnostics,
     has_what_every_chip_has,
     pins_by_name,
     reads,
     register_cycles,
+    words,
 )
-from stage.testing.promises.course import courses
 from stage.testing.promises.journal import journals
-from stage.testing.promises.said import diagnostics, words
+from stage.testing.promises.moves import axes_alone, courses, limit_switches
 from stage.testing.promises.state import determinism, resets, snapshots
 from stage.testing.promises.timing import cut_time, drive_inputs, time_that_passes, traced, windows
 from stage.testing.trial import Trial

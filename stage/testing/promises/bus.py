@@ -1,19 +1,19 @@
-"""What a chip's addresses, registers and pins answer."""
+"""Promises about addresses, registers and pins, and about what a chip says in words."""
 
 from __future__ import annotations
 
 import traceback
+from collections.abc import Callable
+from typing import Any
 
-from stage.chips import Chip, contract
+import numpy as np
+
+from stage.chips import Chip, Diagnostic, contract
+from stage.chips.describe import LONGEST, decode
 from stage.chips.register_map import Command, Word
 from stage.errors import ArgumentError, StageError
-from stage.testing.hands import (
-    copy_of,
-    do,
-    do_all,
-    fields_that_differ,
-)
-from stage.testing.trial import Broken, Trial
+from stage.testing.acts import copy_state, describe_differences, perform, perform_all
+from stage.testing.trial import BrokenPromise, Trial
 
 
 def has_what_every_chip_has(t: Trial) -> None:
@@ -21,32 +21,36 @@ def has_what_every_chip_has(t: Trial) -> None:
     try:
         contract.check(t.kind, Chip)
     except ArgumentError as error:
-        raise Broken(str(error)) from None
+        raise BrokenPromise(str(error)) from None
     axis, bits = t.kind.IRQ
     known = sum(t.kind.OUTPUTS.values())
     if bits & ~known or not -1 <= axis < t.kind.AXES:
-        raise Broken(
+        raise BrokenPromise(
             f"IRQ is ({axis}, {bits:#x}): an axis from 0 to {t.kind.AXES - 1}, or -1, and bits of OUTPUTS, which are {known:#x}"
         )
 
 
 def bus_lines(t: Trial) -> None:
     """masks: only the address and data lines that the chip has matter, of writes and of reads"""
-    for rng in t.draws():
-        near, far = t.make(), t.make()
+    for rng in t.seeded_generators():
+        near, distant = t.make(), t.make()
         for _ in range(60):
             address = int(rng.integers(near.ADDRESS_MASK, endpoint=True))
             value = int(rng.integers(near.DATA_MASK, endpoint=True)) >> int(rng.integers(0, 12))
             beyond = address + (near.ADDRESS_MASK + 1) * int(rng.integers(0, 3))
             near.write(address, value)
-            far.write(beyond, value + (near.DATA_MASK + 1) * int(rng.integers(0, 3)))
-            if (read := near.read(address)) != (other := far.read(beyond)):
-                raise Broken(f"address {beyond:X}h reads {other:X}h, and {address:X}h, which it acts as, {read:X}h")
+            distant.write(beyond, value + (near.DATA_MASK + 1) * int(rng.integers(0, 3)))
+            if (read := near.read(address)) != (other := distant.read(beyond)):
+                raise BrokenPromise(
+                    f"address {beyond:X}h reads {other:X}h, and {address:X}h, which it acts as, {read:X}h"
+                )
             if not 0 <= read <= near.DATA_MASK:
-                raise Broken(
+                raise BrokenPromise(
                     f"a read of address {address:X}h gives {read}, and the data lines hold 0 to {near.DATA_MASK:X}h"
                 )
-            t.same(near, far, f"after a write of {value:X}h to {address:X}h and as {beyond:X}h beyond the lines")
+            t.require_same_state(
+                near, distant, f"after a write of {value:X}h to {address:X}h and as {beyond:X}h beyond the lines"
+            )
 
 
 def pins_by_name(t: Trial) -> None:
@@ -55,68 +59,72 @@ def pins_by_name(t: Trial) -> None:
     for axis in chip.axes:
         pins = axis.pins
         if unknown := set(dir(pins)) ^ {*chip.INPUTS, *chip.OUTPUTS}:
-            raise Broken(f"pins {', '.join(sorted(unknown))} are listed by dir() or by INPUTS and OUTPUTS, not by both")
+            raise BrokenPromise(
+                f"pins {', '.join(sorted(unknown))} are listed by dir() or by INPUTS and OUTPUTS, not by both"
+            )
         for name in chip.INPUTS:
             before = {n: getattr(pins, n) for n in chip.INPUTS}
             for level in (not before[name], before[name]):
                 others = [chip.input_word(k) for k in range(chip.AXES) if k != axis.index]
                 setattr(pins, name, level)
                 if others != [chip.input_word(k) for k in range(chip.AXES) if k != axis.index]:
-                    raise Broken(f"input {name} of axis {axis.index} set to {level} changes inputs of another axis")
+                    raise BrokenPromise(
+                        f"input {name} of axis {axis.index} set to {level} changes inputs of another axis"
+                    )
                 now = {n: getattr(pins, n) for n in chip.INPUTS}
                 wrong = [n for n in now if now[n] != (level if n == name else before[n])]
                 if wrong:
-                    raise Broken(f"input {name} set to {level} leaves input {wrong[0]} at {now[wrong[0]]}")
+                    raise BrokenPromise(f"input {name} set to {level} leaves input {wrong[0]} at {now[wrong[0]]}")
         for name in [*chip.OUTPUTS, "no_such_pin"]:
             try:
                 setattr(pins, name, True)
             except (StageError, AttributeError):
                 continue
-            raise Broken(f"pin {name}, no input, can be set")
+            raise BrokenPromise(f"pin {name}, no input, can be set")
 
 
 def reads(t: Trial) -> None:
     """reads: a read cycle changes nothing, but at READING_ACTS; `peek`, what a host would like to see there, never does"""
-    for rng in t.draws():
+    for rng in t.seeded_generators():
         chip = t.make()
-        for act in t.program(rng):
-            do(chip, act)
-            _core_reads(t, chip)
-        _reads(t, chip)
-        do_all(chip, t.drives(chip, rng))
-        _reads(t, chip)
+        for act in t.draw_program(rng):
+            perform(chip, act)
+            _check_core_reads(t, chip)
+        _check_reads(t, chip)
+        perform_all(chip, t.draw_drives(chip, rng))
+        _check_reads(t, chip)
 
 
-def _core_reads(t: Trial, chip: Chip) -> None:
-    """Reads of a copy: so they can be made after each act without a change of what comes."""
+def _check_core_reads(t: Trial, chip: Chip) -> None:
+    """Check reads of a copy after each act: they change nothing of what comes."""
     for address in range(chip.ADDRESSES):
         if address not in chip.READING_ACTS:
-            before, state = copy_of(chip), copy_of(chip)
+            before, state = copy_state(chip), copy_state(chip)
             for k in range(chip.AXES):
                 for looked in (before, state):
                     chip.CORE.outputs(looked, k)
             chip.CORE.read(state, address)
-            _unchanged(t, address, before.tobytes(), state.tobytes())
+            _require_unchanged(t, address, before.tobytes(), state.tobytes())
 
 
-def _reads(t: Trial, chip: Chip) -> None:
+def _check_reads(t: Trial, chip: Chip) -> None:
     for k in range(chip.AXES):
         chip.output_word(k)
     for address in range(chip.ADDRESSES):
         before = chip.state.tobytes()
         chip.CORE.peek.held(chip.pointer, address)
-        t.same_bits(before, chip.state.tobytes(), f"after peek({address:X}h)")
+        t.require_same_bits(before, chip.state.tobytes(), f"after peek({address:X}h)")
         if address in chip.READING_ACTS:
             continue
         if not 0 <= (value := chip.read(address)) <= chip.DATA_MASK:
-            raise Broken(f"read({address:X}h) gives {value}, and the data lines hold 0 to {chip.DATA_MASK:X}h")
-        _unchanged(t, address, before, chip.state.tobytes())
+            raise BrokenPromise(f"read({address:X}h) gives {value}, and the data lines hold 0 to {chip.DATA_MASK:X}h")
+        _require_unchanged(t, address, before, chip.state.tobytes())
 
 
-def _unchanged(t: Trial, address: int, before: bytes, now: bytes) -> None:
+def _require_unchanged(t: Trial, address: int, before: bytes, now: bytes) -> None:
     if now != before:
-        differ = fields_that_differ(t.kind, before, now)
-        raise Broken(f"read({address:X}h) changes {differ}, and {address:X}h is not in READING_ACTS")
+        differ = describe_differences(t.kind, before, now)
+        raise BrokenPromise(f"read({address:X}h) changes {differ}, and {address:X}h is not in READING_ACTS")
 
 
 def register_cycles(t: Trial) -> None:
@@ -127,10 +135,12 @@ def register_cycles(t: Trial) -> None:
         for value in dict.fromkeys(r.range):
             cycles = t.kind.register_cycles(r.name, value & r.mask, t.kind.AXES - 1)
             if not cycles:
-                raise Broken(f"no bus cycle writes {r.name}")
+                raise BrokenPromise(f"no bus cycle writes {r.name}")
             for address, datum in cycles:
                 if not (0 <= address <= t.kind.ADDRESS_MASK and 0 <= datum <= t.kind.DATA_MASK):
-                    raise Broken(f"{r.name} = {value} is written by ({address}, {datum}), which is not on the bus")
+                    raise BrokenPromise(
+                        f"{r.name} = {value} is written by ({address}, {datum}), which is not on the bus"
+                    )
 
 
 def command_cycles(t: Trial) -> None:
@@ -150,16 +160,73 @@ def command_cycles(t: Trial) -> None:
                 if isinstance(what, Word)
                 else "a command"
             )
-            raise Broken(
-                f"command_cycles({name!r}), {kind}, raises {type(error).__name__}: {error} ({_line(error)})"
+            raise BrokenPromise(
+                f"command_cycles({name!r}), {kind}, raises {type(error).__name__}: {error} ({_format_line(error)})"
             ) from error
         if not cycles:
-            raise Broken(f"no bus cycle sends {name}")
+            raise BrokenPromise(f"no bus cycle sends {name}")
         for address, datum in cycles:
             if not (0 <= address <= t.kind.ADDRESS_MASK and 0 <= datum <= t.kind.DATA_MASK):
-                raise Broken(f"{name} is sent by ({address}, {datum}), which is not on the bus")
+                raise BrokenPromise(f"{name} is sent by ({address}, {datum}), which is not on the bus")
 
 
-def _line(error: Exception) -> str:
+def _format_line(error: Exception) -> str:
     where = traceback.extract_tb(error.__traceback__)[-1]
     return f"{where.filename}, line {where.lineno}, in {where.name}"
+
+
+def diagnostics(t: Trial) -> None:
+    """bad writes: none raises, whatever its address and value; what is noted is a Diagnostic with words; noting changes nothing"""
+    for rng in t.seeded_generators():
+        chip = t.make()
+        for act in t.draw_acts(rng, 60):
+            if act.kind == "time":
+                act = act._replace(a=min(act.a, 1000))
+            if act.kind == "write":
+                before = chip.state.tobytes()
+                _require_no_error(f"mistake({act.a:X}h, {act.b:X}h)", chip.mistake, act.a, act.b)
+                t.require_same_bits(
+                    before, chip.state.tobytes(), f"after mistake({act.a:X}h, {act.b:X}h), which only looks"
+                )
+            _require_no_error(str(act), perform, chip, act)
+        for value in (-1, 1 << 40, (1 << 63) - 1, 1 << 70, np.int64(-5)):
+            address = int(rng.integers(-(1 << 20), 1 << 20))
+            _require_no_error(f"write({address}, {value})", chip.write, address, value)
+            _require_no_error(f"read({address})", chip.read, address)
+        for d in chip.diagnostics:
+            if not isinstance(d, Diagnostic) or not d.message.strip() or not d.source.strip() or d.clock > chip.clock:
+                raise BrokenPromise(f"it notes {d!r}")
+
+
+def _require_no_error(what: str, call: Callable[..., Any], *args: Any) -> None:
+    """Raise BrokenPromise if the call raises."""
+    try:
+        call(*args)
+    except Exception as error:
+        raise BrokenPromise(f"{what} raises {type(error).__name__}: {error}") from error
+
+
+def words(t: Trial) -> None:
+    """words: listener and decoder tell every bus cycle in a line of ASCII"""
+    for rng in t.seeded_generators():
+        chip = t.make()
+        listener = chip.listener()
+        journal = chip.journal()
+        for act in t.draw_program(rng):
+            if act.kind in ("write", "read"):
+                text = ""
+                value = act.b if act.kind == "write" else int(chip.CORE.peek.held(chip.pointer, act.a))
+                try:
+                    text = getattr(listener, act.kind)(act.a, value)
+                except Exception as error:
+                    raise BrokenPromise(
+                        f"listener.{act.kind}({act.a}, {value}) raises {type(error).__name__}: {error}"
+                    ) from error
+                if not text or not text.isascii() or "\n" in text or len(text) > LONGEST:
+                    raise BrokenPromise(
+                        f"listener.{act.kind}({act.a}, {value}) says {text!r}: one line of ASCII, up to {LONGEST}"
+                    )
+            perform(chip, act)
+        _require_no_error("the decoder", decode, chip.decoder(0), journal.entries)
+        _require_no_error("dump()", chip.dump)
+        _require_no_error("repr()", repr, chip)

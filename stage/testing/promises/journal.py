@@ -1,4 +1,4 @@
-"""The journal of what a chip did, and its replay."""
+"""Promise about the journal of a chip and its replay."""
 
 from __future__ import annotations
 
@@ -7,106 +7,103 @@ import numpy as np
 from stage.chips import Chip, cores
 from stage.chips.describe import decode
 from stage.chips.journal import Replay
-from stage.testing.hands import (
-    copy_of,
-    do_all,
-    ended,
-    harmless,
-    pulse_clocks,
-)
-from stage.testing.promises.looks import counter, showing, some
-from stage.testing.trial import Broken, Trial
+from stage.testing.acts import copy_state, count_clocks_to_end, find_pulse_clocks, limit_pulses, perform_all
+from stage.testing.trial import BrokenPromise, Trial, format_some, read_counter, read_visible_state
 
 
 def journals(t: Trial) -> None:
     """journals: a replay ends in the same state, and its course shows every pin and count at its clock"""
-    for rng in t.draws():
+    for rng in t.seeded_generators():
         chip, axis = t.make(), int(rng.integers(t.kind.AXES))
-        noted = chip.journal(axis)
-        do_all(chip, t.program(rng))
-        noted.close()
+        journal = chip.journal(axis)
+        perform_all(chip, t.draw_program(rng))
+        journal.close()
         for every in (False, True):
-            replay = Replay(noted)
+            replay = Replay(journal)
             pieces = list(replay.pieces(every))
             chip.output_word(axis)  # some settle their pins when somebody looks
             if every:  # some keep in their state how long a pulse is shown
-                _goes_on_alike(t, chip, replay.state, rng)
+                _require_same_future(t, chip, replay.state, rng)
             else:
-                _settled_alike(t, chip, replay.state, "after a replay")
+                _require_same_settled_state(t, chip, replay.state, "after a replay")
             edges = np.concatenate(pieces)
             if (np.diff(edges["clock"]) < 0).any() or edges["clock"][-1] != chip.clock:
-                raise Broken(f"the course's edges are at {some(edges['clock'])}, and the chip at {chip.clock}")
-            decode(chip.decoder(axis), noted.entries)
-        _pins_of_a_course(t, rng)
-        _no_more_than_there_is_room(t, rng)
+                raise BrokenPromise(
+                    f"the course's edges are at {format_some(edges['clock'])}, and the chip at {chip.clock}"
+                )
+            decode(chip.decoder(axis), journal.entries)
+        _check_course_pins(t, rng)
+        _check_scan_room(t, rng)
 
 
-def _no_more_than_there_is_room(t: Trial, rng: np.random.Generator) -> None:
-    """`scan` gets arrays of a few edges, and what lies behind them is not its own."""
-    chip, axis, _ = t.moving(rng)
+def _check_scan_room(t: Trial, rng: np.random.Generator) -> None:
+    """Check that `scan` writes no more edges than its array holds."""
+    chip, axis, _ = t.start_move(rng)
     until, room, edges = (
         chip.clock + chip.clock_hz // 20,
         cores.SCAN_ROOM,
         np.zeros(2 * cores.SCAN_ROOM, chip.CORE.EDGE),
     )
-    state = copy_of(chip)
+    state = copy_state(chip)
     edges.view(np.uint8)[:] = 0xA5
-    behind = edges[room:].tobytes()
+    beyond = edges[room:].tobytes()
     for _ in range(200):
-        made = int(chip.CORE.scan(state, until, 1, axis, edges[:room]))
-        if edges[room:].tobytes() != behind or made > room:
-            raise Broken(
-                f"scan gives {made} edges, and writes behind `out`, which holds {room}: stop before it is full"
+        count = int(chip.CORE.scan(state, until, 1, axis, edges[:room]))
+        if edges[room:].tobytes() != beyond or count > room:
+            raise BrokenPromise(
+                f"scan gives {count} edges, and writes behind `out`, which holds {room}: stop before it is full"
             )
         if int(state["clock"][0]) >= until:
             break
 
 
-def _settled_alike(t: Trial, chip: Chip, state: bytes, when: str) -> None:
+def _require_same_settled_state(t: Trial, chip: Chip, state: bytes, when: str) -> None:
     other = chip.twin(state)
     for k in range(chip.AXES):
         other.output_word(k)
         chip.output_word(k)
-    t.same(chip, other, when)
+    t.require_same_state(chip, other, when)
 
 
-def _goes_on_alike(t: Trial, chip: Chip, state: bytes, rng: np.random.Generator) -> None:
+def _require_same_future(t: Trial, chip: Chip, state: bytes, rng: np.random.Generator) -> None:
     one, other = chip.twin(), chip.twin(state)
-    acts = harmless(t.wild(rng, 10), chip.twin())
-    if do_all(one, acts) != do_all(other, acts) or showing(one) != showing(other):
-        raise Broken("after a replay with every pulse it does not go on as the chip does")
+    acts = limit_pulses(t.draw_acts(rng, 10), chip.twin())
+    if perform_all(one, acts) != perform_all(other, acts) or read_visible_state(one) != read_visible_state(other):
+        raise BrokenPromise("after a replay with every pulse it does not go on as the chip does")
 
 
-def _pins_of_a_course(t: Trial, rng: np.random.Generator) -> None:
-    chip, axis, _ = t.moving(rng)
-    clocks, start = min(ended(chip, axis), chip.clock_hz // 4), chip.clock
-    twin = chip.twin()
-    noted = twin.journal(axis)
-    twin.advance(clocks)
-    fine, coarse = (noted.course(every).edges for every in (True, False))
-    at = pulse_clocks(chip, clocks)
+def _check_course_pins(t: Trial, rng: np.random.Generator) -> None:
+    chip, axis, _ = t.start_move(rng)
+    clocks, start = min(count_clocks_to_end(chip, axis), chip.clock_hz // 4), chip.clock
+    replica = chip.twin()
+    journal = replica.journal(axis)
+    replica.advance(clocks)
+    fine, coarse = (journal.course(every).edges for every in (True, False))
+    at = find_pulse_clocks(chip, clocks)
     likely = at[rng.integers(len(at), size=3)] if len(at) else at
     for n in sorted({clocks, *(int(k) for k in (*rng.integers(0, clocks, 4), *likely, *at[-1:]))}):
         probe = chip.twin()
         probe.advance(n)
         edge, other = (e[np.searchsorted(e["clock"], start + n, side="right") - 1] for e in (fine, coarse))
         word = probe.output_word(axis)
-        wrong = (int(other["outputs"]) ^ word) & ~_toggling(
+        wrong = (int(other["outputs"]) ^ word) & ~_find_toggling_bits(
             fine["outputs"], len(at) // 2
         )  # pulse outputs: only if all are asked for
         wrong |= (int(edge["outputs"]) ^ word) & (int(other["outputs"]) ^ word)
         if wrong:
             pins = ", ".join(name for name, bit in t.kind.OUTPUTS.items() if bit & wrong)
-            raise Broken(f"{n} clocks after the start the course shows output {pins} at another level than the chip")
+            raise BrokenPromise(
+                f"{n} clocks after the start the course shows output {pins} at another level than the chip"
+            )
         for what, course, real in (
             ("net", int(edge["net"]), int(probe.CORE.net.held(probe.pointer, axis))),
-            ("counter", int(edge["counter"]), counter(probe, axis)),
+            ("counter", int(edge["counter"]), read_counter(probe, axis)),
         ):
             if course != real and not t.kind.SERVO:
-                raise Broken(f"{n} clocks after the start the course shows {what} {course}, and the chip {real}")
+                raise BrokenPromise(f"{n} clocks after the start the course shows {what} {course}, and the chip {real}")
 
 
-def _toggling(outputs: np.ndarray, times: int) -> int:
+def _find_toggling_bits(outputs: np.ndarray, times: int) -> int:
     """The bits that change at least so many times."""
     changes = outputs[1:] ^ outputs[:-1]
     return sum(1 << k for k in range(63) if int((changes >> k & 1).sum()) >= max(times, 1))

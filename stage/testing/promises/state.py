@@ -1,4 +1,4 @@
-"""The whole state of a chip: determinism, snapshots, resets."""
+"""Promises about the whole state of a chip: determinism, snapshots, resets."""
 
 from __future__ import annotations
 
@@ -9,79 +9,80 @@ import numpy as np
 
 from stage.chips import Chip
 from stage.errors import ArgumentError
-from stage.testing.hands import (
-    do,
-    do_all,
-    harmless,
-)
-from stage.testing.promises.looks import different, showing
-from stage.testing.trial import Broken, Trial
+from stage.testing.acts import limit_pulses, perform, perform_all
+from stage.testing.trial import BrokenPromise, Trial, describe_difference, read_visible_state
 
 
 def determinism(t: Trial) -> None:
     """determinism: the same acts give the same answers and the same bits, whatever other chips do meanwhile"""
-    for rng in t.draws():
-        acts, others = t.program(rng), t.program(rng)
+    for rng in t.seeded_generators():
+        acts, other_acts = t.draw_program(rng), t.draw_program(rng)
         one, other = t.make(), t.make()
-        said = do_all(one, acts)
-        noise, again = t.make(), []
+        answers = perform_all(one, acts)
+        noise, others_answers = t.make(), []
         for k, act in enumerate(acts):
-            again.append(do(other, act))
-            if others:
-                do(noise, others[k % len(others)])
-        if said != again:
-            k = next(k for k in range(len(said)) if said[k] != again[k])
-            raise Broken(f"it answers {acts[k]} with {said[k]} and, beside another chip, with {again[k]}")
-        t.same(one, other, "alone and beside another chip")
-        if showing(one) != showing(other):
-            raise Broken("its registers and pins show something else beside another chip")
+            others_answers.append(perform(other, act))
+            if other_acts:
+                perform(noise, other_acts[k % len(other_acts)])
+        if answers != others_answers:
+            k = next(k for k in range(len(answers)) if answers[k] != others_answers[k])
+            raise BrokenPromise(
+                f"it answers {acts[k]} with {answers[k]} and, beside another chip, with {others_answers[k]}"
+            )
+        t.require_same_state(one, other, "alone and beside another chip")
+        if read_visible_state(one) != read_visible_state(other):
+            raise BrokenPromise("its registers and pins show something else beside another chip")
 
 
 def snapshots(t: Trial) -> None:
     """snapshots: all state is in them, they go on bit for bit, in a new chip, too, and are refused by another kind"""
-    for rng in t.draws():
-        first, then = t.program(rng), None
+    for rng in t.seeded_generators():
+        first, then = t.draw_program(rng), None
         chip = t.make()
-        own = _beside_the_record(chip)
-        do_all(chip, first)
-        for name, value in _beside_the_record(chip).items():
-            if own.get(name) != value:
-                raise Broken(
+        attributes = _read_attributes(chip)
+        perform_all(chip, first)
+        for name, value in _read_attributes(chip).items():
+            if attributes.get(name) != value:
+                raise BrokenPromise(
                     f"bus cycles, pins or time change its attribute {name!r} to {value}: a snapshot does not have it. State is "
                     "in the record"
                 )
-        kept, bits, noted = chip.snapshot(), chip.state.tobytes(), list(chip.diagnostics)
-        then = harmless(t.wild(rng, 25), chip.twin())
-        said, ended_at = do_all(chip, then), chip.state.tobytes()
-        shown = showing(chip)
-        chip.restore(kept)
-        t.same_bits(bits, chip.state.tobytes(), "after a snapshot is restored")
-        if chip.diagnostics != noted:
-            raise Broken("a restored snapshot does not bring back its diagnostics")
+        snapshot, bits, diagnostics = chip.snapshot(), chip.state.tobytes(), list(chip.diagnostics)
+        then = limit_pulses(t.draw_acts(rng, 25), chip.twin())
+        answers, last_state = perform_all(chip, then), chip.state.tobytes()
+        visible = read_visible_state(chip)
+        chip.restore(snapshot)
+        t.require_same_bits(bits, chip.state.tobytes(), "after a snapshot is restored")
+        if chip.diagnostics != diagnostics:
+            raise BrokenPromise("a restored snapshot does not bring back its diagnostics")
         fresh = t.make()
-        fresh.restore(kept)
+        fresh.restore(snapshot)
         others = {"restored": chip, "restored into a new chip": fresh, "pickled": pickle.loads(pickle.dumps(fresh)),
                   "copied": copy.deepcopy(fresh)}  # fmt: skip
         for how, other in others.items():
-            t.same_bits(bits, other.state.tobytes(), how)
-            if (now := do_all(other, then)) != said:
-                k = next(k for k in range(len(said)) if now[k] != said[k])
-                raise Broken(f"{how}, it answers {then[k]} with {now[k]}, and the chip of the snapshot with {said[k]}")
-            t.same_bits(ended_at, other.state.tobytes(), f"{how}, after {len(then)} acts")
-            if (looks := showing(other)) != shown:
-                raise Broken(f"{how}, after {len(then)} acts it shows {looks}, and the chip of the snapshot {shown}")
-    _every_bit_kept(t)
-    _refusals(t, t.make())
+            t.require_same_bits(bits, other.state.tobytes(), how)
+            if (now := perform_all(other, then)) != answers:
+                k = next(k for k in range(len(answers)) if now[k] != answers[k])
+                raise BrokenPromise(
+                    f"{how}, it answers {then[k]} with {now[k]}, and the chip of the snapshot with {answers[k]}"
+                )
+            t.require_same_bits(last_state, other.state.tobytes(), f"{how}, after {len(then)} acts")
+            if (other_visible := read_visible_state(other)) != visible:
+                raise BrokenPromise(
+                    f"{how}, after {len(then)} acts it shows {other_visible}, and the chip of the snapshot {visible}"
+                )
+    _check_extreme_registers(t)
+    _check_refusals(t, t.make())
 
 
-def _beside_the_record(chip: Chip) -> dict[str, str]:
-    """What its class keeps in the object, as text: numbers, words, lists and arrays of them."""
-    plain = (int, float, str, bytes, list, tuple, dict, set, np.ndarray, np.generic, type(None))
+def _read_attributes(chip: Chip) -> dict[str, str]:
+    """Return what the class keeps in the object, beside the record, as text: numbers, words, lists and arrays of them."""
+    plain_types = (int, float, str, bytes, list, tuple, dict, set, np.ndarray, np.generic, type(None))
     known = {"header", "_diagnostics", "_alone", "_bus", "_here", "_i", "_plain", "_rows"}
-    return {n: repr(v) for n, v in vars(chip).items() if n not in known and isinstance(v, plain)}
+    return {n: repr(v) for n, v in vars(chip).items() if n not in known and isinstance(v, plain_types)}
 
 
-def _every_bit_kept(t: Trial) -> None:
+def _check_extreme_registers(t: Trial) -> None:
     for value in ("least", "most"):
         chip, fresh = t.make(), t.make()
         for r in t.kind.MAP.registers:
@@ -89,14 +90,13 @@ def _every_bit_kept(t: Trial) -> None:
                 for cycle in t.kind.register_cycles(r.name, r.range[value == "most"] & r.mask, axis):
                     chip.write(*cycle)
         fresh.restore(chip.snapshot())
-        t.same(chip, fresh, f"with the {value} in every register, restored into a new chip")
-        if (mine := showing(fresh)) != (its := showing(chip)):
-            raise Broken(
-                f"with the {value} in every register, restored into a new chip, it shows {different(mine, its, 'before')}"
-            )
+        t.require_same_state(chip, fresh, f"with the {value} in every register, restored into a new chip")
+        if read_visible_state(fresh) != read_visible_state(chip):
+            difference = describe_difference(read_visible_state(fresh), read_visible_state(chip), "before")
+            raise BrokenPromise(f"with the {value} in every register, restored into a new chip, it shows {difference}")
 
 
-def _refusals(t: Trial, chip: Chip) -> None:
+def _check_refusals(t: Trial, chip: Chip) -> None:
     options = chip.options() | {"clock_hz": max(chip.clock_hz // 2, 1)}
     other = type("Other", (t.kind,), {})
     before = chip.state.tobytes()
@@ -110,31 +110,35 @@ def _refusals(t: Trial, chip: Chip) -> None:
         try:
             chip.restore(foreign)
         except ArgumentError:
-            t.same_bits(before, chip.state.tobytes(), f"after a snapshot {what} was refused")
+            t.require_same_bits(before, chip.state.tobytes(), f"after a snapshot {what} was refused")
             continue
-        raise Broken(f"a snapshot {what} is restored without a word")
+        raise BrokenPromise(f"a snapshot {what} is restored without a word")
 
 
 def resets(t: Trial) -> None:
     """reset: registers and modes are as after power-up; the clock, the inputs, the count and what was noted stay"""
-    for rng in t.draws():
+    for rng in t.seeded_generators():
         used, other = t.make(), t.make()
-        do_all(used, t.program(rng))
-        do_all(used, t.drives(used, rng))
+        perform_all(used, t.draw_program(rng))
+        perform_all(used, t.draw_drives(used, rng))
         words = [used.input_word(k) for k in range(used.AXES)]
-        nets, clock, noted = [used.net(k) for k in range(used.AXES)], used.clock, list(used.diagnostics)
+        nets, clock, diagnostics = [used.net(k) for k in range(used.AXES)], used.clock, list(used.diagnostics)
         other.advance(clock)
         for k, word in enumerate(words):
             other.set_input_word(k, word)
         used.reset()
         other.reset()
         now = [used.input_word(k) for k in range(used.AXES)]
-        if (used.clock, used.diagnostics, now) != (clock, noted, words):
-            raise Broken("a reset changes the clock, the inputs or what was noted")
+        if (used.clock, used.diagnostics, now) != (clock, diagnostics, words):
+            raise BrokenPromise("a reset changes the clock, the inputs or what was noted")
         if not t.kind.SERVO and [used.net(k) for k in range(used.AXES)] != nets:
-            raise Broken("a reset changes the count of the pulses that were made")
-        if (mine := showing(used)) != (its := showing(other)):
-            raise Broken(f"after a reset it shows {different(mine, its)}")
-        acts = harmless(t.wild(rng, 25), other.twin())
-        if do_all(used, acts) != do_all(other, acts) or (mine := showing(used)) != (its := showing(other)):
-            raise Broken(f"after a reset it does not go on as one that was just switched on: {different(mine, its)}")
+            raise BrokenPromise("a reset changes the count of the pulses that were made")
+        if (visible := read_visible_state(used)) != (expected := read_visible_state(other)):
+            raise BrokenPromise(f"after a reset it shows {describe_difference(visible, expected)}")
+        acts = limit_pulses(t.draw_acts(rng, 25), other.twin())
+        if perform_all(used, acts) != perform_all(other, acts) or (visible := read_visible_state(used)) != (
+            expected := read_visible_state(other)
+        ):
+            raise BrokenPromise(
+                f"after a reset it does not go on as one that was just switched on: {describe_difference(visible, expected)}"
+            )

@@ -1,0 +1,283 @@
+"""Acts of a conformance test on a chip: bus cycles, pins, time; random ones, and moves as the chip's host driver writes them.
+
+`perform` carries an act out and returns the chip's answer. Acts are plain data, so that a test can do the same to two chips.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stage.chips import Chip
+from stage.errors import StageError
+from stage.sim.program import WAIT, WRITE, Program
+
+MAX_PULSES = 20_000
+"""Of a piece of time: a chip that makes more of them in it is given less time."""
+
+
+class Act(NamedTuple):
+    """One act on a chip.
+
+    Attributes:
+        kind: "write", "read", "pin", "time" or "reset".
+        a, b, c: Address and value of a write; address of a read; axis, number of the input and level of a pin; clocks of time.
+    """
+
+    kind: str
+    a: int = 0
+    b: int = 0
+    c: int = 0
+
+
+def perform(chip: Chip, act: Act) -> Any:
+    """Carry an act out and return the chip's answer: the word read, or the number of pulses made; else None."""
+    if act.kind == "write":
+        chip.write(act.a, act.b)
+    elif act.kind == "read":
+        return chip.read(act.a)
+    elif act.kind == "pin":
+        setattr(chip.axes[act.a].pins, list(chip.INPUTS)[act.b], bool(act.c))
+    elif act.kind == "time":
+        return chip.advance(act.a)
+    elif act.kind == "reset":
+        chip.reset()
+    return None
+
+
+def perform_all(chip: Chip, acts: Iterable[Act]) -> list[Any]:
+    """Carry acts out in order and return the chip's answers."""
+    return [perform(chip, act) for act in acts]
+
+
+def draw_acts(
+    kind: type[Chip], rng: np.random.Generator, count: int, resets: bool = True, start_writes: Sequence[Act] = ()
+) -> list[Act]:
+    """Draw random acts: registers with legal and illegal values, commands, garbage, pins, time.
+
+    Args:
+        kind: Class of the chip.
+        rng: Random numbers.
+        count: How many acts to draw; a register may take several writes.
+        resets: Whether resets are among them.
+        start_writes: Writes that start a drive, see `list_start_writes`; commands then go to the addresses of these, too.
+    """
+    acts: list[Act] = []
+    registers = [r for r in kind.MAP.registers if "W" in r.access]
+    codes = [code for c in kind.MAP.commands for code in c.codes]
+    for _ in range(count):
+        what = int(rng.integers(0, 20))
+        if what < 5 and registers:
+            r, axis = registers[rng.integers(len(registers))], int(rng.integers(kind.AXES))
+            low, high = r.range
+            value = (low, high, int(rng.integers(low, high, endpoint=True)))[min(int(rng.integers(6)), 2)]
+            acts += [Act("write", *cycle) for cycle in kind.register_cycles(r.name, value & r.mask, axis)]
+        elif what < 8 and codes:
+            code = codes[rng.integers(len(codes))]
+            if start_writes and rng.integers(2):
+                acts.append(replace_code(kind, start_writes[int(rng.integers(len(start_writes)))], code))
+            else:
+                code |= int(rng.integers(0, 16) << 8 if rng.integers(2) else 0)
+                acts.append(Act("write", 0, code & kind.DATA_MASK))
+        elif what < 11:
+            value = int(rng.integers(0, kind.DATA_MASK, endpoint=True)) >> int(rng.integers(0, 12))
+            acts.append(Act("write", int(rng.integers(kind.ADDRESSES)), value))
+        elif what < 13:
+            acts.append(Act("read", int(rng.integers(kind.ADDRESSES))))
+        elif what < 15 and kind.INPUTS:
+            pin = int(rng.integers(len(kind.INPUTS)))
+            acts.append(Act("pin", int(rng.integers(kind.AXES)), pin, int(rng.integers(2))))
+        elif what == 15 and resets:
+            acts.append(Act("reset"))
+        else:
+            acts.append(Act("time", int(np.exp(rng.uniform(0, np.log(30_000))))))
+    return acts
+
+
+def replace_code(kind: type[Chip], begin: Act, code: int) -> Act:
+    """Return the write of a command with another code; the bits above the codes, which select the axis, stay."""
+    bits = max(code for c in kind.MAP.commands for code in c.codes).bit_length()
+    return begin._replace(b=(begin.b >> bits << bits | code) & kind.DATA_MASK)
+
+
+def list_start_writes(chip: Chip) -> list[Act]:
+    """Return for each axis the write with which the host driver starts a drive; [] without a driver."""
+    writes = []
+    for axis in range(chip.AXES):
+        move, _ = draw_move(chip, axis, np.random.default_rng(axis))
+        writes += [act for act in move if act.kind == "write"][-1:]
+    return writes
+
+
+def draw_drives(chip: Chip, rng: np.random.Generator, axes: int) -> list[Act]:
+    """Draw drives of `axes` axes as the driver starts them, some with another mode or with another command in the last write."""
+    codes = [c.code for c in chip.MAP.commands if (c.starts or c.kind == "drive") and not c.together]
+    acts: list[Act] = []
+    for axis in rng.permutation(chip.AXES)[:axes].tolist():
+        move, _ = draw_move(chip, axis, rng)
+        if codes and move and move[-1].kind == "write" and rng.integers(2):
+            move[-1] = replace_code(type(chip), move[-1], codes[int(rng.integers(len(codes)))])
+        if move and rng.integers(2):
+            move[-1:-1] = _draw_mode_writes(type(chip), axis, rng)
+        acts += [*move, Act("time", int(rng.integers(1, 30_000)))]
+    return acts
+
+
+def _draw_mode_writes(kind: type[Chip], axis: int, rng: np.random.Generator) -> list[Act]:
+    """Draw writes of random bits to a register of an axis that has fields: modes, polarities, interrupts."""
+    modes = [r for r in kind.MAP.registers if r.fields and "W" in r.access]
+    if not modes:
+        return []
+    r = modes[int(rng.integers(len(modes)))]
+    value = int(rng.integers(0, r.mask, endpoint=True))
+    return [Act("write", *cycle) for cycle in kind.register_cycles(r.name, value, axis)]
+
+
+@dataclass(frozen=True)
+class _BareAxis:
+    """What a host driver needs of an axis to write a move, without a stage."""
+
+    chip: Chip
+    chip_axis: int
+    name: str = "x"
+    index: int = 0
+    time: float = 0.0
+    meters_per_pulse: float | None = None
+    wiring: Mapping[str, str] = field(default_factory=dict)
+
+
+def draw_move(
+    chip: Chip, axis: int, rng: np.random.Generator, slow: bool = False, direction: int = 0
+) -> tuple[list[Act], int]:
+    """Draw a move of an axis, from power-up to its start, as the chip's host driver writes it.
+
+    Args:
+        chip: Chip after power-up.
+        axis: Axis of the chip.
+        rng: Random numbers.
+        slow: Whether the move has a constant rate, where the chip can.
+        direction: 1 or -1; 0: either.
+
+    Returns:
+        The acts, and the pulses of the move, negative towards minus, at most what the register FINISH holds; ([], 0) without a
+        driver.
+    """
+    if not chip.DRIVER:
+        return [], 0
+    from stage.firmware.driver import driver_class
+
+    driver, program = driver_class(type(chip))(_BareAxis(chip, axis)), Program()  # type: ignore[arg-type]
+    if chip.SERVO:
+        ranges = driver.filter_choices(True).ranges
+        values = {name: low + (high - low) // 4 for name, (low, high) in ranges.items()}
+        driver.write_servo_move(program, values, int(rng.integers(100, 1000)), (20_000.0, 100_000.0))
+        return _convert_program(program, chip), 0
+    start, pulses = float(rng.uniform(500, 2000)), int(rng.integers(60, 400))
+    if slow:
+        start, pulses = float(rng.uniform(2000, 10_000)), 2000
+    if driver.FINISH and (legal := chip.MAP.register(driver.FINISH).range):
+        pulses = min(pulses, legal[1])
+    drive, ramp = start * (1.0 if slow else float(rng.uniform(2, 12))), float(rng.uniform(0.01, 0.05))
+    values, direction = driver.formula(start, drive, ramp, ramp, pulses), direction or (1 if rng.integers(2) else -1)
+    driver.write_move(program, values, direction * pulses)
+    return _convert_program(program, chip), direction * pulses
+
+
+def list_stop_acts(chip: Chip, axis: int) -> list[Act]:
+    """Return the writes with which the chip's host driver stops an axis; [] without a driver."""
+    if not chip.DRIVER:
+        return []
+    from stage.firmware.driver import driver_class
+
+    program = Program()
+    driver_class(type(chip))(_BareAxis(chip, axis)).write_stop(program)  # type: ignore[arg-type]
+    return _convert_program(program, chip)
+
+
+def _convert_program(program: Program, chip: Chip) -> list[Act]:
+    acts = []
+    for kind, a, b, c in program.ops:
+        if kind == WRITE:
+            acts.append(Act("write", b, c))
+        elif kind == WAIT:
+            acts.append(Act("time", a * chip.clock_hz // 1_000_000_000))
+    return acts
+
+
+def count_clocks_to_end(chip: Chip, axis: int, seconds: float = 5.0) -> int:
+    """Count the clocks until the drive of an axis ends, on a copy: a few more than needed."""
+    probe = chip.twin()
+    step = max(chip.clock_hz // 200, 1)
+    for _ in range(int(seconds * 200)):
+        if not probe.CORE.busy.held(probe.pointer, axis):
+            break
+        probe.advance(step)
+    return probe.clock - chip.clock + step
+
+
+def find_pulse_clocks(chip: Chip, clocks: int) -> np.ndarray:
+    """Return at which of the next `clocks` clocks a chip makes pulses, counted from now, on a copy.
+
+    Raises:
+        StageError: As `check_trace_room`.
+    """
+    check_trace_room(chip, clocks)
+    return chip.twin().trace(clocks)["clock"] - chip.clock
+
+
+def check_trace_room(chip: Chip, clocks: int) -> None:
+    """Check that `advance` counts all pulses by which the axes' `net` changes: a trace would have no room for more.
+
+    Raises:
+        StageError: It counts fewer.
+    """
+    probe = chip.twin()
+    nets = [probe.net(k) for k in range(chip.AXES)]
+    pulses = probe.advance(clocks)
+    counted = sum(abs(probe.net(k) - nets[k]) for k in range(chip.AXES if not chip.SERVO else 0))
+    if counted > pulses:
+        raise StageError(f"advance({clocks}) says {pulses} pulses, and the axes' net go by {counted}")
+
+
+def describe_differences(kind: type[Chip], one: bytes, other: bytes) -> str:
+    """Name the fields in which two states differ, the first three of them with both values; "" where none does."""
+    a, b = (np.frombuffer(state, kind.CORE.STATE) for state in (one, other))
+    names = list(_compare_fields("", a[0], b[0]))
+    return ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
+
+
+def _compare_fields(name: str, a: Any, b: Any) -> Iterable[str]:
+    if isinstance(a, np.void) and a.dtype.names:
+        for field in a.dtype.names:
+            yield from _compare_fields(f"{name}.{field}".lstrip("."), a[field], b[field])
+    elif isinstance(a, np.ndarray):
+        for k, (x, y) in enumerate(zip(a.ravel(), b.ravel(), strict=True)):
+            yield from _compare_fields(f"{name}[{k}]", x, y)
+    elif np.asarray(a).tobytes() != np.asarray(b).tobytes():
+        yield f"{name} ({a} and {b})"
+
+
+def limit_pulses(acts: Sequence[Act], chip: Chip) -> list[Act]:
+    """Carry acts out on `chip` and return them, with less time where the chip would make very many pulses."""
+    done = []
+    for act in acts:
+        shortened = act
+        if shortened.kind == "time":
+            while shortened.a > 1 and int(chip.CORE.advance(copy_state(chip), chip.clock + shortened.a)) > MAX_PULSES:
+                shortened = shortened._replace(a=shortened.a // 4)
+        try:
+            perform(chip, shortened)
+        except StageError:
+            if shortened.kind != "pin":
+                raise
+            continue  # a pin that an encoder drives now
+        done.append(shortened)
+    return done
+
+
+def copy_state(chip: Chip) -> np.ndarray:
+    """Copy the state of a chip into an array of one record, which its core takes."""
+    return np.frombuffer(bytearray(chip.state.tobytes()), chip.CORE.STATE)
