@@ -16,7 +16,7 @@ from typing import Any
 
 from stage import Stage
 from stage.agents import Toolbox
-from stage.agents.server.sessions import Maker, Sessions
+from stage.agents.server.sessions import Sessions, ToolboxFactory
 
 CALLS = {
     "budget": {}, "status": {"axis": "x"}, "write_register": {"axis": "x", "name": "R1", "value": "1F4h"},
@@ -59,7 +59,7 @@ def at_once(sessions: int, calls: int) -> float:
     """Calls a second of so many sessions over HTTP; the clients are another process on the same machine."""
     from stage.agents.server.http import HttpServer
 
-    maker = Maker(lambda: Stage("xy", visuals=False))
+    maker = ToolboxFactory(lambda: Stage("xy", visuals=False))
     held = Sessions(maker)
     server = HttpServer(maker, held)
     thread = threading.Thread(target=server.run, daemon=True)

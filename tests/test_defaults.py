@@ -202,9 +202,9 @@ stage.agents.budget
     Budget: moves=None, seconds=None, cycles=None
 stage.agents.tool
     Answer: png=None
-    Tool: fields=(), moves=False, free=False
+    Tool: moves=False, free=False
 stage.agents.toolbox
-    Toolbox: mode='host', budget=None, snapshots=True, patience=None, more=()
+    Toolbox: mode='host', budget=None, snapshots=True, patience=None, folder=None, more=()
 stage.board.devices.device
     Device: name=None, encoders=(), width=8
     Device.pull: on=True, at=None

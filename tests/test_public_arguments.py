@@ -41,7 +41,7 @@ NOT_CALLED_BY_USERS = {
     "Recording.close": "ends the recording that the other cases read",
     "Recording.take": "the engine calls it",
     "Recording.stream": "once in the life of a recording",
-    "Toolbox.end": "ends the toolbox that the other cases call",
+    "Toolbox.release": "ends the toolbox that the other cases call",
 }
 """Public names that this test leaves out, and why."""
 VALID = {"axis": lambda s: s.axes["x"], "axes": lambda s: s.axes, "stage": lambda s: s, "distance": lambda s: 1e-5}

@@ -1,6 +1,6 @@
-"""`Budget`: how much an agent may do; `Meter` counts it where time passes and bus cycles are made, and ends what goes beyond.
+"""`Budget`: how much an agent may do. `Meter`: counts it where time passes and bus cycles happen, and stops what exceeds it.
 
-What is spent stays spent: a snapshot that is restored gives nothing back.
+Restoring a snapshot gives nothing back.
 """
 
 from __future__ import annotations
@@ -12,18 +12,25 @@ from typing import Any
 
 from stage.errors import ArgumentError, StageError
 from stage.sim.stage import Stage
+from stage.support.arguments import whole_number
 
-SLICE = 250_000_000  # ns of simulated time between two looks at the clock on the wall
-LONGEST = 120.0  # s of simulated time that a call may take
+CHECK_INTERVAL_NS = 250_000_000  # simulated time between two looks at the wall clock
+CALL_LIMIT_S = 120.0  # simulated time that one call may take
 
 
-class Spent(StageError):
-    """The budget has no more of this."""
+class BudgetSpent(StageError):
+    """The agent has used all that the budget allows of something."""
 
 
 @dataclass(frozen=True)
 class Budget:
-    """moves: that may be begun; seconds: of simulated time; cycles: of the bus. None: as many as one likes."""
+    """What an agent may use; None stands for no limit.
+
+    Attributes:
+        moves: Moves that it may begin.
+        seconds: Simulated time.
+        cycles: Bus cycles.
+    """
 
     moves: int | None = None
     seconds: float | None = None
@@ -31,89 +38,91 @@ class Budget:
 
     def __post_init__(self) -> None:
         for name in ("moves", "cycles"):
-            n = getattr(self, name)
-            if n is not None and (isinstance(n, bool) or not isinstance(n, int) or n < 0):
-                raise ArgumentError(f"{name}={n!r}: a whole number, 0 or more, or None for no limit.")
+            if getattr(self, name) is not None:
+                whole_number(name, getattr(self, name), 0)
         s = self.seconds
         if s is not None and (isinstance(s, bool) or not isinstance(s, int | float) or not 0 <= s < math.inf):
-            raise ArgumentError(f"seconds={s!r}: 0 or more, or None for no limit.")
+            raise ArgumentError(f"seconds={s!r} must be a number, 0 or more, or None for no limit.")
 
 
 class Meter:
-    """Counts for one stage. moves, cycles, ns: what is used; patience: s of real time that a call may take, None for any;
-    longest: s of simulated time that a call may take; over, cancelled: the session is to end, this call is."""
+    """Counter of what an agent uses of one stage.
 
-    def __init__(self, stage: Stage, budget: Budget, patience: float | None = None, longest: float = LONGEST):
-        self.budget, self.patience, self.longest = budget, patience, longest
+    Args:
+        stage: The stage that the agent drives.
+        budget: What the agent may use.
+        patience: Real seconds that a call may take; None for any.
+
+    Attributes:
+        moves, cycles, ns: Used so far: moves, bus cycles, nanoseconds of simulated time.
+        call_limit_s: Simulated seconds that one call may take.
+        session_ended, call_cancelled: Set by other threads: the session is to end; the call that runs is to end.
+    """
+
+    def __init__(self, stage: Stage, budget: Budget, patience: float | None = None):
+        self.budget, self.patience, self.call_limit_s = budget, patience, CALL_LIMIT_S
         self.moves = self.cycles = self.ns = 0
-        self.over = self.cancelled = False  # set by other threads: the session is to end, this call is
+        self.session_ended = self.call_cancelled = False
         self._stage = stage
-        self._until_ns, self._until = 0, math.inf
+        self._call_end_ns, self._deadline = 0, math.inf
 
     def begin(self) -> None:
-        """A call begins: from now on time and cycles count."""
-        self.cancelled = False
-        self._until_ns = self.ns + round(self.longest * 1e9)
-        self._until = math.inf if self.patience is None else monotonic() + self.patience
-        self._stage.loop.pace, self._stage.loop.each_cycle = self._pace, self._cycle
+        """Begin a call: from now on, time and cycles count."""
+        self.call_cancelled = False
+        self._call_end_ns = self.ns + round(self.call_limit_s * 1e9)
+        self._deadline = math.inf if self.patience is None else monotonic() + self.patience
+        self._stage.loop.pace, self._stage.loop.each_cycle = self._advance, self._count_cycle
 
     def end(self) -> None:
-        """The call is over."""
+        """End the call."""
         self._stage.loop.pace = self._stage.loop.each_cycle = None
 
-    def undo_move(self) -> None:
-        """It was refused before anything was done."""
-        self.moves -= 1
-
-    def move(self) -> None:
-        """A move begins. Raises Spent."""
+    def count_move(self) -> None:
+        """Count a move that begins. Raises BudgetSpent."""
         if self.budget.moves is not None and self.moves >= self.budget.moves:
-            raise Spent(f"all {self.budget.moves} moves are made. {self._now()}")
+            raise BudgetSpent(f"All {self.budget.moves} moves are spent. {STILL_FREE}")
         self.moves += 1
 
     def left(self) -> dict[str, Any]:
-        """What may still be used; null for no limit."""
-        b = self.budget
+        """Return what the agent may still use; None for no limit."""
+        used, allowed = self.used(), vars(self.budget)
         return {
-            "moves": None if b.moves is None else b.moves - self.moves,
-            "seconds": None if b.seconds is None else max(0.0, round(b.seconds - self.ns * 1e-9, 9)),
-            "cycles": None if b.cycles is None else b.cycles - self.cycles,
-        }
+            n: None if most is None else max(round(most - used[n], 9), 0) + 0 for n, most in allowed.items()
+        }  # no -0.0
 
     def used(self) -> dict[str, Any]:
-        """What has been used."""
+        """Return what the agent has used."""
         return {"moves": self.moves, "seconds": round(self.ns * 1e-9, 9), "cycles": self.cycles}
 
-    def _cycle(self) -> None:
+    def _count_cycle(self) -> None:
         if self.budget.cycles is not None and self.cycles >= self.budget.cycles:
-            raise Spent(f"all {self.budget.cycles} bus cycles are made. {self._now()}")
+            raise BudgetSpent(f"All {self.budget.cycles} bus cycles are spent. {STILL_FREE}")
         self.cycles += 1
 
-    def _pace(self, until: int) -> int:
-        """How far time may go now, of a run to `until`."""
+    def _advance(self, until: int) -> int:
+        """Return the time, ns, to which a run to `until` may go now. Raises StageError."""
         now = self._stage.state.now
-        ends = [until, now + SLICE, now + self._until_ns - self.ns]
-        limit = self.budget.seconds
-        if limit is not None:
-            ends.append(now + round(limit * 1e9) - self.ns)
-        goal = max(min(ends), now)
-        if goal == now < until:
-            if limit is not None and self.ns >= round(limit * 1e9):
-                raise Spent(f"all {limit:g} s of simulated time have passed. {self._now()}")
+        budget_ns = math.inf if self.budget.seconds is None else round(self.budget.seconds * 1e9)
+        allowed = min(until - now, CHECK_INTERVAL_NS, self._call_end_ns - self.ns, budget_ns - self.ns)
+        if allowed <= 0 < until - now:
+            if self.ns >= budget_ns:
+                raise BudgetSpent(f"All {self.budget.seconds:g} s of simulated time are spent. {STILL_FREE}")
             raise StageError(
-                f"one call may take {self.longest:g} s of simulated time, and that has passed; the stage stands as it is now. "
-                "Ask for less, or call wait again and go on."
+                f"One call may take {self.call_limit_s:g} s of simulated time, which have passed; the stage keeps its state. "
+                "Ask for less, or go on with another wait."
             )
-        if self.cancelled:
-            raise StageError("the call was cancelled; the stage stands as it is now.")
-        if self.over:
-            raise StageError("the session was ended while this call was made.")
-        if monotonic() > self._until:
+        if self.call_cancelled:
+            raise StageError("The client cancelled the call; the stage keeps its state.")
+        if self.session_ended:
+            raise StageError("The session ended during this call.")
+        if monotonic() > self._deadline:
             raise StageError(
-                f"one call may compute for {self.patience:g} s, and has; the stage stands as it is now. Ask for less at a time."
+                f"One call may compute for {self.patience:g} s, which have passed; the stage keeps its state. "
+                "Ask for less at a time."
             )
-        self.ns += goal - now
-        return goal
+        step = max(int(allowed), 0)
+        self.ns += step
+        return now + step
 
-    def _now(self) -> str:
-        return "What needs no more of it can still be called: budget, registers, report, trace, diagnostics, picture."
+
+STILL_FREE = "Tools that need none of it still answer: budget, registers, report, trace, diagnostics, picture."

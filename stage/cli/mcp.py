@@ -19,7 +19,7 @@ def run(args: argparse.Namespace) -> int:
     """Serve until the client goes, or until Ctrl-C or SIGTERM."""
     need("mcp", "stage mcp")
     from stage.agents.budget import Budget
-    from stage.agents.server.sessions import Maker, Sessions
+    from stage.agents.server.sessions import Sessions, ToolboxFactory
 
     for name in ("idle", "sessions"):
         if not getattr(args, name) > 0:
@@ -36,18 +36,18 @@ def run(args: argparse.Namespace) -> int:
     if args.http and token is not None and (len(token) < SHORTEST or not token.isascii() or not token.isprintable()):
         raise ArgumentError(f"{TOKEN}: {SHORTEST} or more printable ASCII characters; without it one is made.")
     budget = Budget(args.moves, args.seconds, args.cycles)
-    maker = Maker(
+    factory = ToolboxFactory(
         lambda: make_stage(args, visuals=False), args.mode, budget, not args.no_snapshots, args.patience, args.folder
     )
-    _ = maker.first  # what is wrong with the stage is said before anybody connects
+    _ = factory.original  # an error of the stage comes before anybody connects
     if not args.http:
         from stage.agents.server.stdio import serve
 
-        serve(maker)
+        serve(factory)
         return 0
     from stage.agents.server.http import HttpServer
 
-    server = HttpServer(maker, Sessions(maker, args.sessions, args.idle), args.port, token)
+    server = HttpServer(factory, Sessions(factory, args.sessions, args.idle), args.port, token)
     print(f"{server.address}\nAuthorization: Bearer {server.token}\nCtrl-C ends it", flush=True)
     server.run()
     print("ended", file=sys.stderr)

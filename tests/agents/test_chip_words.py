@@ -2,7 +2,7 @@
 
 import pytest
 
-from stage.agents.bus import about
+from stage.agents.bus_tools import describe_entry
 from stage.chips import HCTL1100, MCX304, PCL240MS
 from stage.errors import ArgumentError
 
@@ -20,7 +20,7 @@ from stage.errors import ArgumentError
     ],
 )
 def test_a_register_word_or_command_is_described_with_bits_range_and_evidence(chip, name, parts):
-    text = about(chip, name)
+    text = describe_entry(chip.MAP, name)
     for part in parts:
         assert part.lower() in text.lower()
     assert text.split("\n")[0].endswith("]") or "WR" in name
@@ -28,4 +28,4 @@ def test_a_register_word_or_command_is_described_with_bits_range_and_evidence(ch
 
 def test_a_name_that_the_chip_does_not_know_is_refused_with_near_ones():
     with pytest.raises(ArgumentError, match=r"PCL240MS register, word or command: .R99. is not known. Known: R0, R1,"):
-        about(PCL240MS, "R99")
+        describe_entry(PCL240MS.MAP, "R99")

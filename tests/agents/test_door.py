@@ -12,7 +12,7 @@ pytest.importorskip("mcp")
 import uvicorn
 
 from stage.agents.server import http, stdio
-from stage.agents.server.http import Door, HttpServer
+from stage.agents.server.http import Gate, HttpServer
 from stage.agents.server.sessions import Sessions
 from stage.errors import StageError
 
@@ -41,8 +41,8 @@ class App:
 class Held:
     """In the place of sessions."""
 
-    def __init__(self, most=3):
-        self.most, self.closed, self.with_stage = most, [], set()
+    def __init__(self, limit=3):
+        self.limit, self.closed, self.with_stage = limit, [], set()
 
     def __contains__(self, key):
         return key in self.with_stage
@@ -55,7 +55,7 @@ class Held:
 def door():
     """`door(method, session)`: what was sent; door.app, door.sessions."""
     app, sessions = App(), Held()
-    made = Door(app, "t", sessions)
+    made = Gate(app, "t", sessions)
 
     def ask(method="POST", session=None, kind="http", token="Bearer t", **more):
         sent = []
@@ -161,8 +161,8 @@ def made(monkeypatch):
     seen = SimpleNamespace()
 
     class Protocol:
-        def __init__(self, maker, sessions, key, modern, threads):
-            seen.modern, seen.threads, seen.key = modern, threads, key
+        def __init__(self, factory, sessions, find_key, sessionless, threads):
+            seen.sessionless, seen.threads, seen.key = sessionless, threads, find_key
             self.server = SimpleNamespace(streamable_http_app=self._app)
 
         def _app(self, **how):
@@ -177,7 +177,7 @@ def made(monkeypatch):
             seen.sockets = sockets
 
     monkeypatch.setattr(http, "Protocol", Protocol)
-    monkeypatch.setattr(http, "Ending", Server)
+    monkeypatch.setattr(http, "InterruptibleServer", Server)
     monkeypatch.setattr(uvicorn, "Config", lambda app, **how: SimpleNamespace(app=app, **how))
     opened = []
 
@@ -192,15 +192,15 @@ def made(monkeypatch):
 
 
 def test_a_server_is_bounded_as_its_sessions_are(made):
-    server, seen = made(Sessions(dict, most=7, idle=33.0), token="mine")
+    server, seen = made(Sessions(dict, limit=7, idle_s=33.0), token="mine")
     assert seen.app == {
         "streamable_http_path": "/mcp", "json_response": True, "max_request_body_size": 256 * 1024, "session_idle_timeout": 33.0,
         "max_sessions": 14, "host": "127.0.0.1",
     }  # fmt: skip
-    assert (seen.modern, seen.threads) == (False, max(2, os.cpu_count() or 2))
+    assert (seen.sessionless, seen.threads) == (False, max(2, os.cpu_count() or 2))
     assert (seen.config.log_level, seen.config.timeout_graceful_shutdown) == ("error", 1)
     assert server.token == "mine"
-    assert isinstance(seen.config.app, Door)
+    assert isinstance(seen.config.app, Gate)
     server.run()
     assert seen.sockets == [server._socket]
     server.stop()
@@ -245,7 +245,7 @@ def test_due_sessions_are_looked_for_every_two_seconds_while_the_app_lives_and_a
             await asyncio.Event().wait()
 
     monkeypatch.setattr(http.anyio, "sleep", sleep)
-    sessions = SimpleNamespace(reap=lambda: told.append("reap"), close_all=lambda: told.append("close all"))
+    sessions = SimpleNamespace(close_due=lambda: told.append("reap"), close_all=lambda: told.append("close all"))
 
     class Before:
         async def __aenter__(self):
@@ -256,7 +256,7 @@ def test_due_sessions_are_looked_for_every_two_seconds_while_the_app_lives_and_a
             told.append("end")
 
     app = SimpleNamespace(router=SimpleNamespace(lifespan_context=lambda app: Before()))
-    http._with_reaper(app, sessions)
+    http._add_cleanup(app, sessions)
 
     async def live():
         async with app.router.lifespan_context(app):

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from stage.agents.notes import MOST
-from stage.agents.pictures import as_host
+from stage.agents.host_diagnostics import MAX_DIAGNOSTICS
+from stage.agents.picture_tool import hide_truth
 from stage.firmware.plot import draw
 from stage.sim import faults
 
@@ -75,10 +75,10 @@ def test_a_mistake_of_its_own_is_told(box):
 def test_of_many_mistakes_the_last_are_kept(make_box, mode):
     box = make_box(mode=mode)
     chip = box.stage.axes["x"].chip
-    for k in range(MOST + 40):
+    for k in range(MAX_DIAGNOSTICS + 40):
         chip.write(0, 0x50 if k < 40 else 0x51)  # bit 4 of a control mode means nothing
-    assert [d.value for d in chip.diagnostics] == [0x50] * 40 + [0x51] * MOST
-    assert [d.value for d in box.notes[0].all()] == [0x51] * MOST
+    assert [d.value for d in chip.diagnostics] == [0x50] * 40 + [0x51] * MAX_DIAGNOSTICS
+    assert [d.value for d in box.diagnostics[0].all()] == [0x51] * MAX_DIAGNOSTICS
 
 
 def test_a_write_that_was_lost_looks_like_any_other(make_box):
@@ -95,10 +95,12 @@ def test_a_drawing_for_a_host_has_the_lanes_that_registers_show(box):
     report = box.report
     whole = {t.get_text() for axes in draw(report).axes for t in axes.get_yticklabels()}
     seen = {
-        t.get_text() for axes in draw(as_host(report), pins=box.notes[0].readable).axes for t in axes.get_yticklabels()
+        t.get_text()
+        for axes in draw(hide_truth(report), pins=box.diagnostics[0].readable).axes
+        for t in axes.get_yticklabels()
     }
     assert seen < whole
-    assert as_host(report).lost_steps is None
+    assert hide_truth(report).lost_steps is None
 
 
 def test_faults_are_tools_of_their_own(make_box):
@@ -108,7 +110,7 @@ def test_faults_are_tools_of_their_own(make_box):
     ]
     assert box.call("fault_bus_voltage", {"axis": "x", "volts": 5}).ok is False or box.stage.faults
     assert box.call("mend", {"all": True}).data["faults"] == []
-    assert "nothing that was broken" in box.call("mend").text
+    assert "No fault that you made" in box.call("mend").text
     assert "Did you mean 'org'" in box.call("fault_switch_stuck", {"axis": "x", "pin": "orgg", "closed": True}).text
 
 

@@ -28,9 +28,9 @@ from support.from_schema import calls
 from support.mcp_served import Served, over_stdio
 
 from stage import Stage
-from stage.agents.server.http import Door, HttpServer
-from stage.agents.server.sessions import Maker, Sessions
-from stage.agents.server.stdio import Lines
+from stage.agents.server.http import Gate, HttpServer
+from stage.agents.server.sessions import Sessions, ToolboxFactory
+from stage.agents.server.stdio import LineReader
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_http_has_what_a_client_needs(served):
 
 
 def test_who_comes_before_the_server_runs_is_not_refused():
-    maker = Maker(lambda: Stage("xy", visuals=False))
+    maker = ToolboxFactory(lambda: Stage("xy", visuals=False))
     server = HttpServer(maker, Sessions(maker))
     socket.create_connection(("127.0.0.1", server.port), 5).close()
 
@@ -144,7 +144,7 @@ def test_no_other_resource_can_be_read(served, uri):
     async def work(client):
         with pytest.raises(MCPError, match="Known: stage://axes"):
             await client.read_resource(uri)
-        with pytest.raises(MCPError, match="nothing has been recorded"):
+        with pytest.raises(MCPError, match="Nothing has been recorded"):
             await client.read_resource("stage://recording/last")
 
     served.talk(work)
@@ -180,7 +180,7 @@ def test_a_client_with_two_lines_is_there_until_both_have_broken():
         await receive()
 
     async def work():
-        door, ends = Door(app, "t", SimpleNamespace(gone=gone.append)), (asyncio.Event(), asyncio.Event())
+        door, ends = Gate(app, "t", SimpleNamespace(note_disconnect=gone.append)), (asyncio.Event(), asyncio.Event())
         lines = [asyncio.create_task(door(scope, end.wait, None)) for end in ends]
         for end, line, told in zip(ends, lines, ([], ["a"]), strict=True):
             await asyncio.sleep(0)
@@ -236,13 +236,13 @@ def test_a_session_that_was_ended_says_so(served):
 
     answer = served.talk(work)
     assert answer.is_error
-    assert "this session has ended" in answer.content[0].text
+    assert "This session has ended" in answer.content[0].text
 
 
 @pytest.mark.slow
 def test_a_client_whose_line_breaks_leaves_no_stage(served, monkeypatch):
     """As one that was killed: it closes nothing, its sockets break."""
-    monkeypatch.setattr(served.sessions, "grace", 0.0)
+    monkeypatch.setattr(served.sessions, "grace_s", 0.0)
     code = f"""
 import asyncio, os, sys, time
 sys.path.insert(0, {os.path.dirname(os.path.dirname(__file__))!r})
@@ -318,7 +318,7 @@ def test_the_command_says_what_is_wrong(capsys):
 @given(data=st.data())
 @settings(max_examples=4, deadline=None, suppress_health_check=list(HealthCheck))
 def test_whatever_is_called_over_the_protocol_the_server_lives(served, data):
-    drawn = data.draw(st.lists(calls(served.maker.catalogue.tools), min_size=20, max_size=20))
+    drawn = data.draw(st.lists(calls(served.maker.catalog.tools), min_size=20, max_size=20))
 
     async def work(client):
         for name, arguments in drawn:
@@ -366,10 +366,8 @@ def test_a_call_of_the_wrong_form_is_a_tool_error_too(served, params):
     body = {"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": params}
     said = httpx2.post(served.server.address, json=body, headers=opened(served), timeout=60).json()
     assert said["result"]["isError"]
-    assert (
-        "was given" in said["result"]["content"][0]["text"]
-        or "should be an object" in said["result"]["content"][0]["text"]
-    )
+    text = said["result"]["content"][0]["text"]
+    assert "called by its name" in text or "should be an object" in text
 
 
 def test_a_call_that_is_cancelled_ends_and_the_next_is_made(served):
@@ -403,7 +401,7 @@ def test_a_flood_of_sessions_without_a_call_keeps_no_one_out():
     import httpx2
 
     flooded = Served()
-    flooded.sessions.most = 3
+    flooded.sessions.limit = 3
     try:
         busy = opened(flooded)
         body = {"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": {"name": "budget", "arguments": {}}}
@@ -526,7 +524,7 @@ def test_ctrl_c_during_a_call_over_http_ends_the_call_and_the_server_without_a_t
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 130
         calling.join(30)
-        assert b"the session was ended while this call was made" in answers[0]
+        assert b"The session ended during this call" in answers[0]
         assert process.stderr.read() == "stage: interrupted.\n"
 
 
@@ -544,7 +542,7 @@ def test_lines_of_a_pipe_come_in_order_and_the_last_without_its_end():
     async def read():
         reading, writing = os.pipe()
         threading.Thread(target=write, args=(writing,)).start()
-        lines = [line async for line in Lines(reading)]
+        lines = [line async for line in LineReader(reading)]
         os.close(reading)
         return lines
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from stage import Stage
-from stage.agents import Toolbox, motion
-from stage.agents.motion import SLOWEST, told
+from stage.agents import Toolbox, motion_tools
+from stage.agents.motion_tools import MIN_RATE_PPS, describe_report
 from stage.errors import StageError
 from stage.firmware import procedures
 from stage.firmware.driver import RAMP
@@ -75,10 +75,13 @@ def test_speeds_are_pulses_a_second_and_ramps_seconds(asked):
     assert (speeds.up, speeds.down, speeds.s_curve) == (0.2, 0.4, True)
     speeds = asked("start", pulses=100, accel=0.3)[2]
     assert (speeds.up, speeds.down) == (0.3, 0.3)
-    assert asked("move", pulses=100, speed=SLOWEST * PULSE * 1.0001, start_speed=SLOWEST * PULSE * 1.0001)[0] == "move"
-    refused = asked.box.call("move", {"axis": "x", "pulses": 100, "start_speed": 0.99 * SLOWEST * PULSE})
+    assert (
+        asked("move", pulses=100, speed=MIN_RATE_PPS * PULSE * 1.0001, start_speed=MIN_RATE_PPS * PULSE * 1.0001)[0]
+        == "move"
+    )
+    refused = asked.box.call("move", {"axis": "x", "pulses": 100, "start_speed": 0.99 * MIN_RATE_PPS * PULSE})
     assert refused.text.startswith("start_speed: ")
-    assert "is too slow; from 3.125e-08 m/s on, 0.01 pulses a second" in refused.text
+    assert "is too slow; the least is 3.125e-08 m/s, 0.01 pulses a second" in refused.text
 
 
 def test_an_origin_return_goes_the_way_and_by_what_was_said(make_box):
@@ -129,9 +132,9 @@ def test_a_line_is_as_asked_where_all_its_axes_are(make_box):
     report = box.report
     for name in ("x", "y"):
         short = replace(report.axes[name], pulses=report.axes[name].pulses - 1)
-        assert told(replace(report, axes={**report.axes, name: short}), "host")["as_asked"] is False
-    assert "off_the_line_pulses" in told(report, "truth")
-    assert "off_the_line_pulses" not in told(report, "host")
+        assert describe_report(replace(report, axes={**report.axes, name: short}), "host")["as_asked"] is False
+    assert "off_the_line_pulses" in describe_report(report, "truth")
+    assert "off_the_line_pulses" not in describe_report(report, "host")
 
 
 def test_what_is_left_of_a_move_is_told_though_it_is_nothing(make_box):
@@ -139,9 +142,9 @@ def test_what_is_left_of_a_move_is_told_though_it_is_nothing(make_box):
     data = box.call("move", {"axis": "x", "pulses": 100}).data
     assert data["R0_left"] == 0
     assert (data["as_asked"], data["lost_steps"]) == (True, 0)
-    assert told(replace(box.report, lost_steps=4), "truth")["as_asked"] is False
-    assert told(replace(box.report, lost_steps=4), "host")["as_asked"] is True
-    assert told(replace(box.report, pulses=99), "host")["as_asked"] is False
+    assert describe_report(replace(box.report, lost_steps=4), "truth")["as_asked"] is False
+    assert describe_report(replace(box.report, lost_steps=4), "host")["as_asked"] is True
+    assert describe_report(replace(box.report, pulses=99), "host")["as_asked"] is False
 
 
 def test_an_axis_that_moves_is_not_moved_otherwise(make_box):
@@ -173,7 +176,7 @@ def test_a_move_that_made_all_its_pulses_was_not_stopped_by_the_host(make_box):
 
 def test_axes_that_drive_one_load_are_squared_the_way_and_in_the_time_that_was_said(monkeypatch):
     box, asked = Toolbox(Stage("gantry", visuals=False)), []
-    monkeypatch.setattr(motion, "square_by", lambda *given: asked.append(given) or [])
+    monkeypatch.setattr(motion_tools, "square_by", lambda *given: asked.append(given) or [])
     for axis, given in (("y", {}), ("w", {"direction": "plus", "timeout": 7, "speed": 0.05})):
         assert box.call("home", {"axis": axis, **given}).ok
     (first, other) = asked

@@ -2,8 +2,8 @@
 
 import pytest
 
-from stage.agents.notes import readable_pins
-from stage.agents.pictures import as_host
+from stage.agents.host_diagnostics import find_readable_pins
+from stage.agents.picture_tool import hide_truth
 from stage.firmware import plot
 
 
@@ -37,9 +37,9 @@ def test_a_host_s_drawing_is_of_what_a_host_knows_and_another_s_of_all(make_box,
         figure = figures[-1]
         assert (answer.png, figure.saved) == (b"drawing %d" % len(figures), ("png", 90))
         if mode == "host":
-            assert figure.report == as_host(box.report)
+            assert figure.report == hide_truth(box.report)
             assert (figure.report.start, figure.report.position, figure.report.lost_steps) == (None, None, None)
-            assert figure.pins == readable_pins(type(box.axis("x").chip))
+            assert figure.pins == find_readable_pins(type(box.axis("x").chip))
         else:
             assert figure.report is box.report
             assert figure.pins is None
@@ -65,7 +65,7 @@ def test_a_write_that_was_lost_is_a_command_to_a_host_and_all_else_stays(make_bo
     box.call("move", {"axis": "x", "pulses": 40, "accel": 0.01})
     first, *others = box.report.said
     object.__setattr__(box.report, "said", (first._replace(kind="lost", meaning="LOST: start"), *others))
-    seen = as_host(box.report).said
+    seen = hide_truth(box.report).said
     assert (seen[0].kind, seen[0].meaning, seen[0].clock) == ("command", "start", first.clock)
     assert list(seen[1:]) == others
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stage.agents.recordings import SAMPLES, Recordings, thinned
+from stage.agents.recording_tools import MAX_SAMPLES, RecordingTools, thin_out
 from stage.errors import ArgumentError, StageError
 
 
@@ -11,8 +11,7 @@ from stage.errors import ArgumentError, StageError
 def recording(make_box, tmp_path):
     folder = tmp_path / "given"
     folder.mkdir()
-    box = make_box(mode="truth")
-    Recordings(box, str(folder)).join()
+    box = make_box(mode="truth", folder=str(folder))
     yield box
     if box.stage.recording is not None:
         box.stage.recording.close()
@@ -26,14 +25,13 @@ def a_recording(box):
 
 def test_a_host_reads_the_course_of_its_last_move(make_box):
     box = make_box()
-    Recordings(box).join()
     assert "record" not in box.tools
-    with pytest.raises(StageError, match="nothing has been recorded"):
+    with pytest.raises(StageError, match="Nothing has been recorded"):
         box.recordings.last()
     box.call("move", {"axis": "x", "pulses": 1000})
     columns = box.recordings.last()["columns"]
     assert columns["pulses"][-1] == 1000
-    assert len(columns["seconds"]) == len(columns["pulses"]) <= SAMPLES
+    assert len(columns["seconds"]) == len(columns["pulses"]) <= MAX_SAMPLES
 
 
 def test_who_sees_the_truth_records_it(recording):
@@ -41,7 +39,7 @@ def test_who_sees_the_truth_records_it(recording):
     assert ended.data["seconds"] > 0.1
     columns = recording.recordings.last()["columns"]
     assert columns
-    assert all(len(c) <= SAMPLES for c in columns.values())
+    assert all(len(c) <= MAX_SAMPLES for c in columns.values())
 
 
 def test_files_are_written_into_the_folder_only(recording, tmp_path):
@@ -57,18 +55,17 @@ def test_files_are_written_into_the_folder_only(recording, tmp_path):
 
 def test_without_a_folder_no_file_is_written(make_box):
     box = make_box(mode="truth")
-    Recordings(box).join()
     assert "save_recording" not in box.tools
     with pytest.raises(ArgumentError, match="is no folder"):
-        Recordings(box, "/nowhere/at/all")
+        RecordingTools(box, "/nowhere/at/all")
 
 
 def test_a_recording_ends_by_itself(recording, monkeypatch):
-    monkeypatch.setattr("stage.agents.recordings.LONGEST", 0.1)
+    monkeypatch.setattr("stage.agents.recording_tools.MAX_DURATION_S", 0.1)
     recording.call("record", {"on": True})
     recording.call("wait", {"seconds": 0.2})
     assert recording.stage.recording is None
-    assert "nothing is being recorded" in recording.call("record", {"on": False}).text
+    assert "Nothing is being recorded" in recording.call("record", {"on": False}).text
 
 
 def test_time_in_a_recording_runs_forward_only(recording):
@@ -78,7 +75,6 @@ def test_time_in_a_recording_runs_forward_only(recording):
 
 def test_a_course_begins_at_nothing_wherever_the_counter_stands(make_box):
     box = make_box()
-    Recordings(box).join()
     for pulses in (1000, -300):
         box.call("move", {"axis": "x", "pulses": pulses})
         columns = box.recordings.last()["columns"]
@@ -86,17 +82,17 @@ def test_a_course_begins_at_nothing_wherever_the_counter_stands(make_box):
 
 
 def test_a_column_is_thinned_to_so_many_with_both_its_ends():
-    assert thinned(np.arange(SAMPLES)) == list(range(SAMPLES))
-    long = thinned(np.arange(SAMPLES + 1))
-    assert (len(long), long[0], long[-1]) == (SAMPLES, 0, SAMPLES)
-    assert thinned(np.array([1.0, np.nan, np.inf, -0.5])) == [1.0, None, None, -0.5]
+    assert thin_out(np.arange(MAX_SAMPLES)) == list(range(MAX_SAMPLES))
+    long = thin_out(np.arange(MAX_SAMPLES + 1))
+    assert (len(long), long[0], long[-1]) == (MAX_SAMPLES, 0, MAX_SAMPLES)
+    assert thin_out(np.array([1.0, np.nan, np.inf, -0.5])) == [1.0, None, None, -0.5]
 
 
 def test_a_session_writes_so_many_files_and_no_more(recording, monkeypatch):
-    monkeypatch.setattr("stage.agents.recordings.FILES", 2)
+    monkeypatch.setattr("stage.agents.recording_tools.MAX_FILES", 2)
     a_recording(recording)
     assert [recording.call("save_recording", {"name": f"{k}.vcd"}).ok for k in range(3)] == [True, True, False]
-    assert "a session writes 2 files at most" in recording.call("save_recording", {"name": "4.vcd"}).text
+    assert "A session writes at most 2 files" in recording.call("save_recording", {"name": "4.vcd"}).text
 
 
 def test_a_recording_goes_on_from_call_to_call(recording):
@@ -104,7 +100,7 @@ def test_a_recording_goes_on_from_call_to_call(recording):
     for _ in range(3):
         recording.call("wait", {"seconds": 0.1})
         assert recording.stage.recording is not None
-        assert "the recording goes on" in recording.call("save_recording", {"name": "a.vcd"}).text
+        assert "The recording still runs" in recording.call("save_recording", {"name": "a.vcd"}).text
     assert recording.call("record", {"on": False}).data["seconds"] == pytest.approx(0.3, abs=0.01)
     assert "seconds" in recording.recordings.last(), "of the recording"
     recording.call("move", {"axis": "x", "pulses": 10})

@@ -4,7 +4,6 @@ import pytest
 
 from stage import Stage
 from stage.agents import Budget
-from stage.agents.recordings import Recordings
 from stage.firmware.driver import driver_of
 
 STOPS = {"PCL240K": ("1Dh", "08h"), "PCL240MS": ("1Dh", "08h"), "MCX514": None, "MCX304": None}
@@ -55,7 +54,7 @@ def test_a_stop_that_the_host_wrote_into_one_move_is_none_of_the_next(make_box, 
         box.call("stop", {"axis": "x"})
     else:
         box.call("wait", {"seconds": 1.0})
-        box.motion.drop()
+        box.motion.forget()
     box.stage.place(x=0.14)
     box.call("start", {"axis": "x", "distance": "30mm"})
     assert box.call("wait_until_stopped", {"axis": "x"}).data["stopped_by"] == "EL+"
@@ -70,13 +69,12 @@ def test_a_speed_that_is_none_is_refused(box, speed):
 
 def test_an_example_of_a_move_is_a_move(box):
     for name in ("move", "start"):
-        assert box.tools[name].example() == '{"axis": "x", "distance": "10mm"}'
+        assert box.tools[name].write_example() == '{"axis": "x", "distance": "10mm"}'
 
 
 def test_the_last_recording_is_of_the_last_move(make_box):
     box = make_box(mode="truth")
-    kept = Recordings(box)
-    kept.join()
+    kept = box.recordings
     box.call("record", {"on": True})
     box.call("move", {"axis": "x", "pulses": 100})
     box.call("record", {"on": False})

@@ -13,25 +13,25 @@ from stage import Stage, __version__
 from stage.agents.server import protocol
 from stage.agents.server.prompts import PROMPTS
 from stage.agents.server.protocol import NO_SESSION, Protocol
-from stage.agents.server.resources import pages
-from stage.agents.server.sessions import Maker, Sessions
+from stage.agents.server.resources import list_pages
+from stage.agents.server.sessions import Sessions, ToolboxFactory
 from stage.agents.tool import Answer
 
 
 @pytest.fixture(scope="module")
 def maker():
-    return Maker(lambda: Stage("xy", visuals=False), "truth")
+    return ToolboxFactory(lambda: Stage("xy", visuals=False), "truth")
 
 
 @pytest.fixture
 def served(maker):
     """`served(handler, key=..., **params)`: what a handler answers to the session `key`."""
     sessions = Sessions(maker)
-    made = Protocol(maker, sessions, lambda ctx: ctx.key, modern=True, threads=2)
+    made = Protocol(maker, sessions, lambda ctx: ctx.key, sessionless=True, threads=2)
 
     def ask(handler, /, key="a", **params):
         async def work():
-            made._limiter, made._turns = None, {} if not keep else made._turns
+            made._limiter, made._call_locks = None, {} if not keep else made._call_locks
             return await getattr(made, handler)(SimpleNamespace(key=key), SimpleNamespace(**params))
 
         keep = params.pop("keep", False)
@@ -44,20 +44,20 @@ def served(maker):
 
 def test_a_tool_is_listed_with_its_schema_and_whether_it_only_looks(served, maker):
     listed = served("_list_tools").tools
-    assert [t.name for t in listed] == list(maker.catalogue.tools)
-    for tool, one in zip(maker.catalogue.tools.values(), listed, strict=True):
+    assert [t.name for t in listed] == list(maker.catalog.tools)
+    for tool, one in zip(maker.catalog.tools.values(), listed, strict=True):
         assert (one.description, one.input_schema) == (tool.text, tool.schema())
         assert one.annotations.read_only_hint == (tool.free or tool.name in ("status", "read_register"))
         assert one.annotations.open_world_hint is False
 
 
 def test_an_answer_is_text_and_structure_and_a_picture_an_image_behind_it():
-    good = protocol._result(Answer(True, {"a": 1.5}))
+    good = protocol._make_result(Answer(True, {"a": 1.5}))
     assert (good.is_error, good.structured_content) == (False, {"a": 1.5})
     assert [json.loads(c.text) for c in good.content] == [{"a": 1.5}]
-    bad = protocol._result(Answer(False, {"error": "no."}))
+    bad = protocol._make_result(Answer(False, {"error": "no."}))
     assert (bad.is_error, [c.text for c in bad.content]) == (True, ["no."])
-    drawn = protocol._result(Answer(True, {"text": "a move"}, b"png"))
+    drawn = protocol._make_result(Answer(True, {"text": "a move"}, b"png"))
     assert [c.type for c in drawn.content] == ["text", "image"]
     assert (base64.b64decode(drawn.content[1].data), drawn.content[1].mime_type) == (b"png", "image/png")
 
@@ -77,20 +77,20 @@ def test_a_call_is_made_in_the_session_that_asks(served):
     served.sessions.close("a")
     late = served("_call_tool", key="a", name="budget", arguments=None)
     assert late.is_error
-    assert "this session has ended" in late.content[0].text
+    assert "This session has ended" in late.content[0].text
 
 
 def test_of_sessions_that_call_no_more_nothing_is_kept(served):
-    served.sessions.most = 2
+    served.sessions.limit = 2
     for k in range(9):
         served("_call_tool", key=f"k{k}", name="nothing", arguments={}, keep=True)
         served.sessions.close(f"k{k}")
-        assert len(served.protocol._turns) <= 4
-        assert f"k{k}" in served.protocol._turns
+        assert len(served.protocol._call_locks) <= 4
+        assert f"k{k}" in served.protocol._call_locks
 
 
 def test_every_page_is_listed_and_read_as_its_kind(served, maker):
-    there = pages(maker.catalogue)
+    there = list_pages(maker.catalog)
     listed = served("_list_resources").resources
     told = [(str(r.uri), r.name, r.description, r.mime_type) for r in listed]
     assert told == [(p.uri, p.name, p.text, p.kind) for p in there.values()]
@@ -126,13 +126,13 @@ def test_every_prompt_is_listed_with_its_arguments_and_their_defaults(served):
 
 
 def test_without_a_stage_there_are_no_prompts_and_no_pages(served):
-    served.protocol._maker = SimpleNamespace(catalogue=SimpleNamespace(axes=(), stage=None))
+    served.protocol._factory = SimpleNamespace(catalog=SimpleNamespace(axes=(), stage=None))
     assert served("_list_prompts").prompts == []
     assert served("_list_resources").resources == []
 
 
 def test_a_server_without_sessions_in_its_protocol_names_those_that_have_them(maker):
-    old = Protocol(maker, Sessions(maker), lambda ctx: None, modern=False, threads=1)
+    old = Protocol(maker, Sessions(maker), lambda ctx: None, sessionless=False, threads=1)
     said = asyncio.run(old._discover(None, None))
     assert said.supported_versions == list(protocol.HANDSHAKE_PROTOCOL_VERSIONS)
     assert said.instructions == protocol.INSTRUCTIONS
@@ -142,8 +142,8 @@ def test_a_server_without_sessions_in_its_protocol_names_those_that_have_them(ma
 
 CALLS = [
     ("tools/call", 1, {"name": "budget", "arguments": {}}, None), ("tools/call", 1, {"name": "budget"}, None),
-    ("tools/call", 1, {"name": 5}, "5 was given"), ("tools/call", 1, None, "null was given"),
-    ("tools/call", 1, {"name": "budget", "arguments": [1]}, "the arguments of 'budget' are [1], and should be an object"),
+    ("tools/call", 1, {"name": 5}, "not by 5"), ("tools/call", 1, None, "not by null"),
+    ("tools/call", 1, {"name": "budget", "arguments": [1]}, "arguments of 'budget' should be an object, and not [1]"),
     ("tools/call", None, {"name": 5}, None), ("tools/list", 1, {"name": 5}, None),
 ]  # fmt: skip
 
@@ -153,7 +153,7 @@ def test_a_call_of_another_form_is_answered_as_one_of_wrong_arguments(method, nu
     async def after(ctx):
         return "passed on"
 
-    made = asyncio.run(protocol._teach(SimpleNamespace(method=method, request_id=number, params=params), after))
+    made = asyncio.run(protocol._check_call(SimpleNamespace(method=method, request_id=number, params=params), after))
     if said is None:
         assert made == "passed on"
     else:

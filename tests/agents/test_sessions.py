@@ -7,13 +7,13 @@ import pytest
 
 from stage import Stage
 from stage.agents import Budget
-from stage.agents.server.sessions import Maker, Sessions
+from stage.agents.server.sessions import Sessions, ToolboxFactory
 from stage.errors import StageError
 
 
 @pytest.fixture(scope="module")
 def maker():
-    return Maker(lambda: Stage("xy", visuals=False), budget=Budget(moves=3))
+    return ToolboxFactory(lambda: Stage("xy", visuals=False), budget=Budget(moves=3))
 
 
 class Clock:
@@ -42,48 +42,48 @@ def test_each_session_has_a_stage_of_its_own(maker):
 def test_the_first_stage_and_the_catalogue_stay_at_power_up(maker):
     sessions = Sessions(maker)
     sessions.box("a").call("move", {"axis": "x", "pulses": 500})
-    assert maker.first.time == maker.catalogue.stage.time == 0
-    assert list(maker.catalogue.tools) == list(sessions.box("a").tools)
+    assert maker.original.time == maker.catalog.stage.time == 0
+    assert list(maker.catalog.tools) == list(sessions.box("a").tools)
 
 
 def test_a_silent_session_ends_and_a_late_caller_is_told(maker, clock):
-    sessions = Sessions(maker, idle=60, clock=clock)
+    sessions = Sessions(maker, idle_s=60, clock=clock)
     box = sessions.box("a")
     clock.now = 59
-    assert sessions.reap() == 0
+    assert sessions.close_due() == 0
     sessions.box("a")
     clock.now = 120
-    assert sessions.reap() == 1
+    assert sessions.close_due() == 1
     assert box.closed
-    with pytest.raises(StageError, match="this session has ended"):
+    with pytest.raises(StageError, match="This session has ended"):
         sessions.box("a")
 
 
 def test_a_client_that_has_gone_may_come_back_for_a_while(maker, clock):
-    sessions = Sessions(maker, grace=10, clock=clock)
+    sessions = Sessions(maker, grace_s=10, clock=clock)
     sessions.box("a")
-    sessions.gone("a")
-    sessions.gone("nobody")
+    sessions.note_disconnect("a")
+    sessions.note_disconnect("nobody")
     clock.now = 9
-    assert sessions.reap() == 0
+    assert sessions.close_due() == 0
     sessions.box("a")  # it is back
     clock.now = 30
-    assert sessions.reap() == 0
-    sessions.gone("a")
+    assert sessions.close_due() == 0
+    sessions.note_disconnect("a")
     clock.now = 41
-    assert sessions.reap() == 1
+    assert sessions.close_due() == 1
 
 
 def test_a_session_does_not_live_for_ever(maker, clock):
-    sessions = Sessions(maker, life=100, clock=clock)
+    sessions = Sessions(maker, life_s=100, clock=clock)
     for clock.now in range(0, 100, 10):
         sessions.box("a")
     clock.now = 101
-    assert sessions.reap() == 1
+    assert sessions.close_due() == 1
 
 
 def test_there_are_only_so_many(maker, clock):
-    sessions = Sessions(maker, most=2, idle=60, clock=clock)
+    sessions = Sessions(maker, limit=2, idle_s=60, clock=clock)
     sessions.box("a"), sessions.box("b")
     with pytest.raises(StageError, match="2 sessions are open"):
         sessions.box("c")
@@ -100,10 +100,10 @@ def test_a_session_that_is_closed_ends_the_call_that_it_makes(maker):
         time.sleep(0.001)
     sessions.close("a")
     thread.join(10)
-    assert "ended while this call was made" in answers[0].text
-    assert "this session has ended" in box.call("budget").text
+    assert "session ended during this call" in answers[0].text
+    assert "This session has ended" in box.call("budget").text
 
 
 def test_a_call_computes_for_no_longer_than_its_patience():
-    made = Maker(lambda: Stage("xy", visuals=False), patience=1e-3)
+    made = ToolboxFactory(lambda: Stage("xy", visuals=False), patience=1e-3)
     assert "compute for 0.001 s" in made().call("wait", {"seconds": 60}).text

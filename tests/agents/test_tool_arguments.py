@@ -1,163 +1,139 @@
-"""What agents write as arguments: what is understood, and how the rest is refused."""
+"""What agents write as arguments: what the tools understand, and how they refuse the rest."""
 
 import math
 
 import pytest
 
-from stage.agents.fields import BYTES, FLAG, LENGTH, LENGTHS, MANY, NUMBER, TEXT, WHOLE, Field
+from stage.agents.arguments import (
+    MAX_LIST_ITEMS,
+    Flag,
+    Length,
+    Text,
+    argument,
+    choice,
+    integer,
+    lengths_of,
+    list_of,
+    number,
+)
+from stage.agents.tool import Tool
 from stage.errors import ArgumentError
 
-VALUE = Field("value", WHOLE, "of a register", True, low=0, high=65535)
+REGISTER = integer(0, 65535)
 
 
-@pytest.mark.parametrize(
-    ("given", "value"),
-    [
-        (31, 31),
-        (31.0, 31),
-        ("31", 31),
-        (" 31 ", 31),
-        ("1Fh", 31),
-        ("1fH", 31),
-        ("0x1F", 31),
-        ("0X1f", 31),
-        ("0b11111", 31),
-    ],
-)
-def test_whole_numbers_as_agents_write_them(given, value):
-    assert VALUE.read(given) == value
+def parse(kind, value):
+    """Parse the argument `a` of this type as a tool does."""
+    return Tool("tool", "", dict, {"a": argument(kind, "")}).parse({"a": value})["a"]
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ("1F", 'Did you mean "1Fh" (31)?'),
-        # write R2 ²
-        ("²", 'Did you mean "2"?'),
-        ("٣١", 'Did you mean "31"?'),
-        ("3.5", "is not a whole number"),
-        (3.5, "is not a whole number"),
-        (True, "true is not a whole number"),
-        (None, "null is not a whole number"),
-        (math.nan, "nan is not a whole number"),
-        (math.inf, "is not a whole number"),
-        ([1], "is not a whole number"),
-        (-1, "from 0 to 65535"),
-        (65536, "from 0 to 65535"),
-        ("9" * 81, "no register is so wide"),
-        (1 << 63, "is out of range: give a number from -9223372036854775807 to 9223372036854775807"),
-    ],
-)
-def test_what_is_no_whole_number_is_refused_in_words(given, said):
+def schema_of(kind):
+    return Tool("tool", "", dict, {"a": argument(kind, "")}).schema()["properties"]["a"]
+
+
+def refuse(kind, value):
+    """Return the sentence that refuses this value."""
     with pytest.raises(ArgumentError) as refused:
-        VALUE.read(given)
-    assert said in str(refused.value)
-    assert str(refused.value).startswith("value: ")
+        parse(kind, value)
+    assert str(refused.value).startswith("a")
+    return str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("given", "metres"), [(0.01, 0.01), ("10mm", 0.01), ("-10 mm", -0.01), ("1e-2", 0.01), ("250um", 250e-6)]
-)
-def test_lengths_take_their_unit_along(given, metres):
-    assert Field("distance", LENGTH, "").read(given) == pytest.approx(metres)
+WHOLE_NUMBERS = [(n, 31) for n in (31, 31.0, "31", " 31 ", "1Fh", "1fH", "0x1F", "0X1f", "0b11111", "+0x1F")]
+WHOLE_NUMBERS += [("-31", -31), ("-1Fh", -31), ("-0b11", -3), ("1_000", 1000), (2**63 - 1, 2**63 - 1)]
 
 
-@pytest.mark.parametrize("given", ["10 parsecs", "mm", "", True, math.nan, "NaN", "1e999", {}])
-def test_what_is_no_length_is_refused(given):
-    with pytest.raises(ArgumentError, match=r"^distance: "):
-        Field("distance", LENGTH, "").read(given)
+@pytest.mark.parametrize(("written", "value"), WHOLE_NUMBERS)
+def test_whole_numbers_are_understood_as_agents_write_them(written, value):
+    assert parse(integer(), written) == value
 
 
-def test_names_are_known_in_any_case_and_near_misses_are_told():
-    axis = Field("axis", TEXT, "", choices=("x", "carriage"))
-    assert axis.read("X") == "x"
-    with pytest.raises(ArgumentError, match="Did you mean 'carriage'\\? Known: x, carriage\\."):
-        axis.read("cariage")
-
-
-WRONG = [
-    (FLAG, 1), (FLAG, "yes"), (NUMBER, "fast"), (NUMBER, True), (TEXT, 3), (BYTES, []), (BYTES, "x"), (BYTES, [1] * 300),
-    (LENGTHS, []), (LENGTHS, {"q": 1}),
+NOT_WHOLE = [
+    ("1F", "Did you mean '1Fh' (31)?"), ("²", "Did you mean '2'?"), ("٣١", "Did you mean '31'?"), ("3.5", "is not a whole number"),
+    (3.5, "should be a valid integer"), (True, "true is not a number"), (math.nan, "finite number"), (math.inf, "finite number"),
+    ([1], "should be a valid integer"), (-1, "greater than or equal to 0"), (65536, "less than or equal to 65535"),
+    ("9" * 81, "is not a whole number"),
+    pytest.param(10**5000, "less than or equal to 65535", id="huge"), ("F" * 40 + "h", "less than or equal to 65535"),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("kind", "given"), WRONG)
-def test_wrong_types_say_what_is_allowed(kind, given):
-    with pytest.raises(ArgumentError, match=r"^a: "):
-        Field("a", kind, "", choices=("x", "y") if kind in (TEXT, LENGTHS) else ()).read(given)
+@pytest.mark.parametrize(("written", "sentence"), NOT_WHOLE)
+def test_what_is_no_whole_number_of_the_range_is_refused_in_words(written, sentence):
+    assert sentence in refuse(REGISTER, written)
 
 
-def test_both_ends_of_a_span_hold():
-    open_ = Field("speed", NUMBER, "", low=0.0, above=True, high=2.0, unit="m/s")
-    assert open_.read(2) == 2.0
-    with pytest.raises(ArgumentError, match="out of range: give a number above 0, up to 2 m/s"):
-        open_.read(0)
-    with pytest.raises(ArgumentError, match="out of range: give a number above 0, up to 2 m/s"):
-        open_.read("2.1")
+@pytest.mark.parametrize("much", [2**63, -(2**63), str(2**63)])
+def test_a_whole_number_has_at_most_64_bits(much):
+    assert "9223372036854775807" in refuse(integer(), much)
 
 
-def test_a_list_may_be_as_long_as_its_schema_says():
-    values = Field("values", BYTES, "", low=0, high=255)
-    most = values.schema()["maxItems"]
-    assert most == MANY
-    assert values.read([1] * most) == [1] * most
-    with pytest.raises(ArgumentError, match=f"a list of {most + 1}; up to {most} at a time"):
-        values.read([1] * (most + 1))
+LENGTHS = [(0.01, 0.01), ("10mm", 0.01), ("-10 mm", -0.01), ("1e-2", 0.01), ("250um", 250e-6), (-1000, -1000)]
+LENGTHS += [("180deg", math.pi)]
+
+
+@pytest.mark.parametrize(("written", "meters"), LENGTHS)
+def test_lengths_carry_their_unit(written, meters):
+    assert parse(Length, written) == pytest.approx(meters)
+
+
+@pytest.mark.parametrize("written", ["10 parsecs", "mm", "", True, math.nan, "NaN", "1e999", {}, 1000.1, "-1001m"])
+def test_what_is_no_length_up_to_a_kilometer_is_refused(written):
+    assert refuse(Length, written)
 
 
 @pytest.mark.parametrize(
-    ("given", "value"),
-    [("-31", -31), ("-1Fh", -31), ("+0x1F", 31), ("-0b11", -3), ("1_000", 1000), (2**63 - 1, 2**63 - 1), ("-9", -9)],
+    ("written", "meant"), [("10 \u00b5m", "10 um"), ("10 \u03bcm", "10 um"), ("\u22125mm", "-5mm")]
 )
-def test_a_whole_number_has_its_sign_and_up_to_64_bits(given, value):
-    whole = Field("n", WHOLE, "")
-    assert whole.read(given) == value
-    for much in (2**63, -(2**63), str(2**63)):
-        with pytest.raises(ArgumentError, match="no register is so wide"):
-            whole.read(much)
+def test_signs_of_other_keyboards_are_answered_with_what_was_probably_meant(written, meant):
+    assert f"Did you mean '{meant}'" in refuse(Length, written)
 
 
-def test_the_ends_of_a_number_are_allowed_or_not_as_its_schema_says():
-    closed, open_ = (Field("s", NUMBER, "", low=0.5, high=2.0, above=above) for above in (False, True))
-    assert closed.schema().items() >= {"minimum": 0.5, "maximum": 2.0}.items()
-    assert open_.schema().items() >= {"exclusiveMinimum": 0.5, "maximum": 2.0}.items()
-    assert (closed.read(0.5), closed.read(2.0), open_.read(0.500001)) == (0.5, 2.0, 0.500001)
-    with pytest.raises(ArgumentError, match=r"s: 0\.5 is out of range: give a number above 0\.5, up to 2"):
-        open_.read(0.5)
-    with pytest.raises(ArgumentError, match=r"from 0\.5 to 2"):
-        closed.read(0.499)
+def test_names_are_known_in_any_case_and_similar_names_are_listed():
+    axis = choice(("x", "carriage"))
+    assert parse(axis, "X") == "x"
+    assert "Did you mean 'carriage'? Known: x, carriage." in refuse(axis, "cariage")
+    assert (parse(choice(("a", "A")), "a"), parse(choice(("a", "A")), "A")) == ("a", "A")
+    assert "is not known" in refuse(choice(("ab", "AB")), "Ab")
 
 
-@pytest.mark.parametrize(("given", "meant"), [("10 \u00b5m", "10 um"), ("10 \u03bcm", "10 um"), ("\u22125mm", "-5mm")])
-def test_signs_of_other_keyboards_are_told_as_what_was_meant(given, meant):
-    with pytest.raises(ArgumentError, match=f'Did you mean "{meant}"'):
-        Field("distance", LENGTH, "").read(given)
+WRONG_TYPES = [
+    (Flag, 1), (Flag, "yes"), (number(), "fast"), (number(), True), pytest.param(number(), 10**5000, id="huge"),
+    (number(), "nan"), (Text, 3),
+    (list_of(REGISTER), []), (list_of(REGISTER), "x"), (list_of(REGISTER), {}), (choice(("x", "y")), 3),
+    (lengths_of(("x", "y")), []), (lengths_of(("x", "y")), {}), (lengths_of(("x", "y")), {"q": 1}),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("given", [1000.1, -1000.1, "-1001m", "2000m"])
-def test_a_length_is_no_longer_than_a_kilometre_either_way(given):
-    with pytest.raises(ArgumentError, match="a length up to 1000 m"):
-        Field("distance", LENGTH, "").read(given)
-    assert Field("distance", LENGTH, "").read(-1000) == -1000
+@pytest.mark.parametrize(("kind", "written"), WRONG_TYPES)
+def test_a_value_of_another_type_is_refused(kind, written):
+    assert refuse(kind, written)
 
 
-def test_two_names_alike_but_for_their_case_are_not_guessed():
-    both = Field("axis", TEXT, "", choices=("a", "A"))
-    assert (both.read("a"), both.read("A")) == ("a", "A")
-    with pytest.raises(ArgumentError, match="is not known"):
-        Field("axis", TEXT, "", choices=("ab", "AB")).read("Ab")
+@pytest.mark.parametrize(("written", "value"), [(True, True), ("TRUE", True), ("false", False)])
+def test_a_flag_may_be_written_as_text(written, value):
+    assert parse(Flag, written) is value
 
 
-def test_a_mapping_names_each_once():
-    both = Field("distances", LENGTHS, "", choices=("x", "y"))
-    assert both.read({"x": "1mm", "Y": 0.002}) == {"x": pytest.approx(1e-3), "y": 0.002}
-    with pytest.raises(ArgumentError, match="x is given twice"):
-        both.read({"x": 1, "X": 2})
+def test_the_ends_of_a_range_are_allowed_as_the_schema_says():
+    closed, above = number(ge=0.5, le=2.0), number(gt=0.5, le=2.0)
+    assert schema_of(closed)["minimum"] == schema_of(above)["exclusiveMinimum"] == 0.5
+    assert schema_of(closed)["maximum"] == schema_of(above)["maximum"] == 2.0
+    assert (parse(closed, 0.5), parse(closed, "2"), parse(above, 0.500001)) == (0.5, 2, 0.500001)
+    assert "a: 0.5 should be greater than 0.5." in refuse(above, 0.5)
+    assert "a: 0.499 should be greater than or equal to 0.5." in refuse(closed, 0.499)
+    assert "a: '2.1' should be less than or equal to 2." in refuse(closed, "2.1")
 
 
-def test_a_number_of_thousands_of_digits_is_no_trouble():
-    for much in (10**5000, 10**400, 1e308, "9" * 40, "F" * 40 + "h"):
-        with pytest.raises(ArgumentError, match="no register is so wide"):
-            VALUE.read(much)
-    with pytest.raises(ArgumentError, match="finite"):
-        Field("seconds", NUMBER, "").read(10**5000)
+def test_a_list_has_as_many_items_as_its_schema_says_and_one_value_is_a_list():
+    values = list_of(integer(0, 255))
+    assert schema_of(values)["maxItems"] == MAX_LIST_ITEMS
+    assert parse(values, [1] * MAX_LIST_ITEMS) == [1] * MAX_LIST_ITEMS
+    assert f"at most {MAX_LIST_ITEMS} items" in refuse(values, [1] * (MAX_LIST_ITEMS + 1))
+    assert parse(values, "15h") == [0x15]
+    assert refuse(values, [1, 256]).startswith("a[1]: 256 should be less")
+
+
+def test_a_mapping_names_each_axis_once():
+    both = lengths_of(("x", "y"))
+    assert parse(both, {"x": "1mm", "Y": 0.002}) == {"x": pytest.approx(1e-3), "y": 0.002}
+    assert "each name may be given once" in refuse(both, {"x": 1, "X": 2})

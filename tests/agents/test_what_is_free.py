@@ -24,4 +24,4 @@ def test_what_is_free_answers_when_the_budget_is_spent_and_nothing_else_does():
         assert box.call(name, example.get(name)).ok, name
     refused = box.call("read_register", {"axis": "x", "name": "R0"})
     assert not refused.ok
-    assert "all 0.1 s of simulated time have passed" in refused.text
+    assert "All 0.1 s of simulated time are spent" in refused.text

@@ -2,7 +2,7 @@
 
 from hypothesis import strategies as st
 
-from stage.agents.fields import DIGITS, SIZES
+from stage.agents.arguments import INTEGER_PATTERN, LENGTH_PATTERN
 
 FORMS = ("{}{}", "{}{:X}h", "{}0x{:x}", "{}0b{:b}")
 JUNK = st.one_of(
@@ -14,8 +14,8 @@ JUNK = st.one_of(
 
 WHOLE = st.integers(-(2**33), 2**33)
 PATTERNS = {
-    DIGITS: st.one_of(*(WHOLE.map(lambda n, form=form: form.format("-" * (n < 0), abs(n))) for form in FORMS)),
-    SIZES: st.tuples(st.floats(-10, 10), st.sampled_from(["", "mm", " um", "m", "deg"])).map(
+    INTEGER_PATTERN: st.one_of(*(WHOLE.map(lambda n, form=form: form.format("-" * (n < 0), abs(n))) for form in FORMS)),
+    LENGTH_PATTERN: st.tuples(st.floats(-10, 10), st.sampled_from(["", "mm", " um", "m", "deg"])).map(
         lambda two: f"{two[0]}{two[1]}"
     ),
 }
@@ -26,8 +26,8 @@ def fits(schema):
     """Values that the schema allows."""
     if "anyOf" in schema:
         return st.one_of(*(fits(one) for one in schema["anyOf"]))
-    if "enum" in schema:
-        return st.sampled_from(schema["enum"])
+    if "enum" in schema or "const" in schema:
+        return st.sampled_from(schema.get("enum") or [schema["const"]])
     kind = schema["type"]
     if kind == "boolean":
         return st.booleans()
@@ -42,17 +42,13 @@ def fits(schema):
         return st.floats(low, high, allow_nan=False, allow_infinity=False, **how)
     if kind == "array":
         return st.lists(fits(schema["items"]), min_size=schema.get("minItems", 0), max_size=6)
+    if "propertyNames" in schema:
+        return st.dictionaries(
+            fits(schema["propertyNames"] | {"type": "string"}), fits(schema["additionalProperties"]), min_size=1
+        )
     properties, required = schema["properties"], schema.get("required", [])
     optional = {name: fits(one) for name, one in properties.items() if name not in required}
-    if schema.get("minProperties"):
-        return st.sampled_from(list(properties)).flatmap(lambda name: _with(name, properties))
     return st.fixed_dictionaries({name: fits(properties[name]) for name in required}, optional=optional)
-
-
-def _with(name, properties):
-    """A mapping that has this name, and perhaps others."""
-    others = {n: fits(one) for n, one in properties.items() if n != name}
-    return st.fixed_dictionaries({name: fits(properties[name])}, optional=others)
 
 
 def nearly(schema):

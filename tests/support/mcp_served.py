@@ -5,7 +5,7 @@ import sys
 import threading
 
 from stage import Stage
-from stage.agents.server.sessions import Maker, Sessions
+from stage.agents.server.sessions import Sessions, ToolboxFactory
 
 
 class Served:
@@ -14,7 +14,7 @@ class Served:
     def __init__(self, **how):
         from stage.agents.server.http import HttpServer
 
-        self.maker = Maker(lambda: Stage("xy", visuals=False), **how)
+        self.maker = ToolboxFactory(lambda: Stage("xy", visuals=False), **how)
         self.sessions = Sessions(self.maker)
         self.server = HttpServer(self.maker, self.sessions)
         self._thread = threading.Thread(target=self.server.run, daemon=True)

@@ -1,26 +1,32 @@
-"""Prompts: what an engineer would ask of an agent at this machine, ready to be sent."""
+"""Prompts: what an engineer would ask of an agent at this machine, ready to send."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from stage.agents.fields import chosen
+from stage.agents.arguments import choose
 from stage.errors import ArgumentError
 
-LONG = 100  # characters of an argument
+MAX_ARGUMENT_CHARACTERS = 100
 
 
-class Asked(NamedTuple):
-    """A prompt. arguments: name -> (what it is, the value if none is given)."""
+class PromptTemplate(NamedTuple):
+    """A prompt with places for its arguments.
+
+    Attributes:
+        text: What it is for.
+        arguments: Name -> description, and the value if none is given.
+        template: The prompt itself.
+    """
 
     text: str
     arguments: dict[str, tuple[str, str]]
-    says: str
+    template: str
 
 
-PROMPTS: dict[str, Asked] = {
-    "bring_up_axis": Asked(
+PROMPTS: dict[str, PromptTemplate] = {
+    "bring_up_axis": PromptTemplate(
         "Bring up an axis for the first time: from power-up to a homed axis that moves both ways.",
         {"axis": ("which one", "")},
         """Bring up axis {axis} of this machine. Nobody has moved it since power-up.
@@ -33,7 +39,7 @@ PROMPTS: dict[str, Asked] = {
 
 Read what a tool answers before you call the next one. At the end say in five lines what works, what does not, and how you know.""",
     ),
-    "find_lost_steps": Asked(
+    "find_lost_steps": PromptTemplate(
         "Find out at which speed an axis loses steps, with what a host can know.",
         {"axis": ("which one", "")},
         """Find the highest speed at which axis {axis} loses no step. The chip does not know lost steps: it counts pulses.
@@ -48,7 +54,7 @@ return differ from what the way should need by a full electrical period or more,
 
 Say the limit in mm/s and in pulses a second, what was found for it, and what speed you would allow in production, and why.""",
     ),
-    "tune_move": Asked(
+    "tune_move": PromptTemplate(
         "Make one move as fast as it goes without losing steps.",
         {"axis": ("which one", ""), "distance": ("of the move", "20mm")},
         """Tune one move of axis {axis}: {distance}, as fast as it goes, with no step lost and some margin.
@@ -65,15 +71,27 @@ At the end give the registers or speeds, the time, the time of the usual ones, a
 }
 
 
-def prompt(name: str, given: Mapping[str, str] | None, axes: tuple[str, ...]) -> str:
-    """The text of a prompt. Raises ArgumentError."""
-    asked = PROMPTS[chosen("prompt", name, tuple(PROMPTS) if axes else ())]
-    values = {key: default for key, (_, default) in asked.arguments.items()}
-    for key, value in (given or {}).items():
-        if key not in values:
-            raise ArgumentError(f"prompt {name} takes no argument {key!r}. Known: {', '.join(values)}.")
-        if len(str(value)) > LONG or not str(value).isprintable():
-            raise ArgumentError(f"{key}: up to {LONG} printable characters.")
-        values[key] = str(value)
-    values["axis"] = chosen("axis", values["axis"], axes) if values["axis"] else axes[0]
-    return asked.says.format(**values)
+def fill_prompt(name: str, values: Mapping[str, str] | None, axes: tuple[str, ...]) -> str:
+    """Fill in the arguments of a prompt.
+
+    Args:
+        name: Of the prompt.
+        values: Arguments by name; those that are absent have their defaults.
+        axes: Names of the axes; the first is the default.
+
+    Returns:
+        The text to send.
+
+    Raises:
+        ArgumentError: There is no such prompt, argument or axis, or a value is too long.
+    """
+    prompt = PROMPTS[choose("prompt", name, tuple(PROMPTS) if axes else ())]
+    filled = {key: default for key, (_, default) in prompt.arguments.items()}
+    for key, value in (values or {}).items():
+        if key not in filled:
+            raise ArgumentError(f"prompt {name} takes no argument {key!r}. Known: {', '.join(filled)}.")
+        if len(str(value)) > MAX_ARGUMENT_CHARACTERS or not str(value).isprintable():
+            raise ArgumentError(f"{key}: up to {MAX_ARGUMENT_CHARACTERS} printable characters.")
+        filled[key] = str(value)
+    filled["axis"] = choose("axis", filled["axis"], axes) if filled["axis"] else axes[0]
+    return prompt.template.format(**filled)

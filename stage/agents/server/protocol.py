@@ -1,4 +1,4 @@
-"""The requests of the protocol, answered from sessions; the same for both transports."""
+"""Handlers of the Model Context Protocol, the same for both transports: they answer requests from sessions."""
 
 from __future__ import annotations
 
@@ -15,26 +15,39 @@ from mcp.shared.exceptions import MCPError
 from mcp_types.version import HANDSHAKE_PROTOCOL_VERSIONS
 
 from stage import __version__
-from stage.agents.fields import shown
-from stage.agents.server import prompts, resources
-from stage.agents.server.sessions import Maker, Sessions
-from stage.agents.tool import Answer, Tool
+from stage.agents.arguments import format_value
+from stage.agents.server.prompts import PROMPTS, fill_prompt
+from stage.agents.server.resources import list_pages
+from stage.agents.server.sessions import Sessions, ToolboxFactory
+from stage.agents.tool import Answer, Tool, refuse
 from stage.agents.toolbox import Toolbox
-from stage.errors import StageError
+from stage.errors import StageError, unknown
 
 INSTRUCTIONS = """An emulated motion stage: chips on a bus make pulses, drives and motors move carriages. Begin with `describe`.
-Time is simulated: it passes in bus cycles, moves and waits alone. Your stage is yours; other sessions have others. A refusal says
+Time is simulated: it passes only in bus cycles, moves and waits. Your stage is yours; other sessions have others. An error says
 what is allowed: read it."""
-Key = Callable[[ServerRequestContext[Any, Any]], str | None]
+NO_SESSION = (
+    "This request belongs to no session, and a stage lasts as long as a session: connect with the `initialize` handshake "
+    f"({', '.join(HANDSHAKE_PROTOCOL_VERSIONS)}) and send the Mcp-Session-Id that comes back."
+)
+FindKey = Callable[[ServerRequestContext[Any, Any]], str | None]
 
 
 class Protocol:
-    """A server for the clients of one transport. key: of the session that a request belongs to; None where it has none."""
+    """A server for the clients of one transport.
 
-    def __init__(self, maker: Maker, sessions: Sessions, key: Key, modern: bool, threads: int):
-        self._maker, self._sessions, self._key, self._threads = maker, sessions, key, threads
+    Args:
+        factory: Makes the stages; its catalog has the tools.
+        sessions: The open sessions.
+        find_key: Returns the session key of a request, or None.
+        sessionless: The transport also speaks the newest protocol, which has no sessions.
+        threads: Number of calls that run at once.
+    """
+
+    def __init__(self, factory: ToolboxFactory, sessions: Sessions, find_key: FindKey, sessionless: bool, threads: int):
+        self._factory, self._sessions, self._find_key, self._threads = factory, sessions, find_key, threads
         self._limiter: anyio.CapacityLimiter | None = None
-        self._turns: dict[str, anyio.Lock] = {}
+        self._call_locks: dict[str, anyio.Lock] = {}
         self.server: Server[Any] = Server(
             "pulsestage", version=__version__, title="PulseStage", instructions=INSTRUCTIONS,
             on_list_tools=self._list_tools, on_call_tool=self._call_tool,
@@ -42,12 +55,12 @@ class Protocol:
             on_list_resource_templates=self._list_templates,
             on_list_prompts=self._list_prompts, on_get_prompt=self._get_prompt,
         )  # fmt: skip
-        self.server.middleware.append(_teach)
-        if not modern:
+        self.server.middleware.append(_check_call)
+        if not sessionless:
             self.server.add_request_handler("server/discover", types.RequestParams, self._discover)
 
     async def _discover(self, ctx: Any, params: Any) -> types.DiscoverResult:
-        """A stage lasts from call to call, so clients have to open a session, which the newest protocol has none of."""
+        """Offer the protocols with sessions only: a stage lasts from call to call."""
         return types.DiscoverResult(
             supported_versions=list(HANDSHAKE_PROTOCOL_VERSIONS),
             capabilities=self.server.get_capabilities(protocol_version=HANDSHAKE_PROTOCOL_VERSIONS[-1]),
@@ -57,124 +70,115 @@ class Protocol:
     # --- tools ---
 
     async def _list_tools(self, ctx: Any, params: Any) -> types.ListToolsResult:
-        catalogue = await self._in_thread(lambda: self._maker.catalogue)
-        return types.ListToolsResult(tools=[_tool(t) for t in catalogue.tools.values()])
+        catalog = await self._run_in_thread(lambda: self._factory.catalog)
+        return types.ListToolsResult(tools=[_describe_tool(t) for t in catalog.tools.values()])
 
     async def _call_tool(self, ctx: Any, params: types.CallToolRequestParams) -> types.CallToolResult:
-        key = self._key(ctx)
+        key = self._find_key(ctx)
         if key is None:
-            return _result(Answer(False, {"error": NO_SESSION}))
-        turn = self._turns.setdefault(key, anyio.Lock())
-        if len(self._turns) > 2 * self._sessions.most:
-            self._turns = {k: lock for k, lock in self._turns.items() if lock.locked() or k == key}
-        async with turn:  # a thread for each that works, none for those that wait
+            return _make_result(refuse(NO_SESSION))
+        lock = self._call_locks.setdefault(key, anyio.Lock())
+        if len(self._call_locks) > 2 * self._sessions.limit:
+            self._call_locks = {k: lock for k, lock in self._call_locks.items() if lock.locked() or k == key}
+        async with lock:  # a call that waits for its session takes no thread
+            call = partial(self._call, key, params.name, params.arguments)
             try:
-                answer = await self._in_thread(partial(self._call, key, params.name, params.arguments), leave=True)
+                answer = await self._run_in_thread(call, abandon_on_cancel=True)
             except anyio.get_cancelled_exc_class():
                 self._sessions.cancel(key)
                 raise
-        return _result(answer)
+        return _make_result(answer)
 
     def _call(self, key: str, name: str, arguments: Any) -> Answer:
         try:
             box = self._sessions.box(key)
         except StageError as error:
-            return Answer(False, {"error": str(error)})
+            return refuse(str(error))
         return box.call(name, arguments)
 
-    async def _in_thread(self, work: Callable[[], Any], leave: bool = False) -> Any:
-        """leave: whoever has asked may go before it is done."""
+    async def _run_in_thread(self, work: Callable[[], Any], abandon_on_cancel: bool = False) -> Any:
         if self._limiter is None:
             self._limiter = anyio.CapacityLimiter(self._threads)
-        return await anyio.to_thread.run_sync(work, limiter=self._limiter, abandon_on_cancel=leave)
+        return await anyio.to_thread.run_sync(work, limiter=self._limiter, abandon_on_cancel=abandon_on_cancel)
 
     # --- resources and prompts ---
 
     async def _list_resources(self, ctx: Any, params: Any) -> types.ListResourcesResult:
-        pages = await self._in_thread(lambda: resources.pages(self._maker.catalogue))
+        pages = await self._run_in_thread(lambda: list_pages(self._factory.catalog))
         listed = [types.Resource(uri=p.uri, name=p.name, description=p.text, mime_type=p.kind) for p in pages.values()]
         return types.ListResourcesResult(resources=listed)
 
     async def _list_templates(self, ctx: Any, params: Any) -> types.ListResourceTemplatesResult:
-        """None: every resource is listed."""
+        """Return no templates: every resource is listed."""
         return types.ListResourceTemplatesResult(resource_templates=[])
 
     async def _read_resource(self, ctx: Any, params: types.ReadResourceRequestParams) -> types.ReadResourceResult:
-        def look() -> tuple[str, str]:
-            box = self._box(ctx)
-            page = resources.read(resources.pages(self._maker.catalogue), str(params.uri), box)
-            return page.kind, page.read(box)
+        uri = str(params.uri)
 
-        kind, text = await self._told(look)
-        content = types.TextResourceContents(uri=str(params.uri), mime_type=kind, text=text)
-        return types.ReadResourceResult(contents=[content])
+        def read() -> tuple[str, str]:
+            box, pages = self._find_box(ctx), list_pages(self._factory.catalog)
+            if uri not in pages:
+                raise unknown("resource", uri, pages)
+            return pages[uri].kind, pages[uri].read(box)
+
+        kind, text = await self._run_or_refuse(read)
+        return types.ReadResourceResult(contents=[types.TextResourceContents(uri=uri, mime_type=kind, text=text)])
 
     async def _list_prompts(self, ctx: Any, params: Any) -> types.ListPromptsResult:
-        def listed(name: str, asked: prompts.Asked) -> types.Prompt:
+        catalog = await self._run_in_thread(lambda: self._factory.catalog)
+        prompts = []
+        for name, prompt in PROMPTS.items() if catalog.axes else ():
             arguments = [
                 types.PromptArgument(name=n, description=text + (f" (default {d})" if d else ""), required=False)
-                for n, (text, d) in asked.arguments.items()
+                for n, (text, d) in prompt.arguments.items()
             ]
-            return types.Prompt(name=name, description=asked.text, arguments=arguments)
-
-        catalogue = await self._in_thread(lambda: self._maker.catalogue)
-        rows = prompts.PROMPTS.items() if catalogue.axes else ()
-        return types.ListPromptsResult(prompts=[listed(*row) for row in rows])
+            prompts.append(types.Prompt(name=name, description=prompt.text, arguments=arguments))
+        return types.ListPromptsResult(prompts=prompts)
 
     async def _get_prompt(self, ctx: Any, params: types.GetPromptRequestParams) -> types.GetPromptResult:
-        text = await self._told(lambda: prompts.prompt(params.name, params.arguments, self._maker.catalogue.axes))
+        text = await self._run_or_refuse(lambda: fill_prompt(params.name, params.arguments, self._factory.catalog.axes))
         message = types.PromptMessage(role="user", content=types.TextContent(type="text", text=text))
         return types.GetPromptResult(messages=[message])
 
-    async def _told(self, work: Callable[[], Any]) -> Any:
-        """`work()`; what is wrong becomes an error of the protocol, in our words."""
+    async def _run_or_refuse(self, work: Callable[[], Any]) -> Any:
+        """Run `work` in a thread; a StageError becomes an error of the protocol with the same text."""
         try:
-            return await self._in_thread(work)
+            return await self._run_in_thread(work)
         except StageError as error:
             raise MCPError(types.INVALID_PARAMS, str(error)) from None
 
-    def _box(self, ctx: Any) -> Toolbox:
-        key = self._key(ctx)
+    def _find_box(self, ctx: Any) -> Toolbox:
+        key = self._find_key(ctx)
         if key is None:
             raise StageError(NO_SESSION)
         return self._sessions.box(key)
 
 
-async def _teach(ctx: Any, call_next: Any) -> Any:
-    """A call whose very form is wrong is answered as one whose arguments are: by a tool error that says what is allowed."""
-    given = ctx.params or {}
+async def _check_call(ctx: Any, call_next: Any) -> Any:
+    """Answer a call of a wrong form by a tool error that says what is allowed, and not by an error of the protocol."""
+    params = ctx.params or {}
     if ctx.method == "tools/call" and ctx.request_id is not None:
-        name, arguments = given.get("name"), given.get("arguments")
+        name, arguments, error = params.get("name"), params.get("arguments"), ""
         if not isinstance(name, str):
-            return _wrong(
-                f'a tool is called by its name, {{"name": "describe", "arguments": {{}}}}, and {shown(name)} was given.'
-            )
-        if not isinstance(arguments, dict | None):
-            return _wrong(f"the arguments of {shown(name)} are {shown(arguments)}, and should be an object.")
+            error = f'A tool is called by its name, such as {{"name": "describe", "arguments": {{}}}}, not by {format_value(name)}.'
+        elif not isinstance(arguments, dict | None):
+            error = f"The arguments of {format_value(name)} should be an object, and not {format_value(arguments)}."
+        if error:
+            return _make_result(refuse(error)).model_dump(by_alias=True, exclude_none=True, mode="json")
     return await call_next(ctx)
 
 
-def _wrong(said: str) -> dict[str, Any]:
-    return _result(Answer(False, {"error": said})).model_dump(by_alias=True, exclude_none=True, mode="json")
-
-
-NO_SESSION = (
-    "this request belongs to no session, and a stage lasts for one: connect with the `initialize` handshake "
-    f"({', '.join(HANDSHAKE_PROTOCOL_VERSIONS)}) and send the Mcp-Session-Id that comes back."
-)
-
-
-def _tool(tool: Tool) -> types.Tool:
-    looks = tool.free or tool.name in ("status", "read_register")
+def _describe_tool(tool: Tool) -> types.Tool:
+    read_only = tool.free or tool.name in ("status", "read_register")
     return types.Tool(
         name=tool.name,
         description=tool.text,
         input_schema=tool.schema(),
-        annotations=types.ToolAnnotations(read_only_hint=looks, open_world_hint=False),
+        annotations=types.ToolAnnotations(read_only_hint=read_only, open_world_hint=False),
     )
 
 
-def _result(answer: Answer) -> types.CallToolResult:
+def _make_result(answer: Answer) -> types.CallToolResult:
     content: list[Any] = [types.TextContent(type="text", text=answer.text)]
     if answer.png is not None:
         image = base64.b64encode(answer.png).decode()

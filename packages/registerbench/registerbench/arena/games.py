@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from registerbench.arena.tool_actions import hands_of
+from registerbench.arena.tool_actions import find_actions
 from registerbench.cards import CARDS, OPEN
 from registerbench.diagnosis import SETUPS, Case
 from registerbench.entry_files import Submission
 from registerbench.episodes import Episodes
 from stage.agents import Tool
-from stage.agents.calls import Calls
-from stage.agents.fields import chosen
+from stage.agents.arguments import choose
+from stage.agents.tool import ToolSet
 from stage.errors import ArgumentError, StageError
 
 DIAGNOSIS = "diagnosis"
@@ -30,7 +30,7 @@ class Game:
     name: str
     seed: int | None = None
     task: str
-    calls: Calls
+    calls: ToolSet
 
     @property
     def over(self) -> bool:
@@ -77,20 +77,20 @@ class Bench(Game):
     def __init__(self, played: Episodes):
         self._played, self.number = played, played.done
         self.name, self.seed = _named(played)[self.number]
-        self._hands = hands_of(played)
+        self._actions = find_actions(played)
         played.begin()
-        fields = self._hands.fields()
-        self.calls = Calls(
+        arguments = self._actions.arguments()
+        self.calls = ToolSet(
             [
                 Tool("task", "What is to be done.", lambda: self.task, free=True),
-                Tool("observe", "What a host knows now, by name.", self._hands.observed, free=True),
+                Tool("observe", "What a host knows now, by name.", self._actions.observation, free=True),
                 Tool(
                     "formula", "What the task's own rule would do now, as arguments of act.", self._formula, free=True
                 ),
-                Tool("act", self._hands.says, self._act, fields, moves=True),
+                Tool("act", self._actions.text, self._act, arguments, moves=True),
             ]
         )
-        self.task = ASKED.format(name=played.card.name, asked=played.card.asked, act=self._hands.says)
+        self.task = ASKED.format(name=played.card.name, asked=played.card.asked, act=self._actions.text)
 
     @property
     def over(self) -> bool:
@@ -98,12 +98,12 @@ class Bench(Game):
 
     def _formula(self) -> dict[str, Any]:
         self._goes_on()
-        return self._hands.formula()
+        return self._actions.formula()
 
     def _act(self, **given: Any) -> dict[str, Any]:
         self._goes_on()
-        self._played.act(self._hands.action(**given))
-        return {"over": self.over, **self._hands.observed()}
+        self._played.act(self._actions.make_action(**given))
+        return {"over": self.over, **self._actions.observation()}
 
     def _goes_on(self) -> None:
         if self.over:
@@ -112,7 +112,7 @@ class Bench(Game):
     def score(self) -> dict[str, float]:
         given_up = 0
         while not self.over:  # whoever goes early leaves the rest to the rule of who does nothing
-            self._played.act(self._hands.idle())
+            self._played.act(self._actions.idle())
             given_up += 1
         return {
             "value": self._played.scores[self.number]["return"],
@@ -163,11 +163,11 @@ def suites() -> list[str]:
 def suite(name: str, split: str = TRAIN, episodes: int | None = None, round_: str = OPEN) -> Suite:
     """By its name. episodes: only the first so many. Raises ArgumentError."""
     first, _, one = name.partition(":")
-    kind = chosen("suite", first, tuple(suites()))
+    kind = choose("suite", first, tuple(suites()))
     if kind == DIAGNOSIS:
         if split != TRAIN:
             raise ArgumentError(f"split {split!r}: {DIAGNOSIS} has no splits; they are of RegisterBench's tasks.")
-        names = [chosen("set-up", one, tuple(SETUPS))] if one else list(SETUPS)
+        names = [choose("set-up", one, tuple(SETUPS))] if one else list(SETUPS)
         if episodes is not None and not 1 <= episodes <= len(names):
             raise ArgumentError(f"episodes={episodes}: 1 to {len(names)} here.")
         names = names[:episodes]

@@ -10,7 +10,7 @@ from registerbench.arena.games import Game
 from registerbench.arena.scores import Played, Round, closing_of, played
 from registerbench.arena.table import jsonable
 from registerbench.arena.transcript import Transcript, read, suite_of
-from stage.agents.fields import shown
+from stage.agents.arguments import format_value
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Replayed:
 
     def __str__(self) -> str:
         p = self.played
-        claimed = f"Claimed, and not to be verified: the player's name {shown(p.player)}, {p.tokens} tokens."
+        claimed = f"Claimed, and not to be verified: the player's name {format_value(p.player)}, {p.tokens} tokens."
         if self.first:
             return f"{len(p.rounds)} games are equal, then it DIFFERS: {self.first}"
         lines = [p.said, "every answer and score is equal, bit for bit", *([self.cut] if self.cut else []), claimed]
@@ -61,7 +61,7 @@ def again(game: Game, claimed: Round, most: int | None = None) -> str:
     if most is not None and len(claimed.calls) > most:
         return f"game {game.name}: {len(claimed.calls)} calls, and {most} are allowed"
     for k, row in enumerate(claimed.calls):
-        where = f"game {game.name}, call {k + 1}, {shown(row['call'])}"
+        where = f"game {game.name}, call {k + 1}, {format_value(row['call'])}"
         if game.over:
             return f"{where}: the game was over before it"
         if row.get("made") is False:  # its arguments could not be written down
@@ -81,7 +81,9 @@ def _closing(given: Transcript, came: Played) -> str:
         return ""
     here = closing_of(came)
     wrong = [k for k in here if given.closing.get(k) != here[k]]
-    return "; ".join(f"last line, {k}: {shown(given.closing.get(k))} in the transcript, {here[k]} here" for k in wrong)
+    return "; ".join(
+        f"last line, {k}: {format_value(given.closing.get(k))} in the transcript, {here[k]} here" for k in wrong
+    )
 
 
 def _cut(given: Transcript) -> str:

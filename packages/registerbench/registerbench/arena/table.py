@@ -12,7 +12,7 @@ from typing import Any
 
 from registerbench.arena.games import Game
 from stage.agents import Answer
-from stage.agents.fields import shown
+from stage.agents.arguments import format_value
 from stage.errors import ArgumentError
 
 MOST, PATIENCE, TIME = 400, 600.0, 3600.0
@@ -31,11 +31,11 @@ class Limits:
 
     def __post_init__(self) -> None:
         if isinstance(self.most, bool) or not isinstance(self.most, int) or not self.most >= 1:
-            raise ArgumentError(f"most={shown(self.most)}: a whole number of calls, 1 or more.")
+            raise ArgumentError(f"most={format_value(self.most)}: a whole number of calls, 1 or more.")
         for name in ("patience", "time"):
             s = getattr(self, name)
             if isinstance(s, bool) or not isinstance(s, int | float) or not 0 < s < math.inf:
-                raise ArgumentError(f"{name}={shown(s)}: seconds, more than 0.")
+                raise ArgumentError(f"{name}={format_value(s)}: seconds, more than 0.")
 
 
 class Left(BaseException):
@@ -88,8 +88,8 @@ class Table:
             asked = jsonable({"call": name, "arguments": arguments})
         except (TypeError, ValueError, RecursionError) as why:
             self.trouble("arguments that are no JSON")
-            said = f"the arguments cannot be written as JSON ({type(why).__name__}: {shown(str(why))})."
-            asked, answer = {"call": shown(name), "arguments": None}, Answer(False, {"error": said})
+            said = f"the arguments cannot be written as JSON ({type(why).__name__}: {format_value(str(why))})."
+            asked, answer = {"call": format_value(name), "arguments": None}, Answer(False, {"error": said})
             self.log.append({**asked, "ok": False, "answer": answer.data, "made": False})
             return answer
         answer = self._game.calls.call(asked["call"], asked["arguments"])

@@ -1,4 +1,4 @@
-"""The actions of RegisterBench's environments as arguments of a tool, in pps, seconds and names; and observations by name."""
+"""Actions of RegisterBench's environments as arguments of a tool, in pps, seconds and names; and observations by name."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 
 from registerbench.episodes import Episodes
-from stage.agents.fields import FLAG, NUMBER, NUMBERS, TEXT, WHOLE, Field
+from stage.agents.arguments import Flag, argument, choice, integer, list_of, number
 from stage.envs import drifting_home, few_shot
 from stage.errors import ArgumentError
 
@@ -23,126 +23,122 @@ def rates_of(action: np.ndarray) -> dict[str, float]:
 
 
 def from_log_scale(value: float, ends: Sequence[float]) -> float:
-    """Return the number that -1 to 1 stands for on a logarithmic scale between two ends."""
+    """Return the number for which -1 to 1 stands on a logarithmic scale between two ends."""
     low, high = np.log(ends)
     return float(np.clip(np.exp(low + (high - low) * (value + 1) / 2), ends[0], ends[1]))
 
 
-class Hands:
-    """Of a task: what `act` takes. says: it, in a sentence."""
+def to_log_scale(value: float, ends: Sequence[float]) -> float:
+    """Return the place, -1 to 1, of a number on a logarithmic scale between two ends."""
+    low, high = np.log(ends)
+    return float(np.clip(2 * (np.log(value) - low) / max(high - low, 1e-9) - 1, -1, 1))
 
-    says: str
+
+class ToolActions:
+    """Actions of one task as calls of the tool `act`.
+
+    Attributes:
+        text: What `act` does, in a sentence.
+    """
+
+    text: str
 
     def __init__(self, played: Episodes):
         self._played, self._env = played, played.env
         self._names = [e.name for e in played.env.entries]
 
-    def fields(self) -> tuple[Field, ...]:
-        """Arguments of `act`."""
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments of `act`."""
         raise NotImplementedError
 
-    def action(self, **given: Any) -> Any:
-        """The environment's action of these."""
+    def make_action(self, **values: Any) -> Any:
+        """Make the environment's action of the arguments."""
         raise NotImplementedError
 
     def formula(self) -> dict[str, Any]:
-        """What the task's scripted host does now, as arguments."""
+        """Return what the task's scripted host does now, as arguments."""
         raise NotImplementedError
 
     def idle(self) -> Any:
-        """The action of somebody who has gone."""
+        """Return the action of a player who has left."""
         return np.zeros(self._env.action_space.shape, self._env.action_space.dtype)
 
-    def observed(self) -> dict[str, Any]:
-        """Observation and info, what a host may know of them. Numbers of one name are a list."""
+    def observation(self) -> dict[str, Any]:
+        """Return what a host may know of observation and info; numbers of one name are a list."""
         numbers: dict[str, Any] = {}
         for name, value in zip(self._names, self._played.observation.tolist(), strict=True):
             numbers.setdefault(name, []).append(round(value, 6))
         return {
             "observation": {name: v[0] if len(v) == 1 else v for name, v in numbers.items()},
-            "info": {name: plain(v) for name, v in self._played.info.items()},
+            "info": {name: to_json(v) for name, v in self._played.info.items()},
         }
 
 
-class Move(Hands):
-    """few-shot, one-shot: rates and ramps."""
+class MoveActions(ToolActions):
+    """Rates and ramps of a move, of few-shot and one-shot."""
 
-    says = "a whole move with these rates (pps) and ramps (s)."
+    text = "a whole move with these rates (pps) and ramps (s)."
 
-    def fields(self) -> tuple[Field, ...]:
-        units = {"start": "pps", "drive": "pps", "up": "s", "down": "s"}
-        titles = {"start": "start rate", "drive": "drive rate", "up": "ramp up", "down": "ramp down"}
-        return tuple(
-            Field(name, NUMBER, titles[name], True, low=low, high=high, unit=units[name])
-            for name, (low, high) in few_shot.RATES.items()
-        )
+    def arguments(self) -> dict[str, Any]:
+        titles = {"start": "start rate, pps", "drive": "drive rate, pps", "up": "ramp up, s", "down": "ramp down, s"}
+        return {n: argument(number(ge=low, le=high), titles[n]) for n, (low, high) in few_shot.RATES.items()}
 
-    def action(self, **given: Any) -> Any:
-        return few_shot.action_of(**given)
+    def make_action(self, **values: Any) -> Any:
+        return few_shot.action_of(**values)
 
     def formula(self) -> dict[str, Any]:
         return rates_of(self._env.scripted().astype(float))
 
 
-class Home(Hands):
-    """home: an origin return, or the report of a fault."""
+class HomeActions(ToolActions):
+    """An origin return, or the report of a fault, of home."""
 
-    says = "an origin return with these rates, or, with report=true, the report that the machine is broken, which ends the episode."
+    text = "an origin return with these rates, or, with report=true, the report that the machine is broken, which ends the episode."
 
-    def fields(self) -> tuple[Field, ...]:
-        low = {name: ends[0] for name, ends in drifting_home.RATES.items()}
-        high = {name: ends[1] for name, ends in drifting_home.RATES.items()}
-        usual = drifting_home.USUAL
-        least, most = drifting_home.BACK_OFF
-        made = [
-            Field(name, NUMBER, text, default=float(usual[name]), low=low[name], high=high[name], unit=unit)
-            for name, text, unit in (
-                ("search", "rate", "pps"),
-                ("ramp", "ramps", "s"),
-                ("approach", "rate of the approach", "pps"),
-            )
-        ]
-        return (
-            *made,
-            Field("leave", WHOLE, "pulses by which ORG is left first", default=0, low=0, high=drifting_home.LEAVE),
-            Field("back_off", WHOLE, "pulses before the approach", default=int(usual["back_off"]), low=least, high=most),
-            Field("report", FLAG, "say that the machine is broken", default=False),
-        )  # fmt: skip
+    def arguments(self) -> dict[str, Any]:
+        usual, (least, most) = drifting_home.USUAL, drifting_home.BACK_OFF
+        titles = {"search": "rate, pps", "ramp": "ramps, s", "approach": "rate of the approach, pps"}
+        ends = {name: number(ge=low, le=high) for name, (low, high) in drifting_home.RATES.items()}
+        rates = {name: argument(ends[name], text, float(usual[name])) for name, text in titles.items()}
+        return {
+            **rates,
+            "leave": argument(integer(0, drifting_home.LEAVE), "pulses by which ORG is left first", 0),
+            "back_off": argument(integer(least, most), "pulses before the approach", int(usual["back_off"])),
+            "report": argument(Flag, "say that the machine is broken", False),
+        }
 
-    def action(self, **given: Any) -> Any:
-        return drifting_home.action_of(**given)
+    def make_action(self, **values: Any) -> Any:
+        return drifting_home.action_of(**values)
 
     def formula(self) -> dict[str, Any]:
         return {**drifting_home.USUAL, "report": bool(self._env.scripted()[-1] > 0)}
 
 
-class Line(Hands):
-    """line, line-3: rate, ramps, and corrections to the registers."""
+class LineActions(ToolActions):
+    """Rate, ramp and corrections to the registers, of line and line-3."""
 
-    says = "a straight line with this rate and ramp; corrections from -1 to 1 change the data sheet's registers, 0 leaves them."
+    text = "a straight line with this rate and ramp; corrections from -1 to 1 change the data sheet's registers, 0 leaves them."
 
-    def fields(self) -> tuple[Field, ...]:
-        c = self._env.config
+    def arguments(self) -> dict[str, Any]:
+        rates, ramps = ([float(end) for end in ends] for ends in (self._env.config.rates, self._env.config.ramps))
         size = self._env.action_space.shape[0] - 2
-        return (
-            Field("rate", NUMBER, "peak rate of the longest axis", True, low=float(c.rates[0]), high=float(c.rates[1]), unit="pps"),
-            Field("ramp", NUMBER, "of each ramp", True, low=float(c.ramps[0]), high=float(c.ramps[1]), unit="s"),
-            Field("corrections", NUMBERS, f"{size} of them, six an axis", low=-1.0, high=1.0),
-        )  # fmt: skip
+        return {
+            "rate": argument(number(ge=rates[0], le=rates[1]), "peak rate of the longest axis, pps"),
+            "ramp": argument(number(ge=ramps[0], le=ramps[1]), "of each ramp, s"),
+            "corrections": argument(list_of(number(ge=-1.0, le=1.0)), f"{size} of them, six an axis", None),
+        }
 
-    def action(self, **given: Any) -> Any:
-        rate, ramp, corrections = given["rate"], given["ramp"], given.get("corrections")
-        made = np.zeros(self._env.action_space.shape, np.float32)
-        for j, (value, ends) in enumerate(((rate, self._env.config.rates), (ramp, self._env.config.ramps))):
-            low, high = np.log(ends)
-            made[j] = np.clip(2 * (np.log(value) - low) / max(high - low, 1e-9) - 1, -1, 1)
+    def make_action(self, **values: Any) -> Any:
+        rate, ramp, corrections = values["rate"], values["ramp"], values.get("corrections")
+        action = np.zeros(self._env.action_space.shape, np.float32)
+        action[:2] = to_log_scale(rate, self._env.config.rates), to_log_scale(ramp, self._env.config.ramps)
         if corrections is not None:
-            if len(corrections) != len(made) - 2:
+            if len(corrections) != len(action) - 2:
                 raise ArgumentError(
-                    f"corrections: {len(corrections)} numbers; {len(made) - 2} are wanted, six for each axis."
+                    f"corrections: {len(action) - 2} numbers are needed, six for each axis, not {len(corrections)}."
                 )
-            made[2:] = corrections
-        return made
+            action[2:] = corrections
+        return action
 
     def formula(self) -> dict[str, Any]:
         rate, ramp, *_ = self._env.scripted().astype(float)
@@ -150,16 +146,16 @@ class Line(Hands):
         return {"rate": from_log_scale(rate, c.rates), "ramp": from_log_scale(ramp, c.ramps)}
 
 
-class Macro(Hands):
-    """bus, bus-target: a phrase of bus cycles."""
+class MacroActions(ToolActions):
+    """A macro, of bus and bus-target."""
 
-    says = "a phrase of bus cycles on the axis that is selected; what has no effect now is told as masked."
+    text = "a phrase of bus cycles on the axis that is selected; what has no effect now is told as masked."
 
-    def fields(self) -> tuple[Field, ...]:
-        return (Field("macro", TEXT, "the phrase", True, choices=tuple(self._env.macros)),)
+    def arguments(self) -> dict[str, Any]:
+        return {"macro": argument(choice(tuple(self._env.macros)), "the phrase")}
 
-    def action(self, **given: Any) -> Any:
-        return np.int64(self._env.macros.index(given["macro"]))
+    def make_action(self, **values: Any) -> Any:
+        return np.int64(self._env.macros.index(values["macro"]))
 
     def formula(self) -> dict[str, Any]:
         return {"macro": self._env.macros[int(self._env.scripted())]}
@@ -167,37 +163,36 @@ class Macro(Hands):
     def idle(self) -> Any:
         return np.int64(int(np.argmax(np.asarray(self._played.info["action_mask"]) == 0)))
 
-    def observed(self) -> dict[str, Any]:
-        said = super().observed()
-        mask = said["info"].pop("action_mask")
-        said["has_an_effect"] = [name for name, on in zip(self._env.macros, mask, strict=True) if on]
-        return said
+    def observation(self) -> dict[str, Any]:
+        answer = super().observation()
+        mask = answer["info"].pop("action_mask")
+        answer["has_an_effect"] = [name for name, on in zip(self._env.macros, mask, strict=True) if on]
+        return answer
 
 
-KINDS: dict[str, type[Hands]] = {
-    "few-shot": Move,
-    "few-shot-wide": Move,
-    "one-shot": Move,
-    "home": Home,
-    "line": Line,
-    "line-3": Line,
+KINDS: dict[str, type[ToolActions]] = {
+    **dict.fromkeys(("few-shot", "few-shot-wide", "one-shot"), MoveActions),
+    "home": HomeActions,
+    **dict.fromkeys(("line", "line-3"), LineActions),
 }
-"""By the name of the card."""
+"""Kind of actions by the name of the card."""
 
 
-def hands_of(played: Episodes) -> Hands:
-    """Of the task that is played. Raises ArgumentError for one without."""
+def find_actions(played: Episodes) -> ToolActions:
+    """Return the tool actions of the task that is played. Raises ArgumentError for a task without."""
     if played.card.name in KINDS:
         return KINDS[played.card.name](played)
     if isinstance(played.env.action_space, gymnasium.spaces.Discrete) and hasattr(played.env, "macros"):
-        return Macro(played)
-    raise ArgumentError(f"task {played.card.name}: nobody has said yet how its actions are called.")
+        return MacroActions(played)
+    raise ArgumentError(
+        f"Task {played.card.name}: its actions have no form as a tool yet; give it one in {__name__}.KINDS."
+    )
 
 
-def plain(value: Any) -> Any:
-    """As JSON has it."""
+def to_json(value: Any) -> Any:
+    """Convert a value of an info to what JSON has; None for what is not finite."""
     if isinstance(value, np.ndarray):
-        return [plain(v) for v in value.tolist()]
+        return [to_json(v) for v in value.tolist()]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not np.isfinite(value):

@@ -11,7 +11,7 @@ from registerbench.diagnosis.setups import CAUSES, SETUPS, Setup
 from registerbench.diagnosis.trial import Watch
 from stage import Stage
 from stage.agents import Budget, Tool, Toolbox
-from stage.agents.fields import TEXT, Field, chosen
+from stage.agents.arguments import Text, argument, choice, choose
 from stage.errors import StageError
 
 RUNS, SECONDS = 20, 240.0
@@ -52,7 +52,7 @@ class Case:
     """
 
     def __init__(self, name: str, runs: int = RUNS):
-        self.setup: Setup = SETUPS[chosen("set-up", name, tuple(SETUPS))]
+        self.setup: Setup = SETUPS[choose("set-up", name, tuple(SETUPS))]
         self.stage = Stage("xy", chips=self.setup.chips, visuals=False)
         self.stage.set_payload(self.setup.payload)
         self._text, self._mended, self._answer, self.over, self._needless = self.setup.program, False, "", False, 0
@@ -72,19 +72,19 @@ class Case:
     # --- tools ---
 
     def _tools(self) -> list[Tool]:
-        cause = Field("cause", TEXT, "what is wrong", True, choices=tuple(CAUSES))
-        work = Field("work", TEXT, "what shall be done", True, choices=tuple(SERVICES))
-        text = Field("text", TEXT, "the whole program, lines as `program` shows them", True)
+        cause = {"cause": argument(choice(tuple(CAUSES)), "what is wrong")}
+        work = {"work": argument(choice(tuple(SERVICES)), "what shall be done")}
+        text = {"text": argument(Text, "the whole program, lines as `program` shows them")}
         return [
             Tool("task", "What is to be done.", lambda: self.task, free=True),
             Tool("program", "The host's program.", lambda: self._text, free=True),
-            Tool("write_program", "Put another program in its place.", self._write, (text,), free=True),
+            Tool("write_program", "Put another program in its place.", self._write, text, free=True),
             Tool("run", "Run the program on the machine from power-up, as the customer does.", self._run),
             Tool("measure", "A technician reads the scales at the carriages.", self._measure, free=True),
-            Tool("service", "Ask the technician to do something to the machine.", self._serve, (work,), free=True),
+            Tool("service", "Ask the technician to do something to the machine.", self._serve, work, free=True),
             Tool(
                 "answer", "Say what is wrong; the first answer counts. " + "; ".join(f"{c}: {t}" for c, t in CAUSES.items()),
-                self._say, (cause,), free=True,
+                self._say, cause, free=True,
             ),
             Tool("finish", "You are done.", self._finish, free=True),
         ]  # fmt: skip

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stage import Stage
-from stage.agents.fields import chosen, whole
+from stage.agents.arguments import choose, parse_integer
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware import Axis
 from stage.firmware.driver import Driver
@@ -140,7 +140,7 @@ def _parsed(line: str, stage: Stage) -> Callable[[Host], None]:
         return lambda host: host.wait(seconds)
     if word == "base":
         axis, _, port = rest.partition(" ")
-        name, number = chosen("axis", axis, tuple(stage.axes)), whole("port", port)
+        name, number = choose("axis", axis, tuple(stage.axes)), parse_integer("port", port)
         return lambda host: host.base(name, number)
     if word == "until":
         return _until(rest.split(), stage)
@@ -149,7 +149,7 @@ def _parsed(line: str, stage: Stage) -> Callable[[Host], None]:
             "a line begins with an axis and a colon, or with wait, until or base, as in `x: operate 15h`."
         )
     axis, _, order = line.partition(":")
-    name = chosen("axis", axis.strip(), tuple(stage.axes))
+    name = choose("axis", axis.strip(), tuple(stage.axes))
     cycles = _cycles(stage.axes[name], order.strip())
 
     def send(host: Host) -> None:
@@ -175,7 +175,7 @@ def _until(words: list[str], stage: Stage) -> Callable[[Host], None]:
     usage = "as in `until x stopped 5` or `until x RR1.DSND 1 2`"
     if not words:
         raise ArgumentError(f"until: {usage}.")
-    name = chosen("axis", words[0], tuple(stage.axes))
+    name = choose("axis", words[0], tuple(stage.axes))
     axis = stage.axes[name]
     if len(words) == 3 and words[1] == "stopped":
         limit = _seconds(words[2])

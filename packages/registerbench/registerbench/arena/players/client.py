@@ -28,7 +28,7 @@ class _Game:
 
     def __init__(self, table: Table):
         self._table = table
-        self.catalogue = self
+        self.catalog = self
 
     @property
     def tools(self) -> Any:

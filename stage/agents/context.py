@@ -1,0 +1,69 @@
+"""`ToolContext`: a stage as the tools use it, with drivers, budget, diagnostics and bus traces."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stage.agents.arguments import argument, choice
+from stage.agents.budget import Budget, Meter
+from stage.agents.host_diagnostics import HostDiagnostics
+from stage.firmware.driver import Driver, driver_of
+from stage.panel.stage_observer import Trace
+from stage.sim.axis import Axis
+from stage.sim.stage import Stage
+
+
+class ToolContext:
+    """A stage that an agent drives.
+
+    Attributes:
+        stage: It belongs to the tools from now on.
+        mode: "host" or "truth".
+        meter: What the agent has used of its budget.
+        axes: Names of the axes.
+        report: Report of the last procedure; None before the first.
+        diagnostics: Of each chip.
+        traces: Of the bus of each chip, in words.
+    """
+
+    def __init__(self, stage: Stage, mode: str, budget: Budget, patience: float | None):
+        self.stage, self.mode = stage, mode
+        self.meter = Meter(stage, budget, patience)
+        self.axes = tuple(stage.axes)
+        self.report: Any = None
+        self._drivers: dict[str, Driver] = {}
+        self.diagnostics = tuple(HostDiagnostics(chip, mode == "host") for chip in stage.chips)
+        self.traces = tuple(Trace(chip, losses=mode == "truth") for chip in stage.chips)
+
+    @property
+    def axis_argument(self) -> tuple[Any, Any]:
+        """The argument that names an axis; optional on a stage with one axis."""
+        if len(self.axes) == 1:
+            return argument(choice(self.axes), "Name of the axis.", self.axes[0])
+        return argument(choice(self.axes), "Name of the axis.")
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time in seconds, to the nanosecond."""
+        return round(self.stage.time, 9)
+
+    def axis(self, name: str) -> Axis:
+        """Return the axis of this name."""
+        return self.stage.axes[name]
+
+    def driver(self, name: str) -> Driver:
+        """Return the driver of an axis: the same from call to call, for it remembers what it wrote."""
+        axis = self.axis(name)
+        if name not in self._drivers:
+            self._drivers[name] = driver_of(axis)
+        return self._drivers[name]
+
+    def trace_of(self, axis: str) -> Trace:
+        """Return the bus trace of the chip of an axis."""
+        return self.traces[self.stage.chips.index(self.axis(axis).chip)]
+
+    def forget(self) -> None:
+        """Drop what the tools know of the stage: a snapshot or a reset has changed its state."""
+        self._drivers.clear()
+        for trace in self.traces:
+            trace.begin_again()
