@@ -82,7 +82,7 @@ def parse_integer(what: str, text: str) -> int:
 
 def _match_name(choices: tuple[str, ...], value: Any) -> str:
     if not isinstance(value, str):
-        raise ValueError(f"{format_value(value)} should be a text, one of {', '.join(choices)}.")
+        raise ValueError(f"{format_value(value)} should be a text, one of {', '.join(choices)}.")  # noqa: TRY004
     if value in choices:
         return value
     folded = value.strip().lower()
@@ -98,7 +98,7 @@ def _match_name(choices: tuple[str, ...], value: Any) -> str:
 def _check_number(value: Any) -> Any:
     """Refuse true, false and texts with characters of other scripts, which pydantic would not explain."""
     if isinstance(value, bool):
-        raise ValueError(f"{format_value(value)} is not a number.")
+        raise ValueError(f"{format_value(value)} is not a number.")  # noqa: TRY004 (what pydantic takes)
     if not isinstance(value, str):
         return value
     if len(value) > MAX_TEXT_CHARACTERS:

@@ -38,7 +38,7 @@ class RecordingTools:
     """
 
     def __init__(self, context: ToolContext, folder: str | None = None):
-        if folder is not None and not os.path.isdir(folder):
+        if folder is not None and not Path(folder).is_dir():
             raise ArgumentError(f"{folder} is no folder: make it first, or name another.")
         self._context, self._folder = context, None if folder is None else Path(folder).resolve()
         self._recording: Any = None
