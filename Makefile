@@ -6,7 +6,7 @@ PHYSICS := tests/test_models.py tests/test_plant.py tests/test_stage.py tests/te
 UNCOMPILED := tests/test_uncompiled.py tests/chips/test_pcl240k_statements.py tests/chips/test_pcl240ms_statements.py tests/chips/test_drive_input.py tests/drives/test_stepper.py
 TYPES := build/types/stage
 
-.PHONY: ci demo docs notebooks tutorials packages test quick test-packages record test-slow test-oldest test-libraries test-mujoco soak fuzz coverage memory lint bench results pictures clean help
+.PHONY: ci demo docs notebooks tutorials packages test quick test-packages record api test-slow test-oldest test-libraries test-mujoco soak fuzz coverage memory lint bench results pictures clean help
 
 help:
 	@echo "make demo       origin return, dual-rate and a:b moves; writes demo.rrd"
@@ -21,6 +21,7 @@ help:
 	@echo "make test-libraries             what needs libraries for reinforcement learning, with all of them, in build/libraries"
 	@echo "make test-mujoco VERSION=3.17.0 what touches physics, with another MuJoCo"
 	@echo "make record     write the recorded behavior of tests/recorded again, after an intended change"
+	@echo "make api        write docs/reference/public_api.txt again, after an intended change of the public API"
 	@echo "make coverage   lines that the fast tests run, with the compiled code uncompiled"
 	@echo "make fuzz       fuzz the bus and the MJCF contract, SECONDS=60 each (extra fuzz)"
 	@echo "make memory     the native library under valgrind (Debian: valgrind), a few minutes"
@@ -118,6 +119,10 @@ test-mujoco: .venv/.dev
 record: .venv/.dev
 	$(BIN)/python scripts/record_behaviour.py
 	git --no-pager diff --stat tests/recorded/data
+
+api: .venv/.dev
+	$(BIN)/python scripts/public_api.py
+	git --no-pager diff --stat docs/reference/public_api.txt
 
 coverage: .venv/.dev
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -n 2 --dist worksteal --cov --cov-report=term-missing $(UNCOMPILED)
