@@ -82,7 +82,7 @@ class MachineTask(MoveTask[ConfigT]):
         for name in self.slides:
             if name not in made.axes:
                 raise unknown(f"axis of model {model}", name, made.axes)
-            if made.axes[name].chip.SERVO or made.axes[name].unit != "m":
+            if made.axes[name].drive.has_encoder or made.axes[name].unit != "m":
                 raise ArgumentError(f"axis {name}: it is no stepper's slide, and this task is of those.")
         return made
 

@@ -249,7 +249,7 @@ class RegisterBus(Task[Config]):
     @staticmethod
     def _full_step(axis: Any) -> float:
         """Of the carriage, m; a servo has none."""
-        return 0.0 if axis.chip.SERVO else 0.5 * np.pi / (axis.drive.motor.rotor_teeth * axis.gear)
+        return 0.0 if axis.drive.has_encoder else 0.5 * np.pi / (axis.drive.motor.rotor_teeth * axis.gear)
 
     @staticmethod
     def _touch(axis: Any, pin: str) -> float:

@@ -36,7 +36,7 @@ class Starts:
         self.axis = axis
         self.middle = 0.5 * (axis.travel[0] + axis.travel[1])
         self.turn = axis.meters_per_pulse
-        if not axis.chip.SERVO:
+        if not axis.drive.has_encoder:
             motor: Any = axis.drive.motor
             self.turn = 2 * np.pi / (motor.rotor_teeth * abs(axis.gear))
 

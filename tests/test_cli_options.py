@@ -19,7 +19,8 @@ from stage.cli import build_parser, demo, fault, files, main, moves, progress, s
 from stage.cli.erratum import Shown
 from stage.cli.firmware import report as print_report
 from stage.cli.quantities import Quantity
-from stage.firmware.driver import usual_speeds
+from stage.firmware.driver import driver_of, usual_speeds
+from stage.firmware.pcl240.driver import Pcl240Driver
 from stage.recording import viewer
 from stage.support import opengl
 from stage.support.files import FileError
@@ -127,11 +128,11 @@ def test_home_searches_as_the_options_say(bench, monkeypatch, options, axes, exp
         asked.append((axis.name, {"direction": direction} | how))
         return report()
 
-    monkeypatch.setattr(firmware, "origin_return", origin_return)
+    monkeypatch.setattr("stage.firmware.pcl240.driver.origin_return", origin_return)
     if "--chips" in options:
         monkeypatch.setattr(moves, "make_stage", lambda args: setup.make_stage(args, visuals=False))
     assert main(["home", *options.split(), "--model", "xy"]) == 0
-    usual = {"direction": -1, "high_speed": True, "slow_approach": True, "ez": None}
+    usual = {"direction": -1, "high_speed": True, "slow_approach": True, "ez": None, "timeout": 60.0}
     assert asked == [(axis, usual | expected) for axis in axes]
 
 
@@ -148,11 +149,10 @@ def test_home_searches_as_the_options_say(bench, monkeypatch, options, axes, exp
 def test_home_of_other_chips_goes_by_what_was_said(monkeypatch, options, expected):
     stage, told = Stage("xy", chips="mcx514", visuals=False), []
     report = SimpleNamespace(stopped_by="ORG", lost_steps=0, plot=None, json=lambda: {})
-    driver = SimpleNamespace(
-        FOUND=("ORG",), check_homing=lambda *of: None, check_origin=lambda: None,
-        home=lambda direction, speeds, index: told.append(("home", direction, index)) or report,
-        home_by=lambda by, direction, speeds: told.append(("home_by", by, direction)) or report,
-    )  # fmt: skip
+    driver = driver_of(stage.axes["x"])
+    driver.home = lambda direction, speeds, index: told.append(("home", direction, index)) or report
+    driver.home_by = lambda by, direction, speeds: told.append(("home_by", by, direction)) or report
+    driver.check_homing = lambda *of: None
     monkeypatch.setattr(moves, "make_stage", lambda args: stage)
     monkeypatch.setattr("stage.firmware.driver.driver_of", lambda axis: driver)
     assert main(["home", "x", *options.split()]) == 0
@@ -162,10 +162,9 @@ def test_home_of_other_chips_goes_by_what_was_said(monkeypatch, options, expecte
 @pytest.mark.parametrize("options", ["", "--s-curve"])
 def test_a_line_of_other_chips_is_curved_where_asked(monkeypatch, options):
     stage, told = Stage("xy", chips="mcx514", visuals=False), []
-    report = SimpleNamespace(ok=True, plot=None, json=lambda: {})
-    driver = SimpleNamespace(
-        chip=stage.chips[0], line=lambda drivers, distances, wanted: told.append((distances, wanted)) or report
-    )
+    report = SimpleNamespace(ok=True, plan=None, plot=None, json=lambda: {})
+    driver = driver_of(stage.axes["x"])
+    driver.line = lambda drivers, distances, wanted: told.append((distances, wanted)) or report
     monkeypatch.setattr(moves, "make_stage", lambda args: stage)
     monkeypatch.setattr("stage.firmware.driver.driver_of", lambda axis: driver)
     assert main(["sync", "x=400", "y=-1mm", "--rate", "5000", "--accel", "0.2", *options.split()]) == 0
@@ -195,7 +194,8 @@ def test_a_plot_alone_has_as_many_samples_as_it_needs(bench, monkeypatch):
 def test_home_draws_the_first_axis(bench, monkeypatch):
     drawn = []
     monkeypatch.setattr(
-        firmware, "origin_return", lambda axis, *_, **__: report(plot=lambda path, overwrite: drawn.append(axis.name))
+        "stage.firmware.pcl240.driver.origin_return",
+        lambda axis, *_, **__: report(plot=lambda path, overwrite: drawn.append(axis.name)),
     )
     assert main(["home", "y", "x", "--plot", "a.png"]) == 0
     assert drawn == ["y"]
@@ -209,13 +209,13 @@ def test_speeds_that_are_typed_are_completed_by_the_usual_ones(bench):
     """--accel alone is both ramps; a rate below the usual start speed is the start speed, too"""
     x = bench.axes["x"]
     usual = setup.speeds(typed(), x)
-    assert usual == usual_speeds(x.chip)
+    assert usual == usual_speeds(x.chip)._replace(second=2 * usual.drive), "FH2 is twice FH1"
     assert setup.speeds(typed(accel=0.4), x) == usual._replace(up=0.4, down=0.4)
     assert setup.speeds(typed(accel=0.4, decel=0.2), x) == usual._replace(up=0.4, down=0.2)
     assert setup.speeds(typed(decel=0.2), x) == usual._replace(down=0.2)
     slow = usual.start / 2
-    assert setup.speeds(typed(fh1=slow), x) == usual._replace(start=slow, drive=slow)
-    assert setup.speeds(typed(fh1=slow, fl=2 * slow), x) == usual._replace(start=2 * slow, drive=slow)
+    assert setup.speeds(typed(fh1=slow), x) == usual._replace(start=slow, drive=slow, second=2 * slow)
+    assert setup.speeds(typed(fh1=slow, fl=2 * slow), x) == usual._replace(start=2 * slow, drive=slow, second=2 * slow)
     for name in ("fl", "fh1", "accel", "decel"):
         for value in (0.0, -1.0, math.inf, math.nan):
             with pytest.raises(ArgumentError, match=f"--{name} {value:g}: more than 0"):
@@ -326,7 +326,7 @@ def test_a_run_gives_the_signal_that_ends_it_back(bench):
 )
 def test_home_ends_with_1_if_one_axis_is_not_at_home(bench, monkeypatch, ends, code):
     reports = iter([report(stopped_by=by, lost_steps=lost) for by, lost in ends])
-    monkeypatch.setattr(firmware, "origin_return", lambda *_, **__: next(reports))
+    monkeypatch.setattr("stage.firmware.pcl240.driver.origin_return", lambda *_, **__: next(reports))
     assert main(["home"]) == code
 
 
@@ -334,7 +334,7 @@ def test_home_ends_with_1_if_one_axis_is_not_at_home(bench, monkeypatch, ends, c
     ("options", "expected"),
     [
         ([], {}),
-        (["--constant"], {"high_speed": False}),
+        (["--constant"], {"constant": True}),
         (["--s-curve"], {"s_curve": True}),
         (["--s-curve", "0.3"], {"s_curve": 0.3}),
         (["--automatic"], {"automatic": True}),
@@ -343,22 +343,30 @@ def test_home_ends_with_1_if_one_axis_is_not_at_home(bench, monkeypatch, ends, c
 )
 def test_move_ramps_as_the_options_say(bench, monkeypatch, options, expected):
     asked = []
-    monkeypatch.setattr(
-        firmware, "preset_move", lambda axis, n, p, **how: asked.append((axis.name, n, how)) or report()
-    )
+
+    def move(driver, pulses, speeds, **how):
+        asked.append((driver.axis.name, pulses, how | {"s_curve": speeds.s_curve}))
+        return report()
+
+    monkeypatch.setattr(Pcl240Driver, "move", move)
+    monkeypatch.setattr(Pcl240Driver, "describe_speeds", lambda driver, speeds: "")
     assert main(["move", "y", "-250", *options]) == 0
-    assert asked == [("y", -250, {"high_speed": True, "s_curve": None, "automatic": None} | expected)]
+    ((axis, pulses, how),) = asked
+    assert (axis, pulses) == ("y", -250)
+    assert {"constant": False, "automatic": None, "s_curve": False} | how == {
+        "constant": False, "automatic": None, "s_curve": False,
+    } | expected  # fmt: skip
 
 
 def test_speeds_and_places_are_in_pps_s_and_mm(bench, monkeypatch, capsys):
     asked = []
 
     def dual_rate_move(axis, pulses, profile, *, rates, dwell):
-        assert (rates, dwell) == (["FH1", "FH2", "FH1"], 0.1)
+        assert (list(rates), dwell) == (["FH1", "FH2", "FH1"], 0.1)
         asked.append((axis.name, pulses, profile, bench.axes["y"].position))
         return report(ok=False)
 
-    monkeypatch.setattr(firmware, "dual_rate_move", dual_rate_move)
+    monkeypatch.setattr("stage.firmware.pcl240.driver.dual_rate_move", dual_rate_move)
     speeds = {"fl": 700, "fh1": 9000, "fh2": 15_000, "accel": 0.2, "decel": 0.4}
     options = [word for name, value in speeds.items() for word in (f"--{name}", str(value))]
     assert main(["dual-rate", "y", "3000", *options, "--from", "-12.5"]) == 1, "it did not go as asked"
@@ -371,17 +379,27 @@ def test_speeds_and_places_are_in_pps_s_and_mm(bench, monkeypatch, capsys):
     ("options", "expected"),
     [
         ("", {}),
-        ("--rate 9000 --fl 500 --accel 0.3", {"rate": 9000, "fl": 500, "accel": 0.3}),
+        ("--rate 9000 --fl 500 --accel 0.3", {"rate": 9000, "fl": 500, "accel": 0.3, "decel": 0.3}),
         ("--s-curve 0.2 --no-automatic", {"s_curve": 0.2, "automatic": False}),
     ],
 )
 def test_sync_gives_what_was_given(bench, monkeypatch, options, expected):
     asked = []
     monkeypatch.setattr(
-        firmware, "synchronized_move", lambda d, axes, **how: asked.append((d, how)) or report(ok=not how)
+        "stage.firmware.pcl240.driver.synchronized_move",
+        lambda d, axes, **how: asked.append((d, how)) or report(ok=not expected, plan=None),
     )
     assert main(["sync", "y=-30", "x=40", *options.split()]) == (1 if expected else 0)
-    assert asked == [({"y": -30, "x": 40}, expected)]
+    usual = {
+        "rate": 16_000,
+        "fl": 1000,
+        "accel": 0.15,
+        "decel": 0.15,
+        "s_curve": False,
+        "automatic": None,
+        "timeout": None,
+    }
+    assert asked == [({"y": -30, "x": 40}, usual | expected)]
 
 
 def test_the_board_of_run_lies_where_the_options_say(monkeypatch):

@@ -10,7 +10,7 @@ from typing import Any
 from stage.cli.facts import tell, warn
 from stage.cli.files import plot, recorded
 from stage.cli.progress import note, ticking
-from stage.cli.setup import distance, find_axis, make_stage, place, profile, speeds, split_pair, told_of_its_end
+from stage.cli.setup import distance, find_axis, make_stage, place, speeds, split_pair, told_of_its_end
 from stage.errors import ArgumentError, a_or_an
 
 
@@ -42,7 +42,6 @@ def home(args: argparse.Namespace) -> int:
 
 
 def _home(args: argparse.Namespace, axis: Any) -> Any:
-    from stage import firmware
     from stage.firmware.driver import driver_of
 
     direction, by, driver = +1 if args.plus else -1, args.by, driver_of(axis)
@@ -50,18 +49,16 @@ def _home(args: argparse.Namespace, axis: Any) -> Any:
         driver.check_homing(by, args.ez is not None)
     if by in (None, "switch", "index"):
         driver.check_origin()
-    if _is_pcl240(axis):
-        ez = 1 if by == "index" and args.ez is None else args.ez
-        how: dict[str, Any] = {"high_speed": not args.constant, "slow_approach": not args.fast_only, "ez": ez}
-        return firmware.origin_return(axis, direction, profile(args, axis), **how)
-    _only_pcl240(args, axis, "constant", "fast_only", "fh2")
-    if args.ez not in (None, 1):
+    options = collect_options(args, driver, "constant", "fast_only", "fh2")
+    if args.ez is not None and "ez" in driver.OPTIONS:
+        options["ez"] = args.ez
+    elif args.ez not in (None, 1):
         raise ArgumentError(
             f"--ez {args.ez}: {a_or_an(axis.chip.MAP.chip)} ends at the first index pulse after ORG, --ez 1, or at ORG."
         )
     if by is not None:
-        return driver.home_by(by, direction, speeds(args, axis))
-    return driver.home(direction, speeds(args, axis), index=args.ez == 1)
+        return driver.home_by(by, direction, speeds(args, axis), **options)
+    return driver.home(direction, speeds(args, axis), index=args.ez is not None, **options)
 
 
 def _square(args: argparse.Namespace, axes: list[Any]) -> list[Any]:
@@ -78,36 +75,26 @@ def _square(args: argparse.Namespace, axes: list[Any]) -> list[Any]:
 
 
 def move(args: argparse.Namespace) -> int:
-    from stage import firmware
     from stage.firmware.driver import driver_of
 
     def run(axis: Any) -> Any:
-        pulses = told_of_its_end(args, axis, distance(axis, args.distance))
-        if _is_pcl240(axis):
-            how = {"high_speed": not args.constant, "s_curve": args.s_curve, "automatic": args.automatic}
-            print(wanted := profile(args, axis))
-            return firmware.preset_move(axis, pulses, wanted, **how)
-        _only_pcl240(args, axis, "constant", "automatic", "fh2")
-        if args.s_curve not in (None, True):
-            raise ArgumentError(
-                f"--s-curve {args.s_curve:g}: {a_or_an(axis.chip.MAP.chip)} knows no shares; --s-curve alone."
-            )
-        return driver_of(axis).move(pulses, speeds(args, axis)._replace(s_curve=bool(args.s_curve)))
+        driver, pulses = driver_of(axis), told_of_its_end(args, axis, distance(axis, args.distance))
+        options = collect_options(args, driver, "constant", "automatic", "fh2")
+        wanted = speeds(args, axis, args.s_curve or False)
+        print_speeds(driver, wanted)
+        return driver.move(pulses, wanted, **options)
 
     return _single(args, run)
 
 
 def dual_rate(args: argparse.Namespace) -> int:
-    from stage import firmware
+    from stage.firmware.driver import driver_of
 
     def run(axis: Any) -> Any:
-        if not _is_pcl240(axis):
-            raise ArgumentError(
-                f"dual-rate: FH1 and FH2 are of the PCL-240 family; {a_or_an(axis.chip.MAP.chip)} has one drive speed."
-            )
-        print(wanted := profile(args, axis))
+        driver, wanted = driver_of(axis), speeds(args, axis)
+        print_speeds(driver, wanted)
         pulses, rates = told_of_its_end(args, axis, distance(axis, args.distance)), args.rates.upper().split(",")
-        return firmware.dual_rate_move(axis, pulses, wanted, rates=rates, dwell=args.dwell)
+        return driver.move_through_rates(pulses, wanted, rates, args.dwell)
 
     return _single(args, run)
 
@@ -140,7 +127,6 @@ def _warn_of_tandem(args: argparse.Namespace, axis: Any, behind: Sequence[str], 
 
 
 def sync(args: argparse.Namespace) -> int:
-    from stage import firmware
     from stage.firmware.driver import driver_of
     from stage.firmware.procedures import check_one_kind
 
@@ -159,38 +145,44 @@ def sync(args: argparse.Namespace) -> int:
             _warn_of_tandem(args, stage.axes[name], behind, args.distances)
     drivers = {name: driver_of(stage.axes[name]) for name in distances}
     check_one_kind(drivers)
-    first = stage.axes[next(iter(distances))]
+    first = next(iter(drivers.values()))
     with recorded(args, stage), ticking(stage):
-        if _is_pcl240(first):
-            keys = ("rate", "fl", "accel", "s_curve", "automatic")
-            given = {k: getattr(args, k) for k in keys if getattr(args, k) is not None}
-            report = firmware.synchronized_move(distances, stage.axes, **given)
+        options = collect_options(args, first, "automatic")
+        asked = argparse.Namespace(**vars(args) | {"fh1": args.rate})
+        report = first.line(drivers, distances, speeds(asked, first.axis, args.s_curve or False), **options)
+        if report.plan is not None:
             print(report.plan)
-        else:
-            _only_pcl240(args, first, "automatic")
-            wanted = speeds(argparse.Namespace(**vars(args) | {"fh1": args.rate}), first)
-            report = drivers[first.name].line(drivers, distances, wanted._replace(s_curve=args.s_curve is not None))
         print(report)
         tell(args, report)
         plot(args, report.plot)
     return 0 if report.ok else 1
 
 
-# --- options of one family ---
+KEYWORDS = {"constant": "constant", "automatic": "automatic", "fast_only": "slow_approach", "fh2": "second"}
+"""Options that only some families have, and the names that the drivers' OPTIONS have for them."""
 
 
-def _is_pcl240(axis: Any) -> bool:
-    """Its moves have options that only this family has."""
-    from stage.chips.pcl240 import PCL240
+def collect_options(args: argparse.Namespace, driver: Any, *options: str) -> dict[str, Any]:
+    """Collect the options that a user has given as keyword arguments of a driver's procedure.
 
-    return isinstance(axis.chip, PCL240)
-
-
-def _only_pcl240(args: argparse.Namespace, axis: Any, *options: str) -> None:
-    """Refuse options that only the PCL-240 family has. Raises ArgumentError."""
+    Raises:
+        ArgumentError: An option that the driver's family does not have.
+    """
+    found: dict[str, Any] = {}
     for option in options:
-        if getattr(args, option, None) not in (None, False):
-            shown = "--" + option.replace("_", "-")
-            raise ArgumentError(
-                f"{shown}: {a_or_an(axis.chip.MAP.chip)} has no such thing; it is of the PCL-240 family."
-            )
+        value = getattr(args, option, None)
+        known = KEYWORDS[option] in driver.OPTIONS
+        if value is None or (value is False and not known):
+            continue
+        if not known:
+            chip = a_or_an(driver.chip.MAP.chip)
+            raise ArgumentError(f"--{option.replace('_', '-')}: {chip} has no such thing; it is of the PCL-240 family.")
+        found[KEYWORDS[option]] = not value if option == "fast_only" else value
+    found.pop("second", None)  # a field of the speeds
+    return found
+
+
+def print_speeds(driver: Any, speeds: Any) -> None:
+    """Print the rates and ramps that registers give, where they differ from what was asked for."""
+    if text := driver.describe_speeds(speeds):
+        print(text)

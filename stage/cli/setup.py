@@ -141,38 +141,20 @@ def make_board(args: argparse.Namespace) -> Any:
     return Board(stage, args.layout, args.base, args.stride, keep_cycles=args.keep, devices=args.device)
 
 
-SPEEDS = {"fl": "start", "fh1": "drive", "accel": "up", "decel": "down"}
-"""Options, and what of `Speeds` they are."""
+SPEEDS = {"fl": "start", "fh1": "drive", "fh2": "second", "accel": "up", "decel": "down"}
+"""Options, and the names of the speeds that they state, see `Driver.complete_speeds`."""
 
 
-def speeds(args: argparse.Namespace, axis: Any) -> Any:
-    """The speeds that the options give, for any chip."""
-    from stage.firmware.driver import usual_speeds
+def speeds(args: argparse.Namespace, axis: Any, s_curve: bool | float = False) -> Any:
+    """Return the `Speeds` that the options state. Raises ArgumentError for what is not above 0, or what the chip does not have."""
+    from stage.firmware.driver import driver_of
 
-    given = {name: getattr(args, option) for option, name in SPEEDS.items() if getattr(args, option, None) is not None}
-    if "up" in given:
-        given.setdefault("down", given["up"])
-    _more_than_nothing(args, SPEEDS)
-    made = usual_speeds(axis.chip)._replace(**given)
-    return made._replace(start=min(made.start, made.drive)) if "start" not in given else made
-
-
-def _more_than_nothing(args: argparse.Namespace, options: Iterable[str]) -> None:
-    for option in options:
-        given = getattr(args, option, None)
-        if given is not None and not 0 < given < math.inf:
-            raise ArgumentError(f"--{option} {given:g}: more than 0{'' if math.isfinite(given) else ', and finite'}.")
-
-
-def profile(args: argparse.Namespace, axis: Any) -> Any:
-    """The speeds that the options give, in the registers of a PCL-240."""
-    from stage.firmware import Profile
-    from stage.firmware.pcl240.clock import require_clock
-
-    options = ("fl", "fh1", "fh2", "accel", "decel")
-    _more_than_nothing(args, options)
-    given = {k: getattr(args, k) for k in options if getattr(args, k, None) is not None}
-    return Profile.of(clock_hz=axis.chip.clock_hz, chip=type(axis.chip), multiplier=require_clock(axis), **given)
+    given = {name: value for option, name in SPEEDS.items() if (value := getattr(args, option, None)) is not None}
+    for option, name in SPEEDS.items():
+        if name in given and not 0 < given[name] < math.inf:
+            finite = "" if math.isfinite(given[name]) else ", and finite"
+            raise ArgumentError(f"--{option} {given[name]:g}: more than 0{finite}.")
+    return driver_of(axis).complete_speeds(**given, s_curve=s_curve)
 
 
 def distance(axis: Any, text: str) -> int:

@@ -101,10 +101,12 @@ def _spare(text: str, payload: float) -> float | None:
 
 def _meant(axis: Any, way: str) -> str:
     """A distance without a unit is pulses, and millimetres may have been meant: a sentence with a blank before it."""
+    from stage.firmware.driver import driver_of
+
     way = way.strip()
     if quantity(way, {"": 1.0}) is None:
         return ""
-    counts, unit = "counts" if axis.chip.SERVO else "pulses", PLACES[axis.unit].symbol
+    counts, unit = "counts" if driver_of(axis).has_position_loop else "pulses", PLACES[axis.unit].symbol
     return f" --distance {way} is {way} {counts}: did you mean {way}{unit}?"
 
 

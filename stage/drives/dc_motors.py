@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from numbers import Real
-from typing import Any
+from typing import Any, ClassVar
 
 from stage.drives.drive import SERVO
 from stage.drives.motors import MAX_BUS_VOLTAGE, within
@@ -96,6 +96,9 @@ class Servo:
     Raises:
         ArgumentError: A value that no amplifier has.
     """
+
+    PRESETS: ClassVar = DC_MOTORS
+    has_encoder: ClassVar = True
 
     motor: DCMotor = DC_MOTORS["14201S003"]
     bus_voltage: float = 24.0

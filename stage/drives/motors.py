@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from stage.drives import stepper
 from stage.errors import ArgumentError, unknown
@@ -260,6 +260,11 @@ class Drive:
 
     Raises ArgumentError that says what is allowed.
     """
+
+    PRESETS: ClassVar = MOTORS
+    """Motors that the drive can have, by name."""
+    has_encoder: ClassVar = False
+    """Whether an encoder on the motor's shaft counts its position, as that of a Servo does."""
 
     motor: Motor = MOTORS["17HS4401"]
     microsteps: int = 16

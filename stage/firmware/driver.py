@@ -39,16 +39,24 @@ SETTLE = 0.05  # s after a stop, before a report looks where the carriage came t
 
 
 class Speeds(NamedTuple):
-    """How fast: pulses (a servo's encoder counts) a second, seconds of the ramps between start and drive speed.
+    """Speeds and ramps of a move.
 
-    start: a servo has none. s_curve: ramps without corners, where the chip has them.
+    Attributes:
+        start: Speed at which a move starts and ends, pps; a servo has none.
+        drive: Drive speed, pps; counts/s of a servo.
+        up: Time of the ramp from the start speed to the higher drive speed, s.
+        down: Time of the ramp back, s.
+        s_curve: True for ramps without corners; a share, above 0 and up to 0.5, for ramps with curved ends of that part of the
+            speed change, where the driver's OPTIONS have "s_curve_share".
+        second: Second drive speed, pps, where the driver's OPTIONS have "second"; None: there is none.
     """
 
     start: float = START
     drive: float = DRIVE
     up: float = RAMP
     down: float = RAMP
-    s_curve: bool = False
+    s_curve: bool | float = False
+    second: float | None = None
 
     def on_to(self, drive: float) -> Speeds:
         """As these, with ramps as steep, to another drive speed."""
@@ -84,10 +92,16 @@ class Driver(ABC):
     TRIMS: ClassVar[Mapping[str, float]] = {}
     """Registers of `tuned_by` that a search may trim beside rates and ramps: by a factor of so much, at most."""
 
+    OPTIONS: ClassVar[frozenset[str]] = frozenset()
+    """What only some families have: keyword arguments of `move` ("constant", "automatic"), of `home` and `home_by` ("constant",
+    "slow_approach", "ez") and of `line` ("automatic"), "second" and "s_curve_share" of `Speeds`, and "rates", the names of drive
+    speeds that `move_through_rates` takes."""
+
     PROCEDURES: ClassVar[tuple[str, ...]] = (
         "move",
         "start",
         "two_rates",
+        "move_through_rates",
         "circle",
         "home",
         "home_by",
@@ -96,6 +110,9 @@ class Driver(ABC):
         "halt",
     )
     """Methods that make several bus cycles: no other thread comes between them, whatever the family, see stage.chips.sharing."""
+
+    has_position_loop: ClassVar[bool] = False
+    """Whether the chip closes a position loop over an encoder: its pulses are counts of the encoder, and no step is lost."""
 
     goal: int | None = None
     """Net pulses of the chip's axis at the end of what `start` has begun; None where the driver does not keep them."""
@@ -146,6 +163,60 @@ class Driver(ABC):
         wait_until_stopped([self.axis], timeout, look=look)
         return self.explain_end(self.goal in (None, self.chip.net(self.axis.chip_axis)))
 
+    def complete_speeds(
+        self,
+        start: float | None = None,
+        drive: float | None = None,
+        up: float | None = None,
+        down: float | None = None,
+        s_curve: bool | float = False,
+        second: float | None = None,
+    ) -> Speeds:
+        """Complete speeds of which a user has stated some by the usual ones of the axis' chip.
+
+        Args:
+            start: Start speed, pps; default: the usual one, or the drive speed where that is less.
+            drive: Drive speed, pps.
+            up: Time of the ramp up, s.
+            down: Time of the ramp down, s; default: as `up`.
+            s_curve: As in `Speeds`.
+            second: Second drive speed, pps.
+
+        Raises:
+            ArgumentError: A second drive speed or a share of curved ramps, and the chip has none.
+        """
+        name = a_or_an(self.chip.MAP.chip)
+        if second is not None and "second" not in self.OPTIONS:
+            raise ArgumentError(f"a second drive speed of {second:g} pps: {name} has one drive speed.")
+        if s_curve not in (False, True) and "s_curve_share" not in self.OPTIONS:
+            raise ArgumentError(
+                f"s_curve={s_curve:g} (--s-curve {s_curve:g}): {name} takes no shares of S-curves: s_curve=True, --s-curve alone."
+            )
+        usual = usual_speeds(self.chip)
+        drive = usual.drive if drive is None else drive
+        up = usual.up if up is None else up
+        second = self.usual_second(drive) if second is None else second
+        start = min(usual.start, drive, drive if second is None else second) if start is None else start
+        return Speeds(start, drive, up, up if down is None else down, s_curve, second)
+
+    def usual_second(self, drive: float) -> float | None:
+        """Return the usual second drive speed beside a drive speed, pps; None where the chip has one drive speed."""
+        return None
+
+    def describe_speeds(self, speeds: Speeds) -> str:
+        """Describe the rates and ramps that the chip's registers give for these speeds; "" where they give them as they are."""
+        return ""
+
+    def move_through_rates(self, pulses: int, speeds: Speeds, rates: Sequence[str], dwell: float) -> Report:
+        """Move through the drive speeds that `rates` names, each for `dwell` seconds after its ramp.
+
+        Raises:
+            ArgumentError: The chip has one drive speed, or the pulses do not suffice; RunTimeout as `move`.
+        """
+        raise ArgumentError(
+            f"{a_or_an(self.chip.MAP.chip)} has one drive speed: FH1 and FH2 are of the PCL-240 family."
+        )
+
     def two_rates(self, pulses: int, speeds: Speeds, fast: float, dwell: float) -> Report:
         """A move through two drive speeds, each for `dwell` seconds and more: up to `speeds.drive`, on to `fast` (pps), and back. A
         chip with one drive speed moves at `fast`. Raises as `move`."""
@@ -160,9 +231,12 @@ class Driver(ABC):
     def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
         """Find ORG, which lies in `direction`, from wherever the axis is; `index`: and on to the encoder's index pulse."""
 
-    def home_by(self, what: str, direction: int, speeds: Speeds, timeout: float = 60.0) -> Report:
-        """As `home`, by one of `homings`: the chip's usual switch, the index pulse after it, or what else the driver has."""
-        return self.home(direction, speeds, what == "index", timeout)
+    def home_by(self, what: str, direction: int, speeds: Speeds, timeout: float = 60.0, **options: Any) -> Report:
+        """As `home`, by one of `homings`: the chip's usual switch, the index pulse after it, or what else the driver has.
+
+        `options` are keyword arguments that the driver's OPTIONS name.
+        """
+        return self.home(direction, speeds, what == "index", timeout, **options)
 
     def homings(self) -> tuple[str, ...]:
         """HOMINGS, as far as the axis' chip can."""

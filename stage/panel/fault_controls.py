@@ -19,8 +19,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
 
-from stage.drives.dc_motors import DC_MOTORS
-from stage.drives.motors import MOTORS
 from stage.errors import ArgumentError, StageError, unknown
 from stage.panel.procedure_forms import Field, FieldError, parse_fields
 from stage.sim import faults
@@ -221,7 +219,7 @@ class FaultControls:
             choices = tuple(faults.PHASES)
         elif p.name == "motor":
             has = self.session.stage.axes[axis]
-            choices = tuple(DC_MOTORS if has.chip.SERVO else MOTORS)
+            choices = tuple(has.drive.PRESETS)
             default = next(name for name in choices if name != has.drive.motor.name)
         if choices and default not in choices:
             default = choices[0]

@@ -143,7 +143,7 @@ def list_speed_fields(axis: Axis) -> list[Field]:
     """Return the fields of speed and ramp that an axis has."""
     unit, _ = find_scale(axis)
     fields = [Field("speed", "speed", f"{unit}/s")]
-    if not axis.chip.SERVO:
+    if not driver_of(axis).has_position_loop:
         fields.append(Field("start_speed", "start speed", f"{unit}/s"))
     return [*fields, Field("accel", "ramp", "s", "0.15")]
 

@@ -80,11 +80,11 @@ def find_traces(stage: Stage) -> dict[str, Trace]:
 
 
 def _quantities(axis: Axis) -> list[Trace]:
-    hinge, mine = axis.unit != "m", "servo" if axis.chip.SERVO else "stepper"
+    hinge, mine = axis.unit != "m", "servo" if axis.drive.has_encoder else "stepper"
     more = {key: s for key, s in _MORE.items() if s.only in ("", mine)}
     out = []
     for key, s in {**series_of(axis), **more}.items():
-        title, unit = s.servo if s.servo and axis.chip.SERVO else (s.title, s.units[hinge])
+        title, unit = s.servo if s.servo and axis.drive.has_encoder else (s.title, s.units[hinge])
         scale = s.scales[hinge]
         out.append(
             Trace(

@@ -357,7 +357,7 @@ class Recording(Tabular):
     def units(self) -> dict[str, str]:
         """Column -> its unit, "" for a pin; in the order of `columns`."""
         return {"time": "s"} | {
-            f"{name}/{column}": unit_of(column, axis.unit, axis.chip.SERVO)
+            f"{name}/{column}": unit_of(column, axis.unit, axis.drive.has_encoder)
             for name, axis in self.axes.items()
             for column in (*COLUMNS, *axis.chip.INPUTS, *axis.chip.OUTPUTS)
         }

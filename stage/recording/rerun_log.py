@@ -115,9 +115,9 @@ def _about(out: Any, recording: Recording) -> None:
     rows: list[str] = []
     facts = rr.AnyValues()  # filled one by one: an axis may be called as an argument of AnyValues
     for axis in recording.axes.values():
-        chip, drive = axis.chip, getattr(axis, "drive", None)
-        motor = drive.title if drive else "-"
-        pulse = f"{SMALL[axis.unit].text(axis.meters_per_pulse, '.4g')} a {'count' if chip.SERVO else 'pulse'}"
+        chip, drive = axis.chip, axis.drive
+        motor = drive.title
+        pulse = f"{SMALL[axis.unit].text(axis.meters_per_pulse, '.4g')} a {'count' if drive.has_encoder else 'pulse'}"
         rows.append(f"| {axis.name} | {type(chip).__name__} | {chip.clock_hz:,} Hz | {motor} | {pulse} |")
         facts.with_component_from_data(axis.name, f"{type(chip).__name__} at {chip.clock_hz} Hz, {motor}, {pulse}")
     of_stage = {"model": name, "samples": len(recording), "every_s": recording.every, "timestep_s": model.opt.timestep}
@@ -127,7 +127,7 @@ def _about(out: Any, recording: Recording) -> None:
     columns = {
         "axes": [a.name for a in axes],
         "units": [a.unit for a in axes],
-        "servos": [bool(a.chip.SERVO) for a in axes],
+        "servos": [a.drive.has_encoder for a in axes],
     }
     out.send_property("columns", rr.AnyValues(format=FORMAT, every_ns=round(recording.every * 1e9), **columns))
     table = "\n".join(["| axis | chip | clock | motor | way |", "|---|---|---|---|---|", *rows])

@@ -57,7 +57,7 @@ SERIES = {
 
 def series_of(axis: Any) -> dict[str, Series]:
     """The series that an axis has."""
-    return {key: s for key, s in SERIES.items() if s.only in ("", "servo" if axis.chip.SERVO else "stepper")}
+    return {key: s for key, s in SERIES.items() if s.only in ("", "servo" if axis.drive.has_encoder else "stepper")}
 
 
 def axes_with(recording: Recording, series: str) -> list[str]:
@@ -81,10 +81,10 @@ def colours_of(recording: Recording) -> dict[str, str]:
 def heading(recording: Recording, series: str) -> str:
     """What a plot of a series over all axes that have it is called, with its units."""
     spec, axes = SERIES[series], [recording.axes[name] for name in axes_with(recording, series)]
-    title, units = spec.title, {spec.units[a.unit != "m"] for a in axes if not (a.chip.SERVO and spec.servo)}
+    title, units = spec.title, {spec.units[a.unit != "m"] for a in axes if not (a.drive.has_encoder and spec.servo)}
     if series == "counter":
-        title = " ".join([title, *dict.fromkeys(a.chip.COUNTER[0] for a in axes if not a.chip.SERVO)])
-    if spec.servo and any(a.chip.SERVO for a in axes):
+        title = " ".join([title, *dict.fromkeys(a.chip.COUNTER[0] for a in axes if not a.drive.has_encoder)])
+    if spec.servo and any(a.drive.has_encoder for a in axes):
         title = title if units else spec.servo[0]
         units = {*units, spec.servo[1]}
     return f"{title} ({' | '.join(sorted(units, reverse=True))})"

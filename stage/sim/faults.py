@@ -32,8 +32,8 @@ import mujoco
 from stage.chips import Chip
 from stage.chips.sharing import exclusively
 from stage.drives import stepper
-from stage.drives.dc_motors import DC_MOTORS, DCMotor
-from stage.drives.motors import MOTORS, Motor
+from stage.drives.dc_motors import DCMotor
+from stage.drives.motors import Motor
 from stage.errors import ArgumentError, unknown
 from stage.sim.axis import Axis
 from stage.sim.records import MAX_TOGGLES
@@ -272,7 +272,7 @@ def phase_open(axis: Axis, phase: str = "a") -> Fault:
     Raises ArgumentError; also for a DC motor, which has no phases.
     """
     _check(axis)
-    if axis.chip.SERVO:
+    if axis.drive.has_encoder:
         raise ArgumentError(
             f"axis {axis.name} has a DC motor, {axis.drive.motor.name}, without phases: bus_voltage takes its supply away."
         )
@@ -304,7 +304,7 @@ def motor(axis: Axis, motor: str | Motor | DCMotor) -> Fault:
     """
     _check(axis)
     before = axis.drive
-    presets: Mapping[str, Any] = DC_MOTORS if axis.chip.SERVO else MOTORS
+    presets: Mapping[str, Any] = before.PRESETS
     if not isinstance(motor, type(before.motor)) and not (isinstance(motor, str) and motor in presets):
         raise unknown(f"motor of axis {axis.name}", str(getattr(motor, "name", motor)), presets)
     after: Any = replace(before, motor=motor)  # type: ignore[arg-type]

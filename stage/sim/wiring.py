@@ -54,7 +54,7 @@ def fit_rotors(
     """
     before = model.dof_armature.copy(), model.actuator_damping.copy()
     for p, axis, d in zip(axes, chip_axes, drives, strict=True):
-        if p.servo != axis.chip.SERVO:
+        if p.servo != d.has_encoder:
             have, want = ("<dcmotor>", "<motor>") if p.servo else ("<motor>", "<dcmotor>")
             raise ModelError(
                 f"axis {p.name}: {type(axis.chip).__name__} drives a {want}, and this MjModel, which cannot change, has a "
@@ -150,16 +150,15 @@ def _motor_named(name: str) -> Motor | DCMotor:
 def _choose_drive(drives: Any, axis: str, chip: Chip, spec: Any) -> Drive | Servo:
     """The drive of an axis for its chip, as asked or as the model says; the spec gets the actuator that it needs."""
     given, named = drives.get(axis) if isinstance(drives, Mapping) else drives, plant.motors(spec).get(axis)
-    kind, presets = ((Drive, Motor), MOTORS) if chip.SERVO else ((Servo, DCMotor), DC_MOTORS)
-    if isinstance(given, kind) or (isinstance(given, str) and given in presets):
-        what, want = (
-            ("a DC servo", "a Servo or a DC motor") if chip.SERVO else ("a stepper", "a Drive or a stepper motor")
-        )
+    servo = chip.SERVO
+    wrong, presets = ((Drive, Motor), MOTORS) if servo else ((Servo, DCMotor), DC_MOTORS)
+    if isinstance(given, wrong) or (isinstance(given, str) and given in presets):
+        what, want = ("a DC servo", "a Servo or a DC motor") if servo else ("a stepper", "a Drive or a stepper motor")
         shown = given.title if isinstance(given, Drive | Servo) else getattr(given, "name", repr(given))
         raise ArgumentError(
             f"drives for axis {axis}: {type(chip).__name__} drives {what}; {shown} is none: give {want}."
         )
-    if not chip.SERVO:
+    if not servo:
         plant.equip(spec, axis, None)
         if not isinstance(given, Drive):
             given = Drive(

@@ -170,7 +170,7 @@ def draw_move(
     from stage.firmware.driver import driver_class
 
     driver, program = driver_class(type(chip))(_BareAxis(chip, axis)), Program()  # type: ignore[arg-type]
-    if chip.SERVO:
+    if driver.has_position_loop:
         ranges = driver.filter_choices(True).ranges
         values = {name: low + (high - low) // 4 for name, (low, high) in ranges.items()}
         driver.write_servo_move(program, values, int(rng.integers(100, 1000)), (20_000.0, 100_000.0))

@@ -47,6 +47,11 @@ class Trial:
         for k in range(self.programs):
             yield np.random.default_rng([self.seed, k])
 
+    @property
+    def counts_pulses(self) -> bool:
+        """Whether `net` counts the pulses that a trace lists; that of a servo counts its command."""
+        return not self.kind.SERVO
+
     @cached_property
     def start_writes(self) -> list[Act]:
         """Writes that start a drive, one for each axis."""
@@ -82,7 +87,7 @@ class Trial:
 
     def start_moves(self, rng: np.random.Generator) -> Iterator[tuple[Chip, int, int]]:
         """Yield, as `start_move`, a move of each axis in each direction; none for a servo or without a driver."""
-        for axis in range(self.kind.AXES if self.kind.DRIVER and not self.kind.SERVO else 0):
+        for axis in range(self.kind.AXES if self.kind.DRIVER and self.counts_pulses else 0):
             for direction in (1, -1):
                 chip = self.make()
                 acts, pulses = draw_move(chip, axis, rng, direction=direction)

@@ -44,7 +44,7 @@ def draw(result: Result, path: str | PathLike, overwrite: bool = False) -> None:
     near = float(task.within or 0.0) * tiny.per
     panels[3].axhspan(-near, near, color=BAND, zorder=0, label="arrived")
     panels[3].set_ylim(-4 * near, 4 * near)
-    panels[0].set(ylabel="rate, 1000 counts/s" if axis.chip.SERVO else "pulse rate, kpps")
+    panels[0].set(ylabel="rate, 1000 counts/s" if task.is_servo else "pulse rate, kpps")
     panels[1].set(ylabel=f"position, {unit.symbol}")
     panels[2].set(ylabel=f"commanded - position, {tiny.symbol}")
     panels[3].set(

@@ -194,6 +194,6 @@ def plans_of(task: Task) -> Plans:
     """Of the kind that the axis' chip needs. Raises StageError where its driver writes no such moves."""
     axis: Any = task.stage.axes[task.axis]
     try:
-        return Loops(task) if axis.chip.SERVO else Ramps(task)
+        return Loops(task) if task.is_servo else Ramps(task)
     except NotImplementedError as error:
         raise StageError(f"a {axis.chip.MAP.chip} has no moves to tune: {error}") from error

@@ -73,12 +73,11 @@ class Result:
         """The distance in words."""
         axis = self.task.stage.axes[self.task.axis]
         way = PLACES[axis.unit].text(self.task.signed * axis.meters_per_pulse, "g")
-        return f"{way} ({self.task.signed} {'counts' if axis.chip.SERVO else 'pulses'})"
+        return f"{way} ({self.task.signed} {'counts' if self.task.is_servo else 'pulses'})"
 
     def proved(self, a: Answer) -> str:
         """What the proof says of an answer, in words."""
-        servo = self.task.stage.axes[self.task.axis].chip.SERVO
-        what = "arrives" if servo else "keeps step"
+        what = "arrives" if self.task.is_servo else "keeps step"
         failed = "" if a.proof.holds else "NOT proved: "
         return f"{failed}{what} in {a.proof.kept} of {a.proof.moves} drawn machines with up to {self.task.most:.3g} kg"
 
@@ -154,7 +153,7 @@ class Result:
     def rates(self) -> str:
         """The rates and ramps that the registers are made for, in words."""
         s = self.answer.plan.speeds
-        unit = "counts/s" if self.task.stage.axes[self.task.axis].chip.SERVO else "pps"
+        unit = "counts/s" if self.task.is_servo else "pps"
         start = f"from {s.start:,.0f} " if s.start else ""
         curved = ", S-curves" if s.s_curve else ""
         return f"They ask for {start}up to {s.drive:,.0f} {unit}, ramps of {s.up * 1e3:.1f} and {s.down * 1e3:.1f} ms{curved}."
@@ -216,7 +215,7 @@ class Result:
             "answers": {
                 a.name: {
                     "registers": a.plan.registers,
-                    "speeds": a.plan.speeds._asdict(),
+                    "speeds": {k: v for k, v in a.plan.speeds._asdict().items() if k != "second"},
                     "mean": a.proof.mean,
                     "worst": a.proof.worst,
                     "beyond": a.proof.beyond,

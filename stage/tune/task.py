@@ -14,6 +14,7 @@ import numpy as np
 from stage import Stage
 from stage.envs.task import carrier, judged
 from stage.errors import ArgumentError, unknown
+from stage.firmware.driver import driver_of
 from stage.support.arguments import told_when_made
 from stage.tune.machines import Machine, fit_machine
 from stage.units import PLACES, SMALL
@@ -104,7 +105,7 @@ class Task:
         if not 0 <= float(self.spare or 0.0) < math.inf:
             raise ArgumentError(f"spare={self.spare!r} kg: 0 or more.")
         if self.within is None:
-            put("within", (COUNTS if axis.chip.SERVO else axis.drive.microsteps) * axis.meters_per_pulse)
+            put("within", (COUNTS if self.is_servo else axis.drive.microsteps) * axis.meters_per_pulse)
         if not (0 < float(self.within or 0.0) < math.inf and 0 < self.hold < math.inf):
             raise ArgumentError(f"within={self.within!r}, hold={self.hold!r}: both more than 0.")
         if self.overshoot is None:
@@ -123,10 +124,15 @@ class Task:
         put("middle", 0.5 * (low + high))
 
     @property
+    def is_servo(self) -> bool:
+        """Whether the axis' chip closes a position loop; its pulses are counts of an encoder then."""
+        return driver_of(self.stage.axes[self.axis]).has_position_loop
+
+    @property
     def turn(self) -> int:
         """Pulses of an electrical turn: moves begin anywhere within one, so that no rotor angle is the lucky one."""
         axis: Any = self.stage.axes[self.axis]
-        return 4 * (1 if axis.chip.SERVO else axis.drive.microsteps)
+        return 4 * (1 if self.is_servo else axis.drive.microsteps)
 
     def _carrier(self, axis: Any) -> str:
         """That of `payload_on`; of the usual ones the first that rides on the axis."""
@@ -163,7 +169,7 @@ class Task:
         step = axis.meters_per_pulse * np.sign(axis.gear)
         way = step * self.pulses * case.way
         stage.place(**{self.axis: self.middle - 0.5 * way + case.beside * axis.meters_per_pulse})
-        return float((axis.position if axis.chip.SERVO else axis.commanded) + way)
+        return float((axis.position if self.is_servo else axis.commanded) + way)
 
     @property
     def machine(self) -> Machine:

@@ -70,14 +70,13 @@ class Tries:
         seen = np.stack([played.results[k, len(h) : len(h) + len(tail)] for k, h in enumerate(heads)])
         distance, beyond = looks.errors(seen, np.array(goals))
         ways = np.array([case.way for _, case in pairs])
-        axis = self.fleet.stages[0].axes[task.axis]
         outside = distance > float(task.within or 0.0)
         late = np.where(outside.any(axis=1), n - np.argmax(outside[:, ::-1], axis=1), 0)
         there = (n - late) * LOOK >= task.hold
         sound = ~played.diverged[: len(pairs)]
         truth = self.fleet.truth()[: len(pairs), self.index]
         stepped = (truth["pulses"] == task.pulses * ways) & (truth["lost_steps"] == 0)
-        kept = sound & (there if axis.chip.SERVO else stepped)
+        kept = sound & (there if task.is_servo else stepped)
         return np.where(there & sound, late * LOOK, np.nan), kept, np.maximum(np.nan_to_num(beyond).max(axis=1), 0.0)
 
     def close(self) -> None:

@@ -87,7 +87,7 @@ def read_answers(cls):
     h, x = driver_of(y), driver_of(stage.axes["x"])
     polls = []
     results = {
-        "usual": usual_speeds(y.chip), "names": [h.DONE, h.FINISH, h.POSITIVE, h.homings(), h.FOUND], "index": h.index,
+        "usual": usual_speeds(y.chip)[:5], "names": [h.DONE, h.FINISH, h.POSITIVE, h.homings(), h.FOUND], "index": h.index,
         "at rest": [h.runs(), h.stopped_by(), attempt(h.status_words)],
         "no start": attempt(h.start, 0, SLOW), "half": attempt(h.start, 10.5, SLOW),
         "s": attempt(h.start, 30, SLOW._replace(s_curve=True)),

@@ -9,7 +9,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from stage import Drive
 from stage.chips import HCTL1100, MCX501, PCL240K
+from stage.drives.dc_motors import Servo
 from stage.recording.blueprint import BACKGROUND, MARGIN, dashboard, eye
 from stage.recording.recording import unit_of
 from stage.recording.series import SERIES, heading, series_of
@@ -25,7 +27,7 @@ def model_of(world="", extent=2.0):
 
 
 def axis(chip, unit="m"):
-    return SimpleNamespace(chip=chip, unit=unit)
+    return SimpleNamespace(chip=chip, unit=unit, drive=Servo() if chip is HCTL1100 else Drive())
 
 
 def recording_of(model=None, **axes):

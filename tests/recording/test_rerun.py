@@ -12,13 +12,14 @@ from support.examples import scaled
 from support.programs import load_registers
 from support.recording_bench import ONE_AXIS, feed, make_bench, read_rrd, rerun_cli, stage_of
 
+from stage import Drive
 from stage.chips import PCL240K
 from stage.chips.entries import INPUT
 from stage.recording import Recording, geoms, signals
 from stage.recording.series import SERIES, series_of
 from stage.recording.thin import thin
 
-PCL = SimpleNamespace(chip=PCL240K)
+PCL = SimpleNamespace(chip=PCL240K, drive=Drive())
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +147,7 @@ def test_the_bus_is_told_in_words(tmp_path):
 def test_names_that_no_file_format_likes_are_escaped_in_entity_paths(tmp_path):
     axis = SimpleNamespace(
         name="my x/1", chip=PCL240K(), index=0, joint=0, gear=1.0, meters_per_pulse=1e-3, unit="rad",
-        chip_axis=0,
+        chip_axis=0, drive=Drive(),
         switches=SimpleNamespace(as_dict=lambda: {"org": False}),
     )  # fmt: skip
     xml = '<mujoco><worldbody><body name="a body"><joint name="my x/1"/><geom size="1"/></body></worldbody></mujoco>'

@@ -91,7 +91,7 @@ def test_the_facts_are_those_of_each_axis_and_the_length_that_of_the_end(tmp_pat
     """a slide, and the hinge of a servo; the file is begun with none of the 5 samples, 2 ms apart"""
     bench = make_bench(2)
     servo = bench.axes["y"]
-    servo.chip, servo.unit, servo.drive = HCTL1100(), "rad", SimpleNamespace(title="a motor")
+    servo.chip, servo.unit, servo.drive = HCTL1100(), "rad", SimpleNamespace(title="a motor", has_encoder=True)
     recording = Recording(stage_of(bench.model, bench.axes), 2e-3)
     path = tmp_path / "x.rrd"
     recording.stream(path)
@@ -100,12 +100,13 @@ def test_the_facts_are_those_of_each_axis_and_the_length_that_of_the_end(tmp_pat
     read = read_rrd(path)
     text = read["/about"]["TextDocument:text"][1][-1][0]
     hz = HCTL1100().clock_hz
-    assert "| x | PCL240K | 4,915,200 Hz | - | 3.125 um a pulse |" in text
+    assert "| x | PCL240K | 4,915,200 Hz | 17HS4401, 1/16 steps | 3.125 um a pulse |" in text
     assert f"| y | HCTL1100 | {hz:,} Hz | a motor | 0.179 mdeg a count |" in text
     assert "0.010 s, a sample every 2 ms; physics step 2000 us." in text
     run = saved.read(path)
     assert run.axes == {
-        "x": "PCL240K at 4915200 Hz, -, 3.125 um a pulse", "y": f"HCTL1100 at {hz} Hz, a motor, 0.179 mdeg a count",
+        "x": "PCL240K at 4915200 Hz, 17HS4401, 1/16 steps, 3.125 um a pulse",
+        "y": f"HCTL1100 at {hz} Hz, a motor, 0.179 mdeg a count",
     }  # fmt: skip
     assert (run.every, len(run), run.model) == (2e-3, 5, "bench")
     assert (run.units["x/position"], run.units["y/position"]) == ("m", "rad")

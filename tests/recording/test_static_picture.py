@@ -7,7 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from stage import Drive
 from stage.chips import HCTL1100, PCL240K
+from stage.drives.dc_motors import Servo
 from stage.recording.picture import MOST, draw
 from stage.support import pictures
 
@@ -18,7 +20,10 @@ class Run:
     """A recording of `n` samples from 1 s on whose columns are given; any other is zero."""
 
     def __init__(self, axes, n=20, **columns):
-        self.axes = {name: SimpleNamespace(chip=chip(), unit=unit, name=name) for name, (chip, unit) in axes.items()}
+        self.axes = {
+            name: SimpleNamespace(chip=chip(), unit=unit, name=name, drive=Servo() if chip is HCTL1100 else Drive())
+            for name, (chip, unit) in axes.items()
+        }
         self.n, self.began, self.duration = n, 1.0, n / 1000
         self.given = {name.replace("__", "/"): values for name, values in columns.items()}
 

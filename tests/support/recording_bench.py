@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import mujoco
 import numpy as np
 
+from stage import Drive
 from stage.chips import PCL240K
 from stage.recording import Recording
 from stage.recording.viewer import environment, executable
@@ -45,7 +46,7 @@ def make_bench(axes=1, mjcf=ONE_AXIS):
     table = {
         name: SimpleNamespace(
             name=name, chip=PCL240K(), index=k, joint=0, gear=628.3, meters_per_pulse=3.125e-6, unit="m",
-            chip_axis=0,
+            chip_axis=0, drive=Drive(),
             switches=SimpleNamespace(as_dict=dict),
         )
         for k, name in enumerate("xyz"[:axes])

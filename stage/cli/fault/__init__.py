@@ -66,9 +66,11 @@ def show(name: str, make: Callable[[], Any], record: Record | None = None, recor
     record(stage): context manager of the faulty run's recording, or None; record_both: the healthy run's is kept as well.
     Raises ArgumentError for an unknown name, with the near misses; StageError where the stage cannot show it, with the reason.
     """
+    from stage.firmware.driver import driver_of
+
     key = _key(name)
     stage = make()
-    demo = DEMOS[key].of(first_axis(stage).chip.SERVO)
+    demo = DEMOS[key].of(driver_of(first_axis(stage)).has_position_loop)
     note(f"{key}: the healthy run ...")
     with stage.record(EVERY) if record_both else nullcontext() as healthy_record:
         healthy = demo.program(stage, lambda *_: nullcontext())

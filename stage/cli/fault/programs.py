@@ -59,7 +59,7 @@ def begin(axis: Any, turns: float, *how: float) -> Callable[[], Figures]:
     from stage.firmware.driver import driver_of
 
     driver = driver_of(axis)
-    lost, worst, servo = axis.lost_steps, 0.0, axis.chip.SERVO
+    lost, worst, servo = axis.lost_steps, 0.0, driver.has_position_loop
     driver.start(pulses(axis, turns), speeds(axis, *how))
     start, net = axis.position, axis.chip.net(axis.chip_axis)
 
@@ -203,8 +203,10 @@ def start_skew(stage: Any, strike: Strike) -> Figures:
 
 def _started_apart(stage: Any, axis: Any) -> Any:
     """An axis that a line with `axis` starts by another command. Raises StageError, with the reason, where there is none."""
+    from stage.firmware.driver import driver_of
+
     chip = axis.chip.MAP.chip
-    if axis.chip.SERVO:
+    if driver_of(axis).has_position_loop:
         raise StageError(
             f"start-skew: no command starts the axes of a line with {chip}s: the host leads each by command positions, sample by "
             "sample. Show it with chips that make pulses."

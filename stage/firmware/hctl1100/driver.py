@@ -50,6 +50,7 @@ class Hctl1100Driver(Driver):
 
     PATTERN: ClassVar = Pattern
     DONE: ClassVar = "end of profile"
+    has_position_loop: ClassVar = True
     FINISH: ClassVar = "final_position"
     POSITIVE: ClassVar = ("ez",)  # which only a homing to it looks at
     tuning = Tuning()

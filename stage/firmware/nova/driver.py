@@ -139,7 +139,7 @@ class NovaDriver(Driver):
             raise ArgumentError(
                 f"start speed {speeds.start:g} pps is above the drive speed {speeds.drive:g}: ramps lead up."
             ).of(Limit("start_speed", speeds.start, low, speeds.drive))
-        return self.formula(speeds.start, speeds.drive, speeds.up, speeds.down, pulses, speeds.s_curve)
+        return self.formula(speeds.start, speeds.drive, speeds.up, speeds.down, pulses, bool(speeds.s_curve))
 
     def _prepare(self, registers: Mapping[str, int]) -> None:
         """Modes and speeds. Raises StageError for an axis that moves."""
@@ -160,7 +160,7 @@ class NovaDriver(Driver):
         for driver in mine.values():
             if driver.port.driving():
                 raise driver.moving()
-        settings = LineSettings(speeds.start, max(speeds.up, speeds.down), speeds.s_curve, axes=tuple(mine))
+        settings = LineSettings(speeds.start, max(speeds.up, speeds.down), bool(speeds.s_curve), axes=tuple(mine))
         made = cast("NovaLine", line_of(list(mine.values()), settings))
         for n, driver in mine.items():
             made.check_pulses(driver, pulses[n])

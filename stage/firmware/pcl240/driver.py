@@ -14,7 +14,7 @@ from stage.firmware.pcl240.clock import require_clock
 from stage.firmware.pcl240.home import origin_return
 from stage.firmware.pcl240.line import RatioLine
 from stage.firmware.pcl240.pattern import Pattern
-from stage.firmware.pcl240.profile import Profile
+from stage.firmware.pcl240.profile import Profile, usual_second
 from stage.firmware.pcl240.rates import dual_rate_move
 from stage.firmware.pcl240.search import FourRuns
 from stage.firmware.pcl240.stop_reason import find_cause, find_stop_reason
@@ -36,6 +36,7 @@ class Pcl240Driver(Driver):
     FINISH: ClassVar = "R0"
     POSITIVE: ClassVar = ("org", "ez", "el_plus", "el_minus", "sd_plus", "sd_minus")
     TRIMS: ClassVar = {"R6": 1.06}  # the formula leaves pulses at FL
+    OPTIONS: ClassVar = frozenset({"constant", "automatic", "slow_approach", "ez", "second", "s_curve_share", "rates"})
     chip: Any
 
     def __init__(self, axis: Any):
@@ -44,23 +45,52 @@ class Pcl240Driver(Driver):
         self._journal: Journal | None = None
         self._close = weakref.finalize(self, lambda: None)
 
-    def profile(self, speeds: Speeds, slow: float | None = None) -> Profile:
-        """The registers of these speeds, FH2 the drive speed; slow: FH1, default the same, pps."""
+    def usual_second(self, drive: float) -> float:
+        return usual_second(drive, self.chip.clock_hz, require_clock(self.axis))
+
+    def describe_speeds(self, speeds: Speeds) -> str:
+        return str(self.profile(speeds))
+
+    def profile(self, speeds: Speeds) -> Profile:
+        """Return the registers of these speeds: FH1 the drive speed, FH2 the second one, or the same where there is none."""
         made = Profile.of(
             speeds.start,
-            speeds.drive if slow is None else slow,
             speeds.drive,
+            speeds.drive if speeds.second is None else speeds.second,
             accel=speeds.up,
             decel=speeds.down,
             clock_hz=self.chip.clock_hz,
             chip=type(self.chip),
             multiplier=require_clock(self.axis),
         )
-        return made.shaped(True) if speeds.s_curve else made
+        return made.shaped(speeds.s_curve) if speeds.s_curve else made
 
-    def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
+    def move(
+        self,
+        pulses: int,
+        speeds: Speeds,
+        timeout: float | None = None,
+        *,
+        constant: bool = False,
+        automatic: bool | None = None,
+    ) -> Report:
+        """Make a preset move.
+
+        Args:
+            pulses: Signed number of output pulses.
+            speeds: Rates and ramps.
+            timeout: Simulated seconds to wait; None: half as much again as the move can take, and one.
+            constant: Move at the constant drive speed, without ramps.
+            automatic: The chip finds the ramp-down point itself; None: where it can.
+
+        Raises:
+            ArgumentError: A value does not fit its register.
+            RunTimeout: The chip still moved after `timeout`.
+        """
         self._forget()
-        return moves.preset_move(self.axis, pulses, self.profile(speeds), timeout=timeout)
+        return moves.preset_move(
+            self.axis, pulses, self.profile(speeds), high_speed=not constant, automatic=automatic, timeout=timeout
+        )
 
     def start(self, pulses: int, speeds: Speeds) -> None:
         self._watch()
@@ -69,11 +99,44 @@ class Pcl240Driver(Driver):
 
     def two_rates(self, pulses: int, speeds: Speeds, fast: float, dwell: float) -> Report:
         self._forget()
-        return dual_rate_move(self.axis, pulses, self.profile(speeds.on_to(fast), speeds.drive), dwell=dwell)
+        both = speeds.on_to(fast)._replace(drive=speeds.drive, second=fast)
+        return self.move_through_rates(pulses, both, ("FH1", "FH2", "FH1"), dwell)
 
-    def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
+    def move_through_rates(self, pulses: int, speeds: Speeds, rates: Sequence[str], dwell: float) -> Report:
         self._forget()
-        return origin_return(self.axis, direction, self.profile(speeds), ez=1 if index else None, timeout=timeout)
+        return dual_rate_move(self.axis, pulses, self.profile(speeds), rates=rates, dwell=dwell)
+
+    def home(
+        self,
+        direction: int,
+        speeds: Speeds,
+        index: bool = False,
+        timeout: float = 60.0,
+        *,
+        constant: bool = False,
+        slow_approach: bool = True,
+        ez: int | None = None,
+    ) -> Report:
+        """Return to the mechanical origin.
+
+        Args:
+            direction: Where ORG lies, 1 or -1.
+            speeds: Rates and ramps.
+            index: End at an index pulse after ORG.
+            timeout: Simulated seconds that each run of the return may take.
+            constant: Search at the constant start speed, without ramps.
+            slow_approach: Back off from ORG, and approach it again slowly.
+            ez: Number of the index pulse after ORG at which the return ends, 1 to 16; None: the first with `index`, else none.
+
+        Raises:
+            ArgumentError: The chip counts no index pulses, or the axis has no origin switch.
+            RunTimeout: A run took longer than `timeout`.
+        """
+        self._forget()
+        return origin_return(
+            self.axis, direction, self.profile(speeds), high_speed=not constant, slow_approach=slow_approach,
+            ez=1 if index and ez is None else ez, timeout=timeout,
+        )  # fmt: skip
 
     def run(self, direction: int, speeds: Speeds) -> None:
         self._watch()
@@ -120,14 +183,21 @@ class Pcl240Driver(Driver):
 
     @classmethod
     def line(
-        cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
+        cls,
+        drivers: Mapping[str, Driver],
+        pulses: Mapping[str, int],
+        speeds: Speeds,
+        timeout: float | None = None,
+        *,
+        automatic: bool | None = None,
     ) -> SynchronizedReport:
+        """Move axes on a straight line by rates in the ratio of the distances, see `synchronized_move`."""
         axes = {name: driver.axis for name, driver in drivers.items()}
         for driver in drivers.values():
             cast("Pcl240Driver", driver)._forget()
         return synchronized_move(
             dict(pulses), axes, rate=speeds.drive, fl=speeds.start, accel=speeds.up, decel=speeds.down,
-            s_curve=speeds.s_curve, timeout=timeout,
+            s_curve=speeds.s_curve, automatic=automatic, timeout=timeout,
         )  # fmt: skip
 
     def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:

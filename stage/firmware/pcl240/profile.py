@@ -106,6 +106,11 @@ def down_point(r0: int, low: int, high: int, r4: int, r5: int, r7: int, down: in
     return int(ramp_pulses(low, high, r5, r7, down)) + AT_FL
 
 
+def usual_second(fh1: float, clock_hz: int, multiplier: int | None = None) -> float:
+    """Return the usual FH2 beside an FH1, pps: twice as much, where the chip reaches that with R7 = `multiplier` (None: any)."""
+    return min(2 * fh1, pulse_rate(8191, multiplier or 2, clock_hz))
+
+
 @told_when_made
 @dataclass(frozen=True)
 class Profile:
@@ -163,7 +168,7 @@ class Profile:
         slowest = chip.MAP.register("R4").mask
         r7 = np.arange(2, 1024) if multiplier is None else np.array([multiplier])
         most = pulse_rate(8191, int(r7[0]), clock_hz)
-        fh2 = min(2 * fh1, most) if fh2 is None else fh2
+        fh2 = usual_second(fh1, clock_hz, multiplier) if fh2 is None else fh2
         fl = min(FL, fh1, fh2) if fl is None else fl
         decel = accel if decel is None else decel
         for name, value in {"fh1": fh1, "fh2": fh2, "fl": fl}.items():

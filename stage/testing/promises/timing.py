@@ -59,7 +59,7 @@ def traced(t: Trial) -> None:
             if ((axes < 0) | (axes >= one.AXES) | (abs(directions) != 1)).any():
                 raise BrokenPromise(f"trace gives axes {sorted(set(axes))} and directions {sorted(set(directions))}")
             t.require_same_state(one, other, f"after advance({act.a}) and trace({act.a})")
-            for k in range(one.AXES if not t.kind.SERVO else 0):
+            for k in range(one.AXES if t.counts_pulses else 0):
                 if one.net(k) - nets[k] != int(directions[axes == k].sum()):
                     raise BrokenPromise(
                         f"net of axis {k} goes from {nets[k]} to {one.net(k)}, and the trace lists "
@@ -71,7 +71,7 @@ def cut_time(t: Trial) -> None:
     """cutting of time: advance(a + b) is advance(a) and advance(b), wherever it is cut, also at the very clock of an event"""
     for rng in t.seeded_generators():
         chip, axis, pulses = t.start_move(rng)
-        if pulses or t.kind.SERVO:
+        if pulses or not t.counts_pulses:
             clocks = min(count_clocks_to_end(chip, axis), chip.clock_hz // 2)
             _check_cut(t, chip, clocks, _list_instants(chip, axis, clocks, rng))
         chip = t.make()
@@ -156,7 +156,7 @@ def drive_inputs(t: Trial) -> None:
     """drive_input: the mean of the pulse count over the clocks of a slice; of a servo its motor command. pulse_rate"""
     for rng in t.seeded_generators():
         chip, axis, move_pulses = t.start_move(rng, slow=True)
-        if not move_pulses and not t.kind.SERVO:
+        if not move_pulses and t.counts_pulses:
             return
         chip.advance(int(rng.integers(1, max(chip.clock_hz // 100, 2))))
         for _ in range(12):
@@ -164,7 +164,7 @@ def drive_inputs(t: Trial) -> None:
             start, before, going = chip.clock, chip.net(axis), chip.busy(axis)
             trace = chip.trace(ticks)
             mean_input = float(chip.CORE.drive_input.c(chip.pointer, axis, before, float(ticks)))
-            if t.kind.SERVO:
+            if not t.counts_pulses:
                 if not -1 <= mean_input <= 1:
                     raise BrokenPromise(f"drive_input is {mean_input}, and a motor command is -1 to 1")
                 continue
