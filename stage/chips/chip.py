@@ -231,7 +231,7 @@ class Chip:
         """Faults of the bus: each is called with (address, value) before every write; if it returns True, the write is lost."""
         self._hold(np.zeros(1, self.CORE.STATE), 0)
         self._configure(self._plain)
-        self.CORE.power_up.held(self._here)
+        self.CORE.power_up.with_gil(self._here)
         least, most = self.CLOCK_RANGE
         if not least <= self.clock_hz <= most:
             said = f"a reference clock of {self.clock_hz:,} Hz: the silicon is sold for {least:,} to {most:,} Hz"
@@ -333,7 +333,7 @@ class Chip:
     def net(self, axis: int = 0) -> int:
         """Pulses begun since power-up, plus minus minus: what a drive has been given. Not readable on the bus."""
         self._check_axis(axis)
-        return int(self.CORE.net.held(self.pointer, axis))
+        return int(self.CORE.net.with_gil(self.pointer, axis))
 
     @told
     @exclusive
@@ -347,7 +347,7 @@ class Chip:
             raise ArgumentError(f"set_shaft({count!r}, {rate!r}): a shaft is at a finite count and has a finite rate.")
         self._check_axis(axis)
         self._change()
-        self.CORE.set_shaft.held(self.pointer, axis, float(count), float(rate))
+        self.CORE.set_shaft.with_gil(self.pointer, axis, float(count), float(rate))
         if self.open_journal is not None:
             self.open_journal.note_shaft(self.clock, axis, count, rate)
 
@@ -401,10 +401,10 @@ class Chip:
         core, (at, bit) = self.CORE, self.BUSY
         twin = np.frombuffer(bytearray(self.state.tobytes()), core.STATE)
         here, mask = twin.ctypes.data, bit << axis
-        if core.read.held(here, at) & mask:
+        if core.read.with_gil(here, at) & mask:
             return False
-        core.write.held(here, address & self.ADDRESS_MASK, value & self.DATA_MASK)
-        return bool(core.read.held(here, at) & mask)
+        core.write.with_gil(here, address & self.ADDRESS_MASK, value & self.DATA_MASK)
+        return bool(core.read.with_gil(here, at) & mask)
 
     def options(self) -> dict[str, Any]:
         """What the chip was made with: type(chip)(**chip.options()) is another of its kind."""
@@ -450,7 +450,7 @@ class Chip:
             self.diagnose(self.clock, address, value, masked(given, (address, value)), "bus")
         if self.late_lint is None and (said := self.mistake(address, value)):
             self.diagnose(self.clock, address, value, *said, once=isinstance(said, Limit))
-        self.CORE.write.held(self._here, address, value)
+        self.CORE.write.with_gil(self._here, address, value)
         if self.open_journal is not None:
             self.open_journal.note_write(self.clock, address, value)
 
@@ -475,7 +475,7 @@ class Chip:
             raise no_cycle("read", address) from None
         if self._bus is not None:
             self._bus.cycle()
-        value = int(self.CORE.read.held(self._here, address))
+        value = int(self.CORE.read.with_gil(self._here, address))
         if self.open_journal is not None and address in self.READING_ACTS:
             self.open_journal.note_read(self.clock, address, value)
         return value
@@ -544,7 +544,7 @@ class Chip:
     def reset(self) -> None:
         """The /RESET pin. Registers and modes clear; the clock, the inputs and the diagnostics stay."""
         self._change()
-        self.CORE.power_up.held(self._here)
+        self.CORE.power_up.with_gil(self._here)
         if self.open_journal is not None:
             self.open_journal.note_reset(self.clock)
 
@@ -573,17 +573,17 @@ class Chip:
     def input_word(self, axis: int) -> int:
         """The input pins of an axis, bits of INPUTS."""
         self._check_pins(axis)
-        return int(self.CORE.inputs.held(self.pointer, axis))
+        return int(self.CORE.inputs.with_gil(self.pointer, axis))
 
     def set_input_word(self, axis: int, word: int) -> None:
         """Drive the input pins of an axis, without a note in a journal."""
         self._check_pins(axis)
-        self.CORE.set_input.held(self._here, axis, word)
+        self.CORE.set_input.with_gil(self._here, axis, word)
 
     def output_word(self, axis: int) -> int:
         """The output pins of an axis, bits of OUTPUTS."""
         self._check_pins(axis)
-        return int(self.CORE.outputs.held(self.pointer, axis))
+        return int(self.CORE.outputs.with_gil(self.pointer, axis))
 
     def journal(self, axis: int = 0) -> Journal:
         """Start to note what acts on the chip, so that the course of an axis can be replayed exactly: bus writes, input changes,

@@ -1,4 +1,4 @@
-"""What is compiled, and how: Python functions that become one native library, built ahead.
+"""Compiled functions: Python functions that become one native library, built ahead.
 
     @hot
     def period(c): ...                         part of what calls it
@@ -11,7 +11,7 @@ The sources are plain Python over records, scalars and arrays: no allocation, no
 package's folder. At run time load.py checks that it was built from these sources for this machine, and ctypes loads it.
 With NUMBA_DISABLE_JIT=1 the same functions run as plain Python, to the same bits: for debugging, coverage and fuzzing.
 
-A package outside this one is built by the same means: `python -m stage.native PACKAGE`.
+A package outside this one is built in the same way: `python -m stage.native PACKAGE`.
 """
 
 from stage.native.arithmetic import floor, greatest, least

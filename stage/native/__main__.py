@@ -7,7 +7,7 @@ from stage.native.build import build
 
 
 def main() -> int:
-    """Build what is named; 1 where that cannot be."""
+    """Build the packages named; return 1 where one cannot be built."""
     for package in sys.argv[1:] or ["stage"]:
         try:
             print(build(package))

@@ -1,4 +1,4 @@
-"""What hot functions use in place of Python's own min, max and floor."""
+"""Functions that hot code uses in place of Python's own min, max and floor."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from stage.native.functions import hot
 
 @hot
 def floor(x: Any) -> Any:
-    """The whole number at or below x, as a float: math.floor of numba goes by way of an integer, and no vector does."""
+    """Return the whole number at or below x, as a float: numba's math.floor makes an integer first, and no vector instruction."""
     return float(np.floor(x))
 
 
 @hot
 def least(a: Any, b: Any) -> Any:
-    """min(a, b): numba types its own anew, and slowly, for every kind of argument."""
+    """Return the lesser of two values: numba types its own min again, and slowly, for every kind of argument."""
     return b if b < a else a
 
 
 @hot
 def greatest(a: Any, b: Any) -> Any:
-    """max(a, b), see `least`."""
+    """Return the greater of two values, see `least`."""
     return b if b > a else a

@@ -24,9 +24,9 @@ LINKER = "ziglang==0.15.2"
 index_page.write(ROOT)  # pyproject.toml names it, and every hook reads that
 
 
-def needed() -> list[str]:
-    """What has to be installed to build the library; nothing where it is up to date."""
-    if not load.unfit("stage", ROOT / "stage" / load.NAME):
+def list_requirements() -> list[str]:
+    """List the distributions that the build of the library needs; none where it is up to date."""
+    if not load.find_misfit("stage", ROOT / "stage" / load.NAME):
         return []
     linkers = [] if any(map(shutil.which, build.COMPILERS)) else [LINKER]
     return [f"numba=={build.NUMBA}", *linkers]
@@ -34,12 +34,12 @@ def needed() -> list[str]:
 
 def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
     """PEP 517."""
-    return [*build_meta.get_requires_for_build_wheel(config_settings), *needed()]
+    return [*build_meta.get_requires_for_build_wheel(config_settings), *list_requirements()]
 
 
 def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
     """PEP 660."""
-    return [*build_meta.get_requires_for_build_editable(config_settings), *needed()]
+    return [*build_meta.get_requires_for_build_editable(config_settings), *list_requirements()]
 
 
 def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:

@@ -1,9 +1,9 @@
-"""Build a package's native library: which parts are stale, who emits them, the link.
+"""Build a package's native library: find the parts that are out of date, have their objects made, link.
 
 A part is what one family exports: a folder of the third level, with all below it. Its object depends on the code of the modules
 that define it and of what they import, transitively, but for functions that it calls by their symbols, whose signatures are enough.
-It is kept in the package's __pycache__ under a digest of them all: only parts whose code has changed are made again, and those that
-are not as they were written. A comment or a docstring is no code.
+It is kept in the package's __pycache__ under a digest of them all: only parts whose code has changed are made again, and those
+whose file is damaged. A comment or a docstring is no code.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from stage.errors import NativeError
-from stage.native import load, seal
+from stage.native import load, object_files
 from stage.support.processes import ENCODING, ERRORS
 
 NUMBA = "0.68.1"
@@ -41,21 +41,44 @@ DEPTH = 3
 COMPILERS = tuple(filter(None, (os.environ.get("CC"), "cc", "clang", "gcc")))
 
 
-def made(package: str, why: str) -> Path:
-    """Make the library of `package`, for the reason `why`, and return where it is. Raises NativeError where that cannot be."""
+def build_missing(package: str, why: str) -> Path:
+    """Build the library of a package, which is missing or does not fit.
+
+    Args:
+        package: Name of the package.
+        why: Reason, as `load.find_misfit` gives it, for the error.
+
+    Returns:
+        Path of the library.
+
+    Raises:
+        NativeError: The library cannot be built.
+    """
     lacking = [name for name in ("numba", "llvmlite") if find_spec(name) is None]
     if lacking:
-        raise NativeError(f"{why}; and {' and '.join(lacking)}, to build it, are not installed. {load.advice(package)}")
+        raise NativeError(
+            f"{why}; and {' and '.join(lacking)}, to build it, are not installed. {load.advise_install(package)}"
+        )
     return build(package)
 
 
 def build(package: str) -> Path:
-    """Bring the library of `package` up to date. Progress goes to standard error."""
-    places = load.folders(package)
+    """Bring the library of a package up to date. Progress goes to standard error.
+
+    Args:
+        package: Name of the package.
+
+    Returns:
+        Path of the library; in a folder of this process alone where the package is read-only.
+
+    Raises:
+        NativeError: The library cannot be built or written.
+    """
+    places = load.find_folders(package)
     folder = places[package]
     try:
         try:
-            with _alone(folder):
+            with _build_lock(folder):
                 return _build(package, places, folder)
         except PermissionError:
             folder = Path(tempfile.mkdtemp(prefix="pulsestage-"))  # 0700; for this process
@@ -70,33 +93,33 @@ def build(package: str) -> Path:
 
 def _build(package: str, places: dict[str, Path], folder: Path) -> Path:
     path = folder / load.NAME
-    if not load.unfit(package, path):
+    if not load.find_misfit(package, path):
         return path  # somebody else has built it meanwhile
-    if (found := version("numba")) != NUMBA:
+    if (installed := version("numba")) != NUMBA:
         raise NativeError(
-            f"libraries are built with numba {NUMBA}, and {found} is installed: pip install numba=={NUMBA}."
+            f"libraries are built with numba {NUMBA}, and {installed} is installed: pip install numba=={NUMBA}."
         )
-    roots = places | load.folders("stage")
+    roots = places | load.find_folders("stage")
     known = {module: Path(source) for module, source in load.modules(roots)}
-    parts = _parts(package, places)
-    kept = folder / "__pycache__"
-    kept.mkdir(exist_ok=True)
+    parts = _list_parts(package, places)
+    object_cache = folder / "__pycache__"
+    object_cache.mkdir(exist_ok=True)
     processor, needs = load.BASELINES.get(platform.machine(), ("", ()))
     sources: dict[str, str] = {}
     objects, missing = [], []
     for name, modules in parts.items():
-        closure = _closure(modules, known)
-        sources |= {m.partition(" ")[0]: load.digest_of(known[m.partition(" ")[0]]) for m in closure}
+        closure = _find_dependencies(modules, known)
+        sources |= {m.partition(" ")[0]: load.digest_file(known[m.partition(" ")[0]]) for m in closure}
         digest = hashlib.sha256(json.dumps([modules, closure, NUMBA, load.target(), processor]).encode()).hexdigest()[
             :16
         ]
-        target = kept / f"{name}-{digest}.o"
+        target = object_cache / f"{name}-{digest}.o"
         objects.append(target)
-        if not seal.kept(target):
-            for old in kept.glob(f"{name}-*.o*"):
+        if not object_files.is_intact(target):
+            for old in object_cache.glob(f"{name}-*.o*"):
                 old.unlink(missing_ok=True)
             missing.append((sum(known[m].stat().st_size for m in closure if m in known), [str(target), *modules]))
-    say = _Progress(f"PulseStage: building the native library of {package}", len(missing), len(parts))
+    say = _ProgressLine(f"PulseStage: building the native library of {package}", len(missing), len(parts))
     _emit([part for _, part in sorted(missing, reverse=True)], roots, processor, say)
     manifest = {
         "digest": load.NO_DIGEST,
@@ -107,22 +130,22 @@ def _build(package: str, places: dict[str, Path], folder: Path) -> Path:
     }
     temporary = path.with_name(f"{path.name}.{os.getpid()}")
     try:
-        _link(objects, _manifest_object(manifest, kept), temporary, complete=package == "stage")
+        _link(objects, _manifest_object(manifest, object_cache), temporary, complete=package == "stage")
         if sys.platform == "linux":  # elsewhere the linker signs
             content = temporary.read_bytes()
-            digest = load.digest_within(content, load.NO_DIGEST)
+            digest = load.digest_content(content, load.NO_DIGEST)
             temporary.write_bytes(content.replace(load.NO_DIGEST.encode(), digest.encode(), 1))
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
-    say.done()
+    say.finish()
     return path
 
 
-def _parts(package: str, places: dict[str, Path]) -> dict[str, list[str]]:
-    """Folder -> the modules in it and below that export something."""
+def _list_parts(package: str, places: dict[str, Path]) -> dict[str, list[str]]:
+    """Return part -> the modules in its folder and below that export functions."""
     parts: dict[str, list[str]] = {}
-    for module in load.exporting(places):
+    for module in load.find_exporting_modules(places):
         folder = module.rpartition(".")[0]
         parts.setdefault(".".join(folder.split(".")[:DEPTH]), []).append(module)
     if not parts:
@@ -130,29 +153,29 @@ def _parts(package: str, places: dict[str, Path]) -> dict[str, list[str]]:
     return parts
 
 
-def _closure(modules: list[str], known: dict[str, Path]) -> dict[str, str]:
+def _find_dependencies(modules: list[str], known: dict[str, Path]) -> dict[str, str]:
     """Return what the object of these modules depends on, sorted.
 
     Module -> digest of its code, for them and all that they import, of `known`; "module function" -> digest of the signature, for
     exported functions that they import and call by their symbols.
     """
-    found: dict[str, str] = {}
+    digests: dict[str, str] = {}
     left = [f"stage.native.{name}" for name in ("arithmetic", "emit", "typed")] + list(modules)
     while left:
         module = left.pop()
-        if module not in found:
-            tree = _code(known[module])
-            found[module] = _digest(tree)
-            for origin, name in _imports(module, tree, known):
-                signature = _signature(_code(known[origin]), name)
+        if module not in digests:
+            tree = _read_code(known[module])
+            digests[module] = _digest(tree)
+            for origin, name in _list_imports(module, tree, known):
+                signature = _signature(_read_code(known[origin]), name)
                 if signature:
-                    found[f"{origin} {name}"] = _digest(signature)
+                    digests[f"{origin} {name}"] = _digest(signature)
                 else:
                     left.append(origin)
-    return dict(sorted(found.items()))
+    return dict(sorted(digests.items()))
 
 
-def _code(source: Path) -> ast.Module:
+def _read_code(source: Path) -> ast.Module:
     """Return the code of a source file: no comment, no docstring, no place of a line changes it."""
     return _parse(source.read_text(encoding="utf-8"))
 
@@ -181,7 +204,7 @@ def _signature(tree: ast.Module, name: str) -> ast.expr | None:
     return None
 
 
-def _imports(module: str, tree: ast.Module, known: dict[str, Path]) -> Iterator[tuple[str, str]]:
+def _list_imports(module: str, tree: ast.Module, known: dict[str, Path]) -> Iterator[tuple[str, str]]:
     """Yield the modules of `known` that a module imports, and the name that it imports from each, or ""."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -196,14 +219,14 @@ def _imports(module: str, tree: ast.Module, known: dict[str, Path]) -> Iterator[
                     yield origin, alias.name
 
 
-def _emit(parts: list[list[str]], roots: dict[str, Path], processor: str, say: _Progress) -> None:
-    """Have objects made, by a process for each processor."""
+def _emit(parts: list[list[str]], roots: dict[str, Path], processor: str, say: _ProgressLine) -> None:
+    """Make objects, by a process for each processor."""
     if not parts:
         return
     environment = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_")} | {"PULSESTAGE_EMIT": "1"}
-    here = [str(folder.parent) for name, folder in roots.items() if "." not in name]
+    own_folders = [str(folder.parent) for name, folder in roots.items() if "." not in name]
     inherited = filter(None, sys.path)  # pip builds in a place of its own
-    environment["PYTHONPATH"] = os.pathsep.join(dict.fromkeys([*here, *inherited]))
+    environment["PYTHONPATH"] = os.pathsep.join(dict.fromkeys([*own_folders, *inherited]))
     job = {
         "places": {name: str(folder) for name, folder in roots.items()},
         "processor": processor,
@@ -217,18 +240,18 @@ def _emit(parts: list[list[str]], roots: dict[str, Path], processor: str, say: _
     with process:
         json.dump(job, process.stdin)
         process.stdin.close()
-        said: list[str] = []
-        reader = threading.Thread(target=lambda: said.append(process.stderr.read()))
+        errors: list[str] = []
+        reader = threading.Thread(target=lambda: errors.append(process.stderr.read()))
         reader.start()
         for _ in process.stdout:
-            say.one()
+            say.count_part()
         reader.join()
     if process.returncode:
-        raise NativeError(f"the native library could not be built:\n{said[0].strip()}")
+        raise NativeError(f"the native library could not be built:\n{errors[0].strip()}")
 
 
-def _manifest_object(manifest: dict[str, Any], kept: Path) -> Path:
-    """An object that holds what the library says about itself."""
+def _manifest_object(manifest: dict[str, Any], object_cache: Path) -> Path:
+    """Write an object that holds the manifest of the library, and return its path."""
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
@@ -237,21 +260,27 @@ def _manifest_object(manifest: dict[str, Any], kept: Path) -> Path:
     text = "".join(f"\\{byte:02x}" for byte in content)
     module = llvm.parse_assembly(f'@pulsestage_manifest = constant [{len(content)} x i8] c"{text}"')
     machine = llvm.Target.from_default_triple().create_target_machine(reloc="pic", codemodel="default")
-    path = kept / "manifest.o"
+    path = object_cache / "manifest.o"
     path.write_bytes(machine.emit_object(module))
     return path
 
 
 def _link(objects: list[Path], manifest: Path, path: Path, complete: bool) -> None:
-    """One shared library of these objects. complete: no other library of ours has what it lacks, which
-    is an error where the linker can tell."""
+    """Link objects to a shared library.
+
+    Args:
+        objects: Objects of all parts.
+        manifest: Object of the manifest.
+        path: Library to write.
+        complete: Whether a symbol that is missing is an error; another library of ours may have those of a package from outside.
+    """
     names = [str(o) for o in (*objects, manifest)]
     symbols = ["-Wl,-Bsymbolic"] if sys.platform == "linux" else ["-undefined", "dynamic_lookup"]
     if complete and sys.platform == "linux":
         symbols.append("-Wl,-z,defs")
     try:
         subprocess.run(
-            [*linker(), "-shared", "-o", str(path), *names, *symbols, "-lm"], check=True, capture_output=True
+            [*find_linker(), "-shared", "-o", str(path), *names, *symbols, "-lm"], check=True, capture_output=True
         )
     except subprocess.CalledProcessError as error:
         raise NativeError(
@@ -259,8 +288,8 @@ def _link(objects: list[Path], manifest: Path, path: Path, complete: bool) -> No
         ) from error
 
 
-def linker() -> list[str]:
-    """The command that links: a C compiler of this machine, or the one that the package ziglang brings."""
+def find_linker() -> list[str]:
+    """Return the command that links: a C compiler of this machine, or the one that the package ziglang brings."""
     for name in COMPILERS:
         if shutil.which(name):
             return [name]
@@ -270,8 +299,8 @@ def linker() -> list[str]:
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """One process at a time builds in a folder; where a folder cannot be locked, each builds for itself and the last one stays."""
+def _build_lock(folder: Path) -> Iterator[None]:
+    """Let one process at a time build in a folder; where it cannot be locked, each builds for itself and the last library stays."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         if not os.access(folder, os.W_OK):
@@ -285,20 +314,20 @@ def _alone(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
-class _Progress:
-    """One line on standard error that says how far a build is."""
+class _ProgressLine:
+    """Line on standard error that shows how far a build is."""
 
     def __init__(self, what: str, stale: int, parts: int) -> None:
         self._what, self._done, self._all, self._lock = what, 0, stale, threading.Lock()
         self._print(f"{what}: {stale} of {parts} parts ...", "")
 
-    def one(self) -> None:
+    def count_part(self) -> None:
         with self._lock:
             self._done += 1
             if sys.stderr.isatty():
                 self._print(f"\r{self._what}: {self._done} of {self._all} parts ...", "")
 
-    def done(self) -> None:
+    def finish(self) -> None:
         self._print(" done", "\n")
 
     @staticmethod

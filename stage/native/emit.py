@@ -1,9 +1,9 @@
 """Make objects: numba types and lowers the exported functions of modules, LLVM optimizes them as one and emits machine code.
 
-    PULSESTAGE_EMIT=1 python -m stage.native.emit JOB     JOB: JSON on standard input, see `main`
+    PULSESTAGE_EMIT=1 python -m stage.native.emit < JOB     JOB: JSON, see `main`
 
-numba by itself optimizes each function, and again in each that calls it; here what it lowers is only gathered, so that LLVM sees a
-part of the library once, and whole.
+numba by itself optimizes each function, and again in each that calls it; here what it lowers is only gathered, so that LLVM
+optimizes a part of the library once, as a whole.
 """
 
 from __future__ import annotations
@@ -24,24 +24,26 @@ from numba.core import codegen, types
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import cpu_target
 
-from stage.native.refusals import told
-from stage.native.seal import keep
+from stage.native.compile_errors import explain_compile_error
+from stage.native.object_files import write_object
 
-OUTSIDE = frozenset("exp log pow sin cos tan sqrt floor ceil rint round trunc fmod memset memcpy memmove".split())
+SYSTEM_FUNCTIONS = frozenset(
+    "exp log pow sin cos tan sqrt floor ceil rint round trunc fmod memset memcpy memmove".split()
+)
 """What a library may ask of the system: C's mathematics and memory."""
 
-TOGETHER = 16
+MODULES_AT_ONCE = 16
 """Modules that are linked before they go into the whole: LLVM looks through all that is there each time that something is added."""
 
-BORROWED = """
+REFERENCE_COUNTING = """
 define void @NRT_incref(i8* %p) alwaysinline { ret void }
 define void @NRT_decref(i8* %p) alwaysinline { ret void }
 """
 """Every array here is borrowed: nobody counts who holds it."""
 
 
-class _Gathered(codegen.AOTCodeLibrary):
-    """What numba made of a function, as it was lowered: as text, since LLVM reads it once, into the whole."""
+class _GatheredLibrary(codegen.AOTCodeLibrary):
+    """Code that numba made of a function, as text before optimization: LLVM parses it once, into the whole part."""
 
     def __init__(self, generator: Any, name: str):
         codegen.CodeLibrary.__init__(self, generator, name)
@@ -59,14 +61,14 @@ class _Gathered(codegen.AOTCodeLibrary):
 
 
 class _Codegen(codegen.AOTCPUCodegen):
-    _library_class = _Gathered
+    _library_class = _GatheredLibrary
 
     def set_env(self, name: str, environment: Any) -> None:
         """Nothing runs here."""
 
 
 class BarePackages:
-    """Imports modules of a package's tree without what its packages' __init__ do: a library needs no chip class, no Gymnasium."""
+    """Importer of a package's modules without its __init__: a library needs no chip class and no Gymnasium."""
 
     def __init__(self, places: dict[str, str]):
         self._places = {name: Path(folder) for name, folder in places.items()}
@@ -84,8 +86,8 @@ class BarePackages:
         return None
 
 
-def context_for(processor: str) -> Any:
-    """numba's, that it makes everything in from now on, for that processor."""
+def make_context(processor: str) -> Any:
+    """Return numba's context, which compiles for this processor from now on."""
     context: Any = cpu_target.target_context
     context.refresh()  # numba compiles some of its own, to be run
     context._internal_codegen = _Codegen("pulsestage", cpu_name=processor)
@@ -93,23 +95,23 @@ def context_for(processor: str) -> Any:
     return context
 
 
-def _gather(library: Any, into: dict[int, Any]) -> None:
-    if id(library) not in into and isinstance(library, _Gathered):  # the others are numba's own, to be run
+def _gather_libraries(library: Any, into: dict[int, Any]) -> None:
+    if id(library) not in into and isinstance(library, _GatheredLibrary):  # the others are numba's own, to be run
         into[id(library)] = library
         for other in library._linking_libraries:
-            _gather(other, into)
+            _gather_libraries(other, into)
 
 
-def _entry(function: Any, context: Any) -> Iterator[Any]:
-    """The libraries of an exported function: its C entry, and what numba made of the function."""
+def _make_entry(function: Any, context: Any) -> Iterator[Any]:
+    """Yield the libraries of an exported function: its C entry, and what numba made of the function."""
     from stage.native.typed import lowered_array, type_of
 
     returned, arguments = type_of(function.result), tuple(type_of(a) for a in function.arguments)
     try:
         function.hot.compile(arguments)
     except Exception as error:  # numba raises of many kinds, an AssertionError, too
-        raise SystemExit(told(function.hot.py_func, error)) from None
-    made = function.hot.overloads[arguments]
+        raise SystemExit(explain_compile_error(function.hot.py_func, error)) from None
+    overload = function.hot.overloads[arguments]
     library = context.codegen().create_library(function.symbol)
     module = library.create_ir_module(function.symbol)
     words: list[Any] = []
@@ -124,87 +126,98 @@ def _entry(function: Any, context: Any) -> Iterator[Any]:
             values.append(lowered_array(context, builder, a, next(left), [next(left) for _ in range(a.ndim)]))
         else:
             values.append(next(left))
-    inner = context.declare_function(module, made.fndesc)
-    _, done = context.call_conv.call_function(builder, inner, made.signature.return_type, arguments, values)
+    inner = context.declare_function(module, overload.fndesc)
+    _, value = context.call_conv.call_function(builder, inner, overload.signature.return_type, arguments, values)
     if returned == types.void:
         builder.ret_void()
     else:
-        builder.ret(context.cast(builder, done, made.signature.return_type, returned))
+        builder.ret(context.cast(builder, value, overload.signature.return_type, returned))
     library.add_ir_module(module)
-    yield from (library, made.library)
+    yield from (library, overload.library)
 
 
 @global_compiler_lock
 def emit(modules: list[str], context: Any) -> bytes:
-    """The object of the functions that these modules export; context: of `context_for`."""
+    """Make the object of the functions that some modules export.
+
+    Args:
+        modules: Names of the modules.
+        context: Context of `make_context`.
+    """
     for name in modules:
         import_module(name)
     from stage.native.functions import Exported
 
-    own = [f for f in Exported.every if f.module in modules]
+    functions = [f for f in Exported.every if f.module in modules]
     gathered: dict[int, Any] = {}
-    for function in own:
-        for library in _entry(function, context):
-            _gather(library, gathered)
+    for function in functions:
+        for library in _make_entry(function, context):
+            _gather_libraries(library, gathered)
     generator = context.codegen()
-    whole = llvm.parse_assembly(str(generator._create_empty_module(modules[0])))
-    whole.link_in(llvm.parse_assembly(BORROWED))
+    linked = llvm.parse_assembly(str(generator._create_empty_module(modules[0])))
+    linked.link_in(llvm.parse_assembly(REFERENCE_COUNTING))
     texts = [text for library in gathered.values() for text in library.texts]
-    for k in range(0, len(texts), TOGETHER):
-        group, *others = map(llvm.parse_assembly, texts[k : k + TOGETHER])
+    for k in range(0, len(texts), MODULES_AT_ONCE):
+        group, *others = map(llvm.parse_assembly, texts[k : k + MODULES_AT_ONCE])
         for module in others:
             group.link_in(module)
-        whole.link_in(group)
-    whole.data_layout = generator._data_layout
-    symbols = {f.symbol for f in own}
-    for made in (*whole.functions, *whole.global_variables):
-        if not made.is_declaration and made.name not in symbols and made.linkage != llvm.Linkage.private:
-            made.linkage = "internal"
-    whole.verify()
+        linked.link_in(group)
+    linked.data_layout = generator._data_layout
+    symbols = {f.symbol for f in functions}
+    for symbol in (*linked.functions, *linked.global_variables):
+        if not symbol.is_declaration and symbol.name not in symbols and symbol.linkage != llvm.Linkage.private:
+            symbol.linkage = "internal"
+    linked.verify()
     passes, builder = generator._module_pass_manager()
-    passes.run(whole, builder)
-    _refuse(whole, {f.symbol for f in Exported.every}, modules)
-    return bytes(generator._tm.emit_object(whole))
+    passes.run(linked, builder)
+    _refuse(linked, {f.symbol for f in Exported.every}, modules)
+    return bytes(generator._tm.emit_object(linked))
 
 
-def _refuse(whole: Any, exported: set[str], modules: list[str]) -> None:
-    """Raise for what asks for more than a library may: then a function may raise, or allocate."""
-    for made in (*whole.functions, *whole.global_variables):
-        if made.is_declaration and made.name not in exported | OUTSIDE and not made.name.startswith("llvm."):
-            users = [f.name for f in whole.functions if not f.is_declaration and f"@{made.name}(" in str(f)]
+def _refuse(linked: Any, exported: set[str], modules: list[str]) -> None:
+    """Raise SystemExit for a symbol that a library may not need: a function that may raise, or that allocates."""
+    for symbol in (*linked.functions, *linked.global_variables):
+        if (
+            symbol.is_declaration
+            and symbol.name not in exported | SYSTEM_FUNCTIONS
+            and not symbol.name.startswith("llvm.")
+        ):
+            users = [f.name for f in linked.functions if not f.is_declaration and f"@{symbol.name}(" in str(f)]
             raise SystemExit(
-                f"{', '.join(modules)}: {made.name!r} is needed, by {users}: a hot function may raise, or allocate."
+                f"{', '.join(modules)}: {symbol.name!r} is needed, by {users}: a hot function may raise, or allocate."
             )
 
 
-def _emit_next(taken: Any, parts: list[list[str]], context: Any) -> None:
+def _emit_next(next_part: Any, parts: list[list[str]], context: Any) -> None:
     """Make one part after another, of those that no other process has taken."""
     while True:
-        with taken:
-            number, taken.value = taken.value, taken.value + 1
+        with next_part:
+            number, next_part.value = next_part.value, next_part.value + 1
         if number >= len(parts):
             return
         path, *modules = parts[number]
-        made = emit(modules, context)
+        content = emit(modules, context)
         try:
-            keep(Path(path), made)
+            write_object(Path(path), content)
         except OSError as error:
             raise SystemExit(f"{path} could not be written: {error.strerror or error}. Make room there.") from None
         print(path, flush=True)
 
 
 def main() -> int:
-    """Read {"places": package -> folder, "processor": ..., "workers": ..., "parts": [[object, module, ...], ...]} and do it.
+    """Make the parts of a job, JSON on standard input.
 
-    Each worker is a copy of this process, with all that is imported; whichever is free takes the next part."""
+    A job is {"places": package -> folder, "processor": ..., "workers": ..., "parts": [[object, module, ...], ...]}. Each worker is
+    a copy of this process, with all imports done; whichever is free takes the next part.
+    """
     gc.disable()  # nearly all that is made is kept to the end: looking for the rest takes a sixth of the time
     sys.modules["scipy"] = None  # type: ignore[assignment]  # numba would look for a BLAS in it, and import most of it
     job = json.load(sys.stdin)
     sys.meta_path.insert(0, BarePackages(job["places"]))
-    context = context_for(job["processor"])
+    context = make_context(job["processor"])
     fork = get_context("fork")
-    taken = fork.Value("q")
-    workers = [fork.Process(target=_emit_next, args=(taken, job["parts"], context)) for _ in range(job["workers"])]
+    next_part = fork.Value("q")
+    workers = [fork.Process(target=_emit_next, args=(next_part, job["parts"], context)) for _ in range(job["workers"])]
     for worker in workers:
         worker.start()
     for worker in workers:

@@ -1,7 +1,7 @@
 """`hot` and `exported`: the decorators of compiled functions.
 
 A result or an argument of an exported function is a plain C type ("i4", "i8", "f8"; None is no result), the dtype of a record,
-of which C has the address, or `array_of` a dtype: an address and a length for each dimension.
+which C passes by its address, or `array_of` a dtype: an address and a length for each dimension.
 """
 
 from __future__ import annotations
@@ -22,34 +22,49 @@ from stage.native.mode import COMPILED, EMITTING
 if EMITTING:
     from stage.native import typed
 
-_C: dict[str | None, Any] = {None: None, "i4": ctypes.c_int32, "i8": ctypes.c_int64, "f8": ctypes.c_double}
+_C_TYPES: dict[str | None, Any] = {None: None, "i4": ctypes.c_int32, "i8": ctypes.c_int64, "f8": ctypes.c_double}
 
 
 @dataclass(frozen=True)
 class Array:
-    """An argument: an array of contiguous elements."""
+    """Array argument of an exported function.
+
+    Attributes:
+        dtype: Type of its elements, which are contiguous.
+        dimensions: Number of dimensions.
+    """
 
     dtype: np.dtype
     dimensions: int
 
 
 def array_of(dtype: Any, dimensions: int = 1) -> Array:
-    """An array argument of an exported function; C gives the address and the length of each dimension."""
+    """Return an array argument of an exported function; C passes the address and the length of each dimension.
+
+    Args:
+        dtype: Type of the elements.
+        dimensions: Number of dimensions.
+    """
     return Array(np.dtype(dtype), dimensions)
 
 
 def hot(function: Callable) -> Any:
-    """Compile `function` into what calls it. From Python it runs as Python: what is to be fast there is `exported`."""
+    """Compile `function` into the functions that call it. From Python it runs as Python: export what has to be fast there."""
     return typed.hot(function) if EMITTING else function
 
 
 def exported(result: str | None, *arguments: Any) -> Callable[[Callable], Exported]:
-    """Compile the function by itself, as one of the library's. result, arguments: see this module."""
+    """Compile the function by itself, as a function of the library.
+
+    Args:
+        result: Type of the result, see this module; None for none.
+        arguments: Types of the arguments.
+    """
     return lambda function: Exported(function, result, arguments)
 
 
 class Exported:
-    """A function of the native library.
+    """Function of the native library.
 
     A call checks its arguments. `c` takes C arguments (addresses and lengths in place of records and arrays) and checks nothing:
     its callers must keep the memory alive.
@@ -67,27 +82,32 @@ class Exported:
         if EMITTING:
             self.hot = typed.hot(function)
 
-    def __call__(self, *given: Any) -> Any:
-        """From Python: records as records or arrays of one or more, of which the first is meant; arrays as arrays.
+    def __call__(self, *args: Any) -> Any:
+        """Call the function from Python.
 
-        Raises ArgumentError for what compiled code could not take without harm: another dtype, strides, no memory of its own."""
+        Args:
+            args: Records as records or arrays of one or more, of which the first counts; arrays as arrays; numbers.
+
+        Raises:
+            ArgumentError: Compiled code could not take an argument without harm: another dtype, strides, no memory of its own.
+        """
         if not COMPILED:  # Python looks by itself
-            return self.function(*map(_first, given, self.arguments))
-        if len(given) != len(self.arguments):
-            raise ArgumentError(f"{self.name}: {len(given)} arguments given, it takes {len(self.arguments)}.")
-        taken: list[Any] = []
-        for k, (value, kind) in enumerate(zip(given, self.arguments, strict=True)):
+            return self.function(*map(_unwrap_record, args, self.arguments))
+        if len(args) != len(self.arguments):
+            raise ArgumentError(f"{self.name}: {len(args)} arguments given, it takes {len(self.arguments)}.")
+        c_arguments: list[Any] = []
+        for k, (value, kind) in enumerate(zip(args, self.arguments, strict=True)):
             if isinstance(kind, Array):
                 self._check(k, value, kind.dtype, kind.dimensions)
-                taken += (value.ctypes.data, *value.shape)
+                c_arguments += (value.ctypes.data, *value.shape)
             elif isinstance(kind, np.dtype):
                 self._check(k, value, kind, 0)
-                taken.append(records.address_of(value))
+                c_arguments.append(records.address_of(value))
             else:
-                taken.append(self._number(k, value, kind))
-        return self.c(*taken)
+                c_arguments.append(self._check_number(k, value, kind))
+        return self.c(*c_arguments)
 
-    def _number(self, k: int, value: Any, kind: str) -> Any:
+    def _check_number(self, k: int, value: Any, kind: str) -> Any:
         if kind == "f8":
             try:
                 return float(value)
@@ -108,79 +128,93 @@ class Exported:
         if isinstance(value, np.void) and not dimensions:
             value = np.asarray(value)  # of no dimensions, the same memory
         elif not isinstance(value, np.ndarray):
-            raise self._refused(k, f"an {type(value).__name__}", dtype, dimensions)
+            raise self._refuse(k, f"an {type(value).__name__}", dtype, dimensions)
         elif not dimensions and not value.size:
-            raise self._refused(k, "an empty array", dtype, dimensions)
+            raise self._refuse(k, "an empty array", dtype, dimensions)
         elif dimensions and value.ndim != dimensions:
-            raise self._refused(k, f"an array of {value.ndim} dimensions", dtype, dimensions)
+            raise self._refuse(k, f"an array of {value.ndim} dimensions", dtype, dimensions)
         if value.dtype is not dtype and value.dtype != dtype:
-            raise self._refused(k, f"elements {_shown(value.dtype)}", dtype, dimensions)
+            raise self._refuse(k, f"elements {_format_dtype(value.dtype)}", dtype, dimensions)
         if not value.flags.c_contiguous or not value.flags.aligned or not value.flags.writeable:
-            raise self._refused(k, "an array with strides, unaligned or read-only", dtype, dimensions)
+            raise self._refuse(k, "an array with strides, unaligned or read-only", dtype, dimensions)
 
-    def _refused(self, k: int, what: str, dtype: np.dtype, dimensions: int) -> ArgumentError:
+    def _refuse(self, k: int, what: str, dtype: np.dtype, dimensions: int) -> ArgumentError:
         wanted = f"a contiguous, writeable array of {dimensions} dimensions" if dimensions else "a record, or an array"
-        return ArgumentError(f"{self.name}, argument {k + 1}: {what}; it takes {wanted} of {_shown(dtype)}.")
+        return ArgumentError(f"{self.name}, argument {k + 1}: {what}; it takes {wanted} of {_format_dtype(dtype)}.")
 
     @cached_property
     def c(self) -> Any:
-        """What C calls: addresses for records, addresses and lengths for arrays. It checks nothing."""
-        return self.kind(self.address) if COMPILED else self._uncompiled
+        """Function that takes C arguments: addresses for records, addresses and lengths for arrays. It checks nothing."""
+        return self.prototype(self.address) if COMPILED else self._uncompiled
 
     @cached_property
-    def held(self) -> Any:
-        """As `c`, with the GIL held: for what takes a microsecond. Two threads are never in such functions at once."""
-        return _c_kind(self.result, self.arguments, ctypes.PYFUNCTYPE)(self.address) if COMPILED else self._uncompiled
+    def with_gil(self) -> Any:
+        """Same as `c`, with the GIL held: for calls of a microsecond. Two threads are never in such functions at once."""
+        return (
+            _make_prototype(self.result, self.arguments, ctypes.PYFUNCTYPE)(self.address)
+            if COMPILED
+            else self._uncompiled
+        )
 
     @cached_property
-    def kind(self) -> Any:
-        """The type of `pointer`."""
-        return _c_kind(self.result, self.arguments)
+    def prototype(self) -> Any:
+        """Type of `pointer`."""
+        return _make_prototype(self.result, self.arguments)
 
     @cached_property
     def pointer(self) -> Any:
-        """A function of ctypes, for C."""
-        return self.c if COMPILED else self.kind(self._uncompiled)
+        """Function of ctypes, for C."""
+        return self.c if COMPILED else self.prototype(self._uncompiled)
 
     @cached_property
     def address(self) -> int:
-        """Where it lies, for tables of functions."""
+        """Address of the function, for tables of functions."""
         if COMPILED:
             return load.address(self.module, self.symbol)
         self.numbered[len(self.numbered) + 1] = self
         return len(self.numbered)
 
-    def _uncompiled(self, *given: Any) -> Any:
-        """As C would call it."""
-        left, taken = iter(given), []
+    def _uncompiled(self, *words: Any) -> Any:
+        """Call the Python function with C arguments."""
+        left, values = iter(words), []
         for kind in self.arguments:
             if isinstance(kind, Array):
                 address = next(left)
-                taken.append(records.array_at(address, tuple(next(left) for _ in range(kind.dimensions)), kind.dtype))
+                values.append(records.array_at(address, tuple(next(left) for _ in range(kind.dimensions)), kind.dtype))
             else:
                 value = next(left)
                 record = isinstance(kind, np.dtype) and isinstance(value, int | np.integer)
-                taken.append(records.array_at(value, 1, kind)[0] if record else value)
-        return self.function(*taken)
+                values.append(records.array_at(value, 1, kind)[0] if record else value)
+        return self.function(*values)
 
 
 def called(result: str | None, *arguments: Any) -> Any:
-    """(address, (argument, ...)) -> result: hot functions call the function at an address. Records are given by their addresses."""
+    """Return a hot function (address, (argument, ...)) -> result that calls the function at an address, with records by theirs.
+
+    Args:
+        result: Type of the result, None for none.
+        arguments: Types of the arguments.
+    """
     if EMITTING:
         return typed.called(result, arguments)
-    kind = _c_kind(result, arguments)
+    prototype = _make_prototype(result, arguments)
 
-    def call(address: int, given: tuple) -> Any:
+    def call(address: int, args: tuple) -> Any:
         function = Exported.numbered.get(int(address)) if not COMPILED else None
-        words = (float(g) if w == "f8" else int(g) for g, w in zip(given, arguments, strict=True))
-        return function._uncompiled(*words) if function else kind(int(address))(*words)
+        words = (float(g) if w == "f8" else int(g) for g, w in zip(args, arguments, strict=True))
+        return function._uncompiled(*words) if function else prototype(int(address))(*words)
 
     return call
 
 
 def exchange(old: int | None, new: int | None) -> Any:
-    """(address, word) -> True if the 64 bits at the address were `old` and now are `new`, in one step that no other thread gets
-    into; None stands for `word`. Uncompiled the GIL keeps threads out of each other's way, and it is always True."""
+    """Return a hot function (address, word) -> bool that exchanges 64 bits in one step that no other thread interrupts.
+
+    It returns True if the word at the address was `old` and now is `new`. Uncompiled the GIL does this, and it always returns True.
+
+    Args:
+        old, new: Words; None stands for the argument `word`.
+    """
     return typed.exchange(old, new) if EMITTING else lambda address, word: True
 
 
@@ -195,23 +229,23 @@ stack_mark: Callable[[int, int], int] = typed.stack_mark if EMITTING else lambda
 has not returned; uncompiled 0. `words` is written out."""
 
 
-def _c_kind(result: str | None, arguments: tuple, function: Any = ctypes.CFUNCTYPE) -> Any:
+def _make_prototype(result: str | None, arguments: tuple, function: Any = ctypes.CFUNCTYPE) -> Any:
     words: list[Any] = []
     for a in arguments:
         words += (
             [ctypes.c_int64] * (1 + (a.dimensions if isinstance(a, Array) else 0))
             if not isinstance(a, str)
-            else [_C[a]]
+            else [_C_TYPES[a]]
         )
-    return function(_C[result], *words)
+    return function(_C_TYPES[result], *words)
 
 
-def _first(value: Any, kind: Any) -> Any:
-    """What a function takes for a record that is given as a sequence of one."""
+def _unwrap_record(value: Any, kind: Any) -> Any:
+    """Return the record that a function takes of a sequence of one."""
     return value[0] if isinstance(kind, np.dtype) and isinstance(value, np.ndarray | list) else value
 
 
-def _shown(dtype: np.dtype) -> str:
+def _format_dtype(dtype: np.dtype) -> str:
     return f"a record of {', '.join(dtype.names[:3])} ..." if dtype.names else str(dtype)
 
 

@@ -1,4 +1,4 @@
-"""README.md as a package index shows it: links and pictures that are relative in the repository lead to it there, by their tag."""
+"""README.md for a package index: links and pictures that are relative in the repository lead to it there, by their tag."""
 
 from __future__ import annotations
 
@@ -11,21 +11,29 @@ PAGE = Path("build") / "README.index.md"
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\((?![a-z]+:|#)([^)\s]+)\)")
 
 
-def of_index(text: str, source: str, tag: str) -> str:
-    """The text with absolute links. source: the repository's address, as https://github.com/OWNER/NAME."""
+def make_index_page(text: str, source: str, tag: str) -> str:
+    """Return the text with absolute links.
+
+    Args:
+        text: README.md.
+        source: Address of the repository, as https://github.com/OWNER/NAME.
+        tag: Tag of the version.
+    """
     raw = source.replace("https://github.com/", "https://raw.githubusercontent.com/")
 
     def absolute(m: re.Match[str]) -> str:
-        mark, words, way = m[1], LINK.sub(absolute, m[2]), m[3]  # a picture may be what is clicked
-        return f"{mark}[{words}]({raw}/{tag}/{way})" if mark else f"[{words}]({source}/blob/{tag}/{way})"
+        mark, words, target = m[1], LINK.sub(absolute, m[2]), m[3]  # a picture may be what is clicked
+        return f"{mark}[{words}]({raw}/{tag}/{target})" if mark else f"[{words}]({source}/blob/{tag}/{target})"
 
     parts = re.split(r"(^```.*?^```$)", text, flags=re.M | re.S)  # code stays as it is
     return "".join(part if part.startswith("```") else LINK.sub(absolute, part) for part in parts)
 
 
 def write(root: Path) -> None:
-    """Write it, from what pyproject.toml and README.md say."""
+    """Write the page from pyproject.toml and README.md of a checkout."""
     project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     text = (root / "README.md").read_text(encoding="utf-8")
     (root / PAGE).parent.mkdir(exist_ok=True)
-    (root / PAGE).write_text(of_index(text, project["urls"]["Source"], f"v{project['version']}"), encoding="utf-8")
+    (root / PAGE).write_text(
+        make_index_page(text, project["urls"]["Source"], f"v{project['version']}"), encoding="utf-8"
+    )

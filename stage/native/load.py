@@ -26,7 +26,12 @@ NO_DIGEST = "0" * 64
 
 
 def address(module: str, symbol: str) -> int:
-    """Where the function of this name lies, of the library of the package that the module belongs to."""
+    """Return the address of a function.
+
+    Args:
+        module: Module of the function; the library is that of its package.
+        symbol: Name of the function in the library.
+    """
     function = getattr(_library(module.partition(".")[0]), symbol)
     return int(ctypes.cast(function, ctypes.c_void_p).value or 0)
 
@@ -37,74 +42,90 @@ def _library(package: str) -> ctypes.CDLL:
         raise NativeError(
             "PulseStage has no native library for Windows: use WSL. (NUMBA_DISABLE_JIT=1 runs it slowly, as Python.)"
         )
-    path = _root(package) / NAME
-    if why := unfit(package, path):
+    path = _find_root(package) / NAME
+    if why := find_misfit(package, path):
         from stage.native import build
 
-        path = build.made(package, why)
+        path = build.build_missing(package, why)
     if package != "stage":
         _library("stage")  # what others call in it, they find by name
     try:
         return ctypes.CDLL(str(path), ctypes.RTLD_GLOBAL)
     except OSError as error:
-        raise NativeError(f"{path} cannot be loaded: {error}. {advice(package)}") from error
+        raise NativeError(f"{path} cannot be loaded: {error}. {advise_install(package)}") from error
 
 
-def unfit(package: str, path: Path) -> str:
-    """Why this library is not that of the package as it is here, in words; "" if it is."""
+def find_misfit(package: str, path: Path) -> str:
+    """Say why a library is not that of a package as it is here; "" if it is.
+
+    Args:
+        package: Name of the package.
+        path: Library.
+    """
     try:
         content = path.read_bytes()
     except OSError:
         return f"package {package!r} has no native library in {path.parent}"
-    manifest = _manifest(content)
-    if manifest is None or manifest["digest"] not in (NO_DIGEST, digest_within(content, manifest["digest"])):
+    manifest = _parse_manifest(content)
+    if manifest is None or manifest["digest"] not in (NO_DIGEST, digest_content(content, manifest["digest"])):
         return f"{path} is damaged"
     if manifest["target"] != target():
         return f"{path} was built for {manifest['target']}, this is {target()}"
-    if lacking := [f for f in manifest["needs"] if f not in features()]:
+    if lacking := [f for f in manifest["needs"] if f not in read_features()]:
         return f"{path} needs a processor with {', '.join(lacking)}, which this one has not"
-    places = {root: folders(root) for root in {module.partition(".")[0] for module in manifest["sources"]}}
+    places = {root: find_folders(root) for root in {module.partition(".")[0] for module in manifest["sources"]}}
     for module, digest in manifest["sources"].items():
         try:
-            same = digest_of(source_of(module, places[module.partition(".")[0]])) == digest
+            same = digest_file(find_source(module, places[module.partition(".")[0]])) == digest
         except OSError:
             same = False
         if not same and package != "stage" and module.startswith("stage."):
             return f"{path} was built with another version of PulseStage: {module} is not as it was there"
         if not same:
             return f"{path} was built from other sources: {module} has changed"
-    own = places.get(package) or folders(package)
-    if package != "stage" or _project(own[package]).is_file():  # not of the wheel of many files, whose modules stay
-        for module in exporting(own, manifest["sources"]):
+    own_folders = places.get(package) or find_folders(package)
+    if (
+        package != "stage" or _project_file(own_folders[package]).is_file()
+    ):  # not of the wheel of many files, whose modules stay
+        for module in find_exporting_modules(own_folders, manifest["sources"]):
             return f"{path} was built from other sources: {module} is new"
     return ""
 
 
-def _project(folder: Path) -> Path:
-    """Where the project file of a package in this folder would be: it is there in a checkout."""
+def _project_file(folder: Path) -> Path:
+    """Return the path of a package's project file, which exists in a checkout."""
     return folder.parent / "pyproject.toml"
 
 
 def modules(places: dict[str, Path]) -> Iterator[tuple[str, str]]:
-    """Every module of the packages in these folders: its full name, its file."""
+    """Yield the full name and the file of every module.
+
+    Args:
+        places: Package -> folder.
+    """
     for name, folder in places.items():
         skipped = len(str(folder))
-        for source in sorted(_sources(str(folder)), key=lambda path: path.split("/")):
+        for source in sorted(_list_sources(str(folder)), key=lambda path: path.split("/")):
             yield name + source[skipped:-3].replace("/", "."), source
 
 
-def _sources(folder: str) -> Iterator[str]:
-    """The files of modules in it and below. Asked at each start of a process in a checkout: pathlib takes ten times as long."""
+def _list_sources(folder: str) -> Iterator[str]:
+    """Yield the files of modules in a folder and below. A checkout calls it at each start: pathlib takes ten times as long."""
     with os.scandir(folder) as entries:
         for entry in entries:
             if entry.name.endswith(".py") and entry.name != "__init__.py":
                 yield f"{folder}/{entry.name}"
             elif entry.is_dir(follow_symlinks=False) and entry.name != "__pycache__":
-                yield from _sources(f"{folder}/{entry.name}")
+                yield from _list_sources(f"{folder}/{entry.name}")
 
 
-def exporting(places: dict[str, Path], known: Container[str] = ()) -> Iterator[str]:
-    """Those of them that export something, but for those that are known."""
+def find_exporting_modules(places: dict[str, Path], known: Container[str] = ()) -> Iterator[str]:
+    """Yield the modules that export functions.
+
+    Args:
+        places: Package -> folder.
+        known: Modules to leave out.
+    """
     for module, source in modules(places):
         if module not in known and not module.startswith("stage.native."):
             with open(source, "rb") as file:
@@ -112,55 +133,55 @@ def exporting(places: dict[str, Path], known: Container[str] = ()) -> Iterator[s
                     yield module
 
 
-def _manifest(content: bytes) -> dict[str, Any] | None:
-    """What a library says about itself; None if it is none."""
+def _parse_manifest(content: bytes) -> dict[str, Any] | None:
+    """Return the manifest of a library; None if it has none."""
     begin = content.find(MARK) + len(MARK)
     end = content.find(b"\0", begin)
     if begin < len(MARK) or end < 0:
         return None
     try:
-        said = dict(json.loads(content[begin:end]))
+        manifest = dict(json.loads(content[begin:end]))
     except ValueError:
         return None
-    return said if said.keys() == FIELDS else None
+    return manifest if manifest.keys() == FIELDS else None
 
 
-def digest_within(content: bytes, written: str) -> str:
-    """The digest of a library that has this one written in it."""
+def digest_content(content: bytes, written: str) -> str:
+    """Return the digest of a library in which the digest `written` stands."""
     return hashlib.sha256(content.replace(written.encode(), NO_DIGEST.encode(), 1)).hexdigest()
 
 
-def manifest_of(path: Path) -> dict[str, Any] | None:
-    """What a library says about itself: target, needs, numba, sources; None where there is none."""
-    return _manifest(path.read_bytes()) if path.is_file() else None
+def read_manifest(path: Path) -> dict[str, Any] | None:
+    """Return the manifest of a library: target, needs, numba, sources; None without a library."""
+    return _parse_manifest(path.read_bytes()) if path.is_file() else None
 
 
 def digest_of_sources() -> str:
-    """Digest of the sources that PulseStage's library was compiled from; "none" without a library, "run as Python" uncompiled."""
+    """Return the digest of the sources of PulseStage's library; "none" without a library, "run as Python" uncompiled."""
     from stage.native.mode import COMPILED
 
     if not COMPILED:
         return "run as Python"
-    manifest = manifest_of(_root("stage") / NAME)
+    manifest = read_manifest(_find_root("stage") / NAME)
     sources = json.dumps(manifest["sources"], sort_keys=True).encode() if manifest else b""
     return hashlib.blake2b(sources, digest_size=8).hexdigest() if manifest else "none"
 
 
-def advice(package: str) -> str:
-    """How to get a library."""
+def advise_install(package: str) -> str:
+    """Say how to get the library of a package."""
     if package == "stage":
         return "Install PulseStage again (pip install --force-reinstall --no-deps pulsestage; in a checkout: pip install -e .)."
     return f"Build it: pip install 'pulsestage[build]', then python -m stage.native {package}"
 
 
 def target() -> str:
-    """System and processor, as a library names them."""
+    """Return system and processor, as a library names them."""
     return f"{sys.platform}-{platform.machine()}"
 
 
 @cache
-def features() -> frozenset[str]:
-    """What the processor can, in Linux' words, where they are known; a library that needs none fits everywhere."""
+def read_features() -> frozenset[str]:
+    """Return the features of the processor in Linux' words; where they are unknown, those that every library needs."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -175,35 +196,48 @@ BASELINES = {
 """Of a machine: the processor that LLVM makes code for, and what /proc/cpuinfo calls that; elsewhere the generic one."""
 
 
-def _root(package: str) -> Path:
-    """The folder of a package. Raises NativeError where there is none."""
+def _find_root(package: str) -> Path:
+    """Return the folder of a package.
+
+    Raises:
+        NativeError: There is no such package.
+    """
     spec = find_spec(package)
     if spec is None or not spec.submodule_search_locations:
         raise NativeError(f"package {package!r} cannot be found: compiled functions live in packages.")
     return Path(next(iter(spec.submodule_search_locations))).resolve()
 
 
-def folders(package: str) -> dict[str, Path]:
-    """A package's name, and those of its subpackages that lie elsewhere in a checkout -> folder."""
-    root = _root(package)
-    found, project = {package: root}, _project(root)
+def find_folders(package: str) -> dict[str, Path]:
+    """Return a package, and its subpackages that lie elsewhere in a checkout -> folder."""
+    root = _find_root(package)
+    folders, project = {package: root}, _project_file(root)
     if project.is_file():
         import tomllib  # for a checkout only
 
         settings = tomllib.loads(project.read_text(encoding="utf-8")).get("tool", {}).get("setuptools", {})
         for name, folder in settings.get("package-dir", {}).items():
             if name.startswith(f"{package}."):
-                found[name] = root.parent / folder
-    return found
+                folders[name] = root.parent / folder
+    return folders
 
 
-def source_of(module: str, places: dict[str, Path]) -> str:
-    """Where the file of a module of a package is, if it is there at all; the package's folders are these."""
+def find_source(module: str, places: dict[str, Path]) -> str:
+    """Return the path of a module's file, whether it exists or not.
+
+    Args:
+        module: Full name of the module.
+        places: Folders of its package, as `find_folders` returns them.
+    """
     name = max((name for name in places if module.startswith(f"{name}.")), key=len)
     return f"{places[name]}/{module[len(name) + 1 :].replace('.', '/')}.py"
 
 
-def digest_of(source: str | Path) -> str:
-    """Of a source file. Raises OSError. Asked for each module at each start of a process: pathlib would take half of the time."""
+def digest_file(source: str | Path) -> str:
+    """Return the digest of a source file. Each start of a process calls it for each module: pathlib would take half of the time.
+
+    Raises:
+        OSError: The file cannot be read.
+    """
     with open(source, "rb") as file:
         return hashlib.sha256(file.read()).hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""In which of three ways this process runs hot functions."""
+"""Mode in which this process runs hot functions: from the library, as plain Python, or compiling them."""
 
 import os
 

@@ -31,7 +31,7 @@ except ImportError:
 
 
 def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None) -> str:
-    """PEP 517: in the folder of the project."""
+    """Build the library of each package of the project in this folder, then its wheel (PEP 517)."""
     from stage.native import build, load
 
     settings = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8")).get("tool", {}).get("setuptools", {})
@@ -41,18 +41,18 @@ def build_wheel(wheel_directory: str, config_settings: Any = None, metadata_dire
     if isinstance(packages, dict):  # those that setuptools finds
         packages = find_packages(str(root), include=packages.get("find", {}).get("include", ("*",)))
     for package in dict.fromkeys(name.partition(".")[0] for name in packages):
-        if any(load.exporting({package: root / package})):
+        if any(load.find_exporting_modules({package: root / package})):
             build.build(package)
     return str(build_meta.build_wheel(wheel_directory, config_settings, metadata_directory))
 
 
 class Wheel(bdist_wheel):
-    """A wheel for any Python of one system and processor: its library is machine code, but none of Python's."""
+    """Wheel for any Python of one system and processor: its library is machine code, but not that of an extension of Python."""
 
     def finalize_options(self) -> None:
         self.distribution.has_ext_modules = lambda: True
         super().finalize_options()
 
     def get_tag(self) -> tuple[str, str, str]:
-        """py3-none-PLATFORM."""
+        """Return py3-none-PLATFORM."""
         return "py3", "none", super().get_tag()[2]

@@ -1,4 +1,4 @@
-"""Records: the state that compiled code works on, as Python and as C see it."""
+"""Records: the state that compiled code works on, as Python and C access it."""
 
 from __future__ import annotations
 
@@ -15,53 +15,57 @@ from stage.native.mode import COMPILED, EMITTING
 
 
 def record(fields: list) -> np.dtype:
-    """A structured dtype whose elements have attributes, compiled or not; `hot` functions take arrays and elements of it."""
+    """Return a structured dtype whose elements have attributes, compiled or not; `hot` functions take arrays and elements of it.
+
+    Args:
+        fields: Fields as NumPy takes them.
+    """
     plainly = np.dtype(fields)
-    return np.dtype((np.record if COMPILED or EMITTING else _quick(plainly), plainly))
+    return np.dtype((np.record if COMPILED or EMITTING else _make_fast_record(plainly), plainly))
 
 
-class _Quick(type):
-    """Of classes that `_quick` makes; they are pickled as NumPy's."""
+class _FastRecordType(type):
+    """Metaclass of the classes that `_make_fast_record` makes; they are pickled as NumPy's."""
 
 
-def _numpys() -> Any:
+def _get_record_type() -> Any:
     return np.record
 
 
-def _pickled(_: type) -> Any:
-    return _numpys, ()
+def _reduce_to_numpy(_: type) -> Any:
+    return _get_record_type, ()
 
 
-copyreg.pickle(_Quick, _pickled)
+copyreg.pickle(_FastRecordType, _reduce_to_numpy)
 
 
-def _quick(dtype: np.dtype) -> type:
-    """np.record, whose attributes C looks up: where nothing is compiled, NumPy's look-up, in Python, is most of a run."""
+def _make_fast_record(dtype: np.dtype) -> type:
+    """Return np.record with attributes that C looks up: NumPy's look-up, in Python, would be most of an uncompiled run."""
     names = dtype.names or ()
     if any(
         hasattr(np.record, n) or not issubclass(dtype[n].base.type, (np.record, np.number, np.bool_)) for n in names
     ):
         return np.record
-    shown: dict[str, Any] = {name: property(itemgetter(name)) for name in names}
+    members: dict[str, Any] = {name: property(itemgetter(name)) for name in names}
     for name in ("__getattribute__", "__getitem__"):
-        shown[name] = getattr(np.void, name)
-    return _Quick("record", (np.record,), shown)
+        members[name] = getattr(np.void, name)
+    return _FastRecordType("record", (np.record,), members)
 
 
 def plain(dtype: np.dtype) -> np.dtype:
-    """The same fields without attributes: c["name"] is then the fast access from Python."""
+    """Return the same fields without attributes: c["name"] is then the fast access from Python."""
     return np.dtype([(name, dtype[name]) for name in dtype.names or ()])
 
 
-def address_of(given: np.ndarray | np.void) -> int:
-    """Where an array or a record lies; of a record it takes a while."""
-    if isinstance(given, np.ndarray):
-        return int(given.ctypes.data)
-    return int(given.__array_interface__["data"][0])
+def address_of(item: np.ndarray | np.void) -> int:
+    """Return the address of an array or a record; that of a record takes longer."""
+    if isinstance(item, np.ndarray):
+        return int(item.ctypes.data)
+    return int(item.__array_interface__["data"][0])
 
 
 @lru_cache(1024)
-def _seen(address: int, shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+def _view(address: int, shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
     size = prod(shape) * dtype.itemsize
     if not size:
         return np.empty(shape, dtype)
@@ -69,22 +73,30 @@ def _seen(address: int, shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
     return np.frombuffer(words, dtype).reshape(shape)
 
 
-def _at(address: Any, shape: Any, dtype: Any) -> Any:
-    """The array of this shape, a number or a tuple, that lies at an address; whoever holds the memory has to keep it."""
+def _view_array(address: Any, shape: Any, dtype: Any) -> Any:
+    """Return the array at an address; its owner has to keep the memory.
+
+    Args:
+        address: Address.
+        shape: A number or a tuple.
+        dtype: Type of the elements.
+    """
     shape = tuple(map(int, shape)) if isinstance(shape, tuple) else (int(shape),)
-    return _seen(int(address), shape, dtype)
+    return _view(int(address), shape, dtype)
 
 
-array_at: Any = _at
+array_at: Any = _view_array
 
 
-def _room(rows: int, columns: int) -> np.ndarray:
-    """An array of float64 for the function's own use, on its stack: nothing is allocated, and it is gone when the function returns.
-    Both numbers are constants of the module, or written out."""
+def _allocate_room(rows: int, columns: int) -> np.ndarray:
+    """Return an array of float64 on the stack of the calling function, gone when that returns.
+
+    Both numbers are constants of the module, or written out.
+    """
     return np.empty((rows, columns))
 
 
-room: Any = _room
+room: Any = _allocate_room
 if EMITTING:
     from stage.native import typed
 

@@ -1,4 +1,4 @@
-"""How numba takes what stage.native offers: imported only where a library is made."""
+"""Implementations for numba of what stage.native offers: imported only where a library is built."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def hot(function: Callable) -> Any:
 
 
 def lowered_array(context: Any, builder: Any, kind: Any, address: Any, shape: list[Any]) -> Any:
-    """LLVM's value of numba's array of this type that lies at an address; nobody owns it."""
+    """Return LLVM's value of numba's array of this type that lies at an address; nobody owns it."""
     array = make_array(kind)(context, builder)
     item = context.get_data_type(kind.dtype)
     size = context.get_constant(types.intp, context.get_abi_sizeof(item))
@@ -35,28 +35,28 @@ def lowered_array(context: Any, builder: Any, kind: Any, address: Any, shape: li
     return array._getvalue()
 
 
-def _at(_context: Any, address: Any, shape: Any, dtype: Any) -> Any:
+def _view_array(_context: Any, address: Any, shape: Any, dtype: Any) -> Any:
     several = isinstance(shape, types.BaseTuple)
     kind = types.Array(dtype.dtype, len(shape) if several else 1, "C")
 
-    def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        lengths = cgutils.unpack_tuple(builder, given[1]) if several else [given[1]]
-        whole = [
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        lengths = cgutils.unpack_tuple(builder, args[1]) if several else [args[1]]
+        lengths = [
             context.cast(builder, n, t, types.intp) for n, t in zip(lengths, shape if several else [shape], strict=True)
         ]
-        return lowered_array(context, builder, kind, context.cast(builder, given[0], address, types.intp), whole)
+        return lowered_array(context, builder, kind, context.cast(builder, args[0], address, types.intp), lengths)
 
     return kind(address, shape, dtype), lower
 
 
-array_at: Any = intrinsic(_at)
+array_at: Any = intrinsic(_view_array)
 """See stage.native.records."""
 
 
-def _room(_context: Any, rows: Any, columns: Any) -> Any:
+def _allocate_room(_context: Any, rows: Any, columns: Any) -> Any:
     kind = types.Array(types.float64, 2, "C")
 
-    def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         words = rows.literal_value * columns.literal_value
         place = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), words))
         address = builder.ptrtoint(place, context.get_value_type(types.intp))
@@ -68,7 +68,7 @@ def _room(_context: Any, rows: Any, columns: Any) -> Any:
     return kind(rows, columns), lower
 
 
-room: Any = intrinsic(prefer_literal=True)(_room)
+room: Any = intrinsic(prefer_literal=True)(_allocate_room)
 """See stage.native.records."""
 
 
@@ -76,8 +76,8 @@ _FLOAT_MODES = {"x86_64": 0x1F80, "AMD64": 0x1F80, "aarch64": 0, "arm64": 0}
 """The usual mode of arithmetic, in the processor's own bits: rounding to nearest, no traps, small numbers kept."""
 
 
-def _usual(_context: Any) -> Any:
-    def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+def _set_usual_mode(_context: Any) -> Any:
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         usual, before = _FLOAT_MODES.get(platform.machine()), ir.Constant(ir.IntType(64), 0)
         if usual is not None:
             before = _get_float_mode(builder)
@@ -87,10 +87,10 @@ def _usual(_context: Any) -> Any:
     return types.int64(), lower
 
 
-def _as_before(_context: Any, mode: Any) -> Any:
-    def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+def _restore_mode(_context: Any, mode: Any) -> Any:
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         if platform.machine() in _FLOAT_MODES:
-            _set_float_mode(builder, context.cast(builder, given[0], mode, types.int64))
+            _set_float_mode(builder, context.cast(builder, args[0], mode, types.int64))
         return context.get_dummy_value()
 
     return types.void(mode), lower
@@ -122,13 +122,13 @@ def _set_float_mode(builder: Any, mode: Any) -> None:
     builder.call(load, [builder.bitcast(place, cgutils.voidptr_t)])
 
 
-usual_float_mode: Any = intrinsic(_usual)
-float_mode_as_before: Any = intrinsic(_as_before)
+usual_float_mode: Any = intrinsic(_set_usual_mode)
+float_mode_as_before: Any = intrinsic(_restore_mode)
 """See stage.native.functions."""
 
 
 def _frame_address(_context: Any) -> Any:
-    def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kind = ir.FunctionType(cgutils.voidptr_t, [ir.IntType(32)])
         place = cgutils.get_or_insert_function(builder.module, kind, "llvm.frameaddress.p0")
         return builder.ptrtoint(builder.call(place, [ir.Constant(ir.IntType(32), 0)]), ir.IntType(64))
@@ -140,10 +140,10 @@ def _stack_mark(_context: Any, words: Any, value: Any) -> Any:
     if not isinstance(words, types.IntegerLiteral):
         raise TypingError("stack_mark() takes a number of words that is known when it is compiled.")
 
-    def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         word, count = ir.IntType(64), words.literal_value
         block = cgutils.alloca_once(builder, word, size=ir.Constant(word, count))
-        content = context.cast(builder, given[1], value, types.int64)
+        content = context.cast(builder, args[1], value, types.int64)
         for k in range(count):
             builder.store(builder.add(content, ir.Constant(word, k)), builder.gep(block, [ir.Constant(word, k)]))
         return builder.ptrtoint(block, word)
@@ -157,7 +157,7 @@ stack_mark: Any = intrinsic(prefer_literal=True)(_stack_mark)
 
 
 def type_of(kind: Any) -> Any:
-    """numba's type of a result or an argument."""
+    """Return numba's type of a result or an argument."""
     if kind is None:
         return types.void
     dtype = getattr(kind, "dtype", kind)
@@ -167,7 +167,7 @@ def type_of(kind: Any) -> Any:
 
 
 def register(exported: type) -> None:
-    """Hot functions call exported ones by their symbols; those that take arrays are compiled into their callers."""
+    """Let hot functions call exported ones by their symbols; those that take arrays are compiled into their callers."""
 
     @typeof_impl.register(exported)
     def typeof_exported(function: Any, _context: Any) -> Any:
@@ -178,19 +178,19 @@ def register(exported: type) -> None:
 
 
 def called(result: str | None, arguments: tuple) -> Any:
-    """See stage.native.functions."""
+    """Return the intrinsic of `stage.native.functions.called`."""
     returned, wanted = type_of(result), [type_of(a) for a in arguments]
 
-    def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         of_address, of_values = signature.args
         kind = ir.FunctionType(
             ir.VoidType() if returned == types.void else context.get_value_type(returned),
             [context.get_value_type(w) for w in wanted],
         )
-        address = context.cast(builder, given[0], of_address, types.intp)
+        address = context.cast(builder, args[0], of_address, types.intp)
         values = [
             context.cast(builder, value, has, want)
-            for value, has, want in zip(cgutils.unpack_tuple(builder, given[1]), of_values, wanted, strict=True)
+            for value, has, want in zip(cgutils.unpack_tuple(builder, args[1]), of_values, wanted, strict=True)
         ]
         done = builder.call(builder.inttoptr(address, kind.as_pointer()), values)
         return context.get_dummy_value() if returned == types.void else done
@@ -203,11 +203,11 @@ def called(result: str | None, arguments: tuple) -> Any:
 
 
 def exchange(old: int | None, new: int | None) -> Any:
-    """See stage.native.functions."""
+    """Return the intrinsic of `stage.native.functions.exchange`."""
     word = ir.IntType(64)
 
-    def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        address, named = (context.cast(builder, g, t, types.int64) for g, t in zip(given, signature.args, strict=True))
+    def lower(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        address, named = (context.cast(builder, g, t, types.int64) for g, t in zip(args, signature.args, strict=True))
         before, after = (named if v is None else ir.Constant(word, v) for v in (old, new))
         place = builder.inttoptr(address, word.as_pointer())
         return builder.extract_value(builder.cmpxchg(place, before, after, "acq_rel", "monotonic"), 1)

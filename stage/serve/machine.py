@@ -106,7 +106,7 @@ class Machine:
             raise ArgumentError(f"BATCH: {len(body)} bytes; an entry has {client.ENTRY.size}.")
         room = _Room(n) if self._in_batch else self._room  # the outer batch is not done yet
         room.bytes[: len(body)] = body
-        wrong = first_wrong.held(room.asked, n)
+        wrong = first_wrong.with_gil(room.asked, n)
         if wrong < n:
             raise ArgumentError(
                 f"BATCH, entry {wrong}: {_in_words(room.entries[wrong])}. Nothing of this batch was done."

@@ -188,7 +188,7 @@ class Axis:
     def electrics(self) -> tuple[Any, float]:
         """Its drive's record (stage.drives.stepper.DRIVE, currents among it), and the pulses that the drive has been given, net."""
         chip = self.chip
-        return self.stage.state.drives[self.index], float(chip.CORE.net.held(chip.pointer, self.chip_axis))
+        return self.stage.state.drives[self.index], float(chip.CORE.net.with_gil(chip.pointer, self.chip_axis))
 
     def __reduce__(self) -> tuple:
         """A copy is the same axis of a copy of its stage: by itself it would be a chip that nothing drives."""

@@ -147,7 +147,7 @@ class Fleet:
         """The stages that Python has to play: those being recorded, or whose chips keep a journal or lose writes; all of
         them where MuJoCo calls somebody back."""
         found = []
-        all_of_them = engine.called_back.held(self._first)
+        all_of_them = engine.called_back.with_gil(self._first)
         for k, stage in enumerate(self.stages):
             stage.look()
             stage.loop.check_options()

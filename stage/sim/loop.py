@@ -92,11 +92,11 @@ class Loop:
         """Within this context no other thread runs the stage. Raises StageError if another thread runs it now."""
         mine = token()
         try:
-            if not engine.take.held(self._pointer, mine):
+            if not engine.take.with_gil(self._pointer, mine):
                 raise StageError(IN_USE)
             yield
         finally:
-            engine.give.held(self._pointer, mine)
+            engine.give.with_gil(self._pointer, mine)
 
     # --- time ---
 
@@ -217,7 +217,7 @@ class Loop:
         """Make a change to MuJoCo's state, and all that follows from it. Raises SimulationError where one of its callbacks raises;
         the state is then as it was. For who has the stage `alone`."""
         model, data = self.state.model, self.state.data
-        if not engine.called_back.held(self._pointer):
+        if not engine.called_back.with_gil(self._pointer):
             change()
             mujoco.mj_forward(model, data)
             return
@@ -255,7 +255,7 @@ class Loop:
             raise ArgumentError(f"axis={axis!r}: the stage has axes 0 to {len(self.state.axis_table) - 1}.")
         self.look()
         with self.alone():
-            engine.look_again.held(self._pointer, axis)
+            engine.look_again.with_gil(self._pointer, axis)
         if n := int(self.state.handle["noted"]):
             self.note_edges(n)
             self.state.handle["noted"] = 0

@@ -141,7 +141,7 @@ class Stage:
         callbacks.forward(self.model, self.data)
         integration.check_dampers(self.model, self._plant, drives)
         integration.check_step(self.model, self.data, self._plant, drives)
-        engine.settle.held(self.state.pointer)
+        engine.settle.with_gil(self.state.pointer)
         self.run_to(0)
         self._initial = self.snapshot()
 
@@ -386,7 +386,7 @@ class Stage:
 
         with self.loop.alone():
             self.loop.moved(put)
-            engine.settle.held(self.state.pointer)
+            engine.settle.with_gil(self.state.pointer)
         for axis in self._axes:
             chip: Any = axis.chip
             if chip.open_journal is not None:

@@ -28,9 +28,9 @@ CHIP_OBSERVERS = {
     "twin": lambda chip, axis: chip.twin().advance(10_000),
     "snapshot": lambda chip, axis: chip.snapshot(),
     "core": lambda chip, axis: [
-        getattr(chip.CORE, name).held(chip.pointer, axis) for name in ("counter", "status", "busy")
+        getattr(chip.CORE, name).with_gil(chip.pointer, axis) for name in ("counter", "status", "busy")
     ],
-    "peek": lambda chip, axis: [chip.CORE.peek.held(chip.pointer, k) for k in range(chip.ADDRESSES)],
+    "peek": lambda chip, axis: [chip.CORE.peek.with_gil(chip.pointer, k) for k in range(chip.ADDRESSES)],
 }
 STARTS = (0x15, 0x10, 0x151, 0x152, 0x120, 0x121, 0x122, 0x161, 0x173, 0x175)
 """Start commands of the families, among the random words."""

@@ -158,9 +158,11 @@ def test_a_process_that_runs_a_stage_loads_neither_numba_nor_a_compiler():
 
 
 def test_records_of_uncompiled_runs_are_numpys_but_quicker():
-    inner = np.dtype((records._quick(np.dtype([("k", "i8"), ("v", "f8", (3,))])), [("k", "i8"), ("v", "f8", (3,))]))
+    inner = np.dtype(
+        (records._make_fast_record(np.dtype([("k", "i8"), ("v", "f8", (3,))])), [("k", "i8"), ("v", "f8", (3,))])
+    )
     fields = [("a", inner), ("bs", inner, (2,)), ("n", "i4")]
-    quick = np.zeros(2, (records._quick(np.dtype(fields)), fields))
+    quick = np.zeros(2, (records._make_fast_record(np.dtype(fields)), fields))
     theirs = np.zeros(2, (np.record, fields))
     for rows in (quick, theirs):
         row = rows[1]
@@ -176,4 +178,4 @@ def test_records_of_uncompiled_runs_are_numpys_but_quicker():
     assert back.dtype.type is np.record
     assert back.tobytes() == quick.tobytes()
     assert type(quick[1]).n is not None, "an attribute of its own, looked up in C"
-    assert records._quick(np.dtype([("item", "i4")])) is np.record, "a name that NumPy has itself"
+    assert records._make_fast_record(np.dtype([("item", "i4")])) is np.record, "a name that NumPy has itself"

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from stage import NativeError
-from stage.native import COMPILED, build, load, refusals, seal
+from stage.native import COMPILED, build, compile_errors, load, object_files
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="asks of the compiled library")
 
@@ -84,8 +84,8 @@ def test_a_change_of_a_constant_in_a_module_that_a_hot_one_imports_is_built_anew
     assert done.stdout == "45\n"
     assert done.stderr.startswith("PulseStage: building the native library of toy: 1 of 1 parts ...")
     assert run(toy).stderr == ""
-    kept = [path.name for path in (toy / "toy" / "__pycache__").glob("*.o")]
-    assert len(kept) == 2, "the manifest and the part as it is now"
+    objects = [path.name for path in (toy / "toy" / "__pycache__").glob("*.o")]
+    assert len(objects) == 2, "the manifest and the part as it is now"
 
 
 def test_what_a_hot_module_imports_belongs_to_its_sources_however_it_is_imported(tmp_path):
@@ -96,7 +96,7 @@ def test_what_a_hot_module_imports_belongs_to_its_sources_however_it_is_imported
     known = {name: tmp_path / "core.py" for name in ("toy", "toy.core", "toy.constants", "toy.more")}
     for line, found in lines.items():
         (tmp_path / "core.py").write_text(line)
-        assert {origin for origin, _ in build._imports("toy.core", build._parse(line), known)} == found, line
+        assert {origin for origin, _ in build._list_imports("toy.core", build._parse(line), known)} == found, line
 
 
 CALLER = """
@@ -148,7 +148,7 @@ def test_an_object_is_made_again_for_a_change_of_its_code_and_of_what_is_compile
     def depends(texts):
         for name, text in texts.items():
             (tmp_path / f"{name}.py").write_text(text)
-        return build._closure(["toy.caller"], known)
+        return build._find_dependencies(["toy.caller"], known)
 
     before, after = depends(texts), depends(texts | {file: texts[file].replace(old, new)})
     compiled_in = file == "callee" and imported != "plain"
@@ -156,10 +156,12 @@ def test_an_object_is_made_again_for_a_change_of_its_code_and_of_what_is_compile
 
 
 def test_an_edit_of_the_engine_makes_one_part_of_the_library_again():
-    places = load.folders("stage")
+    places = load.find_folders("stage")
     known = {module: Path(source) for module, source in load.modules(places)}
-    parts = build._parts("stage", places)
-    assert [name for name in parts if "stage.sim.engine" in build._closure(parts[name], known)] == ["stage.sim"]
+    parts = build._list_parts("stage", places)
+    assert [name for name in parts if "stage.sim.engine" in build._find_dependencies(parts[name], known)] == [
+        "stage.sim"
+    ]
 
 
 def test_a_terminal_is_told_how_far_a_build_is(monkeypatch):
@@ -167,10 +169,10 @@ def test_a_terminal_is_told_how_far_a_build_is(monkeypatch):
     terminal = io.StringIO()
     terminal.isatty = lambda: True
     monkeypatch.setattr(sys, "stderr", terminal)
-    say = build._Progress("building toy", 2, 3)
-    say.one()
-    say.one()
-    say.done()
+    say = build._ProgressLine("building toy", 2, 3)
+    say.count_part()
+    say.count_part()
+    say.finish()
     lines = [f"building toy: {n} of {of} parts ..." for n, of in ((2, 3), (1, 2), (2, 2))]
     assert terminal.getvalue() == "\r".join(lines) + " done\n"
 
@@ -202,14 +204,14 @@ def test_a_new_module_is_missed_wherever_the_project_file_is(toy, project):
     [
         ({"target": "plan9-vax"}, f"was built for plan9-vax, this is {load.target()}"),
         (
-            {"needs": [*sorted(load.features())[:1], "telepathy", "luck"]},
+            {"needs": [*sorted(load.read_features())[:1], "telepathy", "luck"]},
             "a processor with telepathy, luck, which this one",
         ),
     ],
 )
 def test_a_library_for_another_machine_is_refused_in_words(toy, change, words):
     path = toy / "toy" / load.NAME
-    manifest = load.manifest_of(path)
+    manifest = load.read_manifest(path)
     path.write_bytes(load.MARK + json.dumps(manifest | change | {"digest": load.NO_DIGEST}).encode() + b"\0")
     done = run(toy, WITHOUT_NUMBA + RUN, check=False)
     assert done.returncode == 1
@@ -276,9 +278,9 @@ def test_an_object_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
     And the power fails: empty objects under names that were trusted."""
     synced = []
     monkeypatch.setattr(os, "fsync", lambda handle: synced.append(os.fstat(handle).st_ino))
-    seal.keep(tmp_path / "toy.o", b"made")
+    object_files.write_object(tmp_path / "toy.o", b"made")
     assert synced == [(tmp_path / name).stat().st_ino for name in ("toy.o", "toy.o.sha256")]
-    assert seal.kept(tmp_path / "toy.o")
+    assert object_files.is_intact(tmp_path / "toy.o")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a linker's option")
@@ -289,7 +291,7 @@ def test_what_is_missing_in_pulsestages_own_library_is_found_by_the_link(toy, tm
     (tmp_path / "calls.c").write_text(
         "long toy_1core_1stepped(long); long calls(long n) { return toy_1core_1stepped(n); }"
     )
-    subprocess.run([*build.linker(), "-fPIC", "-c", "calls.c"], cwd=tmp_path, check=True)
+    subprocess.run([*build.find_linker(), "-fPIC", "-c", "calls.c"], cwd=tmp_path, check=True)
     calls, manifest = tmp_path / "calls.o", part.with_name("manifest.o")
     build._link([calls, part], manifest, tmp_path / "whole.so", complete=True)
     build._link([calls], manifest, tmp_path / "of_a_package.so", complete=False)
@@ -335,7 +337,7 @@ def emitted_to(place):
     """What a process says that emits nothing but keeps it at a place."""
     program = (
         "import multiprocessing as m, sys\nfrom pathlib import Path\nfrom stage.native import emit\n"
-        f"emit.emit = lambda *_: b'made'\nemit.keep = lambda path, made: Path({place!r}).write_bytes(made)\n"
+        f"emit.emit = lambda *_: b'made'\nemit.write_object = lambda path, made: Path({place!r}).write_bytes(made)\n"
         "emit._emit_next(m.Value('q'), [['toy.o', 'toy.core']], None)"
     )
     done = subprocess.run(
@@ -384,8 +386,8 @@ def test_the_place_told_is_ours_and_not_within_numba(tmp_path):
     inner.write_text("theirs()\n")
     outer.write_text("\nours()\n")
     error = TypeError(f"no such thing\nDuring: lowering at {inner} (1)\nDuring: typing of call at {outer} (2)\n")
-    said = refusals.told(refusals.told, error)
-    assert said.splitlines()[0] == f'File "{outer}", line 2, in hot function told:'
+    said = compile_errors.explain_compile_error(compile_errors.explain_compile_error, error)
+    assert said.splitlines()[0] == f'File "{outer}", line 2, in hot function explain_compile_error:'
     assert said.splitlines()[1].strip() == "ours()"
 
 
@@ -437,7 +439,7 @@ def test_the_builder_says_where_the_library_is(toy):
 
 def test_a_package_that_is_not_there_is_named():
     with pytest.raises(NativeError, match="'no_such_package' cannot be found"):
-        load.folders("no_such_package")
+        load.find_folders("no_such_package")
 
 
 def test_a_library_is_linked_by_the_first_compiler_there_is(tmp_path, monkeypatch):
@@ -450,13 +452,13 @@ def test_a_library_is_linked_by_the_first_compiler_there_is(tmp_path, monkeypatc
     monkeypatch.setattr(build, "COMPILERS", ("cc", "clang", "gcc"))
     there = [True]
     monkeypatch.setattr(build, "find_spec", lambda name: there and util.find_spec("sys"))
-    assert build.linker() == [sys.executable, "-m", "ziglang", "cc"]
+    assert build.find_linker() == [sys.executable, "-m", "ziglang", "cc"]
     (tmp_path / "gcc").touch(0o755)
-    assert build.linker() == ["gcc"]
+    assert build.find_linker() == ["gcc"]
     (tmp_path / "gcc").unlink()
     there.clear()
     with pytest.raises(NativeError, match="install a C compiler, or pip install ziglang"):
-        build.linker()
+        build.find_linker()
 
 
 def test_a_build_by_another_numba_or_a_link_that_fails_leaves_nothing(tmp_path, monkeypatch):
@@ -535,7 +537,9 @@ def test_a_library_that_was_built_with_another_pulsestage_is_refused_in_words(to
     here = importlib.util.spec_from_file_location(
         "toy", toy / "toy" / "__init__.py", submodule_search_locations=[str(toy / "toy")]
     )
-    before = load.digest_of
-    monkeypatch.setattr(load, "digest_of", lambda source: "another" if "arithmetic" in str(source) else before(source))
-    said = load.unfit("toy", toy / "toy" / load.NAME)
+    before = load.digest_file
+    monkeypatch.setattr(
+        load, "digest_file", lambda source: "another" if "arithmetic" in str(source) else before(source)
+    )
+    said = load.find_misfit("toy", toy / "toy" / load.NAME)
     assert said.endswith("was built with another version of PulseStage: stage.native.arithmetic is not as it was there")

@@ -21,27 +21,27 @@ HANDED_OUT = {
 }
 
 
-def use(kept):
+def use(part):
     """What one does with each of them."""
-    if isinstance(kept, Board):
-        return kept.in8(0x300)
-    if isinstance(kept, Fleet):
-        return kept.play([Program().wait(1e-3)]).diverged.any()
-    if isinstance(kept, PCL240K):
-        kept.write(0, 0x08)
-        return kept.read(0)
-    return repr(kept)
+    if isinstance(part, Board):
+        return part.in8(0x300)
+    if isinstance(part, Fleet):
+        return part.play([Program().wait(1e-3)]).diverged.any()
+    if isinstance(part, PCL240K):
+        part.write(0, 0x08)
+        return part.read(0)
+    return repr(part)
 
 
 @pytest.mark.parametrize("what", HANDED_OUT)
 def test_what_a_stage_handed_out_works_when_nobody_else_keeps_the_stage(what):
     stage = Stage("xy", visuals=False)
-    kept, gone = HANDED_OUT[what](stage), weakref.ref(stage)
+    part, gone = HANDED_OUT[what](stage), weakref.ref(stage)
     del stage
     gc.collect()
     rubbish = [np.full(50_000, 7.0) for _ in range(40)]  # takes the place of what was freed
     assert gone() is not None
-    use(kept)
-    del rubbish, kept
+    use(part)
+    del rubbish, part
     gc.collect()
     assert gone() is None, "and nothing keeps it longer"

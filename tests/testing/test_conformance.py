@@ -196,7 +196,8 @@ def test_a_look_that_changes_something_is_found_also_where_reading_acts(address)
 
     state = np.zeros(1, np.int64)
     chip = SimpleNamespace(
-        AXES=1, ADDRESSES=4, DATA_MASK=255, READING_ACTS={3}, CORE=SimpleNamespace(peek=SimpleNamespace(held=peek)), state=state,
+        AXES=1, ADDRESSES=4, DATA_MASK=255, READING_ACTS={3}, CORE=SimpleNamespace(peek=SimpleNamespace(with_gil=peek)),
+        state=state,
         pointer=0, output_word=lambda axis: 0, read=lambda at: 0,
     )  # fmt: skip
     with pytest.raises(Looks, match=f"^after peek\\({address}h\\)$"):

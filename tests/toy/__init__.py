@@ -41,7 +41,7 @@ class TOY(Chip):
         return Listener(self.MAP)
 
     def values(self) -> dict[str, int]:
-        return {r.name: self.CORE.peek.held(self.pointer, r.number) for r in self.MAP.registers}
+        return {r.name: self.CORE.peek.with_gil(self.pointer, r.number) for r in self.MAP.registers}
 
 
 class TOY8(TOY):

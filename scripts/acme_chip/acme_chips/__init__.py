@@ -41,7 +41,7 @@ class ACME1000(Chip):
         return words.Listener()
 
     def values(self):
-        return {r.name: core.peek.held(self.pointer, r.number) for r in self.MAP.registers}
+        return {r.name: core.peek.with_gil(self.pointer, r.number) for r in self.MAP.registers}
 
     def mistake(self, address, value):
         return words.mistake(self._plain, address, value)

@@ -376,4 +376,4 @@ def compute_as_before(mode):
     float_mode_as_before(mode)
 
 
-REQUEST = request.kind
+REQUEST = request.prototype

@@ -131,7 +131,7 @@ class Isolated:
         if os.getpid() != self._owner:
             self._leave_to_owner()
         board.link.check_is_current()
-        if engine.called_back.held(stage.state.pointer):
+        if engine.called_back.with_gil(stage.state.pointer):
             raise StageError(
                 "MuJoCo calls a function in Python back, which the process of the firmware does not have: run the firmware with "
                 "isolated=False."

@@ -81,18 +81,18 @@ class HCTL1100(Chip):
     @property
     def encoder(self) -> int:
         """The encoder's raw count. Set, the shaft is there and stands still."""
-        return core.encoder_count.held(self.pointer)
+        return core.encoder_count.with_gil(self.pointer)
 
     @encoder.setter
     def encoder(self, count: int) -> None:
-        lost = core.lost.held(self.pointer)
+        lost = core.lost.with_gil(self.pointer)
         self.set_shaft(count + lost + 0.5 if lost else count)  # between two counts, where rounding does not matter
 
     @property
     def missed(self) -> float:
         """Counts that came faster than one in three clocks, plus minus minus: the encoder's input filter lets none of them
         through, and the shaft is so far ahead of the count."""
-        return core.lost.held(self.pointer)
+        return core.lost.with_gil(self.pointer)
 
     @property
     def shaft(self) -> tuple[float, float]:
@@ -117,10 +117,10 @@ class HCTL1100(Chip):
         """The command position as a raw count of the encoder: there `encoder` is when the actual position is the command position.
         The chip makes no pulses."""
         self._check_axis(axis)
-        return core.net.held(self.pointer, 0)
+        return core.net.with_gil(self.pointer, 0)
 
     def values(self) -> dict[str, int]:
-        return {r.name: core.value.held(self.pointer, r.number) for r in self.MAP.registers}
+        return {r.name: core.value.with_gil(self.pointer, r.number) for r in self.MAP.registers}
 
     def decoder(self, axis: int = 0) -> Decoder:
         self._check_axis(axis)

@@ -141,7 +141,7 @@ class Nova(Chip):
 
     def values(self) -> dict[str, int]:
         words = (w.name for w in self.MAP.words if w.name.startswith("RR"))
-        return {name: core.value.held(self.pointer, int(name[2]), name == "RR3-1") for name in words}
+        return {name: core.value.with_gil(self.pointer, int(name[2]), name == "RR3-1") for name in words}
 
     def values_of(self, axis: int = 0) -> dict[str, int]:
         """Words of an axis as if a host had selected it; registers as the reading commands say, or as they were written."""
@@ -149,18 +149,18 @@ class Nova(Chip):
         chip, map_, found = self.twin(), self.MAP, {}
         c: Any = chip.state
         select = 1 << axis << 8
-        core.write.held(chip.pointer, 0, select | map_.command("NOP").code)
+        core.write.with_gil(chip.pointer, 0, select | map_.command("NOP").code)
         for w in map_.words:
             n = w.address
             if n and w.written:
                 common = {4: "outputs4", 5: "outputs5", 6: "low", 7: "high"}
                 found[w.name] = int(c["ax"][axis]["wr"][n]) if n <= 3 else int(c[common[n]])
             elif n is not None and w.fields and not w.written:
-                found[w.name] = core.value.held(chip.pointer, n, w.name == "RR3-1")
+                found[w.name] = core.value.with_gil(chip.pointer, n, w.name == "RR3-1")
         reads = {k.symbol.removeprefix("R-"): k for k in map_.commands if k.kind == "data read"}
         for r in map_.registers:
             if (read := reads.get(r.name)) is not None:
-                core.write.held(chip.pointer, 0, (select if read.axes else 0) | read.code)
+                core.write.with_gil(chip.pointer, 0, (select if read.axes else 0) | read.code)
                 found[r.name] = r.value(int(c["read_high"]) << 16 | int(c["read_low"]))
             elif (place := self._place(r.name)) is not None:
                 name, k = place

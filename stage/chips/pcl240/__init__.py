@@ -137,8 +137,8 @@ class PCL240(Chip):
         return Listener(self.MAP, self.state)
 
     def values(self) -> dict[str, int]:
-        return {r.name: core.value.held(self.pointer, k) for k, r in enumerate(self.MAP.registers)} | {
-            "status": core.read.held(self.pointer, 0)
+        return {r.name: core.value.with_gil(self.pointer, k) for k, r in enumerate(self.MAP.registers)} | {
+            "status": core.read.with_gil(self.pointer, 0)
         }
 
     def mistake(self, address: int, value: int) -> lint.Note | None:

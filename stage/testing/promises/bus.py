@@ -112,7 +112,7 @@ def _check_reads(t: Trial, chip: Chip) -> None:
         chip.output_word(k)
     for address in range(chip.ADDRESSES):
         before = chip.state.tobytes()
-        chip.CORE.peek.held(chip.pointer, address)
+        chip.CORE.peek.with_gil(chip.pointer, address)
         t.require_same_bits(before, chip.state.tobytes(), f"after peek({address:X}h)")
         if address in chip.READING_ACTS:
             continue
@@ -215,7 +215,7 @@ def words(t: Trial) -> None:
         for act in t.draw_program(rng):
             if act.kind in ("write", "read"):
                 text = ""
-                value = act.b if act.kind == "write" else int(chip.CORE.peek.held(chip.pointer, act.a))
+                value = act.b if act.kind == "write" else int(chip.CORE.peek.with_gil(chip.pointer, act.a))
                 try:
                     text = getattr(listener, act.kind)(act.a, value)
                 except Exception as error:

@@ -96,7 +96,7 @@ def _check_course_pins(t: Trial, rng: np.random.Generator) -> None:
                 f"{n} clocks after the start the course shows output {pins} at another level than the chip"
             )
         for what, course, real in (
-            ("net", int(edge["net"]), int(probe.CORE.net.held(probe.pointer, axis))),
+            ("net", int(edge["net"]), int(probe.CORE.net.with_gil(probe.pointer, axis))),
             ("counter", int(edge["counter"]), read_counter(probe, axis)),
         ):
             if course != real and t.counts_pulses:

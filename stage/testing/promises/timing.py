@@ -125,7 +125,7 @@ def windows(t: Trial) -> None:
 def _check_windows(t: Trial, chip: Chip, slices: int, ticks: int) -> None:
     core = chip.CORE
     by_run, by_window, by_advance = chip.twin(), chip.twin(), chip.twin()
-    nets = np.array([core.net.held(chip.pointer, k) for k in range(chip.AXES)])
+    nets = np.array([core.net.with_gil(chip.pointer, k) for k in range(chip.AXES)])
     clocks = chip.clock + ticks * np.arange(1, slices + 1)
     means, counts = np.zeros((chip.AXES, slices)), nets.copy()
     row, table = np.zeros(1, cores.CHIP), np.zeros(chip.AXES, cores.CHIP_AXIS)
@@ -142,7 +142,7 @@ def _check_windows(t: Trial, chip: Chip, slices: int, ticks: int) -> None:
         core.run.c(by_run.pointer, until)
         for j in range(chip.AXES):
             expected[j, k] = core.drive_input.c(by_run.pointer, j, int(nets[j]), float(ticks))
-            nets[j] = core.net.held(by_run.pointer, j)
+            nets[j] = core.net.with_gil(by_run.pointer, j)
     by_advance.advance(slices * ticks)
     t.require_same_state(by_run, by_advance, f"after run and advance by {slices * ticks} clocks")
     t.require_same_state(by_run, by_window, f"after run and window by {slices} slices of {ticks} clocks")

@@ -82,7 +82,7 @@ class TMC5160(Chip):
         stage they come from the motor. Not noted in journals. Raises ArgumentError."""
         if self.attached or not (0 <= lam <= 1024 and 0 <= emf <= 1024):
             raise ArgumentError(f"set_load({lam!r}, {emf!r}): 0 to 1024 each, of a chip on no stage.")
-        core.load.held(self.pointer, int(lam), int(emf))
+        core.load.with_gil(self.pointer, int(lam), int(emf))
 
     def set_input_word(self, axis: int, word: int) -> None:
         if self._plain["fed"] and (word ^ self.input_word(axis)) & encoder.PINS:
@@ -95,7 +95,7 @@ class TMC5160(Chip):
     @property
     def amplitude(self) -> float:
         """Of the phase currents as the registers ask for them, A; 0 while the power stage is off."""
-        return float(core.current.held(self.pointer, 0))
+        return float(core.current.with_gil(self.pointer, 0))
 
     def explain_missing_current(self, axis: int = 0) -> str:
         """Say why the power stage gives the motor no current, which on a real board lets a vertical axis fall."""
@@ -114,7 +114,7 @@ class TMC5160(Chip):
 
     def values(self) -> dict[str, int]:
         pointer = self.pointer
-        return {r.name: r.value(core.register.held(pointer, r.number)) for r in MAP.registers if r.name != "OUTPUT"}
+        return {r.name: r.value(core.register.with_gil(pointer, r.number)) for r in MAP.registers if r.name != "OUTPUT"}
 
     def decoder(self, axis: int = 0) -> Decoder:
         return Decoder()

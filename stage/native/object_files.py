@@ -1,0 +1,38 @@
+"""Object files that are kept between builds, each with its SHA-256 beside it, so that a damaged one is made again."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+
+def write_object(path: Path, content: bytes) -> None:
+    """Write an object and its digest, so that no power cut leaves the name without the content.
+
+    Args:
+        path: File to write.
+        content: Object.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    for target, written in ((path, content), (_digest_path(path), hashlib.sha256(content).hexdigest().encode())):
+        part = Path(f"{target}.part")
+        with part.open("wb") as file:
+            file.write(written)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(target)
+
+
+def is_intact(path: Path) -> bool:
+    """Whether an object exists as it was written."""
+    try:
+        return _digest_path(path).read_bytes() == hashlib.sha256(path.read_bytes()).hexdigest().encode()
+    except OSError:
+        return False
+
+
+def _digest_path(path: Path) -> Path:
+    return Path(f"{path}.sha256")
