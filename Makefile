@@ -28,7 +28,7 @@ help:
 	@echo "make docs       the documentation site, in build/site/html (extra docs)"
 	@echo "make notebooks  runs docs/notebooks from the beginning to the end"
 	@echo "make tutorials  follow every tutorial word for word, each in a fresh environment with a wheel of this checkout"
-	@echo "make lint       ruff, the layers of the architecture, mypy"
+	@echo "make lint       ruff, words of names, the layers of the architecture, mypy"
 	@echo "make ci         all that .github/workflows/ci.yml does on this Python"
 	@echo "make bench      speed, as ratios measured in one run"
 	@echo "make results    baselines of RegisterTuning: packages/registerbench/docs/results.md, which says how long it takes (extra rl)"
@@ -152,6 +152,7 @@ lint: .venv/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff check -q --preview --select PLC2701 .  # imports of names with an underscore, a rule in preview
 	$(BIN)/ruff format --check .
+	$(BIN)/python scripts/check_words.py
 	rm -rf build/types && mkdir -p $(TYPES)
 	ln -s $(CURDIR)/stage/* $(CURDIR)/envs $(TYPES)/  # as installed: envs is stage.envs
 	ln -s $(CURDIR)/packages/registerbench/registerbench $(CURDIR)/packages/trinamic/pulsestage_trinamic build/types/
