@@ -14,7 +14,7 @@ from fuzzing.rows import finite, record
 from stage.chips import Chip
 from stage.chips.chip import Pins
 from stage.chips.journal import Journal
-from stage.chips.nova import MCX514, core, held, state
+from stage.chips.nova import MCX514, core, lint, state
 from stage.chips.nova.functions import split_pulse, timer
 from stage.chips.nova.interpolation import circle as circular
 from stage.chips.nova.interpolation import line as linear
@@ -56,7 +56,7 @@ INTERPOLATION_AXES = (0x03, 0x07, 0x0F, 0x05, 0x43, 0x87, 0x103, 0x203)  # IPM
 def counted_core() -> Work:
     """The core's functions between two events, wrapped once to be counted: `calls` of _settle; `steps`: what may cause one."""
     work = Work()
-    held.Held._record_copy = lambda self: record(self._record, state.STATE)  # type: ignore[method-assign]
+    lint.LintState.copy_record = lambda self: record(self._record, state.STATE)  # type: ignore[method-assign]
 
     def counting(module: Any, name: str, calls: int = 0, steps: int = 0) -> None:
         function = getattr(module, name)

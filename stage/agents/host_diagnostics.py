@@ -7,9 +7,9 @@ no bit for the switch. In host mode each write is judged once more on a copy of 
 from __future__ import annotations
 
 from collections import deque
-from typing import Any
 
-from stage.chips.chip import Chip, Diagnostic, Limit
+from stage.chips.chip import Chip
+from stage.chips.diagnostics import Diagnostic
 
 MAX_DIAGNOSTICS = 200
 
@@ -43,20 +43,16 @@ class HostDiagnostics:
 
     def _judge(self, address: int, value: int) -> bool:
         """Judge a write before it reaches the chip; False: the write is not lost."""
-        if self.chip.mistake(address, value):
+        if any(self.chip.lint(address, value)):
             twin = self.chip.twin()
             for k in range(twin.AXES):
                 twin.set_input_word(k, twin.input_word(k) & self._mask)
-            found = twin.mistake(address, value)
-            if found and not (isinstance(found, Limit) and any(_is_same(d, found) for d in self._found)):
-                self._found.append(Diagnostic(self.chip.clock, address, value, *found))
+            for rule, message in twin.lint(address, value):
+                if not rule.once or all(d.key != rule.key for d in self._found):
+                    self._found.append(Diagnostic(self.chip.clock, address, value, message, rule.source, rule.key))
         return False
 
 
 def find_readable_pins(kind: type[Chip]) -> frozenset[str]:
     """Find the pins that registers and words of the chip show, by its register map."""
     return frozenset(pin.removeprefix("/") for place in kind.MAP.places for f in place.fields for pin in f.pins)
-
-
-def _is_same(noted: Diagnostic, found: Any) -> bool:
-    return noted.source == found.source and noted.message.split(":")[0] == found.message.split(":")[0]

@@ -29,7 +29,7 @@ from stage.board.interrupt_hooks import PYTHONS_TIMERS
 from stage.board.link import Link
 from stage.board.trace import BusTrace, Cycle, Meaning
 from stage.board.waveforms import HostWaveforms
-from stage.chips.late import LateLint
+from stage.chips.diagnostics import JournalLint
 from stage.errors import ArgumentError, StageError, unknown
 from stage.sim.stage import LONGEST, Stage
 from stage.support.arguments import told
@@ -94,8 +94,8 @@ class Board:
         self.driver: Any = None
         self.devices: list[Device] = []
         for chip in stage.chips:
-            if self.LINTS and chip.late_lint is None:
-                chip.late_lint = LateLint(chip)
+            if self.LINTS and chip.journal_lint is None:
+                chip.journal_lint = JournalLint(chip)
         self.link = Link(self)
         if not isinstance(devices, Iterable):
             raise ArgumentError(f'devices={devices!r}: a list of texts, for example ["hctl2016:0x320:x"].')

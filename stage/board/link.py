@@ -145,8 +145,8 @@ class Link:
         """The first `n` of what was noted go to journals, and a lint looks at the writes."""
         self.stage.loop.note_edges(n)
         for chip in self.stage.chips:
-            if chip.late_lint is not None:
-                chip.late_lint.tidy()
+            if chip.journal_lint is not None:
+                chip.journal_lint.limit_memory()
 
     def loses(self, chip: int, address: int, value: int) -> bool:
         """Whether a fault of the bus keeps this write from its chip."""

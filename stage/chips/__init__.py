@@ -12,7 +12,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from stage.chips import contract
-from stage.chips.chip import Chip, ChipAxis, Diagnostic, Snapshot
+from stage.chips.chip import Chip, ChipAxis, Snapshot
+from stage.chips.diagnostics import Diagnostic
 from stage.chips.registry import Registry
 from stage.errors import ArgumentError, unknown
 

@@ -15,13 +15,22 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
 from time import perf_counter
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, Protocol
 from zlib import crc32
 
 import numpy as np
 
 from stage.chips import contract
 from stage.chips.describe import Decoder, Listener
+from stage.chips.diagnostics import (
+    BUS_WIDTH,
+    CLOCK_RANGE,
+    MAX_DIAGNOSTICS,
+    Diagnostic,
+    Finding,
+    JournalLint,
+    parse_diagnostics,
+)
 from stage.chips.journal import Journal
 from stage.chips.register_map import RegisterMap, Word, dump
 from stage.chips.sharing import Lock, exclusive, exclusively, with_lock
@@ -31,31 +40,10 @@ from stage.support import snapshots
 from stage.support.arguments import told
 from stage.support.snapshot_files import FiledSnapshot
 
-if TYPE_CHECKING:
-    from stage.chips.late import LateLint
-
-MAX_DIAGNOSTICS = 1000
 MAX_CLOCKS = 1 << 45  # a speed of 13 bits times this still fits 63 bits
 LAST_CLOCK = 1 << 59  # what is scheduled from there on still fits 63 bits
 SHORT_RUN_CLOCKS = 1 << 18
 MIN_PIECE_S, MAX_PIECE_S = 0.025, 0.1
-
-
-class Diagnostic(NamedTuple):
-    """A bus write that is a mistake by the data sheet. `clock` in ticks since power-up."""
-
-    clock: int
-    address: int
-    value: int
-    message: str
-    source: str
-
-
-class Limit(NamedTuple):
-    """What `Chip.mistake` says of a limit of the silicon: noted once. What comes before the message's colon tells which."""
-
-    message: str
-    source: str
 
 
 class Bus(Protocol):
@@ -71,14 +59,6 @@ class Bus(Protocol):
         """Somebody is about to change a chip's state, between bus cycles. Raises StageError where he may not now."""
 
 
-def noted(told: Iterable[Any]) -> tuple[Diagnostic, ...]:
-    """Diagnostics of what a file has of them. Raises TypeError, ValueError."""
-    found = tuple(Diagnostic(*fields) for fields in told)
-    if any(list(map(type, d)) != [int, int, int, str, str] for d in found):
-        raise TypeError("three whole numbers and two texts")
-    return found
-
-
 class Snapshot(FiledSnapshot):
     """All state of one chip, in bytes; restores into a chip of the same kind (class, clock). `save(path)` and
     `Snapshot.load(path)` keep it in a file."""
@@ -87,7 +67,7 @@ class Snapshot(FiledSnapshot):
 
     @classmethod
     def _noted_of(cls, told: Any) -> tuple:
-        return noted(told)
+        return parse_diagnostics(told)
 
     @property
     def record(self) -> bytes:
@@ -225,8 +205,8 @@ class Chip:
         self._alone: tuple[np.ndarray, int] | None = None  # where its state was before `attach` moved it
         self.open_journal: Journal | None = None
         """The journal that notes the inputs of the chip, the newest where there are several; see `journal`."""
-        self.late_lint: LateLint | None = None
-        """Who looks for mistakes where compiled code makes the bus cycles."""
+        self.journal_lint: JournalLint | None = None
+        """The lint that reads a journal, where compiled code makes the bus cycles."""
         self.glitches: tuple[Callable[[int, int], bool], ...] = ()
         """Faults of the bus: each is called with (address, value) before every write; if it returns True, the write is lost."""
         self._hold(np.zeros(1, self.CORE.STATE), 0)
@@ -234,22 +214,22 @@ class Chip:
         self.CORE.power_up.with_gil(self._here)
         least, most = self.CLOCK_RANGE
         if not least <= self.clock_hz <= most:
-            said = f"a reference clock of {self.clock_hz:,} Hz: the silicon is sold for {least:,} to {most:,} Hz"
-            self.diagnose(0, 0, 0, said, self.CLOCK_SOURCE)
+            message = f"a reference clock of {self.clock_hz:,} Hz: the silicon is sold for {least:,} to {most:,} Hz"
+            self.diagnose(0, 0, 0, [(CLOCK_RANGE.at(self.CLOCK_SOURCE), message)])
 
     @property
     def diagnostics(self) -> list[Diagnostic]:
-        """The writes that a data-sheet reader would call mistakes, oldest first; the last MAX_DIAGNOSTICS of them."""
-        if self.late_lint is not None:
-            self.late_lint.settle()
+        """Messages about writes that a reader of the data sheet would call mistakes: the last MAX_DIAGNOSTICS, oldest first."""
+        if self.journal_lint is not None:
+            self.journal_lint.process()
         return self._diagnostics
 
     def _configure(self, record: Any) -> None:
         """Fill the fields that tell variants of a family apart."""
 
-    def mistake(self, address: int, value: int) -> tuple[str, str] | None:
-        """What a data-sheet reader would say to this write, and where it is written; None if nothing."""
-        return None
+    def lint(self, address: int, value: int) -> Iterable[Finding]:
+        """Yield every rule of the data sheet that this write would break now, with a message. Changes nothing."""
+        return ()
 
     def explain_missing_current(self, axis: int = 0) -> str:
         """Say why a motor has no current, for a chip that is its motor's driver as well; "" while it has, and for other chips."""
@@ -447,9 +427,9 @@ class Chip:
                 self.open_journal.note_lost(self.clock, address, value)
             return
         if (address, value) != given:
-            self.diagnose(self.clock, address, value, masked(given, (address, value)), "bus")
-        if self.late_lint is None and (said := self.mistake(address, value)):
-            self.diagnose(self.clock, address, value, *said, once=isinstance(said, Limit))
+            self.diagnose(self.clock, address, value, [(BUS_WIDTH, masked(given, (address, value)))])
+        if self.journal_lint is None:
+            self.diagnose(self.clock, address, value, self.lint(address, value))
         self.CORE.write.with_gil(self._here, address, value)
         if self.open_journal is not None:
             self.open_journal.note_write(self.clock, address, value)
@@ -458,14 +438,19 @@ class Chip:
         """Before a write: whether a fault of the bus loses it. Calls every fault."""
         return any([glitch(address, value) for glitch in self.glitches]) if self.glitches else False
 
-    def diagnose(self, clock: int, address: int, value: int, message: str, source: str, once: bool = False) -> None:
-        """Add to `diagnostics`. once: not if it has been said, whatever follows the colon."""
-        kind = message.split(":")[0]
-        if once and any(d.source == source and d.message.startswith(kind) for d in self._diagnostics):
-            return
-        if len(self._diagnostics) >= MAX_DIAGNOSTICS:
-            del self._diagnostics[0]
-        self._diagnostics.append(Diagnostic(clock, address, value, message, source))
+    def diagnose(self, clock: int, address: int, value: int, findings: Iterable[Finding]) -> None:
+        """Add the findings of a lint about one write to `diagnostics`.
+
+        Args:
+            clock: Reference clocks since power-up.
+            address: Address of the write.
+            value: Value of the write.
+            findings: Broken rules and messages. A rule that is reported `once` is left out if its key is there already.
+        """
+        for rule, message in findings:
+            if not rule.once or all(d.key != rule.key for d in self._diagnostics):
+                self._diagnostics.append(Diagnostic(clock, address, value, message, rule.source, rule.key))
+        del self._diagnostics[:-MAX_DIAGNOSTICS]
 
     def read(self, address: int) -> int:
         """One bus read cycle; the byte (or word) on the data bus. Raises ArgumentError for what is no number."""

@@ -112,6 +112,7 @@ class Register:
     reset: int | None = None
     note: str = ""
     tuned: tuple[int, int] | None = None
+    section: str = ""
 
     @property
     def text(self) -> str:
@@ -163,6 +164,7 @@ class Word:
     note: str = ""
     address: int | None = None
     sends: Mapping[int, str] = field(default_factory=dict, hash=False)
+    section: str = ""
 
     @property
     def text(self) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from stage.chips.chip import noted
+from stage.chips.diagnostics import parse_diagnostics
 from stage.drives.stepper import DRIVE
 from stage.sim import records
 from stage.support import snapshots
@@ -34,7 +34,7 @@ class Snapshot(FiledSnapshot):
 
     @classmethod
     def _noted_of(cls, told: Any) -> tuple:
-        return tuple(noted(chip) for chip in told)
+        return tuple(parse_diagnostics(chip) for chip in told)
 
 
 def header(

@@ -105,15 +105,6 @@ def test_a_chip_that_leaves_its_bus_is_as_it_was_before_and_alone():
     assert chip.values()["R0"] == 1234
 
 
-def test_a_limit_of_the_silicon_is_noted_once_for_each_place_that_says_so():
-    chip = PCL240K()
-    for message, source in (("slow: 1", "a"), ("slow: 2", "a"), ("slow: 3", "b"), ("fast: 4", "a"), ("slower: 5", "a")):
-        chip.diagnose(7, 0, 0, message, source, once=True)
-    assert [d.message[-1] for d in chip.diagnostics] == ["1", "3", "4", "5"]
-    chip.diagnose(8, 0, 0, "slow: 6", "a")
-    assert [d.message[-1] for d in chip.diagnostics] == ["1", "3", "4", "5", "6"]
-
-
 def test_the_same_bits_with_another_end_of_their_sentence_are_another_sentence():
     fields = Fields(PCL240K.MAP.word("status"))
     said = fields.tell("status", 0xC0)

@@ -333,8 +333,8 @@ def chip_with_a_command(monkeypatch):
     class Commanded(PCL240K):
         MAP = RegisterMap("COMMANDED", "", "", (), PCL240K_MAP.words, (Command(0x15, "START", "start", "drive"),))
 
-        def mistake(self, address, value):
-            return None
+        def lint(self, address, value):
+            return ()
 
         def _configure(self, record):
             pass

@@ -20,7 +20,9 @@ CHIP_OBSERVERS = {
     "output word": lambda chip, axis: chip.output_word(axis),
     "net": lambda chip, axis: chip.net(axis),
     "shaft": lambda chip, axis: chip.shaft_of(axis) if chip.ENCODERS or chip.SERVO else None,
-    "lint": lambda chip, axis: [chip.mistake(k, v) for k in range(chip.ADDRESSES) for v in (0, 0x150, chip.DATA_MASK)],
+    "lint": lambda chip, axis: [
+        list(chip.lint(k, v)) for k in range(chip.ADDRESSES) for v in (0, 0x150, chip.DATA_MASK)
+    ],
     "tried start": lambda chip, axis: chip.starts(0, 0x150, axis),
     "listener": lambda chip, axis: chip.listener(),
     "decoder": lambda chip, axis: chip.decoder(axis),

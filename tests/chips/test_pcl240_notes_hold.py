@@ -63,8 +63,6 @@ def test_a_start_that_makes_no_pulse_is_noted_so_and_no_other(make):
         about = chip.values()
         commands(chip, start)
         said = " ".join(d.message for d in chip.diagnostics)
-        if "acts as FL" in said:  # one note a write
-            continue
         moves = chip.advance(LONG) > 0
         assert moves != ("no pulse" in said), f"{about} {start:02X}h: {said!r}"
         seen[moves] += 1
@@ -98,8 +96,9 @@ def test_where_the_pulses_are_noted_to_end_they_end(make):
     rng, ended = random.Random(SEED), 0
     for _ in range(6 * EXAMPLES):
         chip, start = any_start(make, rng)
+        chip.diagnostics.clear()
         commands(chip, start)
-        if not chip.diagnostics or "the pulses end" not in chip.diagnostics[-1].message or not start & 4:
+        if not any("the pulses end" in d.message for d in chip.diagnostics) or not start & 4:
             continue
         chip.advance(1 << 32)
         if chip.CORE.pulse_rate(chip._rows, 0, 1.0) == 0.0 and not chip.pins.hold:
@@ -134,10 +133,3 @@ def test_a_move_that_is_noted_to_stop_without_ramping_down_never_ramps_down(make
         assert not journal.course().pin("fdown").any(), f"{chip.values()}: {said!r}"
         seen += 1
     assert seen > EXAMPLES // 2
-
-
-def test_the_last_thousand_notes_are_kept():
-    chip = PCL240K()
-    for value in range(1001):
-        chip.write(0, 0xB8 | value & 7)
-    assert [d.value for d in chip.diagnostics] == [0xB8 | value & 7 for value in range(1, 1001)]

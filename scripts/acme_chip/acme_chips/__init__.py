@@ -43,5 +43,5 @@ class ACME1000(Chip):
     def values(self):
         return {r.name: core.peek.with_gil(self.pointer, r.number) for r in self.MAP.registers}
 
-    def mistake(self, address, value):
-        return words.mistake(self._plain, address, value)
+    def lint(self, address, value):
+        return words.lint(self._plain, address, value)

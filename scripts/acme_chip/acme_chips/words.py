@@ -1,11 +1,18 @@
-"""Bus cycles of the ACME1000 in words, for traces and recordings; and what a reader of the data sheet would call mistakes."""
+"""Bus cycles of the ACME1000 in words, for traces and recordings; and the lint, which yields diagnostics."""
 
 from acme_chips.maps import CONTROL, MAP, STATUS
 from stage.chips import describe
 from stage.chips.describe import Fields, Said
+from stage.chips.diagnostics import Rule
 
 NAMES = {r.number: r.name for r in MAP.registers}
 FIELDS = Fields(STATUS)
+
+VALUE_RANGE = Rule("value-range", "table 1")
+NO_REGISTER = Rule("no-register", "table 1")
+ALREADY_DRIVING = Rule("already-driving", "section 3")
+NO_PULSES = Rule("no-pulses", "section 3")
+NO_RAMP = Rule("no-ramp", "section 3")
 
 
 def wrote(address, value):
@@ -36,20 +43,19 @@ class Decoder(describe.Decoder):
         return f"{address} {value:04X}", wrote(address, value)
 
 
-def mistake(c, address, value):
-    """(what, where it is written) of a write that is a mistake; None if it is none. c: the state before."""
+def lint(c, address, value):
+    """Yield every rule of the data sheet that a write breaks, with a message. c: the state before it."""
     if address in NAMES:
         r = MAP.register(NAMES[address])
-        return None if r.allows(value) else (f"{r.name} takes {r.range[0]} to {r.range[1]}", "table 1")
-    if address:
-        return f"nothing is at address {address}", "table 1"
-    if not value & 1:
-        return None
-    start, drive, slope, count = (int(c["reg"][k]) for k in (1, 2, 3, 4))
-    if c["way"]:
-        return "a start while it drives is ignored", "section 3"
-    if not start or (value & 4 and not count):
-        return f"no pulse will come: {'START' if not start else 'COUNT'} is 0", "section 3"
-    if value & 16 and (drive < start or not slope):
-        return "no ramp: " + ("DRIVE is below START" if drive < start else "SLOPE is 0"), "section 3"
-    return None
+        if not r.allows(value):
+            yield VALUE_RANGE, f"{r.name} takes {r.range[0]} to {r.range[1]}"
+    elif address:
+        yield NO_REGISTER, f"nothing is at address {address}"
+    elif value & 1:
+        start, drive, slope, count = (int(c["reg"][k]) for k in (1, 2, 3, 4))
+        if c["way"]:
+            yield ALREADY_DRIVING, "a start while it drives is ignored"
+        if not start or (value & 4 and not count):
+            yield NO_PULSES, f"no pulse will come: {'START' if not start else 'COUNT'} is 0"
+        elif value & 16 and (drive < start or not slope):
+            yield NO_RAMP, "no ramp: " + ("DRIVE is below START" if drive < start else "SLOPE is 0")

@@ -30,7 +30,7 @@ def test_it_goes_home_on_a_stage():
     assert stage.axes["x"].position == pytest.approx(-0.12, abs=1e-4)
 
 
-def test_a_mistake_is_told():
+def test_a_start_without_a_speed_has_a_diagnostic():
     chip = ACME1000()
     chip.write(0, chip.MAP.command("MOVE+").code)
     assert [d.message for d in chip.diagnostics] == ["no pulse will come: START is 0"]

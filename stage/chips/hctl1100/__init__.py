@@ -10,14 +10,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from operator import index
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from stage.chips.chip import Chip
-from stage.chips.hctl1100 import core, lint
+from stage.chips.diagnostics import Finding
+from stage.chips.hctl1100 import core
 from stage.chips.hctl1100.describe import Decoder, Listener
+from stage.chips.hctl1100.lint import lint_write
 from stage.chips.hctl1100.maps import ACTUAL_LOW, ADDRESSES, MAP, NUMBERS, STATUS
 from stage.support.arguments import told
 
@@ -129,6 +132,5 @@ class HCTL1100(Chip):
     def listener(self) -> Listener:
         return Listener(self.MAP, self.state)
 
-    def mistake(self, address: int, value: int) -> lint.Note | None:
-        c: Any = self._plain
-        return lint.write(c, lambda: self.encoder, address, value)
+    def lint(self, address: int, value: int) -> Iterator[Finding]:
+        return lint_write(self._plain, lambda: self.encoder, address, value)

@@ -1,13 +1,14 @@
-"""Mistakes in bus writes by the HCTL-1100's manual: (message, section of the manual), or None.
+"""Lint of the HCTL-1100: the rules of its manual that a bus write breaks.
 
-`c` is the chip's record before the write, with access by name; `encoder` gives the raw count.
+`c` is the chip's record before the write, with access by name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
+from stage.chips.diagnostics import Finding, Rule
 from stage.chips.hctl1100.maps import (
     ACCELERATION,
     COMMAND_LOW,
@@ -52,7 +53,32 @@ from stage.chips.hctl1100.state import (
     signed,
 )
 
-Note = tuple[str, str]
+# every write
+NO_REGISTER = Rule("no-register", "register table")
+READ_ONLY = Rule("read-only", "register table")
+NOT_IN_IDLE = Rule("not-in-idle", "R05")
+VALUE_RANGE = Rule("value-range", "register table")
+# R00, flags
+CHIP_SETS_F1 = Rule("chip-sets-f1", "flags")
+NO_FLAG = Rule("no-flag", "flags")
+SEVERAL_MODE_FLAGS = Rule("several-mode-flags", "flags")
+# R05, program counter
+UNKNOWN_MODE = Rule("unknown-mode", "R05")
+LIMIT_TRIGGERED = Rule("limit-triggered", "status")
+ALIGN_WITHOUT_RING = Rule("align-without-ring", "Align")
+ALIGN_FROM_ELSEWHERE = Rule("align-from-elsewhere", "Align")
+NO_ACCELERATION = Rule("no-acceleration", "trapezoid")
+NO_MAX_VELOCITY = Rule("no-max-velocity", "trapezoid")
+SAMPLE_TOO_SHORT = Rule("sample-too-short", "Table 4, page 24")
+RING_IS_NOT_PHASES = Rule("ring-is-not-phases", "commutator")
+ADVANCE_RANGE = Rule("advance-range", "commutator")
+# data in a control mode
+PROFILE_IN_PROGRESS = Rule("profile-in-progress", "trapezoid")
+SAMPLE_IN_COMPUTATION = Rule("sample-in-computation", "page 24")
+STOP_TRIGGERED = Rule("stop-triggered", "status")
+VELOCITY_STEP = Rule("velocity-step", "R3C")
+TWICE_IN_SAMPLE = Rule("twice-in-sample", "page 24")
+
 REGISTERS = {r.number: r for r in MAP.registers}
 MODE_FLAGS = F0 | F3 | F5
 COMMANDS = {
@@ -64,122 +90,124 @@ IDLE_ONLY = (PORT, PWM, *PRESET_POSITION.addresses)
 MODES = MODE_WRITE.fields[0]
 RESET, INIT, ALIGN = (MODES.code(name) for name in ("reset", "Init/Idle", "Align"))
 SET, NUMBER = FLAG_WRITE.fields
-_TIMER = "page 24"
 
 
-def write(c: Any, encoder: Callable[[], int], address: int, value: int) -> Note | None:
-    """A byte to an address."""
+def lint_write(c: Any, read_encoder: Callable[[], int], address: int, value: int) -> Iterator[Finding]:
+    """Yield what is wrong with a write.
+
+    Args:
+        c: The chip's record before it.
+        read_encoder: Returns the encoder's raw count.
+        address: Number of the register.
+        value: The byte.
+    """
     r = REGISTERS.get(address)
     if r is None:
-        return f"there is no register at address {address:02X}h", "register table"
+        yield NO_REGISTER, f"there is no register at address {address:02X}h"
+        return
     if r.access == "R":
-        return f"{r.name} can only be read: the write does nothing", "register table"
+        yield READ_ONLY, f"{r.name} can only be read: the write does nothing"
+        return
     if address in IDLE_ONLY and c["mode"] != IDLE:
-        return f"{r.name} is written outside of Init/Idle: ignored", r.name
+        yield NOT_IN_IDLE.at(r.name), f"{r.name} is written outside of Init/Idle: ignored"
     if address == FLAG:
-        return _flag(c, value)
-    if address == MODE:
-        return _mode(c, encoder, value)
-    if address == TIMER:
-        return _period(c, value)
-    if r.legal and not r.allows(r.value(value)):
-        return f"{r.name} = {r.value(value)}: {r.title} takes {r.legal[0]} to {r.legal[1]}", r.name
-    return _moment(c, address, value)
+        yield from _lint_flag(c, value)
+    elif address == MODE:
+        yield from _lint_mode(c, read_encoder, value)
+    elif address == TIMER:
+        yield from _lint_timer(value, control_mode(int(c["flag"])))
+    elif r.legal and not r.allows(r.value(value)):
+        message = f"{r.name} = {r.value(value)}: {r.title} takes {r.legal[0]} to {r.legal[1]}"
+        yield VALUE_RANGE.at(r.name), message
+    if c["mode"] == CONTROL:
+        yield from _lint_data_in_control(c, address, value)
 
 
-def _flag(c: Any, value: int) -> Note | None:
+def _lint_flag(c: Any, value: int) -> Iterator[Finding]:
     number = NUMBER.of(value)
     bit, on = 1 << number, SET.of(value)
     if bit == F1:
-        return "F1 is set and cleared by the chip alone: write R05", "flags"
+        yield CHIP_SETS_F1, "F1 is set and cleared by the chip alone: write R05"
+        return
     if bit > F5:
-        return f"{value:02X}h: there is no flag {number}", "flags"
+        yield NO_FLAG, f"{value:02X}h: there is no flag {number}"
+        return
     others = int(c["flag"]) & MODE_FLAGS & ~bit
     if on and bit & MODE_FLAGS and others:
         names = " and ".join(f"F{k}" for k in range(6) if (others | bit) >> k & 1)
-        return f"{names} are set: only one of F0, F3 and F5 may be", "flags"
+        yield SEVERAL_MODE_FLAGS, f"{names} are set: only one of F0, F3 and F5 may be"
     if on and c["mode"] == CONTROL:
-        return _begin(c, int(c["flag"]) | bit)
-    return None
+        yield from _lint_control_mode(c, int(c["flag"]) | bit)
 
 
-def _mode(c: Any, encoder: Callable[[], int], value: int) -> Note | None:
+def _lint_mode(c: Any, read_encoder: Callable[[], int], value: int) -> Iterator[Finding]:
     if value not in MODES.values:
         known = ", ".join(f"{v:02X}h {mode}" for v, mode in MODES.values.items())
-        return f"R05 = {value:02X}h is no mode: {known}", "R05"
+        yield UNKNOWN_MODE, f"R05 = {value:02X}h is no mode: {known}"
+        return
     if value in (RESET, INIT):
-        return None
+        return
+    begins = c["mode"] == IDLE and not c["limited"]
     if c["mode"] != IDLE:
-        return f"R05 = {value:02X}h outside of Init/Idle: ignored", "R05"
+        yield NOT_IN_IDLE, f"R05 = {value:02X}h outside of Init/Idle: ignored"
     if c["limited"]:
-        return f"R05 = {value:02X}h while LIMIT has triggered: release the pin and write R07 first", "status"
-    if value == ALIGN:
+        message = f"R05 = {value:02X}h while LIMIT has triggered: release the pin and write R07 first"
+        yield LIMIT_TRIGGERED, message
+    if begins and value == ALIGN:
         if not c["reg"][RING]:
-            return "Align turns the motor by the commutator, whose ring R18 is 0", "Align"
-        if c["flag"] & MODE_FLAGS or c["command"] or signed(encoder() - int(c["zero"]), 24):
-            return "Align begins with F0, F3, F5 clear and both positions 0", "Align"
-        return _commutator(c)
-    return _begin(c, int(c["flag"])) or _commutator(c)
+            yield ALIGN_WITHOUT_RING, "Align turns the motor by the commutator, whose ring R18 is 0"
+        if c["flag"] & MODE_FLAGS or c["command"] or signed(read_encoder() - int(c["zero"]), 24):
+            yield ALIGN_FROM_ELSEWHERE, "Align begins with F0, F3, F5 clear and both positions 0"
+    elif begins:
+        yield from _lint_control_mode(c, int(c["flag"]))
+    if begins:
+        yield from _lint_commutator(c)
 
 
-def _begin(c: Any, flags: int) -> Note | None:
-    """A control mode begins."""
+def _lint_control_mode(c: Any, flags: int) -> Iterator[Finding]:
+    """Yield what is wrong with the registers of a control mode that begins, the one that `flags` select."""
     reg = c["reg"]
     if flags & F0 and not (reg[FRACTION] or reg[WHOLE]):
-        return "a trapezoid with acceleration 0 (R27, R26) does not move and never ends", "trapezoid"
+        yield NO_ACCELERATION, "a trapezoid with acceleration 0 (R27, R26) does not move and never ends"
     if flags & F0 and not reg[MOST_VELOCITY]:
-        return "a trapezoid with maximum velocity 0 (R28) does not move and never ends", "trapezoid"
-    return _short(int(reg[TIMER]), control_mode(flags))
+        yield NO_MAX_VELOCITY, "a trapezoid with maximum velocity 0 (R28) does not move and never ends"
+    yield from _lint_timer(int(reg[TIMER]), control_mode(flags))
 
 
-def _short(t: int, mode: int) -> Note | None:
+def _lint_timer(t: int, mode: int) -> Iterator[Finding]:
     if t < LEAST_T[mode]:
-        return (
-            f"T = {t:02X}h is below {LEAST_T[mode]:02X}h, the least for {CONTROL_MODES[mode]} control",
-            f"Table 4, {_TIMER}",
-        )
-    return None
+        message = f"T = {t:02X}h is below {LEAST_T[mode]:02X}h, the least for {CONTROL_MODES[mode]} control"
+        yield SAMPLE_TOO_SHORT, message
 
 
-def _period(c: Any, value: int) -> Note | None:
-    return _short(value, control_mode(int(c["flag"])))
-
-
-def _commutator(c: Any) -> Note | None:
+def _lint_commutator(c: Any) -> Iterator[Finding]:
     reg = c["reg"]
     ring, offset, most = int(reg[RING]), signed(int(reg[OFFSET]), 8), int(reg[MOST_ADVANCE])
     phases = 4 if c["status"] & FOUR else 3
     if ring and phases * (int(reg[X]) + int(reg[Y])) != ring:
-        return f"the ring R18 = {ring} is not {phases} (X + Y) = {phases} ({reg[X]} + {reg[Y]})", "commutator"
+        message = f"the ring R18 = {ring} is not {phases} (X + Y) = {phases} ({reg[X]} + {reg[Y]})"
+        yield RING_IS_NOT_PHASES, message
     if ring and not -128 <= 1.5 * ring + offset - most <= 1.5 * ring + offset + most <= 127:
-        return (
-            f"1.5 ring + offset +- maximum advance = {1.5 * ring + offset:g} +- {most} leaves -128 to 127",
-            "commutator",
-        )
-    return None
+        message = f"1.5 ring + offset +- maximum advance = {1.5 * ring + offset:g} +- {most} leaves -128 to 127"
+        yield ADVANCE_RANGE, message
 
 
-def _moment(c: Any, address: int, value: int) -> Note | None:
-    """Data in a control mode: not in this part of the sample, not during a profile, not by so much."""
-    if c["mode"] != CONTROL:
-        return None
+def _lint_data_in_control(c: Any, address: int, value: int) -> Iterator[Finding]:
+    """Yield what is wrong with the moment of a write in a control mode, and with the step of a velocity."""
     mode = control_mode(int(c["flag"]))
     if mode == TRAPEZOID and address in PROFILE_DATA:
-        return f"R{address:02X} is written while PROF is high: the profile in progress takes it", "trapezoid"
+        message = f"R{address:02X} is written while PROF is high: the profile in progress takes it"
+        yield PROFILE_IN_PROGRESS, message
     if address in COMMANDS[mode] and c["clock"] < c["computing"]:
-        return (
-            f"R{address:02X} is written while the sample is computed: wait until R0F has counted down by {LEAST_T[mode]}",
-            _TIMER,
-        )
+        when = f"wait until R0F has counted down by {LEAST_T[mode]}"
+        yield SAMPLE_IN_COMPUTATION, f"R{address:02X} is written while the sample is computed: {when}"
     if address == INTEGRAL_VELOCITY and mode == INTEGRAL:
-        if c["stopped"]:
-            return "R3C is written while STOP has triggered: it stays 0. Release the pin and write R07 first", "status"
         step = signed(value, 8) - signed(int(c["reg"][address]), 8)
-        if abs(step) > 127:
-            return f"R3C changes by {step}: successive command velocities may differ by 127", "R3C"
+        if c["stopped"]:
+            message = "R3C is written while STOP has triggered: it stays 0. Release the pin and write R07 first"
+            yield STOP_TRIGGERED, message
+        elif abs(step) > 127:
+            yield VELOCITY_STEP, f"R3C changes by {step}: successive command velocities may differ by 127"
     if address in COMMANDS[mode] and c["given"] == c["next"] and int(c["gave"]) >> GIVERS.index(address) & 1:
-        return (
-            f"R{address:02X} is written twice in one sample: the later command counts, and the sheet allows one",
-            _TIMER,
-        )
-    return None
+        message = f"R{address:02X} is written twice in one sample: the later command counts, and the sheet allows one"
+        yield TWICE_IN_SAMPLE, message

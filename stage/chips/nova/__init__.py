@@ -3,14 +3,16 @@ their register maps and their bus."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, ClassVar
 
 from stage.chips.chip import Chip, Pins, no_cycle
-from stage.chips.nova import core, lint, state
+from stage.chips.diagnostics import Finding
+from stage.chips.nova import core, state
 from stage.chips.nova.describe import Decoder, Listener
 from stage.chips.nova.functions import encoder
-from stage.chips.nova.held import Held, HeldOfMcx312, HeldOfMcx314as
 from stage.chips.nova.interpolation import run as interpolation
+from stage.chips.nova.lint import LintState, Mcx312LintState, Mcx314asLintState, lint_write
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP, MCX314AS_MAP
 from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
 from stage.chips.register_map import Word
@@ -89,19 +91,18 @@ class Nova(Chip):
             raise StageError(f"ECA and ECB of axis {axis} are those of its encoder, and cannot be driven by hand.")
         super().set_input_word(axis, word)
 
-    def mistake(self, address: int, value: int) -> lint.Note | None:
+    def lint(self, address: int, value: int) -> Iterable[Finding]:
         if address >= BYTES:  # of the 8-bit bus only the low byte of WR0 acts
             if address != BYTES:
-                return None
+                return ()
             address, value = 0, int(self._plain["first"]) & 0xFF00 | value
-        return None if address >= 6 else lint.write(self.MAP, self._held(), address, value)
+        return lint_write(self.MAP, self._lint_state(), address, value)
 
-    def _held(self) -> Held:
-        """What the lint looks at."""
-        return Held(self._plain, self.AXES, self._interpolated)
+    def _lint_state(self) -> LintState:
+        return LintState(self._plain, self.AXES, self._interpolated)
 
     def _interpolated(self) -> int:
-        """The axes that take part in interpolation, as bits."""
+        """Return the axes that take part in interpolation, as bits."""
         return 0
 
     @classmethod
@@ -274,8 +275,8 @@ class MCX312(_Erratum):
         chosen = int(self._plain["outputs5"])
         return 1 << AX1.of(chosen) | 1 << AX2.of(chosen)
 
-    def _held(self) -> Held:
-        return HeldOfMcx312(self._plain, self.AXES, self._interpolated)
+    def _lint_state(self) -> LintState:
+        return Mcx312LintState(self._plain, self.AXES, self._interpolated)
 
     def _configure(self, record: Any) -> None:
         super()._configure(record)
@@ -293,8 +294,8 @@ class MCX314AS(Nova):
         axes = [f.of(int(self._plain["outputs5"])) for f in (AX1, AX2, AX3)]
         return sum(1 << j for j in {*axes[:count]})
 
-    def _held(self) -> Held:
-        return HeldOfMcx314as(self._plain, self.AXES, self._interpolated)
+    def _lint_state(self) -> LintState:
+        return Mcx314asLintState(self._plain, self.AXES, self._interpolated)
 
     def _configure(self, record: Any) -> None:
         super()._configure(record)

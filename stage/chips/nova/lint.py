@@ -1,233 +1,414 @@
-"""Mistakes in bus writes by the NOVA manuals: (message, section of the manual), or None.
+"""Lint of the NOVA chips: the rules of their manuals that a bus write breaks.
 
-Pure functions of the register map, what the chip holds before the write, and the write. They read ranges, axes and bits
-from the map, so that all chips of the family share them.
+Ranges, axes and bits come from the register map, so that all chips of the family share the rules. `LintState` gives what a chip
+holds before the write; each value is computed when it is read, as most writes need few. A mask of axes has bit 0 for X.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from typing import Any
 
+import numpy as np
+
+from stage.chips.diagnostics import Finding, Rule
+from stage.chips.nova import core, state
+from stage.chips.nova.interpolation import multichip
 from stage.chips.nova.registers.common import AXES
 from stage.chips.nova.registers.mcx300 import RESET
 from stage.chips.nova.registers.mcx514 import CONTINUOUS_SPEED, MCX514_MAP, POINT
 from stage.chips.register_map import Command, Register, RegisterMap, Word
 
-Note = tuple[str, str]
+# WR0
+RESERVED_BITS = Rule("reserved-bits", "WR0")
+RESET_WITH_MORE = Rule("reset-with-more", "WR0")
+UNKNOWN_COMMAND = Rule("unknown-command", "command list")
+ABSENT_AXES = Rule("absent-axes", "command list")
+AXES_MISSING = Rule("axes-missing", "command list")
+AXES_GIVEN = Rule("axes-given", "command list")
+SEVERAL_AXES_READ = Rule("several-axes-read", "command list")
+NOT_MODELED = Rule("not-modeled", "command list")
+# WR1 to WR5, and the data of commands that write
+UNUSED_BITS = Rule("unused-bits", "mode writing commands")
+FIELD_RANGE = Rule("field-range", "mode writing commands")
+VALUE_RANGE = Rule("value-range", "data writing commands")
+ONE_AXIS_ONLY = Rule("one-axis-only", "mode writing commands")
+EXCLUSIVE_BITS = Rule("exclusive-bits", "mode writing commands")
+DATA_NOT_USED = Rule("data-not-used", "data reading commands")
+TP_IN_ABSOLUTE_DRIVE = Rule("tp-in-absolute-drive", "7.2.7")
+TP_TURNS_DRIVE = Rule("tp-turns-drive", "7.2.7")
+# drive commands
+ALREADY_DRIVING = Rule("already-driving", "driving commands")
+PULSE_NUMBER = Rule("pulse-number", "7.2.7")
+STARTS_NO_DRIVE = Rule("starts-no-drive", "driving commands")
+# interpolation commands
+NUMBER_OF_AXES = Rule("number-of-axes", "interpolation commands")
+AXIS_DRIVES = Rule("axis-drives", "interpolation commands")
+PRE_BUFFER_FULL = Rule("pre-buffer-full", "interpolation commands")
+CONTINUOUS_TOO_FAST = Rule("continuous-too-fast", "interpolation commands")
+FINISH_POINT_RANGE = Rule("finish-point-range", "7.2.7")
+HELIX_PULSES_LOST = Rule("helix-pulses-lost", "interpolation commands")
+NO_OTHER_CHIP = Rule("no-other-chip", "IPM, MLT")
+ONLY_LINES = Rule("only-lines", "IPM, MLT")
+LINE_IN_PROGRESS = Rule("line-in-progress", "IPM, MLT")
+SLAVE_TOO_LATE = Rule("slave-too-late", "IPM, MLT")
+
 CODE, AXIS = MCX514_MAP.field("WR0", "CODE"), MCX514_MAP.field("WR0", "AXIS")
 MLT, LMDF = MCX514_MAP.field("IPM", "MLT"), MCX514_MAP.field("IPM", "LMDF")
 TP_DRIVES, HELICES = ("DRVRL", "DRVNR", "DRVAB"), ("HLCW", "HLCCW")
-_SECTIONS = {"TP": "7.2.7", "DP": "7.2.8"}
+REFUSALS = {
+    state.E_HLMT_PLUS: "LMT+ is active, drive the other way",
+    state.E_HLMT_MINUS: "LMT- is active, drive the other way",
+    state.E_SLMT_PLUS: "beyond the software limit +",
+    state.E_SLMT_MINUS: "beyond the software limit -",
+    state.E_ALARM: "ALARM is active",
+    state.E_EMG: "EMG is active",
+    state.F_STOP0: "STOP0 is active and enabled",
+    state.F_STOP1: "STOP1 is active and enabled",
+    state.F_STOP2: "STOP2 is active and enabled",
+}
+"""Error of RR2, or what has ended the drive -> why a drive does not begin."""
+STOP3 = {state.F_STOP3: "STOP3 is active and enabled"}
+"""As REFUSALS, of a chip that has STOP3: the bit is another cause in the other chips."""
 
 
-class Held(NamedTuple):
-    """What a chip holds before a write; see held.py for that of a chip that is there. Masks have bit 0 for X; tuples an entry for
-    every axis."""
+class LintState:
+    """The contents of a chip that its lint reads."""
 
-    wr6: int = 0
-    wr7: int = 0
-    unused: bool = False
-    """WR6 or WR7 was written after the last command."""
-    driving: int = 0
-    """n-DRV."""
-    relative: int = 0
-    """Axes in 50h, 51h driving."""
-    absolute: int = 0
-    """Axes in 54h driving."""
-    interpolating: bool = False
-    full: bool = False
-    """The next segment cannot be written yet (CNEXT = 0)."""
-    bit_pattern: bool = False
-    """WR2 to WR5 are the BP registers (36h)."""
-    interpolated: int = 0
-    """Axes that IPM or WR5 choose."""
-    role: int = 0
-    """MLT of IPM: 1 master, 2 slave."""
-    linked: bool = False
-    """Wires join the chip to others."""
-    started: bool = False
-    """Their master has begun."""
-    drive_speed: tuple[int, ...] = ()
-    """DV of the MCX514, pps."""
-    finish: tuple[int, ...] = ()
-    """TP of the MCX514."""
-    helix_ticks: int = 0
-    """HLV of the MCX514."""
+    def __init__(self, record: Any, axes: int, find_interpolated_axes: Callable[..., int]):
+        """Look at a chip's record.
+
+        Args:
+            record: The chip's state, with access by name.
+            axes: Number of axes.
+            find_interpolated_axes: Returns the axes that IPM or WR5 choose, as bits.
+        """
+        self._record, self._count, self._find_interpolated_axes = record, axes, find_interpolated_axes
+
+    @cached_property
+    def _axes(self) -> list[Any]:
+        return list(self._record["ax"][: self._count])
+
+    @property
+    def data(self) -> int:
+        """WR6 and WR7."""
+        return int(self._record["low"]) | int(self._record["high"]) << 16
+
+    @property
+    def has_unused_data(self) -> bool:
+        """Whether WR6 or WR7 was written after the last command."""
+        return bool(self._record["unused"])
+
+    @cached_property
+    def driving(self) -> int:
+        """Axes with n-DRV = 1."""
+        return sum(1 << k for k, x in enumerate(self._axes) if x["driving"] or x["interpolates"])
+
+    def _find_fixed_pulse_drives(self, absolute: int) -> int:
+        axes = enumerate(self._axes)
+        return sum(1 << k for k, x in axes if self.driving >> k & 1 and x["fixed"] and x["absolute"] == absolute)
+
+    @property
+    def relative(self) -> int:
+        """Axes in relative or counter relative position driving (50h, 51h)."""
+        return self._find_fixed_pulse_drives(0)
+
+    @property
+    def absolute(self) -> int:
+        """Axes in absolute position driving (54h)."""
+        return self._find_fixed_pulse_drives(1)
+
+    @property
+    def interpolating(self) -> bool:
+        """Whether an interpolation is in progress."""
+        return bool(self._record["interpolating"])
+
+    @property
+    def full(self) -> bool:
+        """Whether the next segment cannot be written yet (CNEXT = 0)."""
+        queue = self._record["ip"]
+        return self.interpolating and bool(queue["waiting"] >= queue["depth"])
+
+    @property
+    def bit_pattern(self) -> bool:
+        """Whether WR2 to WR5 are the BP registers (36h)."""
+        return bool(self._record["ip"]["writing"])
+
+    @property
+    def interpolated(self) -> int:
+        """Axes that IPM or WR5 choose."""
+        return self._find_interpolated_axes()
 
     def interpolated_by(self, command: Command) -> int:
         """Return the axes that take part in an interpolation command, as bits."""
         return self.interpolated
 
-    def refused(self, value: int) -> dict[int, str]:
-        """Of a drive command: axes that it does not start, and why, in words."""
-        return {}
+    def find_refusals(self, value: int) -> dict[int, str]:
+        """Try a drive command on a copy, and find the axes that it does not start although they have pulses to make.
+
+        Args:
+            value: The word to WR0.
+
+        Returns:
+            Axis -> what RR2 says of it, in words.
+        """
+        rows = self.copy_record()
+        core.write(rows, 0, value)
+        refusals = {}
+        reasons = REFUSALS | STOP3 if self._record["extended"] else REFUSALS
+        for k in range(self._count):
+            x, after = self._axes[k], rows[0]["ax"][k]
+            empty = after["fixed"] and after["output"] == 0
+            commanded = value >> 8 + k & 1 and not (x["held"] & 1 or empty or core.busy(rows, k))
+            texts = [text for bit, text in reasons.items() if int(after["causes"]) & bit]
+            if commanded and texts:
+                refusals[k] = ", ".join(texts)
+        return refusals
+
+    def copy_record(self) -> np.ndarray:
+        """Return an array of one record with the chip's state."""
+        rows = np.zeros(1, state.STATE)
+        rows[0] = self._record
+        return rows
+
+    @property
+    def role(self) -> int:
+        """MLT of IPM: 1 master, 2 slave of a multichip interpolation."""
+        return int(self._axes[0]["mode"][state.IPM]) >> multichip.MLT & 3
+
+    @property
+    def linked(self) -> bool:
+        """Whether wires join the chip to others."""
+        return bool(self._record["heard"])
+
+    @property
+    def started(self) -> bool:
+        """Whether the master of the wires has begun."""
+        return bool(self._record["heard"] & multichip.GO)
+
+    @property
+    def drive_speed(self) -> tuple[int, ...]:
+        """DV of every axis, pps; empty where speeds have no common unit."""
+        return tuple(int(x["reg"][state.DV]) for x in self._record["ax"])
+
+    @property
+    def finish(self) -> tuple[int, ...]:
+        """TP of every axis: pulses, or the finish point."""
+        return tuple(int(x["reg"][state.TP]) for x in self._record["ax"])
+
+    @property
+    def helix_ticks(self) -> int:
+        """HLV of the MCX514."""
+        return int(self._axes[0]["reg"][state.HLV])
 
 
-def write(map_: RegisterMap, held: Any, address: int, value: int) -> Note | None:
-    """A word to WRn, n = `address`."""
+class Mcx312LintState(LintState):
+    """The contents of a chip whose finish points have a sign, and whose speeds have no common unit."""
+
+    @property
+    def role(self) -> int:
+        return 0
+
+    @property
+    def drive_speed(self) -> tuple[int, ...]:
+        return ()
+
+    @property
+    def finish(self) -> tuple[int, ...]:
+        return tuple(p - (p >> 31 << 32) for p in super().finish)
+
+
+class Mcx314asLintState(Mcx312LintState):
+    """The contents of a chip whose WR5 names three axes; a command of two does not look at the third."""
+
+    def interpolated_by(self, command: Command) -> int:
+        return self._find_interpolated_axes(max(command.together))
+
+
+def lint_write(map_: RegisterMap, chip: Any, address: int, value: int) -> Iterator[Finding]:
+    """Yield what is wrong with a write.
+
+    Args:
+        map_: Register map of the chip.
+        chip: What it holds before the write, a LintState.
+        address: Number of the WR register.
+        value: The word, 16 bits.
+    """
     if address == 0:
-        return command(map_, held, value)
-    if address >= 6 or (held.bit_pattern and 2 <= address <= 5):
-        return None
-    w = map_.word(f"WR{address}")
-    if empty := value & ~w.used:
-        return f"{w.name} = {value:04X}h: the {map_.chip} has no {_bits(empty)} there", w.name
-    return _fields(w, value, w.name)
+        yield from _lint_command(map_, chip, value)
+    elif address < 6 and not (chip.bit_pattern and address >= 2):
+        w = map_.word(f"WR{address}")
+        if unused := value & ~w.used:
+            message = f"{w.name} = {value:04X}h: the {map_.chip} has no {_name_bits(unused)} there"
+            yield UNUSED_BITS.at(w.name), message
+        yield from _lint_fields(w, value, w.name)
 
 
-def command(map_: RegisterMap, held: Any, value: int) -> Note | None:
-    """A word to WR0."""
+def _lint_command(map_: RegisterMap, chip: Any, value: int) -> Iterator[Finding]:
+    """Yield what is wrong with a word to WR0."""
     if reserved := value & map_.mask("WR0", "zero"):
-        return f"WR0 = {value:04X}h: {_bits(reserved)} must be 0", "WR0"
+        yield RESERVED_BITS, f"WR0 = {value:04X}h: {_name_bits(reserved)} must be 0"
     if value & RESET:
-        more = value & ~RESET
-        return (f"WR0 = {value:04X}h resets the chip: leave {_bits(more)} 0", "WR0") if more else None
+        if more := value & ~RESET & ~reserved:
+            yield RESET_WITH_MORE, f"WR0 = {value:04X}h resets the chip: leave {_name_bits(more)} 0"
+        return
     code, axes = CODE.of(value), AXIS.of(value)
     c = map_.by_code.get(code)
     if c is None:
-        return f"{code:02X}h is no command of the {map_.chip}", "command list"
+        yield UNKNOWN_COMMAND, f"{code:02X}h is no command of the {map_.chip}"
+        return
     name = f"{code:02X}h ({c.title})"
-    if said := _axes(map_, c, name, axes):
-        return said, "command list"
+    yield from _lint_axes(map_, c, name, axes)
     if c.lacking:
-        return f"{name} is {c.lacking}", "command list"
+        yield NOT_MODELED, f"{name} is {c.lacking}"
+        return
     if c.kind in ("data write", "mode write"):
-        return _data(map_.register(c.symbol), held, c, axes)
-    if c.kind == "data read" and held.unused:
-        return f"{name} takes no data: what was written to WR6, WR7 is not used", "data reading commands"
-    if c.starts and c.kind == "drive" and (moving := axes & held.driving):
-        return f"{name} while {_names(moving)} is driving (n-DRV = 1)", "driving commands"
-    if c.symbol in TP_DRIVES and (said := _pulse_number(map_, held, name, axes)):
-        return said, _SECTIONS["TP"]
-    if c.starts and c.kind == "drive" and (refused := held.refused(value)):
-        said = "; ".join(f"{_names(1 << k)}: {why}" for k, why in refused.items())
-        return f"{name} starts no drive: {said}", "driving commands"
-    return _interpolation(held, c, name) if c.together else None
+        yield from _lint_data(map_.register(c.symbol), chip, c, axes)
+    if c.kind == "data read" and chip.has_unused_data:
+        yield DATA_NOT_USED, f"{name} takes no data: what was written to WR6, WR7 is not used"
+    if c.starts and c.kind == "drive" and (moving := axes & chip.driving):
+        yield ALREADY_DRIVING, f"{name} while {_name_axes(moving)} is driving (n-DRV = 1)"
+    if c.symbol in TP_DRIVES:
+        yield from _lint_pulse_numbers(map_, chip, name, axes)
+    if c.starts and c.kind == "drive" and (refusals := chip.find_refusals(value)):
+        reasons = "; ".join(f"{_name_axes(1 << k)}: {why}" for k, why in refusals.items())
+        yield STARTS_NO_DRIVE, f"{name} starts no drive: {reasons}"
+    if c.together:
+        yield from _lint_interpolation(chip, c, name)
 
 
-def _axes(map_: RegisterMap, c: Command, name: str, axes: int) -> str:
-    if absent := axes >> map_.axes << map_.axes:
-        return f"{name} to {_names(absent)}: the {map_.chip} has {map_.axes} axes"
+def _lint_axes(map_: RegisterMap, c: Command, name: str, axes: int) -> Iterator[Finding]:
+    """Yield what is wrong with the axis bits of a command."""
+    absent = axes >> map_.axes << map_.axes
+    if absent:
+        yield ABSENT_AXES, f"{name} to {_name_axes(absent)}: the {map_.chip} has {map_.axes} axes"
     if c.axes and not axes and map_.axes > 1:
-        return f"{name} needs axis bits and has none"
+        yield AXES_MISSING, f"{name} needs axis bits and has none"
     if not c.axes and axes and c.kind != "data read":
-        return f"{name} carries no axis bits: {_names(axes)} given"
+        yield AXES_GIVEN, f"{name} carries no axis bits: {_name_axes(axes)} given"
     if c.axes and c.kind == "data read" and axes & (axes - 1):
-        return f"{name} reads one axis: of {_names(axes)} only the first is read"
-    return ""
+        yield SEVERAL_AXES_READ, f"{name} reads one axis: of {_name_axes(axes)} only the first is read"
 
 
-def _data(r: Register, held: Any, c: Command, axes: int) -> Note | None:
-    where = _SECTIONS.get(r.name, f"{c.kind[:4]} writing commands")
-    word = (held.wr6 | held.wr7 << 16) & r.mask
+def _lint_data(r: Register, chip: Any, c: Command, axes: int) -> Iterator[Finding]:
+    """Yield what is wrong with the data of a command that writes register `r`."""
+    word = chip.data & r.mask
     value = r.value(word)
-    if not r.allows(value) and r.name != "TP":  # a bit pattern may be any number; see TP_DRIVES
-        return f"{r.name} = {value}: {r.title} takes {r.range[0]} to {r.range[1]}", where
-    if c.kind == "mode write" and (empty := word & ~r.used):
-        return f"{r.name} = {word:04X}h: it has no {_bits(empty)}", where
+    section = r.section or f"{c.kind[:4]} writing commands"
+    if not r.allows(value) and r.name != "TP":  # TP may be any number as data of a bit pattern: its drives are checked
+        yield VALUE_RANGE.at(section), f"{r.name} = {value}: {r.title} takes {r.range[0]} to {r.range[1]}"
+    if c.kind == "mode write" and (unused := word & ~r.used):
+        yield UNUSED_BITS.at(section), f"{r.name} = {word:04X}h: it has no {_name_bits(unused)}"
     for f in r.fields:
         if axes and f.only is not None and f.of(word) and not axes >> f.only & 1:
-            return (
-                f"{r.name} = {word:04X}h to {_names(axes)}: {f.name} ({f.meaning}) acts on {AXES[f.only]} only",
-                where,
+            message = (
+                f"{r.name} = {word:04X}h to {_name_axes(axes)}: {f.name} ({f.meaning}) acts on {AXES[f.only]} only"
             )
+            yield ONE_AXIS_ONLY.at(section), message
     if r.name == "IPM" and MLT.of(word) and LMDF.of(word):
-        return f"IPM = {word:04X}h: MLT and LMDF exclude each other; short-axis pulses are not equalized", where
-    if r.name == "TP" and axes & held.relative and not _is_pulse_number(r, value):
-        return f"TP = {value} while driving: {r.title} takes {r.range[0]} to {r.range[1]}", where
-    if r.name == "TP" and (moving := axes & held.absolute):
-        return f"TP written while {_names(moving)} is in absolute position driving: it cannot be changed", where
-    if r.name == "TP" and (turned := _turned(held, axes & held.relative, value)):
+        message = f"IPM = {word:04X}h: MLT and LMDF exclude each other; short-axis pulses are not equalized"
+        yield EXCLUSIVE_BITS.at(section), message
+    if r.name == "TP":
+        yield from _lint_pulses_in_motion(r, chip, axes, value)
+    if r.name == "DV" and chip.interpolating and axes & _find_main_axis(chip) and value > CONTINUOUS_SPEED:
+        message = f"DV = {value} in continuous interpolation: {CONTINUOUS_SPEED} is the most"
+        yield CONTINUOUS_TOO_FAST, message
+    yield from _lint_fields(r, word, section)
+
+
+def _lint_pulses_in_motion(tp: Register, chip: Any, axes: int, value: int) -> Iterator[Finding]:
+    """Yield what is wrong with a value of TP that is written while axes drive."""
+    if axes & chip.relative and not tp.allows(value):
+        yield VALUE_RANGE.at(tp.section), f"TP = {value} while driving: {tp.title} takes {tp.range[0]} to {tp.range[1]}"
+    if moving := axes & chip.absolute:
+        message = f"TP written while {_name_axes(moving)} is in absolute position driving: it cannot be changed"
+        yield TP_IN_ABSOLUTE_DRIVE, message
+    if turned := sum(1 << k for k, old in enumerate(chip.finish) if axes & chip.relative & 1 << k and old * value < 0):
         why = "the direction cannot be changed, and the drive stops at once"
-        return f"TP = {value} while {_names(turned)} drives the other way: {why}", where
-    if r.name == "DV" and held.interpolating and axes & _main(held) and value > CONTINUOUS_SPEED:
-        return f"DV = {value} in continuous interpolation: {CONTINUOUS_SPEED} is the most", "interpolation commands"
-    return _fields(r, word, where)
+        yield TP_TURNS_DRIVE, f"TP = {value} while {_name_axes(turned)} drives the other way: {why}"
 
 
-def _is_pulse_number(tp: Register, value: int) -> bool:
-    """Return whether a value of TP can be a number of pulses; what cannot is data of a bit pattern."""
-    return tp.allows(value)
-
-
-def _pulse_number(map_: RegisterMap, held: Any, name: str, axes: int) -> str:
-    """Return what is wrong with the TP of a drive command; "" if nothing."""
+def _lint_pulse_numbers(map_: RegisterMap, chip: Any, name: str, axes: int) -> Iterator[Finding]:
+    """Yield the axes of a drive command whose TP is no number of pulses."""
     tp = map_.register("TP")
-    for k, value in enumerate(held.finish[: map_.axes]):
-        if (axes >> k & 1 or map_.axes == 1) and not _is_pulse_number(tp, value):
-            return f"{name} with TP = {value} of {AXES[k]}: {tp.title} takes {tp.range[0]} to {tp.range[1]}"
-    return ""
+    for k, value in enumerate(chip.finish[: map_.axes]):
+        if (axes >> k & 1 or map_.axes == 1) and not tp.allows(value):
+            yield (
+                PULSE_NUMBER,
+                f"{name} with TP = {value} of {AXES[k]}: {tp.title} takes {tp.range[0]} to {tp.range[1]}",
+            )
 
 
-def _turned(held: Any, axes: int, value: int) -> int:
-    """Which of `axes` have a finish point of the other sign."""
-    return sum(1 << k for k, old in enumerate(held.finish) if axes >> k & 1 and old * value < 0)
-
-
-def _interpolation(held: Any, c: Command, name: str) -> Note | None:
-    axes, where = held.interpolated_by(c), "interpolation commands"
+def _lint_interpolation(chip: Any, c: Command, name: str) -> Iterator[Finding]:
+    """Yield what is wrong with an interpolation command."""
+    axes = chip.interpolated_by(c)
     if (count := axes.bit_count()) not in c.together:
-        return f"{name} with {count} axes chosen{': ' if axes else ''}{_names(axes)}", where
-    if held.role and (said := _multichip(held, c, name)):
-        return said, "IPM, MLT"
-    if not held.interpolating and (moving := axes & held.driving):
-        return f"{name} while {_names(moving)} is driving (n-DRV = 1)", where
-    if held.full:
-        return f"{name} while the pre-buffer is full: wait for CNEXT = 1", where
-    speed = sum(dv for k, dv in enumerate(held.drive_speed) if _main(held) >> k & 1)
-    if held.interpolating and speed > CONTINUOUS_SPEED:
-        return f"{name} in continuous interpolation with DV = {speed}: {CONTINUOUS_SPEED} is the most", where
-    for k, tp in enumerate(held.finish):
+        yield NUMBER_OF_AXES, f"{name} with {count} axes chosen{': ' if axes else ''}{_name_axes(axes)}"
+    if chip.role:
+        yield from _lint_multichip(chip, c, name)
+    if not chip.interpolating and (moving := axes & chip.driving):
+        yield AXIS_DRIVES, f"{name} while {_name_axes(moving)} is driving (n-DRV = 1)"
+    if chip.full and not (chip.role and chip.linked):  # lines of several chips do not queue
+        yield PRE_BUFFER_FULL, f"{name} while the pre-buffer is full: wait for CNEXT = 1"
+    speed = sum(dv for k, dv in enumerate(chip.drive_speed) if _find_main_axis(chip) >> k & 1)
+    if chip.interpolating and speed > CONTINUOUS_SPEED:
+        message = f"{name} in continuous interpolation with DV = {speed}: {CONTINUOUS_SPEED} is the most"
+        yield CONTINUOUS_TOO_FAST, message
+    for k, tp in enumerate(chip.finish):
         if axes >> k & 1 and c.points and not POINT[0] <= tp <= POINT[1]:
-            return f"{name} with TP = {tp} of {AXES[k]}: a finish point takes {POINT[0]} to {POINT[1]}", _SECTIONS["TP"]
-    if c.symbol in HELICES and (said := _lost_along(held, name)):
-        return said, where
-    return None
+            message = f"{name} with TP = {tp} of {AXES[k]}: a finish point takes {POINT[0]} to {POINT[1]}"
+            yield FINISH_POINT_RANGE, message
+    if c.symbol in HELICES:
+        yield from _lint_helix(chip, name)
 
 
-def _lost_along(held: Any, name: str) -> str:
-    """Return what is wrong with the pulses of the axes beside the circle of a helix; "" if nothing."""
-    for k in [k for k in range(len(held.finish)) if held.interpolated >> k & 1][2:]:
-        if (pulses := abs(held.finish[k])) > held.helix_ticks:
-            limit = f"the {held.helix_ticks} ticks of HLV make one pulse each at most"
-            return f"{name} with TP = {held.finish[k]} of {AXES[k]}: {limit}; the other {pulses - held.helix_ticks} are lost"
-    return ""
+def _lint_helix(chip: Any, name: str) -> Iterator[Finding]:
+    """Yield the axes along a helix that have more pulses than the helix has ticks."""
+    for k in [k for k in range(len(chip.finish)) if chip.interpolated >> k & 1][2:]:
+        if (pulses := abs(chip.finish[k])) > chip.helix_ticks:
+            limit = f"the {chip.helix_ticks} ticks of HLV make one pulse each at most"
+            lost = f"the other {pulses - chip.helix_ticks} are lost"
+            yield HELIX_PULSES_LOST, f"{name} with TP = {chip.finish[k]} of {AXES[k]}: {limit}; {lost}"
 
 
-def _multichip(held: Any, c: Command, name: str) -> str:
-    """What is wrong with an interpolation command to a master or slave."""
-    what = f"{name} as {MLT.values[held.role]} (MLT = {held.role})" if held.role < len(MLT.values) else name
-    if held.role == 1 and not held.linked:
-        return f"{what}: no other chip is wired to this one, which interpolates by itself; see Stage(multichip=...)"
+def _lint_multichip(chip: Any, c: Command, name: str) -> Iterator[Finding]:
+    """Yield what is wrong with an interpolation command to a master or slave."""
+    subject = f"{name} as {MLT.values[chip.role]} (MLT = {chip.role})" if chip.role < len(MLT.values) else name
+    if chip.role == 1 and not chip.linked:
+        why = "no other chip is wired to this one, which interpolates by itself; see Stage(multichip=...)"
+        yield NO_OTHER_CHIP, f"{subject}: {why}"
+        return
     if not c.symbol.startswith("LHK"):
-        return f"{what} starts nothing: of several chips together only lines, 60h to 63h, are modelled"
-    if not held.linked:
-        return (
-            f"{what}: no other chip is wired to this one, and no pulse of a master will come; see Stage(multichip=...)"
-        )
-    if held.interpolating:
-        return f"{what} during a line of several chips is refused: one after the other without a stop is not modelled"
-    if held.role == 2 and held.started:
-        return f"{what} while the master interpolates is refused (MCERR): start slaves first"
-    return ""
+        why = "starts nothing: of several chips together only lines, 60h to 63h, are modelled"
+        yield ONLY_LINES, f"{subject} {why}"
+    if not chip.linked:
+        why = "no other chip is wired to this one, and no pulse of a master will come; see Stage(multichip=...)"
+        yield NO_OTHER_CHIP, f"{subject}: {why}"
+    if chip.interpolating:
+        why = "is refused: one after the other without a stop is not modelled"
+        yield LINE_IN_PROGRESS, f"{subject} during a line of several chips {why}"
+    elif chip.role == 2 and chip.started:
+        yield SLAVE_TOO_LATE, f"{subject} while the master interpolates is refused (MCERR): start slaves first"
 
 
-def _main(held: Any) -> int:
-    """The main axis of the MCX514's interpolation, the lowest, as a bit."""
-    return held.interpolated & -held.interpolated
+def _find_main_axis(chip: Any) -> int:
+    """Find the main axis of the MCX514's interpolation, the lowest, as a bit."""
+    axes: int = chip.interpolated
+    return axes & -axes
 
 
-def _fields(place: Register | Word, word: int, where: str) -> Note | None:
+def _lint_fields(place: Register | Word, word: int, section: str) -> Iterator[Finding]:
+    """Yield fields whose value means nothing."""
     for f in place.fields:
         if f.legal and not f.legal[0] <= f.of(word) <= f.legal[1]:
-            return f"{place.name} = {word:04X}h: {f.name} = {f.of(word)} ({f.text})", where
-    return None
+            yield FIELD_RANGE.at(section), f"{place.name} = {word:04X}h: {f.name} = {f.of(word)} ({f.text})"
 
 
-def _bits(mask: int) -> str:
-    found = [str(k) for k in range(15, -1, -1) if mask >> k & 1]
-    return f"bit{'s' if len(found) > 1 else ''} {' and '.join(found)}"
+def _name_bits(mask: int) -> str:
+    numbers = [str(k) for k in range(15, -1, -1) if mask >> k & 1]
+    return f"bit{'s' if len(numbers) > 1 else ''} {' and '.join(numbers)}"
 
 
-def _names(axes: int) -> str:
+def _name_axes(axes: int) -> str:
     return ", ".join(a for k, a in enumerate(AXES) if axes >> k & 1)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 from typing import Any, ClassVar
 
 import numpy as np
 
 from stage.chips.chip import Chip
-from stage.chips.pcl240 import core, lint, state
+from stage.chips.diagnostics import Finding
+from stage.chips.pcl240 import core, state
 from stage.chips.pcl240.describe import Decoder, Listener
+from stage.chips.pcl240.lint import Foresight, lint_command, lint_data
 from stage.chips.pcl240.maps import (
     CONTROL,
     OPERATING_MODE,
@@ -26,9 +29,9 @@ from stage.support.arguments import told
 
 __all__ = ["OPERATING_MODE", "STATUS", "PCL240", "PCL240K", "PCL240MK", "PCL240MS"]
 
-LONGEST_MOVE = 1 << 42
-LONGEST_WAIT = 1 << 26
-"""Clocks: a start waits no longer for its first pulse, be it a step of R4 = 65535 from speed 0 and 8192 R7 clocks at speed 1."""
+MAX_MOVE_CLOCKS = 1 << 42
+MAX_START_DELAY_CLOCKS = 1 << 26
+"""A start waits no longer for its first pulse, even with a step of R4 = 65535 from speed 0 and 8192 R7 clocks at speed 1."""
 
 
 class PCL240(Chip):
@@ -141,25 +144,23 @@ class PCL240(Chip):
             "status": core.read.with_gil(self.pointer, 0)
         }
 
-    def mistake(self, address: int, value: int) -> lint.Note | None:
-        c = self._plain
-        return lint.data(self.MAP, c, address, value) if address else lint.command(self.MAP, c, self._foresight, value)
+    def lint(self, address: int, value: int) -> Iterator[Finding]:
+        if address:
+            return lint_data(self.MAP, self._plain, address, value)
+        foresight = Foresight(self._makes_pulses, self._predict_last_speed, self.clock_hz)
+        return lint_command(self.MAP, self._plain, foresight, value)
 
-    @property
-    def _foresight(self) -> lint.Foresight:
-        return lint.Foresight(self._moves, self._last_speed, self.clock_hz)
-
-    def _moves(self, command: int) -> bool:
-        """Do pulses come of this command, if nobody interferes?"""
+    def _makes_pulses(self, command: int) -> bool:
+        """Return whether pulses come of this command, if nobody interferes."""
         twin = copy.deepcopy(self._rows[self._i : self._i + 1])
         core.write(twin, 0, command)
-        return bool(core.advance(twin, self.clock + LONGEST_WAIT) > 0)
+        return bool(core.advance(twin, self.clock + MAX_START_DELAY_CLOCKS) > 0)
 
-    def _last_speed(self, command: int) -> int | None:
-        """Speed steps at the end of the run that this command begins, if nobody interferes; None if it goes on."""
+    def _predict_last_speed(self, command: int) -> int | None:
+        """Return the speed steps at the end of the run that this command begins, if nobody interferes; None if it goes on."""
         twin = copy.deepcopy(self._rows[self._i : self._i + 1])
         core.write(twin, 0, command)
-        core.advance(twin, self.clock + LONGEST_MOVE)
+        core.advance(twin, self.clock + MAX_MOVE_CLOCKS)
         return None if core.busy(twin, 0) else int(twin[0]["speed"])
 
 

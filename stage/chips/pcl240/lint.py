@@ -1,15 +1,16 @@
-"""Mistakes in bus writes by the PCL-240 data sheets: (message, section of the data sheet), or None.
+"""Lint of the PCL-240 chips: the rules of their data sheets that a bus write breaks.
 
-`map_` is the chip's register map, `c` its record before the write, with access by name.
+`c` is the chip's record before the write, with access by name; `map_` is its register map. A start command has two groups of rules:
+those that keep it from making pulses, and those about the way the pulses go, which are silent where none of the former is broken.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
-from stage.chips.chip import Limit
+from stage.chips.diagnostics import Finding, Rule
 from stage.chips.pcl240.maps import WRITTEN
 from stage.chips.pcl240.state import (
     EL_MINUS,
@@ -40,105 +41,133 @@ from stage.chips.pcl240.state import (
 )
 from stage.chips.register_map import RegisterMap
 
-Note = tuple[str, str]
-MOST_PPS = 245_730
-"""Of the output: 8191 steps of 30 pps, the greatest multiplier (sheet, sections 1 and 4)."""
+# a byte to a register
+BITS_LOST = Rule("bits-lost", "section 3 c")
+READ_ONLY_BITS = Rule("read-only-bits", "MS section 2-4")
+NO_S_CURVES = Rule("no-s-curves", "MS section 1")
+TORN_BYTES = Rule("torn-bytes", "Q & A")
+AUTOMATIC_POINT_ENDS = Rule("automatic-point-ends", "MS section 3-5")
+VALUE_RANGE = Rule("value-range", "section 4")
+# a byte to address 0
+UNUSED_BITS = Rule("unused-bits", "section 3")
+DIRECTION_IN_MOTION = Rule("direction-in-motion", "section 3 b")
+UNKNOWN_SPEED = Rule("unknown-speed", "section 3 a")
+UNKNOWN_MODE = Rule("unknown-mode", "section 3 a")
+TOO_FAST = Rule("too-fast", "section 1", once=True)
+# a start that makes no pulse
+START_WHILE_FINISHING = Rule("start-while-finishing", "Q & A")
+NO_RESET_COMMAND = Rule("no-reset-command", "section 3 a")
+NO_PULSES_LEFT = Rule("no-pulses-left", "section 4 R0")
+LIMIT_AHEAD = Rule("limit-ahead", "pins 23 and 24")
+STARTS_ON_ORG = Rule("starts-on-org", "section 5 f")
+NO_MULTIPLIER = Rule("no-multiplier", "Q & A")
+FL_IS_0 = Rule("fl-is-0", "Q & A")
+FH_IS_0 = Rule("fh-is-0", "section 4 R1 to R3")
+# the way the pulses go
+RATE_BELOW_2 = Rule("rate-below-2", "section 4 R4")
+EZ_NOT_SELECTED = Rule("ez-not-selected", "MS section 2-4")
+FL_ABOVE_FH = Rule("fl-above-fh", "section 4 R1")
+AUTOMATIC_WITHOUT_PRESET = Rule("automatic-without-preset", "section 3 b")
+SPAN_OF_LINEAR_RAMP = Rule("span-of-linear-ramp", "MS section 2-2")
+NO_RAMP_DOWN_POINT = Rule("no-ramp-down-point", "section 4 R6")
+OFFSET_TOO_NEGATIVE = Rule("offset-too-negative", "MS section 3-4")
+UNEQUAL_SPANS = Rule("unequal-spans", "MS section 3-4")
+MOVE_TOO_SHORT = Rule("move-too-short", "MS section 3-4")
+
+MAX_RATE_PPS = 245_730
+"""Maximum output rate: 8191 speed steps of 30 pps, the greatest multiplier (data sheet, sections 1 and 4)."""
 LAST_PULSES = 16
-"""A run is noted that stops at a speed at which so many pulses are left in a ramp that ends at FL, or at a tenth of the ramp: some
-pulses are always missing, see ramp_down.md."""
-_SECTIONS = {"control": "section 3 b", "select": "section 3 c", "output": "section 3 d"}
+"""A move is reported as too short if at the speed at which it stops so many pulses are missing of a ramp that ends at FL, or a
+tenth of the ramp: some pulses are always missing, see docs/ramp_down.md."""
 _SPEEDS = MAP.field("operate", "speed").values
 _FH = {FH1: 2, FH2: 3}
-"""The register of a speed select; R1 of any other."""
+"""Speed select -> number of its register; R1 of any other."""
 _WORD = (1 << 24) - 1
 """The bits of the three data bytes."""
 _RAMPING = ("R1", "R4", "R5", "R14", "R15")
 
 
 class Foresight(NamedTuple):
-    """What a command leads to, if nobody interferes."""
+    """Answers to what a command leads to, if nobody interferes.
 
-    moves: Callable[[int], bool]
-    """Do pulses come of it?"""
-    last_speed: Callable[[int], int | None]
-    """The speed steps of the run at its end; None if it does not end."""
-    hz: int
-    """The reference clock."""
+    Attributes:
+        makes_pulses: Returns whether pulses come of the command.
+        predict_last_speed: Returns the speed steps at the end of the run; None if it does not begin or does not end.
+        clock_hz: Reference clock.
+    """
+
+    makes_pulses: Callable[[int], bool]
+    predict_last_speed: Callable[[int], int | None]
+    clock_hz: int
 
 
-def data(map_: RegisterMap, c: Any, address: int, value: int) -> Note | None:
-    """A byte to address 1, 2 or 3."""
+def lint_data(map_: RegisterMap, c: Any, address: int, value: int) -> Iterator[Finding]:
+    """Yield what is wrong with a byte to address 1, 2 or 3."""
     k = int(c["selected"])
     r = map_.registers[k]
     shift = 8 * (address - 1)
-    given, whole = value << shift, int(c["reg"][k]) & ~(0xFF << shift) | value << shift
+    written, word = value << shift, int(c["reg"][k]) & ~(0xFF << shift) | value << shift
     if c["collective"]:
         if address != 1:
-            return None
-        given = whole = int(c["high"]) << 16 | int(c["middle"]) << 8 | value
-    if lost := given & ~r.mask & ~_sign_extension(r.name, c, given):
-        return (
-            f"{r.name} is {r.bits} bits wide: {value:02X}h at address {address} loses bits {lost:06X}h",
-            "section 3 c",
-        )
-    if fixed := given & r.mask & ~r.writable:
-        return f"{r.name} bits {fixed:06X}h are read only", "MS section 2-4"
-    if r.name in ("R14", "R15") and not c["s_curves"] and given & SPAN:
-        return f"{r.name}: this chip has no S-curves; the value is stored and means nothing", "MS section 1"
+            return
+        written = word = int(c["high"]) << 16 | int(c["middle"]) << 8 | value
+    if lost := written & ~r.mask & ~_find_sign_extension(r.name, c, written):
+        yield BITS_LOST, f"{r.name} is {r.bits} bits wide: {value:02X}h at address {address} loses bits {lost:06X}h"
+    if fixed := written & r.mask & ~r.writable:
+        yield READ_ONLY_BITS, f"{r.name} bits {fixed:06X}h are read only"
+    if r.name in ("R14", "R15") and not c["s_curves"] and written & r.mask & SPAN:
+        yield NO_S_CURVES, f"{r.name}: this chip has no S-curves; the value is stored and means nothing"
     if c["running"] and c["preset"] and c["ramps"]:
         if r.name in ("R0", "R6"):
-            return f"{r.name} written during a high-speed preset run: its bytes do not change together", "Q & A"
+            yield TORN_BYTES, f"{r.name} written during a high-speed preset run: its bytes do not change together"
         if r.name in _RAMPING and c["automatic"] and not c["manual"]:
-            return (
-                f"{r.name} written in motion switches the automatic ramp-down point off for this run",
-                "MS section 3-5",
-            )
+            message = f"{r.name} written in motion switches the automatic ramp-down point off for this run"
+            yield AUTOMATIC_POINT_ENDS, message
     # a register is complete with its low byte, which a host writes last, or whose high bytes are still 0
-    if r.legal and address == 1 and whole < r.legal[0] and whole not in r.also:  # a start tells of R0 = 0 and R6 = 0
-        return f"{r.name} = {whole}: {r.title} takes {r.legal[0]} to {r.legal[1]}", "section 4"
-    return None
+    if r.legal and address == 1 and word < r.legal[0] and word not in r.also:  # a start tells of R0 = 0 and R6 = 0
+        yield VALUE_RANGE, f"{r.name} = {word}: {r.title} takes {r.legal[0]} to {r.legal[1]}"
 
 
-def _sign_extension(name: str, c: Any, written: int) -> int:
+def _find_sign_extension(name: str, c: Any, written: int) -> int:
     """Find the bits of a byte, or of a collective write, that only repeat the sign of R6 as an offset: none of them is lost."""
     sign = _WORD & ~(int(c["top_bit"]) - 1)
     return sign if name == "R6" and c["extended"] and written & sign == sign else 0
 
 
-def command(map_: RegisterMap, c: Any, foresight: Foresight, value: int) -> Note | None:
-    """A byte to address 0."""
-    name = WRITTEN[value & GROUP]
-    if where := _SECTIONS.get(name):
-        empty = value & ~map_.word(name).used
-        bits = " and ".join(str(k) for k in range(7, -1, -1) if empty >> k & 1)
-        if empty:
-            return f"{name} mode {value:02X}h: bit {bits} means nothing on this chip", where
-        return _turn(c, value) if name == "control" else None
+def lint_command(map_: RegisterMap, c: Any, foresight: Foresight, value: int) -> Iterator[Finding]:
+    """Yield what is wrong with a byte to address 0."""
+    word = map_.word(WRITTEN[value & GROUP])
+    if word.name != "operate":
+        if unused := value & ~word.used:
+            bits = " and ".join(str(k) for k in range(7, -1, -1) if unused >> k & 1)
+            message = f"{word.name} mode {value:02X}h: bit {bits} means nothing on this chip"
+            yield UNUSED_BITS.at(word.section), message
+        if word.name == "control":
+            yield from _lint_direction(c, value)
+        return
     if value & SPEED not in _SPEEDS and value & START and not value & STOP:
-        return f"speed select {value & SPEED:02b} in {value:02X}h is in no table; it acts as FL", "section 3 a"
-    if value not in (sent := map_.word(name).sends) and (
-        value & ~INT_AT_STOP not in sent or value & ~INT_AT_STOP == STOP
-    ):
-        return f"operating mode {value:02X}h is in no table; {_effect(c, value)}", "section 3 a"
-    if not value & START or value & STOP:
-        return None
-    said = None if c["running"] else _start(c, foresight, value)
-    return said or _too_fast(c, foresight.hz, value)
+        yield UNKNOWN_SPEED, f"speed select {value & SPEED:02b} in {value:02X}h is in no table; it acts as FL"
+    elif value not in word.sends and (value & ~INT_AT_STOP not in word.sends or value & ~INT_AT_STOP == STOP):
+        yield UNKNOWN_MODE, f"operating mode {value:02X}h is in no table; {_describe_effect(c, value)}"
+    if value & START and not value & STOP:
+        if not c["running"]:
+            yield from _lint_start(c, foresight, value)
+        yield from _lint_rate(c, foresight.clock_hz, value)
 
 
-def _turn(c: Any, value: int) -> Note | None:
-    """Note a control mode that changes the direction before status bit 6 is 0."""
+def _lint_direction(c: Any, value: int) -> Iterator[Finding]:
+    """Find a control mode that changes the direction before status bit 6 is 0."""
     if bool(value & MINUS) == bool(c["minus"]) or not (c["running"] or c["finishing"]):
-        return None
-    what = "the next pulse goes the other way, without a ramp" if c["running"] else "PDIR changes within the last pulse"
-    return (
-        f"control mode {value:02X}h changes the direction in motion: {what}; wait until status bit 6 is 0",
-        "section 3 b",
+        return
+    effect = (
+        "the next pulse goes the other way, without a ramp" if c["running"] else "PDIR changes within the last pulse"
     )
+    message = f"control mode {value:02X}h changes the direction in motion: {effect}; wait until status bit 6 is 0"
+    yield DIRECTION_IN_MOTION, message
 
 
-def _effect(c: Any, value: int) -> str:
-    """Tell what a command of group 00 that is in no table does."""
+def _describe_effect(c: Any, value: int) -> str:
+    """Describe what a command of group 00 that is in no table does."""
     if value & STOP and value & START:
         if not c["running"]:
             return "nothing runs that it could stop"
@@ -149,84 +178,94 @@ def _effect(c: Any, value: int) -> str:
     return "it does nothing but " + ("ask for /INT at the stop" if value & INT_AT_STOP else "take /INT back")
 
 
-def _too_fast(c: Any, hz: int, value: int) -> Note | None:
-    """The speed that a start or a speed change asks for, against what the silicon is sold for."""
+def _lint_rate(c: Any, hz: int, value: int) -> Iterator[Finding]:
+    """Compare the speed that a start or a speed change asks for with what the silicon is sold for."""
     multiplier = int(c["multiplier"])
     k = max([1, _FH.get(value & SPEED, 1)] if value & RAMP else [_FH.get(value & SPEED, 1)], key=lambda k: c["reg"][k])
     steps = int(c["reg"][k])
-    if multiplier < 2 or steps * hz <= MOST_PPS * 8192 * multiplier:
-        return None
+    if multiplier < 2 or steps * hz <= MAX_RATE_PPS * 8192 * multiplier:
+        return
     pps, unit = steps * hz / (8192 * multiplier), hz / (8192 * multiplier)
-    return Limit(
-        f"output above {MOST_PPS:,} pps, the most of this chip: R{k} = {steps} asks for {pps:,.0f} pps with R7 = {multiplier}, "
+    yield (
+        TOO_FAST,
+        f"output above {MAX_RATE_PPS:,} pps, the most of this chip: R{k} = {steps} asks for {pps:,.0f} pps with R7 = {multiplier}, "
         f"a multiplier of {unit:g} (30 at most reaches every speed)",
-        "section 1",
     )
 
 
-def _start(c: Any, foresight: Foresight, value: int) -> Note | None:
+def _lint_start(c: Any, foresight: Foresight, value: int) -> Iterator[Finding]:
+    """Yield what is wrong with a start command while nothing runs."""
+    registers = [int(v) for v in c["reg"]]
+    obstacles = list(_find_obstacles(c, registers, foresight, value))
+    yield from obstacles
+    yield from _lint_registers(c, registers, value)
+    if value & RAMP and not obstacles:
+        yield from _lint_ramps(c, registers, value & SPEED)
+        yield from _lint_triangle(c, registers, value, foresight)
+
+
+def _find_obstacles(c: Any, r: list[int], foresight: Foresight, value: int) -> Iterator[Finding]:
+    """Yield what keeps a start from making pulses, or ends them at speed 0.
+
+    Ramps start from FL, and a decelerating stop ends there, whatever speed is selected: R1 may not be 0.
+    """
     if c["finishing"]:
-        return "start while the last pulse is still being completed is ignored: poll status bit 6", "Q & A"
+        message = "start while the last pulse is still being completed is ignored: poll status bit 6"
+        yield START_WHILE_FINISHING, message
     if not c["armed"]:
-        return "start after a stop without the reset command 08h is ignored", "section 3 a"
-    r = [int(v) for v in c["reg"]]
+        yield NO_RESET_COMMAND, "start after a stop without the reset command 08h is ignored"
     if c["preset"] and r[0] == 0:
-        return "start in preset mode with R0 = 0: no pulse, no /INT", "section 4 R0"
+        yield NO_PULSES_LEFT, "start in preset mode with R0 = 0: no pulse, no /INT"
     if c["seen"] & (EL_MINUS if c["minus"] else EL_PLUS):
-        return "start towards an asserted limit switch: no pulse comes; drive the other way", "pins 23 and 24"
+        yield LIMIT_AHEAD, "start towards an asserted limit switch: no pulse comes; drive the other way"
     if c["origin"] and c["seen"] & ORG:
-        turned = ", or clear R13 bit 23, which reads a high pin as ORG" if r[R13] & ORG_POSITIVE else ""
-        return f"origin return that starts on ORG: no pulse comes; leave ORG first{turned}", "section 5 f"
+        logic = ", or clear R13 bit 23, which reads a high pin as ORG" if r[R13] & ORG_POSITIVE else ""
+        yield STARTS_ON_ORG, f"origin return that starts on ORG: no pulse comes; leave ORG first{logic}"
     if c["multiplier"] < 2:
-        whose = " of the chip at SYNI" if c["inputs"] >> SYNI else ""
-        return (
-            f"start with R7{whose} = {c['multiplier']}: no pulse comes; the multiplier does not operate unless it is set",
-            "Q & A",
-        )
-    if standing := _standing(r, value, foresight.moves):
-        return standing
+        place = "R7 of the chip at SYNI" if c["inputs"] >> SYNI else "R7"
+        why = "no pulse comes; the multiplier does not operate unless it is set"
+        yield NO_MULTIPLIER, f"start with {place} = {c['multiplier']}: {why}"
+    if zero := [k for k in sorted({1, _FH.get(value & SPEED, 1)}) if r[k] == 0]:
+        message = f"start with {' and '.join(f'R{k} = 0' for k in zero)}: "
+        message += "the pulses end where a ramp leads to speed 0" if foresight.makes_pulses(value) else "no pulse comes"
+        yield (FL_IS_0, f"{message}; any data must be set on R1") if 1 in zero else (FH_IS_0, message)
+
+
+def _lint_registers(c: Any, r: list[int], value: int) -> Iterator[Finding]:
+    """Yield registers of a start that do not do what they are set for."""
     if value & RAMP and min(r[4], r[5]) < 2:
-        return f"high-speed start with R4 = {r[4]}, R5 = {r[5]}: rates below 2 hold the speed", "section 4 R4"
+        yield RATE_BELOW_2, f"high-speed start with R4 = {r[4]}, R5 = {r[5]}: rates below 2 hold the speed"
     if c["extended"] and c["origin"] and not r[R13] & EZ_RETURN and r[R13] & (EZ_MOST << EZ_COUNT | EZ_FROM_FL):
-        return "R13 counts EZ, but its bit 21 is 0: the origin return ends at ORG", "MS section 2-4"
-    if not value & RAMP:
-        return None
-    if not c["extended"]:
-        return _without_point(c, r, value & SPEED)
-    return _ramps(c, r, value & SPEED) or _triangle(c, r, value, foresight)
+        yield EZ_NOT_SELECTED, "R13 counts EZ, but its bit 21 is 0: the origin return ends at ORG"
 
 
-def _triangle(c: Any, r: list[int], value: int, foresight: Foresight) -> Note | None:
-    """An S-curve move that is too short for its FH, which nobody corrects, and stops above FL."""
+def _lint_triangle(c: Any, r: list[int], value: int, foresight: Foresight) -> Iterator[Finding]:
+    """Find an S-curve move that is too short for its FH, which nobody corrects, and stops above FL."""
     fh, corrected = _FH.get(value & SPEED), c["automatic"] and not r[R14] & UNCORRECTED
     if not fh or not c["s_curves"] or r[R14] & LINEAR or not c["preset"] or corrected or r[fh] <= r[1]:
-        return None
-    height = r[fh] - r[1]
+        return
+    height, rate, multiplier = r[fh] - r[1], r[4 if c["automatic"] else 5], int(c["multiplier"])
     up, down = (s if 0 < 2 * s < height else height / 2 for s in (r[R14] & SPAN, r[R15] & SPAN))
-    ramps = (height + 2 * up) * r[4] + (height + 2 * down) * r[4 if c["automatic"] else 5]
-    if r[0] * 32768 * int(c["multiplier"]) > (r[1] + r[fh]) * ramps:
-        return None
-    last = foresight.last_speed(value)
-    rate = r[4 if c["automatic"] else 5]
-    if last is None or last - r[1] <= min(
-        _steps_of(LAST_PULSES * 8192 * int(c["multiplier"]), r[1], rate, down), height / 10
-    ):
-        return None
-    last_pps, fl_pps = (k * foresight.hz / (8192 * int(c["multiplier"])) for k in (last, r[1]))
-    why = (
-        "FH correction is off (R14 bit 15)"
-        if c["automatic"]
-        else "there is no FH correction without the automatic point"
-    )
-    return (
-        f"R0 = {r[0]} is too short for R{fh} = {r[fh]}, and {why}: it stops at {last_pps:,.0f} pps, FL is {fl_pps:,.0f} pps",
-        "MS section 3-4",
-    )
+    ramps = (height + 2 * up) * r[4] + (height + 2 * down) * rate
+    if r[0] * 32768 * multiplier > (r[1] + r[fh]) * ramps:
+        return
+    last = foresight.predict_last_speed(value)
+    allowed = min(_compute_steps_of_phase(LAST_PULSES * 8192 * multiplier, r[1], rate, down), height / 10)
+    if last is None or last - r[1] <= allowed:
+        return
+    last_pps, fl_pps = (k * foresight.clock_hz / (8192 * multiplier) for k in (last, r[1]))
+    why = "FH correction is off (R14 bit 15)"
+    if not c["automatic"]:
+        why = "there is no FH correction without the automatic point"
+    message = f"R0 = {r[0]} is too short for R{fh} = {r[fh]}, and {why}: "
+    yield MOVE_TOO_SHORT, f"{message}it stops at {last_pps:,.0f} pps, FL is {fl_pps:,.0f} pps"
 
 
-def _steps_of(phase: float, fl: int, rate: int, span: float) -> float:
-    """The speed steps above FL at which an S-curve that ends at FL has so much phase left: rate sqrt(k span) clocks before its end,
-    at FL + k / 3 on average."""
+def _compute_steps_of_phase(phase: float, fl: int, rate: int, span: float) -> float:
+    """Compute the speed steps above FL at which an S-curve that ends at FL has so much phase left.
+
+    It is there rate sqrt(k span) clocks before its end, and runs at FL + k / 3 on average.
+    """
     low, high = 0.0, 8191.0
     for _ in range(20):
         k = (low + high) / 2
@@ -234,45 +273,36 @@ def _steps_of(phase: float, fl: int, rate: int, span: float) -> float:
     return high
 
 
-def _standing(r: list[int], value: int, moves: Callable[[int], bool]) -> Note | None:
-    """Speed registers of the run that are 0. Ramps start from FL, and a decelerating stop ends there, whatever is selected."""
-    zero = [k for k in sorted({1, _FH.get(value & SPEED, 1)}) if r[k] == 0]
-    if not zero:
-        return None
-    what = f"start with {' and '.join(f'R{k} = 0' for k in zero)}: "
-    what += "the pulses end where a ramp leads to speed 0" if moves(value) else "no pulse comes"
-    return (f"{what}; any data must be set on R1", "Q & A") if 1 in zero else (what, "section 4 R1 to R3")
+def _lint_ramps(c: Any, r: list[int], select: int) -> Iterator[Finding]:
+    """Yield contradictions about the ramps of a high-speed start."""
+    fh, extended = _FH.get(select), bool(c["extended"])
+    if extended and fh and r[1] > r[fh]:
+        yield FL_ABOVE_FH, f"R1 = {r[1]} is above R{fh} = {r[fh]}: the ramp leads down to FH"
+    if extended and c["automatic"] and not c["preset"]:
+        message = "automatic ramp-down without preset mode: there is no point to ramp down at"
+        yield AUTOMATIC_WITHOUT_PRESET, message
+    if extended and fh and r[1] != r[fh] and c["s_curves"] and r[R14] & LINEAR and (r[R14] | r[R15]) & SPAN:
+        yield SPAN_OF_LINEAR_RAMP, "R14 bit 12 selects linear ramps: the spans of R14 and R15 mean nothing"
+    if not c["preset"] or not fh or r[1] >= r[fh]:
+        return
+    if not c["automatic"]:
+        if r[6] == 0:
+            why, section = (". 08h clears R6 on this chip", "MS section 3-4") if extended else ("", "")
+            message = f"R6 = 0 in a high-speed preset move: it stops without ramping down{why}"
+            yield NO_RAMP_DOWN_POINT.at(section), message
+        return
+    yield from _lint_automatic_point(c, r, fh)
 
 
-def _without_point(c: Any, r: list[int], select: int) -> Note | None:
-    """Note a high-speed preset move to a rate above FL whose ramping-down point was not set."""
-    fh = _FH.get(select)
-    if not fh or r[1] >= r[fh] or r[6] or not c["preset"] or c["automatic"]:
-        return None
-    message = "R6 = 0 in a high-speed preset move: it stops without ramping down"
-    return (f"{message}. 08h clears R6 on this chip", "MS section 3-4") if c["extended"] else (message, "section 4 R6")
-
-
-def _ramps(c: Any, r: list[int], select: int) -> Note | None:
-    """Contradictions of a high-speed start on a chip with the extension."""
-    fh = _FH.get(select)
-    if fh and r[1] > r[fh]:
-        return f"R1 = {r[1]} is above R{fh} = {r[fh]}: the ramp leads down to FH", "section 4 R1"
-    if c["automatic"] and not c["preset"]:
-        return "automatic ramp-down without preset mode: there is no point to ramp down at", "section 3 b"
-    if not fh or r[1] == r[fh]:
-        return None
+def _lint_automatic_point(c: Any, r: list[int], fh: int) -> Iterator[Finding]:
+    """Yield what makes the automatic ramp-down point come too late, in a move that ramps up from FL to R`fh`."""
     height = r[fh] - r[1]
     linear = not c["s_curves"] or r[R14] & LINEAR
     up, down = (0 if linear or not 0 < 2 * s < height else s for s in (r[R14] & SPAN, r[R15] & SPAN))
-    if c["s_curves"] and linear and r[R14] & SPAN | r[R15] & SPAN:
-        return "R14 bit 12 selects linear ramps: the spans of R14 and R15 mean nothing", "MS section 2-2"
-    if not c["preset"] or not c["automatic"]:
-        return _without_point(c, r, select)
     offset = r[6] - 2 * int(c["top_bit"]) if r[6] & int(c["top_bit"]) else r[6]
     rising = (r[1] + r[fh]) * (height + 2 * up if up else 2 * height) * r[4] // (32768 * int(c["multiplier"]))
     if offset < 0 and -offset >= min(r[0], rising):
-        return f"R6 = {offset} as offset: the move ends before the automatic ramp-down begins", "MS section 3-4"
+        message = f"R6 = {offset} as offset: the move ends before the automatic ramp-down begins"
+        yield OFFSET_TOO_NEGATIVE, message
     if not linear and (up or height / 2) < (down or height / 2):
-        return "R14 is below R15: the automatic point comes too late for this deceleration", "MS section 3-4"
-    return None
+        yield UNEQUAL_SPANS, "R14 is below R15: the automatic point comes too late for this deceleration"

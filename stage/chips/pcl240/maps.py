@@ -68,6 +68,7 @@ def _operating_mode(clears: str) -> Word:
             0x1D: "decelerating stop, from FH1",
             0x1F: "decelerating stop, from FH2",
         },
+        section="section 3 a",
     )  # fmt: skip
 
 
@@ -84,12 +85,14 @@ CONTROL_MODE = Word(
         Field("origin", 0, 0, "origin return", "S", "W", note="stop at ORG"),
     ),
     address=0,
+    section="section 3 b",
 )
 REGISTER_SELECT = Word(
     "select",
     "register selection, 10xx xxxx at address 0",
     (_group(SELECT), Field("register", 2, 0, "register", "I", "W", values={k: f"R{k}" for k in range(8)})),
     address=0,
+    section="section 3 c",
 )
 OUTPUT_MODE = Word(
     "output",
@@ -105,6 +108,7 @@ OUTPUT_MODE = Word(
         ),
     ),
     address=0,
+    section="section 3 d",
 )  # fmt: skip
 STATUS = Word(
     "status",
@@ -151,6 +155,7 @@ EXTENDED_SELECT = Word(
         Field("register", 2, 0, "register", "I", "W", values={k: f"R{k} or R1{k}" for k in range(8)}),
     ),
     address=0,
+    section="section 3 c",
 )  # fmt: skip
 EXTENDED_OUTPUT_MODE = _with(
     OUTPUT_MODE,

@@ -9,12 +9,14 @@ chip.write(0x2D, 51200)                           a register, for whoever has no
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, ClassVar
 
 from pulsestage_trinamic.tmc5160 import core, encoder, lint
 from pulsestage_trinamic.tmc5160.maps import ADDRESSES, M32, M40, MAP, MOTION, SPI_DATAGRAM
 from pulsestage_trinamic.tmc5160.words import Decoder, Listener
 from stage.chips.chip import Chip
+from stage.chips.diagnostics import Finding
 from stage.errors import ArgumentError, StageError
 
 __all__ = ["TMC5160"]
@@ -122,14 +124,13 @@ class TMC5160(Chip):
     def listener(self) -> Listener:
         return Listener(self.state)
 
-    def mistake(self, address: int, value: int) -> tuple[str, str] | None:
-        said: tuple[str, str] | None = lint.write(self._plain, address, value)
-        if said is None and (self.attached or self._timed):
-            said = lint.timing(self._plain, address, value)
-        return said
+    def lint(self, address: int, value: int) -> Iterator[Finding]:
+        yield from lint.lint_write(self._plain, address, value)
+        if self.attached or self._timed:
+            yield from lint.lint_timing(self._plain, address, value)
 
     def twin(self, state: bytes | None = None) -> TMC5160:
-        """As every chip's. What looks for the mistakes of a chip of a stage, whose bus takes time, sees them on twins."""
+        """As every chip's. What checks the writes to a chip of a stage, whose bus takes time, sees them on twins."""
         twin = super().twin(state)
         assert isinstance(twin, TMC5160)
         twin._timed = self.attached or self._timed

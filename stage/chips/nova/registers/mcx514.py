@@ -30,10 +30,12 @@ NO_AXIS = ("TX", "HLN", "HLV", "CHLN", "IPM", "UI")
 def _parameter(
     code: int, name: str, title: str, legal: tuple[int, int] | None = None, unit: str = "", reset: int = 0, bits: int = 32,
     evidence: str = "C", signed: bool = False, also: tuple[int, ...] = (), fields: tuple[Field, ...] = (),
-    note: str = "",
+    note: str = "", section: str = "",
 ) -> Register:  # fmt: skip
     access = "RW" if name in READ_CODES else "W"
-    return Register(name, code, bits, access, title, legal, fields, evidence, unit, signed, also, reset, note)
+    return Register(
+        name, code, bits, access, title, legal, fields, evidence, unit, signed, also, reset, note, section=section
+    )
 
 
 _SPLIT = (
@@ -48,8 +50,10 @@ PARAMETERS = (
     _parameter(0x04, "SV", "initial speed", SPEED, "pps", 1),
     _parameter(0x05, "DV", "drive speed", SPEED, "pps", 1, note="can be changed while driving"),
     _parameter(0x06, "TP", "drive pulse number", (-2_147_483_646, 2_147_483_646), "pulses", evidence="S", signed=True,
-               note=f"or finish point (interpolation: {POINT[0]} to {POINT[1]}), or bit pattern; the other way stops a drive [I]"),
-    _parameter(0x07, "DP", "manual deceleration point", (0, 4_294_967_292), "pulses", evidence="S", note="used with MANLD"),
+               note=f"or finish point (interpolation: {POINT[0]} to {POINT[1]}), or bit pattern; the other way stops a drive [I]",
+               section="7.2.7"),
+    _parameter(0x07, "DP", "manual deceleration point", (0, 4_294_967_292), "pulses", evidence="S", note="used with MANLD",
+               section="7.2.8"),
     _parameter(0x08, "CP", "circular centre", POINT, "pulses", signed=True, note="relative"),
     _parameter(0x09, "LP", "logical position counter", None, "pulses", signed=True),
     _parameter(0x0A, "RP", "real position counter", None, "pulses", signed=True),

@@ -1,0 +1,107 @@
+"""Diagnostics: messages about bus writes that a reader of the data sheet would call mistakes.
+
+The lint of a family is a generator. For one bus write, and the state before it, it yields a pair of a `Rule` and a message for
+every rule that the write breaks; the chip adds clock, address and value, and keeps the result in `chip.diagnostics`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from stage.chips.entries import WRITE
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    from stage.chips.chip import Chip
+
+MAX_DIAGNOSTICS = 1000
+MAX_JOURNAL_ENTRIES = 1 << 21  # 64 MB
+
+
+class Rule(NamedTuple):
+    """A kind of mistake that a lint recognizes.
+
+    Attributes:
+        key: Short, stable identifier, unique in its family, for example "no-reset-command". Repetitions are counted by it.
+        source: Section of the data sheet that states the rule.
+        once: Whether a chip keeps only the first diagnostic of this rule: for limits of the silicon that a running program would
+            exceed again and again.
+    """
+
+    key: str
+    source: str
+    once: bool = False
+
+    def at(self, section: str) -> Rule:
+        """Return this rule as another section of the data sheet states it; "" leaves the section as it is."""
+        return self._replace(source=section) if section else self
+
+
+Finding = tuple[Rule, str]
+"""A broken rule and the message about it, as a lint yields them."""
+
+BUS_WIDTH = Rule("bus-width", "bus")
+CLOCK_RANGE = Rule("clock-range", "clock")
+
+
+class Diagnostic(NamedTuple):
+    """A message about a bus write that a reader of the data sheet would call a mistake.
+
+    Attributes:
+        clock: Reference clocks since power-up at the write.
+        address: Address of the write.
+        value: Value of the write.
+        message: What is wrong with it, and what it does.
+        source: Section of the data sheet.
+        key: Identifier of the rule that it breaks, see `Rule`.
+    """
+
+    clock: int
+    address: int
+    value: int
+    message: str
+    source: str
+    key: str = ""
+
+
+def parse_diagnostics(data: Iterable[Any]) -> tuple[Diagnostic, ...]:
+    """Convert the diagnostics in a snapshot's file. Raises TypeError or ValueError if they are something else."""
+    diagnostics = tuple(Diagnostic(*fields) for fields in data)
+    if any(list(map(type, d)) != [int, int, int, str, str, str] for d in diagnostics):
+        raise TypeError("three whole numbers and three texts")
+    return diagnostics
+
+
+def list_rules(lint: ModuleType) -> list[Rule]:
+    """Return the rules that a family's lint module defines, in their order there."""
+    return [rule for rule in vars(lint).values() if isinstance(rule, Rule)]
+
+
+class JournalLint:
+    """The lint of a chip whose bus cycles compiled code makes: it reads the writes from a journal, when somebody asks for them."""
+
+    def __init__(self, chip: Chip):
+        self._chip = chip
+        self._journal = chip.journal()
+
+    def limit_memory(self) -> None:
+        """Process the journal if it has become long."""
+        if len(self._journal.entries) > MAX_JOURNAL_ENTRIES:
+            self.process()
+
+    def process(self) -> None:
+        """Add the diagnostics of all writes in the journal to the chip's, and begin a new journal."""
+        chip, journal = self._chip, self._journal
+        entries = journal.entries
+        if not len(entries) and journal.until == chip.clock == int(journal.start["clock"]):
+            return
+        if (entries.packed()["kind"] == WRITE).any():
+            twin = chip.twin(journal.start.tobytes())
+            for entry in entries:
+                chip.CORE.advance.c(twin.pointer, entry.clock)
+                if entry.kind == WRITE:
+                    chip.diagnose(entry.clock, entry.a, entry.b, twin.lint(entry.a, entry.b))
+                entry.apply(chip.CORE, twin.pointer)
+        journal.restart()
