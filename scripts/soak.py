@@ -108,7 +108,7 @@ class Move:
 
     def events(self):
         """(seconds after the start, commands) of what happens in motion."""
-        slow = bus.SLOW_DOWN_FH2 if self.fh2 else bus.SLOW_DOWN_FH1
+        slow = bus.SLOW_DOWN["FH2" if self.fh2 else "FH1"]
         if self.way == "dual":
             return [(self.when, bus.RAMP["FH1" if self.fh2 else "FH2"])]
         if self.way in ("stop", "go on", "continuous"):

@@ -17,7 +17,7 @@ from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, plan, synchronized_move
 from stage.firmware.path import path_deviation
 from stage.firmware.pcl240.closed_form import bend, stretch
-from stage.firmware.pcl240.emulated import run
+from stage.firmware.pcl240.emulated import trace_row
 
 DELAYS = (1e-6, 1e-5, 1e-4)
 
@@ -67,7 +67,7 @@ def common_multiplier(moves, made):
         row[4], row[5] = (min(max(round(t * long.clock_hz / gain), 2), most) for t in (long.accel, long.decel))
         down = (high + low) * gain * row[5] / (16384 * r7)
         row[6] = min(int(down) + max(1, round(5 * ratio)), abs(axis.distance))
-        pulses.append((run(row, axis.chip), 1))
+        pulses.append((trace_row(row, axis.chip), 1))
     return path_deviation(pulses, [abs(a.distance) for a in made.axes.values()]).pulses
 
 

@@ -13,8 +13,9 @@ from stage.chips.chip import MAX_CLOCKS
 from stage.drives import dynamometer
 from stage.drives.dc_motors import MOST_COUNTS, Servo
 from stage.firmware import Bench, Profile
+from stage.firmware.axis import check_seconds
 from stage.firmware.hctl1100 import profile as servo_profile
-from stage.firmware.pcl240.moves import _offset, some_seconds
+from stage.firmware.pcl240.moves import encode_offset
 from stage.firmware.pcl240.plan import R0_MOST, _check, _share, _whole
 from stage.recording.viewer import web_server
 from stage.sim import faults, records
@@ -55,7 +56,7 @@ PLAIN = {
     "chips of a bench": (lambda v: Bench(*(PCL240K() for _ in range(v))), (1, 6), (0, 7)),
     "wait of a bench": (lambda v: Bench(PCL240K()).wait(v), (0, 1e-3), (-1e-9, 1e9)),
     "seconds of a firmware": (lambda v: _nanoseconds(v, "timeout"), (0, BELOW_9), (-1e-9, 1e9, math.nan, math.inf)),
-    "seconds of a move": (some_seconds, (0, BELOW_9), (-1e-9, 1e9)),
+    "seconds of a move": (check_seconds, (0, BELOW_9), (-1e-9, 1e9)),
     "spans": (
         lambda v: Profile(100, 200, 200, 100, 100, 12, chip=PCL240MS, spans=(v, 0)), (0, 4095), (-1, 4096),
     ),
@@ -73,7 +74,7 @@ PLAIN = {
     "ramp of a line": (lambda v: check({"decel": v}), (1e-9,), (0, math.inf)),
     "delay of a line": (lambda v: check({"bus_delay": v}), (0, 1), (-1e-9, 1.01)),
     "R6 as an offset": (
-        lambda v: _offset(Profile.of(chip=PCL240MK), v), (-(1 << 19), (1 << 19) - 1), (-(1 << 19) - 1, 1 << 19, 0.5),
+        lambda v: encode_offset(Profile.of(chip=PCL240MK), v), (-(1 << 19), (1 << 19) - 1), (-(1 << 19) - 1, 1 << 19, 0.5),
     ),
     "ramp of a circle": (lambda v: servo_profile.circle(9, seconds=0.4, sample=1e-2, ramp=v), (1e-3, 0.2), (0, 0.21)),
     "axes of a circle": (lambda v: servo_profile.circle(9, seconds=0.4, sample=1e-2, axes=v), (2, 3), (1, 4)),

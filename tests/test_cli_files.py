@@ -8,7 +8,6 @@ import sys
 
 import pytest
 
-from stage import firmware
 from stage.cli import main
 
 
@@ -34,7 +33,7 @@ def here(tmp_path, monkeypatch):
 )
 def test_a_file_of_another_kind_is_refused_before_the_run(options, said, here, capsys, monkeypatch):
     """stage move x 100 --record x.mp4 wrote an .rrd named so"""
-    monkeypatch.setattr(firmware, "preset_move", None)
+    monkeypatch.setattr("stage.firmware.pcl240.moves.preset_move", None)
     assert main(["move", "x", "100", *options.split()]) == 2
     assert capsys.readouterr().err.startswith(said)
     assert not list(here.iterdir())

@@ -471,7 +471,7 @@ def test_a_recording_is_opened_where_asked(bench, monkeypatch, options, expected
     monkeypatch.setattr(viewer, "open_viewer", lambda *given: opened.append(("viewer", *given)))
     monkeypatch.setattr(viewer, "check_screen", lambda what: opened.append("screen"))
     monkeypatch.setattr(viewer, "serve_web", lambda *given: opened.append(("web", *given)))
-    monkeypatch.setattr(firmware, "preset_move", lambda axis, *_, **__: axis.wait(1e-3) or report())
+    monkeypatch.setattr("stage.firmware.pcl240.moves.preset_move", lambda axis, *_, **__: axis.wait(1e-3) or report())
     assert main(["move", "x", "10", *options.split()]) == 0
     screen = ["screen"] if expected and expected[0] == "viewer" else []
     assert opened == screen + ([expected] if expected else [])

@@ -100,7 +100,7 @@ def test_ctrl_c_writes_what_was_recorded(tmp_path, monkeypatch, capsys):
         axis.stage.run(0.05)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(firmware, "preset_move", interrupted)
+    monkeypatch.setattr("stage.firmware.pcl240.moves.preset_move", interrupted)
     file = tmp_path / "x.vcd"
     assert main(["move", "x", "100mm", "--vcd", str(file)]) == 130
     assert (
@@ -145,7 +145,7 @@ def test_a_viewer_without_a_screen_is_refused_before_the_run(monkeypatch, capsys
     monkeypatch.chdir(tmp_path)
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(firmware, "preset_move", None)
+    monkeypatch.setattr("stage.firmware.pcl240.moves.preset_move", None)
     assert main(["move", "x", "10mm", "--view"]) == 2
     assert "no screen here to show what --view asks for on. Serve it to a browser (--web)" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

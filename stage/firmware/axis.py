@@ -71,6 +71,18 @@ def check_origin(axis: Axis, others: Sequence[str] = ()) -> None:
         )
 
 
+def check_direction(direction: int, what: str = "") -> None:
+    """Raise ArgumentError for a direction that is neither 1 nor -1. `what` says what it is the direction of."""
+    if direction not in (1, -1):
+        raise ArgumentError(f"direction={direction!r}: give +1 or -1{what}.")
+
+
+def check_seconds(seconds: float) -> None:
+    """Raise ArgumentError for a time that is not within 0 to 1e9 s."""
+    if not 0 <= seconds < 1e9:
+        raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to 1e9 s.")
+
+
 class HasAxes(Protocol):
     """A machine: a Stage, a Bench."""
 

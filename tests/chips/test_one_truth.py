@@ -85,13 +85,14 @@ def test_a_value_is_found_by_its_words_in_place():
 
 def test_the_commands_of_the_pcl240_are_those_of_its_data_sheet():
     """The codes here are copied from section 3, not from the map."""
-    assert (bus.RESET, bus.SLOW_DOWN_FH1, bus.SLOW_DOWN_FH2, bus.INTERRUPT) == (0x08, 0x1D, 0x1F, 0x20)
+    assert (bus.RESET, bus.SLOW_DOWN["FH1"], bus.SLOW_DOWN["FH2"], bus.INTERRUPT) == (0x08, 0x1D, 0x1F, 0x20)
     assert bus.START == {"FL": 0x10, "FH1": 0x11, "FH2": 0x13}
     assert bus.RAMP == {"FL": 0x14, "FH1": 0x15, "FH2": 0x17}
     assert (bus.ORIGIN, bus.SD, bus.PRESET, bus.MINUS, bus.AUTOMATIC, bus.POSITION) == (1, 2, 4, 8, 0x10, 0x20)
     assert (bus.CONTROL, bus.SELECT, bus.OUTPUT, bus.COLLECTIVE, bus.EXTENSION, bus.EXTERNAL) == (
         0x40, 0x80, 0xC0, 0x20, 0x08, 0x10,
     )  # fmt: skip
-    assert (bus.EZ_RETURN, bus.EZ_FROM_FL, bus.EZ_COUNT, bus.EZ_SIGNAL) == (1 << 21, 1 << 20, 16, 1 << 20)
+    assert (bus.encode_index(1), bus.encode_index(16)) == (1 << 21 | 1 << 20, 1 << 21 | 1 << 20 | 15 << 16)
+    assert bus.EZ_SIGNAL == 1 << 20
     assert (bus.UNCORRECTED, state.LINEAR, state.SPAN, state.COUNTER_MASK) == (0x8000, 0x1000, 0xFFF, 0xFFFFFF)
     assert (state.R10, state.R13, state.R14, state.R15, state.R17) == (8, 11, 12, 13, 15)

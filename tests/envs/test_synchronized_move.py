@@ -18,7 +18,7 @@ from stage.errors import ArgumentError
 from stage.firmware.driver import driver_of
 from stage.firmware.lines import Asked, line_of
 from stage.firmware.path import path_deviation, perfect_deviation, pulses_of
-from stage.firmware.pcl240 import emulated as follow
+from stage.firmware.pcl240 import emulated
 from stage.firmware.pcl240.driver import TUNED as REGISTERS
 
 SHORT = {"distances": (500, 3000), "rate": 16_000.0, "accel": 0.05}
@@ -165,7 +165,7 @@ def test_the_observation_foretells_how_far_the_followers_pulses_are_off_their_sh
     for k, d in enumerate(np.abs(rules.distances)):
         lead = int(d.argmax())
         follower, rho = 1 - lead, d[1 - lead] / d[lead]
-        pulses = [follow.run(row, CHIPS["PCL240K"]) for row in rows[k]]
+        pulses = [emulated.trace_row(row, CHIPS["PCL240K"]) for row in rows[k]]
         row = rows[k, lead]
         risen = (row[2] - row[1]) * row[4]
         falls = pulses[lead][d[lead] - row[6]]

@@ -79,7 +79,7 @@ def test_an_index_pulse_that_is_over_before_the_host_looks_is_the_reason():
 
 
 @pytest.mark.parametrize(
-    ("command", "reason"), [(bus.RESET, "reset command"), (bus.SLOW_DOWN_FH1, "decelerating stop")]
+    ("command", "reason"), [(bus.RESET, "reset command"), (bus.SLOW_DOWN["FH1"], "decelerating stop")]
 )
 def test_a_host_that_stops_a_move_is_the_reason_and_no_limit(command, reason):
     x = bench()

@@ -15,7 +15,7 @@ from stage.chips import PCL240K
 from stage.firmware import Bench, plan, synchronized_move
 from stage.firmware.pcl240 import fit, leader
 from stage.firmware.pcl240.closed_form import count, course, first_pulse, ramp_ticks
-from stage.firmware.pcl240.emulated import run
+from stage.firmware.pcl240.emulated import trace_row
 from stage.firmware.pcl240.leader import effective_steps
 from stage.firmware.pcl240.profile import ramp_seconds
 
@@ -34,7 +34,7 @@ def test_the_closed_form_is_the_chip_to_the_clock():
         up, down = (2, 2) if fh == fl else (rng.randint(2, 3000), rng.randint(2, 3000))
         r6 = rng.choice((0, rng.randint(1, 4000)))  # triangles and runs that never leave FL among them
         r = np.array([rng.randint(1, 3000), fl, fh, fh, up, down, r6, rng.randint(2, 1023)])
-        pulses, c = run(r), np.zeros(4, np.int64)
+        pulses, c = trace_row(r), np.zeros(4, np.int64)
         course(r, c)
         assert c[3] == pulses[-1], r
         at = [int(count(r, c, float(t))) for t in pulses]

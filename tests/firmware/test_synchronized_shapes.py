@@ -14,7 +14,7 @@ from stage import ArgumentError, Stage
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, plan, synchronized_move
 from stage.firmware.pcl240.closed_form import bend, count, course
-from stage.firmware.pcl240.emulated import run
+from stage.firmware.pcl240.emulated import trace_row
 
 FAMILY = (PCL240K, PCL240MK, PCL240MS)
 SHAPES = {
@@ -145,7 +145,7 @@ def test_an_automatic_plan_makes_the_pulses_of_its_r6_twin(chip, bits, s_curve):
         for n, a in p.axes.items():
             assert a.registers["R4"] == a.registers["R5"]
             assert a.registers["R6"] == (a.offset % (1 << bits) if a.automatic else a.down_point)
-            twin = run(a.row, chip)
+            twin = trace_row(a.row, chip)
             assert a.row[6] == a.down_point
             assert (
                 np.rint((report.paths[n][0] - report.paths[n][0][0]) * a.clock_hz).tolist() == (twin - twin[0]).tolist()
@@ -243,7 +243,7 @@ def test_the_closed_form_of_s_curves_is_the_chip_to_a_thousandth_of_a_pulse():
         rates = rng.randint(2, 3000), rng.randint(2, 3000)
         r = np.array([rng.randint(1, 3000), fl, fh, fh, *rates, r6, rng.randint(2, 1023), 0, 0])
         bend(r, rng.choice((0.02, 0.2, 0.4, 0.5)))
-        pulses, c = run(r, PCL240MS), np.zeros(4, np.int64)
+        pulses, c = trace_row(r, PCL240MS), np.zeros(4, np.int64)
         course(r, c)
         assert abs(c[3] - pulses[-1]) <= 3, r
         made = np.array([count(r, c, float(t)) for t in pulses])

@@ -353,10 +353,10 @@ def compute_closed_forms():
         closed.course(r, c)
         times = [float(c[3]) * part for part in (0.01, 0.1, 0.37, 0.5, 0.8, 0.99, 1.0)]
         chip = PCL240MS if len(r) > 8 else PCL240MK
-        ticks = emulated.run(r, chip, bool(k % 2 and fh > fl and r[6] > 1))
+        ticks = emulated.trace_row(r, chip, bool(k % 2 and fh > fl and r[6] > 1))
         results[k] = [
             c, [closed.count(r, c, t) for t in times], closed.first_pulse(r, c), closed.ramp_ticks(r, r[4]), closed.stretch(r),
-            r[8:], len(ticks), int(ticks.sum()), int(ticks[0]), emulated.offset(r, chip),
+            r[8:], len(ticks), int(ticks.sum()), int(ticks[0]), emulated.compute_offset(r, chip),
         ]  # fmt: skip
         if leader is not None and leader[0] >= size:
             results[f"{k} follows"] = fit.estimate(leader, 4_915_200, r, 4_000_000, 3e-6 * (k % 4), work)

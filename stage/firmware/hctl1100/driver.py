@@ -13,6 +13,7 @@ import numpy as np
 
 from stage.chips.hctl1100.maps import CLEAR, FLAG, MINIMUM_T, MODE, NUMBERS
 from stage.errors import ArgumentError, Limit, RunTimeout
+from stage.firmware import pattern
 from stage.firmware.axis import forward, positive
 from stage.firmware.choices import Choices
 from stage.firmware.driver import SETTLE, Driver, Speeds, select_moving
@@ -30,9 +31,9 @@ from stage.firmware.hctl1100.moves import (
     trapezoid,
     velocity_word,
 )
-from stage.firmware.hctl1100.pattern import Pattern
 from stage.firmware.hctl1100.port import CONTROL, FLAGS, IDLE, LIMIT, SET, STOP, Port
 from stage.firmware.hctl1100.profile import follow, synchronize
+from stage.firmware.pattern import BLUE, GREEN, GREY, RED
 from stage.firmware.report import Procedure, Report
 from stage.firmware.search import Search
 from stage.firmware.stop_reasons import ANOTHER_AXIS
@@ -43,6 +44,18 @@ PATIENCE = 5.0  # s, to come to rest
 DEADBAND = 10  # counts: a filter without an integral holds a weight by an error
 SAMPLES_MOST = 10_000_000  # of a line, whose command positions are computed before it begins
 LIMITS = {1: "el_plus", -1: "el_minus"}  # by the carriage's direction
+
+
+class Pattern(pattern.Pattern):
+    """Signals and commands of an HCTL-1100 that a drawing of a report shows."""
+
+    LANES = (
+        ("prof", "PROF", BLUE), ("init", "INIT", GREY), ("index", "EZ", GREEN), ("stop", "ORG", GREEN), ("limit", "LIMIT", RED),
+    )  # fmt: skip
+    ALWAYS = ("prof", "init")
+
+    def tells(self, meaning: str) -> bool:
+        return meaning.startswith("set F")
 
 
 class Hctl1100Driver(Driver):

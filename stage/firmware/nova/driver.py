@@ -10,14 +10,15 @@ import numpy as np
 
 from stage.chips.journal import Journal
 from stage.errors import ArgumentError, Limit, a_or_an
+from stage.firmware import pattern
 from stage.firmware.axis import positive
 from stage.firmware.choices import limits
 from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, select_moving, wait_until_stopped
 from stage.firmware.lines import Asked, Line, LineSettings, line_of
 from stage.firmware.nova.line import InRatio, Interpolated, NovaLine
-from stage.firmware.nova.pattern import Pattern
 from stage.firmware.nova.port import Port
 from stage.firmware.nova.search import HomeSearch
+from stage.firmware.pattern import AMBER, BLUE, GREEN, GREY, RED, VIOLET
 from stage.firmware.report import Procedure, Report
 from stage.firmware.search import Search
 from stage.firmware.stop_reasons import ANOTHER_AXIS, NOT_AS_ASKED, UNKNOWN
@@ -34,6 +35,20 @@ CAUSES = {
     "ALARM": "ALARM", "SYNC": "SYNC",
 }  # fmt: skip
 """Bits that tell what has ended a drive, and a report's words for them."""
+
+
+class Pattern(pattern.Pattern):
+    """Signals and commands of a NOVA chip that a drawing of a report shows."""
+
+    LANES = (
+        ("asnd", "ASND", BLUE), ("cnst", "CNST", BLUE), ("dsnd", "DSND", BLUE), ("drive", "n-DRV", GREY),
+        ("dir", "DIR \N{MINUS SIGN}", VIOLET), ("stop0", "STOP0", AMBER), ("stop1", "ORG", GREEN), ("stop2", "EZ", GREEN),
+        ("lmt_plus", "EL+", RED), ("lmt_minus", "EL-", RED), ("alarm", "ALARM", RED),
+    )  # fmt: skip
+    ALWAYS = ("asnd", "cnst", "dsnd", "drive")
+
+    def tells(self, meaning: str) -> bool:
+        return "driv" in meaning or "stop" in meaning or "home" in meaning or "interpolation" in meaning
 
 
 class NovaDriver(Driver):

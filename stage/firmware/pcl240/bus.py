@@ -21,9 +21,6 @@ from stage.chips.pcl240.state import (
     COLLECTIVE,
     EXTENSION,
     EXTERNAL,
-    EZ_COUNT,
-    EZ_FROM_FL,
-    EZ_RETURN,
     EZ_SIGNAL,
     MINUS,
     ORIGIN,
@@ -35,21 +32,65 @@ from stage.chips.pcl240.state import (
 from stage.errors import ArgumentError, RunTimeout, StageError, a_or_an
 from stage.firmware.axis import Axis
 from stage.firmware.driver import poll_interval
-from stage.firmware.pcl240.clock import explain_silence
 from stage.support.arguments import told_when_made
 
 START = {"FL": bits.START | bits.FL, "FH1": bits.START | bits.FH1, "FH2": bits.START | bits.FH2}  # constant speed
 RAMP = {name: start | bits.RAMP for name, start in START.items()}
-RESET, SLOW_DOWN_FH1, SLOW_DOWN_FH2 = bits.STOP, bits.STOP | RAMP["FH1"], bits.STOP | RAMP["FH2"]
+RESET = bits.STOP
+SLOW_DOWN = {name: bits.STOP | ramp for name, ramp in RAMP.items()}  # decelerating stop
 INTERRUPT = bits.INT_AT_STOP
 
-__all__ = ["AUTOMATIC", "COLLECTIVE", "CONTROL", "EXTENSION", "EXTERNAL", "EZ_COUNT", "EZ_FROM_FL", "EZ_RETURN", "EZ_SIGNAL",
-           "INTERRUPT", "MINUS", "ORIGIN", "OUTPUT", "POSITION", "PRESET", "RAMP", "RESET", "SD", "SELECT", "SLOW_DOWN_FH1",
-           "SLOW_DOWN_FH2", "START", "UNCORRECTED", "Port", "Status", "has_ez_monitor"]  # fmt: skip
+__all__ = [
+    "AUTOMATIC", "COLLECTIVE", "CONTROL", "EXTENSION", "EXTERNAL", "EZ_SIGNAL", "INTERRUPT", "MINUS", "ORIGIN",
+    "OUTPUT", "POSITION", "PRESET", "Port", "RAMP", "RESET", "SD", "SELECT", "SLOW_DOWN", "START", "Status",
+    "UNCORRECTED", "encode_index", "explain_silence", "has_ez_monitor", "name_leader", "require_clock",
+]  # fmt: skip
 
 POLL = 1e-3  # s between two looks at the status byte of a run that takes long
 QUICK = 2e-4  # s, where a command follows at once
 READS = 100  # tries to read a counter that changes
+
+
+LEAST_MULTIPLIER = 2
+"""The smallest R7 that makes a clock."""
+
+
+def name_leader(axis: Axis) -> str:
+    """Return the leader of an axis' chip in words: "axis x"."""
+    leader = getattr(axis.chip, "syni", None)
+    axes: Any = getattr(getattr(axis, "stage", None), "axes", {})
+    return next((f"axis {name}" for name, other in axes.items() if other.chip is leader), "another chip")
+
+
+def read_leader_multiplier(axis: Axis) -> int | None:
+    """Return the R7 that the axis' chip receives at SYNI; None where it counts its own clock.
+
+    The R7 of a chip that counts another one's clock does nothing: its rates are planned with the leader's.
+    """
+    leader = getattr(axis.chip, "syni", None)
+    return None if leader is None else int(leader.state["reg"][7])
+
+
+def require_clock(axis: Axis) -> int | None:
+    """Return `read_leader_multiplier`. Raises StageError where the leader makes no clock."""
+    multiplier = read_leader_multiplier(axis)
+    if multiplier is not None and multiplier < LEAST_MULTIPLIER:
+        raise StageError(f"axis {axis.name} makes no pulses: {explain_silence(axis)}")
+    return multiplier
+
+
+def explain_silence(axis: Axis) -> str:
+    """Return why the axis' chip makes no pulses, whatever starts it; "" where it has a clock."""
+    multiplier = read_leader_multiplier(axis)
+    if multiplier is not None and multiplier < LEAST_MULTIPLIER:
+        leader = name_leader(axis)
+        return (
+            f"its chip counts the clock of {leader} (SYNI), whose R7 is {multiplier}, and R7 = 2 to 1023 make a clock. "
+            f"Write the R7 of {leader}, move both together, or disconnect SYNI."
+        )
+    if multiplier is None and (own := int(axis.chip.state["reg"][7])) < LEAST_MULTIPLIER:
+        return f"its R7 is {own}, and R7 = 2 to 1023 make a clock. Write R7."
+    return ""
 
 
 def check(axis: Any) -> type[PCL240]:
@@ -114,6 +155,11 @@ def polarity(axis: Axis) -> dict[str, int]:
             )
         bits[name] = bits.get(name, 0) | map_.mask(name, field)
     return bits
+
+
+def encode_index(ez: int) -> int:
+    """Return the bits of R13 by which an origin return ends at the ez-th index pulse after ORG, at FL."""
+    return bits.EZ_RETURN | bits.EZ_FROM_FL | (ez - 1) << bits.EZ_COUNT
 
 
 def has_ez_monitor(chip: Chip | type[Chip]) -> bool:

@@ -9,15 +9,14 @@ from typing import Any, ClassVar, cast
 from stage.chips.journal import Journal
 from stage.firmware.driver import Driver, Speeds
 from stage.firmware.pcl240 import bus, moves
-from stage.firmware.pcl240.bus import Port
-from stage.firmware.pcl240.clock import require_clock
+from stage.firmware.pcl240.bus import Port, require_clock
 from stage.firmware.pcl240.home import origin_return
 from stage.firmware.pcl240.line import RatioLine
 from stage.firmware.pcl240.pattern import Pattern
+from stage.firmware.pcl240.procedure import find_cause, find_stop_reason
 from stage.firmware.pcl240.profile import Profile, usual_second
 from stage.firmware.pcl240.rates import dual_rate_move
 from stage.firmware.pcl240.search import FourRuns
-from stage.firmware.pcl240.stop_reason import find_cause, find_stop_reason
 from stage.firmware.pcl240.synchronized import synchronized_move
 from stage.firmware.report import Report
 from stage.firmware.search import Search
@@ -145,7 +144,7 @@ class Pcl240Driver(Driver):
 
     def halt(self, at_once: bool = False) -> None:
         if self.port.status().operating:
-            self.port.command(bus.RESET if at_once else bus.SLOW_DOWN_FH1)
+            self.port.command(bus.RESET if at_once else bus.SLOW_DOWN["FH1"])
         self.port.wait_until_stopped(60.0)
         self.port.command(bus.RESET)
 

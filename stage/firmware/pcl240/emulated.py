@@ -1,35 +1,52 @@
-"""A row of registers (fit.py) on an emulated chip: its pulses, and the offset of its automatic ramp-down point."""
+"""Rows of registers (see fit.py) on an emulated chip: their pulses, and the offset of their automatic ramp-down point."""
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any
-
 import numpy as np
 
-from stage.chips.pcl240 import PCL240, PCL240K, core
-from stage.firmware.pcl240 import fit
+from stage.chips.pcl240 import PCL240, PCL240K
+from stage.firmware.pcl240 import bus
+
+NAMES = (*(f"R{k}" for k in range(8)), "R14", "R15")
+"""Registers of a row in order; R14 and R15 on a chip with S-curves only."""
+MAX_CLOCKS = 1 << 44
 
 
-@cache
-def _powered_up(chip: Any) -> bytes:
-    return chip().snapshot().record
+def trace_row(row: np.ndarray, chip: type[PCL240] = PCL240K, automatic: bool = False) -> np.ndarray:
+    """Run the preset move of a row on an emulated chip.
+
+    Args:
+        row: Registers of the move.
+        chip: Class of the chip.
+        automatic: Whether the chip finds the ramp-down point itself.
+
+    Returns:
+        Ticks from the start to each pulse (int64).
+    """
+    row = np.asarray(row, np.int64)
+    r6 = compute_offset(row, chip) & chip.MAP.register("R6").mask if automatic else int(row[6])
+    emulated = _start(row, chip, r6, automatic)
+    pulses = np.empty(int(row[0]), emulated.CORE.PULSE)
+    emulated.CORE.trace.c(emulated.pointer, MAX_CLOCKS, pulses.ctypes.data, len(pulses))
+    return pulses["clock"].copy()
 
 
-def _fresh(chip: Any) -> np.ndarray:
-    """The record of a chip just powered up, to play with."""
-    return np.frombuffer(bytearray(_powered_up(chip)), core.STATE)
+def compute_offset(row: np.ndarray, chip: type[PCL240]) -> int:
+    """Compute R6 with which the automatic ramp-down begins at the same pulse as without it (normative model, section 7).
+
+    The automatic one begins once R0 <= pulses of the ramp-up + offset, the other once R0 < R6.
+    """
+    emulated = _start(row, chip, int(row[6]), False)
+    emulated.CORE.advance.c(emulated.pointer, MAX_CLOCKS)
+    return int(row[6]) - 1 - int(emulated.state["risen"])
 
 
-def offset(r: np.ndarray, chip: type[PCL240]) -> int:
-    """R6 that makes the automatic ramp-down come at the same pulse as without it (normative model, section 7): the one begins
-    once R0 <= pulses of the ramp-up + offset, the other once R0 < R6."""
-    return int(r[6]) - 1 - int(fit.risen(_fresh(chip), r))
-
-
-def run(r: np.ndarray, chip: type[PCL240] = PCL240K, automatic: bool = False) -> np.ndarray:
-    """Ticks from the start to each pulse (int64), by an emulated `chip` with row `r`."""
-    r = np.asarray(r, np.int64)
-    out = np.empty(int(r[0]), core.PULSE)
-    fit.play(_fresh(chip), r, automatic, offset(r, chip) if automatic else int(r[6]), out)
-    return out["clock"].copy()
+def _start(row: np.ndarray, chip: type[PCL240], r6: int, automatic: bool) -> PCL240:
+    """Start a chip just powered up on the preset move of a row, but with R6 = `r6`."""
+    emulated = chip()
+    for name, value in zip(NAMES, [*row[:6].tolist(), r6, *row[7:].tolist()], strict=False):
+        for cycle in emulated.register_cycles(name, value):
+            emulated.write(*cycle)
+    emulated.write(0, bus.CONTROL | bus.PRESET | (bus.AUTOMATIC if automatic else 0))
+    emulated.write(0, (bus.RAMP if row[2] > row[1] else bus.START)["FH1"])
+    return emulated

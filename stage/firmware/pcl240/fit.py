@@ -10,16 +10,13 @@ Counts are whole: n = floor(N), so n - rho n_leader lies between E - 1 and E + r
 above 0 before that pulse, it strays less. `accelerations` and `decelerations` look for it over every multiplier R7.
 
 An axis' registers are a row: R0 to R7, and on a chip with S-curves R14 and R15 after them. R6 in it is always the pulses left
-when the ramp-down begins; with the automatic ramp-down point the chip gets the offset that comes to the same (`offset`).
+when the ramp-down begins; with the automatic ramp-down point the chip gets the equivalent offset (`emulated.compute_offset`).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from stage.chips.pcl240 import core
-from stage.chips.pcl240.maps import CONTROL
-from stage.chips.pcl240.state import AUTOMATIC, FH1, PRESET, R14, R15, RAMP, START, read_pins
 from stage.firmware.pcl240.closed_form import (
     NEVER,
     bend,
@@ -290,31 +287,3 @@ def misfits(highs, r7s, hz_leader, rho, hz, least, enough, only, out):
     """`misfit` for many leaders; raises `out` to it."""
     for k in range(len(out)):
         out[k] = max(out[k], misfit(highs[k], r7s[k], hz_leader, rho, hz, least, enough, only))
-
-
-@hot
-def start(chip, r, automatic, r6):
-    """Start the chip on a preset move with row `r` but R6 = `r6`. automatic: by the automatic ramp-down point."""
-    for k in range(8):
-        chip.reg[k] = r[k]
-    if len(r) > 8:
-        chip.reg[R14], chip.reg[R15] = r[8], r[9]
-    chip.reg[6] = r6 & chip.mask[6] if automatic else r6
-    read_pins(chip)
-    core.write(chip, 0, CONTROL | PRESET | (AUTOMATIC if automatic else 0))
-    core.write(chip, 0, START | FH1 | (RAMP if r[2] > r[1] else 0))
-
-
-@exported("i8", core.STATE, ROW, "i8", "i8", array_of(core.PULSE))
-def play(chip, r, automatic, r6, out):
-    """Fill `out` with the pulses of such a move."""
-    start(chip, r, automatic, r6)
-    return core.trace(chip, NEVER >> 16, out)
-
-
-@exported("i8", core.STATE, ROW)
-def risen(chip, r):
-    """Pulses that the chip counts in the ramp-up of row `r`."""
-    start(chip, r, False, r[6])
-    core.advance(chip, NEVER >> 16)
-    return chip.risen

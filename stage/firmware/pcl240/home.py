@@ -11,9 +11,10 @@ from __future__ import annotations
 
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, a_or_an
-from stage.firmware.axis import Axis, check_origin
+from stage.firmware.axis import Axis, check_direction, check_origin
+from stage.firmware.driver import SETTLE
 from stage.firmware.pcl240 import bus
-from stage.firmware.pcl240.moves import SETTLE, either_way, minus_bit, prepare, profile_for, whole_count
+from stage.firmware.pcl240.moves import check_pulses, choose_profile, encode_direction, prepare
 from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import Profile
 from stage.firmware.report import Report
@@ -45,31 +46,43 @@ def origin_return(
         _____/                |___      __________  at `approach` pps, up to ORG
                             ORG   |____|            away: out of ORG, `back_off` pulses more
 
+    On MK and MS the position counter R10 is 0 at the origin.
+
     Args:
-        direction: where ORG lies.
-        high_speed: to FH1, slowed by SD; otherwise constant FL.
-        slow_approach: back off by `back_off` pulses and come again at `approach` pps, which makes the position repeatable
-            within a pulse.
-        ez: 1 to 16: end at the ez-th index pulse after ORG, at FL or slower, where a switch that has drifted does no harm
-            (R13; data sheet MS, 2-4). Needs a PCL240MK or PCL240MS.
-        timeout: s that each of its runs may take.
-    On MK and MS the position counter R10 is 0 at the origin. Returns a report: `stopped_by` is "ORG", or "EZ", or what was
-    met in its place: the end limit ahead (no ORG), the one behind (ORG never let go), or "HOME" where ORG is asserted again
-    after the axis has left it. Raises ArgumentError, RunTimeout.
+        axis: Axis whose chip is a PCL-240.
+        direction: Where ORG lies, 1 or -1.
+        profile: Rates and ramps.
+        high_speed: To FH1, slowed by SD; otherwise constant FL.
+        slow_approach: Back off by `back_off` pulses and come again at `approach` pps, which makes the position repeatable within a
+            pulse.
+        back_off: Pulses from the release of ORG to the start of the approach.
+        approach: Rate of the last approach, pps.
+        ez: End at the ez-th index pulse after ORG, 1 to 16, at FL or slower, where a switch that has drifted does no harm (R13;
+            data sheet MS, 2-4). Needs a PCL240MK or PCL240MS.
+        timeout: Simulated seconds that each of its runs may take.
+
+    Returns:
+        A report whose `stopped_by` is "ORG", or "EZ", or what was met in its place: the end limit ahead (no ORG), the one behind
+        (ORG was not released), or "HOME" where ORG is asserted again after the axis has left it.
+
+    Raises:
+        ArgumentError: A value is out of its range, or the axis has no origin switch.
+        RunTimeout: A run took longer than `timeout`.
     """
     patience(timeout)
     check_origin(axis)
-    profile, logic = profile_for(axis, profile), bus.polarity(axis)
+    profile, logic = choose_profile(axis, profile), bus.polarity(axis)
     if ez is not None:
-        _check_ez(axis, ez)
-    direction, back_off = either_way(direction), whole_count(back_off)
+        _check_index_number(axis, ez)
+    check_direction(direction)
+    back_off = check_pulses(back_off)
     if not 0 < approach <= profile.step * 8191:
         raise ArgumentError(
             f"approach={approach!r} pps: more than 0, up to {profile.step * 8191:.0f} with R7 = {profile.R7}."
         )
     with Procedure(axis, "origin return" if high_speed else "constant-speed origin return") as p:
         port = p.port
-        prepare(port, profile, minus_bit(-direction))
+        prepare(port, profile, encode_direction(-direction))
         port.write_registers(**logic)
         met = _leave(p, -direction, back_off, high_speed, timeout) if port.status().org else ""
         stopped_by = met or _approach(p, direction, high_speed, timeout, None if slow_approach else ez)
@@ -84,7 +97,8 @@ def origin_return(
         return p.report(stopped_by)
 
 
-def _check_ez(axis: Axis, ez: int) -> None:
+def _check_index_number(axis: Axis, ez: int) -> None:
+    """Raise ArgumentError for a chip that counts no index pulses, and for a number that it does not count to."""
     if not getattr(axis.chip, "EXTENDED", False):
         raise ArgumentError(
             f"axis {axis.name}: {a_or_an(axis.chip.MAP.chip)} does not count EZ: a PCL240MK or PCL240MS does."
@@ -94,12 +108,12 @@ def _check_ez(axis: Axis, ez: int) -> None:
 
 
 def _approach(p: Procedure, direction: int, high_speed: bool, timeout: float, ez: int | None) -> str:
-    """Run until ORG, an index pulse after it (`ez`), or the end limit stops the axis. Returns which."""
+    """Run until ORG, an index pulse after it (`ez`), or the end limit stops the axis, and return which."""
     port = p.port
     if port.extended:
         logic = bus.polarity(port.axis).get("R13", 0)
-        port.write_register("R13", logic | (bus.EZ_RETURN | bus.EZ_FROM_FL | (ez - 1) << bus.EZ_COUNT if ez else 0))
-    port.control(bus.ORIGIN | (bus.SD if high_speed else 0) | minus_bit(direction))
+        port.write_register("R13", logic | (bus.encode_index(ez) if ez else 0))
+    port.control(bus.ORIGIN | (bus.SD if high_speed else 0) | encode_direction(direction))
     port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
     port.wait_until_stopped(timeout)
     port.axis.wait(SETTLE)
@@ -107,20 +121,21 @@ def _approach(p: Procedure, direction: int, high_speed: bool, timeout: float, ez
 
 
 def _leave(p: Procedure, direction: int, back_off: int, high_speed: bool, timeout: float) -> str:
-    """Run in `direction` until ORG is released, stop, and go `back_off` pulses further, at FL.
+    """Run in `direction` until ORG is released, stop, and move `back_off` pulses further, at FL.
 
-    Returns "" where the axis is out of ORG then; else the end limit that it has met, or "HOME" where ORG is asserted all the same.
+    Returns:
+        "" where the axis is out of ORG then; else the end limit that it has met, or "HOME" where ORG is asserted all the same.
     """
     port = p.port
-    port.control(minus_bit(direction))
+    port.control(encode_direction(direction))
     port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
-    port.wait_until(lambda s: not s.org or not s.operating, timeout, what="ORG to let go")
-    port.command(bus.SLOW_DOWN_FH1 if high_speed else bus.RESET)
+    port.wait_until(lambda s: not s.org or not s.operating, timeout, what="the release of ORG")
+    port.command(bus.SLOW_DOWN["FH1"] if high_speed else bus.RESET)
     port.wait_until_stopped(timeout)
     port.axis.wait(SETTLE)
     port.command(bus.RESET)
     port.write_register("R0", back_off)
-    port.control(bus.PRESET | minus_bit(direction))
+    port.control(bus.PRESET | encode_direction(direction))
     port.command(bus.START["FL"])
     status = port.wait_until_stopped(timeout)
     port.axis.wait(SETTLE)

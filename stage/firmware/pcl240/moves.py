@@ -1,7 +1,7 @@
 """Moves, by bus cycles only: preset, continuous, interrupt and resume, external count.
 
-The procedures follow section 5 of the PCL-240K data sheet: reset command, registers, control mode, start; they serve the
-whole family and use what a chip offers. Arguments are checked before the first bus cycle.
+The procedures follow section 5 of the PCL-240K data sheet: reset command, registers, control mode, start. They serve the whole
+family and use what a chip offers. Arguments are checked before the first bus cycle.
 """
 
 from __future__ import annotations
@@ -11,17 +11,16 @@ from collections.abc import Callable, Iterator
 from stage.chips.pcl240.state import COUNTER_MASK
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, StageError, a_or_an
-from stage.firmware.axis import Axis
+from stage.firmware.axis import Axis, check_direction, check_seconds
 from stage.firmware.driver import SETTLE
 from stage.firmware.pcl240 import bus
-from stage.firmware.pcl240.bus import Port, check
-from stage.firmware.pcl240.clock import name_leader, require_clock
+from stage.firmware.pcl240.bus import Port, check, name_leader, require_clock
 from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import Profile
 from stage.firmware.report import Report
 from stage.support.arguments import patience, told
 
-AUTOMATIC_OFFSET = 2  # pulses; the counts of ramp-up and ramp-down differ by one or two, and this way FL is reached
+AUTOMATIC_OFFSET_PULSES = 2  # the counts of ramp-up and ramp-down differ by one or two, and this way FL is reached
 
 
 @told
@@ -50,29 +49,40 @@ def preset_move(
     R0 counts down, and the ramp-down begins where it falls below R6.
 
     Args:
-        high_speed: with ramps, to FH1 or (fh2) FH2; otherwise constant speed FH1 or FH2.
-        s_curve: True for S-curves throughout, a share (above 0, up to 0.5) of FH - FL for curved ends, False
-            for linear ramps, in the ramp times of the profile; default: as the profile says. S-curves need a PCL240MS.
-        automatic: the chip finds the ramp-down point itself, and decelerates on R4 (MK and MS). Default: where it can and
-            the profile's R5 is its R4.
-        fh_correction: with the automatic point a PCL240MS lowers the FH of a move too short to reach it; False: a triangle.
-        down_point: R6; default by the data sheet's formula, triangular for a short move, so that it ends at FL. With
-            `automatic` a signed offset, default 2: pulses by which the ramp-down begins earlier than the count of the ramp-up.
-        slow_down: the SD switch of the direction slows the axis to FL while it is asserted.
+        axis: Axis whose chip is a PCL-240.
+        pulses: Signed number of output pulses, 1 to 16,777,215 in magnitude.
+        profile: Rates and ramps; default: those of `Profile.of`.
+        high_speed: With ramps, to FH1 or (fh2) FH2; otherwise constant speed FH1 or FH2.
+        fh2: FH2 in place of FH1.
+        s_curve: True for S-curves throughout, a share (above 0, up to 0.5) of FH - FL for curved ends, False for linear ramps, in
+            the ramp times of the profile; default: as the profile says. S-curves need a PCL240MS.
+        automatic: The chip finds the ramp-down point itself, and decelerates on R4 (MK and MS). Default: where it can and the
+            profile's R5 is its R4.
+        fh_correction: With the automatic point a PCL240MS lowers the FH of a move too short to reach it; False: a triangle.
+        down_point: R6; default by the data sheet's formula, triangular for a short move, so that it ends at FL. With `automatic`
+            a signed offset, default 2: pulses by which the ramp-down begins earlier than the count of the ramp-up.
+        slow_down: The SD switch of the direction slows the axis to FL while it is asserted.
         interrupt: /INT at the stop.
-        timeout: s; default half as much again as the move can take, and one.
-    Raises ArgumentError (0, or more than 16777215 pulses; a register out of its range), RunTimeout.
+        timeout: Simulated seconds to wait; default: half as much again as the move can take, and one.
+
+    Returns:
+        What the host could observe, and the true state of the stage beside it.
+
+    Raises:
+        ArgumentError: 0, or more than 16,777,215 pulses; a register out of its range.
+        StageError: The axis is moving.
+        RunTimeout: The chip still moved after `timeout`.
     """
-    profile, count = profile_for(axis, profile), whole_count(pulses)
+    profile, count = choose_profile(axis, profile), check_pulses(pulses)
     patience(timeout)
     if s_curve is not None:
         profile = profile.shaped(s_curve, fh2)
     if automatic is None:
-        automatic = high_speed and profile.chip.EXTENDED and profile.R4 == profile.R5
-        automatic = automatic and down_point is None and not slow_down
-    control = bus.PRESET | _sd(slow_down) | minus_bit(pulses)
+        can_be_automatic = high_speed and profile.chip.EXTENDED and profile.R4 == profile.R5
+        automatic = can_be_automatic and down_point is None and not slow_down
+    control = bus.PRESET | (bus.SD if slow_down else 0) | encode_direction(pulses)
     if automatic:
-        point = _offset(profile, AUTOMATIC_OFFSET if down_point is None else down_point)
+        point = encode_offset(profile, AUTOMATIC_OFFSET_PULSES if down_point is None else down_point)
         control |= bus.AUTOMATIC
     else:
         profile = profile.within(count, fh2)
@@ -84,23 +94,30 @@ def preset_move(
         p.port.write_register("R0", count)
         if high_speed:
             p.port.write_register("R6", point)
-        p.port.command(_start(high_speed, fh2) | _int(interrupt))
-        p.port.wait_until_stopped(time_limit(timeout, profile, count))
-        axis.wait(SETTLE)
-        return p.report(p.stop_reason(), pulses)
+        p.port.command(_encode_start(high_speed, fh2, interrupt))
+        return p.finish(compute_time_limit(timeout, profile, count), pulses)
 
 
 def start_preset(port: Port, profile: Profile, pulses: int) -> None:
-    """Begin a high-speed preset move with FH1 and the data sheet's ramp-down point, and do not wait. Raises ArgumentError."""
-    count = whole_count(pulses)
+    """Begin a high-speed preset move with FH1 and the data sheet's ramp-down point, and do not wait.
+
+    Raises:
+        ArgumentError: A value does not fit its register.
+        StageError: The axis is moving.
+    """
+    count = check_pulses(pulses)
     profile = profile.within(count)
-    prepare(port, profile, bus.PRESET | minus_bit(pulses))
+    prepare(port, profile, bus.PRESET | encode_direction(pulses))
     port.write_registers(R0=count, R6=profile.down_point(count))
-    port.command(_start(True, False))
+    port.command(bus.RAMP["FH1"])
 
 
-def _offset(profile: Profile, offset: int) -> int:
-    """R6 as the signed offset of the automatic ramp-down point."""
+def encode_offset(profile: Profile, offset: int) -> int:
+    """Encode the signed offset of the automatic ramp-down point, in pulses, as R6.
+
+    Raises:
+        ArgumentError: The chip has no such point, or R6 does not hold the offset.
+    """
     half = (profile.chip.MAP.register("R6").mask + 1) // 2
     if not profile.chip.EXTENDED:
         raise ArgumentError(
@@ -132,22 +149,38 @@ def continuous_move(
              FL /        \\ FL                              FL /       |
      __________|          |_______                 __________|        |_______
 
-    A high-speed run is stopped decelerating (1Dh, 1Fh) or, `immediate`, by the reset command; a constant-speed run always
-    by the reset command. The other arguments are those of `preset_move`. Raises ArgumentError.
+    A high-speed run is stopped decelerating (1Dh, 1Fh) or, `immediate`, by the reset command; a constant-speed run always by the
+    reset command. The other arguments are those of `preset_move`.
+
+    Args:
+        axis: Axis whose chip is a PCL-240.
+        seconds: Simulated time from the start command to the stop command, s.
+        direction: 1 or -1.
+        profile: Rates and ramps.
+        high_speed: With ramps.
+        fh2: FH2 in place of FH1.
+        slow_down: The SD switch of the direction slows the axis to FL while it is asserted.
+        immediate: Stop by the reset command.
+        interrupt: /INT at the stop.
+
+    Returns:
+        What the host could observe, and the true state of the stage beside it.
+
+    Raises:
+        ArgumentError: A value is out of its range.
+        StageError: The axis is moving.
     """
-    profile = profile_for(axis, profile)
-    direction, seconds = either_way(direction), some_seconds(seconds)
-    slow = high_speed and not immediate
+    profile = choose_profile(axis, profile)
+    check_direction(direction)
+    check_seconds(seconds)
     with Procedure(axis, "continuous move" if high_speed else "constant-speed continuous move") as p:
-        prepare(p.port, profile, _sd(slow_down) | minus_bit(direction))
-        p.port.command(_start(high_speed, fh2) | _int(interrupt))
+        prepare(p.port, profile, (bus.SD if slow_down else 0) | encode_direction(direction))
+        p.port.command(_encode_start(high_speed, fh2, interrupt))
         axis.wait(seconds)
         if p.port.status().operating:
-            stop = (bus.SLOW_DOWN_FH2 if fh2 else bus.SLOW_DOWN_FH1) if slow else bus.RESET
-            p.port.command(stop | _int(interrupt))
-        p.port.wait_until_stopped(2 * profile.decel(fh2) + 1)
-        axis.wait(SETTLE)
-        return p.report(p.stop_reason())
+            stop = bus.SLOW_DOWN["FH2" if fh2 else "FH1"] if high_speed and not immediate else bus.RESET
+            p.port.command(stop | (bus.INTERRUPT if interrupt else 0))
+        return p.finish(2 * profile.decel(fh2) + 1)
 
 
 @told
@@ -162,25 +195,42 @@ def interrupted_move(
     pause: float = 0.2,
     timeout: float | None = None,
 ) -> Report:
-    """Ramp down and interrupt: a preset move is brought to a decelerating stop after `after` seconds, tells so by /INT, rests
-    for `pause` seconds, and goes on with its residual pulses, which R0 kept (data sheet section 4, R0; section 6).
+    """Interrupt a preset move by a decelerating stop, and resume it with its residual pulses (data sheet section 4, R0; section 6).
 
-    The reset command re-arms the start and takes /INT back; the ramp-down point is set anew, in case the rest is too short to
-    reach the high rate again. Raises ArgumentError, RunTimeout.
+    The stop is reported by /INT. The reset command re-arms the start and takes /INT back; the ramp-down point is set again, in case
+    the rest is too short to reach the high rate.
+
+    Args:
+        axis: Axis whose chip is a PCL-240.
+        pulses: Signed number of output pulses.
+        profile: Rates and ramps.
+        fh2: FH2 in place of FH1.
+        after: Time from the start command to the stop command, s.
+        pause: Time of rest, s.
+        timeout: Simulated seconds to wait for the end of each part; default: half as much again as the move can take, and one.
+
+    Returns:
+        What the host could observe, and the true state of the stage beside it.
+
+    Raises:
+        ArgumentError: A value is out of its range.
+        RunTimeout: The chip still moved after `timeout`.
     """
     patience(timeout)
-    whole, count = profile_for(axis, profile), whole_count(pulses)
+    whole, count = choose_profile(axis, profile), check_pulses(pulses)
     profile = whole.within(count, fh2)
-    after, pause, point = some_seconds(after), some_seconds(pause), profile.down_point(count, fh2)
+    check_seconds(after)
+    check_seconds(pause)
+    point = profile.down_point(count, fh2)
     rate = "FH2" if fh2 else "FH1"
     with Procedure(axis, "interrupted move") as p:
-        prepare(p.port, profile, bus.PRESET | minus_bit(pulses))
+        prepare(p.port, profile, bus.PRESET | encode_direction(pulses))
         p.port.write_registers(R0=count, R6=point)
         p.port.command(bus.RAMP[rate])
         axis.wait(after)
         if p.port.status().operating:
-            p.port.command((bus.SLOW_DOWN_FH2 if fh2 else bus.SLOW_DOWN_FH1) | bus.INTERRUPT)
-        p.port.wait_until_stopped(time_limit(timeout, profile, count))
+            p.port.command(bus.SLOW_DOWN[rate] | bus.INTERRUPT)
+        p.port.wait_until_stopped(compute_time_limit(timeout, profile, count))
         if residual := p.port.counter():
             axis.wait(pause)
             p.port.command(bus.RESET)
@@ -189,7 +239,7 @@ def interrupted_move(
                 p.port.write_registers(**rest.registers())
             p.port.write_register("R6", rest.down_point(residual, fh2))
             p.port.command(bus.RAMP[rate])
-            p.port.wait_until_stopped(time_limit(timeout, profile, residual))
+            p.port.wait_until_stopped(compute_time_limit(timeout, profile, residual))
         axis.wait(SETTLE)
         return p.report(p.stop_reason(), pulses)
 
@@ -209,49 +259,61 @@ def external_count(
     """Run at constant FL until EXTP has counted R0 = `pulses` edges down to 0 (output mode D4, data sheet section 4, R0).
 
     Args:
-        pulses: external ones; the axis makes as many as fit in their time.
-        source: makes external pulses on `axis.chip.pins.extp` (active low, counted as it lets go) and lets their time pass by
-            `axis.wait`: a function of the axis which makes one pulse and returns False when there are no more, or a
-            generator that yields after each one. Default: a square wave of `rate` Hz.
-        timeout: s, after which the reset command ends the run ("timeout").
-    Raises ArgumentError.
+        axis: Axis whose chip is a PCL-240.
+        pulses: Number of external pulses; the axis makes as many as fit in their time.
+        profile: Rates and ramps, of which FL is used.
+        rate: Frequency of the usual square wave, Hz.
+        direction: 1 or -1.
+        source: Function that makes one external pulse on `axis.chip.pins.extp` (active low, counted at its release), lets its time
+            pass by `axis.wait`, and returns False when there are no more; or a generator that yields after each one. Default: a
+            square wave of `rate` Hz.
+        timeout: Simulated seconds after which the reset command ends the run ("timeout").
+
+    Returns:
+        What the host could observe, and the true state of the stage beside it.
+
+    Raises:
+        ArgumentError: A value is out of its range.
     """
-    profile = profile_for(axis, profile)
+    profile = choose_profile(axis, profile)
     patience(timeout)
-    count, direction = whole_count(pulses), either_way(direction)
+    count = check_pulses(pulses)
+    check_direction(direction)
     if pulses < 0:
         raise ArgumentError(f"pulses={pulses!r}: external pulses are counted from 1 on; direction=-1 runs backwards.")
     if source is None and not 0 < rate <= axis.chip.clock_hz / 4:
         raise ArgumentError(f"rate={rate!r} Hz: EXTP is sampled by the clock; more than 0 and up to a quarter of it.")
-    make = _one_by_one(source) if source is not None else lambda a: _square_wave(a, rate)
+    make_pulse = _take_pulses_of(source) if source is not None else lambda a: _make_square_pulse(a, rate)
     with Procedure(axis, "external count") as p:
-        prepare(p.port, profile, bus.PRESET | minus_bit(direction), output=bus.EXTERNAL)
+        prepare(p.port, profile, bus.PRESET | encode_direction(direction), output=bus.EXTERNAL)
         p.port.write_register("R0", count)
         p.port.command(bus.START["FL"])
         end, more = axis.time + timeout, True
         while p.port.status().operating and axis.time < end and more:
-            more = make(axis)
+            more = make_pulse(axis)
         status = p.port.status()
         # while the last pulse is completed EXTP goes on, and R0 through 0
-        status = status._replace(zero=status.zero or p.port.counter() > count)
-        if status.operating and not status.zero:
+        counted = status.zero or p.port.counter() > count
+        if status.operating and not counted:
             p.port.command(bus.RESET)
         p.port.wait_until_stopped(1 / profile.fl + 1)
         p.port.command(bus.OUTPUT)
         axis.wait(SETTLE)
-        if status.operating and not status.zero:
+        if status.operating and not counted:
             return p.report("timeout" if more else "reset command")
         return p.report(p.stop_reason())
 
 
-def _square_wave(axis: Axis, rate: float) -> bool:
+def _make_square_pulse(axis: Axis, rate: float) -> bool:
+    """Make one period of a square wave of `rate` Hz on EXTP."""
     for level in (True, False):
         axis.chip.axes[0].pins.extp = level
         axis.wait(0.5 / rate)
     return True
 
 
-def _one_by_one(source: Callable[[Axis], bool] | Iterator) -> Callable[[Axis], bool]:
+def _take_pulses_of(source: Callable[[Axis], bool] | Iterator) -> Callable[[Axis], bool]:
+    """Return a function of the axis that makes one external pulse, and returns False when there are no more."""
     if callable(source):
         return source
     if not isinstance(source, Iterator):
@@ -262,7 +324,11 @@ def _one_by_one(source: Callable[[Axis], bool] | Iterator) -> Callable[[Axis], b
 
 
 def prepare(port: Port, profile: Profile, control: int, output: int = 0) -> None:
-    """Reset command, speed data, output mode, control mode (data sheet section 5 a). Refuses a moving axis."""
+    """Write the reset command, the speed data, the output mode and the control mode (data sheet section 5 a).
+
+    Raises:
+        StageError: The axis is moving.
+    """
     if port.status().operating:
         raise StageError(f"axis {port.axis.name} is moving: wait until it stops, or stop it with 08h.")
     port.command(bus.RESET)
@@ -271,10 +337,12 @@ def prepare(port: Port, profile: Profile, control: int, output: int = 0) -> None
     port.control(control)
 
 
-def profile_for(axis: Axis, profile: Profile | None) -> Profile:
-    """Return what was given, if it fits the axis' chip and clock; else the usual one.
+def choose_profile(axis: Axis, profile: Profile | None) -> Profile:
+    """Return the profile that a user has given, if it fits the axis' chip and clock; for None the usual one.
 
-    Raises ArgumentError; StageError where the chip follows another (SYNI) that makes no clock.
+    Raises:
+        ArgumentError: The profile does not fit.
+        StageError: The chip counts the clock of another chip (SYNI) that makes none.
     """
     chip, multiplier = check(axis), require_clock(axis)
     if profile is None:
@@ -294,44 +362,24 @@ def profile_for(axis: Axis, profile: Profile | None) -> Profile:
     return profile.on(chip)
 
 
-def whole_count(pulses: int) -> int:
-    """How many pulses, whichever way. Raises ArgumentError."""
+def check_pulses(pulses: int) -> int:
+    """Return the magnitude of signed pulses. Raises ArgumentError for a number that R0 does not count."""
     if not isinstance(pulses, int | float) or not 1 <= abs(pulses) <= COUNTER_MASK or int(pulses) != pulses:
         raise ArgumentError(f"pulses={pulses!r}: R0 counts 1 to 16777215 pulses; the sign is the direction.")
     return abs(int(pulses))
 
 
-def either_way(direction: int) -> int:
-    """1 or -1. Raises ArgumentError."""
-    if direction not in (1, -1):
-        raise ArgumentError(f"direction={direction!r}: +1 or -1.")
-    return direction
-
-
-def some_seconds(seconds: float) -> float:
-    """0 or more. Raises ArgumentError."""
-    if not 0 <= seconds < 1e9:
-        raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to 1e9 s.")
-    return seconds
-
-
-def minus_bit(direction: int) -> int:
-    """Of the control command, for a direction or signed pulses."""
+def encode_direction(direction: int) -> int:
+    """Return the direction bit of the control command for a direction or signed pulses."""
     return bus.MINUS if direction < 0 else 0
 
 
-def _sd(slow_down: bool) -> int:
-    return bus.SD if slow_down else 0
+def _encode_start(high_speed: bool, fh2: bool, interrupt: bool) -> int:
+    """Return the start command."""
+    start = (bus.RAMP if high_speed else bus.START)["FH2" if fh2 else "FH1"]
+    return start | (bus.INTERRUPT if interrupt else 0)
 
 
-def _int(interrupt: bool) -> int:
-    return bus.INTERRUPT if interrupt else 0
-
-
-def _start(high_speed: bool, fh2: bool) -> int:
-    return (bus.RAMP if high_speed else bus.START)["FH2" if fh2 else "FH1"]
-
-
-def time_limit(timeout: float | None, profile: Profile, count: int) -> float:
-    """Seconds: what was given, or half as much again as the move can take, and one."""
+def compute_time_limit(timeout: float | None, profile: Profile, count: int) -> float:
+    """Return `timeout`; for None half as much again as a move of `count` pulses can take, and one, s."""
     return 1.5 * profile.seconds(count) + 1 if timeout is None else timeout

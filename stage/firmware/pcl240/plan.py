@@ -18,9 +18,9 @@ from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import LINEAR, SPAN
 from stage.errors import ArgumentError, Limit, a_or_an, unknown
 from stage.firmware.path import path_deviation, perfect_deviation
-from stage.firmware.pcl240 import emulated as follow
 from stage.firmware.pcl240 import fit
 from stage.firmware.pcl240.closed_form import course
+from stage.firmware.pcl240.emulated import NAMES, compute_offset, trace_row
 from stage.firmware.pcl240.leader import (
     AS_LEADER,
     R7_LEAST,
@@ -37,7 +37,6 @@ from stage.firmware.pcl240.leader import (
 from stage.firmware.pcl240.profile import ACCEL, FH1, FL, ramp_seconds
 from stage.support.arguments import told
 
-NAMES = (*(f"R{k}" for k in range(8)), "R14", "R15")
 R0_MOST = PCL240K.MAP.registers[0].mask
 ROOM = 0.8  # of a short move may be ramps
 PLAYED = 2_000_000  # pulses: longer moves are judged by the closed form alone
@@ -356,12 +355,12 @@ def _check_multipliers(moving: dict, ask: Ask, only: Mapping[str, int], hz: dict
 def _play(chosen: dict, longest: str, kinds: dict, followers: dict[str, Follower], kept: Mapping[str, Kept]) -> None:
     """Choose among the best followers by running emulated chips."""
     leader = chosen[longest]
-    pulses = follow.run(leader, kinds[longest][0]) / kinds[longest][1]
+    pulses = trace_row(leader, kinds[longest][0]) / kinds[longest][1]
     for name, found in kept.items():
         best = np.inf
         d, hz, _, lead, _ = followers[name]
         for row in found.registers[found.scores < 1e17]:
-            own = follow.run(row, kinds[name][0]) / hz - lead
+            own = trace_row(row, kinds[name][0]) / hz - lead
             far = path_deviation([(pulses, 1), (own, 1)], [leader[0], d]).pulses
             if far < best - 1e-9:
                 best, chosen[name] = far, row
@@ -377,7 +376,7 @@ def _judge(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, 
         row, (chip, hz) = rows[n], kinds[n]
         by_itself = automatic and bool(row[6] > 1)  # a slow axis' last pulse may come before it would ramp down
         if exact:
-            pulses = follow.run(row, chip, by_itself)
+            pulses = trace_row(row, chip, by_itself)
             paths.append((pulses / hz - lead[n], 1))
             last = pulses[-1]
         else:
@@ -386,7 +385,7 @@ def _judge(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, 
             last = c[3]
         named = dict(zip(NAMES, row.tolist(), strict=False))
         if by_itself:
-            named["R6"] = follow.offset(row, chip) & chip.MAP.register("R6").mask
+            named["R6"] = compute_offset(row, chip) & chip.MAP.register("R6").mask
         seconds = lead[order[0]] - lead[n] + float(last) / hz
         axes[n] = AxisPlan(d, named, hz, lead[n], seconds, chip, int(row[6]), by_itself)
     if exact:

@@ -1,16 +1,29 @@
-"""`Procedure` of the PCL-240 family: with a port, and with R0 at the end."""
+"""`Procedure` of the PCL-240 family: it watches an axis, and finds in the chip's journal why a run ended.
+
+A host can read R0 = 0 and ORG. An end limit has no status bit, and a carriage that rings has released a switch before the host
+polls. The journal has every bus write and every change of an input by the clock, so a copy of the chip stops where the chip did.
+"""
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+
+from stage.chips.entries import RESET, WRITE
+from stage.chips.journal import Journal
+from stage.chips.pcl240 import state as bits
+from stage.chips.pcl240.maps import OPERATE
 from stage.firmware import report
 from stage.firmware.axis import Axis
+from stage.firmware.driver import SETTLE
 from stage.firmware.pcl240.bus import Port, check
-from stage.firmware.pcl240.stop_reason import find_stop_reason
+from stage.firmware.report import Report
 from stage.firmware.stop_reasons import UNKNOWN
 
 
 class Procedure(report.Procedure):
-    """Watches an axis whose chip is of the family. Raises ArgumentError for another."""
+    """Observer of an axis whose chip is of the family. Raises ArgumentError for another."""
 
     def __init__(self, axis: Axis, name: str):
         check(axis)
@@ -23,3 +36,65 @@ class Procedure(report.Procedure):
 
     def residual(self) -> int:
         return self.port.counter()
+
+    def finish(self, timeout: float, asked: int | None = None) -> Report:
+        """Wait until the chip stops and the carriage has come to rest, and return the report.
+
+        Args:
+            timeout: Simulated seconds to wait for the stop.
+            asked: Signed pulses commanded; None where the procedure has no such number.
+
+        Raises:
+            RunTimeout: The chip still moved after `timeout`.
+        """
+        self.port.wait_until_stopped(timeout)
+        self.axis.wait(SETTLE)
+        return self.report(self.stop_reason(), asked)
+
+
+def find_stop_reason(journal: Journal) -> str:
+    """Return what ended the last run that a journal has seen, or what refused the start after it.
+
+    Returns:
+        "R0 = 0", "ORG", "EZ", "EL+", "EL-", "decelerating stop", "reset command" or "reset pin"; "" while the chip runs, and where
+        it has not been started.
+    """
+    core, rows = journal.chip.CORE, np.frombuffer(bytearray(journal.start.tobytes()), journal.chip.CORE.STATE)
+    chip, reason, slowing = rows[0], "", False
+    for entry in (*journal.entries, None):
+        was_running = bool(chip["running"])
+        core.advance(rows, journal.until if entry is None else entry.clock)
+        if was_running and not chip["running"]:
+            # inputs change with entries only: they are still as they were at the stop
+            reason = find_cause(chip) or ("decelerating stop" if slowing else "")
+        if entry is None:
+            break
+        was_running = bool(chip["running"])
+        entry.apply(core, rows)
+        starts, stops = _decode_command(entry)
+        if was_running and not chip["running"]:
+            reason = "reset pin" if entry.kind == RESET else "decelerating stop" if starts else "reset command"
+        elif chip["running"]:
+            reason, slowing = "", stops or (slowing and not starts)
+        elif starts and not stops and chip["armed"]:
+            reason = find_cause(chip) or reason
+    return "" if chip["running"] else reason
+
+
+def _decode_command(entry: Any) -> tuple[bool, bool]:
+    """Return whether an entry of a journal is an operating-mode command with the start bit, and with the stop bit."""
+    if (entry.kind, entry.a) != (WRITE, 0) or entry.b & bits.GROUP != OPERATE:
+        return False, False
+    return bool(entry.b & bits.START), bool(entry.b & bits.STOP)
+
+
+def find_cause(chip: Any) -> str:
+    """Return what stops a chip, a record of its state, or keeps it from starting; "" for nothing but commands."""
+    homes_by_index = chip["extended"] and chip["reg"][bits.R13] & bits.EZ_RETURN
+    if chip["preset"] and chip["reg"][0] == 0:
+        return "R0 = 0"
+    if chip["origin"] and chip["seen"] & bits.ORG and not homes_by_index:
+        return "ORG"
+    if chip["seen"] & (bits.EL_MINUS if chip["minus"] else bits.EL_PLUS):
+        return "EL-" if chip["minus"] else "EL+"
+    return "EZ" if chip["homing"] and chip["seen"] & bits.EZ else ""

@@ -59,9 +59,7 @@ class FourRuns(Search):
         self._run(p, "back off", bus.PRESET, bus.START["FL"], back_off, c.settle)
         p.register(a, chip, "R1", approach)
         if c.ez:
-            p.register(
-                a, chip, "R13", logic.get("R13", 0) | bus.EZ_RETURN | bus.EZ_FROM_FL | (c.ez - 1) << bus.EZ_COUNT
-            )
+            p.register(a, chip, "R13", logic.get("R13", 0) | bus.encode_index(c.ez))
         self._run(p, "approach", bus.ORIGIN | bus.MINUS, bus.START["FL"], 0, c.settle)
         if c.ez and not bus.has_ez_monitor(
             chip

@@ -16,8 +16,7 @@ from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, RunTimeout, a_or_an
 from stage.firmware.axis import Axes, Axis
 from stage.firmware.pcl240 import bus
-from stage.firmware.pcl240.bus import check
-from stage.firmware.pcl240.clock import name_leader, require_clock
+from stage.firmware.pcl240.bus import check, name_leader, require_clock
 from stage.firmware.pcl240.moves import SETTLE
 from stage.firmware.pcl240.plan import Plan, plan
 from stage.firmware.pcl240.procedure import Procedure
@@ -122,7 +121,7 @@ def _wait(watch: dict[str, Procedure], made: Plan, patience: float, line: Togeth
             broken = True
             for n, p in watch.items():
                 if n not in stopped_by:
-                    p.port.command(bus.SLOW_DOWN_FH1)
+                    p.port.command(bus.SLOW_DOWN["FH1"])
         passed = clock.time - begin
         if passed >= patience:
             left = {n: watch[n].port.counter() for n in watch if n not in stopped_by}
