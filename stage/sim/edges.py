@@ -6,13 +6,13 @@ from stage.chips import cores
 from stage.chips.entries import INPUT
 from stage.native import array_at, floor, hot, least
 from stage.sim.handle import (
-    REAL,
     axes,
     clockwork,
     has_room_for_edge,
     note_edge,
     qpos,
     qvel,
+    sensordata,
     switch_table,
     switches,
     table,
@@ -200,7 +200,7 @@ def foresee(h, moved):
 
     `moved`: qpos has moved since the sensors were read, by one step of the present qvel.
     """
-    axis_records, axis_table, sensordata = axes(h), table(h), array_at(h.sensordata, h.ns, REAL)
+    axis_records, axis_table, readings = axes(h), table(h), sensordata(h)
     for a in range(len(axis_records)):
         q, v = qpos(h)[axis_table[a].qpos], qvel(h)[axis_table[a].dof]
         predict_axis_edges(
@@ -210,7 +210,7 @@ def foresee(h, moved):
             axis_table[a],
             switches(h),
             switch_table(h),
-            sensordata,
+            readings,
             q,
             v,
             moved,

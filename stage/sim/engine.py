@@ -32,22 +32,24 @@ from stage.sim.edges import (
     switched,
 )
 from stage.sim.handle import (
+    ENGINE,
     HANDLE,
     REAL,
     axes,
     chips,
+    claim,
     clockwork,
     drives,
     has_room_for_edge,
     note_edge,
     qpos,
     qvel,
+    release,
     switch_table,
     switches,
     table,
     world,
 )
-from stage.sim.in_use import ENGINE, claim, release
 from stage.sim.records import (
     ADDRESS,
     CALLBACKS,

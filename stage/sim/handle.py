@@ -7,13 +7,14 @@ engine.advance(handles[0], until)       the stage's time passes, in hot function
 
 from __future__ import annotations
 
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stage.chips import cores
 from stage.drives.stepper import DRIVE
-from stage.native import array_at, hot, record
+from stage.native import array_at, exchange, hot, record
 from stage.sim import records
 
 if TYPE_CHECKING:
@@ -41,64 +42,33 @@ AXIS_TABLE, SWITCH_TABLE, CHIP_TABLE, CLOCKWORK = (
 REAL, WHOLE = np.dtype("f8"), np.dtype("i8")
 
 
-@hot
-def world(h):
-    """The stage's WORLD record."""
-    return array_at(h.world, 1, WORLD)[0]
+def _array_of(name: str, length: str, dtype: np.dtype) -> Any:
+    """Return a hot function of a HANDLE: the array whose address and length are in these fields."""
+
+    @hot
+    def view(h):
+        return array_at(h[name], h[length], dtype)
+
+    return view
 
 
-@hot
-def clockwork(h):
-    """The stage's CLOCKWORK record."""
-    return array_at(h.clockwork, 1, CLOCKWORK)[0]
+def _record_of(name: str, dtype: np.dtype) -> Any:
+    """Return a hot function of a HANDLE: the record whose address is in this field."""
+
+    @hot
+    def view(h):
+        return array_at(h[name], 1, dtype)[0]
+
+    return view
 
 
-@hot
-def chips(h):
-    """The stage's CHIP_TABLE."""
-    return array_at(h.chips, h.n_chips, CHIP_TABLE)
-
-
-@hot
-def table(h):
-    """The stage's AXIS_TABLE."""
-    return array_at(h.table, h.n_axes, AXIS_TABLE)
-
-
-@hot
-def axes(h):
-    """The stage's AXIS records."""
-    return array_at(h.axes, h.n_axes, AXIS)
-
-
-@hot
-def drives(h):
-    """The stage's DRIVE records."""
-    return array_at(h.drives, h.n_axes, DRIVE)
-
-
-@hot
-def switches(h):
-    """The stage's SWITCH records."""
-    return array_at(h.switches, h.n_switches, SWITCH)
-
-
-@hot
-def switch_table(h):
-    """The stage's SWITCH_TABLE."""
-    return array_at(h.switch_table, h.n_switches, SWITCH_TABLE)
-
-
-@hot
-def qpos(h):
-    """MuJoCo's joint positions."""
-    return array_at(h.qpos, h.nq, REAL)
-
-
-@hot
-def qvel(h):
-    """MuJoCo's joint speeds."""
-    return array_at(h.qvel, h.nv, REAL)
+world, clockwork = _record_of("world", WORLD), _record_of("clockwork", CLOCKWORK)
+chips, table = _array_of("chips", "n_chips", CHIP_TABLE), _array_of("table", "n_axes", AXIS_TABLE)
+axes, drives = _array_of("axes", "n_axes", AXIS), _array_of("drives", "n_axes", DRIVE)
+switches = _array_of("switches", "n_switches", SWITCH)
+switch_table = _array_of("switch_table", "n_switches", SWITCH_TABLE)
+qpos, qvel = _array_of("qpos", "nq", REAL), _array_of("qvel", "nv", REAL)
+sensordata = _array_of("sensordata", "ns", REAL)
 
 
 @hot
@@ -115,6 +85,22 @@ def note_edge(h, now, c, axis, kind, a, b):
     e.now, e.clock, e.axis, e.kind, e.a, e.b = now, cores.clock(c), axis, kind, a, b
     h.noted += 1
     return e
+
+
+ENGINE = 1
+"""Token with which compiled code claims a stage."""
+_tokens = count(ENGINE + 1)
+claim: Any = exchange(0, None)
+"""(address, token) -> True if the word at the address was 0 and is `token` now: at most one thread has it, with or without the GIL.
+
+Uncompiled, the GIL keeps threads apart, and every claim succeeds."""
+release: Any = exchange(None, 0)
+"""(address, token) -> True if the word at the address was `token` and is 0 now."""
+
+
+def make_token() -> int:
+    """Return a number for one claim only, so that an exception can be cleaned up after wherever it was raised."""
+    return next(_tokens)
 
 
 def fill(handles: np.ndarray, k: int, state: State) -> None:

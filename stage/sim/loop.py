@@ -19,7 +19,7 @@ from stage.chips.entries import LOAD, PACKED, SHAFT
 from stage.chips.sharing import Lock
 from stage.errors import ArgumentError, SimulationError, StageError
 from stage.sim import callbacks, engine, records
-from stage.sim.in_use import token
+from stage.sim.handle import make_token
 from stage.sim.state import POWERED, SAVED, START, State
 
 SHORT, LONG = 0.025, 0.1  # s of real time, a piece of a long run takes between them
@@ -90,13 +90,13 @@ class Loop:
     @contextmanager
     def alone(self) -> Iterator[None]:
         """Within this context no other thread runs the stage. Raises StageError if another thread runs it now."""
-        mine = token()
+        token = make_token()
         try:
-            if not engine.take.with_gil(self._pointer, mine):
+            if not engine.take.with_gil(self._pointer, token):
                 raise StageError(IN_USE)
             yield
         finally:
-            engine.give.with_gil(self._pointer, mine)
+            engine.give.with_gil(self._pointer, token)
 
     # --- time ---
 

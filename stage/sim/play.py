@@ -15,7 +15,7 @@ from stage.drives import drive
 from stage.native import array_at, array_of, exported, greatest, hot, least, record
 from stage.sim import records
 from stage.sim.engine import advance
-from stage.sim.handle import DRIVE, HANDLE, REAL, chips, clockwork, table, world
+from stage.sim.handle import HANDLE, REAL, chips, clockwork, drives, qpos, qvel, table, world
 from stage.sim.program import END, KEEP, LOOK, MEASURE, READ, STOP, WAIT, WRITE
 
 PLAYED, DIVERGED = records.REACHED, records.DIVERGED
@@ -54,14 +54,13 @@ def _pass(h, until):
 @hot
 def _lost(h, mask):
     """An axis in the mask has lost a step."""
-    w, axes, drives = world(h), table(h), array_at(h.drives, h.n_axes, DRIVE)
-    qpos, qvel = array_at(h.qpos, h.nq, REAL), array_at(h.qvel, h.nv, REAL)
+    w, axes = world(h), table(h)
     tau = (w.now - w.start - 0.5 * clockwork(h).dt) * 1e-9
     for k in range(h.n_axes):
         if mask >> k & 1:
             t = axes[k]
             net = cores.net(chips(h)[t.chip], t.chip_axis)
-            if drive.lost_steps(drives[k], float(net), (qpos[t.qpos] + qvel[t.dof] * tau) * t.gear) != 0:
+            if drive.lost_steps(drives(h)[k], float(net), (qpos(h)[t.qpos] + qvel(h)[t.dof] * tau) * t.gear) != 0:
                 return True
     return False
 
@@ -93,7 +92,7 @@ def _until_stopped(h, mask, poll, limit, keep_step):
 @hot
 def _measure(h, end, point, extremes):
     """Let time pass up to `end` a physics step at a time. Returns (as `_pass`, pm that the point travelled)."""
-    w, dt, qpos = world(h), clockwork(h).dt, array_at(h.qpos, h.nq, REAL)
+    w, dt, positions = world(h), clockwork(h).dt, qpos(h)
     sites, bodies = array_at(h.sites, (h.n_sites, 3), REAL), array_at(h.bodies, (h.n_bodies, 3), REAL)
     x0 = y0 = z0 = math.inf
     x1 = y1 = z1 = -math.inf
@@ -102,8 +101,8 @@ def _measure(h, end, point, extremes):
         if bad:
             return bad, 0
         for i in range(h.nq):
-            extremes[i, 0] = least(extremes[i, 0], qpos[i])
-            extremes[i, 1] = greatest(extremes[i, 1], qpos[i])
+            extremes[i, 0] = least(extremes[i, 0], positions[i])
+            extremes[i, 1] = greatest(extremes[i, 1], positions[i])
         if point:
             at = sites[point - 1] if point > 0 else bodies[-point]
             x0, y0, z0 = least(x0, at[0]), least(y0, at[1]), least(z0, at[2])
@@ -138,7 +137,7 @@ def play_one(h, ops, results, extremes):
             results[j] = math.floor(at[c] * 1e12)
         elif kind == LOOK:
             tau = (w.now - w.start - 0.5 * clockwork(h).dt) * 1e-9
-            q, v = array_at(h.qpos, h.nq, REAL)[axes[a].qpos], array_at(h.qvel, h.nv, REAL)[axes[a].dof]
+            q, v = qpos(h)[axes[a].qpos], qvel(h)[axes[a].dof]
             results[j] = math.floor((q + v * tau) * 1e12)
         else:
             bad = _pass(h, w.now + h.bus)
@@ -178,14 +177,10 @@ def look(handles, begin, end, truth):
     """Fill truth[k, a] for every axis of the stages begin..end-1."""
     for k in range(begin, end):
         h = handles[k]
-        drives, axes, qpos, qvel = (
-            array_at(h.drives, h.n_axes, DRIVE),
-            table(h),
-            array_at(h.qpos, h.nq, REAL),
-            array_at(h.qvel, h.nv, REAL),
-        )
+        axes = table(h)
         for a in range(h.n_axes):
-            inspect_axis(world(h), chips(h)[axes[a].chip], axes[a], drives[a], clockwork(h), qpos, qvel, truth[k, a])
+            c = chips(h)[axes[a].chip]
+            inspect_axis(world(h), c, axes[a], drives(h)[a], clockwork(h), qpos(h), qvel(h), truth[k, a])
 
 
 @hot

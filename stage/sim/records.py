@@ -9,8 +9,9 @@ import numpy as np
 from stage.chips import cores
 from stage.drives import stepper
 from stage.native import hot, record
-from stage.sim.pins import PINS
 
+PINS = ("el_plus", "el_minus", "sd_plus", "sd_minus", "org")
+"""Switches that an axis may have, by the names of the pins that they are meant for, see docs/models.md."""
 ADDRESS = np.dtype("i8")
 NEVER = 1 << 62
 HYSTERESIS = (
@@ -64,7 +65,7 @@ CLOCKWORK = record(
         ("native", "i8", (CALLBACKS,)),
     ]
 )
-"""Who runs the stage, see stage.sim.in_use; window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps
+"""Who runs the stage, see stage.sim.handle; window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps
 per sample (0: none), axes whose chips see an encoder, set their motor's current, see its load; chips that are linked; how many
 edges a window can have; of MuJoCo's callbacks, see stage.sim.callbacks: whether they are guarded, whether one has failed, where
 their addresses lie and what these are while nobody in Python is called; addresses of MuJoCo's functions, and which parts of its

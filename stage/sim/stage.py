@@ -30,7 +30,9 @@ from stage.drives.motors import Drive
 from stage.errors import ArgumentError, RunTimeout, StageError, unknown
 from stage.sim import callbacks, encoder, engine, handle, integration, plant, records
 from stage.sim.axis import Axes, Axis, axes_table
-from stage.sim.beside import Beside
+from stage.sim.chip_wires import Wires, WiringChoice, chosen_wiring, leaders, linked_axes
+from stage.sim.chips_and_drives import ChipChoice, DriveChoice, fit_rotors, wire
+from stage.sim.device_state import DeviceState
 from stage.sim.encoder import EncoderChoice
 from stage.sim.fingerprint import mechanics
 from stage.sim.loop import Loop
@@ -38,8 +40,6 @@ from stage.sim.payload import Payloads
 from stage.sim.refit import refit_model, refit_power_up, refit_record
 from stage.sim.snapshot import Snapshot, header
 from stage.sim.state import SAVED, State, chips_of, words_needed
-from stage.sim.wires import Wires, WiringChoice, chosen_wiring, leaders, linked_axes
-from stage.sim.wiring import ChipChoice, DriveChoice, fit_rotors, wire
 from stage.support import html, snapshots
 from stage.support.arguments import told
 from stage.support.snapshots import Header
@@ -171,7 +171,7 @@ class Stage:
         ]
         self.axes: Axes = Axes(self._axes)
         self._header = self._bare = self._described()
-        self.beside = Beside()
+        self.device_state = DeviceState()
 
     def _described(self) -> Header:
         """What its snapshots are of, without devices."""
@@ -338,7 +338,7 @@ class Stage:
         self.apply_faults()
         before = self._initial
         self._bare = self._described()
-        self._header = Header(self._bare.parts + self.beside.part)
+        self._header = Header(self._bare.parts + self.device_state.header_part)
         self._initial = _sealed(self._header, refit_power_up(self.state, axis, drive, before.state), before.diagnostics)
 
     @exclusive
@@ -403,7 +403,7 @@ class Stage:
     def snapshot(self) -> Snapshot:
         """All state: physics, chips, drives, switches, time."""
         self.change()
-        state = np.zeros(len(self.state.saved) + self.beside.words)
+        state = np.zeros(len(self.state.saved) + self.device_state.words)
         self.keep(state)
         return _sealed(self._header, state, tuple(tuple(chip.diagnostics) for chip in self.chips))
 
@@ -411,20 +411,20 @@ class Stage:
         """Copy all state but the diagnostics into `state`, float64: MuJoCo's, and what is beside it."""
         self._check_state(state)
         mujoco.mj_getState(self.model, self.data, state[: len(self.state.saved)], SAVED)
-        if self.beside.words:
-            self.beside.get(state[len(self.state.saved) :])
+        if self.device_state.words:
+            self.device_state.copy_to(state[len(self.state.saved) :])
 
     @exclusive
     def put(self, state: np.ndarray) -> None:
         """The stage is in this state, which `keep` has copied, here or of a stage alike."""
         self._check_state(state)
         self.loop.put(state[: len(self.state.saved)])
-        if self.beside.words:
-            self.beside.put(state[len(self.state.saved) :])
+        if self.device_state.words:
+            self.device_state.copy_from(state[len(self.state.saved) :])
 
     def _check_state(self, state: np.ndarray) -> None:
         """Raise ArgumentError unless `state` is an array for all of the stage's state, of shape (words,) and float64."""
-        words = len(self.state.saved) + self.beside.words
+        words = len(self.state.saved) + self.device_state.words
         if not isinstance(state, np.ndarray) or state.dtype != np.float64 or state.shape != (words,):
             what = f"{state.dtype} of shape {state.shape}" if isinstance(state, np.ndarray) else repr(state)
             raise ArgumentError(f"state={what}: this stage's state is an array of float64 of shape ({words},).")
@@ -433,9 +433,9 @@ class Stage:
     @exclusive
     def attach(self, name: str, arrays: Sequence[np.ndarray]) -> None:
         """These arrays are part of the stage's state from now on, as they are now at power-up: a device on its bus."""
-        self.beside.add(name, arrays)
-        header = Header(self._bare.parts + self.beside.part)
-        state = np.zeros(len(self.state.saved) + self.beside.words)
+        self.device_state.add(name, arrays)
+        header = Header(self._bare.parts + self.device_state.header_part)
+        state = np.zeros(len(self.state.saved) + self.device_state.words)
         self.keep(state)
         before = self._initial
         state[: len(before.state)] = before.state

@@ -20,8 +20,8 @@ from stage.drives.motors import Drive
 from stage.drives.stepper import DRIVE
 from stage.native import address_of, plain
 from stage.sim import callbacks, handle, libmujoco, records
+from stage.sim.chip_wires import Wires
 from stage.sim.plant import PlantAxis
-from stage.sim.wires import Wires
 
 SAVED = mujoco.mjtState.mjSTATE_INTEGRATION  # all of it: physics, and in userdata chips, drives, switches
 EDGES = 640

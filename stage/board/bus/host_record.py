@@ -14,8 +14,7 @@ from __future__ import annotations
 from stage.chips import cores
 from stage.native import array_at, called, floor, hot, record, usual_float_mode
 from stage.sim import handle, records
-from stage.sim.handle import REAL, WHOLE, chips, clockwork, table, world
-from stage.sim.in_use import ENGINE, claim, release
+from stage.sim.handle import ENGINE, REAL, WHOLE, chips, claim, clockwork, release, table, world
 
 IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE, SETTLE = range(10)
 """What a host asks: port cycles (a: port, b: value), a delay (a: us), the time (us), to note a line (a: its address), to call a
@@ -84,7 +83,7 @@ HOST = record(
     + [(name, "i8") for name in "devices n_devices answers faults".split()]
 )
 """A stage's handle, and
-    inside                     whether a request is being answered, see stage.sim.in_use; not while Python or a hook is called
+    inside                     whether a request is being answered, see stage.sim.handle; not while Python or a hook is called
     in_python                  whether Python is being called: what the firmware requests then comes from a handler of signals or
                                another thread, and calling Python once more would break it
     regions, ports             the table of ports, and what of the bus it is about

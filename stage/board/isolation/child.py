@@ -64,7 +64,7 @@ class ChildLink(Link):
         self.hooks.move_to(shared.sources)
         self.stage.state.note_in(shared.edges)
         board.trace.kept = shared.cycles
-        places = self.stage.beside.move_to(shared.devices)
+        places = self.stage.device_state.move_to(shared.devices)
         for device in board.devices:  # after a crash they are still there
             own, places = places[: len(device.kept())], places[len(device.kept()) :]
             device.move_to(own)

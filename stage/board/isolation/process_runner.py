@@ -329,7 +329,7 @@ class Isolated:
         edges = self._shared.edges[: int(theirs["noted"])]
         self._live_through(edges[np.isin(edges["kind"], (WRITE, READ, LOST))])
         board.stage.run_to(max(int(theirs["reached"] + theirs["ahead"]), board.stage.now))
-        board.stage.beside.put(self._shared.devices)
+        board.stage.device_state.copy_from(self._shared.devices)
         k = int(theirs["answers"]) - 1
         who = f"in the code of {board.devices[k].label}, " if 0 <= k < len(board.devices) else ""
         self._shared.copy(board, back=True)

@@ -166,11 +166,11 @@ class Shared:
 
     def __init__(self, path: str | Path, board: Board, create: bool = False):
         state = board.stage.state
-        axes, nq, words = len(board.stage.axes), state.model.nq, len(state.saved) + board.stage.beside.words
+        axes, nq, words = len(board.stage.axes), state.model.nq, len(state.saved) + board.stage.device_state.words
         sizes: list[tuple[Any, tuple[int, ...]]] = [
             (host_record.HOST, (1,)), (EDGE, (NOTED,)), (host_record.CYCLE, (board.trace.room,)), (np.float64, (words,)),
             (SAMPLE, (ROWS, axes)), (np.float64, (ROWS, nq)), (plain(SOURCE), (SOURCES,)), (np.int64, (1,)), (np.uint8, (TEXT,)),
-            (np.uint8, (CRASH,)), (np.float64, (board.stage.beside.words,)),
+            (np.uint8, (CRASH,)), (np.float64, (board.stage.device_state.words,)),
         ]  # fmt: skip
         lengths = [int(np.dtype(dtype).itemsize * np.prod(shape)) for dtype, shape in sizes]
         places = np.cumsum([0, *(-(-n // _ALIGNED) * _ALIGNED + _GUARD for n in lengths)]).tolist()

@@ -20,7 +20,6 @@ angle at joint position 0; by default half a turn from where ORG trips, as an en
 docs/models.md explains the contract and holds a complete small model.
 """
 
-from stage.sim.pins import PINS
 from stage.sim.plant.contract import PlantAxis, bind, describe
 from stage.sim.plant.spec import (
     axis_names,
@@ -35,6 +34,7 @@ from stage.sim.plant.spec import (
     reserve_fitted_values,
 )  # fmt: skip
 from stage.sim.plant.switches import Switch
+from stage.sim.records import PINS
 
 __all__ = [
     "PINS", "PlantAxis", "Switch", "axis_names", "bind", "compile_spec", "dc_constants", "describe", "discard_visuals", "equip",

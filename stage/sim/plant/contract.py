@@ -12,10 +12,10 @@ import numpy as np
 
 from stage.errors import ModelError
 from stage.sim.fingerprint import fingerprint
-from stage.sim.pins import PINS
 from stage.sim.plant.problems import Problems, actuator_line, joint_line, similar, slip
 from stage.sim.plant.spec import axis_names, texts
 from stage.sim.plant.switches import Switch, SwitchFinder
+from stage.sim.records import PINS
 from stage.units import PLACES
 
 KEPT_PLANTS = 64

@@ -9,9 +9,9 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 
-from stage.sim import callbacks, libmujoco, scan
-from stage.sim.pins import PINS
+from stage.sim import callbacks, flag_scan, libmujoco
 from stage.sim.plant.problems import Problems, pair_line, sensor_line, slip
+from stage.sim.records import PINS
 
 LOOK_AHEAD = 0.5e-3  # m; a switch must be seen this far before the touch, so that the edge is found inside a step
 SCAN = 401  # joint positions tried over the range
@@ -186,14 +186,14 @@ class SwitchFinder:
     def _distance(self, joint: int, q: float, vane: int, switch: int) -> float:
         self._at(joint, q)
         mujoco.mj_kinematics(self.model, self.data)
-        return mujoco.mj_geomDistance(self.model, self.data, vane, switch, scan.FAR, None)
+        return mujoco.mj_geomDistance(self.model, self.data, vane, switch, flag_scan.MAX_DISTANCE_M, None)
 
     def _far(self, joint: int, positions: np.ndarray, pairs: list[tuple[int, int]]) -> np.ndarray:
         """(positions, pairs), m: how far pairs of geoms are apart with this joint at `positions` and the others at qpos0."""
         out = np.empty((len(positions), len(pairs)))
         both = np.array(pairs, np.int32).reshape(-1, 2)
         self.data.qpos[:] = self.model.qpos0
-        scan.distances(
+        flag_scan.measure_distances(
             libmujoco.address("mj_kinematics"), libmujoco.address("mj_geomDistance"), self.model._address,
             self.data._address, self.data.qpos, int(self.model.jnt_qposadr[joint]), positions, both, out,
         )  # fmt: skip
@@ -210,7 +210,7 @@ class SwitchFinder:
             if s >= 0 and m.sensor_objtype[s] == geom and m.sensor_reftype[s] == geom
         ]
         for vane, switch in pairs:  # MuJoCo's errors are exceptions in Python only
-            mujoco.mj_geomDistance(m, self.data, vane, switch, scan.FAR, None)
+            mujoco.mj_geomDistance(m, self.data, vane, switch, flag_scan.MAX_DISTANCE_M, None)
         return dict(zip(pairs, self._far(joint, _scan_grid(low, high), pairs).T, strict=True))
 
     def _pushing(self) -> list[set[int]]:

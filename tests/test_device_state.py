@@ -1,9 +1,9 @@
-"""Promises of `Beside`: arrays of any size lie in words of 8 bytes, each from a word of its own, and come back as they were."""
+"""Promises of `DeviceState`: arrays of any size lie in words of 8 bytes, each from a word of its own, and come back as they were."""
 
 import numpy as np
 import pytest
 
-from stage.sim.beside import PART, Beside
+from stage.sim.device_state import HEADER_PART, DeviceState
 
 SIZES = (3, 8, 9, 1)
 WORDS = 1 + 1 + 2 + 1
@@ -16,21 +16,21 @@ def arrays():
 
 
 @pytest.fixture
-def beside(arrays):
-    made = Beside()
-    assert (made.words, made.part) == (0, ())
+def device_state(arrays):
+    made = DeviceState()
+    assert (made.words, made.header_part) == (0, ())
     made.add("a latch", arrays[:1])
     made.add("a counter", arrays[1:])
     return made
 
 
-def test_what_is_kept_comes_back_bit_for_bit(beside, arrays):
-    before, kept = [a.copy() for a in arrays], np.zeros(beside.words)
-    assert beside.words == WORDS
-    beside.get(kept)
+def test_what_is_kept_comes_back_bit_for_bit(device_state, arrays):
+    before, kept = [a.copy() for a in arrays], np.zeros(device_state.words)
+    assert device_state.words == WORDS
+    device_state.copy_to(kept)
     for array in arrays:
         array[:] = 0
-    beside.put(kept)
+    device_state.copy_from(kept)
     assert [a.tolist() for a in arrays] == [a.tolist() for a in before]
     starts = np.cumsum([0, 1, 1, 2]) * 8
     assert [kept.view(np.uint8)[at : at + len(a)].tolist() for at, a in zip(starts, before, strict=True)] == [
@@ -38,21 +38,21 @@ def test_what_is_kept_comes_back_bit_for_bit(beside, arrays):
     ]
 
 
-def test_arrays_that_move_are_what_they_were_and_the_words_are_theirs(beside, arrays):
+def test_arrays_that_move_are_what_they_were_and_the_words_are_theirs(device_state, arrays):
     before, words = [a.tolist() for a in arrays], np.zeros(WORDS)
-    moved = beside.move_to(words)
+    moved = device_state.move_to(words)
     assert [a.tolist() for a in moved] == before
     moved[2][:] = 7
     kept = np.zeros(WORDS)
-    beside.get(kept)
+    device_state.copy_to(kept)
     assert kept.tobytes() == words.tobytes()
     assert kept.view(np.uint8)[16:25].tolist() == [7] * 9
     assert arrays[2].tolist() == before[2], "where they were nobody looks any more"
 
 
-def test_all_of_them_are_told_by_name_size_and_layout(beside):
-    ((what, which),) = beside.part
-    assert what == PART
+def test_all_of_them_are_told_by_name_size_and_layout(device_state):
+    ((what, which),) = device_state.header_part
+    assert what == HEADER_PART
     assert [said.partition(" of layout")[0] for said in which.split("; ")] == [
         "a latch (3 bytes",
         "a counter (18 bytes",

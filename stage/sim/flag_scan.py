@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from stage.native import array_of, called, exported
 
-FAR = 1e3  # m; what is farther apart is as far
+MAX_DISTANCE_M = 1e3
+"""Distance that is given for all that is farther apart."""
 
 _kinematics = called(None, "i8", "i8")
 _distance = called("f8", "i8", "i8", "i4", "i4", "f8", "i8")
 
 
 @exported(None, "i8", "i8", "i8", "i8", array_of("f8"), "i8", array_of("f8"), array_of("i4", 2), array_of("f8", 2))
-def distances(kinematics, distance, model, data, qpos, k, positions, pairs, out):
+def measure_distances(kinematics, distance, model, data, qpos, k, positions, pairs, out):
     """out[i, j], m: how far the geoms pairs[j] are apart where coordinate k of `qpos`, the data's own, is positions[i].
 
     kinematics, distance, model, data: addresses of MuJoCo's functions mj_kinematics and mj_geomDistance, and of what they take.
@@ -20,4 +21,4 @@ def distances(kinematics, distance, model, data, qpos, k, positions, pairs, out)
         qpos[k] = positions[i]
         _kinematics(kinematics, (model, data))
         for j in range(len(pairs)):
-            out[i, j] = _distance(distance, (model, data, pairs[j, 0], pairs[j, 1], FAR, 0))
+            out[i, j] = _distance(distance, (model, data, pairs[j, 0], pairs[j, 1], MAX_DISTANCE_M, 0))

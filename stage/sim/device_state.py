@@ -1,0 +1,74 @@
+"""`DeviceState`: arrays of the devices on a stage's bus, part of the stage's state outside MuJoCo's.
+
+MuJoCo's userdata gets its size when the model is compiled, and devices come later. Snapshots, and the process of isolated
+firmware, carry these arrays behind MuJoCo's state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stage.errors import ArgumentError
+from stage.support.snapshots import layout
+
+HEADER_PART = "devices on its bus"
+
+
+class DeviceState:
+    """Arrays of the devices of one stage.
+
+    Attributes:
+        words: How many words of 8 bytes all of them take; each array begins at a word of its own.
+    """
+
+    def __init__(self) -> None:
+        self._bytes: list[np.ndarray] = []
+        self._names: list[str] = []
+        self.words = 0
+
+    def add(self, name: str, arrays: Sequence[np.ndarray]) -> None:
+        """Add the arrays of a device.
+
+        Args:
+            name: Name of the device.
+            arrays: Contiguous arrays, which stay where they are.
+
+        Raises:
+            ArgumentError: An array is not contiguous.
+        """
+        if not all(isinstance(array, np.ndarray) and array.flags.c_contiguous for array in arrays):
+            raise ArgumentError(f"arrays={arrays!r}: give a list of contiguous NumPy arrays.")
+        self._bytes += [array.reshape(-1).view(np.uint8) for array in arrays]
+        size, kinds = sum(array.nbytes for array in arrays), " ".join(layout(array.dtype) for array in arrays)
+        self._names.append(f"{name} ({size} bytes of layout {kinds})")
+        self.words = sum(-(-len(own) // 8) for own in self._bytes)
+
+    @property
+    def header_part(self) -> tuple[tuple[str, str], ...]:
+        """Part of a snapshot's header that describes the arrays; () without any."""
+        return ((HEADER_PART, "; ".join(self._names)),) if self._names else ()
+
+    def copy_to(self, words: np.ndarray) -> None:
+        """Copy all arrays into `words`."""
+        for array, place in zip(self._bytes, self._cut(words), strict=True):
+            place[:] = array
+
+    def copy_from(self, words: np.ndarray) -> None:
+        """Copy all arrays back from `words`."""
+        for array, place in zip(self._bytes, self._cut(words), strict=True):
+            array[:] = place
+
+    def move_to(self, words: np.ndarray) -> list[np.ndarray]:
+        """Move the arrays into `words`, where they lie from now on; return their bytes there."""
+        self.copy_to(words)
+        self._bytes = self._cut(words)
+        return self._bytes
+
+    def _cut(self, words: np.ndarray) -> list[np.ndarray]:
+        places, at, all_bytes = [], 0, words.view(np.uint8)
+        for array in self._bytes:
+            places.append(all_bytes[at : at + len(array)])
+            at += -(-len(array) // 8) * 8
+        return places
