@@ -100,4 +100,4 @@ class Faulty:
         elif name in _SWITCH or bounce:
             raise ArgumentError(f"fault {name!r}: axis {self.axis} has no ORG switch.")
         stage.apply_faults()
-        stage.look_again(axis)
+        stage.update_switches(axis)

@@ -320,18 +320,18 @@ class RegisterBus(Task[Config]):
         super().take(k, action)
 
     def act(self) -> None:
-        watched = self.fleet.watched()
+        watched = self.fleet.list_python_stages()
         if not watched:
-            self.fleet.spread(self._step)
-            self.fleet.check(self._status)
+            self.fleet.run_on_threads(self._step)
+            self.fleet.check_status(self._status)
             return
         self._by_hand[watched] = True
-        self.fleet.spread(lambda begin, end: core.play.c(self._address, begin, end))
-        self.fleet.check(self._status)
+        self.fleet.run_on_threads(lambda begin, end: core.play.c(self._address, begin, end))
+        self.fleet.check_status(self._status)
         self._by_hand[:] = False
         for k in watched:
             if self.active[k]:
-                self._status[k] = play.by_hand(self.stages[k], self._ops[k], self._values[k], np.zeros((0, 2)))
+                self._status[k] = play.play_in_python(self.stages[k], self._ops[k], self._values[k], np.zeros((0, 2)))
         self._conclude(0, self.n, False)
 
     def _step(self, begin: int, end: int) -> None:

@@ -255,7 +255,7 @@ def conclude(f, begin, end, fresh, results):
     for k in range(begin, end):
         if not (fresh or active[k]):
             continue
-        player.look(handles, k, k + 1, truth)
+        player.inspect_axes(handles, k, k + 1, truth)
         bad = False
         if fresh:
             e = episodes[k]

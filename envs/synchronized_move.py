@@ -260,7 +260,7 @@ class SynchronizedMove(MoveTask[Config]):
         registers = self.chosen(self.actions)
         moves = self.line.programs(registers, self.asked)
         self._begun = self.fleet.truth()[:, self.index]
-        self.fleet.spread(lambda low, high: self._twins(low, high, moves))
+        self.fleet.run_on_threads(lambda low, high: self._twins(low, high, moves))
         length = np.minimum(self.seconds + self.line.last_pulse(registers), c.limit) + c.settle
         every = 1 + len(self.index)  # a wait, and a look at each axis
         looks = np.zeros((self.n, c.looks, every, 4), np.int64)

@@ -86,7 +86,7 @@ class Foresight:
         twin = np.zeros(1, cores.CHIP)
         cores.fill(twin[0], core, rows.ctypes.data)
         until = round(seconds * self.axis.chip.clock_hz)
-        made = play.would_make(twin, ops, 1 << self.axis.index, self.axis.chip_axis, until)
+        made = play.predict_pulses(twin, ops, 1 << self.axis.index, self.axis.chip_axis, until)
         return None if made == play.STILL_BUSY else int(made)
 
 

@@ -19,9 +19,9 @@ from stage.firmware.pcl240.moves import encode_offset
 from stage.firmware.pcl240.plan import R0_MOST, _check, _share, _whole
 from stage.recording.viewer import web_server
 from stage.sim import faults, records
-from stage.sim.fleet import MOST, Fleet
+from stage.sim.fleet import MAX_TIME_NS, Fleet
 from stage.sim.program import Program
-from stage.sim.stage import LONGEST
+from stage.sim.stage import MAX_RUN_S
 from stage.study.objectives import values_of
 from stage.testing import assert_at
 
@@ -85,9 +85,9 @@ PLAIN = {
     "value of a register": (lambda v: values_of("R2", v), (0, 1), (-1, 0.5)),
 }  # fmt: skip
 ON_A_STAGE = {
-    "timeout": (lambda s, v: s.run_until(lambda: True, timeout=v), (0, LONGEST), (-1e-9, LONGEST * 1.001)),
-    "poll": (lambda s, v: s.run_until(lambda: s.time > 3e-9, timeout=5e-9, poll=v), (0, LONGEST), (-1e-9, LONGEST * 1.001)),
-    "run": (lambda s, v: s.run(v), (0,), (-1e-9, LONGEST)),
+    "timeout": (lambda s, v: s.run_until(lambda: True, timeout=v), (0, MAX_RUN_S), (-1e-9, MAX_RUN_S * 1.001)),
+    "poll": (lambda s, v: s.run_until(lambda: s.time > 3e-9, timeout=5e-9, poll=v), (0, MAX_RUN_S), (-1e-9, MAX_RUN_S * 1.001)),
+    "run": (lambda s, v: s.run(v), (0,), (-1e-9, MAX_RUN_S)),
     "step": (lambda s, v: s.step(v), (0, 1), (-1, 0.5)),
     "place": (lambda s, v: s.place(x=v * s.axes["x"].travel[1]), (-1, 1), (-1.001, 1.001)),
     "payload": (lambda s, v: s.set_payload(v), (0,), (-1e-9, 1e6)),
@@ -109,7 +109,7 @@ ON_A_STAGE = {
     ),
     "axis of a look": (lambda s, v: Fleet([s], 1).play([Program().look(v)]), (0, 1), (-1, 2)),
     "poll of a wait": (
-        lambda s, v: Fleet([s], 1).play(np.array([[[4, 1, v, MOST]]])), (1, MOST), (0, MOST + 1),
+        lambda s, v: Fleet([s], 1).play(np.array([[[4, 1, v, MAX_TIME_NS]]])), (1, MAX_TIME_NS), (0, MAX_TIME_NS + 1),
     ),
     "within": (lambda s, v: assert_at(s.axes["x"], s.axes["x"].position, v), (0, 1), (-1e-9, math.nan)),
     "every": (lambda s, v: s.record(v).close(), (1e-9, 1e6), (0, 1.001e6)),

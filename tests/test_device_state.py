@@ -1,4 +1,4 @@
-"""Promises of `DeviceState`: arrays of any size lie in words of 8 bytes, each from a word of its own, and come back as they were."""
+"""Promises of `DeviceState`: arrays of any size lie in words of 8 bytes, each from a word of its own, and come back unchanged."""
 
 import numpy as np
 import pytest

@@ -138,8 +138,8 @@ def test_supplies_that_fall_together_are_mended_each_to_its_own(stage):
     with faults.bus_voltage(twin.axes["y"], 36.0):
         own = [axis.faults.bus_voltage for axis in twin.axes.values()]
         with faults.bus_voltage(twin, 12.0):
-            assert [float(axis.electrics()[0].voltage) for axis in twin.axes.values()] == [12.0, 12.0]
-        assert [float(axis.electrics()[0].voltage) for axis in twin.axes.values()] == own == [24.0, 36.0]
+            assert [float(axis.read_drive()[0].voltage) for axis in twin.axes.values()] == [12.0, 12.0]
+        assert [float(axis.read_drive()[0].voltage) for axis in twin.axes.values()] == own == [24.0, 36.0]
 
 
 def test_a_late_start_is_over_when_the_cpu_is_called_away(stage):

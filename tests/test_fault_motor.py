@@ -153,7 +153,7 @@ def test_a_supply_that_fell_and_a_load_stay_what_they_are(xyz):
     x = xyz.axes["x"]
     xyz.set_payload(1.0)
     with faults.bus_voltage(x, 12.0), faults.motor(x, SMALL):
-        assert (x.faults.bus_voltage, float(x.electrics()[0].voltage)) == (12.0, 12.0)
+        assert (x.faults.bus_voltage, float(x.read_drive()[0].voltage)) == (12.0, 12.0)
         assert xyz.payload() == 1.0
     xyz.set_payload(0.0)
 

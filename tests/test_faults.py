@@ -368,12 +368,12 @@ def test_a_switch_that_sticks_in_a_move_stops_the_chip_within_the_pulse(xyz):
     start_preset(x.chip, 20_000)
     xyz.run(0.3001234)
     before = x.chip.clock
-    pulses = x.electrics()[1]
+    pulses = x.read_drive()[1]
     with faults.switch_stuck(x, "el_plus", True):
         assert x.chip.clock == before
         xyz.run(0.1)
         assert x.chip.pins.hold
-        assert x.electrics()[1] - pulses <= 1
+        assert x.read_drive()[1] - pulses <= 1
 
 
 def test_mending_a_switch_inside_a_step_finds_the_edge_in_the_rest_of_it(xyz):
@@ -603,7 +603,7 @@ def test_a_jammed_axis_holds_against_its_motor_in_both_directions(xyz):
             xyz.run(0.5)
             assert abs(x.position) < 20e-6
             xyz.run_until(lambda: x.chip.pins.hold, timeout=5)
-            assert x.electrics()[1] == (0 if minus else 20_000), "the chip makes all its pulses"
+            assert x.read_drive()[1] == (0 if minus else 20_000), "the chip makes all its pulses"
     assert firmware.preset_move(xyz.axes["y"], 1000).ok
 
 
@@ -755,7 +755,7 @@ def test_a_fleet_loses_the_write_as_the_stage_alone_would():
     with faults.lost_write(stages[1].axes["x"], 0, 0x15):
         fleet = Fleet(stages)
         fleet.play([program, program])
-    assert [s.axes["x"].electrics()[1] for s in stages] == [900, 0]
+    assert [s.axes["x"].read_drive()[1] for s in stages] == [900, 0]
 
 
 # --- recordings, command line, errors ---

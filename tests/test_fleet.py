@@ -74,7 +74,7 @@ def test_a_program_does_what_a_python_driver_does_to_the_bit(first):
     for k, stage in enumerate(stages(first)):
         ops = np.array(program(first, k).ops)
         results, extremes = np.zeros(len(ops), np.int64), np.full((3, 2), np.inf) * [1, -1]
-        assert play.by_hand(stage, ops, results, extremes) == play.PLAYED
+        assert play.play_in_python(stage, ops, results, extremes) == play.PLAYED
         assert (results == played.results[k][: len(ops)]).all()
         assert (extremes == played.extremes[k]).all()
         assert stage.snapshot().state.tobytes() == fleet.stages[k].snapshot().state.tobytes()
@@ -89,7 +89,7 @@ def test_a_wait_whose_limit_a_poll_meets_exactly_ends_there_compiled_and_by_hand
     p.command(0, 0x40).command(0, 0x10).until_stopped([0], 754e-6, 250e-6)
     fleet, (driven,) = Fleet(stages(first, 1), 1), stages(first, 1)
     results = np.zeros(len(p), np.int64)
-    assert play.by_hand(driven, np.array(p.ops), results, np.zeros((3, 2))) == play.PLAYED
+    assert play.play_in_python(driven, np.array(p.ops), results, np.zeros((3, 2))) == play.PLAYED
     assert fleet.play([p]).results[0][len(p) - 1] == results[-1] == -754_000
 
 
@@ -218,7 +218,7 @@ def test_a_stage_is_in_a_fleet_once(first):
 
 def test_a_stage_that_another_thread_runs_is_not_played(first):
     fleet = Fleet(stages(first, 2), 1)
-    with fleet.stages[1].loop.alone(), pytest.raises(StageError, match=r"stage 1 of the fleet.*in use"):
+    with fleet.stages[1].loop.claimed(), pytest.raises(StageError, match=r"stage 1 of the fleet.*in use"):
         fleet.play([program(first, 0)] * 2)
     fleet.play([program(first, 0)] * 2)
 
@@ -264,7 +264,7 @@ def test_without_visuals_the_physics_is_the_same(first):
     bare, full = stages(first, 1)[0], Stage("xyz", chips={"x": PCL240MS, "z": PCL240K})
     ops = np.array(program(first, 1).ops)
     for stage in (bare, full):
-        play.by_hand(stage, ops, np.zeros(len(ops), np.int64), np.zeros((3, 2)))
+        play.play_in_python(stage, ops, np.zeros(len(ops), np.int64), np.zeros((3, 2)))
     assert bare.snapshot().state.tobytes() == full.snapshot().state.tobytes()
 
 
@@ -324,7 +324,7 @@ def test_what_a_point_travels_is_the_diagonal_of_its_box_by_python_as_by_compile
     p.look(0, site, 0).look(0, -body, 2)
     played = one.play([p])
     other.stages[0].record()
-    assert other.watched() == [0], "Python plays it"
+    assert other.list_python_stages() == [0], "Python plays it"
     assert (other.play([p]).results == played.results).all()
     from_, height, by_site, by_body, nothing, still, to, as_high = played.results[0, -8:].tolist()
     assert (nothing, still) == (0, 0)

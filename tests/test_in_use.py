@@ -54,7 +54,7 @@ WAYS = {
 def test_a_stage_in_use_says_so_and_stays_as_it_was(xy, way):
     start_preset(xy.axes["x"].chip, 1000)
     before = bits(xy)
-    with xy.loop.alone(), pytest.raises(StageError, match="in use"):
+    with xy.loop.claimed(), pytest.raises(StageError, match="in use"):
         WAYS[way](xy)
     assert bits(xy) == before
     xy.run(1e-3)
@@ -63,7 +63,7 @@ def test_a_stage_in_use_says_so_and_stays_as_it_was(xy, way):
 @pytest.mark.skipif(not COMPILED, reason="uncompiled, threads take turns by themselves")
 def test_without_bus_time_a_cycle_is_refused_as_well():
     stage = Stage("xy", chips=PCL240K, bus_cycle=0, visuals=False)
-    with stage.loop.alone(), pytest.raises(StageError, match="in use"):
+    with stage.loop.claimed(), pytest.raises(StageError, match="in use"):
         stage.axes["x"].chip.read(0)
     stage.axes["x"].chip.read(0)
 

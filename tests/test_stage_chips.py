@@ -352,7 +352,7 @@ def test_any_number_of_threads_gives_the_same_bits_as_a_python_driver(made, chip
     for k, p in enumerate(programs):
         stage, ops = copy.deepcopy(first), np.array(p.ops)
         results = np.zeros(len(ops), np.int64)
-        assert play.by_hand(stage, ops, results, np.full((stage.model.nq, 2), np.inf) * [1, -1]) == play.PLAYED
+        assert play.play_in_python(stage, ops, results, np.full((stage.model.nq, 2), np.inf) * [1, -1]) == play.PLAYED
         assert (results == played.results[k][: len(ops)]).all()
         assert bits(stage) == bits(fleet.stages[k])
         assert pulses_of(stage) == [300 + 50 * k] * 3
@@ -375,7 +375,7 @@ def test_every_stage_of_a_fleet_may_have_its_own_chips(made):
     for stage, ours, p, results in zip(stages, fleet.stages, programs, played.results, strict=True):
         by_hand = np.zeros(len(p), np.int64)
         ops = np.array(p.ops, np.int64)
-        assert play.by_hand(stage, ops, by_hand, np.full((stage.model.nq, 2), np.inf) * [1, -1]) == play.PLAYED
+        assert play.play_in_python(stage, ops, by_hand, np.full((stage.model.nq, 2), np.inf) * [1, -1]) == play.PLAYED
         assert (results[: len(p)] == by_hand).all()
         assert bits(stage) == bits(ours)
         assert pulses_of(stage) == [400] * 3

@@ -18,7 +18,7 @@ from stage.board.devices import HCTL2016, Encoder
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K
 from stage.chips.entries import SHAFT, number
 from stage.cli import main
-from stage.sim.encoder import chosen, per_unit
+from stage.sim.encoder import choose_encoders, counts_per_unit
 
 PER_METRE = 320_000  # as the pulses of the default drive
 LIKE = {"chips": MCX514, "visuals": False}
@@ -252,7 +252,7 @@ def test_the_marker_of_a_test_takes_encoders(request):
 def test_counts_a_turn_have_the_sign_of_the_gear():
     """Encoder("x", per_turn=2000) behind a gear of -100 rad/m, and one of counts a metre beside it"""
     plant = [SimpleNamespace(name=name, gear=gear) for name, gear in (("x", -100.0), ("y", 50.0), ("z", -100.0))]
-    counts = per_unit([Encoder("x", per_turn=2000), Encoder("z", per_metre=7.0)], plant)
+    counts = counts_per_unit([Encoder("x", per_turn=2000), Encoder("z", per_metre=7.0)], plant)
     assert counts == [-2000 * 100 / (2 * math.pi), 0.0, 7.0]
 
 
@@ -266,7 +266,7 @@ def test_an_encoder_of_a_device_counts_from_where_its_axis_stands_and_a_chips_ar
     assert counts[0] in (0, 1, 0xFFFF)
     assert counts[1] == pytest.approx(5e-3 * PER_METRE, abs=1)
     axes = [a.chip.axes[a.chip_axis] for a in fed.axes.values()]
-    assert [e.axis for e in chosen({"y": 1000, "x": 2000}, ("x", "y"), axes)] == ["x", "y"]
+    assert [e.axis for e in choose_encoders({"y": 1000, "x": 2000}, ("x", "y"), axes)] == ["x", "y"]
 
 
 @pytest.mark.parametrize("rate", [True, 0, math.inf])
@@ -274,4 +274,4 @@ def test_a_rate_of_an_encoder_is_a_number(rate):
     with pytest.raises(ArgumentError, match="per_metre= or per_turn="):
         Encoder("x", per_metre=rate)
     with pytest.raises(ArgumentError, match="number of counts a metre"):
-        chosen({"x": rate}, ("x",), ())
+        choose_encoders({"x": rate}, ("x",), ())

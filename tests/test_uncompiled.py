@@ -362,7 +362,7 @@ def test_a_program_of_a_driver_in_python_makes_the_same_bits():
     p.command(1, 0x44).command(1, 0x11).until_stopped([1], 0.05).measure(1e-3).look(1).read(1, 0).wait(1e-4)
     ops = np.array(p.ops)
     results, extremes = np.zeros(len(ops), np.int64), np.full((stage.model.nq, 2), np.inf) * [1, -1]
-    assert play.by_hand(stage, ops, results, extremes) == play.PLAYED
+    assert play.play_in_python(stage, ops, results, extremes) == play.PLAYED
     played = fleet.play([p])
     assert (played.results[0] == results).all()
     assert (played.extremes[0] == extremes).all()
@@ -387,7 +387,7 @@ def test_by_hand_a_stage_that_diverges_ends_its_program():
     stage = make_stage()
     stage.data.qfrc_applied[:] = 1e30
     ops = np.array(Program().wait(0.01).ops)
-    assert play.by_hand(stage, ops, np.zeros(1, np.int64), np.zeros((3, 2))) == play.DIVERGED
+    assert play.play_in_python(stage, ops, np.zeros(1, np.int64), np.zeros((3, 2))) == play.DIVERGED
 
 
 def test_room_for_few_samples_and_edges_loses_none(monkeypatch):

@@ -31,7 +31,7 @@ from stage.board.trace import BusTrace, Cycle, Meaning
 from stage.board.waveforms import HostWaveforms
 from stage.chips.diagnostics import JournalLint
 from stage.errors import ArgumentError, StageError, unknown
-from stage.sim.stage import LONGEST, Stage
+from stage.sim.stage import MAX_RUN_S, Stage
 from stage.support.arguments import told
 
 KEPT_CYCLES = 100_000
@@ -139,7 +139,7 @@ class Board:
     def delay_us(self, us: int) -> None:
         """Microseconds pass. Raises ArgumentError below 0, and beyond 1e15 (1e9 s). After Ctrl-C time stands
         somewhere in the delay, and the board can be used as before."""
-        if not 0 <= us <= LONGEST * 1_000_000:
+        if not 0 <= us <= MAX_RUN_S * 1_000_000:
             raise ArgumentError(f"us={us!r}: a delay takes 0 to 1e15 us (1e9 s).")
         if us <= PIECE_US:
             self.link.ask(host_record.DELAY, us, 0)
@@ -161,7 +161,7 @@ class Board:
 
     def pulling(self) -> int:
         """Who pulls the interrupt line, a bit each: the stage's chips, and behind them the devices. No bus cycle."""
-        self.stage.look()
+        self.stage.ensure_powered()
         return int(requests.pulling.c(self.link.pointer))
 
     def on_interrupt(self, hook: Callable[[], None] | None) -> None:
@@ -179,7 +179,7 @@ class Board:
         which of 4 timers; level: 1 to 15, at which it interrupts hooks of the firmware, see docs/interrupts.md. hook=None or
         period_us=0: the timer is off. Raises ArgumentError.
         """
-        if not (isinstance(period_us, int | float) and (period_us == 0 or 1e-3 <= period_us <= LONGEST * 1_000_000)):
+        if not (isinstance(period_us, int | float) and (period_us == 0 or 1e-3 <= period_us <= MAX_RUN_S * 1_000_000)):
             raise ArgumentError(
                 f"period_us={period_us!r}: a timer's period is 0.001 to 1e15 us (1 ns to 1e9 s), 0 for off."
             )
@@ -349,14 +349,14 @@ class Board:
 
     def _told(self, listener: Listener, n: int, value: int, writes: bool, wide: bool) -> str:
         """What a cycle of a device means. A `tell` that fails does not hide what the trace is printed for."""
-        loop, before = self.stage.loop, self.stage.loop.held
-        loop.held = "a tell= says what cycles mean, and neither makes any nor lets time pass."
+        loop, before = self.stage.loop, self.stage.loop.time_refusal
+        loop.time_refusal = "a tell= says what cycles mean, and neither makes any nor lets time pass."
         try:
             return listener(n, value, writes, wide)
         except Exception as error:
             return f"its tell has raised {type(error).__name__}: {error}"
         finally:
-            loop.held = before
+            loop.time_refusal = before
 
     def _by_port(self) -> list[tuple[int, Any]]:
         """The ports that reach something, with their PORT records."""

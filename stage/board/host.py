@@ -135,7 +135,7 @@ class Host:
         """Give up firmware that stands still; a process of its own ends. A thread cannot be ended: it waits for ever, and what
         it stands in stays in memory."""
         if self.running:
-            self.board.stage.loop.check_kept()
+            self.board.stage.loop.check_state_allowed()
         self._runner.close()
 
     def __enter__(self) -> Self:
@@ -157,7 +157,7 @@ class Host:
         board, stage = self.board, self.board.stage
         if int(max_cycles) != max_cycles or max_cycles < 1:
             raise ArgumentError(f"max_cycles={max_cycles!r}: a whole number of bus cycles, 1 or more.")
-        stage.loop.check_kept()
+        stage.loop.check_state_allowed()
         if not self.running:
             if board.driver is not None and board.driver.running:
                 raise StageError(

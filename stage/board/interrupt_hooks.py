@@ -96,16 +96,16 @@ class Hooks:
     def call(self, source: int) -> None:
         """Call a hook in Python, uninterrupted."""
         h, loop = self._link.record, self._link.stage.loop
-        before, kept = (h["level"], h["lazy"]), loop.keeps
+        before, kept = (h["level"], h["lazy"]), loop.state_refusal
         h["level"], h["lazy"] = interrupts.HIGHEST, 0
-        loop.keeps = (
+        loop.state_refusal = (
             f"the hook of {named(source)} runs, and what it interrupts goes on from here: do that when it is over."
         )
         try:
             if (function := self.functions.get(source)) is not None:
                 function()
         finally:
-            (h["level"], h["lazy"]), loop.keeps = before, kept
+            (h["level"], h["lazy"]), loop.state_refusal = before, kept
             h["quiet"] = 0
 
     def _called(self, source: int | None) -> None:

@@ -71,7 +71,7 @@ class Link:
         """The HOST record, and the arrays that it points to."""
         stage = self.stage
         if len(stage.state.edges) < NOTED:
-            stage.state.note_in(np.zeros(NOTED, records.EDGE))
+            stage.state.set_edge_buffer(np.zeros(NOTED, records.EDGE))
         self._rows = np.zeros(1, host_record.HOST)
         self.move_to(self._rows)
         h = self.record
@@ -122,14 +122,14 @@ class Link:
         """Prepare for compiled code: what it may have to write to, and whom it has to ask. Raises as `check_is_current`."""
         self.check_is_current()
         stage, h = self.stage, self.record
-        stage.look()
+        stage.ensure_powered()
         stage.loop.check_options()
         asks = 0
         for k, chip in enumerate(stage.chips):
             if chip.glitches:
                 asks |= 1 << k
         h["asks"], h["reached"] = asks, stage.now
-        handle.log_to(h, stage.loop.recording)
+        handle.set_sample_buffers(h, stage.loop.recording)
 
     def end(self) -> None:
         """After compiled code has run: what it noted goes to journals and recording."""
@@ -143,7 +143,7 @@ class Link:
 
     def take_edges(self, n: int) -> None:
         """The first `n` of what was noted go to journals, and a lint looks at the writes."""
-        self.stage.loop.note_edges(n)
+        self.stage.loop.journal_edges(n)
         for chip in self.stage.chips:
             if chip.journal_lint is not None:
                 chip.journal_lint.limit_memory()
@@ -156,11 +156,14 @@ class Link:
         """A cycle reaches port `n` of device `k`, which is written in Python."""
         device = self.board.devices[k]
         self.answering, loop = device, self.stage.loop
-        loop.held = f"{device.name} answers a bus cycle: within it no time passes, and the stage stays in its state. Do it later."
+        loop.time_refusal = (
+            f"{device.name} answers a bus cycle: within it no time passes, and the stage stays in its state. "
+            "Do it later."
+        )
         try:
             return device.call(n, way, value)
         finally:
-            self.answering, loop.held = None, ""
+            self.answering, loop.time_refusal = None, ""
 
     def ask(self, what: int, a: int, b: int) -> int:
         """One request of a host in Python."""
@@ -173,7 +176,7 @@ class Link:
     def _ask(self, what: int, a: int, b: int) -> int:
         if self.answering is not None:
             raise StageError(f"{self.answering.name} answers a bus cycle: it can make none itself, and no time passes.")
-        self.stage.loop.check_held()
+        self.stage.loop.check_time_allowed()
         self.begin()
         answer = int(self.request(self.pointer, what | host_record.FROM_PYTHON, int(a), int(b)))
         if answer == host_record.TWO_AT_ONCE:

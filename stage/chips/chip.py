@@ -52,10 +52,10 @@ class Bus(Protocol):
     def cycle(self) -> None:
         """Let the time of one bus cycle pass."""
 
-    def look(self) -> None:
+    def ensure_powered(self) -> None:
         """Somebody is about to look at a chip's state, between bus cycles."""
 
-    def change(self) -> None:
+    def prepare_change(self) -> None:
         """Somebody is about to change a chip's state, between bus cycles. Raises StageError where he may not now."""
 
 
@@ -279,19 +279,19 @@ class Chip:
     def pointer(self) -> int:
         """The address of its state, for compiled code that looks at it now; `_here` is for bus cycles, which begin with a look."""
         if self._bus is not None:
-            self._bus.look()
+            self._bus.ensure_powered()
         return self._here
 
     @property
     def state(self) -> Any:
         """Its state, a record of CORE.STATE, in place. For tests and debuggers; `_plain` is for bus cycles, as `_here`."""
         if self._bus is not None:
-            self._bus.look()
+            self._bus.ensure_powered()
         return self._plain
 
     def _change(self) -> None:
         if self._bus is not None:
-            self._bus.change()
+            self._bus.prepare_change()
 
     @property
     def pins(self) -> Pins:

@@ -279,7 +279,7 @@ class FaultControls:
         dof = self.session.stage.axes[axis].plant.dof
 
         def order(stage: Stage) -> None:
-            stage.change()
+            stage.prepare_change()
             self._pushed[axis] = force
             stage.data.qfrc_applied[dof] = force
 

@@ -246,9 +246,9 @@ class Sampler:
             now._also.append(self)
 
     def _attach(self, stage: Stage) -> None:
-        stage.change()
+        stage.prepare_change()
         stage.loop.recording, self._also = self, []
-        handle.log_to(stage.state.handle, self)
+        handle.set_sample_buffers(stage.state.handle, self)
         stage.state.clockwork[0].sample_every = 1
         stage.state.world[0].to_sample = 1
 

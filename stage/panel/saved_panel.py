@@ -273,7 +273,7 @@ def capture(panel: Panel) -> tuple[SavedPanel, int]:
     """Return what there is now, and the time, ns. For the stage's thread."""
     stage = panel.session.stage
     panel.observer.observe(stage)
-    kg, _ = stage.machine()["payloads"]
+    kg, _ = stage.describe_machine()["payloads"]
     payloads = {stage.model.body(body).name: mass for body, mass in kg.items()}
     broken = [made.request for made in panel.fault_controls.in_force]
     return SavedPanel(

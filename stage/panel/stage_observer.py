@@ -254,7 +254,7 @@ class StageObserver:
             del self._origins[axis.name]
         lost, commanded = axis.lost_steps, axis.commanded
         if before:
-            record, _ = axis.electrics()
+            record, _ = axis.read_drive()
             commanded -= before * (np.pi / 2 / record.teeth) / axis.gear
         return AxisView(axis.position, commanded, lost - before, axis.switches.as_dict())
 

@@ -116,7 +116,7 @@ class Tour:
             drive.before = True
 
     def _follow(self, axis: Axis, now: float) -> None:
-        _, net = axis.electrics()
+        _, net = axis.read_drive()
         before, then = self._nets.get(axis.name, (net, now))
         lost = axis.lost_steps
         self.lost |= lost != self._lost_at_first.setdefault(axis.name, lost)

@@ -47,7 +47,7 @@ class Switches:
         if name.startswith("_"):
             raise AttributeError(name)
         stage = self._axis.stage
-        stage.look()
+        stage.ensure_powered()
         return bool(stage.state.switches[self.row(name)].on)
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -59,9 +59,9 @@ class Switches:
             raise ArgumentError(f"asserted={asserted!r}: True holds {name} asserted, False released, None mends it.")
         stage = self._axis.stage
         with exclusively(stage):
-            stage.change()
+            stage.prepare_change()
             stage.state.switch_table[self.row(name)].forced = -1 if asserted is None else int(asserted)
-            stage.look_again(self._axis)
+            stage.update_switches(self._axis)
 
     def __dir__(self) -> list[str]:
         return [s.pin for s in self._axis.plant.switches]
@@ -113,7 +113,7 @@ class Axis:
         wiring: its sensors that are not of the logic of its chip after a reset, {"org": "positive"}.
         stage: the Stage that it belongs to; plant: what the model says of it, a `stage.sim.plant.PlantAxis`.
         faults: what faults have changed, an `AxisFaults`; after a change call `Stage.apply_faults`.
-        armature: of its joint, with the rotor of `drive` as the stage was built, see `refit_model`; rotor: that inertia, kg m^2.
+        armature: of its joint, with the rotor of `drive` as the stage was built, see `fit_model`; rotor: that inertia, kg m^2.
     """
 
     def __init__(
@@ -161,7 +161,7 @@ class Axis:
     def position(self) -> float:
         """Where the carriage is, m (rad on a hinge)."""
         stage, p = self.stage, self.plant
-        stage.look()
+        stage.ensure_powered()
         state = stage.state
         tau = (state.now - state.start - 0.5 * state.dt) * 1e-9
         return float(state.data.qpos[p.qpos] + state.data.qvel[p.dof] * tau)
@@ -170,29 +170,29 @@ class Axis:
     def commanded(self) -> float:
         """Where the pulses say that the carriage is, m; it differs from `position` by following error and lost steps."""
         q = self.position
-        d, net = self.electrics()
+        d, net = self.read_drive()
         return float(q + any_drive.behind(d, net, q * self.gear) / self.gear)
 
     @property
     def lost_steps(self) -> int:
         """Full steps by which the rotor is behind the pulses, a multiple of four; from the rotor's angle. 0 for a servo."""
-        d, net = self.electrics()
+        d, net = self.read_drive()
         return int(any_drive.lost_steps(d, net, self.position * self.gear))
 
     @property
     def load_angle(self) -> float:
         """Commanded minus rotor angle, electrical radians; plain radians for a servo."""
-        d, net = self.electrics()
+        d, net = self.read_drive()
         return float(any_drive.load_angle(d, net, self.position * self.gear))
 
-    def electrics(self) -> tuple[Any, float]:
+    def read_drive(self) -> tuple[Any, float]:
         """Its drive's record (stage.drives.stepper.DRIVE, currents among it), and the pulses that the drive has been given, net."""
         chip = self.chip
         return self.stage.state.drives[self.index], float(chip.CORE.net.with_gil(chip.pointer, self.chip_axis))
 
     def __reduce__(self) -> tuple:
         """A copy is the same axis of a copy of its stage: by itself it would be a chip that nothing drives."""
-        return _axis_of, (self.stage, self.name)
+        return _find_axis, (self.stage, self.name)
 
     def __repr__(self) -> str:
         return (
@@ -203,10 +203,10 @@ class Axis:
     def _repr_html_(self) -> str:
         values = [(name, value) for name, value in self.chip.values().items()]
         registers = html.folded("registers", html.table(values, ("register", "value")))
-        return axes_table([self]) + registers
+        return format_axes_table([self]) + registers
 
 
-def _axis_of(stage: Stage, name: str) -> Axis:
+def _find_axis(stage: Stage, name: str) -> Axis:
     return stage.axes[name]
 
 
@@ -251,10 +251,10 @@ class Axes(Mapping[str, Axis]):
         return f"<Axes {', '.join(self._axes)}>"
 
     def _repr_html_(self) -> str:
-        return axes_table(self.values())
+        return format_axes_table(self.values())
 
 
-def axes_table(axes: Iterable[Axis]) -> str:
+def format_axes_table(axes: Iterable[Axis]) -> str:
     """The axes as a table of HTML, a line each."""
     rows = []
     for a in axes:

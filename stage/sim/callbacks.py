@@ -34,7 +34,7 @@ _guards: dict[int, Callable[[BaseException | None], bool]] = {}  # by thread
 
 
 @contextmanager
-def guarded(failed: Callable[[BaseException | None], bool]) -> Iterator[None]:
+def guard_callbacks(failed: Callable[[BaseException | None], bool]) -> Iterator[None]:
     """In here no exception of a callback leaves it, in this thread. failed: is given the exception, or None, and says whether there
     was one."""
     me = threading.get_ident()
@@ -44,7 +44,7 @@ def guarded(failed: Callable[[BaseException | None], bool]) -> Iterator[None]:
                 for name in NAMES:
                     own = getattr(mujoco, f"get_mjcb_{name}")()
                     if callable(own):
-                        _installed[name] = own, _guard(own)
+                        _installed[name] = own, _make_guard(own)
                         getattr(mujoco, f"set_mjcb_{name}")(_installed[name][1])
             _guards[me] = failed
         yield
@@ -68,16 +68,16 @@ def forward(model: mujoco.MjModel, data: mujoco.MjData, back: Callable[[], None]
             errors.append(error)
         return bool(errors)
 
-    with guarded(failed):
+    with guard_callbacks(failed):
         mujoco.mj_forward(model, data)
         if errors and back is not None:
             back()
             mujoco.mj_forward(model, data)
     if errors:
-        raise raised(errors[0], data.time, "Nothing has changed.")
+        raise make_callback_error(errors[0], data.time, "Nothing has changed.")
 
 
-def raised(error: BaseException | None, seconds: float, held: str) -> BaseException:
+def make_callback_error(error: BaseException | None, seconds: float, held: str) -> BaseException:
     """What the caller is told of a callback's exception; of Ctrl-C, which may come while one runs, that. held: the state now."""
     if not isinstance(error, Exception):
         return error or KeyboardInterrupt()
@@ -87,7 +87,7 @@ def raised(error: BaseException | None, seconds: float, held: str) -> BaseExcept
     return told
 
 
-def _guard(own: Callable) -> Callable:
+def _make_guard(own: Callable) -> Callable:
     def call(*given: Any) -> Any:
         failed = _guards.get(threading.get_ident())
         if failed is None:  # somebody else steps a model of his own

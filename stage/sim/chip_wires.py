@@ -16,28 +16,29 @@ LOGIC = ("negative", "positive")
 """Low while it is on; high while it is on. The default is what the chip takes as asserted after a reset, see `Chip.LOGIC`."""
 
 
-def chosen_wiring(
+def choose_wiring(
     given: WiringChoice, plant: Sequence[PlantAxis], chip_axes: Sequence[ChipAxis]
 ) -> tuple[Mapping[str, str], ...]:
     """Of each axis: its sensors that are not of its chip's logic, as `Stage` takes them. Raises ArgumentError."""
     if given is not None and not isinstance(given, Mapping):
-        raise _no_wiring(given)
+        raise _refuse_wiring(given)
     names = [p.name for p in plant]
     for name, sensors in (given or {}).items():
         if name not in names:
             raise unknown("axis", name, names)
         if not isinstance(sensors, Mapping):
-            raise _no_wiring(given)
+            raise _refuse_wiring(given)
     return tuple(
-        _of_axis((given or {}).get(p.name, {}), p, type(axis.chip)) for p, axis in zip(plant, chip_axes, strict=True)
+        _choose_axis_wiring((given or {}).get(p.name, {}), p, type(axis.chip))
+        for p, axis in zip(plant, chip_axes, strict=True)
     )
 
 
-def _no_wiring(given: Any) -> ArgumentError:
+def _refuse_wiring(given: Any) -> ArgumentError:
     return ArgumentError(f'wiring={given!r}: a mapping axis -> sensor -> logic, {{"x": {{"org": "positive"}}}}.')
 
 
-def _of_axis(sensors: Mapping[str, str], plant: PlantAxis, chip: Any) -> Mapping[str, str]:
+def _choose_axis_wiring(sensors: Mapping[str, str], plant: PlantAxis, chip: Any) -> Mapping[str, str]:
     fitted = [*(s.pin for s in plant.switches), "ez"]
     for sensor, logic in sensors.items():
         if sensor not in fitted:
@@ -63,7 +64,7 @@ def _of_axis(sensors: Mapping[str, str], plant: PlantAxis, chip: Any) -> Mapping
     return turned
 
 
-def leaders(
+def choose_leaders(
     given: Mapping[str, str] | None, names: Sequence[str], chip_axes: Sequence[ChipAxis]
 ) -> tuple[tuple[str, str], ...]:
     """(follower, leader) axes whose chips share the leader's clock, as `Stage` takes them in `syni`. Raises ArgumentError."""
@@ -98,7 +99,7 @@ def check_pair(follower: Chip, leader: Chip, what: str) -> None:
         )
 
 
-def linked_axes(
+def choose_linked_axes(
     given: Sequence[str] | None, names: Sequence[str], chip_axes: Sequence[ChipAxis]
 ) -> tuple[tuple[str, ...], tuple[Chip, ...]]:
     """The axes whose chips the lines of multichip interpolation join, as `Stage` takes them in `multichip`, and these chips.

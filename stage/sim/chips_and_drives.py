@@ -27,7 +27,7 @@ def wire(
 
     spec: of `plant.open_spec`; it gets the actuators that the drives need. Raises ArgumentError.
     """
-    chips = _named(PCL240K if chips is None else chips)
+    chips = _find_classes(PCL240K if chips is None else chips)
     known = plant.axis_names(spec)
     names = list(chips) if isinstance(chips, Mapping) else known
     if not names:
@@ -37,7 +37,7 @@ def wire(
             if name not in known:
                 raise unknown("axis", name, known)
     plant.reserve_fitted_values(spec, names)
-    axes = _make_chips(chips, names, clock)
+    axes = _make_chip_axes(chips, names, clock)
     return names, axes, [_choose_drive(drives, name, axis.chip, spec) for name, axis in zip(names, axes, strict=True)]
 
 
@@ -63,7 +63,7 @@ def fit_rotors(
         fitted = plant.fitted_values(model, p.name)
         built_in = d.motor.rotor_inertia
         if p.motor:
-            built_in, fitted[0] = fitted[0] or _motor_named(p.motor).rotor_inertia, d.motor.rotor_inertia
+            built_in, fitted[0] = fitted[0] or _find_any_motor(p.motor).rotor_inertia, d.motor.rotor_inertia
         given, inside = float(model.dof_armature[p.dof]), built_in * p.gear**2
         model.dof_armature[p.dof] += (d.motor.rotor_inertia - built_in) * p.gear**2
         if model.dof_armature[p.dof] < 0:
@@ -88,7 +88,7 @@ def _check_losses(model: Any, p: plant.PlantAxis, drive: Drive | Servo) -> None:
     if friction >= force:
         raise ModelError(
             f"axis {p.name}: its joint has a friction of {friction:g} {unit}, and {pushes}: it never moves. "
-            f'Write frictionloss="{_below(0.05 * force)}", or what is measured; or another gear or motor.'
+            f'Write frictionloss="{_format_one_digit(0.05 * force)}", or what is measured; or another gear or motor.'
         )
     loss = float(model.actuator_damping[p.actuator])
     if not 0 <= 2 * math.pi * loss < torque:
@@ -103,23 +103,23 @@ def _check_losses(model: Any, p: plant.PlantAxis, drive: Drive | Servo) -> None:
         raise ModelError(
             f"axis {p.name}: its joint has a damping of {damping:g} {per}: at one turn a second of the motor that is "
             f"{damping * turn:.4g} {unit}, and {pushes}. "
-            f'Write damping="{_below(0.01 * force / turn)}", or what is measured; or another gear or motor.'
+            f'Write damping="{_format_one_digit(0.01 * force / turn)}", or what is measured; or another gear or motor.'
         )
 
 
-def _below(value: float) -> str:
+def _format_one_digit(value: float) -> str:
     """With one digit, as a number to write down."""
     return f"{float(f'{value:.0e}'):g}"
 
 
-def _named(chips: Any) -> Any:
+def _find_classes(chips: Any) -> Any:
     """Chips that were given by their names, as classes."""
     if isinstance(chips, Mapping):
-        return {axis: _named(chip) for axis, chip in chips.items()}
+        return {axis: _find_classes(chip) for axis, chip in chips.items()}
     return chip_class(chips) if isinstance(chips, str) else chips
 
 
-def _make_chips(chips: Any, names: list[str], clock: int | None) -> list[ChipAxis]:
+def _make_chip_axes(chips: Any, names: list[str], clock: int | None) -> list[ChipAxis]:
     """A chip's axis for each axis named; axes that are given the same thing share its chips."""
     free: dict[int, list[ChipAxis]] = {}
     found: list[ChipAxis] = []
@@ -127,7 +127,7 @@ def _make_chips(chips: Any, names: list[str], clock: int | None) -> list[ChipAxi
         given = chips[name] if isinstance(chips, Mapping) else chips
         left = free.setdefault(id(given), [])
         if not left:
-            chip = _made(given, clock) if callable(given) else given
+            chip = _make_chip(given, clock) if callable(given) else given
             if not isinstance(chip, Chip):
                 raise ArgumentError(
                     f"chips for axis {name}: {given!r} is no chip class, nor a name of one: {', '.join(CHIPS)}."
@@ -139,11 +139,11 @@ def _make_chips(chips: Any, names: list[str], clock: int | None) -> list[ChipAxi
     return found
 
 
-def _made(given: Any, clock: int | None) -> Any:
+def _make_chip(given: Any, clock: int | None) -> Any:
     return given() if clock is None or not isinstance(given, type) else given(clock_hz=clock)
 
 
-def _motor_named(name: str) -> Motor | DCMotor:
+def _find_any_motor(name: str) -> Motor | DCMotor:
     return DC_MOTORS[name] if name in DC_MOTORS else find_motor(name)
 
 

@@ -8,7 +8,7 @@ from stage.native import array_at, floor, hot, least
 from stage.sim.handle import (
     axes,
     clockwork,
-    has_room_for_edge,
+    has_edge_room,
     note_edge,
     qpos,
     qvel,
@@ -25,19 +25,19 @@ SURE = 0.8  # share of the travel beside an edge in which the sensor's distance 
 
 
 @hot
-def off_index(t, q):
+def measure_index_offset(t, q):
     """Turns from the nearest index mark to the rotor, -0.5 to 0.5."""
     turns = q * t.gear / TURN - t.index_at
     return turns - floor(turns + 0.5)
 
 
 @hot
-def _foresee_index(world, axis, t, q, v, half):
+def _predict_index(world, axis, t, q, v, half):
     """At a window's start: when in this window the index pulse will begin or end, at most both."""
     axis.index_edge = axis.index_end = NEVER
     speed = v * t.gear / TURN
     way = 1.0 if speed >= 0.0 else -1.0
-    off = (off_index(t, q) - speed * half) * way  # as if the motor turned forward
+    off = (measure_index_offset(t, q) - speed * half) * way  # as if the motor turned forward
     off -= floor(off + 0.5)
     rim = 0.5 * INDEX + (INDEX_HYSTERESIS if axis.index_on else 0.0)
     speed *= way
@@ -195,7 +195,7 @@ def _bounce(s, t, now):
 
 
 @hot
-def foresee(h, moved):
+def predict_edges(h, moved):
     """At a window's start: where each vane is, and when in this window its switch will change.
 
     `moved`: qpos has moved since the sensors were read, by one step of the present qvel.
@@ -219,7 +219,7 @@ def foresee(h, moved):
 
 @hot
 def predict_axis_edges(now, clock, axis, of_axis, records, rows, sensordata, q, v, moved):
-    """Foresee the edges of one axis whose joint is at `q` with speed `v`; see `foresee`.
+    """Foresee the edges of one axis whose joint is at `q` with speed `v`; see `predict_edges`.
 
     Args:
         now, clock, axis, of_axis: WORLD and CLOCKWORK of the stage; AXIS of the axis, its row of AXIS_TABLE.
@@ -247,7 +247,7 @@ def predict_axis_edges(now, clock, axis, of_axis, records, rows, sensordata, q, 
         axis.awake = 1
         predict_switch(now, axis, clock, s, t, q, v)
     if of_axis.index_bit:
-        _foresee_index(now, axis, of_axis, q, v, half)
+        _predict_index(now, axis, of_axis, q, v, half)
 
 
 @hot
@@ -301,12 +301,12 @@ def next_edge(axis_records, c):
 @hot
 def note_input(h, now, c, j):
     """The inputs of chip axis `j` have changed at `now` ns."""
-    if has_room_for_edge(h):
+    if has_edge_room(h):
         note_edge(h, now, c, cores.axis_of(c, j), INPUT, j, cores.inputs(c, j))
 
 
 @hot
-def meet_edges(h, c, until):
+def process_edges(h, c, until):
     """Take chip `c` through the edges of its switches up to `until` ns."""
     axis_records, axis_table = axes(h), table(h)
     now = next_edge(axis_records, c)

@@ -60,10 +60,10 @@ class Encoder:
 EncoderChoice = Mapping[str, float] | Iterable[Encoder] | Encoder | None
 
 
-def chosen(given: EncoderChoice, names: Sequence[str], chip_axes: Sequence[ChipAxis]) -> tuple[Encoder, ...]:
+def choose_encoders(given: EncoderChoice, names: Sequence[str], chip_axes: Sequence[ChipAxis]) -> tuple[Encoder, ...]:
     """The encoders that chips of a stage count, as `Stage` takes them. Raises ArgumentError."""
     found: dict[str, Encoder] = {}
-    for encoder in _listed(given):
+    for encoder in _list_encoders(given):
         if encoder.axis not in names:
             raise unknown("axis", encoder.axis, names)
         if encoder.axis in found:
@@ -89,13 +89,13 @@ def chosen(given: EncoderChoice, names: Sequence[str], chip_axes: Sequence[ChipA
     return tuple(found[name] for name in names if name in found)
 
 
-def per_unit(encoders: Iterable[Encoder], plant: Sequence[PlantAxis]) -> list[float]:
+def counts_per_unit(encoders: Iterable[Encoder], plant: Sequence[PlantAxis]) -> list[float]:
     """Of each axis: counts per unit of its joint; 0 where no chip counts any."""
     of = {e.axis: e for e in encoders}
     return [of[p.name].counts(p.gear) if p.name in of else 0.0 for p in plant]
 
 
-def _listed(given: EncoderChoice) -> list[Encoder]:
+def _list_encoders(given: EncoderChoice) -> list[Encoder]:
     if given is None:
         return []
     if isinstance(given, Encoder):

@@ -21,14 +21,14 @@ from stage.chips.entries import LOAD, SHAFT
 from stage.drives import drive, stepper
 from stage.native import array_at, called, exported, hot, least
 from stage.sim.edges import (
-    foresee,
     in_flag,
     indexed,
-    meet_edges,
+    measure_index_offset,
     next_edge,
     note_input,
-    off_index,
+    predict_edges,
     predict_switch,
+    process_edges,
     switched,
 )
 from stage.sim.handle import (
@@ -40,7 +40,7 @@ from stage.sim.handle import (
     claim,
     clockwork,
     drives,
-    has_room_for_edge,
+    has_edge_room,
     note_edge,
     qpos,
     qvel,
@@ -103,7 +103,7 @@ def _run_chips(h, stop):
             bound = start + (k + 1) * dt // SLICES
             now = least(bound, stop)
             if next_edge(axis_records, c) <= now:
-                meet_edges(h, c, now)
+                process_edges(h, c, now)
             cores.run(c, clock + (rest + (now - start) * hz) // SECOND)
             if now == bound:
                 _end_slice(c, axis_records, k)
@@ -149,7 +149,7 @@ def _run_linked(h, first, stop):
                 break
             for i in range(first, len(rows)):
                 if rows[i].link == link and next_edge(axis_records, rows[i]) <= edge:
-                    meet_edges(h, rows[i], edge)
+                    process_edges(h, rows[i], edge)
         if now == bound:
             for i in range(first, len(rows)):
                 if rows[i].link == link:
@@ -178,7 +178,7 @@ def _show_shafts(h):
                 continue
             count, speed = _shaft(h, table(h)[a])
             cores.set_shaft(c, j, count, speed / c.hz)
-            if has_room_for_edge(h):
+            if has_edge_room(h):
                 e = note_edge(h, world(h).now, c, a, SHAFT, j, 0)
                 e.count, e.rate = count, speed / c.hz
 
@@ -195,7 +195,7 @@ def _show_loads(h):
         v = qvel(h)[t.dof]
         angle = drive.load_angle(d, cores.net(c, t.chip_axis), (qpos(h)[t.qpos] - v * half) * t.gear)
         share = d.torque_constant * abs(v * t.gear) / d.voltage
-        if cores.set_load(c, t.chip_axis, angle, share) and has_room_for_edge(h):
+        if cores.set_load(c, t.chip_axis, angle, share) and has_edge_room(h):
             e = note_edge(h, world(h).now, c, a, LOAD, t.chip_axis, 0)
             e.count, e.rate = angle, share
 
@@ -296,7 +296,7 @@ def _run(h, until):
             return FAILED
         if diverged:
             return DIVERGED
-        foresee(h, True)
+        predict_edges(h, True)
         if clock.encoders:
             _show_shafts(h)
         if clock.loads:
@@ -331,25 +331,25 @@ def advance(h, until):
 
 
 @exported("i8", HANDLE)
-def called_back(h):
+def has_unguarded_callback(h):
     """1 if MuJoCo has a Python callback whose exceptions are not guarded now."""
     return 1 if _unguarded(clockwork(h)) else 0
 
 
 @exported("i8", HANDLE, "i8")
-def take(h, token):
+def claim_stage(h, token):
     """1 if the stage was free: no other thread can run it until `give` with this token."""
     return 1 if claim(h.clockwork, token) else 0
 
 
 @exported(None, HANDLE, "i8")
-def give(h, token):
+def release_stage(h, token):
     """Whoever took it with this token has it no more."""
     release(h.clockwork, token)
 
 
 @exported(None, HANDLE, "i8")
-def look_again(h, a):
+def update_switches(h, a):
     """A fault of axis `a`'s switches has come or gone, at any moment in a window: their levels now, and their edges in the rest of
     it."""
     axis, t = axes(h)[a], table(h)[a]
@@ -359,7 +359,7 @@ def look_again(h, a):
             switches(h)[k].toggles = 0
         q, v = qpos(h)[t.qpos], qvel(h)[t.dof]
         predict_switch(world(h), axis, clockwork(h), switches(h)[k], switch_table(h)[k], q, v)
-    meet_edges(h, chips(h)[t.chip], world(h).now)
+    process_edges(h, chips(h)[t.chip], world(h).now)
 
 
 @hot
@@ -380,7 +380,7 @@ def _settle_axis(h, a):
     word = switched(t, switches(h), switch_table(h), cores.inputs(c, t.chip_axis))
     if t.index_bit:
         axis.index_edge = axis.index_end = NEVER
-        axis.index_on = 1 if abs(off_index(t, q)) <= 0.5 * INDEX else 0
+        axis.index_on = 1 if abs(measure_index_offset(t, q)) <= 0.5 * INDEX else 0
         word = indexed(t, axis, word)
     cores.set_input(c, t.chip_axis, word)
     if c.current:
@@ -395,7 +395,7 @@ def settle(h):
     for k in range(h.n_switches):
         s = switches(h)[k]
         s.toggles, s.edge, s.shift = 0, NEVER, 0.0
-    foresee(h, False)
+    predict_edges(h, False)
     for a in range(h.n_axes):
         _settle_axis(h, a)
     rows = chips(h)

@@ -86,8 +86,8 @@ class Fault:
         """The later faults that have changed what this one or one of them had changed, in their order."""
         if self._stage is None:
             return []
-        standing, things, found = self._stage.standing, self._things, list[Fault]()
-        for fault in standing[standing.index(self) + 1 :]:
+        active_faults, things, found = self._stage.active_faults, self._things, list[Fault]()
+        for fault in active_faults[active_faults.index(self) + 1 :]:
             if things & fault._things:
                 found.append(fault)
                 things |= fault._things
@@ -139,8 +139,8 @@ def vane_missing(axis: Axis, pin: str) -> Fault:
     _check(axis)
     axis.switches.row(pin)
     fitted = axis.plant.switches
-    vane = next(_vane(axis, s.sensor) for s in fitted if s.pin == pin)
-    served = [s.pin for s in fitted if s.pin == pin or (vane is not None and _vane(axis, s.sensor) == vane)]
+    vane = next(_find_vane(axis, s.sensor) for s in fitted if s.pin == pin)
+    served = [s.pin for s in fitted if s.pin == pin or (vane is not None and _find_vane(axis, s.sensor) == vane)]
     rows = {axis.switches.row(p): {"forced": 0} for p in served}
     return _switches(axis, f"vane of {' and '.join(served)} missing", rows)
 
@@ -176,21 +176,21 @@ def _switches(axis: Axis, what: str, rows: dict[int, dict[str, int]]) -> Fault:
         for row, change in values.items():
             for field, value in change.items():
                 stage.state.switch_table[row][field] = value
-        stage.look_again(axis)
+        stage.update_switches(axis)
 
     things = [(row, field) for row, change in rows.items() for field in change]
     return Fault(stage, f"axis {axis.name}: {what}", _change(get, put, lambda _: rows), things)
 
 
-def _vane(axis: Axis, sensor: int) -> int | None:
+def _find_vane(axis: Axis, sensor: int) -> int | None:
     """The geom of a switch's sensor that the axis carries, by its id."""
     m = axis.stage.model
     ends = ((m.sensor_objtype[sensor], m.sensor_objid[sensor]), (m.sensor_reftype[sensor], m.sensor_refid[sensor]))
     geoms = [int(k) for kind, k in ends if kind == mujoco.mjtObj.mjOBJ_GEOM]
-    return next((g for g in geoms if _carries(m, int(m.jnt_bodyid[axis.joint]), int(m.geom_bodyid[g]))), None)
+    return next((g for g in geoms if _is_on_body(m, int(m.jnt_bodyid[axis.joint]), int(m.geom_bodyid[g]))), None)
 
 
-def _carries(model: Any, body: int, other: int) -> bool:
+def _is_on_body(model: Any, body: int, other: int) -> bool:
     while other > body:
         other = int(model.body_parentid[other])
     return other == body
@@ -315,7 +315,7 @@ def motor(axis: Axis, motor: str | Motor | DCMotor) -> Fault:
             f"motor={after.motor.name!r}: it has {after.motor.steps_per_turn} steps a turn, and axis {axis.name} is made for "
             f"{before.motor.steps_per_turn}: build a stage with it, drives={{{axis.name!r}: ...}}."  # type: ignore[union-attr]
         )
-    begin = _change(lambda: axis.drive, lambda drive: axis.stage.refit(axis, drive), lambda _: after)
+    begin = _change(lambda: axis.drive, lambda drive: axis.stage.replace_drive(axis, drive), lambda _: after)
     text = f"axis {axis.name}: motor {after.motor.name} in place of {before.motor.name}"
     return Fault(axis.stage, text, begin, [("motor", axis.name)])
 
@@ -340,7 +340,7 @@ def start_skew(axis: Axis, seconds: float) -> Fault:
             axis.stage.run(seconds)
         return False
 
-    fault = _on_bus(axis, f"start command {seconds * 1e3:g} ms late", glitch)
+    fault = _make_bus_fault(axis, f"start command {seconds * 1e3:g} ms late", glitch)
     return fault
 
 
@@ -368,11 +368,11 @@ def lost_write(where: Axis | Chip, address: int | None = None, value: int | None
         return left < 0
 
     which = ("" if value is None else f" of {value:02X}h") + ("" if address is None else f" to address {address}")
-    fault = _on_bus(where, f"a bus write{which} gets lost", glitch)
+    fault = _make_bus_fault(where, f"a bus write{which} gets lost", glitch)
     return fault
 
 
-def _on_bus(where: Axis | Chip, what: str, glitch: Callable[[int, int], bool]) -> Fault:
+def _make_bus_fault(where: Axis | Chip, what: str, glitch: Callable[[int, int], bool]) -> Fault:
     chip, stage = (where, None) if isinstance(where, Chip) else (where.chip, where.stage)
     name = type(where).__name__ if isinstance(where, Chip) else f"axis {where.name}"
 

@@ -16,7 +16,7 @@ def settings(model: Any) -> Iterator[tuple[Any, str, Any]]:
     options."""
     for part in (model, model.opt):
         kind: Any = type(part)
-        for name in _names(kind):
+        for name in _field_names(kind):
             value = getattr(part, name)
             if isinstance(value, np.ndarray):
                 if value.size and value.flags.writeable and not name.startswith("tex_"):
@@ -26,7 +26,7 @@ def settings(model: Any) -> Iterator[tuple[Any, str, Any]]:
 
 
 @cache
-def _names(kind: Any) -> list[str]:
+def _field_names(kind: Any) -> list[str]:
     return [name for name in dir(kind) if not name.startswith("_")]
 
 
@@ -42,14 +42,16 @@ def fingerprint(model: Any) -> bytes:
     return digest.digest()
 
 
-_MOVES = re.compile("(body|jnt|dof|actuator|tendon|eq|pair|qpos|sensor)_?")
-_SHOWN = re.compile("geom|bvh|group|objid|refid")  # depends on what is only looked at
-_TOUCHES = "type size pos quat friction solref solimp margin gap condim priority solmix contype conaffinity".split()
+_MOVING_FIELD = re.compile("(body|jnt|dof|actuator|tendon|eq|pair|qpos|sensor)_?")
+_VISUAL_FIELD = re.compile("geom|bvh|group|objid|refid")  # depends on what is only looked at
+_CONTACT_FIELDS = (
+    "type size pos quat friction solref solimp margin gap condim priority solmix contype conaffinity".split()
+)
 
 
 @cache
-def _moving(kind: Any) -> list[str]:
-    return [name for name in _names(kind) if _MOVES.match(name) and not _SHOWN.search(name)]
+def _moving_fields(kind: Any) -> list[str]:
+    return [name for name in _field_names(kind) if _MOVING_FIELD.match(name) and not _VISUAL_FIELD.search(name)]
 
 
 def mechanics(model: Any) -> str:
@@ -58,9 +60,9 @@ def mechanics(model: Any) -> str:
     touching = (model.geom_contype | model.geom_conaffinity) != 0
     touching[model.pair_geom1] = touching[model.pair_geom2] = True
     kinds: list[Any] = [type(model.opt), type(model)]
-    parts = [(name, getattr(model.opt, name)) for name in _names(kinds[0])]
-    parts += [(name, getattr(model, name)) for name in _moving(kinds[1])]
-    parts += [(name, getattr(model, f"geom_{name}")[touching]) for name in _TOUCHES]
+    parts = [(name, getattr(model.opt, name)) for name in _field_names(kinds[0])]
+    parts += [(name, getattr(model, name)) for name in _moving_fields(kinds[1])]
+    parts += [(name, getattr(model, f"geom_{name}")[touching]) for name in _CONTACT_FIELDS]
     for name, value in parts:
         if isinstance(value, np.ndarray):
             digest.update(f"{name} {value.shape} ".encode())

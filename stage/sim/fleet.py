@@ -28,8 +28,8 @@ from stage.sim.stage import Stage
 from stage.support.arguments import told
 
 DEVICES = ("cpu", "cuda")
-MOST = records.SECOND * 10**9  # ns
-CHUNKS = 4  # a thread's share, so that a slow stage does not hold up the rest
+MAX_TIME_NS = records.SECOND * 10**9  # ns
+CHUNKS_PER_THREAD = 4  # a thread's share, so that a slow stage does not hold up the rest
 
 
 class Played(NamedTuple):
@@ -41,7 +41,7 @@ class Played(NamedTuple):
     diverged: np.ndarray
 
 
-class _Turn:
+class _BackgroundPlay:
     """What the main thread has another one play, and waits for. Of bare locks and flags: Ctrl-C that comes while a Future is asked
     may leave it locked."""
 
@@ -102,7 +102,7 @@ class Fleet:
         if len(here) > 1:
             raise ArgumentError(f"the stages of a fleet have the same axes and coordinates; here are {here}.")
         self.stages = list(stages)
-        self.threads = min(threads or _processors(), len(self.stages))
+        self.threads = min(threads or _count_processors(), len(self.stages))
         first = self.stages[0]
         self._nq, self._axes = first.model.nq, len(first.axes)
         self._points = min(s.model.nsite for s in stages), min(s.model.nbody for s in stages)
@@ -110,7 +110,7 @@ class Fleet:
         self.handles = np.zeros(len(self.stages), handle.HANDLE)
         self._truth = np.zeros((len(self.stages), self._axes), play.TRUTH)
         self._pool: ThreadPoolExecutor | None = None
-        self._turn: _Turn | None = None
+        self._background: _BackgroundPlay | None = None
         for k, stage in enumerate(self.stages):
             handle.fill(self.handles, k, stage.state)
         self.handles["state"] = 0  # nobody takes a step back
@@ -130,26 +130,26 @@ class Fleet:
         results, status = np.zeros(ops.shape[:2], np.int64), np.zeros(n, np.int64)
         extremes = np.empty((n, self._nq, 2))
         extremes[:, :, 0], extremes[:, :, 1] = np.inf, -np.inf
-        watched = self.watched()
+        by_python = self.list_python_stages()
         compiled = ops
-        if watched:
+        if by_python:
             compiled = ops.copy()
-            compiled[watched, 0] = END
+            compiled[by_python, 0] = END
         lasts = ops[:, :, 1:].sum(dtype=float) > play.LONG  # times are in it
-        ask = self._until_halted if lasts else self.spread
-        ask(lambda a, b: play.play(self.handles, a, b, compiled, results, extremes, status))
-        self.check(status)
-        for k in watched:
-            status[k] = play.by_hand(self.stages[k], ops[k], results[k], extremes[k])
+        run = self._play_interruptibly if lasts else self.run_on_threads
+        run(lambda a, b: play.play(self.handles, a, b, compiled, results, extremes, status))
+        self.check_status(status)
+        for k in by_python:
+            status[k] = play.play_in_python(self.stages[k], ops[k], results[k], extremes[k])
         return Played(results, extremes, status == play.DIVERGED)
 
-    def watched(self) -> list[int]:
+    def list_python_stages(self) -> list[int]:
         """The stages that Python has to play: those being recorded, or whose chips keep a journal or lose writes; all of
         them where MuJoCo calls somebody back."""
         found = []
-        all_of_them = engine.called_back.with_gil(self._first)
+        all_of_them = engine.has_unguarded_callback.with_gil(self._first)
         for k, stage in enumerate(self.stages):
-            stage.look()
+            stage.ensure_powered()
             stage.loop.check_options()
             if all_of_them or stage.recording is not None:
                 found.append(k)
@@ -162,7 +162,7 @@ class Fleet:
 
     @staticmethod
     @told
-    def check(status: np.ndarray) -> None:
+    def check_status(status: np.ndarray) -> None:
         """Raises StageError if one of the stages could not be played. status: of `play.play`."""
         if any(how := status.tolist()):  # of few stages faster than numpy: steps of environments pass here
             for k, why in enumerate(how):
@@ -172,8 +172,8 @@ class Fleet:
     def truth(self) -> np.ndarray:
         """Every axis of every stage now: a new array (stages, axes) of play.TRUTH."""
         for stage in self.stages:
-            stage.look()
-        play.look(self.handles, 0, len(self), self._truth)
+            stage.ensure_powered()
+        play.inspect_axes(self.handles, 0, len(self), self._truth)
         return self._truth.copy()
 
     def __getnewargs__(self) -> tuple[list[Stage]]:
@@ -187,15 +187,15 @@ class Fleet:
 
     def close(self) -> None:
         """End the threads."""
-        self._halt()
+        self._stop_background()
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None
 
     @told
-    def spread(self, work: Callable[[int, int], None]) -> None:
+    def run_on_threads(self, work: Callable[[int, int], None]) -> None:
         """Call work(begin, end) for ranges of stages that make them all, on the fleet's threads."""
-        self._halt()
+        self._stop_background()
         self._spread(work)
 
     def _spread(self, work: Callable[[int, int], None]) -> None:
@@ -203,7 +203,7 @@ class Fleet:
         if self.threads == 1:
             work(0, n)
             return
-        chunks = min(n, self.threads * CHUNKS)
+        chunks = min(n, self.threads * CHUNKS_PER_THREAD)
         cuts = [n * k // chunks for k in range(chunks + 1)]
         left = iter(range(chunks))  # every thread takes the next, this one among them
 
@@ -220,13 +220,13 @@ class Fleet:
         for job in jobs:
             job.result()
 
-    def _until_halted(self, work: Callable[[int, int], None]) -> None:
-        """As `spread`; but Ctrl-C, which Python hears in its main thread only and not while compiled code runs there, ends it."""
+    def _play_interruptibly(self, work: Callable[[int, int], None]) -> None:
+        """Call `work` as `run_on_threads` does; Ctrl-C, which Python handles in its main thread between bytecodes only, ends it."""
         if threading.current_thread() is not threading.main_thread():
-            self.spread(work)
+            self.run_on_threads(work)
             return
-        self._halt()
-        turn = self._turn = _Turn()
+        self._stop_background()
+        turn = self._background = _BackgroundPlay()
 
         def play_all() -> None:
             turn.running = True
@@ -243,21 +243,21 @@ class Fleet:
             self._workers().submit(play_all)
             turn.over.acquire()
         finally:
-            self._halt()
+            self._stop_background()
         if turn.failed is not None:
             raise turn.failed
 
-    def _halt(self) -> None:
+    def _stop_background(self) -> None:
         """What the main thread has played elsewhere ends. After another Ctrl-C here, whoever comes next does it again."""
         if threading.current_thread() is not threading.main_thread():
             return
-        if self._turn is not None and self._process == os.getpid():
-            self._turn.left = True
+        if self._background is not None and self._process == os.getpid():
+            self._background.left = True
             self.handles["halt"] = 1
-            while self._turn.running:
+            while self._background.running:
                 time.sleep(1e-3)
             self.handles["halt"] = 0
-        self._turn = None
+        self._background = None
 
     def _workers(self) -> ThreadPoolExecutor:
         """The threads of this process; one of them may be who waits for the others."""
@@ -268,8 +268,8 @@ class Fleet:
         return self._pool
 
 
-OF_AN_AXIS = (WRITE, READ, LOOK)
-TIMED = {WAIT: (1,), MEASURE: (1,), STOP: (2, 3), KEEP: (2, 3)}  # which of an operation's numbers are ns
+AXIS_OPERATIONS = (WRITE, READ, LOOK)
+TIME_OPERANDS = {WAIT: (1,), MEASURE: (1,), STOP: (2, 3), KEEP: (2, 3)}  # which of an operation's numbers are ns
 
 
 def check_programs(
@@ -283,7 +283,7 @@ def check_programs(
     Raises:
         ArgumentError: A program names an axis or a point that is not there, or a time that is no time.
     """
-    ops = programs if isinstance(programs, np.ndarray) else _table(programs)
+    ops = programs if isinstance(programs, np.ndarray) else _stack_programs(programs)
     if ops.ndim != 3 or len(ops) != n or ops.shape[2] != 4:
         raise ArgumentError(f"programs of shape {ops.shape}: one a stage, ({n}, operations, 4).")
     ops = np.ascontiguousarray(ops, np.int64)
@@ -297,11 +297,11 @@ def _check(ops: np.ndarray, axes: list[str], sites: int, bodies: int) -> None:
     kind, a = ops[:, :, 0], ops[:, :, 1]
     last = np.logical_or.accumulate(kind == END, axis=1)  # from here on nothing is played
     bad = (kind < 0) | (kind >= len(NAMES))
-    bad |= np.isin(kind, OF_AN_AXIS) & ((a < 0) | (a >= len(axes)))
+    bad |= np.isin(kind, AXIS_OPERATIONS) & ((a < 0) | (a >= len(axes)))
     bad |= np.isin(kind, (STOP, KEEP)) & ((a < 0) | (a >= 1 << len(axes)) | (ops[:, :, 2] < 1))
-    for timed, numbers in TIMED.items():
+    for timed, numbers in TIME_OPERANDS.items():
         for n in numbers:
-            bad |= (kind == timed) & ((ops[:, :, n] < 0) | (ops[:, :, n] > MOST))
+            bad |= (kind == timed) & ((ops[:, :, n] < 0) | (ops[:, :, n] > MAX_TIME_NS))
     bad |= np.isin(kind, (MEASURE, LOOK)) & ((ops[:, :, 2] > sites) | (ops[:, :, 2] <= -bodies))
     bad |= (kind == LOOK) & ((ops[:, :, 3] < 0) | (ops[:, :, 3] > 2))
     bad &= ~last
@@ -317,11 +317,11 @@ def _check(ops: np.ndarray, axes: list[str], sites: int, bodies: int) -> None:
         )
 
 
-def _processors() -> int:
+def _count_processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _table(programs: Sequence[Program]) -> np.ndarray:
+def _stack_programs(programs: Sequence[Program]) -> np.ndarray:
     """Programs of any lengths as one array, padded with END."""
     out = np.zeros((len(programs), max((len(p) for p in programs), default=0) or 1, 4), np.int64)
     for row, p in zip(out, programs, strict=True):

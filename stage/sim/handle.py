@@ -39,7 +39,7 @@ WORLD, AXIS, SWITCH = records.WORLD, records.AXIS, records.SWITCH
 AXIS_TABLE, SWITCH_TABLE, CHIP_TABLE, CLOCKWORK = (
     records.AXIS_TABLE, records.SWITCH_TABLE, records.CHIP_TABLE, records.CLOCKWORK,
 )  # fmt: skip
-REAL, WHOLE = np.dtype("f8"), np.dtype("i8")
+REAL, INTEGER = np.dtype("f8"), np.dtype("i8")
 
 
 def _array_of(name: str, length: str, dtype: np.dtype) -> Any:
@@ -72,7 +72,7 @@ sensordata = _array_of("sensordata", "ns", REAL)
 
 
 @hot
-def has_room_for_edge(h):
+def has_edge_room(h):
     """Whether another edge can be noted."""
     return h.noted < h.edge_room
 
@@ -124,7 +124,7 @@ def fill(handles: np.ndarray, k: int, state: State) -> None:
     h["own"] = handles.ctypes.data + k * handles.itemsize
 
 
-def log_to(h: Any, recording: Any) -> None:
+def set_sample_buffers(h: Any, recording: Any) -> None:
     """From now on the engine samples for `recording`; None: no samples."""
     if recording is not None:
         h["samples"], h["positions"] = recording.samples.ctypes.data, recording.positions.ctypes.data

@@ -17,22 +17,22 @@ from stage.errors import ArgumentError, ModelError
 from stage.sim.plant import PlantAxis
 from stage.sim.records import SECOND, SLICES
 
-LEAPFROGS = {
+LEAPFROG_INTEGRATORS = {
     mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
 }  # fmt: skip
-SHORTEST = 100 * SLICES  # ns
-LONGEST_TURN = 1.0
+MIN_STEP_NS = 100 * SLICES  # ns
+MAX_TURN_RAD = 1.0
 """rad: what the oscillation of a rotor on its microstep may turn by in a step. Moves lost their first steps from 1.09 on."""
-STEPS_A_TIME_CONSTANT = 10
+MIN_STEPS_PER_TIME_CONSTANT = 10
 """Of a DC motor, at least. With 11 position control settles as it does with a hundred, with 8 it takes twice as long."""
-SHIPPED = 0.00025
-PROPOSED = [m * 10.0**e for e in range(-3, -7, -1) for m in (5, 2.5, 1)]
+SHIPPED_STEP_S = 0.00025
+PROPOSED_STEPS_S = [m * 10.0**e for e in range(-3, -7, -1) for m in (5, 2.5, 1)]
 
 
 def check_options(model: mujoco.MjModel) -> None:
     """Raise ModelError for an integrator, ArgumentError for a time step that the engine cannot work with at all."""
     given, step = int(model.opt.integrator), model.opt.timestep
-    if given not in {int(i) for i in LEAPFROGS}:
+    if given not in {int(i) for i in LEAPFROG_INTEGRATORS}:
         name = mujoco.mjtIntegrator(given).name.removeprefix("mjINT_")
         line = '<option integrator="implicitfast"/>'
         raise ModelError(
@@ -40,9 +40,9 @@ def check_options(model: mujoco.MjModel) -> None:
             f"and implicitfast take it; {name} wants several, and loses steps that no machine loses. Write {line}",
             [line],
         )
-    if not SHORTEST - 0.5 <= step * 1e9 <= SECOND:  # not a number is out of range, too
+    if not MIN_STEP_NS - 0.5 <= step * 1e9 <= SECOND:  # not a number is out of range, too
         raise ArgumentError(
-            f"timestep {step} s: the stage needs {SHORTEST} ns to 1 s; the shipped models take {SHIPPED} s."
+            f"timestep {step} s: the stage needs {MIN_STEP_NS} ns to 1 s; the shipped models take {SHIPPED_STEP_S} s."
         )
 
 
@@ -65,10 +65,10 @@ def check_step(
     mobility = np.zeros((model.nv, model.nv))
     mujoco.mj_solveM(model, data, mobility, np.eye(model.nv))
     step = model.opt.timestep
-    longest, found = min(_longest(p, d, float(mobility[p.dof, p.dof])) for p, d in zip(axes, drives, strict=True))
+    longest, found = min(_find_max_step(p, d, float(mobility[p.dof, p.dof])) for p, d in zip(axes, drives, strict=True))
     if step <= longest:
         return
-    proposed = min(SHIPPED, next((p for p in PROPOSED if p <= 0.7 * longest), 0.7 * longest))
+    proposed = min(SHIPPED_STEP_S, next((p for p in PROPOSED_STEPS_S if p <= 0.7 * longest), 0.7 * longest))
     line = f'<option timestep="{proposed:g}"/>'
     own = " (MuJoCo's own, where a model says nothing)" if step == 0.002 else ""
     raise ModelError(
@@ -78,7 +78,7 @@ def check_step(
     )
 
 
-def _longest(axis: PlantAxis, drive: Drive | Servo, mobility: float) -> tuple[float, str]:
+def _find_max_step(axis: PlantAxis, drive: Drive | Servo, mobility: float) -> tuple[float, str]:
     """The longest step, s, for this axis, and the reason for it. mobility: acceleration of the joint a force."""
     m = drive.motor
     if not 0 < mobility < math.inf:
@@ -86,8 +86,8 @@ def _longest(axis: PlantAxis, drive: Drive | Servo, mobility: float) -> tuple[fl
     if isinstance(drive, Servo):
         constant = drive.motor.resistance / (drive.motor.torque_constant * axis.gear) ** 2 / mobility
         what = f"axis {axis.name} on its {m.name} has a time constant of {constant:.2g} s"
-        return constant / STEPS_A_TIME_CONSTANT, what
+        return constant / MIN_STEPS_PER_TIME_CONSTANT, what
     stiffness = drive.motor.rotor_teeth * (drive.motor.torque_constant * drive.amplitude + 4 * drive.detent_torque)
     omega = math.sqrt(stiffness * mobility) * abs(axis.gear)
     what = f"axis {axis.name} on its {m.name} oscillates at up to {omega / (2 * math.pi):.3g} Hz"
-    return (LONGEST_TURN / omega if omega else math.inf), what
+    return (MAX_TURN_RAD / omega if omega else math.inf), what

@@ -23,7 +23,7 @@ from stage.sim.handle import make_token
 from stage.sim.state import POWERED, SAVED, START, State
 
 SHORT, LONG = 0.025, 0.1  # s of real time, a piece of a long run takes between them
-FIRST_PIECE = 16  # physics steps
+FIRST_PIECE_STEPS = 16  # physics steps
 IN_USE = (
     "this stage is in use, by another thread or by the run that has called MuJoCo's callback: one thread at a time runs a stage "
     "or changes it. Give each thread a stage of its own, copy.deepcopy(stage); stage.sim.fleet.Fleet plays many on threads."
@@ -38,8 +38,8 @@ class Loop:
         chips: of the stage.
         recording: what the engine samples for: the stage's recording in progress; or whoever looks on without one, with the same
             buffers and `take`, and FORWARD False: time may go back, and a recording takes his place; or None.
-        held: why neither time may pass now nor another state be put in the place of this one; "" where both may.
-        keeps: why no other state may be put there, though time may pass; "" where one may.
+        time_refusal: why neither time may pass now nor another state be put in the place of this one; "" where both may.
+        state_refusal: why no other state may be put there, though time may pass; "" where one may.
         pace: who says when time may pass: `pace(until)` is asked before a run to `until` (ns), may wait, let others do something
             meanwhile, and answers how far it may go now; then it is asked again. Before anything else that changes the stage it is
             asked with the time that is now. None: as fast as it goes.
@@ -51,7 +51,7 @@ class Loop:
         """power_up: called where the stage's state was cleared, to bring it to that after power-up."""
         self.state, self.chips = state, chips
         self.recording: Any = None
-        self.held = self.keeps = ""
+        self.time_refusal = self.state_refusal = ""
         self.pace: Callable[[int], int] | None = None
         self.each_cycle: Callable[[], None] | None = None
         self.lock: Lock | None = None
@@ -59,7 +59,7 @@ class Loop:
         self._power_up, self._dt, self._bus = power_up, state.dt, state.bus
         self._opt = state.model.opt
         self._built = self._opt.timestep, self._opt.integrator
-        self._piece = FIRST_PIECE * state.dt
+        self._piece = FIRST_PIECE_STEPS * state.dt
         self._failure: BaseException | None = None
 
     # --- the bus of the chips ---
@@ -71,48 +71,48 @@ class Loop:
         if self._bus:
             self.run_to(self._words.item(0) + self._bus)
         else:
-            self.change()
+            self.prepare_change()
 
-    def look(self) -> None:
+    def ensure_powered(self) -> None:
         """Whoever looks at the stage sees a machine under power, also after mj_resetData, mj_resetDataKeyframe and the like: they
         clear userdata, where chips and drives live. Not in a recording, whose time would run backwards."""
         if not self._words.item(POWERED) and (self.recording is None or not self.recording.FORWARD):
             self._power_up()
 
-    def change(self) -> None:
+    def prepare_change(self) -> None:
         """Somebody is about to change the stage's state. Raises StageError while another thread runs the stage."""
         if (pace := self.pace) is not None:
             pace(self._words.item(0))
         if self.state.clockwork["busy"].item(0):
             raise StageError(IN_USE)
-        self.look()
+        self.ensure_powered()
 
     @contextmanager
-    def alone(self) -> Iterator[None]:
+    def claimed(self) -> Iterator[None]:
         """Within this context no other thread runs the stage. Raises StageError if another thread runs it now."""
         token = make_token()
         try:
-            if not engine.take.with_gil(self._pointer, token):
+            if not engine.claim_stage.with_gil(self._pointer, token):
                 raise StageError(IN_USE)
             yield
         finally:
-            engine.give.with_gil(self._pointer, token)
+            engine.release_stage.with_gil(self._pointer, token)
 
     # --- time ---
 
-    def check_held(self) -> None:
+    def check_time_allowed(self) -> None:
         """Raises StageError while somebody has the stage stand still."""
         if (pace := self.pace) is not None:
             pace(self._words.item(0))
-        if self.held:
-            raise StageError(self.held)
+        if self.time_refusal:
+            raise StageError(self.time_refusal)
 
-    def check_kept(self) -> None:
+    def check_state_allowed(self) -> None:
         """Raises StageError while nobody may put another state in the place of this one, or let firmware run."""
         if (pace := self.pace) is not None:
             pace(self._words.item(0))
-        if self.held or self.keeps:
-            raise StageError(self.held or self.keeps)
+        if self.time_refusal or self.state_refusal:
+            raise StageError(self.time_refusal or self.state_refusal)
 
     def check_options(self) -> None:
         """Raises StageError if the model's time step or integrator is another than the stage was built with."""
@@ -128,8 +128,8 @@ class Loop:
 
     def run_to(self, until: int) -> None:
         """Let time pass up to `until`, ns since power-up. Raises SimulationError, see `Stage.run`; StageError."""
-        if self.held:
-            raise StageError(self.held)
+        if self.time_refusal:
+            raise StageError(self.time_refusal)
         while (pace := self.pace) is not None and (goal := pace(until)) < until:
             self._run_to(goal)
         self._run_to(until)
@@ -172,7 +172,7 @@ class Loop:
         elif status == records.IN_USE:
             raise StageError(IN_USE)
         if h["noted"]:
-            self.note_edges(int(h["noted"]))
+            self.journal_edges(int(h["noted"]))
             h["noted"] = 0
         if recording is not None:
             recording.take(int(h["filled"]))
@@ -198,26 +198,26 @@ class Loop:
             return bool(clockwork.failed)
 
         try:
-            with callbacks.guarded(failed):
+            with callbacks.guard_callbacks(failed):
                 clockwork.guarded = 1
                 while self.state.now < until:
                     self.run_to(min(until, self.state.start + self._dt))
         finally:
             clockwork.guarded = clockwork.failed = 0
 
-    def put(self, saved: np.ndarray) -> None:
+    def load_state(self, saved: np.ndarray) -> None:
         """The stage is in this state, `State.saved` of another moment or of a stage alike."""
-        self.check_held()
+        self.check_time_allowed()
         state = self.state
-        with self.alone():
-            self.moved(lambda: mujoco.mj_setState(state.model, state.data, saved, SAVED))
+        with self.claimed():
+            self.apply_change(lambda: mujoco.mj_setState(state.model, state.data, saved, SAVED))
             mujoco.mj_setState(state.model, state.data, saved, SAVED)
 
-    def moved(self, change: Callable[[], None]) -> None:
+    def apply_change(self, change: Callable[[], None]) -> None:
         """Make a change to MuJoCo's state, and all that follows from it. Raises SimulationError where one of its callbacks raises;
-        the state is then as it was. For who has the stage `alone`."""
+        the state is then as it was. For who has the stage `claimed`."""
         model, data = self.state.model, self.state.data
-        if not engine.called_back.with_gil(self._pointer):
+        if not engine.has_unguarded_callback.with_gil(self._pointer):
             change()
             mujoco.mj_forward(model, data)
             return
@@ -228,7 +228,7 @@ class Loop:
 
     # --- what the engine has noted ---
 
-    def note_edges(self, n: int) -> None:
+    def journal_edges(self, n: int) -> None:
         """The first `n` of `state.edges` go to the journals of the chips that they reached."""
         noting = [(k, j) for k, chip in enumerate(self.chips) if (j := chip.open_journal) is not None]
         if not noting:
@@ -249,15 +249,15 @@ class Loop:
                 packed["b"][seen] = edges["rate"][own[seen]].view(np.int64)
             journal.extend(packed)
 
-    def look_again(self, axis: int) -> None:
+    def update_switches(self, axis: int) -> None:
         """The table of switches has changed: what it means for the axis of this index, from now on. Raises ArgumentError."""
         if not 0 <= axis < len(self.state.axis_table):
             raise ArgumentError(f"axis={axis!r}: the stage has axes 0 to {len(self.state.axis_table) - 1}.")
-        self.look()
-        with self.alone():
-            engine.look_again.with_gil(self._pointer, axis)
+        self.ensure_powered()
+        with self.claimed():
+            engine.update_switches.with_gil(self._pointer, axis)
         if n := int(self.state.handle["noted"]):
-            self.note_edges(n)
+            self.journal_edges(n)
             self.state.handle["noted"] = 0
 
     # --- steps that are undone ---
@@ -268,7 +268,9 @@ class Loop:
         mujoco.mj_setState(state.model, state.data, state.saved, SAVED)
         state.clockwork[0].failed = 0
         failure, self._failure = self._failure, None
-        return callbacks.raised(failure, state.now * 1e-9, "The stage holds the state before that physics step.")
+        return callbacks.make_callback_error(
+            failure, state.now * 1e-9, "The stage holds the state before that physics step."
+        )
 
     def undo_divergence(self, pointer: int) -> SimulationError:
         """Go back to where the last run of the engine began, and run it again up to the step before the one that diverged.

@@ -9,7 +9,7 @@ import mujoco
 from stage.errors import ArgumentError, unknown
 from stage.support.arguments import WrongType
 
-HEAVIEST = 1e6  # kg
+MAX_PAYLOAD_KG = 1e6  # kg
 
 
 class Payloads:
@@ -22,9 +22,11 @@ class Payloads:
 
     def put(self, model: Any, mass: float, body: str | None) -> None:
         """`mass` kg on a body, in place of what was put on it before; see `Stage.set_payload`. Raises ArgumentError."""
-        k = _carrier(model, body)
-        if not 0 <= mass < HEAVIEST:
-            raise ArgumentError(f"mass={mass!r} kg: a payload weighs 0 kg or more, and less than {HEAVIEST:g} kg.")
+        k = _find_body(model, body)
+        if not 0 <= mass < MAX_PAYLOAD_KG:
+            raise ArgumentError(
+                f"mass={mass!r} kg: a payload weighs 0 kg or more, and less than {MAX_PAYLOAD_KG:g} kg."
+            )
         if mass == self.kg.get(k, 0.0):
             return
         own = self.own.setdefault(k, float(model.body_mass[k]))
@@ -36,10 +38,10 @@ class Payloads:
 
     def on(self, model: Any, body: str | None) -> float:
         """kg that were put on a body. Raises ArgumentError."""
-        return self.kg.get(_carrier(model, body), 0.0)
+        return self.kg.get(_find_body(model, body), 0.0)
 
 
-def _carrier(model: Any, body: str | None) -> int:
+def _find_body(model: Any, body: str | None) -> int:
     """The id of the body that a payload goes on."""
     if body is None:
         site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "work")

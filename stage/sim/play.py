@@ -1,6 +1,7 @@
 """A host's program, played on many stages at once: compiled, without the GIL.
 
-It is what a Python driver would do through `Stage`, to the bit: `by_hand` plays a program that way, for recordings and tests.
+The result is that of a Python program through `Stage`, to the bit: `play_in_python` plays a program that way, for recordings and
+tests.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ PLAYED, DIVERGED = records.REACHED, records.DIVERGED
 """How a program ended: as it says, or where the stage diverged. Or why it did not: records.IN_USE and the like."""
 
 STILL_BUSY = -(1 << 62)
-GIVEN_UP = -1
+STEP_LOST = -1
 """A step was lost that the program wants to keep."""
 HALTED = -2
 """Whoever has it played has set `halt` in the handle: time stands somewhere in the program."""
-PIECE = 100_000_000
+MAX_PIECE_NS = 100_000_000
 """ns; after so many at most it is looked whether to halt."""
-LONG = 10 * PIECE
+LONG = 10 * MAX_PIECE_NS
 """ns; programs of less, all together, are over soon: nobody waits to halt them, which would cost more than it gives."""
 
 TRUTH = record(
@@ -39,20 +40,20 @@ TRUTH = record(
 
 
 @hot
-def _pass(h, until):
+def _advance_halting(h, until):
     """Let a stage's time pass up to `until`; 0, or why it did not."""
     w, end = world(h), int(until)
-    while end - w.now > PIECE:
+    while end - w.now > MAX_PIECE_NS:
         if h.halt:
             return HALTED
-        bad = advance(h, w.now + PIECE)
+        bad = advance(h, w.now + MAX_PIECE_NS)
         if bad:
             return bad
     return HALTED if h.halt else advance(h, end)
 
 
 @hot
-def _lost(h, mask):
+def _has_lost_step(h, mask):
     """An axis in the mask has lost a step."""
     w, axes = world(h), table(h)
     tau = (w.now - w.start - 0.5 * clockwork(h).dt) * 1e-9
@@ -67,37 +68,39 @@ def _lost(h, mask):
 
 @hot
 def _until_stopped(h, mask, poll, limit, keep_step):
-    """Poll the axes in the mask. Returns (as `_pass`, or GIVEN_UP; ns that it took, negative where `limit` or a lost step came
-    first)."""
+    """Poll the axes in the mask until none is in motion.
+
+    Returns (as `_advance_halting`, or STEP_LOST; ns that it took, negative where `limit` or a lost step came first).
+    """
     w, axes = world(h), table(h)
     begin, left = w.now, mask
     while True:
         for k in range(h.n_axes):
             if left >> k & 1:
-                bad = _pass(h, w.now + h.bus)
+                bad = _advance_halting(h, w.now + h.bus)
                 if bad:
                     return bad, 0
                 if not cores.busy(chips(h)[axes[k].chip], axes[k].chip_axis):
                     left &= ~(1 << k)
         took = w.now - begin
-        if keep_step and _lost(h, mask):
-            return GIVEN_UP, -took
+        if keep_step and _has_lost_step(h, mask):
+            return STEP_LOST, -took
         if left == 0 or took >= limit:
             return 0, took if left == 0 else -took
-        bad = _pass(h, w.now + poll)
+        bad = _advance_halting(h, w.now + poll)
         if bad:
             return bad, 0
 
 
 @hot
 def _measure(h, end, point, extremes):
-    """Let time pass up to `end` a physics step at a time. Returns (as `_pass`, pm that the point travelled)."""
+    """Let time pass up to `end` a physics step at a time. Returns (as `_advance_halting`, pm that the point travelled)."""
     w, dt, positions = world(h), clockwork(h).dt, qpos(h)
     sites, bodies = array_at(h.sites, (h.n_sites, 3), REAL), array_at(h.bodies, (h.n_bodies, 3), REAL)
     x0 = y0 = z0 = math.inf
     x1 = y1 = z1 = -math.inf
     while w.now < end:
-        bad = _pass(h, least(end, w.start + dt))
+        bad = _advance_halting(h, least(end, w.start + dt))
         if bad:
             return bad, 0
         for i in range(h.nq):
@@ -125,12 +128,12 @@ def play_one(h, ops, results, extremes):
             bad, results[j] = _until_stopped(h, a, b, c, False)
         elif kind == KEEP:
             bad, results[j] = _until_stopped(h, a, b, c, True)
-            if bad == GIVEN_UP:
+            if bad == STEP_LOST:
                 break
         elif kind == MEASURE:
             bad, results[j] = _measure(h, w.now + a, b, extremes)
         elif kind == WAIT:
-            bad = _pass(h, w.now + a)
+            bad = _advance_halting(h, w.now + a)
         elif kind == LOOK and b:
             sites, bodies = array_at(h.sites, (h.n_sites, 3), REAL), array_at(h.bodies, (h.n_bodies, 3), REAL)
             at = sites[b - 1] if b > 0 else bodies[-b]
@@ -140,7 +143,7 @@ def play_one(h, ops, results, extremes):
             q, v = qpos(h)[axes[a].qpos], qvel(h)[axes[a].dof]
             results[j] = math.floor((q + v * tau) * 1e12)
         else:
-            bad = _pass(h, w.now + h.bus)
+            bad = _advance_halting(h, w.now + h.bus)
             if not bad and kind == WRITE:
                 cores.write(chips(h)[axes[a].chip], b, c)
             elif not bad:
@@ -173,7 +176,7 @@ def inspect_axis(world, c, t, d, clockwork, qpos, qvel, out):
 
 
 @exported(None, array_of(HANDLE), "i8", "i8", array_of(TRUTH, 2))
-def look(handles, begin, end, truth):
+def inspect_axes(handles, begin, end, truth):
     """Fill truth[k, a] for every axis of the stages begin..end-1."""
     for k in range(begin, end):
         h = handles[k]
@@ -197,7 +200,7 @@ def write_cycles(chip, ops, axes):
 
 
 @exported("i8", cores.CHIP, array_of("i8", 2), "i8", "i8", "i8")
-def would_make(chip, ops, axes, axis, until):
+def predict_pulses(chip, ops, axes, axis, until):
     """`write_cycles`, then time up to the clock `until`, with no stage around: the net pulses of the chip's axis if its drive is
     over by then, else STILL_BUSY."""
     write_all(chip, ops, axes)
@@ -205,7 +208,7 @@ def would_make(chip, ops, axes, axis, until):
     return STILL_BUSY if cores.busy(chip, axis) else cores.net(chip, axis)
 
 
-def by_hand(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarray) -> int:
+def play_in_python(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarray) -> int:
     """As `play` for one stage, through its chips' own bus cycles: recordings, journals and diagnostics take part."""
     from stage.errors import SimulationError
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 NAMES = ("END", "WRITE", "READ", "WAIT", "STOP", "MEASURE", "LOOK", "KEEP")
 END, WRITE, READ, WAIT, STOP, MEASURE, LOOK, KEEP = range(8)
-MOST_AXES = 62  # bits of a mask
+MAX_AXES = 62  # bits of a mask
 
 
 class Operations(ABC):
@@ -67,7 +67,7 @@ class Operations(ABC):
         return self
 
 
-def _whole(name: str, value: int) -> int:
+def _to_int(name: str, value: int) -> int:
     """A number of an operation. Raises ArgumentError."""
     try:
         if (number := int(value)) == value and -(1 << 63) <= number < 1 << 63:
@@ -77,10 +77,10 @@ def _whole(name: str, value: int) -> int:
     raise WrongType(f"{name}={value!r}: a whole number of 64 bits.")
 
 
-def _ns(name: str, seconds: float) -> int:
+def _to_ns(name: str, seconds: float) -> int:
     """Seconds of an operation in ns. Raises ArgumentError."""
     try:
-        return _whole(name, round(seconds * 1e9))
+        return _to_int(name, round(seconds * 1e9))
     except (TypeError, ValueError, OverflowError):
         raise WrongType(f"{name}={seconds!r}: a number of seconds.") from None
 
@@ -96,16 +96,16 @@ class Program(Operations):
 
     def write(self, axis: int, address: int, value: int) -> Self:
         """One bus write cycle to the chip of the axis with this index."""
-        self.ops.append((WRITE, _whole("axis", axis), _whole("address", address), _whole("value", value)))
+        self.ops.append((WRITE, _to_int("axis", axis), _to_int("address", address), _to_int("value", value)))
         return self
 
     def read(self, axis: int, address: int) -> Self:
         """One bus read cycle; the value is the operation's result."""
-        self.ops.append((READ, _whole("axis", axis), _whole("address", address), 0))
+        self.ops.append((READ, _to_int("axis", axis), _to_int("address", address), 0))
         return self
 
     def wait(self, seconds: float) -> Self:
-        self.ops.append((WAIT, _ns("seconds", seconds), 0, 0))
+        self.ops.append((WAIT, _to_ns("seconds", seconds), 0, 0))
         return self
 
     @told
@@ -115,21 +115,21 @@ class Program(Operations):
 
         Raises ArgumentError for an axis that no stage has.
         """
-        indices = {_whole("axis", a) for a in axes}
-        if not all(0 <= a < MOST_AXES for a in indices):
+        indices = {_to_int("axis", a) for a in axes}
+        if not all(0 <= a < MAX_AXES for a in indices):
             raise ArgumentError(f"axes={axes!r}: axes are given by their index, from 0 on.")
         mask = sum(1 << a for a in indices)
-        self.ops.append((KEEP if keep_step else STOP, mask, _ns("poll", poll), _ns("limit", limit)))
+        self.ops.append((KEEP if keep_step else STOP, mask, _to_ns("poll", poll), _to_ns("limit", limit)))
         return self
 
     def look(self, axis: int, point: int = 0, coordinate: int = 0) -> Self:
         """Note where the axis is; the result is its position in pm (prad on a hinge). With a point, see `measure`, where that is: a
         coordinate of the world, 0 to 2, as at the physics step's begin."""
-        self.ops.append((LOOK, _whole("axis", axis), _whole("point", point), _whole("coordinate", coordinate)))
+        self.ops.append((LOOK, _to_int("axis", axis), _to_int("point", point), _to_int("coordinate", coordinate)))
         return self
 
     def measure(self, seconds: float, point: int = 0) -> Self:
         """Let time pass and keep every coordinate's extremes; point: 1 + the index of a site, or - that of a body, whose travel
         is then the result, see above. It is seen at each physics step's begin, as MuJoCo has it."""
-        self.ops.append((MEASURE, _ns("seconds", seconds), _whole("point", point), 0))
+        self.ops.append((MEASURE, _to_ns("seconds", seconds), _to_int("point", point), 0))
         return self

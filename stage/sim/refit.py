@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from stage.sim.axis import Axis
 
 
-def refit_model(model: Any, here: mujoco.MjData, axes: Sequence[Axis], axis: Axis, drive: Drive | Servo) -> None:
+def fit_model(model: Any, here: mujoco.MjData, axes: Sequence[Axis], axis: Axis, drive: Drive | Servo) -> None:
     """Fit the rotor and the core loss of this drive's motor to the joint of `axis` in place of its own; a <dcmotor> gets its
     constants. here: where all axes are.
 
@@ -58,12 +58,12 @@ def vary_drive(axis: Axis, drive: Drive | Servo) -> None:
     remain good.
     """
     stage, model, actuator = axis.stage, axis.stage.model, axis.plant.actuator
-    stage.change()
+    stage.prepare_change()
     damped = bool(model.actuator_damping[actuator])
     _fit_windings(model, axis, drive)
     if bool(model.actuator_damping[actuator]) != damped:
         mujoco.mj_setConst(model, mujoco.MjData(model))
-    refit_record(stage.state, axis, drive, stage.state.drives[axis.index])
+    fit_record(stage.state, axis, drive, stage.state.drives[axis.index])
     axis.drive, axis.faults.bus_voltage = drive, drive.bus_voltage
     stage.apply_faults()
 
@@ -85,7 +85,7 @@ def _fit_windings(model: Any, axis: Axis, drive: Drive | Servo) -> None:
         model.actuator_gainprm[axis.plant.actuator, :2] = drive.motor.resistance, drive.motor.torque_constant
 
 
-def refit_record(state: State, axis: Axis, drive: Drive | Servo, record: Any) -> None:
+def fit_record(state: State, axis: Axis, drive: Drive | Servo, record: Any) -> None:
     """A DRIVE record gets the constants of this drive. Its angle stays and its currents follow: no jump, no lost step."""
     current = record.current
     drive.fill(record)
@@ -93,7 +93,7 @@ def refit_record(state: State, axis: Axis, drive: Drive | Servo, record: Any) ->
         record.current = current  # is the chip's to say
 
 
-def refit_power_up(state: State, axis: Axis, drive: Drive | Servo, before: np.ndarray) -> np.ndarray:
+def fit_power_up(state: State, axis: Axis, drive: Drive | Servo, before: np.ndarray) -> np.ndarray:
     """The state of power-up with this drive, in place of `before`: its currents are settled."""
     n = len(state.saved)
     data = mujoco.MjData(state.model)
@@ -101,7 +101,7 @@ def refit_power_up(state: State, axis: Axis, drive: Drive | Servo, before: np.nd
     begin = (state.drives.ctypes.data - state.data.userdata.ctypes.data) // data.userdata.itemsize
     words = state.drives.nbytes // data.userdata.itemsize
     record = data.userdata[begin : begin + words].view(state.drives.dtype)[axis.index]
-    refit_record(state, axis, drive, record)
+    fit_record(state, axis, drive, record)
     any_drive.align(record, 0.0, float(data.qpos[axis.plant.qpos]) * axis.gear)
     after = before.copy()
     mujoco.mj_getState(state.model, data, after[:n], SAVED)

@@ -29,15 +29,15 @@ from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError, RunTimeout, StageError, unknown
 from stage.sim import callbacks, encoder, engine, handle, integration, plant, records
-from stage.sim.axis import Axes, Axis, axes_table
-from stage.sim.chip_wires import Wires, WiringChoice, chosen_wiring, leaders, linked_axes
+from stage.sim.axis import Axes, Axis, format_axes_table
+from stage.sim.chip_wires import Wires, WiringChoice, choose_leaders, choose_linked_axes, choose_wiring
 from stage.sim.chips_and_drives import ChipChoice, DriveChoice, fit_rotors, wire
 from stage.sim.device_state import DeviceState
 from stage.sim.encoder import EncoderChoice
 from stage.sim.fingerprint import mechanics
 from stage.sim.loop import Loop
 from stage.sim.payload import Payloads
-from stage.sim.refit import refit_model, refit_power_up, refit_record
+from stage.sim.refit import fit_model, fit_power_up, fit_record
 from stage.sim.snapshot import Snapshot, header
 from stage.sim.state import SAVED, State, chips_of, words_needed
 from stage.support import html, snapshots
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from stage.panel.server import Panel
     from stage.recording import Recording
 
-LONGEST = 1_000_000_000  # s that a stage runs at a time: with as much behind it, a time in ns still fits 63 bits
+MAX_RUN_S = 1_000_000_000  # s that a stage runs at a time: with as much behind it, a time in ns still fits 63 bits
 
 
 class Stage:
@@ -110,9 +110,9 @@ class Stage:
         if not visuals:
             plant.discard_visuals(spec)
         names, chip_axes, chosen = wire(spec, chips, drives, clock)
-        self._encoders = encoder.chosen(encoders, names, chip_axes)
-        self._followers = leaders(syni, names, chip_axes)
-        self._linked, _ = linked_axes(multichip, names, chip_axes)
+        self._encoders = encoder.choose_encoders(encoders, names, chip_axes)
+        self._followers = choose_leaders(syni, names, chip_axes)
+        self._linked, _ = choose_linked_axes(multichip, names, chip_axes)
         self.model, offset = plant.compile_spec(spec, words_needed(chip_axes, 5 * len(names)))
         integration.check_options(self.model)
         try:
@@ -132,7 +132,7 @@ class Stage:
         wiring: WiringChoice,
     ) -> None:
         self._plant = plant.bind(self.model, names)
-        self._positive = chosen_wiring(wiring, self._plant, chip_axes)
+        self._positive = choose_wiring(wiring, self._plant, chip_axes)
         fit_rotors(self.model, self._plant, chip_axes, drives)
         self._mechanics = mechanics(self.model)
         self._wire(chip_axes, drives, bus, offset)
@@ -148,7 +148,7 @@ class Stage:
     def _wire(self, chip_axes: list[ChipAxis], drives: list[Drive | Servo], bus: int, offset: int) -> None:
         """Lay the state out in userdata; connect the axes of the chips, one an axis of the stage."""
         self._inherited: list[str] = []  # the faults, in words, of the stage that this is a copy of
-        self.standing: list[Any] = []
+        self.active_faults: list[Any] = []
         """The faults of `stage.sim.faults` that were made here and are in force, in their order."""
         self._payloads = Payloads()
         chip_of = {p.name: axis.chip for p, axis in zip(self._plant, chip_axes, strict=True)}
@@ -157,7 +157,7 @@ class Stage:
             {chip_of[follower]: chip_of[leader] for follower, leader in self._followers},
             tuple(dict.fromkeys(chip_of[name] for name in self._linked)),
         )
-        per_unit = encoder.per_unit(self._encoders, self._plant)
+        per_unit = encoder.counts_per_unit(self._encoders, self._plant)
         self.state = State(self.model, offset, self._plant, chip_axes, drives, bus, per_unit, wires)
         for follower, leader in wires.leaders.items():
             follower.syni = leader  # type: ignore[attr-defined]
@@ -170,10 +170,10 @@ class Stage:
             Axis(self, k, p, chip_axis, drive, self._positive[k]) for k, (p, chip_axis, drive) in enumerate(axes)
         ]
         self.axes: Axes = Axes(self._axes)
-        self._header = self._bare = self._described()
+        self._header = self._bare = self._make_header()
         self.device_state = DeviceState()
 
-    def _described(self) -> Header:
+    def _make_header(self) -> Header:
         """What its snapshots are of, without devices."""
         return header(self.state, self._axes, self._mechanics, self._encoders, self._followers, self._linked)
 
@@ -204,13 +204,13 @@ class Stage:
         """Let the time of one bus cycle pass."""
         self.loop.cycle()
 
-    def look(self) -> None:
+    def ensure_powered(self) -> None:
         """Somebody is about to look at the stage's records: they are those of a machine under power, whatever MuJoCo did."""
-        self.loop.look()
+        self.loop.ensure_powered()
 
-    def change(self) -> None:
+    def prepare_change(self) -> None:
         """Somebody is about to change the stage's records. Raises StageError while another thread runs the stage."""
-        self.loop.change()
+        self.loop.prepare_change()
 
     def _power_up(self) -> None:
         """As `reset`; but a carriage that MuJoCo put elsewhere (a keyframe's place) is there."""
@@ -227,10 +227,10 @@ class Stage:
     def step(self, n: int = 1) -> None:
         """Advance to the end of the current physics step, and n - 1 more."""
         dt = self.state.dt
-        most = LONGEST * records.SECOND // dt
+        most = MAX_RUN_S * records.SECOND // dt
         if not 0 <= n <= most or int(n) != n:
             raise ArgumentError(
-                f"n={n!r}: a stage advances by a whole number of physics steps, 0 to {most} ({LONGEST:g} s)."
+                f"n={n!r}: a stage advances by a whole number of physics steps, 0 to {most} ({MAX_RUN_S:g} s)."
             )
         self.loop.check_options()
         self.loop.run_to(self.state.start + int(n) * dt)
@@ -243,8 +243,8 @@ class Stage:
         Raises SimulationError when the simulation diverges; the state is then that before the step which did. StageError while the
         model's time step or integrator is not that with which the stage was built.
         """
-        if not 0 <= seconds < LONGEST:
-            raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to {LONGEST:g} s.")
+        if not 0 <= seconds < MAX_RUN_S:
+            raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to {MAX_RUN_S:g} s.")
         self.loop.check_options()
         self.loop.run_to(self.state.now + round(seconds * 1e9))
 
@@ -252,9 +252,9 @@ class Stage:
     @exclusive
     def run_to(self, until: int) -> None:
         """Advance to `until`, ns since power-up; a time that has passed changes nothing. Raises as `run`."""
-        if int(until) != until or until - self.state.now > LONGEST * records.SECOND:
+        if int(until) != until or until - self.state.now > MAX_RUN_S * records.SECOND:
             raise ArgumentError(
-                f"until={until!r}: a time is a whole number of ns since power-up, {LONGEST:g} s from now at most."
+                f"until={until!r}: a time is a whole number of ns since power-up, {MAX_RUN_S:g} s from now at most."
             )
         self.loop.check_options()
         self.loop.run_to(max(int(until), self.state.now))
@@ -266,11 +266,11 @@ class Stage:
 
         Raises RunTimeout when `timeout` seconds of simulated time were not enough; ArgumentError.
         """
-        if not 0 <= timeout <= LONGEST:
-            raise ArgumentError(f"timeout={timeout!r}: a condition is given 0 to {LONGEST:g} s of simulated time.")
-        if not 0 <= poll <= LONGEST:
+        if not 0 <= timeout <= MAX_RUN_S:
+            raise ArgumentError(f"timeout={timeout!r}: a condition is given 0 to {MAX_RUN_S:g} s of simulated time.")
+        if not 0 <= poll <= MAX_RUN_S:
             raise ArgumentError(
-                f"poll={poll!r}: a condition is looked at every 0 s (that is, every ns) to {LONGEST:g} s."
+                f"poll={poll!r}: a condition is looked at every 0 s (that is, every ns) to {MAX_RUN_S:g} s."
             )
         self.loop.check_options()
         begin = self.now
@@ -306,40 +306,42 @@ class Stage:
     @property
     def faults(self) -> tuple[str, ...]:
         """The faults in force, in words, see stage.faults. They are the machine's: snapshots and `reset` leave them alone."""
-        return (*self._inherited, *(fault.text for fault in self.standing))
+        return (*self._inherited, *(fault.text for fault in self.active_faults))
 
     def note_fault(self, fault: Any, begins: bool) -> None:
         """A fault comes or goes: keep the list, tell the recording."""
-        (self.standing.append if begins else self.standing.remove)(fault)
+        (self.active_faults.append if begins else self.active_faults.remove)(fault)
         if self.recording is not None:
             self.recording.note(self.time, f"{fault.text}: {'begins' if begins else 'mended'}", self.faults)
 
     @told
     @exclusive
-    def look_again(self, axis: Axis) -> None:
+    def update_switches(self, axis: Axis) -> None:
         """Somebody has changed this axis' rows of `state.switch_table`: from now on they hold."""
-        self.loop.look_again(axis.index)
+        self.loop.update_switches(axis.index)
 
     @told
     @exclusive
-    def refit(self, axis: Axis, drive: Drive | Servo) -> None:
+    def replace_drive(self, axis: Axis, drive: Drive | Servo) -> None:
         """`axis` has this drive from now on, with another motor; see `faults.motor`. Snapshots of before are another stage's.
 
         Raises ArgumentError, ModelError where that cannot be simulated, StageError; the stage is then as it was.
         """
         if not isinstance(drive, Drive | Servo):
             raise ArgumentError(f"drive={drive!r}: give a Drive or a Servo.")
-        self.change()
-        self.loop.check_kept()
-        with self.loop.alone():
-            refit_model(self.model, self.data, self._axes, axis, drive)
+        self.prepare_change()
+        self.loop.check_state_allowed()
+        with self.loop.claimed():
+            fit_model(self.model, self.data, self._axes, axis, drive)
             axis.drive = drive
-            refit_record(self.state, axis, drive, self.state.drives[axis.index])
+            fit_record(self.state, axis, drive, self.state.drives[axis.index])
         self.apply_faults()
         before = self._initial
-        self._bare = self._described()
+        self._bare = self._make_header()
         self._header = Header(self._bare.parts + self.device_state.header_part)
-        self._initial = _sealed(self._header, refit_power_up(self.state, axis, drive, before.state), before.diagnostics)
+        self._initial = _make_snapshot(
+            self._header, fit_power_up(self.state, axis, drive, before.state), before.diagnostics
+        )
 
     @exclusive
     def apply_faults(self) -> None:
@@ -352,7 +354,7 @@ class Stage:
         forced = state.switch_table["forced"]
         if ((forced >= 0) & (forced != state.switches["on"])).any():
             for axis in self._axes:
-                self.look_again(axis)
+                self.update_switches(axis)
 
     # --- state ---
 
@@ -369,8 +371,8 @@ class Stage:
             low, high = self.axes[name].travel
             if not low <= q <= high:
                 raise ArgumentError(f"{name}={q!r}: the joint travels from {low} to {high} {self.axes[name].unit}.")
-        self.change()
-        self.loop.check_held()
+        self.prepare_change()
+        self.loop.check_time_allowed()
         qpos, qvel = self.data.qpos.copy(), self.data.qvel.copy()
         for name, q in positions.items():
             t = self.state.axis_table[self.axes[name].index]
@@ -384,8 +386,8 @@ class Stage:
             for here, values in given:
                 here[:] = values
 
-        with self.loop.alone():
-            self.loop.moved(put)
+        with self.loop.claimed():
+            self.loop.apply_change(put)
             engine.settle.with_gil(self.state.pointer)
         for axis in self._axes:
             chip: Any = axis.chip
@@ -402,12 +404,12 @@ class Stage:
     @exclusive
     def snapshot(self) -> Snapshot:
         """All state: physics, chips, drives, switches, time."""
-        self.change()
+        self.prepare_change()
         state = np.zeros(len(self.state.saved) + self.device_state.words)
-        self.keep(state)
-        return _sealed(self._header, state, tuple(tuple(chip.diagnostics) for chip in self.chips))
+        self.copy_state(state)
+        return _make_snapshot(self._header, state, tuple(tuple(chip.diagnostics) for chip in self.chips))
 
-    def keep(self, state: np.ndarray) -> None:
+    def copy_state(self, state: np.ndarray) -> None:
         """Copy all state but the diagnostics into `state`, float64: MuJoCo's, and what is beside it."""
         self._check_state(state)
         mujoco.mj_getState(self.model, self.data, state[: len(self.state.saved)], SAVED)
@@ -415,10 +417,10 @@ class Stage:
             self.device_state.copy_to(state[len(self.state.saved) :])
 
     @exclusive
-    def put(self, state: np.ndarray) -> None:
+    def load_state(self, state: np.ndarray) -> None:
         """The stage is in this state, which `keep` has copied, here or of a stage alike."""
         self._check_state(state)
-        self.loop.put(state[: len(self.state.saved)])
+        self.loop.load_state(state[: len(self.state.saved)])
         if self.device_state.words:
             self.device_state.copy_from(state[len(self.state.saved) :])
 
@@ -436,14 +438,14 @@ class Stage:
         self.device_state.add(name, arrays)
         header = Header(self._bare.parts + self.device_state.header_part)
         state = np.zeros(len(self.state.saved) + self.device_state.words)
-        self.keep(state)
+        self.copy_state(state)
         before = self._initial
         state[: len(before.state)] = before.state
-        self._header, self._initial = header, _sealed(header, state, before.diagnostics)
+        self._header, self._initial = header, _make_snapshot(header, state, before.diagnostics)
 
     def _without_devices(self, snapshot: Snapshot) -> Snapshot:
         """For a copy of the stage: the devices on its bus stay with its board."""
-        return _sealed(self._bare, snapshot.state[: len(self.state.saved)].copy(), snapshot.diagnostics)
+        return _make_snapshot(self._bare, snapshot.state[: len(self.state.saved)].copy(), snapshot.diagnostics)
 
     @exclusive
     def restore(self, snapshot: Snapshot) -> None:
@@ -455,8 +457,8 @@ class Stage:
         snapshots.check(snapshot, Snapshot, self._header)
         if self.recording is not None:
             raise StageError("time in a recording runs forward only: close the recording before restoring a snapshot.")
-        self.loop.check_kept()
-        self.put(snapshot.state)
+        self.loop.check_state_allowed()
+        self.load_state(snapshot.state)
         for chip, said in zip(self.chips, snapshot.diagnostics, strict=True):
             chip.diagnostics[:] = said
         self.apply_faults()
@@ -494,15 +496,15 @@ class Stage:
     @exclusive
     def begin_recording(self, recording: Any, steps: int) -> None:
         """Have the engine sample every so many physics steps into the buffers of `recording`, see `Loop.recording`."""
-        self.change()
+        self.prepare_change()
         self.loop.recording = recording
-        handle.log_to(self.state.handle, recording)
+        handle.set_sample_buffers(self.state.handle, recording)
         self.state.clockwork[0].sample_every = self.state.world[0].to_sample = steps
 
     def stop_recording(self) -> None:
         """Whoever records, or looks at samples as they come, does so no longer. `Recording.close` is the usual way."""
         self.loop.recording = None
-        handle.log_to(self.state.handle, None)
+        handle.set_sample_buffers(self.state.handle, None)
         self.state.clockwork[0].sample_every = 0
 
     # --- a page ---
@@ -529,7 +531,7 @@ class Stage:
 
     # --- copies ---
 
-    def machine(self) -> dict[str, Any]:
+    def describe_machine(self) -> dict[str, Any]:
         """What the stage is made of, faults and payloads included: all but its state."""
         return {
             "model": self.model,
@@ -551,7 +553,7 @@ class Stage:
 
     def __getstate__(self) -> dict[str, Any]:
         return {
-            **self.machine(),
+            **self.describe_machine(),
             "initial": self._without_devices(self._initial),
             "now": self._without_devices(self.snapshot()),
         }
@@ -584,9 +586,9 @@ class Stage:
 
     def _repr_html_(self) -> str:
         more = f"; faults: {'; '.join(self.faults)}" if self.faults else ""
-        return html.heading(f"Stage at {self.time:.6f} s{more}") + axes_table(self._axes)
+        return html.heading(f"Stage at {self.time:.6f} s{more}") + format_axes_table(self._axes)
 
 
-def _sealed(header: Header, state: np.ndarray, said: tuple) -> Snapshot:
+def _make_snapshot(header: Header, state: np.ndarray, said: tuple) -> Snapshot:
     state.flags.writeable = False
     return Snapshot(header, state, said, crc32(state.data, header.checksum))

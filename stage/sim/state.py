@@ -88,7 +88,7 @@ class State:
     saved: np.ndarray
     """float64: MuJoCo's state as it was before the last run of the engine moved it, to go back to."""
     edges: np.ndarray
-    """EDGE: what reached the chips, where the engine notes it; see `note_in`."""
+    """EDGE: what reached the chips, where the engine notes it; see `set_edge_buffer`."""
 
     def __init__(
         self,
@@ -117,7 +117,7 @@ class State:
         for chip in wires.linked:  # a pulse a clock, and what goes before and after it
             most += records.clock_at(self.dt, chip.clock_hz) + LINK_EDGES
         self.clockwork["most_edges"], self.clockwork["linked"] = most, len(wires.linked)
-        self.note_in(np.zeros(EDGES + most, records.EDGE))
+        self.set_edge_buffer(np.zeros(EDGES + most, records.EDGE))
 
     @property
     def now(self) -> int:
@@ -134,7 +134,7 @@ class State:
         """0 after userdata was cleared: then its contents are not valid."""
         return self.words.item(POWERED)
 
-    def note_in(self, edges: np.ndarray) -> None:
+    def set_edge_buffer(self, edges: np.ndarray) -> None:
         """From now on the engine notes what reaches the chips in `edges`, EDGE records."""
         self.edges = edges
         self.handle["edges"], self.handle["edge_room"] = edges.ctypes.data, len(edges)

@@ -19,7 +19,7 @@ from stage.board.layout_files import read
 from stage.board.windows import MOST_ADDRESS, Window, windows
 from stage.chips import HCTL1100, MCX304
 from stage.errors import ArgumentError
-from stage.sim.encoder import chosen
+from stage.sim.encoder import choose_encoders
 
 
 def test_the_trace_tells_which_address_a_latch_has_taken():
@@ -165,7 +165,7 @@ def test_encoders_that_are_none_are_refused_as_they_were_given():
         (5, "encoders=5"),
     ):
         with pytest.raises(ArgumentError, match=said):
-            chosen(given, "xy", [])
+            choose_encoders(given, "xy", [])
     with pytest.raises(ArgumentError, match=re.escape("PCL240K has no input for an encoder")) as refused:
         Stage("xy", encoders={"x": 1e5}, visuals=False)
     assert "PCL240K, " not in str(refused.value).split("encoder; ")[1]

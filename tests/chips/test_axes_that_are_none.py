@@ -83,5 +83,5 @@ def test_inputs_of_an_axis_that_is_none_change_no_other_memory():
         with pytest.raises(StageError, match=f"axis={axis}: an MCX514 has axes 0 to 3"):
             stage.chips[0].set_input_word(axis, 0xFFFF)
         with pytest.raises(StageError, match=f"axis={axis}: the stage has axes 0 to 2"):
-            stage.loop.look_again(axis)
+            stage.loop.update_switches(axis)
     assert stage.snapshot().state.tobytes() == before.state.tobytes()

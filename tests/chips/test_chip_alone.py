@@ -80,7 +80,7 @@ class Line:
     def cycle(self):
         pass
 
-    look = change = cycle
+    ensure_powered = prepare_change = cycle
 
 
 def test_a_chip_that_leaves_its_bus_is_as_it_was_before_and_alone():

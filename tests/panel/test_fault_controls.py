@@ -191,7 +191,7 @@ def test_the_strongest_push_leaves_every_carriage_in_its_travel(model):
     for axis in stage.axes.values():
         for sign in (-1, 1):
             stage.reset()
-            stage.change()
+            stage.prepare_change()
             stage.data.qfrc_applied[axis.plant.dof] = sign * find_max_push(axis)
             for _ in range(30):
                 stage.run(0.01)

@@ -67,7 +67,7 @@ def read_stage(stage):
     """Return what meters and a debugger show of a stage now."""
     axes = {}
     for name, a in stage.axes.items():
-        record, net = a.electrics()
+        record, net = a.read_drive()
         axes[name] = [
             a.position, a.commanded, a.lost_steps, a.load_angle, sorted(pin for pin, on in a.switches.as_dict().items() if on),
             int(net), a.pins.as_dict(), [float(record[f]) for f in ("current_a", "current_b", "voltage", "current")],

@@ -362,7 +362,7 @@ def measure_points():
         by_hand = []
         for s in other:
             row, extremes = np.zeros(len(p), np.int64), np.full((m.nq, 2), np.inf) * [1, -1]
-            status = play.by_hand(s, np.array(p.ops), row, extremes)
+            status = play.play_in_python(s, np.array(p.ops), row, extremes)
             by_hand.append([status, row[-12:], extremes[:3]])
         results[name] = [
             played.results[:, -12:],

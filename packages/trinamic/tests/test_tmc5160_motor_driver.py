@@ -535,8 +535,8 @@ def test_waveforms_and_recordings_know_it(tmp_path, capsys):
 def test_another_motor_has_the_current_that_the_chip_gives_it(x):
     put(x.chip, CHOPCONF=0x100100C3, GLOBALSCALER=134, IHOLD_IRUN=31 << 8)
     x.stage.run(0.01)
-    current = float(x.electrics()[0].current)
+    current = float(x.read_drive()[0].current)
     assert current == pytest.approx(x.chip.amplitude)
     with faults.motor(x, "SS2422-5041"):
-        assert float(x.electrics()[0].current) == current
+        assert float(x.read_drive()[0].current) == current
         assert x.drive.motor.rated_current < current

@@ -14,7 +14,7 @@ from __future__ import annotations
 from stage.chips import cores
 from stage.native import array_at, called, floor, hot, record, usual_float_mode
 from stage.sim import handle, records
-from stage.sim.handle import ENGINE, REAL, WHOLE, chips, claim, clockwork, release, table, world
+from stage.sim.handle import ENGINE, INTEGER, REAL, chips, claim, clockwork, release, table, world
 
 IN8, OUT8, IN16, OUT16, DELAY, MICROS, LOG, HOOK, LINE, SETTLE = range(10)
 """What a host asks: port cycles (a: port, b: value), a delay (a: us), the time (us), to note a line (a: its address), to call a
@@ -212,7 +212,7 @@ def _look_at_encoders(h, d):
     """The counts of the device's encoders at the host's time."""
     s = stage_of(h)
     qpos, qvel, axes = array_at(h.qpos, h.nq, REAL), array_at(h.qvel, h.nv, REAL), table(s)
-    counts, encoders = array_at(d.counts, d.n_encoders, WHOLE), array_at(d.encoders, d.n_encoders, ENCODER)
+    counts, encoders = array_at(d.counts, d.n_encoders, INTEGER), array_at(d.encoders, d.n_encoders, ENCODER)
     tau = float(now_of(h) - world(s).start) / records.SECOND - clockwork(s).half
     for k in range(d.n_encoders):
         e = encoders[k]
@@ -245,7 +245,7 @@ def devices_pulling(h):
     found = 0
     for k in range(h.n_devices):
         d = device_of(h, k)
-        on = array_at(d.line, 1, WHOLE)[0] <= now_of(h)
+        on = array_at(d.line, 1, INTEGER)[0] <= now_of(h)
         if d.pulls and not on:
             if d.n_encoders:
                 _look_at_encoders(h, d)

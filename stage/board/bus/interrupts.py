@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from stage.board.bus.host_record import RETURNED, note, now_of
 from stage.native import array_at, greatest, hot, least, record
-from stage.sim.handle import WHOLE
+from stage.sim.handle import INTEGER
 
 LINES, TIMERS, PYTHON_TIMERS, SOFTWARE = 62, 8, 4, 8
 ANY_LINE, FIRST_LINE = 0, 1
@@ -139,7 +139,7 @@ def _left(h, mark, here):
     if here > mark:
         own = h.stack_low < mark and here < h.stack_high
         return own or here - mark < NEAR
-    words = array_at(mark, MARK, WHOLE)
+    words = array_at(mark, MARK, INTEGER)
     broken = 0
     for k in range(MARK):
         broken |= words[k] ^ (MARKED + k)

@@ -10,7 +10,7 @@ from stage.board.bus import host_record, interrupts, waiting
 from stage.chips import cores
 from stage.chips.entries import LOST, READ, WRITE
 from stage.native import array_at, exported, float_mode_as_before, frame_address, greatest, hot, least, usual_float_mode
-from stage.sim.handle import WHOLE
+from stage.sim.handle import INTEGER
 
 
 @hot
@@ -44,7 +44,7 @@ def _read(h, chip, address):
         return 0xFFFF
     waiting.turn_to(h, chip)
     value = cores.read(host_record.chip_of(h, chip), address)
-    if h.journals and array_at(h.acts, h.n_chips, WHOLE)[chip] >> address & 1:
+    if h.journals and array_at(h.acts, h.n_chips, INTEGER)[chip] >> address & 1:
         host_record.journal(h, READ, chip, address, value)
     return value
 
@@ -63,7 +63,7 @@ def _place(h, port):
 @hot
 def _latches(h):
     """The address that each chip's latch holds: part of the stage's state."""
-    return array_at(h.latches, h.n_chips, WHOLE)
+    return array_at(h.latches, h.n_chips, INTEGER)
 
 
 @hot
@@ -320,7 +320,7 @@ def answer(h, what, a, b):
         waiting.reach(h, a)
         return 1 if b and waiting.line_of(h) else 0
     elif what in (host_record.TIMER, host_record.ON_LINE):
-        _set_source(h, what, array_at(a, 5, WHOLE))
+        _set_source(h, what, array_at(a, 5, INTEGER))
     elif what == host_record.SPEND:
         waiting.wait(h, least(greatest(a, 0), host_record.LONGEST_DELAY * 1000))
     elif what == host_record.LEVEL:

@@ -8,7 +8,7 @@ from stage.chips import cores
 from stage.native import array_at, greatest, hot, least, stack_mark
 from stage.sim import records
 from stage.sim.engine import advance
-from stage.sim.handle import AXIS, WHOLE, clockwork, world
+from stage.sim.handle import AXIS, INTEGER, clockwork, world
 
 STACK_LEFT = 1 << 20
 """Bytes of the firmware's stack that hooks which interrupt each other leave."""
@@ -153,7 +153,7 @@ def _call_hook(h, source):
 
 @hot
 def _copy(source, target, words):
-    a, b = array_at(source, words, WHOLE), array_at(target, words, WHOLE)
+    a, b = array_at(source, words, INTEGER), array_at(target, words, INTEGER)
     for k in range(words):
         b[k] = a[k]
 
@@ -235,7 +235,7 @@ def wait_for_line(h, ns):
 @hot
 def spend(h):
     """What the firmware has computed since its last request takes its time now."""
-    counted = array_at(h.meter, 1, WHOLE)
+    counted = array_at(h.meter, 1, INTEGER)
     ps = h.rest + counted[0] * h.cost
     counted[0], h.rest = 0, ps % 1000
     ns = ps // 1000

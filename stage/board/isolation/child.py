@@ -62,7 +62,7 @@ class ChildLink(Link):
         self.asks = 0
         self.move_to(shared.record)
         self.hooks.move_to(shared.sources)
-        self.stage.state.note_in(shared.edges)
+        self.stage.state.set_edge_buffer(shared.edges)
         board.trace.kept = shared.cycles
         places = self.stage.device_state.move_to(shared.devices)
         for device in board.devices:  # after a crash they are still there
@@ -118,7 +118,7 @@ class ChildLink(Link):
         answer, well, machine, hooks = self._pipe.recv()
         if machine is not None:
             adopt(self.stage, pickle.loads(machine))
-        self.stage.put(self.shared.state)
+        self.stage.load_state(self.shared.state)
         self.hooked(hooks)
         if not well:
             raise StageError("Python has raised in the parent")
@@ -153,7 +153,7 @@ class ChildBoard(Board):
         link, stage, self._lines = self.link, self.stage, go.lines
         if go.machine is not None:
             adopt(stage, pickle.loads(go.machine))
-        stage.put(link.shared.state)
+        stage.load_state(link.shared.state)
         self.port_table[:] = go.ports
         stage.state.clockwork[0].sample_every = go.sample_every
         stage.loop.recording = link.samples if go.sample_every else None

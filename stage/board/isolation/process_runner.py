@@ -131,7 +131,7 @@ class Isolated:
         if os.getpid() != self._owner:
             self._leave_to_owner()
         board.link.check_is_current()
-        if engine.called_back.with_gil(stage.state.pointer):
+        if engine.has_unguarded_callback.with_gil(stage.state.pointer):
             raise StageError(
                 "MuJoCo calls a function in Python back, which the process of the firmware does not have: run the firmware with "
                 "isolated=False."
@@ -232,7 +232,7 @@ class Isolated:
 
     def _machine(self) -> bytes:
         """Return everything in which the child's stage must be like this one, but for the state. It is compared at each start."""
-        parts = self._board.stage.machine()
+        parts = self._board.stage.describe_machine()
         model = parts.pop("model")
         options = [getattr(model.opt, name) for name in self._options]
         return b"".join([*(array.tobytes() for array in self._arrays), _pickled((options, parts))])
@@ -247,7 +247,7 @@ class Isolated:
         """The child's state, and what it has noted since the last time."""
         board, shared, stage = self._board, self._shared, self._board.stage
         shared.check_notes(board, noted.edges, noted.samples, self._until)
-        stage.put(shared.state)
+        stage.load_state(shared.state)
         shared.copy(board, back=True)
         stage.state.edges[: noted.edges] = shared.edges[: noted.edges]
         board.link.take_edges(noted.edges)
@@ -400,7 +400,7 @@ def _ended(child: starter.Process) -> None:
 
 def _faults(stage: Any) -> bytes:
     """What the methods of a stage and its faults change of the machine."""
-    parts = stage.machine()
+    parts = stage.describe_machine()
     return pickle.dumps([parts[name] for name in ("axis_faults", "faults", "payloads")])
 
 

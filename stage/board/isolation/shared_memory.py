@@ -198,7 +198,7 @@ class Shared:
 
     def keep(self, stage: Any) -> None:
         """The state of this stage goes into the file."""
-        stage.keep(self.state)
+        stage.copy_state(self.state)
 
     def not_for_forks(self) -> None:
         """A process that this one forks does not have the memory: it would change what it shares with nobody's knowledge."""

@@ -178,7 +178,7 @@ class GpuFleet(fleet.Fleet):
         for array, begin in zip((self._qpos, self._qvel, self._warmstart), self._initial_coordinates, strict=True):
             array.copy_to_device(begin)
 
-    def watched(self) -> list[int]:
+    def list_python_stages(self) -> list[int]:
         """No copy is recorded."""
         return []
 

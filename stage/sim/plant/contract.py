@@ -18,8 +18,8 @@ from stage.sim.plant.switches import Switch, SwitchFinder
 from stage.sim.records import PINS
 from stage.units import PLACES
 
-KEPT_PLANTS = 64
-PARALLEL = 0.99  # the least cosine between the joints of tandem axes
+MAX_BOUND_PLANTS = 64
+MIN_PARALLEL_COSINE = 0.99  # the least cosine between the joints of tandem axes
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def bind(model: mujoco.MjModel, axes: Sequence[str] | None = None) -> tuple[Plan
         chosen = tuple(axes if axes is not None else axis_names(model))
         key = fingerprint(model), chosen
         if key not in _bound:
-            if len(_bound) >= KEPT_PLANTS:
+            if len(_bound) >= MAX_BOUND_PLANTS:
                 _bound.clear()
             _bound[key] = _Binder(model, list(chosen)).bind()
         return _bound[key]
@@ -79,10 +79,10 @@ def describe(model: mujoco.MjModel) -> str:
         )
         if a.tandem:
             lines.append(f"{'':6}drives one load with {' and '.join(a.tandem)}")
-    return "\n".join([*lines, *_no_axes(model)])
+    return "\n".join([*lines, *_list_undriven_joints(model)])
 
 
-def _no_axes(model: mujoco.MjModel) -> list[str]:
+def _list_undriven_joints(model: mujoco.MjModel) -> list[str]:
     """What looks like an axis and is none: a joint with switches that no actuator of its name drives."""
     joints = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, k) for k in range(model.njnt)} - {None}
     sensors = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SENSOR, k) for k in range(model.nsensor)}
@@ -125,7 +125,7 @@ class _Binder:
                     self.problems.add(
                         name, f"the text {name}_tandem names {other!r}{near}; it names other axes of one load"
                     )
-                elif not self._side_by_side(name, other):
+                elif not self._are_parallel(name, other):
                     self.problems.add(
                         name,
                         f"the text {name}_tandem names {other!r}, whose joint has another direction or another distance for a "
@@ -137,13 +137,13 @@ class _Binder:
                 found |= {a: tuple(b for b in together if b != a) for a in together}
         return {a: tuple(b for b in others if b in self.axes) for a, others in found.items()}
 
-    def _side_by_side(self, name: str, other: str) -> bool:
+    def _are_parallel(self, name: str, other: str) -> bool:
         """Whether two axes go the same way, as far for the same turn of their motors."""
         m, data = self.model, mujoco.MjData(self.model)
         mujoco.mj_kinematics(m, data)
         one, two = (self._id(mujoco.mjtObj.mjOBJ_JOINT, a) for a in (name, other))
         gears = [abs(float(m.actuator_gear[self._id(mujoco.mjtObj.mjOBJ_ACTUATOR, a)][0])) for a in (name, other)]
-        parallel = float(np.dot(data.xaxis[one], data.xaxis[two])) > PARALLEL
+        parallel = float(np.dot(data.xaxis[one], data.xaxis[two])) > MIN_PARALLEL_COSINE
         return bool(m.jnt_type[one] == m.jnt_type[two] and parallel and math.isclose(*gears, rel_tol=1e-3))
 
     # --- joint and actuator ---

@@ -75,7 +75,7 @@ class _Switch(NamedTuple):
     colour: str
 
 
-class _Parts(NamedTuple):
+class _AxisParts(NamedTuple):
     """What an axis adds to the model, lines each: what stands on its frame, what moves, contacts."""
 
     frame: list[str]
@@ -88,7 +88,7 @@ def new_model(axes: Sequence[NewAxis]) -> str:
     names = [a.name for a in axes]
     if not axes or len(set(names)) < len(names):
         raise ModelError(f"axes {', '.join(names) or 'none'}: one or more, each of a name of its own.")
-    body, pairs = _chain(list(axes), _directions(axes))
+    body, pairs = _chain(list(axes), _choose_directions(axes))
     lines = [
         "<!-- A stage for PulseStage. Units: m, kg, s. An axis is a joint and an actuator of one name; its switches are the",
         "     contact sensors NAME_el_plus ... `stage view --text FILE` prints the axes, or what is missing.",
@@ -142,7 +142,7 @@ def new_model(axes: Sequence[NewAxis]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _directions(axes: Sequence[NewAxis]) -> dict[str, str]:
+def _choose_directions(axes: Sequence[NewAxis]) -> dict[str, str]:
     """Where each slide goes: as it is called, or the next direction that no other goes."""
     found = {a.name: a.name.lower() for a in axes if a.kind == "slide" and a.name.lower() in DIRECTIONS}
     free = [d for d in DIRECTIONS if d not in found.values()]
@@ -163,36 +163,36 @@ def _chain(axes: list[NewAxis], directions: dict[str, str]) -> tuple[list[str], 
     above = "0 0 0.04" if direction != "z" else "0 0 0.1"  # a slide upwards carries the next in front of it, on an arm
     arm = '<geom size="0.02 0.02 0.035" pos="0 0 0.065" mass="0.1"/>'
     if direction != "x":
-        inner = [f'<frame quat="{BACK[direction]}">', *_deeper(inner), "</frame>"]
-    inner = [*([arm] if direction == "z" else []), f'<frame pos="{above}">', *_deeper(inner), "</frame>"]
-    reach = _stop(a) if a.kind == "slide" else math.radians(_stop(a))
+        inner = [f'<frame quat="{BACK[direction]}">', *_indent(inner), "</frame>"]
+    inner = [*([arm] if direction == "z" else []), f'<frame pos="{above}">', *_indent(inner), "</frame>"]
+    reach = _find_stop(a) if a.kind == "slide" else math.radians(_find_stop(a))
     inertia = _armature(a)
     friction = 'damping="60" frictionloss="4"' if a.kind == "slide" else 'damping="0.02" frictionloss="0.05"'
     axis = 'type="slide" axis="1 0 0"' if a.kind == "slide" else 'type="hinge" axis="0 0 1"'
     kind = "screw of 10 mm lead" if a.kind == "slide" else f"gear {RATIO}:1"
     lines = [
-        f"<!-- {a.name}: {a.kind}, {_said(a)}; {kind}; the frame -->",
+        f"<!-- {a.name}: {a.kind}, {_describe_travel(a)}; {kind}; the frame -->",
         f'<frame quat="{DIRECTIONS[direction]}">',
-        *_deeper(parts.frame),
+        *_indent(parts.frame),
         f'  <body name="{a.name}">',
         "    <!-- armature: (rotor + screw) x gear^2 -->"
         if a.kind == "slide"
         else "    <!-- armature: rotor x gear^2 -->",
         f'    <joint name="{a.name}" {axis} range="{-reach:.7g} {reach:.7g}" limited="false" {friction} armature="{inertia:.4g}"/>',
-        *_deeper(_deeper(parts.moving + inner)),
+        *_indent(_indent(parts.moving + inner)),
         "  </body>",
         "</frame>",
     ]
     return lines, parts.pairs + pairs
 
 
-def _said(a: NewAxis) -> str:
+def _describe_travel(a: NewAxis) -> str:
     if a.endless:
         return "turns without end"
     return f"{a.travel * 1e3:g} mm" if a.kind == "slide" else f"{a.travel:g} degrees"
 
 
-def _deeper(lines: Sequence[str]) -> list[str]:
+def _indent(lines: Sequence[str]) -> list[str]:
     return [f"  {line}" for line in lines]
 
 
@@ -206,7 +206,7 @@ def _armature(a: NewAxis) -> float:
     return (ROTOR + screw) * _gear(a) ** 2
 
 
-def _stop(a: NewAxis) -> float:
+def _find_stop(a: NewAxis) -> float:
     """Where the hard stops are: m, degrees."""
     if a.endless:
         return TURN / 2
@@ -218,7 +218,7 @@ def _switches(a: NewAxis) -> list[_Switch]:
     green, red, amber = "0.12 0.66 0.32 1", "0.86 0.16 0.15 1", "0.98 0.68 0.08 1"
     if a.endless:
         return [_Switch("org", -20.0, 0.0, green)]
-    end, beyond = a.travel / 2, _stop(a) + (0.005 if a.kind == "slide" else 2.0)
+    end, beyond = a.travel / 2, _find_stop(a) + (0.005 if a.kind == "slide" else 2.0)
     return [
         _Switch("el_plus", end, beyond, red),
         _Switch("el_minus", -beyond, -end, red),
@@ -228,10 +228,10 @@ def _switches(a: NewAxis) -> list[_Switch]:
     ]
 
 
-def _slide(a: NewAxis) -> _Parts:
+def _slide(a: NewAxis) -> _AxisParts:
     """A rail and its carriage, along x."""
     half, wide = 0.04, 0.045  # m: of the carriage; beams lie beside it
-    rail = _stop(a) + half + 0.02
+    rail = _find_stop(a) + half + 0.02
     frame = [f'<geom class="frame" size="{rail:.6g} 0.03 0.008" pos="0 0 -0.01"/>']
     moving = [f'<geom name="{a.name}_carriage" size="{half} 0.04 0.01" pos="0 0 0.02" mass="0.8"/>']
     pairs = []
@@ -242,15 +242,15 @@ def _slide(a: NewAxis) -> _Parts:
         moving.append(
             f'<geom name="{a.name}_{s.name}_vane" size="{long - BEAM:.6g} 0.0005 0.005" pos="0 {y:.4g} 0.02" rgba="{s.colour}"/>'
         )
-        pairs.append(_pair(a, s))
+        pairs.append(_make_pair(a, s))
     for side, sign in (("plus", 1), ("minus", -1)):
-        at = sign * (_stop(a) + half + 0.005)
+        at = sign * (_find_stop(a) + half + 0.005)
         frame.append(f'<geom name="{a.name}_bumper_{side}" class="bumper" pos="{at:.6g} 0 0.02"/>')
         pairs.append(f'<pair class="stop" geom1="{a.name}_carriage" geom2="{a.name}_bumper_{side}"/>')
-    return _Parts(frame, moving, pairs)
+    return _AxisParts(frame, moving, pairs)
 
 
-def _hinge(a: NewAxis) -> _Parts:
+def _hinge(a: NewAxis) -> _AxisParts:
     """A table that turns about z. Each switch has a track of its own, one above the other; a vane is a flat plate."""
     name, at_radius = a.name, TABLE - 0.008
     frame = [f'<geom class="frame" type="cylinder" size="{TABLE} 0.008" pos="0 0 -0.01"/>']
@@ -268,19 +268,19 @@ def _hinge(a: NewAxis) -> _Parts:
             f'<geom name="{name}_{s.name}_vane" size="{deep:.6g} {wide:.6g} 0.0005" pos="{where:.6g} 0 {z:.4g}" '
             f'rgba="{s.colour}"/>'
         )
-        pairs.append(_pair(a, s))
+        pairs.append(_make_pair(a, s))
     if not a.endless:
         touch = 2 * math.asin(0.005 / at_radius)  # rad between two balls that touch
         moving.append(f'<geom name="{name}_pin" class="bumper" pos="{at_radius:.6g} 0 0.026"/>')
         for side, sign in (("plus", 1), ("minus", -1)):
-            angle = sign * (math.radians(_stop(a)) + touch)
+            angle = sign * (math.radians(_find_stop(a)) + touch)
             frame.append(
                 f'<geom name="{name}_bumper_{side}" class="bumper" pos="{at_radius * math.cos(angle):.6g} '
                 f'{at_radius * math.sin(angle):.6g} 0.026"/>'
             )
             pairs.append(f'<pair class="stop" geom1="{name}_pin" geom2="{name}_bumper_{side}"/>')
-    return _Parts(frame, moving, pairs)
+    return _AxisParts(frame, moving, pairs)
 
 
-def _pair(a: NewAxis, s: _Switch) -> str:
+def _make_pair(a: NewAxis, s: _Switch) -> str:
     return f'<pair class="switch" geom1="{a.name}_{s.name}_vane" geom2="{a.name}_{s.name}_beam"/>'

@@ -23,7 +23,7 @@ def swap_limits(stage: Stage) -> None:
     rows = [axis.switches.row(pin) for pin in ("el_plus", "el_minus")]
     bits = {pin: axis.chip.wired(pin) for pin in ("el_plus", "el_minus")}
     stage.state.switch_table[rows[0]].bit, stage.state.switch_table[rows[1]].bit = bits["el_minus"], bits["el_plus"]
-    stage.look_again(axis)
+    stage.update_switches(axis)
 
 
 def straighten_limits(stage: Stage) -> None:
@@ -31,7 +31,7 @@ def straighten_limits(stage: Stage) -> None:
     axis = stage.axes["x"]
     for pin in ("el_plus", "el_minus"):
         stage.state.switch_table[axis.switches.row(pin)].bit = axis.chip.wired(pin)
-    stage.look_again(axis)
+    stage.update_switches(axis)
 
 
 def weak_supply(stage: Stage) -> None:
