@@ -2,7 +2,6 @@
 
 python scripts/benchmark_envs.py [--most 512] [--ids RegisterTuning] [--rounds 5] [--json FILE]
 python scripts/benchmark_envs.py --chips PCL240K MCX514 MCX304 --markdown      rows of the table of docs/envs.md
-python scripts/benchmark_envs.py --early-ends     RegisterTuning with early_ends against the usual settings, for three players
 
 Every line is one environment with so many stages under random actions. In each round the same episodes, seeds and actions, are
 played by our vector environment, by gymnasium.vector.SyncVectorEnv of our scalar one, and as many physics steps by a
@@ -20,7 +19,6 @@ from itertools import product
 import gymnasium
 import mujoco
 import numpy as np
-from bench import early_ends
 from bench.machines import Batch
 from bench.timing import resident, timed
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
@@ -48,7 +46,7 @@ class Episodes:
     """Random actions for at least `seconds` from SEED on, and the physics steps that they make."""
 
     def __init__(self, envs, seconds):
-        task, self.actions, self.physics = envs.unwrapped._task, [], 0.0
+        task, self.actions, self.physics = envs.unwrapped.task_instance, [], 0.0
         act, dt = task.act, task.stages[0].model.opt.timestep * 1e9
 
         def counted():
@@ -76,7 +74,7 @@ def measure(id_, n, settings, args):
     ours = vector(id_, n, args.threads, **settings)
     episodes = Episodes(ours, args.seconds)
     other = sync(id_, n, **settings) if n <= args.most_sync else None
-    bare = Batch(n, ours.unwrapped._task.fleet.threads)
+    bare = Batch(n, ours.unwrapped.task_instance.fleet.threads)
     steps = n * len(episodes.actions)
     bare.nstep = max(1, round(min(episodes.physics / n, args.bare)))
     seconds = {"ours": [], "sync": [], "bare": []}
@@ -129,17 +127,6 @@ def memory(kind, id_, n, settings):
     return float(out.stdout)
 
 
-def tell_early_ends(args):
-    """Print what early ends are worth, a row a player."""
-    clock = time.process_time if args.cpu else time.perf_counter
-    rows = early_ends.measure(args.rounds, args.threads, clock, args.settings)
-    print(f"RegisterTuning, {early_ends.STAGES} stages on {args.threads or early_ends.THREADS} threads\n")
-    print("| actions | good moves | moves/s | moves/s with early ends | times |\n|---|---|---|---|---|")
-    for name, row in rows.items():
-        cells = [" ".join(shown(row[of])) for of in ("today", "early ends", "times")]
-        print(f"| {name} | {row['good']:.0%} | {' | '.join(cells)} |", flush=True)
-
-
 def chosen(ids):
     """The ids asked for."""
     return [id_ for id_ in stage.envs.IDS if not ids or any(name in id_ for name in ids)]
@@ -187,7 +174,6 @@ def main():
     )
     parser.add_argument("--cpu", action="store_true", help="seconds of processor time: for a machine that others use")
     parser.add_argument("--settings", type=json.loads, default={}, help="of the environments, as JSON")
-    parser.add_argument("--early-ends", action="store_true", help="what early_ends of RegisterTuning is worth, no more")
     parser.add_argument("--json")
     parser.add_argument("--markdown", action="store_true", help="rows of a table in place of columns, without memory")
     parser.add_argument("--grow", nargs=3, help=argparse.SUPPRESS)
@@ -198,9 +184,6 @@ def main():
     table = {}
     print(f"{os.cpu_count()} processors, MuJoCo {mujoco.__version__}, {args.rounds} rounds; median (least .. most)"
           f"{'; a second is one of processor time' if args.cpu else ''}")  # fmt: skip
-    if args.early_ends:
-        tell_early_ends(args)
-        return
     for id_, chip in product(chosen(args.ids), args.chips):
         settings = {"chip": chip} | args.settings
         name = id_ if chip == "PCL240K" else f"{id_} {chip}"

@@ -107,7 +107,7 @@ class Run:
                 continue
             self.check()
         if self.journal:
-            self.family.course(self.chip, self.journal, self.pulses)
+            self.family.check_course(self.chip, self.journal, self.pulses)
 
     def write(self, kind: int, low: int) -> None:
         for address, value in self.family.writes(kind, low, self.take):
@@ -143,7 +143,7 @@ class Run:
 
     def advance(self, clocks: int) -> None:
         chip, family, work = self.chip, self.family, self.family.work
-        clocks, before = family.clocks(chip, clocks), family.seen(chip, self.values)
+        clocks = family.clocks(chip, clocks)
         silent, start = family.silent(chip), chip.clock
         if work:
             work.calls = work.steps = 0
@@ -163,7 +163,6 @@ class Run:
         if len(self.chips) == 2:
             self.twin_advance(clocks, pulses)
         self.check()
-        family.advanced(chip, before, self.values, clocks, pulses)
 
     def twin_advance(self, clocks: int, pulses: int) -> None:
         """The same clocks traced, where they are not too many, and once more in pieces: a cut is where the last pulse begins."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fuzzing.promises import Finding
+from fuzzing.promises import Finding, demand
 from fuzzing.rows import Row, listed
 from stage.chips import Chip
 from stage.chips.chip import Pins
@@ -43,6 +43,9 @@ class Family:
 
     work: Work | None = None
     FREE: tuple[str, ...] = ()  # words of the state that an advance in pieces may leave otherwise
+    FEW = 5000  # pulses: the edges of more are not looked for one by one
+    FEW_CLOCKS = 1 << 62  # likewise, where edges come without pulses
+    PULSED = 0  # outputs whose pulses a course has as entries of their own
 
     def __init__(self, chip: type[Chip]):
         self.chip = chip
@@ -127,15 +130,22 @@ class Family:
         """How far an advance goes that was to be of so many clocks."""
         return clocks
 
-    def seen(self, chip: Chip, values: Values) -> Any:
-        """What `advanced` wants to know of the moment before an advance."""
-        return values
+    def end_of_course(self, chip: Chip) -> dict[str, int]:
+        """Return the chip's own values of what the last edge of its course says."""
+        words = {"outputs": chip.output_word(0), "inputs": chip.input_word(0)}
+        return {"clock": chip.clock, "net": chip.net(0), **words}
 
-    def advanced(self, chip: Chip, before: Any, after: Values, clocks: int, pulses: int) -> None:
-        """What must hold of an advance."""
-
-    def course(self, chip: Chip, journal: Journal, pulses: int) -> None:
-        """What must hold of the course that the journal of a whole compiled input replays."""
+    def check_course(self, chip: Chip, journal: Journal, pulses: int) -> None:
+        """Replay the journal of a whole compiled input, and compare its end with the chip."""
+        edges = np.concatenate(
+            list(journal.pieces(every_pulse=pulses <= self.FEW and chip.clock < self.FEW_CLOCKS, size=1024))
+        )
+        demand(bool((edges["clock"][1:] >= edges["clock"][:-1]).all()), "a course that runs back")
+        is_at = self.end_of_course(chip)
+        ends_at = {name: int(edges[-1][name]) for name in is_at}
+        for end in (is_at, ends_at):
+            end["outputs"] &= ~self.PULSED
+        demand(ends_at == is_at, f"a course that ends with {ends_at}, a chip with {is_at}")
 
     def most_work(self, chip: Chip, pulses: int) -> int:
         """The calls that `work` may have counted in one advance."""

@@ -6,24 +6,16 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
-import numpy as np
-
 from fuzzing.family import Family, Values, Work
-from fuzzing.promises import Finding, demand
 from stage.chips import Chip
 from stage.chips.hctl1100 import core, state
 from stage.chips.hctl1100.commutator import RING
 from stage.chips.hctl1100.timer import STEP, T
-from stage.chips.journal import Journal
 from stage.native import COMPILED
 
 LONG = 1 << 22  # clocks: a loop in motion works sample by sample
-LONGEST = STEP << 8  # clocks of a sample
-FEW = 1 << 18  # clocks: the edges of more are not looked for one by one
 MODES = (0x00, 0x08, 0x0B, 0x0D)  # position; F0, F3, F5 set
 RATES = (0.0, 1e-4, -1e-4, 0.003, -0.003, 0.1, -0.1, 0.5)  # counts a clock; the encoder's filter follows 1/3
-HALF = 1 << 23  # of the positions' range
-PORTS = range(-128, 128)
 
 
 @cache
@@ -42,6 +34,10 @@ def counted_core() -> Work:
 
 
 class HctlFamily(Family):
+    """The HCTL-1100: whole profiles, a shaft that turns, and the samples of its loop."""
+
+    FEW_CLOCKS = 1 << 18
+
     def __init__(self, chip: type[Chip]):
         super().__init__(chip)
         self.work = None if COMPILED else counted_core()
@@ -90,51 +86,15 @@ class HctlFamily(Family):
         c = chip.state
         idle = c["mode"] == state.IDLE
         if c["rate"] and c["reg"][RING]:
-            clocks = min(clocks, FEW)  # each count is an edge of the course, the phases'
+            clocks = min(clocks, self.FEW_CLOCKS)  # each count is an edge of the course, the phases'
         clocks = clocks if idle else min(clocks, LONG)
         shortest = STEP * (min(int(c["period"]), int(c["reg"][T])) + 1)
         self.most_samples = 0 if idle else clocks // shortest + 2
         return clocks
 
-    def check(self, chip: Any, values: Values) -> None:
-        super().check(chip, values)
-        c, pins = chip.state, chip.output_word(0)
-        held = (bool(pins & state.PROF), bool(pins & state.INIT))
-        if held != (bool(values["R07"] & 0x10), bool(values["R07"] & 0x20)):
-            raise Finding(f"R07 {values['R07']:02X}h, but the pins {pins:02X}h")
-        if not (c["port"] in PORTS and c["pwm"] in PORTS and c["drive"] in PORTS and c["output"] in PORTS):
-            raise Finding(f"motor commands {c['port']}, {c['pwm']}, {c['drive']}, {c['output']}")
-        for name in ("command", "latch"):
-            if not -HALF <= c[name] < 2 * HALF:
-                raise Finding(f"{name} {c[name]} has more than 24 bits")
-        if c["limited"] and c["mode"] != state.IDLE:
-            raise Finding("a mode goes on although LIMIT has triggered")
-        if not c["clock"] <= c["next"] and not c["held"]:
-            raise Finding(f"a sample was due at {c['next']}, at {c['clock']}")
-
-    def advanced(self, chip: Any, before: Any, after: Values, clocks: int, pulses: int) -> None:
-        demand(after["R00"] in (before["R00"], before["R00"] & ~state.F0), "clocks clear F0 and no other flag")
-        if clocks >= LONGEST and after["R00"] & state.F2 and chip.state["mode"] == state.CONTROL:
-            demand(chip.motor_command >= 0, f"a unipolar motor command of {chip.motor_command} after a sample")
-        if before["R00"] & state.F1:
-            changed = {name for name in before if before[name] != after[name]} - {"R0F", "R14"}
-            demand(not changed, f"clocks changed {changed} in Init/Idle")
-
-    def course(self, chip: Any, journal: Journal, pulses: int) -> None:
-        every = chip.clock < FEW
-        edges = np.concatenate(list(journal.pieces(every_pulse=every, size=1024)))
-        demand(bool((edges["clock"][1:] >= edges["clock"][:-1]).all()), "a course that runs back")
-        last = edges[-1]
-        is_at = (
-            chip.clock,
-            chip.net(),
-            chip.command_position,
-            chip.motor_command,
-            chip.output_word(0),
-            chip.input_word(0),
-        )
-        ends_at = tuple(int(last[name]) for name in ("clock", "net", "command", "motor", "outputs", "inputs"))
-        demand(ends_at == is_at, f"a course that ends with {ends_at}, a chip with {is_at}")
+    def end_of_course(self, chip: Any) -> dict[str, int]:
+        """Return the chip's own values."""
+        return super().end_of_course(chip) | {"command": chip.command_position, "motor": chip.motor_command}
 
     def most_work(self, chip: Any, pulses: int) -> int:
         """Samples of the loop, each once; in Init/Idle none."""

@@ -6,14 +6,10 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
-import numpy as np
-
 from fuzzing.family import Family, Values, Work
-from fuzzing.promises import Finding, demand
-from fuzzing.rows import finite, record
+from fuzzing.rows import record
 from stage.chips import Chip
 from stage.chips.chip import Pins
-from stage.chips.journal import Journal
 from stage.chips.nova import MCX514, core, lint, state
 from stage.chips.nova.functions import split_pulse, timer
 from stage.chips.nova.interpolation import circle as circular
@@ -25,11 +21,8 @@ from stage.native import COMPILED
 
 BYTES = 16  # byte addresses of the 8-bit bus
 OFF = 0xFFFFFFFF
-WORD = 1 << 32
 MODES, HOME_MODES = 0x20, 0x60  # codes
-SECOND = 16_000_000  # clocks; 1 pps is the slowest there is
 LONG = 1 << 18  # clocks, where work is by the tick
-FEW = 2000  # pulses: the edges of more are not looked for one by one
 SHARED_PINS = ("lmt_plus", "lmt_minus", "stop0", "stop1", "stop2")
 OWN_PINS = (("inpos", "alarm", "pio0"), ("eca", "ecb", "pio4"), ("inpos", "alarm", "pio1"), ("alarm", "pio5", "pio2"))
 """Of each axis, so that five bits tell them all; EMG of the chip takes the place of the very last one."""
@@ -80,6 +73,11 @@ def counted_core() -> Work:
 
 
 class NovaFamily(Family):
+    """NOVA chips: registers by commands, two data buses, and what the work of their cores may be."""
+
+    FEW = 2000
+    PULSED = state.PLS | state.DIR
+
     def __init__(self, chip: type[Chip]):
         super().__init__(chip)
         self.work = None if COMPILED else counted_core()
@@ -179,48 +177,6 @@ class NovaFamily(Family):
         axes = [c["ax"][j] for j in range(chip.AXES)]
         return bool(c["emg"]) or not (values_of(axes, "driving home interpolates sync triggered go"))
 
-    def check(self, chip: Chip, values: Values) -> None:
-        super().check(chip, values)
-        c, status = chip.state, values["RR0"]
-        for j in range(chip.AXES):
-            x, word = c["ax"][j], chip.output_word(j)
-            if bool(status >> j & 1) != bool(word & core.DRIVE):
-                raise Finding(f"RR0 {status:04X}h, but axis {j} has the pins {word:04X}h")
-            phases = [bool(word & bit) for bit in (core.ASND, core.CNST, core.DSND)]
-            if sum(phases) > (1 if word & core.DRIVE else 0):
-                raise Finding(f"axis {j} has the pins {word:04X}h")
-            if self.new and bool(status >> 4 + j & 1) != bool(x["causes"] & 0xFF):
-                raise Finding(f"RR0 {status:04X}h, but the errors of axis {j} are {x['causes']:04X}h")
-            if x["driving"] and x["interpolates"]:
-                raise Finding(f"axis {j} drives by itself and interpolates")
-            if x["driving"] and x["fixed"] and x["done"] >= x["output"]:
-                raise Finding(f"axis {j} drives on after {x['done']} of {x['output']} pulses")
-            if not -WORD < min(x["reg"]) <= max(x["reg"]) < WORD:
-                raise Finding(f"a register of axis {j} is too wide")
-            if x["driving"] and not all(finite(x[name]) for name in ("t", "p", "v", "a2", "j6")):
-                raise Finding(f"the profile of axis {j} is not of numbers")
-        taking = [j for j in range(chip.AXES) if c["ax"][j]["interpolates"]]
-        if bool(taking) != bool(c["interpolating"]):
-            raise Finding(f"interpolating {c['interpolating']}, the axes {taking}")
-        if c["interpolating"] and not c["ip"]["stepped"] and not 0 < c["ip"]["due"] - c["clock"] <= 2 * SECOND:
-            raise Finding(f"an interpolation whose next tick is due at {c['ip']['due']}, at {c['clock']}")
-        if self.new and not c["interpolating"] and status & 0xFF00:
-            raise Finding(f"RR0 {status:04X}h without an interpolation")
-
-    def seen(self, chip: Chip, values: Values) -> list[Before]:
-        return [Before(chip, j, self._forbidden(chip, j)) for j in range(chip.AXES)]
-
-    def _forbidden(self, chip: Chip, j: int) -> set[int]:
-        """The ways that limits forbid to an axis: those that are asserted, enabled, stop at once and are not filtered."""
-        x = chip.state["ax"][j]
-        w2, w3 = int(x["wr"][2]), int(x["wr"][3])
-        on = w2 & 0x0800 and not w2 & 0x1000 and not x["mode"][5] & 2 if self.new else not (w2 & 4 or w3 & 0x100)
-        inputs = chip.input_word(j)
-        ways = {1: inputs & state.LMT_PLUS, -1: inputs & state.LMT_MINUS}
-        if self.new and w3 & 0x1000:
-            ways = {1: ways[-1], -1: ways[1]}
-        return {way for way, there in ways.items() if on and there and not x["home"]}
-
     def clocks(self, chip: Chip, clocks: int) -> int:
         """Ticks of an interpolation, timings and turns of a ring are work, one by one."""
         c = chip.state
@@ -229,51 +185,9 @@ class NovaFamily(Family):
         works = rings or c["interpolating"] or values_of([c["ax"][j] for j in range(chip.AXES)], busy)
         return min(clocks, LONG) if works else clocks
 
-    def advanced(self, chip: Chip, before: Any, after: Values, clocks: int, pulses: int) -> None:
-        acts = bool(values_of([chip.state["ax"][j] for j in range(chip.AXES)], "home sync")) or any(
-            b.acts for b in before
-        )
-        way = 0
-        for j, b in enumerate(before):
-            x = chip.state["ax"][j]
-            moved, total = chip.net(j) - b.net, int(x["total"]) - b.total
-            way += total
-            demand(
-                abs(moved) <= total and 2 * (total - 1) <= clocks,
-                f"axis {j}: {total} pulses, moved {moved}, in {clocks} clocks",
-            )
-            demand(all(moved * f <= 0 for f in b.forbidden), f"axis {j}: {moved} pulses towards a limit")
-            if acts:
-                continue
-            lp, most = int(x["reg"][state.LP]), b.ring
-            if most == OFF:
-                demand((lp - b.lp - moved) % WORD == 0, f"axis {j}: LP {b.lp} to {lp}, but it moved {moved}")
-            elif 0 <= b.lp <= most:
-                demand(
-                    lp == (b.lp + moved) % (most + 1), f"axis {j}: LP {b.lp} to {lp} of {most}, but it moved {moved}"
-                )
-            if b.fixed and not x["driving"] and not x["causes"] and not b.slow:
-                demand(int(x["done"]) == b.output, f"axis {j}: an end after {x['done']} of {b.output} pulses")
-                demand(total == b.left, f"axis {j}: {total} pulses, where {b.left} were left")
-            if b.driving and x["driving"] and clocks > SECOND + 1:
-                demand(total > 0, f"axis {j}: n-DRV without a pulse in {clocks} clocks")
-        demand(way == pulses, f"{pulses} pulses, {way} of all axes")
-
-    def course(self, chip: Chip, journal: Journal, pulses: int) -> None:
-        edges = np.concatenate(list(journal.pieces(every_pulse=pulses <= FEW, size=1024)))
-        demand(bool((edges["clock"][1:] >= edges["clock"][:-1]).all()), "a course that runs back")
-        last = edges[-1]
-        is_at = (
-            chip.clock,
-            chip.net(0),
-            int(chip.state["ax"][0]["reg"][state.LP]),
-            chip.output_word(0),
-            chip.input_word(0),
-        )
-        ends_at = tuple(int(last[name]) for name in ("clock", "net", "counter", "outputs", "inputs"))
-        pulsed = state.PLS | state.DIR  # carry pulses, which a course has as entries of their own
-        ends_at, is_at = ((*of[:3], of[3] & ~pulsed, of[4]) for of in (ends_at, is_at))
-        demand(ends_at == is_at, f"a course that ends with {ends_at}, a chip with {is_at}")
+    def end_of_course(self, chip: Chip) -> dict[str, int]:
+        """Return the chip's own values. PLS and DIR carry pulses, which a course has as entries of their own."""
+        return super().end_of_course(chip) | {"counter": int(chip.state["ax"][0]["reg"][state.LP])}
 
     def most_work(self, chip: Chip, pulses: int) -> int:
         """Rounds of events. What may cause one is an event that is noted, a segment of a speed profile, a tick of an
@@ -281,18 +195,6 @@ class NovaFamily(Family):
         rings = [int(chip.state["ax"][j]["reg"][state.LX]) for j in range(chip.AXES)] if self.new else [OFF]
         turns = sum(pulses // (ring + 1) for ring in rings if ring >= 0)
         return 3 * self.work.steps + 10 * turns + 64  # type: ignore[union-attr]
-
-
-class Before:
-    """What is remembered of an axis before an advance."""
-
-    def __init__(self, chip: Chip, j: int, forbidden: set[int]):
-        x = chip.state["ax"][j]
-        self.net, self.total, self.forbidden = chip.net(j), int(x["total"]), forbidden
-        self.lp, self.ring = int(x["reg"][state.LP]), int(x["reg"][state.LX]) if chip.state["variant"] else OFF
-        self.driving, self.slow, self.acts = bool(x["driving"]), bool(x["slow"]), bool(x["home"] or x["sync"])
-        self.fixed, self.output = bool(x["driving"] and x["fixed"]), int(x["output"])
-        self.left = self.output - int(x["done"])
 
 
 def values_of(axes: list, names: str) -> bool:

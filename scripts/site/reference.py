@@ -22,7 +22,7 @@ PACKAGES = [
 def write(pages: Path) -> dict[str, list[tuple[str, str]]]:
     """Write them; returns the pages, as (title, path), of each group of the navigation."""
     folder = pages / "reference"
-    folder.mkdir()
+    folder.mkdir(exist_ok=True)
     (folder / "command_line.md").write_text(command_line())
     made: dict[str, list[tuple[str, str]]] = {"Register maps": [], "Python": []}
     for line in CHIPS.listed():
