@@ -14,25 +14,25 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from stage import Stage
-from stage.envs import keeping
-from stage.envs.entries import Entry
-from stage.envs.keeping import EnvSnapshot
+from stage.envs import env_snapshots
+from stage.envs.env_snapshots import EnvSnapshot
+from stage.envs.features import Feature
 from stage.envs.results import DIVERGED as DIVERGED
 from stage.envs.settings import Number
-from stage.envs.task import MoveTask, Task, checked, configured
+from stage.envs.task import MoveTask, Task, check_action, make_config
 from stage.errors import ArgumentError, unknown
 from stage.support.snapshots import Header
 
 RENDER_MODES = ("rgb_array", "rgb_array_list", "human")
 FPS = 30  # of simulated time
 WIDTH, HEIGHT = 640, 480
-OF_ONE = ("render_mode", "camera", "record", "render_every")
-OF_VECTOR = ("num_envs", "threads", "autoreset_mode", "render_mode")
+ENV_SETTINGS = ("render_mode", "camera", "record", "render_every")
+VECTOR_SETTINGS = ("num_envs", "threads", "autoreset_mode", "render_mode")
 """Settings of the scalar and of the vector environment beside those of the task."""
-EVERY = Number(low=1e-4, high=1e3)  # s, between frames
+FRAME_INTERVAL = Number(low=1e-4, high=1e3)  # s, between frames
 
 
-def _options(task: type[Task], options: Mapping[str, Any] | None, more: Sequence[str] = ()) -> dict[str, Any]:
+def _check_options(task: type[Task], options: Mapping[str, Any] | None, more: Sequence[str] = ()) -> dict[str, Any]:
     """The options of a reset; ArgumentError for one that is neither the task's nor one of `more`."""
     known = [*task.OPTIONS, *more]
     if not isinstance(options, Mapping | None):
@@ -43,7 +43,7 @@ def _options(task: type[Task], options: Mapping[str, Any] | None, more: Sequence
     return dict(options or {})
 
 
-def _seeds(seed: Any, n: int) -> list[int | None]:
+def _spread_seeds(seed: Any, n: int) -> list[int | None]:
     """Of each environment: from one seed s the seeds s, s + 1, ..."""
     if seed is None or isinstance(seed, int | np.integer):
         return [None if seed is None else int(seed) + k for k in range(n)]
@@ -56,15 +56,15 @@ def _seeds(seed: Any, n: int) -> list[int | None]:
     return [None if s is None else int(s) for s in seed]
 
 
-class _OfTask:
+class _TaskAccess:
     """What the scalar and the vector environment say of their task alike."""
 
     _task: Task
 
     @property
-    def entries(self) -> list[Entry]:
-        """What each number of one environment's observation is, and whether a host could know it: see entries.py."""
-        return self._task.entries
+    def observation_features(self) -> list[Feature]:
+        """What each number of one environment's observation is, and whether a host could know it: see features.py."""
+        return self._task.observation_features
 
     @property
     def task_instance(self) -> Task:
@@ -72,17 +72,17 @@ class _OfTask:
         return self._task
 
     @property
-    def told(self) -> tuple[Entry, ...]:
+    def info_features(self) -> tuple[Feature, ...]:
         """What `info` tells beside the observation, and whether a host could know it."""
-        return (*self._task.TOLD,)
+        return (*self._task.INFO,)
 
     @property
     def header(self) -> Header:
         """What its snapshots are taken of, in words."""
-        return keeping.header(self._task)
+        return env_snapshots.make_header(self._task)
 
 
-class StageEnv(_OfTask, gymnasium.Env[np.ndarray, Any]):
+class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
     """One stage under a task.
 
     Args:
@@ -111,19 +111,19 @@ class StageEnv(_OfTask, gymnasium.Env[np.ndarray, Any]):
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise unknown("render mode", render_mode, RENDER_MODES)
         if render_every is not None:
-            EVERY.check("render_every", render_every)
+            FRAME_INTERVAL.check("render_every", render_every)
         self.render_mode, self._camera, self._record = render_mode, camera, record
-        self._every, self._latest = render_every, 0.0
+        self._frame_interval, self._last_frame_time = render_every, 0.0
         self.metadata = {**type(self).metadata, "render_fps": max(1, round(1 / (render_every or 1 / FPS)))}
         self._task = self.task(
-            1, configured(self.task, settings, OF_ONE), 1, visuals=render_mode is not None or record is not None
+            1, make_config(self.task, settings, ENV_SETTINGS), 1, visuals=render_mode is not None or record is not None
         )
         self.action_space, self.observation_space = self._task.action_space, self._task.observation_space
-        self._over, self._begun = True, False
+        self._over, self._has_begun = True, False
         self._viewer: Any = None
         self._recording: Any = None
         self._episode = 0
-        self._seen: list[np.ndarray] = []  # qpos of the frames that `render` will give
+        self._frames: list[np.ndarray] = []  # qpos of the frames that `render` will give
         self._end: np.ndarray | None = None  # of the last step, where the task has moved the stage since
 
     @property
@@ -136,96 +136,96 @@ class StageEnv(_OfTask, gymnasium.Env[np.ndarray, Any]):
         """The stage itself, for inspection."""
         return self._task.stages[0]
 
-    def scripted(self) -> Any:
+    def scripted_action(self) -> Any:
         """The next action by a host that learns nothing, where the task has one; ArgumentError where not."""
-        return self._task.scripted()[0]
+        return self._task.scripted_action()[0]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         super().reset(seed=seed)
-        options = _options(self.task, options)
+        options = _check_options(self.task, options)
         self._save_recording()
         self._task.rngs[0] = self.np_random
-        self._task.restart(0, options)
-        self._over, self._begun = False, True
+        self._task.reset_stage(0, options)
+        self._over, self._has_begun = False, True
         self._start_recording()
-        self._seen.clear()
-        self._latest = self.stage.time
-        self._show(self.stage.data.qpos[None], None)
-        self._task.observe()
-        return self._task.observations[0].copy(), self._task.told(0)
+        self._frames.clear()
+        self._last_frame_time = self.stage.time
+        self._add_frames(self.stage.data.qpos[None], None)
+        self._task.update_observations()
+        return self._task.observations[0].copy(), self._task.reset_info(0)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         if self._over:
             raise ArgumentError("the episode is over: call reset() first.")
         task = self._task
-        task.take(0, action)
-        self._play()
+        task.set_action(0, action)
+        self._play_step()
         if task.RESTARTS:
             self._save_recording()
-        task.renew()
+        task.prepare_next()
         if task.RESTARTS:
             self._start_recording()
-        task.observe()
-        reward, terminated, truncated, info = task.results.row(0)
+        task.update_observations()
+        reward, terminated, truncated, info = task.results.read_row(0)
         self._over = terminated or truncated
         return task.observations[0].copy(), reward, terminated, truncated, info
 
     def snapshot(self) -> EnvSnapshot:
-        """All that the episode is, for `restore`; see keeping.py. Raises ArgumentError before the first reset."""
-        keeping.begun([self._begun])
-        return keeping.taken(self._task, (self._over, self._np_random_seed, self._end))
+        """All that the episode is, for `restore`; see env_snapshots.py. Raises ArgumentError before the first reset."""
+        env_snapshots.require_episodes([self._has_begun])
+        return env_snapshots.take_snapshot(self._task, (self._over, self._np_random_seed, self._end))
 
     def restore(self, snapshot: EnvSnapshot) -> None:
         """Continue from `snapshot`, bit for bit, as often as wanted: the next step is the one that followed it.
 
         Raises ArgumentError for a snapshot of an environment with other settings or a damaged one, StageError with record=.
         """
-        self._over, self._np_random_seed, self._end = keeping.restored(self._task, snapshot)
-        self._np_random, self._begun = self._task.rngs[0], True
+        self._over, self._np_random_seed, self._end = env_snapshots.restore_snapshot(self._task, snapshot)
+        self._np_random, self._has_begun = self._task.rngs[0], True
 
-    def _play(self) -> None:
+    def _play_step(self) -> None:
         """The step itself, and how it looks."""
         task = self._task
         if self.render_mode is None:
-            task.act()
+            task.play()
         elif not isinstance(task, MoveTask):
-            task.act()
-            if self._every is None or self.stage.time >= self._latest + self._every - 1e-9:
-                self._latest = self.stage.time
-                self._show(self.stage.data.qpos[None], None)
+            task.play()
+            if self._frame_interval is None or self.stage.time >= self._last_frame_time + self._frame_interval - 1e-9:
+                self._last_frame_time = self.stage.time
+                self._add_frames(self.stage.data.qpos[None], None)
         else:
-            frames = self._filmed()
-            self._show(frames, frames[-1].copy())
+            frames = self._film_move()
+            self._add_frames(frames, frames[-1].copy())
 
-    def _filmed(self) -> np.ndarray:
+    def _film_move(self) -> np.ndarray:
         """Play a whole move. Returns the qpos to show, (frames, nq), the last at its end."""
         if self.render_mode == "rgb_array":
-            self._task.act()
+            self._task.play()
             return self.stage.data.qpos[None]
         from stage.envs.rendering import Film
 
-        begin, film = self.stage.data.qpos.copy(), Film(self.stage, self._every or 1 / FPS)
+        begin, film = self.stage.data.qpos.copy(), Film(self.stage, self._frame_interval or 1 / FPS)
         try:
-            self._task.act()
+            self._task.play()
         finally:
             frames = film.end()
-        shown = self._seen and (begin == self._seen[-1]).all()
+        shown = self._frames and (begin == self._frames[-1]).all()
         return frames if shown else np.concatenate([begin[None], frames])
 
-    def _show(self, frames: np.ndarray, end: np.ndarray | None) -> None:
+    def _add_frames(self, frames: np.ndarray, end: np.ndarray | None) -> None:
         """There are frames to see, (frames, nq); the last is where the stage is, or is `end` if it will be elsewhere."""
         self._end = end
         if self.render_mode == "rgb_array_list":
-            self._seen += list(frames.copy())
+            self._frames += list(frames.copy())
         elif self.render_mode == "human":
             for k, qpos in enumerate(frames):
                 if k:
-                    time.sleep(self._every or 1 / FPS)
-                self._looking().frame(qpos)
+                    time.sleep(self._frame_interval or 1 / FPS)
+                self._open_viewer().frame(qpos)
 
-    def _looking(self) -> Any:
+    def _open_viewer(self) -> Any:
         if self._viewer is None:
             from stage.envs.rendering import viewer
 
@@ -237,10 +237,10 @@ class StageEnv(_OfTask, gymnasium.Env[np.ndarray, Any]):
         if self.render_mode is None:
             return None
         if self.render_mode == "rgb_array_list":
-            frames = [self._looking().frame(qpos) for qpos in self._seen]
-            self._seen.clear()
+            frames = [self._open_viewer().frame(qpos) for qpos in self._frames]
+            self._frames.clear()
             return frames
-        return self._looking().frame(self._end)
+        return self._open_viewer().frame(self._end)
 
     def close(self) -> None:
         self._save_recording()
@@ -265,7 +265,7 @@ class StageEnv(_OfTask, gymnasium.Env[np.ndarray, Any]):
         return self.__dict__ | {"_viewer": None, "_recording": None}
 
 
-class StageVectorEnv(_OfTask, VectorEnv[np.ndarray, Any, np.ndarray]):
+class StageVectorEnv(_TaskAccess, VectorEnv[np.ndarray, Any, np.ndarray]):
     """Many stages under a task, on threads, without the GIL: the same bits as as many scalar environments.
 
     Args:
@@ -291,7 +291,7 @@ class StageVectorEnv(_OfTask, VectorEnv[np.ndarray, Any, np.ndarray]):
         self.num_envs, self.render_mode = int(num_envs), None
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        self._task = self.task(self.num_envs, configured(self.task, settings, OF_VECTOR), threads)
+        self._task = self.task(self.num_envs, make_config(self.task, settings, VECTOR_SETTINGS), threads)
         self.single_action_space = self._task.action_space
         self.single_observation_space = self._task.observation_space
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -304,37 +304,37 @@ class StageVectorEnv(_OfTask, VectorEnv[np.ndarray, Any, np.ndarray]):
         """The stages themselves."""
         return self._task.stages
 
-    def scripted(self) -> np.ndarray:
+    def scripted_action(self) -> np.ndarray:
         """The next actions by a host that learns nothing, where the task has one; ArgumentError where not."""
-        return self._task.scripted()
+        return self._task.scripted_action()
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        options = _options(self.task, options, ["reset_mask"])
+        options = _check_options(self.task, options, ["reset_mask"])
         mask = options.pop("reset_mask", np.ones(self.num_envs, bool))
         self._check_mask(mask)
-        seeds = _seeds(seed, self.num_envs)
+        seeds = _spread_seeds(seed, self.num_envs)
         infos: dict[str, Any] = {}
         for k in np.flatnonzero(mask).tolist():
             if seeds[k] is not None or not self._seeded[k]:
                 self._task.rngs[k], _ = seeding.np_random(seeds[k])
                 self._seeded[k] = True
-            self._task.restart(k, options)
-            infos = self._add_info(infos, self._task.told(k), k)
+            self._task.reset_stage(k, options)
+            infos = self._add_info(infos, self._task.reset_info(k), k)
         self._over[mask] = False
-        self._task.observe()
+        self._task.update_observations()
         return self._task.observations.copy(), infos
 
     def snapshot(self) -> EnvSnapshot:
-        """All that the episodes of all stages are, for `restore`; see keeping.py. Raises ArgumentError before the first reset."""
-        keeping.begun(self._seeded)
-        return keeping.taken(self._task, self._over)
+        """Take a snapshot of the episodes of all stages, for `restore`. Raises ArgumentError before the first reset."""
+        env_snapshots.require_episodes(self._seeded)
+        return env_snapshots.take_snapshot(self._task, self._over)
 
     def restore(self, snapshot: EnvSnapshot) -> None:
         """Continue from `snapshot`, bit for bit, as often as wanted. Raises ArgumentError for a snapshot of a vector with other
         settings or another number of stages, or a damaged one."""
-        self._over = keeping.restored(self._task, snapshot).copy()
+        self._over = env_snapshots.restore_snapshot(self._task, snapshot).copy()
         self._seeded[:] = True
 
     def step(self, actions: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
@@ -343,25 +343,25 @@ class StageVectorEnv(_OfTask, VectorEnv[np.ndarray, Any, np.ndarray]):
             k = int(np.argmax(self._over))
             raise ArgumentError(f"the episode of environment {k} is over: reset it first (options reset_mask).")
         task, active = self._task, self._task.active
-        task.actions[...] = checked(self.action_space, actions)
+        task.actions[...] = check_action(self.action_space, actions)
         active[...] = ~self._over
         infos: dict[str, Any] = {}
         for k in np.flatnonzero(self._over).tolist():
-            task.restart(k, {})
-            infos = self._add_info(infos, task.told(k), k)
+            task.reset_stage(k, {})
+            infos = self._add_info(infos, task.reset_info(k), k)
         rewards, ends = np.zeros(self.num_envs), np.zeros((2, self.num_envs), bool)
         if active.any():
-            task.act()
+            task.play()
             rewards[active] = task.results["reward"][active]
             ends[:, active] = task.results["terminated"][active], task.results["truncated"][active]
-            _join(infos, task.results.columns(active))
-            task.renew()
-        task.observe()
+            _join_columns(infos, task.results.read_columns(active))
+            task.prepare_next()
+        task.update_observations()
         observations = task.observations.copy()
         self._over = ends[0] | ends[1]
         if mode == AutoresetMode.SAME_STEP and self._over.any():
             infos = self._same_step(infos, observations)
-            task.observe()
+            task.update_observations()
             observations[self._over] = task.observations[self._over]
             self._over = np.zeros(self.num_envs, bool)
         return observations, rewards, ends[0], ends[1], infos
@@ -374,8 +374,8 @@ class StageVectorEnv(_OfTask, VectorEnv[np.ndarray, Any, np.ndarray]):
             info = info_of(last, k)
             if self._over[k]:
                 kept = self._add_info(kept, {"final_obs": observations[k].copy(), "final_info": info}, k)
-                self._task.restart(k, {})
-                info = self._task.told(k)
+                self._task.reset_stage(k, {})
+                info = self._task.reset_info(k)
             kept = self._add_info(kept, info, k)
         return kept
 
@@ -393,12 +393,12 @@ class StageVectorEnv(_OfTask, VectorEnv[np.ndarray, Any, np.ndarray]):
             self._task.close()
 
 
-def _plain(value: Any) -> Any:
+def _to_python(value: Any) -> Any:
     """A number as Python's, an array as one of its own."""
     return value.item() if isinstance(value, np.generic) else value.copy() if isinstance(value, np.ndarray) else value
 
 
-def _join(infos: dict[str, Any], columns: dict[str, Any]) -> None:
+def _join_columns(infos: dict[str, Any], columns: dict[str, Any]) -> None:
     """Add columns to a vector's infos, in which other environments may have the same names."""
     for name in [n for n in columns if n in infos and f"_{n}" in infos]:
         whose = infos[f"_{name}"]
@@ -410,7 +410,7 @@ def _join(infos: dict[str, Any], columns: dict[str, Any]) -> None:
 def info_of(infos: Mapping[str, Any], k: int) -> dict[str, Any]:
     """Environment k's info out of a vector's."""
     return {
-        name: info_of(v, k) if isinstance(v, dict) else _plain(v[k])
+        name: info_of(v, k) if isinstance(v, dict) else _to_python(v[k])
         for name, v in infos.items()
         if not name.startswith("_") and infos[f"_{name}"][k]
     }

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from stage.envs import contexts
-from stage.envs.entries import HOST, Entry
+from stage.envs.features import HOST, Feature
 from stage.envs.machines import MachineTask
-from stage.envs.macros import OTHERS, RATES, Book
+from stage.envs.macros import OTHERS, RATES, MacroTable
 from stage.native import record
 from stage.sim.fleet import Played
 from stage.support import portable
@@ -41,71 +41,73 @@ class BusHost(MachineTask[Any]):
 
     axes: list[Any]
     wired: list[list[int]]
-    book: Book
+    book: MacroTable
     axis_states: np.ndarray
     episodes: np.ndarray
     _valid: np.ndarray
-    SEEN = (
-        Entry("known", HOST, "1 if the origin of the selected axis is known"),
-        Entry("running", HOST, "1 if it was started and not waited for"),
-        Entry("fresh", HOST, "1 while what was read of it is still true"),
-        Entry("rates", HOST, "that are written, one of 3"),
-        Entry("distance", HOST, "that is written, one of those of the grid"),
-        Entry("left", HOST, "way to the target as last read / the longest; 0 while the origin is not known"),
-        Entry("left_log", HOST, "likewise, by its logarithm with its sign"),
-        *(Entry(name, HOST, f"1 if {name} was asserted when last read") for name in SWITCHES),
-        Entry("used", HOST, "1 if it takes part", "axis"),
-        Entry("selected", HOST, "1 if macros act on it", "axis"),
-        Entry("moves", HOST, "1 if it was started and not waited for", "axis"),
-        Entry("arrived", HOST, "1 if its origin is known and no way is left, as last read", "axis"),
-        Entry("level", HOST, "/ 3"),
-        Entry("macros", HOST, "left / `macros`"),
-        Entry("time", HOST, "left / `time_limit`"),
-        *contexts.SHOWN,
+    OBSERVATION = (
+        Feature("known", HOST, "1 if the origin of the selected axis is known"),
+        Feature("running", HOST, "1 if it was started and not waited for"),
+        Feature("fresh", HOST, "1 while what was read of it is still true"),
+        Feature("rates", HOST, "that are written, one of 3"),
+        Feature("distance", HOST, "that is written, one of those of the grid"),
+        Feature("left", HOST, "way to the target as last read / the longest; 0 while the origin is not known"),
+        Feature("left_log", HOST, "likewise, by its logarithm with its sign"),
+        *(Feature(name, HOST, f"1 if {name} was asserted when last read") for name in SWITCHES),
+        Feature("used", HOST, "1 if it takes part", "axis"),
+        Feature("selected", HOST, "1 if macros act on it", "axis"),
+        Feature("moves", HOST, "1 if it was started and not waited for", "axis"),
+        Feature("arrived", HOST, "1 if its origin is known and no way is left, as last read", "axis"),
+        Feature("level", HOST, "/ 3"),
+        Feature("macros", HOST, "left / `macros`"),
+        Feature("time", HOST, "left / `time_limit`"),
+        *contexts.OBSERVATION,
     )
 
-    def layout(self) -> list[Entry]:
-        of_axes = [e for e in self.SEEN if e.each]
-        at = self.SEEN.index(of_axes[0])
+    def layout(self) -> list[Feature]:
+        of_axes = [e for e in self.OBSERVATION if e.each]
+        at = self.OBSERVATION.index(of_axes[0])
         often = {"rates": len(RATES), "distance": len(self.config.grid)}
-        one = [e for e in self.SEEN[:at] for _ in range(often.get(e.name, 1))]
-        return [*one, *of_axes * len(self.axes), *self.SEEN[at + len(of_axes) :]]
+        one = [e for e in self.OBSERVATION[:at] for _ in range(often.get(e.name, 1))]
+        return [*one, *of_axes * len(self.axes), *self.OBSERVATION[at + len(of_axes) :]]
 
     # --- macros ---
 
     @property
-    def used(self) -> np.ndarray:
+    def uses_axis(self) -> np.ndarray:
         """Which axes take part, (n, m) bool."""
         return (np.arange(len(self.axes)) == 0) | (self.episodes["level"] >= 2)[:, None]
 
-    def masks(self) -> np.ndarray:
+    def action_masks(self) -> np.ndarray:
         """What has an effect now, (n, actions) int8."""
-        s, c, e = self.written, self.config, self.episodes
+        s, c, e = self.selected_state, self.config, self.episodes
         idle = s["running"] == 0
         able = idle & (s["rates"] >= 0) & (s["distance"] >= 0)
         columns = [
             *(idle & (s["rates"] != r) for r in range(len(RATES))), *(idle & (s["distance"] != d) for d in range(len(c.grid))),
             able, able, idle & (e["level"] == 3), ~idle, s["fresh"] == 0,
-            *(self.used[:, a] & (e["selected"] != a) for a in range(len(self.axes))),
+            *(self.uses_axis[:, a] & (e["selected"] != a) for a in range(len(self.axes))),
         ]  # fmt: skip
         return np.stack(columns, axis=1).astype(np.int8)
 
     @property
-    def written(self) -> np.ndarray:
+    def selected_state(self) -> np.ndarray:
         """What the host remembers of the axis that is selected, (n,)."""
         return self.axis_states[np.arange(self.n), self.episodes["selected"]]
 
-    def programs(self) -> np.ndarray:
-        chosen, every = self.actions, np.arange(self.n)
-        self._valid = self.masks()[every, chosen] != 0
-        return self.book.programs(chosen, self.episodes["selected"], self.written, self._valid & self.active)
+    def make_programs(self) -> np.ndarray:
+        to_registers, every = self.actions, np.arange(self.n)
+        self._valid = self.action_masks()[every, to_registers] != 0
+        return self.book.programs(
+            to_registers, self.episodes["selected"], self.selected_state, self._valid & self.active
+        )
 
     # --- what it remembers and sees ---
 
-    def _remember(self, played: Played, t: np.ndarray) -> None:
+    def _update_memory(self, played: Played, t: np.ndarray) -> None:
         """What the host knows after the macros that were played."""
-        done = self._valid & self.sound
-        for kind, mine in self.book.of_kind.items():
+        done = self._valid & self.converged
+        for kind, mine in self.book.is_kind.items():
             rows = np.flatnonzero(done & mine[self.actions])
             if not len(rows):
                 continue
@@ -123,7 +125,7 @@ class BusHost(MachineTask[Any]):
             elif kind == "read":
                 self._read(s, t[rows, axis], axis)
             else:
-                self._homed(s, played.results[rows], t[rows, axis], axis)
+                self._store_home(s, played.results[rows], t[rows, axis], axis)
             self.axis_states[rows, axis] = s
 
     def _read(self, s: np.ndarray, t: np.ndarray, axis: np.ndarray) -> None:
@@ -132,15 +134,15 @@ class BusHost(MachineTask[Any]):
         for j, name in enumerate(SWITCHES):
             s[name] = t["inputs"] & pins[:, j] != 0
 
-    def _homed(self, s: np.ndarray, results: np.ndarray, t: np.ndarray, axis: np.ndarray) -> None:
+    def _store_home(self, s: np.ndarray, results: np.ndarray, t: np.ndarray, axis: np.ndarray) -> None:
         for a in np.unique(axis):
             mine = axis == a
-            s["known"][mine] = self.book.found(int(a), results[mine])
+            s["known"][mine] = self.book.found_origin(int(a), results[mine])
         s["zero"], s["rates"], s["distance"] = t["pulses"], -1, -1
         self._read(s, t, axis)
 
-    def observed(self) -> np.ndarray:
-        c, s, e, every, used = self.config, self.axis_states, self.episodes, self.written, self.used
+    def compute_observations(self) -> np.ndarray:
+        c, s, e, every, used = self.config, self.axis_states, self.episodes, self.selected_state, self.uses_axis
         ways = np.where(s["known"] != 0, s["target"] - (s["seen"] - s["zero"]), 0)
         left = ways[np.arange(self.n), e["selected"]]
         log = np.sign(left) * portable.log1p(np.abs(left) / c.grid[0]) / portable.log1p(2 * c.longest / c.grid[0])
@@ -154,23 +156,23 @@ class BusHost(MachineTask[Any]):
         time = (e["before"] - e["began"]) * 1e-9
         rest = [e["level"] / 3.0, 1.0 - self.steps / c.macros, 1.0 - time / c.time_limit]
         columns = [np.stack(one, axis=1), of_axes.reshape(self.n, -1), np.stack(rest, axis=1)]
-        return np.clip(np.concatenate([*columns, self.placed], axis=1), -1.0, 1.0).astype(np.float32)
+        return np.clip(np.concatenate([*columns, self.machine_features], axis=1), -1.0, 1.0).astype(np.float32)
 
     # --- a host ---
 
-    def scripted(self) -> np.ndarray:
+    def scripted_action(self) -> np.ndarray:
         """The next action of a host that goes to the target by the longest distances of the grid, one axis after the other."""
-        return np.array([self._next(k) for k in range(self.n)], np.int64)
+        return np.array([self._next_action(k) for k in range(self.n)], np.int64)
 
-    def _next(self, k: int) -> int:
+    def _next_action(self, k: int) -> int:
         c, selected = self.config, int(self.episodes[k]["selected"])
         at = {name: j for j, name in enumerate((*RATES, *c.grid, *OTHERS))}
         for a, s in enumerate(self.axis_states[k]):
             left = int(s["target"] - (s["seen"] - s["zero"]))
-            if not self.used[k, a] or (s["known"] and left == 0 and s["fresh"]):
+            if not self.uses_axis[k, a] or (s["known"] and left == 0 and s["fresh"]):
                 continue
             if a != selected:
-                return self.book.per + a
+                return self.book.macros_per_axis + a
             if s["running"]:
                 return at["wait"]
             if not s["fresh"]:
@@ -183,4 +185,4 @@ class BusHost(MachineTask[Any]):
             if s["distance"] != wanted:
                 return at[c.grid[wanted]]
             return at["minus" if s["known"] and left < 0 else "plus"]
-        return int(np.argmax(self.masks()[k]))
+        return int(np.argmax(self.action_masks()[k]))

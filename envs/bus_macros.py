@@ -52,25 +52,25 @@ from typing import Annotated, Any
 import gymnasium
 import numpy as np
 
-from stage.envs import contexts, faulty, score
+from stage.envs import contexts, faulty
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.bus_host import AXIS, EPISODE, SWITCHES, BusHost
-from stage.envs.entries import HOST, TRUTH, Entry
-from stage.envs.machines import Machines
-from stage.envs.macros import RATES, Book
-from stage.envs.results import result
+from stage.envs.features import HOST, TRUTH, Feature
+from stage.envs.machines import MachineSettings
+from stage.envs.macros import RATES, MacroTable
+from stage.envs.results import SCORE_FEATURE, write_scores
 from stage.envs.settings import Count, Discount, Each, Flag, Names, Number, Positive, Seconds, Weight, Word
-from stage.envs.trial import closed_form
+from stage.envs.trial import compute_move_time
 from stage.errors import ArgumentError, unknown
 from stage.sim.fleet import Played
 from stage.support import portable
 
 LEVELS = ("move", "target", "axes", "origin")
-BEFORE = 1_000  # pulses on the far side of ORG at which "origin" may begin, at most
+MAX_BEFORE_ORIGIN = 1_000  # pulses on the far side of ORG at which "origin" may begin, at most
 
 
 @dataclass(frozen=True)
-class Config(Machines):
+class Config(MachineSettings):
     """Settings of BusMacros, beside those of hidden machines."""
 
     FAULTS = (*faulty.HAMPERING, "bounce")
@@ -110,21 +110,22 @@ class BusMacros(BusHost):
     Config = Config
     OPTIONS = ("level", "targets", *contexts.OPTIONS)
     """level: 0 to 3 or its name; targets: {axis: pulses, signed}; and parts of the machine."""
+    PARTS = ("progress", "cost", "success", "damage", "failed")
     STATE = ("context", "axis_states", "episodes")
-    TOLD = (
-        Entry("level", HOST, "of the episode, 0 to 3"),
-        Entry("action_mask", HOST, "int8, 1 for an action that has an effect"),
-        *contexts.ENTRIES,
-        Entry("elapsed", HOST, "s since the episode began"),
-        Entry("masked", HOST, "the action had no effect"),
-        Entry("success", TRUTH, "every axis stands at its target"),
-        Entry("error", TRUTH, "pulses, the largest of the axes' errors"),
-        Entry("lost_steps", TRUTH, "full steps, of all axes"),
-        score.ENTRY,
+    INFO = (
+        Feature("level", HOST, "of the episode, 0 to 3", kind=int),
+        Feature("action_mask", HOST, "int8, 1 for an action that has an effect", kind=np.int8),
+        *contexts.INFO,
+        Feature("elapsed", HOST, "s since the episode began", kind=float),
+        Feature("masked", HOST, "the action had no effect", kind=bool),
+        Feature("success", TRUTH, "every axis stands at its target", kind=bool),
+        Feature("error", TRUTH, "pulses, the largest of the axes' errors", kind=float),
+        Feature("lost_steps", TRUTH, "full steps, of all axes", kind=int),
+        SCORE_FEATURE,
     )
 
     @property
-    def slides(self) -> tuple[str, ...]:
+    def axis_names(self) -> tuple[str, ...]:
         return self.config.axes
 
     def prepare(self) -> None:
@@ -135,23 +136,19 @@ class BusMacros(BusHost):
         self.way = np.array([a.meters_per_pulse * np.sign(a.gear) for a in self.axes])
         self.per_pulse = np.abs(self.way)
         self.full_step = np.array([0.5 * np.pi / (_motor(a).rotor_teeth * a.gear) for a in self.axes])
-        self.origin = np.array([self._origin(a) for a in self.axes])
+        self.origin = np.array([self._find_origin(a) for a in self.axes])
         self.turn = np.array([2 * np.pi / (_motor(a).rotor_teeth * abs(a.gear)) for a in self.axes])
         self.wired = [[a.chip.wired(pin) for pin in SWITCHES] for a in self.axes]
-        self.ready()
+        self.prepare_machines()
         self.top = LEVELS.index(c.level)
-        self.book = Book(self.axes, c.grid, c.patience, c.settle)
+        self.book = MacroTable(self.axes, c.grid, c.patience, c.settle)
         self.names = self.book.names
         self.action_space = gymnasium.spaces.Discrete(len(self.names))
-        self.observation_space = self.seen()
-        self.result = result(
-            ("progress", "cost", "success", "damage", "failed"), scored=True,
-            level=int, action_mask=(np.int8, (len(self.names),)), **contexts.INFO, elapsed=float,
-            masked=bool, success=bool, error=float, lost_steps=int,
-        )  # fmt: skip
+        self.observation_space = self.make_observation_space()
+        self.shapes = {"action_mask": (len(self.names),)}
         self.episodes, self.axis_states = np.zeros(n, EPISODE), np.zeros((n, m), AXIS)
 
-    def _origin(self, axis: Any) -> float:
+    def _find_origin(self, axis: Any) -> float:
         """Where ORG trips, m."""
         at = {s.pin: s.touch for s in axis.plant.switches}
         if any(pin not in at for pin in SWITCHES):
@@ -160,22 +157,22 @@ class BusMacros(BusHost):
 
     # --- episodes ---
 
-    def begin(self, k: int, options: Mapping[str, Any]) -> None:
+    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
         c, rng, m = self.config, self.rngs[k], len(self.axes)
         drawn = int(rng.integers(0, self.top + 1)) if c.mixed else self.top
-        level = self._level(options.get("level", drawn))
+        level = self._parse_level(options.get("level", drawn))
         used = m if level >= 2 else 1
-        self.draw(k, options, used)
+        self.draw_machine(k, options, used)
         e, axes = self.episodes[k], self.axis_states[k]
         axes[...] = np.zeros((), AXIS)
         sign = rng.choice((-1, 1), m) if level < 3 else np.ones(m, np.int64)
         units = rng.integers(1, c.longest // c.grid[0] + 1, m)
         far = units * c.grid[0] if level else rng.choice(c.grid, m)
-        start = rng.integers(-BEFORE, c.longest, m)
+        start = rng.integers(-MAX_BEFORE_ORIGIN, c.longest, m)
         axes["target"] = sign * far
         axes["rates"] = axes["distance"] = -1
-        self._obey(axes, options, level)
-        at = self._starts(k, level, start)
+        self._apply_options(axes, options, level)
+        at = self._find_starts(k, level, start)
         from_origin = np.rint((at - self.origin) / self.way)
         axes["goal"] = (self.origin if level == 3 else at) + self.way * axes["target"]
         axes["known"], axes["fresh"] = level < 3, 1
@@ -187,11 +184,11 @@ class BusMacros(BusHost):
             for name, mask in zip(SWITCHES, pins, strict=True):
                 axes[name][a] = int(truth["inputs"][a]) & mask != 0
         straight = np.abs(axes["target"]) + (np.abs(from_origin) if level == 3 else 0)
-        e["usual"] = closed_form(straight[:used].astype(float), *RATES["usual"]).max()
+        e["usual"] = compute_move_time(straight[:used].astype(float), *RATES["usual"]).max()
         e["potential"] = e["start"] = self._potential(truth[None], slice(k, k + 1))[0]
         e["loan"] = 0.0
 
-    def _obey(self, axes: Any, options: Mapping[str, Any], level: int) -> None:
+    def _apply_options(self, axes: Any, options: Mapping[str, Any], level: int) -> None:
         given, c = options.get("targets", {}), self.config
         low = -c.longest if level < 3 else 1
         if not isinstance(given, Mapping) or not all(
@@ -204,32 +201,36 @@ class BusMacros(BusHost):
                 raise unknown("axis", name, c.axes)
             axes["target"][c.axes.index(name)] = pulses
 
-    def _starts(self, k: int, level: int, start: np.ndarray) -> np.ndarray:
+    def _find_starts(self, k: int, level: int, start: np.ndarray) -> np.ndarray:
         """Where the carriages are at power-up, m, at the rotor's angle of the context."""
-        pulses = start if level == 3 else np.full(len(self.axes), self.config.longest + 2 * BEFORE)
+        pulses = start if level == 3 else np.full(len(self.axes), self.config.longest + 2 * MAX_BEFORE_ORIGIN)
         at = self.origin + self.way * pulses
         return (np.floor(at / self.turn) + float(self.context[k]["switch"])) * self.turn
 
     def _place(self, k: int, at: np.ndarray) -> None:
         stage = self.stages[k]
-        self.equip(k)
+        self.apply_machine(k)
         stage.place(**{name: float(q) for name, q in zip(self.config.axes, at, strict=True)})
 
     @staticmethod
-    def _level(given: Any) -> int:
+    def _parse_level(given: Any) -> int:
         if isinstance(given, str) and given in LEVELS:
             return LEVELS.index(given)
         if isinstance(given, bool) or not isinstance(given, int | np.integer) or not 0 <= given < len(LEVELS):
             raise ArgumentError(f"option level={given!r}: 0 to 3, or {', '.join(LEVELS)}.")
         return int(given)
 
-    def describe(self, k: int) -> dict[str, Any]:
-        return {"level": int(self.episodes[k]["level"]), "action_mask": self.masks()[k], **self.described(k)}
+    def describe_episode(self, k: int) -> dict[str, Any]:
+        return {
+            "level": int(self.episodes[k]["level"]),
+            "action_mask": self.action_masks()[k],
+            **self.describe_machine(k),
+        }
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, e, t = self.config, self.episodes, truth[:, self.index]
-        self._remember(played, t)
-        good, used, now = self.sound, self.used, t["now"][:, 0]
+        self._update_memory(played, t)
+        good, used, now = self.converged, self.uses_axis, t["now"][:, 0]
         lost = np.abs(t["lost_steps"]) * used
         inputs = t["inputs"]
         at_limit = np.stack([inputs[:, a] & (w[1] | w[2]) != 0 for a, w in enumerate(self.wired)], axis=1) & used
@@ -261,20 +262,20 @@ class BusMacros(BusHost):
         e["limits"][good] += hits[good]
         s["lost"][good], s["limit"][good] = np.maximum(s["lost"], lost)[good], at_limit[good]
         if c.discount < 1.0:
-            parts |= self._lent(success | failed)
+            parts |= self._apply_loan(success | failed)
         elapsed = (now - e["began"]) * 1e-9
         info = {
-            "level": e["level"], "action_mask": self.masks(), **self.told_of_machines,
+            "level": e["level"], "action_mask": self.action_masks(), **self.machine_info,
             "elapsed": elapsed, "masked": ~self._valid, "success": success,
             "error": np.max(error * used, axis=1), "lost_steps": lost.sum(axis=1),
         }  # fmt: skip
-        self.fill(parts, info, success | hopeless, (over | late) & ~success & ~hopeless)
+        self.set_results(parts, info, success | hopeless, (over | late) & ~success & ~hopeless)
         time = np.where(success, elapsed, np.inf)
-        score.note(self.results["score"], time, e["usual"], self.steps, s["lost"].sum(axis=1), e["limits"])
+        write_scores(self.results["score"], time, e["usual"], self.steps, s["lost"].sum(axis=1), e["limits"])
 
-    def _lent(self, over: np.ndarray) -> dict[str, np.ndarray]:
+    def _apply_loan(self, over: np.ndarray) -> dict[str, np.ndarray]:
         """The parts of a step with a discount: whole where the episode is over, before a loan on them, which the end takes back."""
-        c, e, good = self.config, self.episodes, self.sound
+        c, e, good = self.config, self.episodes, self.converged
         progress = c.progress_weight * (e["potential"] - e["start"])
         cost = -c.macro_weight * self.steps - c.time_weight * 1e-9 * (e["before"] - e["began"])
         damage = -c.damage_weight * ((self.axis_states["lost"].max(axis=1) > 0) + e["limits"])
@@ -287,9 +288,11 @@ class BusMacros(BusHost):
 
     def _potential(self, t: np.ndarray, which: slice) -> np.ndarray:
         """(stages,), from -1.5 or so to 0. t: truth of these stages."""
-        c, s, used = self.config, self.axis_states[which], self.used[which]
+        c, s, used = self.config, self.axis_states[which], self.uses_axis[which]
         beyond = np.maximum(np.abs(t["position"] - s["goal"]) / self.per_pulse - c.lag, 0.0) / c.tolerance
-        far = portable.log1p(beyond) / portable.log1p((c.longest + BEFORE) / c.tolerance) + 0.5 * (s["known"] == 0)
+        far = portable.log1p(beyond) / portable.log1p((c.longest + MAX_BEFORE_ORIGIN) / c.tolerance) + 0.5 * (
+            s["known"] == 0
+        )
         total = np.zeros(len(s))
         for a in range(len(self.axes)):
             total -= far[:, a] * used[:, a]
@@ -310,7 +313,7 @@ class BusMacrosEnv(StageEnv):
 
     def action_masks(self) -> np.ndarray:
         """Which actions have an effect now, bool, as sb3-contrib asks for them."""
-        return self._task.masks()[0] != 0  # type: ignore[attr-defined]
+        return self._task.action_masks()[0] != 0  # type: ignore[attr-defined]
 
 
 class BusMacrosVectorEnv(StageVectorEnv):
@@ -323,4 +326,4 @@ class BusMacrosVectorEnv(StageVectorEnv):
 
     def action_masks(self) -> np.ndarray:
         """Which actions have an effect now, (num_envs, actions) bool."""
-        return self._task.masks() != 0  # type: ignore[attr-defined]
+        return self._task.action_masks() != 0  # type: ignore[attr-defined]

@@ -20,8 +20,8 @@ import numpy as np
 from stage import Stage
 from stage.drives.motors import MOTORS
 from stage.drives.spread import estimate_spread
-from stage.envs.entries import TRUTH, Entry
-from stage.envs.options import given
+from stage.envs.features import TRUTH, Feature
+from stage.envs.settings import read_option
 from stage.native import record
 from stage.support import portable
 
@@ -73,51 +73,49 @@ CONTEXT = record([(name, "f8") for name in KINDS] + [("fault", "i8"), ("faulty",
 """fault: its number in faulty.NAMES, 0 for none; faulty: which of the task's axes has it."""
 OPTIONS = (*KINDS, "fault")
 """Parts of a machine that `reset(options=...)` takes."""
-INFO: dict[str, type] = {**dict.fromkeys(KINDS, float), "fault": int}
-"""What an info has of a machine."""
-ENTRIES = (
-    *(Entry(name, TRUTH, f"{text}, of the episode") for name, (_, text) in KINDS.items()),
-    Entry("fault", TRUTH, "number of the machine's fault in faulty.NAMES, 0 for none"),
+INFO = (
+    *(Feature(name, TRUTH, f"{text}, of the episode", kind=float) for name, (_, text) in KINDS.items()),
+    Feature("fault", TRUTH, "number of the machine's fault in faulty.NAMES, 0 for none", kind=int),
 )
-"""Likewise, as a page has it."""
+"""Features of a machine in an info."""
 
-SHOWN = (
-    *(Entry(name, TRUTH, f"{text}, from -1 to 1 over its range") for name, (_, text) in KINDS.items()),
-    Entry("fault", TRUTH, "1 if the machine has a fault"),
+OBSERVATION = (
+    *(Feature(name, TRUTH, f"{text}, from -1 to 1 over its range") for name, (_, text) in KINDS.items()),
+    Feature("fault", TRUTH, "1 if the machine has a fault"),
 )
-"""Of an observation with truth=True, where `placed` makes them."""
+"""Features of a machine in an observation with truth=True; `scale_contexts` computes them."""
 
 
-def setting(config: Any, name: str) -> Any:
+def get_setting(config: Any, name: str) -> Any:
     """A setting of a Config that has a split: its own value, or where that is None the split's."""
     own = getattr(config, name)
     return SPLITS[config.split].get(name, SPLITS["train"][name]) if own is None else own
 
 
-def ranges(config: Any) -> dict[str, tuple[float, float]]:
+def get_ranges(config: Any) -> dict[str, tuple[float, float]]:
     """(least, most) of each number of a context."""
     whole = (0.0, 1.0)
-    return {name: setting(config, kind) if kind else whole for name, (kind, _) in KINDS.items()}
+    return {name: get_setting(config, kind) if kind else whole for name, (kind, _) in KINDS.items()}
 
 
-def draw(
+def draw_context(
     rng: np.random.Generator, ends: Mapping[str, tuple[float, float]], context: Any, options: Mapping[str, Any]
 ) -> None:
     """Fill a CONTEXT: evenly, those of LOGARITHMIC by their logarithm, but for those in `options`. Raises ArgumentError for one
     beyond its ends. All are drawn in any case, so that what is given changes no other."""
     for name, (low, high) in ends.items():
         drawn = portable.exp(rng.uniform(*portable.log((low, high)))) if name in LOGARITHMIC else rng.uniform(low, high)
-        context[name] = given(options, name, float(drawn), (low, high))
+        context[name] = read_option(options, name, float(drawn), (low, high))
 
 
-def placed(ends: Mapping[str, tuple[float, float]], context: np.ndarray) -> np.ndarray:
+def scale_contexts(ends: Mapping[str, tuple[float, float]], context: np.ndarray) -> np.ndarray:
     """(n, SHOWN): contexts from -1 to 1 over their ranges, and whether there is a fault."""
     numbers = [(context[name] - a) / max(b - a, 1e-9) * 2.0 - 1.0 for name, (a, b) in ends.items()]
     return np.stack([*numbers, context["fault"] != 0], axis=1)
 
 
 @dataclass(frozen=True)
-class Machine:
+class NominalMachine:
     """An axis of a stage as its model has it, before a context makes it another."""
 
     axis: str
@@ -130,7 +128,7 @@ class Machine:
     inductance: float
 
     @classmethod
-    def of(cls, stage: Stage, axis: str, carrier: str) -> Machine:
+    def from_stage(cls, stage: Stage, axis: str, carrier: str) -> NominalMachine:
         """Of a stage that nobody has changed."""
         a, model = stage.axes[axis], stage.model
         dof = a.plant.dof
@@ -140,7 +138,7 @@ class Machine:
         current, inductance = float(drive.current), float(drive.inductance)
         return cls(axis, carrier, friction, damping, float(a.faults.bus_voltage), current, loss, inductance)
 
-    def equip(self, stage: Stage, context: Any, more: float = 0.0) -> None:
+    def apply(self, stage: Stage, context: Any, more: float = 0.0) -> None:
         """The stage is the machine of a CONTEXT; more: kg beyond its payload. After a stage was restored, for the drive."""
         axis = stage.axes[self.axis]
         dof, drive = axis.plant.dof, stage.state.drives[axis.index]

@@ -41,11 +41,11 @@ from typing import Annotated, Any
 import gymnasium
 import numpy as np
 
-from stage.envs import contexts, faulty, score
+from stage.envs import contexts, faulty
 from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.entries import HOST, TRUTH, Entry
-from stage.envs.machines import Machines, MachineTask
-from stage.envs.results import result
+from stage.envs.features import HOST, TRUTH, Feature
+from stage.envs.machines import MachineSettings, MachineTask
+from stage.envs.results import SCORE_FEATURE, write_scores
 from stage.envs.settings import AxisName, Count, Number, Pair, Positive, Range, Seconds, Weight
 from stage.errors import ArgumentError
 from stage.firmware.driver import driver_of
@@ -57,16 +57,16 @@ RATES = {"search": (1000.0, 30_000.0), "ramp": (0.01, 0.2), "approach": (100.0, 
 LEAVE, BACK_OFF = 9_600, (64, 1600)  # pulses, the most; least and most
 USUAL = {"search": 8000.0, "ramp": 0.1, "approach": 400.0, "leave": 0, "back_off": 200}
 FL = 0.125  # of the search's rate
-CAP = 64.0  # pulses: an electrical period of a motor at 1/16 step
-FROM_LIMIT = 1e-3  # m; no return starts nearer to an end limit
-LAST = 10  # numbers of an observation
+MAX_ERROR_PULSES = 64.0  # pulses: an electrical period of a motor at 1/16 step
+LIMIT_CLEARANCE_M = 1e-3  # m; no return starts nearer to an end limit
+NUMBERS_OF_LAST = 10  # numbers of an observation
 
 
 @dataclass(frozen=True)
-class Config(Machines):
+class Config(MachineSettings):
     """Settings of DriftingHome, beside those of hidden machines."""
 
-    FAULTS = faulty.DEADLY
+    FAULTS = faulty.DISABLING
     axis: AxisName = "x"
     healthy: Annotated[float, Number(high=1.0)] = 0.6  # share of machines without a fault
     walk: Annotated[float, Number(high=1e-3)] = 2e-5  # m
@@ -107,42 +107,43 @@ class DriftingHome(MachineTask[Config]):
     Config = Config
     OPTIONS = ("start", *contexts.OPTIONS)
     """start: m, of the first return; fault: a name, or "none"; and parts of the machine."""
+    PARTS = ("time", "error", "missed", "damage", "report")
     STATE = ("context", "place", "shift", "last", "away", "ended", "sums", "bounce")
     RESTARTS = True
-    SEEN = (
-        Entry("org", HOST, "1 if ORG is asserted now"),
-        Entry("left", HOST, "returns left / `returns`"),
-        Entry("away", HOST, "way that the host has moved away from the last origin / `reach`; 0 where it has none"),
-        Entry("last", HOST, "1 if there was a return; what follows is of it"),
-        Entry("last_home", HOST, "1 if it ended at the origin, by the chip"),
-        Entry("last_end_limit", HOST, "1 if it ran into an end limit"),
-        Entry("last_late", HOST, "1 if a run took longer than `limit`"),
-        Entry("last_released", HOST, "1 if ORG was released before the approach (NOVA: no error of the home search)"),
-        Entry("last_duration", HOST, "duration / 4 `limit`"),
-        Entry("last_searched", HOST, "pulses of the search / those from EL to EL"),
-        Entry("last_overrun", HOST, "pulses of the approach beyond those of backing off / 64 (NOVA: 0)"),
-        Entry("last_off", HOST, "pulses by which the origin was found off the last one, as counted, / 64"),
-        Entry("failed", HOST, "returns in a row up to the last that did not end at the origin / `returns`"),
-        *contexts.SHOWN,
+    OBSERVATION = (
+        Feature("org", HOST, "1 if ORG is asserted now"),
+        Feature("left", HOST, "returns left / `returns`"),
+        Feature("away", HOST, "way that the host has moved away from the last origin / `reach`; 0 where it has none"),
+        Feature("last", HOST, "1 if there was a return; what follows is of it"),
+        Feature("last_home", HOST, "1 if it ended at the origin, by the chip"),
+        Feature("last_end_limit", HOST, "1 if it ran into an end limit"),
+        Feature("last_late", HOST, "1 if a run took longer than `limit`"),
+        Feature("last_released", HOST, "1 if ORG was released before the approach (NOVA: no error of the home search)"),
+        Feature("last_duration", HOST, "duration / 4 `limit`"),
+        Feature("last_searched", HOST, "pulses of the search / those from EL to EL"),
+        Feature("last_overrun", HOST, "pulses of the approach beyond those of backing off / 64 (NOVA: 0)"),
+        Feature("last_off", HOST, "pulses by which the origin was found off the last one, as counted, / 64"),
+        Feature("failed", HOST, "returns in a row up to the last that did not end at the origin / `returns`"),
+        *contexts.OBSERVATION,
     )
-    TOLD = (
-        *contexts.ENTRIES,
-        Entry("reported", HOST, "the step was a report"),
-        Entry("duration", HOST, "s"),
-        Entry("error", TRUTH, "pulses between the carriage and where ORG trips"),
-        Entry("home", HOST, "the return ended at the origin, by the chip"),
-        Entry("end_limit", HOST, "a run ended at an end limit"),
-        Entry("late", HOST, "a run took longer than `limit`"),
-        Entry("lost_steps", TRUTH, "full steps"),
-        Entry("start", TRUTH, "m, where the return began"),
-        Entry("choices", HOST, "what the driver's search made of the action"),
-        score.ENTRY,
+    INFO = (
+        *contexts.INFO,
+        Feature("reported", HOST, "the step was a report", kind=bool),
+        Feature("duration", HOST, "s", kind=float),
+        Feature("error", TRUTH, "pulses between the carriage and where ORG trips", kind=float),
+        Feature("home", HOST, "the return ended at the origin, by the chip", kind=bool),
+        Feature("end_limit", HOST, "a run ended at an end limit", kind=bool),
+        Feature("late", HOST, "a run took longer than `limit`", kind=bool),
+        Feature("lost_steps", TRUTH, "full steps", kind=int),
+        Feature("start", TRUTH, "m, where the return began", kind=float),
+        Feature("choices", HOST, "what the driver's search made of the action", kind=int),
+        SCORE_FEATURE,
     )
 
     def prepare(self) -> None:
         c, n, first = self.config, self.n, self.stages[0]
         self.axis = first.axes[c.axis]
-        self.ready()
+        self.prepare_machines()
         self.switch = {s.pin: s for s in self.axis.plant.switches}
         for pin in ("org", "el_minus", "el_plus"):
             if pin not in self.switch:
@@ -157,38 +158,34 @@ class DriftingHome(MachineTask[Config]):
         self.beam, self.along = beam, turned.T @ first.data.xaxis[self.axis.joint]
         self.beam0 = first.model.geom_pos[beam].copy()
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (6,), np.float32)
-        self.observation_space = self.seen()
-        self.result = result(
-            ("time", "error", "missed", "damage", "report"), scored=True,
-            **contexts.INFO, reported=bool, duration=float, error=float, home=bool,
-            end_limit=bool, late=bool, lost_steps=int, start=float, choices=(int, (len(self.search.choices.ranges),)),
-        )  # fmt: skip
+        self.observation_space = self.make_observation_space()
+        self.shapes = {"choices": (len(self.search.choices.ranges),)}
         self.place, self.shift = np.zeros(n), np.zeros((n, 2))  # m: the start; the walk of ORG, and where it trips
-        self.last, self.away, self.ended = np.zeros((n, LAST)), np.zeros(n), np.full(n, np.nan)
+        self.last, self.away, self.ended = np.zeros((n, NUMBERS_OF_LAST)), np.zeros(n), np.full(n, np.nan)
         self.bounce = np.zeros(n)  # s
         self.sums = np.zeros((n, 5))  # s, s by the formula, returns that missed, full steps lost, limits hit
 
     # --- machines and places ---
 
-    def begin(self, k: int, options: Mapping[str, Any]) -> None:
+    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
         c, rng = self.config, self.rngs[k]
-        self.draw(k, options)
+        self.draw_machine(k, options)
         self.bounce[k] = rng.uniform(*c.bounces)
         self.last[k], self.sums[k], self.shift[k], self.ended[k] = 0.0, 0.0, 0.0, np.nan
         self._begin(k, options)
 
-    def beside(self, k: int) -> np.random.Generator:
+    def make_fault_rng(self, k: int) -> np.random.Generator:
         """Here every machine may have a fault, on train too."""
         return self.rngs[k]
 
-    def renew(self) -> None:
-        for k in np.flatnonzero(self.sound & ~self.results["terminated"]):
+    def prepare_next(self) -> None:
+        for k in np.flatnonzero(self.converged & ~self.results["terminated"]):
             self._begin(int(k), {})
 
     def _begin(self, k: int, options: Mapping[str, Any]) -> None:
         """The next return begins: ORG has drifted, and the carriage is elsewhere."""
         c, rng, stage = self.config, self.rngs[k], self.stages[k]
-        low, high = self.low + FROM_LIMIT, self.high - FROM_LIMIT
+        low, high = self.low + LIMIT_CLEARANCE_M, self.high - LIMIT_CLEARANCE_M
         walk, noise, at = rng.uniform(-1, 1, 3)
         self.shift[k, 0] += c.walk * walk
         self.shift[k, 1] = self.shift[k, 0] + c.noise * noise
@@ -199,20 +196,20 @@ class DriftingHome(MachineTask[Config]):
         self.place[k] = start
         self.away[k] = 0.0 if np.isnan(self.ended[k]) else self.place[k] - self.ended[k]
         stage.restore(self.start)
-        self.equip(k)
+        self.apply_machine(k)
         stage.place(**{c.axis: float(self.place[k])})
 
-    def equip(self, k: int) -> None:
+    def apply_machine(self, k: int) -> None:
         stage = self.stages[k]
         stage.model.geom_pos[self.beam] = self.beam0 + self.along * self.shift[k, 1]
-        self.outfit(stage, k, bounce=float(self.bounce[k]))
+        self.configure_stage(stage, k, bounce=float(self.bounce[k]))
 
-    def describe(self, k: int) -> dict[str, Any]:
-        return self.described(k)
+    def describe_episode(self, k: int) -> dict[str, Any]:
+        return self.describe_machine(k)
 
     # --- returns ---
 
-    def chosen(self, actions: np.ndarray) -> np.ndarray:
+    def to_registers(self, actions: np.ndarray) -> np.ndarray:
         """What the search makes of actions, (n, choices)."""
         low, high = portable.log(np.array(list(RATES.values()))).T
         b0, b1 = portable.log(BACK_OFF)
@@ -230,13 +227,13 @@ class DriftingHome(MachineTask[Config]):
         """Whose action is a report, (n,)."""
         return self.actions[:, 5] > 0
 
-    def programs(self) -> list[Program]:
-        rows, reports = self.chosen(self.actions), self.reports
+    def make_programs(self) -> list[Program]:
+        rows, reports = self.to_registers(self.actions), self.reports
         return [Program() if told else self.search.program(row) for row, told in zip(rows, reports, strict=True)]
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t, reports = self.config, truth[:, self.axis.index], self.reports
-        rows, made = self.chosen(self.actions), ~reports
+        rows, made = self.to_registers(self.actions), ~reports
         width = max(self.search.marks.values()) + 1
         results = np.zeros((self.n, max(width, played.results.shape[1])), np.int64)
         results[:, : played.results.shape[1]] = played.results
@@ -246,13 +243,13 @@ class DriftingHome(MachineTask[Config]):
         trips = self.origin + self.shift[:, 1]
         error = np.where(made, np.clip((t["position"] - trips) / self.per_pulse, -1e6, 1e6), 0.0)
         lost = np.where(made, np.abs(t["lost_steps"]), 0)
-        missed = made & ~(home & (np.abs(error) < CAP))
+        missed = made & ~(home & (np.abs(error) < MAX_ERROR_PULSES))
         broken, over = self.context["fault"] != 0, self.steps >= c.returns
-        worst = 4 * c.limit * c.time_weight + CAP * c.error_weight + c.missed_weight + 2 * c.damage_weight
+        worst = 4 * c.limit * c.time_weight + MAX_ERROR_PULSES * c.error_weight + c.missed_weight + 2 * c.damage_weight
         false = -c.false_weight - worst * (c.returns - self.steps + 1)
         parts = {
             "time": -c.time_weight * duration,
-            "error": -c.error_weight * np.minimum(np.abs(error), CAP),
+            "error": -c.error_weight * np.minimum(np.abs(error), MAX_ERROR_PULSES),
             "missed": np.where(missed, -c.missed_weight, 0.0),
             "damage": -c.damage_weight * ((lost > 0) * 1.0 + end_limit),
             "report": np.where(
@@ -262,16 +259,16 @@ class DriftingHome(MachineTask[Config]):
             ),
         }
         info = {
-            **self.told_of_machines, "reported": reports,
+            **self.machine_info, "reported": reports,
             "duration": duration, "error": error, "home": home, "end_limit": end_limit, "late": late,
             "lost_steps": lost, "start": self.place, "choices": rows,
         }  # fmt: skip
-        good = self.sound
+        good = self.converged
         self._note(found, home, t, duration, good & made)
         bad = missed | (np.abs(error) > c.tolerance)
         more = np.stack([duration, made * self._usual(), bad, lost, end_limit], axis=1)
         self.sums[good] += more[good]
-        self.fill(parts, info, reports, over & ~reports)
+        self.set_results(parts, info, reports, over & ~reports)
         self._score(reports, broken)
 
     def _note(self, found: Any, home: np.ndarray, t: np.ndarray, duration: np.ndarray, good: np.ndarray) -> None:
@@ -281,7 +278,7 @@ class DriftingHome(MachineTask[Config]):
         counted = t["pulses"] + np.sign(self.axis.gear) * self.away / self.per_pulse
         now = [
             good, home, found.end_limit, found.late, found.released, duration / (4 * self.config.limit), found.searched / whole,
-            found.overrun / CAP, np.where(known, counted / CAP, 0.0),
+            found.overrun / MAX_ERROR_PULSES, np.where(known, counted / MAX_ERROR_PULSES, 0.0),
             np.where(home, 0.0, self.last[:, -1] + 1 / self.config.returns),
         ]  # fmt: skip
         self.last[good] = np.clip(np.nan_to_num(np.stack(now, axis=1)), -1.0, 1.0)[good]
@@ -299,21 +296,21 @@ class DriftingHome(MachineTask[Config]):
         success = np.where(broken, reports, ~reports & (bad == 0))
         usual = np.where(usual > 0, usual, self._usual())
         time = np.where(success, np.where(reports, np.maximum(seconds, usual), seconds / returns), np.inf)
-        score.note(self.results["score"], time, np.where(reports, usual, usual / returns), self.steps, lost, limits)
+        write_scores(self.results["score"], time, np.where(reports, usual, usual / returns), self.steps, lost, limits)
 
-    def observed(self) -> np.ndarray:
+    def compute_observations(self) -> np.ndarray:
         c, inputs = self.config, self.fleet.truth()["inputs"][:, self.axis.index]
         columns = [
             inputs & self.axis.chip.wired("org") != 0,
             1.0 - self.steps / c.returns,
             self.away / c.reach,
         ]
-        now = np.concatenate([np.stack(columns, axis=1), self.last, self.placed], axis=1)
+        now = np.concatenate([np.stack(columns, axis=1), self.last, self.machine_features], axis=1)
         return np.clip(now, -1.0, 1.0).astype(np.float32)
 
     # --- a host ---
 
-    def scripted(self) -> np.ndarray:
+    def scripted_action(self) -> np.ndarray:
         """The usual rates, leaving ORG first where it is asserted; more slowly after a return that failed; a report after two."""
         on_org = self.fleet.truth()["inputs"][:, self.axis.index] & self.axis.chip.wired("org") != 0
         failed = np.rint(self.last[:, -1] * self.config.returns)

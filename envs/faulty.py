@@ -32,7 +32,7 @@ FAULTS = {
 }
 NAMES = tuple(FAULTS)
 """A context keeps a fault by its number in here."""
-DEADLY = NAMES[1:6]
+DISABLING = NAMES[1:6]
 """With these an axis does not do what it is told; a host can only notice and say so."""
 HAMPERING = ("binding", "sag", "overload")
 """With these it still moves, but not as a healthy one; all can be worked around by slower moves."""
@@ -45,20 +45,20 @@ _SUPPLY = {"brownout": BROWNOUT, "sag": SAG}
 _PUSH = {"jam": JAM, "binding": BINDING}
 
 
-def draw(rng: np.random.Generator, names: Sequence[str], healthy: float, axes: int, context: Any) -> None:
+def draw_fault(rng: np.random.Generator, names: Sequence[str], healthy: float, axes: int, context: Any) -> None:
     """Which fault a CONTEXT has: none with the probability `healthy`, else one of `names`, on one of so many axes."""
     broken, which = rng.uniform() >= healthy, int(rng.integers(0, max(len(names), 1)))
     context["fault"] = NAMES.index(names[which]) if broken and names else 0
     context["faulty"] = rng.integers(0, axes) if axes > 1 else 0
 
 
-def overload(fault: int) -> float:
+def find_overload(fault: int) -> float:
     """kg on the table beyond the payload."""
     return OVERLOAD if NAMES[fault] == "overload" else 0.0
 
 
 @dataclass(frozen=True)
-class Faulty:
+class FaultyAxis:
     """The parts of an axis that faults change, as a healthy machine has them, after its context was put on."""
 
     axis: str
@@ -70,7 +70,7 @@ class Faulty:
     push: float
 
     @classmethod
-    def of(cls, stage: Stage, axis: str) -> Faulty:
+    def from_stage(cls, stage: Stage, axis: str) -> FaultyAxis:
         """Of a stage that nobody has changed."""
         a, model = stage.axes[axis], stage.model
         row = a.switches.row("org") if any(s.pin == "org" for s in a.plant.switches) else None
@@ -80,7 +80,7 @@ class Faulty:
             axis, row, forced, model.dof_solref[dof].copy(), model.dof_solimp[dof].copy(), a.faults.open_phases, push
         )
 
-    def put(self, stage: Stage, name: str, bounce: float = 0.0) -> None:
+    def apply(self, stage: Stage, name: str, bounce: float = 0.0) -> None:
         """The machine has this fault and no other, and the contact of ORG bounces for so many seconds. Call it after the context
         was put on: friction, supply and payload are the context's. Raises ArgumentError for a switch that is not there."""
         axis: Any = stage.axes[self.axis]

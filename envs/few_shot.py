@@ -39,15 +39,14 @@ import gymnasium
 import numpy as np
 
 from stage import Stage
-from stage.envs import contexts, score
+from stage.envs import contexts
 from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.entries import HOST, TRUTH, Entry
-from stage.envs.machines import Machines, MachineTask
-from stage.envs.options import given
-from stage.envs.results import result
-from stage.envs.settings import AxisName, Count, Counts, Flag, Number, Seconds, Weight, Word
-from stage.envs.task import judged
-from stage.envs.trial import ALLOWED, TENTH, Trial, closed_form
+from stage.envs.features import HOST, TRUTH, Feature
+from stage.envs.machines import MachineSettings, MachineTask
+from stage.envs.results import SCORE_FEATURE, write_scores
+from stage.envs.settings import AxisName, Count, Counts, Flag, Number, Seconds, Weight, Word, read_option
+from stage.envs.task import find_judged_point
+from stage.envs.trial import MAX_OFFSET_M, TENTH_MM, Trial, compute_move_time
 from stage.firmware.driver import Speeds, driver_of
 from stage.sim.fleet import Fleet, Played
 from stage.sim.program import Program
@@ -55,15 +54,15 @@ from stage.support import portable
 from stage.tune.formula import Load, speeds
 
 RATES = {"start": (200.0, 6000.0), "drive": (2000.0, 60_000.0), "up": (0.01, 0.3), "down": (0.01, 0.3)}  # pps, s
-COUNT = 5e-6  # m, of the encoder
-SHORTEST = 2e-3  # s, of a ramp
+ENCODER_COUNT_M = 5e-6  # m, of the encoder
+MIN_RAMP_S = 2e-3  # s, of a ramp
 MEMORIES = ("all", "last")
 ANSWERS = ("best", "last")
-PER_TRY = 9  # numbers of an observation
+NUMBERS_PER_TRY = 9  # numbers of an observation
 
 
 @dataclass(frozen=True)
-class Config(Machines):
+class Config(MachineSettings):
     """Settings of FewShotTuning, beside those of hidden machines."""
 
     axis: AxisName = "x"
@@ -90,6 +89,7 @@ class FewShotTuning(MachineTask[Config]):
     Config: ClassVar[type] = Config
     OPTIONS: ClassVar[tuple[str, ...]] = ("distance", *contexts.OPTIONS)
     """The move and the machine, in place of drawn ones."""
+    PARTS = ("gain", "damage", "proof")
     STATE: ClassVar[tuple[str, ...]] = (
         "distance",
         "context",
@@ -102,88 +102,97 @@ class FewShotTuning(MachineTask[Config]):
         "damage",
     )
     RESTARTS = True
-    SEEN: ClassVar[tuple[Entry, ...]] = (
-        Entry("distance", HOST, "of the move, by its logarithm from -1 to 1 over `distances`"),
-        Entry("left", HOST, "tries left / `tries`"),
-        Entry(
+    OBSERVATION: ClassVar[tuple[Feature, ...]] = (
+        Feature("distance", HOST, "of the move, by its logarithm from -1 to 1 over `distances`"),
+        Feature("left", HOST, "tries left / `tries`"),
+        Feature(
             "best",
             HOST,
             "time of the best try that kept step by the encoder / twice the usual time; 1 before there is one",
         ),
-        *(Entry(f"tried_{name}", HOST, "that was chosen, from -1 to 1", "try") for name in RATES),
-        Entry("tried", HOST, "1 if this try was made", "try"),
-        Entry("duration", HOST, "/ twice the usual time", "try"),
-        Entry("finished", HOST, "1 if it made its pulses", "try"),
-        Entry("kept", HOST, "1 if it kept step by the encoder; 0 without one", "try"),
-        Entry("swing", HOST, "by the encoder after the stop: swing / (swing + 0.1 mm); 0 without one", "try"),
-        *contexts.SHOWN,
+        *(Feature(f"tried_{name}", HOST, "that was chosen, from -1 to 1", "try") for name in RATES),
+        Feature("tried", HOST, "1 if this try was made", "try"),
+        Feature("duration", HOST, "/ twice the usual time", "try"),
+        Feature("finished", HOST, "1 if it made its pulses", "try"),
+        Feature("kept", HOST, "1 if it kept step by the encoder; 0 without one", "try"),
+        Feature("swing", HOST, "by the encoder after the stop: swing / (swing + 0.1 mm); 0 without one", "try"),
+        *contexts.OBSERVATION,
     )
-    TOLD: ClassVar[tuple[Entry, ...]] = (
-        Entry("distance", HOST, "pulses"),
-        *contexts.ENTRIES,
-        Entry("registers", HOST, "that the chip's formulas made of the action"),
-        Entry("duration", HOST, "s"),
-        Entry("usual", HOST, "s, that the usual speeds take"),
-        Entry("finished", HOST, "the move made its pulses"),
-        Entry("error", HOST, "counts by which the encoder differs from the pulses after the stop; 0 without one"),
-        Entry("lost_steps", TRUTH, "full steps"),
-        Entry("vibration", TRUTH, "m, travel of the point at which moves are judged after the stop"),
-        Entry("kept", TRUTH, "made its pulses and lost no step"),
-        Entry(
-            "best", TRUTH, "s, of the best try that kept step so far, with its vibration; infinite before there is one"
+    INFO: ClassVar[tuple[Feature, ...]] = (
+        Feature("distance", HOST, "pulses", kind=int),
+        *contexts.INFO,
+        Feature("registers", HOST, "that the chip's formulas made of the action", kind=int),
+        Feature("duration", HOST, "s", kind=float),
+        Feature("usual", HOST, "s, that the usual speeds take", kind=float),
+        Feature("finished", HOST, "the move made its pulses", kind=bool),
+        Feature(
+            "error",
+            HOST,
+            "counts by which the encoder differs from the pulses after the stop; 0 without one",
+            kind=float,
         ),
-        Entry(
+        Feature("lost_steps", TRUTH, "full steps", kind=int),
+        Feature("vibration", TRUTH, "m, travel of the point at which moves are judged after the stop", kind=float),
+        Feature("kept", TRUTH, "made its pulses and lost no step", kind=bool),
+        Feature(
+            "best",
+            TRUTH,
+            "s, of the best try that kept step so far, with its vibration; infinite before there is one",
+            kind=float,
+        ),
+        Feature(
             "proved",
             TRUTH,
             "s, likewise of the best one that held in the proof after the last try; infinite where none did, and before",
+            kind=float,
         ),
-        score.ENTRY,
+        SCORE_FEATURE,
     )
 
     def prepare(self) -> None:
         c, n, first = self.config, self.n, self.stages[0]
         self.axis = first.axes[c.axis]
         self.driver = driver_of(self.axis)
-        self.judged, point = judged(first, c.axis, c.judge_at)
+        self.judged, point = find_judged_point(first, c.axis, c.judge_at)
         self.trial = Trial(self.axis, point, c.settle, encoder=True)
-        self.ready()
+        self.prepare_machines()
         self.trial.check(c.distances, "pulses")
         self.names = self.driver.tuned_by(s_curve=False)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(RATES),), np.float32)
-        self.observation_space = self.seen()
-        self.result = result(
-            ("gain", "damage", "proof"), scored=True,
-            distance=int, **contexts.INFO, registers=(int, (len(self.names),)), duration=float, usual=float,
-            finished=bool, error=float, lost_steps=int, vibration=float, kept=bool, best=float, proved=float,
-        )  # fmt: skip
+        self.observation_space = self.make_observation_space()
+        self.shapes = {"registers": (len(self.names),)}
         self.distance, self.angle = np.ones(n, np.int64), np.zeros(n)
-        self.table = np.zeros((n, c.tries, PER_TRY))
+        self.table = np.zeros((n, c.tries, NUMBERS_PER_TRY))
         self.best_seen, self.cost = np.full(n, np.inf), np.full((n, c.tries), np.inf)
         self.rows = np.zeros((n, c.tries, len(self.names)), np.int64)
         self.load = Load.of(self.axis)
         self.formula, self.damage = np.ones((n, 5)), np.zeros((n, 2), np.int64)
-        self.provers = Fleet([copy.deepcopy(first) for _ in range(n)], self.fleet.threads)
+        self.proof_fleet = Fleet([copy.deepcopy(first) for _ in range(n)], self.fleet.threads)
 
-    def layout(self) -> list[Entry]:
+    def layout(self) -> list[Feature]:
         tries = self.config.tries if self.config.memory == "all" else 1
-        return [*self.SEEN[:3], *self.SEEN[3 : 3 + PER_TRY] * tries, *self.SEEN[3 + PER_TRY :]]
+        return [
+            *self.OBSERVATION[:3],
+            *self.OBSERVATION[3 : 3 + NUMBERS_PER_TRY] * tries,
+            *self.OBSERVATION[3 + NUMBERS_PER_TRY :],
+        ]
 
     # --- machines ---
 
-    def begin(self, k: int, options: Mapping[str, Any]) -> None:
+    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
         c, rng = self.config, self.rngs[k]
         distance = int(np.rint(portable.exp(rng.uniform(*portable.log(c.distances)))))
-        self.distance[k] = given(options, "distance", distance, c.distances)
-        self.draw(k, options)
+        self.distance[k] = read_option(options, "distance", distance, c.distances)
+        self.draw_machine(k, options)
         self.table[k], self.best_seen[k], self.cost[k], self.damage[k] = 0.0, np.inf, np.inf, 0
-        self._reckon(k, rng, options)
+        self._compute_formula(k, rng, options)
         self._ready(k)
 
-    def _reckon(self, k: int, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
+    def _compute_formula(self, k: int, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
         """What the formula says to this machine, of whose payload the host knows no more than the most that it may be."""
-        self._ask(k, self.ranges["payload"][1])
+        self._set_formula(k, self.ranges["payload"][1])
 
-    def _ask(self, k: int, payload: float) -> None:
+    def _set_formula(self, k: int, payload: float) -> None:
         """The formula's rates and ramps for a payload, kg, and the time that they take."""
         made, distance = speeds(self.load.heavier(payload), int(self.distance[k])), int(self.distance[k])
         rate = self.rates(action_of(*made[:4]), distance)
@@ -191,12 +200,12 @@ class FewShotTuning(MachineTask[Config]):
         took = up + down + (distance - (up + down) * (start + top) / 2) / top
         self.formula[k] = *rate, took
 
-    def scripted(self) -> np.ndarray:
+    def scripted_action(self) -> np.ndarray:
         """The engineer's formula (stage.tune.formula) at every try."""
         return np.stack([action_of(*row[:4]) for row in self.formula])
 
-    def renew(self) -> None:
-        for k in np.flatnonzero(self.sound & ~self.results["terminated"]):
+    def prepare_next(self) -> None:
+        for k in np.flatnonzero(self.converged & ~self.results["terminated"]):
             self._ready(int(k))
 
     def _ready(self, k: int) -> None:
@@ -209,18 +218,18 @@ class FewShotTuning(MachineTask[Config]):
 
     def _place(self, stage: Stage, k: int, angle: float, more: float = 0.0) -> None:
         stage.restore(self.start)
-        self.outfit(stage, k, more)
-        stage.place(**{self.config.axis: self.trial.begin(float(self.distance[k]), angle)})
+        self.configure_stage(stage, k, more)
+        stage.place(**{self.config.axis: self.trial.find_start(float(self.distance[k]), angle)})
 
-    def describe(self, k: int) -> dict[str, Any]:
-        return {"distance": int(self.distance[k]), **self.described(k)}
+    def describe_episode(self, k: int) -> dict[str, Any]:
+        return {"distance": int(self.distance[k]), **self.describe_machine(k)}
 
     # --- tries ---
 
     @property
     def usual(self) -> np.ndarray:
         """s, that each stage's move takes at the usual speeds, by the closed form."""
-        return closed_form(self.distance, Speeds().start, Speeds().drive, Speeds().up)
+        return compute_move_time(self.distance, Speeds().start, Speeds().drive, Speeds().up)
 
     def rates(self, action: np.ndarray, distance: int) -> tuple[float, float, float, float]:
         """Start and drive rate, pps, and seconds of both ramps; where they do not fit into the move, as much of them as does."""
@@ -230,9 +239,9 @@ class FewShotTuning(MachineTask[Config]):
         flat = (up + down) / (drive - start)  # s2 a pulse: both ramps are as steep as that, wherever they end
         top = min(drive, float(np.sqrt(start**2 + 2 * distance / flat)))
         shorter = (top - start) / (drive - start)
-        return start, top, max(up * shorter, SHORTEST), max(down * shorter, SHORTEST)
+        return start, top, max(up * shorter, MIN_RAMP_S), max(down * shorter, MIN_RAMP_S)
 
-    def chosen(self, actions: np.ndarray) -> np.ndarray:
+    def to_registers(self, actions: np.ndarray) -> np.ndarray:
         """Registers of actions, (n, registers)."""
         rows = []
         for action, distance in zip(actions, self.distance.tolist(), strict=True):
@@ -240,22 +249,22 @@ class FewShotTuning(MachineTask[Config]):
             rows.append([made[name] for name in self.names])
         return np.array(rows, np.int64)
 
-    def _gain(self, tries: np.ndarray) -> np.ndarray:
+    def _compute_gain(self, tries: np.ndarray) -> np.ndarray:
         """What the answer is worth after so many tries, (n,)."""
-        return self._worth(self._answers(tries).min(axis=1))
+        return self._compute_value(self._answer_costs(tries).min(axis=1))
 
-    def _answers(self, tries: np.ndarray) -> np.ndarray:
+    def _answer_costs(self, tries: np.ndarray) -> np.ndarray:
         """Costs of the tries that may be the answer, (n, tries); infinite elsewhere."""
         at = np.arange(self.config.tries)
         mine = at < tries[:, None] if self.config.answer == "best" else at == tries[:, None] - 1
         return np.where(mine, self.cost, np.inf)
 
-    def _worth(self, cost: np.ndarray) -> np.ndarray:
+    def _compute_value(self, cost: np.ndarray) -> np.ndarray:
         """log(two usual times / cost); 0 for what costs more."""
         return np.maximum(portable.log(2 * self.usual) - portable.log(cost), 0.0)
 
-    def programs(self) -> list[Program]:
-        return self._programs(self.chosen(self.actions))
+    def make_programs(self) -> list[Program]:
+        return self._programs(self.to_registers(self.actions))
 
     def _programs(self, rows: np.ndarray) -> list[Program]:
         limits = (2 * self.usual).tolist()
@@ -264,67 +273,67 @@ class FewShotTuning(MachineTask[Config]):
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t, usual = self.config, truth[:, self.axis.index], self.usual
-        seen = self.trial.seen(played, t, self.distance, COUNT)
-        good = self.sound
-        cost = seen.duration + c.vibration_weight * seen.vibration / TENTH
-        rows, made = self.chosen(self.actions), np.flatnonzero(good)
-        before = self._gain(self.steps - 1)
-        self.cost[made, self.steps[made] - 1] = np.where(seen.kept, cost, np.inf)[made]
+        seen = self.trial.read_outcomes(played, t, self.distance, ENCODER_COUNT_M)
+        good = self.converged
+        cost = seen.duration + c.vibration_weight * seen.vibration / TENTH_MM
+        rows, made = self.to_registers(self.actions), np.flatnonzero(good)
+        before = self._compute_gain(self.steps - 1)
+        self.cost[made, self.steps[made] - 1] = np.where(seen.in_step, cost, np.inf)[made]
         self.rows[made, self.steps[made] - 1] = rows[made]
-        gain, last = self._gain(self.steps) - before, self.steps >= c.tries
-        proved = self._prove(good & last)
+        gain, last = self._compute_gain(self.steps) - before, self.steps >= c.tries
+        proved = self._prove_best(good & last)
         parts = {
             "gain": gain,
             "damage": np.where(seen.lost | seen.stopped, -c.damage_weight, 0.0),
-            "proof": np.where(good & last, self._worth(proved) - self._gain(self.steps), 0.0),
+            "proof": np.where(good & last, self._compute_value(proved) - self._compute_gain(self.steps), 0.0),
         }
         error = seen.error * c.encoder
-        by_encoder = seen.finished & (np.abs(error) * COUNT <= ALLOWED + COUNT) & c.encoder
-        row = [seen.duration / (2 * usual), seen.finished, by_encoder, c.encoder * seen.swing / (seen.swing + TENTH)]
+        by_encoder = seen.finished & (np.abs(error) * ENCODER_COUNT_M <= MAX_OFFSET_M + ENCODER_COUNT_M) & c.encoder
+        row = [seen.duration / (2 * usual), seen.finished, by_encoder, c.encoder * seen.swing / (seen.swing + TENTH_MM)]
         tried = np.concatenate([self.actions, np.ones((self.n, 1)), np.stack(row, axis=1)], axis=1)
         self.table[made, self.steps[made] - 1] = np.clip(np.nan_to_num(tried[made]), -1.0, 1.0)
         faster = good & by_encoder & (seen.duration < self.best_seen)
         self.best_seen[faster] = seen.duration[faster]
         info = {
-            "distance": self.distance, **self.told_of_machines, "registers": rows,
+            "distance": self.distance, **self.machine_info, "registers": rows,
             "duration": seen.duration, "usual": usual, "finished": seen.finished, "error": error,
-            "lost_steps": t["lost_steps"], "vibration": seen.vibration, "kept": seen.kept,
+            "lost_steps": t["lost_steps"], "vibration": seen.vibration, "kept": seen.in_step,
             "best": self.cost.min(axis=1), "proved": proved,
         }  # fmt: skip
         self.damage[good] += np.stack([np.abs(t["lost_steps"]), seen.stopped], axis=1)[good]
-        self.fill(parts, info, last, False)
-        score.note(self.results["score"], proved, self.formula[:, 4], self.steps, *self.damage.T)
+        self.set_results(parts, info, last, False)
+        write_scores(self.results["score"], proved, self.formula[:, 4], self.steps, *self.damage.T)
 
-    def _prove(self, which: np.ndarray) -> np.ndarray:
+    def _prove_best(self, which: np.ndarray) -> np.ndarray:
         """Of the stages in `which` the best cost that holds in a proof, (n,); infinite where none does, and elsewhere."""
         proved, left, every = np.full(self.n, np.inf), which.copy(), np.arange(self.n)
-        costs = self._answers(self.steps)
+        costs = self._answer_costs(self.steps)
         order = np.argsort(costs, axis=1, kind="stable")
         for at in order.T:
             cost = costs[every, at]
             left &= np.isfinite(cost)
             if not left.any():
                 break
-            held = self._hold(left, self.rows[every, at])
+            held = self._keep_step(left, self.rows[every, at])
             proved[held] = cost[held]
             left &= ~held
         return proved
 
-    def _hold(self, which: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def _keep_step(self, which: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """On which of these stages' machines, `margin` heavier, the registers of a row each keep step in `proofs` moves."""
         c, holds = self.config, which.copy()
-        programs = self._programs(np.where(which[:, None], rows, self.chosen(self.actions)))
+        programs = self._programs(np.where(which[:, None], rows, self.to_registers(self.actions)))
         for _ in range(c.proofs):
             if not holds.any():
                 break
             for k in np.flatnonzero(holds).tolist():
-                self._place(self.provers.stages[k], k, self._angle(k), c.margin)
-            played = self.provers.play([p if on else Program() for p, on in zip(programs, holds, strict=True)])
-            t = self.provers.truth()[:, self.axis.index]
-            holds &= self.trial.seen(played, t, self.distance, COUNT).kept & ~played.diverged
+                self._place(self.proof_fleet.stages[k], k, self._angle(k), c.margin)
+            played = self.proof_fleet.play([p if on else Program() for p, on in zip(programs, holds, strict=True)])
+            t = self.proof_fleet.truth()[:, self.axis.index]
+            holds &= self.trial.read_outcomes(played, t, self.distance, ENCODER_COUNT_M).in_step & ~played.diverged
         return holds
 
-    def observed(self) -> np.ndarray:
+    def compute_observations(self) -> np.ndarray:
         c, n = self.config, self.n
         low, high = portable.log(c.distances)
         far = (portable.log(self.distance) - low) / max(high - low, 1e-9) * 2.0 - 1.0
@@ -335,13 +344,13 @@ class FewShotTuning(MachineTask[Config]):
         columns = [
             np.stack([far, 1.0 - self.steps / c.tries, best], axis=1),
             table.reshape(n, -1),
-            self.placed,
+            self.machine_features,
         ]
         return np.clip(np.concatenate(columns, axis=1), -1.0, 1.0).astype(np.float32)
 
     def close(self) -> None:
         super().close()
-        self.provers.close()
+        self.proof_fleet.close()
 
 
 class FewShotTuningEnv(StageEnv):

@@ -5,8 +5,8 @@ class Config(Machines):              split, model, chip, ranges, faults, bus_cyc
     FAULTS = faulty.HAMPERING        of the faults of a split those that its machines may have
 
 class MyTask(MachineTask[Config]):
-    prepare:   self.ready()          `machines`, `ranges`, `faults` and `context`, (n,) CONTEXT
-    begin:     self.draw(k, options)
+    prepare:   self.prepare_machines()          `machines`, `ranges`, `faults` and `context`, (n,) CONTEXT
+    begin:     self.draw_machine(k, options)
     step:      self.outfit(stage, k) after a stage was restored
 """
 
@@ -21,13 +21,13 @@ import numpy as np
 from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs import contexts, faulty
-from stage.envs.settings import AxisName, Cycle, Number, Pair, Payloads, Range, Settings, Truths, Word, Words
-from stage.envs.task import ConfigT, MoveTask, carrier
+from stage.envs.settings import AxisName, Cycle, Number, Pair, Payloads, Range, Settings, TruthOption, Word, Words
+from stage.envs.task import ConfigT, MoveTask, find_carrier
 from stage.errors import ArgumentError, unknown
 
 
 @dataclass(frozen=True)
-class Machines(Settings):
+class MachineSettings(Settings):
     """Where the machines of the episodes come from. None: as the split has it."""
 
     FAULTS: ClassVar[tuple[str, ...]] = faulty.HAMPERING
@@ -50,7 +50,7 @@ class Machines(Settings):
         None  # body or site that carries it; None: site "work", else the body that the first axis moves
     )
     bus_cycle: Cycle = 1e-6  # s
-    truth: Truths = "info"  # where what no host can see is shown: entries.py
+    truth: TruthOption = "info"  # where what no host can see is shown: features.py
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -70,73 +70,73 @@ class MachineTask(MoveTask[ConfigT]):
     context: np.ndarray
 
     @property
-    def slides(self) -> tuple[str, ...]:
+    def axis_names(self) -> tuple[str, ...]:
         """The names of the axes that take part."""
         c: Any = self.config
         return (c.axis,)
 
-    def stage(self, visuals: bool) -> Stage:
+    def make_stage(self, visuals: bool) -> Stage:
         c: Any = self.config
-        model, chip = (contexts.setting(c, name) for name in ("model", "chip"))
+        model, chip = (contexts.get_setting(c, name) for name in ("model", "chip"))
         made = Stage(model, chips=chip_class(chip), bus_cycle=c.bus_cycle, visuals=visuals)
-        for name in self.slides:
+        for name in self.axis_names:
             if name not in made.axes:
                 raise unknown(f"axis of model {model}", name, made.axes)
             if made.axes[name].drive.has_encoder or made.axes[name].unit != "m":
                 raise ArgumentError(f"axis {name}: it is no stepper's slide, and this task is of those.")
         return made
 
-    def ready(self) -> None:
+    def prepare_machines(self) -> None:
         """For `prepare`, on stages that nobody has changed."""
         c: Any = self.config
-        first, names = self.stages[0], self.slides
-        on = carrier(first, names[0], c.payload_on)
-        self.machines = [contexts.Machine.of(first, name, on) for name in names]
-        self.faulty = [faulty.Faulty.of(first, name) for name in names]
-        self.ranges = contexts.ranges(c)
-        self.faults = tuple(name for name in contexts.setting(c, "faults") if name in c.FAULTS)
+        first, names = self.stages[0], self.axis_names
+        on = find_carrier(first, names[0], c.payload_on)
+        self.machines = [contexts.NominalMachine.from_stage(first, name, on) for name in names]
+        self.faulty = [faulty.FaultyAxis.from_stage(first, name) for name in names]
+        self.ranges = contexts.get_ranges(c)
+        self.faults = tuple(name for name in contexts.get_setting(c, "faults") if name in c.FAULTS)
         self.context = np.zeros(self.n, contexts.CONTEXT)
 
-    def draw(self, k: int, options: Mapping[str, Any], axes: int | None = None) -> None:
+    def draw_machine(self, k: int, options: Mapping[str, Any], axes: int | None = None) -> None:
         """The machine of stage k's episode. axes: of how many a fault may be, default of all."""
-        contexts.draw(self.rngs[k], self.ranges, self.context[k], options)
-        self.draw_fault(k, options, self.beside(k), len(self.machines) if axes is None else axes)
+        contexts.draw_context(self.rngs[k], self.ranges, self.context[k], options)
+        self.draw_fault(k, options, self.make_fault_rng(k), len(self.machines) if axes is None else axes)
 
-    def beside(self, k: int) -> np.random.Generator:
+    def make_fault_rng(self, k: int) -> np.random.Generator:
         """Numbers beside those that stage k draws from now on: whoever uses them changes none of those."""
         bits: Any = self.rngs[k].bit_generator
         return np.random.Generator(bits.jumped())
 
     def draw_fault(self, k: int, options: Mapping[str, Any], rng: np.random.Generator, axes: int) -> None:
         c: Any = self.config
-        faulty.draw(rng, self.faults, c.healthy, axes, self.context[k])
+        faulty.draw_fault(rng, self.faults, c.healthy, axes, self.context[k])
         if "fault" in options:
             if options["fault"] not in (known := ("none", *c.FAULTS)):
                 raise unknown("option fault", options["fault"], known)
             self.context[k]["fault"] = faulty.NAMES.index(options["fault"])
 
-    def outfit(self, stage: Stage, k: int, more: float = 0.0, bounce: float = 0.0) -> None:
+    def configure_stage(self, stage: Stage, k: int, more: float = 0.0, bounce: float = 0.0) -> None:
         """A stage is the machine of stage k's episode, `more` kg heavier; the contacts of ORG bounce for so many seconds."""
         context = self.context[k]
         fault, at = int(context["fault"]), int(context["faulty"])
         for machine in self.machines:
-            machine.equip(stage, context, more + faulty.overload(fault))
+            machine.apply(stage, context, more + faulty.find_overload(fault))
         for j, axis in enumerate(self.faulty):
-            axis.put(stage, faulty.NAMES[fault if j == at else 0], bounce)
+            axis.apply(stage, faulty.NAMES[fault if j == at else 0], bounce)
 
-    def equip(self, k: int) -> None:
-        self.outfit(self.stages[k], k)
+    def apply_machine(self, k: int) -> None:
+        self.configure_stage(self.stages[k], k)
 
-    def described(self, k: int) -> dict[str, Any]:
+    def describe_machine(self, k: int) -> dict[str, Any]:
         """What an info has of stage k's machine, after a reset."""
-        return {name: kind(self.context[k][name]) for name, kind in contexts.INFO.items()}
+        return {f.name: f.kind(self.context[k][f.name]) for f in contexts.INFO}
 
     @property
-    def told_of_machines(self) -> dict[str, np.ndarray]:
+    def machine_info(self) -> dict[str, np.ndarray]:
         """What an info has of the machines, after a step."""
-        return {name: self.context[name] for name in contexts.INFO}
+        return {f.name: self.context[f.name] for f in contexts.INFO}
 
     @property
-    def placed(self) -> np.ndarray:
+    def machine_features(self) -> np.ndarray:
         """What an observation with truth=True has of the machines, (n, SHOWN)."""
-        return contexts.placed(self.ranges, self.context)
+        return contexts.scale_contexts(self.ranges, self.context)

@@ -27,7 +27,7 @@ OTHERS = ("plus", "minus", "home", "wait", "read")
 KINDS = ("rates", "distance", *OTHERS, "select")
 
 
-class Book:
+class MacroTable:
     """The macros of some axes.
 
     grid: pulses that a distance may be. patience: s that a wait may take; settle: s after each stop.
@@ -39,19 +39,19 @@ class Book:
     def __init__(self, axes: Sequence[Any], grid: Sequence[int], patience: float, settle: float):
         self.grid, self._pages = tuple(grid), [Program()]
         self._first: list[int] = []
-        self.searches: list[Any] = []
+        self.home_searches: list[Any] = []
         self._choices: list[np.ndarray] = []
         for axis in axes:
             self._write(axis, patience, settle)
         one = [*(f"rates {r}" for r in RATES), *(f"distance {d}" for d in self.grid), *OTHERS]
-        self.per, m = len(one), len(axes)
+        self.macros_per_axis, m = len(one), len(axes)
         self.names = (*one, *(f"select {axis.name}" for axis in axes))
         kinds = np.array([name.split()[0] for name in self.names])
-        self.of_kind = {kind: kinds == kind for kind in KINDS}
+        self.is_kind = {kind: kinds == kind for kind in KINDS}
         self.value = np.array([*range(len(RATES)), *range(len(self.grid)), *[0] * len(OTHERS), *range(m)])
-        self._starts = self.of_kind["plus"] | self.of_kind["minus"]
+        self._find_starts = self.is_kind["plus"] | self.is_kind["minus"]
         self._at = np.zeros((m, len(self.names)), np.int64)  # where the pages of a macro begin; page 0 does nothing
-        self._at[:, : self.per] = np.array(self._first).reshape(m, self.per)
+        self._at[:, : self.macros_per_axis] = np.array(self._first).reshape(m, self.macros_per_axis)
         self._lengths = np.array([len(p) for p in self._pages])
         self._table = np.zeros((len(self._pages), self._lengths.max(), 4), np.int64)
         for row, p in zip(self._table, self._pages, strict=True):
@@ -76,7 +76,7 @@ class Book:
             self._add(*pages)
         search = driver.search(HOMING)
         row = search.row(*SPEEDS_HOME, 0, HOMING.back_off)
-        self.searches.append(search)
+        self.home_searches.append(search)
         self._choices.append(np.array([row]))
         self._add(search.program(row))
         self._add(Program().until_stopped([a], patience).wait(settle))
@@ -95,11 +95,11 @@ class Book:
     def programs(self, macros: np.ndarray, axis: np.ndarray, s: np.ndarray, which: np.ndarray) -> np.ndarray:
         """The bus cycles of macros on an axis each, (n, operations, 4); of those that are not in `which` none. s: what is written
         there, with `rates` and `distance`."""
-        of_starts = np.where(self._starts[macros], s["rates"] * len(self.grid) + s["distance"], 0)
+        of_starts = np.where(self._find_starts[macros], s["rates"] * len(self.grid) + s["distance"], 0)
         pages = np.where(which, self._at[axis, macros] + of_starts, 0)
         return self._table[pages, : max(1, int(self._lengths[pages].max()))]
 
-    def found(self, axis: int, results: np.ndarray) -> np.ndarray:
+    def found_origin(self, axis: int, results: np.ndarray) -> np.ndarray:
         """Which origin returns of an axis ended at the origin, by the results of their programs."""
-        found = self.searches[axis].found(results, np.repeat(self._choices[axis], len(results), axis=0))
+        found = self.home_searches[axis].found(results, np.repeat(self._choices[axis], len(results), axis=0))
         return found.home & ~found.late

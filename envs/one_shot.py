@@ -23,10 +23,9 @@ import numpy as np
 
 from stage.envs import contexts, few_shot
 from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.entries import HOST, Entry
+from stage.envs.features import HOST, Feature
 from stage.envs.few_shot import FewShotTuning
-from stage.envs.options import given
-from stage.envs.settings import Count, Number, Word
+from stage.envs.settings import Count, Number, Word, read_option
 from stage.errors import ArgumentError
 from stage.support import portable
 
@@ -50,35 +49,35 @@ class OneShotTuning(FewShotTuning):
     OPTIONS = (*FewShotTuning.OPTIONS, "declared")
     """The move and the machine, and the payload that is declared, in place of drawn ones."""
     STATE = (*FewShotTuning.STATE, "declared")
-    SEEN = (
-        FewShotTuning.SEEN[0],
-        Entry("declared", HOST, "payload as declared, from -1 to 1 over `payloads`"),
-        *contexts.SHOWN,
+    OBSERVATION = (
+        FewShotTuning.OBSERVATION[0],
+        Feature("declared", HOST, "payload as declared, from -1 to 1 over `payloads`"),
+        *contexts.OBSERVATION,
     )
-    TOLD = (Entry("declared", HOST, "kg, of the payload, told by a reset"), *FewShotTuning.TOLD)
+    INFO = (Feature("declared", HOST, "kg, of the payload, told by a reset"), *FewShotTuning.INFO)
 
     def prepare(self) -> None:
         super().prepare()
         self.declared = np.zeros(self.n)
 
-    def layout(self) -> list[Entry]:
-        return list(self.SEEN)
+    def layout(self) -> list[Feature]:
+        return list(self.OBSERVATION)
 
-    def _reckon(self, k: int, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
+    def _compute_formula(self, k: int, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
         off = 1 + self.config.error * rng.uniform(-1, 1)  # type: ignore[attr-defined]
         most = self.ranges["payload"][1]
         drawn = min(float(self.context[k]["payload"]) * off, most)
-        self.declared[k] = given(options, "declared", drawn, (0.0, most))
-        self._ask(k, float(self.declared[k]))
+        self.declared[k] = read_option(options, "declared", drawn, (0.0, most))
+        self._set_formula(k, float(self.declared[k]))
 
-    def describe(self, k: int) -> dict[str, Any]:
-        return {"declared": float(self.declared[k]), **super().describe(k)}
+    def describe_episode(self, k: int) -> dict[str, Any]:
+        return {"declared": float(self.declared[k]), **super().describe_episode(k)}
 
-    def observed(self) -> np.ndarray:
+    def compute_observations(self) -> np.ndarray:
         (d0, d1), (p0, p1) = portable.log(self.config.distances), self.ranges["payload"]
         distance = (portable.log(self.distance) - d0) / max(d1 - d0, 1e-9) * 2.0 - 1.0
         declared = (self.declared - p0) / max(p1 - p0, 1e-9) * 2.0 - 1.0
-        columns = [np.stack([distance, declared], axis=1), self.placed]
+        columns = [np.stack([distance, declared], axis=1), self.machine_features]
         return np.clip(np.concatenate(columns, axis=1), -1.0, 1.0).astype(np.float32)
 
 

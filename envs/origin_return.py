@@ -46,10 +46,8 @@ import numpy as np
 from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.entries import HOST, TRUTH, Entry
-from stage.envs.options import given
+from stage.envs.features import HOST, TRUTH, Feature
 from stage.envs.registers import RegisterBox
-from stage.envs.results import result
 from stage.envs.settings import (
     Actions,
     AxisName,
@@ -61,10 +59,11 @@ from stage.envs.settings import (
     Range,
     Seconds,
     Settings,
-    Truths,
+    TruthOption,
     Weight,
+    read_option,
 )
-from stage.envs.task import MoveTask, carrier
+from stage.envs.task import MoveTask, find_carrier
 from stage.errors import ArgumentError, unknown
 from stage.firmware.driver import driver_of
 from stage.sim.fleet import Played
@@ -72,8 +71,8 @@ from stage.sim.program import Program
 from stage.sim.records import INDEX
 from stage.support import portable
 
-FROM_LIMIT = 5e-4  # m; no return starts nearer to an end limit
-CAP = 64.0  # pulses, of an error: an electrical period of a motor at 1/16 step
+LIMIT_CLEARANCE_M = 5e-4  # m; no return starts nearer to an end limit
+MAX_ERROR_PULSES = 64.0  # pulses, of an error: an electrical period of a motor at 1/16 step
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,9 @@ class Config(Settings):
         None  # body or site that carries it; None: site "work", else the body that the axis moves
     )
     frictions: Annotated[Pair, Range(1e-3)] = (0.5, 2.0)  # times the axis' friction and damping; by their logarithm
-    drift: Annotated[float, Number(high=FROM_LIMIT)] = 0.0  # m; ORG trips up to so far from its place, drawn each time
+    drift: Annotated[float, Number(high=LIMIT_CLEARANCE_M)] = (
+        0.0  # m; ORG trips up to so far from its place, drawn each time
+    )
     # end at the ez-th index pulse after ORG (PCL240MK, PCL240MS; NOVA chips the first); 0: at ORG
     ez: Annotated[int, Number(high=16, whole=True)] = 0
     multiplier: Count = 30  # R7 of a PCL-240
@@ -105,45 +106,46 @@ class Config(Settings):
     limit_weight: Weight = 2.0
     lost_weight: Weight = 2.0
     bus_cycle: Cycle = 1e-6  # s
-    truth: Truths = True  # where what no host can see is shown: entries.py
+    truth: TruthOption = True  # where what no host can see is shown: features.py
 
 
 class OriginReturn(MoveTask[Config]):
     Config = Config
     OPTIONS = ("start", "payload", "friction")
     """start: m, of the first return."""
+    PARTS = ("time", "error", "spread", "missed", "limit", "lost")
     STATE = ("payload", "friction", "place", "shift", "ends", "last")
     RESTARTS = True
-    SEEN = (
-        Entry("org", HOST, "1 if ORG is asserted now"),
-        Entry("sd", HOST, "1 if SD+ is asserted now"),
-        Entry("left", HOST, "returns left / `returns`"),
-        Entry("payload", TRUTH, "from -1 to 1 over `payloads`"),
-        Entry("friction", TRUTH, "by its logarithm from -1 to 1 over `frictions`"),
-        Entry("last", HOST, "1 if there was a return; what follows is of it"),
-        Entry("last_home", HOST, "1 if it ended at the origin, by the chip"),
-        Entry("last_end_limit", HOST, "1 if it ran into an end limit"),
-        Entry("last_late", HOST, "1 if a run took longer than `limit`"),
-        Entry("last_released", HOST, "1 if ORG was released after backing off (NOVA: no error of the home search)"),
-        Entry("last_duration", HOST, "duration / 4 `limit`"),
-        Entry("last_searched", HOST, "pulses of the search / those from EL to EL"),
-        Entry("last_overrun", HOST, "pulses of the approach beyond those of backing off / 64 (NOVA: 0)"),
+    OBSERVATION = (
+        Feature("org", HOST, "1 if ORG is asserted now"),
+        Feature("sd", HOST, "1 if SD+ is asserted now"),
+        Feature("left", HOST, "returns left / `returns`"),
+        Feature("payload", TRUTH, "from -1 to 1 over `payloads`"),
+        Feature("friction", TRUTH, "by its logarithm from -1 to 1 over `frictions`"),
+        Feature("last", HOST, "1 if there was a return; what follows is of it"),
+        Feature("last_home", HOST, "1 if it ended at the origin, by the chip"),
+        Feature("last_end_limit", HOST, "1 if it ran into an end limit"),
+        Feature("last_late", HOST, "1 if a run took longer than `limit`"),
+        Feature("last_released", HOST, "1 if ORG was released after backing off (NOVA: no error of the home search)"),
+        Feature("last_duration", HOST, "duration / 4 `limit`"),
+        Feature("last_searched", HOST, "pulses of the search / those from EL to EL"),
+        Feature("last_overrun", HOST, "pulses of the approach beyond those of backing off / 64 (NOVA: 0)"),
     )
-    TOLD = (
-        Entry("payload", TRUTH, "kg, of the episode, told by a reset"),
-        Entry("friction", TRUTH, "times the nominal one, of the episode, told by a reset"),
-        Entry("duration", HOST, "s"),
-        Entry("error", TRUTH, "pulses between the carriage and the origin"),
-        Entry("spread", TRUTH, "pulses, the episode's largest minus smallest error"),
-        Entry("home", HOST, "the return ended at the origin, by the chip"),
-        Entry("end_limit", HOST, "a run ended at an end limit"),
-        Entry("late", HOST, "a run took longer than `limit`"),
-        Entry("lost_steps", TRUTH, "full steps"),
-        Entry("start", TRUTH, "m, where the return began"),
-        Entry("registers", HOST, "that were chosen"),
+    INFO = (
+        Feature("payload", TRUTH, "kg, of the episode, told by a reset"),
+        Feature("friction", TRUTH, "times the nominal one, of the episode, told by a reset"),
+        Feature("duration", HOST, "s", kind=float),
+        Feature("error", TRUTH, "pulses between the carriage and the origin", kind=float),
+        Feature("spread", TRUTH, "pulses, the episode's largest minus smallest error", kind=float),
+        Feature("home", HOST, "the return ended at the origin, by the chip", kind=bool),
+        Feature("end_limit", HOST, "a run ended at an end limit", kind=bool),
+        Feature("late", HOST, "a run took longer than `limit`", kind=bool),
+        Feature("lost_steps", TRUTH, "full steps", kind=int),
+        Feature("start", TRUTH, "m, where the return began", kind=float),
+        Feature("registers", HOST, "that were chosen", kind=int),
     )
 
-    def stage(self, visuals: bool) -> Stage:
+    def make_stage(self, visuals: bool) -> Stage:
         c = self.config
         made = Stage(c.model, chips=chip_class(c.chip), bus_cycle=c.bus_cycle, visuals=visuals)
         if c.axis not in made.axes:
@@ -153,7 +155,7 @@ class OriginReturn(MoveTask[Config]):
     def prepare(self) -> None:
         c, n, first = self.config, self.n, self.stages[0]
         self.axis = first.axes[c.axis]
-        self.carrier = carrier(first, c.axis, c.payload_on)
+        self.carrier = find_carrier(first, c.axis, c.payload_on)
         self.search = driver_of(self.axis).search(c)
         self.switch = {s.pin: s for s in self.axis.plant.switches}
         for pin in ("org", "el_minus", "el_plus"):
@@ -161,23 +163,19 @@ class OriginReturn(MoveTask[Config]):
                 raise ArgumentError(f"axis {c.axis} has no {pin}: an origin return needs ORG and both end limits.")
         self.low, self.high = self.switch["el_minus"].touch, self.switch["el_plus"].touch
         self.per_pulse = self.axis.meters_per_pulse
-        self.origin = self._origin()
+        self.origin = self._find_origin()
         self.dof = self.axis.plant.dof
         self.friction0 = float(first.model.dof_frictionloss[self.dof]), float(first.model.dof_damping[self.dof])
         self._find_beam(first)
         self.strategy = RegisterBox.of(self.search.choices.ranges, self.search.choices.cubed)
         self.action_space = self.strategy.box if c.actions == "box" else self.strategy.discrete
-        self.observation_space = self.seen()
-        self.result = result(
-            ("time", "error", "spread", "missed", "limit", "lost"),
-            duration=float, error=float, spread=float, home=bool, end_limit=bool, late=bool,
-            lost_steps=int, start=float, registers=(int, (len(self.strategy),)),
-        )  # fmt: skip
+        self.observation_space = self.make_observation_space()
+        self.shapes = {"registers": (len(self.strategy),)}
         self.payload, self.friction, self.place, self.shift = np.zeros(n), np.ones(n), np.zeros(n), np.zeros(n)
         self.ends = np.zeros((n, 2))
         self.last = np.zeros((n, 8))
 
-    def _origin(self) -> float:
+    def _find_origin(self) -> float:
         """Where a perfect return ends, m: ORG, or the edge of the ez-th index pulse after it."""
         touch, ez = self.switch["org"].touch, self.config.ez
         if not ez:
@@ -193,58 +191,58 @@ class OriginReturn(MoveTask[Config]):
         self.along = turned.T @ stage.data.xaxis[self.axis.joint]
         self.beam0 = stage.model.geom_pos[self.beam].copy()
 
-    def begin(self, k: int, options: Mapping[str, Any]) -> None:
+    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
         c, rng = self.config, self.rngs[k]
         payload, friction = (
             float(rng.uniform(*c.payloads)),
             float(portable.exp(rng.uniform(*portable.log(c.frictions)))),
         )
-        self.payload[k] = given(options, "payload", payload, c.payloads)
-        self.friction[k] = given(options, "friction", friction, c.frictions)
-        self._load(k)
+        self.payload[k] = read_option(options, "payload", payload, c.payloads)
+        self.friction[k] = read_option(options, "friction", friction, c.frictions)
+        self._apply_load(k)
         self.ends[k], self.last[k] = (np.inf, -np.inf), 0.0
-        self._draw(k, options)
+        self._draw_move(k, options)
 
-    def renew(self) -> None:
-        for k in np.flatnonzero(self.sound):
-            self._draw(int(k), {})
+    def prepare_next(self) -> None:
+        for k in np.flatnonzero(self.converged):
+            self._draw_move(int(k), {})
 
-    def _draw(self, k: int, options: Mapping[str, Any]) -> None:
+    def _draw_move(self, k: int, options: Mapping[str, Any]) -> None:
         """The next unknown place."""
         c, rng, stage = self.config, self.rngs[k], self.stages[k]
-        drawn = float(rng.uniform(self.low + FROM_LIMIT, self.high - FROM_LIMIT))
-        self.place[k] = given(options, "start", drawn, self.axis.travel)
+        drawn = float(rng.uniform(self.low + LIMIT_CLEARANCE_M, self.high - LIMIT_CLEARANCE_M))
+        self.place[k] = read_option(options, "start", drawn, self.axis.travel)
         self.shift[k] = rng.uniform(-c.drift, c.drift) if c.drift else 0.0
-        self._shift(k)
+        self._shift_switch(k)
         stage.restore(self.start)
         stage.place(**{c.axis: float(self.place[k])})
 
-    def equip(self, k: int) -> None:
-        self._load(k)
-        self._shift(k)
+    def apply_machine(self, k: int) -> None:
+        self._apply_load(k)
+        self._shift_switch(k)
 
-    def _load(self, k: int) -> None:
+    def _apply_load(self, k: int) -> None:
         model = self.stages[k].model
         self.stages[k].set_payload(float(self.payload[k]), self.carrier)
         model.dof_frictionloss[self.dof], model.dof_damping[self.dof] = np.array(self.friction0) * self.friction[k]
 
-    def _shift(self, k: int) -> None:
+    def _shift_switch(self, k: int) -> None:
         if self.config.drift:
             self.stages[k].model.geom_pos[self.beam] = self.beam0 + self.along * self.shift[k]
 
-    def describe(self, k: int) -> dict[str, Any]:
+    def describe_episode(self, k: int) -> dict[str, Any]:
         return {"payload": float(self.payload[k]), "friction": float(self.friction[k])}
 
-    def chosen(self, actions: np.ndarray) -> np.ndarray:
+    def to_registers(self, actions: np.ndarray) -> np.ndarray:
         """The numbers that actions choose, in the order of strategy.names."""
         return self.strategy.from_action(actions) if self.config.actions == "box" else actions.astype(np.int64)
 
-    def programs(self) -> list[Program]:
-        return [self.search.program(row) for row in self.chosen(self.actions)]
+    def make_programs(self) -> list[Program]:
+        return [self.search.program(row) for row in self.to_registers(self.actions)]
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.axis.index]
-        rows = self.chosen(self.actions)
+        rows = self.to_registers(self.actions)
         found = self.search.found(played.results, rows)
         late, home, end_limit = found.late, found.home, found.end_limit
         duration = t["now"] * 1e-9  # since power-up
@@ -255,11 +253,11 @@ class OriginReturn(MoveTask[Config]):
             np.stack([np.minimum(self.ends[:, 0], error), np.maximum(self.ends[:, 1], error)], axis=1),
             self.ends,
         )
-        spread, before = _width(ends), _width(self.ends)
+        spread, before = _compute_spread(ends), _compute_spread(self.ends)
         parts = {
             "time": -c.time_weight * duration,
-            "error": -c.error_weight * np.minimum(np.abs(error), CAP),
-            "spread": -c.spread_weight * np.minimum(spread - before, CAP),
+            "error": -c.error_weight * np.minimum(np.abs(error), MAX_ERROR_PULSES),
+            "spread": -c.spread_weight * np.minimum(spread - before, MAX_ERROR_PULSES),
             "missed": np.where(home, 0.0, -c.missed_weight),
             "limit": np.where(end_limit | late, -c.limit_weight, 0.0),
             "lost": np.where(lost > 0, -c.lost_weight, 0.0),
@@ -277,14 +275,14 @@ class OriginReturn(MoveTask[Config]):
             found.released,
             duration / (4 * c.limit),
             found.searched / whole,
-            found.overrun / CAP,
+            found.overrun / MAX_ERROR_PULSES,
         ]
-        good = self.sound
+        good = self.converged
         self.ends[good] = ends[good]
         self.last[good] = np.clip(np.nan_to_num(np.stack(now, axis=1)), -1.0, 1.0)[good]
-        self.fill(parts, info, False, self.steps >= c.returns)
+        self.set_results(parts, info, False, self.steps >= c.returns)
 
-    def observed(self) -> np.ndarray:
+    def compute_observations(self) -> np.ndarray:
         c, inputs = self.config, self.fleet.truth()["inputs"][:, self.axis.index]
         (p0, p1), (f0, f1) = c.payloads, portable.log(c.frictions)
         columns = [
@@ -298,7 +296,7 @@ class OriginReturn(MoveTask[Config]):
         return np.clip(now, -1.0, 1.0).astype(np.float32)
 
 
-def _width(ends: np.ndarray) -> np.ndarray:
+def _compute_spread(ends: np.ndarray) -> np.ndarray:
     """Largest minus smallest; 0 where there is none yet."""
     return np.where(ends[:, 1] >= ends[:, 0], ends[:, 1] - ends[:, 0], 0.0)
 

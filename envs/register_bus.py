@@ -17,7 +17,7 @@ observation   float32 in [-1, 1]; for every chip in turn
               value of the last read / the largest    1 if the last action was a read    time / time_limit    actions / cycles
               With live=True the addresses always show the present values (PCL-240: status and R0; NOVA: RR0 to RR7), the
               entries of age are 1, and no bus cycle is needed.
-              With truth=False the info has no truth either, see entries.py.
+              With truth=False the info has no truth either, see features.py.
 reward        the sum of
               progress   progress_weight x (potential now - potential before); the potential is - the mean of the axes' errors
                          beyond the tolerance / scale (distances[1], or with "home" the way from EL to EL), 0 at success
@@ -52,10 +52,10 @@ from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs import register_bus_core as core
 from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.entries import HOST, TRUTH, Entry
+from stage.envs.features import HOST, TRUTH, Feature
 from stage.envs.results import DIVERGED
 from stage.envs.settings import (
-    LONGEST,
+    MAX_SECONDS,
     Count,
     Counts,
     Cycle,
@@ -66,12 +66,12 @@ from stage.envs.settings import (
     Positive,
     Seconds,
     Settings,
-    Truths,
+    TruthOption,
     Weight,
     Word,
 )
 from stage.envs.task import Task
-from stage.envs.trial import Starts
+from stage.envs.trial import StartPositions
 from stage.errors import ArgumentError, unknown
 from stage.sim import play
 from stage.support import portable
@@ -80,7 +80,7 @@ WRITE, READ, WAIT = core.WRITE, core.READ, core.WAIT  # kinds of action; WAIT + 
 GOALS = ("position", "home")
 DISTANCES = (400, 8000)  # pulses
 ROOM = 0.9  # of the way to the nearest end limit, that targets by default use at most
-FROM_LIMIT = 5e-4  # m; "home" starts no nearer to an end limit
+LIMIT_CLEARANCE_M = 5e-4  # m; "home" starts no nearer to an end limit
 
 
 @dataclass(frozen=True)
@@ -91,14 +91,14 @@ class Config(Settings):
     chip: str | type[Chip] = "PCL240K"
     axes: Annotated[tuple[str, ...] | None, Names(1)] = None  # that have a chip; None: every axis of the model
     goal: Annotated[str, Word(GOALS)] = "position"  # or "home"
-    waits: Annotated[tuple[float, ...], Each(above=True, high=LONGEST)] = (1e-4, 1e-3, 1e-2, 1e-1)  # s
+    waits: Annotated[tuple[float, ...], Each(above=True, high=MAX_SECONDS)] = (1e-4, 1e-3, 1e-2, 1e-1)  # s
     distances: Counts | None = None  # pulses, of goal "position"; None: 400 to 8000, as far as there is room
     tolerance: Positive = None  # type: ignore[assignment]  # pulses; None: IN_POSITION of the chip's class, 4, counts of a servo 10
     standing: Positive = 1e-3  # m/s, slower than this is standing still
     time_limit: Seconds = 30.0  # s
     cycles: Count = 2000  # actions
     live: Flag = False
-    truth: Truths = "info"  # where what no host can see is shown: entries.py
+    truth: TruthOption = "info"  # where what no host can see is shown: features.py
     discount: Discount = 1.0
     progress_weight: Weight = 1.0
     time_weight: Weight = 0.1
@@ -122,30 +122,24 @@ class RegisterBus(Task[Config]):
     OPTIONS = ("target", "start")
     """target: {axis: pulses, signed} instead of drawn ones; start: {axis: m}, where carriages stand at the beginning."""
     STATE = ("episodes", "axis_states", "words")
-    SEEN = (
-        Entry("status", HOST, "bits of the status, from b0, as last read", "chip"),
-        Entry("words", HOST, "what was last read at the other addresses / the largest datum", "chip"),
-        Entry("ages", HOST, "of the values of all addresses: 0 never read, else 1 / (1 + age / 1 ms)", "chip"),
-        Entry("target", HOST, 'pulses from the start / `distances[1]`; 0 with goal "home"', "axis"),
-        Entry("place", TRUTH, "of the carriage in its travel, from -1 to 1", "axis"),
-        Entry("velocity", TRUTH, "/ 0.5 m/s", "axis"),
-        Entry("lost", TRUTH, "full steps / 64", "axis"),
-        Entry("error", TRUTH, "from the goal / its scale", "axis"),
-        Entry("value", HOST, "of the last read / the largest datum"),
-        Entry("was_read", HOST, "1 if the last action was a read"),
-        Entry("time", HOST, "/ `time_limit`"),
-        Entry("actions", HOST, "/ `cycles`"),
+    OBSERVATION = (
+        Feature("status", HOST, "bits of the status, from b0, as last read", "chip"),
+        Feature("words", HOST, "what was last read at the other addresses / the largest datum", "chip"),
+        Feature("ages", HOST, "of the values of all addresses: 0 never read, else 1 / (1 + age / 1 ms)", "chip"),
+        Feature("target", HOST, 'pulses from the start / `distances[1]`; 0 with goal "home"', "axis"),
+        Feature("place", TRUTH, "of the carriage in its travel, from -1 to 1", "axis"),
+        Feature("velocity", TRUTH, "/ 0.5 m/s", "axis"),
+        Feature("lost", TRUTH, "full steps / 64", "axis"),
+        Feature("error", TRUTH, "from the goal / its scale", "axis"),
+        Feature("value", HOST, "of the last read / the largest datum"),
+        Feature("was_read", HOST, "1 if the last action was a read"),
+        Feature("time", HOST, "/ `time_limit`"),
+        Feature("actions", HOST, "/ `cycles`"),
     )
-    TOLD = (
-        Entry("target", HOST, "pulses of each axis, signed, told by a reset"),
-        Entry("elapsed", HOST, "s since the episode began"),
-        Entry("value", HOST, "that was just read, else -1"),
-        Entry("success", TRUTH, "every axis stands at its goal"),
-        Entry("error", TRUTH, "pulses, the largest of the axes' errors"),
-        Entry("lost_steps", TRUTH, "full steps, of all axes"),
-    )
+    INFO = core.INFO
+    PARTS = core.PARTS
 
-    def stage(self, visuals: bool) -> Stage:
+    def make_stage(self, visuals: bool) -> Stage:
         c = self.config
         chip = chip_class(c.chip)
         chips = chip if c.axes is None else dict.fromkeys(c.axes, chip)
@@ -159,15 +153,15 @@ class RegisterBus(Task[Config]):
         self.sign = np.array([np.sign(a.gear) for a in self.axes])  # of the joint, when pulses go plus
         self.full_step = np.array([self._full_step(a) for a in self.axes])
         self.travel = np.array([a.travel for a in self.axes])
-        self.limits = np.array([self._limits(a) for a in self.axes])
+        self.limits = np.array([self._find_limits(a) for a in self.axes])
         self.power_up = self.fleet.truth()["position"][0]
-        self.turn = np.array([Starts(a).turn for a in self.axes])
+        self.turn = np.array([StartPositions(a).turn for a in self.axes])
         way = np.abs(self.limits - self.power_up[:, None]).min(axis=1) - self.turn
         room = (way / self.per_pulse).min()
         least, most = DISTANCES
         self.distances = c.distances or (least, max(least, min(most, int(ROOM * room))))
         if c.goal == "home":
-            self.origin = np.array([self._touch(a, "org") for a in self.axes])
+            self.origin = np.array([self._find_switch(a, "org") for a in self.axes])
             if np.isnan(self.origin).any():
                 raise ArgumentError(f"axes {[a.name for a in self.axes]!r}: goal 'home' needs an ORG switch on each.")
             self.scale = self.limits[:, 1] - self.limits[:, 0]
@@ -191,16 +185,15 @@ class RegisterBus(Task[Config]):
             + core.COMMON
         )
         self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (size,), np.float32)
-        self.result = core.RESULT
         self.waits = np.array([round(w * 1e9) for w in c.waits], np.int64)  # ns
-        self._note_rules()
+        self._write_rules()
         self.episodes, self.axis_states = np.zeros(n, core.EPISODE), np.zeros((n, m), core.AXIS)
         self.words = np.zeros((n, len(chips), chip.ADDRESSES), core.WORD)
         self._truth = np.zeros((n, m), play.TRUTH)
         self._ops, self._values, self._status = (np.zeros(shape, np.int64) for shape in ((n, 1, 4), (n, 1), n))
-        self._by_hand = np.zeros(n, bool)
+        self._played_by_python = np.zeros(n, bool)
 
-    def _note_rules(self) -> None:
+    def _write_rules(self) -> None:
         """The settings as compiled code reads them."""
         c = self.config
         self.rules, self.axis_rules = np.zeros(1, core.RULES), np.zeros(len(self.axes), core.AXIS_RULES)
@@ -219,10 +212,10 @@ class RegisterBus(Task[Config]):
         for name, values in of_axes.items():
             self.axis_rules[name] = values
 
-    def wire(self) -> None:
+    def bind_arrays(self) -> None:
         arrays = {
             "handles": self.fleet.handles, "rules": self.rules, "axis_rules": self.axis_rules, "waits": self.waits,
-            "active": self.active, "by_hand": self._by_hand, "actions": self.actions, "steps": self.steps,
+            "active": self.active, "by_hand": self._played_by_python, "actions": self.actions, "steps": self.steps,
             "ops": self._ops, "values": self._values, "status": self._status,
             "truth": self._truth, "episodes": self.episodes, "axes": self.axis_states,
             "words": self.words, "first": self.first, "observations": self.observations,
@@ -236,10 +229,10 @@ class RegisterBus(Task[Config]):
         self._address = self._frame.ctypes.data
         self._rows = self.results.rows.ctypes.data, len(self.results.rows)
 
-    def layout(self) -> list[Entry]:
-        status, words, ages, target, *truth, value, was_read, time, actions = self.SEEN
+    def layout(self) -> list[Feature]:
+        status, words, ages, target, *truth, value, was_read, time, actions = self.OBSERVATION
         addresses = self.axes[0].chip.ADDRESSES
-        found: list[Entry] = []
+        found: list[Feature] = []
         for a, i in enumerate(self.on_chip):
             if a == 0 or i != self.on_chip[a - 1]:
                 found += [status] * self._bus["bits"] + [words] * (addresses - 1) + [ages] * addresses
@@ -252,15 +245,15 @@ class RegisterBus(Task[Config]):
         return 0.0 if axis.drive.has_encoder else 0.5 * np.pi / (axis.drive.motor.rotor_teeth * axis.gear)
 
     @staticmethod
-    def _touch(axis: Any, pin: str) -> float:
+    def _find_switch(axis: Any, pin: str) -> float:
         return next((s.touch for s in axis.plant.switches if s.pin == pin), np.nan)
 
-    def _limits(self, axis: Any) -> tuple[float, float]:
+    def _find_limits(self, axis: Any) -> tuple[float, float]:
         """Where the end limits trip, or the travel ends."""
-        low, high = self._touch(axis, "el_minus"), self._touch(axis, "el_plus")
+        low, high = self._find_switch(axis, "el_minus"), self._find_switch(axis, "el_plus")
         return axis.travel[0] if np.isnan(low) else low, axis.travel[1] if np.isnan(high) else high
 
-    def begin(self, k: int, options: Mapping[str, Any]) -> None:
+    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
         c, rng, m = self.config, self.rngs[k], len(self.axes)
         if c.goal == "home":
             start, target = self._places(rng), np.zeros(m, np.int64)
@@ -290,7 +283,7 @@ class RegisterBus(Task[Config]):
     def _places(self, rng: np.random.Generator) -> np.ndarray:
         """Anywhere between the end limits, but not at the origin already."""
         while True:
-            q = rng.uniform(self.limits[:, 0] + FROM_LIMIT, self.limits[:, 1] - FROM_LIMIT)
+            q = rng.uniform(self.limits[:, 0] + LIMIT_CLEARANCE_M, self.limits[:, 1] - LIMIT_CLEARANCE_M)
             if (np.abs(q - self.origin) > self.config.tolerance * self.per_pulse).all():
                 return q
 
@@ -307,28 +300,28 @@ class RegisterBus(Task[Config]):
                 raise ArgumentError(f"option {name}={given!r}: pulses are whole numbers, places are metres.")
         return [(names.index(axis), value) for axis, value in given.items()]
 
-    def describe(self, k: int) -> dict[str, Any]:
+    def describe_episode(self, k: int) -> dict[str, Any]:
         return {"target": self.axis_states["target"][k].copy()}
 
-    def take(self, k: int, action: Any) -> None:
+    def set_action(self, k: int, action: Any) -> None:
         if type(action) is np.ndarray and action.dtype == np.int64 and action.shape == (4,):
             kind, axis, address, value = action.tolist()
             kinds, axes, addresses, values = self._choices
             if 0 <= kind < kinds and 0 <= axis < axes and 0 <= address < addresses and 0 <= value < values:
                 self.actions[k] = action
                 return
-        super().take(k, action)
+        super().set_action(k, action)
 
-    def act(self) -> None:
+    def play(self) -> None:
         watched = self.fleet.list_python_stages()
         if not watched:
             self.fleet.run_on_threads(self._step)
             self.fleet.check_status(self._status)
             return
-        self._by_hand[watched] = True
+        self._played_by_python[watched] = True
         self.fleet.run_on_threads(lambda begin, end: core.play.c(self._address, begin, end))
         self.fleet.check_status(self._status)
-        self._by_hand[:] = False
+        self._played_by_python[:] = False
         for k in watched:
             if self.active[k]:
                 self._status[k] = play.play_in_python(self.stages[k], self._ops[k], self._values[k], np.zeros((0, 2)))
@@ -340,7 +333,7 @@ class RegisterBus(Task[Config]):
     def _conclude(self, begin: int, end: int, fresh: bool) -> None:
         core.conclude.c(self._address, begin, end, fresh, *self._rows)
 
-    def observe(self) -> None:
+    def update_observations(self) -> None:
         """Done by `begin` and `act`."""
 
 

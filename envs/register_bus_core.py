@@ -11,16 +11,17 @@ import math
 import numpy as np
 
 from stage.chips import cores
-from stage.envs.results import result
+from stage.envs import features
+from stage.envs.results import make_result_dtype
 from stage.native import array_at, array_of, exported, greatest, hot, least, record
 from stage.sim import handle, program
 from stage.sim import play as player
 
 WRITE, READ, WAIT = range(3)  # kinds of action; WAIT + k
-AGE = 1e6  # ns, at which freshness is one half
-FAST, MANY = 0.5, 64.0  # m/s, full steps: what counts as 1 in an observation
+HALF_AGE_NS = 1e6  # ns, at which freshness is one half
+SPEED_SCALE, STEPS_SCALE = 0.5, 64.0  # m/s, full steps: what counts as 1 in an observation
 PER_AXIS, TRUTH, COMMON = 1, 4, 4
-DEAREST = 64  # full steps lost that cost something, an episode
+MAX_PAID_STEPS = 64  # full steps lost that cost something, an episode
 
 SETTINGS = {
     **dict.fromkeys("discount progress_weight time_weight success_weight lost_weight standing cycles".split(), "f8"),
@@ -66,7 +67,15 @@ def width(addresses, bits):
 
 
 PARTS = ("progress", "time", "success", "lost", "failed")
-RESULT = result(PARTS, elapsed=float, value=int, success=bool, error=float, lost_steps=int)
+INFO = (
+    features.Feature("target", features.HOST, "pulses of each axis, signed, told by a reset"),
+    features.Feature("elapsed", features.HOST, "s since the episode began", kind=float),
+    features.Feature("value", features.HOST, "that was just read, else -1", kind=int),
+    features.Feature("success", features.TRUTH, "every axis stands at its goal", kind=bool),
+    features.Feature("error", features.TRUTH, "pulses, the largest of the axes' errors", kind=float),
+    features.Feature("lost_steps", features.TRUTH, "full steps, of all axes", kind=int),
+)
+RESULT = make_result_dtype(PARTS, INFO)
 
 FRAME = record(
     [(name, "i8") for name in "handles rules axis_rules waits active by_hand actions steps ops values status".split()]
@@ -130,7 +139,7 @@ def _arrived(r, axes, rules, truth):
 
 
 @hot
-def _lend(r, over, now, potential, episode, parts):
+def _apply_loan(r, over, now, potential, episode, parts):
     """With a discount: the parts are paid at the end, whole; until then a loan on them, which the end takes back."""
     progress = r.progress_weight * (potential - episode.start)
     time = -r.time_weight * 1e-9 * (now - episode.began)
@@ -138,7 +147,7 @@ def _lend(r, over, now, potential, episode, parts):
     if over:
         parts.progress, parts.time, parts.lost = progress - episode.loan, time, lost
         return
-    dearest = r.time_weight * 1e-9 * r.limit + r.lost_weight * DEAREST
+    dearest = r.time_weight * 1e-9 * r.limit + r.lost_weight * MAX_PAID_STEPS
     loan = greatest(progress + time + lost, -dearest) / (1.0 + (1.0 - r.discount) * r.cycles)
     parts.progress, parts.time, parts.lost = r.discount * loan - episode.loan, 0.0, 0.0
     episode.loan = loan
@@ -171,15 +180,15 @@ def _judge(r, rules, action, value, bad, steps, episode, axes, words, truth, out
         parts.progress = r.progress_weight * (potential - episode.potential)
         parts.time = -r.time_weight * 1e-9 * (now - episode.before)
         parts.success = r.success_weight if success else 0.0
-        more = least(more, DEAREST - episode.paid)
+        more = least(more, MAX_PAID_STEPS - episode.paid)
         episode.paid += more
         parts.lost = -r.lost_weight * more
         parts.failed = 0.0
         if out.truncated:  # what waiting to the end would have cost, and whatever could have been lost
             left = 1e-9 * (r.limit - (now - episode.began))
-            parts.failed = -(r.time_weight * left + r.lost_weight * (DEAREST - episode.paid))
+            parts.failed = -(r.time_weight * left + r.lost_weight * (MAX_PAID_STEPS - episode.paid))
         if r.discount < 1.0:
-            _lend(r, success or out.truncated, now, potential, episode, parts)
+            _apply_loan(r, success or out.truncated, now, potential, episode, parts)
         out.reward = parts.progress + parts.time + parts.success + parts.lost + parts.failed
         episode.potential, episode.before = potential, now
         for a in range(len(axes)):
@@ -189,7 +198,7 @@ def _judge(r, rules, action, value, bad, steps, episode, axes, words, truth, out
 
 
 @hot
-def _look_into(h, first, words, now):
+def _read_all_words(h, first, words, now):
     """Note what is at every address of the chips now."""
     for i in range(len(words)):
         chip = handle.chips(h)[handle.table(h)[first[i]].chip]
@@ -198,7 +207,7 @@ def _look_into(h, first, words, now):
 
 
 @hot
-def _observe_words(r, words, now, out, at):
+def _write_words(r, words, now, out, at):
     """What was last read from a chip; returns the place after it."""
     for j in range(r.bits):
         out[at + j] = words[r.status].seen >> j & 1
@@ -208,7 +217,7 @@ def _observe_words(r, words, now, out, at):
             out[at] = words[j].seen / r.most
             at += 1
     for j in range(len(words)):
-        out[at + j] = 0.0 if words[j].when < 0 else 1.0 / (1.0 + (now - words[j].when) / AGE)
+        out[at + j] = 0.0 if words[j].when < 0 else 1.0 / (1.0 + (now - words[j].when) / HALF_AGE_NS)
     return at + len(words)
 
 
@@ -218,12 +227,12 @@ def _observe(r, rules, steps, episode, axes, words, truth, out):
     for a in range(len(axes)):
         x, t, rule = axes[a], truth[a], rules[a]
         if a == 0 or rule.chip != rules[a - 1].chip:
-            at = _observe_words(r, words[rule.chip], now, out, at)
+            at = _write_words(r, words[rule.chip], now, out, at)
         out[at] = 0.0 if r.home else x.target / r.distance
         at += PER_AXIS
         if r.truth:
             out[at] = (t.position - rule.low) / (rule.high - rule.low) * 2.0 - 1.0
-            out[at + 1], out[at + 2] = t.velocity / FAST, t.lost_steps / MANY
+            out[at + 1], out[at + 2] = t.velocity / SPEED_SCALE, t.lost_steps / STEPS_SCALE
             out[at + 3] = (t.position - x.goal) / rule.scale
             at += TRUTH
     out[at], out[at + 1] = greatest(episode.value, 0) / r.most, 1.0 if episode.value >= 0 else 0.0
@@ -270,7 +279,7 @@ def conclude(f, begin, end, fresh, results):
             )
         if not bad:
             if r.live:
-                _look_into(handles[k], first, words[k], truth[k, 0].now)
+                _read_all_words(handles[k], first, words[k], truth[k, 0].now)
             _observe(r, rules, steps[k], episodes[k], axes[k], words[k], truth[k], observations[k])
 
 

@@ -26,13 +26,12 @@ judge_at      a site or body that the axis carries, where the process is: what c
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.entries import HOST, TRUTH, Entry
+from stage.envs.features import HOST, TRUTH, Feature
 from stage.envs.registers import RegisterBox
 from stage.envs.settings import (
     Actions,
@@ -44,12 +43,12 @@ from stage.envs.settings import (
     Payloads,
     Seconds,
     Settings,
-    Truths,
+    TruthOption,
     Weight,
 )
-from stage.envs.task import judged
-from stage.envs.trial import TENTH, Trial
-from stage.envs.tuning import NEXT, Tuning, of_a_move
+from stage.envs.task import find_judged_point
+from stage.envs.trial import TENTH_MM, Trial
+from stage.envs.tuning import NEXT_MOVE, Tuning, describe_move_info
 from stage.sim.fleet import Played
 from stage.sim.program import END, Program
 
@@ -77,42 +76,41 @@ class Config(Settings):
     limit_weight: Weight = 5.0
     bus_cycle: Cycle = 1e-6  # s
     early_ends: Flag = False  # of moves that fail: many more moves a second
-    truth: Truths = True  # where what no host can see is shown: entries.py
+    truth: TruthOption = True  # where what no host can see is shown: features.py
 
 
 class RegisterTuning(Tuning[Config]):
     Config = Config
     PARTS = ("time", "lost", "vibration", "limit")
-    INFO: ClassVar = {"duration": float, "lost_steps": int, "vibration": float, "finished": bool}
     UNIT = "pulses"
-    SEEN = (
-        *NEXT,
-        Entry("last_duration", HOST, "duration / `limit`"),
-        Entry("last_lost", TRUTH, "1 if steps were lost"),
-        Entry("last_vibration", TRUTH, "vibration / (vibration + 0.1 mm)"),
-        Entry("last_finished", HOST, "1 if it made all its pulses, by the chip's counter"),
+    OBSERVATION = (
+        *NEXT_MOVE,
+        Feature("last_duration", HOST, "duration / `limit`"),
+        Feature("last_lost", TRUTH, "1 if steps were lost"),
+        Feature("last_vibration", TRUTH, "vibration / (vibration + 0.1 mm)"),
+        Feature("last_finished", HOST, "1 if it made all its pulses, by the chip's counter"),
     )
-    TOLD = (
-        *of_a_move("pulses", "electrical turn of the motor"),
-        Entry("duration", HOST, "s, from the start command to the stop"),
-        Entry("lost_steps", TRUTH, "full steps"),
-        Entry("vibration", TRUTH, "m, travel of the point at which moves are judged after the stop"),
-        Entry("finished", HOST, "the move made all its pulses"),
+    INFO = (
+        Feature("duration", HOST, "s, from the start command to the stop", kind=float),
+        Feature("lost_steps", TRUTH, "full steps", kind=int),
+        Feature("vibration", TRUTH, "m, travel of the point at which moves are judged after the stop", kind=float),
+        Feature("finished", HOST, "the move made all its pulses", kind=bool),
+        *describe_move_info("pulses", "electrical turn of the motor"),
     )
 
     def chip(self) -> type[Chip]:
         return chip_class(self.config.chip)
 
-    def tuned(self) -> RegisterBox:
+    def make_register_box(self) -> RegisterBox:
         return RegisterBox(self.axis.chip.MAP, self.trial.driver.tuned_by(self.config.s_curve))
 
     def prepare(self) -> None:
         c, first = self.config, self.stages[0]
-        self.judged, self.point = judged(first, c.axis, c.judge_at)
+        self.judged, self.point = find_judged_point(first, c.axis, c.judge_at)
         self.trial = Trial(first.axes[c.axis], self.point, c.settle)
         super().prepare()
 
-    def program(self, row: np.ndarray, distance: int) -> Program:
+    def make_program(self, row: np.ndarray, distance: int) -> Program:
         c = self.config
         made = self.trial.program(self.registers.named(row), distance, c.limit, keep_step=c.early_ends)
         if c.early_ends and self.trial.is_hopeless(made, distance, c.limit):
@@ -121,18 +119,18 @@ class RegisterTuning(Tuning[Config]):
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.axis.index]
-        duration, finished, _, lost, vibration, *_ = self.trial.seen(played, t, self.distance)
+        duration, finished, _, lost, vibration, *_ = self.trial.read_outcomes(played, t, self.distance)
         if c.early_ends:
             duration = np.where(finished & ~lost, duration, c.limit)
         parts = {
             "time": -duration,
             "lost": np.where(lost, -c.lost_weight, 0.0),
-            "vibration": -c.vibration_weight * np.minimum(vibration / TENTH, 100.0),
+            "vibration": -c.vibration_weight * np.minimum(vibration / TENTH_MM, 100.0),
             "limit": np.where(finished, 0.0, -c.limit_weight),
         }
         info = {"duration": duration, "lost_steps": t["lost_steps"], "vibration": vibration, "finished": finished}
-        now = np.stack([duration / c.limit, lost * 1.0, vibration / (vibration + TENTH), finished * 1.0], axis=1)
-        self.tell(parts, info, now)
+        now = np.stack([duration / c.limit, lost * 1.0, vibration / (vibration + TENTH_MM), finished * 1.0], axis=1)
+        self.set_move_results(parts, info, now)
 
 
 class RegisterTuningEnv(StageEnv):

@@ -1,26 +1,79 @@
-"""The results of a step: one record a stage. The scalar environment reads a row of them, the vector environment columns."""
+"""Records of the results of a step, one for each stage: the scalar environment reads a row, the vector environment columns.
+
+Tasks with a benchmark also have a score at the end of an episode, under the same names in all of them:
+
+    *_, info = env.step(action)
+    if "score" in info:                  the episode is over
+        print(info["score"])
+
+    success      the task was done, as the task defines it
+    time         s: of the best move that was proved, where a task proves; else what the task took; infinite without success
+    regret       log(time / the time of the formula), which is what a host gets that tries nothing and only reads data sheets;
+                 below 0 where the player was faster; infinite without success
+    moves        steps of the episode: moves, tries, returns, or macros
+    lost_steps   full steps lost in all, by all axes
+    limits       moves that ended at an end limit
+
+No host knows the score: with truth=False it is left out, as all truth is.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from stage.envs.score import NONE, SCORE
+from stage.envs.features import TRUTH, Feature
 from stage.native import record
+from stage.support import portable
 
 DIVERGED = -10.0  # reward of a step in which the simulation diverged
 CAUSES = ("", "diverged")  # of an end that is no part of the task, by the number in a record
+SCORE = record(
+    [("success", "?"), ("time", "f8"), ("regret", "f8"), ("moves", "i8"), ("lost_steps", "i8"), ("limits", "i8")]
+)
+SCORE_FEATURE = Feature(
+    "score", TRUTH, "at the end of an episode alone: success, time, regret, moves, lost_steps, limits"
+)
+FAILED = (False, np.inf, np.inf)
+"""Success, time and regret of an episode that came to nothing."""
 
 
-def result(parts: Sequence[str], scored: bool = False, **info: Any) -> np.dtype:
-    """The record of a step. parts: names of the reward's parts, whose sum it is; info: float, int, bool or (type, shape); scored:
-    with a score at an episode's end, see score.py."""
+def make_result_dtype(
+    parts: Sequence[str], info: Iterable[Feature], shapes: Mapping[str, tuple[int, ...]] | None = None
+) -> np.dtype:
+    """Make the record of a step.
+
+    Args:
+        parts: Names of the parts whose sum is the reward.
+        info: Features of the info; with `SCORE_FEATURE` there is a score at an episode's end.
+        shapes: Shapes of the features that are arrays.
+
+    Returns:
+        A dtype with reward, ends, cause, parts, info, and the score.
+    """
+    features = tuple(info)
+    values = [(f.name, f.kind, (shapes or {}).get(f.name, ())) for f in features if f.kind is not None]
+    score = [("score", SCORE)] if SCORE_FEATURE in features else []
     ends = [("reward", float), ("terminated", bool), ("truncated", bool), ("cause", int)]
-    fields = [(name, *kind) if isinstance(kind, tuple) else (name, kind) for name, kind in info.items()]
-    more = [("score", SCORE)] if scored else []
-    return record([*ends, ("parts", record([(name, float) for name in parts])), ("info", record(fields)), *more])
+    return record([*ends, ("parts", record([(name, float) for name in parts])), ("info", record(values)), *score])
+
+
+def write_scores(rows: np.ndarray, time: Any, formula: Any, moves: Any, lost_steps: Any, limits: Any) -> None:
+    """Fill the scores of stages.
+
+    Args:
+        rows: Records of `SCORE`, (n,).
+        time: Seconds, infinite without success.
+        formula: Seconds that the formula needs for the same.
+        moves: Steps of the episode.
+        lost_steps: Full steps lost, by all axes.
+        limits: Moves that ended at an end limit.
+    """
+    rows["time"], rows["success"] = time, np.isfinite(time)
+    rows["regret"] = portable.log(np.asarray(time, float) / formula)
+    rows["moves"], rows["lost_steps"], rows["limits"] = moves, lost_steps, limits
 
 
 class Results:
@@ -42,7 +95,7 @@ class Results:
     def __setitem__(self, name: str, values: Any) -> None:
         self.rows[name] = values
 
-    def end(self, bad: np.ndarray) -> None:
+    def finish(self, bad: np.ndarray) -> None:
         """Sum the parts up, and put the stages right that diverged, a mask (n,)."""
         rows, parts = self.rows, self.rows["parts"]
         rows["cause"], rows["reward"] = bad, 0.0
@@ -53,10 +106,10 @@ class Results:
         rows["terminated"] &= ~bad
         rows["truncated"] |= bad
         if self.scored:
-            for name, value in zip(("success", "time", "regret"), NONE, strict=True):
+            for name, value in zip(("success", "time", "regret"), FAILED, strict=True):
                 rows["score"][name][bad] = value
 
-    def row(self, k: int) -> tuple[float, bool, bool, dict[str, Any]]:
+    def read_row(self, k: int) -> tuple[float, bool, bool, dict[str, Any]]:
         """(reward, terminated, truncated, info) of stage k."""
         reward, terminated, truncated, cause, parts, said, *score = self.rows.item(k)
         info = dict(zip(self._info, said))  # noqa: B905 (the check would cost as much as all else)
@@ -72,7 +125,7 @@ class Results:
             info.pop(name, None)
         return reward, terminated, truncated, info
 
-    def columns(self, active: np.ndarray) -> dict[str, Any]:
+    def read_columns(self, active: np.ndarray) -> dict[str, Any]:
         """`info` of all stages in Gymnasium's form: arrays, each with a mask of the stages that have it; 0 or None elsewhere."""
         rows = self.rows.copy()
         rows[~active] = np.zeros((), rows.dtype)

@@ -23,11 +23,11 @@ from stage.envs import IDS
 from stage.envs.base import StageVectorEnv, info_of
 from stage.errors import ArgumentError, unknown
 
-OF_ALL = ("action_masks", "scripted")
+PER_STAGE_METHODS = ("action_masks", "scripted_action")
 """Methods of vectors that return a row for each stage."""
 
 
-class Adapter(VecEnv):
+class VecEnvAdapter(VecEnv):
     """What SB3 asks of vector environments and a vector of stages answers with the same for all: the base of StageVecEnv.
 
     envs: the vector environment, which is closed with this.
@@ -56,8 +56,8 @@ class Adapter(VecEnv):
         raise ArgumentError(f"set_attr({attr_name!r}): the stages of a vector have their settings from its start.")
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Of methods that answer for all stages at once, each one's row: "action_masks", as sb3-contrib asks, and "scripted"."""
-        if method_name in OF_ALL and hasattr(self.envs, method_name):
+        """Return the rows of methods that answer for all stages at once: "action_masks" and "scripted_action"."""
+        if method_name in PER_STAGE_METHODS and hasattr(self.envs, method_name):
             rows = getattr(self.envs, method_name)(*args, **kwargs)
             return [rows[k] for k in self._get_indices(indices)]
         raise ArgumentError(
@@ -69,7 +69,7 @@ class Adapter(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
 
-class StageVecEnv(Adapter):
+class StageVecEnv(VecEnvAdapter):
     """A vector environment of an id.
 
     Args:
@@ -103,13 +103,13 @@ class StageVecEnv(Adapter):
 
     def reset(self) -> np.ndarray:
         infos: dict[str, Any] = {}
-        if any(self._options):  # SB3 has options for each; these are all for one
-            for k, options in enumerate(self._options):
+        if any(self._check_options):  # SB3 has options for each; these are all for one
+            for k, options in enumerate(self._check_options):
                 mask = np.arange(self.num_envs) == k
-                seen, infos = self.envs.reset(seed=self._seeds, options={**options, "reset_mask": mask})
+                seen, infos = self.envs.reset(seed=self._spread_seeds, options={**options, "reset_mask": mask})
                 self.reset_infos[k] = info_of(infos, k)
         else:
-            seen, infos = self.envs.reset(seed=self._seeds)
+            seen, infos = self.envs.reset(seed=self._spread_seeds)
             self.reset_infos = [info_of(infos, k) for k in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()

@@ -22,16 +22,16 @@ counts per sample in the registers: the host converts them for the T that was ch
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
 
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.entries import HOST, Entry
+from stage.envs.features import HOST, Feature
 from stage.envs.registers import RegisterBox
 from stage.envs.settings import (
-    LONGEST,
+    MAX_SECONDS,
     Actions,
     AxisName,
     Count,
@@ -42,11 +42,11 @@ from stage.envs.settings import (
     Positive,
     Seconds,
     Settings,
-    Truths,
+    TruthOption,
     Weight,
     Word,
 )
-from stage.envs.tuning import NEXT, Tuning, of_a_move
+from stage.envs.tuning import NEXT_MOVE, Tuning, describe_move_info
 from stage.errors import ArgumentError
 from stage.firmware.driver import driver_of
 from stage.sim.fleet import Played
@@ -54,7 +54,7 @@ from stage.sim.program import Program
 
 MOTIONS = ("step", "trapezoid")
 LOOK = 1e-3  # s between two looks at the carriage
-SMALL, LARGE = 10.0, 100.0  # counts
+SMALL, UNREST_SCALE = 10.0, 100.0  # counts
 
 
 @dataclass(frozen=True)
@@ -76,12 +76,12 @@ class Config(Settings):
     acceleration: Positive = 400_000.0  # counts/s2
     deadband: Positive = 3.0  # counts
     limit: Seconds = 0.5  # s, a move may take
-    rest: Annotated[float, Number(LOOK, high=LONGEST)] = 0.1  # s at its end in which unrest is observed
+    rest: Annotated[float, Number(LOOK, high=MAX_SECONDS)] = 0.1  # s at its end in which unrest is observed
     overshoot_weight: Weight = 0.2
     unrest_weight: Weight = 0.2
     limit_weight: Weight = 1.0
     bus_cycle: Cycle = 1e-6  # s
-    truth: Truths = True  # where what no host can see is shown: entries.py
+    truth: TruthOption = True  # where what no host can see is shown: features.py
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -93,28 +93,27 @@ class ServoTuning(Tuning[Config]):
     Config = Config
     STATE = (*Tuning.STATE, "goal")
     PARTS = ("time", "overshoot", "unrest", "limit")
-    INFO: ClassVar = {"settled": float, "overshoot": float, "unrest": float, "error": float, "finished": bool}
     UNIT = "counts"
-    SEEN = (
-        *NEXT,
-        Entry("last_settled", HOST, "settling time / `limit`"),
-        Entry("last_overshoot", HOST, "overshoot / (overshoot + 10 counts)"),
-        Entry("last_unrest", HOST, "unrest / (unrest + 10 counts)"),
-        Entry("last_finished", HOST, "1 if it settled"),
+    OBSERVATION = (
+        *NEXT_MOVE,
+        Feature("last_settled", HOST, "settling time / `limit`"),
+        Feature("last_overshoot", HOST, "overshoot / (overshoot + 10 counts)"),
+        Feature("last_unrest", HOST, "unrest / (unrest + 10 counts)"),
+        Feature("last_finished", HOST, "1 if it settled"),
     )
-    TOLD = (
-        *of_a_move("counts", "count of the encoder"),
-        Entry("settled", HOST, "s, until it stays within the deadband"),
-        Entry("overshoot", HOST, "whole counts, the farthest beyond the goal"),
-        Entry("unrest", HOST, "whole counts, peak to peak in the last `rest` seconds"),
-        Entry("error", HOST, "whole counts, at the end"),
-        Entry("finished", HOST, "it settled"),
+    INFO = (
+        Feature("settled", HOST, "s, until it stays within the deadband", kind=float),
+        Feature("overshoot", HOST, "whole counts, the farthest beyond the goal", kind=float),
+        Feature("unrest", HOST, "whole counts, peak to peak in the last `rest` seconds", kind=float),
+        Feature("error", HOST, "whole counts, at the end", kind=float),
+        Feature("finished", HOST, "it settled", kind=bool),
+        *describe_move_info("counts", "count of the encoder"),
     )
 
     def chip(self) -> type[Chip]:
         return chip_class(self.config.chip)
 
-    def tuned(self) -> RegisterBox:
+    def make_register_box(self) -> RegisterBox:
         self.driver = driver_of(self.axis)
         return RegisterBox.of(self.driver.filter_choices(self.config.motion == "trapezoid").ranges)
 
@@ -124,11 +123,11 @@ class ServoTuning(Tuning[Config]):
         super().prepare()
         self.goal = np.zeros(self.n)  # counts of the encoder, absolute
 
-    def placed(self, k: int) -> None:
+    def after_placing(self, k: int) -> None:
         chip: Any = self.stages[k].axes[self.config.axis].chip
         self.goal[k] = chip.encoder + self.distance[k]
 
-    def program(self, row: np.ndarray, distance: int) -> Program:
+    def make_program(self, row: np.ndarray, distance: int) -> Program:
         """The host's bus cycles for one move, and looks at the carriage."""
         c, p = self.config, Program()
         rates = (c.velocity, c.acceleration) if c.motion == "trapezoid" else None
@@ -157,7 +156,7 @@ class ServoTuning(Tuning[Config]):
         parts = {
             "time": -settled,
             "overshoot": -c.overshoot_weight * np.minimum(overshoot / self.distance, 1.0),
-            "unrest": -c.unrest_weight * np.minimum(unrest / LARGE, 10.0),
+            "unrest": -c.unrest_weight * np.minimum(unrest / UNREST_SCALE, 10.0),
             "limit": np.where(finished, 0.0, -c.limit_weight),
         }
         overshoot, unrest, last = (
@@ -165,7 +164,7 @@ class ServoTuning(Tuning[Config]):
         )  # as an encoder has them
         info = {"settled": settled, "overshoot": overshoot, "unrest": unrest, "error": last, "finished": finished}
         shares = overshoot / (overshoot + SMALL), unrest / (unrest + SMALL)
-        self.tell(parts, info, np.stack([settled / c.limit, *shares, finished * 1.0], axis=1))
+        self.set_move_results(parts, info, np.stack([settled / c.limit, *shares, finished * 1.0], axis=1))
 
 
 class ServoTuningEnv(StageEnv):

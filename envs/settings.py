@@ -12,7 +12,7 @@ kind cannot know, for example which axes a model has, is checked where the setti
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from numbers import Real
@@ -20,7 +20,7 @@ from typing import Annotated, Any, get_args, get_type_hints
 
 import numpy as np
 
-from stage.envs.entries import Shown
+from stage.envs.features import TruthSetting
 from stage.errors import ArgumentError, unknown
 
 
@@ -31,8 +31,8 @@ class UnknownSetting(ArgumentError, TypeError):
     """
 
 
-MOST = 1e9  # of any number
-LONGEST = 1e6  # s
+MAX_NUMBER = 1e9  # of any number
+MAX_SECONDS = 1e6  # s
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Number:
 
     low: float = 0.0
     above: bool = False
-    high: float = MOST
+    high: float = MAX_NUMBER
     whole: bool = False
 
     @property
@@ -50,7 +50,7 @@ class Number:
         start = f"more than {self.low:g}" if self.above else f"{self.low:g} or more"
         return f"a {'whole ' if self.whole else ''}number, {start}, up to {self.high:g}"
 
-    def takes(self, value: Any) -> bool:
+    def accepts(self, value: Any) -> bool:
         """Not for one that is no number, and not for True and False."""
         if not isinstance(value, Real) or isinstance(value, bool):
             return False
@@ -60,7 +60,7 @@ class Number:
 
     def check(self, name: str, value: Any) -> None:
         """Raise ArgumentError, unless it takes the value of this setting."""
-        if not self.takes(value):
+        if not self.accepts(value):
             raise ArgumentError(f"{name}={value!r}: {self.allowed}.")
 
 
@@ -74,7 +74,7 @@ class Range(Number):
         if (
             isinstance(value, Sequence | np.ndarray)
             and len(value) == 2
-            and all(map(self.takes, value))
+            and all(map(self.accepts, value))
             and value[0] <= value[1]
         ):
             return
@@ -99,7 +99,7 @@ class NumberOrRange(Range):
     """Such a number, for least and most, or both."""
 
     def check(self, name: str, value: Any) -> None:
-        if not self.takes(value):
+        if not self.accepts(value):
             super().check(name, value)
 
 
@@ -108,11 +108,11 @@ class Each(Number):
     """One or more such numbers."""
 
     def check(self, name: str, value: Any) -> None:
-        if not isinstance(value, Sequence | np.ndarray) or not len(value) or not all(map(self.takes, value)):
+        if not isinstance(value, Sequence | np.ndarray) or not len(value) or not all(map(self.accepts, value)):
             raise ArgumentError(f"{name}={value!r}: one or more, each {self.allowed}.")
 
 
-class Truth:
+class Boolean:
     """True or False, and nothing that Python takes for one of them."""
 
     def check(self, name: str, value: Any) -> None:
@@ -163,7 +163,7 @@ class Words:
 
 Pair = tuple[float, float]
 Positive = Annotated[float, Number(above=True)]
-Seconds = Annotated[float, Number(above=True, high=LONGEST)]
+Seconds = Annotated[float, Number(above=True, high=MAX_SECONDS)]
 Cycle = Annotated[float, Number(high=1.0)]
 """s, that a bus cycle takes."""
 Weight = Annotated[float, Number()]
@@ -174,9 +174,9 @@ Count = Annotated[int, Number(above=True, whole=True)]
 Counts = Annotated[tuple[int, int], Range(1, whole=True)]
 Payloads = Annotated[Pair, Range()]
 """kg."""
-Flag = Annotated[bool, Truth()]
-Truths = Annotated[bool | str, Shown()]
-"""Where what no host can see is shown, see entries.py."""
+Flag = Annotated[bool, Boolean()]
+TruthOption = Annotated[bool | str, TruthSetting()]
+"""Where what no host can see is shown, see features.py."""
 AxisName = Annotated[str, Name()]
 Actions = Annotated[str, Word(("box", "registers"))]
 
@@ -203,3 +203,28 @@ def _kinds(config: type) -> list[tuple[str, Any]]:
         (name, part) for name, hint in hints.items() for part in (hint, *get_args(hint))
     ]  # those of `KIND | None`, too
     return [(name, kind) for name, part in parts for kind in getattr(part, "__metadata__", ())]
+
+
+def read_option(
+    options: Mapping[str, Any], name: str, drawn: float, ends: tuple[float, float]
+) -> float | np.integer | np.floating:
+    """Read a number of `reset(options=...)`.
+
+    Args:
+        options: Options of the reset.
+        name: Of the option.
+        drawn: Value where the option is absent; if it is an int, the option must be whole.
+        ends: Least and largest value.
+
+    Raises:
+        ArgumentError: The option is not such a number.
+    """
+    value, is_integer = options.get(name, drawn), isinstance(drawn, int)
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float | np.integer | np.floating)
+        or not ends[0] <= value <= ends[1]
+        or (is_integer and value != int(value))
+    ):
+        raise ArgumentError(f"option {name}={value!r}: {'a whole number ' * is_integer}from {ends[0]} to {ends[1]}.")
+    return value

@@ -35,15 +35,15 @@ import gymnasium
 import numpy as np
 
 from stage import Stage
-from stage.envs import contexts, score, synchronized_move
+from stage.envs import contexts, synchronized_move
 from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.entries import HOST, TRUTH, Entry
-from stage.envs.machines import Machines, MachineTask
-from stage.envs.results import result
+from stage.envs.features import HOST, TRUTH, Feature
+from stage.envs.machines import MachineSettings, MachineTask
+from stage.envs.results import SCORE_FEATURE, write_scores
 from stage.envs.settings import AxisName, Counts, Number, NumberOrRange, Pair, Range, Seconds, Weight
 from stage.envs.synchronized_move import SynchronizedMove
-from stage.envs.task import judged
-from stage.envs.trial import TENTH, closed_form
+from stage.envs.task import find_judged_point
+from stage.envs.trial import TENTH_MM, compute_move_time
 from stage.errors import ArgumentError
 from stage.firmware.driver import Speeds
 from stage.firmware.lines import Asked
@@ -56,7 +56,7 @@ CORRECTIONS = 6  # an axis
 
 
 @dataclass(frozen=True)
-class Config(Machines, synchronized_move.Config):
+class Config(MachineSettings, synchronized_move.Config):
     """Settings of SynchronizedLine, beside those of hidden machines and of SynchronizedMove."""
 
     distances: Counts = (1_600, 12_000)  # pulses of each axis, drawn evenly by their logarithm, with any sign
@@ -86,27 +86,33 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
     Config: ClassVar[type] = Config
     OPTIONS = ("distances", *contexts.OPTIONS)
     """The line and the machine, in place of drawn ones."""
+    PARTS = ("gain", "damage", "proof")
     STATE = ("distances", "rate", "ramp", "context", "angles", "formula")
-    SEEN: ClassVar[tuple[Entry, ...]] = (*SynchronizedMove.SEEN[1:6], *contexts.SHOWN)
-    TOLD: ClassVar[tuple[Entry, ...]] = (
-        Entry("distances", HOST, "pulses of each axis"),
-        *contexts.ENTRIES,
-        Entry("rate", HOST, "pps of the longest axis, that was chosen"),
-        Entry("ramp", HOST, "s, that was chosen"),
-        Entry("registers", HOST, "that these and the corrections make"),
-        Entry("deviation", HOST, "pulses off the line, which follow from the registers; infinite if not finished"),
-        Entry("carriage_deviation", TRUTH, "m off the line"),
-        Entry("duration", HOST, "s"),
-        Entry("usual", HOST, "s, that the usual rate takes"),
-        Entry("vibration", TRUTH, "m, travel of the point at which moves are judged after the stop"),
-        Entry("lost_steps", TRUTH, "full steps of each axis"),
-        Entry("finished", HOST, "all axes made their pulses"),
-        Entry("proved", TRUTH, "s, the cost of the try if it held in the proof; infinite if not"),
-        score.ENTRY,
+    OBSERVATION: ClassVar[tuple[Feature, ...]] = (*SynchronizedMove.OBSERVATION[1:6], *contexts.OBSERVATION)
+    INFO: ClassVar[tuple[Feature, ...]] = (
+        Feature("distances", HOST, "pulses of each axis", kind=int),
+        *contexts.INFO,
+        Feature("rate", HOST, "pps of the longest axis, that was chosen", kind=float),
+        Feature("ramp", HOST, "s, that was chosen", kind=float),
+        Feature("registers", HOST, "that these and the corrections make", kind=int),
+        Feature(
+            "deviation",
+            HOST,
+            "pulses off the line, which follow from the registers; infinite if not finished",
+            kind=float,
+        ),
+        Feature("carriage_deviation", TRUTH, "m off the line", kind=float),
+        Feature("duration", HOST, "s", kind=float),
+        Feature("usual", HOST, "s, that the usual rate takes", kind=float),
+        Feature("vibration", TRUTH, "m, travel of the point at which moves are judged after the stop", kind=float),
+        Feature("lost_steps", TRUTH, "full steps of each axis", kind=int),
+        Feature("finished", HOST, "all axes made their pulses", kind=bool),
+        Feature("proved", TRUTH, "s, the cost of the try if it held in the proof; infinite if not", kind=float),
+        SCORE_FEATURE,
     )
 
     @property
-    def slides(self) -> tuple[str, ...]:
+    def axis_names(self) -> tuple[str, ...]:
         return self.config.axes
 
     def prepare(self) -> None:
@@ -114,53 +120,47 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         n, first = self.n, self.stages[0]
         super().prepare()
         m = len(self.axes)
-        self.judged, self.point = judged(first, c.axes[0], c.judge_at)
-        self.ready()
+        self.judged, self.point = find_judged_point(first, c.axes[0], c.judge_at)
+        self.prepare_machines()
         self.loads = [Load.of(a) for a in self.axes]
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2 + CORRECTIONS * m,), np.float32)
-        self.observation_space = self.seen()
-        self.result = result(
-            ("gain", "damage", "proof"), scored=True,
-            distances=(int, (m,)), **contexts.INFO, rate=float, ramp=float,
-            registers=(int, self.line.shape), deviation=float, carriage_deviation=float, duration=float, usual=float,
-            vibration=float, lost_steps=(int, (m,)), finished=bool, proved=float,
-        )  # fmt: skip
+        self.observation_space = self.make_observation_space()
         self.angles = np.zeros((n, m))
         self.ramp, self.formula = np.full(n, 0.1), np.ones((n, 3))
-        self.provers = Fleet([copy.deepcopy(first) for _ in range(n)], self.fleet.threads)
+        self.proof_fleet = Fleet([copy.deepcopy(first) for _ in range(n)], self.fleet.threads)
 
-    def layout(self) -> list[Entry]:
-        return [*self.SEEN[:5] * len(self.axes), *self.SEEN[5:]]
+    def layout(self) -> list[Feature]:
+        return [*self.OBSERVATION[:5] * len(self.axes), *self.OBSERVATION[5:]]
 
     # --- machines and lines ---
 
-    def begin(self, k: int, options: Mapping[str, Any]) -> None:
+    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
         rng, m = self.rngs[k], len(self.axes)
         c: Any = self.config
-        self.draw(k, options)
+        self.draw_machine(k, options)
         low, high = portable.log(c.distances)
         sizes = np.rint(portable.exp(rng.uniform(low, high, m))).astype(np.int64)
         self.distances[k] = sizes * rng.choice([-1, 1], m)
-        self._obey(k, options)
+        self._apply_options(k, options)
         self.rate[k] = np.clip(Speeds().drive, *c.rates)
         self.ramp[k] = np.clip(Speeds().up, *c.ramps)
         self.angles[k] = rng.uniform(size=m)
         self._place(self.stages[k], k)
-        self._reckon(k)
+        self._compute_formula(k)
 
-    def renew(self) -> None:
+    def prepare_next(self) -> None:
         """Each episode is one step."""
 
     def _place(self, stage: Stage, k: int, more: float = 0.0) -> None:
         stage.restore(self.start)
-        self.outfit(stage, k, more)
-        begin = zip(self.axes, self.starting, self.distances[k].tolist(), self.angles[k].tolist(), strict=True)
-        stage.place(**{a.name: starts.begin(d, angle) for a, starts, d, angle in begin})
+        self.configure_stage(stage, k, more)
+        begin = zip(self.axes, self.start_positions, self.distances[k].tolist(), self.angles[k].tolist(), strict=True)
+        stage.place(**{a.name: starts.find_start(d, angle) for a, starts, d, angle in begin})
 
-    def describe(self, k: int) -> dict[str, Any]:
-        return {"distances": self.distances[k].copy(), **self.described(k)}
+    def describe_episode(self, k: int) -> dict[str, Any]:
+        return {"distances": self.distances[k].copy(), **self.describe_machine(k)}
 
-    def _reckon(self, k: int) -> None:
+    def _compute_formula(self, k: int) -> None:
         """Rate, ramp and time by the formula: no axis goes faster or steeper than it may, each at its share."""
         c: Any = self.config
         sizes = np.abs(self.distances[k])
@@ -172,12 +172,12 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
             slopes.append((made.drive - made.start) / max(made.up, made.down) * longest / size)
         rate = float(np.clip(min(rates), *c.rates))
         ramp = float(np.clip((rate - c.fl) / min(slopes), *c.ramps))
-        self.formula[k] = rate, ramp, closed_form(np.float64(longest), c.fl, rate, ramp)
+        self.formula[k] = rate, ramp, compute_move_time(np.float64(longest), c.fl, rate, ramp)
 
     # --- the try ---
 
     @property
-    def asked(self) -> Asked:
+    def requested_lines(self) -> Asked:
         """The lines that stand, at the rates and ramps that are chosen."""
         return Asked(self.distances, self.rate, self.ramp)
 
@@ -185,12 +185,12 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
     def usual(self) -> np.ndarray:
         """s, that the usual rate takes, (n,)."""
         s = Speeds()
-        return closed_form(np.abs(self.distances).max(axis=1).astype(float), s.start, s.drive, s.up)
+        return compute_move_time(np.abs(self.distances).max(axis=1).astype(float), s.start, s.drive, s.up)
 
-    def chosen(self, actions: np.ndarray) -> np.ndarray:
+    def to_registers(self, actions: np.ndarray) -> np.ndarray:
         rows, columns = self.line.shape
         wanted = actions[:, 2:].astype(np.float64).reshape(len(actions), len(self.axes), CORRECTIONS)
-        return self.line.corrected(self.asked, wanted[:, :rows, :columns])
+        return self.line.corrected(self.requested_lines, wanted[:, :rows, :columns])
 
     def action_of(self, rate: Any, ramp: Any) -> np.ndarray:
         """The actions of these rates (pps) and ramps (s), without corrections, (n, actions) float32."""
@@ -201,17 +201,17 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
             out[:, j] = np.clip(2 * (portable.log(value) - low) / max(high - low, 1e-9) - 1, -1, 1)
         return out
 
-    def scripted(self) -> np.ndarray:
+    def scripted_action(self) -> np.ndarray:
         """The engineer's rate and ramp, and the data sheet's registers for them."""
         return self.action_of(self.formula[:, 0], self.formula[:, 1])
 
-    def programs(self) -> np.ndarray:
+    def make_programs(self) -> np.ndarray:
         c: Any = self.config
         u = (self.actions[:, :2].astype(np.float64) + 1) / 2
         for values, ends, at in ((self.rate, c.rates, 0), (self.ramp, c.ramps, 1)):
             low, high = portable.log(ends)
             values[self.active] = portable.exp(low + (high - low) * u[:, at])[self.active]
-        moves = super().programs()
+        moves = super().make_programs()
         measure = np.zeros((self.n, 1, 4), np.int64)
         measure[:, 0, 0], measure[:, 0, 1], measure[:, 0, 2] = MEASURE, round(c.rest * 1e9), self.point
         self._played = np.concatenate([moves, measure], axis=1)
@@ -222,36 +222,36 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         t, usual = truth[:, self.index], self.usual
         lost, finished = t["lost_steps"], self._finished(t)
         deviation, duration = np.where(finished, self.path, np.inf), np.where(finished, self.seconds, c.limit)
-        off_line, vibration = self._carriages(played.results), played.results[:, -1] * 1e-12
-        good = self.sound
+        off_line, vibration = self._measure_carriages(played.results), played.results[:, -1] * 1e-12
+        good = self.converged
         kept = finished & (lost == 0).all(axis=1) & good
         cost = duration + c.path_weight * deviation
-        cost = cost + (c.carriage_weight * off_line + c.vibration_weight * vibration) / TENTH
+        cost = cost + (c.carriage_weight * off_line + c.vibration_weight * vibration) / TENTH_MM
         cost = np.where(kept, cost, np.inf)
-        proved = np.where(self._hold(kept), cost, np.inf)
-        gain = self._worth(cost)
+        proved = np.where(self._keep_step(kept), cost, np.inf)
+        gain = self._compute_value(cost)
         parts = {
             "gain": gain,
             "damage": np.where((lost != 0).any(axis=1) | ~finished, -c.damage_weight, 0.0),
-            "proof": self._worth(proved) - gain,
+            "proof": self._compute_value(proved) - gain,
         }
         info = {
-            "distances": self.distances, **self.told_of_machines, "rate": self.rate,
-            "ramp": self.ramp, "registers": self.chosen(self.actions), "deviation": deviation,
+            "distances": self.distances, **self.machine_info, "rate": self.rate,
+            "ramp": self.ramp, "registers": self.to_registers(self.actions), "deviation": deviation,
             "carriage_deviation": off_line, "duration": duration, "usual": usual, "vibration": vibration,
             "lost_steps": lost, "finished": finished, "proved": proved,
         }  # fmt: skip
-        self.fill(parts, info, True, False)
+        self.set_results(parts, info, True, False)
         damage = np.abs(lost).sum(axis=1), (~finished) * 1
-        score.note(self.results["score"], proved, self.formula[:, 2], self.steps, *damage)
+        write_scores(self.results["score"], proved, self.formula[:, 2], self.steps, *damage)
 
     def _finished(self, t: np.ndarray) -> np.ndarray:
         return ((t["pulses"] == self.distances) & (t["busy"] == 0)).all(axis=1)
 
-    def _worth(self, cost: np.ndarray) -> np.ndarray:
+    def _compute_value(self, cost: np.ndarray) -> np.ndarray:
         return np.maximum(portable.log(2 * self.usual) - portable.log(cost), 0.0)
 
-    def _hold(self, which: np.ndarray) -> np.ndarray:
+    def _keep_step(self, which: np.ndarray) -> np.ndarray:
         """On which of these stages' machines, `margin` heavier, the same registers keep step from other angles, `proofs` times."""
         c: Any = self.config
         holds = which.copy()
@@ -260,26 +260,26 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
                 break
             for k in np.flatnonzero(holds).tolist():
                 self.angles[k] = self.rngs[k].uniform(size=len(self.axes))
-                self._place(self.provers.stages[k], k, c.margin)
+                self._place(self.proof_fleet.stages[k], k, c.margin)
             ops = self._played.copy()
             ops[~holds] = 0
-            played = self.provers.play(ops)
-            t = self.provers.truth()[:, self.index]
+            played = self.proof_fleet.play(ops)
+            t = self.proof_fleet.truth()[:, self.index]
             holds &= self._finished(t) & (t["lost_steps"] == 0).all(axis=1) & ~played.diverged
         return holds
 
-    def observed(self) -> np.ndarray:
+    def compute_observations(self) -> np.ndarray:
         c: Any = self.config
         usual = Asked(self.distances, np.full(self.n, np.clip(Speeds().drive, *c.rates)), np.full(self.n, Speeds().up))
         of_axes = np.concatenate(
             [(self.distances / c.distances[1])[:, :, None], self.line.errors(usual) / (2 * c.reach)], axis=2
         )
-        seen = np.concatenate([of_axes.reshape(self.n, -1), self.placed], axis=1)
+        seen = np.concatenate([of_axes.reshape(self.n, -1), self.machine_features], axis=1)
         return np.clip(seen, -1.0, 1.0).astype(np.float32)
 
     def close(self) -> None:
         super().close()
-        self.provers.close()
+        self.proof_fleet.close()
 
 
 class SynchronizedLineEnv(StageEnv):

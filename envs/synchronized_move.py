@@ -47,9 +47,8 @@ import numpy as np
 from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs.base import StageEnv, StageVectorEnv
-from stage.envs.entries import HOST, TRUTH, Entry
+from stage.envs.features import HOST, TRUTH, Feature
 from stage.envs.registers import RegisterBox
-from stage.envs.results import result
 from stage.envs.settings import (
     Count,
     Counts,
@@ -62,12 +61,12 @@ from stage.envs.settings import (
     Positive,
     Seconds,
     Settings,
-    Truths,
+    TruthOption,
     Weight,
     Word,
 )
 from stage.envs.task import MoveTask
-from stage.envs.trial import Starts
+from stage.envs.trial import StartPositions
 from stage.errors import ArgumentError, unknown
 from stage.firmware.driver import driver_of
 from stage.firmware.lines import Asked, line_of
@@ -78,7 +77,7 @@ from stage.sim.records import clock_at
 from stage.support import portable
 
 ACTIONS = ("corrections", "box", "registers")
-TENTH = 1e-4  # m
+TENTH_MM = 1e-4  # m
 
 
 @dataclass(frozen=True)
@@ -108,7 +107,7 @@ class Config(Settings):
     lost_weight: Weight = 10.0
     limit_weight: Weight = 10.0
     bus_cycle: Cycle = 1e-6  # s
-    truth: Truths = True  # where what no host can see is shown: entries.py
+    truth: TruthOption = True  # where what no host can see is shown: features.py
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -128,31 +127,37 @@ class Config(Settings):
 class SynchronizedMove(MoveTask[Config]):
     Config: ClassVar[type] = Config
     OPTIONS: ClassVar[tuple[str, ...]] = ("distances", "rate")
+    PARTS: ClassVar[tuple[str, ...]] = ("path", "carriages", "time", "lost", "limit")
     STATE: ClassVar[tuple[str, ...]] = ("distances", "rate", "last")
-    SEEN: ClassVar[tuple[Entry, ...]] = (
-        Entry("rate", HOST, "by its logarithm from -1 to 1 over `rate`; 0 if it is fixed"),
-        Entry("distance", HOST, "signed distance / longest distance possible", "axis"),
-        Entry("ahead", HOST, "by the closed form, pulses / 2 `reach`: ahead of its share after the ramp-up", "axis"),
-        Entry("more_ahead", HOST, "likewise: more ahead at the ramp-down", "axis"),
-        Entry("earlier", HOST, "likewise: ramp-down earlier by", "axis"),
-        Entry("shorter", HOST, "likewise: shorter ramp-down by", "axis"),
-        Entry("last_deviation", HOST, "path deviation of the last move / `far`"),
-        Entry("last_carriages", TRUTH, "its carriage deviation / (carriage deviation + 0.1 mm)"),
-        Entry("last_duration", HOST, "its duration / `limit`"),
-        Entry("last_finished", HOST, "1 if it was finished"),
+    OBSERVATION: ClassVar[tuple[Feature, ...]] = (
+        Feature("rate", HOST, "by its logarithm from -1 to 1 over `rate`; 0 if it is fixed"),
+        Feature("distance", HOST, "signed distance / longest distance possible", "axis"),
+        Feature("ahead", HOST, "by the closed form, pulses / 2 `reach`: ahead of its share after the ramp-up", "axis"),
+        Feature("more_ahead", HOST, "likewise: more ahead at the ramp-down", "axis"),
+        Feature("earlier", HOST, "likewise: ramp-down earlier by", "axis"),
+        Feature("shorter", HOST, "likewise: shorter ramp-down by", "axis"),
+        Feature("last_deviation", HOST, "path deviation of the last move / `far`"),
+        Feature("last_carriages", TRUTH, "its carriage deviation / (carriage deviation + 0.1 mm)"),
+        Feature("last_duration", HOST, "its duration / `limit`"),
+        Feature("last_finished", HOST, "1 if it was finished"),
     )
-    TOLD: ClassVar[tuple[Entry, ...]] = (
-        Entry("distances", HOST, "pulses of each axis, of a reset the next move's"),
-        Entry("rate", HOST, "pps, likewise"),
-        Entry("deviation", HOST, "pulses off the line, which follow from the registers; infinite if not finished"),
-        Entry("carriage_deviation", TRUTH, "m off the line"),
-        Entry("duration", HOST, "s"),
-        Entry("lost_steps", TRUTH, "full steps of each axis"),
-        Entry("finished", HOST, "all axes made their pulses"),
-        Entry("registers", HOST, "that were chosen"),
+    INFO: ClassVar[tuple[Feature, ...]] = (
+        Feature(
+            "deviation",
+            HOST,
+            "pulses off the line, which follow from the registers; infinite if not finished",
+            kind=float,
+        ),
+        Feature("carriage_deviation", TRUTH, "m off the line", kind=float),
+        Feature("duration", HOST, "s", kind=float),
+        Feature("lost_steps", TRUTH, "full steps of each axis", kind=int),
+        Feature("finished", HOST, "all axes made their pulses", kind=bool),
+        Feature("distances", HOST, "pulses of each axis, of a reset the next move's", kind=int),
+        Feature("rate", HOST, "pps, likewise", kind=float),
+        Feature("registers", HOST, "that were chosen", kind=int),
     )
 
-    def stage(self, visuals: bool) -> Stage:
+    def make_stage(self, visuals: bool) -> Stage:
         c = self.config
         made = Stage(c.model, chips=chip_class(c.chip), bus_cycle=c.bus_cycle, visuals=visuals)
         for name in c.axes:
@@ -169,53 +174,49 @@ class SynchronizedMove(MoveTask[Config]):
         self.way = np.array([a.meters_per_pulse * np.sign(a.gear) for a in self.axes])
         self.line = line_of([driver_of(a) for a in self.axes], c)
         self.hz = self.line.hz
-        self.starting = [Starts(a) for a in self.axes]
-        for starts in self.starting:
+        self.start_positions = [StartPositions(a) for a in self.axes]
+        for starts in self.start_positions:
             starts.check(c.distances, "pulses")
         if c.rates[1] > self.line.fastest:
             raise ArgumentError(f"rate={c.rate!r}: up to {self.line.fastest:.0f} pps here.")
         self.registers = RegisterBox(self.line.chip.MAP, self.line.names * self.line.shape[0])
         self.action_space = self.registers.discrete if c.actions == "registers" else self.registers.box
         m = len(self.axes)
-        self.observation_space = self.seen()
-        self.result = result(
-            ("path", "carriages", "time", "lost", "limit"),
-            deviation=float, carriage_deviation=float, duration=float, lost_steps=(int, (m,)),
-            finished=bool, distances=(int, (m,)), rate=float, registers=(int, self.line.shape),
-        )  # fmt: skip
+        self.observation_space = self.make_observation_space()
+        self.shapes = {"distances": (m,), "lost_steps": (m,), "registers": self.line.shape}
         self.distances = np.ones((self.n, m), np.int64)
         self.rate, self.last = np.full(self.n, c.rates[0]), np.zeros((self.n, 4))
         self.path, self.seconds = np.zeros(self.n), np.zeros(self.n)
 
-    def layout(self) -> list[Entry]:
-        rate, *of_moves = self.SEEN
+    def layout(self) -> list[Feature]:
+        rate, *of_moves = self.OBSERVATION
         of_axes, of_the_last = of_moves[:5], of_moves[5:]
         return [rate, *of_axes * len(self.axes), *of_the_last]
 
-    def begin(self, k: int, options: Mapping[str, Any]) -> None:
+    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
         self.last[k] = 0.0
-        self._draw(k, options)
+        self._draw_move(k, options)
 
-    def describe(self, k: int) -> dict[str, Any]:
+    def describe_episode(self, k: int) -> dict[str, Any]:
         return {"distances": self.distances[k].copy(), "rate": float(self.rate[k])}
 
-    def renew(self) -> None:
-        for k in np.flatnonzero(self.sound & ~self.results["terminated"]):
-            self._draw(int(k), {})
+    def prepare_next(self) -> None:
+        for k in np.flatnonzero(self.converged & ~self.results["terminated"]):
+            self._draw_move(int(k), {})
 
-    def _draw(self, k: int, options: Mapping[str, Any]) -> None:
+    def _draw_move(self, k: int, options: Mapping[str, Any]) -> None:
         """The next move of stage k, and its carriages where it starts, each rotor anywhere in its field."""
         c, rng = self.config, self.rngs[k]
         low, high = portable.log(c.distances)
         sizes = np.rint(portable.exp(rng.uniform(low, high, len(self.axes)))).astype(np.int64)
         self.distances[k] = sizes * rng.choice([-1, 1], len(self.axes))
         self.rate[k] = np.clip(portable.exp(rng.uniform(*portable.log(c.rates))), *c.rates)
-        self._obey(k, options)
+        self._apply_options(k, options)
         angles = rng.uniform(size=len(self.axes))
-        begin = zip(self.starting, self.distances[k].tolist(), angles.tolist(), strict=True)
-        self.stages[k].place(**{s.axis.name: s.begin(d, angle) for s, d, angle in begin})
+        begin = zip(self.start_positions, self.distances[k].tolist(), angles.tolist(), strict=True)
+        self.stages[k].place(**{s.axis.name: s.find_start(d, angle) for s, d, angle in begin})
 
-    def _obey(self, k: int, options: Mapping[str, Any]) -> None:
+    def _apply_options(self, k: int, options: Mapping[str, Any]) -> None:
         c, names = self.config, self.config.axes
         if (rate := options.get("rate")) is not None:
             if not isinstance(rate, int | float | np.number) or not c.rates[0] <= rate <= c.rates[1]:
@@ -236,45 +237,45 @@ class SynchronizedMove(MoveTask[Config]):
     # --- registers ---
 
     @property
-    def asked(self) -> Asked:
+    def requested_lines(self) -> Asked:
         """The moves that stand."""
         return Asked(self.distances, self.rate)
 
     def data_sheet(self) -> np.ndarray:
         """The engineer's answer to the moves that stand: (stages, *line.shape) registers."""
-        return self.line.data_sheet(self.asked)
+        return self.line.data_sheet(self.requested_lines)
 
-    def chosen(self, actions: np.ndarray) -> np.ndarray:
+    def to_registers(self, actions: np.ndarray) -> np.ndarray:
         """The registers of actions, (stages, *line.shape)."""
         shape = (len(actions), *self.line.shape)
         if self.config.actions == "registers":
             return actions.astype(np.int64).reshape(shape)
         if self.config.actions == "box":
             return self.registers.from_action(actions).reshape(shape)
-        return self.line.corrected(self.asked, actions.astype(np.float64).reshape(shape))
+        return self.line.corrected(self.requested_lines, actions.astype(np.float64).reshape(shape))
 
     # --- the move ---
 
-    def programs(self) -> np.ndarray:
+    def make_programs(self) -> np.ndarray:
         c = self.config
-        registers = self.chosen(self.actions)
-        moves = self.line.programs(registers, self.asked)
-        self._begun = self.fleet.truth()[:, self.index]
-        self.fleet.run_on_threads(lambda low, high: self._twins(low, high, moves))
+        registers = self.to_registers(self.actions)
+        moves = self.line.programs(registers, self.requested_lines)
+        self._truth_at_start = self.fleet.truth()[:, self.index]
+        self.fleet.run_on_threads(lambda low, high: self._measure_paths(low, high, moves))
         length = np.minimum(self.seconds + self.line.last_pulse(registers), c.limit) + c.settle
         every = 1 + len(self.index)  # a wait, and a look at each axis
         looks = np.zeros((self.n, c.looks, every, 4), np.int64)
         looks[:, :, 0, 0] = WAIT
         looks[:, :, 0, 1] = np.ceil(length * (1e9 / c.looks))[:, None]
         looks[:, :, 1:, 0], looks[:, :, 1:, 1] = LOOK, self.index
-        self._looks = [slice(moves.shape[1] + 1 + a, None, every) for a in range(len(self.index))]
+        self._sample_slices = [slice(moves.shape[1] + 1 + a, None, every) for a in range(len(self.index))]
         return np.concatenate([moves, looks.reshape(self.n, -1, 4)], axis=1)
 
-    def _twins(self, low: int, high: int, moves: np.ndarray) -> None:
+    def _measure_paths(self, low: int, high: int, moves: np.ndarray) -> None:
         """Run twins of the chips of stages low..high-1: how far the pulses stray from the line, and how long they take."""
         cycle = round(self.config.bus_cycle * 1e9)
         for k in np.flatnonzero(self.active[low:high]) + low:
-            began = int(self._begun[k, 0]["now"]) + (self.line.starts(self.distances[k]) + 1) * cycle
+            began = int(self._truth_at_start[k, 0]["now"]) + (self.line.starts(self.distances[k]) + 1) * cycle
             starts = [clock_at(now, self.hz) for now in began.tolist()]
             paths = self.line.pulses(moves[k], self.distances[k])
             paths = [t + (start - min(starts)) for t, start in zip(paths, starts, strict=True)]
@@ -283,14 +284,14 @@ class SynchronizedMove(MoveTask[Config]):
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.index]
-        made = t["pulses"] - self._begun["pulses"]
+        made = t["pulses"] - self._truth_at_start["pulses"]
         finished = ((made == self.distances) & (t["busy"] == 0)).all(axis=1)
-        lost = t["lost_steps"] - self._begun["lost_steps"]
+        lost = t["lost_steps"] - self._truth_at_start["lost_steps"]
         deviation, duration = np.where(finished, self.path, np.inf), np.where(finished, self.seconds, c.limit)
-        off_line = self._carriages(played.results)
+        off_line = self._measure_carriages(played.results)
         parts = {
             "path": -c.path_weight * np.minimum(deviation, c.far),
-            "carriages": -c.carriage_weight * np.minimum(off_line / TENTH, 10.0),
+            "carriages": -c.carriage_weight * np.minimum(off_line / TENTH_MM, 10.0),
             "time": -c.time_weight * duration,
             "lost": np.where((lost != 0).any(axis=1), -c.lost_weight, 0.0),
             "limit": np.where(finished, 0.0, -c.limit_weight),
@@ -298,20 +299,20 @@ class SynchronizedMove(MoveTask[Config]):
         info = {
             "deviation": deviation, "carriage_deviation": off_line, "duration": duration, "lost_steps": lost,
             "finished": finished, "distances": self.distances, "rate": self.rate,
-            "registers": self.chosen(self.actions),
+            "registers": self.to_registers(self.actions),
         }  # fmt: skip
-        now = [np.minimum(deviation / c.far, 1.0), off_line / (off_line + TENTH), duration / c.limit, finished * 1.0]
-        good, over = self.sound, self.steps >= c.moves
+        now = [np.minimum(deviation / c.far, 1.0), off_line / (off_line + TENTH_MM), duration / c.limit, finished * 1.0]
+        good, over = self.converged, self.steps >= c.moves
         self.last[good] = np.clip(np.nan_to_num(np.stack(now, axis=1)), 0.0, 1.0)[good]
-        self.fill(parts, info, over | ~finished, False)
+        self.set_results(parts, info, over | ~finished, False)
 
-    def _carriages(self, results: np.ndarray) -> np.ndarray:
+    def _measure_carriages(self, results: np.ndarray) -> np.ndarray:
         """The largest distance of the carriages from their line, m."""
         line = self.way * self.distances
         length2, dot = np.zeros(self.n), np.zeros((self.n, self.config.looks))
         off = []
-        for a, looks in enumerate(self._looks):
-            off.append(results[:, looks] * 1e-12 - self._begun["position"][:, a, None])
+        for a, looks in enumerate(self._sample_slices):
+            off.append(results[:, looks] * 1e-12 - self._truth_at_start["position"][:, a, None])
             length2 += line[:, a] ** 2
             dot += off[a] * line[:, a, None]
         along, far2 = np.clip(dot / length2[:, None], 0.0, 1.0), np.zeros_like(dot)
@@ -319,12 +320,13 @@ class SynchronizedMove(MoveTask[Config]):
             far2 += (off[a] - along * line[:, a, None]) ** 2
         return np.sqrt(far2.max(axis=1))
 
-    def observed(self) -> np.ndarray:
+    def compute_observations(self) -> np.ndarray:
         c = self.config
         low, high = portable.log(c.rates)
         rate = (portable.log(self.rate) - low) / max(high - low, 1e-9) * 2.0 - 1.0 if high > low else np.zeros(self.n)
         of_axes = np.concatenate(
-            [(self.distances / c.distances[1])[:, :, None], self.line.errors(self.asked) / (2 * c.reach)], axis=2
+            [(self.distances / c.distances[1])[:, :, None], self.line.errors(self.requested_lines) / (2 * c.reach)],
+            axis=2,
         )
         seen = np.concatenate([rate[:, None], of_axes.reshape(self.n, -1), self.last], axis=1)
         return np.clip(seen, -1.0, 1.0).astype(np.float32)

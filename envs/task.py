@@ -6,14 +6,15 @@ import copy
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
+from types import MappingProxyType
 from typing import Any, ClassVar, Generic, TypeVar
 
 import gymnasium
 import numpy as np
 
 from stage import Stage
-from stage.envs.entries import Entry, hidden, observed
-from stage.envs.results import Results
+from stage.envs.features import Feature, list_hidden, list_visible
+from stage.envs.results import Results, make_result_dtype
 from stage.envs.settings import UnknownSetting
 from stage.errors import ArgumentError, unknown
 from stage.sim.fleet import Fleet, Played
@@ -41,19 +42,22 @@ class Task(ABC, Generic[ConfigT]):
     """What `reset(options=...)` takes."""
     STATE: ClassVar[tuple[str, ...]] = ()
     """The arrays of what is drawn and counted for each stage, beside steps, observations and results: snapshots have them."""
-    SEEN: ClassVar[tuple[Entry, ...]]
+    OBSERVATION: ClassVar[tuple[Feature, ...]]
     """What an observation may have, in its order; see `layout`."""
-    TOLD: ClassVar[tuple[Entry, ...]]
-    """What an info may have, of a reset and of a step."""
+    INFO: ClassVar[tuple[Feature, ...]]
+    """Features of an info, of a reset and of a step."""
+    PARTS: ClassVar[tuple[str, ...]]
+    """Names of the parts whose sum is the reward."""
     RESTARTS: ClassVar[bool] = False
     """Every step begins at power-up, made ready by `renew`; a recording then holds one step."""
     action_space: gymnasium.Space
     observation_space: gymnasium.Space
-    result: np.dtype
+    shapes: Mapping[str, tuple[int, ...]] = MappingProxyType({})
+    """Shapes of the features of an info that are arrays; `prepare` sets them."""
 
     def __init__(self, n: int, config: ConfigT, threads: int | None = None, visuals: bool = False):
         self.n, self.config = n, config
-        first = self.stage(visuals)
+        first = self.make_stage(visuals)
         self.stages = [first, *(copy.deepcopy(first) for _ in range(n - 1))]
         self.fleet = Fleet(self.stages, threads)
         self.start = first.snapshot()
@@ -64,54 +68,54 @@ class Task(ABC, Generic[ConfigT]):
         self.prepare()
         self.actions = np.zeros((n, *self.action_space.shape), self.action_space.dtype)  # type: ignore[misc]
         self.observations = np.zeros((n, *self.observation_space.shape), self.observation_space.dtype)  # type: ignore[misc]
-        self.hidden = hidden(self.TOLD, self.truth)
-        self.results = Results(n, self.result, self.hidden)
-        self.wire()
+        self.hidden = list_hidden(self.INFO, self.truth)
+        self.results = Results(n, make_result_dtype(self.PARTS, self.INFO, self.shapes), self.hidden)
+        self.bind_arrays()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self.wire()
+        self.bind_arrays()
 
     @abstractmethod
-    def stage(self, visuals: bool) -> Stage:
+    def make_stage(self, visuals: bool) -> Stage:
         """One stage, at power-up."""
 
     @abstractmethod
     def prepare(self) -> None:
         """Make the spaces, the record, and the arrays of what is drawn for each stage."""
 
-    def wire(self) -> None:
+    def bind_arrays(self) -> None:
         """Note where the arrays lie, if it matters."""
 
     @abstractmethod
-    def begin(self, k: int, options: Mapping[str, Any]) -> None:
+    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
         """A new episode on stage k, drawn from self.rngs[k]. The stage is at power-up (its payload is as it was)."""
 
     @abstractmethod
-    def act(self) -> None:
+    def play(self) -> None:
         """Play `actions` on the `active` stages, one at least, and judge: fills `results` and counts `steps`."""
 
-    def equip(self, k: int) -> None:
+    def apply_machine(self, k: int) -> None:
         """The machine of stage k is the one that was drawn: the payload and the like, which a stage's snapshots leave alone."""
 
-    def renew(self) -> None:
+    def prepare_next(self) -> None:
         """Make the stages that are `sound` ready for their next step, after the last has been judged."""
 
     @abstractmethod
-    def observe(self) -> None:
+    def update_observations(self) -> None:
         """Bring `observations` up to date."""
 
-    def describe(self, k: int) -> dict[str, Any]:
+    def describe_episode(self, k: int) -> dict[str, Any]:
         """`info` of a reset of stage k, whoever may know it."""
         return {}
 
-    def scripted(self) -> np.ndarray:
+    def scripted_action(self) -> np.ndarray:
         """The next action of every stage by a host that learns nothing: (n, ...). ArgumentError for a task that has none."""
         raise ArgumentError(f"{type(self).__name__} has no scripted host.")
 
-    def layout(self) -> list[Entry]:
+    def layout(self) -> list[Feature]:
         """What each number of the whole observation is, truth included."""
-        return list(self.SEEN)
+        return list(self.OBSERVATION)
 
     def close(self) -> None:
         """End the threads."""
@@ -126,61 +130,61 @@ class Task(ABC, Generic[ConfigT]):
         return config.truth
 
     @property
-    def entries(self) -> list[Entry]:
+    def observation_features(self) -> list[Feature]:
         """What each number of the observation is."""
         every = self.layout()
-        return [e for e, shown in zip(every, observed(every, self.truth), strict=True) if shown]
+        return [e for e, shown in zip(every, list_visible(every, self.truth), strict=True) if shown]
 
-    def told(self, k: int) -> dict[str, Any]:
+    def reset_info(self, k: int) -> dict[str, Any]:
         """`info` of a reset of stage k, as the setting `truth` has it."""
-        return {name: value for name, value in self.describe(k).items() if name not in self.hidden}
+        return {name: value for name, value in self.describe_episode(k).items() if name not in self.hidden}
 
     @property
-    def sound(self) -> np.ndarray:
+    def converged(self) -> np.ndarray:
         """Which stages have made a step that did not diverge."""
         return self.active & (self.results["cause"] == 0)
 
-    def restart(self, k: int, options: Mapping[str, Any]) -> None:
+    def reset_stage(self, k: int, options: Mapping[str, Any]) -> None:
         self.stages[k].restore(self.start)
         self.steps[k] = 0
         self.results["cause"][k] = 0
-        self.begin(k, options)
+        self.begin_episode(k, options)
 
-    def keep(self, k: int) -> tuple:
+    def save_stage(self, k: int) -> tuple:
         """All that stage k's episode is."""
         stage = self.stages[k].snapshot()
-        arrays = [getattr(self, name)[k].tobytes() for name in self._kept]
+        arrays = [getattr(self, name)[k].tobytes() for name in self._state_names]
         return (
             (stage.state, stage.diagnostics, stage.checksum), arrays, self.results.rows[k].tobytes(),
             self.rngs[k].bit_generator.state,
         )  # fmt: skip
 
-    def put(self, k: int, kept: tuple) -> None:
+    def load_stage(self, k: int, kept: tuple) -> None:
         """Stage k is as `keep` found one."""
         stage, arrays, result, drawn = kept
-        for name, row in zip(self._kept, arrays, strict=True):
+        for name, row in zip(self._state_names, arrays, strict=True):
             array = getattr(self, name)
             array[k] = np.frombuffer(row, array.dtype).reshape(array.shape[1:])
         self.results.rows[k] = np.frombuffer(result, self.results.rows.dtype)[0]
         self.rngs[k] = np.random.Generator(np.random.PCG64())
         self.rngs[k].bit_generator.state = drawn
-        self.equip(k)
+        self.apply_machine(k)
         self.stages[k].restore(Snapshot(self.start.header, *stage))
 
     @property
-    def _kept(self) -> tuple[str, ...]:
+    def _state_names(self) -> tuple[str, ...]:
         return ("steps", "observations", *self.STATE)
 
-    def take(self, k: int, action: Any) -> None:
+    def set_action(self, k: int, action: Any) -> None:
         """Let `action` be the next of stage k. Raises ArgumentError if it is not in the space."""
-        self.actions[k] = checked(self.action_space, action)
+        self.actions[k] = check_action(self.action_space, action)
 
 
 class MoveTask(Task[ConfigT]):
     """A task whose step is a program of bus cycles, judged when it has been played. Elementwise arithmetic only."""
 
     @abstractmethod
-    def programs(self) -> Sequence[Program] | np.ndarray:
+    def make_programs(self) -> Sequence[Program] | np.ndarray:
         """What the host does on each stage for its action; of stages that are not active it does not count."""
 
     @abstractmethod
@@ -188,16 +192,16 @@ class MoveTask(Task[ConfigT]):
         """Fill the results of the step that was just played: parts, info, terminated, truncated."""
 
     @abstractmethod
-    def observed(self) -> np.ndarray:
+    def compute_observations(self) -> np.ndarray:
         """Every stage's observation, (n, ...), truth included."""
 
-    def seen(self) -> gymnasium.spaces.Box:
+    def make_observation_space(self) -> gymnasium.spaces.Box:
         """The observation space, of what is shown."""
-        self.shown = np.array(observed(self.layout(), self.truth))
-        return gymnasium.spaces.Box(-1.0, 1.0, (int(self.shown.sum()),), np.float32)
+        self.visible = np.array(list_visible(self.layout(), self.truth))
+        return gymnasium.spaces.Box(-1.0, 1.0, (int(self.visible.sum()),), np.float32)
 
-    def act(self) -> None:
-        active, programs = self.active, self.programs()
+    def play(self) -> None:
+        active, programs = self.active, self.make_programs()
         if isinstance(programs, np.ndarray):
             programs[~active] = 0
         else:
@@ -208,13 +212,13 @@ class MoveTask(Task[ConfigT]):
         self.results["cause"] = bad
         with np.errstate(invalid="ignore", over="ignore"):
             self.judge(played, self.fleet.truth())
-        self.results.end(bad)
+        self.results.finish(bad)
 
-    def observe(self) -> None:
+    def update_observations(self) -> None:
         fine = self.results["cause"] == 0
-        self.observations[fine] = self.observed()[fine][:, self.shown]
+        self.observations[fine] = self.compute_observations()[fine][:, self.visible]
 
-    def fill(self, parts: Mapping[str, Any], info: Mapping[str, Any], terminated: Any, truncated: Any) -> None:
+    def set_results(self, parts: Mapping[str, Any], info: Mapping[str, Any], terminated: Any, truncated: Any) -> None:
         """The results, by columns."""
         for columns, values in ((self.results["parts"], parts), (self.results["info"], info)):
             for name, value in values.items():
@@ -222,7 +226,7 @@ class MoveTask(Task[ConfigT]):
         self.results["terminated"], self.results["truncated"] = terminated, truncated
 
 
-def carrier(stage: Stage, axis: str, named: str | None) -> str:
+def find_carrier(stage: Stage, axis: str, named: str | None) -> str:
     """The body that a payload goes on: `named`, or that of the site of this name; None: of the site "work", or, in a model that
     has none, the body that the axis moves. ArgumentError for a name that the model does not have."""
     model = stage.model
@@ -237,11 +241,11 @@ def carrier(stage: Stage, axis: str, named: str | None) -> str:
     return str(model.body(int(body)).name)
 
 
-JUDGED = ("tool", "camera", "work")
+JUDGED_SITES = ("tool", "camera", "work")
 """Names of the sites at which a move is judged, where none is named."""
 
 
-def judged(stage: Stage, axis: str, named: str | None) -> tuple[str, int]:
+def find_judged_point(stage: Stage, axis: str, named: str | None) -> tuple[str, int]:
     """The point of a model at which a move of an axis is judged: its name, and its number for `Program.measure`.
 
     named: a site or a body that the axis carries. None: of the sites JUDGED that it carries the first that can swing (a joint
@@ -270,7 +274,7 @@ def judged(stage: Stage, axis: str, named: str | None) -> tuple[str, int]:
         raise unknown(
             f"site or body of judge_at that axis {axis} carries,", named, {name.split(" ", 1)[1] for name in carried}
         )
-    found = {name: carried[f"site {name}"] for name in JUDGED if f"site {name}" in carried}
+    found = {name: carried[f"site {name}"] for name in JUDGED_SITES if f"site {name}" in carried}
     for name, (point, bodies) in found.items():
         joints = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in (bodies or [])]
         if not moved.issuperset(joints):
@@ -278,7 +282,7 @@ def judged(stage: Stage, axis: str, named: str | None) -> tuple[str, int]:
     return next(((name, point) for name, (point, _) in found.items()), ("", 0))
 
 
-def configured(task: type[Task], settings: Mapping[str, Any], more: Iterable[str] = ()) -> Any:
+def make_config(task: type[Task], settings: Mapping[str, Any], more: Iterable[str] = ()) -> Any:
     """The task's Config of these settings; UnknownSetting for one that it does not have. more: settings of whoever asks."""
     known = [f.name for f in fields(task.Config)]
     for name in settings:
@@ -288,7 +292,7 @@ def configured(task: type[Task], settings: Mapping[str, Any], more: Iterable[str
     return task.Config(**settings)
 
 
-def checked(space: gymnasium.Space, action: Any) -> np.ndarray:
+def check_action(space: gymnasium.Space, action: Any) -> np.ndarray:
     """The action as an array of the space's type; ArgumentError names the space and the value."""
     try:
         given = np.asarray(action)

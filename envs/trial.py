@@ -15,18 +15,18 @@ from stage.sim.fleet import Played
 from stage.sim.program import Program
 from stage.sim.stage import Axis
 
-TENTH = 1e-4  # m
-ALLOWED = 50e-6  # m, between carriage and pulses at rest
+TENTH_MM = 1e-4  # m
+MAX_OFFSET_M = 50e-6  # m, between carriage and pulses at rest
 
 
-def closed_form(distance: Any, start: float, drive: float, ramp: float) -> Any:
+def compute_move_time(distance: Any, start: float, drive: float, ramp: float) -> Any:
     """s, that moves of so many pulses take at these rates, pps, both ramps of `ramp` s."""
     steep = (drive - start) / ramp
     top = np.minimum(np.sqrt(distance * steep + start**2), drive)
     return 2 * (top - start) / steep + (distance - (top**2 - start**2) / steep) / top
 
 
-class Starts:
+class StartPositions:
     """Where moves of an axis begin: so that their middle is the middle of the travel, the rotor at an angle that is asked for.
 
     turn: m (rad), after which the rotor stands in its field as before, an electrical turn of the motor; of a servo a count.
@@ -47,13 +47,13 @@ class Starts:
         if distances[1] > room:
             raise ArgumentError(f"distances={distances!r}: axis {self.axis.name} has room for {int(room)} {unit}.")
 
-    def begin(self, distance: float, angle: float) -> float:
+    def find_start(self, distance: float, angle: float) -> float:
         """Where a move plus of `distance` pulses begins, m (rad). angle: of the rotor in its field, 0 to 1."""
         way = np.sign(self.axis.gear) * self.axis.meters_per_pulse
         return float((np.floor((self.middle - 0.5 * way * distance) / self.turn) + angle) * self.turn)
 
 
-class Seen(NamedTuple):
+class MoveOutcomes(NamedTuple):
     """What came of a move on each stage, (n,). duration s; finished: it made its pulses; stopped: it ended without them; lost: a
     step was lost, or the carriage is not where the pulses say; vibration m. Of an encoder: error, counts; swing, m."""
 
@@ -66,12 +66,12 @@ class Seen(NamedTuple):
     swing: np.ndarray
 
     @property
-    def kept(self) -> np.ndarray:
+    def in_step(self) -> np.ndarray:
         """The move is as it should be."""
         return self.finished & ~self.lost
 
 
-class Foresight:
+class PulsePredictor:
     """What the chip of an axis would make of a program with no stage around it, long before physics has."""
 
     def __init__(self, axis: Axis):
@@ -79,7 +79,7 @@ class Foresight:
         chip: Any = axis.chip
         self._fresh = type(chip)(**chip.options()).snapshot().record
 
-    def pulses(self, ops: np.ndarray, seconds: float) -> int | None:
+    def predict_pulses(self, ops: np.ndarray, seconds: float) -> int | None:
         """The net pulses of the drive that these operations start, or None if it is not over by then."""
         core = self.axis.chip.CORE
         rows = np.frombuffer(bytearray(self._fresh), core.STATE)
@@ -90,7 +90,7 @@ class Foresight:
         return None if made == play.STILL_BUSY else int(made)
 
 
-class Trial(Starts):
+class Trial(StartPositions):
     """Moves of an axis from power-up, by its driver.
 
     Args:
@@ -101,7 +101,7 @@ class Trial(Starts):
     def __init__(self, axis: Axis, point: int, settle: float, encoder: bool = False):
         super().__init__(axis)
         self.driver, self.point, self.settle, self.encoder = driver_of(axis), point, settle, encoder
-        self.foresight = Foresight(axis)
+        self.predictor = PulsePredictor(axis)
         self.stop = self.rest = 0
 
     def program(self, values: Mapping[str, int], distance: int, limit: float, keep_step: bool = False) -> Program:
@@ -119,13 +119,15 @@ class Trial(Starts):
 
     def is_hopeless(self, program: Program, distance: int, limit: float) -> bool:
         """The chip alone does not make the pulses within the limit: there is no need to look at the physics."""
-        return self.foresight.pulses(np.array(program.ops[: self.stop], np.int64), limit) != distance
+        return self.predictor.predict_pulses(np.array(program.ops[: self.stop], np.int64), limit) != distance
 
-    def seen(self, played: Played, truth: np.ndarray, distance: np.ndarray, count: float = 1.0) -> Seen:
+    def read_outcomes(
+        self, played: Played, truth: np.ndarray, distance: np.ndarray, count: float = 1.0
+    ) -> MoveOutcomes:
         """What came of the programs. truth: of this axis, (n,); count: m, of the encoder."""
         took = played.results[:, self.stop] * 1e-9
         finished = (took > 0) & (truth["pulses"] == distance)
-        lost = (truth["lost_steps"] != 0) | (np.abs(truth["commanded"] - truth["position"]) > ALLOWED)
+        lost = (truth["lost_steps"] != 0) | (np.abs(truth["commanded"] - truth["position"]) > MAX_OFFSET_M)
         low, high = (played.extremes[:, self.axis.plant.qpos, side] for side in (0, 1))
         vibration = played.results[:, self.rest] * 1e-12
         if not self.point:
@@ -136,4 +138,4 @@ class Trial(Starts):
             way = np.sign(self.axis.gear) * self.axis.meters_per_pulse
             error = counts[1] - counts[0] - np.rint(way * distance / count)
             swing = np.where(high >= low, np.floor(high / count) - np.floor(low / count), 0.0) * count
-        return Seen(np.abs(took), finished, (took > 0) & ~finished, lost, vibration, error, swing)
+        return MoveOutcomes(np.abs(took), finished, (took > 0) & ~finished, lost, vibration, error, swing)

@@ -14,32 +14,31 @@ import numpy as np
 
 from stage import Stage
 from stage.chips import Chip
-from stage.envs.entries import HOST, TRUTH, Entry
-from stage.envs.options import given
+from stage.envs.features import HOST, TRUTH, Feature
 from stage.envs.registers import RegisterBox
-from stage.envs.results import result
-from stage.envs.task import MoveTask, carrier
-from stage.envs.trial import Starts
+from stage.envs.settings import read_option
+from stage.envs.task import MoveTask, find_carrier
+from stage.envs.trial import StartPositions
 from stage.errors import unknown
 from stage.sim.program import Program
 from stage.support import portable
 
 ConfigT = TypeVar("ConfigT")
 
-NEXT = (
-    Entry("distance", HOST, "of the next move, by its logarithm from -1 to 1 over `distances`"),
-    Entry("payload", TRUTH, "of the next move, from -1 to 1 over `payloads`"),
+NEXT_MOVE = (
+    Feature("distance", HOST, "of the next move, by its logarithm from -1 to 1 over `distances`"),
+    Feature("payload", TRUTH, "of the next move, from -1 to 1 over `payloads`"),
 )
 """What an observation has of the next move."""
 
 
-def of_a_move(unit: str, turn: str) -> tuple[Entry, ...]:
+def describe_move_info(unit: str, turn: str) -> tuple[Feature, ...]:
     """What an info has of a move, of a reset the next one's. turn: what an angle of 1 is."""
     return (
-        Entry("distance", HOST, f"{unit}, of a reset the next move's"),
-        Entry("payload", TRUTH, "kg, likewise"),
-        Entry("angle", TRUTH, f"of the rotor at the start, from 0 to 1 {turn}, likewise"),
-        Entry("registers", HOST, "that were chosen"),
+        Feature("distance", HOST, f"{unit}, of a reset the next move's", kind=int),
+        Feature("payload", TRUTH, "kg, likewise", kind=float),
+        Feature("angle", TRUTH, f"of the rotor at the start, from 0 to 1 {turn}, likewise", kind=float),
+        Feature("registers", HOST, "that were chosen", kind=int),
     )
 
 
@@ -51,10 +50,6 @@ class Tuning(MoveTask[ConfigT]):
     """angle: of the rotor at the start, in electrical turns of the motor from 0 to 1; of a servo in counts of its encoder."""
     STATE: ClassVar[tuple[str, ...]] = ("distance", "payload", "angle", "last")
     RESTARTS = True
-    PARTS: ClassVar[tuple[str, ...]]
-    """What a reward is made of."""
-    INFO: ClassVar[dict[str, Any]]
-    """What an info says besides distance, payload and registers."""
     UNIT: ClassVar[str]
     """Of a distance."""
 
@@ -63,17 +58,17 @@ class Tuning(MoveTask[ConfigT]):
         """The class of the axis' chip."""
 
     @abstractmethod
-    def tuned(self) -> RegisterBox:
+    def make_register_box(self) -> RegisterBox:
         """What an action chooses; `axis` is known."""
 
     @abstractmethod
-    def program(self, row: np.ndarray, distance: int) -> Program:
+    def make_program(self, row: np.ndarray, distance: int) -> Program:
         """The bus cycles of a move with these registers, and what is observed. All programs are alike in length."""
 
-    def placed(self, k: int) -> None:
+    def after_placing(self, k: int) -> None:
         """Stage k is where its next move begins."""
 
-    def stage(self, visuals: bool) -> Stage:
+    def make_stage(self, visuals: bool) -> Stage:
         c: Any = self.config
         made = Stage(c.model, chips=self.chip(), bus_cycle=c.bus_cycle, visuals=visuals)
         if c.axis not in made.axes:
@@ -83,75 +78,88 @@ class Tuning(MoveTask[ConfigT]):
     def prepare(self) -> None:
         c: Any = self.config
         self.axis = self.stages[0].axes[c.axis]
-        self.carrier = carrier(self.stages[0], c.axis, c.payload_on)
-        self.registers = self.tuned()
+        self.carrier = find_carrier(self.stages[0], c.axis, c.payload_on)
+        self.registers = self.make_register_box()
         self.action_space = self.registers.box if c.actions == "box" else self.registers.discrete
-        self.starts = Starts(self.axis)
+        self.starts = StartPositions(self.axis)
         self.starts.check(c.distances, self.UNIT)
-        self.observation_space = self.seen()
-        self.result = result(
-            self.PARTS, **self.INFO, distance=int, payload=float, angle=float, registers=(int, (len(self.registers),))
-        )
+        self.observation_space = self.make_observation_space()
+        self.shapes = {"registers": (len(self.registers),)}
         self.distance, self.payload, self.angle = np.ones(self.n, np.int64), np.zeros(self.n), np.zeros(self.n)
         self.last = np.zeros((self.n, 4))
-        self.program(self.registers.low, 1)
+        self.make_program(self.registers.low, 1)
 
-    def begin(self, k: int, options: Mapping[str, Any]) -> None:
+    def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
         self.last[k] = 0.0
-        self._draw(k, options)
+        self._draw_move(k, options)
 
-    def renew(self) -> None:
-        for k in np.flatnonzero(self.sound):
-            self._draw(int(k), {})
+    def prepare_next(self) -> None:
+        for k in np.flatnonzero(self.converged):
+            self._draw_move(int(k), {})
 
-    def describe(self, k: int) -> dict[str, Any]:
+    def describe_episode(self, k: int) -> dict[str, Any]:
         return {"distance": int(self.distance[k]), "payload": float(self.payload[k]), "angle": float(self.angle[k])}
 
-    def _draw(self, k: int, options: Mapping[str, Any]) -> None:
-        """The next move of stage k: distance, payload and the rotor's angle, and the carriage at its start."""
+    def draw_distance(self, k: int, options: Mapping[str, Any]) -> int:
+        """Draw the distance of the next move of a stage. A subclass may override this, and return negative distances too.
+
+        Args:
+            k: Number of the stage; `rngs[k]` is its random generator.
+            options: Options of the reset; "distance" comes before a drawn one.
+
+        Returns:
+            Pulses (of a servo, counts), signed.
+        """
+        c: Any = self.config
+        drawn = int(np.rint(portable.exp(self.rngs[k].uniform(*portable.log(c.distances)))))
+        return int(read_option(options, "distance", drawn, c.distances))
+
+    def _draw_move(self, k: int, options: Mapping[str, Any]) -> None:
+        """Draw the next move of stage k, its payload and the rotor's angle, and put the carriage at its start."""
         c: Any = self.config
         rng, stage = self.rngs[k], self.stages[k]
-        low, high = portable.log(c.distances)
-        distance, payload = int(np.rint(portable.exp(rng.uniform(low, high)))), float(rng.uniform(*c.payloads))
-        self.distance[k] = given(options, "distance", distance, c.distances)
-        self.payload[k] = given(options, "payload", payload, c.payloads)
-        self.angle[k] = given(options, "angle", float(rng.uniform()), (0.0, 1.0))
+        distance = self.draw_distance(k, options)
+        self.payload[k] = read_option(options, "payload", float(rng.uniform(*c.payloads)), c.payloads)
+        self.distance[k] = distance
+        self.angle[k] = read_option(options, "angle", float(rng.uniform()), (0.0, 1.0))
         stage.restore(self.start)
-        self.equip(k)
-        stage.place(**{c.axis: self.starts.begin(float(self.distance[k]), float(self.angle[k]))})
-        self.placed(k)
+        self.apply_machine(k)
+        stage.place(**{c.axis: self.starts.find_start(float(self.distance[k]), float(self.angle[k]))})
+        self.after_placing(k)
 
-    def equip(self, k: int) -> None:
+    def apply_machine(self, k: int) -> None:
         self.stages[k].set_payload(float(self.payload[k]), self.carrier)
 
-    def chosen(self, actions: np.ndarray) -> np.ndarray:
+    def to_registers(self, actions: np.ndarray) -> np.ndarray:
         """Register values of actions."""
         c: Any = self.config
         return self.registers.from_action(actions) if c.actions == "box" else actions.astype(np.int64)
 
-    def programs(self) -> list[Program]:
-        rows = self.chosen(self.actions)
-        return [self.program(row, int(d)) for row, d in zip(rows, self.distance, strict=True)]
+    def make_programs(self) -> list[Program]:
+        rows = self.to_registers(self.actions)
+        return [self.make_program(row, int(d)) for row, d in zip(rows, self.distance, strict=True)]
 
-    def tell(self, parts: Mapping[str, np.ndarray], info: Mapping[str, np.ndarray], now: np.ndarray) -> None:
+    def set_move_results(
+        self, parts: Mapping[str, np.ndarray], info: Mapping[str, np.ndarray], now: np.ndarray
+    ) -> None:
         """The results of the moves. now: (stages, 4) of how they went, which the next observations say."""
         c: Any = self.config
-        good = self.sound
+        good = self.converged
         self.last[good] = np.clip(np.nan_to_num(now), 0.0, 1.0)[good]
         asked = {
             "distance": self.distance,
             "payload": self.payload,
             "angle": self.angle,
-            "registers": self.chosen(self.actions),
+            "registers": self.to_registers(self.actions),
         }
-        self.fill(parts, {**info, **asked}, False, self.steps >= c.moves)
+        self.set_results(parts, {**info, **asked}, False, self.steps >= c.moves)
 
-    def observed(self) -> np.ndarray:
+    def compute_observations(self) -> np.ndarray:
         c: Any = self.config
         (d0, d1), (p0, p1) = portable.log(c.distances), c.payloads
         asked = np.stack(
             [
-                (portable.log(self.distance) - d0) / max(d1 - d0, 1e-9) * 2.0 - 1.0,
+                (portable.log(np.abs(self.distance)) - d0) / max(d1 - d0, 1e-9) * 2.0 - 1.0,
                 (self.payload - p0) / max(p1 - p0, 1e-9) * 2.0 - 1.0,
             ],
             axis=1,

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage import Stage
-from stage.envs.task import carrier, judged
+from stage.envs.task import find_carrier, find_judged_point
 from stage.errors import ArgumentError, unknown
 from stage.firmware.driver import driver_of
 from stage.support.arguments import told_when_made
@@ -94,7 +94,7 @@ class Task:
             object.__setattr__(self, name, value)
 
         if self.judge_at is not None:
-            put("point", judged(self.stage, self.axis, self.judge_at)[1])
+            put("point", find_judged_point(self.stage, self.axis, self.judge_at)[1])
         put("carrier", self._carrier(axis))
         if not 0 <= self.payload < 1e6:
             raise ArgumentError(f"payload={self.payload!r} kg: 0 or more, and less than 1,000,000.")
@@ -136,7 +136,7 @@ class Task:
 
     def _carrier(self, axis: Any) -> str:
         """That of `payload_on`; of the usual ones the first that rides on the axis."""
-        named = carrier(self.stage, self.axis, self.payload_on)
+        named = find_carrier(self.stage, self.axis, self.payload_on)
         if self.payload_on is not None or rides(self.stage.model, named, axis.joint):
             return named
         model = self.stage.model

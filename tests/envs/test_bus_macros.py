@@ -6,7 +6,7 @@ import pytest
 
 import stage.envs  # noqa: F401
 from stage import ArgumentError
-from stage.envs.bus_macros import BEFORE, LEVELS, Config
+from stage.envs.bus_macros import LEVELS, MAX_BEFORE_ORIGIN, Config
 
 FULL = 120 * 0.01 + 30.0 * 0.05
 """What is left of the cost at an episode's begin."""
@@ -47,7 +47,7 @@ def course(env, policy, **reset):
     ],
 )
 def test_the_longest_distances_first_lead_to_the_target_on_both_ways(env, level, targets):
-    total, steps, info = course(env, env.scripted, options={"level": level, "targets": targets})
+    total, steps, info = course(env, env.scripted_action, options={"level": level, "targets": targets})
     assert info["score"]["success"]
     assert info["score"]["moves"] == steps
     assert info["score"]["time"] == info["elapsed"]
@@ -67,7 +67,7 @@ def test_from_an_unknown_place_the_origin_is_found_first(chip):
         begun = env._task.axis_states[0, 0]
         assert not begun["known"]
         sides.add(bool(begun["org"]))
-        _, _, info = course(env, env.scripted, seed=seed, options={"targets": {"x": 320}})
+        _, _, info = course(env, env.scripted_action, seed=seed, options={"targets": {"x": 320}})
         assert info["score"]["success"], seed
         assert abs(env.stage.axes["x"].position - env._task.origin[0]) / env.stage.axes[
             "x"
@@ -84,7 +84,7 @@ def test_an_origin_return_that_begins_on_org_finds_nothing_and_one_that_left_it_
     assert not env._task.axis_states[0, 0]["known"], "the backing off is too short"
     act(env, "rates usual", f"distance {env._task.config.grid[-1]}", "plus", "wait", "read", "home")
     assert env._task.axis_states[0, 0]["known"]
-    assert env._task.config.grid[-1] > BEFORE
+    assert env._task.config.grid[-1] > MAX_BEFORE_ORIGIN
 
 
 def test_what_has_no_effect_is_masked_and_does_nothing_if_it_is_done(env):
@@ -166,12 +166,12 @@ def test_to_give_up_is_no_cheaper_than_to_fail_at_the_end():
 
 def test_a_host_reads_before_it_knows(env):
     env.reset(seed=4, options={"level": "target", "targets": {"x": 512}})
-    names = [e.name for e in env.entries]
+    names = [e.name for e in env.observation_features]
     left = names.index("left")
     seen = [out[0][left] for out in act(env, "rates usual", "distance 256", "plus", "wait", "read")]
     assert len(set(seen[:4])) == 1
     assert seen[4] == pytest.approx(seen[0] / 2)
-    assert not any(e.who == "truth" for e in env.entries)
+    assert not any(e.who == "truth" for e in env.observation_features)
 
 
 def test_levels_targets_and_grids_that_are_none_are_refused(env):
@@ -255,7 +255,7 @@ def test_who_waits_no_longer_than_his_patience_does_not_know_that_it_has_stopped
     env = make(level="move", patience=0.01)
     env.reset(seed=1, options={"targets": {"x": 1024}})
     seen = act(env, "rates gentle", "distance 1024", "plus", "wait")
-    running = [e.name for e in env.entries].index("running")
+    running = [e.name for e in env.observation_features].index("running")
     assert [s[0][running] for s in seen] == [0, 0, 1, 1]
     over = False
     while not over:

@@ -110,7 +110,7 @@ def play_macros(discount, level):
     drawn, wait = rng.integers(env.action_space.n, size=120), env.macros.index("wait")
     masks = rng.permuted(np.tile(np.arange(env.action_space.n), (120, 1)), axis=1)
     players = {
-        SOLVES: lambda t: env.scripted(),
+        SOLVES: lambda t: env.scripted_action(),
         "waits": lambda t: wait, "random": lambda t: int(drawn[t]),
         "legal": lambda t: next(a for a in masks[t] if env.action_masks()[a]),
     }  # fmt: skip

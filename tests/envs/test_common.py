@@ -16,7 +16,7 @@ from support.examples import FIXED
 import stage.envs
 from stage import ArgumentError
 
-EVERY = list(stage.envs.IDS)
+FRAME_INTERVAL = list(stage.envs.IDS)
 OTHER_CHIPS = [
     "stage/RegisterTuning-v0 MCX304", "stage/RegisterBus-v0 MCX514", "stage/OriginReturn-v0 MCX514",
     "stage/SynchronizedMove-v0 MCX514", "stage/SynchronizedMove-v0 MCX302",
@@ -47,12 +47,14 @@ def daily(every, brief):
     return [id_ if id_ in brief else pytest.param(id_, marks=pytest.mark.slow) for id_ in every]
 
 
-@pytest.fixture(params=daily(EVERY, BRIEF), ids=lambda id_: id_.split("/")[1])
+@pytest.fixture(params=daily(FRAME_INTERVAL, BRIEF), ids=lambda id_: id_.split("/")[1])
 def id_(request):
     return request.param
 
 
-@pytest.fixture(params=daily([*EVERY, *OTHER_CHIPS], [*BRIEF, OTHER_CHIPS[0]]), ids=lambda id_: id_.split("/")[1])
+@pytest.fixture(
+    params=daily([*FRAME_INTERVAL, *OTHER_CHIPS], [*BRIEF, OTHER_CHIPS[0]]), ids=lambda id_: id_.split("/")[1]
+)
 def any_(request):
     """An id, or an id and a chip."""
     return request.param
@@ -105,7 +107,9 @@ def same(a, b):
     return type(a) is type(b) and a == b
 
 
-@pytest.mark.parametrize("any_", daily([*EVERY, *OTHER_CHIPS], EVERY), ids=lambda id_: id_.split("/")[1])
+@pytest.mark.parametrize(
+    "any_", daily([*FRAME_INTERVAL, *OTHER_CHIPS], FRAME_INTERVAL), ids=lambda id_: id_.split("/")[1]
+)
 def test_gymnasium_finds_nothing_to_complain_about(any_):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -142,12 +146,15 @@ def test_a_pickled_environment_goes_on_as_the_first(any_):
 
 BRIEFLY = [  # every chip in every mode on every number of threads: `make test-slow`
     *(pytest.param(id_, mode, 2) for id_ in BRIEF for mode in AutoresetMode),
-    *(pytest.param(id_, AutoresetMode.NEXT_STEP, threads) for id_, threads in zip(EVERY, cycle((1, 2)), strict=False)),
+    *(
+        pytest.param(id_, AutoresetMode.NEXT_STEP, threads)
+        for id_, threads in zip(FRAME_INTERVAL, cycle((1, 2)), strict=False)
+    ),
     *(pytest.param(id_, AutoresetMode.SAME_STEP, 2) for id_ in OTHER_CHIPS[1:3]),
 ]
 LONG = [
     pytest.param(*case, marks=pytest.mark.slow)
-    for case in product([*EVERY, *OTHER_CHIPS], AutoresetMode, (1, 2))
+    for case in product([*FRAME_INTERVAL, *OTHER_CHIPS], AutoresetMode, (1, 2))
     if case not in [brief.values for brief in BRIEFLY]
 ]
 
@@ -219,7 +226,7 @@ def test_an_episode_begins_with_its_own_info_beside_others_that_go_on(id_):
         _, _, terminated, truncated, _ = vector.step(busy(id_, vector.action_space.sample()))
         over = terminated | truncated
     infos = vector.step(busy(id_, vector.action_space.sample()))[4]
-    assert same(stage.envs.base.info_of(infos, 1), vector.unwrapped._task.told(1))
+    assert same(stage.envs.base.info_of(infos, 1), vector.unwrapped._task.reset_info(1))
     assert "reward_parts" in stage.envs.base.info_of(infos, 0)
 
 
@@ -339,7 +346,7 @@ def test_a_stage_that_diverges_ends_its_own_episode_alone(any_):
     vector.stages[1].data.qfrc_applied[:] = 0.0
     again, *_, infos = vector.step(actions)
     assert np.isfinite(again).all(), "it starts anew"
-    assert same(stage.envs.base.info_of(infos, 1), vector.unwrapped._task.told(1))
+    assert same(stage.envs.base.info_of(infos, 1), vector.unwrapped._task.reset_info(1))
     assert vector.stages[1].time == 0, "and waits for its first action"
     if not ended[0]:  # else it begins anew, too
         assert stage.envs.base.info_of(infos, 0)["cause"] == ""
@@ -377,7 +384,7 @@ def test_closing_writes_the_recording_of_an_episode_that_goes_on(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["0.rrd"]
 
 
-@pytest.mark.parametrize("any_", daily([*EVERY, OTHER_CHIPS[0]], BRIEF[1:]), ids=lambda id_: id_.split("/")[1])
+@pytest.mark.parametrize("any_", daily([*FRAME_INTERVAL, OTHER_CHIPS[0]], BRIEF[1:]), ids=lambda id_: id_.split("/")[1])
 def test_an_episode_can_be_recorded(any_, tmp_path):
     env, plain = make(any_, record=str(tmp_path / "run" / "{}.rrd")), make(any_)
     assert same(episode(env, 2, 3), episode(plain, 2, 3)), "a recording changes nothing"

@@ -6,8 +6,9 @@ from support.mirrored import mirrored
 
 from stage import ArgumentError, Stage
 from stage.envs import contexts, faulty
-from stage.envs.results import Results, result
-from stage.envs.tuning import given
+from stage.envs.features import HOST, Feature
+from stage.envs.results import SCORE_FEATURE, Results, make_result_dtype
+from stage.envs.settings import read_option
 
 PARTS = {"payload": 1.0, "friction": 3.0, "supply": 0.5, "current": 0.8, "loss": 1.5, "inductance": 1.2}
 ENDS = {"payload": (2.0, 2.0), "friction": (0.5, 2.0)}
@@ -15,20 +16,20 @@ ENDS = {"payload": (2.0, 2.0), "friction": (0.5, 2.0)}
 
 def machine():
     stage = Stage("xy", visuals=False)
-    return stage, stage.axes["x"], faulty.Faulty.of(stage, "x")
+    return stage, stage.axes["x"], faulty.FaultyAxis.from_stage(stage, "x")
 
 
 @pytest.mark.parametrize("end", [0.5, 2.0])
 def test_a_number_of_a_machine_may_be_given_up_to_both_ends(end):
     context = np.zeros((), contexts.CONTEXT)
-    contexts.draw(np.random.default_rng(1), ENDS, context, {"friction": end})
+    contexts.draw_context(np.random.default_rng(1), ENDS, context, {"friction": end})
     assert (context["payload"], context["friction"]) == (2.0, end), "of a range of one number that number is drawn"
 
 
 def test_nothing_may_be_given_where_it_is_in_the_range():
     context = np.zeros((), contexts.CONTEXT)
     ends = {"payload": (0.0, 5.0), "drift": (0.0, 0.1)}
-    contexts.draw(np.random.default_rng(1), ends, context, {"payload": 0, "drift": 0.0})
+    contexts.draw_context(np.random.default_rng(1), ends, context, {"payload": 0, "drift": 0.0})
     assert (context["payload"], context["drift"]) == (0.0, 0.0)
 
 
@@ -43,7 +44,7 @@ def test_what_is_given_changes_nothing_that_is_drawn():
             "current": (0.6, 1.0),
             "loss": (0.56, 1.78),
         }
-        contexts.draw(np.random.default_rng(3), ends, context, asked)
+        contexts.draw_context(np.random.default_rng(3), ends, context, asked)
         drawn.append({name: float(context[name]) for name in ends if name not in asked})
         assert all(context[name] == value for name, value in asked.items())
     assert drawn[0] == drawn[0] | drawn[1] | drawn[2]
@@ -52,21 +53,21 @@ def test_what_is_given_changes_nothing_that_is_drawn():
 @pytest.mark.parametrize("wrong", [True, "1", np.nan, 0.49, 2.01])
 def test_what_is_no_number_of_a_machine_is_refused(wrong):
     with pytest.raises(ArgumentError, match="option friction="):
-        contexts.draw(np.random.default_rng(1), ENDS, np.zeros((), contexts.CONTEXT), {"friction": wrong})
+        contexts.draw_context(np.random.default_rng(1), ENDS, np.zeros((), contexts.CONTEXT), {"friction": wrong})
 
 
 def test_a_range_of_one_number_is_shown_as_its_least():
     context = np.zeros(2, contexts.CONTEXT)
     context["payload"], context["friction"], context["fault"] = 2.0, (0.5, 2.0), (0, 7)
-    assert contexts.placed(ENDS, context).tolist() == [[-1, -1, 0], [-1, 1, 1]]
+    assert contexts.scale_contexts(ENDS, context).tolist() == [[-1, -1, 0], [-1, 1, 1]]
 
 
 @pytest.mark.parametrize("wrong", [True, "1", np.nan, -1, 9])
 def test_an_option_that_is_no_number_of_its_range_is_refused(wrong):
-    assert given({"payload": 0}, "payload", 1.0, (0.0, 8.0)) == 0
-    assert given({"payload": 8}, "payload", 1.0, (0.0, 8.0)) == 8
+    assert read_option({"payload": 0}, "payload", 1.0, (0.0, 8.0)) == 0
+    assert read_option({"payload": 8}, "payload", 1.0, (0.0, 8.0)) == 8
     with pytest.raises(ArgumentError, match="option payload="):
-        given({"payload": wrong}, "payload", 1.0, (0.0, 8.0))
+        read_option({"payload": wrong}, "payload", 1.0, (0.0, 8.0))
 
 
 def test_a_machine_is_what_its_context_says_and_its_torque_constant_is_that_of_its_motor():
@@ -79,9 +80,9 @@ def test_a_machine_is_what_its_context_says_and_its_torque_constant_is_that_of_i
     was = stage.model.dof_frictionloss[dof], stage.model.dof_damping[dof]
     motor = x.drive.motor
     carrier = stage.model.body(int(stage.model.jnt_bodyid[x.joint])).name
-    made = contexts.Machine.of(stage, "x", carrier)
+    made = contexts.NominalMachine.from_stage(stage, "x", carrier)
     for _ in range(2):
-        made.equip(stage, context, more=0.5)
+        made.apply(stage, context, more=0.5)
         assert stage.model.dof_frictionloss[dof] == pytest.approx(3 * was[0])
         assert stage.model.dof_damping[dof] == pytest.approx(3 * was[1])
         assert loss.tolist() == pytest.approx([1.5 * motor.core_loss_damping, motor.core_loss_damping])
@@ -102,16 +103,16 @@ def test_a_fault_is_gone_with_the_next_one_and_with_none(fault):
         return *stage.model.dof_solref[dof], *stage.model.dof_solimp[dof], x.faults.open_phases, *switch
 
     healthy = seen()
-    parts.put(stage, "none")
+    parts.apply(stage, "none")
     assert seen() == healthy
-    parts.put(stage, fault)
+    parts.apply(stage, fault)
     broken = seen()
     assert broken != healthy
     other = "jam" if fault != "jam" else "org open"
-    parts.put(stage, other)
-    parts.put(stage, fault)
+    parts.apply(stage, other)
+    parts.apply(stage, fault)
     assert seen() == broken
-    parts.put(stage, "none")
+    parts.apply(stage, "none")
     assert seen() == healthy
 
 
@@ -119,33 +120,35 @@ def test_a_switch_that_was_stuck_before_stays_so_without_a_fault():
     stage, x, _ = machine()
     row = stage.state.switch_table[x.switches.row("org")]
     row["forced"] = 1
-    parts = faulty.Faulty.of(stage, "x")
-    parts.put(stage, "org open")
+    parts = faulty.FaultyAxis.from_stage(stage, "x")
+    parts.apply(stage, "org open")
     assert row["forced"] == 0
-    parts.put(stage, "sag")
+    parts.apply(stage, "sag")
     assert row["forced"] == 1
 
 
 def test_a_supply_sags_from_what_it_is():
     stage, x, parts = machine()
     x.faults.bus_voltage = 36.0
-    parts.put(stage, "sag")
+    parts.apply(stage, "sag")
     assert x.faults.bus_voltage == pytest.approx(0.6 * 36.0)
 
 
 def test_bearings_bind_on_a_screw_that_turns_the_other_way_too(tmp_path):
     stage = Stage(mirrored(tmp_path), visuals=False)
-    parts, dof = faulty.Faulty.of(stage, "x"), stage.axes["x"].plant.dof
+    parts, dof = faulty.FaultyAxis.from_stage(stage, "x"), stage.axes["x"].plant.dof
     was = stage.model.dof_frictionloss[dof]
-    parts.put(stage, "binding")
+    parts.apply(stage, "binding")
     assert stage.model.dof_frictionloss[dof] > was
 
 
 def test_a_score_in_columns_is_of_those_alone_whose_episode_ends_now():
     for hidden in (frozenset(), frozenset({"score"})):
-        results = Results(3, result(("time",), scored=True, duration=float), hidden)
+        results = Results(
+            3, make_result_dtype(("time",), (Feature("duration", HOST, "s", kind=float), SCORE_FEATURE)), hidden
+        )
         results["score"]["time"], results["terminated"] = [1.0, 2.0, 3.0], [True, True, False]
-        told = results.columns(np.array([True, False, True]))
+        told = results.read_columns(np.array([True, False, True]))
         assert ("score" in told) == ("score" not in hidden)
         if not hidden:
             assert told["_score"].tolist() == [True, False, False]

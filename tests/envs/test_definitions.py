@@ -61,7 +61,12 @@ def test_the_usual_time_is_that_of_the_driver_s_speeds():
 
 def test_figures_that_follow_from_settings_are_right():
     c, b = drifting_home.Config(), bus_macros.Config()
-    worst = 4 * c.limit * c.time_weight + drifting_home.CAP * c.error_weight + c.missed_weight + 2 * c.damage_weight
+    worst = (
+        4 * c.limit * c.time_weight
+        + drifting_home.MAX_ERROR_PULSES * c.error_weight
+        + c.missed_weight
+        + 2 * c.damage_weight
+    )
     assert f"which is {worst:.4g} for each" in SECTIONS["DriftingHome"]
     assert f"up to {b.longest} (twice the sum" in SECTIONS["BusMacros"]
     assert f"1 to {b.longest // b.grid[0]} times {b.grid[0]} pulses" in SECTIONS["BusMacros"]

@@ -39,7 +39,7 @@ def course(env, policy, **reset):
 
 
 def test_a_healthy_machine_is_returned_to_its_origin_again_and_again(env):
-    total, infos = course(env, env.scripted, options={"fault": "none"})
+    total, infos = course(env, env.scripted_action, options={"fault": "none"})
     assert len(infos) == env._task.config.returns
     assert all(info["home"] and abs(info["error"]) < 12 and not info["lost_steps"] for info in infos)
     assert infos[-1]["score"]["success"]
@@ -51,7 +51,7 @@ def test_a_healthy_machine_is_returned_to_its_origin_again_and_again(env):
 @pytest.mark.parametrize("reach", [0.004, 0.02])
 def test_the_time_to_beat_is_that_of_the_usual_rates_from_near_and_far(reach):
     env = make(reach=reach)
-    _, infos = course(env, env.scripted, seed=4, options={"fault": "none"})
+    _, infos = course(env, env.scripted_action, seed=4, options={"fault": "none"})
     assert all(info["start"] > env._task.origin for info in infos), "plus of ORG: one search and back"
     assert abs(infos[-1]["score"]["regret"]) < 0.1
 
@@ -60,7 +60,9 @@ def test_the_time_to_beat_is_that_of_the_usual_rates_from_near_and_far(reach):
     "fault", ["org closed", *(pytest.param(n, marks=pytest.mark.slow) for n in BROKEN if n != "org closed")]
 )
 def test_a_fault_is_noticed_by_what_a_return_found_and_its_report_pays(env, fault):
-    total, infos = course(env, env.scripted, options={"fault": fault, "current": 0.6, "friction": 1.9, "payload": 4.0})
+    total, infos = course(
+        env, env.scripted_action, options={"fault": fault, "current": 0.6, "friction": 1.9, "payload": 4.0}
+    )
     assert [info["home"] for info in infos[-3:]] == [False] * 3
     assert [info["reported"] for info in infos[-3:]] == [False, False, True]
     assert infos[-1]["reward_parts"]["report"] == 5
@@ -102,7 +104,7 @@ def test_the_origin_walks_and_what_was_counted_shows_it():
     env = make(limit=3.0, returns=6, walk=1e-4, noise=0.0, bounces=(0.0, 0.0))
     env.reset(seed=4, options={"fault": "none", "current": 0.8, "friction": 1.0})
     off, shifts = [], []
-    at = [e.name for e in env.entries].index("last_off")
+    at = [e.name for e in env.observation_features].index("last_off")
     for _ in range(3):
         shifts.append(env._task.shift[0, 1])
         off.append(env.step(action_of(leave=1500, approach=200))[0][at] * 64 * env._task.per_pulse)
@@ -145,7 +147,7 @@ def return_to(monkeypatch, env, pulses_off):
         return truth
 
     monkeypatch.setattr(task.fleet, "truth", read_displaced_truth)
-    return env.step(env.scripted())[4]
+    return env.step(env.scripted_action())[4]
 
 
 @pytest.mark.parametrize(("off", "missed"), [(-63, False), (63, False), (-65, True), (65, True)])
@@ -196,7 +198,7 @@ def test_splits_have_faults_of_their_own_and_most_machines_none():
 def test_the_same_policy_returns_with_every_chip(chip):
     env = make(chip=chip, returns=3)
     for seed in (1, 2):
-        _, infos = course(env, env.scripted, seed=seed, options={"fault": "none"})
+        _, infos = course(env, env.scripted_action, seed=seed, options={"fault": "none"})
         assert infos[-1]["score"]["success"], seed
-    _, infos = course(env, env.scripted, options={"fault": "org open"})
+    _, infos = course(env, env.scripted_action, options={"fault": "org open"})
     assert infos[-1]["score"]["success"]

@@ -48,7 +48,7 @@ def test_a_move_that_cannot_end_in_time_takes_no_time_of_the_stage():
     stages, slow = env.unwrapped.stages, np.full((8, len(env.single_action_space.low)), -1.0, np.float32)
     begun = [s.now for s in stages]
     env.unwrapped._task.actions[...] = slow
-    env.unwrapped._task.act()
+    env.unwrapped._task.play()
     assert [s.now for s in stages] == begun
     assert not env.unwrapped._task.results["info"]["finished"].any()
 
@@ -63,7 +63,7 @@ def test_a_move_that_loses_a_step_ends_there():
         task = env._task
         row = np.array([values[name] for name in task.registers.names])
         task.actions[0] = task.registers.to_action(row[None])[0]
-        task.act()
+        task.play()
         return env.stage.time, task.results["info"][0]
 
     (whole, was), (short, now) = lost_of(False), lost_of(True)

@@ -67,7 +67,7 @@ def test_what_was_left_on_the_table_is_on_top_of_the_payload_and_of_the_margin_o
     task, stage = env._task, env.stage
     assert stage.payload("y") == pytest.approx(1.0 + 12.0)
     for more, kg in ((0.5, 13.5), (0.0, 13.0)):
-        task.outfit(stage, 0, more)
+        task.configure_stage(stage, 0, more)
         assert stage.payload("y") == pytest.approx(kg)
 
 
@@ -94,7 +94,7 @@ def test_the_contact_of_org_bounces_and_an_origin_is_found_all_the_same():
         assert switch["bounce"] == (1_000_000 if fault == "bounce" else 0)
         over = False
         while not over:
-            *_, ended, cut, info = env.step(env.scripted())
+            *_, ended, cut, info = env.step(env.scripted_action())
             over = ended or cut
         assert info["score"]["success"]
 
@@ -103,10 +103,10 @@ def test_a_fault_of_an_episode_leaves_what_was_broken_before():
     machine = Stage("xy", visuals=False)
     x = machine.axes["x"]
     x.faults.open_phases = stepper.B
-    faults_of_x = faulty.Faulty.of(machine, "x")
-    faults_of_x.put(machine, "phase open")
+    faults_of_x = faulty.FaultyAxis.from_stage(machine, "x")
+    faults_of_x.apply(machine, "phase open")
     assert x.faults.open_phases == stepper.A | stepper.B
-    faults_of_x.put(machine, "none")
+    faults_of_x.apply(machine, "none")
     assert x.faults.open_phases == stepper.B
 
 

@@ -47,13 +47,13 @@ def test_what_was_gained_and_holds_is_the_logarithm_of_the_time_saved(env):
 
 def test_a_try_that_does_not_hold_in_the_proof_is_taken_back_and_the_next_best_is_proved(monkeypatch):
     env = make()
-    hold, asked = FewShotTuning._hold, []
+    hold, asked = FewShotTuning._keep_step, []
 
     def only_the_second(task, which, rows):
         asked.append(rows[0].tolist())
         return hold(task, which, rows) & (len(asked) > 1)
 
-    monkeypatch.setattr(FewShotTuning, "_hold", only_the_second)
+    monkeypatch.setattr(FewShotTuning, "_keep_step", only_the_second)
     rewards, infos = episode(env, (USUAL, BRISK, WILD))
     assert asked == [infos[1]["registers"].tolist(), infos[0]["registers"].tolist()]
     assert not infos[2]["kept"]
@@ -61,7 +61,7 @@ def test_a_try_that_does_not_hold_in_the_proof_is_taken_back_and_the_next_best_i
     assert infos[2]["reward_parts"]["proof"] < 0
     assert infos[2]["proved"] == infos[0]["best"]
     assert rewards.sum() == pytest.approx(np.log(2 * infos[0]["usual"] / infos[0]["best"]) - 0.05)
-    monkeypatch.setattr(FewShotTuning, "_hold", lambda task, which, rows: np.zeros_like(which))
+    monkeypatch.setattr(FewShotTuning, "_keep_step", lambda task, which, rows: np.zeros_like(which))
     rewards, infos = episode(env, (USUAL, BRISK, BRISK))
     assert rewards.sum() == pytest.approx(0)
     assert infos[-1]["proved"] == np.inf
@@ -75,7 +75,9 @@ def test_where_the_last_try_is_the_answer_nothing_that_came_before_is_kept(monke
     assert infos[-1]["best"] == infos[0]["best"] < infos[-1]["proved"], "the best try is not the answer"
     assert rewards.sum() == pytest.approx(np.log(2 * infos[0]["usual"] / infos[-1]["proved"]) - 0.05)
     asked: list = []
-    monkeypatch.setattr(FewShotTuning, "_hold", lambda task, which, rows: asked.append(rows) or np.zeros_like(which))
+    monkeypatch.setattr(
+        FewShotTuning, "_keep_step", lambda task, which, rows: asked.append(rows) or np.zeros_like(which)
+    )
     rewards, infos = episode(env, (USUAL, USUAL, BRISK))
     assert [len(asked), rewards.sum(), infos[-1]["proved"]] == [1, pytest.approx(0), np.inf], "nor proved in its place"
 
@@ -127,7 +129,7 @@ def test_frictions_and_losses_are_drawn_by_their_logarithm_and_all_else_evenly()
     ends |= {"friction": (0.25, 4.0), "loss": (0.2, 5.0)}
     rng, drawn = np.random.default_rng(0), np.zeros(400, contexts.CONTEXT)
     for row in drawn:
-        contexts.draw(rng, ends, row, {})
+        contexts.draw_context(rng, ends, row, {})
     middles = {name: float(np.median(drawn[name])) for name in contexts.KINDS}
     assert middles.pop("friction") == pytest.approx(1.0, abs=0.2)
     assert middles.pop("loss") == pytest.approx(1.0, abs=0.2)
@@ -138,13 +140,13 @@ def test_frictions_and_losses_are_drawn_by_their_logarithm_and_all_else_evenly()
 def test_a_motor_of_another_inductance_has_its_time_constant_at_once():
     """env.reset(options={"inductance": 1.2}) of a stage that has run: exp(-R t / L) of the current is left after a slice."""
     stage_ = Stage("xy", visuals=False)
-    machine = contexts.Machine.of(stage_, "x", "y")
+    machine = contexts.NominalMachine.from_stage(stage_, "x", "y")
     stage_.run(1e-3)
     context = np.zeros((), contexts.CONTEXT)
     for name in ("friction", "supply", "current", "loss"):
         context[name] = 1.0
     context["inductance"] = 1.2
-    machine.equip(stage_, context)
+    machine.apply(stage_, context)
     stage_.run(1e-3)
     drive = stage_.state.drives[stage_.axes["x"].index]
     slice_s = stage_.model.opt.timestep / 8
@@ -178,7 +180,7 @@ def test_a_host_sees_its_tries_and_nothing_of_the_machine(env):
     *_, info = blind.step(USUAL)
     assert info.keys() == {"distance", "registers", "duration", "usual", "finished", "error", "cause"}
     seen, _ = env.reset(seed=3)
-    names = [e.name for e in env.entries]
+    names = [e.name for e in env.observation_features]
     assert len(names) == len(seen) == 3 + 3 * 9
     assert not seen[3:].any()
     seen, *_ = env.step(BRISK)
@@ -213,17 +215,17 @@ def test_every_split_draws_where_it_says_and_a_setting_comes_before_it():
     for name, differs in contexts.SPLITS.items():
         config = Config(split=name)
         assert set(differs) <= set(train)
-        for kind, ends in contexts.ranges(config).items():
+        for kind, ends in contexts.get_ranges(config).items():
             of = contexts.KINDS[kind][0]
             if name != "train" and of in differs:
                 inside = train[of]
                 assert ends == differs[of]
                 assert ends[0] >= inside[1] or ends[1] <= inside[0], "none of it is in train"
             rng, made = np.random.default_rng(5), np.zeros((), contexts.CONTEXT)
-            contexts.draw(rng, contexts.ranges(config), made, {})
+            contexts.draw_context(rng, contexts.get_ranges(config), made, {})
             assert ends[0] <= made[kind] <= ends[1]
         assert all(name == "train" or differs[key] != train[key] for key in differs)
-    assert contexts.ranges(Config(split="heavy", payloads=(7.0, 8.0)))["payload"] == (7.0, 8.0)
+    assert contexts.get_ranges(Config(split="heavy", payloads=(7.0, 8.0)))["payload"] == (7.0, 8.0)
     with pytest.raises(ArgumentError, match=r"split 'hevy'.*Did you mean 'heavy'"):
         Config(split="hevy")
     env = make(split="heavy")
@@ -260,7 +262,7 @@ def test_every_action_is_registers_of_every_chip(chip):
     for action in np.concatenate([corners, rng.uniform(-1, 1, (12, 4))]):
         for distance in (1600, 16_000):
             task.distance[:] = distance
-            (row,) = task.chosen(action[None].astype(np.float32))
+            (row,) = task.to_registers(action[None].astype(np.float32))
             ranges = [limits(task.axis.chip.MAP, name) for name in task.names]
             assert all(low <= value <= high for value, (low, high) in zip(row, ranges, strict=True)), (action, row)
     assert task.rates(action_of(1000, 16_000, 0.15, 0.1), 9000) == pytest.approx((1000, 16_000, 0.15, 0.1), rel=1e-4)
@@ -271,13 +273,13 @@ def test_every_action_is_registers_of_every_chip(chip):
     [({}, 0, 0), ({"lost": True, "kept": False}, -0.5, 0), ({"finished": False, "stopped": True}, -0.5, 1)],
 )
 def test_a_step_lost_and_an_end_limit_are_damage_alike(monkeypatch, how, damage, limits):
-    from stage.envs.trial import Seen
+    from stage.envs.trial import MoveOutcomes
 
     env = make(tries=2, proofs=0, damage_weight=0.5)
     env.reset(seed=1)
     made = {"finished": True, "stopped": False, "lost": False} | {k: v for k, v in how.items() if k != "kept"}
-    told = Seen(*(np.array([v]) for v in (0.1, *made.values(), 0.0, 0.0, 0.0)))
-    monkeypatch.setattr(env._task.trial, "seen", lambda *given: told)
+    told = MoveOutcomes(*(np.array([v]) for v in (0.1, *made.values(), 0.0, 0.0, 0.0)))
+    monkeypatch.setattr(env._task.trial, "read_outcomes", lambda *given: told)
     for _ in range(2):
         info = env.step(USUAL)[4]
         assert info["reward_parts"]["damage"] == damage

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import stage.envs  # noqa: F401
-from stage.envs.base import _join, info_of
+from stage.envs.base import _join_columns, info_of
 
 SHORT = {
     "stage/RegisterTuning-v0": {"model": "xy", "moves": 2, "distances": (300, 900), "limit": 0.3, "settle": 0.01},
@@ -27,8 +27,8 @@ def test_what_a_beginning_episode_and_a_step_both_tell_is_told_of_both_stages(id
     *_, infos = envs.step(actions)
     goes_on, begins = (info_of(infos, k) for k in (0, 1))
     named = "distances" if "distances" in begins else "distance"
-    assert np.array_equal(begins[named], envs._task.told(1)[named])
-    assert set(begins) == set(envs._task.told(1)), "of a beginning what a reset tells, and no more"
+    assert np.array_equal(begins[named], envs._task.reset_info(1)[named])
+    assert set(begins) == set(envs._task.reset_info(1)), "of a beginning what a reset tells, and no more"
     assert set(begins) < set(goes_on)
     assert infos[f"_{named}"].tolist() == [True, True]
     assert infos["_cause"].tolist() == [True, False]
@@ -38,7 +38,7 @@ def test_columns_of_one_name_are_joined_and_all_others_kept():
     second, others = np.array([False, True, False]), np.array([True, False, True])
     infos = {"a": np.array([0, 5, 0]), "_a": second, "b": np.array([0, 7, 0]), "_b": second}
     columns = {"a": np.array([3, 0, 4]), "_a": others.copy(), "c": np.array([1, 0, 2]), "_c": others}
-    _join(infos, columns)
+    _join_columns(infos, columns)
     assert {name: array.tolist() for name, array in infos.items()} == {
         "a": [3, 5, 4], "_a": [True] * 3, "b": [0, 7, 0], "_b": second.tolist(), "c": [1, 0, 2], "_c": others.tolist(),
     }  # fmt: skip

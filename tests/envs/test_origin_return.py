@@ -19,7 +19,7 @@ pytestmark = pytest.mark.filterwarnings("error")
 
 FIRMWARE = {"R1": 50, "R2": 800, "R4": 983, "approach": 20, "leave": 0, "back_off": 200, "sd": 1}
 """firmware.origin_return's own rates: FL 1000, FH1 16,000, approach 400 pps, ramps of 0.15 s."""
-BEFORE, NEAR, ON, BEYOND = -0.11, -0.1195, -0.1203, -0.130  # m; x trips ORG at -0.12, EL- at -0.15
+MAX_BEFORE_ORIGIN, NEAR, ON, BEYOND = -0.11, -0.1195, -0.1203, -0.130  # m; x trips ORG at -0.12, EL- at -0.15
 
 
 def make(**settings):
@@ -39,7 +39,9 @@ def one_return(env, start, *, payload=5.0, friction=1.0, **changes):
 
 @pytest.mark.parametrize("chip", [PCL240K, PCL240MK, PCL240MS])
 @pytest.mark.parametrize(
-    ("start", "leave"), [(BEFORE, 0), (NEAR, 0), (ON, 0), (BEYOND, 8200)], ids=["before", "near", "on", "beyond"]
+    ("start", "leave"),
+    [(MAX_BEFORE_ORIGIN, 0), (NEAR, 0), (ON, 0), (BEYOND, 8200)],
+    ids=["before", "near", "on", "beyond"],
 )
 def test_the_firmwares_speeds_end_within_a_pulse_of_the_origin(chip, start, leave):
     observation, _, info = one_return(make(chip=chip), start, leave=leave)
@@ -85,7 +87,7 @@ def nova_return(chip, start, settings=None, **changes):
 
 
 @pytest.mark.parametrize("chip", NOVA)
-@pytest.mark.parametrize("start", [BEFORE, NEAR, ON, BEYOND], ids=["before", "near", "on", "beyond"])
+@pytest.mark.parametrize("start", [MAX_BEFORE_ORIGIN, NEAR, ON, BEYOND], ids=["before", "near", "on", "beyond"])
 def test_the_automatic_home_search_ends_within_two_pulses_of_the_origin_wherever_it_starts(chip, start):
     observation, _, info = nova_return(chip, start)
     assert info["home"]
@@ -143,15 +145,15 @@ def test_a_search_from_beyond_origin_is_refused_unless_the_carriage_leaves_first
 
 def test_status_tells_a_host_that_it_stands_on_origin_before_it_chooses():
     env = make()
-    for start, on in ((BEFORE, 0), (ON, 1), (BEYOND, 1)):
+    for start, on in ((MAX_BEFORE_ORIGIN, 0), (ON, 1), (BEYOND, 1)):
         observation, _ = env.reset(seed=0, options={"start": start})
         assert observation[0] == on
 
 
 def test_a_fast_search_that_nothing_slows_down_loses_steps_at_the_switch():
     env = make()
-    assert one_return(env, BEFORE)[2]["lost_steps"] == 0
-    _, _, info = one_return(env, BEFORE, sd=0)
+    assert one_return(env, MAX_BEFORE_ORIGIN)[2]["lost_steps"] == 0
+    _, _, info = one_return(env, MAX_BEFORE_ORIGIN, sd=0)
     assert info["lost_steps"] > 0
     assert info["reward_parts"]["lost"] == -returns.Config.lost_weight
     assert not info["home"], "200 pulses do not lead back over the switch"
@@ -164,7 +166,7 @@ def test_a_faster_search_gains_time_and_a_faster_approach_loses_precision():
     assert fast["home"]
     assert fast["duration"] < plain["duration"] - 2
     assert reward > plain_reward + 2
-    _, _, rough = one_return(env, BEFORE, approach=100)
+    _, _, rough = one_return(env, MAX_BEFORE_ORIGIN, approach=100)
     assert rough["home"]
     assert abs(rough["error"]) > abs(plain["error"]) + 0.5
 
@@ -172,7 +174,7 @@ def test_a_faster_search_gains_time_and_a_faster_approach_loses_precision():
 def test_the_origin_at_an_index_pulse_is_its_upper_rim_however_the_motor_turns():
     """gear="-628.3185307" """
     made = [
-        returns.OriginReturn._origin(
+        returns.OriginReturn._find_origin(
             SimpleNamespace(
                 switch={"org": SimpleNamespace(touch=-0.12)},
                 config=SimpleNamespace(ez=2),
@@ -216,10 +218,10 @@ def test_a_run_that_takes_too_long_is_stopped_and_the_return_is_missed():
 
 def test_reward_counts_time_error_and_spread_as_documented():
     env = make(returns=3)
-    env.reset(seed=2, options={"start": BEFORE})
+    env.reset(seed=2, options={"start": MAX_BEFORE_ORIGIN})
     c, errors, widened = env._task.config, [], 0.0
     for k in range(3):
-        env._task._draw(0, {"start": BEFORE - 0.003 * k})
+        env._task._draw_move(0, {"start": MAX_BEFORE_ORIGIN - 0.003 * k})
         *_, truncated, info = env.step(action(env, approach=60))
         errors.append(info["error"])
         parts = info["reward_parts"]
@@ -251,7 +253,7 @@ def test_index_pulses_make_up_for_a_switch_that_drifts():
         env.reset(seed=3)
         found = []
         for _ in range(2):
-            env._task._draw(0, {"start": NEAR})
+            env._task._draw_move(0, {"start": NEAR})
             info = env.step(action(env))[4]
             assert info["home"]
             found.append(info["error"])
@@ -276,7 +278,7 @@ def test_payload_and_friction_are_drawn_told_and_felt():
         assert env.stage.model.dof_frictionloss[dof] == pytest.approx(4.0 * info["friction"])
         assert env.stage.model.dof_damping[dof] == pytest.approx(damping[dof] * info["friction"])
     assert len(seen) == 3
-    ends = [one_return(env, BEFORE, payload=p, friction=f)[2]["error"] for p, f in ((0.0, 0.5), (10.0, 2.0))]
+    ends = [one_return(env, MAX_BEFORE_ORIGIN, payload=p, friction=f)[2]["error"] for p, f in ((0.0, 0.5), (10.0, 2.0))]
     assert ends[0] != ends[1]
 
 
@@ -285,14 +287,14 @@ def test_start_places_cover_the_way_between_the_end_limits():
     env.reset(seed=0)
     places = []
     for _ in range(200):
-        env._task._draw(0, {})
+        env._task._draw_move(0, {})
         places.append(env._task.place[0])
-    low, high = env._task.low + returns.FROM_LIMIT, env._task.high - returns.FROM_LIMIT
+    low, high = env._task.low + returns.LIMIT_CLEARANCE_M, env._task.high - returns.LIMIT_CLEARANCE_M
     assert low <= min(places) < low + 5e-3
     assert high - 5e-3 < max(places) <= high
     for end, place in ((lambda a, b: a, low), (lambda a, b: b, high)):
         env._task.rngs[0] = SimpleNamespace(uniform=end)
-        env._task._draw(0, {})
+        env._task._draw_move(0, {})
         assert env._task.place[0] == place
 
 
@@ -312,8 +314,8 @@ def test_an_action_stands_for_its_numbers_exactly():
 
 def test_numbers_themselves_are_actions_too():
     box, raw = make(), make(actions="registers")
-    _, reward, info = one_return(box, BEFORE)
-    raw.reset(seed=0, options={"start": BEFORE, "payload": 5.0, "friction": 1.0})
+    _, reward, info = one_return(box, MAX_BEFORE_ORIGIN)
+    raw.reset(seed=0, options={"start": MAX_BEFORE_ORIGIN, "payload": 5.0, "friction": 1.0})
     row = np.array(list(FIRMWARE.values()))
     assert raw.action_space.contains(row)
     assert raw.step(row)[1] == reward
@@ -322,7 +324,7 @@ def test_numbers_themselves_are_actions_too():
 
 def test_a_pickled_environment_keeps_its_drifted_switch_and_friction():
     env = make(drift=1e-4, returns=2)
-    env.reset(seed=9, options={"start": BEFORE, "friction": 1.7})
+    env.reset(seed=9, options={"start": MAX_BEFORE_ORIGIN, "friction": 1.7})
     twin = pickle.loads(pickle.dumps(env))
     assert env.step(action(env))[4]["error"] == twin.step(action(env))[4]["error"]
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stage.envs.few_shot import RATES, SHORTEST, FewShotTuning
+from stage.envs.few_shot import MIN_RAMP_S, RATES, FewShotTuning
 from stage.envs.one_shot import OneShotTuning
 
 
@@ -28,7 +28,7 @@ def test_ramps_that_do_not_fit_are_as_steep_and_meet_on_the_way():
     assert (start + top) / 2 * (up + down) == pytest.approx(1600)
     assert (top - start) / up == pytest.approx((60_000 - 200) / 0.3)
     assert up == down
-    assert rates(1, 1, 1, -1, distance=20)[3] == SHORTEST
+    assert rates(1, 1, 1, -1, distance=20)[3] == MIN_RAMP_S
 
 
 def test_a_declared_payload_is_within_what_may_be_however_badly_it_is_known():
@@ -37,11 +37,11 @@ def test_a_declared_payload_is_within_what_may_be_however_badly_it_is_known():
     task = SimpleNamespace(
         config=SimpleNamespace(error=0.9), ranges={"payload": (4.0, 5.0)}, context=context, declared=np.zeros(1)
     )
-    task._ask = lambda k, payload: asked.append(payload)
+    task._set_formula = lambda k, payload: asked.append(payload)
     rng = np.random.default_rng(1)
     for _ in range(12):
-        OneShotTuning._reckon(task, 0, rng, {})  # type: ignore[arg-type]
+        OneShotTuning._compute_formula(task, 0, rng, {})  # type: ignore[arg-type]
     assert max(asked) == 5.0, "no more than the heaviest"
     assert 0 <= min(asked) < 4.0
-    OneShotTuning._reckon(task, 0, rng, {"declared": 0.0})  # type: ignore[arg-type]
+    OneShotTuning._compute_formula(task, 0, rng, {"declared": 0.0})  # type: ignore[arg-type]
     assert asked[-1] == 0.0

@@ -420,7 +420,7 @@ def test_lost_steps_cost_and_bar_success():
     assert not host.info["success"]
     parts = [step[4]["reward_parts"]["lost"] for step in host.steps]
     assert max(parts) == 0, "found again is not paid back"
-    dear = min(host.info["lost_steps"], rb.core.DEAREST)
+    dear = min(host.info["lost_steps"], rb.core.MAX_PAID_STEPS)
     assert sum(parts) == pytest.approx(-rb.Config.lost_weight * dear), "the first of an episode cost"
 
 
@@ -692,7 +692,9 @@ def test_there_is_room_up_to_the_nearer_of_both_end_limits():
     """z of xyz, put at power-up nearer to one of them; less the electrical turn, 64 pulses, in which it may begin"""
     task = make(axes=("z",))._task
     for side, most in (((-3064.0, 20_000.0), 2700), ((-20_000.0, 3064.0), 2700), ((-9000.0, 9000.0), 8000)):
-        task._limits = lambda axis, side=side, p=task.per_pulse[0], at=task.power_up[0]: tuple(at + p * np.array(side))
+        task._find_limits = lambda axis, side=side, p=task.per_pulse[0], at=task.power_up[0]: tuple(
+            at + p * np.array(side)
+        )
         task.prepare()
         assert task.distances == pytest.approx((400, most), abs=1)
 

@@ -182,8 +182,8 @@ def test_a_frame_after_a_step_shows_its_end_and_not_where_the_next_begins(id_, w
     env = make(id_, "rgb_array")
     env.reset(seed=1)
     assert (env.render() == env.stage.data.qpos).all()
-    ends, act = [], type(env._task).act
-    monkeypatch.setattr(type(env._task), "act", lambda task: (act(task), ends.append(task.stages[0].data.qpos.copy())))
+    ends, act = [], type(env._task).play
+    monkeypatch.setattr(type(env._task), "play", lambda task: (act(task), ends.append(task.stages[0].data.qpos.copy())))
     env.step(np.zeros(env.action_space.shape, np.float32))
     assert (env.render() == ends[-1]).all()
     assert (watched()[0] != watched()[1]).any(), "it has moved"
@@ -219,7 +219,7 @@ def test_a_window_shows_a_move_at_the_pace_at_which_it_was_made(watched, monkeyp
     env, order = make("stage/OriginReturn-v0", "human"), []
     monkeypatch.setattr("time.sleep", order.append)
     monkeypatch.setattr(Watcher, "frame", lambda self, qpos=None: order.append("frame"))
-    env._show(np.zeros((3, env.stage.model.nq)), None)
+    env._add_frames(np.zeros((3, env.stage.model.nq)), None)
     assert order == ["frame", 1 / 30, "frame", 1 / 30, "frame"]
 
 

@@ -3,21 +3,24 @@
 import numpy as np
 import pytest
 
-from stage.envs.results import DIVERGED, Results, result
+from stage.envs.features import HOST, Feature
+from stage.envs.results import DIVERGED, Results, make_result_dtype
 
 
 @pytest.fixture
 def results():
-    made = Results(3, result(("time", "lost"), duration=float, finished=bool, lost_steps=int, registers=(int, (2,))))
+    kinds = {"duration": float, "finished": bool, "lost_steps": int, "registers": int}
+    info = [Feature(name, HOST, "", kind=kind) for name, kind in kinds.items()]
+    made = Results(3, make_result_dtype(("time", "lost"), info, {"registers": (2,)}))
     made["parts"]["time"], made["parts"]["lost"] = [-1.0, -2.0, np.nan], [0.0, -5.0, 0.0]
     made["info"]["registers"] = [[1, 2], [3, 4], [5, 6]]
     made["terminated"] = [False, True, True]
-    made.end(np.array([False, False, True]))
+    made.finish(np.array([False, False, True]))
     return made
 
 
 def test_a_row_holds_plain_numbers_and_arrays_of_its_own(results):
-    reward, terminated, truncated, info = results.row(1)
+    reward, terminated, truncated, info = results.read_row(1)
     assert (reward, terminated, truncated) == (-7.0, True, False)
     assert [type(info[name]) for name in ("duration", "finished", "lost_steps")] == [float, bool, int]
     assert info["reward_parts"] == {"time": -2.0, "lost": -5.0}
@@ -27,7 +30,7 @@ def test_a_row_holds_plain_numbers_and_arrays_of_its_own(results):
 
 
 def test_a_stage_that_diverged_is_cut_off_and_pays_for_nothing_else(results):
-    reward, terminated, truncated, info = results.row(2)
+    reward, terminated, truncated, info = results.read_row(2)
     assert (reward, terminated, truncated) == (DIVERGED, False, True)
     assert info["reward_parts"] == {"time": 0.0, "lost": 0.0, "diverged": DIVERGED}
     assert info["cause"] == "diverged"
@@ -35,7 +38,7 @@ def test_a_stage_that_diverged_is_cut_off_and_pays_for_nothing_else(results):
 
 def test_columns_are_masked_by_who_took_part(results):
     active = np.array([True, False, True])
-    info = results.columns(active)
+    info = results.read_columns(active)
     assert info["registers"].tolist() == [[1, 2], [0, 0], [5, 6]]
     assert info["cause"].tolist() == ["", None, "diverged"]
     assert info["reward_parts"]["time"].tolist() == [-1.0, 0.0, 0.0]
@@ -44,4 +47,4 @@ def test_columns_are_masked_by_who_took_part(results):
         masks = [values[name] for name in values if name.startswith("_")]
         assert len(masks) * 2 == len(values)
         assert all(mask.tolist() == active.tolist() for mask in masks)
-    assert "diverged" not in results.columns(np.array([True, True, False]))["reward_parts"]
+    assert "diverged" not in results.read_columns(np.array([True, True, False]))["reward_parts"]

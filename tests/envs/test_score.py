@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import stage.envs
-from stage.envs.score import SCORE
+from stage.envs.results import SCORE
 
 TASKS = {
     "stage/FewShotTuning-v1": {"model": "xy", "distances": (400, 900), "tries": 2, "proofs": 1, "settle": 0.01},
@@ -28,7 +28,7 @@ def test_a_score_comes_at_the_end_alone_and_says_the_same_of_every_task(id_):
     scores, steps = {}, 0
     while len(scores) < 2:
         steps += 1
-        *_, terminated, truncated, info = envs.step(envs.scripted())
+        *_, terminated, truncated, info = envs.step(envs.scripted_action())
         over = terminated | truncated
         assert info.get("_score", np.zeros(2, bool)).tolist() == over.tolist()
         for k in np.flatnonzero(over):
@@ -37,7 +37,7 @@ def test_a_score_comes_at_the_end_alone_and_says_the_same_of_every_task(id_):
     env.reset(seed=1)
     over = False
     while not over:
-        *_, ended, cut, info = env.step(env.scripted())
+        *_, ended, cut, info = env.step(env.scripted_action())
         over = ended or cut
         assert ("score" in info) == over
     assert info["score"] == {name: scores[0][name] for name in SCORE.names}
@@ -54,7 +54,7 @@ def test_a_host_is_not_told_its_score():
         "stage/OneShotTuning-v1", disable_env_checker=True, truth=False, **TASKS["stage/OneShotTuning-v1"]
     )
     env.reset(seed=1)
-    *_, terminated, _, info = env.step(env.unwrapped.scripted())
+    *_, terminated, _, info = env.step(env.unwrapped.scripted_action())
     assert terminated
     assert "score" not in info
 
@@ -66,6 +66,6 @@ def test_what_diverged_came_to_nothing():
     ).unwrapped
     env.reset(seed=1)
     env.stage.data.qfrc_applied[:] = 1e30
-    *_, info = env.step(env.scripted())
+    *_, info = env.step(env.scripted_action())
     assert info["cause"] == "diverged"
     assert (info["score"]["success"], info["score"]["time"], info["score"]["regret"]) == (False, np.inf, np.inf)

@@ -9,10 +9,12 @@ import pytest
 
 import stage.envs
 from stage import ArgumentError
-from stage.envs.settings import Name, Names, Number, Range, Truth, _kinds
+from stage.envs.settings import Boolean, Name, Names, Number, Range, _kinds
 from stage.sim import plant
 
-EVERY = {id_: import_module("stage.envs." + where.split(":")[0]).Config for id_, where in stage.envs.IDS.items()}
+FRAME_INTERVAL = {
+    id_: import_module("stage.envs." + where.split(":")[0]).Config for id_, where in stage.envs.IDS.items()
+}
 UNCHECKED = {"model", "chip"}
 """What the stage checks."""
 
@@ -21,10 +23,10 @@ def make(id_, **settings):
     return gymnasium.make(id_, disable_env_checker=True, **settings).unwrapped
 
 
-@pytest.mark.parametrize("id_", EVERY)
+@pytest.mark.parametrize("id_", FRAME_INTERVAL)
 def test_no_setting_takes_what_is_no_number_or_out_of_range(id_):
     """gymnasium.make("stage/RegisterTuning-v0", lost_weight=float("nan")), and lost_weight=-1: taken, rewards are nan."""
-    config = EVERY[id_]
+    config = FRAME_INTERVAL[id_]
     kinds = dict(_kinds(config))
     assert {f.name for f in fields(config)} - set(kinds) <= UNCHECKED
     for name, kind in kinds.items():
@@ -40,7 +42,7 @@ def test_no_setting_takes_what_is_no_number_or_out_of_range(id_):
             for wrong in ((default[1], default[0]), default[:1], "much", (*default, default[1])):
                 with pytest.raises(ArgumentError, match=rf"{name}=.*least, most"):
                     config(**{name: wrong})
-        if isinstance(kind, Truth):
+        if isinstance(kind, Boolean):
             with pytest.raises(ArgumentError, match=rf"{name}=1: True or False"):
                 config(**{name: 1})
         if name.endswith("_weight"):
@@ -97,15 +99,15 @@ def test_a_model_without_a_site_work_carries_its_payload(id_):
         assert env.stage.payload(tool) == 2.0, "on the body, or that of the site, that was named"
 
 
-@pytest.mark.parametrize("id_", EVERY)
+@pytest.mark.parametrize("id_", FRAME_INTERVAL)
 def test_the_ends_of_a_setting_are_in_it(id_):
-    for name, kind in _kinds(EVERY[id_]):
+    for name, kind in _kinds(FRAME_INTERVAL[id_]):
         if isinstance(kind, Number):
             low = kind.low + (1 if kind.whole else 1e-9) if kind.above else kind.low
             beyond = kind.low if kind.above else kind.low - (1 if kind.whole else 1e-9)
             inside, outside = (low, kind.high), (beyond, kind.high * 1.01 + 1)
-            assert all(map(kind.takes, inside)), name
-            assert not any(map(kind.takes, (*outside, True))), name
+            assert all(map(kind.accepts, inside)), name
+            assert not any(map(kind.accepts, (*outside, True))), name
 
 
 @pytest.mark.parametrize(
@@ -122,7 +124,7 @@ def test_the_ends_of_a_setting_are_in_it(id_):
 )  # fmt: skip
 def test_a_setting_goes_as_far_as_it_should(id_, settings, wrong):
     for name, value in settings.items():
-        assert getattr(EVERY[id_](**{name: value}), name) == value
+        assert getattr(FRAME_INTERVAL[id_](**{name: value}), name) == value
     for name, value in wrong.items():
         with pytest.raises(ArgumentError, match=f"{name}="):
-            EVERY[id_](**{name: value})
+            FRAME_INTERVAL[id_](**{name: value})

@@ -60,7 +60,7 @@ def test_one_full_step_lost_either_way_costs_as_losing_steps_does(id_, lost, mon
     played, play = [], task.fleet.play
     monkeypatch.setattr(task.fleet, "play", lambda programs: (played.append(1), play(programs))[1])
     monkeypatch.setattr(task.fleet, "truth", truth)
-    action = env.scripted() if id_.endswith("v1") else np.zeros(env.action_space.shape, np.float32)
+    action = env.scripted_action() if id_.endswith("v1") else np.zeros(env.action_space.shape, np.float32)
     *_, info = env.step(action)
     assert info["reward_parts"][part] == (costs if lost else 0.0)
     assert np.abs(info["lost_steps"]).sum() == abs(lost)
@@ -92,7 +92,7 @@ def course(env, seed, **options):
     said = [*env.reset(seed=seed, options=options)]
     for _ in range(3):
         try:
-            action = env.scripted()
+            action = env.scripted_action()
         except stage.ArgumentError:
             action = np.zeros(env.action_space.shape, env.action_space.dtype)
         out = env.step(action)
@@ -114,7 +114,7 @@ def test_nothing_that_an_episode_has_left_is_in_the_next(id_):
         array = getattr(task, name)
         for part in array.dtype.names or [...]:
             array[part] = {"b": True, "f": 3.25}.get(array[part].dtype.kind, -5)
-    task.results.rows[:] = np.zeros((), task.result)
+    task.results.rows[:] = np.zeros((), task.results.rows.dtype)
     task.results["cause"] = 1
     assert course(env, 4, **options) == course(fresh, 4, **options)
 
@@ -127,7 +127,7 @@ def test_the_spread_of_returns_is_of_one_episode_and_none_after_its_first():
         env.reset(seed=seed, options={"start": start})
         for k in range(returns):
             if k:
-                env._task._draw(0, {"start": start})
+                env._task._draw_move(0, {"start": start})
             usual = {"R1": 50, "R2": 800, "R4": 983, "approach": 20, "leave": 0, "back_off": 200, "sd": 1}
             *_, info = env.step(env.strategy.to_action(usual))
             assert info["home"]

@@ -28,16 +28,16 @@ class VecEnv:
         self._reset_options()
 
     def _reset_seeds(self):
-        self._seeds = [None] * self.num_envs
+        self._spread_seeds = [None] * self.num_envs
 
     def _reset_options(self):
-        self._options = [{} for _ in range(self.num_envs)]
+        self._check_options = [{} for _ in range(self.num_envs)]
 
     def seed(self, seed):
-        self._seeds = [seed + k for k in range(self.num_envs)]
+        self._spread_seeds = [seed + k for k in range(self.num_envs)]
 
     def set_options(self, options):
-        self._options = copy.deepcopy(options if isinstance(options, list) else [options] * self.num_envs)
+        self._check_options = copy.deepcopy(options if isinstance(options, list) else [options] * self.num_envs)
 
     def step(self, actions):
         self.step_async(actions)
@@ -77,7 +77,7 @@ def test_a_vector_for_stable_baselines_says_what_as_many_scalar_environments_say
     ones = [scalar(5 + k) for k in range(3)]
     assert (seen == [one[1] for one in ones]).all()
     assert [plain(info) for info in envs.reset_infos] == [plain(one[2]) for one in ones]
-    assert envs._seeds == [None] * 3, "a seed is for one reset"
+    assert envs._spread_seeds == [None] * 3, "a seed is for one reset"
     rng = np.random.default_rng(2)
     for step in (1, 2, 3):
         actions = rng.uniform(-1, 1, (3, *envs.action_space.shape)).astype(np.float32)
@@ -119,7 +119,7 @@ def test_options_of_stable_baselines_are_for_each_environment_and_for_one_reset(
     ones = [scalar(7 + k, options=o) for k, o in enumerate(({"distance": 400}, {"payload": 2.5}, {}))]
     assert (seen == [one[1] for one in ones]).all()
     assert [plain(info) for info in envs.reset_infos] == [plain(one[2]) for one in ones]
-    assert not any(envs._options)
+    assert not any(envs._check_options)
     envs.reset()
     assert [info["distance"] for info in envs.reset_infos] == [one[0].reset()[1]["distance"] for one in ones]
 
@@ -133,9 +133,9 @@ def test_stable_baselines_asks_for_attributes_and_rows_of_those_that_it_names(sb
     assert envs.get_attr("action_space", 1) == [envs.envs.single_action_space]
     assert envs.get_attr("observation_space") == [envs.envs.single_observation_space] * 3
     assert envs.get_attr("num_envs", [0]) == [3]
-    rows = envs.envs.scripted()
-    assert np.array_equal(envs.env_method("scripted", indices=[2, 1]), rows[[2, 1]])
-    assert np.array_equal(envs.env_method("scripted"), rows)
+    rows = envs.envs.scripted_action()
+    assert np.array_equal(envs.env_method("scripted_action", indices=[2, 1]), rows[[2, 1]])
+    assert np.array_equal(envs.env_method("scripted_action"), rows)
     assert envs.env_is_wrapped(object, indices=[0, 1]) == [False, False]
     assert (envs.num_envs, envs.action_space) == (3, envs.envs.single_action_space)
     assert envs.envs._task.fleet.threads == 1
@@ -192,5 +192,5 @@ def test_closing_for_stable_baselines_closes_the_vector(sb3, monkeypatch):
 def test_actions_may_be_of_another_space_for_stable_baselines(sb3):
     vector = gymnasium.make_vec(ID, 1, vectorization_mode="vector_entry_point", **SHORT).unwrapped
     other = gymnasium.spaces.Discrete(3)
-    assert sb3.Adapter(vector, other).action_space is other
-    assert sb3.Adapter(vector).action_space is vector.single_action_space
+    assert sb3.VecEnvAdapter(vector, other).action_space is other
+    assert sb3.VecEnvAdapter(vector).action_space is vector.single_action_space

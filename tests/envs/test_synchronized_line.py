@@ -90,7 +90,7 @@ def test_one_policy_acts_through_every_chip_and_in_three_axes(axes, chip):
     env = make(model="xyz", axes=axes, chip=chip, proofs=1)
     assert env.action_space.shape == (2 + 6 * len(axes),)
     env.reset(seed=3)
-    info = env.step(env.scripted())[4]
+    info = env.step(env.scripted_action())[4]
     assert info["finished"]
     assert info["deviation"] < 5
     env.action_space.seed(1)
@@ -102,7 +102,7 @@ def test_one_policy_acts_through_every_chip_and_in_three_axes(axes, chip):
 def test_the_engineers_action_is_the_rate_and_the_ramp_of_the_formula(env):
     env.reset(seed=5)
     rate, ramp, seconds = env._task.formula[0]
-    info = env.step(env.scripted())[4]
+    info = env.step(env.scripted_action())[4]
     assert info["rate"] == pytest.approx(rate, rel=1e-5)
     assert info["ramp"] == pytest.approx(ramp, rel=1e-5)
     assert info["duration"] == pytest.approx(seconds, rel=0.1)

@@ -45,7 +45,7 @@ def task(number=1, **settings):
     made = SynchronizedMove(number, Config(**settings))
     for k in range(number):
         made.rngs[k] = np.random.default_rng(k)
-        made.restart(k, {})
+        made.reset_stage(k, {})
     return made
 
 
@@ -118,7 +118,7 @@ def test_registers_as_integers_are_the_registers_written():
 @pytest.mark.parametrize("axes", ["xy", "xyz"])
 def test_no_correction_is_the_data_sheets_answer_in_the_ratio_of_the_distances(axes):
     rules = task(15, axes=axes, distances=(2_000, 20_000))
-    made = rules.chosen(np.zeros((15, 6 * len(axes)), np.float32))
+    made = rules.to_registers(np.zeros((15, 6 * len(axes)), np.float32))
     assert (made == rules.data_sheet()).all()
     for row, d in zip(made.astype(float), np.abs(rules.distances), strict=True):
         low, high, up, down, point, r7 = row.T
@@ -134,14 +134,14 @@ def test_no_correction_is_the_data_sheets_answer_in_the_ratio_of_the_distances(a
 
 def test_each_number_of_a_correction_moves_its_own_register_by_no_more_than_its_reach():
     rules = task(8)
-    plain = rules.chosen(np.zeros((8, 12), np.float32))
-    worth = rules.line.worth(plain, rules.asked)
+    plain = rules.to_registers(np.zeros((8, 12), np.float32))
+    worth = rules.line.worth(plain, rules.requested_lines)
     for k in range(12):
         axis, register = divmod(k, 6)
         for sign in (-1, 1):
             action = np.zeros((8, 12), np.float32)
             action[:, k] = sign
-            change = rules.chosen(action) - plain
+            change = rules.to_registers(action) - plain
             assert (abs(change[:, :, 5]) <= (np.arange(2) == axis) * (register == 5)).all()
             if register == 5:  # the other registers are worked out for the new R7
                 continue
@@ -156,12 +156,12 @@ def test_a_small_number_leaves_the_multiplier_alone():
     rules = task(8)
     action = np.zeros((8, 12), np.float32)
     action[:, [5, 11]] = 0.49
-    assert (rules.chosen(action) == rules.data_sheet()).all()
+    assert (rules.to_registers(action) == rules.data_sheet()).all()
 
 
 def test_the_observation_foretells_how_far_the_followers_pulses_are_off_their_share():
     rules = task(30)
-    errors, rows = rules.line.errors(rules.asked), rules.line.rows(rules.data_sheet(), rules.asked)
+    errors, rows = rules.line.errors(rules.requested_lines), rules.line.rows(rules.data_sheet(), rules.requested_lines)
     for k, d in enumerate(np.abs(rules.distances)):
         lead = int(d.argmax())
         follower, rho = 1 - lead, d[1 - lead] / d[lead]
@@ -178,13 +178,13 @@ def test_the_observation_foretells_how_far_the_followers_pulses_are_off_their_sh
 def test_corrections_against_the_errors_seen_bring_the_path_closer_to_the_line():
     """A policy without learning: R1 against the error after the ramp-up, R2 against that at the ramp-down."""
     rules = task(60)
-    errors, zeros = rules.line.errors(rules.asked), np.zeros((60, 2, 6))
+    errors, zeros = rules.line.errors(rules.requested_lines), np.zeros((60, 2, 6))
     action = zeros.copy()
     action[:, :, 0], action[:, :, 1] = -errors[:, :, 0] / 4, -errors[:, :, 1] / 4
 
     def deviation(action):
         rules.actions[:] = np.clip(action, -1, 1).reshape(60, 12)
-        rules.programs()
+        rules.make_programs()
         return rules.path.mean()
 
     assert deviation(action) < 0.85 * deviation(zeros)
@@ -215,14 +215,14 @@ def test_a_move_far_off_its_line_costs_no_more_than_the_bounds_of_its_parts():
 def test_a_carriage_beyond_an_end_of_the_line_is_as_far_from_it_as_from_that_end():
     env, _, _ = one_move(options={"distances": LINE})
     made = env._task
-    looks, columns = made.config.looks, made._looks
+    looks, columns = made.config.looks, made._sample_slices
     results = np.zeros((1, columns[0].start + looks * columns[0].step - 1), np.int64)
     length = float(np.hypot(*(made.way * made.distances)[0]))
     for along, off in ((0.5, 0.0), (1.02, 0.02), (-0.03, 0.03)):
         for a, column in enumerate(columns):
-            at = made._begun["position"][0, a] + along * made.way[a] * made.distances[0, a]
+            at = made._has_begun["position"][0, a] + along * made.way[a] * made.distances[0, a]
             results[:, column] = round(at * 1e12)
-        assert made._carriages(results)[0] == pytest.approx(off * length, abs=1e-9)
+        assert made._measure_carriages(results)[0] == pytest.approx(off * length, abs=1e-9)
 
 
 def test_an_end_limit_ends_the_episode_of_its_stage_alone():
@@ -428,9 +428,9 @@ def test_interpolation_keeps_half_a_pulse_whatever_is_chosen(chip, axes, s_curve
 def test_ranges_in_the_ratio_of_the_distances_stray_as_perfect_axes_do(chip, axes, s_curve):
     """The chips of two axes each are released a bus cycle apart."""
     rules = task(20, chip=chip, axes=axes, s_curve=s_curve)
-    made = rules.chosen(np.zeros((20, *rules.action_space.shape), np.float32))
+    made = rules.to_registers(np.zeros((20, *rules.action_space.shape), np.float32))
     assert (made == rules.data_sheet()).all()
-    rules.programs()
+    rules.make_programs()
     for row, d, path, rate in zip(made.astype(float), rules.distances, rules.path, rules.rate, strict=True):
         assert path <= perfect_deviation(d) + 0.1
         m = 8_000_000 / row[:, 0]
@@ -438,7 +438,7 @@ def test_ranges_in_the_ratio_of_the_distances_stray_as_perfect_axes_do(chip, axe
         assert m / m.max() == pytest.approx(shares, rel=1e-5)
         assert (row[:, 1:] == row[0, 1:]).all()
         assert (m * row[:, 2]).max() <= rate * (1 + 1e-6)
-    assert abs(rules.line.errors(rules.asked)).max() < 0.01
+    assert abs(rules.line.errors(rules.requested_lines)).max() < 0.01
 
 
 def test_very_different_distances_still_have_legal_ranges():
@@ -447,7 +447,7 @@ def test_very_different_distances_still_have_legal_ranges():
         rules.distances[0] = d
         (registers,) = rules.data_sheet()
         assert ((registers >= rules.line.legal(registers)) & (registers <= rules.line.legal(registers))).all()
-        rules.programs()
+        rules.make_programs()
         assert rules.path[0] < 1.6
 
 
@@ -455,13 +455,13 @@ def test_very_different_distances_still_have_legal_ranges():
 def test_counts_of_the_ratio_move_an_axis_by_no_more_than_reach_pulses(s_curve):
     rules = task(8, chip="MCX304", s_curve=s_curve)
     plain, (n, m) = rules.data_sheet(), rules.line.shape
-    worth = rules.line.worth(plain, rules.asked)
+    worth = rules.line.worth(plain, rules.requested_lines)
     for k in range(n * m):
         axis, register = divmod(k, m)
         for sign in (-1, 1):
             action = np.zeros((8, n * m), np.float32)
             action[:, k] = sign
-            change = rules.chosen(action) - plain
+            change = rules.to_registers(action) - plain
             mine = np.delete(change.reshape(8, -1), k, axis=1)
             assert (mine == 0).all()
             count = worth[:, axis, register]
@@ -476,12 +476,12 @@ def test_no_correction_takes_fl_above_fh():
     shape = (4, *made.line.shape)
     corrections = np.zeros(shape)
     corrections[:, :, 0], corrections[:, :, 1] = 1.0, -1.0
-    sheet, corrected = made.data_sheet(), made.line.corrected(made.asked, corrections)
+    sheet, corrected = made.data_sheet(), made.line.corrected(made.requested_lines, corrections)
     assert (sheet[:, :, 0] <= sheet[:, :, 1]).all()
     assert (corrected[:, :, 1] < sheet[:, :, 1]).any()
     assert (corrected[:, :, 0] <= corrected[:, :, 1]).all()
     chip = task(4, chip="MCX514", rate=2000.0, fl=2000.0, accel=0.01)
-    bent = chip.line.corrected(chip.asked, np.tile([1.0, -1.0, 0.0], (4, 1, 1)))
+    bent = chip.line.corrected(chip.requested_lines, np.tile([1.0, -1.0, 0.0], (4, 1, 1)))
     assert (bent[:, :, 1] < chip.data_sheet()[:, :, 1]).all()
     assert (bent[:, :, 0] == bent[:, :, 1]).all()
 
@@ -532,7 +532,7 @@ def test_corrections_of_interpolation_are_factors():
     for k in range(3):
         action = np.zeros((6, 3), np.float32)
         action[:, k] = 1
-        factors = rules.chosen(action) / plain
+        factors = rules.to_registers(action) / plain
         assert factors[:, 0, k] == pytest.approx(2, rel=1e-4)
         assert (np.delete(factors[:, 0], k, axis=1) == 1).all()
 

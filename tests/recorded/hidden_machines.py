@@ -99,7 +99,7 @@ def choose_actions(env, policy):
     d = Draw("machines")
     while True:
         if policy != "drawn":
-            yield env.scripted()
+            yield env.scripted_action()
         elif isinstance(env.action_space, gymnasium.spaces.Discrete):
             yield d.choice(*np.flatnonzero(env.action_masks()).tolist(), 0)
         else:
@@ -148,7 +148,7 @@ def step_vectors():
             if name == "BusMacros":
                 actions = np.array([d.choice(*np.flatnonzero(mask).tolist()) for mask in envs.action_masks()])
             else:
-                actions = np.array(envs.scripted(), envs.action_space.dtype)
+                actions = np.array(envs.scripted_action(), envs.action_space.dtype)
                 actions[k % 3, -1] = 0.5  # a report, another ramp
             observed[f"step {k}"] = read_step(envs.step(actions))
         envs.close()

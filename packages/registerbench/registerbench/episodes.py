@@ -12,8 +12,8 @@ from registerbench.cards import OPEN, card_of, seeds
 from registerbench.entry_files import ACTIONS, Submission
 from registerbench.policies import Around, Policy, player
 from registerbench.versions import made_of, versions
-from stage.envs.entries import hidden
-from stage.envs.task import checked
+from stage.envs.features import list_hidden
+from stage.envs.task import check_action
 from stage.errors import ArgumentError
 
 NAMES = {
@@ -67,7 +67,7 @@ class Episodes:
             dict(settings),
         )
         self.env = self.card.make(split, track, self.settings)
-        self._unseen = frozenset() if track == "truth" else hidden(self.env.told, False)
+        self._unseen = frozenset() if track == "truth" else list_hidden(self.env.info_features, False)
         self.wanted = some(seeds(self.card, split, round_), episodes)
         self.observation: Any = None
         self.info: dict[str, Any] = {}
@@ -86,7 +86,7 @@ class Episodes:
 
     def act(self, action: Any) -> None:
         """A step. Raises ArgumentError for an action that the task does not take."""
-        action = checked(self.env.action_space, action)
+        action = check_action(self.env.action_space, action)
         self.observation, reward, terminated, truncated, info = self.env.step(action)
         self._actions.append(action)
         self._rewards.append(float(reward))
@@ -160,7 +160,11 @@ def play(
                 "the track tools counts tokens: give cost tokens=N, or the policy a dict `cost` with tokens, which it counts."
             )
         around = Around(
-            played.card.name, env.action_space, env.observation_space, tuple(e.name for e in env.entries), env
+            played.card.name,
+            env.action_space,
+            env.observation_space,
+            tuple(e.name for e in env.observation_features),
+            env,
         )
         while played.done < len(played.wanted):
             played.begin()

@@ -37,7 +37,7 @@ class Scripted:
         self.env = around.env
 
     def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
-        return self.env.scripted()
+        return self.env.scripted_action()
 
 
 class Bold:

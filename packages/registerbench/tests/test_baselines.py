@@ -246,7 +246,7 @@ def test_an_agent_that_has_tools_alone_improves_a_move():
     tool_loop.technician(tuned)
     assert len(tuned.log) == 12
     assert max(tuned.log.reward) > tuned.log.reward[0] + 0.02
-    assert "all 12 moves are made" in tuned.box.call("attempt").text
+    assert "All 12 moves are spent" in tuned.box.call("attempt").text
 
 
 def test_an_agent_with_empty_registers_is_told_what_came_of_it():

@@ -24,7 +24,7 @@ from registerbench.shipped_policies import Answer, Random, Search
 from stage import ArgumentError
 from stage.cli import main
 from stage.envs import contexts
-from stage.envs.task import configured
+from stage.envs.task import make_config
 from stage.support.files import FileError
 
 BRIEF = Card(
@@ -305,7 +305,7 @@ def test_a_policy_sees_what_its_track_shows():
     assert host.begun[0].entries[0] == "distance"
     assert all("distance" in names and not {"payload", "lost_steps", "reward_parts"} & names for _, names in host.seen)
     assert {"payload", "current", "loss", "inductance"} <= truth.seen[0][1]
-    assert truth.seen[0][0][0] == host.seen[0][0][0] + len(contexts.SHOWN)
+    assert truth.seen[0][0][0] == host.seen[0][0][0] + len(contexts.OBSERVATION)
     assert entry.player == "Watching"
     assert registerbench.verify(entry).exact
 
@@ -608,10 +608,10 @@ def test_every_task_of_the_list_has_an_environment_with_each_of_its_splits(card)
     module, name = stage.envs.IDS[card.id].split(":")
     task = getattr(importlib.import_module(f"stage.envs.{module}"), name)
     for split in card.splits:
-        configured(task, {**card.settings, "split": split})
+        make_config(task, {**card.settings, "split": split})
     for setting, values in card.choices.items():
         for value in values:
-            configured(task, {setting: value})
+            make_config(task, {setting: value})
 
 
 @pytest.mark.slow

@@ -75,7 +75,7 @@ def test_the_policy_of_the_bench_plays_as_the_one_that_learned(rules, task, play
     made = 0
     for k in range(2):
         observation, info = env.reset(seed=5 + k)
-        policy.reset(Around(task, None, None, tuple(e.name for e in env.entries)))
+        policy.reset(Around(task, None, None, tuple(e.name for e in env.observation_features)))
         alone, over = 0.0, False
         while not over:
             observation, reward, terminated, truncated, info = env.step(policy(observation, info))
@@ -156,7 +156,7 @@ def test_axes_are_seen_by_their_role_and_macros_are_those_of_the_environment_aga
     from registerbench.baselines.bus_macros_turned import OF_AXES, Turn
 
     env = gymnasium.make("stage/BusMacros-v1", disable_env_checker=True, model="xy", level="axes").unwrapped
-    names, macros = [e.name for e in env.entries], list(env.macros)
+    names, macros = [e.name for e in env.observation_features], list(env.macros)
     turn, of_axes = Turn(names, len(macros)), names.index("used")
 
     def now(seen, mask):
@@ -214,7 +214,9 @@ def test_dqn_never_takes_a_macro_that_is_masked_and_learns_one_axis_in_a_minute(
     learners.learn("dqn", 0, 0.3, "target", tmp_path)
     policy, rng = learners.Policy.load(tmp_path / "target-dqn-0.zip"), np.random.default_rng(0)
     env = gymnasium.make(learners.ID, disable_env_checker=True).unwrapped
-    policy.reset(Around("bus", env.action_space, env.observation_space, tuple(e.name for e in env.entries)))
+    policy.reset(
+        Around("bus", env.action_space, env.observation_space, tuple(e.name for e in env.observation_features))
+    )
     masks = rng.integers(0, 2, (200, env.action_space.n))
     masks[:, 0] |= masks.sum(axis=1) == 0
     seen = rng.uniform(-1, 1, (200, env.observation_space.shape[0])).astype(np.float32)

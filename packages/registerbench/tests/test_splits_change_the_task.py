@@ -28,7 +28,7 @@ def outcome(task, split, player, seed):
     env.action_space.seed(seed)
     total, seen, over = 0.0, [observation], False
     while not over:
-        action = env.scripted() if player == "scripted" else env.action_space.sample()
+        action = env.scripted_action() if player == "scripted" else env.action_space.sample()
         observation, reward, terminated, truncated, _ = env.step(action)
         total, over = total + reward, terminated or truncated
         seen.append(observation)

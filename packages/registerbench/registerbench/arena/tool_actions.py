@@ -45,7 +45,7 @@ class ToolActions:
 
     def __init__(self, played: Episodes):
         self._played, self._env = played, played.env
-        self._names = [e.name for e in played.env.entries]
+        self._names = [e.name for e in played.env.observation_features]
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of `act`."""
@@ -87,7 +87,7 @@ class MoveActions(ToolActions):
         return few_shot.action_of(**values)
 
     def formula(self) -> dict[str, Any]:
-        return rates_of(self._env.scripted().astype(float))
+        return rates_of(self._env.scripted_action().astype(float))
 
 
 class HomeActions(ToolActions):
@@ -111,7 +111,7 @@ class HomeActions(ToolActions):
         return drifting_home.action_of(**values)
 
     def formula(self) -> dict[str, Any]:
-        return {**drifting_home.USUAL, "report": bool(self._env.scripted()[-1] > 0)}
+        return {**drifting_home.USUAL, "report": bool(self._env.scripted_action()[-1] > 0)}
 
 
 class LineActions(ToolActions):
@@ -141,7 +141,7 @@ class LineActions(ToolActions):
         return action
 
     def formula(self) -> dict[str, Any]:
-        rate, ramp, *_ = self._env.scripted().astype(float)
+        rate, ramp, *_ = self._env.scripted_action().astype(float)
         c = self._env.config
         return {"rate": from_log_scale(rate, c.rates), "ramp": from_log_scale(ramp, c.ramps)}
 
@@ -158,7 +158,7 @@ class MacroActions(ToolActions):
         return np.int64(self._env.macros.index(values["macro"]))
 
     def formula(self) -> dict[str, Any]:
-        return {"macro": self._env.macros[int(self._env.scripted())]}
+        return {"macro": self._env.macros[int(self._env.scripted_action())]}
 
     def idle(self) -> Any:
         return np.int64(int(np.argmax(np.asarray(self._played.info["action_mask"]) == 0)))

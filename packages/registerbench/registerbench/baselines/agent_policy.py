@@ -33,7 +33,7 @@ def named(observation: np.ndarray, names: list[str]) -> dict[str, Any]:
 def returns(envs: Any, kind: str, tables: np.ndarray, seed: int) -> np.ndarray:
     """Of the tables, the mean of an episode each on some machines."""
     tables = np.repeat(tables, EACH, axis=0)
-    names, total = [e.name for e in envs.entries], np.zeros(MACHINES)
+    names, total = [e.name for e in envs.observation_features], np.zeros(MACHINES)
     seen, _ = envs.reset(seed=seed)
     while True:
         chosen = [action(w, features(kind, named(row, names))) for w, row in zip(tables, seen, strict=True)]

@@ -69,7 +69,7 @@ def tabulate(task: str, first: int, machines: int) -> Table:
     from registerbench.baselines.rule_learners import CHEAPER, vector
 
     envs = vector(task, LANES, **CHEAPER[task] | {"tries": 1})
-    names, found, moves = [e.name for e in envs.entries], [], 0
+    names, found, moves = [e.name for e in envs.observation_features], [], 0
     for begin in range(0, machines, LANES):
         rows = []
         for b in BOLDNESS:

@@ -127,11 +127,11 @@ class Judge:
     def play(self, policy: Policy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Which were solved, with how many macros, and for what return, (machines,) each."""
         n, envs = self.machines, self.envs.envs
-        policy.turn = Turn([e.name for e in envs.entries], envs.single_action_space.n)
+        policy.turn = Turn([e.name for e in envs.observation_features], envs.single_action_space.n)
         policy.draw = np.random.default_rng(0)
         self.envs.seed(self.first)
         seen, states = self.envs.reset(), envs.task_instance.axis_states
-        used = envs.task_instance.used[0]
+        used = envs.task_instance.uses_axis[0]
         self.ways = ["".join("-+"[int(t > 0)] for t in row) for row in states["target"][:, used].tolist()]
         won, moves, total, left = np.zeros(n, bool), np.zeros(n, int), np.zeros(n), np.ones(n, bool)
         while left.any():

@@ -1,6 +1,6 @@
 """What a learner on `stage/BusMacros-v1` sees and says: axes by their role, not by their name; the mask behind; easier episodes.
 
-turn = Turn([entry.name for entry in envs.entries], envs.single_action_space.n)
+turn = Turn([entry.name for entry in envs.observation_features], envs.single_action_space.n)
 axis = turn.axis(seen)                     which axis is selected, (n,)
 turn.seen(seen, axis)                      what is seen of each axis, that of the selected one first
 turn.masks(masks, axis)                    likewise the macros that select one: the last ones
@@ -61,7 +61,7 @@ class Turned(VecEnvWrapper):
     """A StageVecEnv of BusMacros, with axes by their role. behind: the mask is part of what is seen, at the end."""
 
     def __init__(self, envs: Any, behind: bool):
-        self.turn, self.behind = Turn([e.name for e in envs.envs.entries], envs.action_space.n), behind
+        self.turn, self.behind = Turn([e.name for e in envs.envs.observation_features], envs.action_space.n), behind
         size = envs.observation_space.shape[0] + (envs.action_space.n if behind else 0)
         super().__init__(envs, gymnasium.spaces.Box(-1.0, 1.0, (size,), np.float32))
         self.selected = np.zeros(envs.num_envs, np.int64)

@@ -44,22 +44,10 @@ SPACES = ("registers", "knobs")
 
 
 class BothWays(RegisterTuning):
-    """RegisterTuning there and back: distances of odd stages are negative. No agent plays it, answers are tested by it."""
+    """RegisterTuning whose odd stages move minus. No agent plays it; answers are tested by it."""
 
-    def _draw(self, k: int, options: Mapping[str, Any]) -> None:
-        super()._draw(k, options)
-        if k % 2:
-            self.distance[k] *= -1
-            self.stages[k].restore(self.start)
-            self.equip(k)
-            self.stages[k].place(**{self.config.axis: self.starts.begin(float(self.distance[k]), float(self.angle[k]))})
-
-    def observed(self) -> np.ndarray:
-        there_and_back = self.distance
-        self.distance = np.abs(there_and_back)
-        seen = super().observed()
-        self.distance = there_and_back
-        return seen
+    def draw_distance(self, k: int, options: Mapping[str, Any]) -> int:
+        return super().draw_distance(k, options) * (-1 if k % 2 else 1)
 
 
 class BothWaysVectorEnv(StageVectorEnv):

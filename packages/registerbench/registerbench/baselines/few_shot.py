@@ -65,7 +65,7 @@ def play(host: Callable[[int], Host], split: str, machines: int, seed: int) -> t
     envs = gymnasium.make_vec(
         "stage/FewShotTuning-v1", num_envs=LANES, vectorization_mode="vector_entry_point", split=split, memory="last"
     )
-    names = [e.name for e in envs.unwrapped.entries]
+    names = [e.name for e in envs.unwrapped.observation_features]
     tries = envs.unwrapped.task_instance.config.tries
     for begin in range(0, machines, LANES):
         seen, _ = envs.reset(seed=seed + begin)

@@ -73,7 +73,7 @@ class Partly(VecEnvWrapper):
 def learn(method: str, seed: int, steps: int, folder: Path) -> None:
     torch.set_num_threads(1)
     raw = StageVecEnv(ID, LANES, threads=1, memory=METHODS[method], proofs=PROOFS)
-    envs = Noted(Partly(raw, columns(method, [e.name for e in raw.envs.entries])))
+    envs = Noted(Partly(raw, columns(method, [e.name for e in raw.envs.observation_features])))
     kind: Any = RecurrentPPO if method == "recurrent" else PPO
     policy = "MlpLstmPolicy" if method == "recurrent" else "MlpPolicy"
     model = kind(policy, envs, seed=seed, policy_kwargs=NETS[method], **SETTINGS)

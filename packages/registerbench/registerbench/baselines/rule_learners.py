@@ -60,7 +60,7 @@ def play(envs: Any, kind: type[Rule], w: np.ndarray, seed: int) -> tuple[np.ndar
     """Sums of rewards and successes of an episode on the machines of seeds seed, seed + 1, ..., (n,), and steps that were made."""
     n = envs.num_envs
     seen, _ = envs.reset(seed=seed)
-    rule, steps = kind(w, [e.name for e in envs.entries], n), 0
+    rule, steps = kind(w, [e.name for e in envs.observation_features], n), 0
     total, won, over = np.zeros(n), np.zeros(n, bool), np.zeros(n, bool)
     while not over.all():
         seen, rewards, terminated, truncated, infos = envs.step(rule(seen))

@@ -15,7 +15,7 @@ import torch
 from stable_baselines3 import PPO, SAC
 
 from registerbench.baselines.common import Moves, run
-from stage.envs.sb3 import Adapter
+from stage.envs.sb3 import VecEnvAdapter
 
 torch.set_num_threads(1)  # the networks are small, and the stages need the processors
 
@@ -25,7 +25,7 @@ WORST, SCALE = -1.0, 5.0
 """A learner's reward: SCALE x the environment's, which is cut off at WORST, where steps were lost."""
 
 
-class MovesVecEnv(Adapter):
+class MovesVecEnv(VecEnvAdapter):
     """`moves.lanes` environments; an action is a choice of `moves`, a reward is between SCALE x WORST and 0.
 
     Closing it leaves the environment to `moves`.

@@ -4,7 +4,8 @@ python -m registerbench.baselines.tasks
 python -m registerbench.baselines.tasks --tasks BusMacros OneShotTuning --splits train heavy --episodes 64
 
 random     draws from the action space; in BusMacros from what is not masked
-scripted   `env.scripted()`: the engineer's formula at every try, the data sheet's registers, the usual rates; it learns nothing
+scripted   `env.scripted_action()`: the engineer's formula at every try, the data sheet's registers, the usual rates; it does not
+           learn
 
 Episodes are those of the seeds from 1,000,000 on, the same for both. A row has the mean sum of rewards with its 95 % interval by
 the bootstrap, how many episodes were a success, and of these the median of time and regret; the mean of moves, and damage an
@@ -22,7 +23,7 @@ import numpy as np
 
 import stage.envs
 from registerbench.baselines.few_shot import interval
-from stage.envs.score import SCORE
+from stage.envs.results import SCORE
 
 TASKS = {id_.split("/")[1].split("-")[0]: id_ for id_ in stage.envs.IDS if id_.endswith("-v1")}
 PLAYERS = ("random", "scripted")
@@ -75,7 +76,7 @@ def play(id_: str, player: str, episodes: int, **settings: Any) -> tuple[np.ndar
 def choose(envs: Any, player: str, rng: np.random.Generator) -> np.ndarray:
     """The next actions of a player."""
     if player == "scripted":
-        return np.asarray(envs.scripted())
+        return np.asarray(envs.scripted_action())
     if hasattr(envs, "action_masks"):
         return np.array([rng.choice(np.flatnonzero(row)) for row in envs.action_masks()])
     return np.asarray(envs.action_space.sample())

@@ -18,7 +18,7 @@ from registerbench.baselines.common import DISTANCE, LIMIT, MODEL, TURN, Log, Mo
 from stage import Stage
 from stage.agents import Budget, Tool, Toolbox
 from stage.envs.register_tuning import Config
-from stage.envs.trial import ALLOWED, TENTH
+from stage.envs.trial import MAX_OFFSET_M, TENTH_MM
 from stage.errors import RunTimeout
 from stage.firmware import Port
 from stage.firmware.pcl240 import bus
@@ -73,8 +73,8 @@ class Tuned:
             stage.step()
             places.append(axis.position)
         lost, vibration, made = axis.lost_steps, float(np.ptp(places)), port.counter() == 0
-        kept = not lost and made and abs(axis.commanded - axis.position) <= ALLOWED
-        reward = -duration - c.vibration_weight * min(vibration / TENTH, 100.0)
+        kept = not lost and made and abs(axis.commanded - axis.position) <= MAX_OFFSET_M
+        reward = -duration - c.vibration_weight * min(vibration / TENTH_MM, 100.0)
         reward -= 0.0 if made and kept else c.lost_weight if made else c.limit_weight
         values = axis.chip.values()
         drawn = self.distance, stage.payload(), self._angle

@@ -109,7 +109,7 @@ def test_what_a_reset_draws_or_clears_is_kept_by_a_snapshot(id_):
     env.step(env.action_space.sample())
     kept, before, result = env.snapshot(), drawn(env._task), env._task.results.rows.tobytes()
     env.reset(seed=6)
-    env._task.results.rows[:] = np.zeros((), env._task.result)
+    env._task.results.rows[:] = np.zeros((), env._task.results.rows.dtype)
     changed = [name for name, value in drawn(env._task).items() if value.tobytes() != before[name].tobytes()]
     assert "observations" in changed
     env.restore(kept)

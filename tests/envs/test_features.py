@@ -9,7 +9,7 @@ import pytest
 
 import stage.envs
 from stage import ArgumentError
-from stage.envs import entries
+from stage.envs import features
 from stage.envs.base import info_of
 
 SHORT = {
@@ -24,7 +24,7 @@ SHORT = {
     "stage/DriftingHome-v1": {"model": "xy", "returns": 1, "limit": 0.1, "settle": 0.01},
     "stage/BusMacros-v1": {"model": "xy", "macros": 1},
 }
-EVERY = list(stage.envs.IDS)
+FRAME_INTERVAL = list(stage.envs.IDS)
 
 
 def make(id_, **settings):
@@ -44,25 +44,25 @@ def kinds(id_):
     return getattr(import_module(f"stage.envs.{module}"), name)
 
 
-@pytest.mark.parametrize("id_", EVERY)
+@pytest.mark.parametrize("id_", FRAME_INTERVAL)
 def test_what_is_told_is_what_the_table_says_with_and_without_truth(id_):
     task, seen, names = kinds(id_), {}, {}
     for truth in (True, "info", False):
         env = make(id_, truth=truth)
         seen[truth], names[truth] = told(env)
-        assert len(env.entries) == env.observation_space.shape[0] == seen[truth].shape[1]
-    every = {e.name: e.who for e in (*task.TOLD, *entries.EVERYWHERE)}
+        assert len(env.observation_features) == env.observation_space.shape[0] == seen[truth].shape[1]
+    every = {e.name: e.who for e in (*task.INFO, *features.EVERY_STEP)}
     assert names[True] == names["info"] == set(every)
-    assert names[False] == {name for name, who in every.items() if who == entries.HOST}
+    assert names[False] == {name for name, who in every.items() if who == features.HOST}
     whole = make(id_, truth=True)
-    host = [e.who == entries.HOST for e in whole.entries]
+    host = [e.who == features.HOST for e in whole.observation_features]
     assert not all(host)
-    assert not any(e.who == entries.TRUTH for e in make(id_, truth=False).entries)
+    assert not any(e.who == features.TRUTH for e in make(id_, truth=False).observation_features)
     assert np.array_equal(seen[True][:, host], seen[False])
     assert np.array_equal(seen["info"], seen[False])
 
 
-@pytest.mark.parametrize("id_", EVERY[:2])
+@pytest.mark.parametrize("id_", FRAME_INTERVAL[:2])
 def test_a_vector_without_truth_says_what_one_environment_says(id_):
     envs = gymnasium.make_vec(id_, num_envs=2, vectorization_mode="vector_entry_point", truth=False, **SHORT[id_])
     env = make(id_, truth=False)
@@ -104,11 +104,11 @@ def test_a_host_with_an_encoder_knows_whole_counts():
 
 def test_each_chip_and_axis_has_its_entries_in_the_observation():
     env = make("stage/RegisterBus-v0", model="xyz", chip="MCX302", truth=True)
-    names = [e.name for e in env.entries]
+    names = [e.name for e in env.observation_features]
     axis = ["target", "place", "velocity", "lost", "error"]
     chip = ["status"] * 16 + ["words"] * 7 + ["ages"] * 8
     assert names == [*chip, *axis, *axis, *chip, *axis, "value", "was_read", "time", "actions"]
-    line = [e.name for e in make("stage/SynchronizedMove-v0").entries]
+    line = [e.name for e in make("stage/SynchronizedMove-v0").observation_features]
     assert line[:7] == ["rate", "distance", "ahead", "more_ahead", "earlier", "shorter", "distance"]
 
 
@@ -119,5 +119,5 @@ def test_where_truth_is_shown_is_one_of_three():
 
 
 def test_the_page_is_that_of_the_tables():
-    kept = (Path(__file__).parents[2] / "docs" / "envs_entries.md").read_text()
-    assert kept == entries.page(), "python -m stage.envs.entries > docs/envs_entries.md"
+    kept = (Path(__file__).parents[2] / "docs" / "envs_features.md").read_text()
+    assert kept == features.write_page(), "python -m stage.envs.features > docs/envs_features.md"

@@ -33,7 +33,7 @@ class EnvSnapshot(snapshots.Snapshot):
     of: ClassVar = "an environment"
 
 
-def header(task: Task) -> snapshots.Header:
+def make_header(task: Task) -> snapshots.Header:
     """What snapshots of environments under this task are taken of."""
     if task.header is None:
         task.header = _made(task)
@@ -52,30 +52,30 @@ def _made(task: Task) -> snapshots.Header:
     return snapshots.Header((*parts, *task.start.header.parts))
 
 
-def taken(task: Task, more: Any) -> EnvSnapshot:
+def take_snapshot(task: Task, more: Any) -> EnvSnapshot:
     """Of all stages of a task; more: of whoever asks, what can be pickled."""
-    kept = [task.keep(k) for k in range(task.n)]
+    kept = [task.save_stage(k) for k in range(task.n)]
     state = pickle.dumps((kept, more), pickle.HIGHEST_PROTOCOL)
-    of = header(task)
+    of = make_header(task)
     return EnvSnapshot(of, state, (), zlib.crc32(state, of.checksum))
 
 
-def restored(task: Task, snapshot: Any) -> Any:
+def restore_snapshot(task: Task, snapshot: Any) -> Any:
     """The task is as it was; returns what `taken` was given more.
 
     Raises ArgumentError for a snapshot of another environment, StageError while a stage is being recorded; nothing
     has changed then.
     """
-    snapshots.check(snapshot, EnvSnapshot, header(task))
+    snapshots.check(snapshot, EnvSnapshot, make_header(task))
     if any(stage.recording is not None for stage in task.stages):
         raise StageError("time in a recording runs forward only: restore in an environment without record=.")
     kept, more = pickle.loads(snapshot.state)
     for k, of_stage in enumerate(kept):
-        task.put(k, of_stage)
+        task.load_stage(k, of_stage)
     return more
 
 
-def begun(episodes: Sequence[bool] | np.ndarray) -> None:
+def require_episodes(episodes: Sequence[bool] | np.ndarray) -> None:
     """Raise ArgumentError where a snapshot would be of nothing."""
     if not all(episodes):
         raise ArgumentError("there is no episode to take a snapshot of: call reset() first.")
