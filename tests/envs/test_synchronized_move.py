@@ -220,7 +220,7 @@ def test_a_carriage_beyond_an_end_of_the_line_is_as_far_from_it_as_from_that_end
     length = float(np.hypot(*(made.way * made.distances)[0]))
     for along, off in ((0.5, 0.0), (1.02, 0.02), (-0.03, 0.03)):
         for a, column in enumerate(columns):
-            at = made._has_begun["position"][0, a] + along * made.way[a] * made.distances[0, a]
+            at = made._truth_at_start["position"][0, a] + along * made.way[a] * made.distances[0, a]
             results[:, column] = round(at * 1e12)
         assert made._measure_carriages(results)[0] == pytest.approx(off * length, abs=1e-9)
 
