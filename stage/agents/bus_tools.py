@@ -54,7 +54,8 @@ class BusTools:
                 self.write_register, {**axis, "name": argument(choice(writable), "Register to write."), "value": value}
             ),
             Tool.from_method(
-                self.command, {**axis, "name": argument(choice(commands), "Command or word."), "data": data}
+                self.command,
+                {**axis, "name": argument(choice(commands) if commands else Text, "Command or word."), "data": data},
             ),
             Tool.from_method(
                 self.write_bytes, {**axis, "address": argument(address, "Address on the bus."), "values": values}
