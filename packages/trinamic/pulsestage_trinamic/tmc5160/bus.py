@@ -11,71 +11,7 @@ Addresses 0 to 7Fh are the registers, for whoever has no SPI to play. A host wit
 
 from __future__ import annotations
 
-from pulsestage_trinamic.tmc5160 import encoder, power, ramp, sequencer, speeds, stallguard
-from pulsestage_trinamic.tmc5160.maps import (
-    M32,
-    M40,
-    MOTION,
-    READABLE,
-    REGISTERS,
-    RESET,
-    SPI_BYTE,
-    SPI_CS,
-    SPI_DATAGRAM,
-    SPI_STATE,
-    STORED,
-)
-from pulsestage_trinamic.tmc5160.state import (
-    CHOPCONF,
-    CLEARED,
-    COOLCONF,
-    DIAG0,
-    DIAG0_STEP,
-    DIAG1,
-    DIAG1_DIR,
-    DRV_STATUS,
-    ENC_LATCH,
-    ENC_STATUS,
-    EVENT_L,
-    EVENT_POS,
-    EVENT_R,
-    EVENT_SG,
-    GCONF,
-    GSTAT,
-    HIGH,
-    IHOLD_IRUN,
-    IOIN,
-    MSCNT,
-    MSCURACT,
-    NEVER,
-    OTPW,
-    POSITION_REACHED,
-    PWM_AUTO,
-    PWMCONF,
-    RAMP_STAT,
-    RAMPMODE,
-    SFILT,
-    STATUS_L,
-    STATUS_R,
-    STATUS_SG,
-    STOP_L,
-    STOP_R,
-    SW_MODE,
-    TSTEP,
-    UNIT,
-    VACTUAL,
-    VELOCITY_REACHED,
-    VHIGHFS,
-    VMAX,
-    VZERO,
-    X_COMPARE,
-    X_ENC,
-    XACTUAL,
-    XLATCH,
-    XTARGET,
-    ZEROWAIT,
-    signed32,
-)
+from pulsestage_trinamic.tmc5160 import encoder, maps, power, ramp, sequencer, speeds, stallguard, state
 from stage.native import hot
 
 VERSION = 0x30 << 24
@@ -89,19 +25,19 @@ def power_up(c):
     clock, hz, rsense, inputs, net = c.clock, c.hz, c.rsense, c.inputs, c.net
     c.fresh = 1
     c.x = c.target = c.q = c.dir = c.ph = c.brk = c.zw = 0
-    c.events, c.reached = EVENT_POS, 1
+    c.events, c.reached = state.EVENT_POS, 1
     c.left = c.right = c.latched = 0
     c.enc = c.part = c.enc_pins = c.enc_met = c.enc_latch = c.enc_flags = 0
     c.mscnt = c.toggle = c.way = c.current = c.cs = c.speeds = c.cooling = 0
-    c.last, c.falls = clock, NEVER
+    c.last, c.falls = clock, state.NEVER
     c.sg = c.stall = c.total = c.summed = c.count = c.full = 0
     c.lam, c.emf = 0, 1024
     c.load_of, c.load_n, c.load_sum, c.emf_sum = -1, 0, 0, 0
     c.gstat, c.shorts, c.hot, c.powered = 1, 0, 0, 0
     c.csn, c.shift, c.bits, c.out, c.heard = 1, 0, 0, 0, 0
-    c.risen = c.shifted = -NEVER
-    for k in range(REGISTERS):
-        c.reg[k] = RESET[k]
+    c.risen = c.shifted = -state.NEVER
+    for k in range(maps.REGISTERS):
+        c.reg[k] = maps.RESET[k]
     c.clock, c.hz, c.rsense, c.inputs, c.net = clock, hz, rsense, inputs, net
     encoder.wake(c)
     c.answer = FIRST
@@ -113,16 +49,16 @@ def power_up(c):
 @hot
 def _event(c, side, way):
     s = c.dir if c.dir else ramp.wanted(c)
-    return s == way and c.reg[SW_MODE] & (STOP_L if way < 0 else STOP_R) and side
+    return s == way and c.reg[state.SW_MODE] & (state.STOP_L if way < 0 else state.STOP_R) and side
 
 
 @hot
 def ramp_stat(c):
-    word = c.events | (STATUS_L if c.left else 0) | (STATUS_R if c.right else 0)
-    word |= (EVENT_L if _event(c, c.left, -1) else 0) | (EVENT_R if _event(c, c.right, 1) else 0)
-    word |= VELOCITY_REACHED if c.q >> UNIT == c.reg[VMAX] else 0
-    word |= (POSITION_REACHED if c.reached else 0) | (0 if c.q else VZERO) | (ZEROWAIT if c.zw else 0)
-    return word | (STATUS_SG if c.stall and speeds.window(c) else 0)
+    word = c.events | (state.STATUS_L if c.left else 0) | (state.STATUS_R if c.right else 0)
+    word |= (state.EVENT_L if _event(c, c.left, -1) else 0) | (state.EVENT_R if _event(c, c.right, 1) else 0)
+    word |= state.VELOCITY_REACHED if c.q >> state.UNIT == c.reg[state.VMAX] else 0
+    word |= (state.POSITION_REACHED if c.reached else 0) | (0 if c.q else state.VZERO) | (state.ZEROWAIT if c.zw else 0)
+    return word | (state.STATUS_SG if c.stall and speeds.window(c) else 0)
 
 
 @hot
@@ -130,9 +66,9 @@ def drv_status(c):
     """DRV_STATUS."""
     word = c.sg | c.cs << 16 | c.stall << 24
     word |= 1 << 14 if speeds.stealth(c) else 0
-    word |= 1 << 15 if c.speeds & HIGH and c.reg[CHOPCONF] & VHIGHFS else 0
+    word |= 1 << 15 if c.speeds & state.HIGH and c.reg[state.CHOPCONF] & state.VHIGHFS else 0
     word |= (c.shorts >> 8 & 3) << 27 | (c.shorts >> 10 & 3) << 12
-    word |= (1 << 25 if c.hot else 0) | (1 << 26 if c.inputs & OTPW else 0)
+    word |= (1 << 25 if c.hot else 0) | (1 << 26 if c.inputs & state.OTPW else 0)
     word |= (c.inputs >> 14 & 3) << 29
     return word | (1 << 31 if power.stands(c) else 0)
 
@@ -156,14 +92,14 @@ def drives(c):
 @hot
 def outputs(c):
     """DIAG0 and DIAG1: bits of OUTPUTS, 1 = active."""
-    if c.reg[GCONF] & DIAG0_STEP:
-        word = DIAG0 if c.toggle else 0
+    if c.reg[state.GCONF] & state.DIAG0_STEP:
+        word = state.DIAG0 if c.toggle else 0
     else:
-        events = ramp_stat(c) & (EVENT_POS | EVENT_L | EVENT_R | EVENT_SG)
-        word = DIAG0 if events or c.enc_flags else 0
-    if c.reg[GCONF] & DIAG1_DIR:
-        return word | (DIAG1 if c.way < 0 else 0)
-    return word | (DIAG1 if c.x == signed32(c.reg[X_COMPARE]) else 0)
+        events = ramp_stat(c) & (state.EVENT_POS | state.EVENT_L | state.EVENT_R | state.EVENT_SG)
+        word = state.DIAG0 if events or c.enc_flags else 0
+    if c.reg[state.GCONF] & state.DIAG1_DIR:
+        return word | (state.DIAG1 if c.way < 0 else 0)
+    return word | (state.DIAG1 if c.x == state.signed32(c.reg[state.X_COMPARE]) else 0)
 
 
 @hot
@@ -171,7 +107,7 @@ def arrived(c):
     """position_reached anew, and its event."""
     now = 1 if c.x == c.target else 0
     if now and not c.reached:
-        c.events |= EVENT_POS
+        c.events |= state.EVENT_POS
     c.reached = now
 
 
@@ -181,74 +117,74 @@ def arrived(c):
 @hot
 def register(c, a):
     """What a register holds, also one that cannot be read."""
-    if a == GSTAT:
+    if a == state.GSTAT:
         return c.gstat
-    if a == IOIN:
+    if a == state.IOIN:
         return VERSION | c.inputs & 0x3F
-    if a == TSTEP:
+    if a == state.TSTEP:
         return speeds.tstep(c, c.q)
-    if a == XACTUAL:
-        return c.x & M32
-    if a == XTARGET:
-        return c.target & M32
-    if a == VACTUAL:
-        return c.dir * (c.q >> UNIT) & 0xFFFFFF
-    if a == RAMP_STAT:
+    if a == state.XACTUAL:
+        return c.x & maps.M32
+    if a == state.XTARGET:
+        return c.target & maps.M32
+    if a == state.VACTUAL:
+        return c.dir * (c.q >> state.UNIT) & 0xFFFFFF
+    if a == state.RAMP_STAT:
         return ramp_stat(c)
-    if a == XLATCH:
-        return c.latched & M32
-    if a == X_ENC:
-        return c.enc & M32
-    if a == ENC_STATUS:
+    if a == state.XLATCH:
+        return c.latched & maps.M32
+    if a == state.X_ENC:
+        return c.enc & maps.M32
+    if a == state.ENC_STATUS:
         return c.enc_flags
-    if a == ENC_LATCH:
-        return c.enc_latch & M32
-    if a == MSCNT:
+    if a == state.ENC_LATCH:
+        return c.enc_latch & maps.M32
+    if a == state.MSCNT:
         return c.mscnt
-    if a == MSCURACT:
+    if a == state.MSCURACT:
         return sequencer.sine(c.mscnt) & 0x1FF | (sequencer.sine(c.mscnt + 256) & 0x1FF) << 16
-    if a == DRV_STATUS:
+    if a == state.DRV_STATUS:
         return drv_status(c)
-    if a == PWM_AUTO:
-        return c.reg[PWMCONF] & 0xFF | (c.reg[PWMCONF] >> 8 & 0xFF) << 16
+    if a == state.PWM_AUTO:
+        return c.reg[state.PWMCONF] & 0xFF | (c.reg[state.PWMCONF] >> 8 & 0xFF) << 16
     return c.reg[a]
 
 
 @hot
 def read_register(c, a):
-    return register(c, a) if READABLE[a] else 0
+    return register(c, a) if maps.READABLE[a] else 0
 
 
 @hot
 def write_register(c, a, value):
     """A write acts from the next clock on; flags of the position follow at once."""
-    value &= STORED[a]
-    if STORED[a] == 0:
+    value &= maps.STORED[a]
+    if maps.STORED[a] == 0:
         return
     c.fresh = 1
-    if a == XACTUAL:
-        c.x = signed32(value)
+    if a == state.XACTUAL:
+        c.x = state.signed32(value)
         c.brk = 0
-    elif a == XTARGET:
-        c.target = signed32(value)
+    elif a == state.XTARGET:
+        c.target = state.signed32(value)
         c.brk = 0
-    elif a == GSTAT:
+    elif a == state.GSTAT:
         c.gstat &= ~value
-    elif a == RAMP_STAT:
-        c.events &= ~(value & CLEARED)
-    elif a == ENC_STATUS:
+    elif a == state.RAMP_STAT:
+        c.events &= ~(value & state.CLEARED)
+    elif a == state.ENC_STATUS:
         c.enc_flags &= ~value
-    elif a == X_ENC:
-        c.enc, c.part = signed32(value), 0
+    elif a == state.X_ENC:
+        c.enc, c.part = state.signed32(value), 0
     else:
-        if a == COOLCONF and (value ^ c.reg[a]) & SFILT:
+        if a == state.COOLCONF and (value ^ c.reg[a]) & state.SFILT:
             c.total = c.summed = 0
         c.reg[a] = value
-        if a == RAMPMODE:
+        if a == state.RAMPMODE:
             c.brk = 0
-        elif a == IHOLD_IRUN:
+        elif a == state.IHOLD_IRUN:
             power.currents_written(c)
-    if a == CHOPCONF and value & 15 == 0:
+    if a == state.CHOPCONF and value & 15 == 0:
         c.shorts = 0
     stallguard.settle(c)
     arrived(c)
@@ -267,7 +203,7 @@ def answer(c):
 def _act(c, word):
     """A whole datagram has come in, CSN goes high."""
     a = word >> 32 & DATUM
-    datum = word & M32
+    datum = word & maps.M32
     if word >> 39 & 1:
         write_register(c, a, datum)
     else:
@@ -278,18 +214,18 @@ def _act(c, word):
 @hot
 def write(c, address, value):
     """One write cycle of the bus."""
-    if address < REGISTERS:
-        write_register(c, address, value & M32)
-    elif address == SPI_CS:
+    if address < maps.REGISTERS:
+        write_register(c, address, value & maps.M32)
+    elif address == maps.SPI_CS:
         select(c, value & 1)
-    elif address == SPI_BYTE and not c.csn:
+    elif address == maps.SPI_BYTE and not c.csn:
         c.out = c.shift >> 32
-        c.shift = (c.shift << 8 | value & 0xFF) & M40
+        c.shift = (c.shift << 8 | value & 0xFF) & maps.M40
         c.bits += 8
         c.shifted = c.clock
-    elif address == SPI_DATAGRAM:
+    elif address == maps.SPI_DATAGRAM:
         c.heard = answer(c)
-        _act(c, value & M40)
+        _act(c, value & maps.M40)
 
 
 @hot
@@ -307,14 +243,14 @@ def select(c, level):
 @hot
 def peek(c, address):
     """What a read cycle finds; it changes nothing."""
-    if address < REGISTERS:
+    if address < maps.REGISTERS:
         return read_register(c, address)
-    if address == SPI_CS:
+    if address == maps.SPI_CS:
         return c.csn
-    if address == SPI_BYTE:
+    if address == maps.SPI_BYTE:
         return c.out
-    if address == SPI_DATAGRAM:
+    if address == maps.SPI_DATAGRAM:
         return c.heard
-    if address == SPI_STATE:
+    if address == maps.SPI_STATE:
         return spi_status(c)
-    return drives(c) if address == MOTION else 0
+    return drives(c) if address == maps.MOTION else 0

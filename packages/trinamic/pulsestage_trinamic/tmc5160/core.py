@@ -3,26 +3,8 @@ in between but steps."""
 
 from __future__ import annotations
 
-from pulsestage_trinamic.tmc5160 import bus, encoder, power, ramp, sequencer, speeds, stallguard, switches
-from pulsestage_trinamic.tmc5160.state import (
-    EDGE,
-    ENC_DEVIATION,
-    GCONF,
-    INPUTS,
-    OUTPUTS,
-    POSITION,
-    PULSE,
-    RAMPMODE,
-    SHAFT,
-    STATE,
-    STEP,
-    TCOOLTHRS,
-    THIGH,
-    TPWMTHRS,
-    X_COMPARE,
-    mres,
-    signed32,
-)
+from pulsestage_trinamic.tmc5160 import bus, encoder, power, ramp, sequencer, speeds, stallguard, state, switches
+from pulsestage_trinamic.tmc5160.state import EDGE, INPUTS, OUTPUTS, PULSE, STATE
 from stage.chips.cores import scan_shafts, through
 from stage.drives.trig import sincos
 from stage.native import array_of, exported, hot, least
@@ -62,12 +44,12 @@ def _tick(c):
     stallguard.settle(c)
     if goes:
         c.ph += c.q
-        if c.ph >= STEP:
-            c.ph -= STEP
-            c.x = signed32(c.x + c.dir)
+        if c.ph >= state.STEP:
+            c.ph -= state.STEP
+            c.x = state.signed32(c.x + c.dir)
             if stallguard.step(c):
                 _halt(c)
-        if c.dir and c.reg[RAMPMODE] == POSITION and c.x == c.target and c.q <= ramp.low(c):
+        if c.dir and c.reg[state.RAMPMODE] == state.POSITION and c.x == c.target and c.q <= ramp.low(c):
             _halt(c)
     bus.arrived(c)
     power.timers(c)
@@ -98,19 +80,19 @@ def _most_steps(c, watch):
     """The step, counted from 1, at which something may happen."""
     ahead = ((c.target - c.x) * c.dir) & M32
     most = ahead if ahead else 1 << 32
-    if c.reg[RAMPMODE] == POSITION:
+    if c.reg[state.RAMPMODE] == state.POSITION:
         n = abs(ramp.away(c))
         if ramp.wanted(c) != c.dir:
             most = least(most, (1 << 31) - n)
     if stallguard.measures(c):
         most = least(most, sequencer.steps_to_full(c))
-    limit = c.reg[ENC_DEVIATION]
+    limit = c.reg[state.ENC_DEVIATION]
     if limit and not c.enc_flags & encoder.DEVIATION:
         most = least(most, limit - (c.x - c.enc) * c.dir + 1)
     if watch & EACH:
         return 1
     if watch & WATCH:
-        ahead = ((c.reg[X_COMPARE] - c.x) * c.dir) & M32
+        ahead = ((c.reg[state.X_COMPARE] - c.x) * c.dir) & M32
         most = least(most, ahead if ahead else 1)
     return most
 
@@ -144,7 +126,7 @@ def _leap(c, until, watch):
     m = least(m, most)
     m = least(m, LONGEST) if delta or c.q == 0 else least(m, ((1 << 61) - c.ph) // c.q)
     most_steps = _most_steps(c, watch)
-    thresholds = c.reg[TPWMTHRS] | c.reg[TCOOLTHRS] | c.reg[THIGH]
+    thresholds = c.reg[state.TPWMTHRS] | c.reg[state.TCOOLTHRS] | c.reg[state.THIGH]
     if not _even(c, test, delta, m, most_steps, thresholds):
         low = 0
         while m - low > 1:
@@ -171,10 +153,10 @@ def _go(c, delta, m):
                 high = middle
             else:
                 low = middle
-        c.x = signed32(c.x + c.dir * k)
+        c.x = state.signed32(c.x + c.dir * k)
         c.reached = 0
         sequencer.steps(c, k, c.clock + high)
-    c.ph = (c.ph + m * c.q + delta * (m * (m + 1) // 2)) & (STEP - 1)
+    c.ph = (c.ph + m * c.q + delta * (m * (m + 1) // 2)) & (state.STEP - 1)
     c.q += delta * m
     c.clock += m
 
@@ -223,7 +205,7 @@ def set_load(c, j, angle, emf):
     """A sample of the load: how far the field is ahead of the rotor (electrical radians), back EMF as a share of the supply.
     Returns whether it can change anything."""
     sin, cos = sincos(angle)
-    way = -c.dir if c.reg[GCONF] & SHAFT else c.dir
+    way = -c.dir if c.reg[state.GCONF] & state.SHAFT else c.dir
     sin *= way
     lam = 1024 if cos <= 0.0 else int(1024.0 * sin + 0.5) if sin > 0.0 else 0
     return stallguard.sample_load(c, lam, int(1024.0 * (emf if emf < 1.0 else 1.0) + 0.5))
@@ -250,8 +232,8 @@ def drive_input(c, j, before, ticks):
 @hot
 def _rate(c):
     """Of the field, 1/256 full steps a clock."""
-    way = -c.dir if c.reg[GCONF] & SHAFT else c.dir
-    return 0.0 if speeds.gated(c) else way * float(c.q) * (1 << mres(c)) / float(STEP)
+    way = -c.dir if c.reg[state.GCONF] & state.SHAFT else c.dir
+    return 0.0 if speeds.gated(c) else way * float(c.q) * (1 << state.mres(c)) / float(state.STEP)
 
 
 @exported("f8", STATE, "i8", "f8")

@@ -13,24 +13,12 @@ from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 
-from pulsestage_trinamic.tmc5160 import homing
+from pulsestage_trinamic.tmc5160 import homing, state
 from pulsestage_trinamic.tmc5160.encoder import DECIMAL
 from pulsestage_trinamic.tmc5160.homing import LEAST_VSTOP, STOPS
 from pulsestage_trinamic.tmc5160.line import NAMES, InRatio
 from pulsestage_trinamic.tmc5160.maps import M32, NUMBER
 from pulsestage_trinamic.tmc5160.power import FULL_SCALE
-from pulsestage_trinamic.tmc5160.state import (
-    EVENT_L,
-    EVENT_POS,
-    EVENT_R,
-    EVENT_SG,
-    HOLD,
-    MINUS,
-    PLUS,
-    POL_L,
-    POL_R,
-    POSITION,
-)
 from stage.errors import ArgumentError, RunTimeout, a_or_an
 from stage.firmware.axis import turned
 from stage.firmware.choices import limits
@@ -126,7 +114,11 @@ class Tmc5160Driver(Driver):
 
     def switches(self, bits: int) -> int:
         """SW_MODE of these bits, with the polarity of the axis' sensors as they are wired."""
-        return bits | (POL_L if turned(self.axis, "el_minus") else 0) | (POL_R if turned(self.axis, "el_plus") else 0)
+        return (
+            bits
+            | (state.POL_L if turned(self.axis, "el_minus") else 0)
+            | (state.POL_R if turned(self.axis, "el_plus") else 0)
+        )
 
     def currents(self) -> dict[str, int]:
         """The registers that give the motor the current of its Drive; as much as the sense resistors allow at most."""
@@ -219,10 +211,10 @@ class Tmc5160Driver(Driver):
             "V1": 0,
             "D1": values["DMAX"],
             "SW_MODE": self.switches(STOPS),
-            "RAMP_STAT": EVENT_POS,
+            "RAMP_STAT": state.EVENT_POS,
         }.items():
             self.put(name, value)
-        self.put("RAMPMODE", POSITION)
+        self.put("RAMPMODE", state.POSITION)
         return goal
 
     def check_still(self) -> None:
@@ -232,9 +224,9 @@ class Tmc5160Driver(Driver):
 
     def stay(self) -> None:
         """Nothing moves, whatever comes: the target is where the axis is."""
-        self.put("RAMPMODE", HOLD)
+        self.put("RAMPMODE", state.HOLD)
         self.put("XTARGET", self.get("XACTUAL"))
-        self.put("RAMPMODE", POSITION)
+        self.put("RAMPMODE", state.POSITION)
 
     def run(self, direction: int, speeds: Speeds) -> None:
         values = self._speeds(speeds)
@@ -246,7 +238,7 @@ class Tmc5160Driver(Driver):
         """Begin to run with these registers; switches: of SW_MODE, which stops act."""
         for name, value in {**values, "V1": 0, "D1": values["DMAX"], "SW_MODE": self.switches(switches)}.items():
             self.put(name, value)
-        self.put("RAMPMODE", PLUS if direction > 0 else MINUS)
+        self.put("RAMPMODE", state.PLUS if direction > 0 else state.MINUS)
 
     def slow_down(self) -> None:
         """Command a decelerating stop, and do not wait."""
@@ -254,7 +246,7 @@ class Tmc5160Driver(Driver):
 
     def halt(self, at_once: bool = False) -> None:
         if at_once:  # as the data sheet has it, page 83: the polarity makes a switch
-            self.put("SW_MODE", self.switches(STOPS) ^ (POL_L | POL_R))
+            self.put("SW_MODE", self.switches(STOPS) ^ (state.POL_L | state.POL_R))
         self.slow_down()
         wait_until_stopped([self.axis], 60.0)
         self.stay()
@@ -262,9 +254,9 @@ class Tmc5160Driver(Driver):
 
     def stopped_by(self) -> str:
         events = self.get("RAMP_STAT")
-        if events & EVENT_SG:
+        if events & state.EVENT_SG:
             return "stall"
-        return "EL-" if events & EVENT_L else "EL+" if events & EVENT_R else ""
+        return "EL-" if events & state.EVENT_L else "EL+" if events & state.EVENT_R else ""
 
     # --- homing ---
 

@@ -10,24 +10,13 @@ which it is passed. Where nothing but X_ENC follows from the edges of a stretch,
 
 from __future__ import annotations
 
-from pulsestage_trinamic.tmc5160.state import (
-    ENC_CONST,
-    ENC_DEVIATION,
-    ENCA,
-    ENCB,
-    ENCMODE,
-    ENCN,
-    GCONF,
-    NEVER,
-    STOP_ENABLE,
-    signed32,
-)
+from pulsestage_trinamic.tmc5160 import state
 from stage.native import floor, greatest, hot, least
 
 POL_A, POL_B, POL_N, IGNORE_AB, CLR_CONT, CLR_ONCE = (1 << k for k in range(6))
 CLR_ENC_X, LATCH_X, DECIMAL = 1 << 8, 1 << 9, 1 << 10
 N_EVENT, DEVIATION = 1, 2  # ENC_STATUS
-PINS = ENCA | ENCB
+PINS = state.ENCA | state.ENCB
 FAR = float(1 << 45)
 SLOWEST = 1e-9  # edges a clock; what is slower passes no edge before it is seen anew
 PERIOD = 4  # edges after which A and B are the same again
@@ -53,7 +42,7 @@ def look(c):
 @hot
 def deviates(c):
     """X_ENC is too far from XACTUAL."""
-    most = c.reg[ENC_DEVIATION]
+    most = c.reg[state.ENC_DEVIATION]
     return most and abs(c.enc - c.x) > most
 
 
@@ -76,10 +65,10 @@ def watched(c):
     """Something may follow from each edge, in its clock."""
     if not c.fed:
         return False
-    mode = c.reg[ENCMODE]
+    mode = c.reg[state.ENCMODE]
     if mode & (CLR_CONT | CLR_ONCE) and not mode & IGNORE_AB:
         return True
-    return c.reg[GCONF] & STOP_ENABLE or (c.reg[ENC_DEVIATION] and not c.enc_flags & DEVIATION)
+    return c.reg[state.GCONF] & state.STOP_ENABLE or (c.reg[state.ENC_DEVIATION] and not c.enc_flags & DEVIATION)
 
 
 @hot
@@ -89,7 +78,7 @@ def next_edge(c):
         return c.clock + 1
     rate = abs(c.shaft_rate)
     if rate < SLOWEST:
-        return NEVER
+        return state.NEVER
     low, high = c.clock + 1, c.clock + int(1.0 / rate) + 3
     if _edge_at(c, high) == c.edge:
         return high
@@ -109,7 +98,7 @@ def catch_up(c):
     if edge != c.edge:
         _add(c, edge - c.edge)
         _show(c, edge)
-        if not c.reg[ENCMODE] & IGNORE_AB:  # then no condition of N has lasted
+        if not c.reg[state.ENCMODE] & IGNORE_AB:  # then no condition of N has lasted
             c.enc_met = _met(c)
 
 
@@ -139,7 +128,7 @@ def _follow(c, edge):
 def _show(c, edge):
     """The levels at the pins."""
     c.edge = edge
-    c.inputs = c.inputs & ~PINS | (ENCA if edge + 1 & 2 else 0) | (ENCB if edge & 2 else 0)
+    c.inputs = c.inputs & ~PINS | (state.ENCA if edge + 1 & 2 else 0) | (state.ENCB if edge & 2 else 0)
     c.enc_pins = _levels(c)
 
 
@@ -148,7 +137,7 @@ def _show(c, edge):
 
 @hot
 def _levels(c):
-    return (1 if c.inputs & ENCA else 0) | (2 if c.inputs & ENCB else 0)
+    return (1 if c.inputs & state.ENCA else 0) | (2 if c.inputs & state.ENCB else 0)
 
 
 @hot
@@ -167,10 +156,10 @@ def _pins_changed(c):
 @hot
 def _add(c, edges):
     """Edges that count up; below 0 down."""
-    factor = c.reg[ENC_CONST]
-    base = 10_000 if c.reg[ENCMODE] & DECIMAL else 65_536
+    factor = c.reg[state.ENC_CONST]
+    base = 10_000 if c.reg[state.ENCMODE] & DECIMAL else 65_536
     part = c.part + edges * (factor & 0xFFFF)
-    c.enc, c.part = signed32(c.enc + edges * (signed32(factor) >> 16) + part // base), part % base
+    c.enc, c.part = state.signed32(c.enc + edges * (state.signed32(factor) >> 16) + part // base), part % base
 
 
 # --- N ---
@@ -179,16 +168,20 @@ def _add(c, edges):
 @hot
 def _met(c):
     """The condition of an N event."""
-    mode = c.reg[ENCMODE]
-    met = (c.inputs & ENCN != 0) == (mode & POL_N != 0)
+    mode = c.reg[state.ENCMODE]
+    met = (c.inputs & state.ENCN != 0) == (mode & POL_N != 0)
     if not mode & IGNORE_AB:
-        met = met and (c.inputs & ENCA != 0) == (mode & POL_A != 0) and (c.inputs & ENCB != 0) == (mode & POL_B != 0)
+        met = (
+            met
+            and (c.inputs & state.ENCA != 0) == (mode & POL_A != 0)
+            and (c.inputs & state.ENCB != 0) == (mode & POL_B != 0)
+        )
     return 1 if met else 0
 
 
 @hot
 def _index(c):
-    mode, now = c.reg[ENCMODE], _met(c)
+    mode, now = c.reg[state.ENCMODE], _met(c)
     was, done = c.enc_met & 1, c.enc_met & 2 if now else 0
     c.enc_met = done | now
     if not mode & (CLR_CONT | CLR_ONCE):
@@ -205,4 +198,4 @@ def _index(c):
     if mode & LATCH_X:
         c.latched = c.x
     if mode & CLR_ONCE:
-        c.reg[ENCMODE] &= ~CLR_ONCE
+        c.reg[state.ENCMODE] &= ~CLR_ONCE

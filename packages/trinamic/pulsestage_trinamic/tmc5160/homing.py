@@ -6,30 +6,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from pulsestage_trinamic.tmc5160 import state
 from pulsestage_trinamic.tmc5160.encoder import CLR_ONCE, DECIMAL, IGNORE_AB, LATCH_X, N_EVENT, POL_N
 from pulsestage_trinamic.tmc5160.stallguard import PER_SGT
-from pulsestage_trinamic.tmc5160.state import (
-    EVENT_POS,
-    EVENT_SG,
-    HOLD,
-    LATCH_L_ON,
-    LATCH_R_ON,
-    POSITION,
-    SG_STOP,
-    SOFT_STOP,
-    STATUS_L,
-    STATUS_R,
-    STOP_L,
-    STOP_R,
-    VELOCITY_REACHED,
-)
 from stage.firmware.axis import turned
 from stage.firmware.driver import wait_until_stopped
 
 if TYPE_CHECKING:
     from pulsestage_trinamic.tmc5160.driver import Tmc5160Driver
 
-STOPS = STOP_L | STOP_R
+STOPS = state.STOP_L | state.STOP_R
 LEAST_VSTOP = 10  # recommended
 USUAL_STEPS = 200  # full steps a turn, of a motor that nobody knows
 SLOWLY = 10  # part of VMAX at which the index is sought
@@ -41,14 +27,16 @@ WINDOW = 1.2  # TCOOLTHRS over TSTEP
 def to_switch(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeout: float) -> str:
     """Data sheet, pages 85 and 86: XACTUAL is 0 where the switch closes, and there the axis is in the end."""
     left = direction < 0
-    closed, stop, latch = (STATUS_L, STOP_L, LATCH_L_ON) if left else (STATUS_R, STOP_R, LATCH_R_ON)
+    closed, stop, latch = (
+        (state.STATUS_L, state.STOP_L, state.LATCH_L_ON) if left else (state.STATUS_R, state.STOP_R, state.LATCH_R_ON)
+    )
     end = d.axis.time + timeout
     if d.get("RAMP_STAT") & closed:  # off it first
         d.run_with(-direction, values, STOPS)
         while d.get("RAMP_STAT") & closed and d.axis.time < end and d.runs():
             d.axis.wait(1e-3)
         d.halt()
-    d.run_with(direction, values, stop | latch | SOFT_STOP)
+    d.run_with(direction, values, stop | latch | state.SOFT_STOP)
     wait_until_stopped([d.axis], end - d.axis.time)
     if not d.get("RAMP_STAT") & closed:
         d.stay()
@@ -91,11 +79,11 @@ def to_index(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeou
 
 def _zero_at_latch(d: Tmc5160Driver) -> None:
     """XACTUAL becomes 0 where XLATCH was, and the axis goes there."""
-    d.put("RAMPMODE", HOLD)
+    d.put("RAMPMODE", state.HOLD)
     beyond = d.get("XACTUAL") - d.get("XLATCH")
     d.put("XACTUAL", beyond)
     d.put("XTARGET", beyond)
-    d.put("RAMPMODE", POSITION)
+    d.put("RAMPMODE", state.POSITION)
     d.put("XTARGET", 0)
 
 
@@ -110,28 +98,28 @@ def to_stall(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeou
         "GCONF": gconf & ~4,
         "COOLCONF": 0,
         "TCOOLTHRS": min(round(WINDOW * tstep), 0xFFFFF),
-        "RAMP_STAT": EVENT_SG,
+        "RAMP_STAT": state.EVENT_SG,
     }
     for name, value in settings.items():
         d.put(name, value)
     d.run_with(direction, values, 0)
     end = d.axis.time + timeout
-    while not d.get("RAMP_STAT") & VELOCITY_REACHED and d.axis.time < end:
+    while not d.get("RAMP_STAT") & state.VELOCITY_REACHED and d.axis.time < end:
         d.axis.wait(1e-3)
     free = []
     for _ in range(TUNING):
         d.axis.wait(FULL_STEP * d.chip.clock_hz**-1 * tstep)
         free.append(d.get("DRV_STATUS") & 0x3FF)
     d.put("COOLCONF", (-round(min(free) / 2 / PER_SGT) & 0x7F) << 16)
-    d.put("SW_MODE", d.switches(SG_STOP))
+    d.put("SW_MODE", d.switches(state.SG_STOP))
     wait_until_stopped([d.axis], end - d.axis.time)
     ended = d.stopped_by()
-    d.put("RAMPMODE", HOLD)
+    d.put("RAMPMODE", state.HOLD)
     d.put("XACTUAL", 0)
     d.put("XTARGET", 0)
     d.put("SW_MODE", d.switches(STOPS))
-    d.put("RAMP_STAT", EVENT_SG | EVENT_POS)
+    d.put("RAMP_STAT", state.EVENT_SG | state.EVENT_POS)
     d.put("TCOOLTHRS", 0)
     d.put("GCONF", gconf)
-    d.put("RAMPMODE", POSITION)
+    d.put("RAMPMODE", state.POSITION)
     return ended or "no stall"

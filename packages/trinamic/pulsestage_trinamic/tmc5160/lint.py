@@ -5,38 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from pulsestage_trinamic.tmc5160.maps import (
-    M32,
-    MAP,
-    READ,
-    REGISTERS,
-    SPI_BYTE,
-    SPI_CS,
-    SPI_DATAGRAM,
-    SPI_STATE,
-    WRITTEN,
-)
-from pulsestage_trinamic.tmc5160.state import (
-    A1,
-    AMAX,
-    CHOPCONF,
-    D1,
-    DMAX,
-    DRV_ENN,
-    GCONF,
-    GLOBALSCALER,
-    HOLD,
-    POSITION,
-    RAMPMODE,
-    SG_STOP,
-    SOFT_STOP,
-    SW_MODE,
-    V1,
-    VMAX,
-    VSTART,
-    VSTOP,
-    XTARGET,
-)
+from pulsestage_trinamic.tmc5160 import maps, state
 from stage.chips.diagnostics import Finding, Rule
 
 CLEAR = 10e-9  # s, beyond clocks, of each level of SCK and of CSN
@@ -71,33 +40,33 @@ UNMODELED_REGISTERS = {
 
 def lint_write(c: Any, address: int, value: int) -> Iterator[Finding]:
     """Yield what is wrong with a write cycle."""
-    if address < REGISTERS:
-        yield from _lint_register(c, address, value & M32)
-    elif address == SPI_DATAGRAM:
+    if address < maps.REGISTERS:
+        yield from _lint_register(c, address, value & maps.M32)
+    elif address == maps.SPI_DATAGRAM:
         yield from _lint_datagram(c, value)
-    elif address == SPI_CS:
+    elif address == maps.SPI_CS:
         bits = int(c["bits"])
         if value & 1 and not c["csn"] and bits >= 40:
             yield from _lint_datagram(c, int(c["shift"]))
         elif value & 1 and not c["csn"] and bits:
             yield SHORT_DATAGRAM, f"a datagram of {bits} bits: it takes 40, nothing happens"
-    elif address == SPI_BYTE:
+    elif address == maps.SPI_BYTE:
         if c["csn"]:
             yield CSN_HIGH, f"SDI {value & 0xFF:02X}h while CSN is high: nobody listens"
     else:
-        what = "reads the status" if address >= SPI_STATE and address <= SPI_STATE + 1 else "is nothing"
+        what = "reads the status" if address >= maps.SPI_STATE and address <= maps.SPI_STATE + 1 else "is nothing"
         yield NO_EFFECT, f"a write to {address:02X}h, where there {what}: nothing changes"
 
 
 def lint_timing(c: Any, address: int, value: int) -> Iterator[Finding]:
     """Yield what is too fast for the silicon in a write to the ports of SPI; clocks are whole, so only what is so for certain."""
     clock, hz = int(c["clock"]), int(c["hz"])
-    if address == SPI_CS and not value & 1 and c["csn"]:
+    if address == maps.SPI_CS and not value & 1 and c["csn"]:
         passed, least = clock - int(c["risen"]), 2 + CLEAR * hz
         if passed + 1 <= least:
             message = f"CSN is high too short between datagrams: {passed} clocks; 2 tCLK + 10 ns at least"
             yield CSN_TOO_SHORT, message
-    elif address in (SPI_BYTE, SPI_CS) and not c["csn"] and c["bits"]:
+    elif address in (maps.SPI_BYTE, maps.SPI_CS) and not c["csn"] and c["bits"]:
         passed, least = clock - int(c["shifted"]), 8 * 2 * (1 + CLEAR * hz)
         if passed + 1 <= least:
             made, most = 8 * hz / max(passed, 1) / 1e6, hz / (2 * (1 + CLEAR * hz)) / 1e6
@@ -111,26 +80,26 @@ def lint_timing(c: Any, address: int, value: int) -> Iterator[Finding]:
 def _lint_datagram(c: Any, word: int) -> Iterator[Finding]:
     address = word >> 32 & 0x7F
     if word >> 39 & 1:
-        yield from _lint_register(c, address, word & M32)
-    elif address in WRITTEN and address not in READ:
-        yield WRITE_ONLY, f"a read of {WRITTEN[address].name}, which can only be written, gives 0"
-    elif address not in READ:
+        yield from _lint_register(c, address, word & maps.M32)
+    elif address in maps.WRITTEN and address not in maps.READ:
+        yield WRITE_ONLY, f"a read of {maps.WRITTEN[address].name}, which can only be written, gives 0"
+    elif address not in maps.READ:
         yield NO_REGISTER, f"{address:02X}h, where there is no register, reads 0"
 
 
 def _lint_register(c: Any, address: int, value: int) -> Iterator[Finding]:
-    r = WRITTEN.get(address)
-    if r is None and address in READ:
-        yield READ_ONLY, f"{READ[address].name} can only be read: nothing changes"
+    r = maps.WRITTEN.get(address)
+    if r is None and address in maps.READ:
+        yield READ_ONLY, f"{maps.READ[address].name} can only be read: nothing changes"
     elif r is None:
         yield NO_REGISTER, f"no register at {address:02X}h: nothing changes"
     else:
         if r.name in UNMODELED_REGISTERS and value != (r.reset or 0):
             yield NOT_MODELED, UNMODELED_REGISTERS[r.name]
         if value > r.mask:
-            if address != GLOBALSCALER or value != 256:
+            if address != state.GLOBALSCALER or value != 256:
                 yield BITS_LOST, f"{r.name} = {value}: it has {r.bits} bits and becomes {value & r.mask}"
-        elif address not in (D1, VSTOP) and r.legal and not r.allows(r.value(value)):
+        elif address not in (state.D1, state.VSTOP) and r.legal and not r.allows(r.value(value)):
             low, high = r.range
             yield VALUE_RANGE, f"{r.name} = {value}: the data sheet allows {low} to {high}"
         if address in LINTS:
@@ -142,45 +111,47 @@ def _reg(c: Any, address: int) -> int:
 
 
 def _lint_mode(c: Any, value: int) -> Iterator[Finding]:
-    rests = value == POSITION and int(c["x"]) == int(c["target"])
-    if value != HOLD and not rests:
+    rests = value == state.POSITION and int(c["x"]) == int(c["target"])
+    if value != state.HOLD and not rests:
         yield from _lint_motion(c, value)
 
 
 def _lint_target(c: Any, value: int) -> Iterator[Finding]:
-    if _reg(c, RAMPMODE) == POSITION and value != int(c["x"]) & M32:
-        yield from _lint_motion(c, POSITION)
+    if _reg(c, state.RAMPMODE) == state.POSITION and value != int(c["x"]) & maps.M32:
+        yield from _lint_motion(c, state.POSITION)
 
 
 def _lint_motion(c: Any, mode: int) -> Iterator[Finding]:
     """Yield why the motor will not move as a motion asks for."""
-    if not _reg(c, CHOPCONF) & 15:
+    if not _reg(c, state.CHOPCONF) & 15:
         yield NO_CURRENT, "a motion while TOFF = 0: XACTUAL will count, the motor has no current. Write CHOPCONF"
-    if int(c["inputs"]) & DRV_ENN:
+    if int(c["inputs"]) & state.DRV_ENN:
         yield DRIVER_DISABLED, "a motion while DRV_ENN is high: XACTUAL will count, the motor has no current"
-    if mode != POSITION:
-        if _reg(c, VMAX) and _reg(c, AMAX) == 0:
+    if mode != state.POSITION:
+        if _reg(c, state.VMAX) and _reg(c, state.AMAX) == 0:
             yield NO_MOTION, "a motion with AMAX = 0: the motor does not move"
         return
-    if _reg(c, VMAX) == 0:
+    if _reg(c, state.VMAX) == 0:
         yield NO_MOTION, "a target with VMAX = 0: the motor does not move"
         return
-    if _reg(c, VSTART) == 0 and (_reg(c, A1) == 0 if _reg(c, V1) else _reg(c, AMAX) == 0):
-        name = "A1" if _reg(c, V1) else "AMAX"
+    if _reg(c, state.VSTART) == 0 and (_reg(c, state.A1) == 0 if _reg(c, state.V1) else _reg(c, state.AMAX) == 0):
+        name = "A1" if _reg(c, state.V1) else "AMAX"
         yield NO_MOTION, f"a motion with {name} = 0 and VSTART = 0: the motor does not start"
-    if _reg(c, D1) == 0:
+    if _reg(c, state.D1) == 0:
         yield D1_IS_0, "a positioning with D1 = 0, which the data sheet forbids even with V1 = 0; it acts as 1"
-    if _reg(c, DMAX) == 0:
+    if _reg(c, state.DMAX) == 0:
         yield DMAX_IS_0, "a positioning with DMAX = 0: it acts as 1, braking takes very long"
-    if _reg(c, VSTOP) == 0:
+    if _reg(c, state.VSTOP) == 0:
         yield VSTOP_IS_0, "a positioning with VSTOP = 0, which the data sheet forbids; it acts as 1"
-    elif _reg(c, VSTOP) < _reg(c, VSTART):
-        message = f"VSTOP {_reg(c, VSTOP)} is below VSTART {_reg(c, VSTART)}: VSTOP >= VSTART is recommended"
+    elif _reg(c, state.VSTOP) < _reg(c, state.VSTART):
+        message = (
+            f"VSTOP {_reg(c, state.VSTOP)} is below VSTART {_reg(c, state.VSTART)}: VSTOP >= VSTART is recommended"
+        )
         yield VSTOP_BELOW_VSTART, message
 
 
 def _lint_switches(c: Any, value: int) -> Iterator[Finding]:
-    if value & SG_STOP and value & SOFT_STOP:
+    if value & state.SG_STOP and value & state.SOFT_STOP:
         message = "sg_stop with en_softstop: a stall stops at once, do not use the soft stop with it"
         yield SOFT_STOP_OF_STALL, message
 
@@ -197,6 +168,6 @@ def _lint_dcstep(c: Any, value: int) -> Iterator[Finding]:
 
 
 LINTS: dict[int, Callable[[Any, int], Iterator[Finding]]] = {
-    RAMPMODE: _lint_mode, XTARGET: _lint_target, SW_MODE: _lint_switches, GCONF: _lint_gconf,
-    MAP.register("VDCMIN").number: _lint_dcstep,
+    state.RAMPMODE: _lint_mode, state.XTARGET: _lint_target, state.SW_MODE: _lint_switches, state.GCONF: _lint_gconf,
+    maps.MAP.register("VDCMIN").number: _lint_dcstep,
 }  # fmt: skip

@@ -2,28 +2,7 @@
 
 from __future__ import annotations
 
-from pulsestage_trinamic.tmc5160.state import (
-    CHOPCONF,
-    DISS2G,
-    DISS2VS,
-    DRV_ENN,
-    EN_PWM,
-    FALLS,
-    FAST_STANDSTILL,
-    GCONF,
-    GLOBALSCALER,
-    HOLDS,
-    IHOLD_IRUN,
-    NEVER,
-    OT,
-    OTPW,
-    PWMCONF,
-    RUNS,
-    SHORT_G,
-    SHORT_VS,
-    TPOWERDOWN,
-    UV_CP,
-)
+from pulsestage_trinamic.tmc5160 import state
 from stage.native import hot, least
 
 FULL_SCALE = 0.325  # V at RSENSE, with CS = 31 and GLOBALSCALER = 256
@@ -33,18 +12,18 @@ DELAY = 18  # times are in 2^18 clocks
 @hot
 def on(c):
     """The power stage drives the motor."""
-    enabled = c.reg[CHOPCONF] & 15 and not c.inputs & DRV_ENN
-    return enabled and not (c.shorts or c.hot or c.inputs & UV_CP)
+    enabled = c.reg[state.CHOPCONF] & 15 and not c.inputs & state.DRV_ENN
+    return enabled and not (c.shorts or c.hot or c.inputs & state.UV_CP)
 
 
 @hot
 def irun(c):
-    return c.reg[IHOLD_IRUN] >> 8 & 31
+    return c.reg[state.IHOLD_IRUN] >> 8 & 31
 
 
 @hot
 def ihold(c):
-    return c.reg[IHOLD_IRUN] & 31
+    return c.reg[state.IHOLD_IRUN] & 31
 
 
 @hot
@@ -52,9 +31,9 @@ def amplitude(c):
     """Of the phase currents, A."""
     if not on(c):
         return 0.0
-    if c.current == HOLDS and c.cs == 0 and c.reg[GCONF] & EN_PWM and c.reg[PWMCONF] >> 20 & 3:
+    if c.current == state.HOLDS and c.cs == 0 and c.reg[state.GCONF] & state.EN_PWM and c.reg[state.PWMCONF] >> 20 & 3:
         return 0.0
-    scale = c.reg[GLOBALSCALER]
+    scale = c.reg[state.GLOBALSCALER]
     return (256 if scale == 0 else scale) / 256.0 * (c.cs + 1) / 32.0 * FULL_SCALE / c.rsense
 
 
@@ -63,7 +42,7 @@ def amplitude(c):
 
 @hot
 def _limit(c):
-    return 1 << (18 if c.reg[GCONF] & FAST_STANDSTILL else 20)
+    return 1 << (18 if c.reg[state.GCONF] & state.FAST_STANDSTILL else 20)
 
 
 @hot
@@ -76,12 +55,12 @@ def stands(c):
 def next_timer(c):
     """The clock at which the standstill next changes something."""
     stops = c.last + _limit(c)
-    at = NEVER
+    at = state.NEVER
     if c.sg or c.stall or c.summed:
         at = stops
-    if c.current == RUNS:
-        at = least(at, stops + (c.reg[TPOWERDOWN] << DELAY))
-    elif c.current == FALLS:
+    if c.current == state.RUNS:
+        at = least(at, stops + (c.reg[state.TPOWERDOWN] << DELAY))
+    elif c.current == state.FALLS:
         at = least(at, c.falls)
     return at if at > c.clock else c.clock + 1
 
@@ -92,25 +71,25 @@ def timers(c):
     stops = c.last + _limit(c)
     if c.clock >= stops and (c.sg or c.stall or c.summed):
         c.sg = c.stall = c.total = c.summed = 0
-    delay = (c.reg[IHOLD_IRUN] >> 16 & 15) << DELAY
-    if c.current == RUNS and c.clock >= stops + (c.reg[TPOWERDOWN] << DELAY):
-        c.current, c.falls = FALLS, c.clock + delay
-    if c.current == FALLS and c.clock >= c.falls:
+    delay = (c.reg[state.IHOLD_IRUN] >> 16 & 15) << DELAY
+    if c.current == state.RUNS and c.clock >= stops + (c.reg[state.TPOWERDOWN] << DELAY):
+        c.current, c.falls = state.FALLS, c.clock + delay
+    if c.current == state.FALLS and c.clock >= c.falls:
         if delay == 0:
             c.cs = ihold(c)
         elif c.cs != ihold(c):
             c.cs += 1 if ihold(c) > c.cs else -1
         c.falls += delay
         if c.cs == ihold(c):
-            c.current, c.falls = HOLDS, NEVER
+            c.current, c.falls = state.HOLDS, state.NEVER
 
 
 @hot
 def currents_written(c):
     """IHOLD_IRUN has been written."""
-    if c.current == RUNS:
+    if c.current == state.RUNS:
         c.cs = irun(c)
-    elif c.current == HOLDS:
+    elif c.current == state.HOLDS:
         c.cs = ihold(c)
 
 
@@ -120,18 +99,20 @@ def currents_written(c):
 @hot
 def faults(c):
     """Faults that are there: latched, and the power stage off."""
-    chop = c.reg[CHOPCONF]
-    if chop & 15 == 0 or c.inputs & DRV_ENN:
+    chop = c.reg[state.CHOPCONF]
+    if chop & 15 == 0 or c.inputs & state.DRV_ENN:
         c.shorts = 0
     else:
-        c.shorts |= c.inputs & ((0 if chop & DISS2G else SHORT_G) | (0 if chop & DISS2VS else SHORT_VS))
-    if c.inputs & OT:
+        c.shorts |= c.inputs & (
+            (0 if chop & state.DISS2G else state.SHORT_G) | (0 if chop & state.DISS2VS else state.SHORT_VS)
+        )
+    if c.inputs & state.OT:
         c.hot = 1
-    elif not c.inputs & OTPW:
+    elif not c.inputs & state.OTPW:
         c.hot = 0
     if c.shorts or c.hot:
         c.gstat |= 2
-    if c.inputs & UV_CP:
+    if c.inputs & state.UV_CP:
         c.gstat |= 4
     if on(c):
         c.powered = 1

@@ -9,31 +9,7 @@
 
 from __future__ import annotations
 
-from pulsestage_trinamic.tmc5160.state import (
-    A1,
-    AMAX,
-    D1,
-    DMAX,
-    EVENT_SG,
-    MINUS,
-    NEVER,
-    PLUS,
-    POSITION,
-    RAMPMODE,
-    SECOND_MOVE,
-    SG_STOP,
-    SOFT_STOP,
-    STOP_L,
-    STOP_R,
-    SW_MODE,
-    TZEROWAIT,
-    UNIT,
-    V1,
-    VMAX,
-    VSTART,
-    VSTOP,
-    signed32,
-)
+from pulsestage_trinamic.tmc5160 import state
 from stage.native import greatest, hot, least
 
 CANNOT, CALM, FALLING, SLOWING = range(4)
@@ -43,77 +19,77 @@ CANNOT, CALM, FALLING, SLOWING = range(4)
 @hot
 def halt(c):
     c.q = c.dir = c.ph = c.brk = 0
-    c.zw = 512 * c.reg[TZEROWAIT]
+    c.zw = 512 * c.reg[state.TZEROWAIT]
 
 
 @hot
 def _v1(c):
-    return c.reg[V1] << UNIT
+    return c.reg[state.V1] << state.UNIT
 
 
 @hot
 def _goal(c):
-    return c.reg[VMAX] << UNIT
+    return c.reg[state.VMAX] << state.UNIT
 
 
 @hot
 def low(c):
-    return greatest(c.reg[VSTOP], 1) << UNIT
+    return greatest(c.reg[state.VSTOP], 1) << state.UNIT
 
 
 @hot
 def away(c):
     """XTARGET - XACTUAL."""
-    return signed32(c.target - c.x)
+    return state.signed32(c.target - c.x)
 
 
 @hot
 def wanted(c):
     """The direction in which the mode and the target ask to go."""
-    mode = c.reg[RAMPMODE]
-    if mode == POSITION:
+    mode = c.reg[state.RAMPMODE]
+    if mode == state.POSITION:
         n = away(c)
         return 1 if n > 0 else -1 if n < 0 else 0
-    return 1 if mode == PLUS else -1 if mode == MINUS else 0
+    return 1 if mode == state.PLUS else -1 if mode == state.MINUS else 0
 
 
 @hot
 def stopped(c, way):
     """The stop function of this direction is enabled and active."""
     if way < 0:
-        return c.reg[SW_MODE] & STOP_L and c.left
-    return way > 0 and c.reg[SW_MODE] & STOP_R and c.right
+        return c.reg[state.SW_MODE] & state.STOP_L and c.left
+    return way > 0 and c.reg[state.SW_MODE] & state.STOP_R and c.right
 
 
 @hot
 def stalled(c):
-    return c.events & EVENT_SG and c.reg[SW_MODE] & SG_STOP
+    return c.events & state.EVENT_SG and c.reg[state.SW_MODE] & state.SG_STOP
 
 
 @hot
 def _rate_up(c, q):
-    return c.reg[A1] if c.reg[V1] and q < _v1(c) else c.reg[AMAX]
+    return c.reg[state.A1] if c.reg[state.V1] and q < _v1(c) else c.reg[state.AMAX]
 
 
 @hot
 def _rate_down(c, q):
     """To a lower VMAX."""
-    return c.reg[A1] if c.reg[V1] and q <= _v1(c) else c.reg[AMAX]
+    return c.reg[state.A1] if c.reg[state.V1] and q <= _v1(c) else c.reg[state.AMAX]
 
 
 @hot
 def _rate_brake(c, q):
-    return greatest(c.reg[D1] if c.reg[V1] and q <= _v1(c) else c.reg[DMAX], 1)
+    return greatest(c.reg[state.D1] if c.reg[state.V1] and q <= _v1(c) else c.reg[state.DMAX], 1)
 
 
 @hot
 def _toward(c, q):
     g, corner = _goal(c), _v1(c)
     if q < g:
-        top = least(g, corner) if c.reg[V1] and q < corner else g
+        top = least(g, corner) if c.reg[state.V1] and q < corner else g
         return least(q + _rate_up(c, q), top)
     if q > g:
-        floor = greatest(g, corner) if c.reg[V1] and q > corner else g
+        floor = greatest(g, corner) if c.reg[state.V1] and q > corner else g
         return greatest(q - _rate_down(c, q), floor)
     return q
 
@@ -121,7 +97,7 @@ def _toward(c, q):
 @hot
 def _brake_floor(c, q):
     corner, z = _v1(c), low(c)
-    return greatest(z, corner) if c.reg[V1] and q > corner else z
+    return greatest(z, corner) if c.reg[state.V1] and q > corner else z
 
 
 @hot
@@ -142,7 +118,7 @@ def need(c, q):
         return 0
     corner, w, least_w = _v1(c), (q >> 9) + 1, z >> 9
     most = 8 + 2 * (w >> 24)
-    fast, slow = greatest(c.reg[DMAX], 1), greatest(c.reg[D1], 1)
+    fast, slow = greatest(c.reg[state.DMAX], 1), greatest(c.reg[state.D1], 1)
     if corner and q > corner and corner > z:
         w1 = corner >> 9
         return most + _over(w * w - w1 * w1, fast << 16) + _over(w1 * w1 - least_w * least_w, slow << 16)
@@ -159,11 +135,11 @@ def _short(c, n, q):
 def starts(c):
     """From standstill the next clock moves."""
     s = wanted(c)
-    if s == 0 or c.reg[VMAX] == 0 or stopped(c, s) or stalled(c):
+    if s == 0 or c.reg[state.VMAX] == 0 or stopped(c, s) or stalled(c):
         return False
-    if c.reg[RAMPMODE] != POSITION:
-        return c.reg[AMAX] != 0
-    if least(c.reg[VSTART], c.reg[VMAX]) > 0:
+    if c.reg[state.RAMPMODE] != state.POSITION:
+        return c.reg[state.AMAX] != 0
+    if least(c.reg[state.VSTART], c.reg[state.VMAX]) > 0:
         return True
     return _rate_up(c, 0) != 0
 
@@ -176,20 +152,20 @@ def speed(c):
             halt(c)
         return False
     if c.dir != 0 and stopped(c, c.dir):
-        if not c.reg[SW_MODE] & SOFT_STOP or c.q <= low(c):
+        if not c.reg[state.SW_MODE] & state.SOFT_STOP or c.q <= low(c):
             halt(c)
             return False
         c.q = _brake(c, c.q)
         return True
-    mode, s = c.reg[RAMPMODE], wanted(c)
+    mode, s = c.reg[state.RAMPMODE], wanted(c)
     began = False
     if c.dir == 0:
-        if s == 0 or c.reg[VMAX] == 0 or stopped(c, s):
+        if s == 0 or c.reg[state.VMAX] == 0 or stopped(c, s):
             return False
         began = True
-    if mode == POSITION:
+    if mode == state.POSITION:
         return _positioning(c, s, began)
-    if mode in (PLUS, MINUS):
+    if mode in (state.PLUS, state.MINUS):
         return _running(c, s, began)
     return True
 
@@ -208,7 +184,7 @@ def _rest(c, began):
 def _running(c, s, began):
     if began:
         c.dir, c.ph, c.q = s, 0, 0
-    a, g = c.reg[AMAX], _goal(c)
+    a, g = c.reg[state.AMAX], _goal(c)
     if c.dir != s:
         c.q = greatest(c.q - a, 0)
     elif c.q < g:
@@ -223,13 +199,13 @@ def _positioning(c, s, began):
     n = abs(away(c))
     if began:
         c.dir = s
-        c.q = least(c.reg[VSTART], c.reg[VMAX]) << UNIT
+        c.q = least(c.reg[state.VSTART], c.reg[state.VMAX]) << state.UNIT
         if _short(c, n, c.q):
             c.q = least(c.q, low(c))
     if c.dir != s:
         if c.q <= low(c):
             if n > 0:
-                c.events |= SECOND_MOVE
+                c.events |= state.SECOND_MOVE
             halt(c)
             return False
         c.brk = 1
@@ -256,23 +232,23 @@ def _positioning(c, s, began):
 @hot
 def plan(c):
     """(test, delta, clocks) of a stretch in which the speed goes on evenly, of an axis that moves; see CANNOT."""
-    q, mode = c.q, c.reg[RAMPMODE]
+    q, mode = c.q, c.reg[state.RAMPMODE]
     if stalled(c):
         return CANNOT, 0, 0
     if stopped(c, c.dir):
-        if not c.reg[SW_MODE] & SOFT_STOP or q <= low(c):
+        if not c.reg[state.SW_MODE] & state.SOFT_STOP or q <= low(c):
             return CANNOT, 0, 0
         return _braking(c, q)
     s = wanted(c)
-    if mode == POSITION:
+    if mode == state.POSITION:
         if c.dir != s:
             return (CANNOT, 0, 0) if q <= low(c) or not c.brk else _braking(c, q)
         return _braking(c, q) if c.brk else _driving(c, q)
-    if mode != PLUS and mode != MINUS:
-        return CALM, 0, NEVER
-    a, g = c.reg[AMAX], _goal(c)
+    if mode != state.PLUS and mode != state.MINUS:
+        return CALM, 0, state.NEVER
+    a, g = c.reg[state.AMAX], _goal(c)
     if a == 0 or (c.dir == s and q == g):
-        return CALM, 0, NEVER
+        return CALM, 0, state.NEVER
     if c.dir != s or (q > g and g == 0):
         return CALM, -a, (q - 1) // a
     return (CALM, a, (g - q) // a) if q < g else (CALM, -a, (q - g) // a)
@@ -281,7 +257,7 @@ def plan(c):
 @hot
 def _braking(c, q):
     if q <= low(c):
-        return CALM, 0, NEVER
+        return CALM, 0, state.NEVER
     rate = _rate_brake(c, q)
     return CALM, -rate, (q - _brake_floor(c, q)) // rate
 
@@ -293,17 +269,17 @@ def _driving(c, q):
     if q < g:
         rate = _rate_up(c, q)
         if rate == 0 or _short(c, abs(away(c)), _toward(c, q)):
-            return FALLING, 0, NEVER
+            return FALLING, 0, state.NEVER
         top = least(g, corner) if corner and q < corner else g
         return FALLING, rate, (top - q) // rate
     if q > g:
         rate = _rate_down(c, q)
         if rate == 0:
-            return FALLING, 0, NEVER
+            return FALLING, 0, state.NEVER
         floor = greatest(g, corner) if corner and q > corner else g
         clocks = (q - greatest(floor, 1)) // rate
         return (CALM if rate >= _rate_brake(c, q) else SLOWING), -rate, clocks
-    return FALLING, 0, NEVER
+    return FALLING, 0, state.NEVER
 
 
 @hot

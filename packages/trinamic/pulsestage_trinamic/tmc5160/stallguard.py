@@ -2,17 +2,7 @@
 
 from __future__ import annotations
 
-from pulsestage_trinamic.tmc5160 import power, sequencer, speeds
-from pulsestage_trinamic.tmc5160.state import (
-    COOL,
-    COOLCONF,
-    EVENT_SG,
-    HIGH,
-    RUNS,
-    SFILT,
-    SG_STOP,
-    SW_MODE,
-)
+from pulsestage_trinamic.tmc5160 import power, sequencer, speeds, state
 from stage.native import hot, least
 
 PER_SGT, FULL_EMF, UNLOADED = 8, 1024, 1023  # of the model of StallGuard
@@ -33,7 +23,7 @@ def blind(c):
 
 @hot
 def cools(c):
-    return c.reg[COOLCONF] & 15 and c.speeds & COOL and not c.speeds & HIGH and not speeds.stealth(c)
+    return c.reg[state.COOLCONF] & 15 and c.speeds & state.COOL and not c.speeds & state.HIGH and not speeds.stealth(c)
 
 
 @hot
@@ -44,7 +34,7 @@ def settle(c):
     cooling = 1 if cools(c) else 0
     if c.cooling and not cooling:
         c.count = 0
-        if c.current == RUNS:
+        if c.current == state.RUNS:
             c.cs = power.irun(c)
     c.cooling = cooling
 
@@ -62,11 +52,11 @@ def step(c):
 @hot
 def _measure(c):
     c.full += 1
-    sgt = c.reg[COOLCONF] >> 16 & 127
+    sgt = c.reg[state.COOLCONF] >> 16 & 127
     raw = (UNLOADED * c.emf * (FULL_EMF - c.lam)) >> 20
     value = raw + PER_SGT * (sgt - 128 if sgt > 63 else sgt)
     value = 0 if value < 0 else least(value, 1023)
-    if c.reg[COOLCONF] & SFILT:
+    if c.reg[state.COOLCONF] & state.SFILT:
         c.total += value
         c.summed += 1
         if c.summed < 4:
@@ -77,15 +67,15 @@ def _measure(c):
     c.stall = 1 if value == 0 else 0
     if c.cooling:
         _cool(c)
-    if c.stall and c.reg[SW_MODE] & SG_STOP and speeds.window(c):
-        c.events |= EVENT_SG
+    if c.stall and c.reg[state.SW_MODE] & state.SG_STOP and speeds.window(c):
+        c.events |= state.EVENT_SG
         return True
     return False
 
 
 @hot
 def _cool(c):
-    r = c.reg[COOLCONF]
+    r = c.reg[state.COOLCONF]
     low, top = 32 * (r & 15), 32 * ((r & 15) + (r >> 8 & 15) + 1)
     if c.sg < low:
         c.cs = least(power.irun(c), c.cs + (1 << (r >> 5 & 3)))

@@ -4,32 +4,21 @@ from __future__ import annotations
 
 from typing import Any
 
-from pulsestage_trinamic.tmc5160.maps import (
-    M32,
-    MAP,
-    MOTION,
-    READ,
-    REGISTERS,
-    SPI_BYTE,
-    SPI_CS,
-    SPI_DATAGRAM,
-    SPI_STATE,
-    WRITTEN,
-)
+from pulsestage_trinamic.tmc5160 import maps
 from stage.chips import describe
 from stage.chips.describe import Fields, Said, line
 
-_FIELDS = {r.number: Fields(r) for r in MAP.registers if r.fields}
-CLEARED = [MAP.register(name).number for name in ("GSTAT", "RAMP_STAT", "ENC_STATUS")]
-_STATUS = Fields(MAP.word("SPI_STATUS"))
+_FIELDS = {r.number: Fields(r) for r in maps.MAP.registers if r.fields}
+CLEARED = [maps.MAP.register(name).number for name in ("GSTAT", "RAMP_STAT", "ENC_STATUS")]
+_STATUS = Fields(maps.MAP.word("SPI_STATUS"))
 
 
 def register(address: int, value: int, writes: bool) -> str:
     """A register with a value."""
-    r = (WRITTEN if writes else READ).get(address)
+    r = (maps.WRITTEN if writes else maps.READ).get(address)
     arrow = "<-" if writes else "="
     if r is None:
-        other = (READ if writes else WRITTEN).get(address)
+        other = (maps.READ if writes else maps.WRITTEN).get(address)
         if other is None:
             return f"no register at {address:02X}h: {'nothing changes' if writes else 'reads 0'}"
         return f"{other.name} can only be {'read' if writes else 'written'}"
@@ -45,8 +34,8 @@ def datagram(word: int) -> str:
     """What a datagram of 40 bits asks for."""
     address = word >> 32 & 0x7F
     if word >> 39 & 1:
-        return line(f"SPI: {register(address, word & M32, True)}")
-    r = READ.get(address)
+        return line(f"SPI: {register(address, word & maps.M32, True)}")
+    r = maps.READ.get(address)
     return f"SPI: read {r.name if r else f'{address:02X}h, which reads 0'}"
 
 
@@ -57,24 +46,28 @@ class Decoder(describe.Decoder):
         self._sent: list[int] | None = None
 
     def wrote(self, clock: int, address: int, value: int) -> list[Said]:
-        if address == SPI_CS:
+        if address == maps.SPI_CS:
             sent, self._sent = self._sent, None if value & 1 else []
             if not value & 1 or not sent:
                 return []
             word = int.from_bytes(bytes(sent[-5:]), "big")
             short = "" if len(sent) >= 5 else f"a datagram of {8 * len(sent)} bits: nothing happens"
             return [self._said(clock, bytes(sent).hex().upper(), word, short)]
-        if address == SPI_BYTE:
+        if address == maps.SPI_BYTE:
             if self._sent is not None:
                 self._sent.append(value & 0xFF)
             return []
-        if address == SPI_DATAGRAM:
+        if address == maps.SPI_DATAGRAM:
             return [self._said(clock, f"{value:010X}", value)]
-        return [self._said(clock, f"{address:02X} {value & M32:08X}", 1 << 39 | address << 32 | value & M32, "", "")]
+        return [
+            self._said(
+                clock, f"{address:02X} {value & maps.M32:08X}", 1 << 39 | address << 32 | value & maps.M32, "", ""
+            )
+        ]
 
     def _said(self, clock: int, code: str, word: int, short: str = "", head: str = "SPI: ") -> Said:
         text = short or datagram(word)
-        r = WRITTEN.get(word >> 32 & 0x7F) if word >> 39 & 1 and not short else None
+        r = maps.WRITTEN.get(word >> 32 & 0x7F) if word >> 39 & 1 and not short else None
         known = (r.name, r.value(word)) if r else ("", 0)
         return Said(clock, "register" if r else "command", code, text if head else text.removeprefix("SPI: "), *known)
 
@@ -87,13 +80,13 @@ class Decoder(describe.Decoder):
 
 def write(address: int, value: int) -> str:
     """A write cycle by itself."""
-    if address < REGISTERS:
-        return register(address, value & M32, True)
-    if address == SPI_CS:
+    if address < maps.REGISTERS:
+        return register(address, value & maps.M32, True)
+    if address == maps.SPI_CS:
         return "CSN high: the end of a datagram" if value & 1 else "CSN low: a datagram begins"
-    if address == SPI_BYTE:
+    if address == maps.SPI_BYTE:
         return f"SDI {value & 0xFF:02X}h"
-    return datagram(value) if address == SPI_DATAGRAM else f"nothing can be written at {address:02X}h"
+    return datagram(value) if address == maps.SPI_DATAGRAM else f"nothing can be written at {address:02X}h"
 
 
 class Listener:
@@ -106,28 +99,32 @@ class Listener:
 
     def write(self, address: int, value: int) -> str:
         """One write cycle."""
-        if address == SPI_CS:
+        if address == maps.SPI_CS:
             ends = self._low and value & 1
             self._low = not value & 1
             if ends:
                 said = datagram(self._word) if self._bits >= 40 else f"{self._bits} bits: nothing happens"
                 return line(f"CSN high: {said}")
             self._bits = 0 if self._low else self._bits
-        elif address == SPI_BYTE and self._low:
+        elif address == maps.SPI_BYTE and self._low:
             self._bits += 8
             self._word = (self._word << 8 | value & 0xFF) & ((1 << 40) - 1)
         return write(address, value)
 
     def read(self, address: int, value: int) -> str:
         """One read cycle, which returned `value`."""
-        if address < REGISTERS:
+        if address < maps.REGISTERS:
             return register(address, value, False)
-        if address == SPI_CS:
+        if address == maps.SPI_CS:
             return f"CSN is {'high' if value else 'low'}"
-        if address == SPI_BYTE:
+        if address == maps.SPI_BYTE:
             return f"SDO {value:02X}h"
-        if address == SPI_DATAGRAM:
-            return _STATUS.tell("SPI_STATUS", value >> 32 & 0xFF, f"; data {value & M32:08X}h")
-        if address == SPI_STATE:
+        if address == maps.SPI_DATAGRAM:
+            return _STATUS.tell("SPI_STATUS", value >> 32 & 0xFF, f"; data {value & maps.M32:08X}h")
+        if address == maps.SPI_STATE:
             return _STATUS.tell("SPI_STATUS", value & 0xFF)
-        return f"a drive is {'' if value else 'not '}in progress" if address == MOTION else f"nothing at {address:02X}h"
+        return (
+            f"a drive is {'' if value else 'not '}in progress"
+            if address == maps.MOTION
+            else f"nothing at {address:02X}h"
+        )
