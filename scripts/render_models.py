@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from stage.cli.model_picture import draw
+from stage.cli.view import draw_model
 from stage.sim import plant
 
 parser = argparse.ArgumentParser(description=__doc__)
@@ -14,5 +14,5 @@ args = parser.parse_args()
 
 for name in plant.names():
     path = args.out / f"model_{name}{'' if args.camera == 'overview' else '_' + args.camera}.png"
-    draw(plant.open_spec(name).compile(), str(path), args.camera, True, args.key)
+    draw_model(plant.open_spec(name).compile(), str(path), args.camera, True, args.key)
     print(path)

@@ -8,7 +8,7 @@ from support.odd_names import odd_model
 from stage import ArgumentError
 from stage.cli import main
 from stage.cli.export import split_columns
-from stage.cli.setup import chips_of, syni_of, wiring_of
+from stage.cli.setup import parse_chips, parse_syni, parse_wiring
 
 NAMES = ("a=b", "a,b", "a.b", "x")
 
@@ -33,9 +33,12 @@ def test_an_axis_of_any_name_takes_a_chip(model, name, capsys):
 
 
 def test_chips_followers_and_wires_split_at_their_last_sign():
-    assert chips_of("a,b=pcl240k, c=d = mcx304,x=mcx514") == {"a,b": "pcl240k", "c=d": "mcx304", "x": "mcx514"}
-    assert syni_of(["a,b=x,c=d=x", "y=x"]) == {"a,b": "x", "c=d": "x", "y": "x"}
-    assert wiring_of(["a.b.org=positive", "c=d.ez=negative"]) == {"a.b": {"org": "positive"}, "c=d": {"ez": "negative"}}
+    assert parse_chips("a,b=pcl240k, c=d = mcx304,x=mcx514") == {"a,b": "pcl240k", "c=d": "mcx304", "x": "mcx514"}
+    assert parse_syni(["a,b=x,c=d=x", "y=x"]) == {"a,b": "x", "c=d": "x", "y": "x"}
+    assert parse_wiring(["a.b.org=positive", "c=d.ez=negative"]) == {
+        "a.b": {"org": "positive"},
+        "c=d": {"ez": "negative"},
+    }
 
 
 @pytest.mark.parametrize(
@@ -43,9 +46,9 @@ def test_chips_followers_and_wires_split_at_their_last_sign():
 )
 def test_half_a_pair_is_refused(text):
     with pytest.raises(ArgumentError, match="AXIS=CHIP"):
-        chips_of(text)
+        parse_chips(text)
     with pytest.raises(ArgumentError, match="FOLLOWER=LEADER"):
-        syni_of([text])
+        parse_syni([text])
 
 
 def test_a_column_may_have_commas_in_its_name():

@@ -8,7 +8,7 @@ from support.extras import needs_rerun
 from support.pages import agree
 
 from stage.chips.entries import WRITE
-from stage.cli import erratum, erratum_plot, main
+from stage.cli import erratum, erratum_picture, main
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "erratum.md"
 
@@ -96,11 +96,11 @@ def test_mended_chips_end_on_target_either_way(here, once, capsys):
 
 @pytest.mark.parametrize("vcd", [(), pytest.param(("--vcd", "e.vcd"), marks=pytest.mark.slow)], ids=["", "vcd"])
 def test_it_draws_itself_and_records_both_runs(here, capsys, monkeypatch, vcd):
-    monkeypatch.setattr(erratum, "LOOK", 1.0)
+    monkeypatch.setattr(erratum, "OBSERVATION_S", 1.0)
     drawn = []
-    draw = erratum_plot.draw
+    draw = erratum_picture.draw
     monkeypatch.setattr(
-        erratum_plot, "draw", lambda shown, *where: drawn.append((shown, draw(shown, *where))) or drawn[0][1]
+        erratum_picture, "draw", lambda shown, *where: drawn.append((shown, draw(shown, *where))) or drawn[0][1]
     )
     said = out(capsys, "--plot", "e.png", "--record", "e.rrd", *vcd).out
     assert (here / "e.png").read_bytes().startswith(b"\x89PNG")
@@ -131,7 +131,7 @@ def test_other_chips_are_refused_by_name(here, capsys, chip):
 
 def test_what_is_not_as_claimed_is_said_so(here, once, capsys, monkeypatch):
     """A work-around that does nothing."""
-    monkeypatch.setattr(erratum, "_guarded", erratum._bare)
+    monkeypatch.setattr(erratum, "_stop_by_speed", erratum._stop_by_26h)
     assert out(capsys, code=1).out.rstrip().endswith("NOT as claimed")
 
 

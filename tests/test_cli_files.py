@@ -8,6 +8,7 @@ import sys
 
 import pytest
 
+from stage import firmware
 from stage.cli import main
 
 
@@ -33,7 +34,7 @@ def here(tmp_path, monkeypatch):
 )
 def test_a_file_of_another_kind_is_refused_before_the_run(options, said, here, capsys, monkeypatch):
     """stage move x 100 --record x.mp4 wrote an .rrd named so"""
-    monkeypatch.setattr("stage.firmware.pcl240.moves.preset_move", None)
+    monkeypatch.setattr(firmware, "move", None)
     assert main(["move", "x", "100", *options.split()]) == 2
     assert capsys.readouterr().err.startswith(said)
     assert not list(here.iterdir())
@@ -116,7 +117,7 @@ def test_a_command_whose_standard_streams_are_closed_does_its_work(closed, tmp_p
 
 
 def test_files_do_not_get_the_numbers_of_closed_streams(tmp_path):
-    code = "from stage.cli.output import open_missing_streams as o; o(); print(open('a', 'w').fileno(), file=open('b', 'w'))"
+    code = "from stage.cli.terminal import open_missing_streams as o; o(); print(open('a', 'w').fileno(), file=open('b', 'w'))"
     command = f"exec {shlex.quote(sys.executable)} -c {shlex.quote(code)} <&- >&- 2>&-"
     subprocess.run(["sh", "-c", command], cwd=tmp_path, check=True, timeout=60)
     assert int((tmp_path / "b").read_text()) > 2

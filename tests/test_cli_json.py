@@ -10,7 +10,7 @@ import pytest
 from support.extras import needs_rerun
 
 from stage.cli import build_parser, main
-from stage.cli.facts import plain, warn
+from stage.cli.commands import to_json, warn
 from stage.cli.package_commands import KNOWN_PACKAGES
 
 SAID = {
@@ -125,7 +125,7 @@ def test_a_run_of_firmware_tells_axes_notes_and_mistakes(capsys, tmp_path):
         ),
         (
             "serve --json",
-            "stage serve: --json: `stage serve` serves, or prints what a program or a shell is to read",
+            "stage serve: --json: `stage serve` serves, or prints what a program or a shell reads",
             "usage",
         ),
     ],
@@ -171,4 +171,4 @@ def test_what_json_has_no_word_for_is_null_or_text(tmp_path):
     import numpy as np
 
     given = {1: np.float64(math.inf), "a": (np.int64(3), np.array([1.0, math.nan])), "p": Path("x"), "b": True}
-    assert plain(given) == {"1": None, "a": [3, [1.0, None]], "p": "x", "b": True}
+    assert to_json(given) == {"1": None, "a": [3, [1.0, None]], "p": "x", "b": True}

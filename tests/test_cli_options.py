@@ -15,12 +15,12 @@ from support.extras import needs_rerun
 
 from stage import ArgumentError, Stage, StageError, firmware
 from stage.chips.chip import Diagnostic
-from stage.cli import build_parser, demo, fault, files, main, moves, progress, setup
+from stage.cli import build_parser, demo, files, home, listing, main, move, setup, terminal
 from stage.cli.erratum import Shown
-from stage.cli.firmware import report as print_report
-from stage.cli.quantities import Quantity
-from stage.firmware.driver import driver_of, usual_speeds
-from stage.firmware.pcl240.driver import Pcl240Driver
+from stage.cli.fault import demonstrations
+from stage.cli.options import Quantity
+from stage.cli.run import print_report
+from stage.firmware.driver import Speeds, driver_of, usual_speeds
 from stage.recording import viewer
 from stage.support import opengl
 from stage.support.files import FileError
@@ -36,7 +36,8 @@ def bench(made, monkeypatch, tmp_path):
     """The commands get this stage; no file of a test lies about."""
     made.reset()
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(moves, "make_stage", lambda args: made)
+    for module in (home, move):
+        monkeypatch.setattr(module, "make_stage", lambda args: made)
     return made
 
 
@@ -98,79 +99,83 @@ def report(**more):
 
 
 def test_an_encoder_counts_a_metre_or_a_turn_of_the_motor():
-    made = setup._encoder("y=-200000")
+    made = setup.parse_encoder("y=-200000")
     assert (made.axis, made.per_metre, made.per_turn) == ("y", -200_000.0, None)
-    made = setup._encoder("x=2000/turn")
+    made = setup.parse_encoder("x=2000/turn")
     assert (made.axis, made.per_metre, made.per_turn) == ("x", None, 2000.0)
     for wrong in ("x=0", "=5", "x=", "x=2000/revolution", "x=inf", "x=many"):
         with pytest.raises(ArgumentError, match="write AXIS=COUNTS"):
-            setup._encoder(wrong)
+            setup.parse_encoder(wrong)
+
+
+def note_calls(monkeypatch, name, **values):
+    """Replace a procedure of stage.firmware; return the list of its calls, as positional and keyword arguments."""
+    calls = []
+
+    def procedure(*args, **kwargs):
+        calls.append((args, kwargs))
+        return report(**values)
+
+    monkeypatch.setattr(firmware, name, procedure)
+    return calls
 
 
 @pytest.mark.parametrize(
-    ("options", "axes", "expected"),
+    ("options", "axes", "direction", "index", "by"),
     [
-        ("", "xy", {}),
-        ("y", "y", {}),
-        ("y x --plus", "yx", {"direction": +1}),
-        ("x --constant", "x", {"high_speed": False}),
-        ("x --fast-only", "x", {"slow_approach": False}),
-        ("x --ez 3", "x", {"ez": 3}),
-        ("x --by switch", "x", {}),
-        ("x --by index --chips pcl240mk", "x", {"ez": 1}),
-        ("x --by index --ez 2 --chips pcl240mk", "x", {"ez": 2}),
+        ("", "xy", -1, 0, None),
+        ("y x --plus", "yx", 1, 0, None),
+        ("x --ez 3 --chips pcl240mk", "x", -1, 3, None),
+        ("x --by index --chips mcx514", "x", -1, 0, "index"),
+        ("x --ez 1 --chips mcx514", "x", -1, 1, None),
     ],
 )
-def test_home_searches_as_the_options_say(bench, monkeypatch, options, axes, expected):
-    asked = []
-
-    def origin_return(axis, direction, profile, **how):
-        asked.append((axis.name, {"direction": direction} | how))
-        return report()
-
-    monkeypatch.setattr("stage.firmware.pcl240.driver.origin_return", origin_return)
-    if "--chips" in options:
-        monkeypatch.setattr(moves, "make_stage", lambda args: setup.make_stage(args, visuals=False))
+def test_home_searches_as_the_options_say(monkeypatch, options, axes, direction, index, by):
+    calls = note_calls(monkeypatch, "home")
     assert main(["home", *options.split(), "--model", "xy"]) == 0
-    usual = {"direction": -1, "high_speed": True, "slow_approach": True, "ez": None, "timeout": 60.0}
-    assert asked == [(axis, usual | expected) for axis in axes]
+    assert [args[0].name for args, _ in calls] == list(axes)
+    for args, kwargs in calls:
+        assert (args[1], kwargs["index"], kwargs["by"]) == (direction, index, by)
 
 
 @pytest.mark.parametrize(
-    ("options", "expected"),
+    ("options", "fields"),
     [
-        ("", ("home", -1, False)),
-        ("--plus", ("home", 1, False)),
-        ("--ez 1", ("home", -1, True)),
-        ("--by switch", ("home_by", "switch", -1)),
-        ("--by index --plus", ("home_by", "index", 1)),
+        ("home x", {}),
+        ("home x --constant", {"constant": True}),
+        ("home x --fast-only", {"approach": 0.0}),
+        ("move x 100 --s-curve", {"s_curve": True}),
+        ("move x 100 --s-curve 0.3", {"s_curve": 0.3}),
+        ("move x 100 --automatic", {"automatic": True}),
+        ("move x 100 --no-automatic", {"automatic": False}),
+        ("move x 100 --fl 700 --fh1 9000 --fh2 15kpps --accel 200ms --decel 0.4", {
+            "start": 700, "drive": 9000, "second": 15_000, "up": 0.2, "down": 0.4}),
+        ("move x 100 --accel 0.4", {"up": 0.4, "down": 0.4}),
+        ("move x 100 --decel 0.2", {"down": 0.2}),
+        ("move x 100 --fh1 500", {"start": 500, "drive": 500, "second": 1000}),
+        ("move x 100 --fh2 500", {"start": 500, "second": 500}),
+        ("move x 100 --chips mcx304 --model xy --fh1 4000", {"drive": 4000, "second": None}),
+        ("sync x=5 y=4 --rate 9000 --fl 500 --accel 0.3", {
+            "start": 500, "drive": 9000, "up": 0.3, "down": 0.3, "second": None}),
+        ("sync x=5 y=4 --s-curve 0.2 --no-automatic", {"s_curve": 0.2, "automatic": False, "second": None}),
     ],
-)
-def test_home_of_other_chips_goes_by_what_was_said(monkeypatch, options, expected):
-    stage, told = Stage("xy", chips="mcx514", visuals=False), []
-    report = SimpleNamespace(stopped_by="ORG", lost_steps=0, plot=None, json=lambda: {})
-    driver = driver_of(stage.axes["x"])
-    driver.home = lambda direction, speeds, index: told.append(("home", direction, index)) or report
-    driver.home_by = lambda by, direction, speeds: told.append(("home_by", by, direction)) or report
-    driver.check_homing = lambda *of: None
-    monkeypatch.setattr(moves, "make_stage", lambda args: stage)
-    monkeypatch.setattr("stage.firmware.driver.driver_of", lambda axis: driver)
-    assert main(["home", "x", *options.split()]) == 0
-    assert told == [expected]
+)  # fmt: skip
+def test_speeds_are_as_the_options_say_and_else_the_usual_ones(bench, monkeypatch, options, fields):
+    """stage move x 100 --accel 0.4: both ramps; --fh1 500: also the rate at the start; FH2 is twice FH1"""
+    if "--chips" in options:
+        monkeypatch.setattr(move, "make_stage", setup.make_stage)
+    monkeypatch.setattr("stage.firmware.pcl240.driver.Pcl240Driver.describe_speeds", lambda *_: "")
+    calls = note_calls(monkeypatch, {"sync": "line"}.get(command := options.split()[0], command))
+    assert main(options.split()) == 0
+    ((args, kwargs),) = calls
+    usual = usual_speeds(bench.axes["x"].chip)._replace(second=2 * usual_speeds(bench.axes["x"].chip).drive)
+    assert kwargs["speed"] == usual._replace(**fields)
+    assert args[0] == {"x": 5, "y": 4} if command == "sync" else args[0].name == "x"
 
 
-@pytest.mark.parametrize("options", ["", "--s-curve"])
-def test_a_line_of_other_chips_is_curved_where_asked(monkeypatch, options):
-    stage, told = Stage("xy", chips="mcx514", visuals=False), []
-    report = SimpleNamespace(ok=True, plan=None, plot=None, json=lambda: {})
-    driver = driver_of(stage.axes["x"])
-    driver.line = lambda drivers, distances, wanted: told.append((distances, wanted)) or report
-    monkeypatch.setattr(moves, "make_stage", lambda args: stage)
-    monkeypatch.setattr("stage.firmware.driver.driver_of", lambda axis: driver)
-    assert main(["sync", "x=400", "y=-1mm", "--rate", "5000", "--accel", "0.2", *options.split()]) == 0
-    ((distances, wanted),) = told
-    assert distances == {"x": 400, "y": -320}
-    assert (wanted.drive, wanted.up, wanted.down, wanted.s_curve) == (5000, 0.2, 0.2, bool(options))
+def test_home_of_other_chips_goes_by_what_they_have(monkeypatch, capsys):
+    assert main(["home", "x", "--by", "index", "--ez", "2", "--model", "xy", "--chips", "mcx514"]) == 2
+    assert "--ez 2: an MCX514 ends at ORG, or at index pulse 1 after it." in capsys.readouterr().err
 
 
 def test_a_plot_alone_has_as_many_samples_as_it_needs(bench, monkeypatch):
@@ -186,7 +191,7 @@ def test_a_plot_alone_has_as_many_samples_as_it_needs(bench, monkeypatch):
     }
     for plot, every in (("a.png", 2.5e-4), (None, None)):
         args = argparse.Namespace(**usual | {"plot": plot, "port": 1, "default_record": None})
-        with files.kept(args, bench, every=2.5e-4) as recording:
+        with files.record_for_plot(args, bench, 2.5e-4) as recording:
             assert (recording is None) == (every is None)
             assert recording is None or recording.every == pytest.approx(every)
 
@@ -194,32 +199,18 @@ def test_a_plot_alone_has_as_many_samples_as_it_needs(bench, monkeypatch):
 def test_home_draws_the_first_axis(bench, monkeypatch):
     drawn = []
     monkeypatch.setattr(
-        "stage.firmware.pcl240.driver.origin_return",
-        lambda axis, *_, **__: report(plot=lambda path, overwrite: drawn.append(axis.name)),
+        firmware, "home", lambda axis, *_, **__: report(plot=lambda path, overwrite: drawn.append(axis.name))
     )
     assert main(["home", "y", "x", "--plot", "a.png"]) == 0
     assert drawn == ["y"]
 
 
-def typed(**more):
-    return argparse.Namespace(**dict.fromkeys(("fl", "fh1", "accel", "decel")) | more)
-
-
-def test_speeds_that_are_typed_are_completed_by_the_usual_ones(bench):
-    """--accel alone is both ramps; a rate below the usual start speed is the start speed, too"""
-    x = bench.axes["x"]
-    usual = setup.speeds(typed(), x)
-    assert usual == usual_speeds(x.chip)._replace(second=2 * usual.drive), "FH2 is twice FH1"
-    assert setup.speeds(typed(accel=0.4), x) == usual._replace(up=0.4, down=0.4)
-    assert setup.speeds(typed(accel=0.4, decel=0.2), x) == usual._replace(up=0.4, down=0.2)
-    assert setup.speeds(typed(decel=0.2), x) == usual._replace(down=0.2)
-    slow = usual.start / 2
-    assert setup.speeds(typed(fh1=slow), x) == usual._replace(start=slow, drive=slow, second=2 * slow)
-    assert setup.speeds(typed(fh1=slow, fl=2 * slow), x) == usual._replace(start=2 * slow, drive=slow, second=2 * slow)
-    for name in ("fl", "fh1", "accel", "decel"):
-        for value in (0.0, -1.0, math.inf, math.nan):
-            with pytest.raises(ArgumentError, match=f"--{name} {value:g}: more than 0"):
-                setup.speeds(typed(**{name: value}), x)
+@pytest.mark.parametrize("option", ["--fl", "--fh1", "--fh2", "--accel", "--decel"])
+@pytest.mark.parametrize("value", ["0", "-1", "inf", "nan"])
+def test_speeds_and_ramps_are_greater_than_nothing_and_finite(option, value, capsys):
+    with pytest.raises(SystemExit):
+        main(["move", "x", "100", option, value])
+    assert f"argument {option}: {value} must be greater than 0, and finite." in capsys.readouterr().err
 
 
 def test_distances_are_typed_in_units_of_the_axis(bench):
@@ -229,31 +220,33 @@ def test_distances_are_typed_in_units_of_the_axis(bench):
     )
     per_mm = 1e-3 / x.meters_per_pulse
     for text, mm in (("10mm", 10), ("-1cm", -10), ("0.02m", 20), ("500um", 0.5), ("50000nm", 0.05)):
-        assert setup.distance(x, text) == round(mm * per_mm), text
-    assert (setup.distance(x, "0x10"), setup.distance(x, " -7 ")) == (16, -7)
+        assert setup.parse_distance(x, text) == round(mm * per_mm), text
+    assert (setup.parse_distance(x, "0x10"), setup.parse_distance(x, " -7 ")) == (16, -7)
     for text, degrees in (("10deg", 10), ("-0.5deg", -0.5), ("1rad", math.degrees(1)), ("20mrad", math.degrees(0.02)),
                           ("300urad", math.degrees(3e-4))):  # fmt: skip
-        assert setup.distance(hinge, text) == round(degrees * 1e6), text
+        assert setup.parse_distance(hinge, text) == round(degrees * 1e6), text
     for axis, wrong in ((x, "1deg"), (hinge, "1mm"), (x, "1.5"), (x, "mm")):
-        with pytest.raises(ArgumentError, match="goes a whole number of pulses, or a distance in"):
-            setup.distance(axis, wrong)
+        with pytest.raises(
+            ArgumentError, match=r"give a whole number of pulses for axis ., such as 8000, or a distance in"
+        ):
+            setup.parse_distance(axis, wrong)
 
 
 def test_two_outputs_may_share_a_device_and_no_file(tmp_path):
     kinds = ("record", "vcd", "picture", "plot", "trace")
     given = argparse.Namespace(**dict.fromkeys(kinds), force=False, web=False)
     given.vcd = given.trace = "/dev/null"
-    files.outputs(given)
+    files.check_outputs(given)
     given.vcd, given.trace = str(tmp_path / "a"), str(tmp_path / "b" / ".." / "a")
     (tmp_path / "b").mkdir()
     with pytest.raises(FileError, match="--vcd and --trace both write"):
-        files.outputs(given)
+        files.check_outputs(given)
 
 
 def test_a_usual_name_is_the_next_that_is_free_and_with_force_always_itself(bench, monkeypatch):
     for name in ("stage.rrd", "stage-2.rrd"):
         open(name, "w").close()
-    assert [files._free("stage.rrd", force) for force in (False, True)] == ["stage-3.rrd", "stage.rrd"]
+    assert [files.find_free_name("stage.rrd", force) for force in (False, True)] == ["stage-3.rrd", "stage.rrd"]
     saved = []
     recording = SimpleNamespace(
         save=lambda path, overwrite: (open(path, "w").close(), saved.append(path)), duration=0.0
@@ -270,7 +263,7 @@ def test_a_usual_name_is_the_next_that_is_free_and_with_force_always_itself(benc
     args = argparse.Namespace(
         record=None, vcd=None, picture=None, plot=None, trace=None, view=True, web=False, force=False, wrote=[]
     )
-    with files.recorded(args, bench):
+    with files.record_to_files(args, bench):
         pass
     assert saved == ["stage-4.rrd", "view stage-4.rrd"]
 
@@ -278,12 +271,8 @@ def test_a_usual_name_is_the_next_that_is_free_and_with_force_always_itself(benc
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
-        (["move", "x", "1", "--chips", "x=pcl240k,x=mcx304"], "axis x is given two chips"),
-        (["run", "a.c", "--place", "x=1", "--place", "x=2", "--model", "xy"], "axis x has got a place already"),
-        (
-            ["home", "x", "--chips", "mcx304", "--model", "xy", "--ez", "0"],
-            "--ez 0: an MCX304 ends at the first index pulse",
-        ),
+        (["move", "x", "1", "--chips", "x=pcl240k,x=mcx304"], "axis x already has pcl240k"),
+        (["run", "a.c", "--place", "x=1", "--place", "x=2", "--model", "xy"], "axis x already has a place"),
     ],
 )
 def test_what_is_typed_twice_or_is_nothing_is_refused(capsys, typed, said):
@@ -307,10 +296,10 @@ def test_a_report_of_mistakes_has_the_first_of_each_kind_and_strays_by_their_tim
 
 
 def test_a_run_gives_the_signal_that_ends_it_back(bench):
-    from stage.cli.firmware import _told_of_the_end
+    from stage.cli.run import _raise_at_sigterm
 
     before = signal.getsignal(signal.SIGTERM)
-    with _told_of_the_end(SimpleNamespace(), threading.Event()):
+    with _raise_at_sigterm(SimpleNamespace(), threading.Event()):
         assert signal.getsignal(signal.SIGTERM) is not before
     assert signal.getsignal(signal.SIGTERM) is before
 
@@ -330,76 +319,19 @@ def test_home_ends_with_1_if_one_axis_is_not_at_home(bench, monkeypatch, ends, c
     assert main(["home"]) == code
 
 
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ([], {}),
-        (["--constant"], {"constant": True}),
-        (["--s-curve"], {"s_curve": True}),
-        (["--s-curve", "0.3"], {"s_curve": 0.3}),
-        (["--automatic"], {"automatic": True}),
-        (["--no-automatic"], {"automatic": False}),
-    ],
-)
-def test_move_ramps_as_the_options_say(bench, monkeypatch, options, expected):
-    asked = []
+def test_a_dual_rate_move_prints_the_speeds_that_the_registers_reach(bench, monkeypatch, capsys):
+    calls = []
 
-    def move(driver, pulses, speeds, **how):
-        asked.append((driver.axis.name, pulses, how | {"s_curve": speeds.s_curve}))
-        return report()
-
-    monkeypatch.setattr(Pcl240Driver, "move", move)
-    monkeypatch.setattr(Pcl240Driver, "describe_speeds", lambda driver, speeds: "")
-    assert main(["move", "y", "-250", *options]) == 0
-    ((axis, pulses, how),) = asked
-    assert (axis, pulses) == ("y", -250)
-    assert {"constant": False, "automatic": None, "s_curve": False} | how == {
-        "constant": False, "automatic": None, "s_curve": False,
-    } | expected  # fmt: skip
-
-
-def test_speeds_and_places_are_in_pps_s_and_mm(bench, monkeypatch, capsys):
-    asked = []
-
-    def dual_rate_move(axis, pulses, profile, *, rates, dwell):
-        assert (list(rates), dwell) == (["FH1", "FH2", "FH1"], 0.1)
-        asked.append((axis.name, pulses, profile, bench.axes["y"].position))
+    def two_rates(axis, *, pulses, speed, dwell, rates):
+        calls.append((axis.name, pulses, speed, dwell, rates, axis.position))
         return report(ok=False)
 
-    monkeypatch.setattr("stage.firmware.pcl240.driver.dual_rate_move", dual_rate_move)
-    speeds = {"fl": 700, "fh1": 9000, "fh2": 15_000, "accel": 0.2, "decel": 0.4}
-    options = [word for name, value in speeds.items() for word in (f"--{name}", str(value))]
-    assert main(["dual-rate", "y", "3000", *options, "--from", "-12.5"]) == 1, "it did not go as asked"
-    profile = firmware.Profile.of(**speeds)
-    assert asked == [("y", 3000, profile, pytest.approx(-0.0125))]
-    assert str(profile) in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ("", {}),
-        ("--rate 9000 --fl 500 --accel 0.3", {"rate": 9000, "fl": 500, "accel": 0.3, "decel": 0.3}),
-        ("--s-curve 0.2 --no-automatic", {"s_curve": 0.2, "automatic": False}),
-    ],
-)
-def test_sync_gives_what_was_given(bench, monkeypatch, options, expected):
-    asked = []
-    monkeypatch.setattr(
-        "stage.firmware.pcl240.driver.synchronized_move",
-        lambda d, axes, **how: asked.append((d, how)) or report(ok=not expected, plan=None),
-    )
-    assert main(["sync", "y=-30", "x=40", *options.split()]) == (1 if expected else 0)
-    usual = {
-        "rate": 16_000,
-        "fl": 1000,
-        "accel": 0.15,
-        "decel": 0.15,
-        "s_curve": False,
-        "automatic": None,
-        "timeout": None,
-    }
-    assert asked == [({"y": -30, "x": 40}, usual | expected)]
+    monkeypatch.setattr("stage.firmware.procedures.two_rates", two_rates)
+    speeds = Speeds(700, 9000, 0.2, 0.4, second=15_000)
+    options = "--fl 700 --fh1 9000 --fh2 15000 --accel 0.2 --decel 0.4 --from -12.5"
+    assert main(["dual-rate", "y", "3000", *options.split()]) == 1, "it did not go as asked"
+    assert calls == [("y", 3000, speeds, 0.1, ["FH1", "FH2", "FH1"], pytest.approx(-0.0125))]
+    assert str(driver_of(bench.axes["y"]).profile(speeds)) in capsys.readouterr().out
 
 
 def test_the_board_of_run_lies_where_the_options_say(monkeypatch):
@@ -422,7 +354,7 @@ def test_a_firmware_that_loses_steps_ends_with_1(monkeypatch, lost, code):
     host = SimpleNamespace(path=SimpleNamespace(name="a"), run=lambda timeout: asked.append(timeout) or done)
     stage = SimpleNamespace(axes={"x": SimpleNamespace(lost_steps=lost)})
     monkeypatch.setattr("stage.cli.setup.make_stage", lambda args: stage)
-    monkeypatch.setattr("stage.cli.firmware.report", lambda *_: None)
+    monkeypatch.setattr("stage.cli.run.print_report", lambda *_: None)
     monkeypatch.setattr("stage.board.Board", lambda *_, **__: SimpleNamespace(log=[], stage=stage))
     monkeypatch.setattr("stage.board.NativeHost", lambda *_, **__: host)
     assert main(["run", "a.c", "--timeout", "1.5"]) == code
@@ -443,7 +375,7 @@ def test_what_ends_a_command_is_its_exit_code(monkeypatch, capsys, raised, code,
     def end(args):
         raise raised
 
-    monkeypatch.setattr("stage.cli.tools.registers", end)
+    monkeypatch.setattr(listing, "list_registers", end)
     assert main(["registers", "pcl240k"]) == code
     assert capsys.readouterr().err == says
 
@@ -471,7 +403,7 @@ def test_a_recording_is_opened_where_asked(bench, monkeypatch, options, expected
     monkeypatch.setattr(viewer, "open_viewer", lambda *given: opened.append(("viewer", *given)))
     monkeypatch.setattr(viewer, "check_screen", lambda what: opened.append("screen"))
     monkeypatch.setattr(viewer, "serve_web", lambda *given: opened.append(("web", *given)))
-    monkeypatch.setattr("stage.firmware.pcl240.moves.preset_move", lambda axis, *_, **__: axis.wait(1e-3) or report())
+    monkeypatch.setattr(firmware, "move", lambda axis, *_, **__: axis.wait(1e-3) or report())
     assert main(["move", "x", "10", *options.split()]) == 0
     screen = ["screen"] if expected and expected[0] == "viewer" else []
     assert opened == screen + ([expected] if expected else [])
@@ -491,73 +423,68 @@ def test_the_demo_opens_the_viewer_where_there_is_a_screen(bench, monkeypatch, o
 
     monkeypatch.setattr("stage.support.opengl.has_screen", lambda: screen)
     monkeypatch.setattr("stage.cli.demo.make_stage", lambda args: bench)
-    monkeypatch.setattr("stage.cli.demo.recorded", recorded)
+    monkeypatch.setattr("stage.cli.demo.record_to_files", recorded)
     assert main(["demo", *options.split()]) == 2
     assert seen == [(viewed, [0.062, -0.031])], "where the carriages happen to stand"
 
 
-@pytest.mark.parametrize(("ends", "code"), [("yes yes", 0), ("yes NO", 1), ("NO yes", 1)])
-def test_a_demo_of_which_one_move_fails_ends_with_1(bench, monkeypatch, capsys, ends, code):
-    def story(stage, rows):
-        rows += [("x", "move", "+1", "+1", "0.1", "1", "0 mm", "0", "R0 = 0", end) for end in ends.split()]
+def made_report(axis, procedure="move", asked=5, **fields):
+    values = {
+        "axis": axis, "procedure": procedure, "asked": asked, "pulses": 5, "duration": 0.1, "peak_rate": 1e3, "position": 1e-3,
+        "unit": "m", "lost_steps": 0, "ok": True, "stopped_by": "ORG" if asked is None else "R0 = 0",
+    }  # fmt: skip
+    return SimpleNamespace(**values | fields)
 
+
+@pytest.mark.parametrize(("ends", "code"), [((True, True), 0), ((True, False), 1), ((False, True), 1)])
+def test_a_demo_of_which_one_move_fails_ends_with_1(bench, monkeypatch, capsys, ends, code):
     monkeypatch.setattr("stage.cli.demo.make_stage", lambda args: bench)
-    monkeypatch.setattr("stage.cli.demo.recorded", lambda args, stage: contextlib.nullcontext())
-    monkeypatch.setattr("stage.cli.demo.story", story)
+    monkeypatch.setattr("stage.cli.demo.record_to_files", lambda args, stage: contextlib.nullcontext())
+    monkeypatch.setattr("stage.cli.demo.make_moves", lambda stage: [made_report("x", ok=end) for end in ends])
     assert main(["demo", "--no-view"]) == code
 
 
-class Made:
-    """What drivers answer: a move of one axis or a line, with the end that is asked for."""
-
-    stopped_by, ok, lost_steps = "ORG", True, 0
-
-    def __init__(self, axis):
-        self.axis, self.name = axis, axis.name
-
-    def report(self, procedure, asked):
-        return argparse.Namespace(
-            axis=self.name, procedure=procedure, asked=asked, pulses=asked or -5, duration=0.1, peak_rate=1e3, position=1e-3,
-            unit=self.axis.unit, lost_steps=0, ok=self.ok, stopped_by=self.stopped_by if asked is None else "R0 = 0",
-        )  # fmt: skip
-
-    def home(self, direction, speeds):
-        return self.report("origin return", None)
-
-    def two_rates(self, pulses, *speeds):
-        return self.report("move", pulses)
-
-    def move(self, pulses, speeds):
-        return self.report("move", pulses)
-
-    def line(self, drivers, pulses, speeds):
-        axes = {n: drivers[n].report("line", p) for n, p in pulses.items()}
-        return argparse.Namespace(axes=axes, deviation=argparse.Namespace(pulses=0.82), skew=1.25e-6)
-
-
 @pytest.mark.parametrize(
-    ("ok", "stopped_by", "good"),
-    [(True, "ORG", "yes yes yes yes yes yes"), (True, "EL-", "NO NO yes yes yes yes"), (False, "ORG", "NO NO NO NO NO NO")],
-)  # fmt: skip
-def test_the_table_of_the_demo_says_which_moves_did_not_do_as_asked(bench, monkeypatch, capsys, ok, stopped_by, good):
+    ("fields", "good"),
+    [
+        ({"asked": None}, "yes"),
+        ({"asked": None, "stopped_by": "EL-"}, "NO"),
+        ({"asked": None, "ok": False}, "NO"),
+        ({}, "yes"),
+        ({"ok": False}, "NO"),
+    ],
+)
+def test_the_table_of_the_demo_says_which_moves_did_not_do_as_asked(fields, good):
     """A home that an end limit ended is no home, though nothing was lost"""
-    monkeypatch.setattr("stage.firmware.driver.driver_of", Made)
-    monkeypatch.setattr(Made, "ok", ok)
-    monkeypatch.setattr(Made, "stopped_by", stopped_by)
-    rows = []
-    demo.story(bench, rows)
-    assert [row[-1] for row in rows] == good.split()
-    assert [(row[0], row[2]) for row in rows[:2]] == [("y", "to ORG"), ("x", "to ORG")], "the last axis first"
+    row = demo.format_row(made_report("y", **fields))
+    assert (row[0], row[2], row[-1]) == ("y", "to ORG" if "asked" in fields else "+5", good)
+
+
+def test_the_demo_homes_moves_at_two_rates_and_draws_a_line(bench, monkeypatch, capsys):
+    line = SimpleNamespace(
+        axes={n: made_report(n, "line") for n in "xy"}, deviation=SimpleNamespace(pulses=0.82), skew=1.25e-6
+    )
+    monkeypatch.setattr(firmware, "home", lambda axis, **_: made_report(axis.name, "origin return", None))
+    monkeypatch.setattr("stage.firmware.procedures.two_rates", lambda axis, **_: made_report(axis.name, "two rates"))
+    monkeypatch.setattr(firmware, "move", lambda axis, **_: made_report(axis.name))
+    monkeypatch.setattr(firmware, "line", lambda *_, **__: line)
+    made = [(r.axis, r.procedure) for r in demo.make_moves(bench)]
+    assert made == [
+        ("y", "origin return"),
+        ("x", "origin return"),
+        ("x", "two rates"),
+        ("y", "move"),
+        ("x", "line"),
+        ("y", "line"),
+    ]
     assert "0.82 pulses from the straight line at most, started within 1.2 us of each other" in capsys.readouterr().out
 
 
 def test_a_demo_of_axes_that_draw_no_line_together_says_so(monkeypatch, capsys):
     stage = Stage("xy", chips={"x": "PCL240K", "y": "MCX304"}, visuals=False)
-    monkeypatch.setattr("stage.firmware.driver.driver_of", Made)
-    rows = []
-    demo.story(stage, rows)
-    assert [row[1] for row in rows] == ["origin return"] * 2 + ["move"] * 2
-    assert "axes x and y have different chips, which draw no line together" in capsys.readouterr().out
+    monkeypatch.setattr(firmware, "home", lambda axis, **_: made_report(axis.name, "origin return", None))
+    assert [r.procedure for r in demo.make_moves(stage)] == ["origin return"] * 2 + ["dual-rate move", "move"]
+    assert "no straight line: MCX304 and PCL240K draw no line together" in capsys.readouterr().out
 
 
 class Terminal(io.StringIO):
@@ -572,9 +499,9 @@ def test_progress_is_told_on_a_terminal_and_in_no_pipe(monkeypatch):
         (io.StringIO(), ""),
     ):
         monkeypatch.setattr("sys.stderr", screen)
-        progress.note("writing ...")
+        terminal.note("writing ...")
         for done in (0, 0.5, 1.0):
-            progress.progress("pull-out", done)
+            terminal.show_progress("pull-out", done)
         assert screen.getvalue() == told
 
 
@@ -622,11 +549,15 @@ def test_view_prints_the_axes_of_the_model_that_was_asked_for(capsys):
 def test_fault_lists_them_all_and_what_does_not_happen_as_claimed_ends_with_1(monkeypatch, capsys, tmp_path):
     assert main(["fault"]) == 0
     listed = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in listed] == list(fault.DEMOS)
-    assert all(demo.claim in line for demo, line in zip(fault.DEMOS.values(), listed, strict=True))
+    assert [line.split()[0] for line in listed] == list(demonstrations.DEMOS)
+    assert all(demo.claim in line for demo, line in zip(demonstrations.DEMOS.values(), listed, strict=True))
     for happened, code, says in ((True, 0, "happened as claimed"), (False, 1, "did NOT happen as claimed")):
-        demo = fault.Demo("a claim", "a notice", lambda *_: {"n": 1}, lambda *_, h=happened: h)
-        monkeypatch.setattr(fault, "show", lambda *_, d=demo: fault.Shown("jam", d, ({"n": 1}, {"n": 2}), (None, None)))
+        demo = demonstrations.Demo("a claim", "a notice", lambda *_: {"n": 1}, lambda *_, h=happened: h)
+        monkeypatch.setattr(
+            demonstrations,
+            "show",
+            lambda *_, d=demo: demonstrations.Shown("jam", d, ({"n": 1}, {"n": 2}), (None, None)),
+        )
         assert main(["fault", "jam"]) == code
         said = capsys.readouterr().out.splitlines()
         assert (said[0], said[-1]) == ("jam: a claim", says)
@@ -663,5 +594,5 @@ def test_there_is_a_screen_where_x_or_wayland_is(monkeypatch, display, wayland, 
 def test_a_distance_may_be_typed_in_any_unit_of_its_axis(unit, texts):
     """stage move x 2cm; stage move q 20mrad"""
     axis = SimpleNamespace(name="x", unit=unit, meters_per_pulse=1e-6)
-    assert [setup.distance(axis, text) for text in texts] == [20_000] * len(texts)
-    assert setup.distance(axis, "-" + texts[1]) == -20_000
+    assert [setup.parse_distance(axis, text) for text in texts] == [20_000] * len(texts)
+    assert setup.parse_distance(axis, "-" + texts[1]) == -20_000

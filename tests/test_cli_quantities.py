@@ -8,14 +8,14 @@ from support.mirrored import mirrored
 
 from stage.chips import PCL240K
 from stage.cli import build_parser, main, package_commands
-from stage.cli.quantities import FREQUENCY, HERTZ, MASS, RATE, TIME, VOLTAGE
+from stage.cli.options import FREQUENCY, HERTZ, MASS, RATE, TIME, VOLTAGE
 from stage.units import kind_of, slip
 
 
 @pytest.mark.parametrize(
     ("kind", "text", "value"),
     [
-        (RATE, "1000pps", 1000), (RATE, "1.5kpps", 1500), (RATE, "1e3", 1000), (RATE, " -5", -5), (TIME, "100ms", 0.1),
+        (RATE, "1000pps", 1000), (RATE, "1.5kpps", 1500), (RATE, "1e3", 1000), (TIME, " -5", -5), (TIME, "100ms", 0.1),
         (TIME, "1us", 1e-6), (TIME, "2 s", 2), (TIME, "0.5", 0.5), (TIME, "2min", 120), (VOLTAGE, "24V", 24), (MASS, "2kg", 2),
         (MASS, "500g", 0.5), (FREQUENCY, "16MHz", 16e6), (HERTZ, "4.9152MHz", 4_915_200), (HERTZ, "0x10", 16),
     ],
@@ -28,10 +28,10 @@ def test_a_number_is_taken_with_and_without_its_unit(kind, text, value):
 @pytest.mark.parametrize(
     ("kind", "text", "said"),
     [
-        (RATE, "2kg", "'2kg' is no pulse rate. kg is a mass. A number, or one in pps, kpps."),
-        (TIME, "24V", "'24V' is no time. V is a voltage. A number, or one in ns, us, ms, s, min."),
-        (MASS, "2,5kg", "'2,5kg' is no mass. A decimal point, no comma: 2.5kg. A number, or one in g, kg."),
-        (VOLTAGE, "many", "'many' is no voltage. A number, or one in mV, V."),
+        (RATE, "2kg", "'2kg' is no pulse rate. kg is a mass. Give a number, or one in pps, kpps."),
+        (TIME, "24V", "'24V' is no time. V is a voltage. Give a number, or one in ns, us, ms, s, min."),
+        (MASS, "2,5kg", "'2,5kg' is no mass. A decimal point, no comma: 2.5kg. Give a number, or one in g, kg."),
+        (VOLTAGE, "many", "'many' is no voltage. Give a number, or one in mV, V."),
         (HERTZ, "1.5", "'1.5' is no whole number"),
         (HERTZ, "inf", "'inf' is no whole number"),
         (HERTZ, "nan", "'nan' is no whole number"),
@@ -80,14 +80,14 @@ def test_what_a_number_is_a_number_of():
         ("move x 10,5mm", "stage: '10,5mm': .* A decimal point, no comma: 10.5mm."),
         ("home x --from 10,5mm", "stage: --from 10,5mm: .* A decimal point, no comma: 10.5mm."),
         ("move x 100 --from -90cm", "stage: --from -90cm: axis x travels from -158 to 158 mm."),
-        ("move x 100 --fl -5", "stage: --fl -5: more than 0."),
+        ("move x 100 --fl -5", "stage move: argument --fl: -5 must be greater than 0, and finite."),
         ("move x 100 --fh1 2kg", "stage move: argument --fh1: '2kg' is no pulse rate. kg is a mass."),
         ("list", "stage list: the following arguments are required: what. Known: chips, motors, models."),
         ("completion", "stage completion: the following arguments are required: shell. Known: bash, zsh, fish."),
         ("registers", "stage registers: the following arguments are required: CHIP. Known: PCL240K, PCL240MK, "),
         (
             "demo --port 9000",
-            "stage: --port 9000: that is where --web serves the dashboard. Give --web, too, or no port.",
+            "stage: --port 9000: --web serves the dashboard there. Give --web as well, or no --port.",
         ),
     ],
 )

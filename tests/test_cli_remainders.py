@@ -5,15 +5,18 @@ from types import SimpleNamespace
 import pytest
 
 from stage import Stage
-from stage.cli import erratum_plot, files, main
+from stage.cli import erratum_picture, files, main
 from stage.cli.erratum import Shown as Erratum
-from stage.cli.fault import DEMOS, picture
-from stage.cli.fault.demo import Shown as Fault
-from stage.cli.output import Output
+from stage.cli.fault import picture
+from stage.cli.fault.demonstrations import DEMOS
+from stage.cli.fault.demonstrations import Shown as Fault
+from stage.cli.terminal import Output
 
 
 @pytest.mark.parametrize(
-    ("block", "drawn"), [(lambda *a: files.kept(*a, every=1e-3), 0), (files.recorded, 1)], ids=["kept", "recorded"]
+    ("block", "drawn"),
+    [(lambda *a: files.record_for_plot(*a, interval=1e-3), 0), (files.record_to_files, 1)],
+    ids=["for_plot", "to_files"],
 )
 def test_after_ctrl_c_only_a_command_that_draws_its_reports_does(block, drawn, tmp_path, capsys):
     drawings = []
@@ -47,7 +50,7 @@ def test_each_shell_is_completed_in_its_own_words(capsys):
 @pytest.mark.parametrize("overwrite", [None, True])
 def test_a_picture_of_two_runs_replaces_a_file_only_where_asked(overwrite, monkeypatch):
     asked = []
-    for module in (erratum_plot, picture):
+    for module in (erratum_picture, picture):
         monkeypatch.setattr(module, "draw", lambda shown, path, over: asked.append((path, over)))
     for shown in (Erratum("MCX304", False, ({}, {}), (None, None)), Fault("jam", DEMOS["jam"], ({}, {}), (None, None))):
         shown.plot("a.png") if overwrite is None else shown.plot("a.png", overwrite)

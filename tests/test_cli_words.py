@@ -10,7 +10,7 @@ import pytest
 
 from stage import ArgumentError, Stage, firmware
 from stage.chips import CHIPS
-from stage.cli import build_parser, main, progress
+from stage.cli import build_parser, main, terminal
 from stage.cli.parser import Parser
 
 COMMANDS = next(a.choices for a in build_parser()._actions if getattr(a, "choices", None))
@@ -79,16 +79,16 @@ class Terminal(io.StringIO):
 
 def test_a_terminal_sees_how_far_the_simulated_time_is(monkeypatch):
     stage = SimpleNamespace(data=SimpleNamespace(time=1.25))
-    monkeypatch.setattr(progress, "FIRST", 0.01)
+    monkeypatch.setattr(terminal, "FIRST_UPDATE_S", 0.01)
     monkeypatch.setattr(sys, "stderr", screen := Terminal())
-    with progress.ticking(stage):
+    with terminal.show_simulated_time(stage):
         end = time.monotonic() + 20
         while "simulated" not in screen.getvalue() and time.monotonic() < end:
             time.sleep(0.01)
     assert "1.25 s simulated; Ctrl-C ends it" in screen.getvalue()
     assert screen.getvalue().endswith("\r\x1b[K"), "the line is gone at the end"
     monkeypatch.setattr(sys, "stderr", quiet := io.StringIO())
-    with progress.ticking(stage):
+    with terminal.show_simulated_time(stage):
         time.sleep(0.05)
     assert not quiet.getvalue(), "no terminal, no line"
 
@@ -96,11 +96,11 @@ def test_a_terminal_sees_how_far_the_simulated_time_is(monkeypatch):
 def test_ctrl_c_writes_what_was_recorded(tmp_path, monkeypatch, capsys):
     """stage move x 100mm --vcd x.vcd, and Ctrl-C"""
 
-    def interrupted(axis, pulses, wanted, **how):
+    def interrupted(axis, **how):
         axis.stage.run(0.05)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("stage.firmware.pcl240.moves.preset_move", interrupted)
+    monkeypatch.setattr(firmware, "move", interrupted)
     file = tmp_path / "x.vcd"
     assert main(["move", "x", "100mm", "--vcd", str(file)]) == 130
     assert (
@@ -145,7 +145,7 @@ def test_a_viewer_without_a_screen_is_refused_before_the_run(monkeypatch, capsys
     monkeypatch.chdir(tmp_path)
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr("stage.firmware.pcl240.moves.preset_move", None)
+    monkeypatch.setattr(firmware, "move", None)
     assert main(["move", "x", "10mm", "--view"]) == 2
     assert "no screen here to show what --view asks for on. Serve it to a browser (--web)" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stage.cli.fault.demo import Demo, Shown
+from stage.cli.fault.demonstrations import Demo, Shown
 
 pytest.importorskip("matplotlib")
 TIME = np.arange(0.0, 1.0, 0.1)

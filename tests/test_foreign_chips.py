@@ -123,7 +123,7 @@ def test_each_axis_has_its_own_chip_on_the_command_line(toy_package, capsys):
     assert main(["move", "x", "100", "--chips", "x=toy,y"]) == 2
     assert "AXIS=CHIP" in capsys.readouterr().err
     assert main(["move", "x", "100", "--chips", "x=toy,x=toy"]) == 2
-    assert "axis x is given two chips" in capsys.readouterr().err
+    assert "axis x already has toy" in capsys.readouterr().err
 
 
 def test_names_have_the_article_that_they_are_spoken_with():

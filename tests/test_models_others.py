@@ -156,7 +156,7 @@ def test_moving_one_of_two_tandem_axes_is_told(capsys):
     """stage move y 2mm --model gantry"""
     main(["move", "y", "2mm", "--model", "gantry"])
     assert (
-        "axis y drives one load with w, which stays behind: the load is twisted. All of them: stage sync y=2mm w=2mm"
+        "axis y drives one load with w, which stays behind: the load is twisted. To move all of them: stage sync y=2mm w=2mm"
         in capsys.readouterr().err
     )
 

@@ -56,7 +56,7 @@ def test_a_command_of_ours_stays_ours_and_looks_at_no_package(greeting, capsys):
     assert capsys.readouterr().err == ""
     with pytest.raises(SystemExit):
         main(["--help"])
-    assert "PulseStage has a command `stage move` of its own, which stays." in capsys.readouterr().err
+    assert "PulseStage has a command `stage move` of its own, which takes precedence." in capsys.readouterr().err
 
 
 def test_a_command_whose_package_is_missing_says_in_one_sentence_which_brings_it(monkeypatch, capsys):

@@ -9,7 +9,7 @@ from support.pcl240ms_bench import load
 from stage import ArgumentError, RunTimeout, Stage, firmware
 from stage.chips import HCTL1100, MCX304, MCX314AS, MCX514, PCL240K, PCL240MK, PCL240MS, cores
 from stage.cli import build_parser
-from stage.cli.setup import make_stage, wiring_of
+from stage.cli.setup import make_stage, parse_wiring
 from stage.firmware.hctl1100.port import Port
 from stage.sim.snapshot import Snapshot
 
@@ -226,8 +226,8 @@ def test_the_bits_of_a_wire_between_chips_leave_room_for_all_pins():
 @pytest.mark.parametrize(("item", "said"), [("x.org", "AXIS.SENSOR=LOGIC"), ("org=positive", "AXIS.SENSOR=LOGIC")])
 def test_the_commands_option_says_how_it_is_written(item, said):
     with pytest.raises(ArgumentError, match=said):
-        wiring_of([item])
-    assert wiring_of(["x.org=positive", "x.ez=negative"]) == {"x": {"org": "positive", "ez": "negative"}}
+        parse_wiring([item])
+    assert parse_wiring(["x.org=positive", "x.ez=negative"]) == {"x": {"org": "positive", "ez": "negative"}}
 
 
 def commanded(*options):
@@ -251,7 +251,7 @@ def test_the_commands_connect_chips_as_the_stage_does():
         (["--multichip", "x,q"], "unknown axis 'q'"),
         (["--multichip", "x,y", "--chips", "mcx514"], "Here are x, y on one MCX514: axes share a chip"),
         (["--syni", "y"], "FOLLOWER=LEADER"),
-        (["--syni", "y=x", "--syni", "y=x"], "axis y follows x already"),
+        (["--syni", "y=x", "--syni", "y=x"], "axis y already has x"),
     ],
 )
 def test_wires_between_chips_that_are_none_are_refused(options, said):

@@ -219,9 +219,7 @@ class MotionTools:
                 raise ArgumentError(
                     f"{name}: {value:g} is too slow; the least is {least:g} {a.unit}/s, {MIN_RATE_PPS:g} pulses a second."
                 )
-        return procedures.speeds(
-            a, speed, start_speed, values["accel"], values.get("decel"), values.get("s_curve", False)
-        )
+        return procedures.parse_speeds(a, values)
 
     def _finish(self, report: Any) -> dict[str, Any]:
         self._context.report = report

@@ -6,7 +6,6 @@ says what to do; 130 interrupted.
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -20,7 +19,7 @@ examples:
   stage demo                              home three axes, dual-rate move, a:b move; writes demo.rrd
   stage home x --plot home.png            origin return, drawn like the data sheet's operation patterns
   stage move x 8000 --fh1 20000           a preset move of 8000 pulses
-  stage move x 10mm --chips hctl1100      any chip: 10 mm by a servo
+  stage move x 10mm --chips hctl1100      with any chip: 10 mm by a servo
   stage move x 8000 --chips pcl240ms --s-curve --plot s.png
   stage sync x=20000 y=-7500              two axes along a straight line, in the ratio a:b
   stage tune xy --payload 2 --distance 100mm     registers for an axis: formula, search, proof
@@ -28,36 +27,34 @@ examples:
   stage panel xy                          a live stage in a browser
   stage mcp xy                            tools for agents, by the Model Context Protocol
   stage serve --chips mcx304              the chips behind a TCP port, for a host elsewhere
-  stage fault                             what can break; `stage fault jam --plot jam.png` breaks it
+  stage fault                             the faults; `stage fault jam --plot jam.png` shows one
   stage export demo.rrd -o demo.csv       the columns of a recording as a table
-  stage example                           what examples there are; `stage example stall` copies one
+  stage example                           the examples; `stage example stall` copies one
   stage erratum                           the S-curve failure of the MCX304: pulses for ever, and a work-around
-  stage chips                             the chips that there are, also those of other packages
-  stage registers pcl240k                 the register map
-  stage pullout --motor 17HS4401          the pull-out curve
+  stage chips                             the chips, also those of other packages
+  stage registers pcl240k                 the register map of a chip
+  stage pullout --motor 17HS4401          the pull-out curve of a motor
 
 exit codes: 0 done as asked, 1 ran but not as asked (lost steps, limit switch), 2 wrong usage, 130 interrupted
 """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
-    from stage.cli.output import printing
+    """Run the command line, and return the exit code."""
+    from stage.cli.terminal import run_with_output
 
-    return printing(lambda: _main(argv))
+    return run_with_output(lambda: _run(argv))
 
 
-def _main(argv: Sequence[str] | None) -> int:
-    from stage.cli.facts import fail, interrupted
+def _run(argv: Sequence[str] | None) -> int:
+    from stage.cli.commands import describe_interruption, fail
+    from stage.cli.completion import complete
     from stage.errors import StageError
 
-    typed = list(sys.argv[1:] if argv is None else argv)
-    parser = build_parser(typed)
-    if "_ARGCOMPLETE" in os.environ:  # a shell asks what may come next: `stage completion`
-        import argcomplete
-
-        argcomplete.autocomplete(parser)
-    args = parser.parse([*typed[1:], "--help"] if typed[:1] == ["help"] else typed)
+    words = list(sys.argv[1:] if argv is None else argv)
+    parser = build_parser(words)
+    complete(parser)
+    args = parser.parse([*words[1:], "--help"] if words[:1] == ["help"] else words)
     if args.run is None:
         parser.print_help()
         return 2
@@ -67,28 +64,44 @@ def _main(argv: Sequence[str] | None) -> int:
         fail(args, error)
         return 2
     except (OSError, MemoryError) as error:
-        what = getattr(error, "strerror", None) or str(error) or "no memory"
-        fail(
-            args,
-            error,
-            f"the system refuses it: {what}. `ulimit -a` shows what this process may have, `df` how full disks are.",
-        )
+        reason = getattr(error, "strerror", None) or str(error) or "no memory"
+        hint = "`ulimit -a` shows the limits of this process, `df` how full the disks are."
+        fail(args, error, f"the system refuses it: {reason}. {hint}")
         return 2
     except KeyboardInterrupt as stop:
         if argv is None:  # the process ends: a second Ctrl-C ends it at once, without a word
             signal.signal(signal.SIGINT, signal.SIG_DFL)
-        fail(args, stop, interrupted(args))
+        fail(args, stop, describe_interruption(args))
         return 130
 
 
 def build_parser(words: Sequence[str] = ()) -> Parser:
-    """Build the command line; cheap, as nothing heavy is imported before a command runs.
+    """Build the parser of the command line; cheap, as a command imports what is heavy when it runs.
 
     Args:
-        words: What was typed. Packages are only looked at where the first word is no command of PulseStage's own.
+        words: What was typed. Commands of other packages are only looked for where the first word is no command of PulseStage.
     """
     from stage import __version__
-    from stage.cli.arguments import agents, data, faults, firmware, moves, tools, tuning
+    from stage.cli import (
+        completion,
+        demo,
+        erratum,
+        example,
+        export,
+        fault,
+        home,
+        listing,
+        mcp,
+        move,
+        new_model,
+        panel,
+        pullout,
+        run,
+        serve,
+        tune,
+        view,
+    )
+    from stage.cli.package_commands import add_package_commands
     from stage.cli.parser import Parser
 
     parser = Parser(
@@ -99,10 +112,11 @@ def build_parser(words: Sequence[str] = ()) -> Parser:
     parser.add_argument("--version", action="version", version=f"pulsestage {__version__}")
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
-    for group in (moves, tuning, agents, firmware, faults, data, tools):
-        group.add(commands)
+    for module in (
+        demo, home, move, tune, mcp, run, serve, panel, fault, erratum, export, example, listing, pullout, view, new_model,
+        completion,
+    ):  # fmt: skip
+        module.add(commands)
     if not (words and words[0] in commands.choices):
-        from stage.cli.package_commands import add_package_commands
-
         add_package_commands(commands)
     return parser

@@ -1,13 +1,161 @@
-"""What a command of another package is made of: see package_commands.py. Everything here is public.
+"""Interface of the commands of `stage`, for the commands of this package and of others.
 
-add_command     a subcommand with help, examples and --json
-tell, wrote     what the command says with --json, and which files it has written
-number, TIME    types of options: a whole number, and seconds with a unit
+    def add_greet(commands):
+        p = add_command(commands, "greet", greet, "greet somebody", "Greet somebody.", ("stage greet 3", "three times"))
+        p.add_argument("times", type=number)
+
+    def greet(args):
+        print("hello " * args.times)
+        tell(args, times=args.times)
+        return 0
+
+A command prints its text and says its facts by `tell`. With --json the text goes nowhere, and the facts are printed as one JSON
+object at the end, also where the exit code is 1. Errors are on standard error, as JSON where that is asked for.
 """
 
-from stage.cli.arguments.options import command as add_command
-from stage.cli.arguments.options import number
-from stage.cli.facts import tell, wrote
-from stage.cli.quantities import TIME
+from __future__ import annotations
 
-__all__ = ["TIME", "add_command", "number", "tell", "wrote"]
+import argparse
+import json
+import math
+import os
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import redirect_stdout
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+from stage.cli.options import TIME, number
+from stage.cli.parser import EXAMPLES
+
+__all__ = ["TIME", "add_command", "number", "tell", "warn", "wrote"]
+
+OUTPUT_OPTIONS = ("output", "record", "vcd", "picture", "plot", "trace", "entry")
+"""Options that name a file to write."""
+
+
+def add_command(
+    commands: Any,
+    name: str,
+    run: Callable[[argparse.Namespace], int],
+    help_: str,
+    description: str,
+    *examples: tuple[str, str],
+    more: str = "",
+    json: bool = True,
+) -> argparse.ArgumentParser:
+    """Add a subcommand and return its parser.
+
+    Args:
+        commands: Subparsers of the command line.
+        name: Word that is typed after `stage`.
+        run: Function of the parsed arguments that returns the exit code.
+        help_: Line for the list of commands.
+        description: Paragraph at the beginning of the command's help.
+        examples: Pairs of a command line and what it does.
+        more: Paragraph after the examples.
+        json: Offer --json.
+    """
+    p = commands.add_parser(name, help=help_, description=description, epilog=format_examples(examples, more))
+    if json:
+        p.add_argument("--json", action="store_true", help="print JSON instead of text")
+
+    def call(args: argparse.Namespace) -> int:
+        args.wrote = []
+        return run_as_json(run, args) if json and args.json else run(args)
+
+    p.set_defaults(run=call, parser=p)
+    return p
+
+
+def format_examples(examples: Iterable[tuple[str, str]], more: str = "") -> str:
+    """Return the end of a help text: a line for each pair of a command line and what it does, and a paragraph."""
+    examples = list(examples)
+    width = min(max(len(line) for line, _ in examples), 64)
+    lines = "\n".join(f"  {line:{width}}  {effect}".rstrip() for line, effect in examples)
+    return EXAMPLES + lines + (f"\n\n{more}" if more else "")
+
+
+def tell(args: argparse.Namespace, facts: Any = None, /, **more: Any) -> None:
+    """Set the facts of a command, or add entries to them."""
+    if facts is not None:
+        args.facts = facts
+    if more:
+        args.facts = getattr(args, "facts", {}) | more
+
+
+def wrote(args: argparse.Namespace, path: Any, text: str) -> None:
+    """Print that a file has been written, and add it to the facts."""
+    print(f"{path}: {text}")
+    args.wrote.append(os.fspath(path))
+
+
+def warn(args: argparse.Namespace, text: str) -> None:
+    """Print a warning to standard error, or add it to the facts."""
+    if getattr(args, "json", False):
+        args.warnings = [*getattr(args, "warnings", ()), text]
+    else:
+        print(f"stage: warning: {text}", file=sys.stderr)
+
+
+def fail(args: argparse.Namespace, error: BaseException, text: str = "") -> None:
+    """Print an error to standard error; `text` replaces the error's own words."""
+    text = text or str(error)
+    if getattr(args, "json", False):
+        print(json.dumps({"error": text, "type": type(error).__name__}), file=sys.stderr)
+    else:
+        print(f"stage: {text}", file=sys.stderr)
+
+
+def describe_interruption(args: argparse.Namespace) -> str:
+    """Return the message of a command that Ctrl-C has ended: it names the files that are not written."""
+    written = getattr(args, "wrote", [])
+    requested = {name: getattr(args, name, None) for name in OUTPUT_OPTIONS}
+    missing = [
+        f"--{name} {path}" for name, path in requested.items() if path not in (None, "-") and path not in written
+    ]
+    return "interrupted" + (f": nothing to write yet for {', '.join(missing)}" if missing else "") + "."
+
+
+def run_as_json(run: Callable[[argparse.Namespace], int], args: argparse.Namespace) -> int:
+    """Run a command, and print its facts, files and warnings as JSON, also where Ctrl-C ends it."""
+    interruption: KeyboardInterrupt | None = None
+    with open(os.devnull, "w", encoding="utf-8", errors="replace") as nowhere, redirect_stdout(nowhere):
+        try:
+            code = run(args)
+        except KeyboardInterrupt as stop:
+            interruption = stop
+    facts = to_json(getattr(args, "facts", {}))
+    if isinstance(facts, dict):
+        beside = {
+            "files": args.wrote,
+            "warnings": getattr(args, "warnings", None),
+            "interrupted": interruption is not None,
+        }
+        facts |= {name: value for name, value in beside.items() if value}
+    if interruption is None or facts:
+        print(json.dumps(facts, indent=1, allow_nan=False))
+    if interruption is not None:
+        raise interruption
+    return code
+
+
+def to_json(value: Any) -> Any:
+    """Return a value as JSON has it: by its method `json()`, or its fields; null for a number that is not finite."""
+    if hasattr(value, "json"):
+        return to_json(value.json())
+    if hasattr(value, "tolist"):  # NumPy's
+        return to_json(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, Mapping):
+        return {str(key): to_json(v) for key, v in value.items()}
+    if is_dataclass(value):
+        return {f.name: to_json(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        return to_json(value._asdict())
+    if isinstance(value, list | tuple):
+        return [to_json(v) for v in value]
+    return str(value)

@@ -1,7 +1,7 @@
-"""`stage erratum`: the S-curve failure of MCX302, MCX304 and MCX312 on a stage, beside a work-around of NOVA's notice.
+"""The command `stage erratum`: the S-curve failure of MCX302, MCX304 and MCX312, beside a work-around of NOVA's notice.
 
-The same move twice: a decelerating stop is asked for in area d, the end of the deceleration, once by 26h whatever the chip is
-doing, once by `stop_by_speed`. `show` serves the command, the tests and docs/erratum.md.
+The same move is made twice. A decelerating stop is commanded in area d, the end of the deceleration: once by 26h whatever the chip
+is doing, once by `stop_by_speed`. `show` serves the command, the tests and docs/erratum.md.
 """
 
 from __future__ import annotations
@@ -12,28 +12,54 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from stage.cli.facts import tell
-from stage.cli.fault import EVERY, Figures, Record
-from stage.cli.fault.demo import table
-from stage.cli.fault.programs import first_axis, touch
-from stage.cli.files import kept, outputs, plot
-from stage.cli.progress import note
+from stage.cli.commands import add_command, tell
+from stage.cli.fault import SAMPLE_INTERVAL_S
+from stage.cli.files import check_outputs, draw_plot, record_for_plot
+from stage.cli.options import add_plot_option, add_stage_and_output_options
+from stage.cli.terminal import note
 from stage.errors import StageError
 
+if TYPE_CHECKING:
+    from stage.cli.fault.demonstrations import Figures, Record
+
+CHIPS = ("MCX304", "MCX302", "MCX312")
 MULTIPLE = 10
 MOVE = {"R": 8_000_000 // MULTIPLE, "K": 20_000, "A": 8000, "SV": 400, "V": 2000, "AO": 0}
+"""Registers of the move."""
 PULSES = 40_000
-SHORT = 5e-3  # m from the target to EL+
-LOOK = 2.0  # s after the stop was asked for
+TARGET_TO_LIMIT_M = 5e-3
+"""Distance from the target to EL+."""
+OBSERVATION_S = 2.0
+"""Time from the command to stop until the figures are read."""
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    p = add_command(
+        commands, "erratum", run, "the S-curve failure of MCX304, MCX302 and MCX312, and a work-around",
+        "Command a decelerating stop at the end of an S-curve move. With the bare command 26h the chip makes pulses for ever, "
+        "and the carriage meets the hard stop; with a work-around of NOVA's notice it ends on its target. "
+        "Files of the second run have '-work-around' in their names. Exit code 0 if it is as claimed.",
+        ("stage erratum --plot erratum.png", "both runs, drawn"),
+        ("stage erratum --mended", "chips without the failure"),
+    )  # fmt: skip
+    p.add_argument("--mended", action="store_true", help="chips without the failure (errata=False)")
+    add_plot_option(p)
+    add_stage_and_output_options(p, CHIPS)
 
 
 @dataclass(frozen=True)
 class Shown:
-    """The result: figures and recordings (None where none was kept) with the bare 26h and with the work-around.
+    """Result: the run with the bare 26h, and the one with the work-around.
 
-    unit: as of stage.cli.fault.Shown.
+    Attributes:
+        chip: Name of the chip.
+        mended: The chip does not have the failure.
+        figures: Figures of the two runs; those whose names end in mm are in meters or radians.
+        recordings: Recordings of the two runs, or None.
+        unit: "m", or "rad" where the axis is a hinge.
     """
 
     chip: str
@@ -44,7 +70,7 @@ class Shown:
 
     @property
     def as_claimed(self) -> bool:
-        """As sold, the bare 26h runs away and loses steps; with the work-around, or mended, the drive ends on its target."""
+        """Whether the bare 26h runs away and loses steps, except on mended chips, and the work-around ends on the target."""
         bare, guarded = self.figures
         good = [
             f["n-DRV 2 s later"] == 0 and f["pulses past the target"] == 0 == f["lost steps"] for f in (bare, guarded)
@@ -52,36 +78,38 @@ class Shown:
         return good[1] and (good[0] if self.mended else bare["n-DRV 2 s later"] == 1 and bare["lost steps"] > 0)
 
     def table(self) -> str:
-        """The figures of both runs, a line each."""
-        return table(("", "26h", "stop_by_speed"), self.figures, self.unit)
+        """Return the figures of both runs, a line each."""
+        from stage.cli.fault.demonstrations import format_figures
+
+        return format_figures(("", "26h", "stop_by_speed"), self.figures, self.unit)
 
     def plot(self, path: str | None = None, overwrite: bool = False) -> Any:
-        """Both runs over time, and the areas of the notice. Saves to `path` if given; returns the figure. Needs recordings, and
-        matplotlib."""
-        from stage.cli.erratum_plot import draw
+        """Draw both runs over time, and the areas of the notice; return the figure. Needs recordings, and matplotlib."""
+        from stage.cli.erratum_picture import draw
 
         return draw(self, path, overwrite)
 
 
 def run(args: argparse.Namespace) -> int:
     """Show the failure; exit code 0 if it is as claimed."""
-    beside = _beside(args)
-    outputs(args)
-    outputs(beside)
-    shown = show(partial(_make, args), (partial(kept, args, every=EVERY), partial(kept, beside, every=EVERY)))
+    both = args, _name_files_of_work_around(args)
+    for options in both:
+        check_outputs(options)
+    first, second = (partial(record_for_plot, options, interval=SAMPLE_INTERVAL_S) for options in both)
+    shown = show(partial(_make_stage, args), (first, second))
     print(
-        f"{shown.chip}{', mended' if shown.mended else ''}: a decelerating stop is asked for in area d\n\n{shown.table()}"
+        f"{shown.chip}{', mended' if shown.mended else ''}: a decelerating stop is commanded in area d\n\n{shown.table()}"
     )
     bare, guarded = shown.figures
     facts = {"chip": shown.chip, "mended": shown.mended, "as_claimed": shown.as_claimed}
     tell(args, facts | {"26h": bare, "stop_by_speed": guarded})
-    plot(args, shown.plot)
+    draw_plot(args, shown.plot)
     print("as claimed" if shown.as_claimed else "NOT as claimed")
     return 0 if shown.as_claimed else 1
 
 
-def _beside(args: argparse.Namespace) -> argparse.Namespace:
-    """The options for the run with the work-around: its files have names of their own, and no viewer is opened."""
+def _name_files_of_work_around(args: argparse.Namespace) -> argparse.Namespace:
+    """Return the options for the run with the work-around: its files have names of their own, and no viewer is opened."""
     named = {}
     for what in ("record", "vcd", "picture"):
         path = getattr(args, what)
@@ -91,7 +119,7 @@ def _beside(args: argparse.Namespace) -> argparse.Namespace:
     return argparse.Namespace(**vars(args) | named | {"view": False, "web": False})
 
 
-def _make(args: argparse.Namespace) -> Any:
+def _make_stage(args: argparse.Namespace) -> Any:
     from stage import Drive, Stage
     from stage.chips import MCX302, MCX304, MCX312, chip_class
 
@@ -105,42 +133,49 @@ def _make(args: argparse.Namespace) -> Any:
 
 
 def show(make: Callable[[], Any], records: tuple[Record | None, Record | None] = (None, None)) -> Shown:
-    """Make the move on two stages that `make()` makes: with a bare 26h, and, before that, with the work-around.
+    """Make the move on two stages: with the work-around, and then with a bare 26h.
 
-    records: context managers of the recordings of the one and the other.
+    Args:
+        make: Makes a stage.
+        records: Context managers of the recordings with the bare 26h and with the work-around.
     """
-    figures, kept = [], []
-    for program, record in ((_guarded, records[1]), (_bare, records[0])):  # somebody may watch the last one
+    from stage.cli.fault.programs import first_axis
+
+    figures, recordings = [], []
+    for program, record in ((_stop_by_speed, records[1]), (_stop_by_26h, records[0])):  # a viewer shows the last one
         stage = make()
-        note(f"{program.__name__.strip('_')}: the move ...")
+        note(f"{program.__name__.removeprefix('_stop_')}: the move ...")
         context: AbstractContextManager = record(stage) if record else nullcontext()
         with context as recording:
             figures.append(_move(stage, program))
-        kept.append(recording)
+        recordings.append(recording)
     x = first_axis(stage)
-    return Shown(type(x.chip).__name__, not x.chip.errata, (figures[1], figures[0]), (kept[1], kept[0]), x.unit)
+    return Shown(
+        type(x.chip).__name__, not x.chip.errata, (figures[1], figures[0]), (recordings[1], recordings[0]), x.unit
+    )
 
 
-def _bare(port: Any) -> bool:
+def _stop_by_26h(port: Any) -> bool:
     from stage.firmware.nova import erratum
 
     port.command(erratum.DECELERATING_STOP)
     return True
 
 
-def _guarded(port: Any) -> bool:
+def _stop_by_speed(port: Any) -> bool:
     from stage.firmware.nova.erratum import judgmental_speed, stop_by_speed
 
     return stop_by_speed(port, judgmental_speed(MOVE["SV"], MOVE["V"]))
 
 
 def _move(stage: Any, stop: Callable[[Any], bool]) -> Figures:
-    """An S-curve drive up to 5 mm before EL+, by bus cycles; once RR1 shows area d, stop(port). Its figures."""
+    """Drive an S-curve up to 5 mm before EL+, by bus cycles, call `stop(port)` once RR1 shows area d, and return figures."""
+    from stage.cli.fault.programs import find_touch, first_axis
     from stage.firmware.nova import erratum
 
     x = first_axis(stage)
-    end = touch(x, "el_plus")
-    stage.place(**{x.name: end - SHORT - PULSES * x.meters_per_pulse})
+    end = find_touch(x, "el_plus")
+    stage.place(**{x.name: end - TARGET_TO_LIMIT_M - PULSES * x.meters_per_pulse})
     port = erratum.port_of(x)
     port.load(**MOVE)
     port.mode(WR2=erratum.LIMITS_DECELERATE, WR3=erratum.S_CURVE)
@@ -153,7 +188,7 @@ def _move(stage: Any, stop: Callable[[Any], bool]) -> Figures:
     left = PULSES - port.position()
     given = stop(port)
     status = port.word(1)
-    x.wait(LOOK)
+    x.wait(OBSERVATION_S)
     away = port.driving()
     speed = port.speed() * MULTIPLE
     figures: Figures = {

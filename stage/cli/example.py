@@ -1,51 +1,58 @@
-"""The command `stage example`: a copy of an example, to begin with."""
+"""The command `stage example`."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
-from stage.cli.facts import tell, wrote
+from stage.cli.commands import add_command, tell, wrote
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    p = add_command(
+        commands, "example", run, "a copy of an example: programs, drivers, chips, notebooks",
+        "Copy one of the examples of the documentation into a folder. Without a name: list them.",
+        ("stage example", "what there is"),
+        ("stage example home_and_move", "home_and_move.py, here"),
+        ("stage example drivers --to ~/firmware", "drivers in C, C++, Rust and Zig"),
+    )  # fmt: skip
+    p.add_argument("name", nargs="?", metavar="NAME", help="for example stall (default: list them)")
+    p.add_argument("--to", default=".", metavar="FOLDER", help="folder for the copy (default: this one)")
+    p.add_argument("--force", action="store_true", help="overwrite files that exist")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Copy one, or list them all."""
-    from stage.support import examples
-
-    if args.name is None:
-        titles = {name: _titled(name) for name in examples.PLACES}
-        tell(args, titles)
-        wide = max(map(len, titles))
-        print("\n".join(f"{name:{wide}}  {title}" for name, title in titles.items()))
-        return 0
-    name = args.name.removesuffix(".py")
-    made = examples.copy(name, Path(args.to), args.force)
-    wrote(args, made, _next(made) + _missing(name))
-    return 0
-
-
-def _titled(name: str) -> str:
-    """What it shows, and what it needs, in a line."""
-    from stage.support import examples
-
-    needs = examples.EXTRAS.get(name)
-    return examples.title(name) + (f" It {needs}." if needs else "")
-
-
-def _missing(name: str) -> str:
-    """What has to be installed for it first."""
+    """Copy an example, or list them all."""
     from stage.support import examples
     from stage.support.extras import has
 
-    needs = examples.EXTRAS.get(name)
-    return f"; it {needs}" if needs and not has(needs.library) else ""
+    if args.name is None:
+        titles = {name: _describe(name) for name in examples.PLACES}
+        tell(args, titles)
+        width = max(map(len, titles))
+        print("\n".join(f"{name:{width}}  {title}" for name, title in titles.items()))
+        return 0
+    name = args.name.removesuffix(".py")
+    copy = examples.copy(name, Path(args.to), args.force)
+    extra = examples.EXTRAS.get(name)
+    wrote(args, copy, _next_step(copy) + (f"; it {extra}" if extra and not has(extra.library) else ""))
+    return 0
 
 
-def _next(made: Path) -> str:
-    """What one types now."""
-    if made.suffix == ".py":
-        return f"run it with: python {made}"
-    if made.suffix == ".ipynb":
-        return f"open it with: jupyter lab {made}"
-    page = next((p for p in ("README.md", "pyproject.toml") if (made / p).exists()), None)
-    return f"a folder; begin with {made / page}" if page else "a folder"
+def _describe(name: str) -> str:
+    """Return what an example shows, and the extra that it needs."""
+    from stage.support import examples
+
+    extra = examples.EXTRAS.get(name)
+    return examples.title(name) + (f" It {extra}." if extra else "")
+
+
+def _next_step(copy: Path) -> str:
+    if copy.suffix == ".py":
+        return f"run it with: python {copy}"
+    if copy.suffix == ".ipynb":
+        return f"open it with: jupyter lab {copy}"
+    page = next((p for p in ("README.md", "pyproject.toml") if (copy / p).exists()), None)
+    return f"a folder; begin with {copy / page}" if page else "a folder"

@@ -1,4 +1,4 @@
-"""The command `stage export`: the columns of a recording as a table."""
+"""The command `stage export`."""
 
 from __future__ import annotations
 
@@ -6,19 +6,37 @@ import argparse
 import os
 from collections.abc import Container
 from pathlib import Path
+from typing import Any
 
-from stage.cli.facts import tell, wrote
+from stage.cli.commands import add_command, tell, wrote
+from stage.cli.options import add_force_option
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    p = add_command(
+        commands, "export", run, "a recording as CSV, Parquet or NumPy columns",
+        "Read the columns of a recording (.rrd) and write them as a table, one row per sample, in SI units: docs/recording.md "
+        "says how exactly a recording keeps them. Without -o: list them.",
+        ("stage export demo.rrd", "the columns that there are"),
+        ("stage export demo.rrd -o demo.csv", "all of them"),
+        ("stage export demo.rrd -o demo.parquet --columns x/position,x/rate", "some of them"),
+    )  # fmt: skip
+    p.add_argument("file", metavar="FILE.rrd", help="a recording, of --record or Recording.save")
+    p.add_argument("-o", "--output", metavar="FILE", help="a name that ends in .csv, .parquet or .npz")
+    p.add_argument("--columns", metavar="NAME,...", help="only these, for example x/position,x/rate (default: all)")
+    add_force_option(p)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write them, or list them."""
+    """Write the columns, or list them."""
     from stage.recording import read
     from stage.recording.table import writer_of
     from stage.support.files import FileError, writable
 
     if args.output is not None:
         if os.path.realpath(args.output) == os.path.realpath(args.file):
-            raise FileError(f"-o {args.output}: that is the recording itself. Name another file.")
+            raise FileError(f"-o {args.output}: this is the recording itself. Name another file.")
         writer_of(args.output)
         writable(args.output, args.force, ask="give --force")
     saved = read(args.file)
@@ -32,14 +50,14 @@ def run(args: argparse.Namespace) -> int:
         return 0
     names = None if args.columns is None else split_columns(args.columns, saved.units)
     saved.to_file(args.output, names, overwrite=args.force)
-    count = len(saved.units) if names is None else len({"time", *names})
+    columns = len(saved.units) if names is None else len({"time", *names})
     size = Path(args.output).stat().st_size / 1e6
-    wrote(args, args.output, f"{len(saved)} samples of {count} columns, {size:.1f} MB")
+    wrote(args, args.output, f"{len(saved)} samples of {columns} columns, {size:.1f} MB")
     return 0
 
 
 def split_columns(text: str, known: Container[str]) -> list[str]:
-    """Split at commas, but for those in the name of a known column: the axis `a,b` has the column `a,b/position`."""
+    """Split at commas, except those in the name of a known column: the axis `a,b` has the column `a,b/position`."""
     parts, names = text.split(","), list[str]()
     while parts:
         joined = ((",".join(parts[:n]).strip(), n) for n in range(len(parts), 0, -1))

@@ -1,4 +1,4 @@
-"""The files that commands write, and the pages that they serve: refused before the work, written after it."""
+"""Files that commands write, and pages that they serve: checked before the work, written after it."""
 
 from __future__ import annotations
 
@@ -9,96 +9,98 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from stage.cli.facts import tell, wrote
-from stage.cli.progress import note
+from stage.cli.commands import tell, wrote
+from stage.cli.terminal import note
 from stage.errors import ArgumentError
 from stage.support.extras import has, need
 
-FILES = ("record", "vcd", "picture", "plot", "trace")
+FILE_OPTIONS = ("record", "vcd", "picture", "plot", "trace")
 """Options that name a file."""
 
 
-def outputs(args: argparse.Namespace) -> None:
+def check_outputs(args: argparse.Namespace) -> None:
     """Refuse what cannot be written or served, before the work and not after it. Raises FileError, ArgumentError."""
-    if getattr(args, "view", False):
+    web, view = getattr(args, "web", False), getattr(args, "view", False)
+    if view:
         need("rerun", "--view")
-        if not getattr(args, "web", False):
-            from stage.recording.viewer import check_screen
+    if view and not web:
+        from stage.recording.viewer import check_screen
 
-            check_screen("what --view asks for")
-    if getattr(args, "web", False):
+        check_screen("what --view asks for")
+    if web:
         from stage.recording.viewer import check_port
 
         check_port(args.port)
     elif getattr(args, "port_given", False) and hasattr(args, "web"):
-        raise ArgumentError(
-            f"--port {args.port}: that is where --web serves the dashboard. Give --web, too, or no port."
-        )
+        raise ArgumentError(f"--port {args.port}: --web serves the dashboard there. Give --web as well, or no --port.")
     if getattr(args, "json", False):
-        for option, given in (
-            ("--web", getattr(args, "web", False)),
-            ("--trace -", getattr(args, "trace", None) == "-"),
-        ):
+        for option, given in (("--web", web), ("--trace -", getattr(args, "trace", None) == "-")):
             if given:
                 raise ArgumentError(f"{option}: it prints text, and --json prints JSON. Leave one of them out.")
-    _written_apart(args)
-    _writable(args)
+    named = _list_files(args)
+    _check_apart(named)
+    _check_writable(named, args.force)
     if "record" in args:
         for name in ("web", "picture", "record"):  # who gave one of the others gave no --record
             if getattr(args, name, None):
                 need("rerun", f"--{name}")
 
 
-def _named(args: argparse.Namespace) -> dict[str, str]:
-    """Option -> file, of those that are given."""
-    named = {name: path for name in FILES if (path := getattr(args, name, None))}
+def _list_files(args: argparse.Namespace) -> dict[str, str]:
+    """Return the files that options name, by option."""
+    named = {name: path for name in FILE_OPTIONS if (path := getattr(args, name, None))}
     if named.get("trace") == "-":
         del named["trace"]
     return named
 
 
-def _written_apart(args: argparse.Namespace) -> None:
+def _check_apart(named: dict[str, str]) -> None:
     """Refuse two outputs in one file. Raises FileError."""
     from stage.support.files import FileError
 
     taken: dict[str, str] = {}
-    for name, path in _named(args).items():
+    for name, path in named.items():
         if os.path.isfile(path) or not os.path.exists(path):  # a device takes all
             other = taken.setdefault(os.path.realpath(path), name)
             if other != name:
                 raise FileError(f"--{other} and --{name} both write {path}. Give each a file of its own.")
 
 
-def _writable(args: argparse.Namespace) -> None:
-    """Refuse names that do not end as what is written there, and what cannot be written. Raises FileError, ArgumentError."""
+def _check_writable(named: dict[str, str], force: bool) -> None:
+    """Refuse names with a wrong ending, and what cannot be written. Raises FileError, ArgumentError."""
     from stage.support.files import PICTURE, RECORDING, WAVEFORMS, ends_as, figure_format, writable
 
     endings = {"record": RECORDING, "vcd": WAVEFORMS, "picture": PICTURE}
-    for name, path in _named(args).items():
+    for name, path in named.items():
         if path == "-":
-            raise ArgumentError(
-                f"--{name} -: standard output has what the command prints, and this would be in the middle of it. Name a file."
-            )
+            raise ArgumentError(f"--{name} -: standard output has what the command prints. Name a file.")
         if name == "plot":
             figure_format(path)
         elif name in endings:
             ends_as(path, *endings[name])
-        writable(path, args.force, ask="give --force")
+        writable(path, force, ask="give --force")
 
 
 @contextmanager
-def recorded(args: argparse.Namespace, stage: Any, draw: bool = True) -> Iterator[Any]:
-    """Record what happens inside if --record, --vcd, --view or --web asks for it, and write it at the end. Yields the recording,
-    or None.
+def record_to_files(args: argparse.Namespace, stage: Any, plot_reports: bool = True) -> Iterator[Any]:
+    """Record what happens in this block, if --record, --vcd, --view or --web asks for it, and write it at the end.
 
-    Where Ctrl-C ends the block, what was recorded is written, and the reports so far are printed, and with `draw` drawn for --plot.
+    Where Ctrl-C ends the block, what was recorded until then is written, and the reports so far are printed.
+
+    Args:
+        args: Options of the command.
+        stage: Stage that the block drives.
+        plot_reports: Draw the reports so far for --plot, too.
+
+    Yields:
+        The recording, or None.
     """
     usual = getattr(args, "default_record", "stage.rrd" if args.view or args.web or args.picture else None)
     if usual and not (args.record or args.view or args.web or args.picture or has("rerun")):
         print(f"no {usual}: recordings need rerun: pip install 'pulsestage[rerun]'")
         usual = None
-    rrd: str | None = args.record or (usual and _free(usual, args.force))
-    outputs(argparse.Namespace(**vars(args) | {"record": rrd}))
+    rrd: str | None = args.record or (usual and find_free_name(usual, args.force))
+    check_outputs(argparse.Namespace(**vars(args) | {"record": rrd}))
     stop = None
     with stage.record() if rrd or args.vcd else nullcontext() as recording:
         try:
@@ -106,11 +108,11 @@ def recorded(args: argparse.Namespace, stage: Any, draw: bool = True) -> Iterato
         except KeyboardInterrupt as error:
             stop = error
     if stop is not None:
-        kept = ": what was recorded until then is written" if recording is not None else ""
-        print(f"interrupted after {stage.time:.2f} s of simulated time{kept}")
-        _so_far(args, getattr(stop, "reports", []), draw)
+        written = ": what was recorded until then is written" if recording is not None else ""
+        print(f"interrupted after {stage.time:.2f} s of simulated time{written}")
+        _show_reports(args, getattr(stop, "reports", []), plot_reports)
     if recording is not None:
-        rrd = _write(args, recording, usual)
+        rrd = _write_recording(args, recording, usual)
     if stop is not None:
         raise stop
     if args.web and rrd:
@@ -123,21 +125,32 @@ def recorded(args: argparse.Namespace, stage: Any, draw: bool = True) -> Iterato
         open_viewer(rrd)
 
 
-def _so_far(args: argparse.Namespace, reports: list[Any], draw: bool) -> None:
-    """What procedures that Ctrl-C has ended have done."""
+@contextmanager
+def record_for_plot(args: argparse.Namespace, stage: Any, interval: float) -> Iterator[Any]:
+    """Record as `record_to_files` does, or where no option asks for it, for --plot with `interval` seconds between samples."""
+    with record_to_files(args, stage, plot_reports=False) as recording:
+        if recording is None and args.plot:
+            with stage.record(interval) as recording:
+                yield recording
+        else:
+            yield recording
+
+
+def _show_reports(args: argparse.Namespace, reports: list[Any], plot: bool) -> None:
+    """Print the reports of procedures that Ctrl-C has ended."""
     for report in reports:
         print(report)
     if reports:
         tell(args, reports=reports)
-        if draw:
-            plot(args, reports[0].plot)
+        if plot:
+            draw_plot(args, reports[0].plot)
 
 
-def _write(args: argparse.Namespace, recording: Any, usual: str | None) -> str | None:
-    """The files of a recording. Returns the name of the .rrd, None where none was asked for."""
+def _write_recording(args: argparse.Namespace, recording: Any, usual: str | None) -> str | None:
+    """Write the files of a recording. Returns the name of the .rrd, None where none was asked for."""
     rrd = None
     if args.record or usual:
-        rrd = args.record or _free(str(usual), args.force)  # another command may have taken the name meanwhile
+        rrd = args.record or find_free_name(str(usual), args.force)  # another command may have taken the name meanwhile
         note(f"writing {rrd} ...")
         recording.save(rrd, overwrite=args.force)
         size = Path(rrd).stat().st_size / 1e6
@@ -155,24 +168,14 @@ def _write(args: argparse.Namespace, recording: Any, usual: str | None) -> str |
     return rrd
 
 
-@contextmanager
-def kept(args: argparse.Namespace, stage: Any, every: float) -> Iterator[Any]:
-    """As `recorded`; and for --plot a recording with `every` s between samples, if the options ask for none."""
-    with recorded(args, stage, draw=False) as recording:
-        if recording is None and args.plot:
-            with stage.record(every) as recording:
-                yield recording
-        else:
-            yield recording
-
-
-def _free(usual: str, force: bool) -> str:
-    """The usual name, or with a number where that one is taken: demo.rrd, demo-2.rrd, ... With --force always the usual one."""
+def find_free_name(usual: str, force: bool) -> str:
+    """Return the usual name, or with a number where that one is taken: demo.rrd, demo-2.rrd, ...; with `force` the usual one."""
     names = (usual, *(f"{Path(usual).stem}-{n}{Path(usual).suffix}" for n in range(2, 10_000)))
     return usual if force else next((name for name in names if not os.path.lexists(name)), usual)
 
 
-def plot(args: argparse.Namespace, draw: Callable[..., Any]) -> None:
+def draw_plot(args: argparse.Namespace, draw: Callable[..., Any]) -> None:
+    """Draw the diagram of --plot, if it is given."""
     if getattr(args, "plot", None):
         draw(args.plot, overwrite=args.force)
         wrote(args, args.plot, "drawn")

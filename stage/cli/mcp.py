@@ -1,4 +1,4 @@
-"""The command mcp: the tools of a stage for clients of the Model Context Protocol."""
+"""The command `stage mcp`."""
 
 from __future__ import annotations
 
@@ -6,13 +6,55 @@ import argparse
 import math
 import os
 import sys
+from typing import Any
 
+from stage.cli.commands import add_command
+from stage.cli.options import TIME, add_model_argument, add_stage_options, number, port
 from stage.cli.setup import make_stage
 from stage.errors import ArgumentError
 from stage.support.extras import need
 
-TOKEN = "PULSESTAGE_TOKEN"
-SHORTEST = 16  # characters of a token
+TOKEN_VARIABLE = "PULSESTAGE_TOKEN"
+MIN_TOKEN_LENGTH = 16
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    p = add_command(
+        commands, "mcp", run, "tools of a stage for agents, by the Model Context Protocol",
+        "Serve tools, resources and prompts to clients of the Model Context Protocol: registers, moves, status, pictures. Each "
+        "session has a stage of its own, at power-up.",
+        ("stage mcp xy", "over standard input and output, for a desktop client: docs/agents.md"),
+        ("stage mcp xyz --chips mcx514 --moves 50", "a session may begin 50 moves"),
+        ("stage mcp --http --port 7242", "several clients at 127.0.0.1, each with a stage of its own"),
+        ("stage mcp --mode truth --folder runs", "the agent sees everything, and may write recordings into runs/"),
+        json=False,
+    )  # fmt: skip
+    add_model_argument(p)
+    g = p.add_argument_group("agent")
+    g.add_argument(
+        "--mode", choices=("host", "truth"), default="host",
+        help="what it sees: what a host on the bus can see, or everything (default: host)",
+    )  # fmt: skip
+    g.add_argument("--moves", type=number, metavar="N", help="moves that a session may begin (default: any number)")
+    g.add_argument("--seconds", type=TIME, metavar="S", help="simulated seconds of a session (default: any number)")
+    g.add_argument("--cycles", type=number, metavar="N", help="bus cycles of a session (default: any number)")
+    g.add_argument("--no-snapshots", action="store_true", help="offer no snapshot, restore and branch: no way back")
+    g.add_argument("--folder", metavar="DIR", help="folder for recordings, in mode truth (default: none)")
+    g.add_argument(
+        "--patience", type=TIME, default=30.0, metavar="S", help="real seconds that a call may take (default: 30)"
+    )
+    g = p.add_argument_group("HTTP")
+    g.add_argument(
+        "--http", action="store_true", help="streamable HTTP on 127.0.0.1 instead of standard input and output"
+    )
+    g.add_argument("--port", type=port, default=7242, help="TCP port; 0: one that is free (default: 7242)")
+    g.add_argument("--sessions", type=number, default=64, metavar="N", help="sessions at a time, at most (default: 64)")
+    g.add_argument(
+        "--idle", type=TIME, default=600.0, metavar="S",
+        help="end a session that has made no call for so many seconds (default: 600)",
+    )  # fmt: skip
+    add_stage_options(p.add_argument_group("stage"))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -23,18 +65,22 @@ def run(args: argparse.Namespace) -> int:
 
     for name in ("idle", "sessions"):
         if not getattr(args, name) > 0:
-            raise ArgumentError(f"--{name} {getattr(args, name)}: more than 0.")
-    if args.folder is not None and not os.path.isdir(args.folder):
-        raise ArgumentError(f"--folder {args.folder}: there is no such folder. Make it first.")
+            raise ArgumentError(f"--{name} {getattr(args, name)}: must be greater than 0.")
     if not 0 < args.patience < math.inf:
-        raise ArgumentError(f"--patience {args.patience}: seconds, more than 0.")
+        raise ArgumentError(f"--patience {args.patience}: must be greater than 0 s, and finite.")
+    if args.folder is not None and not os.path.isdir(args.folder):
+        raise ArgumentError(f"--folder {args.folder}: there is no such folder. Create it first.")
     if args.folder is not None and args.mode != "truth":
+        raise ArgumentError("--folder: only mode truth writes recordings. Add --mode truth, or leave the folder out.")
+    token = os.environ.get(TOKEN_VARIABLE) or None
+    if (
+        args.http
+        and token is not None
+        and (len(token) < MIN_TOKEN_LENGTH or not token.isascii() or not token.isprintable())
+    ):
         raise ArgumentError(
-            "--folder: recordings are written in mode truth alone; add --mode truth, or leave the folder out."
+            f"{TOKEN_VARIABLE}: must have {MIN_TOKEN_LENGTH} or more printable ASCII characters. Without it a token is made."
         )
-    token = os.environ.get(TOKEN) or None
-    if args.http and token is not None and (len(token) < SHORTEST or not token.isascii() or not token.isprintable()):
-        raise ArgumentError(f"{TOKEN}: {SHORTEST} or more printable ASCII characters; without it one is made.")
     budget = Budget(args.moves, args.seconds, args.cycles)
     factory = ToolboxFactory(
         lambda: make_stage(args, visuals=False), args.mode, budget, not args.no_snapshots, args.patience, args.folder

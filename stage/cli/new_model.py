@@ -1,15 +1,37 @@
-"""The command new-model."""
+"""The command `stage new-model`."""
 
 from __future__ import annotations
 
 import argparse
 import shlex
+from typing import Any
 
-from stage.cli.facts import tell, wrote
+from stage.cli.commands import add_command, tell, wrote
+from stage.cli.options import add_force_option
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    p = add_command(
+        commands, "new-model", run, "a commented MJCF of your own axes, to begin with",
+        "Write an MJCF that keeps the naming contract (docs/models.md): screws and tables with limit switches, hard stops and "
+        "motors, each on the one before. Change its numbers as you need them.",
+        ("stage new-model --axes x:slide:300mm -o my.xml", "one axis"),
+        ("stage new-model --axes x:slide:300mm,z:slide:80mm,a:hinge:360deg -o my.xml", "three, each on the one before"),
+        ("stage home --model my.xml", "and they go home"),
+    )  # fmt: skip
+    p.add_argument(
+        "--axes", default="x:slide:300mm,y:slide:200mm", metavar="NAME:KIND:TRAVEL,...",
+        help="x:slide:300mm, or a:hinge:90deg, with the travel between the end limits; 360deg turns without end (default: "
+        "x:slide:300mm,y:slide:200mm)",
+    )  # fmt: skip
+    p.add_argument("-o", "--output", metavar="FILE.xml", help="file to write; - prints the model (default: -)")
+    add_force_option(p)
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the model, or print it."""
+    from stage.sim import plant
     from stage.sim.plant.new import NewAxis, new_model
     from stage.support.files import MODEL, ends_as, writable, written
 
@@ -22,8 +44,6 @@ def run(args: argparse.Namespace) -> int:
     writable(args.output, args.force, ask="give --force")
     with written(args.output, args.force) as part:
         part.write_text(text, encoding="utf-8")
-    from stage.sim import plant
-
     model = plant.open_spec(args.output).compile()
     tell(args, axes=[a.name for a in plant.bind(model)])
     print(plant.describe(model))

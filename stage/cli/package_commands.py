@@ -6,7 +6,7 @@ A package names its commands in its pyproject.toml, each with the function that 
     bench = "registerbench.commands:add_bench"
 
 The function is called with argparse's subparsers and adds the command by `stage.cli.commands.add_command`. A package is imported
-when one of its commands, or the list of all commands, is asked for. PulseStage's own commands never give way.
+when one of its commands, or the list of all commands, is asked for. PulseStage's own commands take precedence.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ def find_commands() -> Mapping[str, EntryPoint]:
 
 
 def add_package_commands(commands: Any) -> None:
-    """Add the commands of installed packages to argparse's subparsers; one that fails is told on standard error and left out."""
+    """Add the commands of installed packages to argparse's subparsers; warn of one that fails, and leave it out."""
     for name, point in sorted(find_commands().items()):
         if name in commands.choices:
-            _warn(point, f"PulseStage has a command `stage {name}` of its own, which stays")
+            _warn(point, f"PulseStage has a command `stage {name}` of its own, which takes precedence")
             continue
         try:
             point.load()(commands)

@@ -1,4 +1,4 @@
-"""The command panel: a live stage in a browser."""
+"""The command `stage panel`, and the live page beside a command that drives a stage (--panel)."""
 
 from __future__ import annotations
 
@@ -6,8 +6,43 @@ import argparse
 import gc
 import signal
 import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
+from stage.cli.commands import add_command
+from stage.cli.options import add_model_argument, add_page_options, add_stage_options, port
 from stage.cli.setup import make_stage
+
+if TYPE_CHECKING:
+    from stage.panel.session import Session
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    p = add_command(
+        commands, "panel", run, "a live stage in a browser",
+        "Serve a page on which the stage moves in real time and each chip has a front panel: registers, commands, pins, the bus. "
+        "Only this machine can reach it, unless --host says otherwise. Ctrl-C ends it.",
+        ("stage panel xy", "a live stage in a browser"),
+        ("stage panel my.xml --chips mcx514 --no-browser", "your own axes; the link is printed"),
+        json=False,
+    )  # fmt: skip
+    add_model_argument(p)
+    g = p.add_argument_group("page")
+    g.add_argument("--port", type=port, default=7241, help="TCP port; 0: one that is free (default: 7241)")
+    g.add_argument(
+        "--host", default="127.0.0.1", metavar="ADDRESS",
+        help="address to listen on; other than at 127.0.0.1, whoever has the link with its token can reach the page "
+        "(default: 127.0.0.1)",
+    )  # fmt: skip
+    add_page_options(g)
+    g.add_argument("--paused", action="store_true", help="begin with time standing still")
+    g.add_argument(
+        "--open", metavar="FILE",
+        help="continue from a file that the menu of the page has saved; it replaces MODEL and the options of the stage",
+    )  # fmt: skip
+    add_stage_options(p.add_argument_group("stage"))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -21,9 +56,7 @@ def run(args: argparse.Namespace) -> int:
         args = argparse.Namespace(**vars(args) | shared.made)
 
     over = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: over.set())
-    with Session(make_stage(args), speed=args.speed, paused=True) as session:
+    with on_end_signals(over.set), Session(make_stage(args), speed=args.speed, paused=True) as session:
         made = (
             {name: getattr(args, name) for name in saved_panel.STAGE_OPTIONS} if shared is None or shared.made else None
         )
@@ -38,3 +71,69 @@ def run(args: argparse.Namespace) -> int:
         panel.close()
     gc.freeze()  # Python would look through all pages that were ever shown, and take seconds to end
     return 0
+
+
+@contextmanager
+def on_end_signals(end: Callable[[], None]) -> Iterator[None]:
+    """Call `end()` at Ctrl-C and SIGTERM, in this block."""
+    before = {number: signal.signal(number, lambda *_: end()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def show_panel(args: argparse.Namespace, stage: Any, program: str) -> Iterator[Session | None]:
+    """Show what this block does on a live page, if --panel asks for it; the block begins when a browser shows the page.
+
+    Args:
+        args: Options of the command.
+        stage: Stage that the block drives.
+        program: Name of what drives it.
+
+    Yields:
+        The session of the page, or None.
+    """
+    if not args.panel:
+        yield None
+        return
+    from stage import panel as panels
+
+    with panels.open(stage, args.panel_port, speed=args.speed, program=program, browser=not args.no_browser) as panel:
+        print(f"{panel.address}\n{program} begins when a browser shows this page", flush=True)
+        panel.until_watched()
+        yield panel.session
+
+
+def keep_panel(session: Session) -> None:
+    """Leave the stage to the page, after the program has ended, until Ctrl-C or SIGTERM."""
+    session.dismiss_program()
+    print("the page stays; Ctrl-C ends it", flush=True)
+    over = threading.Event()
+    with on_end_signals(over.set):
+        over.wait()
+
+
+def run_in_real_time(session: Session, host: Any, seconds: float | None, timeout: float) -> Any:
+    """Run firmware in real time, a piece at a time.
+
+    Args:
+        session: Session of the page.
+        host: Host that runs the firmware.
+        seconds: Simulated time to run for; None: until it returns.
+        timeout: Simulated seconds after which it has to return.
+
+    Returns:
+        What `host.run(timeout)`, or `host.run_for(seconds)`, returns.
+    """
+    stage = host.board.stage
+    left = timeout if seconds is None else seconds
+    end = stage.now + round(left * 1e9)
+    while (left := (end - stage.now) * 1e-9) > session.slice_s:
+        result = host.run_for(session.slice_s)
+        if result is not None:
+            return result
+        session.catch_up()
+    return host.run(timeout=left) if seconds is None else host.run_for(left)

@@ -1,72 +1,97 @@
-"""The command serve: the chips behind a TCP port."""
+"""The command `stage serve`."""
 
 from __future__ import annotations
 
 import argparse
 import ipaddress
-import signal
-import sys
 from typing import Any
 
-from stage.cli.beside import beside
-from stage.cli.files import outputs, recorded
-from stage.cli.firmware import report, write_trace
+from stage.cli.commands import add_command, warn
+from stage.cli.files import check_outputs, record_to_files
+from stage.cli.options import add_board_options, add_panel_options, add_stage_and_output_options, port
+from stage.cli.panel import on_end_signals, show_panel
+from stage.cli.run import print_report, write_trace
 from stage.cli.setup import make_board
 from stage.errors import ArgumentError
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    p = add_command(
+        commands, "serve", run, "the chips behind a TCP port, for a host elsewhere",
+        "Serve the bus, time and pins of a stage over TCP: a driver in another language, in a virtual machine or an emulator makes "
+        "its bus cycles here. Clients in Python and C are included, see docs/serve.md. One host drives, others may watch. Ctrl-C "
+        "or SIGTERM ends it, and the files of --record, --vcd and --trace are written.",
+        ("stage serve --chips mcx304", "the chips behind 127.0.0.1:7240"),
+        ("stage serve --listen 0 --fresh --trace bus.txt", "a free port, a stage from the start for each host"),
+        json=False,
+    )  # fmt: skip
+    g = p.add_argument_group("server")
+    g.add_argument(
+        "--bind", default="127.0.0.1", metavar="ADDRESS",
+        help="address to listen on (default: 127.0.0.1, this machine only)",
+    )  # fmt: skip
+    g.add_argument(
+        "--listen", type=port, default=7240, metavar="PORT", help="TCP port; 0: one that is free (default: 7240)"
+    )
+    g.add_argument(
+        "--fresh", action="store_true",
+        help="put the stage back to its start for each host (default: a host finds it as the one before has left it)",
+    )  # fmt: skip
+    add_board_options(p)
+    add_panel_options(p)
+    add_stage_and_output_options(p)
 
 
 def run(args: argparse.Namespace) -> int:
     """Serve until Ctrl-C or SIGTERM; then write what is asked for, and print where the axes are."""
     if args.fresh and (args.record or args.vcd or args.view or args.web or args.picture):
         raise ArgumentError(
-            "--fresh goes back to the start for each host, and time in a recording runs forward only: give one."
+            "--fresh puts the stage back to its start for each host, and time in a recording only runs forward: give one of them."
         )
-    outputs(args)
+    check_outputs(args)
     board = make_board(args)
-    with beside(args, board.stage, "a host of stage serve") as session:
+    with show_panel(args, board.stage, "a host of stage serve") as session:
         return _serve(args, board, session)
 
 
 def _serve(args: argparse.Namespace, board: Any, session: Any) -> int:
-    """session: of the page beside it, or None."""
+    """Serve a board; `session` is that of the page beside it, or None."""
     from stage.serve.server import Server
 
     before_each = session.catch_up if session is not None else lambda: None
-    server = Server(board, args.bind, args.listen, fresh=args.fresh, keep=args.keep, told=_say, before_each=before_each)
-    if not _stays_here(args.bind):
-        print(
-            f"stage: warning: others than this machine may reach {args.bind}, and nobody is asked for a password: whoever connects "
-            "drives the stage.",
-            file=sys.stderr,
+    server = Server(
+        board, args.bind, args.listen, fresh=args.fresh, keep=args.keep, told=_print_now, before_each=before_each
+    )
+    if not _is_local(args.bind):
+        warn(
+            args,
+            f"other machines may reach {args.bind}, and there is no password: whoever connects drives the stage.",
         )
-    with recorded(args, board.stage):
+    with record_to_files(args, board.stage):
         host, port = server.address
-        _say(f"{board!r}")
-        _say(f"listening on {f'[{host}]' if ':' in host else host}:{port}; Ctrl-C ends it")
+        _print_now(f"{board!r}")
+        _print_now(f"listening on {f'[{host}]' if ':' in host else host}:{port}; Ctrl-C ends it")
 
-        def end(*_: Any) -> None:
+        def end() -> None:
             server.stop()
             if session is not None:
                 session.end_program()  # a request that waits, or takes its time, ends where it is
 
-        before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
-        try:
+        with on_end_signals(end):
             server.run()
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
-        _say(f"ended after {board.stage.time:.6f} s of simulated time and {board.cycles:,} bus cycles")
-        report(board)
+        _print_now(f"ended after {board.stage.time:.6f} s of simulated time and {board.cycles:,} bus cycles")
+        print_report(board)
     write_trace(args, board)
     return 0
 
 
-def _say(line: Any) -> None:
-    """To whoever reads our output as it comes."""
+def _print_now(line: Any) -> None:
+    """Print a line for a reader that waits for it."""
     print(line, flush=True)
 
 
-def _stays_here(bind: str) -> bool:
+def _is_local(bind: str) -> bool:
     try:
         return ipaddress.ip_address(bind).is_loopback
     except ValueError:

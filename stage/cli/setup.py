@@ -1,4 +1,4 @@
-"""What the moving commands share: the stage, the axes and the numbers that the options describe."""
+"""What the options of a command describe: the stage, its board, and the moves of its axes."""
 
 from __future__ import annotations
 
@@ -7,48 +7,54 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from stage.cli.facts import warn
-from stage.errors import ArgumentError, unknown
+from stage.cli.commands import warn
+from stage.errors import ArgumentError, a_or_an, unknown
 from stage.units import PLACES, TYPED, slip, typed
 
 
 def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
-    """The stage that the options describe; visuals: with what is only for display."""
+    """Make the stage that the options describe; `visuals`: with what is only for display."""
     from stage import Drive, Stage
     from stage.chips import chip_class
 
-    common: dict[str, Any] = {"bus_cycle": args.bus_cycle, "clock": getattr(args, "clock", None), "visuals": visuals}
-    common["encoders"] = [_encoder(item) for item in getattr(args, "encoder", ())]
-    common["wiring"] = wiring_of(getattr(args, "wiring", ()))
-    common["multichip"] = multichip_of(getattr(args, "multichip", None))
-    common["syni"] = syni_of(getattr(args, "syni", ()))
     motor = {} if args.motor is None else {"motor": args.motor}
 
-    def drive(chip: Any) -> Any:
+    def make_drive(chip: Any) -> Any:
         if chip.SERVO:
             return args.motor
         return Drive(microsteps=args.microsteps, bus_voltage=args.bus_voltage, **motor)
 
     if "=" in args.chips:
-        chips = {axis: chip_class(name) for axis, name in chips_of(args.chips).items()}
-        drives = {axis: drive(chip) for axis, chip in chips.items()}
-        return Stage(args.model, chips=chips, drives=drives, **common)
-    chip = chip_class(args.chips)
-    return Stage(args.model, chips=chip, drives=drive(chip), **common)
+        chips: Any = {axis: chip_class(name) for axis, name in parse_chips(args.chips).items()}
+        drives: Any = {axis: make_drive(chip) for axis, chip in chips.items()}
+    else:
+        chips = chip_class(args.chips)
+        drives = make_drive(chips)
+    return Stage(
+        args.model, chips=chips, drives=drives, bus_cycle=args.bus_cycle, clock=getattr(args, "clock", None),
+        encoders=[parse_encoder(item) for item in getattr(args, "encoder", ())], wiring=parse_wiring(args.wiring),
+        multichip=parse_multichip(args.multichip), syni=parse_syni(args.syni), visuals=visuals,
+    )  # fmt: skip
 
 
-def chips_of(text: str) -> dict[str, str]:
-    """The chip of each axis, of --chips x=pcl240ms,y=mcx304. Raises ArgumentError."""
-    found: dict[str, str] = {}
-    for axis, name in split_pairs(text):
-        if not axis or not name:
-            raise ArgumentError(
-                f"--chips {text}: write one chip for all axes, or AXIS=CHIP,AXIS=CHIP: x=pcl240ms,y=mcx304."
-            )
-        if axis in found:
-            raise ArgumentError(f"--chips {text}: axis {axis} is given two chips.")
-        found[axis] = name
-    return found
+def make_board(args: argparse.Namespace) -> Any:
+    """Make the board that the options describe, with its carriages where --place puts them."""
+    from stage.board import Board
+
+    stage = make_stage(args)
+    placed = set()
+    for item in args.place:
+        name, place = split_pair(item)
+        if not (name and place):
+            raise ArgumentError(f"--place {item!r}: write AXIS=PLACE, for example x=62mm.")
+        if name in placed:
+            raise ArgumentError(f"--place {item!r}: axis {name} already has a place. Give each axis once.")
+        place_carriage(stage, find_axis(stage, name), f"--place {name}", place)
+        placed.add(name)
+    return Board(stage, args.layout, args.base, args.stride, keep_cycles=args.keep, devices=args.device)
+
+
+# --- AXIS=VALUE ---
 
 
 def split_pair(item: str) -> tuple[str, str]:
@@ -58,7 +64,7 @@ def split_pair(item: str) -> tuple[str, str]:
 
 
 def split_pairs(text: str) -> list[tuple[str, str]]:
-    """Split AXIS=VALUE,AXIS=VALUE; a comma before the = of a pair is one of the axis' name."""
+    """Split AXIS=VALUE,AXIS=VALUE; a comma before the = of a pair belongs to the name of the axis."""
     pairs, name = [], ""
     for part in text.split(","):
         if "=" in part:
@@ -70,8 +76,33 @@ def split_pairs(text: str) -> list[tuple[str, str]]:
     return [*pairs, ("", name)] if name else pairs
 
 
-def _encoder(item: str) -> Any:
-    """The encoder that --encoder describes. Raises ArgumentError."""
+def parse_chips(text: str) -> dict[str, str]:
+    """Return the chip of each axis, of --chips x=pcl240ms,y=mcx304. Raises ArgumentError."""
+    return _parse_unique_pairs(
+        f"--chips {text}", text, "write one chip for all axes, or AXIS=CHIP,AXIS=CHIP: x=pcl240ms,y=mcx304."
+    )
+
+
+def parse_syni(items: Iterable[str]) -> dict[str, str]:
+    """Return the leader of each follower, of --syni y=x. Raises ArgumentError."""
+    text = ",".join(items)
+    form = "write FOLLOWER=LEADER, for example y=x, or y=x,z=x."
+    return _parse_unique_pairs(f"--syni {text!r}", text, form) if text or list(items) else {}
+
+
+def _parse_unique_pairs(option: str, text: str, form: str) -> dict[str, str]:
+    pairs: dict[str, str] = {}
+    for axis, value in split_pairs(text):
+        if not axis or not value:
+            raise ArgumentError(f"{option}: {form}")
+        if axis in pairs:
+            raise ArgumentError(f"{option}: axis {axis} already has {pairs[axis]}. Give each axis once.")
+        pairs[axis] = value
+    return pairs
+
+
+def parse_encoder(item: str) -> Any:
+    """Return the encoder of --encoder x=2000/turn. Raises ArgumentError."""
     from stage.sim.encoder import Encoder
 
     axis, text = split_pair(item)
@@ -82,13 +113,14 @@ def _encoder(item: str) -> Any:
         counts = 0.0
     if not axis or not counts or not math.isfinite(counts) or (per and turn != "turn"):
         raise ArgumentError(
-            f"--encoder {item!r}: write AXIS=COUNTS, counts a metre and not 0, for example x=200000; or of the motor x=2000/turn."
+            f"--encoder {item!r}: write AXIS=COUNTS, counts per metre other than 0, for example x=200000; or per turn of the "
+            "motor, x=2000/turn."
         )
     return Encoder(axis, per_turn=counts) if per else Encoder(axis, per_metre=counts)
 
 
-def wiring_of(items: Iterable[str]) -> dict[str, dict[str, str]]:
-    """The wiring that --wiring describes. Raises ArgumentError."""
+def parse_wiring(items: Iterable[str]) -> dict[str, dict[str, str]]:
+    """Return the logic of each sensor of each axis, of --wiring x.org=positive. Raises ArgumentError."""
     wiring: dict[str, dict[str, str]] = {}
     for item in items:
         where, logic = split_pair(item)
@@ -99,8 +131,8 @@ def wiring_of(items: Iterable[str]) -> dict[str, dict[str, str]]:
     return wiring
 
 
-def multichip_of(text: str | None) -> list[str] | None:
-    """The axes that --multichip names. Raises ArgumentError."""
+def parse_multichip(text: str | None) -> list[str] | None:
+    """Return the axes of --multichip x,z. Raises ArgumentError."""
     if text is None:
         return None
     names = [name.strip() for name in text.split(",")]
@@ -109,73 +141,58 @@ def multichip_of(text: str | None) -> list[str] | None:
     return names
 
 
-def syni_of(items: Iterable[str]) -> dict[str, str]:
-    """The follower -> leader pairs that --syni gives. Raises ArgumentError."""
-    pairs: dict[str, str] = {}
-    text = ",".join(items)
-    for follower, leader in split_pairs(text) if items else ():
-        if not (follower and leader):
-            raise ArgumentError(f"--syni {text!r}: write FOLLOWER=LEADER, for example y=x, or y=x,z=x.")
-        if follower in pairs:
-            raise ArgumentError(
-                f"--syni {text!r}: axis {follower} follows {pairs[follower]} already. Give a follower once."
-            )
-        pairs[follower] = leader
-    return pairs
+# --- moves ---
+
+SPEED_OPTIONS = {
+    "fl": "start_speed", "fh1": "speed", "accel": "accel", "decel": "decel", "s_curve": "s_curve",
+    "fh2": "second", "constant": "constant", "automatic": "automatic", "fast_only": "approach",
+}  # fmt: skip
+"""Options of the command line, and those of `parse_speeds`; the last four are not of every family."""
 
 
-def make_board(args: argparse.Namespace) -> Any:
-    """The board that the options describe, with its carriages where --place says."""
-    from stage.board import Board
-
-    stage = make_stage(args)
-    placed = set()
-    for item in args.place:
-        name, text = split_pair(item)
-        if not (name and text):
-            raise ArgumentError(f"--place {item!r}: write AXIS=PLACE, for example x=62mm.")
-        if name in placed:
-            raise ArgumentError(f"--place {item!r}: axis {name} has got a place already. Give an axis once.")
-        place(stage, find_axis(stage, name), f"--place {name}", text)
-        placed.add(name)
-    return Board(stage, args.layout, args.base, args.stride, keep_cycles=args.keep, devices=args.device)
-
-
-SPEEDS = {"fl": "start", "fh1": "drive", "fh2": "second", "accel": "up", "decel": "down"}
-"""Options, and the names of the speeds that they state, see `Driver.complete_speeds`."""
-
-
-def speeds(args: argparse.Namespace, axis: Any, s_curve: bool | float = False) -> Any:
-    """Return the `Speeds` that the options state. Raises ArgumentError for what is not above 0, or what the chip does not have."""
+def parse_speed_options(args: argparse.Namespace, axis: Any) -> Any:
+    """Return the `Speeds` that the options ask of an axis. Raises ArgumentError for an option that its chip does not have."""
     from stage.firmware.driver import driver_of
+    from stage.firmware.procedures import parse_speeds
 
-    given = {name: value for option, name in SPEEDS.items() if (value := getattr(args, option, None)) is not None}
-    for option, name in SPEEDS.items():
-        if name in given and not 0 < given[name] < math.inf:
-            finite = "" if math.isfinite(given[name]) else ", and finite"
-            raise ArgumentError(f"--{option} {given[name]:g}: more than 0{finite}.")
-    return driver_of(axis).complete_speeds(**given, s_curve=s_curve)
+    driver, chip = driver_of(axis), a_or_an(axis.chip.MAP.chip)
+    given = {name: value for name in SPEED_OPTIONS if (value := getattr(args, name, None)) not in (None, False)}
+    for name in ("fh2", "constant", "automatic", "fast_only"):
+        if name in given and SPEED_OPTIONS[name] not in driver.OPTIONS:
+            option = name.replace("_", "-")
+            raise ArgumentError(f"--{option}: {chip} has no such option; it is of the PCL-240 family. Leave it out.")
+    if given.get("s_curve", True) is not True and "s_curve_share" not in driver.OPTIONS:
+        raise ArgumentError(f"--s-curve {args.s_curve:g}: {chip} knows no shares. Give --s-curve alone.")
+    options = {SPEED_OPTIONS[name]: value for name, value in given.items()} | {
+        "automatic": getattr(args, "automatic", None)
+    }
+    if "fast_only" in given:
+        options["approach"] = 0.0
+    speeds = parse_speeds(axis, options, in_pulses=True)
+    if "fh2" in args and "fh2" not in given and (second := driver.usual_second(speeds.drive)):
+        return parse_speeds(axis, options | {"second": second}, in_pulses=True)
+    return speeds
 
 
-def distance(axis: Any, text: str) -> int:
-    """Pulses of a distance as it is typed: 8000 (pulses), 10mm, -0.5deg. Raises ArgumentError."""
+def parse_distance(axis: Any, text: str) -> int:
+    """Return the pulses of a distance as it is typed: 8000 (pulses), 10mm, -0.5deg. Raises ArgumentError."""
     from stage.firmware.procedures import pulses_of
 
     text = text.strip()
     try:
         return pulses_of(axis, None, int(text, 0))
     except ValueError:
-        way = typed(text, axis.unit) if text.endswith(tuple(TYPED[axis.unit])) else None
-    if way is None:
+        distance = typed(text, axis.unit) if text.endswith(tuple(TYPED[axis.unit])) else None
+    if distance is None:
         raise ArgumentError(
-            f"{text!r}: axis {axis.name} goes a whole number of pulses, or a distance in {', '.join(TYPED[axis.unit])}: 8000, or "
-            f"10{PLACES[axis.unit].symbol}.{slip(text)}"
+            f"{text!r}: give a whole number of pulses for axis {axis.name}, such as 8000, or a distance in "
+            f"{', '.join(TYPED[axis.unit])}, such as 10{PLACES[axis.unit].symbol}.{slip(text)}"
         )
-    return pulses_of(axis, way, None)
+    return pulses_of(axis, distance, None)
 
 
-def told_of_its_end(args: argparse.Namespace, axis: Any, pulses: int) -> int:
-    """`pulses`; a warning where they lead beyond the end limits of the axis, or its travel where it has none."""
+def warn_beyond_limits(args: argparse.Namespace, axis: Any, pulses: int) -> int:
+    """Return `pulses`, and warn where they lead beyond the end limits of the axis, or its travel where it has none."""
     ends = {s.pin: s.touch for s in axis.plant.switches}
     low, high = (-math.inf, math.inf) if axis.unit == "rad" else axis.travel  # a hinge without limits turns without end
     low, high = ends.get("el_minus", low), ends.get("el_plus", high)
@@ -192,28 +209,29 @@ def told_of_its_end(args: argparse.Namespace, axis: Any, pulses: int) -> int:
 
 
 def find_axis(stage: Any, name: str) -> Any:
+    """Return an axis by its name. Raises ArgumentError with near names."""
     if name not in stage.axes:
         raise unknown("axis", name, stage.axes)
     return stage.axes[name]
 
 
-def place(stage: Any, axis: Any, option: str, where: str | None) -> None:
-    """Put the carriage of `axis` where `option` says: 62mm, 90deg, or a number of mm, degrees on a hinge.
+def place_carriage(stage: Any, axis: Any, option: str, place: str | None) -> None:
+    """Put the carriage of `axis` where `option` says: 62mm, 90deg, or a number of mm, degrees on a hinge; None: leave it.
 
     Raises ArgumentError for what is no place, or outside its travel."""
-    if where is None:
+    if place is None:
         return
     unit, (low, high) = PLACES[axis.unit], axis.travel
-    where = where.strip()
-    found = typed(where, axis.unit)
-    if found is None:
+    place = place.strip()
+    position = typed(place, axis.unit)
+    if position is None:
         raise ArgumentError(
-            f"{option} {where}: a place on axis {axis.name} is a number of {unit.symbol}, or in {', '.join(TYPED[axis.unit])}."
-            f"{slip(where)}"
+            f"{option} {place}: a place on axis {axis.name} is a number of {unit.symbol}, or in {', '.join(TYPED[axis.unit])}."
+            f"{slip(place)}"
         )
     slack = 1e-9 * (high - low)
-    if not low - slack <= found <= high + slack:
+    if not low - slack <= position <= high + slack:
         raise ArgumentError(
-            f"{option} {where}: axis {axis.name} travels from {low * unit.per:g} to {unit.text(high, 'g')}."
+            f"{option} {place}: axis {axis.name} travels from {low * unit.per:g} to {unit.text(high, 'g')}."
         )
-    stage.place(**{axis.name: min(max(found, low), high)})
+    stage.place(**{axis.name: min(max(position, low), high)})

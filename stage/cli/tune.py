@@ -1,4 +1,4 @@
-"""The command `stage tune`: registers for one's own axis."""
+"""The command `stage tune`."""
 
 from __future__ import annotations
 
@@ -9,70 +9,130 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from stage.cli.facts import tell
-from stage.cli.setup import distance, find_axis, make_stage
+from stage.cli.commands import add_command, tell
+from stage.cli.options import MASS, add_force_option, add_model_argument, add_stage_options
+from stage.cli.setup import find_axis, make_stage, parse_distance
+from stage.cli.terminal import rewrite_line
 from stage.errors import ArgumentError, StageError
 from stage.units import BESIDES, PLACES, TYPED, quantity
 
 FILES = {"c": "tuned.h", "text": "tuned.txt", "json": "tuned.json", "picture": "tuned.png"}
 
 
+def add(commands: Any) -> None:
+    """Add the command."""
+    p = add_command(
+        commands, "tune", run, "registers for an axis: formula, search, proof",
+        "Find the registers of one move of an axis: by the data sheet's formula, then by a search that keeps a margin. Prove them "
+        "on machines that the search has not seen, drawn from the evidence of motor, supply and friction. Print registers, bus "
+        "bytes and a C header.",
+        ("stage tune xy --payload 2 --distance 100mm", "a PCL-240 on the X axis of xy: prints registers, bytes and C"),
+        ("stage tune xy --payload 2 --distance 100mm -o tuned", "the same as files, with a picture"),
+        ("stage tune my.xml --axis z --chips mcx514 --payload 0.5 --spare 0.2 --distance 20mm", ""),
+        ("stage tune xy --distance 8000 --settle 20um 100ms --by formula", "without Optuna"),
+        more="docs/tuning.md says how it works, and what the proof proves.",
+    )  # fmt: skip
+    add_model_argument(p)
+    p.add_argument("--axis", help="the axis (default: the first of the model)")
+    p.add_argument("--distance", help="distance of the move: 100mm, -30deg, or pulses (counts of a servo)")
+    p.add_argument("--payload", type=MASS, default=0.0, metavar="KG", help="largest mass that it carries (default: 0)")
+    p.add_argument(
+        "--payload-on", metavar="NAME",
+        help="body or site that carries it (default: site work, if it rides on the axis, else what the axis moves)",
+    )  # fmt: skip
+    p.add_argument(
+        "--spare", default="30%", metavar="KG|PERCENT",
+        help="margin: additional mass with which no step may be lost; percent of the payload, or without a payload of what the "
+        "axis moves by itself (default: 30%%)",
+    )  # fmt: skip
+    p.add_argument(
+        "--settle", nargs=2, metavar=("WITHIN", "FOR"),
+        help="the axis has arrived when it stays within WITHIN of the goal for FOR: 50um 50ms (default: a full step, 10 counts of "
+        "a servo; 50ms)",
+    )  # fmt: skip
+    p.add_argument("--overshoot", metavar="LENGTH", help="largest way beyond the goal (default: twice WITHIN)")
+    p.add_argument(
+        "--site",
+        metavar="NAME",
+        help="site or body whose position counts, such as a camera on a mast (default: the axis)",
+    )
+    g = p.add_argument_group("search")
+    g.add_argument("--by", choices=("search", "formula"), default="search", help="formula: no search, needs no Optuna")
+    g.add_argument("--trials", type=int, default=200, help="sets of registers to try (default: 200)")
+    g.add_argument("--moves", type=int, default=96, help="machines of a proof, each makes a move (default: 96)")
+    g.add_argument("--seed", type=int, default=0, help="the same seed gives the same registers (default: 0)")
+    g.add_argument(
+        "--workers", type=int, help="threads; the result does not depend on them (default: one per processor)"
+    )
+    add_stage_options(p.add_argument_group("stage"))
+    g = p.add_argument_group("output")
+    g.add_argument("-o", "--output", metavar="FOLDER", help="write tuned.h, tuned.txt, tuned.json and tuned.png there")
+    add_force_option(g)
+
+
 def run(args: argparse.Namespace) -> int:
-    from stage.support.files import written
+    """Find registers, print them, and write them to files."""
     from stage.tune import Task, tune
     from stage.tune.search import optuna
 
     if args.distance is None:
-        raise ArgumentError("--distance: registers are for a distance; give one, for example --distance 100mm.")
-    folder = _folder(args)
+        raise ArgumentError("--distance: registers are for one distance. Give it, for example --distance 100mm.")
+    folder = _check_folder(args)
     if args.by == "search":
         optuna()
     if args.seed < 0:
-        raise ArgumentError(f"--seed {args.seed}: a whole number, 0 or more.")
+        raise ArgumentError(f"--seed {args.seed}: must be a whole number, 0 or more.")
     stage = make_stage(args, visuals=False)
     axis = find_axis(stage, args.axis) if args.axis else next(iter(stage.axes.values()))
-    within, hold = _settle(axis, args.settle)
+    within, hold = _parse_settle(axis, args.settle)
+    overshoot = None if args.overshoot is None else _parse_length(axis, "--overshoot", args.overshoot)
     task = Task(
-        stage, axis.name, distance(axis, args.distance), args.payload, _spare(args.spare, args.payload), within, hold,
-        None if args.overshoot is None else _length(axis, "--overshoot", args.overshoot), args.site, args.payload_on,
+        stage, axis.name, parse_distance(axis, args.distance), args.payload, parse_spare(args.spare, args.payload), within, hold,
+        overshoot, args.site, args.payload_on,
     )  # fmt: skip
-    told = _Progress(args.trials)
+    progress = _Progress(args.trials)
     try:
         result = tune(
-            task, by=args.by, trials=args.trials, seed=args.seed, workers=args.workers, moves=args.moves, told=told
+            task, by=args.by, trials=args.trials, seed=args.seed, workers=args.workers, moves=args.moves, told=progress
         )
     except StageError as error:
-        raise StageError(f"{error}{_meant(axis, args.distance)}") from error
+        raise StageError(f"{error}{explain_unit(axis, args.distance)}") from error
     finally:
-        told.end()
+        rewrite_line("")
     tell(args, result)
     print(result)
     if folder is None:
         print(f"\n{result.c_source()}", end="")
-    if folder is not None:
-        texts = {"c": result.c_source(), "text": f"{result}\n", "json": json.dumps(result.json(), indent=1) + "\n"}
-        for kind, text in texts.items():
-            with written(folder / FILES[kind], args.force) as part:
-                part.write_text(text, encoding="utf-8")
-        made = list(texts)
-        try:
-            result.plot(folder / FILES["picture"], args.force)
-            made.append("picture")
-        except StageError as error:
-            print(f"stage: no picture: {error}", file=sys.stderr)
-        print(f"\n{folder}: {', '.join(FILES[kind] for kind in made)}")
+    else:
+        _write_files(args, result, folder)
     return 130 if result.stopped else 0
 
 
-def _folder(args: argparse.Namespace) -> Path | None:
-    """Where the files go, if they can be written there. Raises FileError."""
+def _write_files(args: argparse.Namespace, result: Any, folder: Path) -> None:
+    from stage.support.files import written
+
+    texts = {"c": result.c_source(), "text": f"{result}\n", "json": json.dumps(result.json(), indent=1) + "\n"}
+    for kind, text in texts.items():
+        with written(folder / FILES[kind], args.force) as part:
+            part.write_text(text, encoding="utf-8")
+    files = [FILES[kind] for kind in texts]
+    try:
+        result.plot(folder / FILES["picture"], args.force)
+        files.append(FILES["picture"])
+    except StageError as error:
+        print(f"stage: no picture: {error}", file=sys.stderr)
+    print(f"\n{folder}: {', '.join(files)}")
+
+
+def _check_folder(args: argparse.Namespace) -> Path | None:
+    """Return the folder of --output, which is made if it is missing. Raises FileError for one that cannot be written to."""
     from stage.support.files import FileError, writable
 
     if args.output is None:
         return None
     folder = Path(args.output)
     if folder.exists() and not folder.is_dir():
-        raise FileError(f"--output {folder}: a file is there. Name a folder.")
+        raise FileError(f"--output {folder}: there is a file of this name. Name a folder.")
     if not folder.exists():
         writable(folder, False)
         try:
@@ -81,70 +141,68 @@ def _folder(args: argparse.Namespace) -> Path | None:
             raise FileError(f"--output {folder}: {error.strerror}. Choose another folder.") from error
         return folder
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise FileError(f"--output {folder}: no permission to write there. Choose another folder.")
+        raise FileError(f"--output {folder}: you have no permission to write there. Choose another folder.")
     for name in FILES.values():
         writable(folder / name, args.force, ask="give --force")
     return folder
 
 
-def _spare(text: str, payload: float) -> float | None:
-    """kg, of 30 % (of the payload; None where there is none: of what moves) or of 0.6. Raises ArgumentError."""
+def parse_spare(text: str, payload: float) -> float | None:
+    """Return the additional mass of --spare in kg: of 0.6, or of 30 % of the payload.
+
+    None stands for the usual margin, where there is no payload. Raises ArgumentError.
+    """
     text = text.strip()
     number, percent, rest = text.partition("%")
     value = quantity(number, {"": 1.0} if percent else {"": 1.0} | BESIDES["mass"])
     if value is None or rest or not 0 <= value < float("inf"):
-        raise ArgumentError(f"--spare {text}: percent of the payload, 30%, or kg, 0.6.")
+        raise ArgumentError(f"--spare {text}: give percent of the payload, such as 30%, or kg, such as 0.6.")
     if not percent:
         return value
     return value / 100 * payload if payload else None
 
 
-def _meant(axis: Any, way: str) -> str:
-    """A distance without a unit is pulses, and millimetres may have been meant: a sentence with a blank before it."""
+def explain_unit(axis: Any, distance: str) -> str:
+    """Return the sentence that proposes a unit for a distance without one, which is pulses; "" for one that has a unit."""
     from stage.firmware.driver import driver_of
 
-    way = way.strip()
-    if quantity(way, {"": 1.0}) is None:
+    distance = distance.strip()
+    if quantity(distance, {"": 1.0}) is None:
         return ""
-    counts, unit = "counts" if driver_of(axis).has_position_loop else "pulses", PLACES[axis.unit].symbol
-    return f" --distance {way} is {way} {counts}: did you mean {way}{unit}?"
+    pulses = "counts" if driver_of(axis).has_position_loop else "pulses"
+    return f" --distance {distance} is {distance} {pulses}: did you mean {distance}{PLACES[axis.unit].symbol}?"
 
 
-def _settle(axis: Any, given: list[str] | None) -> tuple[float | None, float]:
-    """How near, m (rad) or None for the usual, and for how long, s. Raises ArgumentError."""
+def _parse_settle(axis: Any, settle: list[str] | None) -> tuple[float | None, float]:
+    """Return the window of --settle in m (rad), None for the usual one, and its time in s. Raises ArgumentError."""
     from stage.tune.task import HOLD
 
-    if given is None:
+    if settle is None:
         return None, HOLD
-    return _length(axis, "--settle", given[0]), _number("--settle", given[1], BESIDES["time"], "50ms")
+    return _parse_length(axis, "--settle", settle[0]), _parse_positive("--settle", settle[1], BESIDES["time"], "50ms")
 
 
-def _length(axis: Any, option: str, text: str) -> float:
-    """m, rad on a hinge. Raises ArgumentError."""
-    return _number(option, text, TYPED[axis.unit], "50um" if axis.unit == "m" else "50mdeg")
+def _parse_length(axis: Any, option: str, text: str) -> float:
+    """Return a length in m, or in rad on a hinge. Raises ArgumentError."""
+    return _parse_positive(option, text, TYPED[axis.unit], "50um" if axis.unit == "m" else "50mdeg")
 
 
-def _number(option: str, text: str, units: dict[str, float], example: str) -> float:
+def _parse_positive(option: str, text: str, units: dict[str, float], example: str) -> float:
     value = quantity(text, units)
     if value is None or not 0 < value < float("inf"):
         raise ArgumentError(
-            f"{option}: {text.strip()!r} is not more than 0 in one of {', '.join(units)}; for example {example}."
+            f"{option} {text.strip()}: must be greater than 0, in one of {', '.join(units)}; for example {example}."
         )
     return value
 
 
 class _Progress:
-    """A line on a terminal that says what is done."""
+    """Line on a terminal that shows how far the search is."""
 
     def __init__(self, trials: int):
-        self._on, self._trials = sys.stderr.isatty(), trials
+        self._trials = trials
 
-    def __call__(self, what: str, part: float, best: float | None) -> None:
-        if self._on:
-            how = f" {round(part * self._trials)} of {self._trials} trials" if what == "searching" else ""
-            so_far = f", best {best * 1e3:.1f} ms" if best is not None else ""
-            print(f"\r\033[K{what}{how}{so_far} ...", end="", file=sys.stderr, flush=True)
-
-    def end(self) -> None:
-        if self._on:
-            print("\r\033[K", end="", file=sys.stderr, flush=True)
+    def __call__(self, task: str, share: float, best: float | None) -> None:
+        trials = f" {round(share * self._trials)} of {self._trials} trials" if task == "searching" else ""
+        best_so_far = f", best {best * 1e3:.1f} ms" if best is not None else ""
+        rewrite_line(f"{task}{trials}{best_so_far} ...")

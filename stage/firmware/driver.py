@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar, cast
 
 from stage.chips import Chip, contract
 from stage.chips.entries import WRITE
@@ -35,11 +35,13 @@ if TYPE_CHECKING:
 START, DRIVE, RAMP = 1_000.0, 16_000.0, 0.15
 USUAL = 16  # microsteps, that these rates are for
 MAX_POLL_S = 2e-3
+RATES = ("FH1", "FH2", "FH1")
+"""Order of the drive speeds in a move at two of them."""
 SETTLE = 0.05  # s after a stop, before a report looks where the carriage came to rest
 
 
 class Speeds(NamedTuple):
-    """Speeds and ramps of a move.
+    """Speeds and ramps of a move. `procedures.parse_speeds` makes them from the options of a user.
 
     Attributes:
         start: Speed at which a move starts and ends, pps; a servo has none.
@@ -48,7 +50,12 @@ class Speeds(NamedTuple):
         down: Time of the ramp back, s.
         s_curve: True for ramps without corners; a share, above 0 and up to 0.5, for ramps with curved ends of that part of the
             speed change, where the driver's OPTIONS have "s_curve_share".
-        second: Second drive speed, pps, where the driver's OPTIONS have "second"; None: there is none.
+        second: Second drive speed, pps; None: there is none.
+        constant: Move without ramps.
+        automatic: The chip finds the ramp-down point itself; None: as the driver decides.
+        approach: Speed of the second, slow approach of an origin return, pps; 0: there is none; None: as the driver decides.
+
+    The last four are for drivers whose OPTIONS name them.
     """
 
     start: float = START
@@ -57,11 +64,14 @@ class Speeds(NamedTuple):
     down: float = RAMP
     s_curve: bool | float = False
     second: float | None = None
+    constant: bool = False
+    automatic: bool | None = None
+    approach: float | None = None
 
-    def on_to(self, drive: float) -> Speeds:
-        """As these, with ramps as steep, to another drive speed."""
-        longer = drive / self.drive
-        return self._replace(drive=drive, up=self.up * longer, down=self.down * longer)
+    def with_second(self, second: float) -> Speeds:
+        """Return these with a second drive speed, and ramps to it that are as steep as those to the first."""
+        longer = second / self.drive
+        return self._replace(second=second, up=self.up * longer, down=self.down * longer)
 
 
 def usual_speeds(chip: Chip) -> Speeds:
@@ -84,6 +94,8 @@ class Driver(ABC):
     """What a report says has ended a homing that found its place."""
     HOMINGS: ClassVar[tuple[str, ...]] = ("switch", "index")
     """What `home_by` can home by, the usual one first; an index pulse only where the chip has an input for it."""
+    INDEX_PULSES: ClassVar[int] = 1
+    """Last index pulse after ORG at which a homing can end."""
     FINISH: ClassVar[str] = ""
     """The register that says how far a move goes, and by its range how far one start can."""
     POSITIVE: ClassVar[tuple[str, ...]] = ()
@@ -93,15 +105,12 @@ class Driver(ABC):
     """Registers of `tuned_by` that a search may trim beside rates and ramps: by a factor of so much, at most."""
 
     OPTIONS: ClassVar[frozenset[str]] = frozenset()
-    """What only some families have: keyword arguments of `move` ("constant", "automatic"), of `home` and `home_by` ("constant",
-    "slow_approach", "ez") and of `line` ("automatic"), "second" and "s_curve_share" of `Speeds`, and "rates", the names of drive
-    speeds that `move_through_rates` takes."""
+    """Fields of `Speeds` that only some families have, as far as this one has them, and "s_curve_share"."""
 
     PROCEDURES: ClassVar[tuple[str, ...]] = (
         "move",
         "start",
         "two_rates",
-        "move_through_rates",
         "circle",
         "home",
         "home_by",
@@ -163,41 +172,17 @@ class Driver(ABC):
         wait_until_stopped([self.axis], timeout, look=look)
         return self.explain_end(self.goal in (None, self.chip.net(self.axis.chip_axis)))
 
-    def complete_speeds(
-        self,
-        start: float | None = None,
-        drive: float | None = None,
-        up: float | None = None,
-        down: float | None = None,
-        s_curve: bool | float = False,
-        second: float | None = None,
-    ) -> Speeds:
-        """Complete speeds of which a user has stated some by the usual ones of the axis' chip.
-
-        Args:
-            start: Start speed, pps; default: the usual one, or the drive speed where that is less.
-            drive: Drive speed, pps.
-            up: Time of the ramp up, s.
-            down: Time of the ramp down, s; default: as `up`.
-            s_curve: As in `Speeds`.
-            second: Second drive speed, pps.
-
-        Raises:
-            ArgumentError: A second drive speed or a share of curved ramps, and the chip has none.
-        """
-        name = a_or_an(self.chip.MAP.chip)
-        if second is not None and "second" not in self.OPTIONS:
-            raise ArgumentError(f"a second drive speed of {second:g} pps: {name} has one drive speed.")
-        if s_curve not in (False, True) and "s_curve_share" not in self.OPTIONS:
+    def check_speeds(self, speeds: Speeds) -> None:
+        """Raise ArgumentError for what this family does not have of `Speeds`."""
+        chip = a_or_an(self.chip.MAP.chip)
+        for name in ("second", "constant", "automatic", "approach"):
+            value = getattr(speeds, name)
+            if value is not None and value is not False and name not in self.OPTIONS:
+                raise ArgumentError(f"{name}={value!r}: {chip} has no such option: leave it out.")
+        if not isinstance(speeds.s_curve, bool) and "s_curve_share" not in self.OPTIONS:
             raise ArgumentError(
-                f"s_curve={s_curve:g} (--s-curve {s_curve:g}): {name} takes no shares of S-curves: s_curve=True, --s-curve alone."
+                f"s_curve={speeds.s_curve!r}: {chip} takes no shares of S-curves: give True, or leave it out."
             )
-        usual = usual_speeds(self.chip)
-        drive = usual.drive if drive is None else drive
-        up = usual.up if up is None else up
-        second = self.usual_second(drive) if second is None else second
-        start = min(usual.start, drive, drive if second is None else second) if start is None else start
-        return Speeds(start, drive, up, up if down is None else down, s_curve, second)
 
     def usual_second(self, drive: float) -> float | None:
         """Return the usual second drive speed beside a drive speed, pps; None where the chip has one drive speed."""
@@ -207,20 +192,16 @@ class Driver(ABC):
         """Describe the rates and ramps that the chip's registers give for these speeds; "" where they give them as they are."""
         return ""
 
-    def move_through_rates(self, pulses: int, speeds: Speeds, rates: Sequence[str], dwell: float) -> Report:
-        """Move through the drive speeds that `rates` names, each for `dwell` seconds after its ramp.
+    def two_rates(self, pulses: int, speeds: Speeds, dwell: float, rates: Sequence[str] = RATES) -> Report:
+        """Move through several drive speeds. A chip with one drive speed moves at `speeds.second`. Raises as `move`.
 
-        Raises:
-            ArgumentError: The chip has one drive speed, or the pulses do not suffice; RunTimeout as `move`.
+        Args:
+            pulses: As of `move`.
+            speeds: As of `move`; `second` is not None.
+            dwell: Seconds at each speed but the last, after its ramp.
+            rates: "FL", "FH1" and "FH2" (start, drive and second speed) in the order of the move.
         """
-        raise ArgumentError(
-            f"{a_or_an(self.chip.MAP.chip)} has one drive speed: FH1 and FH2 are of the PCL-240 family."
-        )
-
-    def two_rates(self, pulses: int, speeds: Speeds, fast: float, dwell: float) -> Report:
-        """A move through two drive speeds, each for `dwell` seconds and more: up to `speeds.drive`, on to `fast` (pps), and back. A
-        chip with one drive speed moves at `fast`. Raises as `move`."""
-        return self.move(pulses, speeds.on_to(fast))
+        return self.move(pulses, speeds._replace(drive=cast(float, speeds.second), second=None))
 
     def circle(self, other: Driver, radius: int, speeds: Speeds) -> Any:
         """A whole circle of this axis and another of its chip, from where they stand, about a centre `radius` pulses (signed)
@@ -228,21 +209,18 @@ class Driver(ABC):
         raise ArgumentError(f"{self.chip.MAP.chip} draws no circles.")
 
     @abstractmethod
-    def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
-        """Find ORG, which lies in `direction`, from wherever the axis is; `index`: and on to the encoder's index pulse."""
+    def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
+        """Find ORG, which lies in `direction`, from wherever the axis is; `index`: and on to that index pulse of the encoder."""
 
-    def home_by(self, what: str, direction: int, speeds: Speeds, timeout: float = 60.0, **options: Any) -> Report:
-        """As `home`, by one of `homings`: the chip's usual switch, the index pulse after it, or what else the driver has.
-
-        `options` are keyword arguments that the driver's OPTIONS name.
-        """
-        return self.home(direction, speeds, what == "index", timeout, **options)
+    def home_by(self, what: str, direction: int, speeds: Speeds, timeout: float = 60.0) -> Report:
+        """As `home`, by one of `homings`: the chip's usual switch, the index pulse after it, or what else the driver has."""
+        return self.home(direction, speeds, int(what == "index"), timeout)
 
     def homings(self) -> tuple[str, ...]:
         """HOMINGS, as far as the axis' chip can."""
         return tuple(what for what in self.HOMINGS if what != "index" or self.chip.wired("ez"))
 
-    def check_homing(self, by: str, index: bool = False) -> None:
+    def check_homing(self, by: str, index: int = 0) -> None:
         """Raises ArgumentError for what is none of `homings`. index: somebody has asked for the index pulse, too."""
         known, chip = self.homings(), a_or_an(self.chip.MAP.chip)
         if by not in known:

@@ -10,12 +10,13 @@ What only one family can do has functions of its own: `preset_move` and the othe
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from stage.chips.sharing import exclusive
-from stage.errors import ArgumentError
+from stage.errors import ArgumentError, a_or_an
 from stage.firmware.axis import Axes, Axis, forward
-from stage.firmware.driver import RAMP, Driver, Speeds, driver_of, usual_speeds
+from stage.firmware.driver import RAMP, RATES, Driver, Speeds, driver_of, usual_speeds
 from stage.firmware.report import Procedure, Report
 from stage.firmware.together import SynchronizedReport, chosen_axes
 from stage.support.arguments import patience, told
@@ -27,7 +28,7 @@ def move(
     distance: float | None = None,
     *,
     pulses: int | None = None,
-    speed: float | None = None,
+    speed: float | Speeds | None = None,
     start_speed: float | None = None,
     accel: float = RAMP,
     decel: float | None = None,
@@ -40,16 +41,38 @@ def move(
         axis: of a Stage or a Bench.
         distance: m (rad on a hinge), signed; the nearest whole pulse is made. Or pulses: so many, signed; of a servo counts.
         speed, start_speed: m/s (rad/s); default 16,000 and 1,000 pulses a second, of 1/16 full step where the chip itself says what
-            a pulse is. A servo has no start speed.
+            a pulse is. A servo has no start speed. Or speed: `Speeds`, which say everything about rates and ramps.
         accel, decel: s, of the ramps between them; decel defaults to accel.
         s_curve: ramps without corners. timeout: s; default half as much again as the move can take, and one.
     Raises ArgumentError for what the chip cannot do, in words; StageError for an axis that moves already; RunTimeout.
     """
     patience(timeout)
-    driver = driver_of(axis)
-    return driver.move(
-        pulses_of(axis, distance, pulses), speeds(axis, speed, start_speed, accel, decel, s_curve), timeout
-    )
+    options = {"speed": speed, "start_speed": start_speed, "accel": accel, "decel": decel, "s_curve": s_curve}
+    return driver_of(axis).move(pulses_of(axis, distance, pulses), parse_speeds(axis, options), timeout)
+
+
+@told
+def two_rates(
+    axis: Axis,
+    distance: float | None = None,
+    *,
+    speed: Speeds,
+    pulses: int | None = None,
+    dwell: float = 0.1,
+    rates: Sequence[str] = RATES,
+) -> Report:
+    """Move an axis through several drive speeds, and wait until it is there. A chip with one drive speed moves at `speed.second`.
+
+    Args:
+        axis, distance, pulses: As of `move`.
+        speed: Speeds, of which `second` is the second drive speed.
+        dwell: Seconds at each speed but the last, after its ramp.
+        rates: "FL", "FH1" and "FH2" in the order of the move: start, first and second drive speed.
+
+    Raises:
+        ArgumentError, StageError, RunTimeout: As `move`.
+    """
+    return driver_of(axis).two_rates(pulses_of(axis, distance, pulses), speed, dwell, rates)
 
 
 @told
@@ -57,15 +80,16 @@ def home(
     axis: Axis,
     direction: int = -1,
     *,
-    index: bool = False,
-    speed: float | None = None,
+    index: int = 0,
+    speed: float | Speeds | None = None,
     start_speed: float | None = None,
     accel: float = RAMP,
     timeout: float = 60.0,
     by: str | None = None,
 ) -> Report:
-    """Return to the mechanical origin ORG, which lies in `direction`, from any place; `index`: and on to the encoder's index pulse.
+    """Return to the mechanical origin ORG, which lies in `direction`, from any place.
 
+    index: go on to that index pulse of the encoder after ORG, True or 1 to the first; not every chip counts more.
     by: "switch"; "index", which is index=True; of other chips what their driver says in HOMINGS, for example "stall". Default:
     the switch, or as `index` says.
 
@@ -75,13 +99,20 @@ def home(
     if direction not in (1, -1):
         raise ArgumentError(f"direction={direction!r}: +1 or -1.")
     patience(timeout)
-    driver, wanted = driver_of(axis), speeds(axis, speed, start_speed, accel, None, False)
-    if by in (None, "switch", "index"):
-        driver.check_origin()
-    if by is None:
-        return driver.home(direction, wanted, index, timeout)
-    driver.check_homing(by, index)
-    return driver.home_by(by, direction, wanted, timeout)
+    driver = driver_of(axis)
+    wanted = parse_speeds(axis, {"speed": speed, "start_speed": start_speed, "accel": accel})
+    if by is not None:
+        driver.check_homing(by, index)
+    if by not in (None, "switch", "index"):
+        return driver.home_by(by, direction, wanted, timeout)
+    driver.check_origin()
+    index = int(index) or int(by == "index")
+    if not 0 <= index <= driver.INDEX_PULSES:
+        most = f" to {driver.INDEX_PULSES}" if driver.INDEX_PULSES > 1 else ""
+        raise ArgumentError(
+            f"index={index}: {a_or_an(driver.chip.MAP.chip)} ends at ORG, index=0, or at index pulse 1{most} after it."
+        )
+    return driver.home(direction, wanted, index, timeout)
 
 
 @told
@@ -94,7 +125,8 @@ def jog(
     if not 0 <= seconds < 1e9:
         raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to 1e9 s.")
     driver, direction = driver_of(axis), -forward(axis) if speed is not None and speed < 0 else forward(axis)
-    wanted = speeds(axis, None if speed is None else abs(speed), start_speed, accel, None, False)
+    options = {"speed": None if speed is None else abs(speed), "start_speed": start_speed, "accel": accel}
+    wanted = parse_speeds(axis, options)
     driver.ready()
     with Procedure(axis, "jog") as p:
         driver.run(direction, wanted)
@@ -117,7 +149,7 @@ def line(
     axes: Axes = None,
     *,
     pulses: bool = False,
-    speed: float | None = None,
+    speed: float | Speeds | None = None,
     start_speed: float | None = None,
     accel: float = RAMP,
     s_curve: bool = False,
@@ -129,7 +161,7 @@ def line(
         distances: axis name (or axis) -> m, signed; with `pulses` pulses, of servos counts. 0 keeps an axis still, and the
             report leaves it out; one axis that moves is enough.
         axes: where the names are: a stage, a bench, or a mapping such as stage.axes. Not needed when the keys are axes.
-        speed, start_speed: m/s, of the axis with the most pulses. accel: s of its ramps.
+        speed, start_speed: m/s, of the axis with the most pulses; or speed: `Speeds`. accel: s of its ramps.
     The PCL-240 draws it by registers in the ratio of the distances, a NOVA chip by its interpolation where it has one, else by
     ranges in that ratio, an HCTL-1100 by command positions in each sample. When an end limit, or anything else, stops one axis
     early, the others are slowed down and stopped: the line is lost. Raises ArgumentError where the chips cannot, with the
@@ -146,7 +178,8 @@ def line(
     }
     longest = chosen[max(counts, key=lambda n: abs(counts[n]))][0]
     first = next(iter(drivers.values()))
-    return first.line(drivers, counts, speeds(longest, speed, start_speed, accel, None, s_curve), timeout)
+    options = {"speed": speed, "start_speed": start_speed, "accel": accel, "s_curve": s_curve}
+    return first.line(drivers, counts, parse_speeds(longest, options), timeout)
 
 
 def check_one_kind(drivers: Mapping[str, Driver]) -> None:
@@ -156,17 +189,39 @@ def check_one_kind(drivers: Mapping[str, Driver]) -> None:
         raise ArgumentError(f"{' and '.join(kinds)} draw no line together: give the axes one kind of chip.")
 
 
-def speeds(
-    axis: Axis, speed: float | None, start_speed: float | None, accel: float, decel: float | None, s_curve: bool
-) -> Speeds:
-    """Speeds of an axis from physical units. Raises ArgumentError."""
-    for name, value in (("speed", speed), ("start_speed", start_speed), ("accel", accel), ("decel", decel)):
-        if value is not None and not 0 < value < math.inf:
-            raise ArgumentError(f"{name}={value!r}: more than 0.")
-    usual = usual_speeds(axis.chip)
-    drive = usual.drive if speed is None else speed / _unit(axis, "speed")
-    start = min(usual.start, drive) if start_speed is None else start_speed / _unit(axis, "start_speed")
-    return Speeds(start, drive, accel, accel if decel is None else decel, s_curve)
+OPTIONS = {"start_speed": "start", "speed": "drive", "second": "second", "accel": "up", "decel": "down"}
+"""Options of users, and the fields of `Speeds` that they give."""
+CHOICES = ("s_curve", "constant", "automatic", "approach")
+"""Fields of `Speeds` that are options under their own names."""
+
+
+def parse_speeds(axis: Axis, options: Mapping[str, Any], in_pulses: bool = False) -> Speeds:
+    """Return the speeds that a user's options ask of an axis; every face of the product turns options into `Speeds` here.
+
+    Args:
+        axis: Axis that moves.
+        options: By name: `speed`, `start_speed` and `second` in m/s (rad/s on a hinge), `accel` and `decel` in s, `s_curve`,
+            `constant`, `automatic` and `approach` as fields of `Speeds`. Usual values stand for None and for what is missing,
+            decel as accel. A `speed` that is `Speeds` says everything. Other names are ignored.
+        in_pulses: Speeds are in pulses (counts) per second.
+
+    Raises:
+        ArgumentError: A speed or a time is not greater than 0, or the chip does not have what an option asks for.
+    """
+    made = options.get("speed")
+    if not isinstance(made, Speeds):
+        given = {name: options[name] for name in (*OPTIONS, *CHOICES) if options.get(name) is not None}
+        for name in (name for name in OPTIONS if name in given):
+            if not 0 < given[name] < math.inf:
+                raise ArgumentError(f"{name}={given[name]!r}: must be greater than 0, and finite.")
+            if not in_pulses and name not in ("accel", "decel"):
+                given[name] /= _unit(axis, name)
+        given.setdefault("decel", given.get("accel", RAMP))
+        made = usual_speeds(axis.chip)._replace(**{OPTIONS.get(name, name): value for name, value in given.items()})
+        if "start_speed" not in given:
+            made = made._replace(start=min(made.start, made.drive, made.second or math.inf))
+    driver_of(axis).check_speeds(made)
+    return made
 
 
 def pulses_of(axis: Axis, distance: float | None, pulses: int | None) -> int:

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 
 from stage.errors import ArgumentError
 from stage.firmware.driver import RAMP, Speeds, driver_of
-from stage.firmware.procedures import line, speeds
+from stage.firmware.procedures import line, parse_speeds
 from stage.firmware.report import Report
 from stage.firmware.stop_reasons import NOT_AS_ASKED
 from stage.firmware.together import SynchronizedReport
@@ -61,7 +61,7 @@ def square(
         pass
     reports = []
     for driver in drivers:
-        usual = speeds(driver.axis, speed, start_speed, accel, None, False)
+        usual = parse_speeds(driver.axis, {"speed": speed, "start_speed": start_speed, "accel": accel})
         alone = Speeds(min(usual.start, usual.drive * SLOWLY), usual.drive * SLOWLY, accel, accel)
         reports.append(driver.home(direction, alone, timeout=timeout))
     return reports

@@ -99,7 +99,7 @@ def to_field_error(error: StageError, axis: Axis, given: Mapping[str, Any], fiel
         return error
     name, least, most, value = limit.what, limit.least, limit.most, limit.given
     if name == "acceleration":  # of a ramp as long as its speed takes
-        drive = procedures.speeds(axis, _typed(given, "speed", axis), None, procedures.RAMP, None, False).drive
+        drive = procedures.parse_speeds(axis, {"speed": _typed(given, "speed", axis)}).drive
         name, least, most, value = "accel", drive / most, drive / least, drive / value
     elif name != "accel":
         pulse = (axis.meters_per_pulse or 1.0) / find_scale(axis)[1]
@@ -180,13 +180,6 @@ def parse_speeds(axis: Axis, values: dict[str, Any]) -> dict[str, Any]:
     return out
 
 
-def to_driver_speeds(axis: Axis, speeds: Mapping[str, float]) -> Any:
-    """Return physical speeds as the driver takes them."""
-    return procedures.speeds(
-        axis, speeds.get("speed"), speeds.get("start_speed"), speeds.get("accel", procedures.RAMP), None, False
-    )
-
-
 ALL_AXES = ""
 """The axis of a form that is about several."""
 
@@ -250,12 +243,12 @@ def _two(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], A
     _, k = find_scale(axis)
     pulses = procedures.pulses_of(axis, parse_distance(axis, "distance", require(values, "distance", "how far")), None)
     fast = require(values, "fast", "how fast") * k / (axis.meters_per_pulse or 1.0)
-    dwell, speeds = values.get("dwell", 0.2), to_driver_speeds(axis, parse_speeds(axis, values))
+    dwell, speeds = values.get("dwell", 0.2), procedures.parse_speeds(axis, parse_speeds(axis, values))
     if not fast > 0:
         raise FieldError("fast", f"{values['fast']:g}: more than 0.")
     if dwell < 0:
         raise FieldError("dwell", f"{dwell:g}: 0 s or more.")
-    return lambda stage: driver_of(axis).two_rates(pulses, speeds, fast, dwell)
+    return lambda stage: procedures.two_rates(axis, pulses=pulses, speed=speeds.with_second(fast), dwell=dwell)
 
 
 # --- home ---
@@ -318,13 +311,13 @@ def _circle_fields(stage: Stage, name: str) -> list[Field]:
 def _circle(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], Any]:
     first, second = (stage.axes[n] for n in values["axes"].split())
     radius = procedures.pulses_of(first, parse_distance(first, "radius", require(values, "radius", "how large")), None)
-    speeds = to_driver_speeds(first, parse_speeds(first, values))
+    speeds = procedures.parse_speeds(first, parse_speeds(first, values))
     return lambda stage: driver_of(first).circle(driver_of(second), radius, speeds)
 
 
 def _two_can(stage: Stage, name: str) -> bool:
     """Return whether the chip has two drive speeds; others would make a plain move of it."""
-    return type(driver_of(stage.axes[name])).two_rates is not Driver.two_rates
+    return "second" in driver_of(stage.axes[name]).OPTIONS
 
 
 FORMS: dict[str, ProcedureForm] = {
@@ -352,7 +345,8 @@ class Jog:
 
     def __init__(self, axis: Axis, direction: int, given: Mapping[str, str]):
         self.axis, self.direction = axis, direction
-        self._speeds = to_driver_speeds(axis, parse_speeds(axis, parse_fields(list_speed_fields(axis), given)))
+        typed = parse_speeds(axis, parse_fields(list_speed_fields(axis), given))
+        self._speeds = procedures.parse_speeds(axis, typed)
         self._released = threading.Event()
 
     def release(self) -> None:

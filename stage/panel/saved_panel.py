@@ -54,16 +54,16 @@ def stage_of(made: dict[str, Any]) -> str:
     from stage.cli import setup
 
     given = [repr(made["model"])]
-    each = setup.chips_of(made["chips"]) if "=" in made["chips"] else None
+    each = setup.parse_chips(made["chips"]) if "=" in made["chips"] else None
     given.append(f"chips={each or made['chips']!r}")
     if drives := _drives(made, each):
         given.append(f"drives={drives}")
     if made["bus_cycle"] != 1e-6:
         given.append(f"bus_cycle={made['bus_cycle']!r}")
     for name, value in (
-        ("wiring", setup.wiring_of(made["wiring"])),
-        ("multichip", setup.multichip_of(made["multichip"])),
-        ("syni", setup.syni_of(made["syni"])),
+        ("wiring", setup.parse_wiring(made["wiring"])),
+        ("multichip", setup.parse_multichip(made["multichip"])),
+        ("syni", setup.parse_syni(made["syni"])),
     ):
         if value:
             given.append(f"{name}={value!r}")

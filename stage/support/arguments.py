@@ -139,6 +139,7 @@ KINDS: dict[str, Kind] = {
     "Layout": (lambda v: hasattr(v, "ports"), "a layout"),
     "Program": (lambda v: hasattr(v, "ops"), "Program"),
     "ndarray": (lambda v: hasattr(v, "shape"), "an array"),
+    "Speeds": (lambda v: hasattr(v, "drive") and hasattr(v, "up"), "Speeds"),
     "Plan": (lambda v: hasattr(v, "distances"), "a plan"),
     "Chip": (lambda v: hasattr(v, "MAP"), "a chip"),
     "type": (lambda v: isinstance(v, type) and hasattr(v, "MAP"), "a class of chips, as PCL240K"),

@@ -299,11 +299,11 @@ def test_the_command_says_what_is_wrong(capsys):
         (["mcp", "xq", "--http"], "Did you mean"),
         (["mcp", "xq"], "Did you mean"),
         (["mcp", "--chips", "bogus"], "unknown chip"),
-        (["mcp", "--folder", "."], "add --mode truth"),
-        (["mcp", "--patience", "nan"], "more than 0"),
+        (["mcp", "--folder", "."], "Add --mode truth"),
+        (["mcp", "--patience", "nan"], "greater than 0"),
         (["mcp", "--folder", "/nowhere"], "no such folder"),
         (["mcp", "--moves", "-1"], "0 or more"),
-        (["mcp", "--http", "--idle", "0"], "more than 0"),
+        (["mcp", "--http", "--idle", "0"], "greater than 0"),
     ):
         assert main(arguments) == 2
         assert said in capsys.readouterr().err

@@ -23,7 +23,7 @@ from stage.board import (
     crash_report,
     include,
 )
-from stage.cli.output import Output
+from stage.cli.terminal import Output
 from stage.support.processes import run_program
 
 SHIFT_JIS = "軸を動かす".encode("shift_jis")

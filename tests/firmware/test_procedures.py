@@ -10,7 +10,7 @@ from stage import ArgumentError, Drive, RunTimeout, Stage, StageError, faults, f
 from stage.chips import CHIPS, HCTL1100, MCX304, MCX312, MCX501, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench
 from stage.firmware.driver import SETTLE, AtOnce, Speeds, driver_class, driver_of, usual_speeds, wait_until_stopped
-from stage.firmware.procedures import speeds
+from stage.firmware.procedures import parse_speeds, two_rates
 from stage.firmware.report import Procedure
 from stage.firmware.stop_reasons import NOT_AS_ASKED
 from stage.sim import plant
@@ -160,7 +160,7 @@ def test_ramps_last_as_long_as_they_are_asked_to(stage):
 @each
 def test_two_rates_are_two_where_the_chip_has_them_and_else_the_higher_one(stage):
     x = stage.axes["x"]
-    report = driver_of(x).two_rates(16_000, Speeds(drive=10_000, up=0.05, down=0.05), 20_000, 0.1)
+    report = two_rates(x, pulses=16_000, speed=Speeds(drive=10_000, up=0.05, down=0.05).with_second(20_000), dwell=0.1)
     assert report.ok
     assert report.peak_rate == pytest.approx(20_000, rel=0.05)
     at_first = np.diff(report.course.seconds)[np.abs(report.rates[:-1] - 10_000) < 50].sum()
@@ -609,9 +609,9 @@ def test_a_part_of_a_pulse_is_refused(stage):
 
 
 def test_speeds_keep_their_slopes_and_what_is_not_said_is_usual():
-    """Speeds(1000, 16000, 0.1, 0.2).on_to(32000); firmware.move(x, speed=..., accel=0.1, decel=0.2) below the usual start"""
+    """Speeds(1000, 16000, 0.1, 0.2).with_second(32000); firmware.move(x, speed=..., accel=0.1, decel=0.2) below the usual start"""
     given = Speeds(1000.0, 16_000.0, 0.1, 0.2, True)
-    assert given.on_to(32_000.0) == Speeds(1000.0, 32_000.0, 0.2, 0.4, True)
+    assert given.with_second(32_000.0) == Speeds(1000.0, 16_000.0, 0.2, 0.4, True, 32_000.0)
     assert usual_speeds(SimpleNamespace(MICROSTEPS=0)) == usual_speeds(SimpleNamespace(MICROSTEPS=16)) == Speeds()
     assert usual_speeds(SimpleNamespace(MICROSTEPS=256)) == Speeds(16_000.0, 256_000.0)
     axis = SimpleNamespace(chip=PCL240K(), meters_per_pulse=1e-3, name="x")
@@ -621,7 +621,11 @@ def test_speeds_keep_their_slopes_and_what_is_not_said_is_usual():
         ((4.0, None, 0.1, 0.3, False), Speeds(1000.0, 4000.0, 0.1, 0.3)),
         ((4.0, 0.25, 0.1, 0.3, False), Speeds(250.0, 4000.0, 0.1, 0.3)),
     ):
-        assert speeds(axis, *asked) == pytest.approx(made)
+        options = dict(zip(("speed", "start_speed", "accel", "decel", "s_curve"), asked, strict=True))
+        assert parse_speeds(axis, options)[:5] == pytest.approx(made[:5])
+        assert parse_speeds(axis, {"speed": made}) is made
+        in_pulses = {name: v and v * 1000 if "speed" in name else v for name, v in options.items()}
+        assert parse_speeds(axis, in_pulses, in_pulses=True)[:5] == pytest.approx(made[:5])
 
 
 @pytest.mark.parametrize(("timeout", "polls"), [(0.0105, 11), (1.0, 639), (10.0, 5139), (1e4, 280_400)])
@@ -767,3 +771,42 @@ def test_a_line_ends_at_its_timeout(stage):
     assert {r.stopped_by for r in caught.value.reports.values()} == {"timeout"}
     assert stage.time < 0.2
     assert stage.axes["x"].position < 6e-3
+
+
+EXTRAS = ({"constant": True}, {"automatic": True}, {"second": 20_000.0}, {"approach": 300.0}, {"s_curve": 0.3})
+
+
+@pytest.mark.parametrize("extra", EXTRAS, ids=lambda extra: next(iter(extra)))
+@pytest.mark.parametrize("chip", [MCX514, MCX304, HCTL1100])
+def test_a_family_refuses_the_options_of_another(chip, extra):
+    x = firmware.Bench(x=chip()).axes["x"]
+    with pytest.raises(ArgumentError, match=rf"{next(iter(extra))}=.* Leave|leave it out"):
+        firmware.move(x, pulses=8000, speed=Speeds(**extra))
+    with pytest.raises(ArgumentError, match="eave it out"):
+        parse_speeds(x, extra, in_pulses=True)
+    assert parse_speeds(x, {"automatic": False}) == usual_speeds(x.chip)._replace(automatic=False)
+
+
+def test_a_pcl240_obeys_the_options_of_its_family():
+    """constant speed, a second rate, the chip's own ramp-down point, one approach of ORG, an index pulse"""
+    x = Stage("xy", chips=PCL240MK, visuals=False).axes["x"]
+    assert driver_of(x).usual_second(10_000.0) == 20_000.0
+    assert driver_of(x).usual_second(2e6) == pytest.approx(8191 * 4_915_200 / (8192 * 2))  # the data sheet, equation 4
+    assert "FH2 20000.0 pps" in driver_of(x).describe_speeds(Speeds(second=20_000.0))
+    flat = firmware.move(x, pulses=800, speed=Speeds(1000, 4000, constant=True))
+    assert flat.procedure == "constant-speed preset move"
+    assert set(np.unique(flat.rates.round(-2))) == {0.0, 4000.0}
+    for automatic in (True, False):
+        firmware.move(x, pulses=8000, speed=Speeds(automatic=automatic))
+        assert (driver_of(x).read_register("R6") == 2) == automatic
+    returns = []
+    for approach in (0.0, None):
+        x.stage.place(x=0.02)
+        returns.append(firmware.home(x, speed=Speeds(approach=approach)))
+    once, twice = returns
+    assert once.stopped_by == twice.stopped_by == "ORG"
+    assert twice.duration > once.duration + 0.3
+    with pytest.raises(ArgumentError, match=r"index=17: .* at index pulse 1 to 16"):
+        firmware.home(x, index=17)
+    with pytest.raises(ArgumentError, match=r"index=2: .* at index pulse 1 after"):
+        firmware.home(firmware.Bench(x=MCX514()).axes["x"], index=2)

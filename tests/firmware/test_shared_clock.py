@@ -11,7 +11,7 @@ from stage import ArgumentError, Stage, StageError, firmware
 from stage.chips import PCL240K, PCL240MS
 from stage.cli import main
 from stage.firmware import Bench, Profile, plan
-from stage.firmware.pcl240 import bus
+from stage.firmware.pcl240 import bus, driver
 from stage.firmware.pcl240.bus import explain_silence
 
 HZ = 4_915_200
@@ -156,11 +156,8 @@ def test_the_command_plans_followers_and_names_a_leader_without_a_clock():
 )
 def test_the_command_makes_the_dual_rates_of_the_data_sheet(monkeypatch, rates, phases):
     """Section 6: (1) constant FL, then a ramp up to FH1; (2) FH1, then a ramp down to FL"""
-    made, real = [], firmware.dual_rate_move
-    monkeypatch.setattr(
-        "stage.firmware.pcl240.driver.dual_rate_move",
-        lambda *args, **kwargs: made.append(real(*args, **kwargs)) or made[0],
-    )
+    made, real = [], driver.dual_rate_move
+    monkeypatch.setattr(driver, "dual_rate_move", lambda *args, **kwargs: made.append(real(*args, **kwargs)) or made[0])
     code, _, _ = run("dual-rate", "x", "20000", "--rates", rates, "--dwell", "0.15")
     assert (code, made[0].pulses) == (0, 20_000)
     course = made[0].course

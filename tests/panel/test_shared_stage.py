@@ -139,7 +139,7 @@ PROCEDURES = {
     "home": lambda x, y: firmware.home(x),
     "line": lambda x, y: firmware.line({x: 0.05, y: 0.03}),
     "jog": lambda x, y: firmware.jog(x, 60.0),
-    "two rates": lambda x, y: driver_of(x).two_rates(30_000, firmware.procedures.Speeds(), 24_000, 0.4),
+    "two rates": lambda x, y: driver_of(x).two_rates(30_000, firmware.procedures.Speeds().with_second(24_000), 0.4),
 }
 
 

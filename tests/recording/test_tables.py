@@ -182,7 +182,7 @@ def test_a_recording_is_not_written_over_itself(tmp_path, capsys):
     path = tmp_path / "a.csv"
     path.write_text("mine")
     assert main(["export", str(path), "-o", str(tmp_path / "." / "a.csv"), "--force"]) == 2
-    assert "that is the recording itself. Name another file." in capsys.readouterr().err
+    assert "this is the recording itself. Name another file." in capsys.readouterr().err
     assert path.read_text() == "mine"
 
 

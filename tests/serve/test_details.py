@@ -199,7 +199,7 @@ def test_fresh_and_whatever_records_exclude_each_other(option, capsys):
     """stage serve --fresh --record x.rrd"""
     nowhere = ["--bind", "192.0.2.1"]  # of no machine: whoever is not refused does not serve either
     assert main(["serve", "--fresh", *nowhere, *option]) == 2
-    assert "--fresh goes back to the start for each host" in capsys.readouterr().err
+    assert "--fresh puts the stage back to its start for each host" in capsys.readouterr().err
 
 
 def test_a_batch_of_no_run_says_so():

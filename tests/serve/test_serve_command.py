@@ -66,10 +66,7 @@ def test_it_serves_until_it_is_ended_and_writes_what_is_asked(tmp_path, capsys):
 
 def test_who_lets_others_reach_it_is_warned(capsys):
     assert served(free_port(), "--bind", "0.0.0.0") == 0
-    assert (
-        "warning: others than this machine may reach 0.0.0.0, and nobody is asked for a password"
-        in capsys.readouterr().err
-    )
+    assert "warning: other machines may reach 0.0.0.0, and there is no password" in capsys.readouterr().err
 
 
 def test_a_name_of_this_machine_needs_no_warning(capsys):

@@ -20,7 +20,7 @@ class ToyDriver(Driver):
             self.axis.wait(0.05)
             return p.report(self.stopped_by() or "all pulses", pulses)
 
-    def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> NoReturn:
+    def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> NoReturn:
         raise ArgumentError("a TOY has no origin return: move it, and look at ORG.")
 
     def run(self, direction: int, speeds: Speeds) -> None:

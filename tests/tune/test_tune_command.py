@@ -9,7 +9,8 @@ import stage.tune
 from stage import Stage
 from stage.chips import HCTL1100, MCX514
 from stage.cli import main
-from stage.cli.tune import _meant, _Progress, _spare
+from stage.cli.terminal import rewrite_line
+from stage.cli.tune import _Progress, explain_unit, parse_spare
 from stage.errors import ArgumentError
 
 
@@ -86,22 +87,27 @@ def test_every_option_is_for_what_its_help_says(told):
      ("600g", 0.0, 0.6), ("0", 5.0, 0.0), ("150%", 2.0, 3.0)],
 )  # fmt: skip
 def test_a_margin_is_a_share_of_the_payload_or_kilograms(text, payload, kg):
-    assert _spare(text, payload) == (None if kg is None else pytest.approx(kg))
+    assert parse_spare(text, payload) == (None if kg is None else pytest.approx(kg))
 
 
 @pytest.mark.parametrize("text", ["-1", "-5%", "30%%", "5% kg", "%", "much", "1e400", "nan"])
 def test_a_margin_that_is_none_is_refused(text):
-    with pytest.raises(ArgumentError, match=f"^--spare {re.escape(text)}: percent of the payload, 30%, or kg, 0"):
-        _spare(f" {text}", 2.0)
+    with pytest.raises(
+        ArgumentError, match=f"^--spare {re.escape(text)}: give percent of the payload, such as 30%, or kg, "
+    ):
+        parse_spare(f" {text}", 2.0)
 
 
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
-        (["--settle", "0um", "50ms"], "--settle: '0um' is not more than 0"),
-        (["--settle", "20um", "-1s"], "--settle: '-1s' is not more than 0 in one of"),
-        (["--overshoot", "5ms"], "--overshoot: '5ms' is not more than 0 in one of nm, um, mm, cm, m; for example 50um"),
-        (["--seed", "-1"], "--seed -1: a whole number, 0 or more"),
+        (["--settle", "0um", "50ms"], "--settle 0um: must be greater than 0"),
+        (["--settle", "20um", "-1s"], "--settle -1s: must be greater than 0, in one of"),
+        (
+            ["--overshoot", "5ms"],
+            "--overshoot 5ms: must be greater than 0, in one of nm, um, mm, cm, m; for example 50um",
+        ),
+        (["--seed", "-1"], "--seed -1: must be a whole number, 0 or more"),
     ],
 )
 def test_what_cannot_be_is_refused_before_the_search(told, capsys, typed, said):
@@ -116,11 +122,11 @@ def test_a_seed_of_nothing_is_one(told):
 
 def test_a_distance_without_a_unit_may_be_meant_in_that_of_the_axis():
     stage = Stage("xya", chips={"x": HCTL1100, "y": MCX514, "a": MCX514}, visuals=False)
-    said = [_meant(stage.axes[name], "100") for name in "xya"]
+    said = [explain_unit(stage.axes[name], "100") for name in "xya"]
     assert [s.split("did you mean ")[1] for s in said] == ["100mm?", "100mm?", "100deg?"]
     assert ["counts" in s for s in said] == [True, False, False]
-    assert _meant(stage.axes["x"], "100mm") == ""
-    assert _meant(stage.axes["y"], " -100") == " --distance -100 is -100 pulses: did you mean -100mm?"
+    assert explain_unit(stage.axes["x"], "100mm") == ""
+    assert explain_unit(stage.axes["y"], " -100") == " --distance -100 is -100 pulses: did you mean -100mm?"
 
 
 def test_progress_is_a_line_on_a_terminal_alone(capsys, monkeypatch):
@@ -129,7 +135,7 @@ def test_progress_is_a_line_on_a_terminal_alone(capsys, monkeypatch):
         progress = _Progress(200)
         progress("the formula", 0.0, None)
         progress("searching", 0.25, 0.1234)
-        progress.end()
+        rewrite_line("")
         lines = capsys.readouterr().err.split("\r\033[K")
         assert lines == (
             ["", "the formula ...", "searching 50 of 200 trials, best 123.4 ms ...", ""] if terminal else [""]

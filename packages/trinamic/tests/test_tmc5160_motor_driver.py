@@ -18,7 +18,7 @@ from stage import ArgumentError, Drive, Stage, StageError, faults, firmware
 from stage.board import Board, NativeHost, build
 from stage.chips import chip_class
 from stage.cli import main
-from stage.cli.firmware import report
+from stage.cli.run import print_report as report
 from stage.firmware.driver import Speeds, driver_of
 from stage.testing import assert_no_lost_steps, chip_conformance
 

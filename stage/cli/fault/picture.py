@@ -1,4 +1,4 @@
-"""The picture of a demonstration: both runs over time."""
+"""Picture of a demonstration: both runs over time."""
 
 from __future__ import annotations
 
@@ -10,35 +10,34 @@ from stage.support import pictures
 from stage.units import PLACES
 
 if TYPE_CHECKING:
-    from stage.cli.fault.demo import Shown
-
+    from stage.cli.fault.demonstrations import Shown
 
 STYLES = (
     {"color": "#f0a868", "linewidth": 5.5, "alpha": 0.75, "label": "healthy"},
     {"color": pictures.COLOURS[0], "linewidth": 1.4, "label": "faulty"},
 )
-"""The healthy run is a wide band: where the runs are alike, both are seen."""
+"""Styles of the two runs. The healthy one is a wide band, so that both are visible where the runs are alike."""
 
 
 def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
-    """Draw `shown`, which has both recordings; see `Shown.plot`."""
+    """Draw a result that has both recordings, and return the figure; see `Shown.plot`."""
     from stage.support.files import save_figure
 
     figure = pictures.figure(9, 5.2)
     panels = figure.subplots(2, 1, sharex=True)
-    struck = [n.time for n in shown.recordings[1].notes if n.text.endswith("begins")][:1]
-    shows = _shows(shown, struck)
+    begins = [n.time for n in shown.recordings[1].notes if n.text.endswith("begins")][:1]
+    limits = _find_limits(shown, begins)
     for panel, column in zip(panels, shown.demo.draws, strict=True):
-        unit = _unit(column)
+        unit = _find_unit(column)
         if unit is None:
-            _pin(panel, shown, column)
+            _draw_pin(panel, shown, column)
         else:
             for recording, style in zip(shown.recordings, STYLES, strict=True):
-                time, values, steps = _course(recording, column)
+                time, values, steps = _read_waveform(recording, column)
                 scale = PLACES[shown.unit].per if unit == "m" else 1
                 panel.plot(time, values * scale, drawstyle="steps-post" if steps else "default", **style)
-        for when in struck:
-            if shows is None or shows[0] <= when <= shows[1]:
+        for when in begins:
+            if limits is None or limits[0] <= when <= limits[1]:
                 panel.axvline(when, color="#c53030", linewidth=1, linestyle=(0, (4, 2)), label="the fault begins")
         unit = PLACES[shown.unit].symbol if unit == "m" else unit
         panel.set_ylabel(f"{column.replace('_', ' ')}{f', {unit}' if unit else ''}", color=pictures.INK, fontsize=8.5)
@@ -47,8 +46,8 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     place = {"loc": "lower right", "bbox_to_anchor": (1, 1), "borderaxespad": 0.2}
     panels[0].legend(handles, labels, ncols=len(labels), frameon=False, fontsize=8, **place)
     panels[1].set_xlabel("time, s", color=pictures.INK, fontsize=8.5)
-    if shows:
-        panels[0].set_xlim(shows)
+    if limits:
+        panels[0].set_xlim(limits)
     name = shown.recordings[1].notes[0].text.removesuffix(": begins")
     pictures.heading(figure, f"{name[:1].upper()}{name[1:]}", shown.name)
     if path is not None:
@@ -56,43 +55,43 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     return figure
 
 
-def _pin(panel: Any, shown: Shown, column: str) -> None:
-    """A lane for each run, filled while the pin is asserted."""
+def _draw_pin(panel: Any, shown: Shown, column: str) -> None:
+    """Draw a lane for each run, filled while the pin is asserted."""
     for k, (recording, style) in enumerate(zip(shown.recordings, STYLES, strict=True)):
-        time, on, _ = _course(recording, column)
+        time, on, _ = _read_waveform(recording, column)
         low = 1 - k
         panel.fill_between(time, low + 0.15, low + 0.15 + 0.7 * on, step="post", color=style["color"], linewidth=0)
     panel.set_yticks([1.5, 0.5], ["healthy", "faulty"])
     panel.set_ylim(0, 2)
 
 
-def _unit(column: str) -> str | None:
-    """None: a pin, on or off."""
+def _find_unit(column: str) -> str | None:
+    """Return the unit of a column; None for a pin."""
     from stage.recording.recording import COLUMNS
 
     return COLUMNS[column][0] if column in COLUMNS else None
 
 
-def _course(recording: Any, column: str) -> tuple[np.ndarray, np.ndarray, bool]:
-    """(times in s, values, whether those stay until the next) of the first axis; rates and pins are to the clock."""
+def _read_waveform(recording: Any, column: str) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Return times in s, values, and whether each holds until the next, of the first axis; rates and pins to the clock."""
     from stage.recording.signals import asserted, rates
 
     name, axis = next(iter(recording.axes.items()))
-    if _unit(column) is not None and column != "rate":
+    if _find_unit(column) is not None and column != "rate":
         return recording.column("time"), recording.column(f"{name}/{column}"), False
     course = recording.journals[name].course()
     values = rates(course.edges, course.clock_hz) if column == "rate" else asserted(axis.chip, course.edges, column)
     return recording.began + course.seconds, values, True
 
 
-def _shows(shown: Shown, struck: list[float]) -> tuple[float, float] | None:
-    """From when to when, s; None: all of it."""
+def _find_limits(shown: Shown, begins: list[float]) -> tuple[float, float] | None:
+    """Return when the picture begins and ends, s; None: all of the run."""
     if shown.demo.close_up is None:
         return None
-    pin = next((column for column in shown.demo.draws if _unit(column) is None), None)
-    moment = struck[0]
+    pin = next((column for column in shown.demo.draws if _find_unit(column) is None), None)
+    moment = begins[0]
     if pin is not None:
-        time, on, _ = _course(shown.recordings[1], pin)
+        time, on, _ = _read_waveform(shown.recordings[1], pin)
         moment = float(time[on.argmax()])
     before, after = shown.demo.close_up
     return moment + before, moment + after

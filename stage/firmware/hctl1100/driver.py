@@ -174,7 +174,7 @@ class Hctl1100Driver(Driver):
             )  # fmt: skip
             return p.report(self.stopped_by() if done.limited else self.DONE, int(pulses))
 
-    def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
+    def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
         if index and positive(self.axis, "ez"):
             raise self.no_positive("ez")
         port = self._ready_for(speeds)
@@ -186,7 +186,7 @@ class Hctl1100Driver(Driver):
             turn = getattr(getattr(self.axis, "drive", None), "counts", 2000)
             try:
                 home(
-                    port, direction, speed=speeds.drive, acceleration=speeds.drive / speeds.up, index=index, turn=turn,
+                    port, direction, speed=speeds.drive, acceleration=speeds.drive / speeds.up, index=bool(index), turn=turn,
                     timeout=timeout, deadband=DEADBAND,
                 )  # fmt: skip
             except RunTimeout:  # where an end limit has ended it

@@ -40,7 +40,7 @@ class FirstGenerationDriver(NovaDriver):
     RUN: ClassVar = ("C_DRV_P", "C_DRV_M")
     ENDED: ClassVar = "RR1"
 
-    def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
+    def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
         registers = self._registers(speeds._replace(s_curve=False), 1)
         with Procedure(self.axis, "origin return") as p:
             self._prepare(registers)
@@ -50,7 +50,7 @@ class FirstGenerationDriver(NovaDriver):
             address, stop1 = self._level(1)
             if (met := self.stopped_by()) in ("EL+", "EL-") and bool(self.chip.read(address) & stop1) != self.high(1):
                 return p.report(met)
-            self._begin_search(now, index, direction, STEADY)
+            self._begin_search(now, bool(index), direction, STEADY)
             at_limit = self._watch(timeout)
             self.command(now, self.STOP).wait(2 * SETTLE)
             if at_limit:

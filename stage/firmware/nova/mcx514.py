@@ -31,12 +31,12 @@ class Mcx514Driver(NovaDriver):
     RUN: ClassVar = ("DRVVP", "DRVVM")
     ENDED: ClassVar = "RR2"
 
-    def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
+    def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
         registers = self._registers(speeds._replace(s_curve=False), 1)
         with Procedure(self.axis, "origin return") as p:
             found = home_search(
                 self.axis, direction=direction, speed=registers["DV"], home_speed=round(HOME_SPEED),
-                initial_speed=registers["SV"], acceleration=registers["AC"], index=index, timeout=timeout,
+                initial_speed=registers["SV"], acceleration=registers["AC"], index=bool(index), timeout=timeout,
                 back=False,
             )[self.axis.name]  # fmt: skip
             self.axis.wait(SETTLE)

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, cast
 
 from stage.chips.journal import Journal
-from stage.firmware.driver import Driver, Speeds
+from stage.firmware.driver import RATES, Driver, Speeds
 from stage.firmware.pcl240 import bus, moves
 from stage.firmware.pcl240.bus import Port, require_clock
-from stage.firmware.pcl240.home import origin_return
+from stage.firmware.pcl240.home import APPROACH, origin_return
 from stage.firmware.pcl240.line import RatioLine
 from stage.firmware.pcl240.pattern import Pattern
 from stage.firmware.pcl240.procedure import find_cause, find_stop_reason
@@ -35,7 +35,8 @@ class Pcl240Driver(Driver):
     FINISH: ClassVar = "R0"
     POSITIVE: ClassVar = ("org", "ez", "el_plus", "el_minus", "sd_plus", "sd_minus")
     TRIMS: ClassVar = {"R6": 1.06}  # the formula leaves pulses at FL
-    OPTIONS: ClassVar = frozenset({"constant", "automatic", "slow_approach", "ez", "second", "s_curve_share", "rates"})
+    OPTIONS: ClassVar = frozenset({"second", "constant", "automatic", "approach", "s_curve_share"})
+    INDEX_PULSES: ClassVar = 16
     chip: Any
 
     def __init__(self, axis: Any):
@@ -64,77 +65,29 @@ class Pcl240Driver(Driver):
         )
         return made.shaped(speeds.s_curve) if speeds.s_curve else made
 
-    def move(
-        self,
-        pulses: int,
-        speeds: Speeds,
-        timeout: float | None = None,
-        *,
-        constant: bool = False,
-        automatic: bool | None = None,
-    ) -> Report:
-        """Make a preset move.
-
-        Args:
-            pulses: Signed number of output pulses.
-            speeds: Rates and ramps.
-            timeout: Simulated seconds to wait; None: half as much again as the move can take, and one.
-            constant: Move at the constant drive speed, without ramps.
-            automatic: The chip finds the ramp-down point itself; None: where it can.
-
-        Raises:
-            ArgumentError: A value does not fit its register.
-            RunTimeout: The chip still moved after `timeout`.
-        """
+    def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
+        """Make a preset move, see `preset_move`."""
         self._forget()
         return moves.preset_move(
-            self.axis, pulses, self.profile(speeds), high_speed=not constant, automatic=automatic, timeout=timeout
-        )
+            self.axis, pulses, self.profile(speeds), high_speed=not speeds.constant, automatic=speeds.automatic, timeout=timeout,
+        )  # fmt: skip
 
     def start(self, pulses: int, speeds: Speeds) -> None:
         self._watch()
         self.goal = self.chip.net() + pulses
         moves.start_preset(self.port, self.profile(speeds), pulses)
 
-    def two_rates(self, pulses: int, speeds: Speeds, fast: float, dwell: float) -> Report:
-        self._forget()
-        both = speeds.on_to(fast)._replace(drive=speeds.drive, second=fast)
-        return self.move_through_rates(pulses, both, ("FH1", "FH2", "FH1"), dwell)
-
-    def move_through_rates(self, pulses: int, speeds: Speeds, rates: Sequence[str], dwell: float) -> Report:
+    def two_rates(self, pulses: int, speeds: Speeds, dwell: float, rates: Sequence[str] = RATES) -> Report:
+        """Make a dual-rate move, see `dual_rate_move`."""
         self._forget()
         return dual_rate_move(self.axis, pulses, self.profile(speeds), rates=rates, dwell=dwell)
 
-    def home(
-        self,
-        direction: int,
-        speeds: Speeds,
-        index: bool = False,
-        timeout: float = 60.0,
-        *,
-        constant: bool = False,
-        slow_approach: bool = True,
-        ez: int | None = None,
-    ) -> Report:
-        """Return to the mechanical origin.
-
-        Args:
-            direction: Where ORG lies, 1 or -1.
-            speeds: Rates and ramps.
-            index: End at an index pulse after ORG.
-            timeout: Simulated seconds that each run of the return may take.
-            constant: Search at the constant start speed, without ramps.
-            slow_approach: Back off from ORG, and approach it again slowly.
-            ez: Number of the index pulse after ORG at which the return ends, 1 to 16; None: the first with `index`, else none.
-
-        Raises:
-            ArgumentError: The chip counts no index pulses, or the axis has no origin switch.
-            RunTimeout: A run took longer than `timeout`.
-        """
+    def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
+        """Return to the mechanical origin, see `origin_return`."""
         self._forget()
         return origin_return(
-            self.axis, direction, self.profile(speeds), high_speed=not constant, slow_approach=slow_approach,
-            ez=1 if index and ez is None else ez, timeout=timeout,
+            self.axis, direction, self.profile(speeds), high_speed=not speeds.constant, slow_approach=speeds.approach != 0,
+            approach=speeds.approach or APPROACH, ez=index or None, timeout=timeout,
         )  # fmt: skip
 
     def run(self, direction: int, speeds: Speeds) -> None:
@@ -182,13 +135,7 @@ class Pcl240Driver(Driver):
 
     @classmethod
     def line(
-        cls,
-        drivers: Mapping[str, Driver],
-        pulses: Mapping[str, int],
-        speeds: Speeds,
-        timeout: float | None = None,
-        *,
-        automatic: bool | None = None,
+        cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
         """Move axes on a straight line by rates in the ratio of the distances, see `synchronized_move`."""
         axes = {name: driver.axis for name, driver in drivers.items()}
@@ -196,7 +143,7 @@ class Pcl240Driver(Driver):
             cast("Pcl240Driver", driver)._forget()
         return synchronized_move(
             dict(pulses), axes, rate=speeds.drive, fl=speeds.start, accel=speeds.up, decel=speeds.down,
-            s_curve=speeds.s_curve, automatic=automatic, timeout=timeout,
+            s_curve=speeds.s_curve, automatic=speeds.automatic, timeout=timeout,
         )  # fmt: skip
 
     def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:

@@ -260,7 +260,7 @@ class Tmc5160Driver(Driver):
 
     # --- homing ---
 
-    def home(self, direction: int, speeds: Speeds, index: bool = False, timeout: float = 60.0) -> Report:
+    def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
         return self.home_by("index" if index else "switch", direction, speeds, timeout)
 
     def home_by(self, what: str, direction: int, speeds: Speeds, timeout: float = 60.0) -> Report:

@@ -1,4 +1,4 @@
-"""The picture of `stage erratum`: the drive with a bare 26h in area d, and with the work-around."""
+"""Picture of `stage erratum`: the drive with a bare 26h in area d, and with the work-around."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from stage.units import PLACES
 if TYPE_CHECKING:
     from stage.cli.erratum import Shown
 
-CLOSE = 0.06  # s before area d, and after it
+CLOSE_UP_S = 0.06  # before area d, and after it
 LANES = {"ASND": "asnd", "CNST": "cnst", "DSND": "dsnd", "n-DRV": "drive"}
 
 
 def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
-    """Rate and position of both runs; beside them, close up, the rate and the bits of RR1 around area d."""
+    """Draw rate and position of both runs; beside them, close up, the rate and the bits of RR1 around area d."""
     from stage.support.files import save_figure
     from stage.support.pictures import COLOURS, INK, MUTED, bare, figure, title
 
     fig = figure(11, 6)
     (rate, close), (place, lanes) = fig.subplots(2, 2)
     styles = ((COLOURS[0], 1.6, "26h in area d", 2), (MUTED, 3.0, "stop_by_speed", 1))
-    areas, unit = _areas(shown.recordings[0]), PLACES[shown.unit]
+    areas, unit = _find_areas(shown.recordings[0]), PLACES[shown.unit]
     for recording, (color, width, label, order) in zip(shown.recordings, styles, strict=True):
         axis = next(iter(recording.axes))
         time, pps = recording.column("time"), recording.column(f"{axis}/rate")
@@ -34,10 +34,10 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
         place.plot(
             time, recording.column(f"{axis}/commanded") * unit.per, color=color, linewidth=1, linestyle=(0, (2, 2))
         )
-    _lanes(lanes, shown.recordings[0], COLOURS[0])
+    _draw_bits(lanes, shown.recordings[0], COLOURS[0])
     begin, end = areas["d"]
     for panel in (close, lanes):
-        panel.set_xlim(begin - CLOSE, end + CLOSE)
+        panel.set_xlim(begin - CLOSE_UP_S, end + CLOSE_UP_S)
         panel.axvspan(begin, end, color=COLOURS[0], alpha=0.15, linewidth=0)
     rate.set_ylim(top=1.12 * pps.max())
     initial = float(np.interp(areas["a"][0] + 1e-3, time, pps))
@@ -45,7 +45,7 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     letters = {area: sum(areas[area]) / 2 for area in "abc"} | ({} if shown.mended else {"e": end + 0.9})
     for area, when in letters.items():
         rate.annotate(area, (when, 0.98), xycoords=("data", "axes fraction"), ha="center", va="top", color=INK)
-    for area, when in {"c": begin - CLOSE / 2, "d": (begin + end) / 2, "e": end + CLOSE / 2}.items():
+    for area, when in {"c": begin - CLOSE_UP_S / 2, "d": (begin + end) / 2, "e": end + CLOSE_UP_S / 2}.items():
         if area in letters or area == "d":
             close.annotate(area, (when, 0.92), xycoords=("data", "axes fraction"), ha="center", color=INK)
     rate.set(ylabel="pulse rate (pps)")
@@ -68,14 +68,14 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     return fig
 
 
-def _course(recording: Any) -> tuple[Any, np.ndarray]:
+def _read_waveform(recording: Any) -> tuple[Any, np.ndarray]:
     course = recording.journals[next(iter(recording.axes))].course()
     return course, recording.began + course.seconds
 
 
-def _areas(recording: Any) -> dict[str, tuple[float, float]]:
-    """When the areas a to d of the notice begin and end, s, by the chip's status pins."""
-    course, time = _course(recording)
+def _find_areas(recording: Any) -> dict[str, tuple[float, float]]:
+    """Return when the areas a to d of the notice begin and end, s, by the chip's status pins."""
+    course, time = _read_waveform(recording)
     asnd, cnst, dsnd = (course.pin(name) for name in ("asnd", "cnst", "dsnd"))
 
     def span(on: np.ndarray) -> tuple[float, float]:
@@ -87,8 +87,8 @@ def _areas(recording: Any) -> dict[str, tuple[float, float]]:
     return {"a": a, "b": (a[1], c[0]), "c": c, "d": span(cnst & (time >= c[1]))}
 
 
-def _lanes(panel: Any, recording: Any, color: str) -> None:
-    course, time = _course(recording)
+def _draw_bits(panel: Any, recording: Any, color: str) -> None:
+    course, time = _read_waveform(recording)
     for k, pin in enumerate(reversed(LANES.values())):
         panel.plot(time, k + 0.7 * course.pin(pin), drawstyle="steps-post", color=color, linewidth=1.6)
         panel.axhline(k, color=color, linewidth=0.5, alpha=0.4)

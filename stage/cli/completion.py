@@ -1,0 +1,42 @@
+"""The command `stage completion`, and the answers to a shell that completes a command line."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from typing import TYPE_CHECKING, Any
+
+from stage.cli.commands import add_command
+
+if TYPE_CHECKING:
+    from stage.cli.parser import Parser
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    p = add_command(
+        commands, "completion", run, "completion of commands and options for a shell",
+        "Print what makes a shell complete this command line with the Tab key.",
+        ('eval "$(stage completion bash)"', "in ~/.bashrc"),
+        ('eval "$(stage completion zsh)"', "in ~/.zshrc"),
+        ("stage completion fish | source", "in ~/.config/fish/config.fish"),
+        json=False,
+    )  # fmt: skip
+    p.add_argument("shell", choices=("bash", "zsh", "fish"))
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what a shell reads to complete this command line."""
+    from stage.support.extras import need
+
+    print(need("argcomplete", "completion").shellcode(["stage"], shell=args.shell))
+    return 0
+
+
+def complete(parser: Parser) -> None:
+    """Answer a shell that asks what may come next, and end the process; return where no shell asks."""
+    if "_ARGCOMPLETE" in os.environ:
+        import argcomplete
+
+        parser.set_completers()
+        argcomplete.autocomplete(parser)

@@ -1,0 +1,285 @@
+"""Demonstrations of faults by name: their programs, what is claimed of each, and their results.
+
+Claims are of steppers, and of servos where those do something else. `show` serves the command, the tests and docs/faults.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from stage.cli.fault import SAMPLE_INTERVAL_S, programs
+from stage.cli.terminal import note
+from stage.errors import unknown
+from stage.firmware.driver import driver_of
+from stage.units import PLACES, SMALL
+
+Figures = dict[str, Any]
+MakeFault = Callable[..., AbstractContextManager]
+"""Called with a function of `stage.faults` and its arguments: makes the fault on the faulty stage, nothing on the healthy one."""
+Record = Callable[[Any], AbstractContextManager]
+"""Context manager of the recording of a stage, or of None."""
+
+SCREW_M = 10e-3
+"""Way of a turn of the motor that claims in millimeters speak of."""
+LIMITS = ("EL+", "EL-", "timeout")
+HYSTERESIS_UM = 28.0  # 25 of a switch, and a pulse
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What happens with a servo, where this differs from a stepper; see `Demo`."""
+
+    claim: str
+    notice: str
+    happened: Callable[[Figures, Figures], bool]
+    draws: tuple[str, str] = ("position", "following_error")
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Demonstration of a fault.
+
+    Attributes:
+        claim: What happens, in a sentence.
+        notice: How a host can tell.
+        program: Runs on a stage, and returns its figures.
+        happened: Whether the figures of the healthy and of the faulty run are as claimed.
+        draws: Two columns of the first axis' recording for the picture.
+        close_up: Seconds before and after the moment that the picture shows: that at which the fault begins, or the first edge
+            of a switch among `draws`; None: all of the run.
+        servo: Claim for servos; None: the same.
+    """
+
+    claim: str
+    notice: str
+    program: Callable[[Any, MakeFault], Figures]
+    happened: Callable[[Figures, Figures], bool]
+    draws: tuple[str, str] = ("position", "lost_steps")
+    close_up: tuple[float, float] | None = None
+    servo: Claim | None = None
+
+    def for_servo(self) -> Demo:
+        """Return the demonstration with what is claimed of a servo."""
+        return replace(self, **vars(self.servo)) if self.servo else self
+
+
+@dataclass(frozen=True)
+class Shown:
+    """Result of a demonstration: the healthy run and the faulty one.
+
+    Attributes:
+        name: Name of the demonstration.
+        demo: The demonstration.
+        figures: Figures of the two runs; those whose names end in mm or um are in meters or radians.
+        recordings: Recordings of the two runs, or None.
+        unit: "m", or "rad" where the first axis is a hinge.
+        turn: Way of the axis, m (rad), for a turn of the motor.
+    """
+
+    name: str
+    demo: Demo
+    figures: tuple[Figures, Figures]
+    recordings: tuple[Any, Any] = field(repr=False)
+    unit: str = "m"
+    turn: float = SCREW_M
+
+    @property
+    def as_claimed(self) -> bool:
+        """Whether what is claimed has happened."""
+        return self.demo.happened(*map(self._scale_to_screw, self.figures))
+
+    def _scale_to_screw(self, figures: Figures) -> Figures:
+        return {k: v * SCREW_M / self.turn if k.endswith(", mm") else v for k, v in figures.items()}
+
+    def table(self) -> str:
+        """Return the figures of both runs, a line each."""
+        return format_figures(("", "healthy", "faulty"), self.figures, self.unit)
+
+    def plot(self, path: str | None = None, overwrite: bool = False) -> Any:
+        """Draw both runs over time, and return the figure. Needs recordings, and matplotlib."""
+        from stage.cli.fault.picture import draw
+
+        return draw(self, path, overwrite)
+
+
+def format_figures(head: tuple[str, str, str], figures: tuple[Figures, Figures], unit: str) -> str:
+    """Return the figures of two runs, a line each.
+
+    Args:
+        head: Headings of the columns.
+        figures: Figures by name; those whose names end in mm or um are lengths.
+        unit: "m", or "rad": lengths are angles, and are given in degrees.
+    """
+    first, second = figures
+    rows = [head, *(_format_figure(name, value, second[name], unit) for name, value in first.items())]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join("  ".join(v.ljust(w) for v, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+
+
+def _format_figure(name: str, first: Any, second: Any, unit: str) -> tuple[str, ...]:
+    title, comma, scale = name.rpartition(", ")
+    units = {"mm": PLACES, "um": SMALL}.get(scale) if comma else None
+    if units is not None:
+        name, factor = f"{title}, {units[unit].symbol}", units[unit].per / units["m"].per
+        first, second = first * factor, second * factor
+    return name, *(f"{v:.4f}" if isinstance(v, float) else str(v) for v in (first, second))
+
+
+def find_key(name: str) -> str:
+    """Return the name of a demonstration as DEMOS has it. Raises ArgumentError with near names."""
+    key = name.lower().replace("_", "-")
+    if key not in DEMOS:
+        raise unknown("fault", name, DEMOS)
+    return key
+
+
+def show(name: str, make: Callable[[], Any], record: Record | None = None, record_both: bool = False) -> Shown:
+    """Run a demonstration on two stages, the healthy one first.
+
+    Args:
+        name: Name of the demonstration.
+        make: Makes a stage.
+        record: Context manager of the recording of the faulty run.
+        record_both: Record the healthy run, too.
+
+    Raises:
+        ArgumentError: There is no demonstration of this name.
+        StageError: The stage cannot show it; the error has the reason.
+    """
+    key = find_key(name)
+    stage = make()
+    demo, axis = DEMOS[key], programs.first_axis(stage)
+    if driver_of(axis).has_position_loop:
+        demo = demo.for_servo()
+    note(f"{key}: the healthy run ...")
+    with stage.record(SAMPLE_INTERVAL_S) if record_both else nullcontext() as healthy_recording:
+        healthy = demo.program(stage, lambda *_: nullcontext())
+    stage = make()
+    note(f"{key}: the faulty run ...")
+    with record(stage) if record else nullcontext() as faulty_recording:
+        faulty = demo.program(stage, lambda fault, *args: fault(*args))
+    turn = 2 * math.pi / abs(axis.gear)
+    return Shown(key, demo, (healthy, faulty), (healthy_recording, faulty_recording), axis.unit, turn)
+
+
+def has_arrived(figures: Figures) -> bool:
+    """Return whether the chip has made its move to the end."""
+    return figures["stopped by"] not in LIMITS
+
+
+DEMOS = {
+    "stuck-open": Demo(
+        "EL+ stuck open: the chip never stops, the carriage runs onto the hard stop and the motor slips whole turns of four steps.",
+        "not at all in the move: the pulses run out as they should. The next origin return needs more of them, or fewer.",
+        programs.stuck_open,
+        lambda h, f: h["stopped by"] == "EL+" and h["lost steps"] == 0
+        and has_arrived(f) and f["lost steps"] > 0 and f["lost steps"] % 4 == 0,
+        servo=Claim(
+            "EL+ stuck open: the chip never stops, the carriage runs onto the hard stop and the motor pushes against it.",
+            "at once: the actual position stands, and the command position runs away from it.",
+            lambda h, f: h["stopped by"] == "EL+" and has_arrived(f) and f["beyond EL+, mm"] < 10 < f["behind at the end, mm"],
+        ),
+    ),
+    "stuck-closed": Demo(
+        "EL+ sticks closed in a move: the chip stops at once, without a ramp; the carriage runs on, out of step.",
+        "at once: halted before its pulses were out, where no end limit is; towards plus nothing moves, the way back is free.",
+        programs.stuck_closed,
+        lambda h, f: has_arrived(h) and f["stopped by"] == "EL+" and f["before EL+, mm"] > 10 and f["lost steps"] < 0,
+        ("position", "rate"),
+        servo=Claim(
+            "EL+ sticks closed in a move: the chip takes its motor command away at once; the carriage coasts.",
+            "at once: Init/Idle, LIMIT in the status, where no end limit is. The position is still known.",
+            lambda h, f: has_arrived(h) and f["stopped by"] == "EL+" and f["before EL+, mm"] > 10,
+        ),
+    ),
+    "bounce": Demo(
+        "ORG bounces for 3 ms: the chip sees several edges for each one, and finds the origin within the switch's hysteresis.",
+        "a status that is read within the bounce may say that ORG is off, though ORG has stopped the axis: look again later.",
+        programs.bounce,
+        lambda h, f: f["edges of ORG that the chip saw"] > 4 * h["edges of ORG that the chip saw"] > 0
+        and h["after the first edge ORG is off for, ms"] == 0 < f["after the first edge ORG is off for, ms"]
+        and h["origin return stopped by"] == f["origin return stopped by"] == "ORG"
+        and abs(f["origin, um"] - h["origin, um"]) < HYSTERESIS_UM,
+        ("rate", "org"), (-2e-3, 8e-3),
+    ),
+    "vane-missing": Demo(
+        "The vane of ORG has come off: the origin return passes the origin and ends at EL-.",
+        "at once: halted, and ORG is off, which leaves the end limit (`stopped_by` EL-).",
+        programs.vane_missing,
+        lambda h, f: h["stopped by"] == "ORG" and f["stopped by"] == "EL-" and f["past ORG, mm"] > 1,
+        ("position", "org"),
+    ),
+    "payload-doubled": Demo(
+        "The payload weighs 20 kg in place of 10: a ramp that 10 kg follow pulls the rotor out of step.",
+        "not at all in the move: the chip counts pulses. An origin return afterwards shows it.",
+        programs.payload,
+        lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 0 and has_arrived(f),
+        servo=Claim(
+            "The payload weighs 20 kg in place of 10: the same loop follows the ramps less closely, and arrives all the same.",
+            "by the position, command and actual, in each sample. No count is lost.",
+            lambda h, f: has_arrived(f) and f["behind at most, mm"] > 1.1 * h["behind at most, mm"]
+            and abs(f["carriage moved, mm"] - h["carriage moved, mm"]) < 0.05,
+        ),
+    ),
+    "bus-voltage": Demo(
+        "The supply falls from 24 V to 8 V at speed, below the back-EMF: the current is too little, and the motor stalls.",
+        "not at all in the move: the chip counts pulses. An origin return afterwards shows it.",
+        programs.bus_voltage,
+        lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 0 and has_arrived(f),
+        servo=Claim(
+            "The supply falls from 24 V to 8 V at speed: the motor has a third of its push, falls behind, and arrives.",
+            "by the position, command and actual, in each sample. No count is lost.",
+            lambda h, f: has_arrived(f) and f["behind at most, mm"] > 2 * h["behind at most, mm"]
+            and abs(f["carriage moved, mm"] - h["carriage moved, mm"]) < 0.05,
+        ),
+    ),
+    "jam": Demo(
+        "The axis jams in a move: the carriage stops, the chip sends the remaining pulses into a motor that stands.",
+        "not at all in the move: the chip counts pulses. An origin return then ends in RunTimeout: pulses run, no switch comes.",
+        programs.jam,
+        lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 0 and abs(f["on from 0.5 s, mm"]) < 0.2
+        and f["pulses made"] == h["pulses made"],
+        servo=Claim(
+            "The axis jams in a move: the carriage all but stands, the motor pushes with all that it has, and the command goes on.",
+            "at once: the actual position stands, and the command position runs away from it. `firmware.move` ends in RunTimeout.",
+            lambda h, f: has_arrived(f) and abs(f["on from 0.5 s, mm"]) < 3 < 30 < f["behind at the end, mm"]
+            and abs(h["behind at the end, mm"]) < 1
+            and f["counts commanded"] == h["counts commanded"],
+        ),
+    ),
+    "phase-open": Demo(
+        "Phase B is open: a field of one phase has no direction, and from rest the motor stands where power-up has put it.",
+        "not at all in the move: the chip counts pulses. An origin return then ends in RunTimeout: pulses run, ORG does not come.",
+        programs.phase_open,
+        lambda h, f: h["lost steps"] == 0 and f["lost steps"] > 100
+        and f["opened at 6.25 turns/s: lost steps"] < 0.1 * f["lost steps"],
+        ("position", "lost_steps"), (-0.05, 1.98),
+    ),
+    "start-skew": Demo(
+        "The CPU is away for 5 ms between two start commands of an a:b move: both axes arrive, and leave the line on the way.",
+        "by its clock around the start commands; both axes make all their pulses, and their status is as it should be.",
+        programs.start_skew,
+        lambda h, f: h["done"] == f["done"] == "yes" and abs(f["started within, ms"] - 5) < 0.1
+        and f["off the line, pulses"] > 10 * h["off the line, pulses"],
+        ("position", "rate"),
+    ),
+    "lost-write": Demo(
+        "A write of the distance does not arrive: the chip makes the move that it was told, and not the one that was asked.",
+        "by reading the distance back before the start, where the chip lets it; afterwards the status is that of a good move.",
+        programs.lost_write,
+        lambda h, f: h["pulses made"] == h["asked"] != f["pulses made"] and has_arrived(f),
+        ("position", "pulses"),
+        servo=Claim(
+            "A byte of the final position does not arrive: the chip moves to where it was told, and not to where it was asked.",
+            "by reading the final position back before the start; afterwards the status is that of a good move.",
+            lambda h, f: h["counts commanded"] == h["asked"] != f["counts commanded"] and has_arrived(f)
+            and f["diagnostics"] == h["diagnostics"],
+            ("position", "pulses"),
+        ),
+    ),
+}  # fmt: skip
+"""Every fault by name."""

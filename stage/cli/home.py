@@ -1,0 +1,99 @@
+"""The command `stage home`."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from stage.cli.commands import add_command, tell
+from stage.cli.files import draw_plot, record_to_files
+from stage.cli.options import (
+    add_plot_option,
+    add_speed_options,
+    add_stage_and_output_options,
+    add_start_option,
+    count,
+)
+from stage.cli.setup import find_axis, make_stage, parse_speed_options, place_carriage
+from stage.cli.terminal import note, show_simulated_time
+from stage.errors import ArgumentError, a_or_an
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    p = add_command(
+        commands, "home", run, "origin return",
+        "Find the origin switch ORG: fast (slowed by SD), then back off and approach it again slowly.",
+        ("stage home", "all axes, one after the other"),
+        ("stage home x --from 62mm --plot home.png", "from 62 mm, drawn like the data sheet's operation patterns"),
+        ("stage home x --chips mcx514 --by index", "to the encoder's index pulse after the switch"),
+    )  # fmt: skip
+    p.add_argument("axes", nargs="*", metavar="AXIS", help="axes to home, one after the other (default: all)")
+    p.add_argument("--plus", action="store_true", help="search towards plus (default: towards minus)")
+    p.add_argument("--constant", action="store_true", help="search at the constant rate FL (PCL-240 family)")
+    p.add_argument("--fast-only", action="store_true", help="do not back off and approach slowly (PCL-240 family)")
+    p.add_argument(
+        "--by", metavar="HOW",
+        help="where to end: at the switch, at the index pulse of the encoder after it, or by what else the chip has, such as stall",
+    )  # fmt: skip
+    p.add_argument(
+        "--ez", type=count, metavar="N", help="end at the N-th index pulse after ORG (N > 1: PCL240MK, PCL240MS)"
+    )
+    add_start_option(p)
+    add_speed_options(p)
+    add_plot_option(p)
+    add_stage_and_output_options(p)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Home axes, those of one load together; exit code 0 if each has found its origin and no step is lost."""
+    from stage.firmware.driver import driver_of
+    from stage.firmware.tandem import tandems
+
+    stage = make_stage(args)
+    groups = tandems([find_axis(stage, name) for name in args.axes] or stage.axes.values())
+    axes = [axis for group in groups for axis in group]
+    for axis in axes:
+        place_carriage(stage, axis, "--from", args.start)
+    reports = []
+    with record_to_files(args, stage), show_simulated_time(stage):
+        for group in groups:
+            names = " and ".join(axis.name for axis in group)
+            note(f"axis {names}: origin return ...")
+            if len(group) > 1:
+                print(
+                    f"axes {names} drive one load: together to where one meets ORG, then each to its own, as reported"
+                )
+            found = _home_together(args, group, names) if len(group) > 1 else [_home(args, group[0])]
+            reports += found
+            print(*found, sep="\n")
+        tell(args, reports=reports)
+        draw_plot(args, reports[0].plot)
+    found = [r.stopped_by in driver_of(axis).FOUND for r, axis in zip(reports, axes, strict=True)]
+    return 0 if all(found) and not any(r.lost_steps for r in reports) else 1
+
+
+def _home(args: argparse.Namespace, axis: Any) -> Any:
+    from stage import firmware
+    from stage.firmware.driver import driver_of
+
+    last = driver_of(axis).INDEX_PULSES
+    if args.ez and args.ez > last:
+        pulses = "1" if last == 1 else f"1 to {last}"
+        raise ArgumentError(
+            f"--ez {args.ez}: {a_or_an(axis.chip.MAP.chip)} ends at ORG, or at index pulse {pulses} after it."
+        )
+    speeds = parse_speed_options(args, axis)
+    return firmware.home(axis, +1 if args.plus else -1, index=args.ez or 0, speed=speeds, by=args.by)
+
+
+def _home_together(args: argparse.Namespace, axes: list[Any], names: str) -> list[Any]:
+    """Home axes that drive one load."""
+    from stage.firmware.tandem import square_by
+
+    for option in ("by", "ez", "constant", "fast_only", "fh2"):
+        if getattr(args, option) not in (None, False):
+            raise ArgumentError(
+                f"--{option.replace('_', '-')}: axes {names} drive one load; they go to their origin switches together."
+            )
+    return square_by(axes, +1 if args.plus else -1, parse_speed_options(args, axes[0]))

@@ -1,0 +1,106 @@
+"""The commands `stage list`, `stage chips` and `stage registers`: what there is."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from stage.cli.commands import add_command, tell
+from stage.cli.options import CHIPS
+
+
+def add(commands: Any) -> None:
+    """Add the commands."""
+    p = add_command(
+        commands, "list", list_kind, "the chips, motors and models that there are",
+        "List what --chips, --motor and --model take.",
+        ("stage list motors", "names for --motor"),
+        ("stage list models", "names for --model"),
+    )  # fmt: skip
+    p.add_argument("what", choices=tuple(KINDS))
+    add_command(
+        commands, "chips", list_chips, "the chips that there are",
+        "List every chip: PulseStage's own, and those of installed packages (docs/your_own_chip.md).",
+        ("stage chips", "names for --chips, and where they come from"),
+    )  # fmt: skip
+    p = add_command(
+        commands, "registers", list_registers, "the register map of a chip",
+        "Print a chip's registers, commands and status bits with the evidence for each.",
+        ("stage registers pcl240k", "the whole map"),
+        ("stage registers mcx514 | less", "page by page"),
+    )  # fmt: skip
+    chip = p.add_argument("chip", metavar="CHIP", help="for example pcl240k; `stage chips` lists them all")
+    chip.known = CHIPS  # type: ignore[attr-defined]
+
+
+def list_kind(args: argparse.Namespace) -> int:
+    """Print what there is of one kind."""
+    return KINDS[args.what](args)
+
+
+def list_chips(args: argparse.Namespace) -> int:
+    """Print the chips, and where they come from."""
+    from stage.chips import CHIPS
+
+    lines = CHIPS.listed()
+    facts = [
+        {"name": n.name, "package": n.package, "title": n.chip and n.chip.MAP.title, "problem": n.problem}
+        for n in lines
+    ]
+    tell(args, facts)
+    name_width, package_width = (
+        max(map(len, column)) for column in zip(*((n.name, n.package) for n in lines), strict=True)
+    )
+    for line in lines:
+        text = line.chip.MAP.title if line.chip else f"NOT AVAILABLE: {line.problem}"
+        print(f"{line.name:{name_width}}  {line.package:{package_width}}  {text}")
+    return 0
+
+
+def _list_motors(args: argparse.Namespace) -> int:
+    from stage.drives.dc_motors import DC_MOTORS
+    from stage.drives.motors import EVIDENCE, MOTORS
+
+    tell(args, {"steppers": MOTORS, "dc": DC_MOTORS})
+    for name, m in MOTORS.items():
+        print(f"{name:16} stepper  {m.rated_current:g} A, holding torque {m.holding_torque:g} N m")
+        _print_evidence(m)
+    for name, dc in DC_MOTORS.items():
+        print(f"{name:16} DC       {dc.torque_constant * 1e3:g} mN m/A, {dc.resistance:g} ohm")
+        _print_evidence(dc)
+    print("evidence: " + ", ".join(f"{letter} {meaning}" for letter, meaning in EVIDENCE.items()))
+    return 0
+
+
+def _print_evidence(motor: Any) -> None:
+    """Print each value of a motor with its unit, the letter of its evidence, and the reason."""
+    from stage.drives.motors import UNITS
+
+    for name, text in motor.evidence.items():
+        letter, _, reason = text.partition(": ")
+        value = f"{getattr(motor, name):.4g} {UNITS[name]}"
+        print(f"  {name:21}{value:16}{letter:3}{reason}".rstrip())
+
+
+def _list_models(args: argparse.Namespace) -> int:
+    from stage.sim import plant
+
+    axes = {name: [a.name for a in plant.bind(plant.open_spec(name).compile())] for name in plant.names()}
+    tell(args, axes)
+    for name, names in axes.items():
+        print(f"{name:10} axes {', '.join(names)}")
+    print("or an MJCF file of your own: `stage new-model` writes one, docs/models.md says what it must have.")
+    return 0
+
+
+KINDS = {"chips": list_chips, "motors": _list_motors, "models": _list_models}
+
+
+def list_registers(args: argparse.Namespace) -> int:
+    """Print a register map."""
+    from stage.chips import chip_class
+    from stage.chips.register_map import dump
+
+    tell(args, map_ := chip_class(args.chip).MAP)
+    print(dump(map_))
+    return 0

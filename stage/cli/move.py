@@ -1,0 +1,192 @@
+"""The commands `stage move`, `stage dual-rate` and `stage sync`."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from collections.abc import Sequence
+from typing import Any
+
+from stage.cli.commands import add_command, tell, warn
+from stage.cli.files import draw_plot, record_to_files
+from stage.cli.options import (
+    DURATION,
+    RATE,
+    TIME,
+    add_plot_option,
+    add_ramp_options,
+    add_speed_options,
+    add_stage_and_output_options,
+    add_start_option,
+)
+from stage.cli.setup import (
+    find_axis,
+    make_stage,
+    parse_distance,
+    parse_speed_options,
+    place_carriage,
+    split_pair,
+    warn_beyond_limits,
+)
+from stage.cli.terminal import show_simulated_time
+from stage.errors import ArgumentError, a_or_an
+
+
+def add(commands: Any) -> None:
+    """Add the commands."""
+    p = add_command(
+        commands, "move", move, "a move by pulses, or by a distance",
+        "Move by a number of pulses, or by a distance, and stop on the last pulse. With a PCL-240 it is a preset move: R0 counts "
+        "the pulses down, and the ramp-down point R6 is by the data sheet's formula, or found by the chip itself where it can.",
+        ("stage move x 8000 --fh1 20000", "8000 pulses, at 20,000 pps"),
+        ("stage move x -10mm --chips hctl1100", "10 mm towards minus, by a servo"),
+        ("stage move x 8000 --chips pcl240ms --s-curve --plot s.png", "an S-curve, drawn"),
+    )  # fmt: skip
+    _add_axis_and_distance(p)
+    p.add_argument("--constant", action="store_true", help="constant rate, no ramps (PCL-240 family)")
+    add_start_option(p)
+    add_speed_options(p)
+    add_ramp_options(p)
+    add_plot_option(p)
+    add_stage_and_output_options(p)
+    p = add_command(
+        commands, "dual-rate", dual_rate, "FL to FH1 to FH2 and back in one move",
+        "Ramp to FH1, in motion on to FH2 (or down to it) and back, and stop on the last pulse. With --rates any order of the "
+        "three: FL,FH1 is the data sheet's dual rate mode (1), ramping up; FH1,FL its mode (2), ramping down. PCL-240 family.",
+        ("stage dual-rate x 40000 --fh1 10000 --fh2 20000", "two rates in one move"),
+        ("stage dual-rate x 8000 --rates FL,FH1 --dwell 0.5", "dual rate mode (1): constant FL, then a ramp up to FH1"),
+        ("stage dual-rate x 8000 --rates FH1,FL", "dual rate mode (2): FH1, then a ramp down to FL"),
+        ("stage dual-rate x 100mm --plot dual.png", "the same over 100 mm, drawn"),
+    )  # fmt: skip
+    _add_axis_and_distance(p)
+    p.add_argument(
+        "--rates",
+        default="FH1,FH2,FH1",
+        metavar="RATE,RATE",
+        help="FL, FH1 and FH2 in any order (default: FH1,FH2,FH1)",
+    )
+    p.add_argument(
+        "--dwell", type=TIME, default=0.1, help="seconds at each rate except the last, after its ramp (default: 0.1)"
+    )
+    add_start_option(p)
+    add_speed_options(p)
+    add_plot_option(p)
+    add_stage_and_output_options(p)
+    p = add_command(
+        commands, "sync", sync, "several axes along a straight line, in the ratio a:b",
+        "Move several axes along a straight line: registers in the ratio of the distances, equal ramp times, one start after the "
+        "other; or the chip's own interpolation.",
+        ("stage sync x=20000 y=-7500", "two axes along a straight line"),
+        ("stage sync x=10mm y=-2mm z=1mm --rate 5000", "three axes, the longest at 5,000 pps"),
+        ("stage sync x=20000 y=-7500 --chips mcx514", "by the chip's own interpolation"),
+    )  # fmt: skip
+    p.add_argument(
+        "distances", nargs="+", metavar="AXIS=DISTANCE", help="for example x=20000 y=-7500, or x=10mm y=-2mm"
+    )
+    p.add_argument("--rate", dest="fh1", type=RATE, help="rate of the axis with the most pulses, pps")
+    p.add_argument("--fl", type=RATE, help="rate of that axis at the start and at the stop, pps")
+    p.add_argument("--accel", type=DURATION, help="seconds of the ramps")
+    add_ramp_options(p)
+    add_plot_option(p)
+    add_stage_and_output_options(p)
+
+
+def _add_axis_and_distance(p: argparse.ArgumentParser) -> None:
+    p.add_argument("axis", metavar="AXIS")
+    p.add_argument(
+        "distance", metavar="DISTANCE", help="pulses (counts of a servo), or 10mm, 30deg; the sign is the direction"
+    )
+
+
+def move(args: argparse.Namespace) -> int:
+    """Move an axis; exit code 0 if it has moved as asked."""
+    from stage import firmware
+
+    return _run_on_axis(args, lambda axis, pulses, speeds: firmware.move(axis, pulses=pulses, speed=speeds))
+
+
+def dual_rate(args: argparse.Namespace) -> int:
+    """Move an axis at two rates; exit code 0 if it has moved as asked."""
+    from stage.firmware.driver import driver_of
+    from stage.firmware.procedures import two_rates
+
+    def run(axis: Any, pulses: int, speeds: Any) -> Any:
+        if "second" not in driver_of(axis).OPTIONS:
+            raise ArgumentError(
+                f"dual-rate: {a_or_an(axis.chip.MAP.chip)} has one drive speed; FH1 and FH2 are of the PCL-240 family."
+            )
+        return two_rates(axis, pulses=pulses, speed=speeds, dwell=args.dwell, rates=args.rates.upper().split(","))
+
+    return _run_on_axis(args, run)
+
+
+def _run_on_axis(args: argparse.Namespace, run: Any) -> int:
+    """Call `run(axis, pulses, speeds)`, which returns a report."""
+    from stage.firmware.driver import driver_of
+
+    stage = make_stage(args)
+    axis = find_axis(stage, args.axis)
+    for carriage in (axis, *(stage.axes[name] for name in axis.tandem)):
+        place_carriage(stage, carriage, "--from", args.start)
+    if axis.tandem:
+        _warn_of_tandem(args, axis, axis.tandem, [f"{axis.name}={args.distance}"])
+    with record_to_files(args, stage), show_simulated_time(stage):
+        pulses, speeds = parse_distance(axis, args.distance), parse_speed_options(args, axis)
+        warn_beyond_limits(args, axis, pulses)
+        if described := driver_of(axis).describe_speeds(speeds):
+            print(described)
+        report = run(axis, pulses, speeds)
+        print(report)
+        print(report.listing())
+        tell(args, reports=[report])
+        draw_plot(args, report.plot)
+    return 0 if report.ok else 1
+
+
+def _warn_of_tandem(args: argparse.Namespace, axis: Any, behind: Sequence[str], items: list[str]) -> None:
+    """Warn that an axis moves without those which drive the same load.
+
+    Args:
+        args: Options, for `warn`.
+        axis: Axis that moves.
+        behind: Axes of the load that do not move as far.
+        items: Typed moves, AXIS=DISTANCE.
+    """
+    distance = next(value for name, value in map(split_pair, items) if name == axis.name)
+    others = [item for item in items if split_pair(item)[0] not in behind]
+    warn(
+        args,
+        f"axis {axis.name} drives one load with {' and '.join(behind)}, which stays behind: the load is twisted. "
+        f"To move all of them: {shlex.join(['stage', 'sync', *others, *(f'{name}={distance}' for name in behind)])}",
+    )
+
+
+def sync(args: argparse.Namespace) -> int:
+    """Move several axes along a line; exit code 0 if they have moved as asked."""
+    from stage import firmware
+    from stage.firmware.driver import driver_of
+    from stage.firmware.procedures import check_one_kind
+
+    stage = make_stage(args)
+    pulses: dict[str, int] = {}
+    for item in args.distances:
+        name, distance = split_pair(item)
+        if not (name and distance):
+            raise ArgumentError(f"{item!r}: write AXIS=PULSES or AXIS=DISTANCE, for example x=20000 or x=10mm.")
+        axis = find_axis(stage, name)
+        if name in pulses:
+            raise ArgumentError(f"{item!r}: axis {name} already has {pulses[name]} pulses. Give each axis once.")
+        pulses[name] = warn_beyond_limits(args, axis, parse_distance(axis, distance))
+    for name in pulses:
+        if behind := [other for other in stage.axes[name].tandem if pulses.get(other) != pulses[name]]:
+            _warn_of_tandem(args, stage.axes[name], behind, args.distances)
+    check_one_kind({name: driver_of(stage.axes[name]) for name in pulses})
+    speeds = parse_speed_options(args, stage.axes[next(iter(pulses))])
+    with record_to_files(args, stage), show_simulated_time(stage):
+        report = firmware.line(pulses, stage.axes, pulses=True, speed=speeds)
+        if report.plan:
+            print(report.plan)
+        print(report)
+        tell(args, report)
+        draw_plot(args, report.plot)
+    return 0 if report.ok else 1

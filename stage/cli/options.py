@@ -1,0 +1,231 @@
+"""Options that commands have in common, and the types of their values: 20000, 20000pps, 100ms, 24V, 0x300."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
+
+from stage.units import BESIDES, kind_of, quantity, slip
+
+PCL240 = ("PCL240K", "PCL240MK", "PCL240MS")
+CHIPS = (*PCL240, "MCX514", "MCX512", "MCX501", "MCX314AS", "MCX304", "MCX302", "MCX312", "HCTL1100")
+
+
+# --- types of values ---
+
+
+class Quantity:
+    """Type of a number of one kind, a key of BESIDES; without a unit in SI, pps for a pulse rate."""
+
+    def __init__(self, kind: str, positive: bool = False):
+        self.kind, self.units, self.positive = kind, BESIDES[kind], positive
+
+    def __call__(self, text: str) -> float:
+        text = text.strip()
+        value = quantity(text, {"": 1.0} | self.units)
+        if value is None:
+            other = kind_of(text)
+            hint = f" {other[0]} is a {other[1]}." if other else slip(text)
+            raise argparse.ArgumentTypeError(
+                f"{text!r} is no {self.kind}.{hint} Give a number, or one in {', '.join(self.units)}."
+            )
+        if self.positive and not 0 < value < math.inf:
+            raise argparse.ArgumentTypeError(f"{text} must be greater than 0, and finite")
+        return value
+
+
+class WholeQuantity(Quantity):
+    """Type of a quantity that is a whole number; it may also be written as 0x300."""
+
+    def __call__(self, text: str) -> int:
+        try:
+            return int(text, 0)
+        except ValueError:
+            value = super().__call__(text)
+        if not math.isfinite(value) or value != round(value):
+            raise argparse.ArgumentTypeError(f"{text!r} is no whole number")
+        return round(value)
+
+
+RATE, DURATION = Quantity("pulse rate", positive=True), Quantity("time", positive=True)
+TIME, VOLTAGE, MASS, FREQUENCY = map(Quantity, ("time", "voltage", "mass", "frequency"))
+HERTZ = WholeQuantity("frequency")
+
+
+def number(text: str) -> int:
+    """Parse a whole number."""
+    try:
+        return int(text, 0)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number, such as 768 or 0x300") from None
+
+
+def count(text: str) -> int:
+    """Parse a whole number that is 1 or more."""
+    if (value := number(text)) < 1:
+        raise argparse.ArgumentTypeError(f"{text} must be 1 or more")
+    return value
+
+
+def port(text: str) -> int:
+    """Parse a TCP port."""
+    value = number(text)
+    if not 0 <= value < 1 << 16:
+        raise argparse.ArgumentTypeError(f"{text}: a TCP port is 0 (one that is free) to 65535")
+    return value
+
+
+class NotedAction(argparse.Action):
+    """Action that stores a value, and as NAME_given that the user gave one."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
+        setattr(namespace, self.dest, values)
+        setattr(namespace, f"{self.dest}_given", True)
+
+
+# --- groups of options ---
+
+
+def add_stage_and_output_options(p: argparse.ArgumentParser, chips: Sequence[str] = CHIPS) -> None:
+    """Add --model, the options of a stage, and those of its recordings."""
+    g = p.add_argument_group("stage")
+    g.add_argument("--model", default="xyz", help=describe_models()).known = list_models()  # type: ignore[attr-defined]
+    add_stage_options(g, chips)
+    g = p.add_argument_group("output")
+    g.add_argument("--record", metavar="FILE.rrd", help="write a rerun recording")
+    g.add_argument("--picture", metavar="FILE.png", help="render the dashboard of the recording; needs no screen")
+    g.add_argument("--vcd", metavar="FILE.vcd", help="write waveforms for GTKWave")
+    add_force_option(g)
+    g.add_argument("--view", action="store_true", help="open the recording in the rerun viewer")
+    g.add_argument("--web", action="store_true", help="serve the dashboard to a browser, on 127.0.0.1 only")
+    g.add_argument("--port", type=port, default=9090, action=NotedAction, help="port for --web (default: 9090)")
+
+
+def add_model_argument(p: argparse.ArgumentParser) -> None:
+    """Add MODEL as an argument that may be left out."""
+    p.add_argument("model", nargs="?", default="xyz", help=describe_models()).known = list_models()  # type: ignore[attr-defined]
+
+
+def list_models() -> list[str]:
+    """Return the names of the models that PulseStage brings."""
+    return import_module("stage.models").names()
+
+
+def describe_models() -> str:
+    """Return the help text of an option for a model."""
+    return f"a model of PulseStage ({', '.join(list_models())}) or an MJCF file (default: xyz)"
+
+
+def add_stage_options(g: Any, chips: Sequence[str] = CHIPS) -> None:
+    """Add the options that describe a stage, except its model."""
+    others = "; or one of another package, see `stage chips`; or x=CHIP,y=CHIP" if chips is CHIPS else ""
+    choices = f"chip of every axis: {', '.join(chips)}{others} (default: {chips[0]})"
+    g.add_argument("--chips", default=chips[0], help=choices).known = chips
+    g.add_argument("--motor", help="motor of every axis, see `stage list motors` (default: 17HS4401)")
+    g.add_argument("--microsteps", type=int, default=16, help="microsteps per full step (default: 16)")
+    g.add_argument("--bus-voltage", type=VOLTAGE, default=24.0, help="supply of the drives, V (default: 24)")
+    g.add_argument("--bus-cycle", type=TIME, default=1e-6, help="seconds that a bus cycle takes (default: 1e-6)")
+    g.add_argument(
+        "--wiring", action="append", default=[], metavar="AXIS.SENSOR=LOGIC",
+        help="logic of a sensor that is not negative: x.org=positive is high while it is on; ez is the index of the encoder",
+    )  # fmt: skip
+    g.add_argument(
+        "--multichip", metavar="AXIS,AXIS",
+        help="connect the multichip lines of MCX514 and MCX512 chips: an axis of each chip, x,z (see docs/nova.md)",
+    )  # fmt: skip
+    g.add_argument(
+        "--syni", action="append", default=[], metavar="FOLLOWER=LEADER",
+        help="connect SYNI of an axis' chip (PCL-240 family) to SYNO of another one: y=x, or y=x,z=x",
+    )  # fmt: skip
+
+
+def add_force_option(p: Any) -> None:
+    """Add --force."""
+    p.add_argument("--force", action="store_true", help="overwrite files that exist")
+
+
+def add_plot_option(p: Any) -> None:
+    """Add --plot."""
+    p.add_argument("--plot", metavar="FILE.png", help="draw a diagram")
+
+
+def add_start_option(p: Any) -> None:
+    """Add --from."""
+    p.add_argument(
+        "--from", dest="start", metavar="PLACE",
+        help="position at which the carriage starts: 20mm, 30deg; without a unit mm, degrees on a hinge (default: 0)",
+    )  # fmt: skip
+
+
+def add_speed_options(p: argparse.ArgumentParser) -> None:
+    """Add rates and ramp times."""
+    g = p.add_argument_group("speeds (pulses per second; the chip makes, and the command prints, the nearest possible)")
+    g.add_argument("--fl", type=RATE, help="FL: rate at the start and at the stop")
+    g.add_argument("--fh1", type=RATE, help="FH1: rate of the move")
+    g.add_argument("--fh2", type=RATE, help="FH2: second rate (PCL-240 family; default: twice FH1)")
+    g.add_argument("--accel", type=DURATION, help="seconds from FL to the highest rate")
+    g.add_argument("--decel", type=DURATION, help="seconds from the highest rate to FL (default: as --accel)")
+
+
+def add_ramp_options(p: argparse.ArgumentParser) -> None:
+    """Add the shape of ramps."""
+    g = p.add_argument_group("ramps")
+    g.add_argument(
+        "--s-curve", nargs="?", type=float, const=True, default=False, metavar="SHARE",
+        help="S-curves; SHARE (above 0, up to 0.5) is the part of the ramp that is curved at each end (needs PCL240MS)",
+    )  # fmt: skip
+    g.add_argument(
+        "--automatic", action=argparse.BooleanOptionalAction,
+        help="the chip finds the ramp-down point itself (PCL240MK, PCL240MS)",
+    )  # fmt: skip
+
+
+def add_board_options(p: argparse.ArgumentParser) -> None:
+    """Add the options of a board and of what is on its bus."""
+    g = p.add_argument_group("board")
+    g.add_argument(
+        "--layout",
+        help="ports that reach the chips: pcl240, pcl240-card, nova, nova-8bit, hctl1100, or a file of your own, card.toml "
+        "(default: the chip's); docs/layouts.md",
+    )
+    g.add_argument("--base", type=number, help="first port of the first chip, such as 0x300 (default: the layout's)")
+    g.add_argument("--stride", type=number, help="ports from one chip to the next (default: the layout's)")
+    g.add_argument("--clock", type=HERTZ, metavar="HZ", help="reference clock of the chips (default: the data sheet's)")
+    g.add_argument("--trace", metavar="FILE.txt", help="write the bus cycles in words; - prints them")
+    g.add_argument("--keep", type=int, default=1_000_000, help="latest bus cycles to keep (default: 1,000,000)")
+    g.add_argument(
+        "--device", action="append", default=[], metavar="KIND:PORT",
+        help="another device on the bus: hctl2000, hctl2016, hctl2020, ls7166 with the axis whose encoder it counts, "
+        "hctl2016:0x320:x, and the counts of a turn of the motor if not 2000, ls7166:0x330:y:4000; uart:0x3F8; latch:0x378; a "
+        "device of your own in C with its number of ports, adc.c:0x340+2",
+    )  # fmt: skip
+    g.add_argument(
+        "--encoder", action="append", default=[], metavar="AXIS=COUNTS",
+        help="an encoder for the chip's counter of the real position (RP or EP of the NOVA chips): counts per metre (rad on a "
+        "hinge), x=200000, or per turn of the motor, x=2000/turn",
+    )  # fmt: skip
+    g.add_argument(
+        "--place", action="append", default=[], metavar="AXIS=PLACE",
+        help="position at which a carriage starts, such as x=62mm; without a unit mm, degrees on a hinge",
+    )  # fmt: skip
+
+
+def add_panel_options(p: argparse.ArgumentParser) -> None:
+    """Add --panel and its options, for a command that drives a stage."""
+    g = p.add_argument_group("panel")
+    g.add_argument(
+        "--panel", action="store_true",
+        help="show a live page in real time; the command begins when a browser shows it, and the page stays at the end; "
+        "docs/panel.md",
+    )  # fmt: skip
+    g.add_argument("--panel-port", type=port, default=7241, help="TCP port; 0: one that is free (default: 7241)")
+    add_page_options(g)
+
+
+def add_page_options(g: Any) -> None:
+    """Add the options of every live page."""
+    g.add_argument("--no-browser", action="store_true", help="print the link, and open no browser")
+    g.add_argument("--speed", type=float, default=1.0, help="simulated seconds per second, 0.001 to 1000 (default: 1)")

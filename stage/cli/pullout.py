@@ -1,0 +1,53 @@
+"""The command `stage pullout`."""
+
+from __future__ import annotations
+
+import argparse
+from functools import partial
+from typing import Any
+
+from stage.cli.commands import add_command, tell
+from stage.cli.files import check_outputs, draw_plot
+from stage.cli.options import VOLTAGE, add_force_option, add_plot_option
+from stage.cli.terminal import show_progress
+
+
+def add(commands: Any) -> None:
+    """Add the command."""
+    p = add_command(
+        commands, "pullout", run, "pull-out torque of a motor and drive over speed",
+        "Simulate the torque at which the motor slips, beside the closed form of an ideal drive.",
+        ("stage pullout --motor 17HS4401 --plot pullout.png", "the curve, drawn"),
+        ("stage pullout --bus-voltage 48", "with another supply"),
+    )  # fmt: skip
+    p.add_argument("--motor", default="17HS4401", help="a stepper, see `stage list motors` (default: 17HS4401)")
+    p.add_argument("--bus-voltage", type=VOLTAGE, default=24.0, help="supply of the drive, V (default: 24)")
+    p.add_argument("--microsteps", type=int, default=16, help="microsteps per full step (default: 16)")
+    add_plot_option(p)
+    add_force_option(p)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate and print the pull-out curve, and compare it with the published one."""
+    from stage.drives.dynamometer import pull_out_table
+    from stage.drives.motors import Drive, describe_core_loss, estimate_core_loss, find_motor
+    from stage.drives.published_curves import PUBLISHED_CURVES
+
+    drive = Drive(find_motor(args.motor), microsteps=args.microsteps, bus_voltage=args.bus_voltage)
+    check_outputs(args)
+    table = pull_out_table(drive, progress=partial(show_progress, "simulating"))
+    tell(args, motor=args.motor, bus_voltage=args.bus_voltage, microsteps=args.microsteps, pull_out=table)
+    print(table)
+    if (curve := PUBLISHED_CURVES.get(args.motor)) is not None:
+        comparison = curve.compare(drive.motor)
+        rms = comparison.compute_rms()
+        tell(args, published={**comparison._asdict(), "rms_deviation": rms, "source": curve.source})
+        print(f"\n{curve.source}, and simulated:\n{comparison}\nrms deviation {rms:.1%}")
+    else:
+        tell(args, likely_core_loss=estimate_core_loss(drive.motor))
+        print(f"\n{describe_core_loss(drive.motor)}")
+    if args.plot:
+        from stage.drives.picture import plot_pull_out
+
+        draw_plot(args, partial(plot_pull_out, drive, table))
+    return 0

@@ -1,0 +1,319 @@
+"""The commands `stage run` and `stage include`: firmware on an emulated board."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import signal
+import sys
+import threading
+import time
+import warnings
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from stage.cli.commands import add_command, tell, warn, wrote
+from stage.cli.files import check_outputs, record_to_files
+from stage.cli.options import (
+    FREQUENCY,
+    TIME,
+    add_board_options,
+    add_panel_options,
+    add_stage_and_output_options,
+    number,
+)
+from stage.cli.panel import keep_panel, run_in_real_time, show_panel
+from stage.cli.setup import make_board
+from stage.cli.terminal import note, show_simulated_time
+from stage.errors import ArgumentError, StageError
+from stage.units import PLACES
+
+MAX_DIAGNOSTICS = 10
+"""Diagnostics of a chip that a report prints."""
+
+
+def add(commands: Any) -> None:
+    """Add the commands."""
+    p = add_command(
+        commands, "run", run, "firmware in C on an emulated board",
+        "Run firmware (a shared library, or a C or C++ source, which is built first) against the chips. Print what it logs, where "
+        "the axes end, and which of its writes the data sheet would call mistakes. Exit code 0 if it returns 0 and loses no step.",
+        ("stage run driver.c --chips pcl240mk", "built, and run against the chips"),
+        ("stage run driver.c --trace - --vcd bus.vcd", "bus cycles in words, and as waveforms"),
+        ("stage run mill.ino --for 2 --chips hctl1100", "an Arduino sketch, for 2 simulated seconds"),
+    )  # fmt: skip
+    p.add_argument(
+        "firmware", nargs="+", metavar="FIRMWARE",
+        help="driver.so, or C or C++ sources, or a sketch (.ino); docs/firmware_in_the_loop.md",
+    )  # fmt: skip
+    _add_target_options(p)
+    g = p.add_argument_group("firmware")
+    g.add_argument("--cflags", default="", help='options of the compiler, for example --cflags="-Ihal -DSLOW"')
+    g.add_argument(
+        "--platform",
+        help="platform of the sources: arduino (a .ino always is), avr, vxworks, dos, freertos; docs/porting.md",
+    )
+    g.add_argument(
+        "--timeout", type=TIME, default=60.0, help="simulated seconds after which it must return (default: 60)"
+    )
+    g.add_argument(
+        "--patience", type=TIME, default=20.0, metavar="S",
+        help="seconds of real time that it may compute without a bus cycle (default: 20)",
+    )  # fmt: skip
+    g.add_argument(
+        "--for", dest="seconds", type=TIME, metavar="SECONDS",
+        help="run it for so many simulated seconds: for firmware that never returns, such as a sketch",
+    )  # fmt: skip
+    g.add_argument(
+        "--cost", type=TIME, default=0.0, metavar="S",
+        help="simulated seconds that each basic block of the firmware takes, for example 50e-9 (default: computing takes no time); "
+        "docs/interrupts.md",
+    )  # fmt: skip
+    g.add_argument(
+        "--in-process", action="store_true",
+        help="run it in this process, for debuggers (default: in a process of its own; a crash ends only that)",
+    )  # fmt: skip
+    g.add_argument("--isolated", action="store_true", help=argparse.SUPPRESS)  # what is the default now
+    add_board_options(p)
+    add_panel_options(p)
+    add_stage_and_output_options(p)
+    add_command(
+        commands, "include", include, "the folder of pulsestage.h",
+        'Print the folder of the one header that firmware needs: cc -shared -fPIC -I"$(stage include)" driver.c -o driver.so',
+        ("stage include", "the folder"),
+    )  # fmt: skip
+
+
+def _add_target_options(p: argparse.ArgumentParser) -> None:
+    g = p.add_argument_group("programs of another processor (docs/targets.md)")
+    g.add_argument("--mcu", help="the processor: atmega2560 and other AVRs, cortex-m3, 8086")
+    g.add_argument(
+        "--map", action="append", default=[],
+        help="memory-mapped registers, with or without --mcu: 0x40021000=0x300+0x40 puts the 40h ports from 300h on at 40021000h "
+        "(docs/memory_mapped.md); for an AVR its pins: data=A,address=C:0-1,cs=B0,wr=G0,rd=G1,irq=D0",
+    )  # fmt: skip
+    g.add_argument(
+        "--mcu-clock", type=FREQUENCY, metavar="HZ", help="its clock, for example 16e6 (default: the usual one)"
+    )
+    g.add_argument("--gdb", type=number, metavar="PORT", help="wait for GDB on 127.0.0.1")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run firmware; print what it noted and where the axes are."""
+    check_outputs(args)
+    try:
+        flags = tuple(shlex.split(args.cflags))
+    except ValueError as failed:
+        raise ArgumentError(f"--cflags {args.cflags!r}: {failed}.") from None
+    with _compiler_warnings(args):
+        board = make_board(args)
+        host = _host(args, board, flags)
+    stage = board.stage
+    ended = threading.Event()
+    with show_panel(args, stage, os.path.basename(args.firmware[0])) as session:
+        code = _run(args, board, host, session, ended)
+        if session is not None and not ended.is_set():
+            keep_panel(session)
+    return code
+
+
+def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, ended: threading.Event) -> int:
+    """Run firmware, and print what came of it; return the exit code.
+
+    Args:
+        args: Options of the command.
+        board: Board that the firmware drives.
+        host: Host that runs the firmware.
+        session: Session of the page beside it, or None.
+        ended: Event that SIGTERM sets.
+    """
+    from stage.board import HostError, HostTimeout, StormError
+    from stage.errors import SimulationError
+
+    stage = board.stage
+    error: StageError | None = None
+    result = None
+    begin = time.perf_counter()
+    with record_to_files(args, stage):
+        note(f"{host.path.name} runs ...")
+        try:
+            with _raise_at_sigterm(board, ended), show_simulated_time(stage):
+                if session is not None:
+                    result = run_in_real_time(session, host, args.seconds, args.timeout)
+                else:
+                    result = host.run(timeout=args.timeout) if args.seconds is None else host.run_for(args.seconds)
+        except (HostTimeout, HostError, StormError, SimulationError) as failed:
+            error = failed  # recording and trace are wanted all the more
+        wall = time.perf_counter() - begin
+        for seconds, text in board.log:
+            print(f"{seconds:12.6f}  {text}")
+        if result is not None:
+            print(
+                f"{host.path.name} returned {result.code} after {result.seconds:.6f} s of simulated time and {result.cycles:,} bus "
+                f"cycles, in {wall:.2f} s of wall time"
+            )
+        elif error is None:
+            print(
+                f"{host.path.name} ran for {args.seconds:g} s, and {board.cycles:,} bus cycles, in {wall:.2f} s of wall time"
+            )
+        print_report(board)
+        if args.json:
+            tell(args, _collect_facts(board, result, error))
+    if result is None:
+        host.close()
+    write_trace(args, board)
+    if error is not None:
+        print(f"stage: {error}", file=sys.stderr)
+        if isinstance(error, HostTimeout) and any(str(file).endswith(".ino") for file in args.firmware):
+            print("A sketch never returns: --for 2 runs it for 2 s.", file=sys.stderr)
+        return 1
+    done = result.code == 0 if result is not None else args.seconds is not None
+    return 0 if done and not any(a.lost_steps for a in stage.axes.values()) else 1
+
+
+@contextmanager
+def _compiler_warnings(args: argparse.Namespace) -> Iterator[None]:
+    """Show the warnings of compilers in this block as the command shows its own."""
+    from stage.board import CompilerWarning
+
+    with warnings.catch_warnings():
+        show_others = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *place: Any, **kwargs: Any) -> None:
+            if issubclass(category, CompilerWarning):
+                warn(args, str(message))
+            else:
+                show_others(message, category, *place, **kwargs)
+
+        warnings.showwarning = show
+        warnings.simplefilter("always", CompilerWarning)
+        yield
+
+
+@contextmanager
+def _raise_at_sigterm(board: Any, ended: threading.Event) -> Iterator[None]:
+    """Make SIGTERM an error of the firmware in this block, so that files are written when a CI ends what takes too long."""
+    from stage.board import HostError
+
+    def end(*_: Any) -> None:
+        ended.set()
+        raise HostError(
+            f"ended from outside by SIGTERM. What is known of it ends at {board.stage.time:.6f} s, after {board.cycles:,} bus "
+            f"cycles:\n{board.trace.text(12)}"
+        )
+
+    main = threading.current_thread() is threading.main_thread()  # other threads get no signals
+    before = signal.signal(signal.SIGTERM, end) if main else None
+    try:
+        yield
+    finally:
+        if main:
+            signal.signal(signal.SIGTERM, before)
+
+
+def _host(args: argparse.Namespace, board: Any, flags: tuple[str, ...]) -> Any:
+    """Return the host of a library for this machine, or with --mcu of a program for another processor."""
+    isolated = os.name == "posix" and not args.in_process
+    if args.mcu is None:
+        from stage.board import NativeHost
+
+        for name, given in (("--mcu-clock", args.mcu_clock), ("--gdb", args.gdb)):
+            if given:
+                raise ArgumentError(
+                    f"{name}: only programs of other processors have it. Name the processor with --mcu."
+                )
+        return NativeHost(
+            args.firmware, board, isolated=isolated, flags=flags, platform=args.platform, patience=args.patience, map=args.map,
+            cost=args.cost,
+        )  # fmt: skip
+    from stage.targets import TargetHost
+
+    if len(args.firmware) > 1 or flags or args.platform or args.cost:
+        raise ArgumentError("--mcu: give one program that is already built, without --cflags, --platform and --cost.")
+    return TargetHost(
+        args.firmware[0], board, mcu=args.mcu, map=args.map, mcu_clock=args.mcu_clock, gdb=args.gdb, isolated=isolated,
+        patience=args.patience,
+    )  # fmt: skip
+
+
+def include(args: argparse.Namespace) -> int:
+    """Print the folder of pulsestage.h."""
+    from stage.board.library import include
+
+    tell(args, include=include())
+    print(include())
+    return 0
+
+
+def write_trace(args: argparse.Namespace, board: Any) -> None:
+    """Write, or print, the bus cycles for --trace."""
+    from stage.support.files import written
+
+    if args.trace == "-":
+        print(board.trace.text())
+    elif args.trace:
+        with written(args.trace, args.force) as part:
+            part.write_text(board.trace.text() + "\n", encoding="utf-8", errors="backslashreplace")
+        wrote(args, args.trace, f"{len(board.trace):,} lines of bus cycles")
+
+
+def _collect_facts(board: Any, result: Any, error: StageError | None) -> dict[str, Any]:
+    """Return what `print_report` prints, and how the firmware ended, for --json."""
+    axes = [
+        {
+            "axis": a.name, "unit": a.unit, "position": a.position, "commanded": a.commanded, "lost_steps": a.lost_steps,
+            "switches": [name for name, on in a.switches.as_dict().items() if on],
+        }
+        for a in board.stage.axes.values()
+    ]  # fmt: skip
+    diagnostics = {
+        board.name_of(k): [d._asdict() for d in chip.diagnostics] for k, chip in enumerate(board.stage.chips)
+    }
+    return {
+        "returned": None if result is None else result.code, "error": None if error is None else str(error),
+        "seconds": board.stage.time, "cycles": board.cycles, "axes": axes, "log": board.log, "diagnostics": diagnostics,
+        "strays": sum(c.times for c in board.strays),
+    }  # fmt: skip
+
+
+def print_report(board: Any) -> None:
+    """Print where the axes are, diagnostics of the chips, and bus cycles that reached nothing."""
+    _print_axes(board.stage)
+    for axis in board.stage.axes.values():
+        if axis.lost_steps and (reason := axis.chip.explain_missing_current(axis.chip_axis)):
+            print(f"{axis.name} has lost steps without current: {reason}.")
+    for k, chip in enumerate(board.stage.chips):
+        if chip.diagnostics:
+            _print_diagnostics(board.name_of(k), chip)
+    if strays := board.strays:
+        times = sum(c.times for c in strays)
+        print(f"{times:,} bus cycles reached no chip or half a register, the first:\n{strays[0]}")
+
+
+def _print_axes(stage: Any) -> None:
+    symbols = [PLACES[unit].symbol for unit in dict.fromkeys(axis.unit for axis in stage.axes.values())]
+    unit, mixed = "|".join(symbols), len(symbols) > 1
+    print(f"{'axis':6}{f'position {unit}':>18}{f'commanded {unit}':>19}{'lost':>6}  switches")
+    for axis in stage.axes.values():
+        on = ", ".join(name for name, state in axis.switches.as_dict().items() if state)
+        own = PLACES[axis.unit]
+        position, commanded = (own.text(q) if mixed else f"{q * own.per:.4f}" for q in (axis.position, axis.commanded))
+        print(f"{axis.name:6}{position:>18}{commanded:>19}{axis.lost_steps:6}  {on}".rstrip())
+
+
+def _print_diagnostics(name: str, chip: Any) -> None:
+    """Print the first diagnostic of each kind, and how often it came."""
+    diagnostics = chip.diagnostics
+    print(
+        f"chip of {name}: {len(diagnostics)} writes that a reader of the data sheet would call mistakes, the first of each kind:"
+    )
+    firsts = {d.message: d for d in reversed(diagnostics)}
+    times = Counter(d.message for d in diagnostics)
+    for d in sorted(firsts.values())[:MAX_DIAGNOSTICS]:
+        again = f" ({times[d.message]} times)" if times[d.message] > 1 else ""
+        print(
+            f"  {d.clock / chip.clock_hz:.6f} s, address {d.address} <- {d.value:02X}h: {d.message} [{d.source}]{again}"
+        )
