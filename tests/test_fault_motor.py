@@ -92,8 +92,8 @@ def test_mending_all_motors_restores_the_model_to_the_bit(model):
     before = {name: np.array(getattr(stage.model, name)) for name in FITTED}
     for axis in stage.axes.values():
         first, second = (faults.motor(axis, name) for name in ("17HS19-2004S1", SMALL))
-        first.mend()
-        second.mend()
+        first.clear()
+        second.clear()
     for name, values in before.items():
         assert np.array_equal(getattr(stage.model, name), values), name
 

@@ -180,8 +180,8 @@ def test_a_mended_stage_is_as_good_as_new(xyz, name):
     fault = EVERY[name](xyz)
     assert xyz.faults == (fault.text,)
     assert course() != before or name in ("stuck open", "bounce", "vane missing"), "it did something in this course"
-    fault.mend()
-    fault.mend()
+    fault.clear()
+    fault.clear()
     assert not fault.in_force
     assert course() == before
 
@@ -309,7 +309,7 @@ def broken(stage):
 
 @pytest.mark.parametrize("thing", OF_ONE_THING)
 def test_faults_of_one_thing_are_mended_in_any_order_as_if_they_had_not_been(thing):
-    """a = faults.phase_open(x, "a"); b = faults.phase_open(x, "b"); a.mend(); b.mend(): phase a stayed open"""
+    """a = faults.phase_open(x, "a"); b = faults.phase_open(x, "b"); a.clear(); b.clear(): phase a stayed open"""
     makes = OF_ONE_THING[thing]
     stage, other = Stage("xy", visuals=False), Stage("xy", visuals=False)
     for s in (stage, other):
@@ -318,26 +318,26 @@ def test_faults_of_one_thing_are_mended_in_any_order_as_if_they_had_not_been(thi
     for order in permutations(range(len(makes))):
         made, left = [make(stage) for make in makes], list(range(len(makes)))
         for k in order:
-            made[k].mend()
+            made[k].clear()
             left.remove(k)
             rest = [makes[j](other) for j in left]
             assert broken(stage)[:2] == broken(other)[:2], (order, k)
             assert broken(stage)[3:] == broken(other)[3:], (order, k)
             assert stage.faults == tuple(made[j].text for j in left)
             for fault in reversed(rest):
-                fault.mend()
+                fault.clear()
         assert broken(stage) == healthy, order
 
 
 def test_a_mended_fault_is_the_only_one_that_a_recording_says_was_mended(xyz):
     with xyz.record() as recording:
         first, second = faults.phase_open(xyz.axes["x"], "a"), faults.phase_open(xyz.axes["x"], "b")
-        first.mend()
-        second.mend()
+        first.clear()
+        second.clear()
     said = [note.text for note in recording.notes]
     assert said == [
         "axis x: phase a open: begins", "axis x: phase b open: begins",
-        "axis x: phase a open: mended", "axis x: phase b open: mended",
+        "axis x: phase a open: cleared", "axis x: phase b open: cleared",
     ]  # fmt: skip
 
 
@@ -392,7 +392,7 @@ def test_mending_a_switch_inside_a_step_finds_the_edge_in_the_rest_of_it(xyz):
         journal = axis.chip.journal()
         fault = faults.switch_stuck(axis, "el_plus", False)
         stage.run(when - stage.time)
-        fault.mend()
+        fault.clear()
         mended = axis.chip.clock
         stage.run(0.1)
         journal.close()
@@ -475,7 +475,7 @@ def test_every_contact_of_the_machine_may_bounce_as_fast_as_it_can(xyz):
             assert firmware.origin_return(axis).stopped_by == "ORG"
             axis.switches.stick("sd_plus", None)
     for fault in each:
-        fault.mend()
+        fault.clear()
     recording.check_time()
     for name, journal in recording.journals.items():
         assert journal.course().edges["inputs"][-1] == xyz.axes[name].chip.input_word(0)
@@ -630,7 +630,7 @@ def test_the_write_that_makes_an_axis_drive_is_late_on_any_chip(chip):
     for late in (False, True):
         fault = faults.start_skew(x, 5e-3)
         if not late:
-            fault.mend()
+            fault.clear()
         report = firmware.move(x, pulses=800)
         assert report.ok
         assert not fault.in_force
@@ -708,7 +708,7 @@ def test_faults_of_one_bus_strike_each_by_itself_and_every_one_is_told_of_each_w
     assert not third.in_force
     chip.write(1, 5)
     assert chip.values()["R1"] == 5
-    third.mend()
+    third.clear()
     with faults.lost_write(chip), faults.lost_write(chip, value=9) as late:
         chip.write(1, 7)
         assert late.in_force
@@ -772,14 +772,14 @@ def test_a_recording_names_the_faults_at_their_moments(xyz, tmp_path):
         xyz.run(0.01)
         with faults.jam(x):
             xyz.run(0.0100001)
-        stuck.mend()
+        stuck.clear()
     said = [(round(n.time, 7), n.text, n.in_force) for n in recording.notes]
     both = ("axis x: org stuck closed", "axis x: jammed")
     assert said == [
         (0.0, "in force from the start", both[:1]),
         (0.01, "axis x: jammed: begins", both),
-        (0.0200001, "axis x: jammed: mended", both[:1]),
-        (0.0200001, "axis x: org stuck closed: mended", ()),
+        (0.0200001, "axis x: jammed: cleared", both[:1]),
+        (0.0200001, "axis x: org stuck closed: cleared", ()),
     ]
     read = read_rrd(recording.save(tmp_path / "f.rrd"))
     assert list(chain.from_iterable(read["/faults"]["StateChange:state"][1])) == [
@@ -913,7 +913,7 @@ def test_a_switch_lets_go_25_um_behind_where_it_trips(xyz):
 
 @pytest.mark.parametrize("pin", ["org", "el_plus", "el_minus"])
 def test_a_stuck_switch_that_is_mended_while_the_axis_stands_says_the_truth_at_once(pin):
-    """faults.switch_stuck(axis, "el_plus", True).mend(), at rest"""
+    """faults.switch_stuck(axis, "el_plus", True).clear(), at rest"""
     stage = Stage("xy", visuals=False)
     x = stage.axes["x"]
     stage.run(0.001)

@@ -309,7 +309,7 @@ def test_a_stuck_switch_that_is_mended_behind_a_short_flag_has_seen_nothing_of_i
     stage.place(a=-0.005)
     fault = faults.switch_stuck(a, "org", False)
     passage = Passage(stage).drive(0.1, edge + 2 * HYSTERESIS)
-    fault.mend()
+    fault.clear()
     passage.observe(lambda q: q > 0.002)
     assert passage.end().edges == []
 

@@ -729,7 +729,7 @@ def test_a_shipped_model_that_is_edited_is_read_anew(tmp_path, monkeypatch):
 
 def test_measured_models_are_kept_up_to_a_number(monkeypatch):
     monkeypatch.setattr(contract, "_bound", {})
-    monkeypatch.setattr(contract, "KEPT_PLANTS", 2)
+    monkeypatch.setattr(contract, "MAX_BOUND_PLANTS", 2)
     for k in range(4):
         model = mujoco.MjModel.from_xml_string(edited(('damping="60"', f'damping="{60 + k}"')))
         assert plant.bind(model) is plant.bind(model)

@@ -410,7 +410,7 @@ def test_a_stuck_switch_stays_where_it_was_stuck_and_a_wrong_word_changes_nothin
     """stage.axes["x"].switches.stick("el_plus", 5) toggled"""
     switches = xyz.axes["x"].switches
     for wrong in (5, -1, "on", 0.5):
-        with pytest.raises(ArgumentError, match="True holds el_plus asserted, False released, None mends it"):
+        with pytest.raises(ArgumentError, match="True holds el_plus asserted, False released, None lets it work"):
             switches.stick("el_plus", wrong)
         xyz.step(3)
         assert not switches.el_plus

@@ -54,7 +54,7 @@ WAYS = {
     "load angle": lambda s: s.axes["x"].load_angle,
     "switches": lambda s: s.axes["x"].switches.as_dict(),
     "stick": lambda s: (s.axes["x"].switches.stick("org", True), s.axes["x"].switches.stick("org", None)),
-    "fault": lambda s: faults.phase_open(s.axes["x"]).mend(),
+    "fault": lambda s: faults.phase_open(s.axes["x"]).clear(),
     "place": lambda s: s.place(y=0.01),
     "time": lambda s: s.time,
     "snapshot": lambda s: s.snapshot().state.tobytes(),

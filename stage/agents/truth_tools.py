@@ -71,7 +71,7 @@ class TruthTools:
         if not standing:
             raise StageError("No fault that you made is in force.")
         for fault in reversed(standing if all else standing[-1:]):
-            fault.mend()
+            fault.clear()
         return {"faults": list(self._context.stage.faults)}
 
     def _make_fault_tool(self, name: str, function: Any) -> Tool:

@@ -205,7 +205,7 @@ class FaultControls:
         return made
 
     def _mend(self, made: ActiveFault) -> None:
-        made.fault.mend()
+        made.fault.clear()
         self._made = self.in_force
 
     def _field(self, axis: str, p: inspect.Parameter) -> Field:

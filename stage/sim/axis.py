@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class Switches:
-    """The limit switches of an axis by name; True = asserted. `stick` forces one, for fault tests."""
+    """Limit switches of an axis by name; True = asserted. `stick` forces one, for fault tests."""
 
     _axis: Axis
 
@@ -36,7 +36,14 @@ class Switches:
         object.__setattr__(self, "_axis", axis)
 
     def row(self, name: str) -> int:
-        """Index of switch `name` in the tables of the stage's state. Raises ArgumentError for one that is not fitted."""
+        """Return the index of a switch in the tables of the stage's state.
+
+        Args:
+            name: Pin of the switch.
+
+        Raises:
+            ArgumentError: The switch is not fitted.
+        """
         axis = self._axis
         for k, s in enumerate(axis.plant.switches):
             if s.pin == name:
@@ -54,9 +61,19 @@ class Switches:
         raise StageError(f"a switch follows its vane; to force {name!r} use switches.stick({name!r}, True or False).")
 
     def stick(self, name: str, asserted: bool | None) -> None:
-        """Hold switch `name` asserted (True) or released (False) from now on; None mends it. Raises ArgumentError."""
+        """Hold a switch asserted or released from now on.
+
+        Args:
+            name: Pin of the switch.
+            asserted: True, False, or None to let it work again.
+
+        Raises:
+            ArgumentError: The switch is not fitted, or `asserted` is something else.
+        """
         if asserted is not None and (not isinstance(asserted, int | np.bool_) or asserted not in (0, 1)):
-            raise ArgumentError(f"asserted={asserted!r}: True holds {name} asserted, False released, None mends it.")
+            raise ArgumentError(
+                f"asserted={asserted!r}: True holds {name} asserted, False released, None lets it work."
+            )
         stage = self._axis.stage
         with exclusively(stage):
             stage.prepare_change()
@@ -67,7 +84,7 @@ class Switches:
         return [s.pin for s in self._axis.plant.switches]
 
     def as_dict(self) -> dict[str, bool]:
-        """Every switch fitted."""
+        """Return the level of every switch fitted."""
         return {s.pin: getattr(self, s.pin) for s in self._axis.plant.switches}
 
     def __repr__(self) -> str:
@@ -76,7 +93,7 @@ class Switches:
 
 @dataclass
 class AxisFaults:
-    """What faults have changed on an axis. Snapshots and `reset` do not change it; copies of a stage have it, too.
+    """Values of an axis that faults have changed. Snapshots and `reset` leave them alone; copies of a stage have them, too.
 
     A new fault of an axis adds a field here, and to `Stage.apply_faults` what it means for the records of compiled code.
 
@@ -95,7 +112,7 @@ class AxisFaults:
         return replace(self, switches=self.switches.tolist())
 
     def load(self, copy: AxisFaults) -> None:
-        """Take the values of a copy over, of the same axis of an equal stage."""
+        """Load the values of a copy, of the same axis of an equal stage."""
         switches = self.switches
         switches[:] = copy.switches
         vars(self).update(vars(copy), switches=switches)
@@ -105,15 +122,21 @@ class Axis:
     """One axis: chip, drive, motor, joint, switches.
 
     Attributes:
-        name, chip, drive: as given; `chip_axis`: the number of its axis of the chip.
-        index: its column in recordings; `joint`: id in the model.
-        gear: rotor radians per joint unit; meters_per_pulse: joint units per pulse (rad on a hinge).
+        name: Name of the axis.
+        chip: Its chip; `chip_axis` is the number of its axis there.
+        drive: Its drive, a Drive or a Servo.
+        index: Its column in recordings.
+        joint: Id of its joint in the model.
+        gear: Rotor radians per joint unit.
+        meters_per_pulse: Joint units per pulse (rad on a hinge).
         unit: "m", or "rad" on a hinge.
-        tandem: names of the axes that drive the same load beside it: a host moves and homes them together, see `firmware.square`.
-        wiring: its sensors that are not of the logic of its chip after a reset, {"org": "positive"}.
-        stage: the Stage that it belongs to; plant: what the model says of it, a `stage.sim.plant.PlantAxis`.
-        faults: what faults have changed, an `AxisFaults`; after a change call `Stage.apply_faults`.
-        armature: of its joint, with the rotor of `drive` as the stage was built, see `fit_model`; rotor: that inertia, kg m^2.
+        tandem: Names of the axes that drive the same load: a host moves and homes them together, see `firmware.square`.
+        wiring: Its sensors that are not of the logic of its chip after a reset, {"org": "positive"}.
+        stage: The Stage that it belongs to.
+        plant: Its parts of the model, a `stage.sim.plant.PlantAxis`.
+        faults: What faults have changed, an `AxisFaults`; after a change call `Stage.apply_faults`.
+        armature: Armature of the joint, with the rotor of `drive` as the stage was built, see `fit_model`.
+        rotor: Inertia of that rotor, kg m^2.
     """
 
     def __init__(
@@ -144,7 +167,7 @@ class Axis:
 
     @property
     def pins(self) -> Pins:
-        """The pins of its axis of the chip."""
+        """Pins of its axis of the chip."""
         return self.chip.axes[self.chip_axis].pins
 
     @property
@@ -154,12 +177,16 @@ class Axis:
 
     @told
     def wait(self, seconds: float) -> None:
-        """Let simulated time pass, for the whole stage."""
+        """Let simulated time pass, for the whole stage.
+
+        Args:
+            seconds: Simulated time, s.
+        """
         self.stage.run(seconds)
 
     @property
     def position(self) -> float:
-        """Where the carriage is, m (rad on a hinge)."""
+        """True position of the carriage, m (rad on a hinge)."""
         stage, p = self.stage, self.plant
         stage.ensure_powered()
         state = stage.state
@@ -168,14 +195,14 @@ class Axis:
 
     @property
     def commanded(self) -> float:
-        """Where the pulses say that the carriage is, m; it differs from `position` by following error and lost steps."""
+        """Position by the pulses, m; it differs from `position` by following error and lost steps."""
         q = self.position
         d, net = self.read_drive()
         return float(q + any_drive.behind(d, net, q * self.gear) / self.gear)
 
     @property
     def lost_steps(self) -> int:
-        """Full steps by which the rotor is behind the pulses, a multiple of four; from the rotor's angle. 0 for a servo."""
+        """Full steps by which the rotor lags the pulses, a multiple of four; from the rotor's angle. 0 for a servo."""
         d, net = self.read_drive()
         return int(any_drive.lost_steps(d, net, self.position * self.gear))
 
@@ -186,12 +213,12 @@ class Axis:
         return float(any_drive.load_angle(d, net, self.position * self.gear))
 
     def read_drive(self) -> tuple[Any, float]:
-        """Its drive's record (stage.drives.stepper.DRIVE, currents among it), and the pulses that the drive has been given, net."""
+        """Return its drive's record (stage.drives.stepper.DRIVE, with the currents), and the net pulses that the drive has had."""
         chip = self.chip
         return self.stage.state.drives[self.index], float(chip.CORE.net.with_gil(chip.pointer, self.chip_axis))
 
     def __reduce__(self) -> tuple:
-        """A copy is the same axis of a copy of its stage: by itself it would be a chip that nothing drives."""
+        """Copy the axis as that of a copy of its stage: by itself it would be a chip that nothing drives."""
         return _find_axis, (self.stage, self.name)
 
     def __repr__(self) -> str:
@@ -211,7 +238,7 @@ def _find_axis(stage: Stage, name: str) -> Axis:
 
 
 class Axes(Mapping[str, Axis]):
-    """Axes by name, in the order of their indices; for a wrong one the near misses. Nobody adds or removes one."""
+    """Axes by name, in the order of their indices; an unknown name raises an error with similar ones. They are fixed."""
 
     def __init__(self, axes: Iterable[Axis]):
         self._axes = {axis.name: axis for axis in axes}
@@ -244,7 +271,7 @@ class Axes(Mapping[str, Axis]):
         return reversed(self._axes)
 
     def _ipython_key_completions_(self) -> list[str]:
-        """What Tab offers after `stage.axes[`."""
+        """Return what Tab offers after `stage.axes[`."""
         return list(self._axes)
 
     def __repr__(self) -> str:
@@ -255,7 +282,7 @@ class Axes(Mapping[str, Axis]):
 
 
 def format_axes_table(axes: Iterable[Axis]) -> str:
-    """The axes as a table of HTML, a line each."""
+    """Format axes as a table of HTML, a line each."""
     rows = []
     for a in axes:
         place, on = PLACES[a.unit].text, ", ".join(name for name, state in a.switches.as_dict().items() if state)

@@ -35,16 +35,19 @@ _guards: dict[int, Callable[[BaseException | None], bool]] = {}  # by thread
 
 @contextmanager
 def guard_callbacks(failed: Callable[[BaseException | None], bool]) -> Iterator[None]:
-    """In here no exception of a callback leaves it, in this thread. failed: is given the exception, or None, and says whether there
-    was one."""
+    """Keep exceptions of MuJoCo's callbacks from leaving them, in this context and thread.
+
+    Args:
+        failed: Takes the exception, or None, and returns whether there was one.
+    """
     me = threading.get_ident()
     try:
         with _lock:
             if not _guards:
                 for name in NAMES:
-                    own = getattr(mujoco, f"get_mjcb_{name}")()
-                    if callable(own):
-                        _installed[name] = own, _make_guard(own)
+                    callback = getattr(mujoco, f"get_mjcb_{name}")()
+                    if callable(callback):
+                        _installed[name] = callback, _make_guard(callback)
                         getattr(mujoco, f"set_mjcb_{name}")(_installed[name][1])
             _guards[me] = failed
         yield
@@ -52,15 +55,23 @@ def guard_callbacks(failed: Callable[[BaseException | None], bool]) -> Iterator[
         with _lock:
             _guards.pop(me, None)
             if not _guards:
-                for name, (own, guard) in _installed.items():
+                for name, (callback, guard) in _installed.items():
                     if getattr(mujoco, f"get_mjcb_{name}")() is guard:  # it may have taken itself away
-                        getattr(mujoco, f"set_mjcb_{name}")(own)
+                        getattr(mujoco, f"set_mjcb_{name}")(callback)
                 _installed.clear()
 
 
 def forward(model: mujoco.MjModel, data: mujoco.MjData, back: Callable[[], None] | None = None) -> None:
-    """MuJoCo works out what follows from the state. Raises SimulationError where a callback raises: after `back()`, which puts the
-    state of before in its place, and what follows from that."""
+    """Let MuJoCo compute what follows from the state (mj_forward).
+
+    Args:
+        model: Model.
+        data: Its state.
+        back: Puts the former state back, if a callback raises.
+
+    Raises:
+        SimulationError: A callback raises.
+    """
     errors: list[BaseException] = []
 
     def failed(error: BaseException | None) -> bool:
@@ -77,25 +88,31 @@ def forward(model: mujoco.MjModel, data: mujoco.MjData, back: Callable[[], None]
         raise make_callback_error(errors[0], data.time, "Nothing has changed.")
 
 
-def make_callback_error(error: BaseException | None, seconds: float, held: str) -> BaseException:
-    """What the caller is told of a callback's exception; of Ctrl-C, which may come while one runs, that. held: the state now."""
+def make_callback_error(error: BaseException | None, seconds: float, state_text: str) -> BaseException:
+    """Make the error for a callback's exception; for Ctrl-C, which may come while one runs, that.
+
+    Args:
+        error: The exception.
+        seconds: Simulated time, s.
+        held: State of the stage now, in words.
+    """
     if not isinstance(error, Exception):
         return error or KeyboardInterrupt()
-    said = f"a callback that MuJoCo calls raised {type(error).__name__}: {error} (at {seconds:.6f} s). {held}"
-    told = SimulationError(said, seconds, "")
-    told.__cause__ = error
-    return told
+    text = f"a callback that MuJoCo calls raised {type(error).__name__}: {error} (at {seconds:.6f} s). {state_text}"
+    error_of_callback = SimulationError(text, seconds, "")
+    error_of_callback.__cause__ = error
+    return error_of_callback
 
 
-def _make_guard(own: Callable) -> Callable:
-    def call(*given: Any) -> Any:
+def _make_guard(callback: Callable) -> Callable:
+    def call(*args: Any) -> Any:
         failed = _guards.get(threading.get_ident())
         if failed is None:  # somebody else steps a model of his own
-            return own(*given)
+            return callback(*args)
         if failed(None):
             return 0
         try:
-            return own(*given)
+            return callback(*args)
         except BaseException as error:
             failed(error)
             return 0

@@ -17,25 +17,34 @@ LOGIC = ("negative", "positive")
 
 
 def choose_wiring(
-    given: WiringChoice, plant: Sequence[PlantAxis], chip_axes: Sequence[ChipAxis]
+    wiring: WiringChoice, plant: Sequence[PlantAxis], chip_axes: Sequence[ChipAxis]
 ) -> tuple[Mapping[str, str], ...]:
-    """Of each axis: its sensors that are not of its chip's logic, as `Stage` takes them. Raises ArgumentError."""
-    if given is not None and not isinstance(given, Mapping):
-        raise _refuse_wiring(given)
+    """Return for each axis its sensors that are not of its chip's logic, as `Stage` takes them.
+
+    Args:
+        given: Argument of `Stage`.
+        plant: Axes of the model.
+        chip_axes: Their axes of chips.
+
+    Raises:
+        ArgumentError: An axis or a sensor does not exist, or a logic is none.
+    """
+    if wiring is not None and not isinstance(wiring, Mapping):
+        raise _refuse_wiring(wiring)
     names = [p.name for p in plant]
-    for name, sensors in (given or {}).items():
+    for name, sensors in (wiring or {}).items():
         if name not in names:
             raise unknown("axis", name, names)
         if not isinstance(sensors, Mapping):
-            raise _refuse_wiring(given)
+            raise _refuse_wiring(wiring)
     return tuple(
-        _choose_axis_wiring((given or {}).get(p.name, {}), p, type(axis.chip))
+        _choose_axis_wiring((wiring or {}).get(p.name, {}), p, type(axis.chip))
         for p, axis in zip(plant, chip_axes, strict=True)
     )
 
 
-def _refuse_wiring(given: Any) -> ArgumentError:
-    return ArgumentError(f'wiring={given!r}: a mapping axis -> sensor -> logic, {{"x": {{"org": "positive"}}}}.')
+def _refuse_wiring(wiring: Any) -> ArgumentError:
+    return ArgumentError(f'wiring={wiring!r}: a mapping axis -> sensor -> logic, {{"x": {{"org": "positive"}}}}.')
 
 
 def _choose_axis_wiring(sensors: Mapping[str, str], plant: PlantAxis, chip: Any) -> Mapping[str, str]:
@@ -65,13 +74,22 @@ def _choose_axis_wiring(sensors: Mapping[str, str], plant: PlantAxis, chip: Any)
 
 
 def choose_leaders(
-    given: Mapping[str, str] | None, names: Sequence[str], chip_axes: Sequence[ChipAxis]
+    syni: Mapping[str, str] | None, names: Sequence[str], chip_axes: Sequence[ChipAxis]
 ) -> tuple[tuple[str, str], ...]:
-    """(follower, leader) axes whose chips share the leader's clock, as `Stage` takes them in `syni`. Raises ArgumentError."""
-    if given is not None and not isinstance(given, Mapping):
-        raise ArgumentError(f'syni={given!r}: a mapping follower -> leader, {{"y": "x"}}.')
+    """Return (follower, leader) axes whose chips share the leader's clock, as `Stage` takes them in `syni`.
+
+    Args:
+        given: Argument of `Stage`.
+        names: Axes of the stage.
+        chip_axes: Their axes of chips.
+
+    Raises:
+        ArgumentError: An axis does not exist, or two chips cannot share a clock.
+    """
+    if syni is not None and not isinstance(syni, Mapping):
+        raise ArgumentError(f'syni={syni!r}: a mapping follower -> leader, {{"y": "x"}}.')
     chip_of = {name: axis.chip for name, axis in zip(names, chip_axes, strict=True)}
-    wanted = dict(given or {})
+    wanted = dict(syni or {})
     for pair in wanted.items():
         for name in pair:
             if name not in chip_of:
@@ -85,7 +103,16 @@ def choose_leaders(
 
 
 def check_pair(follower: Chip, leader: Chip, what: str) -> None:
-    """Raises ArgumentError for chips that cannot share a clock by SYNO and SYNI."""
+    """Check that two chips can share a clock by SYNO and SYNI.
+
+    Args:
+        follower: Chip whose SYNI is connected.
+        leader: Chip whose SYNO it is connected to.
+        what: Beginning of the error.
+
+    Raises:
+        ArgumentError: They cannot.
+    """
     for chip in (follower, leader):
         if not chip.SYNCHRO:
             raise ArgumentError(
@@ -100,20 +127,28 @@ def check_pair(follower: Chip, leader: Chip, what: str) -> None:
 
 
 def choose_linked_axes(
-    given: Sequence[str] | None, names: Sequence[str], chip_axes: Sequence[ChipAxis]
+    multichip: Sequence[str] | None, names: Sequence[str], chip_axes: Sequence[ChipAxis]
 ) -> tuple[tuple[str, ...], tuple[Chip, ...]]:
-    """The axes whose chips the lines of multichip interpolation join, as `Stage` takes them in `multichip`, and these chips.
-    Raises ArgumentError."""
-    if given is None:
+    """Return the axes whose chips the lines of multichip interpolation join, as `Stage` takes them, and these chips.
+
+    Args:
+        given: Argument of `Stage`.
+        names: Axes of the stage.
+        chip_axes: Their axes of chips.
+
+    Raises:
+        ArgumentError: An axis does not exist, or its chip has no such lines.
+    """
+    if multichip is None:
         return (), ()
-    if isinstance(given, str | Mapping) or not isinstance(given, Sequence):
-        raise ArgumentError(f'multichip={given!r}: an axis of each chip that the lines join, ["x", "u"].')
+    if isinstance(multichip, str | Mapping) or not isinstance(multichip, Sequence):
+        raise ArgumentError(f'multichip={multichip!r}: an axis of each chip that the lines join, ["x", "u"].')
     chip_of = {name: axis.chip for name, axis in zip(names, chip_axes, strict=True)}
-    for name in given:
+    for name in multichip:
         if name not in chip_of:
             raise unknown("axis", name, names)
-    chips = tuple(dict.fromkeys(chip_of[name] for name in given))
-    for name, chip in zip(given, (chip_of[name] for name in given), strict=True):
+    chips = tuple(dict.fromkeys(chip_of[name] for name in multichip))
+    for name, chip in zip(multichip, (chip_of[name] for name in multichip), strict=True):
         if not chip.MULTICHIP:
             raise ArgumentError(
                 f"multichip of axis {name}: {a_or_an(type(chip).__name__)} has no lines of multichip interpolation; an MCX514 and "
@@ -121,7 +156,7 @@ def choose_linked_axes(
             )
         if chip.clock_hz != chips[0].clock_hz or chip.clock != chips[0].clock:
             raise ArgumentError(
-                f"multichip of axis {name}: its clock is at {chip.clock:,} of {chip.clock_hz:,} Hz, that of axis {given[0]} at "
+                f"multichip of axis {name}: its clock is at {chip.clock:,} of {chip.clock_hz:,} Hz, that of axis {multichip[0]} at "
                 f"{chips[0].clock:,} of {chips[0].clock_hz:,} Hz; join fresh chips of one clock."
             )
     if len(chips) < 2:
@@ -130,23 +165,34 @@ def choose_linked_axes(
             for c in dict.fromkeys(chip_of.values())
         ]
         raise ArgumentError(
-            f"multichip={list(given)}: these axes are on one chip, which needs no lines; give axes of two chips or more. Here are "
-            f"{'; '.join(on)}: axes share a chip of one kind as long as it has some left, so give a kind of fewer axes, or another."
+            f"multichip={list(multichip)}: these axes are on one chip, which needs no lines; give axes of two chips or more. Here "
+            f"are {'; '.join(on)}: axes share a chip of one kind as long as it has some left, so give a kind of fewer "
+            "axes, or another."
         )
-    return tuple(given), chips
+    return tuple(multichip), chips
 
 
 @dataclass(frozen=True)
 class Wires:
-    """turned: of each axis its sensors of the other logic than its chip's; leaders: of chips that follow one; linked: the chips
-    that the lines of multichip interpolation join."""
+    """Wires of a stage that differ from the usual.
+
+    Attributes:
+        turned: For each axis its sensors of the other logic than its chip's.
+        leaders: Leader of each chip that follows one.
+        linked: Chips that the lines of multichip interpolation join.
+    """
 
     turned: Sequence[Mapping[str, str]]
     leaders: Mapping[Chip, Chip]
     linked: Sequence[Chip]
 
     def turned_pins(self, axis: int, chip: Chip) -> int:
-        """The input bits of the chip that these sensors drive."""
+        """Return the input bits of a chip that the sensors of the other logic drive.
+
+        Args:
+            axis: Index of the axis.
+            chip: Its chip.
+        """
         word = 0
         for sensor in self.turned[axis]:
             word |= chip.wired(sensor)

@@ -1,4 +1,4 @@
-"""From what a user gives as `chips=` and `drives=` to an axis of a chip and a drive for each axis of the stage."""
+"""Choice of a chip's axis and a drive for each axis of the stage, from what a user gives as `chips=` and `drives=`."""
 
 from __future__ import annotations
 
@@ -23,17 +23,24 @@ DriveChoice = Drive | Servo | Motor | DCMotor | str | Mapping[str, Any] | None
 def wire(
     spec: Any, chips: ChipChoice | None, drives: DriveChoice, clock: int | None = None
 ) -> tuple[list[str], list[ChipAxis], list[Drive | Servo]]:
-    """Names of the axes, their chips' axes, their drives, as `Stage` takes chips, drives and clock.
+    """Return the names of the axes, their chips' axes and their drives, as `Stage` takes chips, drives and clock.
 
-    spec: of `plant.open_spec`; it gets the actuators that the drives need. Raises ArgumentError.
+    Args:
+        spec: Of `plant.open_spec`; it gets the actuators that the drives need.
+        chips: Argument of `Stage`.
+        drives: Argument of `Stage`.
+        clock: Argument of `Stage`.
+
+    Raises:
+        ArgumentError: An axis, a chip or a motor does not exist or does not fit.
     """
     chips = _find_classes(PCL240K if chips is None else chips)
     known = plant.axis_names(spec)
     names = list(chips) if isinstance(chips, Mapping) else known
     if not names:
         raise ArgumentError(f"chips={chips!r}: a chip for one axis or more. Axes: {', '.join(known)}.")
-    for given in (chips, drives):
-        for name in given if isinstance(given, Mapping) else ():
+    for argument in (chips, drives):
+        for name in argument if isinstance(argument, Mapping) else ():
             if name not in known:
                 raise unknown("axis", name, known)
     plant.reserve_fitted_values(spec, names)
@@ -64,11 +71,11 @@ def fit_rotors(
         built_in = d.motor.rotor_inertia
         if p.motor:
             built_in, fitted[0] = fitted[0] or _find_any_motor(p.motor).rotor_inertia, d.motor.rotor_inertia
-        given, inside = float(model.dof_armature[p.dof]), built_in * p.gear**2
+        armature, inside = float(model.dof_armature[p.dof]), built_in * p.gear**2
         model.dof_armature[p.dof] += (d.motor.rotor_inertia - built_in) * p.gear**2
         if model.dof_armature[p.dof] < 0:
             raise ModelError(
-                f"axis {p.name}: the model names motor {p.motor} inside an armature of {given:g}, but the rotor of that alone "
+                f"axis {p.name}: the model names motor {p.motor} inside an armature of {armature:g}, but the rotor of that alone "
                 f'makes {inside:g}: write armature="{inside:g}" or more, or leave the text {p.name}_motor out.'
             )
         if isinstance(d, Drive) and model.actuator_damping[p.actuator] in (0.0, fitted[1]):
@@ -80,7 +87,11 @@ def fit_rotors(
 
 
 def _check_losses(model: Any, p: plant.PlantAxis, drive: Drive | Servo) -> None:
-    """Raises ModelError for friction or damping that the motor cannot overcome: a number in other units, most times."""
+    """Check friction and damping against the motor: most times a value that it cannot overcome is a number in other units.
+
+    Raises:
+        ModelError: The motor cannot overcome them.
+    """
     torque = drive.motor.holding_torque if isinstance(drive, Drive) else drive.peak_torque
     force, unit = torque * abs(p.gear), "N m" if p.hinge else "N"
     friction, damping = float(model.dof_frictionloss[p.dof]), float(model.dof_damping[p.dof])
@@ -108,39 +119,39 @@ def _check_losses(model: Any, p: plant.PlantAxis, drive: Drive | Servo) -> None:
 
 
 def _format_one_digit(value: float) -> str:
-    """With one digit, as a number to write down."""
+    """Format a value with one digit, as a number to write down."""
     return f"{float(f'{value:.0e}'):g}"
 
 
 def _find_classes(chips: Any) -> Any:
-    """Chips that were given by their names, as classes."""
+    """Return chips with their names replaced by classes."""
     if isinstance(chips, Mapping):
         return {axis: _find_classes(chip) for axis, chip in chips.items()}
     return chip_class(chips) if isinstance(chips, str) else chips
 
 
 def _make_chip_axes(chips: Any, names: list[str], clock: int | None) -> list[ChipAxis]:
-    """A chip's axis for each axis named; axes that are given the same thing share its chips."""
+    """Make a chip's axis for each axis named; axes with the same class or function share its chips."""
     free: dict[int, list[ChipAxis]] = {}
-    found: list[ChipAxis] = []
+    chip_axes: list[ChipAxis] = []
     for name in names:
-        given = chips[name] if isinstance(chips, Mapping) else chips
-        left = free.setdefault(id(given), [])
+        choice = chips[name] if isinstance(chips, Mapping) else chips
+        left = free.setdefault(id(choice), [])
         if not left:
-            chip = _make_chip(given, clock) if callable(given) else given
+            chip = _make_chip(choice, clock) if callable(choice) else choice
             if not isinstance(chip, Chip):
                 raise ArgumentError(
-                    f"chips for axis {name}: {given!r} is no chip class, nor a name of one: {', '.join(CHIPS)}."
+                    f"chips for axis {name}: {choice!r} is no chip class, nor a name of one: {', '.join(CHIPS)}."
                 )
-            if chip.attached or any(chip is axis.chip for axis in found):
-                raise ArgumentError(f"chips for axis {name}: {given!r} has no axis left that is free.")
+            if chip.attached or any(chip is axis.chip for axis in chip_axes):
+                raise ArgumentError(f"chips for axis {name}: {choice!r} has no axis left that is free.")
             left += chip.axes
-        found.append(left.pop(0))
-    return found
+        chip_axes.append(left.pop(0))
+    return chip_axes
 
 
-def _make_chip(given: Any, clock: int | None) -> Any:
-    return given() if clock is None or not isinstance(given, type) else given(clock_hz=clock)
+def _make_chip(choice: Any, clock: int | None) -> Any:
+    return choice() if clock is None or not isinstance(choice, type) else choice(clock_hz=clock)
 
 
 def _find_any_motor(name: str) -> Motor | DCMotor:
@@ -148,33 +159,33 @@ def _find_any_motor(name: str) -> Motor | DCMotor:
 
 
 def _choose_drive(drives: Any, axis: str, chip: Chip, spec: Any) -> Drive | Servo:
-    """The drive of an axis for its chip, as asked or as the model says; the spec gets the actuator that it needs."""
-    given, named = drives.get(axis) if isinstance(drives, Mapping) else drives, plant.motors(spec).get(axis)
+    """Choose the drive of an axis for its chip, as requested or as the model names it; the spec gets the actuator that it needs."""
+    choice, named = drives.get(axis) if isinstance(drives, Mapping) else drives, plant.motors(spec).get(axis)
     servo = chip.SERVO
     wrong, presets = ((Drive, Motor), MOTORS) if servo else ((Servo, DCMotor), DC_MOTORS)
-    if isinstance(given, wrong) or (isinstance(given, str) and given in presets):
+    if isinstance(choice, wrong) or (isinstance(choice, str) and choice in presets):
         what, want = ("a DC servo", "a Servo or a DC motor") if servo else ("a stepper", "a Drive or a stepper motor")
-        shown = given.title if isinstance(given, Drive | Servo) else getattr(given, "name", repr(given))
+        label = choice.title if isinstance(choice, Drive | Servo) else getattr(choice, "name", repr(choice))
         raise ArgumentError(
-            f"drives for axis {axis}: {type(chip).__name__} drives {what}; {shown} is none: give {want}."
+            f"drives for axis {axis}: {type(chip).__name__} drives {what}; {label} is none: give {want}."
         )
     if not servo:
         plant.equip(spec, axis, None)
-        if not isinstance(given, Drive):
-            given = Drive(
-                find_motor(given if given is not None else named if named and named not in DC_MOTORS else "17HS4401")
+        if not isinstance(choice, Drive):
+            choice = Drive(
+                find_motor(choice if choice is not None else named if named and named not in DC_MOTORS else "17HS4401")
             )
-        return replace(given, microsteps=chip.MICROSTEPS) if chip.MICROSTEPS else given
-    own = plant.dc_constants(spec, axis)
-    if isinstance(given, Servo):
-        chosen = given
-    elif given is not None:
-        chosen = Servo(find_dc_motor(given))
+        return replace(choice, microsteps=chip.MICROSTEPS) if chip.MICROSTEPS else choice
+    constants = plant.dc_constants(spec, axis)
+    if isinstance(choice, Servo):
+        amplifier = choice
+    elif choice is not None:
+        amplifier = Servo(find_dc_motor(choice))
     elif named in DC_MOTORS:
-        chosen = Servo(DC_MOTORS[named])
-    elif own is not None:
-        chosen = Servo(DCMotor(f"that of axis {axis}", own[1], own[0], 0.0, own[0]))
+        amplifier = Servo(DC_MOTORS[named])
+    elif constants is not None:
+        amplifier = Servo(DCMotor(f"that of axis {axis}", constants[1], constants[0], 0.0, constants[0]))
     else:
-        chosen = Servo()
-    plant.equip(spec, axis, (chosen.motor.torque_constant, chosen.motor.resistance))
-    return chosen
+        amplifier = Servo()
+    plant.equip(spec, axis, (amplifier.motor.torque_constant, amplifier.motor.resistance))
+    return amplifier

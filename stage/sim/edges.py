@@ -1,4 +1,4 @@
-"""Edges of switches and of the encoder's index, compiled: predicted at a window's start, given to the chip at their exact clock."""
+"""Edges of switches and of the encoder's index, compiled: predicted at a window's start, passed to a chip at their exact clock."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ SURE = 0.8  # share of the travel beside an edge in which the sensor's distance 
 @hot
 def measure_index_offset(t, q):
     """Turns from the nearest index mark to the rotor, -0.5 to 0.5."""
-    turns = q * t.gear / TURN - t.index_at
-    return turns - floor(turns + 0.5)
+    angle = q * t.gear / TURN - t.index_at
+    return angle - floor(angle + 0.5)
 
 
 @hot
 def _predict_index(world, axis, t, q, v, half):
-    """At a window's start: when in this window the index pulse will begin or end, at most both."""
+    """Predict when the index pulse begins and ends in this window, at its start; at most both."""
     axis.index_edge = axis.index_end = NEVER
     speed = v * t.gear / TURN
-    way = 1.0 if speed >= 0.0 else -1.0
-    off = (measure_index_offset(t, q) - speed * half) * way  # as if the motor turned forward
+    direction = 1.0 if speed >= 0.0 else -1.0
+    off = (measure_index_offset(t, q) - speed * half) * direction  # as if the motor turned forward
     off -= floor(off + 0.5)
     rim = 0.5 * INDEX + (INDEX_HYSTERESIS if axis.index_on else 0.0)
-    speed *= way
+    speed *= direction
     if axis.index_on:
         wait = rim - off if abs(off) <= rim else 0.0
     elif abs(off) <= rim:
@@ -185,7 +185,7 @@ def predict_switch(world, axis, clockwork, s, t, q, v):
 
 @hot
 def _bounce(s, t, now):
-    """After an edge, or a toggle that followed it: when the contact toggles next, ever sooner, the last at the bounce's end."""
+    """Set, after an edge or a toggle that followed it, when the contact toggles next: ever sooner, the last at the bounce's end."""
     if s.toggles == 0:
         s.toggles, s.until = t.toggles, now + t.bounce
     else:
@@ -196,7 +196,7 @@ def _bounce(s, t, now):
 
 @hot
 def predict_edges(h, moved):
-    """At a window's start: where each vane is, and when in this window its switch will change.
+    """Predict, at a window's start, where each vane is, and when in this window its switch changes.
 
     `moved`: qpos has moved since the sensors were read, by one step of the present qvel.
     """
@@ -219,7 +219,7 @@ def predict_edges(h, moved):
 
 @hot
 def predict_axis_edges(now, clock, axis, of_axis, records, rows, sensordata, q, v, moved):
-    """Foresee the edges of one axis whose joint is at `q` with speed `v`; see `predict_edges`.
+    """Predict the edges of one axis whose joint is at `q` with speed `v`; see `predict_edges`.
 
     Args:
         now, clock, axis, of_axis: WORLD and CLOCKWORK of the stage; AXIS of the axis, its row of AXIS_TABLE.
@@ -252,8 +252,11 @@ def predict_axis_edges(now, clock, axis, of_axis, records, rows, sensordata, q, 
 
 @hot
 def switched(t, records, rows, word):
-    """The pin word of an axis with its switches as they are. Two that are wired to one pin assert it if either is on. A sensor of
-    positive logic sets its pin, which is low then, while it is off."""
+    """Return the pin word of an axis with its switches as they are.
+
+    Two that are wired to one pin assert it if either is on. A sensor of positive logic sets its pin, which is low then, while it is
+    off.
+    """
     on = off = 0
     for k in range(t.first_switch, t.end_switch):
         bit = rows[k].bit
@@ -263,13 +266,13 @@ def switched(t, records, rows, word):
 
 @hot
 def indexed(t, axis, word):
-    """The pin word of an axis with its index pulse as it is."""
+    """Return the pin word of an axis with its index pulse as it is."""
     return word | t.index_bit if axis.index_on != (t.positive & t.index_bit != 0) else word & ~t.index_bit
 
 
 @hot
 def process_axis_edges(axis, t, c, j, records, rows, now):
-    """The switches of chip axis `j` that change at `now` do."""
+    """Change the switches of chip axis `j` that change at `now`."""
     axis.next_edge = NEVER
     for k in range(t.first_switch, t.end_switch):
         s = records[k]
@@ -291,7 +294,7 @@ def process_axis_edges(axis, t, c, j, records, rows, now):
 
 @hot
 def next_edge(axis_records, c):
-    """When the next input of a chip changes."""
+    """Return when the next input of a chip changes."""
     edge = axis_records[cores.axis_of(c, 0)].next_edge
     for j in range(1, c.axes):
         edge = least(edge, axis_records[cores.axis_of(c, j)].next_edge)
@@ -300,14 +303,14 @@ def next_edge(axis_records, c):
 
 @hot
 def note_input(h, now, c, j):
-    """The inputs of chip axis `j` have changed at `now` ns."""
+    """Note that the inputs of chip axis `j` have changed at `now` ns."""
     if has_edge_room(h):
         note_edge(h, now, c, cores.axis_of(c, j), INPUT, j, cores.inputs(c, j))
 
 
 @hot
 def process_edges(h, c, until):
-    """Take chip `c` through the edges of its switches up to `until` ns."""
+    """Run chip `c` through the edges of its switches up to `until` ns."""
     axis_records, axis_table = axes(h), table(h)
     now = next_edge(axis_records, c)
     while now <= until:

@@ -17,12 +17,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Encoder:
-    """An incremental encoder: Encoder("x", per_metre=200_000) on a carriage, or Encoder("x", per_turn=2000) on its motor.
+    """Incremental encoder: Encoder("x", per_metre=200_000) on a carriage, or Encoder("x", per_turn=2000) on its motor.
 
-    Counts are those of all edges, four a line. per_metre: counts a metre (rad on a hinge); per_turn: counts a turn of the motor.
-    zero: the position (m, rad) at which it counts 0; default: where the axis is when the device comes on its board. A chip's own
-    counter has none: it is 0 after a reset.
-    Raises ArgumentError.
+    Counts are those of all edges, four a line.
+
+    Attributes:
+        axis: Name of the axis.
+        per_metre: Counts a meter (rad on a hinge).
+        per_turn: Counts a turn of the motor.
+        zero: Position (m, rad) at which it counts 0; default: where the axis is when the device comes on its board. A chip's own
+            counter has none: it is 0 after a reset.
+
+    Raises:
+        ArgumentError: None or both of the rates, or a value that is no number.
     """
 
     axis: str
@@ -31,8 +38,8 @@ class Encoder:
     zero: float | None = None
 
     def __post_init__(self) -> None:
-        given = [n for n in (self.per_metre, self.per_turn) if n is not None]
-        if len(given) != 1 or not _is_rate(given[0]):
+        rates = [n for n in (self.per_metre, self.per_turn) if n is not None]
+        if len(rates) != 1 or not _is_rate(rates[0]):
             raise ArgumentError(
                 f"{self!r}: give either per_metre= or per_turn=, counts a metre or a turn of the motor; below 0 it is mounted the "
                 "other way round."
@@ -41,11 +48,15 @@ class Encoder:
             raise ArgumentError(f"{self!r}: zero= is the position at which it counts 0, m (rad on a hinge).")
 
     def counts(self, gear: float) -> float:
-        """Counts per unit of the joint (m, rad), whose gear this is: radians of the rotor a unit."""
+        """Return the counts per unit of the joint (m, rad).
+
+        Args:
+            gear: Radians of the rotor per unit of the joint.
+        """
         return self.per_metre if self.per_metre is not None else (self.per_turn or 0.0) * gear / (2 * math.pi)
 
     def row(self, stage: Stage) -> tuple[int, float, float]:
-        """ENCODER, see stage.board.bus.host_record."""
+        """Return the ENCODER record of stage.board for a stage: index of the axis, counts per unit, and zero."""
         if self.axis not in stage.axes:
             raise unknown("axis", self.axis, stage.axes)
         axis = stage.axes[self.axis]
@@ -60,13 +71,24 @@ class Encoder:
 EncoderChoice = Mapping[str, float] | Iterable[Encoder] | Encoder | None
 
 
-def choose_encoders(given: EncoderChoice, names: Sequence[str], chip_axes: Sequence[ChipAxis]) -> tuple[Encoder, ...]:
-    """The encoders that chips of a stage count, as `Stage` takes them. Raises ArgumentError."""
-    found: dict[str, Encoder] = {}
-    for encoder in _list_encoders(given):
+def choose_encoders(
+    encoders_given: EncoderChoice, names: Sequence[str], chip_axes: Sequence[ChipAxis]
+) -> tuple[Encoder, ...]:
+    """Return the encoders that chips of a stage count, as `Stage` takes them.
+
+    Args:
+        given: Argument of `Stage`.
+        names: Axes of the stage.
+        chip_axes: Their axes of chips.
+
+    Raises:
+        ArgumentError: An axis does not exist, has two, or a chip that counts none.
+    """
+    chosen: dict[str, Encoder] = {}
+    for encoder in _list_encoders(encoders_given):
         if encoder.axis not in names:
             raise unknown("axis", encoder.axis, names)
-        if encoder.axis in found:
+        if encoder.axis in chosen:
             raise ArgumentError(f"encoders: axis {encoder.axis} is given two; a chip counts one an axis.")
         chip = type(chip_axes[names.index(encoder.axis)].chip)
         if chip.SERVO:
@@ -85,12 +107,17 @@ def choose_encoders(given: EncoderChoice, names: Sequence[str], chip_axes: Seque
                 f"{encoder!r}: zero= is for devices; the counter of {a_or_an(chip.__name__)} is 0 after a reset, and "
                 "a host can set it."
             )
-        found[encoder.axis] = encoder
-    return tuple(found[name] for name in names if name in found)
+        chosen[encoder.axis] = encoder
+    return tuple(chosen[name] for name in names if name in chosen)
 
 
 def counts_per_unit(encoders: Iterable[Encoder], plant: Sequence[PlantAxis]) -> list[float]:
-    """Of each axis: counts per unit of its joint; 0 where no chip counts any."""
+    """Return for each axis the counts per unit of its joint; 0 where no chip counts any.
+
+    Args:
+        encoders: Encoders that chips count.
+        plant: Axes of the model.
+    """
     of = {e.axis: e for e in encoders}
     return [of[p.name].counts(p.gear) if p.name in of else 0.0 for p in plant]
 
@@ -108,18 +135,18 @@ def _list_encoders(given: EncoderChoice) -> list[Encoder]:
                     f'below 0 it is mounted the other way round. On the motor: encoders=[Encoder("{axis}", per_turn=2000)].'
                 )
         return [Encoder(axis, per_metre=float(counts)) for axis, counts in given.items()]
-    listed = list(given) if isinstance(given, Iterable) and not isinstance(given, str) else [given]
-    for encoder in listed:
+    encoders = list(given) if isinstance(given, Iterable) and not isinstance(given, str) else [given]
+    for encoder in encoders:
         if not isinstance(encoder, Encoder):
             raise ArgumentError(
                 f'encoders={given!r}: a mapping axis -> counts a metre, {{"x": 200_000}}, or Encoders, '
                 '[Encoder("x", per_turn=2000)].'
             )
-    return listed
+    return encoders
 
 
 def _is_rate(number: Any) -> bool:
-    """It is finite and not 0."""
+    """Return whether a value is finite and not 0."""
     return not isinstance(number, bool) and _is_finite(number) and number != 0
 
 

@@ -77,7 +77,7 @@ _get_state = called(None, "i8", "i8", "i8", "i4")
 
 @hot
 def _run_chips(h, stop):
-    """Run the chips up to `stop` ns, inside the window. Returns slices done."""
+    """Run the chips up to `stop` ns, inside the window, and return the slices done."""
     w, rows, axis_records = world(h), chips(h), axes(h)
     start, dt = w.start, clockwork(h).dt
     hz = clock = rest = 0
@@ -113,7 +113,7 @@ def _run_chips(h, stop):
 
 @hot
 def _end_slice(c, axis_records, k):
-    """The axes' mean counts in slice `k`, which ends now."""
+    """Keep the axes' mean counts in slice `k`, which ends now."""
     for j in range(c.axes):
         axis = axis_records[cores.axis_of(c, j)]
         axis.counts[k] = cores.drive_input(c, j, axis.count, c.ticks)
@@ -122,7 +122,7 @@ def _end_slice(c, axis_records, k):
 
 @hot
 def _leads(rows, i):
-    """Chip `i` is the first of those that are linked to it."""
+    """Return whether chip `i` is the first of those that are linked to it."""
     m = 0
     while rows[m].link != rows[i].link:
         m += 1
@@ -131,7 +131,7 @@ def _leads(rows, i):
 
 @hot
 def _run_linked(h, first, stop):
-    """As `_run_chips`, of the chips that are linked to this first one: an edge of one of them acts on all at its clock."""
+    """Run the chips that are linked to the first one, as `_run_chips`: an edge of one acts on all at its clock."""
     w, rows, axis_records, edges = world(h), chips(h), axes(h), array_at(h.edges, h.edge_room, EDGE)
     start, dt, link, hz = w.start, clockwork(h).dt, rows[first].link, rows[first].hz
     k, now = w.slice, 0
@@ -160,7 +160,7 @@ def _run_linked(h, first, stop):
 
 @hot
 def _shaft(h, t):
-    """Where an axis' shaft is now, in counts of its encoder, and how fast, in counts a second."""
+    """Return the present count of an axis' encoder, and its speed, counts a second."""
     w, v = world(h), qvel(h)[t.dof]
     tau = float(w.now - w.start) / SECOND - clockwork(h).half
     return (qpos(h)[t.qpos] + v * tau) * t.counts, v * t.counts
@@ -168,7 +168,7 @@ def _shaft(h, t):
 
 @hot
 def _show_shafts(h):
-    """At a window's start: the shafts, for the chips that look at them."""
+    """Pass the shafts to the chips that count them, at the beginning of a window."""
     rows = chips(h)
     for i in range(len(rows)):
         c = rows[i]
@@ -185,7 +185,7 @@ def _show_shafts(h):
 
 @hot
 def _show_loads(h):
-    """At a window's start: the loads of the motors, for the chips that drive them."""
+    """Pass the loads of the motors to the chips that drive them, at the beginning of a window."""
     rows, half = drives(h), clockwork(h).half
     for a in range(len(rows)):
         t, d = table(h)[a], rows[a]
@@ -202,7 +202,7 @@ def _show_loads(h):
 
 @hot
 def _set_currents(h):
-    """The currents of the motors whose chips drive them."""
+    """Take the currents of the motors whose chips set them."""
     rows = drives(h)
     for a in range(len(rows)):
         t = table(h)[a]
@@ -246,7 +246,7 @@ def _sample_all(h, ctrl):
 
 @hot
 def _unguarded(clock):
-    """MuJoCo would call a Python callback whose exceptions are not guarded."""
+    """Return whether MuJoCo would call a Python callback whose exceptions are not guarded."""
     if not clock.guarded:
         for k in range(CALLBACKS):
             if array_at(clock.callbacks[k], 1, ADDRESS)[0] != clock.native[k]:
@@ -256,7 +256,7 @@ def _unguarded(clock):
 
 @hot
 def _run(h, until):
-    """Run up to `until` ns. Returns why it returned (REACHED, ...)."""
+    """Run up to `until` ns and return why it returned (REACHED, ...)."""
     w, clock, axis_records, axis_table, rows = world(h), clockwork(h), axes(h), table(h), drives(h)
     positions, speeds = qpos(h), qvel(h)
     ctrl, inertia = array_at(h.ctrl, h.nu, REAL), array_at(h.inertia, h.nv, REAL)
@@ -315,9 +315,12 @@ def _run(h, until):
 
 @exported("i8", HANDLE, "i8")
 def advance(h, until):
-    """Let the stage's time pass up to `until` ns, unless the engine has to stop before; returns why it stopped (REACHED, ...).
+    """Let the stage's time pass up to `until` ns, unless the engine has to stop before.
 
     It logs where the handle says. Of a run that is undone nothing stays logged.
+
+    Returns:
+        Why it stopped (REACHED, ...).
     """
     if not claim(h.clockwork, ENGINE):
         return IN_USE
@@ -332,26 +335,25 @@ def advance(h, until):
 
 @exported("i8", HANDLE)
 def has_unguarded_callback(h):
-    """1 if MuJoCo has a Python callback whose exceptions are not guarded now."""
+    """Return 1 if MuJoCo has a Python callback whose exceptions are not guarded now."""
     return 1 if _unguarded(clockwork(h)) else 0
 
 
 @exported("i8", HANDLE, "i8")
 def claim_stage(h, token):
-    """1 if the stage was free: no other thread can run it until `give` with this token."""
+    """Return 1 if the stage was free: no other thread can run it until `release_stage` with this token."""
     return 1 if claim(h.clockwork, token) else 0
 
 
 @exported(None, HANDLE, "i8")
 def release_stage(h, token):
-    """Whoever took it with this token has it no more."""
+    """End a claim with this token."""
     release(h.clockwork, token)
 
 
 @exported(None, HANDLE, "i8")
 def update_switches(h, a):
-    """A fault of axis `a`'s switches has come or gone, at any moment in a window: their levels now, and their edges in the rest of
-    it."""
+    """Apply a fault of axis `a`'s switches that begins or ends at any moment of a window: levels now, edges in the rest of it."""
     axis, t = axes(h)[a], table(h)[a]
     axis.next_edge, axis.awake = axis.index_edge if t.index_bit else NEVER, 1
     for k in range(t.first_switch, t.end_switch):
@@ -390,7 +392,7 @@ def _settle_axis(h, a):
 
 @exported(None, HANDLE)
 def settle(h):
-    """Before the first window, or after the carriages were placed: finds switch levels and pending edges again."""
+    """Find switch levels and pending edges, before the first window, or after the carriages were placed."""
     world(h).powered = 1
     for k in range(h.n_switches):
         s = switches(h)[k]

@@ -8,17 +8,17 @@
     with faults.phase_open(x, "a"):
         print(firmware.preset_move(x, 3200))
 
-Each function makes its fault at the present simulated time and returns a `Fault`: leaving the `with`, or `mend()`, ends it.
+Each function makes its fault at the present simulated time and returns a `Fault`: leaving the `with`, or `clear()`, ends it.
 Faults of switches and of the bus begin on the nanosecond, also inside a physics step; those of drives and mechanics act on
-the whole physics step (0.25 ms) in which they begin. Several may be in force, also of one thing: the last one shows, and when any
-of them is mended, the others stand as if it had not been. `stage.faults` names them, and so does a recording, at their moments.
+the whole physics step (0.25 ms) in which they begin. Several may be in force, also of one thing: the last one counts, and when any
+of them is cleared, the others act as if it had not been there. `stage.faults` names them, and so does a recording, at their times.
 
-A fault belongs to the machine, as a payload does: snapshots, `restore` and `reset` do not change it (and over `motor` there is no
-`restore`), copies and pickles of a stage have it too (permanently: `mend` acts on the stage where the fault was made). Its effects
+A fault belongs to the machine, as a payload does: snapshots, `restore` and `reset` do not change it (and across `motor` there is no
+`restore`), copies and pickles of a stage have it too (permanently: `clear` acts on the stage where the fault was made). Its effects
 are state: a contact that is bouncing, a rotor that has slipped, a current. `start_skew` and `lost_write` are faults of the host's
 board: copies do not have them.
 
-docs/faults.md has the simulated effect of each, and how a host can detect it; `stage fault` shows it.
+docs/faults.md has the simulated effect of each, and how a host can detect it; `stage fault` demonstrates it.
 """
 
 from __future__ import annotations
@@ -46,10 +46,17 @@ STIFF = (0.9, 0.9, 0.001, 0.5, 2)  # solimp of its friction; from 0.97 on the so
 
 
 class Fault:
-    """A fault in force. A context manager; `text` says what it is.
+    """Fault in force; a context manager.
 
-    begin: makes it and returns what ends it; it is called again where a fault before it, of one of the same things, is mended.
-    things: what it changes.
+    Args:
+        stage: Stage whose fault it is, or None.
+        text: The fault in words.
+        begin: Makes the fault and returns what ends it; it is called again where an earlier fault of one of the same things is
+            cleared.
+        things: What it changes.
+
+    Attributes:
+        in_force: False once it is cleared.
     """
 
     def __init__(
@@ -68,8 +75,8 @@ class Fault:
             if stage is not None:
                 stage.note_fault(self, True)
 
-    def mend(self) -> None:
-        """End it, now. Safe to call twice; what it has done stays done."""
+    def clear(self) -> None:
+        """End the fault, now. A second call does nothing; what the fault has done stays done."""
         if not self.in_force:
             return
         with exclusively(self._stage):
@@ -83,30 +90,30 @@ class Fault:
                 self._stage.note_fault(self, False)
 
     def _above(self) -> list[Fault]:
-        """The later faults that have changed what this one or one of them had changed, in their order."""
+        """Return the later faults that have changed what this one or one of them had changed, in their order."""
         if self._stage is None:
             return []
-        active_faults, things, found = self._stage.active_faults, self._things, list[Fault]()
+        active_faults, things, above = self._stage.active_faults, self._things, list[Fault]()
         for fault in active_faults[active_faults.index(self) + 1 :]:
             if things & fault._things:
-                found.append(fault)
+                above.append(fault)
                 things |= fault._things
-        return found
+        return above
 
     def __enter__(self) -> Fault:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        self.mend()
+        self.clear()
 
     def __repr__(self) -> str:
-        return f"<Fault {self.text}{'' if self.in_force else ', mended'}>"
+        return f"<Fault {self.text}{'' if self.in_force else ', cleared'}>"
 
 
 def _change(
     get: Callable[[], Any], put: Callable[[Any], None], to: Callable[[Any], Any]
 ) -> Callable[[], Callable[[], None]]:
-    """`begin` of a fault that changes what `get` reads and `put` writes `to` another value; what was there comes back."""
+    """Return `begin` of a fault that changes what `get` reads and `put` writes `to` another value; its end restores the old one."""
 
     def begin() -> Callable[[], None]:
         before = get()
@@ -121,9 +128,15 @@ def _change(
 
 @told
 def switch_stuck(axis: Axis, pin: str, closed: bool) -> Fault:
-    """A limit switch stays asserted (`closed`) or released, wherever its vane is.
+    """Make a limit switch stay asserted or released, wherever its vane is.
 
-    pin: el_plus, el_minus, sd_plus, sd_minus or org. Raises ArgumentError for a switch that is not fitted.
+    Args:
+        axis: Axis of a stage.
+        pin: el_plus, el_minus, sd_plus, sd_minus or org.
+        closed: True for asserted.
+
+    Raises:
+        ArgumentError: The switch is not fitted.
     """
     _check(axis)
     row = axis.switches.row(pin)
@@ -132,9 +145,16 @@ def switch_stuck(axis: Axis, pin: str, closed: bool) -> Fault:
 
 @told
 def vane_missing(axis: Axis, pin: str) -> Fault:
-    """The vane that trips switch `pin` has come off: no switch that it serves will trip again (an EL vane serves both EL).
+    """Take off the vane that trips a switch: no switch that it serves will trip again (an EL vane serves both EL).
 
-    The beam that nothing breaks is all that is modelled, not the vane that lies in the machine.
+    Only the beam that nothing interrupts is modelled, not the vane that lies in the machine.
+
+    Args:
+        axis: Axis of a stage.
+        pin: el_plus, el_minus, sd_plus, sd_minus or org.
+
+    Raises:
+        ArgumentError: The switch is not fitted.
     """
     _check(axis)
     axis.switches.row(pin)
@@ -147,13 +167,20 @@ def vane_missing(axis: Axis, pin: str) -> Fault:
 
 @told
 def bounce(axis: Axis, pin: str, seconds: float = 2e-3, toggles: int = 6) -> Fault:
-    """The contact of switch `pin` bounces: each edge is followed by `toggles` more within `seconds`, and then it rests.
+    """Make the contact of a switch bounce: each edge is followed by `toggles` more within `seconds`, and then it rests.
 
     The toggles come ever sooner, as a contact's do, the last at `seconds`: after an edge at 0 and with n toggles, number k comes
-    at seconds (1 - (n - k) (n - k + 1) / (n (n + 1))). No chance is in it: equal runs bounce alike. While a contact bounces it
-    does not see its vane. A bounce that is under way when the fault is mended is played to its end.
+    at seconds (1 - (n - k) (n - k + 1) / (n (n + 1))). Nothing is random: equal runs bounce alike. While a contact bounces it
+    does not follow its vane. A bounce that is under way when the fault is cleared is completed.
 
-    seconds: above 0, up to 1; toggles: 2, 4, 6 or 8. Raises ArgumentError.
+    Args:
+        axis: Axis of a stage.
+        pin: el_plus, el_minus, sd_plus, sd_minus or org.
+        seconds: Duration of a bounce, above 0, up to 1.
+        toggles: 2, 4, 6 or 8.
+
+    Raises:
+        ArgumentError: The switch is not fitted, or a value is out of range.
     """
     _check(axis)
     row = axis.switches.row(pin)
@@ -183,7 +210,7 @@ def _switches(axis: Axis, what: str, rows: dict[int, dict[str, int]]) -> Fault:
 
 
 def _find_vane(axis: Axis, sensor: int) -> int | None:
-    """The geom of a switch's sensor that the axis carries, by its id."""
+    """Return the id of the geom of a switch's sensor that the axis carries."""
     m = axis.stage.model
     ends = ((m.sensor_objtype[sensor], m.sensor_objid[sensor]), (m.sensor_reftype[sensor], m.sensor_refid[sensor]))
     geoms = [int(k) for kind, k in ends if kind == mujoco.mjtObj.mjOBJ_GEOM]
@@ -201,9 +228,15 @@ def _is_on_body(model: Any, body: int, other: int) -> bool:
 
 @told
 def payload(stage: Stage, factor: float = 2.0, body: str | None = None) -> Fault:
-    """The payload weighs `factor` times what `Stage.set_payload` put on `body` (default: where the site "work" is).
+    """Multiply the payload that `Stage.set_payload` put on a body.
 
-    Raises ArgumentError where there is no payload, or for a factor that is not above 0.
+    Args:
+        stage: Stage.
+        factor: Factor above 0.
+        body: Name of the body; default: where the site "work" is.
+
+    Raises:
+        ArgumentError: There is no payload, or the factor is out of range.
     """
     _check(stage, Stage)
     before = stage.payload(body)
@@ -217,10 +250,17 @@ def payload(stage: Stage, factor: float = 2.0, body: str | None = None) -> Fault
 
 @told
 def jam(axis: Axis, force: float | None = None) -> Fault:
-    """The axis jams: dry friction of `force` N (N m on a hinge) more, default ten times what its motor can push.
+    """Make the axis jam, by more dry friction.
 
     It stops a carriage within a few physics steps and holds it to 20 um, in both directions: MuJoCo's friction yields a little.
     A DC motor's steady push moves it on by some 0.7 mm/s at full drive.
+
+    Args:
+        axis: Axis of a stage.
+        force: Friction, N (N m on a hinge); default: ten times what its motor can push.
+
+    Raises:
+        ArgumentError: The force is out of range.
     """
     _check(axis)
     default = JAM * axis.drive.peak_torque * abs(axis.gear)
@@ -248,9 +288,14 @@ def jam(axis: Axis, force: float | None = None) -> Fault:
 
 @told
 def bus_voltage(where: Axis | Stage, volts: float) -> Fault:
-    """The supply of an axis' drive, or of all drives of a stage, falls (or rises) to `volts`: above 0, up to 400.
+    """Make the supply of an axis' drive, or of all drives of a stage, fall or rise. Currents follow the new voltage.
 
-    Currents stay what they are and follow the new voltage. Raises ArgumentError.
+    Args:
+        where: Axis, or stage.
+        volts: Voltage above 0, up to 400.
+
+    Raises:
+        ArgumentError: The voltage is out of range.
     """
     if not isinstance(where, Stage):
         _check(where)
@@ -267,9 +312,14 @@ def bus_voltage(where: Axis | Stage, volts: float) -> Fault:
 
 @told
 def phase_open(axis: Axis, phase: str = "a") -> Fault:
-    """A wire to the motor is broken: phase "a" or "b" carries no current, from one moment to the next.
+    """Break a wire to the motor: the phase carries no current, from one moment to the next.
 
-    Raises ArgumentError; also for a DC motor, which has no phases.
+    Args:
+        axis: Axis of a stage.
+        phase: "a" or "b".
+
+    Raises:
+        ArgumentError: There is no such phase; a DC motor has none.
     """
     _check(axis)
     if axis.drive.has_encoder:
@@ -296,11 +346,19 @@ def _change_axes(stage: Stage, axes: list[Axis], text: str, field: str, to: Call
 
 @told
 def motor(axis: Axis, motor: str | Motor | DCMotor) -> Fault:
-    """Another motor is in place of the axis' own: a preset's name, or a Motor (DCMotor) of as many steps a turn.
+    """Put another motor in place of the axis' own.
 
-    Its rotor, torque and currents are those of its data sheet; what the drive is set to stays, so do the rotor's angle and the
-    lost steps, and currents follow. Another motor is another machine: `restore` refuses snapshots of before in words, and when it
-    is mended those from between; `reset` is power-up with the motor that is there. Raises ArgumentError, ModelError.
+    Its rotor, torque and currents are those of its data sheet; the settings of the drive stay, so do the rotor's angle and the
+    lost steps, and currents follow. Another motor is another machine: `restore` refuses snapshots taken before, and when the fault
+    is cleared those taken between; `reset` is power-up with the present motor.
+
+    Args:
+        axis: Axis of a stage.
+        motor: Name of a preset, or a Motor (DCMotor) of as many steps a turn.
+
+    Raises:
+        ArgumentError: There is no such motor, it has other steps, or the axis has it already.
+        ModelError: It cannot be simulated with the model's time step.
     """
     _check(axis)
     before = axis.drive
@@ -325,10 +383,17 @@ def motor(axis: Axis, motor: str | Motor | DCMotor) -> Fault:
 
 @told
 def start_skew(axis: Axis, seconds: float) -> Fault:
-    """The CPU is called away for `seconds` just before the next bus write that makes this axis drive, a start command.
+    """Delay the next bus write that makes this axis drive, a start command, as if the CPU were called away.
 
-    A command that starts several axes of a chip is late for all of them. A servo that is led by command positions knows no such
-    write. Raises ArgumentError.
+    A command that starts several axes of a chip is late for all of them. A servo that follows command positions has no such
+    write.
+
+    Args:
+        axis: Axis of a stage.
+        seconds: Delay, 0 or more.
+
+    Raises:
+        ArgumentError: The delay is out of range.
     """
     _check(axis)
     if not 0 <= seconds < 1e9:
@@ -336,7 +401,7 @@ def start_skew(axis: Axis, seconds: float) -> Fault:
 
     def glitch(address: int, value: int) -> bool:
         if axis.chip.starts(address, value, axis.chip_axis):
-            fault.mend()
+            fault.clear()
             axis.stage.run(seconds)
         return False
 
@@ -346,11 +411,19 @@ def start_skew(axis: Axis, seconds: float) -> Fault:
 
 @told
 def lost_write(where: Axis | Chip, address: int | None = None, value: int | None = None, skip: int = 0) -> Fault:
-    """One bus write does not arrive: the next to this axis' chip, or the next that has this `address` and this `value`.
+    """Lose one bus write: the next to this axis' chip, or the next that has this `address` and this `value`.
 
     The cycle takes its time and the chip sees nothing of it, so nothing gets into `chip.diagnostics`; journals and recordings
-    show the byte as lost. skip: writes (that match) which arrive before. The fault is over when it has struck.
-    Raises ArgumentError.
+    show the byte as lost. The fault is over once a write is lost.
+
+    Args:
+        where: Axis of a stage, or a chip.
+        address: Address of the write; None: any.
+        value: Value of the write; None: any.
+        skip: Writes that match and arrive before.
+
+    Raises:
+        ArgumentError: `skip` is not a whole number, 0 or more.
     """
     if not isinstance(where, Chip):
         _check(where)
@@ -364,7 +437,7 @@ def lost_write(where: Axis | Chip, address: int | None = None, value: int | None
             return False
         left -= 1
         if left < 0:
-            fault.mend()
+            fault.clear()
         return left < 0
 
     which = ("" if value is None else f" of {value:02X}h") + ("" if address is None else f" to address {address}")
@@ -386,7 +459,7 @@ def _make_bus_fault(where: Axis | Chip, what: str, glitch: Callable[[int, int], 
     return Fault(stage, f"{name}: {what}", begin)
 
 
-def _check(given: Any, kind: type = Axis) -> None:
-    if not isinstance(given, kind):
+def _check(value: Any, kind: type = Axis) -> None:
+    if not isinstance(value, kind):
         wanted = "stage.axes['x']" if kind is Axis else "a Stage"
-        raise ArgumentError(f"{given!r} is not what breaks here: give {wanted}.")
+        raise ArgumentError(f"{value!r} is not what breaks here: give {wanted}.")

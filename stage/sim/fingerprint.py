@@ -1,4 +1,4 @@
-"""A fingerprint of a model, and whether two models are equal in all but the textures of their surfaces."""
+"""Fingerprints of a model: of all its values, and of its mechanics alone."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ import numpy as np
 
 
 def settings(model: Any) -> Iterator[tuple[Any, str, Any]]:
-    """(part, name, value) of all that can be set in an MjModel, but for textures: its arrays, and the numbers and arrays of its
-    options."""
+    """Yield (part, name, value) of all that can be set in an MjModel but textures: its arrays, and its options."""
     for part in (model, model.opt):
         kind: Any = type(part)
         for name in _field_names(kind):
@@ -31,7 +30,7 @@ def _field_names(kind: Any) -> list[str]:
 
 
 def fingerprint(model: Any) -> bytes:
-    """16 bytes that tell an MjModel from others; below a millisecond."""
+    """Return 16 bytes that identify an MjModel; it takes less than a millisecond."""
     digest = hashlib.blake2b(model.names + model.text_data, digest_size=16)
     for _, name, value in settings(model):
         if isinstance(value, np.ndarray):
@@ -55,7 +54,7 @@ def _moving_fields(kind: Any) -> list[str]:
 
 
 def mechanics(model: Any) -> str:
-    """A name for what moves in an MjModel, and how; 0.4 ms. Models that differ in what is only looked at have the same."""
+    """Return a name for the mechanics of an MjModel, in 0.4 ms; models that differ only in what is for display have the same."""
     digest = hashlib.blake2b(digest_size=8)
     touching = (model.geom_contype | model.geom_conaffinity) != 0
     touching[model.pair_geom1] = touching[model.pair_geom2] = True

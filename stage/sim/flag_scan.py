@@ -1,4 +1,4 @@
-"""How far switches and their vanes are apart over an axis' travel: thousands of positions, before a stage can begin."""
+"""Distances between switches and their vanes over an axis' travel: thousands of positions, before a stage can begin."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _distance = called("f8", "i8", "i8", "i4", "i4", "f8", "i8")
 
 @exported(None, "i8", "i8", "i8", "i8", array_of("f8"), "i8", array_of("f8"), array_of("i4", 2), array_of("f8", 2))
 def measure_distances(kinematics, distance, model, data, qpos, k, positions, pairs, out):
-    """out[i, j], m: how far the geoms pairs[j] are apart where coordinate k of `qpos`, the data's own, is positions[i].
+    """Measure out[i, j], the distance of the geoms pairs[j] where coordinate k of `qpos`, the data's own, is positions[i], m.
 
-    kinematics, distance, model, data: addresses of MuJoCo's functions mj_kinematics and mj_geomDistance, and of what they take.
+    kinematics, distance, model, data: Addresses of MuJoCo's functions mj_kinematics and mj_geomDistance, and of their arguments.
     """
     for i in range(len(positions)):
         qpos[k] = positions[i]

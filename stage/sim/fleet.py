@@ -33,8 +33,13 @@ CHUNKS_PER_THREAD = 4  # a thread's share, so that a slow stage does not hold up
 
 
 class Played(NamedTuple):
-    """results: (stages, operations) int64; extremes: (stages, nq, 2), least and greatest qpos while measured (inf, -inf
-    where nothing was); diverged: (stages,) bool, the program ended there."""
+    """Results of a fleet's programs.
+
+    Attributes:
+        results: (stages, operations) int64.
+        extremes: (stages, nq, 2), least and greatest qpos while measured (inf, -inf where nothing was).
+        diverged: (stages,) bool, the program ended there.
+    """
 
     results: np.ndarray
     extremes: np.ndarray
@@ -42,8 +47,10 @@ class Played(NamedTuple):
 
 
 class _BackgroundPlay:
-    """What the main thread has another one play, and waits for. Of bare locks and flags: Ctrl-C that comes while a Future is asked
-    may leave it locked."""
+    """Programs that another thread plays while the main thread waits.
+
+    It consists of bare locks and flags: Ctrl-C during a call of a Future may leave that locked.
+    """
 
     def __init__(self) -> None:
         self.running = self.left = False
@@ -98,9 +105,9 @@ class Fleet:
             raise ArgumentError("a stage is in the fleet twice: a fleet is of different stages, copy.deepcopy(stage).")
         if threads is not None and (int(threads) != threads or threads < 1):
             raise ArgumentError(f"threads={threads!r}: a whole number, 1 or more.")
-        here = sorted({(tuple(s.axes), s.model.nq) for s in stages})
-        if len(here) > 1:
-            raise ArgumentError(f"the stages of a fleet have the same axes and coordinates; here are {here}.")
+        kinds = sorted({(tuple(s.axes), s.model.nq) for s in stages})
+        if len(kinds) > 1:
+            raise ArgumentError(f"the stages of a fleet have the same axes and coordinates; here are {kinds}.")
         self.stages = list(stages)
         self.threads = min(threads or _count_processors(), len(self.stages))
         first = self.stages[0]
@@ -121,10 +128,18 @@ class Fleet:
 
     @told
     def play(self, programs: Sequence[Program] | np.ndarray) -> Played:
-        """Play programs[k] on stage k; an empty one leaves it alone. Programs may be given as an array (stages, ops, 4).
+        """Play programs[k] on stage k; an empty one leaves it alone.
 
-        Raises ArgumentError for a program that names an axis that is not there, or a time that is no time; nothing is played then.
         After Ctrl-C each stage stands somewhere in its program, in a wait for example, and can be used as before.
+
+        Args:
+            programs: One a stage; or an array (stages, operations, 4).
+
+        Returns:
+            Results, extremes, and which stages diverged.
+
+        Raises:
+            ArgumentError: A program names an axis that does not exist, or a time that is none; nothing is played then.
         """
         n, ops = len(self), check_programs(programs, len(self), self.stages[0], *self._points)
         results, status = np.zeros(ops.shape[:2], np.int64), np.zeros(n, np.int64)
@@ -144,33 +159,42 @@ class Fleet:
         return Played(results, extremes, status == play.DIVERGED)
 
     def list_python_stages(self) -> list[int]:
-        """The stages that Python has to play: those being recorded, or whose chips keep a journal or lose writes; all of
-        them where MuJoCo calls somebody back."""
-        found = []
+        """List the stages that Python has to play: those with a recording, or whose chips have a journal or lose writes.
+
+        Where MuJoCo has callbacks, all of them are.
+        """
+        indices = []
         all_of_them = engine.has_unguarded_callback.with_gil(self._first)
         for k, stage in enumerate(self.stages):
             stage.ensure_powered()
             stage.loop.check_options()
             if all_of_them or stage.recording is not None:
-                found.append(k)
+                indices.append(k)
                 continue
             for chip in stage.chips:
                 if chip.open_journal is not None or chip.glitches:
-                    found.append(k)
+                    indices.append(k)
                     break
-        return found
+        return indices
 
     @staticmethod
     @told
     def check_status(status: np.ndarray) -> None:
-        """Raises StageError if one of the stages could not be played. status: of `play.play`."""
+        """Check that all stages could be played.
+
+        Args:
+            status: Of `play.play`.
+
+        Raises:
+            StageError: A stage was in use.
+        """
         if any(how := status.tolist()):  # of few stages faster than numpy: steps of environments pass here
             for k, why in enumerate(how):
                 if why not in (play.PLAYED, play.DIVERGED):
                     raise StageError(f"stage {k} of the fleet: {IN_USE}")
 
     def truth(self) -> np.ndarray:
-        """Every axis of every stage now: a new array (stages, axes) of play.TRUTH."""
+        """Return every axis of every stage now: a new array (stages, axes) of play.TRUTH."""
         for stage in self.stages:
             stage.ensure_powered()
         play.inspect_axes(self.handles, 0, len(self), self._truth)
@@ -194,7 +218,11 @@ class Fleet:
 
     @told
     def run_on_threads(self, work: Callable[[int, int], None]) -> None:
-        """Call work(begin, end) for ranges of stages that make them all, on the fleet's threads."""
+        """Call `work` for ranges of stages that make up all of them, on the fleet's threads.
+
+        Args:
+            work: Takes begin and end of a range.
+        """
         self._stop_background()
         self._spread(work)
 
@@ -248,7 +276,7 @@ class Fleet:
             raise turn.failed
 
     def _stop_background(self) -> None:
-        """What the main thread has played elsewhere ends. After another Ctrl-C here, whoever comes next does it again."""
+        """End what another thread plays for the main thread. After another Ctrl-C here, the next call does it again."""
         if threading.current_thread() is not threading.main_thread():
             return
         if self._background is not None and self._process == os.getpid():
@@ -260,7 +288,7 @@ class Fleet:
         self._background = None
 
     def _workers(self) -> ThreadPoolExecutor:
-        """The threads of this process; one of them may be who waits for the others."""
+        """Return the threads of this process; one of them may be waiting for the others."""
         if self._process != os.getpid():  # forked: the threads are the parent's
             self._pool, self._process = None, os.getpid()
         if self._pool is None:
@@ -293,7 +321,11 @@ def check_programs(
 
 
 def _check(ops: np.ndarray, axes: list[str], sites: int, bodies: int) -> None:
-    """Of programs, (stages, operations, 4): what compiled code believes. Raises ArgumentError."""
+    """Check programs, (stages, operations, 4): compiled code trusts them.
+
+    Raises:
+        ArgumentError: A program names an axis or a point that does not exist, or a time that is none.
+    """
     kind, a = ops[:, :, 0], ops[:, :, 1]
     last = np.logical_or.accumulate(kind == END, axis=1)  # from here on nothing is played
     bad = (kind < 0) | (kind >= len(NAMES))
@@ -322,7 +354,7 @@ def _count_processors() -> int:
 
 
 def _stack_programs(programs: Sequence[Program]) -> np.ndarray:
-    """Programs of any lengths as one array, padded with END."""
+    """Stack programs of any lengths into one array, padded with END."""
     out = np.zeros((len(programs), max((len(p) for p in programs), default=0) or 1, 4), np.int64)
     for row, p in zip(out, programs, strict=True):
         if p.ops:

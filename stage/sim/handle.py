@@ -1,8 +1,10 @@
-"""A stage for compiled code: a HANDLE has the addresses of its arrays, and the functions here show them as arrays.
+"""A stage for compiled code: a HANDLE has the addresses of its arrays, and the functions here return them as arrays.
 
 handles = np.zeros(1, HANDLE)
 fill(handles, 0, stage.state)
 engine.advance(handles[0], until)       the stage's time passes, in hot functions and in Python
+
+Compiled functions take the record as their argument `h`.
 """
 
 from __future__ import annotations
@@ -73,14 +75,24 @@ sensordata = _array_of("sensordata", "ns", REAL)
 
 @hot
 def has_edge_room(h):
-    """Whether another edge can be noted."""
+    """Return whether another edge can be noted."""
     return h.noted < h.edge_room
 
 
 @hot
 def note_edge(h, now, c, axis, kind, a, b):
-    """Note what has reached chip `c`, one of whose axes is the stage's `axis`, at `now` ns; the caller has looked for room. Returns
-    the EDGE."""
+    """Note an event that has reached chip `c`; the caller has checked that there is room.
+
+    Args:
+        h: HANDLE.
+        now: Time, ns.
+        c: Row of CHIP_TABLE.
+        axis: Axis of the stage, one of the chip's.
+        kind, a, b: `Entry` for the journal.
+
+    Returns:
+        The EDGE.
+    """
     e = array_at(h.edges, h.edge_room, records.EDGE)[h.noted]
     e.now, e.clock, e.axis, e.kind, e.a, e.b = now, cores.clock(c), axis, kind, a, b
     h.noted += 1
@@ -104,7 +116,13 @@ def make_token() -> int:
 
 
 def fill(handles: np.ndarray, k: int, state: State) -> None:
-    """Write the HANDLE of a stage's `state`, which must outlive it, into handles[k], whose record has these fields first."""
+    """Write the HANDLE of a stage into handles[k].
+
+    Args:
+        handles: Records that begin with the fields of HANDLE.
+        k: Index.
+        state: State of the stage, which must outlive the handle.
+    """
     h = handles[k]
     model, data = state.model, state.data
     h["mj_model"], h["mj_data"] = model._address, data._address
@@ -125,7 +143,7 @@ def fill(handles: np.ndarray, k: int, state: State) -> None:
 
 
 def set_sample_buffers(h: Any, recording: Any) -> None:
-    """From now on the engine samples for `recording`; None: no samples."""
+    """Have the engine write samples into the buffers of a recording; None: no samples."""
     if recording is not None:
         h["samples"], h["positions"] = recording.samples.ctypes.data, recording.positions.ctypes.data
         h["room"], h["filled"] = len(recording.samples), recording.filled

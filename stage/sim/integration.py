@@ -1,4 +1,4 @@
-"""What a stage needs of MuJoCo's integration: an integrator that is a leapfrog, and a time step that is short for its motors.
+"""Requirements of a stage on MuJoCo's integration: an integrator that is a leapfrog, and a time step that is short for its motors.
 
 docs/models.md, "The time step", has the simulated moves behind the bounds.
 """
@@ -30,10 +30,15 @@ PROPOSED_STEPS_S = [m * 10.0**e for e in range(-3, -7, -1) for m in (5, 2.5, 1)]
 
 
 def check_options(model: mujoco.MjModel) -> None:
-    """Raise ModelError for an integrator, ArgumentError for a time step that the engine cannot work with at all."""
-    given, step = int(model.opt.integrator), model.opt.timestep
-    if given not in {int(i) for i in LEAPFROG_INTEGRATORS}:
-        name = mujoco.mjtIntegrator(given).name.removeprefix("mjINT_")
+    """Check the integrator and the time step of a model.
+
+    Raises:
+        ModelError: The integrator is no leapfrog.
+        ArgumentError: The time step is out of range.
+    """
+    integrator, step = int(model.opt.integrator), model.opt.timestep
+    if integrator not in {int(i) for i in LEAPFROG_INTEGRATORS}:
+        name = mujoco.mjtIntegrator(integrator).name.removeprefix("mjINT_")
         line = '<option integrator="implicitfast"/>'
         raise ModelError(
             f"the model's integrator is {name}. A stage gives MuJoCo one force of its motors a step, as Euler, implicit "
@@ -47,7 +52,16 @@ def check_options(model: mujoco.MjModel) -> None:
 
 
 def check_dampers(model: mujoco.MjModel, axes: Iterable[PlantAxis], drives: Iterable[Drive | Servo]) -> None:
-    """Raise ModelError for a model without dampers whose motors have a core loss, which is a damping of their actuators."""
+    """Check that a model has dampers, where its motors have a core loss, which is a damping of their actuators.
+
+    Args:
+        model: Model.
+        axes: Axes of the model.
+        drives: Their drives.
+
+    Raises:
+        ModelError: It has none.
+    """
     if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER:
         return
     lossy = [p.name for p, d in zip(axes, drives, strict=True) if isinstance(d, Drive) and d.motor.core_loss_damping]
@@ -61,25 +75,37 @@ def check_dampers(model: mujoco.MjModel, axes: Iterable[PlantAxis], drives: Iter
 def check_step(
     model: mujoco.MjModel, data: mujoco.MjData, axes: Iterable[PlantAxis], drives: Iterable[Drive | Servo]
 ) -> None:
-    """Raise ModelError if the time step is too long for one of the motors. data: after mj_forward."""
+    """Check that the time step is short enough for the motors.
+
+    Args:
+        model: Model.
+        data: Its state after mj_forward.
+        axes: Axes of the model.
+        drives: Their drives.
+
+    Raises:
+        ModelError: It is too long for a motor.
+    """
     mobility = np.zeros((model.nv, model.nv))
     mujoco.mj_solveM(model, data, mobility, np.eye(model.nv))
     step = model.opt.timestep
-    longest, found = min(_find_max_step(p, d, float(mobility[p.dof, p.dof])) for p, d in zip(axes, drives, strict=True))
-    if step <= longest:
+    max_step, reason = min(
+        _find_max_step(p, d, float(mobility[p.dof, p.dof])) for p, d in zip(axes, drives, strict=True)
+    )
+    if step <= max_step:
         return
-    proposed = min(SHIPPED_STEP_S, next((p for p in PROPOSED_STEPS_S if p <= 0.7 * longest), 0.7 * longest))
+    proposed = min(SHIPPED_STEP_S, next((p for p in PROPOSED_STEPS_S if p <= 0.7 * max_step), 0.7 * max_step))
     line = f'<option timestep="{proposed:g}"/>'
-    own = " (MuJoCo's own, where a model says nothing)" if step == 0.002 else ""
+    hint = " (MuJoCo's own, where a model says nothing)" if step == 0.002 else ""
     raise ModelError(
-        f"a time step of {step:g} s{own} is too long: {found}, which takes steps of {longest:.2g} s at most; with longer ones "
+        f"a time step of {step:g} s{hint} is too long: {reason}, which takes steps of {max_step:.2g} s at most; with longer ones "
         f"the motors lose steps, or oscillate, as no machine does. Write {line}",
         [line],
     )
 
 
 def _find_max_step(axis: PlantAxis, drive: Drive | Servo, mobility: float) -> tuple[float, str]:
-    """The longest step, s, for this axis, and the reason for it. mobility: acceleration of the joint a force."""
+    """Return the longest time step for an axis, s, and the reason for it. mobility: acceleration of the joint per force."""
     m = drive.motor
     if not 0 < mobility < math.inf:
         return math.inf, ""

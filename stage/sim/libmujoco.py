@@ -1,4 +1,4 @@
-"""MuJoCo's own library: where its functions lie, for compiled code that calls them."""
+"""MuJoCo's own library: addresses of its functions, for compiled code that calls them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import mujoco
 
 @cache
 def library() -> ctypes.CDLL:
-    """The one that the package mujoco has loaded."""
+    """Return the library that the package mujoco has loaded."""
     return ctypes.CDLL(
         str(next(Path(mujoco.__file__).parent.glob("libmujoco.*")))
     )  # .so.VERSION or, on macOS, .VERSION.dylib
@@ -19,5 +19,5 @@ def library() -> ctypes.CDLL:
 
 @cache
 def address(name: str) -> int:
-    """Where a function of it lies."""
+    """Return the address of a function."""
     return int(ctypes.cast(library()[name], ctypes.c_void_p).value or 0)

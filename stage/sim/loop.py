@@ -34,21 +34,27 @@ class Loop:
     """Advances the time of a stage, and is the bus of its chips, see `stage.chips.chip.Bus`.
 
     Attributes:
-        state: the stage's records.
-        chips: of the stage.
-        recording: what the engine samples for: the stage's recording in progress; or whoever looks on without one, with the same
-            buffers and `take`, and FORWARD False: time may go back, and a recording takes his place; or None.
-        time_refusal: why neither time may pass now nor another state be put in the place of this one; "" where both may.
-        state_refusal: why no other state may be put there, though time may pass; "" where one may.
-        pace: who says when time may pass: `pace(until)` is asked before a run to `until` (ns), may wait, let others do something
-            meanwhile, and answers how far it may go now; then it is asked again. Before anything else that changes the stage it is
-            asked with the time that is now. None: as fast as it goes.
-        each_cycle: who is told before each bus cycle that Python makes, and may refuse it by an error; or None.
-        lock: lock that whoever uses the stage takes while a session is open, see stage.chips.sharing; or None.
+        state: Records of the stage.
+        chips: Chips of the stage.
+        recording: What the engine samples for: the recording in progress; or an observer with the same buffers and `take`, and
+            FORWARD False: time may then go back, and a recording takes its place; or None.
+        time_refusal: Why no time may pass now and no other state be loaded; "" where both may.
+        state_refusal: Why no other state may be loaded, though time may pass; "" where one may.
+        pace: Function that decides when time may pass: `pace(until)` is called before a run to `until` (ns), may wait or let others
+            act meanwhile, and returns how far time may go now; then it is called again. Before any other change of the stage it is
+            called with the present time. None: time passes without a pace.
+        each_cycle: Function that is called before each bus cycle that Python makes, and may refuse it by an error; or None.
+        lock: Lock that users of the stage take while a session is open, see stage.chips.sharing; or None.
     """
 
     def __init__(self, state: State, chips: Sequence[Chip], power_up: Callable[[], None]):
-        """power_up: called where the stage's state was cleared, to bring it to that after power-up."""
+        """Make the loop of a stage.
+
+        Args:
+            state: Records of the stage.
+            chips: Chips of the stage.
+            power_up: Called where the stage's state was cleared, to bring it to that after power-up.
+        """
         self.state, self.chips = state, chips
         self.recording: Any = None
         self.time_refusal = self.state_refusal = ""
@@ -74,13 +80,19 @@ class Loop:
             self.prepare_change()
 
     def ensure_powered(self) -> None:
-        """Whoever looks at the stage sees a machine under power, also after mj_resetData, mj_resetDataKeyframe and the like: they
-        clear userdata, where chips and drives live. Not in a recording, whose time would run backwards."""
+        """Power the stage up if MuJoCo has cleared userdata, where chips and drives live, as mj_resetData does.
+
+        In a recording, whose time would run backwards, it stays cleared.
+        """
         if not self._words.item(POWERED) and (self.recording is None or not self.recording.FORWARD):
             self._power_up()
 
     def prepare_change(self) -> None:
-        """Somebody is about to change the stage's state. Raises StageError while another thread runs the stage."""
+        """Prepare a change of the stage's state.
+
+        Raises:
+            StageError: Another thread runs the stage.
+        """
         if (pace := self.pace) is not None:
             pace(self._words.item(0))
         if self.state.clockwork["busy"].item(0):
@@ -89,7 +101,11 @@ class Loop:
 
     @contextmanager
     def claimed(self) -> Iterator[None]:
-        """Within this context no other thread runs the stage. Raises StageError if another thread runs it now."""
+        """Keep other threads from running the stage within this context.
+
+        Raises:
+            StageError: Another thread runs it now.
+        """
         token = make_token()
         try:
             if not engine.claim_stage.with_gil(self._pointer, token):
@@ -101,21 +117,33 @@ class Loop:
     # --- time ---
 
     def check_time_allowed(self) -> None:
-        """Raises StageError while somebody has the stage stand still."""
+        """Check that time may pass.
+
+        Raises:
+            StageError: It may not, see `time_refusal`.
+        """
         if (pace := self.pace) is not None:
             pace(self._words.item(0))
         if self.time_refusal:
             raise StageError(self.time_refusal)
 
     def check_state_allowed(self) -> None:
-        """Raises StageError while nobody may put another state in the place of this one, or let firmware run."""
+        """Check that another state may be loaded, or firmware run.
+
+        Raises:
+            StageError: It may not, see `state_refusal`.
+        """
         if (pace := self.pace) is not None:
             pace(self._words.item(0))
         if self.time_refusal or self.state_refusal:
             raise StageError(self.time_refusal or self.state_refusal)
 
     def check_options(self) -> None:
-        """Raises StageError if the model's time step or integrator is another than the stage was built with."""
+        """Check that the model has the time step and the integrator with which the stage was built.
+
+        Raises:
+            StageError: It has others.
+        """
         opt, built = self._opt, self._built
         if opt.timestep == built[0] and opt.integrator == built[1]:
             return
@@ -127,7 +155,12 @@ class Loop:
         )
 
     def run_to(self, until: int) -> None:
-        """Let time pass up to `until`, ns since power-up. Raises SimulationError, see `Stage.run`; StageError."""
+        """Let time pass up to `until`, ns since power-up.
+
+        Raises:
+            SimulationError: As of `Stage.run`.
+            StageError: No time may pass now, or another thread runs the stage.
+        """
         if self.time_refusal:
             raise StageError(self.time_refusal)
         while (pace := self.pace) is not None and (goal := pace(until)) < until:
@@ -156,13 +189,13 @@ class Loop:
                 return
 
     def _next_piece(self, took: float) -> int:
-        """ns of simulated time for the next piece of a long run, when the last took so many seconds."""
+        """Return the simulated time of the next piece of a long run, ns, where the last one took so many seconds."""
         if took < SHORT:
             return min(2 * self._piece, 1 << 60)
         return max(self._piece // 2, self._dt) if took > LONG else self._piece
 
     def _account(self, status: int, until: int) -> None:
-        """After the engine has returned before `until`: takes its notes, and handles or raises what stopped it."""
+        """Take what the engine has noted after it returned before `until`, and handle or raise what stopped it."""
         h, recording = self.state.handle, self.recording
         error: BaseException | None = None
         if status == records.DIVERGED:
@@ -189,7 +222,7 @@ class Loop:
             self._run_guarded(until)
 
     def _run_guarded(self, until: int) -> None:
-        """As `run_to`, if MuJoCo has callbacks: one physics step at a time, so that a failed step can be undone."""
+        """Run to `until` a physics step at a time, so that a step in which a callback fails can be undone."""
         clockwork = self.state.clockwork[0]
 
         def failed(error: BaseException | None) -> bool:
@@ -206,7 +239,7 @@ class Loop:
             clockwork.guarded = clockwork.failed = 0
 
     def load_state(self, saved: np.ndarray) -> None:
-        """The stage is in this state, `State.saved` of another moment or of a stage alike."""
+        """Put the stage into a state, `State.saved` of another moment or of an equal stage."""
         self.check_time_allowed()
         state = self.state
         with self.claimed():
@@ -214,8 +247,11 @@ class Loop:
             mujoco.mj_setState(state.model, state.data, saved, SAVED)
 
     def apply_change(self, change: Callable[[], None]) -> None:
-        """Make a change to MuJoCo's state, and all that follows from it. Raises SimulationError where one of its callbacks raises;
-        the state is then as it was. For who has the stage `claimed`."""
+        """Make a change to MuJoCo's state, and compute what follows from it. The caller has `claimed` the stage.
+
+        Raises:
+            SimulationError: A callback of MuJoCo raises; the state is then as it was.
+        """
         model, data = self.state.model, self.state.data
         if not engine.has_unguarded_callback.with_gil(self._pointer):
             change()
@@ -229,28 +265,32 @@ class Loop:
     # --- what the engine has noted ---
 
     def journal_edges(self, n: int) -> None:
-        """The first `n` of `state.edges` go to the journals of the chips that they reached."""
+        """Write the first `n` of `state.edges` into the journals of the chips that they reached."""
         noting = [(k, j) for k, chip in enumerate(self.chips) if (j := chip.open_journal) is not None]
         if not noting:
             return
         edges = self.state.edges[:n]
         chip_of = self.state.axis_table["chip"][edges["axis"]]
         for k, journal in noting:
-            own = np.flatnonzero(chip_of == k)
-            if not len(own):
+            indices = np.flatnonzero(chip_of == k)
+            if not len(indices):
                 continue
-            packed = np.zeros(len(own), PACKED)
+            packed = np.zeros(len(indices), PACKED)
             for name in ("clock", "kind", "a", "b"):
-                packed[name] = edges[name][own]
-            seen = np.flatnonzero((packed["kind"] == SHAFT) | (packed["kind"] == LOAD))
-            if len(seen):
-                packed["axis"][seen] = packed["a"][seen]
-                packed["a"][seen] = edges["count"][own[seen]].view(np.int64)
-                packed["b"][seen] = edges["rate"][own[seen]].view(np.int64)
+                packed[name] = edges[name][indices]
+            with_values = np.flatnonzero((packed["kind"] == SHAFT) | (packed["kind"] == LOAD))
+            if len(with_values):
+                packed["axis"][with_values] = packed["a"][with_values]
+                packed["a"][with_values] = edges["count"][indices[with_values]].view(np.int64)
+                packed["b"][with_values] = edges["rate"][indices[with_values]].view(np.int64)
             journal.extend(packed)
 
     def update_switches(self, axis: int) -> None:
-        """The table of switches has changed: what it means for the axis of this index, from now on. Raises ArgumentError."""
+        """Apply a change of the table of switches to the axis with this index, from now on.
+
+        Raises:
+            ArgumentError: There is no such axis.
+        """
         if not 0 <= axis < len(self.state.axis_table):
             raise ArgumentError(f"axis={axis!r}: the stage has axes 0 to {len(self.state.axis_table) - 1}.")
         self.ensure_powered()
@@ -263,7 +303,7 @@ class Loop:
     # --- steps that are undone ---
 
     def _undo_failure(self) -> BaseException:
-        """Go back to before the step in which a callback failed."""
+        """Return to the state before the step in which a callback failed."""
         state = self.state
         mujoco.mj_setState(state.model, state.data, state.saved, SAVED)
         state.clockwork[0].failed = 0
@@ -273,9 +313,13 @@ class Loop:
         )
 
     def undo_divergence(self, pointer: int) -> SimulationError:
-        """Go back to where the last run of the engine began, and run it again up to the step before the one that diverged.
+        """Return to where the last run of the engine began, and run again up to the step before the one that diverged.
 
-        pointer: the address of the handle that it ran with.
+        Args:
+            pointer: Address of the handle that it ran with.
+
+        Returns:
+            The error to raise.
         """
         state, model = self.state, self.state.model
         speeds = np.abs(state.data.qvel)

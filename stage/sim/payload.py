@@ -13,7 +13,12 @@ MAX_PAYLOAD_KG = 1e6  # kg
 
 
 class Payloads:
-    """The masses put on bodies: `kg` by the body's id, and of each of these bodies its own mass."""
+    """Masses that a user has put on bodies.
+
+    Attributes:
+        kg: Mass by the body's id.
+        own: Mass of each of these bodies itself.
+    """
 
     def __init__(self) -> None:
         self.kg: dict[int, float] = {}
@@ -21,7 +26,16 @@ class Payloads:
         self._data: mujoco.MjData | None = None  # to work in: to make one takes most of the time
 
     def put(self, model: Any, mass: float, body: str | None) -> None:
-        """`mass` kg on a body, in place of what was put on it before; see `Stage.set_payload`. Raises ArgumentError."""
+        """Put a payload on a body in place of the former one; see `Stage.set_payload`.
+
+        Args:
+            model: Model of the stage.
+            mass: kg.
+            body: Name of the body, or None.
+
+        Raises:
+            ArgumentError: The mass is out of range, or there is no such body.
+        """
         k = _find_body(model, body)
         if not 0 <= mass < MAX_PAYLOAD_KG:
             raise ArgumentError(
@@ -29,20 +43,28 @@ class Payloads:
             )
         if mass == self.kg.get(k, 0.0):
             return
-        own = self.own.setdefault(k, float(model.body_mass[k]))
+        own_mass = self.own.setdefault(k, float(model.body_mass[k]))
         self.kg[k] = float(mass)
-        model.body_mass[k] = own + mass
+        model.body_mass[k] = own_mass + mass
         if self._data is None:
             self._data = mujoco.MjData(model)
         mujoco.mj_setConst(model, self._data)
 
     def on(self, model: Any, body: str | None) -> float:
-        """kg that were put on a body. Raises ArgumentError."""
+        """Return the payload of a body, kg.
+
+        Args:
+            model: Model of the stage.
+            body: Name of the body, or None.
+
+        Raises:
+            ArgumentError: There is no such body.
+        """
         return self.kg.get(_find_body(model, body), 0.0)
 
 
 def _find_body(model: Any, body: str | None) -> int:
-    """The id of the body that a payload goes on."""
+    """Return the id of the body for a payload."""
     if body is None:
         site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "work")
         if site < 0:

@@ -41,7 +41,7 @@ TRUTH = record(
 
 @hot
 def _advance_halting(h, until):
-    """Let a stage's time pass up to `until`; 0, or why it did not."""
+    """Let a stage's time pass up to `until`; return 0, or why it did not."""
     w, end = world(h), int(until)
     while end - w.now > MAX_PIECE_NS:
         if h.halt:
@@ -54,7 +54,7 @@ def _advance_halting(h, until):
 
 @hot
 def _has_lost_step(h, mask):
-    """An axis in the mask has lost a step."""
+    """Return whether an axis in the mask has lost a step."""
     w, axes = world(h), table(h)
     tau = (w.now - w.start - 0.5 * clockwork(h).dt) * 1e-9
     for k in range(h.n_axes):
@@ -117,7 +117,7 @@ def _measure(h, end, point, extremes):
 
 @hot
 def play_one(h, ops, results, extremes):
-    """Play `ops` on the stage of handle `h`. Returns PLAYED, DIVERGED or why it could not be played."""
+    """Play `ops` on the stage of handle `h`; return PLAYED, DIVERGED or why it could not be played."""
     w, axes = world(h), table(h)
     for j in range(len(ops)):
         kind, a, b, c = ops[j, 0], ops[j, 1], ops[j, 2], ops[j, 3]
@@ -195,32 +195,45 @@ def write_all(chip, ops, axes):
 
 @exported(None, cores.CHIP, array_of("i8", 2), "i8")
 def write_cycles(chip, ops, axes):
-    """The write cycles of a program to the chip whose axes are in the mask, at one clock."""
+    """Write the write cycles of a program to the chip whose axes are in the mask, at one clock."""
     write_all(chip, ops, axes)
 
 
 @exported("i8", cores.CHIP, array_of("i8", 2), "i8", "i8", "i8")
 def predict_pulses(chip, ops, axes, axis, until):
-    """`write_cycles`, then time up to the clock `until`, with no stage around: the net pulses of the chip's axis if its drive is
-    over by then, else STILL_BUSY."""
+    """Predict the net pulses of a chip's axis after `write_cycles` and time up to the clock `until`, without a stage.
+
+    Returns:
+        The pulses; STILL_BUSY if the axis is in motion then.
+    """
     write_all(chip, ops, axes)
     cores.run(chip, until)
     return STILL_BUSY if cores.busy(chip, axis) else cores.net(chip, axis)
 
 
 def play_in_python(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarray) -> int:
-    """As `play` for one stage, through its chips' own bus cycles: recordings, journals and diagnostics take part."""
+    """Play a program on one stage through its chips' own bus cycles: recordings, journals and diagnostics take part.
+
+    Args:
+        stage: Stage.
+        ops: (operations, 4).
+        results: (operations,), filled.
+        extremes: (nq, 2), lowered and raised.
+
+    Returns:
+        PLAYED or DIVERGED.
+    """
     from stage.errors import SimulationError
 
     axes = list(stage.axes.values())
 
     def until_stopped(mask: int, poll: int, limit: int, keep_step: bool) -> int | None:
         """As the compiled one; None where a step was lost that is to be kept."""
-        mine = {k for k in range(len(axes)) if mask >> k & 1}
-        begin, left = stage.now, mine
+        indices = {k for k in range(len(axes)) if mask >> k & 1}
+        begin, left = stage.now, indices
         while True:
             left = {k for k in sorted(left) if axes[k].chip.busy(axes[k].chip_axis)}
-            if keep_step and any(axes[k].lost_steps for k in mine):
+            if keep_step and any(axes[k].lost_steps for k in indices):
                 return None
             if not left:
                 return int(stage.now - begin)

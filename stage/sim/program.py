@@ -37,38 +37,66 @@ MAX_AXES = 62  # bits of a mask
 
 
 class Operations(ABC):
-    """What a host does, one operation after the other; each method returns the same object."""
+    """Actions of a host, one operation after the other; each method returns the same object."""
 
     @abstractmethod
     def __len__(self) -> int:
-        """How many there are so far."""
+        """Return the number of operations so far."""
 
     @abstractmethod
     def write(self, axis: int, address: int, value: int) -> Self:
-        """One bus write cycle to the chip of the axis with this index."""
+        """Add one bus write cycle.
+
+        Args:
+            axis: Index of the axis whose chip it goes to.
+            address: Address.
+            value: Value.
+        """
 
     @abstractmethod
     def wait(self, seconds: float) -> Self:
-        """Let time pass."""
+        """Add a wait of simulated time, s."""
 
     @abstractmethod
     def until_stopped(self, axes: Sequence[int], limit: float) -> Self:
-        """Poll until none of the axes operates, for `limit` seconds at most."""
+        """Add a poll until none of the axes is in motion.
+
+        Args:
+            axes: Indices of the axes.
+            limit: Simulated time to wait, s.
+        """
 
     def command(self, axis: int, value: int) -> Self:
-        """A command to address 0; more than a byte where the chip's bus is wider."""
+        """Add a command, a write to address 0.
+
+        Args:
+            axis: Index of the axis.
+            value: Command; more than a byte where the chip's bus is wider.
+        """
         return self.write(axis, 0, value)
 
     @told
     def register(self, axis: int, chip: Chip | type[Chip], name: str, value: int, chip_axis: int = 0) -> Self:
-        """Write a register of a chip as its family does, see `Chip.register_cycles`; chip_axis: the axis of the chip."""
+        """Add the writes of a register as the chip's family makes them, see `Chip.register_cycles`.
+
+        Args:
+            axis: Index of the axis.
+            chip: Chip, or its class.
+            name: Name of the register.
+            value: Its value.
+            chip_axis: Axis of the chip.
+        """
         for address, datum in chip.register_cycles(name, value, chip_axis):
             self.write(axis, address, datum)
         return self
 
 
 def _to_int(name: str, value: int) -> int:
-    """A number of an operation. Raises ArgumentError."""
+    """Return a number of an operation.
+
+    Raises:
+        WrongType: It is not a whole number of 64 bits.
+    """
     try:
         if (number := int(value)) == value and -(1 << 63) <= number < 1 << 63:
             return number
@@ -78,7 +106,11 @@ def _to_int(name: str, value: int) -> int:
 
 
 def _to_ns(name: str, seconds: float) -> int:
-    """Seconds of an operation in ns. Raises ArgumentError."""
+    """Return seconds of an operation in ns.
+
+    Raises:
+        WrongType: It is not a number.
+    """
     try:
         return _to_int(name, round(seconds * 1e9))
     except (TypeError, ValueError, OverflowError):
@@ -86,7 +118,11 @@ def _to_ns(name: str, seconds: float) -> int:
 
 
 class Program(Operations):
-    """A list of operations; each method appends and returns the program. Raises ArgumentError for what is no number."""
+    """List of operations; each method appends one and returns the program.
+
+    Raises:
+        ArgumentError: An argument is not a number.
+    """
 
     def __init__(self) -> None:
         self.ops: list[tuple[int, int, int, int]] = []
@@ -95,12 +131,23 @@ class Program(Operations):
         return len(self.ops)
 
     def write(self, axis: int, address: int, value: int) -> Self:
-        """One bus write cycle to the chip of the axis with this index."""
+        """Add one bus write cycle.
+
+        Args:
+            axis: Index of the axis whose chip it goes to.
+            address: Address.
+            value: Value.
+        """
         self.ops.append((WRITE, _to_int("axis", axis), _to_int("address", address), _to_int("value", value)))
         return self
 
     def read(self, axis: int, address: int) -> Self:
-        """One bus read cycle; the value is the operation's result."""
+        """Add one bus read cycle; the value is the operation's result.
+
+        Args:
+            axis: Index of the axis whose chip it goes to.
+            address: Address.
+        """
         self.ops.append((READ, _to_int("axis", axis), _to_int("address", address), 0))
         return self
 
@@ -110,10 +157,16 @@ class Program(Operations):
 
     @told
     def until_stopped(self, axes: Sequence[int], limit: float, poll: float = 2.5e-4, keep_step: bool = False) -> Self:
-        """Poll until none of the axes operates; the result is the ns it took, negative when `limit` seconds came first.
-        keep_step: the program ends at the first step that one of the axes loses, and the result is negative, too.
+        """Add a poll until none of the axes is in motion; the result is the ns it took, negative when the limit came first.
 
-        Raises ArgumentError for an axis that no stage has.
+        Args:
+            axes: Indices of the axes.
+            limit: Simulated time to wait, s.
+            poll: Simulated time between two polls, s.
+            keep_step: End the program at the first step that one of the axes loses; the result is then negative, too.
+
+        Raises:
+            ArgumentError: An axis is out of range.
         """
         indices = {_to_int("axis", a) for a in axes}
         if not all(0 <= a < MAX_AXES for a in indices):
@@ -123,13 +176,22 @@ class Program(Operations):
         return self
 
     def look(self, axis: int, point: int = 0, coordinate: int = 0) -> Self:
-        """Note where the axis is; the result is its position in pm (prad on a hinge). With a point, see `measure`, where that is: a
-        coordinate of the world, 0 to 2, as at the physics step's begin."""
+        """Add a reading of a position; the result is in pm (prad on a hinge).
+
+        Args:
+            axis: Index of the axis.
+            point: 0 for the position of the axis; else a point as of `measure`, whose place at the physics step's begin is read.
+            coordinate: Coordinate of the world that is read of the point, 0 to 2.
+        """
         self.ops.append((LOOK, _to_int("axis", axis), _to_int("point", point), _to_int("coordinate", coordinate)))
         return self
 
     def measure(self, seconds: float, point: int = 0) -> Self:
-        """Let time pass and keep every coordinate's extremes; point: 1 + the index of a site, or - that of a body, whose travel
-        is then the result, see above. It is seen at each physics step's begin, as MuJoCo has it."""
+        """Add a wait in which every coordinate's extremes are kept, as MuJoCo has them at each physics step's begin.
+
+        Args:
+            seconds: Simulated time, s.
+            point: 1 + the index of a site, or - that of a body, whose travel is then the result, see above; 0 for none.
+        """
         self.ops.append((MEASURE, _to_ns("seconds", seconds), _to_int("point", point), 0))
         return self

@@ -1,4 +1,4 @@
-"""Another motor on an axis of a stage that is built: what changes in the model, and in the state of power-up."""
+"""Another motor on an axis of a stage that is built: changes of the model, and of the state of power-up."""
 
 from __future__ import annotations
 
@@ -23,10 +23,20 @@ if TYPE_CHECKING:
 
 
 def fit_model(model: Any, here: mujoco.MjData, axes: Sequence[Axis], axis: Axis, drive: Drive | Servo) -> None:
-    """Fit the rotor and the core loss of this drive's motor to the joint of `axis` in place of its own; a <dcmotor> gets its
-    constants. here: where all axes are.
+    """Fit the rotor and the core loss of a drive's motor to the joint of an axis in place of its own.
 
-    Raises ArgumentError, ModelError where that cannot be simulated; the model is then as it was.
+    A <dcmotor> gets its constants.
+
+    Args:
+        model: Model of the stage.
+        here: Positions of all axes.
+        axes: All axes of the stage.
+        axis: Axis to change.
+        drive: Its new drive.
+
+    Raises:
+        ArgumentError: The armature is smaller than the rotor of the present motor; the model is then as it was.
+        ModelError: The motor cannot be simulated; the model is then as it was.
     """
     p, rotor = axis.plant, drive.motor.rotor_inertia
     now = axis.armature + (axis.drive.motor.rotor_inertia - axis.rotor) * p.gear**2
@@ -54,8 +64,12 @@ def fit_model(model: Any, here: mujoco.MjData, axes: Sequence[Axis], axis: Axis,
 def vary_drive(axis: Axis, drive: Drive | Servo) -> None:
     """Give an axis another piece of its motor and supply, of other losses, windings and voltage.
 
-    Its rotor is the same, so that MuJoCo has to work out nothing anew but whether there is damping at all, and snapshots of before
-    remain good.
+    Its rotor is the same, so that MuJoCo has to compute nothing again but whether there is damping at all, and snapshots taken
+    before remain valid.
+
+    Args:
+        axis: Axis of a stage.
+        drive: Its drive from now on.
     """
     stage, model, actuator = axis.stage, axis.stage.model, axis.plant.actuator
     stage.prepare_change()
@@ -86,7 +100,14 @@ def _fit_windings(model: Any, axis: Axis, drive: Drive | Servo) -> None:
 
 
 def fit_record(state: State, axis: Axis, drive: Drive | Servo, record: Any) -> None:
-    """A DRIVE record gets the constants of this drive. Its angle stays and its currents follow: no jump, no lost step."""
+    """Write the constants of a drive into a DRIVE record. Its angle stays and its currents follow: no jump, no lost step.
+
+    Args:
+        state: State of the stage.
+        axis: Axis of the drive.
+        drive: The drive.
+        record: DRIVE record.
+    """
     current = record.current
     drive.fill(record)
     if state.chip_table[state.axis_table[axis.index].chip].current:
@@ -94,7 +115,14 @@ def fit_record(state: State, axis: Axis, drive: Drive | Servo, record: Any) -> N
 
 
 def fit_power_up(state: State, axis: Axis, drive: Drive | Servo, before: np.ndarray) -> np.ndarray:
-    """The state of power-up with this drive, in place of `before`: its currents are settled."""
+    """Return the state of power-up with another drive; its currents are settled.
+
+    Args:
+        state: State of the stage.
+        axis: Axis of the drive.
+        drive: The drive.
+        before: State of power-up with the former drive.
+    """
     n = len(state.saved)
     data = mujoco.MjData(state.model)
     mujoco.mj_setState(state.model, data, before[:n], SAVED)

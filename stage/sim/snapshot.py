@@ -21,9 +21,11 @@ if TYPE_CHECKING:
 
 
 class Snapshot(FiledSnapshot):
-    """All state of a stage; restores into any stage made alike. state: MuJoCo's, float64; diagnostics: of each chip.
+    """All state of a stage; restores into any equal stage. `save(path)` and `Snapshot.load(path)` keep it in a file.
 
-    `save(path)` and `Snapshot.load(path)` keep it in a file.
+    Attributes:
+        state: MuJoCo's state, float64.
+        diagnostics: Those of each chip.
     """
 
     of: ClassVar = "a stage"
@@ -33,8 +35,8 @@ class Snapshot(FiledSnapshot):
         return np.frombuffer(data, "<f8")
 
     @classmethod
-    def _noted_of(cls, told: Any) -> tuple:
-        return tuple(parse_diagnostics(chip) for chip in told)
+    def _noted_of(cls, chips: Any) -> tuple:
+        return tuple(parse_diagnostics(chip) for chip in chips)
 
 
 def header(
@@ -45,9 +47,16 @@ def header(
     followers: Iterable[tuple[str, str]] = (),
     linked: Iterable[str] = (),
 ) -> snapshots.Header:
-    """What the snapshots of a stage are taken of. encoders: those that its chips count; followers: (follower, leader) at SYNI;
-    linked: axes whose chips the lines of multichip interpolation join.
-    Payloads and faults are no part of it."""
+    """Describe the stage that snapshots are taken of. Payloads and faults are no part of it.
+
+    Args:
+        state: State of the stage.
+        axes: Its axes.
+        mechanics: Of `fingerprint.mechanics`.
+        encoders: Encoders that its chips count.
+        followers: (follower, leader) axes at SYNI.
+        linked: Axes whose chips the lines of multichip interpolation join.
+    """
     axes = list(axes)
     parts = [("axes", ", ".join(a.name for a in axes))]
     for a in axes:

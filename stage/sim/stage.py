@@ -109,14 +109,14 @@ class Stage:
         spec = plant.open_spec(model)
         if not visuals:
             plant.discard_visuals(spec)
-        names, chip_axes, chosen = wire(spec, chips, drives, clock)
+        names, chip_axes, drives_chosen = wire(spec, chips, drives, clock)
         self._encoders = encoder.choose_encoders(encoders, names, chip_axes)
         self._followers = choose_leaders(syni, names, chip_axes)
         self._linked, _ = choose_linked_axes(multichip, names, chip_axes)
         self.model, offset = plant.compile_spec(spec, words_needed(chip_axes, 5 * len(names)))
         integration.check_options(self.model)
         try:
-            self._build(names, chip_axes, chosen, round(bus_cycle * 1e9), offset, wiring)
+            self._build(names, chip_axes, drives_chosen, round(bus_cycle * 1e9), offset, wiring)
         except BaseException:
             for chip in chips_of(chip_axes):
                 chip.detach()
@@ -174,12 +174,12 @@ class Stage:
         self.device_state = DeviceState()
 
     def _make_header(self) -> Header:
-        """What its snapshots are of, without devices."""
+        """Describe what the stage's snapshots are taken of, without devices."""
         return header(self.state, self._axes, self._mechanics, self._encoders, self._followers, self._linked)
 
     @property
     def lock(self) -> Lock | None:
-        """Lock that whoever uses the stage takes while a session is open, see stage.chips.sharing; None without a session."""
+        """Lock that users of the stage take while a session is open, see stage.chips.sharing; None without a session."""
         return self.loop.lock
 
     # --- time ---
@@ -205,32 +205,44 @@ class Stage:
         self.loop.cycle()
 
     def ensure_powered(self) -> None:
-        """Somebody is about to look at the stage's records: they are those of a machine under power, whatever MuJoCo did."""
+        """Power the stage up if MuJoCo has cleared its state, as mj_resetData does: call it before reading records."""
         self.loop.ensure_powered()
 
     def prepare_change(self) -> None:
-        """Somebody is about to change the stage's records. Raises StageError while another thread runs the stage."""
+        """Prepare a change of the stage's records.
+
+        Raises:
+            StageError: Another thread runs the stage.
+        """
         self.loop.prepare_change()
 
     def _power_up(self) -> None:
-        """As `reset`; but a carriage that MuJoCo put elsewhere (a keyframe's place) is there."""
+        """Reset the stage; a carriage that MuJoCo has put elsewhere (by a keyframe) stays there."""
         data = self.data
         names = ("qpos", "qvel", "act", "mocap_pos", "mocap_quat")
-        given = [getattr(data, name).copy() for name in names]
+        places = [getattr(data, name).copy() for name in names]
         self.restore(self._initial)
-        here = [getattr(data, name) for name in names]
-        if any(not np.array_equal(a, b) for a, b in zip(given, here, strict=True)):
-            self._settle(zip(here, given, strict=True))
+        arrays = [getattr(data, name) for name in names]
+        if any(not np.array_equal(a, b) for a, b in zip(places, arrays, strict=True)):
+            self._settle(zip(arrays, places, strict=True))
 
     @told
     @exclusive
     def step(self, n: int = 1) -> None:
-        """Advance to the end of the current physics step, and n - 1 more."""
+        """Advance to the end of the current physics step, and n - 1 more.
+
+        Args:
+            n: Number of physics steps.
+
+        Raises:
+            ArgumentError: `n` is not a whole number, or out of range.
+            SimulationError: As `run`.
+        """
         dt = self.state.dt
-        most = MAX_RUN_S * records.SECOND // dt
-        if not 0 <= n <= most or int(n) != n:
+        max_steps = MAX_RUN_S * records.SECOND // dt
+        if not 0 <= n <= max_steps or int(n) != n:
             raise ArgumentError(
-                f"n={n!r}: a stage advances by a whole number of physics steps, 0 to {most} ({MAX_RUN_S:g} s)."
+                f"n={n!r}: a stage advances by a whole number of physics steps, 0 to {max_steps} ({MAX_RUN_S:g} s)."
             )
         self.loop.check_options()
         self.loop.run_to(self.state.start + int(n) * dt)
@@ -240,8 +252,12 @@ class Stage:
     def run(self, seconds: float) -> None:
         """Advance by `seconds` of simulated time, rounded to a nanosecond.
 
-        Raises SimulationError when the simulation diverges; the state is then that before the step which did. StageError while the
-        model's time step or integrator is not that with which the stage was built.
+        Args:
+            seconds: Simulated time, s.
+
+        Raises:
+            SimulationError: The simulation diverges; the state is then that before the step which did.
+            StageError: The model's time step or integrator is not that with which the stage was built.
         """
         if not 0 <= seconds < MAX_RUN_S:
             raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to {MAX_RUN_S:g} s.")
@@ -251,7 +267,15 @@ class Stage:
     @told
     @exclusive
     def run_to(self, until: int) -> None:
-        """Advance to `until`, ns since power-up; a time that has passed changes nothing. Raises as `run`."""
+        """Advance to a time; one that has passed changes nothing.
+
+        Args:
+            until: ns since power-up.
+
+        Raises:
+            ArgumentError: `until` is not a whole number, or too far away.
+            SimulationError: As `run`.
+        """
         if int(until) != until or until - self.state.now > MAX_RUN_S * records.SECOND:
             raise ArgumentError(
                 f"until={until!r}: a time is a whole number of ns since power-up, {MAX_RUN_S:g} s from now at most."
@@ -262,9 +286,19 @@ class Stage:
     @told
     @exclusive
     def run_until(self, condition: Callable[[], bool], timeout: float, poll: float = 1e-3) -> float:
-        """Advance until `condition()` holds, looked at every `poll` seconds. Returns the seconds that passed.
+        """Advance until a condition holds.
 
-        Raises RunTimeout when `timeout` seconds of simulated time were not enough; ArgumentError.
+        Args:
+            condition: Function that is called every `poll` seconds of simulated time.
+            timeout: Simulated time to wait, s.
+            poll: Simulated time between two calls, s; 0: every nanosecond.
+
+        Returns:
+            Simulated seconds that passed.
+
+        Raises:
+            RunTimeout: The condition did not hold within `timeout`.
+            ArgumentError: A time is out of range.
         """
         if not 0 <= timeout <= MAX_RUN_S:
             raise ArgumentError(f"timeout={timeout!r}: a condition is given 0 to {MAX_RUN_S:g} s of simulated time.")
@@ -291,41 +325,65 @@ class Stage:
     @told
     @exclusive
     def set_payload(self, mass: float, body: str | None = None) -> None:
-        """Put `mass` kg on a body, in place of the payload that it had; default: the body that carries the site "work".
+        """Put a payload on a body, in place of the payload that it had, at the body's center of mass.
 
-        The payload is part of the machine, not of its state: snapshots and `reset` leave it alone. It sits at the body's
-        centre of mass. Raises ArgumentError.
+        The payload is part of the machine, not of its state: snapshots and `reset` leave it alone.
+
+        Args:
+            mass: kg.
+            body: Name of the body; default: the one that carries the site "work".
+
+        Raises:
+            ArgumentError: The mass is out of range, or there is no such body.
         """
         self._payloads.put(self.model, mass, body)
 
     @told
     def payload(self, body: str | None = None) -> float:
-        """kg that `set_payload` put on a body; see there. Raises ArgumentError."""
+        """Return the mass that `set_payload` put on a body, kg.
+
+        Args:
+            body: As of `set_payload`.
+
+        Raises:
+            ArgumentError: There is no such body.
+        """
         return self._payloads.on(self.model, body)
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """The faults in force, in words, see stage.faults. They are the machine's: snapshots and `reset` leave them alone."""
+        """Texts of the faults in force, see stage.faults. They are the machine's: snapshots and `reset` leave them alone."""
         return (*self._inherited, *(fault.text for fault in self.active_faults))
 
     def note_fault(self, fault: Any, begins: bool) -> None:
-        """A fault comes or goes: keep the list, tell the recording."""
+        """Note that a fault begins or ends, in the list of active faults and in the recording.
+
+        Args:
+            fault: The `Fault`.
+            begins: False where it ends.
+        """
         (self.active_faults.append if begins else self.active_faults.remove)(fault)
         if self.recording is not None:
-            self.recording.note(self.time, f"{fault.text}: {'begins' if begins else 'mended'}", self.faults)
+            self.recording.note(self.time, f"{fault.text}: {'begins' if begins else 'cleared'}", self.faults)
 
     @told
     @exclusive
     def update_switches(self, axis: Axis) -> None:
-        """Somebody has changed this axis' rows of `state.switch_table`: from now on they hold."""
+        """Apply a change of this axis' rows of `state.switch_table` from now on."""
         self.loop.update_switches(axis.index)
 
     @told
     @exclusive
     def replace_drive(self, axis: Axis, drive: Drive | Servo) -> None:
-        """`axis` has this drive from now on, with another motor; see `faults.motor`. Snapshots of before are another stage's.
+        """Give an axis a drive with another motor, see `faults.motor`. Snapshots taken before are those of another stage.
 
-        Raises ArgumentError, ModelError where that cannot be simulated, StageError; the stage is then as it was.
+        Args:
+            axis: Axis of this stage.
+            drive: Its drive from now on.
+
+        Raises:
+            ArgumentError: `drive` is not a drive, or the rotor does not fit the armature.
+            ModelError: The motor cannot be simulated with this time step. The stage is then as it was.
         """
         if not isinstance(drive, Drive | Servo):
             raise ArgumentError(f"drive={drive!r}: give a Drive or a Servo.")
@@ -345,7 +403,7 @@ class Stage:
 
     @exclusive
     def apply_faults(self) -> None:
-        """Make what `Axis.faults` says true of the drives and the switches, after either has changed."""
+        """Apply `Axis.faults` to the drives and the switches, after either has changed."""
         state = self.state
         for axis, d in zip(self._axes, state.drives, strict=True):
             faults = axis.faults
@@ -361,9 +419,15 @@ class Stage:
     @told
     @exclusive
     def place(self, /, **positions: float) -> None:
-        """Place carriages, at rest, as if moved by hand with the motors off: `stage.place(x=0.05)`, metres (rad).
+        """Place carriages, at rest, as if moved by hand with the motors off: `stage.place(x=0.05)`.
 
         The drives take hold at the nearest microstep: no jump, no lost step.
+
+        Args:
+            positions: Axis -> position, m (rad on a hinge).
+
+        Raises:
+            ArgumentError: There is no such axis, or the position is outside its travel.
         """
         for name, q in positions.items():
             if name not in self.axes:
@@ -379,11 +443,11 @@ class Stage:
             qpos[t.qpos], qvel[t.dof] = q, 0.0
         self._settle([(self.data.qpos, qpos), (self.data.qvel, qvel)])
 
-    def _settle(self, given: Iterable[tuple[np.ndarray, np.ndarray]]) -> None:
-        """The carriages are placed: these arrays of MuJoCo's get these values, see `engine.settle`."""
+    def _settle(self, changes: Iterable[tuple[np.ndarray, np.ndarray]]) -> None:
+        """Give arrays of MuJoCo new values, as carriages are placed, and find switch levels and edges again (`engine.settle`)."""
 
         def put() -> None:
-            for here, values in given:
+            for here, values in changes:
                 here[:] = values
 
         with self.loop.claimed():
@@ -398,19 +462,26 @@ class Stage:
 
     @property
     def header(self) -> Header:
-        """What its snapshots are of: those of an equal one can be restored."""
+        """Description of the stage in its snapshots: those with an equal one can be restored."""
         return self._header
 
     @exclusive
     def snapshot(self) -> Snapshot:
-        """All state: physics, chips, drives, switches, time."""
+        """Return all state: physics, chips, drives, switches, devices, time."""
         self.prepare_change()
         state = np.zeros(len(self.state.saved) + self.device_state.words)
         self.copy_state(state)
         return _make_snapshot(self._header, state, tuple(tuple(chip.diagnostics) for chip in self.chips))
 
     def copy_state(self, state: np.ndarray) -> None:
-        """Copy all state but the diagnostics into `state`, float64: MuJoCo's, and what is beside it."""
+        """Copy all state but the diagnostics into an array: MuJoCo's, and behind it that of devices.
+
+        Args:
+            state: float64, (words,).
+
+        Raises:
+            ArgumentError: The array has another shape or type.
+        """
         self._check_state(state)
         mujoco.mj_getState(self.model, self.data, state[: len(self.state.saved)], SAVED)
         if self.device_state.words:
@@ -418,7 +489,14 @@ class Stage:
 
     @exclusive
     def load_state(self, state: np.ndarray) -> None:
-        """The stage is in this state, which `keep` has copied, here or of a stage alike."""
+        """Put the stage into a state that `copy_state` has copied, of this stage or an equal one.
+
+        Args:
+            state: float64, (words,).
+
+        Raises:
+            ArgumentError: The array has another shape or type.
+        """
         self._check_state(state)
         self.loop.load_state(state[: len(self.state.saved)])
         if self.device_state.words:
@@ -434,7 +512,15 @@ class Stage:
     @told
     @exclusive
     def attach(self, name: str, arrays: Sequence[np.ndarray]) -> None:
-        """These arrays are part of the stage's state from now on, as they are now at power-up: a device on its bus."""
+        """Make arrays of a device on its bus part of the stage's state; as they are now they are at power-up.
+
+        Args:
+            name: Name of the device.
+            arrays: Contiguous arrays, which stay where they are.
+
+        Raises:
+            ArgumentError: An array is not contiguous.
+        """
         self.device_state.add(name, arrays)
         header = Header(self._bare.parts + self.device_state.header_part)
         state = np.zeros(len(self.state.saved) + self.device_state.words)
@@ -444,34 +530,39 @@ class Stage:
         self._header, self._initial = header, _make_snapshot(header, state, before.diagnostics)
 
     def _without_devices(self, snapshot: Snapshot) -> Snapshot:
-        """For a copy of the stage: the devices on its bus stay with its board."""
+        """Return a snapshot without the devices on the bus, for a copy of the stage: they stay with their board."""
         return _make_snapshot(self._bare, snapshot.state[: len(self.state.saved)].copy(), snapshot.diagnostics)
 
     @exclusive
     def restore(self, snapshot: Snapshot) -> None:
-        """Continue from `snapshot`, bit for bit. Raises ArgumentError when it is of another kind of stage (axes, chips, drives, bus
-        cycle, time step or mechanics of the model), or damaged.
+        """Continue from a snapshot, bit for bit. Payloads and faults are the machine's and stay as they are.
 
-        Payloads and faults are the machine's and stay as they are.
+        Args:
+            snapshot: Of this stage or an equal one.
+
+        Raises:
+            ArgumentError: The snapshot is damaged, or of another kind of stage (axes, chips, drives, bus cycle, time step or
+                mechanics of the model).
+            StageError: A recording goes on.
         """
         snapshots.check(snapshot, Snapshot, self._header)
         if self.recording is not None:
             raise StageError("time in a recording runs forward only: close the recording before restoring a snapshot.")
         self.loop.check_state_allowed()
         self.load_state(snapshot.state)
-        for chip, said in zip(self.chips, snapshot.diagnostics, strict=True):
-            chip.diagnostics[:] = said
+        for chip, diagnostics in zip(self.chips, snapshot.diagnostics, strict=True):
+            chip.diagnostics[:] = diagnostics
         self.apply_faults()
 
     def reset(self) -> None:
-        """Back to power-up: the state that the stage was made with."""
+        """Return to power-up: the state that the stage was made with."""
         self.restore(self._initial)
 
     # --- recording ---
 
     @property
     def recording(self) -> Recording | None:
-        """The recording that goes on now."""
+        """Recording in progress, or None."""
         taking = self.loop.recording
         return taking if taking is not None and taking.FORWARD else None
 
@@ -484,25 +575,37 @@ class Stage:
         overwrite: bool = False,
         on_error: str = "raise",
     ) -> Recording:
-        """A recording of all that happens from now to its close; use as `with stage.record() as recording:`.
+        """Record all that happens from now to the recording's close; use as `with stage.record() as recording:`.
 
-        every: seconds between samples, up to 1e6, rounded to whole physics steps, one at least; switch edges and bus writes are
-            exact anyway.
-        path: write a rerun file as it goes, see `Recording.stream`, as for overwrite and on_error ("raise" or "warn").
-        Raises ArgumentError; StageError while another recording goes on; RecordingError.
+        Args:
+            every: Seconds between samples, up to 1e6, rounded to whole physics steps, one at least; switch edges and bus writes are
+                exact anyway.
+            path: File of rerun to write at the same time, see `Recording.stream`.
+            overwrite: Whether an existing file may be replaced.
+            on_error: "raise" or "warn", for errors of the file.
+
+        Raises:
+            ArgumentError: `every` is out of range.
+            StageError: Another recording goes on.
+            RecordingError: The file cannot be written.
         """
         return load_method_of_stage("record")(self, every, path, overwrite=overwrite, on_error=on_error)
 
     @exclusive
     def begin_recording(self, recording: Any, steps: int) -> None:
-        """Have the engine sample every so many physics steps into the buffers of `recording`, see `Loop.recording`."""
+        """Have the engine fill the buffers of a recording, see `Loop.recording`.
+
+        Args:
+            recording: Owner of the buffers.
+            steps: Physics steps between two samples.
+        """
         self.prepare_change()
         self.loop.recording = recording
         handle.set_sample_buffers(self.state.handle, recording)
         self.state.clockwork[0].sample_every = self.state.world[0].to_sample = steps
 
     def stop_recording(self) -> None:
-        """Whoever records, or looks at samples as they come, does so no longer. `Recording.close` is the usual way."""
+        """Stop filling the buffers of a recording. `Recording.close` is the usual way."""
         self.loop.recording = None
         handle.set_sample_buffers(self.state.handle, None)
         self.state.clockwork[0].sample_every = 0
@@ -518,21 +621,28 @@ class Stage:
         program: str = "your program",
         browser: bool = True,
     ) -> Panel:
-        """A live page of the stage beside the program that drives it, until its `close()`; see docs/panel.md.
+        """Open a live page of the stage for the program that drives it, until its `close()`; see docs/panel.md.
 
         From now on time passes at `speed` simulated seconds a second at most, and the program waits while somebody has paused it on
         the page, or taken the stage over. What the stage does stays the same, bit for bit, unless somebody interferes.
 
-        port: TCP, 0 for one that is free. host: another address than 127.0.0.1 lets in whoever has the link with its token.
-        program: what the page calls the program. browser: open the page; its link is `.address`. Raises ArgumentError; StageError
-        where NiceGUI is not there, the port cannot be had or the stage has a session already.
+        Args:
+            port: TCP port, 0 for one that is free.
+            host: Another address than 127.0.0.1 lets in whoever has the link with its token.
+            speed: Simulated seconds a second at most.
+            program: What the page calls the program.
+            browser: Whether to open the page; its link is `.address`.
+
+        Raises:
+            ArgumentError: An argument is out of range.
+            StageError: NiceGUI is missing, the port is taken, or the stage has a session already.
         """
         return load_method_of_stage("panel")(self, port, host=host, speed=speed, program=program, browser=browser)
 
     # --- copies ---
 
     def describe_machine(self) -> dict[str, Any]:
-        """What the stage is made of, faults and payloads included: all but its state."""
+        """Return what the stage is made of, faults and payloads included: all but its state."""
         return {
             "model": self.model,
             "plant": self._plant,
@@ -572,10 +682,10 @@ class Stage:
         self.restore(s["now"])
 
     def __deepcopy__(self, memo: dict) -> Stage:
-        twin = object.__new__(type(self))
+        replica = object.__new__(type(self))
         state = self.__getstate__()
-        twin.__setstate__(state | {"model": copy.copy(self.model)})
-        return twin
+        replica.__setstate__(state | {"model": copy.copy(self.model)})
+        return replica
 
     def __copy__(self) -> Stage:
         return self.__deepcopy__({})
@@ -589,6 +699,6 @@ class Stage:
         return html.heading(f"Stage at {self.time:.6f} s{more}") + format_axes_table(self._axes)
 
 
-def _make_snapshot(header: Header, state: np.ndarray, said: tuple) -> Snapshot:
+def _make_snapshot(header: Header, state: np.ndarray, diagnostics: tuple) -> Snapshot:
     state.flags.writeable = False
-    return Snapshot(header, state, said, crc32(state.data, header.checksum))
+    return Snapshot(header, state, diagnostics, crc32(state.data, header.checksum))

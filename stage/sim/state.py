@@ -1,7 +1,7 @@
 """`State`: the places of a stage's records in memory, for compiled code, boards and tests; users of a stage do not need it.
 
-What changes while time passes is in MjData.userdata, so that MuJoCo's own snapshots, copies and rollouts carry it: one WORLD, an
-AXIS an axis, the record of every chip, a DRIVE an axis, a SWITCH a switch, an address latch a chip, in this order. Tables of
+All that changes while time passes is in MjData.userdata, so that MuJoCo's own snapshots, copies and rollouts carry it: one WORLD,
+an AXIS an axis, the record of every chip, a DRIVE an axis, a SWITCH a switch, an address latch a chip, in this order. Tables of
 constants (only faults change them) are in arrays beside it. A HANDLE gives compiled code the addresses of all of them.
 """
 
@@ -31,14 +31,17 @@ START, POWERED = _FIELDS.index("start"), _FIELDS.index("powered")
 
 
 class State:
-    """The records of one stage.
+    """Records of one stage.
 
     Args:
-        model: compiled with room for the state in its userdata, see `words_needed`; offset: where that begins.
-        plant, chip_axes, drives: of each axis, in their order.
-        bus: ns that a bus cycle takes.
-        encoders: of each axis, counts per joint unit of an encoder that its chip counts, 0 for none; that of a Servo is its own.
-        wires: the wires between sensors, chips and chips that are not as usual.
+        model: Model with room for the state in its userdata, see `words_needed`.
+        offset: Word of userdata at which the state begins.
+        plant: Axes of the model.
+        chip_axes: Axes of the chips, one an axis.
+        drives: Drives, one an axis.
+        bus: Duration of a bus cycle, ns.
+        encoders: For each axis, counts per joint unit of an encoder that its chip counts, 0 for none; a Servo has its own.
+        wires: Wires between sensors, chips and chips that differ from the usual.
     """
 
     model: mujoco.MjModel
@@ -113,11 +116,11 @@ class State:
         rows = np.zeros(1, handle.HANDLE)
         handle.fill(rows, 0, self)
         self.pointer, self.handle = rows.ctypes.data, rows.view(plain(handle.HANDLE))[0]
-        most = records.EDGES_A_WINDOW * len(plant)
+        max_edges = records.EDGES_A_WINDOW * len(plant)
         for chip in wires.linked:  # a pulse a clock, and what goes before and after it
-            most += records.clock_at(self.dt, chip.clock_hz) + LINK_EDGES
-        self.clockwork["most_edges"], self.clockwork["linked"] = most, len(wires.linked)
-        self.set_edge_buffer(np.zeros(EDGES + most, records.EDGE))
+            max_edges += records.clock_at(self.dt, chip.clock_hz) + LINK_EDGES
+        self.clockwork["most_edges"], self.clockwork["linked"] = max_edges, len(wires.linked)
+        self.set_edge_buffer(np.zeros(EDGES + max_edges, records.EDGE))
 
     @property
     def now(self) -> int:
@@ -126,7 +129,7 @@ class State:
 
     @property
     def start(self) -> int:
-        """When the present physics step began, ns."""
+        """Beginning of the present physics step, ns."""
         return self.words.item(START)
 
     @property
@@ -135,20 +138,20 @@ class State:
         return self.words.item(POWERED)
 
     def set_edge_buffer(self, edges: np.ndarray) -> None:
-        """From now on the engine notes what reaches the chips in `edges`, EDGE records."""
+        """Have the engine note what reaches the chips in `edges`, EDGE records."""
         self.edges = edges
         self.handle["edges"], self.handle["edge_room"] = edges.ctypes.data, len(edges)
 
     def _cut(self, axes: int, switches: int, chips: Sequence[Chip]) -> None:
-        """Lay the records out in userdata, and make the tables."""
+        """Allocate the records in userdata, and make the tables."""
         self.userdata = self.data.userdata[self.offset :]
         left = self.userdata
 
         def cut(dtype: np.dtype, n: int) -> np.ndarray:
             nonlocal left
             words = n * dtype.itemsize // 8
-            own, left = left[:words], left[words:]
-            return own.view(dtype)
+            words_cut, left = left[:words], left[words:]
+            return words_cut.view(dtype)
 
         self.world = cut(records.WORLD, 1)
         self.words = self.world.view(np.int64)
@@ -183,7 +186,7 @@ class State:
             c.link = 1 if chip in linked else 0
 
     def _slice_ends(self, hz: int) -> np.ndarray:
-        """SLICE_END records of a window, for the chips of this reference clock."""
+        """Return the SLICE_END records of a window, for chips with this reference clock."""
         if hz not in self.slice_ends:
             ns = [(k + 1) * self.dt // records.SLICES for k in range(records.SLICES)]
             self.slice_ends[hz] = np.array([divmod(end * hz, cores.PART) for end in ns], cores.SLICE_END)
@@ -198,7 +201,7 @@ class State:
         encoders: Sequence[float],
         wires: Wires,
     ) -> None:
-        """The table of axes, that of switches, and of chips what they have to know of their axes."""
+        """Fill the table of axes, that of switches, and what chips have to know of their axes."""
         first, flag_edges = 0, list[tuple[float, ...]]()
         for k, (p, chip_axis, drive) in enumerate(zip(plant, chip_axes, drives, strict=True)):
             chip, j, t = chip_axis.chip, chip_axis.index, self.axis_table[k]
@@ -207,9 +210,9 @@ class State:
             c.axes += 1
             self.clockwork["currents"] += c.current != 0
             self.clockwork["loads"] += c.set_load != 0
-            own = self.chip_axes[t.chip][j]
-            own.axis, own.means = k, address_of(self.axes[k]["counts"])
-            own.net = address_of(self.axes[k : k + 1]["count"])
+            chip_axis_record = self.chip_axes[t.chip][j]
+            chip_axis_record.axis, chip_axis_record.means = k, address_of(self.axes[k]["counts"])
+            chip_axis_record.net = address_of(self.axes[k : k + 1]["count"])
             t.qpos, t.dof, t.actuator, t.gear = p.qpos, p.dof, p.actuator, p.gear
             t.index_bit, t.index_at = chip.wired("ez"), p.index
             t.positive = wires.turned_pins(k, chip)
@@ -226,12 +229,17 @@ class State:
 
 
 def chips_of(axes: Sequence[ChipAxis]) -> tuple[Chip, ...]:
-    """The chips of these axes, each once."""
+    """Return the chips of some axes, each once."""
     return tuple(dict.fromkeys(axis.chip for axis in axes))
 
 
 def words_needed(axes: Sequence[ChipAxis], switches: int) -> int:
-    """float64 words of userdata that the state of a stage takes, with these axes of its chips and so many switches."""
+    """Return how many float64 words of userdata the state of a stage takes.
+
+    Args:
+        axes: Axes of its chips.
+        switches: Number of its switches.
+    """
     per_axis = records.AXIS.itemsize + DRIVE.itemsize
     rows = sum(chip.CORE.STATE.itemsize for chip in chips_of(axes))
     latches = len(chips_of(axes)) * records.ADDRESS.itemsize

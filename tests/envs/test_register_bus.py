@@ -494,7 +494,7 @@ def test_a_carriage_held_at_its_target_while_its_field_stands_elsewhere_has_not_
             host.act(rb.WAIT + wait)
             assert (host.info["lost_steps"], host.info["success"]) == (0, False)
         assert host.info["error"] == pytest.approx(error, abs=3)
-        jam.mend()
+        jam.clear()
     for address, byte in sequence(8, PCL240K):
         host.act(rb.WRITE, 0, address, byte)
     for _ in range(2):

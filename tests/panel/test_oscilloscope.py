@@ -50,7 +50,7 @@ def test_lost_steps_and_diagnostics_are_triggers(session, sampler):
         hasty(session, x.chip.write, 0, 0x90)
         hasty(session, session.stage.run, 0.2)
         frame, said = scope.frame(100), other.frame(100)
-        session.do(lambda stage: jam.mend())
+        session.do(lambda stage: jam.clear())
     times, lost = frame.curves["x/lost_steps"]
     assert lost[times >= frame.trigger][0] != lost[times < frame.trigger][-1]
     assert said.trigger == pytest.approx(sampler.events[-1].time)

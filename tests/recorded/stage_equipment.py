@@ -232,8 +232,8 @@ def change_motors():
         observed += [read_stage(stage)]
         replica = copy.deepcopy(stage)
         between = stage.snapshot()
-        second.mend()
-        fault.mend()
+        second.clear()
+        fault.clear()
         observed += [
             str(attempt(stage.restore, between)),
             stage.faults,
@@ -287,8 +287,8 @@ def repair_drives():
         ]
         replica = pickle.loads(pickle.dumps(stage))
         for fault in created[::order]:
-            fault.mend()
-            fault.mend()
+            fault.clear()
+            fault.clear()
             observed += [
                 [[a.faults.bus_voltage, a.faults.open_phases] for a in (x, y)],
                 list(stage.faults),
@@ -404,7 +404,7 @@ def record_samples():
         ]
         if axis is not y:
             continue
-        fault.mend()
+        fault.clear()
     results["refused"] = [str(attempt(stage.record, every)) for every in (0, -1e-3, 1e6 + 1, float("nan"))]
     with stage.record(1e6) as recording:
         results["two"] = str(attempt(stage.record))
@@ -500,7 +500,7 @@ def turn_free_rotors():
             stage.run_to(stage.now + ns)
             states.append([x.switches.org, read_stage(stage)["axes"]["x"][4:6], read_stage(stage)["shafts"]])
         saved = stage.snapshot()
-        bounce.mend()
+        bounce.clear()
         stage.run(0.003)
         stage.restore(saved)
         with faults.switch_stuck(x, "org", not x.switches.org):

@@ -129,7 +129,7 @@ def break_and_repair(chips, pin, name):
     results = [fault.text, list(stage.faults)]
     stage.run(0.0911)
     results.append(read_stage(stage))
-    fault.mend()
+    fault.clear()
     results += [list(stage.faults), repr(fault), stage.payload(), stage.payload("x"), stage.model.body_mass]
     stage.run(0.02)
     results.append(read_positions(stage))

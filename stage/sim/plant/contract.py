@@ -24,14 +24,19 @@ MIN_PARALLEL_COSINE = 0.99  # the least cosine between the joints of tandem axes
 
 @dataclass(frozen=True)
 class PlantAxis:
-    """What the engine needs to know of an axis.
+    """Parts of a model that make an axis, as the engine needs them.
 
     Attributes:
-        joint, actuator: ids in the model; qpos, dof: addresses. gear: rotor radians per joint unit, signed.
-        travel: the joint's range, m (rad if `hinge`). motor: name of the motor inside the armature, or None. servo: the actuator is
-            a DC motor.
-        index: rotor angle of the index pulse, in turns from the rotor angle at joint position 0.
-        switches: those fitted, in the order of PINS. tandem: the axes that drive the same load beside it, by name.
+        name: Name of the axis.
+        joint, actuator: Ids in the model.
+        qpos, dof: Addresses of the joint.
+        gear: Rotor radians per joint unit, signed.
+        travel: Range of the joint, m (rad if `hinge`).
+        motor: Name of the motor inside the armature, or None.
+        servo: Whether the actuator is a DC motor.
+        index: Rotor angle of the index pulse, in turns from the rotor angle at joint position 0.
+        switches: Switches fitted, in the order of PINS.
+        tandem: Names of the axes that drive the same load.
     """
 
     name: str
@@ -50,14 +55,22 @@ class PlantAxis:
 
 
 def bind(model: mujoco.MjModel, axes: Sequence[str] | None = None) -> tuple[PlantAxis, ...]:
-    """Find and check the axes of a model; `axes` chooses some. Raises one ModelError that lists everything that is wrong."""
+    """Find and check the axes of a model.
+
+    Args:
+        model: Model.
+        axes: Names of the axes; default: all.
+
+    Raises:
+        ModelError: The model breaks the naming contract; the error lists everything that is wrong.
+    """
     try:
-        chosen = tuple(axes if axes is not None else axis_names(model))
-        key = fingerprint(model), chosen
+        names = tuple(axes if axes is not None else axis_names(model))
+        key = fingerprint(model), names
         if key not in _bound:
             if len(_bound) >= MAX_BOUND_PLANTS:
                 _bound.clear()
-            _bound[key] = _Binder(model, list(chosen)).bind()
+            _bound[key] = _Binder(model, list(names)).bind()
         return _bound[key]
     except UnicodeDecodeError as error:
         raise ModelError(f"a name in the model is not UTF-8: {error}. Save the MJCF as UTF-8.") from error
@@ -67,7 +80,7 @@ _bound: dict[tuple, tuple[PlantAxis, ...]] = {}  # by model and axes: the same m
 
 
 def describe(model: mujoco.MjModel) -> str:
-    """The axes of a model as a text table."""
+    """Format the axes of a model as a text table."""
     lines = [f"{'axis':6}{'kind':7}{'travel':>22}{'per turn':>12}  {'motor':16}switches trip at"]
     for a in bind(model):
         unit, k = PLACES["rad" if a.hinge else "m"]
@@ -83,7 +96,7 @@ def describe(model: mujoco.MjModel) -> str:
 
 
 def _list_undriven_joints(model: mujoco.MjModel) -> list[str]:
-    """What looks like an axis and is none: a joint with switches that no actuator of its name drives."""
+    """List joints with switches that no actuator of the same name drives, in words."""
     joints = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, k) for k in range(model.njnt)} - {None}
     sensors = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SENSOR, k) for k in range(model.nsensor)}
     lost = sorted(j for j in joints - set(axis_names(model)) if any(f"{j}_{pin}" in sensors for pin in PINS))
@@ -113,10 +126,10 @@ class _Binder:
         return int(mujoco.mj_name2id(self.model, kind, name))
 
     def _tandems(self) -> dict[str, tuple[str, ...]]:
-        """The other axes of the load that an axis drives, as one of them says in its text NAME_tandem."""
-        found: dict[str, tuple[str, ...]] = {}
+        """Return the other axes of the load that an axis drives, as one of them says in its text NAME_tandem."""
+        tandems: dict[str, tuple[str, ...]] = {}
         if not any(name.endswith("_tandem") for name in self.texts):
-            return found
+            return tandems
         known = axis_names(self.model)
         for name in known:
             for other in self.texts.get(f"{name}_tandem", "").split():
@@ -132,13 +145,13 @@ class _Binder:
                         "turn of the motor: tandem axes are side by side",
                     )
                 together = sorted(
-                    {name, other, *found.get(name, ()), *found.get(other, ())}, key=lambda a: (a not in known, a)
+                    {name, other, *tandems.get(name, ()), *tandems.get(other, ())}, key=lambda a: (a not in known, a)
                 )
-                found |= {a: tuple(b for b in together if b != a) for a in together}
-        return {a: tuple(b for b in others if b in self.axes) for a, others in found.items()}
+                tandems |= {a: tuple(b for b in together if b != a) for a in together}
+        return {a: tuple(b for b in others if b in self.axes) for a, others in tandems.items()}
 
     def _are_parallel(self, name: str, other: str) -> bool:
-        """Whether two axes go the same way, as far for the same turn of their motors."""
+        """Return whether two axes go the same way, as far for the same turn of their motors."""
         m, data = self.model, mujoco.MjData(self.model)
         mujoco.mj_kinematics(m, data)
         one, two = (self._id(mujoco.mjtObj.mjOBJ_JOINT, a) for a in (name, other))
@@ -194,8 +207,10 @@ class _Binder:
         if not low < high:
             return None
         scanned = self.switches.scanned(name, joint, low, high)
-        found = [self.switches.find(name, pin, joint, low, high, scanned) for pin in PINS if pin not in unfitted]
-        switches = tuple(s for s in found if s is not None)
+        switches_found = [
+            self.switches.find(name, pin, joint, low, high, scanned) for pin in PINS if pin not in unfitted
+        ]
+        switches = tuple(s for s in switches_found if s is not None)
         self.switches.check_order(name, switches)
         return PlantAxis(
             name, joint, int(m.jnt_qposadr[joint]), int(m.jnt_dofadr[joint]), actuator, gear, (low, high),
@@ -220,11 +235,11 @@ class _Binder:
         )
 
     def _is_dc_motor(self, joint: int, actuator: int) -> bool:
-        """Without states of its own, one control: the voltage."""
+        """Return whether an actuator is a DC motor without states of its own, with one control: the voltage."""
         m = self.model
         resistance, constant = m.actuator_gainprm[actuator][:2]
-        plain = m.actuator_actnum[actuator] == 0 and not m.actuator_biasprm[actuator].any()
-        return self._is_on(joint, actuator) and bool(plain and resistance > 0 and constant > 0)
+        stateless = m.actuator_actnum[actuator] == 0 and not m.actuator_biasprm[actuator].any()
+        return self._is_on(joint, actuator) and bool(stateless and resistance > 0 and constant > 0)
 
     def _is_motor(self, joint: int, actuator: int) -> bool:
         m = self.model

@@ -115,7 +115,7 @@ class _Counter:
             self._require(tag, "readings", self._readings, MAX_ARRAY_SIZE)
 
     def _add_samples(self, element: ElementTree.Element, unit: str, sizes: tuple[str, ...]) -> None:
-        """Count what a height field or a texture holds: by its sizes, and of a picture in a file by its header."""
+        """Count the samples of a height field or a texture: by its sizes, and those of a picture in a file by its header."""
         self._samples += math.prod(_product(element.get(name)) for name in sizes)
         self._samples += sum(map(_count_pixels, self._files_of(element)))
         self._require(element.tag, unit, self._samples, MAX_SAMPLES)
@@ -128,7 +128,7 @@ class _Counter:
             )
 
     def _files_of(self, element: ElementTree.Element) -> Iterator[Path]:
-        """Files that an element names and that exist, each a regular file of bounded size."""
+        """Yield the files that an element names and that exist, each a regular file of bounded size."""
         max_bytes = MAX_FLEX_FILE_BYTES if element.tag == "flexcomp" else MAX_FILE_BYTES
         for name, value in element.items():
             if name.startswith("file") and value:
@@ -162,7 +162,7 @@ class _BoundedBuilder(ElementTree.TreeBuilder):
 
 
 def _parse(path: Path) -> ElementTree.Element:
-    """The root of an XML file, read as leniently as MuJoCo does: any bytes in texts, any dashes in comments, no entities."""
+    """Return the root of an XML file, read as leniently as MuJoCo does: any bytes in texts, any dashes in comments, no entities."""
     content = read_bytes(path, "MJCF file", MAX_FILE_BYTES, ModelError).decode(errors="replace")
     text = _MARKUP.sub(lambda match: match[1] or "", _CONTROL.sub(" ", content))
     text = _LITERAL_AMPERSAND.sub("&amp;", text[max(text.find("<"), 0) :])
@@ -173,7 +173,7 @@ def _parse(path: Path) -> ElementTree.Element:
 
 
 def _count_pixels(path: Path) -> int:
-    """Pixels of a picture in PNG, by its header; 0 of any other file, whose bytes are bounded."""
+    """Return the pixels of a picture in PNG, by its header; 0 of any other file, whose bytes are bounded."""
     with open_regular(path, "file of a model", MAX_FILE_BYTES, ModelError) as file:
         head = file.read(_PNG_SIZE.stop)
     if not head.startswith(_PNG) or len(head) < _PNG_SIZE.stop:
@@ -183,7 +183,7 @@ def _count_pixels(path: Path) -> int:
 
 
 def _product(counts: str | None) -> int:
-    """The product of whole numbers in an attribute; what is no number counts as 1, as MuJoCo refuses it."""
+    """Return the product of whole numbers in an attribute; what is no number counts as 1, as MuJoCo refuses it."""
     try:
         return math.prod(max(int(float(count)), 1) for count in (counts or "1").split())
     except (ValueError, OverflowError):

@@ -38,7 +38,13 @@ KINDS = {"slide": {"m": 1.0, "cm": 1e-2, "mm": 1e-3}, "hinge": {"deg": 1.0, "rad
 
 @dataclass(frozen=True)
 class NewAxis:
-    """name: of joint and actuator; kind: slide or hinge; travel: m, degrees on a hinge, between the end limits."""
+    """Axis of a new model.
+
+    Attributes:
+        name: Name of joint and actuator.
+        kind: slide or hinge.
+        travel: Travel between the end limits, m, degrees on a hinge.
+    """
 
     name: str
     kind: str
@@ -46,7 +52,11 @@ class NewAxis:
 
     @classmethod
     def of(cls, text: str) -> NewAxis:
-        """`x:slide:300mm`, `a:hinge:90deg`. Raises ModelError."""
+        """Parse `x:slide:300mm` or `a:hinge:90deg`.
+
+        Raises:
+            ModelError: The text has another form, or the travel is out of range.
+        """
         m = re.fullmatch(r"([A-Za-z]\w*):(slide|hinge):([\d.]+)(mm|cm|m|deg|rad)", text.strip())
         if m is None or m[4] not in KINDS[m[2]] or not re.fullmatch(r"\d+\.?\d*|\.\d+", m[3]):
             raise ModelError(f"{text!r}: an axis is NAME:slide:300mm (m, cm, mm), or NAME:hinge:90deg (deg, rad).")
@@ -62,12 +72,12 @@ class NewAxis:
 
     @property
     def endless(self) -> bool:
-        """It turns without end limits."""
+        """True for an axis that turns without end limits."""
         return self.kind == "hinge" and self.travel > WIDEST
 
 
 class _Switch(NamedTuple):
-    """Asserted from `low` to `high`, joint units (degrees)."""
+    """Switch that is asserted from `low` to `high`, joint units (degrees)."""
 
     name: str
     low: float
@@ -76,7 +86,7 @@ class _Switch(NamedTuple):
 
 
 class _AxisParts(NamedTuple):
-    """What an axis adds to the model, lines each: what stands on its frame, what moves, contacts."""
+    """Lines that an axis adds to the model: on its frame, on what moves, contacts."""
 
     frame: list[str]
     moving: list[str]
@@ -84,7 +94,14 @@ class _AxisParts(NamedTuple):
 
 
 def new_model(axes: Sequence[NewAxis]) -> str:
-    """The MJCF. Raises ModelError for two axes of one name, or none."""
+    """Return the MJCF of a new model.
+
+    Args:
+        axes: Its axes, each riding on the one before.
+
+    Raises:
+        ModelError: Two axes have one name, or there is none.
+    """
     names = [a.name for a in axes]
     if not axes or len(set(names)) < len(names):
         raise ModelError(f"axes {', '.join(names) or 'none'}: one or more, each of a name of its own.")
@@ -143,17 +160,17 @@ def new_model(axes: Sequence[NewAxis]) -> str:
 
 
 def _choose_directions(axes: Sequence[NewAxis]) -> dict[str, str]:
-    """Where each slide goes: as it is called, or the next direction that no other goes."""
-    found = {a.name: a.name.lower() for a in axes if a.kind == "slide" and a.name.lower() in DIRECTIONS}
-    free = [d for d in DIRECTIONS if d not in found.values()]
+    """Choose the direction of each slide: the one it is named after, or the next that no other has."""
+    directions = {a.name: a.name.lower() for a in axes if a.kind == "slide" and a.name.lower() in DIRECTIONS}
+    free = [d for d in DIRECTIONS if d not in directions.values()]
     for a in axes:
-        if a.kind == "slide" and a.name not in found:
-            found[a.name] = free.pop(0) if free else "x"
-    return found
+        if a.kind == "slide" and a.name not in directions:
+            directions[a.name] = free.pop(0) if free else "x"
+    return directions
 
 
 def _chain(axes: list[NewAxis], directions: dict[str, str]) -> tuple[list[str], list[str]]:
-    """The bodies from the first axis on, each on the one before, and all pairs."""
+    """Return the bodies from the first axis on, each on the one before, and all pairs."""
     a, rest = axes[0], axes[1:]
     parts = _slide(a) if a.kind == "slide" else _hinge(a)
     inner, pairs = _chain(rest, directions) if rest else (
@@ -201,20 +218,20 @@ def _gear(a: NewAxis) -> float:
 
 
 def _armature(a: NewAxis) -> float:
-    """kg, kg m2 on a hinge."""
+    """Return the armature, kg (kg m2 on a hinge)."""
     screw = 0.5 * STEEL * math.pi * SCREW**4 * (a.travel + 0.1) if a.kind == "slide" else 0.0
     return (ROTOR + screw) * _gear(a) ** 2
 
 
 def _find_stop(a: NewAxis) -> float:
-    """Where the hard stops are: m, degrees."""
+    """Return the distance of the hard stops from the middle, m (degrees)."""
     if a.endless:
         return TURN / 2
     return a.travel / 2 + (0.006 if a.kind == "slide" else 3.0)
 
 
 def _switches(a: NewAxis) -> list[_Switch]:
-    """From where to where each is asserted."""
+    """Return the switches with their ranges."""
     green, red, amber = "0.12 0.66 0.32 1", "0.86 0.16 0.15 1", "0.98 0.68 0.08 1"
     if a.endless:
         return [_Switch("org", -20.0, 0.0, green)]
@@ -229,7 +246,7 @@ def _switches(a: NewAxis) -> list[_Switch]:
 
 
 def _slide(a: NewAxis) -> _AxisParts:
-    """A rail and its carriage, along x."""
+    """Return the parts of a rail and its carriage, along x."""
     half, wide = 0.04, 0.045  # m: of the carriage; beams lie beside it
     rail = _find_stop(a) + half + 0.02
     frame = [f'<geom class="frame" size="{rail:.6g} 0.03 0.008" pos="0 0 -0.01"/>']
@@ -251,7 +268,7 @@ def _slide(a: NewAxis) -> _AxisParts:
 
 
 def _hinge(a: NewAxis) -> _AxisParts:
-    """A table that turns about z. Each switch has a track of its own, one above the other; a vane is a flat plate."""
+    """Return the parts of a table that turns about z. Each switch has a track of its own, above the last; vanes are flat."""
     name, at_radius = a.name, TABLE - 0.008
     frame = [f'<geom class="frame" type="cylinder" size="{TABLE} 0.008" pos="0 0 -0.01"/>']
     moving = [f'<geom name="{name}_table" type="cylinder" size="{TABLE} 0.004" pos="0 0 0.035" mass="0.5"/>']

@@ -20,7 +20,13 @@ class Problems:
         self.lines: list[str] = []
 
     def add(self, axis: str, text: str, line: str | None = None) -> None:
-        """Of an axis: what is wrong, in words, and the line that would mend it."""
+        """Add a problem.
+
+        Args:
+            axis: Name of the axis.
+            text: What is wrong.
+            line: Line that would repair it.
+        """
         self.texts.append(f"axis {axis}: {text}")
         if line and line not in self.lines:
             self.lines.append(line)
@@ -39,12 +45,12 @@ class Problems:
 
 
 def similar(name: str, known: Iterable[str]) -> list[str]:
-    """The name nearest to `name`, if one is."""
+    """Return the name nearest to `name`, if one is near."""
     return near_names(name, filter(None, known), 0.6)[:1]
 
 
 def slip(model: Any, kind: Any, count: int, name: str, axes: Sequence[str]) -> str:
-    """For a name that is missing: that of its kind which is nearest and no axis, in words; "" if there is none."""
+    """Return, for a missing name, the nearest of its kind that is no axis, in words; "" if there is none."""
     known = (mujoco.mj_id2name(model, kind, k) or "" for k in range(count))
     near = similar(name, (k for k in known if k not in axes))
     return f" (there is {near[0]!r}: a slip?)" if near else ""

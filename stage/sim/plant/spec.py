@@ -19,13 +19,18 @@ from stage.sim.plant.problems import actuator_line, similar
 
 
 def names() -> list[str]:
-    """The models that ship with PulseStage."""
-    found: list[str] = import_module("stage.models").names()
-    return found
+    """Return the names of the models that ship with PulseStage."""
+    shipped: list[str] = import_module("stage.models").names()
+    return shipped
 
 
 def open_spec(source: Any) -> Any:
-    """An MjSpec from a shipped name, a path or an MjSpec (copied); an MjModel is copied and passes through."""
+    """Open a model: an MjSpec from a shipped name, a path or an MjSpec (copied); an MjModel is copied and passes through.
+
+    Raises:
+        ArgumentError: There is no such model.
+        ModelError: The file does not exist, or MuJoCo cannot read it.
+    """
     if isinstance(source, mujoco.MjSpec):
         _compile(source)  # the copy would leave out in silence what refers to nothing
         return source.copy()
@@ -54,12 +59,12 @@ def open_spec(source: Any) -> Any:
 
 @cache
 def _models() -> Path:
-    """Where the shipped models lie; in a checkout beside the package."""
+    """Return the folder of the shipped models; in a checkout it is beside the package."""
     return Path(import_module("stage.models").__path__[0])
 
 
 def _state_of_models() -> tuple[int, ...]:
-    """Changes when a file of a shipped model does."""
+    """Return a value that changes when a file of a shipped model does."""
     return tuple(sorted(f.stat().st_mtime_ns for f in _models().iterdir() if f.is_file()))
 
 
@@ -85,15 +90,19 @@ def discard_visuals(spec: Any) -> None:
 
 
 def axis_names(source: Any) -> list[str]:
-    """Every joint that has an actuator of its name, in the order of the actuators. Raises ModelError if there is none."""
+    """Return every joint that has an actuator of its name, in the order of the actuators.
+
+    Raises:
+        ModelError: There is none.
+    """
     if isinstance(source, mujoco.MjModel):
         joints = [source.joint(k).name for k in range(source.njnt)]
         actuators = [source.actuator(k).name for k in range(source.nu)]
     else:
         joints, actuators = [j.name for j in source.joints], [a.name for a in source.actuators]
     joints, actuators = [j for j in joints if j], [a for a in actuators if a]
-    found = [a for a in actuators if a in joints]
-    if not found:
+    axes = [a for a in actuators if a in joints]
+    if not axes:
         slips = "".join(f" Actuator {a!r} and joint {j[0]!r}: a slip?" for a in actuators if (j := similar(a, joints)))
         raise ModelError(
             f"the model has no axis: a joint and an actuator of the same name.{slips} Joints: "
@@ -101,14 +110,14 @@ def axis_names(source: Any) -> list[str]:
             f"For a slide joint 'x' with a screw of 10 mm lead add {actuator_line('x')}",
             [actuator_line("x")],
         )
-    return found
+    return axes
 
 
 def motors(source: Any) -> dict[str, str]:
-    """The motors that a model names, by axis."""
+    """Return the motors that a model names, by axis."""
     compiled = isinstance(source, mujoco.MjModel)
-    found = texts(source) if compiled else {_readable(t, "name"): _readable(t, "data") for t in source.texts}
-    return {name[: -len("_motor")]: data for name, data in found.items() if name.endswith("_motor")}
+    texts_by_name = texts(source) if compiled else {_readable(t, "name"): _readable(t, "data") for t in source.texts}
+    return {name[: -len("_motor")]: data for name, data in texts_by_name.items() if name.endswith("_motor")}
 
 
 def _readable(text: Any, field: str) -> str:
@@ -120,9 +129,12 @@ def _readable(text: Any, field: str) -> str:
 
 
 def equip(source: Any, axis: str, constants: tuple[float, float] | None) -> None:
-    """Fit the actuator of an axis: a <dcmotor> of these constants (N m/A, ohm), or without any a <motor>, if it is no such yet.
+    """Fit the actuator of an axis, if it is of another kind. An MjModel cannot change; `bind` reports if it does not fit.
 
-    An MjModel cannot change; `bind` tells if it does not fit.
+    Args:
+        source: MjSpec or MjModel.
+        axis: Name of the axis.
+        constants: N m/A and ohm of a <dcmotor>; None for a <motor>.
     """
     actuator = (
         None if isinstance(source, mujoco.MjModel) else next((a for a in source.actuators if a.name == axis), None)
@@ -136,7 +148,12 @@ def equip(source: Any, axis: str, constants: tuple[float, float] | None) -> None
 
 
 def reserve_fitted_values(source: Any, axes: Iterable[str]) -> None:
-    """Give an MjSpec the numeric AXIS_fitted of each axis, see `fitted_values`. An MjModel stays as it is."""
+    """Give an MjSpec the numeric AXIS_fitted of each axis, see `fitted_values`. An MjModel stays as it is.
+
+    Args:
+        source: MjSpec or MjModel.
+        axes: Names of the axes.
+    """
     if isinstance(source, mujoco.MjSpec):
         for axis in axes:
             if all(numeric.name != f"{axis}_fitted" for numeric in source.numerics):
@@ -155,7 +172,7 @@ def fitted_values(model: mujoco.MjModel, axis: str) -> np.ndarray:
 
 
 def dc_constants(source: Any, axis: str) -> tuple[float, float] | None:
-    """(torque constant N m/A, resistance ohm) of the axis' <dcmotor>, if it has one."""
+    """Return torque constant, N m/A, and resistance, ohm, of the axis' <dcmotor>, if it has one."""
     compiled = isinstance(source, mujoco.MjModel)
     for a in [source.actuator(k) for k in range(source.nu)] if compiled else list(source.actuators):
         if a.name == axis and int(np.squeeze(a.gaintype)) == mujoco.mjtGain.mjGAIN_DCMOTOR:
@@ -164,7 +181,7 @@ def dc_constants(source: Any, axis: str) -> tuple[float, float] | None:
 
 
 def texts(model: mujoco.MjModel) -> dict[str, str]:
-    """The <text>s of a model, by name."""
+    """Return the <text>s of a model, by name."""
     return {
         mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, k): bytes(
             model.text_data[model.text_adr[k] : model.text_adr[k] + model.text_size[k]]
@@ -174,10 +191,19 @@ def texts(model: mujoco.MjModel) -> dict[str, str]:
 
 
 def compile_spec(source: Any, words: int) -> tuple[mujoco.MjModel, int]:
-    """The model with `words` more float64 of userdata than its own; returns (model, where they begin).
+    """Compile a model with `words` more float64 of userdata than its own.
 
-    An MjModel cannot grow: the last `words` of its userdata are taken. Raises ModelError if there are too few, or if
-    MuJoCo cannot compile the spec.
+    An MjModel cannot grow: the last `words` of its userdata are taken.
+
+    Args:
+        source: MjSpec or MjModel.
+        words: float64 words.
+
+    Returns:
+        The model, and the word at which they begin.
+
+    Raises:
+        ModelError: An MjModel has too few, or MuJoCo cannot compile the spec.
     """
     if isinstance(source, mujoco.MjModel):
         if source.nuserdata < words:

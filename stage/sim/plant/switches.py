@@ -46,16 +46,17 @@ class FlagEdge:
 
 @dataclass(frozen=True)
 class Switch:
-    """A limit switch and its vane.
+    """Limit switch and its vane.
 
     Attributes:
-        pin: el_plus, el_minus, sd_plus, sd_minus or org. sensor: id in the model.
-        found, dist: addresses in sensordata.
-        touch: joint position at which the vane, coming from the middle of travel (to ORG: from plus), trips the switch.
+        pin: el_plus, el_minus, sd_plus, sd_minus or org.
+        sensor: Id in the model.
+        found, dist: Addresses in sensordata.
+        touch: Joint position at which the vane, coming from the middle of travel (to ORG: from plus), trips the switch.
         slope: d dist / d q there; -1 or 1 for flat faces on a slide, m/rad on a hinge.
-        lookahead: joint travel before the touch over which `dist` is seen.
-        edges: all edges of its flag in the joint's travel, from minus to plus; both of a short flag.
-        turn: the joint travel after which they come again: a full turn of a hinge that turns as far, else 0.
+        lookahead: Joint travel before the touch over which `dist` is available.
+        edges: All edges of its flag in the joint's travel, from minus to plus; both of a short flag.
+        turn: Joint travel after which they come again: a full turn of a hinge that turns as far, else 0.
     """
 
     pin: str
@@ -70,7 +71,7 @@ class Switch:
 
 
 class SwitchFinder:
-    """Moves the axes of a model through their travel and measures. Errors go to `problems`."""
+    """Moves the axes of a model through their travel and measures; errors go to `problems`."""
 
     def __init__(self, model: mujoco.MjModel, problems: Problems, axes: Sequence[str]):
         self.model, self.data, self.problems, self.axes = model, mujoco.MjData(model), problems, axes
@@ -84,7 +85,7 @@ class SwitchFinder:
         return [*self.axes, *(f"{axis}_{pin}" for axis in self.axes for pin in PINS)]
 
     def _likely(self, axis: str, pin: str) -> tuple[str, str]:
-        """The model's geoms that are vane and switch by their names, for a line to add; "" where none or several may be."""
+        """Return the model's geoms that are vane and switch by their names, for a line to add; "" where none or several may be."""
         m, begins = self.model, f"{axis}_{pin}_"
         geoms = (m.geom(k).name for k in range(m.ngeom))
         vanes: list[str] = []
@@ -126,11 +127,11 @@ class SwitchFinder:
             return None
         entering, leaving = [e for e in edges if e[1] < 0], [e for e in edges if e[1] > 0]
         q, slope = entering[0] if entering and (pin.endswith("plus") or not leaving) else leaving[-1]
-        found, dist = at["FOUND"], at["DIST"]
-        here = q + LOOK_AHEAD / slope
-        self._forward(joint, here)
-        seen, gap = self.data.sensordata[found] > 0, self._distance(joint, here, vane, switch)
-        if not seen:
+        found_address, dist = at["FOUND"], at["DIST"]
+        ahead = q + LOOK_AHEAD / slope
+        self._forward(joint, ahead)
+        is_seen, gap = self.data.sensordata[found_address] > 0, self._distance(joint, ahead, vane, switch)
+        if not is_seen:
             text = f"sensor {name!r} does not see its vane {LOOK_AHEAD * 1e3} mm before the touch: "
             text += "no pair, or its margin + gap is too small"
             self.problems.add(axis, text, pair)
@@ -148,14 +149,16 @@ class SwitchFinder:
                 )
                 return None
         if pin.startswith("el"):
-            self._holds_to_the_stop(axis, pin, joint, found, dist, q, high if pin == "el_plus" else low)
-        lookahead = self._look_ahead(joint, found, q, slope, low, high)
+            self._holds_to_the_stop(axis, pin, joint, found_address, dist, q, high if pin == "el_plus" else low)
+        lookahead = self._look_ahead(joint, found_address, q, slope, low, high)
         rooms = _measure_free_travel([at for at, _ in edges], high - low)
         measured = [
-            self._measure_edge(joint, found, dist, *edge, high - low, room)
+            self._measure_edge(joint, found_address, dist, *edge, high - low, room)
             for edge, room in zip(edges, rooms, strict=True)
         ]
-        return Switch(pin, sensor, found, dist, q, slope, lookahead, _limit_to_one_distance(measured, turn > 0), turn)
+        return Switch(
+            pin, sensor, found_address, dist, q, slope, lookahead, _limit_to_one_distance(measured, turn > 0), turn
+        )
 
     def _limit_to_one_turn(self, joint: int, low: float, high: float) -> tuple[float, float, float]:
         """Return the joint travel in which all edges are found, and after which travel they come again: 0 of no full turn."""
@@ -166,7 +169,7 @@ class SwitchFinder:
         return middle - half, middle + half, FULL_TURN
 
     def _addresses(self, sensor: int) -> dict[str, int]:
-        """Field -> address in sensordata."""
+        """Return field -> address in sensordata."""
         fields, offset, at = int(self.model.sensor_intprm[sensor][0]), int(self.model.sensor_adr[sensor]), {}
         for field, dim in _DATA_DIMS:
             if fields >> int(getattr(mujoco.mjtConDataField, f"mjCONDATA_{field}")) & 1:
@@ -179,7 +182,7 @@ class SwitchFinder:
         self.data.qpos[self.model.jnt_qposadr[joint]] = q
 
     def _forward(self, joint: int, q: float) -> None:
-        """All that MuJoCo computes with this joint at q and the others at qpos0."""
+        """Compute everything with this joint at q and the others at qpos0."""
         self._at(joint, q)
         callbacks.forward(self.model, self.data)
 
@@ -189,7 +192,7 @@ class SwitchFinder:
         return mujoco.mj_geomDistance(self.model, self.data, vane, switch, flag_scan.MAX_DISTANCE_M, None)
 
     def _far(self, joint: int, positions: np.ndarray, pairs: list[tuple[int, int]]) -> np.ndarray:
-        """(positions, pairs), m: how far pairs of geoms are apart with this joint at `positions` and the others at qpos0."""
+        """Measure distances of pairs of geoms with this joint at `positions` and the others at qpos0, m, (positions, pairs)."""
         out = np.empty((len(positions), len(pairs)))
         both = np.array(pairs, np.int32).reshape(-1, 2)
         self.data.qpos[:] = self.model.qpos0
@@ -200,7 +203,13 @@ class SwitchFinder:
         return out
 
     def scanned(self, axis: str, joint: int, low: float, high: float) -> dict[tuple[int, int], np.ndarray]:
-        """Vane and switch -> their distance at the positions of `_scan_grid`; of all the axis' sensors that name two geoms."""
+        """Return vane and switch -> their distance at the positions of `_scan_grid`, for all the axis' sensors that name two geoms.
+
+        Args:
+            axis: Name of the axis.
+            joint: Id of its joint.
+            low, high: Range of the joint.
+        """
         low, high, _ = self._limit_to_one_turn(joint, low, high)
         m, geom = self.model, mujoco.mjtObj.mjOBJ_GEOM
         sensors = [self._sensor(f"{axis}_{pin}") for pin in PINS]
@@ -308,25 +317,25 @@ class SwitchFinder:
             limits.append(limit)
         return FlagEdge(at, slope, bend, noise, *limits)
 
-    def _look_ahead(self, joint: int, found: int, q: float, slope: float, low: float, high: float) -> float:
-        """Joint travel before the touch over which the sensor finds the vane."""
-        sign, near, far = (1.0 if slope > 0 else -1.0), LOOK_AHEAD / abs(slope), 0.0
+    def _look_ahead(self, joint: int, found_address: int, q: float, slope: float, low: float, high: float) -> float:
+        """Return the joint travel before the touch over which the sensor finds the vane."""
+        sign, near, unseen = (1.0 if slope > 0 else -1.0), LOOK_AHEAD / abs(slope), 0.0
         room = high - q if slope > 0 else q - low
         for _ in range(24):
-            x = 0.5 * (near + far) if far else min(2 * near, room)
+            x = 0.5 * (near + unseen) if unseen else min(2 * near, room)
             self._forward(joint, q + sign * x)
-            if not self.data.sensordata[found] > 0:
-                far = x
-            elif not far and x >= room:
+            if not self.data.sensordata[found_address] > 0:
+                unseen = x
+            elif not unseen and x >= room:
                 return room
             else:
                 near = x
         return near
 
     def _holds_to_the_stop(
-        self, axis: str, pin: str, joint: int, found: int, dist: int, touch: float, end: float
+        self, axis: str, pin: str, joint: int, found_address: int, dist: int, touch: float, end: float
     ) -> None:
-        """EL comes before the hard stop, and stays asserted up to it (or to the end of the range)."""
+        """Check that EL comes before the hard stop, and stays asserted up to it (or to the end of the range)."""
         m = self.model
         roots = m.body_jntadr[m.body_rootid[m.geom_bodyid]]  # the first joint of what a geom belongs to; -1: none
         loose = (roots >= 0) & (m.jnt_type[roots] == mujoco.mjtJoint.mjJNT_FREE)  # lies about; no stop of this axis
@@ -340,7 +349,7 @@ class SwitchFinder:
                 self.problems.add(axis, f"the hard stop ({geoms} touch) comes before {pin}, which trips at {touch:g}")
             if stop:
                 return
-            if q != touch and not (self.data.sensordata[found] > 0 and self.data.sensordata[dist] <= 0):
+            if q != touch and not (self.data.sensordata[found_address] > 0 and self.data.sensordata[dist] <= 0):
                 text = f"switch {pin} trips at {touch:g} but lets go again before {q:g}: lengthen its vane up to the hard stop"
                 self.problems.add(axis, text)
                 return
