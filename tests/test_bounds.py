@@ -11,7 +11,7 @@ from stage.board.host import _nanoseconds
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.chips.chip import MAX_CLOCKS
 from stage.drives import dynamometer
-from stage.drives.dc_motors import MOST_COUNTS, Servo
+from stage.drives.dc_motors import MAX_COUNTS, Servo
 from stage.firmware import Bench, Profile
 from stage.firmware.axis import check_seconds
 from stage.firmware.hctl1100 import profile as servo_profile
@@ -50,7 +50,7 @@ PLAIN = {
     "bus_voltage of a drive": (lambda v: Drive(bus_voltage=v), (1e-9, 400), (0, 400.1)),
     "current": (lambda v: Drive(current=v), (1e-9, 2 * MOTOR.rated_current), (0, 2.01 * MOTOR.rated_current)),
     "detent": (lambda v: Drive(detent=v), (0, MOTOR.holding_torque), (-1e-9, 1.01 * MOTOR.holding_torque)),
-    "counts": (lambda v: Servo(counts=v), (4, MOST_COUNTS), (3, MOST_COUNTS + 1, 4.5, True)),
+    "counts": (lambda v: Servo(counts=v), (4, MAX_COUNTS), (3, MAX_COUNTS + 1, 4.5, True)),
     "bus_voltage of a servo": (lambda v: Servo(bus_voltage=v), (1e-9, 400), (0, 400.1)),
     "bus cycle of a bench": (lambda v: Bench(PCL240K(), bus_cycle=v), (0, 1), (-1e-9, 1.001)),
     "chips of a bench": (lambda v: Bench(*(PCL240K() for _ in range(v))), (1, 6), (0, 7)),

@@ -12,19 +12,26 @@ from stage.drives.motors import MAX_BUS_VOLTAGE, within
 from stage.errors import ArgumentError, unknown
 from stage.support.arguments import told_when_made
 
-MOST_COUNTS = 1 << 20
+MAX_COUNTS = 1 << 20
 MAX_CURRENT_A = 1000
 
 
 @told_when_made
 @dataclass(frozen=True)
 class DCMotor:
-    """A brushed DC motor with permanent magnets.
+    """Brushed DC motor with permanent magnets.
 
-    resistance ohm (terminals), torque_constant N m/A (the back-EMF constant in V s/rad as well), rotor_inertia kg m^2,
-    continuous_torque N m, nominal_voltage V. `evidence` says for a field where its value comes from, as `motors.EVIDENCE` has it.
+    Attributes:
+        name: Maker's name of the motor.
+        resistance: Resistance at the terminals, ohm.
+        torque_constant: N m/A; the back-EMF constant in V s/rad as well.
+        rotor_inertia: kg m^2.
+        continuous_torque: N m.
+        nominal_voltage: V.
+        evidence: Source of a field's value, by the field's name, as `motors.EVIDENCE` has it.
 
-    Raises ArgumentError for values that no motor has.
+    Raises:
+        ArgumentError: A value that no motor has.
     """
 
     name: str
@@ -44,7 +51,7 @@ class DCMotor:
 
     @property
     def stall_torque(self) -> float:
-        """N m at the nominal voltage."""
+        """Torque at rest with the nominal voltage, N m."""
         return self.torque_constant * self.nominal_voltage / self.resistance
 
 
@@ -113,9 +120,9 @@ class Servo:
             within("current_limit", self.current_limit, 0, MAX_CURRENT_A, "A", otherwise=otherwise)
         within("bus_voltage", self.bus_voltage, 0, MAX_BUS_VOLTAGE, "V")
         number = isinstance(self.counts, Real) and not isinstance(self.counts, bool)
-        if not number or not 4 <= self.counts <= MOST_COUNTS or int(self.counts) != self.counts:
+        if not number or not 4 <= self.counts <= MAX_COUNTS or int(self.counts) != self.counts:
             raise ArgumentError(
-                f"counts={self.counts!r}: an encoder has a whole number of counts a turn, 4 to {MOST_COUNTS:,}."
+                f"counts={self.counts!r}: an encoder has a whole number of counts a turn, 4 to {MAX_COUNTS:,}."
             )
 
     @property
@@ -133,7 +140,7 @@ class Servo:
 
     @property
     def pulses_per_turn(self) -> int:
-        """What a turn is for the chip: counts."""
+        """Counts of a turn, the chip's unit."""
         return int(self.counts)
 
     def fill(self, record: Any) -> None:

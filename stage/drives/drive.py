@@ -1,5 +1,4 @@
-"""The functions that every drive gives to the engine: the `mode` of a DRIVE record says whether it is a stepper drive or a servo
-amplifier.
+"""Functions that every drive has for the engine: the `mode` of a DRIVE record is a stepper drive or a servo amplifier.
 
 A stepper's chip commands pulses, a servo's the counts of its encoder: both are angles of the rotor. What goes to the actuator, the
 drive's *effort*, is the torque of a stepper and the terminal voltage of a DC motor.
@@ -11,13 +10,22 @@ from stage.drives import servo, stepper
 from stage.drives.stepper import DRIVE, SERVO
 from stage.native import exported, hot
 
-__all__ = ["DRIVE", "SERVO", "align", "at_rest", "behind", "effort", "load_angle", "lost_steps", "torque", "voltage"]
+__all__ = ["DRIVE", "SERVO", "align", "at_rest", "lag", "effort", "load_angle", "lost_steps", "torque", "voltage"]
 
 
 @hot
 def effort(d, signal, n, theta, omega, h, gain=0.0):
-    """What goes to the actuator, mean over n slices of h seconds, N m or V. signal: (n,), from the chip: mean pulses so far,
-    or shares of full drive; theta: rotor angle (rad) in the middle of the first slice; omega: rad/s; gain: see `mean_torque`."""
+    """Compute the mean effort over n slices of h seconds, N m or V.
+
+    Args:
+        d: DRIVE record.
+        signal: (n,), from the chip: mean pulses so far, or shares of full drive.
+        n: Number of slices.
+        theta: Rotor angle in the middle of the first slice, rad.
+        omega: Speed of the rotor, rad/s.
+        h: Length of a slice, s.
+        gain: As of `mean_torque`.
+    """
     if d.mode == SERVO:
         return servo.voltage(d, signal, n, omega, gain)
     return stepper.mean_torque(d, signal, n, theta, omega, h, gain)
@@ -25,42 +33,42 @@ def effort(d, signal, n, theta, omega, h, gain=0.0):
 
 @hot
 def torque(d, effort):
-    """The motor's torque, N m, when that goes to its actuator."""
+    """Return the motor's torque, N m, when `effort` goes to its actuator."""
     return d.torque_constant * d.current_a if d.mode == SERVO else effort
 
 
 @hot
 def voltage(d, effort):
-    """The terminal voltage of a DC motor, V; 0 for a stepper, whose phases have one each."""
+    """Return the terminal voltage of a DC motor, V; 0 for a stepper, whose phases have one each."""
     return effort if d.mode == SERVO else 0.0
 
 
 @hot
 def align(d, count, theta):
-    """Power up. The encoder of a servo is where it is."""
+    """Power up; the encoder of a servo keeps its count."""
     if d.mode != SERVO:
         stepper.align(d, count, theta)
 
 
 @hot
 def at_rest(d, count):
-    """What the chip says, see `effort`, while it moves nothing."""
+    """Return the signal of a chip, see `effort`, that moves nothing."""
     return 0.0 if d.mode == SERVO else float(count)
 
 
 @exported("f8", DRIVE, "f8", "f8")
 def load_angle(d, count, theta):
-    """Commanded minus rotor angle, electrical radians; plain radians for a servo."""
+    """Return commanded minus rotor angle, electrical radians; plain radians for a servo."""
     return stepper.load_angle(d, count, theta)
 
 
 @exported("f8", DRIVE, "f8", "f8")
-def behind(d, count, theta):
-    """Commanded minus rotor angle, rad."""
+def lag(d, count, theta):
+    """Return commanded minus rotor angle, rad."""
     return stepper.mechanical(d, stepper.load_angle(d, count, theta))
 
 
 @exported("i8", DRIVE, "f8", "f8")
 def lost_steps(d, count, theta):
-    """Full steps by which the rotor is behind; a servo loses none."""
+    """Return the full steps by which the rotor lags; a servo loses none."""
     return 0 if d.mode == SERVO else stepper.lost_steps(d, count, theta)

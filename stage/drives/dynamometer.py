@@ -1,4 +1,4 @@
-"""A test bench for motor and drive without a stage: a rotor, an inertia, a brake.
+"""Test bench for motor and drive without a stage: a rotor, an inertia, a brake.
 
     trace = follow(drive, pulses(rates), inertia=...)       one run, everything in it
     pull_out(drive, rpm), pull_in(drive, inertia), ring_down(drive, inertia), resonance_sweep(drive, rates)
@@ -33,8 +33,15 @@ Floats = Sequence[float] | np.ndarray
 
 
 class PullOut(NamedTuple):
-    """A pull-out curve: rpm (n,), and in N m (n,): simulated with the drive and with an ideal sine drive, the closed forms at V
-    and at 4/pi V (all that a saturated chopper can reach), and that of a sine drive bound by V and I at once."""
+    """Pull-out curve.
+
+    Attributes:
+        rpm: Speeds, (n,).
+        chopper, sine: Torque simulated with the drive and with an ideal sine drive, N m, (n,).
+        ideal, ideal_saturated: Closed forms at V and at 4/pi V (all that a saturated chopper can reach), N m, (n,).
+        bound_by_both: Closed form of a sine drive bound by V and I at once, N m, (n,).
+        steps_per_turn: Full steps of a turn.
+    """
 
     rpm: np.ndarray
     chopper: np.ndarray
@@ -124,7 +131,7 @@ def _follow(d, counts, load, inertia, viscous, damper, theta, omega, trace):
 
 
 def slices(seconds: float) -> int:
-    """Slices in a time."""
+    """Return the number of slices in a time, s."""
     return round(seconds / H)
 
 
@@ -134,11 +141,11 @@ def pulses(rates: Floats) -> np.ndarray:
     The exact mean of the staircase: an average of a slice's ends alone would beat with the pulses.
     """
     edges = np.concatenate([[0.0], np.cumsum(np.asarray(rates, float) * H)]) + 1e-6  # a sum that falls short of a pulse
-    whole = np.floor(edges[:-1])
-    run, whole_end = edges[1:] - whole, np.floor(edges[1:]) - whole
-    area = whole_end * (run - 0.5 * (whole_end + 1))  # under the staircase, from the slice's first whole pulse on
+    first_pulse = np.floor(edges[:-1])
+    run, last_pulse = edges[1:] - first_pulse, np.floor(edges[1:]) - first_pulse
+    area = last_pulse * (run - 0.5 * (last_pulse + 1))  # under the staircase, from the slice's first whole pulse on
     moved = np.diff(edges)
-    return whole + np.divide(area, moved, out=np.zeros_like(area), where=moved != 0)
+    return first_pulse + np.divide(area, moved, out=np.zeros_like(area), where=moved != 0)
 
 
 def follow(
@@ -151,42 +158,66 @@ def follow(
     theta: float | None = None,
     omega: float = 0.0,
 ) -> np.ndarray:
-    """Run the motor through `counts`, (n,) commanded pulses a slice; returns TRACE, (n,).
+    """Run a motor through a waveform of commanded pulses.
 
-    The drive starts on counts[0], the rotor there too or at `theta` rad, turning at `omega` rad/s. inertia: kg m^2, rotor
-    included. load: friction N m, a number or (n,). viscous: N m s/rad to the frame, beside the motor's core loss.
-    damper: N m s/rad to a flywheel that
-    turns at the starting speed for ever, so that it takes no torque from a rotor that keeps up.
+    The drive starts on counts[0].
 
-    Raises ArgumentError for an inertia that is not above 0, for friction below 0, for an empty course.
+    Args:
+        drive: Drive with its motor.
+        counts: (n,), commanded pulses, mean over each slice.
+        inertia: kg m^2, rotor included.
+        load: Friction, N m, a number or (n,).
+        viscous: Damping to the frame, N m s/rad, beside the motor's core loss.
+        damper: Damping to a flywheel that turns at the starting speed for ever, N m s/rad, so that it takes no torque from a rotor
+            that keeps up.
+        theta: Rotor angle at the start, rad; default: on counts[0].
+        omega: Speed at the start, rad/s.
+
+    Returns:
+        TRACE, (n,).
+
+    Raises:
+        ArgumentError: An inertia that is not above 0, friction below 0, or no counts.
     """
     _check_inertia(drive, inertia)
-    course = np.array(counts, float)
-    if course.ndim != 1 or not len(course):
-        raise ArgumentError(f"counts of shape {course.shape}: give one pulse count a slice, for example pulses(rates).")
-    if np.shape(load) not in ((), course.shape):
-        raise ArgumentError(f"load of shape {np.shape(load)}: give one number, or {len(course)}, one a slice.")
+    waveform = np.array(counts, float)
+    if waveform.ndim != 1 or not len(waveform):
+        raise ArgumentError(
+            f"counts of shape {waveform.shape}: give one pulse count a slice, for example pulses(rates)."
+        )
+    if np.shape(load) not in ((), waveform.shape):
+        raise ArgumentError(f"load of shape {np.shape(load)}: give one number, or {len(waveform)}, one a slice.")
     if not (np.min(load) >= 0 and viscous >= 0 and damper >= 0):
         raise ArgumentError(
             f"load={load!r}, viscous={viscous!r}, damper={damper!r}: friction takes power: give 0 or more."
         )
     rows = np.zeros(1, stepper.DRIVE)
     drive.fill(rows[0])
-    trace = np.zeros(len(course), TRACE)
-    brake = np.array(np.broadcast_to(np.asarray(load, float), course.shape))
-    start = drive.per_pulse * course[0] / drive.motor.rotor_teeth if theta is None else theta
+    trace = np.zeros(len(waveform), TRACE)
+    brake = np.array(np.broadcast_to(np.asarray(load, float), waveform.shape))
+    start = drive.per_pulse * waveform[0] / drive.motor.rotor_teeth if theta is None else theta
     viscous = float(viscous) + drive.motor.core_loss_damping
-    _follow(rows, course, brake, float(inertia), viscous, float(damper), float(start), float(omega), trace)
+    _follow(rows, waveform, brake, float(inertia), viscous, float(damper), float(start), float(omega), trace)
     return trace
 
 
 def load_angle(drive: Drive, trace: np.ndarray) -> np.ndarray:
-    """Commanded minus rotor angle of a trace, electrical radians, not wrapped, (n,)."""
+    """Return commanded minus rotor angle of a trace, electrical radians, not wrapped, (n,).
+
+    Args:
+        drive: Drive of the trace.
+        trace: TRACE, (n,).
+    """
     return drive.per_pulse * trace["count"] - drive.motor.rotor_teeth * trace["theta"]
 
 
 def lost_steps(drive: Drive, trace: np.ndarray) -> int:
-    """Full steps that the rotor is behind at a trace's end: stepper.lost_steps of its last slice."""
+    """Return the full steps by which the rotor lags at a trace's end.
+
+    Args:
+        drive: Drive of the trace.
+        trace: TRACE, (n,).
+    """
     rows = np.zeros(1, stepper.DRIVE)
     drive.fill(rows[0])
     return int(stepper.lost_steps(rows[0], float(trace["count"][-1]), float(trace["theta"][-1])))
@@ -200,7 +231,7 @@ def _speeds(rpm: Floats) -> np.ndarray:
 
 
 def _damper(drive: Drive, inertia: float, ratio: float) -> float:
-    """N m s/rad that damp the rotor's swing about its field by `ratio` of critical."""
+    """Return the damping of the rotor's swing about its field that is `ratio` of critical, N m s/rad."""
     within("damping_ratio", ratio, 0, 10, "times critical", zero=True)
     return 2 * ratio * inertia * 2 * math.pi * natural_frequency(replace(drive, detent=0.0), inertia)
 
@@ -255,9 +286,18 @@ def pull_out(drive: Drive, rpm: Floats, inertia: float | None = None, damping_ra
 def lost_in_start(
     drive: Drive, rate: float, inertia: float, accel: float = 0.0, load: float = 0.0, viscous: float = VISCOUS
 ) -> int:
-    """Full steps lost by a start from rest to `rate` pps: at once (accel 0), or ramped from 0 at `accel` pps/s.
+    """Count the full steps lost by a start from rest, 0.4 s after the rate is reached.
 
-    inertia: kg m^2, rotor included; load: friction N m; viscous: N m s/rad. Judged 0.4 s after the rate is reached.
+    Args:
+        drive: Drive with its motor.
+        rate: Pulse rate, pps.
+        inertia: kg m^2, rotor included.
+        accel: Ramp from 0, pps/s; 0: at once.
+        load: Friction, N m.
+        viscous: Damping, N m s/rad.
+
+    Raises:
+        ArgumentError: A rate or a ramp is out of range.
     """
     if not (0 < rate <= 1e7 and 0 <= accel < math.inf):
         raise ArgumentError(
@@ -269,10 +309,16 @@ def lost_in_start(
 
 
 def pull_in(drive: Drive, inertia: float, load: float = 0.0, viscous: float = VISCOUS) -> float:
-    """Pull-in rate, pps: up to it a motor starts at once, from rest, without losing a step.
+    """Find the pull-in rate, pps: up to it a motor starts at once, from rest, without losing a step. 0 if no rate does.
 
-    inertia: kg m^2, rotor included; load: friction N m; viscous: N m s/rad. Looked for from 50 full steps a second up, in steps
-    of 3 %, then halved down to 0.2 %: so every slower rate tried starts as well. 0 if none does.
+    The search goes from 50 full steps a second up in steps of 3 %, then halves down to 0.2 %: so every slower rate tried starts as
+    well.
+
+    Args:
+        drive: Drive with its motor.
+        inertia: kg m^2, rotor included.
+        load: Friction, N m.
+        viscous: Damping, N m s/rad.
     """
     low, high = 0.0, 50.0 * drive.microsteps
     while lost_in_start(drive, high, inertia, 0.0, load, viscous) == 0:
@@ -281,15 +327,22 @@ def pull_in(drive: Drive, inertia: float, load: float = 0.0, viscous: float = VI
             return low
     while low and high > 1.002 * low:
         middle = 0.5 * (low + high)
-        kept = lost_in_start(drive, middle, inertia, 0.0, load, viscous) == 0
-        low, high = (middle, high) if kept else (low, middle)
+        keeps_step = lost_in_start(drive, middle, inertia, 0.0, load, viscous) == 0
+        low, high = (middle, high) if keeps_step else (low, middle)
     return low
 
 
 def ring_down(drive: Drive, inertia: float, microstep: int = 0, viscous: float = 0.0) -> float:
     """Simulate the natural frequency, Hz: the rotor is let go 1/40 full step beside a microstep; mean of its zero crossings.
 
-    inertia: kg m^2, rotor included; viscous: N m s/rad.
+    Args:
+        drive: Drive with its motor.
+        inertia: kg m^2, rotor included.
+        microstep: Microstep on which the drive stands.
+        viscous: Damping, N m s/rad.
+
+    Raises:
+        ArgumentError: The rotor does not ring twice.
     """
     aside = math.pi / 2 / 40 / drive.motor.rotor_teeth
     rest = drive.per_pulse * microstep / drive.motor.rotor_teeth
@@ -308,7 +361,13 @@ def ring_down(drive: Drive, inertia: float, microstep: int = 0, viscous: float =
 
 
 class Resonance(NamedTuple):
-    """Full steps per second (n,), pull-out torque there (N m), and the unloaded rotor's speed ripple (rms, rad/s)."""
+    """Results of a sweep of the step rate.
+
+    Attributes:
+        rate: Full steps per second, (n,).
+        torque: Pull-out torque there, N m.
+        ripple: Speed ripple of the unloaded rotor, rms, rad/s.
+    """
 
     rate: np.ndarray
     torque: np.ndarray
@@ -318,10 +377,16 @@ class Resonance(NamedTuple):
 def resonance_sweep(
     drive: Drive, rates: Floats, inertia: float | None = None, damping_ratio: float = 0.06
 ) -> Resonance:
-    """Pull-out torque and speed ripple of a nearly bare rotor over `rates`, full steps per second.
+    """Simulate pull-out torque and speed ripple of a nearly bare rotor over the step rate.
 
-    inertia: kg m^2, rotor included; default the bare rotor. A full-step drive shakes it at its step rate: where that meets the
-    natural frequency torque is lost, down to 0 where the rotor falls out of step unloaded.
+    A full-step drive shakes it at its step rate: where that meets the natural frequency torque is lost, down to 0 where the rotor
+    falls out of step unloaded.
+
+    Args:
+        drive: Drive with its motor.
+        rates: Full steps per second, (n,).
+        inertia: kg m^2, rotor included; default: the bare rotor.
+        damping_ratio: As of `pull_out`.
     """
     rate = np.atleast_1d(np.asarray(rates, float))
     inertia = drive.motor.rotor_inertia if inertia is None else inertia
@@ -338,9 +403,14 @@ def resonance_sweep(
 
 
 def pull_out_table(drive: Drive, rpm: Floats | None = None, progress: Callable[[float], None] | None = None) -> PullOut:
-    """Everything that the pull-out picture shows; print it for the rows. rpm: (n,), default 50 to 2400.
+    """Compute everything that the pull-out picture shows; print it for the rows.
 
-    The ideal sine drive has 256 microsteps and no detent. progress: called with the fraction done.
+    The ideal sine drive has 256 microsteps and no detent.
+
+    Args:
+        drive: Drive with its motor.
+        rpm: Speeds, (n,), default 50 to 2400.
+        progress: Called with the fraction done.
     """
     speeds = _speeds(rpm if rpm is not None else np.r_[50, 150:2401:75])
     sine = replace(drive, mode="sine", microsteps=256, detent=0.0)

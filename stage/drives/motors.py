@@ -202,7 +202,7 @@ def estimate_core_loss(motor: Motor | str) -> LikelyCoreLoss:
 
 
 def is_core_loss_known(motor: Motor | str) -> bool:
-    """Whether the core loss of a motor is fitted to a curve of it or stated by its data sheet, with or without a tolerance."""
+    """Return whether the core loss of a motor is fitted to a curve of it or stated by its data sheet."""
     return find_motor(motor).evidence.get("core_loss_resistance", "")[:1] in ("C", "S")
 
 
@@ -252,13 +252,18 @@ def find_motor(name: str | Motor) -> Motor:
 @told_when_made
 @dataclass(frozen=True)
 class Drive:
-    """A microstepping drive with its motor.
+    """Microstepping drive with its motor.
 
-    motor: a Motor or a preset's name; microsteps per full step, 1 to 256; bus_voltage V, up to 400; current A, amplitude of a
-    phase's sine (default: rated), up to twice the rated; mode "chopper", or "sine" for the ideal drive of the closed form;
-    detent N m in place of the motor's own (0: none).
+    Attributes:
+        motor: A Motor or a preset's name.
+        microsteps: Microsteps of a full step, 1 to 256.
+        bus_voltage: Supply voltage, V, up to 400.
+        current: Amplitude of a phase's sine, A, up to twice the rated current; default: rated.
+        mode: "chopper", or "sine" for the ideal drive of the closed form.
+        detent: Detent torque in place of the motor's own, N m; 0: none.
 
-    Raises ArgumentError that says what is allowed.
+    Raises:
+        ArgumentError: A value that no drive has.
     """
 
     PRESETS: ClassVar = MOTORS
@@ -287,17 +292,17 @@ class Drive:
 
     @property
     def amplitude(self) -> float:
-        """A: the phase current's amplitude, chosen or rated."""
+        """Amplitude of the phase current, A."""
         return self.motor.rated_current if self.current is None else self.current
 
     @property
     def detent_torque(self) -> float:
-        """N m: chosen or the motor's own."""
+        """Detent torque, N m: that of the drive or the motor's own."""
         return self.motor.detent_torque if self.detent is None else self.detent
 
     @property
     def peak_torque(self) -> float:
-        """N m: the most that the motor holds, with both phases at the amplitude."""
+        """Largest torque that the motor holds, with both phases at the amplitude, N m."""
         return math.sqrt(2) * self.motor.torque_constant * self.amplitude
 
     @property

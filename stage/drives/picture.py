@@ -1,8 +1,7 @@
-"""Pull-out curves as pictures. Needs matplotlib (extra `plot`), imported where a picture is drawn."""
+"""Picture of a pull-out curve. Needs matplotlib (extra `plot`), imported where a picture is drawn."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,20 +11,14 @@ from stage.drives.dynamometer import PullOut, bound_by_both, closed_form, pull_o
 from stage.drives.motors import Drive, Motor, estimate_core_loss
 from stage.drives.published_curves import PUBLISHED_CURVES, PublishedCurve
 from stage.drives.spread import vary
-from stage.errors import ArgumentError
 from stage.support.files import save_figure
 from stage.support.pictures import COLOURS, INK, MUTED, bare, figure
 
 ACCENT, BAND = COLOURS[0], "#cfe0f2"
 
 
-def _figure() -> tuple[Any, Any]:
-    fig = figure(9, 5.2)
-    return fig, fig.subplots()
-
-
 def _dress(ax: Any, drive: Drive, rpm_max: float, torque_max: float) -> None:
-    """Axes common to both pictures, with the pulse rate of the drive's microsteps below the speed."""
+    """Dress the axes of the picture, with the pulse rate of the drive's microsteps below the speed."""
     ax.set_xlim(0, rpm_max)
     ax.set_ylim(0, torque_max)
     ax.set_xlabel("speed (rpm)", color=INK)
@@ -39,7 +32,7 @@ def _dress(ax: Any, drive: Drive, rpm_max: float, torque_max: float) -> None:
 
 
 def _closed_forms(drive: Drive, rpm_max: float) -> tuple[Any, Any, Any, Any]:
-    """Speeds, finer than simulated, and there the closed forms at V and at 4/pi V, and the bound by V and I at once."""
+    """Return speeds, finer than simulated, and there the closed forms at V and at 4/pi V, and the bound by V and I at once."""
     rpm, (m, v, i) = np.linspace(0, rpm_max, 601), (drive.motor, drive.bus_voltage, drive.amplitude)
     return rpm, closed_form(m, v, i, rpm), closed_form(m, 4 / np.pi * v, i, rpm), bound_by_both(m, v, i, rpm)
 
@@ -56,9 +49,10 @@ def plot_pull_out(drive: Drive, table: PullOut, path: str | None = None, overwri
     Raises:
         FileError: The file exists, unless `overwrite`.
     """
-    fig, ax = _figure()
-    rpm, at_v, at_most, both = _closed_forms(drive, table.rpm.max())
-    ax.fill_between(rpm, at_v, at_most, color=BAND, linewidth=0, label="closed form, from V to 4/π V")
+    fig = figure(9, 5.2)
+    ax = fig.subplots()
+    rpm, at_v, saturated, both = _closed_forms(drive, table.rpm.max())
+    ax.fill_between(rpm, at_v, saturated, color=BAND, linewidth=0, label="closed form, from V to 4/π V")
     ax.plot(rpm, at_v, color=MUTED, linewidth=1.2, label="closed form at V: min($T_V$, $T_I$)")
     ax.plot(rpm, both, color=MUTED, linewidth=1.2, linestyle=(0, (1, 1.5)), label="sine bound by V and I at once")
     ax.plot(table.rpm, table.sine, "o", color=INK, markersize=3.4, clip_on=False, label="ideal sine drive, simulated")
@@ -102,29 +96,3 @@ def _draw_likely_loss(ax: Any, drive: Drive, rpm: np.ndarray) -> None:
     )
     label = f"likely: core loss {likely.low:.2g} to {likely.high:.2g} N m s/rad"
     ax.fill_between(rpm, low, high, color=COLOURS[1], alpha=0.25, linewidth=0, label=label)
-
-
-def plot_motors(curves: Sequence[tuple[Drive, PullOut]], path: str | None = None, overwrite: bool = False) -> Any:
-    """Several motors: each chopper curve over the band of its closed forms from V to 4/pi V. Saves; returns the figure.
-
-    The drives share one number of pulses per turn, that of the second scale. Raises ArgumentError for none, or for others;
-    FileError where the file exists, unless `overwrite`.
-    """
-    if len({drive.pulses_per_turn for drive, _ in curves}) != 1:
-        raise ArgumentError(f"{len(curves)} curves: give one or more, of drives with the same pulses per turn.")
-    fig, ax = _figure()
-    top = 0.0
-    for k, (drive, table) in enumerate(curves):
-        color = COLOURS[k % len(COLOURS)]
-        label = f"{drive.motor.name}, {drive.bus_voltage:g} V, {drive.amplitude:g} A"
-        rpm, at_v, at_most, _ = _closed_forms(drive, table.rpm.max())
-        ax.fill_between(rpm, at_v, at_most, color=color, alpha=0.13, linewidth=0)
-        ax.plot(table.rpm, table.chopper, color=color, linewidth=2.2, label=label)
-        top = max(top, table.chopper.max(), table.ideal_saturated.max())
-    _dress(ax, curves[0][0], max(table.rpm.max() for _, table in curves), 1.2 * top)
-    ax.set_title("Pull-out torque, chopper drive", loc="left", color=INK, fontsize=12, weight="bold")
-    ax.set_title("bands: closed form from V to 4/π V", loc="right", color=MUTED, fontsize=9)
-    ax.legend(frameon=False, fontsize=9, loc="upper right")
-    if path is not None:
-        save_figure(fig, path, 150, overwrite)
-    return fig

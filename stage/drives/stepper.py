@@ -52,25 +52,31 @@ SIN, COS, WAVES = range(3)
 
 @hot
 def load_angle(d, count, theta):
-    """Commanded minus rotor angle, electrical radians, not wrapped. count: pulses; theta: rotor angle, rad."""
+    """Return commanded minus rotor angle, electrical radians, not wrapped.
+
+    Args:
+        d: DRIVE record.
+        count: Pulses.
+        theta: Rotor angle, rad.
+    """
     return d.offset + d.per_pulse * count - theta * d.teeth
 
 
 @hot
 def mechanical(d, angle):
-    """Electrical to rotor radians."""
+    """Convert electrical to rotor radians."""
     return angle / d.teeth
 
 
 @hot
 def lost_steps(d, count, theta):
-    """Full steps by which the rotor is behind its pulses: 4 for each electrical turn slipped."""
+    """Return the full steps by which the rotor lags its pulses: 4 for each electrical turn slipped."""
     return 4 * int(math.floor(load_angle(d, count, theta) / (2.0 * math.pi) + 0.5))
 
 
 @hot
 def align(d, count, theta):
-    """Power up without a jump: put the field on the microstep nearest to the rotor, currents settled.
+    """Power up without a jump: put the field on the microstep nearest to the rotor, with the currents settled.
 
     A choice: a real drive powers up on its home microstep and pulls the rotor there, by up to two full steps. The
     currents are the targets, as if switched on long ago.
@@ -83,7 +89,7 @@ def align(d, count, theta):
 
 @hot
 def _prepare(d, h):
-    """What a slice of h seconds leaves of a current, what the bus voltage adds, and what back-EMF takes a (rad/s)."""
+    """Compute what a slice of h seconds leaves of a current, what the bus voltage adds, and what back-EMF takes a (rad/s)."""
     d.slice = h
     d.keep = math.exp(-h * d.resistance / d.inductance)
     d.reach = (1.0 - d.keep) * d.voltage / d.resistance
@@ -92,7 +98,7 @@ def _prepare(d, h):
 
 @hot
 def _pull_out_voltage(d, omega):
-    """T_V: the most that a voltage source of amplitude V holds at a speed (drives.md, 1)."""
+    """Return T_V: the largest torque that a voltage source of amplitude V holds at a speed (drives.md, 1)."""
     x = d.teeth * omega * d.inductance
     z2 = d.resistance * d.resistance + x * x
     return d.torque_constant * (d.voltage / math.sqrt(z2) - d.torque_constant * abs(omega) * d.resistance / z2)
@@ -105,7 +111,7 @@ def _is_sine_held(d, omega):
 
 
 @hot
-def _slice(d, a, b, ta, tb, s, c, omega, held):
+def _slice(d, a, b, ta, tb, s, c, omega, sine_held):
     """Compute the currents at the end of a slice that begins with a, b, and their means.
 
     ta, tb: cosine and sine of the commanded phase; s, c: sine and cosine of the rotor's; held: of `_is_sine_held`. The mean of a
@@ -116,7 +122,7 @@ def _slice(d, a, b, ta, tb, s, c, omega, held):
     if d.mode == CHOPPER:  # on target if a voltage within the bus takes it there, else as far as it gets
         ia = least(greatest(ia, a * d.keep + (push * s - d.reach)), a * d.keep + (push * s + d.reach))
         ib = least(greatest(ib, b * d.keep - (push * c + d.reach)), b * d.keep - (push * c - d.reach))
-    elif held:
+    elif sine_held:
         a, b = ia, ib
     else:
         ia = a * d.keep + (push * s + d.reach * ta)
@@ -193,19 +199,19 @@ def _follow_slices(d, waves, counts, n, s, c, turn_s, turn_c, omega, half):
         waves[SIN, k], waves[COS, k] = sincos(d.offset + d.per_pulse * counts[k])
     a, b, opened = d.current_a, d.current_b, d.open
     hs, hc = sincos(half)
-    held = _is_sine_held(d, omega)
+    sine_held = _is_sine_held(d, omega)
     total = tilt = 0.0
-    if not held:
+    if not sine_held:
         total, tilt = 0.5 * (b * c - a * s), -0.5 * (SLICES // 2) * (a * c + b * s)
     for k in range(n):
         middle_s, middle_c = turned(s, c, hs, hc)
-        a, b, _, _ = _slice(d, a, b, waves[COS, k], waves[SIN, k], middle_s, middle_c, omega, held)
+        a, b, _, _ = _slice(d, a, b, waves[COS, k], waves[SIN, k], middle_s, middle_c, omega, sine_held)
         if opened & A:
             a = 0.0
         if opened & B:
             b = 0.0
         s, c = turned(s, c, turn_s, turn_c)
-        if held:  # the currents are those of the middle of the slice, where the mean count belongs
+        if sine_held:  # the currents are those of the middle of the slice, where the mean count belongs
             total += b * middle_c - a * middle_s
             tilt += (k + 0.5 - SLICES // 2) * (a * middle_c + b * middle_s)
             continue
@@ -264,11 +270,19 @@ def mean_torque(d, counts, n, theta, omega, h, gain=0.0):
 
 @hot
 def torque(d, count, theta, omega, h):
-    """`mean_torque` of one slice; for benches, where no phase is open."""
+    """Advance the currents by one slice and return the mean torque, as `mean_torque`; for benches, where no phase is open.
+
+    Args:
+        d: DRIVE record.
+        count: Commanded pulses, mean over the slice.
+        theta: Rotor angle in the middle of the slice, rad.
+        omega: Speed of the rotor, rad/s.
+        h: Length of the slice, s.
+    """
     if d.slice != h:
         _prepare(d, h)
     tb, ta = sincos(d.offset + d.per_pulse * count)
     s, c = sincos(theta * d.teeth)
-    held = _is_sine_held(d, omega)
-    d.current_a, d.current_b, mean_a, mean_b = _slice(d, d.current_a, d.current_b, ta, tb, s, c, omega, held)
+    sine_held = _is_sine_held(d, omega)
+    d.current_a, d.current_b, mean_a, mean_b = _slice(d, d.current_a, d.current_b, ta, tb, s, c, omega, sine_held)
     return d.torque_constant * (mean_b * c - mean_a * s) - d.detent * 4.0 * s * c * (c * c - s * s)

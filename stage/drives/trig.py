@@ -14,7 +14,7 @@ FIRST, SECOND, THIRD = 1.5707963267341256, 6.077100506303966e-11, 2.022266248795
 
 @hot
 def sincos(x):
-    """(sin x, cos x), x in radians. No branch and no integer, so that a loop over it makes vector instructions."""
+    """Compute (sin x, cos x), x in radians. No branch and no integer, so that a loop over it makes vector instructions."""
     k = floor(x * QUARTERS + 0.5)
     r = x - k * FIRST - k * SECOND - k * THIRD
     z = r * r

@@ -198,7 +198,7 @@ class Axis:
         """Position by the pulses, m; it differs from `position` by following error and lost steps."""
         q = self.position
         d, net = self.read_drive()
-        return float(q + any_drive.behind(d, net, q * self.gear) / self.gear)
+        return float(q + any_drive.lag(d, net, q * self.gear) / self.gear)
 
     @property
     def lost_steps(self) -> int:

@@ -222,7 +222,7 @@ def _sample(h, a, effort, out):
     theta = q * t.gear
     out.time = world(h).now / SECOND
     out.position, out.velocity = q, v
-    out.commanded = q + drive.behind(d, net, theta) / t.gear
+    out.commanded = q + drive.lag(d, net, theta) / t.gear
     out.load_angle, out.torque = stepper.load_angle(d, net, theta), drive.torque(d, effort)
     out.voltage = drive.voltage(d, effort)
     out.current_a, out.current_b = d.current_a, d.current_b

@@ -169,7 +169,7 @@ def inspect_axis(world, c, t, d, clockwork, qpos, qvel, out):
     q = qpos[t.qpos] + v * tau
     theta = q * t.gear
     out.now, out.position, out.velocity = world.now, q, v
-    out.commanded = q + drive.behind(d, float(net), theta) / t.gear
+    out.commanded = q + drive.lag(d, float(net), theta) / t.gear
     out.lost_steps = drive.lost_steps(d, float(net), theta)
     out.pulses, out.counter, out.inputs = net, cores.counter(c, j), cores.inputs(c, j)
     out.outputs, out.status, out.busy = cores.outputs(c, j), cores.status(c, j), 1 if cores.busy(c, j) else 0

@@ -79,7 +79,7 @@ def test_a_servo_powers_up_where_it_is_and_loses_no_steps():
     drive.align(d, 1234.0, 0.7)
     assert d.offset == 0.0
     assert drive.at_rest(d, 1234) == 0.0
-    assert drive.behind(d, 2000, 0.0) == pytest.approx(2 * math.pi), "2000 counts are a turn"
+    assert drive.lag(d, 2000, 0.0) == pytest.approx(2 * math.pi), "2000 counts are a turn"
     assert drive.lost_steps(d, 1_000_000, 0.0) == 0
 
 

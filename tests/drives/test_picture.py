@@ -7,8 +7,7 @@ import pytest
 
 from stage.drives.dynamometer import pull_out_table
 from stage.drives.motors import Drive
-from stage.drives.picture import plot_motors, plot_pull_out
-from stage.errors import ArgumentError
+from stage.drives.picture import plot_pull_out
 
 RPM = [300, 900, 1500]
 
@@ -45,22 +44,3 @@ def test_the_picture_shows_the_simulated_curve_and_names_motor_voltage_and_micro
     assert ax.get_title("left").startswith("17HS4401")
     assert "24 V" in ax.get_title("right")
     assert "1/16" in ax.child_axes[0].get_xlabel()
-
-
-def test_several_motors_share_one_picture(table, tmp_path):
-    other = Drive("SS2422-5041")
-    shorter = table._replace(**{name: getattr(table, name)[:2] for name in table._fields[:6]})
-    figure = plot_motors([(Drive(), shorter), (other, pull_out_table(other, RPM))], str(tmp_path / "m.png"))
-    (ax,) = figure.axes
-    assert len(ax.lines) == 2
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("speed (rpm)", "pull-out torque (N m)")
-    assert ax.get_xlim() == (0, RPM[-1])
-    assert "1/16" in ax.child_axes[0].get_xlabel()
-    assert (tmp_path / "m.png").exists()
-
-
-def test_motors_with_unlike_pulse_scales_are_refused(table):
-    with pytest.raises(ArgumentError, match="same pulses per turn"):
-        plot_motors([(Drive(), table), (Drive(microsteps=8), table)])
-    with pytest.raises(ArgumentError, match="one or more"):
-        plot_motors([])
