@@ -7,7 +7,7 @@ import pytest
 
 from stage import ArgumentError, Drive, Stage, StageError, firmware
 from stage.board import Board
-from stage.board.host import _nanoseconds
+from stage.board.host import to_nanoseconds
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.chips.chip import MAX_CLOCKS
 from stage.drives import dynamometer
@@ -55,7 +55,7 @@ PLAIN = {
     "bus cycle of a bench": (lambda v: Bench(PCL240K(), bus_cycle=v), (0, 1), (-1e-9, 1.001)),
     "chips of a bench": (lambda v: Bench(*(PCL240K() for _ in range(v))), (1, 6), (0, 7)),
     "wait of a bench": (lambda v: Bench(PCL240K()).wait(v), (0, 1e-3), (-1e-9, 1e9)),
-    "seconds of a firmware": (lambda v: _nanoseconds(v, "timeout"), (0, BELOW_9), (-1e-9, 1e9, math.nan, math.inf)),
+    "seconds of a firmware": (lambda v: to_nanoseconds(v, "timeout"), (0, BELOW_9), (-1e-9, 1e9, math.nan, math.inf)),
     "seconds of a move": (check_seconds, (0, BELOW_9), (-1e-9, 1e9)),
     "spans": (
         lambda v: Profile(100, 200, 200, 100, 100, 12, chip=PCL240MS, spans=(v, 0)), (0, 4095), (-1, 4096),

@@ -13,7 +13,7 @@ from support.damage import damage, replace_value, zipped
 from support.examples import SEED, scaled
 
 from stage import Snapshot, Stage, firmware
-from stage.board import layout_files, library
+from stage.board import layouts, library
 from stage.board.devices.user_devices import CDevice
 from stage.chips.chip import Snapshot as ChipSnapshot
 from stage.cli import main
@@ -68,8 +68,8 @@ READERS = {
     ".snapshot": Snapshot.load,
     ".chip": ChipSnapshot.load,
     ".zip": share.read,
-    ".toml": layout_files.read,
-    ".json": layout_files.read,
+    ".toml": layouts.read_layout,
+    ".json": layouts.read_layout,
     ".elf": lambda path: Elf(path, ARM, "cortex-m3", "build it for one"),
     ".rrd": read,
 }
@@ -299,7 +299,7 @@ def test_a_file_that_grows_while_it_is_read_is_refused(tmp_path, monkeypatch):
 
 
 FINDERS = {
-    "a library": library.check,
+    "a library": library.check_library,
     "a source": library.build,
     "a device": CDevice,
     "a program of a Cortex-M": lambda path: Elf(path, ARM, "cortex-m3", "arm-none-eabi-gcc"),

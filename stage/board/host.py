@@ -21,19 +21,25 @@ from stage.board import library, windows
 from stage.board.board import Board
 from stage.board.crash_report import IS_SUPPORTED
 from stage.board.errors import HostTimeout
-from stage.board.link import MOST
+from stage.board.link import UNBOUNDED
 from stage.board.scratch import Scratch
-from stage.board.thread_runner import PATIENCE, Loaded, Program, Threaded
+from stage.board.thread_runner import PATIENCE_S, Loaded, Program, ThreadRunner
 from stage.chips.sharing import Lock, exclusive
 from stage.errors import ArgumentError, RunTimeout, StageError
 
-MOST_CYCLES = 1_000_000_000
-SHOWN = 12  # lines of the trace in messages
+DEFAULT_MAX_CYCLES = 1_000_000_000
+SHOWN_CYCLES = 12  # lines of the trace in messages
 
 
 @dataclass(frozen=True)
 class Result:
-    """The result of a run. code: what the firmware returned; seconds, cycles: simulated time and bus cycles that it took."""
+    """The result of a run.
+
+    Attributes:
+        code: What the firmware returned.
+        seconds: Simulated time that it took.
+        cycles: Bus cycles that it took.
+    """
 
     code: int
     seconds: float
@@ -41,36 +47,46 @@ class Result:
 
 
 class Runner(Protocol):
-    """Where firmware runs. running: it has begun and not returned."""
+    """Where firmware runs: `ThreadRunner` in this process, `ProcessRunner` in a process of its own."""
 
     @property
-    def running(self) -> bool: ...
+    def running(self) -> bool:
+        """True while it has begun and not returned."""
+        ...
 
-    def go_on(self, until: int, most_cycles: int) -> int | None:
-        """Let it run up to a time (ns) or a number of cycles of the board. What it returned, or None if it stands still.
+    def go_on(self, until: int, max_cycles: int) -> int | None:
+        """Let it run, and pause it. An error ends it.
 
-        Raises what went wrong; it then runs no more.
+        Args:
+            until: Time of the board, ns.
+            max_cycles: Number of cycles of the board, at which it is paused at the latest.
+
+        Returns:
+            What it returned, or None if it is paused.
         """
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """End it, or give it up."""
 
 
 class Host:
-    """Firmware on a board: what is the same for all its kinds. See NativeHost and stage.targets.TargetHost.
+    """Firmware on a board, of any kind: see NativeHost and stage.targets.TargetHost.
 
-    Attributes: path: its file; board: the Board that it drives.
+    Attributes:
+        path: Its file.
+        board: The Board that it drives.
     """
 
     def __init__(self, program: Program, board: Board, isolated: bool, patience: float):
         self.path, self.board = program.path, board
         self._runner: Runner
         if isolated:
-            from stage.board.isolation.process_runner import Isolated
+            from stage.board.isolation.process_runner import ProcessRunner
 
-            self._runner = Isolated(program, board, patience)
+            self._runner = ProcessRunner(program, board, patience)
         else:
-            self._runner = Threaded(program, board, patience)
-        self._begun = (0, 0)
+            self._runner = ThreadRunner(program, board, patience)
+        self._start = (0, 0)  # time and cycles
 
     @classmethod
     def _check(cls, board: Board, patience: float, example: str) -> None:
@@ -81,59 +97,80 @@ class Host:
 
     @property
     def running(self) -> bool:
-        """The firmware has begun and not returned: it stands still in a bus cycle or delay."""
+        """True while the firmware has begun and not returned: it is paused in a bus cycle or delay."""
         return self._runner.running
 
     @property
     def log(self) -> list[tuple[float, str]]:
-        """The lines that the firmware noted (ps_log): seconds, text."""
+        """Lines that the firmware noted (ps_log): seconds, text."""
         return self.board.log
 
-    def run(self, timeout: float = 60.0, max_cycles: int = MOST_CYCLES) -> Result:
-        """Run the firmware until it returns: from its entry, or on from where it stands.
+    def run(self, timeout: float = 60.0, max_cycles: int = DEFAULT_MAX_CYCLES) -> Result:
+        """Run the firmware until it returns: from its entry, or on from where it is paused.
 
-        Raises HostTimeout after `timeout` seconds of simulated time or `max_cycles` bus cycles, with the last cycles; it then
-        stands still and may be run on. HostError if it makes no bus cycle for `patience` seconds of real time, or has crashed.
-        And what went wrong on the way: SimulationError, StormError, an exception of a hook.
+        Args:
+            timeout: Simulated time that it may take, s.
+            max_cycles: Bus cycles that it may take.
+
+        Raises:
+            HostTimeout: It has not returned then; it is paused and may be run on.
+            HostError: It makes no bus cycle for `patience` seconds of real time, or has crashed.
+            SimulationError, StormError: The stage has diverged, or an interrupt is not cleared. An exception of a hook in Python
+                comes out as it is.
         """
-        result = self._go_on(_nanoseconds(timeout, "timeout"), max_cycles)
+        result = self._go_on(to_nanoseconds(timeout, "timeout"), max_cycles)
         if result is None:
-            bound = (
-                f"{timeout:g} s of simulated time" if self.board.cycles < self._most else f"{max_cycles:,} bus cycles"
-            )
-            raise self._timeout(f"has not returned after {bound}")
+            by_time = self.board.cycles < self._cycle_limit
+            bound = f"{timeout:g} s of simulated time" if by_time else f"{max_cycles:,} bus cycles"
+            raise self._make_timeout(f"has not returned after {bound}")
         return result
 
-    def run_for(self, seconds: float, max_cycles: int = MOST_CYCLES) -> Result | None:
-        """Run the firmware for `seconds` of simulated time; it then stands still, in the middle of a delay maybe, and the stage
-        can be looked at and changed. Returns the Result if it has returned, else None; time then has passed up to its return.
+    def run_for(self, seconds: float, max_cycles: int = DEFAULT_MAX_CYCLES) -> Result | None:
+        """Run the firmware for a time, and pause it, in the middle of a delay maybe; the stage can be read and changed then.
 
-        Raises as `run`; HostTimeout for bus cycles only.
+        Args:
+            seconds: Simulated time, s.
+            max_cycles: Bus cycles that it may take.
+
+        Returns:
+            The Result if it has returned, up to which time then has passed; else None.
+
+        Raises:
+            HostTimeout: It has made too many bus cycles. Other errors as `run`.
         """
-        result = self._go_on(_nanoseconds(seconds, "seconds"), max_cycles)
-        if result is None and self.board.cycles >= self._most:
-            raise self._timeout(f"has made {max_cycles:,} bus cycles in less than {seconds:g} s")
+        result = self._go_on(to_nanoseconds(seconds, "seconds"), max_cycles)
+        if result is None and self.board.cycles >= self._cycle_limit:
+            raise self._make_timeout(f"has made {max_cycles:,} bus cycles in less than {seconds:g} s")
         return result
 
     def run_until(self, condition: Callable[[], bool], timeout: float, poll: float = 1e-3) -> float:
-        """Run the firmware until `condition()` holds, looked at every `poll` simulated seconds. Returns the seconds that passed.
+        """Run the firmware until `condition()` holds.
 
-        Raises RunTimeout when `timeout` was not enough or the firmware has returned before, and as `run`.
+        Args:
+            condition: Function without arguments.
+            timeout: Simulated time that it may take, s.
+            poll: Simulated time between two evaluations of the condition, s.
+
+        Returns:
+            The simulated seconds that passed.
+
+        Raises:
+            RunTimeout: `timeout` was not enough, or the firmware has returned before. Other errors as `run`.
         """
         stage = self.board.stage
         begin, name = stage.now, getattr(condition, "__name__", repr(condition))
-        end, pause = begin + _nanoseconds(timeout, "timeout"), max(_nanoseconds(poll, "poll"), 1)
+        end, interval = begin + to_nanoseconds(timeout, "timeout"), max(to_nanoseconds(poll, "poll"), 1)
         while not condition():
             if stage.now >= end:
                 raise RunTimeout(f"condition {name} did not come true in {timeout:g} s (now {stage.time:.6f} s).")
-            done = self.run_for(min(pause, end - stage.now) * 1e-9)
+            done = self.run_for(min(interval, end - stage.now) * 1e-9)
             if done is not None and not condition():
                 raise RunTimeout(f"{self.path.name} returned at {stage.time:.6f} s, and condition {name} is not true.")
         return (stage.now - begin) * 1e-9
 
     def close(self) -> None:
-        """Give up firmware that stands still; a process of its own ends. A thread cannot be ended: it waits for ever, and what
-        it stands in stays in memory."""
+        """Give up paused firmware; a process of its own ends. A thread cannot be ended: it waits for ever, and its code stays in
+        memory."""
         if self.running:
             self.board.stage.loop.check_state_allowed()
         self._runner.close()
@@ -164,27 +201,41 @@ class Host:
                     f"{board.driver.path.name} drives this board and has not returned: a bus has one host. "
                     "Run it on, or close() it."
                 )
-            board.driver, self._begun = self, (stage.now, board.cycles)
-        self._most = min(board.cycles + int(max_cycles), MOST)
-        code = self._runner.go_on(stage.now + ns, self._most)
-        now, cycles = self._begun
+            board.driver, self._start = self, (stage.now, board.cycles)
+        self._cycle_limit = min(board.cycles + int(max_cycles), UNBOUNDED)
+        code = self._runner.go_on(stage.now + ns, self._cycle_limit)
+        now, cycles = self._start
         return None if code is None else Result(code, (stage.now - now) * 1e-9, board.cycles - cycles)
 
-    def _timeout(self, what: str) -> HostTimeout:
+    def _make_timeout(self, what: str) -> HostTimeout:
         board = self.board
-        return HostTimeout(f"{self.path.name} {what} (now {board.stage.time:.6f} s). {board.trace.ending(SHOWN)}")
+        return HostTimeout(
+            f"{self.path.name} {what} (now {board.stage.time:.6f} s). {board.trace.ending(SHOWN_CYCLES)}"
+        )
 
 
 @dataclass(frozen=True)
 class NativeProgram:
-    """A library of this machine. cost: ps that each of its basic blocks takes; 0: it does not count them."""
+    """A library of this machine.
+
+    Attributes:
+        path: The library.
+        windows: Windows of memory-mapped registers.
+        cost: Time that each of its basic blocks takes, ps; 0: it does not count them.
+    """
 
     path: Path
     windows: tuple[windows.Window, ...] = ()
     cost: int = 0
 
     def load(self, board: Board, isolated: bool) -> Loaded:
-        """See `Program`. Raises LibraryError, ArgumentError for a window that cannot be, StageError for one in process."""
+        """Load a copy of the library.
+
+        Raises:
+            LibraryError: It is no firmware.
+            ArgumentError: There can be no such window.
+            StageError: There can be no windows here.
+        """
         if isolated and IS_SUPPORTED:
             from stage.board.isolation.traps import TrappedLibrary
 
@@ -198,20 +249,21 @@ class NativeHost(Host):
     """Firmware as a library of this machine.
 
     Args:
-        firmware: a shared library, or C or C++ sources (one, or a sequence), which are built first.
-        board: a Board; one firmware at a time drives it.
-        isolated: run it in a process of its own, whose crash is an error here (default, on POSIX systems; stage.board.isolation).
-            False is for debuggers: it is then loaded into this process, and whatever it does happens to this process.
-        flags: for the compiler.
-        platform: what the sources were written for (arduino, avr, vxworks, dos, freertos), see stage.board.platforms.
-        patience: seconds of real time that the firmware may compute without a bus cycle.
-        map: windows of memory-mapped registers, see stage.board.windows: one, or a sequence.
-        cost: simulated seconds that each basic block of the firmware takes (default: none), see docs/interrupts.md; sources are
+        firmware: A shared library, or C or C++ sources (one, or a sequence), which are built first.
+        board: A Board; one firmware at a time drives it.
+        isolated: Whether it runs in a process of its own, whose crash is an error here (default, on POSIX systems). False is for
+            debuggers: it is then loaded into this process by ctypes, and whatever it does happens to this process.
+        flags: Flags for the compiler.
+        platform: What the sources were written for (arduino, avr, vxworks, dos, freertos), see stage.board.platforms.
+        patience: Seconds of real time that the firmware may compute without a bus cycle.
+        map: Windows of memory-mapped registers, see stage.board.windows: one, or a sequence.
+        cost: Simulated seconds that each basic block of the firmware takes (default: none), see docs/interrupts.md; sources are
             built so that they count them.
+
     Raises:
-        ArgumentError: a patience that is none, a window that cannot be, a cost that is none.
-        LibraryError: not a library, for another machine, without the entry point, or not built with pulsestage.h.
-        CompileError, NoCompilerError: see `build`.
+        ArgumentError: There is no such patience, window or cost.
+        LibraryError: Not a library, for another machine, without the entry point, or not built with pulsestage.h.
+        CompileError, NoCompilerError: See `build`.
     """
 
     def __init__(
@@ -222,8 +274,8 @@ class NativeHost(Host):
         isolated: bool = os.name == "posix",
         flags: tuple[str, ...] = (),
         platform: str | None = None,
-        patience: float = PATIENCE,
-        map: windows.Given = (),
+        patience: float = PATIENCE_S,
+        map: windows.Windows = (),
         cost: float = 0.0,
     ):
         self._check(board, patience, "'driver.c'")
@@ -231,13 +283,15 @@ class NativeHost(Host):
             raise ArgumentError(
                 f"cost={cost!r}: simulated seconds a basic block, 1e-12 to 1, for example 50e-9; 0 for none."
             )
-        mapped = windows.windows(map)
+        mapped = windows.parse_windows(map)
         self._scratch = Scratch() if library.are_sources(firmware) else None  # what is built goes with the host
-        path = library.ready(firmware, flags, platform, self._scratch.path if self._scratch else None, metered=cost > 0)
+        folder = self._scratch.path if self._scratch else None
+        path = library.find_library(firmware, flags, platform, folder, metered=cost > 0)
         super().__init__(NativeProgram(path, mapped, round(cost * 1e12)), board, isolated, patience)
 
 
-def _nanoseconds(seconds: float, name: str) -> int:
+def to_nanoseconds(seconds: float, name: str) -> int:
+    """Convert a simulated time; raise ArgumentError with the name of the argument for one that is out of range."""
     if not (isinstance(seconds, int | float) and 0 <= seconds < 1e9 and math.isfinite(seconds)):
         raise ArgumentError(f"{name}={seconds!r}: simulated time from 0 to 1e9 s.")
     return round(seconds * 1e9)

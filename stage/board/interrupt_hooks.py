@@ -24,41 +24,53 @@ PYTHONS_TIMERS = range(interrupts.FIRST_PYTHON_TIMER, interrupts.FIRST_PYTHON_TI
 
 
 class Hooks:
-    """Of one board.
+    """Interrupt sources of one board, and the hooks in Python.
 
     Attributes:
-        sources: SOURCE records; functions: the hooks in Python, by the index of their source.
-        pointer: what compiled code calls for these; the hook's argument is the index.
+        sources: SOURCE records.
+        functions: The hooks in Python, by the index of their source.
+        pointer: The function that compiled code calls for these; the hook's argument is the index.
     """
 
     def __init__(self, link: Link):
         self._link = link
         self.functions: dict[int, Callable[[], None]] = {}
-        self._trampoline = HOOK(self._called)
+        self._trampoline = HOOK(self._call_from_compiled_code)
         self.pointer = ctypes.cast(self._trampoline, ctypes.c_void_p).value or 0
         self._left: list[np.ndarray] = []
         self.sources = np.zeros(interrupts.SOURCES, plain(interrupts.SOURCE))
         self.move_to(self.sources)
 
     def move_to(self, sources: np.ndarray) -> None:
-        """From now on the table is that array; who goes on with the one of before does so without effect."""
+        """Use that array for the table from now on; firmware that goes on with the old one has no effect."""
         sources[:] = self.sources
         self.sources, self._hooks = sources, np.zeros(interrupts.HOOKS, interrupts.HOOK_CALLED)
         self._left += [sources, self._hooks]
         h = self._link.record
         h["sources"], h["hooks"] = sources.ctypes.data, self._hooks.ctypes.data
         h["serving"] = h["level"] = 0
-        self.look()
+        self.rearm()
 
-    def look(self) -> None:
-        """After a change of the table: compiled code looks at it anew."""
+    def rearm(self) -> None:
+        """Let compiled code take over a changed table."""
         self._link.record["quiet"] = 0
-        requests.look_at_sources.c(self._link.pointer)
+        requests.rearm.c(self._link.pointer)
 
     def set(
         self, source: int, function: Callable[[], None] | None, lines: int = 0, level: int = 1, period: int = 0
     ) -> None:
-        """A hook in Python, or None. period: ns, of a timer. Raises ArgumentError."""
+        """Set the hook of a source to a function in Python, or remove it.
+
+        Args:
+            source: Index of the source.
+            function: The hook, or None.
+            lines: Lines (bits) that assert the source.
+            level: Level of the source, 1 to 15.
+            period: Period of a timer, ns; 0 for other sources.
+
+        Raises:
+            ArgumentError: The hook cannot be called.
+        """
         if function is not None and not callable(function):
             raise ArgumentError(f"hook={function!r}: give a function without arguments, or None.")
         if function is None:
@@ -70,20 +82,24 @@ class Hooks:
         row["level"], row["lines"], row["period"] = level, lines, period if function else 0
         row["pending"] = row["missed"] = 0
         row["next"] = self._link.stage.now + period
-        self.look()
+        self.rearm()
 
-    def without_firmware(self) -> None:
-        """The firmware has gone: its hooks are called no more, and those of Python in their place."""
-        self.sources[[k for k in range(interrupts.SOURCES) if k not in self.functions]] = np.zeros(
-            (), self.sources.dtype
-        )
+    def remove_firmware(self) -> None:
+        """Remove the hooks of firmware that has ended; those of Python take their place again."""
+        others = [k for k in range(interrupts.SOURCES) if k not in self.functions]
+        self.sources[others] = np.zeros((), self.sources.dtype)
         self.adopt(self.functions)
         h = self._link.record
-        h["serving"] = h["level"] = h["meter"] = h["stack_low"] = h["stack_high"] = h["looks"] = 0
-        self.look()
+        h["serving"] = h["level"] = h["meter"] = h["stack_low"] = h["stack_high"] = h["stack_checks"] = 0
+        self.rearm()
 
     def adopt(self, functions: Collection[int], keep: bool = False) -> None:
-        """The rows of the sources that Python has hooks for call these. keep: the line's hook stays as it is."""
+        """Let the sources that have hooks in Python call these.
+
+        Args:
+            functions: Indices of those sources.
+            keep: Whether the line's hook stays as it is.
+        """
         for source in PYTHONS_TIMERS:
             row = self.sources[source]
             row["hook"], row["argument"] = self.pointer if source in functions else 0, source
@@ -91,25 +107,26 @@ class Hooks:
             row = self.sources[interrupts.ANY_LINE]
             row["hook"], row["argument"] = self.pointer if interrupts.ANY_LINE in functions else 0, interrupts.ANY_LINE
             row["lines"], row["level"] = -1, 1
-        self.look()
+        self.rearm()
 
     def call(self, source: int) -> None:
         """Call a hook in Python, uninterrupted."""
         h, loop = self._link.record, self._link.stage.loop
-        before, kept = (h["level"], h["lazy"]), loop.state_refusal
+        before, keeps = (h["level"], h["lazy"]), loop.state_refusal
         h["level"], h["lazy"] = interrupts.HIGHEST, 0
+        name = name_source(source)
         loop.state_refusal = (
-            f"the hook of {named(source)} runs, and what it interrupts goes on from here: do that when it is over."
+            f"the hook of {name} runs, and what it interrupts goes on from here: do that when it is over."
         )
         try:
             if (function := self.functions.get(source)) is not None:
                 function()
         finally:
-            (h["level"], h["lazy"]), loop.state_refusal = before, kept
+            (h["level"], h["lazy"]), loop.state_refusal = before, keeps
             h["quiet"] = 0
 
-    def _called(self, source: int | None) -> None:
-        """Compiled code calls."""
+    def _call_from_compiled_code(self, source: int | None) -> None:
+        """Call a hook for compiled code, which gets its error later."""
         link = self._link
         before, link.record["in_python"] = int(link.record["in_python"]), 1
         try:
@@ -122,17 +139,17 @@ class Hooks:
             link.fail(error)
         link.record["in_python"] = before
 
-    # --- what went wrong, in words ---
+    # --- errors in words ---
 
-    def storm(self, source: int) -> str:
-        """A source whose hook is called without end."""
+    def describe_storm(self, source: int) -> str:
+        """Say whose hook is called without end, and why."""
         at = f"at {self._link.stage.time:.6f} s"
         if source < 0:
             return (
                 f"hooks of interrupts interrupt each other without end, {at}: a hook that lowers the level (ps_level) clears its "
                 "interrupt before."
             )
-        hook = "the interrupt hook" if source == interrupts.ANY_LINE else f"the hook of {named(source)}"
+        hook = "the interrupt hook" if source == interrupts.ANY_LINE else f"the hook of {name_source(source)}"
         again = f"{hook} was called {host_record.STORM_CALLS:,} times in a row {at} and"
         if period := int(self.sources[source]["period"]):
             return f"{again} is due again: it takes longer than its period of {period / 1e3:g} us, so that nothing else runs."
@@ -140,8 +157,14 @@ class Hooks:
             return f"{again} is raised again: it raises itself (ps_raise)."
         return f"{again} the line is still asserted: the hook has to clear the interrupt at its chip."
 
-    def refused(self, what: int, a: int, b: int) -> str:
-        """A request that makes no sense."""
+    def describe_refusal(self, what: int, a: int, b: int) -> str:
+        """Say what is out of range in a request.
+
+        Args:
+            what: The request, | WRONG_LEVEL if its level is wrong.
+            a: The number of the timer, line or interrupt, or the level.
+            b: The period, or the level.
+        """
         lines = len(self._link.stage.chips) + int(self._link.record["n_devices"])
         bounds = {
             host_record.TIMER: f"ps_timer({a}, ...), period {b} ns: timers are 0 to {interrupts.TIMERS - 1}, a period 0 (off) "
@@ -151,28 +174,27 @@ class Hooks:
             host_record.LEVEL: f"ps_level({a}): levels are 0 to {interrupts.HIGHEST}",
             host_record.RAISE: f"ps_raise({a}): software interrupts are 0 to {interrupts.SOFTWARE - 1}",
         }
-        of_level = f"level {b} of {_asked_for(what, a)}: levels of hooks are 1 to {interrupts.HIGHEST}"
+        of_level = f"level {b} of {_name_request(what, a)}: levels of hooks are 1 to {interrupts.HIGHEST}"
         return f"{bounds.get(what, of_level)}; at {self._link.stage.time:.6f} s."
 
     def check_returned(self) -> None:
-        """When the firmware returns: raise HostError if a hook that has never returned kept interrupts away in silence."""
+        """Raise HostError if a hook of firmware that returns has never returned, and has kept interrupts from being called."""
         h = self._link.record
         if not h["serving"]:
             return
         source, rows = int(self._hooks[int(h["serving"]) - 1]["source"]), self.sources
-        kept = (rows["hook"] != 0) & (rows["level"] <= h["level"])
-        asked = bool(np.any(kept & (rows["pending"] != 0))) or (
-            bool(np.any(kept & (rows["lines"] != 0))) and self._link.board.interrupt
-        )
-        if asked:
+        blocked = (rows["hook"] != 0) & (rows["level"] <= h["level"])
+        pending, on_line = (bool(np.any(blocked & (rows[name] != 0))) for name in ("pending", "lines"))
+        if pending or (on_line and self._link.board.interrupt):
             raise HostError(
-                f"the firmware has returned, and the hook of {named(source)} has not: it was left by a jump to another stack, and "
-                f"since then interrupts of level {h['level']} and below were not called. Call ps_level(0) where the code goes on."
+                f"the firmware has returned, and the hook of {name_source(source)} has not: it was left by a jump to another "
+                f"stack, and since then interrupts of level {h['level']} and below were not called. Call ps_level(0) where the "
+                "code goes on."
             )
 
 
-def named(source: int) -> str:
-    """A source in words."""
+def name_source(source: int) -> str:
+    """Return a source in words."""
     if source == interrupts.ANY_LINE:
         return "the interrupt line"
     for first, name, after in (
@@ -184,8 +206,8 @@ def named(source: int) -> str:
     return f"line {source - interrupts.FIRST_LINE}"
 
 
-def _asked_for(what: int, which: int) -> str:
-    """What ps_timer or ps_on_line was asked for."""
-    if what & ~host_record.OF_LEVEL == host_record.TIMER:
+def _name_request(what: int, which: int) -> str:
+    """Return in words the interrupt that a request of ps_timer or ps_on_line is about."""
+    if what & ~host_record.WRONG_LEVEL == host_record.TIMER:
         return f"timer {which}"
     return f"line {which}" if which < interrupts.SOFTWARE_LINE else f"PS_SOFTWARE({which - interrupts.SOFTWARE_LINE})"

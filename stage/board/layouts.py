@@ -1,33 +1,68 @@
-"""Which port of a host's bus reaches which address of which chip: layouts as data.
+"""Which port of a host's bus reaches which address of which chip: layouts as data, shipped or in a file.
 
 Chips stand one after the other from a base on, each as many ports as its layout has; a card may add ports of its own behind them.
+A file, TOML or JSON, says how the chips of a card lie on a bus, without a line of Python:
+
+    # card.toml: two chips whose registers lie in turn, and a port of the card itself
+    chip = "PCL240K"
+    base = 0x240
+    stride = 1
+    ports = ["byte 0", "none", "byte 1", "none", "byte 2", "none", "byte 3", "none"]
+    chips = 8
+    own = ["interrupts"]
+
+Keys: chip, the class; like, a shipped layout that the rest is taken from; the others are those of `Layout`. Numbers may be text as
+well ("0x240"), for JSON. What a port reaches is one of `WORDS`.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from stage.board.bus.host_record import BYTE, HALF, LAST_PORT, LATCH, LATCHED, NOTHING, PORT, PULLS, REGION, WORD
-from stage.chips import Chip, contract
+from stage.chips import CHIPS, Chip, chip_class, contract
 from stage.chips.hctl1100 import HCTL1100
 from stage.chips.nova import BYTES, MCX514, Nova
 from stage.chips.pcl240 import PCL240
-from stage.errors import ArgumentError, a_or_an, unknown
+from stage.errors import ArgumentError, a_or_an, near_names, unknown
+from stage.support.foreign_files import DocumentError, parse_json, parse_toml, read_text
 
-MOST_PORTS = LAST_PORT + 1
-GAP = 64
-"""Ports with nothing there: more of them in a row begin another region of the table."""
+MAX_PORTS = LAST_PORT + 1
+MIN_GAP = 64
+"""Ports with nothing there: as many of them in a row begin another region of the table."""
+WORDS = {
+    "byte": (BYTE, True), "word": (WORD, True), "upper": (HALF, True), "latch": (LATCH, False), "data": (LATCHED, False),
+    "interrupts": (PULLS, False), "none": (NOTHING, False),
+}  # fmt: skip
+"""What a port reaches, as a file says it -> (kind, whether an address of the chip follows): 8 bits; 16 bits; their upper byte, at
+the port behind the word; the address latch; the data, at the port behind it; the chips that pull the interrupt line; nothing."""
+KEYS = ("chip", "like", "title", "base", "stride", "ports", "own", "chips")
+ENDINGS = (".toml", ".json")
+MAX_SHOWN = 60
+"""Characters of a value that an error shows."""
+EXAMPLE = 'ports = ["byte 0", "byte 1", "byte 2", "byte 3"]'
 
 
 @dataclass(frozen=True)
 class Layout:
     """How one kind of chip lies on the bus.
 
-    ports: of each port of a chip, what it reaches: (kind, address), see `host_record`. stride: ports from one chip to the next.
-    own: ports of the card itself, behind room for `chips` chips. evidence: S data sheet, I inferred (a card's choice).
+    Attributes:
+        name: Its name.
+        title: What it is, in a line.
+        kind: Class of the chips.
+        ports: What each port of a chip reaches: (kind, address), see stage.board.bus.host_record.
+        stride: Ports from one chip to the next.
+        base: First port of the first chip.
+        own: Ports of the card itself, behind room for `chips` chips.
+        chips: How many chips the card has room for; 0: any number.
+        evidence: S data sheet, I inferred (a card's choice).
     """
 
     name: str
@@ -59,17 +94,17 @@ LAYOUTS: dict[str, Layout] = {
 }  # fmt: skip
 
 
-def usual(chip: Chip) -> Layout:
-    """The default layout of a chip: that which its class names in LAYOUT; one that names none has each bus address at a port of its
-    own."""
+def default_layout(chip: Chip) -> Layout:
+    """Return the layout that a chip has by default: a shipped one, or that which its class names in LAYOUT; a class that names none
+    has each bus address at a port of its own."""
     for layout in LAYOUTS.values():
         if isinstance(chip, layout.kind):
             return layout
     if chip.LAYOUT:
-        found = contract.loaded(type(chip), "LAYOUT", "its layout")
-        if not isinstance(found, Layout):
+        layout = contract.loaded(type(chip), "LAYOUT", "its layout")
+        if not isinstance(layout, Layout):
             raise ArgumentError(f"{type(chip).__name__}: LAYOUT = {chip.LAYOUT!r} is no stage.board.layouts.Layout.")
-        return found
+        return layout
     ports = [(BYTE, a) for a in range(chip.ADDRESSES)]
     if chip.DATA_MASK > 0xFF:
         ports = [(kind, a) for a in range(chip.ADDRESSES) for kind in (WORD, HALF)]
@@ -80,7 +115,14 @@ def usual(chip: Chip) -> Layout:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a chip lies on a bus. index: of the stage's chips."""
+    """Where a chip lies on a bus.
+
+    Attributes:
+        chip: The chip.
+        index: Its index among the stage's chips.
+        layout: Its layout.
+        first: Its first port.
+    """
 
     chip: Chip
     index: int
@@ -88,80 +130,234 @@ class Place:
     first: int
 
 
-def places(
-    chips: Mapping[int, Chip], layout: str | Layout | None, base: int | Mapping[Chip, int] | None, stride: int | None
+def place_chips(
+    chips: Mapping[int, Chip], layout: Layout | None, base: int | Mapping[Chip, int] | None, stride: int | None
 ) -> list[Place]:
-    """Where each of a stage's chips (by index, in their order on the bus) lies. Raises ArgumentError for a layout that does not
-    fit, or ports that do not exist."""
-    if isinstance(layout, str):
-        if layout not in LAYOUTS:
-            raise unknown("layout", layout, LAYOUTS)
-        layout = LAYOUTS[layout]
+    """Choose the ports of a stage's chips.
+
+    Args:
+        chips: The chips by index, in their order on the bus.
+        layout: Their layout; default: that of each chip.
+        base: First port of the first chip, or of each; default: the layout's.
+        stride: Ports from one chip to the next; default: the layout's.
+
+    Raises:
+        ArgumentError: A layout that does not fit, or ports that do not exist.
+    """
     found: list[Place] = []
     at = None if isinstance(base, Mapping) else base
     for k, chip in chips.items():
-        own = layout or usual(chip)
-        if not isinstance(chip, own.kind):
-            theirs = ", ".join(x.name for x in LAYOUTS.values() if isinstance(chip, x.kind))
+        one = layout or default_layout(chip)
+        if not isinstance(chip, one.kind):
+            fitting = ", ".join(x.name for x in LAYOUTS.values() if isinstance(chip, x.kind))
             raise ArgumentError(
-                f"layout {own.name}: it is for {a_or_an(own.kind.__name__)}, and this stage has "
+                f"layout {one.name}: it is for {a_or_an(one.kind.__name__)}, and this stage has "
                 f"{a_or_an(type(chip).__name__)}. Layouts for "
-                f"that: {theirs or 'the one that it has without layout=, or a Layout of yours'}."
+                f"that: {fitting or 'the one that it has without layout=, or a Layout of yours'}."
             )
-        if own.chips and len(chips) > own.chips:
+        if one.chips and len(chips) > one.chips:
             raise ArgumentError(
-                f"layout {own.name}: it has room for {own.chips} chips, and this stage has {len(chips)}."
+                f"layout {one.name}: it has room for {one.chips} chips, and this stage has {len(chips)}."
             )
-        first = base[chip] if isinstance(base, Mapping) else own.base if at is None else at
-        if not isinstance(first, int | np.integer) or not 0 <= first <= MOST_PORTS - len(own.ports):
-            shown = f"{first:#x}" if isinstance(first, int | np.integer) else repr(first)
+        first = base[chip] if isinstance(base, Mapping) else one.base if at is None else at
+        if not isinstance(first, int | np.integer) or not 0 <= first <= MAX_PORTS - len(one.ports):
+            text = f"{first:#x}" if isinstance(first, int | np.integer) else repr(first)
             raise ArgumentError(
-                f"base={shown}: ports are whole numbers from 0 to {LAST_PORT:X}h, and the chip takes {len(own.ports)}."
+                f"base={text}: ports are whole numbers from 0 to {LAST_PORT:X}h, and the chip takes {len(one.ports)}."
             )
-        found.append(Place(chip, k, own, int(first)))
-        at = int(first) + (own.stride if stride is None else stride)
+        found.append(Place(chip, k, one, int(first)))
+        at = int(first) + (one.stride if stride is None else stride)
     return found
 
 
-def table(
-    found: list[Place], others: Mapping[int, tuple[int, int, int, int]] | None = None
+def make_table(
+    places: list[Place], others: Mapping[int, tuple[int, int, int, int]] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The REGION records of a bus, and its PORT records. others: ports of devices, which no chip takes. Raises ArgumentError where
-    two things share a port."""
-    lines: dict[int, tuple[int, int, int, int]] = dict(others or {})
+    """Make the table of ports of a bus.
+
+    Args:
+        places: The chips.
+        others: Ports of devices, which no chip takes: (kind, chip, address, mask) by port.
+
+    Returns:
+        REGION records, and PORT records.
+
+    Raises:
+        ArgumentError: Two things share a port, or a port does not exist.
+    """
+    rows: dict[int, tuple[int, int, int, int]] = dict(others or {})
 
     def put(port: int, kind: int, chip: int, address: int, mask: int) -> None:
         if kind == NOTHING:
             return
         if port > LAST_PORT:
             raise ArgumentError(f"port {port:X}h: ports are 0 to {LAST_PORT:X}h, choose a lower base.")
-        if port in lines:
+        if port in rows:
             raise ArgumentError(
                 f"port {port:03X}h would reach two things: choose another base or a stride of more ports."
             )
-        lines[port] = (kind, chip, address, mask)
+        rows[port] = (kind, chip, address, mask)
 
-    for place in found:
+    for place in places:
         for n, (kind, address) in enumerate(place.layout.ports):
             put(place.first + n, kind, place.index, address, place.chip.ADDRESS_MASK)
-    if found and (own := found[0].layout).own:
-        for n, (kind, address) in enumerate(own.own):
-            put(found[0].first + own.stride * own.chips + n, kind, 0, address, 0)
-    if not lines:
+    if places and (card := places[0].layout).own:
+        for n, (kind, address) in enumerate(card.own):
+            put(places[0].first + card.stride * card.chips + n, kind, 0, address, 0)
+    if not rows:
         return np.zeros(0, REGION), np.zeros(1, PORT)
-    taken = np.array(sorted(lines), np.int64)
-    ends = np.flatnonzero(np.diff(taken, append=1 << 62) > GAP)
-    firsts = taken[np.concatenate([[0], ends[:-1] + 1])]
+    numbers = np.array(sorted(rows), np.int64)
+    ends = np.flatnonzero(np.diff(numbers, append=1 << 62) > MIN_GAP)
+    firsts = numbers[np.concatenate([[0], ends[:-1] + 1])]
     regions = np.zeros(len(firsts), REGION)
-    regions["first"], regions["n"] = firsts, taken[ends] - firsts + 1
+    regions["first"], regions["n"] = firsts, numbers[ends] - firsts + 1
     regions["at"] = 1 + np.cumsum(regions["n"]) - regions["n"]
     ports = np.zeros(1 + int(regions["n"].sum()), PORT)
-    ports[1:][taken - np.repeat(regions["first"] - regions["at"] + 1, np.diff(ends, prepend=-1))] = [
-        (*lines[port], 0) for port in taken.tolist()
-    ]
+    shifts = np.repeat(regions["first"] - regions["at"] + 1, np.diff(ends, prepend=-1))
+    ports[1:][numbers - shifts] = [(*rows[port], 0) for port in numbers.tolist()]
     return regions, ports
 
 
-def numbers(regions: np.ndarray) -> np.ndarray:
-    """Of each PORT record of a table, which port it is about; -1 for the first."""
+def list_ports(regions: np.ndarray) -> np.ndarray:
+    """Return the port that each PORT record of a table is about; -1 for the first record."""
     return np.concatenate([[-1], *(np.arange(first, first + n) for first, n, _ in regions.tolist())])
+
+
+# --- files ---
+
+
+def names_file(layout: Any) -> bool:
+    """Tell whether this names a file, and not a layout."""
+    return isinstance(layout, os.PathLike) or (isinstance(layout, str) and bool(Path(layout).suffix))
+
+
+def load_layout(layout: str | os.PathLike | Layout | None) -> Layout | None:
+    """Return a layout by its name, or from a file. Raises ArgumentError, and as `read_layout`."""
+    if names_file(layout):
+        return read_layout(layout)  # type: ignore[arg-type]
+    if isinstance(layout, str):
+        return _shipped(layout)
+    return layout  # type: ignore[return-value]
+
+
+def _shipped(name: str) -> Layout:
+    if name not in LAYOUTS:
+        raise unknown("layout", name[:MAX_SHOWN], LAYOUTS)
+    return LAYOUTS[name]
+
+
+def read_layout(path: str | os.PathLike) -> Layout:
+    """Read a layout from a file.
+
+    Raises:
+        FileError: The file cannot be read.
+        ArgumentError: It is no layout: what is wrong, and the line to write.
+    """
+    file = Path(path)
+    if file.suffix not in ENDINGS:
+        raise ArgumentError(f"layout {path}: a layout is a file that ends in {' or '.join(ENDINGS)}.")
+    text = read_text(path, "layout")
+    try:
+        content = parse_toml(text) if file.suffix == ".toml" else parse_json(text)
+    except DocumentError as error:
+        raise ArgumentError(f"layout {path} is no {file.suffix[1:].upper()}: {error}.") from None
+    try:
+        if not isinstance(content, dict):
+            raise ArgumentError(f"keys with values are wanted: {', '.join(KEYS)}.")
+        return _parse_layout(file.stem, content)
+    except ArgumentError as error:
+        raise ArgumentError(f"layout {path}: {error}") from None
+
+
+def _parse_layout(name: str, content: Mapping[str, Any]) -> Layout:
+    for key in content:
+        if key not in KEYS:
+            raise unknown("key", key[:MAX_SHOWN], KEYS)
+    start = _parse_start(name, content)
+    ports = _parse_ports("ports", content["ports"], start.kind) if "ports" in content else start.ports
+    if not ports:
+        raise ArgumentError(f"there is no line that says what the ports of a chip reach, or that takes them from a shipped layout. "
+                            f'Add for example: {EXAMPLE}, or: like = "pcl240"')  # fmt: skip
+    own = _parse_ports("own", content["own"], start.kind) if "own" in content else start.own
+    chips = _parse_number(content, "chips", start.chips, 0, 64)
+    if own and not chips:
+        raise ArgumentError(
+            "own ports lie behind room for so many chips, and nothing says how many. Add for example: chips = 4"
+        )
+    return replace(
+        start,
+        name=name, title=str(content.get("title", start.title)), ports=ports, own=own, chips=chips,
+        base=_parse_number(content, "base", start.base, 0, LAST_PORT),
+        stride=_parse_number(content, "stride", start.stride if "ports" not in content else len(ports), 1, LAST_PORT),
+    )  # fmt: skip
+
+
+def _parse_start(name: str, content: Mapping[str, Any]) -> Layout:
+    """Return what a file begins with: a shipped layout, or nothing but the class of the chip."""
+    kind = chip_class(str(content["chip"])[:MAX_SHOWN]) if "chip" in content else None
+    if "like" in content:
+        start = _shipped(str(content["like"]))
+        return replace(start, kind=kind or start.kind)
+    if kind is None:
+        raise ArgumentError(
+            f'there is no line that names the class of the chips. Add for example: chip = "PCL240K" (known: {", ".join(CHIPS)})'
+        )
+    return Layout(name, "a layout of a file", kind, (), 1, evidence="I")
+
+
+def _parse_ports(key: str, texts: Any, chip: type[Chip]) -> tuple[tuple[int, int], ...]:
+    if not isinstance(texts, list):
+        raise ArgumentError(
+            f"{key} = {texts!r:.{MAX_SHOWN}}: a list of what each port reaches. Write for example: {EXAMPLE}"
+        )
+    ports = tuple(
+        _parse_port(f"{key}, entry {n + 1}, {text!r:.{MAX_SHOWN}}", text, chip) for n, text in enumerate(texts)
+    )
+    for n, (kind, address) in enumerate(ports):
+        before = ports[n - 1] if n else (NOTHING, 0)
+        if kind == HALF and before != (WORD, address):
+            raise ArgumentError(
+                f'{key}, entry {n + 1}, "upper {address}": the entry before it has to be "word {address}".'
+            )
+        if kind == LATCHED and before[0] != LATCH:
+            raise ArgumentError(f'{key}, entry {n + 1}, "data": the entry before it has to be "latch".')
+    return ports
+
+
+def _parse_port(where: str, text: Any, chip: type[Chip]) -> tuple[int, int]:
+    word, _, number = str(text).partition(" ")
+    if word not in WORDS:
+        near = near_names(word, WORDS)
+        hint = f" Did you mean {near[0]!r}?" if near else ""
+        forms = ", ".join(f'"{name} N"' if addressed else f'"{name}"' for name, (_, addressed) in WORDS.items())
+        raise ArgumentError(f"{where}: a port reaches one of {forms}.{hint}")
+    kind, addressed = WORDS[word]
+    if kind in (WORD, HALF) and chip.DATA_MASK <= 0xFF:
+        raise ArgumentError(f'{where}: the bus of {a_or_an(chip.__name__)} has 8 bits. Write "byte" and the address.')
+    if not addressed:
+        if number:
+            raise ArgumentError(f'{where}: no address follows. Write "{word}".')
+        return kind, 0
+    highest = chip.ADDRESS_MASK if kind == BYTE else chip.ADDRESSES - 1
+    try:
+        address = int(number, 0)
+    except ValueError:
+        address = -1
+    if not 0 <= address <= highest:
+        raise ArgumentError(
+            f'{where}: an address of {a_or_an(chip.__name__)} follows, 0 to {highest}. Write for example "{word} 0".'
+        )
+    return kind, address
+
+
+def _parse_number(content: Mapping[str, Any], key: str, default: int, low: int, high: int) -> int:
+    value = content.get(key, default)
+    try:
+        number = int(value, 0) if isinstance(value, str) else value
+    except ValueError:
+        number = None
+    if isinstance(number, bool) or not isinstance(number, int) or not low <= number <= high:
+        raise ArgumentError(
+            f"{key} = {value!r:.{MAX_SHOWN}}: a whole number from {low} to {high}, for example {key} = {max(low, default)}"
+        )
+    return number

@@ -1,4 +1,4 @@
-"""What a firmware library must be, how to build one, and what to say if it is none."""
+"""Firmware libraries: building one from sources, checking that a file is one, and `Library`, which loads it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stage.board import platforms
-from stage.board.bus.requests import REQUEST, compute_as_before, compute_as_usual
+from stage.board.bus.requests import REQUEST, restore_float_mode, set_usual_float_mode
 from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCompilerError
 from stage.board.scratch import Scratch
 from stage.errors import ArgumentError, escape
@@ -31,27 +31,27 @@ if TYPE_CHECKING:
 ABI = 1
 SOURCES = (".c", ".cc", ".cpp", ".cxx", ".ino")
 ENTRY = "pulsestage_main"
-NEVER = (1 << 63) - 1  # of what a meter counts
-OWN_FIRST = ("-Wl,-Bsymbolic",) if sys.platform == "linux" else ()
+NO_LIMIT = (1 << 63) - 1  # basic blocks between two requests of a meter
+BIND_FLAGS = ("-Wl,-Bsymbolic",) if sys.platform == "linux" else ()
 """Calls within the firmware go to its own functions, whatever their names."""
-COMPLETE = ("-lm", "-Wl,-z,defs") if sys.platform == "linux" else ()
-"""What no library is to lack, for the linker."""
-HINT = (
+LINK_FLAGS = ("-lm", "-Wl,-z,defs") if sys.platform == "linux" else ()
+"""Flags with which the linker reports functions that are missing."""
+LINK_HINT = (
     "\nAdd the source or library that has it. A function of a platform may not be emulated (docs/porting.md); one in C that C++ "
     'calls is declared extern "C".'
 )
 _UNDEFINED = re.compile(r"undefined (?:reference to|symbol:?) [`'\"]?(.+?)['\"]?$", re.M)
-_OF_LINKER = re.compile(r"^collect2: |ld returned \d|linker command failed", re.M)
-_OF_GCC = "-fno-gnu-unique"
+_LINKER_ERROR = re.compile(r"^collect2: |ld returned \d|linker command failed", re.M)
+_GCC_FLAG = "-fno-gnu-unique"
 METER = Path(__file__).parent / "meter.c"
-"""What counts the basic blocks of firmware whose computing takes time."""
+"""Source of the counter of basic blocks, for firmware whose computing takes time."""
 MACHINES = {
     2: "SPARC", 3: "x86 (32 bit)", 4: "68000", 8: "MIPS", 20: "PowerPC", 40: "ARM (32 bit)", 42: "SuperH", 62: "x86-64", 83: "AVR",
     94: "Xtensa", 105: "MSP430", 183: "aarch64", 243: "RISC-V",
 }  # fmt: skip
-"""By e_machine of an ELF file."""
+"""Machines by e_machine of an ELF file."""
 ELF_HEAD_SIZE = 20
-_OURS = {"x86_64": "x86-64", "AMD64": "x86-64", "arm64": "aarch64"}
+MACHINE_NAMES = {"x86_64": "x86-64", "AMD64": "x86-64", "arm64": "aarch64"}
 
 
 def _demangle(message: str) -> str:
@@ -68,12 +68,12 @@ class BusStruct(ctypes.Structure):
 
 
 def include() -> Path:
-    """The folder of pulsestage.h."""
+    """Return the folder of pulsestage.h."""
     return Path(__file__).parent
 
 
 def how_to_build(path: Any = "driver.so") -> str:
-    """The command that builds a library."""
+    """Return the command that builds a library."""
     suffix = ".dylib" if platform.system() == "Darwin" else ".dll" if platform.system() == "Windows" else ".so"
     if Path(path).suffix == ".rs":
         return f"rustc --edition 2024 --crate-type cdylib {path} -o {Path(path).stem}{suffix}"
@@ -82,8 +82,8 @@ def how_to_build(path: Any = "driver.so") -> str:
     return f'cc -shared -fPIC -I"$(stage include)" {Path(path).stem}.c -o {Path(path).stem}{suffix}'
 
 
-def compiler(source: str | Path = "x.c") -> str:
-    """The compiler for a source: $CC or cc, of C++ $CXX or c++. Raises NoCompilerError."""
+def find_compiler(source: str | Path = "x.c") -> str:
+    """Return the compiler for a source: $CC or cc, of C++ $CXX or c++. Raises NoCompilerError."""
     variable, usual = (
         ("CC", ("cc", "gcc", "clang")) if Path(source).suffix == ".c" else ("CXX", ("c++", "g++", "clang++"))
     )
@@ -135,42 +135,37 @@ def build(
             f"output {os.fspath(output)}: a library is written there, and this is the name of a source. Several sources are one "
             "list: build([a, b]); the output ends in .so."
         )
-    of = platforms.platform_of(platform, files)
-    files = platforms.whole(files)
-    made = Path(output) if output else Path(tempfile.mkdtemp(prefix="pulsestage-")) / f"{files[0].stem}.so"
+    target = platforms.platform_of(platform, files)
+    files = platforms.add_sketch_files(files)
+    library = Path(output) if output else Path(tempfile.mkdtemp(prefix="pulsestage-")) / f"{files[0].stem}.so"
     with tempfile.TemporaryDirectory(prefix="pulsestage-") as folder:
-        meter = Path(folder) / "meter.o"
         if metered:
-            flags = ("-fsanitize-coverage=trace-pc", str(meter), *flags)
-            _compile(
-                METER, [*compiler(METER).split(), "-c", "-fPIC", "-O2", f"-I{include()}", str(METER), "-o", str(meter)]
-            )
-        recipe = platforms.recipe(
-            of,
-            files,
-            Path(folder),
-            lambda source, platform_flags: _needs_cplusplus(source, platform_flags, flags, folder),
+            meter = f"{folder}/meter.o"
+            _compile(METER, [*find_compiler().split(), "-c", "-fPIC", "-O2", f"-I{include()}", str(METER), "-o", meter])
+            flags = ("-fsanitize-coverage=trace-pc", meter, *flags)
+        recipe = platforms.make_recipe(
+            target, files, Path(folder), lambda source, more: _needs_cplusplus(source, more, flags, folder)
         )
         common = ["-fPIC", "-O2", "-g", *recipe.flags, f"-I{include()}"]
         messages, objects = [], []
         for k, source in enumerate(recipe.c_files):
             objects.append(f"{folder}/{k}-{source.stem}.o")
-            command = [*compiler("x.c").split(), "-c", *common, *_flags_of_c(flags), str(source), "-o", objects[-1]]
-            messages.append(_compile(source, command, of))
-        name = compiler("x.cpp" if recipe.cplusplus else "x.c")
+            command = [*find_compiler().split(), "-c", *common, *_flags_of_c(flags), str(source), "-o", objects[-1]]
+            messages.append(_compile(source, command, target))
+        name = find_compiler("x.cpp" if recipe.cplusplus else "x.c")
         command = [
-            *name.split(), "-shared", *common, *OWN_FIRST, *recipe.cplusplus_flags,
+            *name.split(), "-shared", *common, *BIND_FLAGS, *recipe.cplusplus_flags,
             *(_flags_of_cplusplus(name, recipe.is_like_c, tuple(flags)) if recipe.cplusplus else ()),
-            *recipe.files, *objects, *flags, "-o", str(made),
+            *recipe.files, *objects, *flags, "-o", str(library),
         ]  # fmt: skip
-        messages.append(_link(files, command, of))
+        messages.append(_link(files, command, target))
         if warning := "\n".join(filter(None, messages)):
             warnings.warn(escape(f"{files[0]}: the compiler warns:\n{warning}"), CompilerWarning, stacklevel=2)
-    return made
+    return library
 
 
 def _compile(source: Path, command: list[str], platform: platforms.Platform | None = None) -> str:
-    """Run a compiler; return what it said. Raises CompileError."""
+    """Run a compiler and return its messages. Raises CompileError."""
     has_failed, message = _run(command)
     if has_failed:
         raise _refuse(source, command, message, platform)
@@ -178,15 +173,19 @@ def _compile(source: Path, command: list[str], platform: platforms.Platform | No
 
 
 def _link(sources: Sequence[Path], command: list[str], platform: platforms.Platform | None) -> str:
-    """Compile and link a library; return what was said. Raises CompileError, also for a function that no source has and no library
-    of this process: the loader would name it without the place that calls it."""
-    has_failed, message = _run([*command, *COMPLETE])
+    """Compile and link a library, and return the messages.
+
+    Raises:
+        CompileError: Also for a function that neither a source nor a library of this process has: the loader would name it without
+            the place that calls it.
+    """
+    has_failed, message = _run([*command, *LINK_FLAGS])
     absent = [name for name in _UNDEFINED.findall(message) if not _is_loaded(name)]
     if has_failed and _UNDEFINED.search(message) and not absent:
         has_failed, message = _run(command)
-    if has_failed and _OF_LINKER.search(message):
+    if has_failed and _LINKER_ERROR.search(message):
         names = ", ".join(map(str, sources))
-        raise CompileError(f"{names}: the linker fails ({command[0]}):\n{message}{HINT * bool(absent)}", message)
+        raise CompileError(f"{names}: the linker fails ({command[0]}):\n{message}{LINK_HINT * bool(absent)}", message)
     if has_failed:
         raise _refuse(sources[0], command, message, platform)
     return message
@@ -195,14 +194,14 @@ def _link(sources: Sequence[Path], command: list[str], platform: platforms.Platf
 def _refuse(source: Path, command: list[str], message: str, platform: platforms.Platform | None) -> CompileError:
     """Make the error of a source that does not compile."""
     return CompileError(
-        f"{source} does not compile ({command[0]}):\n{message}{platforms.hint(platform, message)}", message
+        f"{source} does not compile ({command[0]}):\n{message}{platforms.suggest_platform(platform, message)}", message
     )
 
 
 def _run(command: list[str]) -> tuple[bool, str]:
-    """Run a compiler; return whether it has failed, and what it said of the sources."""
+    """Run a compiler; return whether it has failed, and its messages about the sources."""
     done = run_program(command)
-    return done.returncode != 0, platforms.leave_wrappers_out((done.stderr + done.stdout).strip())
+    return done.returncode != 0, platforms.remove_wrappers((done.stderr + done.stdout).strip())
 
 
 def _is_loaded(symbol: str) -> bool:
@@ -212,21 +211,13 @@ def _is_loaded(symbol: str) -> bool:
 
 def _needs_cplusplus(source: Path, platform_flags: Sequence[str], flags: Sequence[str], folder: str) -> bool:
     """Tell whether a source in C includes a header of its platform that is C++ here."""
-    arguments = [
-        "-E",
-        *platform_flags,
-        f"-I{include()}",
-        *_flags_of_c(flags),
-        str(source),
-        "-o",
-        f"{folder}/preprocessed",
-    ]
-    command = [*compiler("x.c").split(), *arguments]
+    command = [*find_compiler().split(), "-E", *platform_flags, f"-I{include()}", *_flags_of_c(flags), str(source)]
+    command += ["-o", f"{folder}/preprocessed"]
     return platforms.IS_CPLUSPLUS in run_program(command).stderr
 
 
 def _flags_of_c(flags: Sequence[str]) -> list[str]:
-    """Leave out what a compilation of one source in C does not take: files, libraries, and what is said of C++."""
+    """Leave out flags that a compilation of one source in C does not take: files, libraries, and those about C++."""
     return [
         flag
         for flag in flags
@@ -235,12 +226,18 @@ def _flags_of_c(flags: Sequence[str]) -> list[str]:
 
 
 def _flags_of_cplusplus(compiler: str, is_like_c: bool, flags: tuple[str, ...]) -> list[str]:
-    """Return flags that C++ needs. is_like_c: C is compiled as C++, in which a loop without end, and a function without a return
-    whose value nobody takes, mean what they do in C."""
-    selected = [*_own_statics(compiler)]
+    """Return flags that C++ needs.
+
+    Args:
+        compiler: The compiler.
+        is_like_c: Whether C is compiled as C++: then a loop without end, and a function without a return whose value nobody uses,
+            mean what they do in C.
+        flags: Flags of the user.
+    """
+    selected = [*_flags_for_statics(compiler)]
     if is_like_c and not any(flag.startswith("-fsanitize") for flag in flags):
         selected += ["-fno-finite-loops"]
-        if selected[0] == _OF_GCC:  # what makes it leave the end of such a function as it is, and needs no library
+        if _GCC_FLAG in selected:  # these make it leave the end of such a function as it is, and need no library
             selected += ["-fsanitize=unreachable", "-fno-sanitize=return", "-fsanitize-undefined-trap-on-error"]
         else:
             selected += ["-fno-strict-return"]
@@ -248,14 +245,14 @@ def _flags_of_cplusplus(compiler: str, is_like_c: bool, flags: tuple[str, ...]) 
 
 
 @functools.cache
-def _own_statics(compiler: str) -> tuple[str, ...]:
-    """GCC makes static variables of inline functions and templates one for all copies of a library in a process, even of different
-    runs. Other compilers do not, and do not know the flag."""
+def _flags_for_statics(compiler: str) -> tuple[str, ...]:
+    """Return the flag without which GCC shares static variables of inline functions and templates among all copies of a library
+    in a process, even of different runs. Other compilers do not share them, and do not know the flag."""
     message = run_program([*compiler.split(), "--version"]).stdout
-    return (_OF_GCC,) if "Free Software Foundation" in message else ()
+    return (_GCC_FLAG,) if "Free Software Foundation" in message else ()
 
 
-def _listed(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> list[str | os.PathLike]:
+def _list_files(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> list[str | os.PathLike]:
     files = [firmware] if isinstance(firmware, str | os.PathLike) else firmware
     if not (isinstance(files, Sequence) and files and all(isinstance(file, str | os.PathLike) for file in files)):
         raise ArgumentError(f"firmware={firmware!r}: give the path of a library or of a source, or a list of sources.")
@@ -263,22 +260,33 @@ def _listed(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> list[s
 
 
 def are_sources(firmware: str | os.PathLike | Sequence[str | os.PathLike]) -> bool:
-    """Whether this is to be built first."""
-    return all(str(file).endswith(SOURCES) for file in _listed(firmware))
+    """Tell whether this is to be built first."""
+    return all(str(file).endswith(SOURCES) for file in _list_files(firmware))
 
 
-def ready(
+def find_library(
     firmware: str | os.PathLike | Sequence[str | os.PathLike],
     flags: Sequence[str] = (),
     platform: str | None = None,
     folder: Path | None = None,
     metered: bool = False,
 ) -> Path:
-    """The library that `firmware` is, or that is built from it, in `folder`. Raises as `build` and `check`."""
-    firmware_files = _listed(firmware)
+    """Return the library that `firmware` is, or build it.
+
+    Args:
+        firmware: A library, or sources.
+        flags: For the compiler.
+        platform: What sources were written for.
+        folder: Where a library is built.
+        metered: Whether it counts its basic blocks.
+
+    Raises:
+        ArgumentError: More than one library, or a platform of one; and as `build` and `check_library`.
+    """
+    firmware_files = _list_files(firmware)
     if are_sources(firmware_files):
         output = folder / f"{Path(firmware_files[0]).stem}.so" if folder else None
-        return check(build(firmware_files, output, flags, platform=platform, metered=metered))
+        return check_library(build(firmware_files, output, flags, platform=platform, metered=metered))
     if platform is not None:
         raise ArgumentError(
             f"platform={platform!r}: it says how sources are built, and {firmware_files[0]} is built already."
@@ -287,11 +295,16 @@ def ready(
         raise ArgumentError(
             f"{', '.join(map(str, firmware_files))}: give one library, or sources only ({', '.join(SOURCES)})."
         )
-    return check(firmware_files[0])
+    return check_library(firmware_files[0])
 
 
-def check(path: str | os.PathLike) -> Path:
-    """The path if there is a library for this machine. Raises LibraryError or FileError."""
+def check_library(path: str | os.PathLike) -> Path:
+    """Return the path of a library for this machine.
+
+    Raises:
+        FileError: There is no such file.
+        LibraryError: It is no library, or one for another machine.
+    """
     file = Path(path)
     if file.is_dir():
         raise FileError(f"{file} is a folder. Name a library, or the sources of one: {how_to_build()}")
@@ -300,20 +313,21 @@ def check(path: str | os.PathLike) -> Path:
         raise FileError(f"{file}: there is no such library. Build it: {how_to_build(file)}")
     with file.open("rb") as f:
         head = read_elf_head(f.read(ELF_HEAD_SIZE))
-    ours = _OURS.get(platform.machine(), platform.machine())
+    this_machine = MACHINE_NAMES.get(platform.describe_machine(), platform.describe_machine())
     if head is not None:
         kind, machine = head
-        theirs = MACHINES.get(machine, f"machine {machine}")
-        if platform.system() == "Linux" and theirs != ours:
+        target = MACHINES.get(machine, f"machine {machine}")
+        if platform.system() == "Linux" and target != this_machine:
             raise LibraryError(
-                f"{file} was built for {theirs}, and this is {ours}. Build it here: {how_to_build(file)}{_emulated(machine)}"
+                f"{file} was built for {target}, and this is {this_machine}. Build it here: {how_to_build(file)}"
+                f"{_suggest_emulator(machine)}"
             )
         if kind != 3:
             what = {1: "an object file", 2: "a program", 4: "a core dump"}.get(kind, "no library")
             raise LibraryError(f"{file} is {what}, not a shared library. Build it so: {how_to_build(file)}")
     elif platform.system() == "Linux":
         raise LibraryError(
-            f"{file} is no shared library of this machine ({ours}, ELF). Build it so: {how_to_build(file)}"
+            f"{file} is no shared library of this machine ({this_machine}, ELF). Build it so: {how_to_build(file)}"
         )
     return file
 
@@ -329,14 +343,14 @@ def read_elf_head(head: bytes) -> tuple[int, int] | None:
     return kind, machine
 
 
-def _emulated(machine: int) -> str:
-    """What to do with a program of another machine that can be emulated."""
+def _suggest_emulator(machine: int) -> str:
+    """Suggest to emulate a program of another machine, where that is possible."""
     mcu = {83: "atmega2560", 40: "cortex-m3"}.get(machine)
     return f" Or run it as it is, on an emulated processor: --mcu {mcu} (docs/targets.md)." if mcu else ""
 
 
-def sanitizers(path: str | os.PathLike) -> list[str]:
-    """The run-time libraries of sanitizers that a library was built with: they have to be loaded before all others."""
+def find_sanitizers(path: str | os.PathLike) -> list[str]:
+    """Return the run-time libraries of sanitizers that a library was built with: they have to be loaded before all others."""
     try:
         content = Path(path).read_bytes()
     except OSError:
@@ -344,16 +358,16 @@ def sanitizers(path: str | os.PathLike) -> list[str]:
     return sorted({name.decode() for name in re.findall(rb"lib(?:a|t|ub)san\.so[.\d]*", content)})
 
 
-def _mode(path: Path) -> int:
-    """How a library is loaded: its own symbols win, so that a `wait` or `pause` of the firmware is not the system's. Sanitizers do
-    not allow that."""
-    own = 0 if sanitizers(path) else getattr(os, "RTLD_DEEPBIND", 0)
-    return own | getattr(os, "RTLD_NOW", 0) | getattr(os, "RTLD_LOCAL", 0)
+def _choose_mode(path: Path) -> int:
+    """Return how a library is loaded: its own symbols win, so that a `wait` or `pause` of the firmware is not the system's.
+    Sanitizers do not allow that."""
+    deep = 0 if find_sanitizers(path) else getattr(os, "RTLD_DEEPBIND", 0)
+    return deep | getattr(os, "RTLD_NOW", 0) | getattr(os, "RTLD_LOCAL", 0)
 
 
 def _check_sanitizers(path: Path) -> None:
-    """Raises LibraryError where a sanitizer would end this process, since it was not loaded first."""
-    first = [name for name in sanitizers(path) if not name.startswith("libubsan")]
+    """Raise LibraryError where a sanitizer would end this process, since it was not loaded first."""
+    first = [name for name in find_sanitizers(path) if not name.startswith("libubsan")]
     if first and not any(hasattr(ctypes.CDLL(None), f"__{name[3:7]}_init") for name in first):
         raise LibraryError(
             f"{path} was built with a sanitizer, whose {first[0]} has to be loaded before all else: run it in a process of its own "
@@ -369,13 +383,13 @@ class Library:
 
     Args:
         path: The library.
-        link: The board's, to which its requests go.
+        link: Link of the board to which its requests go.
         cost: Picoseconds that each of its basic blocks takes; 0: it does not count them.
 
     Attributes:
         copy: The file that is loaded.
-        handle: What the loader calls it.
-        bus: The struct that it makes its requests by.
+        handle: Handle of the loader.
+        bus: The struct by which it makes its requests.
 
     Raises:
         LibraryError: It cannot be loaded, is no firmware, or does not count its basic blocks.
@@ -386,19 +400,19 @@ class Library:
         _check_sanitizers(path)
         self._scratch = Scratch()
         self.copy = Path(shutil.copy(path, self._scratch.path / path.name))
-        mode = compute_as_usual.c()
+        mode = set_usual_float_mode.c()
         try:
-            self._library = ctypes.CDLL(str(self.copy), mode=_mode(path))
+            self._library = ctypes.CDLL(str(self.copy), mode=_choose_mode(path))
         except (OSError, UnicodeDecodeError) as error:  # ctypes decodes what the loader says as UTF-8
             self._scratch.close()
-            whole = error.object.decode(errors="replace") if isinstance(error, UnicodeDecodeError) else str(error)
-            message = _demangle(whole.replace(str(self.copy), str(path)).removeprefix(f"{path}: "))
+            text = error.object.decode(errors="replace") if isinstance(error, UnicodeDecodeError) else str(error)
+            message = _demangle(text.replace(str(self.copy), str(path)).removeprefix(f"{path}: "))
             raise LibraryError(
                 f"{path} cannot be loaded: {message}. Link what it needs into it, or add a source that has it (a function of a "
                 f"platform that is not emulated: docs/porting.md); it is built so: {how_to_build(path)}"
             ) from None
         finally:
-            compute_as_before.c(mode)  # one that was built with -ffast-math changes it as it is loaded
+            restore_float_mode.c(mode)  # one that was built with -ffast-math changes it as it is loaded
         self.handle: int = self._library._handle  # ctypes shows it nowhere else
         abi = self._variable(ctypes.c_uint32, "pulsestage_abi").value
         if abi != ABI:
@@ -412,15 +426,15 @@ class Library:
                 f"{path} has no entry point {ENTRY}: begin the firmware with `PULSESTAGE_MAIN {{ ... return 0; }}`, which "
                 f"pulsestage.h defines, and build it so: {how_to_build(path)}"
             )
-        self._set_meter(NEVER)
+        self._set_meter(NO_LIMIT)
 
     def main(self) -> int:
-        """Call its entry in this thread. What it counts while it is loaded and unloaded takes no time."""
+        """Call its entry in this thread. Basic blocks that it runs while it is loaded and unloaded take no time."""
         h = self._link.record
         h["cost"], h["rest"] = self._cost, 0
-        h["meter"] = self._set_meter(max(int(h["bus"]) * 1000 // self._cost, 1) if self._cost else NEVER)
+        h["meter"] = self._set_meter(max(int(h["bus"]) * 1000 // self._cost, 1) if self._cost else NO_LIMIT)
         code = int(self._library[ENTRY]())
-        self._set_meter(NEVER)
+        self._set_meter(NO_LIMIT)
         return code
 
     def close(self) -> None:

@@ -26,25 +26,27 @@ if TYPE_CHECKING:
     from stage.board.isolation.traps.memory import Windows
 
 NOTED = 1 << 14  # edges and writes between two calls of Python
-MOST = 1 << 62
-WAIT_S = 0.05  # of real time, in which threads without a mutex meet on the bus
+UNBOUNDED = 1 << 62
+THREAD_WAIT_S = 0.05  # of real time, in which threads without a mutex meet on the bus
 UPCALL = ctypes.CFUNCTYPE(None, ctypes.c_int64)
 
 
 class Link:
-    """Of one board.
+    """Connection of one board to compiled code.
 
     Attributes:
-        record: its HOST record; pointer: the address of the record, for compiled code.
-        request: the compiled function for all requests of a host: (pointer, what, a, b) -> answer.
-        error: the exception of a call from compiled code, until `raise_error`.
+        record: Its HOST record.
+        pointer: Address of the record, for compiled code.
+        request: The compiled function for all requests of a host: (pointer, what, a, b) -> answer.
+        error: Exception of a call from compiled code, until `raise_error`.
         hooks: Python's interrupt hooks, and the table of the interrupt controller.
-        windows: those of the firmware that runs.
-        answering: the device in Python that answers a bus cycle now, or None.
-        stand_still: the function by which firmware in a thread of its own waits, while it runs.
-        abandoned: threads of firmware that was given up.
-        firmware_thread: the identifier of the firmware's own thread; has_other_threads: whether others of it have made bus cycles.
-        calls: counts the calls from compiled code into Python, at their begin and at their end: odd within a call.
+        windows: Windows of the firmware that runs.
+        answering: The device in Python that answers a bus cycle now, or None.
+        pause: The function by which firmware in a thread of its own waits, while it runs.
+        abandoned: Threads of firmware that was given up.
+        firmware_thread: Identifier of the firmware's own thread.
+        has_other_threads: Whether other threads of the firmware have made bus cycles.
+        calls: Count of the calls from compiled code into Python, at their begin and at their end: odd within a call.
     """
 
     def __init__(self, board: Board):
@@ -54,12 +56,19 @@ class Link:
         self.error: BaseException | None = None
         self.windows: Windows | None = None
         self.answering: Any = None
-        self.stand_still: Callable[[], None] | None = None
+        self.pause: Callable[[], None] | None = None
         self.abandoned: set[threading.Thread] = set()
         self._left: list[np.ndarray] = []
-        self._call = UPCALL(self._called)
+        self._call = UPCALL(self._answer_call)
+        self._answers: dict[int, Callable[[Any], Any]] = {
+            host_record.DIVERGED: self._undo_divergence, host_record.STORM: self._report_storm,
+            host_record.REFUSED: self._report_refusal, host_record.COLLIDED: self._report_collision,
+            host_record.ANOTHER_STACK: self._wait_for_others, host_record.LINE_OF_LOG: self._note_line,
+            host_record.CHECK_WRITE: self._check_write, host_record.WINDOW_REQUEST: self._answer_window_request,
+            host_record.DEVICE_CALLED: self._call_device, host_record.RUN_IN_PYTHON: self._run_stage,
+        }  # fmt: skip
         self.request: Any = requests.request.pointer
-        self._lay_out()
+        self._make_record()
         self.hooks = Hooks(self)
 
     @property
@@ -67,8 +76,8 @@ class Link:
         """Lines that went into the bus trace so far."""
         return int(self.record["traced"])
 
-    def _lay_out(self) -> None:
-        """The HOST record, and the arrays that it points to."""
+    def _make_record(self) -> None:
+        """Make the HOST record, and the arrays that it points to."""
         stage = self.stage
         if len(stage.state.edges) < NOTED:
             stage.state.set_edge_buffer(np.zeros(NOTED, records.EDGE))
@@ -85,33 +94,31 @@ class Link:
         words = stage.state.userdata
         self._before = np.zeros(len(words))
         for name, array in (
-            ("edges", stage.state.edges),
-            ("lines", self.board.trace.kept), ("irqs", self.irqs), ("acts", self._acts), ("userdata", words),
-            ("before", self._before),
+            ("edges", stage.state.edges), ("lines", self.board.trace.buffer), ("irqs", self.irqs), ("acts", self._acts),
+            ("userdata", words), ("before", self._before),
         ):  # fmt: skip
             h[name] = array.ctypes.data
-        self.lay_ports()
-        h["edge_room"] = len(stage.state.edges)
-        h["line_room"], h["words"] = self.board.trace.room, len(words)
-        h["until"] = h["most_cycles"] = MOST
+        self.publish_ports()
+        h["edge_room"], h["line_room"], h["words"] = len(stage.state.edges), self.board.trace.capacity, len(words)
+        h["until"] = h["max_cycles"] = UNBOUNDED
         h["journals"] = 1
-        self.lay_devices()
+        self.publish_devices()
         h["call"] = ctypes.cast(self._call, ctypes.c_void_p).value
 
-    def lay_ports(self) -> None:
-        """The ports reach something else from now on."""
+    def publish_ports(self) -> None:
+        """Hand the board's table of ports to compiled code."""
         board, h = self.board, self.record
         h["regions"], h["ports"] = board.regions.ctypes.data, board.port_table.ctypes.data
         h["n_regions"], h["n_ports"] = len(board.regions), len(board.port_table)
 
-    def lay_devices(self) -> None:
-        """The devices of the board, for compiled code."""
+    def publish_devices(self) -> None:
+        """Hand the devices of the board to compiled code."""
         rows = [device.row() for device in self.board.devices]
         self._devices = np.array(rows, host_record.DEVICE_TABLE)
         self.record["devices"], self.record["n_devices"] = self._devices.ctypes.data, len(rows)
 
     def check_is_current(self) -> None:
-        """Raise StageError for a board in whose place another has come: each would hold time and interrupts for its own."""
+        """Raise StageError for a board that another has replaced: each would have time and interrupts of its own."""
         if self.stage.host is None or self.stage.host.board is not self.board:
             raise StageError(
                 "this board's stage has got another board since, and a stage has one: go on with that, or make the other on a "
@@ -119,20 +126,21 @@ class Link:
             )
 
     def begin(self) -> None:
-        """Prepare for compiled code: what it may have to write to, and whom it has to ask. Raises as `check_is_current`."""
+        """Prepare a run of compiled code. Raises as `check_is_current`."""
         self.check_is_current()
         stage, h = self.stage, self.record
         stage.ensure_powered()
         stage.loop.check_options()
-        asks = 0
-        for k, chip in enumerate(stage.chips):
-            if chip.glitches:
-                asks |= 1 << k
-        h["asks"], h["reached"] = asks, stage.now
+        h["checked_chips"] = self.checked_chips()
+        h["reached"] = stage.now
         handle.set_sample_buffers(h, stage.loop.recording)
 
+    def checked_chips(self) -> int:
+        """Return the chips, a bit each, whose writes a fault of the bus may lose."""
+        return sum(1 << k for k, chip in enumerate(self.stage.chips) if chip.glitches)
+
     def end(self) -> None:
-        """After compiled code has run: what it noted goes to journals and recording."""
+        """Pass on to journals and recording what compiled code has noted."""
         stage, h = self.stage, self.record
         if n := int(h["noted"]):
             h["noted"] = 0
@@ -142,18 +150,18 @@ class Link:
             h["filled"] = recording.filled
 
     def take_edges(self, n: int) -> None:
-        """The first `n` of what was noted go to journals, and a lint looks at the writes."""
+        """Pass the first `n` notes on to journals and diagnostics."""
         self.stage.loop.journal_edges(n)
         for chip in self.stage.chips:
             if chip.journal_lint is not None:
                 chip.journal_lint.limit_memory()
 
     def loses(self, chip: int, address: int, value: int) -> bool:
-        """Whether a fault of the bus keeps this write from its chip."""
+        """Tell whether a fault of the bus keeps this write from its chip."""
         return self.stage.chips[chip].loses(address, value)
 
-    def call_device(self, k: int, n: int, way: int, value: int) -> int:
-        """A cycle reaches port `n` of device `k`, which is written in Python."""
+    def call_device(self, k: int, n: int, kind: int, value: int) -> int:
+        """Make a cycle at port `n` of device `k`, which is written in Python."""
         device = self.board.devices[k]
         self.answering, loop = device, self.stage.loop
         loop.time_refusal = (
@@ -161,12 +169,12 @@ class Link:
             "Do it later."
         )
         try:
-            return device.call(n, way, value)
+            return device.call(n, kind, value)
         finally:
             self.answering, loop.time_refusal = None, ""
 
     def ask(self, what: int, a: int, b: int) -> int:
-        """One request of a host in Python."""
+        """Make a request of a host in Python."""
         lock = self.stage.loop.lock
         if lock is None:
             return self._ask(what, a, b)
@@ -179,119 +187,27 @@ class Link:
         self.stage.loop.check_time_allowed()
         self.begin()
         answer = int(self.request(self.pointer, what | host_record.FROM_PYTHON, int(a), int(b)))
-        if answer == host_record.TWO_AT_ONCE:
+        if answer == host_record.BUS_BUSY:
             raise StageError("this board is in use by another thread: a bus has one host at a time.")
         self.end()
         self.raise_error()
         return answer
 
     def raise_error(self) -> None:
-        """Raise what went wrong below compiled code."""
+        """Raise the error of a call from compiled code, if there is one."""
         if self.error is not None:
             error, self.error = self.error, None
             self.record["stopped"] = 0
             raise error
 
-    def _called(self, reason: int) -> None:
-        """Compiled code calls, see stage.board.bus.host_record."""
-        if threading.current_thread() in self.abandoned:
-            threading.Event().wait()
-        if (lock := self.stage.loop.lock) is None:
-            self._answer_call(reason)
-        else:  # the thread that runs the firmware has the lock, and waits
-            with lock.acting_for_owner():
-                self._answer_call(reason)
-        if self.stand_still is not None and (reason == host_record.PAUSE or self.record["stopped"]):
-            self.stand_still()
-
-    def _answer_call(self, reason: int) -> None:
-        self.calls += 1
-        try:
-            self.end()
-            if reason == host_record.DIVERGED:
-                self._diverged()
-            elif reason == host_record.STORM:
-                raise StormError(f"{self.hooks.storm(int(self.record['asked']))}\n{self.board.trace.text(8)}")
-            elif reason == host_record.REFUSED:
-                h = self.record
-                raise HostError(self.hooks.refused(int(h["asked_chip"]), int(h["asked_address"]), int(h["asked"])))
-            elif reason == host_record.TWICE:
-                raise HostError(
-                    "two threads of the firmware made bus cycles at the same time, or a handler of signals (setitimer, alarm) made "
-                    f"one in the middle of another, at {self.stage.time:.6f} s: a bus has one host at a time. Guard the cycles of "
-                    "threads by a mutex; timers of the board are ps_timer and ps_on_timer (docs/interrupts.md)."
-                )
-            elif reason == host_record.ANOTHER_STACK:
-                self._wait_for_others()
-            elif reason == host_record.LINE_OF_LOG and not self.record["asked"]:
-                raise HostError(f"ps_log(0), at {self.stage.time:.6f} s: a null pointer is no text.")
-            elif reason == host_record.LINE_OF_LOG:
-                self.board.note(ctypes.string_at(int(self.record["asked"])).decode(errors="replace"))
-            elif reason == host_record.ASKED_WRITE:
-                h = self.record
-                h["asked"] = self.loses(int(h["asked_chip"]), int(h["asked_address"]), int(h["asked"]))
-            elif reason == host_record.ABOUT_WINDOW:
-                self._about_window()
-            elif reason == host_record.DEVICE_CALLED:
-                h = self.record
-                k, n, way, value = (int(h[name]) for name in ("asked_chip", "asked_address", "asked_way", "asked"))
-                try:
-                    h["asked"] = self.call_device(k, n, way, value)
-                except BaseException:
-                    self._note_raised(k, n, way, value)
-                    raise
-            elif reason == host_record.BY_HAND:
-                self.stage.run_to(int(self.record["asked"]))
-            self.begin()
-        except BaseException as error:
-            self.fail(error)
-        self.calls += 1
-
-    def _wait_for_others(self) -> None:
-        """Another thread than the firmware's own makes a bus cycle: one that does so meanwhile is an error, unless a mutex holds it
-        back. Without this wait short threads would miss each other in most runs, and would meet in some."""
-        if threading.get_ident() == self.firmware_thread:  # a coroutine, or a handler of signals on a stack of its own
-            return
-        if not self.has_other_threads:
-            self.has_other_threads = True
-            self.board.note(
-                "bus cycles come from several threads of the firmware: "
-                "their order is one of real time, and no two runs need be alike"
-            )
-        time.sleep(WAIT_S)
-
-    def _note_raised(self, k: int, n: int, way: int, value: int) -> None:
-        """The cycle that a device in Python has failed in is a line of the trace, too: the last one."""
-        h, kept, reads = self.record, self.board.trace.kept, way in (host_record.IN8, host_record.IN16)
-        now = self.stage.now + int(h["ahead"])
-        seen = (0xFF if way == host_record.IN8 else 0xFFFF) if reads else value
-        kept[self.traced % len(kept)] = (now, now, 1, way | host_record.RAISED, self.board.devices[k].port(n), seen)
-        h["traced"] += 1
-        h["changed"] = h["traced"]
-
-    def _about_window(self) -> None:
-        """The firmware wants a window, or touches one in a way that is no bus cycle."""
-        h = self.record
-        what, a, b = (int(h[name]) for name in ("asked_chip", "asked", "asked_address"))
-        if self.windows is None:
-            raise HostError(f"ps_window({a:#x}, {b:#x}): {explain_missing(isolated=False)}")
-        if what != host_record.WINDOW:
-            raise self.windows.explain_refusal(what, a, b)
-        h["asked"] = self.windows.choose(a, b)
-
-    def _diverged(self) -> None:
-        error = self.stage.loop.undo_divergence(self.pointer)
-        self.end()
-        raise error
-
     def fail(self, error: BaseException) -> None:
-        """Nothing more happens on this bus until somebody was told."""
+        """Let nothing more happen on this bus until the error was raised."""
         self.record["stopped"] = 1
         if self.error is None:
             self.error = error
 
     def abandon(self, thread: threading.Thread) -> None:
-        """Keep a thread of firmware, which may still run, from this board for ever: it has a HOST record that is stopped, and the
+        """Keep a thread of firmware, which may still run, from this board for ever: it keeps a HOST record that is stopped, and the
         board goes on with a copy."""
         self.abandoned.add(thread)
         self.record["stopped"] = 1
@@ -299,19 +215,113 @@ class Link:
         self.move_to(self._rows.copy())
         self.record["stopped"] = self.record["inside"] = self.record["in_python"] = 0
         self.hooks.move_to(self.hooks.sources.copy())
-        self.hooks.without_firmware()
-        self.stand_still = None
+        self.hooks.remove_firmware()
+        self.pause = None
 
     def settle(self) -> None:
-        """After firmware without bus cycles was given up: takes the notes of its last cycles; the stage keeps its state."""
+        """Take the notes of the last cycles of firmware that was given up without a bus cycle; the stage keeps its state."""
         self.end()
         self.begin()
         self.request(self.pointer, host_record.SETTLE, 0, 0)
         self.end()
 
     def move_to(self, rows: np.ndarray) -> None:
-        """From now on the HOST record is that in `rows`, of one."""
+        """Use the HOST record in `rows`, of one, from now on."""
         rows[:] = self._rows
         self._rows, self.pointer = rows, rows.ctypes.data
         rows["own"] = self.pointer
         self.record = rows.view(plain(host_record.HOST))[0]
+
+    # --- calls from compiled code ---
+
+    def _answer_call(self, reason: int) -> None:
+        """Answer a call of compiled code. reason: see host_record."""
+        if threading.current_thread() in self.abandoned:
+            threading.Event().wait()
+        if (lock := self.stage.loop.lock) is None:
+            self._handle_call(reason)
+        else:  # the thread that runs the firmware has the lock, and waits
+            with lock.acting_for_owner():
+                self._handle_call(reason)
+        if self.pause is not None and (reason == host_record.PAUSE or self.record["stopped"]):
+            self.pause()
+
+    def _handle_call(self, reason: int) -> None:
+        self.calls += 1
+        try:
+            self.end()
+            if (answer := self._answers.get(reason)) is not None:
+                answer(self.record)
+            self.begin()
+        except BaseException as error:
+            self.fail(error)
+        self.calls += 1
+
+    def _undo_divergence(self, h: Any) -> None:
+        error = self.stage.loop.undo_divergence(self.pointer)
+        self.end()
+        raise error
+
+    def _run_stage(self, h: Any) -> None:
+        self.stage.run_to(int(h["call_value"]))
+
+    def _report_storm(self, h: Any) -> None:
+        raise StormError(f"{self.hooks.describe_storm(int(h['call_value']))}\n{self.board.trace.text(8)}")
+
+    def _report_refusal(self, h: Any) -> None:
+        raise HostError(self.hooks.describe_refusal(int(h["call_chip"]), int(h["call_address"]), int(h["call_value"])))
+
+    def _report_collision(self, h: Any) -> None:
+        raise HostError(
+            "two threads of the firmware made bus cycles at the same time, or a handler of signals (setitimer, alarm) made "
+            f"one in the middle of another, at {self.stage.time:.6f} s: a bus has one host at a time. Guard the cycles of "
+            "threads by a mutex; timers of the board are ps_timer and ps_on_timer (docs/interrupts.md)."
+        )
+
+    def _wait_for_others(self, h: Any) -> None:
+        """Wait at a bus cycle of another thread than the firmware's own: one that makes a cycle meanwhile is an error, unless a
+        mutex holds it back. Without this wait short threads would miss each other in most runs, and would meet in some."""
+        if threading.get_ident() == self.firmware_thread:  # a coroutine, or a handler of signals on a stack of its own
+            return
+        if not self.has_other_threads:
+            self.has_other_threads = True
+            self.board.note(
+                "bus cycles come from several threads of the firmware: their order is one of real time, and no two runs need be "
+                "alike"
+            )
+        time.sleep(THREAD_WAIT_S)
+
+    def _note_line(self, h: Any) -> None:
+        if not h["call_value"]:
+            raise HostError(f"ps_log(0), at {self.stage.time:.6f} s: a null pointer is no text.")
+        self.board.note(ctypes.string_at(int(h["call_value"])).decode(errors="replace"))
+
+    def _check_write(self, h: Any) -> None:
+        h["call_value"] = self.loses(int(h["call_chip"]), int(h["call_address"]), int(h["call_value"]))
+
+    def _call_device(self, h: Any) -> None:
+        k, n, kind, value = (int(h[name]) for name in ("call_chip", "call_address", "call_kind", "call_value"))
+        try:
+            h["call_value"] = self.call_device(k, n, kind, value)
+        except BaseException:
+            self._trace_failure(k, n, kind, value)
+            raise
+
+    def _trace_failure(self, k: int, n: int, kind: int, value: int) -> None:
+        """Add the cycle in which a device in Python has failed to the trace, as its last line."""
+        h, buffer, reads = self.record, self.board.trace.buffer, kind in (host_record.IN8, host_record.IN16)
+        now = self.stage.now + int(h["ahead"])
+        data = (0xFF if kind == host_record.IN8 else 0xFFFF) if reads else value
+        port = self.board.devices[k].port(n)
+        buffer[self.traced % len(buffer)] = (now, now, 1, kind | host_record.RAISED, port, data)
+        h["traced"] += 1
+        h["changed"] = h["traced"]
+
+    def _answer_window_request(self, h: Any) -> None:
+        """Choose a window that the firmware wants, or refuse an access to one that is no bus cycle."""
+        what, a, b = (int(h[name]) for name in ("call_chip", "call_value", "call_address"))
+        if self.windows is None:
+            raise HostError(f"ps_window({a:#x}, {b:#x}): {explain_missing(isolated=False)}")
+        if what != host_record.WINDOW:
+            raise self.windows.explain_refusal(what, a, b)
+        h["call_value"] = self.windows.choose(a, b)

@@ -11,6 +11,7 @@ import shutil
 import tempfile
 import weakref
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 try:
@@ -20,30 +21,34 @@ except ImportError:  # no POSIX system: nobody sweeps there
 
 PREFIX = "pulsestage-run-"
 LOCK = ".lock"
-_within: Path | None = None
-_swept = False
+_parent: Path | None = None
 
 
 class Scratch:
-    """A folder of its own, for as long as it is open. path: where it is."""
+    """A folder of its own, for as long as it is open.
+
+    Attributes:
+        path: The folder.
+    """
 
     def __init__(self) -> None:
-        _sweep()
-        self.path = Path(tempfile.mkdtemp(prefix=PREFIX, dir=_within))
+        if fcntl is not None and _parent is None:
+            sweep()
+        self.path = Path(tempfile.mkdtemp(prefix=PREFIX, dir=_parent))
         lock = os.open(self.path / LOCK, os.O_CREAT | os.O_RDWR | getattr(os, "O_CLOEXEC", 0), 0o600)
         if fcntl is not None:
             fcntl.flock(lock, fcntl.LOCK_EX)
         self._finalizer = weakref.finalize(self, _remove, self.path, lock, os.getpid())
 
     def close(self) -> None:
-        """It is not needed any more."""
+        """Remove the folder."""
         self._finalizer()
 
 
-def all_within(folder: Path) -> None:
-    """From now on folders of this process are in this one, which another process owns and removes."""
-    global _within
-    _within = folder
+def use_parent(folder: Path) -> None:
+    """Make all further folders of this process in this one, which another process owns and removes."""
+    global _parent
+    _parent = folder
 
 
 def _remove(path: Path, lock: int, owner: int) -> None:
@@ -53,12 +58,9 @@ def _remove(path: Path, lock: int, owner: int) -> None:
         os.close(lock)
 
 
-def _sweep() -> None:
-    """Remove what processes have left that were killed; once a process."""
-    global _swept
-    if _swept or fcntl is None or _within is not None:
-        return
-    _swept = True
+@cache
+def sweep() -> None:
+    """Remove the folders of processes that were killed; once a process."""
     for path in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
         with suppress(OSError):  # of another user, or gone already
             lock = os.open(path / LOCK, os.O_RDWR)

@@ -1,4 +1,4 @@
-"""Firmware in a thread of this process. To pause it, its thread waits within a bus cycle.
+"""`ThreadRunner`: firmware in a thread of this process. To pause it, its thread waits within a bus cycle.
 
 A thread cannot be ended from outside. Firmware that must not continue (after an error, or because it loops for ever without a bus
 cycle) is abandoned, with a bus that has no effect any more. In the user's process this is for debuggers: what firmware does beside
@@ -20,14 +20,16 @@ from stage.board.bus import host_record, requests
 from stage.board.bus.interrupts import NEAR
 from stage.board.devices.user_devices import CDevice
 from stage.board.errors import HostError
-from stage.board.link import MOST
+from stage.board.link import UNBOUNDED
 
 if TYPE_CHECKING:
     from stage.board.board import Board
 
-PATIENCE = 20.0  # s of real time
+PATIENCE_S = 20.0  # of real time
 STACK_SIZE = 64 << 20  # bytes
-MAX_LOOKS = 4  # at requests from other threads of the firmware
+POLL_INTERVAL_S = 0.2
+INTERRUPT_LIMIT_S = 0.5  # of real time, in which interrupted firmware has to make a request
+STACK_CHECKS = 4  # of requests from other threads of the firmware
 TASKS = Path("/proc/self/task")
 """The threads of this process, where the system lists them."""
 
@@ -36,11 +38,11 @@ class Loaded(Protocol):
     """Firmware in memory, with its variables as they were compiled."""
 
     def main(self) -> int:
-        """Run it from its entry, in the thread that calls. What it returned. Raises HostError for what else ended it."""
+        """Run it from its entry, in the thread that calls, and return what it returned. Raises HostError if it ended otherwise."""
         ...
 
     def close(self) -> None:
-        """It runs no more."""
+        """Unload it."""
         ...
 
 
@@ -52,7 +54,9 @@ class Program(Protocol):
     """
 
     @property
-    def path(self) -> Path: ...
+    def path(self) -> Path:
+        """The file."""
+        ...
 
     def load(self, board: Board, isolated: bool) -> Loaded:
         """Load a copy, whose requests go to the board.
@@ -62,7 +66,7 @@ class Program(Protocol):
             isolated: Whether this process is its own, and may be changed for it.
 
         Raises:
-            StageError: What is wrong with it.
+            StageError: Something is wrong with it.
         """
         ...
 
@@ -77,16 +81,16 @@ def read_status(process: int | str) -> dict[str, str]:
 
 
 def is_debugged(process: int | str = "self") -> bool:
-    """Tell whether a debugger holds a process: it may stand still for as long as somebody looks."""
+    """Tell whether a debugger holds a process: it may stand still for as long as a person takes."""
     return read_status(process).get("TracerPid", "0") != "0"
 
 
-class Threaded:
-    """See `Runner`. Raises what is wrong with the program when it is made."""
+class ThreadRunner:
+    """A `Runner` in this process. Raises what is wrong with the program when it is made."""
 
     isolated = False
     outlives = " (Its thread goes on until the process ends; isolated=True ends such a loop.)"
-    """What is said of firmware that was given up."""
+    """A sentence about firmware that was given up."""
 
     def __init__(self, program: Program, board: Board, patience: float):
         self._program, self._board, self._patience = program, board, patience
@@ -100,14 +104,14 @@ class Threaded:
     def running(self) -> bool:
         return self._thread is not None
 
-    def go_on(self, until: int, most_cycles: int) -> int | None:
-        board = self._board
+    def go_on(self, until: int, max_cycles: int) -> int | None:
         if self._thread is None:
             self._start()
-        board.link.record["lazy"], board.link.record["quiet"] = 1, 0
-        board.link.record["until"], board.link.record["most_cycles"] = until, most_cycles
-        board.link.stand_still = self._stand_still
-        board.link.begin()
+        link = self._board.link
+        h = link.record
+        h["lazy"], h["quiet"], h["until"], h["max_cycles"] = 1, 0, until, max_cycles
+        link.pause = self._pause
+        link.begin()
         self._go.release()
         try:
             self._wait()
@@ -115,21 +119,24 @@ class Threaded:
             self._interrupt()
             raise
         finally:
-            board.link.stand_still = None
-            board.link.record["until"] = board.link.record["most_cycles"] = MOST
-            board.link.record["lazy"] = 0
-        if board.link.error is not None:
-            self._abandon()
-        board.link.raise_error()
+            link.pause = None
+            h = link.record  # another one if the firmware was given up
+            h["lazy"], h["until"], h["max_cycles"] = 0, UNBOUNDED, UNBOUNDED
+        if link.error is not None:
+            self.close()
+        link.raise_error()
         return self._code
 
     def close(self) -> None:
-        self._abandon()
+        """Keep it from the board, whatever it still does."""
+        if self._thread is not None:
+            self._board.link.abandon(self._thread)
+        self._thread = None
 
     # --- what a process of the firmware's own adds ---
 
     def _prepare_thread(self) -> AbstractContextManager[None]:
-        """Return what is around the firmware's entry, in its thread."""
+        """Return the context in which the firmware's entry is called, in its thread."""
         return nullcontext()
 
     def _report_threads(self, n: int, code: int) -> None:
@@ -142,7 +149,7 @@ class Threaded:
     # --- inside ---
 
     def _check(self) -> None:
-        """Say what is wrong with it before anything runs. What its destructors do as it is unloaded reaches no chip."""
+        """Find out what is wrong with it before anything runs. Requests of its destructors as it is unloaded reach no chip."""
         loaded, record = self._load(), self._board.link.record
         record["stopped"] = 1
         try:
@@ -156,7 +163,7 @@ class Threaded:
 
     def _start(self) -> None:
         loaded = self._load()
-        self._go, self._stands, self._code = threading.Semaphore(0), threading.Semaphore(0), None
+        self._go, self._paused, self._code = threading.Semaphore(0), threading.Semaphore(0), None
         before = threading.stack_size(STACK_SIZE)
         try:
             name = f"firmware {self._path.name}"
@@ -171,9 +178,8 @@ class Threaded:
         link = self._board.link
         link.firmware_thread, link.has_other_threads = threading.get_ident(), False
         code, failure, others = 0, None, native_threads()
-        top = requests.here.c()
-        link.record["stack_low"], link.record["stack_high"] = top - STACK_SIZE, top + NEAR
-        link.record["looks"] = MAX_LOOKS
+        top, h = requests.stack_position.c(), link.record
+        h["stack_low"], h["stack_high"], h["stack_checks"] = top - STACK_SIZE, top + NEAR, STACK_CHECKS
         try:
             with self._prepare_thread():
                 code = int(loaded.main())
@@ -182,6 +188,21 @@ class Threaded:
         _reset_float_environment()
         if threading.current_thread() in link.abandoned:
             return
+        self._settle()
+        if failure is not None:
+            link.fail(failure)
+        self._thread = None
+        if left := native_threads() - others:  # the code that they run has to stay where it is
+            self._unloadable.append(loaded)
+            self._report_threads(len(left), code)
+        else:
+            loaded.close()
+        self._code = code
+        self._paused.release()
+
+    def _settle(self) -> None:
+        """Let the stage catch up with firmware that has ended, and remove its hooks."""
+        link = self._board.link
         link.record["lazy"] = 0
         try:
             link.request(link.pointer, host_record.SETTLE, 0, 0)
@@ -190,28 +211,18 @@ class Threaded:
         except BaseException as error:
             link.fail(error)
         finally:
-            link.hooks.without_firmware()
-        if failure is not None:
-            link.fail(failure)
-        self._thread = None
-        if left := native_threads() - others:  # what they run has to stay where it is
-            self._unloadable.append(loaded)
-            self._report_threads(len(left), code)
-        else:
-            loaded.close()
-        self._code = code
-        self._stands.release()
+            link.hooks.remove_firmware()
 
-    def _stand_still(self) -> None:
+    def _pause(self) -> None:
         """Wait in the firmware's thread; compiled code calls it."""
-        self._stands.release()
+        self._paused.release()
         self._go.acquire()
 
     def _wait(self) -> None:
-        """Wait for the firmware to stand still."""
+        """Wait until the firmware is paused."""
         board = self._board
         h, state, since = board.link.record, None, time.monotonic()
-        while not self._stands.acquire(timeout=0.2):
+        while not self._paused.acquire(timeout=POLL_INTERVAL_S):
             if self._has_lost_its_thread():
                 raise HostError(
                     f"{self._path.name} has ended the thread that runs PULSESTAGE_MAIN (pthread_exit, SYS_exit) at "
@@ -221,48 +232,42 @@ class Threaded:
             now = (int(h["cycles"]), board.stage.now, board.link.calls)
             if now != state or board.link.calls % 2:  # a call may have much to do
                 state, since = now, time.monotonic()
-            elif time.monotonic() - since > self._patience and is_debugged():
-                since = time.monotonic()
             elif time.monotonic() - since > self._patience:
-                raise HostError(self._explain_silence(int(h["answers"])))
+                if not is_debugged():
+                    raise HostError(self._explain_silence(int(h["answers"])))
+                since = time.monotonic()
 
     def _has_lost_its_thread(self) -> bool:
         """Tell whether the firmware's thread has ended without a return of PULSESTAGE_MAIN."""
         thread = self._thread
         if thread is None or thread.native_id is None or not TASKS.is_dir() or (TASKS / str(thread.native_id)).is_dir():
             return False
-        if self._stands.acquire(blocking=False):  # it has stood still or returned meanwhile: the caller is to see that
-            self._stands.release()
+        if self._paused.acquire(blocking=False):  # it was paused or has returned meanwhile: the caller is to see that
+            self._paused.release()
             return False
         return True
 
     def _explain_silence(self, answers: int) -> str:
         """Say that the patience with it is over; answers: see HOST."""
         board, path = self._board, self._path
-        long, at = f"has computed for {self._patience:g} s of real time", f"at {board.stage.time:.6f} s"
+        duration, at = f"has computed for {self._patience:g} s of real time", f"at {board.stage.time:.6f} s"
         end = f"{self.outlives} {board.trace.ending(12)}"
         if not answers:
             return (
-                f"{path.name} {long} without a bus cycle or a delay ({at}): a loop that waits for nothing?{self._locate(path)} "
-                "Computing takes no time, and no interrupt comes in it, unless cost= (--cost) says what it takes: "
-                f"docs/interrupts.md.{end}"
+                f"{path.name} {duration} without a bus cycle or a delay ({at}): a loop that waits for nothing?"
+                f"{self._locate(path)} Computing takes no time, and no interrupt comes in it, unless cost= (--cost) says what it "
+                f"takes: docs/interrupts.md.{end}"
             )
         device = board.devices[answers - 1]
         where = self._locate(device.loaded, path) if isinstance(device, CDevice) else ""
-        return f"{device.label} {long} in one bus cycle of {path.name} ({at}): a loop without end?{where}{end}"
+        return f"{device.label} {duration} in one bus cycle of {path.name} ({at}): a loop without end?{where}{end}"
 
     def _interrupt(self) -> None:
         """Pause the firmware at its next request, or abandon it: after Ctrl-C, or when the patience is over."""
         self._board.link.record["until"] = 0
-        if not self._stands.acquire(timeout=0.5):
-            self._abandon()
+        if not self._paused.acquire(timeout=INTERRUPT_LIMIT_S):
+            self.close()
             self._board.link.settle()
-
-    def _abandon(self) -> None:
-        """Keep it from the board, whatever it still does."""
-        if self._thread is not None:
-            self._board.link.abandon(self._thread)
-        self._thread = None
 
 
 def _reset_float_environment() -> None:
@@ -278,7 +283,6 @@ def native_threads() -> set[int]:
         listed = {int(name) for name in os.listdir(TASKS)}
     except OSError:
         return set()
-    known = (
-        thread for thread in threading.enumerate() if type(thread).__name__ != "_DummyThread"
-    )  # it has called Python
-    return listed - {thread.native_id for thread in known}
+    # a dummy thread is one of C that has called Python
+    python = (thread for thread in threading.enumerate() if type(thread).__name__ != "_DummyThread")
+    return listed - {thread.native_id for thread in python}

@@ -19,21 +19,26 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from stage.board.bus.host_record import CALLED, IN, IN_WIDE, OUT_WIDE, RETURNED
+from stage.board.trace import KIND_BITS
 from stage.recording.vcd import HOST
 
 if TYPE_CHECKING:
     from stage.board.board import Board
 
-KIND = 7  # the bits of a line's kind that say which cycle it is
-NEWEST = 64  # lines that may go on where a recording begins: a read of each port that is polled
-AT_A_TIME = 16384  # cycles
-HOLD = 8  # of a cycle: for so long PORT and DATA of the one before stay
+NEWEST_LINES = 64  # lines that may go on where a recording begins: a read of each port that is polled
+PIECE_CYCLES = 16384
+HOLD_FRACTION = 8  # of a cycle: for so long PORT and DATA of the one before stay
 
 
 class Mark(NamedTuple):
-    """How far the trace is. noted: lines so far; last: of the newest of them, when they ended."""
+    """How far the trace is.
 
-    noted: int
+    Attributes:
+        total: Lines so far.
+        last: When the newest of them ended, ns.
+    """
+
+    total: int
     last: np.ndarray
 
 
@@ -44,38 +49,46 @@ class HostWaveforms:
         self.board = board
 
     def mark(self) -> Mark:
-        """Where a recording begins or ends."""
+        """Return how far the trace is where a recording begins or ends."""
         trace = self.board.trace
-        return Mark(trace.noted, trace.lines()["last"][-NEWEST:])
+        return Mark(trace.total, trace.lines()["last"][-NEWEST_LINES:])
 
     def changes(
         self, writer: Any, first: Mark | None, last: Mark | None, begin: int, end: int
     ) -> list[Iterator[tuple[int, Any, Any]]]:
-        """Register the bus now if there were cycles between the marks; its changes are the iterators."""
+        """Register the signals of the bus now, if there were cycles in a recording, and return their changes.
+
+        Args:
+            writer: Writer of a VCD file.
+            first: Mark at the begin of the recording; None: no board was there.
+            last: Mark at its end; None: the recording goes on.
+            begin: Time of its begin, ns.
+            end: Time of its end, ns.
+        """
         return _changes(self._lines(first, last, begin, end), writer, round(self.board.stage.bus_cycle * 1e9), begin)
 
     def _lines(self, first: Mark | None, last: Mark | None, begin: int, end: int) -> np.ndarray:
-        """CYCLE records of these cycles; polling that had begun before is cut."""
+        """Return CYCLE records of these cycles; polling that had begun before is cut."""
         trace = self.board.trace
-        lines, until = trace.lines(), last.noted if last is not None else trace.noted
-        number = trace.noted - len(lines) + np.arange(len(lines))
-        ours = number < until
+        lines, until = trace.lines(), last.total if last is not None else trace.total
+        number = trace.total - len(lines) + np.arange(len(lines))
+        inside = number < until
         if first is not None:
-            new = number >= first.noted
-            before = first.noted - len(first.last)  # the number of the oldest whose end is known
+            new = number >= first.total
+            before = first.total - len(first.last)  # the number of the oldest whose end is known
             known = np.flatnonzero(~new & (number >= before))
             new[known] = lines["last"][known] != first.last[number[known] - before]
-            ours &= new
-        found = lines[ours]
-        found["last"] = np.minimum(found["last"], end)
-        found["first"] = np.minimum(np.maximum(found["first"], begin), found["last"])
-        return found
+            inside &= new
+        cycles = lines[inside]
+        cycles["last"] = np.minimum(cycles["last"], end)
+        cycles["first"] = np.minimum(np.maximum(cycles["first"], begin), cycles["last"])
+        return cycles
 
 
 def _changes(lines: np.ndarray, writer: Any, bus_ns: int, begin: int) -> list[Iterator[tuple[int, Any, Any]]]:
     if not len(lines):
         return []
-    kind = lines["kind"] & KIND
+    kind = lines["kind"] & KIND_BITS
     hooks = (kind == CALLED) | (kind == RETURNED)
     cycles, kinds = lines[~hooks], kind[~hooks]
     wide = bool(np.isin(kinds, (IN_WIDE, OUT_WIDE)).any())
@@ -90,25 +103,23 @@ def _changes(lines: np.ndarray, writer: Any, bus_ns: int, begin: int) -> list[It
     ]
     if hooks.any():
         hook = writer.register_var(HOST, "HOOK", "wire", size=1, init=0)
-        streams.append(
-            (t, hook, int(k == CALLED))
-            for t, k in zip(lines["first"][hooks].tolist(), kind[hooks].tolist(), strict=True)
-        )
+        times, levels = lines["first"][hooks].tolist(), (kind[hooks] == CALLED).astype(int).tolist()
+        streams.append((t, hook, level) for t, level in zip(times, levels, strict=True))
     return streams
 
 
 def _cycles(lines: np.ndarray, reads: np.ndarray, variables: tuple[Any, ...], bus_ns: int, begin: int) -> Iterator[Any]:
-    """Each line's first cycle, and its last if there were more."""
+    """Yield the changes of each line's first cycle, and of its last if there were more."""
     port, data, rd, wr = variables
     more = np.flatnonzero(lines["last"] > lines["first"])
     at = np.concatenate([lines["first"], lines["last"][more]])
     which = np.concatenate([np.arange(len(lines)), more])
     order = np.lexsort((which, at))
-    for piece in np.array_split(order, max(1, -(-len(order) // AT_A_TIME))):
+    for piece in np.array_split(order, max(1, -(-len(order) // PIECE_CYCLES))):
         k = which[piece]
         columns = at[piece].tolist(), lines["port"][k].tolist(), lines["value"][k].tolist(), reads[k].tolist()
         for end, number, value, is_read in zip(*columns, strict=True):
-            middle, start = max(begin, end - (bus_ns + 1) // 2), max(begin, end - bus_ns + bus_ns // HOLD)
+            middle, start = max(begin, end - (bus_ns + 1) // 2), max(begin, end - bus_ns + bus_ns // HOLD_FRACTION)
             strobe = rd if is_read else wr
             yield start, port, number
             yield (middle if is_read else start), data, value
@@ -117,7 +128,7 @@ def _cycles(lines: np.ndarray, reads: np.ndarray, variables: tuple[Any, ...], bu
 
 
 def _polls(lines: np.ndarray, variable: Any) -> Iterator[Any]:
-    """1 while at least one port is read again and again."""
+    """Yield 1 where at least one port begins to be read again and again, 0 where none is any more."""
     lines = lines[lines["count"] > 2]
     steps = heapq.merge(((t, 1) for t in lines["first"].tolist()), ((t, -1) for t in np.sort(lines["last"]).tolist()))
     depth = 0

@@ -15,18 +15,24 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 from stage.board.crash_report import IS_SUPPORTED
-from stage.board.layouts import MOST_PORTS
+from stage.board.layouts import MAX_PORTS
 from stage.errors import ArgumentError
 
 FORM = "ADDRESS=PORT+LENGTH, for example 0x40021000=0x300+0x40"
-MOST_ADDRESS = 1 << 47
+ADDRESS_LIMIT = 1 << 47
 PROXIES = "use the registers of pulsestage_mmio.hpp, or macros: docs/memory_mapped.md"
 _NUMBER = r"(0[xX][0-9a-fA-F]+|[0-9]+)"
 _TEXT = re.compile(rf"\s*{_NUMBER}\s*=\s*{_NUMBER}\s*\+\s*{_NUMBER}\s*")
 
 
 class Window(NamedTuple):
-    """`length` ports from `port` on, a byte each, at `address`."""
+    """Ports of a board at addresses.
+
+    Attributes:
+        address: Where they are.
+        port: The first of them.
+        length: How many they are, a byte each.
+    """
 
     address: int
     port: int
@@ -41,60 +47,62 @@ class Window(NamedTuple):
         return f"{self.address:#x}={self.port:#x}+{self.length:#x}"
 
 
-Given = str | tuple[int, int, int] | Iterable[str | tuple[int, int, int]]
+Windows = str | tuple[int, int, int] | Iterable[str | tuple[int, int, int]]
 
 
 def is_supported() -> bool:
     """Tell whether firmware can have windows on this system: Linux on x86-64."""
-    return IS_SUPPORTED and platform.machine() == "x86_64"
+    return IS_SUPPORTED and platform.describe_machine() == "x86_64"
 
 
 def explain_missing(isolated: bool) -> str:
     """Say why there can be no windows here."""
     if is_supported() and not isolated:
         return f"windows of memory-mapped registers need a process of the firmware's own: isolated=True, the default; or {PROXIES}."
-    where = f"{platform.system()} on {platform.machine()}"
+    where = f"{platform.system()} on {platform.describe_machine()}"
     return f"windows of memory-mapped registers need Linux on x86-64, and this is {where}: {PROXIES}."
 
 
-def parse(text: str) -> Window:
-    """A window in the form `ADDRESS=PORT+LENGTH`, decimal or hexadecimal with 0x. Raises ArgumentError."""
-    found = _TEXT.fullmatch(text)
-    if found is None:
-        raise ArgumentError(f"--map {text!r}: write {FORM}.")
-    return _checked(Window(*(int(n, 16) if n[:2] in ("0x", "0X") else int(n) for n in found.groups())))
+def parse_windows(windows: Windows = ()) -> tuple[Window, ...]:
+    """Parse windows: one, or several, each a Window, (address, port, length), or text in the form `ADDRESS=PORT+LENGTH` with
+    numbers in decimal or hexadecimal (0x).
 
+    Returns:
+        The windows, sorted by address.
 
-def windows(given: Given = ()) -> tuple[Window, ...]:
-    """Windows as they are given: one, or several, each a Window, (address, port, length) or text as above; sorted by address.
-
-    Raises ArgumentError for another form, ports that do not exist, and windows that overlap.
+    Raises:
+        ArgumentError: Another form, ports that do not exist, or windows that overlap.
     """
-    if isinstance(given, str) or (isinstance(given, tuple) and len(given) == 3 and isinstance(given[0], int)):
-        given = (given,)
+    if isinstance(windows, str) or (isinstance(windows, tuple) and len(windows) == 3 and isinstance(windows[0], int)):
+        windows = (windows,)
     try:
-        found = sorted(parse(one) if isinstance(one, str) else _checked(Window(*_numbers(one))) for one in given)
+        parsed = sorted(_check(Window(*_parse_numbers(one))) for one in windows)
     except TypeError:
-        raise ArgumentError(f"map={given!r}: a window is a Window(address, port, length), or text: {FORM}.") from None
-    for one, other in pairwise(found):
+        raise ArgumentError(f"map={windows!r}: a window is a Window(address, port, length), or text: {FORM}.") from None
+    for one, other in pairwise(parsed):
         if other.address < one.end:
             raise ArgumentError(f"windows {one} and {other} overlap: an address can lead to one port only.")
-    return tuple(found)
+    return tuple(parsed)
 
 
-def _numbers(one: Any) -> tuple[int, int, int]:
-    if isinstance(one, bool) or len(one) != 3 or not all(type(n) is int for n in one):
-        raise TypeError
-    return one
+def _parse_numbers(one: Any) -> Iterable[int]:
+    if not isinstance(one, str):
+        if isinstance(one, bool) or len(one) != 3 or not all(type(n) is int for n in one):
+            raise TypeError
+        return one
+    match = _TEXT.fullmatch(one)
+    if match is None:
+        raise ArgumentError(f"--map {one!r}: write {FORM}.")
+    return (int(n, 16) if n[:2] in ("0x", "0X") else int(n) for n in match.groups())
 
 
-def _checked(window: Window) -> Window:
+def _check(window: Window) -> Window:
     if window.length < 1:
         raise ArgumentError(f"window {window}: its length is 1 port or more.")
-    if window.port < 0 or window.port + window.length > MOST_PORTS:
+    if window.port < 0 or window.port + window.length > MAX_PORTS:
         raise ArgumentError(
-            f"window {window}: its ports end at {window.port + window.length - 1:X}h, and ports are 0 to {MOST_PORTS - 1:X}h."
+            f"window {window}: its ports end at {window.port + window.length - 1:X}h, and ports are 0 to {MAX_PORTS - 1:X}h."
         )
-    if window.address < 0 or window.end > MOST_ADDRESS:
-        raise ArgumentError(f"window {window}: addresses are 0 to {MOST_ADDRESS - 1:X}h.")
+    if window.address < 0 or window.end > ADDRESS_LIMIT:
+        raise ArgumentError(f"window {window}: addresses are 0 to {ADDRESS_LIMIT - 1:X}h.")
     return window

@@ -157,7 +157,7 @@ def to_c(panel: Panel, shared: SavedPanel, now: int) -> str:
     """Return firmware for `stage run`: the same cycles, to the microsecond."""
     _check(panel, shared)
     chips = {k: chip for k, chip in enumerate(panel.session.stage.chips)}
-    places = {p.index: p for p in layouts.places(chips, None, None, None)}
+    places = {p.index: p for p in layouts.place_chips(chips, None, None, None)}
     lines = []
     for s, words in zip(shared.sent, _words(panel, shared), strict=True):
         cycles = _ports(places[s.chip], s)

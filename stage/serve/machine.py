@@ -13,7 +13,7 @@ import numpy as np
 from stage import __version__
 from stage.board import Board, HostError
 from stage.board.bus.batch import ENTRY, first_wrong, go_on, run_batch
-from stage.board.bus.host_record import LAST_PORT, LONGEST_DELAY
+from stage.board.bus.host_record import LAST_PORT, MAX_DELAY_US
 from stage.errors import ArgumentError, StageError, unknown
 from stage.serve import client
 from stage.serve.frames import ENTRIES
@@ -111,14 +111,14 @@ class Machine:
             raise ArgumentError(
                 f"BATCH, entry {wrong}: {_in_words(room.entries[wrong])}. Nothing of this batch was done."
             )
-        link, before = self.board.link, (self._in_batch, self.board.link.stand_still)
-        self._in_batch, link.stand_still = True, self._stand_still
+        link, before = self.board.link, (self._in_batch, self.board.link.pause)
+        self._in_batch, link.pause = True, self._stand_still
         try:
             link.begin()
             done = run_batch.c(link.pointer, room.asked, n, room.answered, n)
             link.end()
         finally:
-            self._in_batch, link.stand_still = before
+            self._in_batch, link.pause = before
         try:
             link.raise_error()
         except Exception as error:
@@ -156,7 +156,7 @@ class Machine:
         if len(body) != client.TIMING.size:
             raise ArgumentError(f"TIMER: {len(body):,} bytes; it has {client.TIMING.size}.")
         n, level, period = client.TIMING.unpack(body)
-        if not 0 <= period <= LONGEST_DELAY * 1000:
+        if not 0 <= period <= MAX_DELAY_US * 1000:
             raise ArgumentError(f"TIMER: a period of {period} ns; there are 1 to 1e18, and 0 for off.")
         self.board.on_timer(period / 1000, partial(self._hook, client.FIRST_TIMER + n), n=n, level=level)
         self._timers[n] = body
@@ -187,7 +187,7 @@ class Machine:
         if board.link.record["serving"]:
             raise StageError("RESTORE: not from within an interrupt hook.")
         board.stage.restore(self._states[name])
-        board.port_table["seen"] = 0  # a read from now on is a line of its own in the trace
+        board.port_table["read_line"] = 0  # a read from now on is a line of its own in the trace
         for timer in list(self._timers.values()):  # they begin anew
             self._timer(timer)
         return b""

@@ -17,8 +17,8 @@ from pathlib import Path
 
 from stage.board.board import Board
 from stage.board.host import Host
-from stage.board.thread_runner import PATIENCE, Program
-from stage.board.windows import Window, windows
+from stage.board.thread_runner import PATIENCE_S, Program
+from stage.board.windows import Window, parse_windows
 from stage.errors import ArgumentError
 from stage.targets import mcus
 from stage.targets.nvic import IRQS
@@ -56,7 +56,7 @@ class TargetHost(Host):
         mcu_clock: float | None = None,
         gdb: int | None = None,
         isolated: bool = os.name == "posix",
-        patience: float = PATIENCE,
+        patience: float = PATIENCE_S,
     ):
         self._check(board, patience, "'firmware.elf'")
         if mcu_clock is not None and not (
@@ -107,7 +107,7 @@ def program_of(path: Path, mcu: str, maps: list[str], hz: int | None, gdb: int |
 def _windows_and_irq(maps: list[str]) -> tuple[tuple[Window, ...], int | None]:
     """--map 0x40021000=0x300+0x40, and irq=6: which of NVIC's interrupts the board's line is wired to."""
     wires = [m for m in maps if m.strip().startswith("irq")]
-    found = windows([m for m in maps if m not in wires])
+    found = parse_windows([m for m in maps if m not in wires])
     match = re.fullmatch(r"\s*irq\s*=\s*([0-9]+)\s*", wires[0]) if wires else None
     if len(wires) > 1 or (wires and (match is None or int(match[1]) >= IRQS)):
         raise ArgumentError(

@@ -46,12 +46,12 @@ def board_arguments(node: pytest.Item) -> dict[str, Any]:
         ArgumentError: A marker has an argument that does not exist, or one twice.
         FileError: The file of a layout does not exist.
     """
-    from stage.board import layout_files
+    from stage.board import layouts
 
     arguments: dict[str, Any] = {}
     for mark in _list_markers(node, "board"):
         arguments |= _bind_arguments(mark, BOARD_ARGUMENTS)
-    if layout_files.is_file(arguments.get("layout")):
+    if layouts.names_file(arguments.get("layout")):
         arguments["layout"] = find_file(node, arguments["layout"], "layout")
     return arguments
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from stage.board import build, platforms
-from stage.board.library import SOURCES, compiler
+from stage.board.library import SOURCES, find_compiler
 from stage.errors import ArgumentError
 
 
@@ -42,9 +42,15 @@ def build_library(request: pytest.FixtureRequest, arguments: dict[str, Any]) -> 
 def _build_once(
     choose_folder: Path, sources: list[Path], flags: tuple[str, ...], platform: str | None, metered: bool
 ) -> Path:
-    inputs = [*(compiler(source) for source in sources), *flags, *map(str, sources), f"for {platform}", str(metered)]
+    inputs = [
+        *(find_compiler(source) for source in sources),
+        *flags,
+        *map(str, sources),
+        f"for {platform}",
+        str(metered),
+    ]
     key = hashlib.sha256(os.fsencode("\0".join(inputs)))
-    for source in platforms.whole(sources):
+    for source in platforms.add_sketch_files(sources):
         key.update(source.read_bytes())
     library = choose_folder / key.hexdigest()[:16] / f"{sources[0].stem}.so"
     if not library.exists():

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from stage.board.bus.host_record import LATCH, WORD
-from stage.board.layouts import usual
+from stage.board.layouts import default_layout
 from stage.chips import Chip
 from stage.tune.written import Cycle, Row
 
@@ -75,7 +75,7 @@ def c_source(
 
 def _example(chip: Chip, used: set[int | None]) -> str:
     """How a board with the usual layout makes a write cycle, in C; where its ports are not the chip's addresses, a call."""
-    layout = usual(chip)
+    layout = default_layout(chip)
     base = f"0x{layout.base:X}"
     kinds, there = {kind for kind, _ in layout.ports}, {address for _, address in layout.ports}
     if LATCH in kinds:

@@ -22,7 +22,7 @@ from stage.errors import ArgumentError
 )
 def test_a_device_of_sources_has_as_many_ports_as_its_text_says(monkeypatch, text, ports):
     monkeypatch.setattr(device_texts, "CDevice", lambda source: source)
-    assert device_texts.made(text) == (text.partition(":")[0], ports)
+    assert device_texts.parse_device(text) == (text.partition(":")[0], ports)
 
 
 def test_a_chip_of_several_axes_has_its_first_port_by_any_of_them():
@@ -63,7 +63,7 @@ def test_reads_before_and_behind_a_cycle_that_a_device_has_failed_in_are_two_lin
     with pytest.raises(ZeroDivisionError):
         board.out8(0x400, 0x12)
     board.in8(0x302)
-    assert [(c.port, c.way, c.times) for c in board.trace] == [(0x302, "R", 2), (0x400, "W", 1), (0x302, "R", 1)]
+    assert [(c.port, c.direction, c.times) for c in board.trace] == [(0x302, "R", 2), (0x400, "W", 1), (0x302, "R", 1)]
 
 
 @pytest.mark.parametrize(

@@ -13,10 +13,10 @@ from stage.board import Board, layouts
 from stage.board.bus import host_record
 from stage.board.bus.interrupts import ANY_LINE, FIRST_LINE, FIRST_PYTHON_TIMER, FIRST_SOFTWARE, FIRST_TIMER, HIGHEST
 from stage.board.devices import HCTL2016, Encoder
-from stage.board.interrupt_hooks import named
+from stage.board.interrupt_hooks import name_source
 from stage.board.isolation.traps.memory import Windows
-from stage.board.layout_files import read
-from stage.board.windows import MOST_ADDRESS, Window, windows
+from stage.board.layouts import read_layout
+from stage.board.windows import ADDRESS_LIMIT, Window, parse_windows
 from stage.chips import HCTL1100, MCX304
 from stage.errors import ArgumentError
 from stage.sim.encoder import choose_encoders
@@ -47,10 +47,10 @@ def test_a_trace_of_exactly_as_many_lines_as_it_keeps_is_whole():
 
 
 def test_names_of_interrupts():
-    assert [named(n) for n in (0, FIRST_LINE, FIRST_LINE + 61, FIRST_SOFTWARE, FIRST_SOFTWARE + 1)] == [
+    assert [name_source(n) for n in (0, FIRST_LINE, FIRST_LINE + 61, FIRST_SOFTWARE, FIRST_SOFTWARE + 1)] == [
         "the interrupt line", "line 0", "line 61", "software interrupt 0", "software interrupt 1",
     ]  # fmt: skip
-    assert [named(n) for n in (FIRST_TIMER, FIRST_TIMER + 1, FIRST_PYTHON_TIMER, FIRST_PYTHON_TIMER + 3)] == [
+    assert [name_source(n) for n in (FIRST_TIMER, FIRST_TIMER + 1, FIRST_PYTHON_TIMER, FIRST_PYTHON_TIMER + 3)] == [
         "timer 0", "timer 1", "timer 0 of Python", "timer 3 of Python",
     ]  # fmt: skip
 
@@ -77,12 +77,16 @@ def test_a_timer_of_a_board_is_switched_off_by_a_period_of_0_and_keeps_parts_of_
 def test_a_layout_like_another_for_another_chip_and_the_last_address_of_one(tmp_path):
     file = tmp_path / "card.toml"
     file.write_text('like = "nova"\nchip = "MCX514"\nbase = "0xFFFFFF00"\nstride = 1\n')
-    assert (read(file).kind.__name__, read(file).base, read(file).stride) == ("MCX514", 0xFFFFFF00, 1)
+    assert (read_layout(file).kind.__name__, read_layout(file).base, read_layout(file).stride) == (
+        "MCX514",
+        0xFFFFFF00,
+        1,
+    )
     file.write_text('like = "pcl240"\n')
-    assert read(file).kind.__name__ == "PCL240"
+    assert read_layout(file).kind.__name__ == "PCL240"
     most = MCX304.ADDRESSES - 1
     file.write_text(f'chip = "MCX304"\nports = ["word {most}", "upper {most}"]')
-    assert len(read(file).ports) == 2
+    assert len(read_layout(file).ports) == 2
     for text, said in (
         (f'chip = "MCX304"\nports = ["word {most + 1}"]', f"0 to {most}. Write"),
         ('chip = "PCL240K"\nports = ["qqqqqq 0"]', r'"none"\.$'),
@@ -92,27 +96,27 @@ def test_a_layout_like_another_for_another_chip_and_the_last_address_of_one(tmp_
     ):
         file.write_text(text)
         with pytest.raises(ArgumentError, match=said):
-            read(file)
+            read_layout(file)
     file.write_text('chip = "PCL240K"\nports = ["byte 0"]\nchips = 64\nbase = 4294967295')
-    assert (read(file).chips, read(file).base) == (64, layouts.LAST_PORT)
+    assert (read_layout(file).chips, read_layout(file).base) == (64, layouts.LAST_PORT)
 
 
 def test_windows_end_with_the_ports_and_addresses_that_there_are():
-    assert windows((MOST_ADDRESS - 1, 0, 1)) == (Window(MOST_ADDRESS - 1, 0, 1),)
-    assert windows((0x10000, layouts.MOST_PORTS - 1, 1))[0].length == 1
+    assert parse_windows((ADDRESS_LIMIT - 1, 0, 1)) == (Window(ADDRESS_LIMIT - 1, 0, 1),)
+    assert parse_windows((0x10000, layouts.MAX_PORTS - 1, 1))[0].length == 1
     for wrong in (((True, 1, 2),), ((1.0, 1, 2),), ((1, 2, 3, 4),), (True, 1, 2, 3)):
         with pytest.raises(ArgumentError, match="a window is a Window"):
-            windows(wrong)
-    for wrong, said in (((MOST_ADDRESS, 0, 1), "addresses are 0 to"), ((0x1000, -1, 1), "ports are 0 to")):
+            parse_windows(wrong)
+    for wrong, said in (((ADDRESS_LIMIT, 0, 1), "addresses are 0 to"), ((0x1000, -1, 1), "ports are 0 to")):
         with pytest.raises(ArgumentError, match=said):
-            windows(wrong)
+            parse_windows(wrong)
 
 
 @pytest.mark.parametrize(
     ("address", "nearest"), [(0xFFF, 0), (0x1040, 0), (0x1100, 0), (0x1F80, 1), (0x2041, 1), (0x9000, 2)]
 )
 def test_an_access_behind_or_before_a_window_is_told_of_the_nearest(address, nearest, monkeypatch):
-    given = windows([(0x1000, 0x300, 0x40), (0x2000, 0x340, 0x40), (0x5000, 0x380, 0x40)])
+    given = parse_windows([(0x1000, 0x300, 0x40), (0x2000, 0x340, 0x40), (0x5000, 0x380, 0x40)])
     monkeypatch.setattr("stage.board.crash_report.locate", lambda *_: "main")
     state = SimpleNamespace(start=0, stack=id(given))
     monkeypatch.setattr("stage.board.isolation.traps.memory.array_at", lambda *_: [state])
@@ -181,7 +185,7 @@ def test_a_counter_without_a_zero_keeps_the_place_where_it_came_on_its_board():
     given = board.put(HCTL2016(Encoder("x", per_metre=1e6, zero=0.001)), 0x330)
     assert counter.encoders[0].zero == stage.axes["x"].position
     assert given.encoders[0].zero == 0.001
-    make, *arguments = counter.twin()
+    make, *arguments = counter.recipe()
     assert make(*arguments).encoders == counter.encoders
     assert (counter.count, given.count) == (0, round((stage.axes["x"].position - 0.001) * 1e6))
 
@@ -193,7 +197,7 @@ def test_nothing_of_a_firmware_that_has_gone_is_left_in_the_table_of_interrupts(
     for name in ("serving", "level", "meter", "stack_low", "stack_high"):
         h[name] = 1
     hooks.sources["hook"][:] = hooks.sources["level"][:] = hooks.sources["lines"][:] = 3
-    hooks.without_firmware()
+    hooks.remove_firmware()
     assert [int(h[name]) for name in ("serving", "level", "meter", "stack_low", "stack_high")] == [0] * 5
     line, timer = hooks.sources[ANY_LINE], hooks.sources[FIRST_PYTHON_TIMER]
     assert (line["hook"], line["level"], line["lines"], line["argument"]) == (0, 1, -1, ANY_LINE)

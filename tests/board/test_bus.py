@@ -144,7 +144,7 @@ def test_a_port_that_reaches_nothing_reads_as_ffh_takes_a_cycle_and_is_noted():
     assert board.in16(0x30C) == 0xFFFF
     board.out8(0x2FF, 1)
     assert stage.time == pytest.approx(3e-6)
-    assert [(c.port, c.way, c.value) for c in board.strays] == [
+    assert [(c.port, c.direction, c.value) for c in board.strays] == [
         (0x200, "R", 0xFF),
         (0x30C, "R", 0xFFFF),
         (0x2FF, "W", 1),
@@ -375,7 +375,7 @@ def test_an_interrupt_comes_within_a_delay_at_the_very_nanosecond():
     assert not twin.axes["x"].chip.pins.irq
     twin.run_to(seen[0][0])
     assert twin.axes["x"].chip.pins.irq
-    calls = [(c.way, c.meaning) for c in board.trace if c.port is None]
+    calls = [(c.direction, c.meaning) for c in board.trace if c.port is None]
     assert calls == [("I", "interrupt: the hook is called"), ("i", "interrupt: the hook returns")]
     lines = list(board.trace)
     for n in range(len(lines) + 1):
@@ -478,7 +478,7 @@ def test_base_and_stride_say_where_each_chip_lies_and_16_bits_are_two_cycles_the
     board.out8(0x248, 0x81)
     board.out16(0x249, 0x0203)
     assert stage.axes["y"].chip.values()["R1"] == 0x0203
-    assert [(c.way, c.port, c.value, c.width) for c in board.trace][-2:] == [
+    assert [(c.direction, c.port, c.value, c.width) for c in board.trace][-2:] == [
         ("W", 0x249, 0x03, 8),
         ("W", 0x24A, 0x02, 8),
     ]

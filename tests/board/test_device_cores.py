@@ -128,7 +128,7 @@ def test_a_master_reset_of_an_ls7166_is_that_of_all_its_registers_and_each_other
         return b
 
     def told(b):
-        return {name: int(b.registers[name]) for name in b.registers.dtype.names if name not in ("seen", "up")}
+        return {name: int(b.registers[name]) for name in b.registers.dtype.names if name not in ("last", "up")}
 
     before = told(used())
     assert 0 not in before.values()
@@ -322,12 +322,12 @@ def test_a_loop_gives_back_what_it_takes_in_order_a_character_each():
 def test_a_batch_refuses_numbers_just_beyond_their_bounds():
     """host.delay_us(10**15 + 1) and -1, ports of 33 bits"""
     from stage.board.bus.batch import ENTRY, UNTIL_LINE, first_wrong
-    from stage.board.bus.host_record import DELAY, IN8, LONGEST_DELAY, OUT8, OUT16, OUT32, SPEND
+    from stage.board.bus.host_record import DELAY, IN8, MAX_DELAY_US, OUT8, OUT16, OUT32, SPEND
 
     Board(Stage("xy", visuals=False))
     for what, a, b, wrong in (
-        (DELAY, 0, 0, 0), (DELAY, LONGEST_DELAY, 0, 0), (DELAY, LONGEST_DELAY + 1, 0, 1), (DELAY, -1, 0, 1),
-        (SPEND, 0, 0, 0), (SPEND, LONGEST_DELAY * 1000, 0, 0), (SPEND, LONGEST_DELAY * 1000 + 1, 0, 1), (SPEND, -1, 0, 1),
+        (DELAY, 0, 0, 0), (DELAY, MAX_DELAY_US, 0, 0), (DELAY, MAX_DELAY_US + 1, 0, 1), (DELAY, -1, 0, 1),
+        (SPEND, 0, 0, 0), (SPEND, MAX_DELAY_US * 1000, 0, 0), (SPEND, MAX_DELAY_US * 1000 + 1, 0, 1), (SPEND, -1, 0, 1),
         (UNTIL_LINE, 0, 0, 0), (UNTIL_LINE, -1, 0, 1), (IN8, 0xFFFFFFFF, 0, 0), (IN8, 1 << 32, 0, 1), (IN8, -1, 0, 1),
         (OUT8, 0, 255, 0), (OUT8, 0, 256, 1), (OUT16, 0, 65535, 0), (OUT16, 0, 65536, 1), (OUT32, 0, (1 << 32) - 1, 0),
         (OUT32, 0, 1 << 32, 1), (OUT32, 0, -1, 1),

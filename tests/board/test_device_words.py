@@ -10,7 +10,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board
-from stage.board.board import _ports
+from stage.board.board import _check_ports
 from stage.board.devices import (
     HCTL2000,
     HCTL2016,
@@ -21,7 +21,7 @@ from stage.board.devices import (
     Encoder,
     Latch,
     PythonDevice,
-    made,
+    parse_device,
     user_devices,
 )
 from stage.errors import ArgumentError, StageError
@@ -133,7 +133,7 @@ def test_bounds_of_devices_are_what_their_messages_say(tmp_path):
     for clock in (0, 10**9 + 1, 1.5):
         with pytest.raises(ArgumentError, match="1 to 1e9 Hz"):
             UART(clock=clock)
-    most = user_devices.MOST_STATE
+    most = user_devices.MAX_STATE_BYTES
     for state in (np.zeros(most, np.uint8), bytearray(3), np.zeros(1)):
         assert PythonDevice(state=state).state[0].nbytes == len(memoryview(state).cast("B"))
     locked = np.zeros(3)
@@ -158,7 +158,7 @@ def test_bounds_of_boards_are_what_their_messages_say():
     for keep in (0, 1.5, (1 << 28) + 1):
         with pytest.raises(ArgumentError, match="a trace keeps 1 to 268435456 lines"):
             Board(stage, keep_cycles=keep)
-    assert Board(Stage("xy", visuals=False), keep_cycles=1).trace.room == 1
+    assert Board(Stage("xy", visuals=False), keep_cycles=1).trace.capacity == 1
     board = Board(stage, devices="latch:0x378")
     assert [device.name for device in board.devices] == ["latch at 378h"]
     with pytest.raises(ArgumentError, match="is no device"):
@@ -173,7 +173,7 @@ def test_bounds_of_boards_are_what_their_messages_say():
             board.device(ports, width=16)
     with pytest.raises(ArgumentError, match="from 000h on"):  # behind the last port there is none
         board.device(0x378)
-    assert len(_ports(Device(), range(0x10000, 0x20000))) == 1 << 16
+    assert len(_check_ports(Device(), range(0x10000, 0x20000))) == 1 << 16
     for n in range(62 - 2 - 2):
         board.device(0x600 + n)
     with pytest.raises(ArgumentError, match="at most 62 chips and devices"):
@@ -248,5 +248,5 @@ def test_a_device_of_another_version_or_too_large_is_refused(tmp_path):
 
 def test_a_text_of_a_device_that_is_like_none_gives_no_advice():
     with pytest.raises(ArgumentError) as refused:
-        made("zzzzzz:0x320:x")
+        parse_device("zzzzzz:0x320:x")
     assert "Did you mean" not in str(refused.value)

@@ -114,7 +114,7 @@ def test_firmware_in_a_process_of_its_own_meets_the_same_devices_to_the_bit(adc)
         "the encoder counts"
     )
     assert int(board.devices[1].state[0][1]) == sum(
-        c.times for c in board.trace if c.port in (0x340, 0x341) and c.way == "R"
+        c.times for c in board.trace if c.port in (0x340, 0x341) and c.direction == "R"
     )
 
 
@@ -176,7 +176,7 @@ def test_snapshots_carry_the_state_of_devices_and_say_whose_they_are(adc):
     assert not board.devices[1].state[0].any()
     twin = copy.deepcopy(stage)  # its bus is empty: devices stay with their board
     assert twin.time == stage.time
-    assert twin.beside.words == 0
+    assert twin.device_state.words == 0
     begin = Board(Stage("xy", visuals=False))
     plain = begin.stage.snapshot()
     begin.stage.restore(plain)
@@ -285,7 +285,7 @@ def test_devices_and_chips_share_no_port_and_say_who_has_it(adc):
         board.device(0x600, read=5)
     assert board.port_table is table
     assert len(board.devices) == 1
-    assert board.stage.beside.words == 1
+    assert board.stage.device_state.words == 1
     board.device([0xF0000000, 0x4FF], read=lambda port: 3, name="far")
     assert (board.in8(0xF0000000), board.in8(0x4FF), board.in8(0x500), board.in8(0x4FE)) == (3, 3, 0xFF, 0xFF)
     assert board.port_table.nbytes < 2000
@@ -348,7 +348,7 @@ def test_the_cycle_that_a_device_in_python_fails_in_is_the_last_line_of_the_trac
         with pytest.raises(ZeroDivisionError):
             run()
         last = list(board.trace)[-1]
-        assert (last.way, last.value, last.width, last.times) == (way, value, width, 1)
+        assert (last.direction, last.value, last.width, last.times) == (way, value, width, 1)
         assert last.port == (0x500 if way == "R" else 0x502)
         assert last.meaning == "the device here, in Python, has raised an error"
         assert round(last.seconds * 1e9) == board.stage.now == 1000 * board.cycles

@@ -251,10 +251,10 @@ def test_a_hook_in_python_that_takes_itself_away_is_called_once_and_one_that_sta
 
 
 def test_the_patience_of_a_host_is_the_documented_one():
-    from stage.board.thread_runner import PATIENCE
+    from stage.board.thread_runner import PATIENCE_S
 
     page = (Path(__file__).resolve().parents[2] / "docs" / "firmware_in_the_loop.md").read_text()
-    assert f"after {PATIENCE:g} s of real time without a cycle" in " ".join(page.split())
+    assert f"after {PATIENCE_S:g} s of real time without a cycle" in " ".join(page.split())
 
 
 @pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])

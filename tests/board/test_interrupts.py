@@ -409,7 +409,7 @@ def test_a_hook_that_sets_its_own_level_goes_on_as_one_and_one_that_lowers_it_is
     assert host.run().code == 0
     said = [text.split() for _, text in host.log]
     assert said == [["stays", "/stays", "two", "main", "lowers", "/lowers", "main"], ["seven", "two", "three"]]
-    ends = [c.meaning.removeprefix("interrupt: ") for c in host.board.trace if c.way == "i"]
+    ends = [c.meaning.removeprefix("interrupt: ") for c in host.board.trace if c.direction == "i"]
     assert ends[:3] == [
         "software interrupt 0 returns", "software interrupt 2 returns",
         "software interrupt 1 is over: its hook has lowered the level",

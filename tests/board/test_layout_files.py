@@ -12,7 +12,7 @@ from support.compiled_firmware import firmware
 
 from stage import Stage
 from stage.board import LAYOUTS, Board
-from stage.board.layout_files import read
+from stage.board.layouts import read_layout
 from stage.chips import MCX304, MCX514, PCL240K
 from stage.cli import main
 from stage.errors import ArgumentError
@@ -63,7 +63,7 @@ def test_ports_of_ones_own_lie_one_after_the_other_unless_the_file_says_how_far(
         "stride = 9",
     ):
         path.write_text(f'like = "pcl240"\n{more}\n')
-        made = read(path)
+        made = read_layout(path)
         strides[more] = made.stride, len(made.ports)
     assert list(strides.values()) == [(4, 4), (5, 5), (9, 1), (9, 4)]
 
@@ -73,10 +73,10 @@ def test_a_word_has_one_of_the_addresses_of_its_chip(tmp_path):
     last = MCX514.ADDRESSES - 1
     for text in (f"word {last}", f"byte {MCX514.ADDRESS_MASK}"):
         path.write_text(f'chip = "MCX514"\nports = ["{text}"]\n')
-        assert len(read(path).ports) == 1
+        assert len(read_layout(path).ports) == 1
     path.write_text(f'chip = "MCX514"\nports = ["word {last + 1}"]\n')
     with pytest.raises(ArgumentError, match=f"an address of an MCX514 follows, 0 to {last}"):
-        read(path)
+        read_layout(path)
 
 
 def test_the_page_shows_files_that_are_as_it_says(tmp_path):
@@ -85,7 +85,7 @@ def test_the_page_shows_files_that_are_as_it_says(tmp_path):
     for n, (kind, text) in enumerate(written):
         path = tmp_path / f"card{n}.{kind}"
         path.write_text(text)
-        layout = read(path)
+        layout = read_layout(path)
         Board(Stage("xyz", chips=layout.kind, visuals=False), layout=path)
 
 
@@ -104,11 +104,15 @@ def test_every_shipped_layout_can_be_written_as_a_file(name, tmp_path):
         "stride": shipped.stride, "ports": [*map(text, shipped.ports)], "own": [*map(text, shipped.own)], "chips": shipped.chips,
     }  # fmt: skip
     path.write_text(json.dumps(given))
-    again = read(path)
+    again = read_layout(path)
     for field in ("name", "title", "ports", "stride", "base", "own", "chips"):
         assert getattr(again, field) == getattr(shipped, field)
     path.write_text(json.dumps({"like": name, "base": 0x100}))
-    assert (read(path).ports, read(path).base, read(path).kind) == (shipped.ports, 0x100, shipped.kind)
+    assert (read_layout(path).ports, read_layout(path).base, read_layout(path).kind) == (
+        shipped.ports,
+        0x100,
+        shipped.kind,
+    )
 
 
 @pytest.mark.parametrize(
@@ -151,7 +155,7 @@ def test_a_file_that_is_none_or_does_not_fit_is_said(tmp_path, stage, card):
         Board(Stage("xyz", chips=MCX304, visuals=False), layout=card)
     (tmp_path / "card.json").write_text("[1]")
     with pytest.raises(ArgumentError, match=r"keys with values are wanted"):
-        read(tmp_path / "card.json")
+        read_layout(tmp_path / "card.json")
 
 
 def test_stage_run_takes_the_file_a_clock_and_a_patience(card, capsys):

@@ -12,7 +12,7 @@ from support.compiled_firmware import firmware
 
 from stage import Stage
 from stage.board import Board, CompileError, LibraryError, NativeHost, NoCompilerError, build, include, library
-from stage.board.library import check, how_to_build
+from stage.board.library import check_library, how_to_build
 from stage.errors import ArgumentError
 from stage.support.files import FileError
 
@@ -179,7 +179,7 @@ def test_a_source_of_rust_or_zig_and_a_folder_are_told_what_to_build(tmp_path):
     assert how_to_build("x/it.rs").startswith("rustc --edition 2024 --crate-type cdylib x/it.rs -o it.")
     assert how_to_build("it.zig") == "zig build-lib -dynamic -O ReleaseSafe it.zig"
     with pytest.raises(FileError, match=r"is a folder\. Name a library, or the sources of one: cc "):
-        check(tmp_path)
+        check_library(tmp_path)
 
 
 @pytest.mark.parametrize("output", ["b.c", "b.cpp", "b.ino", "b.h"])
@@ -193,7 +193,9 @@ def test_a_source_as_the_output_stays_and_is_told(tmp_path, output):
 
 
 pytestmark = pytest.mark.skipif(platform.system() != "Linux", reason="of ELF")
-OURS = {"x86-64": 62, "aarch64": 183}.get(library._OURS.get(platform.machine(), platform.machine()), 0)
+OURS = {"x86-64": 62, "aarch64": 183}.get(
+    library.MACHINE_NAMES.get(platform.describe_machine(), platform.describe_machine()), 0
+)
 SHARED = 3
 
 
@@ -215,7 +217,7 @@ def test_a_library_of_another_machine_says_of_which_and_where_it_can_run(tmp_pat
     file = tmp_path / "x.so"
     file.write_bytes(head)
     with pytest.raises(LibraryError) as refused:
-        library.check(file)
+        library.check_library(file)
     assert said in str(refused.value)
     assert ("Or run it as it is, on an emulated processor" in str(refused.value)) == bool(instead)
     assert str(refused.value).endswith(instead)
@@ -230,14 +232,14 @@ def test_what_is_no_library_says_what_it_is(tmp_path, kind, said):
     file = tmp_path / "x.so"
     file.write_bytes(elf(kind, OURS))
     with pytest.raises(LibraryError, match=said):
-        library.check(file)
+        library.check_library(file)
     file.write_bytes(elf(SHARED, OURS))
-    assert library.check(str(file)) == file
+    assert library.check_library(str(file)) == file
     file.write_bytes(elf(SHARED, OURS)[:19])
     with pytest.raises(LibraryError, match="is no shared library of this machine"):
-        library.check(file)
+        library.check_library(file)
     with pytest.raises(FileError, match=r"is a folder\. Name a library"):
-        library.check(tmp_path)
+        library.check_library(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -260,32 +262,32 @@ def test_the_compiler_is_that_of_the_environment_and_else_the_first_that_is_ther
     there = {"own", "gcc", "clang++"}
     monkeypatch.setattr(library.shutil, "which", lambda name: name if name in there else None)
     monkeypatch.setenv("CC", "own -O1"), monkeypatch.setenv("CXX", "lost")
-    assert library.compiler("x.c") == "own -O1"
-    assert library.compiler("x.cpp") == "clang++"
+    assert library.find_compiler("x.c") == "own -O1"
+    assert library.find_compiler("x.cpp") == "clang++"
     monkeypatch.setenv("CC", "lost")
-    assert library.compiler() == "gcc"
+    assert library.find_compiler() == "gcc"
     there.clear()
     with pytest.raises(
         library.NoCompilerError, match=r"for x\.cc: none of c\+\+, g\+\+, clang\+\+ is on the PATH, and \$CXX is not"
     ):
-        library.compiler("x.cc")
+        library.find_compiler("x.cc")
 
 
 def test_sanitizers_of_a_library_are_named_each_once(tmp_path):
     file = tmp_path / "x.so"
     file.write_bytes(b"\0libubsan.so.1\0libasan.so.8\0libasan.so.8\0libtsan.so\0libmsan.so.1\0")
-    assert library.sanitizers(file) == ["libasan.so.8", "libtsan.so", "libubsan.so.1"]
-    assert library.sanitizers(tmp_path / "none") == []
+    assert library.find_sanitizers(file) == ["libasan.so.8", "libtsan.so", "libubsan.so.1"]
+    assert library.find_sanitizers(tmp_path / "none") == []
 
 
 def test_sources_are_known_by_their_ends_and_one_library_is_enough(tmp_path):
     assert library.are_sources(["a.c", "b.cpp", "s.ino"])
     assert not library.are_sources(["a.c", "b.so"])
     with pytest.raises(library.ArgumentError, match=r"a\.so, b\.so: give one library, or sources only"):
-        library.ready(["a.so", "b.so"])
+        library.find_library(["a.so", "b.so"])
     with pytest.raises(
         library.ArgumentError, match=r"platform='dos': it says how sources are built, and a\.so is built"
     ):
-        library.ready("a.so", platform="dos")
+        library.find_library("a.so", platform="dos")
     with pytest.raises(library.ArgumentError, match="nothing to build"):
         library.build([])

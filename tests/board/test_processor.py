@@ -193,7 +193,7 @@ def test_64_bits_are_two_accesses_of_32_the_low_half_first():
     board = Board(Stage("xy", visuals=False))
     board.device(range(0x308, 0x310), read=lambda port: port & 0xFF, width=16)
     NativeHost(firmware(body), board).run()
-    assert [(c.way, c.port, c.value) for c in board.trace] == [
+    assert [(c.direction, c.port, c.value) for c in board.trace] == [
         *(("W", 0x308 + k, 0x1122334455667788 >> 8 * k & 0xFFFF) for k in (0, 2, 4, 6)),
         *(("R", port, port & 0xFF) for port in (0x308, 0x30A, 0x30C, 0x30E)),
     ]

@@ -115,7 +115,7 @@ def test_a_folder_that_somebody_uses_is_not_swept(folder, monkeypatch):
     copy = folder / f"{scratch.PREFIX}left"
     shutil.copytree(left.path, copy)  # the lock is that of the other file
     left.close()
-    monkeypatch.setattr(scratch, "_swept", False)
+    scratch.sweep.cache_clear()
     scratch.Scratch().close()
     assert of_runs(folder) == [used.path]
     used.close()

@@ -9,7 +9,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board
-from stage.board.devices import HCTL2000, HCTL2016, LS7166, UART, Encoder, Latch, made
+from stage.board.devices import HCTL2000, HCTL2016, LS7166, UART, Encoder, Latch, parse_device
 from stage.errors import ArgumentError
 
 BAUD = ((3, 0x83), (0, 1), (1, 0), (3, 0x03), (2, 0x01))  # 115200, 8 bits, no parity, FIFOs
@@ -294,7 +294,7 @@ def test_a_pseudo_terminal_is_the_other_end_of_a_uart(line):
 )  # fmt: skip
 def test_a_text_that_is_no_device_says_what_to_write(text, said):
     with pytest.raises(Exception, match=said):
-        made(text)
+        parse_device(text)
 
 
 @pytest.mark.board(devices=["latch:0x378", "hctl2016:0x320:x"])

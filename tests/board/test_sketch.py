@@ -2,7 +2,7 @@
 
 import pytest
 
-from stage.board.platforms.sketch import folder_of, translated
+from stage.board.platforms.sketch import list_sketch_files, translate_sketch
 
 SKETCH = """\
 // void ghost() {
@@ -30,21 +30,21 @@ def prototypes(text):
 
 
 def test_functions_get_prototypes_and_nothing_else_does(tmp_path):
-    made = translated({tmp_path / "a.ino": SKETCH})
+    made = translate_sketch({tmp_path / "a.ino": SKETCH})
     assert made.startswith("#include <Arduino.h>\n")
     assert prototypes(made) == ["void setup();", "void loop();", "static unsigned long * go(Point p, int n[3]);"]
     assert made.index("struct Point") < made.index("void setup();") < made.index("void setup() {")
 
 
 def test_errors_are_of_the_lines_of_the_sketch(tmp_path):
-    lines = translated({tmp_path / "a.ino": "int a;\n", tmp_path / "b.ino": "\n\nvoid setup() {}\n"}).splitlines()
+    lines = translate_sketch({tmp_path / "a.ino": "int a;\n", tmp_path / "b.ino": "\n\nvoid setup() {}\n"}).splitlines()
     at = lines.index("void setup() {}")
     assert lines[at - 1] == f'#line 3 "{tmp_path / "b.ino"}"'
 
 
 def test_a_brace_too_many_hides_no_function_behind_it(tmp_path):
     """as of `#if` and `#else` that both end a block"""
-    assert prototypes(translated({tmp_path / "a.ino": "int f() {}\n}\nint g(int a) { return a; }\n"})) == [
+    assert prototypes(translate_sketch({tmp_path / "a.ino": "int f() {}\n}\nint g(int a) { return a; }\n"})) == [
         "int f();",
         "int g(int a);",
     ]
@@ -52,7 +52,10 @@ def test_a_brace_too_many_hides_no_function_behind_it(tmp_path):
 
 @pytest.mark.parametrize("text", ["", "#define X 1\n", "int x = f();\n"])
 def test_a_sketch_without_a_function_is_left_as_it_is(text, tmp_path):
-    assert translated({tmp_path / "a.ino": text}) == f'#include <Arduino.h>\n#line 1 "{tmp_path / "a.ino"}"\n{text}\n'
+    assert (
+        translate_sketch({tmp_path / "a.ino": text})
+        == f'#include <Arduino.h>\n#line 1 "{tmp_path / "a.ino"}"\n{text}\n'
+    )
 
 
 def test_a_sketch_in_a_folder_of_its_name_takes_the_folder_along(tmp_path):
@@ -60,6 +63,11 @@ def test_a_sketch_in_a_folder_of_its_name_takes_the_folder_along(tmp_path):
     folder.mkdir()
     for name in ("mill.ino", "zeta.ino", "alpha.ino", "motor.cpp", "motor.h", "notes.txt"):
         (folder / name).write_text("")
-    assert [f.name for f in folder_of(folder / "mill.ino")] == ["mill.ino", "alpha.ino", "zeta.ino", "motor.cpp"]
-    assert folder_of(folder / "alpha.ino") == [folder / "alpha.ino"]
-    assert folder_of(folder / "motor.cpp") == [folder / "motor.cpp"]
+    assert [f.name for f in list_sketch_files(folder / "mill.ino")] == [
+        "mill.ino",
+        "alpha.ino",
+        "zeta.ino",
+        "motor.cpp",
+    ]
+    assert list_sketch_files(folder / "alpha.ino") == [folder / "alpha.ino"]
+    assert list_sketch_files(folder / "motor.cpp") == [folder / "motor.cpp"]

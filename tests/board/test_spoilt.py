@@ -12,7 +12,7 @@ from support.compiled_firmware import firmware
 
 from stage import Stage
 from stage.board import Board, HostError, NativeHost
-from stage.board.isolation.shared_memory import CRASH, TEXT, Shared, SpoiltError
+from stage.board.isolation.shared_memory import CRASH_SIZE, TEXT_SIZE, SharedMemory, SpoiltError
 from stage.cli import main
 
 SPOILS = r"""
@@ -109,7 +109,7 @@ def test_stage_run_ends_with_1_and_without_a_traceback(monkeypatch, capfd):
 def test_what_is_taken_over_after_a_crash_is_looked_at_field_by_field(part, field, value, stage, tmp_path):
     # ((long *)shared)[k] = garbage;
     b = Board(stage)
-    shared = Shared(tmp_path / "shared", b, create=True)
+    shared = SharedMemory(tmp_path / "shared", b, create=True)
     shared.edges[:4]["kind"], shared.cycles[:4]["count"] = 0, 1
     shared.record["traced"] = 4
     shared.check_notes(b, 4, 0, 1000, ended=True)
@@ -120,20 +120,20 @@ def test_what_is_taken_over_after_a_crash_is_looked_at_field_by_field(part, fiel
 
 @pytest.fixture
 def shared(tmp_path):
-    return Shared(tmp_path / "shared", Board(Stage("xy", visuals=False)), create=True)
+    return SharedMemory(tmp_path / "shared", Board(Stage("xy", visuals=False)), create=True)
 
 
 def test_lines_come_once_in_their_order_with_their_times(shared):
     assert shared.note(1_500_000_000, "first")
     assert shared.note(2_000_000_000, "zweite \u00fc")
-    assert shared.lines() == [(1.5, "first"), (2.0, "zweite \u00fc")]
-    assert shared.lines() == []
+    assert shared.take_lines() == [(1.5, "first"), (2.0, "zweite \u00fc")]
+    assert shared.take_lines() == []
 
 
 def test_a_line_is_cut_at_half_of_the_room_and_refused_where_none_is_left(shared):
-    assert shared.note(0, "x" * TEXT)
-    assert not shared.note(0, "y" * TEXT)
-    assert [len(text) for _, text in shared.lines()] == [TEXT // 2]
+    assert shared.note(0, "x" * TEXT_SIZE)
+    assert not shared.note(0, "y" * TEXT_SIZE)
+    assert [len(text) for _, text in shared.take_lines()] == [TEXT_SIZE // 2]
 
 
 def test_reading_ends_at_a_line_that_firmware_has_overwritten(shared):
@@ -141,18 +141,18 @@ def test_reading_ends_at_a_line_that_firmware_has_overwritten(shared):
     begin = shared._used[0]
     shared.note(0, "lost")
     shared._text[begin + 8 : begin + 12] = b"\xff\xff\xff\x7f"  # its length
-    assert shared.lines() == [(0.0, "kept")]
+    assert shared.take_lines() == [(0.0, "kept")]
 
 
 def test_a_crash_is_stored_up_to_the_size_of_its_room(shared):
     assert shared.crash == b""
     shared.note_crash(b"SIGSEGV at 0\0\0")
     assert shared.crash == b"SIGSEGV at 0"
-    shared.note_crash(b"z" * (CRASH + 5))
-    assert shared.crash == b"z" * CRASH
+    shared.note_crash(b"z" * (CRASH_SIZE + 5))
+    assert shared.crash == b"z" * CRASH_SIZE
 
 
 def test_the_parent_reads_what_the_child_that_mapped_the_file_has_noted(tmp_path, shared):
-    child = Shared(tmp_path / "shared", Board(Stage("xy", visuals=False)))
+    child = SharedMemory(tmp_path / "shared", Board(Stage("xy", visuals=False)))
     child.note(3, "from the child")
-    assert [text for _, text in shared.lines()] == ["from the child"]
+    assert [text for _, text in shared.take_lines()] == ["from the child"]

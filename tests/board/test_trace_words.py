@@ -6,9 +6,9 @@ import pytest
 
 from stage import Stage
 from stage.board import Board
-from stage.board.bus.host_record import CALLED, LEVEL, OF_LEVEL, ON_LINE, RAISE, RETURNED, TIMER
+from stage.board.bus.host_record import CALLED, LEVEL, ON_LINE, RAISE, RETURNED, TIMER, WRONG_LEVEL
 from stage.board.bus.interrupts import FIRST_SOFTWARE, FIRST_TIMER, SOFTWARE_LINE
-from stage.board.trace import Cycle, _interrupt
+from stage.board.trace import Cycle, describe_interrupt
 
 
 @pytest.fixture
@@ -21,8 +21,8 @@ def board():
     [(0, ""), (1, " (1 tick was missed)"), (2, " (2 ticks were missed)"), (1234, " (1,234 ticks were missed)")],
 )
 def test_ticks_that_were_missed_are_counted_in_words(missed, said):
-    assert _interrupt(CALLED, 0, missed) == f"interrupt: the hook is called{said}"
-    assert _interrupt(RETURNED, 0, 0) == "interrupt: the hook returns"
+    assert describe_interrupt(CALLED, 0, missed) == f"interrupt: the hook is called{said}"
+    assert describe_interrupt(RETURNED, 0, 0) == "interrupt: the hook returns"
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ def test_each_timer_of_python_has_its_own_period_and_missed_ticks(board, n):
     board.on_timer(10, slow, n=n)
     board.delay_us(60)
     assert at == [10_000, 35_000, 40_000, 50_000, 60_000]
-    called = [c.meaning for c in board.trace if c.way == "I"]
+    called = [c.meaning for c in board.trace if c.direction == "I"]
     assert called[:3] == [
         f"interrupt: timer {n} of Python is called", f"interrupt: timer {n} of Python is called (1 tick was missed)",
         f"interrupt: timer {n} of Python is called",
@@ -105,14 +105,14 @@ def test_of_timers_that_are_due_at_once_the_highest_level_comes_first_and_of_one
         ),
         (LEVEL, 16, 0, "ps_level(16): levels are 0 to 15"),
         (RAISE, 8, 0, "ps_raise(8): software interrupts are 0 to 7"),
-        (TIMER | OF_LEVEL, 3, 0, "level 0 of timer 3: levels of hooks are 1 to 15"),
-        (ON_LINE | OF_LEVEL, 1, 16, "level 16 of line 1: levels of hooks are 1 to 15"),
-        (ON_LINE | OF_LEVEL, SOFTWARE_LINE + 3, 16, "level 16 of PS_SOFTWARE(3): levels of hooks are 1 to 15"),
+        (TIMER | WRONG_LEVEL, 3, 0, "level 0 of timer 3: levels of hooks are 1 to 15"),
+        (ON_LINE | WRONG_LEVEL, 1, 16, "level 16 of line 1: levels of hooks are 1 to 15"),
+        (ON_LINE | WRONG_LEVEL, SOFTWARE_LINE + 3, 16, "level 16 of PS_SOFTWARE(3): levels of hooks are 1 to 15"),
     ],
 )
 def test_a_request_that_makes_no_sense_is_refused_with_what_it_was_and_what_there_is(board, what, a, b, said):
     board.delay_us(1500)
-    assert board.link.hooks.refused(what, a, b) == f"{said}; at 0.001500 s."
+    assert board.link.hooks.describe_refusal(what, a, b) == f"{said}; at 0.001500 s."
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_a_request_that_makes_no_sense_is_refused_with_what_it_was_and_what_ther
 def test_a_storm_says_whose_hook_it_is_and_why_it_comes_again(board, source, period, said):
     if period:
         board.link.hooks.sources[source]["period"] = period
-    assert said in board.link.hooks.storm(source)
+    assert said in board.link.hooks.describe_storm(source)
 
 
 def test_a_message_ends_with_the_last_cycles_or_says_that_there_was_none(board):

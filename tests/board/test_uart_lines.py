@@ -54,8 +54,8 @@ def test_what_has_left_it_is_told_in_order_and_nothing_of_what_has_not(written, 
     board, uart = line()
     s = uart.registers
     said = np.arange(written) * 7 % 251
-    for k in range(max(0, written - uart_core.KEPT), written):
-        s["sent"][k % uart_core.KEPT] = said[k]
+    for k in range(max(0, written - uart_core.SENT_ROOM), written):
+        s["sent"][k % uart_core.SENT_ROOM] = said[k]
     s["written"], s["left"] = written, board.stage.now + unsent * uart._character - (1 if unsent else 0)
     end = written - unsent
     assert uart.sent == bytes(said[max(0, end - 4096) : end].tolist())

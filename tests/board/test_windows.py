@@ -9,8 +9,8 @@ from support.compiled_firmware import firmware
 
 from stage import Stage
 from stage.board import Board, NativeHost
-from stage.board.layouts import MOST_PORTS
-from stage.board.windows import Window, parse, windows
+from stage.board.layouts import MAX_PORTS
+from stage.board.windows import Window, parse_windows
 from stage.chips import MCX304
 from stage.errors import ArgumentError
 
@@ -18,13 +18,19 @@ from stage.errors import ArgumentError
 def test_a_window_is_text_or_numbers_one_or_several():
     # stage run driver.so --map 0x40021000=0x300+0x40
     one = Window(0x40021000, 0x300, 0x40)
-    assert parse("0x40021000=0x300+0x40") == parse(" 1073876992 = 768+64") == one
+    assert parse_windows("0x40021000=0x300+0x40") == parse_windows(" 1073876992 = 768+64") == (one,)
     assert str(one) == "0x40021000=0x300+0x40"
-    assert windows(str(one)) == windows([one]) == windows((0x40021000, 0x300, 0x40)) == windows(one) == (one,)
-    assert windows(["0x50000000=0x340+4", one]) == (one, Window(0x50000000, 0x340, 4)), "sorted by address"
-    assert windows([(0x50000010, 0x300, 8), (0x50000000, 0x300, 0x10)])[1].address == 0x50000010, "side by side"
-    assert windows() == windows([]) == ()
-    assert parse(f"0x1000={MOST_PORTS - 4}+4").length == 4
+    assert (
+        parse_windows(str(one))
+        == parse_windows([one])
+        == parse_windows((0x40021000, 0x300, 0x40))
+        == parse_windows(one)
+        == (one,)
+    )
+    assert parse_windows(["0x50000000=0x340+4", one]) == (one, Window(0x50000000, 0x340, 4)), "sorted by address"
+    assert parse_windows([(0x50000010, 0x300, 8), (0x50000000, 0x300, 0x10)])[1].address == 0x50000010, "side by side"
+    assert parse_windows() == parse_windows([]) == ()
+    assert parse_windows(f"0x1000={MAX_PORTS - 4}+4")[0].length == 4
 
 
 REFUSED = {
@@ -32,7 +38,7 @@ REFUSED = {
     "40021000h=300h+40h": "write ADDRESS=PORT+LENGTH",
     "0x40021000=0x300": "write ADDRESS=PORT+LENGTH",
     "0x40021000=0x300+0": "its length is 1 port or more",
-    f"0x40021000={MOST_PORTS - 4}+5": f"its ports end at {MOST_PORTS:X}h, and ports are 0 to {MOST_PORTS - 1:X}h",
+    f"0x40021000={MAX_PORTS - 4}+5": f"its ports end at {MAX_PORTS:X}h, and ports are 0 to {MAX_PORTS - 1:X}h",
     "0x7fffffffffff=0x300+2": "addresses are 0 to 7FFFFFFFFFFFh",
     ("0x40021000=0x300+0x11", "0x40021010=0x340+4"): "windows 0x40021000=0x300+0x11 and 0x40021010=0x340+0x4 overlap",
     (5,): "map=(5,): a window is a Window(address, port, length), or text",
@@ -46,7 +52,7 @@ REFUSED = {
 @pytest.mark.parametrize("given", REFUSED, ids=str)
 def test_what_is_no_window_is_refused_in_words(given):
     with pytest.raises(ArgumentError, match=re.escape(REFUSED[given])):
-        windows(given)
+        parse_windows(given)
 
 
 def test_a_cycle_of_32_bits_is_two_of_16_the_low_half_first():

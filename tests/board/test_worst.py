@@ -58,7 +58,7 @@ def test_stage_run_says_what_the_table_says(what, library, monkeypatch, capfd):
 
 def test_a_log_without_end_is_an_error_in_process(library, monkeypatch, capfd):
     monkeypatch.setenv("WORST", "log")
-    monkeypatch.setattr("stage.board.board.MOST_LINES", 1000)
+    monkeypatch.setattr("stage.board.board.MAX_LOG_LINES", 1000)
     assert main(["run", str(library), "--model", "xy", "--in-process"]) == 1
     shown = capfd.readouterr()
     assert "1,000 lines were noted by ps_log" in shown.err

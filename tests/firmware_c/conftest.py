@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from stage.board import NoCompilerError, build
-from stage.board.library import compiler
+from stage.board.library import find_compiler
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "scripts" / "firmware"
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror")
@@ -16,7 +16,7 @@ FLAGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror")
 def firmware(tmp_path_factory):
     """firmware("pcl240mk", *flags, change=(file, old, new)) -> a library; with `change` of a copy that is broken on purpose."""
     try:
-        compiler()
+        find_compiler()
     except NoCompilerError as error:
         pytest.skip(f"firmware in C is not tested here: {error}")
     made = {}

@@ -70,7 +70,7 @@ def test_with_a_work_around_the_drive_ends_on_its_target(firmware, work_around):
     assert x.lost_steps == 0
     assert x.chip.diagnostics == []
     assert board.strays == []
-    calls = sum(cycle.way == "I" for cycle in board.trace)
+    calls = sum(cycle.direction == "I" for cycle in board.trace)
     assert calls == (1 if work_around == BY_INTERRUPT else 0)
 
 
@@ -111,7 +111,7 @@ def test_a_broken_register_write_is_named_with_its_cycle_and_leaves_a_recording(
     moment = said.clock / chip.clock_hz
     assert "A = 14464" in said.message, "what is left of it in 16 bits"
     assert "takes 1 to 8000" in said.message
-    cycle = min((c for c in board.trace if c.way == "W"), key=lambda cycle: abs(cycle.seconds - moment))
+    cycle = min((c for c in board.trace if c.direction == "W"), key=lambda cycle: abs(cycle.seconds - moment))
     print(f"{said.message}\n{cycle}")
     assert (cycle.port, cycle.value, cycle.seconds) == (0x300, 0x0102, pytest.approx(moment, abs=1e-6))
     assert recording.save(tmp_path / "broken.rrd").stat().st_size > 10_000

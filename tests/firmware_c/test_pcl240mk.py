@@ -13,7 +13,7 @@ from support.examples import SEED
 
 from stage import Stage
 from stage.board import Board, NativeHost
-from stage.board.library import compiler
+from stage.board.library import find_compiler
 from stage.chips import PCL240MK
 from stage.firmware.path import path_deviation, pulses_of
 from stage.firmware.pcl240 import emulated
@@ -259,7 +259,7 @@ def test_a_broken_register_write_is_named_with_its_cycle_and_leaves_a_recording(
         code = host.run(TIMEOUT).code
     said = next(d for d in stage.axes["x"].chip.diagnostics if message in d.message)
     moment = said.clock / stage.axes["x"].chip.clock_hz
-    named = [cycle for cycle in board.trace if cycle.way == "W" and cycle.port in range(0x300, 0x304)]
+    named = [cycle for cycle in board.trace if cycle.direction == "W" and cycle.port in range(0x300, 0x304)]
     cycle = min(named, key=lambda cycle: abs(cycle.seconds - moment))
     print(f"returned {code}; {said.message}\n{cycle}")
     assert (cycle.value, cycle.seconds) == (value, pytest.approx(moment, abs=1e-6))
@@ -284,6 +284,14 @@ def test_the_same_driver_compiles_for_a_card_in_a_pc(firmware, tmp_path):
     if platform.system() != "Linux" or platform.machine() != "x86_64":
         pytest.skip("port I/O from user space is a matter of Linux on x86")
     sources = [EXAMPLES / "hal" / "hal_linux.c", *sorted((EXAMPLES / "pcl240mk").glob("*.c"))]
-    command = [*compiler().split(), "-std=c99", "-Wall", "-Wextra", "-O2", f"-I{EXAMPLES / 'hal'}", *map(str, sources)]
+    command = [
+        *find_compiler().split(),
+        "-std=c99",
+        "-Wall",
+        "-Wextra",
+        "-O2",
+        f"-I{EXAMPLES / 'hal'}",
+        *map(str, sources),
+    ]
     done = subprocess.run([*command, "-o", str(tmp_path / "program")], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")

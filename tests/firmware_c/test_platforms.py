@@ -9,7 +9,7 @@ import pytest
 
 from stage import ArgumentError, Stage
 from stage.board import Board, CompileError, NativeHost, build
-from stage.board.library import compiler, include
+from stage.board.library import find_compiler, include
 from stage.board.platforms import PLATFORMS
 from stage.cli import main
 from stage.testing import assert_at, assert_no_diagnostics, assert_no_lost_steps, assert_no_strays
@@ -131,7 +131,7 @@ def test_pins_make_cycles_and_registers_are_those_of_an_avr(tmp_path):
     library = build(tmp_path / "pins.c", flags=(*WARNINGS, "-O0"), platform="avr")
     for _ in range(2):  # the second run begins with fresh pins
         assert NativeHost(library, board).run(timeout=1).code == 0
-    shown = [(c.way, c.port, c.value) for c in itertools.islice(board.trace, 8)]
+    shown = [(c.direction, c.port, c.value) for c in itertools.islice(board.trace, 8)]
     assert shown[:2] == [("W", 0x300, 0xC0), ("W", 0x300, 0xC0)]
     assert ("W", 0x300, 0xFF) in shown
     assert [text.partition(",")[0].partition(";")[0] for _, text in board.log[:2]] == [
@@ -152,7 +152,7 @@ def test_each_header_compiles_alone_without_a_warning(platform, header, standard
     folders = [f"-I{include() / 'platforms' / f}" for f in PLATFORMS[platform].folders]
     defines = [f for f in PLATFORMS[platform].flags if f.startswith("-D")]
     done = subprocess.run(
-        [compiler(source), f"-std={standard}", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only", f"-I{include()}",
+        [find_compiler(source), f"-std={standard}", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only", f"-I{include()}",
          *folders, *defines, str(source)],
         capture_output=True, text=True, check=False,
     )  # fmt: skip

@@ -417,7 +417,9 @@ def test_the_ports_in_c_reach_the_address_of_the_chip(name):
     board = Board(stage)
     k = len(stage.chips) - 1
     chip = stage.chips[k]
-    place = next(p for p in saved_panel.layouts.places(dict(enumerate(stage.chips)), None, None, None) if p.index == k)
+    place = next(
+        p for p in saved_panel.layouts.place_chips(dict(enumerate(stage.chips)), None, None, None) if p.index == k
+    )
     kinds = [kind for kind, _ in place.layout.ports]
     reached = range(chip.ADDRESSES) if saved_panel.LATCH in kinds else [
         a for kind, a in place.layout.ports if kind in (saved_panel.BYTE, saved_panel.WORD)

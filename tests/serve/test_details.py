@@ -22,7 +22,7 @@ def test_cycles_of_every_width_reach_the_board(served):
     with served.host() as host:
         host.out8(0x500, 0x12), host.out16(0x500, 0x1234), host.out32(0x500, 0x12345678)
         assert [host.in8(0x500), host.in16(0x510), host.in32(0x520)] == [0xFF, 0xFFFF, 0xFFFFFFFF]
-        lines = [(c.port, c.way, c.value, c.width) for c in served.board.trace]
+        lines = [(c.port, c.direction, c.value, c.width) for c in served.board.trace]
     assert lines == [
         (0x500, "W", 0x12, 8), (0x500, "W", 0x1234, 16), (0x500, "W", 0x5678, 16), (0x502, "W", 0x1234, 16),
         (0x500, "R", 0xFF, 8), (0x510, "R", 0xFFFF, 16), (0x520, "R", 0xFFFF, 16), (0x522, "R", 0xFFFF, 16),

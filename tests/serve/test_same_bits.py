@@ -11,7 +11,7 @@ from support.served import serving
 
 from stage import Stage
 from stage.board import Board, NativeHost, NoCompilerError, build, include
-from stage.board.library import compiler
+from stage.board.library import find_compiler
 from stage.chips import MCX304, PCL240MK
 from stage.serve import client
 
@@ -82,7 +82,7 @@ def sources(example: str) -> list[str]:
 def program(folder: Path, *arguments: str) -> Path:
     """A C program that runs against a server."""
     try:
-        name = compiler()
+        name = find_compiler()
     except NoCompilerError as error:
         pytest.skip(str(error))
     made = folder / "program"
@@ -205,7 +205,7 @@ def test_c_plus_plus_and_several_files_are_fine(served, tmp_path):
     made = tmp_path / "program"
     flags = ["-std=c++17", "-Wall", "-Wextra", "-pedantic", "-Werror", "-DPULSESTAGE_REMOTE", f"-I{include()}"]
     names = [str(tmp_path / name) for name in ("a.cpp", "b.cpp")]
-    subprocess.run([*compiler("a.cpp").split(), *flags, *names, "-o", str(made)], check=True)
+    subprocess.run([*find_compiler("a.cpp").split(), *flags, *names, "-o", str(made)], check=True)
     assert subprocess.run([str(made), served.address], check=False).returncode == 5
     assert served.board.log == [(0.0, "from C++")]
     assert served.board.cycles == 2
@@ -248,7 +248,7 @@ PULSESTAGE_MAIN
 def test_timers_tick_over_tcp_at_the_nanosecond_they_tick_at_in_process(served, tmp_path):
     """cc -DPULSESTAGE_REMOTE driver.c, with ps_on_timer and ps_spend_ns in it"""
     try:
-        command = compiler()
+        command = find_compiler()
     except NoCompilerError as error:
         pytest.skip(str(error))
     source, program = tmp_path / "ticks.c", tmp_path / "ticks"

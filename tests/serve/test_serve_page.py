@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from stage.board import NoCompilerError
-from stage.board.library import compiler
+from stage.board.library import find_compiler
 from stage.serve import frames
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "serve.md").read_text()
@@ -100,7 +100,7 @@ def test_the_whole_clients_of_the_page_have_a_hundred_lines_at_most_and_drive_a_
     else:
         (tmp_path / "minimal.c").write_text(source + MINE_IN_C)
         try:
-            command = [compiler(), "-std=c11", "-Wall", "-Wextra", "-Werror", "minimal.c", "-o", "minimal"]
+            command = [find_compiler(), "-std=c11", "-Wall", "-Wextra", "-Werror", "minimal.c", "-o", "minimal"]
         except NoCompilerError as error:
             pytest.skip(str(error))
         subprocess.run(command, cwd=tmp_path, check=True)

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import pytest
 
 from stage.board import NoCompilerError, build
-from stage.board.library import compiler
+from stage.board.library import find_compiler
 
 _FOLDER = TemporaryDirectory(prefix="pulsestage-test-")
 
@@ -19,7 +19,7 @@ _FOLDER = TemporaryDirectory(prefix="pulsestage-test-")
 def firmware(body: str, *flags: str, suffix: str = ".c") -> Path:
     """A library whose source is `#include <pulsestage.h>` and `body`."""
     try:
-        compiler(f"x{suffix}")
+        find_compiler(f"x{suffix}")
     except NoCompilerError as error:
         pytest.skip(str(error))
     digest = hashlib.blake2b(repr((body, flags)).encode(), digest_size=8).hexdigest()

@@ -150,7 +150,7 @@ def test_a_data_port_that_drives_in_a_read_cycle_is_said():
 def test_without_chip_select_the_other_chip_of_the_board_is_untouched():
     h = faults(9, PINS.replace("cs=B0", "cs=B7"))
     h.run()
-    assert h.board.trace.kept is not None
+    assert h.board.trace.buffer is not None
     assert not [c for c in h.board.trace][12:], "B7 is pulled up: no chip is selected"
 
 

@@ -7,7 +7,7 @@ from support.target_boards import board_of
 
 from stage import Stage
 from stage.board import Board, HostError, HostTimeout, LibraryError
-from stage.board.windows import windows
+from stage.board.windows import parse_windows
 from stage.chips import PCL240K, PCL240MK
 from stage.errors import ArgumentError
 from stage.targets import TargetHost, machine, mcus
@@ -101,7 +101,9 @@ def test_an_access_that_reaches_beyond_a_window_is_outside():
 @pytest.fixture(scope="module")
 def cortex():
     """A processor whose vectors are in its RAM; its program has not begun."""
-    made = CortexProgram(DATA / "faults.m3.elf", "cortex-m3", None, windows(WINDOW), None).load(board_of(1), False)
+    made = CortexProgram(DATA / "faults.m3.elf", "cortex-m3", None, parse_windows(WINDOW), None).load(
+        board_of(1), False
+    )
     made.nvic.vectors = 0x20000000
     made.uc.mem_write(0x20000000 + 4 * SYSTICK, (0x08000101).to_bytes(4, "little"))
     return made
@@ -132,7 +134,9 @@ def test_bytes_and_halfwords_of_the_processors_own_registers_are_parts_of_its_wo
 
 
 def test_an_alarm_of_the_processor_is_not_late_by_the_time_between_two_looks():
-    made = CortexProgram(DATA / "faults.m3.elf", "cortex-m3", None, windows(WINDOW), None).load(board_of(1), False)
+    made = CortexProgram(DATA / "faults.m3.elf", "cortex-m3", None, parse_windows(WINDOW), None).load(
+        board_of(1), False
+    )
     t = made.record
     assert t.quantum > 10
     for ahead in (1, 10, 10 * t.quantum):
@@ -144,7 +148,7 @@ def test_an_alarm_of_the_processor_is_not_late_by_the_time_between_two_looks():
 def test_wider_accesses_are_wider_cycles():
     h = faults(WIDE)
     assert h.run().code == -3
-    assert [(c.port, c.way, c.width) for c in list(h.board.trace)[-4:]] == [
+    assert [(c.port, c.direction, c.width) for c in list(h.board.trace)[-4:]] == [
         (0x320, "R", 16), (0x320, "W", 16), (0x320, "R", 16), (0x322, "R", 16),
     ]  # fmt: skip
 

@@ -112,7 +112,7 @@ def test_words_are_cycles_of_16_bits(tmp_path):
     board = Board(Stage("xy", chips={"x": MCX304, "y": PCL240K}, visuals=False), base={"x": 0x300, "y": 0x340})
     h = com(tmp_path, f"BA0803 B83412 EF ED {EXIT}", board)  # mov dx,308h; mov ax,1234h; out dx,ax; in ax,dx
     h.run()
-    assert [(c.way, c.width) for c in board.trace] == [("W", 16), ("R", 16)]
+    assert [(c.direction, c.width) for c in board.trace] == [("W", 16), ("R", 16)]
 
 
 @needs_unicorn

@@ -11,7 +11,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board, NativeHost, NoCompilerError, build
-from stage.board.library import compiler
+from stage.board.library import find_compiler
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MS
 from stage.chips.describe import Said
 from stage.cli import main
@@ -107,7 +107,7 @@ def test_the_printed_bytes_are_the_move_and_leave_the_registers_of_the_table(res
 
 def test_the_c_header_compiles_without_a_warning_and_makes_the_same_move(result, tmp_path):
     try:
-        compiler()
+        find_compiler()
     except NoCompilerError as error:
         pytest.skip(str(error))
     (tmp_path / "tuned.h").write_text(result.c_source("x_axis"))

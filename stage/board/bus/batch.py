@@ -1,7 +1,7 @@
 """Many requests of a host in one compiled call: `run_batch` takes an array of ENTRY records and gives an answer for each.
 
-For hosts that are far away, see stage.serve: a batch may contain "read this port until (value & mask) == x", so that waiting for a
-chip takes no way there and back.
+For hosts at the other end of a network, see stage.serve: a batch may contain "read this port until (value & mask) == x", so that
+waiting for a chip takes no round trips.
 """
 
 from __future__ import annotations
@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from stage.board.bus import host_record, waiting
-from stage.board.bus.requests import answer
+from stage.board.bus.requests import execute
 from stage.native import array_of, exported, float_mode_as_before, hot, record, usual_float_mode
 
 SLICE_NS, SLICE_CYCLES = 50_000_000, 100_000
-"""After so much of a batch Python is asked whether it is to go on."""
+"""Time and cycles of a batch between two pauses, in which Python may end it."""
 UNTIL8, UNTIL16, UNTIL_LINE = range(100, 103)
 """What a batch knows beside the requests of `host_record`: read a port until (value & mask) == b, `times` times at most and
 `every` us apart; wait until the interrupt line is asserted, `a` us at most."""
@@ -23,15 +23,15 @@ UNTIL16 only, the mask as 32 bits without a sign."""
 
 
 @hot
-def _wrong(e):
-    """Whether an entry asks for what there is not, or gives a number that does not fit."""
+def _is_wrong(e):
+    """Tell whether an entry is no request, or has a number that does not fit."""
     what = e.what
     if what in (host_record.MICROS, host_record.LINE):
         return False
     if what in (host_record.DELAY, UNTIL_LINE):
-        return e.a < 0 or e.a > host_record.LONGEST_DELAY
+        return e.a < 0 or e.a > host_record.MAX_DELAY_US
     if what == host_record.SPEND:
-        return e.a < 0 or e.a > host_record.LONGEST_DELAY * 1000
+        return e.a < 0 or e.a > host_record.MAX_DELAY_US * 1000
     if e.a < 0 or e.a > 0xFFFFFFFF:
         return True
     if what in (host_record.IN8, host_record.IN16, host_record.IN32):
@@ -47,19 +47,19 @@ def _wrong(e):
 
 @exported("i8", array_of(ENTRY))
 def first_wrong(entries):
-    """The index of the first entry that cannot be done, or their number."""
+    """Return the index of the first entry that cannot be carried out, or their number."""
     for k in range(len(entries)):
-        if _wrong(entries[k]):
+        if _is_wrong(entries[k]):
             return k
     return len(entries)
 
 
 @hot
-def _until(h, e):
-    """The last value that was read."""
+def _read_until(h, e):
+    """Read a port until the value of an entry comes; return the last value that was read."""
     what, mask, value = host_record.IN8 if e.what == UNTIL8 else host_record.IN16, int(e.mask) & 0xFFFFFFFF, 0
     for k in range(e.times):
-        value = answer(h, what, e.a, 0)
+        value = execute(h, what, e.a, 0)
         if h.stopped or (value ^ e.b) & mask == 0:
             break
         if e.every and k < e.times - 1:
@@ -68,45 +68,48 @@ def _until(h, e):
 
 
 @hot
-def _until_line(h, us):
-    """1 if the line is asserted. Looking at it takes a bus cycle, as LINE does."""
-    waiting.cycle(h)
+def _wait_for_line(h, us):
+    """Wait until the line is asserted; return 1 if it is. Reading it takes a bus cycle, as LINE does."""
+    waiting.pass_bus_cycle(h)
     asserted = waiting.wait_for_line(h, us * 1000)
-    waiting.serve(h)
+    waiting.call_hooks(h)
     return asserted
 
 
 @hot
 def bound(h):
-    """From now on it goes on for so long until Python is asked whether it is to."""
-    h.until, h.most_cycles = host_record.now_of(h) + SLICE_NS, h.cycles + SLICE_CYCLES
+    """Set the time and the cycles of the next pause."""
+    h.until, h.max_cycles = host_record.now_of(h) + SLICE_NS, h.cycles + SLICE_CYCLES
 
 
 @exported("i8", host_record.HOST, array_of(ENTRY), array_of(np.int64))
 def run_batch(h, entries, answers):
-    """Do the entries, one after the other, on a board that is not stopped. Returns how many were done to the end: fewer than given
-    if the board was stopped on the way; -1 if another thread is in. Now and then it asks Python (PAUSE), which calls `go_on`."""
+    """Execute the entries, one after the other, on a board that is not stopped. Python is called at each PAUSE, and calls `go_on`.
+
+    Returns:
+        How many were executed to the end: fewer than all if the board was stopped; -1 if another thread is inside.
+    """
     if not host_record.enter(h):
         return -1
     mode, done = usual_float_mode(), 0
-    lazy, until, most_cycles = h.lazy, h.until, h.most_cycles
+    lazy, until, max_cycles = h.lazy, h.until, h.max_cycles
     h.lazy, h.quiet = 1, 0
     bound(h)
     while done < len(entries):
         e = entries[done]
         if e.what == UNTIL8 or e.what == UNTIL16:
-            answers[done] = _until(h, e)
+            answers[done] = _read_until(h, e)
         elif e.what == UNTIL_LINE:
-            answers[done] = _until_line(h, e.a)
+            answers[done] = _wait_for_line(h, e.a)
         else:
-            answers[done] = answer(h, e.what, e.a, e.b)
+            answers[done] = execute(h, e.what, e.a, e.b)
         if h.stopped:
             break
         done += 1
     waiting.catch_up(h)
     if h.stopped and done == len(entries):
         done -= 1
-    h.lazy, h.until, h.most_cycles = lazy, until, most_cycles
+    h.lazy, h.until, h.max_cycles = lazy, until, max_cycles
     float_mode_as_before(mode)
     host_record.leave(h)
     return done
@@ -114,5 +117,5 @@ def run_batch(h, entries, answers):
 
 @exported(None, host_record.HOST)
 def go_on(h):
-    """A batch that stands still goes on, until Python is asked again."""
+    """Let a paused batch go on, until the next pause."""
     bound(h)

@@ -4,13 +4,13 @@ A source calls its hook when its level is above the processor's, which then has 
 as long as it is asserted; a timer or a software interrupt has one flag, which the call clears: what comes while the flag is set is
 missed, and counted.
 
-A hook may also be left by a jump (longjmp): its frame is gone then, and the interrupt is at its end. `left` finds that out at the
-next request, by where on the stack that is made and by whether the mark below which the hook ran still stands.
+A hook may also be left by a jump (longjmp): its frame is gone then, and the interrupt is over. `close_left` finds that out at the
+next request, by the position of its frame on the stack and by the mark below which the hook ran, if that is broken.
 """
 
 from __future__ import annotations
 
-from stage.board.bus.host_record import RETURNED, note, now_of
+from stage.board.bus.host_record import RETURNED, now_of, trace_cycle
 from stage.native import array_at, greatest, hot, least, record
 from stage.sim.handle import INTEGER
 
@@ -33,9 +33,9 @@ HOOK_CALLED = record([(name, "i8") for name in "number source level outer outer_
 """A hook that is being called: the number of the call (0: free), its source; the processor's level before; the hook that it has
 interrupted (plus one, and that one's number); where the stack is marked."""
 BACK, JUMPED, LOWERED = range(3)
-"""How a hook came to its end: the value of the trace's line."""
+"""How a hook has ended: the value of the trace's line."""
 MARK, MARKED = 32, 0x5053_4D41_524B
-"""Words of a mark, and what is in them."""
+"""Words of a mark, and the first of their values."""
 NEAR = 1 << 14
 """Bytes within which two frames are on the same stack."""
 
@@ -52,26 +52,26 @@ def _hooks(h):
 
 @hot
 def arm(h):
-    """After a change of the table: what is to be looked at, and when."""
-    h.looked, h.on_lines, h.raised, h.watched, h.due = 0, 0, 0, 0, NEVER
+    """Compute what is to be checked, and when, after a change of the table."""
+    h.hooked_lines, h.line_level, h.n_pending, h.top_level, h.due = 0, 0, 0, 0, NEVER
     sources = sources_of(h)
     for k in range(SOURCES):
         s = sources[k]
         if s.hook:
             if s.lines:
-                h.looked |= s.lines
-                h.on_lines = greatest(h.on_lines, s.level)
+                h.hooked_lines |= s.lines
+                h.line_level = greatest(h.line_level, s.level)
             if s.pending:
-                h.raised += 1
-                h.watched = greatest(h.watched, s.level)
+                h.n_pending += 1
+                h.top_level = greatest(h.top_level, s.level)
             if s.period:
                 h.due = least(h.due, s.next)
-    h.watched = greatest(h.watched, h.on_lines)
+    h.top_level = greatest(h.top_level, h.line_level)
 
 
 @hot
 def tick(h):
-    """Timers that are due set their flags."""
+    """Set the flags of timers that are due."""
     now, sources = now_of(h), sources_of(h)
     for k in range(FIRST_TIMER, FIRST_SOFTWARE):
         s = sources[k]
@@ -85,7 +85,7 @@ def tick(h):
 
 @hot
 def choose(h, asserted):
-    """The source that calls next, of those above the processor's level, or -1. asserted: the lines (bits)."""
+    """Return the source that calls next, of those above the processor's level, or -1. asserted: the lines (bits)."""
     sources, best, level = sources_of(h), -1, h.level
     for k in range(SOURCES):
         s = sources[k]
@@ -96,7 +96,7 @@ def choose(h, asserted):
 
 @hot
 def begin_hook(h, source, mark):
-    """A hook is to be called. Returns its place among the hooks, or -1 if there is none."""
+    """Enter a hook that is to be called. Return its place among the hooks, or -1 if there is none."""
     hooks, s = _hooks(h), sources_of(h)[source]
     for k in range(HOOKS):
         c = hooks[k]
@@ -114,31 +114,31 @@ def begin_hook(h, source, mark):
 
 @hot
 def end_hook(h, place, number, level, outer, outer_number, how):
-    """The hook of call `number` has returned (BACK), was left, or has lowered the level: the processor goes on at `level`."""
+    """End the hook of call `number`, which has returned (BACK), was left, or has lowered the level; go on at `level`."""
     hooks = _hooks(h)
     if hooks[place].number == number:
-        note(h, RETURNED, hooks[place].source, how, -1)
+        trace_cycle(h, RETURNED, hooks[place].source, how, -1)
         hooks[place].number = 0
     h.level = level
     h.serving = outer if outer and hooks[outer - 1].number == outer_number else 0
 
 
 @hot
-def close_left(h, here):
-    """Hooks that a jump has left are over. here: where the request's frame is."""
+def close_left(h, frame):
+    """End hooks that a jump has left. frame: where the request's frame is."""
     while h.serving:
         c = _hooks(h)[h.serving - 1]
-        if c.mark == 0 or not _left(h, c.mark, here):
+        if c.mark == 0 or not _is_left(h, c.mark, frame):
             return
         end_hook(h, h.serving - 1, c.number, c.level, c.outer, c.outer_number, JUMPED)
 
 
 @hot
-def _left(h, mark, here):
-    """Whether the hook below `mark` runs no more, since a request comes from `here`."""
-    if here > mark:
-        own = h.stack_low < mark and here < h.stack_high
-        return own or here - mark < NEAR
+def _is_left(h, mark, frame):
+    """Tell whether the hook below `mark` runs no more, since a request comes from `frame`."""
+    if frame > mark:
+        on_firmware_stack = h.stack_low < mark and frame < h.stack_high
+        return on_firmware_stack or frame - mark < NEAR
     words = array_at(mark, MARK, INTEGER)
     broken = 0
     for k in range(MARK):
@@ -148,7 +148,7 @@ def _left(h, mark, here):
 
 @hot
 def set_level(h, level):
-    """The processor's level is set: a hook whose level is above that is one no more."""
+    """Set the processor's level, which ends hooks of a higher level."""
     while h.serving and level < sources_of(h)[_hooks(h)[h.serving - 1].source].level:
         c = _hooks(h)[h.serving - 1]
         end_hook(h, h.serving - 1, c.number, level, c.outer, c.outer_number, LOWERED)

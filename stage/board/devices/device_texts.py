@@ -1,4 +1,4 @@
-"""Shipped devices by name, and devices written as text: KIND:PORT[:AXIS[:COUNTS]], or SOURCE.c:PORT[+PORTS].
+"""Devices written as text: KIND:PORT[:AXIS[:COUNTS]], or SOURCE.c:PORT[+PORTS].
 
 hctl2016:0x320:x              on axis x, an encoder of 2000 counts a turn of its motor
 ls7166:0x330:y:4000           4000 counts a turn
@@ -6,8 +6,6 @@ uart:0x3F8   latch:0x378   adc.c:0x340+4
 """
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 from stage.board import library
 from stage.board.devices.device import Device, Encoder
@@ -18,18 +16,20 @@ from stage.board.devices.uart import UART
 from stage.board.devices.user_devices import CDevice
 from stage.errors import ArgumentError, a_or_an, near_names
 
-if TYPE_CHECKING:
-    from stage.board.board import Board
-
-PER_TURN = 2000
-ON_AN_AXIS: dict[str, type] = {d.KIND: d for d in (HCTL2000, HCTL2016, HCTL2020, LS7166)}
-ALONE: dict[str, type] = {d.KIND: d for d in (Latch, UART)}
-KNOWN = (*ON_AN_AXIS, *ALONE)
-FORM = f"KIND:PORT[:AXIS[:COUNTS]], of the kinds {', '.join(ON_AN_AXIS)} (with AXIS), {', '.join(ALONE)}; or SOURCE.c:PORT[+PORTS]"
+COUNTS_PER_TURN = 2000
+COUNTERS: dict[str, type] = {d.KIND: d for d in (HCTL2000, HCTL2016, HCTL2020, LS7166)}
+OTHERS: dict[str, type] = {d.KIND: d for d in (Latch, UART)}
+KNOWN = (*COUNTERS, *OTHERS)
+FORM = f"KIND:PORT[:AXIS[:COUNTS]], of the kinds {', '.join(COUNTERS)} (with AXIS), {', '.join(OTHERS)}; or SOURCE.c:PORT[+PORTS]"
 
 
-def made(text: str) -> tuple[Device, list[int]]:
-    """The device that `text` describes, and its ports. Raises ArgumentError; of sources as CDevice."""
+def parse_device(text: str) -> tuple[Device, list[int]]:
+    """Make the device that a text describes, and return it with its ports.
+
+    Raises:
+        ArgumentError: The text describes none.
+        LibraryError, CompileError, NoCompilerError, FileError: See CDevice.
+    """
     if isinstance(text, Device):
         raise ArgumentError(
             f"device {text!r}: texts name devices here; an object goes on the bus by board.put(device, ports)."
@@ -41,40 +41,37 @@ def made(text: str) -> tuple[Device, list[int]]:
         if len(rest) != 1:
             raise ArgumentError(f"device {text!r}: write SOURCE.c:PORT[+PORTS], for example adc.c:0x340+4")
         port, _, ports = rest[0].partition("+")
-        first, n = _number(text, port), _number(text, ports or "1")
+        first, n = _parse_port(text, port), _parse_port(text, ports or "1")
         return CDevice(kind), list(range(first, first + n))
     if kind not in KNOWN:
         near = near_names(kind, KNOWN)
         hint = f" Did you mean {near[0]!r}?" if near else ""
         raise ArgumentError(f"device {text!r}: unknown kind {kind!r}; known are {', '.join(KNOWN)}.{hint}")
-    first = _number(text, rest[0])
-    if kind in ALONE:
-        if len(rest) > 1:
-            raise ArgumentError(f"device {text!r}: {a_or_an(kind)} is on no axis. Write {kind}:{rest[0]}")
-        device: Device = ALONE[kind]()
-    else:
-        if not 2 <= len(rest) <= 3:
-            raise ArgumentError(
-                f"device {text!r}: {a_or_an(kind)} counts an encoder on an axis. Write {kind}:{rest[0]}:x"
-            )
-        try:
-            counts = float(rest[2]) if len(rest) == 3 else PER_TURN
-        except ValueError:
-            raise ArgumentError(
-                f"device {text!r}: {rest[2]!r} is no number of counts a turn of the motor. Write for example "
-                f"{kind}:{rest[0]}:{rest[1]}:4000"
-            ) from None
-        device = ON_AN_AXIS[kind](Encoder(rest[1], per_turn=counts))
+    first = _parse_port(text, rest[0])
+    device = _make_counter(text, kind, rest) if kind in COUNTERS else _make_other(text, kind, rest)
     return device, list(range(first, first + device.PORTS))
 
 
-def put(board: Board, text: str) -> Device:
-    """Put the device that `text` describes on a board."""
-    device, ports = made(text)
-    return board.put(device, ports)
+def _make_other(text: str, kind: str, rest: list[str]) -> Device:
+    if len(rest) > 1:
+        raise ArgumentError(f"device {text!r}: {a_or_an(kind)} is on no axis. Write {kind}:{rest[0]}")
+    return OTHERS[kind]()
 
 
-def _number(text: str, number: str) -> int:
+def _make_counter(text: str, kind: str, rest: list[str]) -> Device:
+    if not 2 <= len(rest) <= 3:
+        raise ArgumentError(f"device {text!r}: {a_or_an(kind)} counts an encoder on an axis. Write {kind}:{rest[0]}:x")
+    try:
+        counts = float(rest[2]) if len(rest) == 3 else COUNTS_PER_TURN
+    except ValueError:
+        raise ArgumentError(
+            f"device {text!r}: {rest[2]!r} is no number of counts a turn of the motor. Write for example "
+            f"{kind}:{rest[0]}:{rest[1]}:4000"
+        ) from None
+    return COUNTERS[kind](Encoder(rest[1], per_turn=counts))
+
+
+def _parse_port(text: str, number: str) -> int:
     try:
         return int(number, 0)
     except ValueError:

@@ -29,7 +29,7 @@ class HCTL2016(Compiled):
 
     @property
     def count(self) -> int:
-        """What the counter has now."""
+        """Current value of the counter."""
         return (self.counts[0] - int(self.registers["zero"])) & (1 << self.BITS) - 1
 
     def port_name(self, n: int) -> str:

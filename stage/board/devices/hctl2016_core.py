@@ -7,7 +7,7 @@ import numpy as np
 from stage.native import array_at, exported, hot, record
 
 STATE = record([(name, "i8") for name in "bits zero latch inhibited".split()])
-"""Bits of the counter; the encoder's count at the last reset; the latch, and whether it keeps what it has."""
+"""Bits of the counter; the encoder's count at the last reset; the latch, and whether it is inhibited."""
 COUNT = np.dtype("i8")
 
 
@@ -17,9 +17,9 @@ def _counter(s, counts):
 
 
 @exported("i8", STATE, "i8", "i8", "i8", "i8", "i8")
-def access(s, now, counts, n, way, value):
-    """Port 0: SEL low, the high byte; port 1: SEL high, the low byte. A write to either: /RST."""
-    if way & 1:
+def access(s, now, counts, n, kind, value):
+    """Read a byte of the counter (port 0: SEL low, the high byte; port 1: SEL high, the low byte); a write to either is /RST."""
+    if kind & 1:
         s.zero, s.latch, s.inhibited = array_at(counts, 1, COUNT)[0], 0, 0
         return 0
     if not s.inhibited:

@@ -13,8 +13,11 @@ from stage.board.devices.device import Compiled, Listener
 class Latch(Compiled):
     """An 8-bit output port with read back, 0 at power-up.
 
-    changed: is called as changed(before, after) in the cycle that changes the outputs, with the stage at its time; every cycle of
-        the port is then a call of Python.
+    Args:
+        changed: Function that is called as changed(before, after) in the cycle that changes the outputs, with the stage at its
+            time;
+            every cycle of the port is then a call of Python.
+        name: What messages call it.
     """
 
     KIND = "latch"
@@ -32,16 +35,13 @@ class Latch(Compiled):
         """The outputs."""
         return int(self.registers["value"])
 
-    def call(self, n: int, way: int, value: int) -> int:
+    def call(self, n: int, kind: int, value: int) -> int:
         before = self.value
-        if way == OUT8 and value != before:
+        if kind == OUT8 and value != before:
             self.registers["value"] = value
             if self._changed is not None:
                 self._changed(before, value)
         return self.value
-
-    def twin(self) -> tuple:
-        return super().twin() if self._changed is None else super(Compiled, self).twin()
 
     def port_name(self, n: int) -> str:
         return "outputs"

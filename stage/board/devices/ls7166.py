@@ -42,7 +42,7 @@ class LS7166(Compiled):
         return ("data", "control")[n]
 
     def listener(self) -> Listener:
-        def tell(n: int, value: int, writes: bool, wide: bool) -> str:
+        def describe(n: int, value: int, writes: bool, wide: bool) -> str:
             if n == 0:
                 return f"PR byte <- {value:02X}h" if writes else f"OL byte = {value:02X}h"
             bits = value & 0x3F if writes else value
@@ -55,4 +55,4 @@ class LS7166(Compiled):
                 return "QR: " + ("no quadrature", "x1", "x2", "x4")[bits & 3]
             return f"{register} <- {bits:02X}h"
 
-        return tell
+        return describe

@@ -7,9 +7,9 @@ import numpy as np
 from stage.native import array_at, exported, hot, record
 
 STATE = record(
-    [(name, "i8") for name in "cntr seen pr ol pointer icr occr qr borrows carries compares sign up".split()]
+    [(name, "i8") for name in "cntr last pr ol pointer icr occr qr borrows carries compares sign up".split()]
 )
-"""Counter; what the encoder had counted when it was last brought up to date; preset register, output latch and the pointer to a
+"""Counter; the count of the encoder at the last update; preset register, output latch and the pointer to a
 byte of both; the control registers; the toggles BWT, CYT, COMPT; the status bits SIGN and UP/DOWN."""
 COUNT = np.dtype("i8")
 FULL = 1 << 24
@@ -18,15 +18,15 @@ ENABLE, DIVIDE = 8, 4
 
 @hot
 def _units(s, counts):
-    """What the quadrature inputs have counted, by the mode of QR: of the four edges of a line one, two or all count."""
+    """Return the count of the quadrature inputs in the mode of QR: one, two or all of the four edges of a line."""
     return array_at(counts, 1, COUNT)[0] >> 3 - s.qr if s.qr else 0
 
 
 @hot
 def _update(s, counts):
-    """The counter has counted up to now. Between two cycles the net count matters: to and fro cancels out."""
+    """Let the counter count up to now. Between two cycles the net count matters: to and fro cancels out."""
     units = _units(s, counts)
-    steps, s.seen = units - s.seen, units
+    steps, s.last = units - s.last, units
     if steps == 0 or s.qr == 0 or s.icr & ENABLE == 0:
         return
     s.up = 1 if steps > 0 else 0
@@ -51,7 +51,7 @@ def _update(s, counts):
 
 @hot
 def _master(s, value):
-    """A write to MCR."""
+    """Carry out a write to MCR."""
     if value & 0x20:
         s.cntr = s.icr = s.occr = s.qr = s.ol = s.pointer = s.borrows = s.carries = s.compares = s.sign = 0
         s.pr = FULL - 1
@@ -83,20 +83,20 @@ def _control(s, counts, value):
         s.occr = value
     else:
         s.qr = value & 3
-    s.seen = _units(s, counts)
+    s.last = _units(s, counts)
 
 
 @exported("i8", STATE, "i8", "i8", "i8", "i8", "i8")
-def access(s, now, counts, n, way, value):
-    """Port 0: C/D low, data; port 1: C/D high, control and status."""
+def access(s, now, counts, n, kind, value):
+    """Make a cycle at port 0 (C/D low, data) or port 1 (C/D high, control and status)."""
     _update(s, counts)
     at = 8 * s.pointer
     if n == 1:
-        if way & 1:
+        if kind & 1:
             _control(s, counts, value)
         return s.borrows | s.carries << 1 | s.compares << 2 | s.sign << 3 | s.up << 4
     s.pointer = (s.pointer + 1) % 3
-    if way & 1:
+    if kind & 1:
         s.pr = s.pr & ~(0xFF << at) | value << at
         return 0
     return s.ol >> at & 0xFF

@@ -25,9 +25,14 @@ _IIR = {1: "none", 6: "line status", 4: "data", 12: "time-out", 2: "THR empty", 
 
 
 class UART(Compiled):
-    """A 16550 with a crystal of `clock` Hz.
+    """A 16550.
 
-    registers: its state by name. Raises ArgumentError.
+    Args:
+        clock: Frequency of its crystal, Hz.
+        name: What messages call it.
+
+    Raises:
+        ArgumentError: There is no such crystal.
     """
 
     KIND = "uart"
@@ -42,11 +47,17 @@ class UART(Compiled):
         self.clock = int(clock)
         self.registers["clock"] = self.clock
         self._master = self._slave = -1
-        self._seen = 0
+        self._sent_to_terminal = 0
 
     def feed(self, data: bytes | str) -> None:
-        """The peer sends these bytes from now on, behind those that it is still sending. Raises ArgumentError if more than 4096
-        would wait, or for what is neither bytes nor text."""
+        """Let the peer send bytes from now on, behind those that it is still sending.
+
+        Args:
+            data: Bytes, or text.
+
+        Raises:
+            ArgumentError: More than 4096 bytes would wait, or it is neither bytes nor text.
+        """
         if not isinstance(data, str | bytes | bytearray | memoryview):
             raise ArgumentError(f"{self.name}: feed({data!r}): bytes or text are wanted, for example b'ok\\r\\n'.")
         content, s = data.encode() if isinstance(data, str) else bytes(data), self.registers
@@ -65,7 +76,7 @@ class UART(Compiled):
 
     @property
     def sent(self) -> bytes:
-        """What has left it so far; of much the last 4096 bytes."""
+        """Bytes that have left it so far; the last 4096 of them if there are more."""
         s, now = self.registers, self.stage.now
         c = self._character
         end = int(s["written"]) - (-(-max(int(s["left"]) - now, 0) // c) if c else 0)
@@ -73,16 +84,21 @@ class UART(Compiled):
 
     @property
     def baud(self) -> float:
-        """Bits a second, by the divisor; 0 without one."""
+        """Speed of the line by the divisor, bits a second; 0 without one."""
         divisor = int(self.registers["divisor"])
         return self.clock / 16 / divisor if divisor else 0.0
 
     def pty(self) -> str:
-        """Connect it to a pseudo-terminal; returns its path, for `screen PATH`, `cu -l PATH` or a terminal program.
+        """Connect it to a pseudo-terminal, for `screen PATH`, `cu -l PATH` or a terminal program.
 
-        Bytes come and go at the UART's own bus cycles, when the other side happens to send them: a run is not
-        deterministic then, and firmware has to poll. Called again it returns the same path. Raises StageError where there are no
-        pseudo-terminals.
+        Bytes come and go at the UART's own bus cycles, when the other side happens to send them: a run is not deterministic then,
+        and firmware has to poll.
+
+        Returns:
+            The path of the terminal, the same at each call.
+
+        Raises:
+            StageError: This system has no pseudo-terminals.
         """
         if self._master >= 0:
             return os.ttyname(self._slave)
@@ -94,24 +110,21 @@ class UART(Compiled):
         self._master, slave = pty.openpty()
         tty.setraw(slave)
         os.set_blocking(self._master, False)
-        self._slave, self._seen, self.access = slave, int(self.registers["written"]), 0
+        self._slave, self._sent_to_terminal, self.access = slave, int(self.registers["written"]), 0
         if self.board is not None:
-            self.board.changed()
+            self.board.link.publish_devices()
         return os.ttyname(slave)
 
-    def call(self, n: int, way: int, value: int) -> int:
-        """With a pseudo-terminal only."""
+    def call(self, n: int, kind: int, value: int) -> int:
+        """Make a cycle while a pseudo-terminal is connected."""
         while select.select([self._master], [], [], 0)[0] and self.registers["fed"] - self.registers["taken"] < 64:
             self.feed(os.read(self._master, 64))
-        answer = self.CORE.access(self.state[0], self.stage.now, 0, n, way, value)
-        if (written := int(self.registers["written"])) > self._seen:
+        answer = self.CORE.access(self.state[0], self.stage.now, 0, n, kind, value)
+        if (written := int(self.registers["written"])) > self._sent_to_terminal:
             with suppress(BlockingIOError):  # nobody reads there: lost, as on a line
-                os.write(self._master, self._written(self._seen, written))
-            self._seen = written
+                os.write(self._master, self._written(self._sent_to_terminal, written))
+            self._sent_to_terminal = written
         return int(answer)
-
-    def twin(self) -> tuple:
-        return super().twin() if self._master < 0 else super(Compiled, self).twin()
 
     def port_name(self, n: int) -> str:
         return _READ[n] if _READ[n] == _WRITTEN[n] else f"{_READ[n]}, {_WRITTEN[n]}"
@@ -119,7 +132,7 @@ class UART(Compiled):
     def listener(self) -> Listener:
         lcr = 0
 
-        def tell(n: int, value: int, writes: bool, wide: bool) -> str:
+        def describe(n: int, value: int, writes: bool, wide: bool) -> str:
             nonlocal lcr
             name = _WRITTEN[n] if writes else _READ[n]
             if n == 3 and writes:
@@ -134,11 +147,11 @@ class UART(Compiled):
                 return f"IIR: {_IIR.get(value & 15, 'none')}"
             return f"{name} {'<-' if writes else '='} {value:02X}h"
 
-        return tell
+        return describe
 
     def _written(self, begin: int, end: int) -> bytes:
-        ring = self.registers["sent"]
-        return bytes(int(ring[k % uart_core.KEPT]) for k in range(begin, end))
+        sent = self.registers["sent"]
+        return bytes(int(sent[k % uart_core.SENT_ROOM]) for k in range(begin, end))
 
     @property
     def _character(self) -> int:

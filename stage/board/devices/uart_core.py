@@ -9,7 +9,9 @@ from __future__ import annotations
 from stage.native import exported, hot, least, record
 
 FIFO, ROOM = 16, 4096
-KEPT = ROOM + 2 * FIFO  # of what was sent: FIFO + 1 bytes in the transmitter may be written, cleared and written over
+SENT_ROOM = (
+    ROOM + 2 * FIFO
+)  # of what was sent: FIFO + 1 bytes in the transmitter may be written, cleared and written over
 NEVER = 1 << 62
 SECOND = 1_000_000_000
 STATE = record(
@@ -17,37 +19,37 @@ STATE = record(
         (name, "i8")
         for name in "clock ier fcr lcr mcr scr divisor oe rbr fed taken due waiting first last written left armed".split()
     ]
-    + [("fifo", "u1", (FIFO,)), ("incoming", "u1", (ROOM,)), ("sent", "u1", (KEPT,))]
+    + [("fifo", "u1", (FIFO,)), ("incoming", "u1", (ROOM,)), ("sent", "u1", (SENT_ROOM,))]
 )
 """clock (Hz); registers; overrun; the byte read last. fed, taken: bytes of the peer, and how many of them have arrived, the next of
 them at `due` (ns); waiting in `fifo` from `first` on; `last`: time of the last arrival or read. written: bytes by the firmware, of
-which the last leaves the transmitter at `left`; armed: its becoming empty has not been told yet."""
+which the last leaves the transmitter at `left`; armed: the interrupt of an empty transmitter is still to come."""
 
 
 @hot
 def character(s):
-    """ns on the line; 0 without a divisor."""
+    """Return the time of a character on the line, ns; 0 without a divisor."""
     halves = 2 * (6 + (s.lcr & 3) + (s.lcr >> 3 & 1)) + (2 if s.lcr & 4 == 0 else 3 if s.lcr & 3 == 0 else 4)
     return halves * 8 * s.divisor * SECOND // s.clock
 
 
 @hot
 def unsent(s, now):
-    """Bytes in the transmitter, the one on the line among them."""
+    """Count the bytes in the transmitter, with the one on the line."""
     c = character(s)
     return (s.left - now + c - 1) // c if s.left > now and c else 0
 
 
 @hot
 def _arrived(s, now):
-    """Bytes that arrive up to now and are not in the FIFO yet."""
+    """Count the bytes that have arrived by now and are not in the FIFO yet."""
     c = character(s)
     return least(s.fed - s.taken, (now - s.due) // c + 1) if s.fed > s.taken and now >= s.due and c else 0
 
 
 @hot
 def _update(s, now):
-    """What has arrived goes into the FIFO."""
+    """Put the bytes that have arrived into the FIFO."""
     c, n = character(s), _arrived(s, now)
     room = FIFO if s.fcr & 1 else 1
     for _ in range(n):
@@ -66,7 +68,7 @@ def _update(s, now):
 
 @hot
 def _identify(s, now):
-    """IIR without the bits of the FIFO: the interrupt of the highest priority; 1: none."""
+    """Return IIR without the bits of the FIFO: the interrupt of the highest priority; 1: none."""
     n, room, c = _arrived(s, now), FIFO if s.fcr & 1 else 1, character(s)
     level = s.waiting + n
     if s.ier & 4 and (s.oe or level > room):
@@ -83,7 +85,7 @@ def _identify(s, now):
 
 @exported("i8", STATE, "i8", "i8")
 def pulls(s, now, counts):
-    """The output INTR, behind the driver that OUT2 enables."""
+    """Return the output INTR, behind the driver that OUT2 enables."""
     return 1 if s.mcr & 8 and _identify(s, now) != 1 else 0
 
 
@@ -94,7 +96,7 @@ def _transmit(s, now, value):
         return
     if n >= room:  # no room: lost; without a FIFO the last byte is
         if room == 2:
-            s.sent[(s.written - 1) % KEPT] = value
+            s.sent[(s.written - 1) % SENT_ROOM] = value
         return
     s.armed = 1
     s.left = (s.left if n else now) + character(s)
@@ -105,13 +107,13 @@ def _transmit(s, now, value):
             s.incoming[s.fed % ROOM] = value
             s.fed += 1
     else:
-        s.sent[s.written % KEPT] = value
+        s.sent[s.written % SENT_ROOM] = value
         s.written += 1
 
 
 @hot
 def _divide(s, now, divisor):
-    """The speed is another: what is still to arrive does so from now on."""
+    """Change the speed, at which all that is still to arrive does so from now on."""
     s.divisor = divisor
     if s.fed > s.taken:
         s.due = now + character(s)
@@ -119,31 +121,33 @@ def _divide(s, now, divisor):
 
 @hot
 def _write(s, now, n, value):
-    if n == 0:
-        if s.lcr & 0x80:
-            _divide(s, now, s.divisor & 0xFF00 | value)
-        else:
-            _transmit(s, now, value)
+    """Write register `n`; with bit 7 of LCR the first two are the divisor."""
+    if n < 2 and s.lcr & 0x80:
+        _divide(s, now, s.divisor & 0xFF00 | value if n == 0 else s.divisor & 0xFF | value << 8)
+    elif n == 0:
+        _transmit(s, now, value)
     elif n == 1:
-        if s.lcr & 0x80:
-            _divide(s, now, s.divisor & 0xFF | value << 8)
-        else:
-            if value & 2 and s.ier & 2 == 0:
-                s.armed = 1
-            s.ier = value & 15
+        if value & 2 and s.ier & 2 == 0:
+            s.armed = 1
+        s.ier = value & 15
     elif n == 2:
-        if value & 2 or (value ^ s.fcr) & 1:
-            s.waiting = 0
-        if value & 4 and unsent(s, now) > 1:
-            s.written -= unsent(s, now) - 1
-            s.left = now + character(s)
-        s.fcr = value & 0xC9 if value & 1 else 0
+        _control_fifos(s, now, value)
     elif n == 3:
         s.lcr = value
     elif n == 4:
         s.mcr = value & 31
     elif n == 7:
         s.scr = value
+
+
+@hot
+def _control_fifos(s, now, value):
+    if value & 2 or (value ^ s.fcr) & 1:
+        s.waiting = 0
+    if value & 4 and unsent(s, now) > 1:
+        s.written -= unsent(s, now) - 1
+        s.left = now + character(s)
+    s.fcr = value & 0xC9 if value & 1 else 0
 
 
 @hot
@@ -163,29 +167,36 @@ def _line_status(s, now):
     return (1 if s.waiting else 0) | oe << 1 | (0x20 if n <= 1 else 0) | (0x40 if n == 0 else 0)
 
 
+@hot
+def _modem_status(s):
+    """Return MSR: in the loop from the modem control register; else the peer is there and ready."""
+    return (s.mcr & 2) << 3 | (s.mcr & 1) << 5 | (s.mcr & 12) << 4 if s.mcr & 16 else 0xB0
+
+
+@hot
+def _acknowledge(s, now):
+    """Read IIR, which ends the interrupt of an empty transmitter."""
+    code = _identify(s, now)
+    if code == 2:
+        s.armed = 0
+    return code | (0xC0 if s.fcr & 1 else 0)
+
+
 @exported("i8", STATE, "i8", "i8", "i8", "i8", "i8")
-def access(s, now, counts, n, way, value):
+def access(s, now, counts, n, kind, value):
+    """Make a cycle at register `n`."""
     _update(s, now)
-    if way & 1:
+    if kind & 1:
         _write(s, now, n, value)
         return 0
     if n < 2 and s.lcr & 0x80:
         return s.divisor >> 8 * n & 0xFF
     if n == 0:
         return _receive(s, now)
-    if n == 1:
-        return s.ier
     if n == 2:
-        found = _identify(s, now)
-        if found == 2:
-            s.armed = 0
-        return found | (0xC0 if s.fcr & 1 else 0)
-    if n == 3:
-        return s.lcr
-    if n == 4:
-        return s.mcr
+        return _acknowledge(s, now)
     if n == 5:
         return _line_status(s, now)
-    if n == 6:  # in the loop from the modem control register; else the peer is there and ready
-        return (s.mcr & 2) << 3 | (s.mcr & 1) << 5 | (s.mcr & 12) << 4 if s.mcr & 16 else 0xB0
-    return s.scr
+    if n == 6:
+        return _modem_status(s)
+    return s.ier if n == 1 else s.lcr if n == 3 else s.mcr if n == 4 else s.scr

@@ -1,4 +1,4 @@
-"""A user's own devices: `PythonDevice`, two functions; `CDevice`, a library with pulsestage_device.h."""
+"""Devices of users: `PythonDevice`, two functions; `CDevice`, a library with pulsestage_device.h."""
 
 from __future__ import annotations
 
@@ -21,12 +21,23 @@ from stage.support.arguments import told
 from stage.support.files import FileError, refuse_irregular
 
 ABI = 1
-Tell = Callable[[int, int, bool], str]
+Describe = Callable[[int, int, bool], str]
 """(port, value, whether it is written) -> what the cycle means."""
-MOST_STATE = 1 << 20
+MAX_STATE_BYTES = 1 << 20
 
 
-class PythonDevice(Device):
+class UserDevice(Device):
+    """A device whose cycles a function of the user describes."""
+
+    tell: Describe | None
+
+    def listener(self) -> Listener:
+        if self.tell is None:
+            return super().listener()
+        return lambda n, value, writes, wide: str(self.tell(self.port(n), value, writes))  # type: ignore[misc]
+
+
+class PythonDevice(UserDevice):
     """A device of two functions, see `Board.device`."""
 
     def __init__(
@@ -35,7 +46,7 @@ class PythonDevice(Device):
         write: Callable[[int, int], Any] | None = None,
         *,
         state: np.ndarray | bytearray | None = None,
-        tell: Tell | None = None,
+        tell: Describe | None = None,
         name: str | None = None,
         encoders: Sequence[Encoder] = (),
         width: int = 8,
@@ -46,37 +57,35 @@ class PythonDevice(Device):
                 raise ArgumentError(f"{what}={function!r}: a function is wanted, or None.")
         self.read, self.write, self.tell = read, write, tell
         if state is not None:
-            self.state = [_words(state)]
+            self.state = [_check_state(state)]
 
-    def call(self, n: int, way: int, value: int) -> int:
+    def call(self, n: int, kind: int, value: int) -> int:
         port = self.port(n)
-        if way in (OUT8, OUT16):
+        if kind in (OUT8, OUT16):
             if self.write is not None:
                 self.write(port, value)
             return 0
-        most = 0xFF if way == IN8 else 0xFFFF
+        highest = 0xFF if kind == IN8 else 0xFFFF
         if self.read is None:
-            return most
+            return highest
         answer = self.read(port)
         try:
-            if 0 <= answer <= most and int(answer) == answer:
+            if 0 <= answer <= highest and int(answer) == answer:
                 return int(answer)
         except (TypeError, ValueError):
             pass
         raise ArgumentError(
-            f"{self.name}: its read({port:03X}h) returned {answer!r}; a whole number from 0 to {most:X}h is wanted."
+            f"{self.name}: its read({port:03X}h) returned {answer!r}; a whole number from 0 to {highest:X}h is wanted."
         )
 
-    def listener(self) -> Listener:
-        if self.tell is None:
-            return super().listener()
-        return lambda n, value, writes, wide: str(self.tell(self.port(n), value, writes))  # type: ignore[misc]
 
-
-class CDevice(Device):
+class CDevice(UserDevice):
     """A device in C: a library, or C or C++ sources that are built first, with pulsestage_device.h.
 
-    Raises LibraryError, CompileError, NoCompilerError, FileError.
+    Raises:
+        LibraryError: It is no library of a device.
+        CompileError, NoCompilerError: See `build`.
+        FileError: There is no such file.
     """
 
     @told
@@ -85,7 +94,7 @@ class CDevice(Device):
         source: str | os.PathLike | Sequence[str | os.PathLike],
         *,
         flags: Sequence[str] = (),
-        tell: Tell | None = None,
+        tell: Describe | None = None,
         name: str | None = None,
         encoders: Sequence[Encoder] = (),
         width: int = 8,
@@ -102,64 +111,58 @@ class CDevice(Device):
             raise ArgumentError(f"source={source!r}: give one library, or a list of C or C++ sources.")
         self._loaded_from = Scratch()  # a copy of its own, which debuggers and messages about crashes find there
         self.loaded = self._loaded_from.path / f"device-{self.path.name}"
-        loaded = _loaded(self.path, self.loaded, source)
-        self._library = loaded
-        size = ctypes.c_uint32.in_dll(loaded, "pulsestage_device_size").value
-        if not size <= MOST_STATE:
-            raise LibraryError(f"{self.path}: a state of {size:,} bytes; a device has at most {MOST_STATE:,}.")
+        self._library = _load(self.path, self.loaded, source)
+        size = ctypes.c_uint32.in_dll(self._library, "pulsestage_device_size").value
+        if not size <= MAX_STATE_BYTES:
+            raise LibraryError(f"{self.path}: a state of {size:,} bytes; a device has at most {MAX_STATE_BYTES:,}.")
         self.state = [np.zeros(-(-size // 8), np.int64)]
-        self.access, self.pulls = (_address(loaded, f"pulsestage_device_{name}") for name in ("access", "pulls"))
-
-    def listener(self) -> Listener:
-        if self.tell is None:
-            return super().listener()
-        return lambda n, value, writes, wide: str(self.tell(self.port(n), value, writes))  # type: ignore[misc]
+        self.access, self.pulls = (_address(self._library, f"pulsestage_device_{name}") for name in ("access", "pulls"))
 
     @property
     def label(self) -> str:
         return f"{self.name} ({self.path.name})"
 
-    def twin(self) -> tuple[Any, ...]:
-        return (_twin, str(self.path), self.name, self.encoders, self.width)
+    def recipe(self) -> tuple[Any, ...]:
+        return (_rebuild, str(self.path), self.name, self.encoders, self.width)
 
 
-def _twin(path: str, name: str, encoders: Sequence[Encoder], width: int) -> CDevice:
+def _rebuild(path: str, name: str, encoders: Sequence[Encoder], width: int) -> CDevice:
     return CDevice(path, name=name, encoders=encoders, width=width)
 
 
-def _words(state: Any) -> np.ndarray:
-    """A user's array, as it is."""
+def _check_state(state: Any) -> np.ndarray:
+    """Return a user's array, as it is. Raises ArgumentError."""
     if isinstance(state, bytearray):
         return np.frombuffer(state, np.uint8)
     if not isinstance(state, np.ndarray) or state.dtype.hasobject:
         raise ArgumentError(
             f"state={state!r}: an array of numbers that the device changes in place, np.zeros(4, np.int64), or a bytearray."
         )
-    if not state.flags.c_contiguous or not state.flags.writeable or not 0 < state.nbytes <= MOST_STATE:
-        raise ArgumentError(f"state=...: a contiguous, writeable array of 1 to {MOST_STATE:,} bytes is wanted.")
+    if not state.flags.c_contiguous or not state.flags.writeable or not 0 < state.nbytes <= MAX_STATE_BYTES:
+        raise ArgumentError(f"state=...: a contiguous, writeable array of 1 to {MAX_STATE_BYTES:,} bytes is wanted.")
     return state
 
 
-def _loaded(path: Path, own: Path, given: Any) -> ctypes.CDLL:
-    """A copy of the library, with static variables of its own. given: what it was made of, for messages."""
+def _load(path: Path, copy: Path, source: Any) -> ctypes.CDLL:
+    """Load a copy of a library, with static variables of its own. source: what it was made of, for messages."""
     refuse_irregular(path, "library")
     if not path.is_file():
         raise FileError(f"{path}: there is no such library.")
-    shutil.copy(path, own)
+    shutil.copy(path, copy)
     try:
-        loaded = ctypes.CDLL(str(own))
+        loaded = ctypes.CDLL(str(copy))
     except OSError as error:
-        raise LibraryError(f"{given} cannot be loaded: {str(error).replace(str(own), str(path))}.") from None
+        raise LibraryError(f"{source} cannot be loaded: {str(error).replace(str(copy), str(path))}.") from None
     try:
         abi = ctypes.c_uint32.in_dll(loaded, "pulsestage_device_abi").value
     except ValueError:
         raise LibraryError(
-            f"{given} is no device: it has no pulsestage_device_abi. Write `#include <pulsestage_device.h>` and, behind its "
+            f"{source} is no device: it has no pulsestage_device_abi. Write `#include <pulsestage_device.h>` and, behind its "
             "functions, `PS_DEVICE(struct state, read, write, interrupt)`."
         ) from None
     if abi != ABI:
         raise LibraryError(
-            f"{given} was built with pulsestage_device.h of version {abi}, and this is version {ABI}: build it again."
+            f"{source} was built with pulsestage_device.h of version {abi}, and this is version {ABI}: build it again."
         )
     return loaded
 

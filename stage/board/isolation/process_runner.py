@@ -1,4 +1,4 @@
-"""Firmware in a process of its own: its crash is an error here, and a loop that never ends is ended.
+"""`ProcessRunner`: firmware in a process of its own. Its crash is an error here, and a loop that never ends is ended.
 
 The child process has a copy of our stage, and the firmware drives the copy at full speed. The child sends the state of its stage
 and its notes: edges, bus cycles, samples, lines of the log. So our stage has the same state as the child's, to the bit, with
@@ -27,8 +27,8 @@ from stage.board.board import Board
 from stage.board.devices.user_devices import CDevice
 from stage.board.errors import HostError
 from stage.board.isolation import starter
-from stage.board.isolation.shared_memory import LOADING, Asked, Begin, Go, Noted, Shared, SpoiltError, Stands
-from stage.board.library import sanitizers
+from stage.board.isolation.shared_memory import LOADING, Begin, Call, Go, Noted, Paused, SharedMemory, SpoiltError
+from stage.board.library import find_sanitizers
 from stage.board.scratch import Scratch
 from stage.board.thread_runner import Program, is_debugged, read_status
 from stage.chips.entries import LOST, READ, WRITE
@@ -37,9 +37,9 @@ from stage.sim import engine
 from stage.sim.fingerprint import settings
 from stage.support import files
 
-GRACE = 10.0  # s of real time beyond its patience, in which the child gives its firmware up itself
-STARTS = 30.0  # s beyond it that a process may take to begin
-LOADS = 2.0  # s beyond it that loading the firmware may take: constructors run then
+GRACE_S = 10.0  # of real time beyond its patience, in which the child gives its firmware up itself
+START_LIMIT_S = 30.0  # beyond the patience, that a process may take to begin
+LOAD_LIMIT_S = 2.0  # beyond the patience, that loading the firmware may take: constructors run then
 POLL_INTERVAL_MS = 250
 READ_SIZE = 1 << 20
 MAX_MESSAGE = 1 << 28  # bytes: text that comes as a length is more
@@ -47,11 +47,11 @@ _HEAD = struct.Struct("!i")  # as multiprocessing.connection sends it
 
 
 class GarbledError(Exception):
-    """This is no message."""
+    """What came over the pipe is no message."""
 
 
 class _Messages:
-    """The messages that come over a pipe from the process of firmware: whole ones, or an error. Never waits for ever.
+    """The messages that come over a pipe from the process of firmware: complete ones, or an error. Never waits for ever.
 
     The firmware shares its process with the other end of the pipe: it may close it, write into it, or be stopped.
     """
@@ -70,7 +70,7 @@ class _Messages:
 
         Raises:
             EOFError, OSError: The pipe has ended.
-            GarbledError: This is no message.
+            GarbledError: What came is no message.
         """
         while (message := self._take_message()) is None:
             if self._poll.poll(POLL_INTERVAL_MS):
@@ -104,8 +104,8 @@ class _SilentError(Exception):
     """The child has not got on for too long; its argument: whether it handles signals of timers."""
 
 
-class Isolated:
-    """See `Runner`."""
+class ProcessRunner:
+    """A `Runner` with a process of its own."""
 
     def __init__(self, program: Program, board: Board, patience: float):
         if os.name != "posix":
@@ -115,7 +115,7 @@ class Isolated:
         self._pipe: Any = None
         self._running = False
         self._owner = os.getpid()
-        self._seen = b""
+        self._machine = b""  # what the child's stage is like
         self._error: BaseException | None = None
         settable = list(settings(board.stage.model))
         self._arrays = [value for _, _, value in settable if isinstance(value, np.ndarray)]
@@ -126,52 +126,38 @@ class Isolated:
     def running(self) -> bool:
         return self._running
 
-    def go_on(self, until: int, most_cycles: int) -> int | None:
-        board, stage = self._board, self._board.stage
+    def go_on(self, until: int, max_cycles: int) -> int | None:
+        board = self._board
         if os.getpid() != self._owner:
             self._leave_to_owner()
         board.link.check_is_current()
-        if engine.has_unguarded_callback.with_gil(stage.state.pointer):
+        if engine.has_unguarded_callback.with_gil(board.stage.state.pointer):
             raise StageError(
                 "MuJoCo calls a function in Python back, which the process of the firmware does not have: run the firmware with "
                 "isolated=False."
             )
-        if not self._running and self._devices != [(d, d.access) for d in board.devices]:
+        if not self._running and self._devices != _list_devices(board):
             self._end()  # its copy of the board has others
         if self._child is None:
             self._start()
         self._running, self._error, self._until = True, None, until
-        machine = self._changed()
-        asks = sum(1 << k for k, chip in enumerate(stage.chips) if chip.glitches)
-        every = int(stage.state.clockwork[0].sample_every) if stage.loop.recording is not None else 0
-        self._shared.keep(stage)
-        self._shared.copy(board)
+        order = self._make_order(until, max_cycles)
         try:
-            hooks = tuple(board.link.hooks.functions)
-            self._pipe.send(Go(until, most_cycles, board.port_table, machine, every, asks, hooks, len(board.log)))
-            while not isinstance(message := self._next(), Stands):
-                if isinstance(message, Asked):
-                    self._pipe.send(self._answer(message))
-                else:
-                    self._take(message)
-                    self._pipe.send(None)
-            if message.error is not None:
-                self._end()
-            self._take(message.noted)
+            message = self._run(order)
         except (EOFError, OSError):
-            raise self._crashed(self._ended_how()) from None
+            raise self._explain_crash(self._explain_end()) from None
         except (GarbledError, _SilentError) as error:
             self._end()
-            raise self._crashed(self._given_up(error)) from None
+            raise self._explain_crash(self._explain_giving_up(error)) from None
         except SpoiltError:
             self._end()
-            raise self._spoilt("was ended") from None
+            raise self._explain_spoiling("was ended") from None
         except BaseException:
             self._end()
             raise
         board.port_table[:] = message.ports
         if message.error is not None:
-            raise self._error or _revived(*message.error)
+            raise self._error or _make_error(*message.error)
         self._running = message.code is None
         return message.code
 
@@ -180,10 +166,35 @@ class Isolated:
             self._leave_to_owner(may_run=True)
         self._end()
 
+    def _make_order(self, until: int, max_cycles: int) -> Go:
+        """Put the state into shared memory, and return the order for the child."""
+        board, stage = self._board, self._board.stage
+        machine = self._pickle_if_changed()
+        every = int(stage.state.clockwork[0].sample_every) if stage.loop.recording is not None else 0
+        stage.copy_state(self._shared.state)
+        self._shared.copy(board)
+        hooks = tuple(board.link.hooks.functions)
+        checked = board.link.checked_chips()
+        return Go(until, max_cycles, board.port_table, machine, every, checked, hooks, len(board.log))
+
+    def _run(self, order: Go) -> Paused:
+        """Let the child carry out an order, and call Python for it on the way."""
+        self._pipe.send(order)
+        while not isinstance(message := self._receive(), Paused):
+            if isinstance(message, Call):
+                self._pipe.send(self._answer(message))
+            else:
+                self._take(message)
+                self._pipe.send(None)
+        if message.error is not None:
+            self._end()
+        self._take(message.noted)
+        return message
+
     def _leave_to_owner(self, may_run: bool = False) -> None:
-        """This process is a fork: the process of the firmware, and the memory that is shared with it, belong to the other one."""
+        """Leave the process of the firmware, and the memory that is shared with it, to the process of which this one is a fork."""
         ran, self._owner = self._running, os.getpid()
-        self._child, self._running, self._seen = None, False, b""
+        self._child, self._running, self._machine = None, False, b""
         if ran and not may_run:
             raise StageError(
                 f"{self._path.name} stands in the middle of its run, and this process is a fork of the one that has begun it: only "
@@ -191,29 +202,29 @@ class Isolated:
             )
 
     def _start(self) -> None:
-        """A child with a copy of the stage; raises what is wrong with the library."""
+        """Start a child with a copy of the stage; raise what is wrong with the library."""
         board = self._board
-        given = _pickled((board.stage, board.options, [(d.twin(), d.ports) for d in board.devices]))
-        self._devices = [(d, d.access) for d in board.devices]
+        content = _pickle((board.stage, board.options, [(d.recipe(), d.ports) for d in board.devices]))
+        self._devices = _list_devices(board)
         self._scratch = Scratch()
         shared = self._scratch.path / "shared"
         ours, theirs = Pipe()
         try:
-            self._shared = Shared(shared, board, create=True)
+            self._shared = SharedMemory(shared, board, create=True)
             with theirs:
-                self._child = starter.start(theirs.fileno(), " ".join(sanitizers(self._path)))
+                self._child = starter.start(theirs.fileno(), " ".join(find_sanitizers(self._path)))
             self._pipe, self._messages = ours, _Messages(ours)
             weakref.finalize(self, self._child.kill)
-            ours.send(Begin(self._program, str(shared), given, self._patience))
-            self._seen, self._faults = self._machine(), _faults(board.stage)
-            answer = self._next(STARTS)
+            ours.send(Begin(self._program, str(shared), content, self._patience))
+            self._machine, self._faults = self._read_machine(), _read_faults(board.stage)
+            answer = self._receive(START_LIMIT_S)
             if answer == LOADING:
-                answer = self._next(LOADS)
+                answer = self._receive(LOAD_LIMIT_S)
         except (EOFError, ConnectionError):
-            raise self._not_loaded(self._ended_how()) from None
+            raise self._explain_load(self._explain_end()) from None
         except (GarbledError, _SilentError) as error:
             self._end()
-            raise self._not_loaded(self._given_up(error)) from None
+            raise self._explain_load(self._explain_giving_up(error)) from None
         except BaseException:
             self._end()
             raise
@@ -221,30 +232,26 @@ class Isolated:
             shared.unlink(missing_ok=True)
         if answer is not None:
             self._end()
-            raise _revived(*answer)
+            raise _make_error(*answer)
         self._shared.remember()
 
-    def _changed(self) -> bytes | None:
-        """The stage, pickled, if the child's is no longer like it in what is no state."""
-        stage, before = self._board.stage, self._seen
-        self._seen, self._faults = self._machine(), _faults(stage)
-        return _pickled(stage) if self._seen != before else None
+    def _pickle_if_changed(self) -> bytes | None:
+        """Return the stage, pickled, if the child's is no longer like it in what is no state."""
+        stage, before = self._board.stage, self._machine
+        self._machine, self._faults = self._read_machine(), _read_faults(stage)
+        return _pickle(stage) if self._machine != before else None
 
-    def _machine(self) -> bytes:
+    def _read_machine(self) -> bytes:
         """Return everything in which the child's stage must be like this one, but for the state. It is compared at each start."""
         parts = self._board.stage.describe_machine()
         model = parts.pop("model")
         options = [getattr(model.opt, name) for name in self._options]
-        return b"".join([*(array.tobytes() for array in self._arrays), _pickled((options, parts))])
-
-    def _changed_by_device(self) -> bytes | None:
-        """As `_changed`, fast enough for a bus cycle: faults and payloads, and not what somebody changed in the model himself."""
-        return None if _faults(self._board.stage) == self._faults else self._changed()
+        return b"".join([*(array.tobytes() for array in self._arrays), _pickle((options, parts))])
 
     # --- what comes over ---
 
     def _take(self, noted: Noted) -> None:
-        """The child's state, and what it has noted since the last time."""
+        """Take over the child's state, and what it has noted since the last time."""
         board, shared, stage = self._board, self._shared, self._board.stage
         shared.check_notes(board, noted.edges, noted.samples, self._until)
         stage.load_state(shared.state)
@@ -259,30 +266,33 @@ class Isolated:
             recording.positions[begin:end] = shared.positions[at : at + end - begin]
             at += end - begin
             recording.take(end)
-        board.log += shared.lines()
+        board.log += shared.take_lines()
 
-    def _answer(self, asked: Asked) -> tuple[int, bool, bytes | None, tuple[int, ...]]:
-        """Python is called here, where its objects are, and the child goes on from what it has left."""
+    def _answer(self, call: Call) -> tuple[int, bool, bytes | None, tuple[int, ...]]:
+        """Call Python here, where its objects are; the child goes on from the state after that."""
         board, shared = self._board, self._shared
-        self._take(asked.noted)
+        self._take(call.noted)
         hooks, answer, machine = board.link.hooks, 0, None
         try:
-            if asked.way >= 0:
-                answer = board.link.call_device(asked.chip, asked.address, asked.way, asked.value)
-                machine = self._changed_by_device()
-            elif asked.chip >= 0:
-                answer = int(board.link.loses(asked.chip, asked.address, asked.value))
+            if call.kind >= 0:
+                answer = board.link.call_device(call.chip, call.address, call.kind, call.value)
+                if (
+                    _read_faults(board.stage) != self._faults
+                ):  # to compare the whole machine takes too long for a bus cycle
+                    machine = self._pickle_if_changed()
+            elif call.chip >= 0:
+                answer = int(board.link.loses(call.chip, call.address, call.value))
             else:
-                hooks.call(-1 - asked.chip)
-                machine = self._changed()
+                hooks.call(-1 - call.chip)
+                machine = self._pickle_if_changed()
         except BaseException as error:
             self._error = error
-        shared.keep(board.stage)
+        board.stage.copy_state(shared.state)
         shared.copy(board)
         return answer, self._error is None, machine, tuple(hooks.functions)
 
-    def _next(self, grace: float = GRACE) -> Any:
-        """The next message of the child."""
+    def _receive(self, grace: float = GRACE_S) -> Any:
+        """Return the next message of the child. Raises _SilentError."""
         begin: tuple[float, Any] = time.monotonic(), None
         self._waited = self._patience + grace
 
@@ -290,18 +300,19 @@ class Isolated:
             nonlocal begin
             theirs = self._shared.record[0]
             now = tuple(int(theirs[name]) for name in ("cycles", "reached"))
-            since, seen = begin
-            if now != seen:
+            since, before = begin
+            if now != before:
                 begin = time.monotonic(), now
             elif time.monotonic() - since > self._patience + grace:
-                if self._child is not None and is_debugged(self._child.pid):
-                    begin = time.monotonic(), now
-                else:
+                if self._child is None or not is_debugged(self._child.pid):
                     raise _SilentError(self._child is not None and _handles_timers(self._child.pid))
+                begin = time.monotonic(), now
 
         return self._messages.receive(check)
 
-    def _given_up(self, error: Exception) -> str:
+    # --- errors in words ---
+
+    def _explain_giving_up(self, error: Exception) -> str:
         if isinstance(error, GarbledError):
             return (
                 "wrote into a file descriptor that it had not opened: that was the connection of its process with the stage, and "
@@ -315,38 +326,36 @@ class Isolated:
             )
         return f"has not got on for {self._waited:g} s of real time{why}, and was ended"
 
-    def _not_loaded(self, how: str) -> HostError:
-        what = self._told()
+    def _explain_load(self, how: str) -> HostError:
+        what = self._describe_crash()
         return HostError(f"{self._path.name} {how} while it was loaded, before PULSESTAGE_MAIN was called{what}.")
 
-    def _crashed(self, how: str) -> HostError:
-        """The child is gone. What it did last is in the memory that we share."""
+    def _explain_crash(self, how: str) -> HostError:
+        """Bring the stage to where the child, which is gone, has left its own, by what it did last; return the error."""
         board, theirs = self._board, self._shared.record[0]
         try:
             self._shared.check_notes(board, int(theirs["noted"]), 0, self._until, ended=True)
         except SpoiltError:
-            return self._spoilt(f"{how}{self._told()}")
+            return self._explain_spoiling(f"{how}{self._describe_crash()}")
         edges = self._shared.edges[: int(theirs["noted"])]
-        self._live_through(edges[np.isin(edges["kind"], (WRITE, READ, LOST))])
+        self._repeat_cycles(edges[np.isin(edges["kind"], (WRITE, READ, LOST))])
         board.stage.run_to(max(int(theirs["reached"] + theirs["ahead"]), board.stage.now))
         board.stage.device_state.copy_from(self._shared.devices)
         k = int(theirs["answers"]) - 1
         who = f"in the code of {board.devices[k].label}, " if 0 <= k < len(board.devices) else ""
         self._shared.copy(board, back=True)
-        board.log += self._shared.lines()
+        board.log += self._shared.take_lines()
         return HostError(
-            f"{who}{self._path.name} {how}{self._told()}; at {board.stage.time:.6f} s, after "
+            f"{who}{self._path.name} {how}{self._describe_crash()}; at {board.stage.time:.6f} s, after "
             f"{board.cycles:,} bus cycles. The stage stands where it stood then. {board.trace.ending(12)}"
         )
 
-    def _told(self) -> str:
-        """What was noted of a crash, in words."""
-        return crash_report.describe(
-            self._shared.crash, self._path, *(d.loaded for d in self._board.devices if isinstance(d, CDevice))
-        )
+    def _describe_crash(self) -> str:
+        """Return in words what was noted of a crash."""
+        devices = (d.loaded for d in self._board.devices if isinstance(d, CDevice))
+        return crash_report.describe(self._shared.crash, self._path, *devices)
 
-    def _spoilt(self, how: str) -> HostError:
-        """It has written over what the board notes of it."""
+    def _explain_spoiling(self, how: str) -> HostError:
         board = self._board
         return HostError(
             f"{self._path.name} has written over the memory by which its process tells what happens on the bus, and {how}. Does a "
@@ -355,8 +364,8 @@ class Isolated:
             f"known:\n{board.trace.text(12)}"
         )
 
-    def _live_through(self, edges: np.ndarray) -> None:
-        """Our stage makes the cycles that the child's has made."""
+    def _repeat_cycles(self, edges: np.ndarray) -> None:
+        """Make the cycles on our stage that the child's has made."""
         stage = self._board.stage
         axes = list(stage.axes.values())
         for now, axis, kind, a, b in zip(*(edges[n].tolist() for n in ("now", "axis", "kind", "a", "b")), strict=True):
@@ -373,38 +382,39 @@ class Isolated:
 
     # --- the process ---
 
-    def _ended_how(self) -> str:
-        """How the child ended by itself."""
-        code = self._child.wait(self._patience + GRACE) if self._child is not None else 0
+    def _explain_end(self) -> str:
+        """Wait for the end of a child that ends by itself, and say how it did."""
+        code = self._child.wait(self._patience + GRACE_S) if self._child is not None else 0
         stopped = self._child.stopped if self._child is not None else 0
         self._end()
         if stopped:
-            return f"was stopped by {_signal(stopped)}, and ended"
+            return f"was stopped by {_name_signal(stopped)}, and ended"
         if code == -signal.SIGKILL:
-            return f"was ended by {_signal(-code)} (by somebody, or for want of memory)"
-        return f"was ended by {_signal(-code)}" if code < 0 else f"ended its process with exit code {code}"
+            return f"was ended by {_name_signal(-code)} (by somebody, or for want of memory)"
+        return f"was ended by {_name_signal(-code)}" if code < 0 else f"ended its process with exit code {code}"
 
     def _end(self) -> None:
-        """No child any more."""
+        """End the child."""
         if self._child is not None:
-            _ended(self._child)
+            self._child.kill()
+            self._child.wait()
             self._pipe.close()
             self._scratch.close()
-        self._child, self._running, self._seen = None, False, b""
+        self._child, self._running, self._machine = None, False, b""
 
 
-def _ended(child: starter.Process) -> None:
-    child.kill()
-    child.wait()
+def _list_devices(board: Board) -> list[tuple[Any, int]]:
+    """Return the devices of a board, and whether they are compiled."""
+    return [(device, device.access) for device in board.devices]
 
 
-def _faults(stage: Any) -> bytes:
-    """What the methods of a stage and its faults change of the machine."""
+def _read_faults(stage: Any) -> bytes:
+    """Return what the methods of a stage and its faults change of the machine."""
     parts = stage.describe_machine()
     return pickle.dumps([parts[name] for name in ("axis_faults", "faults", "payloads")])
 
 
-def _pickled(stage: Any) -> bytes:
+def _pickle(stage: Any) -> bytes:
     try:
         return pickle.dumps(stage)
     except Exception as error:
@@ -420,14 +430,14 @@ def _handles_timers(process: int) -> bool:
     return any(caught >> number - 1 & 1 for number in (signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF))
 
 
-def _signal(number: int) -> str:
+def _name_signal(number: int) -> str:
     try:
         return f"{signal.Signals(number).name} ({signal.strsignal(number)})"
     except ValueError:
         return f"signal {number}"
 
 
-def _revived(name: str, text: str) -> Exception:
-    """An error of the child's, as ours."""
-    kind = next((found for at in (errors, general, files) if (found := getattr(at, name, None))), None)
+def _make_error(name: str, text: str) -> Exception:
+    """Return an error of the child's as one of this process."""
+    kind = next((error for module in (errors, general, files) if (error := getattr(module, name, None))), None)
     return kind(text) if isinstance(kind, type) and issubclass(kind, StageError) else HostError(f"{name}: {text}")

@@ -26,20 +26,25 @@ from stage.errors import StageError
 from stage.native import plain
 from stage.sim.records import EDGE, SAMPLE, SECOND
 
-ROWS = 512  # samples
-TEXT = 1 << 16  # bytes of lines
-CRASH = 1 << 14  # bytes about a crash
+SAMPLE_ROWS = 512
+TEXT_SIZE = 1 << 16  # bytes of lines
+CRASH_SIZE = 1 << 14  # bytes about a crash
 COUNTS = ("cycles", "traced", "changed", "faults")  # of HOST
-PYTHONS_ROWS = slice(PYTHONS_TIMERS.start, PYTHONS_TIMERS.stop)
-_ALIGNED = 64
+TIMER_ROWS = slice(PYTHONS_TIMERS.start, PYTHONS_TIMERS.stop)
+_ALIGNMENT = 64
 _LINE = struct.Struct("qq")  # time, length
-_GUARD = 64  # bytes of chance behind each array
+_GUARD_SIZE = 64  # random bytes behind each array
 _FIXED = (
     "mj_model mj_data world axes drives switches table switch_table chips clockwork qpos qvel ctrl sensordata inertia sites bodies "
     "n_axes n_switches n_chips nq nv nu ns n_sites n_bodies bus own edges edge_room regions n_regions ports n_ports lines "
     "line_room call irqs acts before userdata words journals devices n_devices"
 ).split()
-"""What the child's HOST record has once for all."""
+"""Fields of the child's HOST record that never change."""
+_LINE_BOUNDS = {
+    "kind": (0, 7 | host_record.STRAY | host_record.WRITE_LOST | host_record.RAISED),
+    "count": (1, 1 << 62),
+    "port": (0, host_record.LAST_PORT),
+}
 
 
 class SpoiltError(Exception):
@@ -47,11 +52,18 @@ class SpoiltError(Exception):
 
 
 LOADING = "loading"
-"""The first message of the child: the firmware is about to be loaded. Then comes None, or what was wrong: type and text."""
+"""The first message of the child: the firmware is about to be loaded. Then comes None, or what is wrong: type and text."""
 
 
 class Begin(NamedTuple):
-    """The first message to the child. board: the stage, what else a Board takes, and its devices, pickled."""
+    """The first message to the child.
+
+    Attributes:
+        program: The firmware.
+        shared: Path of the file.
+        board: The stage, what else a Board takes, and its devices, pickled.
+        patience: Seconds of real time that the firmware may compute.
+    """
 
     program: Program
     shared: str
@@ -60,46 +72,58 @@ class Begin(NamedTuple):
 
 
 class Go(NamedTuple):
-    """Run up to there, from the state in the file.
+    """An order to run on, from the state in the file.
 
-    machine: the stage, pickled, if it was changed in what is no state. sample_every: physics steps between samples, 0 for none.
-    asks: chips, a bit each, whose writes a fault of the bus looks at. hooks: the interrupt sources that call Python.
-    lines: of the log so far.
+    Attributes:
+        until: Time at which to pause, ns.
+        max_cycles: Number of bus cycles at which to pause.
+        ports: The table of ports.
+        machine: The stage, pickled, if it was changed in what is no state.
+        sample_every: Physics steps between samples, 0 for none.
+        checked_chips: Chips, a bit each, whose writes a fault of the bus may lose.
+        hooks: The interrupt sources that call Python.
+        lines: Lines of the log so far.
     """
 
     until: int
-    most_cycles: int
+    max_cycles: int
     ports: np.ndarray
     machine: bytes | None
     sample_every: int
-    asks: int
+    checked_chips: int
     hooks: tuple[int, ...]
     lines: int
 
 
 class Noted(NamedTuple):
-    """So many EDGE records and samples are in the file, and the state."""
+    """Numbers of EDGE records and samples in the file, beside the state."""
 
     edges: int
     samples: int
 
 
-class Asked(NamedTuple):
-    """Python is to be called, in the parent: about a write to a chip, by an interrupt source (chip -1 - its index), or as a device
-    on the bus (chip: which, way: as `Device.call` has it).
+class Call(NamedTuple):
+    """A request to call Python in the parent: about a write to a chip, by an interrupt source, or as a device on the bus.
 
-    The answer: (what Python said, whether it went well, the stage as in `Go.machine`, `Go.hooks`).
+    The answer is a tuple: what Python returned, whether it went well, `Go.machine`, `Go.hooks`.
+
+    Attributes:
+        noted: What is in the file.
+        chip: Chip or device; -1 - the index of an interrupt source.
+        address: Address of the chip, or port of the device.
+        value: Value that is written.
+        kind: Kind of the cycle, as `Device.call` has it; -1 for a chip.
     """
 
     noted: Noted
     chip: int
     address: int
     value: int
-    way: int = -1
+    kind: int = -1
 
 
-class Stands(NamedTuple):
-    """The firmware is paused or has returned; or `error` ended it."""
+class Paused(NamedTuple):
+    """A message that the firmware is paused or has returned; or `error` ended it: type and text."""
 
     noted: Noted
     ports: np.ndarray
@@ -107,15 +131,8 @@ class Stands(NamedTuple):
     error: tuple[str, str] | None
 
 
-_LINES = {
-    "kind": (0, 7 | host_record.STRAY | host_record.LOST_ON_THE_WAY | host_record.RAISED),
-    "count": (1, 1 << 62),
-    "port": (0, host_record.LAST_PORT),
-}
-
-
-def _make(path: Path, size: int) -> None:
-    """A file whose bytes the disk has: a write to one that it had not would end the process. Raises StageError."""
+def _make_file(path: Path, size: int) -> None:
+    """Make a file whose bytes the disk has: a write to one that it had not would end the process. Raises StageError."""
     try:
         with path.open("wb") as file:
             if hasattr(os, "posix_fallocate"):
@@ -130,8 +147,8 @@ def _make(path: Path, size: int) -> None:
         ) from None
 
 
-def _within(rows: np.ndarray, **bounds: tuple[int, int]) -> bool:
-    """Whether the fields of all rows are in these bounds."""
+def _is_within(rows: np.ndarray, **bounds: tuple[int, int]) -> bool:
+    """Tell whether the fields of all rows are in these bounds."""
     return not len(rows) or all(low <= rows[n].min() and rows[n].max() <= high for n, (low, high) in bounds.items())
 
 
@@ -142,43 +159,42 @@ def _map_for_firmware(path: str | Path, size: int) -> np.ndarray:
     """
     map_file = ctypes.CDLL(None, use_errno=True).mmap
     map_file.restype = ctypes.c_void_p
+    access, offset = mmap.PROT_READ | mmap.PROT_WRITE, ctypes.c_long(0)
     with open(path, "r+b") as file:
-        address = map_file(
-            None,
-            ctypes.c_size_t(size),
-            mmap.PROT_READ | mmap.PROT_WRITE,
-            mmap.MAP_SHARED,
-            file.fileno(),
-            ctypes.c_long(0),
-        )
+        address = map_file(None, ctypes.c_size_t(size), access, mmap.MAP_SHARED, file.fileno(), offset)
     if address is None or address == ctypes.c_void_p(-1).value:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), str(path))
     return np.ctypeslib.as_array((ctypes.c_uint8 * size).from_address(address))
 
 
-class Shared:
+class SharedMemory:
     """The file. Both sides make it of boards that are alike.
 
-    Attributes: record: the HOST record of the child; edges: EDGE; cycles: the lines of its trace; state: float64, MuJoCo's, with
-    the whole stage in it, and the state of the devices behind it; samples, positions: as those of a Recording; sources: of the
-    child's interrupt controller; devices: float64, where the devices of the child have their state.
+    Attributes:
+        record: The HOST record of the child.
+        edges: EDGE records.
+        cycles: The lines of the child's trace.
+        state: MuJoCo's state as float64, with the whole stage in it, and the state of the devices behind it.
+        samples, positions: As those of a Recording.
+        sources: Sources of the child's interrupt controller.
+        devices: Float64, where the devices of the child have their state.
     """
 
     def __init__(self, path: str | Path, board: Board, create: bool = False):
         state = board.stage.state
         axes, nq, words = len(board.stage.axes), state.model.nq, len(state.saved) + board.stage.device_state.words
         sizes: list[tuple[Any, tuple[int, ...]]] = [
-            (host_record.HOST, (1,)), (EDGE, (NOTED,)), (host_record.CYCLE, (board.trace.room,)), (np.float64, (words,)),
-            (SAMPLE, (ROWS, axes)), (np.float64, (ROWS, nq)), (plain(SOURCE), (SOURCES,)), (np.int64, (1,)), (np.uint8, (TEXT,)),
-            (np.uint8, (CRASH,)), (np.float64, (board.stage.device_state.words,)),
+            (host_record.HOST, (1,)), (EDGE, (NOTED,)), (host_record.CYCLE, (board.trace.capacity,)), (np.float64, (words,)),
+            (SAMPLE, (SAMPLE_ROWS, axes)), (np.float64, (SAMPLE_ROWS, nq)), (plain(SOURCE), (SOURCES,)), (np.int64, (1,)),
+            (np.uint8, (TEXT_SIZE,)), (np.uint8, (CRASH_SIZE,)), (np.float64, (board.stage.device_state.words,)),
         ]  # fmt: skip
         lengths = [int(np.dtype(dtype).itemsize * np.prod(shape)) for dtype, shape in sizes]
-        places = np.cumsum([0, *(-(-n // _ALIGNED) * _ALIGNED + _GUARD for n in lengths)]).tolist()
+        places = np.cumsum([0, *(-(-n // _ALIGNMENT) * _ALIGNMENT + _GUARD_SIZE for n in lengths)]).tolist()
         if create:
-            _make(Path(path), places[-1])
-        self._map = (
-            np.memmap(path, np.uint8, "r+", shape=(places[-1],)) if create else _map_for_firmware(path, places[-1])
-        )
+            _make_file(Path(path), places[-1])
+            self._map: np.ndarray = np.memmap(path, np.uint8, "r+", shape=(places[-1],))
+        else:
+            self._map = _map_for_firmware(path, places[-1])
         (
             self.record, self.edges, self.cycles, self.state, self.samples, self.positions, self.sources, used, text, crash,
             self.devices,
@@ -187,118 +203,123 @@ class Shared:
             for at, n, (dtype, shape) in zip(places, lengths, sizes, strict=False)
         )  # fmt: skip
         self._used, self._text, self._crash = used.data, text.data, crash.data
-        self._guards = [np.asarray(self._map[end - _GUARD : end]) for end in places[1:]]
+        self._guards = [np.asarray(self._map[end - _GUARD_SIZE : end]) for end in places[1:]]
         if create:
             for guard in self._guards:
-                guard[:] = np.frombuffer(os.urandom(_GUARD), np.uint8)
+                guard[:] = np.frombuffer(os.urandom(_GUARD_SIZE), np.uint8)
         self._guarded = b"".join(map(bytes, self._guards))
         self._fixed: tuple[int, ...] | None = None
 
-    # --- the state of a stage ---
-
-    def keep(self, stage: Any) -> None:
-        """The state of this stage goes into the file."""
-        stage.copy_state(self.state)
-
-    def not_for_forks(self) -> None:
-        """A process that this one forks does not have the memory: it would change what it shares with nobody's knowledge."""
+    def hide_from_forks(self) -> None:
+        """Keep the memory from processes that this one forks: they would change unnoticed what it shares."""
         if hasattr(mmap, "MADV_DONTFORK"):
             address, size = ctypes.c_void_p(self._map.ctypes.data), ctypes.c_size_t(self._map.nbytes)
             ctypes.CDLL(None).madvise(address, size, mmap.MADV_DONTFORK)
 
-    # --- whether it is whole ---
+    # --- whether firmware has written over it ---
 
     def remember(self) -> None:
-        """The child's HOST record is complete: from now on `check` knows it."""
+        """Remember the child's HOST record, which is complete, for `check`."""
         self._fixed = self.record[_FIXED].item()
 
     def check(self) -> None:
-        """Raises SpoiltError if somebody has written where only the board writes."""
+        """Raise SpoiltError if somebody has written where only the board writes."""
         guarded = b"".join(map(bytes, self._guards))
         if guarded != self._guarded or self._fixed not in (None, self.record[_FIXED].item()):
             raise SpoiltError
 
     def check_notes(self, board: Board, edges: int, samples: int, until: int, ended: bool = False) -> None:
-        """As `check`, for the parent, before it takes so many EDGE records and samples of a run up to `until` (ns). ended: the
-        cycles are to be made again, and the trace is to be read as it is."""
+        """Check what the parent is about to take.
+
+        Args:
+            board: The parent's board.
+            edges: Number of EDGE records.
+            samples: Number of samples.
+            until: End of the run, ns.
+            ended: Whether the child is gone: the cycles are to be made again, and the trace is to be read as it is.
+
+        Raises:
+            SpoiltError: Something cannot be what the child has noted.
+        """
         self.check()
-        h, ours = self.record[0], board.link.record
-        latest, timers = until + SECOND, self.sources[PYTHONS_ROWS]
-        whole = 0 <= edges <= len(self.edges) and 0 <= samples <= len(self.samples)
-        whole = (
-            whole
+        h, ours, timers = self.record[0], board.link.record, self.sources[TIMER_ROWS]
+        latest = until + SECOND
+        valid = (
+            0 <= edges <= len(self.edges)
+            and 0 <= samples <= len(self.samples)
             and h["cycles"] >= ours["cycles"]
             and ours["traced"] <= h["traced"]
             and 0 <= h["changed"] <= h["traced"]
+            and _is_within(timers, period=(0, 1 << 62), level=(0, HIGHEST))
+            and _is_within(self.edges[:edges], axis=(0, len(board.stage.axes) - 1), now=(0, latest))
         )
-        whole = whole and bool(((timers["period"] >= 0) & (timers["level"] >= 0) & (timers["level"] <= HIGHEST)).all())
-        if not (whole and _within(self.edges[:edges], axis=(0, len(board.stage.axes) - 1), now=(0, latest))):
+        if not valid or (ended and not self._is_end_valid(int(ours["traced"]), edges, latest)):
             raise SpoiltError
-        if not ended:
-            return
-        lines = np.arange(max(int(ours["traced"]), int(h["traced"]) - len(self.cycles)), h["traced"]) % len(self.cycles)
+
+    def _is_end_valid(self, traced: int, edges: int, latest: int) -> bool:
+        """Tell whether the trace from line `traced` on and the cycles can be those of a child that is gone."""
+        h = self.record[0]
+        if not (0 <= h["reached"] <= latest and 0 <= h["ahead"] <= latest):
+            return False
+        lines = np.arange(max(traced, int(h["traced"]) - len(self.cycles)), h["traced"]) % len(self.cycles)
         cycles = self.edges[:edges][np.isin(self.edges[:edges]["kind"], (WRITE, READ, LOST))]
-        whole = (
-            0 <= h["reached"] <= latest and 0 <= h["ahead"] <= latest and _within(cycles, a=(0, 0xFF), b=(0, 0xFFFF))
-        )
         lines = self.cycles[lines]
-        whole = whole and _within(lines, first=(0, latest), last=(0, latest), **_LINES)
-        if not (whole and _within(lines[lines["kind"] == host_record.RETURNED], value=(BACK, LOWERED))):
-            raise SpoiltError
+        return (
+            _is_within(cycles, a=(0, 0xFF), b=(0, 0xFFFF))
+            and _is_within(lines, first=(0, latest), last=(0, latest), **_LINE_BOUNDS)
+            and _is_within(lines[lines["kind"] == host_record.RETURNED], value=(BACK, LOWERED))
+        )
 
     # --- a crash ---
 
-    def note_crash(self, noted: bytes) -> None:
-        """What `crash_report.describe` reads."""
-        self._crash[: min(len(noted), CRASH)] = noted[:CRASH]
+    def note_crash(self, note: bytes) -> None:
+        """Store a note that `crash_report.describe` reads."""
+        self._crash[: min(len(note), CRASH_SIZE)] = note[:CRASH_SIZE]
 
     @property
     def crash(self) -> bytes:
-        """What was noted of it; empty if nothing was."""
+        """Note of a crash; empty if there is none."""
         return self._crash.tobytes().rstrip(b"\0")
 
     # --- lines of the log ---
 
     def note(self, now: int, text: str) -> bool:
-        """One more line; False if there is no room for it."""
-        content, begin = text.encode(errors="replace")[: TEXT // 2], self._used[0]
+        """Add a line; return False if there is no room for it. now: time, ns."""
+        content, begin = text.encode(errors="replace")[: TEXT_SIZE // 2], self._used[0]
         end = begin + _LINE.size + len(content)
-        if end > TEXT:
+        if end > TEXT_SIZE:
             return False
         _LINE.pack_into(self._text, begin, now, len(content))
         self._text[begin + _LINE.size : end] = content
         self._used[0] = end
         return True
 
-    def lines(self) -> list[tuple[float, str]]:
-        """The lines noted since the last time: seconds, text."""
-        content, at, found = self._text[: self._used[0]].tobytes(), 0, []
+    def take_lines(self) -> list[tuple[float, str]]:
+        """Return the lines since the last call: seconds, text."""
+        content, at, lines = self._text[: self._used[0]].tobytes(), 0, []
         while at + _LINE.size <= len(content):
             now, length = _LINE.unpack_from(content, at)
             if not 0 <= length <= len(content) - at - _LINE.size:  # firmware has written here
                 break
             at += _LINE.size + length
-            found.append((now * 1e-9, content[at - length : at].decode(errors="replace")))
+            lines.append((now * 1e-9, content[at - length : at].decode(errors="replace")))
         self._used[0] = 0
-        return found
+        return lines
 
     # --- the trace ---
 
     def copy(self, board: Board, back: bool = False) -> None:
-        """A board's cycles, counted and traced, and timers, for the child's board to go on from; or back."""
-        timers, theirs_too = board.link.hooks.sources[PYTHONS_ROWS], self.sources[PYTHONS_ROWS]
+        """Copy cycles, counts and timers of a board here, for the child's board to go on from; or back."""
+        ours = board.link.record, board.link.hooks.sources[TIMER_ROWS], board.trace.buffer
+        theirs = self.record[0], self.sources[TIMER_ROWS], self.cycles
+        source, timers, cycles = theirs if back else ours
+        target, target_timers, target_cycles = ours if back else theirs
         for name in ("level", "period", "next", "pending", "missed"):
-            (timers if back else theirs_too)[name] = (theirs_too if back else timers)[name]
-        pairs = [(board.link.record[name], self.record[0][name]) for name in COUNTS]
-        if all(ours == theirs for ours, theirs in pairs):
+            target_timers[name] = timers[name]
+        if all(target[name] == source[name] for name in COUNTS):
             return
-        target, source = (board.link.record, self.record[0]) if back else (self.record[0], board.link.record)
-        begin = int(min(target["changed"], source["changed"]))  # lines before are as they were
+        begin = int(min(target["changed"], source["changed"]))  # lines before are the same
         for name in COUNTS:
             target[name] = source[name]
-        ours, theirs = board.trace.kept, self.cycles
-        lines = np.arange(max(begin, int(target["traced"]) - len(ours)), target["traced"]) % len(ours)
-        if back:
-            ours[lines] = theirs[lines]
-        else:
-            theirs[lines] = ours[lines]
+        lines = np.arange(max(begin, int(target["traced"]) - len(cycles)), target["traced"]) % len(cycles)
+        target_cycles[lines] = cycles[lines]

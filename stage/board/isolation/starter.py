@@ -4,10 +4,10 @@
     process.kill()
     process.wait()                 its exit code; minus the number of the signal that ended it
 
-It is none of multiprocessing's forkserver: that one imports the user's main module into each child, has one environment and one
-standard output for all of them, and does not notice children that are stopped.
+multiprocessing's forkserver does not fit: it imports the user's main module into each child, gives all of them the environment and
+the standard output of its own start, and does not notice that a child was stopped.
 
-The starter begins with the first of them and ends with this process. A child has the standard output, environment, folder and
+The starter begins with the first child and ends with this process. A child has the standard output, environment, folder and
 sys.path that this process has at its start.
 
 The starter is the parent of firmware, which may do anything to it. One that was ended, stopped, is traced, or does not answer
@@ -38,7 +38,7 @@ from stage.board.thread_runner import read_status
 _HEAD = struct.Struct("q")
 _STATUS = struct.Struct("i")
 ANSWER_LIMIT_S = 30.0  # real time; a starter imports all that children need before its first answer
-_LOOK_INTERVAL_S = 0.25  # between two looks at whether a silent starter was stopped
+_POLL_INTERVAL_S = 0.25  # between two checks whether a silent starter was stopped
 _FILES = 4  # that go with a start: pipe, status, standard output, standard error
 _lock = threading.Lock()
 _ending: deque[tuple[Starter, int]] = deque()
@@ -51,7 +51,13 @@ SANITIZED = {
 
 
 class World(NamedTuple):
-    """What a child finds around it."""
+    """Surroundings of a child.
+
+    Attributes:
+        environment: Its environment variables.
+        folder: Its working directory.
+        path: Its sys.path.
+    """
 
     environment: dict[str, str]
     folder: str
@@ -59,7 +65,12 @@ class World(NamedTuple):
 
 
 class Process:
-    """A child of the starter. pid: its number; stopped: the signal that stopped it, so that it was ended, or 0."""
+    """A child of the starter.
+
+    Attributes:
+        pid: Its number.
+        stopped: The signal that stopped it, so that it was ended, or 0.
+    """
 
     def __init__(self, starter: Starter, status: socket.socket):
         self._starter, self._status = starter, status
@@ -98,7 +109,11 @@ class Process:
 
 
 class Starter:
-    """The end in this process. children: the numbers of those that nobody has seen end."""
+    """The starter, as this process controls it.
+
+    Attributes:
+        children: Numbers of the children whose end nobody has waited for.
+    """
 
     def __init__(self, preload: str = "") -> None:
         self._owner = os.getpid()
@@ -139,7 +154,7 @@ class Starter:
             TimeoutError: It was stopped, or has sent nothing for `limit_s` seconds of real time.
         """
         content, until = b"", time.monotonic() + limit_s
-        source.settimeout(_LOOK_INTERVAL_S)
+        source.settimeout(_POLL_INTERVAL_S)
         while len(content) < size:
             try:
                 more = source.recv(size - len(content))
@@ -153,7 +168,7 @@ class Starter:
         return content
 
     def start(self, pipe: int) -> Process:
-        """A child with this end of a pipe."""
+        """Start a child with this end of a pipe."""
         world = World(dict(os.environ), _folder(), list(sys.path))
         ours, theirs = socket.socketpair()
         with theirs:
@@ -164,8 +179,9 @@ class Starter:
         return Process(self, ours)
 
     def kill(self, pid: int) -> None:
-        """End a child. Whoever is collected as garbage may ask for it at any moment, also while this thread sends a message: then
-        it comes behind that. A fork of this process has nothing to end: these are children of the process that it comes from."""
+        """End a child. An object that is collected as garbage may call this at any moment, also while this thread sends a
+        message; the order is sent after that. A fork of this process ends nothing: these are children of the process that it
+        comes from."""
         if os.getpid() != self._owner:
             return
         _ending.append((self, pid))
@@ -178,7 +194,7 @@ class Starter:
 
 
 def _end_children() -> None:
-    """Send what `kill` has asked for; while somebody holds the lock it is he who does that, when he has let go of it."""
+    """Send the orders of `kill`; while another thread has the lock, that thread sends them after it has released the lock."""
     while _ending and _lock.acquire(blocking=False):
         try:
             while _ending:
@@ -197,7 +213,7 @@ def start(pipe: int, preload: str = "") -> Process:
         preload: Libraries that are loaded first.
 
     Raises:
-        OSError, EOFError: No process can be had, nor from a second starter.
+        OSError, EOFError: No starter, and no second one, can start a process.
     """
     try:
         return _find_starter(preload).start(pipe)
@@ -207,7 +223,7 @@ def start(pipe: int, preload: str = "") -> Process:
 
 
 def _find_starter(preload: str, silent: bool = False) -> Starter:
-    """Return the starter of this process; another where it cannot be asked, or is `silent`."""
+    """Return the starter of this process; a new one where it does not run, or is `silent`."""
     key = os.getpid(), preload
     with _lock:
         starter = _starters.get(key)
@@ -222,7 +238,7 @@ def _find_starter(preload: str, silent: bool = False) -> Starter:
 
 @atexit.register
 def _end_stopped() -> None:
-    """End starters that do not run: they would not notice the end of this process."""
+    """End starters that were stopped: they would not notice the end of this process."""
     for (owner, _), starter in _starters.items():
         if owner == os.getpid() and not starter.is_alive():
             starter.end()
@@ -254,36 +270,36 @@ def _read(source: socket.socket, size: int) -> bytes:
 
 
 def _serve(control: socket.socket, run: Callable[[int], None]) -> None:
-    """Fork and kill as asked, and tell who has ended, until the other end is closed."""
-    wake, woken = socket.socketpair()
-    wake.setblocking(False)
-    woken.setblocking(False)
-    signal.set_wakeup_fd(woken.fileno(), warn_on_full_buffer=False)
+    """Fork and kill on request, and report ended children, until the other end is closed."""
+    reader, writer = socket.socketpair()
+    reader.setblocking(False)
+    writer.setblocking(False)
+    signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
     signal.signal(signal.SIGCHLD, lambda *_: None)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # firmware may send it to its parent
     children: dict[int, socket.socket] = {}
     with selectors.DefaultSelector() as selector:
         selector.register(control, selectors.EVENT_READ)
-        selector.register(wake, selectors.EVENT_READ)
+        selector.register(reader, selectors.EVENT_READ)
         while True:
             for key, _ in selector.select():
-                if key.fileobj is wake:
-                    wake.recv(4096)
-                    _bury(children)
+                if key.fileobj is reader:
+                    reader.recv(4096)
+                    _report_ended(children)
                     continue
                 head, files, _, _ = socket.recv_fds(control, _HEAD.size, _FILES)
                 if not head:
                     return
-                what, given = pickle.loads(_read(control, _HEAD.unpack(head)[0]))
+                what, argument = pickle.loads(_read(control, _HEAD.unpack(head)[0]))
                 if what == "kill":
-                    if given in children:
-                        _end(given)
+                    if argument in children:
+                        _end(argument)
                     continue
                 pid = os.fork()
                 if not pid:
-                    for other in (control, wake, woken, *children.values()):
+                    for other in (control, reader, writer, *children.values()):
                         other.close()
-                    _become(given, files, run)
+                    _become_child(argument, files, run)
                 pipe, status, *streams = files
                 for file in (pipe, *streams):
                     os.close(file)
@@ -291,7 +307,8 @@ def _serve(control: socket.socket, run: Callable[[int], None]) -> None:
                 children[pid].send(_HEAD.pack(pid))
 
 
-def _bury(children: dict[int, socket.socket]) -> None:
+def _report_ended(children: dict[int, socket.socket]) -> None:
+    """Report children that have ended or were stopped; end the latter."""
     while children:
         pid, status = os.waitpid(-1, os.WNOHANG | os.WUNTRACED)
         if not pid:
@@ -317,8 +334,8 @@ def _end(pid: int, ended: bool = False) -> None:
             os.kill(pid, signal.SIGKILL)
 
 
-def _become(world: World, files: list[int], run: Callable[[int], None]) -> None:
-    """In the fork: a child. Does not return."""
+def _become_child(world: World, files: list[int], run: Callable[[int], None]) -> None:
+    """Make this fork a child, and end with it."""
     code = 1
     try:
         signal.set_wakeup_fd(-1)
@@ -346,6 +363,7 @@ def _become(world: World, files: list[int], run: Callable[[int], None]) -> None:
 
 
 def main(fileno: int) -> None:
+    """Serve as the starter, by this end of a socket."""
     from stage.board.isolation import child
 
     gc.freeze()

@@ -12,26 +12,33 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from stage.board.platforms.sketch import SKETCH, folder_of, translated
+from stage.board.platforms.sketch import SKETCH, list_sketch_files, translate_sketch
 from stage.errors import ArgumentError, unknown
 
-HERE = Path(__file__).parent
+FOLDER = Path(__file__).parent
 WRAPPER = ".pulsestage.cpp"
-"""How files end that are made to compile C as C++."""
+"""Ending of files that are made to compile C as C++."""
 IS_CPLUSPLUS = "is C++ here"
-"""What a header says that has to be compiled as C++."""
-BYTES_KEPT = {"encoding": "utf-8", "errors": "surrogateescape"}
-"""How sources are read and written: those of other encodings keep their bytes."""
+"""Error message of a header that has to be compiled as C++."""
+ENCODING = {"encoding": "utf-8", "errors": "surrogateescape"}
+"""Encoding in which sources are read and written: those of other encodings keep their bytes."""
 
 
 @dataclass(frozen=True)
 class Platform:
-    """One kind of driver.
+    """A platform that sources were written for.
 
-    begins: the functions that a program begins with. folders: of headers, the first in front. entry: the source that calls the
-    program. has_cplusplus_headers: sources in C that include some of its headers are compiled as C++. flags: for the compiler.
-    sources: compiled with each program. defaults: a folder of headers for programs that do not have them. given: a header of the
-    system itself, and what to do where it is missing.
+    Attributes:
+        name: Its name.
+        title: What it is, in a line.
+        begins: The functions that a program begins with.
+        entry: The source that calls the program.
+        folders: Folders of headers, the first in front.
+        has_cplusplus_headers: Whether sources in C that include some of its headers are compiled as C++.
+        flags: For the compiler.
+        sources: Sources that are compiled with each program.
+        defaults: A folder of headers for programs that do not have them.
+        external: A header of the system itself, and what to do where it is missing.
     """
 
     name: str
@@ -43,7 +50,7 @@ class Platform:
     flags: tuple[str, ...] = ()
     sources: tuple[str, ...] = ()
     defaults: str = ""
-    given: tuple[str, str] = ("", "")
+    external: tuple[str, str] = ("", "")
 
 
 PLATFORMS: dict[str, Platform] = {
@@ -58,7 +65,7 @@ PLATFORMS: dict[str, Platform] = {
         Platform("dos", "a DOS program of Borland, Microsoft or Watcom C: dos.h, conio.h", ("main",), "dos/entry.c", ("dos",),
                  flags=("-include", "pulsestage_dos.h")),
         Platform("freertos", "a program on FreeRTOS, whose sources are given with it", ("main",), "freertos/entry.c", ("freertos",),
-                 sources=("freertos/port.c",), defaults="freertos/defaults", given=(
+                 sources=("freertos/port.c",), defaults="freertos/defaults", external=(
                      "FreeRTOS.h",
                      "it is in FreeRTOS' own sources, which are not here: give them with the program, "
                      'F/tasks.c F/list.c F/queue.c --cflags="-IF/include" where F is the folder of FreeRTOS-Kernel',
@@ -72,7 +79,7 @@ class Recipe:
     """How sources are compiled.
 
     Attributes:
-        files: What goes to the compiler that links the library: C, or C++ if `cplusplus`.
+        files: Sources for the compiler that links the library: C, or C++ if `cplusplus`.
         c_files: Sources in C beside C++, compiled before.
         flags: For all of them.
         cplusplus_flags: For C++ only.
@@ -88,7 +95,7 @@ class Recipe:
 
 
 def platform_of(name: str | None, sources: Sequence[Path]) -> Platform | None:
-    """The platform of that name; a sketch is of Arduino without saying so. Raises ArgumentError."""
+    """Return the platform of that name, or that of a sketch; None for sources of none. Raises ArgumentError."""
     sketches = [source for source in sources if source.suffix == SKETCH]
     if name is None:
         return PLATFORMS["arduino"] if sketches else None
@@ -99,15 +106,12 @@ def platform_of(name: str | None, sources: Sequence[Path]) -> Platform | None:
     return PLATFORMS[name]
 
 
-def whole(sources: Sequence[Path]) -> list[Path]:
-    """The sources, and of a sketch in a folder of its own the other sources of that folder, as the Arduino tools take them."""
-    found: list[Path] = []
-    for source in sources:
-        found += [file for file in folder_of(source) if file not in found]
-    return found
+def add_sketch_files(sources: Sequence[Path]) -> list[Path]:
+    """Return the sources, with the other sources in the folder of a sketch, as the Arduino tools take them."""
+    return list(dict.fromkeys(file for source in sources for file in list_sketch_files(source)))
 
 
-def recipe(
+def make_recipe(
     platform: Platform | None,
     sources: Sequence[Path],
     folder: Path,
@@ -125,40 +129,40 @@ def recipe(
         ArgumentError: The function is missing that the program begins with.
     """
     if platform is None:
-        return _recipe_of(sources)
-    texts = {source: source.read_text(**BYTES_KEPT) for source in sources}
+        return _split_languages(sources)
+    texts = {source: source.read_text(**ENCODING) for source in sources}
     sketches = [source for source in sources if source.suffix == SKETCH]
     files = [source for source in sources if source.suffix != SKETCH]
-    flags = [f"-I{HERE / name}" for name in platform.folders]
-    flags += ["-idirafter", str(HERE / platform.defaults)] if platform.defaults else []
+    flags = [*platform.flags, *(f"-I{FOLDER / name}" for name in platform.folders)]
+    flags += ["-idirafter", str(FOLDER / platform.defaults)] if platform.defaults else []
     if sketches:
-        made = folder / f"{sketches[0].stem}.ino.cpp"
-        made.write_text(translated({source: texts[source] for source in sketches}), **BYTES_KEPT)
-        files.insert(0, made)
+        sketch = folder / f"{sketches[0].stem}.ino.cpp"
+        sketch.write_text(translate_sketch({source: texts[source] for source in sketches}), **ENCODING)
+        files.insert(0, sketch)
         flags.append(f"-I{sketches[0].parent}")
-    if not any("PULSESTAGE_MAIN" in text or "pulsestage_main" in text for text in texts.values()):
-        files.append(HERE / platform.entry)
+    text = "\n".join(texts.values())
+    if "PULSESTAGE_MAIN" not in text and "pulsestage_main" not in text:
+        files.append(FOLDER / platform.entry)
         for name in platform.begins:
-            if not any(re.search(rf"\b{name}\s*\(", text) for text in texts.values()):
+            if not re.search(rf"\b{name}\s*\(", text):
                 raise ArgumentError(
                     f"{', '.join(s.name for s in sources)}: no function {name}, and there a program of the platform "
                     f"{platform.name} begins. Add the source that has it, or one of yours with PULSESTAGE_MAIN {{ ... }}."
                 )
-        if any(re.search(r"^[^\S\n]*void[^\S\n]+(?:main|usrAppInit)[^\S\n]*\(", text, re.M) for text in texts.values()):
+        if re.search(r"^[^\S\n]*void[^\S\n]+(?:main|usrAppInit)[^\S\n]*\(", text, re.M):
             flags.append("-DPULSESTAGE_VOID_MAIN")
-    files += [HERE / name for name in platform.sources]
-    flags = [*platform.flags, *flags]
+    files += [FOLDER / name for name in platform.sources]
     if not platform.has_cplusplus_headers:
-        return _recipe_of(files, flags)
+        return _split_languages(files, flags)
     is_like_c = [file.suffix == ".c" and needs_cplusplus(file, flags) for file in files]
     files = [
         _include_c(file, folder / f"{k}-{file.name}{WRAPPER}") if is_like_c[k] else file for k, file in enumerate(files)
     ]
-    return replace(_recipe_of(files, flags), cplusplus_flags=("-fpermissive",), is_like_c=any(is_like_c))
+    return replace(_split_languages(files, flags), cplusplus_flags=("-fpermissive",), is_like_c=any(is_like_c))
 
 
-def _recipe_of(files: Sequence[Path], flags: Sequence[str] = ()) -> Recipe:
-    """Each file in its own language."""
+def _split_languages(files: Sequence[Path], flags: Sequence[str] = ()) -> Recipe:
+    """Compile each file in its own language."""
     in_c = tuple(file for file in files if file.suffix == ".c")
     others = tuple(str(file) for file in files if file.suffix != ".c")
     if not others:
@@ -166,29 +170,31 @@ def _recipe_of(files: Sequence[Path], flags: Sequence[str] = ()) -> Recipe:
     return Recipe(others, in_c, tuple(flags), cplusplus=True)
 
 
-def leave_wrappers_out(said: str) -> str:
-    """Leave out what a compiler says of the files that include sources in C."""
-    return re.sub(rf"^In file included from [^\n]*{re.escape(WRAPPER)}:\d+:\n", "", said, flags=re.M)
+def remove_wrappers(message: str) -> str:
+    """Remove the lines of a compiler about the files that include sources in C."""
+    return re.sub(rf"^In file included from [^\n]*{re.escape(WRAPPER)}:\d+:\n", "", message, flags=re.M)
 
 
 def _include_c(source: Path, wrapper: Path) -> Path:
     """Write a file in C++ that is a source in C: other sources in C find its functions under their own names."""
-    wrapper.write_text(f'extern "C" {{\n#include "{source.resolve()}"\n}}\n', **BYTES_KEPT)
+    wrapper.write_text(f'extern "C" {{\n#include "{source.resolve()}"\n}}\n', **ENCODING)
     return wrapper
 
 
-def hint(platform: Platform | None, said: str) -> str:
-    """What to do about a header that the compiler has not found; "" where there is nothing to say."""
-    missing = re.search(r"fatal error:? '?([\w/.]+)'?(?:: No such file| file not found)", said)
+def suggest_platform(platform: Platform | None, message: str) -> str:
+    """Say what to do about a header that the compiler has not found; "" if its message is about something else."""
+    missing = re.search(r"fatal error:? '?([\w/.]+)'?(?:: No such file| file not found)", message)
     if missing is None:
         return ""
     header = missing[1]
-    if platform is not None and header == platform.given[0]:
-        return f"\n{header}: {platform.given[1]}."
+    if platform is not None and header == platform.external[0]:
+        return f"\n{header}: {platform.external[1]}."
     if platform is not None:
         return f"\n{header} is not among what is emulated of the platform {platform.name}: docs/porting.md."
-    theirs = [p.name for p in PLATFORMS.values() if any((HERE / folder / header).is_file() for folder in p.folders)]
-    if not theirs:
+    names = [p.name for p in PLATFORMS.values() if any((FOLDER / folder / header).is_file() for folder in p.folders)]
+    if not names:
         return ""
-    ways = " or ".join(theirs)
-    return f"\n{header} is of the platform {ways}: --platform {theirs[-1]} on the command line, platform={theirs[-1]!r} in Python."
+    return (
+        f"\n{header} is of the platform {' or '.join(names)}: --platform {names[-1]} on the command line, "
+        f"platform={names[-1]!r} in Python."
+    )

@@ -16,45 +16,44 @@ _FUNCTION = re.compile(r"([\w:<>,*&\s]+?[\s*&])(\w+)\s*\(([^(){};]*(?:\([^(){};]
 _NO_TYPE = ("else", "return", "do", "new", "throw", "goto", "case")
 
 
-def folder_of(source: Path) -> list[Path]:
-    """A source alone; of a sketch in a folder of its own name that folder's sources, the sketch itself in front."""
+def list_sketch_files(source: Path) -> list[Path]:
+    """Return a source; with it, for a sketch in a folder of its own name, the other sources of that folder, behind the sketch."""
     if source.suffix != SKETCH or source.resolve().parent.name != source.stem:
         return [source]
     others = sorted(f for f in source.parent.iterdir() if f.suffix in _SOURCES and f.name != source.name)
     return [source, *(f for f in others if f.suffix == SKETCH), *(f for f in others if f.suffix != SKETCH)]
 
 
-def translated(sketches: Mapping[Path, str]) -> str:
-    """One C++ source of a sketch's files, in their order. Errors of the compiler name lines of the sketch."""
-    text = "".join(f'#line 1 "{_quoted(path)}"\n{text}\n' for path, text in sketches.items())
-    seen = _blanked(text)
-    found = _functions(seen)
-    if not found:
+def translate_sketch(sketches: Mapping[Path, str]) -> str:
+    """Make one C++ source of a sketch's files, in their order. Errors of the compiler name lines of the sketch."""
+    text = "".join(f'#line 1 "{_quote(path)}"\n{text}\n' for path, text in sketches.items())
+    functions = _find_functions(_blank_out(text))
+    if not functions:
         return f"#include <Arduino.h>\n{text}"
-    at = found[0][0]
-    line = _line_at(text, at)
-    prototypes = "".join(f"{_line_at(text, where)}{prototype};\n" for where, prototype in found)
+    at = functions[0][0]
+    line = _make_line_mark(text, at)
+    prototypes = "".join(f"{_make_line_mark(text, place)}{prototype};\n" for place, prototype in functions)
     return f"#include <Arduino.h>\n{text[:at]}\n{prototypes}{line}{text[at:]}"
 
 
-def _quoted(path: Path) -> str:
+def _quote(path: Path) -> str:
     return str(path).replace("\\", "\\\\").replace('"', '\\"')
 
 
-def _line_at(text: str, at: int) -> str:
-    """A #line for what stands there."""
+def _make_line_mark(text: str, at: int) -> str:
+    """Return a #line for what stands there."""
     before = text[:at]
     mark = list(re.finditer(r'^#line 1 ("[^\n]*")\n', before, re.M))[-1]
     return f"#line {before[mark.end() :].count(chr(10)) + 1} {mark[1]}\n"
 
 
-def _blanked(text: str) -> str:
-    """The same length and lines, without comments, strings and the preprocessor."""
+def _blank_out(text: str) -> str:
+    """Replace comments, strings and lines of the preprocessor by spaces."""
     return _HIDDEN.sub(lambda m: re.sub(r"[^\n]", " ", m[0]), text)
 
 
-def _functions(text: str) -> list[tuple[int, str]]:
-    """(where it begins, prototype) of each function that is defined outside of braces and may have a prototype."""
+def _find_functions(text: str) -> list[tuple[int, str]]:
+    """Return (where it begins, prototype) of each function that is defined outside of braces and may have a prototype."""
     found, depth, begin = [], 0, 0
     for m in re.finditer(r"[{};]", text):
         if m[0] == "{":
@@ -62,8 +61,8 @@ def _functions(text: str) -> list[tuple[int, str]]:
                 kind, name, arguments = function.groups()
                 words = kind.split()
                 at = begin + function.start() + len(kind) - len(kind.lstrip())
-                plain = "template" not in words and "::" not in kind and "=" not in arguments
-                if plain and words and words[0] not in _NO_TYPE and name not in ("if", "for", "while", "switch"):
+                may_have = "template" not in words and "::" not in kind and "=" not in arguments
+                if may_have and words and words[0] not in _NO_TYPE and name not in ("if", "for", "while", "switch"):
                     found.append((at, f"{' '.join(words)} {name}({' '.join(arguments.split())})"))
             depth += 1
         elif m[0] == "}":

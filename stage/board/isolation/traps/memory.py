@@ -31,7 +31,7 @@ from stage.board.isolation.traps.signals import (
     make_executable,
     set_action,
 )
-from stage.board.windows import PROXIES, Window, explain_missing, is_supported, windows
+from stage.board.windows import PROXIES, Window, explain_missing, is_supported, parse_windows
 from stage.errors import ArgumentError, StageError
 from stage.native import array_at
 
@@ -79,7 +79,7 @@ class Windows:
         if not is_supported():
             raise HostError(f"{request}: {explain_missing(isolated=True)}")
         try:
-            size = windows((0, port, length))[0].end
+            size = parse_windows((0, port, length))[0].end
         except ArgumentError as error:
             raise HostError(f"{request}: {error}") from None
         begin = max([FREE_ADDRESS, *(-(-end // SPACING) * SPACING for _, end in self._pages)])
