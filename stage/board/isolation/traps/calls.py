@@ -43,7 +43,7 @@ LoadedLibrary._fields_ = [
 
 
 class _Observer(NamedTuple):
-    """Who is informed. thread: process and thread of the firmware; a process that it forks is not observed."""
+    """Functions that are informed, and the process and the thread of the firmware; a process that it forks is not observed."""
 
     thread: tuple[int, int]
     on_sleep: Callable[[str], None]
@@ -51,9 +51,7 @@ class _Observer(NamedTuple):
 
 
 _observer: _Observer | None = None
-_functions: dict[
-    str, Any
-] = {}  # for as long as the process lives: libraries that are never unloaded have their addresses
+_functions: dict[str, Any] = {}  # never freed: libraries that are never unloaded have their addresses
 
 
 def set_observer(on_sleep: Callable[[str], None] | None, on_thread: Callable[[], None] = lambda: None) -> None:

@@ -7,8 +7,6 @@ source, with operands of how many bytes. What the byte behind the opcode decides
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from stage.native import record
@@ -34,89 +32,64 @@ FULL, UP_TO_4 = 16, 17
 GROUPS = 512
 
 
-def _table() -> np.ndarray:
+ARITHMETIC, SHIFTS, UNARY, COUNT, OFF, BITS = range(6)
+"""Groups."""
+PAIRS = (
+    *((8 * what, what, E, G, 0) for what in range(ADD, TEST)),
+    *((8 * what + 2, what, G, E, 0) for what in range(ADD, TEST)),
+    *((8 * what + 4, what, A, IMM, UP_TO_4) for what in range(ADD, TEST)),
+    (0x80, GROUP + ARITHMETIC, E, IMM, UP_TO_4), (0x84, TEST, E, G, 0), (0x86, XCHG, E, G, 0), (0x88, MOV, E, G, 0),
+    (0x8A, MOV, G, E, 0), (0xA0, MOV, A, E, 8), (0xA2, MOV, E, A, 8), (0xA4, MOVS, NONE, NONE, 0), (0xA8, TEST, A, IMM, UP_TO_4),
+    (0xAA, STOS, NONE, NONE, 0), (0xC0, GROUP + SHIFTS, E, IMM, 1), (0xC6, MOV, E, IMM, UP_TO_4), (0xD0, GROUP + SHIFTS, E, ONE, 0),
+    (0xD2, GROUP + SHIFTS, E, CL, 0), (0xF6, GROUP + UNARY, E, NONE, 0),
+)  # fmt: skip
+"""Opcodes for bytes, each with the next one for operands whose size prefixes say: opcode, what it does, target, source,
+immediate."""
+SINGLE = (
+    ((0x83,), GROUP + ARITHMETIC, E, IMM, 0, 0, 1), ((0xFE,), GROUP + COUNT, E, ONE, 1, 0, 0),
+    ((0xFF,), GROUP + OFF, E, NONE, 0, 0, 0), ((0x1BA,), GROUP + BITS, E, IMM, 0, 0, 1), ((0x1A3,), BT, E, G, 0, 0, 0),
+    ((0x1AB,), BTS, E, G, 0, 0, 0),
+    ((0x1B3,), BTR, E, G, 0, 0, 0), ((0x1BB,), BTC, E, G, 0, 0, 0), (range(0x50, 0x58), PUSH, NONE, R, 8, 0, 0),
+    (range(0x58, 0x60), POP, R, NONE, 8, 0, 0), ((0x63,), MOV, G, E, 0, 4, 0), ((0x68,), PUSH, NONE, IMM, 8, 0, 4),
+    ((0x6A,), PUSH, NONE, IMM, 8, 0, 1), ((0x69,), IMUL3, G, E, 0, 0, UP_TO_4), ((0x6B,), IMUL3, G, E, 0, 0, 1),
+    ((0x1AF,), IMUL, G, E, 0, 0, 0), (range(0x70, 0x80), JCC, NONE, IMM, 8, 0, 1), (range(0x180, 0x190), JCC, NONE, IMM, 8, 0, 4),
+    ((0x8D,), MOV, G, EA, 0, 0, 0), ((0x90,), NOP, NONE, NONE, 0, 0, 0), (range(0x91, 0x98), XCHG, R, A, 0, 0, 0),
+    ((0x98,), MOV, A, A, 0, 0, 0),  # of half the size
+    ((0x99,), SIGN, D, A, 0, 0, 0), (range(0xB0, 0xB8), MOV, R, IMM, 1, 0, FULL), (range(0xB8, 0xC0), MOV, R, IMM, 0, 0, FULL),
+    ((0xC3,), RET, NONE, NONE, 0, 0, 0), ((0xC9,), LEAVE, NONE, NONE, 0, 0, 0), ((0xE8,), CALL, NONE, IMM, 8, 0, 4),
+    ((0xE9,), JMP, NONE, IMM, 8, 0, 4), ((0xEB,), JMP, NONE, IMM, 8, 0, 1), ((0x11E, 0x11F), NOP, NONE, NONE, 0, 0, 0),
+    (range(0x140, 0x150), CMOV, G, E, 0, 0, 0), (range(0x190, 0x1A0), SETCC, E, ONE, 1, 0, 0), ((0x1B6,), MOVZX, G, E, 0, 1, 0),
+    ((0x1B7,), MOVZX, G, E, 0, 2, 0), ((0x1BE,), MOV, G, E, 0, 1, 0), ((0x1BF,), MOV, G, E, 0, 2, 0),
+)  # fmt: skip
+"""Other opcodes: what they do, target, source, size of operands, size of the source, immediate."""
+MEMBERS = (
+    *((ARITHMETIC, k, k, NONE, NONE, 0, 0) for k in range(8)),
+    *((SHIFTS, k, what, NONE, NONE, 0, 0) for k, what in ((0, ROL), (1, ROR), (4, SHL), (5, SHR), (6, SHL), (7, SAR))),
+    (UNARY, 0, TEST, E, IMM, 0, UP_TO_4), (UNARY, 1, TEST, E, IMM, 0, UP_TO_4), (UNARY, 2, NOT, E, E, 0, 0),
+    (UNARY, 3, NEG, E, E, 0, 0), (COUNT, 0, INC, E, ONE, 0, 0), (COUNT, 1, DEC, E, ONE, 0, 0), (OFF, 0, INC, E, ONE, 0, 0),
+    (OFF, 1, DEC, E, ONE, 0, 0), (OFF, 2, CALL, NONE, E, 8, 0), (OFF, 4, JMP, NONE, E, 8, 0), (OFF, 6, PUSH, NONE, E, 8, 0),
+    *((BITS, k, what, NONE, NONE, 0, 0) for k, what in ((4, BT), (5, BTS), (6, BTR), (7, BTC))),
+)  # fmt: skip
+"""Members of groups: group, number in the byte, what they do, target, source, size of operands, immediate."""
+
+
+def _make_table() -> np.ndarray:
     table = np.zeros(GROUPS + 8 * (GROUP_DONE - GROUP), OPCODE)
 
-    def put(
-        opcodes: Iterable[int], what: int, target: int = NONE, source: int = NONE, size: int = 0, source_size: int = 0,
-        immediate: int = 0, modrm: bool = False,
-    ) -> None:  # fmt: skip
+    def put(opcode: int, what: int, target: int, source: int, size: int, source_size: int, immediate: int) -> None:
+        modrm = E in (target, source) or G in (target, source) or opcode in (0x11E, 0x11F)
+        by_address = immediate == 8  # it says the address of E itself
+        table[opcode] = (what, 1, modrm and not by_address, size, source_size, target, source, immediate)
+
+    for opcode, what, target, source, immediate in PAIRS:
+        put(opcode, what, target, source, 1, 0, immediate)
+        put(opcode + 1, what, target, source, 0, 0, immediate)
+    for opcodes, *rest in SINGLE:
         for opcode in opcodes:
-            modrm = modrm or E in (target, source) or G in (target, source)
-            table[opcode] = (what, 1, modrm, size, source_size, target, source, immediate)
-
-    def both(opcode: int, what: int, target: int, source: int, immediate: int = 0, modrm: bool = False) -> None:
-        """An opcode for bytes, and the next one for what prefixes say."""
-        for k, size in enumerate((1, 0)):
-            put([opcode + k], what, target, source, size, 0, immediate, modrm)
-
-    def group(
-        number: int, members: Iterable[tuple[int, int]], target: int, source: int, size: int = 0, immediate: int = 0
-    ) -> None:
-        """The members of a group: (number in the byte, what it does)."""
-        for reg, what in members:
-            put([GROUPS + 8 * number + reg], what, target, source, size, 0, immediate)
-
-    for what in range(ADD, TEST):
-        both(8 * what, what, E, G)
-        both(8 * what + 2, what, G, E)
-        both(8 * what + 4, what, A, IMM, UP_TO_4)
-    for opcode, what, target, source, immediate in (
-        (0x84, TEST, E, G, 0), (0x86, XCHG, E, G, 0), (0x88, MOV, E, G, 0), (0x8A, MOV, G, E, 0), (0xA0, MOV, A, E, 8),
-        (0xA2, MOV, E, A, 8), (0xA4, MOVS, NONE, NONE, 0), (0xA8, TEST, A, IMM, UP_TO_4), (0xAA, STOS, NONE, NONE, 0),
-        (0xC6, MOV, E, IMM, UP_TO_4),
-    ):  # fmt: skip
-        both(opcode, what, target, source, immediate)
-    for k in range(4):  # these say the address of E themselves
-        table[0xA0 + k]["modrm"] = 0
-    arithmetic, shifts, unary, count, off, bits = range(6)
-    both(0x80, GROUP + arithmetic, E, IMM, UP_TO_4)
-    put([0x83], GROUP + arithmetic, E, IMM, immediate=1)
-    for opcode, source, immediate in ((0xC0, IMM, 1), (0xD0, ONE, 0), (0xD2, CL, 0)):
-        both(opcode, GROUP + shifts, E, source, immediate)
-    both(0xF6, GROUP + unary, E, NONE)
-    put([0xFE], GROUP + count, E, ONE, 1)
-    put([0xFF], GROUP + off, E)
-    put([0x1BA], GROUP + bits, E, IMM, immediate=1)
-    group(arithmetic, ((k, k) for k in range(8)), NONE, NONE)
-    group(shifts, ((0, ROL), (1, ROR), (4, SHL), (5, SHR), (6, SHL), (7, SAR)), NONE, NONE)
-    group(unary, ((0, TEST), (1, TEST)), E, IMM, immediate=UP_TO_4)
-    group(unary, ((2, NOT), (3, NEG)), E, E)
-    group(count, ((0, INC), (1, DEC)), E, ONE)
-    group(off, ((0, INC), (1, DEC)), E, ONE)
-    group(off, ((2, CALL), (4, JMP), (6, PUSH)), NONE, E, 8)
-    group(bits, ((4, BT), (5, BTS), (6, BTR), (7, BTC)), NONE, NONE)
-    for opcode, what in ((0x1A3, BT), (0x1AB, BTS), (0x1B3, BTR), (0x1BB, BTC)):
-        put([opcode], what, E, G)
-    put(range(0x50, 0x58), PUSH, NONE, R, 8)
-    put(range(0x58, 0x60), POP, R, NONE, 8)
-    put([0x63], MOV, G, E, 0, 4)
-    put([0x68], PUSH, NONE, IMM, 8, 0, 4)
-    put([0x6A], PUSH, NONE, IMM, 8, 0, 1)
-    put([0x69], IMUL3, G, E, immediate=UP_TO_4)
-    put([0x6B], IMUL3, G, E, immediate=1)
-    put([0x1AF], IMUL, G, E)
-    put(range(0x70, 0x80), JCC, NONE, IMM, 8, 0, 1)
-    put(range(0x180, 0x190), JCC, NONE, IMM, 8, 0, 4)
-    put([0x8D], MOV, G, EA)
-    put([0x90], NOP)
-    put(range(0x91, 0x98), XCHG, R, A)
-    put([0x98], MOV, A, A)  # of half the size
-    put([0x99], SIGN, D, A)
-    put(range(0xB0, 0xB8), MOV, R, IMM, 1, 0, FULL)
-    put(range(0xB8, 0xC0), MOV, R, IMM, 0, 0, FULL)
-    put([0xC3], RET)
-    put([0xC9], LEAVE)
-    put([0xE8], CALL, NONE, IMM, 8, 0, 4)
-    put([0xE9], JMP, NONE, IMM, 8, 0, 4)
-    put([0xEB], JMP, NONE, IMM, 8, 0, 1)
-    put([0x11E, 0x11F], NOP, modrm=True)
-    put(range(0x140, 0x150), CMOV, G, E)
-    put(range(0x190, 0x1A0), SETCC, E, ONE, 1)
-    for opcode, what in ((0x1B6, MOVZX), (0x1BE, MOV)):
-        put([opcode], what, G, E, 0, 1)
-        put([opcode | 1], what, G, E, 0, 2)
+            put(opcode, *rest)
+    for number, reg, what, target, source, size, immediate in MEMBERS:
+        put(GROUPS + 8 * number + reg, what, target, source, size, 0, immediate)
     return table
 
 
-TABLE = _table()
+TABLE = _make_table()

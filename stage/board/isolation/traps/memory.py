@@ -41,12 +41,10 @@ if TYPE_CHECKING:
 
 MIN_ADDRESS = 1 << 16  # below the system lets nobody map
 FREE_ADDRESS = 0x5000_0000  # from here on lie windows without an address of their own
-SPACING, MAX_TRIES = 1 << 20, 1024
+SPACING, MAX_PLACES = 1 << 20, 1024
 STACK_MARGIN = 1 << 16  # bytes at the end of a stack, where the guard may be
-_NO_ACCESS, _FLAGS = (
-    0,
-    2 | 0x20 | 0x4000 | 0x100000,
-)  # of mmap: private, anonymous, no reserve, at this address or not at all
+_NO_ACCESS = 0
+_FLAGS = 2 | 0x20 | 0x4000 | 0x100000  # of mmap: private, anonymous, no reserve, at this address or not at all
 _ELF, _LOAD, _READ_ONLY = b"\x7fELF", 1, 0x6474E552  # kinds of a program header
 _libc: Any = ctypes.CDLL(None)
 _libc.mmap.restype = _libc.pthread_self.restype = ctypes.c_void_p
@@ -66,7 +64,7 @@ class Windows:
 
     @property
     def faults(self) -> int:
-        """How many faults of this process were accesses to windows: the handler goes on behind them as long as it can."""
+        """Number of faults of this process that were accesses to windows: the handler goes on behind them as long as it can."""
         return int(_space["faults"][0])
 
     def choose(self, port: int, length: int) -> int:
@@ -83,7 +81,7 @@ class Windows:
         except ArgumentError as error:
             raise HostError(f"{request}: {error}") from None
         begin = max([FREE_ADDRESS, *(-(-end // SPACING) * SPACING for _, end in self._pages)])
-        for address in range(begin, begin + MAX_TRIES * SPACING, SPACING):
+        for address in range(begin, begin + MAX_PLACES * SPACING, SPACING):
             try:
                 self.claim(Window(address, port, size))
             except ArgumentError:
@@ -163,9 +161,9 @@ class Windows:
         near = next((w for w in self._windows if w.address <= address < w.end), None)
         if what == host_record.BEYOND_WINDOW:
             window = near or min(self._windows, key=lambda w: min(abs(address - w.address), abs(address - w.end)))
-            goes = "goes on" if near else "is"
+            verb = "goes on" if near else "is"
             return HostError(
-                f"{access} {goes} beyond the window {window}, which ends at {window.end - 1:X}h. Give it more ports, or another "
+                f"{access} {verb} beyond the window {window}, which ends at {window.end - 1:X}h. Give it more ports, or another "
                 f"window there (--map, map=); {self._when()}"
             )
         code = ctypes.string_at(start, 8).hex(" ")

@@ -1,4 +1,4 @@
-"""Do one instruction of x86-64 on the registers that a signal has saved, compiled: what reaches a window becomes bus cycles.
+"""Executes one instruction of x86-64 on the registers that a signal has saved, compiled: accesses to windows become bus cycles.
 
 `on_fault` handles the fault of an access to a window. A signal takes as long as ten bus cycles, so it goes on with the instructions
 behind the access as long as it can: a loop that polls a register, or one that writes a table, then takes a single signal. An
@@ -15,7 +15,7 @@ from stage.board.isolation.traps import instructions as x86
 from stage.native import array_at, called, exported, hot, record
 
 SPAN = record([(name, "i8") for name in "begin end kind port host".split()])
-"""Addresses, and what is there. port, host: the first port of a window, and on which HOST."""
+"""A range of addresses, the kind of what is there, and of a window its first port and its HOST."""
 READABLE, WRITABLE, CODE, WINDOW, PAGE, STACK = 1, 2, 4, 8, 16, 32
 """Kinds: memory that can be read, written, executed; a window; the rest of a window's pages; the stack of the firmware."""
 SPANS = 256
@@ -23,18 +23,17 @@ SPANS = 256
 ROW = SPAN.itemsize
 
 SPACE = record([(name, "i8") for name in "request opcodes spans previous signal faults".split()])
-"""What the handler of faults knows: the function for requests, the table of instructions, SPANs, the handler of before, the
-function `signal` of C, and how many faults were accesses to windows."""
-_STEP = "own regs start at rex memory ea rm reg immediate repeated status changes mask stack floor since"
+"""Data of the handler of faults: the function for requests, the table of instructions, SPANs, the handler before it, the function
+`signal` of C, and how many faults were accesses to windows."""
+_STEP = "own regs start at prefixes rex memory ea rm reg immediate status changes mask stack floor since"
 STEP = record([(name, "i8") for name in _STEP.split()])
 """
     own             where this record is
     regs            where the saved registers are
     start, at       where the instruction begins, and how far it has been read
-    rex             its prefix REX, 0 for none
+    prefixes, rex   NARROW, ... and its prefix REX, 0 for none
     memory, ea, rm  whether E lies in memory, and where; otherwise it is register rm
     reg, immediate  G; the number in the instruction
-    repeated        whether a prefix says so
     status          why it is not done
     changes, mask   flags of the result; those that are to be set
     stack, floor    rsp at the fault; below the floor the stack is not to be touched: the handler may be there
@@ -42,7 +41,9 @@ STEP = record([(name, "i8") for name in _STEP.split()])
 """
 
 DONE, LEFT, BEYOND = range(3)
-"""Status: done; not for us to do; it touches a page of a window, but beyond the window."""
+"""Status: done; left to the processor; it touches a page of a window, but beyond the window."""
+NARROW, REPEATED, LOCKED, SHORT = 1, 2, 4, 8
+"""Prefixes: operands of 16 bits; a repeated string instruction; a bus lock; addresses of 32 bits."""
 
 RIP, FLAGS, REGISTERS = 16, 17, 23
 RAX, RCX, RDX, RSP, RBP, RSI, RDI = 13, 14, 12, 15, 10, 9, 8
@@ -52,10 +53,11 @@ PLACES = 0x7654321089AFBCED
 CF, PF, AF, ZF, SF, DF, OF = 1, 4, 16, 64, 128, 1024, 2048
 ABOVE_STACK = 2048
 """Bytes above rsp that are there in any thread: what has called it, and the record of the thread."""
-_U1, _I1, _I2, _I4, _I8 = (np.dtype(name) for name in ("u1", "i1", "i2", "i4", "i8"))
+_U1, _I8 = np.dtype("u1"), np.dtype("i8")
 _request = called("i8", "i8", "i4", "i8", "i8")
 _signal = called("i8", "i4", "i8")
-FAR = 200
+MAX_INSTRUCTIONS = 200
+"""Instructions behind a bus cycle after which the processor takes over again."""
 SAME_STACK, RED_ZONE = 1 << 16, 128
 """Bytes from the handler up to the firmware, if it has no stack of its own; bytes below rsp that are the firmware's."""
 ADDRESS, REGS = 16, 40
@@ -101,13 +103,13 @@ def put_register(s, n, size, value):
 
 @hot
 def _on_stack(s, address, size):
-    """Whether this is memory of the stack that is there in any thread."""
+    """Tell whether this is memory of the stack that is there in any thread."""
     return s.floor <= address and address + size <= s.stack + ABOVE_STACK
 
 
 @hot
 def span_of(space, address):
-    """Where the first SPAN with the address lies, or 0."""
+    """Return where the first SPAN with the address lies, or 0."""
     first, k = int(space.spans), 0
     spans = array_at(first, SPANS, SPAN)
     while spans[k].kind:
@@ -118,68 +120,73 @@ def span_of(space, address):
 
 
 @hot
-def access(s, space, address, size, value, writes):
-    """Memory is read or written, by a bus cycle where it is a window."""
-    at = 0 if _on_stack(s, address, size) else span_of(space, address)
-    if at:
-        span = array_at(at, 1, SPAN)[0]
-        inside = address + size <= span.end
-        if span.kind & WINDOW and inside:
-            s.since = 0
-            port, half = int(span.port + address - span.begin), 4 if size == 8 else size
-            if writes:
-                what = host_record.OUT8 if half == 1 else host_record.OUT16 if half == 2 else host_record.OUT32
-                _request(space.request, (span.host, what, port, value))
-                if size == 8:
-                    _request(space.request, (span.host, what, port + 4, value >> 32))
-                return 0
-            what = host_record.IN8 if half == 1 else host_record.IN16 if half == 2 else host_record.IN32
-            value = _request(space.request, (span.host, what, port, 0))
-            if size == 8:
-                value |= _request(space.request, (span.host, what, port + 4, 0)) << 32
-            return fit(value, size)
-        if span.kind & (WINDOW | PAGE):
-            s.status = BEYOND
-            return 0
-        if span.kind & STACK and address < s.floor:
-            s.status = LEFT
-            return 0
-        if not inside or not span.kind & (WRITABLE if writes else READABLE):
-            s.status = LEFT
-            return 0
-    elif not _on_stack(s, address, size):
-        s.status = LEFT
-        return 0
-    if size == 1:
-        if writes:
-            array_at(address, 1, _I1)[0] = fit(value, 1)
-        return int(array_at(address, 1, _I1)[0])
-    if size == 2:
-        if writes:
-            array_at(address, 1, _I2)[0] = fit(value, 2)
-        return int(array_at(address, 1, _I2)[0])
-    if size == 4:
-        if writes:
-            array_at(address, 1, _I4)[0] = fit(value, 4)
-        return int(array_at(address, 1, _I4)[0])
-    if writes:
-        array_at(address, 1, _I8)[0] = value
-    return int(array_at(address, 1, _I8)[0])
+def _is_window(space, address):
+    """Tell whether an address lies in a window."""
+    at = span_of(space, address)
+    return at != 0 and array_at(at, 1, SPAN)[0].kind & WINDOW != 0
 
 
 @hot
-def follows(s, size):
-    """The next bytes of the instruction, signed."""
-    value = 0
+def _load(address, size):
+    """Read memory, signed."""
+    content, value = array_at(address, size, _U1), 0
     for k in range(size):
-        value |= int(array_at(s.at + k, 1, _U1)[0]) << 8 * k
-    s.at += size
+        value |= int(content[k]) << 8 * k
     return fit(value, size)
 
 
 @hot
+def _make_cycle(space, span, address, size, value, writes):
+    """Make the bus cycle of an access to a window; two of 32 bits for 64."""
+    port, half = int(span.port + address - span.begin), 4 if size == 8 else size
+    if writes:
+        what = host_record.OUT8 if half == 1 else host_record.OUT16 if half == 2 else host_record.OUT32
+    else:
+        what = host_record.IN8 if half == 1 else host_record.IN16 if half == 2 else host_record.IN32
+    answer = _request(space.request, (span.host, what, port, value))
+    if size == 8:
+        answer |= _request(space.request, (span.host, what, port + 4, value >> 32)) << 32
+    return fit(answer, size)
+
+
+@hot
+def access(s, space, address, size, value, writes):
+    """Read or write memory, by a bus cycle where it is a window; return what was read. Sets a status if it cannot be done."""
+    if not _on_stack(s, address, size):
+        at = span_of(space, address)
+        if at == 0:
+            s.status = LEFT
+            return 0
+        span = array_at(at, 1, SPAN)[0]
+        inside = address + size <= span.end
+        if span.kind & WINDOW and inside:
+            s.since = 0
+            return _make_cycle(space, span, address, size, value, writes)
+        if span.kind & (WINDOW | PAGE):
+            s.status = BEYOND
+            return 0
+        below = span.kind & STACK and address < s.floor
+        if below or not inside or not span.kind & (WRITABLE if writes else READABLE):
+            s.status = LEFT
+            return 0
+    if writes:
+        content = array_at(address, size, _U1)
+        for k in range(size):
+            content[k] = value >> 8 * k & 0xFF
+        return 0
+    return _load(address, size)
+
+
+@hot
+def follows(s, size):
+    """Read the next bytes of the instruction, signed."""
+    s.at += size
+    return _load(s.at - size, size)
+
+
+@hot
 def modrm(s):
-    """The byte behind the opcode, and where E lies. Returns whether what follows the instruction is to be added."""
+    """Read the byte behind the opcode, and find where E lies. Return whether it is relative to the end of the instruction."""
     byte = follows(s, 1) & 0xFF
     mode, rm = byte >> 6, byte & 7
     s.reg = byte >> 3 & 7 | (s.rex & 4) << 1
@@ -210,7 +217,7 @@ def modrm(s):
 
 @hot
 def take(s, space, kind, size):
-    """The value of an operand; 0 with a status if it cannot be had."""
+    """Return the value of an operand; 0 with a status if it cannot be had."""
     if kind == x86.E and s.memory:
         return access(s, space, s.ea, size, 0, False)
     if kind in (x86.E, x86.R):
@@ -230,7 +237,7 @@ def take(s, space, kind, size):
 
 @hot
 def put(s, space, kind, size, value):
-    """An operand gets a value, or there is a status."""
+    """Give an operand a value, or set a status."""
     if kind == x86.E and s.memory:
         access(s, space, s.ea, size, value, True)
     elif kind in (x86.E, x86.R):
@@ -245,7 +252,7 @@ def put(s, space, kind, size, value):
 
 @hot
 def _flags(s, mask, carry, overflow, result):
-    """`s` gets the flags of a result; those of `mask` are to be set."""
+    """Compute the flags of a result; those of `mask` are to be set."""
     low = result & 0xFF
     low ^= low >> 4
     new = (CF if carry else 0) | (OF if overflow else 0) | (ZF if result == 0 else 0) | (SF if result < 0 else 0)
@@ -255,7 +262,7 @@ def _flags(s, mask, carry, overflow, result):
 
 @hot
 def holds(flags, condition):
-    """Whether a condition (of a jump, say) holds."""
+    """Tell whether a condition (of a jump, say) holds."""
     k = condition >> 1 & 7
     differ = (flags & SF != 0) != (flags & OF != 0)
     if k >= 6:
@@ -268,7 +275,7 @@ def holds(flags, condition):
 
 @hot
 def compute(s, what, left, right, size):
-    """A sum, a difference, a bitwise operation."""
+    """Compute a sum, a difference or a bitwise operation."""
     carry = overflow = False
     adjust, mask = 0, CF | PF | AF | ZF | SF | OF
     old = int(array_at(s.regs, REGISTERS, _I8)[FLAGS]) & CF
@@ -293,7 +300,7 @@ def compute(s, what, left, right, size):
 
 @hot
 def shift(s, what, left, count, size):
-    """A shift or a rotation."""
+    """Shift or rotate."""
     bits = 8 * size
     count &= 63 if size == 8 else 31
     s.mask = 0
@@ -324,7 +331,7 @@ def shift(s, what, left, count, size):
 
 @hot
 def change_bit(s, what, left, number, size):
-    """One bit, which goes to the carry, is set, reset or turned."""
+    """Copy one bit to the carry, and set, reset or invert it."""
     one = 1 << number
     _flags(s, CF, left >> number & 1 == 1, False, 0)
     if what == x86.BT:
@@ -336,12 +343,13 @@ _ROWS = x86.GROUPS + 8 * (x86.GROUP_DONE - x86.GROUP)
 
 
 @hot
-def _string(s, space, what, repeated, size):
-    """MOVS, STOS, once or as often as RCX says."""
+def _string(s, space, what, size):
+    """Execute MOVS or STOS, once or as often as RCX says."""
     regs = array_at(s.regs, REGISTERS, _I8)
     if regs[FLAGS] & DF:
         s.status = LEFT
         return
+    repeated = s.prefixes & REPEATED
     left = int(regs[RCX]) if repeated else 1
     while left > 0:
         value = int(regs[RAX]) if what == x86.STOS else access(s, space, int(regs[RSI]), size, 0, False)
@@ -359,7 +367,7 @@ def _string(s, space, what, repeated, size):
 
 @hot
 def _go(s, space, what, value):
-    """Jumps and the stack."""
+    """Execute a jump, or an instruction of the stack."""
     regs = array_at(s.regs, REGISTERS, _I8)
     top = int(regs[RSP])
     if what in (x86.JMP, x86.JCC):
@@ -385,8 +393,8 @@ def _go(s, space, what, value):
 
 
 @hot
-def _move(s, space, op, what, size, source_size, value, condition):
-    """Moves and what is like one. Returns what the target gets."""
+def _move(s, what, size, source_size, value, condition):
+    """Execute a move, or what is like one. Return what the target gets."""
     if what == x86.MOVZX:
         return value & ((1 << 8 * source_size) - 1)
     if what == x86.NOT:
@@ -409,67 +417,72 @@ def _move(s, space, op, what, size, source_size, value, condition):
 
 
 @hot
-def _perform(s, space, op, what, size, source_size, byte):
-    """What the instruction does; flags are in `s`."""
-    regs = array_at(s.regs, REGISTERS, _I8)
-    target, source = op.target, op.source
-    if what >= x86.MOVS:
-        _string(s, space, what, s.repeated, size)
-        return
-    value = take(s, space, source, source_size)
-    if s.status:
-        return
-    if x86.PUSH <= what <= x86.LEAVE:
-        if source == x86.IMM and what != x86.PUSH:
-            value += int(s.at)
-        if what != x86.JCC or holds(int(regs[FLAGS]), byte):
-            _go(s, space, what, value)
-        return
-    if x86.MOV <= what <= x86.NOP:
-        if what == x86.XCHG:
-            other = take(s, space, target, size)
-            if s.status == DONE:
-                put(s, space, target, size, value)
-            if s.status == DONE:
-                put(s, space, source, size, other)
-            return
-        value = _move(s, space, op, what, size, source_size, value, byte)
-    else:
-        if x86.BT <= what <= x86.BTC:
-            if source == x86.IMM:
-                value &= 8 * size - 1
-            s.ea += value // (8 * size) * size
-            value &= 8 * size - 1
-        left = take(s, space, target, size) if what != x86.NEG else 0
-        if s.status:
-            return
-        if what <= x86.DEC:
-            value = compute(s, what, left, value, size)
-        elif what < x86.MOV:
-            value = shift(s, what, left, value, size)
-        else:
-            value = change_bit(s, what, left, value, size)
-    if s.status == DONE and what != x86.CMP and what != x86.TEST and what != x86.BT:
-        put(s, space, target, size, value)
+def _exchange(s, space, op, size, value):
+    other = take(s, space, op.target, size)
+    if s.status == DONE:
+        put(s, space, op.target, size, value)
+    if s.status == DONE:
+        put(s, space, op.source, size, other)
 
 
 @hot
-def step(s, space):
-    """The instruction at RIP, and RIP then is behind it; if `s.status` is not DONE, nothing was done."""
-    regs = array_at(s.regs, REGISTERS, _I8)
-    s.start = s.at = regs[RIP]
-    s.status, s.rex, s.memory, s.ea, s.mask, s.repeated = DONE, 0, 0, 0, 0, 0
-    narrow = locked = short = relative = False
+def _calculate(s, space, op, what, size, value):
+    """Execute an instruction that calculates, on its target and a value."""
+    if x86.BT <= what <= x86.BTC:
+        if op.source == x86.IMM:
+            value &= 8 * size - 1
+        s.ea += value // (8 * size) * size
+        value &= 8 * size - 1
+    left = take(s, space, op.target, size) if what != x86.NEG else 0
+    if s.status:
+        return
+    if what <= x86.DEC:
+        value = compute(s, what, left, value, size)
+    elif what < x86.MOV:
+        value = shift(s, what, left, value, size)
+    else:
+        value = change_bit(s, what, left, value, size)
+    if s.status == DONE and what != x86.CMP and what != x86.TEST and what != x86.BT:
+        put(s, space, op.target, size, value)
+
+
+@hot
+def _perform(s, space, op, what, size, source_size, byte):
+    """Execute a decoded instruction; its flags are in `s`."""
+    if what >= x86.MOVS:
+        _string(s, space, what, size)
+        return
+    value = take(s, space, op.source, source_size)
+    if s.status:
+        return
+    if x86.PUSH <= what <= x86.LEAVE:
+        if op.source == x86.IMM and what != x86.PUSH:
+            value += int(s.at)
+        if what != x86.JCC or holds(int(array_at(s.regs, REGISTERS, _I8)[FLAGS]), byte):
+            _go(s, space, what, value)
+    elif what == x86.XCHG:
+        _exchange(s, space, op, size, value)
+    elif x86.MOV <= what <= x86.NOP:
+        value = _move(s, what, size, source_size, value, byte)
+        if s.status == DONE:
+            put(s, space, op.target, size, value)
+    else:
+        _calculate(s, space, op, what, size, value)
+
+
+@hot
+def _read_opcode(s):
+    """Read prefixes and opcode of an instruction; 100h | opcode of one behind 0Fh."""
     byte = follows(s, 1) & 0xFF
     while True:
         if byte == 0x66:
-            narrow = True
+            s.prefixes |= NARROW
         elif byte == 0xF2 or byte == 0xF3:
-            s.repeated = 1
+            s.prefixes |= REPEATED
         elif byte == 0xF0:
-            locked = True
+            s.prefixes |= LOCKED
         elif byte == 0x67:
-            short = True
+            s.prefixes |= SHORT
         elif byte & ~0x18 != 0x26:  # prefixes for segments that begin at 0
             break
         byte = follows(s, 1) & 0xFF
@@ -478,39 +491,48 @@ def step(s, space):
         byte = follows(s, 1) & 0xFF
     if byte == 0x0F:
         byte = 0x100 | follows(s, 1) & 0xFF
+    return byte
+
+
+@hot
+def _read_immediate(s, n, size):
+    """Read the number in an instruction. n: see OPCODE."""
+    if n:
+        s.immediate = follows(s, size if n == x86.FULL else (4 if size > 4 else size) if n == x86.UP_TO_4 else n)
+    if n == 8:  # it is an address
+        s.memory, s.ea = 1, s.immediate
+
+
+@hot
+def step(s, space):
+    """Execute the instruction at RIP, and move RIP behind it; if `s.status` is not DONE, nothing was done."""
+    regs = array_at(s.regs, REGISTERS, _I8)
+    s.start = s.at = regs[RIP]
+    s.status, s.rex, s.memory, s.ea, s.mask, s.prefixes = DONE, 0, 0, 0, 0, 0
+    byte = _read_opcode(s)
     s.rm = byte & 7 | (s.rex & 1) << 3
     table = array_at(space.opcodes, _ROWS, x86.OPCODE)
     op = table[byte]
-    size = int(op.width) or (8 if s.rex & 8 else 2 if narrow else 4)
-    if op.modrm:
-        relative = modrm(s)
+    size = int(op.width) or (8 if s.rex & 8 else 2 if s.prefixes & NARROW else 4)
+    relative = modrm(s) if op.modrm else False
     member = op
     if op.what >= x86.GROUP:
         member = table[x86.GROUPS + 8 * (op.what - x86.GROUP) + (s.reg & 7)]
         if member.target or member.source:
             op = member
             size = int(op.width) or size
-    what, n = int(member.what), int(op.immediate)
     if member.known == 0 or (byte == 0x90 and s.rex & 1):
         s.status = LEFT
         return
-    if n:
-        s.immediate = follows(s, size if n == x86.FULL else (4 if size > 4 else size) if n == x86.UP_TO_4 else n)
-        if n == 8:
-            s.memory, s.ea = 1, s.immediate
-    if relative:
-        s.ea += s.at
-    if short:
+    _read_immediate(s, int(op.immediate), size)
+    s.ea += s.at if relative else 0
+    if s.prefixes & SHORT:
         s.ea &= 0xFFFFFFFF
-    if locked and s.memory:
-        at = span_of(space, s.ea)
-        if at == 0 or not array_at(at, 1, SPAN)[0].kind & WINDOW:
-            s.status = LEFT  # only the processor does it in one step
-            return
-    source_size = int(op.source_width) or size
-    if byte == 0x98:
-        source_size = size // 2
-    _perform(s, space, op, what, size, source_size, byte)
+    if s.prefixes & LOCKED and s.memory and not _is_window(space, s.ea):
+        s.status = LEFT  # only the processor does it in one step
+        return
+    source_size = size // 2 if byte == 0x98 else int(op.source_width) or size
+    _perform(s, space, op, int(member.what), size, source_size, byte)
     if s.status == DONE:
         if s.mask:
             regs[FLAGS] = regs[FLAGS] & ~s.mask | s.changes & s.mask
@@ -542,13 +564,13 @@ def on_fault(number, info, context, space, s):
         what = host_record.BEYOND_WINDOW if s.status == BEYOND else host_record.NO_CYCLE
         _request(space.request, (array_at(at, 1, SPAN)[0].host, what, s.own, address))
         return 1
-    while s.since < FAR:
+    while s.since < MAX_INSTRUCTIONS:
         if regs[RIP] == space.request:  # as ps_delay_us does: no reason to return to the processor
             back = access(s, space, int(regs[RSP]), 8, 0, False)
             if s.status:
                 return 1
-            given = int(regs[RDI]), int(regs[RSI]), int(regs[RDX]), int(regs[RCX])
-            regs[RAX] = _request(space.request, given)
+            arguments = int(regs[RDI]), int(regs[RSI]), int(regs[RDX]), int(regs[RCX])
+            regs[RAX] = _request(space.request, arguments)
             regs[RIP], regs[RSP], s.since = back, int(regs[RSP]) + 8, 0
         at = span_of(space, int(regs[RIP]))
         if at == 0 or not array_at(at, 1, SPAN)[0].kind & CODE:
