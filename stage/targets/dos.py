@@ -3,26 +3,50 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from typing import Any
 
-from stage.targets.timer import FULL
-from stage.targets.timer import HZ as TIMER_HZ
+from stage.targets.pc_timer import FULL
+from stage.targets.pc_timer import HZ as TIMER_HZ
 
-_CARRY = 1
-_NO_KEY = "it waits for a key, and nobody is at the keyboard"
+CARRY, ZERO = 1, 0x40
+NO_FILE, NO_MEMORY, NO_HANDLE = 2, 8, 6
+"""Error codes of DOS."""
+CONSOLE = (1, 2)  # handles
+MAX_TEXT = 4096
+NO_KEY = "it waits for a key, and nobody is at the keyboard"
 
 
 class Dos:
-    """The services of a PC, by interrupt and function. pc: see stage.targets.pc."""
+    """The services of a PC, by interrupt and function.
+
+    Args:
+        pc: A Pc.
+    """
 
     def __init__(self, pc: Any):
         self._pc = pc
+        self._functions: dict[int, Callable[[], None]] = {
+            0x00: lambda: pc.end(0), 0x02: self._print_character, 0x06: self._console, 0x09: self._print_text,
+            0x0B: lambda: pc.set(al=0), 0x25: self._set_vector, 0x2A: lambda: pc.set(cx=1995, dx=0x0701, al=6),
+            0x2C: self._read_time, 0x30: lambda: pc.set(ax=0x0005, bx=0, cx=0), 0x35: self._read_vector,
+            0x40: self._write, 0x44: self._read_device, 0x48: lambda: self._refuse(NO_MEMORY, bx=0),
+            **dict.fromkeys((0x01, 0x07, 0x08, 0x0A, 0x3F), lambda: pc.fail(NO_KEY)),
+            **dict.fromkeys((0x31, 0x4C), lambda: pc.end(pc.get("al"))),
+            **dict.fromkeys((0x0E, 0x1A, 0x33, 0x3E, 0x49, 0x4A), self._succeed),
+            **dict.fromkeys((0x3C, 0x3D, 0x43, 0x4E), lambda: self._refuse(NO_FILE)),
+            **dict.fromkeys((0x51, 0x62), lambda: pc.set(bx=pc.prefix)),
+        }  # fmt: skip
 
     def serve(self, number: int) -> None:
-        """INT `number`, of which the program has no routine of its own."""
+        """Carry out INT `number`, of which the program has no routine of its own."""
         pc, ah = self._pc, self._pc.get("ah")
         if number == 0x21:
-            self._dos(ah)
+            function = self._functions.get(ah)
+            if function is None:
+                pc.fail(f"it asks DOS for function {ah:02X}h (INT 21h), which is not here")
+            else:
+                function()
         elif number == 0x20:
             pc.end(0)
         elif number == 0x10 and ah == 0x0E:
@@ -30,98 +54,79 @@ class Dos:
         elif number == 0x15 and ah == 0x86:
             self._delay()
         elif number == 0x16:
-            self._key(ah)
-        elif number == 0x1A:
-            self._clock(ah)
-        elif number == 0x11:
-            pc.set(ax=0x0020)
-        elif number == 0x12:
-            pc.set(ax=640)
+            self._read_key(ah)
+        elif number == 0x1A and ah == 0:
+            self._read_clock()
+        elif number in (0x11, 0x12):
+            pc.set(ax=0x0020 if number == 0x11 else 640)
 
-    def _dos(self, ah: int) -> None:
-        pc = self._pc
-        al, dx = pc.get("al"), pc.get("dx")
-        if ah in (0x00, 0x4C, 0x31):
-            pc.end(al if ah else 0)
-        elif ah == 0x02 or (ah == 0x06 and dx & 0xFF != 0xFF):
-            pc.say(chr(dx & 0xFF))
-        elif ah == 0x06:
-            pc.set(eflags=pc.get("eflags") | 0x40, al=0)  # no key
-        elif ah == 0x09:
-            text = pc.read(pc.get("ds"), dx, min(0x10000 - dx, 4096))
-            pc.say(text.split(b"$")[0].decode("cp437"))
-        elif ah == 0x0B:
-            pc.set(al=0)
-        elif ah in (0x01, 0x07, 0x08, 0x0A, 0x3F):
-            pc.fault = _NO_KEY
-            pc.uc.emu_stop()
-        elif ah == 0x25:
-            pc.write(0, 4 * al, struct.pack("<HH", dx, pc.get("ds")))
-            pc.watch_timer()
-        elif ah == 0x35:
-            offset, segment = pc.vector(al)
-            pc.set(bx=offset, es=segment)
-        elif ah == 0x2A:
-            pc.set(cx=1995, dx=0x0701, al=6)
-        elif ah == 0x2C:
-            hundredths = self._ms() // 10
-            pc.set(
-                ch=hundredths // 360000 % 24, cl=hundredths // 6000 % 60, dh=hundredths // 100 % 60, dl=hundredths % 100
-            )
-        elif ah == 0x30:
-            pc.set(ax=0x0005, bx=0, cx=0)
-        elif ah == 0x40:
-            self._write()
-        elif ah == 0x44:
-            pc.set(dx=0x80D3 if pc.get("bx") < 3 else 0, eflags=pc.get("eflags") & ~_CARRY)
-        elif ah == 0x48:
-            self._refuse(8, bx=0)
-        elif ah in (0x49, 0x4A, 0x3E, 0x33, 0x0E, 0x1A):
-            pc.set(eflags=pc.get("eflags") & ~_CARRY)
-        elif ah in (0x51, 0x62):
-            pc.set(bx=pc.prefix)
-        elif ah in (0x3C, 0x3D, 0x43, 0x4E):
-            self._refuse(2)  # there are no files
+    def _print_character(self) -> None:
+        self._pc.say(chr(self._pc.get("dx") & 0xFF))
+
+    def _console(self) -> None:
+        if self._pc.get("dx") & 0xFF != 0xFF:
+            self._print_character()
         else:
-            pc.fault = f"it asks DOS for function {ah:02X}h (INT 21h), which is not here"
-            pc.uc.emu_stop()
+            self._pc.set(eflags=self._pc.get("eflags") | ZERO, al=0)  # no key
 
-    def _refuse(self, code: int, **others: int) -> None:
-        self._pc.set(ax=code, eflags=self._pc.get("eflags") | _CARRY, **others)
+    def _print_text(self) -> None:
+        pc, dx = self._pc, self._pc.get("dx")
+        text = pc.read(pc.get("ds"), dx, min(0x10000 - dx, MAX_TEXT))
+        pc.say(text.split(b"$")[0].decode("cp437"))
+
+    def _set_vector(self) -> None:
+        pc = self._pc
+        pc.write(0, 4 * pc.get("al"), struct.pack("<HH", pc.get("dx"), pc.get("ds")))
+        pc.watch_timer()
+
+    def _read_vector(self) -> None:
+        offset, segment = self._pc.vector(self._pc.get("al"))
+        self._pc.set(bx=offset, es=segment)
+
+    def _read_time(self) -> None:
+        t = self._pc.record
+        hundredths = int(t.cycles) * 100 // int(t.hz)
+        minutes, hours = hundredths // 6000 % 60, hundredths // 360000 % 24
+        self._pc.set(ch=hours, cl=minutes, dh=hundredths // 100 % 60, dl=hundredths % 100)
+
+    def _read_device(self) -> None:
+        self._pc.set(dx=0x80D3 if self._pc.get("bx") < 3 else 0)
+        self._succeed()
 
     def _write(self) -> None:
         pc = self._pc
-        if pc.get("bx") not in (1, 2):
-            self._refuse(6)
+        if pc.get("bx") not in CONSOLE:
+            self._refuse(NO_HANDLE)
             return
         size = pc.get("cx")
         pc.say(pc.read(pc.get("ds"), pc.get("dx"), size).decode("cp437"))
-        pc.set(ax=size, eflags=pc.get("eflags") & ~_CARRY)
+        pc.set(ax=size)
+        self._succeed()
 
-    def _key(self, ah: int) -> None:
+    def _succeed(self) -> None:
+        self._pc.set(eflags=self._pc.get("eflags") & ~CARRY)
+
+    def _refuse(self, code: int, **others: int) -> None:
+        self._pc.set(ax=code, eflags=self._pc.get("eflags") | CARRY, **others)
+
+    def _read_key(self, ah: int) -> None:
         pc = self._pc
         if ah in (0x01, 0x11):
-            pc.set(eflags=pc.get("eflags") | 0x40)
+            pc.set(eflags=pc.get("eflags") | ZERO)
         elif ah in (0x00, 0x10):
-            pc.fault = _NO_KEY
-            pc.uc.emu_stop()
+            pc.fail(NO_KEY)
         else:
             pc.set(al=0)
 
     def _delay(self) -> None:
-        """CX:DX us; interrupts come after it."""
+        """Let CX:DX us pass; interrupts come after it."""
         pc = self._pc
         us = pc.get("cx") << 16 | pc.get("dx")
         pc.record.cycles += us * int(pc.record.hz) // 1_000_000
         pc.record.due = pc.record.cycles
-        pc.set(eflags=pc.get("eflags") & ~_CARRY)
+        self._succeed()
 
-    def _clock(self, ah: int) -> None:
-        if ah == 0:
-            t = self._pc.record
-            ticks = int(t.cycles) * TIMER_HZ // (int(t.hz) * FULL)
-            self._pc.set(cx=ticks >> 16, dx=ticks & 0xFFFF, al=0)
-
-    def _ms(self) -> int:
+    def _read_clock(self) -> None:
         t = self._pc.record
-        return int(t.cycles) * 1000 // int(t.hz)
+        ticks = int(t.cycles) * TIMER_HZ // (int(t.hz) * FULL)
+        self._pc.set(cx=ticks >> 16, dx=ticks & 0xFFFF, al=0)

@@ -1,8 +1,8 @@
 """A server for GDB (its remote serial protocol) of a processor on Unicorn, at a TCP port of this machine.
 
 The program halts before its first instruction until a debugger says c. The time of the stage stands while it halts, since it passes
-in instructions only. Breakpoints are looked at by address and leave the memory as it is. Memory of the board's windows is not
-shown: a read there would be a bus cycle.
+in instructions only. Breakpoints are found by address and leave the memory as it is. Memory of the board's windows is not shown: a
+read there would be a bus cycle.
 """
 
 from __future__ import annotations
@@ -12,73 +12,140 @@ import select
 import socket
 import sys
 import threading
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Any
 
 TRAP, INTERRUPT, SEGMENTATION = 5, 2, 11
+CTRL_C = "\x03"
+POLL_INTERVAL_S = 0.1
+MAX_READ = 0x2000
 _ERROR = "E14"
-_POLL = 0.1  # s
-_LONGEST = 0x2000
+_REPLIES = {"vCont?": "vCont;c;C;s;S", "qAttached": "1", "qC": "QC1", "qfThreadInfo": "m1", "qsThreadInfo": "l"}
 
 
-class Debugged(Protocol):
-    """What a debugger sees of a processor. sizes: bytes of each register, in the order of `description`."""
+class Registers:
+    """The registers of a processor as GDB sees them.
 
-    sizes: tuple[int, ...]
-    description: str
+    Args:
+        cpu: An Engine; its `go_to` sets the program counter.
+        architecture: GDB's name of it.
+        feature: GDB's name of the set of registers.
+        names: Names of 32 bits each, in GDB's order.
+        kinds: GDB's types of some of them, by name; the others are of type `kind`.
+        pc: Name of the program counter.
+        kind: A type, or "".
+        absent: Further registers that GDB wants, which read as 0: (name, bits, type).
 
-    def value(self, n: int) -> int:
-        """Of register n."""
-
-    def change(self, n: int, value: int) -> None:
-        """Of register n."""
-
-
-class Server:
-    """engine: see stage.targets.engine; seen: its registers.
-
-    Attributes: halted: it stands still until the debugger lets it go; steps: it goes on for one instruction.
+    Attributes:
+        sizes: Bytes of each register.
+        description: The registers in XML.
     """
 
-    def __init__(self, engine: Any, seen: Debugged, port: int):
-        self._engine, self._seen, self._port = engine, seen, port
+    def __init__(
+        self, cpu: Any, architecture: str, feature: str, names: list[str], kinds: dict[str, str], pc: str, kind: str = "",
+        absent: tuple[tuple[str, int, str], ...] = (),
+    ):  # fmt: skip
+        self._cpu, self._names, self._pc = cpu, names, pc
+        rows = [*((name, 32, kinds.get(name, kind)) for name in names), *absent]
+        self.sizes = tuple(bits // 8 for _, bits, _ in rows)
+        xml = "".join(
+            f'<reg name="{name}" bitsize="{bits}"{f" type={chr(34)}{type_}{chr(34)}" if type_ else ""}/>'
+            for name, bits, type_ in rows
+        )
+        self.description = (
+            '<?xml version="1.0"?><!DOCTYPE target SYSTEM "gdb-target.dtd"><target version="1.0"><architecture>'
+            f'{architecture}</architecture><feature name="{feature}">{xml}</feature></target>'
+        )
+
+    def value(self, n: int) -> int:
+        """Return the value of register `n`."""
+        if n >= len(self._names):
+            return 0
+        return int(self._cpu.address() if self._names[n] == self._pc else self._cpu.get(self._names[n]))
+
+    def change(self, n: int, value: int) -> None:
+        """Set register `n`."""
+        if n >= len(self._names):
+            return
+        if self._names[n] == self._pc:
+            self._cpu.go_to(value)
+        else:
+            self._cpu.set(**{self._names[n]: value})
+
+
+def cortex_registers(cpu: Any) -> Registers:
+    """Return the registers of a Cortex-M."""
+    names = [*(f"r{n}" for n in range(13)), "sp", "lr", "pc", "xpsr"]
+    return Registers(cpu, "arm", "org.gnu.gdb.arm.m-profile", names, {"sp": "data_ptr", "pc": "code_ptr"}, "pc")
+
+
+def pc_registers(cpu: Any) -> Registers:
+    """Return the registers of an 8086. eip is the linear address, 16 * cs + ip, as the memory's addresses are."""
+    floats = tuple((f"st{n}", 80, "i387_ext") for n in range(8))
+    controls = tuple((f"f{name}", 32, "int") for name in "ctrl stat tag iseg ioff oseg ooff op".split())
+    names = "eax ecx edx ebx esp ebp esi edi eip eflags cs ss ds es fs gs".split()
+    kinds = {"eip": "code_ptr", "esp": "data_ptr"}
+    return Registers(cpu, "i8086", "org.gnu.gdb.i386.core", names, kinds, "eip", "int", floats + controls)
+
+
+class DebugServer:
+    """A server for one debugger a run.
+
+    Args:
+        engine: The Engine.
+        registers: Its registers.
+        port: TCP port.
+
+    Attributes:
+        halted: The program is paused until the debugger lets it go on.
+        steps: It goes on for one instruction.
+    """
+
+    def __init__(self, engine: Any, registers: Registers, port: int):
+        self._engine, self._registers, self._port = engine, registers, port
         self._socket: socket.socket | None = None
-        self._got = b""
+        self._received = b""
         self._acknowledges = True
         self._breakpoints: dict[int, int] = {}
-        self._over: int | None = None  # the breakpoint from which it goes on
+        self._skipped: int | None = None  # the breakpoint from which it goes on
         self._runs = threading.Event()
-        self.halted, self.steps, self._told = True, False, True
+        self.halted, self.steps, self._reported = True, False, True
         self._signal = TRAP
+        self._commands: dict[str, Callable[[str], str]] = {
+            "g": self._read_all, "G": self._write_all, "p": self._read_register, "P": self._write_register,
+            "m": self._read_memory, "M": self._write_memory, "Z": self._set_breakpoint, "z": self._clear_breakpoint,
+        }  # fmt: skip
 
-    # --- the engine calls ---
+    # --- calls of the engine ---
 
     def before(self) -> None:
-        """Before it goes on: as long as it halts, the debugger is served."""
+        """Serve the debugger for as long as the program halts, before it goes on."""
         if self._socket is None and self._port:
             self._accept()
         if self.halted:
             self._serve()
         if self._socket is not None:
-            self._over = self._engine.address() if self._engine.address() in self._breakpoints else None
+            address = self._engine.address()
+            self._skipped = address if address in self._breakpoints else None
             self._runs.set()
 
     def after(self) -> bool:
-        """It has stopped; True if the debugger wanted that, and the processor has nothing else to do."""
+        """Tell, after the program has stopped, whether the debugger wanted that and the processor has nothing else to do."""
         self._runs.clear()
         if self.steps:
             self.steps, self.halted, self._signal = False, True, TRAP
             return False
         return self.halted
 
-    def failed(self) -> None:
-        """The program cannot go on: the debugger may look at it."""
+    def report_failure(self) -> None:
+        """Let the debugger examine a program that cannot go on."""
         self._runs.clear()
         if self._socket is not None:
-            self.halted, self._told, self._signal = True, False, SEGMENTATION
+            self.halted, self._reported, self._signal = True, False, SEGMENTATION
             self._serve()
 
-    def ended(self, code: int) -> None:
-        """The program has returned."""
+    def report_end(self, code: int) -> None:
+        """Report that the program has returned."""
         self._runs.clear()
         if self._socket is not None:
             self._send(f"W{code & 0xFF:02x}")
@@ -95,20 +162,20 @@ class Server:
         threading.Thread(target=self._watch, args=(self._socket,), daemon=True).start()
 
     def _watch(self, connection: socket.socket) -> None:
-        """While the program runs: Ctrl-C of the debugger, or its end, stops it."""
+        """Stop the program when the debugger sends Ctrl-C, or is gone."""
         while self._socket is connection:
-            if not self._runs.wait(_POLL):
+            if not self._runs.wait(POLL_INTERVAL_S):
                 continue
             try:
-                ready, _, _ = select.select([connection], [], [], _POLL)
-                if ready and self._runs.is_set():
+                readable, _, _ = select.select([connection], [], [], POLL_INTERVAL_S)
+                if readable and self._runs.is_set():
                     self._runs.clear()
                     self._halt(INTERRUPT)
             except (OSError, ValueError):
                 return
 
     def _halt(self, signal: int) -> None:
-        self.halted, self._told, self._signal = True, False, signal
+        self.halted, self._reported, self._signal = True, False, signal
         self._engine.uc.emu_stop()
 
     def _close(self) -> None:
@@ -125,45 +192,44 @@ class Server:
             except OSError:
                 self._close()
 
-    def _packet(self) -> str | None:
-        """The next command; "\\x03" for Ctrl-C; None when the debugger has gone."""
+    def _receive(self) -> str | None:
+        """Return the next command; CTRL_C; or None when the debugger is gone."""
         while self._socket is not None:
-            self._got = self._got.lstrip(b"+-")
-            if self._got[:1] == b"\x03":
-                self._got = self._got[1:]
-                return "\x03"
-            if found := re.match(rb"\$([^#]*)#..", self._got, re.S):
-                self._got = self._got[found.end() :]
+            self._received = self._received.lstrip(b"+-")
+            if self._received.startswith(CTRL_C.encode()):
+                self._received = self._received[1:]
+                return CTRL_C
+            if packet := re.match(rb"\$([^#]*)#..", self._received, re.S):
+                self._received = self._received[packet.end() :]
                 if self._acknowledges:
                     self._socket.sendall(b"+")
-                return found[1].decode("latin1")
+                return packet[1].decode("latin1")
             try:
                 more = self._socket.recv(0x10000)
             except OSError:
                 more = b""
             if not more:
                 self._close()
-            self._got += more
+            self._received += more
         return None
 
     def _serve(self) -> None:
-        if not self._told:
+        """Answer commands for as long as the program halts."""
+        if not self._reported:
             self._send(f"S{self._signal:02x}")
-            self._told = True
-        while self.halted and (command := self._packet()) is not None:
-            if command == "\x03":
-                continue
-            answer = self._answer(command)
-            if answer is not None:
-                self._send(answer)
+            self._reported = True
+        while self.halted and (command := self._receive()) is not None:
+            if command != CTRL_C and (reply := self._answer(command)) is not None:
+                self._send(reply)
 
     # --- commands ---
 
     def _answer(self, command: str) -> str | None:
-        """What is sent back; None: nothing, or later."""
+        """Execute a command, and return the reply; None: there is none, or it comes later."""
         kind, rest = command[:1], command[1:]
         if kind in "cs" or command.startswith("vCont;"):
-            self._go_on(kind == "s" or command.startswith("vCont;s"))
+            one = kind == "s" or command.startswith("vCont;s")
+            self.halted, self.steps, self._reported = False, one, False
             return None
         if kind == "k":
             self._close()
@@ -174,79 +240,71 @@ class Server:
             self._close()
             return None
         if kind in "qQvH?T":
-            return self._general(command)
+            return self._answer_query(command)
         try:
-            return getattr(self, f"_{_NAMES[kind]}")(rest) if kind in _NAMES else ""
+            return self._commands[kind](rest) if kind in self._commands else ""
         except (ValueError, IndexError, self._engine.error):
             return _ERROR
 
-    def _general(self, command: str) -> str:
+    def _answer_query(self, command: str) -> str:
         if command.startswith("qXfer:features:read:target.xml:"):
-            at, size = (int(part, 16) for part in command.rsplit(":", 1)[1].split(","))
-            part = self._seen.description[at : at + size]
-            return ("m" if at + size < len(self._seen.description) else "l") + part
+            at, size = _parse_range(command.rsplit(":", 1)[1])
+            description = self._registers.description
+            return ("m" if at + size < len(description) else "l") + description[at : at + size]
         if command == "QStartNoAckMode":
             self._acknowledges = False
             return "OK"
         if command.startswith("qSupported"):
-            return f"PacketSize={_LONGEST * 2:x};QStartNoAckMode+;qXfer:features:read+;vContSupported+"
-        known = {
-            "?": f"S{self._signal:02x}",
-            "vCont?": "vCont;c;C;s;S",
-            "qAttached": "1",
-            "qC": "QC1",
-            "qfThreadInfo": "m1",
-        }
-        return known.get(command, "l" if command == "qsThreadInfo" else "OK" if command[0] in "HT" else "")
+            return f"PacketSize={MAX_READ * 2:x};QStartNoAckMode+;qXfer:features:read+;vContSupported+"
+        if command == "?":
+            return f"S{self._signal:02x}"
+        return _REPLIES.get(command, "OK" if command[0] in "HT" else "")
 
-    def _go_on(self, one: bool) -> None:
-        self.halted, self.steps, self._told = False, one, False
+    def _read_all(self, _rest: str) -> str:
+        return "".join(self._format(n) for n in range(len(self._registers.sizes)))
 
-    def _all(self, _rest: str) -> str:
-        return "".join(self._hex(n) for n in range(len(self._seen.sizes)))
-
-    def _set_all(self, rest: str) -> str:
-        for n, size in enumerate(self._seen.sizes):
-            self._seen.change(n, int.from_bytes(bytes.fromhex(rest[: 2 * size]), "little"))
+    def _write_all(self, rest: str) -> str:
+        for n, size in enumerate(self._registers.sizes):
+            self._registers.change(n, int.from_bytes(bytes.fromhex(rest[: 2 * size]), "little"))
             rest = rest[2 * size :]
         return "OK"
 
-    def _one(self, rest: str) -> str:
-        return self._hex(int(rest, 16))
+    def _read_register(self, rest: str) -> str:
+        return self._format(int(rest, 16))
 
-    def _set_one(self, rest: str) -> str:
+    def _write_register(self, rest: str) -> str:
         number, value = rest.split("=")
-        self._seen.change(int(number, 16), int.from_bytes(bytes.fromhex(value), "little"))
+        self._registers.change(int(number, 16), int.from_bytes(bytes.fromhex(value), "little"))
         return "OK"
 
-    def _hex(self, n: int) -> str:
-        size = self._seen.sizes[n]
-        return (self._seen.value(n) & (1 << 8 * size) - 1).to_bytes(size, "little").hex()
+    def _format(self, n: int) -> str:
+        size = self._registers.sizes[n]
+        return (self._registers.value(n) & (1 << 8 * size) - 1).to_bytes(size, "little").hex()
 
-    def _memory(self, rest: str) -> str:
-        at, size = (int(part, 16) for part in rest.split(","))
+    def _read_memory(self, rest: str) -> str:
+        at, size = _parse_range(rest)
         if self._engine.in_window(at, size):
             return _ERROR
-        return bytes(self._engine.uc.mem_read(at, min(size, _LONGEST))).hex()
+        return bytes(self._engine.uc.mem_read(at, min(size, MAX_READ))).hex()
 
-    def _set_memory(self, rest: str) -> str:
+    def _write_memory(self, rest: str) -> str:
         where, content = rest.split(":")
-        at, size = (int(part, 16) for part in where.split(","))
+        at, size = _parse_range(where)
         if self._engine.in_window(at, size):
             return _ERROR
         self._engine.uc.mem_write(at, bytes.fromhex(content))
         return "OK"
 
-    def _break(self, rest: str) -> str:
+    def _set_breakpoint(self, rest: str) -> str:
         kind, address = rest.split(",")[:2]
         at = int(address, 16)
         if kind not in "01":
             return ""
         if at not in self._breakpoints:
-            self._breakpoints[at] = self._engine.watch(at, self._reached)
+            self._breakpoints[at] = self._engine.watch(at, self._reach)
         return "OK"
 
-    def _no_break(self, rest: str) -> str:
+    def _clear_breakpoint(self, rest: str) -> str:
         kind, address = rest.split(",")[:2]
         if kind not in "01":
             return ""
@@ -257,92 +315,16 @@ class Server:
         if address in self._breakpoints:
             self._engine.uc.hook_del(self._breakpoints.pop(address))
 
-    def _reached(self, _uc: Any, address: int, size: int, _user: Any) -> None:
-        """Unicorn calls it before the instruction at a breakpoint."""
-        over, self._over = self._over, None
-        if address == over or address not in self._breakpoints:
+    def _reach(self, _uc: Any, address: int, size: int, _user: Any) -> None:
+        """Halt before the instruction at a breakpoint, unless it is the one from which the program goes on."""
+        skipped, self._skipped = self._skipped, None
+        if address == skipped or address not in self._breakpoints:
             return
-        self._engine.not_run(size)
+        self._engine.uncount(size)
         self.steps = False
         self._halt(TRAP)
 
 
-_NAMES = {
-    "g": "all", "G": "set_all", "p": "one", "P": "set_one", "m": "memory", "M": "set_memory", "Z": "break", "z": "no_break",
-}  # fmt: skip
-
-
-def description(architecture: str, feature: str, registers: list[tuple[str, int, str]]) -> str:
-    """The registers as GDB wants to be told: (name, bits, type or "")."""
-    rows = "".join(
-        f'<reg name="{name}" bitsize="{bits}"{f" type={chr(34)}{kind}{chr(34)}" if kind else ""}/>'
-        for name, bits, kind in registers
-    )
-    return (
-        f'<?xml version="1.0"?><!DOCTYPE target SYSTEM "gdb-target.dtd"><target version="1.0"><architecture>{architecture}'
-        f'</architecture><feature name="{feature}">{rows}</feature></target>'
-    )
-
-
-_PC = 15
-_CORTEX = [*(f"r{n}" for n in range(13)), "sp", "lr", "pc", "xpsr"]
-_I8086 = "eax ecx edx ebx esp ebp esi edi eip eflags cs ss ds es fs gs".split()
-_FLOATS = [(f"st{n}", 80, "i387_ext") for n in range(8)]
-_OF_FLOATS = [(f"f{name}", 32, "int") for name in "ctrl stat tag iseg ioff oseg ooff op".split()]
-_IP = _I8086.index("eip")
-
-
-class CortexRegisters:
-    """cpu: see stage.targets.cortex."""
-
-    sizes = (4,) * len(_CORTEX)
-    description = description(
-        "arm",
-        "org.gnu.gdb.arm.m-profile",
-        [(name, 32, {"sp": "data_ptr", "pc": "code_ptr"}.get(name, "")) for name in _CORTEX],
-    )
-
-    def __init__(self, cpu: Any):
-        self._cpu = cpu
-
-    def value(self, n: int) -> int:
-        """Of register n."""
-        return int(self._cpu.address() if n == _PC else self._cpu.get(_CORTEX[n]))
-
-    def change(self, n: int, value: int) -> None:
-        """Of register n."""
-        if n == _PC:
-            self._cpu.go_to(value)
-        else:
-            self._cpu.set(**{_CORTEX[n]: value})
-
-
-class PcRegisters:
-    """eip is the linear address, 16 * cs + ip, as the memory's addresses are. cpu: see stage.targets.pc."""
-
-    sizes = (4,) * len(_I8086) + (10,) * len(_FLOATS) + (4,) * len(_OF_FLOATS)
-    description = description(
-        "i8086",
-        "org.gnu.gdb.i386.core",
-        [
-            *((name, 32, {"eip": "code_ptr", "esp": "data_ptr"}.get(name, "int")) for name in _I8086),
-            *_FLOATS,
-            *_OF_FLOATS,
-        ],
-    )
-
-    def __init__(self, cpu: Any):
-        self._cpu = cpu
-
-    def value(self, n: int) -> int:
-        """Of register n."""
-        if n >= len(_I8086):
-            return 0
-        return int(self._cpu.address() if n == _IP else self._cpu.get(_I8086[n]))
-
-    def change(self, n: int, value: int) -> None:
-        """Of register n."""
-        if n == _IP:
-            self._cpu.go_to(value)
-        elif n < len(_I8086):
-            self._cpu.set(**{_I8086[n]: value})
+def _parse_range(text: str) -> tuple[int, int]:
+    at, size = (int(part, 16) for part in text.split(","))
+    return at, size

@@ -24,26 +24,27 @@ from stage.targets import mcus
 from stage.targets.nvic import IRQS
 
 EXAMPLE = "0x40021000=0x300+0x40"
-FOR_EVER = 1e9  # s of patience with a person at a debugger
+DEBUG_PATIENCE_S = 1e9  # with a person at a debugger
 
 
 class TargetHost(Host):
     """Firmware as a program of another processor.
 
     Args:
-        firmware: an ELF program; for mcu 8086 a .COM or .EXE.
-        board: a Board; one firmware at a time drives it.
-        mcu: the processor, for example atmega2560, cortex-m3, 8086.
-        map: how the board is wired to it, text or several: an AVR's pins, see stage.targets.pins; of a Cortex-M windows, see
+        firmware: An ELF program; for mcu 8086 a .COM or .EXE.
+        board: A Board; one firmware at a time drives it.
+        mcu: The processor, for example atmega2560, cortex-m3, 8086.
+        map: How the board is wired to it, one text or several: an AVR's pins, see stage.targets.avr_bus; of a Cortex-M windows, see
             stage.board.windows; an 8086 has ports of its own.
-        mcu_clock: Hz of its clock; default: what is usual for it, see docs/targets.md.
+        mcu_clock: Its clock, Hz; default: see docs/targets.md.
         gdb: TCP port, on 127.0.0.1, at which the processor waits for a GDB.
-        isolated: run it in a process of its own, see stage.board.isolation.
-        patience: seconds of real time that it may run without simulated time passing.
+        isolated: Whether it runs in a process of its own, see stage.board.isolation.
+        patience: Seconds of real time that it may run without simulated time passing.
+
     Raises:
-        ArgumentError: an unknown mcu, a map of another form, a clock or a patience that is none.
-        NoEmulatorError: the emulator is not installed.
-        LibraryError, FileError: no program of this processor.
+        ArgumentError: An unknown mcu, a map of another form, or no such clock or patience.
+        NoEmulatorError: The emulator is not installed.
+        LibraryError, FileError: No program of this processor.
     """
 
     def __init__(
@@ -66,15 +67,15 @@ class TargetHost(Host):
         if gdb is not None and not (isinstance(gdb, int) and 1024 <= gdb < 65536):
             raise ArgumentError(f"gdb={gdb!r}: a TCP port, 1024 to 65535.")
         if gdb is not None:
-            _need_free(gdb)
-        self.mcu = mcus.checked(mcu)
+            _check_free(gdb)
+        self.mcu = mcus.check_mcu(mcu)
         maps = [map] if isinstance(map, str) else list(map)
-        program = program_of(Path(firmware), self.mcu, maps, None if mcu_clock is None else round(mcu_clock), gdb)
-        super().__init__(program, board, isolated, FOR_EVER if gdb else patience)
+        program = make_program(Path(firmware), self.mcu, maps, None if mcu_clock is None else round(mcu_clock), gdb)
+        super().__init__(program, board, isolated, DEBUG_PATIENCE_S if gdb else patience)
 
 
-def _need_free(port: int) -> None:
-    """The emulators find a port that is in use only while they run; simavr then waits for nobody, for ever."""
+def _check_free(port: int) -> None:
+    """Raise ArgumentError for a port that is in use: emulators notice that only while they run, and simavr then waits for ever."""
     with socket.socket() as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -85,41 +86,52 @@ def _need_free(port: int) -> None:
             ) from None
 
 
-def program_of(path: Path, mcu: str, maps: list[str], hz: int | None, gdb: int | None) -> Program:
-    """The file as a program of that processor. Raises as `TargetHost`."""
+def make_program(path: Path, mcu: str, maps: list[str], hz: int | None, gdb: int | None) -> Program:
+    """Make a program of a processor.
+
+    Args:
+        path: The file.
+        mcu: The processor.
+        maps: How the board is wired to it.
+        hz: Its clock, or None.
+        gdb: TCP port of a GDB server, or None.
+
+    Raises:
+        ArgumentError, NoEmulatorError: See `TargetHost`.
+    """
     if mcu in mcus.AVRS:
-        from stage.targets.pins import pins
+        from stage.targets.avr_bus import parse_pins
         from stage.targets.simavr import AvrProgram
 
-        mcus.simavr()
-        return AvrProgram(path, mcu, pins(maps), hz, gdb)
-    mcus.need_unicorn()
+        mcus.load_simavr()
+        return AvrProgram(path, mcu, parse_pins(maps), hz, gdb)
+    mcus.check_unicorn()
     if mcu in mcus.CORTEX:
         from stage.targets.cortex import CortexProgram
 
-        found, irq = _windows_and_irq(maps)
-        return CortexProgram(path, mcu, hz, found, irq, gdb)
+        windows, irq = _parse_cortex_maps(maps)
+        return CortexProgram(path, mcu, hz, windows, irq, gdb)
     from stage.targets.pc import PcProgram
 
-    return PcProgram(path, hz, _irq(maps), gdb)
+    return PcProgram(path, hz, _parse_pc_maps(maps), gdb)
 
 
-def _windows_and_irq(maps: list[str]) -> tuple[tuple[Window, ...], int | None]:
-    """--map 0x40021000=0x300+0x40, and irq=6: which of NVIC's interrupts the board's line is wired to."""
+def _parse_cortex_maps(maps: list[str]) -> tuple[tuple[Window, ...], int | None]:
+    """Parse windows, as 0x40021000=0x300+0x40, and irq=6: the interrupt of NVIC that the board's line is wired to."""
     wires = [m for m in maps if m.strip().startswith("irq")]
-    found = parse_windows([m for m in maps if m not in wires])
+    windows = parse_windows([m for m in maps if m not in wires])
     match = re.fullmatch(r"\s*irq\s*=\s*([0-9]+)\s*", wires[0]) if wires else None
     if len(wires) > 1 or (wires and (match is None or int(match[1]) >= IRQS)):
         raise ArgumentError(
             f"--map {' '.join(wires)!r}: say once irq=0 to irq={IRQS - 1}, the interrupt that the line is."
         )
-    if not found:
+    if not windows:
         raise ArgumentError(f"--map: where in the memory of the processor are the chips? For example --map {EXAMPLE}.")
-    return found, int(match[1]) if match else None
+    return windows, int(match[1]) if match else None
 
 
-def _irq(maps: list[str]) -> int | None:
-    """--map irq=5: the interrupt of a PC that the board's line is wired to."""
+def _parse_pc_maps(maps: list[str]) -> int | None:
+    """Parse irq=5: the interrupt of a PC that the board's line is wired to."""
     if not maps:
         return None
     match = re.fullmatch(r"\s*irq\s*=\s*([2-7])\s*", maps[0]) if len(maps) == 1 else None

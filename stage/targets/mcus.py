@@ -16,7 +16,7 @@ AVRS = (
     "atmega328 atmega328p atmega32u4 atmega48 atmega48p atmega48pa atmega644 atmega644p atmega8 atmega88 atmega88p atmega88pa "
     "atmega8l attiny13 attiny13a attiny2313 attiny2313a attiny24 attiny25 attiny4313 attiny44 attiny45 attiny84 attiny85"
 ).split()
-"""As simavr names them."""
+"""AVRs by simavr's names."""
 CORTEX = ("cortex-m0", "cortex-m3", "cortex-m4")
 X86 = ("8086",)
 SIMAVR = "simavr (Debian: apt install libsimavr2)"
@@ -30,7 +30,7 @@ class NoEmulatorError(StageError):
 
 
 @cache
-def simavr() -> ctypes.CDLL:
+def load_simavr() -> ctypes.CDLL:
     """Load simavr's library. Raises NoEmulatorError, also where there is nothing to read its programs with."""
     if importlib.util.find_spec("elftools") is None:
         raise NoEmulatorError(f"there is no {PYELFTOOLS}: install it.")
@@ -44,26 +44,26 @@ def simavr() -> ctypes.CDLL:
 
 
 def has_simavr() -> bool:
-    """Whether simavr can be loaded."""
+    """Tell whether simavr can be loaded."""
     try:
-        return bool(simavr())
+        return bool(load_simavr())
     except NoEmulatorError:
         return False
 
 
 def has_unicorn() -> bool:
-    """Whether Unicorn is installed."""
+    """Tell whether Unicorn is installed."""
     return all(importlib.util.find_spec(name) is not None for name in ("unicorn", "elftools"))
 
 
-def need_unicorn() -> None:
-    """Raises NoEmulatorError."""
+def check_unicorn() -> None:
+    """Raise NoEmulatorError where Unicorn is not installed."""
     if not has_unicorn():
         raise NoEmulatorError(f"there is no {UNICORN}: install it.")
 
 
-def checked(mcu: str) -> str:
-    """The name of a processor as it is known here. Raises ArgumentError with those that are."""
+def check_mcu(mcu: str) -> str:
+    """Return the name of a processor in lower case. Raises ArgumentError with the known ones for another."""
     name = str(mcu).lower()
     if name in AVRS or name in CORTEX or name in X86:
         return name

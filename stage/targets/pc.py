@@ -20,14 +20,14 @@ from stage.support.files import FileError, refuse_irregular
 from stage.support.foreign_files import read_bytes
 from stage.targets import dos
 from stage.targets.elf import MAX_SIZE, machine_of
-from stage.targets.engine import NEVER, Engine
-from stage.targets.gdb import PcRegisters, Server
-from stage.targets.machine import looked, wait
-from stage.targets.timer import HZ as TIMER_HZ
-from stage.targets.timer import Timers
+from stage.targets.gdb import DebugServer, pc_registers
+from stage.targets.pc_timer import HZ as TIMER_HZ
+from stage.targets.pc_timer import Timers
+from stage.targets.processor_core import poll_from_python, wait
+from stage.targets.unicorn_engine import NEVER, Engine
 
-USUAL_HZ = 4_772_727
-EACH, BYTE = 8, 4
+DEFAULT_HZ = 4_772_727
+INSTRUCTION_CYCLES, BYTE_CYCLES = 8, 4
 MEMORY = 0x110000
 ROM, STUBS = 0xF000, 0x100  # segment; offset of the routine of interrupt 0, a byte each
 TICK = bytes.fromhex("50 CD 1C B0 20 E6 20 58 CF")
@@ -36,15 +36,23 @@ TICK_AT = 0x10
 SOURCES = (".asm", ".c", ".cc", ".cpp", ".cxx", ".h", ".ino", ".rs", ".s")
 """A .COM begins with its first instruction, so that any file could be one: its name has to tell."""
 LOAD = 0x1000  # segment of the program's prefix
-RARE = 0x100  # ports below are the PC's own
-NO_ONE = 0xFF
-_RARE = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
+OWN_PORTS = 0x100  # ports below are the PC's own
+NOBODY = 0xFF
+MAX_COM_SIZE = 0xFE00
+_PORT_FUNCTION = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 _IF = 0x200
 
 
 @dataclass(frozen=True)
 class PcProgram:
-    """A .COM or .EXE. irq: the PC's interrupt (2 to 7) that the board's line is wired to, or None. gdb: port of a GDB server."""
+    """A .COM or .EXE.
+
+    Attributes:
+        path: The file.
+        hz: Clock of the processor, or None.
+        irq: The PC's interrupt (2 to 7) that the board's line is wired to, or None.
+        gdb: TCP port of a GDB server, or None.
+    """
 
     path: Path
     hz: int | None
@@ -52,72 +60,67 @@ class PcProgram:
     gdb: int | None = None
 
     def load(self, board: Board, isolated: bool) -> Pc:
-        """See stage.board.thread_runner. Raises LibraryError, FileError."""
+        """Load a copy. Raises LibraryError, FileError."""
         return Pc(self, board)
 
 
 class Pc(Engine):
-    """See stage.board.thread_runner."""
+    """A PC with a program.
 
+    Attributes:
+        prefix: Segment of the program's prefix.
+    """
+
+    REGISTER_PREFIX = "UC_X86_REG_"
     prefix = LOAD
 
     def __init__(self, program: PcProgram, board: Board):
         import unicorn
-        from unicorn import x86_const as x
 
-        super().__init__(program.path, board, unicorn.UC_ARCH_X86, unicorn.UC_MODE_16, program.hz or USUAL_HZ)
-        self.x, self._irq = x, program.irq
+        super().__init__(program.path, board, unicorn.UC_ARCH_X86, unicorn.UC_MODE_16, program.hz or DEFAULT_HZ)
+        self._irq = program.irq
         t = self.record
-        t.each, t.byte, t.flags, t.mask, t.on = EACH, BYTE, x.UC_X86_REG_EFLAGS, _IF, _IF
+        t.each, t.byte, t.flags, t.mask, t.on = INSTRUCTION_CYCLES, BYTE_CYCLES, self.number("eflags"), _IF, _IF
         t.watched, t.edge = program.irq is not None, 1
         self.uc.mem_map(0, MEMORY)
         self._masked, self._in_service = 0xFF & ~(1 | (1 << program.irq if program.irq else 0)), 0
         self.timers = Timers(lambda: int(t.cycles) * TIMER_HZ // int(t.hz))
-        self._ticks_at = 0
-        self._bios()
+        self._tick_pending = 0
+        self._load_bios()
         self._load(program.path)
         self.dos = dos.Dos(self)
         self.uc.hook_add(unicorn.UC_HOOK_INTR, self._interrupt)
-        self.ports(_RARE(self._rare), RARE)
+        self.hook_ports(_PORT_FUNCTION(self._access_own_port), OWN_PORTS)
         self._call: int | None = None
         if program.gdb:
-            self.gdb = Server(self, PcRegisters(self), program.gdb)
+            self.gdb = DebugServer(self, pc_registers(self), program.gdb)
         self._set_line()
 
-    # --- registers and memory ---
-
-    def get(self, name: str) -> int:
-        """A register, for example "ax"."""
-        return int(self.uc.reg_read(getattr(self.x, f"UC_X86_REG_{name.upper()}")))
-
-    def set(self, **values: int) -> None:
-        """Registers."""
-        for name, value in values.items():
-            self.uc.reg_write(getattr(self.x, f"UC_X86_REG_{name.upper()}"), value)
+    # --- memory ---
 
     def read(self, segment: int, offset: int, size: int) -> bytes:
-        """Memory."""
+        """Read memory."""
         return bytes(self.uc.mem_read((segment << 4) + (offset & 0xFFFF), size))
 
     def write(self, segment: int, offset: int, content: bytes) -> None:
-        """Memory."""
+        """Write memory."""
         self.uc.mem_write((segment << 4) + (offset & 0xFFFF), content)
 
-    # --- what there is before the program runs ---
+    # --- before the program runs ---
 
-    def _bios(self) -> None:
+    def _load_bios(self) -> None:
         for n in range(256):
-            self.write(0, 4 * n, struct.pack("<HH", *self.usual(n)))
+            self.write(0, 4 * n, struct.pack("<HH", *self.default_vector(n)))
         self.write(ROM, STUBS, b"\xcf" * 256)
         self.write(ROM, TICK_AT, TICK)
 
     @staticmethod
-    def usual(n: int) -> tuple[int, int]:
-        """Where the routine of an interrupt is, offset and segment, until the program sets one."""
+    def default_vector(n: int) -> tuple[int, int]:
+        """Return where the routine of an interrupt is, offset and segment, until the program sets one."""
         return (TICK_AT if n == 8 else STUBS + n), ROM
 
     def vector(self, n: int) -> tuple[int, int]:
-        """Where it is now."""
+        """Return where the routine of an interrupt is now, offset and segment."""
         offset, segment = struct.unpack("<HH", self.read(0, 4 * n, 4))
         return offset, segment
 
@@ -140,7 +143,7 @@ class Pc(Engine):
         if content[:2] in (b"MZ", b"ZM"):
             self._load_exe(path, content)
             return
-        if not 0 < len(content) <= 0xFE00:
+        if not 0 < len(content) <= MAX_COM_SIZE:
             raise LibraryError(f"{path} has {len(content):,} bytes: a .COM has 1 to 65,024.")
         self.write(LOAD, 0x100, content)
         self.write(LOAD, 0xFFFE, b"\0\0")
@@ -169,24 +172,22 @@ class Pc(Engine):
     # --- interrupts ---
 
     def _interrupt(self, _uc: Any, number: int, _user: Any) -> None:
-        """INT n, or an exception of the processor."""
-        if self.vector(number) == self.usual(number):
-            if number in (0, 6, 13):
-                self.fault = {0: "a division by 0, or its result is too large"}.get(
-                    number, "an instruction that this processor does not have"
-                )
-                self.uc.emu_stop()
-            else:
-                self.dos.serve(number)
-        else:
+        """Handle INT n, or an exception of the processor."""
+        if self.vector(number) != self.default_vector(number):
             self._call = number
             self.uc.emu_stop()
+        elif number == 0:
+            self.fail("a division by 0, or its result is too large")
+        elif number in (6, 13):
+            self.fail("an instruction that this processor does not have")
+        else:
+            self.dos.serve(number)
 
-    def where_to_go_on(self) -> int:
+    def start_address(self) -> int:
         return (self.get("cs") << 4) + self.get("ip")
 
     def go_to(self, address: int) -> None:
-        """A debugger sets the program counter."""
+        """Set the program counter, for a debugger."""
         self.set(ip=address - (self.get("cs") << 4) & 0xFFFF)
 
     def place(self) -> str:
@@ -201,8 +202,7 @@ class Pc(Engine):
             return
         halted = self.read(self.get("cs"), self.get("ip") - 1, 1) == b"\xf4" and not t.raised and t.cycles < t.alarm
         if halted and not self.get("eflags") & _IF:
-            self.fault = "it halts for ever, with interrupts off"
-            raise self.wrong(self.fault)
+            raise self.make_error("it halts for ever, with interrupts off")
         if halted:
             wait.c(t.own)
         if t.cycles >= t.alarm:
@@ -210,7 +210,7 @@ class Pc(Engine):
         self._serve_line()
 
     def _enter(self, number: int) -> None:
-        """As the processor does it."""
+        """Begin the routine of an interrupt."""
         flags, sp = self.get("eflags"), (self.get("sp") - 6) & 0xFFFF
         self.write(self.get("ss"), sp, struct.pack("<HHH", self.get("ip"), self.get("cs"), flags & 0xFFFF))
         offset, segment = self.vector(number)
@@ -219,79 +219,78 @@ class Pc(Engine):
     def _serve_line(self) -> None:
         t = self.record
         if not self.get("eflags") & _IF:
-            t.wanted = self._ticks_at
+            t.own_waits = self._tick_pending
             return
-        if self._ticks_at and not self._masked & 1 and not self._in_service & 1:
-            self._ticks_at = 0
+        if self._tick_pending and not self._masked & 1 and not self._in_service & 1:
+            self._tick_pending = 0
             self._in_service |= 1
             self._enter(8)
         elif t.raised and t.line and self._irq:
             t.raised = 0
             self._in_service |= 1 << self._irq
             self._enter(8 + self._irq)
-        t.wanted = self._ticks_at if not self._masked & 1 and not self._in_service else 0
+        t.own_waits = self._tick_pending if not self._masked & 1 and not self._in_service else 0
         self._set_line()
 
     def _set_line(self) -> None:
-        """Whether the board's line may interrupt."""
+        """Tell compiled code whether the board's line may interrupt."""
         if self._irq:
             lower = (2 << self._irq) - 1
             self.record.line = not self._masked >> self._irq & 1 and not self._in_service & lower
             self.record.due = self.record.cycles
 
     def _tick(self) -> None:
-        """Channel 0 has run down."""
-        self._ticks_at = self.record.wanted = 1
+        """Note that channel 0 has reached zero."""
+        self._tick_pending = self.record.own_waits = 1
         self.watch_timer()
 
     def watch_timer(self) -> None:
-        """From now on channel 0 interrupts, if somebody has set its routine."""
-        own = any(self.vector(n) != self.usual(n) for n in (0x08, 0x1C))
+        """Let channel 0 interrupt from now on, if the program has set its routine."""
+        is_used = any(self.vector(n) != self.default_vector(n) for n in (0x08, 0x1C))
         t = self.record
-        t.alarm = -(-self.timers.next_tick() * int(t.hz) // TIMER_HZ) if own else NEVER
+        t.alarm = -(-self.timers.next_tick() * int(t.hz) // TIMER_HZ) if is_used else NEVER
         t.due = t.cycles
 
     # --- ports of the PC ---
 
-    def _rare(self, _own: int, port: int, size: int, value: int) -> int:
+    def _access_own_port(self, own: int, port: int, size: int, value: int) -> int:
+        """Make a cycle at a port below OWN_PORTS. own: see MACHINE; value: -1 for IN."""
         try:
-            if size > 1 and port not in self._board.ports:
-                if value >= 0:
-                    return self._rare(_own, port, 1, value & 0xFF) | self._rare(_own, port + 1, 1, value >> 8)
-                return self._rare(_own, port, 1, -1) | self._rare(_own, port + 1, 1, -1) << 8
-            if port in self._board.ports or not self._own(port):
+            on_board = port in self._board.ports
+            if size > 1 and not on_board:
+                low, high = (value & 0xFF, value >> 8) if value >= 0 else (-1, -1)
+                answer = self._access_own_port(own, port, 1, low)
+                return answer | self._access_own_port(own, port + 1, 1, high) << 8
+            if on_board or not (port in (0x20, 0x21, 0x61) or 0x40 <= port <= 0x43):
                 return self._on_board(port, size, value)
-            return self._own_port(port, value)
+            return self._write_own(port, value) if value >= 0 else self._read_own(port)
         except Exception as error:  # it would be lost in C
-            self.fault = str(error)
-            self.uc.emu_stop()
-            return NO_ONE
-
-    @staticmethod
-    def _own(port: int) -> bool:
-        return port in (0x20, 0x21, 0x61) or 0x40 <= port <= 0x43
+            self.fail(str(error))
+            return NOBODY
 
     def _on_board(self, port: int, size: int, value: int) -> int:
         link = self._board.link
         what = (OUT8 if size == 1 else OUT16) if value >= 0 else (IN8 if size == 1 else IN16)
-        looked.c(self.record.own)
+        poll_from_python.c(self.record.own)
         self.record.due = self.record.cycles
         return int(link.request(link.pointer, what, port, max(value, 0)))
 
-    def _own_port(self, port: int, value: int) -> int:
-        if 0x40 <= port <= 0x43 or port == 0x61:
-            answer = self.timers.read(port) if value < 0 else self.timers.write(port, value)
-            if value >= 0:
-                self.watch_timer()
-            return answer
+    def _read_own(self, port: int) -> int:
+        if port in (0x20, 0x21):
+            return self._masked if port == 0x21 else 0
+        return self.timers.read(port)
+
+    def _write_own(self, port: int, value: int) -> int:
+        if port not in (0x20, 0x21):
+            self.timers.write(port, value)
+            self.watch_timer()
+            return 0
         if port == 0x21:
-            if value < 0:
-                return self._masked
             self._masked = value
         elif value == 0x20:  # end of interrupt: of the highest that is served
             self._in_service &= self._in_service - 1
         elif value >= 0x60:
             self._in_service &= ~(1 << (value & 7))
-        self.record.wanted = self._ticks_at if not self._masked & 1 and not self._in_service & 1 else 0
+        self.record.own_waits = self._tick_pending if not self._masked & 1 and not self._in_service & 1 else 0
         self._set_line()
         return 0

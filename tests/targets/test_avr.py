@@ -245,14 +245,14 @@ def test_a_file_of_another_machine_names_the_machine(tmp_path):
 
 
 def test_without_simavr_it_is_said_what_to_install(monkeypatch):
-    mcus.simavr.cache_clear()
+    mcus.load_simavr.cache_clear()
     monkeypatch.setattr(mcus, "_NAMES", ("libnothing.so",))
     monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
     try:
         with pytest.raises(mcus.NoEmulatorError, match="apt install libsimavr2"):
             faults(0)
     finally:
-        mcus.simavr.cache_clear()
+        mcus.load_simavr.cache_clear()
 
 
 @needs_simavr

@@ -10,7 +10,7 @@ from stage.board import Board, HostError, HostTimeout, LibraryError
 from stage.board.windows import parse_windows
 from stage.chips import PCL240K, PCL240MK
 from stage.errors import ArgumentError
-from stage.targets import TargetHost, machine, mcus
+from stage.targets import TargetHost, mcus, processor_core
 from stage.targets.cortex import CortexProgram
 from stage.targets.nvic import FIRST, PENDSV, SYSTICK, Nvic
 
@@ -141,7 +141,7 @@ def test_an_alarm_of_the_processor_is_not_late_by_the_time_between_two_looks():
     assert t.quantum > 10
     for ahead in (1, 10, 10 * t.quantum):
         t.alarm = t.cycles + ahead
-        machine.looked.c(t.own)
+        processor_core.poll_from_python.c(t.own)
         assert t.due - t.cycles == min(ahead, t.quantum)
 
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from stage.targets.dos import Dos
-from stage.targets.timer import FULL, HZ
+from stage.targets.pc_timer import FULL, HZ
 
 CARRY, ZERO = 1, 0x40
 
@@ -24,7 +24,6 @@ class PC:
         self.memory = bytearray(1 << 20)
         self.said, self.ended, self.fault, self.watched = "", None, "", 0
         self.record = SimpleNamespace(cycles=0, hz=4_772_727, due=None)
-        self.uc = SimpleNamespace(emu_stop=lambda: setattr(self, "stands", True))
         self.stands = False
 
     def get(self, name):
@@ -49,6 +48,9 @@ class PC:
     def write(self, segment, offset, content):
         at = (segment << 4) + offset
         self.memory[at : at + len(content)] = content
+
+    def fail(self, fault):
+        self.fault, self.stands = fault, True
 
     def vector(self, n):
         return struct.unpack("<HH", self.read(0, 4 * n, 4))

@@ -14,9 +14,9 @@ from stage.board.windows import Window
 from stage.errors import ArgumentError
 from stage.targets.cortex import Cortex
 from stage.targets.elf import check_avr
-from stage.targets.gdb import PcRegisters, Server
+from stage.targets.gdb import DebugServer, pc_registers
 from stage.targets.pc import LOAD, Pc
-from stage.targets.simavr import _target
+from stage.targets.simavr import find_target
 
 
 class Seen:
@@ -57,8 +57,8 @@ class Engine:
         self.done.append(("watch", at))
         return at + 1
 
-    def not_run(self, size):
-        self.done.append(("not_run", size))
+    def uncount(self, size):
+        self.done.append(("uncount", size))
 
     def address(self):
         return 0x110
@@ -71,11 +71,13 @@ class Engine:
 def gdb():
     """A server with a debugger at its other end."""
     ours, theirs = socket.socketpair()
-    server = Server(Engine(), Seen(), 0)
+    server = DebugServer(Engine(), Seen(), 0)
     server._socket = ours
     theirs.settimeout(5)
     with theirs:
-        yield SimpleNamespace(server=server, engine=server._engine, seen=server._seen, wire=theirs, ask=server._answer)
+        yield SimpleNamespace(
+            server=server, engine=server._engine, seen=server._registers, wire=theirs, ask=server._answer
+        )
     ours.close()
 
 
@@ -121,11 +123,11 @@ def test_breakpoints_of_code_are_set_once_and_others_are_not_known(gdb):
     assert gdb.engine.done == [("watch", 0x110), ("watch", 0x120)]
     assert [gdb.ask("z0,110,2"), gdb.ask("z0,110,2")] == ["OK"] * 2
     assert gdb.engine.done[2:] == [("hook_del", 0x111)]
-    gdb.server._reached(None, 0x110, 2, None)
+    gdb.server._reach(None, 0x110, 2, None)
     assert len(gdb.engine.done) == 3, "it is there no more"
     gdb.server.halted, gdb.server.steps = False, True
-    gdb.server._reached(None, 0x120, 2, None)
-    assert gdb.engine.done[3:] == [("not_run", 2), "stop"]
+    gdb.server._reach(None, 0x120, 2, None)
+    assert gdb.engine.done[3:] == [("uncount", 2), "stop"]
     assert (gdb.server.halted, gdb.server.steps, gdb.ask("?")) == (True, False, "S05")
     assert gdb.ask("D") is None
     assert gdb.engine.done[5:] == [("hook_del", 0x121)], "who goes takes them along"
@@ -156,7 +158,7 @@ def test_packets_are_acknowledged_until_the_debugger_wants_that_no_more(gdb):
 
 @pytest.mark.parametrize(("code", "said"), [(0, "W00"), (3, "W03"), (255, "Wff"), (-1, "Wff"), (259, "W03")])
 def test_the_end_of_a_program_is_told_by_a_byte(gdb, code, said):
-    gdb.server.ended(code)
+    gdb.server.report_end(code)
     assert gdb.wire.recv(100) == packet(said)
     assert gdb.wire.recv(100) == b"", "and the connection is over"
 
@@ -171,7 +173,7 @@ def test_a_pc_shows_registers_of_floating_point_that_it_does_not_have():
     cpu = SimpleNamespace(
         address=lambda: 0x12345, get=lambda name: len(name), set=lambda **v: asked.append(v), go_to=asked.append
     )
-    seen = PcRegisters(cpu)
+    seen = pc_registers(cpu)
     assert [seen.value(n) for n in range(len(seen.sizes))] == [3] * 8 + [0x12345, 6] + [2] * 6 + [0] * 16
     for n in (0, 8, 15, 16, 31):
         seen.change(n, 7)
@@ -209,7 +211,7 @@ def test_a_routine_returns_to_the_stack_and_the_mode_that_it_has_come_from(handl
     cpu = Cortex.__new__(Cortex)
     cpu.word = {0x40 + 4 * 16: 0x201}.__getitem__
     cpu.nvic = SimpleNamespace(vectors=0x40, before=lambda: handler, entered=entered.append)
-    cpu._seen = SimpleNamespace(get=lambda: [control, sp, 0x40000000, 1, 2, 3, 4, 5, 6])
+    cpu._interrupted = SimpleNamespace(get=lambda: [control, sp, 0x40000000, 1, 2, 3, 4, 5, 6])
     cpu._entry = SimpleNamespace(set=lambda *given: set_.append(given))
     cpu.uc, cpu._pc = (
         SimpleNamespace(mem_write=lambda at, frame: frames.append((at, struct.unpack("<8I", frame)))),
@@ -253,4 +255,4 @@ def test_a_program_of_a_variant_runs_and_one_of_another_processor_does_not(name,
 def test_a_jump_of_an_avr_leads_forth_and_back_and_round_its_flash(words, at, flash, leads):
     """rjmp by -1, 0, 2047 and -2048 words; jmp of 16, 17 and 18 bits; call and nop are none"""
     code = bytes(at) + struct.pack(f"<{len(words)}H", *words)
-    assert _target(code, at, flash) == leads
+    assert find_target(code, at, flash) == leads

@@ -11,15 +11,15 @@ import pytest
 
 from stage.board import LibraryError
 from stage.errors import ArgumentError
-from stage.targets import avr, mcus
-from stage.targets.avr import PORTS
+from stage.targets import avr_core, mcus
+from stage.targets.avr_bus import parse_pins
+from stage.targets.avr_core import PORTS
 from stage.targets.cortex import APPLICATION_ENDS, Semihosting
 from stage.targets.elf import ARM, AVR, Elf, machine_of
-from stage.targets.engine import Engine
 from stage.targets.nvic import FIRST, NEVER, PENDSV, SVC, SYSTICK, Nvic
 from stage.targets.pc import Pc
-from stage.targets.pins import pins
-from stage.targets.timer import FULL, Channel, Timers
+from stage.targets.pc_timer import FULL, Channel, Timers
+from stage.targets.unicorn_engine import Engine
 
 DATA = Path(__file__).parent / "data"
 
@@ -316,8 +316,8 @@ class Bare(Pc):
 
     def __init__(self, irq=5):
         self.cycles = [0]
-        self.record = SimpleNamespace(cycles=0, hz=4_772_727, due=1, wanted=0, line=0, raised=0, alarm=NEVER, own=0)
-        self._irq, self._masked, self._in_service, self._ticks_at = irq, 0, 0, 0
+        self.record = SimpleNamespace(cycles=0, hz=4_772_727, due=1, own_waits=0, line=0, raised=0, alarm=NEVER, own=0)
+        self._irq, self._masked, self._in_service, self._tick_pending = irq, 0, 0, 0
         self.timers = Timers(lambda: self.cycles[0])
         self.words = {"eflags": 0x302, "sp": 0x100, "ss": 0x50, "cs": 0x1000, "ip": 0x123}
         self.memory = bytearray(1 << 20)
@@ -347,28 +347,32 @@ class Bare(Pc):
 
 def test_ports_below_100h_are_the_board_s_where_it_has_some_and_else_the_pc_s():
     pc = Bare()
-    assert [pc._rare(0, port, 1, -1) for port in (0x50, 0x3F, 0x44, 0x60, 0x22, 0x1F)] == [0x77] * 6
+    assert [pc._access_own_port(0, port, 1, -1) for port in (0x50, 0x3F, 0x44, 0x60, 0x22, 0x1F)] == [0x77] * 6
     assert pc.asked == [(port, 1, -1) for port in (0x50, 0x3F, 0x44, 0x60, 0x22, 0x1F)]
     pc.asked.clear()
-    pc._rare(0, 0x50, 2, 0x1234)
+    pc._access_own_port(0, 0x50, 2, 0x1234)
     assert pc.asked == [(0x50, 2, 0x1234)], "a word of the board is one cycle"
     pc.asked.clear()
-    pc._rare(0, 0x21, 1, 0x5A)
-    assert pc._rare(0, 0x21, 1, -1) == 0x5A
-    pc._rare(0, 0x21, 2, 0x3C00)
-    assert pc._rare(0, 0x21, 1, -1) == 0, "a word is two bytes, the low one first"
+    pc._access_own_port(0, 0x21, 1, 0x5A)
+    assert pc._access_own_port(0, 0x21, 1, -1) == 0x5A
+    pc._access_own_port(0, 0x21, 2, 0x3C00)
+    assert pc._access_own_port(0, 0x21, 1, -1) == 0, "a word is two bytes, the low one first"
     assert pc.asked == [(0x22, 1, 0x3C)]
-    assert pc._rare(0, 0x20, 2, -1) == 0
-    assert pc._rare(0, 0x21, 2, -1) == 0x7700
+    assert pc._access_own_port(0, 0x20, 2, -1) == 0
+    assert pc._access_own_port(0, 0x21, 2, -1) == 0x7700
     for port, value in ((0x43, 0x34), (0x40, 0x10), (0x40, 0x20)):
-        pc._rare(0, port, 1, value)
+        pc._access_own_port(0, port, 1, value)
     assert pc.watched
-    assert (pc.timers.channels[0].reload, pc._rare(0, 0x40, 1, -1), pc._rare(0, 0x40, 1, -1)) == (0x2010, 0x10, 0x20)
-    pc._rare(0, 0x61, 1, 3)
-    assert pc._rare(0, 0x61, 1, -1) & 3 == 3
+    assert (pc.timers.channels[0].reload, pc._access_own_port(0, 0x40, 1, -1), pc._access_own_port(0, 0x40, 1, -1)) == (
+        0x2010,
+        0x10,
+        0x20,
+    )
+    pc._access_own_port(0, 0x61, 1, 3)
+    assert pc._access_own_port(0, 0x61, 1, -1) & 3 == 3
     pc.uc = SimpleNamespace(emu_stop=lambda: setattr(pc, "stands", True))
     pc._on_board = None
-    assert (pc._rare(0, 0x50, 1, -1), pc.stands, "callable" in pc.fault) == (0xFF, True, True)
+    assert (pc._access_own_port(0, 0x50, 1, -1), pc.stands, "callable" in pc.fault) == (0xFF, True, True)
 
 
 def test_the_controller_serves_by_priority_until_the_end_of_interrupt():
@@ -383,22 +387,22 @@ def test_the_controller_serves_by_priority_until_the_end_of_interrupt():
     assert (pc.words["cs"], pc.words["ip"], pc.words["sp"], r.raised, bool(r.line)) == (0x2000, 0xD0, 0xFA, 0, False)
     assert pc.words["eflags"] == 0x2, "neither interrupts nor single steps in its routine"
     assert struct.unpack("<HHH", pc.read(0x50, 0xFA, 6)) == (0x123, 0x1000, 0x302)
-    pc._rare(0, 0x20, 1, 0x20)
+    pc._access_own_port(0, 0x20, 1, 0x20)
     assert (pc._in_service, bool(r.line)) == (0, True)
     pc._in_service = 0b100001
-    pc._rare(0, 0x20, 1, 0x20)
+    pc._access_own_port(0, 0x20, 1, 0x20)
     assert pc._in_service == 0b100000, "the highest"
-    pc._rare(0, 0x20, 1, 0x65)  # of 5 alone
+    pc._access_own_port(0, 0x20, 1, 0x65)  # of 5 alone
     assert pc._in_service == 0
     pc._in_service = 0b100001
-    pc._rare(0, 0x20, 1, 0x65)
+    pc._access_own_port(0, 0x20, 1, 0x65)
     assert pc._in_service == 1
-    pc._rare(0, 0x20, 1, 0x0B)
+    pc._access_own_port(0, 0x20, 1, 0x0B)
     assert pc._in_service == 1, "no end of interrupt"
-    pc._rare(0, 0x20, 1, 0x60)
-    pc._rare(0, 0x21, 1, 0x20)
+    pc._access_own_port(0, 0x20, 1, 0x60)
+    pc._access_own_port(0, 0x21, 1, 0x20)
     assert not r.line
-    pc._rare(0, 0x21, 1, 0xDF)
+    pc._access_own_port(0, 0x21, 1, 0xDF)
     assert r.line
     for lower, may in ((1 << 6, True), (1 << 5, False), (1 << 4, False), (1, False)):
         pc._in_service = lower
@@ -414,11 +418,11 @@ def test_a_tick_comes_when_interrupts_are_on_and_it_is_neither_masked_nor_served
         pc.words["eflags"], pc._masked, pc._in_service = flags, masked, served
         pc._tick()
         pc._serve_line()
-        assert (pc.words["sp"] == 0xFA, int(pc.record.wanted)) == (comes, wanted), (flags, masked, served)
+        assert (pc.words["sp"] == 0xFA, int(pc.record.own_waits)) == (comes, wanted), (flags, masked, served)
         pc._masked = 0
         pc.words["eflags"] = flags
-        pc._rare(0, 0x20, 1, 0x60)  # its end
-        assert int(pc.record.wanted) == (not comes), (flags, masked, served)
+        pc._access_own_port(0, 0x20, 1, 0x60)  # its end
+        assert int(pc.record.own_waits) == (not comes), (flags, masked, served)
     pc = Bare(irq=None)
     pc.record.raised = pc.record.line = 1
     pc._serve_line()
@@ -546,28 +550,28 @@ def test_a_line_that_has_no_end_is_told_in_pieces():
 
 
 def test_a_processor_is_known_in_any_case():
-    assert [mcus.checked(name) for name in ("ATmega2560", "Cortex-M3")] == ["atmega2560", "cortex-m3"]
+    assert [mcus.check_mcu(name) for name in ("ATmega2560", "Cortex-M3")] == ["atmega2560", "cortex-m3"]
 
 
 # --- the pins of an AVR ---
 
 
 def test_carriage_returns_of_a_serial_line_are_not_in_its_text():
-    processor, text, line = np.zeros(1, avr.AVR), np.zeros(80, "u1"), np.zeros(1, avr.SERIAL)
+    processor, text, line = np.zeros(1, avr_core.AVR), np.zeros(80, "u1"), np.zeros(1, avr_core.SERIAL)
     line[0].avr, line[0].text, line[0].room = processor.ctypes.data, text.ctypes.data, 80
     for byte in b"a\rb":
-        avr.sent(0, byte, line)
+        avr_core.sent(0, byte, line)
     assert (line[0].length, bytes(text[:3])) == (2, b"ab\0")
 
 
 @pytest.mark.parametrize("data", ["AB", "I", "", "A0"])
 def test_the_data_lines_are_one_port(data):
     with pytest.raises(ArgumentError, match=f"data={data} is no port; ports are A, B, "):
-        pins(f"data={data},wr=G0,rd=G1")
+        parse_pins(f"data={data},wr=G0,rd=G1")
 
 
 def test_a_range_of_one_pin_is_that_pin():
-    one, same = (pins(f"data=A,address={address},wr=G0,rd=G1") for address in ("C:3-3", "C3"))
+    one, same = (parse_pins(f"data=A,address={address},wr=G0,rd=G1") for address in ("C:3-3", "C3"))
     assert one == same
     assert one.address == ((PORTS.index("C"), 3),)
-    assert pins("data=A,address=C:0-1+D7,wr=G0,rd=G1").address == ((2, 0), (2, 1), (3, 7))
+    assert parse_pins("data=A,address=C:0-1+D7,wr=G0,rd=G1").address == ((2, 0), (2, 1), (3, 7))

@@ -12,7 +12,7 @@ from stage.chips import MCX304, PCL240K, PCL240MK
 from stage.errors import ArgumentError
 from stage.support.files import FileError
 from stage.targets import NoEmulatorError, TargetHost, mcus
-from stage.targets.timer import Timers
+from stage.targets.pc_timer import Timers
 
 DATA = Path(__file__).parent / "data"
 needs_unicorn = pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")

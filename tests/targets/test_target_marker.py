@@ -39,7 +39,7 @@ def test_the_marker_names_the_processor(pytester):
 
 
 def test_without_the_emulator_it_is_skipped(pytester, monkeypatch):
-    mcus.simavr.cache_clear()
+    mcus.load_simavr.cache_clear()
     monkeypatch.setattr(mcus, "_NAMES", ())
     monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
     (pytester.path / "faults.avr.elf").write_bytes(b"")
@@ -47,6 +47,6 @@ def test_without_the_emulator_it_is_skipped(pytester, monkeypatch):
     result = pytester.runpytest_inprocess(
         "-p", "no:cacheprovider", "-p", "no:xdist", "-o", "addopts=", "-rs", "-k", "runs"
     )
-    mcus.simavr.cache_clear()
+    mcus.load_simavr.cache_clear()
     result.assert_outcomes(skipped=1, deselected=2)
     result.stdout.fnmatch_lines(["*there is no simavr (Debian: apt install libsimavr2)*"])

@@ -13,7 +13,16 @@ _SQUARE = 3
 
 @dataclass
 class Channel:
-    """reload: 1 to 65536; begun: when (clocks of the timer) it was loaded; half: the byte that comes next of two."""
+    """One counter.
+
+    Attributes:
+        mode, access: As its control word says.
+        reload: 1 to 65536.
+        begun: When it was loaded, in clocks of the timer.
+        low: The low byte that was written first of two.
+        latched: The latched count, or -1.
+        half: The byte that comes next of two.
+    """
 
     mode: int = _SQUARE
     access: int = 3
@@ -24,7 +33,7 @@ class Channel:
     half: int = 0
 
     def count(self, now: int) -> int:
-        """What is read at that time."""
+        """Return what is read at a time."""
         passed = now - self.begun
         if self.mode in (2, 6):
             return (self.reload - passed % self.reload) & 0xFFFF
@@ -33,7 +42,7 @@ class Channel:
         return (self.reload - passed) & 0xFFFF
 
     def output(self, now: int) -> bool:
-        """Its pin."""
+        """Return the level of its pin at a time."""
         passed = now - self.begun
         if self.mode in (3, 7):
             return passed % self.reload < (self.reload + 1) // 2
@@ -41,7 +50,11 @@ class Channel:
 
 
 class Timers:
-    """now: clocks of the timer that have passed."""
+    """Three channels.
+
+    Args:
+        now: Function that returns the clocks of the timer that have passed.
+    """
 
     def __init__(self, now: Callable[[], int]):
         self._now = now
@@ -49,12 +62,12 @@ class Timers:
         self._gate = 0
 
     def next_tick(self) -> int:
-        """When, in clocks of the timer, channel 0 runs down next."""
+        """Return when channel 0 reaches zero next, in clocks of the timer."""
         c = self.channels[0]
         return c.begun + ((self._now() - c.begun) // c.reload + 1) * c.reload
 
     def read(self, port: int) -> int:
-        """A byte of a counter; port 61h: bit 5 is channel 2's output, bit 4 toggles with the refresh."""
+        """Read a byte of a counter; port 61h: bit 5 is channel 2's output, bit 4 toggles with the refresh."""
         now = self._now()
         if port == 0x61:
             return self._gate | self.channels[2].output(now) << 5 | (now // 18 & 1) << 4
@@ -71,8 +84,8 @@ class Timers:
         c.latched = -1
         return value & 0xFF if c.access == 1 else value >> 8
 
-    def write(self, port: int, value: int) -> int:
-        """A byte of a counter, or what to do."""
+    def write(self, port: int, value: int) -> None:
+        """Write a byte of a counter, a control word, or the gate of channel 2."""
         now = self._now()
         if port == 0x61:
             if value & 1 and not self._gate & 1:
@@ -89,7 +102,6 @@ class Timers:
             c = self.channels[port - 0x40]
             if c.access == 3 and not c.half:
                 c.low, c.half = value, 1
-                return 0
-            whole = {1: value, 2: value << 8, 3: value << 8 | c.low}[c.access]
-            c.reload, c.begun, c.half = whole or FULL, now, 0
-        return 0
+                return
+            reload = {1: value, 2: value << 8, 3: value << 8 | c.low}[c.access]
+            c.reload, c.begun, c.half = reload or FULL, now, 0

@@ -1,0 +1,142 @@
+"""The pins that are an AVR's bus, as text and as a connection to the board:
+
+    data=A,address=C:0-1,cs=B0,wr=G0,rd=G1,irq=D0
+
+data: a port, eight data lines. address: address lines, the lowest first (`C:0-1`, `C0`, or several joined by +). cs, wr, rd: the
+strobes, active low; without cs the board is always selected. irq: the pin that the interrupt line pulls low. base: the board's port
+at address 0 (default: the board's first).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import re
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stage.board.board import Board
+from stage.errors import ArgumentError, unknown
+from stage.targets import avr_core
+from stage.targets.avr_core import PORTS
+
+FORM = "data=A,address=C:0-1,cs=B0,wr=G0,rd=G1,irq=D0"
+KEYS = ("data", "address", "cs", "wr", "rd", "irq", "base")
+PIN_ALL, DIRECTION_ALL = 8, 9
+"""The simavr IRQs of a port's levels and directions."""
+Pin = tuple[int, int]
+_ONE = re.compile(r"([A-HJ-L])([0-7])")
+_RANGE = re.compile(r"([A-HJ-L]):([0-7])-([0-7])")
+
+
+class Pins(NamedTuple):
+    """The pins of a bus. A pin: its port's number in PORTS, its bit."""
+
+    data: int
+    address: tuple[Pin, ...]
+    cs: Pin | None
+    wr: Pin
+    rd: Pin
+    irq: Pin | None
+    base: int | None
+
+
+class AvrBus:
+    """The pins of an AVR, connected to the board.
+
+    Args:
+        pins: The pins.
+        avr: A LoadedAvr.
+        board: The board.
+    """
+
+    def __init__(self, pins: Pins, avr: Any, board: Board):
+        n = len(PORTS)
+        self._levels, self._outputs = np.zeros(n, "i8"), np.zeros(n, "i8")
+        none = (avr_core.NO_PIN, 0)
+        self._pins = np.array([p or none for p in (pins.cs, pins.wr, pins.rd, *pins.address)], avr_core.PIN)
+        self._data = np.array([avr.find_irq(pins.data, bit) for bit in range(8)], "i8")
+        self._warning = ctypes.create_string_buffer(
+            f"port {PORTS[pins.data]} has output pins while /RD is low: AVR and board both drive the data lines".encode()
+        )
+        self._row = np.zeros(1, avr_core.BUS)
+        b = self._row[0]
+        b.avr, b.warning = avr.record.own, ctypes.addressof(self._warning)
+        b.select, b.write, b.read, b.addresses = (self._pins.ctypes.data + k * avr_core.PIN.itemsize for k in range(4))
+        b.n_addresses, b.data_port, b.data_irqs = len(pins.address), pins.data, self._data.ctypes.data
+        b.first = min(place.first for place in board.places) if pins.base is None else pins.base
+        b.levels, b.outputs, b.was_write = self._levels.ctypes.data, self._outputs.ctypes.data, 1
+        used = sorted({pins.data, *(p[0] for p in (pins.cs, pins.wr, pins.rd, *pins.address) if p)})
+        self._ports = np.array([(self._row.ctypes.data, port) for port in used], avr_core.PORT)
+        self._functions = avr_core.levels_changed.pointer, avr_core.outputs_changed.pointer
+        for k, port in enumerate(used):
+            for number, function in zip((PIN_ALL, DIRECTION_ALL), self._functions, strict=True):
+                avr.notify(avr.find_irq(port, number), function, self._ports[k : k + 1])
+
+
+def parse_pins(texts: str | Sequence[str]) -> Pins:
+    """Parse the pins of a bus.
+
+    Raises:
+        ArgumentError: Another form, or a pin that is used twice.
+    """
+    texts = [texts] if isinstance(texts, str) else list(texts)
+    if len(texts) != 1:
+        raise ArgumentError(
+            f"--map: an AVR's bus is its pins; say once which: --map {FORM} (given: {', '.join(texts) or 'none'})."
+        )
+    text = texts[0]
+    parts = _split(text)
+    if parts["data"] not in PORTS or len(parts["data"]) != 1:
+        raise ArgumentError(f"--map {text!r}: data={parts['data']} is no port; ports are {', '.join(PORTS)}.")
+    single = {key: _parse_pin(text, key, parts[key]) for key in ("cs", "wr", "rd", "irq") if key in parts}
+    address = _parse_address(text, parts["address"]) if "address" in parts else ()
+    data = PORTS.index(parts["data"])
+    used: set[Pin] = set()
+    for pin in (*address, *single.values(), *((data, k) for k in range(8))):
+        if pin in used:
+            raise ArgumentError(f"--map {text!r}: pin {PORTS[pin[0]]}{pin[1]} is used twice.")
+        used.add(pin)
+    try:
+        base = int(parts["base"], 0) if "base" in parts else None
+    except ValueError:
+        raise ArgumentError(f"--map {text!r}: base={parts['base']} is no port, for example base=0x300.") from None
+    return Pins(data, address, single.get("cs"), single["wr"], single["rd"], single.get("irq"), base)
+
+
+def _split(text: str) -> dict[str, str]:
+    """Split a text into values by key."""
+    parts: dict[str, str] = {}
+    for part in text.split(","):
+        key, equals, value = part.strip().partition("=")
+        if key not in KEYS:
+            raise ArgumentError(f"--map {text!r}: write {FORM}. {unknown('part', key, KEYS)}")
+        if not equals or key in parts:
+            raise ArgumentError(f"--map {text!r}: {key} is given {'twice' if key in parts else 'without a value'}.")
+        parts[key] = value.strip().upper()
+    for key in ("data", "wr", "rd"):
+        if key not in parts:
+            raise ArgumentError(f"--map {text!r}: it has no {key}=; write {FORM}.")
+    return parts
+
+
+def _parse_pin(text: str, key: str, value: str) -> Pin:
+    match = _ONE.fullmatch(value)
+    if match is None:
+        raise ArgumentError(f"--map {text!r}: {key}={value} is no pin, for example {key}=B0.")
+    return PORTS.index(match[1]), int(match[2])
+
+
+def _parse_address(text: str, value: str) -> tuple[Pin, ...]:
+    pins: list[Pin] = []
+    for part in value.split("+"):
+        match = _RANGE.fullmatch(part)
+        if match is None:
+            pins.append(_parse_pin(text, "address", part))
+            continue
+        low, high = int(match[2]), int(match[3])
+        if low > high:
+            raise ArgumentError(f"--map {text!r}: address={part} runs backwards; the lowest pin comes first.")
+        pins += [(PORTS.index(match[1]), k) for k in range(low, high + 1)]
+    return tuple(pins)

@@ -1,0 +1,304 @@
+"""`Engine`: a processor on Unicorn, with registers, log and errors in words. The rest of each is in cortex.py and pc.py."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any, ClassVar
+
+import numpy as np
+
+from stage.board.board import Board
+from stage.board.bus import host_record, requests
+from stage.board.errors import HostError
+from stage.native import address_of
+from stage.targets import processor_core
+from stage.targets.gdb import DebugServer
+
+_CODE, _INSN = 4, 2  # kinds of hooks
+_IN, _OUT = 218, 500  # of x86, as Unicorn numbers them
+MAX_LINE = 1000  # characters
+PAGE_SIZE = 0x1000
+NEVER = 1 << 62
+QUANTUM_S = 2e-6
+INVALID_INSTRUCTION = 10
+INVALID = {
+    6: "it reads memory that is not there", 7: "it writes memory that is not there", 8: "it runs where there is no memory",
+    INVALID_INSTRUCTION: "an instruction that this processor does not have", 12: "it writes to the flash",
+    13: "it reads memory that cannot be read", 14: "it runs where no code may be",
+    21: "an exception that nobody handles",
+}  # fmt: skip
+"""Errors of a program, by uc_err."""
+_MEMORY_ERRORS = (6, 7, 8, 12, 13, 14)
+
+
+class _Record(ctypes.Structure):
+    """A MACHINE record, as Python reads and writes it at once."""
+
+    _fields_ = tuple((name, ctypes.c_int64) for name in processor_core.MACHINE.names or ())
+
+
+class Registers:
+    """Several registers of a processor, read and written in one call."""
+
+    def __init__(self, lib: Any, handle: Any, numbers: list[int]):
+        n = len(numbers)
+        self._lib, self._handle, self._n = lib, handle, n
+        self._numbers, self._values = (ctypes.c_int * n)(*numbers), (ctypes.c_uint64 * n)()
+        begin = ctypes.addressof(self._values)
+        self._pointers = (ctypes.c_void_p * n)(*(begin + 8 * k for k in range(n)))
+
+    def get(self) -> list[int]:
+        """Return their values."""
+        self._lib.uc_reg_read_batch(self._handle, self._numbers, self._pointers, self._n)
+        return [value & 0xFFFFFFFF for value in self._values]
+
+    def set(self, *values: int) -> None:
+        """Set their values, in their order."""
+        self._values[:] = list(values)
+        self._lib.uc_reg_write_batch(self._handle, self._numbers, self._pointers, self._n)
+
+
+class Engine:
+    """A processor on Unicorn.
+
+    Args:
+        path: The program.
+        board: The board that it drives.
+        arch, mode: As Unicorn has them.
+        hz: Its clock.
+        model: As Unicorn numbers it, or None.
+
+    Attributes:
+        uc: Unicorn's object.
+        record: The MACHINE record.
+        ended: Whether the program has ended, with `code`.
+        fault: Error in words that a call of Unicorn has found, or "".
+        gdb: The server for a debugger, or None.
+    """
+
+    REGISTER_PREFIX: ClassVar[str]
+
+    def __init__(self, path: Any, board: Board, arch: int, mode: int, hz: int, model: int | None = None):
+        import unicorn
+        from unicorn import arm_const, x86_const
+        from unicorn.unicorn_py3.unicorn import uclib
+
+        self.path, self._board = path, board
+        self.uc: Any = unicorn.Uc(arch, mode)
+        self._lib, self._constants = uclib, {**vars(arm_const), **vars(x86_const)}
+        if model is not None:  # before anything else
+            self.uc.ctl_set_cpu_model(model)
+        self._row = np.zeros(1, processor_core.MACHINE)
+        self._flags = np.zeros(1, "i8")
+        t = self.record = _Record.from_buffer(self._row.data)
+        link = board.link
+        t.own, t.uc, t.host, t.request = (
+            self._row.ctypes.data,
+            self.handle.value,
+            link.pointer,
+            requests.request.address,
+        )
+        t.stop, t.reg_read = (_address(self._lib[name]) for name in ("uc_emu_stop", "uc_reg_read"))
+        t.flags_at, t.hz, t.alarm = self._flags.ctypes.data, hz, NEVER
+        t.quantum = max(1, round(QUANTUM_S * hz))
+        self.ended, self.code = False, 0
+        self.error: type[Exception] = unicorn.UcError
+        self.gdb: DebugServer | None = None
+        self.window_pages: list[int] = []
+        self.fault = ""
+        self._functions: list[Any] = []
+        self._line = ""
+        self.hook(_CODE, processor_core.instruction.pointer)
+        self._touched: int | None = None
+        self.uc.hook_add(unicorn.UC_HOOK_MEM_INVALID, self._note_touched)
+
+    @property
+    def handle(self) -> Any:
+        """Unicorn's handle, for C."""
+        return self.uc._uch
+
+    # --- registers ---
+
+    def number(self, name: str) -> int:
+        """Return the number of a register, for example "r0"."""
+        return int(self._constants[self.REGISTER_PREFIX + name.upper()])
+
+    def get(self, name: str) -> int:
+        """Return the value of a register."""
+        return int(self.uc.reg_read(self.number(name)))
+
+    def set(self, **values: int) -> None:
+        """Set registers."""
+        for name, value in values.items():
+            self.uc.reg_write(self.number(name), value)
+
+    # --- calls of Unicorn ---
+
+    def hook(self, kind: int, function: Any, instruction: int = 0) -> None:
+        """Let Unicorn call a compiled function, with the MACHINE record."""
+        number = ctypes.c_size_t()
+        self._functions.append(function)
+        failed = self._lib.uc_hook_add(
+            self.handle, ctypes.byref(number), kind, ctypes.cast(function, ctypes.c_void_p), ctypes.c_void_p(self.record.own),
+            ctypes.c_uint64(1), ctypes.c_uint64(0), ctypes.c_int(instruction),
+        )  # fmt: skip
+        if failed:
+            raise HostError(f"Unicorn refuses a hook ({failed}).")
+
+    def hook_ports(self, function: Any, below: int) -> None:
+        """Let IN and OUT reach the board; for ports below that number a function of ctypes is called."""
+        self._functions.append(function)
+        self.record.own_port, self.record.n_own_ports = _address(function), below
+        self.hook(_INSN, processor_core.port_in.pointer, _IN)
+        self.hook(_INSN, processor_core.port_out.pointer, _OUT)
+
+    def map_windows(self, windows: Any) -> None:
+        """Map the memory in which the board's windows lie, in whole pages."""
+        self._windows = np.array([tuple(w) for w in windows] or [(0, 0, 0)], processor_core.WINDOW)
+        self.record.windows, self.record.n_windows = self._windows.ctypes.data, len(windows)
+        self.window_pages = sorted({page for w in windows for page in range(w.address & -PAGE_SIZE, w.end, PAGE_SIZE)})
+        self._pages = np.array([(self.record.own, page) for page in self.window_pages], processor_core.PAGE)
+        read, write = processor_core.window_read.pointer, processor_core.window_written.pointer
+        for k, page in enumerate(self.window_pages):
+            user = ctypes.c_void_p(address_of(self._pages[k : k + 1]))
+            failed = self._lib.uc_mmio_map(
+                self.handle, ctypes.c_uint64(page), ctypes.c_size_t(PAGE_SIZE), ctypes.cast(read, ctypes.c_void_p), user,
+                ctypes.cast(write, ctypes.c_void_p), user,
+            )  # fmt: skip
+            if failed:
+                raise HostError(f"Unicorn cannot map the window at {page:X}h ({failed}).")
+
+    # --- the log ---
+
+    def say(self, text: str) -> None:
+        """Print a text of the program to the log, by lines."""
+        *lines, self._line = (self._line + text.replace("\r", "")).split("\n")
+        for line in lines:
+            self._note(line)
+        if len(self._line) > MAX_LINE:
+            self.flush()
+
+    def flush(self) -> None:
+        """Print the line whose end has not come."""
+        if self._line:
+            self._note(self._line)
+        self._line = ""
+
+    def _note(self, line: str) -> None:
+        text = ctypes.create_string_buffer(line.encode())
+        processor_core.poll_from_python.c(self.record.own)
+        self._board.link.request(self._board.link.pointer, host_record.LOG, ctypes.addressof(text), 0)
+
+    # --- for a debugger ---
+
+    def watch(self, address: int, function: Any) -> int:
+        """Let Unicorn call a function before the instruction at an address; return a number for hook_del."""
+        return int(self.uc.hook_add(_CODE, function, begin=address, end=address))
+
+    def uncount(self, size: int) -> None:
+        """Uncount an instruction of so many bytes that is not run now."""
+        self.record.cycles -= self.record.each + self.record.byte * size
+
+    def in_window(self, at: int, size: int) -> bool:
+        """Tell whether some of these bytes lie in memory that holds the board's windows."""
+        return any(page < at + size and at < page + PAGE_SIZE for page in self.window_pages)
+
+    def address(self) -> int:
+        """Return the program counter as a linear address."""
+        return self.start_address()
+
+    def halted(self) -> None:
+        """Take over the state at which a debugger has stopped it."""
+
+    # --- it runs ---
+
+    def main(self) -> int:
+        """Run the program to its end, and return its code."""
+        self.record.begin = self._board.stage.now
+        self.ended = False
+        try:
+            while not self.ended:
+                self._go_on()
+        except HostError:
+            if self.gdb is not None:
+                self.gdb.report_failure()
+            raise
+        if self.gdb is not None:
+            self.gdb.report_end(self.code)
+        self.flush()
+        processor_core.poll_from_python.c(self.record.own)
+        return self.code
+
+    def _go_on(self) -> None:
+        """Run to the next instruction at which something is to be done, and do it."""
+        gdb = self.gdb
+        if gdb is not None:
+            gdb.before()
+        if self.ended:
+            return
+        try:
+            self.uc.emu_start(self.start_address(), 0xFFFFFFFF, 0, 1 if gdb is not None and gdb.steps else 0)
+        except self.error as error:
+            if not self.ended and not self.fault:
+                raise self.make_error(self._describe_fault(error)) from None
+        debugged = gdb is not None and gdb.after()
+        if self.record.outside:
+            raise self.make_error(f"it touches address {int(self.record.outside) - 1:X}h, which no window has")
+        if self.fault:
+            raise self.make_error(self.fault)
+        if debugged:
+            self.halted()
+        elif not self.ended:
+            try:
+                self.stopped()
+            except self.error:  # an exception's frame, a text to print
+                raise self.make_error("its stack, or what it asks for, lies where there is no memory") from None
+
+    def _note_touched(self, uc: Any, access: int, address: int, size: int, value: int, data: Any) -> bool:
+        """Note an access to memory that is not there, which ends the run."""
+        self._touched = address
+        return False
+
+    def _describe_fault(self, error: Any) -> str:
+        words = INVALID.get(error.errno, f"Unicorn says {error}")
+        by_address = error.errno in _MEMORY_ERRORS and self._touched is not None
+        return f"{words}, address {self._touched:X}h" if by_address else words
+
+    def fail(self, fault: str) -> None:
+        """Stop Unicorn with an error in words."""
+        self.fault = fault
+        self.uc.emu_stop()
+
+    def start_address(self) -> int:
+        """Return the address for uc_emu_start."""
+        raise NotImplementedError
+
+    def stopped(self) -> None:
+        """Handle the reason why Unicorn has stopped: an interrupt, an alarm, or a wait for one."""
+        raise NotImplementedError
+
+    def place(self) -> str:
+        """Return the program counter in words."""
+        raise NotImplementedError
+
+    def end(self, code: int) -> None:
+        """End the program."""
+        self.ended, self.code = True, code
+        self.uc.emu_stop()
+
+    def make_error(self, what: str) -> HostError:
+        """Return the error of a program that cannot go on."""
+        board = self._board
+        self.flush()
+        processor_core.poll_from_python.c(self.record.own)
+        return HostError(
+            f"{self.path.name}: {what}, at {self.place()}; at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles. Its "
+            f"last bus cycles:\n{board.trace.text(12)}"
+        )
+
+    def close(self) -> None:
+        """Do nothing: Unicorn frees its memory with its object."""
+
+
+def _address(function: Any) -> int:
+    return ctypes.cast(function, ctypes.c_void_p).value or 0
