@@ -313,7 +313,7 @@ def check_library(path: str | os.PathLike) -> Path:
         raise FileError(f"{file}: there is no such library. Build it: {how_to_build(file)}")
     with file.open("rb") as f:
         head = read_elf_head(f.read(ELF_HEAD_SIZE))
-    this_machine = MACHINE_NAMES.get(platform.describe_machine(), platform.describe_machine())
+    this_machine = MACHINE_NAMES.get(platform.machine(), platform.machine())
     if head is not None:
         kind, machine = head
         target = MACHINES.get(machine, f"machine {machine}")

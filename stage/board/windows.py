@@ -52,14 +52,14 @@ Windows = str | tuple[int, int, int] | Iterable[str | tuple[int, int, int]]
 
 def is_supported() -> bool:
     """Tell whether firmware can have windows on this system: Linux on x86-64."""
-    return IS_SUPPORTED and platform.describe_machine() == "x86_64"
+    return IS_SUPPORTED and platform.machine() == "x86_64"
 
 
 def explain_missing(isolated: bool) -> str:
     """Say why there can be no windows here."""
     if is_supported() and not isolated:
         return f"windows of memory-mapped registers need a process of the firmware's own: isolated=True, the default; or {PROXIES}."
-    where = f"{platform.system()} on {platform.describe_machine()}"
+    where = f"{platform.system()} on {platform.machine()}"
     return f"windows of memory-mapped registers need Linux on x86-64, and this is {where}: {PROXIES}."
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from stage.board.bus.host_record import IN8, LOG, OUT8
 from stage.native import array_at, called, exported, hot, record
-from stage.targets.processor_core import PROCESSOR_FIELDS, WHOLE, bus_cycle, reach, request
+from stage.sim.handle import INTEGER
+from stage.targets.processor_core import PROCESSOR_FIELDS, bus_cycle, reach, request
 
 NO_PIN = -1
 PORTS = "ABCDEFGHJKL"
@@ -65,14 +66,14 @@ def _read_pin(b, at):
     pin = array_at(at, 1, PIN)[0]
     if pin.port == NO_PIN:
         return 0
-    levels, outputs = array_at(b.levels, len(PORTS), WHOLE), array_at(b.outputs, len(PORTS), WHOLE)
+    levels, outputs = array_at(b.levels, len(PORTS), INTEGER), array_at(b.outputs, len(PORTS), INTEGER)
     return (levels[pin.port] | ~outputs[pin.port]) >> pin.bit & 1
 
 
 @hot
 def _read_address(b):
     pins, address = array_at(b.addresses, b.n_addresses, PIN), 0
-    levels = array_at(b.levels, len(PORTS), WHOLE)
+    levels = array_at(b.levels, len(PORTS), INTEGER)
     for k in range(b.n_addresses):
         address |= (levels[pins[k].port] >> pins[k].bit & 1) << k
     return b.first + address
@@ -84,7 +85,7 @@ def _follow_pins(b):
     t = array_at(b.avr, 1, AVR)[0]
     selected, write, read = _read_pin(b, b.select) == 0, _read_pin(b, b.write), _read_pin(b, b.read)
     if write and not b.was_write and (selected or b.was_selected):
-        value = array_at(b.levels, len(PORTS), WHOLE)[b.data_port]
+        value = array_at(b.levels, len(PORTS), INTEGER)[b.data_port]
         bus_cycle(t, cycles_of(t), OUT8, _read_address(b), value & 0xFF)
     b.was_selected, b.was_write = selected, write
     if read or not selected:
@@ -92,11 +93,11 @@ def _follow_pins(b):
     elif not b.reading:
         b.reading = 1
         value = bus_cycle(t, cycles_of(t), IN8, _read_address(b), 0)
-        if array_at(b.outputs, len(PORTS), WHOLE)[b.data_port]:
+        if array_at(b.outputs, len(PORTS), INTEGER)[b.data_port]:
             if b.conflicts == 0:
                 request(t, LOG, b.warning, 0)
             b.conflicts += 1
-        irqs = array_at(b.data_irqs, 8, WHOLE)
+        irqs = array_at(b.data_irqs, 8, INTEGER)
         for k in range(8):
             _raise(t.raise_irq, (irqs[k], value >> k & 1))
 
@@ -105,7 +106,7 @@ def _follow_pins(b):
 def levels_changed(_irq, value, p):
     """Take over other levels that the program drives at a port."""
     b = array_at(p.bus, 1, BUS)[0]
-    array_at(b.levels, len(PORTS), WHOLE)[p.port] = value
+    array_at(b.levels, len(PORTS), INTEGER)[p.port] = value
     _follow_pins(b)
 
 
@@ -113,14 +114,14 @@ def levels_changed(_irq, value, p):
 def outputs_changed(_irq, value, p):
     """Take over which pins of a port are outputs."""
     b = array_at(p.bus, 1, BUS)[0]
-    array_at(b.outputs, len(PORTS), WHOLE)[p.port] = value
+    array_at(b.outputs, len(PORTS), INTEGER)[p.port] = value
     _follow_pins(b)
 
 
 @hot
 def _check_sleep(t):
     """Return 1 for a processor that an interrupt can wake, else NOTHING_WAKES."""
-    vectors = array_at(t.vectors, t.n_vectors, WHOLE)
+    vectors = array_at(t.vectors, t.n_vectors, INTEGER)
     for k in range(t.n_vectors):
         if _is_enabled(t.is_enabled, (t.avr, vectors[k])):
             return 1

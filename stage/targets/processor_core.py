@@ -9,10 +9,9 @@ approximation, which is stated for each processor.
 
 from __future__ import annotations
 
-import numpy as np
-
 from stage.board.bus.host_record import HOST, IN8, IN16, IN32, OUT8, OUT16, OUT32, UNTIL, now_of
 from stage.native import array_at, called, exported, greatest, hot, least, record
+from stage.sim.handle import INTEGER
 
 PROCESSOR_FIELDS = [(name, "i8") for name in "host request hz begin waits watched line ended code".split()]
 """Fields that the record of every processor begins with:
@@ -22,7 +21,6 @@ PROCESSOR_FIELDS = [(name, "i8") for name in "host request hz begin waits watche
                      interrupt (of others)
     ended, code      the program has ended, with this code
 """
-WHOLE = np.dtype("i8")
 SECOND = 1_000_000_000
 _request = called("i8", "i8", "i4", "i8", "i8")
 
@@ -54,7 +52,7 @@ _own_port = called("i8", "i8", "i8", "i8", "i8")
 @hot
 def _has_interrupts_on(t):
     _reg_read(t.reg_read, (t.uc, t.flags, t.flags_at))
-    return array_at(t.flags_at, 1, WHOLE)[0] & t.mask == t.on
+    return array_at(t.flags_at, 1, INTEGER)[0] & t.mask == t.on
 
 
 @hot

@@ -128,7 +128,7 @@ def _observe(libc: Any, calls: Any, number: int, info: int, context: int) -> Cra
     def word(at: int) -> int:
         return int(ctypes.c_uint64.from_address(at).value)
 
-    places = _CONTEXT.get(platform.describe_machine(), {})
+    places = _CONTEXT.get(platform.machine(), {})
     code = ctypes.c_int.from_address(info + _CODE).value
     address = word(info + _ADDRESS) if number in TOUCHES and code > 0 else -1
     pc = word(context + places["pc"]) if "pc" in places else None
@@ -161,7 +161,7 @@ def find_position(thread: threading.Thread | None) -> tuple[int, int]:
     malloc, too.
     """
     global _position_handler
-    if platform.describe_machine() != "x86_64" or thread is None or thread.ident is None or not thread.is_alive():
+    if platform.machine() != "x86_64" or thread is None or thread.ident is None or not thread.is_alive():
         return 0, 0
     number = int(signal.SIGRTMAX) - 5
     before = get_action(number)
