@@ -61,7 +61,7 @@ def _serve(args: argparse.Namespace, board: Any, session: Any) -> int:
 
     before_each = session.catch_up if session is not None else lambda: None
     server = Server(
-        board, args.bind, args.listen, fresh=args.fresh, keep=args.keep, told=_print_now, before_each=before_each
+        board, args.bind, args.listen, fresh=args.fresh, keep=args.keep, report=_print_now, before_each=before_each
     )
     if not _is_local(args.bind):
         warn(

@@ -21,14 +21,14 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 VERSION, PORT, MAGIC = 1, 7240, b"PULSESTG"
 HEAD = struct.Struct("<III")
-"""Of each frame: bytes that follow the head; kind; a number of the host's, which the reply has, too."""
-MOST_BODY = 1 << 20
+"""Head of a frame: bytes that follow it; kind; a number of the host's, which the reply has, too."""
+MAX_BODY = 1 << 20
 HELLO, BATCH, LOG, HOOK, RETURN, RESET, SNAPSHOT, RESTORE, STATUS, POSITIONS, PIN, STICK, TIMER = range(1, 14)
 INTERRUPT, ERROR = 254, 255
 """Kinds of frames. A reply has the kind of its request, or is an ERROR."""
 GREETING = struct.Struct("<8sII")
 """HELLO: MAGIC, VERSION, role."""
-DRIVE, LOOK = 0, 1
+DRIVE, OBSERVE = 0, 1
 ENTRY = struct.Struct("<iiiIqq")
 """A request of a BATCH: what, times, every (us), mask, a (port, us), b (value)."""
 IN8, OUT8, IN16, OUT16, DELAY, MICROS, LINE, SPEND, IN32, OUT32 = 0, 1, 2, 3, 4, 5, 8, 12, 13, 14
@@ -38,19 +38,23 @@ TIMING = struct.Struct("<IIq")
 """TIMER: which, level, period (ns; 0: off)."""
 THE_LINE, FIRST_TIMER, TIMERS = 0, 1, 4
 """INTERRUPT: whose hook is to be called."""
-STANDING = struct.Struct("<qqq")
+STATUS_REPLY = struct.Struct("<qqq")
 """Reply to STATUS: time (ns), bus cycles, whether the interrupt line is asserted."""
 PLACE = struct.Struct("<ddq")
-"""Reply to POSITIONS, of each axis: position and commanded position, m (rad), and full steps lost."""
+"""Reply to POSITIONS, for each axis: position and commanded position, m (rad), and full steps lost."""
 ANSWER, WORD = struct.Struct("<q"), struct.Struct("<I")
-RELEASED, ASSERTED, MENDED = 0, 1, 2
-"""STICK: what becomes of the switch."""
+RELEASED, ASSERTED, CLEARED = 0, 1, 2
+"""STICK: the state at which a switch sticks, or the end of the fault."""
 _W = TypeVar("_W")  # what a request that writes returns
 _R = TypeVar("_R")  # what one that reads returns
 
 
 class ServerError(RuntimeError):
-    """What the server said in words. `answers`: of the requests of the batch that were done before."""
+    """An error of the server, in words.
+
+    Attributes:
+        answers: Answers to the requests of the batch that were carried out before.
+    """
 
     def __init__(self, text: str, answers: tuple[int, ...] = ()):
         super().__init__(text)
@@ -58,7 +62,7 @@ class ServerError(RuntimeError):
 
 
 class Status(NamedTuple):
-    """Simulated seconds since power-up, bus cycles, the interrupt line."""
+    """State of a board: simulated seconds since power-up, bus cycles, whether the interrupt line is asserted."""
 
     seconds: float
     cycles: int
@@ -66,19 +70,25 @@ class Status(NamedTuple):
 
 
 class Place(NamedTuple):
-    """An axis: m (rad), full steps."""
+    """Place of an axis: position and commanded position in m (rad), full steps lost."""
 
     position: float
     commanded: float
     lost_steps: int
 
 
-def connect(address: str = "", *, look: bool = False, timeout: float | None = 10.0) -> Client:
-    """A connection to a server: "HOST:PORT", "HOST" or ":PORT"; 127.0.0.1 and 7240 where nothing is said.
+def connect(address: str = "", *, observe: bool = False, timeout: float | None = 10.0) -> Client:
+    """Connect to a server.
 
-    look: read status, positions and pins only; any number may look, one drives. timeout: s of real time to connect and be greeted.
-    Raises OSError when nobody is there; ValueError for what is no address; ServerError when
-    the server refuses, for example since another host drives.
+    Args:
+        address: "HOST:PORT", "HOST" or ":PORT"; default: 127.0.0.1 and 7240.
+        observe: Whether to read status, positions and pins only; any number may observe, one host drives.
+        timeout: Seconds of real time to connect and be greeted.
+
+    Raises:
+        OSError: Nobody listens there.
+        ValueError: It is no address.
+        ServerError: The server refuses, for example since another host drives.
     """
     host, _, port = address.rpartition(":") if ":" in address else (address, "", "")
     if port and not port.isdecimal():
@@ -91,7 +101,7 @@ def connect(address: str = "", *, look: bool = False, timeout: float | None = 10
             f"nobody listens at {host}, port {number}. Start a server there: stage serve."
         ) from None
     try:
-        client = Client(wire, look)
+        client = Client(wire, observe)
         wire.settimeout(None)
     except BaseException:
         wire.close()
@@ -109,60 +119,78 @@ class _Requests(Generic[_W, _R]):
         raise NotImplementedError
 
     def out8(self, port: int, value: int) -> _W:
+        """Make a write cycle of 8 bits."""
         return self._write(OUT8, port, value)
 
     def in8(self, port: int) -> _R:
+        """Make a read cycle of 8 bits."""
         return self._read(IN8, port)
 
     def out16(self, port: int, value: int) -> _W:
+        """Make a write cycle of 16 bits."""
         return self._write(OUT16, port, value)
 
     def in16(self, port: int) -> _R:
+        """Make a read cycle of 16 bits."""
         return self._read(IN16, port)
 
     def out32(self, port: int, value: int) -> _W:
+        """Make two write cycles of 16 bits, the low half first."""
         return self._write(OUT32, port, value)
 
     def in32(self, port: int) -> _R:
+        """Make two read cycles of 16 bits, the low half first."""
         return self._read(IN32, port)
 
     def delay_us(self, us: int) -> _W:
+        """Let microseconds pass."""
         return self._write(DELAY, us)
 
     def spend_ns(self, ns: int) -> _W:
-        """Computing that takes time."""
+        """Let nanoseconds of computing pass."""
         return self._write(SPEND, ns)
 
     def micros(self) -> _R:
-        """The time, us since power-up; the look takes a bus cycle."""
+        """Read the time, us since power-up, which takes a bus cycle."""
         return self._read(MICROS)
 
     def line(self) -> _R:
-        """1 if the interrupt line is asserted; the look takes a bus cycle."""
+        """Read whether the interrupt line is asserted (1), which takes a bus cycle."""
         return self._read(LINE)
 
     def until8(self, port: int, mask: int, value: int, times: int, every_us: int = 0) -> _R:
-        """Read until (what was read & mask) == value, `times` times at most. The answer is what was read last."""
+        """Read 8 bits until (the value that was read & mask) == value.
+
+        Args:
+            port: The port.
+            mask: The bits that count.
+            value: The value to wait for.
+            times: How many reads there are at most.
+            every_us: Time between two reads, us.
+
+        Returns:
+            The value that was read last.
+        """
         return self._read(UNTIL8, port, value, times, every_us, mask)
 
     def until16(self, port: int, mask: int, value: int, times: int, every_us: int = 0) -> _R:
-        """As until8, of 16 bits."""
+        """Read 16 bits until a value comes; see `until8`."""
         return self._read(UNTIL16, port, value, times, every_us, mask)
 
     def until_line(self, us: int) -> _R:
-        """Wait until the interrupt line is asserted, `us` at most. The answer is 1 if it is, else 0."""
+        """Wait until the interrupt line is asserted, `us` at most; the answer is 1 if it is, else 0."""
         return self._read(UNTIL_LINE, us)
 
 
 class Batch(_Requests["Batch", "Batch"]):
-    """Requests that go together. The methods give the batch itself, so that they can be chained."""
+    """Requests that go together. The methods return the batch itself, so that they can be chained."""
 
     def __init__(self, client: Client | None = None):
-        self._client, self._entries, self._reads = client, bytearray(), [0]
-        self._reads.clear()
+        self._client, self._entries = client, bytearray()
+        self._reads: list[int] = []  # entries whose answers are returned
 
     def add(self, what: int, a: int = 0, b: int = 0, times: int = 0, every: int = 0, mask: int = 0) -> Batch:
-        """Any request; ValueError for a number that does not fit its field."""
+        """Add any request. Raises ValueError for a number that does not fit its field; the arguments are those of an ENTRY."""
         try:
             entry = ENTRY.pack(what, times, every, mask, a, b)
         except struct.error:
@@ -180,46 +208,55 @@ class Batch(_Requests["Batch", "Batch"]):
         return len(self._entries) // ENTRY.size
 
     def run(self) -> list[int]:
-        """Do them; the answers of those that read, in order. The batch is empty then.
+        """Carry out the requests, and empty the batch. A batch that is too long for a frame goes in several.
 
-        Those that are too many for a frame go in several, and a mistake is found when its frame has its turn.
-        Raises ServerError, ConnectionError.
+        Returns:
+            The answers to those that read, in order.
+
+        Raises:
+            ServerError: A request is wrong, or has failed; those of earlier frames were carried out.
+            ConnectionError: The server is gone.
+            ValueError: This batch belongs to no connection.
         """
         entries, reads = bytes(self._entries), list(self._reads)
         self._entries.clear()
         self._reads.clear()
         if self._client is None:
             raise ValueError("this batch belongs to no connection: client.batch() makes one that does.")
-        most, answers = MOST_BODY // ENTRY.size * ENTRY.size, b""
-        for k in range(0, len(entries), most):
+        size, content = MAX_BODY // ENTRY.size * ENTRY.size, b""
+        for k in range(0, len(entries), size):
             try:
-                answers += self._client.ask(BATCH, entries[k : k + most])
+                content += self._client.request(BATCH, entries[k : k + size])
             except ServerError as error:
-                error.answers = (*_answers(answers), *error.answers)
+                error.answers = (*_unpack_answers(content), *error.answers)
                 raise
-        every = _answers(answers)
-        return [every[k] for k in reads]
+        answers = _unpack_answers(content)
+        return [answers[k] for k in reads]
 
 
-def _answers(content: bytes) -> tuple[int, ...]:
+def _unpack_answers(content: bytes) -> tuple[int, ...]:
     return struct.unpack(f"<{len(content) // ANSWER.size}q", content)
 
 
 class Client(_Requests[None, int]):
-    """A connection; use `connect`. `about`: what the server says of its board, a dict."""
+    """A connection; use `connect`.
 
-    def __init__(self, wire: socket.socket, look: bool = False):
+    Attributes:
+        about: Description of the server's board.
+    """
+
+    def __init__(self, wire: socket.socket, observe: bool = False):
         self._wire, self._number = wire, 0
         self._hooks: dict[int, Callable[[], None] | None] = {}
         self._failed: BaseException | None = None
         wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        reply = self.ask(HELLO, GREETING.pack(MAGIC, VERSION, LOOK if look else DRIVE))
+        reply = self.request(HELLO, GREETING.pack(MAGIC, VERSION, OBSERVE if observe else DRIVE))
         self.about: dict[str, Any] = json.loads(reply[WORD.size :])
 
     # --- bus and time ---
 
     def batch(self) -> Batch:
-        """Requests for one frame."""
+        """Return an empty batch of this connection."""
         return Batch(self)
 
     def _write(self, what: int, a: int, b: int = 0) -> None:
@@ -229,7 +266,7 @@ class Client(_Requests[None, int]):
         return self.batch().add(what, a, b, times, every, mask).run()[0]
 
     def line(self) -> bool:
-        """Whether the interrupt line is asserted; the look takes a bus cycle."""
+        """Read whether the interrupt line is asserted, which takes a bus cycle."""
         return bool(super().line())
 
     def until_line(self, us: int) -> bool:
@@ -237,72 +274,89 @@ class Client(_Requests[None, int]):
         return bool(super().until_line(us))
 
     def on_interrupt(self, hook: Callable[[], None] | None) -> None:
-        """Call `hook` while the interrupt line is asserted: after a bus cycle, or within a delay at that ns. None: nobody."""
+        """Call a function while the interrupt line is asserted: after a bus cycle, or within a delay at that ns. None: nobody."""
         self._hooks[THE_LINE] = hook
-        self.ask(HOOK, WORD.pack(hook is not None))
+        self.request(HOOK, WORD.pack(hook is not None))
 
     def on_timer(self, period_us: float, hook: Callable[[], None] | None, *, n: int = 0, level: int = 1) -> None:
-        """Call `hook` every `period_us`, at that ns; n: which of 4 timers; None, or a period of 0: it is off."""
+        """Call a function periodically, at that ns.
+
+        Args:
+            period_us: Period, us; 0: the timer is off.
+            hook: The function; None: the timer is off.
+            n: Number of the timer, 0 to 3.
+            level: Level of its interrupt, 1 to 15.
+
+        Raises:
+            ValueError: There is no such timer.
+        """
         period = round(period_us * 1000) if hook is not None else 0
         self._hooks[FIRST_TIMER + n] = hook
         try:
-            self.ask(TIMER, TIMING.pack(n, level, period))
+            self.request(TIMER, TIMING.pack(n, level, period))
         except struct.error:
             raise ValueError(f"n={n!r} level={level!r} period_us={period_us!r}: no such timer.") from None
 
     def log(self, text: str) -> None:
-        """A line for the server's log."""
-        self.ask(LOG, text.encode())
+        """Add a line to the server's log."""
+        self.request(LOG, text.encode())
 
     # --- the machine; no time passes ---
 
     def reset(self) -> None:
-        """A pulse on the reset pin of every chip."""
-        self.ask(RESET)
+        """Pulse the reset pin of every chip."""
+        self.request(RESET)
 
     def snapshot(self, name: str) -> None:
         """Keep the state under this name, on the server."""
-        self.ask(SNAPSHOT, name.encode())
+        self.request(SNAPSHOT, name.encode())
 
     def restore(self, name: str = "start") -> None:
         """Go on from the state that has this name; "start" is that with which the server began."""
-        self.ask(RESTORE, name.encode())
+        self.request(RESTORE, name.encode())
 
     def status(self) -> Status:
-        now, cycles, line = STANDING.unpack(self.ask(STATUS))
+        """Read time, bus cycles and the interrupt line."""
+        now, cycles, line = STATUS_REPLY.unpack(self.request(STATUS))
         return Status(now * 1e-9, cycles, bool(line))
 
     def positions(self) -> dict[str, Place]:
-        """Of each axis by its name."""
-        places = PLACE.iter_unpack(self.ask(POSITIONS))
+        """Read the place of each axis, by its name."""
+        places = PLACE.iter_unpack(self.request(POSITIONS))
         return {axis: Place(*place) for axis, place in zip(self.about["axes"], places, strict=True)}
 
     def pin(self, name: str) -> bool:
-        """A pin of a chip ("x.irq"), or a switch ("x.switches.org"): whether it is asserted."""
-        return bool(ANSWER.unpack(self.ask(PIN, name.encode()))[0])
+        """Read whether a pin of a chip ("x.irq") or a switch ("x.switches.org") is asserted."""
+        return bool(ANSWER.unpack(self.request(PIN, name.encode()))[0])
 
     def stick(self, name: str, asserted: bool | None) -> None:
-        """Hold a switch ("x.el_plus") asserted (True) or released (False) from now on; None mends it."""
-        self.ask(STICK, WORD.pack(MENDED if asserted is None else int(asserted)) + name.encode())
+        """Let a switch ("x.el_plus") stick asserted (True) or released (False) from now on; None clears the fault."""
+        self.request(STICK, WORD.pack(CLEARED if asserted is None else int(asserted)) + name.encode())
 
     # --- the wire ---
 
-    def ask(self, kind: int, body: bytes = b"") -> bytes:
-        """One frame, and the body of its reply.
+    def request(self, kind: int, body: bytes = b"") -> bytes:
+        """Send a frame, and return the body of its reply.
 
-        Raises ServerError; ConnectionError when the server is gone, or this connection closed; ValueError for a body that no frame
-        holds.
+        Args:
+            kind: HELLO, BATCH, ...
+            body: Its body.
+
+        Raises:
+            ServerError: The server refuses it.
+            ConnectionError: The server is gone, or this connection closed.
+            ValueError: The body is too long for a frame.
         """
-        if len(body) > MOST_BODY:
-            raise ValueError(f"a frame of {len(body):,} bytes; there are up to {MOST_BODY:,}.")
+        if len(body) > MAX_BODY:
+            raise ValueError(f"a frame of {len(body):,} bytes; there are up to {MAX_BODY:,}.")
         self._number = number = (self._number + 1) & 0xFFFFFFFF
         self._send(HEAD.pack(len(body), kind, number) + body)
         while True:
-            length, said, _ = HEAD.unpack(self._receive(HEAD.size))
+            length, answered, _ = HEAD.unpack(self._receive(HEAD.size))
             reply = self._receive(length)
-            if said == INTERRUPT:
-                self._interrupted(WORD.unpack(reply)[0])
-            elif said == ERROR:
+            if answered == INTERRUPT:
+                self._call_hook(WORD.unpack(reply)[0])
+            elif answered == ERROR:
                 failed, self._failed = self._failed, None
                 if failed is not None:
                     raise failed
@@ -312,16 +366,16 @@ class Client(_Requests[None, int]):
             else:
                 return reply
 
-    def _interrupted(self, source: int) -> None:
-        said = b""
+    def _call_hook(self, source: int) -> None:
+        message = b""
         try:
             if (hook := self._hooks.get(source)) is not None:
                 hook()
         except ConnectionError:
             raise
         except BaseException as error:  # goes on where the interrupted request was made
-            self._failed, said = error, f"{type(error).__name__}: {error}".encode()
-        self._send(HEAD.pack(len(said), RETURN, 0) + said)
+            self._failed, message = error, f"{type(error).__name__}: {error}".encode()
+        self._send(HEAD.pack(len(message), RETURN, 0) + message)
 
     def _send(self, content: bytes) -> None:
         try:
@@ -329,9 +383,9 @@ class Client(_Requests[None, int]):
         except TimeoutError:
             raise
         except OSError:
-            raise self._gone() from None
+            raise self._make_error() from None
 
-    def _gone(self) -> ConnectionError:
+    def _make_error(self) -> ConnectionError:
         who = "this connection is closed" if self._wire.fileno() < 0 else "the server has closed the connection"
         return ConnectionError(f"{who}. Make another one: connect().")
 
@@ -345,11 +399,12 @@ class Client(_Requests[None, int]):
             except OSError:
                 more = b""
             if not more:
-                raise self._gone()
+                raise self._make_error()
             content += more
         return bytes(content)
 
     def close(self) -> None:
+        """Close the connection."""
         self._wire.close()
 
     def __enter__(self) -> Client:

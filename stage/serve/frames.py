@@ -1,6 +1,6 @@
-"""The table of frames, for the page and for whoever writes a client: `python -m stage.serve.frames` prints it.
+"""The table of frames, for docs/serve.md and for authors of clients: `python -m stage.serve.frames` prints it.
 
-The numbers and the sizes stand in client.py.
+The numbers and the sizes are in client.py.
 """
 
 from __future__ import annotations
@@ -11,18 +11,27 @@ from stage.serve import client
 
 
 class Frame(NamedTuple):
-    """kind: its number; asks, answers: the bodies of request and reply; looks: a connection that only looks may send it."""
+    """A kind of frame.
+
+    Attributes:
+        kind: Its number.
+        name: Its name.
+        body: Body of the request.
+        reply: Body of the reply.
+        effect: What it does.
+        observes: Whether a connection that only observes may send it.
+    """
 
     kind: int
     name: str
-    asks: str
-    answers: str
-    does: str
-    looks: bool = False
+    body: str
+    reply: str
+    effect: str
+    observes: bool = False
 
 
 FRAMES = (
-    Frame(client.HELLO, "HELLO", "`PULSESTG`, u32 version, u32 role (0 drive, 1 look)", "u32 version, JSON text",
+    Frame(client.HELLO, "HELLO", "`PULSESTG`, u32 version, u32 role (0 drive, 1 observe)", "u32 version, JSON text",
           "first of each connection; the text tells of axes, chips and ports", True),
     Frame(client.BATCH, "BATCH", "entries of 32 bytes, see below", "i64 of each entry", "bus cycles and time, in order"),
     Frame(client.LOG, "LOG", "text", "", "a line for the log"),
@@ -36,7 +45,7 @@ FRAMES = (
           "where the carriages are; takes no time", True),
     Frame(client.PIN, "PIN", "name: `x.pout`, `x.switches.org`", "i64", "a chip's pin or a switch, 1 asserted; takes no time",
           True),
-    Frame(client.STICK, "STICK", "u32 (0 released, 1 asserted, 2 mended), name: `x.org`", "", "a switch that sticks"),
+    Frame(client.STICK, "STICK", "u32 (0 released, 1 asserted, 2 cleared), name: `x.org`", "", "a switch that sticks"),
     Frame(client.TIMER, "TIMER", "u32 which (0 to 3), u32 level (1 to 15), i64 period (ns)", "",
           "INTERRUPT frames come every period, for the first time that long from now; 0: no more"),
     Frame(client.INTERRUPT, "INTERRUPT", "u32 (0 the interrupt line, 1 to 4 timer 0 to 3)", "",
@@ -62,17 +71,17 @@ ENTRIES = (
     (client.UNTIL_LINE, "UNTIL_LINE", "us", "", "until the interrupt line is asserted, `us` at most; the answer is 1 if it is, "
      "else 0"),
 )  # fmt: skip
-"""Of a BATCH: (what, name, a, b, what it does)."""
+"""Entries of a BATCH: (what, name, a, b, what it does)."""
 
 
 def table() -> str:
-    """Both tables, as docs/serve.md has them."""
+    """Return both tables, as docs/serve.md has them."""
     lines = ["| kind | name | body of the request | body of the reply | |", "|---|---|---|---|---|"]
     for f in FRAMES:
-        does = f.does + (" (also for who looks)" if f.looks else "")
-        lines.append(f"| {f.kind} | {f.name} | {f.asks} | {f.answers} | {does} |")
+        effect = f.effect + (" (also for observers)" if f.observes else "")
+        lines.append(f"| {f.kind} | {f.name} | {f.body} | {f.reply} | {effect} |")
     lines += ["", "| what | name | a | b | |", "|---|---|---|---|---|"]
-    lines += [f"| {what} | {name} | {a} | {b} | {does} |" for what, name, a, b, does in ENTRIES]
+    lines += [f"| {what} | {name} | {a} | {b} | {effect} |" for what, name, a, b, effect in ENTRIES]
     return "\n".join(lines) + "\n"
 
 

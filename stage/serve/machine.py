@@ -1,4 +1,4 @@
-"""What the frames of a host do to a board. Knows no sockets."""
+"""`Machine`: carries out the frames of a host on a board, without sockets."""
 
 from __future__ import annotations
 
@@ -19,33 +19,44 @@ from stage.serve import client
 from stage.serve.frames import ENTRIES
 
 START = "start"
-MOST_SNAPSHOTS, LONGEST_NAME, LONGEST_LINE = 100, 100, 1 << 16
-MOST_ENTRIES = client.MOST_BODY // client.ENTRY.size
+MAX_SNAPSHOTS, MAX_NAME_BYTES, MAX_LINE_BYTES = 100, 100, 1 << 16
+MAX_ENTRIES = client.MAX_BODY // client.ENTRY.size
 
 
 class BatchError(StageError):
-    """A batch that could not be done to the end. `answers`: of the entries that were, i64 each."""
+    """A batch that could not be carried out to the end.
+
+    Attributes:
+        answers: Answers to the entries that were carried out, i64 each.
+    """
 
     def __init__(self, text: str, answers: bytes):
         super().__init__(text)
         self.answers = answers
 
 
-class _Room:
-    """For the entries and answers of a batch of up to `n`. bytes: the entries as they come; asked, answered: addresses."""
+class _Buffers:
+    """Buffers for the entries and answers of a batch of up to `n`."""
 
     def __init__(self, n: int):
         self.entries, self.answers = np.zeros(n, ENTRY), np.zeros(n, np.int64)
         self.bytes = self.entries.view(np.uint8).data
-        self.asked, self.answered = self.entries.ctypes.data, self.answers.ctypes.data
+        self.entries_at, self.answers_at = self.entries.ctypes.data, self.answers.ctypes.data
 
 
 class Machine:
-    """A board and the states of it that have names.
+    """A board and its named snapshots.
 
-    keep: lines of the log that are kept. pause: called now and then within a long batch; what it raises ends the batch. hook:
-    called while the interrupt line is asserted, and for timers, if the host wants it; with what INTERRUPT says. told: gets each
-    line that the host logs.
+    Args:
+        board: The board.
+        keep: Lines of the log that are kept.
+        pause: Function that is called periodically within a long batch; an error of it ends the batch.
+        hook: Function that is called while the interrupt line is asserted, and by timers, if the host has set them; with the number
+            that INTERRUPT has.
+        report: Function that gets each line that the host logs: seconds, text.
+
+    Attributes:
+        handlers: Functions that carry out frames, by kind: body -> body of the reply.
     """
 
     def __init__(
@@ -55,14 +66,13 @@ class Machine:
         keep: int = 1_000_000,
         pause: Callable[[], None] = lambda: None,
         hook: Callable[[int], None] = lambda source: None,
-        told: Callable[[float, str], None] = lambda seconds, text: None,
+        report: Callable[[float, str], None] = lambda seconds, text: None,
     ):
-        self.board, self._keep, self._pause, self._hook, self._told = board, keep, pause, hook, told
-        self._room, self._in_batch = _Room(MOST_ENTRIES), False
+        self.board, self._keep, self._pause, self._hook, self._report = board, keep, pause, hook, report
+        self._buffers, self._in_batch = _Buffers(MAX_ENTRIES), False
         self._timers: dict[int, bytes] = {}
-        self._states: dict[str, Any] = {}
-        self._keep_state(START)
-        self.does: dict[int, Callable[[bytes], bytes]] = {
+        self._snapshots: dict[str, Any] = {START: board.stage.snapshot()}
+        self.handlers: dict[int, Callable[[bytes], bytes]] = {
             client.BATCH: self._batch, client.LOG: self._log, client.HOOK: self._hook_on, client.RESET: self._reset,
             client.SNAPSHOT: self._snapshot, client.RESTORE: self._restore, client.STATUS: self._status,
             client.POSITIONS: self._positions, client.PIN: self._pin, client.STICK: self._stick,
@@ -70,7 +80,7 @@ class Machine:
         }  # fmt: skip
 
     def about(self) -> bytes:
-        """What a host is told of the board, JSON."""
+        """Describe the board to a host, in JSON."""
         board = self.board
         chips = [
             {"chip": type(p.chip).__name__, "axes": board.name_of(p.index), "port": p.first, "layout": p.layout.name}
@@ -78,21 +88,16 @@ class Machine:
         ]
         axes = {name: axis.unit for name, axis in board.stage.axes.items()}
         devices = [{"device": device.name, "ports": list(device.ports)} for device in board.devices]
-        about = {
-            "pulsestage": __version__,
-            "axes": axes,
-            "chips": chips,
-            "devices": devices,
-            "bus_cycle_ns": round(board.stage.bus_cycle * 1e9),
-        }
+        bus_ns = round(board.stage.bus_cycle * 1e9)
+        about = {"pulsestage": __version__, "axes": axes, "chips": chips, "devices": devices, "bus_cycle_ns": bus_ns}
         return json.dumps(about).encode()
 
-    def fresh(self) -> None:
-        """Back to the state of the start."""
+    def reset_to_start(self) -> None:
+        """Restore the state of the start."""
         self._restore(START.encode())
 
-    def let_go(self) -> None:
-        """The host is gone: nobody is called by the interrupt line or a timer."""
+    def remove_hooks(self) -> None:
+        """Remove the interrupt hook and the timers of a host that is gone."""
         self.board.on_interrupt(None)
         self._timers.clear()
         for n in range(client.TIMERS):
@@ -104,31 +109,31 @@ class Machine:
         n, rest = divmod(len(body), client.ENTRY.size)
         if rest:
             raise ArgumentError(f"BATCH: {len(body)} bytes; an entry has {client.ENTRY.size}.")
-        room = _Room(n) if self._in_batch else self._room  # the outer batch is not done yet
-        room.bytes[: len(body)] = body
-        wrong = first_wrong.with_gil(room.asked, n)
+        buffers = _Buffers(n) if self._in_batch else self._buffers  # the outer batch is not done yet
+        buffers.bytes[: len(body)] = body
+        wrong = first_wrong.with_gil(buffers.entries_at, n)
         if wrong < n:
             raise ArgumentError(
-                f"BATCH, entry {wrong}: {_in_words(room.entries[wrong])}. Nothing of this batch was done."
+                f"BATCH, entry {wrong}: {_describe_wrong(buffers.entries[wrong])}. Nothing of this batch was done."
             )
         link, before = self.board.link, (self._in_batch, self.board.link.pause)
-        self._in_batch, link.pause = True, self._stand_still
+        self._in_batch, link.pause = True, self._pause_batch
         try:
             link.begin()
-            done = run_batch.c(link.pointer, room.asked, n, room.answered, n)
+            done = run_batch.c(link.pointer, buffers.entries_at, n, buffers.answers_at, n)
             link.end()
         finally:
             self._in_batch, link.pause = before
         try:
             link.raise_error()
         except Exception as error:
-            raise BatchError(said(error), room.answers[: max(done, 0)].tobytes()) from error
+            raise BatchError(describe_error(error), buffers.answers[: max(done, 0)].tobytes()) from error
         if done < n:
             raise StageError("this board is in use by another thread: a bus has one host at a time.")
-        return room.answers[:n].tobytes()
+        return buffers.answers[:n].tobytes()
 
-    def _stand_still(self) -> None:
-        """Called by compiled code."""
+    def _pause_batch(self) -> None:
+        """Pause a batch; compiled code calls it."""
         link = self.board.link
         if not link.record["stopped"]:
             try:
@@ -138,17 +143,17 @@ class Machine:
         go_on.c(link.pointer)
 
     def _log(self, body: bytes) -> bytes:
-        if len(body) > LONGEST_LINE:
-            raise ArgumentError(f"LOG: {len(body):,} bytes; a line has up to {LONGEST_LINE:,}.")
+        if len(body) > MAX_LINE_BYTES:
+            raise ArgumentError(f"LOG: {len(body):,} bytes; a line has up to {MAX_LINE_BYTES:,}.")
         log = self.board.log
-        self.board.note(_printable(body.decode(errors="replace")))
-        self._told(*log[-1])
+        self.board.note(_make_printable(body.decode(errors="replace")))
+        self._report(*log[-1])
         if len(log) > self._keep + self._keep // 4:
             del log[: len(log) - self._keep]
         return b""
 
     def _hook_on(self, body: bytes) -> bytes:
-        on = _word("HOOK", body, (0, 1))
+        on = _parse_word("HOOK", body, (0, 1))
         self.board.on_interrupt(partial(self._hook, client.THE_LINE) if on else None)
         return b""
 
@@ -163,65 +168,59 @@ class Machine:
         return b""
 
     def _reset(self, body: bytes) -> bytes:
-        _empty("RESET", body)
+        _check_empty("RESET", body)
         for chip in self.board.stage.chips:
             chip.reset()
         return b""
 
     def _snapshot(self, body: bytes) -> bytes:
-        name = _text("SNAPSHOT", body)
+        name = _parse_text("SNAPSHOT", body)
         if name == START:
             raise ArgumentError(f"SNAPSHOT: {START!r} is the state with which the server began; choose another name.")
-        if name not in self._states and len(self._states) > MOST_SNAPSHOTS:
-            raise ArgumentError(f"SNAPSHOT: {MOST_SNAPSHOTS} are kept; use one of these names again.")
-        self._keep_state(name)
+        if name not in self._snapshots and len(self._snapshots) > MAX_SNAPSHOTS:
+            raise ArgumentError(f"SNAPSHOT: {MAX_SNAPSHOTS} are kept; use one of these names again.")
+        self._snapshots[name] = self.board.stage.snapshot()
         return b""
 
-    def _keep_state(self, name: str) -> None:
-        self._states[name] = self.board.stage.snapshot()
-
     def _restore(self, body: bytes) -> bytes:
-        name, board = _text("RESTORE", body), self.board
-        if name not in self._states:
-            raise unknown("snapshot", name, self._states)
+        name, board = _parse_text("RESTORE", body), self.board
+        if name not in self._snapshots:
+            raise unknown("snapshot", name, self._snapshots)
         if board.link.record["serving"]:
             raise StageError("RESTORE: not from within an interrupt hook.")
-        board.stage.restore(self._states[name])
+        board.stage.restore(self._snapshots[name])
         board.port_table["read_line"] = 0  # a read from now on is a line of its own in the trace
         for timer in list(self._timers.values()):  # they begin anew
             self._timer(timer)
         return b""
 
     def _status(self, body: bytes) -> bytes:
-        _empty("STATUS", body)
+        _check_empty("STATUS", body)
         board = self.board
-        return client.STANDING.pack(board.stage.now, board.cycles, board.interrupt)
+        return client.STATUS_REPLY.pack(board.stage.now, board.cycles, board.interrupt)
 
     def _positions(self, body: bytes) -> bytes:
-        _empty("POSITIONS", body)
+        _check_empty("POSITIONS", body)
         axes = self.board.stage.axes.values()
         return b"".join(client.PLACE.pack(a.position, a.commanded, a.lost_steps) for a in axes)
 
     def _pin(self, body: bytes) -> bytes:
-        text = _text("PIN", body)
-        axis, name, of_switches = _split_place(text)
-        pins: Any = self._axis(axis).pins
+        axis_name, name, of_switches = _split_place(_parse_text("PIN", body))
+        axis = self._axis(axis_name)
         if of_switches:
-            found = self._axis(axis).switches
-            found.row(name)  # says which there are
-            return client.ANSWER.pack(getattr(found, name))
-        both = {**getattr(self._axis(axis).chip, "pins", pins).as_dict(), **pins.as_dict()}
-        if name not in both:
+            axis.switches.row(name)  # raises for an unknown one
+            return client.ANSWER.pack(getattr(axis.switches, name))
+        pins: dict[str, bool] = {**getattr(axis.chip, "pins", axis.pins).as_dict(), **axis.pins.as_dict()}
+        if name not in pins:
             raise unknown(
-                f"pin of axis {axis}", name, (*both, *(f"switches.{s}" for s in self._axis(axis).switches.as_dict()))
+                f"pin of axis {axis_name}", name, (*pins, *(f"switches.{s}" for s in axis.switches.as_dict()))
             )
-        return client.ANSWER.pack(both[name])
+        return client.ANSWER.pack(pins[name])
 
     def _stick(self, body: bytes) -> bytes:
-        how = _word("STICK", body[: client.WORD.size], (client.RELEASED, client.ASSERTED, client.MENDED))
-        axis, name, _ = _split_place(_text("STICK", body[client.WORD.size :]))
-        switches = self._axis(axis).switches
-        switches.stick(name, None if how == client.MENDED else how == client.ASSERTED)
+        state = _parse_word("STICK", body[: client.WORD.size], (client.RELEASED, client.ASSERTED, client.CLEARED))
+        axis, name, _ = _split_place(_parse_text("STICK", body[client.WORD.size :]))
+        self._axis(axis).switches.stick(name, None if state == client.CLEARED else state == client.ASSERTED)
         return b""
 
     def _axis(self, name: str) -> Any:
@@ -238,12 +237,13 @@ def _split_place(text: str) -> tuple[str, str, bool]:
     return axis.removesuffix(".switches") if of_switches else axis, name, of_switches
 
 
-def said(error: BaseException) -> str:
-    """An error in words for a host."""
+def describe_error(error: BaseException) -> str:
+    """Describe an error to a host."""
     return str(error) if isinstance(error, StageError | HostError) else f"{type(error).__name__}: {error}"
 
 
-def _in_words(entry: Any) -> str:
+def _describe_wrong(entry: Any) -> str:
+    """Say what is wrong with an entry of a batch."""
     what = int(entry["what"])
     names = {number: name for number, name, *_ in ENTRIES}
     if what not in names:
@@ -260,31 +260,31 @@ def _in_words(entry: Any) -> str:
     return f"{name} {a:03X}h <- {b}; the value does not fit the cycle"
 
 
-def _word(frame: str, body: bytes, known: tuple[int, ...]) -> int:
+def _parse_word(frame: str, body: bytes, known: tuple[int, ...]) -> int:
     try:
         value = client.WORD.unpack(body)[0]
     except struct.error:
         value = None
     if value not in known:
-        given = "no u32" if value is None else value
-        raise ArgumentError(f"{frame}: {given}; it takes one of {', '.join(map(str, known))}.")
+        text = "no u32" if value is None else value
+        raise ArgumentError(f"{frame}: {text}; it takes one of {', '.join(map(str, known))}.")
     return value
 
 
-def _text(frame: str, body: bytes) -> str:
-    if not 0 < len(body) <= LONGEST_NAME:
-        raise ArgumentError(f"{frame}: a name of {len(body):,} bytes; it has 1 to {LONGEST_NAME}.")
+def _parse_text(frame: str, body: bytes) -> str:
+    if not 0 < len(body) <= MAX_NAME_BYTES:
+        raise ArgumentError(f"{frame}: a name of {len(body):,} bytes; it has 1 to {MAX_NAME_BYTES}.")
     try:
         return body.decode()
     except UnicodeDecodeError:
         raise ArgumentError(f"{frame}: a name that is no UTF-8.") from None
 
 
-def _printable(line: str) -> str:
-    """One line without what would control the terminal of whoever reads it; a tab stays."""
+def _make_printable(line: str) -> str:
+    """Escape characters that would control the terminal of a reader; a tab stays."""
     return "".join(c if c.isprintable() or c == "\t" else ascii(c)[1:-1] for c in line.rstrip("\r\n"))
 
 
-def _empty(frame: str, body: bytes) -> None:
+def _check_empty(frame: str, body: bytes) -> None:
     if body:
         raise ArgumentError(f"{frame}: {len(body):,} bytes; it has no body.")

@@ -1,12 +1,11 @@
-"""`Server`: connections and frames. One thread, one selector; what a frame does is in machine.py.
+"""`Server`: connections and frames, by one thread and one selector; machine.py carries the frames out.
 
     server = Server(board, port=0)
     print(server.address)
     server.run()                          until server.stop(), from another thread or a signal handler
 
-One host drives, others may look. A host that is gone leaves the stage as it stands. Whatever bytes come: those that are no frame
-end their connection, and nothing else.
-"""
+One host drives, others may observe. A host that is gone leaves the stage as it is. Bytes that are no frame end their
+connection, and nothing else."""
 
 from __future__ import annotations
 
@@ -21,68 +20,94 @@ from stage.board import Board
 from stage.errors import ArgumentError, StageError
 from stage.serve import client
 from stage.serve.frames import FRAMES
-from stage.serve.machine import BatchError, Machine, said
+from stage.serve.machine import BatchError, Machine, describe_error
 
-MOST_HOSTS, MOST_CONNECTIONS = 16, 64
-"""That were greeted; that are open."""
-PATIENCE = 10.0
-"""s of real time in which a connection has to say hello, and a frame that has begun to arrive has to be whole."""
-AT_A_TIME = 1 << 18
-MOST_WAITING = client.MOST_BODY + client.HEAD.size + AT_A_TIME
-"""Bytes of a connection that wait for being handled, or for being taken by the host: with more, nothing is read from it."""
+MAX_HOSTS, MAX_CONNECTIONS = 16, 64
+"""Connections that were greeted; that are open."""
+PATIENCE_S = 10.0
+"""Real time in which a connection has to say hello, and a frame that has begun to arrive has to be complete."""
+READ_SIZE = 1 << 18
+MAX_WAITING = client.MAX_BODY + client.HEAD.size + READ_SIZE
+"""Bytes of a connection that wait to be handled, or to be taken by the host: with more, nothing is read from it."""
 _NAMES = {frame.kind: frame.name for frame in FRAMES}
-_LOOKS = frozenset(frame.kind for frame in FRAMES if frame.looks)
+_FOR_OBSERVERS = frozenset(frame.kind for frame in FRAMES if frame.observes)
 
 
-class _Gone(StageError):
-    """Nobody waits for the rest of what is being done."""
+class _GoneError(StageError):
+    """The host, for which a frame is carried out, or the server is gone."""
 
 
 class _Connection:
-    """role: DRIVE or LOOK, None before HELLO. since: from when a frame is waited for, or None. closing: after what is to be
-    sent."""
+    """A connection.
+
+    Attributes:
+        role: DRIVE or OBSERVE, None before HELLO.
+        received, outgoing: Bytes that are still to be handled, and to be sent.
+        since: Time since which a frame is awaited, or None.
+        closing: It is closed after its outgoing bytes were sent.
+        gone: The other end is closed.
+    """
 
     def __init__(self, wire: socket.socket, name: str):
         self.wire, self.name = wire, name
         self.role: int | None = None
-        self.came, self.goes = bytearray(), bytearray()
+        self.received, self.outgoing = bytearray(), bytearray()
         self.since: float | None = time.monotonic()
         self.closing = self.gone = False
 
-    def frame(self) -> tuple[int, int, bytes] | None:
-        """The next frame, if it is here as a whole: kind, number, body."""
-        if len(self.came) < client.HEAD.size:
+    def take_frame(self) -> tuple[int, int, bytes] | None:
+        """Return the next frame, if it is complete: kind, number, body."""
+        if len(self.received) < client.HEAD.size:
             return None
-        length, kind, number = client.HEAD.unpack_from(self.came)
-        if length > client.MOST_BODY:
+        length, kind, number = client.HEAD.unpack_from(self.received)
+        if length > client.MAX_BODY:
             raise ArgumentError(
-                f"a frame of {length:,} bytes; there are up to {client.MOST_BODY:,}. Is this host's protocol another?"
+                f"a frame of {length:,} bytes; there are up to {client.MAX_BODY:,}. Is this host's protocol another?"
             )
         end = client.HEAD.size + length
-        if len(self.came) < end:
+        if len(self.received) < end:
             return None
-        body = bytes(self.came[client.HEAD.size : end])
-        del self.came[:end]
-        self.since = time.monotonic() if self.came else None
+        body = bytes(self.received[client.HEAD.size : end])
+        del self.received[:end]
+        self.since = time.monotonic() if self.received else None
         return kind, number, body
 
-    def waits(self) -> bool:
-        """Part of a frame has come, or no hello."""
-        return self.role is None or len(self.came) > 0
+    def has_frame(self) -> bool:
+        """Tell whether the next frame is complete, or is known to be none."""
+        if len(self.received) < client.HEAD.size:
+            return False
+        length = client.HEAD.unpack_from(self.received)[0]
+        return length > client.MAX_BODY or len(self.received) >= client.HEAD.size + length
+
+    def is_awaited(self) -> bool:
+        """Tell whether part of a frame has come, or no hello."""
+        return self.role is None or len(self.received) > 0
+
+    def is_late(self) -> bool:
+        """Tell whether the patience with it is over."""
+        return self.since is not None and time.monotonic() - self.since > PATIENCE_S
 
 
 class Server:
     """A board behind a socket that listens.
 
     Args:
-        board: a Board; nobody else drives it while `run` runs.
-        bind, port: where it listens; port 0 is one that is free. address: (host, port) that came of it.
-        fresh: each host finds the state that the board has now; otherwise that in which the last one left it.
-        keep: lines of the log that are kept.
-        told: gets lines for a terminal: who comes and goes, what a host logs.
-        before_each: is called before each request of the host that drives, and now and then within a batch; it may wait.
+        board: A Board; nobody else drives it while `run` runs.
+        bind: Address at which it listens.
+        port: TCP port; 0 is one that is free.
+        fresh: Whether each host gets the state that the board has now; otherwise that in which the last one left it.
+        keep: Lines of the log that are kept.
+        report: Function that gets lines for a terminal: hosts that come and go, lines that they log.
+        before_each: Function that is called before each request of the host that drives, and periodically within a batch; it may
+            wait.
+
+    Attributes:
+        address: Host and port at which it listens.
+        machine: The Machine that carries frames out.
+
     Raises:
-        StageError: nothing can listen there.
+        ArgumentError: There is no such port.
+        StageError: Nothing can listen there.
     """
 
     def __init__(
@@ -93,151 +118,132 @@ class Server:
         *,
         fresh: bool = False,
         keep: int = 1_000_000,
-        told: Callable[[str], None] = lambda line: None,
+        report: Callable[[str], None] = lambda line: None,
         before_each: Callable[[], None] = lambda: None,
     ):
-        self._fresh, self._told, self._before_each = fresh, told, before_each
+        self._fresh, self._report, self._before_each = fresh, report, before_each
         self.machine = Machine(
-            board,
-            keep=keep,
-            pause=self._pause,
-            hook=self._hook,
-            told=lambda seconds, text: told(f"{seconds:12.6f}  {text}"),
-        )
+            board, keep=keep, pause=self._pause, hook=self._call_hook,
+            report=lambda seconds, text: report(f"{seconds:12.6f}  {text}"),
+        )  # fmt: skip
         self._driver: _Connection | None = None
-        self._busy = self._called = self._returned = False
-        self._stopping = False
+        self._busy = self._in_hook = self._returned = self._stopping = False
         self._failed_hook = ""
         if not 0 <= port < 1 << 16:
             raise ArgumentError(f"port={port!r}: a TCP port is 0 (one that is free) to 65535.")
-        family = socket.AF_INET6 if ":" in bind else socket.AF_INET
-        self._listener = socket.socket(family, socket.SOCK_STREAM)
-        try:
-            self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._listener.bind((bind, port))
-            self._listener.listen()
-        except OSError as error:
-            self._listener.close()
-            if error.errno in (errno.EADDRINUSE, errno.EACCES):
-                hint = "Is another server running? Choose another port (--listen), or 0 for one that is free."
-            else:
-                hint = "--bind takes an address of this machine, for example 127.0.0.1, or 0.0.0.0 for all of them."
-            raise StageError(f"nothing can listen on {bind}, port {port}: {error.strerror or error}. {hint}") from None
+        self._listener = _listen(bind, port)
         self.address: tuple[str, int] = self._listener.getsockname()[:2]
-        self._wake, self._woken = socket.socketpair()
-        for end in (self._wake, self._woken, self._listener):
+        self._notifier, self._notified = socket.socketpair()
+        for end in (self._notifier, self._notified, self._listener):
             end.setblocking(False)
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
-        self._selector.register(self._woken, selectors.EVENT_READ)
+        self._selector.register(self._notified, selectors.EVENT_READ)
 
     def run(self) -> None:
-        """Serve until `stop`. All connections are closed then, and nothing listens any more."""
+        """Serve until `stop`, and close all connections then."""
         try:
             while not self._stopping:
-                self._turn(self._patience())
+                self._handle_events(self._find_wait())
         finally:
             for connection in list(self._connections()):
                 self._close(connection)
             self._selector.close()
-            for end in (self._listener, self._wake, self._woken):
+            for end in (self._listener, self._notifier, self._notified):
                 end.close()
 
     def stop(self) -> None:
-        """`run` returns soon; a batch that is being done ends where it is. For other threads and signal handlers."""
+        """Let `run` return soon; a batch that is being carried out ends where it is. For other threads and signal handlers."""
         self._stopping = True
-        with suppress(OSError):  # has ended already, or was told already
-            self._wake.send(b"!")
+        with suppress(OSError):  # it has ended already
+            self._notifier.send(b"!")
 
-    # --- turns ---
+    # --- events ---
 
     def _connections(self) -> Iterator[_Connection]:
         return (key.data for key in self._selector.get_map().values() if key.data is not None)
 
-    def _turn(self, seconds: float | None) -> None:
-        """Wait for whatever comes first, `seconds` at most (None: for ever), and do it."""
+    def _handle_events(self, seconds: float | None) -> None:
+        """Wait for the next events, `seconds` at most (None: for ever), and handle them."""
         for key, events in self._selector.select(seconds):
             connection: _Connection | None = key.data
             if key.fileobj is self._listener:
                 self._accept()
             elif connection is None:
                 with suppress(OSError):
-                    self._woken.recv(4096)
+                    self._notified.recv(4096)
             else:
-                if events & selectors.EVENT_READ and len(connection.came) < MOST_WAITING:
+                if events & selectors.EVENT_READ and len(connection.received) < MAX_WAITING:
                     self._receive(connection)
                 if events & selectors.EVENT_WRITE:
                     self._send(connection)
         for connection in list(self._connections()):
-            self._next_frame(connection)
-            self._tidy(connection)
+            self._handle_frame(connection)
+            self._update(connection)
 
-    def _may(self, connection: _Connection) -> bool:
-        """Whether a frame of this connection may be handled now."""
-        return len(connection.goes) < MOST_WAITING and not (
-            self._busy and not self._called and connection is self._driver
-        )
+    def _is_ready(self, connection: _Connection) -> bool:
+        """Tell whether a frame of this connection may be handled now."""
+        in_request = self._busy and not self._in_hook and connection is self._driver
+        return len(connection.outgoing) < MAX_WAITING and not in_request
 
-    def _patience(self) -> float | None:
-        """s until something is to be done even if nothing comes."""
-        wait: float | None = None
+    def _find_wait(self) -> float | None:
+        """Return the seconds after which something is to be done even if nothing comes; None: there is nothing to do."""
+        waits = []
         for connection in self._connections():
-            if self._may(connection) and not connection.closing and _whole(connection):
+            if self._is_ready(connection) and not connection.closing and connection.has_frame():
                 return 0.0
             if connection.since is not None:
-                left = max(connection.since + PATIENCE - time.monotonic(), 0.0)
-                wait = left if wait is None else min(wait, left)
-        return wait
+                waits.append(max(connection.since + PATIENCE_S - time.monotonic(), 0.0))
+        return min(waits, default=None)
 
     def _accept(self) -> None:
-        with suppress(OSError):  # who knocked is gone already
+        with suppress(OSError):  # the other end is gone already
             wire, address = self._listener.accept()
             wire.setblocking(False)
             wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             wire.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             connection = _Connection(wire, f"{address[0]}:{address[1]}")
-            if sum(1 for _ in self._connections()) >= MOST_CONNECTIONS:
+            if sum(1 for _ in self._connections()) >= MAX_CONNECTIONS:
                 wire.close()
                 return
             self._selector.register(wire, selectors.EVENT_READ, connection)
 
     def _receive(self, connection: _Connection) -> None:
         try:
-            more = connection.wire.recv(AT_A_TIME)
+            more = connection.wire.recv(READ_SIZE)
         except BlockingIOError:
             return
         except OSError:
             more = b""
         connection.gone = not more
-        connection.came += more
+        connection.received += more
         if connection.since is None:
             connection.since = time.monotonic()
 
     def _send(self, connection: _Connection) -> None:
         try:
-            while connection.goes:
-                sent = connection.wire.send(connection.goes)
-                del connection.goes[:sent]
+            while connection.outgoing:
+                sent = connection.wire.send(connection.outgoing)
+                del connection.outgoing[:sent]
         except BlockingIOError:
             pass
         except OSError:
             connection.gone = True
 
-    def _tidy(self, connection: _Connection) -> None:
-        """Close it, or wait for what it may do next."""
-        late = connection.since is not None and time.monotonic() - connection.since > PATIENCE
-        if late and not connection.closing and connection.waits() and not _whole(connection):
-            self._refuse(connection, f"no whole frame in {PATIENCE:g} s.")
+    def _update(self, connection: _Connection) -> None:
+        """Close a connection, or choose the events that are awaited of it."""
+        late = connection.is_late()
+        if late and not connection.closing and connection.is_awaited() and not connection.has_frame():
+            self._refuse(connection, f"no whole frame in {PATIENCE_S:g} s.")
             self._send(connection)
-        if connection.gone or (connection.closing and (late or not connection.goes)):
+        if connection.gone or (connection.closing and (late or not connection.outgoing)):
             self._close(connection)
             return
-        if connection.since is not None and not connection.waits():
+        if connection.since is not None and not connection.is_awaited():
             connection.since = None
-        read = len(connection.came) < MOST_WAITING and not connection.closing
-        events = (selectors.EVENT_READ if read else 0) | (selectors.EVENT_WRITE if connection.goes else 0)
-        key = self._selector.get_key(connection.wire)
-        if events and events != key.events:
+        reads = len(connection.received) < MAX_WAITING and not connection.closing
+        events = (selectors.EVENT_READ if reads else 0) | (selectors.EVENT_WRITE if connection.outgoing else 0)
+        if events and events != self._selector.get_key(connection.wire).events:
             self._selector.modify(connection.wire, events, connection)
 
     def _close(self, connection: _Connection) -> None:
@@ -246,28 +252,29 @@ class Server:
         connection.wire.close()
         connection.gone = True
         if connection is self._driver and not self._busy:
-            self._let_go()
+            self._release_driver()
 
-    def _let_go(self) -> None:
-        """The host that drove is gone."""
+    def _release_driver(self) -> None:
+        """Let another host drive: the one that drove is gone."""
         connection, self._driver = self._driver, None
         if connection is not None:
-            self.machine.let_go()
-            self._told(f"{connection.name} drives no more, at {self.machine.board.stage.time:.6f} s")
+            self.machine.remove_hooks()
+            self._report(f"{connection.name} drives no more, at {self.machine.board.stage.time:.6f} s")
 
     # --- frames ---
 
-    def _next_frame(self, connection: _Connection) -> None:
-        if connection.gone or connection.closing or not self._may(connection):
+    def _handle_frame(self, connection: _Connection) -> None:
+        """Handle the next frame of a connection, if it is complete and may be."""
+        if connection.gone or connection.closing or not self._is_ready(connection):
             return
         try:
-            frame = connection.frame()
+            frame = connection.take_frame()
         except ArgumentError as error:
             self._refuse(connection, str(error))
             frame = None
         if frame is not None:
             self._handle(connection, *frame)
-        if connection.goes:
+        if connection.outgoing:
             self._send(connection)
 
     def _handle(self, connection: _Connection, kind: int, number: int, body: bytes) -> None:
@@ -275,124 +282,129 @@ class Server:
             self._greet(connection, kind, number, body)
             return
         if kind == client.RETURN:
-            self._hook_returns(connection, body)
+            self._end_hook(connection, body)
             return
         try:
-            if kind not in self.machine.does:
-                known = ", ".join(f"{k} {_NAMES[k]}" for k in self.machine.does)
+            if kind not in self.machine.handlers:
+                known = ", ".join(f"{k} {_NAMES[k]}" for k in self.machine.handlers)
                 raise ArgumentError(
                     f"{_NAMES.get(kind, 'there is no frame')} {kind}: a host that was greeted sends {known}."
                 )
-            if connection.role != client.DRIVE and kind not in _LOOKS:
-                raise StageError(f"{_NAMES[kind]}: this connection only looks; connect with role 0 to drive.")
-            reply = self._do(connection, kind, body)
+            if connection.role != client.DRIVE and kind not in _FOR_OBSERVERS:
+                raise StageError(f"{_NAMES[kind]}: this connection only observes; connect with role 0 to drive.")
+            reply = self._carry_out(connection, kind, body)
         except BatchError as error:
             done = len(error.answers) // client.ANSWER.size
             self._put(connection, client.ERROR, number, client.WORD.pack(done) + error.answers + str(error).encode())
         except Exception as error:
-            self._put(connection, client.ERROR, number, client.WORD.pack(0) + said(error).encode())
+            self._put(connection, client.ERROR, number, client.WORD.pack(0) + describe_error(error).encode())
         else:
             self._put(connection, kind, number, reply)
 
-    def _do(self, connection: _Connection, kind: int, body: bytes) -> bytes:
+    def _carry_out(self, connection: _Connection, kind: int, body: bytes) -> bytes:
         if connection is not self._driver:
-            return self.machine.does[kind](body)
-        before = self._busy, self._called
-        self._busy, self._called = True, False
+            return self.machine.handlers[kind](body)
+        before = self._busy, self._in_hook
+        self._busy, self._in_hook = True, False
         try:
             self._before_each()
-            return self.machine.does[kind](body)
+            return self.machine.handlers[kind](body)
         finally:
-            self._busy, self._called = before
+            self._busy, self._in_hook = before
             if connection.gone and not self._busy:
-                self._let_go()
+                self._release_driver()
 
     def _greet(self, connection: _Connection, kind: int, number: int, body: bytes) -> None:
         if kind != client.HELLO or len(body) != client.GREETING.size or not body.startswith(client.MAGIC):
             self._refuse(connection, "the first frame has to be HELLO, see docs/serve.md.", number)
             return
         _, version, role = client.GREETING.unpack(body)
+        greeted = sum(1 for other in self._connections() if other.role is not None)
         if version != client.VERSION:
-            self._refuse(
-                connection,
-                f"the host speaks version {version} of the frames, and this server version {client.VERSION}.",
-                number,
-            )
-        elif role not in (client.DRIVE, client.LOOK):
-            self._refuse(connection, f"role {role}: 0 drives, 1 looks.", number)
-        elif sum(1 for other in self._connections() if other.role is not None) >= MOST_HOSTS:
-            self._refuse(connection, f"{MOST_HOSTS} hosts are connected, and no more can be.", number)
+            why = f"the host speaks version {version} of the frames, and this server version {client.VERSION}."
+        elif role not in (client.DRIVE, client.OBSERVE):
+            why = f"role {role}: 0 drives, 1 observes."
+        elif greeted >= MAX_HOSTS:
+            why = f"{MAX_HOSTS} hosts are connected, and no more can be."
         elif role == client.DRIVE and self._driver is not None:
-            self._refuse(
-                connection,
-                f"{self._driver.name} drives this stage, one host at a time. Wait until it is gone, or look.",
-                number,
-            )
+            why = f"{self._driver.name} drives this stage, one host at a time. Wait until it is gone, or observe."
         else:
             self._admit(connection, role, number)
+            return
+        self._refuse(connection, why, number)
 
     def _admit(self, connection: _Connection, role: int, number: int) -> None:
         if role == client.DRIVE:
             if self._fresh:
                 try:
-                    self.machine.fresh()
+                    self.machine.reset_to_start()
                 except StageError as error:
                     self._refuse(connection, str(error), number)
                     return
             self._driver = connection
-            self._told(f"{connection.name} drives, at {self.machine.board.stage.time:.6f} s")
+            self._report(f"{connection.name} drives, at {self.machine.board.stage.time:.6f} s")
         connection.role = role
         self._put(connection, client.HELLO, number, client.WORD.pack(client.VERSION) + self.machine.about())
 
     def _put(self, connection: _Connection, kind: int, number: int, body: bytes) -> None:
-        connection.goes += client.HEAD.pack(len(body), kind, number) + body
+        connection.outgoing += client.HEAD.pack(len(body), kind, number) + body
 
     def _refuse(self, connection: _Connection, text: str, number: int = 0) -> None:
-        """Say why, and close it."""
+        """Send an error, and close the connection."""
         self._put(connection, client.ERROR, number, client.WORD.pack(0) + text.encode())
         connection.closing, connection.since = True, time.monotonic()
 
-    # --- while a frame of the driver is being done ---
+    # --- while a frame of the driver is being carried out ---
 
     def _pause(self) -> None:
-        """Now and then within a batch."""
-        self._turn(0.0)
-        self._check()
+        """Handle events within a batch."""
+        self._handle_events(0.0)
+        self._check_wanted()
         self._before_each()
 
-    def _check(self) -> None:
+    def _check_wanted(self) -> None:
+        """Raise _GoneError if nobody waits for the rest of the frame."""
         if self._stopping:
-            raise _Gone("the server ends.")
+            raise _GoneError("the server ends.")
         if self._driver is None or self._driver.gone:
-            raise _Gone("the host is gone.")
+            raise _GoneError("the host is gone.")
 
-    def _hook(self, source: int) -> None:
-        """The interrupt line is asserted, or a timer is due: the host's hook is called, and makes bus cycles."""
+    def _call_hook(self, source: int) -> None:
+        """Call the host's hook for the interrupt line or a timer, and serve until it has returned; it may make bus cycles."""
         driver = self._driver
         if driver is None:
             return
         self._put(driver, client.INTERRUPT, 0, client.WORD.pack(source))
         self._send(driver)
-        self._called, self._returned, self._failed_hook = True, False, ""
+        self._in_hook, self._returned, self._failed_hook = True, False, ""
         try:
             while not self._returned:
-                self._turn(self._patience())
-                self._check()
+                self._handle_events(self._find_wait())
+                self._check_wanted()
         finally:
-            self._called = False
+            self._in_hook = False
         if self._failed_hook:
             raise StageError(f"the interrupt hook of the host failed: {self._failed_hook}")
 
-    def _hook_returns(self, connection: _Connection, body: bytes) -> None:
-        if connection is not self._driver or not self._called:
+    def _end_hook(self, connection: _Connection, body: bytes) -> None:
+        if connection is not self._driver or not self._in_hook:
             self._put(connection, client.ERROR, 0, client.WORD.pack(0) + b"RETURN: no hook was called.")
             return
         self._returned, self._failed_hook = True, body[:1000].decode(errors="replace")
 
 
-def _whole(connection: _Connection) -> bool:
-    """Whether the next frame is here, or that it is none can be seen."""
-    if len(connection.came) < client.HEAD.size:
-        return False
-    length = client.HEAD.unpack_from(connection.came)[0]
-    return length > client.MOST_BODY or len(connection.came) >= client.HEAD.size + length
+def _listen(bind: str, port: int) -> socket.socket:
+    """Return a socket that listens. Raises StageError."""
+    listener = socket.socket(socket.AF_INET6 if ":" in bind else socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((bind, port))
+        listener.listen()
+    except OSError as error:
+        listener.close()
+        if error.errno in (errno.EADDRINUSE, errno.EACCES):
+            hint = "Is another server running? Choose another port (--listen), or 0 for one that is free."
+        else:
+            hint = "--bind takes an address of this machine, for example 127.0.0.1, or 0.0.0.0 for all of them."
+        raise StageError(f"nothing can listen on {bind}, port {port}: {error.strerror or error}. {hint}") from None
+    return listener

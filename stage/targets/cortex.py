@@ -268,7 +268,7 @@ class Cortex(Engine):
         """Hand the state of the interrupt controller to compiled code."""
         t = self.record
         t.alarm = self.nvic.alarm() * UNITS
-        t.line, t.own_waits = self.nvic.line_may_come(), self.nvic.waiting()
+        t.line, t.device_waits = self.nvic.line_may_come(), self.nvic.waiting()
         t.due = t.cycles
 
     def _read_private(self, _uc: Any, offset: int, size: int, _user: Any) -> int:

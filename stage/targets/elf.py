@@ -167,8 +167,8 @@ class Elf:
         if section is None or section["sh_type"] != "SHT_ARM_ATTRIBUTES":
             return {}
         public = (sub for sub in section.iter_subsections() if sub.header["vendor_name"] == "aeabi")
-        whole = (part for sub in public for part in sub.iter_subsubsections() if part.header.tag == "TAG_FILE")
-        return {attribute.tag: attribute.value for part in whole for attribute in part.iter_attributes()}
+        parts = (part for sub in public for part in sub.iter_subsubsections() if part.header.tag == "TAG_FILE")
+        return {attribute.tag: attribute.value for part in parts for attribute in part.iter_attributes()}
 
     def _read_device_name(self) -> str:
         """Read the name that avr-gcc has written; "" if it has not."""
@@ -223,8 +223,8 @@ def avr_name(elf: Elf) -> str:
 
 def read_mmcu(elf: Elf) -> dict[int, bytes]:
     """Read what AVR_MCU(...) of simavr's header has put into the section .mmcu, by its tags."""
-    kept = [s.content for s in elf.segments if 0x910000 <= s.used_at < 0x920000]
-    content = elf.section(".mmcu") or (kept[0] if kept else b"")
+    contents = [s.content for s in elf.segments if 0x910000 <= s.used_at < 0x920000]
+    content = elf.section(".mmcu") or (contents[0] if contents else b"")
     tags: dict[int, bytes] = {}
     at = 0
     while at + 2 <= len(content) and content[at]:

@@ -23,7 +23,7 @@ _ERROR = "E14"
 _REPLIES = {"vCont?": "vCont;c;C;s;S", "qAttached": "1", "qC": "QC1", "qfThreadInfo": "m1", "qsThreadInfo": "l"}
 
 
-class Registers:
+class DebugRegisters:
     """The registers of a processor as GDB sees them.
 
     Args:
@@ -73,19 +73,19 @@ class Registers:
             self._cpu.set(**{self._names[n]: value})
 
 
-def cortex_registers(cpu: Any) -> Registers:
+def cortex_registers(cpu: Any) -> DebugRegisters:
     """Return the registers of a Cortex-M."""
     names = [*(f"r{n}" for n in range(13)), "sp", "lr", "pc", "xpsr"]
-    return Registers(cpu, "arm", "org.gnu.gdb.arm.m-profile", names, {"sp": "data_ptr", "pc": "code_ptr"}, "pc")
+    return DebugRegisters(cpu, "arm", "org.gnu.gdb.arm.m-profile", names, {"sp": "data_ptr", "pc": "code_ptr"}, "pc")
 
 
-def pc_registers(cpu: Any) -> Registers:
+def pc_registers(cpu: Any) -> DebugRegisters:
     """Return the registers of an 8086. eip is the linear address, 16 * cs + ip, as the memory's addresses are."""
     floats = tuple((f"st{n}", 80, "i387_ext") for n in range(8))
     controls = tuple((f"f{name}", 32, "int") for name in "ctrl stat tag iseg ioff oseg ooff op".split())
     names = "eax ecx edx ebx esp ebp esi edi eip eflags cs ss ds es fs gs".split()
     kinds = {"eip": "code_ptr", "esp": "data_ptr"}
-    return Registers(cpu, "i8086", "org.gnu.gdb.i386.core", names, kinds, "eip", "int", floats + controls)
+    return DebugRegisters(cpu, "i8086", "org.gnu.gdb.i386.core", names, kinds, "eip", "int", floats + controls)
 
 
 class DebugServer:
@@ -101,7 +101,7 @@ class DebugServer:
         steps: It goes on for one instruction.
     """
 
-    def __init__(self, engine: Any, registers: Registers, port: int):
+    def __init__(self, engine: Any, registers: DebugRegisters, port: int):
         self._engine, self._registers, self._port = engine, registers, port
         self._socket: socket.socket | None = None
         self._received = b""

@@ -34,7 +34,7 @@ class Nvic:
         self._pending: set[int] = set()
         self._active: list[int] = []
         self._priority: dict[int, int] = {}
-        self._control, self._reload, self._begun, self._flagged = 0, 0, 0, 0
+        self._control, self._reload, self._started, self._flagged = 0, 0, 0, 0
         self._other: dict[int, int] = {}
 
     # --- exceptions ---
@@ -92,7 +92,7 @@ class Nvic:
         """Return the cycle of the next interrupt of SysTick."""
         if not self.ticks():
             return NEVER
-        return self._begun + ((self._now() - self._begun) // (self._reload + 1) + 1) * (self._reload + 1)
+        return self._started + ((self._now() - self._started) // (self._reload + 1) + 1) * (self._reload + 1)
 
     def tick(self) -> None:
         """Pend SysTick: its counter has reached zero."""
@@ -102,13 +102,13 @@ class Nvic:
     def _value(self) -> int:
         if not self._control & 1:
             return 0
-        return self._reload - (self._now() - self._begun) % (self._reload + 1)
+        return self._reload - (self._now() - self._started) % (self._reload + 1)
 
     def _flag(self) -> int:
         """Read COUNTFLAG: the counter has reached zero since the last read."""
         if not self._control & 1 or not self._reload:
             return 0
-        rounds = (self._now() - self._begun) // (self._reload + 1)
+        rounds = (self._now() - self._started) // (self._reload + 1)
         set_, self._flagged = rounds > self._flagged, rounds
         return int(set_) << 16
 
@@ -183,6 +183,6 @@ class Nvic:
             self._reload = value & 0xFFFFFF
             return
         if at == _VALUE or (value & 1 and not self._control & 1):
-            self._begun, self._flagged = self._now(), 0
+            self._started, self._flagged = self._now(), 0
         if at == _CONTROL:
             self._control = value & 7

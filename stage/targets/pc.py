@@ -36,7 +36,7 @@ TICK_AT = 0x10
 SOURCES = (".asm", ".c", ".cc", ".cpp", ".cxx", ".h", ".ino", ".rs", ".s")
 """A .COM begins with its first instruction, so that any file could be one: its name has to tell."""
 LOAD = 0x1000  # segment of the program's prefix
-OWN_PORTS = 0x100  # ports below are the PC's own
+INTERNAL_PORTS = 0x100  # ports below are the PC's own
 NOBODY = 0xFF
 MAX_COM_SIZE = 0xFE00
 _PORT_FUNCTION = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
@@ -90,7 +90,7 @@ class Pc(Engine):
         self._load(program.path)
         self.dos = dos.Dos(self)
         self.uc.hook_add(unicorn.UC_HOOK_INTR, self._interrupt)
-        self.hook_ports(_PORT_FUNCTION(self._access_own_port), OWN_PORTS)
+        self.hook_ports(_PORT_FUNCTION(self._access_internal_port), INTERNAL_PORTS)
         self._call: int | None = None
         if program.gdb:
             self.gdb = DebugServer(self, pc_registers(self), program.gdb)
@@ -219,7 +219,7 @@ class Pc(Engine):
     def _serve_line(self) -> None:
         t = self.record
         if not self.get("eflags") & _IF:
-            t.own_waits = self._tick_pending
+            t.device_waits = self._tick_pending
             return
         if self._tick_pending and not self._masked & 1 and not self._in_service & 1:
             self._tick_pending = 0
@@ -229,7 +229,7 @@ class Pc(Engine):
             t.raised = 0
             self._in_service |= 1 << self._irq
             self._enter(8 + self._irq)
-        t.own_waits = self._tick_pending if not self._masked & 1 and not self._in_service else 0
+        t.device_waits = self._tick_pending if not self._masked & 1 and not self._in_service else 0
         self._set_line()
 
     def _set_line(self) -> None:
@@ -241,7 +241,7 @@ class Pc(Engine):
 
     def _tick(self) -> None:
         """Note that channel 0 has reached zero."""
-        self._tick_pending = self.record.own_waits = 1
+        self._tick_pending = self.record.device_waits = 1
         self.watch_timer()
 
     def watch_timer(self) -> None:
@@ -253,17 +253,17 @@ class Pc(Engine):
 
     # --- ports of the PC ---
 
-    def _access_own_port(self, own: int, port: int, size: int, value: int) -> int:
-        """Make a cycle at a port below OWN_PORTS. own: see MACHINE; value: -1 for IN."""
+    def _access_internal_port(self, own: int, port: int, size: int, value: int) -> int:
+        """Make a cycle at a port below INTERNAL_PORTS. own: see MACHINE; value: -1 for IN."""
         try:
             on_board = port in self._board.ports
             if size > 1 and not on_board:
                 low, high = (value & 0xFF, value >> 8) if value >= 0 else (-1, -1)
-                answer = self._access_own_port(own, port, 1, low)
-                return answer | self._access_own_port(own, port + 1, 1, high) << 8
+                answer = self._access_internal_port(own, port, 1, low)
+                return answer | self._access_internal_port(own, port + 1, 1, high) << 8
             if on_board or not (port in (0x20, 0x21, 0x61) or 0x40 <= port <= 0x43):
                 return self._on_board(port, size, value)
-            return self._write_own(port, value) if value >= 0 else self._read_own(port)
+            return self._write_internal_port(port, value) if value >= 0 else self._read_internal_port(port)
         except Exception as error:  # it would be lost in C
             self.fail(str(error))
             return NOBODY
@@ -275,12 +275,12 @@ class Pc(Engine):
         self.record.due = self.record.cycles
         return int(link.request(link.pointer, what, port, max(value, 0)))
 
-    def _read_own(self, port: int) -> int:
+    def _read_internal_port(self, port: int) -> int:
         if port in (0x20, 0x21):
             return self._masked if port == 0x21 else 0
         return self.timers.read(port)
 
-    def _write_own(self, port: int, value: int) -> int:
+    def _write_internal_port(self, port: int, value: int) -> int:
         if port not in (0x20, 0x21):
             self.timers.write(port, value)
             self.watch_timer()
@@ -291,6 +291,6 @@ class Pc(Engine):
             self._in_service &= self._in_service - 1
         elif value >= 0x60:
             self._in_service &= ~(1 << (value & 7))
-        self.record.own_waits = self._tick_pending if not self._masked & 1 and not self._in_service & 1 else 0
+        self.record.device_waits = self._tick_pending if not self._masked & 1 and not self._in_service & 1 else 0
         self._set_line()
         return 0

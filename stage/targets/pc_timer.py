@@ -18,7 +18,7 @@ class Channel:
     Attributes:
         mode, access: As its control word says.
         reload: 1 to 65536.
-        begun: When it was loaded, in clocks of the timer.
+        started: When it was loaded, in clocks of the timer.
         low: The low byte that was written first of two.
         latched: The latched count, or -1.
         half: The byte that comes next of two.
@@ -27,14 +27,14 @@ class Channel:
     mode: int = _SQUARE
     access: int = 3
     reload: int = FULL
-    begun: int = 0
+    started: int = 0
     low: int = 0
     latched: int = -1
     half: int = 0
 
     def count(self, now: int) -> int:
         """Return what is read at a time."""
-        passed = now - self.begun
+        passed = now - self.started
         if self.mode in (2, 6):
             return (self.reload - passed % self.reload) & 0xFFFF
         if self.mode in (3, 7):
@@ -43,7 +43,7 @@ class Channel:
 
     def output(self, now: int) -> bool:
         """Return the level of its pin at a time."""
-        passed = now - self.begun
+        passed = now - self.started
         if self.mode in (3, 7):
             return passed % self.reload < (self.reload + 1) // 2
         return passed % self.reload != self.reload - 1 if self.mode in (2, 6) else passed >= self.reload
@@ -64,7 +64,7 @@ class Timers:
     def next_tick(self) -> int:
         """Return when channel 0 reaches zero next, in clocks of the timer."""
         c = self.channels[0]
-        return c.begun + ((self._now() - c.begun) // c.reload + 1) * c.reload
+        return c.started + ((self._now() - c.started) // c.reload + 1) * c.reload
 
     def read(self, port: int) -> int:
         """Read a byte of a counter; port 61h: bit 5 is channel 2's output, bit 4 toggles with the refresh."""
@@ -89,7 +89,7 @@ class Timers:
         now = self._now()
         if port == 0x61:
             if value & 1 and not self._gate & 1:
-                self.channels[2].begun = now
+                self.channels[2].started = now
             self._gate = value & 3
         elif port == 0x43:
             if value >> 6 < 3:
@@ -104,4 +104,4 @@ class Timers:
                 c.low, c.half = value, 1
                 return
             reload = {1: value, 2: value << 8, 3: value << 8 | c.low}[c.access]
-            c.reload, c.begun, c.half = reload or FULL, now, 0
+            c.reload, c.started, c.half = reload or FULL, now, 0

@@ -27,8 +27,8 @@ _request = called("i8", "i8", "i4", "i8", "i8")
 MACHINE = record(
     PROCESSOR_FIELDS
     + [(name, "i8") for name in "own uc stop reg_read flags flags_at mask on".split()]
-    + [(name, "i8") for name in "cycles each byte quantum due alarm edge raised own_waits before".split()]
-    + [(name, "i8") for name in "windows n_windows outside own_port n_own_ports".split()]
+    + [(name, "i8") for name in "cycles each byte quantum due alarm edge raised device_waits before".split()]
+    + [(name, "i8") for name in "windows n_windows outside internal_port n_internal_ports".split()]
 )
 """own, uc               its own address; Unicorn's handle
     stop, reg_read        addresses of uc_emu_stop, uc_reg_read
@@ -37,16 +37,16 @@ MACHINE = record(
     cycles, each, byte    cycles so far; of each instruction, and of each of its bytes
     quantum, due, alarm   cycles between two polls of the line; when the next is; when Python is to be called
     edge, before, raised  whether an edge of the line counts, not its level; the level before; it has been asserted
-    own_waits             an interrupt of the processor's own devices waits
+    device_waits             an interrupt of the processor's own devices waits
     windows, n_windows    WINDOWs of the board
     outside               an address that no window has, plus one
-    own_port, n_own_ports the function for ports below that number: (t, port, size, value or -1) -> value
+    internal_port, n_internal_ports the function for ports below that number: (t, port, size, value or -1) -> value
 """
 WINDOW = record([(name, "i8") for name in "address port length".split()])
 PAGE = record([("machine", "i8"), ("address", "i8")])
 """A page of memory that holds windows, at this address."""
 _stop, _reg_read = called("i4", "i8"), called("i4", "i8", "i4", "i8")
-_own_port = called("i8", "i8", "i8", "i8", "i8")
+_internal_port = called("i8", "i8", "i8", "i8", "i8")
 
 
 @hot
@@ -68,7 +68,7 @@ def poll(t):
     if t.cycles >= t.alarm:
         t.due = t.cycles + t.quantum
         return 1
-    return 1 if ((t.raised and t.line) or t.own_waits) and _has_interrupts_on(t) else 0
+    return 1 if ((t.raised and t.line) or t.device_waits) and _has_interrupts_on(t) else 0
 
 
 @exported("i8", MACHINE)
@@ -107,8 +107,8 @@ def _out(t, size, port, value):
 @exported("i4", "i8", "i4", "i4", MACHINE)
 def port_in(_uc, port, size, t):
     """Execute IN."""
-    if port < t.n_own_ports:
-        return _own_port(t.own_port, (t.own, port, size, -1))
+    if port < t.n_internal_ports:
+        return _internal_port(t.internal_port, (t.own, port, size, -1))
     value = _in(t, size, port)
     t.due = t.cycles  # the line may have changed
     return value
@@ -117,8 +117,8 @@ def port_in(_uc, port, size, t):
 @exported(None, "i8", "i4", "i4", "i4", MACHINE)
 def port_out(_uc, port, size, value, t):
     """Execute OUT."""
-    if port < t.n_own_ports:
-        _own_port(t.own_port, (t.own, port, size, value & (0xFF if size == 1 else 0xFFFF)))
+    if port < t.n_internal_ports:
+        _internal_port(t.internal_port, (t.own, port, size, value & (0xFF if size == 1 else 0xFFFF)))
         return
     _out(t, size, port, value & 0xFFFFFFFF)
     t.due = t.cycles

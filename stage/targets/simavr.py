@@ -50,7 +50,7 @@ _WORDS = (
     ("WATCHDOG: timer fired", "the watchdog has come: nobody reset it in time"),
     ("sadly_crashed", "the program counter has left the code"),
 )
-NO_WAKE = "it sleeps for ever: no interrupt is enabled that could wake it"
+SLEEPS_FOR_EVER = "it sleeps for ever: no interrupt is enabled that could wake it"
 _COLOR = re.compile(r"\x1b\[[0-9;]*m")
 _PC = re.compile(r"PC=([0-9a-f]{4,})|\*\*\* ([0-9a-f]{4,}):")
 _LOGGER = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_void_p)
@@ -301,7 +301,7 @@ class LoadedAvr:
         avr_core.run.c(t.own)
         library.runs = None
         if t.asleep == avr_core.NOTHING_WAKES:
-            library.messages.append((_ERROR, NO_WAKE))
+            library.messages.append((_ERROR, SLEEPS_FOR_EVER))
         elif t.ended and not any(key in text for _, text in library.messages for key in _ENDS):
             return int(np.int64(t.code).astype(np.int16))
         raise HostError(self._explain_end())

@@ -148,7 +148,7 @@ class Engine:
     def hook_ports(self, function: Any, below: int) -> None:
         """Let IN and OUT reach the board; for ports below that number a function of ctypes is called."""
         self._functions.append(function)
-        self.record.own_port, self.record.n_own_ports = _address(function), below
+        self.record.internal_port, self.record.n_internal_ports = _address(function), below
         self.hook(_INSN, processor_core.port_in.pointer, _IN)
         self.hook(_INSN, processor_core.port_out.pointer, _OUT)
 

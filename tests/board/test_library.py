@@ -193,9 +193,7 @@ def test_a_source_as_the_output_stays_and_is_told(tmp_path, output):
 
 
 pytestmark = pytest.mark.skipif(platform.system() != "Linux", reason="of ELF")
-OURS = {"x86-64": 62, "aarch64": 183}.get(
-    library.MACHINE_NAMES.get(platform.machine(), platform.machine()), 0
-)
+OURS = {"x86-64": 62, "aarch64": 183}.get(library.MACHINE_NAMES.get(platform.machine(), platform.machine()), 0)
 SHARED = 3
 
 

@@ -144,7 +144,7 @@ def test_bytes_of_chance_and_halves_of_frames_end_their_connection_only(served, 
             frame = rng.randbytes(rng.randrange(1, 200)) if rng.random() < 0.5 else good(rng)[: -rng.randrange(1, 12)]
             length = HEAD.unpack(frame[: HEAD.size])[0] if len(frame) >= HEAD.size else 0
             opened.sendall(frame)
-            if length > client.MOST_BODY:
+            if length > client.MAX_BODY:
                 kind, body = reply(opened)
                 assert (kind, body[4:][:11]) == (client.ERROR, b"a frame of "), n
                 assert reply(opened) == (client.ERROR, b"")
@@ -166,7 +166,7 @@ def test_who_speaks_something_else_is_told_and_sent_away(served, text):
 
 
 def test_who_sends_a_byte_now_and_then_is_sent_away(board, monkeypatch):
-    monkeypatch.setattr(server, "PATIENCE", 0.1)
+    monkeypatch.setattr(server, "PATIENCE_S", 0.1)
     with serving(board) as served:
         for greet, text in ((False, b""), (False, GREETING[:20]), (True, b"\x10")):
             with wire(served, greet) as opened:
@@ -207,6 +207,6 @@ def test_a_host_that_takes_no_answers_fills_no_memory(served):
         with pytest.raises(TimeoutError):
             opened.sendall(frame * 100)
         connection = served.server._driver
-        assert len(connection.goes) < 2 * server.MOST_WAITING
-        assert len(connection.came) < 2 * server.MOST_WAITING
+        assert len(connection.outgoing) < 2 * server.MAX_WAITING
+        assert len(connection.received) < 2 * server.MAX_WAITING
     serves(served)

@@ -101,7 +101,7 @@ def test_only_a_whole_greeting_is_one(served):
             opened.sendall(HEAD.pack(3, client.RETURN, 0) + b"no!")
             kind, body = reply(opened)
             assert (kind, body[4:]) == (client.ERROR, b"RETURN: no hook was called.")
-        with served.host(look=True) as other:
+        with served.host(observe=True) as other:
             with pytest.raises(ServerError, match="drives this stage, one host at a time"):
                 served.host()
             assert other.status().cycles == 0
@@ -114,7 +114,7 @@ def test_only_a_whole_greeting_is_one(served):
 
 
 def test_who_comes_to_a_full_house_is_closed_at_once(board, monkeypatch):
-    monkeypatch.setattr(server, "MOST_CONNECTIONS", 2)
+    monkeypatch.setattr(server, "MAX_CONNECTIONS", 2)
     with (
         serving(board) as served,
         wire(served) as _,
@@ -132,7 +132,7 @@ def test_with_fresh_a_recording_keeps_hosts_that_drive_away(board):
             board.stage.run(0.001)
             with pytest.raises(ServerError, match="runs forward only"):
                 served.host()
-            with served.host(look=True) as looks:
+            with served.host(observe=True) as looks:
                 assert looks.status().seconds > 0
         with served.host() as host:
             assert host.status().seconds < 1e-3

@@ -281,7 +281,7 @@ def test_timers_tick_over_tcp_at_the_nanosecond_they_tick_at_in_process(served, 
             ((0, 1, -1), "a period of -1 ns"),
         ):
             with pytest.raises(client.ServerError, match=said):
-                host.ask(client.TIMER, client.TIMING.pack(*wrong))
+                host.request(client.TIMER, client.TIMING.pack(*wrong))
         with pytest.raises(client.ServerError, match="SPEND -1 ns; there are 0 to 1e18 ns"):
             host.spend_ns(-1)
         host.on_timer(1000, lambda: seen.append(0), n=1)

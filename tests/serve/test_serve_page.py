@@ -23,13 +23,13 @@ def test_every_frame_and_entry_is_in_the_table(served):
     from stage.serve import client
 
     kinds = {frame.kind for frame in frames.FRAMES}
-    assert kinds - set(served.server.machine.does) == {client.HELLO, client.RETURN, client.INTERRUPT, client.ERROR}
-    assert set(served.server.machine.does) <= kinds
+    assert kinds - set(served.server.machine.handlers) == {client.HELLO, client.RETURN, client.INTERRUPT, client.ERROR}
+    assert set(served.server.machine.handlers) <= kinds
     for frame in frames.FRAMES:
         assert getattr(client, frame.name) == frame.kind
     for what, name, *_ in frames.ENTRIES:
         assert getattr(client, name) == what
-    assert f"{client.MOST_BODY:,} bytes" in PAGE
+    assert f"{client.MAX_BODY:,} bytes" in PAGE
     assert f"{client.HEAD.size} bytes" in PAGE
     assert f"has {client.ENTRY.size} bytes" in PAGE
 

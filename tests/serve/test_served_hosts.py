@@ -47,9 +47,9 @@ def test_a_reply_has_the_number_of_its_request_and_so_has_an_error(served):
 
 
 def test_who_looks_may_send_what_the_page_says_and_nothing_else(served):
-    with served.host(look=True) as host:
+    with served.host(observe=True) as host:
         for kind, body in ((client.STATUS, b""), (client.POSITIONS, b""), (client.PIN, b"x.org")):
-            assert host.ask(kind, body)
+            assert host.request(kind, body)
         for kind in (
             client.BATCH,
             client.LOG,
@@ -60,8 +60,8 @@ def test_who_looks_may_send_what_the_page_says_and_nothing_else(served):
             client.STICK,
             client.TIMER,
         ):
-            with pytest.raises(ServerError, match=r": this connection only looks; connect with role 0 to drive\."):
-                host.ask(kind)
+            with pytest.raises(ServerError, match=r": this connection only observes; connect with role 0 to drive\."):
+                host.request(kind)
         opened = host._wire
         opened.sendall(frame(client.RETURN))
         assert head_and_body(opened)[2][4:] == b"RETURN: no hook was called."
@@ -69,7 +69,7 @@ def test_who_looks_may_send_what_the_page_says_and_nothing_else(served):
 
 def test_a_return_of_who_looks_does_not_end_the_hook_of_who_drives(served):
     """while a hook of the driver is being called, another connection says RETURN"""
-    with served.host(look=True) as looks, wire(served) as drives:
+    with served.host(observe=True) as looks, wire(served) as drives:
         drives.sendall(frame(client.TIMER, client.TIMING.pack(0, 1, 1000)))
         assert head_and_body(drives)[0] == client.TIMER
         drives.sendall(frame(client.BATCH, entries((client.DELAY, 1, 0))))
@@ -123,7 +123,7 @@ def test_who_drives_is_named_to_the_terminal_and_to_who_comes_too_late(served):
         mine = "{}:{}".format(*host._wire.getsockname())
         with pytest.raises(ServerError) as late:
             served.host()
-        assert str(late.value) == f"{mine} drives this stage, one host at a time. Wait until it is gone, or look."
+        assert str(late.value) == f"{mine} drives this stage, one host at a time. Wait until it is gone, or observe."
         host.delay_us(250_000)
         host.log("here")
     again(served).close()
@@ -138,7 +138,7 @@ def test_who_steps_the_clock_is_asked_before_each_request_and_within_a_batch(boa
     """before_each: of the driver's frames, and of a batch of 200,000 cycles now and then; not of who looks"""
     asked = []
     with serving(board, before_each=lambda: asked.append(board.cycles)) as served:
-        with served.host(look=True) as looks:
+        with served.host(observe=True) as looks:
             looks.status()
         assert asked == []
         with served.host() as host:
@@ -152,14 +152,14 @@ def test_who_steps_the_clock_is_asked_before_each_request_and_within_a_batch(boa
 
 def test_so_many_hosts_and_no_more_and_who_has_not_said_hello_is_none(board, monkeypatch):
     """two hosts may be connected; a third connection waits without a hello"""
-    monkeypatch.setattr(server, "MOST_HOSTS", 2)
-    with serving(board) as served, wire(served, greet=False), served.host(), served.host(look=True) as last:
+    monkeypatch.setattr(server, "MAX_HOSTS", 2)
+    with serving(board) as served, wire(served, greet=False), served.host(), served.host(observe=True) as last:
         with pytest.raises(ServerError, match="2 hosts are connected, and no more can be"):
-            served.host(look=True)
+            served.host(observe=True)
         last.close()
         for _ in range(200):
             try:
-                served.host(look=True).close()
+                served.host(observe=True).close()
                 return
             except ServerError:
                 time.sleep(0.005)
@@ -167,7 +167,7 @@ def test_so_many_hosts_and_no_more_and_who_has_not_said_hello_is_none(board, mon
 
 
 def test_so_many_connections_are_open_and_the_next_is_closed(board, monkeypatch):
-    monkeypatch.setattr(server, "MOST_CONNECTIONS", 2)
+    monkeypatch.setattr(server, "MAX_CONNECTIONS", 2)
     with serving(board) as served, wire(served), wire(served, greet=False) as second:
         second.sendall(GREETING[:5])
         with wire(served, greet=False) as third:
@@ -177,7 +177,7 @@ def test_so_many_connections_are_open_and_the_next_is_closed(board, monkeypatch)
 
 
 def test_a_frame_of_the_longest_is_taken_and_one_byte_more_ends_the_connection(served):
-    longest = client.MOST_BODY
+    longest = client.MAX_BODY
     with wire(served) as opened:
         opened.sendall(frame(client.LOG, b"l" * longest))
         assert b"LOG: 1,048,576 bytes" in head_and_body(opened)[2]
@@ -195,19 +195,19 @@ def test_time_is_counted_from_the_first_byte_of_the_frame_that_waits(monkeypatch
     now = [5.0]
     monkeypatch.setattr(server, "time", SimpleNamespace(monotonic=lambda: now[0]))
     connection = server._Connection(None, "who")
-    assert (connection.since, connection.waits()) == (5.0, True), "for a hello"
-    connection.role = client.LOOK
-    assert not connection.waits()
-    connection.came += frame(client.STATUS, number=1) + frame(client.PIN, b"x.org", 2)[:-1]
+    assert (connection.since, connection.is_awaited()) == (5.0, True), "for a hello"
+    connection.role = client.OBSERVE
+    assert not connection.is_awaited()
+    connection.received += frame(client.STATUS, number=1) + frame(client.PIN, b"x.org", 2)[:-1]
     now[0] = 6.0
-    assert connection.frame() == (client.STATUS, 1, b"")
-    assert (connection.since, connection.waits()) == (6.0, True)
+    assert connection.take_frame() == (client.STATUS, 1, b"")
+    assert (connection.since, connection.is_awaited()) == (6.0, True)
     now[0] = 7.0
-    assert connection.frame() is None
+    assert connection.take_frame() is None
     assert connection.since == 6.0
-    connection.came += b"g"
-    assert connection.frame() == (client.PIN, 2, b"x.org")
-    assert (connection.since, connection.waits()) == (None, False)
+    connection.received += b"g"
+    assert connection.take_frame() == (client.PIN, 2, b"x.org")
+    assert (connection.since, connection.is_awaited()) == (None, False)
 
 
 def test_versions_are_named_each_at_its_side(served):
@@ -235,7 +235,7 @@ def test_a_greeting_is_as_long_as_it_is(served):
 
 def test_when_the_server_ends_connections_are_closed_and_the_port_is_free(board):
     with serving(board) as served:
-        host, port = served.host(look=True), served.server.address[1]
+        host, port = served.host(observe=True), served.server.address[1]
     with pytest.raises(ConnectionError):
         host.status()
     host.close()

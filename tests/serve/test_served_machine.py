@@ -13,7 +13,7 @@ from stage.board import Board, HostError
 from stage.chips import HCTL1100, PCL240K
 from stage.errors import ArgumentError
 from stage.serve import client
-from stage.serve.machine import LONGEST_LINE, LONGEST_NAME, MOST_SNAPSHOTS, Machine, said
+from stage.serve.machine import MAX_LINE_BYTES, MAX_NAME_BYTES, MAX_SNAPSHOTS, Machine, describe_error
 
 PORT = 0x300
 LAST_PORT = 0xFFFFFFFF
@@ -25,11 +25,11 @@ class Frames:
     def __init__(self, board, **options):
         self.told, self.called = [], []
         self.machine = Machine(
-            board, hook=self.called.append, told=lambda seconds, text: self.told.append((seconds, text)), **options
+            board, hook=self.called.append, report=lambda seconds, text: self.told.append((seconds, text)), **options
         )
 
     def __getattr__(self, name):
-        return lambda body=b"": self.machine.does[getattr(client, name)](body)
+        return lambda body=b"": self.machine.handlers[getattr(client, name)](body)
 
     def batch(self, *entries):
         """entries: (what, a, b) or (what, a, b, times, every, mask)"""
@@ -65,10 +65,10 @@ def test_every_timer_and_the_line_are_let_go(frames):
     frames.HOOK(client.WORD.pack(1))
     frames.delay(1000)
     assert sorted(frames.called) == [1, 2, 3, 4]
-    frames.machine.let_go()
+    frames.machine.remove_hooks()
     frames.called.clear()
     frames.delay(10_000)
-    frames.machine.fresh()
+    frames.machine.reset_to_start()
     frames.delay(10_000)
     assert frames.called == []
     assert not frames.machine.board.link.hooks.functions
@@ -121,14 +121,14 @@ def test_nobody_goes_back_in_time_from_within_a_hook(board):
 
     def hook(source):
         with pytest.raises(StageError, match=r"RESTORE: not from within an interrupt hook\.") as refused:
-            machine.does[client.RESTORE](b"start")
+            machine.handlers[client.RESTORE](b"start")
         said.append(str(refused.value))
 
     machine = Machine(board, hook=hook)
-    machine.does[client.TIMER](client.TIMING.pack(0, 1, 1_000_000))
-    machine.does[client.BATCH](client.ENTRY.pack(client.DELAY, 0, 0, 0, 1500, 0))
+    machine.handlers[client.TIMER](client.TIMING.pack(0, 1, 1_000_000))
+    machine.handlers[client.BATCH](client.ENTRY.pack(client.DELAY, 0, 0, 0, 1500, 0))
     assert len(said) == 1
-    assert client.STANDING.unpack(machine.does[client.STATUS](b""))[0] == 1_500_000
+    assert client.STATUS_REPLY.unpack(machine.handlers[client.STATUS](b""))[0] == 1_500_000
 
 
 def test_the_reset_pin_is_that_of_every_chip(frames):
@@ -149,15 +149,15 @@ def test_the_reset_pin_is_that_of_every_chip(frames):
 
 
 def test_so_many_states_are_kept_beside_that_of_the_start_and_a_name_may_be_used_again(frames):
-    for k in range(MOST_SNAPSHOTS):
+    for k in range(MAX_SNAPSHOTS):
         frames.SNAPSHOT(b"%d" % k)
-    with pytest.raises(ArgumentError, match=f"{MOST_SNAPSHOTS} are kept"):
+    with pytest.raises(ArgumentError, match=f"{MAX_SNAPSHOTS} are kept"):
         frames.SNAPSHOT(b"one more")
     frames.delay(77)
     frames.SNAPSHOT(b"5")
     frames.delay(5)
     frames.RESTORE(b"5")
-    assert client.STANDING.unpack(frames.STATUS())[0] == 77_000
+    assert client.STATUS_REPLY.unpack(frames.STATUS())[0] == 77_000
 
 
 def test_a_state_is_not_changed_by_what_comes_after_it():
@@ -176,20 +176,20 @@ def test_a_state_is_not_changed_by_what_comes_after_it():
 
 
 def test_names_and_lines_have_their_longest_and_one_byte_more_is_refused(frames):
-    longest = b"n" * LONGEST_NAME
+    longest = b"n" * MAX_NAME_BYTES
     frames.SNAPSHOT(longest)
     frames.RESTORE(longest)
     for name in (b"", longest + b"n"):
         with pytest.raises(
-            ArgumentError, match=rf"SNAPSHOT: a name of {len(name)} bytes; it has 1 to {LONGEST_NAME}\."
+            ArgumentError, match=rf"SNAPSHOT: a name of {len(name)} bytes; it has 1 to {MAX_NAME_BYTES}\."
         ):
             frames.SNAPSHOT(name)
     with pytest.raises(ArgumentError, match=r"PIN: a name that is no UTF-8\."):
         frames.PIN(b"x.\xff")
-    frames.LOG(b"l" * LONGEST_LINE)
-    assert len(frames.told[-1][1]) == LONGEST_LINE
+    frames.LOG(b"l" * MAX_LINE_BYTES)
+    assert len(frames.told[-1][1]) == MAX_LINE_BYTES
     with pytest.raises(ArgumentError, match=r"LOG: 65,537 bytes; a line has up to 65,536"):
-        frames.LOG(b"l" * (LONGEST_LINE + 1))
+        frames.LOG(b"l" * (MAX_LINE_BYTES + 1))
 
 
 def test_a_line_of_the_log_is_told_with_its_time_and_the_last_are_kept(board):
@@ -259,7 +259,7 @@ def test_a_poll_looks_so_many_times_so_far_apart(frames):
     """three looks 5 us apart are 3 cycles and 2 waits; one that finds what it waits for is one cycle"""
 
     def now_and_cycles():
-        return client.STANDING.unpack(frames.STATUS())[:2]
+        return client.STATUS_REPLY.unpack(frames.STATUS())[:2]
 
     cycle = round(frames.machine.board.stage.bus_cycle * 1e9)
     for what in (client.UNTIL8, client.UNTIL16):
@@ -284,7 +284,7 @@ def test_a_pin_of_the_axis_comes_before_one_of_the_chip_and_every_name_is_offere
     for name, how in (
         (b"x.switches.org", client.RELEASED),
         (b"x.org", client.ASSERTED),
-        (b"x.switches.org", client.MENDED),
+        (b"x.switches.org", client.CLEARED),
     ):
         frames.STICK(client.WORD.pack(how) + name)
         assert frames.PIN(b"x.switches.org") == client.ANSWER.pack(how == client.ASSERTED)
@@ -297,9 +297,9 @@ def test_positions_are_of_every_axis_and_each_number_at_its_place(frames):
 
 
 def test_an_error_of_the_project_is_its_own_words_and_another_has_its_kind():
-    assert said(StageError("so it is.")) == "so it is."
-    assert said(HostError("a host did it.")) == "a host did it."
-    assert said(KeyError("k")) == "KeyError: 'k'"
+    assert describe_error(StageError("so it is.")) == "so it is."
+    assert describe_error(HostError("a host did it.")) == "a host did it."
+    assert describe_error(KeyError("k")) == "KeyError: 'k'"
 
 
 def test_pins_and_switches_belong_to_an_axis_with_dots_in_its_name():

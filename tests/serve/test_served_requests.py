@@ -35,7 +35,7 @@ class Told(Client):
     def __init__(self):
         self.frames, self._hooks = [], {}
 
-    def ask(self, kind, body=b""):
+    def request(self, kind, body=b""):
         self.frames.append((kind, body))
         return client.ANSWER.pack(1) * (len(body) // client.ENTRY.size) if kind == client.BATCH else b""
 
@@ -138,7 +138,7 @@ def test_the_words_of_an_error_are_the_servers_and_no_bytes_of_the_answers_befor
     """two answers, then a delay in which a timer's hook fails"""
     with served.host() as host:
         host.on_timer(10, lambda: None)
-        host._interrupted = lambda source: host._send(client.HEAD.pack(4, client.RETURN, 0) + b"no!!")
+        host._call_hook = lambda source: host._send(client.HEAD.pack(4, client.RETURN, 0) + b"no!!")
         with pytest.raises(ServerError) as failed:
             host.batch().in8(0x500).in8(0x502).delay_us(100).run()
         assert failed.value.answers == (0xFF, 0xFF)

@@ -43,7 +43,7 @@ def test_one_host_drives_and_others_look(served):
     with served.host() as host:
         with pytest.raises(ServerError, match=r"127\.0\.0\.1:\d+ drives this stage, one host at a time"):
             served.host()
-        with served.host(look=True) as watcher:
+        with served.host(observe=True) as watcher:
             start_a_move(host)
             host.delay_us(1_000_000)
             assert watcher.positions()["x"].commanded == pytest.approx(100 * 3.125e-6)
@@ -57,9 +57,9 @@ def test_one_host_drives_and_others_look(served):
                 lambda: watcher.restore("start"),
                 lambda: watcher.log("!"),
             ):
-                with pytest.raises(ServerError, match="this connection only looks"):
+                with pytest.raises(ServerError, match="this connection only observes"):
                     drives()
-            with pytest.raises(ServerError, match="only looks"):
+            with pytest.raises(ServerError, match="only observes"):
                 watcher.stick("x.org", True)
             assert served.state() == before
     again(served).close()
@@ -100,7 +100,7 @@ def again(served):
 @pytest.mark.parametrize("what", ["the host goes", "the server stops"])
 def test_a_delay_of_years_ends_when_nobody_waits_for_it(board, what):
     with serving(board) as served:
-        host, watcher = served.host(), served.host(look=True)
+        host, watcher = served.host(), served.host(observe=True)
 
         def wait():
             with suppress(ServerError, OSError):
@@ -188,7 +188,7 @@ def test_a_connection_that_is_no_more_is_said_in_words(served):
     host.close()
     with pytest.raises(ConnectionError, match=r"this connection is closed\. Make another one"):
         host.in8(PORT)
-    host = served.host(look=True)
+    host = served.host(observe=True)
     host._wire.shutdown(socket.SHUT_RDWR)
     for _ in range(2):
         with pytest.raises(ConnectionError, match=r"the server has closed the connection\. Make another one"):
@@ -270,7 +270,7 @@ def test_a_host_that_goes_in_its_hook_is_let_go(served):
 
 def test_a_host_that_sends_no_frame_in_its_hook_is_let_go(served):
     host = served.host()
-    host.on_interrupt(lambda: host._wire.sendall(client.HEAD.pack(client.MOST_BODY + 1, client.BATCH, 1)))
+    host.on_interrupt(lambda: host._wire.sendall(client.HEAD.pack(client.MAX_BODY + 1, client.BATCH, 1)))
     start_a_move(host, 10, interrupt=True)
     with pytest.raises((OSError, ServerError)):
         host.delay_us(10**15)
@@ -307,7 +307,7 @@ def test_a_batch_with_a_mistake_is_refused_as_a_whole(served):
             with pytest.raises(ServerError, match=said):
                 batch.run()
         with pytest.raises(ServerError, match="an entry has 32"):
-            host.ask(client.BATCH, b"12345")
+            host.request(client.BATCH, b"12345")
         assert served.state() == before
         with pytest.raises(ValueError, match="no such request"):
             host.batch().until8(PORT, 1, 1, 1 << 31)
@@ -339,23 +339,23 @@ def test_batches_make_100_000_cycles_a_second_and_more(served):
 def test_a_host_of_another_version_or_role_is_refused_in_words(served):
     with pytest.raises(ServerError, match="the host speaks version 3 of the frames, and this server version 1"):
         _greets(served, 3)
-    with pytest.raises(ServerError, match="role 2: 0 drives, 1 looks"):
+    with pytest.raises(ServerError, match="role 2: 0 drives, 1 observes"):
         _greets(served, 1, role=2)
 
 
 def _greets(served, version, role=0):
     class Other(client.Client):
-        def ask(self, kind, body=b""):
-            return super().ask(kind, client.GREETING.pack(client.MAGIC, version, role))
+        def request(self, kind, body=b""):
+            return super().request(kind, client.GREETING.pack(client.MAGIC, version, role))
 
     with socket.create_connection(served.server.address) as wire:
         Other(wire)
 
 
 def test_no_more_than_so_many_hosts_are_connected(served):
-    hosts = [served.host(look=True) for _ in range(server.MOST_HOSTS)]
+    hosts = [served.host(observe=True) for _ in range(server.MAX_HOSTS)]
     with pytest.raises(ServerError, match="16 hosts are connected, and no more can be"):
-        served.host(look=True)
+        served.host(observe=True)
     for host in hosts:
         assert host.status().cycles == 0
         host.close()

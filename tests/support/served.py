@@ -16,7 +16,7 @@ class Served:
 
     def __init__(self, board: Board, **options):
         self.board, self.said = board, []
-        self.server = Server(board, port=0, told=self.said.append, **options)
+        self.server = Server(board, port=0, report=self.said.append, **options)
         self.address = f"127.0.0.1:{self.server.address[1]}"
 
     def host(self, **options) -> Client:

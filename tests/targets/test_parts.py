@@ -193,13 +193,13 @@ def test_counters_and_outputs_of_the_8253_by_mode():
         (3, 10, [10, 8, 2, 10, 8, 6], [1, 1, 0, 1, 1, 1]),
         (6, 10, [10, 9, 1, 10, 9, 8], [1, 1, 0, 1, 1, 1]),
     ):
-        c = Channel(mode=mode, reload=reload, begun=100)
+        c = Channel(mode=mode, reload=reload, started=100)
         at = [100, 101, 109, 110, 111, 112]
         assert [c.count(t) for t in at] == counts, mode
         assert [int(c.output(t)) for t in at] == outputs, mode
-    c = Channel(mode=3, reload=9, begun=0)
+    c = Channel(mode=3, reload=9, started=0)
     assert [int(c.output(t)) for t in range(9)] == [1, 1, 1, 1, 1, 0, 0, 0, 0]
-    c = Channel(mode=3, reload=10, begun=0)
+    c = Channel(mode=3, reload=10, started=0)
     assert [int(c.output(t)) for t in range(10)] == [1] * 5 + [0] * 5
     for at in range(30):
         three, seven = (Channel(mode=mode, reload=9) for mode in (3, 7))
@@ -316,7 +316,9 @@ class Bare(Pc):
 
     def __init__(self, irq=5):
         self.cycles = [0]
-        self.record = SimpleNamespace(cycles=0, hz=4_772_727, due=1, own_waits=0, line=0, raised=0, alarm=NEVER, own=0)
+        self.record = SimpleNamespace(
+            cycles=0, hz=4_772_727, due=1, device_waits=0, line=0, raised=0, alarm=NEVER, own=0
+        )
         self._irq, self._masked, self._in_service, self._tick_pending = irq, 0, 0, 0
         self.timers = Timers(lambda: self.cycles[0])
         self.words = {"eflags": 0x302, "sp": 0x100, "ss": 0x50, "cs": 0x1000, "ip": 0x123}
@@ -347,32 +349,36 @@ class Bare(Pc):
 
 def test_ports_below_100h_are_the_board_s_where_it_has_some_and_else_the_pc_s():
     pc = Bare()
-    assert [pc._access_own_port(0, port, 1, -1) for port in (0x50, 0x3F, 0x44, 0x60, 0x22, 0x1F)] == [0x77] * 6
+    assert [pc._access_internal_port(0, port, 1, -1) for port in (0x50, 0x3F, 0x44, 0x60, 0x22, 0x1F)] == [0x77] * 6
     assert pc.asked == [(port, 1, -1) for port in (0x50, 0x3F, 0x44, 0x60, 0x22, 0x1F)]
     pc.asked.clear()
-    pc._access_own_port(0, 0x50, 2, 0x1234)
+    pc._access_internal_port(0, 0x50, 2, 0x1234)
     assert pc.asked == [(0x50, 2, 0x1234)], "a word of the board is one cycle"
     pc.asked.clear()
-    pc._access_own_port(0, 0x21, 1, 0x5A)
-    assert pc._access_own_port(0, 0x21, 1, -1) == 0x5A
-    pc._access_own_port(0, 0x21, 2, 0x3C00)
-    assert pc._access_own_port(0, 0x21, 1, -1) == 0, "a word is two bytes, the low one first"
+    pc._access_internal_port(0, 0x21, 1, 0x5A)
+    assert pc._access_internal_port(0, 0x21, 1, -1) == 0x5A
+    pc._access_internal_port(0, 0x21, 2, 0x3C00)
+    assert pc._access_internal_port(0, 0x21, 1, -1) == 0, "a word is two bytes, the low one first"
     assert pc.asked == [(0x22, 1, 0x3C)]
-    assert pc._access_own_port(0, 0x20, 2, -1) == 0
-    assert pc._access_own_port(0, 0x21, 2, -1) == 0x7700
+    assert pc._access_internal_port(0, 0x20, 2, -1) == 0
+    assert pc._access_internal_port(0, 0x21, 2, -1) == 0x7700
     for port, value in ((0x43, 0x34), (0x40, 0x10), (0x40, 0x20)):
-        pc._access_own_port(0, port, 1, value)
+        pc._access_internal_port(0, port, 1, value)
     assert pc.watched
-    assert (pc.timers.channels[0].reload, pc._access_own_port(0, 0x40, 1, -1), pc._access_own_port(0, 0x40, 1, -1)) == (
+    assert (
+        pc.timers.channels[0].reload,
+        pc._access_internal_port(0, 0x40, 1, -1),
+        pc._access_internal_port(0, 0x40, 1, -1),
+    ) == (
         0x2010,
         0x10,
         0x20,
     )
-    pc._access_own_port(0, 0x61, 1, 3)
-    assert pc._access_own_port(0, 0x61, 1, -1) & 3 == 3
+    pc._access_internal_port(0, 0x61, 1, 3)
+    assert pc._access_internal_port(0, 0x61, 1, -1) & 3 == 3
     pc.uc = SimpleNamespace(emu_stop=lambda: setattr(pc, "stands", True))
     pc._on_board = None
-    assert (pc._access_own_port(0, 0x50, 1, -1), pc.stands, "callable" in pc.fault) == (0xFF, True, True)
+    assert (pc._access_internal_port(0, 0x50, 1, -1), pc.stands, "callable" in pc.fault) == (0xFF, True, True)
 
 
 def test_the_controller_serves_by_priority_until_the_end_of_interrupt():
@@ -387,22 +393,22 @@ def test_the_controller_serves_by_priority_until_the_end_of_interrupt():
     assert (pc.words["cs"], pc.words["ip"], pc.words["sp"], r.raised, bool(r.line)) == (0x2000, 0xD0, 0xFA, 0, False)
     assert pc.words["eflags"] == 0x2, "neither interrupts nor single steps in its routine"
     assert struct.unpack("<HHH", pc.read(0x50, 0xFA, 6)) == (0x123, 0x1000, 0x302)
-    pc._access_own_port(0, 0x20, 1, 0x20)
+    pc._access_internal_port(0, 0x20, 1, 0x20)
     assert (pc._in_service, bool(r.line)) == (0, True)
     pc._in_service = 0b100001
-    pc._access_own_port(0, 0x20, 1, 0x20)
+    pc._access_internal_port(0, 0x20, 1, 0x20)
     assert pc._in_service == 0b100000, "the highest"
-    pc._access_own_port(0, 0x20, 1, 0x65)  # of 5 alone
+    pc._access_internal_port(0, 0x20, 1, 0x65)  # of 5 alone
     assert pc._in_service == 0
     pc._in_service = 0b100001
-    pc._access_own_port(0, 0x20, 1, 0x65)
+    pc._access_internal_port(0, 0x20, 1, 0x65)
     assert pc._in_service == 1
-    pc._access_own_port(0, 0x20, 1, 0x0B)
+    pc._access_internal_port(0, 0x20, 1, 0x0B)
     assert pc._in_service == 1, "no end of interrupt"
-    pc._access_own_port(0, 0x20, 1, 0x60)
-    pc._access_own_port(0, 0x21, 1, 0x20)
+    pc._access_internal_port(0, 0x20, 1, 0x60)
+    pc._access_internal_port(0, 0x21, 1, 0x20)
     assert not r.line
-    pc._access_own_port(0, 0x21, 1, 0xDF)
+    pc._access_internal_port(0, 0x21, 1, 0xDF)
     assert r.line
     for lower, may in ((1 << 6, True), (1 << 5, False), (1 << 4, False), (1, False)):
         pc._in_service = lower
@@ -418,11 +424,11 @@ def test_a_tick_comes_when_interrupts_are_on_and_it_is_neither_masked_nor_served
         pc.words["eflags"], pc._masked, pc._in_service = flags, masked, served
         pc._tick()
         pc._serve_line()
-        assert (pc.words["sp"] == 0xFA, int(pc.record.own_waits)) == (comes, wanted), (flags, masked, served)
+        assert (pc.words["sp"] == 0xFA, int(pc.record.device_waits)) == (comes, wanted), (flags, masked, served)
         pc._masked = 0
         pc.words["eflags"] = flags
-        pc._access_own_port(0, 0x20, 1, 0x60)  # its end
-        assert int(pc.record.own_waits) == (not comes), (flags, masked, served)
+        pc._access_internal_port(0, 0x20, 1, 0x60)  # its end
+        assert int(pc.record.device_waits) == (not comes), (flags, masked, served)
     pc = Bare(irq=None)
     pc.record.raised = pc.record.line = 1
     pc._serve_line()
