@@ -307,8 +307,9 @@ def _print_axes(stage: Any) -> None:
 def _print_diagnostics(name: str, chip: Any) -> None:
     """Print the first diagnostic of each kind, and how often it came."""
     diagnostics = chip.diagnostics
+    writes = len({(d.clock, d.address, d.value) for d in diagnostics})
     print(
-        f"chip of {name}: {len(diagnostics)} writes that a reader of the data sheet would call mistakes, the first of each kind:"
+        f"chip of {name}: {writes} writes that a reader of the data sheet would call mistakes, the first of each kind:"
     )
     firsts = {d.message: d for d in reversed(diagnostics)}
     times = Counter(d.message for d in diagnostics)
