@@ -56,6 +56,7 @@ class Imports:
         self.texts = {path: DOCSTRING.sub("", path.read_text()) for path in self.modules.values()}
         self.imported = {path: self._find_imports(name, path) for name, path in self.modules.items()}
 
+    @functools.cache  # noqa: B019 - one graph a process
     def measure_distances(self, path: Path) -> dict[Path, int]:
         """Return every file that a file reaches, and over how many imports."""
         distances, front = {path: 0}, [path]

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from stage.native import COMPILED
 from stage.support.extras import LIBRARIES
 
 ROOT = Path(__file__).parents[1]
@@ -28,9 +27,10 @@ def run_pytest(*arguments: str, **environment: str) -> str:
 
 def test_no_test_imports_a_conftest_by_its_name():
     """Several folders have one, and Python keeps the first that is imported: what tests share lies in tests/support."""
+    named = [path for path in FILES if re.search(r"^\s*(from|import) conftest", path.read_text(), re.M)]
     importing = [
         path.relative_to(ROOT)
-        for path in FILES
+        for path in named
         for node in ast.walk(ast.parse(path.read_text()))
         if (isinstance(node, ast.ImportFrom) and node.module == "conftest")
         or (isinstance(node, ast.Import) and "conftest" in [alias.name for alias in node.names])
@@ -46,34 +46,38 @@ def test_modules_of_test_folders_that_are_no_packages_have_unique_names():
     assert not [name for name, count in names.items() if count > 1]
 
 
-def test_what_is_skipped_is_listed_with_its_reason_at_the_end(tmp_path):
-    (tmp_path / "test_rare.py").write_text("import pytest\n\ndef test():\n    pytest.skip('there is no frobnicator')\n")
-    printed = run_pytest(f"--rootdir={tmp_path}", str(tmp_path))
-    assert re.search(r"^SKIPPED \[1\] \S*test_rare.py:4: there is no frobnicator$", printed, re.M), printed
-
-
-@pytest.mark.parametrize(
-    ("required", "outcome"), [("", "1 skipped"), ("simavr,avr-gcc", "1 error"), ("gdb", "1 skipped")]
-)
-def test_a_test_that_lacks_what_this_machine_must_have_fails_instead_of_being_skipped(required, outcome, tmp_path):
-    """PULSESTAGE_REQUIRE=simavr,avr-gcc, where .ci/run has installed both"""
+@pytest.fixture
+def run_both_tests(tmp_path):
+    """Return what pytest prints of a test that lacks simavr, and of one that sees whether the native library was loaded before."""
     (tmp_path / "test_rare.py").write_text(
         "import pytest\n\n@pytest.mark.skipif(True, reason='there is no simavr (Debian: apt install libsimavr2)')\n"
         "def test():\n    pass\n"
     )
-    environment = {"PYTHONPATH": str(ROOT / "tests"), "PULSESTAGE_REQUIRE": required}
-    printed = run_pytest(f"--rootdir={tmp_path}", "-p", "conftest", str(tmp_path), **environment)
-    assert re.search(rf"^{outcome}", printed, re.M), printed
-
-
-@pytest.mark.skipif(not COMPILED, reason="uncompiled, there is no library")
-def test_the_native_library_is_loaded_before_the_first_test(tmp_path):
-    """A fresh checkout builds it, and prints how far it is: not into what the first test captures."""
     (tmp_path / "test_first.py").write_text(
-        "from stage.native import load\n\ndef test():\n    assert load._library.cache_info().currsize == 1\n"
+        "from stage.native import COMPILED, load\n\n"
+        "def test():\n    assert load._library.cache_info().currsize == COMPILED\n"
     )
-    printed = run_pytest(f"--rootdir={tmp_path}", "-p", "conftest", str(tmp_path), PYTHONPATH=str(ROOT / "tests"))
-    assert re.search(r"^1 passed", printed, re.M), printed
+
+    def run(required: str) -> str:
+        environment = {"PYTHONPATH": str(ROOT / "tests"), "PULSESTAGE_REQUIRE": required}
+        return run_pytest(f"--rootdir={tmp_path}", "-p", "conftest", str(tmp_path), **environment)
+
+    return run
+
+
+def test_what_is_skipped_is_listed_with_its_reason_and_the_native_library_is_loaded_before_the_first_test(
+    run_both_tests,
+):
+    """A fresh checkout builds the library, and prints how far it is: not into what the first test captures."""
+    printed = run_both_tests("gdb")
+    assert re.search(r"^SKIPPED \[1\] \S*test_rare.py:3: there is no simavr", printed, re.M), printed
+    assert re.search(r"^1 passed, 1 skipped", printed, re.M), printed
+
+
+def test_a_test_that_lacks_what_this_machine_must_have_fails_instead_of_being_skipped(run_both_tests):
+    """PULSESTAGE_REQUIRE=simavr,avr-gcc, where .ci/run has installed both"""
+    printed = run_both_tests("simavr,avr-gcc")
+    assert re.search(r"^1 passed, 1 error", printed, re.M), printed
 
 
 def test_the_dev_extra_has_every_library_that_the_product_can_use():
