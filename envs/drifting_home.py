@@ -237,8 +237,8 @@ class DriftingHome(MachineTask[Config]):
         width = max(self.search.marks.values()) + 1
         results = np.zeros((self.n, max(width, played.results.shape[1])), np.int64)
         results[:, : played.results.shape[1]] = played.results
-        found = self.search.found(results, rows)
-        home, end_limit, late = found.home & made, found.end_limit & made, found.late & made
+        found = self.search.read_results(results, rows)
+        home, end_limit, late = found.home & made, found.end_limit & made, found.timed_out & made
         duration = np.where(made, t["now"] * 1e-9, 0.0)
         trips = self.origin + self.shift[:, 1]
         error = np.where(made, np.clip((t["position"] - trips) / self.per_pulse, -1e6, 1e6), 0.0)
@@ -277,7 +277,8 @@ class DriftingHome(MachineTask[Config]):
         known = home & ~np.isnan(self.ended)
         counted = t["pulses"] + np.sign(self.axis.gear) * self.away / self.per_pulse
         now = [
-            good, home, found.end_limit, found.late, found.released, duration / (4 * self.config.limit), found.searched / whole,
+            good, home, found.end_limit, found.timed_out, found.released, duration / (4 * self.config.limit),
+            found.searched / whole,
             found.overrun / MAX_ERROR_PULSES, np.where(known, counted / MAX_ERROR_PULSES, 0.0),
             np.where(home, 0.0, self.last[:, -1] + 1 / self.config.returns),
         ]  # fmt: skip

@@ -101,5 +101,5 @@ class MacroTable:
 
     def found_origin(self, axis: int, results: np.ndarray) -> np.ndarray:
         """Which origin returns of an axis ended at the origin, by the results of their programs."""
-        found = self.home_searches[axis].found(results, np.repeat(self._choices[axis], len(results), axis=0))
-        return found.home & ~found.late
+        found = self.home_searches[axis].read_results(results, np.repeat(self._choices[axis], len(results), axis=0))
+        return found.home & ~found.timed_out

@@ -243,8 +243,8 @@ class OriginReturn(MoveTask[Config]):
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.axis.index]
         rows = self.to_registers(self.actions)
-        found = self.search.found(played.results, rows)
-        late, home, end_limit = found.late, found.home, found.end_limit
+        found = self.search.read_results(played.results, rows)
+        late, home, end_limit = found.timed_out, found.home, found.end_limit
         duration = t["now"] * 1e-9  # since power-up
         error = np.clip((t["position"] - self.origin) / self.per_pulse, -1e6, 1e6)
         lost = np.abs(t["lost_steps"])

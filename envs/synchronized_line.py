@@ -46,7 +46,7 @@ from stage.envs.task import find_judged_point
 from stage.envs.trial import TENTH_MM, compute_move_time
 from stage.errors import ArgumentError
 from stage.firmware.driver import Speeds
-from stage.firmware.lines import Asked
+from stage.firmware.lines import LineMoves
 from stage.sim.fleet import Fleet, Played
 from stage.sim.program import MEASURE
 from stage.support import portable
@@ -177,9 +177,9 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
     # --- the try ---
 
     @property
-    def requested_lines(self) -> Asked:
+    def requested_lines(self) -> LineMoves:
         """The lines that stand, at the rates and ramps that are chosen."""
-        return Asked(self.distances, self.rate, self.ramp)
+        return LineMoves(self.distances, self.rate, self.ramp)
 
     @property
     def usual(self) -> np.ndarray:
@@ -270,7 +270,9 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
 
     def compute_observations(self) -> np.ndarray:
         c: Any = self.config
-        usual = Asked(self.distances, np.full(self.n, np.clip(Speeds().drive, *c.rates)), np.full(self.n, Speeds().up))
+        usual = LineMoves(
+            self.distances, np.full(self.n, np.clip(Speeds().drive, *c.rates)), np.full(self.n, Speeds().up)
+        )
         of_axes = np.concatenate(
             [(self.distances / c.distances[1])[:, :, None], self.line.errors(usual) / (2 * c.reach)], axis=2
         )

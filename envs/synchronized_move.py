@@ -69,7 +69,7 @@ from stage.envs.task import MoveTask
 from stage.envs.trial import StartPositions
 from stage.errors import ArgumentError, unknown
 from stage.firmware.driver import driver_of
-from stage.firmware.lines import Asked, line_of
+from stage.firmware.lines import LineMoves, line_of
 from stage.firmware.path import path_deviation
 from stage.sim.fleet import Played
 from stage.sim.program import LOOK, WAIT
@@ -237,9 +237,9 @@ class SynchronizedMove(MoveTask[Config]):
     # --- registers ---
 
     @property
-    def requested_lines(self) -> Asked:
+    def requested_lines(self) -> LineMoves:
         """The moves that stand."""
-        return Asked(self.distances, self.rate)
+        return LineMoves(self.distances, self.rate)
 
     def data_sheet(self) -> np.ndarray:
         """The engineer's answer to the moves that stand: (stages, *line.shape) registers."""

@@ -16,7 +16,7 @@ from stage.firmware import Bench, Profile
 from stage.firmware.axis import check_seconds
 from stage.firmware.hctl1100 import profile as servo_profile
 from stage.firmware.pcl240.moves import encode_offset
-from stage.firmware.pcl240.plan import R0_MOST, _check, _share, _whole
+from stage.firmware.pcl240.plan import MAX_R0, _check, _check_distance, _share
 from stage.recording.viewer import web_server
 from stage.sim import faults, records
 from stage.sim.fleet import MAX_TIME_NS, Fleet
@@ -69,7 +69,7 @@ PLAIN = {
         lambda v: Profile.of(chip=PCL240MS).shaped(v), (0.5, 1e-3, True, False), (0, 0.51),
     ),
     "share of a line's S-curve": (_share, (0.5, 1e-3, True, False), (0, 0.51)),
-    "pulses of a line": (lambda v: _whole("x", v), (R0_MOST, -R0_MOST), (R0_MOST + 1, -R0_MOST - 1, 0.5)),
+    "pulses of a line": (lambda v: _check_distance("x", v), (MAX_R0, -MAX_R0), (MAX_R0 + 1, -MAX_R0 - 1, 0.5)),
     "fl of a line": (lambda v: check({"fl": v}), (1e-9, 100.0), (0, 100.1)),
     "ramp of a line": (lambda v: check({"decel": v}), (1e-9,), (0, math.inf)),
     "delay of a line": (lambda v: check({"bus_delay": v}), (0, 1), (-1e-9, 1.01)),

@@ -16,7 +16,7 @@ from stage.errors import ArgumentError, StageError
 from stage.firmware import procedures
 from stage.firmware.driver import RAMP, SETTLE, Speeds, wait_until_stopped
 from stage.firmware.report import Procedure, Report
-from stage.firmware.stop_reasons import NOT_AS_ASKED
+from stage.firmware.stop_reasons import UNWANTED_REASONS
 from stage.firmware.tandem import square_by
 from stage.firmware.together import SynchronizedReport
 
@@ -154,7 +154,7 @@ class MotionTools:
             if a.chip is not chip:
                 continue
             if a.name in self._watched and chip.busy(a.chip_axis):
-                if self._context.driver(a.name).stops(address, value):
+                if self._context.driver(a.name).is_stop_command(address, value):
                     self._stop_commands[a.name] = f"stopped by the host: {value:0{chip.DATA_MASK.bit_length() // 4}X}h"
             elif chip.starts(address, value, a.chip_axis):
                 self._context.meter.count_move()
@@ -249,7 +249,7 @@ def describe_report(report: Report | SynchronizedReport, mode: str) -> dict[str,
             line["carriage_off_m"] = report.carriage_deviation
         return line
     complete = report.asked is None or report.pulses == report.asked
-    as_asked = None if report.procedure == STARTED_BY_BUS else complete and report.stopped_by not in NOT_AS_ASKED
+    as_asked = None if report.procedure == STARTED_BY_BUS else complete and report.stopped_by not in UNWANTED_REASONS
     answer: dict[str, Any] = {
         "procedure": report.procedure, "axis": report.axis, "as_asked": as_asked,
         "stopped_by": report.stopped_by, "asked_pulses": report.asked, "counted_pulses": report.pulses,

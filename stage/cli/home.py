@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
             print(*found, sep="\n")
         tell(args, reports=reports)
         draw_plot(args, reports[0].plot)
-    found = [r.stopped_by in driver_of(axis).FOUND for r, axis in zip(reports, axes, strict=True)]
+    found = [r.stopped_by in driver_of(axis).HOME_REASONS for r, axis in zip(reports, axes, strict=True)]
     return 0 if all(found) and not any(r.lost_steps for r in reports) else 1
 
 

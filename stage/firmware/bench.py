@@ -63,7 +63,7 @@ class BenchAxis:
         """Position of a rail's carriage, pulses."""
         return self._offset + self.chip.net(self.chip_axis)
 
-    def _lay(self, at: int, spans: dict[str, Span]) -> None:
+    def _place_on_rail(self, at: int, spans: dict[str, Span]) -> None:
         self._offset, self._spans = at - self.chip.net(self.chip_axis), spans
         self._bounds = [bound for span in spans.values() for bound in span if bound is not None]
         self._assert_switches()
@@ -80,7 +80,7 @@ class BenchAxis:
             if chip.open_journal is not None:
                 chip.open_journal.note_input(chip.clock, self.chip_axis, word)
 
-    def _twin(self) -> np.ndarray:
+    def _copy_record(self) -> np.ndarray:
         """A copy of the chip's record, to look ahead with."""
         return np.frombuffer(bytearray(self.chip.state.tobytes()), self.chip.CORE.STATE)
 
@@ -94,12 +94,12 @@ class BenchAxis:
         chip = self.chip
         core, c = chip.CORE, chip.pointer
         while self._spans and chip.clock < clock:
-            n, place = core.advance(self._twin(), clock), self.place
+            n, place = core.advance(self._copy_record(), clock), self.place
             if n == 0 or n < min((abs(bound - place) for bound in self._bounds), default=0):
                 break
             pulses = np.empty(n, core.PULSE)
-            twin = self._twin()
-            core.trace.c(twin.ctypes.data, clock, pulses.ctypes.data, n)
+            replica = self._copy_record()
+            core.trace.c(replica.ctypes.data, clock, pulses.ctypes.data, n)
             places = place + np.cumsum(pulses["direction"], dtype=np.int64)
             changed = np.zeros(n, bool)
             for pin, span in self._spans.items():
@@ -194,7 +194,7 @@ class Bench(Bus):
         for pin in spans:
             if pin not in chip.INPUTS:
                 raise unknown(f"{type(chip).__name__} input", pin, chip.INPUTS)
-        self.axes[axis]._lay(at, spans)
+        self.axes[axis]._place_on_rail(at, spans)
 
     def _advance(self, until: int) -> None:
         for name, axis in self.axes.items():

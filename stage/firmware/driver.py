@@ -90,7 +90,7 @@ class Driver(ABC):
     """What a drawing of a report about this family's chips shows."""
     DONE: ClassVar[str] = "all pulses"
     """What a report says has ended a move that nothing else ended."""
-    FOUND: ClassVar[tuple[str, ...]] = ("ORG", "EZ")
+    HOME_REASONS: ClassVar[tuple[str, ...]] = ("ORG", "EZ")
     """What a report says has ended a homing that found its place."""
     HOMINGS: ClassVar[tuple[str, ...]] = ("switch", "index")
     """What `home_by` can home by, the usual one first; an index pulse only where the chip has an input for it."""
@@ -164,12 +164,12 @@ class Driver(ABC):
         """Begin a move, and do not wait. Raises as `move`."""
         raise ArgumentError(f"{a_or_an(self.chip.MAP.chip)} waits for the end of its moves here: use move.")
 
-    def wait(self, timeout: float, look: Callable[[], None] | None = None) -> str:
+    def wait(self, timeout: float, on_poll: Callable[[], None] | None = None) -> str:
         """Wait for the end of what `start` has begun: why it ended, as `Report.stopped_by`. look: called at each poll.
 
         Of a servo the end of its profile: where the carriage is then, nobody has looked. Raises RunTimeout after `timeout` s.
         """
-        wait_until_stopped([self.axis], timeout, look=look)
+        wait_until_stopped([self.axis], timeout, on_poll=on_poll)
         return self.explain_end(self.goal in (None, self.chip.net(self.axis.chip_axis)))
 
     def check_speeds(self, speeds: Speeds) -> None:
@@ -232,7 +232,7 @@ class Driver(ABC):
         """Raises ArgumentError where an origin return would find no switch; it says what else this chip homes by."""
         check_origin(self.axis, [by for by in self.homings() if by not in ("switch", "index")])
 
-    def ready(self) -> Any:
+    def prepare(self) -> Any:
         """Do before a drive whatever the chip needs once; nothing moves. Raises StageError for an axis that moves already."""
         return None
 
@@ -244,11 +244,11 @@ class Driver(ABC):
     def halt(self, at_once: bool = False) -> None:
         """Stop the axis, with a ramp or at once; returns when it is at rest."""
 
-    def stops(self, address: int, value: int) -> bool:
+    def is_stop_command(self, address: int, value: int) -> bool:
         """Whether this bus write is a command that stops a drive of the axis; False also where the driver does not tell."""
         return False
 
-    def runs(self) -> bool:
+    def is_running(self) -> bool:
         """What `run` has started still runs."""
         return self.chip.busy(self.axis.chip_axis)
 
@@ -267,7 +267,7 @@ class Driver(ABC):
             return shown
         if done:
             return self.DONE
-        if journal is not None and any(e.kind == WRITE and self.stops(e.a, e.b) for e in journal.entries):
+        if journal is not None and any(e.kind == WRITE and self.is_stop_command(e.a, e.b) for e in journal.entries):
             return STOPPED
         return UNKNOWN
 
@@ -375,25 +375,25 @@ def driver_class(chip: type[Chip]) -> type[Driver]:
         raise ArgumentError(
             f"{a_or_an(chip.__name__)} has no driver: its class names one in DRIVER, as 'package.module:Class'."
         )
-    found = contract.loaded(chip, "DRIVER", "its driver")
-    if not isinstance(found, type) or not issubclass(found, Driver):
+    loaded = contract.loaded(chip, "DRIVER", "its driver")
+    if not isinstance(loaded, type) or not issubclass(loaded, Driver):
         raise ArgumentError(
             f"{chip.__name__}: DRIVER = {chip.DRIVER!r} is no class below stage.firmware.driver.Driver."
         )
-    if missing := sorted(getattr(found, "__abstractmethods__", ())):
+    if missing := sorted(getattr(loaded, "__abstractmethods__", ())):
         raise ArgumentError(
-            f"{chip.__name__}: its driver {found.__name__} has no {', '.join(f'{name}()' for name in missing)}; "
+            f"{chip.__name__}: its driver {loaded.__name__} has no {', '.join(f'{name}()' for name in missing)}; "
             "stage.firmware.driver.Driver says what each does, and one that the chip cannot do raises ArgumentError."
         )
-    return found
+    return loaded
 
 
 def select_moving(drivers: Mapping[str, D], pulses: Mapping[str, int]) -> dict[str, D]:
     """Return the drivers whose axes have pulses to make on a line; one is enough. Raises ArgumentError where none has."""
     moving = {name: driver for name, driver in drivers.items() if pulses[name]}
     if not moving:
-        given = ", ".join(f"{name} 0" for name in drivers)
-        raise ArgumentError(f"a line of {given} pulses: nothing moves; give at least one axis pulses to make.")
+        values = ", ".join(f"{name} 0" for name in drivers)
+        raise ArgumentError(f"a line of {values} pulses: nothing moves; give at least one axis pulses to make.")
     return moving
 
 
@@ -425,7 +425,7 @@ class AtOnce(Operations):
 
 
 def wait_until_stopped(
-    axes: Sequence[Axis], timeout: float, poll: float = 1e-3, look: Callable[[], None] | None = None
+    axes: Sequence[Axis], timeout: float, poll: float = 1e-3, on_poll: Callable[[], None] | None = None
 ) -> None:
     """Poll the status of axes until none drives: every `poll` seconds at first, every MAX_POLL_S in a long run.
     Raises RunTimeout."""
@@ -437,8 +437,8 @@ def wait_until_stopped(
             raise RunTimeout(
                 f"axis {', '.join(running)} still drives after {timeout:.3f} s: give it more time, or stop it."
             )
-        if look is not None:
-            look()
+        if on_poll is not None:
+            on_poll()
         clock.wait(min(poll_interval(poll, passed), timeout - passed + 1e-6))
 
 

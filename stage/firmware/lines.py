@@ -26,10 +26,10 @@ from stage.sim import play
 from stage.sim.program import Program
 
 ROOM = 0.8  # of a short move may be ramps
-FAR = 1 << 44  # clocks: weeks
+MAX_CLOCKS = 1 << 44  # clocks: weeks
 
 
-class Asked(NamedTuple):
+class LineMoves(NamedTuple):
     """Moves: signed pulses of each axis (stages, axes), and of the longest one the peak rate in pps and the ramps in s (stages);
     None: the `accel` of the line's settings."""
 
@@ -51,7 +51,7 @@ class Asked(NamedTuple):
         """Each axis' pulses as a share of the longest one's (stages, axes)."""
         return self.size / self.longest[:, None]
 
-    def of_longest(self, values: np.ndarray) -> np.ndarray:
+    def of_leader(self, values: np.ndarray) -> np.ndarray:
         """The longest axis' value (stages, 1) of values (stages, axes)."""
         return np.take_along_axis(values, self.size.argmax(axis=1)[:, None], 1)
 
@@ -93,19 +93,19 @@ class Line(ABC):
     # --- what a family answers ---
 
     @abstractmethod
-    def data_sheet(self, asked: Asked) -> np.ndarray:
+    def data_sheet(self, moves: LineMoves) -> np.ndarray:
         """The registers by the data sheet (stages, *shape)."""
 
     @abstractmethod
-    def corrected(self, asked: Asked, corrections: np.ndarray) -> np.ndarray:
+    def corrected(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """The data sheet's registers with corrections (stages, *shape) from -1 to 1; 0 changes nothing."""
 
     @abstractmethod
-    def errors(self, asked: Asked) -> np.ndarray:
+    def errors(self, moves: LineMoves) -> np.ndarray:
         """(stages, axes, 4) pulses: how far the data sheet's registers take an axis off its share, see `strays`."""
 
     @abstractmethod
-    def programs(self, registers: np.ndarray, asked: Asked) -> np.ndarray:
+    def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         """Bus cycles from rest to the last start command, (stages, operations, 4); all alike but for what they write."""
 
     @abstractmethod
@@ -122,16 +122,16 @@ class Line(ABC):
         """The nearest registers that the data sheet allows."""
         return np.clip(np.rint(registers), self.low, self.high).astype(np.int64)
 
-    def reach(self, asked: Asked) -> tuple[np.ndarray, np.ndarray]:
+    def reach(self, moves: LineMoves) -> tuple[np.ndarray, np.ndarray]:
         """Peak rate (pps) and ramp time (s) that there is room for (stages)."""
         c = self.settings
-        accel = c.accel if asked.ramp is None else asked.ramp
-        top = np.maximum(asked.rate - c.fl, 1e-9)
-        peak = np.minimum(asked.rate, np.sqrt(c.fl**2 + ROOM * asked.longest * top / accel))
+        accel = c.accel if moves.ramp is None else moves.ramp
+        top = np.maximum(moves.rate - c.fl, 1e-9)
+        peak = np.minimum(moves.rate, np.sqrt(c.fl**2 + ROOM * moves.longest * top / accel))
         return peak, np.maximum(accel * (peak - c.fl) / top, 1e-6)
 
     def strays(
-        self, asked: Asked, rate: np.ndarray, ramp: np.ndarray, behind: np.ndarray, less: np.ndarray, point: np.ndarray
+        self, moves: LineMoves, rate: np.ndarray, ramp: np.ndarray, lag: np.ndarray, less: np.ndarray, point: np.ndarray
     ) -> np.ndarray:
         """(stages, axes, 4) pulses by the closed form: ahead after the ramp-up, more ahead at the ramp-down, ramp-down earlier by,
         shorter ramp-down by, all against the axis' share of the longest one.
@@ -139,11 +139,11 @@ class Line(ABC):
         Each (stages, axes): rate in pps, seconds of the ramp-up, pulses by which the two ramps fall short of the full rate,
         pulses left at the ramp-down.
         """
-        lead, share = asked.of_longest, asked.share
+        lead, share = moves.of_leader, moves.share
         risen = lead(ramp)
-        falls = lead((asked.size - point + behind) / rate)
+        falls = lead((moves.size - point + lag) / rate)
         off = rate - share * lead(rate)
-        rise = off * risen - (behind - share * lead(behind))
+        rise = off * risen - (lag - share * lead(lag))
         return np.stack([rise, off * (falls - risen), point - share * lead(point), less - share * lead(less)], axis=2)
 
     def pulses(self, ops: np.ndarray, distances: np.ndarray) -> list[np.ndarray]:
@@ -151,21 +151,21 @@ class Line(ABC):
         out: list[np.ndarray] = [np.empty(0, np.int64)] * len(self.drivers)
         for (chip, mine), fresh in zip(self._chips(), self._fresh, strict=True):
             rows = np.frombuffer(bytearray(fresh), chip.CORE.STATE)
-            twin = np.zeros(1, cores.CHIP)
-            cores.fill(twin[0], chip.CORE, rows.ctypes.data)
-            play.write_cycles(twin, ops, sum(1 << self.drivers[a].index for a in mine))
-            made = np.empty(int(np.abs(distances[mine]).sum()), chip.CORE.PULSE)
-            made = made[: chip.CORE.trace.c(rows.ctypes.data, FAR, made.ctypes.data, len(made))]
+            replica = np.zeros(1, cores.CHIP)
+            cores.fill(replica[0], chip.CORE, rows.ctypes.data)
+            play.write_cycles(replica, ops, sum(1 << self.drivers[a].index for a in mine))
+            pulses = np.empty(int(np.abs(distances[mine]).sum()), chip.CORE.PULSE)
+            pulses = pulses[: chip.CORE.trace.c(rows.ctypes.data, MAX_CLOCKS, pulses.ctypes.data, len(pulses))]
             for a in mine:
-                out[a] = made["clock"][made["axis"] == self.drivers[a].axis.chip_axis]
+                out[a] = pulses["clock"][pulses["axis"] == self.drivers[a].axis.chip_axis]
         return out
 
     def _chips(self) -> list[tuple[Any, list[int]]]:
         """Each chip, and which axes of the line it has."""
-        found: dict[int, tuple[Any, list[int]]] = {}
+        chips: dict[int, tuple[Any, list[int]]] = {}
         for a, h in enumerate(self.drivers):
-            found.setdefault(id(h.chip), (h.chip, []))[1].append(a)
-        return list(found.values())
+            chips.setdefault(id(h.chip), (h.chip, []))[1].append(a)
+        return list(chips.values())
 
     def _slot(self, program: Program, back: int, column: int, shift: int = 0) -> None:
         """The operation `back` before the end writes a number, shifted right."""

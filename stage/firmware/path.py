@@ -97,11 +97,11 @@ def path_deviation(pulses: Sequence[Any], distances: Sequence[int], clock_hz: An
     Linear in the pulses. Pulses at the same time count as one step. Raises ArgumentError.
     """
     times, signs, starts, ends, line = _arrays(pulses, distances, clock_hz)
-    found = np.zeros(1)
-    worst = _walk(times, signs, starts, ends, line, np.zeros(len(line)), starts.copy(), found)
-    when = found[0]
-    made = (np.searchsorted(times[a:b], when, side="right") for a, b in zip(starts, ends, strict=True))
-    counts = tuple(int(signs[a : a + k].sum(dtype=np.int64)) for a, k in zip(starts, made, strict=True))
+    worst_time = np.zeros(1)
+    worst = _walk(times, signs, starts, ends, line, np.zeros(len(line)), starts.copy(), worst_time)
+    when = worst_time[0]
+    counts_made = (np.searchsorted(times[a:b], when, side="right") for a, b in zip(starts, ends, strict=True))
+    counts = tuple(int(signs[a : a + k].sum(dtype=np.int64)) for a, k in zip(starts, counts_made, strict=True))
     if worst == 0.0:
         counts = (0,) * len(counts)
     return Deviation(float(worst), float(when), counts)

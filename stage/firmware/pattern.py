@@ -39,8 +39,8 @@ class Pattern:
     def lanes(self, pins: Collection[str] | None = None) -> list[tuple[np.ndarray, str, str]]:
         """(on from each edge, label, colour) of each signal that plays a role. pins: those that may be shown; None: all."""
         chosen = self.LANES or tuple((pin, pin.upper(), BLUE) for pin in self.course.chip.OUTPUTS)
-        shown = (lane for lane in chosen if (pins is None or lane[0] in pins) and self.plays(lane[0]))
-        return [(self.course.pin(pin), label, colour) for pin, label, colour in shown]
+        visible = (lane for lane in chosen if (pins is None or lane[0] in pins) and self.plays(lane[0]))
+        return [(self.course.pin(pin), label, colour) for pin, label, colour in visible]
 
     def plays(self, pin: str) -> bool:
         """Whether a pin plays a role in this move."""
@@ -61,15 +61,15 @@ class Pattern:
         notes = [
             Note(when, code.split(" ")[0] + "h" if len(code) == 2 else code, meaning, False)
             for (when, code, meaning), s in zip(report.writes(), report.said, strict=True)
-            if s.kind == "command" and self.tells(meaning) and when > -0.02 * max(report.duration, 1e-3)
+            if s.kind == "command" and self.is_noteworthy(meaning) and when > -0.02 * max(report.duration, 1e-3)
         ]
-        return sorted([*notes, *self.ended()], key=lambda n: n.time)
+        return sorted([*notes, *self.describe_end()], key=lambda n: n.time)
 
-    def tells(self, meaning: str) -> bool:
+    def is_noteworthy(self, meaning: str) -> bool:
         """Whether a command is worth a note."""
         return True
 
-    def ended(self) -> list[Note]:
+    def describe_end(self) -> list[Note]:
         """Why it stopped."""
         report = self.report
         if not report.duration or report.stopped_by == "reset command":  # a note of its own

@@ -75,11 +75,11 @@ def draw(
 def _heading(figure: Any, report: Report, title: str | None, height: float) -> None:
     y = 1 - 0.25 / height
     name = title or f"{report.procedure[:1].upper()}{report.procedure[1:]}, axis {report.axis}"
-    said = f"{_signed(report.pulses)} pulses, {report.duration:.3f} s, stopped by {report.stopped_by}"
+    summary = f"{_signed(report.pulses)} pulses, {report.duration:.3f} s, stopped by {report.stopped_by}"
     if report.lost_steps:
-        said += f", {report.lost_steps} steps lost"
+        summary += f", {report.lost_steps} steps lost"
     figure.text(LEFT / WIDTH, y, name, color=INK, fontsize=11, weight="bold", va="center")
-    figure.text(1 - 0.12 / WIDTH, y, said, color=MUTED, fontsize=8.5, ha="right", va="center")
+    figure.text(1 - 0.12 / WIDTH, y, summary, color=MUTED, fontsize=8.5, ha="right", va="center")
 
 
 def _signed(n: int) -> str:
@@ -119,7 +119,7 @@ def _panel(
     for name, level in levels.items():
         if level <= 1.02 * peak:
             ax.axhline(level, color=MUTED, linewidth=0.6, linestyle=(0, (5, 4)), zorder=1)
-            _beside(ax, level, f"{name}  {level:,.0f}")
+            _label_level(ax, level, f"{name}  {level:,.0f}")
     ax.step(t, rates, where="post", color=LINE, linewidth=1.3, zorder=3, solid_joinstyle="round")
     for when, rate in plateaus:
         ax.annotate(
@@ -141,7 +141,7 @@ def _panel(
     ax.spines["left"].set_bounds(0, max(peak, ticks[-1] if ticks else 0))
 
 
-def _beside(ax: Any, level: float, text: str) -> None:
+def _label_level(ax: Any, level: float, text: str) -> None:
     ax.annotate(
         text, (1, level), xycoords=("axes fraction", "data"), xytext=(5, 0), textcoords="offset points", va="center",
         fontsize=SIZE, color=MUTED, annotation_clip=False,

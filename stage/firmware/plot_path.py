@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 COLOURS = (LINE, "#c05621", "#2f855a", "#6b46c1", "#b7791f", "#2b6cb0")
 WORST = "#c53030"
-AROUND = 5.5  # pulses to either side of the farthest point
+MARGIN_PULSES = 5.5  # pulses to either side of the farthest point
 BINS = 300
 
 
@@ -36,8 +36,8 @@ def draw(report: SynchronizedReport, path: Any = None, title: str | None = None,
         off, rates = figure.subplots(2, 1)
     _distance(off, report, times, counts, line)
     _rates(rates, report)
-    way = ", ".join(f"{n} {d:+,}" for n, d in report.distances.items())
-    figure.suptitle(title or f"a:b move, {way} pulses", x=0.01, ha="left", color=INK, fontsize=11, weight="bold")
+    distances = ", ".join(f"{n} {d:+,}" for n, d in report.distances.items())
+    figure.suptitle(title or f"a:b move, {distances} pulses", x=0.01, ha="left", color=INK, fontsize=11, weight="bold")
     if path is not None:
         save_figure(figure, path, 150, overwrite)
     return figure
@@ -48,9 +48,9 @@ def _staircase(ax: Any, report: SynchronizedReport, counts: np.ndarray, line: np
     worst = np.array(report.deviation.counts, float)
     unit = line / np.linalg.norm(line)
     foot = np.clip(worst @ unit, 0, np.linalg.norm(line)) * unit
-    near = (np.abs(counts - worst) <= AROUND + 2).all(axis=1)
+    near = (np.abs(counts - worst) <= MARGIN_PULSES + 2).all(axis=1)
     x, y = counts[near].T
-    ends = (foot[:, None] + unit[:, None] * np.array([-3, 3]) * AROUND).clip(
+    ends = (foot[:, None] + unit[:, None] * np.array([-3, 3]) * MARGIN_PULSES).clip(
         np.minimum(line, 0)[:, None], np.maximum(line, 0)[:, None]
     )
     ax.plot(*ends, color=MUTED, linewidth=1.2, label="the line")
@@ -60,9 +60,9 @@ def _staircase(ax: Any, report: SynchronizedReport, counts: np.ndarray, line: np
         ax.plot(*np.stack([foot, worst], axis=1), color=WORST, linewidth=1.6, label=label)
         ax.plot(*worst, color=WORST, marker="o", markersize=5)
     for lim, middle in ((ax.set_xlim, worst[0]), (ax.set_ylim, worst[1])):
-        lim(middle - AROUND, middle + AROUND)
+        lim(middle - MARGIN_PULSES, middle + MARGIN_PULSES)
     for axis, name in ((ax.xaxis, 0), (ax.yaxis, 1)):
-        axis.set_major_locator(_whole())
+        axis.set_major_locator(_make_locator())
         axis.set_label_text(f"{list(report.paths)[name]} (pulses)", color=INK)
         axis.set_major_formatter(lambda v, _: f"{v:,.0f}")
     ax.set_aspect("equal")
@@ -70,7 +70,7 @@ def _staircase(ax: Any, report: SynchronizedReport, counts: np.ndarray, line: np
     bare(ax, size=SIZE)
 
 
-def _whole() -> Any:
+def _make_locator() -> Any:
     from matplotlib.ticker import MultipleLocator
 
     return MultipleLocator(2)

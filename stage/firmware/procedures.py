@@ -18,7 +18,7 @@ from stage.errors import ArgumentError, a_or_an
 from stage.firmware.axis import Axes, Axis, forward
 from stage.firmware.driver import RAMP, RATES, Driver, Speeds, driver_of, usual_speeds
 from stage.firmware.report import Procedure, Report
-from stage.firmware.together import SynchronizedReport, chosen_axes
+from stage.firmware.together import SynchronizedReport, select_axes
 from stage.support.arguments import patience, told
 
 
@@ -127,11 +127,11 @@ def jog(
     driver, direction = driver_of(axis), -forward(axis) if speed is not None and speed < 0 else forward(axis)
     options = {"speed": None if speed is None else abs(speed), "start_speed": start_speed, "accel": accel}
     wanted = parse_speeds(axis, options)
-    driver.ready()
+    driver.prepare()
     with Procedure(axis, "jog") as p:
         driver.run(direction, wanted)
         axis.wait(seconds)
-        met = "" if driver.runs() else driver.explain_end(False, p.journal)
+        met = "" if driver.is_running() else driver.explain_end(False, p.journal)
         driver.halt()
         return p.report(met or "decelerating stop")
 
@@ -168,18 +168,18 @@ def line(
     reason, and where every distance is 0; RunTimeout.
     """
     patience(timeout)
-    chosen = chosen_axes(distances, axes, "line")
-    drivers = {name: driver_of(axis) for name, (axis, _) in chosen.items()}
+    selected = select_axes(distances, axes, "line")
+    drivers = {name: driver_of(axis) for name, (axis, _) in selected.items()}
     if not drivers:
         raise ArgumentError("no distances: give at least one axis a distance.")
     check_one_kind(drivers)
     counts = {
-        name: pulses_of(axis, None, d) if pulses else pulses_of(axis, d, None) for name, (axis, d) in chosen.items()
+        name: pulses_of(axis, None, d) if pulses else pulses_of(axis, d, None) for name, (axis, d) in selected.items()
     }
-    longest = chosen[max(counts, key=lambda n: abs(counts[n]))][0]
+    main_axis = selected[max(counts, key=lambda n: abs(counts[n]))][0]
     first = next(iter(drivers.values()))
     options = {"speed": speed, "start_speed": start_speed, "accel": accel, "s_curve": s_curve}
-    return first.line(drivers, counts, parse_speeds(longest, options), timeout)
+    return first.line(drivers, counts, parse_speeds(main_axis, options), timeout)
 
 
 def check_one_kind(drivers: Mapping[str, Driver]) -> None:

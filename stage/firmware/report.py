@@ -12,7 +12,7 @@ from stage.chips.describe import Said, decode
 from stage.chips.journal import Course
 from stage.errors import RunTimeout
 from stage.firmware.axis import Axis
-from stage.firmware.stop_reasons import NOT_AS_ASKED
+from stage.firmware.stop_reasons import UNWANTED_REASONS
 from stage.support import html
 from stage.units import PLACES
 
@@ -63,14 +63,14 @@ class Report:
     def ok(self) -> bool:
         """Every pulse asked for was made, none of them lost, and neither an end limit nor the time ended it."""
         done = self.asked is None or self.pulses == self.asked
-        return done and not self.lost_steps and self.stopped_by not in NOT_AS_ASKED
+        return done and not self.lost_steps and self.stopped_by not in UNWANTED_REASONS
 
     @cached_property
     def average_rate(self) -> float:
         """Pulses made in both directions by `duration`, pps."""
         steps, seconds = np.abs(np.diff(self.course.edges["net"])), np.diff(self.course.seconds)
-        made = int(steps[steps <= 2 * self.peak_rate * seconds + PRESET].sum())
-        return made / self.duration if self.duration else 0.0
+        counted = int(steps[steps <= 2 * self.peak_rate * seconds + PRESET].sum())
+        return counted / self.duration if self.duration else 0.0
 
     @property
     def began(self) -> float:

@@ -13,10 +13,10 @@ from stage.firmware.choices import Choices
 from stage.sim.program import Program
 
 
-class Found(NamedTuple):
+class SearchResult(NamedTuple):
     """What a host knows of origin returns after their end; arrays with the stage as their index, pulses or bool."""
 
-    late: np.ndarray
+    timed_out: np.ndarray
     """A run took longer than it may."""
     home: np.ndarray
     """It ended at the origin."""
@@ -35,7 +35,7 @@ class Search(ABC):
 
     Attributes:
         choices: what a row chooses.
-        marks: the places of the results that `found` needs; the same for every program.
+        marks: the places of the results that `read_results` needs; the same for every program.
     """
 
     choices: Choices
@@ -61,7 +61,7 @@ class Search(ABC):
         return [int(min(max(round(wanted[name]), low), high)) for name, (low, high) in ranges]
 
     @abstractmethod
-    def found(self, results: np.ndarray, rows: np.ndarray) -> Found:
+    def read_results(self, results: np.ndarray, rows: np.ndarray) -> SearchResult:
         """What the results of programs of these rows say, (stages, operations)."""
 
     def _mark(self, name: str, program: Program) -> Program:

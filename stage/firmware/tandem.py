@@ -16,7 +16,7 @@ from stage.errors import ArgumentError
 from stage.firmware.driver import RAMP, Speeds, driver_of
 from stage.firmware.procedures import line, parse_speeds
 from stage.firmware.report import Report
-from stage.firmware.stop_reasons import NOT_AS_ASKED
+from stage.firmware.stop_reasons import UNWANTED_REASONS
 from stage.firmware.together import SynchronizedReport
 from stage.sim.axis import Axis
 from stage.support.arguments import patience
@@ -51,13 +51,13 @@ def square(
         driver.check_origin()
     named = {axis.name: axis for axis in axes}
 
-    def go(way: float) -> SynchronizedReport:
-        return line(dict.fromkeys(named, way), named, speed=speed, start_speed=start_speed, accel=accel)
+    def go(distance: float) -> SynchronizedReport:
+        return line(dict.fromkeys(named, distance), named, speed=speed, start_speed=start_speed, accel=accel)
 
     piece = PIECE * min(high - low for low, high in (axis.travel for axis in axes))
-    while _found(axes) and _free(go(-direction * piece)):
+    while _is_on_origin(axes) and _free(go(-direction * piece)):
         pass
-    while not _found(axes) and _free(go(direction * piece)):
+    while not _is_on_origin(axes) and _free(go(direction * piece)):
         pass
     reports = []
     for driver in drivers:
@@ -85,11 +85,11 @@ def tandems(axes: Iterable[Axis]) -> list[list[Axis]]:
     return list(groups.values())
 
 
-def _found(axes: Sequence[Axis]) -> bool:
+def _is_on_origin(axes: Sequence[Axis]) -> bool:
     """Whether one is on its origin switch."""
     return any(axis.switches.org for axis in axes)
 
 
 def _free(report: SynchronizedReport) -> bool:
     """Whether nothing was in the way. A servo's encoder may show a count less, or more, than was asked."""
-    return not any(r.stopped_by in NOT_AS_ASKED or r.lost_steps for r in report.axes.values())
+    return not any(r.stopped_by in UNWANTED_REASONS or r.lost_steps for r in report.axes.values())

@@ -2,7 +2,7 @@
 
 with Together({name: Procedure(axis, "line") ...}, distances) as line:
     ...                                      write, start; line.began(name) after each start
-    line.look()                              while they move
+    line.measure_carriages()                 while they move
     report = line.report(stopped_by)
 """
 
@@ -143,9 +143,9 @@ class Together:
         for n in names or self.watch:
             self._began[n] = self.watch[n].axis.time
 
-    def look(self) -> None:
+    def measure_carriages(self) -> None:
         """Note how far the carriages are from the line."""
-        self.carriages.look()
+        self.carriages.measure()
 
     def has_arrived(self, name: str) -> bool:
         """Return whether an axis has made all pulses of its distance."""
@@ -182,7 +182,7 @@ class Together:
 
 
 class StopTogether:
-    """Called at each poll of a line, `look` of `wait_until_stopped`: slows all axes down once one has stopped early.
+    """Called at each poll of a line, `on_poll` of `wait_until_stopped`: slows all axes down once one has stopped early.
 
     Attributes:
         stopped: Names of the axes that it has slowed down.
@@ -194,7 +194,7 @@ class StopTogether:
         self.stopped: set[str] = set()
 
     def __call__(self) -> None:
-        self._together.look()
+        self._together.measure_carriages()
         running = {n for n, d in self._drivers.items() if d.chip.busy(d.axis.chip_axis)}
         early = (n for n in self._drivers if n not in running and not self._together.has_arrived(n))
         if running and not self.stopped and any(early):
@@ -214,24 +214,24 @@ class Carriages:
             return
         self.worst = 0.0
         self._start = self._positions()
-        self._way = np.array(
+        self._line = np.array(
             [distances[n] * (a.meters_per_pulse or 0.0) * np.sign(getattr(a, "gear", 1.0)) for n, a in axes.items()]
         )
 
     def _positions(self) -> np.ndarray:
         return np.array([a.position for a in self._axes])
 
-    def look(self) -> None:
+    def measure(self) -> None:
         if self._axes:
             off = self._positions() - self._start
-            along = min(max(off @ self._way / (self._way @ self._way), 0.0), 1.0)
-            self.worst = max(self.worst or 0.0, float(np.linalg.norm(off - along * self._way)))
+            along = min(max(off @ self._line / (self._line @ self._line), 0.0), 1.0)
+            self.worst = max(self.worst or 0.0, float(np.linalg.norm(off - along * self._line)))
 
 
-def chosen_axes(distances: Mapping, axes: Axes, procedure: str) -> dict[str, tuple[Axis, Any]]:
+def select_axes(distances: Mapping, axes: Axes, procedure: str) -> dict[str, tuple[Axis, Any]]:
     """Label -> (axis, distance); the label is the name used, or the axis' own. Raises ArgumentError."""
     known: Any = getattr(axes, "axes", axes)
-    chosen: dict[str, tuple[Axis, Any]] = {}
+    selected: dict[str, tuple[Axis, Any]] = {}
     for key, d in distances.items():
         label, axis = key, key
         if isinstance(key, str):
@@ -242,7 +242,7 @@ def chosen_axes(distances: Mapping, axes: Axes, procedure: str) -> dict[str, tup
             axis = known[key]
         else:
             label = getattr(key, "name", repr(key))
-        if label in chosen or any(axis is other for other, _ in chosen.values()):
+        if label in selected or any(axis is other for other, _ in selected.values()):
             raise ArgumentError(f"axis {label!r} is given twice: one distance an axis.")
-        chosen[label] = (axis, d)
-    return chosen
+        selected[label] = (axis, d)
+    return selected

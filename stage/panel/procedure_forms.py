@@ -356,11 +356,11 @@ class Jog:
     def run(self, stage: Stage) -> Any:
         """Run until the button is let go or something stops the axis; return a report."""
         driver = driver_of(self.axis)
-        driver.ready()
+        driver.prepare()
         with Procedure(self.axis, "jog") as p:
             driver.run(self.direction, self._speeds)
-            stage.run_until(lambda: self._released.is_set() or not driver.runs(), 1e6)
-            met = "" if driver.runs() else driver.explain_end(False, p.journal)
+            stage.run_until(lambda: self._released.is_set() or not driver.is_running(), 1e6)
+            met = "" if driver.is_running() else driver.explain_end(False, p.journal)
             driver.halt()
             report = p.report(met or "decelerating stop")
         if met and not report.pulses:

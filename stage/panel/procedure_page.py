@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from nicegui import background_tasks, run, ui
 
 from stage.errors import RunTimeout, StageError
-from stage.firmware.stop_reasons import NOT_AS_ASKED
+from stage.firmware.stop_reasons import UNWANTED_REASONS
 from stage.panel.fault_controls import find_coupled_axes
 from stage.panel.procedure_forms import FORMS, Field, Jog, ProcedureForm, draw_pattern, find_field, to_field_error
 from stage.panel.session import ActionStopped
@@ -198,7 +198,7 @@ class Procedures:
                 try:
                     order = form.prepare(self.session.stage, self.axis, values)
                     report = await self.reports.perform(form.name, what, order)
-                    if form.finds_origin and report is not None and report.stopped_by not in NOT_AS_ASKED:
+                    if form.finds_origin and report is not None and report.stopped_by not in UNWANTED_REASONS:
                         self.session.post(partial(self.observer.note_origin, axis))
                 except StageError as error:
                     self._show_error(form.name, self._outcomes(error, controls, fields), fields, controls)

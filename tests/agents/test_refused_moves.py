@@ -88,6 +88,6 @@ def test_the_last_recording_is_of_the_last_move(make_box):
 def test_another_axis_of_the_chip_is_not_stopped():
     driver = driver_of(Stage("xy", chips="mcx304", visuals=False).axes["x"])
     code = driver.map.command(driver.STOP).code
-    assert driver.stops(0, 0x100 | code)
-    assert not driver.stops(0, 0x200 | code)
-    assert not driver.stops(1, 0x100 | code)
+    assert driver.is_stop_command(0, 0x100 | code)
+    assert not driver.is_stop_command(0, 0x200 | code)
+    assert not driver.is_stop_command(1, 0x100 | code)

@@ -16,7 +16,7 @@ from stage.envs.synchronized_move import (
 )
 from stage.errors import ArgumentError
 from stage.firmware.driver import driver_of
-from stage.firmware.lines import Asked, line_of
+from stage.firmware.lines import LineMoves, line_of
 from stage.firmware.path import path_deviation, perfect_deviation, pulses_of
 from stage.firmware.pcl240 import emulated
 from stage.firmware.pcl240.driver import TUNED as REGISTERS
@@ -509,7 +509,7 @@ def test_the_data_sheets_ramp_down_point_is_some_pulses_before_the_end_in_the_ra
     """line.data_sheet(Asked([[8000, 10], [4, 3]], [8000.0, 8000.0])): 5 pulses of the longest axis at FL, one at least, and never
     more than the axis makes"""
     line = task(2).line
-    asked = Asked(np.array([[8000, 10], [4, 3]]), np.array([8000.0, 8000.0]))
+    asked = LineMoves(np.array([[8000, 10], [4, 3]]), np.array([8000.0, 8000.0]))
     low, high, _, down, point, r7 = np.moveaxis(line.data_sheet(asked), 2, 0)
     fall = np.floor((high + low) * np.maximum(high - low, 1) * down / (16384.0 * r7))
     assert (point - fall)[0].tolist() == [5, 1]

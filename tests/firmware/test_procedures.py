@@ -12,7 +12,7 @@ from stage.firmware import Bench
 from stage.firmware.driver import SETTLE, AtOnce, Speeds, driver_class, driver_of, usual_speeds, wait_until_stopped
 from stage.firmware.procedures import parse_speeds, two_rates
 from stage.firmware.report import Procedure
-from stage.firmware.stop_reasons import NOT_AS_ASKED
+from stage.firmware.stop_reasons import UNWANTED_REASONS
 from stage.sim import plant
 
 EVERY = list(CHIPS.own)
@@ -141,9 +141,9 @@ def test_a_driver_tells_what_ended_its_latest_run_and_nothing_while_it_runs(name
     assert x.chip.net(0) == -300
     driver.run(1, Speeds())
     x.wait(0.05)
-    assert (driver.runs(), driver.stopped_by()) == (True, "")
+    assert (driver.is_running(), driver.stopped_by()) == (True, "")
     driver.halt()
-    assert not driver.runs()
+    assert not driver.is_running()
     assert driver.stopped_by() != driver.DONE
 
 
@@ -411,7 +411,7 @@ def test_a_servo_jogs_a_table_round_past_its_home_switch():
     assert report.position == pytest.approx(8.0, rel=0.02), "rad, more than a turn; a speed is whole counts a sample"
 
 
-@pytest.mark.parametrize("met", NOT_AS_ASKED)
+@pytest.mark.parametrize("met", UNWANTED_REASONS)
 def test_what_a_move_was_not_meant_to_end_by_is_told_as_such(met):
     x = Bench(x=PCL240K()).axes["x"]
     with Procedure(x, "run") as p:
@@ -419,7 +419,7 @@ def test_what_a_move_was_not_meant_to_end_by_is_told_as_such(met):
     assert not report.ok
     assert (report.began, report.average_rate, report.peak_rate) == (0, 0, 0), "nothing ran"
     assert f"NOT as asked, stopped by {met}" in str(report)
-    assert {"EL+", "EL-", "ALARM", "EMG", "timeout"} <= set(NOT_AS_ASKED)
+    assert {"EL+", "EL-", "ALARM", "EMG", "timeout"} <= set(UNWANTED_REASONS)
 
 
 def test_an_emergency_stop_is_not_as_asked():
@@ -429,7 +429,7 @@ def test_an_emergency_stop_is_not_as_asked():
     x.wait(0.05)
     x.chip.pins.emg = True
     x.wait(0.01)
-    assert not driver.runs()
+    assert not driver.is_running()
     assert driver.stopped_by() == "EMG"
     x.chip.pins.emg = False
     assert driver.stopped_by() == "EMG", "it has ended the drive, whatever it is now"

@@ -7,7 +7,7 @@ from support.examples import SEED
 from stage import ArgumentError, StageError, firmware
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, Port, Profile
-from stage.firmware.pcl240.closed_form import _late, twice_span
+from stage.firmware.pcl240.closed_form import _mean_delay, twice_span
 
 SHAPES = [False, True, 0.2]
 
@@ -160,4 +160,4 @@ def test_the_linear_part_of_a_curve_is_late_by_what_its_first_two_steps_lack_to_
     for a in range(8):
         for rate in range(1, 6):
             lack = [next(k for k in range(4) if (at + k) % 4 == 0) / 4 for at in (a, a + 2 * rate)]
-            assert _late(a, rate) == sum(lack) / 2, (a, rate)
+            assert _mean_delay(a, rate) == sum(lack) / 2, (a, rate)

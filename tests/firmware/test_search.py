@@ -10,7 +10,7 @@ from stage.chips.pcl240.state import S_ORG, S_ZERO
 from stage.firmware import Bench
 from stage.firmware.driver import driver_of
 from stage.firmware.nova.search import HomeSearch
-from stage.firmware.pcl240 import bus, home
+from stage.firmware.pcl240 import home
 from stage.firmware.pcl240.search import FourRuns
 from stage.sim.program import Program
 
@@ -31,7 +31,7 @@ def found(made, results, **chosen):
     rows = np.array(
         [list((dict(zip(made.choices.ranges, made.choices.low, strict=True)) | chosen).values())] * len(results)
     )
-    return made.found(kept, rows)._asdict()
+    return made.read_results(kept, rows)._asdict()
 
 
 def four_runs(ended=S_ORG, index=0xFF, made=MADE, **run):
@@ -63,7 +63,7 @@ WAYS = {  # late, home, end_limit, released
 def test_every_end_of_an_origin_return_of_four_runs_is_told():
     told = found(search(FourRuns, PCL240K), [r for (r, _), _ in WAYS.values()], back_off=500)
     for k, (name, (_, expected)) in enumerate(WAYS.items()):
-        seen = [int(told[what][k]) for what in ("late", "home", "end_limit", "released")]
+        seen = [int(told[what][k]) for what in ("timed_out", "home", "end_limit", "released")]
         assert all(e in (None, s) for s, e in zip(seen, expected, strict=True)), (name, seen)
     assert set(told["searched"]) == {7000}
     assert set(told["overrun"]) == {480 - 500}
@@ -97,7 +97,7 @@ def test_every_end_of_an_automatic_home_search_is_told(chip, ez):
     told = found(made, results, leave=800)
     n = len(times)
     assert told["home"].tolist() == [True, True, True, False, False] + [False] * n + [True] * n
-    assert told["late"].tolist() == [False] * 5 + [True] * n + [False] * n
+    assert told["timed_out"].tolist() == [False] * 5 + [True] * n + [False] * n
     assert told["end_limit"].tolist() == [False, False, True, True, False] + [False] * 2 * n
     assert told["released"].tolist() == [True] * 4 + [False] + [True] * 2 * n
     assert told["searched"].tolist() == [7000] * 2 + [6999] + [7000] * (2 + 2 * n)
@@ -107,7 +107,7 @@ def test_every_end_of_an_automatic_home_search_is_told(chip, ez):
 def test_an_origin_return_to_the_index_pulse_counts_from_fl_on(ez):
     """R13: end at the ez-th EZ, counted from where the axis runs at FL; not from ORG on, at the speed of the search"""
     made, chip = search(FourRuns, PCL240MK, ez), PCL240MK()
-    value = bus.EZ_RETURN | bus.EZ_FROM_FL | (ez - 1) << bus.EZ_COUNT
+    value = 1 << 21 | 1 << 20 | (ez - 1) << 16
     assert value == PCL240MK.MAP.register("R13").mask & value
     wanted = Program().register(0, chip, "R13", value).ops
     rows = made.program(made.choices.low).ops

@@ -70,7 +70,7 @@ def until(happened, seconds=20.0):
 
 def start_and_wait(axis, way):
     driver = driver_of(axis)
-    driver.ready()
+    driver.prepare()
     with Procedure(axis, "start") as p:
         driver.start(round(way * 5e-3 / axis.meters_per_pulse) * (-1 if axis.gear < 0 else 1), Speeds())
         return p.report(driver.wait(3.0))
@@ -301,7 +301,7 @@ def test_the_panel_stops_a_line_whose_host_waits_for_less_than_a_millisecond_at_
 def test_a_limit_that_no_drive_has_met_and_no_switch_shows_any_more_is_called_by_its_pin(servo):
     x = servo.axes["x"]
     driver = driver_of(x)
-    driver.ready()
+    driver.prepare()
     with faults.switch_stuck(x, "el_plus", True):
         servo.run(1e-3)
     assert not x.switches.el_plus

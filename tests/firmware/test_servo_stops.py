@@ -153,9 +153,9 @@ def test_an_axis_that_moves_is_given_nothing_else_to_do_and_goes_on(stage, call)
     stage.run(0.1)
     with pytest.raises(StageError, match=r"axis x is moving: wait until it stops, or firmware\.stop"):
         STARTS[call](x)
-    assert driver.runs()
+    assert driver.is_running()
     assert driver.wait(3.0) == driver.DONE
-    assert not driver.runs()
+    assert not driver.is_running()
     stage.run(0.1)
     assert x.position == pytest.approx(4000 * COUNT, abs=10 * COUNT)
     assert not x.chip.diagnostics
@@ -170,10 +170,10 @@ def test_an_axis_that_runs_is_given_nothing_else_to_do_and_runs_on(stage, call):
     stage.run(0.2)
     with pytest.raises(StageError, match="axis x is moving"):
         STARTS[call](x)
-    assert driver.runs()
+    assert driver.is_running()
     assert commanded_speed(x) == pytest.approx(10_000, rel=0.08)
     driver.halt()
-    assert not driver.runs()
+    assert not driver.is_running()
     assert firmware.move(x, -1e-3).ok
 
 

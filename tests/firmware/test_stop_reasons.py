@@ -184,7 +184,7 @@ def test_a_software_limit_that_ends_a_nova_drive_is_the_reason(name, way):
     assert firmware.move(x, pulses=-100 * way).stopped_by == "all pulses", "beyond the limit still, and on its way back"
     jogged = driver_of(x)
     jogged.run(way, Speeds())
-    assert not jogged.runs()
+    assert not jogged.is_running()
     assert jogged.explain_end(False) == limit
 
 
@@ -235,5 +235,5 @@ def test_a_home_search_that_a_host_stops_has_not_found_the_origin():
     x = bench(MCX514)
     write_at(x, 0.2, 0, 1 << 8 | MCX514.MAP.command("DRVFBRK").code)
     report = firmware.home(x, timeout=2.0)
-    assert report.stopped_by not in driver_of(x).FOUND
+    assert report.stopped_by not in driver_of(x).HOME_REASONS
     assert not report.ok

@@ -268,7 +268,7 @@ def test_a_carriage_beyond_an_end_of_its_line_is_as_far_off_as_from_that_end():
         x.position = y.position = 0.0
         carriages = Carriages({"x": x, "y": y}, {"x": 3000, "y": 4000})
         x.position, y.position = place
-        carriages.look()
+        carriages.measure()
         assert carriages.worst == pytest.approx(far)
     y.unit = "rad"
     assert Carriages({"x": x, "y": y}, {"x": 3000, "y": 4000}).worst is None

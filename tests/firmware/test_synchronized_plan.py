@@ -14,7 +14,7 @@ from stage import ArgumentError
 from stage.chips import PCL240K
 from stage.firmware import Bench, plan, synchronized_move
 from stage.firmware.pcl240 import fit, leader
-from stage.firmware.pcl240.closed_form import count, course, first_pulse, ramp_ticks
+from stage.firmware.pcl240.closed_form import count, fill_motion, first_pulse, ramp_ticks
 from stage.firmware.pcl240.emulated import trace_row
 from stage.firmware.pcl240.leader import effective_steps
 from stage.firmware.pcl240.profile import ramp_seconds
@@ -35,7 +35,7 @@ def test_the_closed_form_is_the_chip_to_the_clock():
         r6 = rng.choice((0, rng.randint(1, 4000)))  # triangles and runs that never leave FL among them
         r = np.array([rng.randint(1, 3000), fl, fh, fh, up, down, r6, rng.randint(2, 1023)])
         pulses, c = trace_row(r), np.zeros(4, np.int64)
-        course(r, c)
+        fill_motion(r, c)
         assert c[3] == pulses[-1], r
         at = [int(count(r, c, float(t))) for t in pulses]
         before = [int(count(r, c, float(t - 1))) for t in pulses]
@@ -47,7 +47,7 @@ def farthest(leader, own, lead, corners=False, hz=4_915_200):
     """The largest distance from the line as fit.py defines it, in pulses of the follower: of 2000 times of the move, or of the
     first pulse and the ends of all ramps."""
     c, o = np.zeros(4, np.int64), np.zeros(4, np.int64)
-    course(leader, c), course(own, o)
+    fill_motion(leader, c), fill_motion(own, o)
     rho, lo, hi = own[0] / leader[0], 1.0, 0.0
     end = min(c[3] / hz, o[3] / hz - lead)
     ends = [
@@ -345,7 +345,7 @@ def test_a_choice_does_not_depend_on_what_was_chosen_before():
     hz, work = 4_915_200, np.zeros(1, fit.WORK)
 
     def rises(d, room):
-        scores, kept = np.empty(fit.KEPT), np.zeros((fit.KEPT, len(leader)), np.int64)
+        scores, kept = np.empty(fit.MAX_CANDIDATES), np.zeros((fit.MAX_CANDIDATES, len(leader)), np.int64)
         fit.accelerations(leader, hz, d, hz, 0.0, 0.0, 16_383, 0, scores, kept, room)
         return kept
 

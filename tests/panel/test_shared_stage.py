@@ -180,7 +180,7 @@ def test_pause_and_stop_act_within_two_slices_of_a_procedure(chips, name, speed)
         session.paused = False
         session.speed = FREE
         session.stop().result(MAX_WAIT_S)
-        assert not any(session.do(lambda stage, a=a: driver_of(a).runs()) for a in (x, y)) or chips == "hctl1100"
+        assert not any(session.do(lambda stage, a=a: driver_of(a).is_running()) for a in (x, y)) or chips == "hctl1100"
 
 
 def test_a_stop_with_a_ramp_begins_on_all_axes_at_the_same_time():

@@ -14,7 +14,7 @@ from stage.errors import StageError
 from stage.firmware import Bench, Profile
 from stage.firmware.choices import limits
 from stage.firmware.driver import AtOnce, Speeds, driver_of, usual_speeds
-from stage.firmware.lines import Asked, LineSettings, line_of
+from stage.firmware.lines import LineMoves, LineSettings, line_of
 from stage.firmware.nova import draw
 from stage.firmware.nova.port import Port as NovaPort
 from stage.firmware.path import path_points, perfect_deviation
@@ -87,30 +87,30 @@ def read_answers(cls):
     h, x = driver_of(y), driver_of(stage.axes["x"])
     polls = []
     results = {
-        "usual": usual_speeds(y.chip)[:5], "names": [h.DONE, h.FINISH, h.POSITIVE, h.homings(), h.FOUND], "index": h.index,
-        "at rest": [h.runs(), h.stopped_by(), attempt(h.status_words)],
+        "usual": usual_speeds(y.chip)[:5], "names": [h.DONE, h.FINISH, h.POSITIVE, h.homings(), h.HOME_REASONS], "index": h.index,
+        "at rest": [h.is_running(), h.stopped_by(), attempt(h.status_words)],
         "no start": attempt(h.start, 0, SLOW), "half": attempt(h.start, 10.5, SLOW),
         "s": attempt(h.start, 30, SLOW._replace(s_curve=True)),
     }  # fmt: skip
     attempt(h.halt)
     results["start"] = attempt(h.start, -240, SLOW)
-    results["busy"] = [h.runs(), attempt(h.start, 5, SLOW), attempt(lambda: str(h.move(7, SLOW)))]
+    results["busy"] = [h.is_running(), attempt(h.start, 5, SLOW), attempt(lambda: str(h.move(7, SLOW)))]
     results["late"] = attempt(h.wait, 1e-3)
     results["wait"] = [attempt(h.wait, 2.0, lambda: polls.append(y.time)), len(polls), float(np.sum(polls))]
     results["words"] = attempt(h.status_words)
-    results["there"] = [y.position, y.chip.net(y.chip_axis), h.runs()]
+    results["there"] = [y.position, y.chip.net(y.chip_axis), h.is_running()]
     results["registers"] = {r.name: attempt(h.read_register, r.name) for r in y.chip.MAP.registers}
     results["no register"] = attempt(h.read_register, "R99")
     results["two rates"] = attempt(h.two_rates, 900, SLOW.with_second(9000.0), 0.01)
     h.run(-1, SLOW)
     stage.run(0.03)
-    results["running"] = [h.runs(), h.stopped_by()]
+    results["running"] = [h.is_running(), h.stopped_by()]
     h.halt(at_once=True)
     results["halted"] = [y.position, y.chip.net(y.chip_axis), y.time]
     h.halt()
     results["halted twice"] = y.time
     results["stops"] = "".join(
-        "x" if h.stops(a, v) else "." for a in (0, 1) for v in (*range(256), 0x126, 0x256, 0x226, 0x257)
+        "x" if h.is_stop_command(a, v) else "." for a in (0, 1) for v in (*range(256), 0x126, 0x256, 0x226, 0x257)
     )
     results["circle"] = attempt(h.circle, x, 40, SLOW)
     results["circle back"] = attempt(x.circle, h, -30, SLOW)
@@ -131,7 +131,7 @@ def run_into_ends(cls):
         went = [attempt(h.start, -20 * direction, SLOW), attempt(h.wait, 1.0)]
         h.run(direction, SLOW)
         stage.run(0.15)
-        stood = [h.runs(), h.stopped_by(), y.position]
+        stood = [h.is_running(), h.stopped_by(), y.position]
         h.halt()
         again = [attempt(h.start, 10 * direction, SLOW), attempt(h.wait, 0.5), h.stopped_by(), y.chip.net(y.chip_axis)]
         away = [
@@ -225,7 +225,7 @@ def plan_lines(cls, curve):
             results[name] = error
             continue
         distances = np.array(moves)
-        requested = Asked(distances, np.array([8000.0, 2500.0, 700.0])[: len(moves)])
+        requested = LineMoves(distances, np.array([8000.0, 2500.0, 700.0])[: len(moves)])
         steep = requested._replace(ramp=np.array([0.01, 0.2, 1e-3])[: len(moves)])
         rows = result.data_sheet(requested)
         off = np.linspace(-1, 1, rows.size).reshape(rows.shape)
@@ -350,7 +350,7 @@ def compute_closed_forms():
         r = np.array(row + [0, 0] * (k % 3 > 0), np.int64)
         closed.bend(r, share)
         c = np.zeros(4, np.int64)
-        closed.course(r, c)
+        closed.fill_motion(r, c)
         times = [float(c[3]) * part for part in (0.01, 0.1, 0.37, 0.5, 0.8, 0.99, 1.0)]
         chip = PCL240MS if len(r) > 8 else PCL240MK
         ticks = emulated.trace_row(r, chip, bool(k % 2 and fh > fl and r[6] > 1))

@@ -355,7 +355,7 @@ def follow_with_slow_hosts():
         polls, rows = [], np.outer(np.arange(30), [1, -2])
         for alone in (True, False):
             result = attempt(
-                follow.follow, ports, rows, leader_only=alone, look=lambda polls=polls, s=stage: polls.append(s.time)
+                follow.follow, ports, rows, leader_only=alone, on_row=lambda polls=polls, s=stage: polls.append(s.time)
             )
             results[f"{cycle} {alone}"] = [read_report(result), len(polls), stage.time, [p.commanded() for p in ports]]
         results[f"{cycle} of none"] = attempt(follow.follow, [], rows)

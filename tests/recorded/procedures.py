@@ -307,7 +307,7 @@ def move_servos():
         "follow each": attempt(follow.follow, [port, other], circle[:200], leader_only=False),
         "follow bad": attempt(follow.follow, [port, other], np.zeros((3, 3))),
         "circles": [float(follow.off_circle(circle, 120).max()), float(np.abs(circle).sum()), len(circle)],
-        "circle of 3": attempt(follow.circle, 50, seconds=0.1, sample=port.sample, axes=3, turns=2, ramp=0.01),
+        "circle of 3": attempt(follow.circle, 50, seconds=0.1, sample=port.sample, axes=3, revolutions=2, ramp=0.01),
         "circle bad": attempt(follow.circle, 50, seconds=0.1, sample=port.sample, ramp=0.2),
         "where": [x.position, y.position, port.position(), other.position()],
     }

@@ -9,7 +9,7 @@ from stage.errors import ArgumentError
 from stage.firmware.choices import Choices, limits
 from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, wait_until_stopped
 from stage.firmware.report import Procedure
-from stage.firmware.search import Found, Search
+from stage.firmware.search import Search, SearchResult
 from stage.sim.program import Program
 
 PLUS_LIMIT, MINUS_LIMIT, ORG = MAP.masks("status", "plus_limit", "minus_limit", "org")
@@ -148,11 +148,13 @@ class Return(Search):
         p.command(a, MAP.command("STOP").code).wait(self.settings.settle)
         self._mark(name, p).read(a, 0)
 
-    def found(self, results, rows):
+    def read_results(self, results, rows):
         said = {name: results[:, at] for name, at in self.marks.items()}
-        late = np.any([said[f"{name} time"] < 0 for name in ("leave", "search", "back", "approach")], axis=0)
+        timed_out = np.any([said[f"{name} time"] < 0 for name in ("leave", "search", "back", "approach")], axis=0)
         at_org = {name: said[name] & ORG != 0 for name in ("search", "back", "approach")}
         released = ~at_org["back"]
         met = np.any([said[name] & (PLUS_LIMIT | MINUS_LIMIT) != 0 for name in ("leave", "search", "approach")], axis=0)
         none = np.zeros(len(rows), np.int64)
-        return Found(late, ~late & released & at_org["approach"], ~late & met, released, none, none)
+        return SearchResult(
+            timed_out, ~timed_out & released & at_org["approach"], ~timed_out & met, released, none, none
+        )

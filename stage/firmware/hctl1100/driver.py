@@ -42,7 +42,7 @@ from stage.sim.program import Operations
 
 PATIENCE = 5.0  # s, to come to rest
 DEADBAND = 10  # counts: a filter without an integral holds a weight by an error
-SAMPLES_MOST = 10_000_000  # of a line, whose command positions are computed before it begins
+MAX_SAMPLES = 10_000_000  # of a line, whose command positions are computed before it begins
 LIMITS = {1: "el_plus", -1: "el_minus"}  # by the carriage's direction
 
 
@@ -54,7 +54,7 @@ class Pattern(pattern.Pattern):
     )  # fmt: skip
     ALWAYS = ("prof", "init")
 
-    def tells(self, meaning: str) -> bool:
+    def is_noteworthy(self, meaning: str) -> bool:
         return meaning.startswith("set F")
 
 
@@ -72,7 +72,7 @@ class Hctl1100Driver(Driver):
         super().__init__(axis)
         self.port = Port(axis)
 
-    def ready(self) -> Port:
+    def prepare(self) -> Port:
         """Set the chip up where it stands in Init/Idle, and load T, which cannot be read back; returns the port.
 
         On a limit switch the chip takes no control mode: it stays in Init/Idle, and its command position is where the axis is.
@@ -92,9 +92,9 @@ class Hctl1100Driver(Driver):
             self.port.load(command_position=self.port.position())
         return self.port
 
-    def _ready_for(self, speeds: Speeds) -> Port:
-        """As `ready`; raises ArgumentError for rates that the chip has not at this sample time, before anything moves."""
-        port = self.ready()
+    def _prepare_for(self, speeds: Speeds) -> Port:
+        """As `prepare`; raises ArgumentError for rates that the chip has not at this sample time, before anything moves."""
+        port = self.prepare()
         velocity_word(port, speeds.drive, "maximum_velocity", 1)
         acceleration_word(port, speeds.drive / speeds.up)
         return port
@@ -141,7 +141,9 @@ class Hctl1100Driver(Driver):
 
     def start(self, pulses: int, speeds: Speeds) -> None:
         self._check(pulses, speeds)
-        start_trapezoid(self._ready_for(speeds), self._counts_left(int(pulses)), speeds.drive, speeds.drive / speeds.up)
+        start_trapezoid(
+            self._prepare_for(speeds), self._counts_left(int(pulses)), speeds.drive, speeds.drive / speeds.up
+        )
 
     def _counts_left(self, pulses: int) -> int:
         """Leave the limit switch on which the axis may stand, and return the counts of a move that are left then."""
@@ -165,19 +167,19 @@ class Hctl1100Driver(Driver):
 
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
         self._check(pulses, speeds)
-        port = self._ready_for(speeds)
+        port = self._prepare_for(speeds)
         with Procedure(self.axis, "move") as p:
-            most = 1.5 * (abs(pulses) / speeds.drive + speeds.up + speeds.down) + 1
+            maximum = 1.5 * (abs(pulses) / speeds.drive + speeds.up + speeds.down) + 1
             done = trapezoid(
                 port, self._counts_left(int(pulses)), velocity=speeds.drive, acceleration=speeds.drive / speeds.up,
-                deadband=DEADBAND, timeout=most if timeout is None else timeout,
+                deadband=DEADBAND, timeout=maximum if timeout is None else timeout,
             )  # fmt: skip
             return p.report(self.stopped_by() if done.limited else self.DONE, int(pulses))
 
     def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
         if index and positive(self.axis, "ez"):
             raise self.no_positive("ez")
-        port = self._ready_for(speeds)
+        port = self._prepare_for(speeds)
         with Procedure(self.axis, "origin return") as p:
             first = direction if port.status() & STOP else -direction  # out of the home switch
             if met := self._blocked_by(first):
@@ -199,7 +201,7 @@ class Hctl1100Driver(Driver):
     def run(self, direction: int, speeds: Speeds) -> None:
         """Run by a trapezoid to the end of the 24 bits, which the home switch does not end as it would integral velocity."""
         self._linear(speeds)
-        port = self._ready_for(speeds)
+        port = self._prepare_for(speeds)
         self._leave_limit(direction)
         final = NUMBERS["final_position"]
         counts = (final.most if direction > 0 else final.least) - port.commanded()
@@ -211,9 +213,9 @@ class Hctl1100Driver(Driver):
         On a limit switch the chip takes no control mode, and the axis stays as it is.
         """
         if not self.port.control_mode() and not self.port.limited():
-            self.ready()
+            self.prepare()
 
-    def runs(self) -> bool:
+    def is_running(self) -> bool:
         return self.port.control_mode() not in ("", "position") and not self.stopped_by()
 
     def halt(self, at_once: bool = False) -> None:
@@ -257,46 +259,48 @@ class Hctl1100Driver(Driver):
     ) -> SynchronizedReport:
         """A command position to each chip in each sample, all axes in step by their SYNC pins."""
         everyone = cast("dict[str, Hctl1100Driver]", drivers)
-        mine = select_moving(everyone, pulses)
+        moving_drivers = select_moving(everyone, pulses)
         for n, driver in everyone.items():
-            if n not in mine:
+            if n not in moving_drivers:
                 driver.hold_still()
-        for driver in mine.values():
+        for driver in moving_drivers.values():
             driver._linear(speeds)
-        ports = [driver.ready() for driver in mine.values()]
-        for (n, driver), port in zip(mine.items(), ports, strict=True):
+        ports = [driver.prepare() for driver in moving_drivers.values()]
+        for (n, driver), port in zip(moving_drivers.items(), ports, strict=True):
             driver._check_goal(port.commanded() + pulses[n])
-        _rows([pulses[n] for n in mine], speeds, ports[0].sample)  # refuses before anything moves
-        with Together({n: Procedure(d.axis, "line") for n, d in mine.items()}, {n: pulses[n] for n in mine}) as line:
+        _rows([pulses[n] for n in moving_drivers], speeds, ports[0].sample)  # refuses before anything moves
+        with Together(
+            {n: Procedure(d.axis, "line") for n, d in moving_drivers.items()}, {n: pulses[n] for n in moving_drivers}
+        ) as line:
             line.began()
-            met = {n: d._blocked_by(int(np.sign(pulses[n]))) for n, d in mine.items()}
+            met = {n: d._blocked_by(int(np.sign(pulses[n]))) for n, d in moving_drivers.items()}
             if any(met.values()):
                 return line.report({n: limit or ANOTHER_AXIS for n, limit in met.items()})
             with line.in_time():
-                goals = [d._counts_left(pulses[n]) + d.port.commanded() for n, d in mine.items()]
+                goals = [d._counts_left(pulses[n]) + d.port.commanded() for n, d in moving_drivers.items()]
             synchronize(ports)  # each holds where it is, which may be beside its command
             left = [goal - port.commanded() for port, goal in zip(ports, goals, strict=True)]
             rows = _rows(left, speeds, ports[0].sample)
             line.began()
             begin = ports[0].axis.time
 
-            def look() -> None:
-                line.look()
+            def check_progress() -> None:
+                line.measure_carriages()
                 if timeout is not None and not ports[0].axis.time - begin <= timeout:
                     raise RunTimeout(f"the line was not drawn after {timeout:g} s; the axes are held where they are.")
 
             with line.in_time():
-                drawn = _draw(ports, rows, max(round(speeds.down / ports[0].sample), 1), look)
+                drawn = _draw(ports, rows, max(round(speeds.down / ports[0].sample), 1), check_progress)
             ports[0].axis.wait(SETTLE)
-            line.look()
-            ended = {}
-            for (n, driver), port, goal in zip(mine.items(), ports, goals, strict=True):
-                ended[n] = driver.stopped_by() or (cls.DONE if drawn else ANOTHER_AXIS)
-                if ended[n] == cls.DONE and abs(goal - port.position()) > DEADBAND:
+            line.measure_carriages()
+            reasons = {}
+            for (n, driver), port, goal in zip(moving_drivers.items(), ports, goals, strict=True):
+                reasons[n] = driver.stopped_by() or (cls.DONE if drawn else ANOTHER_AXIS)
+                if reasons[n] == cls.DONE and abs(goal - port.position()) > DEADBAND:
                     raise RunTimeout(
                         f"axis {n} is {goal - port.position()} counts from its end of the line: slower, or another filter."
                     )
-            return line.report(ended)
+            return line.report(reasons)
 
     # --- as programs: RegisterBus takes the chip as any; the tasks that write programs of pulses do not ---
 
@@ -377,36 +381,36 @@ def _draw(ports: list[Port], rows: np.ndarray, braking: int, poll: Callable[[], 
             raise _LimitMet
 
     try:
-        follow(ports, rows, look=poll_limits)
+        follow(ports, rows, on_row=poll_limits)
     except _LimitMet:
         left = 1 - np.arange(1, braking + 1) / braking
         times = sample - 1 + 0.5 * braking * (1 - left**2)  # of the rows: one a sample at first, none at the end
         places = np.array([np.interp(times, np.arange(len(rows)), column) for column in rows.T]).T - rows[sample - 1]
         free = [k for k, port in enumerate(ports) if not port.limited()]
         if free:
-            follow([ports[k] for k in free], places[:, free], look=poll)
+            follow([ports[k] for k in free], places[:, free], on_row=poll)
     return sample == len(rows)
 
 
 def _rows(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:
     """Command positions relative to the start (samples, axes): a trapezoid along the line, its rates those of the longest axis."""
-    longest = max(abs(d) for d in distances) or 1
-    most = NUMBERS["integral_velocity"].most / sample
-    if not 0 < speeds.drive <= most:
+    max_distance = max(abs(d) for d in distances) or 1
+    maximum = NUMBERS["integral_velocity"].most / sample
+    if not 0 < speeds.drive <= maximum:
         raise ArgumentError(
-            f"drive speed {speeds.drive:g} counts/s: more than 0, up to {most:g} at this sample time."
-        ).of(Limit("speed", speeds.drive, 0.0, most))
-    rate = min(speeds.drive, np.sqrt(2.0 * longest * speeds.drive / (speeds.up + speeds.down)))
+            f"drive speed {speeds.drive:g} counts/s: more than 0, up to {maximum:g} at this sample time."
+        ).of(Limit("speed", speeds.drive, 0.0, maximum))
+    rate = min(speeds.drive, np.sqrt(2.0 * max_distance * speeds.drive / (speeds.up + speeds.down)))
     up, down = (ramp * rate / speeds.drive for ramp in (speeds.up, speeds.down))
-    cruising = longest / rate - 0.5 * (up + down)
+    cruising = max_distance / rate - 0.5 * (up + down)
     seconds = up + cruising + down
-    if not seconds <= SAMPLES_MOST * sample:
+    if not seconds <= MAX_SAMPLES * sample:
         raise ArgumentError(
-            f"a line of {seconds:g} s: up to {SAMPLES_MOST * sample:g} s at this sample time. Choose a higher speed, or "
+            f"a line of {seconds:g} s: up to {MAX_SAMPLES * sample:g} s at this sample time. Choose a higher speed, or "
             "shorter ramps."
         )
     t = np.arange(1, int(np.ceil(seconds / sample)) + 1) * sample
     rest = np.maximum(seconds - t, 0.0)
-    way = np.where(t < up, 0.5 * rate * t**2 / up, rate * (t - 0.5 * up))
-    way = np.where(rest < down, longest - 0.5 * rate * rest**2 / down, way)
-    return np.rint(np.outer(np.minimum(way, longest) / longest, distances)).astype(np.int64)
+    travel = np.where(t < up, 0.5 * rate * t**2 / up, rate * (t - 0.5 * up))
+    travel = np.where(rest < down, max_distance - 0.5 * rate * rest**2 / down, travel)
+    return np.rint(np.outer(np.minimum(travel, max_distance) / max_distance, distances)).astype(np.int64)

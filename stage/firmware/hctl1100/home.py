@@ -28,7 +28,7 @@ MAX_COUNTS = 4000  # counts: a limit switch is left before; two turns of the usu
 SOON = 2e-4  # s between two looks at what should be seen soon
 BACK = 60  # counts before the index pulse, from where it is sought count by count
 STEP = 2e-3  # s for a count
-TURNS = 1.2  # of the motor, within which an index pulse must come
+MAX_TURNS = 1.2  # of the motor, within which an index pulse must come
 
 
 @dataclass(frozen=True)
@@ -103,10 +103,10 @@ def leave_limit(
     begin = port.position()
     port.load(motor_command=direction * push)
 
-    def is_released_or_too_far() -> bool:
+    def is_released_or_out_of_reach() -> bool:
         return bool(port.clear_status() & LIMIT) or abs(port.position() - begin) > max_counts
 
-    port.wait_until(is_released_or_too_far, timeout, "release of the limit switch", SOON)
+    port.wait_until(is_released_or_out_of_reach, timeout, "release of the limit switch", SOON)
     if port.limited():
         port.idle()
         raise RunTimeout(
@@ -146,25 +146,25 @@ def stand(port: Port) -> None:
     port.mode("position")
 
 
-def _out_of_switch(port: Port, way: int, speed: float, acceleration: float, turn: int, timeout: float) -> None:
+def _out_of_switch(port: Port, direction: int, speed: float, acceleration: float, turn: int, timeout: float) -> None:
     """Back until STOP can be cleared, an eighth of a turn at a time: a trapezoid does not mind STOP."""
 
     def released() -> bool:
         if port.clear_status() & STOP:
             return True
-        trapezoid(port, way * turn // 8, velocity=speed, acceleration=acceleration, deadband=turn)
+        trapezoid(port, direction * turn // 8, velocity=speed, acceleration=acceleration, deadband=turn)
         return port.limited()
 
     port.wait_until(released, timeout, "release of the home switch", SOON)
     _check_limit(port, "release of the home switch")
-    trapezoid(port, way * turn // 8, velocity=speed, acceleration=acceleration, deadband=turn)
+    trapezoid(port, direction * turn // 8, velocity=speed, acceleration=acceleration, deadband=turn)
 
 
 def _to_index(port: Port, direction: int, turn: int) -> int:
     """The position at which the index pulse begins, seen from this direction."""
     pins = port.axis.chip.axes[port.axis.chip_axis].pins
     port.clear_status()
-    most = round(TURNS * turn)
+    max_counts = round(MAX_TURNS * turn)
 
     def creep(counts: int, seconds: float) -> bool:
         """Count by count, up to so many; whether the index pulse has begun."""
@@ -177,7 +177,7 @@ def _to_index(port: Port, direction: int, turn: int) -> int:
             before = pins.index
         return False
 
-    found = creep(most, port.sample)
+    found = creep(max_counts, port.sample)
     if found:
         port.command(port.commanded() - direction * BACK)
         port.axis.wait(BACK * STEP)
@@ -185,7 +185,7 @@ def _to_index(port: Port, direction: int, turn: int) -> int:
     if not found:
         port.idle()
         raise RunTimeout(
-            f"axis {port.axis.name}: no index pulse within {most} counts of the home switch; it is in Init/Idle now."
+            f"axis {port.axis.name}: no index pulse within {max_counts} counts of the home switch; it is in Init/Idle now."
         )
     return port.position()
 

@@ -92,11 +92,11 @@ class Loop:
         lfilter = need("scipy.signal", "the prediction").lfilter
         (b, a), (_, d) = self.plant, self.filter
         command = np.asarray(command, float)
-        way = np.sign(np.diff(command, prepend=command[0]))
+        velocity_sign = np.sign(np.diff(command, prepend=command[0]))
         closed = self._characteristic()
         b = np.concatenate([[0.0], b])  # as long as a: one sample late
         by_command = lfilter(np.convolve(a, d), closed, command - command[0])
-        return by_command + lfilter(np.convolve(b, d), closed, self.friction * way)
+        return by_command + lfilter(np.convolve(b, d), closed, self.friction * velocity_sign)
 
 
 def design(loop: Loop, margin: float = MARGIN, rattle: float = RATTLE) -> Tuning:
@@ -106,7 +106,7 @@ def design(loop: Loop, margin: float = MARGIN, rattle: float = RATTLE) -> Tuning
     gain that puts it there; one count of the encoder must not be answered by more than `rattle` units of motor command: a coarse
     encoder makes a fast filter rattle. Of the zeros whose crossover is about the highest the lowest: the stiffest at rest.
     """
-    found = []
+    candidates = []
     omega = np.geomspace(1.0, 0.9 * np.pi / loop.sample, 2000)
     z = np.exp(1j * omega * loop.sample)
     plant = np.polyval(loop.plant[0], z) / np.polyval(loop.plant[1], z)
@@ -119,8 +119,8 @@ def design(loop: Loop, margin: float = MARGIN, rattle: float = RATTLE) -> Tuning
         if len(enough):
             k = enough[-1]
             gain = max(round(4 / float(np.abs(response[k]))), 1)
-            found.append((omega[k], replace(loop.tuning, gain=gain, zero=zero)))
-    if not found:
+            candidates.append((omega[k], replace(loop.tuning, gain=gain, zero=zero)))
+    if not candidates:
         raise StageError(f"no zero gives a phase margin of {margin:g} degrees with a gain that the chip holds.")
-    highest = max(crossover for crossover, _ in found)
-    return next(tuning for crossover, tuning in found if crossover > SHARE * highest)
+    highest = max(crossover for crossover, _ in candidates)
+    return next(tuning for crossover, tuning in candidates if crossover > SHARE * highest)

@@ -24,7 +24,7 @@ from stage.firmware.hctl1100.port import FLAGS, LIMIT, MARGIN, PROFILE, STOP, Po
 from stage.firmware.hctl1100.profile import follow, next_sample
 
 DWELL = 0.02  # s within the deadband: settled
-LONGEST = 16 * 256  # clocks of a sample
+MAX_SAMPLE_CLOCKS = 16 * 256  # clocks of a sample
 SPEED_SAMPLES = 3  # samples: positions are whole counts, and a slow profile moves on by less in one sample
 
 
@@ -104,7 +104,7 @@ def set_up(axis: Axis, tuning: Tuning | None = None) -> Port:
             f"axis {axis.name} stands on a limit switch, where the chip takes no control mode: see leave_limit."
         )
     port.hold()
-    axis.wait(LONGEST / port.chip.clock_hz)  # the new T is used after the sample in progress
+    axis.wait(MAX_SAMPLE_CLOCKS / port.chip.clock_hz)  # the new T is used after the sample in progress
     return port
 
 
@@ -182,7 +182,7 @@ def settle(
     counts: int,
     deadband: int,
     timeout: float,
-    said: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    rates: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> MoveReport:
     """Wait until the axis has been within the deadband of its command for DWELL, or LIMIT has ended all. Raises RunTimeout.
 
@@ -190,7 +190,7 @@ def settle(
     goal, since, error = port.commanded(), port.axis.time, 0
     limited = False
 
-    def there() -> bool:
+    def is_settled() -> bool:
         nonlocal since, error, limited
         error, now = goal - port.position(), port.axis.time
         limited = port.limited()
@@ -198,8 +198,8 @@ def settle(
             since = now
         return limited or now - since >= DWELL
 
-    port.wait_until(there, timeout, f"rest within {deadband} counts")
-    return MoveReport(port.axis.name, counts, *said, since - begin, error, deadband, limited)
+    port.wait_until(is_settled, timeout, f"rest within {deadband} counts")
+    return MoveReport(port.axis.name, counts, *rates, since - begin, error, deadband, limited)
 
 
 def proportional_velocity(port: Port, rate: float, seconds: float = 0.5) -> VelocityReport:
@@ -265,20 +265,20 @@ def _measure(port: Port, seconds: float) -> float:
 
 def velocity_word(port: Port, rate: float, name: str, scale: int) -> int:
     """What a velocity register holds for counts/s. Raises ArgumentError where that is 0, or too much."""
-    return _held(port, name, rate, port.sample * scale, "speed", "counts/s")
+    return _round_to_register(port, name, rate, port.sample * scale, "speed", "counts/s")
 
 
 def acceleration_word(port: Port, acceleration: float) -> int:
     """What R27:R26 hold for counts/s2. Raises ArgumentError where that is 0, or too much."""
-    return _held(port, "acceleration", acceleration, port.sample**2 * 256, "acceleration", "counts/s2")
+    return _round_to_register(port, "acceleration", acceleration, port.sample**2 * 256, "acceleration", "counts/s2")
 
 
-def _held(port: Port, name: str, given: float, scale: float, what: str, unit: str) -> int:
-    rate = given * scale
+def _round_to_register(port: Port, name: str, requested: float, scale: float, what: str, unit: str) -> int:
+    rate = requested * scale
     number, value = NUMBERS[name], round(rate) if math.isfinite(rate) else 0
     if value == 0 or not number.least <= value <= number.most:
         raise ArgumentError(
-            f"{given:g} {unit} are {value} in the register of {name} at samples of {port.sample * 1e6:g} us: "
+            f"{requested:g} {unit} are {value} in the register of {name} at samples of {port.sample * 1e6:g} us: "
             f"{max(number.least, 1)} to {number.most} it holds. Choose another rate, or another T."
-        ).of(Limit(what, given, max(number.least, 1) / scale, number.most / scale))
+        ).of(Limit(what, requested, max(number.least, 1) / scale, number.most / scale))
     return value

@@ -44,7 +44,7 @@ FLAGS = {
 """The flag of each control mode but position control."""
 LIMIT, STOP, INIT, PROFILE = (MAP.mask("R07", name) for name in ("limit", "stop", "init", "profile"))
 MARGIN = 3  # counts of the timer: so long before the sample's end no command is begun
-LOOKS = 8  # at the timer, one after the other; two or three are enough
+MAX_TIMER_READS = 8  # at the timer, one after the other; two or three are enough
 
 
 class Port:
@@ -165,7 +165,7 @@ class Port:
                 f"axis {self.axis.name}: T = {self.t} leaves no time in a sample for commands of {mode} control: load "
                 f"{least + MARGIN} or more."
             )
-        for _ in range(LOOKS):
+        for _ in range(MAX_TIMER_READS):
             left = self.chip.read(TIMER)
             if self.t - left < least:
                 self.axis.wait((least - self.t + left) * self.count)
@@ -188,10 +188,10 @@ class Port:
         begin = self.axis.time
         while not test():
             if not self.axis.time - begin < timeout:
-                said = f"at {self.position()} counts, R07 = {self.status():02X}h"
+                state = f"at {self.position()} counts, R07 = {self.status():02X}h"
                 self.idle()
                 raise RunTimeout(
-                    f"axis {self.axis.name}: {what} did not come in {timeout:g} s; it was {said} and is in Init/Idle now."
+                    f"axis {self.axis.name}: {what} did not come in {timeout:g} s; it was {state} and is in Init/Idle now."
                 )
             self.axis.wait(poll)
         return self.axis.time - begin

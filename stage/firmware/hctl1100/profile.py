@@ -52,7 +52,7 @@ def synchronize(ports: Sequence[Port]) -> None:
 
 
 def follow(
-    ports: Sequence[Port], profile: np.ndarray, *, leader_only: bool = True, look: Callable[[], None] | None = None
+    ports: Sequence[Port], profile: np.ndarray, *, leader_only: bool = True, on_row: Callable[[], None] | None = None
 ) -> FollowReport:
     """Command positions relative to where the axes are, one row a sample, in the safe part of it.
 
@@ -74,8 +74,8 @@ def follow(
             if not leader_only:
                 port.wait_for_the_safe_part()
             port.load(command_position=value)
-        if look is not None:
-            look()
+        if on_row is not None:
+            on_row()
     seconds = main.axis.time - begin
     return FollowReport(len(rows), max(round(seconds / main.sample) - len(rows), 0), seconds)
 
@@ -87,9 +87,9 @@ def next_sample(port: Port, mode: str = "position") -> None:
 
 
 def circle(
-    radius: float, *, seconds: float, sample: float, axes: int = 2, turns: int = 1, ramp: float = 0.2
+    radius: float, *, seconds: float, sample: float, axes: int = 2, revolutions: int = 1, ramp: float = 0.2
 ) -> np.ndarray:
-    """A profile for `follow`: `turns` of a circle of `radius` counts, from rest to rest in `seconds`.
+    """A profile for `follow`: `revolutions` of a circle of `radius` counts, from rest to rest in `seconds`.
 
     With two axes in their plane, beginning at the lowest point to the right, counter-clockwise; with three in the plane that
     contains the first axis and stands at 45 degrees to the others. The speed on the path rises and falls evenly in `ramp` s each.
@@ -103,10 +103,10 @@ def circle(
         )
     t = np.minimum(np.arange(1, int(np.ceil(seconds / sample)) + 1) * sample, seconds)
     up, left = np.minimum(t, ramp), np.minimum(seconds - t, ramp)
-    way = np.where(
+    travel = np.where(
         t < ramp, up**2 / (2 * ramp), np.where(left < ramp, seconds - ramp - left**2 / (2 * ramp), t - 0.5 * ramp)
     )
-    angle = 2 * np.pi * turns * way / (seconds - ramp)
+    angle = 2 * np.pi * revolutions * travel / (seconds - ramp)
     right, forward = PLANES[axes]
     return radius * (np.outer(np.sin(angle), right) + np.outer(1 - np.cos(angle), forward))
 

@@ -23,7 +23,7 @@ from stage.support.arguments import patience
 
 CNEXT, DRIVING = MAP.mask("RR0", "CNEXT"), MAP.mask("RR0", "n-DRV")
 TWO_AXES, THREE_AXES = 1, 2  # SPD of IPM
-MOST_AXES = 4
+MAX_AXES = 4
 
 
 @dataclass(frozen=True)
@@ -164,19 +164,19 @@ Words = tuple[str, dict[str, int], list[dict[str, int]]]
 
 
 def _words(segment: Segment, axes: int) -> Words:
-    if not 2 <= axes <= MOST_AXES:
-        raise ArgumentError(f"{axes} axes: an MCX514 interpolates 2 to {MOST_AXES}.")
+    if not 2 <= axes <= MAX_AXES:
+        raise ArgumentError(f"{axes} axes: an MCX514 interpolates 2 to {MAX_AXES}.")
     if isinstance(segment, Line):
         if len(segment.finish) != axes:
             raise ArgumentError(f"{segment}: a finish point for each of {axes} axes.")
         return f"LHK{axes}", {}, [{"TP": v} for v in segment.finish]
-    way = "CW" if segment.clockwise else "CCW"
+    rotation = "CW" if segment.clockwise else "CCW"
     points = [{"TP": f, "CP": c} for f, c in zip(segment.finish, segment.centre, strict=True)]
     if isinstance(segment, Arc):
-        return f"CHK{way}", {}, points + [{} for _ in range(axes - 2)]
+        return f"CHK{rotation}", {}, points + [{} for _ in range(axes - 2)]
     if len(segment.along) != axes - 2 or axes < 3:
         raise ArgumentError(f"{segment}: `along` for each of the axes but the first two; {axes} axes are given.")
-    return f"HL{way}", {"HLN": segment.rotations}, points + [{"TP": v} for v in segment.along]
+    return f"HL{rotation}", {"HLN": segment.rotations}, points + [{"TP": v} for v in segment.along]
 
 
 def _with_calculation(ports: list[Port], words: Words) -> Words:

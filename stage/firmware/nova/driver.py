@@ -14,14 +14,14 @@ from stage.firmware import pattern
 from stage.firmware.axis import positive
 from stage.firmware.choices import limits
 from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, select_moving, wait_until_stopped
-from stage.firmware.lines import Asked, Line, LineSettings, line_of
+from stage.firmware.lines import Line, LineMoves, LineSettings, line_of
 from stage.firmware.nova.line import InRatio, Interpolated, NovaLine
 from stage.firmware.nova.port import Port
 from stage.firmware.nova.search import HomeSearch
 from stage.firmware.pattern import AMBER, BLUE, GREEN, GREY, RED, VIOLET
 from stage.firmware.report import Procedure, Report
 from stage.firmware.search import Search
-from stage.firmware.stop_reasons import ANOTHER_AXIS, NOT_AS_ASKED, UNKNOWN
+from stage.firmware.stop_reasons import ANOTHER_AXIS, UNKNOWN, UNWANTED_REASONS
 from stage.firmware.together import StopTogether, SynchronizedReport, Together
 from stage.sim.program import Operations, Program
 
@@ -47,7 +47,7 @@ class Pattern(pattern.Pattern):
     )  # fmt: skip
     ALWAYS = ("asnd", "cnst", "dsnd", "drive")
 
-    def tells(self, meaning: str) -> bool:
+    def is_noteworthy(self, meaning: str) -> bool:
         return "driv" in meaning or "stop" in meaning or "home" in meaning or "interpolation" in meaning
 
 
@@ -65,7 +65,7 @@ class NovaDriver(Driver):
     SLOW_DOWN: ClassVar[str]
     RUN: ClassVar[tuple[str, str]]
     """Continuous drives, plus and minus."""
-    ENDED: ClassVar[str]
+    END_WORD: ClassVar[str]
     """The word whose bits tell what has ended a drive."""
 
     def __init__(self, axis: Any):
@@ -88,12 +88,12 @@ class NovaDriver(Driver):
         with Procedure(self.axis, "move") as p:
             self.start(pulses, speeds)
             slowest = min(speeds.start, speeds.drive)
-            longest = 1.5 * abs(pulses) / slowest + 3 * (speeds.up + speeds.down) + 1
-            wait_until_stopped([self.axis], longest if timeout is None else timeout)
+            max_seconds = 1.5 * abs(pulses) / slowest + 3 * (speeds.up + speeds.down) + 1
+            wait_until_stopped([self.axis], max_seconds if timeout is None else timeout)
             self.axis.wait(SETTLE)
-            ended = self.explain_end(p.pulses_made == pulses, p.journal)
+            reasons = self.explain_end(p.pulses_made == pulses, p.journal)
             # a drive that nothing has stopped made the pulses that it was told: others than asked, where a write was lost
-            return p.report(self.DONE if ended == UNKNOWN else ended, pulses)
+            return p.report(self.DONE if reasons == UNKNOWN else reasons, pulses)
 
     def run(self, direction: int, speeds: Speeds) -> None:
         self._prepare(self._registers(speeds._replace(s_curve=False), 1))
@@ -108,18 +108,18 @@ class NovaDriver(Driver):
             self.port.command(self.STOP if at_once else self.SLOW_DOWN)
         wait_until_stopped([self.axis], PATIENCE)
 
-    def stops(self, address: int, value: int) -> bool:
+    def is_stop_command(self, address: int, value: int) -> bool:
         codes = [self.map.command(name).code for name in (self.STOP, self.SLOW_DOWN)]
         return address == 0 and bool(value >> 8 & 1 << self.axis.chip_axis) and value & 0xFF in codes
 
     def stopped_by(self) -> str:
-        word = self.port.word(int(self.ENDED[2]))
-        return next((name for bit, name in CAUSES.items() if word & self._ended(bit)), "")
+        word = self.port.word(int(self.END_WORD[2]))
+        return next((name for bit, name in CAUSES.items() if word & self._get_end_mask(bit)), "")
 
     def explain_end(self, done: bool, journal: Journal | None = None) -> str:
         """Return what ended a run; a software limit, which has no bit among the ends, is read from the errors of RR2."""
-        ended = super().explain_end(done, journal)
-        return ended if ended != UNKNOWN else next(iter(self.port.errors()), UNKNOWN)
+        reasons = super().explain_end(done, journal)
+        return reasons if reasons != UNKNOWN else next(iter(self.port.errors()), UNKNOWN)
 
     def status_words(self) -> dict[str, int]:
         """RR0 to RR2, and the input signals RR4 and RR5 where the chip has them. RR3 forgets what is read of it."""
@@ -136,11 +136,11 @@ class NovaDriver(Driver):
                 return r.value(self.port.value(symbol))
         raise self.no_reading(r.name)
 
-    def _ended(self, bit: str) -> int:
+    def _get_end_mask(self, bit: str) -> int:
         """The mask of a cause in ENDED, 0 where the chip has none; of the MCX514 END-EMG and END-ALARM."""
-        names = {f.name for f in self.map.word(self.ENDED).fields}
+        names = {f.name for f in self.map.word(self.END_WORD).fields}
         name = f"END-{bit}" if f"END-{bit}" in names else bit
-        return self.map.mask(self.ENDED, name) if name in names else 0
+        return self.map.mask(self.END_WORD, name) if name in names else 0
 
     def _registers(self, speeds: Speeds, pulses: int) -> dict[str, int]:
         """Of these speeds. Raises ArgumentError for what the chip cannot make."""
@@ -171,43 +171,53 @@ class NovaDriver(Driver):
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
         """By the chip's linear interpolation where it has it, else by ranges in the ratio of the distances."""
-        mine = select_moving(cast("dict[str, NovaDriver]", drivers), pulses)
-        for driver in mine.values():
+        moving_drivers = select_moving(cast("dict[str, NovaDriver]", drivers), pulses)
+        for driver in moving_drivers.values():
             if driver.port.driving():
                 raise driver.moving()
-        settings = LineSettings(speeds.start, max(speeds.up, speeds.down), bool(speeds.s_curve), axes=tuple(mine))
-        made = cast("NovaLine", line_of(list(mine.values()), settings))
-        for n, driver in mine.items():
-            made.check_pulses(driver, pulses[n])
-        if speeds.drive > made.fastest:
-            raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {made.fastest:g} here.").of(
-                Limit("speed", speeds.drive, 0.0, made.fastest)
+        settings = LineSettings(
+            speeds.start, max(speeds.up, speeds.down), bool(speeds.s_curve), axes=tuple(moving_drivers)
+        )
+        line_plan = cast("NovaLine", line_of(list(moving_drivers.values()), settings))
+        for n, driver in moving_drivers.items():
+            line_plan.check_pulses(driver, pulses[n])
+        if speeds.drive > line_plan.fastest:
+            raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {line_plan.fastest:g} here.").of(
+                Limit("speed", speeds.drive, 0.0, line_plan.fastest)
             )
-        distances = np.array([[pulses[n] for n in mine]])
-        asked = Asked(distances, np.array([speeds.drive]))
-        ops = made.programs(made.data_sheet(asked), asked)[0]
-        axes = [d.axis for d in mine.values()]
+        distances = np.array([[pulses[n] for n in moving_drivers]])
+        moves = LineMoves(distances, np.array([speeds.drive]))
+        ops = line_plan.programs(line_plan.data_sheet(moves), moves)[0]
+        axes = [d.axis for d in moving_drivers.values()]
         now = AtOnce(*axes)
         with Together(
-            {n: Procedure(d.axis, "line") for n, d in mine.items()}, {n: pulses[n] for n in mine}
+            {n: Procedure(d.axis, "line") for n, d in moving_drivers.items()}, {n: pulses[n] for n in moving_drivers}
         ) as together:
-            for d in mine.values():
+            for d in moving_drivers.values():
                 d.forget(now)
-            starts = made.starts(distances[0]).tolist()
+            starts = line_plan.starts(distances[0]).tolist()
             for j, (_, index, address, value) in enumerate(ops.tolist()):
                 now.write(index, address, value)
                 if j in starts:
-                    together.began(*(n for n, at in zip(mine, starts, strict=True) if at == j))
-            most = float(asked.longest[0])
-            longest = 1.5 * most / min(speeds.start, speeds.drive) + 6 * settings.accel + 1
-            breaker = StopTogether(together, {} if isinstance(made, Interpolated) else mine)  # a chip ends its own
+                    together.began(*(n for n, at in zip(moving_drivers, starts, strict=True) if at == j))
+            max_pulses = float(moves.longest[0])
+            max_seconds = 1.5 * max_pulses / min(speeds.start, speeds.drive) + 6 * settings.accel + 1
+            breaker = StopTogether(
+                together, {} if isinstance(line_plan, Interpolated) else moving_drivers
+            )  # a chip ends its own
             with together.in_time():
-                wait_until_stopped(axes, longest if timeout is None else timeout, look=breaker)
+                wait_until_stopped(axes, max_seconds if timeout is None else timeout, on_poll=breaker)
             axes[0].wait(SETTLE)
-            ended = {n: d.explain_end(together.has_arrived(n), together.watch[n].journal) for n, d in mine.items()}
-            if any(why in NOT_AS_ASKED and why != UNKNOWN for why in ended.values()):  # it has ended the interpolation
-                ended = {n: ANOTHER_AXIS if why == UNKNOWN or n in breaker.stopped else why for n, why in ended.items()}
-            return together.report(ended)
+            reasons = {
+                n: d.explain_end(together.has_arrived(n), together.watch[n].journal) for n, d in moving_drivers.items()
+            }
+            if any(
+                why in UNWANTED_REASONS and why != UNKNOWN for why in reasons.values()
+            ):  # it has ended the interpolation
+                reasons = {
+                    n: ANOTHER_AXIS if why == UNKNOWN or n in breaker.stopped else why for n, why in reasons.items()
+                }
+            return together.report(reasons)
 
     # --- as operations ---
 
@@ -289,7 +299,7 @@ class NovaDriver(Driver):
         """
 
     @abstractmethod
-    def look(self, p: Program) -> dict[str, tuple[int, int, bool]]:
+    def read_levels(self, p: Program) -> dict[str, tuple[int, int, bool]]:
         """Read errors and levels: {"error": (place, mask, which level is on), "stop1": ..., "stop2": ...}."""
 
     def high(self, k: int) -> bool:

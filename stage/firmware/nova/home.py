@@ -92,10 +92,10 @@ def home_search(
     if timer not in TIMERS:
         raise ArgumentError(f"timer={timer!r}: one of {', '.join(f'{t:g}' for t in TIMERS)} s.")
     steps = ["S1EN", "S2EN"] + ["S3EN"] * index + ["S4EN"] * bool(offset)
-    ways = [f"S{k}DR" for k in (1, 2, 3)] if direction < 0 else []
+    direction_bits = [f"S{k}DR" for k in (1, 2, 3)] if direction < 0 else []
     words = {
         "SV": initial_speed, "DV": speed, "HV": home_speed, "AC": acceleration, "TP": offset,
-        "H1M": mask("H1M", *steps, *ways) | 1 << MAP.bit("H1M", "S1G"),
+        "H1M": mask("H1M", *steps, *direction_bits) | 1 << MAP.bit("H1M", "S1G"),
         "H2M": mask("H2M", "LCLR", "RCLR", "HTME") | TIMERS.index(timer) << MAP.bit("H2M", "HTM"),
     }  # fmt: skip
     for port in ports:
@@ -106,9 +106,11 @@ def home_search(
     together = sum(port.bit for port in ports)
     ports[0].chip.write(0, together << 8 | MAP.command("HMSRC").code)
     met: dict[str, tuple[str, ...]] = {}
-    seen = _watch(ports, begin, timeout, None if back else lambda p: met.update({p.axis.name: _limit(p, direction)}))
+    histories = _watch(
+        ports, begin, timeout, None if back else lambda p: met.update({p.axis.name: _limit(p, direction)})
+    )
     reports = {}
-    for port, states in zip(ports, seen, strict=True):
+    for port, states in zip(ports, histories, strict=True):
         axis, errors = port.axis, met.get(port.axis.name) or port.errors()
         reports[axis.name] = HomeReport(
             axis.name, states, states[-1][0], errors, axis.position, getattr(axis, "unit", "m")
@@ -126,9 +128,9 @@ def _watch(
     ports: list[Port], begin: float, timeout: float, at_limit: Callable[[Port], None] | None
 ) -> list[tuple[tuple[float, int], ...]]:
     """Look at HSST until it is 0 on all axes; what was seen. at_limit: what to do with an axis that goes back from a limit."""
-    seen: list[list[tuple[float, int]]] = [[] for _ in ports]
-    while not all(states and states[-1][1] == 0 for states in seen):
-        for port, states in zip(ports, seen, strict=True):
+    histories: list[list[tuple[float, int]]] = [[] for _ in ports]
+    while not all(states and states[-1][1] == 0 for states in histories):
+        for port, states in zip(ports, histories, strict=True):
             state = HSST.of(port.word(3))
             if not states or states[-1][1] != state:
                 states.append((port.axis.time - begin, state))
@@ -140,4 +142,4 @@ def _watch(
                 f"axes {', '.join(p.axis.name for p in ports)} still searched home after {timeout} s; they are stopped."
             )
         ports[0].axis.wait(POLL)
-    return [tuple(states) for states in seen]
+    return [tuple(states) for states in histories]

@@ -10,25 +10,25 @@ import numpy as np
 from stage.chips.nova.registers.mcx300 import RANGE
 from stage.errors import ArgumentError, a_or_an
 from stage.firmware.choices import limits
-from stage.firmware.lines import Asked, Line
+from stage.firmware.lines import Line, LineMoves
 from stage.sim.program import Program
 
 if TYPE_CHECKING:
     from stage.firmware.nova.driver import NovaDriver
 
 FACTOR = 2.0  # a correction of 1 doubles a register of the main axis, of -1 halves it
-FINISH_POINT_MOST = (1 << 31) - 1  # pulses in interpolation
-MOST = 8000  # of SV, V
+MAX_FINISH_POINT = (1 << 31) - 1  # pulses in interpolation
+MAX_SPEED = 8000  # of SV, V
 
 
-class Course(NamedTuple):
+class Ramps(NamedTuple):
     """Of each axis (stages, axes): multiple, SV and V in pps, seconds of a ramp, pulses by which a ramp falls short of V."""
 
     multiple: np.ndarray
     low: np.ndarray
     high: np.ndarray
     ramp: np.ndarray
-    behind: np.ndarray
+    lag: np.ndarray
 
 
 class NovaLine(Line):
@@ -74,32 +74,32 @@ class Interpolated(NovaLine):
 
     def check_pulses(self, driver: NovaDriver, pulses: int) -> None:
         super().check_pulses(driver, pulses)
-        if abs(pulses) > FINISH_POINT_MOST:
+        if abs(pulses) > MAX_FINISH_POINT:
             raise ArgumentError(
                 f"a line of {pulses} pulses on axis {driver.axis.name}: in interpolation the finish point of "
-                f"{a_or_an(self.chip.MAP.chip)} is signed, and holds {FINISH_POINT_MOST} to each side. Split a longer line."
+                f"{a_or_an(self.chip.MAP.chip)} is signed, and holds {MAX_FINISH_POINT} to each side. Split a longer line."
             )
 
-    def data_sheet(self, asked: Asked) -> np.ndarray:
+    def data_sheet(self, moves: LineMoves) -> np.ndarray:
         """The formulas of the data sheet for the longest axis."""
         c, rows = self.settings, []
-        for peak, ramp, longest in zip(*self.reach(asked), asked.longest, strict=True):
-            made = self.main.formula(min(c.fl, peak), peak, ramp, ramp, int(longest), c.s_curve)
-            rows.append([[made[name] for name in self.names]])
+        for peak, ramp, longest in zip(*self.reach(moves), moves.longest, strict=True):
+            registers = self.main.formula(min(c.fl, peak), peak, ramp, ramp, int(longest), c.s_curve)
+            rows.append([[registers[name] for name in self.names]])
         return np.array(rows, np.int64)
 
-    def corrected(self, asked: Asked, corrections: np.ndarray) -> np.ndarray:
+    def corrected(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """Factors, from a half to twice: nothing brings the axes off the line, so there is no count that a pulse is worth."""
-        made = self.legal(self.data_sheet(asked) * FACTOR**corrections)
-        made[:, :, 0] = np.minimum(made[:, :, 0], made[:, :, 1])
-        return made
+        rows = self.legal(self.data_sheet(moves) * FACTOR**corrections)
+        rows[:, :, 0] = np.minimum(rows[:, :, 0], rows[:, :, 1])
+        return rows
 
-    def errors(self, asked: Asked) -> np.ndarray:
+    def errors(self, moves: LineMoves) -> np.ndarray:
         """None: the chip interpolates."""
-        return np.zeros((*asked.distances.shape, 4))
+        return np.zeros((*moves.distances.shape, 4))
 
-    def programs(self, registers: np.ndarray, asked: Asked) -> np.ndarray:
-        return self._filled(self._template, np.concatenate([registers[:, 0], asked.distances], axis=1))
+    def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
+        return self._filled(self._template, np.concatenate([registers[:, 0], moves.distances], axis=1))
 
     def starts(self, distances: np.ndarray) -> np.ndarray:
         return np.full(len(self.drivers), self._first)
@@ -116,7 +116,7 @@ class InRatio(NovaLine):
         tuned = drivers[0].tuned_by(settings.s_curve)
         super().__init__(drivers, settings, len(drivers), ("R", *tuned))
         self.ranges = limits(self.chip.MAP, "R")
-        self.fastest = float(MOST * RANGE / self.ranges[0])
+        self.fastest = float(MAX_SPEED * RANGE / self.ranges[0])
         self._write_template()
 
     def _write_template(self) -> None:
@@ -138,17 +138,17 @@ class InRatio(NovaLine):
                 self._released[self.drivers.index(h)] = len(p) - 1
         self._template = np.array(p.ops, np.int64)
 
-    def data_sheet(self, asked: Asked) -> np.ndarray:
+    def data_sheet(self, moves: LineMoves) -> np.ndarray:
         """V as large as leaves the shortest axis a multiple of 1; speeds, acceleration and jerk of the longest axis, and of the
         others the nearest to its share of them."""
-        c, rho, (peak, ramp) = self.settings, asked.share, self.reach(asked)
+        c, rho, (peak, ramp) = self.settings, moves.share, self.reach(moves)
         fl = np.minimum(c.fl, peak)
-        least, most = self.ranges
-        multiple = np.clip(np.maximum(1.0 / rho.min(axis=1), peak / MOST), 1.0, np.minimum(RANGE / least, peak))
+        least, max_range = self.ranges
+        multiple = np.clip(np.maximum(1.0 / rho.min(axis=1), peak / MAX_SPEED), 1.0, np.minimum(RANGE / least, peak))
         speed = np.maximum(np.floor(peak / multiple), 1.0)
         multiple = np.clip(peak / speed, 1.0, RANGE / least)
         gain = np.maximum(peak - fl, 1e-9)
-        ranges = np.clip(np.rint(RANGE / (rho * multiple[:, None])), least, most)
+        ranges = np.clip(np.rint(RANGE / (rho * multiple[:, None])), least, max_range)
         m = RANGE / ranges
         share = rho * multiple[:, None] / m  # 1 where the multiple could be the share
         low, high = np.rint(fl / multiple), speed
@@ -161,25 +161,25 @@ class InRatio(NovaLine):
             columns += [share * np.maximum(np.rint(gain / ramp / (125 * multiple)), 1.0)[:, None]]
         return self._ordered(self.legal(np.stack(columns, axis=2)))
 
-    def corrected(self, asked: Asked, corrections: np.ndarray) -> np.ndarray:
+    def corrected(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """By a share of the counts that move the axis by `reach` pulses along the line, one at least."""
-        made = self.data_sheet(asked)
-        counts = np.maximum(np.rint(self.settings.reach / self.worth(made, asked)), 1)
-        return self._ordered(self.legal(made + np.rint(corrections * counts)))
+        rows = self.data_sheet(moves)
+        counts = np.maximum(np.rint(self.settings.reach / self.worth(rows, moves)), 1)
+        return self._ordered(self.legal(rows + np.rint(corrections * counts)))
 
-    def worth(self, registers: np.ndarray, asked: Asked) -> np.ndarray:
+    def worth(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         """By how many pulses one count of each register moves an axis along the line, by the data sheet's formulas."""
-        at, r = self._course(registers), registers.astype(np.float64)
-        worth = [asked.size / r[..., 0], at.ramp * at.multiple, asked.size / r[..., 2], at.behind / r[..., 3]]
+        at, r = self._compute_ramps(registers), registers.astype(np.float64)
+        worth = [moves.size / r[..., 0], at.ramp * at.multiple, moves.size / r[..., 2], at.lag / r[..., 3]]
         if self.settings.s_curve:  # the acceleration is at its limit, and the jerk makes the ramps
-            worth[3:] = [np.full_like(at.ramp, np.inf), at.behind / (2.0 * r[..., 4])]
+            worth[3:] = [np.full_like(at.ramp, np.inf), at.lag / (2.0 * r[..., 4])]
         return np.maximum(np.stack(worth, axis=2), 1e-9)
 
-    def errors(self, asked: Asked) -> np.ndarray:
-        at = self._course(self.data_sheet(asked))
-        return self.strays(asked, at.high, at.ramp, at.behind, at.behind, 0.5 * (at.low + at.high) * at.ramp)
+    def errors(self, moves: LineMoves) -> np.ndarray:
+        at = self._compute_ramps(self.data_sheet(moves))
+        return self.strays(moves, at.high, at.ramp, at.lag, at.lag, 0.5 * (at.low + at.high) * at.ramp)
 
-    def _course(self, registers: np.ndarray) -> Course:
+    def _compute_ramps(self, registers: np.ndarray) -> Ramps:
         """What registers (stages, axes, names) come to."""
         r = registers.astype(np.float64)
         m = RANGE / r[..., 0]
@@ -188,18 +188,18 @@ class InRatio(NovaLine):
         if self.settings.s_curve:
             jerk = 62_500_000 * m / r[..., 4]
             ramp = np.where(rate**2 < (high - low) * jerk, ramp + rate / jerk, 2.0 * np.sqrt((high - low) / jerk))
-        return Course(m, low, high, ramp, 0.5 * (high - low) * ramp)
+        return Ramps(m, low, high, ramp, 0.5 * (high - low) * ramp)
 
     def _ordered(self, registers: np.ndarray) -> np.ndarray:
         """SV no higher than V."""
         registers[..., 1] = np.minimum(registers[..., 1], registers[..., 2])
         return registers
 
-    def programs(self, registers: np.ndarray, asked: Asked) -> np.ndarray:
-        ops = self._filled(self._template, np.concatenate([registers.reshape(len(registers), -1), asked.size], axis=1))
+    def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
+        ops = self._filled(self._template, np.concatenate([registers.reshape(len(registers), -1), moves.size], axis=1))
         minus = self.chip.MAP.command("F_DRV_M").code ^ self.chip.MAP.command("F_DRV_P").code
         for a, j in enumerate(self._drives):
-            ops[:, j, 3] ^= np.where(asked.distances[:, a] < 0, minus, 0)
+            ops[:, j, 3] ^= np.where(moves.distances[:, a] < 0, minus, 0)
         return ops
 
     def starts(self, distances: np.ndarray) -> np.ndarray:

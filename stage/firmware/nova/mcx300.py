@@ -38,7 +38,7 @@ class FirstGenerationDriver(NovaDriver):
     STOP: ClassVar = "STOP_SUDDEN"
     SLOW_DOWN: ClassVar = "STOP_DEC"
     RUN: ClassVar = ("C_DRV_P", "C_DRV_M")
-    ENDED: ClassVar = "RR1"
+    END_WORD: ClassVar = "RR1"
 
     def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
         registers = self._registers(speeds._replace(s_curve=False), 1)
@@ -64,12 +64,12 @@ class FirstGenerationDriver(NovaDriver):
         before the limit does, it finds none and goes on for ever: it is stopped, and that is returned."""
         back: list[bool] = []
 
-        def look() -> None:
+        def stop_at_limit() -> None:
             if not back and self.port.word(2) & HMST.mask == BACK:
                 back.append(True)
                 self.port.command(self.STOP)
 
-        wait_until_stopped([self.axis], timeout, look=look)
+        wait_until_stopped([self.axis], timeout, on_poll=stop_at_limit)
         return bool(back)
 
     def forget(self, p: Ops) -> Ops:
@@ -101,8 +101,8 @@ class FirstGenerationDriver(NovaDriver):
         seconds = max(up, down)
         values = {"SV": fl / MULTIPLE, "V": fh / MULTIPLE, "A": (fh - fl) / seconds / (125 * MULTIPLE)}
         if s_curve:
-            most = limits(self.map, "K")[1]  # also where nothing is to be ramped
-            jerk = 62_500_000 * MULTIPLE * seconds**2 / (4 * (fh - fl)) if fh > fl else most
+            max_jerk = limits(self.map, "K")[1]  # also where nothing is to be ramped
+            jerk = 62_500_000 * MULTIPLE * seconds**2 / (4 * (fh - fl)) if fh > fl else max_jerk
             values |= {"A": limits(self.map, "A")[1], "K": jerk}
         return {name: self.legal(name, value) for name, value in values.items()}
 
@@ -122,12 +122,12 @@ class FirstGenerationDriver(NovaDriver):
         self, p: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
     ) -> list[int]:
         if fast:
-            found = [self._to_signal(p, direction, SEARCHES * limit, rest)]
+            polls = [self._to_signal(p, direction, SEARCHES * limit, rest)]
         else:
             self.command(p, self.NOP)  # programs are alike: three operations
             p.wait(0).wait(0)
-            found = [self._stopped(p, SEARCHES * limit, rest)]
-        return [*found, self._search(p, index, SEARCHES * limit, rest, direction)]
+            polls = [self._stopped(p, SEARCHES * limit, rest)]
+        return [*polls, self._search(p, index, SEARCHES * limit, rest, direction)]
 
     def _to_signal(self, p: Operations, direction: int, limit: float, rest: float) -> int:
         """Drive until STOP1, or a limit, ends it; the place of the poll for the stop."""
@@ -157,7 +157,7 @@ class FirstGenerationDriver(NovaDriver):
         self.command(p, self.STOP).wait(rest)
         return at
 
-    def look(self, p: Program) -> dict[str, tuple[int, int, bool]]:
+    def read_levels(self, p: Program) -> dict[str, tuple[int, int, bool]]:
         self.command(p, self.NOP)
         at = len(p)
         p.read(self.index, 2).read(self.index, self._level(1)[0])

@@ -29,24 +29,24 @@ class Mcx514Driver(NovaDriver):
     STOP: ClassVar = "DRVFBRK"
     SLOW_DOWN: ClassVar = "DRVSBRK"
     RUN: ClassVar = ("DRVVP", "DRVVM")
-    ENDED: ClassVar = "RR2"
+    END_WORD: ClassVar = "RR2"
 
     def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
         registers = self._registers(speeds._replace(s_curve=False), 1)
         with Procedure(self.axis, "origin return") as p:
-            found = home_search(
+            search_report = home_search(
                 self.axis, direction=direction, speed=registers["DV"], home_speed=round(HOME_SPEED),
                 initial_speed=registers["SV"], acceleration=registers["AC"], index=bool(index), timeout=timeout,
                 back=False,
             )[self.axis.name]  # fmt: skip
             self.axis.wait(SETTLE)
-            errors = [CAUSES.get(name.removeprefix("H"), name) for name in found.errors]
+            errors = [CAUSES.get(name.removeprefix("H"), name) for name in search_report.errors]
             return p.report(next(iter(errors), self.stopped_by() or "HOME"))
 
     def circle(self, other: Driver, radius: int, speeds: Speeds) -> Drawn:
         registers = self._registers(speeds._replace(s_curve=False), 1)
-        mine, others = self.axis.chip_axis, other.axis.chip_axis
-        centre = (0, radius) if mine < others else (radius, 0)  # in the order of the chip's axes
+        own_axes, others = self.axis.chip_axis, other.axis.chip_axis
+        centre = (0, radius) if own_axes < others else (radius, 0)  # in the order of the chip's axes
         speed = Speed(registers["DV"], registers["SV"], registers["AC"])
         return draw([Arc(centre=centre)], self.axis, other.axis, speed=speed)
 
@@ -88,12 +88,12 @@ class Mcx514Driver(NovaDriver):
         chips: dict[int, list[NovaDriver]] = {}
         for h in drivers:
             chips.setdefault(id(h.chip), []).append(h)
-        mlt, own = self.map.bit("IPM", "MLT"), chips.pop(id(self.chip))
-        for mine in chips.values():
-            mine[0].set(p, "IPM", sum(h.bit for h in mine) | SLAVE << mlt)
-            mine[0].command(p, f"LHK{len(mine)}")
-        self.set(p, "IPM", sum(h.bit for h in own) | (MASTER << mlt if chips else 0))
-        return self.command(self.command(p, "DECEN"), f"LHK{len(own)}")
+        mlt, main_chip = self.map.bit("IPM", "MLT"), chips.pop(id(self.chip))
+        for own_axes in chips.values():
+            own_axes[0].set(p, "IPM", sum(h.bit for h in own_axes) | SLAVE << mlt)
+            own_axes[0].command(p, f"LHK{len(own_axes)}")
+        self.set(p, "IPM", sum(h.bit for h in main_chip) | (MASTER << mlt if chips else 0))
+        return self.command(self.command(p, "DECEN"), f"LHK{len(main_chip)}")
 
     def choices(self) -> dict[str, tuple[int, int]]:
         return {"step1": (0, 1), "timer": (0, TIMERS)}
@@ -112,7 +112,7 @@ class Mcx514Driver(NovaDriver):
         self.command(p, self.STOP).wait(rest)
         return [at]
 
-    def look(self, p: Program) -> dict[str, tuple[int, int, bool]]:
+    def read_levels(self, p: Program) -> dict[str, tuple[int, int, bool]]:
         self.command(p, self.NOP)
         at = len(p)
         p.read(self.index, 2).read(self.index, 3)

@@ -9,7 +9,7 @@ import numpy as np
 
 from stage.errors import ArgumentError, a_or_an
 from stage.firmware.choices import Choices, limits
-from stage.firmware.search import Found, Search
+from stage.firmware.search import Search, SearchResult
 from stage.sim.program import Program
 
 if TYPE_CHECKING:
@@ -33,23 +33,23 @@ class HomeSearch(Search):
         self.program(self.choices.low)
 
     def row(self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int) -> list[int]:
-        made = self.driver.formula(fl, fh, ramp, ramp, 1 << 20, s_curve=False)
+        registers = self.driver.formula(fl, fh, ramp, ramp, 1 << 20, s_curve=False)
         slow = self.driver.formula(approach, fh, ramp, ramp, 1 << 20, s_curve=False)[self.driver.SPEEDS[0]]
-        return self._row({**made, "HV": slow, "leave": leave, "step1": 1, "timer": 1})
+        return self._row({**registers, "HV": slow, "leave": leave, "step1": 1, "timer": 1})
 
     def program(self, row: Sequence[int] | np.ndarray) -> Program:
         c, driver = self.settings, self.driver
-        chosen = self.choices.named(row)
+        values = self.choices.named(row)
         p = driver.begin(Program())
         for name in (*driver.SPEEDS, "HV"):
-            driver.set(p, name, chosen[name])
-        self._mark("leave time", driver.drive(p, chosen["leave"])).until_stopped([driver.index], c.limit)
-        driver.command(p, driver.STOP).wait(c.settle if chosen["leave"] else 0.0)
+            driver.set(p, name, values[name])
+        self._mark("leave time", driver.drive(p, values["leave"])).until_stopped([driver.index], c.limit)
+        driver.command(p, driver.STOP).wait(c.settle if values["leave"] else 0.0)
         self._position(p, "left")
         driver.forget(p)  # a limit that the leaving has met
-        polls = driver.write_home(p, bool(chosen["step1"]), chosen.get("timer", 0), bool(c.ez), c.limit, c.settle)
+        polls = driver.write_home(p, bool(values["step1"]), values.get("timer", 0), bool(c.ez), c.limit, c.settle)
         self.marks |= {f"home time {k}": at for k, at in enumerate(polls)}
-        for name, (at, mask, high) in driver.look(p).items():
+        for name, (at, mask, high) in driver.read_levels(p).items():
             self.marks[name], self._bits[name] = at, (mask, high)
         self._position(p, "ended")
         return p
@@ -59,16 +59,18 @@ class HomeSearch(Search):
         for address in (6, 7):
             self._mark(f"{name} {address}", p).read(self.driver.index, address)
 
-    def found(self, results: np.ndarray, rows: np.ndarray) -> Found:
-        said = {name: results[:, at] for name, at in self.marks.items()}
-        late = np.any([said[name] < 0 for name in said if "time" in name], axis=0)
-        left, ended = (_signed(said[f"{name} 6"], said[f"{name} 7"]) for name in ("left", "ended"))
-        flag = {name: (said[name] & mask != 0) == high for name, (mask, high) in self._bits.items()}
+    def read_results(self, results: np.ndarray, rows: np.ndarray) -> SearchResult:
+        marked = {name: results[:, at] for name, at in self.marks.items()}
+        timed_out = np.any([marked[name] < 0 for name in marked if "time" in name], axis=0)
+        left, end_position = (_signed(marked[f"{name} 6"], marked[f"{name} 7"]) for name in ("left", "ended"))
+        flag = {name: (marked[name] & mask != 0) == high for name, (mask, high) in self._bits.items()}
         arrived = flag["stop2" if self.settings.ez else "stop1"]
         released = ~flag["error"]
         short = left != rows[:, list(self.choices.ranges).index("leave")]
-        end_limit = ~late & (short | ~arrived)
-        return Found(late, ~late & released & arrived, end_limit, released, left - ended, np.zeros(len(results)))
+        end_limit = ~timed_out & (short | ~arrived)
+        return SearchResult(
+            timed_out, ~timed_out & released & arrived, end_limit, released, left - end_position, np.zeros(len(results))
+        )
 
 
 def _signed(low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -146,8 +146,8 @@ def polarity(axis: Axis) -> dict[str, int]:
     for sensor in getattr(axis, "wiring", {}):
         map_ = axis.chip.MAP
         name, field = POLARITY.get(sensor, ("", ""))
-        there = next((r for r in map_.registers if r.name == name), None)
-        if there is None or field not in (f.name for f in there.fields):
+        register = next((r for r in map_.registers if r.name == name), None)
+        if register is None or field not in (f.name for f in register.fields):
             able = {"org": "; a PCL240MS can", "ez": "; a PCL240MK or PCL240MS can"}.get(sensor, "")
             raise ArgumentError(
                 f"axis {axis.name}: {sensor} is of positive logic, and {a_or_an(map_.chip)} cannot read it so{able}. "

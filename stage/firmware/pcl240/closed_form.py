@@ -18,24 +18,24 @@ A_TICK = 1e-2
 
 
 @hot
-def _steps(target, unit, first, way, most):
+def _steps(target, unit, first, sign, max_steps):
     """The speed steps completed before a ramp of `unit` ticks a step, from speed `first` on, has gained `target` phase."""
-    b = first - 0.5 * way
-    root = b * b + 2.0 * way * (target / unit)
-    j = most if root < 0 else min(most, max(0, int((np.sqrt(root) - b) * way)))
-    while j > 0 and unit * (first * j + way * (j * (j - 1) // 2)) >= target:
+    b = first - 0.5 * sign
+    root = b * b + 2.0 * sign * (target / unit)
+    j = max_steps if root < 0 else min(max_steps, max(0, int((np.sqrt(root) - b) * sign)))
+    while j > 0 and unit * (first * j + sign * (j * (j - 1) // 2)) >= target:
         j -= 1
-    while j < most and unit * (first * (j + 1) + way * ((j + 1) * j // 2)) < target:
+    while j < max_steps and unit * (first * (j + 1) + sign * ((j + 1) * j // 2)) < target:
         j += 1
     return j
 
 
 @hot
-def _ticks_to(target, unit, first, way, most):
+def _ticks_to(target, unit, first, sign, max_steps):
     """Ticks after which a ramp that goes on at its last speed has gained `target` phase."""
-    j = _steps(target, unit, first, way, most)
-    gained = unit * (first * j + way * (j * (j - 1) // 2))
-    return j * unit - (gained - target) // (first + way * j)
+    j = _steps(target, unit, first, sign, max_steps)
+    gained = unit * (first * j + sign * (j * (j - 1) // 2))
+    return j * unit - (gained - target) // (first + sign * j)
 
 
 @hot
@@ -83,7 +83,7 @@ def _roots(n):
 
 
 @hot
-def _late(a, rate):
+def _mean_delay(a, rate):
     """Mean of what a and a + 2 rate lack to a multiple of 4, in quarters."""
     return 0.125 * (-a % 4 + -(a + 2 * rate) % 4)
 
@@ -97,9 +97,9 @@ def _curve(steps, double, rate, t):
     """
     span, total, x = 0.5 * double, 0.5 * (steps + double), t / rate
     a, b = double // 2, steps - (double + 1) // 2  # the last step of the first curved end, and of the linear part
-    late = _late(rate * double, rate) if b > a else 0.0
+    delay = _mean_delay(rate * double, rate) if b > a else 0.0
     if x >= total:
-        return steps, steps * t - 0.5 * rate * total * (steps + 1) - 0.5 * (a + steps - b) - late * (b - a)
+        return steps, steps * t - 0.5 * rate * total * (steps + 1) - 0.5 * (a + steps - b) - delay * (b - a)
     if x <= span:
         j = int(x * x / span)
         return j, j * t - rate * np.sqrt(span) * _roots(j) - 0.5 * j
@@ -108,7 +108,7 @@ def _curve(steps, double, rate, t):
     if x > 0.5 * steps:
         j = min(max(int(steps - (total - x) ** 2 / span), b), steps - 1)
     n = min(j, b) - a
-    sums += n * (0.5 * rate * (span + a + 0.5 * (n + 1)) + late)
+    sums += n * (0.5 * rate * (span + a + 0.5 * (n + 1)) + delay)
     if j > b:
         left = _roots(steps - b - 1) - _roots(steps - j - 1)
         sums += (j - b) * (rate * total + 0.5) - rate * np.sqrt(span) * left
@@ -136,8 +136,8 @@ def _state(fl, fh, r14, up, down, c0, c1, c2, t):
 def _tick_at(r, c, target, t):
     """The tick at which S-curve ramps have gained `target` phase: by Newton from `t` on, which is on the steep side of it."""
     for _ in range(60):
-        speed, made = _state(r[1], r[2], r[8], r[4], r[5], c[0], c[1], c[2], t)
-        step = (target - made) / speed
+        speed, gained = _state(r[1], r[2], r[8], r[4], r[5], c[0], c[1], c[2], t)
+        step = (target - gained) / speed
         t += step
         if abs(step) < A_TICK:
             break
@@ -145,8 +145,8 @@ def _tick_at(r, c, target, t):
 
 
 @hot
-def _curved_course(r, c):
-    """As `course`, for S-curves: to about a tick."""
+def _fill_curved_motion(r, c):
+    """As `fill_motion`, for S-curves: to about a tick."""
     d, fl, fh, m = r[0], r[1], r[2], 8192 * r[7]
     if fh > fl and r[6] > 0:
         point = (d - r[6] + 1) * m
@@ -160,12 +160,12 @@ def _curved_course(r, c):
 
 
 @exported(None, array_of("i8"), array_of("i8"))
-def course(r, c):
+def fill_motion(r, c):
     """Fill `c` from the row `r`: ticks to the ramp-down, speed and phase there, ticks to the last pulse."""
     d, fl, fh, up, down, m = r[0], r[1], r[2], r[4], r[5], 8192 * r[7]
     c[0], c[1], c[2] = NEVER, fh, 0
     if curved(r):
-        _curved_course(r, c)
+        _fill_curved_motion(r, c)
         return
     if fh > fl and r[6] > 0:
         c[0] = 0 if r[6] > d else _ticks_to((d - r[6] + 1) * m, up, fl, 1, fh - fl)

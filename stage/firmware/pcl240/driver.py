@@ -53,7 +53,7 @@ class Pcl240Driver(Driver):
 
     def profile(self, speeds: Speeds) -> Profile:
         """Return the registers of these speeds: FH1 the drive speed, FH2 the second one, or the same where there is none."""
-        made = Profile.of(
+        result = Profile.of(
             speeds.start,
             speeds.drive,
             speeds.drive if speeds.second is None else speeds.second,
@@ -63,7 +63,7 @@ class Pcl240Driver(Driver):
             chip=type(self.chip),
             multiplier=require_clock(self.axis),
         )
-        return made.shaped(speeds.s_curve) if speeds.s_curve else made
+        return result.shaped(speeds.s_curve) if speeds.s_curve else result
 
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
         """Make a preset move, see `preset_move`."""
@@ -101,7 +101,7 @@ class Pcl240Driver(Driver):
         self.port.wait_until_stopped(60.0)
         self.port.command(bus.RESET)
 
-    def stops(self, address: int, value: int) -> bool:
+    def is_stop_command(self, address: int, value: int) -> bool:
         return address == 0 and value >> 6 == 0 and bool(value & bus.RESET)
 
     def _forget(self) -> None:
@@ -158,8 +158,8 @@ class Pcl240Driver(Driver):
             values = {**values, "R14": chip.LINEAR_RAMPS}
         for name, value in {**values, "R0": abs(pulses)}.items():
             program.register(a, chip, name, value)
-        way = bus.MINUS if pulses < 0 else 0
-        program.command(a, bus.OUTPUT).command(a, bus.CONTROL | bus.PRESET | way).command(a, bus.RAMP["FH1"])
+        minus = bus.MINUS if pulses < 0 else 0
+        program.command(a, bus.OUTPUT).command(a, bus.CONTROL | bus.PRESET | minus).command(a, bus.RAMP["FH1"])
 
     def write_stop(self, program: Operations) -> None:
         program.command(self.index, bus.RESET)
@@ -168,9 +168,9 @@ class Pcl240Driver(Driver):
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
         p = Profile.of(fl, fh, fh, accel=up, decel=down, clock_hz=self.chip.clock_hz)
-        made = {**p.registers(), "R6": p.down_point(pulses)}
+        result = {**p.registers(), "R6": p.down_point(pulses)}
         curved = [name for name in S_CURVES if name in self.tuned_by(s_curve)]
-        return {**made, **dict.fromkeys(curved, 0)}  # curved throughout
+        return {**result, **dict.fromkeys(curved, 0)}  # curved throughout
 
     def search(self, settings: Any) -> Search:
         return FourRuns(self, settings)

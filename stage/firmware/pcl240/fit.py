@@ -21,9 +21,9 @@ from stage.firmware.pcl240.closed_form import (
     NEVER,
     bend,
     count,
-    course,
     curved,
     curved_phase,
+    fill_motion,
     first_pulse,
     linear_phase,
     ramp_ticks,
@@ -31,7 +31,7 @@ from stage.firmware.pcl240.closed_form import (
 )
 from stage.native import array_of, exported, hot, record
 
-KEPT = 24  # accelerations that are tried with every deceleration
+MAX_CANDIDATES = 24  # accelerations that are tried with every deceleration
 BEST = 4  # followers returned
 RAMP_POINTS = 8
 MORE = 3  # points: ends of the follower's ramps
@@ -82,17 +82,17 @@ def _copy(source, target):
 
 
 @hot
-def _keep(scores, kept, score, r):
-    """Insert `r` into `kept`, best first, if it is good enough."""
+def _keep(scores, candidates, score, r):
+    """Insert `r` into `candidates`, best first, if it is good enough."""
     k = len(scores) - 1
     if score >= scores[k]:
         return
     while k > 0 and scores[k - 1] > score:
         scores[k] = scores[k - 1]
-        _copy(kept[k - 1], kept[k])
+        _copy(candidates[k - 1], candidates[k])
         k -= 1
     scores[k] = score
-    _copy(r, kept[k])
+    _copy(r, candidates[k])
 
 
 @hot
@@ -135,7 +135,7 @@ def _rise(leader, c, hz_leader, due, r, own, hz, lead, rho):
 @hot
 def _fall(leader, c, hz_leader, due, r, own, hz, lead, rho, lo, hi):
     """As _rise, from the leader's ramp-down, or its own, to the first last pulse. due: of the ramp-down."""
-    course(r, own)
+    fill_motion(r, own)
     end = min(c[3] / hz_leader, own[3] / hz - lead)
     k = RAMP_POINTS + 1
     for t in (own[0] / hz - lead, own[0] / hz - lead + ramp_ticks(r, r[5]) / hz, end):
@@ -145,12 +145,12 @@ def _fall(leader, c, hz_leader, due, r, own, hz, lead, rho, lo, hi):
 
 
 @exported(None, ROW, "i8", "i8", "i8", "f8", "f8", "i8", "i8", array_of("f8"), array_of("i8", 2), WORK)
-def accelerations(leader, hz_leader, d, hz, lead, share, most, only, scores, kept, work):
+def accelerations(leader, hz_leader, d, hz, lead, share, max_rate, only, scores, candidates, work):
     """Choose R1, R2, R4 and R7 of a follower of `d` pulses: for each multiplier the nearest FH, R4 by the slope, and R1 by
-    the pulses lost in the ramp. Fills `kept` (rows), best first, and `scores`. leader: its row. share: of the steps in each
+    the pulses lost in the ramp. Fills `candidates` (rows), best first, and `scores`. leader: its row. share: of the steps in each
     end of an S-curve, see `bend`. most: the largest R4. only: the one R7 that there is; 0 for any."""
-    c, own, r, up = work.leader, work.own, work.row[: kept.shape[1]], work.up
-    course(leader, c)
+    c, own, r, up = work.leader, work.own, work.row[: candidates.shape[1]], work.up
+    fill_motion(leader, c)
     rho = d / leader[0]
     step0 = hz_leader / (8192.0 * leader[7])
     fh, gain = rho * leader[2] * step0, leader[2] - leader[1]
@@ -164,7 +164,7 @@ def accelerations(leader, hz_leader, d, hz, lead, share, most, only, scores, kep
     r[0] = d
     _due_up(leader, c, hz_leader, rho, up)
     scores[:] = 1e18
-    kept[:] = 0
+    candidates[:] = 0
     for r7 in range(only if only else 1023, only - 1 if only else 1, -1):
         step = hz / (8192.0 * r7)
         high = max(1, int(np.rint(fh / step)))
@@ -179,20 +179,20 @@ def accelerations(leader, hz_leader, d, hz, lead, share, most, only, scores, kep
             r[1], r[4], r[5] = high, 2, 2
             bend(r, share)
             lo, hi = _rise(leader, c, hz_leader, up, r, own, hz, lead, rho)
-            _keep(scores, kept, _score(lo, hi, rho, penalty), r)
+            _keep(scores, candidates, _score(lo, hi, rho, penalty), r)
             continue
         r[1] = max(high - max(int(np.rint(high * gain / leader[2])), 1), 1)
         bend(r, share)
         stretched = stretch(r)
         nominal = int(np.rint(hz * step / slope * (stretch(leader) / stretched)))
         needed = nominal * leader[5] / leader[4]  # R5
-        if needed > most:  # its ramp-down would be too short
-            penalty += fall_lag * (1.0 - most / needed)
+        if needed > max_rate:  # its ramp-down would be too short
+            penalty += fall_lag * (1.0 - max_rate / needed)
         # FH (t + lead) - lost = rho N_leader(t) + ahead
         lost = high * step * (middle + lead) - fh * middle + lag
         last = 0
         for shift in range(-3, 4):
-            r4 = min(max(nominal + shift, 2), most)
+            r4 = min(max(nominal + shift, 2), max_rate)
             if r4 == last:
                 continue
             last = r[4] = r[5] = r4
@@ -209,23 +209,23 @@ def accelerations(leader, hz_leader, d, hz, lead, share, most, only, scores, kep
                     if floor + tail < scores[-1]:
                         bend(r, share)
                         lo, hi = _rise(leader, c, hz_leader, up, r, own, hz, lead, rho)
-                        _keep(scores, kept, _score(lo, hi, rho, penalty) + tail, r)
+                        _keep(scores, candidates, _score(lo, hi, rho, penalty) + tail, r)
 
 
 @exported(None, ROW, "i8", "i8", "f8", "i8", "i8", "i8", array_of("i8", 2), array_of("f8"), array_of("i8", 2), WORK)
-def decelerations(leader, hz_leader, hz, lead, automatic, most, point_most, kept, scores, best, work):
-    """Choose R5 and R6 for each of the `kept`. Fills `best`, best first, and `scores`: about the largest distance from the
+def decelerations(leader, hz_leader, hz, lead, automatic, max_rate, max_point, candidates, scores, best, work):
+    """Choose R5 and R6 for each of the `candidates`. Fills `best`, best first, and `scores`: about the largest distance from the
     line, in the follower's pulses. automatic: R5 is R4. most, point_most: the largest R5 and R6."""
-    c, own, r, up, down = work.leader, work.own, work.row[: kept.shape[1]], work.up, work.down
-    course(leader, c)
+    c, own, r, up, down = work.leader, work.own, work.row[: candidates.shape[1]], work.up, work.down
+    fill_motion(leader, c)
     scores[:] = 1e18
     best[:] = 0
     begin = c[0] / hz_leader
-    rho = kept[0, 0] / leader[0]
+    rho = candidates[0, 0] / leader[0]
     _due_up(leader, c, hz_leader, rho, up)
     _due_down(leader, c, hz_leader, rho, down)
-    for row in range(len(kept)):
-        _copy(kept[row], r)
+    for row in range(len(candidates)):
+        _copy(candidates[row], r)
         d = r[0]
         if d == 0:
             continue
@@ -238,15 +238,15 @@ def decelerations(leader, hz_leader, hz, lead, automatic, most, point_most, kept
             continue
         slope = hz / (8192.0 * r[7]) * leader[5] * hz * 8192 * leader[7] / (rho * hz_leader * hz_leader)
         nominal = int(np.rint(slope * (stretch(leader) / stretch(r))))
-        made = int(count(r, own, (begin + lead) * hz))
+        pulses_made = int(count(r, own, (begin + lead) * hz))
         last = 0
         for shift in range(-3, 4):
-            r5 = r[4] if automatic else min(max(nominal + shift, 2), most)
+            r5 = r[4] if automatic else min(max(nominal + shift, 2), max_rate)
             if r5 == last:
                 continue
             last = r[5] = r5
             for k in range(-1, 3):
-                r[6] = min(max(d - made - k + 1, 1), d, point_most)
+                r[6] = min(max(d - pulses_made - k + 1, 1), d, max_point)
                 lo, hi = _fall(leader, c, hz_leader, down, r, own, hz, lead, rho, rise_lo, rise_hi)
                 _keep(scores, best, _score(lo, hi, rho, penalty), r)
 
@@ -255,7 +255,7 @@ def decelerations(leader, hz_leader, hz, lead, automatic, most, point_most, kept
 def estimate(leader, hz_leader, r, hz, lead, work):
     """About the largest distance of a follower with row `r` from the line, in its pulses."""
     c, own, up, down = work.leader, work.own, work.up, work.down
-    course(leader, c)
+    fill_motion(leader, c)
     rho = r[0] / leader[0]
     _due_up(leader, c, hz_leader, rho, up)
     _due_down(leader, c, hz_leader, rho, down)

@@ -28,8 +28,8 @@ TAILS = (5, 8, 11, 14, 4, 6, 9)  # pulses at FL after the ramp-down; first the d
 TAIL_SECONDS, TAIL_SHARE = 0.02, 0.05  # what a longer one may cost: seconds, or a share of the move
 
 _LEGAL = {r.name: r.legal or (0, r.mask) for r in PCL240K.MAP.registers}
-R7_LEAST, R7_MOST = _LEGAL["R7"]  # of the whole family
-SPEED_MOST = _LEGAL["R2"][1]
+MIN_R7, MAX_R7 = _LEGAL["R7"]  # of the whole family
+MAX_SPEED = _LEGAL["R2"][1]
 
 
 class Widths(NamedTuple):
@@ -46,7 +46,7 @@ class Widths(NamedTuple):
         return cls(legal["R4"][1], legal["R0" if automatic else "R6"][1], 10 if chip.S_CURVES else 8)
 
 
-class Ask(NamedTuple):
+class LeaderMove(NamedTuple):
     """The move of the longest axis: pulses, rates in pps, ramp times in s; and all axes' ramps: `share` of the speed steps
     in each curved end (0 linear, 0.5 curved throughout), and whether the chips find the ramp-down point. multiplier: the one R7
     that there is; 0 for any."""
@@ -78,88 +78,90 @@ class Follower(NamedTuple):
     multiplier: int = 0
 
 
-class Kept(NamedTuple):
+class Candidates(NamedTuple):
     """The best registers found for a follower, and about how far they are from the line, in its pulses."""
 
     registers: np.ndarray
     scores: np.ndarray
 
 
-def search(ask: Ask, hz: int, widths: Widths, followers: Mapping[str, Follower]) -> tuple[np.ndarray, dict[str, Kept]]:
+def search(
+    move: LeaderMove, hz: int, widths: Widths, followers: Mapping[str, Follower]
+) -> tuple[np.ndarray, dict[str, Candidates]]:
     """Rows (see fit.py) of the leader and of its followers: the first that are as close to the line as can be, or the best
     of all. hz, widths: of the leader's chip. Raises ArgumentError when no registers make the ramps."""
-    best: tuple[np.ndarray, dict[str, Kept]] | None = None
+    best: tuple[np.ndarray, dict[str, Candidates]] | None = None
     least, work = np.inf, np.zeros(1, fit.WORK)
-    for bare in _leaders(ask, hz, widths, followers):
+    for bare in _leaders(move, hz, widths, followers):
         rises: dict[str, np.ndarray] = {}
         for leader in _with_tails(bare, hz, widths.point):
-            found = {}
+            candidates = {}
             for name, (d, own_hz, (rate, point, size), lead, multiplier) in followers.items():
                 only = int(leader[7]) if multiplier == AS_LEADER else multiplier
                 if name not in rises:
-                    rises[name] = np.zeros((fit.KEPT, size), np.int64)
-                    scores = np.empty(fit.KEPT)
-                    fit.accelerations(leader, hz, d, own_hz, lead, ask.share, rate, only, scores, rises[name], work)
-                found[name] = Kept(np.zeros((fit.BEST, size), np.int64), np.empty(fit.BEST))
+                    rises[name] = np.zeros((fit.MAX_CANDIDATES, size), np.int64)
+                    scores = np.empty(fit.MAX_CANDIDATES)
+                    fit.accelerations(leader, hz, d, own_hz, lead, move.share, rate, only, scores, rises[name], work)
+                candidates[name] = Candidates(np.zeros((fit.BEST, size), np.int64), np.empty(fit.BEST))
                 fit.decelerations(
-                    leader, hz, own_hz, lead, ask.automatic, rate, point, rises[name],
-                    found[name].scores, found[name].registers, work,
+                    leader, hz, own_hz, lead, move.automatic, rate, point, rises[name],
+                    candidates[name].scores, candidates[name].registers, work,
                 )  # fmt: skip
-            worst = max((k.scores[0] for k in found.values()), default=0.0)
+            worst = max((k.scores[0] for k in candidates.values()), default=0.0)
             if worst < least:
-                least, best = worst, (leader, found)
+                least, best = worst, (leader, candidates)
             if worst <= GOOD:
-                return leader, found
+                return leader, candidates
             if worst > HOPELESS:
                 break
     if best is None:
-        raise ArgumentError(f"{ask.length} pulses leave no room for ramps of {ask.up:.3g} and {ask.down:.3g} s.")
+        raise ArgumentError(f"{move.length} pulses leave no room for ramps of {move.up:.3g} and {move.down:.3g} s.")
     return best
 
 
-def _leaders(ask: Ask, hz: int, widths: Widths, followers: Mapping[str, Follower]) -> list[np.ndarray]:
+def _leaders(move: LeaderMove, hz: int, widths: Widths, followers: Mapping[str, Follower]) -> list[np.ndarray]:
     """Rows (R6 still 0) for the longest axis, most promising first.
 
     R7 and FH may be any that make the rate to 0.2 %: what counts is how well the followers' registers make their share of it.
     """
-    finest = min(R7_MOST, int(hz * SPEED_MOST / (8192 * ask.fh) + 1e-9))
-    tried, around = (LEADERS_LONG, SHIFTS_LONG) if ask.length > LONG else (LEADERS, SHIFTS)
-    grids, shifts = np.arange(max(R7_LEAST, finest // 16), finest + 1), np.arange(-around, around + 1)
-    if ask.multiplier:
-        grids = np.array([ask.multiplier])
+    finest = min(MAX_R7, int(hz * MAX_SPEED / (8192 * move.fh) + 1e-9))
+    tried, max_shift = (LEADERS_LONG, SHIFTS_LONG) if move.length > LONG else (LEADERS, SHIFTS)
+    grids, shifts = np.arange(max(MIN_R7, finest // 16), finest + 1), np.arange(-max_shift, max_shift + 1)
+    if move.multiplier:
+        grids = np.array([move.multiplier])
     r7, shift = np.tile(grids, len(shifts)), np.repeat(shifts, len(grids))
     step = hz / (8192.0 * r7)
-    high = np.rint(ask.fh / step) + shift
-    low = np.clip(np.rint(ask.fl / step), 1, SPEED_MOST)
-    error = np.abs(high * step / ask.fh - 1)
-    fits = (high >= 1) & (high <= SPEED_MOST)
-    if ask.up == 0.0:
+    high = np.rint(move.fh / step) + shift
+    low = np.clip(np.rint(move.fl / step), 1, MAX_SPEED)
+    error = np.abs(high * step / move.fh - 1)
+    fits = (high >= 1) & (high <= MAX_SPEED)
+    if move.up == 0.0:
         low, up, down = high, np.full(len(r7), 2.0), np.full(len(r7), 2.0)
     else:
-        gain = effective_steps(np.maximum(high - low, 1), ask.share)
-        up, down = np.rint(ask.up * hz / gain), np.rint(ask.down * hz / gain)
+        gain = effective_steps(np.maximum(high - low, 1), move.share)
+        up, down = np.rint(move.up * hz / gain), np.rint(move.down * hz / gain)
         fits &= (high > low) & (np.minimum(up, down) >= 2) & (np.maximum(up, down) <= widths.rate)
-        error += np.abs(up * gain / hz / ask.up - 1) / 8 + np.abs(down * gain / hz / ask.down - 1) / 8
+        error += np.abs(up * gain / hz / move.up - 1) / 8 + np.abs(down * gain / hz / move.down - 1) / 8
         if not fits.any():
-            _refuse_ramp(ask, hz, widths.rate, step, high, low)
+            _refuse_ramp(move, hz, widths.rate, step, high, low)
     pick = np.flatnonzero(fits & (error <= max(RATE_ERROR, 1.01 * float(error[fits].min()))))
     pick = pick[np.argsort(np.abs(shift[pick]), kind="stable")]
     off = np.zeros(len(pick))
     for d, own_hz, _, _, multiplier in followers.values():
         misfit = np.zeros(len(pick))
-        least = min(100.0, d / ask.length * ask.fh * 8192 * R7_MOST / own_hz / 2)
-        fit.misfits(high[pick], r7[pick], hz, d / ask.length, own_hz, least, MATCH / d, multiplier, misfit)
+        least = min(100.0, d / move.length * move.fh * 8192 * MAX_R7 / own_hz / 2)
+        fit.misfits(high[pick], r7[pick], hz, d / move.length, own_hz, least, MATCH / d, multiplier, misfit)
         off = np.maximum(off, misfit * d)
     best = pick[np.argsort(np.maximum(off, DRIFT) + error[pick], kind="stable")]
-    plain = pick[shift[pick] == 0]
-    spread = plain[np.linspace(len(plain) - 1, 0, tried // 2).astype(int)] if len(plain) else plain
+    unshifted = pick[shift[pick] == 0]
+    spread = unshifted[np.linspace(len(unshifted) - 1, 0, tried // 2).astype(int)] if len(unshifted) else unshifted
     zero = np.zeros(len(r7))
     rest = [zero] * (widths.row - 8)
-    table = np.stack([zero + ask.length, low, high, high, up, down, zero, r7, *rest], axis=1).astype(np.int64)
-    chosen = [table[k] for k in dict.fromkeys([*best[: tried // 2], *spread])]
-    for row in chosen:
-        bend(row, ask.share)
-    return chosen
+    table = np.stack([zero + move.length, low, high, high, up, down, zero, r7, *rest], axis=1).astype(np.int64)
+    rows = [table[k] for k in dict.fromkeys([*best[: tried // 2], *spread])]
+    for row in rows:
+        bend(row, move.share)
+    return rows
 
 
 def effective_steps(gain: Any, share: float) -> Any:
@@ -170,26 +172,26 @@ def effective_steps(gain: Any, share: float) -> Any:
     return np.minimum(gain / 2 + span, gain)
 
 
-def _refuse_ramp(ask: Ask, hz: int, most: int, step: np.ndarray, high: np.ndarray, low: np.ndarray) -> None:
-    gain = effective_steps((high - low)[high > low], ask.share)
+def _refuse_ramp(move: LeaderMove, hz: int, max_rate: int, step: np.ndarray, high: np.ndarray, low: np.ndarray) -> None:
+    gain = effective_steps((high - low)[high > low], move.share)
     if not len(gain):
         raise ArgumentError(
-            f"fl={ask.fl:g} and rate={ask.fh:g} pps are within one speed step ({step.min():.3g} pps): make them "
+            f"fl={move.fl:g} and rate={move.fh:g} pps are within one speed step ({step.min():.3g} pps): make them "
             f"equal for constant speed, or move them apart."
         )
-    shortest, longest = 2 * gain.min() / hz, most * gain.max() / hz
-    for name, register, value in (("accel", "R4", ask.up), ("decel", "R5", ask.down)):
-        if not shortest <= value <= longest:
+    min_seconds, max_seconds = 2 * gain.min() / hz, max_rate * gain.max() / hz
+    for name, register, value in (("accel", "R4", move.up), ("decel", "R5", move.down)):
+        if not min_seconds <= value <= max_seconds:
             raise ArgumentError(
-                f"{name}={value:.4g} s from {ask.fl:g} to {ask.fh:g} pps would need {register} outside 2 to {most}. "
-                f"In reach are {shortest:.3g} to {longest:.4g} s."
+                f"{name}={value:.4g} s from {move.fl:g} to {move.fh:g} pps would need {register} outside 2 to {max_rate}. "
+                f"In reach are {min_seconds:.3g} to {max_seconds:.4g} s."
             )
     raise ArgumentError(
-        f"accel={ask.up:.4g} s and decel={ask.down:.4g} s differ too much: no R7 keeps both R4 and R5 within 2 to {most}."
+        f"accel={move.up:.4g} s and decel={move.down:.4g} s differ too much: no R7 keeps both R4 and R5 within 2 to {max_rate}."
     )
 
 
-def _with_tails(leader: np.ndarray, hz: int, most: int) -> Iterator[np.ndarray]:
+def _with_tails(leader: np.ndarray, hz: int, max_rate: int) -> Iterator[np.ndarray]:
     """The leader with R6 for a few lengths of its last part at FL: for some the followers' whole pulses fit better."""
     if leader[2] == leader[1]:
         yield leader
@@ -204,9 +206,9 @@ def _with_tails(leader: np.ndarray, hz: int, most: int) -> Iterator[np.ndarray]:
         r6 = int(np.ceil(fall)) + tail
         if (tail - TAILS[0]) / fl > patience:
             continue
-        if r6 > most:
+        if r6 > max_rate:
             raise ArgumentError(
-                f"the ramp-down takes {fall:.0f} pulses, and R6 counts to {most}: shorten decel or lower the rate."
+                f"the ramp-down takes {fall:.0f} pulses, and R6 counts to {max_rate}: shorten decel or lower the rate."
             )
         if r6 + (rise if tail > TAILS[0] else 0) <= leader[0]:  # a longer one must leave the ramp-up its pulses
             with_point = leader.copy()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.firmware.lines import Asked, Line
+from stage.firmware.lines import Line, LineMoves
 from stage.firmware.pcl240 import bus
 from stage.sim.program import Program
 
@@ -27,53 +27,53 @@ class RatioLine(Line):
         self.fastest = self.hz * FINEST / (8192 * 2)
         self._write_template()
 
-    def data_sheet(self, asked: Asked) -> np.ndarray:
+    def data_sheet(self, moves: LineMoves) -> np.ndarray:
         """FL and FH in the ratio of the distances, equal ramp times, R6 = Psd + 5 pulses in that ratio; each rounded to the
         nearest, ramp times to those that the longest axis really has."""
-        peak = self.reach(asked)[0]
-        return self._with(asked, self._finest(peak[:, None] * np.ones_like(asked.share), FINEST))
+        peak = self.reach(moves)[0]
+        return self._with(moves, self._finest(peak[:, None] * np.ones_like(moves.share), FINEST))
 
-    def _with(self, asked: Asked, r7: np.ndarray) -> np.ndarray:
+    def _with(self, moves: LineMoves, r7: np.ndarray) -> np.ndarray:
         """The same with multipliers (stages, axes)."""
-        fl, most = self.settings.fl, self.chip.MAP.register("R4").mask
-        rho, (peak, ramp) = asked.share, self.reach(asked)
+        fl, max_rate = self.settings.fl, self.chip.MAP.register("R4").mask
+        rho, (peak, ramp) = moves.share, self.reach(moves)
         step = self.hz / (8192.0 * r7)
         high = np.clip(np.rint(rho * peak[:, None] / step), 1, SPEED)
         low = np.clip(np.rint(rho * np.minimum(fl, peak)[:, None] / step), 1, high)
         gain = np.maximum(high - low, 1)
-        lead = asked.of_longest(gain)
-        clocks = lead * np.clip(np.rint(ramp[:, None] * self.hz / lead), 2, most)
-        rate = np.clip(np.rint(clocks / gain), 2, most)
+        lead = moves.of_leader(gain)
+        clocks = lead * np.clip(np.rint(ramp[:, None] * self.hz / lead), 2, max_rate)
+        rate = np.clip(np.rint(clocks / gain), 2, max_rate)
         fall = (high + low) * gain * rate / (16384.0 * r7)
-        point = np.minimum(np.floor(fall) + np.maximum(np.rint(AT_FL * rho), 1), asked.size)
+        point = np.minimum(np.floor(fall) + np.maximum(np.rint(AT_FL * rho), 1), moves.size)
         return self.legal(np.stack([low, high, rate, rate, point, r7], axis=2))
 
-    def corrected(self, asked: Asked, corrections: np.ndarray) -> np.ndarray:
+    def corrected(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """R1, R2, R4, R5, R6 by a share of the counts that move the axis by `reach` pulses along the line, one at least; R7 by
         `multiplier_reach` counts, the others worked out for it."""
         c, a = self.settings, corrections
-        peak = self.reach(asked)[0]
-        r7 = self.data_sheet(asked)[:, :, 5] + np.rint(a[:, :, 5] * c.multiplier_reach)
-        made = self._with(asked, np.clip(r7, 2, self._finest(asked.share * peak[:, None], SPEED)))
-        counts = np.maximum(np.rint(c.reach / self.worth(made, asked)), 1)
-        made[:, :, :5] += np.rint(a[:, :, :5] * counts).astype(np.int64)
-        made = self.legal(made)
-        made[:, :, 0] = np.minimum(made[:, :, 0], made[:, :, 1])
-        return made
+        peak = self.reach(moves)[0]
+        r7 = self.data_sheet(moves)[:, :, 5] + np.rint(a[:, :, 5] * c.multiplier_reach)
+        corrected = self._with(moves, np.clip(r7, 2, self._finest(moves.share * peak[:, None], SPEED)))
+        counts = np.maximum(np.rint(c.reach / self.worth(corrected, moves)), 1)
+        corrected[:, :, :5] += np.rint(a[:, :, :5] * counts).astype(np.int64)
+        corrected = self.legal(corrected)
+        corrected[:, :, 0] = np.minimum(corrected[:, :, 0], corrected[:, :, 1])
+        return corrected
 
-    def worth(self, registers: np.ndarray, asked: Asked) -> np.ndarray:
+    def worth(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         """By how many pulses one count of R1, R2, R4, R5, R6 moves an axis along the line, by the data sheet's formulas."""
         low, high, up, _, _, r7 = np.moveaxis(registers.astype(np.float64), 2, 0)
         gain = np.maximum(high - low, 1)
         per_clock = gain * (gain + 1) / (16384.0 * r7)
-        worth = [(2 * gain + 1) * up / (16384.0 * r7), asked.size / high, per_clock, per_clock]
+        worth = [(2 * gain + 1) * up / (16384.0 * r7), moves.size / high, per_clock, per_clock]
         return np.stack([*worth, np.ones_like(gain)], axis=2)
 
-    def errors(self, asked: Asked) -> np.ndarray:
-        low, high, up, down, point, r7 = np.moveaxis(self.data_sheet(asked).astype(np.float64), 2, 0)
+    def errors(self, moves: LineMoves) -> np.ndarray:
+        low, high, up, down, point, r7 = np.moveaxis(self.data_sheet(moves).astype(np.float64), 2, 0)
         gain, pps = high - low, high * self.hz / (8192.0 * r7)
-        behind, less = (gain * (gain + 1) * rate / (16384.0 * r7) for rate in (up, down))
-        return self.strays(asked, pps, gain * up / self.hz, behind, less, point)
+        lag, less = (gain * (gain + 1) * rate / (16384.0 * r7) for rate in (up, down))
+        return self.strays(moves, pps, gain * up / self.hz, lag, less, point)
 
     def _finest(self, fh: np.ndarray, speed: int) -> np.ndarray:
         """The largest R7 at which FH is at most `speed` steps."""
@@ -98,21 +98,21 @@ class RatioLine(Line):
             p.command(h.index, bus.START["FH1"])
         self._template = np.array(p.ops, np.int64)
 
-    def rows(self, registers: np.ndarray, asked: Asked) -> np.ndarray:
+    def rows(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         """What is written to each chip: (stages, axes, R0 to R7, with S-curves R14 and R15)."""
         r = registers
-        columns = [asked.size, r[..., 0], r[..., 1], r[..., 1], *(r[..., k] for k in range(2, 6))]
+        columns = [moves.size, r[..., 0], r[..., 1], r[..., 1], *(r[..., k] for k in range(2, 6))]
         if len(self._written) > 8:
             r14 = bus.UNCORRECTED | (0 if self.settings.s_curve else self.chip.LINEAR_RAMPS)
             columns += [np.full_like(r[..., 0], r14), np.zeros_like(r[..., 0])]
         return np.stack(columns, axis=2)
 
-    def programs(self, registers: np.ndarray, asked: Asked) -> np.ndarray:
-        rows = self.rows(registers, asked)
+    def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
+        rows = self.rows(registers, moves)
         ops = self._filled(self._template, rows.reshape(len(rows), -1))
         for a, j in enumerate(self._controls):
-            ops[:, j, 3] |= np.where(asked.distances[:, a] < 0, bus.MINUS, 0)
-        order = np.argsort(asked.size, axis=1, kind="stable")
+            ops[:, j, 3] |= np.where(moves.distances[:, a] < 0, bus.MINUS, 0)
+        order = np.argsort(moves.size, axis=1, kind="stable")
         ramps = np.where(rows[:, :, 2] > rows[:, :, 1], bus.RAMP["FH1"], bus.START["FH1"])
         ops[:, self._first :, 1] = np.array([h.index for h in self.drivers])[order]
         ops[:, self._first :, 3] = np.take_along_axis(ramps, order, 1)

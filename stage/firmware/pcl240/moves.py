@@ -217,8 +217,8 @@ def interrupted_move(
         RunTimeout: The chip still moved after `timeout`.
     """
     patience(timeout)
-    whole, count = choose_profile(axis, profile), check_pulses(pulses)
-    profile = whole.within(count, fh2)
+    full_profile, count = choose_profile(axis, profile), check_pulses(pulses)
+    profile = full_profile.within(count, fh2)
     check_seconds(after)
     check_seconds(pause)
     point = profile.down_point(count, fh2)
@@ -234,7 +234,7 @@ def interrupted_move(
         if residual := p.port.counter():
             axis.wait(pause)
             p.port.command(bus.RESET)
-            rest = whole.within(residual, fh2)
+            rest = full_profile.within(residual, fh2)
             if rest != profile:
                 p.port.write_registers(**rest.registers())
             p.port.write_register("R6", rest.down_point(residual, fh2))

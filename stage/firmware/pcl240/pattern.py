@@ -91,10 +91,10 @@ class Pattern(pattern.Pattern):
         falls = course.pin("fdown") & course.pin("lt") & ~hold
         for k in np.flatnonzero(falls[1:] & ~course.pin("lt")[:-1]) + 1:
             notes.append(Note(float(t[k]), "", f"R0 < R6 = {course.edges['counter'][k] + 1:,d}", True))
-        return sorted([*notes, *self.ended()], key=lambda n: n.time)
+        return sorted([*notes, *self.describe_end()], key=lambda n: n.time)
 
-    def ended(self) -> list[Note]:
-        return [n._replace(words="stop at FL") if n.words == "stop" else n for n in super().ended()]
+    def describe_end(self) -> list[Note]:
+        return [n._replace(words="stop at FL") if n.words == "stop" else n for n in super().describe_end()]
 
 
 def _words(byte: int, halted: bool) -> str:

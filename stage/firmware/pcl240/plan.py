@@ -19,17 +19,17 @@ from stage.chips.pcl240.state import LINEAR, SPAN
 from stage.errors import ArgumentError, Limit, a_or_an, unknown
 from stage.firmware.path import path_deviation, perfect_deviation
 from stage.firmware.pcl240 import fit
-from stage.firmware.pcl240.closed_form import course
+from stage.firmware.pcl240.closed_form import fill_motion
 from stage.firmware.pcl240.emulated import NAMES, compute_offset, trace_row
 from stage.firmware.pcl240.leader import (
     AS_LEADER,
-    R7_LEAST,
-    R7_MOST,
-    SPEED_MOST,
+    MAX_R7,
+    MAX_SPEED,
+    MIN_R7,
     TAILS,
-    Ask,
+    Candidates,
     Follower,
-    Kept,
+    LeaderMove,
     Widths,
     effective_steps,
     search,
@@ -37,7 +37,7 @@ from stage.firmware.pcl240.leader import (
 from stage.firmware.pcl240.profile import ACCEL, FH1, FL, ramp_seconds
 from stage.support.arguments import told
 
-R0_MOST = PCL240K.MAP.registers[0].mask
+MAX_R0 = PCL240K.MAP.registers[0].mask
 ROOM = 0.8  # of a short move may be ramps
 PLAYED = 2_000_000  # pulses: longer moves are judged by the closed form alone
 ON_THE_LINE = 2.0  # pulses
@@ -154,22 +154,24 @@ class Plan:
         lines = [head + f"{'FL pps':>10}{'FH pps':>12}{'up ms':>9}{'down ms':>9}{'ends s':>9}"]
         for name, a in self.axes.items():
             r = a.registers
-            shown = {n: r.get(n, "") for n in names}
+            cells = {n: r.get(n, "") for n in names}
             if a.automatic:
-                shown["R6"] = f"{a.offset:+}"
+                cells["R6"] = f"{a.offset:+}"
             if "R14" in r:
-                shown["R14"] = f"{r['R14']:04X}h"
+                cells["R14"] = f"{r['R14']:04X}h"
             lines.append(
                 f"{name:{width}} {a.distance:>+10}"
-                + "".join(f"{v:>9}" if n == "R0" else f"{v:>7}" for n, v in shown.items())
+                + "".join(f"{v:>9}" if n == "R0" else f"{v:>7}" for n, v in cells.items())
                 + f"{a.fl:>10.2f}{a.fh:>12.3f}{a.accel * 1e3:>9.2f}{a.decel * 1e3:>9.2f}{a.seconds:>9.4f}"
             )
-        far = (
+        deviation = (
             f"{self.deviation:.2f} pulses from the line"
             if self.exact
             else f"about {self.deviation:.2f} pulses from the line"
         )
-        lines.append(f"ratio error {self.ratio_error:.1e}; {far}; {self.seconds:.4f} s; start {', '.join(self.order)}")
+        lines.append(
+            f"ratio error {self.ratio_error:.1e}; {deviation}; {self.seconds:.4f} s; start {', '.join(self.order)}"
+        )
         return "\n".join([*lines, *self.notes])
 
 
@@ -207,8 +209,8 @@ def plan(
     A move too short for `rate` peaks lower, on all axes at once and with the same slopes; a very short one runs at constant FL.
     Raises ArgumentError with the reason when no registers can do it.
     """
-    asked = {n: _whole(n, d) for n, d in distances.items()}
-    moving = {n: d for n, d in asked.items() if d}
+    checked = {n: _check_distance(n, d) for n, d in distances.items()}
+    moving = {n: d for n, d in checked.items() if d}
     decel = accel if decel is None else decel
     _check(moving, distances, rate, fl, accel, decel, bus_delay)
     kinds = {n: (_of_axis("chips", n, chips), int(_of_axis("clock_hz", n, clock_hz))) for n in moving}
@@ -217,40 +219,40 @@ def plan(
     _offers({n: chip for n, (chip, _) in kinds.items()}, share > 0, automatic, accel, decel)
     hz = {n: hz for n, (_, hz) in kinds.items()}
     order = _order(moving)
-    longest, lead = order[-1], _leads(order, bus_delay)
-    ask, notes = _shorten(abs(moving[longest]), rate, fl, accel, decel)
+    leader_name, lead = order[-1], _leads(order, bus_delay)
+    move, notes = _shorten(abs(moving[leader_name]), rate, fl, accel, decel)
     only = dict.fromkeys(shared, AS_LEADER) | dict(multipliers or {})
-    ask = ask._replace(share=share, automatic=automatic, multiplier=max(only.get(longest, 0), 0))
-    _reach(moving, longest, ask, rate, hz)
-    _check_multipliers(moving, ask, only, hz)
+    move = move._replace(share=share, automatic=automatic, multiplier=max(only.get(leader_name, 0), 0))
+    _reach(moving, leader_name, move, rate, hz)
+    _check_multipliers(moving, move, only, hz)
     widths = {n: Widths.of(chip, automatic) for n, (chip, _) in kinds.items()}
     followers = {n: Follower(abs(moving[n]), hz[n], widths[n], lead[n], only.get(n, 0)) for n in order[:-1]}
-    leader, kept = search(ask, hz[longest], widths[longest], followers)
-    chosen = {longest: leader} | {n: found.registers[0] for n, found in kept.items()}
+    leader, candidates = search(move, hz[leader_name], widths[leader_name], followers)
+    rows = {leader_name: leader} | {n: c.registers[0] for n, c in candidates.items()}
     if sum(map(abs, moving.values())) <= PLAYED:
-        _play(chosen, longest, kinds, followers, kept)
-    made = _judge(moving, chosen, kinds, automatic, bus_delay)
-    return replace(made, notes=(*notes, *_remarks(made.axes, ask, made.deviation)))
+        _play(rows, leader_name, kinds, followers, candidates)
+    line_plan = _judge(moving, rows, kinds, automatic, bus_delay)
+    return replace(line_plan, notes=(*notes, *_remarks(line_plan.axes, move, line_plan.deviation)))
 
 
-def _whole(name: str, d: Any) -> int:
+def _check_distance(name: str, d: Any) -> int:
     try:
         whole = int(d)
     except (TypeError, ValueError, OverflowError):
         whole = None
-    if whole is None or whole != d or abs(whole) > R0_MOST:
+    if whole is None or whole != d or abs(whole) > MAX_R0:
         raise ArgumentError(
-            f"{name}={d!r}: R0 counts whole pulses, up to {R0_MOST}; the sign is the direction. Split a longer move."
+            f"{name}={d!r}: R0 counts whole pulses, up to {MAX_R0}; the sign is the direction. Split a longer move."
         )
     return whole
 
 
-def _of_axis(what: str, name: str, given: Any) -> Any:
-    if not isinstance(given, Mapping):
-        return given
-    if name not in given:
-        raise unknown(f"axis in {what}", name, given)
-    return given[name]
+def _of_axis(what: str, name: str, values: Any) -> Any:
+    if not isinstance(values, Mapping):
+        return values
+    if name not in values:
+        raise unknown(f"axis in {what}", name, values)
+    return values[name]
 
 
 def _share(s_curve: bool | float) -> float:
@@ -298,72 +300,74 @@ def _check(moving: dict, distances: Any, rate: float, fl: float, accel: float, d
         raise ArgumentError(f"bus_delay={bus_delay!r}: start commands are 0 to 1 s apart.")
 
 
-def _shorten(length: int, rate: float, fl: float, accel: float, decel: float) -> tuple[Ask, list[str]]:
+def _shorten(length: int, rate: float, fl: float, accel: float, decel: float) -> tuple[LeaderMove, list[str]]:
     """The peak rate and ramp times that a move of `length` pulses has room for, at the slopes asked for."""
     if rate <= fl:
-        return Ask(length, fl, fl, 0.0, 0.0), []
+        return LeaderMove(length, fl, fl, 0.0, 0.0), []
     room = max(min(ROOM * length, length - 2 * TAILS[0]), 0.0)
     peak = (fl * fl + 2 * room * (rate - fl) / (accel + decel)) ** 0.5
     if peak >= rate:
-        return Ask(length, rate, fl, accel, decel), []
+        return LeaderMove(length, rate, fl, accel, decel), []
     if peak < 1.2 * fl:
-        return Ask(length, fl, fl, 0.0, 0.0), [f"{length} pulses are too few for a ramp: constant {fl:g} pps"]
+        return LeaderMove(length, fl, fl, 0.0, 0.0), [f"{length} pulses are too few for a ramp: constant {fl:g} pps"]
     part = (peak - fl) / (rate - fl)
     note = f"{length} pulses are too few for {rate:g} pps at this slope: peaks at {peak:.0f} pps"
-    return Ask(length, peak, fl, accel * part, decel * part), [note]
+    return LeaderMove(length, peak, fl, accel * part, decel * part), [note]
 
 
-def _reach(moving: dict, longest: str, ask: Ask, rate: float, hz: dict) -> None:
+def _reach(moving: dict, leader: str, move: LeaderMove, rate: float, hz: dict) -> None:
     """Refuse rates that no registers make."""
-    most = hz[longest] * SPEED_MOST / (8192 * R7_LEAST)
-    if max(rate, ask.fh) > most:
+    max_rate = hz[leader] * MAX_SPEED / (8192 * MIN_R7)
+    if max(rate, move.fh) > max_rate:
         raise ArgumentError(
-            f"rate={rate:g} pps: a chip at {hz[longest]} Hz makes at most {most:.0f} pps (8191 at R7 = 2)."
-        ).of(Limit("speed", rate, 0.0, most))
+            f"rate={rate:g} pps: a chip at {hz[leader]} Hz makes at most {max_rate:.0f} pps (8191 at R7 = 2)."
+        ).of(Limit("speed", rate, 0.0, max_rate))
     for name, d in moving.items():
-        least, own = hz[name] / (8192 * R7_MOST), abs(d) / ask.length
-        own_most = hz[name] * SPEED_MOST / (8192 * R7_LEAST)
-        if own * ask.fh > own_most:
+        least, own = hz[name] / (8192 * MAX_R7), abs(d) / move.length
+        max_own_rate = hz[name] * MAX_SPEED / (8192 * MIN_R7)
+        if own * move.fh > max_own_rate:
             raise ArgumentError(
-                f"axis {name} would have to run at {own * ask.fh:.0f} pps, and a chip at {hz[name]} Hz makes at most "
-                f"{own_most:.0f} pps (8191 at R7 = 2). Lower the rate to {own_most / own:.0f} pps."
+                f"axis {name} would have to run at {own * move.fh:.0f} pps, and a chip at {hz[name]} Hz makes at most "
+                f"{max_own_rate:.0f} pps (8191 at R7 = 2). Lower the rate to {max_own_rate / own:.0f} pps."
             )
-        if own * ask.fh < least and abs(d) > 1:  # a single pulse is less than a pulse off whenever it comes
+        if own * move.fh < least and abs(d) > 1:  # a single pulse is less than a pulse off whenever it comes
             raise ArgumentError(
-                f"axis {name} would have to run at {own * ask.fh:.3g} pps, and the slowest a chip at {hz[name]} Hz makes is "
+                f"axis {name} would have to run at {own * move.fh:.3g} pps, and the slowest a chip at {hz[name]} Hz makes is "
                 f"{least:.3g} pps (1 at R7 = 1023). Raise the rate to {least / own:.0f} pps, or move {name} by itself."
             )
 
 
-def _check_multipliers(moving: dict, ask: Ask, only: Mapping[str, int], hz: dict) -> None:
+def _check_multipliers(moving: dict, move: LeaderMove, only: Mapping[str, int], hz: dict) -> None:
     """Refuse rates that an axis cannot make with the one R7 that its chip hears."""
     for name, d in moving.items():
         r7 = only.get(name, 0)
         if r7 > 0:
-            rate, most, least = (
-                ask.fh * abs(d) / ask.length,
-                hz[name] * SPEED_MOST / (8192 * r7),
+            rate, max_rate, least = (
+                move.fh * abs(d) / move.length,
+                hz[name] * MAX_SPEED / (8192 * r7),
                 hz[name] / (8192 * r7),
             )
-            if not least <= rate <= most:
+            if not least <= rate <= max_rate:
                 raise ArgumentError(
                     f"axis {name} would have to run at {rate:.4g} pps, and with R7 = {r7}, which it hears at SYNI, it makes "
-                    f"{least:.4g} to {most:.0f} pps. Choose another rate, or another R7 for the leader."
+                    f"{least:.4g} to {max_rate:.0f} pps. Choose another rate, or another R7 for the leader."
                 )
 
 
-def _play(chosen: dict, longest: str, kinds: dict, followers: dict[str, Follower], kept: Mapping[str, Kept]) -> None:
+def _play(
+    rows: dict, leader_name: str, kinds: dict, followers: dict[str, Follower], candidates: Mapping[str, Candidates]
+) -> None:
     """Choose among the best followers by running emulated chips."""
-    leader = chosen[longest]
-    pulses = trace_row(leader, kinds[longest][0]) / kinds[longest][1]
-    for name, found in kept.items():
+    leader = rows[leader_name]
+    pulses = trace_row(leader, kinds[leader_name][0]) / kinds[leader_name][1]
+    for name, choice in candidates.items():
         best = np.inf
         d, hz, _, lead, _ = followers[name]
-        for row in found.registers[found.scores < 1e17]:
+        for row in choice.registers[choice.scores < 1e17]:
             own = trace_row(row, kinds[name][0]) / hz - lead
-            far = path_deviation([(pulses, 1), (own, 1)], [leader[0], d]).pulses
-            if far < best - 1e-9:
-                best, chosen[name] = far, row
+            deviation = path_deviation([(pulses, 1), (own, 1)], [leader[0], d]).pulses
+            if deviation < best - 1e-9:
+                best, rows[name] = deviation, row
 
 
 def _judge(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, bus_delay: float) -> Plan:
@@ -381,7 +385,7 @@ def _judge(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, 
             last = pulses[-1]
         else:
             c = np.zeros(4, np.int64)
-            course(row, c)
+            fill_motion(row, c)
             last = c[3]
         named = dict(zip(NAMES, row.tolist(), strict=False))
         if by_itself:
@@ -389,16 +393,16 @@ def _judge(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, 
         seconds = lead[order[0]] - lead[n] + float(last) / hz
         axes[n] = AxisPlan(d, named, hz, lead[n], seconds, chip, int(row[6]), by_itself)
     if exact:
-        far = path_deviation(paths, [abs(d) for d in distances.values()]).pulses
+        deviation = path_deviation(paths, [abs(d) for d in distances.values()]).pulses
     else:
-        longest = order[-1]
-        far2, work = 0.0, np.zeros(1, fit.WORK)
+        leader = order[-1]
+        squares, work = 0.0, np.zeros(1, fit.WORK)
         for n in order[:-1]:
-            far2 += fit.estimate(rows[longest], axes[longest].clock_hz, rows[n], axes[n].clock_hz, lead[n], work) ** 2
-        far = float(np.sqrt(far2))
+            squares += fit.estimate(rows[leader], axes[leader].clock_hz, rows[n], axes[n].clock_hz, lead[n], work) ** 2
+        deviation = float(np.sqrt(squares))
     top = axes[order[-1]].fh / abs(distances[order[-1]])
     error = max(abs(a.fh / abs(a.distance) / top - 1) for a in axes.values())
-    return Plan(axes, tuple(order), bus_delay, error, far, exact, max(a.seconds for a in axes.values()))
+    return Plan(axes, tuple(order), bus_delay, error, deviation, exact, max(a.seconds for a in axes.values()))
 
 
 def _order(distances: dict[str, int]) -> list[str]:
@@ -409,32 +413,32 @@ def _leads(order: list[str], bus_delay: float) -> dict[str, float]:
     return {n: float(bus_delay) * (len(order) - 1 - k) for k, n in enumerate(order)}
 
 
-def _remarks(axes: dict[str, AxisPlan], ask: Ask, far: float) -> list[str]:
+def _remarks(axes: dict[str, AxisPlan], move: LeaderMove, deviation: float) -> list[str]:
     """Where registers could not do as asked. Raises ArgumentError where that takes the axes off the line."""
     notes = []
     for name, a in axes.items():
-        own = abs(a.distance) / ask.length
-        gain = round((ask.fh - ask.fl) * own * 8192 * R7_MOST / a.clock_hz)
-        most = Widths.of(a.chip, a.automatic).rate
-        longest_ramp = effective_steps(gain, ask.share) * most / a.clock_hz
-        for word, asked, made in (("accel", ask.up, a.accel), ("decel", ask.down, a.decel)):
-            if asked > longest_ramp and made < 0.95 * asked:
+        own = abs(a.distance) / move.length
+        gain = round((move.fh - move.fl) * own * 8192 * MAX_R7 / a.clock_hz)
+        max_rate = Widths.of(a.chip, a.automatic).rate
+        max_ramp = effective_steps(gain, move.share) * max_rate / a.clock_hz
+        for word, wanted, actual in (("accel", move.up, a.accel), ("decel", move.down, a.decel)):
+            if wanted > max_ramp and actual < 0.95 * wanted:
                 reason = (
-                    f"axis {name} cannot ramp for {word}={asked:.3g} s: to {own * ask.fh:.3g} pps it takes no more than about "
-                    f"{longest_ramp:.2g} s (R7 = {R7_MOST}, rate register {most})"
+                    f"axis {name} cannot ramp for {word}={wanted:.3g} s: to {own * move.fh:.3g} pps it takes no more than about "
+                    f"{max_ramp:.2g} s (R7 = {MAX_R7}, rate register {max_rate})"
                 )
-                if far > OFF_THE_LINE:
+                if deviation > OFF_THE_LINE:
                     raise ArgumentError(
-                        f"{reason}, and would be {far:.1f} pulses off the line. Shorten {word} to {longest_ramp:.2g} s, raise "
+                        f"{reason}, and would be {deviation:.1f} pulses off the line. Shorten {word} to {max_ramp:.2g} s, raise "
                         f"the rate, or move {name} by itself."
                     )
-                notes.append(f"{reason}; {made:.2g} s here")
-        if abs(a.fl / (ask.fl * own) - 1) > 0.05 and a.ramps:
+                notes.append(f"{reason}; {actual:.2g} s here")
+        if abs(a.fl / (move.fl * own) - 1) > 0.05 and a.ramps:
             notes.append(
-                f"axis {name}: FL {a.fl:.4g} pps instead of {ask.fl * own:.4g}: the nearest that keeps to the line"
+                f"axis {name}: FL {a.fl:.4g} pps instead of {move.fl * own:.4g}: the nearest that keeps to the line"
             )
-    if far > ON_THE_LINE:
+    if deviation > ON_THE_LINE:
         notes.append(
-            f"the closest registers leave the line by {far:.1f} pulses: another rate or other ramps may come closer"
+            f"the closest registers leave the line by {deviation:.1f} pulses: another rate or other ramps may come closer"
         )
     return notes

@@ -167,15 +167,15 @@ class Profile:
             chip.MAP.checked("R7", multiplier)
         slowest = chip.MAP.register("R4").mask
         r7 = np.arange(2, 1024) if multiplier is None else np.array([multiplier])
-        most = pulse_rate(8191, int(r7[0]), clock_hz)
+        max_rate = pulse_rate(8191, int(r7[0]), clock_hz)
         fh2 = usual_second(fh1, clock_hz, multiplier) if fh2 is None else fh2
         fl = min(FL, fh1, fh2) if fl is None else fl
         decel = accel if decel is None else decel
         for name, value in {"fh1": fh1, "fh2": fh2, "fl": fl}.items():
-            if not 0 < value <= most:
+            if not 0 < value <= max_rate:
                 raise ArgumentError(
-                    f"{name}={value!r} pps: a chip at {clock_hz} Hz makes up to {most:.0f} pps (R7 = {r7[0]})."
-                ).of(Limit({"fh1": "speed", "fh2": "fast", "fl": "start_speed"}[name], value, 0.0, most))
+                    f"{name}={value!r} pps: a chip at {clock_hz} Hz makes up to {max_rate:.0f} pps (R7 = {r7[0]})."
+                ).of(Limit({"fh1": "speed", "fh2": "fast", "fl": "start_speed"}[name], value, 0.0, max_rate))
         if fl > min(fh1, fh2):
             raise ArgumentError(
                 f"fl={fl!r} pps is above a high rate ({fh1:g}, {fh2:g}): ramps lead from FL upwards."
@@ -199,20 +199,20 @@ class Profile:
         fine = np.flatnonzero(missed <= 1)
         best = int(fine[-1] if len(fine) else np.argmin(missed))
         (r1, r2, r3), (r4, r5) = speeds[:, best].astype(int).tolist(), rates[:, best].astype(int).tolist()
-        made = cls(r1, r2, r3, r4, r5, int(r7[best]), clock_hz, None, chip)
+        result = cls(r1, r2, r3, r4, r5, int(r7[best]), clock_hz, None, chip)
         if fl < max(fh1, fh2):
-            made._refuse_clipped({"R4": (accel, made.R4), "R5": (decel, made.R5)}, float(span[best]))
-        return made.shaped(s_curve) if s_curve else made
+            result._refuse_clipped({"R4": (accel, result.R4), "R5": (decel, result.R5)}, float(span[best]))
+        return result.shaped(s_curve) if s_curve else result
 
     def _refuse_clipped(self, ramps: dict[str, tuple[float, int]], span: float) -> None:
         for register, (seconds, rate) in ramps.items():
             wanted = seconds * self.clock_hz / span
-            most = self.chip.MAP.register(register).mask
-            if rate == most and wanted > 1.01 * rate:
+            max_rate = self.chip.MAP.register(register).mask
+            if rate == max_rate and wanted > 1.01 * rate:
                 raise ArgumentError(
-                    f"a ramp of {seconds} s from {self.fl:.0f} pps on needs {register} = {wanted:.0f}: it takes 2 to {most}. "
-                    f"Between these rates a ramp takes at most {span * most / self.clock_hz:.3f} s."
-                ).of(Limit("accel", seconds, 0.0, span * most / self.clock_hz))
+                    f"a ramp of {seconds} s from {self.fl:.0f} pps on needs {register} = {wanted:.0f}: it takes 2 to {max_rate}. "
+                    f"Between these rates a ramp takes at most {span * max_rate / self.clock_hz:.3f} s."
+                ).of(Limit("accel", seconds, 0.0, span * max_rate / self.clock_hz))
 
     def shaped(self, s_curve: bool | float, fh2: bool = False) -> Profile:
         """The same rates and, as near as R4 and R5 allow, the same ramp times to FH1 (or FH2), with another shape.
@@ -239,11 +239,11 @@ class Profile:
 
     def registers(self) -> dict[str, int]:
         """Register values by name; on a chip with S-curves R14 and R15, too."""
-        plain = {"R1": self.R1, "R2": self.R2, "R3": self.R3, "R4": self.R4, "R5": self.R5, "R7": self.R7}
+        linear = {"R1": self.R1, "R2": self.R2, "R3": self.R3, "R4": self.R4, "R5": self.R5, "R7": self.R7}
         if not self.chip.S_CURVES:
-            return plain
+            return linear
         up, down = self.spans or (LINEAR, 0)
-        return plain | {"R14": up, "R15": down}
+        return linear | {"R14": up, "R15": down}
 
     @property
     def _up(self) -> int | None:
@@ -306,13 +306,13 @@ class Profile:
     def pulses_through(self, speeds: Iterable[int], dwell: float = 0.0) -> float:
         """Pulses of a run that ramps from FL through `speeds` (register values) and stays `dwell` s at each but the last, and
         then to FL again."""
-        here, total, way = self.R1, 0.0, [*speeds, self.R1]
-        for k, speed in enumerate(way):
-            low, high = sorted((here, speed))
-            rate, span = (self.R4, self._up) if speed > here else (self.R5, self._down)
+        speed_before, total, stops = self.R1, 0.0, [*speeds, self.R1]
+        for k, speed in enumerate(stops):
+            low, high = sorted((speed_before, speed))
+            rate, span = (self.R4, self._up) if speed > speed_before else (self.R5, self._down)
             total += ramp_pulses(low, high, rate, self.R7, span)
-            total += dwell * speed * self.step if k < len(way) - 2 else 0.0
-            here = speed
+            total += dwell * speed * self.step if k < len(stops) - 2 else 0.0
+            speed_before = speed
         return total
 
     def seconds(self, pulses: int) -> float:

@@ -11,7 +11,7 @@ from stage.chips.pcl240.state import COUNTER_MASK, S_OPERATING, S_ORG, S_ZERO
 from stage.errors import ArgumentError, a_or_an
 from stage.firmware.choices import Choices, limits
 from stage.firmware.pcl240 import bus
-from stage.firmware.search import Found, Search
+from stage.firmware.search import Search, SearchResult
 from stage.sim.program import Program
 
 if TYPE_CHECKING:
@@ -30,8 +30,8 @@ class FourRuns(Search):
             raise ArgumentError(f"ez={ez!r}: {a_or_an(chip.MAP.chip)} does not count EZ: a PCL240MK or PCL240MS does.")
         chip.MAP.checked("R7", settings.multiplier)
         rates = {"R1": limits(chip.MAP, "R1"), "R2": limits(chip.MAP, "R2"), "R4": limits(chip.MAP, "R4")}
-        ways = {"leave": (0, settings.leave), "back_off": (1, settings.back_off), "sd": (0, 1)}
-        self.choices = Choices({**rates, "approach": limits(chip.MAP, "R1"), **ways}, cubed=("leave",))
+        travel = {"leave": (0, settings.leave), "back_off": (1, settings.back_off), "sd": (0, 1)}
+        self.choices = Choices({**rates, "approach": limits(chip.MAP, "R1"), **travel}, cubed=("leave",))
         self.marks = {}
         self.program(self.choices.low)
 
@@ -79,21 +79,21 @@ class FourRuns(Search):
         for address in (0, 3, 2, 1):
             self._mark(f"{name} {address}", p).read(a, address)
 
-    def found(self, results: np.ndarray, rows: np.ndarray) -> Found:
-        said = {name: results[:, at] for name, at in self.marks.items()}
-        status = {name: said[f"{name} 0"] for name in RUNS}
-        made = {
-            name: -(said[f"{name} 3"] << 16 | said[f"{name} 2"] << 8 | said[f"{name} 1"]) & COUNTER_MASK
+    def read_results(self, results: np.ndarray, rows: np.ndarray) -> SearchResult:
+        marked = {name: results[:, at] for name, at in self.marks.items()}
+        status = {name: marked[f"{name} 0"] for name in RUNS}
+        counted = {
+            name: -(marked[f"{name} 3"] << 16 | marked[f"{name} 2"] << 8 | marked[f"{name} 1"]) & COUNTER_MASK
             for name in ("search", "approach")
         }
-        late = np.any([said[f"{name} time"] < 0 for name in RUNS], axis=0)
+        timed_out = np.any([marked[f"{name} time"] < 0 for name in RUNS], axis=0)
         on_org = {name: s & S_ORG != 0 for name, s in status.items()}
         arrived = on_org["approach"]
         if self.settings.ez:
             at_index = bus.EZ_SIGNAL >> 16 if bus.has_ez_monitor(self.driver.chip) else S_OPERATING
-            arrived = said["index"] & at_index != 0
+            arrived = marked["index"] & at_index != 0
         released = ~on_org["back off"]
         short = (status["leave"] & S_ZERO == 0) | (status["back off"] & S_ZERO == 0)
-        end_limit = ~late & (short | ~on_org["search"] | (released & ~arrived))
-        overrun = made["approach"] - rows[:, list(self.choices.ranges).index("back_off")]
-        return Found(late, ~late & released & arrived, end_limit, released, made["search"], overrun)
+        end_limit = ~timed_out & (short | ~on_org["search"] | (released & ~arrived))
+        overrun = counted["approach"] - rows[:, list(self.choices.ranges).index("back_off")]
+        return SearchResult(timed_out, ~timed_out & released & arrived, end_limit, released, counted["search"], overrun)

@@ -21,11 +21,11 @@ from stage.firmware.pcl240.moves import SETTLE
 from stage.firmware.pcl240.plan import Plan, plan
 from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import ACCEL, FH1, FL
-from stage.firmware.together import SynchronizedReport, Together, chosen_axes
+from stage.firmware.together import SynchronizedReport, Together, select_axes
 from stage.support.arguments import patience, told
 
 WORTH_IT = 0.02  # pulses that a plan for the bus delay may be better than one for a common start
-LOOKS = 200  # at the status bytes of a long move
+MAX_POLLS = 200  # at the status bytes of a long move
 
 
 @told
@@ -62,47 +62,47 @@ def synchronized_move(
     if not isinstance(distances, Mapping | Plan):
         distances, axes = axes, distances
     if isinstance(distances, Plan):
-        chosen = _chosen(distances.distances, axes)
-        _same_chips(distances, chosen)
-        _check_clocks(distances, chosen)
-        made = distances.with_bus_delay(_bus_delay(chosen, distances.order))
+        selected = _select_axes(distances.distances, axes)
+        _same_chips(distances, selected)
+        _check_clocks(distances, selected)
+        line_plan = distances.with_bus_delay(_bus_delay(selected, distances.order))
     else:
-        chosen = _chosen(distances, axes)
-        asked = {n: d for n, (_, d) in chosen.items()}
-        chips: dict[str, Any] = {n: type(a.chip) for n, (a, _) in chosen.items()}
-        clocks = {n: a.chip.clock_hz for n, (a, _) in chosen.items()}
+        selected = _select_axes(distances, axes)
+        requested = {n: d for n, (_, d) in selected.items()}
+        chips: dict[str, Any] = {n: type(a.chip) for n, (a, _) in selected.items()}
+        clocks = {n: a.chip.clock_hz for n, (a, _) in selected.items()}
         wanted = partial(
-            plan, asked, rate=rate, fl=fl, accel=accel, decel=decel, s_curve=s_curve, automatic=automatic,
-            chips=chips, clock_hz=clocks, **_clocks({n: a for n, (a, d) in chosen.items() if d}),
+            plan, requested, rate=rate, fl=fl, accel=accel, decel=decel, s_curve=s_curve, automatic=automatic,
+            chips=chips, clock_hz=clocks, **_clocks({n: a for n, (a, d) in selected.items() if d}),
         )  # fmt: skip
         at_once = wanted()  # refuses before the first bus cycle
-        delay = _bus_delay(chosen, at_once.order)
-        made = at_once.with_bus_delay(delay)
-        if made.deviation > at_once.deviation + WORTH_IT:
-            made = wanted(bus_delay=delay)
-    return _run({n: chosen[n][0] for n in made.order}, made, timeout)
+        delay = _bus_delay(selected, at_once.order)
+        line_plan = at_once.with_bus_delay(delay)
+        if line_plan.deviation > at_once.deviation + WORTH_IT:
+            line_plan = wanted(bus_delay=delay)
+    return _run({n: selected[n][0] for n in line_plan.order}, line_plan, timeout)
 
 
-def _run(axes: dict[str, Axis], made: Plan, timeout: float | None) -> SynchronizedReport:
+def _run(axes: dict[str, Axis], line_plan: Plan, timeout: float | None) -> SynchronizedReport:
     """Write, start in the order given, wait, report."""
     watch = {n: Procedure(a, "synchronized move") for n, a in axes.items()}
-    with Together(watch, made.distances) as line:
+    with Together(watch, line_plan.distances) as line:
         for n, p in watch.items():
             p.port.command(bus.RESET)
-            p.port.write_registers(**made.axes[n].registers)
+            p.port.write_registers(**line_plan.axes[n].registers)
             p.port.command(bus.OUTPUT)
-            minus = bus.MINUS if made.axes[n].distance < 0 else 0
-            p.port.control(bus.PRESET | minus | (bus.AUTOMATIC if made.axes[n].automatic else 0))
+            minus = bus.MINUS if line_plan.axes[n].distance < 0 else 0
+            p.port.control(bus.PRESET | minus | (bus.AUTOMATIC if line_plan.axes[n].automatic else 0))
         for n, p in watch.items():  # nothing between the starts but the bus
-            p.port.command(bus.RAMP["FH1"] if made.axes[n].ramps else bus.START["FH1"])
+            p.port.command(bus.RAMP["FH1"] if line_plan.axes[n].ramps else bus.START["FH1"])
             line.began(n)
         with line.in_time():
-            stopped_by = _wait(watch, made, 1.5 * made.seconds + 1 if timeout is None else timeout, line)
+            stopped_by = _wait(watch, line_plan, 1.5 * line_plan.seconds + 1 if timeout is None else timeout, line)
         next(iter(axes.values())).wait(SETTLE)
-        return line.report(stopped_by, made)
+        return line.report(stopped_by, line_plan)
 
 
-def _wait(watch: dict[str, Procedure], made: Plan, patience: float, line: Together) -> dict[str, str]:
+def _wait(watch: dict[str, Procedure], line_plan: Plan, patience: float, line: Together) -> dict[str, str]:
     """Poll all axes until none operates. Returns why each stopped."""
     stopped_by: dict[str, str] = {}
     broken = False
@@ -114,7 +114,7 @@ def _wait(watch: dict[str, Procedure], made: Plan, patience: float, line: Togeth
                 continue
             if not p.port.status().operating:
                 stopped_by[n] = p.stop_reason()
-        line.look()
+        line.measure_carriages()
         if len(stopped_by) == len(watch):
             return stopped_by
         if not broken and any(s.startswith("EL") for s in stopped_by.values()):
@@ -128,28 +128,28 @@ def _wait(watch: dict[str, Procedure], made: Plan, patience: float, line: Togeth
             raise RunTimeout(
                 f"after {patience:.3f} s axes still operate; pulses left: {left}. Give more time, or stop them with 08h."
             )
-        poll = bus.POLL if line.carriages.worst is not None else max(bus.POLL, made.seconds / LOOKS)
+        poll = bus.POLL if line.carriages.worst is not None else max(bus.POLL, line_plan.seconds / MAX_POLLS)
         clock.wait(min(poll, patience - passed + 1e-6))
 
 
-def _chosen(distances: Mapping, axes: Any) -> dict[str, tuple[Axis, int]]:
-    chosen = chosen_axes(distances, axes, "synchronized_move")
-    for axis, _ in chosen.values():
+def _select_axes(distances: Mapping, axes: Any) -> dict[str, tuple[Axis, int]]:
+    selected = select_axes(distances, axes, "synchronized_move")
+    for axis, _ in selected.values():
         check(axis)
-    return chosen
+    return selected
 
 
-def _same_chips(made: Plan, chosen: dict[str, tuple[Axis, int]]) -> None:
-    for n, a in made.axes.items():
-        if type(chosen[n][0].chip) is not a.chip:
+def _same_chips(line_plan: Plan, selected: dict[str, tuple[Axis, int]]) -> None:
+    for n, a in line_plan.axes.items():
+        if type(selected[n][0].chip) is not a.chip:
             raise ArgumentError(
-                f"the plan is for {a_or_an(a.chip.MAP.chip)}, and axis {n} has {a_or_an(chosen[n][0].chip.MAP.chip)}: plan with "
-                f"chips={{{n!r}: {type(chosen[n][0].chip).__name__}}}."
+                f"the plan is for {a_or_an(a.chip.MAP.chip)}, and axis {n} has {a_or_an(selected[n][0].chip.MAP.chip)}: plan with "
+                f"chips={{{n!r}: {type(selected[n][0].chip).__name__}}}."
             )
-        if chosen[n][0].chip.clock_hz != a.clock_hz:
+        if selected[n][0].chip.clock_hz != a.clock_hz:
             raise ArgumentError(
-                f"the plan is for a chip at {a.clock_hz} Hz, and axis {n}'s runs at {chosen[n][0].chip.clock_hz} Hz: "
-                f"plan with clock_hz={{{n!r}: {chosen[n][0].chip.clock_hz}}}."
+                f"the plan is for a chip at {a.clock_hz} Hz, and axis {n}'s runs at {selected[n][0].chip.clock_hz} Hz: "
+                f"plan with clock_hz={{{n!r}: {selected[n][0].chip.clock_hz}}}."
             )
 
 
@@ -167,26 +167,26 @@ def _clocks(moving: Mapping[str, Axis]) -> dict[str, Any]:
     return {"multipliers": multipliers, "shared": shared}
 
 
-def _check_clocks(made: Plan, chosen: dict[str, tuple[Axis, int]]) -> None:
+def _check_clocks(line_plan: Plan, selected: dict[str, tuple[Axis, int]]) -> None:
     """Raise ArgumentError for a plan whose followers would hear another R7 than their own."""
-    clocks = _clocks({n: chosen[n][0] for n in made.axes})
-    for n, a in made.axes.items():
-        leaders = [m for m in made.axes if chosen[m][0].chip is getattr(chosen[n][0].chip, "syni", None)]
+    clocks = _clocks({n: selected[n][0] for n in line_plan.axes})
+    for n, a in line_plan.axes.items():
+        leaders = [m for m in line_plan.axes if selected[m][0].chip is getattr(selected[n][0].chip, "syni", None)]
         multiplier = (
-            made.axes[leaders[0]].registers["R7"] if leaders else clocks["multipliers"].get(n, a.registers["R7"])
+            line_plan.axes[leaders[0]].registers["R7"] if leaders else clocks["multipliers"].get(n, a.registers["R7"])
         )
         if multiplier != a.registers["R7"]:
             raise ArgumentError(
-                f"the plan has R7 = {a.registers['R7']} for axis {n}, whose chip counts the clock of {name_leader(chosen[n][0])} "
+                f"the plan has R7 = {a.registers['R7']} for axis {n}, whose chip counts the clock of {name_leader(selected[n][0])} "
                 f"(SYNI) with R7 = {multiplier}: plan with {clocks}."
             )
 
 
-def _bus_delay(chosen: dict[str, tuple[Axis, int]], names: Any) -> float:
+def _bus_delay(selected: dict[str, tuple[Axis, int]], names: Any) -> float:
     """Read each axis' status, to check that it is at rest and to measure the time of a bus cycle."""
     delay = 0.0
     for n in names:
-        axis = chosen[n][0]
+        axis = selected[n][0]
         before = axis.time
         if bus.Port(axis).status().operating:
             raise ArgumentError(f"axis {n} is moving: wait until it stops, or stop it with 08h.")

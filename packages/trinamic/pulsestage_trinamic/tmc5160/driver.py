@@ -23,7 +23,7 @@ from stage.errors import ArgumentError, RunTimeout, a_or_an
 from stage.firmware.axis import turned
 from stage.firmware.choices import limits
 from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, select_moving, wait_until_stopped
-from stage.firmware.lines import Asked, LineSettings
+from stage.firmware.lines import LineMoves, LineSettings
 from stage.firmware.report import Procedure, Report
 from stage.firmware.stop_reasons import ANOTHER_AXIS
 from stage.firmware.together import StopTogether, SynchronizedReport, Together
@@ -91,7 +91,7 @@ class Tmc5160Driver(Driver):
 
     DONE: ClassVar = "position reached"
     FINISH: ClassVar = "XTARGET"
-    FOUND: ClassVar = ("REFL", "REFR", "ENCN", "stall")
+    HOME_REASONS: ClassVar = ("REFL", "REFR", "ENCN", "stall")
     HOMINGS: ClassVar = ("switch", "index", "stall")
     POSITIVE: ClassVar = ("el_minus", "el_plus", "ez")
     chip: Any
@@ -126,7 +126,7 @@ class Tmc5160Driver(Driver):
         most = FULL_SCALE / self.chip.rsense
         return current_registers(min(drive.amplitude, most) if drive is not None else most, self.chip.rsense)
 
-    def ready(self) -> None:
+    def prepare(self) -> None:
         """Switch the power stage on, where it is off: currents as the axis' Drive has them."""
         if not self.get("CHOPCONF") & 15:
             self._switch_on(AtOnce(self.axis))
@@ -198,7 +198,7 @@ class Tmc5160Driver(Driver):
 
     def start_with(self, values: Mapping[str, int], pulses: int) -> None:
         """Begin a move with these registers."""
-        self.ready()
+        self.prepare()
         self.goal = self.chip.net(self.axis.chip_axis) + pulses
         self.put("XTARGET", self.aim(values, pulses))
 
@@ -219,7 +219,7 @@ class Tmc5160Driver(Driver):
 
     def check_still(self) -> None:
         """Raises StageError for an axis that moves."""
-        if self.runs():
+        if self.is_running():
             raise self.moving()
 
     def stay(self) -> None:
@@ -231,7 +231,7 @@ class Tmc5160Driver(Driver):
     def run(self, direction: int, speeds: Speeds) -> None:
         values = self._speeds(speeds)
         self.check_still()
-        self.ready()
+        self.prepare()
         self.run_with(direction, values, STOPS)
 
     def run_with(self, direction: int, values: Mapping[str, int], switches: int) -> None:
@@ -267,10 +267,10 @@ class Tmc5160Driver(Driver):
         values = self._speeds(speeds)
         self.check_still()
         with Procedure(self.axis, "home") as p:
-            self.ready()
+            self.prepare()
             ended = homing.to_stall(self, direction, values, timeout) if what == "stall" else ""
             ended = ended or homing.to_switch(self, direction, values, timeout)
-            if what == "index" and ended in self.FOUND:
+            if what == "index" and ended in self.HOME_REASONS:
                 ended = homing.to_index(self, -direction, values, timeout)
             self.axis.wait(SETTLE)
             report = p.report(ended)
@@ -309,13 +309,13 @@ class Tmc5160Driver(Driver):
         for driver in mine.values():
             driver.check_still()
         for driver in drivers.values():  # an axis that keeps still needs its power stage, too
-            driver.ready()
+            driver.prepare()
         ramp = max(speeds.up, speeds.down)
         made = InRatio(list(mine.values()), LineSettings(speeds.start, ramp, speeds.s_curve, axes=tuple(mine)))
         if speeds.drive > made.fastest:
             raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {made.fastest:g} here.")
-        asked = Asked(np.array([[pulses[n] for n in mine]]), np.array([speeds.drive]))
-        rows = made.data_sheet(asked)[0].tolist()
+        moves = LineMoves(np.array([[pulses[n] for n in mine]]), np.array([speeds.drive]))
+        rows = made.data_sheet(moves)[0].tolist()
         wanted = {n: pulses[n] for n in mine}
         with Together({n: Procedure(d.axis, "line") for n, d in mine.items()}, wanted) as together:
             goals = {
@@ -325,11 +325,11 @@ class Tmc5160Driver(Driver):
             for name, goal in goals.items():
                 mine[name].put("XTARGET", goal)
                 together.began(name)
-            longest = 1.5 * float(asked.longest[0]) / speeds.drive + 6 * ramp + 1
+            longest = 1.5 * float(moves.longest[0]) / speeds.drive + 6 * ramp + 1
             breaker = StopTogether(together, mine)
             try:
                 wait_until_stopped(
-                    [d.axis for d in mine.values()], longest if timeout is None else timeout, look=breaker
+                    [d.axis for d in mine.values()], longest if timeout is None else timeout, on_poll=breaker
                 )
             except RunTimeout as error:
                 error.reports = together.reports(dict.fromkeys(mine, "timeout"))  # type: ignore[attr-defined]

@@ -33,7 +33,7 @@ def to_switch(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeo
     end = d.axis.time + timeout
     if d.get("RAMP_STAT") & closed:  # off it first
         d.run_with(-direction, values, STOPS)
-        while d.get("RAMP_STAT") & closed and d.axis.time < end and d.runs():
+        while d.get("RAMP_STAT") & closed and d.axis.time < end and d.is_running():
             d.axis.wait(1e-3)
         d.halt()
     d.run_with(direction, values, stop | latch | state.SOFT_STOP)
@@ -62,7 +62,7 @@ def to_index(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeou
     d.put("ENCMODE", d.get("ENCMODE") & DECIMAL | level | IGNORE_AB | CLR_ONCE | LATCH_X | RISING)
     d.run_with(direction, slow, STOPS)
     begin = d.get("XACTUAL")
-    while not d.get("ENC_STATUS") & N_EVENT and d.runs() and d.axis.time < end:
+    while not d.get("ENC_STATUS") & N_EVENT and d.is_running() and d.axis.time < end:
         if abs(d.get("XACTUAL") - begin) > turn + FULL_STEP:
             break
         d.axis.wait(1e-3)

@@ -10,7 +10,7 @@ import numpy as np
 
 from pulsestage_trinamic.tmc5160.state import STOP_L, STOP_R
 from stage.firmware.driver import Driver
-from stage.firmware.lines import Asked, Line
+from stage.firmware.lines import Line, LineMoves
 from stage.sim.program import Program
 
 NAMES = ("VSTART", "AMAX", "VMAX", "DMAX", "VSTOP")
@@ -40,44 +40,44 @@ class InRatio(Line):
             self._slot(p, 1, count * len(self.names) + a)
         self._template = np.array(p.ops, np.int64)
 
-    def data_sheet(self, asked: Asked) -> np.ndarray:
+    def data_sheet(self, moves: LineMoves) -> np.ndarray:
         """The longest axis' registers by the formulas, rounded; of the others the nearest to their share of them."""
-        c, (peak, ramp) = self.settings, self.reach(asked)
+        c, (peak, ramp) = self.settings, self.reach(moves)
         low = np.minimum(c.fl, peak)
         lead = np.zeros((len(peak), len(self.names)))
         lead[:, 0] = lead[:, 4] = low * V / self.hz
         lead[:, 2] = peak * V / self.hz
         lead[:, 1] = lead[:, 3] = (peak - low) / ramp * A / self.hz**2
         whole = np.maximum(np.rint(lead), 1.0)
-        return self.legal(asked.share[:, :, None] * whole[:, None, :])
+        return self.legal(moves.share[:, :, None] * whole[:, None, :])
 
-    def corrected(self, asked: Asked, corrections: np.ndarray) -> np.ndarray:
+    def corrected(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """By a share of the counts that move the axis by `reach` steps along the line, one at least."""
-        made = self.data_sheet(asked)
-        counts = np.maximum(np.rint(self.settings.reach / self.worth(made, asked)), 1)
+        made = self.data_sheet(moves)
+        counts = np.maximum(np.rint(self.settings.reach / self.worth(made, moves)), 1)
         return self.legal(made + np.rint(corrections * counts))
 
-    def worth(self, registers: np.ndarray, asked: Asked) -> np.ndarray:
+    def worth(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         """By how many steps one count of each register moves an axis along the line."""
         r = registers.astype(np.float64)
         up, down = (self._seconds(r, start, rate) for start, rate in ((0, 1), (4, 3)))
         gained, kept = (0.5 * (r[..., 2] - r[..., start]) * t * self.hz / V for start, t in ((0, up), (4, down)))
         unit = self.hz / V
-        worth = [up * unit, gained / r[..., 1], asked.size / r[..., 2], kept / r[..., 3], down * unit]
+        worth = [up * unit, gained / r[..., 1], moves.size / r[..., 2], kept / r[..., 3], down * unit]
         return np.maximum(np.stack(worth, axis=2), 1e-9)
 
     def _seconds(self, r: np.ndarray, start: int, rate: int) -> np.ndarray:
         """Of a ramp between the columns `start` and VMAX."""
         return np.maximum(r[..., 2] - r[..., start], 0.0) * (A / V) / (r[..., rate] * self.hz)
 
-    def errors(self, asked: Asked) -> np.ndarray:
-        r, unit = self.data_sheet(asked).astype(np.float64), self.hz / V
+    def errors(self, moves: LineMoves) -> np.ndarray:
+        r, unit = self.data_sheet(moves).astype(np.float64), self.hz / V
         up, down = self._seconds(r, 0, 1), self._seconds(r, 4, 3)
-        behind, less = 0.5 * (r[..., 2] - r[..., 0]) * unit * up, 0.5 * (r[..., 2] - r[..., 4]) * unit * down
-        return self.strays(asked, r[..., 2] * unit, up, behind, less, 0.5 * (r[..., 2] + r[..., 4]) * unit * down)
+        lag, less = 0.5 * (r[..., 2] - r[..., 0]) * unit * up, 0.5 * (r[..., 2] - r[..., 4]) * unit * down
+        return self.strays(moves, r[..., 2] * unit, up, lag, less, 0.5 * (r[..., 2] + r[..., 4]) * unit * down)
 
-    def programs(self, registers: np.ndarray, asked: Asked) -> np.ndarray:
-        columns = [registers.reshape(len(registers), -1), asked.distances & 0xFFFFFFFF]
+    def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
+        columns = [registers.reshape(len(registers), -1), moves.distances & 0xFFFFFFFF]
         return self._filled(self._template, np.concatenate(columns, axis=1))
 
     def starts(self, distances: np.ndarray) -> np.ndarray:
