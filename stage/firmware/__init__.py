@@ -40,7 +40,14 @@ PROCEDURES: dict[str, Callable] = {
 
 
 def procedure(name: str) -> Callable:
-    """The procedure called `name`; hyphens do for underscores. Raises ArgumentError with near misses."""
+    """Return the procedure with this name.
+
+    Args:
+        name: Name, with underscores or hyphens.
+
+    Raises:
+        ArgumentError: There is no such procedure; the message has the near misses.
+    """
     key = str(name).lower().replace("-", "_")
     if key not in PROCEDURES:
         raise unknown("procedure", name, PROCEDURES)

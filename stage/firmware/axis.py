@@ -10,13 +10,20 @@ from stage.errors import ArgumentError
 
 
 def turned(axis: object, sensor: str) -> bool:
-    """Whether a switch of an axis ("org", "el_plus" ...), or its index ("ez"), is of the other logic than that of its chip after a
-    reset, see `Chip.LOGIC`. An axis of a bench has no wiring: nothing is turned there."""
+    """Return whether a sensor is of the other logic than that of the axis' chip after a reset, see `Chip.LOGIC`.
+
+    Args:
+        axis: Axis. That of a bench has no wiring, and none of its sensors is inverted.
+        sensor: Switch ("org", "el_plus" ...) or index ("ez").
+
+    Returns:
+        Whether the sensor is inverted.
+    """
     return sensor in getattr(axis, "wiring", {})
 
 
 def positive(axis: object, sensor: str) -> bool:
-    """As `turned`, of chips that take what is low as asserted: the sensor is of positive logic, high while it is on."""
+    """Return whether a sensor is of positive logic, high while it is on, for chips that take what is low as asserted."""
     return turned(axis, sensor)
 
 
@@ -25,15 +32,15 @@ class Axis(Protocol):
 
     @property
     def name(self) -> str:
-        """Its name on the machine."""
+        """Name on the machine."""
 
     @property
     def chip(self) -> Chip:
-        """Its chip."""
+        """Chip that drives the axis."""
 
     @property
     def chip_axis(self) -> int:
-        """Which axis of the chip it is."""
+        """Number of the axis on its chip."""
 
     @property
     def meters_per_pulse(self) -> float | None:
@@ -44,15 +51,15 @@ class Axis(Protocol):
         """Simulated seconds."""
 
     def wait(self, seconds: float) -> None:
-        """Let simulated time pass, for all axes of the machine."""
+        """Let `seconds` of simulated time pass, for all axes of the machine."""
 
     @property
     def position(self) -> float | None:
-        """Where the carriage is, m; None without one."""
+        """Position of the carriage, m (rad on a hinge); None without one."""
 
     @property
     def commanded(self) -> float | None:
-        """Where the pulses say that the carriage is, m; None without one."""
+        """Position of the carriage according to the pulses, m (rad on a hinge); None without one."""
 
     @property
     def lost_steps(self) -> int | None:
@@ -60,8 +67,15 @@ class Axis(Protocol):
 
 
 def check_origin(axis: Axis, others: Sequence[str] = ()) -> None:
-    """Raises ArgumentError where the chip has an input for the origin switch, and the axis has no such switch. others: ways to home
-    without one."""
+    """Check that an origin return would end.
+
+    Args:
+        axis: Axis to check.
+        others: Ways to home without an origin switch, for the message.
+
+    Raises:
+        ArgumentError: The chip has an input for the origin switch, and the axis has no such switch.
+    """
     switches = getattr(axis, "switches", None)
     if switches is not None and axis.chip.wired("org") and "org" not in switches.as_dict():
         instead = f" Home by {' or '.join(others)}." if others else ""
@@ -88,7 +102,7 @@ class HasAxes(Protocol):
 
     @property
     def axes(self) -> Mapping[str, Axis]:
-        """Its axes by name."""
+        """Axes by name."""
 
 
 Axes = HasAxes | Mapping[str, Axis] | None

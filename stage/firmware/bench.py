@@ -55,7 +55,7 @@ class BenchAxis:
 
     @told
     def wait(self, seconds: float) -> None:
-        """`seconds` pass, for all chips of the bench."""
+        """Let `seconds` pass, for all chips of the bench."""
         self._bench.wait(seconds)
 
     @property
@@ -160,19 +160,27 @@ class Bench(Bus):
         return self._bus_ns * 1e-9
 
     def cycle(self) -> None:
-        """One bus cycle passes; chips call it before each read and write."""
+        """Let one bus cycle pass; chips call it before each read and write."""
         self._advance(self._now + self._bus_ns)
 
     @told
     def wait(self, seconds: float) -> None:
-        """`seconds` pass."""
+        """Let `seconds` pass. Raises ArgumentError for a negative time."""
         if not 0 <= seconds < 1e9:
             raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to 1e9 s.")
         self._advance(self._now + round(seconds * 1e9))
 
     @told
     def at(self, seconds: float, action: Callable[[], Any]) -> None:
-        """Do `action()` when the bench's time is `seconds`: an input edge, for example. Raises ArgumentError."""
+        """Call a function at a time of the bench, to change an input, for example.
+
+        Args:
+            seconds: Time of the bench, s.
+            action: Function without arguments.
+
+        Raises:
+            ArgumentError: A time outside 0 to 1e9 s, or what cannot be called.
+        """
         if not 0 <= seconds < 1e9:
             raise ArgumentError(f"seconds={seconds!r}: the time of an event is 0 to 1e9 s.")
         if not callable(action):
@@ -184,9 +192,12 @@ class Bench(Bus):
         """Put a carriage that never slips under an axis.
 
         Args:
-            axis: its name.
-            at: where the carriage stands, pulses.
-            spans: input pin -> (low, high), both inclusive, None for no bound: where the carriage asserts it.
+            axis: Name of the axis.
+            at: Position of the carriage, pulses.
+            spans: Input pin -> (low, high), both inclusive, None for no bound: the positions at which the carriage asserts the pin.
+
+        Raises:
+            ArgumentError: An unknown axis or pin.
         """
         if axis not in self.axes:
             raise unknown("axis", axis, self.axes)

@@ -18,17 +18,28 @@ class Choices(NamedTuple):
     cubed: tuple[str, ...] = ()
 
     def named(self, row: Sequence[int] | np.ndarray) -> dict[str, int]:
-        """One row of numbers by name."""
+        """Return one row of numbers by name."""
         return {name: int(value) for name, value in zip(self.ranges, row, strict=True)}
 
     @property
     def low(self) -> list[int]:
-        """The least of each."""
+        """Smallest value of each number."""
         return [low for low, _ in self.ranges.values()]
 
 
 def limits(map_: RegisterMap, name: str) -> tuple[int, int]:
-    """The range of a register that numbers are chosen from. Raises ArgumentError for one that has none."""
+    """Return the range of a register that numbers are chosen from.
+
+    Args:
+        map_: Register map of the chip.
+        name: Name of the register.
+
+    Returns:
+        Smallest and largest value.
+
+    Raises:
+        ArgumentError: The register has no such range.
+    """
     r = map_.register(name)
     if not (least_and_most := r.tuned or r.legal):
         raise ArgumentError(f"{map_.chip} {name} has no legal range to choose from.")

@@ -75,7 +75,10 @@ class Speeds(NamedTuple):
 
 
 def usual_speeds(chip: Chip) -> Speeds:
-    """What a move has that says nothing of its speeds: as far a second with chips that say themselves what a pulse is."""
+    """Return the speeds of a move that states none.
+
+    A chip that drives its motor itself, and so determines the microsteps, gets rates for the same speed of the motor.
+    """
     fine = (chip.MICROSTEPS or USUAL) / USUAL
     return Speeds(START * fine, DRIVE * fine)
 
@@ -146,7 +149,7 @@ class Driver(ABC):
         return self.chip.lock
 
     def no_positive(self, sensor: str) -> ArgumentError:
-        """For a sensor that the chip, or its driver, reads the wrong way round."""
+        """Return the error for a sensor that the chip, or its driver, would read inverted."""
         logic = getattr(self.axis, "wiring", {}).get(sensor, "positive")
         return ArgumentError(
             f"axis {self.axis.name}: {sensor} is of {logic} logic, and {a_or_an(self.chip.MAP.chip)} cannot read it so. "
@@ -157,17 +160,47 @@ class Driver(ABC):
 
     @abstractmethod
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
-        """Go so many pulses (counts), the sign is the direction, and wait for the end. Raises ArgumentError, StageError where the
-        axis moves already, RunTimeout."""
+        """Move by signed pulses, and wait for the end.
+
+        Args:
+            pulses: Signed number of pulses; counts of a servo.
+            speeds: Rates and ramps.
+            timeout: Simulated seconds to wait; None: half as much again as the move can take, and one.
+
+        Returns:
+            What the host could observe, and the true state of the stage beside it.
+
+        Raises:
+            ArgumentError: The chip cannot do it; the message says why.
+            StageError: The axis moves already.
+            RunTimeout: The axis still moved after `timeout`.
+        """
 
     def start(self, pulses: int, speeds: Speeds) -> None:
-        """Begin a move, and do not wait. Raises as `move`."""
+        """Begin a move, and do not wait.
+
+        Args:
+            pulses: Signed number of pulses; counts of a servo.
+            speeds: Rates and ramps.
+
+        Raises:
+            ArgumentError: The chip cannot do it.
+            StageError: The axis moves already.
+        """
         raise ArgumentError(f"{a_or_an(self.chip.MAP.chip)} waits for the end of its moves here: use move.")
 
     def wait(self, timeout: float, on_poll: Callable[[], None] | None = None) -> str:
-        """Wait for the end of what `start` has begun: why it ended, as `Report.stopped_by`. look: called at each poll.
+        """Wait for the end of what `start` has begun; of a servo for the end of its profile, wherever the carriage is then.
 
-        Of a servo the end of its profile: where the carriage is then, nobody has looked. Raises RunTimeout after `timeout` s.
+        Args:
+            timeout: Simulated seconds to wait.
+            on_poll: Function that is called at each poll.
+
+        Returns:
+            Reason of the end, as `Report.stopped_by`.
+
+        Raises:
+            RunTimeout: The axis still moved after `timeout`.
         """
         wait_until_stopped([self.axis], timeout, on_poll=on_poll)
         return self.explain_end(self.goal in (None, self.chip.net(self.axis.chip_axis)))
@@ -204,24 +237,68 @@ class Driver(ABC):
         return self.move(pulses, speeds._replace(drive=cast(float, speeds.second), second=None))
 
     def circle(self, other: Driver, radius: int, speeds: Speeds) -> Any:
-        """A whole circle of this axis and another of its chip, from where they stand, about a centre `radius` pulses (signed)
-        along the other axis; a report. Raises ArgumentError, always on chips that draw none."""
+        """Draw a whole circle with this axis and another one of its chip, from the present position.
+
+        Args:
+            other: Driver of the other axis.
+            radius: Signed distance of the center along the other axis, pulses.
+            speeds: Rates and ramps.
+
+        Returns:
+            A report.
+
+        Raises:
+            ArgumentError: The chip draws no circles.
+        """
         raise ArgumentError(f"{self.chip.MAP.chip} draws no circles.")
 
     @abstractmethod
     def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
-        """Find ORG, which lies in `direction`, from wherever the axis is; `index`: and on to that index pulse of the encoder."""
+        """Find ORG from any position of the axis.
+
+        Args:
+            direction: Direction in which ORG lies, 1 or -1.
+            speeds: Rates and ramps.
+            index: Number of the index pulse after ORG at which the search ends; 0: it ends at ORG.
+            timeout: Simulated seconds to wait.
+
+        Returns:
+            A report whose `stopped_by` is one of HOME_REASONS where the search has succeeded.
+
+        Raises:
+            ArgumentError: The chip cannot do it.
+            StageError: The axis moves already.
+            RunTimeout: The search took longer than `timeout`.
+        """
 
     def home_by(self, what: str, direction: int, speeds: Speeds, timeout: float = 60.0) -> Report:
-        """As `home`, by one of `homings`: the chip's usual switch, the index pulse after it, or what else the driver has."""
+        """Find home by one of `homings`; the other arguments are those of `home`.
+
+        Args:
+            what: "switch", "index" (the first index pulse after the switch), or another of `homings`.
+            direction: Direction in which home lies, 1 or -1.
+            speeds: Rates and ramps.
+            timeout: Simulated seconds to wait.
+
+        Returns:
+            A report, as that of `home`.
+        """
         return self.home(direction, speeds, int(what == "index"), timeout)
 
     def homings(self) -> tuple[str, ...]:
-        """HOMINGS, as far as the axis' chip can."""
+        """Return the ways to home, of HOMINGS, that the axis' chip has."""
         return tuple(what for what in self.HOMINGS if what != "index" or self.chip.wired("ez"))
 
     def check_homing(self, by: str, index: int = 0) -> None:
-        """Raises ArgumentError for what is none of `homings`. index: somebody has asked for the index pulse, too."""
+        """Check a way to home.
+
+        Args:
+            by: Name of the way, one of `homings`.
+            index: Whether a user has asked for the index pulse beside it.
+
+        Raises:
+            ArgumentError: The chip does not home so, or `index` contradicts it.
+        """
         known, chip = self.homings(), a_or_an(self.chip.MAP.chip)
         if by not in known:
             raise ArgumentError(f"home by {by!r}: {chip} cannot; it homes by {' or '.join(known)}.")
@@ -229,31 +306,47 @@ class Driver(ABC):
             raise ArgumentError(f"home by {by!r} and to an index pulse (index=True, --ez): give one of the two.")
 
     def check_origin(self) -> None:
-        """Raises ArgumentError where an origin return would find no switch; it says what else this chip homes by."""
+        """Raise ArgumentError where an origin return would find no switch.
+
+        The message has the other ways in which the chip homes.
+        """
         check_origin(self.axis, [by for by in self.homings() if by not in ("switch", "index")])
 
     def prepare(self) -> Any:
-        """Do before a drive whatever the chip needs once; nothing moves. Raises StageError for an axis that moves already."""
+        """Prepare the chip for a drive, where it needs that once; nothing moves.
+
+        Raises StageError for an axis that moves already.
+        """
         return None
 
     @abstractmethod
     def run(self, direction: int, speeds: Speeds) -> None:
-        """Start to run, until `halt`."""
+        """Begin a continuous drive, which `halt` ends.
+
+        Args:
+            direction: 1 or -1.
+            speeds: Rates and ramps.
+
+        Raises:
+            ArgumentError: The chip cannot do it.
+            StageError: The axis moves already.
+        """
 
     @abstractmethod
     def halt(self, at_once: bool = False) -> None:
         """Stop the axis, with a ramp or at once; returns when it is at rest."""
 
     def is_stop_command(self, address: int, value: int) -> bool:
-        """Whether this bus write is a command that stops a drive of the axis; False also where the driver does not tell."""
+        """Return whether a bus write is a command that stops a drive of the axis; False also where the driver does not know."""
         return False
 
     def is_running(self) -> bool:
-        """What `run` has started still runs."""
+        """Return whether the drive that `run` has begun still runs."""
         return self.chip.busy(self.axis.chip_axis)
 
     def stopped_by(self) -> str:
-        """Why the axis stopped, if the host has not stopped it: "EL+", "EL-", or "" where the chip does not show a reason."""
+        """Return why the axis stopped, where the host has not stopped it: "EL+", "EL-"; "" where the chip does not show a
+        reason."""
         return ""
 
     def explain_end(self, done: bool, journal: Journal | None = None) -> str:
@@ -272,7 +365,7 @@ class Driver(ABC):
         return UNKNOWN
 
     def status_words(self) -> dict[str, int]:
-        """What the chip says of the axis, by bus cycles that clear nothing: words and registers of its map by name."""
+        """Read the status of the axis by bus cycles that clear nothing: words and registers of the chip's map by name."""
         return {
             word.name: self.chip.read(word.address)
             for word in self.chip.MAP.words
@@ -280,13 +373,22 @@ class Driver(ABC):
         }
 
     def read_register(self, name: str) -> int:
-        """What a register holds, by bus cycles. Raises ArgumentError for a name that is none, and for a register that the chip,
-        or this driver, cannot read back."""
+        """Read a register by bus cycles.
+
+        Args:
+            name: Name of the register in the chip's map.
+
+        Returns:
+            Value of the register.
+
+        Raises:
+            ArgumentError: An unknown name, or a register that the chip, or this driver, cannot read back.
+        """
         r = self.chip.MAP.register(name)
         raise self.no_reading(r.name)
 
     def no_reading(self, name: str) -> ArgumentError:
-        """For a register that can only be written. A host remembers what it wrote."""
+        """Return the error for a register that can only be written. A host remembers what it wrote."""
         return ArgumentError(
             f"{self.chip.MAP.chip} {name} cannot be read back on axis {self.axis.name}: a host remembers what it wrote there."
         )
@@ -295,66 +397,134 @@ class Driver(ABC):
     def line(
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
-        """Several axes, all of this class, on a straight line; speeds are those of the longest one. Raises ArgumentError where the
-        chips cannot."""
+        """Move several axes, all of this class, along a straight line.
+
+        Args:
+            drivers: Drivers by the names of their axes.
+            pulses: Signed pulses of each axis.
+            speeds: Rates and ramps of the longest axis.
+            timeout: Simulated seconds to wait; None: half as much again as the line can take, and one.
+
+        Returns:
+            A report of all axes.
+
+        Raises:
+            ArgumentError: The chips draw no such line.
+            RunTimeout: An axis still moved after `timeout`.
+        """
         raise ArgumentError(f"{a_or_an(next(iter(drivers.values())).chip.MAP.chip)} draws no lines.")
 
     # --- as programs ---
 
     @abstractmethod
     def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:
-        """The registers that make a move what it is. s_curve: ramps; None: S-curves where the chip is made for them.
+        """Return the names of the registers that determine a move.
 
-        Raises ArgumentError where the chip has no S-curves.
+        Args:
+            s_curve: Whether the ramps are S-curves; None: where the chip is made for them.
+
+        Raises:
+            ArgumentError: The chip has no S-curves.
         """
 
     @abstractmethod
     def formula(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
-        """The registers of `tuned_by` by the data sheet: rates in pps, ramps in s."""
+        """Compute the registers of `tuned_by` by the formulas of the data sheet.
+
+        Args:
+            fl: Start rate, pps.
+            fh: Drive rate, pps.
+            up: Time of the ramp up, s.
+            down: Time of the ramp down, s.
+            pulses: Pulses of the move.
+            s_curve: Whether the ramps are S-curves; None: where the chip is made for them.
+
+        Returns:
+            Values of the registers by name.
+        """
 
     @abstractmethod
     def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
-        """From power-up to the start of a move of so many pulses, the sign is the direction: bus cycles. values: of `tuned_by`, by
-        name."""
+        """Add the bus cycles from power-up to the start of a move to a program.
+
+        Args:
+            program: Program, or operations that are done at once.
+            values: Values of the registers of `tuned_by` by name.
+            pulses: Signed pulses of the move.
+        """
 
     @abstractmethod
     def write_stop(self, program: Operations) -> None:
-        """What a host does when the move is over, or has taken too long."""
+        """Add the bus cycles by which a host ends a move that is over, or has taken too long."""
 
     @abstractmethod
     def search(self, settings: Any) -> Search:
-        """An origin return as a program, with the settings of OriginReturn. Raises ArgumentError for what the chip cannot do."""
+        """Return the origin return of the axis as a program.
+
+        Args:
+            settings: Settings of the environment OriginReturn.
+
+        Raises:
+            ArgumentError: The chip cannot do it.
+        """
 
     def lines(self, drivers: Sequence[Driver], settings: Any) -> Line:
-        """Straight lines as programs, with the axes of `drivers`, whose chips are of this one's kind, with the settings of
-        SynchronizedMove. Raises ArgumentError where the chips cannot."""
+        """Return the straight lines of axes as programs.
+
+        Args:
+            drivers: Drivers of the axes, whose chips are of this one's kind.
+            settings: Settings of the environment SynchronizedMove.
+
+        Raises:
+            ArgumentError: The chips draw no such lines.
+        """
         raise ArgumentError(f"{a_or_an(self.chip.MAP.chip)} draws no lines by programs.")
 
     def filter_choices(self, trapezoid: bool) -> Choices:
-        """What can be chosen of a servo's filter and sample time, for steps or for trapezoids. Raises ArgumentError for a chip that
-        closes no loop."""
+        """Return the ranges of a servo's filter and sample time.
+
+        Args:
+            trapezoid: For trapezoids; otherwise for position steps.
+
+        Raises:
+            ArgumentError: The chip closes no loop.
+        """
         raise ArgumentError(
             f"{a_or_an(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop: it has no filter to tune."
         )
 
     def filter_formula(self) -> dict[str, int]:
-        """The numbers of `filter_choices` by an engineer's formula, for what the axis carries now. Raises ArgumentError for a chip
-        that closes no loop."""
+        """Compute the numbers of `filter_choices` by an engineer's formula for the present load of the axis.
+
+        Raises:
+            ArgumentError: The chip closes no loop.
+        """
         raise ArgumentError(f"{a_or_an(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop.")
 
     def write_servo_move(
         self, program: Operations, values: Mapping[str, int], counts: int, rates: tuple[float, float] | None
     ) -> None:
-        """From power-up to the start of a servo's move, with a filter: bus cycles. values: of `filter_choices`, by name; rates:
-        counts/s and counts/s2 of a trapezoid; None: a position step."""
+        """Add the bus cycles from power-up to the start of a servo's move to a program.
+
+        Args:
+            program: Program, or operations that are done at once.
+            values: Values of `filter_choices` by name.
+            counts: Signed counts of the move.
+            rates: Speed, counts/s, and acceleration, counts/s2, of a trapezoid; None: a position step.
+
+        Raises:
+            ArgumentError: The chip closes no loop.
+        """
         raise ArgumentError(f"{a_or_an(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop.")
 
     def no_s_curves(self) -> ArgumentError:
+        """Return the error for S-curves that the chip does not have."""
         return ArgumentError(f"s_curve=True: {a_or_an(self.chip.MAP.chip)} has linear ramps only.")
 
     def moving(self) -> StageError:
+        """Return the error for an axis that moves already."""
         return StageError(f"axis {self.axis.name} is moving: wait until it stops, or firmware.stop(axis).")
 
 
@@ -362,7 +532,14 @@ D = TypeVar("D", bound=Driver)
 
 
 def driver_of(axis: Axis) -> Driver:
-    """A driver of the axis. Raises ArgumentError for what is no axis, or a chip whose family has no driver."""
+    """Return a driver of the axis.
+
+    Args:
+        axis: Axis of a stage or a bench.
+
+    Raises:
+        ArgumentError: What is no axis, or a chip whose family has no driver.
+    """
     chip = getattr(axis, "chip", None)
     if not isinstance(chip, Chip):
         raise ArgumentError(f"{axis!r} is no axis with a chip: give stage.axes['x'], or Bench(x=PCL240K()).axes['x'].")
@@ -370,7 +547,14 @@ def driver_of(axis: Axis) -> Driver:
 
 
 def driver_class(chip: type[Chip]) -> type[Driver]:
-    """The driver class for chips of this class. Raises ArgumentError if there is none, or if it lacks a method."""
+    """Return the driver class for chips of a class.
+
+    Args:
+        chip: Class of the chip.
+
+    Raises:
+        ArgumentError: There is none, or it lacks a method.
+    """
     if not chip.DRIVER:
         raise ArgumentError(
             f"{a_or_an(chip.__name__)} has no driver: its class names one in DRIVER, as 'package.module:Class'."
@@ -398,7 +582,7 @@ def select_moving(drivers: Mapping[str, D], pulses: Mapping[str, int]) -> dict[s
 
 
 class AtOnce(Operations):
-    """Operations that are done at once, on axes that exist, in place of being added to a program."""
+    """Operations that are carried out at once on axes that exist, in place of being added to a program."""
 
     def __init__(self, *axes: Axis):
         self._axes = {getattr(axis, "index", 0): axis for axis in axes}
@@ -418,7 +602,16 @@ class AtOnce(Operations):
         return self
 
     def until_stopped(self, axes: Sequence[int], limit: float, poll: float = 1e-3) -> AtOnce:
-        """Raises RunTimeout after `limit` seconds."""
+        """Wait until axes have stopped.
+
+        Args:
+            axes: Indices of the axes.
+            limit: Simulated seconds to wait.
+            poll: Seconds between two polls at first.
+
+        Raises:
+            RunTimeout: An axis still moved after `limit`.
+        """
         wait_until_stopped([self._axes[k] for k in axes], limit, poll)
         self._done += 1
         return self
@@ -428,7 +621,16 @@ def wait_until_stopped(
     axes: Sequence[Axis], timeout: float, poll: float = 1e-3, on_poll: Callable[[], None] | None = None
 ) -> None:
     """Poll the status of axes until none drives: every `poll` seconds at first, every MAX_POLL_S in a long run.
-    Raises RunTimeout."""
+
+    Args:
+        axes: Axes of one machine.
+        timeout: Simulated seconds to wait.
+        poll: Seconds between two polls at first.
+        on_poll: Function that is called at each poll.
+
+    Raises:
+        RunTimeout: An axis still drives after `timeout`.
+    """
     clock = axes[0]
     begin = clock.time
     while running := [a.name for a in axes if a.chip.busy(a.chip_axis)]:
@@ -443,9 +645,13 @@ def wait_until_stopped(
 
 
 def poll_interval(poll: float, passed: float) -> float:
-    """Return the seconds until the next look at something that has been awaited for `passed` seconds.
+    """Return the seconds until the next poll.
 
-    It grows from `poll` to MAX_POLL_S, so that an end is seen so late at most; a longer `poll` stays. Beyond 100 s it is
-    1/50,000 of what has passed, or days of pulses would be millions of looks.
+    It grows from `poll` to MAX_POLL_S, which is how late an end is seen at most; a longer `poll` stays. Beyond 100 s it is
+    1/50,000 of the time that has passed, or days of pulses would take millions of polls.
+
+    Args:
+        poll: Seconds between two polls at first.
+        passed: Seconds since the first poll.
     """
     return max(poll, min(passed / 200, MAX_POLL_S), passed / 50_000)

@@ -30,8 +30,13 @@ MAX_CLOCKS = 1 << 44  # clocks: weeks
 
 
 class LineMoves(NamedTuple):
-    """Moves: signed pulses of each axis (stages, axes), and of the longest one the peak rate in pps and the ramps in s (stages);
-    None: the `accel` of the line's settings."""
+    """Moves along lines, one for each stage.
+
+    Attributes:
+        distances: Signed pulses of each axis (stages, axes).
+        rate: Peak rate of the longest axis, pps (stages).
+        ramp: Time of its ramps, s (stages); None: the `accel` of the line's settings.
+    """
 
     distances: np.ndarray
     rate: np.ndarray
@@ -39,6 +44,7 @@ class LineMoves(NamedTuple):
 
     @property
     def size(self) -> np.ndarray:
+        """Pulses of each axis without their sign (stages, axes)."""
         return np.abs(self.distances)
 
     @property
@@ -52,13 +58,20 @@ class LineMoves(NamedTuple):
         return self.size / self.longest[:, None]
 
     def of_leader(self, values: np.ndarray) -> np.ndarray:
-        """The longest axis' value (stages, 1) of values (stages, axes)."""
+        """Return the value of the longest axis (stages, 1) of values (stages, axes)."""
         return np.take_along_axis(values, self.size.argmax(axis=1)[:, None], 1)
 
 
 class LineSettings(NamedTuple):
-    """How lines are to be: fl of the longest axis, pps; accel: its ramp, s; reach: pulses along the line that a correction of 1 is
-    worth; axes: their names, for errors."""
+    """Settings of lines.
+
+    Attributes:
+        fl: Start rate of the longest axis, pps.
+        accel: Time of its ramps, s.
+        s_curve: Whether the ramps are S-curves.
+        reach: Pulses along the line that a correction of 1 moves an axis by.
+        axes: Names of the axes, for errors.
+    """
 
     fl: float
     accel: float
@@ -94,36 +107,56 @@ class Line(ABC):
 
     @abstractmethod
     def data_sheet(self, moves: LineMoves) -> np.ndarray:
-        """The registers by the data sheet (stages, *shape)."""
+        """Compute the registers by the formulas of the data sheet (stages, *shape)."""
 
     @abstractmethod
     def corrected(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
-        """The data sheet's registers with corrections (stages, *shape) from -1 to 1; 0 changes nothing."""
+        """Compute the registers of the data sheet with corrections.
+
+        Args:
+            moves: Moves along the line.
+            corrections: Numbers from -1 to 1 (stages, *shape); 0 changes nothing.
+
+        Returns:
+            Registers (stages, *shape).
+        """
 
     @abstractmethod
     def errors(self, moves: LineMoves) -> np.ndarray:
-        """(stages, axes, 4) pulses: how far the data sheet's registers take an axis off its share, see `strays`."""
+        """Compute how far the data sheet's registers take each axis off its share, see `strays`: pulses (stages, axes, 4)."""
 
     @abstractmethod
     def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
-        """Bus cycles from rest to the last start command, (stages, operations, 4); all alike but for what they write."""
+        """Write the bus cycles from rest to the last start command.
+
+        Args:
+            registers: Registers (stages, *shape).
+            moves: Moves along the line.
+
+        Returns:
+            Operations (stages, operations, 4), which differ between stages in the numbers that they write only.
+        """
 
     @abstractmethod
     def starts(self, distances: np.ndarray) -> np.ndarray:
-        """Which operation of a program starts each axis (axes), for one stage's distances."""
+        """Return the index of the operation that starts each axis (axes), for one stage's distances."""
 
     def last_pulse(self, registers: np.ndarray) -> np.ndarray:
-        """Seconds from the beginning of the last pulse to the end of the drive (stages)."""
+        """Return the seconds from the beginning of the last pulse to the end of the drive (stages)."""
         return np.zeros(len(registers))
 
     # --- the same for all ---
 
     def legal(self, registers: np.ndarray) -> np.ndarray:
-        """The nearest registers that the data sheet allows."""
+        """Return the nearest registers that the data sheet allows."""
         return np.clip(np.rint(registers), self.low, self.high).astype(np.int64)
 
     def reach(self, moves: LineMoves) -> tuple[np.ndarray, np.ndarray]:
-        """Peak rate (pps) and ramp time (s) that there is room for (stages)."""
+        """Compute the peak rate and the ramp time that the moves have room for.
+
+        Returns:
+            Rate, pps (stages), and time, s (stages).
+        """
         c = self.settings
         accel = c.accel if moves.ramp is None else moves.ramp
         top = np.maximum(moves.rate - c.fl, 1e-9)
@@ -133,11 +166,19 @@ class Line(ABC):
     def strays(
         self, moves: LineMoves, rate: np.ndarray, ramp: np.ndarray, lag: np.ndarray, less: np.ndarray, point: np.ndarray
     ) -> np.ndarray:
-        """(stages, axes, 4) pulses by the closed form: ahead after the ramp-up, more ahead at the ramp-down, ramp-down earlier by,
-        shorter ramp-down by, all against the axis' share of the longest one.
+        """Compute by the closed form how far axes are from their share of the longest one.
 
-        Each (stages, axes): rate in pps, seconds of the ramp-up, pulses by which the two ramps fall short of the full rate,
-        pulses left at the ramp-down.
+        Args:
+            moves: Moves along the line.
+            rate: Rates, pps (stages, axes), as all that follow.
+            ramp: Times of the ramps up, s.
+            lag: Pulses by which the two ramps fall short of the full rate.
+            less: Pulses by which the ramp down falls short of it.
+            point: Pulses left at the ramp-down.
+
+        Returns:
+            Pulses (stages, axes, 4): ahead after the ramp-up, more ahead at the ramp-down, ramp-down earlier by, shorter ramp-down
+            by.
         """
         lead, share = moves.of_leader, moves.share
         risen = lead(ramp)
@@ -147,7 +188,15 @@ class Line(ABC):
         return np.stack([rise, off * (falls - risen), point - share * lead(point), less - share * lead(less)], axis=2)
 
     def pulses(self, ops: np.ndarray, distances: np.ndarray) -> list[np.ndarray]:
-        """Ticks (int64) from an axis' start to each of its pulses: twins of the chips are given one stage's program, at once."""
+        """Run one stage's program on copies of the chips, without a stage.
+
+        Args:
+            ops: Operations of the program (operations, 4).
+            distances: Signed pulses of each axis (axes).
+
+        Returns:
+            Ticks (int64) from each axis' start to each of its pulses.
+        """
         out: list[np.ndarray] = [np.empty(0, np.int64)] * len(self.drivers)
         for (chip, mine), fresh in zip(self._chips(), self._fresh, strict=True):
             rows = np.frombuffer(bytearray(fresh), chip.CORE.STATE)
@@ -180,7 +229,15 @@ class Line(ABC):
 
 
 def line_of(drivers: Sequence[Driver], settings: Any) -> Line:
-    """The line of axes' drivers. Raises ArgumentError where their chips cannot draw one together."""
+    """Return the line that drivers draw together.
+
+    Args:
+        drivers: Drivers of the axes.
+        settings: Settings, as `LineSettings`.
+
+    Raises:
+        ArgumentError: The chips draw no line together.
+    """
     kinds = sorted({type(h.chip).__name__ for h in drivers})
     if len(kinds) > 1:
         raise ArgumentError(

@@ -22,7 +22,7 @@ NOTHING = 1e-12  # relative, and pulses squared: rounding
 
 
 class Deviation(NamedTuple):
-    """The largest distance from the line, in pulses; when, in the unit of the times given; and the counts then."""
+    """Largest distance from the line, in pulses; its time, in the unit of the times that were passed; and the counts then."""
 
     pulses: float
     time: float
@@ -87,14 +87,20 @@ def _arrays(pulses: Sequence[Any], distances: Sequence[int], clock_hz: Any) -> t
 
 
 def path_deviation(pulses: Sequence[Any], distances: Sequence[int], clock_hz: Any = None) -> Deviation:
-    """The largest distance of the point of pulse counts from the segment between 0 and `distances`, exact at every pulse.
+    """Compute the largest distance of the point of pulse counts from the segment between 0 and `distances`, exact at every pulse.
+
+    The time is linear in the pulses. Pulses at the same time count as one step.
 
     Args:
-        pulses: for each axis what `chip.trace` returns, or (times, directions +1 or -1); times ascending.
-        distances: for each axis the signed pulses of the line.
-        clock_hz: clock of the times, one number or one an axis, to turn ticks into seconds; None leaves times as they are.
+        pulses: For each axis the result of `chip.trace`, or (times, directions +1 or -1); times ascend.
+        distances: Signed pulses of the line for each axis.
+        clock_hz: Clock of the times, one number or one for each axis, to convert ticks to seconds; None leaves times as they are.
 
-    Linear in the pulses. Pulses at the same time count as one step. Raises ArgumentError.
+    Returns:
+        The largest distance, its time and the counts then.
+
+    Raises:
+        ArgumentError: Times that do not ascend, or another number of axes than of distances.
     """
     times, signs, starts, ends, line = _arrays(pulses, distances, clock_hz)
     worst_time = np.zeros(1)
@@ -108,7 +114,15 @@ def path_deviation(pulses: Sequence[Any], distances: Sequence[int], clock_hz: An
 
 
 def path_points(pulses: Sequence[Any], clock_hz: Any = None) -> tuple[np.ndarray, np.ndarray]:
-    """(times, counts) of the path: the point (n_1, n_2, ...) after every step, one row each, from the origin on."""
+    """Return the points of the path: the counts (n_1, n_2, ...) after every step, from the origin on.
+
+    Args:
+        pulses: As of `path_deviation`.
+        clock_hz: As of `path_deviation`.
+
+    Returns:
+        Times (n,) and counts (n, axes).
+    """
     times, signs, starts, ends, _ = _arrays(pulses, [1] * len(pulses), clock_hz)
     order = np.argsort(times, kind="stable")
     steps = np.zeros((len(times), len(starts)), np.int64)
@@ -121,14 +135,20 @@ def path_points(pulses: Sequence[Any], clock_hz: Any = None) -> tuple[np.ndarray
 
 
 def perfect_deviation(distances: Sequence[int]) -> float:
-    """The distance that perfect axes reach: started at once, constant rates exactly in ratio, the last pulses together."""
+    """Compute the distance that perfect axes reach: started at once, constant rates exactly in ratio, the last pulses together."""
     perfect = [(np.arange(1, abs(d) + 1) / max(abs(d), 1), np.sign(d)) for d in distances]
     return path_deviation(perfect, distances).pulses
 
 
 def pulses_of(journal: Journal) -> np.ndarray:
-    """Every pulse that a chip made while `journal` noted, as `chip.trace` would have returned them; `clock` counts from the
-    journal's beginning. Of a servo, each count of its command."""
+    """Replay every pulse that a chip made while a journal was open; of a servo, each count of its command.
+
+    Args:
+        journal: Journal of the chip.
+
+    Returns:
+        Records as those of `chip.trace`; `clock` counts from the journal's beginning.
+    """
     core = journal.chip.CORE
     if journal.chip.SERVO:
         return _counts_of(journal)

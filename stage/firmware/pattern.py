@@ -25,9 +25,9 @@ class Note(NamedTuple):
 
 
 class Pattern:
-    """Of a report. By default: the outputs that change, and every command with the map's words for it.
+    """Signals and commands of a report that a drawing shows; by default the outputs that change, and every command with its words.
 
-    LANES: pins in the order of their lanes, from above. ALWAYS: those that are shown even where they never change.
+    LANES: pins in the order of their lanes, from above. ALWAYS: pins that are shown even where they never change.
     """
 
     LANES: ClassVar[tuple[Lane, ...]] = ()
@@ -37,26 +37,37 @@ class Pattern:
         self.report, self.course = report, report.course
 
     def lanes(self, pins: Collection[str] | None = None) -> list[tuple[np.ndarray, str, str]]:
-        """(on from each edge, label, colour) of each signal that plays a role. pins: those that may be shown; None: all."""
+        """Return the signals that play a role.
+
+        Args:
+            pins: Pins that may be shown; None: all.
+
+        Returns:
+            For each signal whether it is on from each edge on, its label and its color.
+        """
         chosen = self.LANES or tuple((pin, pin.upper(), BLUE) for pin in self.course.chip.OUTPUTS)
         visible = (lane for lane in chosen if (pins is None or lane[0] in pins) and self.plays(lane[0]))
         return [(self.course.pin(pin), label, colour) for pin, label, colour in visible]
 
     def plays(self, pin: str) -> bool:
-        """Whether a pin plays a role in this move."""
+        """Return whether a pin plays a role in this move."""
         on = self.course.pin(pin)
         return pin in self.ALWAYS or bool(on.any() if pin in self.course.chip.INPUTS else on.any() and not on.all())
 
     def minus(self) -> np.ndarray:
-        """Whether the axis goes minus, from each edge on (bool)."""
+        """Return whether the axis moves in the minus direction, from each edge on (bool)."""
         return np.diff(self.course.edges["net"], append=self.course.edges["net"][-1]) < 0
 
     def levels(self) -> dict[str, float]:
-        """Rates that have a name, pps."""
+        """Return the rates that have a name, pps."""
         return {}
 
     def notes(self, t: np.ndarray) -> list[Note]:
-        """What the host wrote and what happened. t: s from the first start, of each edge of the course."""
+        """Return notes of what the host wrote and of what happened.
+
+        Args:
+            t: Times of the edges of the report's waveform, s from the first start.
+        """
         report = self.report
         notes = [
             Note(when, code.split(" ")[0] + "h" if len(code) == 2 else code, meaning, False)
@@ -66,11 +77,11 @@ class Pattern:
         return sorted([*notes, *self.describe_end()], key=lambda n: n.time)
 
     def is_noteworthy(self, meaning: str) -> bool:
-        """Whether a command is worth a note."""
+        """Return whether a command, by its meaning in words, gets a note."""
         return True
 
     def describe_end(self) -> list[Note]:
-        """Why it stopped."""
+        """Return a note of why the axis stopped."""
         report = self.report
         if not report.duration or report.stopped_by == "reset command":  # a note of its own
             return []

@@ -36,7 +36,19 @@ def draw(
     overwrite: bool = False,
     pins: Collection[str] | None = None,
 ) -> Any:
-    """Draw `report`; see Report.plot. pins: the lanes that may be shown; None: all that play a role."""
+    """Draw a report, see `Report.plot`.
+
+    Args:
+        report: Report of a procedure.
+        path: File to save the figure in, if any.
+        title: Title; default: the procedure and the axis.
+        ax: Axes of Matplotlib to draw the pulse rate in, without the lanes of signals.
+        overwrite: Whether a file that exists is replaced.
+        pins: Pins whose lanes may be shown; None: all that play a role.
+
+    Returns:
+        The figure.
+    """
     Figure = need("matplotlib.figure", "drawing").Figure
     if ax is not None and not hasattr(ax, "get_window_extent"):
         raise ArgumentError(f"ax={ax!r}: give axes of Matplotlib, or None.")
@@ -87,7 +99,7 @@ def _signed(n: int) -> str:
 
 
 def _window(report: Report, t: np.ndarray) -> tuple[float, float]:
-    """From shortly before the first start to shortly after the last stop, s."""
+    """Return the times from shortly before the first start to shortly after the last stop, s."""
     last = report.duration if report.duration else max(float(t[-1]), 1e-3)
     return -0.025 * last, 1.04 * last
 
@@ -149,7 +161,7 @@ def _label_level(ax: Any, level: float, text: str) -> None:
 
 
 def _rate_at(report: Report, t: np.ndarray, note: Note) -> float:
-    """Where the note's arrow or dot meets the curve: the rate just before it, or what it starts with."""
+    """Return the rate at which a note's arrow or dot meets the curve: the rate just before it, or the first rate."""
     k = int(np.searchsorted(t, note.time - 1e-9))
     before = float(report.rates[max(k - 1, 0)])
     after = float(report.rates[min(int(np.searchsorted(t, note.time + 1e-9, "right")) - 1, len(t) - 1)])

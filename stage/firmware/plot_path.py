@@ -22,7 +22,17 @@ BINS = 300
 
 
 def draw(report: SynchronizedReport, path: Any = None, title: str | None = None, overwrite: bool = False) -> Any:
-    """Draw `report`; see SynchronizedReport.plot."""
+    """Draw a report of several axes, see `SynchronizedReport.plot`.
+
+    Args:
+        report: Report of the move.
+        path: File to save the figure in, if any.
+        title: Title; default: the distances.
+        overwrite: Whether a file that exists is replaced.
+
+    Returns:
+        The figure.
+    """
     Figure = need("matplotlib.figure", "drawing").Figure
 
     line = np.array(list(report.distances.values()), float)

@@ -28,20 +28,21 @@ PRESET = 8  # counts at once, faster than any rate: a host has written the posit
 
 @dataclass(frozen=True, repr=False)
 class Report:
-    """What one axis did in one procedure.
+    """Report of one axis in one procedure: what the host observed, and the true state beside it.
 
     Attributes:
-        procedure, axis: names.
-        pulses: net pulses made (signed); of a servo counts of the command. asked: pulses commanded, None where a procedure
-            has no such number.
-        duration: seconds from the first start to the last stop. peak_rate, average_rate: pps.
-        start, position: m, where the carriage was before and is after (None without a stage); rad on a hinge.
-        lost_steps: full steps lost in the procedure, a multiple of four (None without a motor).
-        stopped_by: why it stopped: "R0 = 0" (of a NOVA chip "all pulses", of a servo "end of profile"), "ORG", "EZ", "EL+", "EL-",
-            "decelerating stop", "reset command", "stop command", "timeout", "Ctrl-C", the name of another input, "another axis" of
-            a line, or "unknown".
-        residual: R0 at the end; None of a chip that has none. course: every change of the chip's pins and speed, by the clock.
-        said: the bytes written, decoded: commands, and registers with all their bytes. unit: "m", or "rad" on a hinge.
+        procedure, axis: Names.
+        pulses: Net pulses made (signed); counts of a servo's command. asked: Pulses commanded, None where a procedure has no such
+            number.
+        duration: Seconds from the first start to the last stop. peak_rate, average_rate: pps.
+        start, position: Position of the carriage before and after, m (None without a stage); rad on a hinge.
+        lost_steps: Full steps lost in the procedure, a multiple of four (None without a motor).
+        stopped_by: Reason of the end: "R0 = 0" (of a NOVA chip "all pulses", of a servo "end of profile"), "ORG", "EZ", "EL+",
+            "EL-", "decelerating stop", "reset command", "stop command", "timeout", "Ctrl-C", the name of another input, "another
+            axis" of a
+            line, or "unknown".
+        residual: R0 at the end; None for a chip that has none. course: Every change of the chip's pins and speed, by the clock.
+        said: The bytes written, decoded: commands, and registers with all their bytes. unit: "m", or "rad" on a hinge.
     """
 
     procedure: str
@@ -61,7 +62,7 @@ class Report:
 
     @property
     def ok(self) -> bool:
-        """Every pulse asked for was made, none of them lost, and neither an end limit nor the time ended it."""
+        """Whether every commanded pulse was made, none of them lost, and neither an end limit nor the time ended the move."""
         done = self.asked is None or self.pulses == self.asked
         return done and not self.lost_steps and self.stopped_by not in UNWANTED_REASONS
 
@@ -98,7 +99,7 @@ class Report:
         return "\n".join(lines)
 
     def _below_nothing(self) -> str:
-        """In words what the down counter reads where it has gone through 0; "" where it has not."""
+        """Return in words how far the down counter has gone below 0; "" where it has not."""
         of = getattr(self.course.chip, "COUNTER", None)
         if of is None or self.residual is None:
             return ""
@@ -108,7 +109,7 @@ class Report:
         return f" ({bits}-bit counter: {self.residual - (1 << bits)})"
 
     def writes(self) -> list[tuple[float, str, str]]:
-        """What was written, a command or a whole register each: (seconds from the first start, bytes in hex, meaning).
+        """Return the commands and whole registers that were written: (seconds from the first start, bytes in hex, meaning) each.
 
         The first byte of a row goes to address 0; further ones are a register's, to the addresses 3, 2, 1, the last to 1.
         """
@@ -116,7 +117,7 @@ class Report:
         return [(float(s.clock - begin) / hz - self.began, s.code, s.meaning) for s in self.said]
 
     def listing(self) -> str:
-        """`writes` as text, a line each: ms from the first start, bytes, meaning."""
+        """Return `writes` as text, one line each: ms from the first start, bytes, meaning."""
         return "\n".join(f"{t * 1e3:11.4f} ms  {code:14}{meaning}" for t, code, meaning in self.writes())
 
     def __repr__(self) -> str:
@@ -129,7 +130,7 @@ class Report:
         return html.lines(str(self)) + html.picture(self.plot) + html.folded("what was written", written)
 
     def json(self) -> dict[str, Any]:
-        """All of it as numbers and texts, as `--json` prints it: s, m (rad), pps; `writes` as (s, bytes, meaning)."""
+        """Return everything as numbers and texts, as `--json` prints it: s, m (rad), pps; `writes` as (s, bytes, meaning)."""
         names = (
             "procedure",
             "axis",
@@ -153,10 +154,19 @@ class Report:
         ax: PlotAxes | None = None,
         overwrite: bool = False,
     ) -> Figure:
-        """Draw the move as the data sheet draws operation patterns; saves to `path` if given. Returns the figure.
+        """Draw the move as data sheets draw operation patterns. Needs matplotlib (extra `plot`).
 
-        A file that exists stays, unless `overwrite`: FileError. With `ax`, an axes of your own, the pulse rate is drawn there,
-        without the lanes of signals. Needs matplotlib (extra `plot`).
+        Args:
+            path: File to save the figure in, if any.
+            title: Title; default: the procedure and the axis.
+            ax: Axes of your own, in which the pulse rate is drawn without the lanes of signals.
+            overwrite: Whether a file that exists is replaced.
+
+        Returns:
+            The figure.
+
+        Raises:
+            FileError: The file exists, and `overwrite` is False.
         """
         from stage.firmware.plot import draw
 
@@ -164,15 +174,15 @@ class Report:
 
 
 def rates(course: Course) -> np.ndarray:
-    """Pulse rate from each edge on, pps; without a sign."""
+    """Return the pulse rate from each edge of a waveform on, pps; without a sign."""
     return course.chip.rates(course.edges) * course.clock_hz
 
 
 class Procedure:
-    """Watches an axis: `with Procedure(axis, "preset move") as p: ...; return p.report(...)`.
+    """Observer of an axis: `with Procedure(axis, "preset move") as p: ...; return p.report(...)`.
 
-    A RunTimeout that is raised within it has the report so far, as `error.report`; a KeyboardInterrupt those of all axes that are
-    watched, as `error.reports`.
+    A RunTimeout that is raised within it carries the report so far, as `error.report`; a KeyboardInterrupt those of all axes that
+    are observed, as `error.reports`.
     """
 
     def __init__(self, axis: Axis, name: str):
@@ -198,11 +208,19 @@ class Procedure:
         self.journal.close()
 
     def residual(self) -> int | None:
-        """What the chip's down counter says, where it has one."""
+        """Return the value of the chip's down counter; None where it has none."""
         return None
 
     def report(self, stopped_by: str, asked: int | None = None) -> Report:
-        """Close the books."""
+        """End the observation.
+
+        Args:
+            stopped_by: Reason of the end.
+            asked: Signed pulses commanded; None where the procedure has no such number.
+
+        Returns:
+            The report.
+        """
         axis = self.axis
         residual = self.residual()
         self.journal.close()

@@ -14,7 +14,7 @@ from stage.sim.program import Program
 
 
 class SearchResult(NamedTuple):
-    """What a host knows of origin returns after their end; arrays with the stage as their index, pulses or bool."""
+    """Results of origin returns as a host knows them; arrays with the stage as their index, pulses or bool."""
 
     timed_out: np.ndarray
     """A run took longer than it may."""
@@ -43,12 +43,28 @@ class Search(ABC):
 
     @abstractmethod
     def program(self, row: Sequence[int] | np.ndarray) -> Program:
-        """A whole return with these choices, in the order of the choices."""
+        """Write a whole return.
+
+        Args:
+            row: Numbers in the order of `choices`.
+
+        Returns:
+            The program.
+        """
 
     def row(self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int) -> list[int]:
-        """The choices that come next to these: rates in pps, s of a ramp, pulses; what else there is as a careful host has it.
+        """Return the choices that come closest to the rates and pulses of a user.
 
-        Raises ArgumentError for a family that does not say.
+        Args:
+            fl: Start rate, pps.
+            fh: Drive rate, pps.
+            ramp: Time of the ramps, s.
+            approach: Rate of the last approach, pps.
+            leave: Pulses to leave ORG by at first.
+            back_off: Pulses to back off by before the last approach.
+
+        Raises:
+            ArgumentError: The family does not define it.
         """
         raise ArgumentError(
             f"{type(self).__module__}.{type(self).__name__} makes no choices of rates: give those of "
@@ -56,15 +72,23 @@ class Search(ABC):
         )
 
     def _row(self, wanted: Mapping[str, float]) -> list[int]:
-        """Of all choices by name, each as near as it may be."""
+        """Return the row whose numbers are as near to the wanted ones as their ranges allow."""
         ranges = self.choices.ranges.items()
         return [int(min(max(round(wanted[name]), low), high)) for name, (low, high) in ranges]
 
     @abstractmethod
     def read_results(self, results: np.ndarray, rows: np.ndarray) -> SearchResult:
-        """What the results of programs of these rows say, (stages, operations)."""
+        """Decode the results of programs.
+
+        Args:
+            results: Results of the programs (stages, operations).
+            rows: Choices with which the programs were written (stages, choices).
+
+        Returns:
+            Results as a host knows them.
+        """
 
     def _mark(self, name: str, program: Program) -> Program:
-        """The next operation's result is `name`."""
+        """Note that the next operation's result is `name`."""
         self.marks[name] = len(program)
         return program

@@ -33,13 +33,22 @@ def square(
     accel: float = RAMP,
     timeout: float = 60.0,
 ) -> list[Report]:
-    """Return tandem axes to their origins, which lie in `direction`, from any place; a report of each one's own search.
+    """Return tandem axes to their origins, which lie in `direction`, from any position.
 
     Args:
-        axes: all that drive the load, see `Axis.tandem`; of chips that draw lines together.
-        speed, start_speed, accel: as of `firmware.move`, for the way together; alone an axis has a quarter of the speed.
-        timeout: s, of each one's own search.
-    Raises ArgumentError for fewer than two axes, for one without ORG and for chips that draw no line together; RunTimeout.
+        axes: All axes that drive the load, see `Axis.tandem`; their chips draw lines together.
+        direction: 1 or -1.
+        speed: Speed of the common motion, m/s; an axis alone moves at a quarter of it.
+        start_speed: Start speed, m/s.
+        accel: Time of the ramps, s.
+        timeout: Simulated seconds that each axis' own search may take.
+
+    Returns:
+        A report of each axis' own search.
+
+    Raises:
+        ArgumentError: Fewer than two axes, an axis without ORG, or chips that draw no line together.
+        RunTimeout: A search took longer than `timeout`.
     """
     if len(axes) < 2:
         raise ArgumentError(f"{len(axes)} axes: tandem axes are two or more; use home for one.")
@@ -68,7 +77,17 @@ def square(
 
 
 def square_by(axes: Sequence[Axis], direction: int, wanted: Speeds, timeout: float = 60.0) -> list[Report]:
-    """As `square`, at speeds in pulses a second of the first axis."""
+    """Square axes as `square` does, at speeds in pulses per second of the first axis.
+
+    Args:
+        axes: All axes that drive the load.
+        direction: 1 or -1.
+        wanted: Rates and ramps of the first axis.
+        timeout: Simulated seconds that each axis' own search may take.
+
+    Returns:
+        A report of each axis' own search.
+    """
     unit = axes[0].meters_per_pulse
     return square(
         *axes, direction=direction, speed=wanted.drive * unit, start_speed=wanted.start * unit, accel=wanted.up,
@@ -77,7 +96,14 @@ def square_by(axes: Sequence[Axis], direction: int, wanted: Speeds, timeout: flo
 
 
 def tandems(axes: Iterable[Axis]) -> list[list[Axis]]:
-    """Axes in the groups that move together, most of them alone; with those beside them that were not given."""
+    """Group axes that move together, most of them alone; axes that share a load with them are added.
+
+    Args:
+        axes: Axes of a stage.
+
+    Returns:
+        Groups of axes.
+    """
     groups: dict[str, list[Axis]] = {}
     for axis in axes:
         everyone = [axis.stage.axes[name] for name in axis.tandem]
@@ -86,10 +112,10 @@ def tandems(axes: Iterable[Axis]) -> list[list[Axis]]:
 
 
 def _is_on_origin(axes: Sequence[Axis]) -> bool:
-    """Whether one is on its origin switch."""
+    """Return whether one of the axes is on its origin switch."""
     return any(axis.switches.org for axis in axes)
 
 
 def _free(report: SynchronizedReport) -> bool:
-    """Whether nothing was in the way. A servo's encoder may show a count less, or more, than was asked."""
+    """Return whether nothing was in the way. A servo's encoder may show a count less, or more, than commanded."""
     return not any(r.stopped_by in UNWANTED_REASONS or r.lost_steps for r in report.axes.values())

@@ -31,18 +31,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class SynchronizedReport:
-    """What the axes did together.
+    """Report of axes that moved together.
 
     Attributes:
-        axes: a Report for each axis that moved.
-        plan: the registers and the deviation expected with them; None where the chip keeps to the line by itself.
-        deviation: the largest distance from the straight line in pulses, with its time (s from the first start command) and
-            the counts then.
-        skew: seconds between the first start command and the last.
-        finish: seconds between the first axis' last pulse and the last axis'.
-        carriage_deviation: m, the largest distance of the carriages from the line while they moved, looked at every
-            millisecond; None without a stage. Motors lag behind their pulses by different amounts.
-        paths: for each axis (times in s since the first start command, directions) of its pulses.
+        axes: Report of each axis that moved.
+        plan: Registers and the deviation expected with them; None where the chip keeps to the line by itself.
+        deviation: Largest distance from the straight line in pulses, with its time (s from the first start command) and the counts
+            then.
+        skew: Seconds between the first start command and the last.
+        finish: Seconds between the first axis' last pulse and the last axis'.
+        carriage_deviation: Largest distance of the carriages from the line while they moved, polled every millisecond, m; None
+            without a stage. Motors lag behind their pulses by different amounts.
+        paths: For each axis (times in s since the first start command, directions) of its pulses.
     """
 
     axes: dict[str, Report]
@@ -55,21 +55,21 @@ class SynchronizedReport:
 
     @property
     def ok(self) -> bool:
-        """Every axis made its pulses, and lost none."""
+        """Whether every axis made its pulses, and lost none."""
         return all(r.ok for r in self.axes.values())
 
     @property
     def distances(self) -> dict[str, int]:
-        """Signed pulses asked of each axis."""
+        """Signed pulses commanded to each axis."""
         return self.plan.distances if self.plan else {n: r.asked or 0 for n, r in self.axes.items()}
 
     @property
     def seconds(self) -> float:
-        """How long the motion takes, by the plan, or by the clock."""
+        """Time that the motion takes, by the plan or by the clock, s."""
         return self.plan.seconds if self.plan else max(r.duration for r in self.axes.values())
 
     def written(self, axis: str) -> str:
-        """The rate of an axis in words."""
+        """Return the rate of an axis in words."""
         if self.plan is None:
             return f"up to {self.axes[axis].peak_rate:,.1f} pps"
         planned = self.plan.axes[axis]
@@ -100,7 +100,8 @@ class SynchronizedReport:
         return html.lines(str(self)) + html.picture(self.plot)
 
     def json(self) -> dict[str, Any]:
-        """All of it as numbers and texts, as `--json` prints it: s, m, pulses from the line; a Report's for each axis."""
+        """Return everything as numbers and texts, as `--json` prints it: s, m, pulses from the line; those of a Report for each
+        axis."""
         names = ("ok", "distances", "seconds", "skew", "finish", "ratio_error", "carriage_deviation")
         numbers = {name: getattr(self, name) for name in names}
         d = self.deviation
@@ -108,9 +109,18 @@ class SynchronizedReport:
         return numbers | {"deviation": deviation, "reports": [r.json() for r in self.axes.values()]}
 
     def plot(self, path: str | PathLike | None = None, title: str | None = None, *, overwrite: bool = False) -> Figure:
-        """Draw the path with its distance from the line magnified, and the rates over time; saves to `path` if given.
+        """Draw the path with its distance from the line magnified, and the rates over time. Needs matplotlib (extra `plot`).
 
-        A file that exists stays, unless `overwrite`: FileError. Returns the figure. Needs matplotlib (extra `plot`).
+        Args:
+            path: File to save the figure in, if any.
+            title: Title; default: the distances.
+            overwrite: Whether a file that exists is replaced.
+
+        Returns:
+            The figure.
+
+        Raises:
+            FileError: The file exists, and `overwrite` is False.
         """
         from stage.firmware.plot_path import draw
 
@@ -118,10 +128,11 @@ class SynchronizedReport:
 
 
 class Together:
-    """Watches axes that move together.
+    """Observer of axes that move together.
 
     Args:
-        watch: by name, a Procedure for each axis, not yet entered. distances: of each, signed pulses.
+        watch: A Procedure for each axis by name, not yet entered.
+        distances: Signed pulses of each axis.
     """
 
     def __init__(self, watch: Mapping[str, Procedure], distances: Mapping[str, int]):
@@ -139,12 +150,12 @@ class Together:
         self._books.__exit__(*error)
 
     def began(self, *names: str) -> None:
-        """The start commands of these axes have just been given; without names: of all."""
+        """Note that the start commands of these axes have just been written; without names those of all axes."""
         for n in names or self.watch:
             self._began[n] = self.watch[n].axis.time
 
     def measure_carriages(self) -> None:
-        """Note how far the carriages are from the line."""
+        """Measure how far the carriages are from the line."""
         self.carriages.measure()
 
     def has_arrived(self, name: str) -> bool:
@@ -152,12 +163,16 @@ class Together:
         return self.watch[name].pulses_made == self.distances[name]
 
     def reports(self, stopped_by: Mapping[str, str]) -> dict[str, Report]:
-        """Close the books of each axis."""
+        """End the observation of each axis, and return the reports.
+
+        Args:
+            stopped_by: Reason of the end of each axis.
+        """
         return {n: self.watch[n].report(stopped_by[n], d) for n, d in self.distances.items()}
 
     @contextmanager
     def in_time(self) -> Iterator[None]:
-        """A RunTimeout out of it has the reports of all axes, as `reports`."""
+        """Add the reports of all axes to a RunTimeout that is raised within it, as `reports`."""
         try:
             yield
         except RunTimeout as error:
@@ -165,7 +180,15 @@ class Together:
             raise
 
     def report(self, stopped_by: Mapping[str, str], plan: Plan | None = None) -> SynchronizedReport:
-        """Close all books."""
+        """End the observation.
+
+        Args:
+            stopped_by: Reason of the end of each axis.
+            plan: Registers of the move, where they were planned.
+
+        Returns:
+            The report of all axes.
+        """
         reports = self.reports(stopped_by)
         first = min(self._began.values())
         paths = {}
@@ -204,7 +227,7 @@ class StopTogether:
 
 
 class Carriages:
-    """The carriages' largest distance from their line, m; `worst` is None without a stage."""
+    """Meter of the largest distance of carriages from their line, m; `worst` is None without a stage."""
 
     def __init__(self, axes: dict[str, Axis], distances: dict[str, int]):
         self._axes = list(axes.values())
@@ -229,7 +252,19 @@ class Carriages:
 
 
 def select_axes(distances: Mapping, axes: Axes, procedure: str) -> dict[str, tuple[Axis, Any]]:
-    """Label -> (axis, distance); the label is the name used, or the axis' own. Raises ArgumentError."""
+    """Find the axes of a procedure by their names.
+
+    Args:
+        distances: Distance of each axis by its name, or by the axis itself.
+        axes: Stage, bench or mapping in which the names are found.
+        procedure: Name of the procedure, for errors.
+
+    Returns:
+        Label -> (axis, distance); the label is the name used, or the axis' own.
+
+    Raises:
+        ArgumentError: An unknown name, or an axis that occurs twice.
+    """
     known: Any = getattr(axes, "axes", axes)
     selected: dict[str, tuple[Axis, Any]] = {}
     for key, d in distances.items():
