@@ -24,7 +24,7 @@ def device_state(arrays):
     return made
 
 
-def test_what_is_kept_comes_back_bit_for_bit(device_state, arrays):
+def test_saved_arrays_are_restored_bit_for_bit(device_state, arrays):
     before, kept = [a.copy() for a in arrays], np.zeros(device_state.words)
     assert device_state.words == WORDS
     device_state.copy_to(kept)
@@ -50,7 +50,7 @@ def test_arrays_that_move_are_what_they_were_and_the_words_are_theirs(device_sta
     assert arrays[2].tolist() == before[2], "where they were nobody looks any more"
 
 
-def test_all_of_them_are_told_by_name_size_and_layout(device_state):
+def test_the_header_has_name_size_and_layout_of_every_device(device_state):
     ((what, which),) = device_state.header_part
     assert what == HEADER_PART
     assert [said.partition(" of layout")[0] for said in which.split("; ")] == [

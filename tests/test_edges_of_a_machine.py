@@ -29,7 +29,7 @@ def test_a_pickled_fleet_keeps_its_threads(stage):
     assert pickle.loads(pickle.dumps(fleet)).threads == 1
 
 
-def test_a_program_may_ask_for_the_longest_limit(stage):
+def test_a_program_may_have_the_maximum_limit(stage):
     """until_stopped of axes at rest, 1e9 s at most"""
     assert Fleet([stage]).play([Program().until_stopped([0, 1], 1e9)]).results[0, 0] >= 0
 
@@ -44,21 +44,21 @@ def test_a_payload_in_place_of_another_weighs_what_it_weighs_alone(stage):
     assert twin.model.body_mass[body] == own
 
 
-def test_a_copys_payload_is_its_own(stage):
+def test_a_copy_has_a_separate_payload(stage):
     first = copy.deepcopy(stage)
     first.set_payload(1.0)
     copy.copy(first).set_payload(3.0)
     assert first.payload() == 1.0
 
 
-def test_a_copys_faults_are_its_own(stage):
+def test_a_copy_has_separate_faults(stage):
     first = copy.deepcopy(stage)
     twin = copy.deepcopy(first)
     faults.phase_open(twin.axes["x"], "a")
     assert (first.faults, len(twin.faults)) == ((), 1)
 
 
-def test_a_switch_that_is_stuck_twice_is_stuck_as_first_once_the_second_fault_is_mended(stage):
+def test_a_switch_that_is_stuck_twice_is_stuck_as_first_once_the_second_fault_is_cleared(stage):
     x = stage.axes["x"]
     with faults.switch_stuck(x, "org", True):
         with faults.switch_stuck(x, "org", False):
@@ -86,7 +86,7 @@ def test_where_the_pulses_say_a_left_hand_carriage_is_has_the_sign_of_its_move(m
 
 
 @pytest.mark.parametrize("speed", [0.02, -0.02, None])
-def test_a_left_hand_carriage_jogs_the_way_of_its_speeds_sign(mirrored, speed):
+def test_a_left_hand_carriage_jogs_in_the_direction_of_its_speeds_sign(mirrored, speed):
     mirrored.reset()
     x = mirrored.axes["x"]
     start = x.position
@@ -133,7 +133,7 @@ def test_a_device_that_comes_on_the_bus_later_leaves_power_up_where_it_was(stage
     assert late.now == stage.now
 
 
-def test_supplies_that_fall_together_are_mended_each_to_its_own(stage):
+def test_supplies_that_fall_together_return_each_to_its_former_value(stage):
     twin = copy.deepcopy(stage)
     with faults.bus_voltage(twin.axes["y"], 36.0):
         own = [axis.faults.bus_voltage for axis in twin.axes.values()]
@@ -142,7 +142,7 @@ def test_supplies_that_fall_together_are_mended_each_to_its_own(stage):
         assert [float(axis.read_drive()[0].voltage) for axis in twin.axes.values()] == own == [24.0, 36.0]
 
 
-def test_a_late_start_is_over_when_the_cpu_is_called_away(stage):
+def test_a_delayed_start_is_over_when_the_cpu_is_called_away(stage):
     twin, seen = copy.deepcopy(stage), []
     faults.start_skew(twin.axes["x"], 0.01)
 
@@ -191,7 +191,7 @@ def test_the_load_of_a_left_hand_motor_has_the_sign_of_its_pulses(mirrored):
     assert x.position < 0 > y.position
 
 
-def test_a_clock_is_for_chips_that_are_given_by_class_or_name_and_a_function_makes_its_own():
+def test_a_clock_is_for_chips_by_class_or_name_and_a_function_sets_another():
     made = Stage("xy", chips={"x": "pcl240k", "y": lambda: PCL240K(clock_hz=3_000_000)}, clock=2_000_000, visuals=False)
     assert [axis.chip.clock_hz for axis in made.axes.values()] == [2_000_000, 3_000_000]
 
@@ -208,7 +208,7 @@ def test_one_chip_serves_as_many_axes_as_it_has_and_no_more():
     assert not alone.attached
 
 
-def test_a_servo_has_the_motor_that_it_is_given_else_that_of_the_name_else_that_of_the_actuator():
+def test_a_servo_has_the_motor_of_the_argument_else_of_the_name_else_of_the_actuator():
     spec = plant.open_spec("xyz_servo")
     named = {t.name: t for t in spec.texts}
     named["y_motor"].data = "14203S010"

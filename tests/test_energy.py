@@ -53,7 +53,7 @@ def test_an_unpowered_axis_glides_over_its_detents_without_gaining_energy(speed,
 
 
 @pytest.mark.parametrize("mode", ["chopper", "sine"])
-def test_a_powered_axis_that_was_pushed_rings_as_far_as_at_first(mode):
+def test_a_powered_axis_that_was_pushed_keeps_its_amplitude(mode):
     """Stage(one_axis_without_friction); stage.data.qvel[0] = 0.05; stage.run(4): it slipped, and ran away to 800 rad."""
     stage = frictionless(Drive(LOSSLESS, mode=mode))
     x = stage.axes["x"]
@@ -128,7 +128,7 @@ def test_the_swing_of_an_unforced_axis_never_grows(payload):
 
 
 @pytest.mark.parametrize("speed", [0.15, 0.3, -0.45])
-def test_an_axis_that_slips_comes_to_rest_whole_electrical_turns_away(speed):
+def test_an_axis_that_slips_comes_to_rest_a_multiple_of_an_electrical_revolution_away(speed):
     """Four full steps of 50 um each; friction leaves the rotor a few um beside its step."""
     stage = Stage("xyz", drives=Drive(LOSSLESS), visuals=False)
     x = stage.axes["x"]

@@ -37,7 +37,7 @@ def hurry(axis):
     return firmware.move(axis, distance=0.02, speed=0.1, accel=0.01)
 
 
-def test_a_small_motor_loses_the_steps_that_a_large_one_keeps_until_it_is_mended(xyz):
+def test_a_small_motor_loses_the_steps_that_a_large_one_keeps_until_it_is_cleared(xyz):
     x = xyz.axes["x"]
     hurry(x)
     assert x.lost_steps == 0
@@ -122,7 +122,7 @@ def test_a_change_amid_a_move_makes_no_jump_and_no_other_axis_sees_it(xyz):
         assert x.lost_steps == 0
 
 
-def test_a_snapshot_of_another_motor_is_refused_until_that_is_there_again(xyz):
+def test_a_snapshot_of_another_motor_is_refused_until_that_motor_is_back(xyz):
     x, before = xyz.axes["x"], xyz.snapshot()
     with faults.motor(x, SMALL):
         between, now = xyz.snapshot(), state(xyz)

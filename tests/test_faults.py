@@ -77,7 +77,7 @@ def edges_of(journal, pin):
 # --- what was claimed ---
 
 
-def test_a_claim_is_judged_in_turns_of_the_motor_whatever_its_screw():
+def test_a_claim_is_judged_in_motor_revolutions_for_any_screw():
     """Claimed of a screw of 10 mm: 5 mm. With one of 4 mm that is 2 mm."""
     demo = demos.Demo("", "", lambda *_: {}, lambda healthy, faulty: faulty["moved, mm"] == pytest.approx(5.0))
     for turn, moved in ((10e-3, 5.0), (4e-3, 2.0)):
@@ -169,7 +169,7 @@ def test_axes_on_two_chips_are_started_by_two_commands():
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_a_mended_stage_is_as_good_as_new(xyz, name):
+def test_a_cleared_stage_is_as_good_as_new(xyz, name):
     def course():
         xyz.reset()
         start_preset(xyz.axes["x"].chip, 3000)
@@ -187,7 +187,7 @@ def test_a_mended_stage_is_as_good_as_new(xyz, name):
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_a_fault_that_comes_and_goes_in_no_time_leaves_every_bit(xyz, name):
+def test_a_fault_without_duration_changes_no_bit(xyz, name):
     x = xyz.axes["x"]
     xyz.place(x=touch(x, "el_plus") - 0.0011)  # the faults come while EL+ does not swing about its edge
     start_preset(x.chip, 3000)
@@ -271,7 +271,7 @@ def test_switches_stick_from_the_moment_at_which_a_snapshot_is_restored(xyz):
             assert getattr(x.pins, pin) is not asserted
 
 
-def test_faults_add_up_and_are_mended_in_any_order_that_nests(xyz):
+def test_faults_add_up_and_are_cleared_in_any_order_that_nests(xyz):
     x = xyz.axes["x"]
     with faults.bus_voltage(xyz, 20.0), faults.bus_voltage(x, 12.0), faults.phase_open(x, "a"):
         assert [a.faults.bus_voltage for a in xyz.axes.values()] == [12.0, 20.0, 20.0]
@@ -308,7 +308,7 @@ def broken(stage):
 
 
 @pytest.mark.parametrize("thing", OF_ONE_THING)
-def test_faults_of_one_thing_are_mended_in_any_order_as_if_they_had_not_been(thing):
+def test_faults_of_one_thing_are_cleared_in_any_order_as_if_they_had_not_been(thing):
     """a = faults.phase_open(x, "a"); b = faults.phase_open(x, "b"); a.clear(); b.clear(): phase a stayed open"""
     makes = OF_ONE_THING[thing]
     stage, other = Stage("xy", visuals=False), Stage("xy", visuals=False)
@@ -329,7 +329,7 @@ def test_faults_of_one_thing_are_mended_in_any_order_as_if_they_had_not_been(thi
         assert broken(stage) == healthy, order
 
 
-def test_a_mended_fault_is_the_only_one_that_a_recording_says_was_mended(xyz):
+def test_a_cleared_fault_is_the_only_one_that_a_recording_says_was_cleared(xyz):
     with xyz.record() as recording:
         first, second = faults.phase_open(xyz.axes["x"], "a"), faults.phase_open(xyz.axes["x"], "b")
         first.clear()
@@ -424,7 +424,7 @@ def test_a_contact_bounces_as_its_docstring_says_and_rests_on_its_new_level(xyz,
         assert bits(twin) == bits(xyz), "however time is cut"
 
 
-def test_a_snapshot_within_a_bounce_goes_on_bouncing(xyz):
+def test_a_snapshot_within_a_bounce_continues_to_bounce(xyz):
     x = xyz.axes["x"]
     run_into(x, "el_plus")
     with faults.bounce(x, "el_plus", 5e-3):
@@ -440,7 +440,7 @@ def test_a_snapshot_within_a_bounce_goes_on_bouncing(xyz):
         assert levels[0][-1]
 
 
-def test_a_bounce_under_way_is_played_to_its_end_when_the_fault_is_mended(xyz):
+def test_a_bounce_in_progress_is_completed_when_the_fault_is_cleared(xyz):
     x = xyz.axes["x"]
     run_into(x, "el_plus")
     journal = x.chip.journal()
@@ -580,7 +580,7 @@ def test_a_doubled_payload_is_a_stage_with_twice_the_payload(xyz):
     assert xyz.payload() == 1.0
 
 
-def test_a_payload_on_a_named_body_is_mended_there(xyz):
+def test_a_payload_on_a_named_body_is_cleared_there(xyz):
     stage = copy.deepcopy(xyz)
     body = next(
         stage.model.body(k).name for k in range(1, stage.model.nbody) if stage.payload(stage.model.body(k).name) == 0
@@ -610,7 +610,7 @@ def test_a_jammed_axis_holds_against_its_motor_in_both_directions(xyz):
 # --- the host's board ---
 
 
-def test_only_the_next_start_command_is_late_and_by_its_time(xyz):
+def test_only_the_next_start_command_is_delayed_and_by_the_time_requested(xyz):
     x, y = xyz.axes["x"], xyz.axes["y"]
     with faults.start_skew(x, 3e-3) as fault:
         report = firmware.synchronized_move({"x": 4000, "y": -1500}, xyz.axes)
@@ -622,7 +622,7 @@ def test_only_the_next_start_command_is_late_and_by_its_time(xyz):
 
 
 @pytest.mark.parametrize("chip", [PCL240K, MCX514, MCX304, HCTL1100])
-def test_the_write_that_makes_an_axis_drive_is_late_on_any_chip(chip):
+def test_the_write_that_makes_an_axis_drive_is_delayed_on_any_chip(chip):
     """faults.start_skew(stage.axes["x"], 5e-3) on a stage with chips=MCX304"""
     stage = Stage("xy", chips=chip, visuals=False)
     x = stage.axes["x"]
@@ -640,7 +640,7 @@ def test_the_write_that_makes_an_axis_drive_is_late_on_any_chip(chip):
 
 
 @pytest.mark.parametrize("chip", [MCX304, MCX514])
-def test_of_a_chip_of_several_axes_only_the_start_of_the_axis_meant_is_late(chip):
+def test_on_a_chip_of_several_axes_only_the_start_of_the_axis_named_is_delayed(chip):
     """faults.start_skew(stage.axes["y"], 5e-3), and X starts first"""
     stage = Stage("xy", chips=chip, visuals=False)
     fault = faults.start_skew(stage.axes["y"], 5e-3)
@@ -650,7 +650,7 @@ def test_of_a_chip_of_several_axes_only_the_start_of_the_axis_meant_is_late(chip
     assert not fault.in_force
 
 
-def test_a_start_that_is_held_is_not_late_and_its_release_is():
+def test_a_start_that_waits_for_its_release_is_not_delayed_and_the_release_is():
     """24h, 20h, 25h: START_HOLD, F_DRV_P, START_FREE"""
     chip = MCX304()
     for name, value in (("R", 400_000), ("SV", 50), ("V", 100), ("P", 100)):
@@ -680,14 +680,14 @@ def test_a_lost_write_takes_its_cycle_and_nothing_else_happens(xyz):
     assert not chip.pins.hold
 
 
-def test_a_lost_write_is_chosen_by_address_value_and_turn(xyz):
+def test_a_lost_write_is_selected_by_address_value_and_count(xyz):
     chip = xyz.axes["x"].chip
     with faults.lost_write(xyz.axes["x"], 1, 7, skip=1):
         load_registers(chip, R1=7, R2=7, R3=7)
     assert [chip.values()[r] for r in ("R1", "R2", "R3")] == [7, 0, 7]
 
 
-def test_a_write_to_address_0_is_chosen_as_any_other(xyz):
+def test_a_write_to_address_0_can_be_selected(xyz):
     chip = xyz.axes["x"].chip
     with faults.lost_write(xyz.axes["x"], address=0) as fault:
         chip.write(1, 7)
@@ -696,7 +696,7 @@ def test_a_write_to_address_0_is_chosen_as_any_other(xyz):
         assert not fault.in_force
 
 
-def test_faults_of_one_bus_strike_each_by_itself_and_every_one_is_told_of_each_write():
+def test_faults_of_one_bus_act_independently_and_each_receives_every_write():
     chip = PCL240K()
     chip.write(0, 0x81)
     first, second, third = (faults.lost_write(chip, **which) for which in ({"value": 5}, {"value": 6}, {"skip": 2}))
@@ -853,7 +853,7 @@ def test_errors_say_what_is_allowed_and_break_nothing(xyz, make, message):
     assert bits(xyz) == before
 
 
-def test_the_ends_of_what_a_fault_takes_are_taken_and_a_supply_tells_that_of_all_axes(xyz):
+def test_limits_of_a_faults_arguments_are_accepted_and_a_supply_names_that_of_all_axes(xyz):
     with faults.bounce(xyz.axes["x"], "org", 1.0), faults.bus_voltage(xyz.axes["z"], 400):
         assert "axis x: org bounces for 1000 ms" in xyz.faults
         assert "axis z: bus voltage 400 V in place of 24 V" in xyz.faults
@@ -866,7 +866,7 @@ def test_edges_of_a_window_have_room():
     assert records.EDGES_A_WINDOW >= 5 * (1 + records.MAX_TOGGLES) + 3
 
 
-def test_where_there_is_no_room_for_edges_none_is_written(xyz):
+def test_without_room_for_edges_none_is_written(xyz):
     """with faults.bounce(stage.axes["x"], "org", 1e-6, 8): stage.run(0.1)
     `EDGES_A_WINDOW = 49` guarded an unchecked write."""
     x, room = xyz.axes["x"], len(xyz.state.edges)
@@ -895,7 +895,7 @@ def test_a_switch_that_sticks_while_it_bounces_bounces_no_more(xyz):
             assert all(x.switches.el_plus for _ in range(100) if xyz.run(1e-4) is None)
 
 
-def test_a_switch_lets_go_25_um_behind_where_it_trips(xyz):
+def test_a_switch_releases_25_um_after_the_place_where_it_trips(xyz):
     # planted: no switch hysteresis
     x, at = xyz.axes["x"], {}
     xyz.place(x=touch(x, "el_plus") - 3e-5)
@@ -912,7 +912,7 @@ def test_a_switch_lets_go_25_um_behind_where_it_trips(xyz):
 
 
 @pytest.mark.parametrize("pin", ["org", "el_plus", "el_minus"])
-def test_a_stuck_switch_that_is_mended_while_the_axis_stands_says_the_truth_at_once(pin):
+def test_a_stuck_switch_that_is_cleared_at_rest_reads_right_at_once(pin):
     """faults.switch_stuck(axis, "el_plus", True).clear(), at rest"""
     stage = Stage("xy", visuals=False)
     x = stage.axes["x"]
@@ -924,7 +924,7 @@ def test_a_stuck_switch_that_is_mended_while_the_axis_stands_says_the_truth_at_o
     assert not getattr(x.pins, pin)
 
 
-def test_switches_that_stick_and_are_mended_move_no_edge_of_the_index():
+def test_switches_that_stick_and_are_cleared_move_no_edge_of_the_index():
     """faults.switch_stuck(axis, "sd_plus", False) and its mend, every 70 us of a move"""
     stage = Stage("xyz", chips=PCL240MS, visuals=False)
     index = PCL240MS.INPUTS["ez"]

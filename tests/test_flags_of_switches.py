@@ -131,7 +131,7 @@ def pass_by(stage, start, speed, until, accel=0.05):
 
 @pytest.mark.parametrize("joint", BODY)
 @pytest.mark.parametrize("ramp", [False, True], ids=["constant speed", "ramp"])
-def test_a_flag_of_any_width_is_seen_from_its_near_edge_to_its_far_one(joint, ramp):
+def test_a_flag_of_any_width_is_detected_from_edge_to_edge(joint, ramp):
     rng = random.Random(SEED)
     print(f"seed {SEED}")
     for _ in range(scaled(12)):
@@ -150,7 +150,7 @@ def test_a_flag_of_any_width_is_seen_from_its_near_edge_to_its_far_one(joint, ra
 
 @pytest.mark.parametrize(("width", "speed"), [(400e-6, 0.17), (150e-6, 0.17), (60e-6, 0.1)])
 @pytest.mark.parametrize("direction", [1, -1])
-def test_a_short_flag_is_seen_as_long_as_the_carriage_needs_to_cross_it(width, speed, direction):
+def test_a_short_flag_is_detected_as_long_as_the_carriage_needs_to_cross_it(width, speed, direction):
     stage, edge = stage_with_flag("slide", width)
     passage = pass_by(stage, -direction * 0.015, direction * speed, direction * 0.005)
     (begins, _), (ends, _) = passage.edges
@@ -186,7 +186,7 @@ def test_the_origin_of_xya_begins_and_ends_where_its_vane_does(speed, direction)
     passage.assert_edges([near, leaves + direction * HYSTERESIS])
 
 
-def test_the_origin_of_a_table_is_found_at_the_same_pulse_from_everywhere():
+def test_a_table_homes_to_the_same_pulse_from_everywhere():
     """stage home a --model xya"""
     stage, places = Stage("xya", visuals=False), []
     a = stage.axes["a"]
@@ -200,7 +200,7 @@ def test_the_origin_of_a_table_is_found_at_the_same_pulse_from_everywhere():
 
 
 @pytest.mark.parametrize("joint", BODY)
-def test_who_turns_back_inside_a_flag_leaves_it_where_it_was_entered(joint):
+def test_a_reversal_inside_a_flag_leaves_it_where_it_was_entered(joint):
     speed = 0.05 if joint == "slide" else 1.5
     stage, edge = stage_with_flag(joint, 0.02)
     for direction in (1, -1):
@@ -237,7 +237,7 @@ def test_a_table_without_end_meets_its_flag_at_each_turn(direction):
 
 
 @pytest.mark.parametrize("direction", [1, -1])
-def test_a_joint_that_turns_farther_than_its_range_meets_its_flag_there_too(direction):
+def test_a_joint_beyond_its_range_detects_its_flag_as_well(direction):
     """range="-1.5 1.5", and a table that nothing stops"""
     stage, edge = stage_with_flag("hinge", 400e-6, travel=1.5)
     passage = pass_by(stage, -direction * 1.0, direction * 6.0, direction * (2 * math.pi + 1.0), 0.1)
@@ -303,7 +303,7 @@ def test_a_snapshot_between_the_two_edges_of_one_physics_step_keeps_the_second()
     assert replica.snapshot().state.tobytes() == other.snapshot().state.tobytes()
 
 
-def test_a_stuck_switch_that_is_mended_behind_a_short_flag_has_seen_nothing_of_it():
+def test_a_stuck_switch_that_is_cleared_after_a_short_flag_reports_no_edge():
     stage, edge = stage_with_flag("slide", 100e-6)
     a = stage.axes["a"]
     stage.place(a=-0.005)
@@ -324,7 +324,7 @@ def test_a_contact_that_bounces_on_a_short_flag_comes_to_rest_open():
     passage.assert_edges([-edge])
 
 
-def test_a_flag_much_narrower_than_the_travel_is_found():
+def test_a_flag_much_narrower_than_the_travel_is_detected():
     """8 um of 200 mm: a carriage at 80 mm/s needs 100 us to cross it"""
     stage, edge = stage_with_flag("slide", 8e-6)
     pass_by(stage, -0.005, 0.08, 0.002).assert_edges([-edge, edge + HYSTERESIS])
@@ -338,7 +338,7 @@ def test_a_short_flag_of_a_long_slide_trips_at_its_edges(travel):
 
 @pytest.mark.parametrize("travel", [7.0, 180.0], ids="{:g} rad to each side".format)
 @pytest.mark.parametrize("revolution", [0, 1])
-def test_a_short_flag_of_a_table_trips_at_its_edges_however_far_its_range_goes(travel, revolution):
+def test_a_short_flag_of_a_table_trips_at_its_edges_for_any_range(travel, revolution):
     """range="-180 180" of a joint without limits is in radians, though the model's angles are in degrees"""
     stage, edge = stage_with_flag("hinge", 20e-6, travel=travel)
     place = 2 * math.pi * revolution
@@ -348,7 +348,7 @@ def test_a_short_flag_of_a_table_trips_at_its_edges_however_far_its_range_goes(t
 
 @pytest.mark.parametrize("joint", BODY)
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.3, 0.45, 0.9])
-def test_a_short_flag_near_an_end_of_the_travel_is_found(joint, share):
+def test_a_short_flag_near_an_end_of_the_travel_is_detected(joint, share):
     """share: of a four-hundredth of the travel, in which positions are tried; a turn ends where the next one begins"""
     travel = 0.2 if joint == "slide" else 2 * math.pi
     ends = share * travel / 400 + (50e-6 if joint == "slide" else 1e-3)

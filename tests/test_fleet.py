@@ -81,7 +81,7 @@ def test_a_program_does_what_a_python_driver_does_to_the_bit(first):
         assert all(axis.chip.diagnostics == [] for axis in stage.axes.values())
 
 
-def test_a_wait_whose_limit_a_poll_meets_exactly_ends_there_compiled_and_by_hand(first):
+def test_a_wait_whose_limit_a_poll_meets_exactly_ends_there_compiled_and_in_python(first):
     """a bus cycle of 1 us and polls of 250 us: the fourth look is 754 us after the begin"""
     p = Program().command(0, 0x08)
     for name, value in {"R1": 1000, "R2": 1000, "R7": 12}.items():
@@ -179,7 +179,7 @@ def test_what_a_fleet_cannot_be_is_refused(first):
         (7, 0, 0, 0), (-1, 0, 0, 0),
     ],
 )  # fmt: skip
-def test_a_program_that_names_what_is_not_there_is_refused(first, op):
+def test_a_program_that_names_a_missing_axis_or_point_is_refused(first, op):
     """Fleet([Stage("xyz")], 1).play([Program().write(3, 0, 0x11).read(3, 0)]) ended the process"""
     fleet = Fleet([first], 1)
     program = Program().wait(1e-3)
@@ -292,7 +292,7 @@ def test_where_an_inertia_hangs_on_visuals_they_stay():
     assert np.array_equal(bare.body_inertia, full.body_inertia)
 
 
-def test_a_look_is_the_place_in_pm_and_extremes_are_of_what_was_measured_alone(first):
+def test_a_position_reading_is_in_pm_and_extremes_are_of_measured_time_alone(first):
     fleet = Fleet(stages(first, 2), 1)
     x, z = fleet.stages[0].axes.values()
     fleet.stages[0].place(x=0.0123, z=-0.01)
@@ -407,7 +407,7 @@ WRONG_TIMES = {
 
 
 @pytest.mark.parametrize("where", WRONG)
-def test_what_is_no_number_of_64_bits_is_refused_as_soon_as_it_is_said(where):
+def test_what_is_no_number_of_64_bits_is_refused_at_once(where):
     """Fleet([Stage("xyz")], 1).play([Program().write(0, 0, 2**70)])
     OverflowError; and Program().read("x", 0): ValueError"""
     make, name = WRONG[where]
@@ -419,14 +419,14 @@ def test_what_is_no_number_of_64_bits_is_refused_as_soon_as_it_is_said(where):
 
 
 @pytest.mark.parametrize("where", WRONG_TIMES)
-def test_what_is_no_time_is_refused_as_soon_as_it_is_said(where):
+def test_what_is_no_time_is_refused_at_once(where):
     """Program().measure("x")"""
     for seconds in ("x", None, float("nan"), float("inf"), 1e300, [0]):
         with pytest.raises(ArgumentError, match="="):
             WRONG_TIMES[where](seconds)
 
 
-def test_a_register_of_a_program_is_one_of_a_chip_and_takes_a_whole_number():
+def test_a_register_of_a_program_is_one_of_a_chip_and_takes_an_integer():
     """Program().register(0, PCL240K, "R0", "x")
     TypeError: unsupported operand type(s) for >>: 'str' and 'int'"""
     for wrong, said in (

@@ -265,7 +265,7 @@ def test_ctrl_c_in_a_callback_is_ctrl_c(xy):
     xy.run(0.01)
 
 
-def test_a_fleet_and_a_board_tell_of_a_callback_that_raises(xy):
+def test_a_fleet_and_a_board_report_a_callback_that_raises(xy):
     fleet, board = Fleet([copy.deepcopy(xy) for _ in range(3)], 2), Board(Stage("xy", chips=PCL240K, visuals=False))
     for work in (lambda: fleet.play([Program().wait(0.01)] * 3), lambda: board.delay_us(10_000)):
         mujoco.set_mjcb_control(failing(5))
@@ -303,7 +303,7 @@ def interrupted(after=0.2):
 
 @needs_timers
 @pytest.mark.parametrize("recorded", [False, True])
-def test_ctrl_c_ends_a_long_run_and_the_stage_goes_on_from_there(xy, recorded):
+def test_ctrl_c_ends_a_long_run_and_the_stage_continues(xy, recorded):
     """stage.run(1e6)
     Ctrl-C."""
     start_preset(xy.axes["x"].chip, 20000)
@@ -331,7 +331,7 @@ LONG = {
 @in_pieces
 @pytest.mark.parametrize(("threads", "n"), [(1, 1), (2, 3)])
 @pytest.mark.parametrize("what", LONG)
-def test_ctrl_c_ends_a_long_program_of_a_fleet_and_its_stages_go_on_from_there(what, threads, n):
+def test_ctrl_c_ends_a_long_program_of_a_fleet_and_its_stages_continue(what, threads, n):
     """Fleet([Stage("xyz")], 1).play([Program().wait(1000)])
     Ctrl-C: it had not ended after 40 s."""
     fleet = Fleet([Stage("xy", visuals=False) for _ in range(n)], threads)
@@ -396,7 +396,7 @@ def test_another_thread_does_not_end_what_the_main_thread_plays():
 
 @needs_timers
 @in_pieces
-def test_ctrl_c_ends_a_long_delay_of_a_board_and_its_stage_goes_on_from_there(xy):
+def test_ctrl_c_ends_a_long_delay_of_a_board_and_its_stage_continues(xy):
     """Board(Stage("xyz")).delay_us(10**9)
     Ctrl-C: it had not ended after 40 s."""
     board, twin = Board(xy), copy.deepcopy(xy)
@@ -435,7 +435,7 @@ def test_a_journal_is_of_an_axis_that_the_chip_has(axis):
         PCL240K().journal(1)
 
 
-def test_a_callback_that_takes_itself_away_stays_away_and_one_that_stays_is_there_again(xy):
+def test_a_callback_that_removes_itself_stays_removed_and_another_is_restored(xy):
     def control(model, data):
         mujoco.set_mjcb_control(None)
 

@@ -13,7 +13,7 @@ def eight():
     return Stage(rail_model(8), chips=TOY8)
 
 
-def test_each_axis_of_a_bare_chip_makes_its_own_pulses():
+def test_the_axes_of_a_bare_chip_make_separate_pulses():
     chip = TOY8()
     for j in range(8):
         for name, value in (("RATE", 1000 * (j + 1)), ("COUNT", 10 + j)):

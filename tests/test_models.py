@@ -37,7 +37,7 @@ def put(model, data, **positions):
     mujoco.mj_forward(model, data)
 
 
-def test_there_are_an_xy_and_an_xyz_stage():
+def test_an_xy_and_an_xyz_stage_exist():
     assert set(BENCH) <= set(plant.names())
 
 
@@ -63,7 +63,7 @@ def test_xyz_servo_is_xyz_with_other_motors():
 
 
 @pytest.mark.parametrize("name", ["x", "y", "z"])
-def test_the_same_screw_turns_on_steppers_and_on_servos(name):
+def test_steppers_and_servos_have_the_same_screw(name):
     models = [plant.open_spec(name).compile() for name in ("xyz", "xyz_servo")]
     both = [next(a for a in plant.bind(m) if a.name == name) for m in models]
     screws = [m.dof_armature[a.dof] / a.gear**2 - rotor_inertia(a) for m, a in zip(models, both, strict=True)]
@@ -108,7 +108,7 @@ def test_screws_have_10_mm_lead_and_the_motors_rotor_is_in_the_armature(model, a
         assert rotor < model.dof_armature[a.dof] < 3 * rotor, "rotor and screw"
 
 
-def test_switches_are_never_felt_over_the_whole_travel(model, axes):
+def test_switches_exert_no_force_over_the_full_travel(model, axes):
     data = mujoco.MjData(model)
     for a in axes:
         stops = {g for w in ("plus", "minus") for g in (model.geom(f"{a.name}_bumper_{w}").id,)}
@@ -118,7 +118,7 @@ def test_switches_are_never_felt_over_the_whole_travel(model, axes):
             assert all(stops & {int(c.geom1), int(c.geom2)} for c in pushing)
 
 
-def test_a_sensor_tells_the_distance_before_the_touch(model, axes):
+def test_a_sensor_reads_the_distance_before_the_touch(model, axes):
     data = mujoco.MjData(model)
     for a in axes:
         for s in a.switches:
@@ -163,7 +163,7 @@ def test_it_runs_under_gravity_without_a_word_in_mujocos_log(model, tmp_path, mo
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
-def test_every_switch_is_seen_from_5_mm_before_the_touch(axes):
+def test_every_switch_is_detected_from_5_mm_before_the_touch(axes):
     for a in axes:
         assert [s.pin for s in a.switches] == list(plant.PINS)
         assert all(s.lookahead >= 0.005 for s in a.switches)
@@ -219,7 +219,7 @@ def test_current_holds_z_and_friction_alone_does_not():
     assert model.dof_frictionloss[z.dof] < weight < 0.4 * z.gear, "0.4 N m is the motor's holding torque"
 
 
-def test_it_has_what_pictures_and_recordings_look_for(model, axes):
+def test_it_has_the_parts_that_pictures_and_recordings_use(model, axes):
     assert {model.camera(k).name for k in range(model.ncam)} >= {"overview", "front", "top", "switches"}
     assert {model.site(k).name for k in range(model.nsite)} >= {"tool", "work"}
     assert model.ngeom < 260, "every geom costs time in every step"

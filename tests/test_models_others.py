@@ -33,7 +33,7 @@ def test_it_runs_under_gravity_without_a_warning_or_an_unwanted_contact(model, t
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
-def test_switches_are_seen_before_the_touch_and_never_felt(model):
+def test_switches_are_detected_before_the_touch_and_exert_no_force(model):
     data = mujoco.MjData(model)
     for a in plant.bind(model):
         stops = {model.geom(k).id for k in range(model.ngeom) if "bumper" in model.geom(k).name}
@@ -46,7 +46,7 @@ def test_switches_are_seen_before_the_touch_and_never_felt(model):
         assert all(s.lookahead >= 0.005 * (10 if a.hinge else 1) for s in a.switches)
 
 
-def test_it_has_what_pictures_and_recordings_look_for(model):
+def test_it_has_the_parts_that_pictures_and_recordings_use(model):
     assert {model.camera(k).name for k in range(model.ncam)} >= {"overview", "front", "top", "switches"}
     assert {model.site(k).name for k in range(model.nsite)} >= {"tool", "work"}
     assert model.ngeom < 260, "every geom costs time in every step"
@@ -58,7 +58,7 @@ def test_it_has_what_pictures_and_recordings_look_for(model):
 
 
 @pytest.mark.parametrize("degrees", [40, -7, -40, 170])
-def test_a_table_without_end_limits_goes_home_from_anywhere(degrees):
+def test_a_table_without_end_limits_homes_from_anywhere(degrees):
     """stage home a --model xya --from -40deg"""
     stage = Stage("xya", visuals=False)
     a = stage.axes["a"]
@@ -69,7 +69,7 @@ def test_a_table_without_end_limits_goes_home_from_anywhere(degrees):
     assert np.degrees(a.position) == pytest.approx(360 * turns, abs=0.01)
 
 
-def test_a_turn_is_57600_pulses_and_is_told_in_degrees():
+def test_a_revolution_is_57600_pulses_and_is_reported_in_degrees():
     stage = Stage("xya", visuals=False)
     report = firmware.move(stage.axes["a"], pulses=57_600)
     assert report.lost_steps == 0
@@ -152,7 +152,7 @@ def test_stage_home_takes_tandem_axes_together(capsys):
     assert "--ez: axes y and w drive one load" in capsys.readouterr().err
 
 
-def test_moving_one_of_two_tandem_axes_is_told(capsys):
+def test_moving_one_of_two_tandem_axes_is_reported(capsys):
     """stage move y 2mm --model gantry"""
     main(["move", "y", "2mm", "--model", "gantry"])
     assert (
@@ -174,7 +174,7 @@ def test_one_of_two_tandem_axes_is_not_tuned(capsys):
     assert "axis y drives one load with w: moved alone it loses steps" in capsys.readouterr().err
 
 
-def test_a_line_that_leaves_a_tandem_axis_out_is_told(capsys):
+def test_a_line_that_leaves_a_tandem_axis_out_is_reported(capsys):
     """stage sync x=2mm y=2mm --model gantry"""
     main(["sync", "x=2mm", "y=2mm", "--model", "gantry"])
     err = capsys.readouterr().err
@@ -239,7 +239,7 @@ def copied(model, folder):
 @pytest.mark.parametrize(
     "told", [{"a": "b c"}, {"a": "b", "c": "b"}, {"c": "a", "b": "c"}, {"a": "b", "b": "c", "c": "a"}]
 )
-def test_three_axes_of_one_load_know_each_other_however_they_are_told(told):
+def test_three_axes_of_one_load_name_each_other_for_any_form_of_the_text(told):
     bodies = "".join(
         f'<body pos="0 {k} 0"><geom size="0.1"/><joint name="{n}" type="slide" axis="1 0 0" range="-0.1 0.1"/></body>'
         for k, n in enumerate("abcd")

@@ -31,7 +31,7 @@ KINDS = st.one_of(
 
 @settings(deadline=None)
 @given(st.lists(KINDS, min_size=1, max_size=4))
-def test_every_chain_of_axes_keeps_the_contract_and_its_switches_trip_where_they_are_said_to(kinds):
+def test_every_chain_of_axes_keeps_the_contract_and_its_switches_trip_where_documented(kinds):
     axes = [NewAxis.of(f"q{k}:{kind}") for k, kind in enumerate(kinds)]
     found = plant.bind(mujoco.MjSpec.from_string(new_model(axes)).compile())
     assert [a.name for a in found] == [a.name for a in axes]
@@ -85,7 +85,7 @@ def test_whatever_pushes_the_axis_its_hard_stops_hold_it_beyond_the_end_limits(a
         ("", "NAME:slide:300mm"),
     ],
 )
-def test_wrong_axes_are_said_in_words_and_nothing_is_written(axes, said, tmp_path, capsys):
+def test_wrong_axes_are_explained_and_nothing_is_written(axes, said, tmp_path, capsys):
     # stage new-model --axes x:slide:3 -o my.xml
     assert main(["new-model", "--axes", axes, "-o", str(tmp_path / "my.xml")]) == 2
     assert said in capsys.readouterr().err
@@ -126,7 +126,7 @@ def test_axes_of_radians_and_centimetres_are_the_same_lengths():
         ("z u", "z x"),
     ],
 )
-def test_slides_go_where_their_names_say_and_the_others_each_another_way(axes, ways):
+def test_slides_move_in_the_direction_of_their_names_and_the_others_in_different_ones(axes, ways):
     """Whatever they ride on: a slide upwards carries the next as it lay, on an arm beside it."""
     model = made(*(f"{name}:slide:100mm" for name in axes.split())).compile()
     data = mujoco.MjData(model)

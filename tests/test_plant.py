@@ -31,7 +31,7 @@ def bind(xml):
     return plant.bind(mujoco.MjModel.from_xml_string(xml), ["x"])
 
 
-def test_an_mjcf_of_ones_own_makes_a_stage_from_a_path_a_spec_or_a_model(tmp_path):
+def test_a_users_mjcf_makes_a_stage_from_a_path_a_spec_or_a_model(tmp_path):
     path = tmp_path / "own.xml"
     path.write_text(own_xml())
     for source in (path, str(path), mujoco.MjSpec.from_string(own_xml())):
@@ -43,7 +43,7 @@ def test_an_mjcf_of_ones_own_makes_a_stage_from_a_path_a_spec_or_a_model(tmp_pat
     stage.run(0.01)
 
 
-def test_a_models_own_userdata_is_left_alone():
+def test_the_userdata_of_a_model_is_left_alone():
     spec = mujoco.MjSpec.from_string(own_xml().replace("<option", '<size nuserdata="7"/><option'))
     stage = Stage(spec)
     stage.data.userdata[:7] = np.arange(7)
@@ -89,7 +89,7 @@ def test_a_switch_at_the_wrong_end_is_noticed():
         assert f"el_{side} trips when the joint moves away from {side}: is it at the wrong end" in str(caught.value)
 
 
-def test_all_problems_are_told_at_once():
+def test_all_problems_are_reported_at_once():
     xml = own_xml().replace('name="x_org"', 'name="a"').replace('name="x_el_plus"', 'name="b"')
     with pytest.raises(ModelError) as caught:
         bind(xml)
@@ -121,7 +121,7 @@ def test_a_hinge_can_be_an_axis():
     assert all(s.slope != 0 for s in axis.switches)
 
 
-def test_unknown_models_and_broken_files_are_told_apart(tmp_path):
+def test_unknown_models_and_broken_files_have_different_errors(tmp_path):
     with pytest.raises(ArgumentError, match=r"Did you mean .*'xyz'"):
         plant.open_spec("xzy")
     with pytest.raises(ModelError, match="no MJCF file"):
@@ -196,7 +196,7 @@ def test_what_bind_finds_is_where_mujoco_puts_it():
         assert s.lookahead == pytest.approx(0.010, abs=1e-6)
 
 
-def test_sensors_may_report_more_than_found_and_dist():
+def test_sensors_may_report_more_fields_than_required():
     xml = edited(
         ('geom2="org_beam" num="1" data="found dist"', 'geom2="org_beam" num="1" data="found force dist normal"')
     )
@@ -204,13 +204,13 @@ def test_sensors_may_report_more_than_found_and_dist():
     assert s.dist == s.found + 4
 
 
-def test_a_motor_may_turn_the_other_way_round():
+def test_a_motor_may_be_left_handed():
     xml = edited(('gear="628.3185307"', 'gear="-628.3185307"'))
     assert plant.bind(mujoco.MjModel.from_xml_string(xml))[0].gear == pytest.approx(-2 * np.pi / 0.01)
 
 
 @pytest.mark.parametrize(("model", "chip"), [("xy", "PCL240K"), ("xyz_servo", "HCTL1100")])
-def test_an_axis_whose_screw_turns_the_other_way_goes_where_it_is_told_by_pulses_of_the_other_sign(model, chip):
+def test_an_axis_with_a_left_hand_screw_follows_pulses_of_the_opposite_sign(model, chip):
     """firmware.move(axis, 3e-3) on a model with gear="-628.3185307" """
     spec = plant.open_spec(model)
     next(a for a in spec.actuators if a.name == "x").gear[0] *= -1
@@ -321,14 +321,14 @@ EL = 'name="el_plus_beam" class="beam" pos="0.0805 0.05 0"'
             "the text x_unfitted names 'sdplus' .meant 'sd_plus'", ""),
     }.values(),
 )  # fmt: skip
-def test_every_fault_is_told_with_what_where_and_the_line(changes, message, line):
+def test_every_fault_is_reported_with_what_where_and_the_line(changes, message, line):
     error = complaint(edited(*changes))
     assert re.search(message, str(error)), str(error)
     assert line in "\n".join(error.missing), error.missing
     assert all(text in str(error) for text in error.missing)
 
 
-def test_of_a_joint_of_another_kind_nothing_else_is_said():
+def test_a_joint_of_another_kind_gets_one_error_alone():
     """It has no range, no switches and no such motor: consequences, all of them."""
     ball = ('type="slide" axis="1 0 0" range="-0.057 0.057" limited="false" damping="60" frictionloss="4" armature="3.711"',
             'type="ball"')  # fmt: skip
@@ -343,12 +343,12 @@ def test_switches_need_contacts_and_sensors(flag):
     assert 'Remove contact="disable", constraint="disable" and sensor="disable"' in str(error)
 
 
-def test_an_unfitted_switch_is_not_asked_for():
+def test_an_unfitted_switch_is_not_required():
     xml = edited((ORG, ""), ('<text name="x_motor"', '<text name="x_unfitted" data="org"/><text name="x_motor"'))
     assert "org" not in [s.pin for s in plant.bind(mujoco.MjModel.from_xml_string(xml))[0].switches]
 
 
-def test_a_joint_without_a_motor_is_an_axis_only_when_asked_for():
+def test_a_joint_without_a_motor_is_an_axis_only_when_named():
     xml = edited(('<joint name="x"', '<joint name="tilt" type="hinge" axis="0 1 0" stiffness="1e6"/><joint name="x"'))
     model = mujoco.MjModel.from_xml_string(xml)
     assert [a.name for a in plant.bind(model)] == ["x"]
@@ -357,7 +357,7 @@ def test_a_joint_without_a_motor_is_an_axis_only_when_asked_for():
     assert error.missing == ('<motor name="tilt" joint="tilt" gear="628.3185307"/>',)
 
 
-def test_axes_can_be_chosen_where_another_joint_has_its_own_servo():
+def test_axes_can_be_selected_where_another_joint_has_a_servo():
     hand = (
         "</body>\n  </worldbody>",
         '<body><joint name="hand" type="slide"/><geom size="0.01" mass="1"/></body></body>\n  </worldbody>',
@@ -367,7 +367,7 @@ def test_axes_can_be_chosen_where_another_joint_has_its_own_servo():
     assert "if 'hand' is no axis of a chip, name those that are" in str(complaint(xml, None))
 
 
-def test_a_loose_part_in_the_way_is_no_hard_stop():
+def test_a_loose_part_is_no_hard_stop():
     part = '<body pos="0.078 0 0"><freejoint/><geom name="part" type="sphere" size="0.002" mass="0.01"/></body>'
     pair = '<pair geom1="carriage" geom2="part"/>'
     xml = edited(
@@ -381,18 +381,18 @@ def test_a_slip_between_actuator_and_joint_is_pointed_out():
         plant.axis_names(mujoco.MjModel.from_xml_string(edited((MOTOR, MOTOR.replace('name="x"', 'name="X"')))))
 
 
-def test_a_missing_file_named_like_a_model_that_ships_is_told_so(tmp_path):
+def test_the_error_for_a_missing_file_names_the_shipped_model_of_that_name(tmp_path):
     with pytest.raises(ModelError, match=r"no MJCF file at .*xyz\.xml\. Did you mean the shipped model 'xyz'\?"):
         plant.open_spec(tmp_path / "xyz.xml")
 
 
-def test_what_mujoco_cannot_compile_is_told_with_the_models_name():
+def test_a_compile_error_of_mujoco_has_the_models_name():
     spec = mujoco.MjSpec.from_string(edited(('geom2="org_beam"/>', 'geom2="orb_beam"/>')))
     with pytest.raises(ModelError, match=r"(?s)cannot compile the model 'one axis': .*orb_beam"):
         plant.compile_spec(plant.open_spec(spec), 3)
 
 
-def test_userdata_begins_after_the_models_own_and_the_source_stays_as_it_was():
+def test_userdata_begins_after_that_of_the_model_and_the_source_is_unchanged():
     spec = mujoco.MjSpec.from_string(edited(("<option ", '<size nuserdata="7"/><option ')))
     model, offset = plant.compile_spec(plant.open_spec(spec), 5)
     assert (model.nuserdata, offset, spec.nuserdata) == (12, 7, 7)
@@ -424,7 +424,7 @@ def test_a_step_that_is_too_long_for_a_stepper_is_refused_with_the_line_to_add(s
     assert ("where a model says nothing" in str(caught.value)) is (step != 0.001)
 
 
-def test_a_step_near_the_longest_loses_no_steps():
+def test_a_time_step_near_the_maximum_loses_no_steps():
     """The move that loses 1328 steps with 2 ms."""
     from stage import firmware
 
@@ -436,7 +436,7 @@ def test_a_step_near_the_longest_loses_no_steps():
         assert x.position == pytest.approx(x.commanded, abs=4 * x.meters_per_pulse)
 
 
-def test_the_step_that_is_proposed_has_room_to_the_longest():
+def test_the_time_step_proposed_is_well_below_the_maximum():
     """Of 5, 2.5 and 1 times a power of ten the first that is no more than 0.7 times the longest"""
     parts = []
     for mass in np.geomspace(0.02, 0.4, 6):
@@ -507,7 +507,7 @@ def test_an_armature_that_is_no_inertia_is_refused(armature):
         Stage(spec)
 
 
-def test_an_armature_that_does_not_hold_the_motor_it_names_is_told_where_a_lighter_motor_would_make_it_negative():
+def test_an_armature_smaller_than_the_rotor_of_its_motor_is_an_error_where_a_lighter_motor_makes_it_negative():
     spec = plant.open_spec("xy")
     spec.joint("y").armature = 0.0
     with pytest.raises(ModelError, match=r"axis y: the model names motor .* armature of 0, but .* makes [23]\.\d+"):
@@ -515,7 +515,7 @@ def test_an_armature_that_does_not_hold_the_motor_it_names_is_told_where_a_light
 
 
 @pytest.mark.parametrize("index", ["inf", "nan", "1e300", "-1.01e6"])
-def test_an_index_pulse_that_stands_nowhere_is_refused(index):
+def test_an_index_pulse_at_no_position_is_refused(index):
     spec = plant.open_spec("xy")
     spec.add_numeric(name="x_index", data=[float(index)], size=1)
     with pytest.raises(ModelError, match=r"x_index is .* give turns"):
@@ -668,7 +668,7 @@ def test_friction_and_damping_that_only_together_are_too_much_are_refused_as_dam
         Stage(spec)
 
 
-def test_a_file_that_is_no_model_is_refused_each_in_its_own_words(tmp_path, monkeypatch):
+def test_each_kind_of_file_that_is_no_model_has_a_separate_error(tmp_path, monkeypatch):
     """stage view folder.xml said "no MJCF file" of a folder, and of a file without permission"""
     (tmp_path / "folder.xml").mkdir()
     (tmp_path / "empty.xml").touch()
@@ -685,7 +685,7 @@ def test_a_file_that_is_no_model_is_refused_each_in_its_own_words(tmp_path, monk
         plant.open_spec(tmp_path / "mine.xml")
 
 
-def test_a_switch_of_either_side_is_seen_from_as_far():
+def test_a_switch_of_either_side_is_detected_from_the_same_distance():
     """The pair's margin and gap show a vane 10 mm before the touch, whichever way the joint comes."""
     switches = {s.pin: s for s in plant.bind(mujoco.MjModel.from_xml_string(documented()))[0].switches}
     seen = {pin: s.lookahead for pin, s in switches.items()}
@@ -696,7 +696,7 @@ def test_a_switch_of_either_side_is_seen_from_as_far():
 
 
 @pytest.mark.parametrize(("named", "geoms"), [("x_org_only_vane", 1), ("x_org_vane", 2)])
-def test_a_line_to_add_names_a_geom_only_where_no_other_may_be_meant(named, geoms):
+def test_a_line_to_add_names_a_geom_only_where_it_is_unambiguous(named, geoms):
     """x_org_only_vane alone; with another, the usual name stands in the line, for somebody to choose"""
     text = new_model([NewAxis.of("x:slide:300mm")]).replace("x_org_vane", "x_org_only_vane")
     lines = [line for line in text.splitlines() if '<contact name="x_org"' not in line]
@@ -708,13 +708,13 @@ def test_a_line_to_add_names_a_geom_only_where_no_other_may_be_meant(named, geom
     assert f'geom1="{named}" geom2="x_org_beam"' in caught.value.missing[0]
 
 
-def test_a_joint_without_an_armature_is_an_axis_where_no_motor_is_said_to_be_in_it():
+def test_a_joint_without_an_armature_is_an_axis_if_no_motor_is_named():
     xml = edited(('armature="3.711"', 'armature="0"'), ('<text name="x_motor" data="17HS4401"/>', ""))
     stage = Stage(mujoco.MjSpec.from_string(xml), visuals=False)
     assert stage.model.dof_armature[stage.axes["x"].plant.dof] == 0
 
 
-def test_a_shipped_model_that_is_edited_is_read_anew(tmp_path, monkeypatch):
+def test_a_shipped_model_that_is_edited_is_read_again(tmp_path, monkeypatch):
     """In a checkout; reading takes a hundred times as long as a copy of what was read"""
     for file in files("stage.models").iterdir():
         if file.name.endswith(".xml"):
@@ -727,7 +727,7 @@ def test_a_shipped_model_that_is_edited_is_read_anew(tmp_path, monkeypatch):
     assert (before, plant.open_spec("xy").option.timestep) == (0.00025, 0.000125)
 
 
-def test_measured_models_are_kept_up_to_a_number(monkeypatch):
+def test_the_cache_of_measured_models_is_bounded(monkeypatch):
     monkeypatch.setattr(contract, "_bound", {})
     monkeypatch.setattr(contract, "MAX_BOUND_PLANTS", 2)
     for k in range(4):
@@ -736,7 +736,7 @@ def test_measured_models_are_kept_up_to_a_number(monkeypatch):
         assert 1 <= len(contract._bound) <= 2
 
 
-def test_a_dc_motor_with_a_bias_or_a_state_of_its_own_is_none_for_a_servo():
+def test_a_dc_motor_with_a_bias_or_a_state_is_none_for_a_servo():
     spec = plant.open_spec("xyz_servo")
     next(a for a in spec.actuators if a.name == "y").biasprm[1] = -3.0
     with pytest.raises(

@@ -59,7 +59,7 @@ def off(axis):
 # --- the loop ---
 
 
-def test_a_trapezoid_ends_at_its_final_position_and_the_carriage_is_there(xyz):
+def test_a_trapezoid_and_its_carriage_end_at_the_final_position(xyz):
     for axis in xyz.axes.values():
         servo.move(axis.chip, 4000)
     xyz.run_until(lambda: not any(a.pins.prof for a in xyz.axes.values()), timeout=2)
@@ -73,7 +73,7 @@ def test_a_trapezoid_ends_at_its_final_position_and_the_carriage_is_there(xyz):
         assert axis.chip.diagnostics == []
 
 
-def test_the_loop_stands_firm_against_a_push_and_goes_back(xyz):
+def test_the_loop_resists_a_push_and_returns(xyz):
     x = xyz.axes["x"]
     servo.control(x.chip)
     xyz.run(0.05)
@@ -120,7 +120,7 @@ def test_the_voltage_at_the_motor_is_the_motor_command_of_full_drive(xyz):
         assert np.sign(x.position) == np.sign(command)
 
 
-def test_full_drive_turns_the_motor_as_fast_as_its_back_emf_lets_it(xyz):
+def test_full_drive_reaches_the_speed_that_the_back_emf_allows(xyz):
     """The screw's friction takes some of it."""
     x = xyz.axes["x"]
     x.chip.write(0x09, 100)
@@ -276,7 +276,7 @@ def test_what_reached_a_chip_of_a_stage_brings_one_on_the_bench_to_the_same_stat
 
 
 @pytest.mark.parametrize("every_pulse", [False, True])
-def test_a_course_is_that_of_a_chip_that_is_shown_the_shaft_step_by_step(xyz, every_pulse):
+def test_a_replay_equals_a_chip_that_receives_the_shaft_step_by_step(xyz, every_pulse):
     """Replay shows it many steps at a time, in compiled code, and hands out pieces of any size."""
     x = xyz.axes["x"]
     journal = x.chip.journal()
@@ -317,7 +317,7 @@ def test_a_payload_slows_a_carriage_under_the_same_voltage_and_a_snapshot_leaves
     assert 0 < way[1] < 0.95 * way[0]
 
 
-def test_a_stage_placed_by_hand_inside_a_physics_step_goes_on_from_there(xyz):
+def test_a_stage_placed_by_hand_inside_a_physics_step_continues(xyz):
     x = xyz.axes["x"]
     xyz.run(0.0101234)
     xyz.place(x=0.02)
@@ -353,7 +353,7 @@ def test_the_armature_holds_the_rotor_of_the_motor_that_is_fitted():
             assert rotor == pytest.approx(axis.drive.motor.rotor_inertia * axis.gear**2)
 
 
-def test_a_dc_motor_of_the_models_own_is_kept_where_it_names_none():
+def test_the_dc_motor_of_a_model_is_used_where_it_names_none():
     spec = open_spec("xyz_servo")
     for text in list(spec.texts):
         if text.name.endswith("_motor"):
@@ -425,7 +425,7 @@ def test_drives_takes_a_servo_a_dc_motor_or_its_name(given):
     assert stage.axes["z"].drive.motor.name == "17HS4401"
 
 
-def test_a_motor_of_ones_own_is_what_turns(fresh):
+def test_a_user_defined_motor_drives_the_axis(fresh):
     mine = DCMotor("mine", 1.5, 0.04, 8e-6, 0.1)
     stage = Stage("xyz", chips=HCTL1100, drives=Servo(mine, bus_voltage=12, counts=4096), visuals=False)
     x = stage.axes["x"]
@@ -562,7 +562,7 @@ def test_only_the_lamp_of_the_switch_that_tripped_lights(recorded):
     assert not any(lit["el_minus"])
 
 
-def test_the_bus_of_a_servo_is_told_in_words(recorded):
+def test_bus_cycles_of_a_servo_are_described_in_words(recorded):
     said = " ".join(str(t) for t in read_rrd(recorded[2])["/axes/x/bus"]["TextLog:text"][1])
     for words in ("control", "set F0", "set F5", "R22 <- 32 (filter: gain K"):
         assert words in said

@@ -144,7 +144,7 @@ def test_a_state_in_memory_cannot_be_written_to(xy):
         xy.snapshot().state[7] = 1e300
 
 
-def test_no_pickled_snapshot_with_a_flipped_bit_is_taken(xy):
+def test_a_pickled_snapshot_with_a_flipped_bit_is_refused(xy):
     """stage.restore(pickle.loads(flipped)): refused when it is loaded, or when it is restored, or it is whole all the same"""
     seed = SEED
     print("seed", seed)

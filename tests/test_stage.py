@@ -87,7 +87,7 @@ def test_snapshot_and_restore_continue_bit_for_bit(xyz, cut):
 
 
 @pytest.mark.parametrize("twin_of", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
-def test_copies_continue_bit_for_bit_and_on_their_own(xyz, twin_of):
+def test_copies_continue_bit_for_bit_and_independently(xyz, twin_of):
     moving(xyz)
     xyz.run(0.020137)
     twin = twin_of(xyz)
@@ -127,7 +127,7 @@ def test_a_bus_cycle_takes_bus_time(fresh):
     assert chip.clock == int(2.5e-3 * chip.clock_hz)
 
 
-def test_a_stage_costs_less_than_64_kib_beside_its_mjdata(fresh):
+def test_a_stage_costs_less_than_64_kib_more_than_its_mjdata(fresh):
     s = fresh.state
     own = sum(
         a.nbytes for a in (s.axis_table, s.switch_table, s.flag_edges, s.chip_table, s.clockwork, s.edges, s.saved)
@@ -135,7 +135,7 @@ def test_a_stage_costs_less_than_64_kib_beside_its_mjdata(fresh):
     assert own + fresh.data.userdata.nbytes < 64 * 1024
 
 
-def test_pushing_into_el_plus_stops_within_the_pulse_and_allows_only_the_way_back(xyz):
+def test_moving_into_el_plus_stops_within_the_pulse_and_allows_only_the_return(xyz):
     x = xyz.axes["x"]
     touch = next(s.touch for s in x.plant.switches if s.pin == "el_plus")
     xyz.place(x=touch - 0.005)
@@ -160,7 +160,7 @@ def test_pushing_into_el_plus_stops_within_the_pulse_and_allows_only_the_way_bac
     assert not x.chip.pins.el_plus, "the way back is open"
 
 
-def test_with_the_switch_stuck_open_the_hard_stop_holds_and_the_motor_slips_whole_electrical_turns(xyz):
+def test_with_the_switch_stuck_open_the_hard_stop_holds_and_the_motor_slips_multiples_of_an_electrical_revolution(xyz):
     x = xyz.axes["x"]
     touch = next(s.touch for s in x.plant.switches if s.pin == "el_plus")
     x.switches.stick("el_plus", False)
@@ -204,7 +204,7 @@ def test_place_makes_no_jump(xyz):
     assert x.lost_steps == 0
 
 
-def test_what_is_placed_stands_still_whatever_it_did_before(xyz):
+def test_a_placed_carriage_is_at_rest_after_any_motion(xyz):
     """stage.run(0.1); stage.place(x=0.05) in the middle of a move: the carriage is at rest, as put there by hand"""
     x, y = xyz.axes["x"], xyz.axes["y"]
     moving(xyz, 16_000).run(0.3)
@@ -283,7 +283,7 @@ def test_a_snapshot_is_not_restored_into_a_running_recording(xyz):
     xyz.restore(before)
 
 
-def test_run_until_gives_up_with_an_error_that_tells_where_the_axes_are(xyz):
+def test_run_until_times_out_with_an_error_that_has_the_positions_of_the_axes(xyz):
     with pytest.raises(RunTimeout, match=r"0\.01 s.*Axis x"):
         xyz.run_until(lambda: False, timeout=0.01)
 
@@ -346,7 +346,7 @@ def test_fewer_axes_can_be_driven(fresh):
     assert only_z.axes["z"].lost_steps == 0
 
 
-def test_all_axes_of_a_stage_are_their_own(xyz):
+def test_all_axes_of_a_stage_are_independent(xyz):
     """Moving one axis leaves the pulses of the others alone."""
     start_preset(xyz.axes["x"].chip, 5000)
     xyz.run(1.0)
@@ -357,7 +357,7 @@ def test_all_axes_of_a_stage_are_their_own(xyz):
         assert xyz.axes[other].chip.pins.hold
 
 
-def test_a_refused_recording_leaves_none_behind(xyz, tmp_path):
+def test_a_refused_recording_leaves_no_recording_open(xyz, tmp_path):
     """stage.record(every=1e16) recorded for ever"""
     for wrong in ({"every": 1e16}, {"path": 5}, {"path": tmp_path / "none" / "x.rrd"}):
         with pytest.raises((StageError, TypeError)):
@@ -366,7 +366,7 @@ def test_a_refused_recording_leaves_none_behind(xyz, tmp_path):
             xyz.step()
 
 
-def test_a_payload_that_is_too_heavy_is_told_how_heavy_one_may_be(xyz):
+def test_the_error_for_a_heavy_payload_has_the_maximum(xyz):
     """stage.set_payload(1e9)"""
     with pytest.raises(ArgumentError, match=r"0 kg or more, and less than 1e\+06 kg"):
         xyz.set_payload(1e9)
@@ -383,7 +383,7 @@ def test_an_unknown_axis_is_a_key_error_that_names_the_near_misses(xyz):
     assert xyz.axes.get("q") is None
 
 
-def test_a_chip_can_be_given_by_its_name():
+def test_a_chip_can_be_selected_by_its_name():
     """Stage(chips="pcl240ms")"""
     assert [type(chip).__name__ for chip in Stage("xy", chips="pcl240ms", visuals=False).chips] == ["PCL240MS"] * 2
     mixed = Stage("xy", chips={"y": "PCL-240K", "x": PCL240K}, visuals=False)
@@ -437,7 +437,7 @@ def test_a_refused_stage_gives_the_callers_chip_back():
     assert stage.axes["x"].chip.values()["R1"] == chip.values()["R1"] == 77
 
 
-def test_a_recording_that_wants_more_than_every_step_has_every_step_and_each_begins_with_its_own(xyz):
+def test_a_recording_has_every_step_at_most_and_each_begins_at_its_first(xyz):
     for every, steps in ((1e-9, 1), (0.3e-3, 1), (0.45e-3, 2), (1e-3, 4)):
         with xyz.record(every) as recording:
             xyz.step(3)
@@ -449,7 +449,7 @@ def test_a_recording_that_wants_more_than_every_step_has_every_step_and_each_beg
     assert len(recording) == 2
 
 
-def test_a_payload_that_is_taken_off_leaves_the_mass_as_it_was(xyz):
+def test_removing_a_payload_restores_the_mass(xyz):
     body = xyz.model.site("work").bodyid[0]
     before = xyz.model.body_mass[body], xyz.model.body_subtreemass[0]
     xyz.set_payload(2.0)
@@ -472,7 +472,7 @@ CHANGED = {"timestep": (0.002, "timestep=0.002"), "integrator": (int(mujoco.mjtI
 
 
 @pytest.mark.parametrize("option", CHANGED)
-def test_a_stage_whose_models_options_were_changed_stands_still_and_says_so(xy, option):
+def test_a_stage_whose_models_options_were_changed_refuses_to_run(xy, option):
     """stage.model.opt.timestep = 0.002: 3200 pulses lost 1020 steps; stage.model.opt.integrator = 1: 152 of 1600"""
     value, told = CHANGED[option]
     before, built = xy.snapshot().state.tobytes(), getattr(xy.model.opt, option)
@@ -497,7 +497,7 @@ def test_a_stage_whose_models_options_were_changed_stands_still_and_says_so(xy, 
     assert xy.time > 0.1
 
 
-def test_a_time_to_run_to_is_a_whole_number_of_ns_not_too_far_away(xy):
+def test_a_time_to_run_to_is_an_integer_of_ns_within_the_maximum(xy):
     """stage.run_to(2**63) ran on until Ctrl-C"""
     for until in (2**63, 2**70, 10**18 + 1, 1.5, float("inf"), "x", None):
         with pytest.raises(ArgumentError, match="until="):

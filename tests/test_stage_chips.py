@@ -113,13 +113,13 @@ def test_a_mapping_says_which_axes_share_a_chip(made):
     assert set(stage.chips) == {x.chip, z.chip}
 
 
-def test_axes_are_given_to_a_chip_in_the_order_of_the_mapping(made):
+def test_axes_are_assigned_to_a_chip_in_the_order_of_the_mapping(made):
     stage = made({"z": MCX312, "x": MCX312, "y": PCL240K})
     assert (stage.axes["z"].chip_axis, stage.axes["x"].chip_axis) == (0, 1)
 
 
 @EVERY
-def test_every_axis_makes_the_pulses_that_it_was_told_and_its_carriage_follows(made, chips):
+def test_every_axis_makes_the_pulses_commanded_and_its_carriage_follows(made, chips):
     stage = set_off(made(chips))
     stage.run(0.6)
     for k, (net, axis) in enumerate(zip(pulses_of(stage), stage.axes.values(), strict=True)):
@@ -191,7 +191,7 @@ def test_the_index_pulse_of_the_encoder_is_stop2(made):
         assert y.pins.stop2 == on
 
 
-def test_an_index_pulse_within_one_step_has_its_whole_width():
+def test_an_index_pulse_within_one_step_has_its_full_width():
     """It lasts INDEX and the hysteresis at the speed of the rotor, which here runs free."""
     motor = replace(MOTORS["17HS4401"], core_loss_resistance=None)
     stage = Stage("xy", chips=PCL240MK, drives=motor, visuals=False)
@@ -291,7 +291,7 @@ def test_snapshot_and_restore_continue_bit_for_bit(made, chips, cut):
 
 @EVERY
 @pytest.mark.parametrize("twin_of", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
-def test_copies_continue_bit_for_bit_and_on_their_own(made, chips, twin_of):
+def test_copies_continue_bit_for_bit_and_independently(made, chips, twin_of):
     stage = set_off(made(chips))
     stage.run(0.020137)
     twin = twin_of(stage)
@@ -367,7 +367,7 @@ def test_the_truth_of_an_axis_is_what_its_chip_says(made):
         assert not t["busy"]
 
 
-def test_every_stage_of_a_fleet_may_have_its_own_chips(made):
+def test_the_stages_of_a_fleet_may_have_different_chips(made):
     stages = [made(chips) for chips in (MCX514, MIXED, {n: ALL[n] for n in "xyz"}, PCL240K)]
     fleet = Fleet([copy.deepcopy(stage) for stage in stages], 2)
     programs = [program(stage, 2) for stage in fleet.stages]
@@ -420,7 +420,7 @@ def test_the_pulses_of_the_waveforms_are_those_of_the_bench_to_the_clock(recorde
         assert vcd.edges(f"{name}.{PULSE_OUTPUTS[name]}", 1) == [(int(c) * 1000 + 8) // 16 for c in clocks]
 
 
-def test_the_bus_and_the_lanes_of_an_axis_are_its_own(recorded):
+def test_the_bus_and_the_lanes_of_an_axis_are_separate(recorded):
     read = read_rrd(recorded[2])
     said = {name: " ".join(str(t) for t in read[f"/axes/{name}/bus"]["TextLog:text"][1]) for name in "xyz"}
     assert "X DV <- 10000" in said["x"]
@@ -454,7 +454,7 @@ def test_the_pins_of_a_chip_of_several_axes_are_those_of_its_axes(made):
     assert not chip.pins.emg
 
 
-def test_each_axis_may_be_given_its_chip_by_name():
+def test_each_axis_may_have_its_chip_by_name():
     """Stage("xy", chips={"x": "pcl240k", "y": "mcx304"})"""
     stage = Stage("xy", chips={"x": "pcl240k", "y": "mcx304"}, visuals=False)
     assert [type(axis.chip).__name__ for axis in stage.axes.values()] == ["PCL240K", "MCX304"]

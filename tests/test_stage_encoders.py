@@ -233,7 +233,7 @@ def test_an_option_that_is_no_encoder_says_how_to_write_one(text, capsys):
     assert "write AXIS=COUNTS" in capsys.readouterr().err
 
 
-def test_the_option_knows_encoders_on_the_motor():
+def test_the_option_accepts_encoders_on_the_motor():
     from stage.cli import build_parser, setup
 
     args = build_parser().parse_args(["run", "a.c", "--model", "xy", "--chips", "mcx514", "--encoder", "x=2000/turn"])
@@ -256,7 +256,7 @@ def test_counts_a_turn_have_the_sign_of_the_gear():
     assert counts == [-2000 * 100 / (2 * math.pi), 0.0, 7.0]
 
 
-def test_an_encoder_of_a_device_counts_from_where_its_axis_stands_and_a_chips_are_in_the_order_of_the_axes(made, fed):
+def test_an_encoder_of_a_device_counts_from_the_present_position_and_those_of_a_chip_are_in_the_order_of_the_axes(made, fed):
     """board.put(HCTL2016(Encoder("x", per_metre=320_000)), 0x340) with the carriage 5 mm away; Encoder("x", zero=0.0)"""
     fed.place(x=5e-3)
     board = Board(fed)

@@ -88,7 +88,7 @@ def test_without_bus_time_as_well():
 
 
 @pytest.mark.parametrize("bus_cycle", [1e-6, 0])
-def test_behind_a_board_as_well(bus_cycle):
+def test_a_board_works_as_well(bus_cycle):
     boards = [Board(Stage("xy", chips=PCL240K, bus_cycle=bus_cycle, visuals=False)) for _ in range(2)]
     wipe(boards[0].stage)
     for board in boards:
@@ -134,14 +134,14 @@ def test_after_mj_reset_data_keyframe_the_carriages_stand_where_the_key_says(xy,
     assert [(a.position, a.commanded, a.lost_steps, a.chip.values()) for a in xy.axes.values()] == expected
 
 
-def test_what_is_put_into_qvel_after_mj_reset_data_is_how_fast_the_carriage_goes(xy):
+def test_qvel_set_after_mj_reset_data_is_the_speed_of_the_carriage(xy):
     wipe(xy)
     xy.data.qvel[:] = 0.02
     assert xy.axes["x"].position != 0
     assert xy.data.qvel.tolist() == [0.02, 0.02]
 
 
-def test_what_is_put_into_qpos_after_mj_reset_data_is_where_the_carriage_stands(xy):
+def test_qpos_set_after_mj_reset_data_is_the_position_of_the_carriage(xy):
     wipe(xy)
     xy.data.qpos[:] = 0.02
     xy.run(0.1)

@@ -109,7 +109,7 @@ def test_one_level_bit_for_both_limits_takes_no_two_logics():
         firmware.move(x, pulses=100)
 
 
-def test_the_index_of_positive_logic_turns_its_pin_round():
+def test_an_index_of_positive_logic_inverts_its_pin():
     stages = [made(PCL240MS, which)[0] for which in ({}, {"ez": "positive"})]
     seen = {(stages[0].axes["x"].pins.ez, stages[1].axes["x"].pins.ez)}
     for _ in range(40):

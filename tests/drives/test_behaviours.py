@@ -126,7 +126,7 @@ def overload(seconds, most, inertia):
     return follow(DRIVE, counts, inertia, load, viscous=1e-3, omega=10 * math.pi)
 
 
-def test_a_rotor_that_slipped_rests_a_whole_multiple_of_four_full_steps_behind():
+def test_a_rotor_that_slipped_rests_a_multiple_of_four_full_steps_from_its_target():
     seed = SEED
     print("seed", seed)
     rng, seen = np.random.default_rng(seed), set()
@@ -206,7 +206,7 @@ def test_pulses_forth_and_back_end_where_they_began():
         assert pulses(np.concatenate([there, -there, np.zeros(5)]))[-1] == 0
 
 
-def test_a_torque_far_below_the_rated_one_is_found_as_well():
+def test_a_torque_well_below_the_rated_one_is_measured_as_well():
     rpm, drive = [1000, 2000, 3000], Drive(MOTOR, microsteps=256, bus_voltage=5, mode="sine", detent=0.0)
     assert pull_out(drive, rpm) == pytest.approx(closed_form(MOTOR, 5, 1.7, rpm), rel=0.03)
 
@@ -234,7 +234,7 @@ def test_the_bench_says_what_it_cannot_measure(make, message):
         make()
 
 
-def test_of_a_motor_that_starts_at_every_rate_the_highest_that_was_tried_is_told(monkeypatch):
+def test_for_a_motor_that_starts_at_every_rate_the_highest_tried_is_returned(monkeypatch):
     monkeypatch.setattr("stage.drives.dynamometer.lost_in_start", lambda *_: 0)
     assert 19_000 * DRIVE.microsteps < pull_in(DRIVE, ROTOR) <= 20_000 * DRIVE.microsteps
 

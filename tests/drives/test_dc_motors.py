@@ -182,7 +182,7 @@ def test_back_emf_takes_mujocos_torque_down_as_the_formula_says(name):
 
 
 @EVERY
-def test_without_load_it_turns_at_voltage_over_constant(name):
+def test_the_no_load_speed_is_voltage_over_torque_constant(name):
     """And gets there with the mechanical time constant J R / K^2."""
     m = DC_MOTORS[name]
     model, data = rotor(m)

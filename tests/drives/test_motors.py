@@ -88,13 +88,13 @@ def test_a_record_holds_only_8_byte_numbers_since_it_lives_in_userdata():
     assert {stepper.DRIVE[name].base for name in stepper.DRIVE.names} <= {np.dtype("i8"), np.dtype("f8")}
 
 
-def test_drives_default_to_the_motor_s_own_current_and_detent():
+def test_drives_default_to_the_current_and_detent_of_the_motor():
     assert Drive().amplitude == 1.7
     assert Drive().detent_torque == 0.022
     assert Drive(detent=0.0).detent_torque == 0.0
 
 
-def test_a_drive_holds_in_proportion_to_the_current_that_was_chosen():
+def test_a_drive_holds_in_proportion_to_its_current():
     assert Drive().peak_torque == pytest.approx(0.40)
     assert Drive(current=0.85).peak_torque == pytest.approx(0.20)
 

@@ -17,7 +17,7 @@ def table():
     return pull_out_table(Drive(), RPM)
 
 
-def test_a_table_has_a_row_for_each_speed_and_the_closed_form_beside_it(table):
+def test_a_table_has_a_row_for_each_speed_with_the_closed_form(table):
     head, *rows = str(table).splitlines()
     assert head.split()[:5] == ["rpm", "pps,", "full", "step", "simulated"], "nothing here was measured"
     assert [row.split()[:2] for row in rows] == [["300", "1000"], ["900", "3000"], ["1500", "5000"]]
@@ -25,12 +25,12 @@ def test_a_table_has_a_row_for_each_speed_and_the_closed_form_beside_it(table):
     assert table.sine == pytest.approx(table.ideal, rel=0.03)
 
 
-def test_a_table_tells_the_full_steps_of_its_own_motor():
+def test_a_table_has_the_full_steps_of_its_motor():
     fine = replace(Drive().motor, steps_per_turn=400)
     assert str(pull_out_table(Drive(fine), [300])).splitlines()[1].split()[:2] == ["300", "2000"]
 
 
-def test_progress_is_told_from_the_first_speed_to_the_last():
+def test_progress_is_reported_from_the_first_speed_to_the_last():
     told = []
     pull_out_table(Drive(), RPM, told.append)
     assert told == pytest.approx([1 / 3, 2 / 3, 1])

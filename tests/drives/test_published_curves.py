@@ -45,13 +45,13 @@ def test_two_values_fitted_to_six_points_predict_the_others_within_5_percent(spe
     assert (fit.motor.resistance, fit.motor.phase_inductance) == (1.6, 3.0e-3)
 
 
-def test_without_a_core_loss_the_data_sheet_predicts_a_motor_with_far_too_much_torque():
+def test_without_a_core_loss_the_data_sheet_predicts_too_much_torque():
     comparison = CURVE.compare(DATA_SHEET)
     assert comparison.deviation[[0, -1]] == pytest.approx([0.11, 0.72], abs=0.02)
     assert comparison.compute_rms() == pytest.approx(0.36, abs=0.01)
 
 
-def test_a_fit_finds_the_motor_behind_a_curve():
+def test_a_fit_recovers_the_motor_of_a_curve():
     known = replace(DATA_SHEET, holding_torque=0.54, core_loss_resistance=60.0)
     curve = replace(CURVE, torque=tuple(CURVE.predict(known)))
     fit = fit_curve(DATA_SHEET, curve, [200, 500, 900, 1200])

@@ -118,7 +118,7 @@ DAILY = [(1200, 1.6), (1500, 2.4), (2000, 3.0)]  # each speed, each lag
         for case in itertools.product((1200, 1500, 2000), (1.6, 2.4, 3.0))
     ],
 )
-def test_a_chopper_agrees_with_it_too_but_for_a_command_that_acts_half_a_slice_late(speed, lag):
+def test_a_chopper_agrees_as_well_but_for_a_command_that_acts_half_a_slice_later(speed, lag):
     """The target of a slice's middle is reached at its end: a shift of the load angle, not a loss of torque."""
     seconds = 8 / (speed / 60 * 50)
     late = reference(SMOOTH, rpm(speed), lag - 50 * rpm(speed) * H / 2, seconds, 20)
@@ -185,14 +185,14 @@ def test_powering_up_puts_the_field_on_the_nearest_microstep_without_a_jump(thet
 
 @given(st.integers(-1000, 1000), st.floats(-0.49, 0.49))
 @settings(max_examples=scaled(20), deadline=None)
-def test_lost_steps_counts_four_for_each_tooth_the_rotor_is_behind(teeth, rest):
+def test_lost_steps_counts_four_for_each_tooth_that_the_rotor_lags(teeth, rest):
     d = record(Drive())
     lost = stepper.lost_steps(d, 0.0, -(teeth + rest) * 2 * math.pi / 50)
     assert isinstance(lost, int)
     assert lost == 4 * teeth
 
 
-def test_a_slice_of_another_length_is_not_taken_for_the_last_one():
+def test_a_slice_of_another_length_has_new_constants():
     a, b = record(SMOOTH), record(SMOOTH)
     stepper.torque(a, 0.0, 0.0, 0.0, H)
     for d in (a, b):
@@ -201,7 +201,7 @@ def test_a_slice_of_another_length_is_not_taken_for_the_last_one():
     assert a.current_a == b.current_a
 
 
-def test_the_same_course_gives_the_same_bits():
+def test_the_same_inputs_give_the_same_bits():
     counts = pulses(np.full(3000, 40_000.0))
     first, second = (follow(Drive(), counts, MOTOR.rotor_inertia) for _ in range(2))
     assert first.tobytes() == second.tobytes()
@@ -262,7 +262,7 @@ def test_a_window_has_the_currents_of_its_slices_one_by_one_and_the_mean_of_the_
     "drive", [Drive(detent=0.03), Drive(detent=0.03, mode="sine"), Drive(detent=0.03, microsteps=1)]
 )
 @pytest.mark.parametrize("lag", [-1.2, 0.4, 2.0])
-def test_the_path_through_a_window_has_the_speed_that_its_own_torque_gives_it(drive, lag):
+def test_the_path_through_a_window_has_the_speed_that_its_torque_causes(drive, lag):
     """T = T(omega + gain T), solved here by trying again and again; back-EMF is that of omega, as the currents do not change."""
     gain, n, omega = 125e-6 / 80e-7, stepper.SLICES, 30.0
     counts = np.full(n, 7.0)

@@ -18,7 +18,7 @@ def test_sine_and_cosine_are_right_to_the_last_place(scale):
     assert np.abs(made - np.stack([np.sin(angles), np.cos(angles)], axis=1)).max() <= 2.3e-16
 
 
-def test_quarter_turns_are_exact_where_the_angle_is():
+def test_quarter_revolutions_are_exact_where_the_angle_is():
     assert sincos(0.0) == (0.0, 1.0)
     for quarters in range(-8, 9):
         s, c = sincos(quarters * math.pi / 2)

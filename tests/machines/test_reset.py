@@ -25,7 +25,7 @@ def seen(chip):
 
 
 @pytest.mark.parametrize("name", CHIPS.own)
-def test_after_a_reset_nothing_tells_what_was_before(name):
+def test_after_a_reset_nothing_depends_on_the_time_before(name):
     cls, bus = CHIPS[name], bus_of(CHIPS[name])
     programs = st.tuples(st.one_of(bus.programs(cls), bus.starts(cls)), st.integers(0, 5000))
     words = st.lists(st.integers(0, (1 << 17) - 1), min_size=cls.AXES, max_size=cls.AXES)

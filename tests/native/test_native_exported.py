@@ -53,7 +53,7 @@ def test_python_calls_it_with_a_record_or_an_array_and_by_c_with_an_address():
 
 
 @pytest.mark.parametrize("function", [weighed, twice_weighed])
-def test_arrays_of_any_dimensions_are_taken_in_place(function):
+def test_arrays_of_any_dimensions_are_passed_in_place(function):
     table, weights = np.arange(6.0).reshape(2, 3), np.array([10, 1])
     times = 2 if function is twice_weighed else 1
     expected = sum((10 + k) * 3.0 + (1 + k) * 12.0 for k in range(times))
@@ -91,7 +91,7 @@ def test_least_and_greatest_are_min_and_max(a, b):
     assert greatest(a, b) == max(a, b)
 
 
-def test_room_on_the_stack_is_an_array_of_its_own():
+def test_room_on_the_stack_is_a_separate_array():
     assert on_the_stack(3.0) == 2 * 5 * 3.0
     assert on_the_stack(-1.5) == 2 * 5 * -1.5
 
@@ -118,7 +118,7 @@ def test_what_compiled_code_could_not_take_is_refused_in_words(case):
         scaled(*arguments())
 
 
-def test_the_ends_of_the_range_are_taken():
+def test_the_limits_of_the_range_are_accepted():
     for n in ((1 << 63) - 1, -(1 << 63)):
         rows = cells(1.0)
         scaled(rows, n)

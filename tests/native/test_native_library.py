@@ -76,7 +76,7 @@ def test_a_built_library_is_loaded_without_a_word(toy):
     assert (done.stdout, done.stderr) == ("42\n", "")
 
 
-def test_a_change_of_a_constant_in_a_module_that_a_hot_one_imports_is_built_anew(toy):
+def test_a_changed_constant_in_a_module_that_a_hot_one_imports_causes_a_build(toy):
     """sed -i s/2/5/ toy/constants.py; python -c "from toy.core import stepped; print(stepped(40))"
     A package from outside ran stale code."""
     write(toy, step=5)
@@ -136,7 +136,7 @@ def whole(n):
     ],
 )
 @pytest.mark.parametrize("imported", ["plain", "plain, whole", "plain, of_array"])
-def test_an_object_is_made_again_for_a_change_of_its_code_and_of_what_is_compiled_into_it(
+def test_an_object_is_rebuilt_for_a_change_of_its_code_and_of_code_compiled_into_it(
     tmp_path, file, old, new, changes, imported
 ):
     """A function that is called by its symbol counts with its signature, one that is hot or takes an array with its module."""
@@ -164,7 +164,7 @@ def test_an_edit_of_the_engine_makes_one_part_of_the_library_again():
     ]
 
 
-def test_a_terminal_is_told_how_far_a_build_is(monkeypatch):
+def test_a_terminal_shows_the_progress_of_a_build(monkeypatch):
     """python -m stage.native stage"""
     terminal = io.StringIO()
     terminal.isatty = lambda: True
@@ -221,7 +221,7 @@ def test_a_library_for_another_machine_is_refused_in_words(toy, change, words):
 @pytest.mark.parametrize(
     "damage", ["missing", *(pytest.param(damage, marks=pytest.mark.slow) for damage in ("empty", "text")), "cut"]
 )
-def test_a_library_that_is_not_one_is_built_anew_or_an_error(toy, damage):
+def test_a_file_that_is_no_library_is_rebuilt_or_an_error(toy, damage):
     """truncate -s -100 toy/_native.so; python -c "from toy.core import stepped; print(stepped(40))\""""
     path = toy / "toy" / load.NAME
     content = path.read_bytes()
@@ -256,7 +256,7 @@ def flipped(content):
 @pytest.mark.parametrize(
     "damage", [lambda content: b"", shortened, flipped, None], ids=["empty", "cut", "flipped", "no seal"]
 )
-def test_a_kept_object_that_is_not_as_it_was_written_is_made_again(toy, damage):
+def test_a_damaged_object_in_the_cache_is_rebuilt(toy, damage):
     """: > stage/__pycache__/stage.chips.pcl240-*.o; rm stage/_native.so
     Every start said "undefined symbol", for ever."""
     (part,) = (path for path in (toy / "toy" / "__pycache__").glob("*.o") if path.name != "manifest.o")
@@ -284,7 +284,7 @@ def test_an_object_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a linker's option")
-def test_what_is_missing_in_pulsestages_own_library_is_found_by_the_link(toy, tmp_path):
+def test_the_link_reports_a_symbol_missing_in_the_library_of_pulsestage(toy, tmp_path):
     """: > stage/__pycache__/stage.chips.pcl240-*.o; rm stage/_native.so; stage chips
     It was linked, and no start could load it."""
     (part,) = (path for path in (toy / "toy" / "__pycache__").glob("*.o") if path.name != "manifest.o")
@@ -299,7 +299,7 @@ def test_what_is_missing_in_pulsestages_own_library_is_found_by_the_link(toy, tm
         build._link([calls], manifest, tmp_path / "lacks.so", complete=True)
 
 
-def test_a_disk_that_is_full_where_a_library_goes_otherwise_is_told_too(tmp_path, monkeypatch):
+def test_a_full_disk_in_the_temporary_folder_is_reported(tmp_path, monkeypatch):
     """python -m stage.native toy
     In a read-only package, with a full /tmp."""
     write(tmp_path)
@@ -314,7 +314,7 @@ def test_a_disk_that_is_full_where_a_library_goes_otherwise_is_told_too(tmp_path
         build.build("toy")
 
 
-def test_a_disk_that_is_full_while_a_library_is_built_is_told_in_words(tmp_path, monkeypatch):
+def test_a_full_disk_during_a_build_is_reported(tmp_path, monkeypatch):
     """python -m stage.native stage
     On a full disk: a traceback that ended in OSError: [Errno 28]."""
     write(tmp_path)
@@ -364,7 +364,7 @@ def test_a_function_that_may_raise_is_refused_by_the_build(toy):
         ("return sorted(n)", "AssertionError: Implementation function returned by `@overload`"),
     ],
 )
-def test_what_does_not_compile_is_told_in_a_few_lines_with_its_place(toy, line, words):
+def test_a_compile_error_is_reported_in_a_few_lines_with_its_place(toy, line, words):
     """numba's own words of it are 200 lines"""
     source = CORE.replace("return more(n)", line)
     (toy / "toy" / "core.py").write_text(source)
@@ -379,7 +379,7 @@ def test_what_does_not_compile_is_told_in_a_few_lines_with_its_place(toy, line, 
     assert "numba/" not in "".join(said)
 
 
-def test_the_place_told_is_ours_and_not_within_numba(tmp_path):
+def test_the_place_reported_is_in_the_users_source_and_not_within_numba(tmp_path):
     """numba tells the places from within outwards, and the innermost may be in its own sources"""
     inner, outer = tmp_path / "numba" / "impl.py", tmp_path / "core.py"
     inner.parent.mkdir()
@@ -437,12 +437,12 @@ def test_the_builder_says_where_the_library_is(toy):
     assert Path(done.stdout.strip()) == (toy / "toy" / load.NAME).resolve()
 
 
-def test_a_package_that_is_not_there_is_named():
+def test_a_missing_package_is_named():
     with pytest.raises(NativeError, match="'no_such_package' cannot be found"):
         load.find_folders("no_such_package")
 
 
-def test_a_library_is_linked_by_the_first_compiler_there_is(tmp_path, monkeypatch):
+def test_a_library_is_linked_by_the_first_compiler_installed(tmp_path, monkeypatch):
     """On a machine that has gcc and no cc; then on one that has neither."""
     from importlib import util
 
@@ -491,7 +491,7 @@ def test_a_build_by_another_numba_or_a_link_that_fails_leaves_nothing(tmp_path, 
     assert [path.name for path in (tmp_path / "toy").iterdir() if "_native" in path.name] == []
 
 
-def test_where_a_package_cannot_be_written_its_library_is_this_process_s_own(tmp_path, monkeypatch):
+def test_the_library_of_a_read_only_package_belongs_to_the_process(tmp_path, monkeypatch):
     """mkdir /tmp/pulsestage-0; cp evil.so /tmp/pulsestage-0/_native.so; env -u HOME stage demo
     A package of root's, used by somebody else: a private folder, gone with the process, and no name that somebody can guess."""
     planted = tmp_path / "temporary" / f"pulsestage-{os.getuid()}"
@@ -516,7 +516,7 @@ def test_where_a_package_cannot_be_written_its_library_is_this_process_s_own(tmp
     assert not folder.exists()
 
 
-def test_numbas_own_settings_do_not_reach_the_processes_that_compile(tmp_path, monkeypatch):
+def test_settings_of_numba_do_not_reach_the_processes_that_compile(tmp_path, monkeypatch):
     """NUMBA_OPT=0 NUMBA_BOUNDSCHECK=1 python -m stage.native"""
     told = tmp_path / "told"
     compiler = tmp_path / "compiler"

@@ -56,7 +56,7 @@ def test_a_move_within_the_torque_of_the_motor_loses_no_steps(stage):
         assert_no_lost_steps(what)
 
 
-def test_lost_steps_are_counted_and_told_axis_by_axis(stage):
+def test_lost_steps_are_reported_axis_by_axis(stage):
     x = stage.axes["x"]
     firmware.preset_move(x, 20_000, TOO_FAST)
     assert x.lost_steps
@@ -90,7 +90,7 @@ def test_a_carriage_is_where_it_is_and_nowhere_else(stage):
         assert said in says(assert_at, x, where)
 
 
-def test_a_carriage_that_still_moves_lost_steps_or_swings_is_said_to(stage):
+def test_the_message_names_a_carriage_that_still_moves_lost_steps_or_swings(stage):
     x = stage.axes["x"]
     firmware.preset_move(x, 1600, SLOW)
     assert "still swings" in says(assert_at, x, x.commanded, within=0)
@@ -125,7 +125,7 @@ def test_an_axis_has_stopped_when_it_gets_no_pulses_and_does_not_move(stage):
     assert_stopped(x)
 
 
-def test_standing_still_is_slower_than_a_centimetre_a_second_unless_another_speed_is_given(stage):
+def test_an_axis_at_rest_is_slower_than_a_centimeter_a_second_by_default(stage):
     x = stage.axes["x"]
     dof = x.plant.dof
     for speed, options, stands in (
@@ -160,7 +160,7 @@ def test_an_axis_that_creeps_has_not_stopped(stage):
     assert "x gets +400 pulses a second" in says(assert_stopped, stage)
 
 
-def test_pins_are_told_with_what_was_expected_of_them(stage):
+def test_pins_are_reported_with_their_expected_levels(stage):
     x = stage.axes["x"]
     assert_pins(x, org=False, el_plus=False)
     stage.place(x=-0.13)
@@ -185,7 +185,7 @@ def test_writes_that_a_data_sheet_reader_would_call_mistakes_are_listed(stage):
     assert re.search(r"^  0\.\d{9} s  y: ", message, re.M)
 
 
-def test_mistakes_of_all_chips_are_told_in_their_order_with_all_axes_of_a_chip_and_words_of_four_digits():
+def test_diagnostics_of_all_chips_are_reported_in_order_with_the_axes_of_the_chip_and_four_digits():
     stage = Stage("xyz", chips={"x": PCL240K, "y": MCX304, "z": MCX304}, visuals=False)
     stage.axes["z"].chip.write(0, 0x7F01)
     stage.axes["x"].chip.write(0, 0x11)
@@ -203,7 +203,7 @@ def test_long_lists_are_cut(stage):
         assert (f"... and {port - 19} more" in said) == (port >= 20)
 
 
-def test_cycles_that_reach_no_chip_are_told_with_where_the_chips_are(stage):
+def test_cycles_that_reach_no_chip_are_reported_with_the_ports_of_the_chips(stage):
     board = Board(stage, base={"x": 0x300, "y": 0x320})
     board.out8(0x300, 0x08)
     assert_no_strays(board)
@@ -232,7 +232,7 @@ def test_a_path_keeps_to_its_line(corner):
     assert_path_within(corner, [(0, 0), (0, 5e-3), (5e-3, 5e-3)], within=60e-6, axes="yx")
 
 
-def test_a_path_off_its_line_is_told_with_place_and_time(corner):
+def test_a_path_off_its_line_is_reported_with_place_and_time(corner):
     message = says(assert_path_within, corner, [(0, 0), (5e-3, 5e-3)], within=100e-6)
     off = float(re.search(r"was ([\d,.]+) um off", message)[1].replace(",", ""))
     assert off == pytest.approx(5000 / np.sqrt(2), abs=20)
@@ -290,7 +290,7 @@ def test_a_line_that_is_none_is_refused(corner, line, keywords, message):
         assert_path_within(corner, line, within=1e-3, **keywords)
 
 
-def test_the_log_of_a_firmware_is_shown_from_its_end_and_its_stray_cycles_are_counted(stage):
+def test_the_report_has_the_last_log_lines_and_the_number_of_stray_cycles(stage):
     watch = object.__new__(Evidence)
     watch.stage, watch.board = stage, Board(stage)
     assert watch._describe_log() == ""
@@ -391,7 +391,7 @@ def test_a_copy_of_a_watched_stage_is_not_watched():
     assert watched.recording is None
 
 
-def test_the_traceback_of_an_error_of_the_package_ends_in_the_test_and_that_of_another_stays_whole():
+def test_only_the_traceback_of_an_error_of_the_package_ends_in_the_test():
     def ends_in(call):
         try:
             call()

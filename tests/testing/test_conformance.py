@@ -34,12 +34,12 @@ def test_every_chip_of_ours_passes_in_many_programs(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("chip", [TOY, TOY8, *CHIPS.own])
-def test_as_plain_python_it_gives_the_same_bits(chip):
+def test_uncompiled_code_gives_the_same_bits(chip):
     chip_conformance(chip, seed=SEED, programs=2, promises=["pins_by_name"], uncompiled=True)
 
 
 @pytest.mark.slow
-def test_a_chip_that_differs_as_plain_python_is_found():
+def test_a_chip_that_differs_uncompiled_is_detected():
     with pytest.raises(
         NotConforming, match=r"compiled = uncompiled\n    but: in program 0, act 0, compiled code leaves"
     ):
@@ -54,7 +54,7 @@ def test_a_chip_of_eight_axes_passes():
 
 
 @pytest.mark.parametrize("defect", DEFECTS)
-def test_a_planted_defect_is_found_and_its_promise_named(defect):
+def test_a_planted_defect_is_detected_and_its_promise_named(defect):
     chip, promise, words = DEFECTS[defect]
     with pytest.raises(NotConforming, match=r"TOY|seed=") as said:
         chip_conformance(chip, seed=SEED, programs=4, promises=[promise])
@@ -100,7 +100,7 @@ def test_a_move_of_a_test_has_no_more_pulses_than_its_register_holds(monkeypatch
     assert max(made) == 70
 
 
-def test_a_core_that_never_answers_is_told_as_a_broken_promise_and_the_others_go_on():
+def test_a_core_that_never_answers_is_a_broken_promise_and_the_others_are_tried():
     """chip_conformance(Endless, limit=0.5), where reads of one address never return"""
     began = time.monotonic()
     with pytest.raises(NotConforming, match=r"TOY|seed=") as said:
@@ -110,7 +110,7 @@ def test_a_core_that_never_answers_is_told_as_a_broken_promise_and_the_others_go
     assert time.monotonic() - began < 20
 
 
-def test_a_core_that_ends_its_process_is_told_as_a_broken_promise():
+def test_a_core_that_ends_its_process_is_a_broken_promise():
     with pytest.raises(NotConforming) as said:
         chip_conformance(defects.Wild, seed=SEED, programs=1, promises=["reads", "pins_by_name"])
     assert said.value.broken.keys() == {"reads"}
@@ -119,7 +119,7 @@ def test_a_core_that_ends_its_process_is_told_as_a_broken_promise():
     )
 
 
-def test_once_a_promise_has_not_ended_the_others_are_given_less_time(monkeypatch):
+def test_after_a_promise_that_does_not_finish_the_others_have_less_time(monkeypatch):
     monkeypatch.setattr(conformance, "SHORT_LIMIT", 0.5)
     given = []
     monkeypatch.setattr(
@@ -134,7 +134,7 @@ def test_once_a_promise_has_not_ended_the_others_are_given_less_time(monkeypatch
     assert given == [30, 0.5, 20, 0.5]
 
 
-def test_a_core_that_cannot_be_compiled_is_told_once():
+def test_a_core_that_cannot_be_compiled_is_reported_once():
     """A function of the core writes to an array of its module"""
 
     class Answer:
@@ -148,14 +148,14 @@ def test_a_core_that_cannot_be_compiled_is_told_once():
     assert list(said.value.broken) == ["has_what_every_chip_has"]
 
 
-def test_what_fails_as_plain_python_is_told_with_its_place():
+def test_a_failure_of_uncompiled_code_is_reported_with_its_place():
     with pytest.raises(
         NotConforming, match=r"as plain Python it fails: IndexError: beyond \(File \".*defects.py\", line \d+, in "
     ):
         chip_conformance(defects.Beyond, seed=SEED, programs=1, promises=["pins_by_name"], uncompiled=True)
 
 
-def test_a_driver_that_asks_for_the_wiring_of_its_axis_is_told_that_all_is_as_usual():
+def test_a_driver_that_reads_the_wiring_of_its_axis_gets_the_default():
     """write_move(...) sets polarities by self.axis.wiring: '_BareAxis' object has no attribute 'wiring'"""
     chip_conformance(defects.Polite, seed=SEED, programs=1, promises=["courses"])
 
@@ -169,19 +169,19 @@ def test_a_limit_is_a_time_or_none():
         run_bounded(lambda: str(1 // 0), None)
 
 
-def test_what_a_promise_says_arrives_whole_and_a_process_without_a_word_is_told():
+def test_the_text_of_a_promise_arrives_complete_and_a_silent_process_is_reported():
     words = "it answers " + "x" * 200_000
     assert run_bounded(lambda: words, 20) == words
     assert run_bounded(lambda: os._exit(3), 20) == "its process ended with status 3 and no word"
 
 
-def test_moves_of_a_driver_are_tried_either_way():
+def test_moves_of_a_driver_are_tried_in_both_directions():
     ways = {np.sign(acts.draw_move(PCL240K(), 0, np.random.default_rng(seed))[1]) for seed in range(8)}
     assert ways == {-1, 1}
 
 
 @pytest.mark.parametrize("address", range(4))
-def test_a_look_that_changes_something_is_found_also_where_reading_acts(address):
+def test_a_peek_that_changes_something_is_detected_also_where_reading_acts(address):
     """A chip whose `peek` clears a latch at an address of READING_ACTS, as its `read` does"""
 
     class Looks(Exception):

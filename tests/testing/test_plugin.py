@@ -108,7 +108,7 @@ def test_importing_the_plugin_takes_milliseconds_and_nothing_heavy(pytester):
     assert float(seconds) < 0.1  # 2 ms, from .pyc files, on an idle machine
 
 
-def test_a_session_without_stages_imports_nothing_heavy_and_its_own_fixtures_win(pytester):
+def test_a_session_without_stages_imports_nothing_heavy_and_user_fixtures_win(pytester):
     pytester.makeconftest(
         f"""
         import sys, pytest
@@ -228,7 +228,7 @@ def test_a_wrong_marker_says_what_is_allowed_without_a_traceback(session, driver
 
 
 @needs_cc
-def test_firmware_is_found_beside_the_test_or_from_the_root(pytester, driver):
+def test_firmware_is_in_the_folder_of_the_test_or_the_root(pytester, driver):
     pytester.makeini("[pytest]")
     folder = pytester.mkdir("inner")
     (folder / "near.c").write_text(DRIVER.replace("return 7", "return WHAT"))
@@ -267,7 +267,7 @@ def test_firmware_may_be_a_library_that_is_built_already(session, driver, pytest
 
 
 @needs_cc
-def test_what_does_not_compile_says_what_the_compiler_said(session, pytester):
+def test_a_compile_error_of_firmware_has_the_text_of_the_compiler(session, pytester):
     pytester.makefile(".c", driver="#include <pulsestage.h>\nPULSESTAGE_MAIN { return semicolon }")
     result, said = session('@pytest.mark.firmware("driver.c")\ndef test_it(host): pass')
     result.assert_outcomes(errors=1)
@@ -326,14 +326,14 @@ def test_the_report_shows_the_stage_the_log_and_the_last_bus_cycles(session, dri
     assert len(cycles) == 20
 
 
-def test_without_a_board_the_bus_writes_are_told_in_words(session, pytester):
+def test_without_a_board_the_bus_writes_are_described_in_words(session, pytester):
     session("def test_it_fails(stage):\n    stage.axes['x'].chip.write(0, 0x08)\n    stage.run(0.01)\n    assert 0")
     text = (pytester.path / FOLDER / "bus.txt").read_text()
     assert "x: 08  reset command" in text
 
 
 @needs_rerun
-def test_a_test_that_fails_in_its_own_fixture_leaves_them_too(session, pytester):
+def test_a_test_that_fails_in_a_user_fixture_leaves_files_as_well(session, pytester):
     result, said = session(
         "@pytest.fixture\ndef homed(stage):\n    stage.run(0.01)\n    assert 0\ndef test_it_fails(homed): pass"
     )
@@ -351,14 +351,14 @@ def test_two_tests_whose_long_names_begin_alike_have_a_folder_each(session, pyte
     assert all((path / "recording.rrd").exists() for path in folders)
 
 
-def test_the_folder_goes_when_the_test_passes_again(session, pytester):
+def test_the_folder_is_removed_when_the_test_passes_again(session, pytester):
     session(TURNS)
     assert (pytester.path / FOLDER).is_dir()
     session(TURNS.replace("assert 0", "assert True"))
     assert not (pytester.path / FOLDER).exists()
 
 
-def test_the_folder_goes_with_its_bus_trace_when_the_test_passes_again(session, pytester):
+def test_the_folder_with_its_bus_trace_is_removed_when_the_test_passes_again(session, pytester):
     source = "def test_it_fails(stage):\n    stage.axes['x'].chip.write(0, 0x08)\n    stage.run(0.01)\n    assert 0"
     session(source)
     assert (pytester.path / FOLDER / "bus.txt").is_file()
@@ -367,7 +367,7 @@ def test_the_folder_goes_with_its_bus_trace_when_the_test_passes_again(session, 
 
 
 @needs_rerun
-def test_the_folder_goes_with_several_recordings_too(session, pytester):
+def test_the_folder_is_removed_with_several_recordings(session, pytester):
     source = """
         def test_it_fails(stage):
             start = stage.snapshot()
@@ -389,7 +389,7 @@ def test_keep_all_keeps_those_of_passed_tests(session, pytester):
     assert (pytester.path / FOLDER / "recording.rrd").exists()
 
 
-def test_output_goes_where_option_or_ini_file_say(session, pytester):
+def test_output_is_in_the_folder_of_the_option_or_the_ini_file(session, pytester):
     pytester.makeini("[pytest]\npulsestage_output = build/left\n")
     session(TURNS)
     assert (pytester.path / "build/left/test_it.py.test_it_fails/recording.rrd").exists()
@@ -420,7 +420,7 @@ def test_a_wrong_setting_ends_the_session_with_a_word(pytester):
     result.stderr.fnmatch_lines("*pulsestage_keep = some: known are failed, all.")
 
 
-def test_a_folder_that_cannot_be_made_is_said_and_hides_nothing(session, pytester):
+def test_an_error_of_the_folder_is_reported_and_hides_nothing(session, pytester):
     pytester.makefile(".txt", taken="a file")
     result, said = session(TURNS, "--pulsestage-output=taken.txt")
     result.assert_outcomes(failed=1)
@@ -428,7 +428,7 @@ def test_a_folder_that_cannot_be_made_is_said_and_hides_nothing(session, pyteste
     assert "assert 0" in said
 
 
-def test_what_cannot_be_saved_is_said_and_hides_nothing(session, pytester):
+def test_an_error_of_a_file_is_reported_and_hides_nothing(session, pytester):
     for part in Path(stage.models.__path__[0]).glob("*.xml"):
         shutil.copy(part, pytester.path)
     result, said = session(
@@ -515,7 +515,7 @@ def test_an_error_of_the_firmware_ends_its_traceback_in_the_test(session, driver
 
 
 @needs_cc
-def test_ctrl_c_closes_the_recording_and_the_firmware_stands_still(session, driver, pytester):
+def test_ctrl_c_closes_the_recording_and_stops_the_firmware(session, driver, pytester):
     source = """
         import conftest
         @pytest.mark.firmware("driver.c")
@@ -596,7 +596,7 @@ def test_firmware_that_ends_its_process_fails_its_test_and_the_tests_after_it_ru
 
 @needs_rerun
 @needs_cc
-def test_the_example_of_the_page_passes_and_its_broken_twin_is_found(pytester):
+def test_the_example_of_the_page_passes_and_its_broken_version_fails(pytester):
     page = PAGE.read_text()
     (source,) = re.findall(r"```c\n(/\* driver\.c.*?)```", page, re.S)
     (tests,) = re.findall(r"```python\n(# test_driver\.py.*?)```", page, re.S)
@@ -613,7 +613,7 @@ def test_the_example_of_the_page_passes_and_its_broken_twin_is_found(pytester):
 
 
 @pytest.mark.parametrize("given", [{"isolated": True}, {"isolated": False}])
-def test_a_marker_says_whether_firmware_has_a_process_of_its_own(given, request):
+def test_a_marker_selects_whether_firmware_has_a_separate_process(given, request):
     """@pytest.mark.firmware("driver.c", isolated=True)"""
     marks = [pytest.Mark("firmware", (__file__,), given, _ispytest=True)]
     node = SimpleNamespace(path=Path(__file__), config=request.config, iter_markers=lambda: iter(marks))
@@ -622,7 +622,7 @@ def test_a_marker_says_whether_firmware_has_a_process_of_its_own(given, request)
     assert found.get("isolated", False) == given["isolated"]
 
 
-def test_what_a_marker_leaves_out_is_of_the_command_line_or_the_ini_file_and_its_files_are_beside_the_test(tmp_path):
+def test_arguments_that_a_marker_omits_are_those_of_the_command_line_or_the_ini_file(tmp_path):
     """pulsestage_firmware = in-process; the same name in the test's folder and in that of the session"""
     (tmp_path / "sub").mkdir()
     for folder, names in ((tmp_path, "ab"), (tmp_path / "sub", "bc")):
