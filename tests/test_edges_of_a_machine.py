@@ -35,13 +35,13 @@ def test_a_program_may_have_the_maximum_limit(stage):
 
 
 def test_a_payload_in_place_of_another_weighs_what_it_weighs_alone(stage):
-    twin, body = copy.deepcopy(stage), stage.model.site("work").bodyid[0]
-    own = twin.model.body_mass[body]
-    twin.set_payload(1.0)
-    twin.set_payload(2.5)
-    assert twin.model.body_mass[body] == own + 2.5
-    twin.set_payload(0.0)
-    assert twin.model.body_mass[body] == own
+    replica, body = copy.deepcopy(stage), stage.model.site("work").bodyid[0]
+    separate = replica.model.body_mass[body]
+    replica.set_payload(1.0)
+    replica.set_payload(2.5)
+    assert replica.model.body_mass[body] == separate + 2.5
+    replica.set_payload(0.0)
+    assert replica.model.body_mass[body] == separate
 
 
 def test_a_copy_has_a_separate_payload(stage):
@@ -53,9 +53,9 @@ def test_a_copy_has_a_separate_payload(stage):
 
 def test_a_copy_has_separate_faults(stage):
     first = copy.deepcopy(stage)
-    twin = copy.deepcopy(first)
-    faults.phase_open(twin.axes["x"], "a")
-    assert (first.faults, len(twin.faults)) == ((), 1)
+    replica = copy.deepcopy(first)
+    faults.phase_open(replica.axes["x"], "a")
+    assert (first.faults, len(replica.faults)) == ((), 1)
 
 
 def test_a_switch_that_is_stuck_twice_is_stuck_as_first_once_the_second_fault_is_cleared(stage):
@@ -126,42 +126,42 @@ def test_carriages_may_be_placed_at_both_ends_of_their_travel(stage):
 
 
 def test_a_device_that_comes_on_the_bus_later_leaves_power_up_where_it_was(stage):
-    late = copy.deepcopy(stage)
-    late.run(1e-3)
-    late.attach("a latch", [np.zeros(1)])
-    late.reset()
-    assert late.now == stage.now
+    delayed = copy.deepcopy(stage)
+    delayed.run(1e-3)
+    delayed.attach("a latch", [np.zeros(1)])
+    delayed.reset()
+    assert delayed.now == stage.now
 
 
 def test_supplies_that_fall_together_return_each_to_its_former_value(stage):
-    twin = copy.deepcopy(stage)
-    with faults.bus_voltage(twin.axes["y"], 36.0):
-        own = [axis.faults.bus_voltage for axis in twin.axes.values()]
-        with faults.bus_voltage(twin, 12.0):
-            assert [float(axis.read_drive()[0].voltage) for axis in twin.axes.values()] == [12.0, 12.0]
-        assert [float(axis.read_drive()[0].voltage) for axis in twin.axes.values()] == own == [24.0, 36.0]
+    replica = copy.deepcopy(stage)
+    with faults.bus_voltage(replica.axes["y"], 36.0):
+        separate = [axis.faults.bus_voltage for axis in replica.axes.values()]
+        with faults.bus_voltage(replica, 12.0):
+            assert [float(axis.read_drive()[0].voltage) for axis in replica.axes.values()] == [12.0, 12.0]
+        assert [float(axis.read_drive()[0].voltage) for axis in replica.axes.values()] == separate == [24.0, 36.0]
 
 
 def test_a_delayed_start_is_over_when_the_cpu_is_called_away(stage):
-    twin, seen = copy.deepcopy(stage), []
-    faults.start_skew(twin.axes["x"], 0.01)
+    replica, observed = copy.deepcopy(stage), []
+    faults.start_skew(replica.axes["x"], 0.01)
 
     def pace(until):
-        if until - twin.now > 5_000_000:
-            seen.append(twin.faults)
+        if until - replica.now > 5_000_000:
+            observed.append(replica.faults)
         return until
 
-    twin.loop.pace = pace
-    firmware.move(twin.axes["x"], pulses=100)
-    assert seen[0] == ()
+    replica.loop.pace = pace
+    firmware.move(replica.axes["x"], pulses=100)
+    assert observed[0] == ()
 
 
 @pytest.mark.parametrize("name", ["x", "y"])
 def test_a_stuck_switch_of_any_axis_is_stuck_in_a_state_that_knew_nothing_of_it(stage, name):
-    twin = copy.deepcopy(stage)
-    free, axis = twin.snapshot(), twin.axes[name]
+    replica = copy.deepcopy(stage)
+    free, axis = replica.snapshot(), replica.axes[name]
     with faults.switch_stuck(axis, "org", True):
-        twin.restore(free)
+        replica.restore(free)
         assert axis.switches.as_dict() == {pin: pin == "org" for pin in axis.switches.as_dict()}
         assert axis.pins.org
 
@@ -192,14 +192,16 @@ def test_the_load_of_a_left_hand_motor_has_the_sign_of_its_pulses(mirrored):
 
 
 def test_a_clock_is_for_chips_by_class_or_name_and_a_function_sets_another():
-    made = Stage("xy", chips={"x": "pcl240k", "y": lambda: PCL240K(clock_hz=3_000_000)}, clock=2_000_000, visuals=False)
-    assert [axis.chip.clock_hz for axis in made.axes.values()] == [2_000_000, 3_000_000]
+    created = Stage(
+        "xy", chips={"x": "pcl240k", "y": lambda: PCL240K(clock_hz=3_000_000)}, clock=2_000_000, visuals=False
+    )
+    assert [axis.chip.clock_hz for axis in created.axes.values()] == [2_000_000, 3_000_000]
 
 
 def test_one_chip_serves_as_many_axes_as_it_has_and_no_more():
     chip = MCX514()
-    made = Stage("xyz", chips=dict.fromkeys("xyz", chip), visuals=False)
-    assert [(axis.chip is chip, axis.chip_axis) for axis in made.axes.values()] == [(True, 0), (True, 1), (True, 2)]
+    created = Stage("xyz", chips=dict.fromkeys("xyz", chip), visuals=False)
+    assert [(axis.chip is chip, axis.chip_axis) for axis in created.axes.values()] == [(True, 0), (True, 1), (True, 2)]
     alone = PCL240K()
     with pytest.raises(ArgumentError, match=r"chips for axis y: .* has no axis left that is free"):
         Stage("xy", chips=dict.fromkeys("xy", alone), visuals=False)
@@ -213,8 +215,8 @@ def test_a_servo_has_the_motor_of_the_argument_else_of_the_name_else_of_the_actu
     named = {t.name: t for t in spec.texts}
     named["y_motor"].data = "14203S010"
     named["z_motor"].name = "of_nobody"
-    own = next(a for a in spec.actuators if a.name == "z")
-    own.set_to_dcmotor([0.04, 0.04], 2.5)
+    separate = next(a for a in spec.actuators if a.name == "z")
+    separate.set_to_dcmotor([0.04, 0.04], 2.5)
     axes = Stage(spec, chips=HCTL1100, drives={"x": "14204S004"}, visuals=False).axes
     assert [axes[n].drive.motor.name for n in "xyz"] == ["14204S004", "14203S010", "that of axis z"]
     motor = axes["z"].drive.motor

@@ -48,8 +48,8 @@ def test_an_unpowered_axis_glides_over_its_detents_without_gaining_energy(speed,
     faults.phase_open(x, "b")
     stage.data.qvel[0] = speed
     detent, teeth = x.drive.detent_torque, x.drive.motor.rotor_teeth
-    seen = energies(stage, lambda angle: -detent / (4 * teeth) * np.cos(4 * teeth * angle), 4.0)
-    assert seen[-20:].mean() == pytest.approx(seen[:20].mean(), rel=1e-4)
+    observed = energies(stage, lambda angle: -detent / (4 * teeth) * np.cos(4 * teeth * angle), 4.0)
+    assert observed[-20:].mean() == pytest.approx(observed[:20].mean(), rel=1e-4)
 
 
 @pytest.mark.parametrize("mode", ["chopper", "sine"])
@@ -60,11 +60,11 @@ def test_a_powered_axis_that_was_pushed_keeps_its_amplitude(mode):
     stage.data.qvel[0] = 0.05
 
     def reach():
-        seen = []
+        observed = []
         for _ in range(100):
             stage.step()
-            seen.append(abs(x.load_angle))
-        return max(seen)
+            observed.append(abs(x.load_angle))
+        return max(observed)
 
     first = reach()
     assert first > 1.8, "a wide swing, electrical radians"
@@ -103,9 +103,9 @@ def test_an_axis_rings_at_its_natural_frequency(detent):
     for _ in range(4000):
         stage.step()
         position.append(stage.data.qpos[0])
-    seen = np.array(position) - np.mean(position)
-    up = np.flatnonzero((seen[:-1] < 0) & (seen[1:] >= 0))
-    at = up - seen[up] / (seen[up + 1] - seen[up])
+    observed = np.array(position) - np.mean(position)
+    up = np.flatnonzero((observed[:-1] < 0) & (observed[1:] >= 0))
+    at = up - observed[up] / (observed[up + 1] - observed[up])
     frequency = (len(at) - 1) / ((at[-1] - at[0]) * stage.model.opt.timestep)
     print(frequency, expected)
     assert frequency == pytest.approx(expected, rel=5e-3)
@@ -119,11 +119,11 @@ def test_the_swing_of_an_unforced_axis_never_grows(payload):
     stage.data.qvel[0] = 0.03
     swings = []
     for _ in range(8):
-        seen = []
+        observed = []
         for _ in range(1000):
             stage.step()
-            seen.append(abs(stage.axes["x"].load_angle))
-        swings.append(max(seen))
+            observed.append(abs(stage.axes["x"].load_angle))
+        swings.append(max(observed))
     assert max(swings[1:]) <= swings[0] * 1.0005
 
 
@@ -135,7 +135,7 @@ def test_an_axis_that_slips_comes_to_rest_a_multiple_of_an_electrical_revolution
     begin = x.position
     stage.data.qvel[stage.model.joint("x").dofadr[0]] = speed
     stage.run(1.0)
-    turns = (x.position - begin) / 2e-4
-    assert abs(round(turns)) >= 1
-    assert turns == pytest.approx(round(turns), abs=0.05)
-    assert x.lost_steps == -4 * round(turns)
+    revolutions = (x.position - begin) / 2e-4
+    assert abs(round(revolutions)) >= 1
+    assert revolutions == pytest.approx(round(revolutions), abs=0.05)
+    assert x.lost_steps == -4 * round(revolutions)

@@ -138,15 +138,15 @@ def test_a_snapshot_of_another_motor_is_refused_until_that_motor_is_back(xyz):
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
 def test_copies_have_it_and_go_on_bit_for_bit(xyz, copied):
     with faults.motor(xyz.axes["x"], SMALL):
-        twin = copied(xyz)
-        assert twin.faults == xyz.faults
-        assert twin.axes["x"].drive == Drive(SMALL)
-        for stage in (xyz, twin):
+        replica = copied(xyz)
+        assert replica.faults == xyz.faults
+        assert replica.axes["x"].drive == Drive(SMALL)
+        for stage in (xyz, replica):
             hurry(stage.axes["x"])
-        assert state(twin) == state(xyz)
-        for stage in (xyz, twin):
+        assert state(replica) == state(xyz)
+        for stage in (xyz, replica):
             stage.reset()
-        assert state(twin) == state(xyz)
+        assert state(replica) == state(xyz)
 
 
 def test_a_supply_that_fell_and_a_load_stay_what_they_are(xyz):
@@ -159,7 +159,7 @@ def test_a_supply_that_fell_and_a_load_stay_what_they_are(xyz):
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("argument", "message"),
     [
         ("23HS22", "motor of axis x"),
         ("14204S004", "motor of axis x"),
@@ -167,10 +167,10 @@ def test_a_supply_that_fell_and_a_load_stay_what_they_are(xyz):
         (Motor("fine", 1.5, 2.3, 4e-3, 0.45, 0.02, 5e-6, 400), "400 steps a turn"),
     ],
 )
-def test_a_motor_that_does_not_fit_is_refused_and_nothing_has_changed(xyz, given, said):
+def test_a_motor_that_does_not_fit_is_refused_and_nothing_has_changed(xyz, argument, message):
     before = state(xyz), xyz.header, xyz.model.dof_armature.tolist()
-    with pytest.raises(ArgumentError, match=said):
-        faults.motor(xyz.axes["x"], given)
+    with pytest.raises(ArgumentError, match=message):
+        faults.motor(xyz.axes["x"], argument)
     assert (state(xyz), xyz.header, xyz.model.dof_armature.tolist()) == before
 
 

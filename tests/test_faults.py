@@ -68,10 +68,10 @@ def run_into(axis, pin, ahead=5e-5):
 
 def edges_of(journal, pin):
     """(clock, level) of each change of an input in a journal."""
-    course = journal.course()
-    level = course.pin(pin)
+    profile = journal.course()
+    level = profile.pin(pin)
     k = np.flatnonzero(level[1:] != level[:-1]) + 1
-    return course.edges["clock"][k], level[k]
+    return profile.edges["clock"][k], level[k]
 
 
 # --- what was claimed ---
@@ -87,10 +87,10 @@ def test_a_claim_is_judged_in_motor_revolutions_for_any_screw():
 
 @pytest.mark.parametrize("name", demos.DEMOS)
 def test_what_was_claimed_of_a_fault_happens(name):
-    shown = demos.show(name, lambda: Stage("xyz", chips=PCL240K, visuals=False))
-    assert shown.as_claimed, shown.table()
-    healthy, faulty = shown.figures
-    happened = shown.demo.happened
+    displayed = demos.show(name, lambda: Stage("xyz", chips=PCL240K, visuals=False))
+    assert displayed.as_claimed, displayed.table()
+    healthy, faulty = displayed.figures
+    happened = displayed.demo.happened
     assert not happened(healthy, healthy), "a fault that did nothing"
     assert not happened(faulty, faulty), "the healthy run fails as the faulty one"
 
@@ -127,9 +127,9 @@ def test_what_was_claimed_happens_with_every_chip_or_is_refused_with_its_reason(
         with pytest.raises(StageError, match=why):
             show()
         return
-    shown = show()
-    assert shown.as_claimed, shown.table()
-    (healthy, faulty), happened = shown.figures, shown.demo.happened
+    displayed = show()
+    assert displayed.as_claimed, displayed.table()
+    (healthy, faulty), happened = displayed.figures, displayed.demo.happened
     assert not happened(healthy, healthy), "a fault that did nothing"
     assert not happened(faulty, faulty), "the healthy run fails as the faulty one"
     if name == "bounce":
@@ -161,8 +161,8 @@ ONE_AXIS = """
 
 def test_axes_on_two_chips_are_started_by_two_commands():
     """stage fault start-skew --chips mcx302"""
-    shown = demos.show("start-skew", lambda: Stage("xyz", chips=MCX302, visuals=False))
-    assert shown.as_claimed, shown.table()
+    displayed = demos.show("start-skew", lambda: Stage("xyz", chips=MCX302, visuals=False))
+    assert displayed.as_claimed, displayed.table()
 
 
 # --- all of them ---
@@ -191,15 +191,15 @@ def test_a_fault_without_duration_changes_no_bit(xyz, name):
     x = xyz.axes["x"]
     xyz.place(x=touch(x, "el_plus") - 0.0011)  # the faults come while EL+ does not swing about its edge
     start_preset(x.chip, 3000)
-    twin = copy.deepcopy(xyz)
+    replica = copy.deepcopy(xyz)
     for seconds in (0.02, 0.1000713, 0.1400001):
         xyz.run(seconds)
-        twin.run(seconds)
+        replica.run(seconds)
         with EVERY[name](xyz):
             pass
-    for stage in (xyz, twin):
+    for stage in (xyz, replica):
         stage.run(0.3)
-    assert bits(xyz) == bits(twin)
+    assert bits(xyz) == bits(replica)
 
 
 @pytest.mark.parametrize("name", [name for name in MACHINES if name != "motor"])  # over that one there is no restore
@@ -222,22 +222,22 @@ def test_snapshots_leave_the_machines_faults_alone(xyz, name):
         assert bits(xyz) == first, "from a snapshot of the healthy stage, the fault is there again"
 
 
-@pytest.mark.parametrize("twin_of", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
+@pytest.mark.parametrize("copy_stage", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
 @pytest.mark.parametrize("name", MACHINES)
-def test_copies_have_the_machines_faults_and_keep_them(xyz, name, twin_of):
+def test_copies_have_the_machines_faults_and_keep_them(xyz, name, copy_stage):
     start_preset(xyz.axes["x"].chip, 3000)
     xyz.run(0.0201)
     with EVERY[name](xyz) as fault:
-        twin = twin_of(xyz)
+        replica = copy_stage(xyz)
         xyz.run(0.2)
         after = bits(xyz)
-    twin.run(0.2)
-    assert bits(twin) == after
-    assert twin.faults == (fault.text,)
+    replica.run(0.2)
+    assert bits(replica) == after
+    assert replica.faults == (fault.text,)
 
 
-@pytest.mark.parametrize("twin_of", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
-def test_the_contact_of_a_copy_bounces_at_each_edge_as_the_first_one_does(xyz, twin_of):
+@pytest.mark.parametrize("copy_stage", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
+def test_the_contact_of_a_copy_bounces_at_each_edge_as_the_first_one_does(xyz, copy_stage):
     """copy.deepcopy(stage), of which ORG bounces, and then a move over ORG"""
 
     def passes(stage):
@@ -250,10 +250,10 @@ def test_the_contact_of_a_copy_bounces_at_each_edge_as_the_first_one_does(xyz, t
 
     xyz.place(x=touch(xyz.axes["x"], "org") - 2e-3)
     with faults.bounce(xyz.axes["x"], "org", 2e-3, 6):
-        twin = twin_of(xyz)
+        replica = copy_stage(xyz)
         edges = passes(xyz)
     assert len(edges) >= 7
-    assert passes(twin) == edges
+    assert passes(replica) == edges
 
 
 def test_switches_stick_from_the_moment_at_which_a_snapshot_is_restored(xyz):
@@ -316,14 +316,14 @@ def test_faults_of_one_thing_are_cleared_in_any_order_as_if_they_had_not_been(th
         s.set_payload(1.0)
     healthy = broken(stage)
     for order in permutations(range(len(makes))):
-        made, left = [make(stage) for make in makes], list(range(len(makes)))
+        created, left = [make(stage) for make in makes], list(range(len(makes)))
         for k in order:
-            made[k].clear()
+            created[k].clear()
             left.remove(k)
             rest = [makes[j](other) for j in left]
             assert broken(stage)[:2] == broken(other)[:2], (order, k)
             assert broken(stage)[3:] == broken(other)[3:], (order, k)
-            assert stage.faults == tuple(made[j].text for j in left)
+            assert stage.faults == tuple(created[j].text for j in left)
             for fault in reversed(rest):
                 fault.clear()
         assert broken(stage) == healthy, order
@@ -334,8 +334,8 @@ def test_a_cleared_fault_is_the_only_one_that_a_recording_says_was_cleared(xyz):
         first, second = faults.phase_open(xyz.axes["x"], "a"), faults.phase_open(xyz.axes["x"], "b")
         first.clear()
         second.clear()
-    said = [note.text for note in recording.notes]
-    assert said == [
+    texts = [note.text for note in recording.notes]
+    assert texts == [
         "axis x: phase a open: begins", "axis x: phase b open: begins",
         "axis x: phase a open: cleared", "axis x: phase b open: cleared",
     ]  # fmt: skip
@@ -380,9 +380,9 @@ def test_mending_a_switch_inside_a_step_finds_the_edge_in_the_rest_of_it(xyz):
     """Stuck open across its edge, a switch that is mended afterwards trips at once; mended before, at its own moment."""
     x = xyz.axes["x"]
     run_into(x, "el_plus")
-    twin = copy.deepcopy(xyz)
-    journal = twin.axes["x"].chip.journal()
-    twin.run(0.1)
+    replica = copy.deepcopy(xyz)
+    journal = replica.axes["x"].chip.journal()
+    replica.run(0.1)
     journal.close()
     (clock,), _ = edges_of(journal, "el_plus")
     moment = clock / x.chip.clock_hz
@@ -406,7 +406,7 @@ def test_a_contact_bounces_as_its_docstring_says_and_rests_on_its_new_level(xyz,
     run_into(x, "el_plus")
     with faults.bounce(x, "el_plus", seconds, toggles):
         journal = x.chip.journal()
-        twin = copy.deepcopy(xyz)
+        replica = copy.deepcopy(xyz)
         xyz.run(0.1)
         journal.close()
         clocks, levels = [e.clock for e in journal.entries], [e.b & x.chip.INPUTS["el_plus"] for e in journal.entries]
@@ -420,8 +420,8 @@ def test_a_contact_bounces_as_its_docstring_says_and_rests_on_its_new_level(xyz,
         print("seed", seed)
         cuts = np.sort(np.random.default_rng(seed).integers(0, 100_000_000, 300))
         for length in np.diff([0, *cuts, 100_000_000]):
-            twin.run(length * 1e-9)
-        assert bits(twin) == bits(xyz), "however time is cut"
+            replica.run(length * 1e-9)
+        assert bits(replica) == bits(xyz), "however time is cut"
 
 
 def test_a_snapshot_within_a_bounce_continues_to_bounce(xyz):
@@ -486,9 +486,9 @@ def test_a_vane_serves_the_switches_of_its_kind(xyz):
     y = xyz.axes["y"]
     with faults.vane_missing(y, "el_plus") as fault:
         assert "el_plus and el_minus" in fault.text
-        for pin, seen in (("el_plus", False), ("el_minus", False), ("org", True), ("sd_plus", True)):
+        for pin, observed in (("el_plus", False), ("el_minus", False), ("org", True), ("sd_plus", True)):
             xyz.place(y=touch(y, pin) + (1e-3 if pin.endswith("plus") else -1e-3))
-            assert y.switches.as_dict()[pin] is seen
+            assert y.switches.as_dict()[pin] is observed
     xyz.place(y=touch(y, "el_plus") + 1e-3)
     assert y.switches.el_plus
 
@@ -502,23 +502,23 @@ def test_an_open_phase_carries_no_current_and_the_other_is_as_it_was(mode, open_
     seed = SEED
     print("seed", seed)
     rng = np.random.default_rng(seed)
-    whole, broken = np.zeros(1, stepper.DRIVE), np.zeros(1, stepper.DRIVE)
-    for rows in (whole, broken):
+    full, broken = np.zeros(1, stepper.DRIVE), np.zeros(1, stepper.DRIVE)
+    for rows in (full, broken):
         Drive(mode=mode).fill(rows[0])
     broken[0].open, broken[0].slice = open_, 0.0
-    km, nr, td = whole[0].torque_constant, whole[0].teeth, whole[0].detent
-    r, inductance, volt, current = whole[0].resistance, whole[0].inductance, whole[0].voltage, whole[0].current
+    km, nr, td = full[0].torque_constant, full[0].teeth, full[0].detent
+    r, inductance, volt, current = full[0].resistance, full[0].inductance, full[0].voltage, full[0].current
     h, n = 31.25e-6, stepper.SLICES
     closed = 0.0 if open_ & stepper.A else 1.0, 0.0 if open_ & stepper.B else 1.0
     for _ in range(100):
         count, begin, omega = rng.uniform(-1e4, 1e4), rng.uniform(-10, 10), rng.uniform(-150, 150)
         counts = count + rng.choice((0.05, 3.0)) * rng.uniform(-1, 1) * np.arange(n)
-        broken[0].current_a = whole[0].current_a = rng.uniform(-1.7, 1.7) * closed[0]
-        broken[0].current_b = whole[0].current_b = rng.uniform(-1.7, 1.7) * closed[1]
-        currents = [(whole[0].current_a, whole[0].current_b)]
+        broken[0].current_a = full[0].current_a = rng.uniform(-1.7, 1.7) * closed[0]
+        broken[0].current_b = full[0].current_b = rng.uniform(-1.7, 1.7) * closed[1]
+        currents = [(full[0].current_a, full[0].current_b)]
         for k in range(n):
-            stepper.torque(whole[0], counts[k], begin + (k + 0.5) * omega * h, omega, h)
-            currents.append((whole[0].current_a, whole[0].current_b))
+            stepper.torque(full[0], counts[k], begin + (k + 0.5) * omega * h, omega, h)
+            currents.append((full[0].current_a, full[0].current_b))
         a, b = (np.array(currents) * closed).T
         torque = stepper.mean_torque(broken[0], counts, n, begin + 0.5 * n * omega * h, omega, h)
         assert (broken[0].current_a, broken[0].current_b) == pytest.approx((a[-1], b[-1]), abs=1e-9)
@@ -569,14 +569,14 @@ def test_an_origin_return_that_gets_nowhere_ends_in_a_timeout(xyz, name):
 
 
 def test_a_doubled_payload_is_a_stage_with_twice_the_payload(xyz):
-    twin = copy.deepcopy(xyz)
-    twin.set_payload(2.0)
+    replica = copy.deepcopy(xyz)
+    replica.set_payload(2.0)
     with faults.payload(xyz, 2.0):
         assert xyz.payload() == 2.0
-        for stage in (xyz, twin):
+        for stage in (xyz, replica):
             start_preset(stage.axes["x"].chip, 8000)
             stage.run(0.5)
-        assert bits(xyz) == bits(twin)
+        assert bits(xyz) == bits(replica)
     assert xyz.payload() == 1.0
 
 
@@ -627,9 +627,9 @@ def test_the_write_that_makes_an_axis_drive_is_delayed_on_any_chip(chip):
     stage = Stage("xy", chips=chip, visuals=False)
     x = stage.axes["x"]
     took = []
-    for late in (False, True):
+    for delayed in (False, True):
         fault = faults.start_skew(x, 5e-3)
-        if not late:
+        if not delayed:
             fault.clear()
         report = firmware.move(x, pulses=800)
         assert report.ok
@@ -709,9 +709,9 @@ def test_faults_of_one_bus_act_independently_and_each_receives_every_write():
     chip.write(1, 5)
     assert chip.values()["R1"] == 5
     third.clear()
-    with faults.lost_write(chip), faults.lost_write(chip, value=9) as late:
+    with faults.lost_write(chip), faults.lost_write(chip, value=9) as delayed:
         chip.write(1, 7)
-        assert late.in_force
+        assert delayed.in_force
         chip.write(1, 9)
         chip.write(1, 8)
     assert chip.values()["R1"] == 8
@@ -737,9 +737,9 @@ def test_the_journal_the_report_and_the_waveforms_show_what_got_lost(xyz, tmp_pa
     assert report.pulses == 0
     assert not report.ok
     assert report.stopped_by == "unknown", "it never started, and no limit is on"
-    course = recording.journals["x"].course()
-    assert course.pin("hold").all(), "its replay does not see the write either"
-    assert course.edges["counter"][-1] == 1000
+    profile = recording.journals["x"].course()
+    assert profile.pin("hold").all(), "its replay does not see the write either"
+    assert profile.edges["counter"][-1] == 1000
     assert " LOST " in recording.to_vcd(tmp_path / "x.vcd").read_text()
     notes = driver_of(x).PATTERN(report).notes(report.course.seconds - report.began)
     assert [n.words for n in notes if n.words == "lost on the bus"] == ["lost on the bus"]
@@ -773,9 +773,9 @@ def test_a_recording_names_the_faults_at_their_moments(xyz, tmp_path):
         with faults.jam(x):
             xyz.run(0.0100001)
         stuck.clear()
-    said = [(round(n.time, 7), n.text, n.in_force) for n in recording.notes]
+    texts = [(round(n.time, 7), n.text, n.in_force) for n in recording.notes]
     both = ("axis x: org stuck closed", "axis x: jammed")
-    assert said == [
+    assert texts == [
         (0.0, "in force from the start", both[:1]),
         (0.01, "axis x: jammed: begins", both),
         (0.0200001, "axis x: jammed: cleared", both[:1]),
@@ -783,7 +783,7 @@ def test_a_recording_names_the_faults_at_their_moments(xyz, tmp_path):
     ]
     read = read_rrd(recording.save(tmp_path / "f.rrd"))
     assert list(chain.from_iterable(read["/faults"]["StateChange:state"][1])) == [
-        "; ".join(force) or "none" for _, _, force in said
+        "; ".join(force) or "none" for _, _, force in texts
     ]
     style = [read["/faults"][f"StateConfiguration:{what}"][1][0] for what in ("values", "colors")]
     assert dict(zip(*style, strict=True)) == {
@@ -791,7 +791,7 @@ def test_a_recording_names_the_faults_at_their_moments(xyz, tmp_path):
         for state in ("axis x: org stuck closed", "; ".join(both), "none")
     }
     assert list(chain.from_iterable(read["/faults/log"]["TextLog:text"][1])) == [
-        f"{t:11.6f}  FAULT  {text}" for t, text, _ in said
+        f"{t:11.6f}  FAULT  {text}" for t, text, _ in texts
     ]
     assert list(chain.from_iterable(read["/faults/log"]["TextLog:level"][1])) == ["ERROR"] * 4
     streamed = read_rrd(tmp_path / "s.rrd")
@@ -806,9 +806,9 @@ def test_the_command_lists_every_fault_and_shows_one(tmp_path, monkeypatch, caps
     listed = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in listed] == list(demos.DEMOS)
     assert main(["fault", "jam", "--record", "jam.rrd", "--plot", "jam.png"]) == 0
-    said = capsys.readouterr().out
-    assert "happened as claimed" in said
-    assert "healthy" in said
+    output = capsys.readouterr().out
+    assert "happened as claimed" in output
+    assert "healthy" in output
     assert (tmp_path / "jam.rrd").exists()
     assert (tmp_path / "jam.png").read_bytes().startswith(b"\x89PNG")
     assert main(["fault", "jamm"]) == 2
@@ -933,16 +933,16 @@ def test_switches_that_stick_and_are_cleared_move_no_edge_of_the_index():
         stage.reset()
         start_preset(stage.axes["x"].chip, 10_000)
         stage.run(0.2)
-        seen, was = [], False
+        observed, was = [], False
         for k in range(3600):
             if meddle and k % 7 == 0:
                 stage.axes["x"].switches.stick("sd_plus", None if k % 14 else False)
             stage.run(1e-5)
             now = bool(stage.axes["x"].chip.input_word(0) & index)
-            seen += [k] if now != was else []
+            observed += [k] if now != was else []
             was = now
-        return seen
+        return observed
 
-    plain = edges(False)
-    assert len(plain) == 2
-    assert edges(True) == plain
+    reference = edges(False)
+    assert len(reference) == 2
+    assert edges(True) == reference

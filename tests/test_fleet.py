@@ -60,12 +60,12 @@ def everything(fleet, played):
 
 def test_any_number_of_threads_gives_the_same_bits(first):
     programs = [program(first, k) for k in range(N)]
-    seen = set()
+    observed = set()
     for threads in (1, 2, 3):
         fleet = Fleet(stages(first), threads)
-        seen.add(str(everything(fleet, fleet.play(programs))))
+        observed.add(str(everything(fleet, fleet.play(programs))))
         fleet.close()
-    assert len(seen) == 1
+    assert len(observed) == 1
 
 
 def test_a_program_does_what_a_python_driver_does_to_the_bit(first):
@@ -105,11 +105,11 @@ def test_the_truth_is_what_the_stages_say(first):
 
 
 def test_a_stage_that_is_recorded_makes_the_same_bits(first):
-    plain, watched = Fleet(stages(first), 1), Fleet(stages(first), 1)
+    reference, watched = Fleet(stages(first), 1), Fleet(stages(first), 1)
     programs = [program(first, k) for k in range(N)]
     with watched.stages[2].record() as recording:
-        assert everything(watched, watched.play(programs))[1:] == everything(plain, plain.play(programs))[1:]
-    assert (watched.stages[2].data.qpos == plain.stages[2].data.qpos).all()
+        assert everything(watched, watched.play(programs))[1:] == everything(reference, reference.play(programs))[1:]
+    assert (watched.stages[2].data.qpos == reference.stages[2].data.qpos).all()
     assert recording.duration > 0.02
 
 
@@ -147,9 +147,9 @@ def test_a_stage_that_diverges_while_a_program_waits_for_a_stop_ends_it(bus_cycl
 
 def test_a_fleet_is_pickled_with_its_stages(first):
     fleet = Fleet(stages(first, 2), 1)
-    twin = pickle.loads(pickle.dumps(fleet))
+    replica = pickle.loads(pickle.dumps(fleet))
     programs = [program(first, k) for k in range(2)]
-    assert everything(fleet, fleet.play(programs)) == everything(twin, twin.play(programs))
+    assert everything(fleet, fleet.play(programs)) == everything(replica, replica.play(programs))
 
 
 def test_what_a_fleet_cannot_be_is_refused(first):
@@ -188,8 +188,8 @@ def test_a_program_that_names_a_missing_axis_or_point_is_refused(first, op):
     with pytest.raises(ArgumentError, match="program 0, operation 1"):
         fleet.play([program])
     assert first.snapshot().state.tobytes() == before
-    ended = np.array([[(END, 0, 0, 0), op]])
-    fleet.play(ended)  # what comes after the end is not played
+    finished = np.array([[(END, 0, 0, 0), op]])
+    fleet.play(finished)  # what comes after the end is not played
 
 
 def test_a_point_is_one_that_each_stage_of_the_fleet_has(first):
@@ -328,11 +328,11 @@ def test_what_a_point_travels_is_the_diagonal_of_its_box_by_python_as_by_compile
     assert (other.play([p]).results == played.results).all()
     from_, height, by_site, by_body, nothing, still, to, as_high = played.results[0, -8:].tolist()
     assert (nothing, still) == (0, 0)
-    way = 10_000 * abs(x.meters_per_pulse) * 0.02 * 1e12
-    assert [by_site, by_body] == pytest.approx([way, way], rel=0.05)
+    direction = 10_000 * abs(x.meters_per_pulse) * 0.02 * 1e12
+    assert [by_site, by_body] == pytest.approx([direction, direction], rel=0.05)
     at = one.stages[0].data
     assert (to, as_high) == tuple(int(np.floor(1e12 * v)) for v in (at.site_xpos[site - 1][0], at.xpos[body][2]))
-    assert to - from_ == pytest.approx(3 * way, rel=0.05)
+    assert to - from_ == pytest.approx(3 * direction, rel=0.05)
     assert as_high == height
     for wrong in ((0, model.nsite + 1), (0, -model.nbody), (0, 1, 3), (0, 1, -1)):
         with pytest.raises(ArgumentError, match="A point is 1"):
@@ -386,8 +386,10 @@ def test_a_program_that_keeps_step_ends_at_the_first_one_lost_compiled_or_not(fi
     assert short[0] < 0 < long[0]
     assert -short[0] < long[0] / 2
     assert short[3] != 0
-    late = played(8000, True, poll=1.5)
-    assert (late[0] < 0, late[3] != 0) == (True, True), "steps that an axis lost before the poll that finds it at rest"
+    delayed = played(8000, True, poll=1.5)
+    assert (delayed[0] < 0, delayed[3] != 0) == (True, True), (
+        "steps that an axis lost before the poll that finds it at rest"
+    )
 
 
 WRONG = {
@@ -429,11 +431,11 @@ def test_what_is_no_time_is_refused_at_once(where):
 def test_a_register_of_a_program_is_one_of_a_chip_and_takes_an_integer():
     """Program().register(0, PCL240K, "R0", "x")
     TypeError: unsupported operand type(s) for >>: 'str' and 'int'"""
-    for wrong, said in (
+    for wrong, text in (
         ((0, PCL240K, "R0", "x"), "value='x': a whole number"),
         ((0, PCL240K, "R0", 1.5), "value=1.5: a whole number"),
         ((0, 5, "R0", 1), "chip=5"),
         ((0, PCL240K, 5, 1), "called by their names"),
     ):
-        with pytest.raises(ArgumentError, match=said):
+        with pytest.raises(ArgumentError, match=text):
             Program().register(*wrong)

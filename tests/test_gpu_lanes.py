@@ -112,9 +112,9 @@ def steppers(rng):
     place = {"x": 0.1497, "y": 0.0, "z": -0.0139}
     stage.place(**place)  # beside EL+ of x and ORG of z
     p = Program()
-    for axis, (most, least) in zip(stage.axes.values(), ((150, 90), (60, 20), (60, 20)), strict=True):
+    for axis, (maximum, least) in zip(stage.axes.values(), ((150, 90), (60, 20), (60, 20)), strict=True):
         driver = driver_of(axis)
-        pulses = int(rng.integers(least, most))
+        pulses = int(rng.integers(least, maximum))
         driver.write_move(p, driver.formula(800, 5000, 0.004, 0.003, pulses), pulses)
     p.until_stopped([0, 1, 2], 0.03, poll=float(rng.uniform(5e-5, 4e-4)))
     p.wait(float(rng.uniform(0, 1e-3))).look(1).look(0, 1, 2).measure(float(rng.uniform(5e-4, 2e-3)), 1)
@@ -151,8 +151,8 @@ def test_a_lane_does_what_the_engine_does_to_the_bit(make, seed):
     state = other.state
     for k, chip in enumerate(state.chips):
         assert records["chip"][0, k].tobytes() == chip.tobytes(), f"chip {k}"
-    for name, there in (("axes", state.axes), ("drives", state.drives), ("switches", state.switches)):
-        assert records[name][0].tobytes() == there.tobytes(), name
+    for name, target in (("axes", state.axes), ("drives", state.drives), ("switches", state.switches)):
+        assert records[name][0].tobytes() == target.tobytes(), name
     now, start, in_slice = (records["world"][0][name] for name in ("now", "start", "slice"))
     assert (now, start, in_slice) == (state.world[0].now, state.world[0].start, state.world[0].slice)
 

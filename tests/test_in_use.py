@@ -50,12 +50,12 @@ WAYS = {
 
 
 @pytest.mark.skipif(not COMPILED, reason="uncompiled, threads take turns by themselves")
-@pytest.mark.parametrize("way", WAYS)
-def test_a_stage_in_use_says_so_and_stays_as_it_was(xy, way):
+@pytest.mark.parametrize("direction", WAYS)
+def test_a_stage_in_use_says_so_and_stays_as_it_was(xy, direction):
     start_preset(xy.axes["x"].chip, 1000)
     before = bits(xy)
     with xy.loop.claimed(), pytest.raises(StageError, match="in use"):
-        WAYS[way](xy)
+        WAYS[direction](xy)
     assert bits(xy) == before
     xy.run(1e-3)
 
@@ -70,7 +70,7 @@ def test_without_bus_time_a_cycle_is_refused_as_well():
 
 def test_two_threads_on_one_stage_do_no_harm(xy):
     """two threads: for _ in range(2000): stage.run(0.001)"""
-    said, left = [], [60, 60]
+    texts, left = [], [60, 60]
 
     def drive(me):
         while left[me]:
@@ -79,18 +79,18 @@ def test_two_threads_on_one_stage_do_no_harm(xy):
                 xy.axes["x"].chip.write(1, left[me])
                 xy.run(0.002)
             except StageError as error:
-                said.append(str(error))
+                texts.append(str(error))
 
     threads = [threading.Thread(target=drive, args=(k,)) for k in range(2)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert all("in use" in text for text in said)
-    twin = copy.deepcopy(xy)
+    assert all("in use" in text for text in texts)
+    replica = copy.deepcopy(xy)
     xy.run(0.01)
-    twin.run(0.01)
-    assert bits(xy) == bits(twin)
+    replica.run(0.01)
+    assert bits(xy) == bits(replica)
 
 
 def test_a_board_has_one_host_at_a_time(xy):
@@ -147,7 +147,7 @@ def failing(after):
 def test_a_callback_that_raises_is_a_simulation_error_and_the_stage_as_before_the_step(xy):
     """mujoco.set_mjcb_control(f), f raises: stage.run(0.1) ended the process"""
     start_preset(xy.axes["x"].chip, 1000)
-    twin = copy.deepcopy(xy)
+    replica = copy.deepcopy(xy)
     with xy.record() as recording:
         control = failing(10)
         mujoco.set_mjcb_control(control)
@@ -158,25 +158,25 @@ def test_a_callback_that_raises_is_a_simulation_error_and_the_stage_as_before_th
     assert len(recording) == 2
     mujoco.set_mjcb_control(None)
     assert caught.value.time == xy.time
-    with twin.record():
-        twin.run(xy.time - twin.time)
+    with replica.record():
+        replica.run(xy.time - replica.time)
     assert 9 <= xy.state.world[0].steps <= 10
-    assert bits(xy) == bits(twin)
+    assert bits(xy) == bits(replica)
     xy.run(0.1)
-    twin.run(0.1)
-    assert bits(xy) == bits(twin), "and goes on"
+    replica.run(0.1)
+    assert bits(xy) == bits(replica), "and goes on"
 
 
 def test_a_callback_that_does_nothing_changes_nothing(xy):
-    twin = copy.deepcopy(xy)
-    seen = []
-    for stage in (xy, twin):
+    replica = copy.deepcopy(xy)
+    observed = []
+    for stage in (xy, replica):
         start_preset(stage.axes["x"].chip, 500)
         stage.run(0.05)
-        mujoco.set_mjcb_control(lambda m, d: seen.append(d.time))
+        mujoco.set_mjcb_control(lambda m, d: observed.append(d.time))
     mujoco.set_mjcb_control(None)
-    assert len(seen) >= 200
-    assert bits(xy) == bits(twin)
+    assert len(observed) >= 200
+    assert bits(xy) == bits(replica)
 
 
 MOVED = {
@@ -187,23 +187,25 @@ MOVED = {
 }
 
 
-@pytest.mark.parametrize("way", MOVED)
-def test_a_callback_that_raises_while_the_stage_is_moved_is_a_simulation_error_too_and_nothing_has_changed(xy, way):
+@pytest.mark.parametrize("direction", MOVED)
+def test_a_callback_that_raises_while_the_stage_is_moved_is_a_simulation_error_too_and_nothing_has_changed(
+    xy, direction
+):
     """mujoco.set_mjcb_control(f), f raises: stage.place(x=0.05) raised a bare ZeroDivisionError, with the carriage at 0.05"""
     began = xy.snapshot()
     xy.run(0.01)
     before, armature = bits(xy), xy.model.dof_armature.copy()
-    seen = xy.data.sensordata.copy(), xy.data.site_xpos.copy()
+    observed = xy.data.sensordata.copy(), xy.data.site_xpos.copy()
     mujoco.set_mjcb_control(failing(0))
     for _ in range(3):
         with pytest.raises(SimulationError, match=r"ZeroDivisionError: mine \(at 0.01.*Nothing has changed") as caught:
-            MOVED[way](xy, began)
+            MOVED[direction](xy, began)
         assert isinstance(caught.value.__cause__, ZeroDivisionError)
         assert bits(xy) == before
         assert np.array_equal(xy.model.dof_armature, armature)
-        assert all(np.array_equal(a, b) for a, b in zip((xy.data.sensordata, xy.data.site_xpos), seen, strict=True))
+        assert all(np.array_equal(a, b) for a, b in zip((xy.data.sensordata, xy.data.site_xpos), observed, strict=True))
     mujoco.set_mjcb_control(None)
-    MOVED[way](xy, began)
+    MOVED[direction](xy, began)
     xy.run(0.01)
 
 
@@ -219,13 +221,13 @@ def test_ctrl_c_in_a_callback_while_the_stage_is_moved_is_ctrl_c(xy):
 
 
 def test_a_callback_that_does_nothing_places_the_carriage_where_it_would_be(xy):
-    twin, seen = copy.deepcopy(xy), []
-    twin.place(x=0.05)
-    mujoco.set_mjcb_control(lambda m, d: seen.append(d.qpos[0]))
+    replica, observed = copy.deepcopy(xy), []
+    replica.place(x=0.05)
+    mujoco.set_mjcb_control(lambda m, d: observed.append(d.qpos[0]))
     xy.place(x=0.05)
     mujoco.set_mjcb_control(None)
-    assert seen == [0.05]
-    assert bits(xy) == bits(twin)
+    assert observed == [0.05]
+    assert bits(xy) == bits(replica)
 
 
 @pytest.mark.parametrize("name", callbacks.NAMES)
@@ -307,7 +309,7 @@ def test_ctrl_c_ends_a_long_run_and_the_stage_continues(xy, recorded):
     """stage.run(1e6)
     Ctrl-C."""
     start_preset(xy.axes["x"].chip, 20000)
-    twin, recording = copy.deepcopy(xy), xy.record() if recorded else None
+    replica, recording = copy.deepcopy(xy), xy.record() if recorded else None
     with interrupted():
         xy.run(1e6)
     xy.run(0.01)
@@ -315,9 +317,9 @@ def test_ctrl_c_ends_a_long_run_and_the_stage_continues(xy, recorded):
         recording.close()
         assert np.diff(recording.columns["time"]) == pytest.approx(1e-3), "not a sample is lost"
         recording.check_time()
-        twin.record()
-    twin.run(xy.time - twin.time)
-    assert bits(xy) == bits(twin)
+        replica.record()
+    replica.run(xy.time - replica.time)
+    assert bits(xy) == bits(replica)
 
 
 LONG = {
@@ -337,7 +339,7 @@ def test_ctrl_c_ends_a_long_program_of_a_fleet_and_its_stages_continue(what, thr
     fleet = Fleet([Stage("xy", visuals=False) for _ in range(n)], threads)
     for stage in fleet.stages:
         start_preset(stage.axes["x"].chip, 20000)
-    twin = copy.deepcopy(fleet.stages[0])
+    replica = copy.deepcopy(fleet.stages[0])
     with interrupted():
         fleet.play([LONG[what]] * n)
     assert 0.1 < fleet.stages[0].time < 1e6
@@ -346,8 +348,8 @@ def test_ctrl_c_ends_a_long_program_of_a_fleet_and_its_stages_continue(what, thr
     assert [stage.now for stage in fleet.stages] == [now + 10_000_000 for now in before]
     fleet.play([Program().wait(0.25)] * n)
     if what == "wait":
-        twin.run(fleet.stages[0].time - twin.time)
-        assert bits(fleet.stages[0]) == bits(twin)
+        replica.run(fleet.stages[0].time - replica.time)
+        assert bits(fleet.stages[0]) == bits(replica)
     fleet.close()
 
 
@@ -399,25 +401,25 @@ def test_another_thread_does_not_end_what_the_main_thread_plays():
 def test_ctrl_c_ends_a_long_delay_of_a_board_and_its_stage_continues(xy):
     """Board(Stage("xyz")).delay_us(10**9)
     Ctrl-C: it had not ended after 40 s."""
-    board, twin = Board(xy), copy.deepcopy(xy)
+    board, replica = Board(xy), copy.deepcopy(xy)
     with interrupted():
         board.delay_us(10**12)
     assert 0.1 < xy.time < 1e6
     board.delay_us(250_000)
-    twin.run(xy.time - twin.time)
-    assert bits(xy) == bits(twin)
+    replica.run(xy.time - replica.time)
+    assert bits(xy) == bits(replica)
 
 
 def test_a_long_delay_is_as_long_as_it_says_whatever_hooks_take_of_it(xy):
     """board.on_timer(100_000, lambda: board.delay_us(60_000)); board.delay_us(250_000)
     It ends 250 ms later, or with the hook that is running then."""
     for us, ends in ((250_000, 260_000_000), (999_999.0, 999_999_000)):
-        board, twin = Board(copy.deepcopy(xy)), copy.deepcopy(xy)
+        board, replica = Board(copy.deepcopy(xy)), copy.deepcopy(xy)
         board.on_timer(100_000, lambda board=board: board.delay_us(60_000))
         board.delay_us(us)
         assert board.stage.now == ends
-        twin.run_to(board.stage.now)
-        assert bits(board.stage) == bits(twin)
+        replica.run_to(board.stage.now)
+        assert bits(board.stage) == bits(replica)
 
 
 # --- indices ---

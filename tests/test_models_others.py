@@ -65,8 +65,8 @@ def test_a_table_without_end_limits_homes_from_anywhere(degrees):
     stage.place(a=np.radians(degrees))
     report = firmware.home(a)
     assert (report.stopped_by, report.lost_steps) == ("ORG", 0)
-    turns = 0 if degrees >= -19 else -1
-    assert np.degrees(a.position) == pytest.approx(360 * turns, abs=0.01)
+    revolutions = 0 if degrees >= -19 else -1
+    assert np.degrees(a.position) == pytest.approx(360 * revolutions, abs=0.01)
 
 
 def test_a_revolution_is_57600_pulses_and_is_reported_in_degrees():
@@ -204,7 +204,7 @@ def test_tandem_axes_are_side_by_side(old, new, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ('timestep="0.00025"', 'timestep="0.002"', "timestep"),
         (
@@ -215,7 +215,7 @@ def test_tandem_axes_are_side_by_side(old, new, tmp_path):
         ('geom2="y_org_switch"', 'geom2="y_org_swich"', "cannot compile the model"),
     ],
 )
-def test_view_says_all_that_is_wrong_with_a_model(old, new, said, tmp_path, capsys):
+def test_view_says_all_that_is_wrong_with_a_model(old, new, message, tmp_path, capsys):
     """stage view --text my.xml"""
     file = copied("gantry", tmp_path)
     texts = {f: f.read_text() for f in tmp_path.glob("*.xml")}
@@ -224,9 +224,9 @@ def test_view_says_all_that_is_wrong_with_a_model(old, new, said, tmp_path, caps
     for f in changed:
         f.write_text(texts[f].replace(old, new))
     code = main(["view", "--text", str(file)])
-    told = capsys.readouterr()
-    assert said in told.out + told.err
-    assert code == (0 if "no actuator" in said else 2)
+    reports = capsys.readouterr()
+    assert message in reports.out + reports.err
+    assert code == (0 if "no actuator" in message else 2)
 
 
 def copied(model, folder):
@@ -237,18 +237,18 @@ def copied(model, folder):
 
 
 @pytest.mark.parametrize(
-    "told", [{"a": "b c"}, {"a": "b", "c": "b"}, {"c": "a", "b": "c"}, {"a": "b", "b": "c", "c": "a"}]
+    "reports", [{"a": "b c"}, {"a": "b", "c": "b"}, {"c": "a", "b": "c"}, {"a": "b", "b": "c", "c": "a"}]
 )
-def test_three_axes_of_one_load_name_each_other_for_any_form_of_the_text(told):
+def test_three_axes_of_one_load_name_each_other_for_any_form_of_the_text(reports):
     bodies = "".join(
         f'<body pos="0 {k} 0"><geom size="0.1"/><joint name="{n}" type="slide" axis="1 0 0" range="-0.1 0.1"/></body>'
         for k, n in enumerate("abcd")
     )
     motors = "".join(f'<motor name="{n}" joint="{n}" gear="628"/>' for n in "abcd")
     texts = "".join(f'<text name="{n}_unfitted" data="el_plus el_minus sd_plus sd_minus org"/>' for n in "abcd")
-    texts += "".join(f'<text name="{n}_tandem" data="{others}"/>' for n, others in told.items())
+    texts += "".join(f'<text name="{n}_tandem" data="{others}"/>' for n, others in reports.items())
     model = mujoco.MjModel.from_xml_string(
         f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motors}</actuator><custom>{texts}</custom></mujoco>"
     )
-    found = {axis.name: axis.tandem for axis in plant.bind(model)}
-    assert found == {"a": ("b", "c"), "b": ("a", "c"), "c": ("a", "b"), "d": ()}
+    result = {axis.name: axis.tandem for axis in plant.bind(model)}
+    assert result == {"a": ("b", "c"), "b": ("a", "c"), "c": ("a", "b"), "d": ()}

@@ -18,7 +18,7 @@ from stage.sim import plant
 from stage.sim.plant.new import NewAxis, new_model
 
 
-def made(*axes):
+def make_spec(*axes):
     return mujoco.MjSpec.from_string(new_model([NewAxis.of(a) for a in axes]))
 
 
@@ -33,16 +33,16 @@ KINDS = st.one_of(
 @given(st.lists(KINDS, min_size=1, max_size=4))
 def test_every_chain_of_axes_keeps_the_contract_and_its_switches_trip_where_documented(kinds):
     axes = [NewAxis.of(f"q{k}:{kind}") for k, kind in enumerate(kinds)]
-    found = plant.bind(mujoco.MjSpec.from_string(new_model(axes)).compile())
-    assert [a.name for a in found] == [a.name for a in axes]
-    for asked, axis in zip(axes, found, strict=True):
+    result = plant.bind(mujoco.MjSpec.from_string(new_model(axes)).compile())
+    assert [a.name for a in result] == [a.name for a in axes]
+    for requested, axis in zip(axes, result, strict=True):
         trips = {s.pin: s.touch for s in axis.switches}
-        if asked.endless:
+        if requested.endless:
             assert set(trips) == {"org"}
             assert trips["org"] == pytest.approx(0, abs=1e-3)
             continue
-        half = asked.travel / 2 if asked.kind == "slide" else math.radians(asked.travel / 2)
-        near = 2e-6 if asked.kind == "slide" else 2e-3
+        half = requested.travel / 2 if requested.kind == "slide" else math.radians(requested.travel / 2)
+        near = 2e-6 if requested.kind == "slide" else 2e-3
         wanted = {"el_plus": 1, "el_minus": -1, "sd_plus": 0.87, "sd_minus": -0.73, "org": -0.8}
         assert trips == pytest.approx({name: share * half for name, share in wanted.items()}, abs=near)
 
@@ -50,7 +50,7 @@ def test_every_chain_of_axes_keeps_the_contract_and_its_switches_trip_where_docu
 @pytest.mark.parametrize("axis", ["x:slide:60mm", "a:hinge:90deg", "a:hinge:360deg"])
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_new_axis_homes_from_either_side_without_losing_a_step(axis, side):
-    stage = Stage(made(axis), visuals=False)
+    stage = Stage(make_spec(axis), visuals=False)
     a = next(iter(stage.axes.values()))
     stage.place(**{a.name: side * (0.02 if "slide" in axis else 0.5)})
     report = firmware.home(a)
@@ -62,7 +62,7 @@ def test_a_new_axis_homes_from_either_side_without_losing_a_step(axis, side):
 
 @pytest.mark.parametrize("axis", ["x:slide:60mm", "a:hinge:330deg"])
 def test_whatever_pushes_the_axis_its_hard_stops_hold_it_beyond_the_end_limits(axis):
-    model = made(axis).compile()
+    model = make_spec(axis).compile()
     data = mujoco.MjData(model)
     (a,) = plant.bind(model)
     for sign in (1, -1):
@@ -74,7 +74,7 @@ def test_whatever_pushes_the_axis_its_hard_stops_hold_it_beyond_the_end_limits(a
 
 
 @pytest.mark.parametrize(
-    ("axes", "said"),
+    ("axes", "message"),
     [
         ("x:slide:3", "NAME:slide:300mm"),
         ("x:slide:300deg", "NAME:slide:300mm"),
@@ -85,10 +85,10 @@ def test_whatever_pushes_the_axis_its_hard_stops_hold_it_beyond_the_end_limits(a
         ("", "NAME:slide:300mm"),
     ],
 )
-def test_wrong_axes_are_explained_and_nothing_is_written(axes, said, tmp_path, capsys):
+def test_wrong_axes_are_explained_and_nothing_is_written(axes, message, tmp_path, capsys):
     # stage new-model --axes x:slide:3 -o my.xml
     assert main(["new-model", "--axes", axes, "-o", str(tmp_path / "my.xml")]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
@@ -96,8 +96,8 @@ def test_the_command_writes_a_model_that_the_other_commands_take(tmp_path, capsy
     # stage new-model --axes x:slide:50mm,a:hinge:360deg -o 'my own.xml'; stage move x 2mm --model 'my own.xml'
     file = str(tmp_path / "my own.xml")
     assert main(["new-model", "--axes", "x:slide:50mm,a:hinge:360deg", "-o", file]) == 0
-    said = re.findall(r"`([^`]+)`", capsys.readouterr().out)
-    assert [shlex.split(command) for command in said] == [
+    output = re.findall(r"`([^`]+)`", capsys.readouterr().out)
+    assert [shlex.split(command) for command in output] == [
         ["stage", "home", "--model", file],
         ["stage", "view", file],
     ], "can be pasted into a shell"
@@ -116,7 +116,7 @@ def test_axes_of_radians_and_centimetres_are_the_same_lengths():
 
 
 @pytest.mark.parametrize(
-    ("axes", "ways"),
+    ("axes", "directions"),
     [
         ("x y z", "x y z"),
         ("z y x", "z y x"),
@@ -126,17 +126,19 @@ def test_axes_of_radians_and_centimetres_are_the_same_lengths():
         ("z u", "z x"),
     ],
 )
-def test_slides_move_in_the_direction_of_their_names_and_the_others_in_different_ones(axes, ways):
+def test_slides_move_in_the_direction_of_their_names_and_the_others_in_different_ones(axes, directions):
     """Whatever they ride on: a slide upwards carries the next as it lay, on an arm beside it."""
-    model = made(*(f"{name}:slide:100mm" for name in axes.split())).compile()
+    model = make_spec(*(f"{name}:slide:100mm" for name in axes.split())).compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     unit = {"x": [1, 0, 0], "y": [0, 1, 0], "z": [0, 0, 1]}
-    for name, way in zip(axes.split(), ways.split(), strict=True):
-        assert data.xaxis[model.joint(name).id] == pytest.approx(unit[way], abs=1e-9), name
-    for (below, way), (above, _) in pairwise(zip(axes.split(), ways.split(), strict=True)):
-        apart = 0.1 if way == "z" else 0.04
-        assert np.linalg.norm(data.body(above).xpos - data.body(below).xpos) == pytest.approx(apart), "an arm in front"
+    for name, direction in zip(axes.split(), directions.split(), strict=True):
+        assert data.xaxis[model.joint(name).id] == pytest.approx(unit[direction], abs=1e-9), name
+    for (below, direction), (above, _) in pairwise(zip(axes.split(), directions.split(), strict=True)):
+        distance = 0.1 if direction == "z" else 0.04
+        assert np.linalg.norm(data.body(above).xpos - data.body(below).xpos) == pytest.approx(distance), (
+            "an arm in front"
+        )
     assert data.ncon == 0 or not (data.contact.efc_address[: data.ncon] >= 0).any(), "nothing touches"
     site = data.site_xmat[model.site("work").id].reshape(3, 3)
     assert site == pytest.approx(np.eye(3), abs=1e-9), "what rides on all of them lies as the first"
@@ -154,12 +156,12 @@ def test_a_new_slide_has_rotor_and_screw_in_its_armature_and_a_new_hinge_the_rot
 
 def plant_of(axis):
     """Gear and armature of the one axis of a model."""
-    model = made(axis).compile()
+    model = make_spec(axis).compile()
     return float(model.actuator_gear[0][0]), float(model.dof_armature[0])
 
 
 def test_hard_stops_of_a_hinge_stand_three_degrees_beyond_its_end_limits():
-    model = made("a:hinge:90deg").compile()
+    model = make_spec("a:hinge:90deg").compile()
     assert np.degrees(model.joint("a").range) == pytest.approx([-48, 48])
     data = mujoco.MjData(model)
 

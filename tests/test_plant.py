@@ -443,9 +443,9 @@ def test_the_time_step_proposed_is_well_below_the_maximum():
         light = documented().replace('armature="3.711"', 'armature="0.001"').replace('mass="2"', f'mass="{mass}"')
         with pytest.raises(ModelError, match="a time step of") as caught:
             Stage(with_step(0.001, light))
-        longest = float(re.search(r"takes steps of (\S+) s at most", str(caught.value))[1])
+        maximum = float(re.search(r"takes steps of (\S+) s at most", str(caught.value))[1])
         step = float(re.search('timestep="(.*?)"', caught.value.missing[0])[1])
-        parts.append(step / longest)
+        parts.append(step / maximum)
     assert 0.26 < min(parts) < 0.5
     assert 0.5 < max(parts) < 0.75
 
@@ -541,8 +541,8 @@ def test_a_spec_that_was_changed_is_nobody_elses():
     spec.geom("x_org_vane").pos[0] += 0.01
     for source, moved in ((spec, 0.01), ("xyz", 0.0)):
         model, _ = plant.compile_spec(plant.open_spec(source), 0)
-        here = next(s for s in plant.bind(model)[0].switches if s.pin == "org")
-        assert abs(here.touch - (-0.12 - moved)) < 2e-4, "the switch trips where the vane is"
+        current_place = next(s for s in plant.bind(model)[0].switches if s.pin == "org")
+        assert abs(current_place.touch - (-0.12 - moved)) < 2e-4, "the switch trips where the vane is"
 
 
 def test_a_model_that_was_changed_is_measured_again():
@@ -575,7 +575,7 @@ def test_actuators_may_stand_in_any_order(model, tmp_path):
 
 def test_every_number_of_a_model_is_in_its_fingerprint_and_no_colour_of_a_texture():
     model = plant.open_spec("xy").compile()
-    seen = {fingerprint(model)}
+    observed = {fingerprint(model)}
     for array in (
         model.geom_pos,
         model.geom_size,
@@ -585,13 +585,13 @@ def test_every_number_of_a_model_is_in_its_fingerprint_and_no_colour_of_a_textur
         model.opt.gravity,
     ):
         array.flat[array.size - 1] += 1e-6
-        seen.add(fingerprint(model))
+        observed.add(fingerprint(model))
     model.opt.timestep *= 2
-    seen.add(fingerprint(model))
-    assert len(seen) == 8
+    observed.add(fingerprint(model))
+    assert len(observed) == 8
     if model.ntexdata:
         model.tex_data[0] ^= 1
-    assert fingerprint(model) in seen
+    assert fingerprint(model) in observed
 
 
 def test_a_line_that_mends_two_axes_is_proposed_once():
@@ -612,18 +612,18 @@ def test_the_line_to_add_names_the_geoms_that_the_file_has():
     assert "slip" not in str(caught.value)
     (line,) = caught.value.missing
     assert 'geom1="x_org_vane" geom2="x_org_beam"' in line
-    lines.insert(next(k for k, there in enumerate(lines) if "<contact name=" in there), line)
+    lines.insert(next(k for k, target in enumerate(lines) if "<contact name=" in target), line)
     assert [s.pin for s in plant.bind(mujoco.MjModel.from_xml_string("\n".join(lines)))[0].switches] == list(
         plant.PINS
     ), "and it mends the model"
 
 
-@pytest.mark.parametrize("turns", [0.0, 0.3, -2.75])
-def test_the_index_pulse_is_where_the_model_says_else_half_a_turn_from_the_origin_switch(turns):
+@pytest.mark.parametrize("revolutions", [0.0, 0.3, -2.75])
+def test_the_index_pulse_is_where_the_model_says_else_half_a_turn_from_the_origin_switch(revolutions):
     """<custom><numeric name="x_index" data="0.3"/></custom>"""
-    numeric = f'<numeric name="x_index" data="{turns}"/><text name="x_motor"'
-    (given,) = plant.bind(mujoco.MjModel.from_xml_string(edited(('<text name="x_motor"', numeric))))[:1]
-    assert given.index == turns
+    numeric = f'<numeric name="x_index" data="{revolutions}"/><text name="x_motor"'
+    (argument,) = plant.bind(mujoco.MjModel.from_xml_string(edited(('<text name="x_motor"', numeric))))[:1]
+    assert argument.index == revolutions
     (axis,) = plant.bind(mujoco.MjModel.from_xml_string(documented()))[:1]
     touch = next(s.touch for s in axis.switches if s.pin == "org")
     assert axis.index == pytest.approx((touch * axis.gear / (2 * np.pi) + 0.5) % 1.0)
@@ -672,12 +672,12 @@ def test_each_kind_of_file_that_is_no_model_has_a_separate_error(tmp_path, monke
     """stage view folder.xml said "no MJCF file" of a folder, and of a file without permission"""
     (tmp_path / "folder.xml").mkdir()
     (tmp_path / "empty.xml").touch()
-    for name, said in (
+    for name, text in (
         ("none.xml", "no MJCF file at"),
         ("folder.xml", "is a folder"),
         ("empty.xml", "is empty, and no MJCF"),
     ):
-        with pytest.raises(ModelError, match=said):
+        with pytest.raises(ModelError, match=text):
             plant.open_spec(tmp_path / name)
     (tmp_path / "mine.xml").write_text("<mujoco/>")
     monkeypatch.setattr("os.access", lambda path, mode: False)
@@ -688,8 +688,8 @@ def test_each_kind_of_file_that_is_no_model_has_a_separate_error(tmp_path, monke
 def test_a_switch_of_either_side_is_detected_from_the_same_distance():
     """The pair's margin and gap show a vane 10 mm before the touch, whichever way the joint comes."""
     switches = {s.pin: s for s in plant.bind(mujoco.MjModel.from_xml_string(documented()))[0].switches}
-    seen = {pin: s.lookahead for pin, s in switches.items()}
-    assert seen == pytest.approx(dict.fromkeys(seen, 0.01), rel=1e-3)
+    observed = {pin: s.lookahead for pin, s in switches.items()}
+    assert observed == pytest.approx(dict.fromkeys(observed, 0.01), rel=1e-3)
     assert {pin: s.slope for pin, s in switches.items()} == pytest.approx(
         {"el_plus": -1, "el_minus": 1, "sd_plus": -1, "sd_minus": 1, "org": 1}
     )
@@ -749,11 +749,11 @@ def test_inertias_from_geoms_are_from_geoms_without_visuals_too(tmp_path):
     """<compiler inertiafromgeom="true"/> and a body that says another inertia, which then counts for nothing"""
     path = tmp_path / "own.xml"
     text = documented().replace("<worldbody>", '<compiler inertiafromgeom="true"/><worldbody>', 1)
-    said = (
+    words_read = (
         '<inertial pos="0 0 0" mass="77" diaginertia="1 1 1"/><geom size="0.02" contype="0" conaffinity="0" mass="3"/>'
     )
-    text = text.replace('<body name="carriage">', f'<body name="carriage">{said}', 1)
+    text = text.replace('<body name="carriage">', f'<body name="carriage">{words_read}', 1)
     path.write_text(text)
-    bare, full = (Stage(path, visuals=shown).model for shown in (False, True))
+    bare, full = (Stage(path, visuals=displayed).model for displayed in (False, True))
     assert bare.body("carriage").mass[0] == full.body("carriage").mass[0] < 77
     assert bare.ngeom < full.ngeom

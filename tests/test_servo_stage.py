@@ -89,12 +89,12 @@ def test_the_loop_resists_a_push_and_returns(xyz):
 
 def test_without_control_z_sinks_and_with_control_it_does_not(xyz):
     z = xyz.axes["z"]
-    twin = copy.deepcopy(xyz)
+    replica = copy.deepcopy(xyz)
     servo.control(z.chip)
     xyz.run(0.5)
-    twin.run(0.5)
+    replica.run(0.5)
     assert abs(z.position) < 1e-3
-    assert twin.axes["z"].position < -5e-3
+    assert replica.axes["z"].position < -5e-3
 
 
 def test_the_chip_sees_the_shaft_where_it_is_at_any_moment(xyz):
@@ -146,10 +146,10 @@ def test_integral_velocity_moves_so_many_counts_a_second(xyz):
 
 @pytest.mark.parametrize(("switch", "pin"), [("el_plus", "limit"), ("el_minus", "limit"), ("org", "stop")])
 def test_switches_are_wired_to_limit_and_stop(xyz, switch, pin):
-    way = 1 if switch == "el_plus" else -1
+    direction = 1 if switch == "el_plus" else -1
     for axis in xyz.axes.values():
         for on in (False, True):
-            xyz.place(**{axis.name: touch(axis, switch) + way * (1e-3 if on else -1e-3)})
+            xyz.place(**{axis.name: touch(axis, switch) + direction * (1e-3 if on else -1e-3)})
             assert getattr(axis.switches, switch) == on
             assert getattr(axis.pins, pin) == on
         xyz.place(**{axis.name: 0.0})
@@ -172,10 +172,10 @@ def test_either_of_two_switches_on_a_pin_asserts_it_and_it_lets_go_with_the_last
 @pytest.mark.parametrize(("name", "plus"), [("x", True), ("y", False)])
 def test_limit_ends_every_mode_on_the_clock_of_the_edge(xyz, name, plus):
     axis = xyz.axes[name]
-    way = 1 if plus else -1
-    xyz.place(**{name: touch(axis, "el_plus" if plus else "el_minus") - way * 2e-3})
+    direction = 1 if plus else -1
+    xyz.place(**{name: touch(axis, "el_plus" if plus else "el_minus") - direction * 2e-3})
     axis.chip.write(0x13, 0)
-    servo.move(axis.chip, 800 * way)
+    servo.move(axis.chip, 800 * direction)
     with xyz.record() as recorded:
         xyz.run_until(lambda: axis.pins.limit, timeout=1)
     edges = np.concatenate(list(recorded.journals[name].pieces()))
@@ -202,8 +202,8 @@ def test_stop_at_org_ends_integral_velocity(xyz):
 def test_the_index_pulse_of_the_encoder_is_index(xyz):
     t = xyz.state.axis_table[xyz.axes["y"].index]
     turn = 2 * math.pi / t.gear
-    for turns, on in ((0.0, True), (0.3, False), (1.0, True)):
-        xyz.place(y=(t.index_at + turns) * turn)
+    for revolutions, on in ((0.0, True), (0.3, False), (1.0, True)):
+        xyz.place(y=(t.index_at + revolutions) * turn)
         assert xyz.axes["y"].pins.index == on
 
 
@@ -214,9 +214,9 @@ def test_an_index_mark_elsewhere_is_met_where_the_model_has_it():
     stage = Stage(spec, chips=HCTL1100, visuals=False)
     y = stage.axes["y"]
     turn = 2 * math.pi / stage.state.axis_table[y.index].gear
-    for turns in (0.3, -0.3, 0.5, 2.3, -1.7):
-        stage.place(y=turns * turn)
-        assert y.pins.index == (turns not in (-0.3, 0.5)), turns
+    for revolutions in (0.3, -0.3, 0.5, 2.3, -1.7):
+        stage.place(y=revolutions * turn)
+        assert y.pins.index == (revolutions not in (-0.3, 0.5)), revolutions
 
 
 # --- determinism: what test_stage_chips.py does not show for every chip ---
@@ -267,9 +267,9 @@ def test_what_reached_a_chip_of_a_stage_brings_one_on_the_bench_to_the_same_stat
         lone.advance(e.clock - lone.clock)
         e.apply(lone.CORE, lone._rows)
     lone.advance(journal.until - lone.clock)
-    apart = {"moment"}
+    distance = {"moment"}
     for field in lone.state.dtype.names:
-        assert field in apart or np.array_equal(lone.state[field], x.chip.state[field]), field
+        assert field in distance or np.array_equal(lone.state[field], x.chip.state[field]), field
     shafts = [number(e.a) for e in journal.entries if e.kind == SHAFT]
     assert len(shafts) > 400, "one a physics step"
     assert abs(shafts[-1] - shafts[0]) > 1000
@@ -303,18 +303,18 @@ def test_a_replay_equals_a_chip_that_receives_the_shaft_step_by_step(xyz, every_
 
 
 def test_a_payload_slows_a_carriage_under_the_same_voltage_and_a_snapshot_leaves_it(xyz):
-    x, way = xyz.axes["x"], []
+    x, direction = xyz.axes["x"], []
     start = xyz.snapshot()
     for mass in (0.0, 5.0):
         xyz.restore(start)
         xyz.set_payload(mass)
         x.chip.write(0x09, 30)
         xyz.run(0.03)
-        way.append(x.position)
+        direction.append(x.position)
     xyz.restore(start)
     assert xyz.payload() == 5.0
     xyz.set_payload(0.0)
-    assert 0 < way[1] < 0.95 * way[0]
+    assert 0 < direction[1] < 0.95 * direction[0]
 
 
 def test_a_stage_placed_by_hand_inside_a_physics_step_continues(xyz):
@@ -322,11 +322,11 @@ def test_a_stage_placed_by_hand_inside_a_physics_step_continues(xyz):
     xyz.run(0.0101234)
     xyz.place(x=0.02)
     assert x.chip.encoder == pytest.approx(0.02 / x.meters_per_pulse, abs=1)
-    twin = pickle.loads(pickle.dumps(xyz))
-    for stage in (xyz, twin):
+    replica = pickle.loads(pickle.dumps(xyz))
+    for stage in (xyz, replica):
         servo.control(stage.axes["x"].chip)
         stage.run(0.02)
-    assert bits(xyz) == bits(twin)
+    assert bits(xyz) == bits(replica)
 
 
 # --- which motor, which model ---
@@ -344,12 +344,12 @@ def test_any_model_takes_it_and_closes_the_loop(model):
 
 
 def test_the_armature_holds_the_rotor_of_the_motor_that_is_fitted():
-    own = open_spec("xyz").compile()
+    separate = open_spec("xyz").compile()
     for drives in (None, "9233S013", Servo(DC_MOTORS["14204S004"])):
         stage = Stage("xyz", chips=HCTL1100, drives=drives, visuals=False)
         for axis in stage.axes.values():
             dof = axis.plant.dof
-            rotor = stage.model.dof_armature[dof] - own.dof_armature[dof] + 54e-7 * axis.gear**2
+            rotor = stage.model.dof_armature[dof] - separate.dof_armature[dof] + 54e-7 * axis.gear**2
             assert rotor == pytest.approx(axis.drive.motor.rotor_inertia * axis.gear**2)
 
 
@@ -383,11 +383,11 @@ def compiled(name):
 
 @pytest.mark.parametrize(("model", "chips", "has"), [("xyz", HCTL1100, "<motor>"), ("xyz_servo", PCL240K, "<dcmotor>")])
 def test_an_mjmodel_with_the_other_actuator_is_refused_and_left_alone(model, chips, has):
-    made = compiled(model)
-    before = made.dof_armature.copy()
+    created = compiled(model)
+    before = created.dof_armature.copy()
     with pytest.raises(ModelError, match=f"axis x: .* has a {has}: pass its path or MjSpec"):
-        Stage(made, chips=chips)
-    assert (made.dof_armature == before).all()
+        Stage(created, chips=chips)
+    assert (created.dof_armature == before).all()
 
 
 def test_an_mjmodel_with_the_right_actuator_works():
@@ -418,16 +418,16 @@ def test_a_drive_that_the_chip_cannot_drive_is_refused(chips, drives, message):
     assert message in str(error.value)
 
 
-@pytest.mark.parametrize("given", [Servo("9233S013"), DC_MOTORS["9233S013"], "9233S013"])
-def test_drives_takes_a_servo_a_dc_motor_or_its_name(given):
-    stage = Stage("xyz", chips=MIXED, drives={"x": given}, visuals=False)
+@pytest.mark.parametrize("argument", [Servo("9233S013"), DC_MOTORS["9233S013"], "9233S013"])
+def test_drives_takes_a_servo_a_dc_motor_or_its_name(argument):
+    stage = Stage("xyz", chips=MIXED, drives={"x": argument}, visuals=False)
     assert stage.axes["x"].drive.motor.name == "9233S013"
     assert stage.axes["z"].drive.motor.name == "17HS4401"
 
 
 def test_a_user_defined_motor_drives_the_axis(fresh):
-    mine = DCMotor("mine", 1.5, 0.04, 8e-6, 0.1)
-    stage = Stage("xyz", chips=HCTL1100, drives=Servo(mine, bus_voltage=12, counts=4096), visuals=False)
+    first_result = DCMotor("mine", 1.5, 0.04, 8e-6, 0.1)
+    stage = Stage("xyz", chips=HCTL1100, drives=Servo(first_result, bus_voltage=12, counts=4096), visuals=False)
     x = stage.axes["x"]
     assert x.meters_per_pulse == pytest.approx(0.01 / 4096)
     k = x.plant.actuator
@@ -454,13 +454,13 @@ def test_half_the_supply_is_half_the_voltage(xyz):
 
 def test_a_jam_holds_what_the_motor_can_push(xyz):
     x = xyz.axes["x"]
-    twin = copy.deepcopy(xyz)
-    for stage in (xyz, twin):
+    replica = copy.deepcopy(xyz)
+    for stage in (xyz, replica):
         stage.axes["x"].chip.write(0x09, 100)
     with faults.jam(x):
         xyz.run(0.2)
-    twin.run(0.2)
-    assert 0 < x.position < 0.005 * twin.axes["x"].position
+    replica.run(0.2)
+    assert 0 < x.position < 0.005 * replica.axes["x"].position
     xyz.run(0.05)
     assert x.position > 1e-3
 
@@ -563,9 +563,9 @@ def test_only_the_lamp_of_the_switch_that_tripped_lights(recorded):
 
 
 def test_bus_cycles_of_a_servo_are_described_in_words(recorded):
-    said = " ".join(str(t) for t in read_rrd(recorded[2])["/axes/x/bus"]["TextLog:text"][1])
+    text = " ".join(str(t) for t in read_rrd(recorded[2])["/axes/x/bus"]["TextLog:text"][1])
     for words in ("control", "set F0", "set F5", "R22 <- 32 (filter: gain K"):
-        assert words in said
+        assert words in text
 
 
 def test_waveforms_show_pins_positions_and_the_motor_command(recorded):

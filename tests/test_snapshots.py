@@ -17,14 +17,14 @@ from stage.support.snapshots import Header, layout
 
 
 @pytest.fixture(scope="module")
-def made():
+def module_stage():
     return Stage("xy", visuals=False)
 
 
 @pytest.fixture
-def xy(made):
-    made.reset()
-    return made
+def xy(module_stage):
+    module_stage.reset()
+    return module_stage
 
 
 def changed_spec(change):
@@ -70,10 +70,16 @@ def test_a_snapshot_of_another_stage_is_refused_and_says_what_differs(xy, other,
 
 def test_what_is_only_looked_at_payloads_and_copies_make_no_other_stage(xy):
     begin = xy.snapshot()
-    twin, seen = copy.deepcopy(xy), Stage("xy")
+    replica, observed = copy.deepcopy(xy), Stage("xy")
     xy.set_payload(0.5)
-    for stage in (xy, twin, seen, copy.deepcopy(xy)):
-        for snapshot in (begin, xy.snapshot(), seen.snapshot(), pickle.loads(pickle.dumps(begin)), copy.copy(begin)):
+    for stage in (xy, replica, observed, copy.deepcopy(xy)):
+        for snapshot in (
+            begin,
+            xy.snapshot(),
+            observed.snapshot(),
+            pickle.loads(pickle.dumps(begin)),
+            copy.copy(begin),
+        ):
             stage.restore(snapshot)
     xy.set_payload(0)
 
@@ -95,12 +101,12 @@ def test_records_that_lie_otherwise_in_the_same_room_have_another_layout(other):
     assert layout(np.dtype([("in", other)])) != layout(np.dtype([("in", kind)])), "however deep it lies"
 
 
-@pytest.mark.parametrize("given", ["x", None, 7, b"\0" * 9000])
-def test_what_is_no_snapshot_is_refused_in_words(xy, given):
+@pytest.mark.parametrize("argument", ["x", None, 7, b"\0" * 9000])
+def test_what_is_no_snapshot_is_refused_in_words(xy, argument):
     """stage.restore("x")"""
     for who, what in ((xy, "a stage"), (PCL240K(), "a chip")):
         with pytest.raises(ArgumentError, match=f"cannot be restored into {what}: give what") as caught:
-            who.restore(given)
+            who.restore(argument)
         assert len(str(caught.value)) < 200
 
 
@@ -126,15 +132,15 @@ def test_no_flipped_bit_of_a_state_gets_into_a_stage_or_a_chip(xy):
     print("seed", seed)
     rng = np.random.default_rng(seed)
     chips = (PCL240K(), PCL240MS())
-    for who, whole in [(who, who.snapshot()) for who in (xy, *chips)]:
-        data = bytes(whole.state)
+    for who, full in [(who, who.snapshot()) for who in (xy, *chips)]:
+        data = bytes(full.state)
         for bit in rng.integers(0, 8 * len(data), 200):
             state = flipped(data, int(bit))
-            other = replace(whole, state=np.frombuffer(state) if who is xy else state)
+            other = replace(full, state=np.frombuffer(state) if who is xy else state)
             with pytest.raises(ArgumentError, match="is damaged"):
                 who.restore(other)
         with pytest.raises(ArgumentError, match="is damaged"):
-            who.restore(replace(whole, state=None))
+            who.restore(replace(full, state=None))
         assert bytes(who.snapshot().state) == data
 
 
@@ -152,10 +158,10 @@ def test_a_pickled_snapshot_with_a_flipped_bit_is_refused(xy):
     chip = PCL240K()
     chip.write(0, 0x10)
     refused = 0
-    for who, whole in ((xy, xy.snapshot()), (chip, chip.snapshot())):
-        packed = pickle.dumps(whole)
-        state = packed.index(bytes(whole.state)[:64])
-        inside = rng.integers(8 * state, 8 * (state + len(bytes(whole.state))), 200)
+    for who, full in ((xy, xy.snapshot()), (chip, chip.snapshot())):
+        packed = pickle.dumps(full)
+        state = packed.index(bytes(full.state)[:64])
+        inside = rng.integers(8 * state, 8 * (state + len(bytes(full.state))), 200)
         for bit in (*inside, *rng.integers(0, 8 * len(packed), 200)):
             try:
                 other = pickle.loads(flipped(packed, int(bit)))
@@ -163,7 +169,7 @@ def test_a_pickled_snapshot_with_a_flipped_bit_is_refused(xy):
             except Exception as error:
                 refused += isinstance(error, ArgumentError)
             else:
-                assert (bytes(other.state), other.diagnostics) == (bytes(whole.state), whole.diagnostics)
+                assert (bytes(other.state), other.diagnostics) == (bytes(full.state), full.diagnostics)
     assert refused >= 400, "all those in the state, in words"
 
 

@@ -52,25 +52,25 @@ def test_a_preset_move_ends_on_its_pulse_and_the_carriage_follows(xyz):
 
 def test_n_steps_then_m_are_n_plus_m(xyz):
     moving(xyz)
-    twin = copy.deepcopy(xyz)
+    replica = copy.deepcopy(xyz)
     xyz.step(700)
-    twin.step(211)
-    twin.step(489)
-    assert bits(xyz) == bits(twin)
+    replica.step(211)
+    replica.step(489)
+    assert bits(xyz) == bits(replica)
 
 
 def test_cutting_time_anywhere_changes_nothing(xyz):
     """Nanosecond cuts inside physics steps, as bus cycles make them, leave every bit as it was."""
     moving(xyz)
-    twin = copy.deepcopy(xyz)
+    replica = copy.deepcopy(xyz)
     xyz.run(0.05)
     seed = SEED
     print("seed", seed)
     cuts = np.sort(np.random.default_rng(seed).integers(0, 50_000_000, 400))
     for length in np.diff([0, *cuts, 50_000_000]):
-        twin.run(length * 1e-9)
-    assert twin.time == xyz.time
-    assert bits(xyz) == bits(twin)
+        replica.run(length * 1e-9)
+    assert replica.time == xyz.time
+    assert bits(xyz) == bits(replica)
 
 
 @pytest.mark.parametrize("cut", [0.02, 0.0200001, 0.020137])
@@ -86,16 +86,16 @@ def test_snapshot_and_restore_continue_bit_for_bit(xyz, cut):
     assert bits(xyz) == after
 
 
-@pytest.mark.parametrize("twin_of", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
-def test_copies_continue_bit_for_bit_and_independently(xyz, twin_of):
+@pytest.mark.parametrize("copy_stage", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
+def test_copies_continue_bit_for_bit_and_independently(xyz, copy_stage):
     moving(xyz)
     xyz.run(0.020137)
-    twin = twin_of(xyz)
+    replica = copy_stage(xyz)
     before = bits(xyz)
-    twin.run(0.1)
+    replica.run(0.1)
     assert bits(xyz) == before
     xyz.run(0.1)
-    assert bits(xyz) == bits(twin)
+    assert bits(xyz) == bits(replica)
 
 
 def test_a_restored_stage_has_the_diagnostics_of_then(xyz):
@@ -129,10 +129,10 @@ def test_a_bus_cycle_takes_bus_time(fresh):
 
 def test_a_stage_costs_less_than_64_kib_more_than_its_mjdata(fresh):
     s = fresh.state
-    own = sum(
+    separate = sum(
         a.nbytes for a in (s.axis_table, s.switch_table, s.flag_edges, s.chip_table, s.clockwork, s.edges, s.saved)
     )
-    assert own + fresh.data.userdata.nbytes < 64 * 1024
+    assert separate + fresh.data.userdata.nbytes < 64 * 1024
 
 
 def test_moving_into_el_plus_stops_within_the_pulse_and_allows_only_the_return(xyz):
@@ -218,7 +218,7 @@ def test_a_placed_carriage_is_at_rest_after_any_motion(xyz):
 @pytest.mark.usefixtures("elsewhere")
 def test_a_diverging_simulation_names_time_and_axis_and_keeps_the_state_before(xyz):
     moving(xyz).run(0.0201)
-    twin = copy.deepcopy(xyz)
+    replica = copy.deepcopy(xyz)
     xyz.data.qfrc_applied[xyz.model.joint("y").dofadr[0]] = 1e15
     with pytest.raises(SimulationError, match="axis 'y'") as caught:
         xyz.run(0.1)
@@ -226,9 +226,9 @@ def test_a_diverging_simulation_names_time_and_axis_and_keeps_the_state_before(x
     assert caught.value.time == pytest.approx(0.02, abs=6e-4)
     assert np.isfinite(xyz.data.qpos).all()
     xyz.data.qfrc_applied[:] = 0
-    steps = round((xyz.time - twin.time) * 1e9)
+    steps = round((xyz.time - replica.time) * 1e9)
     assert steps >= -records.SECOND
-    assert abs(xyz.axes["x"].position - twin.axes["x"].position) < 1e-3
+    assert abs(xyz.axes["x"].position - replica.axes["x"].position) < 1e-3
 
 
 @pytest.mark.usefixtures("elsewhere")
@@ -390,18 +390,18 @@ def test_a_chip_can_be_selected_by_its_name():
     assert [type(a.chip) for a in mixed.axes.values()] == [PCL240K] * 2
 
 
-@pytest.mark.parametrize("twin_of", [copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
-def test_a_copied_axis_is_one_of_a_copied_stage(xyz, twin_of):
+@pytest.mark.parametrize("copy_stage", [copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
+def test_a_copied_axis_is_one_of_a_copied_stage(xyz, copy_stage):
     """x = copy.deepcopy(stage.axes["x"]); x.chip was on no stage, and x.wait moved another"""
-    stage, x = twin_of((xyz, xyz.axes["x"]))
+    stage, x = copy_stage((xyz, xyz.axes["x"]))
     assert stage is not xyz
     assert x is stage.axes["x"]
-    alone = twin_of(xyz.axes["x"])
+    alone = copy_stage(xyz.axes["x"])
     start_preset(alone.chip, 100)
     alone.wait(0.3)
     assert alone.commanded == pytest.approx(100 * alone.meters_per_pulse, abs=alone.meters_per_pulse)
     assert alone.chip.clock > 0 == xyz.axes["x"].chip.clock
-    switches = twin_of(xyz.axes["x"].switches)
+    switches = copy_stage(xyz.axes["x"].switches)
     assert switches.as_dict() == xyz.axes["x"].switches.as_dict()
     assert copy.copy(xyz.axes["x"]) is xyz.axes["x"]
 
@@ -474,7 +474,7 @@ CHANGED = {"timestep": (0.002, "timestep=0.002"), "integrator": (int(mujoco.mjtI
 @pytest.mark.parametrize("option", CHANGED)
 def test_a_stage_whose_models_options_were_changed_refuses_to_run(xy, option):
     """stage.model.opt.timestep = 0.002: 3200 pulses lost 1020 steps; stage.model.opt.integrator = 1: 152 of 1600"""
-    value, told = CHANGED[option]
+    value, reports = CHANGED[option]
     before, built = xy.snapshot().state.tobytes(), getattr(xy.model.opt, option)
     setattr(xy.model.opt, option, value)
     for act in (
@@ -484,10 +484,10 @@ def test_a_stage_whose_models_options_were_changed_refuses_to_run(xy, option):
         lambda: xy.run_until(lambda: False, timeout=1),
         lambda: Fleet([xy]).play([Program().wait(0.1)]),
     ):
-        with pytest.raises(StageError, match=rf"model\.opt has .*{told}.*this stage was built with"):
+        with pytest.raises(StageError, match=rf"model\.opt has .*{reports}.*this stage was built with"):
             act()
     assert xy.snapshot().state.tobytes() == before
-    with pytest.raises(StageError, match=rf"model\.opt has .*{told}"):
+    with pytest.raises(StageError, match=rf"model\.opt has .*{reports}"):
         Board(xy).delay_us(1)
     assert xy.snapshot().state.tobytes() == before
     with pytest.raises(StageError, match=r"model\.opt"):

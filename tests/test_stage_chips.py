@@ -25,7 +25,7 @@ ALL = {"z": PCL240K, "x": HCTL1100, "y": MCX304}
 
 
 @pytest.fixture(scope="module")
-def made():
+def make_stage_of():
     """Stages by their chips, each made once."""
     known = {}
 
@@ -93,34 +93,34 @@ EVERY = pytest.mark.parametrize("chips", ARRANGEMENTS, ids=ids)
 
 
 @pytest.mark.parametrize("cls", [MCX514, MCX304])
-def test_a_chip_of_four_axes_moves_all_three(made, cls):
-    stage = made(cls)
+def test_a_chip_of_four_axes_moves_all_three(make_stage_of, cls):
+    stage = make_stage_of(cls)
     assert len(stage.chips) == 1
     assert [(a.chip, a.chip_axis) for a in stage.axes.values()] == [(stage.chips[0], k) for k in range(3)]
 
 
-def test_two_chips_of_two_axes_move_three(made):
-    stage = made(MCX302)
+def test_two_chips_of_two_axes_move_three(make_stage_of):
+    stage = make_stage_of(MCX302)
     first, second = stage.chips
     assert [(a.chip, a.chip_axis) for a in stage.axes.values()] == [(first, 0), (first, 1), (second, 0)]
 
 
-def test_a_mapping_says_which_axes_share_a_chip(made):
-    stage = made(MIXED)
+def test_a_mapping_says_which_axes_share_a_chip(make_stage_of):
+    stage = make_stage_of(MIXED)
     x, y, z = stage.axes.values()
     assert (type(x.chip), x.chip_axis, y.chip_axis, type(z.chip)) == (MCX514, 0, 1, PCL240K)
     assert x.chip is y.chip
     assert set(stage.chips) == {x.chip, z.chip}
 
 
-def test_axes_are_assigned_to_a_chip_in_the_order_of_the_mapping(made):
-    stage = made({"z": MCX312, "x": MCX312, "y": PCL240K})
+def test_axes_are_assigned_to_a_chip_in_the_order_of_the_mapping(make_stage_of):
+    stage = make_stage_of({"z": MCX312, "x": MCX312, "y": PCL240K})
     assert (stage.axes["z"].chip_axis, stage.axes["x"].chip_axis) == (0, 1)
 
 
 @EVERY
-def test_every_axis_makes_the_pulses_commanded_and_its_carriage_follows(made, chips):
-    stage = set_off(made(chips))
+def test_every_axis_makes_the_pulses_commanded_and_its_carriage_follows(make_stage_of, chips):
+    stage = set_off(make_stage_of(chips))
     stage.run(0.6)
     for k, (net, axis) in enumerate(zip(pulses_of(stage), stage.axes.values(), strict=True)):
         assert net == (1500 + 100 * k) * (-1) ** k, axis.name
@@ -131,8 +131,8 @@ def test_every_axis_makes_the_pulses_commanded_and_its_carriage_follows(made, ch
 
 
 @pytest.mark.parametrize("name", "xyz")
-def test_an_axis_of_a_chip_moves_alone(made, name):
-    stage = made(MCX514)
+def test_an_axis_of_a_chip_moves_alone(make_stage_of, name):
+    stage = make_stage_of(MCX514)
     axis = stage.axes[name]
     move(axis.chip, 800, 1 << axis.chip_axis)
     stage.run(0.4)
@@ -140,9 +140,9 @@ def test_an_axis_of_a_chip_moves_alone(made, name):
     assert all(abs(a.position) < 1e-5 for n, a in stage.axes.items() if n != name)
 
 
-def test_axes_of_one_chip_that_start_at_one_command_step_at_the_same_clocks(made):
+def test_axes_of_one_chip_that_start_at_one_command_step_at_the_same_clocks(make_stage_of):
     """And so do those of a chip alone."""
-    stage = made(MCX514)
+    stage = make_stage_of(MCX514)
     chip = stage.chips[0]
     journal = chip.journal()
     move(chip, 300, 0b111)
@@ -160,17 +160,17 @@ def test_axes_of_one_chip_that_start_at_one_command_step_at_the_same_clocks(made
 
 @EVERY
 @pytest.mark.parametrize("switch", ["el_plus", "el_minus", "org"])
-def test_a_switch_is_wired_to_the_pin_of_its_name_on_the_chip(made, chips, switch):
-    stage = made(chips)
+def test_a_switch_is_wired_to_the_pin_of_its_name_on_the_chip(make_stage_of, chips, switch):
+    stage = make_stage_of(chips)
     names = {"el_plus": "lmt_plus", "el_minus": "lmt_minus", "org": "stop1"}
     for axis in stage.axes.values():
         if axis.chip.SERVO:
             continue  # see test_servo_stage.py
         pins = {n: n if isinstance(axis.chip, PCL240K) else pin for n, pin in names.items()}
         assert all(pin in axis.chip.INPUTS for pin in pins.values())
-        way = 1 if switch == "el_plus" else -1
+        direction = 1 if switch == "el_plus" else -1
         for on in (False, True):
-            q = touch(axis, switch) + way * (1e-3 if on else -1e-3)
+            q = touch(axis, switch) + direction * (1e-3 if on else -1e-3)
             stage.place(**{axis.name: min(max(q, axis.travel[0]), axis.travel[1])})
             assert getattr(axis.switches, switch) == on
             for name, pin in pins.items():
@@ -178,16 +178,16 @@ def test_a_switch_is_wired_to_the_pin_of_its_name_on_the_chip(made, chips, switc
         stage.place(**{axis.name: 0.0})
 
 
-def test_the_index_pulse_of_the_encoder_is_stop2(made):
-    stage = made(MIXED)
+def test_the_index_pulse_of_the_encoder_is_stop2(make_stage_of):
+    stage = make_stage_of(MIXED)
     y, z = stage.axes["y"], stage.axes["z"]
     for axis, pin in ((y, "stop2"), (z, "ez")):
         wired = axis.chip.wired("ez")
         assert wired == axis.chip.INPUTS.get(pin, 0)
     t = stage.state.axis_table[y.index]
     turn = 2 * np.pi / t.gear
-    for turns, on in ((0.0, True), (0.3, False), (1.0, True)):
-        stage.place(y=(t.index_at + turns) * turn)
+    for revolutions, on in ((0.0, True), (0.3, False), (1.0, True)):
+        stage.place(y=(t.index_at + revolutions) * turn)
         assert y.pins.stop2 == on
 
 
@@ -204,9 +204,9 @@ def test_an_index_pulse_within_one_step_has_its_full_width():
         journal = y.chip.journal()
         stage.run(4e-3)
         speed = stage.data.qvel[row.dof] / turn
-    course = journal.course()
-    edges = np.flatnonzero(np.diff(course.pin("ez").astype(int))) + 1
-    begin, end = course.seconds[edges]
+    profile = journal.course()
+    edges = np.flatnonzero(np.diff(profile.pin("ez").astype(int))) + 1
+    begin, end = profile.seconds[edges]
     assert speed > 80
     assert end - begin < stage.model.opt.timestep
     assert (end - begin) * speed == pytest.approx(INDEX + INDEX_HYSTERESIS, rel=0.02)
@@ -214,9 +214,9 @@ def test_an_index_pulse_within_one_step_has_its_full_width():
 
 @pytest.mark.parametrize("cls", [MCX514, MCX304, MCX302])
 @pytest.mark.parametrize("name", "xz")
-def test_a_limit_stops_an_axis_at_the_very_pulse(made, cls, name):
+def test_a_limit_stops_an_axis_at_the_very_pulse(make_stage_of, cls, name):
     """As many pulses as a chip on the bench makes up to the clock of the edge; that one, not told of the edge, goes on."""
-    stage = made(cls)
+    stage = make_stage_of(cls)
     axis = stage.axes[name]
     stage.place(**{name: touch(axis, "el_plus") - 2e-3 * np.sign(axis.gear)})
     journal = axis.chip.journal()
@@ -231,11 +231,11 @@ def test_a_limit_stops_an_axis_at_the_very_pulse(made, cls, name):
             lone.advance(e.clock - lone.clock)
             e.apply(lone.CORE, lone._rows)
     started = lone.net(axis.chip_axis)
-    own = lone.trace(edge.clock - lone.clock + 160_000)
-    own = own[own["axis"] == axis.chip_axis]
+    lone_pulses = lone.trace(edge.clock - lone.clock + 160_000)
+    lone_pulses = lone_pulses[lone_pulses["axis"] == axis.chip_axis]
     made_pulses = axis.chip.net(axis.chip_axis)
     assert made_pulses > 100
-    assert made_pulses - started == (own["clock"] <= edge.clock).sum() < len(own)
+    assert made_pulses - started == (lone_pulses["clock"] <= edge.clock).sum() < len(lone_pulses)
     command(axis.chip, "NOP", 1 << axis.chip_axis)
     cause = axis.chip.read(2) if cls is MCX514 else axis.chip.read(1)
     assert cause & 0x1000, "ended by LMT+"
@@ -254,32 +254,32 @@ def test_a_limit_stops_an_axis_at_the_very_pulse(made, cls, name):
 
 
 @EVERY
-def test_n_steps_then_m_are_n_plus_m(made, chips):
-    stage = set_off(made(chips))
-    twin = copy.deepcopy(stage)
+def test_n_steps_then_m_are_n_plus_m(make_stage_of, chips):
+    stage = set_off(make_stage_of(chips))
+    replica = copy.deepcopy(stage)
     stage.step(700)
-    twin.step(211)
-    twin.step(489)
-    assert bits(stage) == bits(twin)
+    replica.step(211)
+    replica.step(489)
+    assert bits(stage) == bits(replica)
 
 
 @EVERY
-def test_cutting_time_anywhere_changes_nothing(made, chips):
-    stage = set_off(made(chips))
-    twin = copy.deepcopy(stage)
+def test_cutting_time_anywhere_changes_nothing(make_stage_of, chips):
+    stage = set_off(make_stage_of(chips))
+    replica = copy.deepcopy(stage)
     stage.run(0.05)
     seed = SEED
     print("seed", seed)
     cuts = np.sort(np.random.default_rng(seed).integers(0, 50_000_000, 400))
     for length in np.diff([0, *cuts, 50_000_000]):
-        twin.run(length * 1e-9)
-    assert bits(stage) == bits(twin)
+        replica.run(length * 1e-9)
+    assert bits(stage) == bits(replica)
 
 
 @EVERY
 @pytest.mark.parametrize("cut", [0.02, 0.020137])
-def test_snapshot_and_restore_continue_bit_for_bit(made, chips, cut):
-    stage = set_off(made(chips))
+def test_snapshot_and_restore_continue_bit_for_bit(make_stage_of, chips, cut):
+    stage = set_off(make_stage_of(chips))
     stage.run(cut)
     before = stage.snapshot()
     stage.run(0.1)
@@ -290,20 +290,20 @@ def test_snapshot_and_restore_continue_bit_for_bit(made, chips, cut):
 
 
 @EVERY
-@pytest.mark.parametrize("twin_of", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
-def test_copies_continue_bit_for_bit_and_independently(made, chips, twin_of):
-    stage = set_off(made(chips))
+@pytest.mark.parametrize("copy_stage", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
+def test_copies_continue_bit_for_bit_and_independently(make_stage_of, chips, copy_stage):
+    stage = set_off(make_stage_of(chips))
     stage.run(0.020137)
-    twin = twin_of(stage)
+    replica = copy_stage(stage)
     before = bits(stage)
-    twin.run(0.1)
+    replica.run(0.1)
     assert bits(stage) == before
     stage.run(0.1)
-    assert bits(stage) == bits(twin)
-    assert [(type(a.chip), a.chip_axis) for a in twin.axes.values()] == [
+    assert bits(stage) == bits(replica)
+    assert [(type(a.chip), a.chip_axis) for a in replica.axes.values()] == [
         (type(a.chip), a.chip_axis) for a in stage.axes.values()
     ]
-    assert len(twin.chips) == len(stage.chips)
+    assert len(replica.chips) == len(stage.chips)
 
 
 # --- fleets ---
@@ -339,16 +339,16 @@ def everything(fleet, played):
 
 
 @EVERY
-def test_any_number_of_threads_gives_the_same_bits_as_a_python_driver(made, chips):
-    first = made(chips)
+def test_any_number_of_threads_gives_the_same_bits_as_a_python_driver(make_stage_of, chips):
+    first = make_stage_of(chips)
     programs = [program(first, k) for k in range(3)]
-    seen = set()
+    observed = set()
     for threads in (1, 3):
         fleet = Fleet([copy.deepcopy(first) for _ in programs], threads)
         played = fleet.play(programs)
-        seen.add(str(everything(fleet, played)))
+        observed.add(str(everything(fleet, played)))
         fleet.close()
-    assert len(seen) == 1
+    assert len(observed) == 1
     for k, p in enumerate(programs):
         stage, ops = copy.deepcopy(first), np.array(p.ops)
         results = np.zeros(len(ops), np.int64)
@@ -358,8 +358,8 @@ def test_any_number_of_threads_gives_the_same_bits_as_a_python_driver(made, chip
         assert pulses_of(stage) == [300 + 50 * k] * 3
 
 
-def test_the_truth_of_an_axis_is_what_its_chip_says(made):
-    fleet = Fleet([copy.deepcopy(made(MIXED))], 1)
+def test_the_truth_of_an_axis_is_what_its_chip_says(make_stage_of):
+    fleet = Fleet([copy.deepcopy(make_stage_of(MIXED))], 1)
     fleet.play([program(fleet.stages[0], 3)])
     for t, axis in zip(fleet.truth()[0], fleet.stages[0].axes.values(), strict=True):
         assert (t["position"], t["commanded"], t["pulses"]) == (axis.position, axis.commanded, 450)
@@ -367,8 +367,8 @@ def test_the_truth_of_an_axis_is_what_its_chip_says(made):
         assert not t["busy"]
 
 
-def test_the_stages_of_a_fleet_may_have_different_chips(made):
-    stages = [made(chips) for chips in (MCX514, MIXED, {n: ALL[n] for n in "xyz"}, PCL240K)]
+def test_the_stages_of_a_fleet_may_have_different_chips(make_stage_of):
+    stages = [make_stage_of(chips) for chips in (MCX514, MIXED, {n: ALL[n] for n in "xyz"}, PCL240K)]
     fleet = Fleet([copy.deepcopy(stage) for stage in stages], 2)
     programs = [program(stage, 2) for stage in fleet.stages]
     played = fleet.play(programs)
@@ -385,9 +385,9 @@ def test_the_stages_of_a_fleet_may_have_different_chips(made):
 
 
 @pytest.fixture(scope="module")
-def recorded(made, tmp_path_factory):
+def recorded(make_stage_of, tmp_path_factory):
     """A stage of an MCX514 and a PCL240K that moves under a recording, and the files of it."""
-    stage = made(MIXED)
+    stage = make_stage_of(MIXED)
     with stage.record() as recording:
         set_off(stage)
         stage.run(0.5)
@@ -422,13 +422,13 @@ def test_the_pulses_of_the_waveforms_are_those_of_the_bench_to_the_clock(recorde
 
 def test_the_bus_and_the_lanes_of_an_axis_are_separate(recorded):
     read = read_rrd(recorded[2])
-    said = {name: " ".join(str(t) for t in read[f"/axes/{name}/bus"]["TextLog:text"][1]) for name in "xyz"}
-    assert "X DV <- 10000" in said["x"]
-    assert "X TP <- 1500" in said["x"]
-    assert "X relative position drive" in said["x"]
-    assert "Y TP <- -1600" in said["y"]
-    assert "1500" not in said["y"]
-    assert "DV <-" not in said["z"]
+    text = {name: " ".join(str(t) for t in read[f"/axes/{name}/bus"]["TextLog:text"][1]) for name in "xyz"}
+    assert "X DV <- 10000" in text["x"]
+    assert "X TP <- 1500" in text["x"]
+    assert "X relative position drive" in text["x"]
+    assert "Y TP <- -1600" in text["y"]
+    assert "1500" not in text["y"]
+    assert "DV <-" not in text["z"]
     for name in "xyz":
         _, states = read[f"/axes/{name}/phase"]["StateChange:state"]
         assert [s[0] for s in states] == ["hold", "up", "keep", "down", "hold"] or name == "z"
@@ -447,8 +447,8 @@ def test_a_chip_that_is_used_twice_is_refused():
         Stage("xyz", chips=used)
 
 
-def test_the_pins_of_a_chip_of_several_axes_are_those_of_its_axes(made):
-    chip = made(MCX514).chips[0]
+def test_the_pins_of_a_chip_of_several_axes_are_those_of_its_axes(make_stage_of):
+    chip = make_stage_of(MCX514).chips[0]
     with pytest.raises(StageError, match="emg"):
         _ = chip.pins.lmt_plus
     assert not chip.pins.emg

@@ -25,14 +25,14 @@ LIKE = {"chips": MCX514, "visuals": False}
 
 
 @pytest.fixture(scope="module")
-def made():
+def encoder_stage():
     return Stage("xy", encoders={"x": PER_METRE, "y": -100_000}, **LIKE)
 
 
 @pytest.fixture
-def fed(made):
-    made.reset()
-    return made
+def fed(encoder_stage):
+    encoder_stage.reset()
+    return encoder_stage
 
 
 def logical_position(chip, axes=1):
@@ -71,9 +71,9 @@ def test_in_motion_it_counts_with_a_counter_on_the_bus(fed):
     for _ in range(20):
         board.stage.run(7e-3)
         x.chip.write(0, 0x131)
-        seen = counter.counts[0]
-        assert abs((x.chip.read(6) | x.chip.read(7) << 16) - seen) <= 1
-    assert seen > 100
+        observed = counter.counts[0]
+        assert abs((x.chip.read(6) | x.chip.read(7) << 16) - observed) <= 1
+    assert observed > 100
 
 
 def test_what_a_jammed_motor_loses_is_the_difference_of_lp_and_rp(fed):
@@ -185,9 +185,9 @@ def test_a_journal_brings_a_chip_on_the_bench_to_the_same_state(fed):
         lone.CORE.run(lone._rows, e.clock)
         e.apply(lone.CORE, lone._rows)
     lone.CORE.run(lone._rows, journal.until)
-    apart = {"moment", "shift", "since"}
+    internal = {"moment", "shift", "since"}
     for field in lone.state["ax"].dtype.names:
-        assert field in apart or np.array_equal(lone.state["ax"][field], x.chip.state["ax"][field]), field
+        assert field in internal or np.array_equal(lone.state["ax"][field], x.chip.state["ax"][field]), field
     shafts = [(e.axis, number(e.a)) for e in journal.entries if e.kind == SHAFT]
     assert {axis for axis, _ in shafts} == {0, 1}
     edges = journal.course(every_pulse=True).edges
@@ -208,7 +208,7 @@ def test_without_encoders_rp_stays_and_the_stage_is_the_same(fed):
 
 
 @pytest.mark.parametrize(
-    ("encoders", "chips", "said"),
+    ("encoders", "chips", "message"),
     [
         ({"x": 200_000}, PCL240K, "PCL240K has no input for an encoder; .*MCX514.*HCTL2016"),
         ({"x": 200_000}, HCTL1100, "HCTL1100 has one already, that of the Servo"),
@@ -222,8 +222,8 @@ def test_without_encoders_rp_stays_and_the_stage_is_the_same(fed):
         (200_000, MCX514, "encoders=200000: a mapping"),
     ],
 )
-def test_what_is_no_encoder_is_refused_in_words(encoders, chips, said):
-    with pytest.raises(ArgumentError, match=said):
+def test_what_is_no_encoder_is_refused_in_words(encoders, chips, message):
+    with pytest.raises(ArgumentError, match=message):
         Stage("xy", chips=chips, encoders=encoders, visuals=False)
 
 
@@ -256,7 +256,9 @@ def test_counts_a_turn_have_the_sign_of_the_gear():
     assert counts == [-2000 * 100 / (2 * math.pi), 0.0, 7.0]
 
 
-def test_an_encoder_of_a_device_counts_from_the_present_position_and_those_of_a_chip_are_in_the_order_of_the_axes(made, fed):
+def test_an_encoder_of_a_device_counts_from_the_present_position_and_those_of_a_chip_are_in_the_order_of_the_axes(
+    encoder_stage, fed
+):
     """board.put(HCTL2016(Encoder("x", per_metre=320_000)), 0x340) with the carriage 5 mm away; Encoder("x", zero=0.0)"""
     fed.place(x=5e-3)
     board = Board(fed)

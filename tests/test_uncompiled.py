@@ -65,16 +65,16 @@ def over_an_index_mark():
     stage = make_stage()
     x = stage.axes["x"]
     turn = 2 * np.pi / stage.state.axis_table["gear"][0]
-    seen = []
+    observed = []
     for minus in (False, True):
         stage.place(x=(stage.state.axis_table["index_at"][0] + (0.007 if minus else -0.007)) * turn)
         go(x.chip, 60, minus)
         for on in (True, False):
             stage.run_until(lambda on=on: x.chip.pins.ez == on, timeout=0.05, poll=1e-4)
-            seen.append(stage.time)
+            observed.append(stage.time)
         x.chip.write(0, 0x08)
         stage.run_until(lambda: x.chip.pins.hold, timeout=0.05)
-    return str(seen), stage.snapshot().state.tobytes()
+    return str(observed), stage.snapshot().state.tobytes()
 
 
 def every_operation():
@@ -117,11 +117,11 @@ def whole_moves():
             load(chip, R0=pulses, R6=0xFFFFFE if control == 0x5C else 30, **kind)
             for command in (0xC8, control, 0x37):
                 chip.write(0, command)
-            begun = chip.trace(300_000)
+            started = chip.trace(300_000)
             chip.write(0, 0x15)  # to FH1 in motion
-            begun = np.concatenate([begun, chip.trace(20_000), chip.trace(20_000_000)])
-            assert len(begun) == pulses
-            yield fields(begun) + bytes(chip.read(a) for a in range(4)) + chip.snapshot().record
+            started = np.concatenate([started, chip.trace(20_000), chip.trace(20_000_000)])
+            assert len(started) == pulses
+            yield fields(started) + bytes(chip.read(a) for a in range(4)) + chip.snapshot().record
 
 
 def runs_with_switches():
@@ -134,10 +134,10 @@ def runs_with_switches():
         load(chip, R0=3, R1=50, R2=400, R4=120, R5=90, R7=15, **({"R13": r13} if r13 else {}))
         for command in (0x08, 0xD1 if stop == "extp" else 0xC8, control, 0x11 if stop == "extp" else 0x15):
             chip.write(0, command)
-        said = [chip.trace(60_000)]
+        texts = [chip.trace(60_000)]
         for on in (True, False):
             chip.pins.sd_plus = on
-            said.append(chip.trace(40_000))
+            texts.append(chip.trace(40_000))
         if stop == 0x1D:
             chip.write(0, stop)
         for _ in range(4):
@@ -145,16 +145,16 @@ def runs_with_switches():
             for on in (True, False):
                 if stop != 0x1D:
                     setattr(chip.pins, stop, on)
-                said.append(chip.trace(10_000))
+                texts.append(chip.trace(10_000))
         assert chip.pins.hold, f"{make.__name__} {stop}"
-        yield b"".join(map(fields, said)) + chip.snapshot().record
+        yield b"".join(map(fields, texts)) + chip.snapshot().record
 
 
 def a_course():
     """The journal of a move, replayed to the clock."""
     chip = PCL240MS()
     load(chip, R0=60, R1=50, R2=150, R4=120, R5=90, R7=15)
-    seen = []
+    observed = []
     journal = chip.journal()
     for command in (0x08, 0x44, 0x15):
         chip.write(0, command)
@@ -163,8 +163,8 @@ def a_course():
     chip.advance(5_000_000)
     journal.close()
     for every_pulse in (False, True):
-        seen.append(np.concatenate(list(journal.pieces(every_pulse, size=100))).tobytes())
-    return seen
+        observed.append(np.concatenate(list(journal.pieces(every_pulse, size=100))).tobytes())
+    return observed
 
 
 def moves_of_several_axes():
@@ -181,20 +181,20 @@ def moves_of_several_axes():
             chip.write(3, curved)
             nova.load(chip, axes, **{"TP" if of_514 else "P": 70 * axes})
         nova.command(chip, "DRVRL" if of_514 else "F_DRV_P", 3)
-        said = [chip.trace(20_000)]
+        texts = [chip.trace(20_000)]
         nova.load(chip, 3, **{names[1]: values[1] * 6 // 10})
-        said.append(chip.trace(30_000))
-        yield b"".join(map(fields, said)) + bytes(chip.read(k) & 0xFF for k in range(8)) + chip.snapshot().record
+        texts.append(chip.trace(30_000))
+        yield b"".join(map(fields, texts)) + bytes(chip.read(k) & 0xFF for k in range(8)) + chip.snapshot().record
         nova.command(chip, "DRVSBRK" if of_514 else "STOP_DEC", 1)
-        said = [chip.trace(60_000)]
+        texts = [chip.trace(60_000)]
         nova.command(chip, "DRVVP" if of_514 else "C_DRV_P", 1)
-        said.append(chip.trace(9_000))
+        texts.append(chip.trace(9_000))
         chip.axes[0].pins.lmt_plus = True
-        said.append(chip.trace(600_000))
+        texts.append(chip.trace(600_000))
         assert not chip.axes[0].pins.drive
         assert not chip.axes[1].pins.drive
         journal.close()
-        yield b"".join(map(fields, said)) + chip.snapshot().record
+        yield b"".join(map(fields, texts)) + chip.snapshot().record
         for every_pulse in (of_514,) if FIXED else (False, True):
             yield np.concatenate(list(journal.pieces(every_pulse, size=100))).tobytes()
     stage = Stage("xyz", chips={"x": MCX514, "y": MCX514, "z": PCL240K}, visuals=False)
@@ -243,14 +243,14 @@ def an_encoder_counts():
     nova.load(x.chip, 3, SV=6000, DV=6000, MR0=9, TP=100)
     nova.load(x.chip, MRM=1, S0M=0x0150)
     nova.command(x.chip, "DRVRL", 3)
-    seen = []
+    observed = []
     for _ in range(8):
         stage.run(7e-4)
         nova.command(x.chip, "R-RP", 2)
-        seen.append(int(x.chip.read(6)))
+        observed.append(int(x.chip.read(6)))
     journal.close()
-    assert len(set(seen)) > 4
-    yield repr(seen)
+    assert len(set(observed)) > 4
+    yield repr(observed)
     yield stage.snapshot().state.tobytes()
     yield np.concatenate(list(journal.pieces(every_pulse=True, size=100))).tobytes()
 
@@ -259,7 +259,7 @@ def on_a_board():
     """A host behind ports: moves, polls, stray ports, interrupts, a write that gets lost; and one that may run ahead."""
     for lazy in (False, True):
         stage = Stage("xyz", chips={"x": PCL240K, "y": PCL240MS}, visuals=False)
-        board, seen = Board(stage), []
+        board, observed = Board(stage), []
         board.link.record["lazy"] = lazy
         with stage.record(every=5e-4) as recorded:
             for port in (0x300, 0x304):
@@ -270,15 +270,19 @@ def on_a_board():
                 board.out8(port, 0x44)
                 board.out8(port, 0x30)
             while board.in8(0x304) & 0x40 and stage.time < 1e-3:
-                seen.append(board.in16(0x301) + board.in8(0x2FF))
+                observed.append(board.in16(0x301) + board.in8(0x2FF))
             board.link.ask(host_record.SETTLE, 0, 0)
             faults.lost_write(stage.axes["y"], address=0)
             board.on_interrupt(
-                lambda board=board, seen=seen: (seen.append(board.micros), board.out8(0x300, 0), board.out8(0x304, 0))
+                lambda board=board, observed=observed: (
+                    observed.append(board.micros),
+                    board.out8(0x300, 0),
+                    board.out8(0x304, 0),
+                )
             )
             board.delay_us(6000)
         assert "lost on the way" in str(board.trace)
-        yield repr([seen, list(board.trace), stage.axes["x"].chip.diagnostics])
+        yield repr([observed, list(board.trace), stage.axes["x"].chip.diagnostics])
         yield stage.snapshot().state.tobytes()
         for name in sorted(recorded.columns):
             yield recorded.columns[name].tobytes()
@@ -328,22 +332,22 @@ SCENES = (
 
 def bits():
     """What every scene leaves behind, as a hash of it."""
-    said = {}
+    text = {}
     for scene in SCENES:
         parts = (part if isinstance(part, bytes) else part.encode() for part in scene())
-        said[scene.__name__] = hashlib.sha256(b"|".join(parts)).hexdigest()
-    return said
+        text[scene.__name__] = hashlib.sha256(b"|".join(parts)).hexdigest()
+    return text
 
 
 def test_one_switch_says_whether_hot_functions_are_compiled():
-    said = "from stage.native import COMPILED; print(COMPILED)"
+    text = "from stage.native import COMPILED; print(COMPILED)"
     for value, expected in ((None, "True"), ("0", "True"), ("", "True"), ("1", "False")):
         environment = {k: v for k, v in os.environ.items() if k != "NUMBA_DISABLE_JIT"}
         environment |= {} if value is None else {"NUMBA_DISABLE_JIT": value}
-        asked = subprocess.run(
-            [sys.executable, "-c", said], env=environment, capture_output=True, text=True, check=True
+        requested = subprocess.run(
+            [sys.executable, "-c", text], env=environment, capture_output=True, text=True, check=True
         )
-        assert asked.stdout.strip() == expected
+        assert requested.stdout.strip() == expected
 
 
 def test_compiled_and_uncompiled_make_the_same_bits():
@@ -392,10 +396,10 @@ def test_by_hand_a_stage_that_diverges_ends_its_program():
 
 def test_room_for_few_samples_and_edges_loses_none(monkeypatch):
     """The loop returns when its room is full, and goes on."""
-    whole = over_a_switch()
+    full = over_a_switch()
     monkeypatch.setattr(recording, "ROWS", 7)
     monkeypatch.setattr(stage_state, "EDGES", 8 * 2)  # that is: full with the first edge
-    assert over_a_switch() == whole
+    assert over_a_switch() == full
 
 
 def test_a_diverging_stage_says_so():

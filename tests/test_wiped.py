@@ -67,16 +67,16 @@ WAYS = {
 }
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_after_mj_reset_data_it_is_as_after_a_reset(xy, way):
+@pytest.mark.parametrize("direction", WAYS)
+def test_after_mj_reset_data_it_is_as_after_a_reset(xy, direction):
     """mujoco.mj_resetData(stage.model, stage.data); firmware.preset_move: "pulses 0 of 1000, stopped by R0 = 0\""""
     start_preset(xy.axes["x"].chip, 1000)
     xy.run(0.02)
     xy.reset()
-    expected = WAYS[way](xy), bits(xy)
+    expected = WAYS[direction](xy), bits(xy)
     xy.reset()
     wipe(xy)
-    assert (WAYS[way](xy), bits(xy)) == expected
+    assert (WAYS[direction](xy), bits(xy)) == expected
 
 
 def test_without_bus_time_as_well():
@@ -104,15 +104,15 @@ def test_a_board_works_as_well(bus_cycle):
 
 def test_in_an_environment_as_well():
     env = gymnasium.make("stage/RegisterBus-v0", disable_env_checker=True).unwrapped
-    seen = []
+    observed = []
     for wiped in (False, True):
         env.reset(seed=4)
         stage = env.stage
         if wiped:
             mujoco.mj_resetData(stage.model, stage.data)
         action = np.array([rb.WRITE, 0, 0, 0x81])
-        seen.append((env.step(action)[0].tobytes(), stage.axes["x"].chip.values()))
-    assert seen[0] == seen[1]
+        observed.append((env.step(action)[0].tobytes(), stage.axes["x"].chip.values()))
+    assert observed[0] == observed[1]
 
 
 @pytest.mark.parametrize("key", ["middle", "home"])

@@ -19,7 +19,7 @@ HOMES = [(PCL240MS, POSITIVE, "ORG"), (MCX304, POSITIVE | LIMITS, "ORG"), (MCX51
          (MCX314AS, POSITIVE | LIMITS, "ORG")]  # fmt: skip
 
 
-def made(chips, sensors, **more):
+def make_wired_stage(chips, sensors, **more):
     stage = Stage("xy", chips=chips, wiring={"x": sensors} if sensors else None, visuals=False, **more)
     org = next(s.touch for s in stage.axes["x"].plant.switches if s.pin == "org")
     stage.place(x=org + 0.003)
@@ -28,7 +28,7 @@ def made(chips, sensors, **more):
 
 @pytest.mark.parametrize(("chips", "sensors", "by"), HOMES)
 def test_a_driver_sets_the_bits_that_suit_the_wiring_and_finds_home_at_the_same_place(chips, sensors, by):
-    usual, x = (made(chips, which)[1] for which in ({}, sensors))
+    usual, x = (make_wired_stage(chips, which)[1] for which in ({}, sensors))
     assert x.wiring == sensors
     reports = [firmware.home(axis) for axis in (usual, x)]
     assert [report.stopped_by for report in reports] == [by, by]
@@ -41,13 +41,13 @@ def test_a_driver_sets_the_bits_that_suit_the_wiring_and_finds_home_at_the_same_
 @pytest.mark.parametrize(("chips", "sensors", "by"), HOMES)
 @pytest.mark.parametrize("wired", [True, False], ids=["bit missing", "bit too many"])
 def test_firmware_with_a_wrong_polarity_bit_does_not_find_home(chips, sensors, by, wired):
-    _, x = made(chips, sensors if wired else {})
+    _, x = make_wired_stage(chips, sensors if wired else {})
     x.wiring = {} if wired else sensors  # what the firmware believes
     try:
-        found = firmware.home(x, timeout=4.0).stopped_by
+        result = firmware.home(x, timeout=4.0).stopped_by
     except RunTimeout:
-        found = "never"
-    assert found != by or abs(x.position - org_of(x)) > 20e-6
+        result = "never"
+    assert result != by or abs(x.position - org_of(x)) > 20e-6
 
 
 def org_of(axis):
@@ -56,38 +56,38 @@ def org_of(axis):
 
 def test_an_hctl1100_has_no_polarity_bit_a_limit_of_positive_logic_keeps_it_in_idle():
     """LIMIT is low while nobody is on the switch: status D7 = 0, and control mode is refused."""
-    _, x = made(HCTL1100, LIMITS)
+    _, x = make_wired_stage(HCTL1100, LIMITS)
     port = Port(x)
     assert port.limited()
     x.chip.write(0x05, 0x03)
     assert x.pins.init
     assert "LIMIT" in x.chip.diagnostics[-1].message
-    _, usual = made(HCTL1100, {})
+    _, usual = make_wired_stage(HCTL1100, {})
     usual.chip.write(0x05, 0x03)
     assert not usual.pins.init
 
 
 def test_the_sensors_of_an_hctl1100_can_be_of_positive_logic_all_the_same():
     """STOP triggers at power-up, before anything has moved: a homing program that looks at it finds out."""
-    _, x = made(HCTL1100, {"org": "positive", "ez": "positive"})
+    _, x = make_wired_stage(HCTL1100, {"org": "positive", "ez": "positive"})
     assert not Port(x).status() & 0x40
 
 
 @pytest.mark.parametrize("sensors", [{"org": "positive"}, LIMITS], ids=["org", "limits"])
 def test_an_hctl1100_is_not_driven_with_such_a_sensor(sensors):
     """It took EL- for ORG, and a lost LIMIT for a drive that may go on: 5 mm ended behind EL+, and it said that all was well."""
-    _, x = made(HCTL1100, sensors)
+    _, x = make_wired_stage(HCTL1100, sensors)
     for drive in (firmware.home, lambda axis: firmware.move(axis, 5e-3)):
         with pytest.raises(ArgumentError, match="is of positive logic, and an HCTL1100 cannot read it so"):
             drive(x)
-    _, x = made(HCTL1100, {"ez": "positive"})
+    _, x = make_wired_stage(HCTL1100, {"ez": "positive"})
     with pytest.raises(ArgumentError, match="ez is of positive logic"):
         firmware.home(x, index=True)
 
 
 @pytest.mark.parametrize("chips", [PCL240K, PCL240MK])
 def test_a_chip_without_the_bit_is_not_sent_home_with_such_a_sensor(chips):
-    _, x = made(chips, {"org": "positive"})
+    _, x = make_wired_stage(chips, {"org": "positive"})
     with pytest.raises(
         ArgumentError, match=r"org is of positive logic, and a PCL240M?K cannot read it so; a PCL240MS can"
     ):
@@ -95,7 +95,7 @@ def test_a_chip_without_the_bit_is_not_sent_home_with_such_a_sensor(chips):
 
 
 def test_a_limit_of_positive_logic_keeps_a_pcl240_from_starting_and_the_note_says_so():
-    _, x = made(PCL240K, LIMITS)
+    _, x = make_wired_stage(PCL240K, LIMITS)
     assert x.pins.el_plus
     assert not x.switches.el_plus
     report = firmware.move(x, pulses=100)
@@ -104,32 +104,32 @@ def test_a_limit_of_positive_logic_keeps_a_pcl240_from_starting_and_the_note_say
 
 
 def test_one_level_bit_for_both_limits_takes_no_two_logics():
-    _, x = made(MCX514, {"el_plus": "positive"})
+    _, x = make_wired_stage(MCX514, {"el_plus": "positive"})
     with pytest.raises(ArgumentError, match="HLM-L: give both one logic"):
         firmware.move(x, pulses=100)
 
 
 def test_an_index_of_positive_logic_inverts_its_pin():
-    stages = [made(PCL240MS, which)[0] for which in ({}, {"ez": "positive"})]
-    seen = {(stages[0].axes["x"].pins.ez, stages[1].axes["x"].pins.ez)}
+    stages = [make_wired_stage(PCL240MS, which)[0] for which in ({}, {"ez": "positive"})]
+    observed = {(stages[0].axes["x"].pins.ez, stages[1].axes["x"].pins.ez)}
     for _ in range(40):
         for stage in stages:
             stage.place(x=stage.axes["x"].position + 0.0002)
-        seen.add((stages[0].axes["x"].pins.ez, stages[1].axes["x"].pins.ez))
-    assert seen == {(False, True), (True, False)}
+        observed.add((stages[0].axes["x"].pins.ez, stages[1].axes["x"].pins.ez))
+    assert observed == {(False, True), (True, False)}
 
 
 def test_faults_switches_copies_and_snapshots_know_the_wiring():
-    stage, x = made(PCL240MS, {"org": "positive"})
+    stage, x = make_wired_stage(PCL240MS, {"org": "positive"})
     assert (x.switches.org, x.pins.org) == (False, True)
     x.switches.stick("org", True)
     assert (x.switches.org, x.pins.org) == (True, False)
     x.switches.stick("org", None)
-    for twin in (copy.deepcopy(stage), pickle.loads(pickle.dumps(stage))):
-        assert twin.axes["x"].wiring == {"org": "positive"}
-        assert twin.axes["x"].pins.org
-        twin.restore(stage.snapshot())
-    other, _ = made(PCL240MS, {})
+    for replica in (copy.deepcopy(stage), pickle.loads(pickle.dumps(stage))):
+        assert replica.axes["x"].wiring == {"org": "positive"}
+        assert replica.axes["x"].pins.org
+        replica.restore(stage.snapshot())
+    other, _ = make_wired_stage(PCL240MS, {})
     snapshot = stage.snapshot()
     assert isinstance(snapshot, Snapshot)
     with pytest.raises(ArgumentError, match="wiring of axis x"):
@@ -138,7 +138,7 @@ def test_faults_switches_copies_and_snapshots_know_the_wiring():
 
 def test_a_recording_shows_the_switch_and_the_wire(tmp_path):
     """The status bit is what the chip reads, the wire is high while the sensor is on."""
-    stage, x = made(PCL240MS, {"org": "positive"})
+    stage, x = make_wired_stage(PCL240MS, {"org": "positive"})
     with stage.record() as recording:
         firmware.home(x)
     path = tmp_path / "home.vcd"
@@ -148,7 +148,7 @@ def test_a_recording_shows_the_switch_and_the_wire(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("argument", "message"),
     [
         ({"wiring": {"q": {}}}, "unknown axis 'q'"),
         ({"wiring": {"x": {"orgg": "positive"}}}, "Did you mean 'org'"),
@@ -169,9 +169,9 @@ def test_a_recording_shows_the_switch_and_the_wire(tmp_path):
         ),
     ],
 )
-def test_a_wiring_that_cannot_be_is_refused(given, said):
-    with pytest.raises(ArgumentError, match=said):
-        Stage("xy", visuals=False, **({"chips": PCL240MS} | given))
+def test_a_wiring_that_cannot_be_is_refused(argument, message):
+    with pytest.raises(ArgumentError, match=message):
+        Stage("xy", visuals=False, **({"chips": PCL240MS} | argument))
 
 
 # SYNO and SYNI
@@ -197,8 +197,8 @@ def test_a_follower_on_a_stage_counts_its_leaders_clock_live():
     stage.run(0.1)
     assert y.net() == x.net() == 300
     assert y.values()["R7"] == 0
-    twin = pickle.loads(pickle.dumps(stage))
-    for each in (stage, twin):
+    replica = pickle.loads(pickle.dumps(stage))
+    for each in (stage, replica):
         load(each.axes["x"].chip, R7=60)
         each.run(0.1)
         assert each.axes["y"].chip.net() == 400
@@ -214,8 +214,8 @@ def test_a_recording_replays_a_follower():
     stage.run(0.02)
     load(stage.axes["x"].chip, R7=20)
     stage.run(0.02)
-    course = journal.course()
-    assert course.edges["net"][-1] == y.net() > 50
+    profile = journal.course()
+    assert profile.edges["net"][-1] == y.net() > 50
 
 
 def test_the_bits_of_a_wire_between_chips_leave_room_for_all_pins():
@@ -223,9 +223,9 @@ def test_the_bits_of_a_wire_between_chips_leave_room_for_all_pins():
         assert max(chip.INPUTS.values()) < 1 << cores.WIRE_BIT
 
 
-@pytest.mark.parametrize(("item", "said"), [("x.org", "AXIS.SENSOR=LOGIC"), ("org=positive", "AXIS.SENSOR=LOGIC")])
-def test_the_commands_option_says_how_it_is_written(item, said):
-    with pytest.raises(ArgumentError, match=said):
+@pytest.mark.parametrize(("item", "message"), [("x.org", "AXIS.SENSOR=LOGIC"), ("org=positive", "AXIS.SENSOR=LOGIC")])
+def test_the_commands_option_says_how_it_is_written(item, message):
+    with pytest.raises(ArgumentError, match=message):
         parse_wiring([item])
     assert parse_wiring(["x.org=positive", "x.ez=negative"]) == {"x": {"org": "positive", "ez": "negative"}}
 
@@ -245,7 +245,7 @@ def test_the_commands_connect_chips_as_the_stage_does():
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (["--multichip", "x,"], "AXIS,AXIS, for example x,z"),
         (["--multichip", "x,q"], "unknown axis 'q'"),
@@ -254,6 +254,6 @@ def test_the_commands_connect_chips_as_the_stage_does():
         (["--syni", "y=x", "--syni", "y=x"], "axis y already has x"),
     ],
 )
-def test_wires_between_chips_that_are_none_are_refused(options, said):
-    with pytest.raises(ArgumentError, match=said):
+def test_wires_between_chips_that_are_none_are_refused(options, message):
+    with pytest.raises(ArgumentError, match=message):
         commanded("--chips", "x=mcx514,y=mcx512", *options)

@@ -129,16 +129,16 @@ def overload(seconds, most, inertia):
 def test_a_rotor_that_slipped_rests_a_multiple_of_four_full_steps_from_its_target():
     seed = SEED
     print("seed", seed)
-    rng, seen = np.random.default_rng(seed), set()
+    rng, observed = np.random.default_rng(seed), set()
     for _ in range(40):
         trace = overload(rng.uniform(1e-3, 30e-3), rng.uniform(0.3, 0.7), ROTOR * rng.uniform(1, 3))
         at_rest = trace["omega"][-1]
-        behind = trace["count"][-1] / 16 - trace["theta"][-1] / (2 * math.pi / 200)  # full steps, from the angle alone
+        lag = trace["count"][-1] / 16 - trace["theta"][-1] / (2 * math.pi / 200)  # full steps, from the angle alone
         assert abs(at_rest) < 0.05
-        assert behind == pytest.approx(4 * round(behind / 4), abs=0.02)
-        assert lost_steps(DRIVE, trace) == round(behind)
-        seen.add(round(behind))
-    assert len(seen) > 4, "these overloads must cost different numbers of steps"
+        assert lag == pytest.approx(4 * round(lag / 4), abs=0.02)
+        assert lost_steps(DRIVE, trace) == round(lag)
+        observed.add(round(lag))
+    assert len(observed) > 4, "these overloads must cost different numbers of steps"
 
 
 def test_a_short_overload_swings_the_rotor_and_costs_nothing():
@@ -202,8 +202,8 @@ def test_pulses_are_the_mean_of_a_staircase():
 
 def test_pulses_forth_and_back_end_where_they_began():
     for rate in (12_345.6, 20_000, 64_000, 99_999):
-        there = np.full(3201, rate)
-        assert pulses(np.concatenate([there, -there, np.zeros(5)]))[-1] == 0
+        target = np.full(3201, rate)
+        assert pulses(np.concatenate([target, -target, np.zeros(5)]))[-1] == 0
 
 
 def test_a_torque_well_below_the_rated_one_is_measured_as_well():
@@ -239,7 +239,7 @@ def test_for_a_motor_that_starts_at_every_rate_the_highest_tried_is_returned(mon
     assert 19_000 * DRIVE.microsteps < pull_in(DRIVE, ROTOR) <= 20_000 * DRIVE.microsteps
 
 
-@pytest.mark.parametrize("given", [{"load": -0.1}, {"viscous": -1e-4}, {"damper": -1e-4}])
-def test_friction_that_would_give_power_is_refused(given):
+@pytest.mark.parametrize("argument", [{"load": -0.1}, {"viscous": -1e-4}, {"damper": -1e-4}])
+def test_friction_that_would_give_power_is_refused(argument):
     with pytest.raises(ArgumentError, match="friction takes power: give 0 or more"):
-        follow(DRIVE, np.zeros(4), ROTOR, **given)
+        follow(DRIVE, np.zeros(4), ROTOR, **argument)

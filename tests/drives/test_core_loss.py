@@ -169,11 +169,11 @@ def test_another_motor_brings_its_loss_and_takes_it_away_again():
     built = stage_with(None, x=LOSSY, y=LOSSLESS, z=LOSSLESS)
     x, before = stage.axes["x"], stage.snapshot().state.tobytes()
     with faults.motor(x, LOSSY):
-        for twin in (stage, copy.deepcopy(stage), pickle.loads(pickle.dumps(stage))):
-            assert np.array_equal(twin.model.actuator_damping, built.model.actuator_damping)
-            twin.data.qvel[0] = 0.1
-            twin.step()
-            assert twin.data.qfrc_passive[0] < -0.99 * DAMPING * x.gear**2 * 0.09
+        for replica in (stage, copy.deepcopy(stage), pickle.loads(pickle.dumps(stage))):
+            assert np.array_equal(replica.model.actuator_damping, built.model.actuator_damping)
+            replica.data.qvel[0] = 0.1
+            replica.step()
+            assert replica.data.qfrc_passive[0] < -0.99 * DAMPING * x.gear**2 * 0.09
         stage.reset()
         assert stage.snapshot().state.tobytes() == built.snapshot().state.tobytes()
     stage.reset()

@@ -143,13 +143,13 @@ def test_every_field_of_a_drive_is_checked():
 
 def test_every_field_of_a_motor_is_checked():
     good = replace(find_motor("17HS4401"), core_loss_resistance=None)
-    most = {
+    maximum = {
         "rated_current": 100, "resistance": 1000, "inductance": 1, "holding_torque": 1000,
         "detent_torque": good.holding_torque, "rotor_inertia": 1, "steps_per_turn": 4000, "core_loss_resistance": 1e6,
         "effective_inductance": 1,
     }  # fmt: skip
-    assert set(most) == {f.name for f in fields(good)} - {"name", "evidence"}
-    for name, value in most.items():
+    assert set(maximum) == {f.name for f in fields(good)} - {"name", "evidence"}
+    for name, value in maximum.items():
         assert getattr(replace(good, **{name: value}), name) == value
         for bad in (-1, 0, math.nan, "1", True, value * 1.5):
             if not (name == "detent_torque" and bad == 0):

@@ -31,9 +31,9 @@ def test_a_table_has_the_full_steps_of_its_motor():
 
 
 def test_progress_is_reported_from_the_first_speed_to_the_last():
-    told = []
-    pull_out_table(Drive(), RPM, told.append)
-    assert told == pytest.approx([1 / 3, 2 / 3, 1])
+    reports = []
+    pull_out_table(Drive(), RPM, reports.append)
+    assert reports == pytest.approx([1 / 3, 2 / 3, 1])
 
 
 def test_the_picture_shows_the_simulated_curve_and_names_motor_voltage_and_microsteps(table, tmp_path):

@@ -20,7 +20,7 @@ def test_every_motor_lies_in_its_spread_and_each_range_says_its_evidence(m):
     assert spread["core_loss_damping"].low < m.core_loss_damping < spread["core_loss_damping"].high
     low, high, _ = spread["inductance"]
     assert (low, high) == pytest.approx((0.8 * m.inductance, 1.2 * m.inductance))
-    assert all(found.evidence[0] in EVIDENCE and found.evidence[1:3] == ": " for found in spread.values())
+    assert all(result.evidence[0] in EVIDENCE and result.evidence[1:3] == ": " for result in spread.values())
 
 
 def test_a_motor_without_a_curve_has_the_likely_loss_and_one_with_a_curve_a_narrower_one():

@@ -121,11 +121,11 @@ DAILY = [(1200, 1.6), (1500, 2.4), (2000, 3.0)]  # each speed, each lag
 def test_a_chopper_agrees_as_well_but_for_a_command_that_acts_half_a_slice_later(speed, lag):
     """The target of a slice's middle is reached at its end: a shift of the load angle, not a loss of torque."""
     seconds = 8 / (speed / 60 * 50)
-    late = reference(SMOOTH, rpm(speed), lag - 50 * rpm(speed) * H / 2, seconds, 20)
-    assert simulated(SMOOTH, rpm(speed), lag, seconds) == pytest.approx(late, abs=0.055 * RATED)
+    delayed = reference(SMOOTH, rpm(speed), lag - 50 * rpm(speed) * H / 2, seconds, 20)
+    assert simulated(SMOOTH, rpm(speed), lag, seconds) == pytest.approx(delayed, abs=0.055 * RATED)
     h = H / 8
-    late = reference(SMOOTH, rpm(speed), lag - 50 * rpm(speed) * h / 2, seconds, 40)
-    assert simulated(SMOOTH, rpm(speed), lag, seconds, h) == pytest.approx(late, abs=0.01 * RATED)
+    delayed = reference(SMOOTH, rpm(speed), lag - 50 * rpm(speed) * h / 2, seconds, 40)
+    assert simulated(SMOOTH, rpm(speed), lag, seconds, h) == pytest.approx(delayed, abs=0.01 * RATED)
 
 
 def test_power_from_the_bus_is_copper_loss_plus_mechanical_power_plus_the_change_of_the_field():
@@ -230,8 +230,8 @@ def test_uncompiled_the_drive_says_the_same_and_it_needs_neither_mujoco_nor_chip
     compiled, heavy, columns = json.loads(out)
     assert (compiled, heavy) == (False, [])
     runs = [follow(Drive(mode=mode), pulses(np.full(300, 30_000.0)), 54e-7, 0.05) for mode in ("chopper", "sine")]
-    here = [r[name] for r in runs for name in r.dtype.names]
-    assert np.allclose(columns, here, rtol=1e-9, atol=1e-12)
+    expected_columns = [r[name] for r in runs for name in r.dtype.names]
+    assert np.allclose(columns, expected_columns, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("mode", ["chopper", "sine"])
@@ -274,17 +274,17 @@ def test_the_path_through_a_window_has_the_speed_that_its_torque_causes(drive, l
         ends, middles = (
             d.teeth * (middle + (omega + gain * torque) * H * (np.arange(m) - (m - 1) / 2)) for m in (n + 1, n)
         )
-        held = RATED * np.sin(7 * d.per_pulse - ends)
-        held = (held.sum() - 0.5 * (held[0] + held[-1])) / n - 0.03 * np.sin(4 * middles).mean()
-        return held, stepper.mean_torque(d, counts, n, middle, omega, H, gain)
+        latched = RATED * np.sin(7 * d.per_pulse - ends)
+        latched = (latched.sum() - 0.5 * (latched[0] + latched[-1])) / n - 0.03 * np.sin(4 * middles).mean()
+        return latched, stepper.mean_torque(d, counts, n, middle, omega, H, gain)
 
     torque = 0.0
     for _ in range(20):
-        torque, found = mean(torque)
+        torque, result = mean(torque)
     first = mean(0.0)[0]
     assert abs(torque - first) > 1e-4 * RATED, "the second look matters"
-    print(found, torque, first)
-    assert found == pytest.approx(torque, abs=5e-4 * RATED)
+    print(result, torque, first)
+    assert result == pytest.approx(torque, abs=5e-4 * RATED)
 
 
 def test_a_drive_without_current_and_detent_makes_no_torque_and_an_open_phase_carries_no_current():

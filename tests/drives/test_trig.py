@@ -14,8 +14,8 @@ def test_sine_and_cosine_are_right_to_the_last_place(scale):
     seed = SEED
     print("seed", seed)
     angles = np.random.default_rng(seed).uniform(-scale, scale, 20_000)
-    made = np.array([sincos(x) for x in angles])
-    assert np.abs(made - np.stack([np.sin(angles), np.cos(angles)], axis=1)).max() <= 2.3e-16
+    created = np.array([sincos(x) for x in angles])
+    assert np.abs(created - np.stack([np.sin(angles), np.cos(angles)], axis=1)).max() <= 2.3e-16
 
 
 def test_quarter_revolutions_are_exact_where_the_angle_is():

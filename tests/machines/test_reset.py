@@ -9,7 +9,7 @@ from support.machines.families import bus_of, host_of
 from stage.chips import CHIPS
 
 
-def told(chip, writes, clocks):
+def list_pulses(chip, writes, clocks):
     """Bus writes, then time; the pulses made, by clock from the first write on, axis and direction."""
     host, start = host_of(type(chip)), chip.clock
     for address, value in writes:
@@ -18,7 +18,7 @@ def told(chip, writes, clocks):
     return [(int(p["clock"]) - start, int(p["axis"]), int(p["direction"])) for p in pulses]
 
 
-def seen(chip):
+def read_visible(chip):
     """All that a host or a probe can see, but for the direction of the last drive: the pages say of no NOVA chip that it goes."""
     pins = [axis.pins.as_dict() | {"dir": None} for axis in chip.axes]
     return chip.values(), pins, [chip.read(a) for a in range(chip.ADDRESSES)]
@@ -43,18 +43,18 @@ def test_after_a_reset_nothing_depends_on_the_time_before(name):
         used, fresh = cls(), cls()
         for program, levels in before:
             drive(used, levels)
-            told(used, *program)
+            list_pulses(used, *program)
         for chip in (used, fresh):
             drive(chip, pins)
             chip.advance(filters)
             chip.reset()
             chip.advance(1)
-        assert seen(used) == seen(fresh)
+        assert read_visible(used) == read_visible(fresh)
         drive(used, [0] * cls.AXES)
         drive(fresh, [0] * cls.AXES)
         for program in after:
-            assert told(used, *program) == told(fresh, *program)
-            assert seen(used) == seen(fresh)
+            assert list_pulses(used, *program) == list_pulses(fresh, *program)
+            assert read_visible(used) == read_visible(fresh)
 
     run()
 

@@ -134,12 +134,12 @@ def test_arrays_are_refused_likewise():
 
 
 @pytest.mark.skipif(not COMPILED, reason="Python looks by itself")
-@pytest.mark.parametrize("given", ["fast", None, [1.0]])
-def test_a_number_that_is_none_is_refused_likewise(given):
+@pytest.mark.parametrize("argument", ["fast", None, [1.0]])
+def test_a_number_that_is_none_is_refused_likewise(argument):
     halved = Exported(lambda x: x / 2, "f8", ("f8",))
     Exported.every.remove(halved)
     with pytest.raises(ArgumentError, match=r"argument 1: .*it takes a number"):
-        halved(given)
+        halved(argument)
 
 
 @pytest.mark.skipif(not COMPILED, reason="Python looks by itself")

@@ -94,9 +94,9 @@ def test_what_a_hot_module_imports_belongs_to_its_sources_however_it_is_imported
              "from . import constants": {"toy.constants"}, "from .constants import STEP": {"toy.constants"},
              "import os": set()}  # fmt: skip
     known = {name: tmp_path / "core.py" for name in ("toy", "toy.core", "toy.constants", "toy.more")}
-    for line, found in lines.items():
+    for line, result in lines.items():
         (tmp_path / "core.py").write_text(line)
-        assert {origin for origin, _ in build._list_imports("toy.core", build._parse(line), known)} == found, line
+        assert {origin for origin, _ in build._list_imports("toy.core", build._parse(line), known)} == result, line
 
 
 CALLER = """
@@ -260,15 +260,15 @@ def test_a_damaged_object_in_the_cache_is_rebuilt(toy, damage):
     """: > stage/__pycache__/stage.chips.pcl240-*.o; rm stage/_native.so
     Every start said "undefined symbol", for ever."""
     (part,) = (path for path in (toy / "toy" / "__pycache__").glob("*.o") if path.name != "manifest.o")
-    whole = part.read_bytes()
+    content = part.read_bytes()
     if damage:
-        part.write_bytes(damage(whole))
+        part.write_bytes(damage(content))
     else:
         Path(f"{part}.sha256").unlink()
     (toy / "toy" / load.NAME).unlink()
     done = run(toy)
     assert (done.stdout, "1 of 1 parts" in done.stderr) == ("42\n", True)
-    assert part.read_bytes() == whole
+    assert part.read_bytes() == content
     (toy / "toy" / load.NAME).unlink()
     assert "0 of 1 parts" in run(toy).stderr, "and kept"
 
@@ -369,14 +369,14 @@ def test_a_compile_error_is_reported_in_a_few_lines_with_its_place(toy, line, wo
     source = CORE.replace("return more(n)", line)
     (toy / "toy" / "core.py").write_text(source)
     failed = run(toy, check=False)
-    said = failed.stderr[failed.stderr.rindex("the native library could not be built") :].splitlines()
-    assert len(said) <= 5, said
-    place = re.search(r'core\.py", line (\d+), in hot function stepped:', said[1])
-    assert place, said
+    lines = failed.stderr[failed.stderr.rindex("the native library could not be built") :].splitlines()
+    assert len(lines) <= 5, lines
+    place = re.search(r'core\.py", line (\d+), in hot function stepped:', lines[1])
+    assert place, lines
     if "sorted" not in line:  # which numba places at the function's beginning
-        assert source.splitlines()[int(place[1]) - 1].strip() == line == said[2].strip()
-    assert words in said[3]
-    assert "numba/" not in "".join(said)
+        assert source.splitlines()[int(place[1]) - 1].strip() == line == lines[2].strip()
+    assert words in lines[3]
+    assert "numba/" not in "".join(lines)
 
 
 def test_the_place_reported_is_in_the_users_source_and_not_within_numba(tmp_path):
@@ -386,9 +386,9 @@ def test_the_place_reported_is_in_the_users_source_and_not_within_numba(tmp_path
     inner.write_text("theirs()\n")
     outer.write_text("\nours()\n")
     error = TypeError(f"no such thing\nDuring: lowering at {inner} (1)\nDuring: typing of call at {outer} (2)\n")
-    said = compile_errors.explain_compile_error(compile_errors.explain_compile_error, error)
-    assert said.splitlines()[0] == f'File "{outer}", line 2, in hot function explain_compile_error:'
-    assert said.splitlines()[1].strip() == "ours()"
+    text = compile_errors.explain_compile_error(compile_errors.explain_compile_error, error)
+    assert text.splitlines()[0] == f'File "{outer}", line 2, in hot function explain_compile_error:'
+    assert text.splitlines()[1].strip() == "ours()"
 
 
 def test_a_function_that_allocates_is_refused_by_the_build(toy):
@@ -406,9 +406,9 @@ def test_processes_that_start_at_once_build_it_once(toy):
     command = [sys.executable, "-c", RUN]
     environment = os.environ | {"PYTHONPATH": str(toy)}
     started = [subprocess.Popen(command, cwd=toy, env=environment, stdout=-1, stderr=-1, text=True) for _ in range(2)]
-    ended = [p.communicate() for p in started]
-    assert [out for out, _ in ended] == ["49\n"] * 2
-    assert sum("building" in err for _, err in ended) == 1
+    finished = [p.communicate() for p in started]
+    assert [out for out, _ in finished] == ["49\n"] * 2
+    assert sum("building" in err for _, err in finished) == 1
     assert not list((toy / "toy").glob(f"{load.NAME}.*"))
 
 
@@ -450,13 +450,13 @@ def test_a_library_is_linked_by_the_first_compiler_installed(tmp_path, monkeypat
 
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setattr(build, "COMPILERS", ("cc", "clang", "gcc"))
-    there = [True]
-    monkeypatch.setattr(build, "find_spec", lambda name: there and util.find_spec("sys"))
+    target = [True]
+    monkeypatch.setattr(build, "find_spec", lambda name: target and util.find_spec("sys"))
     assert build.find_linker() == [sys.executable, "-m", "ziglang", "cc"]
     (tmp_path / "gcc").touch(0o755)
     assert build.find_linker() == ["gcc"]
     (tmp_path / "gcc").unlink()
-    there.clear()
+    target.clear()
     with pytest.raises(NativeError, match="install a C compiler, or pip install ziglang"):
         build.find_linker()
 
@@ -471,10 +471,10 @@ def test_a_build_by_another_numba_or_a_link_that_fails_leaves_nothing(tmp_path, 
         name for name in sys.modules if name.partition(".")[0] == "toy"
     ]:  # of another test, elsewhere, and built
         monkeypatch.delitem(sys.modules, name)
-    for found in ("0.59.0", "0.99.0", "1.0"):
-        monkeypatch.setattr(build, "version", lambda name, found=found: found)
+    for result in ("0.59.0", "0.99.0", "1.0"):
+        monkeypatch.setattr(build, "version", lambda name, result=result: result)
         with pytest.raises(
-            NativeError, match=f"libraries are built with numba {build.NUMBA}, and {found} is installed"
+            NativeError, match=f"libraries are built with numba {build.NUMBA}, and {result} is installed"
         ):
             build.build("toy")
     monkeypatch.setattr(build, "version", lambda name: build.NUMBA)
@@ -518,28 +518,28 @@ def test_the_library_of_a_read_only_package_belongs_to_the_process(tmp_path, mon
 
 def test_settings_of_numba_do_not_reach_the_processes_that_compile(tmp_path, monkeypatch):
     """NUMBA_OPT=0 NUMBA_BOUNDSCHECK=1 python -m stage.native"""
-    told = tmp_path / "told"
+    reports = tmp_path / "told"
     compiler = tmp_path / "compiler"
-    compiler.write_text(f"#!/bin/sh\nenv > '{told}'\ncat > /dev/null\n")
+    compiler.write_text(f"#!/bin/sh\nenv > '{reports}'\ncat > /dev/null\n")
     compiler.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(compiler))
     for name, value in (("NUMBA_OPT", "0"), ("NUMBA_BOUNDSCHECK", "1"), ("NUMBA_DISABLE_JIT", "1")):
         monkeypatch.setenv(name, value)
     build._emit([[str(tmp_path / "core.o"), "toy.core"]], {"toy": tmp_path / "toy"}, "", None)
-    said = told.read_text().splitlines()
-    assert "PULSESTAGE_EMIT=1" in said
-    assert [line for line in said if line.startswith("NUMBA_")] == []
+    lines = reports.read_text().splitlines()
+    assert "PULSESTAGE_EMIT=1" in lines
+    assert [line for line in lines if line.startswith("NUMBA_")] == []
 
 
 def test_a_library_that_was_built_with_another_pulsestage_is_refused_in_words(toy, monkeypatch):
     monkeypatch.syspath_prepend(toy)
-    monkeypatch.setattr(load, "find_spec", lambda name: find_spec(name) if name != "toy" else here)
-    here = importlib.util.spec_from_file_location(
+    monkeypatch.setattr(load, "find_spec", lambda name: find_spec(name) if name != "toy" else spec_of_toy)
+    spec_of_toy = importlib.util.spec_from_file_location(
         "toy", toy / "toy" / "__init__.py", submodule_search_locations=[str(toy / "toy")]
     )
     before = load.digest_file
     monkeypatch.setattr(
         load, "digest_file", lambda source: "another" if "arithmetic" in str(source) else before(source)
     )
-    said = load.find_misfit("toy", toy / "toy" / load.NAME)
-    assert said.endswith("was built with another version of PulseStage: stage.native.arithmetic is not as it was there")
+    text = load.find_misfit("toy", toy / "toy" / load.NAME)
+    assert text.endswith("was built with another version of PulseStage: stage.native.arithmetic is not as it was there")

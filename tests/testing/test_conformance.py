@@ -56,11 +56,11 @@ def test_a_chip_of_eight_axes_passes():
 @pytest.mark.parametrize("defect", DEFECTS)
 def test_a_planted_defect_is_detected_and_its_promise_named(defect):
     chip, promise, words = DEFECTS[defect]
-    with pytest.raises(NotConforming, match=r"TOY|seed=") as said:
+    with pytest.raises(NotConforming, match=r"TOY|seed=") as error:
         chip_conformance(chip, seed=SEED, programs=4, promises=[promise])
-    assert said.value.broken.keys() == {promise}
-    assert re.search(words, said.value.broken[promise]), said.value
-    assert f"seed={SEED}" in str(said.value)
+    assert error.value.broken.keys() == {promise}
+    assert re.search(words, error.value.broken[promise]), error.value
+    assert f"seed={SEED}" in str(error.value)
 
 
 def test_a_promise_that_is_none_is_refused_with_those_that_are():
@@ -96,34 +96,34 @@ def test_a_move_of_a_test_has_no_more_pulses_than_its_register_holds(monkeypatch
         PCL240K.MAP, registers=tuple(replace(r, legal=(0, 70)) if r.name == "R0" else r for r in PCL240K.MAP.registers)
     )
     monkeypatch.setattr(PCL240K, "MAP", small)
-    made = {acts.draw_move(chip, 0, np.random.default_rng(seed))[1] for seed in range(6)}
-    assert max(made) == 70
+    created = {acts.draw_move(chip, 0, np.random.default_rng(seed))[1] for seed in range(6)}
+    assert max(created) == 70
 
 
 def test_a_core_that_never_answers_is_a_broken_promise_and_the_others_are_tried():
     """chip_conformance(Endless, limit=0.5), where reads of one address never return"""
     began = time.monotonic()
-    with pytest.raises(NotConforming, match=r"TOY|seed=") as said:
+    with pytest.raises(NotConforming, match=r"TOY|seed=") as error:
         chip_conformance(defects.Endless, seed=SEED, programs=1, promises=["reads", "pins_by_name"], limit=0.5)
-    assert said.value.broken.keys() == {"reads"}
-    assert said.value.broken["reads"].startswith("it has not ended after 0.5 s: does the core loop without end?")
+    assert error.value.broken.keys() == {"reads"}
+    assert error.value.broken["reads"].startswith("it has not ended after 0.5 s: does the core loop without end?")
     assert time.monotonic() - began < 20
 
 
 def test_a_core_that_ends_its_process_is_a_broken_promise():
-    with pytest.raises(NotConforming) as said:
+    with pytest.raises(NotConforming) as error:
         chip_conformance(defects.Wild, seed=SEED, programs=1, promises=["reads", "pins_by_name"])
-    assert said.value.broken.keys() == {"reads"}
+    assert error.value.broken.keys() == {"reads"}
     assert (
-        "its process was ended by SIGSEGV: does the core write or read beyond an array?" in said.value.broken["reads"]
+        "its process was ended by SIGSEGV: does the core write or read beyond an array?" in error.value.broken["reads"]
     )
 
 
 def test_after_a_promise_that_does_not_finish_the_others_have_less_time(monkeypatch):
     monkeypatch.setattr(conformance, "SHORT_LIMIT", 0.5)
-    given = []
+    argument = []
     monkeypatch.setattr(
-        conformance, "run_bounded", lambda work, limit: given.append(limit) or f"{NOT_FINISHED} {limit:g} s"
+        conformance, "run_bounded", lambda work, limit: argument.append(limit) or f"{NOT_FINISHED} {limit:g} s"
     )
     with pytest.raises(NotConforming):
         chip_conformance(TOY, promises=["reads", "pins_by_name"], limit=30)
@@ -131,7 +131,7 @@ def test_after_a_promise_that_does_not_finish_the_others_have_less_time(monkeypa
     for promise in ("reads", "pins_by_name"):
         with pytest.raises(NotConforming):
             tests(promise)
-    assert given == [30, 0.5, 20, 0.5]
+    assert argument == [30, 0.5, 20, 0.5]
 
 
 def test_a_core_that_cannot_be_compiled_is_reported_once():
@@ -143,9 +143,9 @@ def test_a_core_that_cannot_be_compiled_is_reported_once():
             raise NativeError("core.py, line 5: what changes is a field of the record")
 
     broken = type("TOY", (TOY,), {"CORE": defects.a_core(power_up=Answer())})
-    with pytest.raises(NotConforming, match=r"TOY: core\.py, line 5") as said:
+    with pytest.raises(NotConforming, match=r"TOY: core\.py, line 5") as error:
         chip_conformance(broken)
-    assert list(said.value.broken) == ["has_what_every_chip_has"]
+    assert list(error.value.broken) == ["has_what_every_chip_has"]
 
 
 def test_a_failure_of_uncompiled_code_is_reported_with_its_place():
@@ -176,8 +176,8 @@ def test_the_text_of_a_promise_arrives_complete_and_a_silent_process_is_reported
 
 
 def test_moves_of_a_driver_are_tried_in_both_directions():
-    ways = {np.sign(acts.draw_move(PCL240K(), 0, np.random.default_rng(seed))[1]) for seed in range(8)}
-    assert ways == {-1, 1}
+    directions = {np.sign(acts.draw_move(PCL240K(), 0, np.random.default_rng(seed))[1]) for seed in range(8)}
+    assert directions == {-1, 1}
 
 
 @pytest.mark.parametrize("address", range(4))

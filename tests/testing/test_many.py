@@ -51,14 +51,14 @@ PULSESTAGE_MAIN
 
 def with_mark(mark: str) -> list[int]:
     """Processes that have this in their environment."""
-    found = []
+    result = []
     for path in Path("/proc").glob("[0-9]*/environ"):
         try:
             if mark.encode() in path.read_bytes():
-                found.append(int(path.parent.name))
+                result.append(int(path.parent.name))
         except OSError:
             pass
-    return found
+    return result
 
 
 @pytest.mark.parametrize("isolated", [True, False], ids=["isolated", "in process"])
@@ -69,7 +69,7 @@ def test_two_hundred_tests_of_firmware_leave_no_file_and_no_process(isolated, tm
     (folder / "test_many.py").write_text(TESTS)
     (folder / "driver.c").write_text(DRIVER)
     mark = f"MANY_FIRMWARE_TESTS={tmp_path}"
-    way = "isolated" if isolated else "in-process"
+    direction = "isolated" if isolated else "in-process"
     command = [
         sys.executable,
         "-m",
@@ -77,7 +77,7 @@ def test_two_hundred_tests_of_firmware_leave_no_file_and_no_process(isolated, tm
         "-q",
         "-n",
         "2",
-        f"--pulsestage-firmware={way}",
+        f"--pulsestage-firmware={direction}",
         f"--basetemp={tmp_path / 'base'}",
     ]
     environment = os.environ | {"TMPDIR": str(temporary), "MANY_FIRMWARE_TESTS": str(tmp_path)}
@@ -87,7 +87,7 @@ def test_two_hundred_tests_of_firmware_leave_no_file_and_no_process(isolated, tm
     )
     seconds = time.monotonic() - begin
     assert re.search(r"200 passed", done.stdout), done.stdout[-3000:]
-    print(f"200 tests of firmware, {way}, 2 workers: {seconds:.1f} s, {seconds / 200 * 1e3:.0f} ms each")
+    print(f"200 tests of firmware, {direction}, 2 workers: {seconds:.1f} s, {seconds / 200 * 1e3:.0f} ms each")
     until = time.monotonic() + 5
     while with_mark(mark) and time.monotonic() < until:
         time.sleep(0.1)

@@ -217,14 +217,14 @@ def test_markers_choose_model_chips_and_board_and_the_nearest_wins(session):
 )
 def test_a_wrong_marker_says_what_is_allowed_without_a_traceback(session, driver, pytester, marker, says):
     pytester.makefile(".so", lib="no library")
-    result, said = session(f"@pytest.mark.{marker}\ndef test_it(host): pass")
+    result, text = session(f"@pytest.mark.{marker}\ndef test_it(host): pass")
     if marker == 'firmware("lib.so", "driver.c")':
-        assert "CompileError" in said or result.parseoutcomes().get("skipped")
+        assert "CompileError" in text or result.parseoutcomes().get("skipped")
         return
     result.assert_outcomes(errors=1)
-    assert says in said
-    assert "Traceback" not in said
-    assert ".py:" not in said.partition("short test summary")[0]
+    assert says in text
+    assert "Traceback" not in text
+    assert ".py:" not in text.partition("short test summary")[0]
 
 
 @needs_cc
@@ -269,21 +269,21 @@ def test_firmware_may_be_a_library_that_is_built_already(session, driver, pytest
 @needs_cc
 def test_a_compile_error_of_firmware_has_the_text_of_the_compiler(session, pytester):
     pytester.makefile(".c", driver="#include <pulsestage.h>\nPULSESTAGE_MAIN { return semicolon }")
-    result, said = session('@pytest.mark.firmware("driver.c")\ndef test_it(host): pass')
+    result, text = session('@pytest.mark.firmware("driver.c")\ndef test_it(host): pass')
     result.assert_outcomes(errors=1)
-    assert "does not compile" in said
-    assert "semicolon" in said
-    assert "library.py" not in said
+    assert "does not compile" in text
+    assert "semicolon" in text
+    assert "library.py" not in text
 
 
 def test_without_a_compiler_tests_of_sources_are_skipped_and_say_so(session, driver, pytester, monkeypatch):
     monkeypatch.setenv("PATH", str(pytester.mkdir("empty")))
     for variable in ("CC", "CXX"):
         monkeypatch.delenv(variable, raising=False)
-    result, said = session(FAILS + "def test_without_firmware(board): board.in8(0x300)\n", "-rs")
+    result, text = session(FAILS + "def test_without_firmware(board): board.in8(0x300)\n", "-rs")
     result.assert_outcomes(skipped=1, passed=1)
-    assert "no compiler for" in said
-    assert "is on the PATH" in said
+    assert "no compiler for" in text
+    assert "is on the PATH" in text
 
 
 # --- what a failed test leaves ---
@@ -292,11 +292,11 @@ def test_without_a_compiler_tests_of_sources_are_skipped_and_say_so(session, dri
 @needs_rerun
 @needs_cc
 def test_a_failed_test_leaves_recording_waveforms_and_bus_trace_and_names_them(session, driver, pytester):
-    result, said = session(FAILS, model=None)
+    result, text = session(FAILS, model=None)
     result.assert_outcomes(failed=1)
     folder = pytester.path / FOLDER
     for opener, name in (("rerun", "recording.rrd"), ("gtkwave", "waveforms.vcd"), ("less", "bus.txt")):
-        assert f"{opener} {FOLDER}/{name}\n" in said
+        assert f"{opener} {FOLDER}/{name}\n" in text
         assert (folder / name).stat().st_size > 500
     RrdReader = pytest.importorskip("rerun.chunk").RrdReader
     entities = {chunk.entity_path for chunk in RrdReader(str(folder / "recording.rrd")).stream()}
@@ -318,8 +318,8 @@ def test_a_failed_test_of_axes_of_any_name_leaves_its_files_too(session, pyteste
 
 @needs_cc
 def test_the_report_shows_the_stage_the_log_and_the_last_bus_cycles(session, driver):
-    _, said = session(FAILS)
-    report = said[said.index("- PulseStage -") :]
+    _, text = session(FAILS)
+    report = text[text.index("- PulseStage -") :]
     assert re.search(r"x \(PCL240K\) at 1\.2\d+ mm, commanded 1\.2500 mm, 0 full steps lost, no pulses", report)
     assert re.search(r"log of the firmware:\n +0\.0000\d+  started", report)
     cycles = re.findall(r"^ +\d\.\d{9}  30\dh [RW] ..h ", report, re.M)
@@ -334,11 +334,11 @@ def test_without_a_board_the_bus_writes_are_described_in_words(session, pytester
 
 @needs_rerun
 def test_a_test_that_fails_in_a_user_fixture_leaves_files_as_well(session, pytester):
-    result, said = session(
+    result, text = session(
         "@pytest.fixture\ndef homed(stage):\n    stage.run(0.01)\n    assert 0\ndef test_it_fails(homed): pass"
     )
     result.assert_outcomes(errors=1)
-    assert f"{FOLDER}/recording.rrd" in said
+    assert f"{FOLDER}/recording.rrd" in text
     assert (pytester.path / FOLDER / "recording.rrd").exists()
 
 
@@ -393,13 +393,13 @@ def test_output_is_in_the_folder_of_the_option_or_the_ini_file(session, pytester
     pytester.makeini("[pytest]\npulsestage_output = build/left\n")
     session(TURNS)
     assert (pytester.path / "build/left/test_it.py.test_it_fails/recording.rrd").exists()
-    mine = pytester.mkdir("other") / "test_it.py.test_it_fails" / "notes.txt"
-    mine.parent.mkdir()
-    mine.write_text("keep me")
+    first_result = pytester.mkdir("other") / "test_it.py.test_it_fails" / "notes.txt"
+    first_result.parent.mkdir()
+    first_result.write_text("keep me")
     session(TURNS, "--pulsestage-output=other")
-    assert (mine.parent / "recording.rrd").exists()
+    assert (first_result.parent / "recording.rrd").exists()
     session(TURNS.replace("assert 0", "assert True"), "--pulsestage-output=other")
-    assert list(mine.parent.iterdir()) == [mine]
+    assert list(first_result.parent.iterdir()) == [first_result]
     assert not (pytester.path / "other" / ".gitignore").exists()  # the folder was there before
 
 
@@ -408,8 +408,8 @@ def test_recording_can_be_off_and_the_report_says_so(session, pytester, how):
     if how == "ini":
         pytester.makeini("[pytest]\npulsestage_record = off\n")
     source = "@pytest.mark.stage(record=False)" + TURNS if how == "marker" else TURNS
-    _, said = session(source, *(["--pulsestage-record=off"] if how == "option" else []))
-    assert "no recording: it was off" in said
+    _, text = session(source, *(["--pulsestage-record=off"] if how == "option" else []))
+    assert "no recording: it was off" in text
     assert not (pytester.path / FOLDER / "recording.rrd").exists()
 
 
@@ -422,16 +422,16 @@ def test_a_wrong_setting_ends_the_session_with_a_word(pytester):
 
 def test_an_error_of_the_folder_is_reported_and_hides_nothing(session, pytester):
     pytester.makefile(".txt", taken="a file")
-    result, said = session(TURNS, "--pulsestage-output=taken.txt")
+    result, text = session(TURNS, "--pulsestage-output=taken.txt")
     result.assert_outcomes(failed=1)
-    assert "nothing is saved: " in said
-    assert "assert 0" in said
+    assert "nothing is saved: " in text
+    assert "assert 0" in text
 
 
 def test_an_error_of_a_file_is_reported_and_hides_nothing(session, pytester):
     for part in Path(stage.models.__path__[0]).glob("*.xml"):
         shutil.copy(part, pytester.path)
-    result, said = session(
+    result, text = session(
         """
         import os
         @pytest.mark.model("xy.xml")
@@ -442,13 +442,13 @@ def test_an_error_of_a_file_is_reported_and_hides_nothing(session, pytester):
         """
     )
     result.assert_outcomes(failed=1)
-    assert "at the end" in said
-    assert "recording: not saved: no MJCF file at " in said
-    assert "waveforms: gtkwave " in said
+    assert "at the end" in text
+    assert "recording: not saved: no MJCF file at " in text
+    assert "waveforms: gtkwave " in text
 
 
 def test_a_recorded_test_may_restore_its_stage_and_record_it_itself(session, pytester):
-    result, said = session(
+    result, text = session(
         """
         import copy
         def test_it_fails(stage):
@@ -467,15 +467,15 @@ def test_a_recorded_test_may_restore_its_stage_and_record_it_itself(session, pyt
         """
     )
     result.assert_outcomes(failed=1)
-    assert "at the end" in said
+    assert "at the end" in text
     for k in (1, 2, 3):
-        assert f"rerun {FOLDER}/recording-{k}.rrd" in said
+        assert f"rerun {FOLDER}/recording-{k}.rrd" in text
         assert (pytester.path / FOLDER / f"waveforms-{k}.vcd").exists()
 
 
 @needs_cc
 def test_firmware_runs_again_to_the_same_bits_after_a_restore_and_recorded_or_not(session, driver, pytester):
-    _, said = session(
+    _, text = session(
         """
         from stage import Stage
         from stage.board import Board, NativeHost
@@ -499,7 +499,7 @@ def test_firmware_runs_again_to_the_same_bits_after_a_restore_and_recorded_or_no
             assert not "at the end"
         """
     )
-    assert "at the end" in said
+    assert "at the end" in text
     for k in (1, 2):
         assert (pytester.path / FOLDER / f"recording-{k}.rrd").exists()
         assert (pytester.path / FOLDER / f"waveforms-{k}.vcd").exists()
@@ -507,11 +507,11 @@ def test_firmware_runs_again_to_the_same_bits_after_a_restore_and_recorded_or_no
 
 @needs_cc
 def test_an_error_of_the_firmware_ends_its_traceback_in_the_test(session, driver):
-    result, said = session('@pytest.mark.firmware("driver.c")\ndef test_it(host):\n    host.run(timeout=0.01)\n')
+    result, text = session('@pytest.mark.firmware("driver.c")\ndef test_it(host):\n    host.run(timeout=0.01)\n')
     result.assert_outcomes(failed=1)
-    assert "HostTimeout: driver.so has not returned after 0.01 s" in said
-    assert "test_it.py:" in said
-    assert "native.py" not in said
+    assert "HostTimeout: driver.so has not returned after 0.01 s" in text
+    assert "test_it.py:" in text
+    assert "native.py" not in text
 
 
 @needs_cc
@@ -527,9 +527,9 @@ def test_ctrl_c_closes_the_recording_and_stops_the_firmware(session, driver, pyt
     pytester.makeconftest(
         "def pytest_unconfigure():\n    print('LEFT', stage.recording, [r._on_close for r in stage.recordings])\n"
     )
-    result, said = session(source, "-s", no_reraise_ctrlc=True)
+    result, text = session(source, "-s", no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED
-    assert "LEFT None [None]" in said
+    assert "LEFT None [None]" in text
 
 
 @pytest.mark.slow
@@ -551,9 +551,9 @@ def test_workers_of_xdist_share_builds_and_never_a_folder(pytester, driver, monk
     )
     result = pytester.runpytest_subprocess(*PLUGIN, *FEW, "-n2", "--basetemp=temporary")
     result.assert_outcomes(passed=1, failed=4)
-    found = {path.parent for path in (pytester.path / ".pulsestage").glob("*/recording.rrd")}
-    assert len(found) == 4
-    for folder in found:
+    result_found = {path.parent for path in (pytester.path / ".pulsestage").glob("*/recording.rrd")}
+    assert len(result_found) == 4
+    for folder in result_found:
         assert f"{folder.name}/recording.rrd" in result.stdout.str()
     assert len(list((pytester.path / "temporary" / "pulsestage-firmware").glob("*/driver.so"))) == 1
 
@@ -582,13 +582,13 @@ def ending(driver, call):
 @pytest.mark.parametrize("how", ["exits", *(pytest.param(how, marks=pytest.mark.slow) for how in ("aborts", "falls"))])
 def test_firmware_that_ends_its_process_fails_its_test_and_the_tests_after_it_run(how, pytester, driver):
     # pytest, with PULSESTAGE_MAIN { ... exit(0); } in driver.c
-    call, said = ENDS[how]
+    call, text = ENDS[how]
     ending(driver, call)
     pytester.makepyfile(TESTS)
     result = pytester.runpytest_subprocess(*PLUGIN, *FEW)
     result.assert_outcomes(failed=2)
     assert result.ret == pytest.ExitCode.TESTS_FAILED
-    result.stdout.fnmatch_lines(f"*HostError: {said}")
+    result.stdout.fnmatch_lines(f"*HostError: {text}")
 
 
 # --- the page ---
@@ -606,20 +606,20 @@ def test_the_example_of_the_page_passes_and_its_broken_version_fails(pytester):
     (pytester.path / "driver.c").write_text(source.replace("800, 30}", "800, 2}"))
     result = pytester.runpytest_inprocess(*PLUGIN)
     result.assert_outcomes(failed=1)
-    said = result.stdout.str()
+    output = result.stdout.str()
     for block in re.findall(r"says:\n\n((?: {4}.*\n)+)|and\n\n((?: {4}.*\n)+)", page, re.M):
         for line in "".join(block).splitlines():
-            assert NUMBER.sub("#", line.strip()) in NUMBER.sub("#", said)
+            assert NUMBER.sub("#", line.strip()) in NUMBER.sub("#", output)
 
 
-@pytest.mark.parametrize("given", [{"isolated": True}, {"isolated": False}])
-def test_a_marker_selects_whether_firmware_has_a_separate_process(given, request):
+@pytest.mark.parametrize("argument", [{"isolated": True}, {"isolated": False}])
+def test_a_marker_selects_whether_firmware_has_a_separate_process(argument, request):
     """@pytest.mark.firmware("driver.c", isolated=True)"""
-    marks = [pytest.Mark("firmware", (__file__,), given, _ispytest=True)]
+    marks = [pytest.Mark("firmware", (__file__,), argument, _ispytest=True)]
     node = SimpleNamespace(path=Path(__file__), config=request.config, iter_markers=lambda: iter(marks))
-    found = firmware_arguments(node)
-    assert found["sources"] == [Path(__file__)]
-    assert found.get("isolated", False) == given["isolated"]
+    result = firmware_arguments(node)
+    assert result["sources"] == [Path(__file__)]
+    assert result.get("isolated", False) == argument["isolated"]
 
 
 def test_arguments_that_a_marker_omits_are_those_of_the_command_line_or_the_ini_file(tmp_path):
@@ -628,18 +628,18 @@ def test_arguments_that_a_marker_omits_are_those_of_the_command_line_or_the_ini_
     for folder, names in ((tmp_path, "ab"), (tmp_path / "sub", "bc")):
         for name in names:
             (folder / f"{name}.c").touch()
-    said = {"option": None, "ini": None}
-    config = SimpleNamespace(rootpath=tmp_path, getoption=lambda name: said["option"], getini=lambda name: said["ini"])
+    text = {"option": None, "ini": None}
+    config = SimpleNamespace(rootpath=tmp_path, getoption=lambda name: text["option"], getini=lambda name: text["ini"])
     marks = [pytest.Mark("firmware", ("a.c", "b.c", "c.c"), {}, _ispytest=True)]
     node = SimpleNamespace(path=tmp_path / "sub" / "test_it.py", config=config, iter_markers=lambda: iter(marks))
     isolated = []
     for option, ini in ((None, None), (None, "in-process"), ("in-process", None), ("isolated", "in-process")):
-        said |= {"option": option, "ini": ini}
-        found = firmware_arguments(node)
-        isolated.append(found["isolated"])
+        text |= {"option": option, "ini": ini}
+        result = firmware_arguments(node)
+        isolated.append(result["isolated"])
     assert isolated == [os.name == "posix", False, False, os.name == "posix"]
-    assert found["sources"] == [tmp_path / "a.c", tmp_path / "sub" / "b.c", tmp_path / "sub" / "c.c"]
-    assert (found["flags"], found["platform"]) == ((), None)
+    assert result["sources"] == [tmp_path / "a.c", tmp_path / "sub" / "b.c", tmp_path / "sub" / "c.c"]
+    assert (result["flags"], result["platform"]) == ((), None)
     marks[0] = pytest.Mark("firmware", ("d.c",), {}, _ispytest=True)
     with pytest.raises(FileError, match=r"firmware 'd.c': there is no such file, from .*sub or "):
         firmware_arguments(node)
