@@ -38,13 +38,24 @@ def move(
     """Move an axis by a distance, and wait until it is there.
 
     Args:
-        axis: of a Stage or a Bench.
-        distance: m (rad on a hinge), signed; the nearest whole pulse is made. Or pulses: so many, signed; of a servo counts.
-        speed, start_speed: m/s (rad/s); default 16,000 and 1,000 pulses a second, of 1/16 full step where the chip itself says what
-            a pulse is. A servo has no start speed. Or speed: `Speeds`, which say everything about rates and ramps.
-        accel, decel: s, of the ramps between them; decel defaults to accel.
-        s_curve: ramps without corners. timeout: s; default half as much again as the move can take, and one.
-    Raises ArgumentError for what the chip cannot do, in words; StageError for an axis that moves already; RunTimeout.
+        axis: Axis of a Stage or a Bench.
+        distance: Signed distance, m (rad on a hinge); the nearest whole pulse is made.
+        pulses: Signed pulses in place of a distance; counts of a servo.
+        speed: Drive speed, m/s (rad/s); default: 16,000 pulses per second, of 1/16 full step where the chip itself determines the
+            microsteps. Or `Speeds`, which state everything about rates and ramps.
+        start_speed: Start speed, m/s (rad/s); default: 1,000 pulses per second. A servo has none.
+        accel: Time of the ramp up, s.
+        decel: Time of the ramp down, s; default: `accel`.
+        s_curve: Ramps without corners.
+        timeout: Simulated seconds to wait; default: half as much again as the move can take, and one.
+
+    Returns:
+        What the host could observe, and the true state of the stage beside it.
+
+    Raises:
+        ArgumentError: The chip cannot do it; the message says why.
+        StageError: The axis moves already.
+        RunTimeout: The axis still moved after `timeout`.
     """
     patience(timeout)
     options = {"speed": speed, "start_speed": start_speed, "accel": accel, "decel": decel, "s_curve": s_curve}
@@ -87,14 +98,27 @@ def home(
     timeout: float = 60.0,
     by: str | None = None,
 ) -> Report:
-    """Return to the mechanical origin ORG, which lies in `direction`, from any place.
+    """Return to the mechanical origin ORG, which lies in `direction`, from any position.
 
-    index: go on to that index pulse of the encoder after ORG, True or 1 to the first; not every chip counts more.
-    by: "switch"; "index", which is index=True; of other chips what their driver says in HOMINGS, for example "stall". Default:
-    the switch, or as `index` says.
+    Args:
+        axis: Axis of a Stage or a Bench.
+        direction: Direction in which ORG lies, 1 or -1.
+        index: Number of the index pulse of the encoder after ORG at which the return ends, True or 1 for the first; not every chip
+            counts more.
+        speed: Drive speed, m/s (rad/s), or `Speeds`, as of `move`.
+        start_speed: Start speed, m/s (rad/s).
+        accel: Time of the ramps, s.
+        timeout: Simulated seconds to wait.
+        by: "switch"; "index", which is index=True; for other chips one of their driver's HOMINGS, for example "stall". Default: the
+            switch, or as `index` says.
 
-    The report's `stopped_by` is "ORG", or "EZ", or what was met in its place. The other arguments are those of `move`. Raises
-    ArgumentError, StageError, RunTimeout.
+    Returns:
+        A report whose `stopped_by` is "ORG", or "EZ", or what was met in its place.
+
+    Raises:
+        ArgumentError: The chip cannot do it.
+        StageError: The axis moves already.
+        RunTimeout: The return took longer than `timeout`.
     """
     if direction not in (1, -1):
         raise ArgumentError(f"direction={direction!r}: +1 or -1.")
@@ -120,8 +144,22 @@ def home(
 def jog(
     axis: Axis, seconds: float, speed: float | None = None, *, start_speed: float | None = None, accel: float = RAMP
 ) -> Report:
-    """Run for `seconds`, then stop with a ramp. speed: m/s (rad/s), the sign is the carriage's direction; default 16,000 pulses a
-    second, plus. Raises ArgumentError, StageError."""
+    """Run for some time, then stop with a ramp.
+
+    Args:
+        axis: Axis of a Stage or a Bench.
+        seconds: Simulated time of the run, s.
+        speed: Signed speed of the carriage, m/s (rad/s); default: 16,000 pulses per second in the plus direction.
+        start_speed: Start speed, m/s (rad/s).
+        accel: Time of the ramps, s.
+
+    Returns:
+        What the host could observe, and the true state of the stage beside it.
+
+    Raises:
+        ArgumentError: The chip cannot do it.
+        StageError: The axis moves already.
+    """
     if not 0 <= seconds < 1e9:
         raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to 1e9 s.")
     driver, direction = driver_of(axis), -forward(axis) if speed is not None and speed < 0 else forward(axis)
@@ -157,15 +195,28 @@ def line(
 ) -> SynchronizedReport:
     """Move several axes along a straight line.
 
-    Args:
-        distances: axis name (or axis) -> m, signed; with `pulses` pulses, of servos counts. 0 keeps an axis still, and the
-            report leaves it out; one axis that moves is enough.
-        axes: where the names are: a stage, a bench, or a mapping such as stage.axes. Not needed when the keys are axes.
-        speed, start_speed: m/s, of the axis with the most pulses; or speed: `Speeds`. accel: s of its ramps.
     The PCL-240 draws it by registers in the ratio of the distances, a NOVA chip by its interpolation where it has one, else by
     ranges in that ratio, an HCTL-1100 by command positions in each sample. When an end limit, or anything else, stops one axis
-    early, the others are slowed down and stopped: the line is lost. Raises ArgumentError where the chips cannot, with the
-    reason, and where every distance is 0; RunTimeout.
+    early, the others are
+    slowed down and stopped: the line is lost.
+
+    Args:
+        distances: Axis name (or axis) -> signed distance, m. 0 keeps an axis still, and the report leaves it out; one axis that
+            moves is enough.
+        axes: Stage, bench, or mapping such as stage.axes in which the names are found. Not needed when the keys are axes.
+        pulses: Distances are pulses; counts of servos.
+        speed: Drive speed of the axis with the most pulses, m/s, or `Speeds`.
+        start_speed: Start speed of that axis, m/s.
+        accel: Time of its ramps, s.
+        s_curve: Ramps without corners.
+        timeout: Simulated seconds to wait; default: half as much again as the line can take, and one.
+
+    Returns:
+        A report of all axes.
+
+    Raises:
+        ArgumentError: The chips cannot do it, with the reason, or every distance is 0.
+        RunTimeout: An axis still moved after `timeout`.
     """
     patience(timeout)
     selected = select_axes(distances, axes, "line")
@@ -225,7 +276,16 @@ def parse_speeds(axis: Axis, options: Mapping[str, Any], in_pulses: bool = False
 
 
 def pulses_of(axis: Axis, distance: float | None, pulses: int | None) -> int:
-    """Pulses, the sign as the chip counts. Raises ArgumentError."""
+    """Return the signed pulses, as the chip counts, of a distance or of pulses.
+
+    Args:
+        axis: Axis that moves.
+        distance: Signed distance of the carriage, m (rad on a hinge), or None.
+        pulses: Signed pulses, or None.
+
+    Raises:
+        ArgumentError: Both or neither are given, or no whole number.
+    """
     if (distance is None) == (pulses is None):
         raise ArgumentError(f"distance={distance!r}, pulses={pulses!r}: give one of the two.")
     if pulses is not None:
@@ -238,6 +298,7 @@ def pulses_of(axis: Axis, distance: float | None, pulses: int | None) -> int:
 
 
 def _unit(axis: Axis, what: str) -> float:
+    """Return the distance of a pulse, m. Raises ArgumentError for an axis without a carriage."""
     if axis.meters_per_pulse is None:
         raise ArgumentError(f"{what}: axis {axis.name} has no carriage and no metres: give pulses=, and no speed.")
     return axis.meters_per_pulse

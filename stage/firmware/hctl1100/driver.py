@@ -59,7 +59,7 @@ class Pattern(pattern.Pattern):
 
 
 class Hctl1100Driver(Driver):
-    """Of the HCTL-1100. tuning: the filter, for the next time that the chip is set up."""
+    """Driver of the HCTL-1100. tuning: the filter, loaded when the chip is set up next."""
 
     PATTERN: ClassVar = Pattern
     DONE: ClassVar = "end of profile"
@@ -73,10 +73,15 @@ class Hctl1100Driver(Driver):
         self.port = Port(axis)
 
     def prepare(self) -> Port:
-        """Set the chip up where it stands in Init/Idle, and load T, which cannot be read back; returns the port.
+        """Set the chip up where it stands in Init/Idle, and load T, which cannot be read back.
 
         On a limit switch the chip takes no control mode: it stays in Init/Idle, and its command position is where the axis is.
-        Raises StageError for an axis that moves.
+
+        Returns:
+            The port of the axis.
+
+        Raises:
+            StageError: The axis is moving.
         """
         mode = self.port.control_mode()
         if self._is_moving(mode):
@@ -93,7 +98,10 @@ class Hctl1100Driver(Driver):
         return self.port
 
     def _prepare_for(self, speeds: Speeds) -> Port:
-        """As `prepare`; raises ArgumentError for rates that the chip has not at this sample time, before anything moves."""
+        """Prepare a drive, as `prepare`.
+
+        Raises ArgumentError, before anything moves, for rates that the chip does not have at this sample time.
+        """
         port = self.prepare()
         velocity_word(port, speeds.drive, "maximum_velocity", 1)
         acceleration_word(port, speeds.drive / speeds.up)
@@ -129,7 +137,7 @@ class Hctl1100Driver(Driver):
         return {1: "EL+", -1: "EL-", 0: "LIMIT"}[end]
 
     def _heading(self) -> int:
-        """The direction of the latest drive, by the registers that it leaves: 1 or -1; 0 of none."""
+        """Return the direction of the latest drive, by the registers that it leaves: 1 or -1; 0 for no drive."""
         port, flags = self.port, self.chip.read(FLAG)
         if flags >> FLAGS["trapezoid"] & 1:
             ahead = port.final_position() - port.commanded()
@@ -199,7 +207,16 @@ class Hctl1100Driver(Driver):
             return p.report("EZ" if index else "ORG")
 
     def run(self, direction: int, speeds: Speeds) -> None:
-        """Run by a trapezoid to the end of the 24 bits, which the home switch does not end as it would integral velocity."""
+        """Begin a trapezoid to the end of the 24 bits, which the home switch does not end as it would integral velocity.
+
+        Args:
+            direction: 1 or -1.
+            speeds: Speed, counts/s, and ramps.
+
+        Raises:
+            ArgumentError: The chip does not have these rates.
+            StageError: The axis is moving.
+        """
         self._linear(speeds)
         port = self._prepare_for(speeds)
         self._leave_limit(direction)
@@ -240,7 +257,7 @@ class Hctl1100Driver(Driver):
         return "ORG" if cruises and not self.port.status() & STOP else ""
 
     def status_words(self) -> dict[str, int]:
-        """The flags and the status register."""
+        """Read the flags and the status register."""
         return {name: self.chip.read(self.chip.MAP.register(name).number) for name in ("R00", "R07")}
 
     def read_register(self, name: str) -> int:
@@ -257,7 +274,21 @@ class Hctl1100Driver(Driver):
     def line(
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
-        """A command position to each chip in each sample, all axes in step by their SYNC pins."""
+        """Write a command position to each chip in each sample, all axes in step by their SYNC pins.
+
+        Args:
+            drivers: Drivers by the names of their axes.
+            pulses: Signed counts of each axis.
+            speeds: Speed, counts/s, and ramps of the longest axis.
+            timeout: Simulated seconds to wait; None: without a limit.
+
+        Returns:
+            A report of all axes.
+
+        Raises:
+            ArgumentError: The chips do not have these rates, or a command position does not fit its register.
+            RunTimeout: The line was not drawn after `timeout`, or an axis is not at its end of it.
+        """
         everyone = cast("dict[str, Hctl1100Driver]", drivers)
         moving_drivers = select_moving(everyone, pulses)
         for n, driver in everyone.items():
@@ -329,14 +360,15 @@ class Hctl1100Driver(Driver):
         return Choices({"R22": (1, 0xFF), "R20": (0, 0xFF), "R21": (0, 0xFF), "R0F": (least, 0xFF)})
 
     def filter_formula(self) -> dict[str, int]:
-        """By frequency response, see `model.design`; pole and T as after a reset."""
+        """Compute the filter by frequency response, see `model.design`; pole and T as after a reset."""
         t = design(Loop.of(self.axis, Tuning(pole=POLE)))
         return {"R22": t.gain, "R20": t.zero, "R21": t.pole, "R0F": t.timer}
 
     def write_servo_move(
         self, program: Operations, values: Mapping[str, int], counts: int, rates: tuple[float, float] | None
     ) -> None:
-        """In Init/Idle, so that no command falls into the unsafe part of a sample. Rates are rounded to counts a sample."""
+        """Write the move in Init/Idle, so that no command falls into the unsafe part of a sample; rates are rounded to counts
+        per sample."""
 
         def put(name: str, value: int) -> None:
             program.register(self.index, self.chip, name, value)
@@ -363,13 +395,20 @@ class Hctl1100Driver(Driver):
 
 
 class _LimitMet(Exception):
-    """One axis of a line has met an end limit."""
+    """Signal that one axis of a line has met an end limit."""
 
 
 def _draw(ports: list[Port], rows: np.ndarray, braking: int, poll: Callable[[], None]) -> bool:
-    """Follow the rows of a line; where an end limit ends one axis, slow the others down along it in `braking` samples.
+    """Follow the rows of a line; where an end limit stops one axis, slow the others down along the line.
 
-    Returns whether the line was drawn to its end.
+    Args:
+        ports: Ports of the axes.
+        rows: Command positions relative to the start (samples, axes).
+        braking: Samples of the slowing down.
+        poll: Function that is called after each row.
+
+    Returns:
+        Whether the line was drawn to its end.
     """
     sample = 0
 
@@ -393,7 +432,8 @@ def _draw(ports: list[Port], rows: np.ndarray, braking: int, poll: Callable[[], 
 
 
 def _rows(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:
-    """Command positions relative to the start (samples, axes): a trapezoid along the line, its rates those of the longest axis."""
+    """Compute command positions relative to the start (samples, axes): a trapezoid along the line, whose rates are the longest
+    axis'."""
     max_distance = max(abs(d) for d in distances) or 1
     maximum = NUMBERS["integral_velocity"].most / sample
     if not 0 < speeds.drive <= maximum:

@@ -33,11 +33,12 @@ MAX_TURNS = 1.2  # of the motor, within which an index pulse must come
 
 @dataclass(frozen=True)
 class HomeReport:
-    """The result of a home search. Counts are those from before the search.
+    """Report of a home search. Counts are those from before the search.
 
     Attributes:
-        switch: where STOP triggered when it was approached slowly. index: where the index pulse began, None without it.
-        seconds: of the whole search. position: where the carriage is, m; None without one. unit: "m", or "rad" on a hinge.
+        switch: Position where STOP triggered when it was approached slowly. index: Position where the index pulse began, None
+            without it.
+        seconds: Time of the whole search. position: Position of the carriage, m; None without one. unit: "m", or "rad" on a hinge.
     """
 
     axis: str
@@ -65,14 +66,24 @@ def home(
     deadband: int = 3,
     timeout: float = 20.0,
 ) -> HomeReport:
-    """Home search; the axis is then in position control at position 0.
+    """Search home; the axis is then in position control at position 0.
 
     Args:
-        direction: where the home switch lies, -1 or 1.
-        speed, acceleration: counts/s and counts/s2 of steps 1 and 2; the axis needs room to brake beyond the switch.
-        index: go on to the index pulse. turn: counts of the encoder.
-        deadband: counts, in which it settles in the end. timeout: s of each step.
-    Raises ArgumentError; RunTimeout where a step has no end, or LIMIT has ended it: the axis is then in Init/Idle.
+        port: Port of the axis, set up.
+        direction: Direction in which the home switch lies, -1 or 1.
+        speed: Speed of steps 1 and 2, counts/s.
+        acceleration: Acceleration of steps 1 and 2, counts/s2; the axis needs room to brake beyond the switch.
+        index: Go on to the index pulse.
+        turn: Counts of the encoder per turn.
+        deadband: Counts within which the axis settles in the end.
+        timeout: Simulated seconds that each step may take.
+
+    Returns:
+        The report.
+
+    Raises:
+        ArgumentError: A value is out of its range.
+        RunTimeout: A step has no end, or LIMIT has ended it: the axis is then in Init/Idle.
     """
     if direction not in (-1, 1):
         raise ArgumentError(f"direction={direction!r}: -1 or 1, where the home switch lies.")
@@ -94,10 +105,18 @@ def home(
 def leave_limit(
     port: Port, direction: int, *, push: int = PUSH, max_counts: int = MAX_COUNTS, timeout: float = 2.0
 ) -> None:
-    """Drive an axis out of its limit switch in Init/Idle, where the chip closes no loop, by hundredths of full drive; then hold it.
+    """Drive an axis out of its limit switch in Init/Idle, where the chip closes no loop; then hold it.
 
-    Which way is out, the host has to know. Raises RunTimeout after `timeout` seconds, and after `max_counts` counts: a switch that
-    is stuck does not send the axis to its other end. It is in Init/Idle then.
+    Args:
+        port: Port of the axis.
+        direction: Direction out of the switch, which the host has to know, 1 or -1.
+        push: Motor command, hundredths of full drive.
+        max_counts: Distance after which the drive ends, so that a switch that is stuck does not send the axis to its other end,
+            counts.
+        timeout: Simulated seconds to wait.
+
+    Raises:
+        RunTimeout: The switch is still on after `timeout`, or after `max_counts`; the axis is in Init/Idle then.
     """
     port.idle()
     begin = port.position()
@@ -117,7 +136,7 @@ def leave_limit(
 
 
 def _to_switch(port: Port, velocity: int, timeout: float) -> int:
-    """Integral velocity mode until STOP has triggered and the axis is at rest; returns the position where STOP triggered."""
+    """Run in integral velocity mode until STOP has triggered and the axis is at rest; return the position where STOP triggered."""
     port.load(integral_velocity=0)
     port.mode("integral velocity")
     if port.status() & STOP:
@@ -130,7 +149,7 @@ def _to_switch(port: Port, velocity: int, timeout: float) -> int:
 
 
 def _check_limit(port: Port, what: str) -> None:
-    """Raise RunTimeout where LIMIT has triggered; what: what it came before."""
+    """Raise RunTimeout where LIMIT has triggered. `what` says what it came before."""
     if port.limited():
         raise RunTimeout(
             f"axis {port.axis.name}: LIMIT before {what}, at {port.position()} counts; it is in Init/Idle now."
@@ -138,7 +157,7 @@ def _check_limit(port: Port, what: str) -> None:
 
 
 def stand(port: Port) -> None:
-    """Position control, as soon as the command position has come to rest."""
+    """Take position control as soon as the command position has come to rest."""
     before = port.commanded() - 1
     while before != (now := port.commanded()):
         before = now
@@ -147,7 +166,7 @@ def stand(port: Port) -> None:
 
 
 def _out_of_switch(port: Port, direction: int, speed: float, acceleration: float, turn: int, timeout: float) -> None:
-    """Back until STOP can be cleared, an eighth of a turn at a time: a trapezoid does not mind STOP."""
+    """Move back until STOP can be cleared, an eighth of a turn at a time: a trapezoid does not obey STOP."""
 
     def released() -> bool:
         if port.clear_status() & STOP:
@@ -161,13 +180,13 @@ def _out_of_switch(port: Port, direction: int, speed: float, acceleration: float
 
 
 def _to_index(port: Port, direction: int, turn: int) -> int:
-    """The position at which the index pulse begins, seen from this direction."""
+    """Return the position at which the index pulse begins, approached from this direction."""
     pins = port.axis.chip.axes[port.axis.chip_axis].pins
     port.clear_status()
     max_counts = round(MAX_TURNS * turn)
 
     def creep(counts: int, seconds: float) -> bool:
-        """Count by count, up to so many; whether the index pulse has begun."""
+        """Move count by count, up to `counts`; return whether the index pulse has begun."""
         command, before = port.commanded(), pins.index
         for k in range(1, counts + 1):
             port.command(command + direction * k)
@@ -191,7 +210,7 @@ def _to_index(port: Port, direction: int, turn: int) -> int:
 
 
 def _preset(port: Port, origin: int) -> None:
-    """Positions count from `origin` on. Only Init/Idle lets the host write them: the motor is off for a few bus cycles."""
+    """Make positions count from `origin` on. Only Init/Idle lets the host write them: the motor is off for a few bus cycles."""
     port.idle()
     port.load(preset_position=port.position() - origin)
     port.load(command_position=port.position())

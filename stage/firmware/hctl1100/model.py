@@ -34,8 +34,15 @@ ZEROS = range(64, 256)
 
 @dataclass(frozen=True)
 class Loop:
-    """Plant and filter. gain: counts/s per unit of motor command at rest's end; tau: s; friction: units of motor command;
-    sample: s."""
+    """Plant and filter of a servo axis.
+
+    Attributes:
+        gain: Speed per unit of motor command, counts/s, without friction.
+        tau: Time constant of the plant, s.
+        friction: Friction in units of motor command.
+        tuning: Filter and sample timer.
+        clock_hz: Reference clock of the chip, Hz.
+    """
 
     gain: float
     tau: float
@@ -45,7 +52,12 @@ class Loop:
 
     @classmethod
     def of(cls, axis: Any, tuning: Tuning) -> Loop:
-        """From the machine's drawings, the model of a stage's axis: masses with what they carry now, friction, motor, encoder."""
+        """Compute the model of a stage's axis from its data: masses with their present load, friction, motor, encoder.
+
+        Args:
+            axis: Axis of a stage.
+            tuning: Filter and sample timer.
+        """
         model, drive = axis.stage.model, axis.drive
         dof = int(model.jnt_dofadr[axis.joint])
         body = int(model.jnt_bodyid[axis.joint])
@@ -58,12 +70,12 @@ class Loop:
 
     @property
     def sample(self) -> float:
-        """s."""
+        """Time of a sample, s."""
         return 16 * (self.tuning.timer + 1) / self.clock_hz
 
     @property
     def plant(self) -> tuple[np.ndarray, np.ndarray]:
-        """Motor command to counts: numerator and denominator in z, the highest power first."""
+        """Transfer function from motor command to counts: numerator and denominator in z, the highest power first."""
         h, tau = self.sample, self.tau
         p = math.exp(-h / tau)
         first, second = h - tau * (1 - p), tau * (1 - p) - h * p
@@ -71,13 +83,13 @@ class Loop:
 
     @property
     def filter(self) -> tuple[np.ndarray, np.ndarray]:
-        """D(z): counts to motor command."""
+        """Transfer function D(z) from counts to motor command."""
         t = self.tuning
         return t.gain / 4 * np.array([1.0, -t.zero / 256]), np.array([1.0, t.pole / 256])
 
     @property
     def poles(self) -> np.ndarray:
-        """Of the closed loop, in z."""
+        """Poles of the closed loop, in z."""
         return np.roots(self._characteristic())
 
     def _characteristic(self) -> np.ndarray:
@@ -85,9 +97,16 @@ class Loop:
         return np.polyadd(np.convolve(a, d), np.convolve(b, n))
 
     def following_error(self, command: np.ndarray) -> np.ndarray:
-        """Command minus position at each sample, counts, of an axis at rest before; command: (n,) counts at each sample.
+        """Compute command minus position at each sample for an axis that was at rest before.
 
-        Raises ExtraMissing where scipy is missing.
+        Args:
+            command: Command positions at each sample, counts (n,).
+
+        Returns:
+            Errors, counts (n,).
+
+        Raises:
+            ExtraMissing: scipy is missing.
         """
         lfilter = need("scipy.signal", "the prediction").lfilter
         (b, a), (_, d) = self.plant, self.filter
@@ -100,11 +119,22 @@ class Loop:
 
 
 def design(loop: Loop, margin: float = MARGIN, rattle: float = RATTLE) -> Tuning:
-    """Gain and zero for this plant by frequency response; pole and T stay. Raises StageError where no zero gives that margin.
+    """Choose gain and zero for this plant by frequency response; pole and T stay.
 
-    For every zero that the register holds, the highest crossover frequency at which the phase margin is `margin` degrees, and the
-    gain that puts it there; one count of the encoder must not be answered by more than `rattle` units of motor command: a coarse
-    encoder makes a fast filter rattle. Of the zeros whose crossover is about the highest the lowest: the stiffest at rest.
+    For every zero that the register holds: the highest crossover frequency at which the phase margin is `margin` degrees, and the
+        gain
+    that puts it there. Of the zeros whose crossover is about the highest the lowest is chosen: the stiffest at rest.
+
+    Args:
+        loop: Plant and filter.
+        margin: Phase margin, degrees.
+        rattle: Largest answer to one count of the encoder, units of motor command: a coarse encoder makes a fast filter rattle.
+
+    Returns:
+        The filter.
+
+    Raises:
+        StageError: No zero gives that margin.
     """
     candidates = []
     omega = np.geomspace(1.0, 0.9 * np.pi / loop.sample, 2000)

@@ -30,7 +30,7 @@ SPEED_SAMPLES = 3  # samples: positions are whole counts, and a slow profile mov
 
 @dataclass(frozen=True)
 class Tuning:
-    """The filter D(z) = K/4 (z - A/256) / (z + B/256) and the sample timer T; as after a reset."""
+    """Filter D(z) = K/4 (z - A/256) / (z + B/256) and sample timer T; by default as after a reset."""
 
     gain: int = after_reset("gain")
     zero: int = after_reset("zero")
@@ -40,13 +40,14 @@ class Tuning:
 
 @dataclass(frozen=True)
 class MoveReport:
-    """The result of a step or a trapezoid. Counts, counts/s, seconds.
+    """Report of a step or a trapezoid. Counts, counts/s, seconds.
 
     Attributes:
-        asked: counts. velocity, acceleration: as the registers hold them; 0 of a step.
-        profile: when the profile flag was read as cleared; 0 for a step. settled: from when on the axis stayed in the deadband.
-        error: command position minus actual position at the end.
-        limited: LIMIT has triggered, and ended it.
+        asked: Counts commanded. velocity, acceleration: Rates as the registers hold them; 0 for a step.
+        profile: Time when the profile flag was read as cleared; 0 for a step. settled: Time from which on the axis stayed in the
+            deadband.
+        error: Command position minus actual position at the end.
+        limited: Whether LIMIT has triggered, and ended the move.
     """
 
     axis: str
@@ -61,7 +62,7 @@ class MoveReport:
 
     @property
     def ok(self) -> bool:
-        """It is there."""
+        """Whether the axis is within the deadband of its command."""
         return not self.limited and abs(self.error) <= self.deadband
 
     def __str__(self) -> str:
@@ -74,10 +75,11 @@ class MoveReport:
 
 @dataclass(frozen=True)
 class VelocityReport:
-    """The result of a run at a velocity.
+    """Report of a run at a velocity.
 
-    asked: counts/s as the register holds it; reached: mean over its second half. ended: "LIMIT", which leaves the axis in
-    Init/Idle, "STOP", which the chip obeys in integral velocity mode, or "".
+    Attributes:
+        asked: Velocity as the register holds it, counts/s. reached: Mean velocity over the second half.
+        ended: "LIMIT", which leaves the axis in Init/Idle, "STOP", which the chip obeys in integral velocity mode, or "".
     """
 
     axis: str
@@ -94,7 +96,15 @@ class VelocityReport:
 def set_up(axis: Axis, tuning: Tuning | None = None) -> Port:
     """Load filter and sample time; the axis is then in position control at its present position.
 
-    Raises ArgumentError for an axis without an HCTL-1100, for values that its registers do not hold, and where LIMIT is asserted.
+    Args:
+        axis: Axis whose chip is an HCTL-1100.
+        tuning: Filter and sample timer; None: those after a reset.
+
+    Returns:
+        The port of the axis.
+
+    Raises:
+        ArgumentError: Another chip, values that its registers do not hold, or LIMIT is asserted.
     """
     port = Port(axis)
     port.idle()
@@ -109,12 +119,25 @@ def set_up(axis: Axis, tuning: Tuning | None = None) -> Port:
 
 
 def load_filter(port: Port, tuning: Tuning) -> None:
-    """Load the filter's numbers and T."""
+    """Load the filter's numbers and T. Raises ArgumentError for values that the registers do not hold."""
     port.load(timer=tuning.timer, gain=tuning.gain, zero=tuning.zero, pole=tuning.pole)
 
 
 def step(port: Port, counts: int, *, deadband: int = 3, timeout: float = 2.0) -> MoveReport:
-    """Command a position `counts` away, at once. Raises RunTimeout when it does not settle."""
+    """Command a position `counts` away, at once.
+
+    Args:
+        port: Port of the axis.
+        counts: Signed distance, counts.
+        deadband: Distance from the command within which the axis has settled, counts.
+        timeout: Simulated seconds to wait.
+
+    Returns:
+        The report.
+
+    Raises:
+        RunTimeout: The axis does not settle.
+    """
     begin = port.axis.time
     port.command(port.commanded() + counts)
     return settle(port, begin, counts, deadband, timeout)
@@ -129,15 +152,43 @@ def trapezoid(
     deadband: int = 3,
     timeout: float = 10.0,
 ) -> MoveReport:
-    """A trapezoidal profile of `counts`, at counts/s and counts/s2. Raises ArgumentError for rates that the chip has not at this
-    sample time; RunTimeout."""
+    """Move by a trapezoidal profile.
+
+    Args:
+        port: Port of the axis.
+        counts: Signed distance, counts.
+        velocity: Maximum velocity, counts/s.
+        acceleration: Acceleration, counts/s2.
+        deadband: Distance from the command within which the axis has settled, counts.
+        timeout: Simulated seconds that the profile and the settling may take, each.
+
+    Returns:
+        The report.
+
+    Raises:
+        ArgumentError: The chip does not have these rates at this sample time.
+        RunTimeout: The axis does not settle.
+    """
     begin, v, a = start_trapezoid(port, counts, velocity, acceleration)
     profile_end(port, timeout)
     return settle(port, begin, counts, deadband, timeout, (v, a, port.axis.time - begin))
 
 
 def start_trapezoid(port: Port, counts: int, velocity: float, acceleration: float) -> tuple[float, float, float]:
-    """Begin one, and do not wait: (when, s; counts/s and counts/s2 as the registers hold them). Raises ArgumentError."""
+    """Begin a trapezoidal profile, and do not wait.
+
+    Args:
+        port: Port of the axis.
+        counts: Signed distance, counts.
+        velocity: Maximum velocity, counts/s.
+        acceleration: Acceleration, counts/s2.
+
+    Returns:
+        Time of the start, s, and velocity, counts/s, and acceleration, counts/s2, as the registers hold them.
+
+    Raises:
+        ArgumentError: The chip does not have these rates at this sample time.
+    """
     v, a = velocity_word(port, velocity, "maximum_velocity", 1), acceleration_word(port, acceleration)
     port.load(final_position=port.commanded() + counts, acceleration=a, maximum_velocity=v)
     begin = port.axis.time
@@ -172,7 +223,15 @@ def brake(port: Port) -> None:
 
 
 def profile_end(port: Port, timeout: float) -> None:
-    """Wait until the profile is over, or LIMIT has ended it. Raises RunTimeout."""
+    """Wait until the profile is over, or LIMIT has ended it.
+
+    Args:
+        port: Port of the axis.
+        timeout: Simulated seconds to wait.
+
+    Raises:
+        RunTimeout: The profile was not over after `timeout`.
+    """
     port.wait_until(lambda: not port.status() & PROFILE or port.limited(), timeout, "the end of its profile")
 
 
@@ -184,9 +243,22 @@ def settle(
     timeout: float,
     rates: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> MoveReport:
-    """Wait until the axis has been within the deadband of its command for DWELL, or LIMIT has ended all. Raises RunTimeout.
+    """Wait until the axis has been within the deadband of its command for DWELL, or LIMIT has ended the move.
 
-    begin, counts: of the move that it ends; said: its velocity, its acceleration and when its profile was over."""
+    Args:
+        port: Port of the axis.
+        begin: Time when the move began, s.
+        counts: Counts of the move.
+        deadband: Distance from the command within which the axis has settled, counts.
+        timeout: Simulated seconds to wait.
+        rates: Velocity, acceleration and end of the profile, for the report.
+
+    Returns:
+        The report of the move.
+
+    Raises:
+        RunTimeout: The axis does not settle.
+    """
     goal, since, error = port.commanded(), port.axis.time, 0
     limited = False
 
@@ -203,7 +275,19 @@ def settle(
 
 
 def proportional_velocity(port: Port, rate: float, seconds: float = 0.5) -> VelocityReport:
-    """Turn at counts/s by the velocity error alone, then stop: friction and drag leave a difference."""
+    """Turn by the velocity error alone, then stop: friction and drag leave a difference.
+
+    Args:
+        port: Port of the axis.
+        rate: Velocity, counts/s.
+        seconds: Time of the run, s.
+
+    Returns:
+        The report.
+
+    Raises:
+        ArgumentError: The chip does not have this rate at this sample time.
+    """
     word = velocity_word(port, rate, "proportional_velocity", 16)
     port.wait_for_the_safe_part()
     port.load(proportional_velocity=0)
@@ -225,7 +309,20 @@ def proportional_velocity(port: Port, rate: float, seconds: float = 0.5) -> Velo
 
 
 def integral_velocity(port: Port, rate: float, seconds: float = 0.5, acceleration: float = 400_000) -> VelocityReport:
-    """Turn at counts/s, ramped, by a command position that moves on with each sample, then stop."""
+    """Turn with ramps by a command position that moves on with each sample, then stop.
+
+    Args:
+        port: Port of the axis.
+        rate: Velocity, counts/s.
+        seconds: Time of the run, s.
+        acceleration: Acceleration, counts/s2.
+
+    Returns:
+        The report.
+
+    Raises:
+        ArgumentError: The chip does not have these rates at this sample time.
+    """
     word, ramp = start_cruise(port, rate, acceleration)
     port.axis.wait(ramp)
     reached = _measure(port, seconds)
@@ -238,9 +335,19 @@ def integral_velocity(port: Port, rate: float, seconds: float = 0.5, acceleratio
 
 
 def start_cruise(port: Port, rate: float, acceleration: float) -> tuple[int, float]:
-    """Begin to turn at counts/s, ramped: counts per sample as the register holds them, and seconds until they are reached.
+    """Begin to turn in integral velocity mode.
 
-    Raises ArgumentError for rates that the chip has not at this sample time."""
+    Args:
+        port: Port of the axis.
+        rate: Velocity, counts/s.
+        acceleration: Acceleration, counts/s2.
+
+    Returns:
+        Velocity as the register holds it, counts per sample, and the seconds until it is reached.
+
+    Raises:
+        ArgumentError: The chip does not have these rates at this sample time.
+    """
     word, a = velocity_word(port, rate, "integral_velocity", 1), acceleration_word(port, acceleration)
     port.clear_status()
     port.load(acceleration=a, integral_velocity=0)
@@ -250,13 +357,13 @@ def start_cruise(port: Port, rate: float, acceleration: float) -> tuple[int, flo
 
 
 def cruise(port: Port, velocity: int) -> None:
-    """A new command velocity of integral velocity mode, counts per sample, in the safe part of a sample."""
+    """Write a new command velocity of integral velocity mode, counts per sample, in the safe part of a sample."""
     port.wait_for_the_safe_part("integral velocity")
     port.load(integral_velocity=velocity)
 
 
 def _measure(port: Port, seconds: float) -> float:
-    """Mean velocity over the second half of `seconds`, counts/s."""
+    """Return the mean velocity over the second half of `seconds`, counts/s."""
     port.axis.wait(0.5 * seconds)
     begin, first = port.axis.time, port.position()
     port.axis.wait(0.5 * seconds)
@@ -264,12 +371,22 @@ def _measure(port: Port, seconds: float) -> float:
 
 
 def velocity_word(port: Port, rate: float, name: str, scale: int) -> int:
-    """What a velocity register holds for counts/s. Raises ArgumentError where that is 0, or too much."""
+    """Convert a velocity to the value of a register.
+
+    Args:
+        port: Port of the axis.
+        rate: Velocity, counts/s.
+        name: Name of the register's number.
+        scale: Units of the register in a count per sample.
+
+    Raises:
+        ArgumentError: The register does not hold the value, or it is 0.
+    """
     return _round_to_register(port, name, rate, port.sample * scale, "speed", "counts/s")
 
 
 def acceleration_word(port: Port, acceleration: float) -> int:
-    """What R27:R26 hold for counts/s2. Raises ArgumentError where that is 0, or too much."""
+    """Convert an acceleration, counts/s2, to the value of R27:R26. Raises ArgumentError where that is 0, or too much."""
     return _round_to_register(port, "acceleration", acceleration, port.sample**2 * 256, "acceleration", "counts/s2")
 
 

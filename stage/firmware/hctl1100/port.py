@@ -60,12 +60,12 @@ class Port:
 
     @property
     def count(self) -> float:
-        """Seconds of one count of the sample timer."""
+        """Time of one count of the sample timer, s."""
         return 16 / self.chip.clock_hz
 
     @property
     def sample(self) -> float:
-        """Seconds of a sample."""
+        """Time of a sample, s."""
         return self.count * (self.t + 1)
 
     def load(self, **values: int) -> None:
@@ -87,35 +87,35 @@ class Port:
         return signed(value, 8 * len(number.addresses))
 
     def position(self) -> int:
-        """The actual position, counts."""
+        """Read the actual position, counts."""
         return self._read(ACTUAL_POSITION)
 
     def commanded(self) -> int:
-        """The command position, counts. Its bytes have no latch: at rest, or slowly, only."""
+        """Read the command position, counts. Its bytes have no latch: read it at rest, or slowly, only."""
         return self._read(COMMAND_POSITION)
 
     def commanded_velocity(self) -> int:
-        """The command velocity of integral velocity mode, counts per sample."""
+        """Read the command velocity of integral velocity mode, counts per sample."""
         return signed(self.chip.read(INTEGRAL_VELOCITY), 8)
 
     def final_position(self) -> int:
-        """The end of the latest trapezoid, counts."""
+        """Read the end of the latest trapezoid, counts."""
         return self._read(FINAL_POSITION)
 
     def acceleration(self) -> float:
-        """The acceleration of trapezoids and integral velocity mode, counts per sample squared."""
+        """Read the acceleration of trapezoids and integral velocity mode, counts per sample squared."""
         return self._read(ACCELERATION) / ACCELERATION.scale
 
     def velocity(self) -> int:
-        """The actual velocity, counts per sample; the chip knows it in proportional velocity mode only."""
+        """Read the actual velocity, counts per sample; the chip knows it in proportional velocity mode only."""
         return self._read(ACTUAL_VELOCITY)
 
     def status(self) -> int:
-        """R07, see LIMIT, STOP, INIT, PROFILE."""
+        """Read R07, see LIMIT, STOP, INIT, PROFILE."""
         return self.chip.read(STATUS)
 
     def clear_status(self) -> int:
-        """Clear what has triggered and is released again; R07 then."""
+        """Clear what has triggered and is released again; return R07 then."""
         self.chip.write(STATUS, self.chip.read(STATUS) & MAP.register("R07").writable)
         return self.status()
 
@@ -127,12 +127,20 @@ class Port:
         return next((name for name, flag in FLAGS.items() if flags >> flag & 1), "position")
 
     def idle(self) -> None:
-        """Init/Idle: no motor command."""
+        """Enter Init/Idle: no motor command."""
         self.chip.write(MODE, IDLE)
 
     def mode(self, name: str) -> None:
-        """Choose a control mode by its flag, "position" by none, and let the sample in progress end: with a profile it takes longer
-        to be worked out. Raises ArgumentError for a name that MINIMUM_T has not."""
+        """Choose a control mode by its flag, "position" by none, and let the sample in progress end.
+
+        With a profile a sample takes longer to be computed.
+
+        Args:
+            name: Name of the control mode.
+
+        Raises:
+            ArgumentError: A name that MINIMUM_T does not have.
+        """
         if name not in MINIMUM_T:
             raise unknown("control mode", name, MINIMUM_T)
         self._set_flags(name)
@@ -146,19 +154,28 @@ class Port:
             self.chip.write(FLAG, SET | FLAGS[name])
 
     def hold(self) -> None:
-        """Position control at the present position, from any mode. While LIMIT has triggered the chip refuses, see `limited`."""
+        """Take position control at the present position, from any mode.
+
+        While LIMIT has triggered the chip refuses, see `limited`.
+        """
         self.idle()
         self._set_flags("position")
         self.load(command_position=self.position())
         self.chip.write(MODE, CONTROL)
 
     def limited(self) -> bool:
-        """LIMIT has triggered, and the chip is in Init/Idle."""
+        """Return whether LIMIT has triggered, and the chip is in Init/Idle."""
         return not self.status() & LIMIT
 
     def wait_for_the_safe_part(self, mode: str = "position") -> None:
-        """Wait, if need be, until the timer says that the sample has been worked out and does not end at once. Raises ArgumentError
-        where T is so short that there is no such part, or is another than what this port knows."""
+        """Wait until the timer shows that the sample has been computed and does not end at once.
+
+        Args:
+            mode: Control mode, which determines how long the computation takes.
+
+        Raises:
+            ArgumentError: T is so short that there is no such part, or is another than this port knows.
+        """
         least = MINIMUM_T[mode]
         if self.t < least + MARGIN:
             raise ArgumentError(
@@ -179,12 +196,25 @@ class Port:
         )
 
     def command(self, position: int) -> None:
-        """A new command position, in the safe part of a sample."""
+        """Write a new command position, counts, in the safe part of a sample."""
         self.wait_for_the_safe_part()
         self.load(command_position=position)
 
     def wait_until(self, test: Callable[[], bool], timeout: float, what: str, poll: float = POLL) -> float:
-        """Poll until `test()` holds; the seconds it took. Raises RunTimeout, and leaves the axis without a motor command."""
+        """Poll until a test is met.
+
+        Args:
+            test: Function that returns whether the test is met.
+            timeout: Simulated seconds to wait.
+            what: What is waited for, in words, for the error.
+            poll: Seconds between two polls.
+
+        Returns:
+            Seconds that it took.
+
+        Raises:
+            RunTimeout: The test was not met; the axis is left without a motor command.
+        """
         begin = self.axis.time
         while not test():
             if not self.axis.time - begin < timeout:

@@ -23,7 +23,7 @@ from stage.firmware.hctl1100.port import MARGIN, Port
 
 @dataclass(frozen=True)
 class FollowReport:
-    """The result of a profile: commands written to each axis, samples that passed without a new one, seconds."""
+    """Report of a profile: commands written to each axis, samples that passed without a new one, seconds."""
 
     commands: int
     missed: int
@@ -34,9 +34,15 @@ class FollowReport:
 
 
 def synchronize(ports: Sequence[Port]) -> None:
-    """Let the sample timers of all begin at one clock, by the line to their SYNC pins. Raises ArgumentError where T differs.
+    """Let the sample timers of all chips begin at one clock, by the line to their SYNC pins.
 
     The chips obey SYNC in Init/Idle only: the axes are without a motor command for a few bus cycles, and hold afterwards.
+
+    Args:
+        ports: Ports of the axes.
+
+    Raises:
+        ArgumentError: The chips have different sample times.
     """
     if len({port.sample for port in ports}) != 1:
         raise ArgumentError(
@@ -54,13 +60,21 @@ def synchronize(ports: Sequence[Port]) -> None:
 def follow(
     ports: Sequence[Port], profile: np.ndarray, *, leader_only: bool = True, on_row: Callable[[], None] | None = None
 ) -> FollowReport:
-    """Command positions relative to where the axes are, one row a sample, in the safe part of it.
+    """Write command positions relative to the present ones, one row per sample, in the safe part of it.
+
+    A host too slow for the sample time misses samples: see the report.
 
     Args:
-        profile: (samples, axes) counts, whole numbers or rounded to them.
-        leader_only: read the timer of the first chip and write to all, as SYNC allows. Without, each chip's own timer is asked.
-        look: called after each row.
-    Raises ArgumentError. A host too slow for the sample time misses samples: see the report.
+        ports: Ports of the axes.
+        profile: Positions (samples, axes), counts, whole numbers or rounded to them.
+        leader_only: Read the timer of the first chip and write to all, as SYNC allows; otherwise each chip's own timer is read.
+        on_row: Function that is called after each row.
+
+    Returns:
+        The report.
+
+    Raises:
+        ArgumentError: A profile of another shape.
     """
     rows = np.rint(np.asarray(profile)).astype(np.int64)
     if rows.ndim != 2 or rows.shape[1] != len(ports) or not len(ports):
@@ -81,7 +95,12 @@ def follow(
 
 
 def next_sample(port: Port, mode: str = "position") -> None:
-    """Wait for the safe part of the next sample, as a timer interrupt and a look at R0F would. mode: the control mode."""
+    """Wait for the safe part of the next sample, as a timer interrupt and a read of R0F would.
+
+    Args:
+        port: Port of the axis.
+        mode: Control mode.
+    """
     port.axis.wait((port.chip.read(TIMER) + MARGIN) * port.count)
     port.wait_for_the_safe_part(mode)
 
@@ -89,12 +108,24 @@ def next_sample(port: Port, mode: str = "position") -> None:
 def circle(
     radius: float, *, seconds: float, sample: float, axes: int = 2, revolutions: int = 1, ramp: float = 0.2
 ) -> np.ndarray:
-    """A profile for `follow`: `revolutions` of a circle of `radius` counts, from rest to rest in `seconds`.
+    """Compute a profile for `follow`: a circle, from rest to rest.
 
-    With two axes in their plane, beginning at the lowest point to the right, counter-clockwise; with three in the plane that
-    contains the first axis and stands at 45 degrees to the others. The speed on the path rises and falls evenly in `ramp` s each.
+    With two axes the circle lies in their plane, begins at the lowest point to the right, and goes counter-clockwise; with three
+    it lies in the plane that contains the first axis and stands at 45 degrees to the others.
 
-    Returns (samples, axes) counts from where it begins. Raises ArgumentError.
+    Args:
+        radius: Radius, counts.
+        seconds: Time of the whole motion, s.
+        sample: Time of a sample, s.
+        axes: Number of axes, 2 or 3.
+        revolutions: Number of revolutions.
+        ramp: Time in which the speed on the path rises, and that in which it falls, s.
+
+    Returns:
+        Positions relative to the start (samples, axes), counts.
+
+    Raises:
+        ArgumentError: A value is out of its range.
     """
     if axes not in PLANES or not np.isfinite(radius) or not 0 < ramp <= 0.5 * seconds or not sample > 0:
         raise ArgumentError(
@@ -117,7 +148,15 @@ PLANES = {2: np.eye(2), 3: np.array([[1.0, 0.0, 0.0], [0.0, HALF, HALF]])}
 
 
 def off_circle(places: np.ndarray, radius: float) -> np.ndarray:
-    """How far places are from the circle that begins at the origin: (n, axes) in the radius' unit -> (n,)."""
+    """Compute how far positions are from the circle that begins at the origin.
+
+    Args:
+        places: Positions (n, axes) in the radius' unit.
+        radius: Radius.
+
+    Returns:
+        Distances (n,).
+    """
     places = np.asarray(places, float)
     right, forward = PLANES[places.shape[1]]
     u, v = places @ right, places @ forward - radius

@@ -28,10 +28,15 @@ MAX_AXES = 4
 
 @dataclass(frozen=True)
 class Speed:
-    """Of the path, for all of it: pps, pps/s; jerk in pps/s2 makes S-curves, 0 linear ramps.
+    """Speeds of the whole path.
 
-    even: constant vector speed, at which a step of two axes at once takes sqrt(2) times as long. Otherwise `drive` is the rate of
-    whichever axis is the fastest.
+    Attributes:
+        drive: Drive speed, pps.
+        initial: Initial speed, pps.
+        acceleration: Acceleration, pps/s.
+        jerk: Jerk of S-curves, pps/s2; 0: linear ramps.
+        even: Constant vector speed, at which a step of two axes at once takes sqrt(2) times as long; otherwise `drive` is the rate
+            of whichever axis is the fastest.
     """
 
     drive: int
@@ -43,7 +48,7 @@ class Speed:
 
 @dataclass(frozen=True, init=False)
 class Line:
-    """A straight line to a point, of as many axes as there are."""
+    """Straight line to a point, of as many axes as there are."""
 
     finish: tuple[int, ...]
 
@@ -53,7 +58,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Arc:
-    """An arc of the first two axes about a centre to a finish point; to (0, 0), where it began, a whole circle."""
+    """Arc of the first two axes about a center to a finish point; to (0, 0), where it began, a whole circle."""
 
     centre: tuple[int, int]
     finish: tuple[int, int] = (0, 0)
@@ -62,10 +67,14 @@ class Arc:
 
 @dataclass(frozen=True)
 class Helix:
-    """Turns of the first two axes about a centre, while the other axes move in proportion.
+    """Turns of the first two axes about a center, while the other axes move in proportion.
 
-    rotations: whole turns, then an arc to `finish` where that is not (0, 0); with 0 the arc alone. along: pulses of each of the
-    other axes a rotation; of the whole arc where there is none.
+    Attributes:
+        centre: Center of the turns, pulses.
+        along: Pulses of each of the other axes per rotation; of the whole arc where there is none.
+        rotations: Whole turns, followed by an arc to `finish` where that is not (0, 0); with 0 the arc alone.
+        finish: Finish point of the arc, pulses.
+        clockwise: Whether the axes turn clockwise.
     """
 
     centre: tuple[int, int]
@@ -80,11 +89,11 @@ Segment = Line | Arc | Helix
 
 @dataclass(frozen=True)
 class Drawn:
-    """The result of a path.
+    """Report of a path.
 
     Attributes:
-        seconds: from the first segment's command to the end. pulses: net pulses of each axis by name (signed).
-        errors: by axis, names of the bits of RR2 that are set. segments: how many were given.
+        seconds: Time from the first segment's command to the end. pulses: Net pulses of each axis by name (signed).
+        errors: Names of the bits of RR2 that are set, by axis. segments: Number of segments.
     """
 
     seconds: float
@@ -94,7 +103,7 @@ class Drawn:
 
     @property
     def ok(self) -> bool:
-        """No error bit is set."""
+        """Whether no error bit is set."""
         return not any(self.errors.values())
 
     def __str__(self) -> str:
@@ -107,8 +116,18 @@ class Drawn:
 def draw(segments: Sequence[Segment], *axes: Axis, speed: Speed, timeout: float = 60.0) -> Drawn:
     """Draw segments with two to four axes of one MCX514, one after the other without a stop.
 
-    Raises ArgumentError, before the axes move, where a segment does not suit them; RunTimeout after `timeout` s, and stops the
-    axes.
+    Args:
+        segments: Lines, arcs and helices.
+        axes: Axes of one chip.
+        speed: Speeds of the whole path.
+        timeout: Simulated seconds to wait.
+
+    Returns:
+        The report.
+
+    Raises:
+        ArgumentError: A segment does not suit the axes, which do not move then.
+        RunTimeout: The path was not drawn after `timeout`; the axes are stopped.
     """
     patience(timeout)
     ports = same_chip(axes)
@@ -122,7 +141,7 @@ def draw(segments: Sequence[Segment], *axes: Axis, speed: Speed, timeout: float 
     begin = main.axis.time
 
     def wait_while(bits: int, value: int) -> int:
-        """Poll RR0 while the chip drives and RR0 has this value; returns its next value."""
+        """Poll RR0 while the chip drives and these bits of RR0 have this value; return its next value."""
         while (status := main.chip.read(0)) & DRIVING and status & bits == value:
             if not main.axis.time - begin <= timeout:
                 stop(ports)
@@ -149,7 +168,7 @@ def draw(segments: Sequence[Segment], *axes: Axis, speed: Speed, timeout: float 
 
 
 def _prepare(ports: list[Port], speed: Speed) -> None:
-    """Modes of the axes, speeds of the main one, and which axes take part."""
+    """Write the modes of the axes, the speeds of the main one, and which axes take part."""
     ports[0].load(SV=speed.initial, DV=speed.drive, AC=speed.acceleration, **({"JK": speed.jerk} if speed.jerk else {}))
     curves = mask("WR3", "SACC") if speed.jerk else 0
     for port in ports:
@@ -180,7 +199,7 @@ def _words(segment: Segment, axes: int) -> Words:
 
 
 def _with_calculation(ports: list[Port], words: Words) -> Words:
-    """A helix with what the chip's helical calculation (6Bh, 6Ch) makes of it: the chip cannot calculate while it draws."""
+    """Add the result of the chip's helical calculation (6Bh, 6Ch) to a helix: the chip cannot calculate while it draws."""
     command, chip_words, axis_words = words
     if not command.startswith("HL"):
         return words

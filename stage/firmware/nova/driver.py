@@ -52,7 +52,7 @@ class Pattern(pattern.Pattern):
 
 
 class NovaDriver(Driver):
-    """What the family shares. The order of SPEEDS is initial speed, drive speed, acceleration, jerk."""
+    """Common part of the family's drivers. The order of SPEEDS is initial speed, drive speed, acceleration."""
 
     PATTERN: ClassVar = Pattern
     POSITIVE: ClassVar = ("org", "ez", "el_plus", "el_minus")
@@ -117,12 +117,17 @@ class NovaDriver(Driver):
         return next((name for bit, name in CAUSES.items() if word & self._get_end_mask(bit)), "")
 
     def explain_end(self, done: bool, journal: Journal | None = None) -> str:
-        """Return what ended a run; a software limit, which has no bit among the ends, is read from the errors of RR2."""
+        """Return what ended a drive; a software limit, which has no bit among the ends, is read from the errors of RR2.
+
+        Args:
+            done: Whether every pulse has been made.
+            journal: Journal of the chip, opened before the drive.
+        """
         reasons = super().explain_end(done, journal)
         return reasons if reasons != UNKNOWN else next(iter(self.port.errors()), UNKNOWN)
 
     def status_words(self) -> dict[str, int]:
-        """RR0 to RR2, and the input signals RR4 and RR5 where the chip has them. RR3 forgets what is read of it."""
+        """Read RR0 to RR2, and the input signals RR4 and RR5 where the chip has them. Reading RR3 would clear it."""
         self.port.command(self.NOP)
         names = {w.name: w for w in self.map.words}
         return {
@@ -137,13 +142,13 @@ class NovaDriver(Driver):
         raise self.no_reading(r.name)
 
     def _get_end_mask(self, bit: str) -> int:
-        """The mask of a cause in ENDED, 0 where the chip has none; of the MCX514 END-EMG and END-ALARM."""
+        """Return the mask of a cause in END_WORD, 0 where the chip has none; of the MCX514 END-EMG and END-ALARM."""
         names = {f.name for f in self.map.word(self.END_WORD).fields}
         name = f"END-{bit}" if f"END-{bit}" in names else bit
         return self.map.mask(self.END_WORD, name) if name in names else 0
 
     def _registers(self, speeds: Speeds, pulses: int) -> dict[str, int]:
-        """Of these speeds. Raises ArgumentError for what the chip cannot make."""
+        """Compute the registers of these speeds. Raises ArgumentError for what the chip cannot make."""
         low, high = (limit * self.UNIT for limit in limits(self.map, self.SPEEDS[1]))
         for name, field, rate in (("start", "start_speed", speeds.start), ("drive", "speed", speeds.drive)):
             if not low <= rate <= high:
@@ -157,7 +162,7 @@ class NovaDriver(Driver):
         return self.formula(speeds.start, speeds.drive, speeds.up, speeds.down, pulses, bool(speeds.s_curve))
 
     def _prepare(self, registers: Mapping[str, int]) -> None:
-        """Modes and speeds. Raises StageError for an axis that moves."""
+        """Write modes and speeds. Raises StageError for an axis that moves."""
         if self.port.driving():
             raise self.moving()
         now = AtOnce(self.axis)
@@ -170,7 +175,22 @@ class NovaDriver(Driver):
     def line(
         cls, drivers: Mapping[str, Driver], pulses: Mapping[str, int], speeds: Speeds, timeout: float | None = None
     ) -> SynchronizedReport:
-        """By the chip's linear interpolation where it has it, else by ranges in the ratio of the distances."""
+        """Draw a line by the chip's linear interpolation where it has it, else by ranges in the ratio of the distances.
+
+        Args:
+            drivers: Drivers by the names of their axes.
+            pulses: Signed pulses of each axis.
+            speeds: Rates and ramps of the longest axis.
+            timeout: Simulated seconds to wait; None: half as much again as the line can take.
+
+        Returns:
+            A report of all axes.
+
+        Raises:
+            ArgumentError: The chips cannot draw this line.
+            StageError: An axis moves already.
+            RunTimeout: An axis still moved after `timeout`.
+        """
         moving_drivers = select_moving(cast("dict[str, NovaDriver]", drivers), pulses)
         for driver in moving_drivers.values():
             if driver.port.driving():
@@ -222,31 +242,58 @@ class NovaDriver(Driver):
     # --- as operations ---
 
     def command(self, p: Ops, symbol: str) -> Ops:
-        """A command to this axis, or to the chip."""
+        """Add a command to this axis, or to the chip.
+
+        Args:
+            p: Program, or operations that are done at once.
+            symbol: Symbol of the command in the chip's map.
+        """
         c = self.map.command(symbol)
         return p.write(self.index, 0, (self.bit << 8 if c.axes else 0) | c.code)
 
     def set(self, p: Ops, name: str, value: int) -> Ops:
-        """A parameter or mode of this axis, or of the chip."""
+        """Add the write of a parameter or mode of this axis, or of the chip.
+
+        Args:
+            p: Program, or operations that are done at once.
+            name: Name of the parameter or mode in the chip's map.
+            value: Value to write.
+        """
         return p.register(self.index, self.chip, name, value, self.axis.chip_axis)
 
     def words(self, p: Ops, **words: int) -> Ops:
-        """WR1 to WR3 of this axis."""
+        """Add the writes of WR1 to WR3 of this axis.
+
+        Args:
+            p: Program, or operations that are done at once.
+            words: Values by the names of the words.
+        """
         self.command(p, self.NOP)
         for name, value in words.items():
             p.write(self.index, int(name[2:]), value)
         return p
 
     def mask(self, word: str, *names: str) -> int:
+        """Return bits of a word of the chip's map by their names."""
         return sum(self.map.mask(word, name) for name in names)
 
     @abstractmethod
     def begin(self, p: Ops, s_curve: bool = False) -> Ops:
-        """The modes of a drive after power-up: ramps, and end limits that stop it."""
+        """Add the modes of a drive after power-up: ramps, and end limits that stop it.
+
+        Args:
+            p: Program, or operations that are done at once.
+            s_curve: Whether the ramps are S-curves.
+        """
 
     @abstractmethod
     def drive(self, p: Ops, pulses: int) -> Ops:
-        """Set the pulses and start a fixed-pulse drive."""
+        """Add the pulses and the start of a fixed-pulse drive.
+
+        Args:
+            p: Program, or operations that are done at once.
+            pulses: Signed pulses of the drive.
+        """
 
     def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:
         return (*self.SPEEDS, self.JERK) if s_curve else self.SPEEDS
@@ -261,7 +308,7 @@ class NovaDriver(Driver):
         self.command(program, self.STOP)
 
     def legal(self, name: str, value: float) -> int:
-        """The nearest value that the data sheet allows."""
+        """Return the nearest value of a register that the data sheet allows."""
         low, high = limits(self.map, name)
         return int(np.clip(round(value), low, high))
 
@@ -274,18 +321,31 @@ class NovaDriver(Driver):
     """FINISH, the register of the finish point, has a sign, which is the direction."""
 
     def lines(self, drivers: Sequence[Driver], settings: Any) -> Line:
-        """By the chip's interpolation where all axes are on one chip that has it; else by the ratio of speeds and accelerations."""
+        """Return lines by the chip's interpolation where all axes are on one chip that has it; else by the ratio of speeds and
+        accelerations."""
         if self.interpolates(cast(Any, drivers)):
             return Interpolated(cast(Any, drivers), settings)
         return InRatio(cast(Any, drivers), settings)
 
     @abstractmethod
     def interpolates(self, drivers: Sequence[NovaDriver]) -> bool:
-        """Whether the chip can interpolate these axes. Raises ArgumentError where there is no other way, either."""
+        """Return whether the chip can interpolate the axes of these drivers.
+
+        Args:
+            drivers: Drivers of the axes.
+
+        Raises:
+            ArgumentError: The chips can draw the line in no other way, either.
+        """
 
     @abstractmethod
     def interpolate(self, p: Ops, drivers: Sequence[NovaDriver]) -> Ops:
-        """Choose axes, let the speed fall at the end, and start linear interpolation; finish points are set."""
+        """Choose axes, let the speed fall at the end, and start linear interpolation; finish points are set already.
+
+        Args:
+            p: Program, or operations that are done at once.
+            drivers: Drivers of the axes.
+        """
 
     # --- the home search ---
 
@@ -293,23 +353,40 @@ class NovaDriver(Driver):
     def write_home(
         self, p: Operations, fast: bool, timer: int, index: bool, limit: float, rest: float, direction: int = -1
     ) -> list[int]:
-        """Search ORG in a direction, at the drive speed if `fast`, then at HV; `index`: on to STOP2.
+        """Add a search of ORG.
 
-        Returns the places of the polls for the stop.
+        Args:
+            p: Program, or operations that are done at once.
+            fast: Begin at the drive speed, not at HV.
+            timer: Code of the rest between steps; 0: none.
+            index: Go on to STOP2.
+            limit: Seconds that a drive may take.
+            rest: Seconds of rest after the search.
+            direction: Direction in which ORG lies, 1 or -1.
+
+        Returns:
+            Indices of the polls for the stop.
         """
 
     @abstractmethod
     def read_levels(self, p: Program) -> dict[str, tuple[int, int, bool]]:
-        """Read errors and levels: {"error": (place, mask, which level is on), "stop1": ..., "stop2": ...}."""
+        """Add the reads of errors and levels.
+
+        Args:
+            p: Program.
+
+        Returns:
+            For "error", "stop1" and "stop2": index of the read, mask, and the level that means on.
+        """
 
     def high(self, k: int) -> bool:
-        """STOP1 (ORG), STOP2 (EZ) is high while it is on."""
+        """Return whether STOP1 (ORG) or STOP2 (EZ) is high while it is on."""
         return positive(self.axis, ("org", "ez")[k - 1])
 
     @abstractmethod
     def forget(self, p: Ops) -> Ops:
-        """Clear what tells of drives before."""
+        """Add the command that clears the ends of drives before."""
 
     @abstractmethod
     def choices(self) -> dict[str, tuple[int, int]]:
-        """What can be chosen of a search beside the speeds and `leave`."""
+        """Return what can be chosen of a search beside the speeds and `leave`: ranges by name."""

@@ -27,7 +27,7 @@ S_CURVE = MAP.mask("WR3", "SACC")
 
 
 def port_of(axis: Axis) -> Port:
-    """The port of an axis whose chip can have the failure. Raises ArgumentError for another."""
+    """Return the port of an axis whose chip can have the failure. Raises ArgumentError for another chip."""
     if not isinstance(getattr(axis, "chip", None), (MCX304, MCX302, MCX312)):
         raise ArgumentError(f"{axis!r} has no MCX304, MCX302 or MCX312, and no other chip has this failure.")
     return Port(axis)
@@ -54,9 +54,16 @@ class DecelerationFlag:
 
 
 def stop_guarded(flag: DecelerationFlag) -> bool:
-    """Case 1, (1): "within task, see flag and if it's 1, don't execute deceleration stop command".
+    """Give the decelerating stop unless the flag prohibits it (case 1, (1)).
 
-    Here the routine is called in place of an interrupt. Returns whether 26h was given.
+    "within task, see flag and if it's 1, don't execute deceleration stop command". Here the routine is called in place of an
+    interrupt.
+
+    Args:
+        flag: Flag of the drive.
+
+    Returns:
+        Whether 26h was written.
     """
     flag.interrupt()
     if flag.prohibits:
@@ -66,16 +73,28 @@ def stop_guarded(flag: DecelerationFlag) -> bool:
 
 
 def judgmental_speed(initial: int, drive: int) -> float:
-    """Case 1, (2): "middle one between initial speed and setting speed ((Driving speed - initial speed)/2 + initial speed)"."""
+    """Compute the judgmental speed of case 1, (2): "middle one between initial speed and setting speed".
+
+    Args:
+        initial: Initial speed SV.
+        drive: Drive speed V.
+    """
     return (drive - initial) / 2 + initial
 
 
 def stop_by_speed(port: Port, judgmental: float) -> bool:
-    """Case 1, (2): "make sure status is accelerating (ASND=1) or constant speed driving (CNST=1) and driving speed is same or
-    faster than judgmental speed".
+    """Give the decelerating stop where it does no harm (case 1, (2)).
 
-    judgmental: see `judgmental_speed`, in the unit of SV and V. Returns whether 26h was given; early in the
-    acceleration it is not: ask again.
+    "make sure status is accelerating (ASND=1) or constant speed driving (CNST=1) and driving speed is same or faster than
+    judgmental speed".
+    Early in the acceleration the stop is not given: call the function again.
+
+    Args:
+        port: Port of the axis.
+        judgmental: Speed of `judgmental_speed`, in the unit of SV and V.
+
+    Returns:
+        Whether 26h was written.
     """
     if not port.word(1) & (ASND | CNST) or port.speed() < judgmental:
         return False
@@ -84,9 +103,15 @@ def stop_by_speed(port: Port, judgmental: float) -> bool:
 
 
 def limit_interrupt(port: Port) -> bool:
-    """Case 2, (1): the interrupt routine for C-END, which WR1 D13 enables. The numbers are those of the notice.
+    """Handle the interrupt for C-END, which WR1 D13 enables (case 2, (1)); the numbers are those of the notice.
 
-    Returns whether it had to give 27h. It ends what a limit did; after 26h it does nothing.
+    It ends a drive that a limit has stopped; after 26h it does nothing.
+
+    Args:
+        port: Port of the axis.
+
+    Returns:
+        Whether 27h had to be written.
     """
     if not port.word(3) & C_END:  # 1: another factor
         return False
@@ -104,19 +129,35 @@ def limit_interrupt(port: Port) -> bool:
 
 
 def limit_poll(port: Port) -> bool:
-    """Case 2, (2): "always read out status of progress directional hardware limit (RR1/D12, D13) with timer interruption. If limit
-    signal becomes active, read out bit status of ASND (D2), CNST (D3) and DSND (D4) in RR1 resister and execute sudden stop
-    command (27h) one time only if all those 3 bits are 0."
+    """Handle the timer interrupt of case 2, (2).
 
-    Returns whether it had to.
+    "always read out status of progress directional hardware limit (RR1/D12, D13) with timer interruption. If limit signal becomes
+    active, read out bit status of ASND (D2), CNST (D3) and DSND (D4) in RR1 resister and execute sudden stop command (27h) one
+    time only if all
+    those 3 bits are 0."
+
+    Args:
+        port: Port of the axis.
+
+    Returns:
+        Whether 27h had to be written.
     """
     return _end_runaway(port, STOPPED_BY_LIMIT)
 
 
 def start_within_limits(port: Port, pulses: int, low: int, high: int) -> bool:
-    """Case 3: "If target position is over value of software limit, don't drive to avoid the trouble."
+    """Start a drive unless its target is beyond a software limit (case 3).
 
-    low, high: CM and CP, the software limits, pulses. Starts the drive and returns True, or returns False.
+    "If target position is over value of software limit, don't drive to avoid the trouble."
+
+    Args:
+        port: Port of the axis.
+        pulses: Signed pulses of the drive.
+        low: Software limit CM, pulses.
+        high: Software limit CP, pulses.
+
+    Returns:
+        Whether the drive was started.
     """
     if not low <= port.position() + pulses <= high:
         return False
@@ -125,7 +166,14 @@ def start_within_limits(port: Port, pulses: int, low: int, high: int) -> bool:
 
 
 def stop_signal_poll(port: Port) -> bool:
-    """Case 4: as case 2, (2), with STOP0 to STOP2 (RR1 D8 to D10). Returns whether it had to give 27h."""
+    """Handle the timer interrupt of case 4: as case 2, (2), with STOP0 to STOP2 (RR1 D8 to D10).
+
+    Args:
+        port: Port of the axis.
+
+    Returns:
+        Whether 27h had to be written.
+    """
     return _end_runaway(port, STOPPED_BY_STOP)
 
 

@@ -31,12 +31,12 @@ TIMERS = (1e-3, 2e-3, 10e-3, 20e-3, 0.1, 0.2, 0.5, 1.0)  # s, HTM
 
 @dataclass(frozen=True)
 class HomeReport:
-    """The result of an axis' home search.
+    """Report of an axis' home search.
 
     Attributes:
-        states: (seconds since the start, HSST) at each change that the host read; HOME_STATES has their meaning.
-        seconds: from the command to the end. errors: names of the bits of RR2 that are set.
-        position: where the carriage is, m; None without one. unit: "m", or "rad" on a hinge.
+        states: (Seconds since the start, HSST) at each change that the host read; HOME_STATES has their meaning.
+        seconds: Time from the command to the end. errors: Names of the bits of RR2 that are set.
+        position: Position of the carriage, m; None without one. unit: "m", or "rad" on a hinge.
     """
 
     axis: str
@@ -48,7 +48,7 @@ class HomeReport:
 
     @property
     def ok(self) -> bool:
-        """Home was found."""
+        """Whether home was found."""
         return not self.errors
 
     def __str__(self) -> str:
@@ -75,16 +75,25 @@ def home_search(
     """Search home on axes of one MCX514, all at once.
 
     Args:
-        direction: where ORG lies, -1 or 1.
-        speed, home_speed, initial_speed: pps, of steps 1 and 4 (DV), of steps 2 and 3 (HV), at the start of all (SV).
-        acceleration: pps/s.
-        index: end at an index pulse after ORG.
-        offset: pulses to go from there in the end, signed.
-        timer: s of rest between steps, one of TIMERS: a motor rings when a switch stops it.
-        timeout: s for all of it.
-        back: where an end limit comes before ORG, search it on the way back, as the chip does; False: stop there, with the limit
+        axes: Axes of one chip.
+        direction: Direction in which ORG lies, -1 or 1.
+        speed: Speed of steps 1 and 4 (DV), pps.
+        home_speed: Speed of steps 2 and 3 (HV), pps.
+        initial_speed: Initial speed of all steps (SV), pps.
+        acceleration: Acceleration, pps/s.
+        index: End at an index pulse after ORG.
+        offset: Signed pulses to move from there in the end.
+        timer: Rest between steps, one of TIMERS, s: a motor rings when a switch stops it.
+        timeout: Simulated seconds for the whole search.
+        back: Where an end limit comes before ORG, search it on the way back, as the chip does; False: stop there, with the limit
             among the errors. Where ORG stays asserted up to the limit, there is none behind it.
-    Returns a report for each axis by name. Raises ArgumentError; RunTimeout when the time is over, and stops the axes.
+
+    Returns:
+        A report for each axis by name.
+
+    Raises:
+        ArgumentError: A value is out of its range.
+        RunTimeout: The search took longer than `timeout`; the axes are stopped.
     """
     ports = same_chip(axes)
     if direction not in (-1, 1):
@@ -127,7 +136,17 @@ def _limit(port: Port, direction: int) -> tuple[str, ...]:
 def _watch(
     ports: list[Port], begin: float, timeout: float, at_limit: Callable[[Port], None] | None
 ) -> list[tuple[tuple[float, int], ...]]:
-    """Look at HSST until it is 0 on all axes; what was seen. at_limit: what to do with an axis that goes back from a limit."""
+    """Poll HSST until it is 0 on all axes.
+
+    Args:
+        ports: Ports of the axes.
+        begin: Time when the search began, s.
+        timeout: Simulated seconds to wait.
+        at_limit: Function that is called for an axis that goes back from a limit.
+
+    Returns:
+        For each axis the times, s, and values of HSST at each change.
+    """
     histories: list[list[tuple[float, int]]] = [[] for _ in ports]
     while not all(states and states[-1][1] == 0 for states in histories):
         for port, states in zip(ports, histories, strict=True):

@@ -22,7 +22,7 @@ MAX_SPEED = 8000  # of SV, V
 
 
 class Ramps(NamedTuple):
-    """Of each axis (stages, axes): multiple, SV and V in pps, seconds of a ramp, pulses by which a ramp falls short of V."""
+    """Ramps of each axis (stages, axes): multiple, SV and V in pps, seconds of a ramp, pulses by which a ramp falls short of V."""
 
     multiple: np.ndarray
     low: np.ndarray
@@ -32,14 +32,22 @@ class Ramps(NamedTuple):
 
 
 class NovaLine(Line):
-    """The common part of both ways."""
+    """Common part of both ways to draw a line."""
 
     def check_pulses(self, driver: NovaDriver, pulses: int) -> None:
-        """Raise ArgumentError for pulses, signed, that an axis' register of the finish point does not hold."""
+        """Check that a register of the finish point holds the pulses.
+
+        Args:
+            driver: Driver of the axis.
+            pulses: Signed pulses.
+
+        Raises:
+            ArgumentError: It does not.
+        """
         driver.map.checked(driver.FINISH, pulses if driver.SIGNED else abs(pulses))
 
     def _set(self, program: Program, h: NovaDriver, name: str, column: int) -> None:
-        """A register whose value is a column."""
+        """Add a register whose value is a column."""
         h.set(program, name, 0)
         wide = self.chip.MAP.register(name).bits > 16
         self._slot(program, 3 if wide else 2, column)
@@ -48,10 +56,10 @@ class NovaLine(Line):
 
 
 class Interpolated(NovaLine):
-    """One row: the speeds of the main axis, which are those of the longest one.
+    """Line by interpolation. One row: the speeds of the main axis, which are those of the longest one.
 
     The chip keeps all axes on the line, so only the speeds are to be chosen, at which the carriages can follow. Finish points are
-    the given distances.
+    the distances.
     """
 
     def __init__(self, drivers: Sequence[NovaDriver], settings: Any):
@@ -81,7 +89,7 @@ class Interpolated(NovaLine):
             )
 
     def data_sheet(self, moves: LineMoves) -> np.ndarray:
-        """The formulas of the data sheet for the longest axis."""
+        """Compute the formulas of the data sheet for the longest axis."""
         c, rows = self.settings, []
         for peak, ramp, longest in zip(*self.reach(moves), moves.longest, strict=True):
             registers = self.main.formula(min(c.fl, peak), peak, ramp, ramp, int(longest), c.s_curve)
@@ -89,13 +97,14 @@ class Interpolated(NovaLine):
         return np.array(rows, np.int64)
 
     def corrected(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
-        """Factors, from a half to twice: nothing brings the axes off the line, so there is no count that a pulse is worth."""
+        """Multiply the registers by factors from a half to two: nothing brings the axes off the line, so no count is worth a
+        pulse."""
         rows = self.legal(self.data_sheet(moves) * FACTOR**corrections)
         rows[:, :, 0] = np.minimum(rows[:, :, 0], rows[:, :, 1])
         return rows
 
     def errors(self, moves: LineMoves) -> np.ndarray:
-        """None: the chip interpolates."""
+        """Return zeros: the chip interpolates."""
         return np.zeros((*moves.distances.shape, 4))
 
     def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
@@ -106,10 +115,10 @@ class Interpolated(NovaLine):
 
 
 class InRatio(NovaLine):
-    """A row R, SV, V, A, with S-curves K an axis.
+    """Line by ranges in the ratio of the distances. A row R, SV, V, A, with S-curves K, for each axis.
 
     The multiple 8,000,000 / R scales speeds, acceleration and jerk alike: with R in inverse ratio to the distances and all else
-    equal, the axes' courses are the same but for their scale. The axes of a chip are released together, at one clock.
+    equal, the rates of the axes differ in their scale only. The axes of a chip are released together, at one clock.
     """
 
     def __init__(self, drivers: Sequence[NovaDriver], settings: Any):
@@ -139,8 +148,8 @@ class InRatio(NovaLine):
         self._template = np.array(p.ops, np.int64)
 
     def data_sheet(self, moves: LineMoves) -> np.ndarray:
-        """V as large as leaves the shortest axis a multiple of 1; speeds, acceleration and jerk of the longest axis, and of the
-        others the nearest to its share of them."""
+        """Compute V as large as leaves the shortest axis a multiple of 1; the others get the nearest to their share of the
+        longest axis' values."""
         c, rho, (peak, ramp) = self.settings, moves.share, self.reach(moves)
         fl = np.minimum(c.fl, peak)
         least, max_range = self.ranges
@@ -162,13 +171,21 @@ class InRatio(NovaLine):
         return self._ordered(self.legal(np.stack(columns, axis=2)))
 
     def corrected(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
-        """By a share of the counts that move the axis by `reach` pulses along the line, one at least."""
+        """Correct registers by a share of the counts that move the axis by `reach` pulses along the line, one at least."""
         rows = self.data_sheet(moves)
         counts = np.maximum(np.rint(self.settings.reach / self.worth(rows, moves)), 1)
         return self._ordered(self.legal(rows + np.rint(corrections * counts)))
 
     def worth(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
-        """By how many pulses one count of each register moves an axis along the line, by the data sheet's formulas."""
+        """Compute by how many pulses one count of each register moves an axis along the line, by the data sheet's formulas.
+
+        Args:
+            registers: Registers (stages, axes, names).
+            moves: Moves along the line.
+
+        Returns:
+            Pulses (stages, axes, names).
+        """
         at, r = self._compute_ramps(registers), registers.astype(np.float64)
         worth = [moves.size / r[..., 0], at.ramp * at.multiple, moves.size / r[..., 2], at.lag / r[..., 3]]
         if self.settings.s_curve:  # the acceleration is at its limit, and the jerk makes the ramps
@@ -180,7 +197,7 @@ class InRatio(NovaLine):
         return self.strays(moves, at.high, at.ramp, at.lag, at.lag, 0.5 * (at.low + at.high) * at.ramp)
 
     def _compute_ramps(self, registers: np.ndarray) -> Ramps:
-        """What registers (stages, axes, names) come to."""
+        """Compute the ramps that registers (stages, axes, names) give."""
         r = registers.astype(np.float64)
         m = RANGE / r[..., 0]
         low, high, rate = m * r[..., 1], m * r[..., 2], 125.0 * m * r[..., 3]
@@ -191,7 +208,7 @@ class InRatio(NovaLine):
         return Ramps(m, low, high, ramp, 0.5 * (high - low) * ramp)
 
     def _ordered(self, registers: np.ndarray) -> np.ndarray:
-        """SV no higher than V."""
+        """Return the registers with SV no higher than V."""
         registers[..., 1] = np.minimum(registers[..., 1], registers[..., 2])
         return registers
 

@@ -27,8 +27,10 @@ MULTIPLE = 20
 
 
 class FirstGenerationDriver(NovaDriver):
-    """MCX304, MCX302, MCX312: speeds are multiples of 8,000,000 / R pps, and the home search's fast step has no ORG: a continuous
-    drive that STOP1 ends takes its place."""
+    """Driver of MCX304, MCX302, MCX312 and MCX314As: speeds are multiples of 8,000,000 / R pps.
+
+    The home search's fast step has no ORG: a continuous drive that STOP1 ends takes its place.
+    """
 
     SPEEDS: ClassVar = ("SV", "V", "A")
     JERK: ClassVar = "K"
@@ -60,8 +62,12 @@ class FirstGenerationDriver(NovaDriver):
             return p.report(self.stopped_by() or "HOME")  # what ended its last drive: a limit, where ORG is stuck
 
     def _watch(self, timeout: float) -> bool:
-        """Until the search is over. Where the end limit comes before ORG the chip goes back to look for it, and where ORG ends
-        before the limit does, it finds none and goes on for ever: it is stopped, and that is returned."""
+        """Wait until the search is over, and return whether an end limit has ended it.
+
+        Where the end limit comes before ORG the chip goes back to look for it, and where ORG ends before the limit does, it finds
+        none and
+        goes on for ever: it is stopped.
+        """
         back: list[bool] = []
 
         def stop_at_limit() -> None:
@@ -73,7 +79,7 @@ class FirstGenerationDriver(NovaDriver):
         return bool(back)
 
     def forget(self, p: Ops) -> Ops:
-        """The end status of a drive stays until the next drive begins."""
+        """Return the operations as they are: the end status of a drive stays until the next drive begins."""
         return p
 
     def begin(self, p: Ops, s_curve: bool = False) -> Ops:
@@ -97,7 +103,7 @@ class FirstGenerationDriver(NovaDriver):
     def formula(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
-        """A = (V - SV) / (125 m ta), K by the jerk 4 (V - SV) / ta^2; one ramp for both ways, the longer one."""
+        """Compute A = (V - SV) / (125 m ta), K by the jerk 4 (V - SV) / ta^2; one ramp for both ways, the longer one."""
         seconds = max(up, down)
         values = {"SV": fl / MULTIPLE, "V": fh / MULTIPLE, "A": (fh - fl) / seconds / (125 * MULTIPLE)}
         if s_curve:
@@ -130,17 +136,17 @@ class FirstGenerationDriver(NovaDriver):
         return [*polls, self._search(p, index, SEARCHES * limit, rest, direction)]
 
     def _to_signal(self, p: Operations, direction: int, limit: float, rest: float) -> int:
-        """Drive until STOP1, or a limit, ends it; the place of the poll for the stop."""
+        """Drive until STOP1, or a limit, ends it; return the index of the poll for the stop."""
         self.command(self.words(p, WR1=self._inputs("SP1-E")), self.RUN[direction < 0])
         return self._stopped(p, limit, rest)
 
     def _search(self, p: Operations, index: bool, limit: float, rest: float, direction: int) -> int:
-        """The automatic home search, without its first step; the place of the poll for the stop."""
+        """Add the automatic home search without its first step; return the index of the poll for the stop."""
         self._begin_search(p, index, direction, 0)
         return self._stopped(p, limit, rest)
 
     def _begin_search(self, p: Operations, index: bool, direction: int, steady: int) -> None:
-        """steady: FL of the filter of the switches; 0: none."""
+        """Begin the automatic home search. steady: FL of the filter of the switches; 0: none."""
         extended = isinstance(self.chip, MCX314AS)  # its filters are in EM
         place = "EM" if extended else "WR3"
         filters = (self.mask(place, "FE0") | steady << self.map.bit(place, "FL")) if steady else 0
@@ -168,7 +174,7 @@ class FirstGenerationDriver(NovaDriver):
         }  # on its way out of an ORG that is stuck
 
     def _level(self, k: int) -> tuple[int, int]:
-        """Where STOPk of this axis is read: address and mask."""
+        """Return where STOPk of this axis is read: address and mask."""
         axis = self.axis.chip_axis
         word = f"RR{4 + axis // (1 if self.chip.AXES == 2 else 2)}"
         return int(word[2:]), self.mask(word, f"{'XYZU'[axis]}-STOP{k}")

@@ -62,7 +62,7 @@ class Mcx514Driver(NovaDriver):
     def formula(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
-        """Appendix A-1, AC = (DV - SV) / ta, A-2, JK = 4 (DV - SV) / ta^2; one ramp for both ways, the longer one."""
+        """Compute AC = (DV - SV) / ta (appendix A-1), JK = 4 (DV - SV) / ta^2 (A-2); one ramp for both ways, the longer one."""
         seconds = max(up, down)
         values = {"SV": fl, "DV": fh, "AC": (fh - fl) / seconds}
         if s_curve:

@@ -38,7 +38,15 @@ ERRORS = ("SLMT+", "SLMT-", "HLMT+", "HLMT-", "ALARM", "EMG", "HOME", "CERR")
 
 
 def level_bits(axis: Axis, word: str) -> int:
-    """The bits of WR1 or WR2 that suit the wiring of an axis. Raises ArgumentError where two sensors that differ have one bit."""
+    """Compute the bits of WR1 or WR2 that suit the wiring of an axis.
+
+    Args:
+        axis: Axis.
+        word: "WR1" or "WR2".
+
+    Raises:
+        ArgumentError: Two sensors of different logic have one bit.
+    """
     map_, bits = axis.chip.MAP, 0
     levels = LEVELS_514 if isinstance(axis.chip, MCX514) else LEVELS_300
     for sensor, (place, name) in levels.items():
@@ -56,12 +64,12 @@ def level_bits(axis: Axis, word: str) -> int:
 
 
 def inputs_514(axis: Axis) -> int:
-    """WR2 of an MCX514: end limits stop, all sensors as they are wired."""
+    """Compute WR2 of an MCX514: end limits stop, all sensors as they are wired."""
     return MAP.mask("WR2", "HLM-E") | level_bits(axis, "WR2")
 
 
 class Port:
-    """The bus of one axis. Raises ArgumentError when the axis' chip is none of the family."""
+    """Bus of one axis. Raises ArgumentError when the axis' chip is none of the family."""
 
     def __init__(self, axis: Axis):
         if not isinstance(getattr(axis, "chip", None), Nova):
@@ -73,7 +81,7 @@ class Port:
         self._modes = {"WR1": 0, "WR2": 0, "WR3": 0}  # the first generation cannot read them
 
     def command(self, symbol: str) -> None:
-        """A command to the axis, or to the chip where it carries no axis bits."""
+        """Write a command to the axis, or to the chip where it carries no axis bits."""
         c = self.map.command(symbol)
         self.chip.write(0, (self.bit << 8 if c.axes else 0) | c.code)
 
@@ -94,39 +102,45 @@ class Port:
             self.chip.write(int(name[2]), value)
 
     def enable(self, name: str, bits: int, on: bool = True) -> None:
-        """Set (or clear) bits of a mode word and leave its others, as this port has written them."""
+        """Set or clear bits of a mode word and leave its others, as this port has written them.
+
+        Args:
+            name: Name of the word.
+            bits: Bits to change.
+            on: Whether they are set.
+        """
         self.mode(**{name: self._modes[name] | bits if on else self._modes[name] & ~bits})
 
     def word(self, n: int) -> int:
-        """RR1, RR2 or RR3 (of an MCX514 its page 0) of the axis. Reading factors of an interrupt clears them."""
+        """Read RR1, RR2 or RR3 (of an MCX514 its page 0) of the axis. Reading factors of an interrupt clears them."""
         self.command("RR3P0" if n == 3 and isinstance(self.chip, MCX514) else "NOP")
         return self.chip.read(n)
 
     def value(self, symbol: str) -> int:
-        """What a data reading command says, of 32 bits with a sign: R-LP, CV ..."""
+        """Read the value of a data reading command, of 32 bits with a sign: R-LP, CV ..."""
         self.command(symbol)
         word = self.chip.read(6) | self.chip.read(7) << 16
         return word - (word >> 31 << 32)
 
     def position(self) -> int:
-        """LP, pulses."""
+        """Read LP, pulses."""
         return self.value("R-LP")
 
     def speed(self) -> int:
-        """CV, in the unit of the drive speed."""
+        """Read CV, in the unit of the drive speed."""
         return self.value("CV")
 
     def driving(self) -> bool:
-        """n-DRV."""
+        """Return n-DRV."""
         return self.chip.busy(self.axis.chip_axis)
 
     def errors(self) -> tuple[str, ...]:
-        """The error bits of RR2 that are set, by name."""
+        """Read the names of the error bits of RR2 that are set."""
         word, bits = self.word(2), {f.name: f.mask for f in self.map.word("RR2").fields}
         return tuple(name for name in ERRORS if word & bits.get(name, 0))
 
     def start(self, pulses: int) -> None:
-        """Start a drive of so many pulses; the sign is the direction. Raises ArgumentError for 0."""
+        """Start a fixed-pulse drive of signed pulses. Raises ArgumentError for 0."""
         if pulses == 0:
             raise ArgumentError("pulses=0: a drive has at least one; its sign is the direction.")
         if isinstance(self.chip, MCX514):
@@ -137,10 +151,18 @@ class Port:
             self.command("F_DRV_P" if pulses > 0 else "F_DRV_M")
 
     def wait_until_stopped(self, timeout: float, routine: Callable[[], bool] | None = None, poll: float = POLL) -> bool:
-        """Wait for n-DRV = 0, seconds `timeout` at most.
+        """Wait for n-DRV = 0.
 
-        routine: called before each look, every `poll` seconds, as a timer or an interrupt would; see erratum.py.
-        Returns whether a call of it said True: it had to stop the drive. Raises RunTimeout.
+        Args:
+            timeout: Simulated seconds to wait.
+            routine: Function that is called before each poll, as a timer or an interrupt would call it; see erratum.py.
+            poll: Seconds between two polls.
+
+        Returns:
+            Whether a call of the routine returned True: it had to stop the drive.
+
+        Raises:
+            RunTimeout: The axis still drives after `timeout`.
         """
         until, stopped = self.axis.time + timeout, False
         while True:
@@ -153,12 +175,19 @@ class Port:
 
 
 def mask(word: str, *names: str) -> int:
-    """Bits of a word or mode register of an MCX514."""
+    """Return bits of a word or mode register of an MCX514 by their names."""
     return sum(MAP.mask(word, name) for name in names)
 
 
 def same_chip(axes: tuple[Axis, ...]) -> list[Port]:
-    """Ports of axes in the order of the chip's. Raises ArgumentError where they are not axes of one MCX514."""
+    """Return the ports of axes in the order of the chip's.
+
+    Args:
+        axes: Axes.
+
+    Raises:
+        ArgumentError: They are not different axes of one MCX514.
+    """
     for axis in axes:
         if not isinstance(getattr(axis, "chip", None), MCX514):
             raise ArgumentError(f"{axis!r} has no MCX514: make the stage with chips=MCX514.")
@@ -169,6 +198,6 @@ def same_chip(axes: tuple[Axis, ...]) -> list[Port]:
 
 
 def stop(ports: list[Port]) -> None:
-    """Stop axes at once."""
+    """Stop the axes of ports at once."""
     for port in ports:
         port.command("DRVFBRK")

@@ -17,8 +17,10 @@ if TYPE_CHECKING:
 
 
 class HomeSearch(Search):
-    """Leave by a fixed-pulse drive, then the chip's automatic home search, which leaves ORG, turns at end limits and approaches
-    by itself."""
+    """Origin return by a fixed-pulse drive out of ORG, and the chip's automatic home search.
+
+    The search leaves ORG, turns at end limits and approaches by itself.
+    """
 
     def __init__(self, driver: NovaDriver, settings: Any):
         self.driver, self.settings = driver, settings
@@ -74,5 +76,5 @@ class HomeSearch(Search):
 
 
 def _signed(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Two words as a number of 32 bits with a sign."""
+    """Return two words as a number of 32 bits with a sign."""
     return (high << 16 | low) - (high >> 15 << 32)

@@ -94,8 +94,14 @@ def explain_silence(axis: Axis) -> str:
 
 
 def check(axis: Any) -> type[PCL240]:
-    """The class of the axis' chip; ArgumentError if `axis` is none, or its chip does not speak the language of the PCL-240
-    family."""
+    """Return the class of the axis' chip.
+
+    Args:
+        axis: Axis to check.
+
+    Raises:
+        ArgumentError: What is no axis, or an axis whose chip is not of the PCL-240 family.
+    """
     chip = getattr(axis, "chip", None)
     if not isinstance(chip, Chip):
         raise ArgumentError(f"{axis!r} is no axis: give stage.axes['x'], or Bench(x=PCL240K()).axes['x'].")
@@ -124,7 +130,7 @@ class Status(NamedTuple):
     ins: bool
 
     def __str__(self) -> str:
-        """In words: `at constant speed, R0 < R6`."""
+        """Describe the status in words: `at constant speed, R0 < R6`."""
         doing = "halted" if not self.operating else "at constant speed" if self.fkeep else "ramping up or down"
         words = {
             "R0 = 0": self.zero,
@@ -141,7 +147,17 @@ _READ = [Status(*(bool(word >> k & 1) for k in range(7, -1, -1))) for word in ra
 
 
 def polarity(axis: Axis) -> dict[str, int]:
-    """The bits of R12 and R13 that suit the wiring of an axis. Raises ArgumentError for a sensor that its chip cannot read so."""
+    """Compute the bits of R12 and R13 that suit the wiring of an axis.
+
+    Args:
+        axis: Axis.
+
+    Returns:
+        Bits by the names of the registers.
+
+    Raises:
+        ArgumentError: A sensor that the chip cannot read so.
+    """
     bits: dict[str, int] = {}
     for sensor in getattr(axis, "wiring", {}):
         map_ = axis.chip.MAP
@@ -163,13 +179,13 @@ def encode_index(ez: int) -> int:
 
 
 def has_ez_monitor(chip: Chip | type[Chip]) -> bool:
-    """Tell whether R17 of a chip shows the EZ input; that came with the MS."""
+    """Return whether R17 of a chip shows the EZ input; that came with the MS."""
     return any(f.name == "ez" for f in chip.MAP.register("R17").fields)
 
 
 @told_when_made
 class Port:
-    """The bus of one axis' chip."""
+    """Bus of one axis' chip."""
 
     def __init__(self, axis: Axis):
         self.axis, self._chip = axis, axis.chip
@@ -187,7 +203,15 @@ class Port:
         self.command(CONTROL | bits | (POSITION if self.extended else 0))
 
     def write_register(self, name: str, value: int) -> None:
-        """Select a register and write its bytes. Raises ArgumentError when the data sheet does not allow the value."""
+        """Select a register and write its bytes.
+
+        Args:
+            name: Name of the register.
+            value: Value to write.
+
+        Raises:
+            ArgumentError: The data sheet does not allow the value.
+        """
         for cycle in self._chip.register_cycles(name, self._chip.MAP.checked(name, value)):
             self._chip.write(*cycle)
 
@@ -203,9 +227,10 @@ class Port:
         return _READ[self._chip.read(0)]
 
     def counter(self) -> int:
-        """R0, whole: high to low, then middle and high again, until they agree (data sheet Q & A).
+        """Read R0, whole: high to low, then middle and high again, until they agree (data sheet Q & A).
 
-        Raises StageError when the bus is too slow for the pulse rate, so that they never do.
+        Raises:
+            StageError: The bus is too slow for the pulse rate, so that they never agree.
         """
         read = self._chip.read
         for _ in range(READS):
@@ -217,8 +242,17 @@ class Port:
         )
 
     def read_register(self, name: str) -> int:
-        """A register's value, whole, on MK and MS: extension mode for so long, and a collective read. Raises StageError
-        on a chip that reads nothing but R0."""
+        """Read a register, whole, on MK and MS: by extension mode and a collective read.
+
+        Args:
+            name: Name of the register.
+
+        Returns:
+            Value of the register.
+
+        Raises:
+            StageError: The chip reads nothing but R0.
+        """
         if not self.extended:
             raise StageError(f"axis {self.axis.name}: {a_or_an(self._chip.MAP.chip)} reads R0 only (Port.counter).")
         output = self._output
@@ -230,21 +264,42 @@ class Port:
         return high << 16 | middle << 8 | low
 
     def position(self) -> int:
-        """R10 of MK and MS: signed pulses since it was last written; an origin return writes 0."""
+        """Read R10 of MK and MS: signed pulses since it was last written; an origin return writes 0."""
         raw = self.read_register("R10")
         return raw - (1 << 24) if raw & 1 << 23 else raw
 
     def wait_until_stopped(self, timeout: float, poll: float = POLL) -> Status:
         """Poll status bit 6, every `poll` seconds at first and ever more slowly in a long run, see `driver.poll_interval`.
 
-        Raises RunTimeout, with what the chip was doing, after `timeout` seconds.
+        Args:
+            timeout: Simulated seconds to wait.
+            poll: Seconds between two polls at first.
+
+        Returns:
+            The last status.
+
+        Raises:
+            RunTimeout: The chip still moved after `timeout`; the message says what it was doing.
         """
         return self.wait_until(lambda s: not s.operating, timeout, poll, "it to stop")
 
     def wait_until(
         self, test: Callable[[Status], bool], timeout: float, poll: float = QUICK, what: str = "a change"
     ) -> Status:
-        """Poll until `test(status)` holds. Raises RunTimeout, with what the chip was doing, after `timeout` seconds."""
+        """Poll until a test of the status is met.
+
+        Args:
+            test: Function of the status that returns whether the test is met.
+            timeout: Simulated seconds to wait.
+            poll: Seconds between two polls at first.
+            what: What is waited for, in words, for the error.
+
+        Returns:
+            The status that met the test.
+
+        Raises:
+            RunTimeout: The test was not met after `timeout`; the message says what the chip was doing.
+        """
         begin = self.axis.time
         while not test(status := self.status()):
             passed = self.axis.time - begin

@@ -19,7 +19,7 @@ A_TICK = 1e-2
 
 @hot
 def _steps(target, unit, first, sign, max_steps):
-    """The speed steps completed before a ramp of `unit` ticks a step, from speed `first` on, has gained `target` phase."""
+    """Return the speed steps completed before a ramp of `unit` ticks per step, from speed `first` on, has gained `target` phase."""
     b = first - 0.5 * sign
     root = b * b + 2.0 * sign * (target / unit)
     j = max_steps if root < 0 else min(max_steps, max(0, int((np.sqrt(root) - b) * sign)))
@@ -32,7 +32,7 @@ def _steps(target, unit, first, sign, max_steps):
 
 @hot
 def _ticks_to(target, unit, first, sign, max_steps):
-    """Ticks after which a ramp that goes on at its last speed has gained `target` phase."""
+    """Return the ticks after which a ramp that goes on at its last speed has gained `target` phase."""
     j = _steps(target, unit, first, sign, max_steps)
     gained = unit * (first * j + sign * (j * (j - 1) // 2))
     return j * unit - (gained - target) // (first + sign * j)
@@ -40,13 +40,13 @@ def _ticks_to(target, unit, first, sign, max_steps):
 
 @hot
 def curved(r):
-    """The row's ramps are S-curves."""
+    """Return whether the row's ramps are S-curves."""
     return len(r) > 8 and not r[8] & LINEAR
 
 
 @hot
 def twice_span(r14, steps):
-    """Twice the speed steps of a curved end of a ramp of `steps`."""
+    """Return twice the speed steps of a curved end of a ramp of `steps`."""
     span = r14 & SPAN
     return steps if span == 0 or 2 * span > steps else 2 * span
 
@@ -64,36 +64,37 @@ def bend(r, share):
 
 @hot
 def stretch(r):
-    """The row's ramps last and lose so many times what linear ones at the same rate register do: 1/2 to 1."""
+    """Return the factor by which the row's ramps last longer, and lose more, than linear ones at the same rate register: 1/2 to
+    1."""
     steps = r[2] - r[1]
     return 0.5 + 0.5 * twice_span(r[8], steps) / steps if curved(r) and steps > 0 else 1.0
 
 
 @hot
 def ramp_ticks(r, rate):
-    """Ticks of a whole ramp with R4 or R5 = `rate`."""
+    """Return the ticks of a whole ramp with R4 or R5 = `rate`."""
     steps = r[2] - r[1]
     return 0.5 * (steps + twice_span(r[8], steps)) * rate if curved(r) else 1.0 * steps * rate
 
 
 @hot
 def _roots(n):
-    """1 + sqrt 2 + ... + sqrt n, to a thousandth (Euler and Maclaurin)."""
+    """Return 1 + sqrt 2 + ... + sqrt n, to a thousandth (Euler and Maclaurin)."""
     return np.sqrt(n) * (n / 1.5 + 0.5 + 1.0 / (24.0 * n)) - ZETA if n > 0 else 0.0
 
 
 @hot
 def _mean_delay(a, rate):
-    """Mean of what a and a + 2 rate lack to a multiple of 4, in quarters."""
+    """Return the mean of what a and a + 2 rate lack to a multiple of 4, in quarters."""
     return 0.125 * (-a % 4 + -(a + 2 * rate) % 4)
 
 
 @hot
 def _curve(steps, double, rate, t):
-    """(speed steps taken, phase they have gained) `t` ticks after an S-curve ramp began. double: twice the span.
+    """Return (speed steps taken, phase they have gained) `t` ticks after an S-curve ramp began. double: twice the span.
 
-    The chip takes the k-th step at the first whole tick from t(k) on, see stage/chips/pcl240/ramp.py; where t(k) is a root,
-    that is half a tick later in the mean.
+    The chip takes the k-th step at the first whole tick from t(k) on, see stage/chips/pcl240/ramp.py; where t(k) is a root, that
+    is half a tick later in the mean.
     """
     span, total, x = 0.5 * double, 0.5 * (steps + double), t / rate
     a, b = double // 2, steps - (double + 1) // 2  # the last step of the first curved end, and of the linear part
@@ -117,7 +118,10 @@ def _curve(steps, double, rate, t):
 
 @hot
 def _state(fl, fh, r14, up, down, c0, c1, c2, t):
-    """(speed, phase) of S-curve ramps `t` ticks after the start. Scalars of a row and its course: arrays are slow to pass."""
+    """Return (speed, phase) of S-curve ramps `t` ticks after the start.
+
+    The arguments are scalars of a row and its motion: arrays are slow to pass.
+    """
     rising = t <= c0
     steps = fh - fl if rising else c1 - fl
     u = 1.0 * t if rising else 1.0 * (t - c0)
@@ -134,7 +138,8 @@ def _state(fl, fh, r14, up, down, c0, c1, c2, t):
 
 @hot
 def _tick_at(r, c, target, t):
-    """The tick at which S-curve ramps have gained `target` phase: by Newton from `t` on, which is on the steep side of it."""
+    """Return the tick at which S-curve ramps have gained `target` phase: by Newton from `t` on, which is on the steep side of
+    it."""
     for _ in range(60):
         speed, gained = _state(r[1], r[2], r[8], r[4], r[5], c[0], c[1], c[2], t)
         step = (target - gained) / speed
@@ -146,7 +151,7 @@ def _tick_at(r, c, target, t):
 
 @hot
 def _fill_curved_motion(r, c):
-    """As `fill_motion`, for S-curves: to about a tick."""
+    """Fill `c` as `fill_motion` does, for S-curves: to about a tick."""
     d, fl, fh, m = r[0], r[1], r[2], 8192 * r[7]
     if fh > fl and r[6] > 0:
         point = (d - r[6] + 1) * m
@@ -181,7 +186,7 @@ def fill_motion(r, c):
 
 @hot
 def linear_phase(r, c, t):
-    """`phase` of linear ramps."""
+    """Return `phase` of linear ramps."""
     if t <= c[0]:
         j = min(r[2] - r[1], int(t / r[4]))
         return r[4] * (r[1] * j + j * (j - 1) // 2) + (t - j * r[4]) * (r[1] + j)
@@ -194,24 +199,24 @@ def linear_phase(r, c, t):
 
 @hot
 def curved_phase(r, c, t):
-    """`phase` of S-curves."""
+    """Return `phase` of S-curves."""
     return _state(r[1], r[2], r[8], r[4], r[5], c[0], c[1], c[2], t)[1]
 
 
 @hot
 def phase(r, c, t):
-    """Phase gained `t` ticks after the start (a fraction between ticks); 8192 R7 make a pulse."""
+    """Return the phase gained `t` ticks after the start (a fraction between ticks); 8192 R7 make a pulse."""
     return curved_phase(r, c, t) if curved(r) else linear_phase(r, c, t)
 
 
 @hot
 def count(r, c, t):
-    """N: pulses made `t` ticks after the start, as a fraction."""
+    """Return N: pulses made `t` ticks after the start, as a fraction."""
     return phase(r, c, max(t, 0.0)) / (8192.0 * r[7])
 
 
 @hot
 def first_pulse(r, c):
-    """Ticks to the first pulse; c[0] may be NEVER."""
+    """Return the ticks to the first pulse; c[0] may be NEVER."""
     m = 8192 * r[7]
     return _tick_at(r, c, m, m / r[1]) if curved(r) else _ticks_to(m, r[4], r[1], 1, r[2] - r[1])

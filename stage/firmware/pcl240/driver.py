@@ -28,7 +28,7 @@ S_CURVES = ("R14", "R15")
 
 
 class Pcl240Driver(Driver):
-    """Of PCL-240K, PCL-240MK and PCL-240MS."""
+    """Driver of PCL-240K, PCL-240MK and PCL-240MS."""
 
     PATTERN: ClassVar = Pattern
     DONE: ClassVar = "R0 = 0"

@@ -72,11 +72,13 @@ def _widen(due, r, own, hz, lead, end, lo, hi):
 
 @hot
 def _score(lo, hi, rho, penalty):
+    """Return the score of a follower, about its largest distance from the line; smaller is better."""
     return max(1.0 - lo, hi + rho) + SPREAD_WEIGHT * abs(hi - lo) + penalty
 
 
 @hot
 def _copy(source, target):
+    """Copy a row."""
     for k in range(len(target)):
         target[k] = source[k]
 
@@ -106,23 +108,26 @@ def _due(leader, c, hz_leader, rho, begin, ticks, out):
 
 @hot
 def _demand(leader, c, hz_leader, rho, t, out, k):
+    """Fill column `k` of `out` with a time, s, and the pulses that the follower should have made by then."""
     out[0, k] = t
     out[1, k] = rho * count(leader, c, t * hz_leader)
 
 
 @hot
 def _due_up(leader, c, hz_leader, rho, out):
+    """Fill `out` with the leader's ramp-up, see `_due`."""
     _due(leader, c, hz_leader, rho, 0.0, ramp_ticks(leader, leader[4]), out)
 
 
 @hot
 def _due_down(leader, c, hz_leader, rho, out):
+    """Fill `out` with the leader's ramp-down, see `_due`."""
     _due(leader, c, hz_leader, rho, c[0] / hz_leader, ramp_ticks(leader, leader[5]), out)
 
 
 @hot
 def _rise(leader, c, hz_leader, due, r, own, hz, lead, rho):
-    """lo and hi of E from the start to the leader's ramp-down. due: of the ramp-up."""
+    """Return the smallest and the largest E from the start to the leader's ramp-down. due: of the ramp-up."""
     own[0] = NEVER  # its own ramp-down is not chosen yet
     end = min(c[0], c[3]) / hz_leader
     k = RAMP_POINTS + 1
@@ -134,7 +139,7 @@ def _rise(leader, c, hz_leader, due, r, own, hz, lead, rho):
 
 @hot
 def _fall(leader, c, hz_leader, due, r, own, hz, lead, rho, lo, hi):
-    """As _rise, from the leader's ramp-down, or its own, to the first last pulse. due: of the ramp-down."""
+    """Widen lo and hi by E from the leader's ramp-down, or the follower's, to the first last pulse. due: of the ramp-down."""
     fill_motion(r, own)
     end = min(c[3] / hz_leader, own[3] / hz - lead)
     k = RAMP_POINTS + 1
@@ -146,9 +151,23 @@ def _fall(leader, c, hz_leader, due, r, own, hz, lead, rho, lo, hi):
 
 @exported(None, ROW, "i8", "i8", "i8", "f8", "f8", "i8", "i8", array_of("f8"), array_of("i8", 2), WORK)
 def accelerations(leader, hz_leader, d, hz, lead, share, max_rate, only, scores, candidates, work):
-    """Choose R1, R2, R4 and R7 of a follower of `d` pulses: for each multiplier the nearest FH, R4 by the slope, and R1 by
-    the pulses lost in the ramp. Fills `candidates` (rows), best first, and `scores`. leader: its row. share: of the steps in each
-    end of an S-curve, see `bend`. most: the largest R4. only: the one R7 that there is; 0 for any."""
+    """Choose R1, R2, R4 and R7 of a follower.
+
+    For every multiplier: the nearest FH, R4 by the slope, and R1 by the pulses lost in the ramp.
+
+    Args:
+        leader: Row of the leader.
+        hz_leader: Reference clock of the leader's chip, Hz.
+        d: Pulses of the follower.
+        hz: Reference clock of the follower's chip, Hz.
+        lead: Seconds by which the follower is started earlier.
+        share: Share of the speed steps in each curved end of a ramp, see `bend`.
+        max_rate: Largest R4.
+        only: The one R7 that is possible; 0 for any.
+        scores: Array that is filled with the scores of the candidates.
+        candidates: Array that is filled with rows, best first.
+        work: Room to work in.
+    """
     c, own, r, up = work.leader, work.own, work.row[: candidates.shape[1]], work.up
     fill_motion(leader, c)
     rho = d / leader[0]
@@ -214,8 +233,21 @@ def accelerations(leader, hz_leader, d, hz, lead, share, max_rate, only, scores,
 
 @exported(None, ROW, "i8", "i8", "f8", "i8", "i8", "i8", array_of("i8", 2), array_of("f8"), array_of("i8", 2), WORK)
 def decelerations(leader, hz_leader, hz, lead, automatic, max_rate, max_point, candidates, scores, best, work):
-    """Choose R5 and R6 for each of the `candidates`. Fills `best`, best first, and `scores`: about the largest distance from the
-    line, in the follower's pulses. automatic: R5 is R4. most, point_most: the largest R5 and R6."""
+    """Choose R5 and R6 for each of the candidates of `accelerations`.
+
+    Args:
+        leader: Row of the leader.
+        hz_leader: Reference clock of the leader's chip, Hz.
+        hz: Reference clock of the follower's chip, Hz.
+        lead: Seconds by which the follower is started earlier.
+        automatic: Whether R5 is R4.
+        max_rate: Largest R5.
+        max_point: Largest R6.
+        candidates: Rows of `accelerations`.
+        scores: Array that is filled with scores, about the largest distance from the line, in the follower's pulses.
+        best: Array that is filled with rows, best first.
+        work: Room to work in.
+    """
     c, own, r, up, down = work.leader, work.own, work.row[: candidates.shape[1]], work.up, work.down
     fill_motion(leader, c)
     scores[:] = 1e18
@@ -253,7 +285,16 @@ def decelerations(leader, hz_leader, hz, lead, automatic, max_rate, max_point, c
 
 @exported("f8", ROW, "i8", ROW, "i8", "f8", WORK)
 def estimate(leader, hz_leader, r, hz, lead, work):
-    """About the largest distance of a follower with row `r` from the line, in its pulses."""
+    """Estimate the largest distance of a follower from the line, in its pulses.
+
+    Args:
+        leader: Row of the leader.
+        hz_leader: Reference clock of the leader's chip, Hz.
+        r: Row of the follower.
+        hz: Reference clock of the follower's chip, Hz.
+        lead: Seconds by which the follower is started earlier.
+        work: Room to work in.
+    """
     c, own, up, down = work.leader, work.own, work.up, work.down
     fill_motion(leader, c)
     rho = r[0] / leader[0]
@@ -266,8 +307,18 @@ def estimate(leader, hz_leader, r, hz, lead, work):
 
 @hot
 def misfit(high, r7, hz_leader, rho, hz, least, enough, only):
-    """The smallest relative error, or one below `enough`, with which registers of at least `least` make rho times the rate
-    of `high` at `r7`. only: the one R7 that there is, -1 for `r7`; 0 for any."""
+    """Return the smallest relative error with which a follower makes its share of the leader's rate.
+
+    Args:
+        high: FH of the leader, speed steps.
+        r7: R7 of the leader.
+        hz_leader: Reference clock of the leader's chip, Hz.
+        rho: Share of the leader's rate.
+        hz: Reference clock of the follower's chip, Hz.
+        least: Smallest FH of the follower, speed steps.
+        enough: Error below which the search ends.
+        only: The one R7 that is possible, -1 for `r7`; 0 for any.
+    """
     ratio = rho * high * hz_leader / (r7 * hz)
     best = 1.0
     one = int(r7) if only < 0 else only
@@ -284,6 +335,6 @@ def misfit(high, r7, hz_leader, rho, hz, least, enough, only):
 
 @exported(None, array_of("f8"), ROW, "i8", "f8", "i8", "f8", "f8", "i8", array_of("f8"))
 def misfits(highs, r7s, hz_leader, rho, hz, least, enough, only, out):
-    """`misfit` for many leaders; raises `out` to it."""
+    """Raise `out` to the `misfit` of many leaders."""
     for k in range(len(out)):
         out[k] = max(out[k], misfit(highs[k], r7s[k], hz_leader, rho, hz, least, enough, only))

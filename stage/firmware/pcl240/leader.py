@@ -33,7 +33,7 @@ MAX_SPEED = _LEGAL["R2"][1]
 
 
 class Widths(NamedTuple):
-    """What a chip's registers hold: the largest R4 and R5, the largest ramp-down point, and how many are in a row."""
+    """Ranges of a chip's registers: the largest R4 and R5, the largest ramp-down point, and the number of registers in a row."""
 
     rate: int
     point: int
@@ -41,15 +41,30 @@ class Widths(NamedTuple):
 
     @classmethod
     def of(cls, chip: type[PCL240], automatic: bool) -> Widths:
-        """Automatic: R6 holds an offset, and the point may be as far away as R0 counts."""
+        """Return the ranges of a chip.
+
+        Args:
+            chip: Class of the chip.
+            automatic: Whether the chip finds the ramp-down point: R6 holds an offset then, and the point may be as far away as R0
+                counts.
+        """
         legal = {r.name: r.legal or (0, r.mask) for r in chip.MAP.registers}
         return cls(legal["R4"][1], legal["R0" if automatic else "R6"][1], 10 if chip.S_CURVES else 8)
 
 
 class LeaderMove(NamedTuple):
-    """The move of the longest axis: pulses, rates in pps, ramp times in s; and all axes' ramps: `share` of the speed steps
-    in each curved end (0 linear, 0.5 curved throughout), and whether the chips find the ramp-down point. multiplier: the one R7
-    that there is; 0 for any."""
+    """Move of the longest axis.
+
+    Attributes:
+        length: Pulses.
+        fh: FH, pps.
+        fl: FL, pps.
+        up: Time of the ramp up, s.
+        down: Time of the ramp down, s.
+        share: Share of the speed steps in each curved end of all axes' ramps (0 linear, 0.5 curved throughout).
+        automatic: Whether the chips find the ramp-down point.
+        multiplier: The one R7 that is possible; 0 for any.
+    """
 
     length: int
     fh: float
@@ -66,9 +81,14 @@ AS_LEADER = -1
 
 
 class Follower(NamedTuple):
-    """Pulses (unsigned), reference clock, what its registers hold, and seconds that it is started before the leader.
+    """Move of another axis than the longest.
 
-    multiplier: the one R7 that there is, AS_LEADER; 0 for any.
+    Attributes:
+        pulses: Pulses, unsigned.
+        clock_hz: Reference clock of its chip, Hz.
+        widths: Ranges of its registers.
+        lead: Seconds by which it is started before the leader.
+        multiplier: The one R7 that is possible, or AS_LEADER; 0 for any.
     """
 
     pulses: int
@@ -79,7 +99,7 @@ class Follower(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """The best registers found for a follower, and about how far they are from the line, in its pulses."""
+    """Best registers found for a follower, and about how far they are from the line, in its pulses."""
 
     registers: np.ndarray
     scores: np.ndarray
@@ -88,8 +108,22 @@ class Candidates(NamedTuple):
 def search(
     move: LeaderMove, hz: int, widths: Widths, followers: Mapping[str, Follower]
 ) -> tuple[np.ndarray, dict[str, Candidates]]:
-    """Rows (see fit.py) of the leader and of its followers: the first that are as close to the line as can be, or the best
-    of all. hz, widths: of the leader's chip. Raises ArgumentError when no registers make the ramps."""
+    """Choose rows (see fit.py) of the leader and of its followers.
+
+    They are the first that are as close to the line as can be, or the best of all.
+
+    Args:
+        move: Move of the longest axis.
+        hz: Reference clock of the leader's chip, Hz.
+        widths: Ranges of its registers.
+        followers: Moves of the other axes by name.
+
+    Returns:
+        Row of the leader, and the best rows of each follower.
+
+    Raises:
+        ArgumentError: No registers make the ramps.
+    """
     best: tuple[np.ndarray, dict[str, Candidates]] | None = None
     least, work = np.inf, np.zeros(1, fit.WORK)
     for bare in _leaders(move, hz, widths, followers):
@@ -120,7 +154,7 @@ def search(
 
 
 def _leaders(move: LeaderMove, hz: int, widths: Widths, followers: Mapping[str, Follower]) -> list[np.ndarray]:
-    """Rows (R6 still 0) for the longest axis, most promising first.
+    """Return rows (R6 still 0) for the longest axis, most promising first.
 
     R7 and FH may be any that make the rate to 0.2 %: what counts is how well the followers' registers make their share of it.
     """
@@ -165,7 +199,12 @@ def _leaders(move: LeaderMove, hz: int, widths: Widths, followers: Mapping[str, 
 
 
 def effective_steps(gain: Any, share: float) -> Any:
-    """Speed steps of a linear ramp that takes as long as one of `gain` steps with curved ends; see closed_form.bend."""
+    """Return the speed steps of a linear ramp that takes as long as one with curved ends, see `closed_form.bend`.
+
+    Args:
+        gain: Speed steps of the ramp.
+        share: Share of the steps in each curved end.
+    """
     if not 0 < share < 0.5:
         return gain
     span = np.maximum(np.rint(share * gain), 1)
@@ -173,6 +212,7 @@ def effective_steps(gain: Any, share: float) -> Any:
 
 
 def _refuse_ramp(move: LeaderMove, hz: int, max_rate: int, step: np.ndarray, high: np.ndarray, low: np.ndarray) -> None:
+    """Raise ArgumentError for ramps that no R7 makes; the message says what is in reach."""
     gain = effective_steps((high - low)[high > low], move.share)
     if not len(gain):
         raise ArgumentError(
@@ -192,7 +232,7 @@ def _refuse_ramp(move: LeaderMove, hz: int, max_rate: int, step: np.ndarray, hig
 
 
 def _with_tails(leader: np.ndarray, hz: int, max_rate: int) -> Iterator[np.ndarray]:
-    """The leader with R6 for a few lengths of its last part at FL: for some the followers' whole pulses fit better."""
+    """Yield the leader with R6 for a few lengths of its last part at FL: for some the followers' whole pulses fit better."""
     if leader[2] == leader[1]:
         yield leader
         return

@@ -20,7 +20,10 @@ AT_FL = 5  # pulses of the longest axis at FL after its ramp-down
 
 
 class RatioLine(Line):
-    """A row R1 R2 R4 R5 R6 R7 an axis; R3 is R2. Start commands follow one another, the longest axis last."""
+    """Line by registers in the ratio of the distances. A row R1 R2 R4 R5 R6 R7 for each axis; R3 is R2.
+
+    Start commands follow one another, the longest axis last.
+    """
 
     def __init__(self, drivers: Sequence[Pcl240Driver], settings: Any):
         super().__init__(drivers, settings, len(drivers), drivers[0].tuned_by(settings.s_curve)[:6])
@@ -28,13 +31,21 @@ class RatioLine(Line):
         self._write_template()
 
     def data_sheet(self, moves: LineMoves) -> np.ndarray:
-        """FL and FH in the ratio of the distances, equal ramp times, R6 = Psd + 5 pulses in that ratio; each rounded to the
-        nearest, ramp times to those that the longest axis really has."""
+        """Compute FL and FH in the ratio of the distances, equal ramp times, and R6 = Psd + 5 pulses in that ratio.
+
+        Each is rounded to the nearest value, ramp times to those that the longest axis really has.
+
+        Args:
+            moves: Moves along the line.
+
+        Returns:
+            Registers (stages, axes, 6).
+        """
         peak = self.reach(moves)[0]
         return self._with(moves, self._finest(peak[:, None] * np.ones_like(moves.share), FINEST))
 
     def _with(self, moves: LineMoves, r7: np.ndarray) -> np.ndarray:
-        """The same with multipliers (stages, axes)."""
+        """Compute the registers of `data_sheet` with other multipliers (stages, axes)."""
         fl, max_rate = self.settings.fl, self.chip.MAP.register("R4").mask
         rho, (peak, ramp) = moves.share, self.reach(moves)
         step = self.hz / (8192.0 * r7)
@@ -49,8 +60,18 @@ class RatioLine(Line):
         return self.legal(np.stack([low, high, rate, rate, point, r7], axis=2))
 
     def corrected(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
-        """R1, R2, R4, R5, R6 by a share of the counts that move the axis by `reach` pulses along the line, one at least; R7 by
-        `multiplier_reach` counts, the others worked out for it."""
+        """Correct the registers of the data sheet.
+
+        R1, R2, R4, R5 and R6 change by a share of the counts that move the axis by `reach` pulses along the line, one at least; R7
+        by `multiplier_reach` counts, the others computed for it.
+
+        Args:
+            moves: Moves along the line.
+            corrections: Numbers from -1 to 1 (stages, axes, 6).
+
+        Returns:
+            Registers (stages, axes, 6).
+        """
         c, a = self.settings, corrections
         peak = self.reach(moves)[0]
         r7 = self.data_sheet(moves)[:, :, 5] + np.rint(a[:, :, 5] * c.multiplier_reach)
@@ -62,7 +83,15 @@ class RatioLine(Line):
         return corrected
 
     def worth(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
-        """By how many pulses one count of R1, R2, R4, R5, R6 moves an axis along the line, by the data sheet's formulas."""
+        """Compute by how many pulses one count of R1, R2, R4, R5, R6 moves an axis along the line, by the data sheet's formulas.
+
+        Args:
+            registers: Registers (stages, axes, 6).
+            moves: Moves along the line.
+
+        Returns:
+            Pulses (stages, axes, 5).
+        """
         low, high, up, _, _, r7 = np.moveaxis(registers.astype(np.float64), 2, 0)
         gain = np.maximum(high - low, 1)
         per_clock = gain * (gain + 1) / (16384.0 * r7)
@@ -76,13 +105,14 @@ class RatioLine(Line):
         return self.strays(moves, pps, gain * up / self.hz, lag, less, point)
 
     def _finest(self, fh: np.ndarray, speed: int) -> np.ndarray:
-        """The largest R7 at which FH is at most `speed` steps."""
+        """Return the largest R7 at which FH is at most `speed` steps."""
         return np.clip(np.floor(self.hz * speed / (8192.0 * fh)), 2, 1023)
 
     # --- the program ---
 
     def _write_template(self) -> None:
-        """Alike for all moves but for the bytes of registers, the direction and the order of starts, and where those are."""
+        """Write the program that is the same for all moves but for the bytes of registers, the direction and the order of
+        starts."""
         p, self._controls = Program(), []
         self._written = [f"R{k}" for k in range(8)] + (["R14", "R15"] if self.chip.S_CURVES else [])
         for a, h in enumerate(self.drivers):
@@ -99,7 +129,7 @@ class RatioLine(Line):
         self._template = np.array(p.ops, np.int64)
 
     def rows(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
-        """What is written to each chip: (stages, axes, R0 to R7, with S-curves R14 and R15)."""
+        """Return the values that are written to each chip: (stages, axes, R0 to R7, with S-curves R14 and R15)."""
         r = registers
         columns = [moves.size, r[..., 0], r[..., 1], r[..., 1], *(r[..., k] for k in range(2, 6))]
         if len(self._written) > 8:

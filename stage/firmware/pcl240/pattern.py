@@ -27,7 +27,7 @@ LANES = (
 
 
 class Pattern(pattern.Pattern):
-    """Of a report about a PCL-240."""
+    """Signals and commands of a report about a PCL-240."""
 
     LANES = LANES
     ALWAYS = ("fup", "fkeep", "fdown", "hold")
@@ -41,7 +41,7 @@ class Pattern(pattern.Pattern):
         return self.course.pin("pdir")
 
     def levels(self) -> dict[str, float]:
-        """FL, FH1, FH2 in pps, of those that commands select and whose register was written once."""
+        """Return FL, FH1, FH2 in pps, of those that commands select and whose register was written once."""
         values: dict[str, set[int]] = {}
         used = set()
         for s in self.report.said:
@@ -56,9 +56,12 @@ class Pattern(pattern.Pattern):
         return {n: next(iter(v)) * step for n, v in once.items()}
 
     def notes(self, t: np.ndarray) -> list[Note]:
-        """What the host wrote to start, to change or to stop a run, each ramp-down point, and why it stopped.
+        """Return notes of what the host wrote to start, change or stop a run, of each ramp-down point, and of the end.
 
         Bytes that only prepare a start (reset command, control mode) or a change of speed (a register) stand in front of it.
+
+        Args:
+            t: Times of the edges of the report's waveform, s from the first start.
         """
         report, course = self.report, self.course
         hold, clocks = course.pin("hold"), course.edges["clock"]
@@ -98,7 +101,7 @@ class Pattern(pattern.Pattern):
 
 
 def _words(byte: int, halted: bool) -> str:
-    """What an operating-mode command does there and then, in few words."""
+    """Describe in few words what an operating-mode command does immediately."""
     if byte & GROUP != OPERATE:
         return ""
     irq = ", /INT at stop" if byte & INT_AT_STOP else ""

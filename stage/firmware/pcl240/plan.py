@@ -46,11 +46,13 @@ OFF_THE_LINE = 5.0  # pulses: refused where shorter ramps would mend it
 
 @dataclass(frozen=True)
 class AxisPlan:
-    """One axis: signed distance in pulses, registers (R0 to R7, on a PCL240MS R14 and R15, too), reference clock.
+    """Plan of one axis: signed distance in pulses, registers (R0 to R7, on a PCL240MS R14 and R15, too), reference clock.
 
-    down_point: pulses left when the ramp-down begins, as R6 without the automatic ramp-down point. automatic: the chip finds
-    that point, and R6 is its offset, a two's complement.
-    lead: seconds between this axis' start command and the last axis'. seconds: from the first start command to its last pulse.
+    Attributes:
+        down_point: Pulses left when the ramp-down begins, as R6 without the automatic ramp-down point.
+        automatic: Whether the chip finds that point; R6 is its offset then, a two's complement.
+        lead: Seconds between this axis' start command and the last axis'.
+        seconds: Time from the first start command to its last pulse, s.
     """
 
     distance: int
@@ -64,19 +66,22 @@ class AxisPlan:
 
     @property
     def step(self) -> float:
-        """pps of one speed step."""
+        """Rate of one speed step, pps."""
         return self.clock_hz / (8192 * self.registers["R7"])
 
     @property
     def fl(self) -> float:
+        """FL, pps."""
         return self.registers["R1"] * self.step
 
     @property
     def fh(self) -> float:
+        """FH, pps."""
         return self.registers["R2"] * self.step
 
     @property
     def ramps(self) -> bool:
+        """Whether the axis has ramps."""
         return self.registers["R2"] > self.registers["R1"]
 
     @property
@@ -86,11 +91,13 @@ class AxisPlan:
 
     @property
     def accel(self) -> float:
+        """Time from FL to FH, s."""
         r = self.registers
         return ramp_seconds(r["R1"], r["R2"], r["R4"], self.clock_hz, self.span)
 
     @property
     def decel(self) -> float:
+        """Time from FH to FL, s."""
         r = self.registers
         return ramp_seconds(r["R1"], r["R2"], r["R5"], self.clock_hz, self.span)
 
@@ -102,24 +109,24 @@ class AxisPlan:
 
     @property
     def row(self) -> np.ndarray:
-        """The registers as fit.py takes them."""
+        """Registers as fit.py takes them."""
         return np.array([*(self.registers | {"R6": self.down_point}).values()], np.int64)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Registers for every axis that moves, and how good they are.
+    """Registers for every axis that moves, and their quality.
 
     Attributes:
-        axes: an AxisPlan each.
-        order: names in the order of the start commands, the longest axis last: an axis that is ahead by less than the
-            staircase does not increase the deviation, and one that lags does.
-        bus_delay: seconds between two start commands that the plan assumes.
-        ratio_error: largest relative error of an FH against the longest axis'.
-        deviation: predicted largest distance from the line in pulses, found by running emulated chips. exact: False for
-            moves of more than 2,000,000 pulses in all, for which it is the closed form's estimate.
-        seconds: from the first start command to the last pulse.
-        notes: where the plan differs from the given rates and times, and why.
+        axes: Plan of each axis.
+        order: Names in the order of the start commands, the longest axis last: an axis that is ahead by less than the staircase
+            does not increase the deviation, and one that lags does.
+        bus_delay: Seconds between two start commands that the plan assumes.
+        ratio_error: Largest relative error of an FH against the longest axis'.
+        deviation: Predicted largest distance from the line in pulses, found by running emulated chips. exact: False for moves of
+            more than 2,000,000 pulses in all, for which it is the closed form's estimate.
+        seconds: Time from the first start command to the last pulse, s.
+        notes: Where the plan differs from the requested rates and times, and why.
     """
 
     axes: dict[str, AxisPlan]
@@ -133,15 +140,20 @@ class Plan:
 
     @property
     def distances(self) -> dict[str, int]:
+        """Signed pulses of each axis."""
         return {n: a.distance for n, a in self.axes.items()}
 
     @property
     def perfect(self) -> float:
-        """What axes with rates exactly in ratio and a common start would reach, pulses: their path is a staircase too."""
+        """Deviation of axes with rates exactly in ratio and a common start, pulses: their path is a staircase too."""
         return perfect_deviation(list(self.distances.values()))
 
     def with_bus_delay(self, bus_delay: float) -> Plan:
-        """The same registers, their start commands `bus_delay` seconds apart; and what becomes of the deviation."""
+        """Return the same registers with another time between start commands, and the deviation with it.
+
+        Args:
+            bus_delay: Seconds between two start commands.
+        """
         rows = {n: a.row for n, a in self.axes.items()}
         chips = {n: (a.chip, a.clock_hz) for n, a in self.axes.items()}
         again = _judge(self.distances, rows, chips, any(a.automatic for a in self.axes.values()), bus_delay)
@@ -193,21 +205,30 @@ def plan(
 ) -> Plan:
     """Plan a move along a straight line. Touches no chip.
 
-    Args:
-        distances: axis -> signed pulses, up to 16,777,215; 0 leaves the axis out.
-        rate, fl: FH and FL of the longest axis, pps. accel, decel: ramp times, s; decel defaults to accel.
-        s_curve: True for S-curves throughout, or the share (above 0, up to 0.5) of FH - FL that each curved end takes, with a
-            linear part between; the ramp times stay as asked. False for linear ramps. Every axis that moves needs a PCL240MS.
-        automatic: the chips find the ramp-down point and decelerate as they accelerated, R6 is its offset (PCL240MK and
-            PCL240MS). Default, as False: R6 is the point.
-        chips: the class of the chips, one or one an axis.
-        clock_hz: the chips' reference clock, one number or one an axis.
-        bus_delay: seconds between two start commands.
-        multipliers: axis -> R7 that its chip hears at SYNI, from a chip that has no part in the move.
-        shared: axes whose chips count one clock, followers by SYNI and their leader: they have the R7 of the longest axis.
-
     A move too short for `rate` peaks lower, on all axes at once and with the same slopes; a very short one runs at constant FL.
-    Raises ArgumentError with the reason when no registers can do it.
+
+    Args:
+        distances: Axis -> signed pulses, up to 16,777,215; 0 leaves the axis out.
+        rate: FH of the longest axis, pps.
+        fl: FL of the longest axis, pps.
+        accel: Time of the ramp up, s.
+        decel: Time of the ramp down, s; default: `accel`.
+        s_curve: True for S-curves throughout, or the share (above 0, up to 0.5) of FH - FL that each curved end takes, with a
+            linear part between; the ramp times stay as requested. False for linear ramps. Every axis that moves needs a PCL240MS
+            for it.
+        automatic: The chips find the ramp-down point and decelerate as they accelerated, R6 is its offset (PCL240MK and PCL240MS).
+            Default, as False: R6 is the point.
+        chips: Class of the chips, one or one for each axis.
+        clock_hz: Reference clock of the chips, one number or one for each axis, Hz.
+        bus_delay: Seconds between two start commands.
+        multipliers: Axis -> R7 that its chip receives at SYNI, from a chip that has no part in the move.
+        shared: Axes whose chips count one clock, followers by SYNI and their leader: they have the R7 of the longest axis.
+
+    Returns:
+        The plan.
+
+    Raises:
+        ArgumentError: No registers can do it; the message has the reason.
     """
     checked = {n: _check_distance(n, d) for n, d in distances.items()}
     moving = {n: d for n, d in checked.items() if d}
@@ -236,6 +257,7 @@ def plan(
 
 
 def _check_distance(name: str, d: Any) -> int:
+    """Return a distance as a whole number. Raises ArgumentError for what R0 does not count."""
     try:
         whole = int(d)
     except (TypeError, ValueError, OverflowError):
@@ -248,6 +270,7 @@ def _check_distance(name: str, d: Any) -> int:
 
 
 def _of_axis(what: str, name: str, values: Any) -> Any:
+    """Return the value of an axis, where there is one for each axis. Raises ArgumentError for a missing one."""
     if not isinstance(values, Mapping):
         return values
     if name not in values:
@@ -256,7 +279,7 @@ def _of_axis(what: str, name: str, values: Any) -> Any:
 
 
 def _share(s_curve: bool | float) -> float:
-    """Of the speed steps in each curved end: 0 for linear ramps, 0.5 for S-curves throughout."""
+    """Return the share of the speed steps in each curved end: 0 for linear ramps, 0.5 for S-curves throughout."""
     if isinstance(s_curve, bool):
         return 0.5 if s_curve else 0.0
     if not isinstance(s_curve, int | float) or not 0 < s_curve <= 0.5:
@@ -267,7 +290,7 @@ def _share(s_curve: bool | float) -> float:
 
 
 def _offers(chips: dict, s_curve: bool, automatic: bool, accel: float, decel: float) -> None:
-    """Refuse what a chip has not got."""
+    """Raise ArgumentError for ramps that a chip does not have."""
     for name, chip in chips.items():
         if not (isinstance(chip, type) and issubclass(chip, PCL240)):
             raise ArgumentError(f"chips: axis {name} has {chip!r}; give a class, as PCL240K, PCL240MK or PCL240MS.")
@@ -289,6 +312,7 @@ def _offers(chips: dict, s_curve: bool, automatic: bool, accel: float, decel: fl
 
 
 def _check(moving: dict, distances: Any, rate: float, fl: float, accel: float, decel: float, bus_delay: float) -> None:
+    """Raise ArgumentError for rates and times that no move has."""
     if not moving:
         raise ArgumentError(f"distances={dict(distances)!r}: nothing moves; give at least one axis pulses to make.")
     if not 0 < fl <= rate < float("inf"):
@@ -301,7 +325,8 @@ def _check(moving: dict, distances: Any, rate: float, fl: float, accel: float, d
 
 
 def _shorten(length: int, rate: float, fl: float, accel: float, decel: float) -> tuple[LeaderMove, list[str]]:
-    """The peak rate and ramp times that a move of `length` pulses has room for, at the slopes asked for."""
+    """Return the move of the longest axis at the peak rate and ramp times that `length` pulses have room for, and notes about
+    it."""
     if rate <= fl:
         return LeaderMove(length, fl, fl, 0.0, 0.0), []
     room = max(min(ROOM * length, length - 2 * TAILS[0]), 0.0)
@@ -316,7 +341,7 @@ def _shorten(length: int, rate: float, fl: float, accel: float, decel: float) ->
 
 
 def _reach(moving: dict, leader: str, move: LeaderMove, rate: float, hz: dict) -> None:
-    """Refuse rates that no registers make."""
+    """Raise ArgumentError for rates that no registers make."""
     max_rate = hz[leader] * MAX_SPEED / (8192 * MIN_R7)
     if max(rate, move.fh) > max_rate:
         raise ArgumentError(
@@ -338,7 +363,7 @@ def _reach(moving: dict, leader: str, move: LeaderMove, rate: float, hz: dict) -
 
 
 def _check_multipliers(moving: dict, move: LeaderMove, only: Mapping[str, int], hz: dict) -> None:
-    """Refuse rates that an axis cannot make with the one R7 that its chip hears."""
+    """Raise ArgumentError for rates that an axis cannot make with the one R7 that its chip receives."""
     for name, d in moving.items():
         r7 = only.get(name, 0)
         if r7 > 0:
@@ -371,7 +396,7 @@ def _play(
 
 
 def _judge(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, bus_delay: float) -> Plan:
-    """The plan that these rows of registers are. kinds: axis -> class of its chip, and its clock in Hz."""
+    """Return the plan that these rows of registers are. kinds: axis -> class of its chip, and its clock in Hz."""
     order = _order(distances)
     lead = _leads(order, bus_delay)
     exact = sum(abs(d) for d in distances.values()) <= PLAYED
@@ -406,15 +431,17 @@ def _judge(distances: dict[str, int], rows: dict, kinds: dict, automatic: bool, 
 
 
 def _order(distances: dict[str, int]) -> list[str]:
+    """Return the names in the order of the start commands, the longest axis last."""
     return sorted(distances, key=lambda n: abs(distances[n]))
 
 
 def _leads(order: list[str], bus_delay: float) -> dict[str, float]:
+    """Return the seconds from each axis' start command to the last one."""
     return {n: float(bus_delay) * (len(order) - 1 - k) for k, n in enumerate(order)}
 
 
 def _remarks(axes: dict[str, AxisPlan], move: LeaderMove, deviation: float) -> list[str]:
-    """Where registers could not do as asked. Raises ArgumentError where that takes the axes off the line."""
+    """Return notes where registers could not do as requested. Raises ArgumentError where that takes the axes off the line."""
     notes = []
     for name, a in axes.items():
         own = abs(a.distance) / move.length

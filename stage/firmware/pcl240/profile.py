@@ -31,15 +31,25 @@ LINEAR = PCL240.LINEAR_RAMPS
 
 
 def pulse_rate(speed: float, r7: int, clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ) -> float:
-    """Fout = Rf clock / (8192 R7), pps (data sheet section 4, equation 4)."""
+    """Compute Fout = Rf clock / (8192 R7), pps (data sheet section 4, equation 4).
+
+    Args:
+        speed: Rf, speed steps.
+        r7: Multiplier R7.
+        clock_hz: Reference clock, Hz.
+    """
     return speed * clock_hz / (8192 * r7)
 
 
 def curve_steps(low: int, high: int, span: int | None = None) -> float:
-    """Speed steps of a linear ramp that takes as long as the ramp from `low` to `high` whose curved ends span `span` steps.
+    """Compute the speed steps of a linear ramp that takes as long as a ramp with curved ends.
 
-    (K + 2 S) / 2 with K = high - low and S the span; 0 or above half the ramp means half of it (data sheet MS, 3-1). None:
-    a linear ramp, which takes as long as an S-curve that is curved throughout.
+    (K + 2 S) / 2 with K = high - low and S the span; 0 or above half the ramp means half of it (data sheet MS, 3-1).
+
+    Args:
+        low: Speed at the begin of the ramp, speed steps.
+        high: Speed at its end, speed steps.
+        span: Speed steps of each curved end; None: a linear ramp, which takes as long as an S-curve that is curved throughout.
     """
     height = high - low
     return float(height) if not span or 2 * span > height else (height + 2 * span) / 2
@@ -48,16 +58,32 @@ def curve_steps(low: int, high: int, span: int | None = None) -> float:
 def ramp_seconds(
     low: int, high: int, rate: int, clock_hz: int = PCL240K.DEFAULT_CLOCK_HZ, span: int | None = None
 ) -> float:
-    """Tsu, Tsd = (FH - FL) rate / clock, s (data sheet section 4, R4, and R5, equation 3); an S-curve with a linear part
-    takes (FH - FL + 2 span) rate / (2 clock) (data sheet MS, 3-3)."""
+    """Compute Tsu, Tsd = (FH - FL) rate / clock, s (data sheet section 4, R4, and R5, equation 3).
+
+    An S-curve with a linear part takes (FH - FL + 2 span) rate / (2 clock) (data sheet MS, 3-3).
+
+    Args:
+        low: FL, speed steps.
+        high: FH, speed steps.
+        rate: R4 or R5.
+        clock_hz: Reference clock, Hz.
+        span: Speed steps of each curved end; None for linear ramps.
+    """
     return curve_steps(low, high, span) * rate / clock_hz
 
 
 def ramp_pulses(low: int, high: int, rate: float, r7: int, span: int | None = None) -> float:
-    """Psu, Psd = (FH^2 - FL^2) rate / (16384 R7), pulses (data sheet section 4, R6, and Q & A); an S-curve with a linear
-    part makes (FL + FH) (FH - FL + 2 span) rate / (32768 R7) (data sheet MS, 3-4.2).
+    """Compute Psu, Psd = (FH^2 - FL^2) rate / (16384 R7), pulses (data sheet section 4, R6, and Q & A).
 
-    The area of the trapezoid; the chip's staircase makes (FH - FL) rate / (16384 R7) fewer.
+    An S-curve with a linear part makes (FL + FH) (FH - FL + 2 span) rate / (32768 R7) (data sheet MS, 3-4.2). This is the area of
+    the trapezoid; the chip's staircase makes (FH - FL) rate / (16384 R7) fewer.
+
+    Args:
+        low: FL, speed steps.
+        high: FH, speed steps.
+        rate: R4 or R5.
+        r7: Multiplier R7.
+        span: Speed steps of each curved end; None for linear ramps.
     """
     return (high + low) * curve_steps(low, high, span) * rate / (16384 * r7)
 
@@ -65,13 +91,15 @@ def ramp_pulses(low: int, high: int, rate: float, r7: int, span: int | None = No
 def is_triangular(
     r0: int, low: int, high: int, r4: int, r5: int, r7: int, up: int | None = None, down: int | None = None
 ) -> bool:
-    """Whether a move is too short to reach FH: R0 < Psu + Psd (Q & A; its 18384 is a misprint of 16384). up, down: spans."""
+    """Return whether a move is too short to reach FH: R0 < Psu + Psd (Q & A; its 18384 is a misprint of 16384). up, down: spans."""
     return r0 < ramp_pulses(low, high, r4, r7, up) + ramp_pulses(low, high, r5, r7, down)
 
 
 def linear_part_pulses(low: int, r4: int, r5: int, r7: int, up: int, down: int) -> float:
-    """The pulses above which a move too short for FH still has a linear part (data sheet MS, 3-4.2; its three cases are
-    one, by the longer span)."""
+    """Return the pulses above which a move too short for FH still has a linear part (data sheet MS, 3-4.2).
+
+    The data sheet's three cases are one, by the longer span.
+    """
     longer, of_longer, other = (up, r4, r5) if up > down else (down, r5, r4)
     return (low + longer) * (other * (up + down) + 2 * of_longer * longer) / (8192 * r7)
 
@@ -79,7 +107,7 @@ def linear_part_pulses(low: int, r4: int, r5: int, r7: int, up: int, down: int) 
 def revised_high(
     r0: int, low: int, high: int, r4: int, r5: int, r7: int, up: int | None = None, down: int | None = None
 ) -> int:
-    """The FH that a move of `r0` pulses just reaches, at most `high` ("revised R2", data sheet MS, 3-4.1 and 3-4.2)."""
+    """Compute the FH that a move of `r0` pulses just reaches, at most `high` ("revised R2", data sheet MS, 3-4.1 and 3-4.2)."""
     if r0 > ramp_pulses(low, high, r4, r7, up) + ramp_pulses(low, high, r5, r7, down):
         return high
     straight = up and down and 2 * max(up, down) < high - low
@@ -90,16 +118,26 @@ def revised_high(
 
 
 def triangular_down_point(r0: int, r4: int, r5: int) -> float:
-    """R6 = R0 R5 / (R4 + R5) for a triangular drive (Q & A)."""
+    """Compute R6 = R0 R5 / (R4 + R5) for a triangular drive (Q & A)."""
     return r0 * r5 / (r4 + r5)
 
 
 def down_point(r0: int, low: int, high: int, r4: int, r5: int, r7: int, down: int | None = None) -> int:
-    """R6 for a move of `r0` pulses that ends at FL, whatever its length; `down`: the span of an S-curve.
+    """Compute R6 for a move of `r0` pulses that ends at FL, whatever its length.
 
-    Psd + 5 (section 4, R6), or the triangular drive's R0 R5 / (R4 + R5) + 2: rounding down takes up to one pulse, and R0 < R6
-    is met one pulse after R0 = R6. As printed, without the 2, the triangle ends a little above FL. An S-curve needs an FH that
-    it reaches, see `revised_high`.
+    Psd + 5 (section 4, R6), or the triangular drive's R0 R5 / (R4 + R5) + 2: rounding down takes up to one pulse, and R0 < R6 is
+    met one pulse after R0 = R6. As printed, without the 2, the triangle ends a little above FL. An S-curve needs an FH that it
+    reaches, see
+    `revised_high`.
+
+    Args:
+        r0: Pulses of the move.
+        low: FL, speed steps.
+        high: FH, speed steps.
+        r4: Acceleration rate R4.
+        r5: Deceleration rate R5.
+        r7: Multiplier R7.
+        down: Speed steps of each curved end of an S-curve; None for linear ramps.
     """
     if down is None and is_triangular(r0, low, high, r4, r5, r7):
         return int(triangular_down_point(r0, r4, r5)) + 2
@@ -114,11 +152,15 @@ def usual_second(fh1: float, clock_hz: int, multiplier: int | None = None) -> fl
 @told_when_made
 @dataclass(frozen=True)
 class Profile:
-    """The speed registers of a move. Every value is checked against the register map: ArgumentError names the register.
+    """Speed registers of a move. Every value is checked against the register map: ArgumentError names the register.
 
-    R1 FL, R2 FH1, R3 FH2: speed steps of clock_hz / (8192 R7) pps; R4, R5: clocks per speed step. spans: of the S-curves'
-    ends when accelerating and decelerating, in speed steps, 0 for curved throughout; None for linear ramps. chip: whose
-    registers these are.
+    Attributes:
+        R1, R2, R3: FL, FH1 and FH2, speed steps of clock_hz / (8192 R7) pps.
+        R4, R5: Clocks per speed step.
+        R7: Multiplier.
+        clock_hz: Reference clock, Hz.
+        spans: Speed steps of the S-curves' ends when accelerating and decelerating, 0 for curved throughout; None for linear ramps.
+        chip: Class of chip whose registers these are.
     """
 
     R1: int
@@ -154,14 +196,26 @@ class Profile:
         s_curve: bool | float = False,
         chip: type[PCL240] = PCL240K,
     ) -> Profile:
-        """The registers nearest to rates in pps and ramp times in s (from FL to the highest rate, and back).
+        """Compute the registers nearest to rates and ramp times.
 
-        fl defaults to 1000 pps or the lowest high rate, if that is less; fh2 to twice fh1, where the chip reaches that; decel to
-        accel. multiplier: R7; by default the largest, hence the finest speed steps, which gives the rates to 0.02 % and the
-        ramps to 1 %, or where none does, the one that comes closest.
-        s_curve: True for S-curves throughout, or the share (above 0, up to 0.5) of FH1 - FL that each curved end takes; needs a
-        PCL240MS. chip: the class of chip that they are for.
-        Raises ArgumentError for a rate that the chip does not reach, an FL above a high rate, a ramp that R4 or R5 cannot hold.
+        Args:
+            fl: FL, pps; default: 1000 pps, or the lowest high rate if that is less.
+            fh1: FH1, pps.
+            fh2: FH2, pps; default: twice fh1, where the chip reaches that.
+            accel: Time from FL to the highest rate, s.
+            decel: Time back, s; default: `accel`.
+            multiplier: R7; default: the largest, hence the finest speed steps, which gives the rates to 0.02 % and the ramps to 1
+                %, or where none does, the one that comes closest.
+            clock_hz: Reference clock, Hz.
+            s_curve: True for S-curves throughout, or the share (above 0, up to 0.5) of FH1 - FL that each curved end takes; needs
+                a PCL240MS.
+            chip: Class of chip.
+
+        Returns:
+            The profile.
+
+        Raises:
+            ArgumentError: A rate that the chip does not reach, an FL above a high rate, or a ramp that R4 or R5 cannot hold.
         """
         if multiplier is not None:
             chip.MAP.checked("R7", multiplier)
@@ -215,10 +269,17 @@ class Profile:
                 ).of(Limit("accel", seconds, 0.0, span * max_rate / self.clock_hz))
 
     def shaped(self, s_curve: bool | float, fh2: bool = False) -> Profile:
-        """The same rates and, as near as R4 and R5 allow, the same ramp times to FH1 (or FH2), with another shape.
+        """Return the profile with ramps of another shape.
 
-        s_curve: False for linear ramps, True for S-curves throughout, or the share (0 to 0.5) of FH - FL that each curved end
-        takes, with a linear part between. Raises ArgumentError.
+        The rates and, as near as R4 and R5 allow, the ramp times to FH1 (or FH2) stay.
+
+        Args:
+            s_curve: False for linear ramps, True for S-curves throughout, or the share (0 to 0.5) of FH - FL that each curved end
+                takes, with a linear part between.
+            fh2: The ramp times are those to FH2.
+
+        Raises:
+            ArgumentError: Another share, or a chip without S-curves.
         """
         if not isinstance(s_curve, bool) and not 0 < s_curve <= 0.5:
             raise ArgumentError(
@@ -234,11 +295,14 @@ class Profile:
         return replace(self, R4=r4, R5=r5, spans=spans)
 
     def on(self, chip: type[PCL240]) -> Profile:
-        """The same for another chip of the family; ArgumentError names the register that it cannot hold."""
+        """Return the profile for another chip of the family.
+
+        Raises ArgumentError, with the register's name, where it does not fit.
+        """
         return self if chip is self.chip else replace(self, chip=chip)
 
     def registers(self) -> dict[str, int]:
-        """Register values by name; on a chip with S-curves R14 and R15, too."""
+        """Return the register values by name; on a chip with S-curves R14 and R15, too."""
         linear = {"R1": self.R1, "R2": self.R2, "R3": self.R3, "R4": self.R4, "R5": self.R5, "R7": self.R7}
         if not self.chip.S_CURVES:
             return linear
@@ -255,7 +319,7 @@ class Profile:
 
     @property
     def step(self) -> float:
-        """pps of one speed step."""
+        """Rate of one speed step, pps."""
         return pulse_rate(1, self.R7, self.clock_hz)
 
     @property
@@ -274,25 +338,39 @@ class Profile:
         return self.R3 * self.step
 
     def high(self, fh2: bool = False) -> int:
-        """The speed register's value of FH1, or FH2."""
+        """Return the speed register's value of FH1, or FH2."""
         return self.R3 if fh2 else self.R2
 
     def accel(self, fh2: bool = False) -> float:
-        """Seconds from FL to FH1, or FH2."""
+        """Return the time from FL to FH1, or FH2, s."""
         return ramp_seconds(self.R1, self.high(fh2), self.R4, self.clock_hz, self._up)
 
     def decel(self, fh2: bool = False) -> float:
-        """Seconds from FH1, or FH2, to FL."""
+        """Return the time from FH1, or FH2, to FL, s."""
         return ramp_seconds(self.R1, self.high(fh2), self.R5, self.clock_hz, self._down)
 
     def down_point(self, pulses: int, fh2: bool = False) -> int:
-        """R6 for a preset move of so many pulses. Raises ArgumentError when R6 cannot hold it."""
+        """Compute R6 for a preset move. Raises ArgumentError where R6 cannot hold it.
+
+        Args:
+            pulses: Pulses of the move.
+            fh2: The move is to FH2.
+
+        Returns:
+            Value of R6.
+        """
         point = down_point(pulses, self.R1, max(self.high(fh2), self.R1), self.R4, self.R5, self.R7, self._down)
         return self.chip.MAP.checked("R6", point)
 
     def within(self, pulses: int, fh2: bool = False) -> Profile:
-        """An S-curve profile whose FH a preset move of so many pulses reaches: "revised R2" (data sheet MS, 3-4). Linear
-        ramps stay as they are: they can turn round anywhere."""
+        """Return an S-curve profile whose FH a preset move reaches: "revised R2" (data sheet MS, 3-4).
+
+        Linear ramps stay as they are: they can turn round anywhere.
+
+        Args:
+            pulses: Pulses of the move.
+            fh2: The move is to FH2.
+        """
         if self.spans is None or self.high(fh2) <= self.R1:
             return self
         high = revised_high(pulses, self.R1, self.high(fh2), self.R4, self.R5, self.R7, self._up or 0, self._down or 0)
@@ -300,12 +378,16 @@ class Profile:
         return replace(self, R3=high) if fh2 else replace(self, R2=high)
 
     def is_triangular(self, pulses: int, fh2: bool = False) -> bool:
-        """Whether a move of so many pulses is too short to reach FH1, or FH2."""
+        """Return whether a move of so many pulses is too short to reach FH1, or FH2."""
         return is_triangular(pulses, self.R1, self.high(fh2), self.R4, self.R5, self.R7, self._up, self._down)
 
     def pulses_through(self, speeds: Iterable[int], dwell: float = 0.0) -> float:
-        """Pulses of a run that ramps from FL through `speeds` (register values) and stays `dwell` s at each but the last, and
-        then to FL again."""
+        """Compute the pulses of a run from FL through several speeds, and then to FL again.
+
+        Args:
+            speeds: Speeds in order, register values.
+            dwell: Time at each speed but the last, s.
+        """
         speed_before, total, stops = self.R1, 0.0, [*speeds, self.R1]
         for k, speed in enumerate(stops):
             low, high = sorted((speed_before, speed))
@@ -316,7 +398,7 @@ class Profile:
         return total
 
     def seconds(self, pulses: int) -> float:
-        """An upper bound of a move's duration: all of it at FL or at FH1, whichever is slower, and two ramps."""
+        """Return an upper bound of a move's duration: all of it at FL or at FH1, whichever is slower, and two ramps, s."""
         return pulses / min(self.fl, self.fh1, self.fh2) + 2 * max(self.accel(True), self.decel(True), 0.0)
 
     def __str__(self) -> str:

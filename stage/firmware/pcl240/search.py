@@ -21,7 +21,10 @@ RUNS = ("leave", "search", "back off", "approach")
 
 
 class FourRuns(Search):
-    """Leave, search, back off, approach; the chip's status is read during the runs, but no decision depends on it."""
+    """Origin return in four runs: leave, search, back off, approach.
+
+    The chip's status is read during the runs, but no decision depends on it.
+    """
 
     def __init__(self, driver: Pcl240Driver, settings: Any):
         self.driver, self.settings = driver, settings

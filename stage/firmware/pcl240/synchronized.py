@@ -44,19 +44,30 @@ def synchronized_move(
 ) -> SynchronizedReport:
     """Move several axes along a straight line, by bus cycles only.
 
-    Args:
-        distances: axis name (or axis) -> signed pulses; 0 keeps an axis still. Or a Plan made before.
-        axes: where the names are: a stage, a bench, or a mapping such as stage.axes. Not needed when the keys are axes.
-        rate, fl: FH and FL of the longest axis, pps. accel, decel: ramp times, s; decel defaults to accel.
-        s_curve: True for S-curves throughout, a share (above 0, up to 0.5) of FH - FL for curved ends, False
-            for linear ramps. Every axis that moves needs a PCL240MS for it.
-        automatic: the chips find the ramp-down point themselves, and decelerate as they accelerated (PCL240MK and PCL240MS).
-            Default, as False: the plan computes it.
-        timeout: s for the motion, default half as much again as the plan takes, and one.
+    A status read shows what a bus cycle costs, and the plan takes it into account. When an end limit stops an axis, the others are
+    slowed
+    down and stopped: the line is lost.
 
-    A status read tells what a bus cycle costs, and the plan reckons with it. When an end limit stops an axis, the others are
-    slowed down and stopped: the line is lost. Raises ArgumentError when the chips cannot do it, with the reason; RunTimeout,
-    whose `reports` tell how far each axis came.
+    Args:
+        distances: Axis name (or axis) -> signed pulses; 0 keeps an axis still. Or a Plan made before.
+        axes: Stage, bench, or mapping such as stage.axes in which the names are found. Not needed when the keys are axes.
+        rate: FH of the longest axis, pps.
+        fl: FL of the longest axis, pps.
+        accel: Time of the ramp up, s.
+        decel: Time of the ramp down, s; default: `accel`.
+        s_curve: True for S-curves throughout, a share (above 0, up to 0.5) of FH - FL for curved ends, False for linear ramps.
+            Every axis that moves needs a PCL240MS for it.
+        automatic: The chips find the ramp-down point themselves, and decelerate as they accelerated (PCL240MK and PCL240MS).
+            Default, as
+            False: the plan computes it.
+        timeout: Simulated seconds for the motion; default: half as much again as the plan takes, and one.
+
+    Returns:
+        A report of all axes.
+
+    Raises:
+        ArgumentError: The chips cannot do it; the message has the reason.
+        RunTimeout: An axis still moved after `timeout`; `reports` of the error says how far each axis came.
     """
     patience(timeout)
     if not isinstance(distances, Mapping | Plan):
@@ -84,7 +95,7 @@ def synchronized_move(
 
 
 def _run(axes: dict[str, Axis], line_plan: Plan, timeout: float | None) -> SynchronizedReport:
-    """Write, start in the order given, wait, report."""
+    """Write the registers, start the axes in the order of the plan, wait, and return the report."""
     watch = {n: Procedure(a, "synchronized move") for n, a in axes.items()}
     with Together(watch, line_plan.distances) as line:
         for n, p in watch.items():
@@ -103,7 +114,7 @@ def _run(axes: dict[str, Axis], line_plan: Plan, timeout: float | None) -> Synch
 
 
 def _wait(watch: dict[str, Procedure], line_plan: Plan, patience: float, line: Together) -> dict[str, str]:
-    """Poll all axes until none operates. Returns why each stopped."""
+    """Poll all axes until none operates; return why each stopped."""
     stopped_by: dict[str, str] = {}
     broken = False
     clock = next(iter(watch.values())).axis
@@ -133,6 +144,7 @@ def _wait(watch: dict[str, Procedure], line_plan: Plan, patience: float, line: T
 
 
 def _select_axes(distances: Mapping, axes: Any) -> dict[str, tuple[Axis, int]]:
+    """Find the axes of a move, see `select_axes`. Raises ArgumentError for chips of another family, too."""
     selected = select_axes(distances, axes, "synchronized_move")
     for axis, _ in selected.values():
         check(axis)
@@ -183,7 +195,7 @@ def _check_clocks(line_plan: Plan, selected: dict[str, tuple[Axis, int]]) -> Non
 
 
 def _bus_delay(selected: dict[str, tuple[Axis, int]], names: Any) -> float:
-    """Read each axis' status, to check that it is at rest and to measure the time of a bus cycle."""
+    """Read each axis' status, to check that it is at rest and to measure the time of a bus cycle, s."""
     delay = 0.0
     for n in names:
         axis = selected[n][0]
