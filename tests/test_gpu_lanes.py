@@ -88,6 +88,8 @@ def play_by_lanes(stage, ops):
     tables = (layout.rows, layout.axis_numbers, layout.places, layout.tables, layout.switch_tables, state.clockwork)
     rest = (
         model.dof_M0[None].copy(),
+        model.dof_damping,
+        model.actuator_damping,
         data.qacc_warmstart[None],
         data.site_xpos[None],
         data.xpos[None],

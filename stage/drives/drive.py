@@ -10,7 +10,19 @@ from stage.drives import servo, stepper
 from stage.drives.stepper import DRIVE, SERVO
 from stage.native import exported, hot
 
-__all__ = ["DRIVE", "SERVO", "align", "at_rest", "lag", "effort", "load_angle", "lost_steps", "torque", "voltage"]
+__all__ = [
+    "DRIVE",
+    "SERVO",
+    "align",
+    "at_rest",
+    "lag",
+    "effort",
+    "load_angle",
+    "lost_steps",
+    "torque",
+    "torque_change",
+    "voltage",
+]
 
 
 @hot
@@ -35,6 +47,14 @@ def effort(d, signal, n, theta, omega, h, gain=0.0):
 def torque(d, effort):
     """Return the motor's torque, N m, when `effort` goes to its actuator."""
     return d.torque_constant * d.current_a if d.mode == SERVO else effort
+
+
+@hot
+def torque_change(d, effort_change, speed_change):
+    """Return the change of the motor's torque, N m, with a change of its effort, and of its speed in rad/s."""
+    if d.mode == SERVO:
+        return d.torque_constant * (effort_change - d.torque_constant * speed_change) / d.resistance
+    return effort_change
 
 
 @hot

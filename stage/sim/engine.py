@@ -70,6 +70,7 @@ from stage.sim.records import (
     WIPED,
     clock_at,
 )
+from stage.sim.warm_start import force_change
 
 _step = called(None, "i8", "i8")
 _get_state = called(None, "i8", "i8", "i8", "i4")
@@ -260,6 +261,8 @@ def _run(h, until):
     w, clock, axis_records, axis_table, rows = world(h), clockwork(h), axes(h), table(h), drives(h)
     positions, speeds = qpos(h), qvel(h)
     ctrl, inertia = array_at(h.ctrl, h.nu, REAL), array_at(h.inertia, h.nv, REAL)
+    accelerations, damping = array_at(h.accelerations, h.nv, REAL), array_at(h.damping, h.nv, REAL)
+    core_loss = array_at(h.core_loss, h.nu, REAL)
     if not w.powered:
         return WIPED
     if w.start + clock.dt <= until:
@@ -279,10 +282,15 @@ def _run(h, until):
             _set_currents(h)
         for a in range(len(axis_records)):
             t = axis_table[a]
-            omega = speeds[t.dof] * t.gear
+            speed, before = speeds[t.dof], ctrl[t.actuator]
             gain = clock.half * t.gear * t.gear / inertia[t.dof]
-            ctrl[t.actuator] = drive.effort(
-                rows[a], axis_records[a].counts, clock.slices, positions[t.qpos] * t.gear, omega, clock.h, gain
+            effort = drive.effort(
+                rows[a], axis_records[a].counts, clock.slices, positions[t.qpos] * t.gear, speed * t.gear, clock.h, gain
+            )
+            ctrl[t.actuator] = effort
+            accelerations[t.dof] += (
+                force_change(axis_records[a], t, rows[a], effort - before, speed, damping[t.dof], core_loss[t.actuator])
+                / inertia[t.dof]
             )
         _step(clock.mj_step, (h.mj_model, h.mj_data))
         w.slice = 0
@@ -372,6 +380,7 @@ def _settle_axis(h, a):
         count, speed = _shaft(h, t)
         cores.set_shaft(c, t.chip_axis, count, speed / c.hz)
     axis.next_edge = NEVER
+    axis.speed = qvel(h)[t.dof]
     axis.count = cores.net(c, t.chip_axis)
     for k in range(SLICES):
         axis.counts[k] = drive.at_rest(d, axis.count)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _ARRAYS = (
     "world axes drives switches latches table switch_table chips clockwork qpos qvel ctrl sensordata inertia sites bodies"
+    " accelerations damping core_loss"
 ).split()
 _LENGTHS = "n_axes n_switches n_chips nq nv nu ns n_sites n_bodies".split()
 _LOGS = "samples positions room filled edges edge_room noted".split()
@@ -129,7 +130,7 @@ def fill(handles: np.ndarray, k: int, state: State) -> None:
     held = (
         state.world, state.axes, state.drives, state.switches, state.latches, state.axis_table, state.switch_table,
         state.chip_table, state.clockwork, data.qpos, data.qvel, data.ctrl, data.sensordata, model.dof_M0,
-        data.site_xpos, data.xpos,
+        data.site_xpos, data.xpos, data.qacc_warmstart, model.dof_damping, model.actuator_damping,
     )  # fmt: skip
     for name, array in zip(_ARRAYS, held, strict=True):
         h[name] = array.ctypes.data

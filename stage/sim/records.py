@@ -27,12 +27,12 @@ WORLD = record([(name, "i8") for name in "now start slice steps to_sample powere
 """`now`, `start` of the window (ns); slices and steps done; steps until the next sample; 1 under power: where it is 0, somebody has
 cleared userdata (mj_resetData does), and nothing in it means anything."""
 AXIS = record(
-    [("counts", "f8", (SLICES,))]
+    [("counts", "f8", (SLICES,)), ("speed", "f8")]
     + [(name, "i8") for name in "count next_edge awake index_on index_edge index_end".split()]
 )
-"""Mean pulse counts of the window's slices so far, the count at the last slice's end, time of the next input edge (ns); whether a
-switch of it is on, sees its vane or bounces; the encoder's index pulse: asserted, its next edge in this window, and the one after
-(ns)."""
+"""Mean pulse counts of the window's slices so far; the joint's speed in the last physics step (units/s); the count at the last
+slice's end, time of the next input edge (ns); whether a switch of it is on, sees its vane or bounces; the encoder's index pulse:
+asserted, its next edge in this window, and the one after (ns)."""
 SWITCH = record([("shift", "f8")] + [(name, "i8") for name in "sensed on edge next_edge toggles until".split()])
 """How far the flag stands from where the plant has measured it, in joint units; whether the contact sensor sees the vane; asserted;
 times of the next edge in this window and of the one after it (ns); of a contact that bounces, how often it will still toggle and

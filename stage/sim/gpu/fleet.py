@@ -93,9 +93,10 @@ class GpuFleet(fleet.Fleet):
         self._playing = cuda.to_device(np.zeros(1, np.int32))
         self._extremes = cuda.to_device(np.zeros((self._copies, model.nq, 2)))
         self._device_truth = cuda.to_device(np.zeros((self._copies, len(state.axis_table)), play.TRUTH))
+        losses = cuda.to_device(model.dof_damping), cuda.to_device(model.actuator_damping)
         self._rest = [
             self._extremes, physics["qpos"], physics["qvel"], physics["ctrl"], physics["sensordata"], cuda.to_device(inertia),
-            physics["qacc_warmstart"], physics["site_xpos"], physics["xpos"], self._frozen_coordinates, self._playing,
+            *losses, physics["qacc_warmstart"], physics["site_xpos"], physics["xpos"], self._frozen_coordinates, self._playing,
         ]  # fmt: skip
         self.arrays = {name: getattr(data, name) for name in ("qpos", "qvel", "ctrl")}
         self._cuda = cuda

@@ -23,6 +23,7 @@ from stage.sim.gpu.layout import HOST, PLAYING, WARP
 from stage.sim.play import DIVERGED, PLAYED, inspect_axis
 from stage.sim.program import END, KEEP, LOOK, MEASURE, READ, STOP, WRITE
 from stage.sim.records import AXIS, MAX_SPEED, SECOND, SLICES, SWITCH, WORLD, clock_at
+from stage.sim.warm_start import force_change
 
 LOST = 1 << 62
 """Beside the bits of axes in motion: a step was lost that the program wants to keep."""
@@ -169,7 +170,7 @@ def has_lost_a_step(c, drives, table, axis_numbers, mask, q, v, tau):
 
 def advance_lanes(
     words, rows, axis_numbers, places, tables, switch_tables, clockworks, ops, results, extremes,
-    qpos, qvel, ctrl, sensordata, inertia, warmstart, sites, bodies, frozen_coordinates, playing,
+    qpos, qvel, ctrl, sensordata, inertia, damping, core_loss, warmstart, sites, bodies, frozen_coordinates, playing,
 ):  # fmt: skip
     """Advance every lane by a window. The kernel.
 
@@ -178,7 +179,7 @@ def advance_lanes(
         clockworks: One CLOCKWORK.
         ops, results, extremes: As `stage.sim.play.play` takes them.
         qpos, qvel, ctrl, sensordata, warmstart, sites, bodies: Arrays of mujoco-warp, a row a copy.
-        inertia: dof_M0 of each copy.
+        inertia, damping, core_loss: dof_M0 of each copy, and dof_damping and actuator_damping of all.
         frozen_coordinates: (copies, nq + 2 nv), coordinates, speeds and accelerations of copies that stand still.
         playing: (1,), set to 1 where a program goes on.
     """
@@ -305,10 +306,15 @@ def advance_lanes(
         host.stepped = 1
         for j in range(c.axes):
             t = table[j]
-            omega = v[t.dof] * t.gear
+            speed, before = v[t.dof], ctrl[copy, t.actuator]
             gain = clockwork.half * t.gear * t.gear / inertia[copy, t.dof]
-            ctrl[copy, t.actuator] = drive.effort(
-                drives[j], axes[j].counts, clockwork.slices, q[t.qpos] * t.gear, omega, clockwork.h, gain
+            effort = drive.effort(
+                drives[j], axes[j].counts, clockwork.slices, q[t.qpos] * t.gear, speed * t.gear, clockwork.h, gain
+            )
+            ctrl[copy, t.actuator] = effort
+            warmstart[copy, t.dof] += (
+                force_change(axes[j], t, drives[j], effort - before, speed, damping[t.dof], core_loss[t.actuator])
+                / inertia[copy, t.dof]
             )
         if lane == 0:
             playing[0] = 1
