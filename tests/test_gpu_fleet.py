@@ -207,7 +207,7 @@ def test_a_fleet_on_a_gpu_checks_programs_and_plays_longer_ones_later(stage):
     with pytest.raises(ArgumentError, match="shape"):
         fleet.play(np.zeros((3, 1, 4), np.int64))
     with pytest.raises(ArgumentError, match="WAIT"):
-        fleet.play(np.full((2, 1, 4), [3, fleets.MOST + 1, 0, 0]))
+        fleet.play(np.full((2, 1, 4), [3, fleets.MAX_TIME_NS + 1, 0, 0]))
     fleet.play([Program().wait(1e-3)] * 2)
     assert fleet.play([Program().wait(1e-3).look(0).wait(1e-3)] * 2).results.shape == (2, 3)
     assert fleet.truth()["now"].max() == 3_000_000

@@ -82,8 +82,9 @@ class GpuFleet(fleet.Fleet):
         clockwork["flag_edges"] = self._flag_edges.__cuda_array_interface__["data"][0]
         names = ("qpos", "qvel", "ctrl", "sensordata", "qacc_warmstart", "site_xpos", "xpos")
         physics = {name: cuda.as_cuda_array(getattr(data, name)) for name in names}
-        self._qpos, self._qvel, self._warmstart = physics["qpos"], physics["qvel"], physics["qacc_warmstart"]
-        self._initial_coordinates = [a.copy_to_host() for a in (self._qpos, self._qvel, self._warmstart)]
+        self._qpos, self._qvel = physics["qpos"], physics["qvel"]
+        self._coordinates = [physics[name] for name in ("qpos", "qvel", "qacc_warmstart", "ctrl")]
+        self._initial_coordinates = [a.copy_to_host() for a in self._coordinates]
         self._tables = [
             cuda.to_device(a)
             for a in (layout.rows, layout.axis_numbers, layout.places, layout.tables, layout.switch_tables, clockwork)
@@ -176,7 +177,7 @@ class GpuFleet(fleet.Fleet):
     def reset(self) -> None:
         """Put every copy back to the state in which the stage was when the fleet was made."""
         self._words.copy_to_device(self._begin)
-        for array, begin in zip((self._qpos, self._qvel, self._warmstart), self._initial_coordinates, strict=True):
+        for array, begin in zip(self._coordinates, self._initial_coordinates, strict=True):
             array.copy_to_device(begin)
 
     def list_python_stages(self) -> list[int]:

@@ -56,7 +56,7 @@ class Physics:
         model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # mujoco-warp has no such flag
         contacts, constraints = count_constraints(model)
         begin = mujoco.MjData(model)
-        for name in ("qpos", "qvel", "act", "qacc_warmstart"):
+        for name in ("qpos", "qvel", "act", "ctrl", "qacc_warmstart"):
             getattr(begin, name)[:] = getattr(data, name)
         mujoco.mj_forward(model, begin)
         try:
