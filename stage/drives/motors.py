@@ -312,6 +312,7 @@ class Drive:
 
     @property
     def pulses_per_turn(self) -> int:
+        """Pulses of a turn of the motor."""
         return int(self.motor.steps_per_turn * self.microsteps)
 
     @property

@@ -124,8 +124,14 @@ class CurveComparison(NamedTuple):
 
 
 class CurveFit(NamedTuple):
-    """A motor fitted to some points of a curve: the motor, the speeds fitted (rpm), the comparison at all speeds, and the rms
-    deviation at the speeds that were not fitted, NaN if all were."""
+    """Motor fitted to some points of a curve.
+
+    Attributes:
+        motor: The motor.
+        fitted: Speeds fitted, rpm.
+        comparison: Comparison at all speeds.
+        rms_of_others: Rms deviation at the speeds that were not fitted, NaN if all were.
+    """
 
     motor: Motor
     fitted: tuple[float, ...]

@@ -17,14 +17,15 @@ from stage.native import hot
 def voltage(d, shares, n, omega, gain=0.0):
     """Compute the mean terminal voltage, V, over n slices.
 
+    MuJoCo takes the back-EMF at the end of the step. A current limit holds for the speed by then, if the rotor gains as much as in
+    the step before: nothing against a load that holds it, and at most what the torque of the limit gives to a free one.
+
     Args:
         d: DRIVE record of a servo.
         shares: (n,), the motor command of each slice as a share of full drive, -1 to 1.
+        n: Number of slices.
         omega: Speed of the rotor at the beginning, rad/s.
         gain: Speed that a newton metre adds in half of the n slices, rad/s.
-
-    MuJoCo takes the back-EMF at the end of the step. A current limit holds for the speed by then, if the rotor gains as much as in
-    the step before: nothing against a load that holds it, and at most what the torque of the limit gives to a free one.
     """
     total = 0.0
     for k in range(n):

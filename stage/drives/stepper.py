@@ -132,8 +132,10 @@ def _slice(d, a, b, ta, tb, s, c, omega, sine_held):
 
 @hot
 def _place_targets(d, waves, counts, n, turn, omega):
-    """Write into `waves`, of the end of each slice, sine and cosine of the angle from the rotor to the target of the currents, less
-    that of the slice that ends in the middle of the window; in that one's place those of `turn`.
+    """Write into `waves` the angles from the rotor to the targets of the currents, at the end of each slice.
+
+    They are sine and cosine of that angle less that of the slice that ends in the middle of the window; in that one's place those
+    of `turn`.
 
     Returns whether these angles are small, and whether the bus voltage takes the currents from target to target.
     """

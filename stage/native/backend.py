@@ -63,11 +63,13 @@ if find_spec("setuptools.command.bdist_wheel"):
         """The packages, those of package-dir that lie elsewhere in the checkout, and the examples."""
 
         def finalize_options(self) -> None:
+            """Add the packages of package-dir."""
             found = self.distribution.packages
             found += [name for name in self.distribution.package_dir if name not in found]
             super().finalize_options()
 
         def run(self) -> None:
+            """Build, with the examples."""
             super().run()
             if not self.editable_mode:
                 from stage.support import examples

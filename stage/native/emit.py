@@ -74,6 +74,7 @@ class BarePackages:
         self._places = {name: Path(folder) for name, folder in places.items()}
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        """Find a package of the tree, without its __init__."""
         if name == "stage.native":
             return None
         for prefix, folder in self._places.items():

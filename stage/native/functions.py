@@ -213,7 +213,8 @@ def exchange(old: int | None, new: int | None) -> Any:
     It returns True if the word at the address was `old` and now is `new`. Uncompiled the GIL does this, and it always returns True.
 
     Args:
-        old, new: Words; None stands for the argument `word`.
+        old: Word before; None stands for the argument `word`.
+        new: Word after; None stands for the argument `word`.
     """
     return typed.exchange(old, new) if EMITTING else lambda address, word: True
 

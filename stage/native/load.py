@@ -73,8 +73,19 @@ def find_misfit(package: str, path: Path) -> str:
         return f"{path} was built for {manifest['target']}, this is {target()}"
     if lacking := [f for f in manifest["needs"] if f not in read_features()]:
         return f"{path} needs a processor with {', '.join(lacking)}, which this one has not"
-    places = {root: find_folders(root) for root in {module.partition(".")[0] for module in manifest["sources"]}}
-    for module, digest in manifest["sources"].items():
+    return _find_changed_source(package, path, manifest["sources"])
+
+
+def _find_changed_source(package: str, path: Path, sources: dict[str, str]) -> str:
+    """Name a source that is not as the library's, or new; "" if there is none.
+
+    Args:
+        package: Name of the package.
+        path: Library.
+        sources: Module -> digest of its file.
+    """
+    places = {root: find_folders(root) for root in {module.partition(".")[0] for module in sources}}
+    for module, digest in sources.items():
         try:
             same = digest_file(find_source(module, places[module.partition(".")[0]])) == digest
         except OSError:
@@ -84,10 +95,9 @@ def find_misfit(package: str, path: Path) -> str:
         if not same:
             return f"{path} was built from other sources: {module} has changed"
     own_folders = places.get(package) or find_folders(package)
-    if (
-        package != "stage" or _project_file(own_folders[package]).is_file()
-    ):  # not of the wheel of many files, whose modules stay
-        for module in find_exporting_modules(own_folders, manifest["sources"]):
+    # a wheel has its modules for good
+    if package != "stage" or _project_file(own_folders[package]).is_file():
+        for module in find_exporting_modules(own_folders, sources):
             return f"{path} was built from other sources: {module} is new"
     return ""
 

@@ -50,6 +50,7 @@ class Wheel(bdist_wheel):
     """Wheel for any Python of one system and processor: its library is machine code, but not that of an extension of Python."""
 
     def finalize_options(self) -> None:
+        """Have the wheel named by its platform."""
         self.distribution.has_ext_modules = lambda: True
         super().finalize_options()
 

@@ -259,12 +259,15 @@ class Axes(Mapping[str, Axis]):
         return name in self._axes
 
     def keys(self) -> KeysView[str]:
+        """Return the names, as of a dict."""
         return self._axes.keys()
 
     def values(self) -> ValuesView[Axis]:
+        """Return the axes, as of a dict."""
         return self._axes.values()
 
     def items(self) -> ItemsView[str, Axis]:
+        """Return names and axes, as of a dict."""
         return self._axes.items()
 
     def __reversed__(self) -> Iterator[str]:

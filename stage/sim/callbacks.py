@@ -94,7 +94,7 @@ def make_callback_error(error: BaseException | None, seconds: float, state_text:
     Args:
         error: The exception.
         seconds: Simulated time, s.
-        held: State of the stage now, in words.
+        state_text: State of the stage now, in words.
     """
     if not isinstance(error, Exception):
         return error or KeyboardInterrupt()

@@ -1,5 +1,7 @@
-"""Wires that are not as usual: sensors of positive logic, chips whose SYNI is connected to another chip's SYNO, and the lines of
-multichip interpolation."""
+"""Wires that differ from the usual.
+
+Sensors of positive logic, chips whose SYNI is connected to another chip's SYNO, and the lines of multichip interpolation.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ def choose_wiring(
     """Return for each axis its sensors that are not of its chip's logic, as `Stage` takes them.
 
     Args:
-        given: Argument of `Stage`.
+        wiring: Argument of `Stage`.
         plant: Axes of the model.
         chip_axes: Their axes of chips.
 
@@ -79,7 +81,7 @@ def choose_leaders(
     """Return (follower, leader) axes whose chips share the leader's clock, as `Stage` takes them in `syni`.
 
     Args:
-        given: Argument of `Stage`.
+        syni: Argument of `Stage`.
         names: Axes of the stage.
         chip_axes: Their axes of chips.
 
@@ -132,7 +134,7 @@ def choose_linked_axes(
     """Return the axes whose chips the lines of multichip interpolation join, as `Stage` takes them, and these chips.
 
     Args:
-        given: Argument of `Stage`.
+        multichip: Argument of `Stage`.
         names: Axes of the stage.
         chip_axes: Their axes of chips.
 

@@ -138,7 +138,8 @@ def _travel_to_change(edges, t, q, direction, gone, on):
     """Return the travel from flag position `q` after which the switch changes next; `gone` if it should have changed by then.
 
     Args:
-        edges: FLAG_EDGE records of all switches; t: The switch's row of SWITCH_TABLE.
+        edges: FLAG_EDGE records of all switches.
+        t: The switch's row of SWITCH_TABLE.
         q: Joint position less the flag's shift.
         direction: Direction of travel, 1.0 or -1.0.
         gone: Travel from `q` that is behind the joint.
@@ -221,9 +222,8 @@ def predict_edges(h, moved):
 def predict_axis_edges(now, clock, axis, of_axis, records, rows, sensordata, q, v, moved):
     """Predict the edges of one axis whose joint is at `q` with speed `v`; see `predict_edges`.
 
-    Args:
-        now, clock, axis, of_axis: WORLD and CLOCKWORK of the stage; AXIS of the axis, its row of AXIS_TABLE.
-        records, rows: SWITCH and SWITCH_TABLE records.
+    `now` and `clock` are WORLD and CLOCKWORK of the stage, `axis` and `of_axis` the axis' AXIS and its row of AXIS_TABLE, `records`
+    and `rows` all SWITCH and SWITCH_TABLE records.
     """
     half, edges = clock.half, _flag_edges(clock)
     axis.next_edge = NEVER

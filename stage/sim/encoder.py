@@ -77,7 +77,7 @@ def choose_encoders(
     """Return the encoders that chips of a stage count, as `Stage` takes them.
 
     Args:
-        given: Argument of `Stage`.
+        encoders_given: Argument of `Stage`.
         names: Axes of the stage.
         chip_axes: Their axes of chips.
 

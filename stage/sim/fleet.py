@@ -306,10 +306,14 @@ def check_programs(
     """Check programs of `n` stages like `first`, and return them as compiled code takes them, (n, operations, 4) int64.
 
     Args:
-        sites, bodies: How many all stages have; default: those of `first`.
+        programs: One a stage; or an array (n, operations, 4).
+        n: Number of stages.
+        first: One of the stages.
+        sites: How many sites all stages have; default: those of `first`.
+        bodies: How many bodies all stages have; default: those of `first`.
 
     Raises:
-        ArgumentError: A program names an axis or a point that is not there, or a time that is no time.
+        ArgumentError: A program names an axis or a point that does not exist, or a time that is none.
     """
     ops = programs if isinstance(programs, np.ndarray) else _stack_programs(programs)
     if ops.ndim != 3 or len(ops) != n or ops.shape[2] != 4:

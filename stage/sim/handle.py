@@ -89,7 +89,9 @@ def note_edge(h, now, c, axis, kind, a, b):
         now: Time, ns.
         c: Row of CHIP_TABLE.
         axis: Axis of the stage, one of the chip's.
-        kind, a, b: `Entry` for the journal.
+        kind: Kind of the `Entry` for the journal.
+        a: Its first number.
+        b: Its second number.
 
     Returns:
         The EDGE.

@@ -13,6 +13,7 @@ import numpy as np
 
 from stage.chips import cores
 from stage.drives import drive
+from stage.errors import SimulationError
 from stage.native import array_at, array_of, exported, greatest, hot, least, record
 from stage.sim import records
 from stage.sim.engine import advance
@@ -162,6 +163,7 @@ def play(handles, begin, end, ops, results, extremes, status):
 
 @hot
 def inspect_axis(world, c, t, d, clockwork, qpos, qvel, out):
+    """Write the present state of an axis into a TRUTH."""
     tau = (world.now - world.start - 0.5 * clockwork.dt) * 1e-9
     j = t.chip_axis
     net = cores.net(c, j)
@@ -188,6 +190,7 @@ def inspect_axes(handles, begin, end, truth):
 
 @hot
 def write_all(chip, ops, axes):
+    """Write the write cycles of a program to a chip, for the axes in the mask."""
     for j in range(len(ops)):
         if ops[j, 0] == WRITE and axes >> ops[j, 1] & 1:
             cores.write(chip, ops[j, 2], ops[j, 3])
@@ -211,6 +214,63 @@ def predict_pulses(chip, ops, axes, axis, until):
     return STILL_BUSY if cores.busy(chip, axis) else cores.net(chip, axis)
 
 
+class _PythonPlayer:
+    """Plays the operations of a program on one stage, through its chips' own bus cycles.
+
+    Attributes:
+        step_lost: Whether KEEP has ended the program.
+    """
+
+    def __init__(self, stage: Any, extremes: np.ndarray):
+        self.stage, self.extremes, self.axes = stage, extremes, list(stage.axes.values())
+        self.step_lost = False
+
+    def write(self, axis: int, address: int, value: int) -> None:
+        self.axes[axis].chip.write(address, value)
+
+    def read(self, axis: int, address: int, _: int) -> int:
+        return int(self.axes[axis].chip.read(address))
+
+    def wait(self, ns: int, *_: int) -> None:
+        self.stage.run_to(self.stage.now + ns)
+
+    def stop(self, mask: int, poll: int, limit: int, keep_step: bool = False) -> int:
+        stage, begin = self.stage, self.stage.now
+        axes = [axis for k, axis in enumerate(self.axes) if mask >> k & 1]
+        left = axes
+        while True:
+            left = [axis for axis in left if axis.chip.busy(axis.chip_axis)]
+            self.step_lost = keep_step and any(axis.lost_steps for axis in axes)
+            if not left and not self.step_lost:
+                return int(stage.now - begin)
+            if self.step_lost or stage.now - begin >= limit:
+                return int(begin - stage.now)
+            stage.run_to(stage.now + poll)
+
+    def keep(self, mask: int, poll: int, limit: int) -> int:
+        return self.stop(mask, poll, limit, keep_step=True)
+
+    def _place(self, point: int) -> np.ndarray:
+        data = self.stage.data
+        return data.site_xpos[point - 1] if point > 0 else data.xpos[-point]
+
+    def look(self, axis: int, point: int, coordinate: int) -> int:
+        at = self._place(point)[coordinate] if point else self.axes[axis].position
+        return math.floor(at * 1e12)
+
+    def measure(self, ns: int, point: int, _: int) -> int:
+        stage, extremes = self.stage, self.extremes
+        end, low, high = stage.now + ns, np.full(3, np.inf), np.full(3, -np.inf)
+        while stage.now < end:
+            stage.run_to(min(end, stage.state.start + stage.state.dt))
+            np.minimum(extremes[:, 0], stage.data.qpos, out=extremes[:, 0])
+            np.maximum(extremes[:, 1], stage.data.qpos, out=extremes[:, 1])
+            if point:
+                low, high = np.minimum(low, self._place(point)), np.maximum(high, self._place(point))
+        x, y, z = (high - low).tolist()
+        return int(math.sqrt(x**2 + y**2 + z**2) * 1e12) if x >= 0 else 0
+
+
 def play_in_python(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: np.ndarray) -> int:
     """Play a program on one stage through its chips' own bus cycles: recordings, journals and diagnostics take part.
 
@@ -223,59 +283,18 @@ def play_in_python(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: n
     Returns:
         PLAYED or DIVERGED.
     """
-    from stage.errors import SimulationError
-
-    axes = list(stage.axes.values())
-
-    def until_stopped(mask: int, poll: int, limit: int, keep_step: bool) -> int | None:
-        """As the compiled one; None where a step was lost that is to be kept."""
-        indices = {k for k in range(len(axes)) if mask >> k & 1}
-        begin, left = stage.now, indices
-        while True:
-            left = {k for k in sorted(left) if axes[k].chip.busy(axes[k].chip_axis)}
-            if keep_step and any(axes[k].lost_steps for k in indices):
-                return None
-            if not left:
-                return int(stage.now - begin)
-            if stage.now - begin >= limit:
-                return int(begin - stage.now)
-            stage.run_to(stage.now + poll)
-
-    def measure(ns: int, point: int) -> int:
-        end, low, high = stage.now + ns, np.full(3, np.inf), np.full(3, -np.inf)
-        while stage.now < end:
-            stage.run_to(min(end, stage.state.start + stage.state.dt))
-            np.minimum(extremes[:, 0], stage.data.qpos, out=extremes[:, 0])
-            np.maximum(extremes[:, 1], stage.data.qpos, out=extremes[:, 1])
-            if point:
-                at = stage.data.site_xpos[point - 1] if point > 0 else stage.data.xpos[-point]
-                low, high = np.minimum(low, at), np.maximum(high, at)
-        x, y, z = (high - low).tolist()
-        return int(math.sqrt(x**2 + y**2 + z**2) * 1e12) if x >= 0 else 0
-
+    player = _PythonPlayer(stage, extremes)
+    play_operation: dict[int, Any] = {
+        WRITE: player.write, READ: player.read, WAIT: player.wait, STOP: player.stop, KEEP: player.keep,
+        LOOK: player.look, MEASURE: player.measure,
+    }  # fmt: skip
     try:
-        for j, (kind, a, b, c) in enumerate(ops.tolist()):
-            if kind == END:
+        for j, (kind, *operands) in enumerate(ops.tolist()):
+            if kind == END or player.step_lost:
                 break
-            if kind == WRITE:
-                axes[a].chip.write(b, c)
-            elif kind == READ:
-                results[j] = axes[a].chip.read(b)
-            elif kind == WAIT:
-                stage.run_to(stage.now + a)
-            elif kind in (STOP, KEEP):
-                begin = stage.now
-                took = until_stopped(a, b, c, kind == KEEP)
-                results[j] = int(begin - stage.now) if took is None else took
-                if took is None:
-                    break
-            elif kind == LOOK and b:
-                at = stage.data.site_xpos[b - 1] if b > 0 else stage.data.xpos[-b]
-                results[j] = math.floor(at[c] * 1e12)
-            elif kind == LOOK:
-                results[j] = math.floor(axes[a].position * 1e12)
-            else:
-                results[j] = measure(a, b)
+            result = play_operation[kind](*operands)
+            if result is not None:
+                results[j] = result
     except SimulationError as error:
         if error.__cause__ is not None:  # a callback's own, which says more
             raise

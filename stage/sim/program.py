@@ -152,6 +152,7 @@ class Program(Operations):
         return self
 
     def wait(self, seconds: float) -> Self:
+        """Add a wait of simulated time, s."""
         self.ops.append((WAIT, _to_ns("seconds", seconds), 0, 0))
         return self
 

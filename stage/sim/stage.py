@@ -73,6 +73,7 @@ class Stage:
         syni: chips of the PCL-240 family that count another's clock: a mapping follower -> leader of axes, {"y": "x"}.
         multichip: an axis of each MCX514 or MCX512 that the lines of multichip interpolation join, ["x", "u"].
         visuals: False leaves out what is only for display, for runs without pictures: the same bits, a third faster.
+
     Raises:
         ArgumentError: unknown model, axis, chip or motor. ModelError: the model breaks the naming contract, or its integrator or
             time step cannot be right.
@@ -186,7 +187,7 @@ class Stage:
 
     @property
     def time(self) -> float:
-        """Simulated seconds since power-up, to the nanosecond. (`data.time` is that of the last physics step.)"""
+        """Simulated seconds since power-up, to the nanosecond; `data.time` is that of the last physics step."""
         return self.state.now * 1e-9
 
     @property

@@ -78,11 +78,7 @@ class ChipConformance:
             ArgumentError: A promise is unknown, or the limit is not a time.
         """
         __tracebackhide__ = True
-        if limit is not None and not (isinstance(limit, int | float) and limit > 0):
-            raise ArgumentError(f"limit={limit!r}: seconds above 0, or None for no limit.")
-        kind = chip_class(chip) if isinstance(chip, str) else chip
-        if not isinstance(kind, type):
-            raise ArgumentError(f"chip={chip!r}: give a class of chips, as PCL240K, or the name of one.")
+        kind = _check_arguments(chip, limit)
         seed = random.SystemRandom().getrandbits(32) if seed is None else seed
         print(f"chip_conformance({getattr(kind, '__name__', kind)}, seed={seed})")
         trial = Trial(kind, partial(kind, **options), seed, programs)
@@ -96,21 +92,18 @@ class ChipConformance:
         for name in PROMISES if promises is None else promises:
             if name not in PROMISES:
                 raise unknown("promise", name, PROMISES)
-            if answers := run_bounded(partial(_try_promise, PROMISES[name], trial), limit):
-                broken[name] = answers
+            if report := run_bounded(partial(_try_promise, PROMISES[name], trial), limit):
+                broken[name] = report
                 limit = _shorten_limit(limit, broken)
                 if name == "has_what_every_chip_has":
                     break
         if uncompiled and not broken:
             from stage.testing.uncompiled import compare
 
-            if answers := compare(kind, options, seed, programs, limit):
-                broken["compiled = uncompiled"] = answers
+            if report := compare(kind, options, seed, programs, limit):
+                broken["compiled = uncompiled"] = report
         if broken:
-            lines = "\n".join(
-                f"  {PROMISES[n].__doc__ if n in PROMISES else n}\n    but: {b}" for n, b in broken.items()
-            )
-            raise NotConforming(f"{kind.__name__} breaks {len(broken)} of its promises (seed={seed}):\n{lines}", broken)
+            raise _list_broken(kind, seed, broken)
 
     def tests(self, chip: type[Chip] | str, **options: Any) -> Callable:
         """Make a test function for pytest, with one test for each promise.
@@ -137,6 +130,26 @@ class ChipConformance:
                 raise
 
         return test_chip_conformance
+
+
+def _check_arguments(chip: Any, limit: Any) -> type[Chip]:
+    """Return the class of the chip.
+
+    Raises:
+        ArgumentError: There is no such chip, or the limit is not a time.
+    """
+    if limit is not None and not (isinstance(limit, int | float) and limit > 0):
+        raise ArgumentError(f"limit={limit!r}: seconds above 0, or None for no limit.")
+    kind = chip_class(chip) if isinstance(chip, str) else chip
+    if not isinstance(kind, type):
+        raise ArgumentError(f"chip={chip!r}: give a class of chips, as PCL240K, or the name of one.")
+    return kind
+
+
+def _list_broken(kind: type[Chip], seed: int, broken: dict[str, str]) -> NotConforming:
+    """Return the error that lists broken promises."""
+    lines = "\n".join(f"  {PROMISES[n].__doc__ if n in PROMISES else n}\n    but: {b}" for n, b in broken.items())
+    return NotConforming(f"{kind.__name__} breaks {len(broken)} of its promises (seed={seed}):\n{lines}", broken)
 
 
 def _shorten_limit(limit: float | None, broken: dict[str, str]) -> float | None:

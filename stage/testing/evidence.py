@@ -249,6 +249,7 @@ class WatchedStage(Stage):
                 self._recent.remove(recording)
 
     def record(self, *args: Any, **kwargs: Any) -> Recording:
+        """Record for the test, in place of the background recording."""
         self._pause_watch()
         try:
             recording = super().record(*args, **kwargs)
@@ -259,6 +260,7 @@ class WatchedStage(Stage):
         return recording
 
     def restore(self, snapshot: Snapshot) -> None:
+        """Restore a snapshot, after which another background recording begins."""
         self._pause_watch()
         try:
             super().restore(snapshot)
@@ -266,6 +268,7 @@ class WatchedStage(Stage):
             self._resume_watch()
 
     def stop_recording(self) -> None:
+        """Stop a recording; the background recording goes on."""
         super().stop_recording()
         if self._background is not None:  # `_pause_watch` would write more, and the disk is full
             self._background, self._watched = None, False

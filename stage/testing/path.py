@@ -32,7 +32,8 @@ def assert_path_within(
         line: Points of a polyline, (n, 2) or (n, 3) meters, n of 2 or more; one number for each of `axes`. A circle is many points.
         within: Distance that is near, m.
         axes: Names; default: the first two or three axes of the stage.
-        begin, end: Part of the recording that counts, stage time, s.
+        begin: Beginning of the part of the recording that counts, stage time, s.
+        end: End of that part, s.
 
     Raises:
         AssertionError: A sample or a point is farther away.

@@ -45,6 +45,7 @@ def read_setting(config: pytest.Config, name: str) -> str:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the options of the plugin."""
     group = parser.getgroup("pulsestage", "PulseStage: tests of motion firmware")
     for name, (choices, text) in OPTIONS.items():
         group.addoption(f"--pulsestage-{name}", choices=choices, metavar=None if choices else "DIR", help=text)
@@ -52,6 +53,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    """Register the markers, and check the settings of the ini file."""
     for line in MARKERS:
         config.addinivalue_line("markers", line)
     for name, (choices, _) in OPTIONS.items():
@@ -127,6 +129,7 @@ def _report_plainly() -> Iterator[None]:
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo) -> Generator[None, Any, None]:
+    """Save the files of a failed test, and name them in its report."""
     watch = item.stash.get(EVIDENCE_KEY, None)
     if watch is not None and call.excinfo is not None and not item.config.getoption("fulltrace", False):
         watch.shorten_traceback(call.excinfo.value)

@@ -122,7 +122,8 @@ def describe_difference(mine: Any, its: Any, when: str = "after power-up") -> st
     """Describe the first difference of two results of `read_visible_state`.
 
     Args:
-        mine, its: The two results.
+        mine: One result.
+        its: The other result.
         when: When `its` was read.
     """
     for name in its[0]:

@@ -181,29 +181,10 @@ class _Binder:
         if not low < high:
             line = joint_line(name, int(m.jnt_type[joint]) == hinge)
             self.problems.add(name, f"joint {name!r} has no range, so its switches cannot be looked for", line)
-        armature = float(m.dof_armature[m.jnt_dofadr[joint]])
-        if not 0 <= armature <= 1e9:
-            self.problems.add(
-                name,
-                f"joint {name!r} has an armature of {armature:g}; inertia is 0 to 1e9, in kg (kg m2 on a hinge): that of the "
-                "rotor times the gear squared, or 0",
-            )
         gear = float(m.actuator_gear[actuator][0])
         servo = bool(m.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_DCMOTOR)
-        fits = self._is_dc_motor(joint, actuator) if servo else self._is_motor(joint, actuator)
-        if not fits or not 1e-6 <= abs(gear) <= 1e9:
-            self.problems.add(
-                name,
-                f"actuator {name!r} is not a <motor> on joint {name!r}, nor a <dcmotor> with voltage input only, with a gear of "
-                f"1e-6 to 1e9 (rotor radians per joint unit); if {name!r} is no axis of a chip, name those that are: "
-                "chips={axis: chip}",
-                actuator_line(name),
-            )
-        unfitted = self.texts.get(f"{name}_unfitted", "").split()
-        for pin in unfitted:
-            if pin not in PINS:
-                near = "".join(f" (meant {p!r}?)" for p in similar(pin, PINS))
-                self.problems.add(name, f"the text {name}_unfitted names {pin!r}{near}; switches are {', '.join(PINS)}")
+        self._check_drive(name, joint, actuator, servo)
+        unfitted = self._read_unfitted(name)
         if not low < high:
             return None
         scanned = self.switches.scanned(name, joint, low, high)
@@ -217,6 +198,36 @@ class _Binder:
             bool(m.jnt_type[joint] == hinge), self.texts.get(f"{name}_motor"), servo, self._index(name, gear, switches),
             switches,
         )  # fmt: skip
+
+    def _check_drive(self, name: str, joint: int, actuator: int, servo: bool) -> None:
+        """Check the armature of the joint, and its actuator."""
+        m = self.model
+        armature = float(m.dof_armature[m.jnt_dofadr[joint]])
+        if not 0 <= armature <= 1e9:
+            self.problems.add(
+                name,
+                f"joint {name!r} has an armature of {armature:g}; inertia is 0 to 1e9, in kg (kg m2 on a hinge): that of the "
+                "rotor times the gear squared, or 0",
+            )
+        gear = float(m.actuator_gear[actuator][0])
+        fits = self._is_dc_motor(joint, actuator) if servo else self._is_motor(joint, actuator)
+        if not fits or not 1e-6 <= abs(gear) <= 1e9:
+            self.problems.add(
+                name,
+                f"actuator {name!r} is not a <motor> on joint {name!r}, nor a <dcmotor> with voltage input only, with a gear of "
+                f"1e-6 to 1e9 (rotor radians per joint unit); if {name!r} is no axis of a chip, name those that are: "
+                "chips={axis: chip}",
+                actuator_line(name),
+            )
+
+    def _read_unfitted(self, name: str) -> list[str]:
+        """Return the switches that an axis does not have."""
+        unfitted = self.texts.get(f"{name}_unfitted", "").split()
+        for pin in unfitted:
+            if pin not in PINS:
+                near = "".join(f" (meant {p!r}?)" for p in similar(pin, PINS))
+                self.problems.add(name, f"the text {name}_unfitted names {pin!r}{near}; switches are {', '.join(PINS)}")
+        return unfitted
 
     def _index(self, name: str, gear: float, switches: Iterable[Switch]) -> float:
         m = self.model

@@ -94,9 +94,8 @@ class _Counter:
             copies *= max(_product(element.get("count")), points)
         self._elements += copies
         self._require(tag, "elements", self._elements, MAX_ELEMENTS)
-        if tag in ("composite", "flexcomp"):
-            if tag == "composite":
-                self._require(tag, "bodies", copies, MAX_COMPOSITE_BODIES)
+        if tag == "composite":
+            self._require(tag, "bodies", copies, MAX_COMPOSITE_BODIES)
         elif tag == "hfield":
             self._add_samples(element, "samples", ("nrow", "ncol"))
         elif tag == "texture":
@@ -105,14 +104,17 @@ class _Counter:
             resolution = max((_product(count) for count in element.get("params", "").split()), default=1)
             self._require(tag, "segments a side", resolution, MAX_MESH_RESOLUTION)
         elif tag == "size":
-            for name, value in element.items():
-                if _SIZES.fullmatch(name):
-                    self._require(tag, name, _product(value), MAX_ARRAY_SIZE)
-                    if name != "nkey":
-                        self._user_numbers = max(self._user_numbers, _product(value))
+            self._add_sizes(element)
         elif sizes := [_product(element.get(name)) for name in _SENSOR_SIZES if element.get(name)]:
             self._readings += copies * math.prod(sizes)
             self._require(tag, "readings", self._readings, MAX_ARRAY_SIZE)
+
+    def _add_sizes(self, element: ElementTree.Element) -> None:
+        for name, value in element.items():
+            if _SIZES.fullmatch(name):
+                self._require(element.tag, name, _product(value), MAX_ARRAY_SIZE)
+                if name != "nkey":
+                    self._user_numbers = max(self._user_numbers, _product(value))
 
     def _add_samples(self, element: ElementTree.Element, unit: str, sizes: tuple[str, ...]) -> None:
         """Count the samples of a height field or a texture: by its sizes, and those of a picture in a file by its header."""

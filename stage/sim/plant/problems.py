@@ -57,18 +57,39 @@ def slip(model: Any, kind: Any, count: int, name: str, axes: Sequence[str]) -> s
 
 
 def actuator_line(name: str) -> str:
+    """Return the MJCF line of an axis' motor."""
     return f'<motor name="{name}" joint="{name}" gear="628.3185307"/>'
 
 
 def joint_line(name: str, hinge: bool = False) -> str:
+    """Return the MJCF line of an axis' joint.
+
+    Args:
+        name: Name of the axis.
+        hinge: True for a hinge, else a slide.
+    """
     kind = 'hinge" axis="0 0 1" range="-3.1416 3.1416' if hinge else 'slide" axis="1 0 0" range="-0.15 0.15'
     return f'<joint name="{name}" type="{kind}" limited="false"/>'
 
 
 def sensor_line(axis: str, pin: str, vane: str = "", switch: str = "") -> str:
+    """Return the MJCF line of a switch's sensor.
+
+    Args:
+        axis: Name of the axis.
+        pin: Pin of the switch.
+        vane: Geom of the vane; default: a name by the axis and the pin.
+        switch: Geom of the switch; default: a name by the axis and the pin.
+    """
     vane, switch = vane or f"{axis}_{pin}_vane", switch or f"{axis}_{pin}_switch"
     return f'<contact name="{axis}_{pin}" geom1="{vane}" geom2="{switch}" num="1" reduce="mindist" data="found dist"/>'
 
 
 def pair_line(geom1: str, geom2: str) -> str:
+    """Return the MJCF line of a pair of geoms that is detected and exerts no force.
+
+    Args:
+        geom1: Geom of the vane.
+        geom2: Geom of the switch.
+    """
     return f'<pair geom1="{geom1}" geom2="{geom2}" margin="{MARGIN}" gap="{GAP}"/>'

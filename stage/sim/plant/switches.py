@@ -97,22 +97,19 @@ class SwitchFinder:
     def find(
         self, axis: str, pin: str, joint: int, low: float, high: float, scanned: dict[tuple[int, int], np.ndarray]
     ) -> Switch | None:
+        """Measure the switch of an axis; None where it does not work, which is added to `problems`.
+
+        Args:
+            axis: Name of the axis.
+            pin: Pin of the switch.
+            joint: Id of the axis' joint.
+            low: Least position of the joint.
+            high: Greatest position of the joint.
+            scanned: Result of `scanned`.
+        """
         low, high, turn = self._limit_to_one_turn(joint, low, high)
-        m, obj = self.model, mujoco.mjtObj
-        name = f"{axis}_{pin}"
-        sensor = self._sensor(name)
-        if sensor < 0:
-            near = slip(m, obj.mjOBJ_SENSOR, m.nsensor, name, self._spoken_for)
-            text = f'no contact sensor {name!r}{near}; a switch not fitted is named in <text name="{axis}_unfitted" data="{pin}"/>'
-            self.problems.add(axis, text, sensor_line(axis, pin, *self._likely(axis, pin)))
-            return None
-        if m.sensor_type[sensor] != mujoco.mjtSensor.mjSENS_CONTACT:
-            likely = self._likely(axis, pin)
-            self.problems.add(axis, f"sensor {name!r} is not a <contact> sensor", sensor_line(axis, pin, *likely))
-            return None
-        if m.sensor_objtype[sensor] != obj.mjOBJ_GEOM or m.sensor_reftype[sensor] != obj.mjOBJ_GEOM:
-            text = f"sensor {name!r} must name geom1 (vane) and geom2 (switch)"
-            self.problems.add(axis, text, sensor_line(axis, pin, *self._likely(axis, pin)))
+        m, name, sensor = self.model, f"{axis}_{pin}", self._find_contact_sensor(axis, pin)
+        if sensor is None:
             return None
         vane, switch = int(m.sensor_objid[sensor]), int(m.sensor_refid[sensor])
         vane_name, switch_name = m.geom(vane).name, m.geom(switch).name
@@ -131,23 +128,19 @@ class SwitchFinder:
         ahead = q + LOOK_AHEAD / slope
         self._forward(joint, ahead)
         is_seen, gap = self.data.sensordata[found_address] > 0, self._distance(joint, ahead, vane, switch)
+        read = self.data.sensordata[dist]
         if not is_seen:
             text = f"sensor {name!r} does not see its vane {LOOK_AHEAD * 1e3} mm before the touch: "
-            text += "no pair, or its margin + gap is too small"
-            self.problems.add(axis, text, pair)
+            self.problems.add(axis, text + "no pair, or its margin + gap is too small", pair)
             return None
-        if abs(self.data.sensordata[dist] - gap) > 0.1 * LOOK_AHEAD:
-            read = self.data.sensordata[dist]
+        if abs(read - gap) > 0.1 * LOOK_AHEAD:
             text = f"sensor {name!r} reads {read * 1e3:.3f} mm where vane and switch are {gap * 1e3:.3f} mm apart"
             self.problems.add(axis, text, line)
             return None
-        for end in (q, low, high):
-            self._forward(joint, end)
-            if {vane, switch} in self._pushing():
-                self.problems.add(
-                    axis, f"switch {pin} pushes its vane: the margin must be negative, the gap larger", pair
-                )
-                return None
+        if any(self._pushes(joint, end, {vane, switch}) for end in (q, low, high)):
+            text = f"switch {pin} pushes its vane: the margin must be negative, the gap larger"
+            self.problems.add(axis, text, pair)
+            return None
         if pin.startswith("el"):
             self._holds_to_the_stop(axis, pin, joint, found_address, dist, q, high if pin == "el_plus" else low)
         lookahead = self._look_ahead(joint, found_address, q, slope, low, high)
@@ -159,6 +152,27 @@ class SwitchFinder:
         return Switch(
             pin, sensor, found_address, dist, q, slope, lookahead, _limit_to_one_distance(measured, turn > 0), turn
         )
+
+    def _find_contact_sensor(self, axis: str, pin: str) -> int | None:
+        """Return the id of a switch's sensor, if it is a contact sensor between two geoms."""
+        m, obj, name = self.model, mujoco.mjtObj, f"{axis}_{pin}"
+        sensor = self._sensor(name)
+        if sensor < 0:
+            near = slip(m, obj.mjOBJ_SENSOR, m.nsensor, name, self._spoken_for)
+            text = f'no contact sensor {name!r}{near}; a switch not fitted is named in <text name="{axis}_unfitted" data="{pin}"/>'
+        elif m.sensor_type[sensor] != mujoco.mjtSensor.mjSENS_CONTACT:
+            text = f"sensor {name!r} is not a <contact> sensor"
+        elif m.sensor_objtype[sensor] != obj.mjOBJ_GEOM or m.sensor_reftype[sensor] != obj.mjOBJ_GEOM:
+            text = f"sensor {name!r} must name geom1 (vane) and geom2 (switch)"
+        else:
+            return sensor
+        self.problems.add(axis, text, sensor_line(axis, pin, *self._likely(axis, pin)))
+        return None
+
+    def _pushes(self, joint: int, q: float, pair: set[int]) -> bool:
+        """Return whether a pair of geoms exerts force with this joint at q."""
+        self._forward(joint, q)
+        return pair in self._pushing()
 
     def _limit_to_one_turn(self, joint: int, low: float, high: float) -> tuple[float, float, float]:
         """Return the joint travel in which all edges are found, and after which travel they come again: 0 of no full turn."""
@@ -208,7 +222,8 @@ class SwitchFinder:
         Args:
             axis: Name of the axis.
             joint: Id of its joint.
-            low, high: Range of the joint.
+            low: Least position of the joint.
+            high: Greatest position of the joint.
         """
         low, high, _ = self._limit_to_one_turn(joint, low, high)
         m, geom = self.model, mujoco.mjtObj.mjOBJ_GEOM
@@ -355,6 +370,12 @@ class SwitchFinder:
                 return
 
     def check_order(self, axis: str, switches: tuple[Switch, ...]) -> None:
+        """Check that the switches of an axis are at the right ends, and in an order that makes sense.
+
+        Args:
+            axis: Name of the axis.
+            switches: Its switches.
+        """
         by = {s.pin: s for s in switches}
         wrong = False
         for pin, sign in (("el_plus", -1), ("el_minus", 1), ("sd_plus", -1), ("sd_minus", 1)):
