@@ -88,7 +88,7 @@ def check_origin(axis: Axis, others: Sequence[str] = ()) -> None:
 def check_direction(direction: int, what: str = "") -> None:
     """Raise ArgumentError for a direction that is neither 1 nor -1. `what` says what it is the direction of."""
     if direction not in (1, -1):
-        raise ArgumentError(f"direction={direction!r}: give +1 or -1{what}.")
+        raise ArgumentError(f"direction={direction!r}: +1 or -1{what}.")
 
 
 def check_seconds(seconds: float) -> None:

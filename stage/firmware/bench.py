@@ -22,6 +22,7 @@ import numpy as np
 from stage.chips import Chip
 from stage.chips.chip import Bus, Pins, check_clock, split_run
 from stage.errors import ArgumentError, unknown
+from stage.firmware.axis import check_seconds
 from stage.support.arguments import told, told_when_made
 
 NAMES = "xyzuvw"
@@ -166,8 +167,7 @@ class Bench(Bus):
     @told
     def wait(self, seconds: float) -> None:
         """Let `seconds` pass. Raises ArgumentError for a negative time."""
-        if not 0 <= seconds < 1e9:
-            raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to 1e9 s.")
+        check_seconds(seconds)
         self._advance(self._now + round(seconds * 1e9))
 
     @told

@@ -26,6 +26,21 @@ from stage.sim import play
 from stage.sim.program import Program
 
 ROOM = 0.8  # of a short move may be ramps
+
+
+def compute_peak_rate(fl: Any, rate: Any, room: Any, up: Any, down: Any) -> Any:
+    """Compute the rate that ramps between two rates reach within some pulses, at most `rate`.
+
+    Args:
+        fl: Start rate, pps; a number, or an array as all that follow.
+        rate: Drive rate, pps.
+        room: Pulses that the ramps may take.
+        up: Time of the ramp up to the drive rate, s.
+        down: Time of the ramp down, s.
+    """
+    return np.minimum(rate, np.sqrt(fl**2 + 2.0 * room * np.maximum(rate - fl, 1e-9) / (up + down)))
+
+
 MAX_CLOCKS = 1 << 44  # clocks: weeks
 
 
@@ -160,7 +175,7 @@ class Line(ABC):
         c = self.settings
         accel = c.accel if moves.ramp is None else moves.ramp
         top = np.maximum(moves.rate - c.fl, 1e-9)
-        peak = np.minimum(moves.rate, np.sqrt(c.fl**2 + ROOM * moves.longest * top / accel))
+        peak = compute_peak_rate(c.fl, moves.rate, ROOM * moves.longest, accel, accel)
         return peak, np.maximum(accel * (peak - c.fl) / top, 1e-6)
 
     def strays(

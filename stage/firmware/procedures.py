@@ -15,7 +15,7 @@ from typing import Any
 
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, a_or_an
-from stage.firmware.axis import Axes, Axis, forward
+from stage.firmware.axis import Axes, Axis, check_direction, check_seconds, forward
 from stage.firmware.driver import RAMP, RATES, Driver, Speeds, driver_of, usual_speeds
 from stage.firmware.report import Procedure, Report
 from stage.firmware.together import SynchronizedReport, select_axes
@@ -120,8 +120,7 @@ def home(
         StageError: The axis moves already.
         RunTimeout: The return took longer than `timeout`.
     """
-    if direction not in (1, -1):
-        raise ArgumentError(f"direction={direction!r}: +1 or -1.")
+    check_direction(direction)
     patience(timeout)
     driver = driver_of(axis)
     wanted = parse_speeds(axis, {"speed": speed, "start_speed": start_speed, "accel": accel})
@@ -160,8 +159,7 @@ def jog(
         ArgumentError: The chip cannot do it.
         StageError: The axis moves already.
     """
-    if not 0 <= seconds < 1e9:
-        raise ArgumentError(f"seconds={seconds!r}: time runs forward, by 0 to 1e9 s.")
+    check_seconds(seconds)
     driver, direction = driver_of(axis), -forward(axis) if speed is not None and speed < 0 else forward(axis)
     options = {"speed": None if speed is None else abs(speed), "start_speed": start_speed, "accel": accel}
     wanted = parse_speeds(axis, options)

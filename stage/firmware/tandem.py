@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from stage.errors import ArgumentError
+from stage.firmware.axis import check_direction
 from stage.firmware.driver import RAMP, Speeds, driver_of
 from stage.firmware.procedures import line, parse_speeds
 from stage.firmware.report import Report
@@ -52,8 +53,7 @@ def square(
     """
     if len(axes) < 2:
         raise ArgumentError(f"{len(axes)} axes: tandem axes are two or more; use home for one.")
-    if direction not in (1, -1):
-        raise ArgumentError(f"direction={direction!r}: +1 or -1.")
+    check_direction(direction)
     patience(timeout)
     drivers = [driver_of(axis) for axis in axes]
     for driver in drivers:

@@ -327,7 +327,7 @@ def test_a_search_that_comes_to_a_limit_ends_in_a_timeout(stage):
     with pytest.raises(RunTimeout, match="the home switch did not come"):
         home(port, timeout=0.2)
     assert port.status() & INIT
-    with pytest.raises(ArgumentError, match="-1 or 1"):
+    with pytest.raises(ArgumentError, match=r"\+1 or -1"):
         home(port, direction=0)
 
 

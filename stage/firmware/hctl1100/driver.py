@@ -33,6 +33,7 @@ from stage.firmware.hctl1100.moves import (
 )
 from stage.firmware.hctl1100.port import CONTROL, FLAGS, IDLE, LIMIT, SET, STOP, Port
 from stage.firmware.hctl1100.profile import follow, synchronize
+from stage.firmware.lines import compute_peak_rate
 from stage.firmware.pattern import BLUE, GREEN, GREY, RED
 from stage.firmware.report import Procedure, Report
 from stage.firmware.search import Search
@@ -440,7 +441,7 @@ def _rows(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:
         raise ArgumentError(
             f"drive speed {speeds.drive:g} counts/s: more than 0, up to {maximum:g} at this sample time."
         ).of(Limit("speed", speeds.drive, 0.0, maximum))
-    rate = min(speeds.drive, np.sqrt(2.0 * max_distance * speeds.drive / (speeds.up + speeds.down)))
+    rate = compute_peak_rate(0.0, speeds.drive, max_distance, speeds.up, speeds.down)
     up, down = (ramp * rate / speeds.drive for ramp in (speeds.up, speeds.down))
     cruising = max_distance / rate - 0.5 * (up + down)
     seconds = up + cruising + down

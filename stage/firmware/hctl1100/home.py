@@ -19,7 +19,8 @@ from dataclasses import dataclass
 
 from stage.chips.hctl1100.maps import MODE
 from stage.chips.sharing import exclusive
-from stage.errors import ArgumentError, RunTimeout
+from stage.errors import RunTimeout
+from stage.firmware.axis import check_direction
 from stage.firmware.hctl1100.moves import acceleration_word, cruise, trapezoid, velocity_word
 from stage.firmware.hctl1100.port import CONTROL, LIMIT, STOP, Port
 
@@ -85,8 +86,7 @@ def home(
         ArgumentError: A value is out of its range.
         RunTimeout: A step has no end, or LIMIT has ended it: the axis is then in Init/Idle.
     """
-    if direction not in (-1, 1):
-        raise ArgumentError(f"direction={direction!r}: -1 or 1, where the home switch lies.")
+    check_direction(direction, ", where the home switch lies")
     fast, begin = abs(velocity_word(port, speed, "integral_velocity", 1)), port.axis.time
     port.clear_status()
     port.load(acceleration=acceleration_word(port, acceleration))

@@ -17,6 +17,7 @@ from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import LINEAR, SPAN
 from stage.errors import ArgumentError, Limit, a_or_an, unknown
+from stage.firmware.lines import ROOM, compute_peak_rate
 from stage.firmware.path import path_deviation, perfect_deviation
 from stage.firmware.pcl240 import fit
 from stage.firmware.pcl240.closed_form import fill_motion
@@ -38,7 +39,6 @@ from stage.firmware.pcl240.profile import ACCEL, FH1, FL, ramp_seconds
 from stage.support.arguments import told
 
 MAX_R0 = PCL240K.MAP.registers[0].mask
-ROOM = 0.8  # of a short move may be ramps
 PLAYED = 2_000_000  # pulses: longer moves are judged by the closed form alone
 ON_THE_LINE = 2.0  # pulses
 OFF_THE_LINE = 5.0  # pulses: refused where shorter ramps would mend it
@@ -330,7 +330,7 @@ def _shorten(length: int, rate: float, fl: float, accel: float, decel: float) ->
     if rate <= fl:
         return LeaderMove(length, fl, fl, 0.0, 0.0), []
     room = max(min(ROOM * length, length - 2 * TAILS[0]), 0.0)
-    peak = (fl * fl + 2 * room * (rate - fl) / (accel + decel)) ** 0.5
+    peak = float(compute_peak_rate(fl, rate, room, accel, decel))
     if peak >= rate:
         return LeaderMove(length, rate, fl, accel, decel), []
     if peak < 1.2 * fl:
