@@ -179,9 +179,9 @@ class BusTools:
     def trace(self, axis: str, lines: int) -> str:
         """Show the last bus cycles of an axis' chip in words."""
         trace = self._context.trace_of(axis)
-        trace.look()
-        cycles = [line for line in trace.lines if line.way != "!"][-lines:]
-        return "\n".join(line.text(trace.digits) for line in cycles) or "No bus cycle has been made yet."
+        trace.update()
+        cycles = [line for line in trace.lines if line.kind != "!"][-lines:]
+        return "\n".join(line.format(trace.digits) for line in cycles) or "No bus cycle has been made yet."
 
     def diagnostics(self) -> dict[str, Any]:
         """List the writes that a reader of the data sheet would call mistakes."""

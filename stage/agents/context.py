@@ -8,7 +8,7 @@ from stage.agents.arguments import argument, choice
 from stage.agents.budget import Budget, Meter
 from stage.agents.host_diagnostics import HostDiagnostics
 from stage.firmware.driver import Driver, driver_of
-from stage.panel.stage_observer import Trace
+from stage.panel.stage_observer import BusTrace
 from stage.sim.axis import Axis
 from stage.sim.stage import Stage
 
@@ -33,7 +33,7 @@ class ToolContext:
         self.report: Any = None
         self._drivers: dict[str, Driver] = {}
         self.diagnostics = tuple(HostDiagnostics(chip, mode == "host") for chip in stage.chips)
-        self.traces = tuple(Trace(chip, losses=mode == "truth") for chip in stage.chips)
+        self.traces = tuple(BusTrace(chip, losses=mode == "truth") for chip in stage.chips)
 
     @property
     def axis_argument(self) -> tuple[Any, Any]:
@@ -58,7 +58,7 @@ class ToolContext:
             self._drivers[name] = driver_of(axis)
         return self._drivers[name]
 
-    def trace_of(self, axis: str) -> Trace:
+    def trace_of(self, axis: str) -> BusTrace:
         """Return the bus trace of the chip of an axis."""
         return self.traces[self.stage.chips.index(self.axis(axis).chip)]
 
@@ -66,4 +66,4 @@ class ToolContext:
         """Drop what the tools know of the stage: a snapshot or a reset has changed its state."""
         self._drivers.clear()
         for trace in self.traces:
-            trace.begin_again()
+            trace.restart()

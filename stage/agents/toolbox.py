@@ -94,7 +94,7 @@ class Toolbox(ToolContext, ToolSet):
         finally:
             self.meter.end()
             for trace in self.traces:
-                trace.look()
+                trace.update()
             self.recordings.limit()
 
     def describe_failure(self, error: StageError) -> Answer:

@@ -52,15 +52,17 @@ def run(args: argparse.Namespace) -> int:
     from stage.panel.session import Session
 
     shared = saved_panel.read(args.open) if args.open is not None else None
-    if shared is not None and shared.made is not None:
-        args = argparse.Namespace(**vars(args) | shared.made)
+    if shared is not None and shared.stage_options is not None:
+        args = argparse.Namespace(**vars(args) | shared.stage_options)
 
     over = threading.Event()
     with on_end_signals(over.set), Session(make_stage(args), speed=args.speed, paused=True) as session:
-        made = (
-            {name: getattr(args, name) for name in saved_panel.STAGE_OPTIONS} if shared is None or shared.made else None
+        stage_options = (
+            {name: getattr(args, name) for name in saved_panel.STAGE_OPTIONS}
+            if shared is None or shared.stage_options
+            else None
         )
-        panel = Panel(session, args.port, args.host, made)
+        panel = Panel(session, args.port, args.host, stage_options)
         if shared is not None:
             saved_panel.restore(panel, shared)
         session.paused = args.paused

@@ -1,11 +1,11 @@
 """Who may talk to the panel's server (`RequestGuard`), who has the controls (`Controls`), and what a page may do (`EventGate`).
 
-A web site can make its name point at 127.0.0.1 (DNS rebinding), and a browser then lets its pages ask there; so requests must name
-this server as their host, and may come from its own pages only. Whoever opens the panel to other machines gives them a link with a
-token; a browser that came with it keeps it as a cookie.
+A web site can make its name point at 127.0.0.1 (DNS rebinding), and a browser then lets its pages send requests there; so requests
+must name this server as their host, and may come from its own pages only. Browsers of other machines need the token of the link,
+and keep it as a cookie.
 
-Many may look at a panel; one has the controls and gives orders, and while a program drives the stage nobody drives it from a page
-unless he takes it over. The server refuses the rest, whatever a page does: what comes from a browser can be forged.
+Many browsers may show a panel; one has the controls and gives orders, and while a program drives the stage a page drives it only
+after it has taken over. The server refuses all other events, whatever a page does: messages of a browser can be forged.
 """
 
 from __future__ import annotations
@@ -34,22 +34,21 @@ CONTENT_POLICY = "; ".join(
         "frame-ancestors 'none'",
     )
 )
-"""What browsers let the page ask for, as a Content-Security-Policy: nothing from elsewhere."""
+"""Content-Security-Policy of the page: nothing from other servers."""
 
 MALFORMED = logging.getLogger("stage.panel.malformed")
-TAKES_MESSAGE = "AsyncServer._handle_event"
-"""How the coroutine of socketio begins that gives a message to its handler."""
-TAKES_BYTES = "protocol.data_received()"
-"""What asyncio names where a server fails on the bytes of a connection."""
+MESSAGE_COROUTINE = "AsyncServer._handle_event"
+"""Begin of the name of socketio's coroutine that gives a message to its handler."""
+BYTES_CALLBACK = "protocol.data_received()"
+"""Name in asyncio's message where a server fails on the bytes of a connection."""
 LOGGERS = ("engineio.server", "socketio.server", MALFORMED.name)
-"""Loggers of those that take messages of browsers apart, before anything of the panel sees them."""
+"""Loggers of the libraries that parse messages of browsers before the panel gets them."""
 SERVER_LOGGER = "uvicorn.error"
-"""Logger of the server, which takes a socket's texts from their encoding, and reports failures of its own as well."""
+"""Logger of the server, which decodes a socket's texts, and reports failures of its own as well."""
 
 
 class OnlyFirst(logging.Filter):
-    """Filter that lets the first record of a process through, as one line: whoever can send messages can send many that are
-    malformed."""
+    """Filter that lets the first record of a process through, as one line: a browser can send many malformed messages."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -61,15 +60,13 @@ class OnlyFirst(logging.Filter):
             return False
         self._has_reported = True
         error = record.exc_info[1] if record.exc_info else record.getMessage()
-        record.msg = (
-            "PulseStage: a malformed message came to the panel, and was ignored (%.200r). More of them are not told."
-        )
+        record.msg = "PulseStage: a malformed message came to the panel, and was ignored (%.200r). Further ones are not reported."
         record.args, record.exc_info = (error,), None
         return True
 
 
 def report_malformed_messages_once() -> None:
-    """Let the libraries that read messages of browsers write one line for all that are malformed, and no traceback."""
+    """Let the libraries that parse messages of browsers write one line for all malformed messages, and no traceback."""
     first = OnlyFirst()
     for name in LOGGERS:
         logging.getLogger(name).addFilter(first)
@@ -84,27 +81,31 @@ def report_malformed_messages_once() -> None:
 
 
 def report_task_error(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Handle an error that nobody waits for: one of a message or of a connection's bytes as malformed, any other as asyncio does.
+    """Handle an error of a task that nobody awaits: report a malformed message as such, any other error as asyncio does.
 
     uvicorn itself fails on a socket's text that is not UTF-8: it closes the connection twice.
+
+    Args:
+        loop: The event loop.
+        context: Description of the error, see `asyncio.loop.call_exception_handler`.
     """
     task = context.get("future")
     is_of_message = isinstance(task, asyncio.Task) and getattr(task.get_coro(), "__qualname__", "").startswith(
-        TAKES_MESSAGE
+        MESSAGE_COROUTINE
     )
-    if is_of_message or TAKES_BYTES in context.get("message", ""):
+    if is_of_message or BYTES_CALLBACK in context.get("message", ""):
         MALFORMED.warning("A message could not be taken.", exc_info=context.get("exception"))
     else:
         loop.default_exception_handler(context)
 
 
 class RequestGuard:
-    """ASGI middleware that lets through what the server's own pages ask for.
+    """ASGI middleware that lets the requests of the server's own pages through.
 
     Args:
         app: The application behind it.
         names: Host names of the server, with their ports; empty: any.
-        token: What a browser from another machine must bring; "": nobody else can come.
+        token: Token that a browser of another machine must send; "": no other machine can connect.
     """
 
     def __init__(self, app: Any, names: frozenset[str], token: str = ""):
@@ -116,9 +117,9 @@ class RequestGuard:
             return
         headers = {name.decode("latin1"): value.decode("latin1") for name, value in scope["headers"]}
         try:
-            reason = self._refuses(scope, headers)
+            reason = self._find_refusal(scope, headers)
         except (ValueError, CookieError):  # no address, or no cookies
-            reason = "This server does not parse_line the headers of this request."
+            reason = "This server cannot parse the headers of this request."
         if reason:
             await _refuse(scope, send, reason)
             return
@@ -141,17 +142,18 @@ class RequestGuard:
             with suppress(Exception):  # it may be closed already
                 await send({"type": "websocket.close", "code": 1007, "reason": "This message could not be understood."})
 
-    def _refuses(self, scope: dict, headers: dict[str, str]) -> str:
+    def _find_refusal(self, scope: dict, headers: dict[str, str]) -> str:
+        """Return why a request is refused; "": it is not."""
         if self._names and headers.get("host", "").lower() not in self._names:
             return f"This server answers to {' and '.join(sorted(self._names))} only."
         origin = headers.get("origin")
         if origin and urlsplit(origin).netloc.lower() != headers.get("host", "").lower():
             return "This server answers its own pages only."
         if self._token:
-            given = parse_qs(scope.get("query_string", b"").decode("latin1")).get("token", [""])[0]
-            kept = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
-            known = [given, kept.value if kept else ""]
-            if not any(secrets.compare_digest(text.encode(), self._token.encode()) for text in known):
+            in_link = parse_qs(scope.get("query_string", b"").decode("latin1")).get("token", [""])[0]
+            cookie = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+            tokens = [in_link, cookie.value if cookie else ""]
+            if not any(secrets.compare_digest(token.encode(), self._token.encode()) for token in tokens):
                 return "Open the link that the panel printed when it began: it ends with ?token=..."
         return ""
 
@@ -166,63 +168,73 @@ async def _refuse(scope: dict, send: Any, reason: str) -> None:
 
 
 class Controls:
-    """Register of who looks at a panel, and of who has the controls: the first to come, whoever takes them, and then the next in
-    line."""
+    """Register of the browsers that show a panel, and of the one that has the controls.
+
+    The first browser has them, until another one takes them; when it leaves, the next in line has them.
+
+    Attributes:
+        holder: The browser that has the controls, or None.
+    """
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._here: list[str] = []
-        self._letting_go: dict[str, list[Callable[[], None]]] = {}
+        self._browsers: list[str] = []
+        self._release: dict[str, list[Callable[[], None]]] = {}
         self.holder: str | None = None
 
     @property
     def watching(self) -> int:
-        """Number of browsers that look."""
-        return len(self._here)
+        """Number of browsers that show the panel."""
+        return len(self._browsers)
 
-    def come(self, who: str) -> None:
-        """Add a browser that looks from now on."""
+    def come(self, browser: str) -> None:
+        """Add a browser that shows the panel from now on."""
         with self._lock:
-            if who not in self._here:
-                self._here.append(who)
-            self.holder = self.holder or who
+            if browser not in self._browsers:
+                self._browsers.append(browser)
+            self.holder = self.holder or browser
 
-    def when_lost(self, who: str, let_go: Callable[[], None]) -> None:
-        """Have `let_go` called when this browser loses the controls: what it holds it could not release then."""
-        self._letting_go.setdefault(who, []).append(let_go)
+    def when_lost(self, browser: str, release: Callable[[], None]) -> None:
+        """Have a function called when a browser loses the controls, as it could not release a held button then.
 
-    def go(self, who: str) -> None:
-        """Remove a browser that does not look any more; it may come back."""
+        Args:
+            browser: Name of the browser.
+            release: Function that releases the button.
+        """
+        self._release.setdefault(browser, []).append(release)
+
+    def go(self, browser: str) -> None:
+        """Remove a browser that does not show the panel any more; it may come back."""
         with self._lock:
-            if who in self._here:
-                self._here.remove(who)
-            lost = self.holder == who
-            if lost:
-                self.holder = self._here[0] if self._here else None
-        self._let_go(lost, who)
+            if browser in self._browsers:
+                self._browsers.remove(browser)
+            is_lost = self.holder == browser
+            if is_lost:
+                self.holder = self._browsers[0] if self._browsers else None
+        self._release_buttons(browser if is_lost else None)
 
-    def forget(self, who: str) -> None:
+    def forget(self, browser: str) -> None:
         """Remove a browser that will not come back."""
-        self.go(who)
-        self._letting_go.pop(who, None)
+        self.go(browser)
+        self._release.pop(browser, None)
 
-    def take(self, who: str) -> None:
-        """Give the controls to this browser. One that has not come cannot take them."""
+    def take(self, browser: str) -> None:
+        """Give the controls to a browser that shows the panel."""
         with self._lock:
             before = self.holder
-            if who in self._here:
-                self.holder = who
-        self._let_go(before not in (None, self.holder), before or "")
+            if browser in self._browsers:
+                self.holder = browser
+        self._release_buttons(before if before != self.holder else None)
 
-    def _let_go(self, lost: bool, who: str) -> None:
-        for let_go in self._letting_go.get(who, ()) if lost else ():
-            let_go()
+    def _release_buttons(self, browser: str | None) -> None:
+        for release in self._release.get(browser or "", ()):
+            release()
 
 
 class EventGate:
-    """Gate for the events of one browser: from now on none of a guarded element, or of what stands in one, is heard unless allowed.
+    """Gate for the events of one browser: those of a guarded element, or of one within it, are handled only if they are allowed.
 
-    A page that shows its parts as dead is a courtesy; this is the rule.
+    That the page shows such elements as inert is for people only.
     """
 
     def __init__(self, panel: Panel, client: Client):
@@ -243,32 +255,31 @@ class EventGate:
 
     @property
     def has_controls(self) -> bool:
-        """Whether this browser has the controls."""
+        """State of this browser: it has the controls."""
         return self._panel.controls.holder == self._client.id
 
     @property
     def may_drive(self) -> bool:
-        """Whether this browser may drive now."""
+        """State of this browser: it may drive now."""
         session = self._panel.session
-        return self.has_controls and (session.taken_over or not session.program)
+        return self.has_controls and (session.program_suspended or not session.program)
 
     def refresh(self) -> None:
-        """Make the parts that this browser may not use look so."""
-        now = self.has_controls, self.may_drive
-        if now == self._state:
+        """Show the elements that this browser may not use as inert."""
+        state = self.has_controls, self.may_drive
+        if state == self._state:
             return
-        self._state = now
-        for elements, may in ((self._machine, now[0]), (self._driving, now[1])):
+        self._state = state
+        for elements, is_allowed in zip((self._machine, self._driving), state, strict=True):
             for element in elements:
-                element.props(**({"remove": "inert"} if may else {"add": "inert"}))
+                element.props(**{"remove" if is_allowed else "add": "inert"})
 
     def _handle_if_allowed(self, msg: dict) -> None:
         element = self._client.elements.get(msg.get("id", -1))
         if element is None:
             return
-        above = list(element.ancestors(include_self=True))
-        if any(e in self._driving for e in above) and not self.may_drive:
-            return
-        if any(e in self._machine for e in above) and not self.has_controls:
-            return
+        ancestors = list(element.ancestors(include_self=True))
+        for guarded, is_allowed in ((self._driving, self.may_drive), (self._machine, self.has_controls)):
+            if not is_allowed and any(e in guarded for e in ancestors):
+                return
         self._handle(msg)

@@ -93,6 +93,15 @@ def on_single_click(button: ui.button, handler: Callable[[], Any]) -> ui.button:
     return button.on("click", handler, js_handler="(e) => { if (e.detail < 2) emit() }")
 
 
+def on_hold(button: ui.button, press: Callable[[], Any], release: Callable[[], Any]) -> None:
+    """Call `press` when the button, or Enter or the space bar on it, goes down, and `release` when it goes up or is left."""
+    button.style("touch-action: none; user-select: none")
+    for event in ("pointerdown", "keydown.space.prevent", "keydown.enter.prevent"):
+        button.on(event, press, args=[])
+    for event in ("pointerup", "pointerleave", "pointercancel", "blur", "keyup"):
+        button.on(event, release, args=[])
+
+
 class TextLog(ui.element, component="lines.js"):
     """Last `max_lines` lines of a list that grows at its end. Scrolled to the end, it stays there.
 

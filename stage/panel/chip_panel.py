@@ -36,7 +36,79 @@ if TYPE_CHECKING:
 
 
 Place = Register | Word
-Write = Callable[[Place, int], Awaitable[None]]
+MAX_OPEN_COMMANDS = 12  # a longer group of commands that begin no drive is folded at first
+
+
+def _describe_bits(field: Field) -> str:
+    return f"b{field.bits} {field.name}: {field.text} [{field.evidence}]"
+
+
+class FieldControl:
+    """Control of one field: a list, a checkbox or an input, or a lamp where a host cannot write it.
+
+    Args:
+        field: The field.
+        value: Its value now.
+        mark: Name of the element for tests.
+        write: Called with the field and a new value, as somebody has chosen or typed it.
+    """
+
+    def __init__(self, field: Field, value: int, mark: str, write: Callable[[Field, int], Awaitable[None]]):
+        self.field, self._write = field, write
+        title = field.meaning or field.name
+        if "W" not in field.access:
+            self.element: Any = ui.label().classes("lamp")
+        elif choices := list_choices(field):
+            self.element = ui.select(choices | self._unknown(value), value=value, label=title)
+            self.element.props("dense options-dense").on_value_change(lambda event: write(field, event.value))
+        elif field.high == field.low:
+            self.element = ui.checkbox(title, value=bool(value)).props("dense size=sm")
+            self.element.on_value_change(lambda event: write(field, int(event.value)))
+        else:
+            self.element = ui.input(title, value=str(value)).props("dense hide-bottom-space")
+            self.element.on("keydown.enter", self._enter, args=[])
+        self.element.props["title"] = _describe_bits(field)
+        self.element.props(f'data-test="{mark}"')
+        self.show(value)
+
+    def _unknown(self, value: int) -> dict[int, str]:
+        """Return a choice for a value that the map does not explain."""
+        return {} if value in self.field.values else {value: f"{value}  (not in the map)"}
+
+    def show(self, value: int) -> None:
+        """Show a value."""
+        element = self.element
+        if isinstance(element, ui.select):
+            if value not in element.options:
+                element.set_options(list_choices(self.field) | self._unknown(value))
+            element.value = value
+        elif isinstance(element, ui.checkbox):
+            element.value = bool(value)
+        elif isinstance(element, ui.input):
+            element.value = str(value)
+        else:
+            _show_lamp(element, self.field, value)
+
+    def read(self) -> int:
+        """Return the value of the control, 0 of a lamp. Shows an error at a text that is no number, and raises ArgumentError."""
+        if isinstance(self.element, ui.select | ui.checkbox):
+            return int(self.element.value)
+        if not isinstance(self.element, ui.input):
+            return 0
+        try:
+            value = parse_number(self.element.value or "", self.field.high - self.field.low + 1)
+        except ArgumentError as error:
+            self.element.error = str(error)
+            raise
+        self.element.error = None
+        return value
+
+    async def _enter(self) -> None:
+        try:
+            value = self.read()
+        except ArgumentError:
+            return
+        await self._write(self.field, value)
 
 
 class RegisterRow:
@@ -46,80 +118,86 @@ class RegisterRow:
     fields here, and sent by a button.
     """
 
-    def __init__(self, place: Place, write: Write, mark: str):
+    def __init__(self, place: Place, write: Callable[[Place, int], Awaitable[None]], mark: str):
         self.place, self._write, self._mark = place, write, mark
-        self._value_now: int | None = None
+        self._chip_value: int | None = None
         self._flash, self._editing = "", False
-        self._fields: list[tuple[Field, Any]] = []
+        self._fields: list[FieldControl] = []
         self._area: ui.element | None = None
-        register = isinstance(place, Register)
-        can_write = "W" in place.access if isinstance(place, Register) else True
-        with ui.element("div").classes("name"):
-            name = ui.button(place.name, on_click=self._toggle) if place.fields else ui.label(place.name)
-        if place.fields:
-            name.props("flat dense no-caps size=sm icon-right=expand_more").props(f'data-test="fields-{mark}"')
-        name.props["title"] = (
-            f"{describe_range(place)} {place.unit}" if isinstance(place, Register) else f"{place.bits} bits"
-        )
-        if can_write:
-            self._value: Any = ui.input().props(
-                "dense hide-bottom-space no-error-icon autocomplete=off spellcheck=false"
-            )
-            self._value.props["aria-label"] = f"{place.name}, {place.title}"
-            self._value.on("keydown", self._key, args=["key"])
-            self._value.on("blur", self._take_back, args=[])
+        if isinstance(place, Register):
+            limits, letter = f"{describe_range(place)} {place.unit}", place.evidence
         else:
-            self._value = ui.label().classes("number")
-        self._value.props(f'data-test="value-{mark}"')
+            limits, letter = f"{place.bits} bits", find_weakest_evidence(place.fields)
+        with ui.element("div").classes("name"):
+            name = ui.button(place.name, on_click=self._toggle_fields) if place.fields else ui.label(place.name)
+        if place.fields:
+            name.props(f'flat dense no-caps size=sm icon-right=expand_more data-test="fields-{mark}"')
+        name.props["title"] = limits
+        self._build_value()
         if isinstance(place, Register):
             ui.label(place.unit).classes("unit")
         else:
             send = ui.button("send", on_click=lambda: self._enter(self._value.value or ""))
             send.props(f'flat dense no-caps size=sm data-test="send-{mark}"')
-        letter = place.evidence if isinstance(place, Register) else find_weakest_evidence(place.fields)
         ui.label(letter).classes("evidence").props["title"] = describe_evidence(letter)
-        with ui.element("div").classes("meaning"):
-            ui.label(place.title if register or not place.note else place.text)
-            self._says = ui.element("small").classes("words" if place.fields else "")
-            with self._says:
+        with ui.element("div").classes("meaning") as self._meaning:
+            ui.label(place.title if isinstance(place, Register) or not place.note else place.text)
+            with ui.element("small").classes("words" if place.fields else ""):
                 self._words = ui.label()
+
+    def _build_value(self) -> None:
+        place = self.place
+        if isinstance(place, Register) and "W" not in place.access:
+            self._value: Any = ui.label().classes("number")
+        else:
+            self._value = ui.input().props("dense hide-bottom-space no-error-icon autocomplete=off spellcheck=false")
+            self._value.props["aria-label"] = f"{place.name}, {place.title}"
+            self._value.on("keydown", self._on_key, args=["key"])
+            self._value.on("blur", self._cancel, args=[])
+        self._value.props(f'data-test="value-{self._mark}"')
 
     def forget(self) -> None:
         """Forget the value, so that nothing flashes: another axis is shown."""
-        self._value_now, self._editing = None, False
+        self._chip_value, self._editing = None, False
 
     def update(self, values: Mapping[str, int]) -> None:
-        """Show the value that the chip holds now."""
+        """Show the value that the chip holds now. values: of registers and words, by name."""
         value = values.get(self.place.name)
-        if value is None or value == self._value_now:
+        if value is None or value == self._chip_value:
             return
-        before, self._value_now = self._value_now, value
+        before, self._chip_value = self._chip_value, value
         if not self._editing:
             self._show()
         if before is not None:
             old, self._flash = self._flash, "flash-b" if self._flash == "flash-a" else "flash-a"
             self._value.classes(remove=old, add=self._flash)
-        for field, widget in self._fields:
-            _set_field(field, widget, field.of(value))
+        for control in self._fields:
+            control.show(control.field.of(value))
 
     def _show(self) -> None:
-        text = format_value(self.place, self._value_now) if self._value_now is not None else ""
+        """Show the value of the chip; nothing where that cannot be read."""
+        self._show_value(self._chip_value)
         if isinstance(self._value, ui.input):
-            self._value.value, self._value.error = text, None
+            self._value.error = None
+
+    def _show_value(self, value: int | None) -> None:
+        text = "" if value is None else format_value(self.place, value)
+        if isinstance(self._value, ui.input):
+            self._value.value = text
         else:
             self._value.text = text
-        self._words.text = describe_value(self.place, self._value_now) if self._value_now is not None else ""
+        self._words.text = "" if value is None else describe_value(self.place, value)
 
-    async def _key(self, event: GenericEventArguments) -> None:
+    async def _on_key(self, event: GenericEventArguments) -> None:
         key = event.args.get("key")
         if key == "Enter":
             await self._enter(self._value.value or "")
         elif key == "Escape":
-            self._take_back()
+            self._cancel()
         elif key != "Tab":
             self._editing = True
 
-    def _take_back(self) -> None:
+    def _cancel(self) -> None:
         self._editing = False
         self._show()
 
@@ -130,168 +208,111 @@ class RegisterRow:
             self._value.error = str(error)
             return
         self._editing, self._value.error = False, None
-        await self._put(value)
-        if self._value_now is not None:
+        await self._send(value)
+        if self._chip_value is not None:
             self._show()
 
-    async def _put(self, value: int) -> None:
+    async def _send(self, value: int) -> None:
         await self._write(self.place, value)
-        if self._value_now is None:  # what was sent stays, to be sent again
-            self._value.value, self._words.text = format_value(self.place, value), describe_value(self.place, value)
+        if self._chip_value is None:  # what was sent stays, to be sent again
+            self._show_value(value)
 
-    def _toggle(self) -> None:
+    def _toggle_fields(self) -> None:
         if self._area is not None:
             self._area.set_visibility(not self._area.visible)
             return
-        parent = self._says.parent_slot.parent.parent_slot.parent  # type: ignore[union-attr]
+        parent = self._meaning.parent_slot.parent  # type: ignore[union-attr]
         with parent:
             self._area = ui.element("div").classes("fields")
-            here = parent.default_slot.children
-            with self._area:
-                for field in self.place.fields:
-                    if not is_fixed(field):
-                        self._fields.append((field, self._field(field)))
-            own = next(k for k, child in enumerate(here) if child is self._says.parent_slot.parent)  # type: ignore[union-attr]
-            self._area.move(parent, own + 1)
+        with self._area:
+            self._fields = [
+                FieldControl(f, f.of(self._chip_value or 0), f"field-{self._mark}-{f.name}", self._write_field)
+                for f in self.place.fields
+                if not is_fixed(f)
+            ]
+        self._area.move(parent, parent.default_slot.children.index(self._meaning) + 1)
 
-    def _field(self, field: Field) -> Any:
-        now = field.of(self._value_now or 0)
-        title = f"b{field.bits} {field.name}: {field.text} [{field.evidence}]"
-        if "W" not in field.access:
-            made: Any = ui.label().classes("lamp")
-            _set_field(field, made, now)
-        elif options := list_choices(field):
-            made = ui.select(_with(options, now), value=now, label=field.meaning or field.name).props(
-                "dense options-dense"
-            )
-            made.on_value_change(lambda event: self._chosen(field, event.value))
-        elif field.high == field.low:
-            made = ui.checkbox(field.meaning or field.name, value=bool(now)).props("dense size=sm")
-            made.on_value_change(lambda event: self._chosen(field, int(event.value)))
-        else:
-            made = ui.input(field.meaning or field.name, value=str(now)).props("dense hide-bottom-space")
-            made.on("keydown.enter", lambda: self._typed(field, made), args=[])
-        made.props["title"] = title
-        return made.props(f'data-test="field-{self._mark}-{field.name}"')
-
-    async def _typed(self, field: Field, widget: ui.input) -> None:
-        try:
-            value = parse_number(widget.value or "", field.high - field.low + 1)
-        except ArgumentError as error:
-            widget.error = str(error)
+    async def _write_field(self, field: Field, value: int) -> None:
+        word = self._chip_value
+        if word is not None:
+            if field.of(word) != value:
+                await self._send(replace_field(word, field, value))
             return
-        widget.error = None
-        await self._chosen(field, value)
-
-    async def _chosen(self, field: Field, value: int) -> None:
-        word = self._value_now
-        if word is None:  # composed here: the other fields are what their widgets say
-            try:
-                word = sum(
-                    (_value_of(f, w) << f.low & f.mask for f, w in self._fields), getattr(self.place, "fixed", 0)
-                )
-            except ArgumentError:
-                return  # it is said at its widget
-            self._value.value = format_value(self.place, replace_field(word, field, value))
-            self._words.text = describe_value(self.place, replace_field(word, field, value))
-        elif field.of(word) != value:
-            await self._put(replace_field(word, field, value))
+        try:  # composed here: the other fields are what their controls say
+            bits = [control.read() << control.field.low & control.field.mask for control in self._fields]
+        except ArgumentError:
+            return
+        self._show_value(replace_field(sum(bits, getattr(self.place, "fixed", 0)), field, value))
 
 
 class LampRow:
     """Row of a word that a host reads: its bits as lamps, longer fields in words."""
 
     def __init__(self, word: Word):
-        self._word, self._value_now = word, -1
+        self._word, self._chip_value = word, -1
         with ui.element("div").classes("word") as self._line:
-            head = ui.label().classes("number").style("display: inline; margin-right: 10px")
-            head.props["title"] = word.text
-            self._head = head
-            self._lamps: list[tuple[Field, ui.label]] = []
-            for field in word.fields:
-                lamp = ui.label().classes("lamp")
-                lamp.props["title"] = f"b{field.bits} {field.name}: {field.text} [{field.evidence}]"
-                self._lamps.append((field, lamp))
+            self._head = ui.label().classes("number").style("display: inline; margin-right: 10px")
+            self._head.props["title"] = word.text
+            self._lamps = [(field, ui.label().classes("lamp")) for field in word.fields]
+        for field, lamp in self._lamps:
+            lamp.props["title"] = _describe_bits(field)
 
     def forget(self) -> None:
         """Forget the value: another axis is shown."""
-        self._value_now = -1
+        self._chip_value = -1
 
     def update(self, values: Mapping[str, int]) -> None:
-        """Show the value that the chip holds now."""
+        """Show the value that the chip holds now. values: of registers and words, by name."""
         value = values.get(self._word.name)
         self._line.set_visibility(value is not None)
-        if value is None or value == self._value_now:
+        if value is None or value == self._chip_value:
             return
-        self._value_now = value
+        self._chip_value = value
         self._head.text = f"{self._word.name} {format_value(self._word, value)}"
         for field, lamp in self._lamps:
-            _set_field(field, lamp, field.of(value))
+            _show_lamp(lamp, field, field.of(value))
 
 
-def _set_field(field: Field, widget: Any, value: int) -> None:
-    if isinstance(widget, ui.select):
-        if value not in widget.options:
-            widget.set_options(_with(list_choices(field), value))
-        widget.value = value
-    elif isinstance(widget, ui.checkbox):
-        widget.value = bool(value)
-    elif isinstance(widget, ui.input):
-        widget.value = str(value)
-    else:
-        text, on = describe_lamp(field, value)
-        widget.text = text
-        widget.classes(add="on") if on else widget.classes(remove="on")
-
-
-def _value_of(field: Field, widget: Any) -> int:
-    if isinstance(widget, ui.select | ui.checkbox):
-        return int(widget.value)
-    if not isinstance(widget, ui.input):
-        return 0
-    try:
-        return parse_number(widget.value or "", field.high - field.low + 1)
-    except ArgumentError as error:
-        widget.error = str(error)
-        raise
-
-
-def _with(options: dict[int, str], value: int) -> dict[int, str]:
-    return options if value in options else {**options, value: f"{value}  (not in the map)"}
-
-
-def build_chip_panels(panel: Panel, updates: BrowserUpdates) -> None:
-    """Build a card for each chip; its content is built when it is opened."""
-    for k in range(len(panel.observer.traces)):
-        ChipCard(panel, updates, k)
+def _show_lamp(lamp: ui.label, field: Field, value: int) -> None:
+    lamp.text, is_on = describe_lamp(field, value)
+    lamp.classes(**{"add" if is_on else "remove": "on"})
 
 
 def axis_names(stage: Stage, k: int) -> dict[int, str]:
-    """Return the axes of a chip, and what the stage calls them."""
+    """Return the axes of a chip by number, and what the stage calls them. k: index of the chip."""
     chip = stage.chips[k]
     names = {a.chip_axis: a.name for a in stage.axes.values() if a.chip is chip}
     return {j: names.get(j, f"({j})") for j in range(chip.AXES)}
 
 
 async def send(panel: Panel, k: int, cycles: Sequence[BusCycle]) -> list[int]:
-    """Make bus cycles on a chip, in the stage's thread, and return what was read."""
+    """Make bus cycles on a chip, in the stage's thread.
+
+    Args:
+        panel: The panel.
+        k: Index of the chip.
+        cycles: Bus cycles.
+
+    Returns:
+        The data that were read.
+    """
     trace = panel.observer.traces[k]
 
     def order(stage: Stage) -> list[int]:
-        found = []
-        for c in cycles:
-            if c.read:
-                found.append(trace.read(c.address))
+        data = []
+        for cycle in cycles:
+            if cycle.read:
+                data.append(trace.read(cycle.address))
             else:
-                stage.chips[k].write(c.address, c.datum)
+                stage.chips[k].write(cycle.address, cycle.datum)
         panel.observer.observe(stage)
-        return found
+        return data
 
     return await asyncio.wrap_future(panel.session.post(order))
 
 
 class ChipCard:
-    """Front panel of one chip in one browser."""
+    """Front panel of one chip in one browser; its content is built when it is opened."""
 
     def __init__(self, panel: Panel, updates: BrowserUpdates, k: int):
         self.panel, self.updates, self.k, self.axis = panel, updates, k, 0
@@ -299,75 +320,65 @@ class ChipCard:
         self.front = FrontPanel(type(stage.chips[k]))
         self.names = axis_names(stage, k)
         self._rows: list[RegisterRow | LampRow] = []
-        self._built = False
         names = " ".join(name for name in self.names.values() if "(" not in name) or "no axis"
-        with ui.card().classes("w-full q-pa-none"), ui.expansion(f"{names}: {self.front.map.title}").classes(
-            "w-full front"
-        ).props(f'data-test="chip-{k}"') as self._body:  # fmt: skip
-            pass
-        self._body.on_value_change(self._opened)
+        with ui.card().classes("w-full q-pa-none"):
+            self._body = ui.expansion(f"{names}: {self.front.map.title}").classes("w-full front")
+        self._body.props(f'data-test="chip-{k}"').on_value_change(self._build)
         if k == 0:
             self._body.value = True
-        ui.timer(0.1, self._look)
+        ui.timer(0.1, self._update)
 
-    def _opened(self) -> None:
-        if self._built or not self._body.value:
+    def _build(self) -> None:
+        if self._rows or not self._body.value:
             return
-        self._built = True
         self.panel.observer.request_registers(self.k, self.axis)
         with self._body:
             if len(self.names) > 1:
-                ui.toggle(self.names, value=0, on_change=self._choose).props("dense no-caps").props(
-                    f'data-test="axis-of-{self.k}"'
-                )
-            self._lamps()
-            self._commands()
-            self._registers()
+                toggle = ui.toggle(self.names, value=0, on_change=self._select_axis)
+                toggle.props(f'dense no-caps data-test="axis-of-{self.k}"')
+            if self.front.lamps:
+                with _part("status"):
+                    self._rows += [LampRow(word) for word in self.front.lamps]
+            with _part("pins"):
+                self._build_pins("inputs", self.front.kind.INPUTS)
+                self._build_pins("outputs", self.front.kind.OUTPUTS)
+            for group, buttons in self.front.buttons.items():
+                is_open = len(buttons) <= MAX_OPEN_COMMANDS or any(b.starts for b in buttons)
+                with _part(group, is_open), ui.element("div").classes("commands"):
+                    for button in buttons:
+                        if not button.takes:
+                            self._build_command(button)
+            with _part("registers"), ui.element("div").classes("registers"):
+                places: list[Place] = [*self.front.registers, *self.front.forms]
+                self._rows += [RegisterRow(place, self.write, f"{self.k}-{place.name}") for place in places]
 
-    def _choose(self, event: object) -> None:
-        self.axis = getattr(event, "value", 0)
+    def _select_axis(self, event: Any) -> None:
+        self.axis = event.value
         self.panel.observer.request_registers(self.k, self.axis)
         for row in self._rows:
             row.forget()
 
-    def _registers(self) -> None:
-        with _part("registers"), ui.element("div").classes("registers"):
-            places: list[Place] = [*self.front.registers, *self.front.forms]
-            for place in places:
-                self._rows.append(RegisterRow(place, self.write, f"{self.k}-{place.name}"))
+    def _build_pins(self, title: str, pins: Mapping[str, int]) -> None:
+        with ui.element("div").classes("lamps"):
+            ui.label(title).classes("section")
+            for name in pins:
+                lamp = ui.label(name).classes("lamp").props(f'data-test="pin-{self.k}-{name}"')
+                self.updates.show_lamp(lamp, partial(self._is_asserted, title, name))
 
-    def _lamps(self) -> None:
-        kind = self.front.kind
-        if self.front.lamps:
-            with _part("status"):
-                for word in self.front.lamps:
-                    self._rows.append(LampRow(word))
-        with _part("pins"):
-            for what, pins in (("inputs", kind.INPUTS), ("outputs", kind.OUTPUTS)):
-                with ui.element("div").classes("lamps"):
-                    ui.label(what).classes("section")
-                    for name in pins:
-                        lamp = ui.label(name).classes("lamp").props(f'data-test="pin-{self.k}-{name}"')
-                        self.updates.show_lamp(lamp, partial(self._pin, what, name))
+    def _is_asserted(self, direction: str, name: str) -> bool:
+        view = self.panel.observer.chips.get((self.k, self.axis))
+        return view is not None and getattr(view, direction)[name]
 
-    def _commands(self) -> None:
-        for group, buttons in self.front.buttons.items():
-            reading = all(not b.starts for b in buttons) and len(buttons) > 12
-            with _part(group, not reading), ui.element("div").classes("commands"):
-                for b in buttons:
-                    if not b.takes:
-                        self._button(b)
-
-    def _button(self, b: CommandButton) -> None:
+    def _build_command(self, command: CommandButton) -> None:
         async def press() -> None:
-            cycles = self.front.kind.command_cycles(b.symbol, self.axis, b.datum)
+            cycles = self.front.kind.command_cycles(command.symbol, self.axis, command.datum)
             await self._send([BusCycle(False, *cycle) for cycle in cycles])
 
-        button = on_single_click(ui.button(f"{b.label}  {b.words}"), press)
-        button.props(f"dense no-caps outline size=sm {'color=positive' if b.starts else ''}")
-        button.props["title"] = f"{b.title} [{b.evidence}]"
-        code = f"-{b.datum:X}" if b.datum is not None else ""
-        button.props["data-test"] = f"command-{self.k}-{b.symbol}{code}"
+        button = on_single_click(ui.button(f"{command.label}  {command.words}"), press)
+        button.props(f"dense no-caps outline size=sm {'color=positive' if command.starts else ''}")
+        button.props["title"] = f"{command.title} [{command.evidence}]"
+        code = f"-{command.datum:X}" if command.datum is not None else ""
+        button.props["data-test"] = f"command-{self.k}-{command.symbol}{code}"
 
     async def write(self, place: Place, value: int) -> None:
         """Write a register, or a word, of the axis that is shown."""
@@ -378,26 +389,21 @@ class ChipCard:
             await send(self.panel, self.k, cycles)
         except StageError as error:
             ui.notify(str(error), type="negative")
-        self._look()
+        self._update()
 
-    def _look(self) -> None:
-        if not (self._built and self._body.value):
+    def _update(self) -> None:
+        if not (self._rows and self._body.value):
             return
         self.panel.observer.request_registers(self.k, self.axis)
-        seen = self.panel.observer.chips.get((self.k, self.axis))
-        if seen is None:
-            return
-        for row in self._rows:
-            row.update(seen.values)
-
-    def _pin(self, what: str, name: str) -> bool:
-        seen = self.panel.observer.chips.get((self.k, self.axis))
-        return bool(seen is not None and getattr(seen, what)[name])
+        view = self.panel.observer.chips.get((self.k, self.axis))
+        if view is not None:
+            for row in self._rows:
+                row.update(view.values)
 
 
-def _part(title: str, opened: bool = True) -> ui.expansion:
+def _part(title: str, is_open: bool = True) -> ui.expansion:
     """Return a part of a front panel that can be folded."""
-    return ui.expansion(title, value=opened).props("dense dense-toggle").classes("w-full part")
+    return ui.expansion(title, value=is_open).props("dense dense-toggle").classes("w-full part")
 
 
 STYLE = """

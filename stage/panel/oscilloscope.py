@@ -22,17 +22,17 @@ import numpy as np
 
 from stage.errors import ArgumentError
 from stage.panel.sampler import MAX_AGE_S, Sampler, Trace
-from stage.recording.scene import duration
+from stage.recording.scene import to_time_column
 from stage.recording.sdk import release_streams, rr
 from stage.support.extras import need
 from stage.support.identifiers import escape_name
 
-MIN_SPAN_S = 1e-3  # s
+MIN_SPAN_S = 1e-3
 SPANS = (1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 MODES = ("free", "auto", "normal", "single")
 DIAGNOSTIC, LOST = "a diagnostic", "a lost step"
-BEFORE = 0.25  # of the window lies before the trigger
-ANSWER_TIMEOUT_S = 1.0  # s of simulated time after which "auto" shows what there is
+BEFORE = 0.25  # part of the window before the trigger
+AUTO_TIMEOUT_S = 1.0  # s of simulated time after which "auto" shows the newest window
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class OscilloscopeFrame:
         begin, end: Its window, s.
         curves: Times (s) and values of each trace.
         trigger: Time of the trigger, s, or None.
-        state: What the oscilloscope does, in a word.
+        state: State of the oscilloscope, in a word.
     """
 
     begin: float
@@ -70,8 +70,8 @@ class Oscilloscope:
         self.names: list[str] = []
         self.select_traces(names)
         self.mode, self.source, self.rising, self.level = "free", "", True, 0.5
-        self._armed, self._at, self._window = -1.0, None, (0.0, span)  # type: float, float | None, tuple[float, float]
-        self._running, self._seen = True, -1.0
+        self._running, self._window = True, (0.0, span)
+        self._trigger_time: float | None = None
         self.set_span(span)
         self.arm()
 
@@ -83,12 +83,11 @@ class Oscilloscope:
         """Set the length of the window, s. Raises ArgumentError."""
         if not MIN_SPAN_S <= span <= MAX_AGE_S:
             raise ArgumentError(f"span={span!r}: a window of {MIN_SPAN_S:g} to {MAX_AGE_S:g} s.")
-        centre = self._at
         self.span = float(span)
-        if centre is not None and not self._running:
-            self._window = self._window_around(centre)
-        elif not self._running:
-            self._window = (self._window[1] - span, self._window[1])
+        if self._running:
+            return
+        end = self._window[1]
+        self._window = (end - span, end) if self._trigger_time is None else self._window_of(self._trigger_time)
 
     def set_trigger(self, mode: str, source: str = "", rising: bool = True, level: float = 0.5) -> None:
         """Set what the window waits for.
@@ -113,17 +112,16 @@ class Oscilloscope:
 
     def arm(self) -> None:
         """Wait for the next trigger, from now on."""
-        self._armed, self._at, self._running = self.sampler.last, None, True
-        self._seen = self._armed
+        self._trigger_time, self._running = None, True
+        self._armed_at = self._last_time = self.sampler.last
 
     @property
     def running(self) -> bool:
-        """Whether the window follows the time; False: the picture stands."""
+        """State of the window: it follows the time; False: the picture stands."""
         return self._running
 
     @running.setter
     def running(self, value: bool) -> None:
-        """Whether the window follows the time; False: the picture stands."""
         if value and not self._running:
             self.arm()
         self._running = bool(value)
@@ -135,64 +133,57 @@ class Oscilloscope:
             self._follow(now)
         begin, end = self._window
         curves = self.sampler.thinned_columns(self.names, begin, end, points)
-        return OscilloscopeFrame(begin, end, curves, self._at, self._state(now))
+        return OscilloscopeFrame(begin, end, curves, self._trigger_time, self._describe_state(now))
 
     def _follow(self, now: float) -> None:
-        if now < self._seen:  # time has gone back: what was shown is not any more
-            self._armed, self._at, self._window = now, None, (now - self.span, now)
-        self._seen = now
+        newest = now - self.span, now
+        if now < self._last_time:  # time has gone back: what was shown is not any more
+            self._armed_at, self._trigger_time, self._window = now, None, newest
+        self._last_time = now
         if self.mode == "free":
-            self._window = (now - self.span, now)
-            return
-        if self._at is None or now >= self._window[1]:
-            if self.mode == "single" and self._at is not None:
+            self._window = newest
+        elif self._trigger_time is None or now >= self._window[1]:
+            if self.mode == "single" and self._trigger_time is not None:
                 self._running = False
-                return
-            if (found := self._find_trigger(now)) is not None:
-                self._at, self._window = found, self._window_around(found)
-                self._armed = self._window[1]
-                if self.mode == "single" and now >= self._window[1]:
-                    self._running = False
-            elif self.mode == "auto" and now - self._armed > max(ANSWER_TIMEOUT_S, self.span):
-                self._at, self._window = None, (now - self.span, now)
+            elif (trigger := self._find_trigger(now)) is not None:
+                self._trigger_time, self._window = trigger, self._window_of(trigger)
+                self._armed_at = self._window[1]
+                self._running = self.mode != "single" or now < self._window[1]
+            elif self.mode == "auto" and now - self._armed_at > max(AUTO_TIMEOUT_S, self.span):
+                self._trigger_time, self._window = None, newest
 
-    def _window_around(self, at: float) -> tuple[float, float]:
-        return at - BEFORE * self.span, at + (1 - BEFORE) * self.span
+    def _window_of(self, trigger: float) -> tuple[float, float]:
+        return trigger - BEFORE * self.span, trigger + (1 - BEFORE) * self.span
 
     def _find_trigger(self, now: float) -> float | None:
-        """Return when the trigger came after `armed`: the latest whose window is full; for "single", and before that, the first."""
-        at = self._moments(now)
-        if not len(at):
+        """Return a trigger since `arm`: the latest whose window is full; for "single", and where none is full, the first."""
+        times = self._list_triggers(now)
+        if not len(times):
             return None
-        full = at[at + (1 - BEFORE) * self.span <= now]
-        return float(full[-1] if len(full) and self.mode != "single" else at[0])
+        full = times[times + (1 - BEFORE) * self.span <= now]
+        return float(full[-1] if len(full) and self.mode != "single" else times[0])
 
-    def _moments(self, now: float) -> np.ndarray:
-        since = self._armed
+    def _list_triggers(self, now: float) -> np.ndarray:
+        since = self._armed_at
         if self.source == DIAGNOSTIC:
             return np.array([e.time for e in tuple(self.sampler.events) if since < e.time <= now])
-        lost = [n for n in self.sampler.traces if n.endswith("/lost_steps")]
-        names = lost if self.source == LOST else [self.source]
+        is_lost = self.source == LOST
+        names = [n for n in self.sampler.traces if n.endswith("/lost_steps")] if is_lost else [self.source]
         times, values = self.sampler.columns(names, since, now)
-        moments = []
+        triggers = [np.empty(0)]
         for v in values.values():
-            if self.source == LOST:
-                k = np.flatnonzero(np.diff(v) != 0)
-            else:
-                above = (v >= self.level) == self.rising
-                k = np.flatnonzero(above[1:] & ~above[:-1])
-            moments.append(times[k + 1])
-        return np.sort(np.concatenate(moments)) if moments else np.empty(0)
+            above = (v >= self.level) == self.rising
+            crossings = np.diff(v) != 0 if is_lost else above[1:] & ~above[:-1]
+            triggers.append(times[1:][crossings])
+        return np.sort(np.concatenate(triggers))
 
-    def _state(self, now: float) -> str:
+    def _describe_state(self, now: float) -> str:
         if not self._running:
             return "stopped"
         if self.mode == "free":
             return "running"
-        return "triggered" if self._at is not None and now < self._window[1] else "waits for the trigger"
-
-
-__all__ = ["BEFORE", "DIAGNOSTIC", "LOST", "MODES", "SPANS", "OscilloscopeFrame", "Oscilloscope"]
+        is_triggered = self._trigger_time is not None and now < self._window[1]
+        return "triggered" if is_triggered else "waits for the trigger"
 
 
 def format_heading(trace: Trace) -> str:
@@ -262,10 +253,9 @@ def to_vcd(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> 
             variables.append(
                 writer.register_var(escape_name(scope), escape_name(name), kind, size=size, init=v[0].item())
             )
-        changes = [(int(ns[k]), n) for n, (_, v) in enumerate(columns) for k in np.flatnonzero(np.diff(v)) + 1]
-        at = {int(time): k for k, time in enumerate(ns)}
-        for time, n in sorted(changes):
-            writer.change(variables[n], time, columns[n][1][at[time]].item())
+        changes = np.stack([np.diff(v) != 0 for _, v in columns], axis=1)
+        for k, n in np.argwhere(changes):  # in the order of time
+            writer.change(variables[n], int(ns[k + 1]), columns[n][1][k + 1].item())
         writer.close(int(ns[-1]))
     return text.getvalue().encode()
 
@@ -281,7 +271,9 @@ def to_rrd(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> 
         for t, v in columns:
             entity = "/".join(map(escape_name, t.name.rsplit("/", 1)))
             out.log(entity, rr.SeriesLines(names=format_heading(t)), static=True)
-            out.send_columns(entity, indexes=[duration(times)], columns=rr.Scalars.columns(scalars=v.astype(float)))
+            out.send_columns(
+                entity, indexes=[to_time_column(times)], columns=rr.Scalars.columns(scalars=v.astype(float))
+            )
         out.flush()
         out.disconnect()
         del out

@@ -1,11 +1,11 @@
-"""The page of the panel: what stands where, its toolbar, the stage in 3D, a card for each axis, and the tour."""
+"""The page of the panel: what stands where, its toolbar, a card for each axis, and the tour."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
 from math import degrees
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from nicegui import context, run, ui
 
@@ -13,308 +13,277 @@ from stage.errors import StageError
 from stage.panel import saved_panel
 from stage.panel.access_control import EventGate
 from stage.panel.browser_updates import BrowserUpdates, on_single_click
-from stage.panel.bus_console import build_console
+from stage.panel.bus_console import Console
 from stage.panel.chip_panel import STYLE as CHIP_STYLE
-from stage.panel.chip_panel import build_chip_panels
-from stage.panel.fault_page import build_fault_controls
-from stage.panel.oscilloscope_page import build_oscilloscope
-from stage.panel.procedure_page import build_procedures
-from stage.panel.session import FREE, Session
+from stage.panel.chip_panel import ChipCard
+from stage.panel.fault_page import FaultPanel
+from stage.panel.oscilloscope_page import OscilloscopeView
+from stage.panel.procedure_page import Procedures
+from stage.panel.session import FREE
 from stage.panel.stage_scene import build_scene
 from stage.panel.tour import STEPS, Tour
 from stage.support.identifiers import escape_name
 
 if TYPE_CHECKING:
-    from stage.panel.access_control import EventGate
     from stage.panel.server import Panel
     from stage.sim.axis import Axis
 
 
 def format_position(unit: str, position: float, commanded: float, lost: int) -> str:
-    """Return where an axis is, in mm (degrees), and its lost steps."""
-    scale, name = (1e3, "mm") if unit == "m" else (degrees(1), "deg")
+    """Return where an axis is, in mm or degrees, and its lost steps.
+
+    Args:
+        unit: Unit of the axis, m or rad.
+        position, commanded: In that unit.
+        lost: Full steps.
+    """
+    scale, symbol = (1e3, "mm") if unit == "m" else (degrees(1), "deg")
     return (
-        f"position   {position * scale:z10.4f} {name}\n"
-        f"commanded  {commanded * scale:z10.4f} {name}\n"
-        f"error      {(commanded - position) * scale:z10.4f} {name}\n"
+        f"position   {position * scale:z10.4f} {symbol}\n"
+        f"commanded  {commanded * scale:z10.4f} {symbol}\n"
+        f"error      {(commanded - position) * scale:z10.4f} {symbol}\n"
         f"lost steps {lost:10d}"
     )
 
 
-def build_axis_cards(panel: Panel, updates: BrowserUpdates) -> None:
-    """Build a card for each axis: where it is, and its switches as lamps."""
-    stage = panel.session.stage
-    with ui.row().classes("w-full"):
-        for axis in stage.axes.values():
-            with ui.card().classes("col q-pa-sm").style("min-width: 205px").mark(f"axis-{escape_name(axis.name)}"):
-                ui.label(f"{axis.name}  {type(axis.chip).__name__}").classes("text-weight-bold")
-                motor = ui.element("div").classes("text-caption").props(f'data-test="motor-{escape_name(axis.name)}"')
-                updates.show_text(motor, partial(_motor, axis))
-                text = ui.element("div").classes("number").style("white-space: pre; font-size: 12px")
-                updates.show_text(
-                    text.props(f'data-test="place-{escape_name(axis.name)}"'), partial(_where, panel, axis)
-                )
-                with ui.row().classes("q-gutter-none"):
-                    for name in axis.switches.as_dict():
-                        lamp = ui.label(name.replace("_plus", "+").replace("_minus", "-")).classes("lamp")
-                        updates.show_lamp(
-                            lamp.props(f'data-test="switch-{escape_name(axis.name)}-{name}"'),
-                            partial(_on, panel, axis.name, name),
-                        )
+class AxisCard:
+    """Card of one axis: where it is, and its switches as lamps."""
+
+    def __init__(self, panel: Panel, updates: BrowserUpdates, axis: Axis):
+        self._observer, self._axis = panel.observer, axis
+        name = escape_name(axis.name)
+        with ui.card().classes("col q-pa-sm").style("min-width: 205px").mark(f"axis-{name}"):
+            ui.label(f"{axis.name}  {type(axis.chip).__name__}").classes("text-weight-bold")
+            motor = ui.element("div").classes("text-caption").props(f'data-test="motor-{name}"')
+            updates.show_text(motor, lambda: axis.drive.motor.name)
+            place = ui.element("div").classes("number").style("white-space: pre; font-size: 12px")
+            updates.show_text(place.props(f'data-test="place-{name}"'), self._describe_position)
+            with ui.row().classes("q-gutter-none"):
+                for switch in axis.switches.as_dict():
+                    lamp = ui.label(switch.replace("_plus", "+").replace("_minus", "-")).classes("lamp")
+                    updates.show_lamp(lamp.props(f'data-test="switch-{name}-{switch}"'), partial(self._is_on, switch))
+
+    def _describe_position(self) -> str:
+        view = self._observer.axes[self._axis.name]
+        return format_position(self._axis.unit, view.position, view.commanded, view.lost or 0)
+
+    def _is_on(self, switch: str) -> bool:
+        return self._observer.axes[self._axis.name].switches[switch]
 
 
-def _motor(axis: Axis) -> str:
-    return axis.drive.motor.name
+class TourView:
+    """The tour in one browser: it begins when its fold is opened, and ends when that is closed."""
 
+    def __init__(self, panel: Panel):
+        self._session = panel.session
+        self._tour: Tour | None = None
+        fold = ui.expansion("A tour in six steps", icon="explore").classes("w-full").props("data-test=tour")
+        with fold:
+            self._bar = ui.linear_progress(0.0, show_value=False)
+            self._title = ui.label().classes("text-weight-bold q-mt-sm")
+            self._title.props("data-test=tour-title aria-live=polite")
+            self._task = ui.label().props("data-test=tour-task")
+            self._sheet = ui.label().classes("text-caption q-mt-xs")
+            self._button = ui.button("Skip", on_click=self._skip).props("flat dense no-caps data-test=tour-skip")
+        fold.on_value_change(lambda event: self._begin() if event.value else self._end())
+        context.client.on_disconnect(self._end)
+        ui.timer(0.2, self._update)
 
-def _where(panel: Panel, axis: Axis) -> str:
-    seen = panel.observer.axes[axis.name]
-    return format_position(axis.unit, seen.position, seen.commanded, seen.lost or 0)
+    def _begin(self) -> None:
+        if self._tour is None:
+            self._tour = Tour(self._session)
 
+    def _end(self) -> None:
+        if self._tour is not None:
+            self._tour.close()
+            self._tour = None
 
-def _on(panel: Panel, axis: str, switch: str) -> bool:
-    return panel.observer.axes[axis].switches[switch]
+    def _skip(self) -> None:
+        """Skip a step, or begin again where all steps are done."""
+        if self._tour is not None and self._tour.step is not None:
+            self._tour.skip()
+        elif self._tour is not None:
+            self._end()
+            self._begin()
 
-
-def build_tour(panel: Panel) -> None:
-    """Build the tour."""
-    tour: list[Tour] = []
-    with ui.expansion("A tour in six steps", icon="explore").classes("w-full").props("data-test=tour") as fold:
-        bar = ui.linear_progress(0.0, show_value=False)
-        title = ui.label().classes("text-weight-bold q-mt-sm").props("data-test=tour-title aria-live=polite")
-        task = ui.label().props("data-test=tour-task")
-        sheet = ui.label().classes("text-caption q-mt-xs")
-        on = ui.button("Skip", on_click=lambda: skip())
-        on.props("flat dense no-caps data-test=tour-skip")
-
-    def skip() -> None:
-        if tour and tour[0].step is None:
-            end()
-            open_or_close()
-        for t in tour[:1] if on.text == "Skip" else ():
-            t.skip()
-
-    def open_or_close() -> None:
-        if fold.value and not tour:
-            tour.append(Tour(panel.session))
-        elif not fold.value:
-            end()
-
-    def end() -> None:
-        while tour:
-            tour.pop().close()
-
-    def look() -> None:
-        if not tour:
+    def _update(self) -> None:
+        if self._tour is None:
             return
-        number, step = tour[0].number, tour[0].step
-        on.text = "Skip" if step else "Begin again"
-        bar.value = number / len(STEPS)
-        title.text = (
+        number, step = self._tour.number, self._tour.step
+        self._button.text = "Skip" if step else "Begin again"
+        self._bar.value = number / len(STEPS)
+        self._title.text = (
             f"{number + 1} of {len(STEPS)}: {step.title}" if step else "That was all. The rest is in the data sheets."
         )
-        task.text = step.task if step else ""
-        sheet.text = f"In data sheets: {step.sheet}" if step else ""
-
-    fold.on_value_change(open_or_close)
-    context.client.on_disconnect(end)
-    ui.timer(0.2, look)
+        self._task.text = step.task if step else ""
+        self._sheet.text = f"In data sheets: {step.sheet}" if step else ""
 
 
-SPEEDS = {
-    0.01: "0.01 x",
-    0.1: "0.1 x",
-    0.25: "0.25 x",
-    0.5: "0.5 x",
-    1.0: "1 x",
-    2.0: "2 x",
-    5.0: "5 x",
-    FREE: "full speed",
+SPEEDS = {speed: f"{speed:g} x" for speed in (0.01, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0)} | {FREE: "full speed"}
+BACK_S = (0.1, 1.0, 5.0, 30.0)
+MIN_ACHIEVED = 0.95  # of the speed that was requested: the page reports less
+FILES = {
+    "panel.zip": ("everything, to go on from here", "panel"),
+    "program.py": ("the program as Python", "program"),
+    "program.c": ("the program as C", "c"),
+    "test_program.py": ("the program as a test", "test_program"),
 }
-BACK = (0.1, 1.0, 5.0, 30.0)  # s
-LAGS = 0.95  # of the speed that was asked for: less is told
+"""File -> title and mark of its item in the menu that saves."""
 
 
-def build_toolbar(panel: Panel, updates: BrowserUpdates, gate: EventGate) -> None:
-    """Build the row on top: time, who has the controls, and how the page looks."""
-    session = panel.session
-    ui.label("PulseStage").classes("text-weight-bold q-mr-sm gt-xs")
-    with ui.row().classes("items-center q-gutter-none") as row:
+class Toolbar:
+    """Row on top: time, who has the controls, and how the page looks."""
 
-        def toggle() -> None:
-            session.paused = not session.paused
+    def __init__(self, panel: Panel, updates: BrowserUpdates, gate: EventGate):
+        session = self._session = panel.session
+        self._panel, self._gate = panel, gate
+        ui.label("PulseStage").classes("text-weight-bold q-mr-sm gt-xs")
+        with ui.row().classes("items-center q-gutter-none") as row:
+            self._play = _icon_button("pause", "pause", "play", self._toggle_pause)
+            select = ui.select(SPEEDS, value=find_nearest_speed(session.speed), on_change=self._set_speed)
+            select.props("dense dark borderless options-dense aria-label='simulated seconds a second' data-test=speed")
+        gate.guard_machine(row)
+        with ui.row().classes("items-center q-gutter-none") as row:
+            _icon_button("skip_next", "one physics step", "step").on_click(lambda: session.single_step())
+            with _icon_button("replay", "go back", "back"), ui.menu():
+                for seconds in BACK_S:
+                    item = ui.menu_item(f"{seconds:g} s back", partial(self._go_back, seconds))
+                    item.props(f"data-test=back-{seconds:g}")
+            _icon_button("restart_alt", "power-up", "reset", lambda: run.io_bound(session.reset))
+        gate.guard_driving(row)
+        clock = ui.element("div").classes("number q-ml-sm")
+        clock.props("data-test=time role=timer aria-label='simulated time'")
+        updates.show_text(clock, lambda: f"{session.view.time:.4f} s")
+        pace = ui.element("div").classes("number q-ml-sm text-caption").props("data-test=pace")
+        updates.show_text(pace, self._describe_pace)
+        ui.space()
+        self._action = ui.label().classes("text-caption ellipsis").props("data-test=doing role=status")
+        self._stop = _icon_button("stop", "stop this action; the chips go on", "abandon", session.stop_actions)
+        gate.guard_driving(self._stop)
+        self._recover = on_single_click(ui.button("back to a good state"), lambda: run.io_bound(session.recover))
+        gate.guard_driving(self._recover.props("dense no-caps color=negative data-test=recover"))
+        self._program = ui.label().classes("text-caption ellipsis").props("data-test=program role=status")
+        self._take_over = on_single_click(ui.button(), self._toggle_program)
+        gate.guard_machine(self._take_over.props("dense no-caps color=orange-9 data-test=take-over"))
+        self._build_controls_button(context.client.id)
+        with _icon_button("save_alt", "save and share", "share"), ui.menu():
+            for file, (title, mark) in FILES.items():
+                ui.menu_item(title, partial(self._save, file)).tooltip(file).props(f"data-test=save-{mark}")
+        dark = ui.dark_mode(None)
+        _icon_button("contrast", "light or dark", "dark", lambda: _cycle_brightness(dark))
+        ui.timer(0.1, self._update)
 
-        play = _button("pause", "pause", toggle, "play")
-        ui.select(SPEEDS, value=_nearest(session.speed), on_change=lambda e: setattr(session, "speed", e.value)).props(
-            "dense dark borderless options-dense aria-label='simulated seconds a second' data-test=speed"
-        )
-    gate.guard_machine(row)
+    def _build_controls_button(self, client_id: str) -> None:
+        controls = self._panel.controls
+        self._controls = on_single_click(ui.button(), lambda: controls.take(client_id))
+        self._controls.props("flat dense no-caps color=white data-test=controls")
+        context.client.on_connect(lambda: controls.come(client_id))
+        context.client.on_disconnect(lambda: controls.go(client_id))
+        context.client.on_delete(lambda: controls.forget(client_id))
 
-    async def back(seconds: float) -> None:
+    def _toggle_pause(self) -> None:
+        self._session.paused = not self._session.paused
+
+    def _set_speed(self, event: Any) -> None:
+        self._session.speed = event.value
+
+    def _toggle_program(self) -> None:
+        if self._session.program_suspended:
+            self._session.give_back()
+        else:
+            self._session.take_over()
+
+    async def _go_back(self, seconds: float) -> None:
         try:
-            await run.io_bound(session.go_back, seconds)
+            await run.io_bound(self._session.go_back, seconds)
         except StageError as error:
             ui.notify(str(error), type="warning", multi_line=True)
 
-    with ui.row().classes("items-center q-gutter-none") as row:
-        _button("skip_next", "one physics step", None, "step").on_click(lambda: session.single_step())
-        with _button("replay", "go back", None, "back"), ui.menu():
-            for seconds in BACK:
-                ui.menu_item(f"{seconds:g} s back", partial(back, seconds)).props(f"data-test=back-{seconds:g}")
-        _button("restart_alt", "power-up", lambda: run.io_bound(session.reset), "reset")
-    gate.guard_driving(row)
-    clock = ui.element("div").classes("number q-ml-sm").props("data-test=time role=timer aria-label='simulated time'")
-    pace = ui.element("div").classes("number q-ml-sm text-caption").props("data-test=pace")
-    updates.show_text(clock, lambda: f"{session.view.time:.4f} s")
-    updates.show_text(pace, lambda: _pace(session))
-    ui.space()
-    doing = ui.label().classes("text-caption ellipsis").props("data-test=doing role=status")
-    stop = _button("stop", "stop this action; the chips go on", session.stop_actions, "abandon")
-    gate.guard_driving(stop)
-    good = on_single_click(ui.button("back to a good state"), lambda: run.io_bound(session.recover))
-    gate.guard_driving(good.props("dense no-caps color=negative data-test=recover"))
-    program = _program(panel, gate)
-    mine = _controls(panel, gate)
-    _share(panel)
-    dark = ui.dark_mode(None)
-    _button("contrast", "light or dark", lambda: _turn(dark), "dark")
-
-    def look() -> None:
-        view = session.view
-        play.props(f"icon={'play_arrow' if session.paused else 'pause'}")
-        doing.text = view.trouble or view.action
-        program()
-        doing.classes(**({"add": "trouble"} if view.trouble else {"remove": "trouble"}))
-        stop.set_visibility(bool(view.action))
-        good.set_visibility(bool(view.trouble))
-        mine()
-
-    ui.timer(0.1, look)
-
-
-def _pace(session: Session) -> str:
-    if session.paused:
-        return "stands still"
-    pace = session.view.achieved_speed
-    late = session.speed != FREE and pace < LAGS * session.speed
-    return f"{pace:.2f} x" + (", cannot keep up" if late else "")
-
-
-def _button(icon: str, says: str, does: object, name: str) -> ui.button:
-    button = ui.button(icon=icon)
-    if callable(does):  # a menu opens by itself
-        on_single_click(button, does)
-    return button.props(f"flat dense color=white aria-label='{says}' data-test={name}").tooltip(says)
-
-
-def _nearest(speed: float) -> float:
-    return min(SPEEDS, key=lambda known: 0.0 if known == speed else abs(known - speed) if known != FREE else 1e9)
-
-
-def _turn(dark: ui.dark_mode) -> None:
-    """Switch from what the browser prefers to dark, to light."""
-    dark.value = {None: True, True: False, False: None}[dark.value]
-
-
-def _share(panel: Panel) -> None:
-    """Build the menu that saves what was done."""
-    programs = {
-        "program.py": "the program as Python",
-        "program.c": "the program as C",
-        "test_program.py": "the program as a test",
-    }
-
-    async def keep(name: str) -> None:
+    async def _save(self, file: str) -> None:
         try:
-            if name in programs:
-                data = ((await run.io_bound(saved_panel.program, panel, name)) or "").encode()
+            if file == "panel.zip":
+                data = await run.io_bound(saved_panel.save, self._panel) or b""
             else:
-                data = await run.io_bound(saved_panel.save, panel) or b""
+                data = ((await run.io_bound(saved_panel.program, self._panel, file)) or "").encode()
         except StageError as error:
             ui.notify(str(error), type="negative", multi_line=True)
         else:
-            ui.download.content(data, name)
+            ui.download.content(data, file)
 
-    with _button("save_alt", "save and share", None, "share"), ui.menu():
-        for name, title in {"panel.zip": "everything, to go on from here", **programs}.items():
-            item = ui.menu_item(title, lambda name=name: keep(name)).tooltip(name)
-            item.props(f"data-test=save-{name.partition('.')[0] if name != 'program.c' else 'c'}")
+    def _describe_pace(self) -> str:
+        speed, achieved = self._session.speed, self._session.view.achieved_speed
+        if self._session.paused:
+            return "stands still"
+        return f"{achieved:.2f} x" + (", cannot keep up" if speed != FREE and achieved < MIN_ACHIEVED * speed else "")
 
-
-def _program(panel: Panel, gate: EventGate) -> Callable[[], None]:
-    """Build what tells which program drives, and the button that takes over and gives back; return what updates both."""
-    session = panel.session
-    says = ui.label().classes("text-caption ellipsis").props("data-test=program role=status")
-
-    def press() -> None:
-        if session.taken_over:
-            session.give_back()
-        else:
-            session.take_over()
-
-    button = on_single_click(ui.button(), press).props("dense no-caps color=orange-9 data-test=take-over")
-    gate.guard_machine(button)
-
-    def look() -> None:
-        name, taken, waits = session.program, session.taken_over, session.program_waits
-        says.text = f"{name} waits" if waits else f"{name} has the stage" if name and not taken else name
-        button.text = "Give back" if taken else "Take over"
-        button.set_visibility(bool(name))
-
-    return look
+    def _update(self) -> None:
+        session, view = self._session, self._session.view
+        self._play.props(f"icon={'play_arrow' if session.paused else 'pause'}")
+        self._action.text = view.trouble or view.action
+        self._action.classes(**{"add" if view.trouble else "remove": "trouble"})
+        self._stop.set_visibility(bool(view.action))
+        self._recover.set_visibility(bool(view.trouble))
+        program, is_taken = session.program, session.program_suspended
+        driving = f"{program} has the stage" if program and not is_taken else program
+        self._program.text = f"{program} waits" if session.program_waits else driving
+        self._take_over.text = "Give back" if is_taken else "Take over"
+        self._take_over.set_visibility(bool(program))
+        self._gate.refresh()
+        watching = self._panel.controls.watching
+        others = f"{watching} watching" if watching > 1 else ""
+        self._controls.text = others if self._gate.has_controls else "Take the controls"
+        self._controls.set_visibility(bool(self._controls.text))
 
 
-def _controls(panel: Panel, gate: EventGate) -> Callable[[], None]:
-    """Build the button of the controls; return what updates it."""
-    controls, me = panel.controls, context.client.id
-    button = on_single_click(ui.button(), lambda: controls.take(me)).props(
-        "flat dense no-caps color=white data-test=controls"
-    )
-    context.client.on_connect(lambda: controls.come(me))
-    context.client.on_disconnect(lambda: controls.go(me))
-    context.client.on_delete(lambda: controls.forget(me))
-    shown: list[object] = []
+def _icon_button(icon: str, label: str, mark: str, handler: Callable[[], Any] | None = None) -> ui.button:
+    """Build a button of the toolbar; one that has a menu needs no handler."""
+    button = ui.button(icon=icon)
+    if handler is not None:
+        on_single_click(button, handler)
+    return button.props(f"flat dense color=white aria-label='{label}' data-test={mark}").tooltip(label)
 
-    def look() -> None:
-        gate.refresh()
-        mine = gate.has_controls
-        state = [mine, controls.watching]
-        if shown == state:
-            return
-        shown[:] = state
-        button.text = (
-            "Take the controls" if not mine else f"{controls.watching} watching" if controls.watching > 1 else ""
-        )
-        button.set_visibility(not mine or controls.watching > 1)
 
-    return look
+def find_nearest_speed(speed: float) -> float:
+    """Return the speed of the list that is the nearest."""
+    return speed if speed in SPEEDS else min(SPEEDS, key=lambda listed: abs(min(listed, 1e9) - speed))
+
+
+def _cycle_brightness(dark: ui.dark_mode) -> None:
+    """Switch from what the browser prefers to dark, to light."""
+    dark.value = {None: True, True: False, False: None}[dark.value]
 
 
 def build_page(panel: Panel) -> None:
     """Build the page of one browser."""
     ui.add_css(STYLE + CHIP_STYLE)
     ui.colors(primary=PRIMARY)
-    updates = BrowserUpdates()
-    gate = EventGate(panel, ui.context.client)
+    updates, gate = BrowserUpdates(), EventGate(panel, ui.context.client)
+    axes = panel.session.stage.axes
     with ui.header().classes("items-center q-py-xs q-px-md"):
-        build_toolbar(panel, updates, gate)
+        Toolbar(panel, updates, gate)
     with ui.element("div").classes("panel"):
         with ui.element("div").classes("machine"):
             build_scene(panel, updates)
-            build_axis_cards(panel, updates)
-            build_oscilloscope(panel, updates)
+            with ui.row().classes("w-full"):
+                for axis in axes.values():
+                    AxisCard(panel, updates, axis)
+            if axes:
+                OscilloscopeView(panel, updates)
         with ui.element("div").classes("desk"):
-            build_tour(panel)
-            with ui.element("div").classes("desk") as drives:
-                build_procedures(panel)
-            gate.guard_driving(drives)
-            with ui.element("div").classes("desk") as machine:
-                build_fault_controls(panel)
-            gate.guard_machine(machine)
-            with ui.element("div").classes("desk") as drives:
-                build_console(panel, updates)
-                build_chip_panels(panel, updates)
-            gate.guard_driving(drives)
+            TourView(panel)
+            with ui.element("div").classes("desk") as procedures:
+                if axes:
+                    Procedures(panel, list(axes))
+            gate.guard_driving(procedures)
+            with ui.element("div").classes("desk") as faults:
+                if axes:
+                    FaultPanel(panel, list(axes))
+            gate.guard_machine(faults)
+            with ui.element("div").classes("desk") as chips:
+                Console(panel, updates)
+                for k in range(len(panel.observer.traces)):
+                    ChipCard(panel, updates, k)
+            gate.guard_driving(chips)
 
 
 PRIMARY = "#2f74b5"  # white on it, and it on white, has a contrast of 4.9

@@ -1,12 +1,12 @@
-"""Procedures as forms: the fields of each, in the units of the axis, and how it begins. No page.
+"""Procedures as forms: the fields of each, in the units of the axis, and the call of stage.firmware that it makes. No page.
 
     form = FORMS["move"]
-    fields = form.fields(stage, "x")
+    fields = form.list_fields(stage, "x")
     run = form.prepare(stage, "x", {"distance": "10", "speed": ""})        ArgumentError, or FieldError, says what is wrong
     session.act("move x", run).result()                                    a report
 
-Fields that are empty are left to the procedure. Nothing here knows a chip: what can be done comes from its driver, and what a chip
-cannot do comes as the numbers of the driver's error, which `to_field_error` tells in the unit of the field.
+The procedure decides about fields that are empty. Nothing here knows a chip family: the driver says what a chip can do, and an
+error of the driver has its bounds as numbers, which `to_field_error` converts to the unit of the field.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import io
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import combinations
-from math import isfinite, radians
+from itertools import chain, combinations, repeat
+from math import inf, isfinite, radians
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from stage.errors import ArgumentError, StageError, a_or_an
@@ -24,18 +24,28 @@ from stage.firmware import procedures
 from stage.firmware.driver import Driver, driver_of
 from stage.firmware.report import Procedure
 from stage.panel.stage_thread import has_end_limits
+from stage.units import whole
 
 if TYPE_CHECKING:
     from stage.sim.axis import Axis
     from stage.sim.stage import Stage
 
+MAX_TRAVELS = {True: 10, False: 100}
+"""Travels that a form moves, of an axis with end limits and of one that turns without end: every chip counts as far."""
+MIN_SPEED_PPS = 1.0
+MAX_RAMP_S = 60.0  # chips that take no more use the slowest ramp that they have, and report nothing
+DIRECTIONS = {"minus": -1, "plus": 1}
+RAMP_SHAPES = {"straight": False, "S-curve": True}
+LINE_DEFAULTS = ("20", "-7.5")  # distances of the first axes
+Values = dict[str, Any]
 
-MAX_TRAVELS = {
-    True: 10,
-    False: 100,
-}  # travels, of an axis that has end limits and of one that turns without end: no chip counts less
-SLOWEST = 1.0  # pulses a second
-MAX_RAMP_S = 60.0  # s: chips that take no more fall back on the slowest ramp that they have, without a word
+
+class FieldError(ArgumentError):
+    """Error about the text in `field`; it says why that cannot be."""
+
+    def __init__(self, field: str, text: str):
+        super().__init__(text)
+        self.field = field
 
 
 class Field(NamedTuple):
@@ -44,9 +54,15 @@ class Field(NamedTuple):
     Attributes:
         name: Name of the value.
         title: Label.
-        unit: "" of a number without one.
-        default: As text.
-        choices: What can be chosen; empty: a number.
+        unit: Unit of the number; "" of a number without one.
+        default: Text at first.
+        choices: Texts to choose from; empty: a number.
+        scale: SI value of one unit.
+        least, most: Bounds of the number, in `unit`.
+        allowed: The bounds in words.
+        is_signed: The bounds are those of its magnitude.
+        is_whole: The number is a whole one, which may be hexadecimal.
+        missing: What to say where the field is empty; "": it may be.
     """
 
     name: str
@@ -54,134 +70,133 @@ class Field(NamedTuple):
     unit: str = ""
     default: str = ""
     choices: tuple[str, ...] = ()
+    scale: float = 1.0
+    least: float = -inf
+    most: float = inf
+    allowed: str = ""
+    is_signed: bool = False
+    is_whole: bool = False
+    missing: str = ""
 
-
-class FieldError(ArgumentError):
-    """Error about what a user typed in `field`; the text says why it cannot be."""
-
-    def __init__(self, field: str, text: str):
-        super().__init__(text)
-        self.field = field
-
-
-def parse_fields(fields: list[Field], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of a form's texts; empty ones are left out. Raises FieldError."""
-    out: dict[str, Any] = {}
-    for field in fields:
-        text = str(given.get(field.name, field.default) or "").strip()
-        if not text:
-            continue
-        if field.choices:
-            if text not in field.choices:
-                raise FieldError(field.name, f"{text!r}: {', '.join(field.choices)}.")
-            out[field.name] = text
-            continue
+    def parse(self, text: str) -> Any:
+        """Return the value of a text: a choice, or a number in SI units. Raises FieldError."""
+        if self.choices:
+            if text not in self.choices:
+                raise FieldError(self.name, f"{text!r}: {', '.join(self.choices)}.")
+            return text
+        if self.is_whole:
+            if (number := whole(text)) is None:
+                raise FieldError(self.name, f"{text!r} is not a whole number: 16, 0x10 or 10h.")
+            return number
         try:
-            out[field.name] = float(text.replace(",", "."))
+            value = float(text.replace(",", "."))
         except ValueError:
-            raise FieldError(
-                field.name, f"{text!r} is not a number{f' of {field.unit}' if field.unit else ''}."
-            ) from None
-        if not isfinite(out[field.name]):
-            raise FieldError(field.name, f"{text!r}: a finite number.")
-    return out
+            of_unit = f" of {self.unit}" if self.unit else ""
+            raise FieldError(self.name, f"{text!r} is not a number{of_unit}.") from None
+        if not isfinite(value):
+            raise FieldError(self.name, f"{text!r} is not a finite number.")
+        if not self.least <= (abs(value) if self.is_signed else value) <= self.most:
+            raise FieldError(self.name, f"{value:g} {self.unit}: {self.allowed}.")
+        return value * self.scale
 
 
-def find_scale(axis: Axis) -> tuple[str, float]:
-    """Return the unit that people use of an axis, and what it is in the stage's."""
-    return ("mm", 1e-3) if axis.unit == "m" else ("deg", radians(1))
+def parse_fields(fields: list[Field], texts: Mapping[str, Any]) -> Values:
+    """Return the values of a form, in SI units; those of empty fields are left out, choices are as at first.
 
+    Args:
+        fields: Fields of the form.
+        texts: Texts by field; a field that is not there has its default.
 
-def to_field_error(error: StageError, axis: Axis, given: Mapping[str, Any], fields: list[Field]) -> StageError:
-    """Return an error about what a chip cannot do as one of its field, in its unit; an error about no field as it is."""
-    limit, names = getattr(error, "limit", None), {f.name: f for f in fields}
-    if limit is None:
-        return error
-    name, least, most, value = limit.what, limit.least, limit.most, limit.given
-    if name == "acceleration":  # of a ramp as long as its speed takes
-        drive = procedures.parse_speeds(axis, {"speed": _typed(given, "speed", axis)}).drive
-        name, least, most, value = "accel", drive / most, drive / least, drive / value
-    elif name != "accel":
-        pulse = (axis.meters_per_pulse or 1.0) / find_scale(axis)[1]
-        least, most, value = least * pulse, most * pulse, value * pulse
-    name = {"pulses": "distance", "start_speed": "start_speed" if given.get("start_speed") else "speed"}.get(name, name)
-    if name not in names:
-        return error
-    ends = (
-        f"{least:.3g} to {most:.3g}"
-        if least and isfinite(most)
-        else f"{least:.3g} or more"
-        if least
-        else f"up to {most:.3g}"
-    )
-    unit = names[name].unit
-    return FieldError(name, f"{value:.4g} {unit}: {a_or_an(axis.chip.MAP.chip)} makes {ends} {unit} here.")
-
-
-def _typed(given: Mapping[str, Any], name: str, axis: Axis) -> float | None:
-    """Return a speed that a user typed, m/s; None: none."""
-    text = str(given.get(name) or "").strip().replace(",", ".")
-    return float(text) * find_scale(axis)[1] if text else None
+    Raises:
+        FieldError: A text does not fit its field, or one that is needed is missing.
+    """
+    values: Values = {}
+    for field in fields:
+        text = str(texts.get(field.name, field.default) or "").strip() or (field.default if field.choices else "")
+        if text:
+            values[field.name] = field.parse(text)
+        elif field.missing:
+            raise FieldError(field.name, field.missing)
+    return values
 
 
 def find_field(error: BaseException, fields: list[Field]) -> str:
-    """Return the field that an error is about, or ""."""
+    """Return the name of the field that an error is about, or ""."""
     if isinstance(error, FieldError):
         return error.field
     text = str(error)
     return next((f.name for f in fields if text.startswith((f"{f.name}=", f"{f.name}:"))), "")
 
 
-def require(values: dict[str, Any], name: str, what: str) -> Any:
-    """Return a value of a form. Raises FieldError where it is empty."""
-    if name not in values:
-        raise FieldError(name, f"say {what}.")
-    return values[name]
+def find_unit(axis: Axis) -> tuple[str, float]:
+    """Return the unit in which people give positions of an axis, and its SI value."""
+    return ("mm", 1e-3) if axis.unit == "m" else ("deg", radians(1))
+
+
+def to_field_error(error: StageError, axis: Axis, texts: Mapping[str, Any], fields: list[Field]) -> StageError:
+    """Return an error about a limit of a chip as an error of the field, in the field's unit; any other error as it is.
+
+    Args:
+        error: Error of a procedure.
+        axis: Axis that the form is about.
+        texts: Texts of the fields.
+        fields: Fields of the form.
+    """
+    limit, by_name = getattr(error, "limit", None), {f.name: f for f in fields}
+    if limit is None:
+        return error
+    name, bounds = limit.what, (limit.least, limit.most, limit.given)
+    if name == "acceleration":  # the form has the time that a ramp to the drive speed takes
+        speed = by_name["speed"].parse(str(texts["speed"])) if texts.get("speed") else None
+        drive = procedures.parse_speeds(axis, {"speed": speed}).drive
+        name, bounds = "accel", (drive / limit.most, drive / limit.least, drive / limit.given)
+    elif name != "accel":
+        pulse = (axis.meters_per_pulse or 1.0) / find_unit(axis)[1]
+        bounds = tuple(bound * pulse for bound in bounds)
+    if name == "pulses":
+        name = "distance"
+    elif name == "start_speed" and not texts.get("start_speed"):
+        name = "speed"
+    if name not in by_name:
+        return error
+    least, most, value = bounds
+    allowed = f"{least:.3g} to {most:.3g}" if isfinite(most) else f"{least:.3g} or more"
+    if not least:
+        allowed = f"up to {most:.3g}"
+    unit = by_name[name].unit
+    return FieldError(name, f"{value:.4g} {unit}: {a_or_an(axis.chip.MAP.chip)} makes {allowed} {unit} here.")
+
+
+def distance_field(axis: Axis, name: str, title: str, default: str, missing: str = "") -> Field:
+    """Return the field of a distance, from a pulse to many times the travel of the axis."""
+    unit, scale = find_unit(axis)
+    travels = MAX_TRAVELS[has_end_limits(axis)]
+    pulse, most = (axis.meters_per_pulse or 0.0) / scale, travels * (axis.travel[1] - axis.travel[0]) / scale
+    allowed = (
+        f"at least one pulse, {pulse:.4g} {unit}, and up to {most:g} {unit}, {travels} times the travel of {axis.name}"
+    )
+    return Field(
+        name, title, unit, default, scale=scale, least=0.5 * pulse, most=most, allowed=allowed, is_signed=True, missing=missing
+    )  # fmt: skip
+
+
+def speed_field(axis: Axis, name: str, title: str, default: str = "", missing: str = "") -> Field:
+    """Return the field of a speed, of a pulse a second or more."""
+    length, scale = find_unit(axis)
+    unit, least = f"{length}/s", (axis.meters_per_pulse or 0.0) * MIN_SPEED_PPS / scale
+    allowed = f"a speed is more than 0, and one pulse a second, {least:.3g} {unit}, or more"
+    return Field(name, title, unit, default, scale=scale, least=least, allowed=allowed, missing=missing)
 
 
 def list_speed_fields(axis: Axis) -> list[Field]:
     """Return the fields of speed and ramp that an axis has."""
-    unit, _ = find_scale(axis)
-    fields = [Field("speed", "speed", f"{unit}/s")]
-    if not driver_of(axis).has_position_loop:
-        fields.append(Field("start_speed", "start speed", f"{unit}/s"))
-    return [*fields, Field("accel", "ramp", "s", "0.15")]
+    start = [] if driver_of(axis).has_position_loop else [speed_field(axis, "start_speed", "start speed")]
+    return [speed_field(axis, "speed", "speed"), *start, RAMP_FIELD]
 
 
-def parse_distance(axis: Axis, name: str, value: float) -> float:
-    """Return a typed distance in m (rad). Raises FieldError for less than a pulse, and for many times the travel."""
-    unit, k = find_scale(axis)
-    pulse, most = (
-        (axis.meters_per_pulse or 0.0) / k,
-        MAX_TRAVELS[has_end_limits(axis)] * (axis.travel[1] - axis.travel[0]) / k,
-    )
-    if abs(value) < 0.5 * pulse:
-        raise FieldError(name, f"{value:g} {unit}: less than a pulse, which is {pulse:.4g} {unit}.")
-    if abs(value) > most:
-        raise FieldError(name, f"{value:g} {unit}: up to {most:g} {unit}, many times the travel of {axis.name}.")
-    return value * k
-
-
-def parse_speeds(axis: Axis, values: dict[str, Any]) -> dict[str, Any]:
-    """Return typed speeds and ramp in m/s (rad/s) and s. Raises FieldError."""
-    _, k = find_scale(axis)
-    out: dict[str, Any] = {}
-    for name, factor in (("speed", k), ("start_speed", k), ("accel", 1.0)):
-        if name in values:
-            if not values[name] > 0:
-                raise FieldError(name, f"{values[name]:g}: more than 0.")
-            if name == "accel" and values[name] > MAX_RAMP_S:
-                raise FieldError(name, f"{values[name]:g} s: up to {MAX_RAMP_S:g} s.")
-            out[name] = values[name] * factor
-            least = (axis.meters_per_pulse or 0.0) * SLOWEST
-            if name != "accel" and out[name] < least:
-                unit = f"{find_scale(axis)[0]}/s"
-                raise FieldError(name, f"{values[name]:g} {unit}: {least / k:.3g} {unit}, a pulse a second, or more.")
-    return out
-
-
-ALL_AXES = ""
-"""The axis of a form that is about several."""
+RAMP_FIELD = Field(
+    "accel", "ramp", "s", "0.15", least=1e-9, most=MAX_RAMP_S, allowed=f"a ramp takes more than 0 and up to {MAX_RAMP_S:g} s"
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -190,187 +205,184 @@ class ProcedureForm:
 
     Attributes:
         name, title: For programs, and for people.
-        fields: Returns the fields for an axis, by its name; ALL_AXES for a form about several.
-        begin: Returns what the stage's thread is to call, for the values of the fields.
+        list_fields: Returns the fields for an axis, by its name.
+        begin: Returns the function that the stage's thread is to call, for the values of the fields.
         several: It is about several axes.
-        needs: Whether the stage and axis can do it.
+        is_available: Returns whether the stage and the axis can do it.
         finds_origin: After it one knows where the carriage is.
     """
 
     name: str
     title: str
-    fields: Callable[[Stage, str], list[Field]]
-    begin: Callable[[Stage, str, dict[str, Any]], Callable[[Stage], Any]]
+    list_fields: Callable[[Stage, str], list[Field]]
+    begin: Callable[[Stage, str, Values], Callable[[Stage], Any]]
     several: bool = False
-    needs: Callable[[Stage, str], bool] = lambda stage, axis: True
+    is_available: Callable[[Stage, str], bool] = lambda stage, axis: True
     finds_origin: bool = False
 
-    def prepare(self, stage: Stage, axis: str, given: Mapping[str, str]) -> Callable[[Stage], Any]:
-        """Return what `Session.act` takes. Raises FieldError, ArgumentError."""
-        return self.begin(stage, axis, parse_fields(self.fields(stage, axis), given))
+    def prepare(self, stage: Stage, axis: str, texts: Mapping[str, str]) -> Callable[[Stage], Any]:
+        """Return the function for `Session.act`.
+
+        Args:
+            stage: The stage.
+            axis: Name of an axis.
+            texts: Texts of the fields.
+
+        Raises:
+            FieldError: A text does not fit its field.
+            ArgumentError: The chip cannot do it.
+        """
+        return self.begin(stage, axis, parse_fields(self.list_fields(stage, axis), texts))
 
 
-# --- move ---
+def list_move_fields(stage: Stage, name: str) -> list[Field]:
+    """Return the fields of a move."""
+    axis, shapes = stage.axes[name], tuple(RAMP_SHAPES)
+    distance = distance_field(axis, "distance", "distance", "10", "say how far.")
+    return [distance, *list_speed_fields(axis), Field("s_curve", "ramps", default=shapes[0], choices=shapes)]
 
 
-def _move_fields(stage: Stage, name: str) -> list[Field]:
+def begin_move(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any]:
+    """Prepare a move."""
+    values["s_curve"] = RAMP_SHAPES[values["s_curve"]]
+    return lambda stage: procedures.move(stage.axes[name], **values)
+
+
+def list_rates_fields(stage: Stage, name: str) -> list[Field]:
+    """Return the fields of a move with two drive speeds."""
     axis = stage.axes[name]
-    shapes = ("straight", "S-curve")
-    return [Field("distance", "distance", find_scale(axis)[0], "10"), *list_speed_fields(axis),
-            Field("s_curve", "ramps", "", shapes[0], shapes)]  # fmt: skip
-
-
-def _move(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], Any]:
-    axis = stage.axes[name]
-    distance = parse_distance(axis, "distance", require(values, "distance", "how far"))
-    speeds, curved = parse_speeds(axis, values), values.get("s_curve") == "S-curve"
-    return lambda stage: procedures.move(axis, distance, s_curve=curved, **speeds)
-
-
-# --- two rates ---
-
-
-def _two_fields(stage: Stage, name: str) -> list[Field]:
-    axis = stage.axes[name]
-    unit, _ = find_scale(axis)
-    return [Field("distance", "distance", unit, "40"), Field("speed", "first speed", f"{unit}/s", "20"),
-            Field("fast", "second speed", f"{unit}/s", "40"), Field("dwell", "time at each", "s", "0.2"),
-            Field("accel", "ramp", "s", "0.15")]  # fmt: skip
-
-
-def _two(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], Any]:
-    axis = stage.axes[name]
-    _, k = find_scale(axis)
-    pulses = procedures.pulses_of(axis, parse_distance(axis, "distance", require(values, "distance", "how far")), None)
-    fast = require(values, "fast", "how fast") * k / (axis.meters_per_pulse or 1.0)
-    dwell, speeds = values.get("dwell", 0.2), procedures.parse_speeds(axis, parse_speeds(axis, values))
-    if not fast > 0:
-        raise FieldError("fast", f"{values['fast']:g}: more than 0.")
-    if dwell < 0:
-        raise FieldError("dwell", f"{dwell:g}: 0 s or more.")
-    return lambda stage: procedures.two_rates(axis, pulses=pulses, speed=speeds.with_second(fast), dwell=dwell)
-
-
-# --- home ---
-
-DIRECTIONS = ("minus", "plus")
-
-
-def _home_fields(stage: Stage, name: str) -> list[Field]:
-    axis = stage.axes[name]
-    how = driver_of(axis).homings()
     return [
-        Field("direction", "origin lies", "", DIRECTIONS[0], DIRECTIONS),
-        Field("by", "by", "", how[0], how),
+        distance_field(axis, "distance", "distance", "40", "say how far."),
+        speed_field(axis, "speed", "first speed", "20"),
+        speed_field(axis, "fast", "second speed", "40", "say how fast."),
+        Field("dwell", "time at each", "s", "0.2", least=0.0, allowed="a time is 0 s or more"),
+        RAMP_FIELD,
+    ]
+
+
+def begin_two_rates(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any]:
+    """Prepare a move with two drive speeds."""
+    axis = stage.axes[name]
+    distance, second = values["distance"], values["fast"] / (axis.meters_per_pulse or 1.0)
+    speeds, dwell = procedures.parse_speeds(axis, values).with_second(second), values.get("dwell", 0.2)
+    return lambda stage: procedures.two_rates(axis, distance, speed=speeds, dwell=dwell)
+
+
+def has_two_rates(stage: Stage, name: str) -> bool:
+    """Return whether the chip of an axis has two drive speeds; others would make a plain move of it."""
+    return "second" in driver_of(stage.axes[name]).OPTIONS
+
+
+def list_home_fields(stage: Stage, name: str) -> list[Field]:
+    """Return the fields of an origin return."""
+    axis, directions = stage.axes[name], tuple(DIRECTIONS)
+    homings = driver_of(axis).homings()
+    return [
+        Field("direction", "origin lies", default=directions[0], choices=directions),
+        Field("by", "by", default=homings[0], choices=homings),
         *list_speed_fields(axis),
     ]
 
 
-def _home(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], Any]:
-    axis = stage.axes[name]
-    direction, by = (1 if values.get("direction") == "plus" else -1), values.get("by")
-    speeds = parse_speeds(axis, values)
-    return lambda stage: procedures.home(axis, direction, by=by, **speeds)
+def begin_home(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any]:
+    """Prepare an origin return."""
+    values["direction"] = DIRECTIONS[values["direction"]]
+    return lambda stage: procedures.home(stage.axes[name], **values)
 
 
-# --- line ---
+def list_line_fields(stage: Stage, name: str) -> list[Field]:
+    """Return the fields of a line: a distance of each axis."""
+    defaults = chain(LINE_DEFAULTS, repeat(""))
+    distances = [distance_field(axis, n, n, d) for (n, axis), d in zip(stage.axes.items(), defaults, strict=False)]
+    distances = [field._replace(least=0.0) for field in distances]  # 0 keeps an axis still
+    return [*distances, speed_field(next(iter(stage.axes.values())), "speed", "speed"), RAMP_FIELD]
 
 
-def _line_fields(stage: Stage, name: str) -> list[Field]:
-    distances = [
-        Field(n, n, find_scale(a)[0], d)
-        for (n, a), d in zip(stage.axes.items(), ("20", "-7.5", *[""] * 99), strict=False)
-    ]
-    return [*distances, *(f for f in list_speed_fields(next(iter(stage.axes.values()))) if f.name != "start_speed")]
-
-
-def _line(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], Any]:
-    distances = {n: parse_distance(a, n, values[n]) for n, a in stage.axes.items() if values.get(n)}
+def begin_line(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any]:
+    """Prepare a line."""
+    distances = {n: distance for n in stage.axes if (distance := values.pop(n, 0.0))}
     if not distances:
         raise FieldError(next(iter(stage.axes)), "nothing moves: give at least one axis a distance.")
-    speeds = parse_speeds(next(iter(stage.axes.values())), values)
-    return lambda stage: procedures.line(distances, stage.axes, **speeds)
+    return lambda stage: procedures.line(distances, stage.axes, **values)
 
 
-# --- circle ---
-
-
-def _pairs(stage: Stage) -> list[str]:
-    """Return two axes each of a chip that draws circles with them: "x y"."""
+def list_circle_pairs(stage: Stage) -> list[str]:
+    """Return the pairs of axes with which a chip draws circles: "x y"."""
     axes = [a for a in stage.axes.values() if type(driver_of(a)).circle is not Driver.circle]
     return [f"{a.name} {b.name}" for a, b in combinations(axes, 2) if a.chip is b.chip and a.unit == b.unit]
 
 
-def _circle_fields(stage: Stage, name: str) -> list[Field]:
-    pairs = tuple(_pairs(stage))
+def list_circle_fields(stage: Stage, name: str) -> list[Field]:
+    """Return the fields of a circle."""
+    pairs = tuple(list_circle_pairs(stage))
     axis = stage.axes[pairs[0].split()[0]]
-    unit, _ = find_scale(axis)
-    return [Field("axes", "axes", "", pairs[0], pairs), Field("radius", "radius", unit, "5"), *list_speed_fields(axis)]
+    radius = distance_field(axis, "radius", "radius", "5", "say how large.")
+    return [Field("axes", "axes", default=pairs[0], choices=pairs), radius, *list_speed_fields(axis)]
 
 
-def _circle(stage: Stage, name: str, values: dict[str, Any]) -> Callable[[Stage], Any]:
+def begin_circle(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any]:
+    """Prepare a circle."""
     first, second = (stage.axes[n] for n in values["axes"].split())
-    radius = procedures.pulses_of(first, parse_distance(first, "radius", require(values, "radius", "how large")), None)
-    speeds = procedures.parse_speeds(first, parse_speeds(first, values))
+    radius, speeds = procedures.pulses_of(first, values["radius"], None), procedures.parse_speeds(first, values)
     return lambda stage: driver_of(first).circle(driver_of(second), radius, speeds)
 
 
-def _two_can(stage: Stage, name: str) -> bool:
-    """Return whether the chip has two drive speeds; others would make a plain move of it."""
-    return "second" in driver_of(stage.axes[name]).OPTIONS
-
-
 FORMS: dict[str, ProcedureForm] = {
-    f.name: f
-    for f in (
-        ProcedureForm("move", "Move", _move_fields, _move),
-        ProcedureForm("two_rates", "Two rates", _two_fields, _two, needs=_two_can),
-        ProcedureForm("home", "Home", _home_fields, _home, finds_origin=True),
-        ProcedureForm("line", "Line", _line_fields, _line, several=True, needs=lambda stage, axis: len(stage.axes) > 1),
-        ProcedureForm(
-            "circle", "Circle", _circle_fields, _circle, several=True, needs=lambda stage, axis: bool(_pairs(stage))
-        ),
+    form.name: form
+    for form in (
+        ProcedureForm("move", "Move", list_move_fields, begin_move),
+        ProcedureForm("two_rates", "Two rates", list_rates_fields, begin_two_rates, is_available=has_two_rates),
+        ProcedureForm("home", "Home", list_home_fields, begin_home, finds_origin=True),
+        ProcedureForm("line", "Line", list_line_fields, begin_line, True, lambda stage, axis: len(stage.axes) > 1),
+        ProcedureForm("circle", "Circle", list_circle_fields, begin_circle, True, lambda s, axis: bool(list_circle_pairs(s))),
     )
-}
+}  # fmt: skip
 """Every form by name."""
+
+
+def list_jog_fields(axis: Axis) -> list[Field]:
+    """Return the fields of a jog."""
+    return [field for field in list_speed_fields(axis) if field.name != "start_speed"]
 
 
 class Jog:
     """Axis that runs while a button is held: `session.act("jog x", Jog(axis, 1, {"speed": "20"}).run)`, then `release()`.
+
+    Args:
+        axis: The axis.
+        direction: +1 or -1.
+        texts: Texts of the fields.
 
     Raises:
         FieldError: A text does not fit its field.
         ArgumentError: The chip cannot go so fast.
     """
 
-    def __init__(self, axis: Axis, direction: int, given: Mapping[str, str]):
+    def __init__(self, axis: Axis, direction: int, texts: Mapping[str, str]):
         self.axis, self.direction = axis, direction
-        typed = parse_speeds(axis, parse_fields(list_speed_fields(axis), given))
-        self._speeds = procedures.parse_speeds(axis, typed)
+        self._speeds = procedures.parse_speeds(axis, parse_fields(list_jog_fields(axis), texts))
         self._released = threading.Event()
 
     def release(self) -> None:
-        """End the run: the button is let go."""
+        """End the run."""
         self._released.set()
 
     def run(self, stage: Stage) -> Any:
-        """Run until the button is let go or something stops the axis; return a report."""
+        """Run until `release` or until something stops the axis; return a report. Raises StageError at an end limit."""
         driver = driver_of(self.axis)
         driver.prepare()
         with Procedure(self.axis, "jog") as p:
             driver.run(self.direction, self._speeds)
             stage.run_until(lambda: self._released.is_set() or not driver.is_running(), 1e6)
-            met = "" if driver.is_running() else driver.explain_end(False, p.journal)
+            stopped_by = "" if driver.is_running() else driver.explain_end(False, p.journal)
             driver.halt()
-            report = p.report(met or "decelerating stop")
-        if met and not report.pulses:
-            raise self._stands(met)
+            report = p.report(stopped_by or "decelerating stop")
+        if stopped_by and not report.pulses:
+            sign = "+" if self.direction > 0 else "-"
+            raise StageError(
+                f"{self.axis.name} stands on its end limit, {stopped_by}, and does not go {sign}: jog the other way."
+            )
         return report
-
-    def _stands(self, limit: str) -> StageError:
-        way = "+" if self.direction > 0 else "-"
-        on = f", {limit}" if limit else ""
-        return StageError(f"{self.axis.name} stands on its end limit{on}, and does not go {way}: jog the other way.")
 
 
 def draw_pattern(report: Any) -> str:

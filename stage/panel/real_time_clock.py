@@ -11,7 +11,7 @@ from time import perf_counter
 
 from stage.errors import ArgumentError
 
-SLICE_S = 0.02  # real seconds that pass between two looks at what users want
+SLICE_S = 0.02  # real seconds between two checks for orders
 MAX_COMPUTING_S = 0.01  # real seconds that a slice may compute: half of it, for machines with other work
 MAX_LAG_S = 0.2  # real seconds that a stage may be late before it gives up catching up
 MEASURING_TIME_S = 0.25  # real seconds over which the achieved speed is taken, at least
@@ -94,7 +94,7 @@ class RealTimeClock:
         return left
 
     def measure(self, now: int) -> None:
-        """StageObserver at the time, for `achieved_speed`."""
+        """Renew `achieved_speed` at simulated time `now`, ns."""
         passed = perf_counter() - self._measured[0]
         if passed > MEASURING_TIME_S:
             self.achieved_speed = (now - self._measured[1]) * 1e-9 / passed

@@ -72,8 +72,8 @@ class FrontPanel:
         for w in written:
             if w.address in coded:
                 continue
-            chosen = [f for f in w.fields if not is_fixed(f)]
-            values = chosen[0].values if len(chosen) == 1 and chosen[0].low == 0 else {}
+            free = [f for f in w.fields if not is_fixed(f)]
+            values = free[0].values if len(free) == 1 and free[0].low == 0 else {}
             for code, title in (w.sends or values).items():
                 label = f"{w.fixed | code:0{w.bits // 4}X}h"
                 yield (
@@ -110,8 +110,8 @@ def describe_evidence(letter: str) -> str:
 def describe_range(register: Register) -> str:
     """Return the values that a register takes, as the data sheet says, or as its bits are."""
     low, high = register.range
-    said = " or ".join([f"{low} to {high}", *map(str, register.also)])
-    return said if register.legal else f"{said} ({register.bits} bits)"
+    values = " or ".join([f"{low} to {high}", *map(str, register.also)])
+    return values if register.legal else f"{values} ({register.bits} bits)"
 
 
 def format_value(register: Register | Word, value: int) -> str:
@@ -126,16 +126,14 @@ def describe_value(register: Register | Word, value: int) -> str:
     word = value & (1 << register.bits) - 1
     if not register.fields:
         return f"{word:X}h" if abs(value) > 9 else ""
-    told = [f for f in register.fields if not is_fixed(f) and f.of(word) != f.silent]
-    said = [f.says(f.of(word)) or (f"{f.name} = {f.of(word)}" if f.of(word) else "") for f in told]
-    return ", ".join(text for text in said if text)
+    fields = [(f, f.of(word)) for f in register.fields if not is_fixed(f) and f.of(word) != f.silent]
+    texts = [f.says(value) or (f"{f.name} = {value}" if value else "") for f, value in fields]
+    return ", ".join(text for text in texts if text)
 
 
 def list_choices(field: Field) -> dict[int, str]:
     """Return what a field can be, for a list; empty where it is a number."""
-    if field.values:
-        return {v: f"{v}  {text}" for v, text in field.values.items()}
-    return {}
+    return {v: f"{v}  {text}" for v, text in field.values.items()}
 
 
 def replace_field(word: int, field: Field, value: int) -> int:
@@ -213,7 +211,7 @@ class BusCycle(NamedTuple):
 
 
 class ConsoleCommand(NamedTuple):
-    """What a line of the console means: bus cycles, and an answer that needs none."""
+    """Meaning of a line of the console: bus cycles, and an answer that needs none."""
 
     cycles: tuple[BusCycle, ...]
     answer: str = ""
@@ -223,9 +221,8 @@ def list_names(kind: type[Chip]) -> list[str]:
     """Return every name that a line may begin with."""
     map_ = kind.MAP
     words = (w.name for w in map_.words if w.written)
-    return list(
-        dict.fromkeys((*(r.name for r in map_.registers), *words, *(c.symbol for c in map_.commands), "read", "help"))
-    )
+    registers, commands = (r.name for r in map_.registers), (c.symbol for c in map_.commands)
+    return list(dict.fromkeys((*registers, *words, *commands, "read", "help")))
 
 
 def complete_name(kind: type[Chip], text: str) -> list[str]:
@@ -252,8 +249,8 @@ def parse_line(kind: type[Chip], text: str, axis: int = 0, values: Mapping[str, 
         raise ArgumentError("nothing to do: `help` lists what can be written here.")
     if first.lower() == "help":
         return ConsoleCommand((), _help(kind, rest.strip()))
-    if found := ASSIGN.fullmatch(line):
-        return _assign(kind, found.group(1), found.group(2), axis, values)
+    if match := ASSIGN.fullmatch(line):
+        return _assign(kind, match[1], match[2], axis, values)
     if first.lower() == "read":
         if not rest.strip():
             raise ArgumentError(f"read: an address is missing, 0 to {kind.ADDRESSES - 1:X}h.")
@@ -262,68 +259,67 @@ def parse_line(kind: type[Chip], text: str, axis: int = 0, values: Mapping[str, 
         address, _, data = line.partition(":")
         if not data.strip():
             raise ArgumentError(f"{line}: the data are missing, as in {address.strip()}: 1F.")
-        at = _address(kind, address)
-        return ConsoleCommand(tuple(BusCycle(False, at, _datum(kind, d)) for d in data.split()))
+        return _write_data(kind, _address(kind, address), data.split())
     return _named(kind, first, rest.strip(), axis, values) or _bytes(kind, line)
 
 
-def _assign(kind: type[Chip], name: str, given: str, axis: int, values: Mapping[str, int]) -> ConsoleCommand:
-    whole, _, part = name.partition(".")
-    place = _place(kind, whole)
-    if place is None and not part and (cycles := _number_of_several(kind, whole, given, axis)):
-        return ConsoleCommand(cycles)
+def _assign(kind: type[Chip], name: str, text: str, axis: int, values: Mapping[str, int]) -> ConsoleCommand:
+    """Return the cycles of `name <- text`, where the name may have a field: R14.linear."""
+    place_name, _, part = name.partition(".")
+    place = _place(kind, place_name)
     if place is None:
-        raise ArgumentError(f"no register or word of {kind.MAP.chip} is called {whole!r}.{_near(kind, whole)}")
+        if not part and (cycles := _number_of_several(kind, place_name, text, axis)):
+            return ConsoleCommand(cycles)
+        near = _near(kind, place_name)
+        raise ArgumentError(f"no register or word of {kind.MAP.chip} is called {place_name!r}.{near}")
     if isinstance(place, Register) and "W" not in place.access:
         raise ArgumentError(f"{place.name} ({place.title}) can only be read.")
     if part:
         field = kind.MAP.field(place.name, part)
-        value = replace_field(values.get(place.name, 0), field, parse_number(given, field.high - field.low + 1))
+        value = replace_field(values.get(place.name, 0), field, parse_number(text, field.high - field.low + 1))
     else:
-        value = parse_number(given, place.bits)
+        value = parse_number(text, place.bits)
     return ConsoleCommand(list_write_cycles(kind, place, value, axis))
 
 
-def _number_of_several(kind: type[Chip], name: str, given: str, axis: int) -> tuple[BusCycle, ...]:
+def _number_of_several(kind: type[Chip], name: str, text: str, axis: int) -> tuple[BusCycle, ...]:
     """Return the cycles of a name that the family knows beside its map, such as a number of several registers; () for none."""
     try:
         kind.register_cycles(name, 0, axis)
     except (ArgumentError, NotImplementedError):
         return ()
-    return tuple(BusCycle(False, *cycle) for cycle in kind.register_cycles(name, parse_number(given, 32), axis))
+    return tuple(BusCycle(False, *cycle) for cycle in kind.register_cycles(name, parse_number(text, 32), axis))
 
 
 def list_write_cycles(kind: type[Chip], place: Register | Word, value: int, axis: int) -> tuple[BusCycle, ...]:
     """Return the cycles that write a register, or a word that a host writes, as a driver makes them."""
     bits = value & (1 << place.bits) - 1
-    found = (
-        kind.register_cycles(place.name, bits, axis)
-        if isinstance(place, Register)
-        else kind.command_cycles(place.name, axis, bits)
+    is_register = isinstance(place, Register)
+    cycles = (
+        kind.register_cycles(place.name, bits, axis) if is_register else kind.command_cycles(place.name, axis, bits)
     )
-    return tuple(BusCycle(False, *cycle) for cycle in found)
+    return tuple(BusCycle(False, *cycle) for cycle in cycles)
 
 
-def _named(kind: type[Chip], name: str, given: str, axis: int, values: Mapping[str, int]) -> ConsoleCommand | None:
-    """Return a command, a word or a register by its name; None: it is none."""
-    map_ = kind.MAP
-    if any(c.symbol == name.upper() for c in map_.commands):
-        c = map_.command(name)
-        datum = parse_number(given, 8 * c.bytes or c.choice.bit_length() or 1) if given else None
-        place = _place(kind, name)
-        if datum is None and isinstance(place, Register) and c.kind != "data read":
-            return ConsoleCommand((), _holds(place, values))
+def _named(kind: type[Chip], name: str, text: str, axis: int, values: Mapping[str, int]) -> ConsoleCommand | None:
+    """Return a command, a word or a register by its name, with its data; None where there is none of this name."""
+    place = _place(kind, name)
+    command = next((c for c in kind.MAP.commands if c.symbol == name.upper()), None)
+    if isinstance(place, Register) and not (text or (command and command.kind == "data read")):
+        return ConsoleCommand((), _holds(place, values))
+    if command is not None:
+        bits = 8 * command.bytes or command.choice.bit_length() or 1
+    elif isinstance(place, Register):
+        return _assign(kind, name, text, axis, values)
+    elif place is not None:
+        bits, name = place.bits, place.name
     else:
-        place = _place(kind, name)
-        if place is None:
-            return None
-        if isinstance(place, Register):
-            return _assign(kind, name, given, axis, values) if given else ConsoleCommand((), _holds(place, values))
-        datum, name = (parse_number(given, place.bits) if given else None), place.name
+        return None
     try:
-        return ConsoleCommand(tuple(BusCycle(False, *cycle) for cycle in kind.command_cycles(name, axis, datum)))
+        cycles = kind.command_cycles(name, axis, parse_number(text, bits) if text else None)
     except NotImplementedError as error:
         raise ArgumentError(f"{error} Write its bytes: `0: 15`.") from error
+    return ConsoleCommand(tuple(BusCycle(False, *cycle) for cycle in cycles))
 
 
 def _bytes(kind: type[Chip], line: str) -> ConsoleCommand:
@@ -333,7 +329,11 @@ def _bytes(kind: type[Chip], line: str) -> ConsoleCommand:
         raise ArgumentError(
             f"{words[0]!r} is no name of {kind.MAP.chip} and no byte.{_near(kind, words[0])} `help` says more."
         )
-    return ConsoleCommand(tuple(BusCycle(False, 0, _datum(kind, w)) for w in words))
+    return _write_data(kind, 0, words)
+
+
+def _write_data(kind: type[Chip], address: int, words: list[str]) -> ConsoleCommand:
+    return ConsoleCommand(tuple(BusCycle(False, address, _datum(kind, word)) for word in words))
 
 
 def _hexadecimal(text: str) -> int:
@@ -373,21 +373,20 @@ def _near(kind: type[Chip], name: str) -> str:
 def _holds(r: Register, values: Mapping[str, int]) -> str:
     if r.name not in values:
         return f"{r.name} ({r.text}) cannot be seen."
-    said = describe_value(r, values[r.name])
-    return f"{r.name} = {format_value(r, values[r.name])}{' ' + r.unit if r.unit else ''}{f' ({said})' if said else ''}: {r.title}"
+    words, unit = describe_value(r, values[r.name]), f" {r.unit}" if r.unit else ""
+    return f"{r.name} = {format_value(r, values[r.name])}{unit}{f' ({words})' if words else ''}: {r.title}"
 
 
 def _help(kind: type[Chip], name: str) -> str:
     if not name:
         return HELP
-    map_, place = kind.MAP, _place(kind, name)
-    if any(c.symbol == name.upper() for c in map_.commands) and not isinstance(place, Register):
-        c = map_.command(name)
-        return f"{c.symbol} {c.hex}: {c.what}" + (
-            f"; takes {c.bytes} bytes" if c.bytes and "read" not in c.kind else ""
-        )
+    place = _place(kind, name)
+    command = next((c for c in kind.MAP.commands if c.symbol == name.upper()), None)
+    if command is not None and not isinstance(place, Register):
+        takes = f"; takes {command.bytes} bytes" if command.bytes and "read" not in command.kind else ""
+        return f"{command.symbol} {command.hex}: {command.what}{takes}"
     if place is None:
-        raise ArgumentError(f"{map_.chip} has nothing that is called {name!r}.{_near(kind, name)}")
+        raise ArgumentError(f"{kind.MAP.chip} has nothing that is called {name!r}.{_near(kind, name)}")
     head = f"{place.name}: {place.text}"
     if isinstance(place, Register):
         head += f"; {describe_range(place)}{' ' + place.unit if place.unit else ''}"

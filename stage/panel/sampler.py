@@ -1,11 +1,11 @@
-"""What a stage does, for charts: samples of the last minute, taken while it runs.
+"""`Sampler`: samples of the last minute of a stage, for charts, taken while it runs. No page.
 
     sampler = Sampler(session)
-    find_traces(stage)                                            what there is to see: rates, positions, currents, every pin
+    find_traces(stage)                                       the traces: rates, positions, currents, every pin
     sampler.columns(["x/position", "x/org"], begin, end)     every sample between two moments
 
-The engine samples at each physics step, as it does for a recording; nothing else runs in the stage's thread than copying what has
-come. Unlike a recording it keeps no journals, forgets what is old, and lets time go back: what then lies in the future is
+The engine samples at each physics step, as it does for a recording; the stage's thread only copies them.
+Unlike a recording it keeps no journals, forgets old samples, and lets time go back: samples that then lie in the future are
 forgotten. While somebody records, the sampler reads the recording's samples.
 """
 
@@ -14,13 +14,14 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from stage.errors import ArgumentError, unknown
-from stage.recording.series import SERIES, Series, series_of
+from stage.recording.series import SERIES, Series, describe_series, series_of
 from stage.sim import handle
 from stage.sim.records import SAMPLE
 
@@ -30,16 +31,17 @@ if TYPE_CHECKING:
     from stage.sim.stage import Stage
 
 ROWS = 4096  # of the engine's buffer: a second, far more than a slice
-FINE = 2.0  # s of physics steps that are kept
-COARSE, MAX_AGE_S = 1e-3, 60.0  # s between the samples of long windows, and how far they go back
-EVENTS = 500  # diagnostics that are remembered
+FINE_S = 2.0  # physics steps that are kept
+INTERVAL_S, MAX_AGE_S = 1e-3, 60.0  # between the samples of long windows, and how far they go back
+MAX_EVENTS = 500  # diagnostics that are kept
 
-_MORE = {
+MORE_SERIES = {
     "velocity": Series("Velocity", ("mm/s", "deg/s"), (1e3, float(np.degrees(1))), 1e-3, lambda s: s["velocity"]),
     "current_a": Series("Current A", ("A", "A"), (1, 1), 0.005, lambda s: s["current_a"], "stepper"),
     "current_b": Series("Current B", ("A", "A"), (1, 1), 0.005, lambda s: s["current_b"], "stepper"),
     "torque": Series("Torque", ("N m", "N m"), (1, 1), 1e-4, lambda s: s["torque"]),
 }
+"""Series of the page that a recording does not show."""
 
 
 class Trace(NamedTuple):
@@ -50,7 +52,7 @@ class Trace(NamedTuple):
         axis: Index of the axis.
         title, unit: For people.
         pin: 0 or 1, on a logic lane.
-        value: Function of samples, in `unit`.
+        value: Function of samples; it returns new values, in `unit`.
         places: Decimals that mean something; those below are rounding errors.
     """
 
@@ -59,7 +61,7 @@ class Trace(NamedTuple):
     title: str
     unit: str
     pin: bool
-    value: Any
+    value: Callable[[np.ndarray], np.ndarray]
     places: int = 0
 
 
@@ -72,125 +74,86 @@ class Event(NamedTuple):
 
 def find_traces(stage: Stage) -> dict[str, Trace]:
     """Return all traces of a stage by name: the quantities of each axis, then its pins."""
-    found = {}
-    for axis in stage.axes.values():
-        for trace in (*_quantities(axis), *_pins(axis)):
-            found[trace.name] = trace
-    return found
+    return {trace.name: trace for axis in stage.axes.values() for trace in (*_list_quantities(axis), *_list_pins(axis))}
 
 
-def _quantities(axis: Axis) -> list[Trace]:
-    hinge, mine = axis.unit != "m", "servo" if axis.drive.has_encoder else "stepper"
-    more = {key: s for key, s in _MORE.items() if s.only in ("", mine)}
-    out = []
-    for key, s in {**series_of(axis), **more}.items():
-        title, unit = s.servo if s.servo and axis.drive.has_encoder else (s.title, s.units[hinge])
-        scale = s.scales[hinge]
-        out.append(
-            Trace(
-                f"{axis.name}/{key}",
-                axis.index,
-                f"{axis.name} {title.lower()}",
-                unit,
-                False,
-                lambda c, s=s, k=scale: s.value(c) * k,
-                1 - math.floor(math.log10(s.tolerance)) if s.tolerance else 0,
-            )
-        )
-    return out
+def _list_quantities(axis: Axis) -> Iterator[Trace]:
+    for key, series in series_of(axis, SERIES | MORE_SERIES).items():
+        title, unit, scale = describe_series(series, axis)
+        places = 1 - math.floor(math.log10(series.tolerance)) if series.tolerance else 0
+        value = partial(_scale_series, series, scale)
+        yield Trace(f"{axis.name}/{key}", axis.index, f"{axis.name} {title.lower()}", unit, False, value, places)
 
 
-def _pins(axis: Axis) -> list[Trace]:
-    out = []
+def _scale_series(series: Series, scale: float, samples: np.ndarray) -> np.ndarray:
+    return series.value(samples) * scale
+
+
+def _list_pins(axis: Axis) -> Iterator[Trace]:
     for field, pins in (("inputs", axis.chip.INPUTS), ("outputs", axis.chip.OUTPUTS)):
         for pin, bit in pins.items():
-            out.append(
-                Trace(
-                    f"{axis.name}/{pin}",
-                    axis.index,
-                    f"{axis.name} {pin}",
-                    "",
-                    True,
-                    lambda c, f=field, b=bit: (c[f] & b != 0).astype(np.int8),
-                )
-            )
-    return out
+            value = partial(_is_asserted, field, bit)
+            yield Trace(f"{axis.name}/{pin}", axis.index, f"{axis.name} {pin}", "", True, value)
+
+
+def _is_asserted(field: str, bit: int, samples: np.ndarray) -> np.ndarray:
+    return (samples[field] & bit != 0).astype(np.int8)
 
 
 class SampleBuffer:
-    """Last `room` samples of all axes, by field. `end`: samples that ever came, less those forgotten by going back."""
+    """Last `room` samples of all axes.
+
+    The rows lie in one piece: where their array, twice as long, is full, the last ones move to its begin.
+
+    Attributes:
+        rows: Records SAMPLE, (samples, axes), oldest first; a view, which the next sample may change.
+    """
 
     def __init__(self, room: int, axes: int):
-        self.room, self.end, self.begin = room, 0, 0
-        self._times = np.zeros(room)
-        self._fields = {name: np.zeros((axes, room), SAMPLE[name]) for name in SAMPLE.names or () if name != "time"}
+        self._room, self._memory = room, np.zeros((2 * room, axes), SAMPLE)
+        self.rows = self._memory[:0]
+        self._end = 0
 
     def extend(self, rows: np.ndarray) -> None:
         """Add rows (n, axes) of SAMPLE, later than all that are here."""
-        rows = rows[-self.room :]
-        n, at = len(rows), self.end % self.room
-        first = min(n, self.room - at)
-        for begin, end, to in ((0, first, at), (first, n, 0)):
-            if end > begin:
-                part = rows[begin:end]
-                self._times[to : to + end - begin] = part["time"][:, 0]
-                for name, kept in self._fields.items():
-                    kept[:, to : to + end - begin] = part[name].T
-        self.end += n
-        self.begin = max(self.begin, self.end - self.room)
+        rows = rows[-self._room :]
+        kept = self.rows[max(0, len(self.rows) + len(rows) - self._room) :]
+        if self._end + len(rows) > len(self._memory):
+            self._memory[: len(kept)] = kept.copy()
+            self._end = len(kept)
+        begin, end = self._end - len(kept), self._end + len(rows)
+        self._memory[self._end : end] = rows
+        self._end, self.rows = end, self._memory[begin:end]
 
     def forget_from(self, time: float) -> None:
-        """Forget what is at `time`, s, or later: time has gone back."""
-        if self.end > self.begin and self.last >= time:
-            self.end = self.find(time)
-
-    @property
-    def last(self) -> float:
-        """Time of the newest sample, s; -1 where there is none."""
-        return float(self._times[(self.end - 1) % self.room]) if self.end > self.begin else -1.0
+        """Forget the samples at `time`, s, or later: time has gone back."""
+        n = self.find(time)
+        self._end -= len(self.rows) - n
+        self.rows = self.rows[:n]
 
     @property
     def first(self) -> float:
         """Time of the oldest sample, s; infinite where there is none."""
-        return float(self._times[self.begin % self.room]) if self.end > self.begin else float("inf")
+        return float(self.rows["time"][0, 0]) if len(self.rows) else float("inf")
+
+    @property
+    def last(self) -> float:
+        """Time of the newest sample, s; -1 where there is none."""
+        return float(self.rows["time"][-1, 0]) if len(self.rows) else -1.0
 
     def find(self, time: float) -> int:
-        """Return the number of the first sample at `time` or later."""
-        low, high = self.begin, self.end
-        while low < high:
-            middle = (low + high) // 2
-            low, high = (middle + 1, high) if self._times[middle % self.room] < time else (low, middle)
-        return low
-
-    def times(self, begin: int, end: int) -> np.ndarray:
-        """Return the times of samples by number, s."""
-        return self._cut(self._times, begin, end)
-
-    def axis(self, axis: int, begin: int, end: int) -> _Columns:
-        """Return the fields of an axis, of samples by number."""
-        return _Columns(self, axis, begin, end)
-
-    def _cut(self, kept: np.ndarray, begin: int, end: int) -> np.ndarray:
-        if end <= begin:
-            return kept[:0].copy()
-        a, b = begin % self.room, (end - 1) % self.room + 1
-        return kept[a:b].copy() if a < b else np.concatenate([kept[a:], kept[:b]])
-
-
-class _Columns:
-    def __init__(self, buffer: SampleBuffer, axis: int, begin: int, end: int):
-        self._given = buffer, axis, begin, end
-
-    def __getitem__(self, field: str) -> np.ndarray:
-        buffer, axis, begin, end = self._given
-        return buffer._cut(buffer._fields[field][axis], begin, end)
+        """Return the number of samples before `time`, s."""
+        return int(np.searchsorted(self.rows["time"][:, 0], time))
 
 
 class Sampler:
     """Samples a session's stage, until `close`.
 
-    Attributes: traces: by name, see `traces`. events: diagnostics of the chips as they came.
-    samples, positions, filled: the engine's buffers, as a Recording's; FORWARD: the stage may go back in time meanwhile.
+    Attributes:
+        traces: Traces by name, see `find_traces`.
+        events: Diagnostics of the chips as they came.
+        samples, positions, filled: The engine's buffers, as those of a Recording.
+        FORWARD: Whether the stage's time may only go forward.
     """
 
     FORWARD = False
@@ -198,24 +161,24 @@ class Sampler:
     def __init__(self, session: Session):
         stage = session.stage
         self.session, self.traces = session, find_traces(stage)
-        self.samples = np.zeros((ROWS, len(stage.axes)), SAMPLE)
+        axes = len(stage.axes)
+        self.samples = np.zeros((ROWS, axes), SAMPLE)
         self.positions = np.zeros((ROWS, stage.model.nq))
         self.filled = 0
         self.dt = stage.state.dt * 1e-9
-        self._thin = max(1, round(COARSE / self.dt))
+        self._thin = max(1, round(INTERVAL_S / self.dt))
         self.lock = threading.Lock()
-        axes = len(stage.axes)
-        self._fine = SampleBuffer(max(64, round(FINE / self.dt)), axes)
+        self._fine = SampleBuffer(max(64, round(FINE_S / self.dt)), axes)
         self._coarse = SampleBuffer(max(64, round(MAX_AGE_S / self._thin / self.dt)), axes)
         self._phase = 0
         self._recording, self._read = None, 0
-        self.events: deque[Event] = deque(maxlen=EVENTS)
-        self._said = {id(chip): len(chip.diagnostics) for chip in stage.chips}
-        self._also: list[Sampler] = []  # of the same stage: one is told by the engine, and tells the others
-        self._over = lambda: None
+        self.events: deque[Event] = deque(maxlen=MAX_EVENTS)
+        self._diagnostics_read = {id(chip): len(chip.diagnostics) for chip in stage.chips}
+        self._followers: list[Sampler] = []  # samplers of the same stage: the engine fills one, and that one the others
+        self._end_observing = lambda: None
         if axes:
             session.do(self._join)
-            self._over = session.on_slice(self._after_slice)
+            self._end_observing = session.on_slice(self._after_slice)
 
     # --- in the stage's thread ---
 
@@ -223,31 +186,35 @@ class Sampler:
         """Take the rows up to `filled`, which the engine has put into the buffers."""
         if filled:
             self.filled = 0
-            for sampler in (self, *self._also):
+            for sampler in (self, *self._followers):
                 sampler._keep(self.samples[:filled])
 
     def _keep(self, rows: np.ndarray) -> None:
+        self._forget_from(float(rows["time"][0, 0]))
         with self.lock:
-            time = float(rows["time"][0, 0])
-            self._fine.forget_from(time)
-            self._coarse.forget_from(time)
             self._fine.extend(rows)
             self._coarse.extend(rows[(-self._phase) % self._thin :: self._thin])
             self._phase = (self._phase + len(rows)) % self._thin
 
+    def _forget_from(self, time: float) -> None:
+        if max(self._fine.last, self._coarse.last) >= time:
+            with self.lock:
+                self._fine.forget_from(time)
+                self._coarse.forget_from(time)
+
     def _join(self, stage: Stage) -> None:
         """Get samples: from the engine, from another sampler that it fills, or from the recording that goes on."""
-        now = stage.loop.recording
-        if now is None:
+        current = stage.loop.recording
+        if current is None:
             self._attach(stage)
-        elif not isinstance(now, Sampler):
-            self._follow(now)
-        elif self is not now and self not in now._also:
-            now._also.append(self)
+        elif not isinstance(current, Sampler):
+            self._read_recording(current)
+        elif self is not current and self not in current._followers:
+            current._followers.append(self)
 
     def _attach(self, stage: Stage) -> None:
         stage.prepare_change()
-        stage.loop.recording, self._also = self, []
+        stage.loop.recording, self._followers = self, []
         handle.set_sample_buffers(stage.state.handle, self)
         stage.state.clockwork[0].sample_every = 1
         stage.state.world[0].to_sample = 1
@@ -255,37 +222,30 @@ class Sampler:
     def _after_slice(self, stage: Stage) -> None:
         """Join again after each slice, forget what lies in the future, and note diagnostics."""
         self._join(stage)
-        if self._fine.last > stage.time or self._coarse.last > stage.time:
-            with self.lock:
-                self._fine.forget_from(stage.time)
-                self._coarse.forget_from(stage.time)
-                while self.events and self.events[-1].time > stage.time:
-                    self.events.pop()
+        self._forget_from(math.nextafter(stage.time, math.inf))
+        while self.events and self.events[-1].time > stage.time:
+            self.events.pop()
         for chip in stage.chips:
-            said = len(chip.diagnostics)
-            for d in chip.diagnostics[self._said[id(chip)] :]:
+            for d in chip.diagnostics[self._diagnostics_read[id(chip)] :]:
                 self.events.append(Event(d.clock / chip.clock_hz, f"{type(chip).__name__}: {d.message}"))
-            self._said[id(chip)] = said
+            self._diagnostics_read[id(chip)] = len(chip.diagnostics)
 
-    def _follow(self, recording: Any) -> None:
+    def _read_recording(self, recording: Any) -> None:
         """Take what is new in a recording."""
         if recording is not self._recording:
             self._recording, self._read = recording, 0
         for piece in recording.pieces(begin=self._read):
             self._read += len(piece)
-            rows = np.zeros((len(piece), len(recording.axes)), SAMPLE)
-            for name in SAMPLE.names or ():
-                rows[name] = piece["axes"][name]
-            self._keep(rows)
+            self._keep(piece["axes"].astype(SAMPLE))
 
     def _detach(self, stage: Stage) -> None:
-        now = stage.loop.recording
-        if now is self:
+        current = stage.loop.recording
+        if current is self:
             stage.stop_recording()
-            for other in self._also:
-                other._join(stage)
-        elif isinstance(now, Sampler) and self in now._also:
-            now._also.remove(self)
+            for follower in self._followers:
+                follower._join(stage)
+        elif isinstance(current, Sampler) and self in current._followers:
+            current._followers.remove(self)
 
     # --- from any thread ---
 
@@ -301,29 +261,44 @@ class Sampler:
         return self.traces[name]
 
     def columns(self, names: Sequence[str], begin: float, end: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Return the samples from `begin` to `end`, s: their times, and each trace in its unit.
+        """Return the samples of a window: physics steps where these are still kept, else samples INTERVAL_S apart.
 
-        They are physics steps where these are still there, else samples COARSE s apart. Raises ArgumentError.
+        Args:
+            names: Names of traces.
+            begin, end: s.
+
+        Returns:
+            The times, s, and the values of each trace in its unit.
+
+        Raises:
+            ArgumentError: An unknown trace.
         """
-        chosen = [self.trace(name) for name in names]
+        traces = [self.trace(name) for name in names]
         with self.lock:
-            buffer = self._find_buffer(begin)
-            a, b = buffer.find(begin), buffer.find(end + 1e-12)
-            return buffer.times(a, b), {t.name: t.value(buffer.axis(t.axis, a, b)) for t in chosen}
+            is_fine = self._fine.first <= max(begin, self._coarse.first)
+            buffer = self._fine if is_fine else self._coarse
+            rows = buffer.rows[buffer.find(begin) : buffer.find(end + 1e-12)]
+            return rows["time"][:, 0].copy(), {trace.name: trace.value(rows[:, trace.axis]) for trace in traces}
 
     def thinned_columns(
         self, names: Sequence[str], begin: float, end: float, points: int
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return `columns` thinned to `points` columns of pixels: least and greatest of each, so that no peak is missing."""
+        """Return the curves of a window, thinned to columns of pixels.
+
+        Args:
+            names: Names of traces.
+            begin, end: s.
+            points: Columns of pixels.
+
+        Returns:
+            Times and values of each trace: least and greatest of each column of pixels, so that no peak is missing.
+        """
         times, values = self.columns(names, begin, end)
         return {name: thin_curve(times, v, points) for name, v in values.items()}
 
-    def _find_buffer(self, begin: float) -> SampleBuffer:
-        return self._fine if self._fine.first <= max(begin, self._coarse.first) else self._coarse
-
     def close(self) -> None:
         """End."""
-        self._over()
+        self._end_observing()
         self.session.do(self._detach)
 
 
@@ -341,17 +316,3 @@ def thin_curve(times: np.ndarray, values: np.ndarray, points: int) -> tuple[np.n
     at = np.stack([np.minimum(low, high), np.maximum(low, high)], axis=1) + np.arange(len(v))[:, None] * size
     at = np.minimum(at.ravel(), n - 1)
     return times[at], values[at]
-
-
-__all__ = [
-    "COARSE",
-    "FINE",
-    "MAX_AGE_S",
-    "SERIES",
-    "Event",
-    "SampleBuffer",
-    "Sampler",
-    "Trace",
-    "find_traces",
-    "thin_curve",
-]

@@ -29,6 +29,7 @@ from stage.board.bus.host_record import BYTE, LATCH, LATCHED, WORD
 from stage.chips.entries import READ, WRITE, Entry
 from stage.errors import ArgumentError, StageError
 from stage.panel import oscilloscope
+from stage.panel.fault_controls import FaultRequest
 from stage.panel.sampler import MAX_AGE_S
 from stage.sim.records import SECOND
 from stage.sim.stage import Snapshot
@@ -49,62 +50,46 @@ class ProgramCycle(NamedTuple):
     value: int | None
 
 
-def stage_of(made: dict[str, Any]) -> str:
+def stage_of(options: dict[str, Any]) -> str:
     """Return Python that makes the stage of these options."""
     from stage.cli import setup
 
-    given = [repr(made["model"])]
-    each = setup.parse_chips(made["chips"]) if "=" in made["chips"] else None
-    given.append(f"chips={each or made['chips']!r}")
-    if drives := _drives(made, each):
-        given.append(f"drives={drives}")
-    if made["bus_cycle"] != 1e-6:
-        given.append(f"bus_cycle={made['bus_cycle']!r}")
-    for name, value in (
-        ("wiring", setup.parse_wiring(made["wiring"])),
-        ("multichip", setup.parse_multichip(made["multichip"])),
-        ("syni", setup.parse_syni(made["syni"])),
+    by_axis = setup.parse_chips(options["chips"]) if "=" in options["chips"] else None
+    arguments = [repr(options["model"]), f"chips={by_axis or options['chips']!r}"]
+    if drives := _describe_drives(options, by_axis):
+        arguments.append(f"drives={drives}")
+    if options["bus_cycle"] != 1e-6:
+        arguments.append(f"bus_cycle={options['bus_cycle']!r}")
+    for name, parse in (
+        ("wiring", setup.parse_wiring),
+        ("multichip", setup.parse_multichip),
+        ("syni", setup.parse_syni),
     ):
-        if value:
-            given.append(f"{name}={value!r}")
-    return f"Stage({', '.join(given)})"
+        if value := parse(options[name]):
+            arguments.append(f"{name}={value!r}")
+    return f"Stage({', '.join(arguments)})"
 
 
-def _drives(made: dict[str, Any], each: dict[str, str] | None) -> str:
-    """Return Python that makes the drives of these options, as stage.cli.setup does; "" for the usual ones. each: chips by axis."""
+def _describe_drives(options: dict[str, Any], by_axis: dict[str, str] | None) -> str:
+    """Return Python that makes the drives of these options, as stage.cli.setup does; "" for the usual ones."""
     from stage.chips import chip_class
 
-    motor = f"motor={made['motor']!r}, " if made["motor"] is not None else ""
-    stepper = f"Drive({motor}microsteps={made['microsteps']}, bus_voltage={made['bus_voltage']!r})"
-    usual = not motor and made["microsteps"] == 16 and made["bus_voltage"] == 24.0
-    servo = {axis: chip_class(name).SERVO for axis, name in (each or {"": made["chips"]}).items()}
-    if usual or (all(servo.values()) and not motor):
+    motor = f"motor={options['motor']!r}, " if options["motor"] is not None else ""
+    stepper = f"Drive({motor}microsteps={options['microsteps']}, bus_voltage={options['bus_voltage']!r})"
+    is_usual = not motor and options["microsteps"] == 16 and options["bus_voltage"] == 24.0
+    is_servo = {axis: chip_class(name).SERVO for axis, name in (by_axis or {"": options["chips"]}).items()}
+    if is_usual or (all(is_servo.values()) and not motor):
         return ""
-    if len(set(servo.values())) == 1:
-        return repr(made["motor"]) if all(servo.values()) else stepper
-    parts = (f"{axis!r}: {repr(made['motor']) if of_servo else stepper}" for axis, of_servo in servo.items())
-    return f"{{{', '.join(parts)}}}"
+    if len(set(is_servo.values())) == 1:
+        return repr(options["motor"]) if all(is_servo.values()) else stepper
+    drives = (f"{axis!r}: {repr(options['motor']) if servo else stepper}" for axis, servo in is_servo.items())
+    return f"{{{', '.join(drives)}}}"
 
 
-def _of_power_up(panel: Panel, shared: SavedPanel) -> None:
-    if shared.start[0] != 0:
-        raise ArgumentError(
-            "this program does not begin at power-up: press power-up first, or save everything, which has where it begins."
-        )
+PYTHON = """\
+from stage import {names}
 
-
-def _python_lines(panel: Panel, shared: SavedPanel, now: int) -> tuple[str, str]:
-    """Return Python that makes the stage, and Python that plays the program on it."""
-    drive = "Drive, " if "Drive(" in stage_of(shared.made or {}) else ""
-    words = _words(panel, shared)
-    rows = "\n".join(
-        f"    ({s.ns}, {s.chip}, {s.address}, {s.value}),{f'  # {w}' if w else ''}"
-        for s, w in zip(shared.sent, words, strict=True)
-    )
-    loads = "".join(f"    stage.set_payload({kg!r}, {body!r})\n" for body, kg in shared.payloads.items() if kg)
-    head = f"""from stage import {drive}Stage
-
-END = {now}  # ns
+END = {end}  # ns
 PROGRAM = (  # ns, chip, address, value; None: a read
 {rows}
 )
@@ -120,51 +105,14 @@ def play(stage):
         else:
             stage.chips[chip].write(address, value)
     stage.run_to(END)
-"""
-    make = f"""    stage = {stage_of(shared.made or {})}
+
+
+{function}
+    stage = {stage}
 {loads}    play(stage)
 """
-    return head, make
-
-
-def to_python(panel: Panel, shared: SavedPanel, now: int) -> str:
-    """Return a program in Python: the same bits, where nothing was broken or pushed."""
-    _check(panel, shared)
-    head, make = _python_lines(panel, shared, now)
-    said = f"The panel's program, {len(shared.sent)} bus cycles in {now * 1e-9:.3f} s of simulated time."
-    shown = "    for axis in stage.axes.values():\n        print(axis)\n"
-    return f'"""{said}"""\n\n{head}\n\nif __name__ == "__main__":\n{make}{shown}'
-
-
-def to_pytest(panel: Panel, shared: SavedPanel, now: int) -> str:
-    """Return a test: the axes end where they are now, with as many steps lost and as many diagnostics."""
-    _check(panel, shared)
-    head, make = _python_lines(panel, shared, now)
-    asserted = ""
-    stage = panel.session.stage
-    for name, axis in stage.axes.items():
-        asserted += f"    assert stage.axes[{name!r}].position == pytest.approx({axis.position!r}, abs=1e-6)\n"
-        asserted += f"    assert stage.axes[{name!r}].lost_steps == {axis.lost_steps}\n"
-    for k, chip in enumerate(stage.chips):
-        asserted += f"    assert [d.message for d in stage.chips[{k}].diagnostics] == {[d.message for d in chip.diagnostics]!r}\n"
-    return (
-        f'"""What was done on a panel, as a test."""\n\nimport pytest\n\n{head}\n\n'
-        f"def test_what_was_done_on_the_panel():\n{make}{asserted}"
-    )
-
-
-def to_c(panel: Panel, shared: SavedPanel, now: int) -> str:
-    """Return firmware for `stage run`: the same cycles, to the microsecond."""
-    _check(panel, shared)
-    chips = {k: chip for k, chip in enumerate(panel.session.stage.chips)}
-    places = {p.index: p for p in layouts.place_chips(chips, None, None, None)}
-    lines = []
-    for s, words in zip(shared.sent, _words(panel, shared), strict=True):
-        cycles = _ports(places[s.chip], s)
-        lines.append(f"    at({s.ns // 1000});{''.join(f' {c};' for c in cycles)}{f' /* {words} */' if words else ''}")
-    made = shared.made or {}
-    command = shlex.join(["stage", "run", "program.c", "--model", made["model"], "--chips", made["chips"]])
-    return f"""/* What was done on a panel: {command.replace("*/", "* /")} */
+C = """\
+/* What was done on a panel: {command} */
 #include <pulsestage.h>
 
 static void at(uint64_t us)
@@ -176,11 +124,66 @@ static void at(uint64_t us)
 
 PULSESTAGE_MAIN
 {{
-{chr(10).join(lines)}
-    at({now // 1000});
+{lines}
+    at({end});
     return 0;
 }}
 """
+
+
+def _write_python(panel: Panel, saved: SavedPanel, now: int, function: str) -> str:
+    """Return Python that makes the stage and plays the program in `function`."""
+    _check_program(saved)
+    rows = "\n".join(
+        f"    ({s.ns}, {s.chip}, {s.address}, {s.value}),{f'  # {words}' if words else ''}"
+        for s, words in zip(saved.sent, _describe_cycles(panel, saved), strict=True)
+    )
+    loads = "".join(f"    stage.set_payload({kg!r}, {body!r})\n" for body, kg in saved.payloads.items() if kg)
+    stage = stage_of(saved.stage_options or {})
+    names = "Drive, Stage" if "Drive(" in stage else "Stage"
+    return PYTHON.format(names=names, end=now, rows=rows, function=function, stage=stage, loads=loads)
+
+
+def to_python(panel: Panel, saved: SavedPanel, now: int) -> str:
+    """Return a program in Python: it makes the same bits, unless there were faults or pushes.
+
+    Args:
+        panel: The panel.
+        saved: What was done on it.
+        now: Time at the end, ns.
+
+    Raises:
+        StageError: The program does not begin at power-up, or nobody knows how to make its stage.
+    """
+    title = f"The panel's program, {len(saved.sent)} bus cycles in {now * 1e-9:.3f} s of simulated time."
+    text = _write_python(panel, saved, now, 'if __name__ == "__main__":')
+    return f'"""{title}"""\n\n{text}    for axis in stage.axes.values():\n        print(axis)\n'
+
+
+def to_pytest(panel: Panel, saved: SavedPanel, now: int) -> str:
+    """Return a test: the axes end where they are now, with as many lost steps and the same diagnostics. As `to_python`."""
+    text = _write_python(panel, saved, now, "def test_what_was_done_on_the_panel():")
+    stage = panel.session.stage
+    for name, axis in stage.axes.items():
+        text += f"    assert stage.axes[{name!r}].position == pytest.approx({axis.position!r}, abs=1e-6)\n"
+        text += f"    assert stage.axes[{name!r}].lost_steps == {axis.lost_steps}\n"
+    for k, chip in enumerate(stage.chips):
+        messages = [d.message for d in chip.diagnostics]
+        text += f"    assert [d.message for d in stage.chips[{k}].diagnostics] == {messages!r}\n"
+    return f'"""What was done on a panel, as a test."""\n\nimport pytest\n\n{text}'
+
+
+def to_c(panel: Panel, saved: SavedPanel, now: int) -> str:
+    """Return firmware for `stage run`: the same cycles, to the microsecond. As `to_python`."""
+    _check_program(saved)
+    places = {p.index: p for p in layouts.place_chips(dict(enumerate(panel.session.stage.chips)), None, None, None)}
+    lines = []
+    for s, words in zip(saved.sent, _describe_cycles(panel, saved), strict=True):
+        calls = "".join(f" {call};" for call in _ports(places[s.chip], s))
+        lines.append(f"    at({s.ns // 1000});{calls}{f' /* {words} */' if words else ''}")
+    options = saved.stage_options or {}
+    command = shlex.join(["stage", "run", "program.c", "--model", options["model"], "--chips", options["chips"]])
+    return C.format(command=command.replace("*/", "* /"), lines="\n".join(lines), end=now // 1000)
 
 
 def _ports(place: Any, s: ProgramCycle) -> list[str]:
@@ -200,22 +203,23 @@ def _ports(place: Any, s: ProgramCycle) -> list[str]:
     raise StageError(f"address {s.address} of {type(place.chip).__name__} has no port in its layout.")
 
 
-def _words(panel: Panel, shared: SavedPanel) -> list[str]:
-    """Return what each cycle says, as in the trace."""
+def _describe_cycles(panel: Panel, saved: SavedPanel) -> list[str]:
+    """Return each cycle in words, as the bus trace has them; "" for a read."""
     listeners = [type(chip)(**chip.options()).listener() for chip in panel.session.stage.chips]
-    found = []
-    for s in shared.sent:
-        hears = listeners[s.chip]
-        found.append("" if s.value is None else hears.write(s.address, s.value).replace("*/", "* /"))
-    return found
+    return [
+        "" if s.value is None else listeners[s.chip].write(s.address, s.value).replace("*/", "* /") for s in saved.sent
+    ]
 
 
-def _check(panel: Panel, shared: SavedPanel) -> None:
-    if shared.made is None:
+def _check_program(saved: SavedPanel) -> None:
+    if saved.stage_options is None:
         raise StageError(
             "a program of yours has made this stage, and only that knows how: save everything in its place."
         )
-    _of_power_up(panel, shared)
+    if saved.start[0] != 0:
+        raise ArgumentError(
+            "this program does not begin at power-up: press power-up first, or save everything, which has where it begins."
+        )
 
 
 PROGRAM_FORMATS: dict[str, Callable[[Any, Any, int], str]] = {
@@ -242,17 +246,17 @@ class SavedPanel(NamedTuple):
     """Content of a file.
 
     Attributes:
-        made: Options of the stage, see STAGE_OPTIONS, or None.
+        stage_options: Options of the stage, see STAGE_OPTIONS, or None.
         payloads: Masses by body, kg.
-        faults: As `ActiveFault.request` has them.
+        faults: Faults in force.
         sent: The program.
         start: Time, ns, and state in which the program begins.
         now: State at the end.
     """
 
-    made: dict[str, Any] | None
+    stage_options: dict[str, Any] | None
     payloads: dict[str, float]
-    faults: list[tuple[str, str, dict[str, str]]]
+    faults: list[FaultRequest]
     sent: list[ProgramCycle]
     start: tuple[int, Snapshot]
     now: Snapshot
@@ -260,25 +264,23 @@ class SavedPanel(NamedTuple):
 
 def sent_of(panel: Panel) -> list[ProgramCycle]:
     """Return the program so far, in order of time. For the stage's thread."""
-    found = []
+    cycles = []
     for k, trace in enumerate(panel.observer.traces):
         hz = trace.chip.clock_hz
-        found += [
-            ProgramCycle(-(-e.clock * SECOND // hz), k, e.a, None if e.kind == READ else e.b) for e in trace.sent or ()
-        ]
-    return sorted(found, key=lambda s: s.ns)
+        for e in trace.sent or ():
+            cycles.append(ProgramCycle(-(-e.clock * SECOND // hz), k, e.a, None if e.kind == READ else e.b))
+    return sorted(cycles, key=lambda s: s.ns)
 
 
 def capture(panel: Panel) -> tuple[SavedPanel, int]:
-    """Return what there is now, and the time, ns. For the stage's thread."""
+    """Return the content of a file, and the time, ns. For the stage's thread."""
     stage = panel.session.stage
     panel.observer.observe(stage)
     kg, _ = stage.describe_machine()["payloads"]
     payloads = {stage.model.body(body).name: mass for body, mass in kg.items()}
-    broken = [made.request for made in panel.fault_controls.in_force]
-    return SavedPanel(
-        panel.made, payloads, broken, sent_of(panel), panel.observer.program_start, stage.snapshot()
-    ), stage.now
+    faults = [active.request for active in panel.fault_controls.in_force]
+    start = panel.observer.program_start
+    return SavedPanel(panel.stage_options, payloads, faults, sent_of(panel), start, stage.snapshot()), stage.now
 
 
 def program(panel: Panel, name: str) -> str:
@@ -290,20 +292,21 @@ def save(panel: Panel) -> bytes:
     """Return the file, of now."""
 
     def take(stage: Stage) -> tuple[SavedPanel, int, dict[str, str]]:
-        shared, now = capture(panel)
-        can = shared.made is not None and shared.start[0] == 0
-        return shared, now, {name: write(panel, shared, now) for name, write in PROGRAM_FORMATS.items()} if can else {}
+        saved, now = capture(panel)
+        has_program = saved.stage_options is not None and saved.start[0] == 0
+        formats = PROGRAM_FORMATS if has_program else {}
+        return saved, now, {name: write(panel, saved, now) for name, write in formats.items()}
 
-    shared, now, texts = panel.session.do(take)
-    told = {
-        "format": FORMAT, "made": shared.made, "payloads": shared.payloads, "faults": shared.faults, "now": now,
-        "start": shared.start[0], "program": shared.sent,
+    saved, now, texts = panel.session.do(take)
+    document = {
+        "format": FORMAT, "made": saved.stage_options, "payloads": saved.payloads, "faults": saved.faults, "now": now,
+        "start": saved.start[0], "program": saved.sent,
     }  # fmt: skip
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as file:
-        file.writestr("panel.json", json.dumps(told))
-        for name, snapshot in (("start", shared.start[1]), ("now", shared.now)):
-            file.writestr(f"{name}.snapshot", _bytes_of(snapshot))
+        file.writestr("panel.json", json.dumps(document))
+        for name, snapshot in (("start", saved.start[1]), ("now", saved.now)):
+            file.writestr(f"{name}.snapshot", _to_bytes(snapshot))
         for name, text in texts.items():
             file.writestr(name, text)
         ending, data = _recording(panel)
@@ -326,7 +329,7 @@ def _recording(panel: Panel) -> tuple[str, bytes]:
     return "", b""
 
 
-def _bytes_of(snapshot: Snapshot) -> bytes:
+def _to_bytes(snapshot: Snapshot) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         return snapshot.save(Path(folder) / "snapshot").read_bytes()
 
@@ -358,12 +361,15 @@ def read(path: str | os.PathLike) -> SavedPanel:
                 if not _is_option(options[name], kind):
                     raise refuse(f"{name}, of what the stage is made of, is {options[name]!r:.60}")
         payloads = {str(body): float(kg) for body, kg in document["payloads"].items()}
-        broken = [(str(n), str(a), {str(k): str(v) for k, v in g.items()}) for n, a, g in document["faults"]]
+        faults = [
+            FaultRequest(str(name), str(axis), {str(field): str(text) for field, text in texts.items()})
+            for name, axis, texts in document["faults"]
+        ]
         sent = [
             ProgramCycle(_time(t), _word(k), _word(a), None if v is None else _word(v))
             for t, k, a, v in document["program"]
         ]
-        return SavedPanel(options, payloads, broken, sent, (_time(document["start"]), start), now)
+        return SavedPanel(options, payloads, faults, sent, (_time(document["start"]), start), now)
     except (KeyError, ValueError, TypeError, AttributeError, OverflowError) as error:
         if isinstance(error, DocumentError) or not isinstance(error, StageError):
             raise refuse(
@@ -393,22 +399,27 @@ def _word(value: Any) -> int:
     return value
 
 
-def restore(panel: Panel, shared: SavedPanel) -> None:
-    """Go on from a file on the panel's stage. Raises ArgumentError where it is another stage."""
+def restore(panel: Panel, saved: SavedPanel) -> None:
+    """Go on from a file on the panel's stage. Raises ArgumentError where it is another stage.
+
+    Args:
+        panel: The panel.
+        saved: Content of the file.
+    """
 
     def order(stage: Stage) -> None:
-        for body, kg in shared.payloads.items():
+        for body, kg in saved.payloads.items():
             stage.set_payload(kg, body)
-        for asked in shared.faults:
-            panel.fault_controls.inject_again(asked)
-        panel.session.restore(shared.now)
+        for request in saved.faults:
+            panel.fault_controls.make_again(request)
+        panel.session.restore(saved.now)
         panel.observer.observe(stage)
-        panel.observer.program_start = shared.start
+        panel.observer.program_start = saved.start
         for k, trace in enumerate(panel.observer.traces):
             hz = trace.chip.clock_hz
             trace.sent = [
                 Entry(s.ns * hz // SECOND, READ if s.value is None else WRITE, s.address, s.value or 0)
-                for s in shared.sent
+                for s in saved.sent
                 if s.chip == k
             ]
 

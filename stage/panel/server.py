@@ -25,27 +25,27 @@ from stage.panel.session import Session
 from stage.panel.stage_observer import StageObserver
 from stage.support.extras import need
 
-_alone = threading.Lock()
+_sites_lock = threading.Lock()
 _sites: list[Website] = []
 
 
 def website() -> Website:
     """Return the site of this process. Raises ImportError where NiceGUI is missing."""
-    with _alone:
+    with _sites_lock:
         if not _sites:
             _sites.append(Website())
         return _sites[0]
 
 
 class Website:
-    """NiceGUI's part of the panels: one in a process, in an event loop and a thread of its own.
+    """NiceGUI's application for all panels of a process, in an event loop and a thread of its own.
 
-    Each panel has a server and a port in that loop, and a page is that of the panel on whose port it is requested.
+    Each panel has a server and a port in that loop; the port of a request says of which panel the page is.
 
     Attributes:
         app: ASGI application.
         loop: Event loop.
-        panels: By port.
+        panels: Panels by port.
     """
 
     def __init__(self) -> None:
@@ -71,19 +71,19 @@ class Website:
             reconnect_timeout=20,
             binding_refresh_interval=None,  # nothing here is bound
         )
-        begun: Future[asyncio.AbstractEventLoop] = Future()
-        threading.Thread(target=asyncio.run, args=(self._live(begun),), name="pulsestage panel", daemon=True).start()
-        self.loop = begun.result()
+        started: Future[asyncio.AbstractEventLoop] = Future()
+        threading.Thread(target=asyncio.run, args=(self._live(started),), name="pulsestage panel", daemon=True).start()
+        self.loop = started.result()
 
-    async def _live(self, begun: Future) -> None:
+    async def _live(self, started: Future) -> None:
         try:
             async with self.app.router.lifespan_context(self.app):
                 asyncio.get_running_loop().set_exception_handler(report_task_error)
-                begun.set_result(asyncio.get_running_loop())
+                started.set_result(asyncio.get_running_loop())
                 await asyncio.Event().wait()
         except BaseException as error:
-            if not begun.done():
-                begun.set_exception(error)
+            if not started.done():
+                started.set_exception(error)
             raise
 
     def _panel(self, scope: Any) -> Panel:
@@ -110,7 +110,7 @@ class Panel:
         session: The session.
         port: TCP port; 0: one that is free.
         host: Address to listen on; another than 127.0.0.1 makes the server ask for the token in its link.
-        made: What `stage panel` has made the stage of, see saved_panel.py; None where a program has.
+        stage_options: Options with which `stage panel` has made the stage, see saved_panel.py; None for another stage.
         owns_session: Close the session with the panel.
 
     Raises:
@@ -123,7 +123,7 @@ class Panel:
         session: Session,
         port: int = 0,
         host: str = LOOPBACK,
-        made: dict[str, Any] | None = None,
+        stage_options: dict[str, Any] | None = None,
         owns_session: bool = False,
     ):
         need("nicegui", "the panel")
@@ -134,8 +134,8 @@ class Panel:
 
         self.session, self.controls, self._owns_session = session, Controls(), owns_session
         self.reports = ProcedureReports(session)
-        self.made = made
-        self._socket = _listening(host, port)
+        self.stage_options = stage_options
+        self._socket = _listen(host, port)
         self.port = self._socket.getsockname()[1]
         self.token = "" if host == LOOPBACK else secrets.token_urlsafe(16)
         self.observer, self.sampler, self.fault_controls = (
@@ -143,11 +143,9 @@ class Panel:
             Sampler(session),
             FaultControls(session),
         )
-        names = (
-            frozenset(f"{name}:{self.port}" for name in (LOOPBACK, "localhost")) if host == LOOPBACK else frozenset()
-        )
+        names = (LOOPBACK, "localhost") if host == LOOPBACK else ()
         config = uvicorn.Config(
-            RequestGuard(self._site.app, names, self.token),
+            RequestGuard(self._site.app, frozenset(f"{name}:{self.port}" for name in names), self.token),
             log_level="error",
             ws_ping_interval=20,
             ws_per_message_deflate=False,  # it takes longer than what it saves
@@ -164,17 +162,17 @@ class Panel:
     @property
     def address(self) -> str:
         """Link to open in a browser."""
-        host = _reached(self._host)
-        at = f"http://{f'[{host}]' if ':' in host else host}:{self.port}/"
-        return f"{at}?token={self.token}" if self.token else at
+        host = _find_reachable_host(self._host)
+        address = f"http://{f'[{host}]' if ':' in host else host}:{self.port}/"
+        return f"{address}?token={self.token}" if self.token else address
 
     @property
     def watched(self) -> bool:
-        """Whether a browser shows the page."""
+        """State of the page: a browser shows it."""
         return self.controls.watching > 0
 
     def until_watched(self, seconds: float = float("inf")) -> bool:
-        """Wait until a browser shows the page, for so long at most, and return whether one does."""
+        """Wait until a browser shows the page, for some seconds at most, and return whether one does."""
         end = monotonic() + seconds
         while not self.watched and monotonic() < end:
             sleep(0.02)
@@ -211,7 +209,7 @@ class Panel:
             self.session.close()
 
 
-def _listening(host: str, port: int) -> socket.socket:
+def _listen(host: str, port: int) -> socket.socket:
     if not 0 <= port < 1 << 16:
         raise ArgumentError(f"port={port!r}: a TCP port is 0 (one that is free) to 65535.")
     try:
@@ -227,18 +225,18 @@ def _listening(host: str, port: int) -> socket.socket:
     return listening
 
 
-ANYWHERE = {"0.0.0.0": (socket.AF_INET, "192.0.2.1", "127.0.0.1"), "::": (socket.AF_INET6, "2001:db8::1", "::1")}
-"""What stands for all addresses of this machine, with an address elsewhere (of documentation) and its own."""
+WILDCARDS = {"0.0.0.0": (socket.AF_INET, "192.0.2.1", "127.0.0.1"), "::": (socket.AF_INET6, "2001:db8::1", "::1")}
+"""Addresses that stand for all of this machine, with an address elsewhere (reserved for documentation) and the loopback."""
 
 
-def _reached(host: str) -> str:
+def _find_reachable_host(host: str) -> str:
     """Return the address by which browsers reach a server that listens on `host`."""
-    if host not in ANYWHERE:
+    if host not in WILDCARDS:
         return host
-    family, elsewhere, own = ANYWHERE[host]
-    with socket.socket(family, socket.SOCK_DGRAM) as asks:
+    family, elsewhere, loopback = WILDCARDS[host]
+    with socket.socket(family, socket.SOCK_DGRAM) as probe:
         try:
-            asks.connect((elsewhere, 9))  # chooses the way there; nothing is sent
-            return asks.getsockname()[0]
+            probe.connect((elsewhere, 9))  # selects the network interface; nothing is sent
+            return probe.getsockname()[0]
         except OSError:  # there is no network
-            return own
+            return loopback

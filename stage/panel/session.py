@@ -5,11 +5,11 @@
         session.act("home x", lambda stage: firmware.home(stage.axes["x"]))  for as long as it takes; orders go on meanwhile
         session.paused = True
         session.go_back(2.0)                                                 to two seconds ago, by a snapshot
-        session.view                                                         what was there after the last slice
+        session.view                                                         view of the stage after the last slice
 
 Session(stage, program="mine") leaves the stage to a program: it drives from its own threads as it would without a session, in
-real time, and no time passes but by it, so its run is bit for bit that without a session. `take_over()` makes it wait where it next
-comes to the stage, and time passes as if there were no program; `give_back()` lets it go on.
+real time, and time passes by it alone, so its run is bit for bit that without a session. `take_over()` makes it wait at its next
+use of the stage, and time passes as if there were no program; `give_back()` lets it go on.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from stage.panel.real_time_clock import FREE
 from stage.panel.stage_thread import MAX_UNPACED_NS, ActionStopped, StageThread, StageView
 from stage.sim.stage import Snapshot, Stage
 
-RECOVERY_S = 0.5  # simulated seconds before trouble all is well
+RECOVERY_S = 0.5  # simulated seconds to go back from trouble
 ANOTHER_MACHINE = (
     "the stage had another motor then, and was another machine: time goes back no further than to where the motor was changed. "
     "Go back by less, or give the axis the motor that it had."
@@ -33,11 +33,11 @@ ANOTHER_MACHINE = (
 
 
 class Session(StageThread):
-    """A stage that lives in real time, see `StageThread`. Only the program's threads may run it as well while the session is open.
+    """Stage in real time, see `StageThread`. While the session is open only the threads of its program may use the stage as well.
 
     Attributes:
         program: Name of the program that drives, for people; "": the session has the stage alone.
-        taken_over: Whether the program waits, or will where it next comes to the stage.
+        program_suspended: Whether the program waits, or will at its next use of the stage.
     """
 
     # --- time ---
@@ -51,11 +51,11 @@ class Session(StageThread):
     def speed(self, value: float) -> None:
         self._clock.speed = value
         self._restart_clock()
-        self._wake_all()
+        self._notify_all()
 
     @property
     def paused(self) -> bool:
-        """Whether time stands still. Bus cycles take their time all the same."""
+        """State of time: it stands still. Bus cycles take their time all the same."""
         return self._paused
 
     @paused.setter
@@ -64,10 +64,10 @@ class Session(StageThread):
         if not value:
             self._trouble = ""
             self._restart_clock()
-        self._wake_all()
+        self._notify_all()
 
     def single_step(self, n: int = 1) -> None:
-        """Pause, and let n physics steps pass."""
+        """Pause, and let `n` physics steps pass."""
         self.paused = True
         self.do(lambda stage: self.run_unpaced(stage.step, n))
 
@@ -133,7 +133,7 @@ class Session(StageThread):
         """Make a change after which the stage is elsewhere in time."""
         change()
         self._jumped, self._trouble = True, ""
-        self._looked_at = self.stage.now
+        self._polled_at = self.stage.now
         self._history.forget_after(self.stage.now)
         self._history.remember(self.stage)  # there is always a way back: to this moment, at least
         self._restart_clock()
@@ -141,7 +141,14 @@ class Session(StageThread):
     # --- motion ---
 
     def stop(self, at_once: bool = False) -> Future[None]:
-        """Stop all actions, and bring all axes to rest at the same time: with a ramp, or at once."""
+        """Stop all actions, and bring all axes to rest at the same time.
+
+        Args:
+            at_once: Without a ramp.
+
+        Returns:
+            Future that is done when all axes rest.
+        """
         self.stop_actions()
 
         def stop_all(stage: Stage) -> None:
@@ -160,31 +167,31 @@ class Session(StageThread):
     # --- the program ---
 
     def take_over(self) -> None:
-        """Make the program wait where it next comes to the stage, and drive it from the session."""
-        self.taken_over = bool(self.program)
+        """Make the program wait at its next use of the stage, and drive the stage from the session."""
+        self.program_suspended = bool(self.program)
         self._reserve()
 
     def give_back(self) -> None:
         """Stop all actions and let the program drive again."""
         self.stop_actions()
-        self.taken_over = False
+        self.program_suspended = False
         self._reserve()
 
     def end_program(self) -> None:
-        """Make whatever the program waits for, or lets pass, raise ActionStopped in its thread. Also for signal handlers."""
+        """Make every wait of the program raise ActionStopped in its thread. Signal handlers may call it."""
         self._ending = True
         self.give_back()
 
     def dismiss_program(self) -> None:
-        """Have the stage alone: the program has ended. To be called from the program's thread, or after its end."""
+        """Drive the stage alone from now on: the program has ended. Call it from the program's thread, or after its end."""
         self.lock.release_all()
-        self.program, self.taken_over = "", False
+        self.program, self.program_suspended = "", False
         self._reserve()
 
     @property
     def program_waits(self) -> bool:
-        """Whether the program has come to the stage and waits for it to be given back."""
-        return self.taken_over and self.lock.has_waiting
+        """State of a suspended program: it waits for the stage."""
+        return self.program_suspended and self.lock.has_waiting
 
     @property
     def slice_s(self) -> float:
@@ -192,9 +199,9 @@ class Session(StageThread):
         return self._clock.slice_s
 
     def catch_up(self) -> None:
-        """Wait until real time has come as far, and for as long as somebody has paused or taken over.
+        """Wait until real time has caught up, and while time is paused or the program suspended.
 
-        For a program that lets time pass otherwise than by the stage, as a board does.
+        For a program that lets time pass by a board and not by the stage.
         """
         with suppress(StageError), self.lock:  # refused: the program was dismissed while it waited
             self._pace_program(self.stage.now + MAX_UNPACED_NS, seconds=0)

@@ -1,7 +1,7 @@
 """`StageLock`: the lock of a stage that several threads share. Fair, re-entrant, and it can be reserved for one thread.
 
     with lock:                 first come, first served; a thread that has it may enter again
-        lock.wait(0.02)        somebody else may have it for so long, or until `wake_all()`
+        lock.wait(0.02)        somebody else may have it for so long, or until `notify_all()`
 
 Python's RLock alone is not fair: a thread in a loop of bus cycles takes it again before those that wait have woken up. So whoever
 does not get it at once waits in a line, and nobody takes it past the line. Without a line it costs little more than RLock does.
@@ -10,7 +10,7 @@ does not get it at once waits in a line, and nobody takes it past the line. With
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from threading import Condition, RLock, get_ident
 from time import monotonic
 
@@ -21,8 +21,8 @@ class StageLock:
     """Fair re-entrant lock. Times are in real seconds."""
 
     def __init__(self) -> None:
-        ownership = RLock()
-        self._try_to_own, self._disown = ownership.acquire, ownership.release
+        lock = RLock()
+        self._acquire, self._release = lock.acquire, lock.release
         self._depth = 0  # how often the owner has entered; belongs to the owner
         self._is_open = True  # nobody waits, and it is reserved for nobody: it may be taken without a look at the line
         self._mutex = RLock()  # of all below; re-entrant, for signal handlers that interrupt a thread within it
@@ -30,27 +30,33 @@ class StageLock:
         self._waiting: list[int] = []  # identifiers of threads, in the order in which they came
         self._reserved_for, self._refusal = 0, ""  # identifiers of threads are not 0
         self._acting: set[int] = set()
-        self._without_ownership: set[int] = set()  # threads that may leave what they have not got
+        self._exempt: set[int] = set()  # threads that may leave though they have not got the lock
 
     def __enter__(self) -> StageLock:
-        if self._try_to_own(False):
+        if self._acquire(False):
             if self._depth or self._is_open:
                 self._depth += 1
                 return self
-            self._disown()
+            self._release()
         self._wait_for_turn(1, None)
         return self
 
     def __exit__(self, *exc: object) -> None:
-        if self._without_ownership and get_ident() in self._without_ownership and not self.is_held():
+        if self._exempt and get_ident() in self._exempt and not self.is_acquired():
             return
         self._depth = depth = self._depth - 1
-        self._disown()
+        self._release()
         if not (depth or self._is_open):
-            self._wake_line()
+            self._notify_line()
 
     def acquire(self, timeout: float | None = None) -> bool:
-        """Wait for the lock, for `timeout` seconds at most where it is given, and return whether this thread has it.
+        """Wait for the lock.
+
+        Args:
+            timeout: Real seconds to wait at most; None: without end.
+
+        Returns:
+            Whether this thread has it.
 
         Raises:
             StageError: The lock is reserved for another thread, and `reserve` said why all others are refused.
@@ -62,25 +68,28 @@ class StageLock:
         self.__exit__()
 
     def wait(self, timeout: float | None = None) -> None:
-        """Give the lock away until `timeout` seconds have passed or somebody calls `wake_all`, then wait for it again.
+        """Give the lock away for a time, then wait for it again.
+
+        Args:
+            timeout: Real seconds until then; it ends earlier where somebody calls `notify_all`.
 
         Raises:
             StageError: As `acquire`. After it, and after Ctrl-C, this thread has not got the lock; to leave it does nothing then.
         """
         with self._mutex:
             depth = self._give_away()
-            self._without_ownership.add(get_ident())
+            self._exempt.add(get_ident())
             self._pause.wait(timeout)
             self._wait_for_turn(depth, None)
-            self._without_ownership.discard(get_ident())
+            self._exempt.discard(get_ident())
 
-    def give_way(self) -> None:
+    def yield_to_waiting(self) -> None:
         """Let those that wait have the lock first."""
         if self._waiting:
             self.wait(0)
 
-    def wake_all(self) -> None:
-        """End every `wait`. For signal handlers, too."""
+    def notify_all(self) -> None:
+        """End every `wait`. Signal handlers may call it."""
         with self._mutex:
             self._pause.notify_all()
             self._line.notify_all()
@@ -95,43 +104,48 @@ class StageLock:
         with self._mutex:
             self._reserved_for, self._refusal = thread, refusal
             self._update()
-            self.wake_all()
+            self.notify_all()
 
-    def is_held(self) -> bool:
+    def is_acquired(self) -> bool:
         """Return whether this thread has the lock."""
-        if not self._try_to_own(False):
+        if not self._acquire(False):
             return False
-        held = self._depth > 0
-        self._disown()
-        return held
+        is_acquired = self._depth > 0
+        self._release()
+        return is_acquired
 
     @property
     def has_waiting(self) -> bool:
-        """Whether some thread waits for the lock."""
+        """Presence of a thread that waits for the lock."""
         return bool(self._waiting)
 
     def release_all(self) -> None:
-        """Free the lock where this thread has it, however often it entered: an interrupt may have ended it while it left."""
-        if self.is_held():
-            with self._mutex:
-                self._give_away()
+        """Free the lock where this thread has it, also where an interrupt has left it half entered or half left."""
+        if not self._acquire(False):
+            return
+        with self._mutex:
+            self._depth = 0
+            with suppress(RuntimeError):  # it is free
+                while True:
+                    self._release()
+            self._line.notify_all()
 
     @contextmanager
     def acting_for_owner(self) -> Iterator[None]:
         """Let this thread act for the one that has the lock and waits for this thread, as a host waits for its firmware."""
         me = get_ident()
-        if self.is_held():
+        if self.is_acquired():
             yield
             return
         self._acting.add(me)
-        self._without_ownership.add(me)
+        self._exempt.add(me)
         try:
             yield
         finally:
             self._acting.discard(me)
-            self._without_ownership.discard(me)
+            self._exempt.discard(me)
 
-    def _wake_line(self) -> None:
+    def _notify_line(self) -> None:
         with self._mutex:
             self._line.notify_all()
 
@@ -140,14 +154,14 @@ class StageLock:
         me, end = get_ident(), None if timeout is None else monotonic() + timeout
         if me in self._acting:
             return True
-        if self.is_held():
+        if self.is_acquired():
             self._take_new(depth)
             return True
         with self._mutex:
             self._waiting.append(me)
             self._update()
             try:
-                while not (self._is_next(me) and self._try_to_own(False)):
+                while not (self._is_next(me) and self._acquire(False)):
                     if self._refusal and me != self._reserved_for:
                         raise StageError(self._refusal)
                     left = None if end is None else end - monotonic()
@@ -155,7 +169,7 @@ class StageLock:
                         return False
                     self._line.wait(left)
                 self._take_new(depth)
-                self._disown()
+                self._release()
                 return True
             finally:
                 self._waiting.remove(me)
@@ -167,14 +181,14 @@ class StageLock:
 
     def _take_new(self, depth: int) -> None:
         for _ in range(depth):
-            self._try_to_own()
+            self._acquire()
         self._depth += depth
 
     def _give_away(self) -> int:
         """Free the lock, and return how often this thread had entered."""
         depth, self._depth = self._depth, 0
         for _ in range(depth):
-            self._disown()
+            self._release()
         self._line.notify_all()
         return depth
 

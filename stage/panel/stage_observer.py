@@ -1,8 +1,8 @@
 """What pages show of a stage: `StageObserver`, axes and registers; `BusTrace`, the bus of a chip in words. No page.
 
-observer = StageObserver(session)             looks at most FRAMES times a second, once for all browsers
+observer = StageObserver(session)             observes FRAMES times a second at most, once for all browsers
 observer.axes["x"].position
-observer.request_registers(0, 1)              registers only of what somebody looks at
+observer.request_registers(0, 1)              registers of a chip only while a page shows them
 observer.chips[0, 1].values["DV"]
 observer.traces[0].lines_after(number)
 """
@@ -10,8 +10,9 @@ observer.traces[0].lines_after(number)
 from __future__ import annotations
 
 from collections import deque
+from itertools import takewhile
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -26,27 +27,28 @@ if TYPE_CHECKING:
     from stage.sim.axis import Axis
 
 
-LINES = 500
+MAX_LINES = 500
 KINDS = {WRITE: "W", READ: "R", LOST: "lost", RESET: "reset"}
+DIAGNOSTIC = "!"
 
 
-class Line(NamedTuple):
+class TraceLine(NamedTuple):
     """Bus cycle or diagnostic in a trace.
 
     Attributes:
-        number: Counts up.
+        number: Number of the line, counted up.
         time: s.
-        way: W, R, lost, reset, ! for a diagnostic.
-        address, datum: Of the cycle.
-        words: What it says.
-        source: Of a diagnostic, the data sheet.
+        kind: W, R, lost, reset, or DIAGNOSTIC.
+        address, datum: Address and datum of the cycle.
+        words: Description.
+        source: Data sheet section of a diagnostic.
         times: Reads of one address in a row, of which this is the last.
         first: Number of the first of these.
     """
 
     number: int
     time: float
-    way: str
+    kind: str
     address: int
     datum: int
     words: str
@@ -54,16 +56,16 @@ class Line(NamedTuple):
     times: int = 1
     first: int = 0
 
-    def text(self, digits: int) -> str:
+    def format(self, digits: int) -> str:
         """Return the line of a list; digits: of the datum, hexadecimal."""
-        if self.way in ("reset", "!"):
-            return f"{self.time:11.6f}  {self.way}  {self.words}" + (f" [{self.source}]" if self.source else "")
-        folded = f"  x {self.times}" if self.times > 1 else ""
-        return f"{self.time:11.6f}  {self.way} {self.address:2X}: {self.datum:0{digits}X}  {self.words}{folded}"
+        if self.kind in ("reset", DIAGNOSTIC):
+            return f"{self.time:11.6f}  {self.kind}  {self.words}" + (f" [{self.source}]" if self.source else "")
+        times = f"  x {self.times}" if self.times > 1 else ""
+        return f"{self.time:11.6f}  {self.kind} {self.address:2X}: {self.datum:0{digits}X}  {self.words}{times}"
 
 
-class Trace:
-    """Last LINES cycles and diagnostics of a chip, in words, whoever makes them. Only `since` is for any thread.
+class BusTrace:
+    """Last MAX_LINES cycles and diagnostics of a chip, in words, whoever makes them. Only `lines_after` is for any thread.
 
     Writes come from a journal of the chip, so that none is missing; so do reads that change something. Other reads are noted where
     they are made, by `read`: hosts that poll would fill the list.
@@ -71,45 +73,50 @@ class Trace:
     Args:
         chip: The chip.
         losses: Show a write that a fault has lost as such; False: as any other, as its host would see it.
+
+    Attributes:
+        lines: All lines.
+        diagnostics: Lines of diagnostics alone.
+        sent: Cycles that changed something, writes and such reads, since somebody set it to []; None: nobody did.
+        digits: Hexadecimal digits of a datum.
     """
 
     def __init__(self, chip: Chip, losses: bool = True):
-        self.chip, self.lines, self._losses = chip, deque[Line](maxlen=LINES), losses
-        self.said: deque[Line] = deque(maxlen=LINES)
-        """The diagnostics alone."""
+        self.chip, self._losses = chip, losses
+        self.lines: deque[TraceLine] = deque(maxlen=MAX_LINES)
+        self.diagnostics: deque[TraceLine] = deque(maxlen=MAX_LINES)
         self.sent: list[Entry] | None = None
-        """For who wants to play them again: the cycles that changed something, writes and such reads, since he set it to []."""
         self.digits = (chip.DATA_MASK.bit_length() + 3) // 4
         self._journal = chip.journal()
         self._listener: Listener = chip.listener()
         self._number, self._clock = 0, chip.clock
-        self._last: Diagnostic | None = None
-        self._diagnostics()
+        self._last_diagnostic: Diagnostic | None = None
+        self._add_diagnostics()
 
-    def look(self) -> None:
-        """Take in what has happened since."""
+    def update(self) -> None:
+        """Add what has happened since the last call."""
         if self.chip.clock < self._clock:  # a snapshot, or a reset of the stage
-            self.begin_again()
+            self.restart()
         self._clock = self.chip.clock
         entries = self._journal.entries
         if len(entries):
             self._journal.restart()
-            for e in entries:
-                if e.kind in KINDS:
-                    self._heard(e)
-        self._diagnostics()
+            for entry in entries:
+                if entry.kind in KINDS:
+                    self._add_entry(entry)
+        self._add_diagnostics()
 
     def read(self, address: int) -> int:
-        """Make a read cycle, and note it."""
-        self.look()
+        """Make a read cycle, and note it. Returns the datum."""
+        self.update()
         datum = self.chip.read(address)
         address &= self.chip.ADDRESS_MASK
         if address not in self.chip.READING_ACTS:
             self._add(self.chip.clock, "R", address, datum, self._listener.read(address, datum))
-        self.look()
+        self.update()
         return datum
 
-    def since(self, number: int) -> list[Line]:
+    def lines_after(self, number: int) -> list[TraceLine]:
         """Return the lines with higher numbers, oldest first."""
         return [line for line in tuple(self.lines) if line.number > number]
 
@@ -117,63 +124,59 @@ class Trace:
         """End the journal."""
         self._journal.close()
 
-    def begin_again(self) -> None:
+    def restart(self) -> None:
         """Go on from a snapshot: the chip is in another state than its cycles have brought it to."""
         self._journal.restart()
         self._clock = self.chip.clock
         while self.sent and self.sent[-1].clock > self.chip.clock:
             self.sent.pop()
         self._listener = self.chip.listener()
-        self._last = self.chip.diagnostics[-1] if self.chip.diagnostics else None
+        self._last_diagnostic = self.chip.diagnostics[-1] if self.chip.diagnostics else None
         self._add(self.chip.clock, "reset", 0, 0, "the time went back")
 
-    def _heard(self, e: Entry) -> None:
+    def _add_entry(self, e: Entry) -> None:
+        is_lost = e.kind == LOST and self._losses
         if e.kind == RESET:
             self._listener = self.chip.listener()
             words = "the reset pin"
-        elif e.kind == LOST and self._losses:
+        elif is_lost:
             words = "did not arrive"
         else:
             if e.kind != LOST and self.sent is not None:
                 self.sent.append(e)
             words = (self._listener.read if e.kind == READ else self._listener.write)(e.a, e.b)
-        way = KINDS[WRITE if e.kind == LOST and not self._losses else e.kind]
-        self._add(e.clock, way, e.a, e.b, words)
+        self._add(e.clock, KINDS[WRITE if e.kind == LOST and not is_lost else e.kind], e.a, e.b, words)
 
-    def _diagnostics(self) -> None:
-        noted = self.chip.diagnostics
-        new: list[Any] = []
-        for d in reversed(noted):
-            if d is self._last:
-                break
-            new.append(d)
+    def _add_diagnostics(self) -> None:
+        diagnostics = self.chip.diagnostics
+        new = list(takewhile(lambda d: d is not self._last_diagnostic, reversed(diagnostics)))
         for d in reversed(new):
-            self.said.append(self._add(d.clock, "!", d.address, d.value, d.message, d.source))
-        self._last = noted[-1] if noted else None
+            self.diagnostics.append(self._add(d.clock, DIAGNOSTIC, d.address, d.value, d.message, d.source))
+        self._last_diagnostic = diagnostics[-1] if diagnostics else None
 
-    def _add(self, clock: int, way: str, address: int, datum: int, words: str, source: str = "") -> Line:
+    def _add(self, clock: int, kind: str, address: int, datum: int, words: str, source: str = "") -> TraceLine:
         self._number += 1
         times, first, last = 1, self._number, self.lines[-1] if self.lines else None
-        if last is not None and way == last.way == "R" and address == last.address:  # a host that polls
+        if last is not None and kind == last.kind == "R" and address == last.address:  # a host that polls
             times, first = last.times + 1, last.first
             self.lines.pop()
-        line = Line(self._number, clock / self.chip.clock_hz, way, address, datum, words, source, times, first)
+        line = TraceLine(self._number, clock / self.chip.clock_hz, kind, address, datum, words, source, times, first)
         self.lines.append(line)
         return line
 
 
-FRAMES = 25
-MAX_PROGRAM_CYCLES = 200_000  # bus cycles of a program
-REQUEST_LIFETIME_S = 2.0  # s for which the registers of a chip are looked at after somebody wanted them
+FRAMES = 25  # a second
+MAX_PROGRAM_CYCLES = 200_000
+REQUEST_LIFETIME_S = 2.0  # for which the registers of a chip are read after a request
 
 
 class AxisView(NamedTuple):
-    """What is shown of an axis.
+    """View of an axis.
 
     Attributes:
         position, commanded: m or rad.
         lost: Full steps, since the last origin return from a form.
-        switches: Of the stage, by name.
+        switches: Switches of the stage, by name.
     """
 
     position: float
@@ -183,10 +186,10 @@ class AxisView(NamedTuple):
 
 
 class ChipView(NamedTuple):
-    """What is shown of one axis of a chip.
+    """View of one axis of a chip.
 
     Attributes:
-        values: Of registers and words.
+        values: Registers and words by name.
         inputs, outputs: Pins by name, True is asserted.
     """
 
@@ -199,55 +202,62 @@ class StageObserver:
     """Latest view of a stage. Attributes are replaced, never changed, and can be read from any thread.
 
     Attributes:
-        number: Of the views so far.
-        axes: By name.
-        chips: By index in `Stage.chips` and axis of the chip.
-        traces: One for each chip.
+        number: Number of views so far.
+        axes: Views by name.
+        chips: Views by index in `Stage.chips` and axis of the chip.
+        traces: Bus trace of each chip.
         program_start: Time, ns, and state in which the program of the traces' `sent` begins; taken again where time goes back to
             before it.
     """
 
     def __init__(self, session: Session):
-        self._session, self._requested = session, {}  # type: ignore[var-annotated]
-        self._at, self.number = 0.0, 0
-        self._origins: dict[
-            str, tuple[int, int]
-        ] = {}  # when the origin was found, ns, and the steps that were lost by then
+        self._session = session
+        self._requests: dict[tuple[int, int], float] = {}
+        self._observed_at, self.number = 0.0, 0
+        self._origins: dict[str, tuple[int, int]] = {}  # when the origin was found, ns, and the lost steps until then
         self.axes: dict[str, AxisView] = {}
         self.chips: dict[tuple[int, int], ChipView] = {}
-        self.traces: tuple[Trace, ...] = session.do(lambda stage: tuple(Trace(chip) for chip in stage.chips))
+        self.traces: tuple[BusTrace, ...] = session.do(lambda stage: tuple(BusTrace(chip) for chip in stage.chips))
         self.program_start: tuple[int, Snapshot] = session.do(self._start_program)
         session.do(self.observe)
-        self._end = session.on_slice(self._slice)
+        self._end_observing = session.on_slice(self._after_slice)
 
     def request_registers(self, chip: int, axis: int) -> None:
-        """Have the registers of this axis in `chips` after the next look, for REQUEST_LIFETIME_S."""
-        self._requested[chip, axis] = perf_counter()
+        """Have the registers of an axis in `chips` from the next view on, for REQUEST_LIFETIME_S.
 
-    def _slice(self, stage: Stage) -> None:
-        if perf_counter() - self._at >= 1 / FRAMES:
+        Args:
+            chip: Index of the chip.
+            axis: Axis of the chip.
+        """
+        self._requests[chip, axis] = perf_counter()
+
+    def _after_slice(self, stage: Stage) -> None:
+        if perf_counter() - self._observed_at >= 1 / FRAMES:
             self.observe(stage)
 
     def observe(self, stage: Stage) -> None:
-        """Look now, in the stage's thread."""
-        self._at = now = perf_counter()
-        self.axes = {a.name: self._seen(a) for a in stage.axes.values()}
-        wanted = [key for key, at in tuple(self._requested.items()) if now - at < REQUEST_LIFETIME_S]
-        self.chips = {(k, axis): view_axis_of(stage.chips[k], axis) for k, axis in wanted}
+        """Renew the views now, in the stage's thread."""
+        self._observed_at = now = perf_counter()
+        self.axes = {axis.name: self._view_axis(axis) for axis in stage.axes.values()}
+        keys = [key for key, at in tuple(self._requests.items()) if now - at < REQUEST_LIFETIME_S]
+        self.chips = {(k, axis): view_axis_of(stage.chips[k], axis) for k, axis in keys}
         for trace in self.traces:
-            trace.look()
-        if (
-            stage.now < self.program_start[0]
-            or sum(len(trace.sent or ()) for trace in self.traces) > MAX_PROGRAM_CYCLES
-        ):
+            trace.update()
+        cycles = sum(len(trace.sent or ()) for trace in self.traces)
+        if stage.now < self.program_start[0] or cycles > MAX_PROGRAM_CYCLES:
             self.program_start = self._start_program(stage)
         self.number += 1
 
     def note_origin(self, axis: str, stage: Stage) -> None:
-        """Note that an origin return has found where the carriage is: earlier lost steps do not count. In the stage's thread."""
+        """Note that an origin return has found where the carriage is: earlier lost steps do not count. In the stage's thread.
+
+        Args:
+            axis: Name of the axis.
+            stage: The stage.
+        """
         self._origins[axis] = stage.now, stage.axes[axis].lost_steps
 
-    def _seen(self, axis: Axis) -> AxisView:
+    def _view_axis(self, axis: Axis) -> AxisView:
         when, before = self._origins.get(axis.name, (0, 0))
         if axis.stage.now < when:  # somebody went back in time
             before = 0
@@ -265,13 +275,13 @@ class StageObserver:
 
     def close(self) -> None:
         """End."""
-        self._end()
+        self._end_observing()
         for trace in self.traces:
             trace.close()
 
 
 def view_axis_of(chip: Chip, axis: int) -> ChipView:
-    """Return what one axis of a chip shows now."""
+    """Return the view of one axis of a chip."""
     inputs, outputs = chip.input_word(axis), chip.output_word(axis)
     return ChipView(
         chip.values_of(axis),

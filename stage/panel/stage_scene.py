@@ -10,7 +10,7 @@ import numpy as np
 from nicegui import ui
 
 from stage.panel.browser_updates import FRAMES, BrowserUpdates
-from stage.recording.geoms import colour, floor, visible
+from stage.recording.geoms import find_color, find_floor, is_visible
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
@@ -42,9 +42,9 @@ class Shape(NamedTuple):
 
 def list_visible_geoms(model: mujoco.MjModel, body: int) -> list[int]:
     """Return the geoms of a body that a page shows."""
-    ground = floor(model)
+    ground = find_floor(model)
     geoms = np.flatnonzero(model.geom_bodyid == body).tolist()
-    return [g for g in geoms if g != ground and visible(model, g)]
+    return [g for g in geoms if g != ground and is_visible(model, g)]
 
 
 def list_shapes(model: mujoco.MjModel, geom: int) -> Iterator[Shape]:
@@ -88,7 +88,7 @@ def add_body(scene: ui.scene, model: mujoco.MjModel, body: int) -> ui.scene.grou
     geoms = list_visible_geoms(model, body)
     with scene.group() as group:
         for geom in geoms:
-            red, green, blue, alpha = colour(model, geom)
+            red, green, blue, alpha = find_color(model, geom)
             for shape in list_shapes(model, geom):
                 item = getattr(scene, shape.kind)(*shape.sizes)
                 item.material(f"#{red:02x}{green:02x}{blue:02x}", alpha / 255)

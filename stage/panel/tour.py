@@ -1,7 +1,7 @@
-"""A tour in six steps for somebody who never saw such a chip: each waits until he has done it himself. No page.
+"""A tour in six steps for users who never saw such a chip: each step waits until they have done it. No page.
 
-The tour looks at the stage after each slice of a session and knows what is happening from pulses, switches and the rotor alone,
-whoever gave the orders and whatever the chips are.
+The tour observes the stage after each slice of a session, and recognizes a step by pulses, switches and the rotor alone, whoever
+gave the orders and whatever the chips are.
 """
 
 from __future__ import annotations
@@ -16,39 +16,41 @@ if TYPE_CHECKING:
     from stage.sim.axis import Axis
     from stage.sim.stage import Stage
 
-SAMPLE = 0.0199  # s of simulated time over which a rate is taken, at least: a slice at the usual speed
-LONGEST = 4000  # rates of a drive that are remembered
-STEADY = 0.03  # of a rate: as much is constant
-PLATEAU = 3  # rates that are equal, at least
-QUIET = 0.08  # s without a pulse end a drive; asking the chip would take a bus cycle
-TOGETHER = 0.1  # s: ends of axes that are one
+SAMPLE_TIME_S = 0.0199  # simulated time over which a rate is taken, at least: a slice at the usual speed
+MAX_RATES = 4000  # of a run
+STEADY_FRACTION = 0.03  # by which the rates of a plateau differ at most
+MIN_PLATEAU = 3  # rates
+MAX_RUNS = 16
+QUIET_TIME_S = 0.08  # without a pulse after which a run is over; a read of the status would take a bus cycle
+SIMULTANEITY_S = 0.1  # by which the ends of two axes differ at most
 
 
 @dataclass
-class Run:
-    """Run of an axis, from rest to rest.
+class AxisRun:
+    """Motion of an axis, from rest to rest.
 
     Attributes:
-        rates: Pulses a second, without a sign, every SAMPLE.
-        began, ended: s.
+        rates: Pulses a second, without a sign, every SAMPLE_TIME_S.
+        begin, end: s.
         org: The origin switch was on.
-        before: It began before the step that waits.
+        is_earlier: It began before the step that waits.
     """
 
     rates: list[float] = field(default_factory=list)
-    began: float = 0.0
-    ended: float = 0.0
+    begin: float = 0.0
+    end: float = 0.0
     org: bool = False
-    before: bool = False
+    is_earlier: bool = False
 
-    def plateaus(self) -> list[float]:
-        """Return the rates that were kept for a while, in their order."""
-        kept: list[float] = []
-        for k in range(len(self.rates) - PLATEAU + 1):
-            part = self.rates[k : k + PLATEAU]
-            if max(part) - min(part) <= STEADY * max(part) and (not kept or abs(part[0] - kept[-1]) > 0.2 * kept[-1]):
-                kept.append(part[0])
-        return kept
+    def list_plateaus(self) -> list[float]:
+        """Return the rates that were constant for a while, in their order."""
+        plateaus: list[float] = []
+        for k in range(len(self.rates) - MIN_PLATEAU + 1):
+            part = self.rates[k : k + MIN_PLATEAU]
+            is_steady = max(part) - min(part) <= STEADY_FRACTION * max(part)
+            if is_steady and (not plateaus or abs(part[0] - plateaus[-1]) > 0.2 * plateaus[-1]):
+                plateaus.append(part[0])
+        return plateaus
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class Step:
 
     Attributes:
         title, task: For the reader.
-        sheet: What data sheets call it.
+        sheet: Terms of the data sheets.
         done: Returns whether it has happened.
     """
 
@@ -68,20 +70,22 @@ class Step:
 
 
 class Tour:
-    """Watches a session until the last step is done, or `close`.
+    """Observer of a session until the last step is done, or `close`.
 
     Attributes:
-        number: of the step that waits, from 0; len(STEPS) when all are done.
+        number: Number of the step that waits, from 0; len(STEPS) when all are done.
+        finished: The last runs that have ended since the step began, with the names of their axes.
+        lost: Steps were lost since then.
     """
 
     def __init__(self, session: Session):
         self.number = 0
-        self.finished: list[tuple[str, Run]] = []
+        self.finished: list[tuple[str, AxisRun]] = []
         self.lost = False
-        self._under_way: dict[str, Run] = {}
-        self._nets: dict[str, tuple[float, float]] = {}
+        self._under_way: dict[str, AxisRun] = {}
+        self._pulses: dict[str, tuple[float, float]] = {}  # net pulses of each axis, and when, s
         self._lost_at_first: dict[str, int] = {}
-        self._end = session.on_slice(self.look)
+        self._end_observing = session.on_slice(self.observe)
 
     @property
     def step(self) -> Step | None:
@@ -94,69 +98,75 @@ class Tour:
         self._forget()
 
     def close(self) -> None:
-        """Watch no longer."""
-        self._end()
+        """End."""
+        self._end_observing()
 
-    def look(self, stage: Stage) -> None:
-        """Watch the stage after a slice, in its thread."""
+    def observe(self, stage: Stage) -> None:
+        """Observe the stage after a slice, in its thread."""
         for axis in stage.axes.values():
             self._follow(axis, stage.time)
         step = self.step
         if step is not None and step.done(self):
             self.skip()
 
-    def pulses(self) -> bool:
+    def has_pulses(self) -> bool:
         """Return whether some axis runs, or has run since the step began."""
         return bool(self.finished or self._under_way)
 
     def _forget(self) -> None:
         self.finished, self.lost = [], False
         self._lost_at_first.clear()
-        for drive in self._under_way.values():
-            drive.before = True
+        for run in self._under_way.values():
+            run.is_earlier = True
 
     def _follow(self, axis: Axis, now: float) -> None:
         _, net = axis.read_drive()
-        before, then = self._nets.get(axis.name, (net, now))
+        before, then = self._pulses.get(axis.name, (net, now))
         lost = axis.lost_steps
         self.lost |= lost != self._lost_at_first.setdefault(axis.name, lost)
         if now < then:  # somebody went back in time
             self._under_way.pop(axis.name, None)
-        elif now - then < SAMPLE:
-            self._nets.setdefault(axis.name, (net, now))
+        elif now - then < SAMPLE_TIME_S:
+            self._pulses.setdefault(axis.name, (net, now))
             return
         else:
-            drive = self._under_way.get(axis.name)
-            if net != before and drive is None:
-                drive = self._under_way[axis.name] = Run(began=then)
-            if drive is not None:
-                drive.org |= bool(axis.switches.as_dict().get("org"))
-                if net != before:
-                    drive.rates.append(abs(net - before) / (now - then))
-                    del drive.rates[:-LONGEST]
-                    drive.ended = now
-                elif now - drive.ended >= QUIET:
-                    del self._under_way[axis.name]
-                    if not drive.before:
-                        self.finished.append((axis.name, drive))
-                        del self.finished[:-16]
-        self._nets[axis.name] = net, now
+            self._add_rate(axis, abs(net - before) / (now - then), then, now)
+        self._pulses[axis.name] = net, now
+
+    def _add_rate(self, axis: Axis, rate: float, then: float, now: float) -> None:
+        """Add the rate between two times, s, to the run of an axis; a run begins with a pulse and ends QUIET_TIME_S after one."""
+        run = self._under_way.get(axis.name)
+        if run is None:
+            if not rate:
+                return
+            run = self._under_way[axis.name] = AxisRun(begin=then)
+        run.org |= bool(axis.switches.as_dict().get("org"))
+        if rate:
+            run.rates.append(rate)
+            del run.rates[:-MAX_RATES]
+            run.end = now
+        elif now - run.end >= QUIET_TIME_S:
+            del self._under_way[axis.name]
+            if not run.is_earlier:
+                self.finished.append((axis.name, run))
+                del self.finished[:-MAX_RUNS]
 
 
-def _ramp(tour: Tour) -> bool:
+def _has_ramp(tour: Tour) -> bool:
     """Return whether a run began slower than it went later, and was slower again before its end."""
-    return any(len(d.rates) >= 3 and max(d.rates[0], d.rates[-1]) < 0.8 * max(d.rates) for _, d in tour.finished)
+    runs = [run.rates for _, run in tour.finished]
+    return any(len(rates) >= 3 and max(rates[0], rates[-1]) < 0.8 * max(rates) for rates in runs)
 
 
-def _two_rates(tour: Tour) -> bool:
+def _has_two_rates(tour: Tour) -> bool:
     """Return whether a run went from one constant rate up to another; an origin return goes down only."""
-    return any(a < b for _, d in tour.finished for a, b in pairwise(d.plateaus()))
+    return any(a < b for _, run in tour.finished for a, b in pairwise(run.list_plateaus()))
 
 
-def _together(tour: Tour) -> bool:
-    """Return whether two axes ran at the same time and ended as one."""
+def _is_synchronized(tour: Tour) -> bool:
+    """Return whether two axes ran at the same time and ended together."""
     return any(
-        a != b and abs(d.ended - e.ended) <= TOGETHER and min(d.ended, e.ended) > max(d.began, e.began)
+        a != b and abs(d.end - e.end) <= SIMULTANEITY_S and min(d.end, e.end) > max(d.begin, e.begin)
         for (a, d), (b, e) in pairwise(tour.finished)
     )
 
@@ -168,14 +178,14 @@ STEPS = (
         "form: Move, 1 mm.",
         "Preset or positioning operation: the chip gives out as many pulses as its pulse register says, and each pulse turns the "
         "motor by one microstep.",
-        Tour.pulses,
+        Tour.has_pulses,
     ),
     Step(
         "Ramp",
         "Move 20 mm or more, and look at the rate on the oscilloscope: it rises, stays, and falls again.",
         "High-speed operation with ramp-up and ramp-down, from the initial speed (FL, SV) to the drive speed (FH, V) at an "
         "acceleration rate.",
-        _ramp,
+        _has_ramp,
     ),
     Step(
         "Stall",
@@ -188,18 +198,18 @@ STEPS = (
         "Origin return",
         "After lost steps nobody knows where the carriage is. Find the origin again: Home.",
         "Origin return, home position search: the chip drives until the ORG (home, STOP) input becomes active.",
-        lambda tour: any(d.org for _, d in tour.finished),
+        lambda tour: any(run.org for _, run in tour.finished),
     ),
     Step(
         "Dual rate",
         "Move at one speed, change to another on the way, and back: Two rates.",
         "FH1 and FH2, or a drive speed that is written while driving: the chip ramps from the one to the other.",
-        _two_rates,
+        _has_two_rates,
     ),
     Step(
         "Synchronized move",
         "Drive two axes so that they begin and end together: Line, 30 mm by 10 mm.",
         "Linear interpolation, or two chips with rates as a : b, started by one command (CSTA, STA, one write to both).",
-        _together,
+        _is_synchronized,
     ),
 )

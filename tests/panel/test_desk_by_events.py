@@ -29,7 +29,7 @@ def _as_at_first(served, page):
     yield
     served.leave(but=1)
     for made in reversed(served.panel.fault_controls.in_force):
-        served.panel.fault_controls.mend(made)
+        served.panel.fault_controls.clear(made)
     served.panel.fault_controls.set_payload(0.0)
 
 
@@ -152,7 +152,7 @@ def test_what_is_broken_is_of_the_axis_that_was_chosen_and_each_is_mended_for_it
     assert listed == texts
     page.click("break")
     said = page.until(lambda: page.said)
-    assert "it is so already" in said[0]
+    assert "is in force already" in said[0]
     page.click("mend", 1)
     page.until(lambda: [made.text for made in hands.in_force] == [texts[0], texts[2]])
     page.until(lambda: len(page.all("mend")) == 2)
@@ -285,7 +285,7 @@ def test_cycles_are_made_in_their_order_and_what_was_read_is_told_and_looked_at(
     ]
     found = page.within(lambda: chips.send(served.panel, 1, cycles))
     assert any(found)
-    assert [(line.way, line.address) for line in trace.since(before)] == [
+    assert [(line.kind, line.address) for line in trace.lines_after(before)] == [
         ("W", 0),
         ("W", 1),
         ("W", 2),
@@ -329,7 +329,7 @@ def test_each_cycle_and_each_diagnostic_is_a_line_of_the_trace_and_what_is_bad_l
     line(page, "15")
     page.until(lambda: any(kind == "bad" for _, kind, *_ in pushed))
     trace = served.panel.observer.traces[0]
-    told = [(one.text(trace.digits), "bad" if one.way == "!" else "", one.first) for one in trace.lines]
+    told = [(one.format(trace.digits), "bad" if one.kind == "!" else "", one.first) for one in trace.lines]
     page.until(lambda: [one for one in pushed if len(one) == 3][-2:] == told[-2:])
     assert ("> 15", "own") in pushed
 
@@ -418,7 +418,7 @@ def test_window_trigger_and_run_are_those_of_the_controls(served, page, monkeypa
     assert asked[-1] == ("single", "y/rate", False, 0.5)
     assert asked[-2] == ("single", "y/rate", False, 300)
     n = len(asked)
-    page.within(chart._trigger)
+    page.within(chart._set_trigger)
     assert len(asked) == n, "told again, nothing is caught anew"
     monkeypatch.undo()
     page.put("mode", "free")

@@ -25,7 +25,7 @@ def hands(session):
     hands = FaultControls(session)
     yield hands
     for made in reversed(hands.in_force):
-        hands.mend(made)
+        hands.clear(made)
     hands.close()
 
 
@@ -60,9 +60,9 @@ def test_everything_that_can_break_is_offered_with_what_it_asks_for(hands):
     ],
 )  # fmt: skip
 def test_each_can_be_made_and_mended(hands, session, name, given):
-    made = hands.inject(name, "x", given)
+    made = hands.make(name, "x", given)
     assert session.stage.faults == (made.text,)
-    hands.mend(made)
+    hands.clear(made)
     assert session.stage.faults == ()
     assert hands.in_force == []
 
@@ -84,7 +84,7 @@ def test_time_does_not_go_back_over_a_motor_that_was_changed(hands, session):
 
     for _ in range(2):
         pass_time(0.1)
-    made = hands.inject("motor", "x", {"motor": "SS2422-5041"})
+    made = hands.make("motor", "x", {"motor": "SS2422-5041"})
     changed = session.do(lambda stage: stage.time)
     for _ in range(3):
         pass_time(0.1)
@@ -94,13 +94,13 @@ def test_time_does_not_go_back_over_a_motor_that_was_changed(hands, session):
     assert np.array_equal(session.do(lambda stage: stage.snapshot().state), before)
     assert session.go_back(0.1) > changed
     assert session.recover() > changed, "as far as the machine is this one"
-    hands.mend(made)
+    hands.clear(made)
     assert session.go_back(30.0) < changed
     session.reset()
 
 
 def test_a_stuck_switch_is_seen(hands, session):
-    hands.inject("switch_stuck", "x", {"pin": "org", "closed": "yes"})
+    hands.make("switch_stuck", "x", {"pin": "org", "closed": "yes"})
     assert session.do(lambda stage: stage.axes["x"].switches.org)
 
 
@@ -108,10 +108,10 @@ def test_what_broke_first_may_be_mended_first(hands, session):
     """24 V, then 12, then 8: mending the first leaves 8, mending both 24 again."""
     x = session.stage.axes["x"]
     nominal = x.faults.bus_voltage
-    first, second = hands.inject("bus_voltage", "x", {"volts": "12"}), hands.inject("bus_voltage", "x", {"volts": "8"})
-    hands.mend(first)
+    first, second = hands.make("bus_voltage", "x", {"volts": "12"}), hands.make("bus_voltage", "x", {"volts": "8"})
+    hands.clear(first)
     assert x.faults.bus_voltage == 8
-    hands.mend(second)
+    hands.clear(second)
     assert x.faults.bus_voltage == nominal
 
 
@@ -120,12 +120,12 @@ def test_what_broke_later_is_mended_in_its_order_whatever_was_mended_before(hand
     x = session.stage.axes["x"]
     nominal = x.faults.bus_voltage
     jam, low, lower = (
-        hands.inject(*m) for m in (("jam", "x", {}), *(("bus_voltage", "x", {"volts": v}) for v in ("12", "8")))
+        hands.make(*m) for m in (("jam", "x", {}), *(("bus_voltage", "x", {"volts": v}) for v in ("12", "8")))
     )
-    hands.mend(jam)
-    hands.mend(lower)
+    hands.clear(jam)
+    hands.clear(lower)
     assert x.faults.bus_voltage == 12
-    hands.mend(low)
+    hands.clear(low)
     assert x.faults.bus_voltage == nominal
 
 
@@ -172,16 +172,16 @@ def test_load_and_supply(hands, session):
 )
 def test_what_is_wrong_is_said_at_its_field(hands, name, given, field):
     with pytest.raises(FieldError) as wrong:
-        hands.inject(name, "x", given)
+        hands.make(name, "x", given)
     assert wrong.value.field == field
     assert hands.in_force == []
 
 
 def test_what_the_fault_refuses_is_passed_on(hands):
     with pytest.raises(ArgumentError, match="volts=900"):
-        hands.inject("bus_voltage", "x", {"volts": "900"})
+        hands.make("bus_voltage", "x", {"volts": "900"})
     with pytest.raises(ArgumentError, match="jam"):
-        hands.inject("jamm", "x", {})
+        hands.make("jamm", "x", {})
 
 
 @pytest.mark.parametrize("model", ["xy", "xyz", "xyz_servo", "xya"])
@@ -206,9 +206,9 @@ def test_a_stronger_push_is_refused(hands):
 
 def test_what_is_broken_already_is_not_broken_again(hands):
     asked = ("switch_stuck", "x", {"pin": "org", "closed": "yes"})
-    made = hands.inject(*asked)
-    with pytest.raises(ArgumentError, match="org stuck closed: it is so already"):
-        hands.inject(*asked)
+    made = hands.make(*asked)
+    with pytest.raises(ArgumentError, match="org stuck closed: this fault is in force already"):
+        hands.make(*asked)
     assert hands.in_force == [made]
-    hands.mend(made)
-    assert hands.inject(*asked).fault.in_force
+    hands.clear(made)
+    assert hands.make(*asked).fault.in_force

@@ -87,12 +87,12 @@ def test_a_move_is_of_the_axis_that_was_chosen_and_as_its_fields_say(page, sessi
 @pytest.mark.parametrize("axis", ["x", "y"])
 def test_each_field_has_its_title_its_unit_and_its_default(served, page, session, axis):
     page.put("procedure-axis", axis)
-    shown = [f for f in FORMS.values() if f.needs(session.stage, axis)]
+    shown = [f for f in FORMS.values() if f.is_available(session.stage, axis)]
     assert {e.props["name"] for e in page._all() if str(e.props.get("data-test")).startswith("tab-")} == {
         *(f.name for f in shown), "jog",
     }  # fmt: skip
     for form in shown:
-        for field in form.fields(session.stage, axis):
+        for field in form.list_fields(session.stage, axis):
             widget = page.find(f"{form.name}-{field.name}")
             assert (widget.value, widget.props["label"]) == (field.default, field.title)
             assert widget.props.get("suffix", "") == field.unit
@@ -131,7 +131,7 @@ def test_what_is_wrong_stands_at_its_field_until_the_next_attempt_and_no_report_
     fill(page, move__distance="1", move__speed="-1")
     page.click("go-move")
     page.until(lambda: page.error("move-speed"))
-    assert page.error("move-speed") == "-1: more than 0."
+    assert page.error("move-speed") == "-1 mm/s: a speed is more than 0, and one pulse a second, 0.00313 mm/s, or more."
     assert not page.error("move-distance")
     assert ordered == ["Move x"], "nothing of it was begun"
     fill(page, move__speed="1e9")

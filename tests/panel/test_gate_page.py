@@ -23,7 +23,7 @@ def second(bench, look_on):
 
 def heard(bench):
     """What the server has taken for an order: the bus cycles of the panel, and whether time stands still."""
-    return bench.panel.observer.traces[0].since(0), bench.session.paused
+    return bench.panel.observer.traces[0].lines_after(0), bench.session.paused
 
 
 def test_forged_clicks_and_messages_of_one_who_only_looks_do_nothing(bench, second):

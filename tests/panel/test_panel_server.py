@@ -18,7 +18,6 @@ from stage.cli import main
 from stage.errors import ArgumentError, StageError
 from stage.panel import fault_page as touch
 from stage.panel import open as open_panel
-from stage.panel import procedure_page as forms
 from stage.panel import server
 from stage.panel.access_control import CONTENT_POLICY
 from stage.panel.server import Panel
@@ -134,12 +133,12 @@ def test_one_waits_for_somebody_who_looks(served):
 
 def test_a_port_that_cannot_be_had_says_what_to_do(served):
     with pytest.raises(StageError, match=rf"^127\.0\.0\.1:{served.panel.port}: .*in use\. Choose another port, or 0"):
-        server._listening("127.0.0.1", served.panel.port)
+        server._listen("127.0.0.1", served.panel.port)
     with pytest.raises(StageError, match=r"^203\.0\.113\.9:0: .*\. --host takes an address of this machine"):
-        server._listening("203.0.113.9", 0)
+        server._listen("203.0.113.9", 0)
     for port in (-1, 65536):
         with pytest.raises(ArgumentError, match=f"port={port}: a TCP port is 0"):
-            server._listening("127.0.0.1", port)
+            server._listen("127.0.0.1", port)
 
 
 @pytest.mark.parametrize(("host", "own"), [("0.0.0.0", "127.0.0.1"), ("::", "::1"), ("192.0.2.7", "192.0.2.7")])
@@ -158,12 +157,11 @@ def test_who_listens_everywhere_is_reached_by_its_own_address_where_there_is_no_
             raise OSError("there is no network")
 
     monkeypatch.setattr(server.socket, "socket", Nowhere)
-    assert server._reached(host) == own
+    assert server._find_reachable_host(host) == own
 
 
 def test_a_text_with_quotes_stands_whole_in_a_property():
     assert touch.quote_label('jammed by "x"') == "\"mend jammed by 'x'\""
-    assert forms._quoted('a "b" \\ c') == "\"a 'b' \\\\ c\""
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 from stage import Stage, firmware
 from stage.errors import StageError
 from stage.panel.session import FREE, ActionStopped, Session
-from stage.panel.stage_observer import Trace
+from stage.panel.stage_observer import BusTrace
 
 
 def until(condition, seconds=20.0):
@@ -159,7 +159,7 @@ def test_dismissed_it_is_refused_and_the_session_lets_time_pass(session):
 
 def test_no_bus_cycle_is_cut_into(session):
     """Thousands of cycles, while the session looks as often as it can: the trace has each, in order."""
-    trace = session.do(lambda stage: Trace(stage.chips[0]))
+    trace = session.do(lambda stage: BusTrace(stage.chips[0]))
     x, sent, looks = session.stage.axes["x"], [], []
 
     def drive():
@@ -169,8 +169,8 @@ def test_no_bus_cycle_is_cut_into(session):
 
     driver = Driver(drive)
     while driver.is_alive():
-        looks.append(session.do(lambda stage: trace.look()))
-    session.do(lambda stage: trace.look())
+        looks.append(session.do(lambda stage: trace.update()))
+    session.do(lambda stage: trace.update())
     assert len(looks) >= 10
     assert trace.lines[-1].number == len(sent)
     assert [line.datum for line in trace.lines] == sent[-len(trace.lines) :]

@@ -48,9 +48,9 @@ def move(stage):
 class PausedPanel:
     """A panel whose time stands still, of a stage made as `stage panel` makes one."""
 
-    def __init__(self, made=STAGE_OPTIONS):
-        self.session = Session(Stage("xy", chips=made["chips"] if made else "pcl240ms"), speed=FREE, paused=True)
-        self.panel = Panel(self.session, made=made)
+    def __init__(self, options=STAGE_OPTIONS):
+        self.session = Session(Stage("xy", chips=options["chips"] if options else "pcl240ms"), speed=FREE, paused=True)
+        self.panel = Panel(self.session, stage_options=options)
 
     def after(self, what):
         """The state, when `what(stage)` has been done at once."""
@@ -81,7 +81,7 @@ def test_another_motor_is_in_the_file_and_it_goes_on_bit_for_bit(tmp_path):
     saved, opened, path = PausedPanel(), PausedPanel(), tmp_path / "motor.zip"
     try:
         saved.after(move)
-        saved.panel.fault_controls.inject("motor", "x", {"motor": "SS2422-5041"})
+        saved.panel.fault_controls.make("motor", "x", {"motor": "SS2422-5041"})
         saved.after(lambda stage: stage.run(0.01))
         path.write_bytes(saved_panel.save(saved.panel))
         saved_panel.restore(opened.panel, saved_panel.read(path))
@@ -89,7 +89,7 @@ def test_another_motor_is_in_the_file_and_it_goes_on_bit_for_bit(tmp_path):
         ends = [made.after(lambda stage: stage.run(0.3)) for made in (saved, opened)]
         assert np.array_equal(*ends)
         (made,) = opened.panel.fault_controls.in_force
-        opened.panel.fault_controls.mend(made)
+        opened.panel.fault_controls.clear(made)
         assert opened.session.stage.axes["x"].drive.motor.name == "17HS4401"
     finally:
         for made in (saved, opened):
@@ -133,7 +133,7 @@ def test_loads_and_faults_go_with_it(tmp_path):
     try:
         one.panel.fault_controls.set_payload(0.5)
         one.panel.fault_controls.set_supply(18.0)
-        one.panel.fault_controls.inject("switch_stuck", "y", {"pin": "org", "closed": "yes"})
+        one.panel.fault_controls.make("switch_stuck", "y", {"pin": "org", "closed": "yes"})
         one.after(move)
         path = tmp_path / "broken.zip"
         path.write_bytes(saved_panel.save(one.panel))
@@ -258,9 +258,9 @@ def test_a_program_makes_its_stage_with_the_options_of_the_panel(option, said):
     assert saved_panel.stage_of(STAGE_OPTIONS | option) == said
 
 
-def shared(sent=(), start=0, made=STAGE_OPTIONS, payloads=None):
+def shared(sent=(), start=0, options=STAGE_OPTIONS, payloads=None):
     """What is saved of a panel, as far as a program needs it."""
-    return SavedPanel(made, payloads or {}, [], list(sent), (start, None), None)
+    return SavedPanel(options, payloads or {}, [], list(sent), (start, None), None)
 
 
 def panel(**options):
@@ -348,14 +348,14 @@ def test_what_a_cycle_says_stands_beside_it_as_the_trace_of_its_chip_says():
 
 
 def test_a_drive_is_imported_where_one_is_made():
-    text = saved_panel.to_python(panel(), shared(made=STAGE_OPTIONS | {"microsteps": 8}), 0)
+    text = saved_panel.to_python(panel(), shared(options=STAGE_OPTIONS | {"microsteps": 8}), 0)
     assert "from stage import Drive, Stage\n" in text
 
 
 def test_a_program_in_c_goes_to_the_microsecond_and_says_how_it_is_run():
     sent = (ProgramCycle(1_999, 0, 0, 0x81), ProgramCycle(1_000_500, 0, 2, None))
     text = saved_panel.to_c(
-        panel(chips="pcl240ms"), shared(sent, made=STAGE_OPTIONS | {"chips": "x=pcl240ms,y=pcl240ms"}), 2_000_999
+        panel(chips="pcl240ms"), shared(sent, options=STAGE_OPTIONS | {"chips": "x=pcl240ms,y=pcl240ms"}), 2_000_999
     )
     assert text.startswith(
         "/* What was done on a panel: stage run program.c --model xy --chips x=pcl240ms,y=pcl240ms */\n"
@@ -380,9 +380,10 @@ def test_a_test_says_where_the_axes_are_what_was_lost_and_what_was_noted():
     for name, axis in stage.axes.items():
         expected.append(f"assert stage.axes[{name!r}].position == pytest.approx({axis.position!r}, abs=1e-6)")
         expected.append(f"assert stage.axes[{name!r}].lost_steps == {axis.lost_steps}")
-    (noted,) = [d.message for d in stage.chips[1].diagnostics]
+    messages = [d.message for d in stage.chips[1].diagnostics]
+    assert messages
     expected += ["assert [d.message for d in stage.chips[0].diagnostics] == []",
-                 f"assert [d.message for d in stage.chips[1].diagnostics] == {[noted]!r}"]  # fmt: skip
+                 f"assert [d.message for d in stage.chips[1].diagnostics] == {messages!r}"]  # fmt: skip
     assert body == expected
     compile(text, "test_program.py", "exec")
 
@@ -391,12 +392,12 @@ def test_a_program_of_axes_of_any_name_is_python_and_c():
     stage = Stage(odd_model((*ODD_NAMES, "b*/c")), visuals=False)
     of = SimpleNamespace(session=SimpleNamespace(stage=stage))
     made = STAGE_OPTIONS | {"model": "my */ model.xml", "chips": "b*/c=pcl240ms,x 1=pcl240ms"}
-    tree = ast.parse(saved_panel.to_pytest(of, shared(made=made), 5))
+    tree = ast.parse(saved_panel.to_pytest(of, shared(options=made), 5))
     named = {
         n.slice.value for n in ast.walk(tree) if isinstance(n, ast.Subscript) and isinstance(n.slice, ast.Constant)
     }
     assert named >= {*ODD_NAMES, "b*/c"}
-    first = saved_panel.to_c(of, shared(made=made), 5).splitlines()[0]
+    first = saved_panel.to_c(of, shared(options=made), 5).splitlines()[0]
     assert first.index("*/") == len(first) - 2, "the comment ends at its end only"
     typed = shlex.split(first.removeprefix("/* What was done on a panel: ").removesuffix(" */"))
     assert typed[typed.index("--chips") + 1] == "b* /c=pcl240ms,x 1=pcl240ms"
@@ -407,7 +408,7 @@ def test_a_program_begins_at_power_up_and_on_a_stage_that_can_be_made_again(writ
     with pytest.raises(ArgumentError, match="does not begin at power-up: press power-up first"):
         write(panel(), shared(start=1), 0)
     with pytest.raises(StageError, match="a program of yours has made this stage"):
-        write(panel(), shared(made=None), 0)
+        write(panel(), shared(options=None), 0)
 
 
 @pytest.mark.parametrize("name", CHIPS.own)

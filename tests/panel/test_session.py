@@ -359,22 +359,22 @@ def test_who_goes_elsewhere_in_time_abandons_what_is_under_way(session, how):
 def test_only_a_program_can_be_made_to_wait():
     with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
         session.take_over()
-        assert not session.taken_over
+        assert not session.program_suspended
         assert not session.program_waits
     with Session(Stage("xy", visuals=False), speed=FREE, paused=True, program="mine") as session:
-        assert (session.program, session.taken_over) == ("mine", False)
+        assert (session.program, session.program_suspended) == ("mine", False)
         session.take_over()
-        assert session.taken_over
+        assert session.program_suspended
         session.paused = False
         move = session.act("wait", lambda stage: stage.run(1e6))
         until(lambda: session.view.action == "wait")
         session.give_back()
-        assert not session.taken_over
+        assert not session.program_suspended
         with pytest.raises(ActionStopped):
             move.result(5)
         session.take_over()
         session.dismiss_program()
-        assert (session.program, session.taken_over) == ("", False)
+        assert (session.program, session.program_suspended) == ("", False)
 
 
 def test_a_program_that_lets_time_pass_otherwise_waits_for_real_time():

@@ -41,7 +41,7 @@ def until(condition, seconds=10.0):
 
 def test_one_thread_has_it_at_a_time_and_may_enter_again(lock):
     with lock, lock:
-        assert lock.is_held()
+        assert lock.is_acquired()
         other = Visitor(lock)
         until(lambda: lock.has_waiting)
         with lock:
@@ -49,7 +49,7 @@ def test_one_thread_has_it_at_a_time_and_may_enter_again(lock):
         assert not other.entered.wait(0.02)
     assert other.entered.wait(5)
     other.join(5)
-    assert not lock.is_held()
+    assert not lock.is_acquired()
 
 
 def test_who_came_first_is_first_also_after_one_who_has_just_left(lock):
@@ -70,11 +70,11 @@ def test_it_is_given_away_whole_while_its_owner_waits_and_taken_back_as_deep(loc
         other = Visitor(lock)
         lock.wait(0.05)
         assert other.entered.is_set()
-        assert lock.is_held()
+        assert lock.is_acquired()
         lock.release()
-        assert lock.is_held(), "once more than it was left"
+        assert lock.is_acquired(), "once more than it was left"
         lock.acquire()
-    assert not lock.is_held()
+    assert not lock.is_acquired()
 
 
 def test_giving_way_lets_those_that_wait_go_first_and_nobody_else(lock):
@@ -82,9 +82,9 @@ def test_giving_way_lets_those_that_wait_go_first_and_nobody_else(lock):
     with lock:
         first = Visitor(lock, lambda: order.append("first"))
         until(lambda: lock.has_waiting)
-        lock.give_way()
+        lock.yield_to_waiting()
         order.append("owner")
-        lock.give_way()
+        lock.yield_to_waiting()
     first.join(5)
     assert order == ["first", "owner"]
 
@@ -94,7 +94,7 @@ def test_a_wait_ends_when_somebody_calls_and_else_with_its_time(lock):
     with lock:
         lock.wait(0.03)
         assert time.monotonic() - begin > 0.02
-        threading.Timer(0.02, lock.wake_all).start()
+        threading.Timer(0.02, lock.notify_all).start()
         lock.wait(30)
     assert time.monotonic() - begin < 15
 
@@ -117,7 +117,7 @@ def test_reserved_it_is_for_one_thread_and_the_others_wait_until_it_is_not(lock)
     until(lambda: lock.has_waiting)
     for _ in range(3):
         with lock:  # past those that wait
-            lock.give_way()
+            lock.yield_to_waiting()
     assert not other.entered.wait(0.02)
     lock.reserve(0)
     assert other.entered.wait(5)
@@ -148,7 +148,7 @@ def test_who_is_refused_while_it_waits_inside_leaves_without_harm(lock):
     other.join(5)
     assert str(other.error) == "not yours."
     with lock:
-        assert lock.is_held()
+        assert lock.is_acquired()
 
 
 def test_a_thread_may_act_for_the_owner_that_waits_for_it(lock):
@@ -164,7 +164,7 @@ def test_a_thread_may_act_for_the_owner_that_waits_for_it(lock):
         thread.start()
         thread.join(5)
         assert done.is_set()
-        assert lock.is_held()
+        assert lock.is_acquired()
 
 
 def test_an_error_inside_leaves_the_lock_free(lock):
@@ -179,6 +179,23 @@ def test_what_an_interrupt_has_left_is_freed_by_its_own_thread_only(lock):
     other = threading.Thread(target=lock.release_all, daemon=True)
     other.start()
     other.join(5)
-    assert lock.is_held()
+    assert lock.is_acquired()
     lock.release_all()
     assert Visitor(lock).entered.wait(5)
+
+
+@pytest.mark.parametrize("moment", ["entered", "left"])
+def test_release_all_frees_a_lock_that_ctrl_c_left_half_entered_or_half_left(lock, moment):
+    """Ctrl-C between the two changes of state that entering, or leaving, consists of."""
+    if moment == "entered":
+        lock._acquire(False)
+    else:
+        lock.__enter__()
+        lock._depth -= 1
+    other = Visitor(lock)
+    assert not other.entered.wait(0.05)
+    lock.release_all()
+    assert other.entered.wait(5)
+    other.join(5)
+    with lock:
+        assert lock.is_acquired()

@@ -120,7 +120,7 @@ def test_every_speed_of_the_list_is_that_speed_and_one_that_is_not_is_shown_as_t
         (3.4, 2.0),
         (0.001, 0.01),
     ):
-        assert panel_page._nearest(speed) == nearest
+        assert panel_page.find_nearest_speed(speed) == nearest
 
 
 def test_a_page_that_is_opened_later_shows_the_speed_that_is(served, session):
@@ -138,7 +138,7 @@ def test_a_single_step_is_one_and_time_stands_still(session, page):
     assert session.do(lambda stage: stage.now) - before == session.stage.state.dt
 
 
-@pytest.mark.parametrize("seconds", panel_page.BACK)
+@pytest.mark.parametrize("seconds", panel_page.BACK_S)
 def test_one_goes_back_by_what_the_button_says(session, page, monkeypatch, seconds):
     asked = []
     monkeypatch.setattr(session, "go_back", lambda by: asked.append(by))
@@ -191,14 +191,14 @@ def test_a_program_has_the_stage_until_it_is_taken_over_and_again_when_it_is_giv
     assert page.text("program") == "mine.py has the stage"
     page.click("take-over")
     page.until(lambda: program.text == "Give back")
-    assert session.taken_over
+    assert session.program_suspended
     assert page.text("program") == "mine.py"
     with monkeypatch.context() as waiting:
         waiting.setattr(type(session.lock), "has_waiting", True)
         page.until(lambda: page.text("program") == "mine.py waits")
     page.click("take-over")
     page.until(lambda: program.text == "Take over")
-    assert not session.taken_over
+    assert not session.program_suspended
 
 
 def test_light_and_dark_are_turned_from_what_the_browser_prefers(session, page):

@@ -9,7 +9,7 @@ from stage import Stage, firmware
 from stage.firmware.driver import Speeds, driver_of
 from stage.panel import tour as tours
 from stage.panel.session import FREE, Session
-from stage.panel.tour import LONGEST, QUIET, SAMPLE, STEPS, TOGETHER, Run, Tour
+from stage.panel.tour import MAX_RATES, QUIET_TIME_S, SAMPLE_TIME_S, SIMULTANEITY_S, STEPS, AxisRun, Tour
 
 
 @pytest.mark.slow
@@ -49,14 +49,14 @@ def test_each_step_waits_until_it_has_been_done(chips):
 
 
 def test_a_drive_with_two_speeds_has_two_plateaus():
-    assert Run([500, 900, 1000, 1000, 1000, 600, 300]).plateaus() == [1000]
-    assert Run([500, 1000, 1000, 1001, 1500, 2000, 2000, 2000, 700]).plateaus() == [1000, 2000]
+    assert AxisRun([500, 900, 1000, 1000, 1000, 600, 300]).list_plateaus() == [1000]
+    assert AxisRun([500, 1000, 1000, 1001, 1500, 2000, 2000, 2000, 700]).list_plateaus() == [1000, 2000]
 
 
 def test_two_rates_go_up_and_an_origin_return_goes_down():
     up, down = [500] * 4 + [2000] * 4, [2000] * 4 + [500] * 4
     for rates, seen in ((up, True), (down, False)):
-        assert STEPS[4].done(SimpleNamespace(finished=[("x", Run(rates))])) == seen
+        assert STEPS[4].done(SimpleNamespace(finished=[("x", AxisRun(rates))])) == seen
 
 
 class Slices:
@@ -120,7 +120,7 @@ class Watched:
     @staticmethod
     def _axis(name):
         axis = SimpleNamespace(name=name, net=0.0, lost_steps=0, org=False)
-        axis.electrics = lambda: (None, axis.net)
+        axis.read_drive = lambda: (None, axis.net)
         axis.switches = SimpleNamespace(as_dict=lambda: {"org": axis.org, "el_plus": True})
         return axis
 
@@ -128,12 +128,12 @@ class Watched:
         return lambda: None
 
     def passes(self, seconds, **rates):
-        """So much time in slices of a SAMPLE, at rates of axes, pulses a second."""
+        """So much time in slices of a SAMPLE_TIME_S, at rates of axes, pulses a second."""
         for _ in range(round(seconds / 0.02)):
             self.time += 0.02
             for name, rate in rates.items():
                 self.axes[name].net += rate * 0.02
-            self.tour.look(self)
+            self.tour.observe(self)
 
     def at(self, number):
         """The tour waits for this step."""
@@ -142,13 +142,13 @@ class Watched:
         return self.tour
 
     def rest(self):
-        self.passes(QUIET + 0.06)
+        self.passes(QUIET_TIME_S + 0.06)
 
 
 @pytest.fixture
 def watched():
     watched = Watched()
-    watched.tour.look(watched)
+    watched.tour.observe(watched)
     return watched
 
 
@@ -162,7 +162,7 @@ def watched():
     ],
 )  # fmt: skip
 def test_a_plateau_is_three_rates_within_a_thirtieth_and_another_is_a_fifth_away(rates, kept):
-    assert Run(rates).plateaus() == kept
+    assert AxisRun(rates).list_plateaus() == kept
 
 
 def seen(number, *drives):
@@ -177,33 +177,35 @@ def seen(number, *drives):
     ],
 )  # fmt: skip
 def test_a_ramp_begins_and_ends_slower_than_four_fifths_of_what_it_reaches(rates, ramp):
-    assert seen(1, ("x", Run(rates))) == ramp
-    assert seen(1, ("y", Run([5] * 9)), ("x", Run(rates))) == ramp, "any drive of those"
-    assert seen(1, ("x", Run(rates)), ("y", Run([5] * 9))) == ramp
+    assert seen(1, ("x", AxisRun(rates))) == ramp
+    assert seen(1, ("y", AxisRun([5] * 9)), ("x", AxisRun(rates))) == ramp, "any drive of those"
+    assert seen(1, ("x", AxisRun(rates)), ("y", AxisRun([5] * 9))) == ramp
 
 
 def test_two_rates_are_one_drive_that_goes_up_from_one_to_the_other():
     slow, fast = [500] * 3, [2000] * 3
-    assert seen(4, ("x", Run(slow + fast)))
-    assert seen(4, ("x", Run(fast + slow + fast))), "also later"
-    assert not seen(4, ("x", Run(slow)), ("x", Run(fast)))
-    assert not seen(4, ("x", Run(fast + slow)))
+    assert seen(4, ("x", AxisRun(slow + fast)))
+    assert seen(4, ("x", AxisRun(fast + slow + fast))), "also later"
+    assert not seen(4, ("x", AxisRun(slow)), ("x", AxisRun(fast)))
+    assert not seen(4, ("x", AxisRun(fast + slow)))
 
 
 @pytest.mark.parametrize(
     ("first", "second", "together"),
     [
         (("x", 0.0, 1.0), ("y", 0.0, 1.0), True), (("x", 0.0, 1.0), ("x", 0.0, 1.0), False),
-        (("x", 0.0, 1.0), ("y", 0.5, 1.0 + 0.9 * TOGETHER), True), (("x", 0.0, 1.0), ("y", 0.5, 1.0 + 1.1 * TOGETHER), False),
-        (("x", 0.0, 1.0 + 0.9 * TOGETHER), ("y", 0.5, 1.0), True), (("x", 0.0, 1.0 + 1.1 * TOGETHER), ("y", 0.5, 1.0), False),
+        (("x", 0.0, 1.0), ("y", 0.5, 1.0 + 0.9 * SIMULTANEITY_S), True),
+        (("x", 0.0, 1.0), ("y", 0.5, 1.0 + 1.1 * SIMULTANEITY_S), False),
+        (("x", 0.0, 1.0 + 0.9 * SIMULTANEITY_S), ("y", 0.5, 1.0), True),
+        (("x", 0.0, 1.0 + 1.1 * SIMULTANEITY_S), ("y", 0.5, 1.0), False),
         (("x", 0.0, 1.0), ("y", 1.0, 1.05), False), (("x", 1.0, 1.05), ("y", 0.0, 1.0), False),
         (("x", 0.0, 1.0), ("y", 0.98, 1.05), True),
     ],
 )  # fmt: skip
 def test_drives_of_two_axes_are_together_where_they_overlap_and_end_within_a_tenth_of_a_second(first, second, together):
-    drives = [(name, Run(began=began, ended=ended)) for name, began, ended in (first, second)]
+    drives = [(name, AxisRun(begin=began, end=ended)) for name, began, ended in (first, second)]
     assert seen(5, *drives) == together
-    between = ("x", Run(began=-9.0, ended=-8.0))
+    between = ("x", AxisRun(begin=-9.0, end=-8.0))
     assert not seen(5, drives[0], between, drives[1]), "one right after the other ends"
     assert seen(5, between, *drives) == together
 
@@ -219,7 +221,7 @@ def test_a_drive_is_its_rates_without_sign_from_its_first_pulse_to_its_last(watc
     ((name, drive),) = watched.tour.finished
     assert name == "x"
     assert drive.rates == pytest.approx([500, 500, 500, 250, 250])
-    assert (drive.began, drive.ended) == pytest.approx((0.1, 0.2))
+    assert (drive.begin, drive.end) == pytest.approx((0.1, 0.2))
     watched.passes(0.04, x=100.0)
     assert len(watched.tour.finished) == 1
     watched.rest()
@@ -240,11 +242,11 @@ def test_rates_are_taken_over_a_sample_however_often_one_looks(watched):
     watched.at(1)
     for k in range(1, 101):
         watched.time, watched.x.net = k * 0.001, 0.7 * k
-        watched.tour.look(watched)
+        watched.tour.observe(watched)
     watched.rest()
     ((_, drive),) = watched.tour.finished
     assert drive.rates == pytest.approx([700] * 5)
-    assert 0.001 < SAMPLE < 0.02
+    assert 0.001 < SAMPLE_TIME_S < 0.02
 
 
 def test_the_first_pulse_is_seen_while_its_drive_is_under_way(watched):
@@ -295,8 +297,8 @@ def test_who_goes_back_in_time_has_not_driven(watched):
     tour = watched.at(1)
     watched.passes(0.1, x=100.0)
     watched.time, watched.x.net = 0.01, 0.0
-    tour.look(watched)
-    assert not tour.pulses()
+    tour.observe(watched)
+    assert not tour.has_pulses()
     watched.rest()
     assert not tour.finished
     watched.passes(0.04, x=100.0)
@@ -310,10 +312,10 @@ def test_the_tour_remembers_the_last_drives_and_the_last_rates(watched):
         watched.passes(0.04, x=100.0 * (k + 1))
         watched.rest()
     assert [round(d.rates[0]) for _, d in tour.finished] == [100 * k for k in range(3, 19)]
-    for k in range(LONGEST + 5):
+    for k in range(MAX_RATES + 5):
         watched.passes(0.02, x=1000.0 + k)
     rates = tour._under_way["x"].rates
-    assert (len(rates), round(rates[-1])) == (LONGEST, 1000 + LONGEST + 4)
+    assert (len(rates), round(rates[-1])) == (MAX_RATES, 1000 + MAX_RATES + 4)
 
 
 def test_after_the_last_step_there_is_none_and_no_skip_goes_further(watched):
@@ -323,4 +325,4 @@ def test_after_the_last_step_there_is_none_and_no_skip_goes_further(watched):
     assert tour.number == len(STEPS)
     watched.passes(0.1, x=100.0)
     assert tour.number == len(STEPS)
-    assert tours.STEPS[0].done is Tour.pulses
+    assert tours.STEPS[0].done is Tour.has_pulses
