@@ -112,7 +112,7 @@ def _draw_arrow(ax: Any, model: Any, data: Any, eye: Any, axis: Any, k: int) -> 
     import numpy as np
     from matplotlib import patheffects
 
-    from stage.recording.series import COLOURS
+    from stage.recording.series import COLORS
 
     body = int(model.jnt_bodyid[axis.joint])
     geoms = np.flatnonzero(model.geom_bodyid == body)
@@ -127,7 +127,7 @@ def _draw_arrow(ax: Any, model: Any, data: Any, eye: Any, axis: Any, k: int) -> 
     else:
         points = np.array([middle, middle + length * direction])
     points_px = _project(eye, points)
-    color = tuple(c / 255 for c in list(COLOURS.values())[k % len(COLOURS)])
+    color = tuple(c / 255 for c in list(COLORS.values())[k % len(COLORS)])
     edge = [patheffects.withStroke(linewidth=6, foreground="white")]
     ax.plot(*points_px[:-1].T, color=color, lw=3.5, solid_capstyle="round", path_effects=edge)
     style = {

@@ -11,7 +11,7 @@ import numpy as np
 from stage.recording import geoms
 from stage.recording.scene import axis_path
 from stage.recording.sdk import rr, rrb
-from stage.recording.series import axes_with, colours_of, heading
+from stage.recording.series import axes_with, colors_of, plot_title
 
 if TYPE_CHECKING:
     from stage.recording.recording import Recording
@@ -41,7 +41,7 @@ def dashboard(recording: Recording) -> Any:
 
     def plot(*keys: str, said: str = "") -> Any:
         return rrb.TimeSeriesView(
-            name=heading(recording, keys[0]) + said,
+            name=plot_title(recording, keys[0]) + said,
             origin="/",
             contents=[f"+ {paths[name]}/{k}" for k in keys for name in axes_with(recording, k)],
             plot_legend=rrb.PlotLegend(visible=False),  # it would lie on the curves
@@ -68,7 +68,7 @@ def dashboard(recording: Recording) -> Any:
         rrb.Horizontal(
             rrb.Vertical(view, rrb.Tabs(*lanes), row_shares=[1 - low, low]),
             rrb.Vertical(
-                plot("rate", said=f": {', '.join(f'{a} {c}' for a, c in colours_of(recording).items())}"),
+                plot("rate", said=f": {', '.join(f'{a} {c}' for a, c in colors_of(recording).items())}"),
                 plot("position", "commanded", said=", commanded darker"),
                 rrb.Tabs(*(plot(key) for key in SAMPLED if axes_with(recording, key))),
                 rrb.Tabs(
@@ -109,7 +109,7 @@ def eye(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
 
 def _grid(model: mujoco.MjModel) -> Any:
     """Lines on the floor, one every power of ten of metres that fits the model."""
-    floor = geoms.floor(model)
+    floor = geoms.find_floor(model)
     if floor is None:
         return rrb.LineGrid3D(visible=False)
     plane = rr.components.Plane3D((0, 0, 1), float(model.geom_pos[floor][2]))

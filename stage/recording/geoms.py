@@ -11,19 +11,19 @@ import numpy as np
 from stage.recording.sdk import rr
 
 HIDDEN_GROUP = 3  # this group and above are for computing, not for looking
-PLANE = 0.002  # thickness, m
+PLANE_THICKNESS_M = 0.002  # thickness, m
 
 _KIND = mujoco.mjtGeom
 
 
-def visible(model: mujoco.MjModel, geom: int) -> bool:
+def is_visible(model: mujoco.MjModel, geom: int) -> bool:
     """Whether a geom is there to be looked at."""
     material = model.geom_matid[geom]
     rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
     return bool(model.geom_group[geom] < HIDDEN_GROUP and round(float(rgba[3]) * 255) > 0)
 
 
-def colour(model: mujoco.MjModel, geom: int) -> np.ndarray:
+def find_color(model: mujoco.MjModel, geom: int) -> np.ndarray:
     """RGBA 0..255 of a geom: its material's, with the mean of its texture, where it has one."""
     material = model.geom_matid[geom]
     rgba = model.geom_rgba[geom]
@@ -31,11 +31,11 @@ def colour(model: mujoco.MjModel, geom: int) -> np.ndarray:
         rgba = model.mat_rgba[material]
         texture = model.mat_texid[material][int(mujoco.mjtTextureRole.mjTEXROLE_RGB)]
         if texture >= 0:
-            rgba = rgba * np.append(_mean(model, texture), 1.0)
+            rgba = rgba * np.append(_mean_texture(model, texture), 1.0)
     return (np.clip(rgba, 0, 1) * 255).round().astype(np.uint8)
 
 
-def _mean(model: mujoco.MjModel, texture: int) -> np.ndarray:
+def _mean_texture(model: mujoco.MjModel, texture: int) -> np.ndarray:
     channels = model.tex_nchannel[texture]
     begin = model.tex_adr[texture]
     size = model.tex_width[texture] * model.tex_height[texture] * channels
@@ -43,7 +43,7 @@ def _mean(model: mujoco.MjModel, texture: int) -> np.ndarray:
     return np.array([data[k::channels].mean() for k in range(3)]) / 255
 
 
-def floor(model: mujoco.MjModel) -> int | None:
+def find_floor(model: mujoco.MjModel) -> int | None:
     """The first level plane of the world; it is shown as a grid of lines, which hides nothing from below."""
     planes = model.geom_type == int(_KIND.mjGEOM_PLANE)  # with the name itself numpy compares objects, one by one
     for g in np.flatnonzero(planes & (model.geom_bodyid == 0)).tolist():
@@ -52,12 +52,12 @@ def floor(model: mujoco.MjModel) -> int | None:
     return None
 
 
-def shapes(model: mujoco.MjModel, body: int) -> Iterator[tuple[str, Any]]:
+def list_shapes(model: mujoco.MjModel, body: int) -> Iterator[tuple[str, Any]]:
     """(entity name, archetype) for the geoms of a body, in the body's frame."""
     kinds: dict[int, list[int]] = {}
-    grid = floor(model)
+    grid = find_floor(model)
     for g in np.flatnonzero(model.geom_bodyid == body).tolist():
-        if g != grid and visible(model, g):
+        if g != grid and is_visible(model, g):
             kinds.setdefault(int(model.geom_type[g]), []).append(g)
     for kind, geoms in kinds.items():
         if kind in _MAKERS:
@@ -68,14 +68,17 @@ def shapes(model: mujoco.MjModel, body: int) -> Iterator[tuple[str, Any]]:
                 yield f"mesh_{model.geom(g).name or g}", _mesh(model, g)
 
 
-def _placed(model: mujoco.MjModel, geoms: list[int]) -> dict[str, Any]:
+def _place_geoms(model: mujoco.MjModel, geoms: list[int]) -> dict[str, Any]:
     quats = np.roll(model.geom_quat[geoms], -1, axis=1)  # rerun's order is x y z w
-    return {"quaternions": quats, "colors": np.array([colour(model, g) for g in geoms])}
+    return {"quaternions": quats, "colors": np.array([find_color(model, g) for g in geoms])}
 
 
 def _boxes(model: mujoco.MjModel, geoms: list[int]) -> Any:
     return rr.Boxes3D(
-        half_sizes=model.geom_size[geoms], centers=model.geom_pos[geoms], fill_mode="solid", **_placed(model, geoms)
+        half_sizes=model.geom_size[geoms],
+        centers=model.geom_pos[geoms],
+        fill_mode="solid",
+        **_place_geoms(model, geoms),
     )
 
 
@@ -84,32 +87,36 @@ def _planes(model: mujoco.MjModel, geoms: list[int]) -> Any:
     far = 2 * float(model.stat.extent)
     half = model.geom_size[geoms].copy()
     half[(half <= 0) | (half > far)] = far
-    half[:, 2] = PLANE
-    down = np.array([rotated(model.geom_quat[g], [0, 0, -PLANE]) for g in geoms])
-    return rr.Boxes3D(half_sizes=half, centers=model.geom_pos[geoms] + down, fill_mode="solid", **_placed(model, geoms))
+    half[:, 2] = PLANE_THICKNESS_M
+    down = np.array([rotate(model.geom_quat[g], [0, 0, -PLANE_THICKNESS_M]) for g in geoms])
+    return rr.Boxes3D(
+        half_sizes=half, centers=model.geom_pos[geoms] + down, fill_mode="solid", **_place_geoms(model, geoms)
+    )
 
 
 def _ellipsoids(model: mujoco.MjModel, geoms: list[int]) -> Any:
     half = np.array([s if model.geom_type[g] == _KIND.mjGEOM_ELLIPSOID else [s[0]] * 3
                      for g, s in zip(geoms, model.geom_size[geoms], strict=True)])  # fmt: skip
-    return rr.Ellipsoids3D(half_sizes=half, centers=model.geom_pos[geoms], fill_mode="solid", **_placed(model, geoms))
+    return rr.Ellipsoids3D(
+        half_sizes=half, centers=model.geom_pos[geoms], fill_mode="solid", **_place_geoms(model, geoms)
+    )
 
 
 def _cylinders(model: mujoco.MjModel, geoms: list[int]) -> Any:
     size = model.geom_size[geoms]
     return rr.Cylinders3D(
         lengths=2 * size[:, 1], radii=size[:, 0], centers=model.geom_pos[geoms], fill_mode="solid",
-        **_placed(model, geoms),
+        **_place_geoms(model, geoms),
     )  # fmt: skip
 
 
 def _capsules(model: mujoco.MjModel, geoms: list[int]) -> Any:
     """rerun's capsule begins at its origin; MuJoCo's is centred there."""
     size = model.geom_size[geoms]
-    ends = np.array([rotated(model.geom_quat[g], [0, 0, -s[1]]) for g, s in zip(geoms, size, strict=True)])
+    ends = np.array([rotate(model.geom_quat[g], [0, 0, -s[1]]) for g, s in zip(geoms, size, strict=True)])
     return rr.Capsules3D(
         lengths=2 * size[:, 1], radii=size[:, 0], translations=model.geom_pos[geoms] + ends, fill_mode="solid",
-        **_placed(model, geoms),
+        **_place_geoms(model, geoms),
     )  # fmt: skip
 
 
@@ -137,18 +144,18 @@ def _mesh(model: mujoco.MjModel, geom: int) -> Any:
         vertex_positions=corners.astype(np.float32),
         vertex_normals=np.repeat(normals, 3, axis=0).astype(np.float32),  # flat: edges of machines are sharp
         triangle_indices=np.arange(len(corners)).reshape(-1, 3),
-        albedo_factor=colour(model, geom),
+        albedo_factor=find_color(model, geom),
     )
 
 
-def rotated(quat: Any, v: Any) -> np.ndarray:
+def rotate(quat: Any, v: Any) -> np.ndarray:
     """A vector turned by a MuJoCo quaternion."""
     out = np.zeros(3)
     mujoco.mju_rotVecQuat(out, np.asarray(v, float), np.asarray(quat, float))
     return out
 
 
-def poses(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def compute_poses(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Body positions (n, nbody, 3), quaternions x y z w (n, nbody, 4) and site positions (n, nsite, 3) for n qpos."""
     data = mujoco.MjData(model)
     xpos, xquat = np.zeros((len(qpos), model.nbody, 3)), np.zeros((len(qpos), model.nbody, 4))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.recording.series import SERIES, axes_with, heading
+from stage.recording.series import SERIES, axes_with, plot_title
 from stage.recording.signals import SWITCHES
 from stage.support import pictures
 from stage.support.files import save_figure
@@ -66,7 +66,7 @@ def _panel(ax: Any, recording: Recording, keys: tuple[str, ...], time: np.ndarra
                 behind = key == "commanded"
                 style = {"linewidth": 2.6, "alpha": 0.35} if behind else {"linewidth": 1.1, "label": name}
                 ax.plot(time, values, color=colour, **style)
-    title, _, unit = heading(recording, keys[-1]).rpartition(" (")
+    title, _, unit = plot_title(recording, keys[-1]).rpartition(" (")
     ax.set_ylabel(f"{title.lower()}\n{unit.rstrip(')')}", color=pictures.INK, fontsize=8.5)
     ax.ticklabel_format(axis="y", style="plain", useOffset=False)
     ax.locator_params(axis="y", nbins=4)

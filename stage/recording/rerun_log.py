@@ -26,7 +26,7 @@ from stage.chips.describe import Said
 from stage.chips.journal import Replay
 from stage.recording import scene, signals
 from stage.recording.sdk import rr
-from stage.recording.series import COLOURS, FORMAT, colours_of, series_of
+from stage.recording.series import COLORS, FORMAT, colors_of, series_of
 from stage.recording.sink import Sink
 from stage.recording.thin import thin
 from stage.units import SMALL
@@ -62,7 +62,7 @@ class Log:
         from stage.recording.blueprint import dashboard
 
         self._recording, self._rows, self._noted = recording, 0, 0
-        self._colours = {name: COLOURS[colour] for name, colour in colours_of(recording).items()}
+        self._colours = {name: COLORS[colour] for name, colour in colors_of(recording).items()}
         self._lanes = {name: Lanes(recording, name, self._colours[name]) for name in recording.axes}
         self._scene = scene.Scene(recording)
         self._sink = Sink(rr.RecordingStream("pulsestage"), path, dashboard(recording), overwrite)
@@ -163,7 +163,9 @@ def _series(out: Any, recording: Recording, piece: np.ndarray) -> None:
             keep = np.empty(len(v), np.bool_)
             thin(time, v, float(series.tolerance), keep)
             columns = rr.Scalars.columns(scalars=v[keep])
-            out.send_columns(f"{scene.axis_path(name)}/{key}", indexes=[scene.duration(time[keep])], columns=columns)
+            out.send_columns(
+                f"{scene.axis_path(name)}/{key}", indexes=[scene.to_time_column(time[keep])], columns=columns
+            )
 
 
 class Lanes:
@@ -180,7 +182,7 @@ class Lanes:
 
     def take(self, out: Any) -> tuple[np.ndarray, bool]:
         """Log what is new. Returns the pin edges, the first of them as it was before, and whether there was no before."""
-        edges, first = signals.pin_edges(self._replay), self._first
+        edges, first = signals.list_pin_edges(self._replay), self._first
         self._log_edges(out, edges)
         entries = self._journal.entries[self._said :]
         self._said += len(entries)
@@ -194,12 +196,12 @@ class Lanes:
 
     def _log_edges(self, out: Any, edges: np.ndarray) -> None:
         chip = self._axis.chip
-        phases = {s: STATES[s] for s in signals.phases_of(chip)}
-        self._lane(out, "phase", edges, signals.phases(chip, edges), phases)
+        phases = {s: STATES[s] for s in signals.list_phases(chip)}
+        self._lane(out, "phase", edges, signals.find_phases(chip, edges), phases)
         together, kinds = np.full(len(edges), "", object), {}
-        for pin, label, kind in signals.seen_switches(self._axis):
+        for pin, label, kind in signals.list_switches(self._axis):
             kinds[label] = kind
-            on = signals.on(self._axis, edges, pin)
+            on = signals.is_switch_on(self._axis, edges, pin)
             states = np.where(on, label, "off").astype(object)
             colours = {label: STATES[kind], "off": STATES["off"]}
             self._lane(out, f"switches/{pin}", edges, states, colours)
@@ -215,12 +217,12 @@ class Lanes:
         path = f"{scene.axis_path(self._name)}/{lane}"
         if style or self._first:
             out.log(path, rr.StateConfiguration(values=list(colours), colors=list(colours.values())), static=True)
-        clocks, states = signals.changes(edges, states)
+        clocks, states = signals.find_changes(edges, states)
         if str(states[0]) == self._told.get(lane):  # as it was: unless it changed at the end of the last take
             clocks, states = clocks[1:], states[1:]
         if len(clocks):
             self._told[lane] = str(states[-1])
-            when = scene.duration(self._recording.seconds(self._name, clocks))
+            when = scene.to_time_column(self._recording.seconds(self._name, clocks))
             out.send_columns(path, indexes=[when], columns=rr.StateChange.columns(state=[str(s) for s in states]))
 
     def _log_bus(self, out: Any, said: list[Said]) -> None:
@@ -229,7 +231,7 @@ class Lanes:
         seconds = self._recording.seconds(self._name, np.array([s.clock for s in said], np.int64))
         out.send_columns(
             f"{scene.axis_path(self._name)}/bus",
-            indexes=[scene.duration(seconds)],
+            indexes=[scene.to_time_column(seconds)],
             columns=rr.TextLog.columns(
                 text=[f"{t:11.6f}  {self._name}  {s}" for t, s in zip(seconds, said, strict=True)],
                 level=[LEVELS[s.kind] for s in said],
@@ -243,7 +245,7 @@ def _faults(out: Any, notes: list[Note], first: int) -> None:
     new = notes[first:]
     if not new:
         return
-    when = scene.duration(np.array([n.time for n in new]))
+    when = scene.to_time_column(np.array([n.time for n in new]))
     states = ["; ".join(n.in_force) or "none" for n in notes]
     colours = {s: STATES["off" if s == "none" else "fault"] for s in dict.fromkeys(states)}
     style = rr.StateConfiguration(values=list(colours), colors=list(colours.values()))

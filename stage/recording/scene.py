@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from stage.recording import geoms, signals
-from stage.recording.geoms import rotated
+from stage.recording.geoms import rotate
 from stage.recording.sdk import rr
 from stage.support.identifiers import escape_name
 
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
 FRAMES = 60  # a second
 GRID = 1e-6  # m (and of a quaternion): a body that moved less has not moved, to the eye
-PATH_COLOUR = (255, 138, 48)
+PATH_COLOR = (255, 138, 48)
 LAMPS = {"el": (255, 66, 54), "sd": (255, 184, 36), "org": (64, 224, 120)}
-DARK = 0.35  # of a lamp that is off
-LIFT = 0.015  # of the model's extent: a lamp stands above its switch
+DIM_FACTOR = 0.35  # of a lamp that is off
+LAMP_HEIGHT = 0.015  # of the model's extent: a lamp stands above its switch
 DIRECTIONS = "directions"  # beside the bodies: the arrows of the axes
 
 
@@ -39,7 +39,7 @@ class Scene:
         self._moving = np.flatnonzero(recording.model.body_weldid != 0).tolist()
         self._path: list[np.ndarray] = []
         self._lit: dict[str, bool] = {}
-        self._lamps = {name: list(_lamps(recording, name)) for name in recording.axes}
+        self._lamps = {name: list(_list_lamps(recording, name)) for name in recording.axes}
         shared = any(rivals for lamps in self._lamps.values() for *_, rivals in lamps)
         self._track: list[tuple[np.ndarray, np.ndarray]] | None = [] if shared else None
         """Times and qpos of the pictures since the lamps were lit, where that says which of two switches on one pin it was."""
@@ -49,12 +49,12 @@ class Scene:
         model = self._recording.model
         out.log("stage", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for body in range(model.nbody):
-            for name, shape in geoms.shapes(model, body):
+            for name, shape in geoms.list_shapes(model, body):
                 out.log(f"{body_path(model, body)}/{name}", shape, static=True)
         for body in np.flatnonzero(model.body_weldid == 0).tolist():
             if body:
-                _place(out, model, body)
-        _directions(out, self._recording, colours)
+                _log_pose(out, model, body)
+        _log_directions(out, self._recording, colours)
         for path, place, *_ in (lamp for lamps in self._lamps.values() for lamp in lamps):
             out.log(path, rr.Points3D([place]), static=True)
 
@@ -67,10 +67,10 @@ class Scene:
             time = np.concatenate([[self._recording.began], time[1:]])
         self._seen += len(piece)
         if len(time):
-            xpos, xquat, sites = geoms.poses(model, qpos)
+            xpos, xquat, sites = geoms.compute_poses(model, qpos)
             for body in self._moving:
-                _move(out, body_path(model, body), time, xpos[:, body], xquat[:, body])
-            self._path.append(_on_work(model, xpos, xquat, sites))
+                _log_poses(out, body_path(model, body), time, xpos[:, body], xquat[:, body])
+            self._path.append(_to_work_frame(model, xpos, xquat, sites))
             if self._track is not None:
                 self._track.append((time, qpos))
 
@@ -78,10 +78,10 @@ class Scene:
         """The lamps of an axis, from its chip's pin edges; unless `first`, the first of them is as it was before."""
         axis = self._recording.axes[name]
         for path, _, pin, kind, rivals in self._lamps[name]:
-            lit = signals.on(axis, edges, pin)
+            lit = signals.is_switch_on(axis, edges, pin)
             if rivals:
                 lit &= self._nearest(name, edges, pin, rivals)
-            clocks, on = signals.changes(edges, lit)
+            clocks, on = signals.find_changes(edges, lit)
             if not first and bool(on[0]) == self._lit.get(path):  # as it was: unless it changed at the end of the last
                 clocks, on = clocks[1:], on[1:]
             if not len(clocks):
@@ -90,9 +90,9 @@ class Scene:
             full = np.array(LAMPS[kind], float)
             out.send_columns(
                 path,
-                indexes=[duration(self._recording.seconds(name, clocks))],
+                indexes=[to_time_column(self._recording.seconds(name, clocks))],
                 columns=rr.Points3D.columns(
-                    colors=np.where(on[:, None], full, DARK * full).astype(np.uint8),
+                    colors=np.where(on[:, None], full, DIM_FACTOR * full).astype(np.uint8),
                     radii=np.where(on, -6.0, -2.5).astype(np.float32),  # negative: in points of the screen
                 ),
             )
@@ -129,45 +129,45 @@ def axis_path(name: str) -> str:
     return f"axes/{escape_name(name)}"
 
 
-def _place(out: Any, model: mujoco.MjModel, body: int) -> None:
+def _log_pose(out: Any, model: mujoco.MjModel, body: int) -> None:
     """A body that is part of the frame: its pose, once."""
-    xpos, xquat, _ = geoms.poses(model, model.qpos0[None])
+    xpos, xquat, _ = geoms.compute_poses(model, model.qpos0[None])
     out.log(body_path(model, body), rr.Transform3D(translation=xpos[0, body], quaternion=xquat[0, body]), static=True)
 
 
-def _move(out: Any, path: str, time: np.ndarray, position: np.ndarray, quat: np.ndarray) -> None:
+def _log_poses(out: Any, path: str, time: np.ndarray, position: np.ndarray, quat: np.ndarray) -> None:
     cell = np.rint(np.hstack([position, quat]) / GRID)
     keep = np.concatenate([[True], np.any(cell[1:] != cell[:-1], axis=1)])
     out.send_columns(
         path,
-        indexes=[duration(time[keep])],
+        indexes=[to_time_column(time[keep])],
         columns=rr.Transform3D.columns(
             translation=position[keep].astype(np.float32), quaternion=quat[keep].astype(np.float32)
         ),
     )
 
 
-def duration(seconds: Any) -> Any:
+def to_time_column(seconds: Any) -> Any:
     """The time column of every entity, to the nanosecond."""
     return rr.TimeColumn("time", duration=np.rint(np.asarray(seconds) * 1e9).astype("timedelta64[ns]"))
 
 
-def _work_body(model: mujoco.MjModel) -> int:
+def _find_work_body(model: mujoco.MjModel) -> int:
     """The body that carries the work: that of the site `work`, else the world."""
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "work")
     return int(model.site_bodyid[site]) if site >= 0 else 0
 
 
-def _on_work(model: mujoco.MjModel, xpos: np.ndarray, xquat: np.ndarray, sites: np.ndarray) -> np.ndarray:
+def _to_work_frame(model: mujoco.MjModel, xpos: np.ndarray, xquat: np.ndarray, sites: np.ndarray) -> np.ndarray:
     """The tool's points in the frame of the work; where the tool rides with the work, in that of the world."""
     tool = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tool")
     if tool < 0:
         return np.zeros((0, 3))
-    body = _work_body(model)
+    body = _find_work_body(model)
     if model.site_bodyid[tool] == body:
         return sites[:, tool]
     inverse = xquat[:, body] * [-1, -1, -1, 1]
-    return np.array([rotated(np.roll(q, 1), p) for q, p in zip(inverse, sites[:, tool] - xpos[:, body], strict=True)])
+    return np.array([rotate(np.roll(q, 1), p) for q, p in zip(inverse, sites[:, tool] - xpos[:, body], strict=True)])
 
 
 def _path(out: Any, model: mujoco.MjModel, points: np.ndarray) -> None:
@@ -176,20 +176,20 @@ def _path(out: Any, model: mujoco.MjModel, points: np.ndarray) -> None:
     cell = np.rint(points / GRID)
     keep = np.concatenate([[True], np.any(cell[1:] != cell[:-1], axis=1)])
     tool = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tool")
-    body = _work_body(model)
+    body = _find_work_body(model)
     where = body_path(model, 0 if model.site_bodyid[tool] == body else body)
-    line = rr.LineStrips3D([points[keep].astype(np.float32)], colors=[PATH_COLOUR], radii=rr.Radius.ui_points(1.6))
+    line = rr.LineStrips3D([points[keep].astype(np.float32)], colors=[PATH_COLOR], radii=rr.Radius.ui_points(1.6))
     out.log(f"{where}/path", line, static=True)
 
 
-def _directions(out: Any, recording: Recording, colours: dict[str, tuple[int, int, int]]) -> None:
+def _log_directions(out: Any, recording: Recording, colours: dict[str, tuple[int, int, int]]) -> None:
     """Arrows along plus at a front corner of the frame."""
     model = recording.model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     frame = [g for g in range(model.ngeom)
              if model.body_weldid[model.geom_bodyid[g]] == 0 and model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE
-             and geoms.visible(model, g)]  # fmt: skip
+             and geoms.is_visible(model, g)]  # fmt: skip
     length = 0.1 * float(model.stat.extent)
     corner = np.array(model.stat.center) - 0.5 * float(model.stat.extent)
     if frame:
@@ -209,7 +209,7 @@ def _directions(out: Any, recording: Recording, colours: dict[str, tuple[int, in
     )  # fmt: skip
 
 
-def _lamps(recording: Recording, name: str) -> Iterator[tuple[str, np.ndarray, str, str, tuple[str, ...]]]:
+def _list_lamps(recording: Recording, name: str) -> Iterator[tuple[str, np.ndarray, str, str, tuple[str, ...]]]:
     """The lamps of an axis: (entity, place, switch, kind, other switches on the same pin of the chip)."""
     model, axis = recording.model, recording.axes[name]
     carriage = int(model.jnt_bodyid[axis.joint])
@@ -222,7 +222,7 @@ def _lamps(recording: Recording, name: str) -> Iterator[tuple[str, np.ndarray, s
         pair = (int(model.sensor_refid[sensor]), int(model.sensor_objid[sensor]))
         geom = next((g for g in pair if model.geom_bodyid[g] != carriage), pair[0])
         body = int(model.geom_bodyid[geom])
-        above = rotated(data.xquat[body] * [1, -1, -1, -1], [0, 0, LIFT * model.stat.extent])
+        above = rotate(data.xquat[body] * [1, -1, -1, -1], [0, 0, LAMP_HEIGHT * model.stat.extent])
         path = f"{body_path(model, body)}/lamp_{escape_name(name)}_{pin}"
         wired, others = axis.chip.wired(pin), axis.switches.as_dict()
         rivals = tuple(p for p in signals.SWITCHES if p != pin and p in others and axis.chip.wired(p) == wired)

@@ -1,8 +1,8 @@
-"""The series that a recording shows of an axis: what each is called, in which units, and how exactly it is drawn."""
+"""The series that a recording shows of an axis: title, unit, and tolerance of the drawn line."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -14,13 +14,21 @@ if TYPE_CHECKING:
 
 
 FORMAT = 1
-"""Of what an .rrd file has of series and lanes: counted up when what is read back would mean something else."""
+"""Version of the series and lanes in an .rrd file: counted up when what is read back would mean something else."""
 
 
 class Series(NamedTuple):
-    """A plot: `value` of the samples of an axis times `scale`, within `tolerance`; (slide, hinge) where they differ.
+    """Plot of one quantity.
 
-    only: "stepper" or "servo" where the other kind of axis has none. servo: title and unit of a servo, where they differ."""
+    Attributes:
+        title: Title.
+        units: Unit on a slide, and on a hinge.
+        scales: Factors from SI to these units.
+        tolerance: Distance, in these units, within which the drawn line passes every sample.
+        value: Function of the samples of an axis.
+        only: "stepper" or "servo" where the other kind of axis has none.
+        servo: Title and unit of a servo, where they differ.
+    """
 
     title: str
     units: tuple[str, str]
@@ -31,7 +39,7 @@ class Series(NamedTuple):
     servo: tuple[str, str] | None = None
 
 
-def _of(units: dict[str, Unit]) -> tuple[tuple[str, str], tuple[float, float]]:
+def _split_units(units: dict[str, Unit]) -> tuple[tuple[str, str], tuple[float, float]]:
     slide, hinge = units["m"], units["rad"]
     return (slide.symbol, hinge.symbol), (slide.per, hinge.per)
 
@@ -40,9 +48,9 @@ SERIES = {
     "rate": Series(
         "Pulse rate", ("pps", "pps"), (1, 1), 0.5, lambda s: s["rate"], servo=("Commanded velocity", "counts/s")
     ),
-    "position": Series("Position", *_of(PLACES), 2e-4, lambda s: s["position"]),
-    "commanded": Series("Commanded position", *_of(PLACES), 2e-4, lambda s: s["commanded"]),
-    "following_error": Series("Following error", *_of(SMALL), 0.02, lambda s: s["commanded"] - s["position"]),
+    "position": Series("Position", *_split_units(PLACES), 2e-4, lambda s: s["position"]),
+    "commanded": Series("Commanded position", *_split_units(PLACES), 2e-4, lambda s: s["commanded"]),
+    "following_error": Series("Following error", *_split_units(SMALL), 0.02, lambda s: s["commanded"] - s["position"]),
     "voltage": Series("Motor voltage", ("V", "V"), (1, 1), 0.02, lambda s: s["voltage"], "servo"),
     "current": Series("Motor current", ("A", "A"), (1, 1), 0.005, lambda s: s["current_a"], "servo"),
     "load_angle": Series(
@@ -55,36 +63,42 @@ SERIES = {
 }
 
 
-def series_of(axis: Any) -> dict[str, Series]:
-    """The series that an axis has."""
-    return {key: s for key, s in SERIES.items() if s.only in ("", "servo" if axis.drive.has_encoder else "stepper")}
+def series_of(axis: Any, series: Mapping[str, Series] = SERIES) -> dict[str, Series]:
+    """Return the series that an axis has, of all `series`."""
+    kind = "servo" if axis.drive.has_encoder else "stepper"
+    return {key: s for key, s in series.items() if s.only in ("", kind)}
+
+
+def describe_series(series: Series, axis: Any) -> tuple[str, str, float]:
+    """Return the title and the unit of a series of an axis, and the factor from SI to this unit."""
+    on_hinge = axis.unit != "m"
+    title, unit = series.servo if series.servo and axis.drive.has_encoder else (series.title, series.units[on_hinge])
+    return title, unit, series.scales[on_hinge]
 
 
 def axes_with(recording: Recording, series: str) -> list[str]:
-    """The names of the axes that have a series."""
+    """Return the names of the axes that have a series."""
     return [name for name, axis in recording.axes.items() if series in series_of(axis)]
 
 
-COLOURS = {
+COLORS = {
     "red": (240, 96, 84), "green": (88, 190, 112), "blue": (88, 152, 245), "amber": (226, 172, 62), "violet": (172, 124, 232),
     "teal": (64, 190, 196),
 }  # fmt: skip
-"""Of the axes, in their order, and again from the first."""
+"""Colors of the axes, in their order, and again from the first."""
 
 
-def colours_of(recording: Recording) -> dict[str, str]:
-    """The name of each axis' colour."""
-    names = list(COLOURS)
+def colors_of(recording: Recording) -> dict[str, str]:
+    """Return the name of each axis' color."""
+    names = list(COLORS)
     return {name: names[k % len(names)] for k, name in enumerate(recording.axes)}
 
 
-def heading(recording: Recording, series: str) -> str:
-    """What a plot of a series over all axes that have it is called, with its units."""
-    spec, axes = SERIES[series], [recording.axes[name] for name in axes_with(recording, series)]
-    title, units = spec.title, {spec.units[a.unit != "m"] for a in axes if not (a.drive.has_encoder and spec.servo)}
-    if series == "counter":
-        title = " ".join([title, *dict.fromkeys(a.chip.COUNTER[0] for a in axes if not a.drive.has_encoder)])
-    if spec.servo and any(a.drive.has_encoder for a in axes):
-        title = title if units else spec.servo[0]
-        units = {*units, spec.servo[1]}
-    return f"{title} ({' | '.join(sorted(units, reverse=True))})"
+def plot_title(recording: Recording, series: str) -> str:
+    """Return the title of the plot of a series over all axes that have it, with its units."""
+    axes = [recording.axes[name] for name in axes_with(recording, series)]
+    described = [describe_series(SERIES[series], axis)[:2] for axis in axes]
+    title = next((t for t, _ in described if t == SERIES[series].title), described[0][0])
+    if series == "counter" and title == SERIES[series].title:
+        title = " ".join(dict.fromkeys([title, *(a.chip.COUNTER[0] for a in axes if not a.drive.has_encoder)]))
+    return f"{title} ({' | '.join(sorted({unit for _, unit in described}, reverse=True))})"

@@ -19,12 +19,12 @@ SWITCHES = {
 HOLD, CONTROL = "hold", "control"
 
 
-def wire(chip: Any, pin: str) -> tuple[str, int]:
+def find_wire(chip: Any, pin: str) -> tuple[str, int]:
     """(name, level while asserted) of a chip's pin."""
     return chip.WIRES.get(pin, (pin.upper(), 1))
 
 
-def settled(pieces: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+def settle_edges(pieces: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
     """Of several edges at one clock only the last: what the wires settle on."""
     kept: np.ndarray | None = None
     for piece in pieces:
@@ -38,11 +38,11 @@ def settled(pieces: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
         yield kept
 
 
-def pin_edges(journal: Journal | Replay) -> np.ndarray:
+def list_pin_edges(journal: Journal | Replay) -> np.ndarray:
     """The edges of a chip at which a pin other than the pulses changes, and the first (of a Replay, what is new)."""
     parts: list[np.ndarray] = []
     before = None
-    for piece in settled(journal.pieces()):
+    for piece in settle_edges(journal.pieces()):
         pins = np.stack([piece["inputs"], piece["outputs"]], axis=1)
         same = np.all(pins[1:] == pins[:-1], axis=1)
         parts.append(piece[~np.concatenate([[before is not None and bool(np.all(pins[0] == before))], same])])
@@ -50,38 +50,38 @@ def pin_edges(journal: Journal | Replay) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def changes(edges: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def find_changes(edges: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(clocks, values) where `values`, one an edge, changes; the first is one."""
     keep = np.concatenate([[True], values[1:] != values[:-1]])
     return edges["clock"][keep], values[keep]
 
 
-def asserted(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
+def is_asserted(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
     """The state of a pin, by its name or that of the switch wired to it, from each edge on (bool); `edges` of a chip's journal."""
     bit = chip.wired(pin)
     return (edges["inputs"] & bit if bit else edges["outputs"] & chip.OUTPUTS[pin]) != 0
 
 
-def on(axis: Any, edges: np.ndarray, switch: str) -> np.ndarray:
+def is_switch_on(axis: Any, edges: np.ndarray, switch: str) -> np.ndarray:
     """Whether a switch of an axis, or what shares its pin, is on, as its pin says, from each edge on (bool)."""
     positive = any(axis.chip.wired(s) == axis.chip.wired(switch) for s in getattr(axis, "wiring", ()))
-    return asserted(axis.chip, edges, switch) != positive
+    return is_asserted(axis.chip, edges, switch) != positive
 
 
-def phases_of(chip: Any) -> list[str]:
+def list_phases(chip: Any) -> list[str]:
     """The phases that a chip can have, the one without a pin last."""
     rest = CONTROL if chip.SERVO else HOLD
     return [*dict.fromkeys(phase for phase in chip.PHASES.values() if phase != rest), rest]
 
 
-def phases(chip: Any, edges: np.ndarray) -> np.ndarray:
+def find_phases(chip: Any, edges: np.ndarray) -> np.ndarray:
     """The chip's phase from each edge on: up, keep, down, hold; of a servo's idle, profile, control."""
-    rest = np.full(len(edges), phases_of(chip)[-1])
-    found = [asserted(chip, edges, pin) for pin in chip.PHASES]
+    rest = np.full(len(edges), list_phases(chip)[-1])
+    found = [is_asserted(chip, edges, pin) for pin in chip.PHASES]
     return np.select(found, list(chip.PHASES.values()), rest) if found else rest
 
 
-def seen_switches(axis: Any) -> Iterator[tuple[str, str, str]]:
+def list_switches(axis: Any) -> Iterator[tuple[str, str, str]]:
     """(name, label, kind) of what an axis' chip sees of its switches; `asserted` takes the name. Those that are wired to one pin
     are one, by the pin's name."""
     chip = axis.chip
@@ -95,7 +95,7 @@ def seen_switches(axis: Any) -> Iterator[tuple[str, str, str]]:
             yield chip.WIRING[switch], kind.upper(), kind
 
 
-def status(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, np.ndarray]:
+def decode_status(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, np.ndarray]:
     """The bits of the status byte from each edge on, as a read at address 0 would give them.
 
     minus: whether the direction is minus, see `directions`. Empty for a chip that has no status byte.
@@ -116,10 +116,10 @@ def _shown(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
     name = pin.removeprefix("/")
     bit = chip.wired(name)
     seen = bit and "seen" in (edges.dtype.names or ())
-    return (edges["seen"] & bit != 0 if seen else asserted(chip, edges, name)) != pin.startswith("/")
+    return (edges["seen"] & bit != 0 if seen else is_asserted(chip, edges, name)) != pin.startswith("/")
 
 
-def directions(chip: Any, journal: Journal) -> tuple[np.ndarray, np.ndarray]:
+def list_directions(chip: Any, journal: Journal) -> tuple[np.ndarray, np.ndarray]:
     """(clocks, minus): the direction that bus writes say, from each clock on; the first clock is the start's."""
     start = journal.start
     if "minus" not in (start.dtype.names or ()):
@@ -133,6 +133,6 @@ def directions(chip: Any, journal: Journal) -> tuple[np.ndarray, np.ndarray]:
     return np.array(clocks, np.int64), np.array(minus)
 
 
-def rates(edges: np.ndarray, clock_hz: int) -> np.ndarray:
+def to_pulse_rates(edges: np.ndarray, clock_hz: int) -> np.ndarray:
     """Pulse rate from each edge on, pps."""
     return edges["rate"] * clock_hz

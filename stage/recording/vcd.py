@@ -39,7 +39,7 @@ DATE = "simulated time since power-up"  # and not the wall clock: equal runs mak
 Change = tuple[int, Any, Any]  # ns, variable, value
 
 
-def nanoseconds(clock: Any, hz: int) -> Any:
+def to_nanoseconds(clock: Any, hz: int) -> Any:
     """The time of clocks (int or int64 array), rounded to ns; exact for centuries."""
     return clock // hz * SECOND + (clock % hz * SECOND + hz // 2) // hz
 
@@ -49,12 +49,14 @@ def write(recording: Recording, path: Path) -> Path:
     from vcd import VCDWriter
 
     with open(path, "w", encoding="ascii", buffering=1 << 20) as file:
-        begin = min(nanoseconds(int(j.start["clock"]), _hz(recording, n)) for n, j in recording.journals.items())
-        end = max(nanoseconds(j.until, _hz(recording, n)) for n, j in recording.journals.items())
+        begin = min(to_nanoseconds(int(j.start["clock"]), _hz(recording, n)) for n, j in recording.journals.items())
+        end = max(to_nanoseconds(j.until, _hz(recording, n)) for n, j in recording.journals.items())
         comment = f"PulseStage: {recording!r}".encode("ascii", "backslashreplace").decode().replace("$", r"\x24")
         with VCDWriter(file, "1 ns", date=DATE, comment=comment, init_timestamp=begin) as writer:
             streams = [
-                s for axis in recording.axes for s in (_pins(recording, axis, writer), _bus(recording, axis, writer))
+                s
+                for axis in recording.axes
+                for s in (_add_pins(recording, axis, writer), _add_bus(recording, axis, writer))
             ]
             if recording.host is not None:
                 end = max(end, recording.host.until)
@@ -74,14 +76,14 @@ def _hz(recording: Recording, axis: str) -> int:
     return recording.axes[axis].chip.clock_hz
 
 
-def _pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
+def _add_pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
     """Register the pins, counter, rate and status of an axis now; their changes are the iterator."""
     chip, journal = recording.axes[axis].chip, recording.journals[axis]
-    clocks, minus = signals.directions(chip, journal)
+    clocks, minus = signals.list_directions(chip, journal)
 
     def levels(edges: np.ndarray) -> dict[str, tuple[str, int, np.ndarray]]:
         way = minus[np.searchsorted(clocks, edges["clock"], side="right") - 1]
-        return _levels(chip, edges, way)
+        return _compute_levels(chip, edges, way)
 
     variables, now = {}, {}
     for name, (kind, size, v) in levels(next(journal.pieces(size=256))[:1]).items():
@@ -90,8 +92,8 @@ def _pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
         variables[name] = writer.register_var(tuple(scope), short, kind, size=size, init=now[name])
 
     def changes() -> Iterator[Change]:
-        for edges in signals.settled(journal.pieces(every_pulse=True, size=EDGES)):
-            ns = nanoseconds(edges["clock"], chip.clock_hz)
+        for edges in signals.settle_edges(journal.pieces(every_pulse=True, size=EDGES)):
+            ns = to_nanoseconds(edges["clock"], chip.clock_hz)
             which, at, what = [], [], []
             for name, (_, _, v) in levels(edges).items():
                 k = np.flatnonzero(np.concatenate([[v[0] != now[name]], v[1:] != v[:-1]]))
@@ -107,23 +109,23 @@ def _pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
     return changes()
 
 
-def _levels(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, tuple[str, int, np.ndarray]]:
+def _compute_levels(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, tuple[str, int, np.ndarray]]:
     """Signal name -> (kind, bits, value from each edge on)."""
     out: dict[str, tuple[str, int, np.ndarray]] = {}
     for pin in (*chip.OUTPUTS, *chip.INPUTS):
-        name, level = signals.wire(chip, pin)
-        out[name] = ("wire", 1, (signals.asserted(chip, edges, pin) == bool(level)).astype(np.int64))
+        name, level = signals.find_wire(chip, pin)
+        out[name] = ("wire", 1, (signals.is_asserted(chip, edges, pin) == bool(level)).astype(np.int64))
     counter, bits = chip.COUNTER
     out[counter] = ("reg", bits, edges["counter"])
     for word, (field, size) in chip.TRACED.items():
         out[word] = ("reg", size, edges[field])
-    out["RATE"] = ("real", 64, signals.rates(edges, chip.clock_hz))
-    for name, v in signals.status(chip, edges, minus).items():
+    out["RATE"] = ("real", 64, signals.to_pulse_rates(edges, chip.clock_hz))
+    for name, v in signals.decode_status(chip, edges, minus).items():
         out[f"status.{name}"] = ("wire", 1, v.astype(np.int64))
     return out
 
 
-def _bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
+def _add_bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
     """Register the bus of an axis now; its writes and resets are the iterator."""
     chip, journal, scope = recording.axes[axis].chip, recording.journals[axis], (scope_of(axis), "bus")
     wr, reset = (writer.register_var(scope, name, "event", size=1) for name in ("WR", "RESET"))
@@ -133,7 +135,7 @@ def _bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
 
     def changes() -> Iterator[Change]:
         for e in journal.entries:
-            ns = nanoseconds(e.clock, chip.clock_hz)
+            ns = to_nanoseconds(e.clock, chip.clock_hz)
             if e.kind == WRITE:
                 yield from ((ns, address, e.a), (ns, data, e.b), (ns, wr, True))
             elif e.kind == RESET:

@@ -30,17 +30,17 @@ from stage.support.extras import need
 from stage.support.files import refuse_irregular, written
 from stage.support.opengl import has_screen
 
-FRAME = 36  # pixels
-QUIET = {"RUST_LOG": "error"}  # without it the viewer's own messages are in the picture
-SETTINGS = Path(__file__).with_name("settings")  # rerun's: usage data off. It asks no variable, and by default it sends
-DEATH = 1  # PR_SET_PDEATHSIG
+FRAME_HEIGHT = 36  # pixels
+QUIET_ENVIRONMENT = {"RUST_LOG": "error"}  # without it the viewer's own messages are in the picture
+SETTINGS_FOLDER = Path(__file__).with_name("settings")  # rerun's: usage data off, which it sends by default
+PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
 
 
 class ViewerError(StageError):
     """rerun's viewer is missing or failed."""
 
 
-def executable() -> str:
+def find_executable() -> str:
     """rerun's program itself; the command `rerun` is a script that would leave it running when it is ended."""
     if "RERUN_CLI_PATH" in os.environ:
         return os.environ["RERUN_CLI_PATH"]
@@ -58,11 +58,11 @@ def executable() -> str:
 
 def open_viewer(rrd: str | os.PathLike) -> None:
     """Open the recording in a window and return at once. Raises ViewerError where there is no screen."""
-    rrd = _existing(rrd)
+    rrd = _check_recording(rrd)
     check_screen(str(rrd))
-    command = [executable(), str(rrd), "--bind", HOST, "--port", "auto"]
+    command = [find_executable(), str(rrd), "--bind", HOST, "--port", "auto"]
     nowhere = subprocess.DEVNULL
-    subprocess.Popen(command, env=environment(), stdout=nowhere, stderr=nowhere, start_new_session=True)
+    subprocess.Popen(command, env=build_environment(), stdout=nowhere, stderr=nowhere, start_new_session=True)
 
 
 def check_screen(what: str) -> None:
@@ -84,15 +84,15 @@ def web_server(rrd: str | os.PathLike, port: int = 9090) -> Server:
 
     Raises ArgumentError for what is no port; ViewerError where it cannot be had, or rerun gives no page.
     """
-    rrd = _existing(rrd)
+    rrd = _check_recording(rrd)
     check_port(port)
     try:
-        server = Server(rrd, int(port), outside=_analytics())
+        server = Server(rrd, int(port), outside=_allows_analytics())
     except OSError as error:
         why = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be had: {error.strerror}"
-        raise ViewerError(f"port {port} {why}. Choose another: --port {free_port()}, for example.") from error
+        raise ViewerError(f"port {port} {why}. Choose another: --port {find_free_port()}, for example.") from error
     try:
-        server.page = _page()
+        server.page = _fetch_page()
     except BaseException:
         server.server_close()
         raise
@@ -101,7 +101,7 @@ def web_server(rrd: str | os.PathLike, port: int = 9090) -> Server:
 
 def serve_web(rrd: str | os.PathLike, port: int = 9090) -> None:
     """Serve the dashboard to browsers of this machine until interrupted."""
-    with _ends_in_order():
+    with _exit_on_signals():
         try:
             with web_server(rrd, port) as server:
                 print(f"{rrd} is served on this machine only, at\n  {server.address}\nCtrl-C ends it.", flush=True)
@@ -114,19 +114,19 @@ def serve_web(rrd: str | os.PathLike, port: int = 9090) -> None:
             return
 
 
-def _page() -> dict[str, bytes]:
+def _fetch_page() -> dict[str, bytes]:
     """The files of rerun's page, from its own server, which gets no recording and ends here."""
-    port = free_port()
-    command = [executable(), f"http://{HOST}/{RECORDING}", "--serve-web", "--bind", HOST]
+    port = find_free_port()
+    command = [find_executable(), f"http://{HOST}/{RECORDING}", "--serve-web", "--bind", HOST]
     command += ["--web-viewer-port", str(port)]
-    with _running(command, stderr=subprocess.PIPE) as process:
+    with _run_rerun(command, stderr=subprocess.PIPE) as process:
         _wait_for(port, process)
-        page = {name: _got(port, name) for name in PAGE}
-        _alive(process)  # else somebody else has answered
+        page = {name: _fetch_file(port, name) for name in PAGE}
+        _check_process(process)  # else somebody else has answered
     return page
 
 
-def _got(port: int, name: str) -> bytes:
+def _fetch_file(port: int, name: str) -> bytes:
     """A file of rerun's page."""
     connection = http.client.HTTPConnection(HOST, port, timeout=30)
     try:
@@ -154,21 +154,21 @@ def screenshot(
     size: pixels. at: the moment shown, s; default: the end. Waits until the viewer has loaded everything and two pictures
     in a row are the same. Raises FileError where the file exists (and not `overwrite`) or cannot be written; ViewerError.
     """
-    rrd = _existing(rrd)
+    rrd = _check_recording(rrd)
     with written(Path(png).absolute(), overwrite) as part:
         _render(rrd, part, size, at, timeout)
     return Path(png).absolute()
 
 
 def _render(rrd: Path, png: Path, size: tuple[int, int], at: float | None, timeout: float) -> None:
-    port = free_port()
-    command = [executable(), str(rrd), "--headless", "--window-size", f"{size[0]}x{size[1] + FRAME}"]
+    port = find_free_port()
+    command = [find_executable(), str(rrd), "--headless", "--window-size", f"{size[0]}x{size[1] + FRAME_HEIGHT}"]
     command += ["--bind", HOST, "--port", str(port)]
     deadline = time.monotonic() + timeout
-    with _running(command, stderr=subprocess.PIPE) as process:
+    with _run_rerun(command, stderr=subprocess.PIPE) as process:
         _wait_for(port, process, deadline)
-        client = _client(port, process, deadline)
-        _hold_at(client, at)
+        client = _connect_client(port, process, deadline)
+        _show_moment(client, at)
         before = b""
         while time.monotonic() < deadline:
             client.save_screenshot(str(png))
@@ -186,17 +186,17 @@ def _cut_frame(png: Path, size: tuple[int, int]) -> None:
     from PIL import Image
 
     with Image.open(png) as picture:
-        middle = picture.convert("L").crop((16, 4, picture.width - 16, FRAME - 4))
+        middle = picture.convert("L").crop((16, 4, picture.width - 16, FRAME_HEIGHT - 4))
         empty = middle.getextrema()[0] == middle.getextrema()[1]
-        top = FRAME if empty else 0
+        top = FRAME_HEIGHT if empty else 0
         picture.crop((0, top, picture.width, top + size[1])).save(png)
 
 
-def _client(port: int, process: subprocess.Popen, deadline: float) -> Any:
+def _connect_client(port: int, process: subprocess.Popen, deadline: float) -> Any:
     """A client of the viewer at `port`, once that has loaded all it was given."""
     said: object = "it is still loading"
     while time.monotonic() < deadline:
-        _alive(process)
+        _check_process(process)
         try:
             client = experimental.ViewerClient.connect(f"rerun+http://{HOST}:{port}/proxy")
             state = client.get_state()
@@ -208,13 +208,13 @@ def _client(port: int, process: subprocess.Popen, deadline: float) -> Any:
     raise ViewerError(f"rerun's viewer does not answer: {said}")
 
 
-def _hold_at(client: Any, at: float | None) -> None:
+def _show_moment(client: Any, at: float | None) -> None:
     timeline = next(t for r in client.get_state().recordings for t in r.timelines if t.name == "time")
     seconds = (timeline.end or 0) * 1e-9 if at is None else at
     client.set_time("time", duration=seconds, play_state="paused")
 
 
-def _existing(rrd: str | os.PathLike) -> Path:
+def _check_recording(rrd: str | os.PathLike) -> Path:
     path = Path(rrd)
     refuse_irregular(path, "recording", ViewerError)
     if not path.is_file():
@@ -224,12 +224,12 @@ def _existing(rrd: str | os.PathLike) -> Path:
 
 def _wait_for(port: int, process: subprocess.Popen, deadline: float | None = None) -> None:
     deadline = time.monotonic() + 30 if deadline is None else deadline
-    while _free(port) and time.monotonic() < deadline:
-        _alive(process)
+    while _is_port_free(port) and time.monotonic() < deadline:
+        _check_process(process)
         time.sleep(0.1)
 
 
-def _alive(process: subprocess.Popen) -> None:
+def _check_process(process: subprocess.Popen) -> None:
     if process.poll() is not None:
         said = process.stderr.read().decode(errors="replace")[-800:] if process.stderr else ""
         raise ViewerError(
@@ -237,37 +237,37 @@ def _alive(process: subprocess.Popen) -> None:
         )
 
 
-def environment() -> dict[str, str]:
+def build_environment() -> dict[str, str]:
     """For rerun's program: usage data off, unless PULSESTAGE_RERUN_ANALYTICS selects rerun's own settings."""
-    return {**os.environ, **({} if _analytics() else {"XDG_CONFIG_HOME": str(SETTINGS)})}
+    return {**os.environ, **({} if _allows_analytics() else {"XDG_CONFIG_HOME": str(SETTINGS_FOLDER)})}
 
 
-def _analytics() -> bool:
+def _allows_analytics() -> bool:
     """Whether rerun may do as its own settings say."""
     return os.environ.get("PULSESTAGE_RERUN_ANALYTICS", "0") not in ("", "0")
 
 
 @contextmanager
-def _running(command: list[str], stderr: int | None = None) -> Iterator[subprocess.Popen]:
+def _run_rerun(command: list[str], stderr: int | None = None) -> Iterator[subprocess.Popen]:
     """rerun's program, which ends with this block: by SIGTERM and SIGHUP to this process, too, and on Linux however it ends."""
 
     prctl = getattr(ctypes.CDLL(None), "prctl", None) if sys.platform == "linux" else None
-    with _ends_in_order():
+    with _exit_on_signals():
         process = subprocess.Popen(
             command,
-            env=environment() | QUIET,
+            env=build_environment() | QUIET_ENVIRONMENT,
             stdout=subprocess.DEVNULL,
             stderr=stderr,
-            preexec_fn=prctl and (lambda: prctl(DEATH, signal.SIGTERM)),
+            preexec_fn=prctl and (lambda: prctl(PARENT_DEATH_SIGNAL, signal.SIGTERM)),
         )
         try:
             yield process
         finally:
-            _end(process)
+            _end_process(process)
 
 
 @contextmanager
-def _ends_in_order() -> Iterator[None]:
+def _exit_on_signals() -> Iterator[None]:
     """SIGTERM and SIGHUP leave this block by SystemExit, so what is open gets closed."""
 
     def leave(signum: int, _frame: object) -> None:
@@ -282,7 +282,7 @@ def _ends_in_order() -> Iterator[None]:
             signal.signal(s, handler)
 
 
-def _end(process: subprocess.Popen) -> None:
+def _end_process(process: subprocess.Popen) -> None:
     process.terminate()
     try:
         process.wait(5)
@@ -291,12 +291,12 @@ def _end(process: subprocess.Popen) -> None:
         process.wait()
 
 
-def _free(port: int) -> bool:
+def _is_port_free(port: int) -> bool:
     with socket.socket() as s:
         return s.connect_ex((HOST, port)) != 0
 
 
-def free_port() -> int:
+def find_free_port() -> int:
     """A port that nothing listens on."""
     with socket.socket() as s:
         s.bind((HOST, 0))

@@ -14,7 +14,7 @@ from stage.chips import HCTL1100, MCX501, PCL240K
 from stage.drives.dc_motors import Servo
 from stage.recording.blueprint import BACKGROUND, MARGIN, dashboard, eye
 from stage.recording.recording import unit_of
-from stage.recording.series import SERIES, heading, series_of
+from stage.recording.series import SERIES, plot_title, series_of
 
 pytest.importorskip("rerun")
 FLOOR = '<geom type="plane" size="0 0 1" pos="0.3 0.2 -0.4"/>'
@@ -129,7 +129,7 @@ def test_the_grid_lies_on_the_floor_a_line_each_power_of_ten_of_metres_that_fits
     ],
 )
 def test_a_title_names_the_counters_and_units_of_the_axes_that_have_the_series(axes, series, title):
-    assert heading(recording_of(**{f"x{k}": axis(chip) for k, chip in enumerate(axes)}), series) == title
+    assert plot_title(recording_of(**{f"x{k}": axis(chip) for k, chip in enumerate(axes)}), series) == title
 
 
 def test_a_servo_has_voltage_and_current_and_a_stepper_has_load_angle_and_lost_steps():

@@ -21,23 +21,23 @@ def edges(*rows):
 def test_of_several_edges_at_one_clock_the_last_counts_in_one_piece_and_across_two():
     """clocks 1 1 2 | 2 2 | 3 | 3: what is kept of 1, 2 and 3 is what came last"""
     pieces = [edges((1, 1, 0), (1, 2, 0), (2, 3, 0)), edges((2, 4, 0), (2, 5, 0)), edges((3, 6, 0)), edges((3, 7, 0))]
-    kept = [(int(e["clock"]), int(e["inputs"])) for piece in signals.settled(pieces) for e in piece]
+    kept = [(int(e["clock"]), int(e["inputs"])) for piece in signals.settle_edges(pieces) for e in piece]
     assert kept == [(1, 2), (2, 5), (3, 7)]
-    assert list(signals.settled([])) == []
-    assert [len(p) for p in signals.settled([edges((9, 0, 0))])] == [1]
+    assert list(signals.settle_edges([])) == []
+    assert [len(p) for p in signals.settle_edges([edges((9, 0, 0))])] == [1]
 
 
 def test_edges_are_those_at_which_a_pin_changes_and_the_first():
     """pieces that begin as the one before has ended: no edge; an output alone that changes is one"""
     pieces = [edges((1, 1, 0), (2, 1, 0), (3, 1, 4)), edges((4, 1, 4), (5, 0, 4), (6, 0, 4))]
     journal = SimpleNamespace(pieces=lambda: iter(pieces))
-    assert signals.pin_edges(journal)["clock"].tolist() == [1, 3, 5]
+    assert signals.list_pin_edges(journal)["clock"].tolist() == [1, 3, 5]
     begins = SimpleNamespace(pieces=lambda: iter([edges((1, 1, 0)), edges((2, 0, 0))]))
-    assert signals.pin_edges(begins)["clock"].tolist() == [1, 2]
+    assert signals.list_pin_edges(begins)["clock"].tolist() == [1, 2]
 
 
 def test_changes_begin_with_the_first_value():
-    clocks, values = signals.changes(edges((1, 0, 0), (2, 0, 0), (4, 0, 0), (5, 0, 0)), np.array([0, 0, 1, 0]))
+    clocks, values = signals.find_changes(edges((1, 0, 0), (2, 0, 0), (4, 0, 0), (5, 0, 0)), np.array([0, 0, 1, 0]))
     assert (clocks.tolist(), values.tolist()) == ([1, 4, 5], [0, 1, 0])
 
 
@@ -47,8 +47,8 @@ def test_a_chip_is_at_rest_where_no_pin_says_a_phase():
         pins = list(chip.PHASES)
         rows = [(k, 0, chip.OUTPUTS[pin]) for k, pin in enumerate(pins)] + [(len(pins), 0, 0)]
         rest = "control" if chip.SERVO else "hold"
-        assert signals.phases(chip(), edges(*rows)).tolist() == [*chip.PHASES.values(), rest]
-        known = signals.phases_of(chip())
+        assert signals.find_phases(chip(), edges(*rows)).tolist() == [*chip.PHASES.values(), rest]
+        known = signals.list_phases(chip())
         assert known[-1] == rest
         assert sorted(known) == sorted({*chip.PHASES.values(), rest})
 
@@ -67,9 +67,9 @@ class Wired:
 def test_switches_on_one_pin_are_one_lane_by_the_name_of_the_pin():
     switches = SimpleNamespace(as_dict=lambda: {"el_minus": 0, "org": 0, "el_plus": 0, "sd_plus": 0})
     axis = SimpleNamespace(chip=Wired(), switches=switches)
-    assert list(signals.seen_switches(axis)) == [("both", "EL", "el"), ("el_plus", "EL+", "el")]
+    assert list(signals.list_switches(axis)) == [("both", "EL", "el"), ("el_plus", "EL+", "el")]
     alone = SimpleNamespace(chip=Wired(), switches=SimpleNamespace(as_dict=lambda: {"org": 0}))
-    assert list(signals.seen_switches(alone)) == [("org", "ORG", "org")]
+    assert list(signals.list_switches(alone)) == [("org", "ORG", "org")]
 
 
 def test_a_switch_is_on_as_its_pin_says_and_where_it_is_wired_the_other_way_round_as_it_does_not():
@@ -77,11 +77,11 @@ def test_a_switch_is_on_as_its_pin_says_and_where_it_is_wired_the_other_way_roun
     seen = edges((1, 0, 0), (2, 1, 0), (3, 3, 0))
     usual = SimpleNamespace(chip=Wired())
     turned = SimpleNamespace(chip=Wired(), wiring={"org": "positive"})
-    assert signals.on(usual, seen, "el_minus").tolist() == [False, True, True]
-    assert signals.on(turned, seen, "el_minus").tolist() == [True, False, False]
-    assert signals.on(turned, seen, "org").tolist() == [True, False, False]
-    assert signals.on(turned, seen, "el_plus").tolist() == [False, False, True]
-    assert signals.asserted(Wired(), edges((1, 0, 64), (2, 64, 0)), "pout").tolist() == [True, False]
+    assert signals.is_switch_on(usual, seen, "el_minus").tolist() == [False, True, True]
+    assert signals.is_switch_on(turned, seen, "el_minus").tolist() == [True, False, False]
+    assert signals.is_switch_on(turned, seen, "org").tolist() == [True, False, False]
+    assert signals.is_switch_on(turned, seen, "el_plus").tolist() == [False, False, True]
+    assert signals.is_asserted(Wired(), edges((1, 0, 64), (2, 64, 0)), "pout").tolist() == [True, False]
 
 
 def test_a_status_bit_is_of_the_pin_of_its_direction_and_of_what_the_chip_sees():
@@ -93,14 +93,14 @@ def test_a_status_bit_is_of_the_pin_of_its_direction_and_of_what_the_chip_sees()
     chip = Wired()
     chip.MAP = SimpleNamespace(words=[SimpleNamespace(name="other"), SimpleNamespace(name="status", fields=fields)])
     rows = edges((1, 2, 64), (2, 1, 0), (3, 1, 0))
-    said = {name: v.tolist() for name, v in signals.status(chip, rows, np.array([False, False, True])).items()}
+    said = {name: v.tolist() for name, v in signals.decode_status(chip, rows, np.array([False, False, True])).items()}
     assert said == {"end": [True, False, True], "off": [True, False, False], "pulse": [True, False, False]}
     seen = np.zeros(3, [*EDGE, ("seen", "i8")])
     seen["inputs"], seen["seen"], seen["outputs"] = [2, 1, 1], [0, 3, 2], [64, 0, 0]
-    said = {name: v.tolist() for name, v in signals.status(chip, seen, np.array([False, False, False])).items()}
+    said = {name: v.tolist() for name, v in signals.decode_status(chip, seen, np.array([False, False, False])).items()}
     assert said == {"end": [False, True, True], "off": [True, False, True], "pulse": [True, False, False]}
     chip.MAP = SimpleNamespace(words=[SimpleNamespace(name="other")])
-    assert signals.status(chip, rows, np.zeros(3, bool)) == {}
+    assert signals.decode_status(chip, rows, np.zeros(3, bool)) == {}
 
 
 def test_the_direction_is_that_of_the_last_write_and_plus_after_the_reset_pin():
@@ -112,15 +112,15 @@ def test_the_direction_is_that_of_the_last_write_and_plus_after_the_reset_pin():
         SimpleNamespace(kind=kind, clock=clock, a=0, b=b)
         for kind, clock, b in ((WRITE, 110, 1), (WRITE, 120, 2), (WRITE, 130, 3), (RESET, 140, 3), (WRITE, 150, 3))
     ]
-    clocks, minus = signals.directions(chip, SimpleNamespace(start=start, entries=entries))
+    clocks, minus = signals.list_directions(chip, SimpleNamespace(start=start, entries=entries))
     assert clocks.tolist() == [100, 120, 130, 140, 150]
     assert minus.tolist() == [True, False, True, False, True]
     plain = np.array([(7, 1)], [("clock", "i8"), ("other", "i8")])[0]
-    clocks, minus = signals.directions(chip, SimpleNamespace(start=plain, entries=entries))
+    clocks, minus = signals.list_directions(chip, SimpleNamespace(start=plain, entries=entries))
     assert (clocks.tolist(), minus.tolist()) == ([7], [False])
 
 
 def test_a_rate_is_in_pulses_a_second():
     rows = edges((1, 0, 0), (2, 0, 0))
     rows["rate"] = [0.001, 0.25]
-    assert signals.rates(rows, 4000).tolist() == [4.0, 1000.0]
+    assert signals.to_pulse_rates(rows, 4000).tolist() == [4.0, 1000.0]

@@ -12,7 +12,7 @@ from support.vcd_parser import parse
 from stage import Stage, faults
 from stage.chips import MCX514, PCL240K
 from stage.recording import signals
-from stage.recording.vcd import nanoseconds
+from stage.recording.vcd import to_nanoseconds
 
 HZ = PCL240K.DEFAULT_CLOCK_HZ
 
@@ -64,14 +64,14 @@ def test_pulses_pins_status_and_counter_are_those_of_the_chip_to_the_clock(tmp_p
     plus = [clock(t) for t in vcd.edges("x.POUT_n", 0)]
     if not independent:
         assert plus == pulses["clock"].tolist()
-        assert [vcd.at("x.PDIR", nanoseconds(int(p["clock"]), HZ)) for p in pulses] == (
+        assert [vcd.at("x.PDIR", to_nanoseconds(int(p["clock"]), HZ)) for p in pulses] == (
             pulses["direction"] > 0
         ).tolist()
     for now, pins, status, r0 in looks:
-        ns = nanoseconds(now, HZ)
+        ns = to_nanoseconds(now, HZ)
         assert vcd.at("x.R0", ns) == r0
         for pin, on in pins.items():
-            name, asserted = signals.wire(bench.chip, pin)
+            name, asserted = signals.find_wire(bench.chip, pin)
             assert vcd.at(f"x.{name}", ns) == (asserted if on else 1 - asserted), (seed, now, pin)
         for field in PCL240K.MAP.word("status").fields:
             assert vcd.at(f"x.status.{field.name}", ns) == field.of(status), (seed, now, field.name)
@@ -152,7 +152,7 @@ def test_after_the_reset_pin_the_direction_is_plus_and_the_sd_bit_that_of_its_sw
     bench.recording.close()
     vcd = parse(bench.recording.to_vcd(tmp_path / "x.vcd"))
     assert [on for _, on in looks] == [1, 0, 1]
-    assert [vcd.at("x.status.sd", nanoseconds(at, HZ)) for at, _ in looks] == [1, 0, 1]
+    assert [vcd.at("x.status.sd", to_nanoseconds(at, HZ)) for at, _ in looks] == [1, 0, 1]
 
 
 def test_a_stage_has_a_scope_for_each_axis_and_one_time_for_all(run, tmp_path):
@@ -194,7 +194,7 @@ def test_chips_of_several_clocks_begin_at_the_earliest_of_their_clocks(tmp_path)
     with stage.record() as recording:
         stage.run(1e-4)
     starts = [
-        nanoseconds(int(j.start["clock"]), recording.axes[n].chip.clock_hz) for n, j in recording.journals.items()
+        to_nanoseconds(int(j.start["clock"]), recording.axes[n].chip.clock_hz) for n, j in recording.journals.items()
     ]
     assert len(set(starts)) == 2
     first = next(line for line in recording.to_vcd(tmp_path / "x.vcd").read_text().splitlines() if line.startswith("#"))
@@ -204,8 +204,8 @@ def test_chips_of_several_clocks_begin_at_the_earliest_of_their_clocks(tmp_path)
 def test_ticks_come_back_from_nanoseconds_after_a_century():
     for hz in (1, 4_915_200, 9_830_400, 99_999_999, 100_000_000):
         ticks = np.array([0, 1, 2, hz - 1, hz, 100 * 365 * 86400 * hz + 12345], np.int64)
-        ns = nanoseconds(ticks, hz)
-        assert [nanoseconds(int(t), hz) for t in ticks] == ns.tolist()
+        ns = to_nanoseconds(ticks, hz)
+        assert [to_nanoseconds(int(t), hz) for t in ticks] == ns.tolist()
         assert [(2 * int(t) * hz + 10**9) // (2 * 10**9) for t in ns] == ticks.tolist()
 
 
@@ -213,9 +213,9 @@ def test_ticks_come_back_from_nanoseconds_after_a_century():
 def test_times_are_the_nearest_nanoseconds(hz):
     """recording.to_vcd("x.vcd"): #203 for a tick of 203.45 ns, #306 for 305.18"""
     ticks = [*range(2000), hz - 1, hz, 10**8 * hz + 7]
-    for t, ns in zip(ticks, nanoseconds(np.array(ticks, np.int64), hz).tolist(), strict=True):
+    for t, ns in zip(ticks, to_nanoseconds(np.array(ticks, np.int64), hz).tolist(), strict=True):
         assert -1 < 2 * (ns - Fraction(t * 10**9, hz)) <= 1
-        assert nanoseconds(t, hz) == ns
+        assert to_nanoseconds(t, hz) == ns
 
 
 def test_pieces_of_a_course_are_the_course(bench):
@@ -244,7 +244,7 @@ def test_reads_that_change_something_are_events_and_others_are_not(tmp_path):
     vcd = parse(recording.to_vcd(tmp_path / "x.vcd"))
     times = [t for t, _ in vcd.changes["x.bus.RD"]]
     assert len(times) == 2
-    assert times[-1] == nanoseconds(ticks, chip.clock_hz)
+    assert times[-1] == to_nanoseconds(ticks, chip.clock_hz)
     assert (vcd.at("x.bus.A", times[-1]), vcd.at("x.bus.D", times[-1])) == (1, word)
 
 

@@ -18,7 +18,7 @@ import pytest
 
 from stage import ArgumentError
 from stage.recording import viewer
-from stage.recording.series import COLOURS, colours_of
+from stage.recording.series import COLORS, colors_of
 from stage.recording.viewer import ViewerError
 
 
@@ -29,7 +29,7 @@ def listening(process):
 @pytest.fixture(scope="module")
 def served(rrd):
     """The dashboard's server."""
-    with viewer.web_server(rrd, viewer.free_port()) as server:
+    with viewer.web_server(rrd, viewer.find_free_port()) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         yield server
@@ -115,8 +115,8 @@ def test_who_does_not_know_the_address_gets_nothing(served, path):
 def test_the_page_calls_nobody_unless_asked_for(rrd, monkeypatch, wanted):
     """stage demo --web"""
     monkeypatch.setenv("PULSESTAGE_RERUN_ANALYTICS", wanted)
-    monkeypatch.setattr(viewer, "_page", lambda: {"": b"page"})
-    with viewer.web_server(rrd, viewer.free_port()) as server:
+    monkeypatch.setattr(viewer, "_fetch_page", lambda: {"": b"page"})
+    with viewer.web_server(rrd, viewer.find_free_port()) as server:
         thread = threading.Thread(target=server.handle_request)
         thread.start()
         _, headers, _ = asked(server, f"{server.folder}?url=x", [f"localhost:{server.server_port}"])
@@ -130,10 +130,10 @@ def test_the_page_calls_nobody_unless_asked_for(rrd, monkeypatch, wanted):
 
 
 def test_each_server_has_an_address_of_its_own(rrd, monkeypatch):
-    monkeypatch.setattr(viewer, "_page", dict)
+    monkeypatch.setattr(viewer, "_fetch_page", dict)
     folders = set()
     for _ in range(2):
-        with viewer.web_server(rrd, viewer.free_port()) as server:
+        with viewer.web_server(rrd, viewer.find_free_port()) as server:
             folders.add(server.folder)
     assert len(folders) == 2
 
@@ -149,7 +149,7 @@ def test_a_port_in_use_is_named_before_anything_starts(rrd):
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_what_serves_ends_with_its_command(rrd, sent):
     """stage demo --web & sleep 9; kill $!"""
-    program = f"from stage.recording import viewer; viewer.serve_web({str(rrd)!r}, {viewer.free_port()})"
+    program = f"from stage.recording import viewer; viewer.serve_web({str(rrd)!r}, {viewer.find_free_port()})"
     command = [sys.executable, "-c", program]
     with subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True) as parent:
         assert b"is served" in parent.stdout.readline()
@@ -163,9 +163,7 @@ def test_what_serves_ends_with_its_command(rrd, sent):
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_rerun_ends_with_the_command_that_waits_for_it(sent):
     """stage demo --picture x.png & sleep 9; kill $!"""
-    program = (
-        "from stage.recording import viewer\nwith viewer._running(['sleep', '100']): print('runs', flush=True); input()"
-    )
+    program = "from stage.recording import viewer\nwith viewer._run_rerun(['sleep', '100']): print('runs', flush=True); input()"
     command = [sys.executable, "-c", program]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True) as parent:
         assert b"runs" in parent.stdout.readline()
@@ -187,12 +185,12 @@ def test_reruns_usage_data_is_off_unless_asked_for(tmp_path, monkeypatch, asked)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "own"))
     monkeypatch.setenv("PULSESTAGE_RERUN_ANALYTICS", asked)
     monkeypatch.delenv("CI", raising=False)  # rerun sends nothing from a machine that says so
-    before = {p: p.read_bytes() for p in viewer.SETTINGS.rglob("*") if p.is_file()}
-    command = [viewer.executable(), "analytics", "config"]
-    said = subprocess.run(command, env=viewer.environment(), capture_output=True, text=True, check=True).stdout
+    before = {p: p.read_bytes() for p in viewer.SETTINGS_FOLDER.rglob("*") if p.is_file()}
+    command = [viewer.find_executable(), "analytics", "config"]
+    said = subprocess.run(command, env=viewer.build_environment(), capture_output=True, text=True, check=True).stdout
     assert ('"analytics_enabled": true' in said) == bool(asked)
     assert ('"analytics_enabled": false' in said) != bool(asked)
-    assert {p: p.read_bytes() for p in viewer.SETTINGS.rglob("*") if p.is_file()} == before
+    assert {p: p.read_bytes() for p in viewer.SETTINGS_FOLDER.rglob("*") if p.is_file()} == before
 
 
 @pytest.mark.parametrize("port", [0, -1, 65536, 9.5])
@@ -232,7 +230,7 @@ def test_a_picture_shows_the_whole_dashboard(rrd, tmp_path):
         pixels = np.asarray(picture.convert("RGB")).astype(int)
     scene, plots = pixels[40:500, :800].reshape(-1, 3), pixels[40:600, 920:1560].reshape(-1, 3)
     assert len(np.unique(scene, axis=0)) > 1000
-    for axis, colour in zip("xyz", COLOURS.values(), strict=False):
+    for axis, colour in zip("xyz", COLORS.values(), strict=False):
         assert np.abs(plots - colour).sum(axis=1).min() < 40, axis
 
 
@@ -244,16 +242,18 @@ def test_nobody_waits_for_ever_for_a_viewer_that_never_listens():
         asked.append(1)
         return None if len(asked) < 50 else 1
 
-    viewer._wait_for(viewer.free_port(), SimpleNamespace(poll=poll, stderr=None, returncode=1), time.monotonic() + 0.15)
+    viewer._wait_for(
+        viewer.find_free_port(), SimpleNamespace(poll=poll, stderr=None, returncode=1), time.monotonic() + 0.15
+    )
     assert 1 <= len(asked) < 10
 
 
 def test_a_page_that_cannot_be_had_leaves_the_port_free(rrd, monkeypatch):
-    port = viewer.free_port()
-    monkeypatch.setattr(viewer, "_page", lambda: 1 / 0)
+    port = viewer.find_free_port()
+    monkeypatch.setattr(viewer, "_fetch_page", lambda: 1 / 0)
     with pytest.raises(ZeroDivisionError) as told:
         viewer.web_server(rrd, port)
-    assert viewer._free(port), told
+    assert viewer._is_port_free(port), told
 
 
 def test_a_picture_waits_until_the_viewer_is_there_has_loaded_all_and_stands_still(rrd, tmp_path, monkeypatch):
@@ -289,13 +289,13 @@ def test_a_picture_waits_until_the_viewer_is_there_has_loaded_all_and_stands_sti
         return contextlib.nullcontext(running)
 
     monkeypatch.setattr("rerun.experimental.ViewerClient", SimpleNamespace(connect=connect))
-    monkeypatch.setattr(viewer, "_running", begun)
+    monkeypatch.setattr(viewer, "_run_rerun", begun)
     monkeypatch.setattr(viewer, "_wait_for", lambda *_: None)
     monkeypatch.setattr(viewer, "_cut_frame", lambda *given: done.append(given))
     monkeypatch.setattr("time.sleep", done.append)
     png = tmp_path / "x.png"
     viewer._render(rrd, png, (640, 480), None, 20)
-    size = ["--headless", "--window-size", f"640x{480 + viewer.FRAME}"]
+    size = ["--headless", "--window-size", f"640x{480 + viewer.FRAME_HEIGHT}"]
     held = (1, ("time",), {"duration": 2.0, "play_state": "paused"})
     assert done == [size, 0.2, 0.2, 0.2, held, 0.5, 0.5, (png, (640, 480))]
     assert not shots
@@ -303,6 +303,6 @@ def test_a_picture_waits_until_the_viewer_is_there_has_loaded_all_and_stands_sti
 
 def test_the_dashboard_names_the_colour_of_each_axis_and_begins_again_after_the_last():
     eight = SimpleNamespace(axes=dict.fromkeys("abcdefgh"))
-    named = colours_of(eight)
-    assert list(named.values()) == [*COLOURS, *list(COLOURS)[:2]]
+    named = colors_of(eight)
+    assert list(named.values()) == [*COLORS, *list(COLORS)[:2]]
     assert named["b"] == "green"

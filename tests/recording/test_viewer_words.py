@@ -38,7 +38,7 @@ def test_a_port_that_cannot_be_had_says_why_and_names_one_that_is_free(tmp_path,
         raise OSError(number, "no, sir")
 
     monkeypatch.setattr(viewer, "Server", refused)
-    monkeypatch.setattr(viewer, "free_port", lambda: 4711)
+    monkeypatch.setattr(viewer, "find_free_port", lambda: 4711)
     rrd = tmp_path / "x.rrd"
     rrd.touch()
     with pytest.raises(ViewerError) as failed:
@@ -52,7 +52,7 @@ def test_usage_data_is_sent_only_where_that_is_asked_for(monkeypatch, given, wan
     monkeypatch.setenv("XDG_CONFIG_HOME", "/own")
     if given is not None:
         monkeypatch.setenv("PULSESTAGE_RERUN_ANALYTICS", given)
-    assert viewer.environment()["XDG_CONFIG_HOME"] == ("/own" if wanted else str(viewer.SETTINGS))
+    assert viewer.build_environment()["XDG_CONFIG_HOME"] == ("/own" if wanted else str(viewer.SETTINGS_FOLDER))
 
 
 def test_reruns_program_is_the_one_that_is_named_or_that_of_its_package(tmp_path, monkeypatch):
@@ -62,14 +62,14 @@ def test_reruns_program_is_the_one_that_is_named_or_that_of_its_package(tmp_path
     monkeypatch.setattr(viewer, "find_spec", lambda name: spec)
     monkeypatch.setattr(viewer, "need", lambda *_: None)
     with pytest.raises(ViewerError, match=rf"in {tmp_path}/none, {tmp_path} has no program of rerun\. Install it anew"):
-        viewer.executable()
+        viewer.find_executable()
     for name in ("rerun.exe", "rerun", "Rerun.app/Contents/MacOS/Rerun"):
         program = tmp_path / name
         program.parent.mkdir(parents=True, exist_ok=True)
         program.touch()
-        assert viewer.executable() == str(program)
+        assert viewer.find_executable() == str(program)
     monkeypatch.setenv("RERUN_CLI_PATH", "/else/where")
-    assert viewer.executable() == "/else/where"
+    assert viewer.find_executable() == "/else/where"
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_the_moment_that_is_shown_is_the_one_asked_for_or_the_end(at, end, shown
     timelines = [SimpleNamespace(name="log_time", end=7), SimpleNamespace(name="time", end=end)]
     state = SimpleNamespace(recordings=[SimpleNamespace(timelines=timelines)])
     client = SimpleNamespace(get_state=lambda: state, set_time=lambda *given, **named: asked.append((given, named)))
-    viewer._hold_at(client, at)
+    viewer._show_moment(client, at)
     assert asked == [(("time",), {"duration": pytest.approx(shown), "play_state": "paused"})]
 
 
@@ -91,7 +91,7 @@ def test_a_signal_that_ends_leaves_in_order_and_handlers_are_as_before(number):
 
     before = signal.signal(number, own)
     try:
-        with pytest.raises(SystemExit) as left, viewer._ends_in_order():
+        with pytest.raises(SystemExit) as left, viewer._exit_on_signals():
             signal.raise_signal(number)
         assert left.value.code == 128 + number
         assert signal.getsignal(number) is own
@@ -108,7 +108,7 @@ def test_a_program_that_does_not_end_is_killed_and_waited_for():
             raise subprocess.TimeoutExpired("rerun", timeout)
 
     process = SimpleNamespace(terminate=lambda: done.append("terminate"), kill=lambda: done.append("kill"), wait=wait)
-    viewer._end(process)
+    viewer._end_process(process)
     assert done == ["terminate", ("wait", 5), "kill", ("wait", None)]
 
 
@@ -124,20 +124,20 @@ def test_a_picture_that_exists_stays_unless_overwriting_is_asked_for(tmp_path, m
     assert (png.read_bytes(), asked) == (b"new", [((320, 200), 0.5, 7)])
 
 
-@pytest.mark.parametrize(("bar", "top"), [(lambda x: 30, viewer.FRAME), (lambda x: x % 256, 0)])
+@pytest.mark.parametrize(("bar", "top"), [(lambda x: 30, viewer.FRAME_HEIGHT), (lambda x: x % 256, 0)])
 def test_an_empty_bar_of_a_window_is_cut_off_and_what_is_drawn_stays(tmp_path, bar, top):
     """a picture of 64 x 48 below the bar, of which row y has the colour y"""
     image = pytest.importorskip("PIL.Image")
-    height = 48 + viewer.FRAME
+    height = 48 + viewer.FRAME_HEIGHT
     picture = image.new("L", (64, height))
     for y in range(height):
         for x in range(64):
-            picture.putpixel((x, y), bar(x) if y < viewer.FRAME else y)
+            picture.putpixel((x, y), bar(x) if y < viewer.FRAME_HEIGHT else y)
     picture.save(tmp_path / "x.png")
     viewer._cut_frame(tmp_path / "x.png", (64, 48))
     with image.open(tmp_path / "x.png") as cut:
         assert cut.size == (64, 48)
-        assert cut.getpixel((5, 0)) == (viewer.FRAME if top else 5)
+        assert cut.getpixel((5, 0)) == (viewer.FRAME_HEIGHT if top else 5)
 
 
 class Answer:
@@ -159,8 +159,8 @@ def test_a_page_that_rerun_does_not_give_is_named(monkeypatch, name, called):
     monkeypatch.setattr(http.client, "HTTPConnection", lambda host, port, timeout: connection)
     answers = [Answer(404, "Not Found"), Answer(200)]
     with pytest.raises(ViewerError, match=rf"rerun does not give {called}: 404 Not Found\."):
-        viewer._got(1, name)
-    assert viewer._got(1, name) == b"content"
+        viewer._fetch_file(1, name)
+    assert viewer._fetch_file(1, name) == b"content"
     assert asked == [("GET", f"/{name}"), "closed"] * 2
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from stage import Drive
 from stage.chips import PCL240K
 from stage.recording import Recording
-from stage.recording.viewer import environment, executable
+from stage.recording.viewer import build_environment, find_executable
 from support.programs import load_registers, start_preset
 
 ONE_AXIS = """
@@ -75,8 +75,8 @@ def feed(recording, n, rng=None):
 
 
 def rerun_cli(*args):
-    command = [executable(), *map(str, args)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment())
+    command = [find_executable(), *map(str, args)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, env=build_environment())
 
 
 def read_rrd(path):

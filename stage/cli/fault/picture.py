@@ -74,13 +74,17 @@ def _find_unit(column: str) -> str | None:
 
 def _read_waveform(recording: Any, column: str) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return times in s, values, and whether each holds until the next, of the first axis; rates and pins to the clock."""
-    from stage.recording.signals import asserted, rates
+    from stage.recording.signals import is_asserted, to_pulse_rates
 
     name, axis = next(iter(recording.axes.items()))
     if _find_unit(column) is not None and column != "rate":
         return recording.column("time"), recording.column(f"{name}/{column}"), False
     course = recording.journals[name].course()
-    values = rates(course.edges, course.clock_hz) if column == "rate" else asserted(axis.chip, course.edges, column)
+    values = (
+        to_pulse_rates(course.edges, course.clock_hz)
+        if column == "rate"
+        else is_asserted(axis.chip, course.edges, column)
+    )
     return recording.began + course.seconds, values, True
 
 
