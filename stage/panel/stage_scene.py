@@ -10,7 +10,7 @@ import numpy as np
 from nicegui import ui
 
 from stage.panel.browser_updates import FRAMES, BrowserUpdates
-from stage.recording.geoms import find_color, find_floor, is_visible
+from stage.recording.geoms import find_color, find_floor, find_triangles, is_visible
 
 if TYPE_CHECKING:
     from stage.panel.server import Panel
@@ -41,14 +41,24 @@ class Shape(NamedTuple):
 
 
 def list_visible_geoms(model: mujoco.MjModel, body: int) -> list[int]:
-    """Return the geoms of a body that a page shows."""
+    """Return the geoms of a body that a page shows.
+
+    Args:
+        model: The model.
+        body: Index of the body.
+    """
     ground = find_floor(model)
     geoms = np.flatnonzero(model.geom_bodyid == body).tolist()
     return [g for g in geoms if g != ground and is_visible(model, g)]
 
 
 def list_shapes(model: mujoco.MjModel, geom: int) -> Iterator[Shape]:
-    """Yield the shapes that a geom consists of; none for a kind that is not shown."""
+    """Yield the shapes that a geom consists of; none for a kind that is not shown.
+
+    Args:
+        model: The model.
+        geom: Index of the geom.
+    """
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
     rotation, place = matrix.reshape(3, 3), model.geom_pos[geom]
@@ -56,8 +66,8 @@ def list_shapes(model: mujoco.MjModel, geom: int) -> Iterator[Shape]:
     if kind == _KIND.mjGEOM_BOX:
         yield Shape("box", tuple(2 * s for s in size), place, rotation)
     elif kind == _KIND.mjGEOM_PLANE:
-        far = 2 * float(model.stat.extent)
-        sides = [2 * (s if 0 < s <= far else far) for s in size[:2]]
+        limit = 2 * float(model.stat.extent)
+        sides = [2 * (s if 0 < s <= limit else limit) for s in size[:2]]
         below = rotation @ [0, 0, -PLANE_THICKNESS_M / 2]
         yield Shape("box", (*sides, PLANE_THICKNESS_M), place + below, rotation)
     elif kind in (_KIND.mjGEOM_SPHERE, _KIND.mjGEOM_ELLIPSOID):
@@ -72,12 +82,13 @@ def list_shapes(model: mujoco.MjModel, geom: int) -> Iterator[Shape]:
 
 
 def mesh_to_stl(model: mujoco.MjModel, mesh: int) -> bytes:
-    """Return a mesh of the model as a binary STL file, whose triangles browsers shade flat."""
-    first, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
-    corners = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
-    triangles = corners[model.mesh_face[face : face + model.mesh_facenum[mesh]]]
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    """Return a mesh as a binary STL file, whose triangles browsers shade flat.
+
+    Args:
+        model: The model.
+        mesh: Index of the mesh.
+    """
+    triangles, normals = find_triangles(model, mesh)
     rows = np.zeros(len(triangles), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
     rows["normal"], rows["corners"] = normals, triangles
     return bytes(80) + np.uint32(len(rows)).tobytes() + rows.tobytes()

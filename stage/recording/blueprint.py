@@ -16,22 +16,22 @@ from stage.recording.series import axes_with, colors_of, plot_title
 if TYPE_CHECKING:
     from stage.recording.recording import Recording
 
-CAMERA = "overview"  # a camera of this name in the MJCF is where the eye begins
-FIELD_OF_VIEW = 55.0  # of rerun's eye, degrees
+CAMERA = "overview"  # name of the camera in the MJCF from which the first view is
+FIELD_OF_VIEW_DEG = 55.0  # of rerun's eye
 MARGIN = 1.12
 SAMPLED = ("following_error", "voltage", "current", "load_angle", "lost_steps", "counter")
 BACKGROUND = (30, 34, 41)
 GRID = (96, 104, 118, 110)
 
 
-def dashboard(recording: Recording) -> Any:
-    """A rerun blueprint for `recording`."""
-    position, target = eye(recording.model)
+def build_dashboard(recording: Recording) -> Any:
+    """Return the rerun blueprint of a recording."""
+    position, target = find_eye(recording.model)
     view = rrb.Spatial3DView(
         origin="/stage",
         name="Stage",
         background=rrb.Background(color=BACKGROUND),
-        line_grid=_grid(recording.model),
+        line_grid=_build_grid(recording.model),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=(0, 0, 1)
         ),
@@ -39,9 +39,9 @@ def dashboard(recording: Recording) -> Any:
     paths = {name: f"/{axis_path(name)}" for name in recording.axes}
     together = rrb.TimeAxis(link="LinkToGlobal")
 
-    def plot(*keys: str, said: str = "") -> Any:
+    def plot(*keys: str, suffix: str = "") -> Any:
         return rrb.TimeSeriesView(
-            name=plot_title(recording, keys[0]) + said,
+            name=plot_title(recording, keys[0]) + suffix,
             origin="/",
             contents=[f"+ {paths[name]}/{k}" for k in keys for name in axes_with(recording, k)],
             plot_legend=rrb.PlotLegend(visible=False),  # it would lie on the curves
@@ -68,8 +68,8 @@ def dashboard(recording: Recording) -> Any:
         rrb.Horizontal(
             rrb.Vertical(view, rrb.Tabs(*lanes), row_shares=[1 - low, low]),
             rrb.Vertical(
-                plot("rate", said=f": {', '.join(f'{a} {c}' for a, c in colors_of(recording).items())}"),
-                plot("position", "commanded", said=", commanded darker"),
+                plot("rate", suffix=f": {', '.join(f'{a} {c}' for a, c in colors_of(recording).items())}"),
+                plot("position", "commanded", suffix=", commanded darker"),
                 rrb.Tabs(*(plot(key) for key in SAMPLED if axes_with(recording, key))),
                 rrb.Tabs(
                     bus,
@@ -88,8 +88,8 @@ def dashboard(recording: Recording) -> Any:
     )
 
 
-def eye(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Where the eye is and what it looks at: as the MJCF's camera `overview` has it, or as MuJoCo's viewer begins."""
+def find_eye(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return the position of the eye and the point at its center: of the MJCF's camera `overview`, else of MuJoCo's viewer."""
     target = np.array(model.stat.center)
     camera = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, CAMERA)
     if camera >= 0:
@@ -103,12 +103,12 @@ def eye(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
         turn, tilt = math.radians(model.vis.global_.azimuth), math.radians(model.vis.global_.elevation)
         forward = np.array([math.cos(tilt) * math.cos(turn), math.cos(tilt) * math.sin(turn), math.sin(tilt)])
         position, fovy = target - 1.5 * model.stat.extent * forward, float(model.vis.global_.fovy)
-    nearer = math.tan(math.radians(fovy / 2)) / math.tan(math.radians(FIELD_OF_VIEW / 2))
+    nearer = math.tan(math.radians(fovy / 2)) / math.tan(math.radians(FIELD_OF_VIEW_DEG / 2))
     return target + (position - target) * nearer * MARGIN, target
 
 
-def _grid(model: mujoco.MjModel) -> Any:
-    """Lines on the floor, one every power of ten of metres that fits the model."""
+def _build_grid(model: mujoco.MjModel) -> Any:
+    """Return lines on the floor, a power of ten of meters apart that fits the model."""
     floor = geoms.find_floor(model)
     if floor is None:
         return rrb.LineGrid3D(visible=False)

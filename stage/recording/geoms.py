@@ -10,21 +10,34 @@ import numpy as np
 
 from stage.recording.sdk import rr
 
-HIDDEN_GROUP = 3  # this group and above are for computing, not for looking
+HIDDEN_GROUP = 3  # geoms of this group and above are for computing only
 PLANE_THICKNESS_M = 0.002  # thickness, m
 
 _KIND = mujoco.mjtGeom
 
 
 def is_visible(model: mujoco.MjModel, geom: int) -> bool:
-    """Whether a geom is there to be looked at."""
+    """Return whether a geom is meant to be seen.
+
+    Args:
+        model: The model.
+        geom: Index of the geom.
+    """
     material = model.geom_matid[geom]
     rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
     return bool(model.geom_group[geom] < HIDDEN_GROUP and round(float(rgba[3]) * 255) > 0)
 
 
 def find_color(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    """RGBA 0..255 of a geom: its material's, with the mean of its texture, where it has one."""
+    """Return the color of a geom: that of its material, with the mean of its texture, where it has one.
+
+    Args:
+        model: The model.
+        geom: Index of the geom.
+
+    Returns:
+        RGBA, 0 to 255, (4,) uint8.
+    """
     material = model.geom_matid[geom]
     rgba = model.geom_rgba[geom]
     if material >= 0:
@@ -44,7 +57,7 @@ def _mean_texture(model: mujoco.MjModel, texture: int) -> np.ndarray:
 
 
 def find_floor(model: mujoco.MjModel) -> int | None:
-    """The first level plane of the world; it is shown as a grid of lines, which hides nothing from below."""
+    """Return the first level plane of the world, or None; it is shown as a grid of lines, which hides nothing from below."""
     planes = model.geom_type == int(_KIND.mjGEOM_PLANE)  # with the name itself numpy compares objects, one by one
     for g in np.flatnonzero(planes & (model.geom_bodyid == 0)).tolist():
         if abs(model.geom_quat[g][0]) > 1 - 1e-9:
@@ -53,7 +66,12 @@ def find_floor(model: mujoco.MjModel) -> int | None:
 
 
 def list_shapes(model: mujoco.MjModel, body: int) -> Iterator[tuple[str, Any]]:
-    """(entity name, archetype) for the geoms of a body, in the body's frame."""
+    """Yield names of entities and archetypes for the geoms of a body, in the body's frame.
+
+    Args:
+        model: The model.
+        body: Index of the body.
+    """
     kinds: dict[int, list[int]] = {}
     grid = find_floor(model)
     for g in np.flatnonzero(model.geom_bodyid == body).tolist():
@@ -83,10 +101,10 @@ def _boxes(model: mujoco.MjModel, geoms: list[int]) -> Any:
 
 
 def _planes(model: mujoco.MjModel, geoms: list[int]) -> Any:
-    """A slab whose top is the plane; an endless one ends at twice the model's extent."""
-    far = 2 * float(model.stat.extent)
+    """Return slabs whose tops are the planes; an endless one ends at twice the model's extent."""
+    limit = 2 * float(model.stat.extent)
     half = model.geom_size[geoms].copy()
-    half[(half <= 0) | (half > far)] = far
+    half[(half <= 0) | (half > limit)] = limit
     half[:, 2] = PLANE_THICKNESS_M
     down = np.array([rotate(model.geom_quat[g], [0, 0, -PLANE_THICKNESS_M]) for g in geoms])
     return rr.Boxes3D(
@@ -111,7 +129,7 @@ def _cylinders(model: mujoco.MjModel, geoms: list[int]) -> Any:
 
 
 def _capsules(model: mujoco.MjModel, geoms: list[int]) -> Any:
-    """rerun's capsule begins at its origin; MuJoCo's is centred there."""
+    """Return capsules; rerun's begins at its origin, MuJoCo's has its center there."""
     size = model.geom_size[geoms]
     ends = np.array([rotate(model.geom_quat[g], [0, 0, -s[1]]) for g, s in zip(geoms, size, strict=True)])
     return rr.Capsules3D(
@@ -130,33 +148,59 @@ _MAKERS: dict[int, tuple[str, Any]] = {
 }
 
 
+def find_triangles(model: mujoco.MjModel, mesh: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the triangles of a mesh, whose edges are sharp as those of machines are.
+
+    Args:
+        model: The model.
+        mesh: Index of the mesh.
+
+    Returns:
+        Corners (n, 3, 3), m, and normals (n, 3).
+    """
+    first, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
+    vertices = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
+    triangles = vertices[model.mesh_face[face : face + model.mesh_facenum[mesh]]]
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    return triangles, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+
+
 def _mesh(model: mujoco.MjModel, geom: int) -> Any:
-    m = model.geom_dataid[geom]
-    vertices = model.mesh_vert[model.mesh_vertadr[m] : model.mesh_vertadr[m] + model.mesh_vertnum[m]]
-    faces = model.mesh_face[model.mesh_faceadr[m] : model.mesh_faceadr[m] + model.mesh_facenum[m]]
+    triangles, normals = find_triangles(model, model.geom_dataid[geom])
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
-    corners = (vertices @ matrix.reshape(3, 3).T + model.geom_pos[geom])[faces].reshape(-1, 3)
-    triangles = corners.reshape(-1, 3, 3)
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    turn = matrix.reshape(3, 3).T
+    corners = (triangles @ turn + model.geom_pos[geom]).reshape(-1, 3)
     return rr.Mesh3D(
         vertex_positions=corners.astype(np.float32),
-        vertex_normals=np.repeat(normals, 3, axis=0).astype(np.float32),  # flat: edges of machines are sharp
+        vertex_normals=np.repeat(normals @ turn, 3, axis=0).astype(np.float32),
         triangle_indices=np.arange(len(corners)).reshape(-1, 3),
         albedo_factor=find_color(model, geom),
     )
 
 
 def rotate(quat: Any, v: Any) -> np.ndarray:
-    """A vector turned by a MuJoCo quaternion."""
+    """Rotate a vector.
+
+    Args:
+        quat: Quaternion w x y z, as MuJoCo has it.
+        v: Vector, (3,).
+    """
     out = np.zeros(3)
     mujoco.mju_rotVecQuat(out, np.asarray(v, float), np.asarray(quat, float))
     return out
 
 
 def compute_poses(model: mujoco.MjModel, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Body positions (n, nbody, 3), quaternions x y z w (n, nbody, 4) and site positions (n, nsite, 3) for n qpos."""
+    """Compute where the bodies and sites are.
+
+    Args:
+        model: The model.
+        qpos: Joint positions, (n, nq).
+
+    Returns:
+        Body positions (n, nbody, 3), quaternions x y z w (n, nbody, 4) and site positions (n, nsite, 3).
+    """
     data = mujoco.MjData(model)
     xpos, xquat = np.zeros((len(qpos), model.nbody, 3)), np.zeros((len(qpos), model.nbody, 4))
     sites = np.zeros((len(qpos), model.nsite, 3))

@@ -31,8 +31,8 @@ import numpy as np
 from stage.chips.journal import Journal
 from stage.chips.sharing import exclusively
 from stage.errors import ArgumentError, StageError, unknown
-from stage.recording.host_part import HostPart
 from stage.recording.table import Columns, Tabular
+from stage.recording.vcd import HostBus
 from stage.sim.records import SAMPLE
 from stage.support import html
 from stage.support.arguments import told, whole_number
@@ -162,7 +162,7 @@ class Recording(Tabular):
         self._disorder = False
         self.notes: list[Note] = []
         self.journals: dict[str, Journal] = {name: axis.chip.journal(axis.chip_axis) for name, axis in axes.items()}
-        self.host = HostPart(stage)
+        self.host = HostBus(stage)
         stage.begin_recording(self, steps)
         if stage.faults:
             self.note(stage.time, "in force from the start", stage.faults)
@@ -444,9 +444,9 @@ class Recording(Tabular):
 
     def _repr_mimebundle_(self, **_: Any) -> dict[str, Any]:
         """In a notebook the dashboard itself, where rerun's widget is installed; what cannot show it shows the picture."""
-        from stage.recording.inline import widget_of
+        from stage.recording.viewer import build_widget
 
-        return {"text/plain": repr(self), "text/html": self._repr_html_(), **widget_of(self)}
+        return {"text/plain": repr(self), "text/html": self._repr_html_(), **build_widget(self)}
 
     def to_vcd(self, path: str | os.PathLike, overwrite: bool = False) -> Path:
         """Write the chips' pins, status bits and R0 as waveforms (.vcd), every pulse in them: `gtkwave FILE`.

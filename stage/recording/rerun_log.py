@@ -43,7 +43,12 @@ LEVELS = {"register": "INFO", "command": "DEBUG", "reset": "WARN", "lost": "ERRO
 
 
 def write(recording: Recording, path: Path) -> None:
-    """Write `recording` to the new file `path`, in memory that does not grow with its length."""
+    """Write a rerun file, in memory that does not grow with the length of the recording.
+
+    Args:
+        recording: The recording.
+        path: A new file.
+    """
     log = Log(recording, path)
     try:
         log.take()
@@ -53,62 +58,62 @@ def write(recording: Recording, path: Path) -> None:
 
 
 class Log:
-    """The rerun file of a recording, written on while it grows. Raises OSError where the file cannot be written.
+    """Rerun file of a recording, which grows with it. Raises OSError where the file cannot be written.
 
     Everything up to the last `take` is in the file and can be read there, even if this process is killed.
     """
 
     def __init__(self, recording: Recording, path: Path, overwrite: bool = False):
-        from stage.recording.blueprint import dashboard
+        from stage.recording.blueprint import build_dashboard
 
-        self._recording, self._rows, self._noted = recording, 0, 0
-        self._colours = {name: COLORS[colour] for name, colour in colors_of(recording).items()}
-        self._lanes = {name: Lanes(recording, name, self._colours[name]) for name in recording.axes}
+        self._recording, self._rows, self._notes_logged = recording, 0, 0
+        self._colors = {name: COLORS[color] for name, color in colors_of(recording).items()}
+        self._lanes = {name: Lanes(recording, name, self._colors[name]) for name in recording.axes}
         self._scene = scene.Scene(recording)
-        self._sink = Sink(rr.RecordingStream("pulsestage"), path, dashboard(recording), overwrite)
+        self._sink = Sink(rr.RecordingStream("pulsestage"), path, build_dashboard(recording), overwrite)
         try:
-            _about(self._sink.out, recording)
-            self._scene.begin(self._sink.out, self._colours)
-            _styles(self._sink.out, recording, self._colours)
+            _log_about(self._sink.out, recording)
+            self._scene.begin(self._sink.out, self._colors)
+            _log_styles(self._sink.out, recording, self._colors)
             self._sink.flush()
         except BaseException:
             self.close()
             raise
 
     def take(self) -> None:
-        """Write what the recording has got since the last time."""
+        """Write the samples, edges and faults since the last call."""
         for piece in self._recording.pieces(begin=self._rows):
-            _series(self._sink.out, self._recording, piece)
+            _log_series(self._sink.out, self._recording, piece)
             self._scene.move(self._sink.out, piece)
             self._rows += len(piece)
             self._sink.flush()  # or an hour would pile up before it is written
         for name, lanes in self._lanes.items():
             edges, first = lanes.take(self._sink.out)
             self._scene.light(self._sink.out, name, edges, first)
-        self._scene.lit()
-        _faults(self._sink.out, self._recording.notes, self._noted)
-        self._noted = len(self._recording.notes)
+        self._scene.forget_track()
+        _log_faults(self._sink.out, self._recording.notes, self._notes_logged)
+        self._notes_logged = len(self._recording.notes)
         self._sink.flush()
 
     def finish(self) -> None:
-        """Write what is known at the end only: the length, the tool's path, the last register's value."""
-        _about(self._sink.out, self._recording)
+        """Write the parts that are known at the end only: the length, the tool's path, the last register's value."""
+        _log_about(self._sink.out, self._recording)
         self._scene.end(self._sink.out)
         for lanes in self._lanes.values():
             lanes.end(self._sink.out)
         self._sink.close()
 
     def close(self) -> None:
-        """Let go of the file as it is; needed only without `finish`."""
+        """Close the file as it is; needed only without `finish`."""
         self._sink.abandon()
 
 
 def model_name(model: mujoco.MjModel) -> str:
-    """What the MJCF calls itself."""
+    """Return the name of the model in its MJCF."""
     return bytes(model.names).split(b"\0", 1)[0].decode(errors="replace")
 
 
-def _about(out: Any, recording: Recording) -> None:
+def _log_about(out: Any, recording: Recording) -> None:
     model = recording.model
     name = model_name(model)
     out.send_recording_name(name)
@@ -141,20 +146,20 @@ def _about(out: Any, recording: Recording) -> None:
     out.log("about", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
 
 
-def _styles(out: Any, recording: Recording, colours: dict[str, tuple]) -> None:
-    for name, colour in colours.items():
+def _log_styles(out: Any, recording: Recording, colors: dict[str, tuple]) -> None:
+    for name, color in colors.items():
         for series in series_of(recording.axes[name]):
-            behind = series == "commanded"
+            is_command = series == "commanded"
             style = rr.SeriesLines(
-                colors=[tuple(c // 2 for c in colour) if behind else colour],
-                names=[f"{name} cmd" if behind else name],
-                widths=[3.5 if behind else 1.5],
+                colors=[tuple(c // 2 for c in color) if is_command else color],
+                names=[f"{name} cmd" if is_command else name],
+                widths=[3.5 if is_command else 1.5],
                 aggregation_policy=rr.components.AggregationPolicy.Off,  # it takes samples to be evenly spaced
             )
             out.log(f"{scene.axis_path(name)}/{series}", style, static=True)
 
 
-def _series(out: Any, recording: Recording, piece: np.ndarray) -> None:
+def _log_series(out: Any, recording: Recording, piece: np.ndarray) -> None:
     for name, axis in recording.axes.items():
         samples = piece["axes"][:, axis.index]
         time = np.ascontiguousarray(samples["time"])
@@ -169,23 +174,27 @@ def _series(out: Any, recording: Recording, piece: np.ndarray) -> None:
 
 
 class Lanes:
-    """Phase, switches and bus of one axis, as far as its journal goes."""
+    """Phase, switches and bus of one axis, up to the end of its journal."""
 
-    def __init__(self, recording: Recording, name: str, colour: tuple):
-        self._recording, self._name, self._colour = recording, name, colour
+    def __init__(self, recording: Recording, name: str, color: tuple):
+        self._recording, self._name, self._color = recording, name, color
         self._axis, self._journal = recording.axes[name], recording.journals[name]
         self._replay, self._first = Replay(self._journal), True
-        self._decoder, self._said = self._axis.chip.decoder(self._axis.chip_axis), 0
-        self._shown: dict[str, tuple] = {}
-        self._told: dict[str, str] = {}
-        """The last state of each lane."""
+        self._decoder, self._entries_logged = self._axis.chip.decoder(self._axis.chip_axis), 0
+        self._combined_states: dict[str, tuple] = {}
+        self._last_states: dict[str, str] = {}
+        """Last state of each lane."""
 
     def take(self, out: Any) -> tuple[np.ndarray, bool]:
-        """Log what is new. Returns the pin edges, the first of them as it was before, and whether there was no before."""
+        """Log what is new.
+
+        Returns:
+            The pin edges, the first of them as it was before, and whether this is the first call.
+        """
         edges, first = signals.list_pin_edges(self._replay), self._first
         self._log_edges(out, edges)
-        entries = self._journal.entries[self._said :]
-        self._said += len(entries)
+        entries = self._journal.entries[self._entries_logged :]
+        self._entries_logged += len(entries)
         self._log_bus(out, self._decoder.take(entries))
         self._first = False
         return edges, first
@@ -203,52 +212,52 @@ class Lanes:
             kinds[label] = kind
             on = signals.is_switch_on(self._axis, edges, pin)
             states = np.where(on, label, "off").astype(object)
-            colours = {label: STATES[kind], "off": STATES["off"]}
-            self._lane(out, f"switches/{pin}", edges, states, colours)
+            colors = {label: STATES[kind], "off": STATES["off"]}
+            self._lane(out, f"switches/{pin}", edges, states, colors)
             together = np.where(on, together + np.where(together == "", "", " ") + label, together)
-        # EL, then ORG, then SD gives a combination its colour: the order of the alphabet, as it happens
-        new = dict.fromkeys(s for s in together if s not in self._shown)
-        self._shown |= {state: STATES[min((kinds[s] for s in state.split()), default="off")] for state in new}
-        self._lane(out, "switches", edges, together, self._shown, bool(new))
+        # EL, then ORG, then SD gives a combination its color: the order of the alphabet, as it happens
+        new = dict.fromkeys(s for s in together if s not in self._combined_states)
+        self._combined_states |= {state: STATES[min((kinds[s] for s in state.split()), default="off")] for state in new}
+        self._lane(out, "switches", edges, together, self._combined_states, bool(new))
 
     def _lane(
-        self, out: Any, lane: str, edges: np.ndarray, states: Any, colours: dict[str, tuple], style: bool = False
+        self, out: Any, lane: str, edges: np.ndarray, states: Any, colors: dict[str, tuple], style: bool = False
     ) -> None:
         path = f"{scene.axis_path(self._name)}/{lane}"
         if style or self._first:
-            out.log(path, rr.StateConfiguration(values=list(colours), colors=list(colours.values())), static=True)
+            out.log(path, rr.StateConfiguration(values=list(colors), colors=list(colors.values())), static=True)
         clocks, states = signals.find_changes(edges, states)
-        if str(states[0]) == self._told.get(lane):  # as it was: unless it changed at the end of the last take
+        if str(states[0]) == self._last_states.get(lane):  # as it was: unless it changed at the end of the last take
             clocks, states = clocks[1:], states[1:]
         if len(clocks):
-            self._told[lane] = str(states[-1])
+            self._last_states[lane] = str(states[-1])
             when = scene.to_time_column(self._recording.seconds(self._name, clocks))
             out.send_columns(path, indexes=[when], columns=rr.StateChange.columns(state=[str(s) for s in states]))
 
-    def _log_bus(self, out: Any, said: list[Said]) -> None:
-        if not said:
+    def _log_bus(self, out: Any, actions: list[Said]) -> None:
+        if not actions:
             return
-        seconds = self._recording.seconds(self._name, np.array([s.clock for s in said], np.int64))
+        seconds = self._recording.seconds(self._name, np.array([s.clock for s in actions], np.int64))
         out.send_columns(
             f"{scene.axis_path(self._name)}/bus",
             indexes=[scene.to_time_column(seconds)],
             columns=rr.TextLog.columns(
-                text=[f"{t:11.6f}  {self._name}  {s}" for t, s in zip(seconds, said, strict=True)],
-                level=[LEVELS[s.kind] for s in said],
-                color=[(*self._colour, 255)] * len(said),
+                text=[f"{t:11.6f}  {self._name}  {s}" for t, s in zip(seconds, actions, strict=True)],
+                level=[LEVELS[s.kind] for s in actions],
+                color=[(*self._color, 255)] * len(actions),
             ),
         )
 
 
-def _faults(out: Any, notes: list[Note], first: int) -> None:
+def _log_faults(out: Any, notes: list[Note], first: int) -> None:
     """Log the notes from `first` on."""
     new = notes[first:]
     if not new:
         return
     when = scene.to_time_column(np.array([n.time for n in new]))
     states = ["; ".join(n.in_force) or "none" for n in notes]
-    colours = {s: STATES["off" if s == "none" else "fault"] for s in dict.fromkeys(states)}
-    style = rr.StateConfiguration(values=list(colours), colors=list(colours.values()))
+    colors = {s: STATES["off" if s == "none" else "fault"] for s in dict.fromkeys(states)}
+    style = rr.StateConfiguration(values=list(colors), colors=list(colors.values()))
     out.log("faults", style, static=True)
     out.send_columns("faults", indexes=[when], columns=rr.StateChange.columns(state=states[first:]))
     texts = rr.TextLog.columns(

@@ -3,7 +3,7 @@
 stage/BODY/boxes ...            geoms, static; BODY has the transform over time, world frame
 stage/BODY/lamp_x_el_plus ...   above the switch: lit while asserted, at the instants of its edges
 stage/BODY/path                 where the tool has been, in the frame of the work
-stage/directions                an arrow an axis, in its colour
+stage/directions                an arrow an axis, in its color
 """
 
 from __future__ import annotations
@@ -32,20 +32,25 @@ DIRECTIONS = "directions"  # beside the bodies: the arrows of the axes
 
 
 class Scene:
-    """The scene of a recording, logged in parts: `begin`, then `move` and `light` as it grows, then `end`."""
+    """Scene of a recording, logged in parts: `begin`, then `move` and `light` as it grows, then `end`."""
 
     def __init__(self, recording: Recording):
-        self._recording, self._seen = recording, 0
+        self._recording, self._rows_logged = recording, 0
         self._moving = np.flatnonzero(recording.model.body_weldid != 0).tolist()
         self._path: list[np.ndarray] = []
-        self._lit: dict[str, bool] = {}
+        self._lamp_states: dict[str, bool] = {}
         self._lamps = {name: list(_list_lamps(recording, name)) for name in recording.axes}
         shared = any(rivals for lamps in self._lamps.values() for *_, rivals in lamps)
         self._track: list[tuple[np.ndarray, np.ndarray]] | None = [] if shared else None
-        """Times and qpos of the pictures since the lamps were lit, where that says which of two switches on one pin it was."""
+        """Times and qpos since the last `forget_track`: they say which of two switches on one pin is on; None: none share one."""
 
-    def begin(self, out: Any, colours: dict[str, tuple]) -> None:
-        """What does not move; `colours` by axis."""
+    def begin(self, out: Any, colors: dict[str, tuple]) -> None:
+        """Log what does not move.
+
+        Args:
+            out: The RecordingStream.
+            colors: Color by axis.
+        """
         model = self._recording.model
         out.log("stage", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for body in range(model.nbody):
@@ -54,18 +59,23 @@ class Scene:
         for body in np.flatnonzero(model.body_weldid == 0).tolist():
             if body:
                 _log_pose(out, model, body)
-        _log_directions(out, self._recording, colours)
+        _log_directions(out, self._recording, colors)
         for path, place, *_ in (lamp for lamps in self._lamps.values() for lamp in lamps):
             out.log(path, rr.Points3D([place]), static=True)
 
     def move(self, out: Any, piece: np.ndarray) -> None:
-        """Bodies and tool, from the next rows of the recording."""
+        """Log the poses of the bodies and the tool.
+
+        Args:
+            out: The RecordingStream.
+            piece: Next rows of the recording.
+        """
         model, every = self._recording.model, max(1, round(1 / FRAMES / self._recording.every))
-        pick = slice(-self._seen % every, None, every)
+        pick = slice(-self._rows_logged % every, None, every)
         time, qpos = piece["axes"]["time"][pick, 0], piece["qpos"][pick]
-        if not self._seen:  # the file begins with the first edges, before the first sample
+        if not self._rows_logged:  # the file begins with the first edges, before the first sample
             time = np.concatenate([[self._recording.began], time[1:]])
-        self._seen += len(piece)
+        self._rows_logged += len(piece)
         if len(time):
             xpos, xquat, sites = geoms.compute_poses(model, qpos)
             for body in self._moving:
@@ -75,18 +85,27 @@ class Scene:
                 self._track.append((time, qpos))
 
     def light(self, out: Any, name: str, edges: np.ndarray, first: bool) -> None:
-        """The lamps of an axis, from its chip's pin edges; unless `first`, the first of them is as it was before."""
+        """Log the lamps of an axis.
+
+        Args:
+            out: The RecordingStream.
+            name: Name of the axis.
+            edges: Pin edges of its chip.
+            first: These are the first ones; else the first edge is as it was before.
+        """
         axis = self._recording.axes[name]
         for path, _, pin, kind, rivals in self._lamps[name]:
             lit = signals.is_switch_on(axis, edges, pin)
             if rivals:
                 lit &= self._nearest(name, edges, pin, rivals)
             clocks, on = signals.find_changes(edges, lit)
-            if not first and bool(on[0]) == self._lit.get(path):  # as it was: unless it changed at the end of the last
+            if not first and bool(on[0]) == self._lamp_states.get(
+                path
+            ):  # as it was: unless it changed at the end of the last
                 clocks, on = clocks[1:], on[1:]
             if not len(clocks):
                 continue
-            self._lit[path] = bool(on[-1])
+            self._lamp_states[path] = bool(on[-1])
             full = np.array(LAMPS[kind], float)
             out.send_columns(
                 path,
@@ -97,14 +116,14 @@ class Scene:
                 ),
             )
 
-    def lit(self) -> None:
-        """All lamps are up to date: forget the pictures but the last."""
+    def forget_track(self) -> None:
+        """Forget the positions but the last: all lamps are up to date."""
         if self._track:
             time, qpos = self._track[-1]
             self._track = [(time[-1:], qpos[-1:])]
 
     def _nearest(self, name: str, edges: np.ndarray, pin: str, rivals: tuple[str, ...]) -> np.ndarray:
-        """Whether at each edge the carriage is nearer to where switch `pin` trips than to any other on its pin (bool)."""
+        """Return at each edge whether the carriage is nearer to where a switch trips than to any rival on its pin."""
         if not self._track:
             return np.ones(len(edges), bool)
         axis = self._recording.axes[name]
@@ -114,23 +133,23 @@ class Scene:
         return np.all([away[pin] <= away[rival] for rival in rivals], axis=0)
 
     def end(self, out: Any) -> None:
-        """The tool's path, which is drawn whole."""
+        """Log the tool's path, which is drawn whole."""
         if self._path:
             _path(out, self._recording.model, np.concatenate(self._path))
 
 
 def body_path(model: mujoco.MjModel, body: int) -> str:
-    """The entity of a body."""
+    """Return the entity of a body."""
     return f"stage/{escape_name(model.body(body).name or f'body{body}', reserved=(DIRECTIONS,))}"
 
 
 def axis_path(name: str) -> str:
-    """The entity that holds what belongs to an axis."""
+    """Return the entity of an axis."""
     return f"axes/{escape_name(name)}"
 
 
 def _log_pose(out: Any, model: mujoco.MjModel, body: int) -> None:
-    """A body that is part of the frame: its pose, once."""
+    """Log the pose of a body that is part of the frame, once."""
     xpos, xquat, _ = geoms.compute_poses(model, model.qpos0[None])
     out.log(body_path(model, body), rr.Transform3D(translation=xpos[0, body], quaternion=xquat[0, body]), static=True)
 
@@ -148,18 +167,18 @@ def _log_poses(out: Any, path: str, time: np.ndarray, position: np.ndarray, quat
 
 
 def to_time_column(seconds: Any) -> Any:
-    """The time column of every entity, to the nanosecond."""
+    """Return times, s, as the time column of an entity, to the nanosecond."""
     return rr.TimeColumn("time", duration=np.rint(np.asarray(seconds) * 1e9).astype("timedelta64[ns]"))
 
 
 def _find_work_body(model: mujoco.MjModel) -> int:
-    """The body that carries the work: that of the site `work`, else the world."""
+    """Return the body that carries the work: that of the site `work`, else the world."""
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "work")
     return int(model.site_bodyid[site]) if site >= 0 else 0
 
 
 def _to_work_frame(model: mujoco.MjModel, xpos: np.ndarray, xquat: np.ndarray, sites: np.ndarray) -> np.ndarray:
-    """The tool's points in the frame of the work; where the tool rides with the work, in that of the world."""
+    """Return the tool's points in the frame of the work; where the tool moves with the work, in that of the world."""
     tool = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tool")
     if tool < 0:
         return np.zeros((0, 3))
@@ -182,8 +201,8 @@ def _path(out: Any, model: mujoco.MjModel, points: np.ndarray) -> None:
     out.log(f"{where}/path", line, static=True)
 
 
-def _log_directions(out: Any, recording: Recording, colours: dict[str, tuple[int, int, int]]) -> None:
-    """Arrows along plus at a front corner of the frame."""
+def _log_directions(out: Any, recording: Recording, colors: dict[str, tuple[int, int, int]]) -> None:
+    """Log arrows along plus at a front corner of the frame."""
     model = recording.model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -203,14 +222,14 @@ def _log_directions(out: Any, recording: Recording, colours: dict[str, tuple[int
         f"stage/{DIRECTIONS}",
         rr.Arrows3D(
             origins=[corner] * len(axes), vectors=[length * a for a in axes], labels=list(recording.axes),
-            colors=[colours[n] for n in recording.axes], radii=length * 0.035,
+            colors=[colors[n] for n in recording.axes], radii=length * 0.035,
         ),
         static=True,
     )  # fmt: skip
 
 
 def _list_lamps(recording: Recording, name: str) -> Iterator[tuple[str, np.ndarray, str, str, tuple[str, ...]]]:
-    """The lamps of an axis: (entity, place, switch, kind, other switches on the same pin of the chip)."""
+    """Yield entity, place, switch and kind of each lamp of an axis, and the other switches on the same pin of the chip."""
     model, axis = recording.model, recording.axes[name]
     carriage = int(model.jnt_bodyid[axis.joint])
     data = mujoco.MjData(model)

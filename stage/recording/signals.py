@@ -20,26 +20,31 @@ HOLD, CONTROL = "hold", "control"
 
 
 def find_wire(chip: Any, pin: str) -> tuple[str, int]:
-    """(name, level while asserted) of a chip's pin."""
+    """Return the name of a pin on the wire, and its level while asserted.
+
+    Args:
+        chip: The chip.
+        pin: Name of the pin.
+    """
     return chip.WIRES.get(pin, (pin.upper(), 1))
 
 
 def settle_edges(pieces: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-    """Of several edges at one clock only the last: what the wires settle on."""
-    kept: np.ndarray | None = None
+    """Yield the edges without those that another edge at the same clock follows: the levels on which the wires settle."""
+    rest: np.ndarray | None = None
     for piece in pieces:
-        if kept is not None:
-            piece = np.concatenate([kept, piece])
-        last = piece["clock"][1:] != piece["clock"][:-1]
-        kept = piece[-1:]
-        if last.any():
-            yield piece[:-1][last]
-    if kept is not None:
-        yield kept
+        if rest is not None:
+            piece = np.concatenate([rest, piece])
+        is_last = piece["clock"][1:] != piece["clock"][:-1]
+        rest = piece[-1:]
+        if is_last.any():
+            yield piece[:-1][is_last]
+    if rest is not None:
+        yield rest
 
 
 def list_pin_edges(journal: Journal | Replay) -> np.ndarray:
-    """The edges of a chip at which a pin other than the pulses changes, and the first (of a Replay, what is new)."""
+    """Return the edges of a chip at which a pin other than the pulses changes, and the first (of a Replay, what is new)."""
     parts: list[np.ndarray] = []
     before = None
     for piece in settle_edges(journal.pieces()):
@@ -51,88 +56,139 @@ def list_pin_edges(journal: Journal | Replay) -> np.ndarray:
 
 
 def find_changes(edges: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(clocks, values) where `values`, one an edge, changes; the first is one."""
-    keep = np.concatenate([[True], values[1:] != values[:-1]])
-    return edges["clock"][keep], values[keep]
+    """Return where a signal changes; the first edge is a change.
+
+    Args:
+        edges: Edges of a chip, (n,).
+        values: Value from each edge on, (n,).
+
+    Returns:
+        Clocks and values of the changes.
+    """
+    is_change = np.concatenate([[True], values[1:] != values[:-1]])
+    return edges["clock"][is_change], values[is_change]
 
 
 def is_asserted(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
-    """The state of a pin, by its name or that of the switch wired to it, from each edge on (bool); `edges` of a chip's journal."""
+    """Return the state of a pin from each edge on.
+
+    Args:
+        chip: The chip.
+        edges: Edges of its journal, (n,).
+        pin: Name of the pin, or of the switch wired to it.
+
+    Returns:
+        Booleans, (n,).
+    """
     bit = chip.wired(pin)
     return (edges["inputs"] & bit if bit else edges["outputs"] & chip.OUTPUTS[pin]) != 0
 
 
 def is_switch_on(axis: Any, edges: np.ndarray, switch: str) -> np.ndarray:
-    """Whether a switch of an axis, or what shares its pin, is on, as its pin says, from each edge on (bool)."""
-    positive = any(axis.chip.wired(s) == axis.chip.wired(switch) for s in getattr(axis, "wiring", ()))
-    return is_asserted(axis.chip, edges, switch) != positive
+    """Return from each edge on whether a switch, or one that shares its pin, is on, as the pin says.
+
+    Args:
+        axis: The axis.
+        edges: Edges of its chip, (n,).
+        switch: Name of the switch.
+
+    Returns:
+        Booleans, (n,).
+    """
+    is_positive = any(axis.chip.wired(s) == axis.chip.wired(switch) for s in getattr(axis, "wiring", ()))
+    return is_asserted(axis.chip, edges, switch) != is_positive
 
 
 def list_phases(chip: Any) -> list[str]:
-    """The phases that a chip can have, the one without a pin last."""
+    """Return the phases that a chip can have, the one without a pin last."""
     rest = CONTROL if chip.SERVO else HOLD
     return [*dict.fromkeys(phase for phase in chip.PHASES.values() if phase != rest), rest]
 
 
 def find_phases(chip: Any, edges: np.ndarray) -> np.ndarray:
-    """The chip's phase from each edge on: up, keep, down, hold; of a servo's idle, profile, control."""
+    """Return the chip's phase from each edge on: up, keep, down, hold; of a servo idle, profile, control.
+
+    Args:
+        chip: The chip.
+        edges: Edges of its journal, (n,).
+    """
     rest = np.full(len(edges), list_phases(chip)[-1])
-    found = [is_asserted(chip, edges, pin) for pin in chip.PHASES]
-    return np.select(found, list(chip.PHASES.values()), rest) if found else rest
+    levels = [is_asserted(chip, edges, pin) for pin in chip.PHASES]
+    return np.select(levels, list(chip.PHASES.values()), rest) if levels else rest
 
 
 def list_switches(axis: Any) -> Iterator[tuple[str, str, str]]:
-    """(name, label, kind) of what an axis' chip sees of its switches; `asserted` takes the name. Those that are wired to one pin
-    are one, by the pin's name."""
+    """Yield name, label and kind of the switches that an axis' chip can tell apart; `is_asserted` takes the name.
+
+    Switches that are wired to one pin are one, by the pin's name.
+    """
     chip = axis.chip
-    there = [p for p in SWITCHES if chip.wired(p) and p in axis.switches.as_dict()]
-    for switch in there:
+    wired = [p for p in SWITCHES if chip.wired(p) and p in axis.switches.as_dict()]
+    for switch in wired:
         label, kind = SWITCHES[switch]
-        together = [p for p in there if chip.wired(p) == chip.wired(switch)]
-        if len(together) == 1:
+        on_one_pin = [p for p in wired if chip.wired(p) == chip.wired(switch)]
+        if len(on_one_pin) == 1:
             yield switch, label, kind
-        elif switch == together[0]:
+        elif switch == on_one_pin[0]:
             yield chip.WIRING[switch], kind.upper(), kind
 
 
 def decode_status(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, np.ndarray]:
-    """The bits of the status byte from each edge on, as a read at address 0 would give them.
+    """Return the bits of the status byte from each edge on, as a read at address 0 would give them.
 
-    minus: whether the direction is minus, see `directions`. Empty for a chip that has no status byte.
+    Args:
+        chip: The chip.
+        edges: Edges of its journal, (n,).
+        minus: Whether the direction is minus, (n,), see `list_directions`.
+
+    Returns:
+        Booleans by name of the bit, (n,); empty for a chip that has no status byte.
     """
     word = next((w for w in chip.MAP.words if w.name == "status"), None)
-    if word is None:
-        return {}
-    out = {}
-    for field in word.fields:
-        shown = [_shown(chip, edges, pin) for pin in field.pins]
-        if shown:
-            out[field.name] = np.where(minus, shown[-1], shown[0])
-    return out
+    bits = {}
+    for field in word.fields if word is not None else ():
+        levels = [_read_status_bit(chip, edges, pin) for pin in field.pins]
+        if levels:
+            bits[field.name] = np.where(minus, levels[-1], levels[0])
+    return bits
 
 
-def _shown(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
-    """What a status bit says of a pin, with / its opposite: as the chip reads it, where polarity bits turn it round."""
+def _read_status_bit(chip: Any, edges: np.ndarray, pin: str) -> np.ndarray:
+    """Return a pin as the chip reads it, where polarity bits invert it; with / before its name the opposite."""
     name = pin.removeprefix("/")
     bit = chip.wired(name)
-    seen = bit and "seen" in (edges.dtype.names or ())
-    return (edges["seen"] & bit != 0 if seen else is_asserted(chip, edges, name)) != pin.startswith("/")
+    has_reading = bit and "seen" in (edges.dtype.names or ())
+    level = edges["seen"] & bit != 0 if has_reading else is_asserted(chip, edges, name)
+    return level != pin.startswith("/")
 
 
 def list_directions(chip: Any, journal: Journal) -> tuple[np.ndarray, np.ndarray]:
-    """(clocks, minus): the direction that bus writes say, from each clock on; the first clock is the start's."""
+    """Return the directions that bus writes select.
+
+    Args:
+        chip: The chip.
+        journal: Its journal.
+
+    Returns:
+        Clocks, of which the first is the start's, and whether the direction is minus from each on.
+    """
     start = journal.start
     if "minus" not in (start.dtype.names or ()):
         return np.array([int(start["clock"])]), np.array([False])
     clocks, minus = [int(start["clock"])], [bool(start["minus"])]
     for e in journal.entries:
-        way = False if e.kind == RESET else chip.turns(e.a, e.b) if e.kind == WRITE else None
-        if way is not None:
+        is_minus = False if e.kind == RESET else chip.turns(e.a, e.b) if e.kind == WRITE else None
+        if is_minus is not None:
             clocks.append(e.clock)
-            minus.append(way)
+            minus.append(is_minus)
     return np.array(clocks, np.int64), np.array(minus)
 
 
 def to_pulse_rates(edges: np.ndarray, clock_hz: int) -> np.ndarray:
-    """Pulse rate from each edge on, pps."""
+    """Return the pulse rate from each edge on, pps.
+
+    Args:
+        edges: Edges of a chip, (n,).
+        clock_hz: Its clock, Hz.
+    """
     return edges["rate"] * clock_hz

@@ -1,4 +1,4 @@
-"""A recording as waveforms: every pin, pulse, status bit and bus write of every chip, to its own clock.
+"""A recording as waveforms: every pin, pulse, status bit and bus write of every chip, to the tick of its clock.
 
     x                   a scope an axis; "x 1" is x_u20_1, see stage.support.identifiers
       POUT_n PDIR ...   every pin, as a probe on the wire would show it: `_n` marks what is 0 while asserted
@@ -27,25 +27,35 @@ from stage.recording import signals
 from stage.support.identifiers import escape_name
 
 if TYPE_CHECKING:
-    from stage.chips.journal import Journal
     from stage.recording.recording import Recording
 
 SECOND = 1_000_000_000
 EDGES = 16384  # at a time
 HOST = "host"
-"""The scope of a board's bus cycles, see stage.board.waveforms."""
+"""Scope of a board's bus cycles, see stage.board.waveforms."""
 DATE = "simulated time since power-up"  # and not the wall clock: equal runs make equal files
 
+EVENTS = {WRITE: "WR", RESET: "RESET", LOST: "LOST", READ: "RD"}
 Change = tuple[int, Any, Any]  # ns, variable, value
 
 
 def to_nanoseconds(clock: Any, hz: int) -> Any:
-    """The time of clocks (int or int64 array), rounded to ns; exact for centuries."""
+    """Return the time of a clock in ns, rounded; exact for centuries.
+
+    Args:
+        clock: Ticks since power-up, an int or an int64 array.
+        hz: Frequency of the clock.
+    """
     return clock // hz * SECOND + (clock % hz * SECOND + hz // 2) // hz
 
 
 def write(recording: Recording, path: Path) -> Path:
-    """Write the chips of `recording` to `path`, in memory that does not grow with its length."""
+    """Write the waveforms of a recording, in memory that does not grow with its length.
+
+    Args:
+        recording: The recording.
+        path: A new file.
+    """
     from vcd import VCDWriter
 
     with open(path, "w", encoding="ascii", buffering=1 << 20) as file:
@@ -68,7 +78,7 @@ def write(recording: Recording, path: Path) -> Path:
 
 
 def scope_of(axis: str) -> str:
-    """Return the scope of an axis; that of the host's bus is not an axis'."""
+    """Return the scope of an axis, which is never that of the host's bus."""
     return escape_name(axis, reserved=(HOST,))
 
 
@@ -77,13 +87,12 @@ def _hz(recording: Recording, axis: str) -> int:
 
 
 def _add_pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
-    """Register the pins, counter, rate and status of an axis now; their changes are the iterator."""
+    """Register the pins, counter, rate and status of an axis, and return their changes."""
     chip, journal = recording.axes[axis].chip, recording.journals[axis]
     clocks, minus = signals.list_directions(chip, journal)
 
     def levels(edges: np.ndarray) -> dict[str, tuple[str, int, np.ndarray]]:
-        way = minus[np.searchsorted(clocks, edges["clock"], side="right") - 1]
-        return _compute_levels(chip, edges, way)
+        return _compute_levels(chip, edges, minus[np.searchsorted(clocks, edges["clock"], side="right") - 1])
 
     variables, now = {}, {}
     for name, (kind, size, v) in levels(next(journal.pieces(size=256))[:1]).items():
@@ -110,7 +119,7 @@ def _add_pins(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
 
 
 def _compute_levels(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str, tuple[str, int, np.ndarray]]:
-    """Signal name -> (kind, bits, value from each edge on)."""
+    """Return kind, bits and values from each edge on, of each signal."""
     out: dict[str, tuple[str, int, np.ndarray]] = {}
     for pin in (*chip.OUTPUTS, *chip.INPUTS):
         name, level = signals.find_wire(chip, pin)
@@ -126,30 +135,49 @@ def _compute_levels(chip: Any, edges: np.ndarray, minus: np.ndarray) -> dict[str
 
 
 def _add_bus(recording: Recording, axis: str, writer: Any) -> Iterator[Change]:
-    """Register the bus of an axis now; its writes and resets are the iterator."""
+    """Register the bus of an axis, and return its cycles and resets."""
     chip, journal, scope = recording.axes[axis].chip, recording.journals[axis], (scope_of(axis), "bus")
-    wr, reset = (writer.register_var(scope, name, "event", size=1) for name in ("WR", "RESET"))
-    lost, rd = (_event_if_any(journal, kind, writer, scope, name) for kind, name in ((LOST, "LOST"), (READ, "RD")))
+    kinds = {WRITE, RESET, *journal.entries.packed()["kind"].tolist()}  # most recordings have no LOST and no RD
+    events = {k: writer.register_var(scope, name, "event", size=1) for k, name in EVENTS.items() if k in kinds}
     address = writer.register_var(scope, "A", "reg", size=chip.ADDRESS_MASK.bit_length(), init="x")
     data = writer.register_var(scope, "D", "reg", size=chip.DATA_MASK.bit_length(), init="x")
 
     def changes() -> Iterator[Change]:
         for e in journal.entries:
             ns = to_nanoseconds(e.clock, chip.clock_hz)
-            if e.kind == WRITE:
-                yield from ((ns, address, e.a), (ns, data, e.b), (ns, wr, True))
-            elif e.kind == RESET:
-                yield ns, reset, True
-            elif e.kind == LOST:
-                yield from ((ns, address, e.a), (ns, data, e.b), (ns, lost, True))
-            elif e.kind == READ:
-                yield from ((ns, address, e.a), (ns, data, e.b), (ns, rd, True))
+            if e.kind == RESET:
+                yield ns, events[RESET], True
+            elif e.kind in events:
+                yield from ((ns, address, e.a), (ns, data, e.b), (ns, events[e.kind], True))
 
     return changes()
 
 
-def _event_if_any(journal: Journal, kind: int, writer: Any, scope: tuple[str, ...], name: str) -> Any:
-    """A variable for events that most recordings have none of, or None."""
-    if not (journal.entries.packed()["kind"] == kind).any():
-        return None
-    return writer.register_var(scope, name, "event", size=1)
+class HostBus:
+    """Bus cycles of a stage's board from now to `close`, see stage.board.waveforms. The board may come later."""
+
+    def __init__(self, stage: Any):
+        self._stage = stage
+        self._begin = None if stage.host is None else stage.host.mark()
+        self._end: Any = None
+        self._until: int | None = None
+
+    def close(self) -> None:
+        """End the recording of cycles."""
+        self._end, self._until = None if self._stage.host is None else self._stage.host.mark(), self._stage.now
+
+    @property
+    def until(self) -> int:
+        """Time of `close`, or now, ns."""
+        return self._stage.now if self._until is None else self._until
+
+    def changes(self, writer: Any, begin: int, end: int) -> list[Iterator[Change]]:
+        """Register the bus in a file, if there were cycles, and return its changes.
+
+        Args:
+            writer: VCDWriter of the file.
+            begin, end: ns.
+        """
+        if self._stage.host is None or (self._until is not None and self._end is None):
+            return []
+        return self._stage.host.changes(writer, self._begin, self._end, begin, end)

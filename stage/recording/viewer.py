@@ -15,33 +15,39 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError, StageError
 from stage.recording.sdk import experimental
 from stage.recording.web import HOST, PAGE, RECORDING, Server
-from stage.support.extras import need
+from stage.support.extras import has, need
 from stage.support.files import refuse_irregular, written
 from stage.support.opengl import has_screen
+
+if TYPE_CHECKING:
+    from stage.recording.recording import Recording
 
 FRAME_HEIGHT = 36  # pixels
 QUIET_ENVIRONMENT = {"RUST_LOG": "error"}  # without it the viewer's own messages are in the picture
 SETTINGS_FOLDER = Path(__file__).with_name("settings")  # rerun's: usage data off, which it sends by default
 PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG
+MAX_WIDGET_SAMPLES = 300_000  # 5 minutes at a millisecond
+WIDGET_SIZE = 960, 620  # pixels
 
 
 class ViewerError(StageError):
-    """rerun's viewer is missing or failed."""
+    """Error of rerun's viewer: it is missing or failed."""
 
 
 def find_executable() -> str:
-    """rerun's program itself; the command `rerun` is a script that would leave it running when it is ended."""
+    """Return the path of rerun's program; the command `rerun` is a script that would leave it running when it is ended."""
     if "RERUN_CLI_PATH" in os.environ:
         return os.environ["RERUN_CLI_PATH"]
     spec = find_spec("rerun_cli")
@@ -66,7 +72,7 @@ def open_viewer(rrd: str | os.PathLike) -> None:
 
 
 def check_screen(what: str) -> None:
-    """Raises ViewerError where there is no screen to show it on."""
+    """Raise ViewerError where there is no screen to show something on."""
     if not has_screen():
         raise ViewerError(
             f"no screen here to show {what} on. Serve it to a browser (--web), or draw it (--picture, screenshot())."
@@ -74,15 +80,21 @@ def check_screen(what: str) -> None:
 
 
 def check_port(port: int) -> None:
-    """Raises ArgumentError for what is no TCP port."""
+    """Raise ArgumentError for a number that is no TCP port."""
     if int(port) != port or not 1 <= port <= 65535:
         raise ArgumentError(f"port={port!r}: a port is a whole number of 1 to 65535.")
 
 
 def web_server(rrd: str | os.PathLike, port: int = 9090) -> Server:
-    """What serves the dashboard to browsers of this machine, at its `address`, between `serve_forever()` and `server_close()`.
+    """Make a server of the dashboard for browsers of this machine, at its `address`; call its `serve_forever()`.
 
-    Raises ArgumentError for what is no port; ViewerError where it cannot be had, or rerun gives no page.
+    Args:
+        rrd: The recording.
+        port: TCP port.
+
+    Raises:
+        ArgumentError: The number is no port.
+        ViewerError: The port cannot be had, or rerun gives no page.
     """
     rrd = _check_recording(rrd)
     check_port(port)
@@ -115,19 +127,19 @@ def serve_web(rrd: str | os.PathLike, port: int = 9090) -> None:
 
 
 def _fetch_page() -> dict[str, bytes]:
-    """The files of rerun's page, from its own server, which gets no recording and ends here."""
+    """Return the files of rerun's page, from its own server, which gets no recording and ends here."""
     port = find_free_port()
     command = [find_executable(), f"http://{HOST}/{RECORDING}", "--serve-web", "--bind", HOST]
     command += ["--web-viewer-port", str(port)]
     with _run_rerun(command, stderr=subprocess.PIPE) as process:
         _wait_for(port, process)
         page = {name: _fetch_file(port, name) for name in PAGE}
-        _check_process(process)  # else somebody else has answered
+        _check_process(process)  # if it has ended, another server has answered
     return page
 
 
 def _fetch_file(port: int, name: str) -> bytes:
-    """A file of rerun's page."""
+    """Return a file of rerun's page."""
     connection = http.client.HTTPConnection(HOST, port, timeout=30)
     try:
         connection.request("GET", f"/{name}")
@@ -151,8 +163,22 @@ def screenshot(
 ) -> Path:
     """Render the dashboard to a PNG without a screen (needs a Vulkan driver; Debian: mesa-vulkan-drivers).
 
-    size: pixels. at: the moment shown, s; default: the end. Waits until the viewer has loaded everything and two pictures
-    in a row are the same. Raises FileError where the file exists (and not `overwrite`) or cannot be written; ViewerError.
+    It waits until the viewer has loaded everything and two pictures in a row are the same.
+
+    Args:
+        rrd: The recording.
+        png: File to write.
+        size: Width and height, pixels.
+        at: Time to show, s; None: the end.
+        timeout: Real seconds to wait.
+        overwrite: The file may exist.
+
+    Returns:
+        The path of the picture.
+
+    Raises:
+        FileError: The file exists, or cannot be written.
+        ViewerError: rerun's viewer is missing or failed.
     """
     rrd = _check_recording(rrd)
     with written(Path(png).absolute(), overwrite) as part:
@@ -182,7 +208,7 @@ def _render(rrd: Path, png: Path, size: tuple[int, int], at: float | None, timeo
 
 
 def _cut_frame(png: Path, size: tuple[int, int]) -> None:
-    """The viewer draws the top of a window's frame; without a window that is an empty bar."""
+    """Remove the top of a window's frame, which without a window is an empty bar."""
     from PIL import Image
 
     with Image.open(png) as picture:
@@ -194,7 +220,7 @@ def _cut_frame(png: Path, size: tuple[int, int]) -> None:
 
 def _connect_client(port: int, process: subprocess.Popen, deadline: float) -> Any:
     """A client of the viewer at `port`, once that has loaded all it was given."""
-    said: object = "it is still loading"
+    reason: object = "it is still loading"
     while time.monotonic() < deadline:
         _check_process(process)
         try:
@@ -203,9 +229,9 @@ def _connect_client(port: int, process: subprocess.Popen, deadline: float) -> An
             if not state.loading and any(r.timelines for r in state.recordings):
                 return client
         except Exception as error:  # the client has no errors of its own, and the viewer may not be up yet
-            said = error
+            reason = error
         time.sleep(0.2)
-    raise ViewerError(f"rerun's viewer does not answer: {said}")
+    raise ViewerError(f"rerun's viewer does not answer: {reason}")
 
 
 def _show_moment(client: Any, at: float | None) -> None:
@@ -231,26 +257,25 @@ def _wait_for(port: int, process: subprocess.Popen, deadline: float | None = Non
 
 def _check_process(process: subprocess.Popen) -> None:
     if process.poll() is not None:
-        said = process.stderr.read().decode(errors="replace")[-800:] if process.stderr else ""
+        messages = process.stderr.read().decode(errors="replace")[-800:] if process.stderr else ""
         raise ViewerError(
-            f"rerun ended with code {process.returncode} (no Vulkan driver? Debian: mesa-vulkan-drivers). {said}"
+            f"rerun ended with code {process.returncode} (no Vulkan driver? Debian: mesa-vulkan-drivers). {messages}"
         )
 
 
 def build_environment() -> dict[str, str]:
-    """For rerun's program: usage data off, unless PULSESTAGE_RERUN_ANALYTICS selects rerun's own settings."""
+    """Return the environment of rerun's program: usage data off, unless PULSESTAGE_RERUN_ANALYTICS selects rerun's own settings."""
     return {**os.environ, **({} if _allows_analytics() else {"XDG_CONFIG_HOME": str(SETTINGS_FOLDER)})}
 
 
 def _allows_analytics() -> bool:
-    """Whether rerun may do as its own settings say."""
+    """Return whether rerun follows its own settings."""
     return os.environ.get("PULSESTAGE_RERUN_ANALYTICS", "0") not in ("", "0")
 
 
 @contextmanager
 def _run_rerun(command: list[str], stderr: int | None = None) -> Iterator[subprocess.Popen]:
-    """rerun's program, which ends with this block: by SIGTERM and SIGHUP to this process, too, and on Linux however it ends."""
-
+    """Run rerun's program in this block; it ends also by SIGTERM and SIGHUP to this process, and on Linux however that ends."""
     prctl = getattr(ctypes.CDLL(None), "prctl", None) if sys.platform == "linux" else None
     with _exit_on_signals():
         process = subprocess.Popen(
@@ -268,7 +293,7 @@ def _run_rerun(command: list[str], stderr: int | None = None) -> Iterator[subpro
 
 @contextmanager
 def _exit_on_signals() -> Iterator[None]:
-    """SIGTERM and SIGHUP leave this block by SystemExit, so what is open gets closed."""
+    """Leave this block by SystemExit at SIGTERM and SIGHUP, so that open files and processes are closed."""
 
     def leave(signum: int, _frame: object) -> None:
         raise SystemExit(128 + signum)
@@ -297,7 +322,25 @@ def _is_port_free(port: int) -> bool:
 
 
 def find_free_port() -> int:
-    """A port that nothing listens on."""
+    """Return a port on which nothing listens."""
     with socket.socket() as s:
         s.bind((HOST, 0))
         return s.getsockname()[1]
+
+
+def build_widget(recording: Recording) -> dict[str, Any]:
+    """Return the dashboard of a recording as Jupyter's widget, by MIME type: pip install 'pulsestage[notebook]'.
+
+    It is empty where rerun's widget is not installed, and for recordings that are too long for a browser.
+    """
+    if not (has("rerun") and has("rerun_notebook")) or not 0 < len(recording) <= MAX_WIDGET_SAMPLES:
+        return {}
+    import rerun_notebook
+
+    with tempfile.TemporaryDirectory(prefix="pulsestage-") as folder:
+        data = recording.save(Path(folder) / "recording.rrd").read_bytes()
+    viewer = rerun_notebook.Viewer(width=WIDGET_SIZE[0], height=WIDGET_SIZE[1])
+    viewer.send_rrd(data)
+    bundle: dict[str, Any]
+    bundle, _ = viewer._repr_mimebundle_()
+    return {kind: content for kind, content in bundle.items() if kind.startswith("application/")}

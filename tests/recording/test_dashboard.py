@@ -12,7 +12,7 @@ import pytest
 from stage import Drive
 from stage.chips import HCTL1100, MCX501, PCL240K
 from stage.drives.dc_motors import Servo
-from stage.recording.blueprint import BACKGROUND, MARGIN, dashboard, eye
+from stage.recording.blueprint import BACKGROUND, MARGIN, build_dashboard, find_eye
 from stage.recording.recording import unit_of
 from stage.recording.series import SERIES, plot_title, series_of
 
@@ -51,7 +51,7 @@ def views(part):
 
 def test_every_axis_has_its_plots_and_lanes_and_no_plot_is_of_nobody():
     """a stepper and a servo on a hinge; then two steppers, which have no voltage and no current"""
-    mixed = views(dashboard(recording_of(x=axis(PCL240K), a=axis(HCTL1100, "rad"))).root_container)
+    mixed = views(build_dashboard(recording_of(x=axis(PCL240K), a=axis(HCTL1100, "rad"))).root_container)
     assert {name: list(view.contents) for name, view in mixed.items() if name not in ("Stage", "About")} == {
         "Phases and switches": [
             "+ /axes/x/phase", "+ /axes/x/switches", "+ /axes/a/phase", "+ /axes/a/switches", "+ /faults",
@@ -70,19 +70,19 @@ def test_every_axis_has_its_plots_and_lanes_and_no_plot_is_of_nobody():
         "Counter R0 (pulses | counts)": ["+ /axes/x/counter", "+ /axes/a/counter"],
         "Bus": ["+ /axes/x/bus", "+ /axes/a/bus", "+ /faults/log"],
     }  # fmt: skip
-    steppers = views(dashboard(recording_of(x=axis(PCL240K), y=axis(PCL240K))).root_container)
+    steppers = views(build_dashboard(recording_of(x=axis(PCL240K), y=axis(PCL240K))).root_container)
     assert not {name for name in steppers if name.startswith("Motor")}
 
 
 @pytest.mark.parametrize(("axes", "low"), [(1, 0.16), (4, 0.4), (5, 0.45), (6, 0.45)])
 def test_the_lanes_have_room_for_each_axis_and_leave_the_stage_the_larger_part(axes, low):
-    root = dashboard(recording_of(**{f"x{k}": axis(PCL240K) for k in range(axes)})).root_container
+    root = build_dashboard(recording_of(**{f"x{k}": axis(PCL240K) for k in range(axes)})).root_container
     assert root.contents[0].row_shares == pytest.approx([1 - low, low])
 
 
 def test_the_eye_begins_where_the_viewer_of_the_model_does():
     """azimuth 30, elevation -20: it looks along (cos 20 cos 30, cos 20 sin 30, -sin 20), from 1.5 extents away times the lenses"""
-    at, target = eye(model_of())
+    at, target = find_eye(model_of())
     forward = np.array([math.cos(math.radians(30)), math.sin(math.radians(30)), 0]) * math.cos(math.radians(20))
     forward[2] = -math.sin(math.radians(20))
     nearer = math.tan(math.radians(20)) / math.tan(math.radians(27.5))
@@ -93,22 +93,22 @@ def test_the_eye_begins_where_the_viewer_of_the_model_does():
 def test_a_camera_named_overview_is_where_the_eye_begins():
     """a camera 5 m above (1, 2), which looks down, of 55 degrees: rerun's own lens; and one behind the model's middle"""
     camera = '<camera name="{}" pos="1 2 {}" fovy="55"/>'
-    at, target = eye(model_of(camera.format("overview", 8)))
+    at, target = find_eye(model_of(camera.format("overview", 8)))
     assert target == pytest.approx([1, 2, 3])
     assert at == pytest.approx([1, 2, 3 + 5 * MARGIN])
-    at, target = eye(model_of(camera.format("overview", 1)))
+    at, target = find_eye(model_of(camera.format("overview", 1)))
     assert target == pytest.approx([1, 2, 0.8]), "it looks away from the middle: a tenth of the extent before it"
     assert at == pytest.approx([1, 2, 0.8 + 0.2 * MARGIN])
-    assert np.array(eye(model_of(camera.format("other", 8)))) == pytest.approx(np.array(eye(model_of())))
+    assert np.array(find_eye(model_of(camera.format("other", 8)))) == pytest.approx(np.array(find_eye(model_of())))
 
 
 @pytest.mark.parametrize(("extent", "spacing"), [(0.9, 0.1), (1.0, 1.0), (2.0, 1.0), (99.0, 10.0)])
 def test_the_grid_lies_on_the_floor_a_line_each_power_of_ten_of_metres_that_fits(extent, spacing):
-    view = views(dashboard(recording_of(model_of(FLOOR, extent), x=axis(PCL240K))).root_container)["Stage"]
+    view = views(build_dashboard(recording_of(model_of(FLOOR, extent), x=axis(PCL240K))).root_container)["Stage"]
     grid = view.properties["LineGrid3D"]
     assert grid.spacing.as_arrow_array().to_pylist() == pytest.approx([spacing])
     assert grid.plane.as_arrow_array().to_pylist() == [pytest.approx([0, 0, 1, -0.4])]
-    bare = views(dashboard(recording_of(x=axis(PCL240K))).root_container)["Stage"]
+    bare = views(build_dashboard(recording_of(x=axis(PCL240K))).root_container)["Stage"]
     assert bare.properties["LineGrid3D"].visible.as_arrow_array().to_pylist() == [False], "there is no floor"
     red, green, blue = BACKGROUND
     colour = (red << 24) | (green << 16) | (blue << 8) | 255

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from stage.recording.host_part import HostPart
+from stage.recording.vcd import HostBus
 
 
 class Host:
@@ -23,7 +23,7 @@ def test_a_part_is_from_its_mark_at_the_start_to_that_at_the_end_or_to_now():
     host = Host()
     stage = SimpleNamespace(host=host, now=10)
     host.at = 3
-    part = HostPart(stage)
+    part = HostBus(stage)
     host.at, stage.now = 7, 20
     assert part.until == 20
     assert part.changes("writer", 1, 2) == ["changes"]
@@ -36,7 +36,7 @@ def test_a_part_is_from_its_mark_at_the_start_to_that_at_the_end_or_to_now():
 
 def test_a_board_that_comes_during_the_recording_is_in_it_and_one_that_comes_after_is_not():
     stage = SimpleNamespace(host=None, now=0)
-    during, before = HostPart(stage), HostPart(stage)
+    during, before = HostBus(stage), HostBus(stage)
     before.close()
     stage.host = Host()
     stage.host.at = 5
@@ -45,7 +45,7 @@ def test_a_board_that_comes_during_the_recording_is_in_it_and_one_that_comes_aft
     during.close()
     assert during.changes("writer", 0, 1) == ["changes"]
     assert stage.host.asked == [("writer", None, None, 0, 1), ("writer", None, 5, 0, 1)]
-    nobody = HostPart(SimpleNamespace(host=None, now=4))
+    nobody = HostBus(SimpleNamespace(host=None, now=4))
     assert nobody.changes("writer", 0, 1) == []
     nobody.close()
     assert nobody.until == 4

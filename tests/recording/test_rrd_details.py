@@ -13,7 +13,7 @@ import pytest
 from support.recording_bench import ONE_AXIS, feed, make_bench, read_rrd, stage_of
 
 from stage.chips import HCTL1100
-from stage.recording import geoms, inline, rerun_log, saved, scene
+from stage.recording import geoms, rerun_log, saved, scene, viewer
 from stage.recording.recording import ROWS, Recording, RecordingError
 from stage.recording.rerun_log import STATES, Lanes
 
@@ -231,15 +231,15 @@ def test_a_notebook_gets_the_dashboard_of_what_is_neither_nothing_nor_too_much(m
         def save(self, path):
             raise InterruptedError("it is sent")
 
-    monkeypatch.setattr(inline, "has", lambda library: True)
+    monkeypatch.setattr(viewer, "has", lambda library: True)
     monkeypatch.setitem(sys.modules, "rerun_notebook", SimpleNamespace())
-    for n in (0, inline.MOST + 1):
-        assert inline.widget_of(Run(n)) == {}
-    for n in (1, inline.MOST):
+    for n in (0, viewer.MAX_WIDGET_SAMPLES + 1):
+        assert viewer.build_widget(Run(n)) == {}
+    for n in (1, viewer.MAX_WIDGET_SAMPLES):
         with pytest.raises(InterruptedError, match="it is sent"):
-            inline.widget_of(Run(n))
-    monkeypatch.setattr(inline, "has", lambda library: library != "rerun_notebook")
-    assert inline.widget_of(Run(1)) == {}
+            viewer.build_widget(Run(n))
+    monkeypatch.setattr(viewer, "has", lambda library: library != "rerun_notebook")
+    assert viewer.build_widget(Run(1)) == {}
 
 
 # --- shapes ---

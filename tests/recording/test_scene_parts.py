@@ -119,7 +119,7 @@ def test_of_two_switches_on_one_pin_that_lamp_is_lit_to_whose_switch_the_carriag
     assert {pin: on.tolist() for pin, on in lit.items()} == {
         "org": [False, True, False, False], "el_plus": [False, False, False, True],
     }  # fmt: skip
-    made.lit()
+    made.forget_track()
     later = edge[3:].copy()
     assert made._nearest("x", later, "el_plus", ("org",)).tolist() == [True], "where it stood last is not forgotten"
     assert made._nearest("x", later, "org", ("el_plus",)).tolist() == [False]
