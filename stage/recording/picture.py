@@ -19,21 +19,30 @@ if TYPE_CHECKING:
     from stage.recording.recording import Recording
 
 PANELS = (("rate",), ("commanded", "position"), ("following_error",), ("lost_steps",))
-MOST = 4000  # points of a curve
-LANE = 0.17  # inches
+MAX_POINTS = 4000  # of a curve
+LANE_HEIGHT_IN = 0.17
 
 
 def draw(recording: Recording, path: str | os.PathLike | None = None, overwrite: bool = False) -> Any:
-    """Draw `recording`; see Recording.plot."""
+    """Draw a recording.
+
+    Args:
+        recording: The recording.
+        path: File to save it to, or None.
+        overwrite: The file may exist.
+
+    Returns:
+        The figure.
+    """
     lanes = _lanes(recording)
     panels = [p for p in PANELS if p != ("lost_steps",) or _lost(recording)]
     panels = [p for p in panels if axes_with(recording, p[0])]
-    low = max(LANE * len(lanes), 0.01)
+    low = max(LANE_HEIGHT_IN * len(lanes), 0.01)
     fig = pictures.figure(9.2, 1.4 * len(panels) + low + 0.9)
     axes = fig.subplots(len(panels) + 1, 1, sharex=True, squeeze=False, height_ratios=[*(1.4 for _ in panels), low])[
         :, 0
     ]
-    every = max(1, -(-len(recording) // MOST))
+    every = max(1, -(-len(recording) // MAX_POINTS))
     time = recording.column("time")[::every]
     axes[0].set_xlim(recording.began, time[-1])
     for ax, keys in zip(axes, panels, strict=False):
@@ -59,13 +68,13 @@ def _lost(recording: Recording) -> bool:
 
 def _panel(ax: Any, recording: Recording, keys: tuple[str, ...], time: np.ndarray, every: int) -> None:
     for k, (name, axis) in enumerate(recording.axes.items()):
-        colour = pictures.COLOURS[k % len(pictures.COLOURS)]
+        color = pictures.COLOURS[k % len(pictures.COLOURS)]
         for key in keys:
             if name in axes_with(recording, key):
                 values = recording.column(f"{name}/{key}")[::every] * SERIES[key].scales[axis.unit != "m"]
-                behind = key == "commanded"
-                style = {"linewidth": 2.6, "alpha": 0.35} if behind else {"linewidth": 1.1, "label": name}
-                ax.plot(time, values, color=colour, **style)
+                is_command = key == "commanded"
+                style = {"linewidth": 2.6, "alpha": 0.35} if is_command else {"linewidth": 1.1, "label": name}
+                ax.plot(time, values, color=color, **style)
     title, _, unit = plot_title(recording, keys[-1]).rpartition(" (")
     ax.set_ylabel(f"{title.lower()}\n{unit.rstrip(')')}", color=pictures.INK, fontsize=8.5)
     ax.ticklabel_format(axis="y", style="plain", useOffset=False)
@@ -74,21 +83,21 @@ def _panel(ax: Any, recording: Recording, keys: tuple[str, ...], time: np.ndarra
 
 
 def _lanes(recording: Recording) -> list[tuple[str, str, np.ndarray]]:
-    """(label, kind, on) of each switch that was asserted at some time, of each axis, from the top."""
-    found = []
+    """Return label, kind and states of each switch that was asserted at some time, of each axis, from the top."""
+    lanes = []
     for name, axis in recording.axes.items():
         for pin, (label, kind) in SWITCHES.items():
             if pin in axis.chip.INPUTS and (on := recording.column(f"{name}/{pin}")).any():
-                found.append((f"{name} {label}", kind, on))
-    return found
+                lanes.append((f"{name} {label}", kind, on))
+    return lanes
 
 
 def _draw_lanes(ax: Any, lanes: list[tuple[str, str, np.ndarray]], time: np.ndarray, every: int) -> None:
     for k, (_, kind, on) in enumerate(reversed(lanes)):
-        whole = on[: len(time) * every]
-        seen = np.maximum.reduceat(whole, np.arange(0, len(whole), every))  # a short edge is not left out
+        states = on[: len(time) * every]
+        states = np.maximum.reduceat(states, np.arange(0, len(states), every))  # a short edge is not left out
         ax.axhline(k + 0.14, color=pictures.HAIR, linewidth=0.6, zorder=0)
-        ax.fill_between(time, k + 0.14, k + 0.14 + 0.66 * seen, step="post", color=pictures.KINDS[kind], linewidth=0)
+        ax.fill_between(time, k + 0.14, k + 0.14 + 0.66 * states, step="post", color=pictures.KINDS[kind], linewidth=0)
     ax.set_yticks([k + 0.45 for k in range(len(lanes))], [label for label, *_ in reversed(lanes)])
     ax.set_ylim(0, max(len(lanes), 1))
     pictures.bare(ax)

@@ -1,4 +1,4 @@
-"""`Recording`: what a stage did, kept cheaply while it runs and converted when it is saved.
+"""`Recording`: the motion and the bus cycles of a run, taken at little cost while it runs and converted when it is saved.
 
     with stage.record() as recording:
         firmware.origin_return(stage.axes["x"])
@@ -68,7 +68,16 @@ Every pin has a bool column of its name as well."""
 
 
 def unit_of(column: str, unit: str, servo: bool) -> str:
-    """The unit of a column of an axis whose own is `unit`, m or rad; "" for a pin."""
+    """Return the unit of a column.
+
+    Args:
+        column: Name of the column.
+        unit: Unit of the axis, m or rad.
+        servo: The axis has an encoder.
+
+    Returns:
+        The unit, "" for a pin.
+    """
     usual, _ = COLUMNS.get(column, ("", ""))
     if servo:
         usual = {"pps": "counts/s", "pulses": "counts"}.get(usual, usual)
@@ -76,7 +85,13 @@ def unit_of(column: str, unit: str, servo: bool) -> str:
 
 
 class Note(NamedTuple):
-    """A fault began or ended at `time` (s): in words, and the faults in force from then on, see stage.faults."""
+    """Begin or end of a fault.
+
+    Attributes:
+        time: s.
+        text: The fault in words.
+        in_force: Faults in force from then on, see Stage.faults.
+    """
 
     time: float
     text: str
@@ -84,11 +99,11 @@ class Note(NamedTuple):
 
 
 class RecordingError(FileError):
-    """A recording cannot be kept, or cannot be written to the given path."""
+    """Error of a recording that cannot go on, or cannot be written to a path."""
 
 
 class RecordingWarning(UserWarning):
-    """A recording could not continue, and the simulation continued without it (on_error="warn")."""
+    """Warning that a recording could not go on, and the simulation continued without it (on_error="warn")."""
 
 
 def _unwritten(path: Path, error: OSError) -> RecordingError:
@@ -113,14 +128,17 @@ class Recording(Tabular):
         RecordingError: The stage drives no axis, or the file cannot be written.
 
     Attributes:
-        model: the MjModel. axes: the stage's axes by name. every: seconds between samples.
-        notes: the faults that came and went, in order. host: the bus cycles of a board, if the stage has one.
-        samples, positions, filled: the engine's buffers, (ROWS, axes) SAMPLE and (ROWS, nq), and the rows that it filled.
+        model: The MjModel.
+        axes: The stage's axes by name.
+        every: Seconds between samples.
+        notes: Faults that began and ended, in order.
+        host: Bus cycles of a board, if the stage has one.
+        samples, positions, filled: The engine's buffers, (ROWS, axes) SAMPLE and (ROWS, nq), and the rows that it filled.
     """
 
     ERROR = RecordingError
     FORWARD = True
-    """While it goes on, the stage's time may not go back."""
+    """Whether the stage's time may only go forward during the recording."""
 
     def __init__(
         self,
@@ -149,7 +167,7 @@ class Recording(Tabular):
     def _begin(self, stage: Any, steps: int) -> None:
         model, axes = stage.model, stage.axes
         self.model, self.axes, self.every = model, axes, steps * stage.state.dt * 1e-9
-        self._on_close: Callable[[], None] | None = stage.stop_recording
+        self._stage, self._is_closed = stage, False
         self._dtype = np.dtype([("axes", _SAMPLE, (len(axes),)), ("qpos", "f8", (model.nq,))])
         self._open()
         self._spooled = 0
@@ -172,19 +190,23 @@ class Recording(Tabular):
         self._file = tempfile.TemporaryFile(prefix="pulsestage-", buffering=0)  # noqa: SIM115
         weakref.finalize(self, self._file.close)
 
-    def _part(self) -> None:
-        """In a fork of the process that recorded: go on with a file of one's own, for both would write to the one they share.
-        A rerun file stays the other's."""
+    def _separate_fork(self) -> None:
+        """Go on with a file of one's own in a fork of the process that recorded: both would write to the one that they share.
+
+        A rerun file remains that of the other process.
+        """
         if self._process == os.getpid():
             return
-        theirs, at, end = self._file, 0, self._spooled * self._dtype.itemsize
+        shared, at, end = self._file, 0, self._spooled * self._dtype.itemsize
         self._open()
         while at < end:
-            piece = os.pread(theirs.fileno(), min(end - at, 1 << 20), at)  # where the other process stands in it stays
+            piece = os.pread(
+                shared.fileno(), min(end - at, 1 << 20), at
+            )  # the file position of the other process stays
             self._file.write(piece)
             at += len(piece)
         if self._log is not None:
-            self._theirs, self._log = self._log, None  # kept: its end would write to the file
+            self._shared_log, self._log = self._log, None  # referenced: its end would write to the file
             atexit.unregister(self._close_at_exit)
             warnings.warn(
                 f"{self._log_path} stays that of the process that began it; the recording of this fork goes on without: "
@@ -194,8 +216,8 @@ class Recording(Tabular):
             )
 
     def take(self, filled: int) -> None:
-        """The engine has filled the buffers up to row `filled`; full ones go to the file."""
-        self._part()
+        """Take the buffers, which the engine has filled up to row `filled`; full ones go to the file."""
+        self._separate_fork()
         self.filled = filled
         if filled == ROWS:
             self._spool()
@@ -204,7 +226,7 @@ class Recording(Tabular):
 
     def _spool(self) -> None:
         self.filled = 0  # first of all: the engine must never find a full buffer
-        self._disorder |= self._backwards(ROWS)
+        self._disorder |= self._goes_back(ROWS)
         rows = self._pack(ROWS).view(np.uint8).data
         try:
             self._file.seek(self._spooled * self._dtype.itemsize)
@@ -224,14 +246,24 @@ class Recording(Tabular):
     def stream(
         self, path: str | os.PathLike, seconds: float = 1.0, overwrite: bool = False, on_error: str = "raise"
     ) -> Recording:
-        """Write the rerun file `path` while the stage runs, as `save` would at the end; returns the recording.
+        """Write a rerun file while the stage runs, as `save` would at the end.
 
-        Every `seconds` of simulated time, at least every 4096 samples, and at `flush`, all there is goes to the file, where a
-        kill of this process does not take it away: `rerun FILE` and rerun's readers read it up to there. The footer that
-        makes `rerun rrd verify` content comes with `close`, and so does the tool's path.
-        on_error: see the class. When the file can grow no further, it ends with the last flush that went well, and the
-        samples go on to the temporary file: `save` them elsewhere.
-        Raises RecordingError, as `save` does; ArgumentError.
+        Flushed samples survive a kill of this process: `rerun FILE` and rerun's readers read the file up to there. The footer that
+        `rerun rrd verify` needs is written by `close`, and so is the tool's path. A file that cannot grow ends with the last good
+        flush, and the samples go on to the temporary file: `save` them elsewhere.
+
+        Args:
+            path: The file, .rrd.
+            seconds: Simulated seconds between two flushes; there is one every 4096 samples, too, and at `flush`.
+            overwrite: The file may exist.
+            on_error: See the class.
+
+        Returns:
+            The recording.
+
+        Raises:
+            ArgumentError: The time between flushes, or `on_error`, cannot be.
+            RecordingError: As `save`.
         """
         from stage.recording.rerun_log import Log
 
@@ -241,7 +273,7 @@ class Recording(Tabular):
             )
         if on_error not in ("raise", "warn"):
             raise ArgumentError(f"on_error={on_error!r}: 'raise' or 'warn'.")
-        if self._log is not None or self._on_close is None:
+        if self._log is not None or self._is_closed:
             raise RecordingError(f"{self!r} {'goes to a file already' if self._log else 'is over: save it'}.")
         self.on_error = on_error  # type: ignore[assignment]
         ends_as(path, *RECORDING, RecordingError)
@@ -255,8 +287,8 @@ class Recording(Tabular):
         return self
 
     def flush(self) -> None:
-        """Write what a `stream` has not written yet, now."""
-        self._part()
+        """Write now the samples that a `stream` has not written yet."""
+        self._separate_fork()
         if self._log is not None:
             self._flushed = len(self)
             self._writing(self._log.take)
@@ -268,8 +300,8 @@ class Recording(Tabular):
             log, self._log = self._log, None
             if log is not None:
                 log.close()
-            kept = "It ends with the last flush; recording.save(...) writes all there is to another place."
-            self._fail(f"{_unwritten(self._log_path, error)} {kept}", error)
+            rest = "It ends with the last flush; recording.save(...) writes everything to another place."
+            self._fail(f"{_unwritten(self._log_path, error)} {rest}", error)
 
     def _fail(self, message: str, error: Exception) -> None:
         if self.on_error == "raise":
@@ -283,26 +315,40 @@ class Recording(Tabular):
         return rows
 
     def note(self, time: float, text: str, in_force: tuple[str, ...]) -> None:
-        """A fault came or went."""
+        """Note that a fault began or ended, see Note.
+
+        Args:
+            time: s.
+            text: The fault in words.
+            in_force: Faults in force from then on.
+        """
         self.notes.append(Note(time, text, in_force))
 
     def close(self) -> None:
-        """Stop recording; the stage goes on without. Safe to call twice."""
-        if self._on_close is not None:
-            self._on_close()
-            self._on_close = None
-            atexit.unregister(self._close_at_exit)
-            for journal in self.journals.values():
-                journal.close()
-            self.host.close()
-            self.flush()
-            if self._log is not None:
-                self._writing(self._log.finish)
-                self._log = None
+        """Stop recording; the stage goes on without. Safe to call twice, and from any thread that may use the stage."""
+        if self._is_closed:
+            return
+        with exclusively(self._stage):
+            self._end()
+
+    def _end(self) -> None:
+        self._is_closed = True
+        self._stage.stop_recording()
+        atexit.unregister(self._close_at_exit)
+        for journal in self.journals.values():
+            journal.close()
+        self.host.close()
+        self.flush()
+        if self._log is not None:
+            self._writing(self._log.finish)
+            self._log = None
 
     def _close_at_exit(self) -> None:
         if self._process == os.getpid():
-            self.close()
+            try:
+                self.close()
+            except StageError:  # a session refuses other threads, but this process ends
+                self._end()
 
     def __enter__(self) -> Recording:
         return self
@@ -315,7 +361,7 @@ class Recording(Tabular):
 
     @property
     def began(self) -> float:
-        """Stage time of the start, s."""
+        """Time of the start, s."""
         return min(float(self.seconds(name, j.start["clock"])) for name, j in self.journals.items())
 
     @property
@@ -324,38 +370,45 @@ class Recording(Tabular):
         return len(self) * self.every
 
     def pieces(self, rows: int = 16 * ROWS, begin: int = 0) -> Iterator[np.ndarray]:
-        """The samples in order from number `begin` on, at most `rows` at a time: records with fields `axes` (SAMPLE, one an
-        axis) and `qpos`. Raises ArgumentError, when the first is taken, for a number out of range."""
+        """Yield the samples in order, in pieces: records with fields `axes` (SAMPLE, one an axis) and `qpos`.
+
+        Args:
+            rows: Samples of a piece, at most.
+            begin: Number of the first sample.
+
+        Raises:
+            ArgumentError: A number is out of range; when the first piece is taken.
+        """
         whole_number("rows", rows, 1)
         whole_number("begin", begin, 0)
-        self._part()
-        held = max(0, begin - self._spooled)
+        self._separate_fork()
+        skipped = max(0, begin - self._spooled)
         for at in range(begin, self._spooled, rows):
             piece = np.empty(min(rows, self._spooled - at), self._dtype)
             self._file.seek(at * self._dtype.itemsize)
             self._file.readinto(piece.view(np.uint8).data)
             yield piece
-        if self.filled > held:
-            yield self._pack(self.filled)[held:]
+        if self.filled > skipped:
+            yield self._pack(self.filled)[skipped:]
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
         """Every column as an array of len(recording): "time" (s), "x/position" ... (see COLUMNS), "x/el_plus" ... (bool).
 
-        All at once: hours of samples want gigabytes; `column` reads one.
+        They are read all at once: hours of samples take gigabytes; `column` reads one.
         """
         return Columns(self._read(list(self.units)))
 
     @told
     def column(self, name: str) -> np.ndarray:
-        """One column, see `columns`. Raises ArgumentError with the near misses."""
+        """Return one column, see `columns`. Raises ArgumentError with the near misses."""
         if name not in (units := self.units):
             raise unknown("column", name, units)
         return self._read([name])[name]
 
     @property
     def units(self) -> dict[str, str]:
-        """Column -> its unit, "" for a pin; in the order of `columns`."""
+        """Unit of each column, "" for a pin; in the order of `columns`."""
         return {"time": "s"} | {
             f"{name}/{column}": unit_of(column, axis.unit, axis.drive.has_encoder)
             for name, axis in self.axes.items()
@@ -396,12 +449,20 @@ class Recording(Tabular):
 
     @told
     def seconds(self, axis: str, clock: Number) -> Number:
-        """Stage time, s, of clocks of an axis' chip: both count from power-up. Raises ArgumentError."""
+        """Return the stage's time, s, of clocks of a chip: both count from power-up.
+
+        Args:
+            axis: Name of an axis of the chip.
+            clock: Clocks, a number or an array.
+
+        Raises:
+            ArgumentError: An unknown axis.
+        """
         if axis not in self.axes:
             raise unknown("axis", axis, self.axes)
         return clock / self.axes[axis].chip.clock_hz
 
-    def _backwards(self, n: int) -> bool:
+    def _goes_back(self, n: int) -> bool:
         return bool(np.any(np.diff(self.samples["time"][:n, 0]) < 0))
 
     def check_time(self) -> None:
@@ -409,7 +470,7 @@ class Recording(Tabular):
         for name, journal in self.journals.items():
             clocks = journal.entries.packed()["clock"]
             ends = int(clocks.max(initial=0)) > journal.until
-            if self._disorder or ends or self._backwards(self.filled) or np.any(np.diff(clocks) < 0):
+            if self._disorder or ends or self._goes_back(self.filled) or np.any(np.diff(clocks) < 0):
                 raise RecordingError(
                     f"the stage went back in time while it was recorded (axis {name}): restore, reset or copy a stage between "
                     "recordings, not inside one. Its samples are kept: recording.columns."
@@ -418,8 +479,15 @@ class Recording(Tabular):
     def save(self, path: str | os.PathLike, overwrite: bool = False) -> Path:
         """Write a rerun recording (.rrd) that opens as a dashboard: `rerun FILE`.
 
-        Raises RecordingError if the file does not end in .rrd, exists (and not `overwrite`), or cannot be written; then nothing has
-        changed.
+        Args:
+            path: The file, .rrd.
+            overwrite: The file may exist.
+
+        Returns:
+            Its path.
+
+        Raises:
+            RecordingError: The file does not end in .rrd, exists, or cannot be written; nothing has changed then.
         """
         from stage.recording.rerun_log import write
 
@@ -431,9 +499,18 @@ class Recording(Tabular):
 
     @told
     def plot(self, path: str | os.PathLike | None = None, *, overwrite: bool = False) -> Figure:
-        """One static picture: rates, places, following errors, lost steps and switches over time; saves to `path` if given.
+        """Draw one static picture: rates, positions, following errors, lost steps and switches over time.
 
-        Returns the figure. Raises RecordingError, FileError; ExtraMissing without matplotlib (extra `plot`).
+        Args:
+            path: File to save it to.
+            overwrite: The file may exist.
+
+        Returns:
+            The figure.
+
+        Raises:
+            RecordingError, FileError: The recording is empty, or the file cannot be written.
+            ExtraMissing: There is no matplotlib (extra `plot`).
         """
         from stage.recording.picture import draw
 
@@ -443,7 +520,7 @@ class Recording(Tabular):
         return html.lines(repr(self)) + (html.picture(self.plot) if len(self) else "")
 
     def _repr_mimebundle_(self, **_: Any) -> dict[str, Any]:
-        """In a notebook the dashboard itself, where rerun's widget is installed; what cannot show it shows the picture."""
+        """Return the dashboard for a notebook, where rerun's widget is installed, and the picture for other viewers."""
         from stage.recording.viewer import build_widget
 
         return {"text/plain": repr(self), "text/html": self._repr_html_(), **build_widget(self)}
@@ -451,7 +528,15 @@ class Recording(Tabular):
     def to_vcd(self, path: str | os.PathLike, overwrite: bool = False) -> Path:
         """Write the chips' pins, status bits and R0 as waveforms (.vcd), every pulse in them: `gtkwave FILE`.
 
-        Raises RecordingError as `save` does.
+        Args:
+            path: The file, .vcd.
+            overwrite: The file may exist.
+
+        Returns:
+            Its path.
+
+        Raises:
+            RecordingError: As `save`.
         """
         from stage.recording.vcd import write
 
@@ -462,5 +547,5 @@ class Recording(Tabular):
         return Path(path)
 
     def __repr__(self) -> str:
-        state = "recording" if self._on_close else "closed"
+        state = "closed" if self._is_closed else "recording"
         return f"<Recording {state}, {len(self)} samples of {', '.join(self.axes)}, {self.duration:.3f} s>"

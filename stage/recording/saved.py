@@ -1,7 +1,7 @@
 """Columns read back from an .rrd file: `read("x.rrd")`.
 
-A file keeps of each series the samples that its plot needs, see rerun_log.py. What is read is what lies between them, at each
-sample's time: within the tolerance of SERIES of what was recorded. Switches and phases are exact to the clock in `states`.
+A file has of each series the samples that its plot needs, see rerun_log.py. The columns interpolate between them at each sample's
+time, within the tolerance of SERIES of the recorded values. Switches and phases are exact to the clock in `states`.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ from stage.support.foreign_files import open_regular
 from stage.support.identifiers import escape_name
 
 MAGIC = b"RRF"
-WHOLE = ("lost_steps", "counter")
-LARGEST = 1 << 34
-"""Bytes of a file."""
-MAX_SAMPLES = 1 << 28
-"""Three days, a sample every millisecond."""
-NAMED = {"current": "current_a"}
-"""Series whose column has another name."""
+INTEGER_SERIES = ("lost_steps", "counter")
+MAX_FILE_BYTES = 1 << 34
+MAX_SAMPLES = 1 << 28  # three days, a sample every millisecond
+COLUMN_NAMES = {"current": "current_a"}
+"""Columns of series that have another name."""
 
 State = tuple[np.ndarray, np.ndarray]
 
 
 class Saved(Tabular):
-    """What an .rrd file tells of a run. Made by `read`.
+    """Content of an .rrd file. Made by `read`.
 
     Attributes:
-        path: the file. model: what the MJCF calls itself. axes: name -> chip, motor and way a pulse, in words.
-        every: seconds between samples.
-        columns: "time" (s), "x/position" ..., as `Recording.columns` has them, of those that the file keeps; "x/el_plus" ...
-            (bool): whether the switch is on; "x/phase" (text).
-        states: lane -> (times, s; states, text), from each time on: "x/phase", "x/el_plus", "faults".
-        bus: (time, s; text) of each bus write that is told, in order.
+        path: The file.
+        model: Name of the model in its MJCF.
+        axes: Chip, motor and distance a pulse in words, by name of the axis.
+        every: Seconds between samples.
+        columns: "time" (s), "x/position" ..., as in `Recording.columns`, as far as the file has them; "x/el_plus" ... (bool):
+            whether the switch is on; "x/phase" (text).
+        states: Times (s) and states (text) from each time on, by lane: "x/phase", "x/el_plus", "faults".
+        bus: Time (s) and text of each bus write in the file, in order.
     """
 
     ERROR = RecordingError
@@ -75,20 +75,21 @@ class Saved(Tabular):
 
     @cached_property
     def _series(self) -> dict[str, tuple[str, str, np.ndarray, np.ndarray]]:
-        """Column -> (axis, series, times ns, values as they are drawn)."""
-        found = {}
+        """Axis, series, times (ns) and drawn values by column."""
+        series = {}
         for axis in self._kinds:
             for key in SERIES:
                 drawn = self._entities.get(f"/axes/{escape_name(axis)}/{key}", {}).get("Scalars:scalars")
                 if drawn is not None and drawn[0] is not None:
                     order = np.argsort(drawn[0], kind="stable")
                     values = np.array([v[0] for v in drawn[1]], float)[order]
-                    found[f"{axis}/{NAMED.get(key, key)}"] = (axis, key, drawn[0][order], values)
-        return found
+                    series[f"{axis}/{COLUMN_NAMES.get(key, key)}"] = (axis, key, drawn[0][order], values)
+        return series
 
     @cached_property
     def states(self) -> dict[str, State]:
-        found = {}
+        """Times (s) and states from each time on, by lane."""
+        states_by_lane = {}
         lanes = {f"{axis}/phase": f"/axes/{escape_name(axis)}/phase" for axis in self._kinds}
         for axis in self._kinds:
             begin = f"/axes/{escape_name(axis)}/switches/"
@@ -97,21 +98,24 @@ class Saved(Tabular):
             times, states = self._entities.get(entity, {}).get("StateChange:state", (None, []))
             if times is not None:
                 order = np.argsort(times, kind="stable")
-                found[lane] = (times[order] * 1e-9, np.array([s[0] for s in states])[order])
-        return found
+                states_by_lane[lane] = (times[order] * 1e-9, np.array([s[0] for s in states])[order])
+        return states_by_lane
 
     @cached_property
     def bus(self) -> list[tuple[float, str]]:
-        told = []
+        """Time (s) and text of each bus write in the file, in order."""
+        writes = []
         for axis in self._kinds:
             times, texts = self._entities.get(f"/axes/{escape_name(axis)}/bus", {}).get("TextLog:text", (None, []))
             if times is not None:
-                told += [(float(t) * 1e-9, text[0].split(maxsplit=1)[1]) for t, text in zip(times, texts, strict=True)]
-        return sorted(told)
+                writes += [
+                    (float(t) * 1e-9, text[0].split(maxsplit=1)[1]) for t, text in zip(times, texts, strict=True)
+                ]
+        return sorted(writes)
 
     @cached_property
     def _ticks(self) -> np.ndarray:
-        """The times of the samples, ns."""
+        """Times of the samples, ns."""
         spans = [(times[0], times[-1]) for *_, times, _ in self._series.values() if len(times)]
         if not spans:
             return np.zeros(0, np.int64)
@@ -125,6 +129,7 @@ class Saved(Tabular):
 
     @cached_property
     def units(self) -> dict[str, str]:
+        """Unit of each column, "" for states."""
         units = {"time": "s"}
         for axis in self._kinds:
             units |= {
@@ -134,7 +139,7 @@ class Saved(Tabular):
         return units
 
     def check(self) -> None:
-        """Raise an error of Python where the columns do not fit together, as those of a damaged file."""
+        """Raise ValueError, or another error of Python, where the columns do not fit together, as those of a damaged file."""
         if not self._every_ns > 0:
             raise ValueError(f"a sample every {self._every_ns} ns")
         for *_, times, values in self._series.values():
@@ -146,7 +151,7 @@ class Saved(Tabular):
         _ = self.bus, self.units, self._ticks
 
     def column(self, name: str) -> np.ndarray:
-        """One column, (len(self),). Raises ArgumentError with the near misses."""
+        """Return one column, (len(self),). Raises ArgumentError with the near misses."""
         if name not in self.units:
             raise unknown("column", name, self.units)
         if name == "time":
@@ -155,13 +160,14 @@ class Saved(Tabular):
             axis, key, times, drawn = self._series[name]
             hinge = self._kinds[axis][0] != "m"
             values = np.interp(self._ticks, times, drawn) / SERIES[key].scales[hinge]
-            return np.rint(values).astype(np.int64) if key in WHOLE else values
+            return np.rint(values).astype(np.int64) if key in INTEGER_SERIES else values
         times, states = self.states[name]
         at = np.maximum(np.searchsorted(np.rint(times * 1e9), self._ticks, side="right") - 1, 0)
         return states[at] if name.endswith("/phase") else (states != "off")[at]
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
+        """Every column, by name."""
         return Columns({name: self.column(name) for name in self.units})
 
     def _parts(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
@@ -174,11 +180,16 @@ class Saved(Tabular):
 
 
 def read(path: str | os.PathLike) -> Saved:
-    """The columns of a recording that `Recording.save`, `Recording.stream` or `--record` has written.
+    """Return the columns of a recording that `Recording.save`, `Recording.stream` or `--record` has written.
 
-    Raises RecordingError for what is missing, damaged or no recording of PulseStage; ExtraMissing without rerun.
+    Args:
+        path: The file, .rrd.
+
+    Raises:
+        RecordingError: The file is missing, damaged, or no recording of PulseStage.
+        ExtraMissing: There is no rerun.
     """
-    with open_regular(path, "recording", LARGEST, RecordingError) as file:
+    with open_regular(path, "recording", MAX_FILE_BYTES, RecordingError) as file:
         path = Path(path)
         if file.read(len(MAGIC)) != MAGIC:
             raise RecordingError(
@@ -213,7 +224,7 @@ def read(path: str | os.PathLike) -> Saved:
 
 
 def _add(entity: dict[str, Any], batch: Any) -> None:
-    """The columns of a chunk: component -> (times ns or None, values), after those that were there."""
+    """Add the columns of a chunk to those of an entity: times (ns, or None) and values by component."""
     kinds = {field.name: (field.metadata or {}).get(b"rerun:kind", b"data") for field in batch.schema}
     timeline = "time" if kinds.get("time") == b"index" else ""  # an axis may have that name, too
     time = batch.column(timeline).to_numpy(zero_copy_only=False).astype(np.int64) if timeline else None

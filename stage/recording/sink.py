@@ -18,14 +18,14 @@ from typing import Any
 
 from stage.recording.sdk import release_streams
 
-PATIENCE = 60.0  # s that a flush may take
+FLUSH_TIMEOUT_S = 60.0
 
 
 class BlueprintWithStream:
-    """A rerun blueprint that keeps the stream into which rerun writes it. The methods are those that rerun calls.
+    """Blueprint that holds the stream into which rerun writes it. The methods are those that rerun calls.
 
     Attributes:
-        stream: the RecordingStream, set when the blueprint is saved.
+        stream: RecordingStream, set when the blueprint is saved.
     """
 
     def __init__(self, blueprint: Any):
@@ -42,12 +42,18 @@ class BlueprintWithStream:
 
 
 class Sink:
-    """The file `path` for the RecordingStream `out`. Raises OSError, and so do `flush` and `close`.
+    """File of a RecordingStream. Raises OSError, and so do `flush` and `close`.
 
     Each flush is one write of whole messages, and after an OSError the file ends with the last flush that succeeded.
 
+    Args:
+        out: The RecordingStream.
+        path: The file.
+        blueprint: Blueprint of the file.
+        overwrite: The file may exist.
+
     Attributes:
-        out: the RecordingStream until `close` or `abandon`, which free its threads and memory if nobody else refers to it.
+        out: The RecordingStream until `close` or `abandon`, which free its threads and memory if nobody else refers to it.
     """
 
     def __init__(self, out: Any, path: Path, blueprint: Any, overwrite: bool):
@@ -68,19 +74,19 @@ class Sink:
         poll = select.poll()
         poll.register(self._end, select.POLLIN)
         while True:
-            ready = poll.poll(100)
+            events = poll.poll(100)
             with self._lock:
-                if not ready and not self._closing:
+                if not events and not self._closing:
                     continue
-                data = os.read(self._end, 1 << 16) if ready else b""
+                data = os.read(self._end, 1 << 16) if events else b""
                 if not data:
                     return
                 self._bytes += data
 
     def flush(self) -> None:
-        """Everything logged so far is in the file, and a kill of this process does not take it away."""
+        """Write everything that was logged so far to the file, where it survives a kill of this process."""
         try:
-            self.out.flush(timeout_sec=PATIENCE)
+            self.out.flush(timeout_sec=FLUSH_TIMEOUT_S)
         except RuntimeError as error:
             raise OSError(f"rerun: {error}") from error
         self._write()
@@ -92,13 +98,13 @@ class Sink:
                     data, self._bytes = memoryview(self._bytes), bytearray()
                     break
             time.sleep(1e-4)
-        kept = self._file.tell() if self._file.seekable() else 0
+        length = self._file.tell() if self._file.seekable() else 0
         try:
             while len(data):
                 data = data[self._file.write(data) :]
         except OSError:
             with contextlib.suppress(OSError):  # a device has no length
-                self._file.truncate(kept)
+                self._file.truncate(length)
             raise
 
     def close(self) -> None:
@@ -112,7 +118,7 @@ class Sink:
             self._stop()
 
     def abandon(self) -> None:
-        """Let go of the file as it is. Safe to call twice, and after `close`."""
+        """Close the file as it is. Safe to call twice, and after `close`."""
         if not self._file.closed:
             self.out.disconnect()
             self._stop()

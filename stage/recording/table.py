@@ -27,25 +27,25 @@ FORMATS = {".csv": "to_csv", ".parquet": "to_parquet", ".npz": "to_npz"}
 
 
 def writer_of(path: str | os.PathLike) -> str:
-    """The method of `Tabular` that writes a file of this name. Raises FileError for an ending that is none of FORMATS."""
+    """Return the method of `Tabular` that writes a file of this name. Raises FileError for an ending that is none of FORMATS."""
     return FORMATS[ends_as(path, FORMATS, "a table")]
 
 
 class Columns(dict[str, np.ndarray]):
-    """Columns by name. A name that is none raises UnknownKey, which is a KeyError, with the near misses."""
+    """Columns by name. An unknown name raises UnknownKey, which is a KeyError, with the near misses."""
 
     def __missing__(self, name: object) -> np.ndarray:
         raise UnknownKey(str(unknown("column", name, self)))
 
 
 class Tabular:
-    """What has columns over time: arrays of one length by name, "time" first."""
+    """Table of columns over time: arrays of one length by name, "time" first."""
 
     ERROR: type[FileError] = FileError
 
     @property
     def units(self) -> dict[str, str]:
-        """Column -> its unit, "" for pins and states; in the order of the columns."""
+        """Unit of each column, "" for pins and states; in the order of the columns."""
         raise NotImplementedError
 
     @told
@@ -64,7 +64,7 @@ class Tabular:
                 raise unknown("column", name, known)
         return list(names)
 
-    def _chosen(self, columns: Sequence[str] | str | None) -> list[str]:
+    def _select_columns(self, columns: Sequence[str] | str | None) -> list[str]:
         if columns is None:
             return list(self.units)
         names = self._known_columns([columns] if isinstance(columns, str) else columns)
@@ -72,16 +72,21 @@ class Tabular:
 
     @told
     def to_pandas(self, columns: Sequence[str] | str | None = None) -> pandas.DataFrame:
-        """A data frame whose index is the time, s; its `attrs["units"]` has the units.
+        """Return a data frame whose index is the time, s; its `attrs["units"]` has the units.
 
-        columns: names, or one, None for all. Raises ArgumentError with the near misses; ExtraMissing without pandas (extra `data`).
+        Args:
+            columns: Names of columns, or one; None: all.
+
+        Raises:
+            ArgumentError: An unknown column, with the near misses.
+            ExtraMissing: There is no pandas (extra `data`).
         """
         pandas = need("pandas", "a data frame")
-        names = self._chosen(columns)
-        whole = [*self.parts(names)]
-        made = {name: np.concatenate([part[name] for part in whole]) for name in names}
-        index = pandas.Index(made.pop("time"), name="time")
-        frame = pandas.DataFrame(made, index=index)
+        names = self._select_columns(columns)
+        parts = [*self.parts(names)]
+        columns_by_name = {name: np.concatenate([part[name] for part in parts]) for name in names}
+        index = pandas.Index(columns_by_name.pop("time"), name="time")
+        frame = pandas.DataFrame(columns_by_name, index=index)
         frame.attrs["units"] = {name: self.units[name] for name in names}
         return frame
 
@@ -91,11 +96,22 @@ class Tabular:
     ) -> Path:
         """Write a Parquet file; pandas, Polars, DuckDB and Spark read it. The metadata of a field has its unit.
 
-        Raises FileError; ArgumentError for a column that is none; ExtraMissing without pyarrow (extra `data`, and part of `rerun`).
+        Args:
+            path: The file.
+            columns: Names of columns, or one; None: all.
+            overwrite: The file may exist.
+
+        Returns:
+            Its path.
+
+        Raises:
+            FileError: The file exists, or cannot be written.
+            ArgumentError: An unknown column.
+            ExtraMissing: There is no pyarrow (extra `data`, and part of `rerun`).
         """
         pyarrow = need("pyarrow", "a Parquet file")
         parquet = need("pyarrow.parquet", "a Parquet file")
-        names = self._chosen(columns)
+        names = self._select_columns(columns)
         schema = None
         with written(path, overwrite, self.ERROR) as part:
             writer = None
@@ -122,9 +138,19 @@ class Tabular:
     ) -> Path:
         """Write a CSV file: a line of names, then a line a sample. Numbers have all digits that they need; pins are 0 and 1.
 
-        Raises FileError; ArgumentError for a column that is none.
+        Args:
+            path: The file.
+            columns: Names of columns, or one; None: all.
+            overwrite: The file may exist.
+
+        Returns:
+            Its path.
+
+        Raises:
+            FileError: The file exists, or cannot be written.
+            ArgumentError: An unknown column.
         """
-        names = self._chosen(columns)
+        names = self._select_columns(columns)
         with written(path, overwrite, self.ERROR) as part, part.open("w", newline="", encoding="utf-8") as file:
             rows = csv.writer(file, lineterminator="\n")
             rows.writerow(names)
@@ -137,8 +163,21 @@ class Tabular:
     def to_npz(
         self, path: str | os.PathLike, columns: Sequence[str] | str | None = None, *, overwrite: bool = False
     ) -> Path:
-        """Write NumPy's .npz: `numpy.load(path)["x/position"]`. Raises FileError; ArgumentError for a column that is none."""
-        names = self._chosen(columns)
+        """Write NumPy's .npz: `numpy.load(path)["x/position"]`.
+
+        Args:
+            path: The file.
+            columns: Names of columns, or one; None: all.
+            overwrite: The file may exist.
+
+        Returns:
+            Its path.
+
+        Raises:
+            FileError: The file exists, or cannot be written.
+            ArgumentError: An unknown column.
+        """
+        names = self._select_columns(columns)
         with written(path, overwrite, self.ERROR) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
             for name in names:  # one at a time: never all of them in memory
                 values = np.concatenate([piece[name] for piece in self.parts([name])])
@@ -149,6 +188,20 @@ class Tabular:
     def to_file(
         self, path: str | os.PathLike, columns: Sequence[str] | str | None = None, *, overwrite: bool = False
     ) -> Path:
-        """Write what the ending of `path` says: .csv, .parquet or .npz. Raises as these do."""
+        """Write a file of the kind that the ending of its name says: .csv, .parquet or .npz.
+
+        Args:
+            path: The file.
+            columns: Names of columns, or one; None: all.
+            overwrite: The file may exist.
+
+        Returns:
+            Its path.
+
+        Raises:
+            FileError: The file exists, or cannot be written.
+            ArgumentError: An unknown column.
+            ExtraMissing: There is no pyarrow.
+        """
         write: Any = getattr(self, writer_of(path))
         return Path(write(path, columns, overwrite=overwrite))

@@ -27,17 +27,25 @@ PAGE = {
     "favicon.ico": "image/x-icon",
     "apple-touch-icon.png": "image/png",
 }
-"""What rerun's page consists of, and of which kind it is."""
+"""MIME types of the files of rerun's page, by name."""
 RECORDING = "recording.rrd"  # its name in addresses: rerun goes by the ending
 
 
-HERE_ONLY = "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:"
-"""What browsers let the page ask for, as a Content-Security-Policy: nothing from elsewhere. It would send usage data."""
+CONTENT_POLICY = "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:"
+"""Content-Security-Policy of the page: nothing from other servers, to which it would send usage data."""
 
 
 class Server(ThreadingHTTPServer):
-    """Serves `rrd` at `address` once it has the files of `page` (by the names of PAGE); outside: whether the page may call other
-    servers. Raises OSError where the port cannot be had."""
+    """Server of a recording at `address`. Raises OSError where the port cannot be had.
+
+    Args:
+        rrd: The recording.
+        port: TCP port.
+        outside: The page may call other servers.
+
+    Attributes:
+        page: Files of rerun's page, by the names of PAGE; set them before it serves.
+    """
 
     daemon_threads = True
 
@@ -50,12 +58,12 @@ class Server(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
-        """What to open in a browser."""
+        """Address to open in a browser."""
         return f"http://{HOST}:{self.server_port}{self.folder}"
 
     @property
     def hosts(self) -> list[str]:
-        """What a browser may call it: a name and the port, which browsers leave away where it is 80."""
+        """Names of the server with its port, which browsers omit where it is 80."""
         return [f"{name}:{self.server_port}" for name in NAMES] + list(NAMES) * (self.server_port == 80)
 
     def server_bind(self) -> None:
@@ -77,14 +85,14 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.FORBIDDEN, f"This server answers to {' and '.join(self.server.hosts)} only.")
             return
         try:
-            asked = urlsplit(self.path)
+            address = urlsplit(self.path)
         except ValueError:
             self._refuse(HTTPStatus.BAD_REQUEST, "This is no address.")
             return
-        name = asked.path.removeprefix(self.server.folder)
-        if name == asked.path:  # not in our folder
+        name = address.path.removeprefix(self.server.folder)
+        if name == address.path:  # not in our folder
             self._refuse(HTTPStatus.NOT_FOUND, "Nothing is served here. Open the address that the command has printed.")
-        elif name == "" and not asked.query:
+        elif name == "" and not address.query:
             self._begin(HTTPStatus.FOUND, "text/plain", 0)
             recording = quote(f"http://{hosts[0]}{self.server.folder}{RECORDING}", safe="")
             self.send_header("Location", f"{self.server.folder}?url={recording}")
@@ -122,10 +130,10 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(length))
         if not self.server.outside:
-            self.send_header("Content-Security-Policy", HERE_ONLY)
+            self.send_header("Content-Security-Policy", CONTENT_POLICY)
         self.send_header("Referrer-Policy", "no-referrer")  # nobody else learns the path
         self.send_header("X-Content-Type-Options", "nosniff")
         self.send_header("Cache-Control", "no-store")
 
     def log_message(self, format: str, *args: object) -> None:
-        """Requests are not noted."""
+        """Log nothing."""

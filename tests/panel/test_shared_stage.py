@@ -195,3 +195,16 @@ def test_a_stop_with_a_ramp_begins_on_all_axes_at_the_same_time():
         first = [next(e.clock for e in journal.entries if e.kind == WRITE) / 4_915_200 for journal in journals]
         assert max(first) - min(first) < 5e-3
         assert not any(session.do(lambda stage: [chip.busy(0) for chip in stage.chips]))
+
+
+def test_a_recording_is_not_closed_within_a_sequence_of_another_thread():
+    stage = Stage("xy", visuals=False)
+    with Session(stage, speed=FREE, program="a test"):
+        recording = stage.record()
+        with stage.lock:
+            closing = threading.Thread(target=recording.close, daemon=True)
+            closing.start()
+            closing.join(0.1)
+            assert stage.recording is recording
+        closing.join(10)
+        assert stage.recording is None

@@ -10,7 +10,7 @@ import pytest
 from stage import Drive
 from stage.chips import HCTL1100, PCL240K
 from stage.drives.dc_motors import Servo
-from stage.recording.picture import MOST, draw
+from stage.recording.picture import MAX_POINTS, draw
 from stage.support import pictures
 
 pytest.importorskip("matplotlib")
@@ -94,13 +94,13 @@ def test_switches_lie_from_the_top_in_the_order_of_the_axes_and_each_has_the_col
 
 def test_of_a_long_recording_few_points_are_drawn_and_a_short_edge_is_still_there():
     """a switch that is on for one sample of 10,001, between those that are drawn"""
-    n = 2 * MOST + 2001
+    n = 2 * MAX_POINTS + 2001
     on = np.zeros(n, bool)
     on[5000] = True
     fig = draw(Run({"x": SLIDE}, n=n, x__org=on, x__rate=np.arange(n)))
     drawn = fig.axes[0].lines[0].get_ydata()
-    assert len(drawn) <= MOST
+    assert len(drawn) <= MAX_POINTS
     assert drawn.tolist() == list(range(0, n, 3))
     heights = fig.axes[-1].collections[0].get_paths()[0].vertices[:, 1]
     assert heights.max() == pytest.approx(0.8)
-    assert len(draw(Run({"x": SLIDE}, n=MOST)).axes[0].lines[0].get_ydata()) == MOST
+    assert len(draw(Run({"x": SLIDE}, n=MAX_POINTS)).axes[0].lines[0].get_ydata()) == MAX_POINTS
