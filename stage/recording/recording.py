@@ -23,6 +23,7 @@ import tempfile
 import warnings
 import weakref
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
@@ -325,30 +326,29 @@ class Recording(Tabular):
         self.notes.append(Note(time, text, in_force))
 
     def close(self) -> None:
-        """Stop recording; the stage goes on without. Safe to call twice, and from any thread that may use the stage."""
+        """Stop recording; the stage goes on without. Safe to call twice, and from any thread.
+
+        It waits for other threads that use the stage, unless the stage has a session that refuses this thread.
+        """
         if self._is_closed:
             return
-        with exclusively(self._stage):
-            self._end()
-
-    def _end(self) -> None:
-        self._is_closed = True
-        self._stage.stop_recording()
-        atexit.unregister(self._close_at_exit)
-        for journal in self.journals.values():
-            journal.close()
-        self.host.close()
-        self.flush()
-        if self._log is not None:
-            self._writing(self._log.finish)
-            self._log = None
+        with ExitStack() as stack:
+            with suppress(StageError):
+                stack.enter_context(exclusively(self._stage))
+            self._is_closed = True
+            self._stage.stop_recording()
+            atexit.unregister(self._close_at_exit)
+            for journal in self.journals.values():
+                journal.close()
+            self.host.close()
+            self.flush()
+            if self._log is not None:
+                self._writing(self._log.finish)
+                self._log = None
 
     def _close_at_exit(self) -> None:
         if self._process == os.getpid():
-            try:
-                self.close()
-            except StageError:  # a session refuses other threads, but this process ends
-                self._end()
+            self.close()
 
     def __enter__(self) -> Recording:
         return self

@@ -68,7 +68,7 @@ class Browser:
         """A real click, of the mouse, where the element is then to be seen."""
         self.shown(name).click()
 
-    def shown(self, name):
+    def displayed(self, name):
         """The element, in the middle of the window, when it has come to rest there."""
         self.until(lambda: self.find(name).is_displayed())
         before: list[dict] = []
@@ -82,7 +82,7 @@ class Browser:
         return self.until(rests)
 
     @contextmanager
-    def held(self, name):
+    def current(self, name):
         """The mouse's button is down on the element for as long as the block lasts."""
         from selenium.webdriver.common.action_chains import ActionChains
 
@@ -194,15 +194,15 @@ def browser(address):
 
 
 @pytest.fixture
-def look_on():
+def open_browser():
     """Opens further browsers: look_on(address)."""
     opened = []
 
-    def look(address):
+    def observe(address):
         opened.append(Browser(address))
         return opened[-1]
 
-    yield look
+    yield observe
     for browser in opened:
         browser.close()
 
@@ -219,8 +219,8 @@ class Bench:
 
     def fresh(self):
         """The page as at first, and the stage at power-up, in real time."""
-        for made in reversed(self.panel.fault_controls.in_force):
-            self.panel.fault_controls.clear(made)
+        for active in reversed(self.panel.fault_controls.in_force):
+            self.panel.fault_controls.clear(active)
         self.panel.fault_controls.set_payload(0.0)
         self.session.reset()
         self.session.paused, self.session.speed = False, 1.0
@@ -235,9 +235,9 @@ class Bench:
         finally:
             self.session.speed = 1.0
 
-    def stage(self, look):
+    def stage(self, observe):
         """`look(stage)`, by the stage's own thread."""
-        return self.session.do(look)
+        return self.session.do(observe)
 
     def x(self, what):
         """Something of the axis x."""

@@ -33,7 +33,7 @@ def loggers_without_filters():
         logger.filters[:] = filters
 
 
-def asked(guard, kind="http", query=b"", **headers):
+def requested(guard, kind="http", query=b"", **headers):
     """What the guard sends, and whether it let the request through."""
     sent, through = [], []
 
@@ -46,51 +46,51 @@ def asked(guard, kind="http", query=b"", **headers):
     async def send(message):
         sent.append(message)
 
-    given = [(name.encode(), value.encode()) for name, value in headers.items()]
-    asyncio.run(guard({"type": kind, "headers": given, "query_string": query}, None, send))
+    arguments = [(name.encode(), value.encode()) for name, value in headers.items()]
+    asyncio.run(guard({"type": kind, "headers": arguments, "query_string": query}, None, send))
     return bool(through), sent
 
 
 @pytest.mark.parametrize("kind", ["http", "websocket"])
 def test_a_foreign_name_of_the_host_is_refused(kind):
-    assert asked(RequestGuard(None, NAMES), kind, host="127.0.0.1:7241")[0]
-    through, sent = asked(RequestGuard(None, NAMES), kind, host="evil.example:7241")
+    assert requested(RequestGuard(None, NAMES), kind, host="127.0.0.1:7241")[0]
+    through, sent = requested(RequestGuard(None, NAMES), kind, host="evil.example:7241")
     assert not through
     assert sent[0].get("status", 403) == 403
     assert sent[0]["type"] in ("http.response.start", "websocket.close")
 
 
 def test_a_page_from_elsewhere_is_refused():
-    assert asked(RequestGuard(None, NAMES), host="localhost:7241", origin="http://localhost:7241")[0]
-    assert asked(RequestGuard(None, NAMES), host="LOCALHOST:7241", origin="http://LocalHost:7241")[0], (
+    assert requested(RequestGuard(None, NAMES), host="localhost:7241", origin="http://localhost:7241")[0]
+    assert requested(RequestGuard(None, NAMES), host="LOCALHOST:7241", origin="http://LocalHost:7241")[0], (
         "names are of any case"
     )
-    assert not asked(RequestGuard(None, NAMES), host="localhost:7241", origin="http://evil.example")[0]
-    assert not asked(RequestGuard(None, NAMES), host="localhost:7241", origin="null")[0]
+    assert not requested(RequestGuard(None, NAMES), host="localhost:7241", origin="http://evil.example")[0]
+    assert not requested(RequestGuard(None, NAMES), host="localhost:7241", origin="null")[0]
 
 
 def test_strangers_need_the_token_and_a_browser_keeps_it():
     guard = RequestGuard(None, frozenset(), "secret")
-    assert not asked(guard, host="stage.example")[0]
-    assert not asked(guard, host="stage.example", query=b"token=wrong")[0]
-    through, sent = asked(guard, host="stage.example", query=b"token=secret")
+    assert not requested(guard, host="stage.example")[0]
+    assert not requested(guard, host="stage.example", query=b"token=wrong")[0]
+    through, sent = requested(guard, host="stage.example", query=b"token=secret")
     assert through
     cookie = dict(sent[0]["headers"])[b"set-cookie"].decode()
     assert cookie.startswith(f"{COOKIE}=secret;")
     assert "HttpOnly" in cookie
-    assert asked(guard, "websocket", host="stage.example", cookie=f"{COOKIE}=secret")[0]
-    assert not asked(guard, "websocket", host="stage.example", cookie=f"{COOKIE}=other")[0]
+    assert requested(guard, "websocket", host="stage.example", cookie=f"{COOKIE}=secret")[0]
+    assert not requested(guard, "websocket", host="stage.example", cookie=f"{COOKIE}=other")[0]
 
 
 @pytest.mark.parametrize("cookie", ["a/b=c", "a,b=c", '=; ="'])
 def test_cookies_that_are_none_are_refused_in_words(cookie):
-    through, sent = asked(RequestGuard(None, NAMES, "secret"), host="127.0.0.1:7241", cookie=cookie)
+    through, sent = requested(RequestGuard(None, NAMES, "secret"), host="127.0.0.1:7241", cookie=cookie)
     assert not through
     assert sent[0]["status"] == 403
 
 
-def test_the_page_may_ask_for_nothing_from_elsewhere():
-    _, sent = asked(RequestGuard(None, NAMES), host="127.0.0.1:7241")
+def test_the_content_policy_allows_this_server_only():
+    _, sent = requested(RequestGuard(None, NAMES), host="127.0.0.1:7241")
     policy = dict(sent[0]["headers"])[b"content-security-policy"].decode()
     assert "default-src 'self'" in policy
     assert "http:" not in policy
@@ -101,7 +101,7 @@ def test_the_page_may_ask_for_nothing_from_elsewhere():
 @pytest.mark.parametrize("header", [{"origin": "http://["}, {"origin": "http://[::1"}, {"cookie": "a b=c; \x01=;=,"}])
 def test_headers_that_make_no_sense_are_refused_and_no_error_of_the_server(kind, header):
     """Origin: http://[ gave 500 and a traceback"""
-    through, sent = asked(RequestGuard(None, frozenset(), "secret"), kind, host="127.0.0.1:7241", **header)
+    through, sent = requested(RequestGuard(None, frozenset(), "secret"), kind, host="127.0.0.1:7241", **header)
     assert not through
     assert (sent[0].get("status"), sent[0].get("code")) in ((403, None), (None, 1008))
 
@@ -152,7 +152,7 @@ def test_text_that_is_not_utf_8_is_one_line_and_other_errors_of_the_server_are_r
     assert reported == [{"message": "Task exception was never retrieved"}]
 
 
-def test_the_first_has_the_controls_until_somebody_takes_them():
+def test_the_first_browser_has_the_controls_until_another_takes_them():
     controls = Controls()
     assert controls.holder is None
     controls.come("a")
@@ -165,7 +165,7 @@ def test_the_first_has_the_controls_until_somebody_takes_them():
     assert controls.holder == "b"
 
 
-def test_who_goes_leaves_the_controls_to_the_next():
+def test_a_leaving_browser_passes_the_controls_to_the_next():
     controls = Controls()
     for who in "abc":
         controls.come(who)

@@ -13,16 +13,16 @@ from stage.panel.browser_updates import ANSWER_TIMEOUT_S, FRAMES, TEXT_INTERVAL_
 @pytest.fixture
 def live(monkeypatch):
     """Of no page; live.sent: the messages; live.real.now: real time, s."""
-    monkeypatch.setattr(lives.ui, "timer", lambda *given: None)
+    monkeypatch.setattr(lives.ui, "timer", lambda *arguments: None)
     live = BrowserUpdates.__new__(BrowserUpdates)
     monkeypatch.setattr(lives.ui.element, "__init__", lambda self: None)
     BrowserUpdates.__init__(live)
     live.real, live.sent, live.answers = SimpleNamespace(now=100.0), [], True
     monkeypatch.setattr(lives, "perf_counter", lambda: live.real.now)
 
-    async def run_method(name, *given, timeout):
+    async def run_method(name, *arguments, timeout):
         assert (name, timeout) == ("show", ANSWER_TIMEOUT_S)
-        live.sent.append(given)
+        live.sent.append(arguments)
         if not live.answers:
             raise TimeoutError
 
@@ -42,7 +42,7 @@ def element(number):
     return SimpleNamespace(id=number, is_deleted=False)
 
 
-def test_only_what_has_changed_goes_out_and_texts_at_most_ten_times_a_second(live):
+def test_only_changes_are_sent_and_texts_ten_times_a_second_at_most(live):
     text, lamp = {1: "a", 2: "b"}, {3: False, 4: True}
     for k in text:
         assert live.show_text(one := element(k), lambda k=k: text[k]) is one
@@ -60,18 +60,18 @@ def test_only_what_has_changed_goes_out_and_texts_at_most_ten_times_a_second(liv
     assert 1 / FRAMES < TEXT_INTERVAL_S
 
 
-def test_a_call_is_made_as_often_as_asked_and_not_where_there_is_nothing_new(live):
-    asked, given = [], {"often": [1], "seldom": [2]}
-    live.call_method(element(7), "often", lambda: given["often"])
-    live.call_method(element(8), "seldom", lambda: asked.append(1) or given["seldom"], 0.5)
+def test_a_method_is_called_at_the_requested_interval_and_only_with_new_values(live):
+    requested, arguments = [], {"often": [1], "seldom": [2]}
+    live.call_method(element(7), "often", lambda: arguments["often"])
+    live.call_method(element(8), "seldom", lambda: requested.append(1) or arguments["seldom"], 0.5)
     assert frame(live) == ([], [], [(7, "often", [1]), (8, "seldom", [2])])
     assert frame(live, 0.4) == ([], [], [(7, "often", [1])])
-    assert len(asked) == 1, "it is not even looked at"
-    given["often"] = None
+    assert len(requested) == 1, "it is not even looked at"
+    arguments["often"] = None
     assert frame(live, 0.01) is None
-    given["seldom"] = None
+    arguments["seldom"] = None
     assert frame(live, 0.2) is None
-    given["seldom"] = []
+    arguments["seldom"] = []
     assert frame(live) == ([], [], [(8, "seldom", [])]), "a look that had nothing does not count"
 
 
@@ -86,16 +86,16 @@ def test_who_did_not_answer_is_sent_everything_again(live):
 
 
 def test_what_is_gone_from_the_page_is_looked_at_no_more(live):
-    gone, asked = element(3), []
-    live.show_lamp(gone, lambda: asked.append(1) or len(asked) % 2 == 0)
-    live.show_lamp(element(4), lambda: len(asked))
+    gone, requested = element(3), []
+    live.show_lamp(gone, lambda: requested.append(1) or len(requested) % 2 == 0)
+    live.show_lamp(element(4), lambda: len(requested))
     assert frame(live)[1] == [(3, False), (4, 1)]
     gone.is_deleted = True
     assert frame(live, 1.0) is None
-    assert (len(asked), set(live._lamps)) == (1, {4})
+    assert (len(requested), set(live._lamps)) == (1, {4})
 
 
-def test_lines_are_told_once_the_last_so_many_and_a_key_takes_the_place_of_the_line_before(live):
+def test_a_log_sends_its_last_lines_once_and_replaces_those_with_the_same_key(live):
     lines = TextLog.__new__(TextLog)
     lines._props = {}
     lines.id, lines._deleted = 9, False

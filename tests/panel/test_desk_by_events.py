@@ -28,8 +28,8 @@ def _as_at_first(served, page):
     page.said.clear()
     yield
     served.leave(but=1)
-    for made in reversed(served.panel.fault_controls.in_force):
-        served.panel.fault_controls.clear(made)
+    for created in reversed(served.panel.fault_controls.in_force):
+        served.panel.fault_controls.clear(created)
     served.panel.fault_controls.set_payload(0.0)
 
 
@@ -53,10 +53,12 @@ def test_a_card_of_each_axis_has_its_motor_its_place_and_its_switches(served, pa
     lamps = {e.props.get("data-test"): now() for e, now in live._lamps.values()}
     assert lamps["switch-y-el_plus"]
     for name, axis in served.session.stage.axes.items():
-        seen = look.axes[name]
+        observed = look.axes[name]
         assert texts[f"motor-{name}"] == axis.drive.motor.name
-        assert texts[f"place-{name}"] == format_position(axis.unit, seen.position, seen.commanded, seen.lost)
-        assert {s: lamps[f"switch-{name}-{s}"] for s in axis.switches.as_dict()} == seen.switches
+        assert texts[f"place-{name}"] == format_position(
+            axis.unit, observed.position, observed.commanded, observed.lost
+        )
+        assert {s: lamps[f"switch-{name}-{s}"] for s in axis.switches.as_dict()} == observed.switches
     assert texts["place-x"] != texts["place-y"]
     pins = look.chips[0, 0]
     for pin, on in (pins.inputs | pins.outputs).items():
@@ -66,7 +68,7 @@ def test_a_card_of_each_axis_has_its_motor_its_place_and_its_switches(served, pa
 # --- hands ---
 
 
-def test_what_can_break_is_there_for_who_comes(served):
+def test_a_new_page_offers_every_fault(served):
     page, breakings = served.visit(), served.panel.fault_controls.list_forms("x")
     assert list(page.find("breaking").options) == [b.name for b in breakings]
     assert page.find("breaking").value == breakings[0].name
@@ -97,7 +99,7 @@ def test_load_and_supply_are_what_the_sliders_say_and_every_page_follows(served,
 
 @pytest.mark.parametrize(("button", "force"), [("push-plus", 2.5), ("push-minus", -2.5)])
 @pytest.mark.parametrize(("down", "up"), [("pointerdown", "pointerleave"), ("keydown.enter.prevent", "keyup")])
-def test_a_hand_pushes_the_axis_that_was_chosen_while_a_button_is_held(served, page, button, force, down, up):
+def test_the_selected_axis_is_pushed_while_a_button_is_down(served, page, button, force, down, up):
     page.put("hands-axis", "y")
     page.put("push-force", "2,5")
     page.fire(button, down)
@@ -120,7 +122,7 @@ def test_who_loses_the_controls_takes_his_hand_away(served, page):
     served.panel.controls.take(page.client.id)
 
 
-def test_a_force_that_cannot_be_is_said_at_its_field_until_the_next(served, page):
+def test_an_impossible_force_is_an_error_at_its_field_until_the_next_attempt(served, page):
     for typed, said in (("hard", "'hard' is not a number of N."), ("1e9", "1e+09 N: up to ")):
         page.put("push-force", typed)
         page.fire("push-plus", "pointerdown")
@@ -134,7 +136,7 @@ def test_a_force_that_cannot_be_is_said_at_its_field_until_the_next(served, page
     page.until(lambda: pushes(served) == [0, 0])
 
 
-def test_what_is_broken_is_of_the_axis_that_was_chosen_and_each_is_mended_for_itself(served, page):
+def test_faults_are_of_the_selected_axis_and_cleared_one_by_one(served, page):
     hands = served.panel.fault_controls
     page.put("breaking", "switch_stuck")
     for axis, pin, closed in (("x", "org", "no"), ("y", "el_plus", "yes"), ("y", "org", "yes")):
@@ -146,7 +148,7 @@ def test_what_is_broken_is_of_the_axis_that_was_chosen_and_each_is_mended_for_it
         page.click("break")
         page.until(lambda n=before: len(hands.in_force) == n + 1)
         assert hands.in_force[-1].request == ("switch_stuck", axis, {"pin": pin, "closed": closed})
-    texts = [made.text for made in hands.in_force]
+    texts = [created.text for created in hands.in_force]
     page.until(lambda: len(page.all("mend")) == 3)
     listed = [e.text for e in page.find("in-force").descendants() if getattr(e, "text", "") in texts]
     assert listed == texts
@@ -154,12 +156,12 @@ def test_what_is_broken_is_of_the_axis_that_was_chosen_and_each_is_mended_for_it
     said = page.until(lambda: page.said)
     assert "is in force already" in said[0]
     page.click("mend", 1)
-    page.until(lambda: [made.text for made in hands.in_force] == [texts[0], texts[2]])
+    page.until(lambda: [created.text for created in hands.in_force] == [texts[0], texts[2]])
     page.until(lambda: len(page.all("mend")) == 2)
     assert page.all("mend")[1].props["aria-label"] == f"mend {texts[2]}".replace('"', "'")
 
 
-def test_what_is_wrong_with_a_fault_is_said_at_its_field(served, page):
+def test_an_error_of_a_fault_is_at_its_field(served, page):
     page.put("breaking", "bus_voltage" if "bus_voltage" in page.find("breaking").options else "friction")
     field = next(e.props["data-test"] for e in page._all() if str(e.props.get("data-test", "")).startswith("break-"))
     page.put(field, "much")
@@ -182,7 +184,7 @@ def typed(page):
     return page.find("console").value
 
 
-def test_a_line_of_the_console_goes_to_the_chip_that_was_chosen(served, page):
+def test_a_line_of_the_console_is_sent_to_the_selected_chip(served, page):
     for index, value in ((1, 321), (0, 123)):
         page.put("console-target", index)
         line(page, f"R1 <- {value}")
@@ -203,14 +205,14 @@ def test_arrows_go_through_the_lines_before_and_the_same_twice_is_one(served, pa
     for text in ("R3 <- 77", "8", "8"):
         line(page, text)
         page.until(lambda: typed(page) == "")
-    seen = []
+    observed = []
     for key in ("ArrowUp", "ArrowUp", "ArrowDown", "ArrowDown", "ArrowDown", "ArrowUp"):
         line(page, None, key)
-        seen.append(typed(page))
-    assert seen == ["8", "R3 <- 77", "8", "", "", "8"]
+        observed.append(typed(page))
+    assert observed == ["8", "R3 <- 77", "8", "", "", "8"]
 
 
-def test_tab_completes_as_far_as_names_agree(page):
+def test_tab_completes_the_common_prefix(page):
     for text, completed in (("oper", "operate "), ("R", "R"), ("read oper", "read operate "), ("zz", "zz")):
         line(page, text, "Tab")
         page.until(lambda c=completed: typed(page) == c)
@@ -226,23 +228,23 @@ def wide():
     wide.close()
 
 
-def test_rows_and_commands_are_of_the_axis_that_was_chosen(wide):
+def test_rows_and_commands_are_of_the_selected_axis(wide):
     page, session = wide.visit(), wide.session
     assert page.find("chip-0").text.startswith("x y: ")
     assert page.find("axis-of-0").options == {0: "x", 1: "y", 2: "(2)", 3: "(3)"}
     chip = session.stage.chips[0]
 
-    def held():
+    def current():
         return session.do(lambda stage: [chip.values_of(j)["DV"] for j in range(4)])
 
-    before = held()
+    before = current()
     for axis, value in ((1, 77), (0, 55)):
         page.put("axis-of-0", axis)
-        page.until(lambda a=axis: page.find("value-0-DV").value == str(held()[a]))
+        page.until(lambda a=axis: page.find("value-0-DV").value == str(current()[a]))
         page.enter("value-0-DV", str(value))
-        page.until(lambda a=axis, v=value: held()[a] == v)
+        page.until(lambda a=axis, v=value: current()[a] == v)
         page.until(lambda v=value: page.find("value-0-DV").value == str(v))
-    assert held() == [55, 77, *before[2:]]
+    assert current() == [55, 77, *before[2:]]
     session.do(lambda stage: [chip.write(*cycle) for cycle in chip.register_cycles("SV", 123, 0)])
     page.until(lambda: page.find("value-0-SV").value == "123")  # then the update that may flash DV is over, too
     flashed = list(page.find("value-0-DV").classes)
@@ -254,7 +256,7 @@ def test_rows_and_commands_are_of_the_axis_that_was_chosen(wide):
 # --- oscilloscope ---
 
 
-def test_each_button_of_a_command_sends_its_cycles_to_the_axis_that_was_chosen(wide, monkeypatch):
+def test_each_command_button_sends_its_cycles_to_the_selected_axis(wide, monkeypatch):
     page, sent = wide.visit(), []
     kind = type(wide.session.stage.chips[0])
 
@@ -273,7 +275,7 @@ def test_each_button_of_a_command_sends_its_cycles_to_the_axis_that_was_chosen(w
         assert sent == [(True, 0, [BusCycle(False, *c) for c in kind.command_cycles(b.symbol, 1, b.datum)])]
 
 
-def test_cycles_are_made_in_their_order_and_what_was_read_is_told_and_looked_at(served, page):
+def test_cycles_are_made_in_order_and_reads_are_returned_and_traced(served, page):
     trace = served.panel.observer.traces[1]
     before, number = trace.lines[-1].number if trace.lines else 0, served.panel.observer.number
     cycles = [
@@ -283,8 +285,8 @@ def test_cycles_are_made_in_their_order_and_what_was_read_is_told_and_looked_at(
         BusCycle(True, 1, None),
         BusCycle(True, 0, None),
     ]
-    found = page.within(lambda: chips.send(served.panel, 1, cycles))
-    assert any(found)
+    result = page.within(lambda: chips.send(served.panel, 1, cycles))
+    assert any(result)
     assert [(line.kind, line.address) for line in trace.lines_after(before)] == [
         ("W", 0),
         ("W", 1),
@@ -293,12 +295,12 @@ def test_cycles_are_made_in_their_order_and_what_was_read_is_told_and_looked_at(
         ("R", 0),
     ]
     assert served.panel.observer.number > number
-    assert found == of(served, lambda stage: [stage.chips[1].read(address) for address in (1, 0)])
+    assert result == of(served, lambda stage: [stage.chips[1].read(address) for address in (1, 0)])
     assert of(served, lambda stage: [chip.values_of(0)["R1"] for chip in stage.chips]) == [0, 7]
 
 
-def test_what_a_chip_refuses_is_said(served, page, monkeypatch):
-    async def refuse(*given):
+def test_a_refused_cycle_is_reported(served, page, monkeypatch):
+    async def refuse(*arguments):
         raise StageError("this session is over.")
 
     monkeypatch.setattr(chips, "send", refuse)
@@ -306,7 +308,7 @@ def test_what_a_chip_refuses_is_said(served, page, monkeypatch):
     page.until(lambda: page.said == ["this session is over."])
 
 
-def test_the_trace_is_of_the_chip_that_was_chosen(served, page, wide):
+def test_the_trace_is_of_the_selected_chip(served, page, wide):
     other = wide.visit()
     for one, targets in ((page, {1: 1, 0: 2}), (other, {1: 0, 0: 0})):
         emptied = []
@@ -321,16 +323,16 @@ def live_of(page):
     return live
 
 
-def test_each_cycle_and_each_diagnostic_is_a_line_of_the_trace_and_what_is_bad_looks_so(served, page):
+def test_each_cycle_and_diagnostic_is_a_line_of_the_trace_with_errors_in_red(served, page):
     log, pushed = page.find("trace"), []
     page.put("console-target", 1)
     page.put("console-target", 0)
-    log.append = lambda *given: pushed.append(given)
+    log.append = lambda *arguments: pushed.append(arguments)
     line(page, "15")
     page.until(lambda: any(kind == "bad" for _, kind, *_ in pushed))
     trace = served.panel.observer.traces[0]
-    told = [(one.format(trace.digits), "bad" if one.kind == "!" else "", one.first) for one in trace.lines]
-    page.until(lambda: [one for one in pushed if len(one) == 3][-2:] == told[-2:])
+    reported = [(one.format(trace.digits), "bad" if one.kind == "!" else "", one.first) for one in trace.lines]
+    page.until(lambda: [one for one in pushed if len(one) == 3][-2:] == reported[-2:])
     assert ("> 15", "own") in pushed
 
 
@@ -338,7 +340,7 @@ def chart_of(page):
     return next(look.__self__ for _, method, look, _ in live_of(page)._calls if method == "run_chart_method")
 
 
-def test_the_oscilloscope_shows_what_was_chosen_each_unit_in_a_chart_and_each_pin_in_a_lane(served, page):
+def test_each_unit_has_a_chart_and_each_pin_a_lane(served, page):
     chart = chart_of(page)
     page.put("traces", ["y/position", "x/rate", "x/position", "y/org", "x/org"])
     assert list(chart.scope.names) == ["y/position", "x/rate", "x/position", "y/org", "x/org"]
@@ -378,18 +380,18 @@ def test_what_rests_is_drawn_seldom_and_what_moves_as_it_comes(served, page, mon
     monkeypatch.setattr(live_of(page), "_calls", [])  # nobody else looks
     monkeypatch.setattr(charts, "perf_counter", lambda: clock.now)
     curves = {"flat": np.array([1.0, 1.0]), "up": np.array([1.0, 2.0])}
-    shown = SimpleNamespace(kind="up", end=1.0)
+    displayed = SimpleNamespace(kind="up", end=1.0)
 
     def picture(points):
         return OscilloscopeFrame(
-            shown.end - 1, shown.end, {"x/position": (np.array([0.1, 0.2]), curves[shown.kind])}, None, ""
+            displayed.end - 1, displayed.end, {"x/position": (np.array([0.1, 0.2]), curves[displayed.kind])}, None, ""
         )
 
     monkeypatch.setattr(chart.scope, "frame", picture)
     monkeypatch.setattr(chart, "_drawn", None)
 
     def drawn(kind, after):
-        shown.kind, shown.end = kind, shown.end + 0.01
+        displayed.kind, displayed.end = kind, displayed.end + 0.01
         clock.now += after
         return page.within(chart._next_message) is not None
 
@@ -400,26 +402,26 @@ def test_what_rests_is_drawn_seldom_and_what_moves_as_it_comes(served, page, mon
     assert drawn("flat", 0.2 * charts.FLAT_INTERVAL_S)
     assert not drawn("flat", 0.01)
     assert drawn("up", 0.01)
-    shown.end -= 0.01
+    displayed.end -= 0.01
     assert not drawn("up", 1.0), "the same picture again"
 
 
 def test_window_trigger_and_run_are_those_of_the_controls(served, page, monkeypatch):
-    chart, asked = chart_of(page), []
+    chart, requested = chart_of(page), []
     for span in SPANS[:3]:
         page.put("span", span)
         assert chart.scope.span == span
-    monkeypatch.setattr(chart.scope, "set_trigger", lambda *wanted: asked.append(wanted))
+    monkeypatch.setattr(chart.scope, "set_trigger", lambda *wanted: requested.append(wanted))
     page.put("mode", "single")
     page.put("source", "y/rate")
     page.put("edge", False)
     page.put("level", 300)
     page.put("level", None)
-    assert asked[-1] == ("single", "y/rate", False, 0.5)
-    assert asked[-2] == ("single", "y/rate", False, 300)
-    n = len(asked)
+    assert requested[-1] == ("single", "y/rate", False, 0.5)
+    assert requested[-2] == ("single", "y/rate", False, 300)
+    n = len(requested)
     page.within(chart._set_trigger)
-    assert len(asked) == n, "told again, nothing is caught anew"
+    assert len(requested) == n, "told again, nothing is caught anew"
     monkeypatch.undo()
     page.put("mode", "free")
     for running in (False, True):

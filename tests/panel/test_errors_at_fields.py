@@ -12,7 +12,7 @@ def page(served):
     served.leave()
 
 
-def test_at_the_next_attempt_only_what_is_wrong_then_is_said(page):
+def test_the_next_attempt_shows_only_its_own_errors(page):
     for form, press in (("move", lambda: page.click("go-move")), ("jog", lambda: page.fire("jog-plus", "pointerdown"))):
         first, second = (f"{form}-{name}" for name in ("speed", "accel"))
         page.put(first, "1")
@@ -27,7 +27,7 @@ def test_at_the_next_attempt_only_what_is_wrong_then_is_said(page):
         page.put(second, "0.15")
 
 
-def test_a_fault_that_is_asked_for_again_says_only_what_is_wrong_then(served, page):
+def test_a_second_attempt_at_a_fault_shows_only_its_own_errors(served, page):
     page.put("breaking", "bounce")
     page.put("break-toggles", "2.5")
     page.click("break")
@@ -39,8 +39,8 @@ def test_a_fault_that_is_asked_for_again_says_only_what_is_wrong_then(served, pa
     assert not served.panel.fault_controls.in_force
 
 
-def test_a_force_that_a_stronger_motor_can_is_said_no_more(served, page):
-    most = served.panel.fault_controls.find_max_push
+def test_an_error_at_the_force_is_removed_when_the_motor_is_stronger(served, page):
+    limit = served.panel.fault_controls.find_max_push
     page.put("push-force", "1e9")
     page.fire("push-plus", "pointerdown")
     page.until(lambda: page.error("push-force"))
@@ -49,6 +49,6 @@ def test_a_force_that_a_stronger_motor_can_is_said_no_more(served, page):
         page.fire("push-plus", "pointerdown")
         page.until(lambda: not page.error("push-force"))
     finally:
-        served.panel.fault_controls.find_max_push = most
+        served.panel.fault_controls.find_max_push = limit
         page.fire("push-plus", "pointerup")
         page.until(lambda: not served.session.do(lambda stage: stage.data.qfrc_applied.any()))

@@ -20,26 +20,26 @@ def session():
 
 
 @pytest.fixture
-def hands(session):
+def controls(session):
     session.reset()
-    hands = FaultControls(session)
-    yield hands
-    for made in reversed(hands.in_force):
-        hands.clear(made)
-    hands.close()
+    controls = FaultControls(session)
+    yield controls
+    for active in reversed(controls.in_force):
+        controls.clear(active)
+    controls.close()
 
 
 def test_who_leaves_lets_go(session):
-    hands, dof = FaultControls(session), session.stage.axes["x"].plant.dof
-    hands.push("x", 5.0)
+    controls, dof = FaultControls(session), session.stage.axes["x"].plant.dof
+    controls.push("x", 5.0)
     assert session.stage.data.qfrc_applied[dof] == 5.0
-    hands.close()
+    controls.close()
     assert session.stage.data.qfrc_applied[dof] == 0.0
-    hands.close()  # has let go already
+    controls.close()  # has let go already
 
 
-def test_everything_that_can_break_is_offered_with_what_it_asks_for(hands):
-    breakings = {b.name: b for b in hands.list_forms("x")}
+def test_every_fault_has_a_form_with_its_fields(controls):
+    breakings = {b.name: b for b in controls.list_forms("x")}
     assert (
         set(breakings)
         == set(fault_functions())
@@ -51,7 +51,7 @@ def test_everything_that_can_break_is_offered_with_what_it_asks_for(hands):
 
 
 @pytest.mark.parametrize(
-    ("name", "given"),
+    ("name", "texts"),
     [
         ("switch_stuck", {"pin": "org", "closed": "yes"}), ("vane_missing", {"pin": "org"}),
         ("bounce", {"pin": "org", "toggles": "4"}), ("jam", {"force": ""}), ("bus_voltage", {"volts": "12"}),
@@ -59,32 +59,32 @@ def test_everything_that_can_break_is_offered_with_what_it_asks_for(hands):
         ("start_skew", {"seconds": "0.01"}), ("lost_write", {"address": "0", "value": "10h"}),
     ],
 )  # fmt: skip
-def test_each_can_be_made_and_mended(hands, session, name, given):
-    made = hands.make(name, "x", given)
-    assert session.stage.faults == (made.text,)
-    hands.clear(made)
+def test_each_fault_can_be_made_and_cleared(controls, session, name, texts):
+    active = controls.make(name, "x", texts)
+    assert session.stage.faults == (active.text,)
+    controls.clear(active)
     assert session.stage.faults == ()
-    assert hands.in_force == []
+    assert controls.in_force == []
 
 
-def test_the_motors_of_an_axis_are_those_that_its_chip_can_drive(hands):
-    def motors(hands):
-        return next(b for b in hands.list_forms("x") if b.name == "motor").fields[0]
+def test_the_motors_of_an_axis_are_those_that_its_chip_can_drive(controls):
+    def motors(controls):
+        return next(b for b in controls.list_forms("x") if b.name == "motor").fields[0]
 
-    assert motors(hands).choices == tuple(MOTORS)
-    assert motors(hands).default != "17HS4401", "the one that it has"
+    assert motors(controls).choices == tuple(MOTORS)
+    assert motors(controls).default != "17HS4401", "the one that it has"
     with Session(Stage("xyz_servo", chips="hctl1100", visuals=False), paused=True) as servo:
         assert motors(FaultControls(servo)).choices == tuple(DC_MOTORS)
 
 
-def test_time_does_not_go_back_over_a_motor_that_was_changed(hands, session):
+def test_time_does_not_go_back_over_a_motor_that_was_changed(controls, session):
     def pass_time(seconds):
         session.do(lambda stage: session.run_unpaced(stage.run, seconds))
         session.do(session._history.remember)
 
     for _ in range(2):
         pass_time(0.1)
-    made = hands.make("motor", "x", {"motor": "SS2422-5041"})
+    active = controls.make("motor", "x", {"motor": "SS2422-5041"})
     changed = session.do(lambda stage: stage.time)
     for _ in range(3):
         pass_time(0.1)
@@ -94,42 +94,45 @@ def test_time_does_not_go_back_over_a_motor_that_was_changed(hands, session):
     assert np.array_equal(session.do(lambda stage: stage.snapshot().state), before)
     assert session.go_back(0.1) > changed
     assert session.recover() > changed, "as far as the machine is this one"
-    hands.clear(made)
+    controls.clear(active)
     assert session.go_back(30.0) < changed
     session.reset()
 
 
-def test_a_stuck_switch_is_seen(hands, session):
-    hands.make("switch_stuck", "x", {"pin": "org", "closed": "yes"})
+def test_a_stuck_switch_reads_as_stuck(controls, session):
+    controls.make("switch_stuck", "x", {"pin": "org", "closed": "yes"})
     assert session.do(lambda stage: stage.axes["x"].switches.org)
 
 
-def test_what_broke_first_may_be_mended_first(hands, session):
+def test_the_first_fault_may_be_cleared_first(controls, session):
     """24 V, then 12, then 8: mending the first leaves 8, mending both 24 again."""
     x = session.stage.axes["x"]
     nominal = x.faults.bus_voltage
-    first, second = hands.make("bus_voltage", "x", {"volts": "12"}), hands.make("bus_voltage", "x", {"volts": "8"})
-    hands.clear(first)
+    first, second = (
+        controls.make("bus_voltage", "x", {"volts": "12"}),
+        controls.make("bus_voltage", "x", {"volts": "8"}),
+    )
+    controls.clear(first)
     assert x.faults.bus_voltage == 8
-    hands.clear(second)
+    controls.clear(second)
     assert x.faults.bus_voltage == nominal
 
 
-def test_what_broke_later_is_mended_in_its_order_whatever_was_mended_before(hands, session):
+def test_clearing_in_any_order_leaves_the_effect_of_the_other_faults(controls, session):
     """A jam, then 12 V, then 8: with the jam mended, mending 8 leaves 12."""
     x = session.stage.axes["x"]
     nominal = x.faults.bus_voltage
     jam, low, lower = (
-        hands.make(*m) for m in (("jam", "x", {}), *(("bus_voltage", "x", {"volts": v}) for v in ("12", "8")))
+        controls.make(*m) for m in (("jam", "x", {}), *(("bus_voltage", "x", {"volts": v}) for v in ("12", "8")))
     )
-    hands.clear(jam)
-    hands.clear(lower)
+    controls.clear(jam)
+    controls.clear(lower)
     assert x.faults.bus_voltage == 12
-    hands.clear(low)
+    controls.clear(low)
     assert x.faults.bus_voltage == nominal
 
 
-def test_a_push_moves_the_carriage_and_ends_with_the_hand(hands, session):
+def test_a_push_moves_the_carriage_and_ends_with_the_hand(controls, session):
     def after(seconds):
         session.do(lambda stage: session.run_unpaced(stage.run, seconds))
         session.do(lambda stage: session._publish())
@@ -137,32 +140,32 @@ def test_a_push_moves_the_carriage_and_ends_with_the_hand(hands, session):
 
     rest = after(0.05)
     snapshot_before = session.do(lambda stage: stage.snapshot())
-    hands.push("x", 20.0)
+    controls.push("x", 20.0)
     pushed = after(0.05)
     assert pushed > rest + 1e-6  # against the motor's holding torque
     while_pushed = session.do(lambda stage: stage.snapshot())
-    hands.push("x", 0.0)
+    controls.push("x", 0.0)
     session.restore(while_pushed)
     assert after(0.2) == pytest.approx(rest, abs=0.3 * (pushed - rest))
     session.restore(snapshot_before)
 
 
-def test_load_and_supply(hands, session):
-    hands.set_payload(2.0)
-    assert hands.payload == 2.0
-    hands.set_payload(0.0)
-    nominal = hands.supply
-    hands.set_supply(12.0)
-    hands.set_supply(10.0)
+def test_load_and_supply(controls, session):
+    controls.set_payload(2.0)
+    assert controls.payload == 2.0
+    controls.set_payload(0.0)
+    nominal = controls.supply
+    controls.set_supply(12.0)
+    controls.set_supply(10.0)
     assert {a.faults.bus_voltage for a in session.stage.axes.values()} == {10.0}
-    assert len(hands.in_force) == 1
-    hands.set_supply(nominal)
-    assert hands.in_force == []
-    assert hands.supply == nominal
+    assert len(controls.in_force) == 1
+    controls.set_supply(nominal)
+    assert controls.in_force == []
+    assert controls.supply == nominal
 
 
 @pytest.mark.parametrize(
-    ("name", "given", "field"),
+    ("name", "texts", "field"),
     [
         ("bounce", {"pin": "org", "toggles": "2.5"}, "toggles"),
         ("bounce", {"pin": "ogr"}, "pin"),
@@ -170,18 +173,18 @@ def test_load_and_supply(hands, session):
         ("lost_write", {"value": "1Gh"}, "value"),
     ],
 )
-def test_what_is_wrong_is_said_at_its_field(hands, name, given, field):
+def test_a_wrong_value_is_an_error_at_its_field(controls, name, texts, field):
     with pytest.raises(FieldError) as wrong:
-        hands.make(name, "x", given)
+        controls.make(name, "x", texts)
     assert wrong.value.field == field
-    assert hands.in_force == []
+    assert controls.in_force == []
 
 
-def test_what_the_fault_refuses_is_passed_on(hands):
+def test_what_the_fault_refuses_is_passed_on(controls):
     with pytest.raises(ArgumentError, match="volts=900"):
-        hands.make("bus_voltage", "x", {"volts": "900"})
+        controls.make("bus_voltage", "x", {"volts": "900"})
     with pytest.raises(ArgumentError, match="jam"):
-        hands.make("jamm", "x", {})
+        controls.make("jamm", "x", {})
 
 
 @pytest.mark.parametrize("model", ["xy", "xyz", "xyz_servo", "xya"])
@@ -198,17 +201,17 @@ def test_the_strongest_push_leaves_every_carriage_in_its_travel(model):
                 assert describe_escape(stage) == ""
 
 
-def test_a_stronger_push_is_refused(hands):
+def test_a_stronger_push_is_refused(controls):
     with pytest.raises(FieldError, match="900000 N: up to 503 N") as wrong:
-        hands.push("x", 9e5)
+        controls.push("x", 9e5)
     assert wrong.value.field == "force"
 
 
-def test_what_is_broken_already_is_not_broken_again(hands):
-    asked = ("switch_stuck", "x", {"pin": "org", "closed": "yes"})
-    made = hands.make(*asked)
+def test_what_is_broken_already_is_not_broken_again(controls):
+    requested = ("switch_stuck", "x", {"pin": "org", "closed": "yes"})
+    active = controls.make(*requested)
     with pytest.raises(ArgumentError, match="org stuck closed: this fault is in force already"):
-        hands.make(*asked)
-    assert hands.in_force == [made]
-    hands.clear(made)
-    assert hands.make(*asked).fault.in_force
+        controls.make(*requested)
+    assert controls.in_force == [active]
+    controls.clear(active)
+    assert controls.make(*requested).fault.in_force

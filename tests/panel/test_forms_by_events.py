@@ -73,7 +73,7 @@ def wrong(page):
     return "text-negative" in page.find("report").classes
 
 
-def test_a_move_is_of_the_axis_that_was_chosen_and_as_its_fields_say(page, session, ordered):
+def test_a_move_is_of_the_selected_axis_with_the_values_of_its_fields(page, session, ordered):
     page.put("procedure-axis", "y")
     fill(page, move__distance="-3", move__speed="25", move__start_speed="5", move__accel="0,1", move__s_curve="S-curve")
     report = go(page, "move")
@@ -87,11 +87,11 @@ def test_a_move_is_of_the_axis_that_was_chosen_and_as_its_fields_say(page, sessi
 @pytest.mark.parametrize("axis", ["x", "y"])
 def test_each_field_has_its_title_its_unit_and_its_default(served, page, session, axis):
     page.put("procedure-axis", axis)
-    shown = [f for f in FORMS.values() if f.is_available(session.stage, axis)]
+    displayed = [f for f in FORMS.values() if f.is_available(session.stage, axis)]
     assert {e.props["name"] for e in page._all() if str(e.props.get("data-test")).startswith("tab-")} == {
-        *(f.name for f in shown), "jog",
+        *(f.name for f in displayed), "jog",
     }  # fmt: skip
-    for form in shown:
+    for form in displayed:
         for field in form.list_fields(session.stage, axis):
             widget = page.find(f"{form.name}-{field.name}")
             assert (widget.value, widget.props["label"]) == (field.default, field.title)
@@ -122,7 +122,7 @@ def test_enter_in_any_field_of_a_form_begins_it(page, session, ordered):
     assert ordered == ["Move x"] * 2
 
 
-def test_what_is_wrong_stands_at_its_field_until_the_next_attempt_and_no_report_is_left(page, session, ordered):
+def test_an_error_remains_at_its_field_until_the_next_attempt_without_a_report(page, session, ordered):
     assert "done" in go(page, "move")
     fill(page, move__distance='a"b\\c')
     page.click("go-move")
@@ -136,15 +136,15 @@ def test_what_is_wrong_stands_at_its_field_until_the_next_attempt_and_no_report_
     assert ordered == ["Move x"], "nothing of it was begun"
     fill(page, move__speed="1e9")
     page.click("go-move")
-    said = page.until(lambda: "makes" in page.error("move-speed") and page.error("move-speed"))
-    assert said.startswith("1e+09 mm/s: a PCL240MS makes up to")
+    message = page.until(lambda: "makes" in page.error("move-speed") and page.error("move-speed"))
+    assert message.startswith("1e+09 mm/s: a PCL240MS makes up to")
     page.until(lambda: page.text("report") == "")
     fill(page, move__speed="")
     assert "done" in go(page, "move")
     assert not page.error("move-speed")
 
 
-def test_a_second_press_while_one_is_under_way_is_none(page, session, ordered):
+def test_a_second_press_during_an_action_is_ignored(page, session, ordered):
     session.paused = True
     tab(page, "move")
     page.click("go-move")
@@ -161,7 +161,7 @@ def test_a_second_press_while_one_is_under_way_is_none(page, session, ordered):
     assert ordered == ["Move x"]
 
 
-def test_a_report_stands_under_its_own_form_in_every_browser(served, page, session):
+def test_a_report_is_shown_under_its_form_in_every_browser(served, page, session):
     fill(page, two_rates__distance="20", two_rates__dwell="0.05")
     reports = {"move": go(page, "move"), "two_rates": go(page, "two_rates", "dual-rate")}
     second = served.visit()
@@ -176,7 +176,7 @@ def test_a_report_stands_under_its_own_form_in_every_browser(served, page, sessi
     page.until(lambda: not page.text("report") and not page.find("pattern").content)
 
 
-def test_who_was_shown_an_axis_goes_on_with_the_form_that_was_open(page, session):
+def test_selecting_an_axis_leaves_the_same_form_open(page, session):
     tab(page, "two_rates")
     page.put("procedure-axis", "y")
     assert page.find("tab-move").parent_slot.parent.value == "two_rates"
@@ -194,17 +194,17 @@ def test_an_axis_of_a_beam_says_with_whom_it_carries_it(page, session, monkeypat
 
 
 @pytest.mark.parametrize(
-    ("form", "stopped_by", "found"),
+    ("form", "stopped_by", "result"),
     [("home", "ORG", ["y"]), ("home", "EL-", []), ("home", None, []), ("move", "R0 = 0", [])],
 )
-def test_an_origin_is_found_by_a_home_that_ended_there_on_the_axis_that_it_was_of(
-    served, page, session, monkeypatch, form, stopped_by, found
+def test_an_origin_is_noted_for_the_axis_whose_return_reached_it(
+    served, page, session, monkeypatch, form, stopped_by, result
 ):
     axes, done = [], []
 
-    async def perform(*asked):
+    async def perform(*requested):
         page.find("procedure-axis").value = "x"  # somebody looks at another meanwhile
-        done.append(asked[0])
+        done.append(requested[0])
         return SimpleNamespace(stopped_by=stopped_by) if stopped_by else None
 
     page.put("procedure-axis", "y")
@@ -215,11 +215,11 @@ def test_an_origin_is_found_by_a_home_that_ended_there_on_the_axis_that_it_was_o
     page.until(lambda: done)
     page.settled()
     session.do(lambda stage: None)  # and orders so far are carried out
-    assert (done, axes) == ([form], found)
+    assert (done, axes) == ([form], result)
 
 
 @pytest.mark.parametrize(("name", "at_once"), [("stop", False), ("stop-at-once", True)])
-def test_stop_is_of_all_axes_and_ends_what_is_under_way(page, session, ordered, monkeypatch, name, at_once):
+def test_stop_stops_all_axes_and_ends_the_action(page, session, ordered, monkeypatch, name, at_once):
     stopped, stop = [], firmware.procedures.stop
     monkeypatch.setattr(
         firmware.procedures, "stop", lambda axis, how: stopped.append((axis.name, how)) or stop(axis, how)
@@ -235,7 +235,7 @@ def test_stop_is_of_all_axes_and_ends_what_is_under_way(page, session, ordered, 
     assert not wrong(page)
 
 
-def test_a_stop_that_is_refused_is_said_below_the_form_that_is_open(page, session, monkeypatch):
+def test_a_refused_stop_is_reported_below_the_open_form(page, session, monkeypatch):
     def refuse(name, order):
         raise StageError("this session is over.")
 
@@ -246,7 +246,7 @@ def test_a_stop_that_is_refused_is_said_below_the_form_that_is_open(page, sessio
     assert wrong(page)
 
 
-def test_an_axis_that_is_stopped_with_a_ramp_goes_on_a_little_and_rests(page, session):
+def test_an_axis_stopped_with_a_ramp_decelerates_to_rest(page, session):
     fill(page, move__distance="100", move__speed="20")
     session.speed = 1.0
     page.click("go-move")
@@ -259,9 +259,9 @@ def test_an_axis_that_is_stopped_with_a_ramp_goes_on_a_little_and_rests(page, se
     assert 0 < at < 0.09
 
 
-@pytest.mark.parametrize(("button", "way"), [("jog-plus", 1), ("jog-minus", -1)])
+@pytest.mark.parametrize(("button", "sign"), [("jog-plus", 1), ("jog-minus", -1)])
 @pytest.mark.parametrize(("down", "up"), [("pointerdown", "pointerup"), ("keydown.space.prevent", "keyup")])
-def test_an_axis_jogs_its_way_while_a_button_is_held(page, session, ordered, button, way, down, up):
+def test_an_axis_jogs_in_its_direction_while_a_button_is_down(page, session, ordered, button, sign, down, up):
     session.speed = 5.0
     page.put("procedure-axis", "y")
     tab(page, "jog")
@@ -271,7 +271,7 @@ def test_an_axis_jogs_its_way_while_a_button_is_held(page, session, ordered, but
     page.until(lambda: abs(session.do(lambda stage: stage.axes["y"].commanded)) > 1e-4)
     page.fire(button, up)
     page.until(lambda: "decelerating stop" in page.panel.reports.last("jog").text)
-    at, other = session.do(lambda stage: [stage.axes[a].commanded * way for a in "yx"])
+    at, other = session.do(lambda stage: [stage.axes[a].commanded * sign for a in "yx"])
     assert at > 1e-4
     assert other == pytest.approx(0, abs=1e-12)
     assert ordered == ["jog y"]
@@ -293,7 +293,7 @@ def test_who_loses_the_controls_lets_go_of_his_jog(served, page, session):
     assert served.panel.controls.holder == page.client.id
 
 
-def test_what_is_wrong_with_a_jog_is_said_at_its_field_and_else_below(page, session, ordered):
+def test_an_error_of_a_jog_is_at_its_field_or_below(page, session, ordered):
     tab(page, "jog")
     fill(page, jog__speed="slow")
     page.fire("jog-plus", "pointerdown")
@@ -313,7 +313,7 @@ def test_what_is_wrong_with_a_jog_is_said_at_its_field_and_else_below(page, sess
     assert not wrong(page)
 
 
-def test_a_report_that_is_no_good_is_red_and_a_timeout_tells_both(served, page, session):
+def test_a_failed_report_is_red_and_a_timeout_includes_the_report(served, page, session):
     reports = served.panel.reports
 
     def ends(outcome):
@@ -328,9 +328,9 @@ def test_a_report_that_is_no_good_is_red_and_a_timeout_tells_both(served, page, 
     assert ends(bad) is bad
     assert (reports.last("move").text, reports.last("move").wrong) == (str(bad), True)
     page.until(lambda: wrong(page))
-    late = RunTimeout("too long.")
-    late.report = "as far as this"
-    assert ends(late) is None
+    delayed = RunTimeout("too long.")
+    delayed.report = "as far as this"
+    assert ends(delayed) is None
     assert reports.last("move")[:2] == ("too long.\nas far as this", True)
     good = SimpleNamespace(ok=True)
     assert ends(good) is good
@@ -348,9 +348,9 @@ def test_a_picture_is_of_the_report_that_it_was_drawn_of(served, page, session, 
     def picture(report):
         if report.name == "first":
             reports.note("home", "newer")  # the next has begun meanwhile
-        if isinstance(found := pictures[report.name], Exception):
-            raise found
-        return found
+        if isinstance(result := pictures[report.name], Exception):
+            raise result
+        return result
 
     monkeypatch.setattr("stage.panel.procedure_page.draw_pattern", picture)
 

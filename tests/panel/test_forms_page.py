@@ -31,7 +31,7 @@ def test_a_move_arrives_and_its_pattern_is_drawn(bench):
     browser.until(lambda: browser.find("pattern").find_elements("css selector", "svg"))
 
 
-def test_what_is_wrong_is_said_at_its_field_and_nothing_moves(bench):
+def test_a_wrong_value_is_an_error_at_its_field_and_nothing_moves(bench):
     browser, before = bench.browser, bench.x("commanded")
     fill(browser, move__distance="ten")
     browser.click("go-move")
@@ -76,7 +76,7 @@ def test_a_line_is_of_both_axes(bench):
     assert [b - a for a, b in zip(before, after, strict=True)] == pytest.approx([6 * MM, 3 * MM], abs=1e-5)
 
 
-def test_an_axis_jogs_while_a_button_is_held(bench):
+def test_an_axis_jogs_while_a_button_is_down(bench):
     browser = bench.browser
     browser.click("tab-jog")
     fill(browser, jog__speed="slow")
@@ -109,7 +109,7 @@ def test_a_jog_by_the_space_bar_ends_with_the_key(bench):
     browser.until(lambda: bench.session.view.action == "")
 
 
-def test_stop_ends_what_is_under_way_with_a_ramp(bench):
+def test_stop_ends_the_action_with_a_ramp(bench):
     browser = bench.browser
     browser.click("tab-move")
     fill(browser, move__distance="100", move__speed="20")
@@ -138,7 +138,7 @@ def test_a_double_click_is_one_move(bench):
     assert bench.x("commanded") - before == pytest.approx(3 * MM, abs=1e-6)
 
 
-def test_a_report_stands_under_its_own_tab_and_is_there_after_a_reload(bench):
+def test_a_report_is_shown_under_its_tab_also_after_a_reload(bench):
     browser = bench.browser
     report = browser.text("report")
     assert "done" in report

@@ -21,7 +21,7 @@ def console(bench, *lines):
         bench.browser.until(lambda: bench.browser.value("console") == "")
 
 
-def test_a_register_is_written_in_its_row_and_the_bus_tells_how(bench):
+def test_a_register_is_written_in_its_row_and_the_trace_shows_the_cycles(bench):
     from selenium.webdriver.common.keys import Keys
 
     browser = bench.browser
@@ -34,7 +34,7 @@ def test_a_register_is_written_in_its_row_and_the_bus_tells_how(bench):
     assert holds(bench, "R1") == 100
 
 
-def test_what_is_no_number_is_said_at_the_field_and_nothing_is_written(bench):
+def test_an_invalid_number_is_an_error_at_the_field_and_not_written(bench):
     from selenium.webdriver.common.keys import Keys
 
     browser = bench.browser
@@ -46,7 +46,7 @@ def test_what_is_no_number_is_said_at_the_field_and_nothing_is_written(bench):
     browser.find("value-0-R1").send_keys(Keys.ESCAPE)
 
 
-def test_a_field_of_a_word_is_set_and_goes_out_by_send(bench):
+def test_a_field_of_a_word_is_set_and_sent_by_the_button(bench):
     """Bits of a word that cannot be read back are put together on the page; one cycle brings them to the chip."""
     browser = bench.browser
     browser.click("fields-0-output")
@@ -72,11 +72,11 @@ def test_a_command_moves_the_carriage_and_a_lamp_says_so(bench):
     goal = at + 9000 * bench.x("meters_per_pulse")
     assert bench.x("commanded") == pytest.approx(goal, abs=1e-9)
     browser.until(lambda: bench.x("position") == pytest.approx(goal, abs=2e-6))
-    shown = browser.until(lambda: next(t for t in browser.text("place-x").split("\n") if "position" in t))
-    assert float(shown.split()[1]) == pytest.approx(goal * 1e3, abs=0.01)
+    displayed = browser.until(lambda: next(t for t in browser.text("place-x").split("\n") if "position" in t))
+    assert float(displayed.split()[1]) == pytest.approx(goal * 1e3, abs=0.01)
 
 
-def test_the_console_takes_bytes_and_tells_the_trace_in_words(bench):
+def test_the_console_sends_bytes_and_shows_the_trace_in_words(bench):
     browser = bench.browser
     console(bench, "81", "2: 1", "1: F4")
     assert holds(bench, "R1") == 500
@@ -86,7 +86,7 @@ def test_the_console_takes_bytes_and_tells_the_trace_in_words(bench):
     browser.until(lambda: "status: " in browser.text("trace"))
 
 
-def test_the_console_remembers_lines_completes_names_and_says_what_is_wrong_there(bench):
+def test_the_console_recalls_lines_completes_names_and_shows_errors(bench):
     from selenium.webdriver.common.keys import Keys
 
     browser = bench.browser

@@ -15,26 +15,26 @@ window.socket.emit('event', {id: Number(arguments[0].id.slice(1)), client_id: wi
 
 
 @pytest.fixture
-def second(bench, look_on):
-    second = look_on(bench.panel.address)
+def second(bench, open_browser):
+    second = open_browser(bench.panel.address)
     second.until(lambda: second.text("controls") == "Take the controls")
     return second
 
 
-def heard(bench):
+def received(bench):
     """What the server has taken for an order: the bus cycles of the panel, and whether time stands still."""
     return bench.panel.observer.traces[0].lines_after(0), bench.session.paused
 
 
-def test_forged_clicks_and_messages_of_one_who_only_looks_do_nothing(bench, second):
-    before = heard(bench)
+def test_forged_clicks_and_messages_of_an_observer_do_nothing(bench, second):
+    before = received(bench)
     for name in ("play", "command-0-operate-8", "go-move", "reset"):
         second.driver.execute_script(FORGED, second.find(name))
     second.driver.execute_script(RAW, second.find("play"))
     second.click("view-top")  # what is no order is heard
     second.click("controls")  # and in order: all before has come
     second.until(lambda: second.text("controls") != "Take the controls")
-    assert heard(bench) == before
+    assert received(bench) == before
     second.driver.execute_script(RAW, second.find("play"))
     second.until(lambda: bench.session.paused)  # the same message is an order now
     second.click("play")
@@ -55,7 +55,7 @@ def test_who_loses_the_controls_lets_go_of_a_jog(bench, second):
         assert bench.x("commanded") == pytest.approx(at, abs=1e-9)
 
 
-def test_a_divergence_is_said_and_one_goes_back_to_a_good_state(bench):
+def test_a_divergence_is_reported_and_recovery_restores_a_good_state(bench):
     browser = bench.browser
     browser.until(lambda: bench.session.view.time > 1.0)
     bench.stage(lambda stage: stage.data.qfrc_applied.__setitem__(0, 1e30))

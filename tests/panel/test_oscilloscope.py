@@ -16,25 +16,25 @@ from stage.sim import faults
 from stage.support.identifiers import unescape_name
 
 
-def hasty(session, what, *given, **more):
-    result = session.do(lambda stage: session.run_unpaced(lambda: what(*given, **more)))
+def run_at_once(session, what, *arguments, **more):
+    result = session.do(lambda stage: session.run_unpaced(lambda: what(*arguments, **more)))
     session.do(lambda stage: session._publish())
     return result
 
 
-def test_the_edge_of_a_trace_stands_where_the_trigger_is(session, sampler):
+def test_the_trigger_is_at_the_edge_of_the_trace(session, sampler):
     scope = Oscilloscope(sampler, ["x/rate", "x/position"], span=0.05)
-    hasty(session, session.stage.run, 0.02)
+    run_at_once(session, session.stage.run, 0.02)
     scope.set_trigger("single", "x/rate", True, 8000.0)
     assert scope.frame(100).state == "waits for the trigger"
-    hasty(session, firmware.move, session.stage.axes["x"], 0.004)
+    run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
     frame = scope.frame(100)
     assert frame.state == "stopped"
     assert frame.begin == pytest.approx(frame.trigger - BEFORE * 0.05)
     times, rate = frame.curves["x/rate"]
     k = np.searchsorted(times, frame.trigger)
     assert rate[k - 1] < 8000 <= rate[k]
-    hasty(session, firmware.move, session.stage.axes["x"], 0.004)
+    run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
     assert scope.frame(100).trigger == frame.trigger  # it was for once
     scope.running = True
     assert scope.frame(100).trigger is None
@@ -46,14 +46,14 @@ def test_lost_steps_and_diagnostics_are_triggers(session, sampler):
     other.set_trigger("normal", DIAGNOSTIC)
     x = session.stage.axes["x"]
     with session.do(lambda stage: faults.jam(x)) as jam:
-        hasty(session, firmware.move, x, 0.004)
-        hasty(session, x.chip.write, 0, 0x90)
-        hasty(session, session.stage.run, 0.2)
-        frame, said = scope.frame(100), other.frame(100)
+        run_at_once(session, firmware.move, x, 0.004)
+        run_at_once(session, x.chip.write, 0, 0x90)
+        run_at_once(session, session.stage.run, 0.2)
+        frame, message = scope.frame(100), other.frame(100)
         session.do(lambda stage: jam.clear())
     times, lost = frame.curves["x/lost_steps"]
     assert lost[times >= frame.trigger][0] != lost[times < frame.trigger][-1]
-    assert said.trigger == pytest.approx(sampler.events[-1].time)
+    assert message.trigger == pytest.approx(sampler.events[-1].time)
 
 
 def test_a_pin_has_an_edge_whatever_level_is_left_from_another_trace(session, sampler):
@@ -61,20 +61,20 @@ def test_a_pin_has_an_edge_whatever_level_is_left_from_another_trace(session, sa
     scopes = {name: Oscilloscope(sampler, [name], span=0.05) for name in pins}
     for name, scope in scopes.items():
         scope.set_trigger("normal", name, True, 8000.0)
-    hasty(session, firmware.move, session.stage.axes["x"], 0.004)
+    run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
     rose = {name for name in pins if (np.diff(sampler.columns([name], 0, sampler.last)[1][name].astype(int)) > 0).any()}
     assert rose
     assert {name for name, scope in scopes.items() if scope.frame(100).trigger is not None} == rose
 
 
-def test_auto_shows_what_there_is_and_time_may_go_back(session, sampler):
+def test_auto_mode_shows_the_newest_window_also_after_going_back(session, sampler):
     scope = Oscilloscope(sampler, ["x/org"], span=0.01)
     scope.set_trigger("auto", "x/org")
-    hasty(session, session.stage.run, 1.5)
+    run_at_once(session, session.stage.run, 1.5)
     assert scope.frame(10).end == pytest.approx(sampler.last)
     session.reset()
     session.do(lambda stage: session._publish())
-    hasty(session, session.stage.run, 0.02)
+    run_at_once(session, session.stage.run, 0.02)
     assert scope.frame(10).end <= 0.03
 
 
@@ -83,58 +83,58 @@ def test_a_trigger_stays_until_its_window_is_full(session, sampler, mode):
     """A window of 1 s that fills up in steps of 0.1 s"""
     scope = Oscilloscope(sampler, ["x/rate"], span=1.0)
     scope.set_trigger(mode, "x/rate", True, 8000.0)
-    hasty(session, firmware.move, session.stage.axes["x"], 0.004)
+    run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
     first = scope.frame(10)
     while sampler.last < first.end - 0.1:
-        hasty(session, session.stage.run, 0.1)
+        run_at_once(session, session.stage.run, 0.1)
         frame = scope.frame(10)
         assert (frame.trigger, frame.begin, frame.state) == (first.trigger, first.begin, "triggered")
-    hasty(session, session.stage.run, 0.2)
+    run_at_once(session, session.stage.run, 0.2)
     full = scope.frame(2000)
     assert (full.trigger, full.state) == (first.trigger, "stopped" if mode == "single" else "waits for the trigger")
     assert full.curves["x/rate"][0][-1] == pytest.approx(full.end, abs=1e-3)
 
 
-def test_of_two_triggers_the_last_whose_window_is_full_is_shown(session, sampler):
+def test_the_latest_trigger_with_a_full_window_is_shown(session, sampler):
     """Two moves since the last look, the second just begun"""
     scope = Oscilloscope(sampler, ["x/rate"], span=0.4)
     scope.set_trigger("normal", "x/rate", True, 8000.0)
-    hasty(session, firmware.move, session.stage.axes["x"], 0.004)
-    hasty(session, session.stage.run, 0.4)
+    run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
+    run_at_once(session, session.stage.run, 0.4)
     between = sampler.last
-    hasty(session, firmware.move, session.stage.axes["x"], 0.004)
+    run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
     began = sampler.columns(["x/rate"], between, sampler.last)
     second = began[0][np.argmax(began[1]["x/rate"] >= 8000)]
-    hasty(session, session.stage.run, second + 0.5 * 0.4 - sampler.last)
+    run_at_once(session, session.stage.run, second + 0.5 * 0.4 - sampler.last)
     assert scope.frame(10).end <= between
-    hasty(session, session.stage.run, 0.4)
+    run_at_once(session, session.stage.run, 0.4)
     assert scope.frame(10).trigger == pytest.approx(second)
 
 
-def test_a_trigger_that_time_has_taken_back_is_none(session, sampler):
+def test_a_trigger_after_the_restored_time_is_forgotten(session, sampler):
     scope = Oscilloscope(sampler, ["x/rate"], span=0.1)
     scope.set_trigger("normal", "x/rate", True, 8000.0)
     begin = session.do(lambda stage: stage.snapshot())
-    hasty(session, firmware.move, session.stage.axes["x"], 0.004)
+    run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
     assert scope.frame(10).trigger > 0
     session.restore(begin)
     session.do(lambda stage: session._publish())
-    hasty(session, session.stage.run, 0.02)
+    run_at_once(session, session.stage.run, 0.02)
     again = scope.frame(10)
     assert (again.trigger, again.end) == (None, sampler.last)
 
 
-def test_a_picture_that_stands_keeps_its_end_or_its_trigger_in_another_window(session, sampler):
+def test_a_stopped_picture_has_the_same_end_or_trigger_in_another_window(session, sampler):
     free, single = Oscilloscope(sampler, ["x/rate"], span=0.1), Oscilloscope(sampler, ["x/rate"], span=0.05)
     single.set_trigger("single", "x/rate", True, 8000.0)
-    hasty(session, firmware.move, session.stage.axes["x"], 0.004)
+    run_at_once(session, firmware.move, session.stage.axes["x"], 0.004)
     end, trigger = free.frame(10).end, single.frame(10).trigger
     free.running = False
     free.set_span(0.02)
     single.set_span(0.01)
-    hasty(session, session.stage.run, 0.2)
-    shown, caught = free.frame(10), single.frame(10)
-    assert (shown.begin, shown.end) == pytest.approx((end - 0.02, end))
+    run_at_once(session, session.stage.run, 0.2)
+    displayed, caught = free.frame(10), single.frame(10)
+    assert (displayed.begin, displayed.end) == pytest.approx((end - 0.02, end))
     assert (caught.begin, caught.end) == pytest.approx((trigger - BEFORE * 0.01, trigger + (1 - BEFORE) * 0.01))
 
 
@@ -146,7 +146,7 @@ def test_a_window_that_cannot_be_is_refused(sampler):
 
 
 def test_files_have_what_the_window_shows(session, sampler):
-    hasty(session, firmware.move, session.stage.axes["x"], 0.002)
+    run_at_once(session, firmware.move, session.stage.axes["x"], 0.002)
     names = ["x/position", "x/pout" if "x/pout" in sampler.traces else "x/org"]
     times, values = sampler.columns(names, 0.01, 0.11)
     data = {ending: write(sampler, names, 0.01, 0.11) for ending, write in FORMATS.items() if ending in ("csv", "vcd")}
@@ -168,8 +168,8 @@ def test_a_change_in_a_vcd_file_has_the_nanosecond_nearest_to_its_time():
     times = np.array([1.0, 1.001, 1.003, 1.005, 1.2])
     level = SimpleNamespace(name="x/org", pin=True)
     sampler = SimpleNamespace(columns=lambda *_: (times, {"x/org": np.array([0, 1, 0, 1, 1])}), trace=lambda _: level)
-    said = FORMATS["vcd"](sampler, ["x/org"], 1.0, 1.2).decode()
-    assert re.findall(r"^#(\d+)", said, re.MULTILINE) == [f"{round(t * 1e9)}" for t in times.tolist()]
+    message = FORMATS["vcd"](sampler, ["x/org"], 1.0, 1.2).decode()
+    assert re.findall(r"^#(\d+)", message, re.MULTILINE) == [f"{round(t * 1e9)}" for t in times.tolist()]
 
 
 def test_a_window_of_axes_of_any_name_is_waveforms_with_a_scope_for_each():
@@ -185,7 +185,7 @@ def test_a_window_of_axes_of_any_name_is_waveforms_with_a_scope_for_each():
 
 @pytest.mark.slow
 def test_series_of_a_window(session, sampler, monkeypatch):
-    hasty(session, session.stage.run, 0.05)
+    run_at_once(session, session.stage.run, 0.05)
     import rerun as rr
 
     named, lines = [], rr.SeriesLines
@@ -196,7 +196,7 @@ def test_series_of_a_window(session, sampler, monkeypatch):
 
 def test_a_picture_of_a_window_has_a_plot_for_each_unit_and_a_lane_for_each_pin(session, sampler):
     pytest.importorskip("matplotlib")
-    hasty(session, session.stage.run, 0.02)
+    run_at_once(session, session.stage.run, 0.02)
     for names, height in ((["x/position", "x/org"], 3.35), (["x/position", "x/rate", "x/org", "x/el_plus"], 6.7)):
         png = FORMATS["png"](sampler, names, 0, 1)
         assert png.startswith(b"\x89PNG")

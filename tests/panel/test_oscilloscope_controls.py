@@ -14,9 +14,9 @@ def page(served):
     served.leave()
 
 
-def test_a_trigger_that_is_refused_is_said(page, monkeypatch):
+def test_a_refused_trigger_is_reported(page, monkeypatch):
     (one,) = (e for e in page._all() if type(e).__name__ == "BrowserUpdates")
-    scope = next(look.__self__.scope for _, method, look, _ in one._calls if method == "run_chart_method")
+    scope = next(observe.__self__.scope for _, method, observe, _ in one._calls if method == "run_chart_method")
 
     def refuse(*wanted):
         raise ArgumentError("no such trigger.")
@@ -31,7 +31,7 @@ def test_a_trigger_that_is_refused_is_said(page, monkeypatch):
 
 def test_other_traces_are_drawn_at_once_also_while_nothing_moves(page, monkeypatch):
     (one,) = (e for e in page._all() if type(e).__name__ == "BrowserUpdates")
-    chart = next(look.__self__ for _, method, look, _ in one._calls if method == "run_chart_method")
+    chart = next(observe.__self__ for _, method, observe, _ in one._calls if method == "run_chart_method")
     monkeypatch.setattr(one, "_calls", [])  # nobody else looks
     page.put("mode", "free")
     page.put("traces", ["x/position"])

@@ -43,12 +43,12 @@ def test_a_carriage_that_rests_is_a_level_line_whatever_the_arithmetic_leaves(sa
     assert np.diff(micron) == pytest.approx(0.001)
 
 
-def test_a_place_is_told_in_the_unit_of_its_axis():
-    said = format_position("m", 0.0123456, 0.0125, -4).splitlines()
-    assert [line.split()[-2:] for line in said[:3]] == [["12.3456", "mm"], ["12.5000", "mm"], ["0.1544", "mm"]]
-    assert said[3].split() == ["lost", "steps", "-4"]
-    turned = format_position("rad", radians(-30), radians(-30.5), 0).splitlines()
-    assert [line.split()[-2:] for line in turned[:3]] == [["-30.0000", "deg"], ["-30.5000", "deg"], ["-0.5000", "deg"]]
+def test_a_position_is_shown_in_the_unit_of_its_axis():
+    message = format_position("m", 0.0123456, 0.0125, -4).splitlines()
+    assert [line.split()[-2:] for line in message[:3]] == [["12.3456", "mm"], ["12.5000", "mm"], ["0.1544", "mm"]]
+    assert message[3].split() == ["lost", "steps", "-4"]
+    rotated = format_position("rad", radians(-30), radians(-30.5), 0).splitlines()
+    assert [line.split()[-2:] for line in rotated[:3]] == [["-30.0000", "deg"], ["-30.5000", "deg"], ["-0.5000", "deg"]]
 
 
 def test_a_carriage_is_out_of_its_travel_beyond_a_tenth_of_it_on_either_side():

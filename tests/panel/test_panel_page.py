@@ -8,7 +8,7 @@ import pytest
 pytestmark = pytest.mark.slow
 
 
-def test_time_passes_on_the_page_and_stands_still_when_it_is_told_to(browser):
+def test_the_page_shows_time_and_pauses_it(browser):
     browser.until(lambda: browser.time > 0.5)
     browser.click("play")
     browser.until(lambda: "stands still" in browser.text("pace"))
@@ -21,7 +21,7 @@ def test_time_passes_on_the_page_and_stands_still_when_it_is_told_to(browser):
     assert " x" in browser.text("pace")
 
 
-def test_a_double_click_is_one_click_on_what_turns_something_on_and_off(browser):
+def test_a_double_click_on_a_toggle_is_one_click(browser):
     from selenium.webdriver.common.action_chains import ActionChains
 
     browser.until(lambda: "stands still" not in browser.text("pace"))
@@ -31,7 +31,7 @@ def test_a_double_click_is_one_click_on_what_turns_something_on_and_off(browser)
     browser.until(lambda: "stands still" not in browser.text("pace"))
 
 
-def test_one_goes_back_and_to_power_up(browser):
+def test_the_page_goes_back_and_to_power_up(browser):
     browser.until(lambda: browser.time > 1.5)
     browser.click("play")
     browser.until(lambda: "stands still" in browser.text("pace"))
@@ -55,16 +55,16 @@ def test_the_scene_is_drawn(browser):
 
 
 def test_no_request_leaves_the_machine(browser, address):
-    there = address.split("/")[2]
-    asked = browser.asked_for()
-    assert any("/mesh/" in url for url in asked)
+    target = address.split("/")[2]
+    requested = browser.asked_for()
+    assert any("/mesh/" in url for url in requested)
     assert not [
-        url for url in asked if url.split("/")[2:3] != [there] and not url.startswith(("data:", "blob:", "chrome"))
+        url for url in requested if url.split("/")[2:3] != [target] and not url.startswith(("data:", "blob:", "chrome"))
     ]
 
 
-def test_a_second_browser_sees_the_same_and_one_has_the_controls(browser, address, look_on):
-    second = look_on(address)
+def test_a_second_browser_sees_the_same_and_one_has_the_controls(browser, address, open_browser):
+    second = open_browser(address)
     second.until(lambda: abs(second.time - browser.time) < 1)
     second.until(lambda: second.text("controls") == "Take the controls")
     play = "return document.querySelector('[data-test=play]').closest('[inert]') !== null"
@@ -115,7 +115,7 @@ def test_a_phone_shows_one_column(address, browser):
         driver.set_window_size(1400, 1000)
 
 
-def test_the_tour_waits_for_the_users_own_action(browser):
+def test_the_tour_waits_for_an_action_of_the_user(browser):
     browser.click("tour")
     browser.until(lambda: browser.text("tour-title").startswith("1 of 6: First pulse"))
     browser.click("tour-skip")

@@ -25,7 +25,7 @@ from stage.panel.session import FREE, Session
 from stage.panel.stage_scene import mesh_to_stl
 
 
-def asked(address, **headers):
+def requested(address, **headers):
     """Status, headers and body of an answer."""
     try:
         with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=10) as answer:
@@ -46,13 +46,13 @@ def test_each_mesh_is_served_as_stl_and_any_other_is_not_found():
         model = session.stage.model
         assert model.nmesh > 0
         for mesh in range(model.nmesh):
-            status, headers, content = asked(f"{panel.address}mesh/{mesh}.stl")
+            status, headers, content = requested(f"{panel.address}mesh/{mesh}.stl")
             assert (status, headers["content-type"], content) == (200, "model/stl", mesh_to_stl(model, mesh))
             assert headers["content-security-policy"] == CONTENT_POLICY
-        assert asked(f"{panel.address}mesh/{model.nmesh}.stl")[::2] == (404, b"")
+        assert requested(f"{panel.address}mesh/{model.nmesh}.stl")[::2] == (404, b"")
 
 
-def test_a_page_is_that_of_the_panel_on_whose_port_it_is_asked_for(served, other):
+def test_the_port_of_a_request_selects_the_panel(served, other):
     pages = [served.visit(), other.visit()]
     chips = [next(e.text for e in page._all() if e.props.get("data-test") == "chip-0") for page in pages]
     assert ["HCTL" in text for text in chips] == [False, True]
@@ -64,27 +64,27 @@ def test_a_page_is_that_of_the_panel_on_whose_port_it_is_asked_for(served, other
 def test_a_page_by_another_name_or_from_elsewhere_is_refused(served):
     port = served.panel.port
     for headers in ({"Host": f"evil.example:{port}"}, {"Origin": "http://evil.example"}):
-        status, _, said = asked(served.panel.address, **headers)
-        assert (status, b"This server answers" in said) == (403, True)
-    assert asked(f"http://localhost:{port}/")[0] == 200
+        status, _, message = requested(served.panel.address, **headers)
+        assert (status, b"This server answers" in message) == (403, True)
+    assert requested(f"http://localhost:{port}/")[0] == 200
 
 
-def test_whoever_listens_elsewhere_asks_for_the_token_and_whoever_listens_here_does_not():
+def test_only_a_server_for_other_machines_requires_the_token():
     with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
         with Panel(session, host="localhost") as panel:
             bare, _, token = panel.address.partition("?token=")
             assert (bare, len(token) > 20) == (f"http://localhost:{panel.port}/", True)
-            assert asked(bare)[0] == 403
-            status, headers, _ = asked(panel.address)
+            assert requested(bare)[0] == 403
+            status, headers, _ = requested(panel.address)
             assert status == 200
             assert token in headers["set-cookie"]
-            assert asked(bare, Cookie=headers["set-cookie"].partition(";")[0])[0] == 200
+            assert requested(bare, Cookie=headers["set-cookie"].partition(";")[0])[0] == 200
         with Panel(session) as panel:
             assert "token" not in panel.address
-            assert asked(panel.address)[1]["set-cookie"] is None
+            assert requested(panel.address)[1]["set-cookie"] is None
 
 
-def test_the_end_of_a_panel_leaves_the_session_and_nobody_who_looks():
+def test_closing_a_panel_leaves_the_session_and_no_observers():
     with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
         panel = Panel(session)
         panel.fault_controls.push("x", 3.0)
@@ -102,11 +102,11 @@ def test_the_end_of_a_panel_leaves_the_session_and_nobody_who_looks():
 
 
 def test_a_panel_of_a_stage_takes_its_session_with_it_and_one_that_fails_leaves_none(monkeypatch):
-    shown = []
-    monkeypatch.setattr(server.webbrowser, "open", lambda address: shown.append(address) or True)
+    displayed = []
+    monkeypatch.setattr(server.webbrowser, "open", lambda address: displayed.append(address) or True)
     stage = Stage("xy", visuals=False)
     with open_panel(stage, speed=0.5, program="mine") as panel:
-        assert shown == [panel.address]
+        assert displayed == [panel.address]
         assert (panel.session.speed, panel.session.program) == (0.5, "mine")
         with pytest.raises(StageError, match="has a session already"):
             open_panel(stage, browser=False)
@@ -116,11 +116,11 @@ def test_a_panel_of_a_stage_takes_its_session_with_it_and_one_that_fails_leaves_
             open_panel(stage, browser=False, **wrong)
         assert stage.loop.pace is None
     with open_panel(stage, browser=False) as panel:
-        assert len(shown) == 1
+        assert len(displayed) == 1
         assert panel.session.program == "your program"
 
 
-def test_one_waits_for_somebody_who_looks(served):
+def test_until_watched_waits_for_a_browser(served):
     assert not served.panel.watched
     assert not served.panel.until_watched(0)
     assert not served.panel.until_watched(0.03)
@@ -142,7 +142,7 @@ def test_a_port_that_cannot_be_had_says_what_to_do(served):
 
 
 @pytest.mark.parametrize(("host", "own"), [("0.0.0.0", "127.0.0.1"), ("::", "::1"), ("192.0.2.7", "192.0.2.7")])
-def test_who_listens_everywhere_is_reached_by_its_own_address_where_there_is_no_network(monkeypatch, host, own):
+def test_a_wildcard_server_without_a_network_has_its_loopback_address(monkeypatch, host, own):
     class Nowhere:
         def __init__(self, family, kind):
             assert (family == socket.AF_INET6) == (":" in host)
@@ -160,7 +160,7 @@ def test_who_listens_everywhere_is_reached_by_its_own_address_where_there_is_no_
     assert server._find_reachable_host(host) == own
 
 
-def test_a_text_with_quotes_stands_whole_in_a_property():
+def test_a_text_with_quotes_is_one_property_value():
     assert touch.quote_label('jammed by "x"') == "\"mend jammed by 'x'\""
 
 
@@ -176,18 +176,18 @@ def refused(capsys):
     return run
 
 
-def test_a_port_that_is_taken(refused):
+def test_a_port_in_use_is_reported(refused):
     pytest.importorskip("nicegui")
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = str(taken.getsockname()[1])
+    with socket.socket() as acquired:
+        acquired.bind(("127.0.0.1", 0))
+        acquired.listen()
+        port = str(acquired.getsockname()[1])
         line = refused("--port", port)
     assert port in line
     assert "Choose another port" in line
 
 
-def test_a_library_that_is_not_there(refused, monkeypatch):
+def test_a_missing_library_is_named(refused, monkeypatch):
     monkeypatch.setitem(sys.modules, "nicegui", None)
     assert "pip install 'pulsestage[panel]'" in refused("--port", "0")
 
@@ -233,7 +233,7 @@ def test_the_link_of_a_panel_opens_its_page(host):
         assert urllib.request.urlopen(panel.address, timeout=10).status == 200
 
 
-def test_where_there_is_no_browser_the_link_is_printed_and_says_so_in_one_line(capsys, monkeypatch):
+def test_without_a_browser_the_link_is_printed_in_one_line(capsys, monkeypatch):
     pytest.importorskip("nicegui")
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 

@@ -92,7 +92,7 @@ def test_two_rates_are_the_drive_speeds_each_for_its_time(begin, stage):
     assert options["speed"].up == pytest.approx(0.3 * second / first), "both ramps are as steep"
 
 
-def test_an_origin_return_goes_in_the_direction_and_by_the_way_that_was_chosen(begin, stage):
+def test_an_origin_return_has_the_selected_direction_and_method(begin, stage):
     name, (axis,), options = begin("home")
     homings = FORMS["home"].list_fields(stage, "x")[1].choices
     assert (name, axis.name) == ("home", "x")
@@ -118,7 +118,7 @@ def test_a_line_is_of_the_axes_that_have_a_distance(begin):
         assert error.value.field == "x"
 
 
-def test_a_circle_goes_round_by_its_radius_whatever_its_sign(begin, stage):
+def test_a_circle_has_its_radius_whatever_the_sign(begin, stage):
     per_pulse = stage.axes["x"].meters_per_pulse
     for typed, radius in (("5", 0.005), ("-2", -0.002)):
         name, (second, pulses, speeds), _ = begin("circle", radius=typed, speed="4")
@@ -196,17 +196,17 @@ def test_an_error_that_begins_with_the_name_of_a_field_is_about_it():
 @pytest.mark.parametrize(("name", "unit", "scale", "travels"), [("x", "mm", 1e-3, 10), ("a", "deg", radians(1), 100)])
 def test_distances_and_speeds_are_typed_in_mm_or_degrees_within_their_bounds(name, unit, scale, travels):
     axis = Stage("xya", visuals=False).axes[name]
-    pulse, most = axis.meters_per_pulse / scale, travels * (axis.travel[1] - axis.travel[0]) / scale
+    pulse, limit = axis.meters_per_pulse / scale, travels * (axis.travel[1] - axis.travel[0]) / scale
     assert find_unit(axis) == (unit, pytest.approx(scale))
     fields = [forms.distance_field(axis, "distance", "distance", ""), *forms.list_speed_fields(axis)]
-    good = {"distance": f"{-0.999 * most}", "speed": "3", "start_speed": f"{1.01 * pulse}", "accel": "60"}
+    good = {"distance": f"{-0.999 * limit}", "speed": "3", "start_speed": f"{1.01 * pulse}", "accel": "60"}
     assert parse_fields(fields, good) == pytest.approx(
-        {"distance": -0.999 * most * scale, "speed": 3 * scale, "start_speed": 1.01 * pulse * scale, "accel": 60}
+        {"distance": -0.999 * limit * scale, "speed": 3 * scale, "start_speed": 1.01 * pulse * scale, "accel": 60}
     )
     assert parse_fields(fields, {"distance": f"{0.6 * pulse}"})["distance"] == pytest.approx(0.6 * pulse * scale)
     for field, value, message in (
         ("distance", 0.4 * pulse, "at least one pulse"),
-        ("distance", -1.01 * most, f"up to {most:g} {unit}, {travels} times the travel of {name}"),
+        ("distance", -1.01 * limit, f"up to {limit:g} {unit}, {travels} times the travel of {name}"),
         ("speed", 0, "more than 0"),
         ("start_speed", 0.9 * pulse, f"one pulse a second, {pulse:.3g} {unit}/s, or more"),
         ("accel", 60.1, "up to 60 s"),
@@ -247,7 +247,7 @@ COUNTS = re.compile(r"pulses|pps|counts|register|R\d")
 
 
 @pytest.mark.parametrize("chips", ["pcl240k", "mcx514", "mcx304", "hctl1100"])
-def test_what_the_chip_cannot_do_is_said_at_the_field_in_its_unit(chips):
+def test_a_limit_of_the_chip_is_an_error_at_the_field_in_its_unit(chips):
     stage = Stage("xy", chips=chips, visuals=False)
     x = stage.axes["x"]
     for form in [f for f in FORMS.values() if f.is_available(stage, "x")]:
@@ -288,7 +288,7 @@ def test_a_jog_into_an_end_limit_reports_it(fresh):
 
 
 @pytest.mark.parametrize("chips", ["pcl240k", "mcx514", "hctl1100"])
-def test_a_jog_from_an_end_limit_goes_back_only(chips):
+def test_a_jog_from_an_end_limit_runs_in_the_other_direction_only(chips):
     stage = Stage("xy", chips=chips, visuals=False)
     x = stage.axes["x"]
     stage.place(x=x.travel[1] * 0.985)
@@ -299,7 +299,7 @@ def test_a_jog_from_an_end_limit_goes_back_only(chips):
     assert jog.run(stage).stopped_by == "decelerating stop"
 
 
-def test_an_axis_runs_in_a_session_while_a_button_is_held():
+def test_an_axis_runs_in_a_session_until_release():
     with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
         jog = Jog(session.stage.axes["x"], 1, {"speed": "10"})
         future = session.act("jog x", jog.run)
@@ -314,6 +314,6 @@ def test_an_axis_runs_in_a_session_while_a_button_is_held():
 
 
 def test_the_two_axes_that_carry_a_beam_are_known():
-    gantry, plain = Stage("gantry", visuals=False), Stage("xyz", visuals=False)
+    gantry, unmodified = Stage("gantry", visuals=False), Stage("xyz", visuals=False)
     assert {name: find_coupled_axes(gantry, name) for name in gantry.axes} == {"y": ["w"], "w": ["y"], "x": []}
-    assert not any(find_coupled_axes(plain, name) for name in plain.axes)
+    assert not any(find_coupled_axes(unmodified, name) for name in unmodified.axes)

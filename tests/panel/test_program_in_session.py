@@ -72,7 +72,7 @@ def test_no_time_passes_but_by_the_program_and_it_is_in_real_time(session):
     until(lambda: session.view.time == 0.2)
 
 
-def test_while_taken_over_it_waits_and_then_it_goes_on(session):
+def test_a_suspended_program_waits_and_then_continues(session):
     stage = session.stage
     session.take_over()
     until(lambda: session.view.time > 0.05)  # the session lets time pass
@@ -92,20 +92,22 @@ def test_while_taken_over_it_waits_and_then_it_goes_on(session):
     assert session.do(lambda stage: stage.now) == at
 
 
-def test_a_program_asks_the_session_also_while_that_has_the_stage(session):
+def test_a_program_may_call_its_session_while_the_session_drives(session):
     stage = session.stage
     stage.run(0.001)
     session.take_over()
     assert session.do(lambda stage: stage.axes["x"].position) == pytest.approx(0.0)
-    asked = []
-    driver = Driver(lambda: stage.run_until(lambda: asked.append(session.do(lambda s: s.time)) or len(asked) > 2, 1.0))
+    requested = []
+    driver = Driver(
+        lambda: stage.run_until(lambda: requested.append(session.do(lambda s: s.time)) or len(requested) > 2, 1.0)
+    )
     until(lambda: session.program_waits)
     session.give_back()
     driver.result()
-    assert len(asked) == 3
+    assert len(requested) == 3
 
 
-def test_paused_it_stands_still(session):
+def test_a_paused_session_lets_no_time_pass(session):
     session.paused = True
     driver = Driver(lambda: session.stage.run(0.05))
     time.sleep(0.05)
@@ -160,17 +162,17 @@ def test_dismissed_it_is_refused_and_the_session_lets_time_pass(session):
 def test_no_bus_cycle_is_cut_into(session):
     """Thousands of cycles, while the session looks as often as it can: the trace has each, in order."""
     trace = session.do(lambda stage: BusTrace(stage.chips[0]))
-    x, sent, looks = session.stage.axes["x"], [], []
+    x, sent, observers = session.stage.axes["x"], [], []
 
     def drive():
-        while len(sent) < 3000 or (len(looks) < 10 and len(sent) < 1_000_000):  # a machine at work looks seldom
+        while len(sent) < 3000 or (len(observers) < 10 and len(sent) < 1_000_000):  # a machine at work looks seldom
             sent.append(len(sent) & 0xFF)
             x.chip.write(3, sent[-1])
 
     driver = Driver(drive)
     while driver.is_alive():
-        looks.append(session.do(lambda stage: trace.update()))
+        observers.append(session.do(lambda stage: trace.update()))
     session.do(lambda stage: trace.update())
-    assert len(looks) >= 10
+    assert len(observers) >= 10
     assert trace.lines[-1].number == len(sent)
     assert [line.datum for line in trace.lines] == sent[-len(trace.lines) :]

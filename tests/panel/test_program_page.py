@@ -36,11 +36,11 @@ def commanded(*arguments):
             process.kill()
 
 
-def test_ones_own_program_is_seen_and_waits_while_the_stage_is_taken_over(look_on):
+def test_a_program_is_shown_and_waits_while_it_is_suspended(open_browser):
     stage = Stage("xy")
     x = stage.axes["x"]
     with stage.panel(browser=False, program="my program") as panel:
-        browser = look_on(panel.address)
+        browser = open_browser(panel.address)
         browser.until(lambda: "my program has the stage" in browser.text("program"))
         firmware.move(x, distance=0.003)  # in this thread, as anybody would
         browser.until(lambda: "start, ramp to FH1" in browser.text("trace"))
@@ -68,7 +68,7 @@ def test_ones_own_program_is_seen_and_waits_while_the_stage_is_taken_over(look_o
 
 @pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler")
 @pytest.mark.parametrize("how", [[], ["--in-process"]])
-def test_firmware_is_seen_and_ends_as_without_a_page(look_on, tmp_path, how):
+def test_firmware_with_a_page_ends_as_without_one(open_browser, tmp_path, how):
     source = tmp_path / "blink.c"
     source.write_text(BLINK)
     alone = subprocess.run(
@@ -79,7 +79,7 @@ def test_firmware_is_seen_and_ends_as_without_a_page(look_on, tmp_path, how):
     ).stdout.split("\n")
     with commanded("run", source, "--model", "xy", *how) as (process, address):
         assert "blink.c begins when" in process.stdout.readline()
-        browser = look_on(address)
+        browser = open_browser(address)
         browser.until(lambda: "R0 = 7D0h (2000)" in browser.text("trace"))
         lines = [process.stdout.readline() for _ in range(4)]
         assert lines[0].split(",")[0] == alone[0].split(",")[0]  # "blink.so returned 0 after ... bus cycles"
@@ -91,16 +91,16 @@ def test_firmware_is_seen_and_ends_as_without_a_page(look_on, tmp_path, how):
         assert process.wait(60) == 0
 
 
-def test_a_host_of_serve_is_seen_and_waits(look_on):
+def test_the_page_shows_a_host_of_serve_and_can_suspend_it(open_browser):
     from stage.serve.client import connect
 
     with commanded("serve", "--model", "xy", "--listen", "0", "--chips", "pcl240k") as (process, address):
         process.stdout.readline()
-        browser = look_on(address)
-        while not (found := re.search(r"listening on (\S+);", process.stdout.readline())):
+        browser = open_browser(address)
+        while not (result := re.search(r"listening on (\S+);", process.stdout.readline())):
             pass
         browser.until(lambda: "a host of stage serve" in browser.text("program"))
-        with connect(found[1]) as board:
+        with connect(result[1]) as board:
             board.out8(0x300, 0x08)
             browser.until(lambda: "reset command" in browser.text("trace"))
             browser.click("take-over")

@@ -30,7 +30,7 @@ def test_a_slice_is_what_passes_in_a_fiftieth_of_a_second(real, speed, slice_):
     assert clock.plan_slice(5 * MS, 1000 * MS, 300 * MS) == 305 * MS, "but a step at least"
 
 
-def test_what_is_early_waits_and_what_is_late_hurries_until_it_is_given_up(real):
+def test_early_times_wait_and_late_ones_catch_up_within_limits(real):
     clock = RealTimeClock(2.0, 0)
     assert clock.seconds_until(100 * MS, 0) == pytest.approx(0.05)
     real.now += 0.03
@@ -42,14 +42,14 @@ def test_what_is_early_waits_and_what_is_late_hurries_until_it_is_given_up(real)
     assert clock.seconds_until(100 * MS, 60 * MS) == pytest.approx(0.02), "and from now on as if nothing were late"
 
 
-def test_as_fast_as_it_goes_is_never_early(real):
+def test_an_unlimited_speed_never_waits(real):
     clock = RealTimeClock(FREE, 0)
     assert (clock.slice_s, clock.seconds_until(10**12, 0)) == (SLICE_S, 0.0)
     assert clock.plan_slice(0, 10**12, 1) == 20 * MS
     assert clock.plan_slice(0, 5 * MS, 1) == 5 * MS
 
 
-def test_a_machine_that_cannot_keep_up_has_shorter_slices_so_that_it_is_asked_as_often(real):
+def test_a_slow_machine_gets_shorter_slices_so_that_orders_are_checked_as_often(real):
     """At 1000 x a slice would be 20 s of simulated time; a machine that computes 50 x gets one of 0.5 s."""
     clock, now, lengths = RealTimeClock(1000.0, 0), 0, []
     for _ in range(8):
@@ -115,15 +115,15 @@ def test_the_past_has_a_snapshot_every_twentieth_of_a_second():
     assert (SnapshotHistory().find_before(0), SnapshotHistory().oldest) == (None, None)
 
 
-def test_the_past_goes_back_half_a_minute():
+def test_history_covers_half_a_minute():
     past = remembered(range(0, 40_000, 100))
     assert (39_900 * MS - past.oldest) * 1e-9 == pytest.approx(MAX_AGE_S)
     assert past.find_before(0).at == 9_900 * MS
-    late = remembered([0, 100_000])
-    assert [at // MS for at, _ in late._snapshots] == [100_000]
+    delayed = remembered([0, 100_000])
+    assert [at // MS for at, _ in delayed._snapshots] == [100_000]
 
 
-def test_who_goes_back_forgets_what_comes_after():
+def test_going_back_forgets_later_snapshots():
     past = remembered(range(0, 400, 50))
     past.forget_after(200 * MS)
     assert past.find_before(10**12).at == 200 * MS
@@ -131,7 +131,7 @@ def test_who_goes_back_forgets_what_comes_after():
     assert past.find_before(0) is None
 
 
-def test_the_past_of_another_machine_is_told_apart():
+def test_history_distinguishes_machines():
     past, stage = SnapshotHistory(), NumberedStage()
     for k, stage.machine in enumerate("abba" + "aab"):
         stage.now = 100 * k * MS

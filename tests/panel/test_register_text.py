@@ -40,7 +40,7 @@ def test_a_number_is_typed_as_sheets_and_programs_write_it(typed, value):
 
 
 @pytest.mark.parametrize(
-    ("typed", "said"),
+    ("typed", "message"),
     [
         ("", "a number is missing: 100, 64h or 0x64"),
         ("-", "a number is missing"),
@@ -53,8 +53,8 @@ def test_a_number_is_typed_as_sheets_and_programs_write_it(typed, value):
         ("9" * 5000, "a number of 5000 characters needs more than 13 bits"),  # x: R2 <- 999...: a bare ValueError
     ],
 )
-def test_what_is_no_number_is_told_with_what_was_probably_meant(typed, said):
-    with pytest.raises(ArgumentError, match=said):
+def test_an_invalid_number_is_refused_with_a_suggestion(typed, message):
+    with pytest.raises(ArgumentError, match=message):
         parse_number(typed, 13)
 
 
@@ -87,7 +87,7 @@ def test_bytes_that_a_word_has_by_name_carry_its_fixed_bits():
     assert PCL240K.command_cycles("select", 0, buttons["81h"].datum) == [(0, 0x81)]
 
 
-def test_values_are_shown_and_told_as_the_map_says():
+def test_values_are_formatted_and_described_by_the_map():
     r14, lp = PCL240MS.MAP.register("R14"), MCX514.MAP.register("LP")
     assert (format_value(r14, 0x9005), describe_value(r14, 0x1000)) == ("9005h", "linear ramps")
     assert (format_value(lp, -20), describe_value(lp, -20)) == ("-20", "FFFFFFECh")
@@ -103,7 +103,7 @@ def test_values_are_shown_and_told_as_the_map_says():
     assert [describe_lamp(pending, v) for v in (0, 1)] == [("/INT pending", True), ("no /INT pending", False)]
 
 
-def test_the_evidence_of_a_whole_is_that_of_its_weakest_part():
+def test_the_evidence_of_several_fields_is_the_weakest():
     field = PCL240K.MAP.field("status", "operating")
     parts = [replace(field, evidence=letter) for letter in ("I", "S", "D")]
     assert [find_weakest_evidence(tuple(parts[k:])) for k in range(3)] == ["I", "D", "D"]
@@ -164,7 +164,7 @@ def test_a_line_of_the_console_becomes_bus_cycles(kind, line, cycles):
 
 
 @pytest.mark.parametrize(
-    ("kind", "line", "said"),
+    ("kind", "line", "message"),
     [
         (PCL240K, "", "`help` lists what can be written here"),
         (PCL240K, "reed 0", r"'reed' is no name of PCL240K and no byte. Did you mean read"),
@@ -180,8 +180,8 @@ def test_a_line_of_the_console_becomes_bus_cycles(kind, line, cycles):
         (MCX514, "help DRVR", "Did you mean DRVRL"),
     ],
 )
-def test_a_line_that_says_nothing_is_answered_with_what_was_probably_meant(kind, line, said):
-    with pytest.raises(ArgumentError, match=said):
+def test_a_meaningless_line_is_refused_with_a_suggestion(kind, line, message):
+    with pytest.raises(ArgumentError, match=message):
         parse_line(kind, line)
 
 

@@ -68,7 +68,7 @@ class RowOnPage:
 
 
 @pytest.fixture
-def made(page):
+def make_row(page):
     """made(place): a row; it is taken away again."""
     all_made = []
 
@@ -89,17 +89,17 @@ def word(name, chip=PCL240MS):
     return next(w for w in front.FrontPanel(chip).forms if w.name == name)
 
 
-def test_enter_writes_what_was_typed_and_what_is_no_number_is_said_and_not_written(page, made):
-    row = made(register("R1"))
+def test_enter_writes_a_valid_number_and_shows_an_error_for_others(page, make_row):
+    row = make_row(register("R1"))
     row.update(7)
     assert row.text == "7"
     page.enter("value-made", "64h")
     page.until(lambda: row.written)
     assert row.written == [("R1", 100)]
     assert row.text == "7", "what the chip holds, until it holds another"
-    for typed, said in (("1O0", "Did you mean 100?"), ("", "a number is missing"), ("8192", "-4096 to 8191 fit")):
+    for typed, message in (("1O0", "Did you mean 100?"), ("", "a number is missing"), ("8192", "-4096 to 8191 fit")):
         page.enter("value-made", typed)
-        page.until(lambda s=said: s in page.error("value-made"))
+        page.until(lambda s=message: s in page.error("value-made"))
         assert row.text == typed
     page.enter("value-made", "8191")
     page.until(lambda: len(row.written) == 2)
@@ -107,9 +107,9 @@ def test_enter_writes_what_was_typed_and_what_is_no_number_is_said_and_not_writt
     assert not page.error("value-made")
 
 
-@pytest.mark.parametrize("way", ["escape", "blur"])
-def test_what_is_being_typed_stays_until_it_is_taken_back(page, made, way):
-    row = made(register("R1"))
+@pytest.mark.parametrize("sign", ["escape", "blur"])
+def test_text_under_edit_remains_until_it_is_cancelled(page, make_row, sign):
+    row = make_row(register("R1"))
     row.update(7)
     page.fire("value-made", "keydown", {"key": "Tab"})
     row.update(8)
@@ -121,7 +121,7 @@ def test_what_is_being_typed_stays_until_it_is_taken_back(page, made, way):
     assert row.text == "12"
     page.enter("value-made", "1x")
     page.until(lambda: page.error("value-made"))
-    page.fire("value-made", *(("keydown", {"key": "Escape"}) if way == "escape" else ("blur",)))
+    page.fire("value-made", *(("keydown", {"key": "Escape"}) if sign == "escape" else ("blur",)))
     page.until(lambda: row.text == "9")
     assert not page.error("value-made")
     row.update(10)
@@ -129,13 +129,13 @@ def test_what_is_being_typed_stays_until_it_is_taken_back(page, made, way):
     assert not row.written
 
 
-def test_a_value_that_changes_flashes_and_another_axis_does_not(made):
-    row = made(register("R1"))
-    seen = []
+def test_a_value_that_changes_flashes_and_another_axis_does_not(make_row):
+    row = make_row(register("R1"))
+    observed = []
     for value in (5, 5, 6, 6, 7, 8):
         row.update(value)
-        seen.append(row.flash)
-    assert seen == [[], [], ["flash-a"], ["flash-a"], ["flash-b"], ["flash-a"]]
+        observed.append(row.flash)
+    assert observed == [[], [], ["flash-a"], ["flash-a"], ["flash-b"], ["flash-a"]]
     row.row.update({"another": 3})
     assert row.text == "8"
     row.row.forget()
@@ -143,8 +143,8 @@ def test_a_value_that_changes_flashes_and_another_axis_does_not(made):
     assert (row.text, row.flash) == ("9", ["flash-a"])
 
 
-def test_who_looks_at_another_axis_types_no_more(page, made):
-    row = made(register("R1"))
+def test_selecting_another_axis_ends_editing(page, make_row):
+    row = make_row(register("R1"))
     row.update(7)
     page.fire("value-made", "keydown", {"key": "1"})
     page.settled()
@@ -153,10 +153,10 @@ def test_who_looks_at_another_axis_types_no_more(page, made):
     assert row.text == "8"
 
 
-def test_a_row_says_what_a_register_is_and_what_its_value_means(made):
+def test_a_row_says_what_a_register_is_and_what_its_value_means(make_row):
     for chip in (PCL240MS, HCTL1100):
         for place in chip.MAP.registers:
-            row = made(place)
+            row = make_row(place)
             value = place.value(1 << place.bits - 2 | 1)
             row.update(value)
             can_write = "W" in place.access
@@ -171,23 +171,23 @@ def test_a_row_says_what_a_register_is_and_what_its_value_means(made):
 
 def everything(field):
     """Values of a field that differ: those of a list, else its ends and one between."""
-    most = (1 << field.high - field.low + 1) - 1
-    return list(list_choices(field)) or sorted({0, 1, most // 2, most})
+    limit = (1 << field.high - field.low + 1) - 1
+    return list(list_choices(field)) or sorted({0, 1, limit // 2, limit})
 
 
 @pytest.mark.parametrize("name", ["R12", "R14", "R17"])
-def test_each_field_of_a_register_is_shown_and_writes_its_own_bits(page, made, name):
+def test_each_field_of_a_register_is_shown_and_writes_its_own_bits(page, make_row, name):
     place = register(name)
-    row, most = made(place), (1 << place.bits) - 1
+    row, limit = make_row(place), (1 << place.bits) - 1
     row.update(0)
     row.open()
     fields = [f for f in place.fields if not is_fixed(f)]
     for field in fields:
         assert row.field(field).props["title"] == f"b{field.bits} {field.name}: {field.text} [{field.evidence}]"
-    for held in (0x5A5A5A5A & most, most, 0):
-        row.update(held)
+    for current in (0x5A5A5A5A & limit, limit, 0):
+        row.update(current)
         for field in fields:
-            widget, value = row.field(field), field.of(held)
+            widget, value = row.field(field), field.of(current)
             if "W" not in field.access:
                 assert (widget.text, "on" in widget.classes) == describe_lamp(field, value)
                 continue
@@ -199,18 +199,18 @@ def test_each_field_of_a_register_is_shown_and_writes_its_own_bits(page, made, n
                 row.set(field, other)
                 page.until(lambda: row.written)
                 page.settled()
-                assert row.written == [(name, replace_field(held, field, other))]
-                row.update(replace_field(held, field, other))
-                row.update(held)
+                assert row.written == [(name, replace_field(current, field, other))]
+                row.update(replace_field(current, field, other))
+                row.update(current)
                 page.settled()
                 assert int(widget.value) == value
 
 
-def test_a_value_that_is_in_no_list_is_shown_as_that(made):
+def test_a_value_outside_the_map_is_shown_as_such(make_row):
     place = register("R13")
     fields = tuple(replace(f, values={2: "two", 5: "five"}) if f.name == "ez_count" else f for f in place.fields)
     field = next(f for f in fields if f.name == "ez_count")
-    row = made(replace(place, fields=fields))
+    row = make_row(replace(place, fields=fields))
     row.update(3 << field.low)
     row.open()
     listed, strange = {2: "2  two", 5: "5  five"}, "  (not in the map)"
@@ -224,10 +224,10 @@ def test_a_value_that_is_in_no_list_is_shown_as_that(made):
             assert widget.options == {**listed, value: f"{value}{strange}"}
 
 
-def test_a_field_that_is_a_number_says_what_is_none(page, made):
+def test_a_field_that_is_a_number_says_what_is_none(page, make_row):
     place = register("R17")
     field = next(f for f in place.fields if not is_fixed(f) and not list_choices(f) and f.high > f.low)
-    row = made(place)
+    row = make_row(place)
     row.update(0)
     row.open()
     name = row.field(field)
@@ -235,17 +235,17 @@ def test_a_field_that_is_a_number_says_what_is_none(page, made):
         page.put(name, typed)
         page.fire(name, "keydown.enter")
         page.until(lambda: page.error(name))
-        with pytest.raises(ArgumentError) as said:
+        with pytest.raises(ArgumentError) as message:
             front.parse_number(typed, field.high - field.low + 1)
-        assert page.error(name) == str(said.value)
+        assert page.error(name) == str(message.value)
         page.put(name, "1")
         page.fire(name, "keydown.enter")
         page.until(lambda: not page.error(name))
     page.until(lambda: len(row.written) == 2)
 
 
-def test_fields_are_folded_again_and_stand_below_their_row(page, made):
-    row = made(register("R12"))
+def test_fields_are_folded_again_and_stand_below_their_row(page, make_row):
+    row = make_row(register("R12"))
     row.open()
     area = page.until(lambda: row.row._area)
     children = row.box.default_slot.children
@@ -256,7 +256,7 @@ def test_fields_are_folded_again_and_stand_below_their_row(page, made):
     assert len([e for e in row.box.descendants() if e is area]) == 1
 
 
-def test_fields_of_a_row_stand_before_the_next_row(page, made):
+def test_fields_of_a_row_stand_before_the_next_row(page, make_row):
     def both():
         with page.client, ui.element("div") as box:
             return (
@@ -272,20 +272,20 @@ def test_fields_of_a_row_stand_before_the_next_row(page, made):
     page.within(box.delete)
 
 
-def test_a_word_that_nobody_can_see_is_put_together_of_its_fields_and_goes_out_by_send(page, made):
+def test_a_write_only_word_is_composed_of_its_fields_and_sent_by_a_button(page, make_row):
     place = word("output")
-    row = made(place)
+    row = make_row(place)
     row.open()
     fields = [f for f in place.fields if not is_fixed(f)]
-    chosen = {}
+    selected = {}
     composed = place.fixed
     for field in fields:
-        chosen[field.name] = value = everything(field)[-1]
+        selected[field.name] = value = everything(field)[-1]
         row.set(field, value)
         page.settled()
         composed = replace_field(composed, field, value)
         assert (row.text, row.words) == (format_value(place, composed), describe_value(place, composed))
-    assert composed & ~place.fixed, chosen
+    assert composed & ~place.fixed, selected
     assert not row.written
     page.click("send-made")
     page.until(lambda: row.written)
@@ -305,9 +305,9 @@ def test_a_word_that_nobody_can_see_is_put_together_of_its_fields_and_goes_out_b
     assert len(row.written) == 3
 
 
-def test_a_register_of_which_nothing_is_known_yet_is_put_together_of_its_fields(page, made):
+def test_a_register_of_which_nothing_is_known_yet_is_put_together_of_its_fields(page, make_row):
     place = register("R13")
-    row = made(place)
+    row = make_row(place)
     row.open()
     field = next(f for f in place.fields if list_choices(f))
     row.set(field, 1)
@@ -318,10 +318,10 @@ def test_a_register_of_which_nothing_is_known_yet_is_put_together_of_its_fields(
     assert row.text == format_value(place, 0)
 
 
-def test_a_number_in_a_word_that_is_put_together_keeps_to_its_own_bits_and_must_be_one(page, made):
+def test_a_number_in_a_composed_word_changes_its_bits_only_and_must_be_valid(page, make_row):
     """Two's complement is cut to the field; what is no number is said there, and no word is made of it."""
     place = word("output")
-    row = made(place)
+    row = make_row(place)
     row.open()
     stored = next(f for f in place.fields if f.name == "stored")
     other = next(f for f in place.fields if list_choices(f) and f.low > stored.high)
@@ -342,7 +342,7 @@ def test_a_number_in_a_word_that_is_put_together_keeps_to_its_own_bits_and_must_
     assert row.text == format_value(place, replace_field(place.fixed, stored, 1))
 
 
-def test_a_word_that_a_host_reads_lights_its_lamps_and_is_gone_where_it_cannot_be_seen(page):
+def test_a_readable_word_lights_its_lamps_and_is_hidden_without_a_value(page):
     lamps = front.FrontPanel(PCL240MS).lamps
     assert lamps
 
@@ -379,6 +379,6 @@ def test_a_register_of_the_chip_is_written_on_its_page_and_of_the_chip_of_that_p
     page.until(lambda: page.all("value-1-R1"))
     page.enter("value-1-R1", "321")
     page.until(lambda: page.find("value-1-R1").value == "321")
-    held = session.do(lambda stage: [chip.values_of(0)["R1"] for chip in stage.chips])
-    assert held == [0, 321]
+    current = session.do(lambda stage: [chip.values_of(0)["R1"] for chip in stage.chips])
+    assert current == [0, 321]
     assert not page.said

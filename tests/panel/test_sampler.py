@@ -78,9 +78,9 @@ def test_a_curve_of_no_columns_of_pixels_is_refused(points):
 def test_samples_are_those_of_a_recording(session, sampler):
     """Position, rate, a pin: equal to what a recording of the same program has, at its times."""
     session.act("move", lambda stage: session.run_unpaced(firmware.move, stage.axes["x"], 0.002)).result(30)
-    twin = Stage("xy", visuals=False)
-    with twin.record(every=2.5e-4) as recording:
-        firmware.move(twin.axes["x"], 0.002)
+    reference = Stage("xy", visuals=False)
+    with reference.record(every=2.5e-4) as recording:
+        firmware.move(reference.axes["x"], 0.002)
     times, values = sampler.columns(["x/position", "x/rate", "x/org"], 0, 1.0)
     n = len(times)
     assert n > 500
@@ -206,7 +206,7 @@ def test_a_recording_takes_the_samplers_place_and_gives_it_back(session, sampler
     assert session.stage.recording is None
 
 
-def test_a_recording_that_goes_on_is_read_from_its_begin_and_not_disturbed(session):
+def test_a_running_recording_is_read_from_its_start_and_not_disturbed(session):
     session.reset()
     recording = session.do(lambda stage: stage.record())
     run(session, 0.01)
@@ -222,7 +222,7 @@ def test_a_recording_that_goes_on_is_read_from_its_begin_and_not_disturbed(sessi
     session.do(lambda stage: recording.close())
 
 
-def test_samplers_of_one_stage_have_the_same_samples_whoever_comes_and_goes(session, sampler):
+def test_samplers_of_one_stage_have_the_same_samples(session, sampler):
     run(session, 0.01)
     second = Sampler(session)
     run(session, 0.01)

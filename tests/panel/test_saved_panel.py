@@ -64,10 +64,10 @@ class PausedPanel:
 
 @pytest.fixture(scope="module")
 def first():
-    made = PausedPanel()
-    made.after(move)
-    yield made
-    made.close()
+    paused_panel = PausedPanel()
+    paused_panel.after(move)
+    yield paused_panel
+    paused_panel.close()
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def file(first, tmp_path_factory):
     return path
 
 
-def test_another_motor_is_in_the_file_and_it_goes_on_bit_for_bit(tmp_path):
+def test_a_file_with_another_motor_continues_bit_for_bit(tmp_path):
     saved, opened, path = PausedPanel(), PausedPanel(), tmp_path / "motor.zip"
     try:
         saved.after(move)
@@ -86,17 +86,17 @@ def test_another_motor_is_in_the_file_and_it_goes_on_bit_for_bit(tmp_path):
         path.write_bytes(saved_panel.save(saved.panel))
         saved_panel.restore(opened.panel, saved_panel.read(path))
         assert opened.session.stage.axes["x"].drive.motor.name == "SS2422-5041"
-        ends = [made.after(lambda stage: stage.run(0.3)) for made in (saved, opened)]
+        ends = [paused_panel.after(lambda stage: stage.run(0.3)) for paused_panel in (saved, opened)]
         assert np.array_equal(*ends)
-        (made,) = opened.panel.fault_controls.in_force
-        opened.panel.fault_controls.clear(made)
+        (paused_panel,) = opened.panel.fault_controls.in_force
+        opened.panel.fault_controls.clear(paused_panel)
         assert opened.session.stage.axes["x"].drive.motor.name == "17HS4401"
     finally:
-        for made in (saved, opened):
-            made.close()
+        for paused_panel in (saved, opened):
+            paused_panel.close()
 
 
-def test_it_goes_on_bit_for_bit(first, file):
+def test_a_restored_panel_continues_bit_for_bit(first, file):
     other = PausedPanel()
     try:
         saved_panel.restore(other.panel, saved_panel.read(file))
@@ -110,7 +110,7 @@ def test_it_goes_on_bit_for_bit(first, file):
         other.close()
 
 
-def test_a_panel_that_goes_on_from_a_file_writes_where_that_program_begins(tmp_path, monkeypatch):
+def test_a_panel_restored_from_a_file_saves_the_start_of_that_program(tmp_path, monkeypatch):
     monkeypatch.setattr("stage.panel.stage_observer.MAX_PROGRAM_CYCLES", 5)
     first, other, path = PausedPanel(), PausedPanel(), tmp_path / "late.zip"
     try:
@@ -124,8 +124,8 @@ def test_a_panel_that_goes_on_from_a_file_writes_where_that_program_begins(tmp_p
         again = saved_panel.read(path).start
         assert (again[0], again[1].state.tobytes()) == (began[0], began[1].state.tobytes())
     finally:
-        for made in (first, other):
-            made.close()
+        for paused_panel in (first, other):
+            paused_panel.close()
 
 
 def test_loads_and_faults_go_with_it(tmp_path):
@@ -140,7 +140,7 @@ def test_loads_and_faults_go_with_it(tmp_path):
         saved_panel.restore(other.panel, saved_panel.read(path))
         assert other.session.stage.faults == one.session.stage.faults
         assert other.panel.fault_controls.payload == 0.5
-        assert np.array_equal(*(made.after(lambda stage: stage.run(0.3)) for made in (one, other)))
+        assert np.array_equal(*(paused_panel.after(lambda stage: stage.run(0.3)) for paused_panel in (one, other)))
     finally:
         one.close()
         other.close()
@@ -164,22 +164,22 @@ def test_the_program_in_python_makes_the_same_bits(file):
 
 
 def test_going_back_takes_cycles_out_of_the_program():
-    made = PausedPanel()
+    paused_panel = PausedPanel()
 
     def sent():
-        return made.session.do(
-            lambda stage: (made.panel.observer.observe(stage), len(saved_panel.sent_of(made.panel)))[1]
+        return paused_panel.session.do(
+            lambda stage: (paused_panel.panel.observer.observe(stage), len(saved_panel.sent_of(paused_panel.panel)))[1]
         )
 
     try:
-        made.after(move)
-        before, at_first = made.session.do(lambda stage: stage.snapshot()), sent()
-        made.after(lambda stage: (stage.axes["y"].chip.write(0, 0x08), stage.run(0.01)))
+        paused_panel.after(move)
+        before, at_first = paused_panel.session.do(lambda stage: stage.snapshot()), sent()
+        paused_panel.after(lambda stage: (stage.axes["y"].chip.write(0, 0x08), stage.run(0.01)))
         assert sent() == at_first + 1
-        made.session.restore(before)
+        paused_panel.session.restore(before)
         assert sent() == at_first
     finally:
-        made.close()
+        paused_panel.close()
 
 
 @pytest.mark.slow
@@ -203,43 +203,43 @@ def test_the_program_in_c_does_the_same(file, tmp_path):
     shared = saved_panel.read(file)
     with zipfile.ZipFile(file) as saved:
         saved.extract("program.c", tmp_path)
-    stage, twin = Stage("xy", chips="pcl240ms"), Stage("xy", chips="pcl240ms")
+    stage, reference = Stage("xy", chips="pcl240ms"), Stage("xy", chips="pcl240ms")
     try:
         host = NativeHost(tmp_path / "program.c", Board(stage))
     except NoCompilerError as error:
         pytest.skip(str(error))
     assert host.run(10).code == 0
-    twin.restore(shared.now)
-    assert stage.axes["x"].position == pytest.approx(twin.axes["x"].position, abs=1e-6)
-    assert stage.time == pytest.approx(twin.time, abs=1e-4)
+    reference.restore(shared.now)
+    assert stage.axes["x"].position == pytest.approx(reference.axes["x"].position, abs=1e-6)
+    assert stage.time == pytest.approx(reference.time, abs=1e-4)
 
 
-def test_a_stage_of_somebodys_own_has_no_program_but_a_file(tmp_path):
-    made = PausedPanel(None)
+def test_a_stage_of_another_program_can_be_saved_but_not_written_as_a_program(tmp_path):
+    paused_panel = PausedPanel(None)
     try:
-        made.after(move)
+        paused_panel.after(move)
         with pytest.raises(StageError, match="a program of yours has made this stage"):
-            saved_panel.program(made.panel, "program.py")
-        data = saved_panel.save(made.panel)
+            saved_panel.program(paused_panel.panel, "program.py")
+        data = saved_panel.save(paused_panel.panel)
         assert "program.py" not in zipfile.ZipFile(io.BytesIO(data)).namelist()
         path = tmp_path / "own.zip"
         path.write_bytes(data)
-        saved_panel.restore(made.panel, saved_panel.read(path))
+        saved_panel.restore(paused_panel.panel, saved_panel.read(path))
     finally:
-        made.close()
+        paused_panel.close()
 
 
-def test_what_is_no_such_file_is_said(tmp_path, file):
+def test_another_file_is_refused(tmp_path, file):
     bad = tmp_path / "bad.zip"
     with pytest.raises(ArgumentError, match="there is no file of a panel"):
         saved_panel.read(bad)
     bad.write_bytes(b"PK nothing")
     with pytest.raises(ArgumentError, match="no file of a panel"):
         saved_panel.read(bad)
-    told = json.loads(zipfile.ZipFile(file).read("panel.json"))
+    reported = json.loads(zipfile.ZipFile(file).read("panel.json"))
     for change in ({"format": 99}, {"made": {"model": 5}}, {"program": [[1, 2]]}, {"faults": 3}):
         with zipfile.ZipFile(bad, "w") as out:
-            out.writestr("panel.json", json.dumps(told | change))
+            out.writestr("panel.json", json.dumps(reported | change))
             for name in ("start.snapshot", "now.snapshot"):
                 out.writestr(name, zipfile.ZipFile(file).read(name))
         with pytest.raises(ArgumentError, match=r"format 99|no file of a panel"):
@@ -281,23 +281,23 @@ def panel(**options):
     ids=str,
 )  # fmt: skip
 def test_what_is_written_makes_the_stage_that_the_options_make(options):
-    made = STAGE_OPTIONS | options | ({"motor": list(DC_MOTORS)[-1]} if options.get("motor") == "dc" else {})
+    paused_panel = STAGE_OPTIONS | options | ({"motor": list(DC_MOTORS)[-1]} if options.get("motor") == "dc" else {})
     if "multichip" in options:  # of chips that the other options do not have
         with pytest.raises(ArgumentError) as refused:
-            make_stage(SimpleNamespace(**made), visuals=False)
+            make_stage(SimpleNamespace(**paused_panel), visuals=False)
         with pytest.raises(ArgumentError) as also:
-            eval(saved_panel.stage_of(made), {"Stage": Stage, "Drive": Drive})
+            eval(saved_panel.stage_of(paused_panel), {"Stage": Stage, "Drive": Drive})
         assert str(also.value) == str(refused.value)
         return
-    expected = make_stage(SimpleNamespace(**made), visuals=False)
-    stage = eval(saved_panel.stage_of(made), {"Stage": Stage, "Drive": Drive})
+    expected = make_stage(SimpleNamespace(**paused_panel), visuals=False)
+    stage = eval(saved_panel.stage_of(paused_panel), {"Stage": Stage, "Drive": Drive})
     assert stage.header == expected.header
     assert stage.bus_cycle == expected.bus_cycle
     for one, other in zip(stage.axes.values(), expected.axes.values(), strict=True):
         assert (one.drive, one.wiring) == (other.drive, other.wiring)
 
 
-def test_a_program_in_python_makes_each_cycle_at_its_time_and_ends_at_its_own():
+def test_a_program_in_python_makes_each_cycle_at_its_time():
     sent = (ProgramCycle(5_000, 1, 0, 0x81), ProgramCycle(9_000, 1, 1, 7), ProgramCycle(20_000, 0, 0, None))
     text = saved_panel.to_python(
         panel(chips="pcl240ms"), shared(sent, payloads={"cart": 0.5, "table": 0.0}), 1_234_567_890
@@ -328,31 +328,31 @@ def test_a_program_in_python_makes_each_cycle_at_its_time_and_ends_at_its_own():
     assert done == [3_000, ("write", 1, 0, 0x81), 7_000, ("write", 1, 1, 7), 18_000, ("read", 0, 0), 1_234_567_890]
 
 
-def test_what_a_cycle_says_stands_beside_it_as_the_trace_of_its_chip_says():
+def test_each_cycle_has_the_words_of_the_trace_as_comment():
     sent = (ProgramCycle(5_000, 0, 0, 0x81), ProgramCycle(6_000, 0, 1, 0x2C), ProgramCycle(7_000, 1, 0, 0x82))
     stage = panel(chips="pcl240ms")
-    told = [
+    reported = [
         line.partition("  # ")[2]
         for line in saved_panel.to_python(stage, shared(sent), 8_000).splitlines()
         if "  # " in line
     ]
     hears = [chip.listener() for chip in stage.session.stage.chips]
-    told = [words for words in told if not words.startswith("ns")]  # the headings
-    assert told == [hears[s.chip].write(s.address, s.value) for s in sent]
+    reported = [words for words in reported if not words.startswith("ns")]  # the headings
+    assert reported == [hears[s.chip].write(s.address, s.value) for s in sent]
     in_c = saved_panel.to_c(stage, shared(sent), 8_000)
     assert [line for line in in_c.splitlines() if "/* " in line][1:] == [
-        f"    at(5); ps_out8(0x300, 0x81); /* {told[0]} */",
-        f"    at(6); ps_out8(0x301, 0x2C); /* {told[1]} */",
-        f"    at(7); ps_out8(0x304, 0x82); /* {told[2]} */",
+        f"    at(5); ps_out8(0x300, 0x81); /* {reported[0]} */",
+        f"    at(6); ps_out8(0x301, 0x2C); /* {reported[1]} */",
+        f"    at(7); ps_out8(0x304, 0x82); /* {reported[2]} */",
     ]
 
 
-def test_a_drive_is_imported_where_one_is_made():
+def test_a_program_with_a_drive_imports_the_class():
     text = saved_panel.to_python(panel(), shared(options=STAGE_OPTIONS | {"microsteps": 8}), 0)
     assert "from stage import Drive, Stage\n" in text
 
 
-def test_a_program_in_c_goes_to_the_microsecond_and_says_how_it_is_run():
+def test_a_program_in_c_is_exact_to_the_microsecond_and_names_its_command():
     sent = (ProgramCycle(1_999, 0, 0, 0x81), ProgramCycle(1_000_500, 0, 2, None))
     text = saved_panel.to_c(
         panel(chips="pcl240ms"), shared(sent, options=STAGE_OPTIONS | {"chips": "x=pcl240ms,y=pcl240ms"}), 2_000_999
@@ -391,20 +391,20 @@ def test_a_test_says_where_the_axes_are_what_was_lost_and_what_was_noted():
 def test_a_program_of_axes_of_any_name_is_python_and_c():
     stage = Stage(odd_model((*ODD_NAMES, "b*/c")), visuals=False)
     of = SimpleNamespace(session=SimpleNamespace(stage=stage))
-    made = STAGE_OPTIONS | {"model": "my */ model.xml", "chips": "b*/c=pcl240ms,x 1=pcl240ms"}
-    tree = ast.parse(saved_panel.to_pytest(of, shared(options=made), 5))
+    paused_panel = STAGE_OPTIONS | {"model": "my */ model.xml", "chips": "b*/c=pcl240ms,x 1=pcl240ms"}
+    tree = ast.parse(saved_panel.to_pytest(of, shared(options=paused_panel), 5))
     named = {
         n.slice.value for n in ast.walk(tree) if isinstance(n, ast.Subscript) and isinstance(n.slice, ast.Constant)
     }
     assert named >= {*ODD_NAMES, "b*/c"}
-    first = saved_panel.to_c(of, shared(options=made), 5).splitlines()[0]
+    first = saved_panel.to_c(of, shared(options=paused_panel), 5).splitlines()[0]
     assert first.index("*/") == len(first) - 2, "the comment ends at its end only"
     typed = shlex.split(first.removeprefix("/* What was done on a panel: ").removesuffix(" */"))
     assert typed[typed.index("--chips") + 1] == "b* /c=pcl240ms,x 1=pcl240ms"
 
 
 @pytest.mark.parametrize("write", saved_panel.PROGRAM_FORMATS.values())
-def test_a_program_begins_at_power_up_and_on_a_stage_that_can_be_made_again(write):
+def test_only_a_program_from_power_up_on_a_reproducible_stage_is_written(write):
     with pytest.raises(ArgumentError, match="does not begin at power-up: press power-up first"):
         write(panel(), shared(start=1), 0)
     with pytest.raises(StageError, match="a program of yours has made this stage"):
@@ -427,7 +427,7 @@ def test_the_ports_in_c_reach_the_address_of_the_chip(name):
     ]  # fmt: skip
     assert reached
     journal = chip.journal()
-    calls = {f"ps_{way}{bits}": getattr(board, f"{way}{bits}") for way in ("in", "out") for bits in (8, 16)}
+    calls = {f"ps_{sign}{bits}": getattr(board, f"{sign}{bits}") for sign in ("in", "out") for bits in (8, 16)}
     for address in reached:
         for value in (0, 0x5A if address else 0x40, None):
             journal.restart()

@@ -38,7 +38,7 @@ def run_unpaced(session, seconds, times=1):
         session.do(lambda stage: session._history.remember(stage))
 
 
-def test_time_passes_by_itself_and_stands_still_while_paused(session):
+def test_time_passes_without_a_program_except_while_paused(session):
     until(lambda: session.view.time > 0.1)
     session.paused = True
     before = session.do(lambda stage: stage.now)
@@ -84,7 +84,7 @@ def test_orders_are_carried_out_while_a_procedure_runs(session):
     assert session.do(lambda stage: stage.axes["x"].chip.busy(0)), "the chip goes on with what it does"
 
 
-def test_one_goes_back_and_the_same_future_comes_again(session):
+def test_the_same_future_follows_after_going_back(session):
     until(lambda: session.view.time > 0.3)
     session.paused = True
     was = session.do(lambda stage: stage.now)
@@ -103,7 +103,7 @@ def test_one_goes_back_and_the_same_future_comes_again(session):
     assert session.do(lambda stage: stage.now) == 0
 
 
-def test_time_goes_on_at_once_after_power_up(session):
+def test_time_resumes_at_once_after_power_up(session):
     """And an action begins, whatever the time was before."""
     until(lambda: session.view.time > 20)
     session.speed = 1.0
@@ -112,14 +112,14 @@ def test_time_goes_on_at_once_after_power_up(session):
     assert session.act("move", lambda stage: firmware.move(stage.axes["x"], distance=0.0005)).result(5).ok
 
 
-def test_who_goes_back_to_a_snapshot_is_at_it(session):
+def test_restoring_a_snapshot_sets_its_time(session):
     until(lambda: session.view.time > 0.3)
     session.paused = True
     then = session.go_back(0.1)
     assert session.go_back(0.0) == then
 
 
-def test_after_a_reset_one_goes_back_to_what_was_since(session):
+def test_after_a_reset_history_reaches_back_to_power_up(session):
     until(lambda: session.view.time > 0.5)
     session.paused = True
     session.reset()
@@ -132,7 +132,7 @@ def test_after_a_reset_one_goes_back_to_what_was_since(session):
     assert session.do(lambda stage: stage.axes["x"].position) == pytest.approx(0.05, abs=1e-4)
 
 
-def test_going_back_while_a_recording_goes_on_is_refused_also_at_once_after_power_up():
+def test_going_back_during_a_recording_is_refused():
     """stage.run(1); then a panel, paused; power-up; a recording; back: nothing happened, and nobody was told"""
     stage = Stage("xy", visuals=False)
     stage.run(1.0)
@@ -144,22 +144,22 @@ def test_going_back_while_a_recording_goes_on_is_refused_also_at_once_after_powe
         assert session.go_back(5.0) == 0.0
 
 
-def test_a_single_step_is_the_last_until_time_goes_on(session):
+def test_no_step_follows_a_single_step_until_time_is_resumed(session):
     session.single_step()
     assert session.paused
 
 
-def test_an_order_that_comes_as_the_session_ends_is_told():
-    session, late = Session(Stage("xy", visuals=False), paused=True), []
+def test_an_order_at_the_end_of_the_session_gets_an_error():
+    session, delayed = Session(Stage("xy", visuals=False), paused=True), []
 
     def ends(stage):
-        if not late:
-            late.append(session.post(lambda stage: stage.now))
+        if not delayed:
+            delayed.append(session.post(lambda stage: stage.now))
             session.close()
 
     session.do(lambda stage: session.on_slice(ends))
     with pytest.raises(StageError, match="this session is over"):
-        late[0].result(10)
+        delayed[0].result(10)
 
 
 def test_an_error_of_an_order_comes_to_who_gave_it(session):
@@ -190,7 +190,7 @@ def test_nobody_else_runs_the_stage_and_afterwards_it_is_his_again():
     assert not any(thread.name == "pulsestage session" for thread in threading.enumerate())
 
 
-def test_a_simulation_that_diverges_stands_still_and_says_so_and_one_goes_back(session):
+def test_a_divergence_pauses_the_session_which_can_recover(session):
     until(lambda: session.view.time > 0.3)
     session.do(lambda stage: stage.data.qfrc_applied.__setitem__(0, 1e30))
     until(lambda: session.view.trouble)
@@ -216,7 +216,7 @@ def test_from_a_divergence_one_recovers_where_all_was_well(session):
     assert not session.view.trouble
 
 
-def test_a_carriage_that_leaves_its_travel_stops_time_and_what_is_under_way(session):
+def test_a_carriage_that_leaves_its_travel_stops_time_and_the_action(session):
     until(lambda: session.view.time > 1.0)
     jog = session.act("wait", lambda stage: stage.run(1e6))
     until(lambda: session.view.action)
@@ -237,7 +237,7 @@ def test_a_carriage_that_leaves_its_travel_stops_time_and_what_is_under_way(sess
 
 
 @PAUSED
-def test_in_a_pause_nobody_waits_for_the_next_look(session):
+def test_a_paused_session_answers_orders_at_once(session):
     """The thread of a session that rests looks again after half a second: who wants something wakes it."""
     session.do(lambda stage: None)
     begin = time.monotonic()
@@ -265,7 +265,7 @@ def test_in_a_pause_nobody_waits_for_the_next_look(session):
 
 
 @PAUSED
-def test_an_order_is_waited_for_as_long_as_was_said(session):
+def test_an_order_is_awaited_for_the_given_timeout(session):
     with pytest.raises(Late):
         session.do(lambda stage: time.sleep(0.15), timeout=0.01)
     assert session.do(lambda stage: 5, timeout=5) == 5
@@ -273,9 +273,9 @@ def test_an_order_is_waited_for_as_long_as_was_said(session):
 
 @PAUSED
 def test_within_an_order_another_is_done_at_once(session):
-    seen = []
-    session.do(lambda stage: (seen.append(1), session.do(lambda stage: seen.append(2)), seen.append(3)))
-    assert seen == [1, 2, 3]
+    observed = []
+    session.do(lambda stage: (observed.append(1), session.do(lambda stage: observed.append(2)), observed.append(3)))
+    assert observed == [1, 2, 3]
 
 
 @PAUSED
@@ -288,7 +288,7 @@ def test_a_stage_has_one_session_at_a_time(session):
         assert again.do(lambda stage: stage.now) == 0
 
 
-def test_its_own_thread_may_end_it():
+def test_the_worker_may_close_the_session():
     session = Session(Stage("xy", visuals=False), speed=FREE)
     session.post(lambda stage: session.close()).result(5)
     session._thread.join(5)
@@ -299,13 +299,13 @@ def test_its_own_thread_may_end_it():
 
 
 @PAUSED
-def test_so_many_steps_pass_as_are_asked_for_and_then_time_stands(session):
+def test_the_requested_number_of_steps_passes(session):
     dt = session.stage.state.dt
     session.paused = False
-    for n, given in ((1, ()), (4, (4,))):
+    for n, arguments in ((1, ()), (4, (4,))):
         session.paused = True
         at = session.do(lambda stage: stage.now)
-        session.single_step(*given)
+        session.single_step(*arguments)
         assert session.paused
         assert session.do(lambda stage: stage.now) == (at // dt + n) * dt
         session.paused = False
@@ -314,13 +314,13 @@ def test_so_many_steps_pass_as_are_asked_for_and_then_time_stands(session):
 
 @PAUSED
 @pytest.mark.parametrize("seconds", [-1, -1e-9, float("nan")])
-def test_nobody_goes_back_by_less_than_nothing(session, seconds):
+def test_going_back_by_a_negative_time_is_refused(session, seconds):
     with pytest.raises(ArgumentError, match=rf"^go_back\({seconds!r}\): seconds, 0 or more\.$"):
         session.go_back(seconds)
 
 
 @PAUSED
-def test_one_goes_back_to_the_snapshot_before_and_forgets_what_came_after(session):
+def test_going_back_restores_the_previous_snapshot_and_forgets_later_ones(session):
     run_unpaced(session, INTERVAL_S, 12)
     at = session.do(lambda stage: stage.time)
     assert session.history_s == pytest.approx(at - INTERVAL_S)
@@ -332,7 +332,7 @@ def test_one_goes_back_to_the_snapshot_before_and_forgets_what_came_after(sessio
 
 
 @PAUSED
-def test_one_recovers_by_half_a_second_and_time_stands(session):
+def test_recovery_goes_back_half_a_second_and_pauses(session):
     run_unpaced(session, INTERVAL_S, 16)
     at = session.do(lambda stage: stage.time)
     session._trouble = "something"
@@ -344,7 +344,7 @@ def test_one_recovers_by_half_a_second_and_time_stands(session):
 
 @PAUSED
 @pytest.mark.parametrize("how", ["back", "reset", "restore", "recover"])
-def test_who_goes_elsewhere_in_time_abandons_what_is_under_way(session, how):
+def test_restoring_a_time_ends_the_action(session, how):
     kept = session.do(lambda stage: stage.snapshot())
     session.paused = False
     move = session.act("wait", lambda stage: stage.run(1e6))
@@ -356,7 +356,7 @@ def test_who_goes_elsewhere_in_time_abandons_what_is_under_way(session, how):
     until(lambda: not session.busy)
 
 
-def test_only_a_program_can_be_made_to_wait():
+def test_a_session_without_a_program_suspends_nothing():
     with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
         session.take_over()
         assert not session.program_suspended
@@ -401,7 +401,7 @@ def assert_time_goes_on(session):
 
 
 @PAUSED_IN_REAL_TIME
-def test_after_what_is_done_at_once_time_goes_on_in_real_time(session):
+def test_real_time_resumes_after_an_unpaced_order(session):
     run_unpaced(session, 4.0)
     assert_time_goes_on(session)
 
@@ -416,7 +416,7 @@ def test_after_what_is_done_at_once_time_goes_on_in_real_time(session):
 
 
 @PAUSED_IN_REAL_TIME
-def test_who_goes_to_a_snapshot_goes_on_from_there_at_once_whether_it_is_later_or_earlier(session):
+def test_time_continues_at_once_from_a_restored_snapshot(session):
     first = session.do(lambda stage: stage.snapshot())
     run_unpaced(session, 4.0)
     later = session.do(lambda stage: stage.snapshot())
@@ -431,27 +431,27 @@ def test_who_goes_to_a_snapshot_goes_on_from_there_at_once_whether_it_is_later_o
 
 
 @PAUSED_IN_REAL_TIME
-def test_an_order_is_seen_when_it_is_done(session):
+def test_the_view_includes_a_finished_order(session):
     """Whoever waits for `changed` is told of it, with what it has left."""
     until(lambda: session.do(lambda stage: True))
-    number, told = session.view.number, threading.Event()
+    number, reported = session.view.number, threading.Event()
 
     def wait():
         with session.changed:
             session.changed.wait_for(lambda: session.view.qpos[0] > 0.009, 5)
-        told.set()
+        reported.set()
 
     waiting = threading.Thread(target=wait)
     waiting.start()
     session.do(lambda stage: stage.place(x=0.01))
-    assert told.wait(5)
+    assert reported.wait(5)
     waiting.join()
     assert session.view.number > number
     assert session.view.qpos[0] == pytest.approx(0.01)
 
 
 @PAUSED_IN_REAL_TIME
-def test_what_is_under_way_stands_still_while_paused_and_ends_when_it_is_abandoned(session):
+def test_an_action_pauses_and_ends_when_it_is_stopped(session):
     move = session.act("move", lambda stage: firmware.move(stage.axes["x"], distance=0.05))
     until(lambda: session.view.action == "move")
     session.do(lambda stage: None)
@@ -467,7 +467,7 @@ def test_what_is_under_way_stands_still_while_paused_and_ends_when_it_is_abandon
 
 
 @PAUSED_IN_REAL_TIME
-def test_trouble_stands_until_time_is_let_on_or_gone_back(session):
+def test_trouble_remains_until_time_is_resumed_or_restored(session):
     def diverge(stage):
         stage.data.qfrc_applied[0] = 1e30
 
@@ -490,7 +490,7 @@ def test_trouble_stands_until_time_is_let_on_or_gone_back(session):
         session.reset()
 
 
-def test_a_program_beside_it_does_what_is_short_also_at_its_end_and_else_is_refused():
+def test_another_thread_may_give_short_orders_and_is_otherwise_refused():
     stage = Stage("xy", visuals=False)
     with Session(stage, speed=FREE, program="a test") as session:
         stage.run(0.01)
@@ -508,7 +508,7 @@ def test_a_program_beside_it_does_what_is_short_also_at_its_end_and_else_is_refu
     stage.run(0.01)
 
 
-def test_trouble_that_a_program_has_mended_is_forgotten():
+def test_trouble_that_a_program_has_ended_is_forgotten():
     stage = Stage("xy", visuals=False)
     with Session(stage, speed=FREE, program="a test") as session:
         session.do(lambda stage: stage.data.qpos.__setitem__(0, -3.0))
@@ -517,7 +517,7 @@ def test_trouble_that_a_program_has_mended_is_forgotten():
         until(lambda: not session.view.trouble)
 
 
-def test_what_a_program_did_last_is_seen_and_can_be_gone_back_to():
+def test_a_programs_last_change_is_observed_and_in_the_history():
     stage = Stage("xy", visuals=False)
     with Session(stage, speed=FREE, program="a test") as session:
         stage.run(0.2)
@@ -533,7 +533,7 @@ def test_what_a_program_did_last_is_seen_and_can_be_gone_back_to():
 
 
 @PAUSED_IN_REAL_TIME
-def test_time_goes_on_as_fast_as_is_said_from_when_it_is_said(session):
+def test_a_new_speed_holds_from_its_setting_on(session):
     session.speed = 0.001
     session.paused = False
     time.sleep(0.03)

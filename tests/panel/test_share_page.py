@@ -27,8 +27,8 @@ def panel_of():
         process.stdout.close()
 
 
-def test_what_is_saved_goes_on_elsewhere(panel_of, look_on, tmp_path):
-    first = look_on(panel_of("xy", "--chips", "pcl240ms"))
+def test_a_saved_panel_continues_in_another_process(panel_of, open_browser, tmp_path):
+    first = open_browser(panel_of("xy", "--chips", "pcl240ms"))
     first.type("move-distance", "8")
     first.click("go-move")
     first.until(lambda: "done" in first.text("report"))
@@ -48,7 +48,7 @@ def test_what_is_saved_goes_on_elsewhere(panel_of, look_on, tmp_path):
     file.write_bytes(first.downloaded("zip"))
     assert {"panel.json", "now.snapshot", "start.snapshot", "program.py"} <= set(zipfile.ZipFile(file).namelist())
 
-    other = look_on(panel_of("--open", file, "--paused"))
+    other = open_browser(panel_of("--open", file, "--paused"))
     assert other.text("time") == first.text("time")
     assert other.text("place-x") == first.text("place-x")
     assert "PCL240MS" in other.driver.page_source

@@ -151,20 +151,20 @@ def test_pause_and_stop_act_within_two_slices_of_a_procedure(chips, name, speed)
     stage = Stage("xy", chips=chips, visuals=False)
     x, y = stage.axes.values()
     stage.place(x=0.02)
-    asked: list[int] = []
+    requested: list[int] = []
     with Session(stage, speed=speed) as session:
 
         def interrupt(stage):
             """In the middle of the procedure, as an order comes."""
-            if not asked and session.view.action and stage.now > 20_000_000:
+            if not requested and session.view.action and stage.now > 20_000_000:
                 session.paused = True
-                asked.append(stage.now)
+                requested.append(stage.now)
 
         session.on_slice(interrupt)
         try:
             action = session.act(name, lambda stage: PROCEDURES[name](x, y))
             end = time.monotonic() + MAX_WAIT_S
-            while not asked and not action.done():
+            while not requested and not action.done():
                 assert time.monotonic() < end
                 time.sleep(0.001)
         except ArgumentError:
@@ -172,7 +172,7 @@ def test_pause_and_stop_act_within_two_slices_of_a_procedure(chips, name, speed)
         if action.done() and isinstance(action.exception(), ArgumentError):
             pytest.skip(f"{chips} has no {name}")
         at = session.do(lambda stage: stage.now)
-        assert at - asked[0] <= 2 * SLICE_S * 1e9
+        assert at - requested[0] <= 2 * SLICE_S * 1e9
         assert session.do(lambda stage: stage.now) - at < 1_000_000, "time stands still; bus cycles take theirs"
         assert session.stop_actions()
         with pytest.raises(ActionStopped):

@@ -65,7 +65,7 @@ def test_who_came_first_is_first_also_after_one_who_has_just_left(lock):
     assert order == [0, 1, 2, 3, "again"]
 
 
-def test_it_is_given_away_whole_while_its_owner_waits_and_taken_back_as_deep(lock):
+def test_waiting_releases_every_level_and_restores_the_same_depth(lock):
     with lock, lock:
         other = Visitor(lock)
         lock.wait(0.05)
@@ -77,7 +77,7 @@ def test_it_is_given_away_whole_while_its_owner_waits_and_taken_back_as_deep(loc
     assert not lock.is_acquired()
 
 
-def test_giving_way_lets_those_that_wait_go_first_and_nobody_else(lock):
+def test_yielding_admits_exactly_the_waiting_threads(lock):
     order = []
     with lock:
         first = Visitor(lock, lambda: order.append("first"))
@@ -89,7 +89,7 @@ def test_giving_way_lets_those_that_wait_go_first_and_nobody_else(lock):
     assert order == ["first", "owner"]
 
 
-def test_a_wait_ends_when_somebody_calls_and_else_with_its_time(lock):
+def test_a_wait_ends_on_notification_or_after_its_timeout(lock):
     begin = time.monotonic()
     with lock:
         lock.wait(0.03)
@@ -99,7 +99,7 @@ def test_a_wait_ends_when_somebody_calls_and_else_with_its_time(lock):
     assert time.monotonic() - begin < 15
 
 
-def test_who_has_no_patience_goes_without_it_and_holds_nobody_up(lock):
+def test_a_timed_out_thread_does_not_block_the_others(lock):
     with lock:
         impatient = threading.Thread(target=lambda: answers.append(lock.acquire(0.02)), daemon=True)
         answers: list[bool] = []
@@ -124,7 +124,7 @@ def test_reserved_it_is_for_one_thread_and_the_others_wait_until_it_is_not(lock)
 
 
 @pytest.mark.parametrize("comes", ["before", "after"])
-def test_reserved_with_a_refusal_the_others_are_told_at_once_whenever_they_came(lock, comes):
+def test_a_reservation_with_a_refusal_refuses_all_other_threads_at_once(lock, comes):
     with lock:
         other = Visitor(lock) if comes == "before" else None
         if other:
@@ -173,7 +173,7 @@ def test_an_error_inside_leaves_the_lock_free(lock):
     assert Visitor(lock).entered.wait(5)
 
 
-def test_what_an_interrupt_has_left_is_freed_by_its_own_thread_only(lock):
+def test_only_its_thread_frees_a_lock_after_an_interrupt(lock):
     lock.acquire()
     lock.acquire()
     other = threading.Thread(target=lock.release_all, daemon=True)

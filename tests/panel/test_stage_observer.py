@@ -38,7 +38,7 @@ def test_a_view_has_axes_always_and_registers_on_request(observer):
     assert (view.values["R1"], view.outputs["hold"], view.inputs["org"]) == (100, True, False)
 
 
-def test_the_trace_has_the_cycles_of_whoever_makes_them(observer):
+def test_the_trace_has_the_cycles_of_every_host(observer):
     trace, session = observer.traces[0], observer.session
     session.do(lambda stage: stage.chips[0].write(0, 0x44))
     session.paused = False
@@ -73,7 +73,7 @@ def test_diagnostics_are_in_the_trace_and_in_a_list_of_their_own_once(observer):
     assert all(line.source in line.format(2) for line in lines)
 
 
-def test_after_a_snapshot_the_trace_goes_on_from_what_the_chip_holds_then(observer):
+def test_after_a_restore_the_trace_continues_from_the_chips_state(observer):
     trace, session = observer.traces[0], observer.session
     start = session.do(lambda stage: stage.snapshot())
     session.do(lambda stage: stage.chips[0].write(0, 0x81))
@@ -220,7 +220,7 @@ def test_steps_lost_before_an_origin_return_change_neither_the_count_nor_the_pos
         )
 
 
-def test_a_program_begins_anew_where_time_goes_back_to_before_it_and_where_it_is_too_long(session, timed, monkeypatch):
+def test_a_program_restarts_when_time_goes_back_before_it_or_when_it_is_too_long(session, timed, monkeypatch):
     observer = timed
     session.do(lambda stage: session.run_unpaced(stage.run, 0.01))
     write = session.stage.chips[0].write

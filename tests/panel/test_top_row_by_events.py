@@ -42,18 +42,18 @@ HIDDEN = {True: ("abandon", "recover"), False: ("take-over",)}
 """Nobody hears these before they are seen. True: they drive."""
 
 
-def test_who_only_looks_is_heard_of_nothing_that_is_an_order(served, session, page, monkeypatch):
-    second, heard = served.visit(), []
+def test_orders_of_an_observer_are_ignored(served, session, page, monkeypatch):
+    second, received = served.visit(), []
     for name in (*MACHINE, *DRIVING, *FREE_TO_ALL):
         for one in (page, second):
-            monkeypatch.setattr(one.find(name), "_handle_event", lambda msg, n=name, o=one: heard.append((o, n)))
+            monkeypatch.setattr(one.find(name), "_handle_event", lambda msg, n=name, o=one: received.append((o, n)))
 
     def press_all(one):
-        heard.clear()
+        received.clear()
         for name in (*MACHINE, *DRIVING, *FREE_TO_ALL):
             element = one.find(name)
             one.within(lambda e=element: one.client.handle_event({"id": e.id, "listener_id": "any", "args": []}))
-        return [n for o, n in heard if o is one]
+        return [n for o, n in received if o is one]
 
     everything = [*MACHINE, *DRIVING, *FREE_TO_ALL]
     assert press_all(page) == everything
@@ -81,7 +81,7 @@ def test_who_only_looks_is_heard_of_nothing_that_is_an_order(served, session, pa
     second.client.handle_event({"id": 10**9})
 
 
-def test_the_controls_are_taken_and_go_on_when_their_holder_leaves(served, session, page):
+def test_the_controls_pass_on_when_they_are_taken_or_their_holder_leaves(served, session, page):
     controls = served.panel.controls
     page.until(lambda: not page.find("controls").visible)
     second = served.visit()
@@ -100,14 +100,14 @@ def test_the_controls_are_taken_and_go_on_when_their_holder_leaves(served, sessi
     assert (controls.holder, controls.watching) == (page.client.id, 2), "he is back, and looks"
 
 
-def test_time_stands_still_and_goes_on_by_one_button(session, page):
+def test_one_button_pauses_and_resumes(session, page):
     for paused, icon in ((False, "pause"), (True, "play_arrow")):
         page.click("play")
         assert session.paused is paused
         page.until(lambda i=icon: page.find("play").props["icon"] == i)
 
 
-def test_every_speed_of_the_list_is_that_speed_and_one_that_is_not_is_shown_as_the_nearest(session, page):
+def test_the_list_sets_each_speed_and_shows_others_as_the_nearest(session, page):
     for speed in panel_page.SPEEDS:
         page.put("speed", speed)
         assert session.speed == speed
@@ -128,7 +128,7 @@ def test_a_page_that_is_opened_later_shows_the_speed_that_is(served, session):
     assert served.visit().find("speed").value == 0.5
 
 
-def test_a_single_step_is_one_and_time_stands_still(session, page):
+def test_a_single_step_advances_one_step_and_pauses(session, page):
     session.paused = False
     page.click("step")
     page.until(lambda: session.paused)
@@ -139,23 +139,23 @@ def test_a_single_step_is_one_and_time_stands_still(session, page):
 
 
 @pytest.mark.parametrize("seconds", panel_page.BACK_S)
-def test_one_goes_back_by_what_the_button_says(session, page, monkeypatch, seconds):
-    asked = []
-    monkeypatch.setattr(session, "go_back", lambda by: asked.append(by))
+def test_the_button_goes_back_by_its_time(session, page, monkeypatch, seconds):
+    requested = []
+    monkeypatch.setattr(session, "go_back", lambda by: requested.append(by))
     page.click(f"back-{seconds:g}")
-    page.until(lambda: asked)
-    assert asked == [seconds]
+    page.until(lambda: requested)
+    assert requested == [seconds]
 
 
-def test_what_cannot_be_gone_back_is_said(session, page):
+def test_a_refused_way_back_is_reported(session, page):
     recording = session.do(lambda stage: stage.record())
     page.click("back-5")
-    said = page.until(lambda: page.said)
-    assert "recording" in said[0]
+    message = page.until(lambda: page.said)
+    assert "recording" in message[0]
     session.do(lambda stage: recording.close())
 
 
-def test_power_up_and_what_is_under_way_is_left(session, page):
+def test_power_up_resets_the_stage_and_the_stop_button_ends_an_action(session, page):
     session.do(lambda stage: (stage.place(x=0.01), session.run_unpaced(stage.run, 0.01)))
     page.click("reset")
     page.until(lambda: session.do(lambda stage: stage.now) == 0)
@@ -170,7 +170,7 @@ def test_power_up_and_what_is_under_way_is_left(session, page):
     page.until(lambda: not page.find("abandon").visible and page.text("doing") == "")
 
 
-def test_trouble_is_told_before_anything_else_and_there_is_a_way_back(session, page):
+def test_trouble_is_shown_first_with_a_button_to_recover(session, page):
     session.do(lambda stage: (session.run_unpaced(stage.run, 0.06), session._history.remember(stage)))
     session.do(lambda stage: stage.data.qpos.__setitem__(0, -3.0))
     page.until(lambda: page.text("doing").startswith("x is out of its travel"))
@@ -183,7 +183,7 @@ def test_trouble_is_told_before_anything_else_and_there_is_a_way_back(session, p
     assert session.paused
 
 
-def test_a_program_has_the_stage_until_it_is_taken_over_and_again_when_it_is_given_back(session, page, monkeypatch):
+def test_the_page_suspends_a_program_and_lets_it_continue(session, page, monkeypatch):
     program = page.find("take-over")
     page.until(lambda: not program.visible)
     session.program = "mine.py"
@@ -203,11 +203,11 @@ def test_a_program_has_the_stage_until_it_is_taken_over_and_again_when_it_is_giv
 
 def test_light_and_dark_are_turned_from_what_the_browser_prefers(session, page):
     dark = next(e for e in page._all() if type(e).__name__ == "DarkMode")
-    seen = [dark.value]
+    observed = [dark.value]
     for _ in range(3):
         page.click("dark")
-        seen.append(dark.value)
-    assert seen == [None, True, False, None]
+        observed.append(dark.value)
+    assert observed == [None, True, False, None]
 
 
 def test_what_was_done_is_saved_under_its_name_as_what_it_says(served, session, page, monkeypatch):
@@ -233,12 +233,12 @@ def test_what_was_done_is_saved_under_its_name_as_what_it_says(served, session, 
 def test_the_clock_and_the_pace_are_those_of_the_session(session, page):
     session.do(lambda stage: session.run_unpaced(stage.run, 0.12345))
     (live,) = (e for e in page._all() if type(e).__name__ == "BrowserUpdates")
-    texts = {element.props.get("data-test"): look() for element, look in live._texts.values()}
+    texts = {element.props.get("data-test"): observe() for element, observe in live._texts.values()}
     assert texts["time"] == f"{session.view.time:.4f} s" == "0.1235 s"
     assert texts["pace"] == "stands still"
 
 
-def test_the_tour_begins_when_it_is_opened_and_goes_on_by_skip(session, page):
+def test_the_tour_begins_when_it_is_opened_and_skips_steps(session, page):
     page.put("tour", True)
     for k, title in enumerate(("First pulse", "Ramp")):
         page.until(lambda n=k, t=title: page.text("tour-title") == f"{n + 1} of 6: {t}")
@@ -250,9 +250,9 @@ def test_the_tour_begins_when_it_is_opened_and_goes_on_by_skip(session, page):
     assert page.text("tour-title").startswith("That was all.")
     page.click("tour-skip")
     page.until(lambda: page.text("tour-title") == "1 of 6: First pulse")
-    looks = len(session._observers)
+    observers = len(session._observers)
     page.put("tour", False)
-    assert len(session._observers) == looks - 1
+    assert len(session._observers) == observers - 1
 
 
 def test_the_row_names_the_program(page):

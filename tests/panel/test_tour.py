@@ -53,16 +53,16 @@ def test_a_drive_with_two_speeds_has_two_plateaus():
     assert AxisRun([500, 1000, 1000, 1001, 1500, 2000, 2000, 2000, 700]).list_plateaus() == [1000, 2000]
 
 
-def test_two_rates_go_up_and_an_origin_return_goes_down():
+def test_two_rates_speed_up_while_an_origin_return_slows_down():
     up, down = [500] * 4 + [2000] * 4, [2000] * 4 + [500] * 4
-    for rates, seen in ((up, True), (down, False)):
-        assert STEPS[4].done(SimpleNamespace(finished=[("x", AxisRun(rates))])) == seen
+    for rates, observed in ((up, True), (down, False)):
+        assert STEPS[4].done(SimpleNamespace(finished=[("x", AxisRun(rates))])) == observed
 
 
 class Slices:
     """A session's slices, without a session: of a stage that somebody runs."""
 
-    looks = ()
+    observers = ()
 
     def __init__(self, stage):
         self.stage = stage
@@ -78,7 +78,7 @@ class Slices:
         return min(until, self.stage.now + 20_000_000)
 
 
-def test_two_rates_and_then_a_line_are_seen_and_nothing_less():
+def test_two_rates_and_a_line_complete_their_steps():
     stage = Stage("xy", visuals=False)
     slices, (x, y) = Slices(stage), map(driver_of, stage.axes.values())
     tour = Tour(slices)
@@ -153,7 +153,7 @@ def watched():
 
 
 @pytest.mark.parametrize(
-    ("rates", "kept"),
+    ("rates", "expected"),
     [
         ([], []), ([7], []), ([7, 7], []), ([7, 7, 7], [7]), ([5, 7, 7, 7], [7]), ([7, 7, 7, 5], [7]), ([7, 7, 5, 7, 7], []),
         ([1000, 1030, 1000], [1000]), ([1000, 1032, 1000], []), ([1000, 969, 1000], []), ([1000, 971, 1000], [1000]),
@@ -161,11 +161,11 @@ def watched():
         ([1000] * 3 + [810] * 3, [1000]), ([10] * 3 + [20] * 3 + [10] * 3, [10, 20, 10]), ([9] * 20, [9]),
     ],
 )  # fmt: skip
-def test_a_plateau_is_three_rates_within_a_thirtieth_and_another_is_a_fifth_away(rates, kept):
-    assert AxisRun(rates).list_plateaus() == kept
+def test_a_plateau_is_three_rates_within_a_thirtieth_and_another_is_a_fifth_away(rates, expected):
+    assert AxisRun(rates).list_plateaus() == expected
 
 
-def seen(number, *drives):
+def observed(number, *drives):
     return STEPS[number].done(SimpleNamespace(finished=[(n, d) for n, d in drives], lost=False))
 
 
@@ -177,17 +177,17 @@ def seen(number, *drives):
     ],
 )  # fmt: skip
 def test_a_ramp_begins_and_ends_slower_than_four_fifths_of_what_it_reaches(rates, ramp):
-    assert seen(1, ("x", AxisRun(rates))) == ramp
-    assert seen(1, ("y", AxisRun([5] * 9)), ("x", AxisRun(rates))) == ramp, "any drive of those"
-    assert seen(1, ("x", AxisRun(rates)), ("y", AxisRun([5] * 9))) == ramp
+    assert observed(1, ("x", AxisRun(rates))) == ramp
+    assert observed(1, ("y", AxisRun([5] * 9)), ("x", AxisRun(rates))) == ramp, "any drive of those"
+    assert observed(1, ("x", AxisRun(rates)), ("y", AxisRun([5] * 9))) == ramp
 
 
-def test_two_rates_are_one_drive_that_goes_up_from_one_to_the_other():
+def test_the_two_rates_step_needs_one_run_that_speeds_up_between_plateaus():
     slow, fast = [500] * 3, [2000] * 3
-    assert seen(4, ("x", AxisRun(slow + fast)))
-    assert seen(4, ("x", AxisRun(fast + slow + fast))), "also later"
-    assert not seen(4, ("x", AxisRun(slow)), ("x", AxisRun(fast)))
-    assert not seen(4, ("x", AxisRun(fast + slow)))
+    assert observed(4, ("x", AxisRun(slow + fast)))
+    assert observed(4, ("x", AxisRun(fast + slow + fast))), "also later"
+    assert not observed(4, ("x", AxisRun(slow)), ("x", AxisRun(fast)))
+    assert not observed(4, ("x", AxisRun(fast + slow)))
 
 
 @pytest.mark.parametrize(
@@ -204,10 +204,10 @@ def test_two_rates_are_one_drive_that_goes_up_from_one_to_the_other():
 )  # fmt: skip
 def test_drives_of_two_axes_are_together_where_they_overlap_and_end_within_a_tenth_of_a_second(first, second, together):
     drives = [(name, AxisRun(begin=began, end=ended)) for name, began, ended in (first, second)]
-    assert seen(5, *drives) == together
+    assert observed(5, *drives) == together
     between = ("x", AxisRun(begin=-9.0, end=-8.0))
-    assert not seen(5, drives[0], between, drives[1]), "one right after the other ends"
-    assert seen(5, between, *drives) == together
+    assert not observed(5, drives[0], between, drives[1]), "one right after the other ends"
+    assert observed(5, between, *drives) == together
 
 
 def test_a_drive_is_its_rates_without_sign_from_its_first_pulse_to_its_last(watched):
@@ -238,7 +238,7 @@ def test_a_pause_that_is_shorter_than_quiet_is_of_the_same_drive(watched):
     assert len(drive.rates) == 6
 
 
-def test_rates_are_taken_over_a_sample_however_often_one_looks(watched):
+def test_rates_are_averaged_over_the_sample_time_at_any_slice_rate(watched):
     watched.at(1)
     for k in range(1, 101):
         watched.time, watched.x.net = k * 0.001, 0.7 * k
@@ -249,7 +249,7 @@ def test_rates_are_taken_over_a_sample_however_often_one_looks(watched):
     assert 0.001 < SAMPLE_TIME_S < 0.02
 
 
-def test_the_first_pulse_is_seen_while_its_drive_is_under_way(watched):
+def test_the_first_pulse_counts_during_its_run(watched):
     watched.passes(0.1)
     assert watched.tour.number == 0
     watched.passes(0.02, y=-50.0)
@@ -272,7 +272,7 @@ def test_a_stall_is_steps_lost_by_any_axis_since_the_step_began(watched):
     assert not tour.lost
 
 
-def test_a_home_is_a_drive_that_saw_its_own_origin(watched):
+def test_the_origin_return_step_needs_a_run_over_the_axis_own_switch(watched):
     tour = watched.at(3)
     watched.y.org = True
     watched.passes(0.06, x=100.0)
@@ -293,7 +293,7 @@ def test_a_home_is_a_drive_that_saw_its_own_origin(watched):
     assert tour.number == 4
 
 
-def test_who_goes_back_in_time_has_not_driven(watched):
+def test_a_run_after_the_restored_time_is_forgotten(watched):
     tour = watched.at(1)
     watched.passes(0.1, x=100.0)
     watched.time, watched.x.net = 0.01, 0.0
@@ -318,7 +318,7 @@ def test_the_tour_remembers_the_last_drives_and_the_last_rates(watched):
     assert (len(rates), round(rates[-1])) == (MAX_RATES, 1000 + MAX_RATES + 4)
 
 
-def test_after_the_last_step_there_is_none_and_no_skip_goes_further(watched):
+def test_after_the_last_step_skipping_changes_nothing(watched):
     tour = watched.at(len(STEPS))
     assert tour.step is None
     tour.skip()

@@ -36,17 +36,17 @@ def recording_of(model=None, **axes):
 
 def views(part):
     """The views of a blueprint by name, in order."""
-    found = {}
+    result = {}
     for inner in part.contents:
         if isinstance(getattr(inner, "contents", None), tuple | list) and type(inner).__name__ in (
             "Horizontal",
             "Vertical",
             "Tabs",
         ):
-            found |= views(inner)
+            result |= views(inner)
         else:
-            found[inner.name] = inner
-    return found
+            result[inner.name] = inner
+    return result
 
 
 def test_every_axis_has_its_plots_and_lanes_and_no_plot_is_of_nobody():
@@ -138,12 +138,12 @@ def test_a_servo_has_voltage_and_current_and_a_stepper_has_load_angle_and_lost_s
     assert set(series_of(axis(HCTL1100))) == both | {"voltage", "current"}
 
 
-def test_each_series_is_of_its_own_samples_and_scaled_to_its_units():
+def test_each_series_is_of_its_axis_and_scaled_to_its_units():
     """every field of a sample has a number of its own"""
     fields = ("rate", "position", "commanded", "voltage", "current_a", "load_angle", "lost_steps", "counter")
     samples = {name: np.array([10.0 ** (k + 1)]) for k, name in enumerate(fields)}
-    shown = {name: float(spec.value(samples)[0]) for name, spec in SERIES.items()}
-    assert shown == {
+    displayed = {name: float(spec.value(samples)[0]) for name, spec in SERIES.items()}
+    assert displayed == {
         "rate": 1e1, "position": 1e2, "commanded": 1e3, "following_error": 1e3 - 1e2, "voltage": 1e4, "current": 1e5,
         "load_angle": 1e6, "lost_steps": 1e7, "counter": 1e8,
     }  # fmt: skip
@@ -155,7 +155,7 @@ def test_each_series_is_of_its_own_samples_and_scaled_to_its_units():
 
 
 @pytest.mark.parametrize(
-    ("column", "unit", "servo", "said"),
+    ("column", "unit", "servo", "message"),
     [
         ("position", "m", False, "m"), ("position", "rad", False, "rad"), ("following_error", "rad", True, "rad"),
         ("velocity", "m", False, "m/s"), ("velocity", "rad", False, "rad/s"), ("torque", "rad", False, "N m"),
@@ -164,5 +164,5 @@ def test_each_series_is_of_its_own_samples_and_scaled_to_its_units():
         ("voltage", "rad", True, "V"), ("lost_steps", "rad", False, "full steps"), ("el_plus", "m", False, ""),
     ],
 )  # fmt: skip
-def test_a_column_has_the_unit_of_its_axis(column, unit, servo, said):
-    assert unit_of(column, unit, servo) == said
+def test_a_column_has_the_unit_of_its_axis(column, unit, servo, message):
+    assert unit_of(column, unit, servo) == message

@@ -25,7 +25,7 @@ def test_a_switch_that_trips_as_the_file_is_flushed_is_on_from_then_on(tmp_path,
     assert times.tolist() == pytest.approx([0.0, 0.01, 0.03], abs=1e-6)
 
 
-def test_samples_that_go_back_in_one_buffer_are_found_out(bench):
+def test_samples_that_go_back_in_one_buffer_are_detected(bench):
     feed(bench.recording, 10)
     bench.recording.check_time()
     bench.recording.samples["time"][7:10] -= 0.005

@@ -14,8 +14,8 @@ class Host:
     def mark(self):
         return self.at
 
-    def changes(self, *given):
-        self.asked.append(given)
+    def changes(self, *arguments):
+        self.asked.append(arguments)
         return ["changes"]
 
 

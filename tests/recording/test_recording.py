@@ -70,20 +70,20 @@ tell("parent", recording)
 """
 
 
-def test_a_fork_and_its_parent_record_each_its_own(tmp_path):
+def test_a_fork_and_its_parent_record_separately(tmp_path):
     """os.fork() while recording: a parent that never moved recorded 10 mm"""
     path = tmp_path / "parent.rrd"
-    told = subprocess.run(
+    reported = subprocess.run(
         [sys.executable, "-c", FORKED, path], stdout=subprocess.PIPE, text=True, check=True, timeout=100
     ).stdout.splitlines()
-    assert told[0].startswith(f"{path} stays that of the process that began it")
-    assert told[1].split()[0::2] == ["child", "0.0100"]
-    assert told[1].endswith("True")
-    assert told[2:] == ["parent 11200 0.0000 True"]
+    assert reported[0].startswith(f"{path} stays that of the process that began it")
+    assert reported[1].split()[0::2] == ["child", "0.0100"]
+    assert reported[1].endswith("True")
+    assert reported[2:] == ["parent 11200 0.0000 True"]
     assert path.stat().st_size > 10_000
 
 
-def test_there_is_a_column_for_every_quantity_and_every_pin_of_every_axis(run):
+def test_every_quantity_and_every_pin_of_every_axis_has_a_column(run):
     c = run.recording.columns
     assert {len(v) for v in c.values()} == {len(run.recording)}
     for name, axis in run.stage.axes.items():
@@ -94,7 +94,7 @@ def test_there_is_a_column_for_every_quantity_and_every_pin_of_every_axis(run):
     assert len(c) == 1 + 3 * (len(COLUMNS) + len(PCL240K.INPUTS) + len(PCL240K.OUTPUTS))
 
 
-def test_the_columns_tell_the_run(run):
+def test_the_columns_describe_the_run(run):
     c = run.recording.columns
     assert np.allclose(np.diff(c["time"]), 1e-3)
     assert c["x/el_minus"].any()
@@ -118,7 +118,7 @@ def test_it_says_how_long_it_is(run):
     assert repr(r) == f"<Recording closed, {len(r)} samples of x, y, z, {r.duration:.3f} s>"
 
 
-def test_samples_come_at_the_interval_asked_for():
+def test_samples_have_the_requested_interval():
     stage = Stage("xy", chips=PCL240K)
     with stage.record(every=5e-3) as recording:
         stage.run(0.1)
@@ -159,7 +159,7 @@ def last_time(path):
     return max(times.max() for times in series if times is not None) * 1e-9
 
 
-def test_what_is_there_so_far_can_be_saved_while_it_runs_on(tmp_path):
+def test_a_running_recording_can_be_saved(tmp_path):
     stage = Stage("xy", chips=PCL240K)
     with stage.record() as recording:
         stage.run(0.05)
@@ -192,7 +192,7 @@ def test_a_file_of_another_kind_is_not_named_so(run, tmp_path, write, name):
 
 
 @pytest.mark.parametrize(("write", "name"), [("save", "precious.rrd"), ("to_vcd", "precious.vcd")])
-def test_a_file_that_exists_stays_unless_overwriting_is_asked_for(run, tmp_path, write, name):
+def test_an_existing_file_is_overwritten_only_on_request(run, tmp_path, write, name):
     path = tmp_path / name
     path.write_text("mine")
     with pytest.raises(RecordingError, match=rf"{name} exists\. Choose another name, or say overwrite=True"):
@@ -218,7 +218,7 @@ def test_a_folder_without_permission_is_named(run, tmp_path):
         run.recording.save(tmp_path / "x.rrd")
 
 
-def test_a_save_that_fails_half_way_leaves_the_old_file(run, tmp_path, monkeypatch):
+def test_a_failed_save_leaves_the_old_file(run, tmp_path, monkeypatch):
     path = run.recording.to_vcd(tmp_path / "x.vcd")
     before = path.read_bytes()
     monkeypatch.setattr("stage.recording.vcd._compute_levels", lambda *a: 1 / 0)
@@ -228,7 +228,7 @@ def test_a_save_that_fails_half_way_leaves_the_old_file(run, tmp_path, monkeypat
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_full_disk_ends_the_recording_with_advice_and_keeps_what_was_there(bench, monkeypatch):
+def test_a_full_disk_ends_the_recording_with_advice_and_preserves_the_samples(bench, monkeypatch):
     recording = bench.recording
     feed(recording, ROWS + 10)
 
@@ -242,7 +242,7 @@ def test_a_full_disk_ends_the_recording_with_advice_and_keeps_what_was_there(ben
     assert len(recording.column("time")) == ROWS
 
 
-def test_a_stage_that_went_back_in_time_is_found_out(tmp_path):
+def test_a_stage_that_went_back_in_time_is_detected(tmp_path):
     bench = make_bench()
     feed(bench.recording, 2 * ROWS)
     bench.recording.samples["time"][:] = 0.5
@@ -253,7 +253,7 @@ def test_a_stage_that_went_back_in_time_is_found_out(tmp_path):
     assert len(bench.recording.column("time")) == 3 * ROWS
 
 
-def test_a_chip_that_alone_went_back_in_time_is_found_out(bench, tmp_path):
+def test_a_single_chip_that_went_back_in_time_is_detected(bench, tmp_path):
     """before = chip.snapshot(); stage.run(1); chip.write(0, 8); chip.restore(before); recording.save("x.rrd")"""
     before = bench.chip.snapshot()
     bench.chip.advance(1000)
@@ -302,12 +302,12 @@ def test_a_quarter_of_an_hour_of_three_axes_costs_little_memory_to_keep_and_to_s
     here = os.path.dirname(__file__)
     code = MEMORY.format(path=[here, os.path.dirname(here)], folder=str(tmp_path), rows=900_000)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    kept, saved = map(float, done.stdout.split())
-    assert kept < 20, "MiB while it runs"
+    expected, saved = map(float, done.stdout.split())
+    assert expected < 20, "MiB while it runs"
     assert saved < 150, "MiB more at its peak, while it saves"
 
 
-def test_samples_are_as_far_apart_as_the_nearest_number_of_physics_steps(xy):
+def test_the_sample_interval_is_the_nearest_number_of_physics_steps(xy):
     """stage.record(every=0.4e-3): every 0.5 ms, of steps of 0.25 ms"""
     for every, steps in ((0.4e-3, 2), (0.3e-3, 1), (1e-6, 1), (0.9e-3, 4)):
         with xy.record(every=every) as recording:

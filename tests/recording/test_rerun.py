@@ -88,7 +88,7 @@ def test_what_senses_or_is_hidden_is_not_drawn(read):
     assert len(read["/stage/directions"]["Arrows3D:vectors"][1][0]) == 3
 
 
-def test_a_body_of_the_frame_stands_where_the_model_has_it(tmp_path):
+def test_a_body_of_the_frame_is_at_its_place_in_the_model(tmp_path):
     """<body name="post" pos="0.1 0.2 0.3" euler="0 0 90">: it has no joint, and is placed once."""
     post = '<body name="post" pos=".1 .2 .3" euler="0 0 90"><geom type="box" size=".1 .1 .1"/></body></worldbody>'
     bench = make_bench(mjcf=ONE_AXIS.replace("</worldbody>", post))
@@ -128,16 +128,16 @@ def test_a_lamp_lights_with_its_switch(read):
     assert times.tolist() == read["/axes/x/switches/el_minus"]["StateChange:state"][0].tolist()
 
 
-def test_the_bus_is_told_in_words(tmp_path):
+def test_the_bus_is_logged_in_words(tmp_path):
     bench = make_bench()
     load_registers(bench.chip, R2=8000)
     bench.chip.advance(4_915_200)
     bench.chip.write(0, 0x15)
     bench.chip.reset()
     bench.recording.close()
-    times, said = read_rrd(bench.recording.save(tmp_path / "x.rrd"))["/axes/x/bus"]["TextLog:text"]
+    times, message = read_rrd(bench.recording.save(tmp_path / "x.rrd"))["/axes/x/bus"]["TextLog:text"]
     assert times.tolist() == [0, 10**9, 10**9]
-    assert [s[0].split(None, 2)[2] for s in said] == [
+    assert [s[0].split(None, 2)[2] for s in message] == [
         "82 00 1F 40  R2 <- 8000 (FH1 speed)",
         "15  start, ramp to FH1",
         "/RESET  reset pin",
@@ -177,7 +177,7 @@ SHAPES = """
 """
 
 
-def test_a_geom_has_the_mean_colour_of_its_own_texture():
+def test_a_geom_has_the_mean_color_of_its_texture():
     flat = '<texture name="{0}" type="2d" builtin="flat" rgb1="{1}" width="{2}" height="4"/><material name="{0}" texture="{0}"/>'
     texts = flat.format("red", "1 0 0", 4), flat.format("blue", "0 0 1", 8), flat.format("grey", ".4 .4 .4", 2)
     body = "".join(f'<geom size=".1" material="{name}"/>' for name in ("grey", "red", "blue"))
@@ -192,9 +192,9 @@ def test_geoms_of_every_kind_have_their_shape_size_and_colour():
     model = mujoco.MjModel.from_xml_string(SHAPES)
     assert geoms.find_floor(model) == 0
     plane = '<geom name="floor" type="plane" size="0 0 1"/>'
-    for other, found in [("", None), ('euler="0 5 0"', None), ('quat="-1 0 0 0"', 0), ('euler="0 0 90"', None)]:
+    for other, result in [("", None), ('euler="0 5 0"', None), ('quat="-1 0 0 0"', 0), ('euler="0 0 90"', None)]:
         xml = SHAPES.replace(plane, plane.replace("/>", f" {other}/>") if other else "")
-        assert geoms.find_floor(mujoco.MjModel.from_xml_string(xml)) == found, other
+        assert geoms.find_floor(mujoco.MjModel.from_xml_string(xml)) == result, other
     assert dict(geoms.list_shapes(model, 0)) == {}
     shapes = dict(geoms.list_shapes(model, 1))
     kinds = {"boxes", "spheres", "ellipsoids", "cylinders", "capsules"}
@@ -237,6 +237,6 @@ def test_thinning_keeps_the_line(values, repeats, tolerance):
 def test_thinning_takes_what_is_straight():
     t = np.arange(10_000) * 1e-3
     keep = np.empty(len(t), np.bool_)
-    for v, most in ((0 * t, 2), (3 * t - 7, 2), (np.where(t < 5, 0.0, 100.0), 4), (np.sin(t), 200)):
+    for v, limit in ((0 * t, 2), (3 * t - 7, 2), (np.where(t < 5, 0.0, 100.0), 4), (np.sin(t), 200)):
         thin(t, v, 1e-3, keep)
-        assert keep.sum() <= most
+        assert keep.sum() <= limit

@@ -47,7 +47,7 @@ def streamed(tmp_path_factory):
     return read_rrd(path)
 
 
-def test_each_fault_is_told_once_with_those_in_force(streamed):
+def test_each_fault_is_logged_once_with_those_in_force(streamed):
     times, states = streamed["/faults"]["StateChange:state"]
     assert times.tolist() == [1_000_000, 2_000_000, 4_000_000]
     assert [s[0] for s in states] == ["jammed; slips", "slips", "none"]
@@ -64,23 +64,23 @@ def test_each_fault_is_told_once_with_those_in_force(streamed):
     ]
 
 
-def test_each_line_of_the_bus_is_told_once_with_the_weight_of_its_kind(streamed):
+def test_each_line_of_the_bus_is_logged_once_with_its_level(streamed):
     bus = streamed["/axes/x/bus"]
-    said = [
+    message = [
         (text[0].split("  x  ")[1], level[0])
         for text, level in zip(bus["TextLog:text"][1], bus["TextLog:level"][1], strict=True)
     ]
-    assert said[:2] == [("15  start, ramp to FH1", "DEBUG"), ("/RESET  reset pin", "WARN")]
-    assert len(said) == 3, "a register whose write nothing followed is told at the end"
-    assert said[2][1] == "INFO"
-    assert "R2 <- 8000" in said[2][0]
+    assert message[:2] == [("15  start, ramp to FH1", "DEBUG"), ("/RESET  reset pin", "WARN")]
+    assert len(message) == 3, "a register whose write nothing followed is told at the end"
+    assert message[2][1] == "INFO"
+    assert "R2 <- 8000" in message[2][0]
     assert rerun_log.LEVELS["lost"] == "ERROR"
 
 
-def test_the_command_lies_dark_and_wide_behind_the_position(streamed):
+def test_the_command_is_dark_and_wide_below_the_position(streamed):
     def style(series):
-        found = streamed[f"/axes/x/{series}"]
-        return [found[f"SeriesLines:{name}"][1][0][0] for name in ("colors", "names", "widths")]
+        result = streamed[f"/axes/x/{series}"]
+        return [result[f"SeriesLines:{name}"][1][0][0] for name in ("colors", "names", "widths")]
 
     (red, green, blue) = (240, 96, 84)
     assert style("position") == [number((red, green, blue)), "x", 1.5]
@@ -114,7 +114,7 @@ def test_the_facts_are_those_of_each_axis_and_the_length_that_of_the_end(tmp_pat
     assert run._property("stage", "samples") == "5"
 
 
-def test_a_lane_goes_on_where_it_was_and_together_the_weightiest_switch_gives_the_colour(monkeypatch):
+def test_a_lane_continues_and_combined_switches_have_the_most_important_color(monkeypatch):
     """EL+ and ORG come and go, in two lots, of which the second begins with the last edge of the first"""
     logged, sent = [], []
     fake = SimpleNamespace(
@@ -155,7 +155,7 @@ def test_a_lane_goes_on_where_it_was_and_together_the_weightiest_switch_gives_th
     assert dict(logged)["phase"] == {name: STATES[name] for name in ("up", "keep", "down", "hold")}
 
 
-def test_a_buffer_that_went_back_in_time_is_not_forgotten_behind_later_ones(tmp_path):
+def test_a_full_buffer_that_went_back_in_time_is_detected_later(tmp_path):
     """one full buffer goes back, the next does not"""
     bench = make_bench()
     for back in (True, False):
@@ -167,7 +167,7 @@ def test_a_buffer_that_went_back_in_time_is_not_forgotten_behind_later_ones(tmp_
         bench.recording.save(tmp_path / "x.rrd")
 
 
-def test_a_stream_is_flushed_as_rarely_as_asked_for(tmp_path):
+def test_a_stream_is_flushed_at_the_requested_interval(tmp_path):
     """once in 1e9 s is the longest; of a recording of nothing there is no picture"""
     bench = make_bench()
     assert "<img" not in bench.recording._repr_html_()
@@ -176,7 +176,7 @@ def test_a_stream_is_flushed_as_rarely_as_asked_for(tmp_path):
     bench.recording.close()
 
 
-def test_a_chip_that_goes_on_after_it_went_back_is_found_out_as_well(tmp_path):
+def test_a_chip_that_continued_after_going_back_is_detected(tmp_path):
     """before = chip.snapshot(); a write at 1000; chip.restore(before); a write at 0; then on to 5000"""
     bench = make_bench()
     before = bench.chip.snapshot()
@@ -189,7 +189,7 @@ def test_a_chip_that_goes_on_after_it_went_back_is_found_out_as_well(tmp_path):
         bench.recording.save(tmp_path / "x.rrd")
 
 
-def test_a_pipe_that_is_there_gets_what_a_file_would(tmp_path):
+def test_an_existing_pipe_gets_the_bytes_of_a_file(tmp_path):
     """mkfifo x.rrd; cat x.rrd > y.rrd & stage.record(path="x.rrd")"""
     bench, path, got = make_bench(), tmp_path / "x.rrd", []
     os.mkfifo(path)
@@ -262,7 +262,7 @@ def test_the_floor_is_level_and_of_the_world():
     assert geoms.find_floor(model) == 1
 
 
-def test_a_plane_is_a_slab_below_it_as_large_as_it_is_and_an_endless_one_as_large_as_the_model():
+def test_a_plane_is_a_slab_of_its_size_or_of_the_models_where_it_is_endless():
     """a wall that faces +x: its slab lies behind it"""
     model = model_of('<body><geom type="plane" size="0.5 900 .1" pos="3 0 0" euler="0 90 0"/><geom size=".1"/></body>')
     ((_, shape),) = [s for s in geoms.list_shapes(model, 1) if s[0] == "planes"]
@@ -274,7 +274,7 @@ def test_a_plane_is_a_slab_below_it_as_large_as_it_is_and_an_endless_one_as_larg
     assert turn[0] == pytest.approx([0, 0.5**0.5, 0, 0.5**0.5], abs=1e-6), "x y z w"
 
 
-def test_a_mesh_is_turned_and_placed_and_its_faces_look_outwards():
+def test_a_mesh_is_rotated_and_placed_with_outward_faces():
     """two wedges, the second turned by 90 degrees round z and moved by 5 along x"""
     wedge = '<mesh name="{}" vertex="0 0 0  {s} 0 0  0 {s} 0  0 0 {s}"/>'
     model = model_of(

@@ -45,14 +45,14 @@ def saved(**more):
     return Saved(Path("of/a run.rrd"), entities(**more))
 
 
-def test_a_file_says_of_each_axis_what_it_said_last():
+def test_the_last_state_of_each_axis_is_in_the_file():
     run = saved(**{"/axes/x/rate": drawn([0, 9], [0, 0])})
     assert (run.axes, run.model) == ({"x": "a chip, ended", "a": "a servo"}, "bench")
     assert repr(run) == "<Saved a run.rrd, 10 samples of x, a, 0.010 s>"
     assert (len(run), run.every) == (10, pytest.approx(1e-3))
 
 
-def test_there_is_a_sample_at_each_tick_from_the_first_point_drawn_to_the_last():
+def test_samples_cover_every_tick_between_the_first_and_the_last_point():
     """one series from 2 to 5 ms, another from 3 to 7: six samples; of nothing none"""
     run = saved(**{"/axes/x/rate": drawn([2, 5], [0, 0]), "/axes/a/rate": drawn([3, 7], [0, 0])})
     assert run.column("time").tolist() == pytest.approx([0.002, 0.003, 0.004, 0.005, 0.006, 0.007])
@@ -66,7 +66,7 @@ def test_points_in_any_order_are_the_same_line():
     assert forth.tolist() == back.tolist() == [0, 10, 20, 10, 0]
 
 
-def test_a_column_is_in_the_unit_of_its_axis_and_counts_are_whole_numbers():
+def test_a_column_is_in_the_unit_of_its_axis_and_counts_are_integers():
     """drawn in mm, degrees, um, mdeg; a counter between 2 and 3, of which 2.75 is 3, and -0.75 is -1"""
     degrees = math.degrees(1)
     run = saved(

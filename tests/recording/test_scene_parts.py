@@ -75,7 +75,7 @@ def rows(model, times, x):
     return piece
 
 
-def test_a_picture_is_made_60_times_a_second_however_the_rows_come(monkeypatch):
+def test_poses_are_logged_60_times_a_second_for_any_pieces(monkeypatch):
     """a sample every 4 ms: each fourth is a picture, in pieces of 3, 1 and 6 rows as in one; the first is when it began"""
     moved = []
     monkeypatch.setattr(scene, "_log_poses", lambda out, path, time, *_: moved.append((path, time.tolist())))
@@ -83,9 +83,9 @@ def test_a_picture_is_made_60_times_a_second_however_the_rows_come(monkeypatch):
     for cuts in ((0, 10), (0, 3, 4, 10), (0, 1, 5, 10)):
         moved.clear()
         recording = bench(every=0.004, began=0.001)
-        made = Scene(recording)
+        created = Scene(recording)
         for begin, end in pairwise(cuts):
-            made.move(Out(), rows(recording.model, times[begin:end], times[begin:end]))
+            created.move(Out(), rows(recording.model, times[begin:end], times[begin:end]))
         of_work = [t for path, ts in moved if path == "stage/work" for t in ts]
         assert of_work == pytest.approx([0.001, 0.020, 0.036])
         assert {path for path, _ in moved} == {"stage/work", "stage/body3"}, "the frame does not move"
@@ -109,51 +109,51 @@ def test_a_body_is_sent_where_it_moved_and_to_the_nanosecond(tmp_path):
 def test_of_two_switches_on_one_pin_that_lamp_is_lit_to_whose_switch_the_carriage_is_nearer():
     """org trips at 0.1 m and el_plus at 0.4; the pin is on at 0.12 and at 0.39, in two lots"""
     recording = bench(every=1.0)
-    made = Scene(recording)
+    created = Scene(recording)
     times = np.array([0.0, 1.0, 2.0, 3.0])
     edge = np.zeros(4, [("clock", "i8"), ("inputs", "i8"), ("outputs", "i8")])
     edge["clock"], edge["inputs"] = [0, 1000, 2000, 3000], [0, 1, 0, 1]
-    made.move(Out(), rows(recording.model, times, [0.2, 0.12, 0.25, 0.39]))
-    lit = {pin: made._nearest("x", edge, pin, rivals) & signals.is_switch_on(recording.axes["x"], edge, pin)
-           for _, _, pin, _, rivals in made._lamps["x"]}  # fmt: skip
+    created.move(Out(), rows(recording.model, times, [0.2, 0.12, 0.25, 0.39]))
+    lit = {pin: created._nearest("x", edge, pin, rivals) & signals.is_switch_on(recording.axes["x"], edge, pin)
+           for _, _, pin, _, rivals in created._lamps["x"]}  # fmt: skip
     assert {pin: on.tolist() for pin, on in lit.items()} == {
         "org": [False, True, False, False], "el_plus": [False, False, False, True],
     }  # fmt: skip
-    made.forget_track()
+    created.forget_track()
     later = edge[3:].copy()
-    assert made._nearest("x", later, "el_plus", ("org",)).tolist() == [True], "where it stood last is not forgotten"
-    assert made._nearest("x", later, "org", ("el_plus",)).tolist() == [False]
+    assert created._nearest("x", later, "el_plus", ("org",)).tolist() == [True], "where it stood last is not forgotten"
+    assert created._nearest("x", later, "org", ("el_plus",)).tolist() == [False]
 
 
-def test_a_lamp_that_is_lit_is_bright_and_large_and_its_first_state_is_told_once(tmp_path):
+def test_a_lit_lamp_is_bright_and_its_first_state_is_logged_once(tmp_path):
     recording = bench()
-    made = Scene(recording)
+    created = Scene(recording)
     edge = np.zeros(3, [("clock", "i8"), ("inputs", "i8"), ("outputs", "i8")])
     edge["clock"], edge["inputs"] = [10, 20, 30], [0, 1, 0]
     out = Out()
     stream = rr.RecordingStream("test")
     stream.save(tmp_path / "l.rrd")
-    made.light(out, "x", edge, True)
+    created.light(out, "x", edge, True)
     (path,) = [p for p in out.sent if "org" in p]
     stream.send_columns("first", indexes=[out.sent[path][0]], columns=out.sent[path][1])
     out.sent.clear()
-    made.light(out, "x", edge, False)
+    created.light(out, "x", edge, False)
     stream.send_columns("then", indexes=[out.sent[path][0]], columns=out.sent[path][1])
     out.sent.clear()
-    made.light(out, "x", edge[:1], False)
+    created.light(out, "x", edge[:1], False)
     assert out.sent == {}, "nothing has changed"
     stream.disconnect()
     read = read_rrd(tmp_path / "l.rrd")
     assert read["/first"]["Points3D:radii"][0].tolist() == [10_000_000, 20_000_000, 30_000_000]
     assert [r[0] for r in read["/first"]["Points3D:radii"][1]] == [-2.5, -6.0, -2.5]
     full = scene.LAMPS["org"]
-    shown = [tuple(c[0] >> shift & 0xFF for shift in (24, 16, 8)) for c in read["/first"]["Points3D:colors"][1]]
+    displayed = [tuple(c[0] >> shift & 0xFF for shift in (24, 16, 8)) for c in read["/first"]["Points3D:colors"][1]]
     dark = tuple(int(scene.DIM_FACTOR * c) for c in full)
-    assert shown == [dark, full, dark]
+    assert displayed == [dark, full, dark]
     assert read["/then"]["Points3D:radii"][0].tolist() == [20_000_000, 30_000_000]
 
 
-def test_a_lamp_stands_above_its_switch_on_the_frame_and_not_on_what_moves():
+def test_a_lamp_is_above_its_switch_on_the_frame():
     """the flag rides with the carriage; the frame is turned, and above is still up"""
     recording = bench()
     lamps = {pin: (path, place) for path, place, pin, _, _ in scene._list_lamps(recording, "x")}
@@ -201,8 +201,8 @@ def test_a_tool_that_rides_with_the_work_leaves_its_path_in_the_world_and_no_too
     scene._path(out, none, scene._to_work_frame(none, *compute_poses(none, qpos)))
     scene._path(out, riding, points[:1])
     assert out.logged == {}
-    plain = model_of(work="")
-    assert scene._to_work_frame(plain, *compute_poses(plain, qpos))[1] == pytest.approx([0.3, 0.4, 0.5]), (
+    unmodified = model_of(work="")
+    assert scene._to_work_frame(unmodified, *compute_poses(unmodified, qpos))[1] == pytest.approx([0.3, 0.4, 0.5]), (
         "without a work it is the world"
     )
 
@@ -232,13 +232,13 @@ def test_a_body_without_a_name_is_called_by_its_number():
 
 
 @pytest.mark.parametrize(
-    ("given", "seen"),
+    ("arguments", "observed"),
     [('group="2"', True), ('group="3"', False), ('rgba="1 1 1 0.001"', False), ('rgba="1 1 1 0.01"', True),
      ('material="first"', False), ('material="second" rgba="1 1 1 0"', True), ('material="first" rgba="1 1 1 1"', False)],
 )  # fmt: skip
-def test_what_is_for_computing_or_clear_as_glass_is_not_seen(given, seen):
+def test_hidden_and_transparent_geoms_are_not_drawn(arguments, observed):
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><asset><material name="first" rgba="1 1 1 0"/><material name="second" rgba="1 1 1 1"/></asset>'
-        f'<worldbody><geom size="1" {given}/></worldbody></mujoco>'
+        f'<worldbody><geom size="1" {arguments}/></worldbody></mujoco>'
     )
-    assert is_visible(model, 0) is seen
+    assert is_visible(model, 0) is observed

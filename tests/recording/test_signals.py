@@ -21,8 +21,8 @@ def edges(*rows):
 def test_of_several_edges_at_one_clock_the_last_counts_in_one_piece_and_across_two():
     """clocks 1 1 2 | 2 2 | 3 | 3: what is kept of 1, 2 and 3 is what came last"""
     pieces = [edges((1, 1, 0), (1, 2, 0), (2, 3, 0)), edges((2, 4, 0), (2, 5, 0)), edges((3, 6, 0)), edges((3, 7, 0))]
-    kept = [(int(e["clock"]), int(e["inputs"])) for piece in signals.settle_edges(pieces) for e in piece]
-    assert kept == [(1, 2), (2, 5), (3, 7)]
+    expected = [(int(e["clock"]), int(e["inputs"])) for piece in signals.settle_edges(pieces) for e in piece]
+    assert expected == [(1, 2), (2, 5), (3, 7)]
     assert list(signals.settle_edges([])) == []
     assert [len(p) for p in signals.settle_edges([edges((9, 0, 0))])] == [1]
 
@@ -72,15 +72,15 @@ def test_switches_on_one_pin_are_one_lane_by_the_name_of_the_pin():
     assert list(signals.list_switches(alone)) == [("org", "ORG", "org")]
 
 
-def test_a_switch_is_on_as_its_pin_says_and_where_it_is_wired_the_other_way_round_as_it_does_not():
+def test_a_switch_follows_its_pin_or_the_inverse_with_positive_logic():
     """wiring: a switch that opens; another on the same pin is turned round with it, one on another pin is not"""
-    seen = edges((1, 0, 0), (2, 1, 0), (3, 3, 0))
+    observed = edges((1, 0, 0), (2, 1, 0), (3, 3, 0))
     usual = SimpleNamespace(chip=Wired())
-    turned = SimpleNamespace(chip=Wired(), wiring={"org": "positive"})
-    assert signals.is_switch_on(usual, seen, "el_minus").tolist() == [False, True, True]
-    assert signals.is_switch_on(turned, seen, "el_minus").tolist() == [True, False, False]
-    assert signals.is_switch_on(turned, seen, "org").tolist() == [True, False, False]
-    assert signals.is_switch_on(turned, seen, "el_plus").tolist() == [False, False, True]
+    rotated = SimpleNamespace(chip=Wired(), wiring={"org": "positive"})
+    assert signals.is_switch_on(usual, observed, "el_minus").tolist() == [False, True, True]
+    assert signals.is_switch_on(rotated, observed, "el_minus").tolist() == [True, False, False]
+    assert signals.is_switch_on(rotated, observed, "org").tolist() == [True, False, False]
+    assert signals.is_switch_on(rotated, observed, "el_plus").tolist() == [False, False, True]
     assert signals.is_asserted(Wired(), edges((1, 0, 64), (2, 64, 0)), "pout").tolist() == [True, False]
 
 
@@ -93,12 +93,16 @@ def test_a_status_bit_is_of_the_pin_of_its_direction_and_of_what_the_chip_sees()
     chip = Wired()
     chip.MAP = SimpleNamespace(words=[SimpleNamespace(name="other"), SimpleNamespace(name="status", fields=fields)])
     rows = edges((1, 2, 64), (2, 1, 0), (3, 1, 0))
-    said = {name: v.tolist() for name, v in signals.decode_status(chip, rows, np.array([False, False, True])).items()}
-    assert said == {"end": [True, False, True], "off": [True, False, False], "pulse": [True, False, False]}
-    seen = np.zeros(3, [*EDGE, ("seen", "i8")])
-    seen["inputs"], seen["seen"], seen["outputs"] = [2, 1, 1], [0, 3, 2], [64, 0, 0]
-    said = {name: v.tolist() for name, v in signals.decode_status(chip, seen, np.array([False, False, False])).items()}
-    assert said == {"end": [False, True, True], "off": [True, False, True], "pulse": [True, False, False]}
+    message = {
+        name: v.tolist() for name, v in signals.decode_status(chip, rows, np.array([False, False, True])).items()
+    }
+    assert message == {"end": [True, False, True], "off": [True, False, False], "pulse": [True, False, False]}
+    observed = np.zeros(3, [*EDGE, ("seen", "i8")])
+    observed["inputs"], observed["seen"], observed["outputs"] = [2, 1, 1], [0, 3, 2], [64, 0, 0]
+    message = {
+        name: v.tolist() for name, v in signals.decode_status(chip, observed, np.array([False, False, False])).items()
+    }
+    assert message == {"end": [False, True, True], "off": [True, False, True], "pulse": [True, False, False]}
     chip.MAP = SimpleNamespace(words=[SimpleNamespace(name="other")])
     assert signals.decode_status(chip, rows, np.zeros(3, bool)) == {}
 
@@ -115,8 +119,8 @@ def test_the_direction_is_that_of_the_last_write_and_plus_after_the_reset_pin():
     clocks, minus = signals.list_directions(chip, SimpleNamespace(start=start, entries=entries))
     assert clocks.tolist() == [100, 120, 130, 140, 150]
     assert minus.tolist() == [True, False, True, False, True]
-    plain = np.array([(7, 1)], [("clock", "i8"), ("other", "i8")])[0]
-    clocks, minus = signals.list_directions(chip, SimpleNamespace(start=plain, entries=entries))
+    unmodified = np.array([(7, 1)], [("clock", "i8"), ("other", "i8")])[0]
+    clocks, minus = signals.list_directions(chip, SimpleNamespace(start=unmodified, entries=entries))
     assert (clocks.tolist(), minus.tolist()) == ([7], [False])
 
 

@@ -44,7 +44,7 @@ def labels(fig):
     return [ax.get_ylabel().split("\n") for ax in fig.axes]
 
 
-def test_there_is_a_panel_of_lost_steps_only_where_some_were_lost():
+def test_lost_steps_have_a_plot_only_where_some_were_lost():
     usual = [["pulse rate", "pps"], ["position", "mm"], ["following error", "um"]]
     assert labels(draw(Run({"x": SLIDE}))) == [*usual, [""]]
     lost = draw(Run({"x": SLIDE, "y": SLIDE}, y__lost_steps=np.arange(20) // 10 * 4))
@@ -52,7 +52,7 @@ def test_there_is_a_panel_of_lost_steps_only_where_some_were_lost():
     assert labels(draw(Run({"x": SERVO})))[0] == ["commanded velocity", "counts/s"]
 
 
-def test_curves_are_in_the_units_of_their_axes_and_the_command_lies_behind():
+def test_curves_are_in_the_units_of_their_axes_with_the_command_below():
     ramp = np.arange(20) / 10
     fig = draw(
         Run(
@@ -72,7 +72,7 @@ def test_curves_are_in_the_units_of_their_axes_and_the_command_lies_behind():
     assert [text.get_text() for text in fig.texts] == ["Recording of x, a", "PCL240K; 0.020 s"]
 
 
-def test_axes_are_told_apart_by_a_legend_and_one_alone_has_none():
+def test_several_axes_have_a_legend_and_a_single_one_has_none():
     assert draw(Run({"x": SLIDE})).axes[0].get_legend() is None
     both = draw(Run({"x": SLIDE, "y": SLIDE})).axes[0].get_legend()
     assert [text.get_text() for text in both.get_texts()] == ["x", "y"]
@@ -92,7 +92,7 @@ def test_switches_lie_from_the_top_in_the_order_of_the_axes_and_each_has_the_col
     assert [(h.min(), h.max()) for h in heights] == [pytest.approx((k + 0.14, k + 0.8)) for k in range(3)]
 
 
-def test_of_a_long_recording_few_points_are_drawn_and_a_short_edge_is_still_there():
+def test_a_long_recording_is_drawn_by_few_points_with_every_short_edge():
     """a switch that is on for one sample of 10,001, between those that are drawn"""
     n = 2 * MAX_POINTS + 2001
     on = np.zeros(n, bool)

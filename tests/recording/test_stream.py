@@ -58,12 +58,12 @@ def shake(stage, seconds):
         chip.write(0, 0x80 | number)
         for address in (3, 2, 1):
             chip.write(address, value >> 8 * (address - 1) & 0xFF)
-    end, way = stage.time + seconds, 0
+    end, sign = stage.time + seconds, 0
     while stage.time < end:
-        for command in (0x08, 0x40 | way, 0x10):
+        for command in (0x08, 0x40 | sign, 0x10):
             chip.write(0, command)
         stage.run(0.25)
-        way ^= 0x08
+        sign ^= 0x08
 
 
 def test_what_was_flushed_survives_a_kill(tmp_path):
@@ -89,10 +89,10 @@ def test_of_a_kill_in_the_middle_of_a_write_rerun_mends_the_file(tmp_path, cut):
     with stage.record(path=path) as recording:
         shake(stage, 0.5)
         recording.flush()
-        whole = path.stat().st_size
+        complete = path.stat().st_size
         shake(stage, 0.5)
         recording.flush()
-        torn = path.read_bytes()[: whole + cut]
+        torn = path.read_bytes()[: complete + cut]
     path.write_bytes(torn)
     mended = tmp_path / "mended.rrd"
     assert rerun_cli("rrd", "merge", path, "-o", mended).returncode == 0
@@ -123,7 +123,7 @@ def test_a_streamed_file_says_what_a_saved_one_says(tmp_path):
                 assert as_well[-1] == values[-1], (entity, name)
 
 
-def test_it_is_written_at_the_interval_asked_for_and_when_the_buffer_is_full(tmp_path):
+def test_a_stream_is_written_at_the_interval_and_when_the_buffer_is_full(tmp_path):
     stage, path = Stage("xy", visuals=False), tmp_path / "x.rrd"
     with stage.record().stream(path, seconds=0.1):
         size = path.stat().st_size
@@ -138,7 +138,7 @@ def test_it_is_written_at_the_interval_asked_for_and_when_the_buffer_is_full(tmp
         assert path.stat().st_size == size
 
 
-def test_a_full_disk_ends_the_run_with_an_error_or_goes_on_as_asked(tmp_path):
+def test_a_full_disk_ends_the_run_or_warns_as_requested(tmp_path):
     code = (
         LIMITED
         + """
@@ -200,7 +200,7 @@ def test_a_device_that_is_full_is_an_error_at_once():
         pass
 
 
-def test_a_file_that_exists_stays_unless_overwriting_is_asked_for(tmp_path):
+def test_an_existing_file_is_overwritten_only_on_request(tmp_path):
     stage, path = Stage("xy", visuals=False), tmp_path / "precious.rrd"
     path.write_text("mine")
     with pytest.raises(RecordingError, match=r"precious\.rrd exists"):
@@ -227,7 +227,7 @@ def test_wrong_arguments_are_named(tmp_path):
         stage.record().stream(tmp_path / "y.rrd", seconds=0)
 
 
-def test_a_full_temporary_file_warns_and_the_run_goes_on_where_asked(tmp_path, monkeypatch):
+def test_a_full_temporary_file_warns_and_the_run_continues_on_request(tmp_path, monkeypatch):
     stage = Stage("xy", visuals=False)
     recording = stage.record(path=tmp_path / "x.rrd", on_error="warn")
 
@@ -240,7 +240,7 @@ def test_a_full_temporary_file_warns_and_the_run_goes_on_where_asked(tmp_path, m
     assert stage.time == pytest.approx(ROWS * 1e-3 + 0.5)
 
 
-def test_a_program_that_ends_without_closing_leaves_a_whole_file(tmp_path):
+def test_a_program_that_ends_without_closing_leaves_a_complete_file(tmp_path):
     code = """
 import sys
 from stage import Stage
@@ -256,7 +256,7 @@ sys.exit(int(sys.argv[2]))
         assert read_rrd(path)["/axes/x/position"]["Scalars:scalars"][0].max() == pytest.approx(0.5e9, rel=1e-3)
 
 
-def test_no_warning_and_no_thread_is_left_when_all_goes_well(tmp_path):
+def test_a_good_stream_leaves_no_warning_and_no_thread(tmp_path):
     stage = Stage("xy", visuals=False)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -283,8 +283,8 @@ class Pipe:
         pass  # its end of the pipe stays open: nobody may wait for rerun
 
 
-@pytest.mark.parametrize(("let_go", "kept"), [(Sink.close, b"early, late"), (Sink.abandon, b"early")])
-def test_a_file_that_is_let_go_is_closed_and_nobody_collects_for_it_any_more(tmp_path, let_go, kept):
+@pytest.mark.parametrize(("let_go", "expected"), [(Sink.close, b"early, late"), (Sink.abandon, b"early")])
+def test_a_file_that_is_let_go_is_closed_and_nobody_collects_for_it_any_more(tmp_path, let_go, expected):
     """recording.close(), and a recording whose disk is full: neither keeps a file or a thread"""
     out = Pipe()
     sink = Sink(out, tmp_path / "a.rrd", None, False)
@@ -295,7 +295,7 @@ def test_a_file_that_is_let_go_is_closed_and_nobody_collects_for_it_any_more(tmp
         let_go(sink)
         assert not sink._thread.is_alive()
         assert sink._file.closed
-    assert (tmp_path / "a.rrd").read_bytes() == kept
+    assert (tmp_path / "a.rrd").read_bytes() == expected
     out.end.close()
 
 

@@ -25,7 +25,7 @@ def saved(rrd):
     return read(rrd)
 
 
-def test_a_data_frame_has_every_column_over_time_and_knows_the_units(run):
+def test_a_data_frame_has_every_column_over_time_and_the_units(run):
     frame, columns = run.recording.to_pandas(), run.recording.columns
     assert frame.index.name == "time"
     assert np.array_equal(frame.index, columns.pop("time"))
@@ -34,28 +34,28 @@ def test_a_data_frame_has_every_column_over_time_and_knows_the_units(run):
     assert [frame.attrs["units"][f"x/{c}"] for c in ("position", "rate", "el_plus")] == ["m", "pps", ""]
 
 
-def test_a_column_that_is_asked_for_twice_is_there_once(run, tmp_path):
+def test_a_column_requested_twice_is_written_once(run, tmp_path):
     path = run.recording.to_csv(tmp_path / "run.csv", [*FEW, "time", *FEW])
     assert path.read_text().splitlines()[0].split(",") == ["time", *FEW]
 
 
 @pytest.mark.parametrize("ending", ["csv", "parquet", "npz"])
-def test_a_file_has_the_columns_asked_for_bit_for_bit(run, tmp_path, ending):
+def test_a_file_has_the_requested_columns_bit_for_bit(run, tmp_path, ending):
     path = run.recording.to_file(tmp_path / f"run.{ending}", FEW)
     if ending == "npz":
         with np.load(path) as archive:
-            there = dict(archive)
+            target = dict(archive)
     elif ending == "csv":
         with path.open(newline="") as file:
             rows = [*csv.reader(file)]
-        there = {name: np.array(values, float) for name, *values in zip(*rows, strict=True)}
+        target = {name: np.array(values, float) for name, *values in zip(*rows, strict=True)}
     else:
         table = pytest.importorskip("pyarrow.parquet").read_table(path)
-        there = {name: table[name].to_numpy() for name in table.column_names}
+        target = {name: table[name].to_numpy() for name in table.column_names}
         assert table.schema.field("x/position").metadata == {b"unit": b"m"}
         assert json.loads(table.schema.metadata[b"pulsestage"])["units"]["x/lost_steps"] == "full steps"
-    assert list(there) == ["time", *FEW]
-    assert all(np.array_equal(there[name], run.recording.column(name)) for name in there)
+    assert list(target) == ["time", *FEW]
+    assert all(np.array_equal(target[name], run.recording.column(name)) for name in target)
 
 
 def test_files_are_written_in_pieces_and_hold_them_all(bench, tmp_path):
@@ -64,8 +64,8 @@ def test_files_are_written_in_pieces_and_hold_them_all(bench, tmp_path):
     pandas = pytest.importorskip("pandas")
     exact = partial(pandas.read_csv, float_precision="round_trip")
     for ending, load in (("parquet", pandas.read_parquet), ("csv", exact)):
-        there = load(bench.recording.to_file(tmp_path / f"long.{ending}", ["x/position"]))
-        assert np.array_equal(there["x/position"], bench.recording.column("x/position"))
+        target = load(bench.recording.to_file(tmp_path / f"long.{ending}", ["x/position"]))
+        assert np.array_equal(target["x/position"], bench.recording.column("x/position"))
 
 
 def test_a_recording_of_nothing_is_a_table_of_nothing(bench, tmp_path):
@@ -91,22 +91,22 @@ def test_what_cannot_be_written_is_refused_and_nothing_is_left(run, tmp_path):
 
 
 def test_what_is_read_back_is_what_was_recorded_within_the_tolerance_of_its_plot(run, saved):
-    there, columns = saved.columns, run.recording.columns
-    assert np.array_equal(np.rint(there["time"] * 1e9), np.rint(columns["time"] * 1e9))
-    both = there.keys() & columns.keys()
+    target, columns = saved.columns, run.recording.columns
+    assert np.array_equal(np.rint(target["time"] * 1e9), np.rint(columns["time"] * 1e9))
+    both = target.keys() & columns.keys()
     assert len(both) == 1 + 3 * (7 + 5), "seven series of a stepper, and five switches"
     for name in both - {"time"}:
         column = name.partition("/")[2]
         series = SERIES.get(column)
-        most = 0.5 if column == "counter" else series.tolerance / series.scales[0] if series else 0
-        tolerance = most + (0.5 if column == "counter" else 1e-9)  # a counter is rounded to pulses
-        assert np.abs(there[name].astype(float) - columns[name]).max() <= tolerance, name
+        limit = 0.5 if column == "counter" else series.tolerance / series.scales[0] if series else 0
+        tolerance = limit + (0.5 if column == "counter" else 1e-9)  # a counter is rounded to pulses
+        assert np.abs(target[name].astype(float) - columns[name]).max() <= tolerance, name
         assert saved.units[name] == run.recording.units[name]
-    assert there["x/phase"][0] == "up"
-    assert set(there["x/phase"]) == {"up", "keep", "down", "hold"}
+    assert target["x/phase"][0] == "up"
+    assert set(target["x/phase"]) == {"up", "keep", "down", "hold"}
 
 
-def test_it_knows_what_was_recorded(run, saved):
+def test_a_read_file_has_the_axes_and_the_model(run, saved):
     assert (saved.model, list(saved.axes), saved.every) == ("PulseStage xyz", ["x", "y", "z"], pytest.approx(1e-3))
     assert saved.axes["x"].startswith("PCL240K at 4915200 Hz, 17HS4401")
     assert len(saved) == len(run.recording)
@@ -139,24 +139,24 @@ def test_a_run_that_was_killed_is_read_up_to_its_last_flush(tmp_path, xy):
 
 @needs_rerun
 def test_what_is_no_recording_is_refused_in_words(rrd, tmp_path):
-    whole = rrd.read_bytes()
+    complete = rrd.read_bytes()
     foreign = tmp_path / "foreign.rrd"
     rr = pytest.importorskip("rerun")
     stream = rr.RecordingStream("other")
     stream.save(str(foreign))
     stream.log("a", rr.Scalars(1.0))
     stream.disconnect()
-    for name, content, said in (
+    for name, content, message in (
         ("missing", None, "there is no recording"),
         ("empty", b"", "is empty, and no recording"),
         ("text", b"time,x\n" * 1000, "is no recording: an .rrd file begins with RRF, and this does not"),
-        ("cut", whole[: len(whole) // 3], "is damaged: .*rerun rrd merge .* keeps what is whole"),
+        ("cut", complete[: len(complete) // 3], "is damaged: .*rerun rrd merge .* keeps what is whole"),
         ("foreign", foreign.read_bytes(), "is a rerun file, but no recording of this PulseStage"),
     ):
         path = tmp_path / f"{name}.rrd"
         if content is not None:
             path.write_bytes(content)
-        with pytest.raises(RecordingError, match=said):
+        with pytest.raises(RecordingError, match=message):
             read(path)
     with pytest.raises(RecordingError, match="is a folder"):
         read(tmp_path)
@@ -169,9 +169,9 @@ def test_the_command_lists_columns_and_writes_them(rrd, tmp_path, capsys, monkey
     """stage export run.rrd; stage export run.rrd -o few.csv --columns x/position,x/rate"""
     monkeypatch.chdir(tmp_path)
     assert main(["export", str(rrd)]) == 0
-    said = capsys.readouterr().out
-    assert "640 samples, 1 ms apart" in said
-    assert "  x/position               m\n" in said
+    message = capsys.readouterr().out
+    assert "640 samples, 1 ms apart" in message
+    assert "  x/position               m\n" in message
     assert main(["export", str(rrd), "-o", "few.csv", "--columns", "x/position, x/rate"]) == 0
     assert capsys.readouterr().out == "few.csv: 640 samples of 3 columns, 0.0 MB\n"
     assert (tmp_path / "few.csv").read_text().startswith("time,x/position,x/rate\n0.001,")
@@ -187,16 +187,16 @@ def test_a_recording_is_not_written_over_itself(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("argv", "said"),
+    ("argv", "message"),
     [
         (["-o", "a.xlsx"], r"a\.xlsx: a table is no 'xlsx'\. Name a file that ends in \.csv, \.parquet, \.npz\."),
         (["-o", "there.csv"], r"there\.csv exists\. Choose another name, or give --force\."),
         (["-o", "a.csv", "--columns", "x/positon"], "unknown column 'x/positon'. Did you mean 'x/position'"),
     ],
 )
-def test_the_command_says_what_it_cannot_do(rrd, tmp_path, capsys, monkeypatch, argv, said):
+def test_the_command_says_what_it_cannot_do(rrd, tmp_path, capsys, monkeypatch, argv, message):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there.csv").write_text("")
     assert main(["export", str(rrd), *argv]) == 2
-    assert re.match(f"stage: {said}", capsys.readouterr().err)
+    assert re.match(f"stage: {message}", capsys.readouterr().err)
     assert [p.name for p in tmp_path.iterdir()] == ["there.csv"]

@@ -25,7 +25,7 @@ def clock(ns):
 def wild(bench, seed, steps=120):
     """A program that touches everything; returns pulses (as chip.trace has them) and looks: (clock, pins, status, R0)."""
     rng, chip = random.Random(seed), bench.chip
-    pulses, looks = [], []
+    pulses, observers = [], []
     for _ in range(steps):
         kind = rng.randrange(8)
         if kind == 0:
@@ -48,16 +48,16 @@ def wild(bench, seed, steps=120):
         elif kind == 5 and rng.random() < 0.2:
             chip.reset()
         pulses.append(chip.trace(rng.randint(1, 30_000)))
-        looks.append((chip.clock, chip.pins.as_dict(), chip.read(0), chip.values()["R0"]))
+        observers.append((chip.clock, chip.pins.as_dict(), chip.read(0), chip.values()["R0"]))
         pulses.append(chip.trace(1))  # what comes next is at another clock than the look
     bench.recording.close()
-    return np.concatenate(pulses), looks
+    return np.concatenate(pulses), observers
 
 
 @pytest.mark.parametrize("seed", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
 def test_pulses_pins_status_and_counter_are_those_of_the_chip_to_the_clock(tmp_path, seed):
     bench = make_bench()
-    pulses, looks = wild(bench, seed)
+    pulses, observers = wild(bench, seed)
     assert len(pulses) > 300, "the program does something"
     vcd = parse(bench.recording.to_vcd(tmp_path / "x.vcd"))
     independent = any(v & 1 for t, v in vcd.changes["x.bus.D"] if isinstance(v, int) and v >> 6 == 3)
@@ -67,7 +67,7 @@ def test_pulses_pins_status_and_counter_are_those_of_the_chip_to_the_clock(tmp_p
         assert [vcd.at("x.PDIR", to_nanoseconds(int(p["clock"]), HZ)) for p in pulses] == (
             pulses["direction"] > 0
         ).tolist()
-    for now, pins, status, r0 in looks:
+    for now, pins, status, r0 in observers:
         ns = to_nanoseconds(now, HZ)
         assert vcd.at("x.R0", ns) == r0
         for pin, on in pins.items():
@@ -123,7 +123,7 @@ def test_the_bus_writes_and_resets_are_events_with_address_and_data(tmp_path, be
     assert vcd.timescale == "1 ns"
 
 
-def test_a_lost_write_is_an_event_of_its_own_and_no_write(tmp_path, bench):
+def test_a_lost_write_is_a_separate_event(tmp_path, bench):
     chip, at = bench.chip, []
     with faults.lost_write(chip, value=2):
         for value in (1, 2, 3):
@@ -141,18 +141,18 @@ def test_a_lost_write_is_an_event_of_its_own_and_no_write(tmp_path, bench):
 
 
 def test_after_the_reset_pin_the_direction_is_plus_and_the_sd_bit_that_of_its_switch(tmp_path, bench):
-    chip, looks = bench.chip, []
+    chip, observers = bench.chip, []
     chip.pins.sd_minus = True
     for act in (lambda: chip.write(0, 0x48), chip.reset, lambda: chip.write(0, 0x48)):
         chip.advance(100)
         act()
         chip.advance(100)
-        looks.append((chip.clock, chip.read(0) >> 2 & 1))
+        observers.append((chip.clock, chip.read(0) >> 2 & 1))
     chip.advance(1)
     bench.recording.close()
     vcd = parse(bench.recording.to_vcd(tmp_path / "x.vcd"))
-    assert [on for _, on in looks] == [1, 0, 1]
-    assert [vcd.at("x.status.sd", to_nanoseconds(at, HZ)) for at, _ in looks] == [1, 0, 1]
+    assert [on for _, on in observers] == [1, 0, 1]
+    assert [vcd.at("x.status.sd", to_nanoseconds(at, HZ)) for at, _ in observers] == [1, 0, 1]
 
 
 def test_a_stage_has_a_scope_for_each_axis_and_one_time_for_all(run, tmp_path):
@@ -176,7 +176,7 @@ def test_another_reader_takes_the_file_too(run, tmp_path):
     assert kinds.count("CHANGE_SCALAR") > 2 * 3500
 
 
-def test_a_later_recording_begins_where_the_stage_stands(tmp_path):
+def test_a_later_recording_begins_at_the_stages_time(tmp_path):
     stage = Stage("xy", chips=PCL240K)
     stage.run(0.5)
     with stage.record() as recording:
@@ -218,7 +218,7 @@ def test_times_are_the_nearest_nanoseconds(hz):
         assert to_nanoseconds(t, hz) == ns
 
 
-def test_pieces_of_a_course_are_the_course(bench):
+def test_the_pieces_of_a_recording_are_the_recording(bench):
     wild(bench, 3)
     journal = bench.recording.journals["x"]
     for every_pulse in (False, True):
@@ -227,12 +227,12 @@ def test_pieces_of_a_course_are_the_course(bench):
         assert np.array_equal(np.concatenate(parts), journal.course(every_pulse).edges)
 
 
-def test_the_waveforms_do_not_depend_on_how_many_edges_are_taken_at_a_time(tmp_path, bench, monkeypatch):
+def test_the_waveforms_do_not_depend_on_the_size_of_pieces(tmp_path, bench, monkeypatch):
     """many changes lie where one piece ends and the next begins"""
     wild(bench, 3, steps=10)
-    whole = bench.recording.to_vcd(tmp_path / "whole.vcd").read_bytes()
+    complete = bench.recording.to_vcd(tmp_path / "whole.vcd").read_bytes()
     monkeypatch.setattr("stage.recording.vcd.EDGES", 70)
-    assert bench.recording.to_vcd(tmp_path / "pieces.vcd").read_bytes() == whole
+    assert bench.recording.to_vcd(tmp_path / "pieces.vcd").read_bytes() == complete
 
 
 def test_reads_that_change_something_are_events_and_others_are_not(tmp_path):

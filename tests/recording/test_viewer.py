@@ -37,7 +37,7 @@ def served(rrd):
         thread.join()
 
 
-def asked(server, path, host, method="GET"):
+def requested(server, path, host, method="GET"):
     """The answer to a browser that takes the server for `host`: status, headers, content."""
     connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=10)
     with contextlib.closing(connection):
@@ -51,31 +51,31 @@ def asked(server, path, host, method="GET"):
 
 def test_the_dashboard_is_served_to_this_machine_only_and_nothing_else_listens(served, rrd):
     me = psutil.Process()
-    mine = {(ip, port) for ip, port in listening(me) if port == served.server_port}
-    assert mine == {("127.0.0.1", served.server_port)}
+    first_thread = {(ip, port) for ip, port in listening(me) if port == served.server_port}
+    assert first_thread == {("127.0.0.1", served.server_port)}
     assert [c for c in me.children() if "rerun" in c.name()] == []
     for name in ("127.0.0.1", "localhost"):
         host = [f"{name}:{served.server_port}"]
-        status, headers, _ = asked(served, served.folder, host)
+        status, headers, _ = requested(served, served.folder, host)
         assert (status, urlsplit(headers["Location"]).path) == (302, served.folder)
         ((key, url),) = parse_qsl(urlsplit(headers["Location"]).query)
         assert (key, url) == ("url", f"http://{host[0]}{served.folder}recording.rrd")  # the page's own origin
-        status, headers, page = asked(served, headers["Location"], host)
+        status, headers, page = requested(served, headers["Location"], host)
         assert (status, headers["Content-Type"]) == (200, "text/html; charset=utf-8")
         for part in (b're_viewer.js"', b're_viewer_bg.wasm"'):
             assert part in page
-        status, headers, content = asked(served, urlsplit(url).path, host)
+        status, headers, content = requested(served, urlsplit(url).path, host)
         assert (status, content) == (200, rrd.read_bytes())
         assert "Access-Control-Allow-Origin" not in headers
     for part, kind, begin in (
         ("re_viewer.js", "text/javascript", b""),
         ("re_viewer_bg.wasm", "application/wasm", b"\0asm"),
     ):
-        status, headers, content = asked(served, served.folder + part, host)
+        status, headers, content = requested(served, served.folder + part, host)
         assert (status, headers["Content-Type"]) == (200, kind)
         assert content.startswith(begin)
         assert len(content) > 100_000
-    status, headers, content = asked(served, f"{served.folder}recording.rrd", host, "HEAD")
+    status, headers, content = requested(served, f"{served.folder}recording.rrd", host, "HEAD")
     assert (status, content, int(headers["Content-Length"])) == (200, b"", rrd.stat().st_size)
 
 
@@ -84,7 +84,7 @@ def test_the_dashboard_is_served_to_this_machine_only_and_nothing_else_listens(s
     [["evil.example"], ["evil.example:PORT"], ["127.0.0.1:PORT.evil.example"], ["127.0.0.1"], ["localhost:1"], [],
      ["127.0.0.1:PORT", "evil.example:PORT"]],
 )  # fmt: skip
-def test_a_web_site_that_is_made_to_point_here_gets_neither_page_nor_recording(served, rrd, host):
+def test_a_rebound_web_site_gets_neither_page_nor_recording(served, rrd, host):
     """stage demo --web & curl -H "Host: evil.example" http://127.0.0.1:9090/"""
     host = [name.replace("PORT", str(served.server_port)) for name in host]
     for path in (
@@ -94,7 +94,7 @@ def test_a_web_site_that_is_made_to_point_here_gets_neither_page_nor_recording(s
         f"{served.folder}recording.rrd",
         f"{served.folder}re_viewer.js",
     ):
-        status, headers, content = asked(served, path, host)
+        status, headers, content = requested(served, path, host)
         assert status == 403
         assert content.decode().startswith("This server answers to 127.0.0.1:")
         assert "Location" not in headers
@@ -106,20 +106,20 @@ def test_a_web_site_that_is_made_to_point_here_gets_neither_page_nor_recording(s
 def test_who_does_not_know_the_address_gets_nothing(served, path):
     """curl http://127.0.0.1:9090/"""
     path = path.replace("FOLDER", served.folder)
-    status, _, content = asked(served, path, [f"127.0.0.1:{served.server_port}"])
+    status, _, content = requested(served, path, [f"127.0.0.1:{served.server_port}"])
     assert (status, len(content) < 100) == (404, True)
     assert len(served.folder) >= 20
 
 
 @pytest.mark.parametrize("wanted", ["", "1"])
-def test_the_page_calls_nobody_unless_asked_for(rrd, monkeypatch, wanted):
+def test_the_page_calls_no_other_server_unless_requested(rrd, monkeypatch, wanted):
     """stage demo --web"""
     monkeypatch.setenv("PULSESTAGE_RERUN_ANALYTICS", wanted)
     monkeypatch.setattr(viewer, "_fetch_page", lambda: {"": b"page"})
     with viewer.web_server(rrd, viewer.find_free_port()) as server:
         thread = threading.Thread(target=server.handle_request)
         thread.start()
-        _, headers, _ = asked(server, f"{server.folder}?url=x", [f"localhost:{server.server_port}"])
+        _, headers, _ = requested(server, f"{server.folder}?url=x", [f"localhost:{server.server_port}"])
         thread.join()
     policy = headers["Content-Security-Policy"]
     if wanted:
@@ -129,7 +129,7 @@ def test_the_page_calls_nobody_unless_asked_for(rrd, monkeypatch, wanted):
         assert not {"*", "https:", "http:"} & set(policy.split())
 
 
-def test_each_server_has_an_address_of_its_own(rrd, monkeypatch):
+def test_servers_have_different_addresses(rrd, monkeypatch):
     monkeypatch.setattr(viewer, "_fetch_page", dict)
     folders = set()
     for _ in range(2):
@@ -139,8 +139,8 @@ def test_each_server_has_an_address_of_its_own(rrd, monkeypatch):
 
 
 def test_a_port_in_use_is_named_before_anything_starts(rrd):
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
+    with socket.create_server(("127.0.0.1", 0)) as acquired:
+        port = acquired.getsockname()[1]
         with pytest.raises(ViewerError, match=f"port {port} is in use. Choose another: --port"):
             viewer.serve_web(rrd, port)
 
@@ -178,18 +178,18 @@ def test_rerun_ends_with_the_command_that_waits_for_it(sent):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="where rerun keeps its settings is another place elsewhere")
-@pytest.mark.parametrize("asked", ["", "1"])
-def test_reruns_usage_data_is_off_unless_asked_for(tmp_path, monkeypatch, asked):
+@pytest.mark.parametrize("requested", ["", "1"])
+def test_reruns_usage_data_is_off_unless_requested(tmp_path, monkeypatch, requested):
     """stage demo --view"""
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "own"))
-    monkeypatch.setenv("PULSESTAGE_RERUN_ANALYTICS", asked)
+    monkeypatch.setenv("PULSESTAGE_RERUN_ANALYTICS", requested)
     monkeypatch.delenv("CI", raising=False)  # rerun sends nothing from a machine that says so
     before = {p: p.read_bytes() for p in viewer.SETTINGS_FOLDER.rglob("*") if p.is_file()}
     command = [viewer.find_executable(), "analytics", "config"]
-    said = subprocess.run(command, env=viewer.build_environment(), capture_output=True, text=True, check=True).stdout
-    assert ('"analytics_enabled": true' in said) == bool(asked)
-    assert ('"analytics_enabled": false' in said) != bool(asked)
+    message = subprocess.run(command, env=viewer.build_environment(), capture_output=True, text=True, check=True).stdout
+    assert ('"analytics_enabled": true' in message) == bool(requested)
+    assert ('"analytics_enabled": false' in message) != bool(requested)
     assert {p: p.read_bytes() for p in viewer.SETTINGS_FOLDER.rglob("*") if p.is_file()} == before
 
 
@@ -199,29 +199,29 @@ def test_a_port_that_is_none_is_named(rrd, port):
         viewer.web_server(rrd, port)
 
 
-def test_without_a_screen_it_says_what_else_there_is(rrd, monkeypatch):
+def test_without_a_screen_the_error_names_the_alternatives(rrd, monkeypatch):
     monkeypatch.setattr(viewer, "has_screen", lambda: False)
     with pytest.raises(ViewerError, match="no screen here"):
         viewer.open_viewer(rrd)
 
 
 def test_with_a_screen_the_window_listens_to_this_machine_only(rrd, monkeypatch):
-    seen = {}
+    observed = {}
     monkeypatch.setattr(viewer, "has_screen", lambda: True)
-    monkeypatch.setattr(subprocess, "Popen", lambda command, **k: seen.update(command=command))
+    monkeypatch.setattr(subprocess, "Popen", lambda command, **k: observed.update(command=command))
     viewer.open_viewer(rrd)
-    assert seen["command"][1:] == [str(rrd), "--bind", "127.0.0.1", "--port", "auto"]
+    assert observed["command"][1:] == [str(rrd), "--bind", "127.0.0.1", "--port", "auto"]
 
 
-def test_a_recording_that_is_not_there_is_named(tmp_path):
-    for look in (viewer.open_viewer, viewer.serve_web, lambda p: viewer.screenshot(p, tmp_path / "x.png")):
+def test_a_missing_recording_is_named(tmp_path):
+    for observe in (viewer.open_viewer, viewer.serve_web, lambda p: viewer.screenshot(p, tmp_path / "x.png")):
         with pytest.raises(ViewerError, match=r"there is no recording .*none\.rrd"):
-            look(tmp_path / "none.rrd")
+            observe(tmp_path / "none.rrd")
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not glob.glob("/usr/share/vulkan/icd.d/*.json"), reason="no Vulkan driver")
-def test_a_picture_shows_the_whole_dashboard(rrd, tmp_path):
+def test_a_picture_shows_every_part_of_the_dashboard(rrd, tmp_path):
     from PIL import Image
 
     png = viewer.screenshot(rrd, tmp_path / "x.png", (1600, 900), at=0.3)
@@ -236,27 +236,27 @@ def test_a_picture_shows_the_whole_dashboard(rrd, tmp_path):
 
 def test_nobody_waits_for_ever_for_a_viewer_that_never_listens():
     """rerun lives and its port stays closed: the wait ends with its time."""
-    asked = []
+    requested = []
 
     def poll():
-        asked.append(1)
-        return None if len(asked) < 50 else 1
+        requested.append(1)
+        return None if len(requested) < 50 else 1
 
     viewer._wait_for(
         viewer.find_free_port(), SimpleNamespace(poll=poll, stderr=None, returncode=1), time.monotonic() + 0.15
     )
-    assert 1 <= len(asked) < 10
+    assert 1 <= len(requested) < 10
 
 
 def test_a_page_that_cannot_be_had_leaves_the_port_free(rrd, monkeypatch):
     port = viewer.find_free_port()
     monkeypatch.setattr(viewer, "_fetch_page", lambda: 1 / 0)
-    with pytest.raises(ZeroDivisionError) as told:
+    with pytest.raises(ZeroDivisionError) as reported:
         viewer.web_server(rrd, port)
-    assert viewer._is_port_free(port), told
+    assert viewer._is_port_free(port), reported
 
 
-def test_a_picture_waits_until_the_viewer_is_there_has_loaded_all_and_stands_still(rrd, tmp_path, monkeypatch):
+def test_a_picture_waits_until_the_viewer_has_loaded_and_settled(rrd, tmp_path, monkeypatch):
     """stage demo --picture x.png: a viewer that is not up at once, goes on loading, and shows a second picture after the first"""
     loaded = SimpleNamespace(
         loading=False, recordings=[SimpleNamespace(timelines=[SimpleNamespace(name="time", end=2e9)])]
@@ -272,8 +272,8 @@ def test_a_picture_waits_until_the_viewer_is_there_has_loaded_all_and_stands_sti
         def get_state(self):
             return states.pop() if len(states) > 1 else states[0]
 
-        def set_time(self, *given, **named):
-            done.append((len(states), given, named))
+        def set_time(self, *arguments, **named):
+            done.append((len(states), arguments, named))
 
         def save_screenshot(self, path):
             with open(path, "wb") as file:
@@ -284,20 +284,20 @@ def test_a_picture_waits_until_the_viewer_is_there_has_loaded_all_and_stands_sti
             raise ConnectionError
         return Client()
 
-    def begun(command, **_):
+    def started(command, **_):
         done.append(command[2:5])
         return contextlib.nullcontext(running)
 
     monkeypatch.setattr("rerun.experimental.ViewerClient", SimpleNamespace(connect=connect))
-    monkeypatch.setattr(viewer, "_run_rerun", begun)
+    monkeypatch.setattr(viewer, "_run_rerun", started)
     monkeypatch.setattr(viewer, "_wait_for", lambda *_: None)
-    monkeypatch.setattr(viewer, "_cut_frame", lambda *given: done.append(given))
+    monkeypatch.setattr(viewer, "_cut_frame", lambda *arguments: done.append(arguments))
     monkeypatch.setattr("time.sleep", done.append)
     png = tmp_path / "x.png"
     viewer._render(rrd, png, (640, 480), None, 20)
     size = ["--headless", "--window-size", f"640x{480 + viewer.FRAME_HEIGHT}"]
-    held = (1, ("time",), {"duration": 2.0, "play_state": "paused"})
-    assert done == [size, 0.2, 0.2, 0.2, held, 0.5, 0.5, (png, (640, 480))]
+    current = (1, ("time",), {"duration": 2.0, "play_state": "paused"})
+    assert done == [size, 0.2, 0.2, 0.2, current, 0.5, 0.5, (png, (640, 480))]
     assert not shots
 
 

@@ -29,11 +29,11 @@ def test_a_port_beyond_the_first_and_the_last_is_refused(port):
 
 
 @pytest.mark.parametrize(
-    ("number", "said"),
+    ("number", "message"),
     [(errno.EADDRINUSE, "port 9191 is in use. Choose another: --port 4711"),
      (errno.EACCES, "port 9191 cannot be had: no, sir. Choose another: --port 4711")],
 )  # fmt: skip
-def test_a_port_that_cannot_be_had_says_why_and_names_one_that_is_free(tmp_path, monkeypatch, number, said):
+def test_a_port_that_cannot_be_had_says_why_and_names_one_that_is_free(tmp_path, monkeypatch, number, message):
     def refused(rrd, port, outside):
         raise OSError(number, "no, sir")
 
@@ -43,15 +43,17 @@ def test_a_port_that_cannot_be_had_says_why_and_names_one_that_is_free(tmp_path,
     rrd.touch()
     with pytest.raises(ViewerError) as failed:
         viewer.web_server(rrd, 9191)
-    assert str(failed.value).startswith(said)
+    assert str(failed.value).startswith(message)
 
 
-@pytest.mark.parametrize(("given", "wanted"), [(None, False), ("", False), ("0", False), ("1", True), ("yes", True)])
-def test_usage_data_is_sent_only_where_that_is_asked_for(monkeypatch, given, wanted):
+@pytest.mark.parametrize(
+    ("arguments", "wanted"), [(None, False), ("", False), ("0", False), ("1", True), ("yes", True)]
+)
+def test_usage_data_is_sent_only_on_request(monkeypatch, arguments, wanted):
     monkeypatch.delenv("PULSESTAGE_RERUN_ANALYTICS", raising=False)
     monkeypatch.setenv("XDG_CONFIG_HOME", "/own")
-    if given is not None:
-        monkeypatch.setenv("PULSESTAGE_RERUN_ANALYTICS", given)
+    if arguments is not None:
+        monkeypatch.setenv("PULSESTAGE_RERUN_ANALYTICS", arguments)
     assert viewer.build_environment()["XDG_CONFIG_HOME"] == ("/own" if wanted else str(viewer.SETTINGS_FOLDER))
 
 
@@ -73,16 +75,19 @@ def test_reruns_program_is_the_one_that_is_named_or_that_of_its_package(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("at", "end", "shown"), [(None, 2_500_000_000, 2.5), (0.0, 2_500_000_000, 0.0), (1.25, 9, 1.25), (None, None, 0.0)]
+    ("at", "end", "displayed"),
+    [(None, 2_500_000_000, 2.5), (0.0, 2_500_000_000, 0.0), (1.25, 9, 1.25), (None, None, 0.0)],
 )
-def test_the_moment_that_is_shown_is_the_one_asked_for_or_the_end(at, end, shown):
+def test_a_picture_shows_the_requested_time_or_the_end(at, end, displayed):
     """also that of 0 s"""
-    asked = []
+    requested = []
     timelines = [SimpleNamespace(name="log_time", end=7), SimpleNamespace(name="time", end=end)]
     state = SimpleNamespace(recordings=[SimpleNamespace(timelines=timelines)])
-    client = SimpleNamespace(get_state=lambda: state, set_time=lambda *given, **named: asked.append((given, named)))
+    client = SimpleNamespace(
+        get_state=lambda: state, set_time=lambda *arguments, **named: requested.append((arguments, named))
+    )
     viewer._show_moment(client, at)
-    assert asked == [(("time",), {"duration": pytest.approx(shown), "play_state": "paused"})]
+    assert requested == [(("time",), {"duration": pytest.approx(displayed), "play_state": "paused"})]
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
@@ -112,16 +117,18 @@ def test_a_program_that_does_not_end_is_killed_and_waited_for():
     assert done == ["terminate", ("wait", 5), "kill", ("wait", None)]
 
 
-def test_a_picture_that_exists_stays_unless_overwriting_is_asked_for(tmp_path, monkeypatch):
+def test_an_existing_picture_is_overwritten_only_on_request(tmp_path, monkeypatch):
     """screenshot(rrd, png, (320, 200), at=0.5, timeout=7)"""
-    rrd, png, asked = tmp_path / "x.rrd", tmp_path / "x.png", []
+    rrd, png, requested = tmp_path / "x.rrd", tmp_path / "x.png", []
     rrd.touch(), png.write_bytes(b"old")
-    monkeypatch.setattr(viewer, "_render", lambda rrd, part, *given: (asked.append(given), part.write_bytes(b"new")))
+    monkeypatch.setattr(
+        viewer, "_render", lambda rrd, part, *arguments: (requested.append(arguments), part.write_bytes(b"new"))
+    )
     with pytest.raises(FileError, match=r"x\.png"):
         viewer.screenshot(rrd, png)
-    assert (png.read_bytes(), asked) == (b"old", [])
+    assert (png.read_bytes(), requested) == (b"old", [])
     assert viewer.screenshot(rrd, png, (320, 200), at=0.5, timeout=7, overwrite=True) == png
-    assert (png.read_bytes(), asked) == (b"new", [((320, 200), 0.5, 7)])
+    assert (png.read_bytes(), requested) == (b"new", [((320, 200), 0.5, 7)])
 
 
 @pytest.mark.parametrize(("bar", "top"), [(lambda x: 30, viewer.FRAME_HEIGHT), (lambda x: x % 256, 0)])
@@ -150,18 +157,18 @@ class Answer:
 
 @pytest.mark.parametrize(("name", "called"), [("", "its page"), ("re_viewer.js", r"re_viewer\.js")])
 def test_a_page_that_rerun_does_not_give_is_named(monkeypatch, name, called):
-    asked = []
+    requested = []
     connection = SimpleNamespace(
-        request=lambda *given: asked.append(given),
+        request=lambda *arguments: requested.append(arguments),
         getresponse=lambda: answers.pop(0),
-        close=lambda: asked.append("closed"),
+        close=lambda: requested.append("closed"),
     )
     monkeypatch.setattr(http.client, "HTTPConnection", lambda host, port, timeout: connection)
     answers = [Answer(404, "Not Found"), Answer(200)]
     with pytest.raises(ViewerError, match=rf"rerun does not give {called}: 404 Not Found\."):
         viewer._fetch_file(1, name)
     assert viewer._fetch_file(1, name) == b"content"
-    assert asked == [("GET", f"/{name}"), "closed"] * 2
+    assert requested == [("GET", f"/{name}"), "closed"] * 2
 
 
 # --- what serves a browser ---
@@ -180,17 +187,17 @@ def serving(rrd):
             thread.join()
 
 
-def asked(server, path, host=None, method="GET"):
+def requested(server, path, host=None, method="GET"):
     """Status, headers, and all bytes behind them until the server closes."""
     with socket.create_connection(("127.0.0.1", server.server_port), timeout=10) as wire:
         wire.sendall(f"{method} {path} HTTP/1.0\r\nHost: {host or f'localhost:{server.server_port}'}\r\n\r\n".encode())
-        said = b"".join(iter(lambda: wire.recv(4096), b""))
-    head, _, content = said.partition(b"\r\n\r\n")
+        message = b"".join(iter(lambda: wire.recv(4096), b""))
+    head, _, content = message.partition(b"\r\n\r\n")
     first, *lines = head.decode().split("\r\n")
     return int(first.split()[1]), dict(line.split(": ", 1) for line in lines), content
 
 
-def test_a_browser_is_told_to_keep_nothing_guess_nothing_and_tell_nobody(tmp_path):
+def test_headers_forbid_caching_sniffing_and_referrers(tmp_path):
     """a file of the page, one that is none, the head alone, a name in capitals, the address with and without its question"""
     rrd = tmp_path / "x.rrd"
     rrd.write_bytes(b"a recording")
@@ -199,17 +206,17 @@ def test_a_browser_is_told_to_keep_nothing_guess_nothing_and_tell_nobody(tmp_pat
             ("?url=x", 200, b"the page"), ("favicon.ico", 200, b"an icon"), ("recording.rrd", 200, b"a recording"),
             ("re_viewer.js", 404, b"There is no such file.\n"), ("", 302, b""),
         ):  # fmt: skip
-            got, headers, said = asked(server, server.folder + path)
-            assert (got, said, headers["Content-Length"]) == (status, content, str(len(content)))
+            got, headers, message = requested(server, server.folder + path)
+            assert (got, message, headers["Content-Length"]) == (status, content, str(len(content)))
             assert [headers[name] for name in ("Referrer-Policy", "X-Content-Type-Options", "Cache-Control")] == [
                 "no-referrer", "nosniff", "no-store",
             ]  # fmt: skip
-            got, headers, said = asked(server, server.folder + path, method="HEAD")
-            assert (got, said, headers["Content-Length"]) == (status, b"", str(len(content)))
-        assert asked(server, server.folder + "favicon.ico", host=f"LocalHost:{server.server_port}")[0] == 200
-        assert asked(server, "http://[")[::2] == (400, b"This is no address.\n")
+            got, headers, message = requested(server, server.folder + path, method="HEAD")
+            assert (got, message, headers["Content-Length"]) == (status, b"", str(len(content)))
+        assert requested(server, server.folder + "favicon.ico", host=f"LocalHost:{server.server_port}")[0] == 200
+        assert requested(server, "http://[")[::2] == (400, b"This is no address.\n")
         rrd.unlink()
-        assert asked(server, server.folder + "recording.rrd")[::2] == (404, b"The recording is no longer there.\n")
+        assert requested(server, server.folder + "recording.rrd")[::2] == (404, b"The recording is no longer there.\n")
 
 
 def test_at_port_80_a_browser_leaves_the_port_away():
@@ -219,11 +226,11 @@ def test_at_port_80_a_browser_leaves_the_port_away():
     assert Server.hosts.fget(server) == ["127.0.0.1:8080", "localhost:8080"]
 
 
-def test_a_browser_that_goes_away_is_no_error_and_any_other_is_told(tmp_path, capfd):
+def test_a_disconnected_browser_is_no_error_and_others_are_reported(tmp_path, capfd):
     with Server(Path(tmp_path), 0) as server:
-        for error, told in ((BrokenPipeError("gone"), False), (ValueError("a mistake of ours"), True)):
+        for error, reported in ((BrokenPipeError("gone"), False), (ValueError("a mistake of ours"), True)):
             try:
                 raise error
             except (OSError, ValueError):
                 server.handle_error(None, ("127.0.0.1", 1))
-            assert ("a mistake of ours" in capfd.readouterr().err) is told
+            assert ("a mistake of ours" in capfd.readouterr().err) is reported

@@ -45,10 +45,10 @@ def small(tmp_path):
     return run
 
 
-def test_a_run_is_recorded_and_only_the_rrd_asks_for_rerun(small, tmp_path):
+def test_only_an_rrd_file_requires_rerun(small, tmp_path):
     done = small(PROGRAM)
-    said = "a recording (.rrd) needs rerun: pip install 'pulsestage[rerun]'. rerun True"
-    assert (done.stdout.splitlines(), done.stderr) == (["800 True", said, said, "None"], "")
+    message = "a recording (.rrd) needs rerun: pip install 'pulsestage[rerun]'. rerun True"
+    assert (done.stdout.splitlines(), done.stderr) == (["800 True", message, message, "None"], "")
     assert [p.name for p in tmp_path.iterdir()] == ["x.vcd"], "no half-written recording is left"
 
 
