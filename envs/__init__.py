@@ -29,7 +29,7 @@ IDS = {
 
 
 def register() -> None:
-    """Tell Gymnasium of the environments; done when this module is imported."""
+    """Register the environments in Gymnasium; the import of this module does it."""
     for id_, where in IDS.items():
         if id_ not in gymnasium.registry:
             entry = f"stage.envs.{where}"

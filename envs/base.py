@@ -33,7 +33,7 @@ FRAME_INTERVAL = Number(low=1e-4, high=1e3)  # s, between frames
 
 
 def _check_options(task: type[Task], options: Mapping[str, Any] | None, more: Sequence[str] = ()) -> dict[str, Any]:
-    """The options of a reset; ArgumentError for one that is neither the task's nor one of `more`."""
+    """Check the options of a reset. Raises ArgumentError for one that is neither the task's nor one of `more`."""
     known = [*task.OPTIONS, *more]
     if not isinstance(options, Mapping | None):
         raise ArgumentError(f"options={options!r}: None, or a dict with any of: {', '.join(known) or 'nothing'}.")
@@ -44,7 +44,7 @@ def _check_options(task: type[Task], options: Mapping[str, Any] | None, more: Se
 
 
 def _spread_seeds(seed: Any, n: int) -> list[int | None]:
-    """Of each environment: from one seed s the seeds s, s + 1, ..."""
+    """Return the seed of each environment: one seed s stands for s, s + 1, ..."""
     if seed is None or isinstance(seed, int | np.integer):
         return [None if seed is None else int(seed) + k for k in range(n)]
     if not isinstance(seed, Sequence | np.ndarray) or not all(
@@ -57,28 +57,28 @@ def _spread_seeds(seed: Any, n: int) -> list[int | None]:
 
 
 class _TaskAccess:
-    """What the scalar and the vector environment say of their task alike."""
+    """Access to the task, the same for the scalar and the vector environment."""
 
     _task: Task
 
     @property
     def observation_features(self) -> list[Feature]:
-        """What each number of one environment's observation is, and whether a host could know it: see features.py."""
+        """Features of one environment's observation, a name and a text for each number, in its order."""
         return self._task.observation_features
 
     @property
     def task_instance(self) -> Task:
-        """The task as it is played: its settings `config`, its `stages`, what it draws and what it computes for all of them."""
+        """The task that the environment plays: its settings `config`, its `stages`, what it draws and computes for all of them."""
         return self._task
 
     @property
     def info_features(self) -> tuple[Feature, ...]:
-        """What `info` tells beside the observation, and whether a host could know it."""
+        """Features of an info, and for each whether a host could know it."""
         return (*self._task.INFO,)
 
     @property
     def header(self) -> Header:
-        """What its snapshots are taken of, in words."""
+        """Description of the environment that a snapshot carries."""
         return env_snapshots.make_header(self._task)
 
 
@@ -119,7 +119,7 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
             1, make_config(self.task, settings, ENV_SETTINGS), 1, visuals=render_mode is not None or record is not None
         )
         self.action_space, self.observation_space = self._task.action_space, self._task.observation_space
-        self._over, self._has_begun = True, False
+        self._over, self._is_started = True, False
         self._viewer: Any = None
         self._recording: Any = None
         self._episode = 0
@@ -137,7 +137,7 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
         return self._task.stages[0]
 
     def scripted_action(self) -> Any:
-        """The next action by a host that learns nothing, where the task has one; ArgumentError where not."""
+        """Return the next action of a host that does not learn. Raises ArgumentError for a task without one."""
         return self._task.scripted_action()[0]
 
     def reset(
@@ -148,7 +148,7 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
         self._save_recording()
         self._task.rngs[0] = self.np_random
         self._task.reset_stage(0, options)
-        self._over, self._has_begun = False, True
+        self._over, self._is_started = False, True
         self._start_recording()
         self._frames.clear()
         self._last_frame_time = self.stage.time
@@ -173,20 +173,25 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
         return task.observations[0].copy(), reward, terminated, truncated, info
 
     def snapshot(self) -> EnvSnapshot:
-        """All that the episode is, for `restore`; see env_snapshots.py. Raises ArgumentError before the first reset."""
-        env_snapshots.require_episodes([self._has_begun])
+        """Take a snapshot of the whole episode, for `restore`. Raises ArgumentError before the first reset."""
+        env_snapshots.require_episodes([self._is_started])
         return env_snapshots.take_snapshot(self._task, (self._over, self._np_random_seed, self._end))
 
     def restore(self, snapshot: EnvSnapshot) -> None:
-        """Continue from `snapshot`, bit for bit, as often as wanted: the next step is the one that followed it.
+        """Continue from a snapshot, bit for bit, as often as you like: the next step is the one that followed it.
 
-        Raises ArgumentError for a snapshot of an environment with other settings or a damaged one, StageError with record=.
+        Args:
+            snapshot: Of an environment with the same settings.
+
+        Raises:
+            ArgumentError: The snapshot is of an environment with other settings, or damaged.
+            StageError: The environment records.
         """
         self._over, self._np_random_seed, self._end = env_snapshots.restore_snapshot(self._task, snapshot)
-        self._np_random, self._has_begun = self._task.rngs[0], True
+        self._np_random, self._is_started = self._task.rngs[0], True
 
     def _play_step(self) -> None:
-        """The step itself, and how it looks."""
+        """Play the step, and note its frames."""
         task = self._task
         if self.render_mode is None:
             task.play()
@@ -200,7 +205,7 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
             self._add_frames(frames, frames[-1].copy())
 
     def _film_move(self) -> np.ndarray:
-        """Play a whole move. Returns the qpos to show, (frames, nq), the last at its end."""
+        """Play a whole move and return the joint positions to show, (frames, nq), the last at its end."""
         if self.render_mode == "rgb_array":
             self._task.play()
             return self.stage.data.qpos[None]
@@ -211,11 +216,16 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
             self._task.play()
         finally:
             frames = film.end()
-        shown = self._frames and (begin == self._frames[-1]).all()
-        return frames if shown else np.concatenate([begin[None], frames])
+        is_noted = self._frames and (begin == self._frames[-1]).all()
+        return frames if is_noted else np.concatenate([begin[None], frames])
 
     def _add_frames(self, frames: np.ndarray, end: np.ndarray | None) -> None:
-        """There are frames to see, (frames, nq); the last is where the stage is, or is `end` if it will be elsewhere."""
+        """Note frames to show.
+
+        Args:
+            frames: Joint positions, (frames, nq).
+            end: Joint positions at the end of the step, if the task has moved the stage since; else None.
+        """
         self._end = end
         if self.render_mode == "rgb_array_list":
             self._frames += list(frames.copy())
@@ -233,7 +243,7 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
         return self._viewer
 
     def render(self) -> Any:
-        """A frame (height, width, 3) of uint8, a list of them, or None, as the render mode says."""
+        """Return a frame (height, width, 3) of uint8, a list of frames, or None, as the render mode says."""
         if self.render_mode is None:
             return None
         if self.render_mode == "rgb_array_list":
@@ -305,7 +315,7 @@ class StageVectorEnv(_TaskAccess, VectorEnv[np.ndarray, Any, np.ndarray]):
         return self._task.stages
 
     def scripted_action(self) -> np.ndarray:
-        """The next actions by a host that learns nothing, where the task has one; ArgumentError where not."""
+        """Return the next actions of a host that does not learn, (num_envs, ...). Raises ArgumentError for a task without one."""
         return self._task.scripted_action()
 
     def reset(
@@ -332,8 +342,14 @@ class StageVectorEnv(_TaskAccess, VectorEnv[np.ndarray, Any, np.ndarray]):
         return env_snapshots.take_snapshot(self._task, self._over)
 
     def restore(self, snapshot: EnvSnapshot) -> None:
-        """Continue from `snapshot`, bit for bit, as often as wanted. Raises ArgumentError for a snapshot of a vector with other
-        settings or another number of stages, or a damaged one."""
+        """Continue from a snapshot, bit for bit, as often as you like.
+
+        Args:
+            snapshot: Of a vector with the same settings and number of stages.
+
+        Raises:
+            ArgumentError: The snapshot is of another vector, or damaged.
+        """
         self._over = env_snapshots.restore_snapshot(self._task, snapshot).copy()
         self._seeded[:] = True
 
@@ -367,17 +383,17 @@ class StageVectorEnv(_TaskAccess, VectorEnv[np.ndarray, Any, np.ndarray]):
         return observations, rewards, ends[0], ends[1], infos
 
     def _same_step(self, infos: dict[str, Any], observations: np.ndarray) -> dict[str, Any]:
-        """Reset finished stages, and keep their last observation and info, as Gymnasium demands."""
+        """Reset finished stages, and keep their last observation and info, as Gymnasium requires."""
         last = infos
-        kept: dict[str, Any] = {}
+        merged: dict[str, Any] = {}
         for k in range(self.num_envs):
             info = info_of(last, k)
             if self._over[k]:
-                kept = self._add_info(kept, {"final_obs": observations[k].copy(), "final_info": info}, k)
+                merged = self._add_info(merged, {"final_obs": observations[k].copy(), "final_info": info}, k)
                 self._task.reset_stage(k, {})
                 info = self._task.reset_info(k)
-            kept = self._add_info(kept, info, k)
-        return kept
+            merged = self._add_info(merged, info, k)
+        return merged
 
     def _check_mask(self, mask: Any) -> None:
         if (
@@ -408,7 +424,12 @@ def _join_columns(infos: dict[str, Any], columns: dict[str, Any]) -> None:
 
 
 def info_of(infos: Mapping[str, Any], k: int) -> dict[str, Any]:
-    """Environment k's info out of a vector's."""
+    """Return the info of one environment out of the info of a vector.
+
+    Args:
+        infos: Info of the vector, with a mask for each key.
+        k: Number of the environment.
+    """
     return {
         name: info_of(v, k) if isinstance(v, dict) else _to_python(v[k])
         for name, v in infos.items()

@@ -75,11 +75,11 @@ class BusHost(MachineTask[Any]):
 
     @property
     def uses_axis(self) -> np.ndarray:
-        """Which axes take part, (n, m) bool."""
+        """Mask of the axes that take part, (n, m) bool."""
         return (np.arange(len(self.axes)) == 0) | (self.episodes["level"] >= 2)[:, None]
 
     def action_masks(self) -> np.ndarray:
-        """What has an effect now, (n, actions) int8."""
+        """Return which actions have an effect now, (n, actions) int8."""
         s, c, e = self.selected_state, self.config, self.episodes
         idle = s["running"] == 0
         able = idle & (s["rates"] >= 0) & (s["distance"] >= 0)
@@ -92,7 +92,7 @@ class BusHost(MachineTask[Any]):
 
     @property
     def selected_state(self) -> np.ndarray:
-        """What the host remembers of the axis that is selected, (n,)."""
+        """Memory of the host for the selected axis, (n,)."""
         return self.axis_states[np.arange(self.n), self.episodes["selected"]]
 
     def make_programs(self) -> np.ndarray:
@@ -105,10 +105,10 @@ class BusHost(MachineTask[Any]):
     # --- what it remembers and sees ---
 
     def _update_memory(self, played: Played, t: np.ndarray) -> None:
-        """What the host knows after the macros that were played."""
+        """Update the host's memory after the macros that were played."""
         done = self._valid & self.converged
-        for kind, mine in self.book.is_kind.items():
-            rows = np.flatnonzero(done & mine[self.actions])
+        for kind, mask in self.book.is_kind.items():
+            rows = np.flatnonzero(done & mask[self.actions])
             if not len(rows):
                 continue
             axis = self.episodes["selected"][rows]
@@ -136,22 +136,22 @@ class BusHost(MachineTask[Any]):
 
     def _store_home(self, s: np.ndarray, results: np.ndarray, t: np.ndarray, axis: np.ndarray) -> None:
         for a in np.unique(axis):
-            mine = axis == a
-            s["known"][mine] = self.book.found_origin(int(a), results[mine])
+            mask = axis == a
+            s["known"][mask] = self.book.ends_at_origin(int(a), results[mask])
         s["zero"], s["rates"], s["distance"] = t["pulses"], -1, -1
         self._read(s, t, axis)
 
     def compute_observations(self) -> np.ndarray:
         c, s, e, every, used = self.config, self.axis_states, self.episodes, self.selected_state, self.uses_axis
-        ways = np.where(s["known"] != 0, s["target"] - (s["seen"] - s["zero"]), 0)
-        left = ways[np.arange(self.n), e["selected"]]
+        distances_left = np.where(s["known"] != 0, s["target"] - (s["seen"] - s["zero"]), 0)
+        left = distances_left[np.arange(self.n), e["selected"]]
         log = np.sign(left) * portable.log1p(np.abs(left) / c.grid[0]) / portable.log1p(2 * c.longest / c.grid[0])
         one = [
             every["known"] != 0, every["running"] != 0, every["fresh"] != 0, *(every["rates"] == r for r in range(len(RATES))),
             *(every["distance"] == d for d in range(len(c.grid))), left / c.longest, log, *(every[name] for name in SWITCHES),
         ]  # fmt: skip
         selected = e["selected"][:, None] == np.arange(len(self.axes))
-        arrived = (s["known"] != 0) & (ways == 0)
+        arrived = (s["known"] != 0) & (distances_left == 0)
         of_axes = np.stack([used, selected, s["running"] != 0, arrived], axis=2) * used[:, :, None]
         time = (e["before"] - e["began"]) * 1e-9
         rest = [e["level"] / 3.0, 1.0 - self.steps / c.macros, 1.0 - time / c.time_limit]
@@ -161,7 +161,7 @@ class BusHost(MachineTask[Any]):
     # --- a host ---
 
     def scripted_action(self) -> np.ndarray:
-        """The next action of a host that goes to the target by the longest distances of the grid, one axis after the other."""
+        """Return the next actions of a host that approaches the targets by long distances, one axis after the other."""
         return np.array([self._next_action(k) for k in range(self.n)], np.int64)
 
     def _next_action(self, k: int) -> int:

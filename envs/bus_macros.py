@@ -58,6 +58,7 @@ from stage.envs.bus_host import AXIS, EPISODE, SWITCHES, BusHost
 from stage.envs.features import HOST, TRUTH, Feature
 from stage.envs.machines import MachineSettings
 from stage.envs.macros import RATES, MacroTable
+from stage.envs.origin_switch import OriginSwitch
 from stage.envs.results import SCORE_FEATURE, write_scores
 from stage.envs.settings import Count, Discount, Each, Flag, Names, Number, Positive, Seconds, Weight, Word
 from stage.envs.trial import compute_move_time
@@ -133,10 +134,10 @@ class BusMacros(BusHost):
         self.axes = [first.axes[name] for name in c.axes]
         self.index = [a.index for a in self.axes]
         m = len(self.axes)
-        self.way = np.array([a.meters_per_pulse * np.sign(a.gear) for a in self.axes])
-        self.per_pulse = np.abs(self.way)
+        self.signed_pulse_m = np.array([a.meters_per_pulse * np.sign(a.gear) for a in self.axes])
+        self.per_pulse = np.abs(self.signed_pulse_m)
         self.full_step = np.array([0.5 * np.pi / (_motor(a).rotor_teeth * a.gear) for a in self.axes])
-        self.origin = np.array([self._find_origin(a) for a in self.axes])
+        self.origin = np.array([OriginSwitch(first, a).position for a in self.axes])
         self.turn = np.array([2 * np.pi / (_motor(a).rotor_teeth * abs(a.gear)) for a in self.axes])
         self.wired = [[a.chip.wired(pin) for pin in SWITCHES] for a in self.axes]
         self.prepare_machines()
@@ -147,13 +148,6 @@ class BusMacros(BusHost):
         self.observation_space = self.make_observation_space()
         self.shapes = {"action_mask": (len(self.names),)}
         self.episodes, self.axis_states = np.zeros(n, EPISODE), np.zeros((n, m), AXIS)
-
-    def _find_origin(self, axis: Any) -> float:
-        """Where ORG trips, m."""
-        at = {s.pin: s.touch for s in axis.plant.switches}
-        if any(pin not in at for pin in SWITCHES):
-            raise ArgumentError(f"axis {axis.name}: an origin return needs ORG and both end limits.")
-        return float(at["org"])
 
     # --- episodes ---
 
@@ -167,14 +161,14 @@ class BusMacros(BusHost):
         axes[...] = np.zeros((), AXIS)
         sign = rng.choice((-1, 1), m) if level < 3 else np.ones(m, np.int64)
         units = rng.integers(1, c.longest // c.grid[0] + 1, m)
-        far = units * c.grid[0] if level else rng.choice(c.grid, m)
+        distance = units * c.grid[0] if level else rng.choice(c.grid, m)
         start = rng.integers(-MAX_BEFORE_ORIGIN, c.longest, m)
-        axes["target"] = sign * far
+        axes["target"] = sign * distance
         axes["rates"] = axes["distance"] = -1
         self._apply_options(axes, options, level)
         at = self._find_starts(k, level, start)
-        from_origin = np.rint((at - self.origin) / self.way)
-        axes["goal"] = (self.origin if level == 3 else at) + self.way * axes["target"]
+        from_origin = np.rint((at - self.origin) / self.signed_pulse_m)
+        axes["goal"] = (self.origin if level == 3 else at) + self.signed_pulse_m * axes["target"]
         axes["known"], axes["fresh"] = level < 3, 1
         e["level"], e["limits"], e["selected"] = level, 0, 0
         self._place(k, at)
@@ -189,22 +183,22 @@ class BusMacros(BusHost):
         e["loan"] = 0.0
 
     def _apply_options(self, axes: Any, options: Mapping[str, Any], level: int) -> None:
-        given, c = options.get("targets", {}), self.config
+        targets, c = options.get("targets", {}), self.config
         low = -c.longest if level < 3 else 1
-        if not isinstance(given, Mapping) or not all(
+        if not isinstance(targets, Mapping) or not all(
             isinstance(d, int | np.integer) and not isinstance(d, bool) and low <= d <= c.longest
-            for d in given.values()
+            for d in targets.values()
         ):
-            raise ArgumentError(f"option targets={given!r}: {{axis: whole pulses, {low} to {c.longest}}}.")
-        for name, pulses in given.items():
+            raise ArgumentError(f"option targets={targets!r}: {{axis: whole pulses, {low} to {c.longest}}}.")
+        for name, pulses in targets.items():
             if name not in c.axes:
                 raise unknown("axis", name, c.axes)
             axes["target"][c.axes.index(name)] = pulses
 
     def _find_starts(self, k: int, level: int, start: np.ndarray) -> np.ndarray:
-        """Where the carriages are at power-up, m, at the rotor's angle of the context."""
+        """Return the positions of the carriages at power-up, m, at the rotor's angle of the context."""
         pulses = start if level == 3 else np.full(len(self.axes), self.config.longest + 2 * MAX_BEFORE_ORIGIN)
-        at = self.origin + self.way * pulses
+        at = self.origin + self.signed_pulse_m * pulses
         return (np.floor(at / self.turn) + float(self.context[k]["switch"])) * self.turn
 
     def _place(self, k: int, at: np.ndarray) -> None:
@@ -213,12 +207,12 @@ class BusMacros(BusHost):
         stage.place(**{name: float(q) for name, q in zip(self.config.axes, at, strict=True)})
 
     @staticmethod
-    def _parse_level(given: Any) -> int:
-        if isinstance(given, str) and given in LEVELS:
-            return LEVELS.index(given)
-        if isinstance(given, bool) or not isinstance(given, int | np.integer) or not 0 <= given < len(LEVELS):
-            raise ArgumentError(f"option level={given!r}: 0 to 3, or {', '.join(LEVELS)}.")
-        return int(given)
+    def _parse_level(targets: Any) -> int:
+        if isinstance(targets, str) and targets in LEVELS:
+            return LEVELS.index(targets)
+        if isinstance(targets, bool) or not isinstance(targets, int | np.integer) or not 0 <= targets < len(LEVELS):
+            raise ArgumentError(f"option level={targets!r}: 0 to 3, or {', '.join(LEVELS)}.")
+        return int(targets)
 
     def describe_episode(self, k: int) -> dict[str, Any]:
         return {
@@ -239,16 +233,16 @@ class BusMacros(BusHost):
         first = (lost.max(axis=1) > 0) & (s["lost"].max(axis=1) == 0)
         error = np.abs(t["position"] - s["goal"]) / self.per_pulse
         rest = t["commanded"] - t["lost_steps"] * self.full_step
-        there = (error <= c.lag) & (np.abs(rest - s["goal"]) <= c.tolerance * self.per_pulse)
-        there &= (t["busy"] == 0) & (s["known"] != 0)
-        held = (lost == 0).all(axis=1) | (e["level"] == 3)
-        success = (there | ~used).all(axis=1) & held & good
+        arrived = (error <= c.lag) & (np.abs(rest - s["goal"]) <= c.tolerance * self.per_pulse)
+        arrived &= (t["busy"] == 0) & (s["known"] != 0)
+        is_recoverable = (lost == 0).all(axis=1) | (e["level"] == 3)
+        success = (arrived | ~used).all(axis=1) & is_recoverable & good
         over = self.steps >= c.macros
-        late = now - e["began"] >= c.time_limit * 1e9
-        hopeless = ~held & ~success & good
+        timed_out = now - e["began"] >= c.time_limit * 1e9
+        hopeless = ~is_recoverable & ~success & good
         potential = np.where(success, 0.0, self._potential(t, slice(None)))
         seconds = (now - e["before"]) * 1e-9
-        failed = (hopeless | over | late) & ~success
+        failed = (hopeless | over | timed_out) & ~success
         left = np.maximum(c.macros - self.steps, 0) * c.macro_weight
         left = left + np.maximum(c.time_limit - (now - e["began"]) * 1e-9, 0.0) * c.time_weight
         parts = {
@@ -269,12 +263,12 @@ class BusMacros(BusHost):
             "elapsed": elapsed, "masked": ~self._valid, "success": success,
             "error": np.max(error * used, axis=1), "lost_steps": lost.sum(axis=1),
         }  # fmt: skip
-        self.set_results(parts, info, success | hopeless, (over | late) & ~success & ~hopeless)
+        self.set_results(parts, info, success | hopeless, (over | timed_out) & ~success & ~hopeless)
         time = np.where(success, elapsed, np.inf)
         write_scores(self.results["score"], time, e["usual"], self.steps, s["lost"].sum(axis=1), e["limits"])
 
     def _apply_loan(self, over: np.ndarray) -> dict[str, np.ndarray]:
-        """The parts of a step with a discount: whole where the episode is over, before a loan on them, which the end takes back."""
+        """Return the parts of a step with a discount: whole at the end of an episode, before that a loan on them."""
         c, e, good = self.config, self.episodes, self.converged
         progress = c.progress_weight * (e["potential"] - e["start"])
         cost = -c.macro_weight * self.steps - c.time_weight * 1e-9 * (e["before"] - e["began"])
@@ -287,15 +281,15 @@ class BusMacros(BusHost):
         return {"progress": paid, "cost": np.where(over, cost, 0.0), "damage": np.where(over, damage, 0.0)}
 
     def _potential(self, t: np.ndarray, which: slice) -> np.ndarray:
-        """(stages,), from -1.5 or so to 0. t: truth of these stages."""
+        """Compute the potential of stages, (stages,), from about -1.5 to 0."""
         c, s, used = self.config, self.axis_states[which], self.uses_axis[which]
         beyond = np.maximum(np.abs(t["position"] - s["goal"]) / self.per_pulse - c.lag, 0.0) / c.tolerance
-        far = portable.log1p(beyond) / portable.log1p((c.longest + MAX_BEFORE_ORIGIN) / c.tolerance) + 0.5 * (
+        distance = portable.log1p(beyond) / portable.log1p((c.longest + MAX_BEFORE_ORIGIN) / c.tolerance) + 0.5 * (
             s["known"] == 0
         )
         total = np.zeros(len(s))
         for a in range(len(self.axes)):
-            total -= far[:, a] * used[:, a]
+            total -= distance[:, a] * used[:, a]
         return total / used.sum(axis=1)
 
 
@@ -308,11 +302,11 @@ class BusMacrosEnv(StageEnv):
 
     @property
     def macros(self) -> tuple[str, ...]:
-        """What each action is."""
+        """Name of the macro of each action."""
         return self._task.names  # type: ignore[attr-defined]
 
     def action_masks(self) -> np.ndarray:
-        """Which actions have an effect now, bool, as sb3-contrib asks for them."""
+        """Return which actions have an effect now, bool, as sb3-contrib expects."""
         return self._task.action_masks()[0] != 0  # type: ignore[attr-defined]
 
 
@@ -321,9 +315,9 @@ class BusMacrosVectorEnv(StageVectorEnv):
 
     @property
     def macros(self) -> tuple[str, ...]:
-        """What each action is."""
+        """Name of the macro of each action."""
         return self._task.names  # type: ignore[attr-defined]
 
     def action_masks(self) -> np.ndarray:
-        """Which actions have an effect now, (num_envs, actions) bool."""
+        """Return which actions have an effect now, (num_envs, actions) bool."""
         return self._task.action_masks() != 0  # type: ignore[attr-defined]

@@ -21,6 +21,7 @@ from stage import Stage
 from stage.drives.motors import MOTORS
 from stage.drives.spread import estimate_spread
 from stage.envs.features import TRUTH, Feature
+from stage.envs.scaling import scale
 from stage.envs.settings import read_option
 from stage.native import record
 from stage.support import portable
@@ -87,30 +88,52 @@ OBSERVATION = (
 
 
 def get_setting(config: Any, name: str) -> Any:
-    """A setting of a Config that has a split: its own value, or where that is None the split's."""
-    own = getattr(config, name)
-    return SPLITS[config.split].get(name, SPLITS["train"][name]) if own is None else own
+    """Return a setting of a Config that has a split: its own value, or the split's where that is None.
+
+    Args:
+        config: Settings with the attribute `split`.
+        name: Of the setting.
+    """
+    value = getattr(config, name)
+    return SPLITS[config.split].get(name, SPLITS["train"][name]) if value is None else value
 
 
 def get_ranges(config: Any) -> dict[str, tuple[float, float]]:
-    """(least, most) of each number of a context."""
-    whole = (0.0, 1.0)
-    return {name: get_setting(config, kind) if kind else whole for name, (kind, _) in KINDS.items()}
+    """Return (least, largest) of each number of a context."""
+    unit_range = (0.0, 1.0)
+    return {name: get_setting(config, kind) if kind else unit_range for name, (kind, _) in KINDS.items()}
 
 
 def draw_context(
     rng: np.random.Generator, ends: Mapping[str, tuple[float, float]], context: Any, options: Mapping[str, Any]
 ) -> None:
-    """Fill a CONTEXT: evenly, those of LOGARITHMIC by their logarithm, but for those in `options`. Raises ArgumentError for one
-    beyond its ends. All are drawn in any case, so that what is given changes no other."""
+    """Draw the numbers of a context: evenly, those of LOGARITHMIC by their logarithm.
+
+    Args:
+        rng: Random generator; each number is drawn in any case, so that an option changes no other number.
+        ends: Least and largest value by name.
+        context: Record to fill.
+        options: Values in place of drawn ones.
+
+    Raises:
+        ArgumentError: An option is beyond its ends.
+    """
     for name, (low, high) in ends.items():
         drawn = portable.exp(rng.uniform(*portable.log((low, high)))) if name in LOGARITHMIC else rng.uniform(low, high)
         context[name] = read_option(options, name, float(drawn), (low, high))
 
 
 def scale_contexts(ends: Mapping[str, tuple[float, float]], context: np.ndarray) -> np.ndarray:
-    """(n, SHOWN): contexts from -1 to 1 over their ranges, and whether there is a fault."""
-    numbers = [(context[name] - a) / max(b - a, 1e-9) * 2.0 - 1.0 for name, (a, b) in ends.items()]
+    """Scale contexts for an observation.
+
+    Args:
+        ends: Least and largest value by name.
+        context: Records, (n,).
+
+    Returns:
+        Numbers from -1 to 1 over their ranges, and 1 for a machine with a fault, (n, OBSERVATION).
+    """
+    numbers = [scale(context[name], span) for name, span in ends.items()]
     return np.stack([*numbers, context["fault"] != 0], axis=1)
 
 
@@ -129,7 +152,13 @@ class NominalMachine:
 
     @classmethod
     def from_stage(cls, stage: Stage, axis: str, carrier: str) -> NominalMachine:
-        """Of a stage that nobody has changed."""
+        """Read the values of an axis from a stage that nobody has changed.
+
+        Args:
+            stage: At power-up.
+            axis: Its name.
+            carrier: Name of the body that carries the payload.
+        """
         a, model = stage.axes[axis], stage.model
         dof = a.plant.dof
         friction, damping = float(model.dof_frictionloss[dof]), float(model.dof_damping[dof])
@@ -139,7 +168,13 @@ class NominalMachine:
         return cls(axis, carrier, friction, damping, float(a.faults.bus_voltage), current, loss, inductance)
 
     def apply(self, stage: Stage, context: Any, more: float = 0.0) -> None:
-        """The stage is the machine of a CONTEXT; more: kg beyond its payload. After a stage was restored, for the drive."""
+        """Make the stage the machine of a context. After a restore it has to be done again, for the drive.
+
+        Args:
+            stage: To change.
+            context: Record of CONTEXT.
+            more: kg beyond the payload of the context.
+        """
         axis = stage.axes[self.axis]
         dof, drive = axis.plant.dof, stage.state.drives[axis.index]
         stage.set_payload(float(context["payload"]) + more, self.carrier)

@@ -45,6 +45,7 @@ from stage.envs import contexts, faulty
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.features import HOST, TRUTH, Feature
 from stage.envs.machines import MachineSettings, MachineTask
+from stage.envs.origin_switch import OriginSwitch
 from stage.envs.results import SCORE_FEATURE, write_scores
 from stage.envs.settings import AxisName, Count, Number, Pair, Positive, Range, Seconds, Weight
 from stage.errors import ArgumentError
@@ -94,13 +95,25 @@ def action_of(
     back_off: int = 200,
     report: bool = False,
 ) -> np.ndarray:
-    """The action that means these rates (pps), ramps (s) and pulses, (6,) float32; what is beyond its range becomes its end."""
+    """Return the action that means these values; a value beyond its range counts as the end of the range.
+
+    Args:
+        search: Rate of the search, pps.
+        ramp: Duration of its ramps, s.
+        approach: Rate of the approach, pps.
+        leave: Pulses by which ORG is left before the search.
+        back_off: Pulses by which the host backs off before the approach.
+        report: Report a fault in place of a return.
+
+    Returns:
+        An action, (6,) float32.
+    """
     low, high = portable.log(np.array(list(RATES.values()))).T
     rates = 2 * (portable.log((search, ramp, approach)) - low) / (high - low) - 1
-    far = 2 * portable.cbrt(leave / LEAVE) - 1
+    leave_share = 2 * portable.cbrt(leave / LEAVE) - 1
     b0, b1 = portable.log(BACK_OFF)
     back = 2 * (portable.log(back_off) - b0) / (b1 - b0) - 1
-    return np.clip([*rates, far, back, 1.0 if report else -1.0], -1, 1).astype(np.float32)
+    return np.clip([*rates, leave_share, back, 1.0 if report else -1.0], -1, 1).astype(np.float32)
 
 
 class DriftingHome(MachineTask[Config]):
@@ -108,7 +121,7 @@ class DriftingHome(MachineTask[Config]):
     OPTIONS = ("start", *contexts.OPTIONS)
     """start: m, of the first return; fault: a name, or "none"; and parts of the machine."""
     PARTS = ("time", "error", "missed", "damage", "report")
-    STATE = ("context", "place", "shift", "last", "away", "ended", "sums", "bounce")
+    STATE = ("context", "place", "shift", "last", "away", "last_end", "sums", "bounce")
     RESTARTS = True
     OBSERVATION = (
         Feature("org", HOST, "1 if ORG is asserted now"),
@@ -144,24 +157,16 @@ class DriftingHome(MachineTask[Config]):
         c, n, first = self.config, self.n, self.stages[0]
         self.axis = first.axes[c.axis]
         self.prepare_machines()
-        self.switch = {s.pin: s for s in self.axis.plant.switches}
-        for pin in ("org", "el_minus", "el_plus"):
-            if pin not in self.switch:
-                raise ArgumentError(f"axis {c.axis} has no {pin}: an origin return needs ORG and both end limits.")
+        self.switch = OriginSwitch(first, self.axis)
         self.search = driver_of(self.axis).search(
             SimpleNamespace(multiplier=30, leave=LEAVE, back_off=BACK_OFF[1], limit=c.limit, settle=c.settle, ez=0)
         )
-        self.low, self.high = self.switch["el_minus"].touch, self.switch["el_plus"].touch
-        self.origin, self.per_pulse = self.switch["org"].touch, self.axis.meters_per_pulse
-        beam = int(first.model.sensor_refid[self.switch["org"].sensor])
-        turned = first.data.xmat[first.model.geom_bodyid[beam]].reshape(3, 3)
-        self.beam, self.along = beam, turned.T @ first.data.xaxis[self.axis.joint]
-        self.beam0 = first.model.geom_pos[beam].copy()
+        self.origin, self.per_pulse = self.switch.position, self.axis.meters_per_pulse
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (6,), np.float32)
         self.observation_space = self.make_observation_space()
         self.shapes = {"choices": (len(self.search.choices.ranges),)}
         self.place, self.shift = np.zeros(n), np.zeros((n, 2))  # m: the start; the walk of ORG, and where it trips
-        self.last, self.away, self.ended = np.zeros((n, NUMBERS_OF_LAST)), np.zeros(n), np.full(n, np.nan)
+        self.last, self.away, self.last_end = np.zeros((n, NUMBERS_OF_LAST)), np.zeros(n), np.full(n, np.nan)
         self.bounce = np.zeros(n)  # s
         self.sums = np.zeros((n, 5))  # s, s by the formula, returns that missed, full steps lost, limits hit
 
@@ -171,11 +176,11 @@ class DriftingHome(MachineTask[Config]):
         c, rng = self.config, self.rngs[k]
         self.draw_machine(k, options)
         self.bounce[k] = rng.uniform(*c.bounces)
-        self.last[k], self.sums[k], self.shift[k], self.ended[k] = 0.0, 0.0, 0.0, np.nan
+        self.last[k], self.sums[k], self.shift[k], self.last_end[k] = 0.0, 0.0, 0.0, np.nan
         self._begin(k, options)
 
     def make_fault_rng(self, k: int) -> np.random.Generator:
-        """Here every machine may have a fault, on train too."""
+        """Return the generator of the stage itself: in this task every machine may have a fault."""
         return self.rngs[k]
 
     def prepare_next(self) -> None:
@@ -183,9 +188,9 @@ class DriftingHome(MachineTask[Config]):
             self._begin(int(k), {})
 
     def _begin(self, k: int, options: Mapping[str, Any]) -> None:
-        """The next return begins: ORG has drifted, and the carriage is elsewhere."""
+        """Begin the next return: ORG drifts, and the carriage moves elsewhere."""
         c, rng, stage = self.config, self.rngs[k], self.stages[k]
-        low, high = self.low + LIMIT_CLEARANCE_M, self.high - LIMIT_CLEARANCE_M
+        low, high = self.switch.low + LIMIT_CLEARANCE_M, self.switch.high - LIMIT_CLEARANCE_M
         walk, noise, at = rng.uniform(-1, 1, 3)
         self.shift[k, 0] += c.walk * walk
         self.shift[k, 1] = self.shift[k, 0] + c.noise * noise
@@ -194,14 +199,14 @@ class DriftingHome(MachineTask[Config]):
         if isinstance(start, bool) or not isinstance(start, int | float | np.number) or not low <= start <= high:
             raise ArgumentError(f"option start={start!r}: m, from {low:g} to {high:g}.")
         self.place[k] = start
-        self.away[k] = 0.0 if np.isnan(self.ended[k]) else self.place[k] - self.ended[k]
+        self.away[k] = 0.0 if np.isnan(self.last_end[k]) else self.place[k] - self.last_end[k]
         stage.restore(self.start)
         self.apply_machine(k)
         stage.place(**{c.axis: float(self.place[k])})
 
     def apply_machine(self, k: int) -> None:
         stage = self.stages[k]
-        stage.model.geom_pos[self.beam] = self.beam0 + self.along * self.shift[k, 1]
+        self.switch.shift(stage, self.shift[k, 1])
         self.configure_stage(stage, k, bounce=float(self.bounce[k]))
 
     def describe_episode(self, k: int) -> dict[str, Any]:
@@ -210,7 +215,7 @@ class DriftingHome(MachineTask[Config]):
     # --- returns ---
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
-        """What the search makes of actions, (n, choices)."""
+        """Return the driver's search choices for actions, (n, choices)."""
         low, high = portable.log(np.array(list(RATES.values()))).T
         b0, b1 = portable.log(BACK_OFF)
         rows = []
@@ -224,7 +229,7 @@ class DriftingHome(MachineTask[Config]):
 
     @property
     def reports(self) -> np.ndarray:
-        """Whose action is a report, (n,)."""
+        """Mask of the actions that report a fault, (n,)."""
         return self.actions[:, 5] > 0
 
     def make_programs(self) -> list[Program]:
@@ -233,17 +238,17 @@ class DriftingHome(MachineTask[Config]):
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t, reports = self.config, truth[:, self.axis.index], self.reports
-        rows, made = self.to_registers(self.actions), ~reports
+        rows, returned = self.to_registers(self.actions), ~reports
         width = max(self.search.marks.values()) + 1
         results = np.zeros((self.n, max(width, played.results.shape[1])), np.int64)
         results[:, : played.results.shape[1]] = played.results
-        found = self.search.read_results(results, rows)
-        home, end_limit, late = found.home & made, found.end_limit & made, found.timed_out & made
-        duration = np.where(made, t["now"] * 1e-9, 0.0)
+        outcome = self.search.read_results(results, rows)
+        home, end_limit, timed_out = outcome.home & returned, outcome.end_limit & returned, outcome.timed_out & returned
+        duration = np.where(returned, t["now"] * 1e-9, 0.0)
         trips = self.origin + self.shift[:, 1]
-        error = np.where(made, np.clip((t["position"] - trips) / self.per_pulse, -1e6, 1e6), 0.0)
-        lost = np.where(made, np.abs(t["lost_steps"]), 0)
-        missed = made & ~(home & (np.abs(error) < MAX_ERROR_PULSES))
+        error = np.where(returned, np.clip((t["position"] - trips) / self.per_pulse, -1e6, 1e6), 0.0)
+        lost = np.where(returned, np.abs(t["lost_steps"]), 0)
+        missed = returned & ~(home & (np.abs(error) < MAX_ERROR_PULSES))
         broken, over = self.context["fault"] != 0, self.steps >= c.returns
         worst = 4 * c.limit * c.time_weight + MAX_ERROR_PULSES * c.error_weight + c.missed_weight + 2 * c.damage_weight
         false = -c.false_weight - worst * (c.returns - self.steps + 1)
@@ -260,36 +265,37 @@ class DriftingHome(MachineTask[Config]):
         }
         info = {
             **self.machine_info, "reported": reports,
-            "duration": duration, "error": error, "home": home, "end_limit": end_limit, "late": late,
+            "duration": duration, "error": error, "home": home, "end_limit": end_limit, "late": timed_out,
             "lost_steps": lost, "start": self.place, "choices": rows,
         }  # fmt: skip
         good = self.converged
-        self._note(found, home, t, duration, good & made)
+        self._note(outcome, home, t, duration, good & returned)
         bad = missed | (np.abs(error) > c.tolerance)
-        more = np.stack([duration, made * self._usual(), bad, lost, end_limit], axis=1)
+        more = np.stack([duration, returned * self._usual(), bad, lost, end_limit], axis=1)
         self.sums[good] += more[good]
         self.set_results(parts, info, reports, over & ~reports)
         self._score(reports, broken)
 
-    def _note(self, found: Any, home: np.ndarray, t: np.ndarray, duration: np.ndarray, good: np.ndarray) -> None:
-        """What the host knows of the last return, of the stages in `good`."""
-        whole = (self.high - self.low) / self.per_pulse
-        known = home & ~np.isnan(self.ended)
+    def _note(self, outcome: Any, home: np.ndarray, t: np.ndarray, duration: np.ndarray, good: np.ndarray) -> None:
+        """Note what the host knows of the last return, for the stages in `good`."""
+        travel_pulses = (self.switch.high - self.switch.low) / self.per_pulse
+        known = home & ~np.isnan(self.last_end)
         counted = t["pulses"] + np.sign(self.axis.gear) * self.away / self.per_pulse
         now = [
-            good, home, found.end_limit, found.timed_out, found.released, duration / (4 * self.config.limit),
-            found.searched / whole,
-            found.overrun / MAX_ERROR_PULSES, np.where(known, counted / MAX_ERROR_PULSES, 0.0),
+            good, home, outcome.end_limit, outcome.timed_out, outcome.released, duration / (4 * self.config.limit),
+            outcome.searched / travel_pulses, outcome.overrun / MAX_ERROR_PULSES, np.where(known, counted / MAX_ERROR_PULSES, 0.0),
             np.where(home, 0.0, self.last[:, -1] + 1 / self.config.returns),
         ]  # fmt: skip
         self.last[good] = np.clip(np.nan_to_num(np.stack(now, axis=1)), -1.0, 1.0)[good]
-        self.ended[good] = np.where(home, t["position"], np.nan)[good]
+        self.last_end[good] = np.where(home, t["position"], np.nan)[good]
 
     def _usual(self) -> np.ndarray:
         """s, of a return from each place at the usual rates."""
         u, settled = USUAL, 3 * self.config.settle
-        far = np.abs(self.place - self.origin) / self.per_pulse
-        return far / u["search"] + u["ramp"] + u["back_off"] * (1 / (FL * u["search"]) + 1 / u["approach"]) + settled
+        distance = np.abs(self.place - self.origin) / self.per_pulse
+        return (
+            distance / u["search"] + u["ramp"] + u["back_off"] * (1 / (FL * u["search"]) + 1 / u["approach"]) + settled
+        )
 
     def _score(self, reports: np.ndarray, broken: np.ndarray) -> None:
         seconds, usual, bad, lost, limits = self.sums.T
@@ -312,16 +318,16 @@ class DriftingHome(MachineTask[Config]):
     # --- a host ---
 
     def scripted_action(self) -> np.ndarray:
-        """The usual rates, leaving ORG first where it is asserted; more slowly after a return that failed; a report after two."""
+        """Return the usual rates: leave ORG first where it is asserted, be slower after a failed return, and report after two."""
         on_org = self.fleet.truth()["inputs"][:, self.axis.index] & self.axis.chip.wired("org") != 0
         failed = np.rint(self.last[:, -1] * self.config.returns)
         rows = zip(on_org.tolist(), failed.tolist(), strict=True)
-        return np.stack([self._host(far, often) for far, often in rows])
+        return np.stack([self._host(*row) for row in rows])
 
     @staticmethod
-    def _host(far: bool, often: float) -> np.ndarray:
+    def _host(on_org: bool, often: float) -> np.ndarray:
         approach = USUAL["approach"] / (2 if often else 1)
-        return action_of(leave=LEAVE if far else 0, approach=approach, report=often >= 2)
+        return action_of(leave=LEAVE if on_org else 0, approach=approach, report=often >= 2)
 
 
 class DriftingHomeEnv(StageEnv):

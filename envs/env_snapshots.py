@@ -34,13 +34,13 @@ class EnvSnapshot(snapshots.Snapshot):
 
 
 def make_header(task: Task) -> snapshots.Header:
-    """What snapshots of environments under this task are taken of."""
+    """Describe the environment of a task, for its snapshots."""
     if task.header is None:
-        task.header = _made(task)
+        task.header = _describe_task(task)
     return task.header
 
 
-def _made(task: Task) -> snapshots.Header:
+def _describe_task(task: Task) -> snapshots.Header:
     parts = [("environment", type(task).__name__), ("stages", str(task.n))]
     for f in fields(task.config):
         value = getattr(task.config, f.name)
@@ -53,29 +53,42 @@ def _made(task: Task) -> snapshots.Header:
 
 
 def take_snapshot(task: Task, more: Any) -> EnvSnapshot:
-    """Of all stages of a task; more: of whoever asks, what can be pickled."""
-    kept = [task.save_stage(k) for k in range(task.n)]
-    state = pickle.dumps((kept, more), pickle.HIGHEST_PROTOCOL)
+    """Take a snapshot of all stages of a task.
+
+    Args:
+        task: Whose episodes to save.
+        more: Anything that can be pickled; `restore_snapshot` returns it.
+    """
+    episodes = [task.save_stage(k) for k in range(task.n)]
+    state = pickle.dumps((episodes, more), pickle.HIGHEST_PROTOCOL)
     of = make_header(task)
     return EnvSnapshot(of, state, (), zlib.crc32(state, of.checksum))
 
 
 def restore_snapshot(task: Task, snapshot: Any) -> Any:
-    """The task is as it was; returns what `taken` was given more.
+    """Put a task back to a snapshot.
 
-    Raises ArgumentError for a snapshot of another environment, StageError while a stage is being recorded; nothing
-    has changed then.
+    Args:
+        task: Of the same settings.
+        snapshot: To restore.
+
+    Returns:
+        The value `more` of `take_snapshot`.
+
+    Raises:
+        ArgumentError: The snapshot is of another environment; nothing has changed.
+        StageError: A stage is being recorded; nothing has changed.
     """
     snapshots.check(snapshot, EnvSnapshot, make_header(task))
     if any(stage.recording is not None for stage in task.stages):
         raise StageError("time in a recording runs forward only: restore in an environment without record=.")
-    kept, more = pickle.loads(snapshot.state)
-    for k, of_stage in enumerate(kept):
+    episodes, more = pickle.loads(snapshot.state)
+    for k, of_stage in enumerate(episodes):
         task.load_stage(k, of_stage)
     return more
 
 
 def require_episodes(episodes: Sequence[bool] | np.ndarray) -> None:
-    """Raise ArgumentError where a snapshot would be of nothing."""
+    """Raise ArgumentError if an environment has not begun an episode."""
     if not all(episodes):
         raise ArgumentError("there is no episode to take a snapshot of: call reset() first.")

@@ -46,14 +46,22 @@ _PUSH = {"jam": JAM, "binding": BINDING}
 
 
 def draw_fault(rng: np.random.Generator, names: Sequence[str], healthy: float, axes: int, context: Any) -> None:
-    """Which fault a CONTEXT has: none with the probability `healthy`, else one of `names`, on one of so many axes."""
+    """Draw the fault of a context: none with the probability `healthy`, else one of `names`, on one of `axes` axes.
+
+    Args:
+        rng: Random generator.
+        names: Of the faults that may be drawn.
+        healthy: Probability of no fault.
+        axes: Number of axes that may have it.
+        context: Record to fill.
+    """
     broken, which = rng.uniform() >= healthy, int(rng.integers(0, max(len(names), 1)))
     context["fault"] = NAMES.index(names[which]) if broken and names else 0
     context["faulty"] = rng.integers(0, axes) if axes > 1 else 0
 
 
 def find_overload(fault: int) -> float:
-    """kg on the table beyond the payload."""
+    """Return the mass on the table beyond the payload, kg."""
     return OVERLOAD if NAMES[fault] == "overload" else 0.0
 
 
@@ -71,7 +79,12 @@ class FaultyAxis:
 
     @classmethod
     def from_stage(cls, stage: Stage, axis: str) -> FaultyAxis:
-        """Of a stage that nobody has changed."""
+        """Read the parts of an axis from a stage that nobody has changed.
+
+        Args:
+            stage: At power-up.
+            axis: Its name.
+        """
         a, model = stage.axes[axis], stage.model
         row = a.switches.row("org") if any(s.pin == "org" for s in a.plant.switches) else None
         dof, forced = a.plant.dof, -1 if row is None else int(stage.state.switch_table[row]["forced"])
@@ -81,8 +94,16 @@ class FaultyAxis:
         )
 
     def apply(self, stage: Stage, name: str, bounce: float = 0.0) -> None:
-        """The machine has this fault and no other, and the contact of ORG bounces for so many seconds. Call it after the context
-        was put on: friction, supply and payload are the context's. Raises ArgumentError for a switch that is not there."""
+        """Give the machine this fault and no other, after its context was applied.
+
+        Args:
+            stage: To change.
+            name: Of the fault; "none" clears it.
+            bounce: Seconds for which the contact of ORG bounces.
+
+        Raises:
+            ArgumentError: The fault is of a switch that the axis does not have.
+        """
         axis: Any = stage.axes[self.axis]
         model, dof = stage.model, axis.plant.dof
         jammed, bounce = name == "jam", BOUNCE if name == "bounce" else bounce

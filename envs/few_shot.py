@@ -44,6 +44,7 @@ from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.features import HOST, TRUTH, Feature
 from stage.envs.machines import MachineSettings, MachineTask
 from stage.envs.results import SCORE_FEATURE, write_scores
+from stage.envs.scaling import scale_log
 from stage.envs.settings import AxisName, Count, Counts, Flag, Number, Seconds, Weight, Word, read_option
 from stage.envs.task import find_judged_point
 from stage.envs.trial import MAX_OFFSET_M, TENTH_MM, Trial, compute_move_time
@@ -80,7 +81,17 @@ class Config(MachineSettings):
 
 
 def action_of(start: float, drive: float, up: float, down: float) -> np.ndarray:
-    """The action that means these rates (pps) and ramps (s), (4,) float32; what is beyond RATES becomes its end."""
+    """Return the action that means these values; a value beyond RATES counts as the end of its range.
+
+    Args:
+        start: Start rate, pps.
+        drive: Drive rate, pps.
+        up: Duration of the ramp up, s.
+        down: Duration of the ramp down, s.
+
+    Returns:
+        An action, (4,) float32.
+    """
     low, high = portable.log(np.array(list(RATES.values()))).T
     return np.clip(2 * (portable.log((start, drive, up, down)) - low) / (high - low) - 1, -1, 1).astype(np.float32)
 
@@ -95,7 +106,7 @@ class FewShotTuning(MachineTask[Config]):
         "context",
         "angle",
         "table",
-        "best_seen",
+        "best_time",
         "cost",
         "rows",
         "formula",
@@ -163,7 +174,7 @@ class FewShotTuning(MachineTask[Config]):
         self.shapes = {"registers": (len(self.names),)}
         self.distance, self.angle = np.ones(n, np.int64), np.zeros(n)
         self.table = np.zeros((n, c.tries, NUMBERS_PER_TRY))
-        self.best_seen, self.cost = np.full(n, np.inf), np.full((n, c.tries), np.inf)
+        self.best_time, self.cost = np.full(n, np.inf), np.full((n, c.tries), np.inf)
         self.rows = np.zeros((n, c.tries, len(self.names)), np.int64)
         self.load = Load.of(self.axis)
         self.formula, self.damage = np.ones((n, 5)), np.zeros((n, 2), np.int64)
@@ -184,32 +195,32 @@ class FewShotTuning(MachineTask[Config]):
         distance = int(np.rint(portable.exp(rng.uniform(*portable.log(c.distances)))))
         self.distance[k] = read_option(options, "distance", distance, c.distances)
         self.draw_machine(k, options)
-        self.table[k], self.best_seen[k], self.cost[k], self.damage[k] = 0.0, np.inf, np.inf, 0
+        self.table[k], self.best_time[k], self.cost[k], self.damage[k] = 0.0, np.inf, np.inf, 0
         self._compute_formula(k, rng, options)
-        self._ready(k)
+        self._place_next(k)
 
     def _compute_formula(self, k: int, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
-        """What the formula says to this machine, of whose payload the host knows no more than the most that it may be."""
+        """Compute the formula's move for a machine of which the host only knows the heaviest payload."""
         self._set_formula(k, self.ranges["payload"][1])
 
     def _set_formula(self, k: int, payload: float) -> None:
-        """The formula's rates and ramps for a payload, kg, and the time that they take."""
-        made, distance = speeds(self.load.heavier(payload), int(self.distance[k])), int(self.distance[k])
-        rate = self.rates(action_of(*made[:4]), distance)
+        """Store the formula's rates and ramps for a payload, kg, and the time that they take."""
+        move, distance = speeds(self.load.heavier(payload), int(self.distance[k])), int(self.distance[k])
+        rate = self.rates(action_of(*move[:4]), distance)
         start, top, up, down = rate
         took = up + down + (distance - (up + down) * (start + top) / 2) / top
         self.formula[k] = *rate, took
 
     def scripted_action(self) -> np.ndarray:
-        """The engineer's formula (stage.tune.formula) at every try."""
+        """Return the engineer's formula (stage.tune.formula) as action of every try."""
         return np.stack([action_of(*row[:4]) for row in self.formula])
 
     def prepare_next(self) -> None:
         for k in np.flatnonzero(self.converged & ~self.results["terminated"]):
-            self._ready(int(k))
+            self._place_next(int(k))
 
-    def _ready(self, k: int) -> None:
-        """The next try of stage k begins where ORG trips this time."""
+    def _place_next(self, k: int) -> None:
+        """Place stage k for its next try, at the angle where ORG trips this time."""
         self.angle[k] = self._angle(k)
         self._place(self.stages[k], k, float(self.angle[k]))
 
@@ -228,11 +239,19 @@ class FewShotTuning(MachineTask[Config]):
 
     @property
     def usual(self) -> np.ndarray:
-        """s, that each stage's move takes at the usual speeds, by the closed form."""
+        """Seconds that each stage's move takes at the usual speeds, by the closed form."""
         return compute_move_time(self.distance, Speeds().start, Speeds().drive, Speeds().up)
 
     def rates(self, action: np.ndarray, distance: int) -> tuple[float, float, float, float]:
-        """Start and drive rate, pps, and seconds of both ramps; where they do not fit into the move, as much of them as does."""
+        """Decode an action.
+
+        Args:
+            action: (4,), from -1 to 1.
+            distance: Pulses of the move.
+
+        Returns:
+            Start and drive rate, pps, and seconds of both ramps; of ramps that do not fit into the move, as much as fits.
+        """
         low, high = portable.log(np.array(list(RATES.values()))).T
         start, drive, up, down = portable.exp(low + (high - low) * (np.asarray(action, np.float64) + 1) / 2).tolist()
         drive = max(drive, 1.05 * start)
@@ -242,25 +261,25 @@ class FewShotTuning(MachineTask[Config]):
         return start, top, max(up * shorter, MIN_RAMP_S), max(down * shorter, MIN_RAMP_S)
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
-        """Registers of actions, (n, registers)."""
+        """Return the registers of actions, (n, registers)."""
         rows = []
         for action, distance in zip(actions, self.distance.tolist(), strict=True):
-            made = self.driver.formula(*self.rates(action, distance), distance, s_curve=False)
-            rows.append([made[name] for name in self.names])
+            values = self.driver.formula(*self.rates(action, distance), distance, s_curve=False)
+            rows.append([values[name] for name in self.names])
         return np.array(rows, np.int64)
 
     def _compute_gain(self, tries: np.ndarray) -> np.ndarray:
-        """What the answer is worth after so many tries, (n,)."""
+        """Compute the value of the answer after so many tries, (n,)."""
         return self._compute_value(self._answer_costs(tries).min(axis=1))
 
     def _answer_costs(self, tries: np.ndarray) -> np.ndarray:
-        """Costs of the tries that may be the answer, (n, tries); infinite elsewhere."""
+        """Return the costs of the tries that may be the answer, (n, tries); infinite elsewhere."""
         at = np.arange(self.config.tries)
-        mine = at < tries[:, None] if self.config.answer == "best" else at == tries[:, None] - 1
-        return np.where(mine, self.cost, np.inf)
+        is_answer = at < tries[:, None] if self.config.answer == "best" else at == tries[:, None] - 1
+        return np.where(is_answer, self.cost, np.inf)
 
     def _compute_value(self, cost: np.ndarray) -> np.ndarray:
-        """log(two usual times / cost); 0 for what costs more."""
+        """Return log(two usual times / cost); 0 for what costs more."""
         return np.maximum(portable.log(2 * self.usual) - portable.log(cost), 0.0)
 
     def make_programs(self) -> list[Program]:
@@ -273,39 +292,44 @@ class FewShotTuning(MachineTask[Config]):
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t, usual = self.config, truth[:, self.axis.index], self.usual
-        seen = self.trial.read_outcomes(played, t, self.distance, ENCODER_COUNT_M)
+        outcome = self.trial.read_outcomes(played, t, self.distance, ENCODER_COUNT_M)
         good = self.converged
-        cost = seen.duration + c.vibration_weight * seen.vibration / TENTH_MM
-        rows, made = self.to_registers(self.actions), np.flatnonzero(good)
+        cost = outcome.duration + c.vibration_weight * outcome.vibration / TENTH_MM
+        rows, indices = self.to_registers(self.actions), np.flatnonzero(good)
         before = self._compute_gain(self.steps - 1)
-        self.cost[made, self.steps[made] - 1] = np.where(seen.in_step, cost, np.inf)[made]
-        self.rows[made, self.steps[made] - 1] = rows[made]
+        self.cost[indices, self.steps[indices] - 1] = np.where(outcome.in_step, cost, np.inf)[indices]
+        self.rows[indices, self.steps[indices] - 1] = rows[indices]
         gain, last = self._compute_gain(self.steps) - before, self.steps >= c.tries
         proved = self._prove_best(good & last)
         parts = {
             "gain": gain,
-            "damage": np.where(seen.lost | seen.stopped, -c.damage_weight, 0.0),
+            "damage": np.where(outcome.lost | outcome.stopped, -c.damage_weight, 0.0),
             "proof": np.where(good & last, self._compute_value(proved) - self._compute_gain(self.steps), 0.0),
         }
-        error = seen.error * c.encoder
-        by_encoder = seen.finished & (np.abs(error) * ENCODER_COUNT_M <= MAX_OFFSET_M + ENCODER_COUNT_M) & c.encoder
-        row = [seen.duration / (2 * usual), seen.finished, by_encoder, c.encoder * seen.swing / (seen.swing + TENTH_MM)]
+        error = outcome.error * c.encoder
+        by_encoder = outcome.finished & (np.abs(error) * ENCODER_COUNT_M <= MAX_OFFSET_M + ENCODER_COUNT_M) & c.encoder
+        row = [
+            outcome.duration / (2 * usual),
+            outcome.finished,
+            by_encoder,
+            c.encoder * outcome.swing / (outcome.swing + TENTH_MM),
+        ]
         tried = np.concatenate([self.actions, np.ones((self.n, 1)), np.stack(row, axis=1)], axis=1)
-        self.table[made, self.steps[made] - 1] = np.clip(np.nan_to_num(tried[made]), -1.0, 1.0)
-        faster = good & by_encoder & (seen.duration < self.best_seen)
-        self.best_seen[faster] = seen.duration[faster]
+        self.table[indices, self.steps[indices] - 1] = np.clip(np.nan_to_num(tried[indices]), -1.0, 1.0)
+        faster = good & by_encoder & (outcome.duration < self.best_time)
+        self.best_time[faster] = outcome.duration[faster]
         info = {
             "distance": self.distance, **self.machine_info, "registers": rows,
-            "duration": seen.duration, "usual": usual, "finished": seen.finished, "error": error,
-            "lost_steps": t["lost_steps"], "vibration": seen.vibration, "kept": seen.in_step,
+            "duration": outcome.duration, "usual": usual, "finished": outcome.finished, "error": error,
+            "lost_steps": t["lost_steps"], "vibration": outcome.vibration, "kept": outcome.in_step,
             "best": self.cost.min(axis=1), "proved": proved,
         }  # fmt: skip
-        self.damage[good] += np.stack([np.abs(t["lost_steps"]), seen.stopped], axis=1)[good]
+        self.damage[good] += np.stack([np.abs(t["lost_steps"]), outcome.stopped], axis=1)[good]
         self.set_results(parts, info, last, False)
         write_scores(self.results["score"], proved, self.formula[:, 4], self.steps, *self.damage.T)
 
     def _prove_best(self, which: np.ndarray) -> np.ndarray:
-        """Of the stages in `which` the best cost that holds in a proof, (n,); infinite where none does, and elsewhere."""
+        """Return the best cost that holds in a proof, (n,); infinite where none does, and for stages not in `which`."""
         proved, left, every = np.full(self.n, np.inf), which.copy(), np.arange(self.n)
         costs = self._answer_costs(self.steps)
         order = np.argsort(costs, axis=1, kind="stable")
@@ -314,13 +338,13 @@ class FewShotTuning(MachineTask[Config]):
             left &= np.isfinite(cost)
             if not left.any():
                 break
-            held = self._keep_step(left, self.rows[every, at])
-            proved[held] = cost[held]
-            left &= ~held
+            proved_now = self._keep_step(left, self.rows[every, at])
+            proved[proved_now] = cost[proved_now]
+            left &= ~proved_now
         return proved
 
     def _keep_step(self, which: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """On which of these stages' machines, `margin` heavier, the registers of a row each keep step in `proofs` moves."""
+        """Return which stages keep step with these registers in `proofs` moves, `margin` kg heavier."""
         c, holds = self.config, which.copy()
         programs = self._programs(np.where(which[:, None], rows, self.to_registers(self.actions)))
         for _ in range(c.proofs):
@@ -335,14 +359,13 @@ class FewShotTuning(MachineTask[Config]):
 
     def compute_observations(self) -> np.ndarray:
         c, n = self.config, self.n
-        low, high = portable.log(c.distances)
-        far = (portable.log(self.distance) - low) / max(high - low, 1e-9) * 2.0 - 1.0
+        scaled_distance = scale_log(self.distance, c.distances)
         table = self.table
         if c.memory == "last":
             table = table[np.arange(n), np.maximum(self.steps - 1, 0)]
-        best = np.minimum(self.best_seen / (2 * self.usual), 1.0)
+        best = np.minimum(self.best_time / (2 * self.usual), 1.0)
         columns = [
-            np.stack([far, 1.0 - self.steps / c.tries, best], axis=1),
+            np.stack([scaled_distance, 1.0 - self.steps / c.tries, best], axis=1),
             table.reshape(n, -1),
             self.machine_features,
         ]

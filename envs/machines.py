@@ -28,7 +28,7 @@ from stage.errors import ArgumentError, unknown
 
 @dataclass(frozen=True)
 class MachineSettings(Settings):
-    """Where the machines of the episodes come from. None: as the split has it."""
+    """Settings that say where the machines of the episodes come from; None: as the split has it."""
 
     FAULTS: ClassVar[tuple[str, ...]] = faulty.HAMPERING
     """That machines of this task may have."""
@@ -41,14 +41,10 @@ class MachineSettings(Settings):
     currents: Annotated[Pair, Range(0.1, high=2.0)] | None = None  # times the current of the drive
     losses: Annotated[Pair, Range(0.01, high=10.0)] | None = None  # times the core loss of the motor
     inductances: Annotated[Pair, Range(0.1, high=10.0)] | None = None  # times the inductance of the motor
-    drifts: Annotated[Pair, Range(0.0, high=0.5)] | None = (
-        None  # electrical turns; of effect where a task has several tries
-    )
+    drifts: Annotated[Pair, Range(0.0, high=0.5)] | None = None  # electrical turns, from try to try
     faults: Annotated[tuple[str, ...], Words(faulty.NAMES)] | None = None
     healthy: Annotated[float, Number(high=1.0)] = 0.0  # share of machines without a fault, where there are faults
-    payload_on: AxisName | None = (
-        None  # body or site that carries it; None: site "work", else the body that the first axis moves
-    )
+    payload_on: AxisName | None = None  # body or site that carries it; None: see find_carrier
     bus_cycle: Cycle = 1e-6  # s
     truth: TruthOption = "info"  # where what no host can see is shown: features.py
 
@@ -71,23 +67,23 @@ class MachineTask(MoveTask[ConfigT]):
 
     @property
     def axis_names(self) -> tuple[str, ...]:
-        """The names of the axes that take part."""
+        """Names of the axes that take part."""
         c: Any = self.config
         return (c.axis,)
 
     def make_stage(self, visuals: bool) -> Stage:
         c: Any = self.config
         model, chip = (contexts.get_setting(c, name) for name in ("model", "chip"))
-        made = Stage(model, chips=chip_class(chip), bus_cycle=c.bus_cycle, visuals=visuals)
+        new_stage = Stage(model, chips=chip_class(chip), bus_cycle=c.bus_cycle, visuals=visuals)
         for name in self.axis_names:
-            if name not in made.axes:
-                raise unknown(f"axis of model {model}", name, made.axes)
-            if made.axes[name].drive.has_encoder or made.axes[name].unit != "m":
+            if name not in new_stage.axes:
+                raise unknown(f"axis of model {model}", name, new_stage.axes)
+            if new_stage.axes[name].drive.has_encoder or new_stage.axes[name].unit != "m":
                 raise ArgumentError(f"axis {name}: it is no stepper's slide, and this task is of those.")
-        return made
+        return new_stage
 
     def prepare_machines(self) -> None:
-        """For `prepare`, on stages that nobody has changed."""
+        """Read the nominal machines from stages that nobody has changed; a subclass calls it in `prepare`."""
         c: Any = self.config
         first, names = self.stages[0], self.axis_names
         on = find_carrier(first, names[0], c.payload_on)
@@ -98,12 +94,18 @@ class MachineTask(MoveTask[ConfigT]):
         self.context = np.zeros(self.n, contexts.CONTEXT)
 
     def draw_machine(self, k: int, options: Mapping[str, Any], axes: int | None = None) -> None:
-        """The machine of stage k's episode. axes: of how many a fault may be, default of all."""
+        """Draw the machine of stage k's episode.
+
+        Args:
+            k: Number of the stage.
+            options: Of the reset.
+            axes: Number of axes that may have a fault; default: all.
+        """
         contexts.draw_context(self.rngs[k], self.ranges, self.context[k], options)
         self.draw_fault(k, options, self.make_fault_rng(k), len(self.machines) if axes is None else axes)
 
     def make_fault_rng(self, k: int) -> np.random.Generator:
-        """Numbers beside those that stage k draws from now on: whoever uses them changes none of those."""
+        """Make a generator of numbers that do not change what stage k draws from now on."""
         bits: Any = self.rngs[k].bit_generator
         return np.random.Generator(bits.jumped())
 
@@ -116,7 +118,14 @@ class MachineTask(MoveTask[ConfigT]):
             self.context[k]["fault"] = faulty.NAMES.index(options["fault"])
 
     def configure_stage(self, stage: Stage, k: int, more: float = 0.0, bounce: float = 0.0) -> None:
-        """A stage is the machine of stage k's episode, `more` kg heavier; the contacts of ORG bounce for so many seconds."""
+        """Make a stage the machine of stage k's episode.
+
+        Args:
+            stage: To change.
+            k: Number of the stage whose machine it becomes.
+            more: kg beyond the payload.
+            bounce: Seconds for which the contact of ORG bounces.
+        """
         context = self.context[k]
         fault, at = int(context["fault"]), int(context["faulty"])
         for machine in self.machines:
@@ -128,15 +137,15 @@ class MachineTask(MoveTask[ConfigT]):
         self.configure_stage(self.stages[k], k)
 
     def describe_machine(self, k: int) -> dict[str, Any]:
-        """What an info has of stage k's machine, after a reset."""
+        """Return the machine of stage k for the info of a reset."""
         return {f.name: f.kind(self.context[k][f.name]) for f in contexts.INFO}
 
     @property
     def machine_info(self) -> dict[str, np.ndarray]:
-        """What an info has of the machines, after a step."""
+        """Machines for the info of a step, by name."""
         return {f.name: self.context[f.name] for f in contexts.INFO}
 
     @property
     def machine_features(self) -> np.ndarray:
-        """What an observation with truth=True has of the machines, (n, SHOWN)."""
+        """Machines for an observation with truth=True, (n, features)."""
         return contexts.scale_contexts(self.ranges, self.context)

@@ -59,12 +59,12 @@ class MacroTable:
                 row[: len(p)] = p.ops
 
     def _write(self, axis: Any, patience: float, settle: float) -> None:
-        """The pages of an axis, in the order of its macros; the starts have one for each rates and distance."""
+        """Write the pages of an axis, in the order of its macros; the starts have one for each rates and distance."""
         driver, a, chip = driver_of(axis), axis.index, axis.chip
         rates = [(fl, fh, up, up) for fl, fh, up in RATES.values()]
         for speeds in rates:
-            made = driver.formula(*speeds, self.grid[-1], s_curve=False)
-            self._add(self._registers(Program(), axis, made))
+            values = driver.formula(*speeds, self.grid[-1], s_curve=False)
+            self._add(self._registers(Program(), axis, values))
         for d in self.grid:
             self._add(self._registers(Program(), axis, {driver.FINISH: d}))
         for sign in (1, -1):
@@ -93,13 +93,27 @@ class MacroTable:
         return p
 
     def programs(self, macros: np.ndarray, axis: np.ndarray, s: np.ndarray, which: np.ndarray) -> np.ndarray:
-        """The bus cycles of macros on an axis each, (n, operations, 4); of those that are not in `which` none. s: what is written
-        there, with `rates` and `distance`."""
+        """Return the bus cycles of macros.
+
+        Args:
+            macros: Number of the macro of each stage, (n,).
+            axis: Number of its axis, (n,).
+            s: What is written there, with `rates` and `distance`, (n,).
+            which: Mask of the stages that act, (n,).
+
+        Returns:
+            Operations, (n, operations, 4).
+        """
         of_starts = np.where(self._find_starts[macros], s["rates"] * len(self.grid) + s["distance"], 0)
         pages = np.where(which, self._at[axis, macros] + of_starts, 0)
         return self._table[pages, : max(1, int(self._lengths[pages].max()))]
 
-    def found_origin(self, axis: int, results: np.ndarray) -> np.ndarray:
-        """Which origin returns of an axis ended at the origin, by the results of their programs."""
-        found = self.home_searches[axis].read_results(results, np.repeat(self._choices[axis], len(results), axis=0))
-        return found.home & ~found.timed_out
+    def ends_at_origin(self, axis: int, results: np.ndarray) -> np.ndarray:
+        """Return which origin returns of an axis ended at the origin.
+
+        Args:
+            axis: Number of the axis.
+            results: Of their programs, (n, operations).
+        """
+        outcome = self.home_searches[axis].read_results(results, np.repeat(self._choices[axis], len(results), axis=0))
+        return outcome.home & ~outcome.timed_out

@@ -25,9 +25,9 @@ from stage.envs import contexts, few_shot
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.features import HOST, Feature
 from stage.envs.few_shot import FewShotTuning
+from stage.envs.scaling import scale, scale_log
 from stage.envs.settings import Count, Number, Word, read_option
 from stage.errors import ArgumentError
-from stage.support import portable
 
 
 @dataclass(frozen=True)
@@ -65,18 +65,17 @@ class OneShotTuning(FewShotTuning):
 
     def _compute_formula(self, k: int, rng: np.random.Generator, options: Mapping[str, Any]) -> None:
         off = 1 + self.config.error * rng.uniform(-1, 1)  # type: ignore[attr-defined]
-        most = self.ranges["payload"][1]
-        drawn = min(float(self.context[k]["payload"]) * off, most)
-        self.declared[k] = read_option(options, "declared", drawn, (0.0, most))
+        largest = self.ranges["payload"][1]
+        drawn = min(float(self.context[k]["payload"]) * off, largest)
+        self.declared[k] = read_option(options, "declared", drawn, (0.0, largest))
         self._set_formula(k, float(self.declared[k]))
 
     def describe_episode(self, k: int) -> dict[str, Any]:
         return {"declared": float(self.declared[k]), **super().describe_episode(k)}
 
     def compute_observations(self) -> np.ndarray:
-        (d0, d1), (p0, p1) = portable.log(self.config.distances), self.ranges["payload"]
-        distance = (portable.log(self.distance) - d0) / max(d1 - d0, 1e-9) * 2.0 - 1.0
-        declared = (self.declared - p0) / max(p1 - p0, 1e-9) * 2.0 - 1.0
+        distance = scale_log(self.distance, self.config.distances)
+        declared = scale(self.declared, self.ranges["payload"])
         columns = [np.stack([distance, declared], axis=1), self.machine_features]
         return np.clip(np.concatenate(columns, axis=1), -1.0, 1.0).astype(np.float32)
 

@@ -45,26 +45,14 @@ import numpy as np
 
 from stage import Stage
 from stage.chips import Chip, chip_class
+from stage.envs import settings
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.features import HOST, TRUTH, Feature
+from stage.envs.origin_switch import OriginSwitch
 from stage.envs.registers import RegisterBox
-from stage.envs.settings import (
-    Actions,
-    AxisName,
-    Count,
-    Cycle,
-    Number,
-    Pair,
-    Payloads,
-    Range,
-    Seconds,
-    Settings,
-    TruthOption,
-    Weight,
-    read_option,
-)
+from stage.envs.scaling import scale, scale_log
 from stage.envs.task import MoveTask, find_carrier
-from stage.errors import ArgumentError, unknown
+from stage.errors import unknown
 from stage.firmware.driver import driver_of
 from stage.sim.fleet import Played
 from stage.sim.program import Program
@@ -76,37 +64,38 @@ MAX_ERROR_PULSES = 64.0  # pulses, of an error: an electrical period of a motor 
 
 
 @dataclass(frozen=True)
-class Config(Settings):
+class Config(settings.Settings):
     """Settings of OriginReturn."""
 
     model: str = "xyz"
     chip: str | type[Chip] = "PCL240K"
-    axis: AxisName = "x"
-    actions: Actions = "box"  # or "registers"
-    returns: Count = 5  # an episode
-    payloads: Payloads = (0.0, 10.0)  # kg, drawn evenly
-    payload_on: AxisName | None = (
-        None  # body or site that carries it; None: site "work", else the body that the axis moves
-    )
-    frictions: Annotated[Pair, Range(1e-3)] = (0.5, 2.0)  # times the axis' friction and damping; by their logarithm
-    drift: Annotated[float, Number(high=LIMIT_CLEARANCE_M)] = (
+    axis: settings.AxisName = "x"
+    actions: settings.Actions = "box"  # or "registers"
+    returns: settings.Count = 5  # an episode
+    payloads: settings.Payloads = (0.0, 10.0)  # kg, drawn evenly
+    payload_on: settings.AxisName | None = None  # body or site that carries it; None: see find_carrier
+    frictions: Annotated[settings.Pair, settings.Range(1e-3)] = (
+        0.5,
+        2.0,
+    )  # times the axis' friction and damping; by their logarithm
+    drift: Annotated[float, settings.Number(high=LIMIT_CLEARANCE_M)] = (
         0.0  # m; ORG trips up to so far from its place, drawn each time
     )
     # end at the ez-th index pulse after ORG (PCL240MK, PCL240MS; NOVA chips the first); 0: at ORG
-    ez: Annotated[int, Number(high=16, whole=True)] = 0
-    multiplier: Count = 30  # R7 of a PCL-240
-    leave: Count = 16_000  # pulses, the most
-    back_off: Count = 3_200  # pulses, the most, of a PCL-240
-    limit: Seconds = 20.0  # s, each of the four runs may take
-    settle: Seconds = 0.05  # s
-    time_weight: Weight = 1.0
-    error_weight: Weight = 0.05
-    spread_weight: Weight = 0.2
-    missed_weight: Weight = 20.0
-    limit_weight: Weight = 2.0
-    lost_weight: Weight = 2.0
-    bus_cycle: Cycle = 1e-6  # s
-    truth: TruthOption = True  # where what no host can see is shown: features.py
+    ez: Annotated[int, settings.Number(high=16, whole=True)] = 0
+    multiplier: settings.Count = 30  # R7 of a PCL-240
+    leave: settings.Count = 16_000  # pulses, the most
+    back_off: settings.Count = 3_200  # pulses, the most, of a PCL-240
+    limit: settings.Seconds = 20.0  # s, each of the four runs may take
+    settle: settings.Seconds = 0.05  # s
+    time_weight: settings.Weight = 1.0
+    error_weight: settings.Weight = 0.05
+    spread_weight: settings.Weight = 0.2
+    missed_weight: settings.Weight = 20.0
+    limit_weight: settings.Weight = 2.0
+    lost_weight: settings.Weight = 2.0
+    bus_cycle: settings.Cycle = 1e-6  # s
+    truth: settings.TruthOption = True  # where what no host can see is shown: features.py
 
 
 class OriginReturn(MoveTask[Config]):
@@ -147,27 +136,23 @@ class OriginReturn(MoveTask[Config]):
 
     def make_stage(self, visuals: bool) -> Stage:
         c = self.config
-        made = Stage(c.model, chips=chip_class(c.chip), bus_cycle=c.bus_cycle, visuals=visuals)
-        if c.axis not in made.axes:
-            raise unknown("axis", c.axis, made.axes)
-        return made
+        new_stage = Stage(c.model, chips=chip_class(c.chip), bus_cycle=c.bus_cycle, visuals=visuals)
+        if c.axis not in new_stage.axes:
+            raise unknown("axis", c.axis, new_stage.axes)
+        return new_stage
 
     def prepare(self) -> None:
         c, n, first = self.config, self.n, self.stages[0]
         self.axis = first.axes[c.axis]
         self.carrier = find_carrier(first, c.axis, c.payload_on)
         self.search = driver_of(self.axis).search(c)
-        self.switch = {s.pin: s for s in self.axis.plant.switches}
-        for pin in ("org", "el_minus", "el_plus"):
-            if pin not in self.switch:
-                raise ArgumentError(f"axis {c.axis} has no {pin}: an origin return needs ORG and both end limits.")
-        self.low, self.high = self.switch["el_minus"].touch, self.switch["el_plus"].touch
+        self.switch = OriginSwitch(first, self.axis)
         self.per_pulse = self.axis.meters_per_pulse
         self.origin = self._find_origin()
         self.dof = self.axis.plant.dof
         self.friction0 = float(first.model.dof_frictionloss[self.dof]), float(first.model.dof_damping[self.dof])
-        self._find_beam(first)
-        self.strategy = RegisterBox.of(self.search.choices.ranges, self.search.choices.cubed)
+        choices = self.search.choices
+        self.strategy = RegisterBox(list(choices.ranges), choices.ranges.values(), choices.cubed)
         self.action_space = self.strategy.box if c.actions == "box" else self.strategy.discrete
         self.observation_space = self.make_observation_space()
         self.shapes = {"registers": (len(self.strategy),)}
@@ -176,20 +161,13 @@ class OriginReturn(MoveTask[Config]):
         self.last = np.zeros((n, 8))
 
     def _find_origin(self) -> float:
-        """Where a perfect return ends, m: ORG, or the edge of the ez-th index pulse after it."""
-        touch, ez = self.switch["org"].touch, self.config.ez
+        """Return the position at which a perfect return ends, m: ORG, or the edge of the ez-th index pulse after it."""
+        touch, ez = self.switch.position, self.config.ez
         if not ez:
             return touch
         turn = 2 * np.pi / self.axis.gear
         first, turn = self.axis.plant.index * turn + 0.5 * INDEX * abs(turn), abs(turn)
         return float(first + (np.floor((touch - first) / turn) - (ez - 1)) * turn)
-
-    def _find_beam(self, stage: Stage) -> None:
-        """The beam of ORG, and the way to shift it in its body's frame, per metre of travel."""
-        self.beam = int(stage.model.sensor_refid[self.switch["org"].sensor])
-        turned = stage.data.xmat[stage.model.geom_bodyid[self.beam]].reshape(3, 3)
-        self.along = turned.T @ stage.data.xaxis[self.axis.joint]
-        self.beam0 = stage.model.geom_pos[self.beam].copy()
 
     def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
         c, rng = self.config, self.rngs[k]
@@ -197,8 +175,8 @@ class OriginReturn(MoveTask[Config]):
             float(rng.uniform(*c.payloads)),
             float(portable.exp(rng.uniform(*portable.log(c.frictions)))),
         )
-        self.payload[k] = read_option(options, "payload", payload, c.payloads)
-        self.friction[k] = read_option(options, "friction", friction, c.frictions)
+        self.payload[k] = settings.read_option(options, "payload", payload, c.payloads)
+        self.friction[k] = settings.read_option(options, "friction", friction, c.frictions)
         self._apply_load(k)
         self.ends[k], self.last[k] = (np.inf, -np.inf), 0.0
         self._draw_move(k, options)
@@ -208,10 +186,10 @@ class OriginReturn(MoveTask[Config]):
             self._draw_move(int(k), {})
 
     def _draw_move(self, k: int, options: Mapping[str, Any]) -> None:
-        """The next unknown place."""
+        """Draw the position of the next return, and put the carriage there."""
         c, rng, stage = self.config, self.rngs[k], self.stages[k]
-        drawn = float(rng.uniform(self.low + LIMIT_CLEARANCE_M, self.high - LIMIT_CLEARANCE_M))
-        self.place[k] = read_option(options, "start", drawn, self.axis.travel)
+        drawn = float(rng.uniform(self.switch.low + LIMIT_CLEARANCE_M, self.switch.high - LIMIT_CLEARANCE_M))
+        self.place[k] = settings.read_option(options, "start", drawn, self.axis.travel)
         self.shift[k] = rng.uniform(-c.drift, c.drift) if c.drift else 0.0
         self._shift_switch(k)
         stage.restore(self.start)
@@ -228,13 +206,13 @@ class OriginReturn(MoveTask[Config]):
 
     def _shift_switch(self, k: int) -> None:
         if self.config.drift:
-            self.stages[k].model.geom_pos[self.beam] = self.beam0 + self.along * self.shift[k]
+            self.switch.shift(self.stages[k], self.shift[k])
 
     def describe_episode(self, k: int) -> dict[str, Any]:
         return {"payload": float(self.payload[k]), "friction": float(self.friction[k])}
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
-        """The numbers that actions choose, in the order of strategy.names."""
+        """Return the numbers that actions choose, in the order of strategy.names."""
         return self.strategy.from_action(actions) if self.config.actions == "box" else actions.astype(np.int64)
 
     def make_programs(self) -> list[Program]:
@@ -243,8 +221,8 @@ class OriginReturn(MoveTask[Config]):
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.axis.index]
         rows = self.to_registers(self.actions)
-        found = self.search.read_results(played.results, rows)
-        late, home, end_limit = found.timed_out, found.home, found.end_limit
+        outcome = self.search.read_results(played.results, rows)
+        timed_out, home, end_limit = outcome.timed_out, outcome.home, outcome.end_limit
         duration = t["now"] * 1e-9  # since power-up
         error = np.clip((t["position"] - self.origin) / self.per_pulse, -1e6, 1e6)
         lost = np.abs(t["lost_steps"])
@@ -259,23 +237,23 @@ class OriginReturn(MoveTask[Config]):
             "error": -c.error_weight * np.minimum(np.abs(error), MAX_ERROR_PULSES),
             "spread": -c.spread_weight * np.minimum(spread - before, MAX_ERROR_PULSES),
             "missed": np.where(home, 0.0, -c.missed_weight),
-            "limit": np.where(end_limit | late, -c.limit_weight, 0.0),
+            "limit": np.where(end_limit | timed_out, -c.limit_weight, 0.0),
             "lost": np.where(lost > 0, -c.lost_weight, 0.0),
         }
         info = {
-            "duration": duration, "error": error, "spread": spread, "home": home, "end_limit": end_limit, "late": late,
+            "duration": duration, "error": error, "spread": spread, "home": home, "end_limit": end_limit, "late": timed_out,
             "lost_steps": lost, "start": self.place, "registers": rows,
         }  # fmt: skip
-        whole = (self.high - self.low) / self.per_pulse
+        travel_pulses = (self.switch.high - self.switch.low) / self.per_pulse
         now = [
             self.active,
             home,
             end_limit,
-            late,
-            found.released,
+            timed_out,
+            outcome.released,
             duration / (4 * c.limit),
-            found.searched / whole,
-            found.overrun / MAX_ERROR_PULSES,
+            outcome.searched / travel_pulses,
+            outcome.overrun / MAX_ERROR_PULSES,
         ]
         good = self.converged
         self.ends[good] = ends[good]
@@ -284,20 +262,19 @@ class OriginReturn(MoveTask[Config]):
 
     def compute_observations(self) -> np.ndarray:
         c, inputs = self.config, self.fleet.truth()["inputs"][:, self.axis.index]
-        (p0, p1), (f0, f1) = c.payloads, portable.log(c.frictions)
         columns = [
             inputs & self.axis.chip.wired("org") != 0,
             inputs & self.axis.chip.wired("sd_plus") != 0,
             1.0 - self.steps / c.returns,
-            (self.payload - p0) / max(p1 - p0, 1e-9) * 2.0 - 1.0,
-            (portable.log(self.friction) - f0) / max(f1 - f0, 1e-9) * 2.0 - 1.0,
+            scale(self.payload, c.payloads),
+            scale_log(self.friction, c.frictions),
         ]
         now = np.concatenate([np.stack(columns, axis=1), self.last], axis=1)
         return np.clip(now, -1.0, 1.0).astype(np.float32)
 
 
 def _compute_spread(ends: np.ndarray) -> np.ndarray:
-    """Largest minus smallest; 0 where there is none yet."""
+    """Return largest minus smallest end; 0 where there is none yet."""
     return np.where(ends[:, 1] >= ends[:, 0], ends[:, 1] - ends[:, 0], 0.0)
 
 
@@ -306,7 +283,7 @@ class OriginReturnEnv(StageEnv):
 
     @property
     def strategy(self) -> RegisterBox:
-        """Turns named numbers into actions, and back."""
+        """Converter between named numbers and actions."""
         return self._task.strategy  # type: ignore[attr-defined]
 
 
@@ -315,5 +292,5 @@ class OriginReturnVectorEnv(StageVectorEnv):
 
     @property
     def strategy(self) -> RegisterBox:
-        """Turns named numbers into actions, and back."""
+        """Converter between named numbers and actions."""
         return self._task.strategy  # type: ignore[attr-defined]

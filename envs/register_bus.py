@@ -51,25 +51,10 @@ import numpy as np
 from stage import Stage
 from stage.chips import Chip, chip_class
 from stage.envs import register_bus_core as core
+from stage.envs import settings
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.features import HOST, TRUTH, Feature
 from stage.envs.results import DIVERGED
-from stage.envs.settings import (
-    MAX_SECONDS,
-    Count,
-    Counts,
-    Cycle,
-    Discount,
-    Each,
-    Flag,
-    Names,
-    Positive,
-    Seconds,
-    Settings,
-    TruthOption,
-    Weight,
-    Word,
-)
 from stage.envs.task import Task
 from stage.envs.trial import StartPositions
 from stage.errors import ArgumentError, unknown
@@ -84,27 +69,32 @@ LIMIT_CLEARANCE_M = 5e-4  # m; "home" starts no nearer to an end limit
 
 
 @dataclass(frozen=True)
-class Config(Settings):
+class Config(settings.Settings):
     """Settings of RegisterBus."""
 
     model: str = "xyz"
     chip: str | type[Chip] = "PCL240K"
-    axes: Annotated[tuple[str, ...] | None, Names(1)] = None  # that have a chip; None: every axis of the model
-    goal: Annotated[str, Word(GOALS)] = "position"  # or "home"
-    waits: Annotated[tuple[float, ...], Each(above=True, high=MAX_SECONDS)] = (1e-4, 1e-3, 1e-2, 1e-1)  # s
-    distances: Counts | None = None  # pulses, of goal "position"; None: 400 to 8000, as far as there is room
-    tolerance: Positive = None  # type: ignore[assignment]  # pulses; None: IN_POSITION of the chip's class, 4, counts of a servo 10
-    standing: Positive = 1e-3  # m/s, slower than this is standing still
-    time_limit: Seconds = 30.0  # s
-    cycles: Count = 2000  # actions
-    live: Flag = False
-    truth: TruthOption = "info"  # where what no host can see is shown: features.py
-    discount: Discount = 1.0
-    progress_weight: Weight = 1.0
-    time_weight: Weight = 0.1
-    success_weight: Weight = 10.0
-    lost_weight: Weight = 0.05
-    bus_cycle: Cycle = 1e-6  # s
+    axes: Annotated[tuple[str, ...] | None, settings.Names(1)] = None  # that have a chip; None: every axis of the model
+    goal: Annotated[str, settings.Word(GOALS)] = "position"  # or "home"
+    waits: Annotated[tuple[float, ...], settings.Each(above=True, high=settings.MAX_SECONDS)] = (
+        1e-4,
+        1e-3,
+        1e-2,
+        1e-1,
+    )  # s
+    distances: settings.Counts | None = None  # pulses, of goal "position"; None: 400 to 8000, as far as there is room
+    tolerance: settings.Positive = None  # type: ignore[assignment]  # pulses; None: IN_POSITION of the chip's class, 4, counts of a servo 10
+    standing: settings.Positive = 1e-3  # m/s, slower than this is standing still
+    time_limit: settings.Seconds = 30.0  # s
+    cycles: settings.Count = 2000  # actions
+    live: settings.Flag = False
+    truth: settings.TruthOption = "info"  # where what no host can see is shown: features.py
+    discount: settings.Discount = 1.0
+    progress_weight: settings.Weight = 1.0
+    time_weight: settings.Weight = 0.1
+    success_weight: settings.Weight = 10.0
+    lost_weight: settings.Weight = 0.05
+    bus_cycle: settings.Cycle = 1e-6  # s
 
     def __post_init__(self) -> None:
         if self.tolerance is None:
@@ -156,10 +146,10 @@ class RegisterBus(Task[Config]):
         self.limits = np.array([self._find_limits(a) for a in self.axes])
         self.power_up = self.fleet.truth()["position"][0]
         self.turn = np.array([StartPositions(a).turn for a in self.axes])
-        way = np.abs(self.limits - self.power_up[:, None]).min(axis=1) - self.turn
-        room = (way / self.per_pulse).min()
-        least, most = DISTANCES
-        self.distances = c.distances or (least, max(least, min(most, int(ROOM * room))))
+        room_m = np.abs(self.limits - self.power_up[:, None]).min(axis=1) - self.turn
+        room = (room_m / self.per_pulse).min()
+        least, largest = DISTANCES
+        self.distances = c.distances or (least, max(least, min(largest, int(ROOM * room))))
         if c.goal == "home":
             self.origin = np.array([self._find_switch(a, "org") for a in self.axes])
             if np.isnan(self.origin).any():
@@ -194,7 +184,7 @@ class RegisterBus(Task[Config]):
         self._played_by_python = np.zeros(n, bool)
 
     def _write_rules(self) -> None:
-        """The settings as compiled code reads them."""
+        """Write the settings into the records that compiled code reads."""
         c = self.config
         self.rules, self.axis_rules = np.zeros(1, core.RULES), np.zeros(len(self.axes), core.AXIS_RULES)
         rules = {name: getattr(c, name) for name in core.SETTINGS} | {"truth": c.truth is True}
@@ -232,16 +222,16 @@ class RegisterBus(Task[Config]):
     def layout(self) -> list[Feature]:
         status, words, ages, target, *truth, value, was_read, time, actions = self.OBSERVATION
         addresses = self.axes[0].chip.ADDRESSES
-        found: list[Feature] = []
+        features: list[Feature] = []
         for a, i in enumerate(self.on_chip):
             if a == 0 or i != self.on_chip[a - 1]:
-                found += [status] * self._bus["bits"] + [words] * (addresses - 1) + [ages] * addresses
-            found += [target, *truth]
-        return [*found, value, was_read, time, actions]
+                features += [status] * self._bus["bits"] + [words] * (addresses - 1) + [ages] * addresses
+            features += [target, *truth]
+        return [*features, value, was_read, time, actions]
 
     @staticmethod
     def _full_step(axis: Any) -> float:
-        """Of the carriage, m; a servo has none."""
+        """Return the travel of the carriage in a full step, m; 0 for a servo."""
         return 0.0 if axis.drive.has_encoder else 0.5 * np.pi / (axis.drive.motor.rotor_teeth * axis.gear)
 
     @staticmethod
@@ -249,7 +239,7 @@ class RegisterBus(Task[Config]):
         return next((s.touch for s in axis.plant.switches if s.pin == pin), np.nan)
 
     def _find_limits(self, axis: Any) -> tuple[float, float]:
-        """Where the end limits trip, or the travel ends."""
+        """Return the positions at which the end limits trip, or the ends of the travel, m."""
         low, high = self._find_switch(axis, "el_minus"), self._find_switch(axis, "el_plus")
         return axis.travel[0] if np.isnan(low) else low, axis.travel[1] if np.isnan(high) else high
 
@@ -259,8 +249,8 @@ class RegisterBus(Task[Config]):
             start, target = self._places(rng), np.zeros(m, np.int64)
         else:
             low, high = portable.log(self.distances)
-            far = np.rint(portable.exp(rng.uniform(low, high, m))).astype(np.int64)
-            target = far * rng.choice((-1, 1), m)
+            distance = np.rint(portable.exp(rng.uniform(low, high, m))).astype(np.int64)
+            target = distance * rng.choice((-1, 1), m)
             start = (np.floor(self.power_up / self.turn) + rng.uniform(size=m)) * self.turn
         for j, q in self._by_axis("start", options, (int, float)):
             start[j] = q
@@ -275,8 +265,8 @@ class RegisterBus(Task[Config]):
         for axis, q, at in zip(self.axes, start, self.power_up, strict=True):
             if q != at:
                 stage.place(**{axis.name: float(q)})
-        mine = self.axis_states[k]
-        mine["target"], mine["goal"], mine["lost"] = target, goal, 0
+        indices = self.axis_states[k]
+        indices["target"], indices["goal"], indices["lost"] = target, goal, 0
         self.words[k]["seen"], self.words[k]["when"] = 0, -1
         self._conclude(k, k + 1, True)
 
@@ -289,16 +279,16 @@ class RegisterBus(Task[Config]):
 
     def _by_axis(self, name: str, options: Mapping[str, Any], kinds: tuple[type, ...]) -> list[tuple[int, Any]]:
         """An option as (axis index, value) pairs."""
-        given = options.get(name, {})
+        values = options.get(name, {})
         names = [a.name for a in self.axes]
-        if not isinstance(given, Mapping) or (name == "target" and given and self.config.goal == "home"):
-            raise ArgumentError(f"option {name}={given!r}: a mapping axis -> value; goal 'home' has no target.")
-        for axis, value in given.items():
+        if not isinstance(values, Mapping) or (name == "target" and values and self.config.goal == "home"):
+            raise ArgumentError(f"option {name}={values!r}: a mapping axis -> value; goal 'home' has no target.")
+        for axis, value in values.items():
             if axis not in names:
                 raise unknown("axis", axis, names)
             if isinstance(value, bool) or not isinstance(value, kinds):
-                raise ArgumentError(f"option {name}={given!r}: pulses are whole numbers, places are metres.")
-        return [(names.index(axis), value) for axis, value in given.items()]
+                raise ArgumentError(f"option {name}={values!r}: pulses are whole numbers, places are metres.")
+        return [(names.index(axis), value) for axis, value in values.items()]
 
     def describe_episode(self, k: int) -> dict[str, Any]:
         return {"target": self.axis_states["target"][k].copy()}

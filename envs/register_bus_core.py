@@ -62,7 +62,12 @@ WORD = record([("seen", "i8"), ("when", "i8")])
 
 
 def width(addresses, bits):
-    """Entries of an observation for a chip: status bits, words at the other addresses, freshness of all."""
+    """Return the number of observations for a chip: status bits, words at the other addresses, freshness of all.
+
+    Args:
+        addresses: Number of its addresses.
+        bits: Number of its status bits.
+    """
     return bits + (addresses - 1) + addresses
 
 
@@ -140,7 +145,7 @@ def _arrived(r, axes, rules, truth):
 
 @hot
 def _apply_loan(r, over, now, potential, episode, parts):
-    """With a discount: the parts are paid at the end, whole; until then a loan on them, which the end takes back."""
+    """Pay the parts whole at the end; before that, pay a loan on them, which the end takes back."""
     progress = r.progress_weight * (potential - episode.start)
     time = -r.time_weight * 1e-9 * (now - episode.began)
     lost = -r.lost_weight * episode.paid
@@ -199,7 +204,7 @@ def _judge(r, rules, action, value, bad, steps, episode, axes, words, truth, out
 
 @hot
 def _read_all_words(h, first, words, now):
-    """Note what is at every address of the chips now."""
+    """Note the values at every address of the chips."""
     for i in range(len(words)):
         chip = handle.chips(h)[handle.table(h)[first[i]].chip]
         for j in range(words.shape[1]):
@@ -208,7 +213,7 @@ def _read_all_words(h, first, words, now):
 
 @hot
 def _write_words(r, words, now, out, at):
-    """What was last read from a chip; returns the place after it."""
+    """Write what was last read from a chip into an observation, and return the place after it."""
     for j in range(r.bits):
         out[at + j] = words[r.status].seen >> j & 1
     at += r.bits

@@ -30,22 +30,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from stage.chips import Chip, chip_class
+from stage.envs import settings
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.features import HOST, TRUTH, Feature
 from stage.envs.registers import RegisterBox
-from stage.envs.settings import (
-    Actions,
-    AxisName,
-    Count,
-    Counts,
-    Cycle,
-    Flag,
-    Payloads,
-    Seconds,
-    Settings,
-    TruthOption,
-    Weight,
-)
 from stage.envs.task import find_judged_point
 from stage.envs.trial import TENTH_MM, Trial
 from stage.envs.tuning import NEXT_MOVE, Tuning, describe_move_info
@@ -54,29 +42,27 @@ from stage.sim.program import END, Program
 
 
 @dataclass(frozen=True)
-class Config(Settings):
+class Config(settings.Settings):
     """Settings of RegisterTuning."""
 
     model: str = "xyz"
     chip: str | type[Chip] = "PCL240K"
-    s_curve: Flag | None = None  # None: on a PCL240MS only
-    axis: AxisName = "x"
-    actions: Actions = "box"  # or "registers"
-    distances: Counts = (1600, 32000)  # pulses, drawn evenly by their logarithm
-    payloads: Payloads = (0.0, 10.0)  # kg, drawn evenly
-    payload_on: AxisName | None = (
-        None  # body or site that carries it; None: site "work", else the body that the axis moves
-    )
-    judge_at: AxisName | None = None  # site or body at which vibration is observed; None: see above
-    moves: Count = 8  # an episode
-    limit: Seconds = 4.0  # s, a move may take
-    settle: Seconds = 0.1  # s, in which vibration is observed
-    lost_weight: Weight = 5.0
-    vibration_weight: Weight = 0.1
-    limit_weight: Weight = 5.0
-    bus_cycle: Cycle = 1e-6  # s
-    early_ends: Flag = False  # of moves that fail: many more moves a second
-    truth: TruthOption = True  # where what no host can see is shown: features.py
+    s_curve: settings.Flag | None = None  # None: on a PCL240MS only
+    axis: settings.AxisName = "x"
+    actions: settings.Actions = "box"  # or "registers"
+    distances: settings.Counts = (1600, 32000)  # pulses, drawn evenly by their logarithm
+    payloads: settings.Payloads = (0.0, 10.0)  # kg, drawn evenly
+    payload_on: settings.AxisName | None = None  # body or site that carries it; None: see find_carrier
+    judge_at: settings.AxisName | None = None  # site or body at which vibration is observed; None: see above
+    moves: settings.Count = 8  # an episode
+    limit: settings.Seconds = 4.0  # s, a move may take
+    settle: settings.Seconds = 0.1  # s, in which vibration is observed
+    lost_weight: settings.Weight = 5.0
+    vibration_weight: settings.Weight = 0.1
+    limit_weight: settings.Weight = 5.0
+    bus_cycle: settings.Cycle = 1e-6  # s
+    early_ends: settings.Flag = False  # of moves that fail: many more moves a second
+    truth: settings.TruthOption = True  # where what no host can see is shown: features.py
 
 
 class RegisterTuning(Tuning[Config]):
@@ -102,7 +88,7 @@ class RegisterTuning(Tuning[Config]):
         return chip_class(self.config.chip)
 
     def make_register_box(self) -> RegisterBox:
-        return RegisterBox(self.axis.chip.MAP, self.trial.driver.tuned_by(self.config.s_curve))
+        return RegisterBox.of_registers(self.axis.chip.MAP, self.trial.driver.tuned_by(self.config.s_curve))
 
     def prepare(self) -> None:
         c, first = self.config, self.stages[0]
@@ -112,10 +98,10 @@ class RegisterTuning(Tuning[Config]):
 
     def make_program(self, row: np.ndarray, distance: int) -> Program:
         c = self.config
-        made = self.trial.program(self.registers.named(row), distance, c.limit, keep_step=c.early_ends)
-        if c.early_ends and self.trial.is_hopeless(made, distance, c.limit):
-            made.ops[0] = (END, 0, 0, 0)
-        return made
+        program = self.trial.program(self.registers.named(row), distance, c.limit, keep_step=c.early_ends)
+        if c.early_ends and self.trial.is_hopeless(program, distance, c.limit):
+            program.ops[0] = (END, 0, 0, 0)
+        return program
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.axis.index]

@@ -77,21 +77,32 @@ class Film:
 
     def __init__(self, stage: Stage, every: float):
         self._stage, recording = stage, stage.recording
-        self._own: Recording | None = None
+        self._own_recording: Recording | None = None
         if recording is None:
-            recording = self._own = stage.record(every)
+            recording = self._own_recording = stage.record(every)
         self._recording: Recording = recording
         self._begin, self._stride = len(self._recording), max(1, round(every / self._recording.every))
 
     def end(self) -> np.ndarray:
         """The step is over: (frames, nq), at least one."""
         rows = [piece["qpos"] for piece in self._recording.pieces(begin=self._begin)]
-        if self._own is not None:
-            self._own.close()
-        seen = np.concatenate([np.zeros((0, self._stage.model.nq)), *rows])[self._stride - 1 :: self._stride]
-        return np.concatenate([seen, self._stage.data.qpos[None]])
+        if self._own_recording is not None:
+            self._own_recording.close()
+        recorded = np.concatenate([np.zeros((0, self._stage.model.nq)), *rows])[self._stride - 1 :: self._stride]
+        return np.concatenate([recorded, self._stage.data.qpos[None]])
 
 
 def viewer(stage: Stage, mode: str, camera: str, width: int, height: int) -> OffScreen | OnScreen:
-    """The viewer for a render mode; StageError where there is no GL or no screen."""
+    """Return the viewer for a render mode.
+
+    Args:
+        stage: To show.
+        mode: "human", or another for off-screen frames.
+        camera: Name of the camera.
+        width: Of a frame, pixels.
+        height: Of a frame, pixels.
+
+    Raises:
+        StageError: There is no GL, or no screen.
+    """
     return OnScreen(stage) if mode == "human" else OffScreen(stage, camera, width, height)

@@ -77,9 +77,15 @@ def write_scores(rows: np.ndarray, time: Any, formula: Any, moves: Any, lost_ste
 
 
 class Results:
-    """The records of n stages.
+    """Records of the results of n stages.
 
-    rows: (n,) of `result`'s dtype. hidden: names that an info leaves out.
+    Args:
+        n: Number of stages.
+        dtype: What `make_result_dtype` returned.
+        hidden: Names that an info leaves out.
+
+    Attributes:
+        rows: (n,) records.
     """
 
     def __init__(self, n: int, dtype: np.dtype, hidden: frozenset[str] = frozenset()):
@@ -96,7 +102,11 @@ class Results:
         self.rows[name] = values
 
     def finish(self, bad: np.ndarray) -> None:
-        """Sum the parts up, and put the stages right that diverged, a mask (n,)."""
+        """Sum up the parts of the reward, and end the episodes of stages that diverged.
+
+        Args:
+            bad: Mask of the stages that diverged, (n,).
+        """
         rows, parts = self.rows, self.rows["parts"]
         rows["cause"], rows["reward"] = bad, 0.0
         for name in self._parts:
@@ -110,9 +120,9 @@ class Results:
                 rows["score"][name][bad] = value
 
     def read_row(self, k: int) -> tuple[float, bool, bool, dict[str, Any]]:
-        """(reward, terminated, truncated, info) of stage k."""
-        reward, terminated, truncated, cause, parts, said, *score = self.rows.item(k)
-        info = dict(zip(self._info, said))  # noqa: B905 (the check would cost as much as all else)
+        """Return (reward, terminated, truncated, info) of stage k."""
+        reward, terminated, truncated, cause, parts, values, *score = self.rows.item(k)
+        info = dict(zip(self._info, values))  # noqa: B905 (the check would cost as much as all else)
         for name in self._arrays:
             info[name] = info[name].copy()
         info["cause"] = CAUSES[cause]
@@ -126,7 +136,11 @@ class Results:
         return reward, terminated, truncated, info
 
     def read_columns(self, active: np.ndarray) -> dict[str, Any]:
-        """`info` of all stages in Gymnasium's form: arrays, each with a mask of the stages that have it; 0 or None elsewhere."""
+        """Return the info of all stages in Gymnasium's form: arrays, each with a mask of the stages that have it.
+
+        Args:
+            active: Mask of the stages that took part in the step, (n,).
+        """
         rows = self.rows.copy()
         rows[~active] = np.zeros((), rows.dtype)
         bad = rows["cause"] != 0
@@ -136,12 +150,12 @@ class Results:
         if bad.any():
             parts["diverged"] = np.where(bad, rows["reward"], 0.0)
         info["reward_parts"] = _masked(parts, active)
-        told = _masked({name: value for name, value in info.items() if name not in self._hidden}, active)
+        masked = _masked({name: value for name, value in info.items() if name not in self._hidden}, active)
         over = rows["terminated"] | rows["truncated"]
         if self.scored and over.any() and "score" not in self._hidden:
             scores = {name: np.where(over, rows["score"][name], 0).astype(SCORE[name]) for name in SCORE.names or ()}
-            told |= {"score": _masked(scores, over), "_score": over}
-        return told
+            masked |= {"score": _masked(scores, over), "_score": over}
+        return masked
 
 
 def _masked(values: dict[str, Any], active: np.ndarray) -> dict[str, Any]:

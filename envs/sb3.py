@@ -28,9 +28,11 @@ PER_STAGE_METHODS = ("action_masks", "scripted_action")
 
 
 class VecEnvAdapter(VecEnv):
-    """What SB3 asks of vector environments and a vector of stages answers with the same for all: the base of StageVecEnv.
+    """Base of StageVecEnv: the part of SB3's VecEnv that is the same for all vectors of stages.
 
-    envs: the vector environment, which is closed with this.
+    Args:
+        envs: The vector environment; it closes with this.
+        action_space: Space that SB3 sees; default: that of one environment.
     """
 
     def __init__(self, envs: StageVectorEnv, action_space: gymnasium.Space | None = None):
@@ -44,7 +46,12 @@ class VecEnvAdapter(VecEnv):
         self.envs.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the environments: "stage" is each one's own, any other that of the vector."""
+        """Return an attribute of the environments: "stage" is each one's own, any other is that of the vector.
+
+        Args:
+            attr_name: Name of the attribute.
+            indices: Numbers of the environments; default: all.
+        """
         whose = self._get_indices(indices)
         if attr_name == "stage":
             return [self.envs.stages[k] for k in whose]
@@ -106,22 +113,22 @@ class StageVecEnv(VecEnvAdapter):
         if any(self._check_options):  # SB3 has options for each; these are all for one
             for k, options in enumerate(self._check_options):
                 mask = np.arange(self.num_envs) == k
-                seen, infos = self.envs.reset(seed=self._spread_seeds, options={**options, "reset_mask": mask})
+                observations, infos = self.envs.reset(seed=self._spread_seeds, options={**options, "reset_mask": mask})
                 self.reset_infos[k] = info_of(infos, k)
         else:
-            seen, infos = self.envs.reset(seed=self._spread_seeds)
+            observations, infos = self.envs.reset(seed=self._spread_seeds)
             self.reset_infos = [info_of(infos, k) for k in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()
-        return seen
+        return observations
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict]]:
-        seen, rewards, terminated, truncated, infos = self.envs.step(self._actions)
-        ends, told = terminated | truncated, []
+        observations, rewards, terminated, truncated, infos = self.envs.step(self._actions)
+        ends, merged = terminated | truncated, []
         for k in range(self.num_envs):
             info = info_of(infos, k)
             if ends[k]:
                 last, final = info.pop("final_obs"), info.pop("final_info")
                 self.reset_infos[k], info = info, {**final, "terminal_observation": last}
-            told.append(info | {"TimeLimit.truncated": bool(truncated[k] and not terminated[k])})
-        return seen, rewards.astype(np.float32), ends, told
+            merged.append(info | {"TimeLimit.truncated": bool(truncated[k] and not terminated[k])})
+        return observations, rewards.astype(np.float32), ends, merged

@@ -27,25 +27,10 @@ from typing import Annotated, Any
 import numpy as np
 
 from stage.chips import Chip, chip_class
+from stage.envs import settings
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.features import HOST, Feature
 from stage.envs.registers import RegisterBox
-from stage.envs.settings import (
-    MAX_SECONDS,
-    Actions,
-    AxisName,
-    Count,
-    Counts,
-    Cycle,
-    Number,
-    Payloads,
-    Positive,
-    Seconds,
-    Settings,
-    TruthOption,
-    Weight,
-    Word,
-)
 from stage.envs.tuning import NEXT_MOVE, Tuning, describe_move_info
 from stage.errors import ArgumentError
 from stage.firmware.driver import driver_of
@@ -58,30 +43,30 @@ SMALL, UNREST_SCALE = 10.0, 100.0  # counts
 
 
 @dataclass(frozen=True)
-class Config(Settings):
+class Config(settings.Settings):
     """Settings of ServoTuning."""
 
     model: str = "xyz_servo"
     chip: str | type[Chip] = "HCTL1100"
-    axis: AxisName = "x"
-    motion: Annotated[str, Word(MOTIONS)] = "step"  # or "trapezoid"
-    actions: Actions = "box"  # or "registers"
-    distances: Counts = (50, 500)  # counts, drawn evenly by their logarithm; a trapezoid takes longer ones
-    payloads: Payloads = (0.0, 10.0)  # kg, drawn evenly
-    payload_on: AxisName | None = (
-        None  # body or site that carries it; None: site "work", else the body that the axis moves
+    axis: settings.AxisName = "x"
+    motion: Annotated[str, settings.Word(MOTIONS)] = "step"  # or "trapezoid"
+    actions: settings.Actions = "box"  # or "registers"
+    distances: settings.Counts = (50, 500)  # counts, drawn evenly by their logarithm; a trapezoid takes longer ones
+    payloads: settings.Payloads = (0.0, 10.0)  # kg, drawn evenly
+    payload_on: settings.AxisName | None = None  # body or site that carries it; None: see find_carrier
+    moves: settings.Count = 8  # an episode
+    velocity: settings.Positive = 40_000.0  # counts/s, of a trapezoid
+    acceleration: settings.Positive = 400_000.0  # counts/s2
+    deadband: settings.Positive = 3.0  # counts
+    limit: settings.Seconds = 0.5  # s, a move may take
+    rest: Annotated[float, settings.Number(LOOK, high=settings.MAX_SECONDS)] = (
+        0.1  # s at its end in which unrest is observed
     )
-    moves: Count = 8  # an episode
-    velocity: Positive = 40_000.0  # counts/s, of a trapezoid
-    acceleration: Positive = 400_000.0  # counts/s2
-    deadband: Positive = 3.0  # counts
-    limit: Seconds = 0.5  # s, a move may take
-    rest: Annotated[float, Number(LOOK, high=MAX_SECONDS)] = 0.1  # s at its end in which unrest is observed
-    overshoot_weight: Weight = 0.2
-    unrest_weight: Weight = 0.2
-    limit_weight: Weight = 1.0
-    bus_cycle: Cycle = 1e-6  # s
-    truth: TruthOption = True  # where what no host can see is shown: features.py
+    overshoot_weight: settings.Weight = 0.2
+    unrest_weight: settings.Weight = 0.2
+    limit_weight: settings.Weight = 1.0
+    bus_cycle: settings.Cycle = 1e-6  # s
+    truth: settings.TruthOption = True  # where what no host can see is shown: features.py
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -115,11 +100,12 @@ class ServoTuning(Tuning[Config]):
 
     def make_register_box(self) -> RegisterBox:
         self.driver = driver_of(self.axis)
-        return RegisterBox.of(self.driver.filter_choices(self.config.motion == "trapezoid").ranges)
+        ranges = self.driver.filter_choices(self.config.motion == "trapezoid").ranges
+        return RegisterBox(list(ranges), ranges.values())
 
     def prepare(self) -> None:
         c = self.config
-        self.looks, self.tail = int(round(c.limit / LOOK)), int(round(c.rest / LOOK))
+        self.samples, self.tail = int(round(c.limit / LOOK)), int(round(c.rest / LOOK))
         super().prepare()
         self.goal = np.zeros(self.n)  # counts of the encoder, absolute
 
@@ -133,24 +119,24 @@ class ServoTuning(Tuning[Config]):
         rates = (c.velocity, c.acceleration) if c.motion == "trapezoid" else None
         self.driver.write_servo_move(p, self.registers.named(row), distance, rates)
         self.first = len(p)  # of the pairs of a wait and a look
-        for k in range(self.looks):
-            (p.measure if k >= self.looks - self.tail else p.wait)(LOOK)
+        for k in range(self.samples):
+            (p.measure if k >= self.samples - self.tail else p.wait)(LOOK)
             p.look(self.axis.index)
         return p
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c = self.config
-        looks = played.results[:, self.first + 1 : self.first + 2 * self.looks : 2] * 1e-12
-        way = np.sign(self.axis.gear)
-        error = self.goal[:, None] - way * looks / self.axis.meters_per_pulse  # counts
+        samples = played.results[:, self.first + 1 : self.first + 2 * self.samples : 2] * 1e-12
+        sign = np.sign(self.axis.gear)
+        error = self.goal[:, None] - sign * samples / self.axis.meters_per_pulse  # counts
         ends = played.extremes[:, self.axis.plant.qpos] * (
-            way / self.axis.meters_per_pulse
+            sign / self.axis.meters_per_pulse
         )  # of the rest, every physics step
         ends = np.where(np.isfinite(ends), self.goal[:, None] - ends, np.inf)
         outside = np.abs(error) > c.deadband
-        late = self.looks - np.argmax(outside[:, ::-1], axis=1)  # looks up to the last one outside
+        settled_at = self.samples - np.argmax(outside[:, ::-1], axis=1)  # looks up to the last one outside
         finished = (np.abs(ends) <= c.deadband).all(axis=1) & ~outside[:, -1]
-        settled = np.where(finished, np.where(outside.any(axis=1), late, 0), self.looks) * LOOK
+        settled = np.where(finished, np.where(outside.any(axis=1), settled_at, 0), self.samples) * LOOK
         overshoot = np.maximum(-error.min(axis=1), 0.0)
         unrest = np.abs(ends[:, 0] - ends[:, 1])
         parts = {

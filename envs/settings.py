@@ -46,12 +46,12 @@ class Number:
 
     @property
     def allowed(self) -> str:
-        """In words."""
+        """Description of the allowed values."""
         start = f"more than {self.low:g}" if self.above else f"{self.low:g} or more"
         return f"a {'whole ' if self.whole else ''}number, {start}, up to {self.high:g}"
 
     def accepts(self, value: Any) -> bool:
-        """Not for one that is no number, and not for True and False."""
+        """Return whether the value is such a number; True and False are not."""
         if not isinstance(value, Real) or isinstance(value, bool):
             return False
         number = float(value)
@@ -59,7 +59,7 @@ class Number:
         return inside and (number.is_integer() or not self.whole)
 
     def check(self, name: str, value: Any) -> None:
-        """Raise ArgumentError, unless it takes the value of this setting."""
+        """Raise ArgumentError unless the setting `name` accepts the value."""
         if not self.accepts(value):
             raise ArgumentError(f"{name}={value!r}: {self.allowed}.")
 
@@ -89,7 +89,7 @@ class Word:
     known: tuple[str, ...]
 
     def check(self, name: str, value: Any) -> None:
-        """Raise ArgumentError, unless it takes the value of this setting."""
+        """Raise ArgumentError unless the setting `name` accepts the value."""
         if not isinstance(value, str) or value not in self.known:
             raise unknown(name, value, self.known)
 
@@ -116,7 +116,7 @@ class Boolean:
     """True or False, and nothing that Python takes for one of them."""
 
     def check(self, name: str, value: Any) -> None:
-        """Raise ArgumentError, unless it takes the value of this setting."""
+        """Raise ArgumentError unless the setting `name` accepts the value."""
         if not isinstance(value, bool | np.bool_):
             raise ArgumentError(f"{name}={value!r}: True or False.")
 
@@ -125,7 +125,7 @@ class Name:
     """A name in the model."""
 
     def check(self, name: str, value: Any) -> None:
-        """Raise ArgumentError, unless it takes the value of this setting."""
+        """Raise ArgumentError unless the setting `name` accepts the value."""
         if not isinstance(value, str):
             raise ArgumentError(f"{name}={value!r}: a name in the model.")
 
@@ -137,9 +137,9 @@ class Names:
     least: int
 
     def check(self, name: str, value: Any) -> None:
-        """Raise ArgumentError, unless it takes the value of this setting."""
-        given = list(value) if isinstance(value, Sequence) else [None]
-        if not all(isinstance(n, str) for n in given) or not self.least <= len(set(given)) == len(given):
+        """Raise ArgumentError unless the setting `name` accepts the value."""
+        names = list(value) if isinstance(value, Sequence) else [None]
+        if not all(isinstance(n, str) for n in names) or not self.least <= len(set(names)) == len(names):
             few = ("one", "two")[self.least - 1]
             raise ArgumentError(f"{name}={value!r}: {few} or more different names, for example ('x', 'y').")
 
@@ -151,7 +151,7 @@ class Words:
     allowed: tuple[str, ...]
 
     def check(self, name: str, value: Any) -> None:
-        """Raise ArgumentError, unless it takes the value of this setting."""
+        """Raise ArgumentError unless the setting `name` accepts the value."""
         if isinstance(value, str) or not isinstance(value, Sequence):
             raise ArgumentError(f"{name}={value!r}: some of {', '.join(self.allowed)}, as ({self.allowed[0]!r},).")
         for word in value:

@@ -161,15 +161,15 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         return {"distances": self.distances[k].copy(), **self.describe_machine(k)}
 
     def _compute_formula(self, k: int) -> None:
-        """Rate, ramp and time by the formula: no axis goes faster or steeper than it may, each at its share."""
+        """Compute rate, ramp and time by the formula: no axis is faster or steeper than it may be."""
         c: Any = self.config
         sizes = np.abs(self.distances[k])
         longest = int(sizes.max())
         rates, slopes = [], []
         for load, size in zip(self.loads, sizes.tolist(), strict=True):
-            made = speeds(load.heavier(self.ranges["payload"][1]), int(size))
-            rates.append(made.drive * longest / size)
-            slopes.append((made.drive - made.start) / max(made.up, made.down) * longest / size)
+            move = speeds(load.heavier(self.ranges["payload"][1]), int(size))
+            rates.append(move.drive * longest / size)
+            slopes.append((move.drive - move.start) / max(move.up, move.down) * longest / size)
         rate = float(np.clip(min(rates), *c.rates))
         ramp = float(np.clip((rate - c.fl) / min(slopes), *c.ramps))
         self.formula[k] = rate, ramp, compute_move_time(np.float64(longest), c.fl, rate, ramp)
@@ -178,12 +178,12 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
 
     @property
     def requested_lines(self) -> LineMoves:
-        """The lines that stand, at the rates and ramps that are chosen."""
+        """Lines to move, at the rates and ramps that are chosen."""
         return LineMoves(self.distances, self.rate, self.ramp)
 
     @property
     def usual(self) -> np.ndarray:
-        """s, that the usual rate takes, (n,)."""
+        """Seconds that the usual rate takes, (n,)."""
         s = Speeds()
         return compute_move_time(np.abs(self.distances).max(axis=1).astype(float), s.start, s.drive, s.up)
 
@@ -193,7 +193,15 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         return self.line.corrected(self.requested_lines, wanted[:, :rows, :columns])
 
     def action_of(self, rate: Any, ramp: Any) -> np.ndarray:
-        """The actions of these rates (pps) and ramps (s), without corrections, (n, actions) float32."""
+        """Return the actions that mean these values, without corrections.
+
+        Args:
+            rate: Peak rate of the longest axis, pps.
+            ramp: Duration of the ramps, s.
+
+        Returns:
+            (n, actions) float32.
+        """
         c: Any = self.config
         out = np.zeros((self.n, self.action_space.shape[0]), np.float32)  # type: ignore[index]
         for j, (value, ends) in enumerate(((rate, c.rates), (ramp, c.ramps))):
@@ -202,7 +210,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         return out
 
     def scripted_action(self) -> np.ndarray:
-        """The engineer's rate and ramp, and the data sheet's registers for them."""
+        """Return the engineer's rate and ramp, and the data sheet's registers for them."""
         return self.action_of(self.formula[:, 0], self.formula[:, 1])
 
     def make_programs(self) -> np.ndarray:
@@ -224,11 +232,11 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         deviation, duration = np.where(finished, self.path, np.inf), np.where(finished, self.seconds, c.limit)
         off_line, vibration = self._measure_carriages(played.results), played.results[:, -1] * 1e-12
         good = self.converged
-        kept = finished & (lost == 0).all(axis=1) & good
+        in_step = finished & (lost == 0).all(axis=1) & good
         cost = duration + c.path_weight * deviation
         cost = cost + (c.carriage_weight * off_line + c.vibration_weight * vibration) / TENTH_MM
-        cost = np.where(kept, cost, np.inf)
-        proved = np.where(self._keep_step(kept), cost, np.inf)
+        cost = np.where(in_step, cost, np.inf)
+        proved = np.where(self._keep_step(in_step), cost, np.inf)
         gain = self._compute_value(cost)
         parts = {
             "gain": gain,
@@ -252,7 +260,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         return np.maximum(portable.log(2 * self.usual) - portable.log(cost), 0.0)
 
     def _keep_step(self, which: np.ndarray) -> np.ndarray:
-        """On which of these stages' machines, `margin` heavier, the same registers keep step from other angles, `proofs` times."""
+        """Return which stages keep step with the same registers from other angles in `proofs` moves, `margin` kg heavier."""
         c: Any = self.config
         holds = which.copy()
         for _ in range(c.proofs):
@@ -276,8 +284,8 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         of_axes = np.concatenate(
             [(self.distances / c.distances[1])[:, :, None], self.line.errors(usual) / (2 * c.reach)], axis=2
         )
-        seen = np.concatenate([of_axes.reshape(self.n, -1), self.machine_features], axis=1)
-        return np.clip(seen, -1.0, 1.0).astype(np.float32)
+        observations = np.concatenate([of_axes.reshape(self.n, -1), self.machine_features], axis=1)
+        return np.clip(observations, -1.0, 1.0).astype(np.float32)
 
     def close(self) -> None:
         super().close()

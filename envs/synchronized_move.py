@@ -46,25 +46,11 @@ import numpy as np
 
 from stage import Stage
 from stage.chips import Chip, chip_class
+from stage.envs import settings
 from stage.envs.base import StageEnv, StageVectorEnv
 from stage.envs.features import HOST, TRUTH, Feature
 from stage.envs.registers import RegisterBox
-from stage.envs.settings import (
-    Count,
-    Counts,
-    Cycle,
-    Flag,
-    Names,
-    Number,
-    NumberOrRange,
-    Pair,
-    Positive,
-    Seconds,
-    Settings,
-    TruthOption,
-    Weight,
-    Word,
-)
+from stage.envs.scaling import scale_log
 from stage.envs.task import MoveTask
 from stage.envs.trial import StartPositions
 from stage.errors import ArgumentError, unknown
@@ -81,33 +67,33 @@ TENTH_MM = 1e-4  # m
 
 
 @dataclass(frozen=True)
-class Config(Settings):
+class Config(settings.Settings):
     """Settings of SynchronizedMove."""
 
     model: str = "xyz"
     chip: str | type[Chip] = "PCL240K"
-    axes: Annotated[tuple[str, ...], Names(2)] = ("x", "y")
-    actions: Annotated[str, Word(ACTIONS)] = "corrections"  # or "box", "registers"
-    distances: Counts = (4_000, 20_000)  # pulses of each axis, drawn evenly by their logarithm, with any sign
+    axes: Annotated[tuple[str, ...], settings.Names(2)] = ("x", "y")
+    actions: Annotated[str, settings.Word(ACTIONS)] = "corrections"  # or "box", "registers"
+    distances: settings.Counts = (4_000, 20_000)  # pulses of each axis, drawn evenly by their logarithm, with any sign
     # pps, peak of the longest axis by the data sheet; drawn likewise
-    rate: Annotated[float | Pair, NumberOrRange(more=", not below fl")] = (8_000.0, 32_000.0)
-    fl: Positive = 1_000.0  # pps, of the longest axis
-    accel: Seconds = 0.1  # s, of both ramps
-    s_curve: Flag = False  # S-curves throughout; PCL240MS, NOVA
-    reach: Positive = 4.0  # pulses
-    multiplier_reach: Annotated[int, Number(whole=True)] = 1  # counts of R7
-    moves: Count = 1  # an episode
-    limit: Seconds = 4.0  # s, a move may take
-    settle: Seconds = 0.05  # s after the last pulse
-    looks: Count = 100  # at the carriages, a move
-    far: Positive = 20.0  # pulses
-    path_weight: Weight = 1.0  # a pulse
-    carriage_weight: Weight = 1.0  # 0.1 mm
-    time_weight: Weight = 1.0  # a second
-    lost_weight: Weight = 10.0
-    limit_weight: Weight = 10.0
-    bus_cycle: Cycle = 1e-6  # s
-    truth: TruthOption = True  # where what no host can see is shown: features.py
+    rate: Annotated[float | settings.Pair, settings.NumberOrRange(more=", not below fl")] = (8_000.0, 32_000.0)
+    fl: settings.Positive = 1_000.0  # pps, of the longest axis
+    accel: settings.Seconds = 0.1  # s, of both ramps
+    s_curve: settings.Flag = False  # S-curves throughout; PCL240MS, NOVA
+    reach: settings.Positive = 4.0  # pulses
+    multiplier_reach: Annotated[int, settings.Number(whole=True)] = 1  # counts of R7
+    moves: settings.Count = 1  # an episode
+    limit: settings.Seconds = 4.0  # s, a move may take
+    settle: settings.Seconds = 0.05  # s after the last pulse
+    looks: settings.Count = 100  # at the carriages, a move
+    far: settings.Positive = 20.0  # pulses
+    path_weight: settings.Weight = 1.0  # a pulse
+    carriage_weight: settings.Weight = 1.0  # 0.1 mm
+    time_weight: settings.Weight = 1.0  # a second
+    lost_weight: settings.Weight = 10.0
+    limit_weight: settings.Weight = 10.0
+    bus_cycle: settings.Cycle = 1e-6  # s
+    truth: settings.TruthOption = True  # where what no host can see is shown: features.py
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -119,7 +105,7 @@ class Config(Settings):
 
     @property
     def rates(self) -> tuple[float, float]:
-        """Least and most."""
+        """Least and largest rate, pps."""
         low, high = self.rate if isinstance(self.rate, tuple | list) else (self.rate, self.rate)
         return float(low), float(high)
 
@@ -159,19 +145,19 @@ class SynchronizedMove(MoveTask[Config]):
 
     def make_stage(self, visuals: bool) -> Stage:
         c = self.config
-        made = Stage(c.model, chips=chip_class(c.chip), bus_cycle=c.bus_cycle, visuals=visuals)
+        new_stage = Stage(c.model, chips=chip_class(c.chip), bus_cycle=c.bus_cycle, visuals=visuals)
         for name in c.axes:
-            if name not in made.axes:
-                raise unknown("axis", name, made.axes)
-            if made.axes[name].unit != "m":
+            if name not in new_stage.axes:
+                raise unknown("axis", name, new_stage.axes)
+            if new_stage.axes[name].unit != "m":
                 raise ArgumentError(f"axes={c.axes!r}: {name} turns, and a line is of slides.")
-        return made
+        return new_stage
 
     def prepare(self) -> None:
         c, first = self.config, self.stages[0]
         self.axes = [first.axes[name] for name in c.axes]
         self.index = [a.index for a in self.axes]
-        self.way = np.array([a.meters_per_pulse * np.sign(a.gear) for a in self.axes])
+        self.signed_pulse_m = np.array([a.meters_per_pulse * np.sign(a.gear) for a in self.axes])
         self.line = line_of([driver_of(a) for a in self.axes], c)
         self.hz = self.line.hz
         self.start_positions = [StartPositions(a) for a in self.axes]
@@ -179,7 +165,7 @@ class SynchronizedMove(MoveTask[Config]):
             starts.check(c.distances, "pulses")
         if c.rates[1] > self.line.fastest:
             raise ArgumentError(f"rate={c.rate!r}: up to {self.line.fastest:.0f} pps here.")
-        self.registers = RegisterBox(self.line.chip.MAP, self.line.names * self.line.shape[0])
+        self.registers = RegisterBox.of_registers(self.line.chip.MAP, self.line.names * self.line.shape[0])
         self.action_space = self.registers.discrete if c.actions == "registers" else self.registers.box
         m = len(self.axes)
         self.observation_space = self.make_observation_space()
@@ -205,7 +191,7 @@ class SynchronizedMove(MoveTask[Config]):
             self._draw_move(int(k), {})
 
     def _draw_move(self, k: int, options: Mapping[str, Any]) -> None:
-        """The next move of stage k, and its carriages where it starts, each rotor anywhere in its field."""
+        """Draw the next move of stage k, and put its carriages where it starts, with the rotors at any angle."""
         c, rng = self.config, self.rngs[k]
         low, high = portable.log(c.distances)
         sizes = np.rint(portable.exp(rng.uniform(low, high, len(self.axes)))).astype(np.int64)
@@ -238,15 +224,15 @@ class SynchronizedMove(MoveTask[Config]):
 
     @property
     def requested_lines(self) -> LineMoves:
-        """The moves that stand."""
+        """Lines to move."""
         return LineMoves(self.distances, self.rate)
 
     def data_sheet(self) -> np.ndarray:
-        """The engineer's answer to the moves that stand: (stages, *line.shape) registers."""
+        """Return the engineer's registers for the present moves: (stages, *line.shape)."""
         return self.line.data_sheet(self.requested_lines)
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
-        """The registers of actions, (stages, *line.shape)."""
+        """Return the registers of actions, (stages, *line.shape)."""
         shape = (len(actions), *self.line.shape)
         if self.config.actions == "registers":
             return actions.astype(np.int64).reshape(shape)
@@ -264,15 +250,15 @@ class SynchronizedMove(MoveTask[Config]):
         self.fleet.run_on_threads(lambda low, high: self._measure_paths(low, high, moves))
         length = np.minimum(self.seconds + self.line.last_pulse(registers), c.limit) + c.settle
         every = 1 + len(self.index)  # a wait, and a look at each axis
-        looks = np.zeros((self.n, c.looks, every, 4), np.int64)
-        looks[:, :, 0, 0] = WAIT
-        looks[:, :, 0, 1] = np.ceil(length * (1e9 / c.looks))[:, None]
-        looks[:, :, 1:, 0], looks[:, :, 1:, 1] = LOOK, self.index
+        samples = np.zeros((self.n, c.looks, every, 4), np.int64)
+        samples[:, :, 0, 0] = WAIT
+        samples[:, :, 0, 1] = np.ceil(length * (1e9 / c.looks))[:, None]
+        samples[:, :, 1:, 0], samples[:, :, 1:, 1] = LOOK, self.index
         self._sample_slices = [slice(moves.shape[1] + 1 + a, None, every) for a in range(len(self.index))]
-        return np.concatenate([moves, looks.reshape(self.n, -1, 4)], axis=1)
+        return np.concatenate([moves, samples.reshape(self.n, -1, 4)], axis=1)
 
     def _measure_paths(self, low: int, high: int, moves: np.ndarray) -> None:
-        """Run twins of the chips of stages low..high-1: how far the pulses stray from the line, and how long they take."""
+        """Run copies of the chips of some stages, and store how far the pulses stray from the line and how long they take."""
         cycle = round(self.config.bus_cycle * 1e9)
         for k in np.flatnonzero(self.active[low:high]) + low:
             began = int(self._truth_at_start[k, 0]["now"]) + (self.line.starts(self.distances[k]) + 1) * cycle
@@ -284,8 +270,8 @@ class SynchronizedMove(MoveTask[Config]):
 
     def judge(self, played: Played, truth: np.ndarray) -> None:
         c, t = self.config, truth[:, self.index]
-        made = t["pulses"] - self._truth_at_start["pulses"]
-        finished = ((made == self.distances) & (t["busy"] == 0)).all(axis=1)
+        moved_pulses = t["pulses"] - self._truth_at_start["pulses"]
+        finished = ((moved_pulses == self.distances) & (t["busy"] == 0)).all(axis=1)
         lost = t["lost_steps"] - self._truth_at_start["lost_steps"]
         deviation, duration = np.where(finished, self.path, np.inf), np.where(finished, self.seconds, c.limit)
         off_line = self._measure_carriages(played.results)
@@ -307,29 +293,28 @@ class SynchronizedMove(MoveTask[Config]):
         self.set_results(parts, info, over | ~finished, False)
 
     def _measure_carriages(self, results: np.ndarray) -> np.ndarray:
-        """The largest distance of the carriages from their line, m."""
-        line = self.way * self.distances
+        """Return the largest distance of the carriages from their line, m."""
+        line = self.signed_pulse_m * self.distances
         length2, dot = np.zeros(self.n), np.zeros((self.n, self.config.looks))
         off = []
-        for a, looks in enumerate(self._sample_slices):
-            off.append(results[:, looks] * 1e-12 - self._truth_at_start["position"][:, a, None])
+        for a, samples in enumerate(self._sample_slices):
+            off.append(results[:, samples] * 1e-12 - self._truth_at_start["position"][:, a, None])
             length2 += line[:, a] ** 2
             dot += off[a] * line[:, a, None]
-        along, far2 = np.clip(dot / length2[:, None], 0.0, 1.0), np.zeros_like(dot)
+        along, squared_distance = np.clip(dot / length2[:, None], 0.0, 1.0), np.zeros_like(dot)
         for a in range(len(off)):
-            far2 += (off[a] - along * line[:, a, None]) ** 2
-        return np.sqrt(far2.max(axis=1))
+            squared_distance += (off[a] - along * line[:, a, None]) ** 2
+        return np.sqrt(squared_distance.max(axis=1))
 
     def compute_observations(self) -> np.ndarray:
         c = self.config
-        low, high = portable.log(c.rates)
-        rate = (portable.log(self.rate) - low) / max(high - low, 1e-9) * 2.0 - 1.0 if high > low else np.zeros(self.n)
+        rate = scale_log(self.rate, c.rates) if c.rates[1] > c.rates[0] else np.zeros(self.n)
         of_axes = np.concatenate(
             [(self.distances / c.distances[1])[:, :, None], self.line.errors(self.requested_lines) / (2 * c.reach)],
             axis=2,
         )
-        seen = np.concatenate([rate[:, None], of_axes.reshape(self.n, -1), self.last], axis=1)
-        return np.clip(seen, -1.0, 1.0).astype(np.float32)
+        observations = np.concatenate([rate[:, None], of_axes.reshape(self.n, -1), self.last], axis=1)
+        return np.clip(observations, -1.0, 1.0).astype(np.float32)
 
 
 class SynchronizedMoveEnv(StageEnv):

@@ -78,43 +78,55 @@ class Task(ABC, Generic[ConfigT]):
 
     @abstractmethod
     def make_stage(self, visuals: bool) -> Stage:
-        """One stage, at power-up."""
+        """Make one stage, at power-up.
+
+        Args:
+            visuals: Load the visual geoms of the model.
+        """
 
     @abstractmethod
     def prepare(self) -> None:
         """Make the spaces, the record, and the arrays of what is drawn for each stage."""
 
     def bind_arrays(self) -> None:
-        """Note where the arrays lie, if it matters."""
+        """Note where the arrays lie, if compiled code uses them."""
 
     @abstractmethod
     def begin_episode(self, k: int, options: Mapping[str, Any]) -> None:
-        """A new episode on stage k, drawn from self.rngs[k]. The stage is at power-up (its payload is as it was)."""
+        """Begin an episode on stage k, drawn from `rngs[k]`. The stage is at power-up; its payload is as it was.
+
+        Args:
+            k: Number of the stage.
+            options: Of the reset.
+
+        Raises:
+            ArgumentError: An option has a wrong value.
+        """
 
     @abstractmethod
     def play(self) -> None:
-        """Play `actions` on the `active` stages, one at least, and judge: fills `results` and counts `steps`."""
+        """Play `actions` on the `active` stages, at least one, and judge: fill `results` and count `steps`."""
 
     def apply_machine(self, k: int) -> None:
-        """The machine of stage k is the one that was drawn: the payload and the like, which a stage's snapshots leave alone."""
+        """Give stage k the machine that was drawn, the payload and the like, which a stage's snapshots leave alone."""
 
     def prepare_next(self) -> None:
-        """Make the stages that are `sound` ready for their next step, after the last has been judged."""
+        """Prepare the stages that are `converged` for their next step."""
 
     @abstractmethod
     def update_observations(self) -> None:
         """Bring `observations` up to date."""
 
     def describe_episode(self, k: int) -> dict[str, Any]:
-        """`info` of a reset of stage k, whoever may know it."""
+        """Return all info of a reset of stage k, truth included."""
         return {}
 
     def scripted_action(self) -> np.ndarray:
-        """The next action of every stage by a host that learns nothing: (n, ...). ArgumentError for a task that has none."""
+        """Return the next actions of a host that does not learn, (n, ...). Raises ArgumentError for a task without one."""
         raise ArgumentError(f"{type(self).__name__} has no scripted host.")
 
     def layout(self) -> list[Feature]:
-        """What each number of the whole observation is, truth included."""
+        """Return the features of the whole observation, a feature for each number, truth included."""
         return list(self.OBSERVATION)
 
     def close(self) -> None:
@@ -125,33 +137,39 @@ class Task(ABC, Generic[ConfigT]):
 
     @property
     def truth(self) -> Any:
-        """The setting: where what no host can see is shown."""
+        """The setting that says where truth is shown."""
         config: Any = self.config
         return config.truth
 
     @property
     def observation_features(self) -> list[Feature]:
-        """What each number of the observation is."""
+        """Features of the observation, a feature for each number."""
         every = self.layout()
         return [e for e, shown in zip(every, list_visible(every, self.truth), strict=True) if shown]
 
     def reset_info(self, k: int) -> dict[str, Any]:
-        """`info` of a reset of stage k, as the setting `truth` has it."""
+        """Return the info of a reset of stage k, without truth where the setting `truth` hides it."""
         return {name: value for name, value in self.describe_episode(k).items() if name not in self.hidden}
 
     @property
     def converged(self) -> np.ndarray:
-        """Which stages have made a step that did not diverge."""
+        """Mask of the stages that have made a step that did not diverge."""
         return self.active & (self.results["cause"] == 0)
 
     def reset_stage(self, k: int, options: Mapping[str, Any]) -> None:
+        """Put stage k back to power-up, and begin an episode.
+
+        Args:
+            k: Number of the stage.
+            options: Of the reset.
+        """
         self.stages[k].restore(self.start)
         self.steps[k] = 0
         self.results["cause"][k] = 0
         self.begin_episode(k, options)
 
     def save_stage(self, k: int) -> tuple:
-        """All that stage k's episode is."""
+        """Return the whole episode of stage k, for `load_stage`."""
         stage = self.stages[k].snapshot()
         arrays = [getattr(self, name)[k].tobytes() for name in self._state_names]
         return (
@@ -159,9 +177,14 @@ class Task(ABC, Generic[ConfigT]):
             self.rngs[k].bit_generator.state,
         )  # fmt: skip
 
-    def load_stage(self, k: int, kept: tuple) -> None:
-        """Stage k is as `keep` found one."""
-        stage, arrays, result, drawn = kept
+    def load_stage(self, k: int, saved: tuple) -> None:
+        """Put stage k into an episode that `save_stage` returned.
+
+        Args:
+            k: Number of the stage.
+            saved: What `save_stage` returned.
+        """
+        stage, arrays, result, drawn = saved
         for name, row in zip(self._state_names, arrays, strict=True):
             array = getattr(self, name)
             array[k] = np.frombuffer(row, array.dtype).reshape(array.shape[1:])
@@ -176,7 +199,15 @@ class Task(ABC, Generic[ConfigT]):
         return ("steps", "observations", *self.STATE)
 
     def set_action(self, k: int, action: Any) -> None:
-        """Let `action` be the next of stage k. Raises ArgumentError if it is not in the space."""
+        """Set the next action of stage k.
+
+        Args:
+            k: Number of the stage.
+            action: In the action space.
+
+        Raises:
+            ArgumentError: The action is not in the space.
+        """
         self.actions[k] = check_action(self.action_space, action)
 
 
@@ -185,18 +216,23 @@ class MoveTask(Task[ConfigT]):
 
     @abstractmethod
     def make_programs(self) -> Sequence[Program] | np.ndarray:
-        """What the host does on each stage for its action; of stages that are not active it does not count."""
+        """Return the bus cycles of the host on each stage for its action; those of inactive stages do not count."""
 
     @abstractmethod
     def judge(self, played: Played, truth: np.ndarray) -> None:
-        """Fill the results of the step that was just played: parts, info, terminated, truncated."""
+        """Fill the results of the step that was just played: parts, info, terminated, truncated.
+
+        Args:
+            played: What the fleet returned.
+            truth: True state of each axis after it, (n, axes).
+        """
 
     @abstractmethod
     def compute_observations(self) -> np.ndarray:
-        """Every stage's observation, (n, ...), truth included."""
+        """Compute every stage's observation, (n, ...), truth included."""
 
     def make_observation_space(self) -> gymnasium.spaces.Box:
-        """The observation space, of what is shown."""
+        """Make the observation space of the visible features."""
         self.visible = np.array(list_visible(self.layout(), self.truth))
         return gymnasium.spaces.Box(-1.0, 1.0, (int(self.visible.sum()),), np.float32)
 
@@ -219,7 +255,14 @@ class MoveTask(Task[ConfigT]):
         self.observations[fine] = self.compute_observations()[fine][:, self.visible]
 
     def set_results(self, parts: Mapping[str, Any], info: Mapping[str, Any], terminated: Any, truncated: Any) -> None:
-        """The results, by columns."""
+        """Set the results of a step by columns.
+
+        Args:
+            parts: Of the reward, by name, (n,).
+            info: By name, (n, ...).
+            terminated: Mask, (n,).
+            truncated: Mask, (n,).
+        """
         for columns, values in ((self.results["parts"], parts), (self.results["info"], info)):
             for name, value in values.items():
                 columns[name] = value
@@ -227,8 +270,20 @@ class MoveTask(Task[ConfigT]):
 
 
 def find_carrier(stage: Stage, axis: str, named: str | None) -> str:
-    """The body that a payload goes on: `named`, or that of the site of this name; None: of the site "work", or, in a model that
-    has none, the body that the axis moves. ArgumentError for a name that the model does not have."""
+    """Find the body that carries a payload.
+
+    Args:
+        stage: Of the model.
+        axis: Name of the axis that moves.
+        named: Name of a body, or of a site on it. None: the body of the site "work", or in a model without it the body that the
+            axis moves.
+
+    Returns:
+        Name of the body.
+
+    Raises:
+        ArgumentError: The model has no such name.
+    """
     model = stage.model
     sites = {model.site(k).name: model.site(k).bodyid[0] for k in range(model.nsite)}
     bodies = {model.body(k).name: k for k in range(1, model.nbody)}
@@ -246,26 +301,34 @@ JUDGED_SITES = ("tool", "camera", "work")
 
 
 def find_judged_point(stage: Stage, axis: str, named: str | None) -> tuple[str, int]:
-    """The point of a model at which a move of an axis is judged: its name, and its number for `Program.measure`.
+    """Find the point of a model at which a move of an axis is judged.
 
-    named: a site or a body that the axis carries. None: of the sites JUDGED that it carries the first that can swing (a joint
-    without a motor is between the site and the axis), else the first; in a model with none of them ("", 0), the axis itself.
-    ArgumentError for any other name.
+    Args:
+        stage: Of the model.
+        axis: Name of the axis that moves.
+        named: A site or a body that the axis carries. None: of JUDGED_SITES that it carries, the first that can swing (a joint
+            without a motor is between the site and the axis), else the first; in a model with none of them the axis itself.
+
+    Returns:
+        Name of the point, and its number for `Program.measure`; ("", 0) for the axis itself.
+
+    Raises:
+        ArgumentError: The axis carries no such site or body.
     """
     model, home = stage.model, int(stage.model.jnt_bodyid[stage.axes[axis].joint])
     moved = {a.joint for a in stage.axes.values()}
 
-    def way(body: int) -> list[int] | None:
-        """The bodies from the axis' own to `body`; None: the axis does not carry it."""
-        found = [body]
-        while found[-1] and found[-1] != home:
-            found.append(int(model.body_parentid[found[-1]]))
-        return found if found[-1] == home else None
+    def chain(body: int) -> list[int] | None:
+        """Return the bodies from `body` to the axis' own, or None if the axis does not carry it."""
+        bodies = [body]
+        while bodies[-1] and bodies[-1] != home:
+            bodies.append(int(model.body_parentid[bodies[-1]]))
+        return bodies if bodies[-1] == home else None
 
-    ways = {f"site {model.site(k).name}": (1 + k, way(int(model.site_bodyid[k]))) for k in range(model.nsite)}
-    ways |= {f"body {model.body(k).name}": (-k, way(k)) for k in range(1, model.nbody)}
+    candidates = {f"site {model.site(k).name}": (1 + k, chain(int(model.site_bodyid[k]))) for k in range(model.nsite)}
+    candidates |= {f"body {model.body(k).name}": (-k, chain(k)) for k in range(1, model.nbody)}
     carried = {
-        name: (point, bodies) for name, (point, bodies) in ways.items() if bodies is not None and name.split()[1:]
+        name: (point, bodies) for name, (point, bodies) in candidates.items() if bodies is not None and name.split()[1:]
     }
     if named is not None:
         for kind in ("site", "body"):
@@ -274,31 +337,48 @@ def find_judged_point(stage: Stage, axis: str, named: str | None) -> tuple[str, 
         raise unknown(
             f"site or body of judge_at that axis {axis} carries,", named, {name.split(" ", 1)[1] for name in carried}
         )
-    found = {name: carried[f"site {name}"] for name in JUDGED_SITES if f"site {name}" in carried}
-    for name, (point, bodies) in found.items():
+    chosen_sites = {name: carried[f"site {name}"] for name in JUDGED_SITES if f"site {name}" in carried}
+    for name, (point, bodies) in chosen_sites.items():
         joints = [j for j in range(model.njnt) if int(model.jnt_bodyid[j]) in (bodies or [])]
         if not moved.issuperset(joints):
             return name, point
-    return next(((name, point) for name, (point, _) in found.items()), ("", 0))
+    return next(((name, point) for name, (point, _) in chosen_sites.items()), ("", 0))
 
 
 def make_config(task: type[Task], settings: Mapping[str, Any], more: Iterable[str] = ()) -> Any:
-    """The task's Config of these settings; UnknownSetting for one that it does not have. more: settings of whoever asks."""
+    """Make the Config of a task.
+
+    Args:
+        task: Class of the task.
+        settings: By name.
+        more: Names that the caller knows beside those of the task, for the error.
+
+    Raises:
+        UnknownSetting: The task has no such setting.
+    """
     known = [f.name for f in fields(task.Config)]
     for name in settings:
         if name not in known:
-            said = unknown(f"{task.__name__} setting", name, [*known, *more])
-            raise UnknownSetting(f"got an unexpected keyword argument {name!r}: {said}")
+            detail = unknown(f"{task.__name__} setting", name, [*known, *more])
+            raise UnknownSetting(f"got an unexpected keyword argument {name!r}: {detail}")
     return task.Config(**settings)
 
 
 def check_action(space: gymnasium.Space, action: Any) -> np.ndarray:
-    """The action as an array of the space's type; ArgumentError names the space and the value."""
+    """Return an action as an array of the space's type.
+
+    Args:
+        space: Of the actions.
+        action: To check.
+
+    Raises:
+        ArgumentError: The action is not in the space; the message names both.
+    """
     try:
-        given = np.asarray(action)
+        array = np.asarray(action)
         kinds = "iu" if np.issubdtype(space.dtype, np.integer) else "iuf"
-        value = given.astype(space.dtype) if given.dtype.kind in kinds else given
-        if given.dtype.kind in kinds and given.shape == space.shape and space.contains(value):
+        value = array.astype(space.dtype) if array.dtype.kind in kinds else array
+        if array.dtype.kind in kinds and array.shape == space.shape and space.contains(value):
             return value
     except (TypeError, ValueError, OverflowError):
         pass

@@ -20,16 +20,27 @@ MAX_OFFSET_M = 50e-6  # m, between carriage and pulses at rest
 
 
 def compute_move_time(distance: Any, start: float, drive: float, ramp: float) -> Any:
-    """s, that moves of so many pulses take at these rates, pps, both ramps of `ramp` s."""
+    """Compute the duration of moves in closed form.
+
+    Args:
+        distance: Pulses.
+        start: Start rate, pps.
+        drive: Drive rate, pps.
+        ramp: Duration of each ramp, s.
+
+    Returns:
+        Seconds.
+    """
     steep = (drive - start) / ramp
     top = np.minimum(np.sqrt(distance * steep + start**2), drive)
     return 2 * (top - start) / steep + (distance - (top**2 - start**2) / steep) / top
 
 
 class StartPositions:
-    """Where moves of an axis begin: so that their middle is the middle of the travel, the rotor at an angle that is asked for.
+    """Positions at which moves begin, so that the middle of the move is the middle of the travel, at a chosen angle of the rotor.
 
-    turn: m (rad), after which the rotor stands in its field as before, an electrical turn of the motor; of a servo a count.
+    Attributes:
+        turn: Travel, m (rad), after which the rotor stands in its field as before: an electrical turn; of a servo, a count.
     """
 
     def __init__(self, axis: Axis):
@@ -41,21 +52,40 @@ class StartPositions:
             self.turn = 2 * np.pi / (motor.rotor_teeth * abs(axis.gear))
 
     def check(self, distances: tuple[float, float], unit: str) -> None:
-        """Raise ArgumentError where the longest does not fit into the travel."""
+        """Raise ArgumentError if the longest distance does not fit into the travel.
+
+        Args:
+            distances: Least and largest, in pulses or counts.
+            unit: Word for the error.
+        """
         travel = self.axis.travel[1] - self.axis.travel[0]
         room = min(0.95 * travel, travel - 2 * self.turn) / self.axis.meters_per_pulse
         if distances[1] > room:
             raise ArgumentError(f"distances={distances!r}: axis {self.axis.name} has room for {int(room)} {unit}.")
 
     def find_start(self, distance: float, angle: float) -> float:
-        """Where a move plus of `distance` pulses begins, m (rad). angle: of the rotor in its field, 0 to 1."""
-        way = np.sign(self.axis.gear) * self.axis.meters_per_pulse
-        return float((np.floor((self.middle - 0.5 * way * distance) / self.turn) + angle) * self.turn)
+        """Return the position, m (rad), at which a move begins.
+
+        Args:
+            distance: Pulses, plus or minus.
+            angle: Of the rotor in its field, 0 to 1.
+        """
+        signed_pulse_m = np.sign(self.axis.gear) * self.axis.meters_per_pulse
+        return float((np.floor((self.middle - 0.5 * signed_pulse_m * distance) / self.turn) + angle) * self.turn)
 
 
 class MoveOutcomes(NamedTuple):
-    """What came of a move on each stage, (n,). duration s; finished: it made its pulses; stopped: it ended without them; lost: a
-    step was lost, or the carriage is not where the pulses say; vibration m. Of an encoder: error, counts; swing, m."""
+    """Outcomes of a move on each stage, (n,).
+
+    Attributes:
+        duration: Seconds.
+        finished: The move made its pulses.
+        stopped: It ended without them.
+        lost: A step was lost, or the carriage is not where the pulses say.
+        vibration: Travel after the stop, m.
+        error: Of the encoder, counts.
+        swing: Of the encoder after the stop, m.
+    """
 
     duration: np.ndarray
     finished: np.ndarray
@@ -67,12 +97,12 @@ class MoveOutcomes(NamedTuple):
 
     @property
     def in_step(self) -> np.ndarray:
-        """The move is as it should be."""
+        """Mask of the moves that made their pulses and lost no step."""
         return self.finished & ~self.lost
 
 
 class PulsePredictor:
-    """What the chip of an axis would make of a program with no stage around it, long before physics has."""
+    """Predictor of the pulses that the chip of an axis makes of a program, without a stage."""
 
     def __init__(self, axis: Axis):
         self.axis = axis
@@ -80,14 +110,19 @@ class PulsePredictor:
         self._fresh = type(chip)(**chip.options()).snapshot().record
 
     def predict_pulses(self, ops: np.ndarray, seconds: float) -> int | None:
-        """The net pulses of the drive that these operations start, or None if it is not over by then."""
+        """Return the net pulses of the drive that operations start, or None if it is not over in time.
+
+        Args:
+            ops: Operations of a program, (operations, 4).
+            seconds: Chip time.
+        """
         core = self.axis.chip.CORE
         rows = np.frombuffer(bytearray(self._fresh), core.STATE)
-        twin = np.zeros(1, cores.CHIP)
-        cores.fill(twin[0], core, rows.ctypes.data)
+        replica = np.zeros(1, cores.CHIP)
+        cores.fill(replica[0], core, rows.ctypes.data)
         until = round(seconds * self.axis.chip.clock_hz)
-        made = play.predict_pulses(twin, ops, 1 << self.axis.index, self.axis.chip_axis, until)
-        return None if made == play.STILL_BUSY else int(made)
+        net_pulses = play.predict_pulses(replica, ops, 1 << self.axis.index, self.axis.chip_axis, until)
+        return None if net_pulses == play.STILL_BUSY else int(net_pulses)
 
 
 class Trial(StartPositions):
@@ -105,8 +140,14 @@ class Trial(StartPositions):
         self.stop = self.rest = 0
 
     def program(self, values: Mapping[str, int], distance: int, limit: float, keep_step: bool = False) -> Program:
-        """The bus cycles of a move with these registers, `limit` s at most; keep_step: it ends at the first step that is lost. All
-        programs are alike in length."""
+        """Make the bus cycles of a move. All programs have the same length.
+
+        Args:
+            values: Registers by name.
+            distance: Pulses.
+            limit: Simulated seconds that the move may take.
+            keep_step: End at the first step that is lost.
+        """
         p = Program()
         if self.encoder:
             p.look(self.axis.index)
@@ -118,13 +159,26 @@ class Trial(StartPositions):
         return p.look(self.axis.index) if self.encoder else p
 
     def is_hopeless(self, program: Program, distance: int, limit: float) -> bool:
-        """The chip alone does not make the pulses within the limit: there is no need to look at the physics."""
+        """Return whether the chip alone cannot make the pulses within the limit, so that physics need not run.
+
+        Args:
+            program: What `program` returned.
+            distance: Pulses.
+            limit: Seconds.
+        """
         return self.predictor.predict_pulses(np.array(program.ops[: self.stop], np.int64), limit) != distance
 
     def read_outcomes(
         self, played: Played, truth: np.ndarray, distance: np.ndarray, count: float = 1.0
     ) -> MoveOutcomes:
-        """What came of the programs. truth: of this axis, (n,); count: m, of the encoder."""
+        """Read the outcomes of programs that were played.
+
+        Args:
+            played: What the fleet returned.
+            truth: True state of this axis after it, (n,).
+            distance: Pulses, (n,).
+            count: Count of the encoder, m.
+        """
         took = played.results[:, self.stop] * 1e-9
         finished = (took > 0) & (truth["pulses"] == distance)
         lost = (truth["lost_steps"] != 0) | (np.abs(truth["commanded"] - truth["position"]) > MAX_OFFSET_M)
@@ -135,7 +189,7 @@ class Trial(StartPositions):
         error = swing = np.zeros(len(took))
         if self.encoder:
             counts = [np.floor(played.results[:, at] * 1e-12 / count) for at in (0, self.rest + 1)]
-            way = np.sign(self.axis.gear) * self.axis.meters_per_pulse
-            error = counts[1] - counts[0] - np.rint(way * distance / count)
+            signed_pulse_m = np.sign(self.axis.gear) * self.axis.meters_per_pulse
+            error = counts[1] - counts[0] - np.rint(signed_pulse_m * distance / count)
             swing = np.where(high >= low, np.floor(high / count) - np.floor(low / count), 0.0) * count
         return MoveOutcomes(np.abs(took), finished, (took > 0) & ~finished, lost, vibration, error, swing)

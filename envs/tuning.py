@@ -1,5 +1,7 @@
-"""`Tuning`: the common part of RegisterTuning and ServoTuning. An action chooses the registers of one move of one axis; the
-distance, the payload and the rotor's angle at the start are random for each move.
+"""`Tuning`: the common part of RegisterTuning and ServoTuning.
+
+An action chooses the registers of one move of one axis; the distance, the payload and the rotor's angle at the start are random for
+each move.
 
 A subclass defines its chip, its registers, the bus cycles of a move and the reward of a move.
 """
@@ -16,6 +18,7 @@ from stage import Stage
 from stage.chips import Chip
 from stage.envs.features import HOST, TRUTH, Feature
 from stage.envs.registers import RegisterBox
+from stage.envs.scaling import scale, scale_log
 from stage.envs.settings import read_option
 from stage.envs.task import MoveTask, find_carrier
 from stage.envs.trial import StartPositions
@@ -33,7 +36,12 @@ NEXT_MOVE = (
 
 
 def describe_move_info(unit: str, turn: str) -> tuple[Feature, ...]:
-    """What an info has of a move, of a reset the next one's. turn: what an angle of 1 is."""
+    """Describe the features of a move in an info; those of a reset are of the next move.
+
+    Args:
+        unit: Of a distance.
+        turn: What an angle of 1 is.
+    """
     return (
         Feature("distance", HOST, f"{unit}, of a reset the next move's", kind=int),
         Feature("payload", TRUTH, "kg, likewise", kind=float),
@@ -43,8 +51,11 @@ def describe_move_info(unit: str, turn: str) -> tuple[Feature, ...]:
 
 
 class Tuning(MoveTask[ConfigT]):
-    """Base of the tuning tasks. Their settings have model, axis, actions ("box" or "registers"), distances and payloads (ends of
-    what is drawn), payload_on, moves (an episode's), limit (s, for a move) and bus_cycle."""
+    """Base of the tuning tasks.
+
+    Their settings have model, axis, actions ("box" or "registers"), distances and payloads (ends of what is drawn), payload_on,
+    moves (of an episode), limit (s, for a move) and bus_cycle.
+    """
 
     OPTIONS: ClassVar[tuple[str, ...]] = ("distance", "payload", "angle")
     """angle: of the rotor at the start, in electrical turns of the motor from 0 to 1; of a servo in counts of its encoder."""
@@ -55,25 +66,30 @@ class Tuning(MoveTask[ConfigT]):
 
     @abstractmethod
     def chip(self) -> type[Chip]:
-        """The class of the axis' chip."""
+        """Return the class of the axis' chip."""
 
     @abstractmethod
     def make_register_box(self) -> RegisterBox:
-        """What an action chooses; `axis` is known."""
+        """Return the registers that an action chooses; `axis` is known."""
 
     @abstractmethod
     def make_program(self, row: np.ndarray, distance: int) -> Program:
-        """The bus cycles of a move with these registers, and what is observed. All programs are alike in length."""
+        """Make the bus cycles of a move, and of what is observed. All programs have the same length.
+
+        Args:
+            row: Registers, in the order of `registers`.
+            distance: Pulses, or counts of a servo.
+        """
 
     def after_placing(self, k: int) -> None:
-        """Stage k is where its next move begins."""
+        """Note the start of stage k's next move; called when the carriage is there."""
 
     def make_stage(self, visuals: bool) -> Stage:
         c: Any = self.config
-        made = Stage(c.model, chips=self.chip(), bus_cycle=c.bus_cycle, visuals=visuals)
-        if c.axis not in made.axes:
-            raise unknown("axis", c.axis, made.axes)
-        return made
+        new_stage = Stage(c.model, chips=self.chip(), bus_cycle=c.bus_cycle, visuals=visuals)
+        if c.axis not in new_stage.axes:
+            raise unknown("axis", c.axis, new_stage.axes)
+        return new_stage
 
     def prepare(self) -> None:
         c: Any = self.config
@@ -131,7 +147,7 @@ class Tuning(MoveTask[ConfigT]):
         self.stages[k].set_payload(float(self.payload[k]), self.carrier)
 
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
-        """Register values of actions."""
+        """Return the registers of actions, (n, registers)."""
         c: Any = self.config
         return self.registers.from_action(actions) if c.actions == "box" else actions.astype(np.int64)
 
@@ -142,26 +158,25 @@ class Tuning(MoveTask[ConfigT]):
     def set_move_results(
         self, parts: Mapping[str, np.ndarray], info: Mapping[str, np.ndarray], now: np.ndarray
     ) -> None:
-        """The results of the moves. now: (stages, 4) of how they went, which the next observations say."""
+        """Set the results of moves.
+
+        Args:
+            parts: Of the reward, by name.
+            info: By name.
+            now: Outcome that the next observations show, (stages, 4).
+        """
         c: Any = self.config
         good = self.converged
         self.last[good] = np.clip(np.nan_to_num(now), 0.0, 1.0)[good]
-        asked = {
+        drawn = {
             "distance": self.distance,
             "payload": self.payload,
             "angle": self.angle,
             "registers": self.to_registers(self.actions),
         }
-        self.set_results(parts, {**info, **asked}, False, self.steps >= c.moves)
+        self.set_results(parts, {**info, **drawn}, False, self.steps >= c.moves)
 
     def compute_observations(self) -> np.ndarray:
         c: Any = self.config
-        (d0, d1), (p0, p1) = portable.log(c.distances), c.payloads
-        asked = np.stack(
-            [
-                (portable.log(np.abs(self.distance)) - d0) / max(d1 - d0, 1e-9) * 2.0 - 1.0,
-                (self.payload - p0) / max(p1 - p0, 1e-9) * 2.0 - 1.0,
-            ],
-            axis=1,
-        )
-        return np.clip(np.concatenate([asked, self.last], axis=1), -1.0, 1.0).astype(np.float32)
+        drawn = np.stack([scale_log(np.abs(self.distance), c.distances), scale(self.payload, c.payloads)], axis=1)
+        return np.clip(np.concatenate([drawn, self.last], axis=1), -1.0, 1.0).astype(np.float32)

@@ -29,7 +29,7 @@ def test_the_formulas_registers_of_every_chip_are_those_that_tune_it_and_legal(c
             with pytest.raises(ArgumentError, match="linear ramps only"):
                 h.tuned_by(s_curve)
             continue
-        box = RegisterBox(h.chip.MAP, h.tuned_by(s_curve))
+        box = RegisterBox.of_registers(h.chip.MAP, h.tuned_by(s_curve))
         values = h.formula(1000.0, 40_000.0, 0.2, 0.15, 16_000, s_curve)
         made = box.named(box.from_action(box.to_action(values)))
         assert made == {name: pytest.approx(values[name], rel=2e-6) for name in box.names}
@@ -38,7 +38,7 @@ def test_the_formulas_registers_of_every_chip_are_those_that_tune_it_and_legal(c
 @pytest.mark.parametrize("chip", PULSING)
 def test_programs_of_moves_are_alike_whatever_their_registers(chip):
     h = driver(chip)
-    box = RegisterBox(h.chip.MAP, h.tuned_by(None))
+    box = RegisterBox.of_registers(h.chip.MAP, h.tuned_by(None))
 
     def move(row, pulses):
         program = Program()

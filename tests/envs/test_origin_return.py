@@ -176,7 +176,7 @@ def test_the_origin_at_an_index_pulse_is_its_upper_rim_however_the_motor_turns()
     made = [
         returns.OriginReturn._find_origin(
             SimpleNamespace(
-                switch={"org": SimpleNamespace(touch=-0.12)},
+                switch=SimpleNamespace(position=-0.12),
                 config=SimpleNamespace(ez=2),
                 axis=SimpleNamespace(gear=gear, plant=SimpleNamespace(index=0.0)),
             )
@@ -241,8 +241,8 @@ def test_a_switch_drifts_along_its_axis_as_far_as_was_drawn(axis):
     env = make(axis=axis, drift=2e-4)
     env.reset(seed=3)
     task, model = env._task, env.stage.model
-    moved = model.geom_pos[task.beam] - task.beam0
-    turned = env.stage.data.xmat[model.geom_bodyid[task.beam]].reshape(3, 3)
+    moved = model.geom_pos[task.switch._beam] - task.switch._nominal
+    turned = env.stage.data.xmat[model.geom_bodyid[task.switch._beam]].reshape(3, 3)
     assert 1e-6 < abs(task.shift[0]) <= 2e-4
     assert turned @ moved == pytest.approx(task.shift[0] * env.stage.data.xaxis[task.axis.joint], abs=1e-12)
 
@@ -289,7 +289,7 @@ def test_start_places_cover_the_way_between_the_end_limits():
     for _ in range(200):
         env._task._draw_move(0, {})
         places.append(env._task.place[0])
-    low, high = env._task.low + returns.LIMIT_CLEARANCE_M, env._task.high - returns.LIMIT_CLEARANCE_M
+    low, high = env._task.switch.low + returns.LIMIT_CLEARANCE_M, env._task.switch.high - returns.LIMIT_CLEARANCE_M
     assert low <= min(places) < low + 5e-3
     assert high - 5e-3 < max(places) <= high
     for end, place in ((lambda a, b: a, low), (lambda a, b: b, high)):
@@ -307,7 +307,7 @@ def test_an_action_stands_for_its_numbers_exactly():
         assert np.array_equal(strategy.from_action(strategy.to_action(rows)), rows), f"seed {seed}"
         for end, rows in ((-1.0, strategy.low), (1.0, strategy.high)):
             assert np.array_equal(strategy.from_action(np.full(len(strategy), end)), rows)
-    plain = RegisterBox(PCL240K.MAP, ("R1", "R2", "R4", "R1"))
+    plain = RegisterBox.of_registers(PCL240K.MAP, ("R1", "R2", "R4", "R1"))
     row = make().strategy.from_action(np.full(7, 0.3))
     assert np.array_equal(row[:4], plain.from_action(np.full(4, 0.3)))
 

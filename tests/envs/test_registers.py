@@ -12,7 +12,7 @@ from stage.firmware.pcl240.driver import TUNED as REGISTERS
 
 
 def box(chip):
-    return RegisterBox(chip.MAP, REGISTERS + (S_CURVES if chip.S_CURVES else ()))
+    return RegisterBox.of_registers(chip.MAP, REGISTERS + (S_CURVES if chip.S_CURVES else ()))
 
 
 @pytest.mark.parametrize("chip", [pytest.param(PCL240K, marks=pytest.mark.slow), PCL240MS])
@@ -64,4 +64,4 @@ def test_values_out_of_range_and_registers_without_one_are_refused():
     with pytest.raises(ArgumentError, match=r"R4 2\.\.16383"):
         b.to_action({"R1": 1, "R2": 1, "R4": 1, "R5": 2, "R6": 0, "R7": 2})
     with pytest.raises(ArgumentError, match="R10 has no legal range"):
-        RegisterBox(PCL240MS.MAP, ["R10"])
+        RegisterBox.of_registers(PCL240MS.MAP, ["R10"])

@@ -36,7 +36,7 @@ def one_move(action=NOTHING, seed=1, options=None, **settings):
 
 def as_action(chip, rows):
     """Registers of each axis, as mappings, as an action of actions="box"."""
-    box = RegisterBox(chip.MAP, REGISTERS)
+    box = RegisterBox.of_registers(chip.MAP, REGISTERS)
     return np.concatenate([box.to_action({n: row[n] for n in REGISTERS}) for row in rows])
 
 
@@ -217,10 +217,10 @@ def test_a_carriage_beyond_an_end_of_the_line_is_as_far_from_it_as_from_that_end
     made = env._task
     looks, columns = made.config.looks, made._sample_slices
     results = np.zeros((1, columns[0].start + looks * columns[0].step - 1), np.int64)
-    length = float(np.hypot(*(made.way * made.distances)[0]))
+    length = float(np.hypot(*(made.signed_pulse_m * made.distances)[0]))
     for along, off in ((0.5, 0.0), (1.02, 0.02), (-0.03, 0.03)):
         for a, column in enumerate(columns):
-            at = made._truth_at_start["position"][0, a] + along * made.way[a] * made.distances[0, a]
+            at = made._truth_at_start["position"][0, a] + along * made.signed_pulse_m[a] * made.distances[0, a]
             results[:, column] = round(at * 1e12)
         assert made._measure_carriages(results)[0] == pytest.approx(off * length, abs=1e-9)
 

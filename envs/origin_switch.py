@@ -1,0 +1,43 @@
+"""`OriginSwitch`: the ORG switch of an axis, which environments shift, and its end limits."""
+
+from __future__ import annotations
+
+from stage import Stage
+from stage.errors import ArgumentError
+from stage.sim.axis import Axis
+
+
+class OriginSwitch:
+    """ORG switch and end limits of an axis.
+
+    Args:
+        stage: Whose switch nobody has shifted.
+        axis: Of the stage.
+
+    Attributes:
+        position: Where ORG trips, m.
+        low, high: Where the end limits trip, m.
+
+    Raises:
+        ArgumentError: The axis lacks one of the switches.
+    """
+
+    def __init__(self, stage: Stage, axis: Axis):
+        switches = {s.pin: s for s in axis.plant.switches}
+        for pin in ("org", "el_minus", "el_plus"):
+            if pin not in switches:
+                raise ArgumentError(f"axis {axis.name} has no {pin}: an origin return needs ORG and both end limits.")
+        self.position, self.low, self.high = (float(switches[pin].touch) for pin in ("org", "el_minus", "el_plus"))
+        self._beam = int(stage.model.sensor_refid[switches["org"].sensor])
+        body = stage.data.xmat[stage.model.geom_bodyid[self._beam]].reshape(3, 3)
+        self._direction = body.T @ stage.data.xaxis[axis.joint]  # of the travel, in the frame of the beam's body
+        self._nominal = stage.model.geom_pos[self._beam].copy()
+
+    def shift(self, stage: Stage, distance: float) -> None:
+        """Shift the switch of a stage along the travel.
+
+        Args:
+            stage: The same model.
+            distance: From its nominal place, m.
+        """
+        stage.model.geom_pos[self._beam] = self._nominal + self._direction * distance
