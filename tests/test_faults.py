@@ -18,7 +18,7 @@ from stage.cli import main
 from stage.cli.fault import demonstrations as demos
 from stage.drives import stepper
 from stage.firmware.driver import driver_of
-from stage.sim import faults, records
+from stage.sim import faults
 
 EVERY = {
     "stuck open": lambda s: faults.switch_stuck(s.axes["x"], "el_plus", False),
@@ -85,17 +85,7 @@ def test_a_claim_is_judged_in_motor_revolutions_for_any_screw():
         assert demos.Shown("", demo, (figures, figures), (None, None), turn=turn).as_claimed
 
 
-@pytest.mark.parametrize("name", demos.DEMOS)
-def test_what_was_claimed_of_a_fault_happens(name):
-    displayed = demos.show(name, lambda: Stage("xyz", chips=PCL240K, visuals=False))
-    assert displayed.as_claimed, displayed.table()
-    healthy, faulty = displayed.figures
-    happened = displayed.demo.happened
-    assert not happened(healthy, healthy), "a fault that did nothing"
-    assert not happened(faulty, faulty), "the healthy run fails as the faulty one"
-
-
-EVERY_DAY = ["mcx514", "mcx304", "hctl1100"]
+EVERY_DAY = ["pcl240k", "mcx514", "mcx304", "hctl1100"]
 SELDOM = ["pcl240mk", "pcl240ms", "mcx302", "mcx312"]
 FIRST_GENERATION = ("mcx304", "mcx302", "mcx312")
 """They look for ORG anew as soon as it has let go, and take a contact that bounces then for ORG."""
@@ -115,8 +105,8 @@ def test_what_was_claimed_happens_with_every_chip_or_is_refused_with_its_reason(
     """stage fault lost-write --chips mcx302; stage fault jam --chips hctl1100"""
 
     def make():
-        stage = Stage("xy", chips=chip_class(chip), visuals=False)
-        if name == "vane-missing":
+        stage = Stage("xyz" if chip == "pcl240k" else "xy", chips=chip_class(chip), visuals=False)
+        if chip != "pcl240k" and name == "vane-missing":
             stage.place(x=-0.1)  # near ORG: it need not look for long
         return stage
 
@@ -339,11 +329,6 @@ def test_a_cleared_fault_is_the_only_one_that_a_recording_says_was_cleared(xyz):
         "axis x: phase a open: begins", "axis x: phase b open: begins",
         "axis x: phase a open: cleared", "axis x: phase b open: cleared",
     ]  # fmt: skip
-
-
-def test_a_supply_that_falls_says_what_all_axes_had(xyz):
-    with faults.bus_voltage(xyz.axes["x"], 10.0), faults.bus_voltage(xyz, 18.0) as both:
-        assert both.text == "all axes: bus voltage 18 V in place of 10 V, 24 V"
 
 
 # --- switches ---
@@ -859,11 +844,6 @@ def test_limits_of_a_faults_arguments_are_accepted_and_a_supply_names_that_of_al
         assert "axis z: bus voltage 400 V in place of 24 V" in xyz.faults
         with faults.bus_voltage(xyz, 12):
             assert xyz.faults[-1] == "all axes: bus voltage 12 V in place of 24 V, 400 V"
-
-
-def test_edges_of_a_window_have_room():
-    """from stage.sim import records; records.EDGES_A_WINDOW"""
-    assert records.EDGES_A_WINDOW >= 5 * (1 + records.MAX_TOGGLES) + 3
 
 
 def test_without_room_for_edges_none_is_written(xyz):

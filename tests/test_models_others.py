@@ -46,17 +46,6 @@ def test_switches_are_detected_before_the_touch_and_exert_no_force(model):
         assert all(s.lookahead >= 0.005 * (10 if a.hinge else 1) for s in a.switches)
 
 
-def test_it_has_the_parts_that_pictures_and_recordings_use(model):
-    assert {model.camera(k).name for k in range(model.ncam)} >= {"overview", "front", "top", "switches"}
-    assert {model.site(k).name for k in range(model.nsite)} >= {"tool", "work"}
-    assert model.ngeom < 260, "every geom costs time in every step"
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
-    for a in plant.bind(model):
-        org = next(s.touch for s in a.switches if s.pin == "org")
-        assert data.qpos[a.qpos] == pytest.approx(org, abs=1e-5)
-
-
 @pytest.mark.parametrize("degrees", [40, -7, -40, 170])
 def test_a_table_without_end_limits_homes_from_anywhere(degrees):
     """stage home a --model xya --from -40deg"""
