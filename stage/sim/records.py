@@ -41,35 +41,24 @@ when it will have come to rest (ns)."""
 # --- constants ---
 CALLBACKS = 8  # that MuJoCo has
 CLOCKWORK = record(
-    [
-        ("busy", "i8"),
-        ("dt", "i8"),
-        ("slices", "i8"),
-        ("h", "f8"),
-        ("half", "f8"),
-        ("nv", "i8"),
-        ("sample_every", "i8"),
-        ("encoders", "i8"),
-        ("currents", "i8"),
-        ("loads", "i8"),
-        ("linked", "i8"),
-        ("most_edges", "i8"),
-        ("guarded", "i8"),
-        ("failed", "i8"),
-        ("mj_step", "i8"),
-        ("mj_get_state", "i8"),
-        ("state_spec", "i8"),
-        ("flag_edges", "i8"),
-        ("n_flag_edges", "i8"),
-        ("callbacks", "i8", (CALLBACKS,)),
-        ("native", "i8", (CALLBACKS,)),
-    ]
+    [(name, "i8") for name in "busy dt slices nv sample_every encoders currents loads linked most_edges".split()]
+    + [(name, "i8") for name in "guarded failed mj_step mj_get_state state_spec flag_edges n_flag_edges".split()]
+    + [("h", "f8"), ("half", "f8"), ("callbacks", "i8", (CALLBACKS,)), ("native", "i8", (CALLBACKS,))]
 )
-"""Who runs the stage, see stage.sim.handle; window (ns), slices in it, a slice and half a window (s), degrees of freedom, steps
-per sample (0: none), axes whose chips see an encoder, set their motor's current, see its load; chips that are linked; how many
-edges a window can have; of MuJoCo's callbacks, see stage.sim.callbacks: whether they are guarded, whether one has failed, where
-their addresses lie and what these are while nobody in Python is called; addresses of MuJoCo's functions, and which parts of its
-state a snapshot has; where the FLAG_EDGE records of all switches lie, and how many they are."""
+"""Constants of a stage's time.
+
+busy: Token of whoever runs the stage, see `claim` of stage.sim.handle; the first field.
+dt, slices, h, half: Window, ns; slices in it; a slice and half a window, s.
+nv: Degrees of freedom.
+sample_every: Physics steps per sample, 0 for none.
+encoders, currents, loads, linked: Number of axes whose chips count an encoder, set their motor's current, receive its load; number
+    of chips that are linked.
+most_edges: How many edges a window can have.
+guarded, failed: Whether MuJoCo's callbacks are guarded, and whether one has failed, see stage.sim.callbacks.
+callbacks, native: Where the addresses of the callbacks lie, and their values while nobody in Python is called.
+mj_step, mj_get_state, state_spec: Addresses of MuJoCo's functions, and the parts of its state that a snapshot has.
+flag_edges, n_flag_edges: Where the FLAG_EDGE records of all switches lie, and their number.
+"""
 CHIP_TABLE = cores.CHIP
 AXIS_TABLE = record(
     [(name, "i8") for name in "chip chip_axis qpos dof actuator first_switch end_switch index_bit positive".split()]
@@ -88,15 +77,8 @@ FLAG_EDGE = record([(name, "f8") for name in "at slope bend noise below above".s
 """A place in the joint's travel where a vane enters or leaves its switch, see `stage.sim.plant.switches.FlagEdge`."""
 
 SAMPLE = record(
-    [
-        ("time", "f8"),
-        ("position", "f8"),
-        ("velocity", "f8"),
-        ("commanded", "f8"),
-        ("load_angle", "f8"),
-        ("torque", "f8"),
-    ]
-    + [("current_a", "f8"), ("current_b", "f8"), ("voltage", "f8"), ("rate", "f8")]
+    [(name, "f8") for name in "time position velocity commanded load_angle torque".split()]
+    + [(name, "f8") for name in "current_a current_b voltage rate".split()]
     + [(name, "i8") for name in "pulses lost_steps counter inputs outputs".split()]
 )
 """One axis at one moment. SI units; load angle in electrical radians; voltage at a DC motor; rate in pps, counts a second."""
