@@ -36,16 +36,6 @@ def test_the_trace_tells_which_address_a_latch_has_taken():
     ]  # fmt: skip
 
 
-def test_a_trace_of_exactly_as_many_lines_as_it_keeps_is_whole():
-    board = Board(Stage("xy", visuals=False), keep_cycles=4)
-    for port in range(0x300, 0x304):
-        board.in8(port)
-    assert [c.port for c in board.trace] == [0x300, 0x301, 0x302, 0x303]
-    assert (len(board.trace), board.trace.dropped) == (4, 0)
-    assert "lines before" not in str(board.trace)
-    assert "1 lines before" in board.trace.text(3)
-
-
 def test_names_of_interrupts():
     assert [name_source(n) for n in (0, FIRST_LINE, FIRST_LINE + 61, FIRST_SOFTWARE, FIRST_SOFTWARE + 1)] == [
         "the interrupt line", "line 0", "line 61", "software interrupt 0", "software interrupt 1",

@@ -226,15 +226,6 @@ def test_a_read_that_returns_no_byte_is_refused_in_words(answer):
         board.in8(0x500)
 
 
-def test_a_bus_of_16_bits_has_words_their_halves_float():
-    """board.device(range(0x340, 0x344), width=16)"""
-    board, written = Board(Stage("xy", visuals=False)), []
-    board.device(
-        range(0x340, 0x344), lambda port: 0xA000 | port, lambda port, value: written.append((port, value)), width=16
-    )
-    assert [board.in16(0x340), board.in16(0x342), board.in8(0x342), board.in8(0x343)] == [0xA340, 0xA342, 0x42, 0xA3]
-
-
 def test_cycles_of_8_and_16_bits_reach_a_device_and_the_trace_tells_them(adc):
     board, written = Board(Stage("xy", visuals=False)), []
     tell = lambda port, value, writes: f"{'set' if writes else 'is'} {value}"  # noqa: E731
@@ -389,8 +380,6 @@ def test_what_is_no_device_in_c_is_refused_with_what_to_write(adc, tmp_path):
         board.device(0x500, source=tmp_path / "text.so")
     with pytest.raises(FileError, match=r"gone\.so"):
         board.device(0x500, source=tmp_path / "gone.so")
-    with pytest.raises(ArgumentError, match="read, write and state are Python's"):
-        board.device(0x500, read=print, source=adc)
     assert not board.devices
 
 
@@ -400,9 +389,6 @@ def test_what_is_no_device_in_c_is_refused_with_what_to_write(adc, tmp_path):
         (lambda: Encoder("x", per_turn="2000"), "give either per_metre= or per_turn="),
         (lambda: Encoder("x", per_turn=2000, zero=math.nan), "zero= is the position"),
         (lambda: Device(encoders=["x"]), "encoder 'x': write for example Encoder"),
-        (lambda: Device().pull(at=math.nan), r"pull\(at=nan\): a time of the stage"),
-        (lambda: Device().pull(at=1e30), "a time of the stage"),
-        (lambda: Device().pull(at="soon"), "a time of the stage"),
         (
             lambda: Board(Stage("xy", visuals=False)).put(Device(), list(range(99_999))),
             r"ports=\[0, 1, 2, 3, 4, 5, \.\.\.\]: each",

@@ -160,18 +160,6 @@ def test_stage_run_of_firmware_that_exits_fails_in_words(tmp_path):
     assert (tmp_path / "run.rrd").stat().st_size > 1000
 
 
-@here_only
-def test_a_system_call_that_ends_the_process_is_an_error_of_a_run_in_a_process_of_its_own(board):
-    """syscall(SYS_exit_group, 0);
-    In process pytest ends with 0 and says nothing, see docs/firmware_trust.md."""
-    head = "#include <sys/syscall.h>\n#include <unistd.h>\n"
-    made = firmware(f"{head}PULSESTAGE_MAIN {{ ps_in8(0x300); syscall(SYS_exit_group, 0); return 0; }}")
-    with pytest.raises(HostError, match="ended its process with exit code 0"):
-        NativeHost(made, board, isolated=True).run()
-    after = NativeHost(firmware("PULSESTAGE_MAIN { return ps_in8(0x300); }"), board, isolated=True)
-    assert after.run().code == 0xA8
-
-
 PARENT = """
 import sys
 from stage import Stage

@@ -68,17 +68,6 @@ def test_ports_of_ones_own_lie_one_after_the_other_unless_the_file_says_how_far(
     assert list(strides.values()) == [(4, 4), (5, 5), (9, 1), (9, 4)]
 
 
-def test_a_word_has_one_of_the_addresses_of_its_chip(tmp_path):
-    path = tmp_path / "card.toml"
-    last = MCX514.ADDRESSES - 1
-    for text in (f"word {last}", f"byte {MCX514.ADDRESS_MASK}"):
-        path.write_text(f'chip = "MCX514"\nports = ["{text}"]\n')
-        assert len(read_layout(path).ports) == 1
-    path.write_text(f'chip = "MCX514"\nports = ["word {last + 1}"]\n')
-    with pytest.raises(ArgumentError, match=f"an address of an MCX514 follows, 0 to {last}"):
-        read_layout(path)
-
-
 def test_the_page_shows_files_that_are_as_it_says(tmp_path):
     written = re.findall(r"```(toml|json)\n(.*?)```", PAGE.read_text(), re.S)
     assert {kind for kind, _ in written} == {"toml", "json"}

@@ -10,7 +10,6 @@ import pytest
 from stage import Stage
 from stage.board import Board
 from stage.board.devices import HCTL2000, HCTL2016, LS7166, UART, Encoder, Latch, parse_device
-from stage.errors import ArgumentError
 
 BAUD = ((3, 0x83), (0, 1), (1, 0), (3, 0x03), (2, 0x01))  # 115200, 8 bits, no parity, FIFOs
 CHARACTER = 86805  # ns
@@ -73,49 +72,6 @@ def test_counters_count_the_true_position_at_the_moment_of_the_cycle(moving):
     assert (board.in8(0x330), board.in8(0x331) < 4) == (0, True), "reset"
     stage.restore(start)
     assert board.in8(0x330) << 8 | board.in8(0x331) == 0
-
-
-def test_an_ls7166_presets_divides_compares_and_tells_carry_and_borrow(moving):
-    stage, board = moving
-
-    def status():
-        return board.in8(0x341)
-
-    def preset(value):
-        board.out8(0x341, 0x01)
-        for byte in range(3):
-            board.out8(0x340, value >> 8 * byte & 0xFF)
-
-    stage.place(x=0.05)
-    board.out8(0x341, 0x20)
-    for command in (0x68, 0xC3, 0x04):
-        board.out8(0x341, command)
-    preset(100)
-    stage.place(x=0.05 + 99e-6 / 2)
-    assert (ls7166(board), status() & 7, status() >> 4) == (99, 0, 1)
-    stage.place(x=0.05 + 101e-6 / 2)
-    assert (ls7166(board), status() & 7) == (101, 4), "COMPT"
-    board.out8(0x341, 0x10)
-    stage.place(x=0.05 - 10e-6 / 2)
-    assert (ls7166(board), status() & 0x1B) == (0xFFFFF6, 9), "BWT and SIGN, down"
-    stage.place(x=0.05)
-    assert (ls7166(board), status() & 0x1B) == (0, 0x13), "CYT, SIGN again, up"
-    board.out8(0x341, 0x04)
-    assert status() & 3 == 0
-    board.out8(0x341, 0x84)  # divide by N
-    stage.place(x=0.05 - 1e-6 / 2)
-    assert ls7166(board) == 100, "a borrow reloads"
-    stage.place(x=0.05 - 102e-6 / 2)
-    assert ls7166(board) == 100
-    preset(0x123456)
-    board.out8(0x341, 0x08)
-    assert ls7166(board) == 0x123456
-    board.out8(0x341, 0x60)  # the inputs are off
-    stage.place(x=0.06)
-    assert ls7166(board) == 0x123456
-    board.out8(0x341, 0x6A), board.out8(0x341, 0xC1)  # on, one up; x1
-    stage.place(x=0.06 + 400e-6 / 2)
-    assert ls7166(board) == 0x123457 + 100
 
 
 def test_a_latch_reads_back_and_calls_when_it_changes():
@@ -239,34 +195,6 @@ def test_interrupts_of_a_uart_come_at_their_nanosecond_by_priority_and_trigger(l
     assert when == [(0, 2), (CHARACTER, 2)], "each goes on the line at once, or when the one before has left"
 
 
-def test_a_uart_in_the_loop_hears_itself_and_holds_its_registers(line):
-    board, uart = line
-    for register, value, kept in ((7, 0x5A, 0x5A), (1, 0xFF, 0x0F), (4, 0xFF, 0x1F), (3, 0x03, 0x03)):
-        board.out8(0x3F8 + register, value)
-        assert board.in8(0x3F8 + register) == kept
-    assert board.in8(0x3FE) == 0xF0
-    for bits, lines in ((1, 0x20), (2, 0x10), (4, 0x40), (8, 0x80)):  # DTR is DSR, RTS CTS, OUT1 RI, OUT2 DCD
-        board.out8(0x3FC, 0x10 | bits)
-        assert board.in8(0x3FE) == lines
-    board.out8(0x3FC, 0x10)
-    board.out8(0x3F8, ord("L"))
-    board.delay_us(100)
-    assert (board.in8(0x3FD) & 1, board.in8(0x3F8), uart.sent) == (1, ord("L"), b"")
-    board.out8(0x3FC, 0)
-    assert board.in8(0x3FE) == 0xB0
-    assert [board.in8(0x3FA), board.in8(0x3FA)] == [0xC2, 0xC1]
-    whole = board.stage.snapshot()
-    uart.feed("again")
-    board.delay_us(1000)
-    board.stage.restore(whole)
-    assert board.in8(0x3FD) & 1 == 0
-    with pytest.raises(ArgumentError, match="are too many: 4,096 at a time"):
-        uart.feed(bytes(5000))
-    for wrong in (5, None, [1, 2]):
-        with pytest.raises(ArgumentError, match=r"feed\(.*\): bytes or text are wanted"):
-            uart.feed(wrong)
-
-
 @pytest.mark.skipif(not hasattr(os, "ttyname"), reason="no pseudo-terminals")
 def test_a_pseudo_terminal_is_the_other_end_of_a_uart(line):
     board, uart = line
@@ -279,7 +207,6 @@ def test_a_pseudo_terminal_is_the_other_end_of_a_uart(line):
     board.out8(0x3F8, ord("?"))
     board.delay_us(1000), board.in8(0x3FD)
     assert (got, os.read(terminal, 10)) == (b"hi", b"?")
-    assert uart.pty() == os.ttyname(terminal), "who asks again has the same one"
     os.close(terminal)
 
 

@@ -41,11 +41,6 @@ def test_a_line_says_how_often_and_until_when(times, said):
     ]
 
 
-def test_a_read_that_is_repeated_twice_is_one_line(board):
-    board.in8(0x500), board.in8(0x500), board.in8(0x502), board.in8(0x500)
-    assert [(c.port, c.times) for c in board.trace] == [(0x500, 2), (0x502, 1), (0x500, 1)]
-
-
 def test_a_timer_that_its_hook_sets_anew_has_forgotten_the_ticks_of_before(board):
     """a hook every 10 us takes 25, then asks for another every 100: that comes 100 us later"""
     at = []

@@ -76,11 +76,3 @@ def test_what_is_cleared_in_the_transmitter_takes_nothing_of_what_had_left():
         board.out8(BASE + 2, 5)
     board.delay_us(20_000)
     assert uart.sent == (said + b"\xff")[-4096:]
-
-
-def test_a_terminal_is_one_and_the_same_and_without_it_nothing_is_asked_of_python():
-    uart = line()[1]
-    assert uart.access
-    path = uart.pty()
-    assert uart.pty() == path
-    assert uart.access == 0

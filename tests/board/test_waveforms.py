@@ -15,7 +15,7 @@ from support.vcd_parser import parse
 
 from stage import Stage
 from stage.board import Board, NativeHost
-from stage.board.bus.host_record import CALLED, CYCLE, IN, IN_WIDE, OUT, OUT_WIDE, RETURNED, STRAY
+from stage.board.bus.host_record import CYCLE, IN, IN_WIDE, OUT, OUT_WIDE, STRAY
 from stage.board.waveforms import HostWaveforms, _changes, _polls
 from stage.chips import MCX304
 
@@ -70,18 +70,6 @@ def test_a_loop_of_polling_is_its_first_and_its_last_read(board, tmp_path):
     assert [(t, way) for t, way, *_ in cycles(vcd)] == [(1000, "R"), (2_000_000, "R"), (2_001_000, "W")]
     assert vcd.changes["host.POLLS"] == [(0, 0), (1000, 1), (2_000_000, 0)]
     assert (tmp_path / "it.vcd").stat().st_size < 10_000
-
-
-def test_a_recording_has_the_cycles_made_while_it_runs_also_of_polling_begun_before(board, tmp_path):
-    board.out8(0x300, 0x08)
-    for _ in range(5):
-        board.in8(0x300)
-    with board.stage.record() as recording:
-        for _ in range(5):
-            board.in8(0x300)
-        board.in8(0x301)
-    board.in8(0x302)
-    assert [(t, port) for t, _, port, _ in cycles(dumped(recording, tmp_path))] == [(11_000, 0x300), (12_000, 0x301)]
 
 
 def test_a_bus_of_16_bits_is_as_wide_and_two_ports_are_polled_at_once(tmp_path):
@@ -226,13 +214,6 @@ def test_a_cycle_has_its_port_an_eighth_behind_its_begin_and_its_strobe_in_its_s
         (8125, "PORT", 0x300), (8500, "DATA", 0x34), (8500, "RD_n", 0), (9000, "RD_n", 1),
     ]  # fmt: skip
     assert list(polls) == [(7000, "POLLS", 1), (9000, "POLLS", 0)]
-
-
-def test_a_hook_is_high_from_its_call_to_its_return():
-    *_, hook = _changes(
-        lines((5, 5, 1, CALLED, 0, 0), (7, 7, 1, OUT, 1, 1), (9, 9, 1, RETURNED, 0, 0)), Writer(), 10, 0
-    )
-    assert list(hook) == [(5, "HOOK", 1), (9, "HOOK", 0)]
 
 
 def test_of_polling_that_goes_on_each_port_belongs_to_the_recording_and_what_ended_before_does_not():

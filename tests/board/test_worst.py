@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
@@ -63,24 +62,6 @@ def test_a_log_without_end_is_an_error_in_process(library, monkeypatch, capfd):
     shown = capfd.readouterr()
     assert "1,000 lines were noted by ps_log" in shown.err
     assert shown.out.count("a line of a flood") == 1000
-
-
-def test_a_process_that_does_not_answer_is_ended(tmp_path, capfd):
-    source = tmp_path / "hangs.c"
-    source.write_text(
-        "#include <pulsestage.h>\n#include <stdlib.h>\n"
-        '__attribute__((constructor)) static void early(void) { if (getenv("WORST")) exit(0); }\n'
-        "PULSESTAGE_MAIN { return 0; }\n"
-    )
-    os.environ["WORST"] = "early"
-    try:
-        assert main(["run", str(source), "--model", "xy"]) == 2
-    finally:
-        del os.environ["WORST"]
-    assert (
-        "ended its process with exit code 0 while it was loaded, before PULSESTAGE_MAIN was called"
-        in capfd.readouterr().err
-    )
 
 
 @pytest.mark.slow
