@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from board.test_native import left_behind
+from board.test_native import collect_results
 from chips.test_nova_encoder import real_position
 from support import nova_programs as nova
 from support.compiled_firmware import firmware
@@ -143,7 +143,7 @@ def test_firmware_reads_rp_isolated_or_not_to_the_same_bits(fed, capsys):
     for isolated in (False, True):
         host = NativeHost(firmware(PROGRAM, "-DPORT=0x300"), Board(copy.copy(fed)), isolated=isolated)
         assert host.run().code == 0
-        left.append(left_behind(host))
+        left.append(collect_results(host))
     assert left[0] == left[1]
     lp, rp = map(int, host.board.log[-1][1].split()[1::2])
     assert lp == 200

@@ -17,20 +17,20 @@ PORT, OPERATING = 0x300, 0x40
 
 
 def entries(*rows: tuple[int, ...]) -> np.ndarray:
-    """Of (what, a, b, times, every, mask)."""
-    made = np.zeros(len(rows), ENTRY)
-    for row, entry in zip(rows, made, strict=True):
+    """Make entries of (what, a, b, times, every, mask)."""
+    built = np.zeros(len(rows), ENTRY)
+    for row, entry in zip(rows, built, strict=True):
         what, a, b, times, every, mask = (*row, 0, 0, 0, 0, 0)[:6]
         entry.what, entry.a, entry.b, entry.times, entry.every, entry.mask = what, a, b, times, every, mask
-    return made
+    return built
 
 
 def together(board: Board, rows: list[tuple[int, ...]]) -> list[int]:
     """The answers of the rows as a batch."""
-    asked, answers = entries(*rows), np.zeros(len(rows), np.int64)
-    assert first_wrong(asked) == len(rows)
+    requested, answers = entries(*rows), np.zeros(len(rows), np.int64)
+    assert first_wrong(requested) == len(rows)
     board.link.begin()
-    done = run_batch.c(board.link.pointer, asked.ctypes.data, len(rows), answers.ctypes.data, len(rows))
+    done = run_batch.c(board.link.pointer, requested.ctypes.data, len(rows), answers.ctypes.data, len(rows))
     board.link.end()
     assert done == len(rows)
     return answers.tolist()
@@ -98,7 +98,7 @@ def test_a_batch_reads_until_a_value_comes_as_a_loop_would(boards, every, wide):
     assert state(batched) == state(single)
 
 
-def test_it_reads_so_often_at_most(boards):
+def test_a_read_until_ends_after_its_number_of_reads(boards):
     board = boards[0]
     before = board.cycles
     (last,) = together(board, [(UNTIL8, PORT, 0xFF, 7, 0, 0xFF)])
@@ -122,7 +122,7 @@ def test_it_waits_for_the_interrupt_line_to_the_ns(boards):
     assert single.stage.snapshot().state.tobytes() == batched.stage.snapshot().state.tobytes()
 
 
-def test_it_waits_for_the_interrupt_line_so_long_at_most(boards):
+def test_a_wait_for_the_interrupt_line_ends_after_its_limit(boards):
     board = boards[0]
     assert together(board, [(UNTIL_LINE, 1000)]) == [0]
     assert board.micros == 1001
@@ -137,7 +137,7 @@ def test_it_waits_for_the_interrupt_line_so_long_at_most(boards):
         (UNTIL8, PORT, 0, 1, -1),
     ],
 )  # fmt: skip
-def test_what_cannot_be_done_is_found_before_anything_is_done(row):
+def test_a_wrong_entry_is_found_before_a_batch_begins(row):
     assert first_wrong(entries((IN8, PORT), row, (IN8, PORT))) == 1
 
 

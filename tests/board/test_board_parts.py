@@ -52,7 +52,7 @@ def test_a_device_pulls_from_the_nearest_nanosecond_on():
     assert not board.interrupt
 
 
-def test_reads_before_and_behind_a_cycle_that_a_device_has_failed_in_are_two_lines():
+def test_reads_before_and_after_a_failed_cycle_are_two_lines():
     board = Board(Stage("xy", visuals=False))
 
     def write(port, value):
@@ -69,7 +69,7 @@ def test_reads_before_and_behind_a_cycle_that_a_device_has_failed_in_are_two_lin
 @pytest.mark.parametrize(
     ("base", "free"), [(0x300, 0x310), (0x304, 0x310), (0x308, 0x310), (0x30C, 0x320), (0xFFFFFFF0, 0)]
 )
-def test_where_a_port_is_taken_one_is_named_from_which_on_all_are_free(base, free):
+def test_an_occupied_port_is_refused_with_free_ports(base, free):
     """two chips of 4 ports each; behind the last ports of all the first are named"""
     board = Board(Stage("xy", chips=PCL240K, visuals=False), base=base)
     with pytest.raises(

@@ -22,15 +22,15 @@ from stage.errors import ArgumentError
 from stage.sim.encoder import choose_encoders
 
 
-def test_the_trace_tells_which_address_a_latch_has_taken():
+def test_the_trace_names_the_address_in_a_latch():
     """out8(300h, 85h), out8(301h, 1), in8(301h); then another address, and a read of the latch"""
     board = Board(Stage("xyz_servo", chips=HCTL1100, visuals=False))
     for port, value in ((0x300, 0x85), (0x301, 1), (0x300, 0x07), (0x301, 5)):
         board.out8(port, value)
     board.in8(0x301), board.in8(0x300)
-    said = [cycle.meaning for cycle in board.trace]
+    message = [cycle.meaning for cycle in board.trace]
     chip = board.stage.axes["x"].chip.twin().listener()
-    assert said == [
+    assert message == [
         "x: address latch = 85h", f"x: {chip.write(5, 1)}", "x: address latch = 07h", f"x: {chip.write(7, 5)}",
         f"x: {chip.read(7, board.trace.lines()['value'][4])}", "x: the address latch cannot be read",
     ]  # fmt: skip
@@ -74,56 +74,58 @@ def test_a_layout_like_another_for_another_chip_and_the_last_address_of_one(tmp_
     )
     file.write_text('like = "pcl240"\n')
     assert read_layout(file).kind.__name__ == "PCL240"
-    most = MCX304.ADDRESSES - 1
-    file.write_text(f'chip = "MCX304"\nports = ["word {most}", "upper {most}"]')
+    maximum = MCX304.ADDRESSES - 1
+    file.write_text(f'chip = "MCX304"\nports = ["word {maximum}", "upper {maximum}"]')
     assert len(read_layout(file).ports) == 2
-    for text, said in (
-        (f'chip = "MCX304"\nports = ["word {most + 1}"]', f"0 to {most}. Write"),
+    for text, message in (
+        (f'chip = "MCX304"\nports = ["word {maximum + 1}"]', f"0 to {maximum}. Write"),
         ('chip = "PCL240K"\nports = ["qqqqqq 0"]', r'"none"\.$'),
         ('chip = "PCL240K"\nports = ["byte 0"]\nstride = 0', "stride = 0: a whole number from 1 to"),
         ('chip = "PCL240K"\nports = ["byte 0"]\nchips = 65', "chips = 65: a whole number from 0 to 64"),
         ('chip = "PCL240K"\nports = ["byte 0"]\nbase = -1', "base = -1: a whole number from 0"),
     ):
         file.write_text(text)
-        with pytest.raises(ArgumentError, match=said):
+        with pytest.raises(ArgumentError, match=message):
             read_layout(file)
     file.write_text('chip = "PCL240K"\nports = ["byte 0"]\nchips = 64\nbase = 4294967295')
     assert (read_layout(file).chips, read_layout(file).base) == (64, layouts.LAST_PORT)
 
 
-def test_windows_end_with_the_ports_and_addresses_that_there_are():
+def test_windows_end_with_the_last_port_and_address():
     assert parse_windows((ADDRESS_LIMIT - 1, 0, 1)) == (Window(ADDRESS_LIMIT - 1, 0, 1),)
     assert parse_windows((0x10000, layouts.MAX_PORTS - 1, 1))[0].length == 1
     for wrong in (((True, 1, 2),), ((1.0, 1, 2),), ((1, 2, 3, 4),), (True, 1, 2, 3)):
         with pytest.raises(ArgumentError, match="a window is a Window"):
             parse_windows(wrong)
-    for wrong, said in (((ADDRESS_LIMIT, 0, 1), "addresses are 0 to"), ((0x1000, -1, 1), "ports are 0 to")):
-        with pytest.raises(ArgumentError, match=said):
+    for wrong, message in (((ADDRESS_LIMIT, 0, 1), "addresses are 0 to"), ((0x1000, -1, 1), "ports are 0 to")):
+        with pytest.raises(ArgumentError, match=message):
             parse_windows(wrong)
 
 
 @pytest.mark.parametrize(
     ("address", "nearest"), [(0xFFF, 0), (0x1040, 0), (0x1100, 0), (0x1F80, 1), (0x2041, 1), (0x9000, 2)]
 )
-def test_an_access_behind_or_before_a_window_is_told_of_the_nearest(address, nearest, monkeypatch):
-    given = parse_windows([(0x1000, 0x300, 0x40), (0x2000, 0x340, 0x40), (0x5000, 0x380, 0x40)])
+def test_an_access_outside_windows_names_the_nearest_window(address, nearest, monkeypatch):
+    argument = parse_windows([(0x1000, 0x300, 0x40), (0x2000, 0x340, 0x40), (0x5000, 0x380, 0x40)])
     monkeypatch.setattr("stage.board.crash_report.locate", lambda *_: "main")
-    state = SimpleNamespace(start=0, stack=id(given))
+    state = SimpleNamespace(start=0, stack=id(argument))
     monkeypatch.setattr("stage.board.isolation.traps.memory.array_at", lambda *_: [state])
     mapped = Windows.__new__(Windows)
-    mapped._windows, mapped._library = list(given), SimpleNamespace(path=SimpleNamespace(name="it.so"))
+    mapped._windows, mapped._library = list(argument), SimpleNamespace(path=SimpleNamespace(name="it.so"))
     mapped._when = lambda: "now"
-    said = str(mapped.explain_refusal(host_record.BEYOND_WINDOW, 0, address))
-    assert f"beyond the window {given[nearest]}, which ends at {given[nearest].end - 1:X}h" in said
+    message = str(mapped.explain_refusal(host_record.BEYOND_WINDOW, 0, address))
+    assert f"beyond the window {argument[nearest]}, which ends at {argument[nearest].end - 1:X}h" in message
 
 
 def dumped(recording, tmp_path, name):
     vcd = parse(recording.to_vcd(tmp_path / name))
-    ends = sorted((t, way) for way, strobe in (("R", "RD_n"), ("W", "WR_n")) for t in vcd.edges(f"host.{strobe}", 1))
-    return vcd, [(t, way, vcd.at("host.PORT", t)) for t, way in ends]
+    ends = sorted(
+        (t, direction) for direction, strobe in (("R", "RD_n"), ("W", "WR_n")) for t in vcd.edges(f"host.{strobe}", 1)
+    )
+    return vcd, [(t, direction, vcd.at("host.PORT", t)) for t, direction in ends]
 
 
-def test_recordings_one_after_the_other_have_their_own_part_of_a_poll(tmp_path):
+def test_each_of_two_recordings_has_its_part_of_a_poll(tmp_path):
     """a poll that begins before the first and ends in the second, with a trace that has dropped lines"""
     board = Board(Stage("xy", visuals=False), keep_cycles=16)
     for k in range(40):
@@ -151,15 +153,15 @@ def test_recordings_one_after_the_other_have_their_own_part_of_a_poll(tmp_path):
     assert not any(name.startswith("host.") for name in parse(silent.to_vcd(tmp_path / "silent.vcd")).changes)
 
 
-def test_encoders_that_are_none_are_refused_as_they_were_given():
+def test_wrong_encoders_are_refused_with_their_value():
     """encoders="x", encoders={"x": True}; a chip without an input says which have one"""
-    for given, said in (
+    for argument, message in (
         ("x", "encoders='x': a mapping"),
         ({"x": True}, "a number of counts a metre"),
         (5, "encoders=5"),
     ):
-        with pytest.raises(ArgumentError, match=said):
-            choose_encoders(given, "xy", [])
+        with pytest.raises(ArgumentError, match=message):
+            choose_encoders(argument, "xy", [])
     with pytest.raises(ArgumentError, match=re.escape("PCL240K has no input for an encoder")) as refused:
         Stage("xy", encoders={"x": 1e5}, visuals=False)
     assert "PCL240K, " not in str(refused.value).split("encoder; ")[1]
@@ -172,12 +174,12 @@ def test_a_counter_without_a_zero_keeps_the_place_where_it_came_on_its_board():
     stage.place(x=0.002)
     board = Board(stage)
     counter = board.put(HCTL2016(Encoder("x", per_metre=1e6)), 0x320)
-    given = board.put(HCTL2016(Encoder("x", per_metre=1e6, zero=0.001)), 0x330)
+    argument = board.put(HCTL2016(Encoder("x", per_metre=1e6, zero=0.001)), 0x330)
     assert counter.encoders[0].zero == stage.axes["x"].position
-    assert given.encoders[0].zero == 0.001
+    assert argument.encoders[0].zero == 0.001
     make, *arguments = counter.recipe()
     assert make(*arguments).encoders == counter.encoders
-    assert (counter.count, given.count) == (0, round((stage.axes["x"].position - 0.001) * 1e6))
+    assert (counter.count, argument.count) == (0, round((stage.axes["x"].position - 0.001) * 1e6))
 
 
 def test_nothing_of_a_firmware_that_has_gone_is_left_in_the_table_of_interrupts():

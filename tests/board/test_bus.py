@@ -82,19 +82,19 @@ def everything(stage: Stage) -> tuple:
 
 
 @pytest.mark.parametrize("chips", [PCL240K, PCL240MS], ids=lambda c: c.__name__)
-def test_a_host_in_c_a_host_in_python_and_the_chips_themselves_go_the_same_way_to_the_bit(chips, monkeypatch, tmp_path):
+def test_hosts_in_c_and_python_and_direct_access_give_the_same_bits(chips, monkeypatch, tmp_path):
     library = firmware(PLAYER)
     for seed in range(3):
         print("seed", seed)
         program = pcl240_traffic(random.Random(seed), 400)
-        plain, python, native = (Stage("xyz", chips=chips, visuals=False) for _ in range(3))
-        with plain.record() as expected:
-            answers = by_hand(plain, program)
+        reference, python, native = (Stage("xyz", chips=chips, visuals=False) for _ in range(3))
+        with reference.record() as expected:
+            answers = by_hand(reference, program)
         with python.record() as recording:
             board = Board(python)
-            asked = [board.link.ask(*request) for request in program]
-        assert [v for v, (what, _, _) in zip(asked, program, strict=True) if what in (IN8, IN16)] == answers
-        assert everything(python) == everything(plain)
+            requested = [board.link.ask(*request) for request in program]
+        assert [v for v, (what, _, _) in zip(requested, program, strict=True) if what in (IN8, IN16)] == answers
+        assert everything(python) == everything(reference)
         (tmp_path / "program").write_text("".join(f"{what} {a} {b}\n" for what, a, b in program))
         monkeypatch.setenv("PLAYER_PROGRAM", str(tmp_path / "program"))
         with native.record() as from_c:
@@ -102,17 +102,17 @@ def test_a_host_in_c_a_host_in_python_and_the_chips_themselves_go_the_same_way_t
             result = NativeHost(library, board).run()
         assert result.code == len(program)
         assert [int(text) for _, text in board.log] == answers
-        assert everything(native) == everything(plain)
+        assert everything(native) == everything(reference)
         for name, column in expected.columns.items():
             assert column.tobytes() == recording.columns[name].tobytes() == from_c.columns[name].tobytes(), name
         for name, journal in expected.journals.items():
             course = journal.course().edges.tobytes()
             assert recording.journals[name].course().edges.tobytes() == course
             assert from_c.journals[name].course().edges.tobytes() == course
-        assert any(chip.diagnostics for chip in plain.chips), "the program is meant to have mistakes in it"
+        assert any(chip.diagnostics for chip in reference.chips), "the program is meant to have mistakes in it"
 
 
-def test_chips_may_lie_far_apart_and_at_the_last_ports():
+def test_chips_may_have_any_port_up_to_the_last():
     """Board(base={x: 300h, y: F0000000h, z: FFFFFFFCh}): ports far beyond 16 bits, with memory for a dozen of them"""
     stage = Stage("xyz", visuals=False)
     board = Board(stage, base={"x": 0x300, "y": 0xF0000000, "z": 0xFFFFFFFC})
@@ -126,11 +126,11 @@ def test_chips_may_lie_far_apart_and_at_the_last_ports():
         assert [board.in8(p) for p in (port - 1, port + 4 & 0xFFFFFFFF)] == [0xFF, 0xFF]
     assert "FFFFFFFDh R 7Ah    z: R0 bits 7..0 = 7Ah" in str(board.trace)
     assert len(board.strays) == 6
-    apart = Board(Stage("xyz", visuals=False), base=0x40000000, stride=0x10000)
-    apart.out8(0x40020000, 0x80)
-    apart.out8(0x40020001, 0x55)
-    assert apart.in8(0x40020001) == 0x55
-    assert [f"{port:X}" for port in apart.ports][::4] == ["40000000", "40010000", "40020000"]
+    spaced = Board(Stage("xyz", visuals=False), base=0x40000000, stride=0x10000)
+    spaced.out8(0x40020000, 0x80)
+    spaced.out8(0x40020001, 0x55)
+    assert spaced.in8(0x40020001) == 0x55
+    assert [f"{port:X}" for port in spaced.ports][::4] == ["40000000", "40010000", "40020000"]
     near = Board(Stage("xyz", visuals=False), stride=8)  # with holes between chips
     near.out8(0x310, 0x80)
     near.out8(0x311, 0x55)
@@ -190,19 +190,19 @@ def test_each_layout_reaches_its_chip():
     board.out16(0x40C, 4321)
     board.out16(0x400, 0x0105)
     assert stage.chips[0].read(0) == board.in16(0x400)
-    twin = MCX304()
-    twin.write(6, 4321)
-    twin.write(0, 0x0105)
-    assert twin.state["ax"][0]["reg"].tolist() == stage.chips[0].state["ax"][0]["reg"].tolist()
+    counterpart = MCX304()
+    counterpart.write(6, 4321)
+    counterpart.write(0, 0x0105)
+    assert counterpart.state["ax"][0]["reg"].tolist() == stage.chips[0].state["ax"][0]["reg"].tolist()
     assert board.in8(0x400) | board.in8(0x401) << 8 == board.in16(0x400)
 
-    stage, twin = Stage("xyz", chips=MCX514, visuals=False), MCX514()
+    stage, counterpart = Stage("xyz", chips=MCX514, visuals=False), MCX514()
     board = Board(stage, layout="nova-8bit")
     for byte, value in ((12, 0x34), (13, 0x12), (1, 1), (0, 5)):  # WR6 = 1234h; WR0: the low byte acts
         board.out8(0x300 + byte, value)
-        twin.write_byte(byte, value)
-    assert stage.chips[0].state["ax"][0]["reg"].tolist() == twin.state["ax"][0]["reg"].tolist()
-    assert 0x1234 in twin.state["ax"][0]["reg"]
+        counterpart.write_byte(byte, value)
+    assert stage.chips[0].state["ax"][0]["reg"].tolist() == counterpart.state["ax"][0]["reg"].tolist()
+    assert 0x1234 in counterpart.state["ax"][0]["reg"]
 
     stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     board = Board(stage)
@@ -217,8 +217,8 @@ def test_each_layout_reaches_its_chip():
     assert board.in8(0x303) != 99
     stage.restore(before)
     assert board.in8(0x303) == 99, "a latch is part of the stage's state"
-    twin = Board(copy.deepcopy(stage))
-    assert twin.in8(0x303) == 99
+    counterpart = Board(copy.deepcopy(stage))
+    assert counterpart.in8(0x303) == 99
     stage.reset()
     assert board.in8(0x303) == stage.axes["y"].chip.values()["R00"]
 
@@ -233,15 +233,15 @@ def test_half_a_register_of_a_16_bit_chip_is_noted():
     assert int(stage.chips[0].state["low"]) == 0x43FF
     assert (board.in8(0x308), board.in8(0x309)) == (0xFF, 0xF7)
     board.out16(0x30C, 0x4321)
-    low, high, *levels, whole = [c.meaning for c in board.trace]
-    assert [low, high, whole] == [f"xyz: data 15..0 = {word}h" for word in ("FF21", "43FF", "4321")], (
+    low, high, *levels, complete = [c.meaning for c in board.trace]
+    assert [low, high, complete] == [f"xyz: data 15..0 = {word}h" for word in ("FF21", "43FF", "4321")], (
         "as the chip has it"
     )
     assert "Y-" not in levels[0]
     assert "X-" not in levels[1], "what was not read is not said"
 
 
-def test_mixed_chips_stand_one_behind_the_other():
+def test_chips_of_two_families_have_consecutive_ports():
     stage = Stage("xyz_servo", chips={"x": HCTL1100, "z": PCL240K}, visuals=False)
     board = Board(stage)
     assert [(stage.chips[p.index], p.first) for p in board.places] == [
@@ -253,7 +253,7 @@ def test_mixed_chips_stand_one_behind_the_other():
     assert stage.axes["z"].chip.values()["R1"] == 77
 
 
-def test_a_card_tells_which_of_its_chips_pull_the_interrupt_line():
+def test_a_card_has_a_port_with_the_interrupts_of_its_chips():
     stage = Stage("xyz", chips=PCL240K, visuals=False)
     board = Board(stage, layout="pcl240-card")
     assert board.in8(0x34C) == 0
@@ -271,7 +271,7 @@ def test_a_card_tells_which_of_its_chips_pull_the_interrupt_line():
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "message"),
     [
         ({"layout": "nova"}, "PCL240K"),
         ({"layout": "pcl420"}, "pcl240"),
@@ -284,8 +284,8 @@ def test_a_card_tells_which_of_its_chips_pull_the_interrupt_line():
         ({"base": {"q": 0x300}}, "q"),
     ],
 )
-def test_a_board_that_cannot_be_says_why(settings, said):
-    with pytest.raises(ArgumentError, match=said):
+def test_a_board_that_cannot_be_says_why(settings, message):
+    with pytest.raises(ArgumentError, match=message):
         Board(Stage("xyz", visuals=False), **settings)
 
 
@@ -355,23 +355,23 @@ def start(board: Board, port: int, pulses: int) -> None:
 def test_an_interrupt_comes_within_a_delay_at_the_very_nanosecond():
     stage = Stage("xyz", visuals=False)
     board = moving(stage)
-    chip, seen = stage.axes["x"].chip, []
+    chip, observed = stage.axes["x"].chip, []
 
     def hook():
-        seen.append((stage.now, chip.pins.irq))
+        observed.append((stage.now, chip.pins.irq))
         board.out8(0x300, 0x00)
 
     board.on_interrupt(hook)
     begin = stage.now
     board.delay_us(2_000_000)
     assert stage.now == begin + 2_000_000_000, "the hook's time is part of the delay"
-    assert [on for _, on in seen] == [True]
-    twin = Stage("xyz", visuals=False)
-    moving(twin)
-    twin.run_to(seen[0][0] - 1)
-    assert not twin.axes["x"].chip.pins.irq
-    twin.run_to(seen[0][0])
-    assert twin.axes["x"].chip.pins.irq
+    assert [on for _, on in observed] == [True]
+    counterpart = Stage("xyz", visuals=False)
+    moving(counterpart)
+    counterpart.run_to(observed[0][0] - 1)
+    assert not counterpart.axes["x"].chip.pins.irq
+    counterpart.run_to(observed[0][0])
+    assert counterpart.axes["x"].chip.pins.irq
     calls = [(c.direction, c.meaning) for c in board.trace if c.port is None]
     assert calls == [("I", "interrupt: the hook is called"), ("i", "interrupt: the hook returns")]
     lines = list(board.trace)
@@ -380,13 +380,13 @@ def test_an_interrupt_comes_within_a_delay_at_the_very_nanosecond():
 
 
 def test_interrupts_change_nothing_but_what_their_hook_does():
-    plain, watched = Stage("xyz", visuals=False), Stage("xyz", visuals=False)
-    for stage in (plain, watched):
+    reference, watched = Stage("xyz", visuals=False), Stage("xyz", visuals=False)
+    for stage in (reference, watched):
         board = moving(stage)
         if stage is watched:
             board.on_interrupt(lambda board=board: board.on_interrupt(None))
         board.delay_us(1_500_000)
-    assert watched.snapshot().state.tobytes() == plain.snapshot().state.tobytes()
+    assert watched.snapshot().state.tobytes() == reference.snapshot().state.tobytes()
 
 
 def test_an_interrupt_that_nobody_clears_is_an_error_with_the_cycles_before_it():
@@ -395,9 +395,9 @@ def test_an_interrupt_that_nobody_clears_is_an_error_with_the_cycles_before_it()
     board = moving(stage)
     calls = []
     board.on_interrupt(lambda: calls.append(1))
-    with pytest.raises(StormError, match="clear the interrupt") as told:
+    with pytest.raises(StormError, match="clear the interrupt") as failure:
         board.delay_us(2_000_000)
-    assert f"was called {len(calls):,} times in a row" in str(told.value)
+    assert f"was called {len(calls):,} times in a row" in str(failure.value)
     board.on_interrupt(None)
     board.out8(0x300, 0x00)
     assert not board.interrupt
@@ -478,7 +478,7 @@ def test_words_at_the_last_port_go_on_at_port_0():
     assert [c.port for c in board.trace] == [*ends[:2], *ends[:2], *ends[2:], *ends[2:]]
 
 
-def test_a_word_that_is_lost_on_the_way_is_told():
+def test_a_lost_word_is_marked_in_the_trace():
     stage = Stage("xyz", chips=MCX304, visuals=False)
     board = Board(stage)
     with faults.lost_write(stage.axes["x"]):
@@ -487,7 +487,7 @@ def test_a_word_that_is_lost_on_the_way_is_told():
     assert ["lost on the way" in c.meaning for c in board.trace] == [True, False]
 
 
-def test_each_chip_loses_its_own_writes():
+def test_each_chip_loses_one_write_of_its_fault():
     stage = Stage("xyz", visuals=False)
     board = Board(stage)
     with faults.lost_write(stage.axes["x"]), faults.lost_write(stage.axes["z"]):
@@ -498,13 +498,13 @@ def test_each_chip_loses_its_own_writes():
     assert [axis.chip.values()["R1"] for axis in stage.axes.values()] == [7, 7, 7]
 
 
-def test_a_full_trace_goes_on_in_order_and_counts_the_lines_before():
+def test_a_full_trace_keeps_the_newest_lines_in_order():
     board = Board(Stage("xy", visuals=False), keep_cycles=4)
     for k in range(11):
         board.out8(0x301, k)
-        shown = [cycle.value for cycle in board.trace]
-        assert shown == list(range(k + 1))[-4:]
-        assert (len(board.trace), board.trace.dropped) == (len(shown), k + 1 - len(shown))
+        output = [cycle.value for cycle in board.trace]
+        assert output == list(range(k + 1))[-4:]
+        assert (len(board.trace), board.trace.dropped) == (len(output), k + 1 - len(output))
         assert ("lines before" in str(board.trace)) == (k >= 4)
     assert [cycle.value for cycle in board.trace.last(2)] == [9, 10]
     lines = board.trace.text(3).splitlines()
@@ -517,7 +517,7 @@ def test_a_card_of_eight_chips_shows_who_of_them_pulls_the_line():
     """A layout like pcl240-card with eight chips: bits 0 to 7 at its own port"""
     stage = Stage(rail_model(8), chips=PCL240K, visuals=False)
     board = Board(stage, dataclasses.replace(LAYOUTS["pcl240-card"], chips=8))
-    own = 0x340 + 8 * 4
+    card_port = 0x340 + 8 * 4
     for k in (7, 0, 6):
         for name, value in {"R0": 1, "R1": 8000, "R7": 2}.items():
             for address, datum in PCL240K.register_cycles(name, value):
@@ -525,10 +525,10 @@ def test_a_card_of_eight_chips_shows_who_of_them_pulls_the_line():
         board.out8(0x340 + 4 * k, 0x44)
         board.out8(0x340 + 4 * k, 0x30)
     board.delay_us(100)
-    assert board.in8(own) == 0b1100_0001
+    assert board.in8(card_port) == 0b1100_0001
 
 
-def test_a_board_names_its_devices_beside_its_chips():
+def test_the_repr_of_a_board_has_its_devices():
     board = Board(Stage("xy", chips=PCL240K, visuals=False), base=0x240, stride=8, devices=["latch:0x378"])
     (latch,) = board.devices
     assert str(board) == f"<Board x at 240h (pcl240), y at 248h (pcl240), {latch.name}; 0 cycles>"

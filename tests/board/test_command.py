@@ -38,15 +38,15 @@ def built(result: int = 0, port: str = "0x300") -> str:
 
 
 @needs_rerun
-def test_a_run_prints_what_the_firmware_notes_and_where_the_axes_end_and_writes_what_is_asked(tmp_path, capsys):
+def test_a_run_prints_log_and_axes_and_writes_its_files(tmp_path, capsys):
     files = [str(tmp_path / name) for name in ("run.rrd", "run.vcd", "run.txt")]
     outputs = ["--record", files[0], "--vcd", files[1], "--trace", files[2]]
     assert main(["run", built(), "--chips", "pcl240mk", *outputs]) == 0
-    said = capsys.readouterr().out
+    message = capsys.readouterr().out
     for part in ("arrived", "returned 0", "bus cycles", *files):
-        assert part in said
-    assert "mistakes" not in said
-    assert re.search(r"^x +2\.(49|50)\d\d +2\.5000 +0$", said, re.M)
+        assert part in message
+    assert "mistakes" not in message
+    assert re.search(r"^x +2\.(49|50)\d\d +2\.5000 +0$", message, re.M)
     trace = (tmp_path / "run.txt").read_text()
     assert "x: start, constant FL" in trace
     assert "times until" in trace
@@ -58,9 +58,9 @@ def test_a_trace_of_the_name_minus_is_printed_and_other_files_of_that_name_are_r
     # stage run driver.so --trace -
     monkeypatch.chdir(tmp_path)
     assert main(["run", built(), "--model", "xy", "--timeout", "0.001", "--trace", "-"]) == 1
-    said = capsys.readouterr().out
-    assert said.rstrip().splitlines()[-1].startswith("      0.000")
-    assert "x: start, constant FL" in said
+    message = capsys.readouterr().out
+    assert message.rstrip().splitlines()[-1].startswith("      0.000")
+    assert "x: start, constant FL" in message
     for option in ("--record", "--vcd", "--picture"):
         assert main(["run", built(), "--model", "xy", option, "-"]) == 2
         assert f"{option} -: standard output has what the command prints" in capsys.readouterr().err
@@ -73,7 +73,7 @@ def test_a_trace_of_the_name_minus_is_printed_and_other_files_of_that_name_are_r
 @pytest.mark.parametrize(
     "isolated", [["--in-process"], [], ["--isolated"]], ids=["thread", "process", "as it was typed before"]
 )
-def test_the_exit_code_says_whether_it_went_as_asked(isolated, capsys, tmp_path):
+def test_the_exit_code_is_0_only_for_firmware_that_returns_0_in_time(isolated, capsys, tmp_path):
     assert main(["run", built(5), *isolated]) == 1
     assert main(["run", built(), "--timeout", "0.01", "--record", str(tmp_path / "late.rrd"), *isolated]) == 1
     assert "has not returned after 0.01 s" in capsys.readouterr().err
@@ -82,7 +82,7 @@ def test_the_exit_code_says_whether_it_went_as_asked(isolated, capsys, tmp_path)
     assert "stage include" in capsys.readouterr().err
 
 
-def test_a_card_that_is_not_where_the_firmware_looks_is_seen_in_what_is_printed(capsys):
+def test_cycles_that_reach_no_chip_are_reported(capsys):
     assert main(["run", built(port="0x300"), "--base", "0x340", "--timeout", "0.01"]) == 1
     assert "reached no chip" in capsys.readouterr().out
     assert main(["run", built(port="0x340"), "--base", "0x340", "--place", "x=-20"]) == 0
@@ -107,7 +107,7 @@ def test_sources_are_built_first(tmp_path, capsys):
     assert "0x300" in capsys.readouterr().err
 
 
-def test_mistakes_of_a_chip_of_several_axes_are_told_with_all_of_them(capsys):
+def test_diagnostics_of_a_chip_name_all_its_axes(capsys):
     assert (
         main(["run", str(firmware("PULSESTAGE_MAIN { ps_out16(0x300, 0x7F01); return 0; }")), "--chips", "mcx304"]) == 0
     )
@@ -136,7 +136,7 @@ def test_firmware_that_never_returns_is_run_for_so_long(capsys):
 
 @needs_rerun
 @pytest.mark.parametrize("isolated", [["--in-process"], []], ids=["thread", "process"])
-def test_a_run_that_a_ci_ends_says_where_it_was_and_writes_what_is_asked(isolated, tmp_path, monkeypatch, capsys):
+def test_a_run_ended_by_sigterm_reports_its_state_and_writes_its_files(isolated, tmp_path, monkeypatch, capsys):
     # timeout 60 stage run driver.c --record run.rrd; exit code 143 without a word, and no run.rrd
     source = """#include <signal.h>
     #include <stdlib.h>
@@ -144,9 +144,9 @@ def test_a_run_that_a_ci_ends_says_where_it_was_and_writes_what_is_asked(isolate
     monkeypatch.setenv("TOLD", str(os.getpid()))
     files = [str(tmp_path / name) for name in ("run.rrd", "run.txt")]
     assert main(["run", str(firmware(source)), "--record", files[0], "--trace", files[1], *isolated]) == 1
-    said = capsys.readouterr()
-    assert re.search(r"ended from outside by SIGTERM\. What is known of it ends at \d+\.", said.err)
-    assert not isolated or "300h R" in said.err
+    message = capsys.readouterr()
+    assert re.search(r"ended from outside by SIGTERM\. What is known of it ends at \d+\.", message.err)
+    assert not isolated or "300h R" in message.err
     assert all(os.path.getsize(file) > 30 for file in files)
-    assert re.search(r"^x +0\.0000", said.out, re.M)
+    assert re.search(r"^x +0\.0000", message.out, re.M)
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL

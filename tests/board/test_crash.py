@@ -67,11 +67,11 @@ def crashed(library) -> str:
 @pytest.mark.parametrize("what", CRASHES)
 def test_a_crash_says_what_was_touched_by_which_line_and_after_which_cycle(what, tmp_path):
     # stage run it.c
-    body, said = CRASHES[what]
+    body, text = CRASHES[what]
     source = tmp_path / "it.c"
     source.write_text(f"{HEAD}{body}\n")
     message = crashed(build(source, flags=["-Wno-unused-variable", "-Wno-infinite-recursion"]))
-    assert re.search(said, message), message
+    assert re.search(text, message), message
     assert re.search(r"; at 0\.000001 s, after 1 bus cycles\..*304h R", message, re.S)
 
 

@@ -55,17 +55,21 @@ def stage_run(folder, *arguments):
 @pytest.mark.skipif(shutil.which("gdb") is None, reason="gdb is not installed")
 def test_gdb_stops_in_the_driver_and_sees_its_variables(driver):
     # gdb --args python -m stage run driver.c --cflags=-O0 --in-process
-    says = ["set debuginfod enabled off", "set breakpoint pending on", "break write_register", "run", "backtrace 2"]
-    says += ["print moves", "delete", "continue"]
-    command = ["gdb", "-q", "-batch", *(part for text in says for part in ("-ex", text)), "--args", sys.executable, "-m", "stage",
+    orders = ["set debuginfod enabled off", "set breakpoint pending on", "break write_register", "run", "backtrace 2"]
+    orders += ["print moves", "delete", "continue"]
+    command = ["gdb", "-q", "-batch", *(part for text in orders for part in ("-ex", text)), "--args", sys.executable, "-m", "stage",
                "run", "driver.c", "--cflags=-O0", "--in-process", "--model", "xy"]  # fmt: skip
-    said = subprocess.run(command, cwd=driver.parent, capture_output=True, text=True, check=False, timeout=200).stdout
-    if "ptrace" in said:
+    message = subprocess.run(
+        command, cwd=driver.parent, capture_output=True, text=True, check=False, timeout=200
+    ).stdout
+    if "ptrace" in message:
         pytest.skip("ptrace is not allowed here")
-    assert re.search(rf"Breakpoint 1, write_register \(r=0, value=400\) at .*driver\.c:{LINE}", said), said[-2000:]
-    assert re.search(r"#1 .* pulsestage_main \(\) at .*driver\.c:\d+", said)
-    assert "$1 = 1" in said
-    assert "driver.so returned 0" in said
+    assert re.search(rf"Breakpoint 1, write_register \(r=0, value=400\) at .*driver\.c:{LINE}", message), message[
+        -2000:
+    ]
+    assert re.search(r"#1 .* pulsestage_main \(\) at .*driver\.c:\d+", message)
+    assert "$1 = 1" in message
+    assert "driver.so returned 0" in message
 
 
 @pytest.mark.parametrize("what", ["address", "undefined"])
@@ -91,14 +95,14 @@ def test_in_process_a_sanitizer_that_was_not_loaded_first_is_refused_in_words(dr
 
 
 @pytest.mark.skipif(shutil.which("gcov") is None, reason="gcov is not installed")
-@pytest.mark.parametrize("way", [[], ["--in-process"]], ids=["isolated", "in process"])
-def test_coverage_is_counted(way, driver):
+@pytest.mark.parametrize("direction", [[], ["--in-process"]], ids=["isolated", "in process"])
+def test_coverage_is_counted(direction, driver):
     folder = driver.parent / "cov"
     folder.mkdir()
-    done = stage_run(driver.parent, "driver.c", f"--cflags=--coverage -dumpdir {folder}{os.sep}", *way)
+    done = stage_run(driver.parent, "driver.c", f"--cflags=--coverage -dumpdir {folder}{os.sep}", *direction)
     if "dumpdir" in done.stderr:
         pytest.skip("gcc before 11")
     assert done.returncode == 0, done.stderr
     command = ["gcov", "--object-directory", "cov", "driver.c"]
-    said = subprocess.run(command, cwd=driver.parent, capture_output=True, text=True, check=True)
-    assert re.search(r"driver\.c'\nLines executed:100\.00% of 1\d", said.stdout), said.stdout
+    message = subprocess.run(command, cwd=driver.parent, capture_output=True, text=True, check=True)
+    assert re.search(r"driver\.c'\nLines executed:100\.00% of 1\d", message.stdout), message.stdout

@@ -21,9 +21,9 @@ class Bare:
     def __init__(self, device):
         self.device, self.registers, self.at, self.counts = device, device.registers, 0, np.zeros(1, np.int64)
 
-    def access(self, n, way, value=0):
+    def access(self, n, direction, value=0):
         d = self.device
-        return d.CORE.access(d.state[0], self.at, self.counts.ctypes.data, n, way, value)
+        return d.CORE.access(d.state[0], self.at, self.counts.ctypes.data, n, direction, value)
 
     def write(self, *pairs):
         for n, value in pairs:
@@ -67,12 +67,12 @@ def stepped(counter, pr, steps, divides):
 def test_an_ls7166_counts_over_both_ends_as_step_by_step(divides):
     """PR 0 to 5 from the upper end, 0 to 5 from the lower; -40 to 40 counts at once; divide by N and not"""
     for near in range(1, 7):
-        for pr, way in ((FULL - near, 1), (near - 1, -1)):
+        for pr, direction in ((FULL - near, 1), (near - 1, -1)):
             for n in range(1, 41):
                 b = ls7166(pr, divides)
-                b.counts[0] += way * n
+                b.counts[0] += direction * n
                 status = b.read(1)
-                counter, expected = stepped(pr, pr, way * n, divides)
+                counter, expected = stepped(pr, pr, direction * n, divides)
                 assert (int(b.registers["cntr"]), status & ~4) == (counter, expected), (pr, n)
     b = ls7166(100)
     b.read(1)
@@ -81,7 +81,7 @@ def test_an_ls7166_counts_over_both_ends_as_step_by_step(divides):
         assert b.read(1) >> 2 & 1 == compares, n
 
 
-def test_an_ls7166_is_told_by_its_control_words():
+def test_control_words_configure_an_ls7166():
     b = ls7166(FULL - 1, qr=0)
     b.counts[0] += 8
     b.read(1)
@@ -117,7 +117,7 @@ def test_an_ls7166_is_told_by_its_control_words():
     )
 
 
-def test_a_master_reset_of_an_ls7166_is_that_of_all_its_registers_and_each_other_bit_of_its_own():
+def test_each_bit_of_the_mcr_resets_its_registers():
     """PR 12_34_56h, counter elsewhere, the latch, both toggles, COMPT, SIGN; then MCR bit by bit"""
 
     def used():
@@ -127,21 +127,21 @@ def test_a_master_reset_of_an_ls7166_is_that_of_all_its_registers_and_each_other
             b.registers[name] = value
         return b
 
-    def told(b):
+    def registers_of(b):
         return {name: int(b.registers[name]) for name in b.registers.dtype.names if name not in ("last", "up")}
 
-    before = told(used())
+    before = registers_of(used())
     assert 0 not in before.values()
     b = used()
     b.write((1, 0x20))
-    assert told(b) == dict.fromkeys(before, 0) | {"pr": FULL - 1}
+    assert registers_of(b) == dict.fromkeys(before, 0) | {"pr": FULL - 1}
     for bit, changes in (
         (0x01, {"pointer": 0}), (0x02, {"ol": 0x654321}), (0x04, {"cntr": 0, "borrows": 0, "carries": 0, "sign": 0}),
         (0x08, {"cntr": 0x123456}), (0x10, {"compares": 0}),
     ):  # fmt: skip
         b = used()
         b.write((1, bit))
-        assert told(b) == before | changes, bit
+        assert registers_of(b) == before | changes, bit
 
 
 def test_bytes_of_an_ls7166_come_and_go_from_the_lowest_and_begin_again():
@@ -153,7 +153,7 @@ def test_bytes_of_an_ls7166_come_and_go_from_the_lowest_and_begin_again():
     assert b.registers["pr"] == 0x332244
 
 
-def test_modem_lines_of_a_uart_are_its_own_in_the_loop_and_else_those_of_a_peer_that_is_ready():
+def test_modem_lines_loop_back_or_show_a_ready_peer():
     """MCR 00h to FFh: DTR is DSR, RTS is CTS, OUT1 is RI, OUT2 is DCD"""
     for mcr in range(256):
         b = uart((4, mcr))
@@ -224,7 +224,7 @@ def test_a_character_of_a_uart_has_as_many_bits_as_its_lcr_says():
 
 
 @pytest.mark.parametrize(("code", "level"), [(0, 1), (1, 4), (2, 8), (3, 14)])
-def test_data_of_a_fifo_is_told_at_its_trigger_level_and_after_four_characters(code, level):
+def test_a_fifo_interrupts_at_its_trigger_level_and_after_four_characters(code, level):
     b = uart((1, 1), (4, 8), fcr=1 | code << 6)
     pulls = lambda: uart_core.pulls(b.device.state[0], b.at, 0)  # noqa: E731
     feed(b, level - 1 if level > 1 else 1)
@@ -256,7 +256,7 @@ def test_the_time_out_of_a_fifo_counts_from_the_last_read_too():
     assert b.read(2) == 0xCC
 
 
-def test_without_a_fifo_one_byte_is_told_and_the_next_overruns_it():
+def test_without_a_fifo_the_second_byte_overruns_the_first():
     b = uart((1, 5), (4, 8), fcr=0)
     c = character(b)
     feed(b, 2)
@@ -304,13 +304,13 @@ def test_the_transmitter_empties_by_characters_and_a_reset_of_its_fifo_keeps_the
 
 def test_a_loop_gives_back_what_it_takes_in_order_a_character_each():
     rng, b = random.Random(1), uart((4, 0x10))
-    c, said = character(b), []
+    c, message = character(b), []
     for _ in range(4200):  # once round the ring
-        said.append(rng.randrange(256))
-        b.write((0, said[-1]))
+        message.append(rng.randrange(256))
+        b.write((0, message[-1]))
         b.at += c
         assert b.read(5) & 1
-        assert b.read(0) == said[-1]
+        assert b.read(0) == message[-1]
     b.write((0, 1), (0, 2), (0, 3))
     b.at += 2 * c
     assert [b.read(0), b.read(0), b.read(5) & 1] == [1, 2, 0]
@@ -376,14 +376,14 @@ def test_the_divisor_of_a_uart_is_two_bytes_that_are_written_one_by_one():
     assert b.read(5) & 0x60 == 0x60, "without a clock nothing is on the line"
 
 
-def test_an_overrun_is_told_by_its_interrupt_before_anybody_looks():
+def test_an_overrun_interrupts_before_the_line_status_is_read():
     """Without a FIFO the second byte overruns the first; with one the 17th: IER = 04h, and the line is asserted at that time"""
-    for fcr, most in ((0, 1), (1, 16)):
+    for fcr, maximum in ((0, 1), (1, 16)):
         b = uart((1, 4), (4, 8), fcr=fcr)
-        feed(b, most + 1)
+        feed(b, maximum + 1)
         begin, c = b.at, character(b)
-        pulls = [uart_core.pulls(b.device.state[0], begin + n * c, 0) for n in (most, most + 1)]
+        pulls = [uart_core.pulls(b.device.state[0], begin + n * c, 0) for n in (maximum, maximum + 1)]
         assert pulls == [0, 1], fcr
-        b.at = begin + (most + 1) * c
+        b.at = begin + (maximum + 1) * c
         b.read(0)
         assert b.read(2) & 15 == 6, "and stays told until LSR was read"

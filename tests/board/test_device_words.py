@@ -42,50 +42,50 @@ def board():
     return board
 
 
-def told(board, *cycles):
+def meanings_of(board, *cycles):
     """(port, value) is written, a port alone is read; what the trace says of each."""
     for one in cycles:
         board.out8(*one) if isinstance(one, tuple) else board.in8(one)
     return [cycle.meaning.split(": ", 1)[1] for cycle in board.trace.last(len(cycles))]
 
 
-def test_the_trace_tells_control_words_and_status_of_an_ls7166(board):
+def test_the_trace_names_control_words_and_status_of_an_ls7166(board):
     c = 0x341
-    assert told(board, (0x340, 0x5A), (c, 0x03), 0x340, (c, 0x20), (c, 0x00), (c, 0x0C), (c, 0x10)) == [
+    assert meanings_of(board, (0x340, 0x5A), (c, 0x03), 0x340, (c, 0x20), (c, 0x00), (c, 0x0C), (c, 0x10)) == [
         "PR byte <- 5Ah", "MCR: pointer = 0, latch the counter", "OL byte = 00h", "MCR: master reset", "MCR: nothing",
         "MCR: counter = 0, counter = PR", "MCR: COMPT = 0",
     ]  # fmt: skip
-    assert told(board, (c, 0x68), (c, 0x84), (c, 0xC0), (c, 0xC1), (c, 0xC2), (c, 0xC3)) == [
+    assert meanings_of(board, (c, 0x68), (c, 0x84), (c, 0xC0), (c, 0xC1), (c, 0xC2), (c, 0xC3)) == [
         "ICR <- 28h", "OCCR <- 04h", "QR: no quadrature", "QR: x1", "QR: x2", "QR: x4",
     ]  # fmt: skip
-    tell = board.devices[1].listener()
-    assert [tell(1, value, False, False) for value in (0, 0x0A, 0x15, 0xE0)] == [
+    describe = board.devices[1].listener()
+    assert [describe(1, value, False, False) for value in (0, 0x0A, 0x15, 0xE0)] == [
         "status: none", "status: CYT, SIGN", "status: BWT, COMPT, up", "status: none",
     ]  # fmt: skip
     assert [board.ports[0x340], board.ports[0x341]] == ["ls7166 at 340h, data", "ls7166 at 340h, control"]
 
 
-def test_the_trace_tells_registers_of_a_uart_by_its_lcr(board):
+def test_the_trace_names_registers_of_a_uart_by_its_lcr(board):
     u = 0x3F8
-    assert told(board, (u, 0x41), (u + 3, 0x83), (u, 1), (u + 1, 0), u, (u + 2, 1), (u + 3, 3), (u + 1, 5), u + 1) == [
+    assert meanings_of(board, (u, 0x41), (u + 3, 0x83), (u, 1), (u + 1, 0), u, (u + 2, 1), (u + 3, 3), (u + 1, 5), u + 1) == [
         "THR <- 41h 'A'", "LCR <- 83h", "DLL <- 01h", "DLM <- 00h", "DLL = 01h", "FCR <- 01h", "LCR <- 03h", "IER <- 05h",
         "IER = 05h",
     ]  # fmt: skip
-    assert told(board, u, u + 2, u + 3, u + 5, (u + 5, 1), (u + 7, 9)) == [
+    assert meanings_of(board, u, u + 2, u + 3, u + 5, (u + 5, 1), (u + 7, 9)) == [
         "RBR = 00h '\\x00'", "IIR: none", "LCR = 03h", "LSR: THR empty, all sent", "LSR <- 01h", "SCR <- 09h",
     ]  # fmt: skip
-    tell = board.devices[2].listener()
-    assert tell(5, 0x91, False, False) == "LSR: data ready, break, FIFO error"
-    assert tell(5, 0, False, False) == "LSR: none"
-    assert [tell(2, value, False, False) for value in (0xC1, 0xC6, 0xC4, 0xCC, 0xC2, 0x00)] == [
+    describe = board.devices[2].listener()
+    assert describe(5, 0x91, False, False) == "LSR: data ready, break, FIFO error"
+    assert describe(5, 0, False, False) == "LSR: none"
+    assert [describe(2, value, False, False) for value in (0xC1, 0xC6, 0xC4, 0xCC, 0xC2, 0x00)] == [
         "IIR: none", "IIR: line status", "IIR: data", "IIR: time-out", "IIR: THR empty", "IIR: modem",
     ]  # fmt: skip
     names = [board.ports[u + n].split(", ", 1)[1] for n in range(8)]
     assert names == ["RBR, THR", "IER", "IIR, FCR", "LCR", "MCR", "LSR", "MSR", "SCR"]
 
 
-def test_the_trace_tells_what_a_counter_gives_and_when_it_is_reset(board):
-    assert told(board, 0x321, (0x320, 0)) == ["low byte = 00h", "reset"]
+def test_the_trace_names_bytes_and_resets_of_a_counter(board):
+    assert meanings_of(board, 0x321, (0x320, 0)) == ["low byte = 00h", "reset"]
     assert board.ports[0x320] == "hctl2000 at 320h, high byte"
 
 
@@ -109,7 +109,7 @@ def test_a_counter_has_the_nearest_count_from_where_it_is_zero_on():
     assert (counter.count, wide.count) == (4094, 3)
 
 
-def test_who_pulls_the_line_is_told_of_each_device_alone():
+def test_each_device_reports_whether_it_pulls_the_line():
     """two devices of one's own: the second pulls; then the first, then at a time that comes"""
     board = Board(Stage("xy", visuals=False))
     a, b = (board.device(port) for port in (0x500, 0x501))
@@ -133,12 +133,12 @@ def test_bounds_of_devices_are_what_their_messages_say(tmp_path):
     for clock in (0, 10**9 + 1, 1.5):
         with pytest.raises(ArgumentError, match="1 to 1e9 Hz"):
             UART(clock=clock)
-    most = user_devices.MAX_STATE_BYTES
-    for state in (np.zeros(most, np.uint8), bytearray(3), np.zeros(1)):
+    maximum = user_devices.MAX_STATE_BYTES
+    for state in (np.zeros(maximum, np.uint8), bytearray(3), np.zeros(1)):
         assert PythonDevice(state=state).state[0].nbytes == len(memoryview(state).cast("B"))
     locked = np.zeros(3)
     locked.flags.writeable = False
-    for state in (np.zeros(most + 1, np.uint8), np.zeros(0), np.zeros((4, 4))[:, 1], locked):
+    for state in (np.zeros(maximum + 1, np.uint8), np.zeros(0), np.zeros((4, 4))[:, 1], locked):
         with pytest.raises(ArgumentError, match="a contiguous, writeable array of 1 to 1,048,576 bytes"):
             PythonDevice(state=state)
     for state in ([1, 2], np.array([object()])):
@@ -181,9 +181,9 @@ def test_bounds_of_boards_are_what_their_messages_say():
         board.device(0x700)
     with pytest.raises(ArgumentError, match=r"a delay takes 0 to 1e15 us"):
         board.delay_us(10**15 + 1)
-    for given in ({"write": print}, {"state": bytearray(2)}, {"read": print}):
+    for argument in ({"write": print}, {"state": bytearray(2)}, {"read": print}):
         with pytest.raises(ArgumentError, match="the device has its functions and its state in C"):
-            board.device(0x700, source="adc.c", **given)
+            board.device(0x700, source="adc.c", **argument)
 
 
 def test_a_board_in_python_refuses_timers_that_cannot_be():
@@ -218,7 +218,7 @@ def test_a_pseudo_terminal_has_what_is_written_from_then_on(board):
         os.close(terminal)
 
 
-def test_what_a_bus_of_16_bits_is_written_by_halves_is_told_as_it_arrives():
+def test_byte_writes_to_a_16_bit_device_are_traced_as_words():
     """board.out8 of either half of a register of 16 bits; a read of its half"""
     board = Board(Stage("xy", visuals=False))
     got = []
@@ -231,12 +231,12 @@ def test_what_a_bus_of_16_bits_is_written_by_halves_is_told_as_it_arrives():
     assert got == [(0x502, 0xFF56), (0x502, 0x78FF), (0x502, 0x9ABC)]
 
 
-def test_a_device_of_another_version_or_too_large_is_refused(tmp_path):
+def test_a_device_of_another_version_or_with_a_huge_state_is_refused(tmp_path):
     """CDevice of a library with pulsestage_device_abi = 2, and with a state of 2 MB"""
     from support.compiled_firmware import firmware
 
     firmware("PULSESTAGE_MAIN { return 0; }")  # skips without a compiler
-    for k, (abi, size, said) in enumerate(
+    for k, (abi, size, message) in enumerate(
         ((2, 8, "version 2, and this is version 1: build it again"), (1, 1 << 21, "a state of 2,097,152 bytes"))
     ):
         source = tmp_path / f"d{k}.c"
@@ -244,7 +244,7 @@ def test_a_device_of_another_version_or_too_large_is_refused(tmp_path):
             f"unsigned pulsestage_device_abi = {abi}, pulsestage_device_size = {size};"
             "int pulsestage_device_access, pulsestage_device_pulls;"
         )
-        with pytest.raises(Exception, match=said):
+        with pytest.raises(Exception, match=message):
             CDevice(source)
 
 

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from board.test_native import left_behind
+from board.test_native import collect_results
 from support.compiled_firmware import firmware
 
 from stage import Stage
@@ -81,11 +81,11 @@ def adc(tmp_path_factory):
 def with_devices(adc) -> tuple[Board, np.ndarray, list]:
     """A board with devices in C and in Python, and what the latter has seen."""
     stage = Stage("xy", visuals=False)
-    board, seen, state = Board(stage, devices=["hctl2016:0x320:x"]), [], np.zeros(2, np.int64)
+    board, observed, state = Board(stage, devices=["hctl2016:0x320:x"]), [], np.zeros(2, np.int64)
     board.device(range(0x340, 0x342), source=adc, encoders=[Encoder("x", per_metre=1e6)])
 
     def read(port):
-        seen.append((stage.now, port, stage.axes["x"].position))
+        observed.append((stage.now, port, stage.axes["x"].position))
         return int(state[0]) & 0xFF
 
     def write(port, value):
@@ -94,18 +94,18 @@ def with_devices(adc) -> tuple[Board, np.ndarray, list]:
         stage.axes["y"].switches.stick("el_plus", bool(value & 1))
 
     board.device([0x500, 0x501, 0x508], read, write, state=state, name="mine")
-    return board, state, seen
+    return board, state, observed
 
 
-def test_firmware_in_a_process_of_its_own_meets_the_same_devices_to_the_bit(adc):
+def test_isolated_firmware_uses_the_same_devices_to_the_bit(adc):
     """CONVERTS in process and isolated: state, trace, log, and what a device in Python saw"""
     library, left, saw = firmware(CONVERTS), [], []
     for isolated in (False, True):
-        board, state, seen = with_devices(adc)
+        board, state, observed = with_devices(adc)
         with NativeHost(library, board, isolated=isolated) as h:
             assert h.run(timeout=1).code == int(state[0]) & 0xFF
-        left.append((*left_behind(h), state.tobytes(), board.devices[1].state[0].tobytes()))
-        saw.append(seen)
+        left.append((*collect_results(h), state.tobytes(), board.devices[1].state[0].tobytes()))
+        saw.append(observed)
     assert left[0] == left[1]
     assert saw[0] == saw[1]
     assert len({x for _, _, x in saw[0]}) > 10, "the carriage moves meanwhile"
@@ -157,11 +157,11 @@ def test_snapshots_carry_the_state_of_devices_and_say_whose_they_are(adc):
     stage, empty = board.stage, copy.deepcopy(board.stage).snapshot()
     board.devices[0].registers["latch"] = 77
     board.out8(0x500, 5), board.out8(0x340, 9)
-    whole = stage.snapshot()
+    complete = stage.snapshot()
     before = state.copy(), board.devices[1].state[0].copy()
     stage.run(0.01)
     board.out8(0x500, 6), board.out8(0x340, 1), board.devices[1].pull()
-    stage.restore(pickle.loads(pickle.dumps(whole)))
+    stage.restore(pickle.loads(pickle.dumps(complete)))
     assert (state.tolist(), board.devices[1].state[0].tolist()) == (before[0].tolist(), before[1].tolist())
     assert not board.interrupt
     assert board.devices[0].registers["latch"] == 77
@@ -170,16 +170,16 @@ def test_snapshots_carry_the_state_of_devices_and_say_whose_they_are(adc):
     other = Board(Stage("xy", visuals=False))
     other.device(0x500, state=np.zeros(2, np.int32), name="mine")
     with pytest.raises(ArgumentError, match=r"devices on its bus: hctl2016 .* there, mine"):
-        other.stage.restore(whole)
+        other.stage.restore(complete)
     stage.reset()
     assert state.tolist() == [0, 0]
     assert not board.devices[1].state[0].any()
-    twin = copy.deepcopy(stage)  # its bus is empty: devices stay with their board
-    assert twin.time == stage.time
-    assert twin.device_state.words == 0
+    counterpart = copy.deepcopy(stage)  # its bus is empty: devices stay with their board
+    assert counterpart.time == stage.time
+    assert counterpart.device_state.words == 0
     begin = Board(Stage("xy", visuals=False))
-    plain = begin.stage.snapshot()
-    begin.stage.restore(plain)
+    reference = begin.stage.snapshot()
+    begin.stage.restore(reference)
 
 
 def test_an_exception_of_a_device_comes_out_as_it_is(adc):
@@ -210,12 +210,12 @@ def test_after_a_crash_devices_stand_where_the_firmware_left_them(adc):
     )
     board = Board(Stage("xy", visuals=False), devices=["latch:0x378"])
     board.device([0x340, 0x341], source=adc, encoders=[Encoder("x", per_turn=4)])
-    mine = np.zeros(3, np.uint8)
-    board.device(0x500, state=mine)
-    mine[1] = 5
+    ours = np.zeros(3, np.uint8)
+    board.device(0x500, state=ours)
+    ours[1] = 5
     with NativeHost(library, board, isolated=True) as h, pytest.raises(HostError, match="SIGSEGV"):
         h.run()
-    assert (board.devices[0].value, int(board.devices[1].state[0][1]), mine.tolist()) == (6, 7, [0, 5, 0])
+    assert (board.devices[0].value, int(board.devices[1].state[0][1]), ours.tolist()) == (6, 7, [0, 5, 0])
 
 
 @pytest.mark.parametrize("answer", [256, -1, None, "x", 1.5])
@@ -226,11 +226,11 @@ def test_a_read_that_returns_no_byte_is_refused_in_words(answer):
         board.in8(0x500)
 
 
-def test_cycles_of_8_and_16_bits_reach_a_device_and_the_trace_tells_them(adc):
+def test_cycles_of_8_and_16_bits_reach_a_device_and_are_traced(adc):
     board, written = Board(Stage("xy", visuals=False)), []
-    tell = lambda port, value, writes: f"{'set' if writes else 'is'} {value}"  # noqa: E731
+    describe = lambda port, value, writes: f"{'set' if writes else 'is'} {value}"  # noqa: E731
     board.device(
-        range(0x340, 0x344), lambda port: port & 0xFF, lambda *both: written.append(both), name="io", tell=tell
+        range(0x340, 0x344), lambda port: port & 0xFF, lambda *both: written.append(both), name="io", tell=describe
     )
     board.device(range(0x360, 0x364), source=adc, width=16, encoders=[Encoder("y", per_turn=4)], name="wide")
     board.out16(0x342, 0xABCD)
@@ -251,12 +251,12 @@ def test_devices_and_chips_share_no_port_and_say_who_has_it(adc):
     board = Board(Stage("xy", visuals=False))
     board.device(0x500, name="first")
     table = board.port_table
-    for ports, said in (
+    for ports, message in (
         (0x301, "port 301h is taken: x address 1"), ([0x4FF, 0x500], "port 500h is taken: first, port 0"), ([], "one at least"),
         (-1, "whole numbers from 0 to FFFFFFFFh"), (1 << 32, "FFFFFFFFh"), ([5, 5], "each port once"), (1.5, "ports="),
         ("x", "ports="),
     ):  # fmt: skip
-        with pytest.raises(ArgumentError, match=said):
+        with pytest.raises(ArgumentError, match=message):
             board.device(ports, name="second")
     with pytest.raises(ArgumentError, match="each register takes two ports"):
         board.device([0x600, 0x602], width=16)
@@ -297,7 +297,7 @@ def test_a_device_answers_cycles_and_makes_none():
 def test_within_its_cycle_a_device_neither_lets_time_pass_nor_puts_another_state_in_its_place(isolated):
     """board.device(0x500, read=lambda port: stage.restore(snapshot) or 1)"""
     stage = Stage("xy", visuals=False)
-    board, asked, refused = Board(stage), [], []
+    board, requested, refused = Board(stage), [], []
     acts = (
         lambda: stage.restore(snapshot), stage.reset, lambda: stage.run(1e-3), stage.step, lambda: stage.run_to(10**9), stage.cycle,
         lambda: stage.run_until(lambda: False, 1.0), lambda: stage.place(x=0.01), lambda: board.out8(0x300, 0x11),
@@ -306,12 +306,12 @@ def test_within_its_cycle_a_device_neither_lets_time_pass_nor_puts_another_state
     )  # fmt: skip
 
     def read(port):
-        asked.append(stage.now)
+        requested.append(stage.now)
         try:
-            acts[len(asked) - 1]()
+            acts[len(requested) - 1]()
         except StageError as error:
             refused.append(str(error))
-        return stage.now != asked[-1]
+        return stage.now != requested[-1]
 
     board.device(0x500, read=read, name="mine")
     snapshot = stage.snapshot()
@@ -320,7 +320,7 @@ def test_within_its_cycle_a_device_neither_lets_time_pass_nor_puts_another_state
     )
     with NativeHost(library, board, isolated=isolated) as host:
         assert host.run().code == 0
-    assert (len(asked), board.cycles, stage.now) == (len(acts), len(acts), 1000 * len(acts))
+    assert (len(requested), board.cycles, stage.now) == (len(acts), len(acts), 1000 * len(acts))
     assert len(refused) == len(acts)
     assert {text.split(":")[0] for text in refused} == {"mine answers a bus cycle"}
     stage.restore(snapshot)
@@ -332,21 +332,21 @@ def test_the_cycle_that_a_device_in_python_fails_in_is_the_last_line_of_the_trac
     """board.device(range(0x500, 0x504), read=lambda port: 1 // 0, width=16)"""
     board = Board(Stage("xy", visuals=False))
     board.device(range(0x500, 0x504), read=lambda port: 1 // 0, write=lambda port, value: 1 // 0, width=16)
-    for cycle, way, value, width in (("in16(0x500)", "R", 0xFFFF, 16), ("out16(0x502, 0x1234)", "W", 0x1234, 16)):
+    for cycle, direction, value, width in (("in16(0x500)", "R", 0xFFFF, 16), ("out16(0x502, 0x1234)", "W", 0x1234, 16)):
         run = partial(eval, f"board.{cycle}", {"board": board})
         if isolated is not None:
             run = NativeHost(firmware(f"PULSESTAGE_MAIN {{ ps_{cycle}; return 0; }}"), board, isolated=isolated).run
         with pytest.raises(ZeroDivisionError):
             run()
         last = list(board.trace)[-1]
-        assert (last.direction, last.value, last.width, last.times) == (way, value, width, 1)
-        assert last.port == (0x500 if way == "R" else 0x502)
+        assert (last.direction, last.value, last.width, last.times) == (direction, value, width, 1)
+        assert last.port == (0x500 if direction == "R" else 0x502)
         assert last.meaning == "the device here, in Python, has raised an error"
         assert round(last.seconds * 1e9) == board.stage.now == 1000 * board.cycles
     assert len(board.trace) == board.cycles == 2
 
 
-def test_devices_come_before_firmware_runs_also_behind_an_isolated_host(adc):
+def test_devices_are_added_before_firmware_runs(adc):
     library = firmware("PULSESTAGE_MAIN { ps_delay_us(1000); return ps_in8(0x500) + ps_in8(0x600); }")
     board = Board(Stage("xy", visuals=False))
     with NativeHost(library, board, isolated=True) as h:
@@ -384,7 +384,7 @@ def test_what_is_no_device_in_c_is_refused_with_what_to_write(adc, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         (lambda: Encoder("x", per_turn="2000"), "give either per_metre= or per_turn="),
         (lambda: Encoder("x", per_turn=2000, zero=math.nan), "zero= is the position"),
@@ -397,9 +397,9 @@ def test_what_is_no_device_in_c_is_refused_with_what_to_write(adc, tmp_path):
         (lambda: Board(Stage("xy", visuals=False), devices=[Device()]), r"board\.put\(device, ports\)"),
     ],
 )
-def test_what_a_device_cannot_be_is_refused_in_words(wrong, said):
+def test_what_a_device_cannot_be_is_refused_in_words(wrong, message):
     """Encoder("x", per_turn="2000"), adc.pull(at=math.nan), Board(stage, devices=[UART()])"""
-    with pytest.raises(ArgumentError, match=said):
+    with pytest.raises(ArgumentError, match=message):
         wrong()
 
 
@@ -430,7 +430,7 @@ PS_DEVICE(struct it, it_read, 0, 0)
 """
 
 
-def test_a_crash_and_a_loop_in_the_code_of_a_device_are_told_as_its_own(tmp_path):
+def test_crashes_and_loops_of_a_device_in_c_name_the_device(tmp_path):
     """stage run driver.c --device breaks.c:0x340+2"""
     (tmp_path / "breaks.c").write_text(BREAKS)
     board = Board(Stage("xy", visuals=False))
@@ -449,15 +449,15 @@ def test_a_crash_and_a_loop_in_the_code_of_a_device_are_told_as_its_own(tmp_path
     assert not crash_report.IS_SUPPORTED or re.search(r"It is in it_read \(\S*breaks\.c:1[01]\)", str(failed.value))
 
 
-def test_a_tell_that_fails_or_makes_cycles_hides_nothing():
+def test_an_error_of_a_description_function_hides_no_cycle():
     """board.device(0x500, tell=lambda port, value, writes: 1 // 0)"""
     board = Board(Stage("xy", visuals=False))
     board.device(0x500, read=lambda port: 1, tell=lambda port, value, writes: 1 // 0, name="fails")
     board.device(0x501, read=lambda port: 1, tell=lambda port, value, writes: str(board.in8(0x300)), name="asks")
     board.in8(0x500), board.in8(0x501)
-    said = str(board.trace)
-    assert "fails: its tell has raised ZeroDivisionError: integer division" in said
-    assert "asks: its tell has raised StageError: a tell= says what cycles mean, and neither makes any" in said
+    message = str(board.trace)
+    assert "fails: its tell has raised ZeroDivisionError: integer division" in message
+    assert "asks: its tell has raised StageError: a tell= says what cycles mean, and neither makes any" in message
     assert board.cycles == 2
     assert board.in8(0x500) == 1
 

@@ -55,11 +55,11 @@ def test_every_program_whose_output_is_decoded_says_what_becomes_of_other_encodi
     root, wanting, calls = Path(__file__).parents[2], [], 0
     for file in (*(root / "stage").rglob("*.py"), *(root / "scripts").rglob("*.py")):
         for call in (node for node in ast.walk(ast.parse(file.read_bytes())) if isinstance(node, ast.Call)):
-            given = {keyword.arg for keyword in call.keywords}
+            value = {keyword.arg for keyword in call.keywords}
             name = getattr(call.func, "attr", "")
-            if name in ("run", "Popen", "check_output") and given & {"text", "encoding", "universal_newlines"}:
+            if name in ("run", "Popen", "check_output") and value & {"text", "encoding", "universal_newlines"}:
                 calls += 1
-                wanting += [f"{file}:{call.lineno}"] if "errors" not in given else []
+                wanting += [f"{file}:{call.lineno}"] if "errors" not in value else []
     assert calls >= 5
     assert not wanting
 
@@ -99,11 +99,11 @@ def test_a_crash_in_such_a_folder_says_function_and_line(latin):
 
 def test_a_library_in_such_a_folder_that_cannot_be_loaded_says_so(latin):
     source = write_source(latin, "void absent(void);\nPULSESTAGE_MAIN { absent(); return 0; }")
-    made = latin / "drive.so"
-    subprocess.run(["cc", "-w", "-shared", "-fPIC", f"-I{include()}", source, "-o", made], check=True)
+    built = latin / "drive.so"
+    subprocess.run(["cc", "-w", "-shared", "-fPIC", f"-I{include()}", source, "-o", built], check=True)
     for isolated in (False, True):
         with pytest.raises(LibraryError, match=r"cannot be loaded: .*absent"):
-            NativeHost(made, Board(Stage("xy", visuals=False)), isolated=isolated)
+            NativeHost(built, Board(Stage("xy", visuals=False)), isolated=isolated)
 
 
 ENCODINGS = [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}]
@@ -119,8 +119,8 @@ ENCODINGS = [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "
 def test_stage_run_prints_what_standard_output_cannot_encode_as_escapes(environment, latin):
     # PYTHONIOENCODING=ascii stage run drive.c
     source = write_source(latin, 'PULSESTAGE_MAIN { ps_in8(0x300); ps_log("5 \\xc2\\xb5m"); return 0; }')
-    told = ["--trace", "trace.txt", "--force"]
-    done = run_stage("run", source.name, "--model", "xy", *told, folder=latin, **environment)
+    reported = ["--trace", "trace.txt", "--force"]
+    done = run_stage("run", source.name, "--model", "xy", *reported, folder=latin, **environment)
     assert (done.returncode, b"Traceback" in done.stderr) == (0, False), done.stderr.decode(errors="replace")
     assert b"5 \\xb5m" in done.stdout
     assert "300h R" in (latin / "trace.txt").read_text(encoding="utf-8")

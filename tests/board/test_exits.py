@@ -17,7 +17,7 @@ from stage import Stage
 from stage.board import Board, HostError, NativeHost, crash_report, include
 from stage.chips import PCL240K
 
-here_only = pytest.mark.skipif(not crash_report.IS_SUPPORTED, reason="calls are observed on 64-bit Linux")
+needs_traps = pytest.mark.skipif(not crash_report.IS_SUPPORTED, reason="calls are observed on 64-bit Linux")
 HEADERS = "#include <stdlib.h>\n#include <unistd.h>\n#include <assert.h>\n#include <err.h>\n#include <pthread.h>\n"
 
 
@@ -52,10 +52,10 @@ IN_PROCESS = """
 """
 
 
-@here_only
+@needs_traps
 @pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
 @pytest.mark.parametrize("call", ["pthread_exit(0)", "syscall(SYS_exit, 0)"])
-def test_firmware_that_ends_its_thread_is_an_error_and_the_board_goes_on(board, call, isolated):
+def test_firmware_that_exits_its_thread_is_an_error_and_the_board_works(board, call, isolated):
     begin, before = board.stage.now, board.cycles
     code = (
         f"#include <sys/syscall.h>\n{HEADERS}PULSESTAGE_MAIN {{ ps_delay_us(1500); ps_in8(0x304); {call}; return 0; }}"
@@ -84,7 +84,7 @@ SLEEPS = {
 }
 
 
-@here_only
+@needs_traps
 @pytest.mark.parametrize("call", SLEEPS)
 def test_firmware_that_sleeps_in_real_time_is_reported_once_in_the_log(call):
     # sleep(3); in the place of ps_delay_us(3000000);
@@ -100,7 +100,7 @@ def test_firmware_that_sleeps_in_real_time_is_reported_once_in_the_log(call):
     ]
 
 
-@here_only
+@needs_traps
 @pytest.mark.parametrize("flags", [("-fno-plt", "-nostartfiles"), ("-Wl,-z,lazy",), ("-Wl,-z,now",)], ids=" ".join)
 def test_a_sleep_is_reported_in_whichever_table_the_linker_has_put_the_call(flags):
     """With -fno-plt there is no table of calls, and usleep is among the other addresses."""
@@ -109,44 +109,44 @@ def test_a_sleep_is_reported_in_whichever_table_the_linker_has_put_the_call(flag
     assert [text.partition(" ")[0] for _, text in board.log] == ["usleep(1)"]
 
 
-@here_only
-def test_a_sleep_in_a_library_beside_it_is_reported(tmp_path):
+@needs_traps
+def test_a_sleep_in_a_library_that_firmware_needs_is_reported(tmp_path):
     """driver.so needs libmotion.so, which calls usleep."""
     (tmp_path / "motion.c").write_text("#include <unistd.h>\nvoid motion(void) { usleep(2); }\n")
     subprocess.run(["cc", "-shared", "-fPIC", tmp_path / "motion.c", "-o", tmp_path / "libmotion.so"], check=True)
     needs = (f"-L{tmp_path}", "-Wl,--no-as-needed", "-lmotion", f"-Wl,-rpath,{tmp_path}")
-    made = firmware("void motion(void); PULSESTAGE_MAIN { motion(); return 0; }", *needs)
+    built = firmware("void motion(void); PULSESTAGE_MAIN { motion(); return 0; }", *needs)
     board = Board(Stage("xy", visuals=False))
-    NativeHost(made, board).run()
+    NativeHost(built, board).run()
     assert [text.partition(" ")[0] for _, text in board.log] == ["usleep(2)"]
 
 
-@here_only
+@needs_traps
 def test_a_function_named_usleep_of_the_firmware_is_not_replaced(board, tmp_path):
     """Link without -Bsymbolic: the firmware calls it through the table in which calls of the system's are taken."""
-    source, made = tmp_path / "own.c", tmp_path / "own.so"
+    source, built = tmp_path / "own.c", tmp_path / "own.so"
     source.write_text(
         "#include <pulsestage.h>\nint usleep(unsigned us) { ps_delay_us(us); return 5; }\n"
         "PULSESTAGE_MAIN { return usleep(10); }\n"
     )
-    subprocess.run(["cc", "-shared", "-fPIC", "-w", f"-I{include()}", source, "-o", made], check=True)
+    subprocess.run(["cc", "-shared", "-fPIC", "-w", f"-I{include()}", source, "-o", built], check=True)
     before, begin = len(board.log), board.stage.now
-    assert NativeHost(made, board).run().code == 5
+    assert NativeHost(built, board).run().code == 5
     assert (len(board.log), board.stage.now - begin) == (before, 10_000)
 
 
-@here_only
+@needs_traps
 def test_a_sleep_with_floating_point_traps_on_is_reported():
     head = "#include <fenv.h>\n#include <unistd.h>\n"
-    made = firmware(
+    built = firmware(
         f"{head}PULSESTAGE_MAIN {{ feenableexcept(FE_ALL_EXCEPT); usleep(10); return 0; }}", "-D_GNU_SOURCE", "-lm"
     )
     board = Board(Stage("xy", visuals=False))
-    assert NativeHost(made, board, isolated=True).run().code == 0
+    assert NativeHost(built, board, isolated=True).run().code == 0
     assert len(board.log) == 1
 
 
-@here_only
+@needs_traps
 @pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler: cc is not on the PATH")
 def test_stage_run_of_firmware_that_exits_fails_in_words(tmp_path):
     # stage run driver.c
@@ -170,18 +170,18 @@ host.run(timeout=1e8, max_cycles=1 << 60)
 """
 
 
-def ended(pid: int) -> bool:
+def has_ended(pid: int) -> bool:
     """No such process, or a dead one that nobody has waited for."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
         return True
-    said = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True, check=False).stdout
-    return said.strip()[:1] in ("", "Z")
+    message = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True, check=False).stdout
+    return message.strip()[:1] in ("", "Z")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="isolated=True needs a POSIX system")
-def test_firmware_in_a_process_of_its_own_ends_when_its_parent_is_killed(tmp_path):
+def test_isolated_firmware_ends_when_its_parent_is_killed(tmp_path):
     # python parent.py & kill -9 $!
     program = tmp_path / "parent.py"
     program.write_text(textwrap.dedent(PARENT))
@@ -190,19 +190,19 @@ def test_firmware_in_a_process_of_its_own_ends_when_its_parent_is_killed(tmp_pat
     child = int(parent.stdout.readline())
     try:
         time.sleep(0.5)
-        assert not ended(child)
+        assert not has_ended(child)
         parent.kill()
         parent.wait()
         until = time.monotonic() + 10
-        while not ended(child) and time.monotonic() < until:
+        while not has_ended(child) and time.monotonic() < until:
             time.sleep(0.05)
-        assert ended(child)
+        assert has_ended(child)
     finally:
-        if not ended(child):
+        if not has_ended(child):
             os.kill(child, signal.SIGKILL)
 
 
-@here_only
+@needs_traps
 @pytest.mark.parametrize("call", ["exit(7)", "usleep(1000); _exit(7)"])
 def test_a_process_that_firmware_forks_ends_as_any_other_and_makes_no_note(board, call):
     code = f"int status = 0; if (!fork()) {{ {call}; }} wait(&status); return WEXITSTATUS(status);"

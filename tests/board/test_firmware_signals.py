@@ -138,13 +138,13 @@ ENDS = {
 @pytest.mark.usefixtures("after")
 @pytest.mark.parametrize("what", ENDS)
 def test_an_abnormal_end_is_reported_with_its_cause(what, board):
-    body, said = ENDS[what]
+    body, message = ENDS[what]
     host = NativeHost(build_firmware(f"PULSESTAGE_MAIN {{ ps_in8(0x304); {body} return 0; }}"), board, isolated=True)
-    if said is None:
+    if message is None:
         assert host.run().code == 0
         host.close()
         return
-    with pytest.raises(HostError, match=said):
+    with pytest.raises(HostError, match=message):
         host.run()
 
 
@@ -181,7 +181,7 @@ def test_a_starter_that_was_stopped_ends_with_its_process(monkeypatch):
         os.kill(int(done.stdout), 0)
 
 
-def test_a_process_that_two_signals_stop_before_it_ends_has_ended_as_it_did():
+def test_a_process_stopped_twice_reports_its_exit_code():
     class Recorded:
         """A starter whose answers are given."""
 

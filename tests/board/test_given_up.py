@@ -38,7 +38,7 @@ def run_on(b: Board, body: str, isolated: bool = False, **options) -> NativeHost
     return NativeHost(firmware(body), b, isolated=isolated, **options)
 
 
-def test_a_thread_that_was_given_up_and_ended_leaves_nothing_to_the_next_one():
+def test_an_abandoned_thread_that_has_returned_affects_no_later_run():
     b, others = board(), set(threading.enumerate())
     slow = run_on(b, SLEEPS + "PULSESTAGE_MAIN { ps_in8(0x300); usleep(900000); return 1; }", patience=0.2)
     with pytest.raises(HostError, match="without a bus cycle"):
@@ -50,7 +50,7 @@ def test_a_thread_that_was_given_up_and_ended_leaves_nothing_to_the_next_one():
         assert run_on(b, 'PULSESTAGE_MAIN { ps_log("here"); return 3; }', patience=3).run().code == 3
 
 
-def test_firmware_that_was_given_up_does_not_reach_the_board_of_a_later_run_of_the_same_host(monkeypatch):
+def test_abandoned_firmware_does_not_reach_a_later_run(monkeypatch):
     h = run_on(
         board(),
         SLEEPS
@@ -133,7 +133,7 @@ def test_a_library_that_crashes_while_it_is_loaded_says_so():
         )
 
 
-def test_cycles_and_trace_go_on_where_python_or_another_firmware_left_them_in_a_process_of_its_own_too():
+def test_isolated_firmware_continues_cycles_and_trace():
     left = []
     for isolated in (False, True):
         b = board()
@@ -179,7 +179,7 @@ def test_writes_leave_the_engine_room_for_what_it_notes_within_a_step():
     assert used < room - records.EDGES_A_WINDOW, f"{room} records, {used + 1} used"
 
 
-def test_firmware_that_was_given_up_in_its_interrupt_hook_leaves_interrupts_to_the_next_one():
+def test_hooks_work_after_firmware_was_given_up_in_its_hook():
     b, calls = board(), []
     for register, value in ((0, 5), (1, 100), (7, 300)):
         b.out8(0x300, 0x80 | register)
@@ -296,10 +296,10 @@ PULSESTAGE_MAIN
 
 
 def test_two_threads_that_make_a_few_cycles_without_a_mutex_are_an_error_each_time():
-    made = firmware(THREADS, "-DGUARDED=0", "-DOWN=200", "-pthread")
+    built = firmware(THREADS, "-DGUARDED=0", "-DOWN=200", "-pthread")
     for _ in range(4):
         with pytest.raises(HostError, match=r"two threads of the firmware made bus cycles at the same time"):
-            NativeHost(made, board("xy")).run()
+            NativeHost(built, board("xy")).run()
 
 
 @pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
@@ -322,7 +322,7 @@ def test_a_thread_that_drives_the_bus_and_still_runs_at_the_end_is_an_error():
         NativeHost(firmware(forever, "-DGUARDED=1", "-DOWN=200", "-pthread"), board("xy"), isolated=True).run()
 
 
-def test_a_system_timer_that_goes_on_after_the_firmware_has_returned_calls_no_code_that_is_gone():
+def test_a_system_timer_calls_no_handler_of_unloaded_firmware():
     # signal(SIGALRM, tick); setitimer(ITIMER_REAL, ...); return 0;
     ticks = """
     #include <signal.h>
@@ -366,22 +366,22 @@ def test_a_bus_cycle_in_a_handler_of_signals_is_an_error_in_words_wherever_the_s
         }
     }
     """.replace("OFTEN", str(often))
-    said = r"a handler of signals \(setitimer, alarm\) .* ps_timer and ps_on_timer"
-    with run_on(board("xy"), cycles, isolated=True) as h, pytest.raises(HostError, match=said):
+    message = r"a handler of signals \(setitimer, alarm\) .* ps_timer and ps_on_timer"
+    with run_on(board("xy"), cycles, isolated=True) as h, pytest.raises(HostError, match=message):
         h.run()
 
 
-def test_more_windows_than_there_is_room_for_are_an_error_of_the_run_with_its_exit_code(capfd):
+def test_too_many_windows_end_the_run_with_exit_code_1(capfd):
     # for (k = 0; k < 257; k++) ps_window(0x300, 4);
     asks = "PULSESTAGE_MAIN { for (int k = 0; k < 257; k++) ps_window(0x300, 4); return 0; }"
     if not windows.is_supported():
         pytest.skip("windows are for Linux on x86-64")
     assert main(["run", str(firmware(asks)), "--model", "xy"]) == 1
-    said = capfd.readouterr()
+    message = capfd.readouterr()
     assert re.search(
-        r"stage: ps_window\(0x300, 0x4\): \d+ windows and pieces of memory: .* keep the pointer; at 0\.0", said.err
+        r"stage: ps_window\(0x300, 0x4\): \d+ windows and pieces of memory: .* keep the pointer; at 0\.0", message.err
     )
-    assert "position mm" in said.out
+    assert "position mm" in message.out
     assert main(["run", str(firmware(asks.replace("257", "3"))), "--model", "xy"]) == 0
 
 
@@ -389,8 +389,8 @@ def test_more_windows_than_there_is_room_for_are_an_error_of_the_run_with_its_ex
 def test_a_process_that_a_debugger_holds_is_known_by_its_number():
     """gdb -p NUMBER, of firmware in a process of its own: the run waits"""
     traced = "import ctypes, sys; ctypes.CDLL(None).ptrace(0, 0, 0, 0); print('held', flush=True); sys.stdin.read()"
-    plain = "import sys; print('free', flush=True); sys.stdin.read()"
-    for program, held in ((traced, True), (plain, False)):
+    reference = "import sys; print('free', flush=True); sys.stdin.read()"
+    for program, held in ((traced, True), (reference, False)):
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
         with subprocess.Popen([sys.executable, "-c", program], **pipes) as child:
             try:

@@ -16,7 +16,7 @@ def host(body: str, isolated: bool = False, **options) -> NativeHost:
     return NativeHost(firmware(body), Board(Stage("xy", chips=PCL240K, visuals=False)), isolated=isolated, **options)
 
 
-def left_behind(h: NativeHost) -> tuple:
+def collect_results(h: NativeHost) -> tuple:
     """All that a run leaves: state, trace, log."""
     return h.board.stage.snapshot().state.tobytes(), h.board.trace.lines().tobytes(), h.board.log, h.board.cycles
 
@@ -32,11 +32,11 @@ def interrupts(h: NativeHost) -> list[tuple[int, str]]:
 
 def everywhere(body: str, code: int = 0, piece: float = 0.000123457) -> NativeHost:
     """A run, which leaves the same in process, in pieces, and in a process of its own."""
-    h, pieces, apart = host(body), host(body), host(body, isolated=True)
-    assert h.run(timeout=1).code == apart.run(timeout=1).code == code
+    h, pieces, in_process_of_its_own = host(body), host(body), host(body, isolated=True)
+    assert h.run(timeout=1).code == in_process_of_its_own.run(timeout=1).code == code
     while pieces.run_for(piece) is None:
         pass
-    assert left_behind(h) == left_behind(pieces) == left_behind(apart)
+    assert collect_results(h) == collect_results(pieces) == collect_results(in_process_of_its_own)
     return h
 
 
@@ -64,8 +64,8 @@ def test_a_timer_calls_at_its_ns_without_drift_and_what_its_flag_cannot_hold_is_
     h = everywhere(TICKS, 10)
     assert said(h) == ["9", "10"]
     calls = [(ns, what) for ns, what in interrupts(h) if "called" in what]
-    late = [551 if k == 4 else 1 + 100 * k for k in (1, 2, 3, 4, 6, 7, 8, 9, 10, 11)]
-    assert [ns for ns, _ in calls] == [1000 * us for us in late]
+    delayed = [551 if k == 4 else 1 + 100 * k for k in (1, 2, 3, 4, 6, 7, 8, 9, 10, 11)]
+    assert [ns for ns, _ in calls] == [1000 * us for us in delayed]
     assert calls[3][1] == "timer 0 is called (1 tick was missed)"
     assert interrupts(h)[1] == (101_000, "timer 0 returns")
 
@@ -285,7 +285,7 @@ PULSESTAGE_MAIN
 """
 
 
-def test_stacks_that_take_turns_make_bus_cycles_each():
+def test_coroutines_on_several_stacks_make_bus_cycles():
     h = everywhere(STACKS, 3, piece=0.00123457)
     assert said(h) == ["task 1", "task 2"]
     lines = h.board.trace.lines()["port"].tolist()
@@ -323,7 +323,7 @@ def test_computing_takes_its_cost_and_timers_come_in_the_middle_of_it(tmp_path):
         board = Board(Stage("xy", chips=PCL240K, visuals=False))
         h = NativeHost(source, board, isolated=isolated, cost=50e-9, flags=("-Wall", "-Wextra", "-Werror"))
         assert h.run(timeout=1).code == 0
-        left.append(left_behind(h))
+        left.append(collect_results(h))
     assert left[0] == left[1]
     flag, counted = map(int, said(h))
     assert flag == 1002, "the tick at 1000 us, its cycle, and that of ps_micros"
@@ -336,11 +336,11 @@ def test_computing_takes_its_cost_and_timers_come_in_the_middle_of_it(tmp_path):
 
 
 def test_timers_in_python_are_called_at_the_same_ns_wherever_the_firmware_runs():
-    seen: dict[bool, list] = {}
+    observed: dict[bool, list] = {}
     left = []
     for isolated in (False, True):
         h = host(TICKS, isolated)
-        calls = seen[isolated] = []
+        calls = observed[isolated] = []
 
         def hook(board=h.board, calls=calls):
             calls.append((board.stage.now, board.in8(0x300)))
@@ -351,11 +351,11 @@ def test_timers_in_python_are_called_at_the_same_ns_wherever_the_firmware_runs()
         h.board.on_timer(50.5, hook, level=2)
         h.run_for(0.0005)
         h.run(timeout=1)
-        left.append(left_behind(h))
-    assert seen[False] == seen[True]
+        left.append(collect_results(h))
+    assert observed[False] == observed[True]
     assert left[0] == left[1]
-    assert [ns for ns, _ in seen[True][:3]] == [50_500, 101_000, 151_500]
-    assert len(seen[True]) == 20
+    assert [ns for ns, _ in observed[True][:3]] == [50_500, 101_000, 151_500]
+    assert len(observed[True]) == 20
 
 
 def test_a_board_in_python_has_timers():
@@ -403,7 +403,7 @@ PULSESTAGE_MAIN
 """
 
 
-def test_a_hook_that_sets_its_own_level_goes_on_as_one_and_one_that_lowers_it_is_over():
+def test_a_hook_that_lowers_its_level_is_over():
     """ps_level(3) and ps_level(2) in hooks of level 3; then interrupts 3, 2 and 7 of levels 3, 3 and 4 while all are disabled"""
     host = NativeHost(firmware(SOURCE), Board(Stage("xy", visuals=False)), isolated=False)
     assert host.run().code == 0
@@ -432,7 +432,7 @@ PULSESTAGE_MAIN
 """
 
 
-def test_a_timer_of_firmware_that_its_hook_sets_anew_has_forgotten_the_ticks_of_before():
+def test_a_firmware_timer_that_its_hook_sets_again_has_no_old_ticks():
     """every 10 us, a hook of 35 that asks for another every 100: that comes 100 later, and has missed nothing"""
     host = NativeHost(firmware(TIMERS), Board(Stage("xy", visuals=False)), isolated=False)
     assert host.run().code == 0

@@ -15,7 +15,7 @@ import time
 import mujoco
 import numpy as np
 import pytest
-from board.test_native import MOVE, THREE, host, left_behind
+from board.test_native import MOVE, THREE, collect_results, host
 from support.compiled_firmware import firmware
 
 from stage import Stage, faults
@@ -25,7 +25,7 @@ from stage.chips import HCTL1100
 from stage.cli import main
 from stage.errors import StageError
 
-WAYS = pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
+RUNNERS = pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
 STOP_INTERRUPT = (
     MOVE
     + """
@@ -44,9 +44,9 @@ PULSESTAGE_MAIN
 
 
 def both(run):
-    """What `run(isolated)` leaves, in this process and in another."""
+    """Return the hosts of `run(isolated)` in this process and in another, which leave the same."""
     ours, theirs = run(False), run(True)
-    assert left_behind(ours) == left_behind(theirs)
+    assert collect_results(ours) == collect_results(theirs)
     return ours, theirs
 
 
@@ -55,11 +55,11 @@ def test_a_hook_in_python_is_called_at_the_same_nanosecond_and_drives_the_same_b
 
     def run(isolated):
         h = host(STOP_INTERRUPT, isolated=isolated)
-        seen = calls[isolated] = []
+        observed = calls[isolated] = []
 
         def hook():
             b = h.board
-            seen.append((b.stage.now, b.stage.axes["x"].position, b.cycles, b.in8(0x300), len(b.log)))
+            observed.append((b.stage.now, b.stage.axes["x"].position, b.cycles, b.in8(0x300), len(b.log)))
             b.out8(0x300, 0x08)  # clears the interrupt
             b.delay_us(250)
 
@@ -107,7 +107,7 @@ def test_an_error_of_a_hook_in_python_comes_out_as_it_was_raised_and_ends_the_ru
     assert host("PULSESTAGE_MAIN { return 3; }", isolated=True).run().code == 3
 
 
-def test_a_hook_taken_away_between_two_pieces_is_called_no_more():
+def test_a_hook_removed_between_two_runs_is_not_called():
     h = host(STOP_INTERRUPT, isolated=True)
     calls = []
     h.board.on_interrupt(lambda: (calls.append(h.board.stage.now), h.board.out8(0x300, 8)))
@@ -117,7 +117,7 @@ def test_a_hook_taken_away_between_two_pieces_is_called_no_more():
     assert len(calls) == 1
 
 
-def test_a_write_that_gets_lost_and_a_cpu_that_is_away_are_so_in_a_process_of_its_own():
+def test_faults_of_bus_and_cpu_act_on_isolated_firmware():
     def run(isolated):
         h = host(THREE, isolated=isolated)
         faults.lost_write(h.board.stage.axes["x"], address=0, value=0x15)
@@ -155,7 +155,7 @@ def test_a_hundred_thousand_writes_and_lines_arrive_all_of_them_in_order():
     assert [text.split(":")[0] for _, text in ours.board.log] == [str(k) for k in range(5000)]
 
 
-def test_a_line_longer_than_there_is_room_for_is_cut():
+def test_a_log_line_longer_than_its_buffer_is_cut():
     body = """
     static char text[100000];
     PULSESTAGE_MAIN { for (int k = 0; k < 99999; k++) text[k] = 'x'; ps_log("before"); ps_log(text); ps_log("after"); return 0; }
@@ -168,7 +168,7 @@ def test_a_line_longer_than_there_is_room_for_is_cut():
     assert len(lines[1]) > 30_000
 
 
-def test_a_recording_longer_than_the_room_for_samples_is_whole():
+def test_a_recording_longer_than_the_sample_buffer_is_complete():
     columns = []
     for isolated in (False, True):
         h = host(THREE.replace("return 7;", "ps_delay_us(1000000); return 7;"), isolated=isolated)
@@ -193,18 +193,18 @@ def test_what_a_servos_chip_sees_of_its_shaft_is_recorded_the_same(tmp_path):
         with board.stage.record() as recording:
             h.run()
         recording.to_vcd(tmp_path / f"{isolated}.vcd")
-        texts.append((left_behind(h), (tmp_path / f"{isolated}.vcd").read_text().split("$timescale")[1]))
+        texts.append((collect_results(h), (tmp_path / f"{isolated}.vcd").read_text().split("$timescale")[1]))
     assert texts[0] == texts[1]
 
 
-def test_a_crash_after_many_writes_leaves_the_stage_where_firmware_that_stopped_there_leaves_it():
+def test_a_crash_after_many_writes_leaves_the_stage_as_a_return_does():
     writes = "PULSESTAGE_MAIN { start(0x300, 3000, 0x15); for (int k = 0; k < 40000; k++) ps_out8(0x305, k);"
     crashed = host(f"#include <signal.h>\n{MOVE}{writes} raise(SIGSEGV); return 0; }}", isolated=True)
     stopped = host(f"{MOVE}{writes} return 0; }}")
     with pytest.raises(HostError, match="SIGSEGV"):
         crashed.run()
     stopped.run()
-    assert left_behind(crashed) == left_behind(stopped)
+    assert collect_results(crashed) == collect_results(stopped)
 
 
 def test_a_callback_of_mujoco_in_python_is_not_forgotten_in_silence():
@@ -225,7 +225,7 @@ MODES = {
 }
 
 
-@WAYS
+@RUNNERS
 @pytest.mark.parametrize("what", MODES)
 def test_whatever_firmware_makes_of_the_floating_point_mode_the_stage_has_the_same_bits(what, isolated):
     head, call, flags = MODES[what]
@@ -237,19 +237,19 @@ def test_whatever_firmware_makes_of_the_floating_point_mode_the_stage_has_the_sa
     board = Board(Stage("xyz", visuals=False))
     other = NativeHost(firmware(f"{head}\n{body}", *flags), board, isolated=isolated)
     other.run()
-    assert left_behind(other) == left_behind(usual)
+    assert collect_results(other) == collect_results(usual)
     after = host(THREE)
     after.run()
-    assert left_behind(after) == left_behind(usual), "the mode stays with the firmware"
+    assert collect_results(after) == collect_results(usual), "the mode stays with the firmware"
 
 
-def test_what_a_destructor_does_is_a_part_of_no_run_but_its_own():
+def test_cycles_of_a_destructor_are_not_part_of_the_next_run():
     """A library is loaded and unloaded once before it runs, to see what is wrong with it."""
-    late = "__attribute__((destructor)) static void late(void) { ps_out8(0x300, 0x08); }\n"
+    delayed = "__attribute__((destructor)) static void late(void) { ps_out8(0x300, 0x08); }\n"
 
     def run(isolated):
         h = host(
-            f"#include <pulsestage.h>\n{late}PULSESTAGE_MAIN {{ return ps_in8(0x304) == 0; }}\n", isolated=isolated
+            f"#include <pulsestage.h>\n{delayed}PULSESTAGE_MAIN {{ return ps_in8(0x304) == 0; }}\n", isolated=isolated
         )
         assert h.run().code == 0
         return h
@@ -258,7 +258,7 @@ def test_what_a_destructor_does_is_a_part_of_no_run_but_its_own():
         assert next(iter(h.board.trace)).port == 0x304
 
 
-def test_firmware_that_interrupts_itself_is_ended_by_sigint_and_prints_nothing(capfd):
+def test_firmware_that_raises_sigint_is_reported_and_prints_nothing(capfd):
     h = host(
         "#include <pulsestage.h>\n#include <signal.h>\nPULSESTAGE_MAIN { raise(SIGINT); return 0; }\n", isolated=True
     )
@@ -271,16 +271,16 @@ def test_a_note_of_a_crash_that_firmware_has_overwritten_says_nothing(tmp_path):
     assert crash_report.describe(b"\xff" * 9, tmp_path) == crash_report.describe(b"[1]", tmp_path) == ""
 
 
-def test_a_host_that_is_collected_as_garbage_while_another_begins_is_ended_behind_it(monkeypatch):
+def test_a_host_collected_while_another_starts_is_killed_after_it(monkeypatch):
     # NativeHost("driver.c", board, isolated=True), a hundred of them: one stood still for ever
     body = "#include <pulsestage.h>\n#include <unistd.h>\nPULSESTAGE_MAIN { return ps_in8(0x300) ? getpid() : 0; }\n"
-    kept = [host(body, isolated=True)]
-    (old,) = [child.run(1).code for child in kept]
+    stored = [host(body, isolated=True)]
+    (old,) = [child.run(1).code for child in stored]
     send, hosts = starter.Starter.send, []
 
     def collect_first(self, message, files):
         if message[0] == "start":
-            kept.clear()
+            stored.clear()
             gc.collect()
         send(self, message, files)
 
@@ -295,11 +295,11 @@ def test_a_host_that_is_collected_as_garbage_while_another_begins_is_ended_behin
     assert not os.path.exists(f"/proc/{old}")
 
 
-def test_a_fork_of_a_process_leaves_firmware_to_the_process_that_has_begun_it():
+def test_a_fork_does_not_control_the_firmware_of_its_parent():
     # host.run_for(1e-5); if not os.fork(): host.run()
     h = host("PULSESTAGE_MAIN { for (int k = 0; k < 100; k++) ps_in8(0x300); return 7; }", isolated=True)
     assert h.run_for(1e-5) is None
-    said, says = os.pipe()
+    said, pattern = os.pipe()
     if not (child := os.fork()):
         try:
             try:
@@ -308,7 +308,7 @@ def test_a_fork_of_a_process_leaves_firmware_to_the_process_that_has_begun_it():
                 text = str(error)
             code = h.run().code  # of its own
             h.close()
-            os.write(says, f"{code} {text}".encode())
+            os.write(pattern, f"{code} {text}".encode())
         finally:
             os._exit(0)
     os.waitpid(child, 0)
@@ -321,10 +321,10 @@ def test_a_fork_of_a_process_leaves_firmware_to_the_process_that_has_begun_it():
     os.waitpid(child, 0)
     result = h.run()
     assert (result.code, result.cycles, h.board.stage.now) == (7, 100, 100_000)
-    os.close(said), os.close(says)
+    os.close(said), os.close(pattern)
 
 
-def test_no_room_for_the_shared_memory_is_said_before_anything_runs(monkeypatch, tmp_path, capfd):
+def test_a_full_disk_is_reported_before_firmware_runs(monkeypatch, tmp_path, capfd):
     # stage run driver.so, and the folder for temporary files is nearly full
     library = firmware("PULSESTAGE_MAIN { return 0; }")
 

@@ -53,7 +53,7 @@ def test_chips_lie_where_the_file_says(card):
     assert pickle.loads(pickle.dumps(board.options["layout"])) == board.options["layout"]
 
 
-def test_ports_of_ones_own_lie_one_after_the_other_unless_the_file_says_how_far(tmp_path):
+def test_the_stride_of_a_layout_file_defaults_to_its_ports(tmp_path):
     path = tmp_path / "card.toml"
     strides = {}
     for more in (
@@ -63,8 +63,8 @@ def test_ports_of_ones_own_lie_one_after_the_other_unless_the_file_says_how_far(
         "stride = 9",
     ):
         path.write_text(f'like = "pcl240"\n{more}\n')
-        made = read_layout(path)
-        strides[more] = made.stride, len(made.ports)
+        built = read_layout(path)
+        strides[more] = built.stride, len(built.ports)
     assert list(strides.values()) == [(4, 4), (5, 5), (9, 1), (9, 4)]
 
 
@@ -88,11 +88,11 @@ def test_every_shipped_layout_can_be_written_as_a_file(name, tmp_path):
 
     path = tmp_path / f"{name}.json"
     kind = {"PCL240": "PCL240K", "Nova": "MCX304"}.get(shipped.kind.__name__, shipped.kind.__name__)
-    given = {
+    argument = {
         "chip": kind, "title": shipped.title, "base": hex(shipped.base),
         "stride": shipped.stride, "ports": [*map(text, shipped.ports)], "own": [*map(text, shipped.own)], "chips": shipped.chips,
     }  # fmt: skip
-    path.write_text(json.dumps(given))
+    path.write_text(json.dumps(argument))
     again = read_layout(path)
     for field in ("name", "title", "ports", "stride", "base", "own", "chips"):
         assert getattr(again, field) == getattr(shipped, field)
@@ -105,7 +105,7 @@ def test_every_shipped_layout_can_be_written_as_a_file(name, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("ports = []", r'there is no line that names the class of the chips. Add for example: chip = "PCL240K"'),
         ('chip = "PCL240K"', r'Add for example: ports = \["byte 0", .*or: like = "pcl240"'),
@@ -127,15 +127,15 @@ def test_every_shipped_layout_can_be_written_as_a_file(name, tmp_path):
         ("chip = ", r"is no TOML: Invalid value"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_in_a_file_is_said_with_the_line_to_write(text, said, tmp_path, stage):
+def test_an_error_in_a_layout_file_suggests_the_line_to_write(text, message, tmp_path, stage):
     path = tmp_path / "card.toml"
     path.write_text(text)
-    with pytest.raises(ArgumentError, match=said) as error:
+    with pytest.raises(ArgumentError, match=message) as error:
         Board(stage, layout=path)
     assert str(path) in str(error.value)
 
 
-def test_a_file_that_is_none_or_does_not_fit_is_said(tmp_path, stage, card):
+def test_a_missing_or_unsuitable_layout_file_is_refused(tmp_path, stage, card):
     with pytest.raises(FileError, match=r"there is no layout .*none.toml"):
         Board(stage, layout=str(tmp_path / "none.toml"))
     with pytest.raises(ArgumentError, match=r"ends in .toml or .json"):
@@ -158,7 +158,7 @@ def test_stage_run_takes_the_file_a_clock_and_a_patience(card, capsys):
     assert "patience=0.0: seconds of real time, more than 0" in capsys.readouterr().err
 
 
-def test_a_clock_is_that_of_every_chip_that_is_given_by_class_or_name():
+def test_clock_applies_to_chips_named_by_class_or_text():
     assert [chip.clock_hz for chip in Stage("xy", clock=4_000_000, visuals=False).chips] == [4_000_000] * 2
     mixed = Stage("xy", chips={"x": "PCL240K", "y": lambda: MCX514(clock_hz=8_000_000)}, clock=1_000_000, visuals=False)
     assert [mixed.axes[name].chip.clock_hz for name in "xy"] == [1_000_000, 8_000_000]

@@ -25,13 +25,13 @@ def board():
     return Board(Stage("xyz", visuals=False))
 
 
-def plain(tmp_path, text: str, *flags: str, name: str = "plain.so"):
+def reference(tmp_path, text: str, *flags: str, name: str = "plain.so"):
     """A library built without the header."""
     firmware("PULSESTAGE_MAIN { return 0; }")  # skips without a compiler
-    source, made = tmp_path / "plain.c", tmp_path / name
+    source, built = tmp_path / "plain.c", tmp_path / name
     source.write_text(text)
-    subprocess.run(["cc", *(flags or ("-shared", "-fPIC")), str(source), "-o", str(made)], check=True)
-    return made
+    subprocess.run(["cc", *(flags or ("-shared", "-fPIC")), str(source), "-o", str(built)], check=True)
+    return built
 
 
 @pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
@@ -43,7 +43,7 @@ def test_a_library_without_the_entry_point_says_what_was_looked_for(board, isola
 
 def test_a_library_built_without_the_header_is_refused(board, tmp_path):
     with pytest.raises(LibraryError, match=f"pulsestage_abi.*include <pulsestage.h>.*{BUILD}"):
-        NativeHost(plain(tmp_path, "double pulsestage_main(double x) { return x; }"), board)
+        NativeHost(reference(tmp_path, "double pulsestage_main(double x) { return x; }"), board)
 
 
 def test_a_wrong_signature_does_not_compile():
@@ -54,7 +54,7 @@ def test_a_wrong_signature_does_not_compile():
 def test_a_library_of_another_version_is_refused(board, tmp_path):
     text = "unsigned pulsestage_abi = 9; void *pulsestage_bus; int pulsestage_main(void) { return 0; }"
     with pytest.raises(LibraryError, match=r"version 9.*build it again"):
-        NativeHost(plain(tmp_path, text), board)
+        NativeHost(reference(tmp_path, text), board)
 
 
 def test_what_is_no_library_is_named(board, tmp_path):
@@ -73,7 +73,7 @@ def test_a_library_that_needs_another_says_which(board, tmp_path):
         LibraryError, match=r"cannot be loaded: .*nowhere_to_be_found.* add a source that has it .*porting\.md"
     ):
         NativeHost(
-            plain(
+            reference(
                 tmp_path,
                 "#include <pulsestage.h>\nint nowhere_to_be_found(void); PULSESTAGE_MAIN { return nowhere_to_be_found(); }",
                 *("-shared", "-fPIC", f"-I{include()}"),
@@ -82,7 +82,7 @@ def test_a_library_that_needs_another_says_which(board, tmp_path):
         )
 
 
-def test_without_a_compiler_it_is_said(monkeypatch, tmp_path):
+def test_without_a_compiler_the_build_raises_no_compiler_error(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
     (tmp_path / "a.c").write_text("")
@@ -96,10 +96,10 @@ def test_several_sources_share_one_bus_and_cpp_works(board, tmp_path):
     (tmp_path / "b.c").write_text("#include <pulsestage.h>\nint other(void) { return ps_in8(0x300); }\n")
     assert NativeHost(build([tmp_path / "a.c", tmp_path / "b.c"], flags=STRICT), board).run().code == 0xA8
     if shutil.which("c++"):
-        made = firmware(
+        built = firmware(
             'struct S { ~S() { ps_log("bye"); } }; PULSESTAGE_MAIN { S s; return ps_in8(0x300); }', suffix=".cpp"
         )
-        assert NativeHost(made, board).run().code == 0xA8
+        assert NativeHost(built, board).run().code == 0xA8
         assert board.log[-1][1] == "bye"
 
 
@@ -123,10 +123,10 @@ def test_what_is_no_board_is_refused_before_anything_is_built():
         NativeHost("missing.c", object())
 
 
-WAYS = pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
+RUNNERS = pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
 
 
-@WAYS
+@RUNNERS
 def test_functions_of_the_firmware_win_over_the_systems_of_the_same_name(isolated, tmp_path):
     # stage run driver.c, with `int wait(int ms)` and `pause()` in it
     source = tmp_path / "driver.c"
@@ -157,7 +157,7 @@ def test_libraries_among_the_flags_come_after_the_sources(tmp_path):
     assert NativeHost(library, Board(Stage("xy", visuals=False))).run().code == 42
 
 
-def test_a_source_of_rust_or_zig_and_a_folder_are_told_what_to_build(tmp_path):
+def test_the_build_command_of_rust_and_zig_and_for_a_folder(tmp_path):
     assert how_to_build("x/it.rs").startswith("rustc --edition 2024 --crate-type cdylib x/it.rs -o it.")
     assert how_to_build("it.zig") == "zig build-lib -dynamic -O ReleaseSafe it.zig"
     with pytest.raises(FileError, match=r"is a folder\. Name a library, or the sources of one: cc "):
@@ -165,7 +165,7 @@ def test_a_source_of_rust_or_zig_and_a_folder_are_told_what_to_build(tmp_path):
 
 
 @pytest.mark.parametrize("output", ["b.c", "b.cpp", "b.ino", "b.h"])
-def test_a_source_as_the_output_stays_and_is_told(tmp_path, output):
+def test_a_source_as_output_is_refused_and_not_overwritten(tmp_path, output):
     """build(a, b): the second is the output"""
     for name in ("a.c", output):
         (tmp_path / name).write_text("int one;\n")
@@ -184,7 +184,7 @@ def elf(kind, machine, order="<"):
 
 
 @pytest.mark.parametrize(
-    ("head", "said", "instead"),
+    ("head", "message", "instead"),
     [
         (elf(SHARED, 20, ">"), "built for PowerPC, and", ""), (elf(SHARED, 8, ">"), "built for MIPS, and", ""),
         (elf(SHARED, 40), "built for ARM (32 bit), and", "--mcu cortex-m3 (docs/targets.md)."),
@@ -193,25 +193,25 @@ def elf(kind, machine, order="<"):
         (elf(SHARED, 999), "built for machine 999, and", ""),
     ],
 )  # fmt: skip
-def test_a_library_of_another_machine_says_of_which_and_where_it_can_run(tmp_path, head, said, instead):
+def test_a_library_of_another_machine_says_of_which_and_where_it_can_run(tmp_path, head, message, instead):
     file = tmp_path / "x.so"
     file.write_bytes(head)
     with pytest.raises(LibraryError) as refused:
         library.check_library(file)
-    assert said in str(refused.value)
+    assert message in str(refused.value)
     assert ("Or run it as it is, on an emulated processor" in str(refused.value)) == bool(instead)
     assert str(refused.value).endswith(instead)
 
 
 @pytest.mark.parametrize(
-    ("kind", "said"),
+    ("kind", "message"),
     [(1, "is an object file, not"), (2, "is a program, not"), (4, "is a core dump, not"), (9, "is no library, not")],
 )
 @pytest.mark.skipif(not OURS, reason="of the usual machines")
-def test_what_is_no_library_says_what_it_is(tmp_path, kind, said):
+def test_what_is_no_library_says_what_it_is(tmp_path, kind, message):
     file = tmp_path / "x.so"
     file.write_bytes(elf(kind, OURS))
-    with pytest.raises(LibraryError, match=said):
+    with pytest.raises(LibraryError, match=message):
         library.check_library(file)
     file.write_bytes(elf(SHARED, OURS))
     assert library.check_library(str(file)) == file
@@ -232,21 +232,21 @@ def test_what_is_no_library_says_what_it_is(tmp_path, kind, said):
         ("a/driver.zig", "Linux", "zig build-lib -dynamic -O ReleaseSafe a/driver.zig"),
     ],
 )
-def test_how_to_build_is_said_for_each_language_and_system(monkeypatch, name, system, command):
+def test_the_build_command_suits_language_and_system(monkeypatch, name, system, command):
     monkeypatch.setattr(platform, "system", lambda: system)
     assert library.how_to_build(name) == command
 
 
-def test_the_compiler_is_that_of_the_environment_and_else_the_first_that_is_there(monkeypatch):
+def test_the_compiler_is_that_of_the_environment_or_the_first_installed(monkeypatch):
     """CC="own -O1", which is there; one that is not; c++ of several; none"""
-    there = {"own", "gcc", "clang++"}
-    monkeypatch.setattr(library.shutil, "which", lambda name: name if name in there else None)
+    available = {"own", "gcc", "clang++"}
+    monkeypatch.setattr(library.shutil, "which", lambda name: name if name in available else None)
     monkeypatch.setenv("CC", "own -O1"), monkeypatch.setenv("CXX", "lost")
     assert library.find_compiler("x.c") == "own -O1"
     assert library.find_compiler("x.cpp") == "clang++"
     monkeypatch.setenv("CC", "lost")
     assert library.find_compiler() == "gcc"
-    there.clear()
+    available.clear()
     with pytest.raises(
         library.NoCompilerError, match=r"for x\.cc: none of c\+\+, g\+\+, clang\+\+ is on the PATH, and \$CXX is not"
     ):

@@ -22,7 +22,7 @@ HEAD = f"""
 #include <string.h>
 #define AT(type, n) (*(volatile type *)(uintptr_t)({AT:#x}u + (n)))
 """
-WAYS = """
+RUNNERS = """
 #ifdef PORTS
 #define READ(bits, n) ps_in##bits(0x300 + (n))
 #define WRITE(bits, n, v) ps_out##bits(0x300 + (n), (uint##bits##_t)(v))
@@ -97,8 +97,8 @@ def ran(library, chips=MCX304, pieces: float = 0, **options) -> tuple:
 
 def same_as_ports(body: str, *flags: str, chips=MCX304) -> None:
     """Accesses to a window leave what port cycles leave."""
-    by_ports = ran(firmware(HEAD + WAYS + body, "-DPORTS", *flags), chips)
-    library = firmware(HEAD + WAYS + body, *flags)
+    by_ports = ran(firmware(HEAD + RUNNERS + body, "-DPORTS", *flags), chips)
+    library = firmware(HEAD + RUNNERS + body, *flags)
     assert ran(library, chips, map=WINDOW) == by_ports
 
 
@@ -121,12 +121,12 @@ def test_a_loop_with_delays_and_calls_takes_one_signal():
     """
     same_as_ports(body)
     board = Board(Stage("xy", chips=MCX304, visuals=False))
-    NativeHost(firmware(HEAD + WAYS + body), board, map=WINDOW).run()
+    NativeHost(firmware(HEAD + RUNNERS + body), board, map=WINDOW).run()
     assert board.link.record["faults"] == 1
 
 
 def test_registers_of_cpp_are_the_same_cycles_and_need_no_window():
-    body = HEAD + WAYS + accesses(random.Random(77), 36)
+    body = HEAD + RUNNERS + accesses(random.Random(77), 36)
     assert ran(firmware(body, "-DPROXIES", suffix=".cpp")) == ran(firmware(body, "-DPORTS"))
     struct = """
     #define PULSESTAGE_MMIO_ADDRESS 0x40021000
@@ -173,9 +173,9 @@ def test_a_run_in_pieces_that_end_within_accesses_is_the_same():
         HEAD
         + "PULSESTAGE_MAIN { for (int k = 0; k < 300; k++) AT(uint16_t, 4) = (uint16_t)k; return AT(uint16_t, 4); }"
     )
-    whole = ran(firmware(body), map=WINDOW)
-    assert ran(firmware(body), pieces=7.3e-6, map=WINDOW)[:4] == whole[:4]
-    assert ran(firmware(body), pieces=41e-6, map=WINDOW)[:4] == whole[:4]
+    complete = ran(firmware(body), map=WINDOW)
+    assert ran(firmware(body), pieces=7.3e-6, map=WINDOW)[:4] == complete[:4]
+    assert ran(firmware(body), pieces=41e-6, map=WINDOW)[:4] == complete[:4]
 
 
 HOOKED = """
@@ -225,7 +225,7 @@ def test_python_is_called_within_an_access():
     for flags, options in ((("-DPORTS",), {}), ((), {"map": WINDOW})):
         board = Board(Stage("xy", chips=PCL240K, visuals=False))
         faults.lost_write(board.stage.axes["x"], skip=7)
-        host = NativeHost(firmware(HEAD + WAYS + body, *flags), board, **options)
+        host = NativeHost(firmware(HEAD + RUNNERS + body, *flags), board, **options)
         left.append((host.run().code, board.trace.lines().tobytes()))
         assert "lost on the way" in str(board.trace)
     assert left[0] == left[1]
@@ -273,10 +273,10 @@ WRONG = {
 
 
 def test_an_access_that_is_no_bus_cycle_is_an_error_in_words():
-    for what, (body, said) in WRONG.items():
+    for what, (body, message) in WRONG.items():
         board = Board(Stage("xy", chips=MCX304, visuals=False))
         library = firmware(HEAD + body, "-Wno-array-bounds")
-        with pytest.raises(HostError, match=said) as error:
+        with pytest.raises(HostError, match=message) as error:
             NativeHost(library, board, map=WINDOW).run()
         assert board.cycles == 1, what
         assert "304h W 01h" in str(error.value) or what == "ps_window"
@@ -301,10 +301,10 @@ WILD = {
 
 
 @pytest.mark.parametrize("what", WILD)
-def test_a_wild_pointer_is_told_as_without_windows(what):
-    body, said = WILD[what]
+def test_a_wild_pointer_is_reported_as_without_windows(what):
+    body, message = WILD[what]
     board = Board(Stage("xy", chips=MCX304, visuals=False))
-    with pytest.raises(HostError, match=f"SIGSEGV.*{said}"):
+    with pytest.raises(HostError, match=f"SIGSEGV.*{message}"):
         NativeHost(firmware(HEAD + body, "-Wno-infinite-recursion"), board, map=WINDOW).run()
 
 

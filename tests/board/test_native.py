@@ -51,11 +51,11 @@ def host(body: str, chips=PCL240K, isolated: bool = False, **options) -> NativeH
     return NativeHost(firmware(body), Board(Stage("xyz", chips=chips, visuals=False)), isolated=isolated, **options)
 
 
-def left_behind(h: NativeHost) -> tuple:
+def collect_results(h: NativeHost) -> tuple:
     """All that a run leaves: state, trace, log, diagnostics."""
     stage = h.board.stage
-    said = [chip.diagnostics for chip in stage.chips]
-    return stage.snapshot().state.tobytes(), h.board.trace.lines().tobytes(), h.board.log, h.board.cycles, said
+    message = [chip.diagnostics for chip in stage.chips]
+    return stage.snapshot().state.tobytes(), h.board.trace.lines().tobytes(), h.board.log, h.board.cycles, message
 
 
 def in_pieces(h: NativeHost) -> NativeHost:
@@ -67,29 +67,29 @@ def in_pieces(h: NativeHost) -> NativeHost:
     return h
 
 
-def test_the_same_firmware_gives_the_same_bits_in_every_run_in_pieces_and_in_a_process_of_its_own():
-    whole, again, apart = host(THREE), host(THREE), host(THREE, isolated=True)
-    for h in (whole, again, apart):
+def test_firmware_gives_the_same_bits_in_every_run_in_pieces_and_isolated():
+    complete, again, in_process_of_its_own = host(THREE), host(THREE), host(THREE, isolated=True)
+    for h in (complete, again, in_process_of_its_own):
         assert h.run().code == 7
-    assert left_behind(whole) == left_behind(again) == left_behind(apart)
+    assert collect_results(complete) == collect_results(again) == collect_results(in_process_of_its_own)
     pieces = host(THREE)
     while pieces.run_for(0.0123457) is None:
         pass
-    assert left_behind(pieces) == left_behind(whole)
-    assert whole.board.log[0] == (0.0, "run 1")
-    whole.run()
-    assert whole.board.log[2][1] == "run 1", "a run from the entry has fresh variables"
+    assert collect_results(pieces) == collect_results(complete)
+    assert complete.board.log[0] == (0.0, "run 1")
+    complete.run()
+    assert complete.board.log[2][1] == "run 1", "a run from the entry has fresh variables"
 
 
-def test_what_a_test_changes_between_two_pieces_reaches_firmware_in_a_process_of_its_own():
+def test_changes_between_two_runs_reach_isolated_firmware():
     ours, theirs = in_pieces(host(THREE, PCL240MS)), in_pieces(host(THREE, PCL240MS, isolated=True))
-    assert left_behind(ours) == left_behind(theirs)
+    assert collect_results(ours) == collect_results(theirs)
     unloaded = host(THREE, PCL240MS)
     unloaded.run()
-    assert left_behind(unloaded)[0] != left_behind(ours)[0]
+    assert collect_results(unloaded)[0] != collect_results(ours)[0]
 
 
-def test_firmware_stands_still_at_the_very_nanosecond_and_goes_on():
+def test_firmware_pauses_at_the_exact_nanosecond_and_continues():
     h = host("PULSESTAGE_MAIN { ps_delay_us(1000); return 3; }")
     assert h.run_for(0.000123456) is None
     assert (h.board.stage.now, h.running) == (123_456, True)
@@ -112,12 +112,13 @@ def test_firmware_that_never_returns_is_stopped_by_time_or_by_cycles_and_shows_t
     with pytest.raises(HostTimeout, match=r"100 bus cycles in less than 0\.5 s"):
         h.run_for(0.5, max_cycles=100)
     assert h.running
-    asked = []
+    requested = []
     begin = h.board.stage.time
     assert (
-        h.run_until(lambda: asked.append(h.board.stage.time) or h.board.stage.time > 0.3, timeout=1, poll=0.01) > 0.04
+        h.run_until(lambda: requested.append(h.board.stage.time) or h.board.stage.time > 0.3, timeout=1, poll=0.01)
+        > 0.04
     )
-    assert len(asked) > (asked[-1] - begin) / 0.01 - 3, "asked at each poll"
+    assert len(requested) > (requested[-1] - begin) / 0.01 - 3, "asked at each poll"
     with pytest.raises(RunTimeout, match="did not come true"):
         h.run_until(lambda: False, timeout=0.002)
     with pytest.raises(StageError, match="one host"):
@@ -129,7 +130,7 @@ def test_firmware_that_waits_for_a_timer_gets_on():
     assert h.run(timeout=1).seconds == pytest.approx(500e-6, abs=3e-6)
 
 
-def test_firmware_that_computes_for_ever_in_its_own_process_is_ended():
+def test_isolated_firmware_that_computes_for_ever_is_killed():
     h = host("PULSESTAGE_MAIN { ps_out8(0x300, 8); for (volatile int k = 0;; k++) ; }", isolated=True, patience=0.4)
     with pytest.raises(HostError, match="without a bus cycle"):
         h.run()
@@ -148,9 +149,9 @@ def test_a_crash_is_an_error_that_shows_the_last_cycles_and_the_recording_arrive
     )
     reads = "ps_in8(0x304); " * 5  # the host is ahead of its stage then
     h = host(body + f' ps_log("falling"); {reads} runs = 1; {crash} return 0; }}', isolated=True)
-    with h.board.stage.record() as recording, pytest.raises(HostError, match=rf"(?s){signal}.*304h R") as told:
+    with h.board.stage.record() as recording, pytest.raises(HostError, match=rf"(?s){signal}.*304h R") as failure:
         h.run()
-    assert str(told.value).partition("Its last bus cycles:\n")[2] == h.board.trace.text(12)
+    assert str(failure.value).partition("Its last bus cycles:\n")[2] == h.board.trace.text(12)
     assert h.board.log[0][1] == "falling"
     assert h.board.stage.now == 100_000_000 + h.board.cycles * 1000
     assert h.board.stage.axes["x"].position > 1e-4
@@ -174,31 +175,33 @@ def test_a_stage_that_diverges_ends_the_firmware_with_the_state_before_it():
     assert h.run_for(0.01) is None, "a new run"
 
 
-def test_faults_of_the_bus_strike_writes_of_firmware_and_are_seen_in_the_trace():
-    plain = Stage("xyz")
-    faults.lost_write(plain.axes["x"], address=0, value=0x15)
-    board = Board(plain)
+def test_lost_writes_of_firmware_appear_in_the_trace():
+    reference = Stage("xyz")
+    faults.lost_write(reference.axes["x"], address=0, value=0x15)
+    board = Board(reference)
     NativeHost(firmware(THREE), board).run()
-    assert plain.axes["x"].position == pytest.approx(0, abs=1e-5)
-    assert plain.axes["y"].position > 1e-3
+    assert reference.axes["x"].position == pytest.approx(0, abs=1e-5)
+    assert reference.axes["y"].position > 1e-3
     assert "lost on the way" in str(board.trace)
 
 
-def test_a_long_run_of_writes_is_linted_when_somebody_looks():
+def test_diagnostics_of_a_long_run_are_those_of_single_writes():
     h = host("PULSESTAGE_MAIN { for (int k = 0; k < 5000; k++) ps_out8(0x300, 0x80); ps_out8(0x300, 0x15); return 0; }")
     h.run()
-    said = h.board.stage.axes["x"].chip.diagnostics
+    message = h.board.stage.axes["x"].chip.diagnostics
     chip = Stage("xyz").axes["x"].chip
     for _ in range(5000):
         chip.write(0, 0x80)
     chip.write(0, 0x15)
-    assert said == chip.diagnostics != []
+    assert message == chip.diagnostics != []
 
 
-@pytest.mark.parametrize("asked", [{"timeout": -1}, {"timeout": float("nan")}, {"timeout": "long"}, {"max_cycles": 0}])
-def test_bounds_that_make_no_sense_are_refused(asked):
+@pytest.mark.parametrize(
+    "requested", [{"timeout": -1}, {"timeout": float("nan")}, {"timeout": "long"}, {"max_cycles": 0}]
+)
+def test_bounds_that_make_no_sense_are_refused(requested):
     with pytest.raises(ArgumentError):
-        host(FOR_EVER).run(**asked)
+        host(FOR_EVER).run(**requested)
 
 
 def test_the_header_and_python_agree_on_the_requests():
@@ -209,8 +212,8 @@ def test_the_header_and_python_agree_on_the_requests():
     names = "".join(text[text.index("enum {") + 6 : text.index("};", text.index("enum {"))].split()).split(",")
     number = -1
     for name in names:
-        name, _, given = name.partition("=")
-        number = int(given) if given else number + 1
+        name, _, value = name.partition("=")
+        number = int(value) if value else number + 1
         assert getattr(host_record, name.removeprefix("PS_")) == number, name
     assert len(names) > 10
     assert ctypes.sizeof(library.BusStruct) == 24

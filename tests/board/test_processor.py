@@ -27,52 +27,54 @@ STRING = (
 
 def instructions() -> list[tuple[str, int]]:
     """Each with the flags that it defines. (%rsi) is memory; -8(%rsi) and 8(%rsi) as well."""
-    found: list[tuple[str, int]] = []
+    matches: list[tuple[str, int]] = []
     for size, letter in LETTERS.items():
         a, b, _, d = (f"%{name}" for name in NAMES[size].split())
         for name in "add or adc sbb and sub xor cmp".split():
-            found += [
+            matches += [
                 (f"{name}{letter} {text}", ALL)
                 for text in (f"{b}, {a}", f"{b}, (%rsi)", f"(%rsi), {d}", f"$-7, {a}", "$0x5a, (%rsi)")
             ]
-        found.append((f"add{letter} ${0x12 if size == 1 else 0x1234}, {a}", ALL))
+        matches.append((f"add{letter} ${0x12 if size == 1 else 0x1234}, {a}", ALL))
         for name in "inc dec neg".split():
-            found += [(f"{name}{letter} {where}", ALL) for where in (a, "(%rsi)")]
-        found += [(f"not{letter} {where}", ALL) for where in (b, "(%rsi)")]
-        found += [(f"test{letter} {text}", ALL) for text in (f"{b}, {a}", f"$0x41, {d}", f"$0x41, {a}", f"{b}, (%rsi)")]
+            matches += [(f"{name}{letter} {where}", ALL) for where in (a, "(%rsi)")]
+        matches += [(f"not{letter} {where}", ALL) for where in (b, "(%rsi)")]
+        matches += [
+            (f"test{letter} {text}", ALL) for text in (f"{b}, {a}", f"$0x41, {d}", f"$0x41, {a}", f"{b}, (%rsi)")
+        ]
         for name in "shl shr sar".split():
-            found += [(f"{name}{letter} {where}", ALL & ~AF) for where in (a, "(%rsi)")]
-            found.append((f"{name}{letter} $5, {d}", ALL & ~AF & ~OF))
+            matches += [(f"{name}{letter} {where}", ALL & ~AF) for where in (a, "(%rsi)")]
+            matches.append((f"{name}{letter} $5, {d}", ALL & ~AF & ~OF))
             if size > 2:  # of shorter ones flags are undefined where all is shifted out
-                found.append((f"{name}{letter} %cl, {a}", ALL & ~AF & ~OF))
+                matches.append((f"{name}{letter} %cl, {a}", ALL & ~AF & ~OF))
         if size < 8:
-            found += [(f"{name}{letter} {where}", ALL & ~AF) for name in ("rol", "ror") for where in (a, "(%rsi)")]
-            found += [(f"{name}{letter} $3, {a}", ALL & ~AF & ~OF) for name in ("rol", "ror")]
-        found += [(f"xchg{letter} {b}, {where}", ALL) for where in (a, "(%rsi)")]
-        found += [
+            matches += [(f"{name}{letter} {where}", ALL & ~AF) for name in ("rol", "ror") for where in (a, "(%rsi)")]
+            matches += [(f"{name}{letter} $3, {a}", ALL & ~AF & ~OF) for name in ("rol", "ror")]
+        matches += [(f"xchg{letter} {b}, {where}", ALL) for where in (a, "(%rsi)")]
+        matches += [
             (f"mov{letter} {text}", ALL) for text in (f"{b}, 8(%rsi)", f"-8(%rsi), {a}", "$-3, (%rsi)", f"$0x31, {d}")
         ]
         if size > 1:
-            found += [
+            matches += [
                 (f"{name}{letter} {text}", CF)
                 for name in ("bt", "bts", "btr", "btc")
                 for text in (f"$9, {a}", "$3, (%rsi)")
             ]
-            found += [(f"{name}{letter} {b}, {a}", CF) for name in ("bt", "bts", "btr", "btc")]
-            found += [
+            matches += [(f"{name}{letter} {b}, {a}", CF) for name in ("bt", "bts", "btr", "btc")]
+            matches += [
                 (f"cmov{condition} (%rsi), {a}", ALL) for condition in "o no b ae e ne be a s ns p np l ge le g".split()
             ]
-            found += [(f"lea{letter} -5(%rsi,%rcx,4), {d}", ALL)]
+            matches += [(f"lea{letter} -5(%rsi,%rcx,4), {d}", ALL)]
             if size < 8:
-                found += [
+                matches += [
                     (f"imul{letter} {text}", CF | OF) for text in (f"(%rsi), {a}", f"$-300, {b}, {d}", f"$7, {b}, {d}")
                 ]
     for condition in "o no b ae e ne be a s ns p np l ge le g".split():
-        found += [(f"set{condition} %dl", ALL), (f"j{condition} 1f\n movl $77, %eax\n1:", ALL)]
+        matches += [(f"set{condition} %dl", ALL), (f"j{condition} 1f\n movl $77, %eax\n1:", ALL)]
     for text in "movzbl %ah,%ebx|movzwl (%rsi),%edx|movzbq (%rsi),%rdx|movsbw (%rsi),%dx|movswl %bx,%eax|movslq (%rsi),%rax".split(
         "|"
     ):
-        found.append((text, ALL))
+        matches.append((text, ALL))
     for text in (
         "movb (%rsi), %ah", "movb %ah, -8(%rsi)", "movb %bh, %bl",
         "movb %ch, %al", "movb %bl, %dh", "addb %ah, %bh", "cbtw", "cwtl", "cltq", "cwtd", "cltd", "cqto", "nop", "nopw 8(%rax)",
@@ -83,16 +85,16 @@ def instructions() -> list[tuple[str, int]]:
         "movl $1, %r8d\n movzbl 3(%rsi,%r8,2), %edx", "movq %rsi, %r8\n movq (%r8), %rax\n movw %bx, -8(%r8)",
         "push %rbp\n movq %rsp, %rbp\n push %rax\n leave", "shll $0, %eax", "shrb $0, (%rsi)", "sarq $0, %rdx",
     ):  # fmt: skip
-        found.append((text, ALL))
+        matches.append((text, ALL))
     for text in ("rolb $11, %al", "rorw $19, %ax", "rolw $21, (%rsi)", "rorb $9, %dl"):
-        found.append((text, CF | ZF))
-    found += [(text, 0) for text in ("shlb $8, %al", "shlb $9, %dl", "shrw $16, %ax", "shrb $12, %al")]
+        matches.append((text, CF | ZF))
+    matches += [(text, 0) for text in ("shlb $8, %al", "shlb $9, %dl", "shrw $16, %ax", "shrb $12, %al")]
     for name, letter in ((name, letter) for name in ("movs", "stos") for letter in LETTERS.values()):
         for repeat in ("", "movl $2, %ecx\n rep ", "xorl %ecx, %ecx\n rep "):
             if letter == "q" and "2" in repeat:
                 continue  # there is room for one
-            found.append((STRING.format(f"{repeat}{name}{letter}"), 0))
-    return found
+            matches.append((STRING.format(f"{repeat}{name}{letter}"), 0))
+    return matches
 
 
 CHECK = r"""
@@ -119,9 +121,9 @@ def program(texts: list[str]) -> str:
     for k, text in enumerate(texts):
         code = " ".join(f'"{line}\\n"' for line in text.replace("%", "%%").split("\n"))
         lines += [f"#define NAME f{k}", f"BOTH({code})", "#undef NAME"]
-    names, shown = (", ".join(each) for each in zip(*((f"f{k}", f'"{t}"') for k, t in enumerate(texts)), strict=True))
+    names, output = (", ".join(each) for each in zip(*((f"f{k}", f'"{t}"') for k, t in enumerate(texts)), strict=True))
     lines.append(f"static void (*const each[])(struct all *, volatile void *) = {{{names}}};")
-    lines.append(f"static const char *const texts[] = {{{shown}}};".replace("\n", " ; "))
+    lines.append(f"static const char *const texts[] = {{{output}}};".replace("\n", " ; "))
     lines.append(
         r"""
     #include <string.h>
@@ -152,7 +154,7 @@ def program(texts: list[str]) -> str:
     return "\n".join(lines)
 
 
-def test_instructions_behind_an_access_do_what_the_processor_does():
+def test_emulated_instructions_do_what_the_processor_does():
     table = instructions()
     masks = ", ".join(str(mask) for _, mask in table)
     head = f"enum {{ EACH = {EACH} }};\nstatic const uint64_t masks[] = {{{masks}}};\n"

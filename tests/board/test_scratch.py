@@ -40,7 +40,7 @@ def mapped(pid: int | str, name: str) -> set[Path]:
 
 
 @pytest.mark.parametrize("isolated", [False, True], ids=["thread", "process"])
-def test_the_loaded_copy_is_there_while_it_runs_and_gone_when_the_host_is_closed(isolated, folder):
+def test_the_loaded_copy_exists_until_the_host_is_closed(isolated, folder):
     library = firmware(STANDS)
     with NativeHost(library, Board(Stage("xy", visuals=False)), isolated=isolated) as host:
         assert host.run_for(0.1) is None
@@ -60,7 +60,7 @@ def test_a_crash_leaves_no_file(folder):
     assert of_runs(folder) == []
 
 
-def test_what_is_built_from_sources_goes_with_its_host(folder, tmp_path_factory):
+def test_a_library_built_from_sources_is_removed_with_its_host(folder, tmp_path_factory):
     source = tmp_path_factory.mktemp("source") / "it.c"
     source.write_text("#include <pulsestage.h>\nPULSESTAGE_MAIN { return 3; }\n")
     host = NativeHost(source, Board(Stage("xy", visuals=False)))
@@ -110,7 +110,7 @@ def test_no_file_stays_when_the_program_ends_or_is_killed(isolated, end, tmp_pat
     assert of_runs(temporary) == []
 
 
-def test_a_folder_that_somebody_uses_is_not_swept(folder, monkeypatch):
+def test_a_folder_in_use_is_not_swept(folder, monkeypatch):
     used, left = scratch.Scratch(), scratch.Scratch()
     copy = folder / f"{scratch.PREFIX}left"
     shutil.copytree(left.path, copy)  # the lock is that of the other file

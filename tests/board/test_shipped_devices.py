@@ -55,7 +55,7 @@ def test_counters_count_the_true_position_at_the_moment_of_the_cycle(moving):
         board.out8(0x300 + n, value)
     seed = random.randrange(1 << 30)
     print("seed", seed)
-    rng, seen = random.Random(seed), set()
+    rng, observed = random.Random(seed), set()
     for _ in range(200):
         board.delay_us(rng.randrange(5000))
         high, at = board.in8(0x330), true(stage)
@@ -65,9 +65,9 @@ def test_counters_count_the_true_position_at_the_moment_of_the_cycle(moving):
         )
         assert (board.in8(0x320) << 8 | board.in8(0x321)) - true(stage) & 0xFFF in (0, 1, 2, 3, 0xFFF)
         assert ls7166(board) - true(stage) & 0xFFFFFF in (0, 1, 0xFFFFFF, 0xFFFFFE, 0xFFFFFD, 0xFFFFFC)
-        seen.add(at)
-    assert len(seen) > 100
-    assert max(seen) > 1 << 12, "beyond the twelve bits of the HCTL-2000"
+        observed.add(at)
+    assert len(observed) > 100
+    assert max(observed) > 1 << 12, "beyond the twelve bits of the HCTL-2000"
     board.out8(0x330, 0)
     assert (board.in8(0x330), board.in8(0x331) < 4) == (0, True), "reset"
     stage.restore(start)
@@ -163,12 +163,12 @@ def test_interrupts_of_a_uart_come_at_their_nanosecond_by_priority_and_trigger(l
     when = []
 
     def hook():
-        found = board.in8(0x3FA) & 15
-        when.append((board.stage.now - begin - 1000, found))
-        if found in (4, 12):
+        matches = board.in8(0x3FA) & 15
+        when.append((board.stage.now - begin - 1000, matches))
+        if matches in (4, 12):
             while board.in8(0x3FD) & 1:
                 board.in8(0x3F8)
-        elif found == 6:
+        elif matches == 6:
             board.in8(0x3FD)
 
     board.on_interrupt(hook)
@@ -211,7 +211,7 @@ def test_a_pseudo_terminal_is_the_other_end_of_a_uart(line):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("hctl2016", "write KIND:PORT"), ("hctl2061:0x320:x", "Did you mean 'hctl2016'"), ("hctl2016:0x320", "hctl2016:0x320:x"),
         ("uart:three", "'three' is no port"), ("uart:0x3F8:x", "is on no axis"), ("ls7166:0x330:x:many", "no number of counts"),
@@ -219,8 +219,8 @@ def test_a_pseudo_terminal_is_the_other_end_of_a_uart(line):
         (5, "write"),
     ],
 )  # fmt: skip
-def test_a_text_that_is_no_device_says_what_to_write(text, said):
-    with pytest.raises(Exception, match=said):
+def test_a_text_that_is_no_device_says_what_to_write(text, message):
+    with pytest.raises(Exception, match=message):
         parse_device(text)
 
 

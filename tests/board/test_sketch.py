@@ -30,10 +30,10 @@ def prototypes(text):
 
 
 def test_functions_get_prototypes_and_nothing_else_does(tmp_path):
-    made = translate_sketch({tmp_path / "a.ino": SKETCH})
-    assert made.startswith("#include <Arduino.h>\n")
-    assert prototypes(made) == ["void setup();", "void loop();", "static unsigned long * go(Point p, int n[3]);"]
-    assert made.index("struct Point") < made.index("void setup();") < made.index("void setup() {")
+    built = translate_sketch({tmp_path / "a.ino": SKETCH})
+    assert built.startswith("#include <Arduino.h>\n")
+    assert prototypes(built) == ["void setup();", "void loop();", "static unsigned long * go(Point p, int n[3]);"]
+    assert built.index("struct Point") < built.index("void setup();") < built.index("void setup() {")
 
 
 def test_errors_are_of_the_lines_of_the_sketch(tmp_path):
@@ -42,7 +42,7 @@ def test_errors_are_of_the_lines_of_the_sketch(tmp_path):
     assert lines[at - 1] == f'#line 3 "{tmp_path / "b.ino"}"'
 
 
-def test_a_brace_too_many_hides_no_function_behind_it(tmp_path):
+def test_a_brace_too_many_hides_no_later_function(tmp_path):
     """as of `#if` and `#else` that both end a block"""
     assert prototypes(translate_sketch({tmp_path / "a.ino": "int f() {}\n}\nint g(int a) { return a; }\n"})) == [
         "int f();",

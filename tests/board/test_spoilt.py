@@ -92,10 +92,10 @@ def test_stage_run_ends_with_1_and_without_a_traceback(monkeypatch, capfd):
     for name, value in (("WITH", "ff"), ("WHAT", "h4096"), ("SEED", "1")):
         monkeypatch.setenv(f"SPOIL_{name}", value)
     assert main(["run", str(firmware(SPOILS)), "--model", "xy", "--patience", "2"]) == 1
-    shown = capfd.readouterr()
-    assert SAID in shown.err
-    assert len(re.findall("^stage: ", shown.err, re.M)) == 1
-    assert "Traceback" not in shown.err
+    output = capfd.readouterr()
+    assert SAID in output.err
+    assert len(re.findall("^stage: ", output.err, re.M)) == 1
+    assert "Traceback" not in output.err
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_stage_run_ends_with_1_and_without_a_traceback(monkeypatch, capfd):
         ("record", "cycles", -1), ("record", "changed", -9), ("sources", "period", -1), ("sources", "level", 99),
     ],
 )  # fmt: skip
-def test_what_is_taken_over_after_a_crash_is_looked_at_field_by_field(part, field, value, stage, tmp_path):
+def test_each_field_that_a_crashed_process_left_is_checked(part, field, value, stage, tmp_path):
     # ((long *)shared)[k] = garbage;
     b = Board(stage)
     shared = SharedMemory(tmp_path / "shared", b, create=True)

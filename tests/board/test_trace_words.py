@@ -17,20 +17,20 @@ def board():
 
 
 @pytest.mark.parametrize(
-    ("missed", "said"),
+    ("missed", "message"),
     [(0, ""), (1, " (1 tick was missed)"), (2, " (2 ticks were missed)"), (1234, " (1,234 ticks were missed)")],
 )
-def test_ticks_that_were_missed_are_counted_in_words(missed, said):
-    assert describe_interrupt(CALLED, 0, missed) == f"interrupt: the hook is called{said}"
+def test_ticks_that_were_missed_are_counted_in_words(missed, message):
+    assert describe_interrupt(CALLED, 0, missed) == f"interrupt: the hook is called{message}"
     assert describe_interrupt(RETURNED, 0, 0) == "interrupt: the hook returns"
 
 
 @pytest.mark.parametrize(
-    ("times", "said"), [(1, ""), (2, "2 times until 0.000002000"), (31204, "31,204 times until 0.000002000")]
+    ("times", "message"), [(1, ""), (2, "2 times until 0.000002000"), (31204, "31,204 times until 0.000002000")]
 )
-def test_a_line_says_how_often_and_until_when(times, said):
-    shown = str(Cycle(1e-6, 2e-6, times, "R", 0x300, 0x40, 8, False, "it reads"))
-    assert shown == f"{'0.000001000':>17}  300h R 40h    {'it reads':56}  {said}".rstrip()
+def test_a_line_says_how_often_and_until_when(times, message):
+    output = str(Cycle(1e-6, 2e-6, times, "R", 0x300, 0x40, 8, False, "it reads"))
+    assert output == f"{'0.000001000':>17}  300h R 40h    {'it reads':56}  {message}".rstrip()
     assert str(Cycle(1e-6, 2e-6, 1, "W", 0x302, 0x40, 16, False, "a word")).split() == [
         "0.000001000",
         "302h",
@@ -41,7 +41,7 @@ def test_a_line_says_how_often_and_until_when(times, said):
     ]
 
 
-def test_a_timer_that_its_hook_sets_anew_has_forgotten_the_ticks_of_before(board):
+def test_a_timer_that_its_hook_sets_again_has_no_old_ticks(board):
     """a hook every 10 us takes 25, then asks for another every 100: that comes 100 us later"""
     at = []
 
@@ -57,7 +57,7 @@ def test_a_timer_that_its_hook_sets_anew_has_forgotten_the_ticks_of_before(board
 
 
 @pytest.mark.parametrize("n", range(4))
-def test_each_timer_of_python_has_its_own_period_and_missed_ticks(board, n):
+def test_each_timer_in_python_counts_its_missed_ticks(board, n):
     """period 10 us, 25 us of delay in the hook: two ticks come meanwhile, of which the flag holds one"""
     at = []
 
@@ -89,7 +89,7 @@ def test_of_timers_that_are_due_at_once_the_highest_level_comes_first_and_of_one
 
 
 @pytest.mark.parametrize(
-    ("what", "a", "b", "said"),
+    ("what", "a", "b", "message"),
     [
         (TIMER, 8, 1000, "ps_timer(8, ...), period 1000 ns: timers are 0 to 7, a period 0 (off) to 1e18 ns"),
         (
@@ -105,13 +105,13 @@ def test_of_timers_that_are_due_at_once_the_highest_level_comes_first_and_of_one
         (ON_LINE | WRONG_LEVEL, SOFTWARE_LINE + 3, 16, "level 16 of PS_SOFTWARE(3): levels of hooks are 1 to 15"),
     ],
 )
-def test_a_request_that_makes_no_sense_is_refused_with_what_it_was_and_what_there_is(board, what, a, b, said):
+def test_a_wrong_request_is_refused_with_the_allowed_range(board, what, a, b, message):
     board.delay_us(1500)
-    assert board.link.hooks.describe_refusal(what, a, b) == f"{said}; at 0.001500 s."
+    assert board.link.hooks.describe_refusal(what, a, b) == f"{message}; at 0.001500 s."
 
 
 @pytest.mark.parametrize(
-    ("source", "period", "said"),
+    ("source", "period", "message"),
     [
         (-1, 0, "hooks of interrupts interrupt each other without end, at 0.000000 s"),
         (0, 0, "the interrupt hook was called 1,000 times in a row at 0.000000 s and the line is still asserted"),
@@ -124,17 +124,17 @@ def test_a_request_that_makes_no_sense_is_refused_with_what_it_was_and_what_ther
         (FIRST_TIMER + 1, 2500, "is due again: it takes longer than its period of 2.5 us, so that nothing else runs."),
     ],
 )
-def test_a_storm_says_whose_hook_it_is_and_why_it_comes_again(board, source, period, said):
+def test_a_storm_says_whose_hook_it_is_and_why_it_comes_again(board, source, period, message):
     if period:
         board.link.hooks.sources[source]["period"] = period
-    assert said in board.link.hooks.describe_storm(source)
+    assert message in board.link.hooks.describe_storm(source)
 
 
-def test_a_message_ends_with_the_last_cycles_or_says_that_there_was_none(board):
+def test_a_message_ends_with_the_last_cycles_if_there_were_any(board):
     assert board.trace.ending(2) == "It has made no bus cycle."
     for port in (0x300, 0x304, 0x308):
         board.in8(port)
-    said = board.trace.ending(2)
-    assert said == f"Its last bus cycles:\n{board.trace.text(2)}"
-    assert [line.split()[1] for line in said.splitlines()[-2:]] == ["304h", "308h"]
-    assert "1 lines before" in said
+    message = board.trace.ending(2)
+    assert message == f"Its last bus cycles:\n{board.trace.text(2)}"
+    assert [line.split()[1] for line in message.splitlines()[-2:]] == ["304h", "308h"]
+    assert "1 lines before" in message

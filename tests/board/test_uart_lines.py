@@ -24,11 +24,11 @@ def line(divisor=12, **options):
 @pytest.mark.parametrize(
     ("clock", "divisor", "baud"), [(1_843_200, 12, 9600), (3_686_400, 12, 19_200), (16_000_000, 1, 1e6), (1, 0, 0)]
 )
-def test_the_speed_is_that_of_its_own_crystal_and_divisor(clock, divisor, baud):
+def test_the_speed_follows_from_crystal_and_divisor(clock, divisor, baud):
     assert line(divisor, clock=clock)[1].baud == baud
 
 
-def test_what_is_fed_later_comes_behind_and_does_not_hold_up_what_is_on_its_way():
+def test_bytes_fed_later_do_not_delay_bytes_on_the_line():
     """two bytes, and half a character later one more: they arrive a character apart from the first feed on"""
     board, uart = line()
     character = uart._character
@@ -49,30 +49,30 @@ def test_what_is_fed_later_comes_behind_and_does_not_hold_up_what_is_on_its_way(
 @pytest.mark.parametrize(
     ("written", "unsent"), [(0, 0), (5, 2), (5, 5), (4096, 0), (5000, 16), (5000, 17), (12_345, 3)]
 )
-def test_what_has_left_it_is_told_in_order_and_nothing_of_what_has_not(written, unsent):
+def test_sent_has_the_bytes_that_have_left_the_uart_in_order(written, unsent):
     """of much the last 4096, and never a byte that is still in the transmitter"""
     board, uart = line()
     s = uart.registers
-    said = np.arange(written) * 7 % 251
+    message = np.arange(written) * 7 % 251
     for k in range(max(0, written - uart_core.SENT_ROOM), written):
-        s["sent"][k % uart_core.SENT_ROOM] = said[k]
+        s["sent"][k % uart_core.SENT_ROOM] = message[k]
     s["written"], s["left"] = written, board.stage.now + unsent * uart._character - (1 if unsent else 0)
     end = written - unsent
-    assert uart.sent == bytes(said[max(0, end - 4096) : end].tolist())
+    assert uart.sent == bytes(message[max(0, end - 4096) : end].tolist())
 
 
 def test_what_is_cleared_in_the_transmitter_takes_nothing_of_what_had_left():
     board, uart = line()
     board.out8(BASE + 2, 1)
-    said = bytes(k % 251 for k in range(4200))
-    for k in range(0, len(said), 15):
-        for byte in said[k : k + 15]:
+    message = bytes(k % 251 for k in range(4200))
+    for k in range(0, len(message), 15):
+        for byte in message[k : k + 15]:
             board.out8(BASE, byte)
         board.delay_us(20_000)
-    assert uart.sent == said[-4096:]
+    assert uart.sent == message[-4096:]
     for _ in range(2):
         for _ in range(17):
             board.out8(BASE, 0xFF)
         board.out8(BASE + 2, 5)
     board.delay_us(20_000)
-    assert uart.sent == (said + b"\xff")[-4096:]
+    assert uart.sent == (message + b"\xff")[-4096:]

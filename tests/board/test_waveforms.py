@@ -38,7 +38,7 @@ def dumped(recording, tmp_path, name="it.vcd"):
 def cycles(vcd):
     """(time, R or W, port, data) of each cycle, at the rising edge of its strobe."""
     ends = [(t, "RW"[strobe == "WR_n"]) for strobe in ("RD_n", "WR_n") for t in vcd.edges(f"host.{strobe}", 1)]
-    return [(t, way, vcd.at("host.PORT", t), vcd.at("host.DATA", t)) for t, way in sorted(ends)]
+    return [(t, direction, vcd.at("host.PORT", t), vcd.at("host.DATA", t)) for t, direction in sorted(ends)]
 
 
 def test_each_cycle_has_its_port_its_data_and_a_strobe_that_ends_with_it(board, tmp_path):
@@ -67,7 +67,7 @@ def test_a_loop_of_polling_is_its_first_and_its_last_read(board, tmp_path):
             board.in8(0x300)
         board.out8(0x304, 0x08)
     vcd = dumped(recording, tmp_path)
-    assert [(t, way) for t, way, *_ in cycles(vcd)] == [(1000, "R"), (2_000_000, "R"), (2_001_000, "W")]
+    assert [(t, direction) for t, direction, *_ in cycles(vcd)] == [(1000, "R"), (2_000_000, "R"), (2_001_000, "W")]
     assert vcd.changes["host.POLLS"] == [(0, 0), (1000, 1), (2_000_000, 0)]
     assert (tmp_path / "it.vcd").stat().st_size < 10_000
 
@@ -126,7 +126,7 @@ def test_equal_runs_make_equal_files_in_process_and_isolated_with_the_hook_in_th
 
 @pytest.mark.slow
 @pytest.mark.skipif(not all(map(shutil.which, ("vcd2fst", "fst2vcd"))), reason="gtkwave is not installed")
-def test_gtkwaves_own_reader_finds_the_same_cycles(board, tmp_path):
+def test_the_reader_of_gtkwave_finds_the_same_cycles(board, tmp_path):
     # vcd2fst x.vcd x.fst; fst2vcd x.fst
     with board.stage.record() as recording:
         for k in range(20):
@@ -142,8 +142,8 @@ def test_gtkwaves_own_reader_finds_the_same_cycles(board, tmp_path):
         levels = theirs.changes[f"host.{name}"]
         assert [t for (_, a), (t, b) in pairwise(levels) if (a, b) == (0, 1)] == ours.edges(f"host.{name}", 1)
     assert len(ours.edges("host.WR_n", 1)) == 20
-    found = {re.sub(r"\[.*", "", name): changes for name, changes in theirs.changes.items()}
-    assert [v for _, v in found["host.DATA"]][-21:] == [v for _, v in ours.changes["host.DATA"]][-21:]
+    matches = {re.sub(r"\[.*", "", name): changes for name, changes in theirs.changes.items()}
+    assert [v for _, v in matches["host.DATA"]][-21:] == [v for _, v in ours.changes["host.DATA"]][-21:]
 
 
 @pytest.mark.slow
@@ -203,7 +203,7 @@ def test_a_bus_is_as_wide_as_its_ports_and_cycles(kind, port, sizes):
     assert _changes(lines(), Writer(), 1000, 0) == []
 
 
-def test_a_cycle_has_its_port_an_eighth_behind_its_begin_and_its_strobe_in_its_second_half():
+def test_the_waveform_of_a_cycle_has_the_documented_times():
     """a write that ends at 5000, a read at 7000 that is repeated until 9000, cycles of 1000 ns; the recording begins at 4500"""
     cycles, polls = _changes(
         lines((5000, 5000, 1, OUT, 0x301, 0x12), (7000, 9000, 4, IN, 0x300, 0x34)), Writer(), 1000, 4500
@@ -216,7 +216,7 @@ def test_a_cycle_has_its_port_an_eighth_behind_its_begin_and_its_strobe_in_its_s
     assert list(polls) == [(7000, "POLLS", 1), (9000, "POLLS", 0)]
 
 
-def test_of_polling_that_goes_on_each_port_belongs_to_the_recording_and_what_ended_before_does_not():
+def test_polling_that_goes_on_is_recorded_and_earlier_polling_is_not():
     """three ports are read by turns, then a mark; two of them go on; then another mark, and one more"""
     board = Board(Stage("xy", visuals=False))
     for port in (0x300, 0x304, 0x308) * 3:
@@ -229,10 +229,10 @@ def test_of_polling_that_goes_on_each_port_belongs_to_the_recording_and_what_end
     last, end = wave.mark(), board.stage.now
     for port in (0x300, 0x30C):
         board.in8(port)
-    found = wave._lines(first, last, begin, end)
-    assert found["port"].tolist() == [0x300, 0x304]
-    assert found["first"].tolist() == [begin, begin], "from where the recording begins"
-    assert found["last"].tolist() == [end, end], "the first of them goes on behind it, and is cut"
-    whole = wave._lines(None, None, 0, board.stage.now)
-    assert whole["port"].tolist() == [0x300, 0x304, 0x308, 0x30C]
-    assert whole["count"].tolist() == [7, 6, 3, 1]
+    matches = wave._lines(first, last, begin, end)
+    assert matches["port"].tolist() == [0x300, 0x304]
+    assert matches["first"].tolist() == [begin, begin], "from where the recording begins"
+    assert matches["last"].tolist() == [end, end], "the first of them goes on behind it, and is cut"
+    complete = wave._lines(None, None, 0, board.stage.now)
+    assert complete["port"].tolist() == [0x300, 0x304, 0x308, 0x30C]
+    assert complete["count"].tolist() == [7, 6, 3, 1]

@@ -49,10 +49,10 @@ REFUSED = {
 }
 
 
-@pytest.mark.parametrize("given", REFUSED, ids=str)
-def test_what_is_no_window_is_refused_in_words(given):
-    with pytest.raises(ArgumentError, match=re.escape(REFUSED[given])):
-        parse_windows(given)
+@pytest.mark.parametrize("argument", REFUSED, ids=str)
+def test_what_is_no_window_is_refused_in_words(argument):
+    with pytest.raises(ArgumentError, match=re.escape(REFUSED[argument])):
+        parse_windows(argument)
 
 
 def test_a_cycle_of_32_bits_is_two_of_16_the_low_half_first():

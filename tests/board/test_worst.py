@@ -18,8 +18,8 @@ ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "firmware_trust.md"
 SOURCE = ROOT / "scripts" / "firmware" / "worst.cpp"
 ROWS = {
-    name: (int(code), said)
-    for name, code, said in re.findall(r"^\| `(\w+)` \|.*\| ([01]) \| (.*) \|$", PAGE.read_text(), re.M)
+    name: (int(code), message)
+    for name, code, message in re.findall(r"^\| `(\w+)` \|.*\| ([01]) \| (.*) \|$", PAGE.read_text(), re.M)
 }
 LONG = {"log"}  # a million lines
 EVERY_DAY = {"exit", "pointer", "leave", "fork", "child", "close", "write", "cut", "stop", "kill"}
@@ -43,15 +43,15 @@ def test_the_table_has_what_the_source_does():
 @pytest.mark.parametrize("what", [pytest.param(w, marks=() if w in EVERY_DAY else pytest.mark.slow) for w in ROWS])
 def test_stage_run_says_what_the_table_says(what, library, monkeypatch, capfd):
     # WORST=... stage run worst.so
-    code, said = ROWS[what]
+    code, message = ROWS[what]
     monkeypatch.setenv("WORST", what)
     began = time.monotonic()
     assert main(["run", str(library), "--model", "xy", "--patience", "0.3", "--timeout", "0.05"]) == code
-    shown = capfd.readouterr()
-    assert said in (shown.err if code else shown.out)
+    output = capfd.readouterr()
+    assert message in (output.err if code else output.out)
     if code:
-        assert len(re.findall("^stage: ", shown.err, re.M)) == 1
-        assert re.search(r"at 0\.\d{6} s|\(now 0\.\d{6} s\)", shown.err)
+        assert len(re.findall("^stage: ", output.err, re.M)) == 1
+        assert re.search(r"at 0\.\d{6} s|\(now 0\.\d{6} s\)", output.err)
     assert what in LONG or time.monotonic() - began < 20
 
 
@@ -59,13 +59,13 @@ def test_a_log_without_end_is_an_error_in_process(library, monkeypatch, capfd):
     monkeypatch.setenv("WORST", "log")
     monkeypatch.setattr("stage.board.board.MAX_LOG_LINES", 1000)
     assert main(["run", str(library), "--model", "xy", "--in-process"]) == 1
-    shown = capfd.readouterr()
-    assert "1,000 lines were noted by ps_log" in shown.err
-    assert shown.out.count("a line of a flood") == 1000
+    output = capfd.readouterr()
+    assert "1,000 lines were noted by ps_log" in output.err
+    assert output.out.count("a line of a flood") == 1000
 
 
 @pytest.mark.slow
-def test_a_constructor_that_never_ends_is_given_up(tmp_path, capfd):
+def test_a_constructor_that_never_returns_is_killed(tmp_path, capfd):
     source = tmp_path / "hangs.c"
     source.write_text(
         "#include <pulsestage.h>\n"
@@ -103,8 +103,8 @@ def test_in_a_pytest_session_each_fails_with_its_message_and_the_later_tests_pas
         cwd=tmp_path, capture_output=True, text=True, check=False, timeout=500,
     )  # fmt: skip
     assert done.returncode == 1
-    for name, (code, said) in ROWS.items():
+    for name, (code, message) in ROWS.items():
         outcome = "FAILED" if code else "PASSED"
         assert re.search(rf"^{outcome} \S*test_worst\[{name}\]", done.stdout, re.M), (name, done.stdout[-3000:])
-        assert not code or said in done.stdout
+        assert not code or message in done.stdout
     assert re.search(r"^PASSED \S*test_after", done.stdout, re.M)

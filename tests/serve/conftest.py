@@ -25,5 +25,5 @@ def board(start):
 
 @pytest.fixture
 def served(board):
-    with serving(board) as made:
-        yield made
+    with serving(board) as built:
+        yield built

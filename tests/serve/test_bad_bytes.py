@@ -59,7 +59,7 @@ def reply(opened: socket.socket) -> tuple[int, bytes]:
 
 
 def serves(served) -> None:
-    """It does, and has nothing in its hands."""
+    """Check that the server serves another host, and holds nothing of this one."""
     for _ in range(200):
         try:
             with served.host() as host:
@@ -155,7 +155,7 @@ def test_bytes_of_chance_and_halves_of_frames_end_their_connection_only(served, 
 @pytest.mark.parametrize(
     "text", [b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", bytes(40), b"\xff" * 40], ids=["http", "0", "ff"]
 )
-def test_who_speaks_something_else_is_told_and_sent_away(served, text):
+def test_another_protocol_is_refused_and_disconnected(served, text):
     with wire(served, greet=False) as opened:
         opened.sendall(text)
         kind, body = reply(opened)

@@ -29,7 +29,7 @@ def test_cycles_of_every_width_reach_the_board(served):
     ]  # fmt: skip
 
 
-def test_a_switch_is_held_off_or_on_and_mended(served):
+def test_a_switch_sticks_released_or_asserted_until_cleared(served):
     """host.stick of a switch that the carriage presses"""
     stage = served.board.stage
     x = stage.axes["x"]
@@ -48,17 +48,17 @@ def test_a_switch_is_held_off_or_on_and_mended(served):
         assert not host.pin("x.switches.el_plus")
         host.stick("x.el_plus", None)
         assert host.pin("x.switches.el_plus"), "mended: it is as the carriage presses it"
-        for wrong, said in (
+        for wrong, message in (
             ("x.switches.orgg", "Did you mean 'org'"),
             ("x.switches.as_dict", "unknown switch"),
             ("x", "unknown"),
         ):
-            with pytest.raises(ServerError, match=said):
+            with pytest.raises(ServerError, match=message):
                 host.pin(wrong)
     stage.restore(begin)
 
 
-def test_reads_after_a_restore_are_lines_of_their_own(served):
+def test_reads_after_a_restore_are_new_lines_of_the_trace(served):
     with served.host() as host:
         host.in8(0x302)
         host.snapshot("here")
@@ -88,7 +88,7 @@ def greeting(magic=client.MAGIC, version=client.VERSION, role=client.DRIVE, kind
     return HEAD.pack(len(body), kind, 7) + body
 
 
-def test_only_a_whole_greeting_is_one(served):
+def test_only_a_complete_greeting_is_accepted(served):
     """another magic word, a byte more, another kind of frame; then what is right"""
     for text in (greeting(magic=b"PULSEST2"[: len(client.MAGIC)]), greeting(more=b"!"), greeting(kind=client.STATUS)):
         with wire(served, greet=False) as opened:
@@ -132,8 +132,8 @@ def test_with_fresh_a_recording_keeps_hosts_that_drive_away(board):
             board.stage.run(0.001)
             with pytest.raises(ServerError, match="runs forward only"):
                 served.host()
-            with served.host(observe=True) as looks:
-                assert looks.status().seconds > 0
+            with served.host(observe=True) as observer:
+                assert observer.status().seconds > 0
         with served.host() as host:
             assert host.status().seconds < 1e-3
 
@@ -179,17 +179,17 @@ def test_a_client_counts_its_frames_in_32_bits_and_says_which_end_is_gone(served
     assert client.Batch().in8(1) is not None
 
 
-def test_a_server_listens_on_ports_that_there_are(board):
+def test_a_server_refuses_ports_that_do_not_exist(board):
     for port in (-1, 1 << 16):
         with pytest.raises(Exception, match="a TCP port is 0"):
             server.Server(board, port=port)
     if socket.has_ipv6:
-        made = None
+        built = None
         with suppress(StageError):  # this machine has it, and no address
-            made = server.Server(board, "::1", 0)
-        if made is not None:
-            assert made.address[0] == "::1"
-            made._listener.close()
+            built = server.Server(board, "::1", 0)
+        if built is not None:
+            assert built.address[0] == "::1"
+            built._listener.close()
 
 
 @pytest.mark.parametrize(

@@ -22,8 +22,8 @@ def sender():
     controller = subprocess.Popen(
         [sys.executable, str(SCRIPT), "--model", "xy"], stdout=subprocess.PIPE, text=True, stderr=subprocess.PIPE
     )
-    name, _, said = controller.stdout.readline().partition(":")
-    assert "G28" in said, controller.stderr.read()
+    name, _, message = controller.stdout.readline().partition(":")
+    assert "G28" in message, controller.stderr.read()
     terminal = os.open(name, os.O_RDWR | os.O_NOCTTY)
 
     def type_(text):
@@ -59,7 +59,7 @@ def test_it_homes_moves_and_says_where_it_is(sender):
 
 def test_a_mistake_is_an_error_line_and_changes_nothing(sender):
     before = sender("M114\n")
-    for wrong, said in (
+    for wrong, message in (
         ("G5 X1", "G5 is not known here; there are G0 and G1"),
         ("hello", "'HELLO' is no command"),
         ("G1 X1 X2", "a letter comes twice"),
@@ -71,7 +71,7 @@ def test_a_mistake_is_an_error_line_and_changes_nothing(sender):
     ):
         (reply,) = sender(f"{wrong}\n")
         assert reply.startswith("error: ")
-        assert said in reply
+        assert message in reply
     assert sender("M114\n") == before
 
 

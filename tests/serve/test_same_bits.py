@@ -22,29 +22,29 @@ PORT = 0x300
 
 def traffic(rng: random.Random, n: int) -> list[tuple]:
     """(method, arguments): what a board and a client both have."""
-    made: list[tuple] = []
+    built: list[tuple] = []
     for base in (PORT, PORT + 4):
         for register, value in ((0, 900), (1, 60), (2, 700), (4, 200), (5, 200), (7, 300), (6, 300)):
-            made.append(("out8", base, 0x80 | register))
-            made += [("out8", base + 1 + byte, value >> 8 * byte & 0xFF) for byte in (2, 1, 0)]
-        made += [("out8", base, 0x44 | rng.choice((0, 8))), ("out8", base, 0x35)]
+            built.append(("out8", base, 0x80 | register))
+            built += [("out8", base + 1 + byte, value >> 8 * byte & 0xFF) for byte in (2, 1, 0)]
+        built += [("out8", base, 0x44 | rng.choice((0, 8))), ("out8", base, 0x35)]
     for _ in range(n):
         port, kind = PORT + rng.randrange(10), rng.randrange(8)
         if kind < 3:
-            made.append((rng.choice(("in8", "in16", "in32")), port))
+            built.append((rng.choice(("in8", "in16", "in32")), port))
         elif kind < 5:
-            made.append((rng.choice(("out8", "out16", "out32")), port, rng.randrange(256)))
+            built.append((rng.choice(("out8", "out16", "out32")), port, rng.randrange(256)))
         else:
-            made.append(("delay_us", rng.choice((0, 1, 40, 251, 4000))))
-    return made
+            built.append(("delay_us", rng.choice((0, 1, 40, 251, 4000))))
+    return built
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_requests_one_by_one_and_in_batches_do_what_they_do_on_the_board(served, seed):
     print("seed", seed)
     program = traffic(random.Random(seed), 120)
-    own = Board(Stage("xy", chips=PCL240MK, visuals=False))
-    expected = [getattr(own, what)(*given) for what, *given in program]
+    custom = Board(Stage("xy", chips=PCL240MK, visuals=False))
+    expected = [getattr(custom, what)(*argument) for what, *argument in program]
     rng = random.Random(seed)
     with served.host() as host:
         answers, left = [], list(program)
@@ -52,18 +52,18 @@ def test_requests_one_by_one_and_in_batches_do_what_they_do_on_the_board(served,
             n = rng.choice((1, 1, 5, 60))
             some, left = left[:n], left[n:]
             if n == 1:
-                answers += [getattr(host, what)(*given) for what, *given in some]
+                answers += [getattr(host, what)(*argument) for what, *argument in some]
             else:
                 batch = host.batch()
-                for what, *given in some:
-                    getattr(batch, what)(*given)
+                for what, *argument in some:
+                    getattr(batch, what)(*argument)
                 reads = iter(batch.run())
                 answers += [next(reads) if what.startswith("in") else None for what, *_ in some]
     assert answers == expected
-    stage = own.stage
+    stage = custom.stage
     assert served.state() == (
         stage.snapshot().state.tobytes(),
-        str(own.trace),
+        str(custom.trace),
         [],
         [c.diagnostics for c in stage.chips],
     )
@@ -85,11 +85,11 @@ def program(folder: Path, *arguments: str) -> Path:
         name = find_compiler()
     except NoCompilerError as error:
         pytest.skip(str(error))
-    made = folder / "program"
+    built = folder / "program"
     subprocess.run(
-        [*name.split(), *STRICT, "-DPULSESTAGE_REMOTE", f"-I{include()}", *arguments, "-o", str(made)], check=True
+        [*name.split(), *STRICT, "-DPULSESTAGE_REMOTE", f"-I{include()}", *arguments, "-o", str(built)], check=True
     )
-    return made
+    return built
 
 
 SHIPPED = {
@@ -108,17 +108,17 @@ SHIPPED = {
 )
 def test_a_shipped_driver_gives_the_same_bits_as_in_process(name, bus_cycle, tmp_path):
     example, chip, flags = SHIPPED[name]
-    own, far = (Board(Stage("xyz", chips=chip, visuals=False, bus_cycle=bus_cycle)) for _ in range(2))
+    custom, distance = (Board(Stage("xyz", chips=chip, visuals=False, bus_cycle=bus_cycle)) for _ in range(2))
     remote = program(tmp_path, *sources(example), f"-I{EXAMPLES / 'hal'}", *flags)
     library = build(sources(example), tmp_path / "driver.so", (*STRICT, f"-I{EXAMPLES / 'hal'}", *flags))
-    result = NativeHost(library, own).run()
-    with serving(far) as served:
+    result = NativeHost(library, custom).run()
+    with serving(distance) as served:
         done = subprocess.run([str(remote), served.address], capture_output=True, text=True, timeout=300, check=False)
         assert (done.returncode, done.stderr) == (result.code, "")
-    assert far.log == own.log
-    assert far.cycles == own.cycles
-    assert str(far.trace) == str(own.trace)
-    assert far.stage.snapshot().state.tobytes() == own.stage.snapshot().state.tobytes()
+    assert distance.log == custom.log
+    assert distance.cycles == custom.cycles
+    assert str(distance.trace) == str(custom.trace)
+    assert distance.stage.snapshot().state.tobytes() == custom.stage.snapshot().state.tobytes()
 
 
 POLLS = """
@@ -139,14 +139,14 @@ PULSESTAGE_MAIN
 
 def test_polls_and_what_is_left_at_the_end_are_the_same_too(served, tmp_path):
     (tmp_path / "polls.c").write_text(POLLS)
-    own = Board(Stage("xy", chips=PCL240MK, visuals=False))
+    custom = Board(Stage("xy", chips=PCL240MK, visuals=False))
     remote = program(tmp_path, str(tmp_path / "polls.c"))
-    result = NativeHost(tmp_path / "polls.c", own).run()
+    result = NativeHost(tmp_path / "polls.c", custom).run()
     done = subprocess.run([str(remote), served.address], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (result.code, "") == (7, "")
-    assert own.log == served.board.log
-    assert str(own.trace) == str(served.board.trace)
-    assert own.stage.now == served.board.stage.now > 12_345_000
+    assert custom.log == served.board.log
+    assert str(custom.trace) == str(served.board.trace)
+    assert custom.stage.now == served.board.stage.now > 12_345_000
 
 
 FOR_EVER = """
@@ -177,11 +177,11 @@ def test_a_program_whose_server_ends_or_refuses_says_so(board, change, tmp_path)
                 pass
         else:
             running.wait()
-    said = running.communicate(timeout=60)[1]
+    message = running.communicate(timeout=60)[1]
     assert running.returncode == 2
     expected = "entry 991: UNTIL8 0 times" if "refused" in change else "server"
-    assert said.startswith("pulsestage: ")
-    assert expected in said
+    assert message.startswith("pulsestage: ")
+    assert expected in message
 
 
 CPLUSPLUS = """
@@ -202,16 +202,16 @@ def test_c_plus_plus_and_several_files_are_fine(served, tmp_path):
     (tmp_path / "b.cpp").write_text(
         "#include <pulsestage.h>\nint other() { ps_out8(0x301, 3); return ps_in8(0x500) - 250; }\n"
     )
-    made = tmp_path / "program"
+    built = tmp_path / "program"
     flags = ["-std=c++17", "-Wall", "-Wextra", "-pedantic", "-Werror", "-DPULSESTAGE_REMOTE", f"-I{include()}"]
     names = [str(tmp_path / name) for name in ("a.cpp", "b.cpp")]
-    subprocess.run([*find_compiler("a.cpp").split(), *flags, *names, "-o", str(made)], check=True)
-    assert subprocess.run([str(made), served.address], check=False).returncode == 5
+    subprocess.run([*find_compiler("a.cpp").split(), *flags, *names, "-o", str(built)], check=True)
+    assert subprocess.run([str(built), served.address], check=False).returncode == 5
     assert served.board.log == [(0.0, "from C++")]
     assert served.board.cycles == 2
 
 
-def test_what_is_there_in_process_only_says_so(served, tmp_path):
+def test_functions_that_need_a_process_of_their_board_are_refused(served, tmp_path):
     (tmp_path / "window.c").write_text(
         "#include <pulsestage.h>\nPULSESTAGE_MAIN { return ps_window(0x300, 4) == 0; }\n"
     )
@@ -220,7 +220,7 @@ def test_what_is_there_in_process_only_says_so(served, tmp_path):
     assert (done.returncode, done.stderr[:20]) == (2, "pulsestage: windows,")
 
 
-def test_a_program_whose_server_is_not_there_says_so(tmp_path):
+def test_a_program_without_a_server_reports_the_connection(tmp_path):
     (tmp_path / "polls.c").write_text(POLLS)
     remote = program(tmp_path, str(tmp_path / "polls.c"))
     for address in ("127.0.0.1:1", "nowhere:7240"):
@@ -253,38 +253,38 @@ def test_timers_tick_over_tcp_at_the_nanosecond_they_tick_at_in_process(served, 
         pytest.skip(str(error))
     source, program = tmp_path / "ticks.c", tmp_path / "ticks"
     source.write_text(TICKS)
-    own = Board(Stage("xy", chips=PCL240MK, visuals=False))
-    with NativeHost(build(source, tmp_path / "ticks.so"), own) as h:
+    custom = Board(Stage("xy", chips=PCL240MK, visuals=False))
+    with NativeHost(build(source, tmp_path / "ticks.so"), custom) as h:
         assert h.run().code == 0
     subprocess.run(
         [command, *STRICT, "-DPULSESTAGE_REMOTE", f"-I{include()}", str(source), "-o", str(program)], check=True
     )
     assert subprocess.run([str(program), served.address], check=False).returncode == 0
-    assert len(own.log) > 10
-    assert [text for _, text in served.board.log] == [text for _, text in own.log]
-    assert served.board.stage.now == own.stage.now
+    assert len(custom.log) > 10
+    assert [text for _, text in served.board.log] == [text for _, text in custom.log]
+    assert served.board.stage.now == custom.stage.now
     with served.host() as host:
-        seen = []
-        host.on_timer(1000, lambda: seen.append(host.status().seconds), n=2)
+        observed = []
+        host.on_timer(1000, lambda: observed.append(host.status().seconds), n=2)
         begin = host.status().seconds
         host.batch().delay_us(2500).spend_ns(1_000_001).run()
-        assert [round((t - begin) * 1e9) for t in seen] == [1_000_000, 2_000_000, 3_000_000]
+        assert [round((t - begin) * 1e9) for t in observed] == [1_000_000, 2_000_000, 3_000_000]
         host.restore()
         host.delay_us(1500)
-        assert round(seen[-1] * 1e9) == 1_000_000
+        assert round(observed[-1] * 1e9) == 1_000_000
         host.on_timer(0, None, n=2)
         host.delay_us(5000)
-        assert len(seen) == 4
-        for wrong, said in (
+        assert len(observed) == 4
+        for wrong, message in (
             ((5, 1, 1000), "timers of a board"),
             ((0, 16, 1000), "levels of hooks are"),
             ((0, 1, -1), "a period of -1 ns"),
         ):
-            with pytest.raises(client.ServerError, match=said):
+            with pytest.raises(client.ServerError, match=message):
                 host.request(client.TIMER, client.TIMING.pack(*wrong))
         with pytest.raises(client.ServerError, match="SPEND -1 ns; there are 0 to 1e18 ns"):
             host.spend_ns(-1)
-        host.on_timer(1000, lambda: seen.append(0), n=1)
+        host.on_timer(1000, lambda: observed.append(0), n=1)
     with served.host() as host:
         host.delay_us(5000)
-    assert len(seen) == 4, "they go with their host"
+    assert len(observed) == 4, "they go with their host"

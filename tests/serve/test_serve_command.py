@@ -49,7 +49,7 @@ def served(port: int, *options: str) -> int:
         host.join()
 
 
-def test_it_serves_until_it_is_ended_and_writes_what_is_asked(tmp_path, capsys):
+def test_stage_serve_runs_until_a_signal_and_writes_its_files(tmp_path, capsys):
     files = [str(tmp_path / name) for name in ("run.vcd", "run.txt")]
     port, before = free_port(), signal.getsignal(signal.SIGTERM)
     assert served(port, "--vcd", files[0], "--trace", files[1], "--place", "x=5") == 0
@@ -81,8 +81,8 @@ def test_wrong_options_are_errors_in_words(capsys):
     assert main(["serve", "--fresh", "--vcd", "x.vcd"]) == 2
     assert "--fresh" in capsys.readouterr().err
     assert main(["serve", "--model", "xy", "--listen", "0", "--bind", "300.1.1.1"]) == 2
-    told = capsys.readouterr().err
-    assert "nothing can listen on 300.1.1.1" in told
-    assert "--bind takes an address of this machine" in told
+    reported = capsys.readouterr().err
+    assert "nothing can listen on 300.1.1.1" in reported
+    assert "--bind takes an address of this machine" in reported
     assert main(["serve", "--model", "xy", "--listen", "0", "--web", "--port", "0"]) == 2
     assert "a port is a whole number of 1 to 65535" in capsys.readouterr().err, "before it serves"

@@ -41,13 +41,13 @@ def test_the_program_of_the_page_prints_what_the_page_says(served, capsys):
     assert served.board.log[-1][1] == "and that is all"
 
 
-def test_the_server_of_the_page_has_the_ports_of_the_programs_behind_it():
+def test_the_server_of_the_page_has_the_ports_of_its_programs():
     """stage serve --chips PCL240MK --trace cycles.txt: x at 300h, and snapshots can be restored"""
     command = re.search(r"^stage serve .*", PAGE, re.M).group()
     assert not re.search("--(layout|base|stride|record|vcd)", command)
 
 
-MINE = """
+OURS = """
 board.on_interrupt(hook)
 board.out8(0x300, 0x08)
 for register, value in ((0, 30), (1, 500), (7, 300)):
@@ -58,7 +58,7 @@ board.out8(0x300, 0x44), board.out8(0x300, 0x30)
 board.delay_us(200000)
 board.log(f"{len(called)} {board.in8(0x300):02x}")
 """
-MINE_IN_C = """
+OURS_IN_C = """
 static int called;
 static void cleared(void) { called++, out8(0x300, 0x08); }
 int main(int count, char **given)
@@ -84,7 +84,7 @@ def client_of_the_page(language: str) -> str:
 
 
 @pytest.mark.parametrize("language", ["python", "c"])
-def test_the_whole_clients_of_the_page_have_a_hundred_lines_at_most_and_drive_a_server(language, served, tmp_path):
+def test_the_clients_of_the_page_are_short_and_drive_a_server(language, served, tmp_path):
     # cc minimal.c -o minimal && ./minimal 7240
     source, port = client_of_the_page(language), served.address.rpartition(":")[2]
     assert len(source.splitlines()) <= 100
@@ -93,12 +93,12 @@ def test_the_whole_clients_of_the_page_have_a_hundred_lines_at_most_and_drive_a_
         exec(source, names)
         board = names["board"] = names["Board"](port=int(port))
         names["hook"] = lambda: names["called"].append(board.out8(0x300, 0x08))
-        exec(MINE, names)
+        exec(OURS, names)
         with pytest.raises(RuntimeError, match="entry 0: 99 is no request"):
             board.batch((99, 0))
         board.file.close(), board.wire.close()
     else:
-        (tmp_path / "minimal.c").write_text(source + MINE_IN_C)
+        (tmp_path / "minimal.c").write_text(source + OURS_IN_C)
         try:
             command = [find_compiler(), "-std=c11", "-Wall", "-Wextra", "-Werror", "minimal.c", "-o", "minimal"]
         except NoCompilerError as error:

@@ -22,8 +22,8 @@ def frame(kind, body=b"", number=0):
     return HEAD.pack(len(body), kind, number) + body
 
 
-def entries(*given):
-    return b"".join(client.ENTRY.pack(what, 0, 0, 0, a, b) for what, a, b in given)
+def entries(*value):
+    return b"".join(client.ENTRY.pack(what, 0, 0, 0, a, b) for what, a, b in value)
 
 
 def head_and_body(opened):
@@ -42,11 +42,17 @@ def test_a_reply_has_the_number_of_its_request_and_so_has_an_error(served):
     with wire(served) as opened:
         opened.sendall(frame(client.STATUS, number=7) + frame(77, number=8) + frame(client.BATCH, b"!", number=9))
         opened.sendall(frame(client.STATUS, number=10) + frame(client.RESET, number=11))
-        told = [head_and_body(opened)[:2] for _ in range(5)]
-    assert told == [(client.STATUS, 7), (client.ERROR, 8), (client.ERROR, 9), (client.STATUS, 10), (client.RESET, 11)]
+        reported = [head_and_body(opened)[:2] for _ in range(5)]
+    assert reported == [
+        (client.STATUS, 7),
+        (client.ERROR, 8),
+        (client.ERROR, 9),
+        (client.STATUS, 10),
+        (client.RESET, 11),
+    ]
 
 
-def test_who_looks_may_send_what_the_page_says_and_nothing_else(served):
+def test_an_observer_may_send_only_the_documented_frames(served):
     with served.host(observe=True) as host:
         for kind, body in ((client.STATUS, b""), (client.POSITIONS, b""), (client.PIN, b"x.org")):
             assert host.request(kind, body)
@@ -67,15 +73,15 @@ def test_who_looks_may_send_what_the_page_says_and_nothing_else(served):
         assert head_and_body(opened)[2][4:] == b"RETURN: no hook was called."
 
 
-def test_a_return_of_who_looks_does_not_end_the_hook_of_who_drives(served):
+def test_a_return_of_an_observer_does_not_end_the_hook(served):
     """while a hook of the driver is being called, another connection says RETURN"""
-    with served.host(observe=True) as looks, wire(served) as drives:
+    with served.host(observe=True) as observer, wire(served) as drives:
         drives.sendall(frame(client.TIMER, client.TIMING.pack(0, 1, 1000)))
         assert head_and_body(drives)[0] == client.TIMER
         drives.sendall(frame(client.BATCH, entries((client.DELAY, 1, 0))))
         assert head_and_body(drives)[0] == client.INTERRUPT
-        looks._wire.sendall(frame(client.RETURN, b"mine"))
-        assert head_and_body(looks._wire)[2][4:] == b"RETURN: no hook was called."
+        observer._wire.sendall(frame(client.RETURN, b"mine"))
+        assert head_and_body(observer._wire)[2][4:] == b"RETURN: no hook was called."
         drives.sendall(frame(client.TIMER, client.TIMING.pack(0, 1, 0)))
         assert head_and_body(drives)[0] == client.TIMER, "the hook goes on, and may ask"
         drives.sendall(frame(client.RETURN))
@@ -107,50 +113,50 @@ def test_a_host_that_cannot_begin_at_the_start_does_not_drive(board):
         assert served.said == []
 
 
-def test_what_a_failed_hook_says_is_told_up_to_a_thousand_bytes(served):
+def test_the_message_of_a_failed_hook_is_cut_at_a_thousand_bytes(served):
     with wire(served) as opened:
         opened.sendall(frame(client.TIMER, client.TIMING.pack(0, 1, 1000)))
         assert head_and_body(opened)[0] == client.TIMER
         opened.sendall(frame(client.BATCH, entries((client.DELAY, 1, 0))))
         assert head_and_body(opened)[0] == client.INTERRUPT
         opened.sendall(frame(client.RETURN, b"w" * 1001))
-        said = head_and_body(opened)[2][4:]
-    assert said == b"the interrupt hook of the host failed: " + b"w" * 1000
+        message = head_and_body(opened)[2][4:]
+    assert message == b"the interrupt hook of the host failed: " + b"w" * 1000
 
 
-def test_who_drives_is_named_to_the_terminal_and_to_who_comes_too_late(served):
+def test_the_driving_host_is_named_on_the_terminal_and_in_refusals(served):
     with served.host() as host:
-        mine = "{}:{}".format(*host._wire.getsockname())
-        with pytest.raises(ServerError) as late:
+        ours = "{}:{}".format(*host._wire.getsockname())
+        with pytest.raises(ServerError) as delayed:
             served.host()
-        assert str(late.value) == f"{mine} drives this stage, one host at a time. Wait until it is gone, or observe."
+        assert str(delayed.value) == f"{ours} drives this stage, one host at a time. Wait until it is gone, or observe."
         host.delay_us(250_000)
         host.log("here")
     again(served).close()
     assert served.said[:3] == [
-        f"{mine} drives, at 0.000000 s",
+        f"{ours} drives, at 0.000000 s",
         "    0.250000  here",
-        f"{mine} drives no more, at 0.250000 s",
+        f"{ours} drives no more, at 0.250000 s",
     ]
 
 
-def test_who_steps_the_clock_is_asked_before_each_request_and_within_a_batch(board):
+def test_before_each_is_called_before_each_request_and_within_a_batch(board):
     """before_each: of the driver's frames, and of a batch of 200,000 cycles now and then; not of who looks"""
-    asked = []
-    with serving(board, before_each=lambda: asked.append(board.cycles)) as served:
-        with served.host(observe=True) as looks:
-            looks.status()
-        assert asked == []
+    requested = []
+    with serving(board, before_each=lambda: requested.append(board.cycles)) as served:
+        with served.host(observe=True) as observer:
+            observer.status()
+        assert requested == []
         with served.host() as host:
             host.in8(0x500), host.status()
-            assert asked == [0, 1]
+            assert requested == [0, 1]
             host.until8(0x500, 1, 0, 200_000)
-    assert asked[2] == 1
-    assert len(asked) >= 4
-    assert 1 < asked[3] <= 150_000
+    assert requested[2] == 1
+    assert len(requested) >= 4
+    assert 1 < requested[3] <= 150_000
 
 
-def test_so_many_hosts_and_no_more_and_who_has_not_said_hello_is_none(board, monkeypatch):
+def test_the_number_of_greeted_hosts_is_limited(board, monkeypatch):
     """two hosts may be connected; a third connection waits without a hello"""
     monkeypatch.setattr(server, "MAX_HOSTS", 2)
     with serving(board) as served, wire(served, greet=False), served.host(), served.host(observe=True) as last:
@@ -176,12 +182,12 @@ def test_so_many_connections_are_open_and_the_next_is_closed(board, monkeypatch)
         assert head_and_body(second)[0] == client.ERROR, "the second was let in, and is told who drives"
 
 
-def test_a_frame_of_the_longest_is_taken_and_one_byte_more_ends_the_connection(served):
-    longest = client.MAX_BODY
+def test_a_frame_beyond_the_maximum_size_ends_the_connection(served):
+    largest = client.MAX_BODY
     with wire(served) as opened:
-        opened.sendall(frame(client.LOG, b"l" * longest))
+        opened.sendall(frame(client.LOG, b"l" * largest))
         assert b"LOG: 1,048,576 bytes" in head_and_body(opened)[2]
-        opened.sendall(HEAD.pack(longest + 1, client.LOG, 5))
+        opened.sendall(HEAD.pack(largest + 1, client.LOG, 5))
         kind, _, body = head_and_body(opened)
         assert (kind, body[4:]) == (
             client.ERROR,
@@ -268,16 +274,16 @@ def test_ports_to_listen_on_are_those_of_tcp(board, monkeypatch):
     for port in (-1, 1 << 16):
         with pytest.raises(ArgumentError, match=rf"port={port}: a TCP port is 0 \(one that is free\) to 65535"):
             server.Server(board, port=port)
-    asked = []
-    listens = type("Socket", (socket.socket,), {"bind": lambda self, address: asked.append(address)})
+    requested = []
+    listens = type("Socket", (socket.socket,), {"bind": lambda self, address: requested.append(address)})
     monkeypatch.setattr(socket, "socket", listens)
-    made = server.Server(board, port=65535)
-    made.stop()
-    made.run()
-    assert asked == [("127.0.0.1", 65535)]
+    built = server.Server(board, port=65535)
+    built.stop()
+    built.run()
+    assert requested == [("127.0.0.1", 65535)]
 
 
-def test_a_host_that_goes_in_the_middle_of_a_batch_leaves_the_stage_to_the_next(board):
+def test_a_host_that_disconnects_within_a_batch_frees_the_stage(board):
     """a batch of years; the host hangs up: the batch ends, the timers are off, and the next drives"""
     began = threading.Event()
     with serving(board, before_each=began.set) as served:

@@ -46,7 +46,7 @@ def frames(board):
     return Frames(board)
 
 
-def test_what_a_host_is_told_names_units_ports_and_the_cycle_to_the_nanosecond():
+def test_about_has_units_ports_and_the_bus_cycle():
     """a hinge among the axes, chips from a port of their own on, a device, and a cycle that is no whole number of us"""
     stage = Stage("xya", chips=PCL240K, visuals=False, bus_cycle=1.1e-6)
     board = Board(stage, base=0x340, stride=16, devices=["ls7166:0x500:y"])
@@ -74,7 +74,7 @@ def test_every_timer_and_the_line_are_let_go(frames):
     assert not frames.machine.board.link.hooks.functions
 
 
-def test_a_timer_calls_with_its_own_number_at_its_own_period(frames):
+def test_each_timer_calls_with_its_number_at_its_period(frames):
     """timer 2 every 700 us and timer 0 every 1.5 ms, at a level of 15; a period of the longest, and one ns beyond"""
     frames.TIMER(client.TIMING.pack(2, 15, 700_000))
     frames.TIMER(client.TIMING.pack(0, 2, 1_500_000))
@@ -93,7 +93,7 @@ def test_a_timer_calls_with_its_own_number_at_its_own_period(frames):
         frames.TIMER(client.TIMING.pack(1, 16, 1000))
 
 
-def test_timers_begin_anew_with_a_restore_and_one_that_is_off_stays_off(frames):
+def test_timers_start_again_with_a_restore(frames):
     """a timer of 10 ms; a state of 6 ms later, to which it goes back: the next tick is 10 ms from there; another was put off"""
     frames.TIMER(client.TIMING.pack(1, 1, 10_000_000))
     frames.TIMER(client.TIMING.pack(3, 1, 1_000_000))
@@ -115,19 +115,19 @@ def test_a_timer_that_came_while_a_line_was_waited_for_calls_at_the_end_of_the_w
     assert frames.called == [2]
 
 
-def test_nobody_goes_back_in_time_from_within_a_hook(board):
+def test_restore_is_refused_within_a_hook(board):
     """a timer's hook restores the start"""
-    said = []
+    message = []
 
     def hook(source):
         with pytest.raises(StageError, match=r"RESTORE: not from within an interrupt hook\.") as refused:
             machine.handlers[client.RESTORE](b"start")
-        said.append(str(refused.value))
+        message.append(str(refused.value))
 
     machine = Machine(board, hook=hook)
     machine.handlers[client.TIMER](client.TIMING.pack(0, 1, 1_000_000))
     machine.handlers[client.BATCH](client.ENTRY.pack(client.DELAY, 0, 0, 0, 1500, 0))
-    assert len(said) == 1
+    assert len(message) == 1
     assert client.STATUS_REPLY.unpack(machine.handlers[client.STATUS](b""))[0] == 1_500_000
 
 
@@ -148,7 +148,7 @@ def test_the_reset_pin_is_that_of_every_chip(frames):
         frames.RESET(b"!")
 
 
-def test_so_many_states_are_kept_beside_that_of_the_start_and_a_name_may_be_used_again(frames):
+def test_the_number_of_snapshots_is_limited_and_names_can_be_reused(frames):
     for k in range(MAX_SNAPSHOTS):
         frames.SNAPSHOT(b"%d" % k)
     with pytest.raises(ArgumentError, match=f"{MAX_SNAPSHOTS} are kept"):
@@ -175,11 +175,11 @@ def test_a_state_is_not_changed_by_what_comes_after_it():
         assert values["R20"] not in (0x11, 0x12)
 
 
-def test_names_and_lines_have_their_longest_and_one_byte_more_is_refused(frames):
-    longest = b"n" * MAX_NAME_BYTES
-    frames.SNAPSHOT(longest)
-    frames.RESTORE(longest)
-    for name in (b"", longest + b"n"):
+def test_names_and_lines_have_a_maximum_size(frames):
+    largest = b"n" * MAX_NAME_BYTES
+    frames.SNAPSHOT(largest)
+    frames.RESTORE(largest)
+    for name in (b"", largest + b"n"):
         with pytest.raises(
             ArgumentError, match=rf"SNAPSHOT: a name of {len(name)} bytes; it has 1 to {MAX_NAME_BYTES}\."
         ):
@@ -192,7 +192,7 @@ def test_names_and_lines_have_their_longest_and_one_byte_more_is_refused(frames)
         frames.LOG(b"l" * (MAX_LINE_BYTES + 1))
 
 
-def test_a_line_of_the_log_is_told_with_its_time_and_the_last_are_kept(board):
+def test_a_log_line_is_reported_with_its_time(board):
     frames = Frames(board, keep=4)
     for k in range(7):
         frames.delay(10)
@@ -255,7 +255,7 @@ def test_an_entry_at_its_limit_is_done(frames):
     )[3:] == [0xFF, 0xFF, 0, 0, 0, 0xFF, 0xFFFF]  # fmt: skip
 
 
-def test_a_poll_looks_so_many_times_so_far_apart(frames):
+def test_a_read_until_has_its_number_of_reads_and_interval(frames):
     """three looks 5 us apart are 3 cycles and 2 waits; one that finds what it waits for is one cycle"""
 
     def now_and_cycles():
@@ -296,7 +296,7 @@ def test_positions_are_of_every_axis_and_each_number_at_its_place(frames):
     assert list(client.PLACE.iter_unpack(frames.POSITIONS())) == [(0.1, 0.2, 0), (1.1, 1.2, 4)]
 
 
-def test_an_error_of_the_project_is_its_own_words_and_another_has_its_kind():
+def test_other_errors_are_described_with_their_type():
     assert describe_error(StageError("so it is.")) == "so it is."
     assert describe_error(HostError("a host did it.")) == "a host did it."
     assert describe_error(KeyError("k")) == "KeyError: 'k'"

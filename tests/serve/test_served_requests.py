@@ -29,7 +29,7 @@ REQUESTS = [
 ]
 
 
-class Told(Client):
+class Reports(Client):
     """A client of nobody: keeps what it would send, and gets 1 for each entry."""
 
     def __init__(self):
@@ -40,13 +40,13 @@ class Told(Client):
         return client.ANSWER.pack(1) * (len(body) // client.ENTRY.size) if kind == client.BATCH else b""
 
 
-@pytest.mark.parametrize(("name", "given", "entry", "answers"), REQUESTS, ids=[name for name, *_ in REQUESTS])
-def test_a_request_is_one_entry_with_all_that_was_given(name, given, entry, answers):
+@pytest.mark.parametrize(("name", "value", "entry", "answers"), REQUESTS, ids=[name for name, *_ in REQUESTS])
+def test_a_request_is_one_entry_with_all_arguments(name, value, entry, answers):
     """host.until8(0x307, 0x40, 0x20, 9, 5), alone and in a batch"""
-    alone, together = Told(), Told()
-    assert getattr(alone, name)(*given) == (1 if answers else None)
+    alone, together = Reports(), Reports()
+    assert getattr(alone, name)(*value) == (1 if answers else None)
     batch = together.batch().micros()
-    assert getattr(batch, name)(*given) is batch
+    assert getattr(batch, name)(*value) is batch
     assert len(batch) == 2
     assert batch.run() == ([1, 1] if answers else [1])
     assert alone.frames == [(client.BATCH, client.ENTRY.pack(*entry))]
@@ -57,7 +57,7 @@ def test_a_request_is_one_entry_with_all_that_was_given(name, given, entry, answ
 
 def test_a_batch_that_has_run_is_empty_and_takes_the_next_requests():
     """batch.in8(0x300).run(), then batch.in8(0x301).run()"""
-    host = Told()
+    host = Reports()
     batch = host.batch().in8(PORT).out8(PORT, 1)
     assert batch.run() == [1]
     assert len(batch) == 0
@@ -66,9 +66,9 @@ def test_a_batch_that_has_run_is_empty_and_takes_the_next_requests():
     assert len(host.frames) == 2, "of no request there is no frame"
 
 
-def test_a_timer_is_asked_for_with_its_number_its_level_and_the_nearest_nanosecond():
+def test_a_timer_request_has_number_level_and_period_in_nanoseconds():
     """host.on_timer(1.001, hook, n=2, level=7): the product of a period that is no binary fraction is rounded"""
-    host = Told()
+    host = Reports()
 
     def hook(): ...
 
@@ -84,7 +84,7 @@ def test_a_timer_is_asked_for_with_its_number_its_level_and_the_nearest_nanoseco
 
 
 def test_what_a_host_says_of_switches_names_and_hooks_is_in_its_frames():
-    host = Told()
+    host = Reports()
     host.stick("x.org", True), host.stick("x.org", False), host.stick("x.org", None)
     host.snapshot("a"), host.restore("b"), host.restore(), host.log("µ"), host.reset()
     host.on_interrupt(print), host.on_interrupt(None)
@@ -102,16 +102,16 @@ def test_what_a_host_says_of_switches_names_and_hooks_is_in_its_frames():
 )  # fmt: skip
 def test_an_address_is_a_host_and_a_port_and_each_may_be_left_out(monkeypatch, address, where):
     """connect("[::1]:8003", timeout=3)"""
-    asked = []
+    requested = []
 
     def nowhere(to, timeout):
-        asked.append((to, timeout))
+        requested.append((to, timeout))
         raise OSError("this test goes nowhere")
 
     monkeypatch.setattr(socket, "create_connection", nowhere)
     with pytest.raises(OSError, match="nowhere"):
         client.connect(address, timeout=3)
-    assert asked == [(where, 3)]
+    assert requested == [(where, 3)]
 
 
 def test_time_is_limited_until_it_is_greeted_and_not_after(served):
@@ -125,9 +125,9 @@ def test_time_is_limited_until_it_is_greeted_and_not_after(served):
         assert host._wire.gettimeout() is None, "a delay of minutes is waited for"
 
 
-def test_whoever_is_refused_keeps_no_connection(served, monkeypatch):
+def test_a_refused_client_closes_its_socket(served, monkeypatch):
     wires, make = [], socket.create_connection
-    monkeypatch.setattr(socket, "create_connection", lambda *given: wires.append(make(*given)) or wires[-1])
+    monkeypatch.setattr(socket, "create_connection", lambda *value: wires.append(make(*value)) or wires[-1])
     with served.host():
         with pytest.raises(ServerError, match="one host at a time"):
             served.host()

@@ -31,7 +31,7 @@ def start_a_move(host, pulses=100, interrupt=False):
     batch.out8(PORT, 0x44).out8(PORT, 0x30 if interrupt else 0x10).run()
 
 
-def test_what_a_host_is_told_of_the_board(served):
+def test_about_describes_the_board(served):
     with served.host() as host:
         assert host.about["axes"] == {"x": "m", "y": "m"}
         assert host.about["chips"][1] == {"chip": "PCL240MK", "axes": "y", "port": 0x304, "layout": "pcl240"}
@@ -39,7 +39,7 @@ def test_what_a_host_is_told_of_the_board(served):
         assert host.about["devices"] == []
 
 
-def test_one_host_drives_and_others_look(served):
+def test_one_host_drives_and_others_observe(served):
     with served.host() as host:
         with pytest.raises(ServerError, match=r"127\.0\.0\.1:\d+ drives this stage, one host at a time"):
             served.host()
@@ -66,7 +66,7 @@ def test_one_host_drives_and_others_look(served):
     assert [line.split(" ", 1)[1].split(",")[0] for line in served.said[:3]] == ["drives", "drives no more", "drives"]
 
 
-def test_a_host_that_goes_leaves_the_stage_as_it_stands_and_the_next_goes_on(board):
+def test_the_next_host_continues_where_the_last_one_stopped(board):
     with serving(board) as served:
         with served.host() as host:
             start_a_move(host)
@@ -133,12 +133,12 @@ def test_pins_switches_and_reset(served):
         assert host.in8(PORT) & 0x40
         host.reset()
         assert not host.in8(PORT) & 0x40
-        for wrong, said in (
+        for wrong, message in (
             ("q.org", "unknown axis 'q'.*Write AXIS.PIN"),
             ("x.orgg", "Did you mean 'org'"),
             ("x.switches.no", "unknown switch"),
         ):
-            with pytest.raises(ServerError, match=said):
+            with pytest.raises(ServerError, match=message):
                 host.pin(wrong)
         with pytest.raises(ServerError, match="unknown switch of axis x 'alarm'"):
             host.stick("x.alarm", True)
@@ -179,7 +179,7 @@ def test_a_mistake_in_a_later_frame_of_a_batch_comes_with_the_answers_before_it(
         assert failed.value.answers == (0xFF,) * 32_768
 
 
-def test_a_connection_that_is_no_more_is_said_in_words(served):
+def test_a_closed_connection_is_a_clear_error(served):
     """board.close(); board.in8(0x300)"""
     host = served.host()
     with pytest.raises(ValueError, match="a frame of 2,000,000 bytes; there are up to 1,048,576"):
@@ -204,7 +204,7 @@ def test_what_a_host_logs_does_not_control_the_terminal(served):
     assert served.said[1].endswith("\t\u00b5m"), "one line, and the same one"
 
 
-def test_lines_of_the_log_are_told_and_so_many_kept(board):
+def test_log_lines_are_reported_and_their_number_is_limited(board):
     with serving(board, keep=8) as served, served.host() as host:
         for k in range(30):
             host.log(f"line {k}")
@@ -216,24 +216,24 @@ def test_lines_of_the_log_are_told_and_so_many_kept(board):
 
 
 def test_an_interrupt_calls_the_host_s_hook_in_the_middle_of_its_batch(served):
-    seen = []
+    observed = []
     with served.host() as host:
 
         def hook():
-            seen.append((host.in8(PORT + 2), host.micros()))
+            observed.append((host.in8(PORT + 2), host.micros()))
             host.out8(PORT, 0x08)
 
         host.on_interrupt(hook)
         start_a_move(host, 10, interrupt=True)
         begin, end = host.batch().micros().delay_us(100_000).micros().run()
-        assert len(seen) == 1
-        assert begin < seen[0][1] < end
+        assert len(observed) == 1
+        assert begin < observed[0][1] < end
         assert end == begin + 100_000 + 1, "the hook is part of the delay"
         assert "the hook is called" in str(served.board.trace)
         host.on_interrupt(None)
 
 
-def test_a_hook_that_fails_or_does_not_clear_is_told(served):
+def test_a_hook_that_fails_or_does_not_clear_is_reported(served):
     with served.host() as host:
         host.on_interrupt(lambda: 1 / 0)
         start_a_move(host, 10, interrupt=True)
@@ -255,7 +255,7 @@ def test_timers_of_a_host_that_is_gone_stay_off_whatever_the_next_restores(serve
     assert "timer" not in str(served.board.trace)
 
 
-def test_a_host_that_goes_in_its_hook_is_let_go(served):
+def test_a_host_that_disconnects_in_its_hook_is_released(served):
     host = served.host()
     host.on_interrupt(host.close)
     start_a_move(host, 10, interrupt=True)
@@ -292,10 +292,10 @@ def test_the_answers_before_a_failure_come_with_it(served, monkeypatch):
         assert failed.value.answers[1] == 0xFF
 
 
-def test_a_batch_with_a_mistake_is_refused_as_a_whole(served):
+def test_a_batch_with_a_wrong_entry_is_refused_entirely(served):
     with served.host() as host:
         before = served.state()
-        for wrong, said in (
+        for wrong, message in (
             (host.batch().out8(PORT, 256), "entry 1: OUT8 300h <- 256; the value does not fit"),
             (host.batch().delay_us(-1), "entry 1: DELAY -1 us; there are 0 to 1e15 us"),
             (host.batch().in8(-1), "entry 1: IN8 at port -1; ports are 0 to FFFFFFFFh"),
@@ -304,7 +304,7 @@ def test_a_batch_with_a_mistake_is_refused_as_a_whole(served):
         ):
             batch = host.batch().in8(PORT)
             batch._entries += wrong._entries
-            with pytest.raises(ServerError, match=said):
+            with pytest.raises(ServerError, match=message):
                 batch.run()
         with pytest.raises(ServerError, match="an entry has 32"):
             host.request(client.BATCH, b"12345")

@@ -45,7 +45,7 @@ def test_what_main_returns_is_the_code(isolated):
 
 @needs_simavr
 @pytest.mark.parametrize(
-    ("case", "says"),
+    ("case", "pattern"),
     [
         (NO_INSTRUCTION, r"an instruction that this AVR does not have .* at [0-9A-F]+h \(no_instruction"),
         (WILD_WRITE, r"a wild write .* at [0-9A-F]+h \(wild_write"),
@@ -61,9 +61,9 @@ def test_what_main_returns_is_the_code(isolated):
         ),
     ],
 )
-def test_what_ends_a_program_is_said_with_its_place(case, says):
+def test_a_program_that_cannot_continue_is_reported_with_its_place(case, pattern):
     h = faults(case)
-    with pytest.raises(HostError, match=says) as error:
+    with pytest.raises(HostError, match=pattern) as error:
         h.run(timeout=1)
     assert "303h R 0" in str(error.value), "after which bus cycle"
     assert not h.running
@@ -82,7 +82,7 @@ class Mallinfo(ctypes.Structure):
 
 
 @needs_simavr
-def test_a_wild_write_stays_in_memory_of_simavrs_own():
+def test_a_wild_write_hits_memory_reserved_for_simavr():
     mallinfo = ctypes.CDLL(None).mallinfo2
     mallinfo.restype = Mallinfo
     simavr = _Library.one = _Library(isolated=True)  # for ever: simavr calls its functions
@@ -94,7 +94,7 @@ def test_a_wild_write_stays_in_memory_of_simavrs_own():
 
 
 @needs_simavr
-def test_an_error_comes_over_from_a_process_of_its_own():
+def test_an_error_of_an_isolated_program_reaches_the_caller():
     with pytest.raises(HostError, match=r"wild write .* \(wild_write"):
         faults(WILD_WRITE).run()
 
@@ -138,7 +138,7 @@ def test_the_interrupt_line_preempts_between_instructions():
 
 
 @needs_simavr
-def test_a_data_port_that_drives_in_a_read_cycle_is_said():
+def test_a_data_port_that_drives_in_a_read_cycle_is_logged():
     h = faults(FIGHT)
     h.run()
     assert [text for _, text in h.board.log] == [
@@ -182,7 +182,7 @@ def test_a_driver_that_nobody_changed_ends_at_the_same_pulse():
 
 
 @pytest.mark.parametrize(
-    ("pins", "says"),
+    ("pins", "pattern"),
     [
         ((), r"an AVR's bus is its pins; say once which: --map data=A.* \(given: none\)"),
         ("data=A,wr=G0,rd=G1,x=3", r"unknown part 'x'.*Known: address, base, cs"),
@@ -196,8 +196,8 @@ def test_a_driver_that_nobody_changed_ends_at_the_same_pulse():
     ],
 )
 @needs_simavr
-def test_a_map_that_is_none_is_refused(pins, says):
-    with pytest.raises(ArgumentError, match=says):
+def test_a_map_that_is_none_is_refused(pins, pattern):
+    with pytest.raises(ArgumentError, match=pattern):
         faults(0, pins)
 
 
@@ -211,7 +211,7 @@ def test_a_port_that_the_avr_does_not_have_is_named(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("options", "pattern"),
     [
         (
             {"mcu": "atmega256"},
@@ -225,8 +225,8 @@ def test_a_port_that_the_avr_does_not_have_is_named(tmp_path):
         ({"mcu": "atmega2560", "gdb": 80}, "gdb=80: a TCP port"),
     ],
 )
-def test_options_that_make_no_sense_are_refused(options, says):
-    with pytest.raises(ArgumentError, match=says):
+def test_options_that_make_no_sense_are_refused(options, pattern):
+    with pytest.raises(ArgumentError, match=pattern):
         TargetHost(DATA / "faults.avr.elf", board_of(), map=PINS, **options)
 
 
@@ -234,17 +234,17 @@ def test_options_that_make_no_sense_are_refused(options, says):
 def test_a_file_of_another_machine_names_the_machine(tmp_path):
     (tmp_path / "text.elf").write_text("hello")
     (tmp_path / "other.elf").write_bytes(b"\x7fELF\x01\x01\x01" + bytes(9) + b"\x02\x00\x28\x00" + bytes(40))
-    for name, says in (
+    for name, pattern in (
         ("text.elf", "is no ELF file"),
         ("other.elf", r"was built for ARM \(32 bit\), and atmega2560 is an AVR"),
     ):
-        with pytest.raises(LibraryError, match=says):
+        with pytest.raises(LibraryError, match=pattern):
             TargetHost(tmp_path / name, board_of(), mcu="atmega2560", map=PINS, isolated=False)
     with pytest.raises(LibraryError, match=r"was built for AVR, and this is .*--mcu atmega2560"):
         NativeHost(DATA / "faults.avr.elf", board_of())
 
 
-def test_without_simavr_it_is_said_what_to_install(monkeypatch):
+def test_without_simavr_the_error_names_the_package(monkeypatch):
     mcus.load_simavr.cache_clear()
     monkeypatch.setattr(mcus, "_NAMES", ("libnothing.so",))
     monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
@@ -257,11 +257,21 @@ def test_without_simavr_it_is_said_what_to_install(monkeypatch):
 
 @needs_simavr
 def test_the_command_runs_it(capsys):
-    asked = [str(DATA / "faults.avr.elf"), "--mcu", "atmega2560", "--map", PINS, "--model", "xy", "--mcu-clock", "8e6"]
-    assert main(["run", *asked]) == 0
+    requested = [
+        str(DATA / "faults.avr.elf"),
+        "--mcu",
+        "atmega2560",
+        "--map",
+        PINS,
+        "--model",
+        "xy",
+        "--mcu-clock",
+        "8e6",
+    ]
+    assert main(["run", *requested]) == 0
     assert "faults.avr.elf returned 0 after 0.00" in capsys.readouterr().out
     assert main(["run", "driver.c", "--mcu-clock", "8e6"]) == 2
-    assert "--mcu-clock: it is for programs of other processors" in capsys.readouterr().err
+    assert "--mcu-clock: only programs of other processors have it" in capsys.readouterr().err
 
 
 def command(gdb: socket.socket, text: str) -> bytes:

@@ -32,7 +32,7 @@ def avr(path: Path, mcu: str) -> TargetHost:
 
 @pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}")
 @pytest.mark.parametrize(
-    ("name", "architecture", "mcu", "says"),
+    ("name", "architecture", "mcu", "pattern"),
     [
         (b"atmega2560", 6, "atmega328p", r"for atmega2560 \(architecture avr6\), and atmega328p is an avr5. Run it with --mcu "
          r"atmega2560, or build it by avr-gcc -mmcu=atmega328p"),
@@ -42,14 +42,14 @@ def avr(path: Path, mcu: str) -> TargetHost:
         (b"atmega2561", 6, "atmega328p", r"for atmega2561 \(architecture avr6\).*\. Build it by"),
     ],
 )  # fmt: skip
-def test_a_program_of_another_avr_is_refused(tmp_path, name, architecture, mcu, says):
-    with pytest.raises(LibraryError, match=says):
+def test_a_program_of_another_avr_is_refused(tmp_path, name, architecture, mcu, pattern):
+    with pytest.raises(LibraryError, match=pattern):
         avr(changed_avr(tmp_path, name, architecture), mcu)
 
 
 @pytest.mark.skipif(not mcus.has_simavr(), reason=f"there is no {mcus.SIMAVR}")
 @pytest.mark.parametrize(("name", "architecture"), [(b"atmega2561", 6), (b"", 6), (b"", 2)])
-def test_what_is_not_told_or_close_enough_runs(tmp_path, name, architecture):
+def test_a_program_of_a_similar_or_unnamed_avr_runs(tmp_path, name, architecture):
     assert avr(changed_avr(tmp_path, name, architecture), "atmega2560").run().code == 0
 
 
@@ -81,7 +81,7 @@ def changed_arm(tmp_path: Path, arch: int, profile: bytes = b"M") -> Path:
 
 @pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")
 @pytest.mark.parametrize(
-    ("arch", "profile", "mcu", "says"),
+    ("arch", "profile", "mcu", "pattern"),
     [
         (10, b"M", "cortex-m0", r"for v7-M \(Cortex-M3\), and this is a cortex-m0. Run it with --mcu cortex-m3, or build it by "
          r"arm-none-eabi-gcc -mcpu=cortex-m0"),
@@ -90,8 +90,8 @@ def changed_arm(tmp_path: Path, arch: int, profile: bytes = b"M") -> Path:
         (10, b"A", "cortex-m4", r"for a Cortex-A, and this is a cortex-m4. Build it by"),
     ],
 )  # fmt: skip
-def test_a_program_of_a_larger_cortex_is_refused(tmp_path, arch, profile, mcu, says):
-    with pytest.raises(LibraryError, match=says):
+def test_a_program_of_a_larger_cortex_is_refused(tmp_path, arch, profile, mcu, pattern):
+    with pytest.raises(LibraryError, match=pattern):
         TargetHost(changed_arm(tmp_path, arch, profile), board_of(), mcu=mcu, map=WINDOW, isolated=False)
 
 
@@ -107,7 +107,7 @@ def file_with(**tags: int) -> SimpleNamespace:
     return SimpleNamespace(path=Path("floats.elf"), attributes=tags)
 
 
-def test_attributes_are_read_and_damaged_ones_tell_nothing(tmp_path):
+def test_damaged_build_attributes_are_ignored(tmp_path):
     content = (DATA / "faults.m3.elf").read_bytes()
     assert Elf(DATA / "faults.m3.elf", ARM, "cortex-m3", "").attributes["TAG_CPU_ARCH"] == 10
     damaged = content.replace(b"aeabi\0\1", b"aeabi\0\xff")
@@ -117,7 +117,7 @@ def test_attributes_are_read_and_damaged_ones_tell_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("tag", ["TAG_FP_ARCH", "TAG_ABI_VFP_ARGS"])
-def test_floating_point_wants_a_unit_also_in_arguments_only(tag):
+def test_floating_point_arguments_need_a_floating_point_unit(tag):
     """-mfloat-abi=hard in a file that computes with whole numbers only has its arguments there"""
     check_arm(file_with(TAG_CPU_ARCH=10, **{tag: 1}), "cortex-m4", "")
     with pytest.raises(LibraryError, match=r"a floating-point unit, and this is a cortex-m3.*--mcu cortex-"):

@@ -33,7 +33,7 @@ def test_what_the_program_says_at_its_end_is_the_code(isolated):
 
 
 @pytest.mark.parametrize(
-    ("case", "says"),
+    ("case", "pattern"),
     [
         (NO_INSTRUCTION, r"an instruction that this processor does not have, at 80[0-9A-F]+h \(no_instruction"),
         (WILD_WRITE, r"it writes memory that is not there, address [0-9A-F]+h, at 80[0-9A-F]+h \(wild_write"),
@@ -49,9 +49,9 @@ def test_what_the_program_says_at_its_end_is_the_code(isolated):
         (EVEN, r"it jumps to an even address: .* \(lr is 80[0-9A-F]+h \(even_address\+[0-9A-F]+h\)\), at 8000100h"),
     ],
 )
-def test_what_ends_a_program_is_said_with_its_place(case, says):
+def test_a_program_that_cannot_continue_is_reported_with_its_place(case, pattern):
     h = faults(case)
-    with pytest.raises(HostError, match=says) as error:
+    with pytest.raises(HostError, match=pattern) as error:
         h.run(timeout=1)
     assert f"303h R {case:02X}h" in str(error.value), "after which bus cycle"
 
@@ -62,15 +62,15 @@ def test_the_interrupt_line_comes_between_instructions():
     start, release = list(h.board.trace)[-2:]
     assert (start.value, release.value) == (0x30, 0)
     assert release.seconds - start.seconds == pytest.approx(30 / 1600, abs=1 / 1600)
-    twin = faults(INTERRUPT)  # without the wire
+    counterpart = faults(INTERRUPT)  # without the wire
     with pytest.raises(HostTimeout):
-        twin.run(timeout=0.03)
-    at = next(c for c in twin.board.trace if c.value == 0x30).seconds
+        counterpart.run(timeout=0.03)
+    at = next(c for c in counterpart.board.trace if c.value == 0x30).seconds
     assert at == start.seconds
 
 
 @pytest.mark.parametrize(("length", "reaches"), [(4, True), (3, False)])
-def test_a_window_has_its_last_byte_and_none_behind_it(length, reaches):
+def test_a_window_ends_with_its_last_byte(length, reaches):
     """The program reads 303h, whose last byte it is."""
     window = f"0x40021000=0x300+{length}"
     h = TargetHost(DATA / "faults.m3.elf", board_of(9), mcu="cortex-m3", map=window, isolated=False)
@@ -101,16 +101,16 @@ def test_an_access_that_reaches_beyond_a_window_is_outside():
 @pytest.fixture(scope="module")
 def cortex():
     """A processor whose vectors are in its RAM; its program has not begun."""
-    made = CortexProgram(DATA / "faults.m3.elf", "cortex-m3", None, parse_windows(WINDOW), None).load(
+    built = CortexProgram(DATA / "faults.m3.elf", "cortex-m3", None, parse_windows(WINDOW), None).load(
         board_of(1), False
     )
-    made.nvic.vectors = 0x20000000
-    made.uc.mem_write(0x20000000 + 4 * SYSTICK, (0x08000101).to_bytes(4, "little"))
-    return made
+    built.nvic.vectors = 0x20000000
+    built.uc.mem_write(0x20000000 + 4 * SYSTICK, (0x08000101).to_bytes(4, "little"))
+    return built
 
 
 @pytest.mark.parametrize("odd", [0, 4])
-def test_the_frame_of_an_exception_lies_at_a_multiple_of_eight_and_goes_with_it(cortex, odd):
+def test_the_frame_of_an_exception_is_aligned_and_removed(cortex, odd):
     """The data sheet's xPSR bit 9 says that the stack was 4 bytes lower before"""
     sp = 0x20001000 + odd
     cortex.set(msp=sp, sp=sp, lr=0x08000201, r0=7, xpsr=0x01000000)
@@ -125,7 +125,7 @@ def test_the_frame_of_an_exception_lies_at_a_multiple_of_eight_and_goes_with_it(
     assert (cortex.get("sp"), cortex.get("ipsr"), cortex.get("r0"), cortex._pc) == (sp, 0, 7, 0x08000040)
 
 
-def test_bytes_and_halfwords_of_the_processors_own_registers_are_parts_of_its_words(cortex):
+def test_private_registers_can_be_read_by_bytes_and_halfwords(cortex):
     for number, priority in ((4, 0x10), (5, 0x50), (6, 0xA0), (7, 0xF0)):
         cortex._write_private(None, 0xE400 + number, 1, priority, None)
     read = lambda at, size: cortex._read_private(None, at, size, None)  # noqa: E731
@@ -133,11 +133,11 @@ def test_bytes_and_halfwords_of_the_processors_own_registers_are_parts_of_its_wo
     assert [read(0xE404, 2), read(0xE406, 2), read(0xE404, 4)] == [0x5010, 0xF0A0, 0xF0A05010]
 
 
-def test_an_alarm_of_the_processor_is_not_late_by_the_time_between_two_looks():
-    made = CortexProgram(DATA / "faults.m3.elf", "cortex-m3", None, parse_windows(WINDOW), None).load(
+def test_an_alarm_is_not_delayed_by_the_quantum():
+    built = CortexProgram(DATA / "faults.m3.elf", "cortex-m3", None, parse_windows(WINDOW), None).load(
         board_of(1), False
     )
-    t = made.record
+    t = built.record
     assert t.quantum > 10
     for ahead in (1, 10, 10 * t.quantum):
         t.alarm = t.cycles + ahead
@@ -174,7 +174,7 @@ def test_a_driver_that_nobody_changed_ends_at_the_same_pulse():
 
 
 @pytest.mark.parametrize(
-    ("maps", "says"),
+    ("maps", "pattern"),
     [
         ((), r"where in the memory of the processor are the chips\?"),
         (
@@ -187,9 +187,9 @@ def test_a_driver_that_nobody_changed_ends_at_the_same_pulse():
         (("irq",), "say once irq=0"),
     ],
 )
-def test_a_map_that_is_none_is_refused(maps, says):
+def test_a_map_that_is_none_is_refused(maps, pattern):
     board = Board(Stage("xy", chips=PCL240K, visuals=False))
-    with pytest.raises(ArgumentError, match=says):
+    with pytest.raises(ArgumentError, match=pattern):
         TargetHost(DATA / "faults.m3.elf", board, mcu="cortex-m3", map=maps, isolated=False)
 
 
@@ -200,9 +200,9 @@ def test_a_program_of_another_machine_is_named():
 
 
 def nvic(*enabled: int) -> Nvic:
-    made = Nvic(lambda: 0, 6)
-    made.write(0xE100, sum(1 << n for n in enabled), 4, 0)
-    return made
+    built = Nvic(lambda: 0, 6)
+    built.write(0xE100, sum(1 << n for n in enabled), 4, 0)
+    return built
 
 
 def test_the_lowest_number_of_the_lowest_priority_comes_first():

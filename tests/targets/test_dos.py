@@ -78,7 +78,7 @@ def test_programs_end_with_their_code():
         assert (pc.serve(number), pc.ended) == ({}, code)
 
 
-def test_text_is_said_by_characters_to_the_dollar_sign_and_by_its_length():
+def test_text_is_printed_by_character_up_to_a_dollar_sign_and_by_length():
     """AH = 2, 6 and 9, 40h to handles 1, 2 and 3; INT 10h with AH = 0Eh"""
     pc = PC()
     pc.write(0x2000, 0x123, b"caf\x82$never")
@@ -109,13 +109,13 @@ def test_nobody_is_at_the_keyboard():
         assert pc.fault.startswith("it waits for a key"), ah
 
 
-def test_vectors_are_set_and_told():
+def test_vectors_are_set_and_read_back():
     pc = PC(ax=0x251C, dx=0x1234, ds=0x5678)
     assert (pc.serve(0x21), pc.vector(0x1C), pc.watched) == ({}, (0x1234, 0x5678), 1)
     assert pc.serve(0x21, ax=0x351C) == {"bx": 0x1234, "es": 0x5678}
 
 
-def test_time_goes_with_the_processor_s_cycles():
+def test_time_follows_the_cycles_of_the_processor():
     """25 h, 1 min, 2.03 s after the start; INT 1Ah, a delay of 65,537 us"""
     pc = PC(ax=0x2C00)
     seconds = 25 * 3600 + 62.034
@@ -152,7 +152,7 @@ def test_time_goes_with_the_processor_s_cycles():
         *((0x21, ah << 8 | 3, 9, {"ax": 2}) for ah in (0x3C, 0x3D, 0x43, 0x4E)),
     ],
 )  # fmt: skip
-def test_what_there_is_and_what_is_refused(number, ax, bx, changes):
+def test_supported_options_work_and_others_are_refused(number, ax, bx, changes):
     """with carry set before: equipment, memory, version, device information, files that there are not"""
     assert PC(ax=ax, bx=bx, cx=9, dx=9, eflags=2 | CARRY).serve(number) == changes
 

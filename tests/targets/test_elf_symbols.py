@@ -18,7 +18,7 @@ def arm():
     return Elf(DATA / "faults.m3.elf", ARM, "cortex-m3", "gcc")
 
 
-def test_an_address_is_told_by_the_function_that_begins_at_or_before_it(arm, monkeypatch):
+def test_an_address_is_named_by_the_function_before_it(arm, monkeypatch):
     monkeypatch.setattr(arm, "_functions", [(0x100, "first"), (0x120, "second")])
     for line in ("", "main.c:7"):
         monkeypatch.setattr(arm, "_line", lambda at, line=line: line)

@@ -42,13 +42,13 @@ class Client:
         self.socket.sendall(f"${text}#{sum(text.encode()) & 0xFF:02x}".encode())
 
     def answer(self) -> str:
-        while not (found := re.search(rb"\$([^#]*)#..", self.got)):
+        while not (matches := re.search(rb"\$([^#]*)#..", self.got)):
             more = self.socket.recv(4096)
             assert more, "it has gone"
             self.got += more
-        self.got = self.got[found.end() :]
+        self.got = self.got[matches.end() :]
         self.socket.sendall(b"+")
-        return found[1].decode()
+        return matches[1].decode()
 
     def __call__(self, text: str) -> str:
         self.send(text)
@@ -85,8 +85,8 @@ def debugged(case: int, name: str = "faults.m3.elf", mcu: str = "cortex-m3", map
 
 
 def test_a_breakpoint_halts_it_and_the_run_is_the_same():
-    plain = TargetHost(DATA / "faults.m3.elf", board_of(9), mcu="cortex-m3", map=WINDOW, isolated=False)
-    at_end = plain.run().seconds
+    reference = TargetHost(DATA / "faults.m3.elf", board_of(9), mcu="cortex-m3", map=WINDOW, isolated=False)
+    at_end = reference.run().seconds
     with debugged(9) as (h, gdb, ends):
         assert gdb("?") == "S05"
         begin = h.board.stage.now
@@ -149,7 +149,7 @@ def test_a_loop_is_interrupted_and_a_fault_can_be_looked_at():
     assert re.search(r"it writes memory that is not there, .*wild_write", str(ends[0]))
 
 
-def test_who_goes_takes_the_breakpoints_along():
+def test_a_debugger_that_disconnects_removes_its_breakpoints():
     with debugged(9) as (_, gdb, ends):
         assert gdb(f"Z0,{FUNCTIONS['application'] & ~1:x},2") == "OK"
         assert gdb("D") == "OK"
@@ -187,9 +187,9 @@ def test_gdb_itself(name, mcu, maps, symbol):
     thread = threading.Thread(target=lambda: ends.append(h.run(timeout=1)), daemon=True)
     thread.start()
     time.sleep(0.5)
-    asked = ["set confirm off", f"target remote 127.0.0.1:{port}", "stepi", "info registers"]
-    asked += [f"break *{FUNCTIONS[symbol] & ~1}", "continue", "x/i $pc", "delete"] if symbol else ["x/2i $pc"]
-    command = ["gdb-multiarch", "-nx", "-batch", *(part for text in [*asked, "continue"] for part in ("-ex", text))]
+    requested = ["set confirm off", f"target remote 127.0.0.1:{port}", "stepi", "info registers"]
+    requested += [f"break *{FUNCTIONS[symbol] & ~1}", "continue", "x/i $pc", "delete"] if symbol else ["x/2i $pc"]
+    command = ["gdb-multiarch", "-nx", "-batch", *(part for text in [*requested, "continue"] for part in ("-ex", text))]
     done = subprocess.run(
         [*command, *([DATA / name] if symbol else [])], capture_output=True, text=True, timeout=60, check=False
     )

@@ -19,7 +19,7 @@ from stage.targets.pc import LOAD, Pc
 from stage.targets.simavr import find_target
 
 
-class Seen:
+class ThreeRegisters:
     """Three registers of 4, 2 and 10 bytes."""
 
     sizes = (4, 2, 10)
@@ -71,7 +71,7 @@ class Engine:
 def gdb():
     """A server with a debugger at its other end."""
     ours, theirs = socket.socketpair()
-    server = DebugServer(Engine(), Seen(), 0)
+    server = DebugServer(Engine(), ThreeRegisters(), 0)
     server._socket = ours
     theirs.settimeout(5)
     with theirs:
@@ -86,11 +86,11 @@ def packet(text):
 
 
 @pytest.mark.parametrize(
-    ("asked", "answer"),
+    ("requested", "answer"),
     [("0,3", "mabc"), ("3,3", "ldef"), ("3,2", "mde"), ("0,6", "labcdef"), ("0,ff", "labcdef"), ("6,4", "l")],
 )
-def test_a_description_comes_in_parts_of_which_the_last_says_so(gdb, asked, answer):
-    assert gdb.ask(f"qXfer:features:read:target.xml:{asked}") == answer
+def test_a_description_comes_in_parts_of_which_the_last_says_so(gdb, requested, answer):
+    assert gdb.ask(f"qXfer:features:read:target.xml:{requested}") == answer
 
 
 def test_registers_come_and_go_with_their_lowest_byte_first(gdb):
@@ -135,31 +135,31 @@ def test_breakpoints_of_code_are_set_once_and_others_are_not_known(gdb):
 
 
 @pytest.mark.parametrize(
-    ("asked", "answer"),
+    ("requested", "answer"),
     [("qC", "QC1"), ("qAttached", "1"), ("qfThreadInfo", "m1"), ("qsThreadInfo", "l"), ("vCont?", "vCont;c;C;s;S"), ("Hg0", "OK"),
      ("T1", "OK"), ("qOffsets", ""), ("vMustReplyEmpty", ""), ("QStartNoAckMode", "OK"), ("X0,0:", "")],
 )  # fmt: skip
-def test_a_question_has_its_answer_and_what_is_not_known_an_empty_one(gdb, asked, answer):
-    assert gdb.ask(asked) == answer
+def test_a_question_has_its_answer_and_what_is_not_known_an_empty_one(gdb, requested, answer):
+    assert gdb.ask(requested) == answer
 
 
-@pytest.mark.parametrize(("asked", "steps"), [("c", False), ("s", True), ("vCont;c", False), ("vCont;s:1", True)])
-def test_it_goes_on_or_makes_one_step(gdb, asked, steps):
-    assert gdb.ask(asked) is None
+@pytest.mark.parametrize(("requested", "steps"), [("c", False), ("s", True), ("vCont;c", False), ("vCont;s:1", True)])
+def test_a_program_continues_or_makes_one_step(gdb, requested, steps):
+    assert gdb.ask(requested) is None
     assert (gdb.server.halted, gdb.server.steps) == (False, steps)
 
 
-def test_packets_are_acknowledged_until_the_debugger_wants_that_no_more(gdb):
+def test_packets_are_acknowledged_until_the_debugger_disables_it(gdb):
     gdb.wire.sendall(b"+" + packet("qC") + packet("QStartNoAckMode") + packet("qAttached") + packet("c"))
     gdb.server._serve()
     assert gdb.wire.recv(1000) == b"+" + packet("QC1") + b"+" + packet("OK") + packet("1")
     assert not gdb.server.halted
 
 
-@pytest.mark.parametrize(("code", "said"), [(0, "W00"), (3, "W03"), (255, "Wff"), (-1, "Wff"), (259, "W03")])
-def test_the_end_of_a_program_is_told_by_a_byte(gdb, code, said):
+@pytest.mark.parametrize(("code", "message"), [(0, "W00"), (3, "W03"), (255, "Wff"), (-1, "Wff"), (259, "W03")])
+def test_the_end_of_a_program_is_reported_with_a_byte(gdb, code, message):
     gdb.server.report_end(code)
-    assert gdb.wire.recv(100) == packet(said)
+    assert gdb.wire.recv(100) == packet(message)
     assert gdb.wire.recv(100) == b"", "and the connection is over"
 
 
@@ -169,27 +169,27 @@ def test_who_kills_a_program_ends_it(gdb):
 
 
 def test_a_pc_shows_registers_of_floating_point_that_it_does_not_have():
-    asked = []
+    requested = []
     cpu = SimpleNamespace(
-        address=lambda: 0x12345, get=lambda name: len(name), set=lambda **v: asked.append(v), go_to=asked.append
+        address=lambda: 0x12345, get=lambda name: len(name), set=lambda **v: requested.append(v), go_to=requested.append
     )
-    seen = pc_registers(cpu)
-    assert [seen.value(n) for n in range(len(seen.sizes))] == [3] * 8 + [0x12345, 6] + [2] * 6 + [0] * 16
+    observed = pc_registers(cpu)
+    assert [observed.value(n) for n in range(len(observed.sizes))] == [3] * 8 + [0x12345, 6] + [2] * 6 + [0] * 16
     for n in (0, 8, 15, 16, 31):
-        seen.change(n, 7)
-    assert asked == [{"eax": 7}, 7, {"gs": 7}]
-    assert seen.sizes == (4,) * 16 + (10,) * 8 + (4,) * 8
+        observed.change(n, 7)
+    assert requested == [{"eax": 7}, 7, {"gs": 7}]
+    assert observed.sizes == (4,) * 16 + (10,) * 8 + (4,) * 8
 
 
 # --- programs ---
 
 
 @pytest.mark.parametrize(("last", "pages", "size"), [(0, 2, 1024), (1, 2, 513), (511, 1, 511)])
-def test_an_exe_of_whole_pages_is_loaded_whole(last, pages, size):
+def test_an_exe_is_loaded_to_its_last_byte(last, pages, size):
     """its head says how many bytes its last page has, and 0 is all of them"""
     done = []
     pc = Pc.__new__(Pc)
-    pc.write, pc.set = lambda *given: done.append(given), lambda **values: done.append(values)
+    pc.write, pc.set = lambda *argument: done.append(argument), lambda **values: done.append(values)
     head = b"MZ" + struct.pack("<12H", last, pages, 0, 2, 0, 0, 0x11, 0x200, 0, 0x33, 0x22, 0x1C) + b"\0" * 6
     content = head + bytes(k % 251 for k in range(size - len(head)))
     pc._load_exe(Path("x.exe"), content)
@@ -212,7 +212,7 @@ def test_a_routine_returns_to_the_stack_and_the_mode_that_it_has_come_from(handl
     cpu.word = {0x40 + 4 * 16: 0x201}.__getitem__
     cpu.nvic = SimpleNamespace(vectors=0x40, before=lambda: handler, entered=entered.append)
     cpu._interrupted = SimpleNamespace(get=lambda: [control, sp, 0x40000000, 1, 2, 3, 4, 5, 6])
-    cpu._entry = SimpleNamespace(set=lambda *given: set_.append(given))
+    cpu._entry = SimpleNamespace(set=lambda *argument: set_.append(argument))
     cpu.uc, cpu._pc = (
         SimpleNamespace(mem_write=lambda at, frame: frames.append((at, struct.unpack("<8I", frame)))),
         0x124,
@@ -224,7 +224,7 @@ def test_a_routine_returns_to_the_stack_and_the_mode_that_it_has_come_from(handl
 
 
 @pytest.mark.parametrize("window", [(0xE0000000, 0, 1), (0xE00FFFFF, 0, 1), (0xFFFFFFFF, 0, 2)])
-def test_a_window_on_the_processors_own_registers_or_behind_its_memory_is_refused(window):
+def test_a_window_on_private_registers_or_beyond_memory_is_refused(window):
     pytest.importorskip("unicorn")
     with pytest.raises(ArgumentError, match="a Cortex-M has no memory for it there"):
         Cortex.__new__(Cortex)._map((Window(*window),))
@@ -237,8 +237,8 @@ def test_a_window_on_the_processors_own_registers_or_behind_its_memory_is_refuse
 )  # fmt: skip
 def test_a_program_of_a_variant_runs_and_one_of_another_processor_does_not(name, mcu, runs):
     """of the same architecture; one whose name is none that is known is taken by its architecture"""
-    said = bytes([1, len(name) + 1]) + name.encode() + b"\0\0"
-    elf = SimpleNamespace(path=Path("x.elf"), flags=5, segments=[], section={".mmcu": said}.get, device_name="")
+    message = bytes([1, len(name) + 1]) + name.encode() + b"\0\0"
+    elf = SimpleNamespace(path=Path("x.elf"), flags=5, segments=[], section={".mmcu": message}.get, device_name="")
     if runs:
         check_avr(elf, mcu, "avr-gcc")
     else:

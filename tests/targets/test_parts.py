@@ -26,7 +26,7 @@ DATA = Path(__file__).parent / "data"
 # --- Cortex-M: interrupts ---
 
 
-def test_enable_pending_and_active_bits_are_told_of_every_word():
+def test_enable_pending_and_active_bits_of_every_word():
     """IRQ 0, 31, 32 and 239; each is cleared alone"""
     n = Nvic(lambda: 0, None)
     for at, bits in ((0xE100, 0x80000001), (0xE104, 1), (0xE100 + 28, 1 << 15)):
@@ -72,12 +72,12 @@ def test_priorities_are_bytes_of_their_words():
     )
 
 
-@pytest.mark.parametrize(("own", "running", "comes"), [(0x20, 0x40, True), (0x40, 0x40, False), (0x60, 0x40, False)])
-def test_the_boards_line_comes_into_what_is_of_a_lower_priority_alone(own, running, comes):
+@pytest.mark.parametrize(("custom", "running", "comes"), [(0x20, 0x40, True), (0x40, 0x40, False), (0x60, 0x40, False)])
+def test_the_boards_line_comes_into_what_is_of_a_lower_priority_alone(custom, running, comes):
     """IRQ 3 is the board's; the routine of IRQ 4 runs"""
     n = Nvic(lambda: 0, 3)
     n.write(0xE100, 0x18, 4, 0)
-    n.write(0xE400, own << 24, 4, 0)
+    n.write(0xE400, custom << 24, 4, 0)
     n.write(0xE404, running, 4, 0)
     n.entered(FIRST + 4)
     n.level = True
@@ -134,7 +134,7 @@ def test_what_may_come_by_mask_base_priority_and_what_runs():
     assert n.before() == 0
 
 
-def test_a_line_that_is_on_does_not_come_into_its_own_routine_whatever_that_makes_of_its_priority():
+def test_an_asserted_line_does_not_interrupt_its_routine():
     n = Nvic(lambda: 0, 3)
     line = FIRST + 3
     n.write(0xE100, 1 << 3, 4, 0), n.write(0xE400, 0x40 << 24, 1, 3)
@@ -248,45 +248,6 @@ def test_the_bytes_of_a_counter_come_as_its_access_says():
     t.write(0x43, 0)
     now[0] += 77
     assert (t.read(0x40), t.read(0x40)) == (0, 1)
-
-
-@pytest.mark.parametrize("anew", ["its control", "its value"])
-def test_systick_that_begins_anew_counts_and_flags_from_there(anew):
-    """a reload of 9: after 35 cycles it has run down three times; at 100 it begins anew, and 15 later it has run down once"""
-    now = [0]
-    nvic = Nvic(lambda: now[0], None)
-    control, reload, value, counts = 0xE010, 0xE014, 0xE018, 1 << 16
-    nvic.write(reload, 9, 4, 0), nvic.write(control, 3, 4, 0)
-    now[0] = 35
-    assert nvic.read(control) & counts
-    now[0] = 100
-    if anew == "its control":
-        nvic.write(control, 0, 4, 0)
-        assert nvic.read(control) & counts == nvic.read(value) == 0
-        nvic.write(control, 3, 4, 0)
-    else:
-        nvic.write(value, 0, 4, 0)
-    assert (nvic.read(control) & counts, nvic.read(value), nvic.alarm()) == (0, 9, 110)
-    now[0] = 115
-    assert [nvic.read(control) & counts, nvic.read(control) & counts, nvic.read(value)] == [counts, 0, 4]
-
-
-def test_a_latched_count_is_read_once_and_then_the_counter_goes_on():
-    """43h <- 00h latches channel 0; by two bytes, by the low one and by the high one"""
-    for access in (1, 2, 3):
-        now = [0]
-        timers = Timers(lambda now=now: now[0])
-        timers.write(0x43, access << 4 | 4)
-        for value in (0, 0x40) if access == 3 else (0x40,):
-            timers.write(0x40, value)
-        now[0] = 5
-        timers.write(0x43, 0)
-        first = timers.channels[0].count(5)
-        now[0] = 0x123
-        later = timers.channels[0].count(0x123)
-        parts = {1: lambda v: [v & 0xFF], 2: lambda v: [v >> 8], 3: lambda v: [v & 0xFF, v >> 8]}[access]
-        read = [timers.read(0x40) for _ in range(2 * len(parts(0)))]
-        assert read == parts(first) + parts(later), access
 
 
 def test_the_gate_of_channel_2_starts_it_and_the_refresh_toggles():
@@ -467,45 +428,45 @@ class Cpu:
     def end(self, code):
         self.code = code
 
-    def ask(self, what, about=0):
+    def request(self, what, about=0):
         self.r0, self.r1 = what, about
         Semihosting(self).serve()
         return self.r0
 
 
-def test_semihosting_says_tells_the_time_and_ends():
+def test_semihosting_prints_reads_the_clock_and_ends():
     cpu = Cpu()
     cpu.memory[0x100:0x120] = struct.pack("<4I", 1, 0x200, 5, 0).ljust(32, b"\0")
     cpu.memory[0x200:0x220] = b"a text of more than 16 by\xe9s\0xyz"
-    assert [cpu.ask(3, 0x201), cpu.said] == [0, " "]
+    assert [cpu.request(3, 0x201), cpu.said] == [0, " "]
     cpu.said = ""
-    assert [cpu.ask(4, 0x200), cpu.said] == [0, "a text of more than 16 byés"]
+    assert [cpu.request(4, 0x200), cpu.said] == [0, "a text of more than 16 byés"]
     cpu.said = ""
-    assert [cpu.ask(5, 0x100), cpu.said] == [0, "a tex"]
+    assert [cpu.request(5, 0x100), cpu.said] == [0, "a tex"]
     cpu.said, cpu.memory[0x108:0x10C] = "", struct.pack("<I", 9000)
-    cpu.ask(5, 0x100)
+    cpu.request(5, 0x100)
     assert len(cpu.said) == 4096
     cpu.said, cpu.memory[0x1000:0x8000] = "", b"z" * 0x7000
-    cpu.ask(4, 0x1000)
+    cpu.request(4, 0x1000)
     assert len(cpu.said) == 4096, "a text without an end"
-    assert [cpu.ask(what) for what in (1, 9, 0x10, 0x11, 2, 0x0C, 0x13, 0x16, 0x15, 0x77)] == [
+    assert [cpu.request(what) for what in (1, 9, 0x10, 0x11, 2, 0x0C, 0x13, 0x16, 0x15, 0x77)] == [
         1, 1, 250, 2, 0, 0, 0, 0, 0xFFFFFFFF, 0xFFFFFFFF,
     ]  # fmt: skip
     assert cpu.code is None
     for what, about, code in ((0x18, APPLICATION_ENDS, 0), (0x18, 0x20023, 1)):
-        cpu.ask(what, about)
+        cpu.request(what, about)
         assert cpu.code == code
-    for given in (0, 3, -1, -(1 << 31)):
-        cpu.memory[0x304:0x308] = struct.pack("<i", given)
-        cpu.ask(0x20, 0x300)
-        assert cpu.code == given
+    for argument in (0, 3, -1, -(1 << 31)):
+        cpu.memory[0x304:0x308] = struct.pack("<i", argument)
+        cpu.request(0x20, 0x300)
+        assert cpu.code == argument
 
 
 def elf(kind=2, machine=ARM, segments=(), head=64, byte_order=1) -> bytes:
     """A file without sections."""
     start = bytes((0x7F, 0x45, 0x4C, 0x46, 1, byte_order, 1)).ljust(16, b"\0")
-    made = struct.pack("<16sHHIIIIIHHHHHH", start, kind, machine, 1, 0x101, 52, 0, 0, 52, 32, len(segments), 40, 0, 0)
-    return made + b"".join(struct.pack("<8I", *s, 0, 0)[:32] for s in segments)
+    built = struct.pack("<16sHHIIIIIHHHHHH", start, kind, machine, 1, 0x101, 52, 0, 0, 52, 32, len(segments), 40, 0, 0)
+    return built + b"".join(struct.pack("<8I", *s, 0, 0)[:32] for s in segments)
 
 
 def test_an_elf_file_says_its_machine_and_what_is_loaded(tmp_path):
@@ -516,14 +477,14 @@ def test_an_elf_file_says_its_machine_and_what_is_loaded(tmp_path):
         assert machine_of(file) == machine
     rows = ((1, 148, 0x8000, 0x4000, 4, 4), (1, 152, 0x9000, 0x5000, 0, 9), (4, 148, 0xA000, 0x6000, 4, 4))
     file.write_bytes(elf(segments=rows) + b"code")
-    found = Elf(file, ARM, "cortex-m3", "a linker").segments
-    assert [tuple(s) for s in found] == [(0x4000, 0x8000, b"code")], "neither what is empty nor what is no LOAD"
-    for content, says in (
+    matches = Elf(file, ARM, "cortex-m3", "a linker").segments
+    assert [tuple(s) for s in matches] == [(0x4000, 0x8000, b"code")], "neither what is empty nor what is no LOAD"
+    for content, pattern in (
         (elf()[:51], "is cut off or damaged"), (elf(kind=1), "is an object file, not a program"), (elf(kind=7), "no program"),
         (elf(segments=rows)[:100], "its tables point behind its end"), (elf(machine=AVR), "was built for AVR"), (b"x", "is no ELF"),
     ):  # fmt: skip
         file.write_bytes(content)
-        with pytest.raises(LibraryError, match=says):
+        with pytest.raises(LibraryError, match=pattern):
             Elf(file, ARM, "cortex-m3", "a linker")
     file.write_bytes(elf())
     assert Elf(file, ARM, "cortex-m3", "a linker").where(0x1234) == "1234h"
@@ -538,7 +499,7 @@ def test_memory_that_holds_windows_is_known_to_the_byte():
     assert inside == {0xFFE: False, 0xFFF: True, 0x1FFF: True, 0x2000: False, 0x4FFF: True, 0x6000: False}
 
 
-def test_a_line_that_has_no_end_is_told_in_pieces():
+def test_a_line_without_an_end_is_printed_in_pieces():
     class Says(Engine):
         def __init__(self):
             self._line, self.said = "", []

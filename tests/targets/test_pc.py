@@ -40,7 +40,7 @@ def test_a_program_prints_and_returns(isolated):
 
 @needs_unicorn
 @pytest.mark.parametrize(
-    ("case", "says"),
+    ("case", "pattern"),
     [
         (NO_INSTRUCTION, r"an instruction that this processor does not have, at 1000:0135 \(offset 135h"),
         (DIVIDES, "a division by 0"),
@@ -49,9 +49,9 @@ def test_a_program_prints_and_returns(isolated):
         (FUNCTION, r"it asks DOS for function 5Fh \(INT 21h\)"),
     ],
 )
-def test_what_ends_a_program_is_said_with_its_place(case, says):
+def test_a_program_that_cannot_continue_is_reported_with_its_place(case, pattern):
     h = faults(case)
-    with pytest.raises(HostError, match=says) as error:
+    with pytest.raises(HostError, match=pattern) as error:
         h.run(timeout=1)
     assert f"303h R 0{case}h" in str(error.value), "after which bus cycle"
 
@@ -63,11 +63,11 @@ def test_the_interrupt_line_comes_between_instructions():
     assert h.run(timeout=1).code == 1
     start, release = list(h.board.trace)[-2:]
     assert (start.value, release.value) == (0x30, 0)
-    twin = board_of(INTERRUPT)
+    counterpart = board_of(INTERRUPT)
     for cycle in list(h.board.trace)[13:-1]:
-        twin.stage.run_to(round(cycle.seconds * 1e9) - 1000)
-        twin.out8(cycle.port, cycle.value)
-    took = twin.stage.run_until(lambda: twin.interrupt, timeout=0.1, poll=1e-6)
+        counterpart.stage.run_to(round(cycle.seconds * 1e9) - 1000)
+        counterpart.out8(cycle.port, cycle.value)
+    took = counterpart.stage.run_until(lambda: counterpart.interrupt, timeout=0.1, poll=1e-6)
     assert 0 < release.seconds - start.seconds - took < 40e-6
 
 
@@ -154,8 +154,8 @@ def test_an_exe_is_relocated(tmp_path):
     head = (head[:0x1C] + struct.pack("<HH", 1, 0)).ljust(32, b"\0")
     (tmp_path / "it.exe").write_bytes(head + code)
     assert TargetHost(tmp_path / "it.exe", board_of(), mcu="8086", isolated=False).run().code == 77
-    behind = head[:0x1C] + struct.pack("<HH", len(code) - 1, 0) + head[0x20:]
-    (tmp_path / "behind.exe").write_bytes(behind + code)
+    after = head[:0x1C] + struct.pack("<HH", len(code) - 1, 0) + head[0x20:]
+    (tmp_path / "behind.exe").write_bytes(after + code)
     with pytest.raises(LibraryError, match=r"behind.exe is damaged: relocation 0 points behind its end"):
         TargetHost(tmp_path / "behind.exe", board_of(), mcu="8086", isolated=False)
     (tmp_path / "cut.exe").write_bytes((head + code)[:40])
@@ -168,13 +168,13 @@ def test_files_that_are_no_programs_are_refused(tmp_path):
     (tmp_path / "empty.com").write_bytes(b"")
     (tmp_path / "it.elf").write_bytes(b"\x7fELF\x01\x01\x01" + bytes(9) + b"\x02\x00\x53\x00" + bytes(40))
     (tmp_path / "it.c").write_text("int main(void) { return 0; }")
-    for name, error, says in (
+    for name, error, pattern in (
         ("it.c", LibraryError, r"it\.c is a source by its name.*nasm -f bin it\.asm"),
         ("empty.com", FileError, "is empty, and no program"),
         ("it.elf", LibraryError, r"was built for AVR \(ELF\), and an 8086 runs a .COM or an .EXE"),
         ("none.com", FileError, "there is no such file"),
     ):
-        with pytest.raises(error, match=says):
+        with pytest.raises(error, match=pattern):
             TargetHost(tmp_path / name, board_of(), mcu="8086", isolated=False)
     with pytest.raises(FileError, match=r"none\.com: there is no such file"):  # from the process of the program as well
         TargetHost(tmp_path / "none.com", board_of(), mcu="8086").run()
@@ -186,7 +186,7 @@ def test_a_map_that_a_pc_does_not_have_is_refused():
         faults(0, irq="irq=9")
 
 
-def test_without_unicorn_it_is_said_what_to_install(monkeypatch):
+def test_without_unicorn_the_error_names_the_package(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(NoEmulatorError, match=r"pip install 'pulsestage\[targets\]'"):
         faults(0)

@@ -12,22 +12,22 @@ ROWS = re.findall(r"^\| `([\w/]+\.(?:c|ino))`[^|]*\| (\d+) \| ([^|]*)\|(.*)\| `(
 
 
 def test_all_programs_of_the_page_of_ports_are_in_it():
-    there = {FIRMWARE / row[0] for row in ROWS}
+    available = {FIRMWARE / row[0] for row in ROWS}
     ports = {path for path in (FIRMWARE / "ports").rglob("*") if path.suffix in (".c", ".ino")}
-    assert ports < there
+    assert ports < available
     assert len(ROWS) == 9
 
 
-@pytest.mark.parametrize(("program", "lines", "here", "targets", "test"), ROWS, ids=[row[0] for row in ROWS])
-def test_a_row_is_true(program, lines, here, targets, test):
+@pytest.mark.parametrize(("program", "lines", "changes", "targets", "test"), ROWS, ids=[row[0] for row in ROWS])
+def test_a_row_is_true(program, lines, changes, targets, test):
     source = FIRMWARE / program
     assert len(source.read_text().splitlines()) == int(lines)
-    assert here.startswith("0"), "no line is changed"
-    for beside in re.findall(r"`(ports/[\w/.]+)`", here):
+    assert changes.startswith("0"), "no line is changed"
+    for beside in re.findall(r"`(ports/[\w/.]+)`", changes):
         assert (FIRMWARE / beside).is_file()
     text = (ROOT / "tests" / test).read_text()
     assert source.stem in text or f'"{source.parent.name}"' in text
     shipped = {"ATmega2560": "avr.elf", "Cortex-M3": "m3.elf", "DOS": "com"}
-    for way, cell in zip(shipped, targets.split("|"), strict=True):
+    for target, cell in zip(shipped, targets.split("|"), strict=True):
         if cell.strip() == "0":  # such a program is kept with the tests
-            assert (ROOT / "tests/targets/data" / f"{source.stem}.{shipped[way]}").is_file()
+            assert (ROOT / "tests/targets/data" / f"{source.stem}.{shipped[target]}").is_file()
