@@ -283,11 +283,15 @@ static void cycles(int count, unsigned port)
         if (GUARDED) pthread_mutex_unlock(&guard);
     }
 }
-static void *other(void *argument) { cycles(200, 0x304); return argument; }
+static volatile int begun;
+static void *other(void *argument) { begun = 1; cycles(200, 0x304); return argument; }
 PULSESTAGE_MAIN
 {
     pthread_t thread;
+    begun = 0;
     pthread_create(&thread, 0, other, 0);
+    while (!begun)  /* on a machine with much load a thread can begin after the other's last cycle */
+        ;
     cycles(OWN, 0x300);
     pthread_join(thread, 0);
     return 0;
