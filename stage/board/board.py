@@ -220,7 +220,7 @@ class Board:
     # --- devices ---
 
     @told
-    def device(
+    def device(  # noqa: PLR0913  each is one property of the device
         self,
         ports: int | Iterable[int],
         read: Callable[[int], int] | None = None,

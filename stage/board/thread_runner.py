@@ -9,7 +9,6 @@ about that in a process of the firmware's own.
 from __future__ import annotations
 
 import ctypes
-import os
 import threading
 import time
 from contextlib import AbstractContextManager, nullcontext
@@ -102,9 +101,11 @@ class ThreadRunner:
 
     @property
     def running(self) -> bool:
+        """Whether the firmware has begun and not yet ended."""
         return self._thread is not None
 
     def go_on(self, until: int, max_cycles: int) -> int | None:
+        """Let the firmware run up to the time `until`. The result is the exit code, or None before the end."""
         if self._thread is None:
             self._start()
         link = self._board.link
@@ -280,7 +281,7 @@ def _reset_float_environment() -> None:
 def native_threads() -> set[int]:
     """Return the threads of this process that are not Python's, where the system lists them."""
     try:
-        listed = {int(name) for name in os.listdir(TASKS)}
+        listed = {int(task.name) for task in TASKS.iterdir()}
     except OSError:
         return set()
     # a dummy thread is one of C that has called Python

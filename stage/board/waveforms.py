@@ -1,8 +1,8 @@
-"""The bus of a host as waveforms: the cycles of a board's trace, as a logic analyzer on the slot would show them.
+r"""The bus of a host as waveforms: the cycles of a board's trace, as a logic analyzer on the slot would show them.
 
         PORT    ==X 300h X 301h X==      changes an eighth after a cycle begins, and stays
         DATA    ====X 81h X 2Ch X==      of a write likewise, of a read with its strobe
-        WR_n    ~~~~\\___/~\\___/~~~~      the second half of a cycle, which ends with the rising edge
+        WR_n    ~~~~\___/~\___/~~~~      the second half of a cycle, which ends with the rising edge
         RD_n    ~~~~~~~~~~~~~~~~~~~
         POLLS   ___________________      1 between two reads that were repeated, each with the same answer
         HOOK    ___________________      1 while the interrupt hook runs

@@ -1,4 +1,6 @@
-"""The pins that are an AVR's bus, as text and as a connection to the board:
+"""The pins that are an AVR's bus, as text and as a connection to the board.
+
+The text:
 
     data=A,address=C:0-1,cs=B0,wr=G0,rd=G1,irq=D0
 

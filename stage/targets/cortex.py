@@ -162,9 +162,11 @@ class Cortex(Engine):
         return super().main()
 
     def start_address(self) -> int:
+        """The program counter, with bit 0 for Thumb as the engine wants it."""
         return self._pc | 1
 
     def address(self) -> int:
+        """The program counter."""
         return self._pc
 
     def go_to(self, address: int) -> None:
@@ -172,9 +174,11 @@ class Cortex(Engine):
         self._pc = address & ~1
 
     def halted(self) -> None:
+        """Note the program counter at a stop."""
         self._pc = self.get("pc") & ~1
 
     def place(self) -> str:
+        """The source line of the program counter."""
         return self._elf.where(self.get("pc") & ~1)
 
     def _note_exception(self, _uc: Any, number: int, _user: Any) -> None:
@@ -182,6 +186,7 @@ class Cortex(Engine):
         self.uc.emu_stop()
 
     def stopped(self) -> None:
+        """Note masks and program counter at a stop, and enter or leave the exception that was its cause."""
         number, self._raised = self._raised, 0
         primask, basepri, pc = self._masks.get()
         self._pc = pc & ~1

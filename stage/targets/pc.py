@@ -184,6 +184,7 @@ class Pc(Engine):
             self.dos.serve(number)
 
     def start_address(self) -> int:
+        """The linear address of CS:IP."""
         return (self.get("cs") << 4) + self.get("ip")
 
     def go_to(self, address: int) -> None:
@@ -191,10 +192,12 @@ class Pc(Engine):
         self.set(ip=address - (self.get("cs") << 4) & 0xFFFF)
 
     def place(self) -> str:
+        """CS:IP, and the offset that the linker's map has."""
         cs, ip = self.get("cs"), self.get("ip")
         return f"{cs:04X}:{ip:04X} (offset {((cs - LOAD) << 4) + ip:X}h of its segment)"
 
     def stopped(self) -> None:
+        """Enter the interrupt that stopped the processor, wait at HLT, count the timer and look at the line of the board."""
         t = self.record
         if self._call is not None:
             number, self._call = self._call, None

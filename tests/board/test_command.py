@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+from pathlib import Path
 
 import pytest
 from support.compiled_firmware import firmware
@@ -147,6 +148,6 @@ def test_a_run_ended_by_sigterm_reports_its_state_and_writes_its_files(isolated,
     message = capsys.readouterr()
     assert re.search(r"ended from outside by SIGTERM\. What is known of it ends at \d+\.", message.err)
     assert not isolated or "300h R" in message.err
-    assert all(os.path.getsize(file) > 30 for file in files)
+    assert all(Path(file).stat().st_size > 30 for file in files)
     assert re.search(r"^x +0\.0000", message.out, re.M)
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL

@@ -11,6 +11,7 @@ import re
 import tempfile
 import threading
 import time
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -290,9 +291,9 @@ def test_a_host_collected_while_another_starts_is_killed_after_it(monkeypatch):
     begins.join(20)
     assert hosts[0].run().code not in (0, old)
     until = time.monotonic() + 10
-    while os.path.exists(f"/proc/{old}") and time.monotonic() < until:
+    while Path(f"/proc/{old}").exists() and time.monotonic() < until:
         time.sleep(0.01)
-    assert not os.path.exists(f"/proc/{old}")
+    assert not Path(f"/proc/{old}").exists()
 
 
 def test_a_fork_does_not_control_the_firmware_of_its_parent():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 from support.compiled_firmware import firmware
 
@@ -25,51 +27,68 @@ STRING = (
 """A string instruction from memory to the word behind it; how far it has gone is in %rbx and %rdx, how often in %rcx."""
 
 
+CONDITIONS = "o no b ae e ne be a s ns p np l ge le g".split()
+
+
+def arithmetic(size: int, letter: str) -> Iterator[tuple[str, int]]:
+    a, b, _, d = (f"%{name}" for name in NAMES[size].split())
+    for name in "add or adc sbb and sub xor cmp".split():
+        for text in (f"{b}, {a}", f"{b}, (%rsi)", f"(%rsi), {d}", f"$-7, {a}", "$0x5a, (%rsi)"):
+            yield f"{name}{letter} {text}", ALL
+    yield f"add{letter} ${0x12 if size == 1 else 0x1234}, {a}", ALL
+    for name in "inc dec neg".split():
+        yield from ((f"{name}{letter} {where}", ALL) for where in (a, "(%rsi)"))
+    yield from ((f"not{letter} {where}", ALL) for where in (b, "(%rsi)"))
+    for text in (f"{b}, {a}", f"$0x41, {d}", f"$0x41, {a}", f"{b}, (%rsi)"):
+        yield f"test{letter} {text}", ALL
+
+
+def shifts(size: int, letter: str) -> Iterator[tuple[str, int]]:
+    a, _, _, d = (f"%{name}" for name in NAMES[size].split())
+    for name in "shl shr sar".split():
+        yield from ((f"{name}{letter} {where}", ALL & ~AF) for where in (a, "(%rsi)"))
+        yield f"{name}{letter} $5, {d}", ALL & ~AF & ~OF
+        if size > 2:  # of shorter ones flags are undefined where all is shifted out
+            yield f"{name}{letter} %cl, {a}", ALL & ~AF & ~OF
+    for name in ("rol", "ror") if size < 8 else ():
+        yield from ((f"{name}{letter} {where}", ALL & ~AF) for where in (a, "(%rsi)"))
+        yield f"{name}{letter} $3, {a}", ALL & ~AF & ~OF
+
+
+def moves(size: int, letter: str) -> Iterator[tuple[str, int]]:
+    a, b, _, d = (f"%{name}" for name in NAMES[size].split())
+    yield from ((f"xchg{letter} {b}, {where}", ALL) for where in (a, "(%rsi)"))
+    for text in (f"{b}, 8(%rsi)", f"-8(%rsi), {a}", "$-3, (%rsi)", f"$0x31, {d}"):
+        yield f"mov{letter} {text}", ALL
+
+
+def longer_than_a_byte(size: int, letter: str) -> Iterator[tuple[str, int]]:
+    a, b, _, d = (f"%{name}" for name in NAMES[size].split())
+    for name in ("bt", "bts", "btr", "btc"):
+        yield from ((f"{name}{letter} {text}", CF) for text in (f"$9, {a}", "$3, (%rsi)", f"{b}, {a}"))
+    yield from ((f"cmov{condition} (%rsi), {a}", ALL) for condition in CONDITIONS)
+    yield f"lea{letter} -5(%rsi,%rcx,4), {d}", ALL
+    if size < 8:
+        for text in (f"(%rsi), {a}", f"$-300, {b}, {d}", f"$7, {b}, {d}"):
+            yield f"imul{letter} {text}", CF | OF
+
+
+def strings() -> Iterator[tuple[str, int]]:
+    for repeat in ("", "movl $2, %ecx\n rep ", "xorl %ecx, %ecx\n rep "):
+        for name in ("movs", "stos"):
+            for letter in LETTERS.values():
+                if letter != "q" or "2" not in repeat:  # there is room for one
+                    yield STRING.format(f"{repeat}{name}{letter}"), 0
+
+
 def instructions() -> list[tuple[str, int]]:
     """Each with the flags that it defines. (%rsi) is memory; -8(%rsi) and 8(%rsi) as well."""
     matches: list[tuple[str, int]] = []
     for size, letter in LETTERS.items():
-        a, b, _, d = (f"%{name}" for name in NAMES[size].split())
-        for name in "add or adc sbb and sub xor cmp".split():
-            matches += [
-                (f"{name}{letter} {text}", ALL)
-                for text in (f"{b}, {a}", f"{b}, (%rsi)", f"(%rsi), {d}", f"$-7, {a}", "$0x5a, (%rsi)")
-            ]
-        matches.append((f"add{letter} ${0x12 if size == 1 else 0x1234}, {a}", ALL))
-        for name in "inc dec neg".split():
-            matches += [(f"{name}{letter} {where}", ALL) for where in (a, "(%rsi)")]
-        matches += [(f"not{letter} {where}", ALL) for where in (b, "(%rsi)")]
-        matches += [
-            (f"test{letter} {text}", ALL) for text in (f"{b}, {a}", f"$0x41, {d}", f"$0x41, {a}", f"{b}, (%rsi)")
-        ]
-        for name in "shl shr sar".split():
-            matches += [(f"{name}{letter} {where}", ALL & ~AF) for where in (a, "(%rsi)")]
-            matches.append((f"{name}{letter} $5, {d}", ALL & ~AF & ~OF))
-            if size > 2:  # of shorter ones flags are undefined where all is shifted out
-                matches.append((f"{name}{letter} %cl, {a}", ALL & ~AF & ~OF))
-        if size < 8:
-            matches += [(f"{name}{letter} {where}", ALL & ~AF) for name in ("rol", "ror") for where in (a, "(%rsi)")]
-            matches += [(f"{name}{letter} $3, {a}", ALL & ~AF & ~OF) for name in ("rol", "ror")]
-        matches += [(f"xchg{letter} {b}, {where}", ALL) for where in (a, "(%rsi)")]
-        matches += [
-            (f"mov{letter} {text}", ALL) for text in (f"{b}, 8(%rsi)", f"-8(%rsi), {a}", "$-3, (%rsi)", f"$0x31, {d}")
-        ]
+        matches += [*arithmetic(size, letter), *shifts(size, letter), *moves(size, letter)]
         if size > 1:
-            matches += [
-                (f"{name}{letter} {text}", CF)
-                for name in ("bt", "bts", "btr", "btc")
-                for text in (f"$9, {a}", "$3, (%rsi)")
-            ]
-            matches += [(f"{name}{letter} {b}, {a}", CF) for name in ("bt", "bts", "btr", "btc")]
-            matches += [
-                (f"cmov{condition} (%rsi), {a}", ALL) for condition in "o no b ae e ne be a s ns p np l ge le g".split()
-            ]
-            matches += [(f"lea{letter} -5(%rsi,%rcx,4), {d}", ALL)]
-            if size < 8:
-                matches += [
-                    (f"imul{letter} {text}", CF | OF) for text in (f"(%rsi), {a}", f"$-300, {b}, {d}", f"$7, {b}, {d}")
-                ]
-    for condition in "o no b ae e ne be a s ns p np l ge le g".split():
+            matches += longer_than_a_byte(size, letter)
+    for condition in CONDITIONS:
         matches += [(f"set{condition} %dl", ALL), (f"j{condition} 1f\n movl $77, %eax\n1:", ALL)]
     for text in "movzbl %ah,%ebx|movzwl (%rsi),%edx|movzbq (%rsi),%rdx|movsbw (%rsi),%dx|movswl %bx,%eax|movslq (%rsi),%rax".split(
         "|"
@@ -89,12 +108,7 @@ def instructions() -> list[tuple[str, int]]:
     for text in ("rolb $11, %al", "rorw $19, %ax", "rolw $21, (%rsi)", "rorb $9, %dl"):
         matches.append((text, CF | ZF))
     matches += [(text, 0) for text in ("shlb $8, %al", "shlb $9, %dl", "shrw $16, %ax", "shrb $12, %al")]
-    for name, letter in ((name, letter) for name in ("movs", "stos") for letter in LETTERS.values()):
-        for repeat in ("", "movl $2, %ecx\n rep ", "xorl %ecx, %ecx\n rep "):
-            if letter == "q" and "2" in repeat:
-                continue  # there is room for one
-            matches.append((STRING.format(f"{repeat}{name}{letter}"), 0))
-    return matches
+    return matches + list(strings())
 
 
 CHECK = r"""

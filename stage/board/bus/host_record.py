@@ -134,6 +134,7 @@ def stage_of(h):
 
 @hot
 def chip_of(h, chip):
+    """The chip record with the number `chip`."""
     return chips(stage_of(h))[chip]
 
 
@@ -151,6 +152,7 @@ def enter(h):
 
 @hot
 def leave(h):
+    """Mark the end of a call into the engine."""
     release(h.own + INSIDE, ENGINE)
 
 
@@ -216,6 +218,7 @@ def journal_cycle(h, kind, chip, address, value):
 
 @hot
 def device_of(h, k):
+    """The row of device `k`."""
     return array_at(h.devices, h.n_devices, DEVICE_TABLE)[k]
 
 

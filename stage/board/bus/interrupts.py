@@ -42,6 +42,7 @@ NEAR = 1 << 14
 
 @hot
 def sources_of(h):
+    """The rows of all interrupt sources."""
     return array_at(h.sources, SOURCES, SOURCE)
 
 

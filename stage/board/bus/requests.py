@@ -339,7 +339,10 @@ def execute(h, what, a, b):
 
 @exported("i8", host_record.HOST, "i4", "i8", "i8")
 def request(h, what, a, b):
-    """Execute a request of a host: int64_t request(void *host, int32_t what, int64_t a, int64_t b)."""
+    """Execute a request of a host.
+
+    In C: int64_t request(void *host, int32_t what, int64_t a, int64_t b).
+    """
     if (h.in_python and what < host_record.FROM_PYTHON) or not host_record.enter(h):
         if what < host_record.FROM_PYTHON:
             h.collided = 1

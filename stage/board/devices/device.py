@@ -201,6 +201,7 @@ class Compiled(Device):
         self.access, self.pulls = core.access.address, core.pulls.address if hasattr(core, "pulls") else 0
 
     def recipe(self) -> tuple[Any, ...]:
+        """Build the device by its class and options, in any process."""
         if not self.access:  # Python is called for its cycles
             return super().recipe()
         options = {"name": self.name, **{name: getattr(self, name) for name in self.OPTIONS}}

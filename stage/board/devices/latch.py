@@ -36,6 +36,7 @@ class Latch(Compiled):
         return int(self.registers["value"])
 
     def call(self, n: int, kind: int, value: int) -> int:
+        """Write the outputs and call the function that observes them, or read them back."""
         before = self.value
         if kind == OUT8 and value != before:
             self.registers["value"] = value
@@ -44,7 +45,9 @@ class Latch(Compiled):
         return self.value
 
     def port_name(self, n: int) -> str:
+        """All eight outputs are one port."""
         return "outputs"
 
     def listener(self) -> Listener:
+        """Describe an access in the trace."""
         return lambda n, value, writes, wide: f"outputs {'<-' if writes else '='} {value:08b}"

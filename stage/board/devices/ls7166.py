@@ -39,9 +39,12 @@ class LS7166(Compiled):
         self.registers["pr"] = ls7166_core.FULL - 1
 
     def port_name(self, n: int) -> str:
+        """The name of the port in traces."""
         return ("data", "control")[n]
 
     def listener(self) -> Listener:
+        """Describe an access in the trace, with the command that a control byte is."""
+
         def describe(n: int, value: int, writes: bool, wide: bool) -> str:
             if n == 0:
                 return f"PR byte <- {value:02X}h" if writes else f"OL byte = {value:02X}h"

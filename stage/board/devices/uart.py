@@ -127,9 +127,11 @@ class UART(Compiled):
         return int(answer)
 
     def port_name(self, n: int) -> str:
+        """The name of the register, or both where reads and writes have one each."""
         return _READ[n] if _READ[n] == _WRITTEN[n] else f"{_READ[n]}, {_WRITTEN[n]}"
 
     def listener(self) -> Listener:
+        """Describe an access in the trace. Bit 7 of LCR selects the divisor's registers."""
         lcr = 0
 
         def describe(n: int, value: int, writes: bool, wide: bool) -> str:

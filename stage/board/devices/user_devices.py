@@ -32,6 +32,7 @@ class UserDevice(Device):
     tell: Describe | None
 
     def listener(self) -> Listener:
+        """Describe an access in the trace by the user's function, where there is one."""
         if self.tell is None:
             return super().listener()
         return lambda n, value, writes, wide: str(self.tell(self.port(n), value, writes))  # type: ignore[misc]
@@ -60,6 +61,7 @@ class PythonDevice(UserDevice):
             self.state = [_check_state(state)]
 
     def call(self, n: int, kind: int, value: int) -> int:
+        """Call the user's function of a read or a write."""
         port = self.port(n)
         if kind in (OUT8, OUT16):
             if self.write is not None:
@@ -120,9 +122,11 @@ class CDevice(UserDevice):
 
     @property
     def label(self) -> str:
+        """The device's name and source file."""
         return f"{self.name} ({self.path.name})"
 
     def recipe(self) -> tuple[Any, ...]:
+        """Compile and load the source again, in any process."""
         return (_rebuild, str(self.path), self.name, self.encoders, self.width)
 
 

@@ -76,9 +76,11 @@ class ChildLink(Link):
         h["edges"], h["lines"], h["edge_room"] = shared.edges.ctypes.data, shared.cycles.ctypes.data, len(shared.edges)
 
     def checked_chips(self) -> int:
+        """The chips whose writes the parent checks."""
         return self.checked
 
     def end(self) -> None:
+        """End a request: send samples and notes before their memory is full."""
         h = self.record
         self.samples.filled = int(h["filled"])
         if h["noted"] > NOTED // 2 or self.samples.filled == len(self.samples.samples):
@@ -99,9 +101,11 @@ class ChildLink(Link):
         self._pipe.recv()
 
     def call_device(self, k: int, n: int, kind: int, value: int) -> int:
+        """Let the parent execute a cycle of a Python device."""
         return self._call_parent(k, n, value, kind)
 
     def loses(self, chip: int, address: int, value: int) -> bool:
+        """Ask the parent whether a fault of the bus keeps this write from its chip."""
         return bool(self._call_parent(chip, address, value))
 
     def _call_hook_in_parent(self, source: int) -> None:
@@ -144,6 +148,7 @@ class ChildBoard(Board):
         self.link.shared.remember()
 
     def note(self, text: str) -> None:
+        """Add a line to the board's log, in the parent."""
         self._check_log_lines(self._lines)
         self._lines += 1
         if not self.link.shared.note(self.stage.now, text):
@@ -275,7 +280,7 @@ def _move_descriptor(fileno: int) -> int:
 
 def _offer_to_be_killed() -> None:
     """Let the system end this process, where memory is short, rather than one that has more to lose."""
-    with suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
+    with suppress(OSError), Path("/proc/self/oom_score_adj").open("w") as file:
         file.write("1000")
 
 

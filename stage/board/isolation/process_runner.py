@@ -124,9 +124,11 @@ class ProcessRunner:
 
     @property
     def running(self) -> bool:
+        """Whether the firmware has begun and not yet ended."""
         return self._running
 
     def go_on(self, until: int, max_cycles: int) -> int | None:
+        """Let the child run up to the time `until`. The result is the exit code, or None before the end."""
         board = self._board
         if os.getpid() != self._owner:
             self._leave_to_owner()
@@ -162,6 +164,7 @@ class ProcessRunner:
         return message.code
 
     def close(self) -> None:
+        """End the child, wherever its firmware is."""
         if os.getpid() != self._owner:
             self._leave_to_owner(may_run=True)
         self._end()

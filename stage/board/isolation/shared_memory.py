@@ -152,7 +152,7 @@ def _is_within(rows: np.ndarray, **bounds: tuple[int, int]) -> bool:
     return not len(rows) or all(low <= rows[n].min() and rows[n].max() <= high for n, (low, high) in bounds.items())
 
 
-def _map_for_firmware(path: str | Path, size: int) -> np.ndarray:
+def _map_for_firmware(path: Path, size: int) -> np.ndarray:
     """Map the file for as long as this process lives, and keep no file descriptor: firmware could cut the file by it.
 
     A process that has mapped more than a file holds ends with SIGBUS where it reads beyond, and the parent maps it, too.
@@ -160,7 +160,7 @@ def _map_for_firmware(path: str | Path, size: int) -> np.ndarray:
     map_file = ctypes.CDLL(None, use_errno=True).mmap
     map_file.restype = ctypes.c_void_p
     access, offset = mmap.PROT_READ | mmap.PROT_WRITE, ctypes.c_long(0)
-    with open(path, "r+b") as file:
+    with path.open("r+b") as file:
         address = map_file(None, ctypes.c_size_t(size), access, mmap.MAP_SHARED, file.fileno(), offset)
     if address is None or address == ctypes.c_void_p(-1).value:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), str(path))
@@ -194,7 +194,7 @@ class SharedMemory:
             _make_file(Path(path), places[-1])
             self._map: np.ndarray = np.memmap(path, np.uint8, "r+", shape=(places[-1],))
         else:
-            self._map = _map_for_firmware(path, places[-1])
+            self._map = _map_for_firmware(Path(path), places[-1])
         (
             self.record, self.edges, self.cycles, self.state, self.samples, self.positions, self.sources, used, text, crash,
             self.devices,

@@ -31,6 +31,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from stage.board.thread_runner import read_status
@@ -188,6 +189,7 @@ class Starter:
         _end_children()
 
     def send(self, message: Any, files: list[int]) -> None:
+        """Send a message with open files."""
         content = pickle.dumps(message)
         socket.send_fds(self._control, [_HEAD.pack(len(content))], files)
         self._control.sendall(content)
@@ -251,7 +253,7 @@ def _is_stopped(pid: int) -> bool:
 
 def _folder() -> str:
     try:
-        return os.getcwd()
+        return str(Path.cwd())
     except OSError:
         return "/"
 

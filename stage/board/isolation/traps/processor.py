@@ -80,6 +80,7 @@ def _place(n):
 
 @hot
 def get(s, n, size):
+    """The value of register `n`, `size` bytes of it."""
     regs = array_at(s.regs, REGISTERS, _I8)
     if size == 1 and s.rex == 0 and 4 <= n < 8:  # AH, CH, DH, BH
         return fit(int(regs[_place(n - 4)]) >> 8, 1)
@@ -88,6 +89,7 @@ def get(s, n, size):
 
 @hot
 def put_register(s, n, size, value):
+    """Write register `n`. As on the processor, 4 bytes clear the upper half and fewer leave the rest."""
     regs = array_at(s.regs, REGISTERS, _I8)
     if size == 8:
         regs[_place(n)] = value
