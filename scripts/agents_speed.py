@@ -25,17 +25,17 @@ CALLS = {
 }  # fmt: skip
 
 
-def own_cost(times: int = 300) -> dict[str, float]:
+def measure_calls(times: int = 300) -> dict[str, float]:
     """us a call, by tool, the simulation of its bus cycles included."""
     box = Toolbox(Stage("xy", visuals=False))
-    found = {}
+    microseconds = {}
     for name, arguments in CALLS.items():
         box.call(name, arguments)
         begun = perf_counter()
         for _ in range(times):
             box.call(name, arguments)
-        found[name] = (perf_counter() - begun) / times * 1e6
-    return found
+        microseconds[name] = (perf_counter() - begun) / times * 1e6
+    return microseconds
 
 
 async def client(address: str, token: str, calls: int) -> None:
@@ -60,15 +60,15 @@ def at_once(sessions: int, calls: int) -> float:
     from stage.agents.server.http import HttpServer
 
     maker = ToolboxFactory(lambda: Stage("xy", visuals=False))
-    held = Sessions(maker)
-    server = HttpServer(maker, held)
+    open_sessions = Sessions(maker)
+    server = HttpServer(maker, open_sessions)
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     command: list[Any] = [sys.executable, __file__, "--as-clients", server.address, sessions, calls]
     begun = perf_counter()
     subprocess.run([str(word) for word in command], check=True, env={**os.environ, "PULSESTAGE_TOKEN": server.token})
     took = perf_counter() - begun
-    left = len(held)
+    left = len(open_sessions)
     server.stop()
     thread.join()
     assert left == 0, f"{left} stages were left behind"
@@ -85,7 +85,7 @@ def main() -> None:
         address, sessions, calls = args.as_clients
         asyncio.run(clients(address, os.environ["PULSESTAGE_TOKEN"], int(sessions), int(calls)))
         return
-    for name, us in own_cost().items():
+    for name, us in measure_calls().items():
         print(f"{name:16}{us:8.0f} us a call")
     rate = at_once(args.sessions, args.calls)
     print(f"{args.sessions} sessions at once over HTTP: {rate:.0f} calls a second, their connecting included")

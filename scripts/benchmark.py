@@ -59,10 +59,10 @@ def measure(name: str, run: Run, results: Results) -> None:
     results.titles[name], results.machines[name] = subject.TITLE, machine(run)
     print(f"\n{subject.TITLE}", flush=True)
     begin = time.perf_counter()
-    for found in subject.measure(run):
-        results.add(found)
-        if not isinstance(found, Curve):
-            print(line(found), flush=True)
+    for result in subject.measure(run):
+        results.add(result)
+        if not isinstance(result, Curve):
+            print(line(result), flush=True)
     print(f"  [{time.perf_counter() - begin:.0f} s]", flush=True)
 
 

@@ -110,9 +110,9 @@ def grow(kind, id_, n, settings):
         envs.step(None if kind == "bare" else envs.action_space.sample())
         return envs
 
-    kept = [stepped(1)]
+    created = [stepped(1)]
     before = resident()
-    kept.append(stepped(n))
+    created.append(stepped(n))
     return (resident() - before) / n / 1024
 
 
@@ -127,12 +127,12 @@ def memory(kind, id_, n, settings):
     return float(out.stdout)
 
 
-def chosen(ids):
+def select_ids(ids):
     """The ids asked for."""
     return [id_ for id_ in stage.envs.IDS if not ids or any(name in id_ for name in ids)]
 
 
-def shown(values, digits=3):
+def format_spread(values, digits=3):
     """Median and spread."""
     low, middle, high = np.min(values), np.median(values), np.max(values)
     return f"{middle:,.{digits}g}" if middle < 1000 else f"{middle:,.0f}", f"({low:.{digits}g} .. {high:.{digits}g})"
@@ -140,16 +140,16 @@ def shown(values, digits=3):
 
 def markdown(rows, first, n):
     """A row of the table of docs/envs.md."""
-    cells = [" ".join(shown(rows[name])) if name in rows else "" for name in COLUMNS]
+    cells = [" ".join(format_spread(rows[name])) if name in rows else "" for name in COLUMNS]
     cells[1] = cells[1].split()[0]
     return f"| {first} | {n} | {' | '.join(cells)} |"
 
 
-def tell(rows, id_, n, settings, most_sync):
+def print_row(rows, id_, n, settings, most_sync):
     """Print a line; returns KiB a stage."""
     kinds = [k for k in ("ours", "sync", "bare") if n >= ENOUGH and (k != "sync" or n <= most_sync)]
     kib = {kind: memory(kind, id_, n, settings) for kind in kinds}
-    cells = {name: " ".join(shown(values)) for name, values in rows.items()}
+    cells = {name: " ".join(format_spread(values)) for name, values in rows.items()}
     print(
         f"{n:6}  {cells['env steps/s']:>28}  {cells['physics steps/s']:>30}  "
         f"{cells.get('times SyncVectorEnv', '-'):>24}  {cells['of a bare Batch']:>22}  "
@@ -184,7 +184,7 @@ def main():
     table = {}
     print(f"{os.cpu_count()} processors, MuJoCo {mujoco.__version__}, {args.rounds} rounds; median (least .. most)"
           f"{'; a second is one of processor time' if args.cpu else ''}")  # fmt: skip
-    for id_, chip in product(chosen(args.ids), args.chips):
+    for id_, chip in product(select_ids(args.ids), args.chips):
         settings = {"chip": chip} | args.settings
         name = id_ if chip == "PCL240K" else f"{id_} {chip}"
         if not args.markdown:
@@ -197,7 +197,7 @@ def main():
                 print(markdown(rows, first, n), flush=True)
                 first, kib = "", {}
             else:
-                kib = tell(rows, id_, n, settings, args.most_sync)
+                kib = print_row(rows, id_, n, settings, args.most_sync)
             table[f"{name} {n}"] = {name: values.tolist() for name, values in rows.items()} | {"KiB a stage": kib}
             if args.json:
                 with open(args.json, "w") as file:

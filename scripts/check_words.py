@@ -51,14 +51,14 @@ def find_offenders(source: str) -> Iterator[tuple[int, str]]:
 
 def find_all() -> dict[str, list[str]]:
     """Return the offenders of each folder, two levels deep."""
-    found = defaultdict(list)
+    offenders_by_folder = defaultdict(list)
     for folder in FOLDERS:
         for file in sorted((ROOT / folder).rglob("*.py")):
             path = file.relative_to(ROOT)
-            found["/".join(path.parts[: min(len(path.parts) - 1, 2)])] += [
+            offenders_by_folder["/".join(path.parts[: min(len(path.parts) - 1, 2)])] += [
                 f"{path}:{line}: {text}" for line, text in sorted(find_offenders(file.read_text()))
             ]
-    return found
+    return offenders_by_folder
 
 
 def main() -> int:

@@ -104,7 +104,7 @@ def path_speed(run: Run, name: str, over: int = 12) -> tuple[np.ndarray, np.ndar
     return (t[over:] + t[:-over]) / 2 - t[0], v
 
 
-def tell(run: Run) -> None:
+def print_results(run: Run) -> None:
     for name, edge in run.edges.items():
         home = run.homes[name].position
         print(f"{name}: home {1e6 * (home - edge):+.1f} um from the edge of ORG")
@@ -180,8 +180,8 @@ def draw_the_home_search(places: Any, lanes: Any, run: Run) -> None:
     t = run.columns["time"]
     rows = t <= end
     for k, (name, colour) in enumerate(AXES.items()):
-        far = (run.columns[f"{name}/position"] - run.edges[name])[rows] * 1e3
-        places.plot(t[rows], far, color=colour, lw=1.8, label=name)
+        distance = (run.columns[f"{name}/position"] - run.edges[name])[rows] * 1e3
+        places.plot(t[rows], distance, color=colour, lw=1.8, label=name)
         lane, states = 2 - k, run.homes[name].states
         for (begin, state), (until, _) in zip(states, [*states[1:], (end, 0)], strict=True):
             lanes.broken_barh([(begin, until - begin)], (lane + 0.1, 0.42), color=STATES[state][1], lw=0)
@@ -243,7 +243,7 @@ def picture(run: Run, path: Path) -> None:
         parts = *above.subfigures(1, 3, width_ratios=(1.45, 1.35, 1)), *below.subfigures(1, 2, width_ratios=(1.75, 1))
         for part, title in zip(parts, TITLES, strict=True):
             part.suptitle(title, x=0.02, ha="left", color=INK, fontsize=12, weight="bold")
-        first, space, ring = (
+        first, space, polar = (
             part.subplots(subplot_kw={"projection": kind})
             for part, kind in zip(parts, (None, "3d", "polar"), strict=False)
         )
@@ -251,7 +251,7 @@ def picture(run: Run, path: Path) -> None:
         speed = parts[4].subplots()
         draw_from_above(first, run)
         draw_in_space(space, run)
-        draw_the_deviation(ring, run)
+        draw_the_deviation(polar, run)
         draw_the_home_search(places, lanes, run)
         draw_the_speed(speed, run)
         for ax in (first, places, lanes, speed):
@@ -269,9 +269,9 @@ if __name__ == "__main__":
     parser.add_argument("--record", type=Path, metavar="RRD", help="write a rerun recording")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the picture")
     args = parser.parse_args()
-    made = run()
-    tell(made)
+    results = run()
+    print_results(results)
     if args.record:
-        print(f"{made.recording.save(args.record, overwrite=True)}: written")
+        print(f"{results.recording.save(args.record, overwrite=True)}: written")
     if args.picture:
-        picture(made, args.picture)
+        picture(results, args.picture)

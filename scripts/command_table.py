@@ -30,7 +30,7 @@ Tests = dict[tuple[str, str], Counter[str]]
 
 def covered(folder: Path) -> Tests:
     """(chip, symbol) -> how many tests of which file cover it."""
-    found: Tests = defaultdict(Counter)
+    matches: Tests = defaultdict(Counter)
     for path in sorted(folder.rglob("test_*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
@@ -39,8 +39,8 @@ def covered(folder: Path) -> Tests:
                         chips, *symbols = (ast.literal_eval(a) for a in d.args)
                         for chip in chips.split():
                             for symbol in symbols:
-                                found[chip, symbol][path.stem] += 1
-    return found
+                                matches[chip, symbol][path.stem] += 1
+    return matches
 
 
 def implemented(map_: RegisterMap, command: Command) -> str:
@@ -59,10 +59,10 @@ def table(maps: list[RegisterMap], tests: Tests) -> str:
     for c in commands:
         on = [m for m in maps if c in m.commands]
         chips = "all" if len(on) == len(maps) else ", ".join(m.chip for m in on)
-        said = " / ".join(dict.fromkeys(implemented(m, c) for m in on))
+        meaning = " / ".join(dict.fromkeys(implemented(m, c) for m in on))
         counts = sum((tests.get((m.chip, c.symbol), Counter()) for m in on), Counter())
         by = ", ".join(f"{name} ({n})" if n > 1 else name for name, n in sorted(counts.items())) or "-"
-        cells = [c.symbol, c.hex, c.what, str(c.bytes or ""), *([chips] if several else []), said, by, c.evidence]
+        cells = [c.symbol, c.hex, c.what, str(c.bytes or ""), *([chips] if several else []), meaning, by, c.evidence]
         lines.append("| " + " | ".join(cells) + " |")
     used = {c.evidence for c in commands}
     return "\n".join([*lines, "", "Evidence: " + ", ".join(f"{k} {v}" for k, v in EVIDENCE.items() if k in used) + "."])

@@ -278,15 +278,15 @@ def is_speed_data(row: tuple[str, str, str]) -> bool:
 
 def section(p: Pattern, report: Report) -> str:
     """The page's part on one pattern."""
-    shown: list[tuple[str, str, str]] = []
+    table_rows: list[tuple[str, str, str]] = []
     for row in rows(report):
         if not is_speed_data(row):
-            shown.append(row)
-        elif shown[-1][2] != "speed data, as above":
-            shown.append((row[0], "", "speed data, as above"))
+            table_rows.append(row)
+        elif table_rows[-1][2] != "speed data, as above":
+            table_rows.append((row[0], "", "speed data, as above"))
     return (
         f"\n## {p.title}\n\n*{p.source[0].upper()}{p.source[1:]}.* {p.text}\n\n![{p.title}](pictures/patterns/{p.name}.png)\n\n"
-        f"```python\n{p.code}\n```\n\n{table(shown)}\n"
+        f"```python\n{p.code}\n```\n\n{table(table_rows)}\n"
     )
 
 
@@ -316,9 +316,9 @@ def main(names: list[str]) -> None:
     for name in names:
         if name not in known:
             raise unknown("pattern", name, known)
-    chosen = [known[n] for n in names] or PATTERNS
-    reports = {p.name: p.run() for p in chosen}
-    for p in chosen:
+    selected = [known[n] for n in names] or PATTERNS
+    reports = {p.name: p.run() for p in selected}
+    for p in selected:
         print(draw(p, reports[p.name]).relative_to(DOCS.parent))
     if not names:
         (DOCS / "patterns.md").write_text(page(reports))

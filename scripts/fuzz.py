@@ -25,10 +25,10 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
-from fuzzing.promises import Counts, counted
+from fuzzing.promises import Counts, read_counts
 
 ROOT = Path(__file__).resolve().parent.parent
-SEEDS, FOUND = ROOT / "tests" / "corpus", ROOT / "build" / "fuzz"
+SEEDS, FINDINGS = ROOT / "tests" / "corpus", ROOT / "build" / "fuzz"
 BUDGET = 3000  # events of one guided input: a long ramp is nothing new after that
 
 
@@ -55,19 +55,19 @@ TARGETS = {
 
 def inputs_of(target: str) -> list[Path]:
     """The corpus, and all that was found on top of it."""
-    return [f for folder in (SEEDS / target, FOUND / target) for f in sorted(folder.glob("*")) if f.is_file()]
+    return [f for folder in (SEEDS / target, FINDINGS / target) for f in sorted(folder.glob("*")) if f.is_file()]
 
 
 def child(target: str, run: str, options: list[str], chip: str | None = None) -> int:
     """Fuzz in a process of its own and print what it has counted. Returns its exit status; not 0 means a finding."""
-    (FOUND / target).mkdir(parents=True, exist_ok=True)
-    counts = FOUND / f"{target}-{run}.json"
+    (FINDINGS / target).mkdir(parents=True, exist_ok=True)
+    counts = FINDINGS / f"{target}-{run}.json"
     counts.unlink(missing_ok=True)
     uncompiled = run in ("guided", "merge") and TARGETS[target].uncompiled
     command = [*_inside(target, run, chip), *options]
     status = subprocess.run(command, env={**os.environ, "NUMBA_DISABLE_JIT": str(int(uncompiled))}).returncode
-    said = ", ".join(f"{n:,} {name}" for name, n in counted(counts).items())
-    print(f"{target}, {run}: {said or 'nothing done'}; {'no finding' if status == 0 else f'exit status {status}'}")
+    totals = ", ".join(f"{n:,} {name}" for name, n in read_counts(counts).items())
+    print(f"{target}, {run}: {totals or 'nothing done'}; {'no finding' if status == 0 else f'exit status {status}'}")
     return status
 
 
@@ -79,19 +79,26 @@ def _inside(target: str, run: str, chip: str | None) -> list[str]:
 def guided(target: str, seconds: int, chip: str | None) -> int:
     options = [
         *(f"-max_total_time={seconds}", "-timeout=60", f"-max_len={TARGETS[target].most_bytes}", "-len_control=0"),
-        *("-print_final_stats=1", f"-artifact_prefix={FOUND / target}/", str(FOUND / target), str(SEEDS / target)),
+        *(
+            "-print_final_stats=1",
+            f"-artifact_prefix={FINDINGS / target}/",
+            str(FINDINGS / target),
+            str(SEEDS / target),
+        ),
     ]
     return child(target, "guided", options, chip)
 
 
 def keep(target: str) -> int:
     """Add to the corpus the fewest of the found inputs that reach all branches which it does not."""
-    return child(target, "merge", ["-set_cover_merge=1", "-use_counters=0", str(SEEDS / target), str(FOUND / target)])
+    return child(
+        target, "merge", ["-set_cover_merge=1", "-use_counters=0", str(SEEDS / target), str(FINDINGS / target)]
+    )
 
 
 def inside(target: str, run: str, options: list[str], chip: str | None) -> int:
     """The child: atheris with libFuzzer's options, or mutations for so many seconds."""
-    counts, made_of = Counts(FOUND / f"{target}-{run}.json"), TARGETS[target]
+    counts, source = Counts(FINDINGS / f"{target}-{run}.json"), TARGETS[target]
     only = {"only": chip} if chip else {}
     if run == "compiled":
         from fuzzing.mutation import mutate_for
@@ -99,15 +106,15 @@ def inside(target: str, run: str, options: list[str], chip: str | None) -> int:
         seconds, seed = map(int, options)
         pool = [f.read_bytes() for f in inputs_of(target)]
         try:
-            return mutate_for(made_of.load()(counts, **only), pool, seconds, seed, FOUND / target, made_of.most_bytes)
+            return mutate_for(source.load()(counts, **only), pool, seconds, seed, FINDINGS / target, source.most_bytes)
         finally:
             counts.save()
     import atheris
 
-    for name in made_of.before:
+    for name in source.before:
         import_module(name)
-    with atheris.instrument_imports(include=[made_of.instrumented]):
-        cls = made_of.load()
+    with atheris.instrument_imports(include=[source.instrumented]):
+        cls = source.load()
     again = shlex.join(_inside(target, run, chip))  # libFuzzer merges in processes of its own
     atheris.Setup([again, *options], cls(counts, budget=BUDGET, **only))
     atheris.Fuzz()
@@ -133,33 +140,33 @@ def main() -> int:
     parser.add_argument("--replay", nargs="+", type=Path, metavar="FILE", help="check these inputs and exit")
     parser.add_argument("--keep", action="store_true", help="enlarge tests/corpus from what was found, and exit")
     parser.add_argument("--inside", metavar="RUN", help=argparse.SUPPRESS)
-    given, options = parser.parse_known_args()
-    if options and not given.inside:
+    args, options = parser.parse_known_args()
+    if options and not args.inside:
         parser.error(f"unknown: {' '.join(options)}")
-    if given.chip and given.target != "bus":
-        parser.error(f"{given.target} has no chips to choose from")
-    if given.inside:
-        return inside(given.target, given.inside, options, given.chip)
-    if given.replay:
-        replay(given.target, given.replay)
+    if args.chip and args.target != "bus":
+        parser.error(f"{args.target} has no chips to choose from")
+    if args.inside:
+        return inside(args.target, args.inside, options, args.chip)
+    if args.replay:
+        replay(args.target, args.replay)
         return 0
-    both = TARGETS[given.target].uncompiled
-    if given.run == "compiled" and not both:
-        parser.error(f"{given.target} has no compiled run of its own")
-    runs = [given.run] if given.run else ["guided", "compiled"] if both else ["guided"]
-    if (given.keep or "guided" in runs) and find_spec("atheris") is None:
+    both = TARGETS[args.target].uncompiled
+    if args.run == "compiled" and not both:
+        parser.error(f"{args.target} has no compiled run of its own")
+    runs = [args.run] if args.run else ["guided", "compiled"] if both else ["guided"]
+    if (args.keep or "guided" in runs) and find_spec("atheris") is None:
         print("guided fuzzing skipped: atheris is not installed; pip install 'pulsestage[fuzz]' (Linux, macOS)")
-        runs = [] if given.keep else [run for run in runs if run != "guided"]
-    elif given.keep:
-        return keep(given.target)
-    shares = {"guided": given.seconds * 2 // 3, "compiled": given.seconds // 3}
+        runs = [] if args.keep else [run for run in runs if run != "guided"]
+    elif args.keep:
+        return keep(args.target)
+    shares = {"guided": args.seconds * 2 // 3, "compiled": args.seconds // 3}
     status = 0
     for run in runs:
-        seconds = shares[run] if len(runs) > 1 else given.seconds
+        seconds = shares[run] if len(runs) > 1 else args.seconds
         if run == "guided":
-            status = guided(given.target, seconds, given.chip) or status
+            status = guided(args.target, seconds, args.chip) or status
         else:
-            status = child(given.target, run, [str(seconds), str(given.seed)], given.chip) or status
+            status = child(args.target, run, [str(seconds), str(args.seed)], args.chip) or status
     return status
 
 

@@ -17,7 +17,7 @@ from contextlib import suppress
 
 from stage import Stage, StageError, firmware
 
-LONGEST_LINE = 256
+MAX_LINE_LENGTH = 256
 WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))?")
 FASTEST = 50.0  # mm/s, of G0
 HELP = "G0 and G1 (X Y Z in mm, F in mm/min), G4 (P ms, S s), G28, G90, G91, G92, M114, M119"
@@ -46,8 +46,8 @@ class Controller:
         if not text:
             return ["ok"]
         try:
-            if len(line) > LONGEST_LINE:
-                raise Refused(f"a line of {len(line)} characters; there are up to {LONGEST_LINE}")
+            if len(line) > MAX_LINE_LENGTH:
+                raise Refused(f"a line of {len(line)} characters; there are up to {MAX_LINE_LENGTH}")
             command, words = parse(text)
             if command not in self.does:
                 raise Refused(f"{command} is not known here; there are {HELP}")
@@ -69,13 +69,13 @@ class Controller:
             to = number(words, letter)
             millimetres[letter] = to if self.relative else to - self.at(letter)
         self.feed = feed
-        far = {k: d for k, d in millimetres.items() if abs(d * 1e-3) >= self.letters[k].meters_per_pulse / 2}
-        if not far:
+        distances = {k: d for k, d in millimetres.items() if abs(d * 1e-3) >= self.letters[k].meters_per_pulse / 2}
+        if not distances:
             return []
-        length = sum(d * d for d in far.values()) ** 0.5
-        longest = max(abs(d) for d in far.values())
-        speed = FASTEST if rapid else min(feed / 60 * longest / length, FASTEST)
-        axes = {self.letters[letter].name: d * 1e-3 for letter, d in far.items()}
+        length = sum(d * d for d in distances.values()) ** 0.5
+        max_seconds = max(abs(d) for d in distances.values())
+        speed = FASTEST if rapid else min(feed / 60 * max_seconds / length, FASTEST)
+        axes = {self.letters[letter].name: d * 1e-3 for letter, d in distances.items()}
         if len(axes) == 1:
             ((name, distance),) = axes.items()
             reports = [firmware.move(self.stage.axes[name], distance, speed=speed * 1e-3)]

@@ -48,9 +48,9 @@ def _remarks(folder: Path) -> tuple[int, list[ElementTree.Element]]:
     """How many errors valgrind saw in all processes, and those with the native library among the callers. A file of hundreds of
     megabytes is read block by block; that of a process that crashed, or forked, is no whole document."""
     errors, ours = 0, []
-    for said in folder.glob("*.xml"):
+    for text in folder.glob("*.xml"):
         block: list[str] = []
-        with said.open() as lines:
+        with text.open() as lines:
             for line in lines:
                 if line == "<error>\n":
                     block = []

@@ -15,17 +15,17 @@ from stage.chips import PCL240MS
 from stage.support.extras import need
 
 DRIFT = 1e-4  # m
-WAYS = {"ORG": None, "EZ, 2nd pulse": 2}
+METHODS = {"ORG": None, "EZ, 2nd pulse": 2}
 
 
 def places(stage, name, ez, drift, returns, rng):
     """Final positions in pulses."""
     axis, beam = stage.axes[name], stage.model.geom(f"{name}_org_switch").pos
     low, high = (next(s.touch for s in axis.plant.switches if s.pin == pin) for pin in ("el_minus", "el_plus"))
-    home, ends, way = beam.copy(), [], "xyz".index(name)
+    home, ends, method = beam.copy(), [], "xyz".index(name)
     for _ in range(returns):
         stage.reset()
-        beam[way] = home[way] + rng.uniform(-drift, drift)
+        beam[method] = home[method] + rng.uniform(-drift, drift)
         stage.place(**{name: rng.uniform(low + 5e-4, high - 5e-4)})
         report = firmware.origin_return(axis, ez=ez)
         assert report.ok, report
@@ -34,7 +34,7 @@ def places(stage, name, ez, drift, returns, rng):
     return np.array(ends)
 
 
-def draw(found, path):
+def draw(positions, path):
     from stage.support.pictures import COLOURS, bare, figure, title
 
     rng = np.random.default_rng(0)
@@ -42,11 +42,11 @@ def draw(found, path):
     panels = fig.subplots(1, 2)
     for ax, drift in zip(panels, (0.0, DRIFT), strict=True):
         for k, name in enumerate("xyz"):
-            for shift, way, colour in ((-0.16, "ORG", COLOURS[0]), (0.16, "EZ, 2nd pulse", COLOURS[1])):
-                ends = found[name, way, drift]
+            for shift, method, colour in ((-0.16, "ORG", COLOURS[0]), (0.16, "EZ, 2nd pulse", COLOURS[1])):
+                ends = positions[name, method, drift]
                 ax.plot(
                     k + shift + rng.uniform(-0.08, 0.08, len(ends)), ends - np.median(ends), "o", ms=3, alpha=0.6,
-                    color=colour, mec="none", label=way if k == 0 else None,
+                    color=colour, mec="none", label=method if k == 0 else None,
                 )  # fmt: skip
         ax.set_xticks(range(3), "xyz")
         bare(ax)
@@ -68,19 +68,19 @@ def main():
             need("matplotlib", "the picture")
         except ExtraMissing as missing:
             parser.exit(2, f"{missing}\n")
-    stage, found = Stage("xyz", chips=PCL240MS), {}
+    stage, positions = Stage("xyz", chips=PCL240MS), {}
     print(f"{args.returns} returns each, seed {args.seed}; largest minus smallest final position, pulses of 3.125 um")
     print(f"{'axis':6}{'ends at':16}{'switch stays':>14}{f'drifts {DRIFT * 1e3:g} mm':>16}")
     for name in stage.axes:
-        for k, (way, ez) in enumerate(WAYS.items()):
+        for k, (method, ez) in enumerate(METHODS.items()):
             spreads = []
             for drift in (0.0, DRIFT):
                 rng = np.random.default_rng([args.seed, ord(name), k])
-                found[name, way, drift] = ends = places(stage, name, ez, drift, args.returns, rng)
+                positions[name, method, drift] = ends = places(stage, name, ez, drift, args.returns, rng)
                 spreads.append(np.ptp(ends))
-            print(f"{name:6}{way:16}{spreads[0]:>14.2f}{spreads[1]:>16.2f}", flush=True)
+            print(f"{name:6}{method:16}{spreads[0]:>14.2f}{spreads[1]:>16.2f}", flush=True)
     if args.picture:
-        draw(found, args.picture)
+        draw(positions, args.picture)
 
 
 if __name__ == "__main__":

@@ -36,9 +36,9 @@ def read_public_names(stage: griffe.Module, page: str) -> Iterator[str]:
     sentence = page.partition("All names in `__all__` of")[2].partition("the attributes")[0]
     for module in re.findall(r"`(stage[\w.]*)`", sentence):
         yield module
-        found = find(stage, module)
-        exports = [str(name) for name in found.exports or ()] or [
-            name for name, member in found.members.items() if not name.startswith("_") and not member.is_alias
+        target = find(stage, module)
+        exports = [str(name) for name in target.exports or ()] or [
+            name for name, member in target.members.items() if not name.startswith("_") and not member.is_alias
         ]
         yield from (f"{module}.{name}" for name in sorted(exports))
     for module, names in re.findall(r"^\| `(stage[\w.]*)` \| ((?:`\w+` ?)+)\|", page, re.MULTILINE):
@@ -52,17 +52,17 @@ def find(stage: griffe.Module, name: str) -> griffe.Object:
     Raises:
         SystemExit: There is no object of this name.
     """
-    found = stage
+    target = stage
     for part in name.split(".")[1:]:
         try:
-            found = found.all_members[part]
-            found = found.final_target if found.is_alias else found
+            target = target.all_members[part]
+            target = target.final_target if target.is_alias else target
         except griffe.AliasResolutionError as error:
             module, _, constant = error.alias.target_path.rpartition(".")
-            found = find_constant(find(stage, module), constant)
+            target = find_constant(find(stage, module), constant)
         except KeyError:
-            found = find_constant(found, part)
-    return found
+            target = find_constant(target, part)
+    return target
 
 
 def find_constant(module: griffe.Object, name: str) -> griffe.Object:
@@ -92,9 +92,9 @@ def format_arguments(function: griffe.Function) -> str:
     return f"({', '.join(words)})"
 
 
-def describe_members(found: griffe.Class) -> set[str]:
+def describe_members(target: griffe.Class) -> set[str]:
     """Return the line of each public member of a class, inherited ones included, after the name of the class."""
-    members = {name: m.final_target if m.is_alias else m for name, m in found.all_members.items()}
+    members = {name: m.final_target if m.is_alias else m for name, m in target.all_members.items()}
     return {
         f".{name}" + (format_arguments(member) if member.is_function else "")
         for name, member in members.items()
@@ -102,29 +102,29 @@ def describe_members(found: griffe.Class) -> set[str]:
     }
 
 
-def describe(name: str, found: griffe.Object, public: set[str]) -> Iterator[str]:
+def describe(name: str, target: griffe.Object, public: set[str]) -> Iterator[str]:
     """Yield a line for an object, and one for each member of a class that its public base classes do not have in the same form."""
-    if not found.is_class:
-        yield name + (format_arguments(found) if found.is_function else "")
+    if not target.is_class:
+        yield name + (format_arguments(target) if target.is_function else "")
         return
-    constructor = found.all_members.get("__init__")
+    constructor = target.all_members.get("__init__")
     yield name + (format_arguments(constructor) if constructor is not None else "()")
-    inherited = {line for base in found.mro() if base.path in public for line in describe_members(base)}
-    yield from (name + line for line in sorted(describe_members(found) - inherited))
+    inherited = {line for base in target.mro() if base.path in public for line in describe_members(base)}
+    yield from (name + line for line in sorted(describe_members(target) - inherited))
 
 
 def list_api(stage: griffe.Module, page: str) -> list[str]:
     """Return the lines of the list. An object that has several public names is described at the first of them."""
     names = dict.fromkeys(read_public_names(stage, page))
     objects = {name: find(stage, name) for name in names}
-    public = {found.path for found in objects.values()}
+    public = {target.path for target in objects.values()}
     lines, described = [], set()
-    for name, found in objects.items():
-        if found.path in described or found.is_module:
+    for name, target in objects.items():
+        if target.path in described or target.is_module:
             lines.append(name)
         else:
-            lines += describe(name, found, public)
-        described.add(found.path)
+            lines += describe(name, target, public)
+        described.add(target.path)
     return lines
 
 

@@ -70,14 +70,14 @@ class Imports:
         """Return the files that a file imports, in functions, too, or names in a text."""
         is_package = path.name == "__init__.py"
         text = FOR_TYPE_CHECKERS.sub("", self.texts[path])
-        found = {name.strip() for names in IMPORT.findall(text) for name in names.split(",")}
+        imports = {name.strip() for names in IMPORT.findall(text) for name in names.split(",")}
         for package, names in FROM.findall(text):
-            found.add(package)
-            found.update(self._find_definition(package, name) for name in re.findall(r"\w+(?: as \w+)?", names))
+            imports.add(package)
+            imports.update(self._find_definition(package, name) for name in re.findall(r"\w+(?: as \w+)?", names))
         if not is_package:
             parents = ["", *(module.rsplit(".", up)[0] + "." for up in range(1, module.count(".") + 1))]
-            found.update(parent + name for name in NAMED.findall(text) for parent in parents)
-        files = {self.modules[name] for name in found if name in self.modules}
+            imports.update(parent + name for name in NAMED.findall(text) for parent in parents)
+        files = {self.modules[name] for name in imports if name in self.modules}
         if path.name.startswith("test_") and path.parent != ROOT / "tests":
             files.update(path.parent.glob("conftest.py"))
         return files
@@ -95,13 +95,13 @@ class Imports:
     @functools.cache  # noqa: B019 - one graph a process
     def _find_names(self, module: str) -> list[tuple[str, dict[str, str]]]:
         """Return what a module takes from others: their names, and by its own name the one that each thing has there."""
-        found = []
+        imports = []
         if self.modules[module].name != "__init__.py":
-            return found
+            return imports
         for origin, names in FROM.findall(self.texts[self.modules[module]]):
             pairs = re.findall(r"(\w+)(?: as (\w+))?", names)
-            found.append((origin, {new or old: old for old, new in pairs}))
-        return found
+            imports.append((origin, {new or old: old for old, new in pairs}))
+        return imports
 
 
 def find_changes(since: str | None) -> set[Path]:

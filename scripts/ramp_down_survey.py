@@ -31,19 +31,19 @@ def shape(move):
     return SHAPES[3 if up > down else 4]
 
 
-def top(move, ended):
+def top(move, ending):
     if move.fh < move.registers.R2:
         return "FH corrected"
-    return "trapezoid" if ended.peak == move.fh else "triangle"
+    return "trapezoid" if ending.peak == move.fh else "triangle"
 
 
-def ends_above(move, ended):
-    return ended.speed > move.registers.R1
+def ends_above(move, ending):
+    return ending.speed > move.registers.R1
 
 
-def ramp_pulses(move, ended):
+def ramp_pulses(move, ending):
     """Pulses of the ramp-down, by the sheet's R6."""
-    r = move.registers._replace(R2=ended.peak)
+    r = move.registers._replace(R2=ending.peak)
     gain = r.R2 - r.R1
     span = gain / 2 if move.linear else span_of(r.R15, gain)
     return (r.R1 + r.R2) * (gain + 2 * span) * r.R4 / (r.R7 * 32768)
@@ -70,10 +70,10 @@ def survey(count, seed):
     row("---", *["--:"] * 4)
     for kind in SHAPES[:3]:
         for end in TOPS:
-            tell(f"{kind}, {end}", [(m, e) for m, e in runs if shape(m) == kind and top(m, e) == end])
+            print_group(f"{kind}, {end}", [(m, e) for m, e in runs if shape(m) == kind and top(m, e) == end])
     for kind in SHAPES[3:]:
-        tell(kind, [(m, e) for m, e in runs if shape(m) == kind])
-    tell("all", runs)
+        print_group(kind, [(m, e) for m, e in runs if shape(m) == kind])
+    print_group("all", runs)
     short = [e.peak < m.fh for m, e in runs if shape(m) == SHAPES[3] and top(m, e) == TOPS[1]]
     print(
         f"\nof {len(short)} FH corrected moves with R15 shorter, {np.mean(short):.0%} start down before the revised R2"
@@ -82,12 +82,12 @@ def survey(count, seed):
     return runs
 
 
-def tell(name, group):
+def print_group(name, group):
     if not group:
         return
     above = f"{np.mean([ends_above(m, e) for m, e in group]):.0%}"
-    late = quantiles([e.late for _, e in group], (10, 50, 90), 1)
-    row(name, f"{len(group):,}", quantiles([e.at_fl for _, e in group], (50, 90, 100)), late, above)
+    delays = quantiles([e.late for _, e in group], (10, 50, 90), 1)
+    row(name, f"{len(group):,}", quantiles([e.at_fl for _, e in group], (50, 90, 100)), delays, above)
 
 
 def reasons(runs):
@@ -100,14 +100,14 @@ def reasons(runs):
     for why, moves in Counter(why for *_, why in above).most_common():
         lefts = quantiles([e.left for _, e, reason in above if reason == why], (50, 90, 100), 2)
         row(why, f"{100 * moves / len(runs):.1f} %", f"{100 * still[why] / len(runs):.1f} %", lefts)
-    way = [
+    shares = [
         100 * (e.speed - m.registers.R1) / (e.peak - m.registers.R1)
         for m, e, why in above
         if why == ROUNDING and ramp_pulses(m, e) >= 100
     ]
     print(
         f"\nwhere rounding alone is why and the ramp has 100 pulses or more, the last pulse comes at\n"
-        f"{quantiles(way, (50, 90, 100), 1)} % of the way from FL to the top speed (median / 90 % / most)"
+        f"{quantiles(shares, (50, 90, 100), 1)} % of the way from FL to the top speed (median / 90 % / most)"
     )
 
 
@@ -129,8 +129,8 @@ def draw(runs, path):
     left.set_ylabel("% of the moves", color=INK)
     left.legend(frameon=False, fontsize=8, labelcolor=INK, loc="lower right")
     alike = SHAPES[:3]
-    late = [[e.late for m, e in runs if shape(m) == k and not excuse(m, e)] for k in alike]
-    right.hist(late, np.linspace(-2, 4, 61), stacked=True, color=[colors[k] for k in alike], label=alike)
+    delays = [[e.late for m, e in runs if shape(m) == k and not excuse(m, e)] for k in alike]
+    right.hist(delays, np.linspace(-2, 4, 61), stacked=True, color=[colors[k] for k in alike], label=alike)
     right.axvline(0, color=INK, linewidth=0.8, linestyle=(0, (4, 4)))
     right.set_xlabel("pulses from the end of the ramp-down to the last pulse", color=INK)
     right.set_ylabel("moves", color=INK)
@@ -147,5 +147,5 @@ if __name__ == "__main__":
     parser.add_argument("--moves", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=240)
     parser.add_argument("--picture", default=str(ROOT / "docs/pictures/ramp_down.png"))
-    given = parser.parse_args()
-    draw(survey(given.moves, given.seed), given.picture)
+    args = parser.parse_args()
+    draw(survey(args.moves, args.seed), args.picture)

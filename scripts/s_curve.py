@@ -171,22 +171,22 @@ class Limit:
 
 def highest_rate(shape: Shape, ramp: float) -> Limit:
     """Up GRID until three rates in a row lose steps; the first loss is bisected to 1 %."""
-    rates, kept = GRID[(GRID + FL) * ramp < LONG], []
+    rates, in_step = GRID[(GRID + FL) * ramp < LONG], []
     for rate in rates:
-        kept.append(keeps_step(shape, rate, ramp))
-        if kept[-3:] == [False] * 3:
+        in_step.append(keeps_step(shape, rate, ramp))
+        if in_step[-3:] == [False] * 3:
             break
-    if all(kept):
+    if all(in_step):
         return Limit(rates[-1], [])
-    first = kept.index(False)
+    first = in_step.index(False)
     low, high = rates[first - 1] if first else 0.0, rates[first]
     while low and high / low > 1.01:
         middle = (low * high) ** 0.5
         low, high = (middle, high) if keeps_step(shape, middle, ramp) else (low, middle)
-    return Limit(low, [r for r, k in zip(rates[first:], kept[first:], strict=False) if k])
+    return Limit(low, [r for r, k in zip(rates[first:], in_step[first:], strict=False) if k])
 
 
-def shortest_ramp(shape: Shape, rate: float) -> float:
+def find_shortest_ramp(shape: Shape, rate: float) -> float:
     """Seconds, down from 30 ms by 4 % as long as no step is lost."""
     ramp = 0.03
     while keeps_step(shape, rate, ramp / 1.04, SHORT):
@@ -242,7 +242,7 @@ def limits() -> dict[Shape, list[Limit]]:
     return {s: [highest_rate(s, t) for t in LIMITS] for s in SHAPES}
 
 
-def tell(runs: dict[tuple[Shape, float], Run], rate: float) -> None:
+def print_runs(runs: dict[tuple[Shape, float], Run], rate: float) -> None:
     """Print runs, a line each."""
     for (shape, ramp), r in runs.items():
         peak = shape.peak * (rate - FL) * PULSE / ramp
@@ -256,15 +256,15 @@ def tell(runs: dict[tuple[Shape, float], Run], rate: float) -> None:
         print(line + (f"; {r.ringing * 1e3:5.3f} mm, {r.quiet:4.2f} s" if r.bend.any() else ""))
 
 
-def tell_all() -> None:
+def print_all() -> None:
     f, damping = mast()
     print(f"1. camera of 0.5 kg on a mast, {f:.2f} Hz, damped by {damping:.1%} of critical; {PULSES} pulses.")
     print("   peak acceleration, time to the stop; following error of the carriage, um; ringing after the stop, and")
     print(f"   seconds from the start until the camera stays within {BAND * 1e3:g} mm")
-    tell(camera_runs(), RATE)
+    print_runs(camera_runs(), RATE)
     print(f"2. bare xyz stage, {LONG} pulses: the same without the camera")
     for rate, ramp in ((32_000, RAMP), (RATE, RAMP), (72_000, 0.05), (HARD_RATE, HARD_RAMP)):
-        tell(bare_runs(rate, ramp), rate)
+        print_runs(bare_runs(rate, ramp), rate)
     print(f"3. bare xyz stage, {LONG} pulses: highest rate up to which no step is lost, kpps; * some higher ones, too")
     print(f"   {'ramp, ms':21}" + "".join(f"{t * 1e3:7.0f} " for t in LIMITS))
     for shape, row in limits().items():
@@ -272,7 +272,7 @@ def tell_all() -> None:
     print(f"4. bare xyz stage, {SHORT} pulses: shortest ramp down to which no step is lost, ms")
     print(f"   {'rate, kpps':21}" + "".join(f"{rate / 1e3:7.0f} " for rate in SLOWER))
     for shape in SHAPES:
-        print(f"   {shape.name:21}" + "".join(f"{shortest_ramp(shape, rate) * 1e3:7.0f} " for rate in SLOWER))
+        print(f"   {shape.name:21}" + "".join(f"{find_shortest_ramp(shape, rate) * 1e3:7.0f} " for rate in SLOWER))
 
 
 # The picture
@@ -290,9 +290,9 @@ def draw_the_moves(ax: Any) -> None:
 def draw_the_mast(ax: Any) -> None:
     """A sketch of models/xy_mast.xml."""
     z = np.linspace(0, 1, 40)
-    for way, alpha in ((-0.22, 0.25), (0.22, 0.25), (0, 1)):
-        ax.plot(way * z**2 * (3 - z) / 2, z, color=MUTED, lw=3, alpha=alpha, solid_capstyle="butt")
-        ax.add_patch(Rectangle((way - 0.13, 1), 0.26, 0.2, color=INK, alpha=alpha, lw=0))
+    for lean, alpha in ((-0.22, 0.25), (0.22, 0.25), (0, 1)):
+        ax.plot(lean * z**2 * (3 - z) / 2, z, color=MUTED, lw=3, alpha=alpha, solid_capstyle="butt")
+        ax.add_patch(Rectangle((lean - 0.13, 1), 0.26, 0.2, color=INK, alpha=alpha, lw=0))
     ax.add_patch(Rectangle((-0.42, -0.12), 0.84, 0.12, color="#9aa4ae", lw=0))
     ax.add_patch(Rectangle((-0.6, -0.19), 1.2, 0.05, color="#c8ced5", lw=0))
     ax.text(0, 1.3, f"0.5 kg, {mast()[0]:.1f} Hz", color=INK, ha="center")
@@ -318,9 +318,9 @@ def draw_the_ringing(ax: Any) -> None:
 
 def draw_the_ringing_over_ramp_time(ax: Any) -> None:
     fine = np.linspace(RAMPS[0], RAMPS[-1], 800)
-    for shape, ring in ringing().items():
+    for shape, amplitudes in ringing().items():
         ax.plot(fine * 1e3, ringing_in_theory(shape, fine) * 1e3, color=shape.color, lw=1.2)
-        ax.plot(RAMPS * 1e3, ring * 1e3, ".", color=shape.color, ms=6)
+        ax.plot(RAMPS * 1e3, amplitudes * 1e3, ".", color=shape.color, ms=6)
     worse = 4 / np.pi / mast()[0]  # s, where the envelopes 1 / (pi f T) and (2 / (pi f T))^2 cross
     ax.axvspan(0, worse * 1e3, color=LINEAR.color, alpha=0.09, lw=0)
     ax.text(8, 0.018, "S-curve\nis worse", color=LINEAR.color)
@@ -406,6 +406,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--picture", type=Path, metavar="PATH", help="draw the picture")
     args = parser.parse_args()
-    tell_all()
+    print_all()
     if args.picture:
         draw(args.picture)

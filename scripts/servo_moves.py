@@ -158,7 +158,7 @@ def simulate() -> Results:
     return Results(run_trapezoid(), {"too early": run_line(True), "safe": run_line(False)}, circles)
 
 
-def tell(r: Results) -> None:
+def print_results(r: Results) -> None:
     t = r.trapezoid
     print(t.report)
     print(f"following error {np.abs(t.error).max():.1f} counts at most, predicted {np.abs(t.predicted).max():.1f}; "
@@ -213,14 +213,14 @@ def picture(r: Results, path: Path) -> None:
 
     figure = Figure(figsize=(13, 8), layout="constrained")
     with rc_context({"font.size": 10}):
-        (move, error), (line, ring) = figure.subplots(2, 2)
+        (move, error), (line, circle_axes) = figure.subplots(2, 2)
         draw_the_move(move, r.trapezoid)
         draw_the_error(error, r.trapezoid)
         draw_the_lines(line, r.lines)
-        draw_the_circles(ring, r.circles)
+        draw_the_circles(circle_axes, r.circles)
         titles = ("A trapezoid of 100 mm", "Its following error", "A line, commanded once a sample",
                   "A circle of 30 mm, three axes, commanded once a sample")  # fmt: skip
-        for ax, text in zip((move, error, line, ring), titles, strict=True):
+        for ax, text in zip((move, error, line, circle_axes), titles, strict=True):
             title(ax, text)
             bare(ax)
     figure.savefig(path, dpi=120)
@@ -234,7 +234,7 @@ if __name__ == "__main__":
     try:
         need("scipy", "this example")
         results = simulate()
-        tell(results)
+        print_results(results)
         if args.picture:
             picture(results, args.picture)
     except ExtraMissing as missing:

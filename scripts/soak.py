@@ -40,7 +40,7 @@ RETURN_EVERY = 25  # rounds
 MARGIN = 1e-3  # m before the limit switches
 RATES = 500.0, 60_000.0  # pps
 SLOW = 2_500.0  # pps, from where a motor may stop at once
-LONGEST = 12.0  # s that a move may last
+MAX_SECONDS = 12.0  # s that a move may last
 REPORT_EVERY = 10.0  # s of wall time
 MASK = 0xFFFFFF  # of R0 and R10
 
@@ -66,16 +66,16 @@ class Move:
         self.profile = Profile.of(fl, *rates, accel, decel, clock_hz=axis.chip.clock_hz, s_curve=shape, chip=kind)
         self.fh2 = bool(rng.random() < 0.3)
         top = self.profile.fh2 if self.fh2 else self.profile.fh1
-        longest = min(0.6 * LONGEST * top, 0.5 * LONGEST * fl * 20)
+        max_pulses = min(0.6 * MAX_SECONDS * top, 0.5 * MAX_SECONDS * fl * 20)
         plus = bool(rng.random() < (room[1] - place) / (room[1] - room[0]))
         free = room[1] - place if plus else place - room[0]
-        self.count = int(max(2, min(free, longest) * rng.uniform(0.001, 1)))
+        self.count = int(max(2, min(free, max_pulses) * rng.uniform(0.001, 1)))
         self.direction = 1 if plus else -1
         self.way = str(rng.choice(["preset", "preset", "constant", "dual", "stop", "go on", "continuous"]))
         self.pause = rng.uniform(0.02, 0.4)
         self.highest = max(self.profile.fh1, self.profile.fh2) if self.way == "dual" else top
-        shortest = self.count / self.highest
-        self.when = rng.uniform(0.05, 0.9) * shortest
+        min_seconds = self.count / self.highest
+        self.when = rng.uniform(0.05, 0.9) * min_seconds
         if self.way == "constant" and top > SLOW:
             self.way = "preset"
         if self.way == "continuous":
@@ -174,9 +174,9 @@ class Soak:
 
     def move(self):
         rng = self.rng
-        chosen = rng.permutation(len(self.axes))[: rng.integers(1, len(self.axes) + 1)]
-        moves = [self.draw(k) for k in chosen]
-        program, mask = Program(), [int(k) for k in chosen]
+        selected = rng.permutation(len(self.axes))[: rng.integers(1, len(self.axes) + 1)]
+        moves = [self.draw(k) for k in selected]
+        program, mask = Program(), [int(k) for k in selected]
         for m in moves:
             m.load(program)
         for m in moves:
@@ -186,14 +186,14 @@ class Soak:
             program.wait(max(0.0, when - now)).command(k, command)
             now = max(now, when)
         stopped = [len(program)]
-        program.until_stopped(mask, 8 * LONGEST, poll=2e-3)
+        program.until_stopped(mask, 8 * MAX_SECONDS, poll=2e-3)
         for m in moves:
             if m.way == "go on":
                 program.wait(m.pause).command(m.k, bus.RESET)
                 program.register(m.k, m.chip, "R6", m.point)  # on MK and MS the reset command clears it
                 program.command(m.k, m.start)
                 stopped.append(len(program))
-                program.until_stopped([m.k], 8 * LONGEST, poll=2e-3)
+                program.until_stopped([m.k], 8 * MAX_SECONDS, poll=2e-3)
         program.wait(0.25 + rng.uniform(0, 0.25))
         places = {m.k: read_register(program, m.k, m.chip, "R0") for m in moves}
         more = {k: read_register(program, k, a.chip, "R10") for k, a in enumerate(self.axes) if a.chip.EXTENDED}
@@ -211,14 +211,14 @@ class Soak:
         truth = self.fleet.truth()[0]
         for m in moves:
             left = value(places[m.k])
-            made = (m.count - left) & MASK
+            pulses_made = (m.count - left) & MASK
             if m.way in ("preset", "constant", "dual", "go on") and left:
                 raise Fault(f"R0 = {left} at the end of {m}")
-            if made > m.count:
+            if pulses_made > m.count:
                 raise Fault(f"R0 = {left}: more pulses than asked for: {m}")
-            self.expected[m.k] += m.direction * made
-            self.position[m.k] += m.direction * made
-            self.pulses += made
+            self.expected[m.k] += m.direction * pulses_made
+            self.position[m.k] += m.direction * pulses_made
+            self.pulses += pulses_made
             self.stops += m.way in ("stop", "go on", "continuous")
         self.moves += len(moves)
         for k, at in more.items():
@@ -288,10 +288,10 @@ class Soak:
             f"worst {self.worst:.2f}, home {self.worst_home:.2f} pulses  {resident():.1f} MiB"
         )
 
-    def summary(self, ended):
+    def summary(self, outcome):
         grown, allowed = self.growth()
         return {
-            "ended": ended, "seed": self.seed, "simulated_hours": self.hours,
+            "ended": outcome, "seed": self.seed, "simulated_hours": self.hours,
             "wall_seconds": round(time.perf_counter() - self.began, 1),
             "cpu_seconds": round(time.process_time(), 1),
             "chips": {a.name: type(a.chip).__name__ for a in self.axes},
@@ -315,7 +315,7 @@ def resident():
 def soak(hours, seed, say=print):
     """Run; returns the summary, whose "ended" is "done", "interrupted", or what failed."""
     run = Soak(seed)
-    said, ended = time.perf_counter(), "done"
+    said, outcome = time.perf_counter(), "done"
     try:
         while run.hours < hours:
             run.round()
@@ -324,13 +324,13 @@ def soak(hours, seed, say=print):
                 say(run.line())
         grown, allowed = run.growth()
         if grown > allowed:
-            ended = f"the process grew by {grown:.2f} MiB, allowed are {allowed:.2f}"
+            outcome = f"the process grew by {grown:.2f} MiB, allowed are {allowed:.2f}"
     except KeyboardInterrupt:
-        ended = "interrupted"
+        outcome = "interrupted"
     except (Fault, StageError) as fault:
-        ended = f"round {run.rounds} at {run.stage.time:.3f} s: {fault}"
+        outcome = f"round {run.rounds} at {run.stage.time:.3f} s: {fault}"
     say(run.line())
-    return run.summary(ended)
+    return run.summary(outcome)
 
 
 def main(argv=None):

@@ -134,9 +134,9 @@ def slip_is_a_multiple_of_four_full_steps(ax):
     for ms, color in ((1, MUTED), (4, GREEN), (8, BLUE), (12, RED)):
         load = np.where((seconds >= 0.1) & (seconds < 0.1 + ms * 1e-3), 0.5, 0.0)
         trace = follow(DRIVE, counts, ROTOR, load, viscous=1e-3, omega=300 * 2 * np.pi / 60)
-        behind = load_angle(DRIVE, trace) / (np.pi / 2)
-        ax.plot(seconds * 1e3 - 100, behind, color=color, lw=1.8, label=f"{ms} ms")
-        print(f"   {ms:2} ms: at rest {behind[-1]:.4f} full steps behind; lost_steps = {lost_steps(DRIVE, trace)}")
+        lag = load_angle(DRIVE, trace) / (np.pi / 2)
+        ax.plot(seconds * 1e3 - 100, lag, color=color, lw=1.8, label=f"{ms} ms")
+        print(f"   {ms:2} ms: at rest {lag[-1]:.4f} full steps behind; lost_steps = {lost_steps(DRIVE, trace)}")
     ax.legend(frameon=False, fontsize=8, loc="upper left", title="overload for", title_fontsize=8)
     ax.set(xlabel="ms after the overload begins", ylabel="rotor behind (full steps)", xlim=(-10, 40), ylim=(-2, 18))
     ax.set_yticks(np.arange(0, 17, 4))

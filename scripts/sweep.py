@@ -74,20 +74,20 @@ def objective(args: argparse.Namespace) -> Any:
         options["goals"] = tuple(args.goals)
     if args.space:
         options["space"] = (SPACE if args.objective is None else {}) | dict(args.space)
-    made = PresetMoves if args.objective is None else found(args.objective)
-    if not isinstance(made, type):
+    created = PresetMoves if args.objective is None else results(args.objective)
+    if not isinstance(created, type):
         if options:
             raise ArgumentError(f"{args.objective} is a function: it takes no {', '.join(options)}.")
-        return made
+        return created
     try:
-        return made(**options)
+        return created(**options)
     except ArgumentError:
         raise
     except TypeError as error:
-        raise ArgumentError(f"{error}. Options: {', '.join(made.__annotations__)}.") from None
+        raise ArgumentError(f"{error}. Options: {', '.join(created.__annotations__)}.") from None
 
 
-def found(name: str) -> Any:
+def results(name: str) -> Any:
     module, _, attribute = name.partition(":")
     try:
         return getattr(import_module(module), attribute)

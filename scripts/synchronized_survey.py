@@ -52,45 +52,45 @@ def random_distances(rng, names, low=100, high=50_000):
     return {n: rng.choice((-1, 1)) * rng.randint(low, high) for n in names}
 
 
-def common_multiplier(moves, made):
+def common_multiplier(moves, line_plan):
     """The deviation when both axes must do with one R7, the finest that reaches the rate: every register rounded to the
     nearest, R6 = Psd and 5 pulses of the longest axis."""
-    long = made.axes[made.order[-1]]
+    long = line_plan.axes[line_plan.order[-1]]
     r7 = int(long.clock_hz * 8191 / (8192 * long.fh))
     step = long.clock_hz / (8192 * r7)
     pulses = []
-    for axis in made.axes.values():
+    for axis in line_plan.axes.values():
         ratio = abs(axis.distance) / abs(long.distance)
         low, high = (max(1, round(ratio * rate / step)) for rate in (long.fl, long.fh))
         row = moves.row(abs(axis.distance), low, high, high, 2, 2, 0, r7)
-        gain, most = max(high - low, 1) * stretch(row), axis.chip.MAP.register("R4").mask
-        row[4], row[5] = (min(max(round(t * long.clock_hz / gain), 2), most) for t in (long.accel, long.decel))
+        gain, limit = max(high - low, 1) * stretch(row), axis.chip.MAP.register("R4").mask
+        row[4], row[5] = (min(max(round(t * long.clock_hz / gain), 2), limit) for t in (long.accel, long.decel))
         down = (high + low) * gain * row[5] / (16384 * r7)
         row[6] = min(int(down) + max(1, round(5 * ratio)), abs(axis.distance))
         pulses.append((trace_row(row, axis.chip), 1))
-    return path_deviation(pulses, [abs(a.distance) for a in made.axes.values()]).pulses
+    return path_deviation(pulses, [abs(a.distance) for a in line_plan.axes.values()]).pulses
 
 
 def row(name, values, unit=""):
     v = np.asarray(values)
-    median, most, top = np.percentile(v, (50, 95, 100))
-    print(f"| {name:44} | {median:8.3g}{unit} | {most:8.3g}{unit} | {top:8.3g}{unit} | {np.mean(v <= 2):6.1%} |")
+    median, limit, top = np.percentile(v, (50, 95, 100))
+    print(f"| {name:44} | {median:8.3g}{unit} | {limit:8.3g}{unit} | {top:8.3g}{unit} | {np.mean(v <= 2):6.1%} |")
 
 
 def survey(moves, pairs, seed):
     rng = random.Random(seed)
     moves.plan({"x": 1000, "y": 700})  # compiles
-    asked = [random_distances(rng, "xy") for _ in range(pairs)]
-    reports = [moves(d) for d in asked]
-    exact = sum(r.axes[n].pulses == d[n] for r, d in zip(reports, asked, strict=True) for n in d)
-    far = [r.deviation.pulses for r in reports]
+    requests = [random_distances(rng, "xy") for _ in range(pairs)]
+    reports = [moves(d) for d in requests]
+    exact = sum(r.axes[n].pulses == d[n] for r, d in zip(reports, requests, strict=True) for n in d)
+    deviations = [r.deviation.pulses for r in reports]
     perfect = [r.plan.perfect for r in reports]
-    plain = [common_multiplier(moves, r.plan) for r in reports]
-    taken = []
-    for d in asked:
+    common = [common_multiplier(moves, r.plan) for r in reports]
+    durations = []
+    for d in requests:
         begin = time.process_time()
         moves.plan(d)
-        taken.append(1e3 * (time.process_time() - begin))
+        durations.append(1e3 * (time.process_time() - begin))
 
     print(
         f"{moves}: {pairs} random pairs of 100 to 50,000 pulses, seed {seed}, rate 16,000 pps; {exact} of {2 * pairs} axes "
@@ -99,13 +99,13 @@ def survey(moves, pairs, seed):
     print(
         f"| {'largest distance from the line, pulses':44} |   median |     95 % |  largest | <= 2   |\n|---|---|---|---|---|"
     )
-    row("planned, run on emulated chips", far)
+    row("planned, run on emulated chips", deviations)
     row("perfect axes: rates exactly in ratio", perfect)
-    row("one R7 for both axes, the finest", plain)
+    row("one R7 for both axes, the finest", common)
     for delay in DELAYS[1:]:
         row(
             f"bus cycle {delay * 1e6:.0f} us, planned for",
-            [moves(d, delay).deviation.pulses for d in asked],
+            [moves(d, delay).deviation.pulses for d in requests],
         )
         row(
             f"bus cycle {delay * 1e6:.0f} us, not planned for",
@@ -114,7 +114,7 @@ def survey(moves, pairs, seed):
     three = [moves(random_distances(rng, "xyz")) for _ in range(pairs // 2)]
     row(f"three axes, {len(three)} moves", [r.deviation.pulses for r in three])
     row("three perfect axes", [r.plan.perfect for r in three])
-    fast = [moves(d, rate=200_000, fl=4000, accel=0.1) for d in asked]
+    fast = [moves(d, rate=200_000, fl=4000, accel=0.1) for d in requests]
     row("rate 200,000 pps", [r.deviation.pulses for r in fast])
     wild, refused = anything(moves, rng, pairs)
     row(f"anything, {len(wild)} moves", wild)
@@ -129,15 +129,15 @@ def survey(moves, pairs, seed):
         f"\nanything: 2 or 3 axes, 1 to 100,000 pulses, rate 50 to 240,000 pps, FL 5 to 5000 pps, ramps 2 ms to 2 s, all evenly\n"
         f"spread on a log scale; {refused} more were refused, with the reason"
     )
-    errors, apart = [r.ratio_error for r in reports], [1e3 * r.finish for r in reports]
+    errors, gaps = [r.ratio_error for r in reports], [1e3 * r.finish for r in reports]
     surprise = max(abs(r.plan.deviation - r.deviation.pulses) for r in reports)
     print(
-        f"\nplanning takes {np.median(taken):.1f} ms of processor time, at most {max(taken):.1f} ms\n"
+        f"\nplanning takes {np.median(durations):.1f} ms of processor time, at most {max(durations):.1f} ms\n"
         f"ratio error: median {np.median(errors):.1e}, largest {max(errors):.1e}\n"
-        f"last pulses are apart by {np.median(apart):.2f} ms, at most {max(apart):.2f} ms\n"
+        f"last pulses are apart by {np.median(gaps):.2f} ms, at most {max(gaps):.2f} ms\n"
         f"planned distance and that of the emulated chips differ by at most {surprise:.3f} pulses"
     )
-    return asked, far, perfect, plain
+    return requests, deviations, perfect, common
 
 
 def anything(moves, rng, number):
@@ -146,7 +146,7 @@ def anything(moves, rng, number):
     def between(low, high):
         return low * (high / low) ** rng.random()
 
-    far, refused = [], 0
+    deviations, refused = [], 0
     for _ in range(number):
         names = rng.choice(("xy", "xyz"))
         distances = {n: rng.choice((-1, 1)) * int(between(1, 100_000)) for n in names}
@@ -159,28 +159,28 @@ def anything(moves, rng, number):
         except ArgumentError:
             refused += 1
         else:
-            far.append(report.deviation.pulses)
-    return far, refused
+            deviations.append(report.deviation.pulses)
+    return deviations, refused
 
 
-def draw(asked, far, perfect, plain, folder):
+def draw(requests, deviations, perfect, common, folder):
     from stage.support.pictures import COLOURS, INK, MUTED, bare, figure, title
 
     blue, orange = COLOURS[:2]
     fig = figure(10, 3.9)
     left, right = fig.subplots(1, 2, width_ratios=(1, 1.15))
-    bins = np.geomspace(0.4, 1.2 * max(*plain, 2), 46)
-    left.hist(plain, bins, color=orange, alpha=0.55, label="one R7 for both axes")
-    left.hist(far, bins, color=blue, alpha=0.85, label="R7 free for each axis")
+    bins = np.geomspace(0.4, 1.2 * max(*common, 2), 46)
+    left.hist(common, bins, color=orange, alpha=0.55, label="one R7 for both axes")
+    left.hist(deviations, bins, color=blue, alpha=0.85, label="R7 free for each axis")
     left.axvline(2, color=MUTED, linewidth=0.8, linestyle=(0, (4, 4)))
     left.set_xscale("log")
     left.set_xticks((0.5, 1, 2, 5), ("0.5", "1", "2", "5"))
     left.minorticks_off()
     left.set_xlim(bins[0], bins[-1])
     left.set_xlabel("largest distance from the line (pulses)", color=INK)
-    left.set_ylabel(f"moves of {len(far)}", color=INK)
-    ratio = [min(map(abs, d.values())) / max(map(abs, d.values())) for d in asked]
-    right.scatter(ratio, far, s=14, color=blue, linewidths=0, label="planned, emulated")
+    left.set_ylabel(f"moves of {len(deviations)}", color=INK)
+    ratio = [min(map(abs, d.values())) / max(map(abs, d.values())) for d in requests]
+    right.scatter(ratio, deviations, s=14, color=blue, linewidths=0, label="planned, emulated")
     order = np.argsort(ratio)
     right.plot(
         np.array(ratio)[order], np.array(perfect)[order], color=MUTED, linewidth=1, label="perfect axes, a common start"
@@ -212,9 +212,9 @@ if __name__ == "__main__":
     parser.add_argument("--pictures", nargs="?", const="docs/pictures", metavar="FOLDER")
     parser.add_argument("--s-curve", nargs="?", type=float, const=True, metavar="SHARE")
     parser.add_argument("--automatic", action="store_true")
-    given = parser.parse_args()
-    shape = ({"s_curve": given.s_curve} if given.s_curve else {}) | ({"automatic": True} if given.automatic else {})
-    chip = PCL240MS if given.s_curve else PCL240MK if given.automatic else PCL240K
-    result = survey(Moves(chip, **shape), given.pairs, given.seed)
-    if given.pictures:
-        draw(*result, given.pictures)
+    args = parser.parse_args()
+    shape = ({"s_curve": args.s_curve} if args.s_curve else {}) | ({"automatic": True} if args.automatic else {})
+    chip = PCL240MS if args.s_curve else PCL240MK if args.automatic else PCL240K
+    result = survey(Moves(chip, **shape), args.pairs, args.seed)
+    if args.pictures:
+        draw(*result, args.pictures)

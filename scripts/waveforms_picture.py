@@ -55,7 +55,7 @@ PULSESTAGE_MAIN
     return 0;
 }
 """
-SHOWN = (
+SIGNALS = (
     "host.PORT", "host.DATA", "host.WR_n", "host.RD_n", "host.POLLS", "host.HOOK",
     "x.POUT_n", "x.INT_n", "x.R0", "x.status.operating", "x.bus.WR", "x.bus.A", "x.bus.D",
 )  # fmt: skip
@@ -82,7 +82,7 @@ def waveforms(folder: Path) -> Path:
 
 def full_names(vcd: Path) -> list[str]:
     """SHOWN as GTKWave names them: vectors with their range."""
-    scope, found = [], {}
+    scope, signals = [], {}
     for line in vcd.read_text().splitlines():
         words = line.split()
         if words[0] == "$scope":
@@ -92,10 +92,10 @@ def full_names(vcd: Path) -> list[str]:
         elif words[0] == "$var":
             bits = int(words[2])
             name = ".".join([*scope, words[4]])
-            found[name] = f"{name}[{bits - 1}:0]" if bits > 1 and words[1] != "real" else name
+            signals[name] = f"{name}[{bits - 1}:0]" if bits > 1 and words[1] != "real" else name
         elif words[0] == "$enddefinitions":
             break
-    return [found[name] for name in SHOWN]
+    return [signals[name] for name in SIGNALS]
 
 
 def main(picture: Path) -> None:
@@ -104,18 +104,18 @@ def main(picture: Path) -> None:
             sys.exit(f"{tool} is not installed. Debian: apt-get install gtkwave xvfb xauth")
     with tempfile.TemporaryDirectory() as folder:
         vcd = waveforms(Path(folder))
-        made = Path(folder) / "grabbed.png"
+        grabbed = Path(folder) / "grabbed.png"
         script = Path(folder) / "show.tcl"
-        shown = " ".join(f"{{{name}}}" for name in full_names(vcd))
-        script.write_text(TCL.format(shown=shown, end=END, picture=made))
+        names = " ".join(f"{{{name}}}" for name in full_names(vcd))
+        script.write_text(TCL.format(names=names, end=END, picture=grabbed))
         settings = Path(folder) / "gtkwaverc"
         settings.write_text(SETTINGS)
         screen = f"-screen 0 {2 * WIDTH}x{2 * HEIGHT}x24"
         command = ["xvfb-run", "-a", "-s", screen, "gtkwave", "-r", str(settings), "-S", str(script), str(vcd)]
         subprocess.run(command, check=True, capture_output=True, timeout=120)
-        if not made.exists():
+        if not grabbed.exists():
             sys.exit("GTKWave has drawn nothing.")
-        shutil.copy(made, picture)
+        shutil.copy(grabbed, picture)
     print(f"{picture}: drawn")
 
 

@@ -15,7 +15,7 @@ import fuzz
 from fuzzing.bus import FAMILIES, ORDER, Bus, Run, family_of
 from fuzzing.family import Family
 from fuzzing.mutation import mutate_for
-from fuzzing.promises import Counts, Finding, counted
+from fuzzing.promises import Counts, Finding, read_counts
 
 from stage.chips import CHIPS, PCL240K
 from stage.chips.journal import Journal
@@ -203,7 +203,7 @@ def test_mutations_find_a_planted_defect_leave_the_input_and_the_counts(tmp_path
     assert mutate_for(check, [b"abc", b"x\x07yz"], 30.0, seed=1, found=tmp_path, most=16) == 1
     (left,) = tmp_path.glob("crash-*")
     assert 2 <= left.read_bytes().count(7) <= 16
-    assert counted(counts.path) == dict(counts)
+    assert read_counts(counts.path) == dict(counts)
 
 
 HANGING = """

@@ -34,7 +34,7 @@ def graph(quick):
             "tests/chips/test_pcl240k_statements.py",
         ),  # compiled, and imported for its class alone
         ("stage/panel/sampler.py", "tests/panel/test_sampler.py"),
-        ("stage/cli/moves.py", "tests/test_cli_options.py"),  # named by the text "moves:move"
+        ("stage/cli/move.py", "tests/test_cli_options.py"),
         ("stage/board/pulsestage.h", "tests/board/test_library.py"),  # no module
         ("docs/panel.md", "tests/test_docs.py"),
         ("tests/test_cli.py", "tests/test_cli.py"),

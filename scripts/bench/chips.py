@@ -21,7 +21,7 @@ TITLE = "Chips alone"
 CONSTANT = 10_000_000_000  # clocks
 RAMP_CLOCKS = 2 * 7950  # of the fastest ramp: from 50 to 8000, a step every second clock
 S_CLOCKS = 47_700  # of an S-curve of as many steps, R4 = 3
-WHOLE = 60_000  # clocks, beyond the end of both
+FULL = 60_000  # clocks, beyond the end of both
 PULSES = 2_000_000
 
 
@@ -73,7 +73,7 @@ def measure(run: Run) -> Iterator[Figure]:
         yield Figure.of(f"chips.{key}", f"{name}, simulated clocks", "1/s", clocks / t["fast"])
         times = (clocks / t["fast"]) / (ticks / t["slow"])
         yield Figure.of(f"chips.{key}_reference", "  beside the tick reference", "times", times)
-    works = {"curved": advance(curved, PCL240MS, WHOLE), "linear": advance(linear, PCL240MS, WHOLE)}
+    works = {"curved": advance(curved, PCL240MS, FULL), "linear": advance(linear, PCL240MS, FULL)}
     t = race(works, run.rounds, run.pick(25, 5))
     yield Figure.of(
         "chips.s_curve_linear", "S-curve / linear ramp (PCL240MS), time", "ratio", t["curved"] / t["linear"]

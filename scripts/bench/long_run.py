@@ -44,8 +44,8 @@ def measure(run: Run) -> Iterator[Figure | Curve]:
         if has_resident():
             warm = next(p for p in pieces if p.end >= WARM * seconds)
             grown = (pieces[-1].resident - warm.resident) / 2**20
-            said = f"from {warm.end:g} s on" + (", a recording a minute, closed" if recorded else "")
-            yield Figure.of(f"long_run.growth{suffix}", f"growth over {length} simulated{words}", "MiB", grown, said)
+            text = f"from {warm.end:g} s on" + (", a recording a minute, closed" if recorded else "")
+            yield Figure.of(f"long_run.growth{suffix}", f"growth over {length} simulated{words}", "MiB", grown, text)
 
 
 def pieces_of(seconds: float, recorded: bool) -> list[Piece]:

@@ -37,9 +37,9 @@ def measure(run: Run) -> Iterator[Figure]:
 
 def grow(kind: str, n: int) -> float:
     """KiB that each of n more takes, after it has moved, beyond the first of its kind."""
-    kept = [make(kind, 2)]
+    created = [make(kind, 2)]
     before = resident()
-    kept.append(make(kind, n))
+    created.append(make(kind, n))
     return (resident() - before) / n / 1024
 
 

@@ -62,7 +62,7 @@ def overhead(ax: Any, results: Results) -> None:
     ax.set_xticks(x, [f"{k} step{'s' if k > 1 else ''}" for k in skips])
     ax.set(ylabel="overhead of an action (µs)")
     ax.margins(y=0.12)
-    beside(ax)
+    legend_below(ax)
     ax.grid(False, axis="x")
 
 
@@ -73,7 +73,7 @@ def chips(ax: Any, results: Results) -> None:
     ax.set_xscale("log")
 
 
-def beside(ax: Any) -> None:
+def legend_below(ax: Any) -> None:
     """The legend below the panel, where no data are."""
     ax.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.17), fontsize=9, handletextpad=0.4)
 
@@ -84,7 +84,7 @@ def curve_panel(*keys: str) -> Callable[[Any, Results], None]:
             if key in results.curves:
                 draw_curve(ax, results.curves[key], color)
         ax.set(xscale="log", yscale="log")
-        beside(ax)
+        legend_below(ax)
 
     return panel
 
@@ -125,20 +125,20 @@ n^p: cost grows with size to the power p,
 
 def draw(results: Results, path: Path) -> None:
     """Raises SystemExit when nothing that it shows was measured."""
-    shown = [(title, panel) for whose, title, panel in PANELS if set(whose.split()) & set(results.titles)]
-    if not shown:
+    panels = [(title, panel) for whose, title, panel in PANELS if set(whose.split()) & set(results.titles)]
+    if not panels:
         raise SystemExit(f"{path}: not drawn, none of its figures was measured.")
-    across = min(len(shown), 4 if len(shown) > 6 else 3)
-    down = -(-len(shown) // across)
+    across = min(len(panels), 4 if len(panels) > 6 else 3)
+    down = -(-len(panels) // across)
     canvas = Canvas(figsize=(4.5 * across, 3.9 * down), layout="constrained")
     canvas.get_layout_engine().set(w_pad=0.12, h_pad=0.12)
     with rc_context({"font.size": 10}):
         grid = canvas.subplots(down, across, squeeze=False).ravel()
-        for ax, (text, panel) in zip(grid, shown, strict=False):
+        for ax, (text, panel) in zip(grid, panels, strict=False):
             bare(ax, size=9)
             panel(ax, results)
             title(ax, text, 12)
-        for k, ax in enumerate(grid[len(shown) :]):
+        for k, ax in enumerate(grid[len(panels) :]):
             ax.axis("off")
             if not k:
                 ax.text(0, 0.97, HOW, transform=ax.transAxes, va="top", color=INK, fontsize=10, linespacing=1.6)

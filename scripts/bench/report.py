@@ -28,11 +28,11 @@ class Results:
 
     def forget(self, subject: str) -> None:
         """Drop what is known of a subject, which is to be measured anew."""
-        for kept in (self.titles, self.machines):
-            kept.pop(subject, None)
-        for kept in (self.figures, self.curves):
-            for key in [k for k in kept if subject_of(k) == subject]:
-                del kept[key]
+        for table in (self.titles, self.machines):
+            table.pop(subject, None)
+        for table in (self.figures, self.curves):
+            for key in [k for k in table if subject_of(k) == subject]:
+                del table[key]
 
     def add(self, found: Figure | Curve) -> None:
         (self.figures if isinstance(found, Figure) else self.curves)[found.key] = found

@@ -48,8 +48,8 @@ def axes(run: Run) -> Iterator[Figure | Curve]:
 
 
 def stages(run: Run) -> Iterator[Figure | Curve]:
-    most = min(run.pick(4096, 64), int(available() / STAGE_BYTES))
-    sizes = [n for n in STAGES if n <= most]
+    max_stages = min(run.pick(4096, 64), int(available() / STAGE_BYTES))
+    sizes = [n for n in STAGES if n <= max_stages]
     first = moving_stage(visuals=False)
     start = first.snapshot()
     every = [first, *(copy.deepcopy(first) for _ in range(sizes[-1] - 1))]
@@ -71,7 +71,7 @@ def stages(run: Run) -> Iterator[Figure | Curve]:
     cost = np.stack([t[str(n)] / max(1, 256 // n) * 1e3 for n in sizes], axis=1)
     threads = Fleet(every[: min(64, len(every))]).threads
     name = f"ms to play a wait of {WAIT * DT * 1e3:g} ms on {threads} threads"
-    curve = Curve.of("scaling.stages", "cost over stages", "stages", name, sizes, cost, 16 if most > 256 else 4)
+    curve = Curve.of("scaling.stages", "cost over stages", "stages", name, sizes, cost, 16 if max_stages > 256 else 4)
     yield curve
     yield curve.figure(note)
 

@@ -88,9 +88,9 @@ class Run:
 
     def take(self, n: int) -> int:
         """The number in the next `n` bytes; there are zeros after the end."""
-        taken = self.data[self.at : self.at + n]
+        chunk = self.data[self.at : self.at + n]
         self.at += n
-        return int.from_bytes(taken.ljust(n, b"\0"), "big")
+        return int.from_bytes(chunk.ljust(n, b"\0"), "big")
 
     def to_the_end(self) -> None:
         while self.at < len(self.data):
@@ -156,8 +156,11 @@ class Run:
         demand(chip.clock == start + clocks, "time did not pass as asked")
         demand(pulses == 0 if silent else pulses >= 0, f"{pulses} pulses in {clocks} clocks{' of silence' * silent}")
         if work:
-            most = family.most_work(chip, pulses)
-            demand(work.calls <= most, f"{work.calls} calls for {work.steps} steps in {clocks} clocks: at most {most}")
+            allowed = family.most_work(chip, pulses)
+            demand(
+                work.calls <= allowed,
+                f"{work.calls} calls for {work.steps} steps in {clocks} clocks: at most {allowed}",
+            )
         else:
             demand(spent < SECONDS_PER_ADVANCE, f"{clocks} clocks took {spent:.1f} s")
         if len(self.chips) == 2:
@@ -170,13 +173,13 @@ class Run:
         cuts = [clocks // 3]
         if clocks <= TRACED:
             before, start = twin.snapshot(), twin.clock
-            begun = twin.trace(clocks)["clock"]
-            demand(len(begun) == pulses, f"{pulses} pulses in {clocks} clocks, {len(begun)} traced")
-            demand(bool((begun[1:] > begun[:-1]).all()) or twin.AXES > 1, "pulses out of order")
-            demand(not pulses or start < begun[0] <= begun[-1] <= start + clocks, "a pulse at no time")
+            pulse_clocks = twin.trace(clocks)["clock"]
+            demand(len(pulse_clocks) == pulses, f"{pulses} pulses in {clocks} clocks, {len(pulse_clocks)} traced")
+            demand(bool((pulse_clocks[1:] > pulse_clocks[:-1]).all()) or twin.AXES > 1, "pulses out of order")
+            demand(not pulses or start < pulse_clocks[0] <= pulse_clocks[-1] <= start + clocks, "a pulse at no time")
             demand(self.family.bits(chip) == self.family.bits(twin), "a trace ends in another state")
             twin.restore(before)
-            cuts += [int(clock) - start for clock in begun[-1:]]
+            cuts += [int(clock) - start for clock in pulse_clocks[-1:]]
         pieces = np.diff([0, *sorted(cuts), clocks])
         others = sum(twin.advance(int(piece)) for piece in pieces)
         demand(others == pulses, f"{pulses} pulses in {clocks} clocks, {others} in pieces of {pieces}")

@@ -88,8 +88,8 @@ class HctlFamily(Family):
         if c["rate"] and c["reg"][RING]:
             clocks = min(clocks, self.FEW_CLOCKS)  # each count is an edge of the course, the phases'
         clocks = clocks if idle else min(clocks, LONG)
-        shortest = STEP * (min(int(c["period"]), int(c["reg"][T])) + 1)
-        self.most_samples = 0 if idle else clocks // shortest + 2
+        min_clocks = STEP * (min(int(c["period"]), int(c["reg"][T])) + 1)
+        self.most_samples = 0 if idle else clocks // min_clocks + 2
         return clocks
 
     def end_of_course(self, chip: Any) -> dict[str, int]:

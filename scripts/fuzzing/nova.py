@@ -24,7 +24,7 @@ OFF = 0xFFFFFFFF
 MODES, HOME_MODES = 0x20, 0x60  # codes
 LONG = 1 << 18  # clocks, where work is by the tick
 SHARED_PINS = ("lmt_plus", "lmt_minus", "stop0", "stop1", "stop2")
-OWN_PINS = (("inpos", "alarm", "pio0"), ("eca", "ecb", "pio4"), ("inpos", "alarm", "pio1"), ("alarm", "pio5", "pio2"))
+AXIS_PINS = (("inpos", "alarm", "pio0"), ("eca", "ecb", "pio4"), ("inpos", "alarm", "pio1"), ("alarm", "pio5", "pio2"))
 """Of each axis, so that five bits tell them all; EMG of the chip takes the place of the very last one."""
 FIRST_GENERATION = {
     "pio0": "exp_plus",
@@ -54,11 +54,11 @@ def counted_core() -> Work:
     def counting(module: Any, name: str, calls: int = 0, steps: int = 0) -> None:
         function = getattr(module, name)
 
-        def counted(*given: Any) -> Any:
+        def counted(*args: Any) -> Any:
             work.spend()
             work.calls += calls
             work.steps += steps
-            return function(*given)
+            return function(*args)
 
         setattr(module, name, counted)
 
@@ -154,7 +154,7 @@ class NovaFamily(Family):
         return chip.read(address)
 
     def _pins(self, pins: Pins, k: int) -> list[str]:
-        names = (*SHARED_PINS, *OWN_PINS[k])
+        names = (*SHARED_PINS, *AXIS_PINS[k])
         return [name if hasattr(pins, name) else FIRST_GENERATION[name] for name in names]
 
     def pins(self, chip: Chip) -> list[tuple[Pins, str]]:
@@ -193,8 +193,8 @@ class NovaFamily(Family):
         """Rounds of events. What may cause one is an event that is noted, a segment of a speed profile, a tick of an
         interpolation, a turn of a ring counter with the comparisons on it, an input's filter; never clocks, nor pulses as such."""
         rings = [int(chip.state["ax"][j]["reg"][state.LX]) for j in range(chip.AXES)] if self.new else [OFF]
-        turns = sum(pulses // (ring + 1) for ring in rings if ring >= 0)
-        return 3 * self.work.steps + 10 * turns + 64  # type: ignore[union-attr]
+        revolutions = sum(pulses // (maximum + 1) for maximum in rings if maximum >= 0)
+        return 3 * self.work.steps + 10 * revolutions + 64  # type: ignore[union-attr]
 
 
 def values_of(axes: list, names: str) -> bool:

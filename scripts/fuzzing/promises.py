@@ -31,11 +31,11 @@ class Counts(Counter):
         if self.path is None or now - self._saved < every:
             return
         self._saved = now
-        beside = self.path.with_suffix(".new")
-        beside.write_text(json.dumps(self), encoding="utf-8")
-        os.replace(beside, self.path)
+        temporary = self.path.with_suffix(".new")
+        temporary.write_text(json.dumps(self), encoding="utf-8")
+        os.replace(temporary, self.path)
 
 
-def counted(path: Path) -> dict[str, int]:
+def read_counts(path: Path) -> dict[str, int]:
     """What a process has counted, {} if it never came to count."""
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}

@@ -49,12 +49,12 @@ def main() -> None:
         shutil.copy(package / "README.md", PAGES / package.name / "index.md")
     made = reference.write(PAGES)
     gallery.write(ROOT, PAGES)
-    shown: set[Path] = set()
+    linked: set[Path] = set()
     for page in sorted(PAGES.rglob("*.md")):
-        page.write_text(_with_links(page.read_text(), _source_of(page), page, shown))
-    for file in sorted(shown):
+        page.write_text(_with_links(page.read_text(), _source_of(page), page, linked))
+    for file in sorted(linked):
         _show(file)
-    _lay_source()
+    _link_source()
     _configure(made)
     print(f"{OUT}: {len(list(PAGES.rglob('*.md')))} pages")
 
@@ -89,7 +89,7 @@ def _page_of(file: Path) -> Path | None:
     return copies[0] if copies and file.is_file() else None
 
 
-def _with_links(text: str, source: Path, page: Path, shown: set[Path]) -> str:
+def _with_links(text: str, source: Path, page: Path, linked: set[Path]) -> str:
     """The text of a page whose links lead to pages of the site. source: where they lead in the repository."""
 
     def led(m: re.Match) -> str:
@@ -100,7 +100,7 @@ def _with_links(text: str, source: Path, page: Path, shown: set[Path]) -> str:
             return m[0]  # of the generated pages, or broken: the build says so
         to = _page_of(at)
         if to is None:
-            shown.add(at)
+            linked.add(at)
             to = _place(at)
         return f"{m[1]}{Path(os.path.relpath(to, page.parent)).as_posix()}{m[3] or ''}{m[4]}"
 
@@ -130,7 +130,7 @@ def _show(file: Path) -> None:
         page.write_text(f"# {name}\n\n{fence}{LANGUAGES.get(file.suffix, 'text')}\n{text.rstrip()}\n{fence}\n")
 
 
-def _lay_source() -> None:
+def _link_source() -> None:
     """The package as it is installed, for mkdocstrings: envs/ is stage.envs."""
     package = OUT / "source" / "stage"
     package.mkdir(parents=True)

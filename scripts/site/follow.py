@@ -48,11 +48,9 @@ class Person:
         subprocess.run([sys.executable, "-m", "venv", str(home / "venv")], check=True)
         wanted = re.search(r"pip install ((?:'[^']*'|[\w\[\],.-]+)(?: [\w\[\],.-]+)*)", page.read_text())
         what = shlex.split(wanted[1]) if wanted else ["pulsestage"]
-        given = [
-            re.sub(r"^pulsestage(\[.*\])?$", lambda m: f"pulsestage{m[1] or ''} @ file://{wheel}", w) for w in what
-        ]
+        args = [re.sub(r"^pulsestage(\[.*\])?$", lambda m: f"pulsestage{m[1] or ''} @ file://{wheel}", w) for w in what]
         begin = time.perf_counter()
-        self.run([str(self.bin / "python"), "-m", "pip", "install", "-q", "--disable-pip-version-check", *given])
+        self.run([str(self.bin / "python"), "-m", "pip", "install", "-q", "--disable-pip-version-check", *args])
         self.installing, self.first, self.slowest = time.perf_counter() - begin, 0.0, 0.0
         self._session: Any = None
 
@@ -87,21 +85,21 @@ class Person:
 
     def follow(self) -> None:
         """The whole page. Raises Wrong."""
-        said = ""
+        output = ""
         for step in steps(self.page):
             begin = time.perf_counter()
             if step.file:
                 (self.folder / step.file).write_text(step.text)
             elif step.kind == "python":
                 (self.folder / "my.xml").unlink(missing_ok=True)
-                said = self.python(step)
+                output = self.python(step)
             elif step.kind == "typed":
                 lines = [line.split("  #")[0].strip() for line in step.text.splitlines()]
-                said = "".join(self.run(shlex.split(line)) for line in lines if not line.startswith("pip "))
-            elif step.shows and not agree("\n".join(said.splitlines()[: len(step.text.splitlines())]), step.text):
-                raise Wrong(f"{self.page.name}:{step.line} says\n{step.text}\nand here is printed\n{said}")
+                output = "".join(self.run(shlex.split(line)) for line in lines if not line.startswith("pip "))
+            elif step.shows and not agree("\n".join(output.splitlines()[: len(step.text.splitlines())]), step.text):
+                raise Wrong(f"{self.page.name}:{step.line} says\n{step.text}\nand here is printed\n{output}")
             took = time.perf_counter() - begin
-            self.first = self.first or (took if said else 0.0)
+            self.first = self.first or (took if output else 0.0)
             self.slowest = max(self.slowest, took)
 
 

@@ -33,11 +33,11 @@ def pictures(root: Path) -> list[Picture]:
     for page in [root / "README.md", *sorted((root / "docs").rglob("*.md"))]:
         for says, link in PICTURE.findall(page.read_text()):
             file = (page.parent / link).resolve()
-            found.setdefault(file, Picture(file, says, page, made_by(root, file)))
+            found.setdefault(file, Picture(file, says, page, find_command(root, file)))
     return list(found.values())
 
 
-def made_by(root: Path, file: Path) -> str:
+def find_command(root: Path, file: Path) -> str:
     """The command that draws a picture: of `make pictures`, of another target, or a script that names it; "" if there is none."""
     name = file.relative_to(root / "docs").as_posix()
     for line in (root / "Makefile").read_text().splitlines():

@@ -19,12 +19,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--markdown", metavar="FILE", help="write the table into this page")
     args = parser.parse_args()
-    found = rows()
-    print(table(found))
+    results = rows()
+    print(table(results))
     if args.markdown:
         page = Path(args.markdown)
-        page.write_text(between(page.read_text(), table(found)))
-    return 0 if all(example.agrees(emulated) for example, emulated in found) else 1
+        page.write_text(between(page.read_text(), table(results)))
+    return 0 if all(example.agrees(emulated) for example, emulated in results) else 1
 
 
 if __name__ == "__main__":

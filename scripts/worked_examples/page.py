@@ -25,11 +25,11 @@ def table(found: list[tuple[Example, Number]]) -> str:
         if example.sheet != sheet:
             sheet = example.sheet
             lines += ["", f"## {sheet}", "", "| place | what | sheet | emulated | |", "|---|---|---|---|---|"]
-        number, shown = (said(n, example.unit) for n in (example.number, emulated))
-        differs = "" if number == shown else f"within {example.within:g}: {example.why}"
+        number, displayed = (said(n, example.unit) for n in (example.number, emulated))
+        differs = "" if number == displayed else f"within {example.within:g}: {example.why}"
         if not example.agrees(emulated):
             differs = f"**differs** by more than {example.within:g}"
-        lines.append(f"| {example.place} | {example.says} | {number} | {shown} | {differs} |")
+        lines.append(f"| {example.place} | {example.says} | {number} | {displayed} | {differs} |")
     return "\n".join(lines[1:]) + "\n"
 
 
@@ -37,8 +37,8 @@ def said(number: Number, unit: str) -> str:
     """A number as the page has it: whole numbers in full, times in ms or us, other numbers with six digits."""
     if unit == "s":
         number, unit = (number * 1e3, "ms") if number >= 0.01 else (number * 1e6, "us")
-    whole = float(number) == round(number)
-    return f"{round(number):,}" * whole + f"{number:,.6g}" * (not whole) + f" {unit}" * bool(unit)
+    integer = float(number) == round(number)
+    return f"{round(number):,}" * integer + f"{number:,.6g}" * (not integer) + f" {unit}" * bool(unit)
 
 
 def between(page: str, text: str) -> str:

@@ -58,18 +58,18 @@ def write(chip: Chip, **registers: int) -> None:
             chip.write(address, data)
 
 
-def when(chip: Chip, seen: Callable[[Any], bool], within: int) -> int:
+def when(chip: Chip, observed: Callable[[Any], bool], within: int) -> int:
     """Let the clock run until `seen(chip)`, which once true stays so: the clocks that this took. `within`: the most clocks."""
-    begun, least, most = chip.snapshot(), 0, within
-    while most - least > 1:
-        chip.restore(begun)
-        chip.advance((least + most) // 2)
-        least, most = (least, (least + most) // 2) if seen(chip) else ((least + most) // 2, most)
-    chip.restore(begun)
-    chip.advance(most)
-    if not seen(chip):
+    started, least, highest = chip.snapshot(), 0, within
+    while highest - least > 1:
+        chip.restore(started)
+        chip.advance((least + highest) // 2)
+        least, highest = (least, (least + highest) // 2) if observed(chip) else ((least + highest) // 2, highest)
+    chip.restore(started)
+    chip.advance(highest)
+    if not observed(chip):
         raise ValueError(f"not within {within} clocks.")
-    return most
+    return highest
 
 
 def intervals(pulses: np.ndarray) -> np.ndarray:

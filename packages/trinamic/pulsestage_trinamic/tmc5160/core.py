@@ -11,7 +11,7 @@ from stage.native import array_of, exported, hot, least
 
 ROOM = 8
 M32 = (1 << 32) - 1
-LONGEST = 1 << 20  # clocks of a leap with changing speed: the way still fits 63 bits
+MAX_LEAP_CLOCKS = 1 << 20  # clocks of a leap with changing speed: the way still fits 63 bits
 FINE = 1 << 13  # clocks of a ramp between two edges of a course
 WATCH, EACH, EDGES = 1, 2, 4  # a leap ends before a step to or from X_COMPARE; every step; every edge of the encoder
 
@@ -66,9 +66,9 @@ def _steps(c, delta, m):
 
 
 @hot
-def _even(c, test, delta, m, most_steps, thresholds):
+def _even(c, test, delta, m, step_limit, thresholds):
     """Nothing happens within m clocks but steps."""
-    if _steps(c, delta, m) >= most_steps:
+    if _steps(c, delta, m) >= step_limit:
         return False
     if thresholds and delta and speeds.speeds_at(c, c.q + delta * m) != c.speeds:
         return False
@@ -76,25 +76,25 @@ def _even(c, test, delta, m, most_steps, thresholds):
 
 
 @hot
-def _most_steps(c, watch):
+def _limit_steps(c, watch):
     """The step, counted from 1, at which something may happen."""
     ahead = ((c.target - c.x) * c.dir) & M32
-    most = ahead if ahead else 1 << 32
+    max_steps = ahead if ahead else 1 << 32
     if c.reg[state.RAMPMODE] == state.POSITION:
         n = abs(ramp.away(c))
         if ramp.wanted(c) != c.dir:
-            most = least(most, (1 << 31) - n)
+            max_steps = least(max_steps, (1 << 31) - n)
     if stallguard.measures(c):
-        most = least(most, sequencer.steps_to_full(c))
+        max_steps = least(max_steps, sequencer.steps_to_full(c))
     limit = c.reg[state.ENC_DEVIATION]
     if limit and not c.enc_flags & encoder.DEVIATION:
-        most = least(most, limit - (c.x - c.enc) * c.dir + 1)
+        max_steps = least(max_steps, limit - (c.x - c.enc) * c.dir + 1)
     if watch & EACH:
         return 1
     if watch & WATCH:
         ahead = ((c.reg[state.X_COMPARE] - c.x) * c.dir) & M32
-        most = least(most, ahead if ahead else 1)
-    return most
+        max_steps = least(max_steps, ahead if ahead else 1)
+    return max_steps
 
 
 @hot
@@ -120,18 +120,18 @@ def _leap(c, until, watch):
             return 0
         c.clock += m
         return m
-    test, delta, most = ramp.plan(c)
-    if test == ramp.CANNOT or most == 0:
+    test, delta, max_steps = ramp.plan(c)
+    if test == ramp.CANNOT or max_steps == 0:
         return 0
-    m = least(m, most)
-    m = least(m, LONGEST) if delta or c.q == 0 else least(m, ((1 << 61) - c.ph) // c.q)
-    most_steps = _most_steps(c, watch)
+    m = least(m, max_steps)
+    m = least(m, MAX_LEAP_CLOCKS) if delta or c.q == 0 else least(m, ((1 << 61) - c.ph) // c.q)
+    step_limit = _limit_steps(c, watch)
     thresholds = c.reg[state.TPWMTHRS] | c.reg[state.TCOOLTHRS] | c.reg[state.THIGH]
-    if not _even(c, test, delta, m, most_steps, thresholds):
+    if not _even(c, test, delta, m, step_limit, thresholds):
         low = 0
         while m - low > 1:
             middle = (low + m) >> 1
-            if _even(c, test, delta, middle, most_steps, thresholds):
+            if _even(c, test, delta, middle, step_limit, thresholds):
                 low = middle
             else:
                 m = middle

@@ -82,8 +82,8 @@ def encoder_registers(edges_per_turn: float, full_steps: int = 200) -> dict[str,
         )
     parts = {DECIMAL: 10_000, 0: 65_536}
     mode = min(parts, key=lambda mode: (abs(factor * parts[mode] - round(factor * parts[mode])) > 1e-9, mode))
-    whole, part = divmod(round(factor * parts[mode]), parts[mode])
-    return {"ENC_CONST": (whole & 0xFFFF) << 16 | part, "ENCMODE": mode}
+    integer_part, part = divmod(round(factor * parts[mode]), parts[mode])
+    return {"ENC_CONST": (integer_part & 0xFFFF) << 16 | part, "ENCMODE": mode}
 
 
 class Tmc5160Driver(Driver):
@@ -123,8 +123,10 @@ class Tmc5160Driver(Driver):
     def currents(self) -> dict[str, int]:
         """The registers that give the motor the current of its Drive; as much as the sense resistors allow at most."""
         drive = getattr(self.axis, "drive", None)
-        most = FULL_SCALE / self.chip.rsense
-        return current_registers(min(drive.amplitude, most) if drive is not None else most, self.chip.rsense)
+        max_amplitude = FULL_SCALE / self.chip.rsense
+        return current_registers(
+            min(drive.amplitude, max_amplitude) if drive is not None else max_amplitude, self.chip.rsense
+        )
 
     def prepare(self) -> None:
         """Switch the power stage on, where it is off: currents as the axis' Drive has them."""
@@ -185,8 +187,8 @@ class Tmc5160Driver(Driver):
         self.check_still()
         with Procedure(self.axis, "move") as p:
             self.start_with(values, pulses)
-            longest = abs(pulses) / speeds.drive + speeds.up + speeds.down
-            wait_until_stopped([self.axis], 1.5 * longest + 1 if timeout is None else timeout)
+            expected_seconds = abs(pulses) / speeds.drive + speeds.up + speeds.down
+            wait_until_stopped([self.axis], 1.5 * expected_seconds + 1 if timeout is None else timeout)
             met = self.explain_end(p.pulses_made == pulses)
             self.stay()
             self.axis.wait(SETTLE)
@@ -268,14 +270,14 @@ class Tmc5160Driver(Driver):
         self.check_still()
         with Procedure(self.axis, "home") as p:
             self.prepare()
-            ended = homing.to_stall(self, direction, values, timeout) if what == "stall" else ""
-            ended = ended or homing.to_switch(self, direction, values, timeout)
-            if what == "index" and ended in self.HOME_REASONS:
-                ended = homing.to_index(self, -direction, values, timeout)
+            end_reason = homing.to_stall(self, direction, values, timeout) if what == "stall" else ""
+            end_reason = end_reason or homing.to_switch(self, direction, values, timeout)
+            if what == "index" and end_reason in self.HOME_REASONS:
+                end_reason = homing.to_index(self, -direction, values, timeout)
             self.axis.wait(SETTLE)
-            report = p.report(ended)
+            report = p.report(end_reason)
         # zero is where the motor has stalled: steps lost before do not count
-        return replace(report, lost_steps=0) if ended == "stall" else report
+        return replace(report, lost_steps=0) if end_reason == "stall" else report
 
     # --- as programs ---
 
@@ -325,20 +327,20 @@ class Tmc5160Driver(Driver):
             for name, goal in goals.items():
                 mine[name].put("XTARGET", goal)
                 together.began(name)
-            longest = 1.5 * float(moves.longest[0]) / speeds.drive + 6 * ramp + 1
+            expected_seconds = 1.5 * float(moves.longest[0]) / speeds.drive + 6 * ramp + 1
             breaker = StopTogether(together, mine)
             try:
                 wait_until_stopped(
-                    [d.axis for d in mine.values()], longest if timeout is None else timeout, on_poll=breaker
+                    [d.axis for d in mine.values()], expected_seconds if timeout is None else timeout, on_poll=breaker
                 )
             except RunTimeout as error:
                 error.reports = together.reports(dict.fromkeys(mine, "timeout"))  # type: ignore[attr-defined]
                 raise
-            ended = {
+            end_reason = {
                 n: ANOTHER_AXIS if n in breaker.stopped else d.explain_end(together.has_arrived(n))
                 for n, d in mine.items()
             }
             for driver in mine.values():
                 driver.stay()
             next(iter(mine.values())).axis.wait(SETTLE)
-            return together.report(ended)
+            return together.report(end_reason)

@@ -17,7 +17,7 @@ POL_A, POL_B, POL_N, IGNORE_AB, CLR_CONT, CLR_ONCE = (1 << k for k in range(6))
 CLR_ENC_X, LATCH_X, DECIMAL = 1 << 8, 1 << 9, 1 << 10
 N_EVENT, DEVIATION = 1, 2  # ENC_STATUS
 PINS = state.ENCA | state.ENCB
-FAR = float(1 << 45)
+MAX_EDGE = float(1 << 45)
 SLOWEST = 1e-9  # edges a clock; what is slower passes no edge before it is seen anew
 PERIOD = 4  # edges after which A and B are the same again
 
@@ -42,8 +42,8 @@ def look(c):
 @hot
 def deviates(c):
     """X_ENC is too far from XACTUAL."""
-    most = c.reg[state.ENC_DEVIATION]
-    return most and abs(c.enc - c.x) > most
+    max_deviation = c.reg[state.ENC_DEVIATION]
+    return max_deviation and abs(c.enc - c.x) > max_deviation
 
 
 # --- a shaft ---
@@ -105,7 +105,7 @@ def catch_up(c):
 @hot
 def _edge_at(c, clock):
     at = c.shaft + c.shaft_rate * (clock - c.seen) + 0.5
-    return int(floor(least(greatest(at, -FAR), FAR)))
+    return int(floor(least(greatest(at, -MAX_EDGE), MAX_EDGE)))
 
 
 @hot

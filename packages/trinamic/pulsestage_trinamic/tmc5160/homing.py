@@ -113,7 +113,7 @@ def to_stall(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeou
     d.put("COOLCONF", (-round(min(free) / 2 / PER_SGT) & 0x7F) << 16)
     d.put("SW_MODE", d.switches(state.SG_STOP))
     wait_until_stopped([d.axis], end - d.axis.time)
-    ended = d.stopped_by()
+    end_reason = d.stopped_by()
     d.put("RAMPMODE", state.HOLD)
     d.put("XACTUAL", 0)
     d.put("XTARGET", 0)
@@ -122,4 +122,4 @@ def to_stall(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeou
     d.put("TCOOLTHRS", 0)
     d.put("GCONF", gconf)
     d.put("RAMPMODE", state.POSITION)
-    return ended or "no stall"
+    return end_reason or "no stall"

@@ -48,8 +48,8 @@ class InRatio(Line):
         lead[:, 0] = lead[:, 4] = low * V / self.hz
         lead[:, 2] = peak * V / self.hz
         lead[:, 1] = lead[:, 3] = (peak - low) / ramp * A / self.hz**2
-        whole = np.maximum(np.rint(lead), 1.0)
-        return self.legal(moves.share[:, :, None] * whole[:, None, :])
+        rounded = np.maximum(np.rint(lead), 1.0)
+        return self.legal(moves.share[:, :, None] * rounded[:, None, :])
 
     def corrected(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """By a share of the counts that move the axis by `reach` steps along the line, one at least."""
@@ -61,9 +61,9 @@ class InRatio(Line):
         """By how many steps one count of each register moves an axis along the line."""
         r = registers.astype(np.float64)
         up, down = (self._seconds(r, start, rate) for start, rate in ((0, 1), (4, 3)))
-        gained, kept = (0.5 * (r[..., 2] - r[..., start]) * t * self.hz / V for start, t in ((0, up), (4, down)))
+        gained, decelerated = (0.5 * (r[..., 2] - r[..., start]) * t * self.hz / V for start, t in ((0, up), (4, down)))
         unit = self.hz / V
-        worth = [up * unit, gained / r[..., 1], moves.size / r[..., 2], kept / r[..., 3], down * unit]
+        worth = [up * unit, gained / r[..., 1], moves.size / r[..., 2], decelerated / r[..., 3], down * unit]
         return np.maximum(np.stack(worth, axis=2), 1e-9)
 
     def _seconds(self, r: np.ndarray, start: int, rate: int) -> np.ndarray:

@@ -69,11 +69,11 @@ def lint_timing(c: Any, address: int, value: int) -> Iterator[Finding]:
     elif address in (maps.SPI_BYTE, maps.SPI_CS) and not c["csn"] and c["bits"]:
         passed, least = clock - int(c["shifted"]), 8 * 2 * (1 + CLEAR * hz)
         if passed + 1 <= least:
-            made, most = 8 * hz / max(passed, 1) / 1e6, hz / (2 * (1 + CLEAR * hz)) / 1e6
+            made, highest = 8 * hz / max(passed, 1) / 1e6, hz / (2 * (1 + CLEAR * hz)) / 1e6
             yield (
                 SCK_TOO_FAST,
                 f"SCK is too fast: 8 bits in {passed} clocks, {made:.2f} MHz; its low and high take tCLK + 10 ns each, so "
-                f"{most:.2f} MHz at most. Let each byte take longer, or the bus (bus_cycle=)",
+                f"{highest:.2f} MHz at most. Let each byte take longer, or the bus (bus_cycle=)",
             )
 
 

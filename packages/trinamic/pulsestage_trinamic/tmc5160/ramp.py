@@ -117,12 +117,12 @@ def need(c, q):
     if q <= z:
         return 0
     corner, w, least_w = _v1(c), (q >> 9) + 1, z >> 9
-    most = 8 + 2 * (w >> 24)
+    max_speed = 8 + 2 * (w >> 24)
     fast, slow = greatest(c.reg[state.DMAX], 1), greatest(c.reg[state.D1], 1)
     if corner and q > corner and corner > z:
         w1 = corner >> 9
-        return most + _over(w * w - w1 * w1, fast << 16) + _over(w1 * w1 - least_w * least_w, slow << 16)
-    return most + _over(w * w - least_w * least_w, (slow if corner and q <= corner else fast) << 16)
+        return max_speed + _over(w * w - w1 * w1, fast << 16) + _over(w1 * w1 - least_w * least_w, slow << 16)
+    return max_speed + _over(w * w - least_w * least_w, (slow if corner and q <= corner else fast) << 16)
 
 
 @hot

@@ -52,20 +52,20 @@ class Decoder(describe.Decoder):
                 return []
             word = int.from_bytes(bytes(sent[-5:]), "big")
             short = "" if len(sent) >= 5 else f"a datagram of {8 * len(sent)} bits: nothing happens"
-            return [self._said(clock, bytes(sent).hex().upper(), word, short)]
+            return [self._describe_datagram(clock, bytes(sent).hex().upper(), word, short)]
         if address == maps.SPI_BYTE:
             if self._sent is not None:
                 self._sent.append(value & 0xFF)
             return []
         if address == maps.SPI_DATAGRAM:
-            return [self._said(clock, f"{value:010X}", value)]
+            return [self._describe_datagram(clock, f"{value:010X}", value)]
         return [
-            self._said(
+            self._describe_datagram(
                 clock, f"{address:02X} {value & maps.M32:08X}", 1 << 39 | address << 32 | value & maps.M32, "", ""
             )
         ]
 
-    def _said(self, clock: int, code: str, word: int, short: str = "", head: str = "SPI: ") -> Said:
+    def _describe_datagram(self, clock: int, code: str, word: int, short: str = "", head: str = "SPI: ") -> Said:
         text = short or datagram(word)
         r = maps.WRITTEN.get(word >> 32 & 0x7F) if word >> 39 & 1 and not short else None
         known = (r.name, r.value(word)) if r else ("", 0)
