@@ -26,7 +26,7 @@ CALLS = {
 
 
 def measure_calls(times: int = 300) -> dict[str, float]:
-    """us a call, by tool, the simulation of its bus cycles included."""
+    """Us a call, by tool, the simulation of its bus cycles included."""
     box = Toolbox(Stage("xy", visuals=False))
     microseconds = {}
     for name, arguments in CALLS.items():

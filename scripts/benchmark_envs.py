@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from itertools import product
+from pathlib import Path
 
 import gymnasium
 import mujoco
@@ -118,7 +119,7 @@ def grow(kind, id_, n, settings):
 
 def memory(kind, id_, n, settings):
     """`grow` in a process of its own, so that nothing freed before is used again."""
-    if not os.path.exists("/proc/self/statm"):
+    if not Path("/proc/self/statm").exists():
         return float("nan")
     what = [sys.executable, __file__, "--grow", kind, id_, str(n), "--settings", json.dumps(settings)]
     out = subprocess.run(what, capture_output=True, text=True, errors="replace")
@@ -200,8 +201,7 @@ def main():
                 kib = print_row(rows, id_, n, settings, args.most_sync)
             table[f"{name} {n}"] = {name: values.tolist() for name, values in rows.items()} | {"KiB a stage": kib}
             if args.json:
-                with open(args.json, "w") as file:
-                    json.dump(table, file, indent=1)
+                Path(args.json).write_text(json.dumps(table, indent=1))
 
 
 if __name__ == "__main__":

@@ -59,21 +59,24 @@ def axis():
 def high_speed_preset() -> Report:
     """R0 holds the number of pulses, R6 the ramp-down point. The chip starts at FL, ramps up to FH1, compares R0 with R6
     after each pulse, ramps down once R0 < R6, and stops at R0 = 0: five pulses after it has reached FL again, or a few
-    more."""
+    more.
+    """
     return firmware.preset_move(axis(), 3000, P)
 
 
 @pattern("Constant speed preset mode", "section 5 c")
 def constant_speed_preset() -> Report:
     """Bit 2 of the start command is 0: no ramps. From the first pulse on, the rate is that of the selected register; R6 has
-    no effect."""
+    no effect.
+    """
     return firmware.preset_move(axis(), 2000, P, high_speed=False)
 
 
 @pattern("High speed continuous mode", "section 5 d")
 def high_speed_continuous() -> Report:
     """Manual mode (40h): the chip runs until a stop command. 1Dh (from FH1; 1Fh from FH2) ramps down to FL and stops there.
-    R0 counts down from its present value, and wraps."""
+    R0 counts down from its present value, and wraps.
+    """
     return firmware.continuous_move(axis(), 0.4, +1, P)
 
 
@@ -86,7 +89,8 @@ def constant_speed_continuous() -> Report:
 @pattern("High speed origin return mode", "section 5 f")
 def high_speed_origin_return() -> Report:
     """Control mode 4Bh: origin return, SD enabled, minus. The SD switch lies before the origin: it slows the axis to FL, a
-    rate from which the motor can stop at ORG without a ramp."""
+    rate from which the motor can stop at ORG without a ramp.
+    """
     bench = Bench(PCL240K())
     bench.rail("x", at=4000, sd_minus=(None, 700), org=(None, 0))
     return firmware.origin_return(bench.axes["x"], -1, P, slow_approach=False)
@@ -104,7 +108,8 @@ def constant_speed_origin_return() -> Report:
 def origin_return_slow_approach() -> Report:
     """The default of `origin_return`. After the fast return it leaves ORG at a very low rate (R1 rewritten), goes 100 pulses
     further, and approaches again at that rate: the motor does not ring when the switch trips, and the position repeats within
-    a pulse."""
+    a pulse.
+    """
     bench = Bench(PCL240K())
     bench.rail("x", at=4000, sd_minus=(None, 700), org=(None, 0))
     return firmware.origin_return(bench.axes["x"], -1, P, back_off=100)
@@ -113,14 +118,16 @@ def origin_return_slow_approach() -> Report:
 @pattern("Speed change during operation", "section 5 h")
 def speed_change() -> Report:
     """A start command while running changes the rate: 15h, 17h and 14h ramp to FH1, FH2 and FL. The register that is not
-    selected may be rewritten during the run without effect and then selected, so any number of rates is possible."""
+    selected may be rewritten during the run without effect and then selected, so any number of rates is possible.
+    """
     return firmware.speed_change_move(axis(), 6000, [4000, 9000, 6000, 12_000, 3000], P, dwell=0.08)
 
 
 @pattern("Dual rate mode (1), ramping up", "section 6")
 def dual_rate_up() -> Report:
     """Started at constant FL (10h), later ramped up. Section 5 h says to set bit 2 before the rate is changed, hence 14h
-    before 15h."""
+    before 15h.
+    """
     return firmware.dual_rate_move(axis(), 2500, P, rates=("FL", "FH1"), dwell=0.15)
 
 
@@ -139,7 +146,8 @@ def dual_rate_up_and_down() -> Report:
 @pattern("Ramping up/down and interrupting mode", "section 6; section 4, R0")
 def ramping_and_interrupting() -> Report:
     """3Dh is the decelerating stop with /INT at the stop. R0 keeps the residual pulses. The reset command clears /INT and
-    allows the next start, which makes the remaining pulses."""
+    allows the next start, which makes the remaining pulses.
+    """
     return firmware.interrupted_move(axis(), 4500, P, after=0.25, pause=0.15)
 
 
@@ -158,7 +166,8 @@ def decelerating_stop() -> Report:
 @pattern("Immediate stop", "section 3 a; Q & A")
 def immediate_stop() -> Report:
     """The reset command 08h stops a high-speed run without a ramp. A chip can stop within half a pulse; a motor may lose
-    steps."""
+    steps.
+    """
     return firmware.continuous_move(axis(), 0.35, +1, P, immediate=True)
 
 
@@ -166,7 +175,8 @@ def immediate_stop() -> Report:
 def triangular() -> Report:
     """A move too short to reach FH1: R6 = R0 R5 / (R4 + R5). `preset_move` adds 2: rounding down takes up to one pulse, and
     R0 < R6 is true one pulse after R0 = R6. With the printed formula the chip is still a little above FL when R0 reaches
-    0."""
+    0.
+    """
     return firmware.preset_move(axis(), 500, P)
 
 
@@ -185,7 +195,8 @@ def down_point_too_early() -> Report:
 @pattern("Acceleration in pieces", "Q & A")
 def curved_ramp() -> Report:
     """The chip ramps linearly. When a ramp is long beside the host's bus cycles, acceleration rate R4 and speed register are
-    rewritten one after the other: here five pieces come near an S. The way down stays one line to FL."""
+    rewritten one after the other: here five pieces come near an S. The way down stays one line to FL.
+    """
     pieces = [(2000, 0.12), (5000, 0.14), (11_000, 0.16), (14_000, 0.14), (15_000, 0.12)]
     return firmware.curved_ramp_move(axis(), 11_500, pieces, P)
 
@@ -193,14 +204,16 @@ def curved_ramp() -> Report:
 @pattern("Speed changed several times while ramping up", "Q & A")
 def steps_while_ramping_up() -> Report:
     """The other answer of the Q & A: one acceleration rate, the speed register rewritten several times, and constant rate
-    between the ramps."""
+    between the ramps.
+    """
     return firmware.speed_change_move(axis(), 7000, [4000, 8000, 12_000, 16_000], P, dwell=0.05)
 
 
 @pattern("Slow-down switch", "section 2, SD+ and SD-")
 def slow_down() -> Report:
     """Control mode 42h enables SD. While the switch of the direction is asserted, the axis ramps down to FL and stays there;
-    when the switch is released, it ramps up again."""
+    when the switch is released, it ramps up again.
+    """
     bench = Bench(PCL240K())
     bench.rail("x", sd_plus=(2000, 2700))
     return firmware.continuous_move(bench.axes["x"], 0.9, +1, P, slow_down=True)
@@ -209,7 +222,8 @@ def slow_down() -> Report:
 @pattern("End limit", "section 2, EL+ and EL-")
 def end_limit() -> Report:
     """The EL switch of the direction stops the output at once, whatever the mode; while it is asserted, a start in that
-    direction is refused, and a start in the other direction is allowed."""
+    direction is refused, and a start in the other direction is allowed.
+    """
     bench = Bench(PCL240K())
     bench.rail("x", el_plus=(2000, None))
     return firmware.preset_move(bench.axes["x"], 5000, P)
@@ -218,7 +232,8 @@ def end_limit() -> Report:
 @pattern("Counting external pulses", "section 4, R0; output mode")
 def external_counting() -> Report:
     """Output mode D0h: R0 counts the rising edges of EXTP in place of the output's pulses. The axis runs at FL until 20 of
-    them have come."""
+    them have come.
+    """
     return firmware.external_count(axis(), 20, P, rate=100)
 
 

@@ -1,4 +1,4 @@
-"""Fuzzing of the bus and of the MJCF contract: pip install 'pulsestage[fuzz]'
+"""Fuzz the bus and the MJCF contract. Guided runs need the extra `fuzz`.
 
 python scripts/fuzz.py bus --seconds 60         bus cycles, input edges and clocks on any chip
 python scripts/fuzz.py mjcf --seconds 60        a small model with elements dropped, renamed, doubled, odd numbers

@@ -45,8 +45,10 @@ def main(arguments: list[str]) -> int:
 
 
 def _remarks(folder: Path) -> tuple[int, list[ElementTree.Element]]:
-    """How many errors valgrind saw in all processes, and those with the native library among the callers. A file of hundreds of
-    megabytes is read block by block; that of a process that crashed, or forked, is no whole document."""
+    """Return how many errors valgrind saw in all processes, and those with the native library among the callers.
+
+    A file of hundreds of megabytes is read block by block; that of a process that crashed, or forked, is no whole document.
+    """
     errors, ours = 0, []
     for text in folder.glob("*.xml"):
         block: list[str] = []

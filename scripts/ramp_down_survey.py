@@ -21,7 +21,7 @@ ROUNDING = "rounding to whole pulses"
 
 
 def shape(move):
-    """By the ramps: linear, S-curves alike both ways, or a ramp-down shorter or longer than the ramp-up."""
+    """Classify a move by its ramps: linear, S-curves alike both ways, or a ramp-down shorter or longer than the ramp-up."""
     r, gain = move.registers, move.fh - move.registers.R1
     up, down = span_of(r.R14, gain), span_of(r.R15, gain)
     if move.linear:

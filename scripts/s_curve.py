@@ -155,7 +155,7 @@ def run(shape: Shape, rate: float, ramp: float, pulses: int, model: str = "xy_ma
 
 
 def keeps_step(shape: Shape, rate: float, ramp: float, pulses: int = LONG) -> bool:
-    """Whether a move of the bare xyz stage loses no step."""
+    """Return whether a move of the bare xyz stage loses no step."""
     stage, begin = power_up("xyz")
     stage.restore(begin)
     return not move(stage, shape, rate, ramp, pulses).lost_steps

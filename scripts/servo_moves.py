@@ -58,7 +58,7 @@ def a_stage(**places: float) -> Stage:
 
 
 def commands(port: Port, begin: int, samples: int) -> np.ndarray:
-    """What the profile generator commands with this chip's registers, sample by sample from `begin` on, by a chip on the bench."""
+    """Compute the commands of the profile generator with this chip's registers, sample by sample from `begin` on."""
     chip, values = HCTL1100(port.chip.clock_hz), port.chip.values()
     for address in (*maps.ACCELERATION.addresses, maps.MOST_VELOCITY, *maps.FINAL_POSITION.addresses):
         chip.write(address, values[f"R{address:02X}"])
@@ -97,8 +97,11 @@ def run_trapezoid(tuning: Tuning = TUNING, counts: int = COUNTS, name: str = "x"
 
 
 def run_line(early: bool) -> tuple[np.ndarray, np.ndarray]:
-    """A slow line commanded sample by sample, each command at the beginning of a sample or in its safe part: s, following error in
-    counts."""
+    """Command a slow line sample by sample, and return seconds and following error in counts.
+
+    Args:
+        early: Write each command at the beginning of a sample, not in its safe part.
+    """
     stage = a_stage(x=-0.05)
     axis = stage.axes["x"]
     port = set_up(axis, TUNING)
@@ -115,8 +118,11 @@ def run_line(early: bool) -> tuple[np.ndarray, np.ndarray]:
 
 
 def run_circle(sync: bool, leader_only: bool, tuning: Tuning = TUNING) -> tuple[np.ndarray, np.ndarray, int]:
-    """A circle of three axes: angle in turns, distance from the circle that begins where the carriages stand, in um, and how many
-    commands the chips noted as written too early. Without SYNC the chips keep the phases of their resets: see PHASES."""
+    """Run a circle of three axes. Without SYNC the chips keep the phases of their resets, PHASES.
+
+    Returns:
+        Angle in turns; distance from the circle that begins where the carriages stand, um; number of commands written too early.
+    """
     stage = a_stage(x=0.0, y=-0.03, z=-0.03)
     for name, counts in PHASES.items():
         stage.run(counts * 16 / stage.axes[name].chip.clock_hz)

@@ -14,9 +14,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from stage.errors import ArgumentError, StageError
@@ -118,7 +118,7 @@ def show(study: Any, top: int) -> None:
 
 def main() -> int:
     args = parser().parse_args()
-    sys.path.insert(0, os.getcwd())  # an objective may lie beside you; workers take the path over
+    sys.path.insert(0, str(Path.cwd()))  # an objective may lie beside you; workers take the path over
     try:
         if args.trials is None:
             study = read_study(args.out)

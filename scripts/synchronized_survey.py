@@ -53,8 +53,10 @@ def random_distances(rng, names, low=100, high=50_000):
 
 
 def common_multiplier(moves, line_plan):
-    """The deviation when both axes must do with one R7, the finest that reaches the rate: every register rounded to the
-    nearest, R6 = Psd and 5 pulses of the longest axis."""
+    """Compute the deviation when both axes must do with one R7, the finest that reaches the rate.
+
+    Every register is rounded to the nearest; R6 = Psd and 5 pulses of the longest axis.
+    """
     long = line_plan.axes[line_plan.order[-1]]
     r7 = int(long.clock_hz * 8191 / (8192 * long.fh))
     step = long.clock_hz / (8192 * r7)

@@ -67,7 +67,7 @@ class Curve:
         return cls(key, name, over, unit, tuple(map(float, sizes)), rows, float(fitted_from))
 
     def exponents(self) -> np.ndarray:
-        """p of cost ~ size^p, a value a round: least squares in logarithms from `fitted_from` on."""
+        """P of cost ~ size^p, a value a round: least squares in logarithms from `fitted_from` on."""
         upper = np.asarray(self.sizes) >= self.fitted_from
         x = np.log(np.asarray(self.sizes)[upper])
         y = np.log(np.asarray(self.cost)[:, upper])
@@ -96,7 +96,7 @@ class Target:
         return value >= self.bound if self.kind == ">=" else value <= self.bound
 
     def verdict(self, value: float) -> str:
-        """In words: met, or missed by how much."""
+        """Say whether a value meets the target, or by how much it misses it."""
         if self.met(value):
             return "met"
         apart = abs(value - self.bound)

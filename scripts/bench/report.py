@@ -69,7 +69,7 @@ def subject_of(key: str) -> str:
 
 
 def machine(run: Run) -> str:
-    """Where and how, in words."""
+    """Say where and how a benchmark has run."""
     packages = ", ".join(f"{name} {version(name)}" for name in ("mujoco", "numpy"))
     how = f"{run.rounds} rounds" + (", quick: long ones are short" if run.quick else "")
     return f"{processor()}, {os.cpu_count()} processors; Python {platform.python_version()}, {packages}; {how}"
@@ -77,7 +77,7 @@ def machine(run: Run) -> str:
 
 def processor() -> str:
     try:
-        with open("/proc/cpuinfo") as file:
+        with Path("/proc/cpuinfo").open() as file:
             return next(line.split(":", 1)[1].strip() for line in file if line.startswith("model name"))
     except (OSError, StopIteration):
         return platform.processor() or platform.machine()

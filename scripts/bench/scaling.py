@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -79,7 +80,7 @@ def stages(run: Run) -> Iterator[Figure | Curve]:
 def available() -> float:
     """Bytes of memory that are free for use; 4 GB where nobody says."""
     try:
-        with open("/proc/meminfo") as file:
+        with Path("/proc/meminfo").open() as file:
             return next(int(line.split()[1]) * 1024 for line in file if line.startswith("MemAvailable")) * 0.7
     except (OSError, StopIteration):
         return 4e9

@@ -8,6 +8,7 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -50,12 +51,12 @@ def nothing() -> None:
 def resident() -> int:
     """Bytes of this process in memory; Linux only."""
     gc.collect()
-    with open("/proc/self/statm") as file:
+    with Path("/proc/self/statm").open() as file:
         return int(file.read().split()[1]) * PAGE
 
 
 def has_resident() -> bool:
-    return os.path.exists("/proc/self/statm")
+    return Path("/proc/self/statm").exists()
 
 
 def in_a_fresh_process(function: Callable[..., Any], *args: Any) -> Any:

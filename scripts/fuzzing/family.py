@@ -88,14 +88,19 @@ class Family:
         return [(axis.pins, name) for axis in chip.axes for name in chip.INPUTS]
 
     def edge(self, chip: Chip, low: int) -> None:
-        """What the outside does to a chip, `low` 0 to 31. Here: one of its input pins turns to the other level."""
+        """Do what the outside does to a chip, `low` 0 to 31; here one of its input pins turns to the other level."""
         pins = self.pins(chip)
         on, name = pins[low % len(pins)]
         setattr(on, name, not getattr(on, name))
 
     def writes(self, kind: int, low: int, take: Callable[[int], int]) -> list[tuple[int, int]]:
-        """Bus writes (address, value) of an operation: `kind` 0 to 3 and `low` 0 to 31 are of its first byte, take(n) is the
-        number in its next n bytes. Here: a raw write."""
+        """Return the bus writes (address, value) of an operation; here a raw write.
+
+        Args:
+            kind: 0 to 3, of the first byte of the operation.
+            low: 0 to 31, of the same byte.
+            take: take(n) is the number in the next n bytes.
+        """
         return [(kind << 5 | low, take(1 if self.chip.DATA_MASK <= 0xFF else 2))]
 
     def write(self, chip: Chip, address: int, value: int) -> None:
@@ -107,7 +112,7 @@ class Family:
         return chip.read(address)
 
     def said(self, chip: Chip, values: Values, address: int) -> int | None:
-        """What a bus read says now, if that follows from the debugger's view, `values`."""
+        """Return what a bus read says now, if that follows from the debugger's view, `values`."""
         return None
 
     def silent(self, chip: Chip) -> bool:
@@ -115,7 +120,7 @@ class Family:
         return False
 
     def check(self, chip: Chip, values: Values) -> None:
-        """What must hold between any two operations."""
+        """Check what must hold between any two operations."""
         wide = [name for name, mask in self.limits if values.get(name, 0) & ~mask]
         if wide:
             raise Finding(f"{wide[0]} = {values[wide[0]]} is wider than the register")
@@ -127,7 +132,7 @@ class Family:
                 raise Finding(f"{name} is {chip.state[name]}")
 
     def clocks(self, chip: Chip, clocks: int) -> int:
-        """How far an advance goes that was to be of so many clocks."""
+        """Return how far an advance goes that was to be of so many clocks."""
         return clocks
 
     def end_of_course(self, chip: Chip) -> dict[str, int]:

@@ -1,5 +1,7 @@
-"""The MJCF target: a small model with elements dropped, renamed, doubled, moved, and odd numbers in it. It is refused with a
-clear error, or it runs, its motors turning, and stays finite."""
+"""The MJCF target: a small model with elements dropped, renamed, doubled, moved, and odd numbers in it.
+
+It is refused with a clear error, or it runs, its motors turning, and stays finite.
+"""
 
 from __future__ import annotations
 

@@ -60,8 +60,10 @@ def left(found: Path, kind: str, data: bytes) -> None:
 def mutate_for(
     check: Callable[[bytes], None], pool: list[bytes], seconds: float, seed: int, found: Path, most: int
 ) -> int:
-    """Check all of `pool`, then for `seconds` inputs of it after one to six changes, at most `most` bytes long. Returns 1 at a
-    finding, which is left in the folder `found`, else 0."""
+    """Check all of `pool`, then for `seconds` inputs of it after one to six changes, at most `most` bytes long.
+
+    Returns 1 at a finding, which is left in the folder `found`, else 0.
+    """
     print(f"{len(pool)} inputs, then mutations by seed {seed}", flush=True)
     rng, watchdog, end = random.Random(seed), Watchdog(found), math.inf
     watchdog.start()

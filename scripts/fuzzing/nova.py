@@ -190,8 +190,11 @@ class NovaFamily(Family):
         return super().end_of_course(chip) | {"counter": int(chip.state["ax"][0]["reg"][state.LP])}
 
     def most_work(self, chip: Chip, pulses: int) -> int:
-        """Rounds of events. What may cause one is an event that is noted, a segment of a speed profile, a tick of an
-        interpolation, a turn of a ring counter with the comparisons on it, an input's filter; never clocks, nor pulses as such."""
+        """Return the most rounds of events.
+
+        An event that is noted may cause one, a segment of a speed profile, a tick of an interpolation, a turn of a ring counter
+        with the comparisons on it, an input's filter; never clocks, nor pulses as such.
+        """
         rings = [int(chip.state["ax"][j]["reg"][state.LX]) for j in range(chip.AXES)] if self.new else [OFF]
         revolutions = sum(pulses // (maximum + 1) for maximum in rings if maximum >= 0)
         return 3 * self.work.steps + 10 * revolutions + 64  # type: ignore[union-attr]

@@ -79,6 +79,9 @@ class Pcl240(Family):
         return super().end_of_course(chip) | {"counter": int(chip.state["reg"][0])}
 
     def most_work(self, chip: Chip, pulses: int) -> int:
-        """Two calls an event, a climb and a span. Events are the steps of the speed that no climb took, three each time that R0
-        comes round (below R6, 0, wrapped), some starts, stops and turns; never clocks, nor pulses as such."""
+        """Return two calls an event, a climb and a span.
+
+        Events are the steps of the speed that no climb took, three each time that R0 comes round (below R6, 0, wrapped), some
+        starts, stops and turns; never clocks, nor pulses as such.
+        """
         return 2 * (self.work.steps + 3 * (pulses // WRAP) + 8)  # type: ignore[union-attr]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections import Counter
 from pathlib import Path
@@ -33,9 +32,9 @@ class Counts(Counter):
         self._saved = now
         temporary = self.path.with_suffix(".new")
         temporary.write_text(json.dumps(self), encoding="utf-8")
-        os.replace(temporary, self.path)
+        temporary.replace(self.path)
 
 
 def read_counts(path: Path) -> dict[str, int]:
-    """What a process has counted, {} if it never came to count."""
+    """Return what a process has counted, {} if it never came to count."""
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}

@@ -35,8 +35,10 @@ def ramping_down(**registers: int) -> PCL240MS:
 
 
 def curved(clocks: np.ndarray, fl: float) -> float:
-    """From the pulses of a ramp that begins at `fl` pps: how many pps above it the acceleration has its final value. Below,
-    its square is proportional to the rate gained."""
+    """Return how many pps above `fl` the acceleration has its final value, from the pulses of a ramp.
+
+    Below, its square is proportional to the rate gained.
+    """
     t = clocks[:: max(len(clocks) // 1000, 1)] / CLOCK
     rate, middle = (len(clocks) // (len(t) - 1)) / np.diff(t), (t[1:] + t[:-1]) / 2
     growth, gained = np.diff(rate) / np.diff(middle), (rate[1:] + rate[:-1]) / 2 - fl

@@ -72,7 +72,7 @@ class TMC5160(Chip):
         return int(self.read(SPI_DATAGRAM))
 
     def transfer(self, datagram: bytes) -> bytes:
-        """As `transfer40`, 5 bytes each. Raises ArgumentError for another number."""
+        """Send a datagram of 5 bytes and return the 5 bytes of its answer, see `transfer40`. Raises ArgumentError."""
         if len(datagram) != 5:
             raise ArgumentError(f"transfer({bytes(datagram)!r}): a datagram has 5 bytes, address first.")
         return self.transfer40(int.from_bytes(datagram, "big")).to_bytes(5, "big")
@@ -80,8 +80,15 @@ class TMC5160(Chip):
     # --- a stage's load, for a chip on none ---
 
     def set_load(self, lam: int, emf: int = 1024) -> None:
-        """Load torque (1024: at 90 degrees of load angle) and back EMF (1024: the supply) that StallGuard sees from now on; on a
-        stage they come from the motor. Not noted in journals. Raises ArgumentError."""
+        """Set what StallGuard sees of the motor from now on; on a stage it comes from the motor. Journals do not record it.
+
+        Args:
+            lam: Load torque; 1024 is the torque at a load angle of 90 degrees.
+            emf: Back EMF; 1024 is the supply.
+
+        Raises:
+            ArgumentError: The chip is on a stage, or a value is not within 0 to 1024.
+        """
         if self.attached or not (0 <= lam <= 1024 and 0 <= emf <= 1024):
             raise ArgumentError(f"set_load({lam!r}, {emf!r}): 0 to 1024 each, of a chip on no stage.")
         core.load.with_gil(self.pointer, int(lam), int(emf))
@@ -96,7 +103,7 @@ class TMC5160(Chip):
 
     @property
     def amplitude(self) -> float:
-        """Of the phase currents as the registers ask for them, A; 0 while the power stage is off."""
+        """Amplitude of the phase currents that the registers request, A; 0 while the power stage is off."""
         return float(core.current.with_gil(self.pointer, 0))
 
     def explain_missing_current(self, axis: int = 0) -> str:
@@ -130,7 +137,7 @@ class TMC5160(Chip):
             yield from lint.lint_timing(self._plain, address, value)
 
     def twin(self, state: bytes | None = None) -> TMC5160:
-        """As every chip's. What checks the writes to a chip of a stage, whose bus takes time, sees them on twins."""
+        """Return a copy; that of a chip on a stage checks the timing of writes as well, for the bus takes time."""
         twin = super().twin(state)
         assert isinstance(twin, TMC5160)
         twin._timed = self.attached or self._timed

@@ -116,7 +116,7 @@ def arrived(c):
 
 @hot
 def register(c, a):
-    """What a register holds, also one that cannot be read."""
+    """Return the value that a register holds, also one that cannot be read."""
     if a == state.GSTAT:
         return c.gstat
     if a == state.IOIN:
@@ -195,7 +195,7 @@ def write_register(c, a, value):
 
 @hot
 def answer(c):
-    """What the next datagram gets."""
+    """Return the answer that the next datagram gets."""
     return spi_status(c) << 32 if c.answer == FIRST else c.answer
 
 
@@ -242,7 +242,7 @@ def select(c, level):
 
 @hot
 def peek(c, address):
-    """What a read cycle finds; it changes nothing."""
+    """Return what a read cycle finds; it changes nothing."""
     if address < maps.REGISTERS:
         return read_register(c, address)
     if address == maps.SPI_CS:

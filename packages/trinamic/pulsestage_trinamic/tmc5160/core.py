@@ -1,5 +1,7 @@
-"""TMC5160, compiled: time. `tick` is one clock as the page has it; `leap` makes many at once, in closed form, where nothing happens
-in between but steps."""
+"""TMC5160, compiled: time.
+
+`tick` is one clock as the data sheet has it; `leap` makes many at once, in closed form, where nothing happens in between but steps.
+"""
 
 from __future__ import annotations
 
@@ -143,7 +145,7 @@ def _leap(c, until, watch):
 
 @hot
 def _go(c, delta, m):
-    """m clocks of an even stretch."""
+    """M clocks of an even stretch."""
     k = _steps(c, delta, m)
     if k:
         low, high = 0, m  # the clock of the last step
@@ -202,8 +204,14 @@ def current(c, j):
 
 @exported("i8", STATE, "i8", "f8", "f8")
 def set_load(c, j, angle, emf):
-    """A sample of the load: how far the field is ahead of the rotor (electrical radians), back EMF as a share of the supply.
-    Returns whether it can change anything."""
+    """Take a sample of the load, and return whether it can change anything.
+
+    Args:
+        c: State of the chip.
+        j: Axis, 0.
+        angle: Electrical radians by which the field leads the rotor.
+        emf: Back EMF as a share of the supply.
+    """
     sin, cos = sincos(angle)
     way = -c.dir if c.reg[state.GCONF] & state.SHAFT else c.dir
     sin *= way
@@ -357,9 +365,11 @@ def mark(c, axis, out, k):
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
 def scan(c, until, every_pulse, axis, out):
-    """As advance, and fills `out` (EDGE records) with the changes of speed and pins, with `every_pulse` with every step and every
-    edge of an encoder whose shaft is known. Returns how many; stops early when `out` is almost full: look at the clock and call
-    again."""
+    """Advance, and fill `out` (EDGE records) with the changes of speed and pins.
+
+    With `every_pulse`, every step and every edge of an encoder whose shaft is known gets a record. Returns the number of records.
+    Stops early when `out` is almost full: look at the clock and call again.
+    """
     k = 0
     while c.clock < until and k < len(out) - ROOM:
         word, rate, at, pins = bus.outputs(c), _rate(c), c.x, c.inputs

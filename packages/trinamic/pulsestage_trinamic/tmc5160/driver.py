@@ -68,10 +68,19 @@ def current_registers(amplitude: float, rsense: float, hold: float = 0.5) -> dic
 
 
 def encoder_registers(edges_per_turn: float, full_steps: int = 200) -> dict[str, int]:
-    """ENC_CONST and ENCMODE by which X_ENC counts as XACTUAL does: steps of an encoder on the motor with so many edges a turn (four
-    a line; below 0 it turns the other way). The decimal fraction where only that is exact; else ENC_CONST is the nearest.
+    """Compute ENC_CONST and ENCMODE by which X_ENC counts in the unit of XACTUAL.
 
-    Raises ArgumentError for an encoder that no factor suits.
+    The decimal fraction is used where only that is exact; else ENC_CONST is the nearest binary one.
+
+    Args:
+        edges_per_turn: Edges of an encoder on the motor, four a line; below 0 it turns the other way.
+        full_steps: Full steps of the motor in a turn.
+
+    Returns:
+        The values of both registers by name.
+
+    Raises:
+        ArgumentError: No factor suits the encoder.
     """
     if isinstance(edges_per_turn, bool) or not isinstance(edges_per_turn, int | float) or not abs(edges_per_turn) >= 2:
         raise ArgumentError(f"encoder_registers({edges_per_turn!r}): a number of edges a turn, four a line, 2 or more.")
@@ -87,7 +96,7 @@ def encoder_registers(edges_per_turn: float, full_steps: int = 200) -> dict[str,
 
 
 class Tmc5160Driver(Driver):
-    """Of the TMC5160. Speeds are those of 1/256 full steps: MRES stays 0."""
+    """Host driver of the TMC5160. Speeds are those of 1/256 full steps: MRES stays 0."""
 
     DONE: ClassVar = "position reached"
     FINISH: ClassVar = "XTARGET"
@@ -299,7 +308,7 @@ class Tmc5160Driver(Driver):
     # --- lines ---
 
     def lines(self, drivers: Sequence[Driver], settings: Any) -> InRatio:
-        """By velocities and accelerations in the ratio of the distances."""
+        """Return lines whose velocities and accelerations are in the ratio of the distances."""
         return InRatio(drivers, settings)
 
     @classmethod

@@ -31,7 +31,7 @@ def wake(c):
 
 @hot
 def look(c):
-    """In step 1 of a clock: edges of A and B, N events."""
+    """Process edges of A and B and N events, in step 1 of a clock."""
     if c.fed:
         _follow(c, _edge_at(c, c.clock))
     else:
@@ -51,8 +51,10 @@ def deviates(c):
 
 @hot
 def set_shaft(c, count, rate):
-    """From now on the shaft is at `count + rate * (clock - now)`. Where it is at first counts nothing; later its way from one
-    place to the other is passed in the next clock."""
+    """Put the shaft at `count + rate * (clock - now)` from now on.
+
+    The first place counts nothing; later the shaft passes from one place to the other in the next clock.
+    """
     c.seen, c.shaft, c.shaft_rate = c.clock, count, rate
     if not c.fed:
         c.fed = 1
@@ -62,7 +64,7 @@ def set_shaft(c, count, rate):
 
 @hot
 def watched(c):
-    """Something may follow from each edge, in its clock."""
+    """Return whether something may follow from each edge, in its clock."""
     if not c.fed:
         return False
     mode = c.reg[state.ENCMODE]
@@ -142,7 +144,7 @@ def _levels(c):
 
 @hot
 def _pins_changed(c):
-    """Somebody drives the pins."""
+    """Count an edge of pins that are driven by hand."""
     now, was = _levels(c), c.enc_pins
     c.enc_pins = now
     changed = now ^ was

@@ -1,5 +1,7 @@
-"""Homing of a TMC5160 as its data sheet has it, pages 46 and 85 to 90: by a switch, by the encoder's index pulse, by a stall. Each
-returns what has ended it."""
+"""Homing of a TMC5160 by a switch, by the encoder's index pulse, by a stall: data sheet, pages 46 and 85 to 90.
+
+Each function returns what has ended it.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ WINDOW = 1.2  # TCOOLTHRS over TSTEP
 
 
 def to_switch(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeout: float) -> str:
-    """Data sheet, pages 85 and 86: XACTUAL is 0 where the switch closes, and there the axis is in the end."""
+    """Drive to a switch, make the place where it closes 0, and end there (data sheet, pages 85 and 86)."""
     left = direction < 0
     closed, stop, latch = (
         (state.STATUS_L, state.STOP_L, state.LATCH_L_ON) if left else (state.STATUS_R, state.STOP_R, state.LATCH_R_ON)
@@ -49,8 +51,10 @@ def to_switch(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeo
 
 
 def to_index(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeout: float) -> str:
-    """Within a turn away from the switch, data sheet, page 46: XACTUAL is 0 where the N event was, and there the axis is in the
-    end. The pulse is passed slowly, always in this direction: it is some steps wide."""
+    """Drive to the index pulse within a turn away from the switch (data sheet, page 46), and make that place 0.
+
+    The pulse is some steps wide: it is passed slowly, always in this direction.
+    """
     motor = getattr(getattr(d.axis, "drive", None), "motor", None)
     turn = FULL_STEP * getattr(motor, "steps_per_turn", USUAL_STEPS)
     slow = {**values, "VMAX": max(values["VMAX"] // SLOWLY, LEAST_VSTOP)}
@@ -88,7 +92,7 @@ def _zero_at_latch(d: Tmc5160Driver) -> None:
 
 
 def to_stall(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeout: float) -> str:
-    """Data sheet, pages 87 to 90: XACTUAL is 0 where the motor stalls.
+    """Drive until the motor stalls, and make that place 0 (data sheet, pages 87 to 90).
 
     SGT makes SG_RESULT 0 at half of what it is in free motion: so the motor stops before its field is half an electrical turn
     ahead, where it would slip by four full steps or not, by chance.

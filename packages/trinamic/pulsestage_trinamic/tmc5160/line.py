@@ -1,5 +1,8 @@
-"""Several TMC5160 on a straight line. The chip does not interpolate: all that couples the axes is that their velocities and
-accelerations are in the ratio of their distances, and that XTARGET, which starts each, is written to one after the other."""
+"""Several TMC5160 on a straight line.
+
+The chip does not interpolate. What couples the axes is that their velocities and accelerations are in the ratio of their
+distances, and that XTARGET, which starts each, is written to one after the other.
+"""
 
 from __future__ import annotations
 
@@ -52,13 +55,13 @@ class InRatio(Line):
         return self.legal(moves.share[:, :, None] * rounded[:, None, :])
 
     def corrected(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
-        """By a share of the counts that move the axis by `reach` steps along the line, one at least."""
+        """Correct registers by a share of the counts that move the axis by `reach` steps along the line, one at least."""
         made = self.data_sheet(moves)
         counts = np.maximum(np.rint(self.settings.reach / self.worth(made, moves)), 1)
         return self.legal(made + np.rint(corrections * counts))
 
     def worth(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
-        """By how many steps one count of each register moves an axis along the line."""
+        """Return by how many steps one count of each register moves an axis along the line."""
         r = registers.astype(np.float64)
         up, down = (self._seconds(r, start, rate) for start, rate in ((0, 1), (4, 3)))
         gained, decelerated = (0.5 * (r[..., 2] - r[..., start]) * t * self.hz / V for start, t in ((0, up), (4, down)))

@@ -28,7 +28,7 @@ def ihold(c):
 
 @hot
 def amplitude(c):
-    """Of the phase currents, A."""
+    """Return the amplitude of the phase currents, A."""
     if not on(c):
         return 0.0
     if c.current == state.HOLDS and c.cs == 0 and c.reg[state.GCONF] & state.EN_PWM and c.reg[state.PWMCONF] >> 20 & 3:

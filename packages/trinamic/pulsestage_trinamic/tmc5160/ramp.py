@@ -1,10 +1,10 @@
-"""TMC5160, compiled: the six-point ramp. One clock as the page has it (`speed`), and many at once where nothing changes (`plan`).
+r"""TMC5160, compiled: the six-point ramp. One clock as the page has it (`speed`), and many at once where nothing changes (`plan`).
 
-    v    VMAX  ______
-             /      \\        AMAX, DMAX
-      V1    /        \\
+v    VMAX  ______
+/      \\        AMAX, DMAX
+V1    /        \\
            |          |       A1, D1
-    VSTART |          | VSTOP
+VSTART |          | VSTOP
 """
 
 from __future__ import annotations

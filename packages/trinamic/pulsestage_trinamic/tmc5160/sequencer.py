@@ -45,7 +45,7 @@ def steps_to_full(c):
 
 @hot
 def steps(c, k, clock):
-    """k steps, the last at `clock`."""
+    """K steps, the last at `clock`."""
     now = _stepped(c, k)
     c.net += now - c.mscnt
     c.mscnt = now & 1023

@@ -25,7 +25,7 @@ def _latch(c, flag):
 
 @hot
 def look(c):
-    """In step 1 of a clock: the switches as they are now, their edges."""
+    """Sample the switches and process their edges, in step 1 of a clock."""
     mode = c.reg[state.SW_MODE]
     left, right = levels(c)
     if left != c.left:

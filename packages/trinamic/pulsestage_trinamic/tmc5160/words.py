@@ -31,7 +31,7 @@ def register(address: int, value: int, writes: bool) -> str:
 
 
 def datagram(word: int) -> str:
-    """What a datagram of 40 bits asks for."""
+    """Say what a datagram of 40 bits requests."""
     address = word >> 32 & 0x7F
     if word >> 39 & 1:
         return line(f"SPI: {register(address, word & maps.M32, True)}")
