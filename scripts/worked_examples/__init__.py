@@ -1,0 +1,1 @@
+"""Worked examples of the data sheets, computed by the emulated chips."""
