@@ -60,7 +60,7 @@ def a_stage(**places: float) -> Stage:
 def commands(port: Port, begin: int, samples: int) -> np.ndarray:
     """Compute the commands of the profile generator with this chip's registers, sample by sample from `begin` on."""
     chip, values = HCTL1100(port.chip.clock_hz), port.chip.values()
-    for address in (*maps.ACCELERATION.addresses, maps.MOST_VELOCITY, *maps.FINAL_POSITION.addresses):
+    for address in (*maps.ACCELERATION.addresses, maps.MAX_VELOCITY, *maps.FINAL_POSITION.addresses):
         chip.write(address, values[f"R{address:02X}"])
     for cycle in (*chip.register_cycles("timer", port.t), *chip.register_cycles("command_position", begin)):
         chip.write(*cycle)

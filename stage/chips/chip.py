@@ -47,31 +47,33 @@ MIN_PIECE_S, MAX_PIECE_S = 0.025, 0.1
 
 
 class Bus(Protocol):
-    """Who a chip of a stage belongs to."""
+    """The stage or bench that a chip belongs to, which keeps its time."""
 
     def cycle(self) -> None:
         """Let the time of one bus cycle pass."""
 
     def ensure_powered(self) -> None:
-        """Somebody is about to look at a chip's state, between bus cycles."""
+        """Bring the state of the chips up to date before somebody reads it between bus cycles."""
 
     def prepare_change(self) -> None:
-        """Somebody is about to change a chip's state, between bus cycles. Raises StageError where he may not now."""
+        """Prepare for a change of a chip's state between bus cycles. Raises StageError if it may not change now."""
 
 
 class Snapshot(FiledSnapshot):
-    """All state of one chip, in bytes; restores into a chip of the same kind (class, clock). `save(path)` and
-    `Snapshot.load(path)` keep it in a file."""
+    """All state of one chip, in bytes. It restores into a chip of the same kind: class, clock and options.
+
+    `save(path)` and `Snapshot.load(path)` keep it in a file.
+    """
 
     of: ClassVar = "a chip"
 
     @classmethod
-    def _noted_of(cls, told: Any) -> tuple:
-        return parse_diagnostics(told)
+    def _noted_of(cls, data: Any) -> tuple:
+        return parse_diagnostics(data)
 
     @property
     def record(self) -> bytes:
-        """The chip's state, a record of its core's STATE."""
+        """The chip's state as bytes: a record of its core's STATE."""
         return bytes(self.state)
 
 
@@ -116,7 +118,7 @@ class Pins:
         return [*self._inputs, *self._outputs]
 
     def as_dict(self) -> dict[str, bool]:
-        """Every pin, inputs first."""
+        """Return the state of every pin by its name, inputs first."""
         return {name: getattr(self, name) for name in dir(self)}
 
     def __repr__(self) -> str:
@@ -124,7 +126,7 @@ class Pins:
 
 
 class _NoPin(StageError, AttributeError):
-    """No such pin, or it cannot be set."""
+    """An error about a pin that does not exist or cannot be set."""
 
 
 class ChipAxis:
@@ -135,7 +137,7 @@ class ChipAxis:
 
 
 class Chip:
-    """Base of all chips. Not used by itself."""
+    """Base class of all chips. A family derives its chips from it."""
 
     MAP: ClassVar[RegisterMap]
     CORE: ClassVar[ModuleType]
@@ -193,7 +195,14 @@ class Chip:
     """Lock that its bus cycles take while threads share the stage, see `share`."""
 
     def __init__(self, clock_hz: int | None = None):
-        """Power the chip up. `clock_hz`: reference clock, default the data sheet's."""
+        """Power the chip up.
+
+        Args:
+            clock_hz: Reference clock, 1 to 100,000,000 Hz; default: that of the data sheet.
+
+        Raises:
+            ArgumentError: The clock is no whole number in this range, or the class breaks the contract of chips.
+        """
         contract.check(type(self), Chip, methods=False)
         hz: Any = self.DEFAULT_CLOCK_HZ if clock_hz is None else clock_hz
         if not isinstance(hz, int | float | np.number) or not 1 <= hz <= 100_000_000 or int(hz) != hz:
@@ -212,9 +221,11 @@ class Chip:
         self._hold(np.zeros(1, self.CORE.STATE), 0)
         self._configure(self._plain)
         self.CORE.power_up.with_gil(self._here)
-        least, most = self.CLOCK_RANGE
-        if not least <= self.clock_hz <= most:
-            message = f"a reference clock of {self.clock_hz:,} Hz: the silicon is sold for {least:,} to {most:,} Hz"
+        minimum, maximum = self.CLOCK_RANGE
+        if not minimum <= self.clock_hz <= maximum:
+            message = (
+                f"a reference clock of {self.clock_hz:,} Hz: the silicon is sold for {minimum:,} to {maximum:,} Hz"
+            )
             self.diagnose(0, 0, 0, [(CLOCK_RANGE.at(self.CLOCK_SOURCE), message)])
 
     @property
@@ -225,25 +236,50 @@ class Chip:
         return self._diagnostics
 
     def _configure(self, record: Any) -> None:
-        """Fill the fields that tell variants of a family apart."""
+        """Fill the fields of the state that tell variants of a family apart."""
 
     def lint(self, address: int, value: int) -> Iterable[Finding]:
-        """Yield every rule of the data sheet that this write would break now, with a message. Changes nothing."""
+        """Yield every rule of the data sheet that a write would break now. The chip does not change.
+
+        Args:
+            address: Bus address.
+            value: Datum.
+
+        Returns:
+            Pairs of a rule and a message; nothing for a write without mistakes.
+        """
         return ()
 
     def explain_missing_current(self, axis: int = 0) -> str:
-        """Say why a motor has no current, for a chip that is its motor's driver as well; "" while it has, and for other chips."""
+        """Explain why the motor has no current.
+
+        Args:
+            axis: Axis of the chip.
+
+        Returns:
+            A clause for reports of lost steps; "" while the motor has current, and for chips that do not drive their motor
+            themselves.
+        """
         self._check_axis(axis)
         return ""
 
     def twin(self, state: bytes | None = None) -> Chip:
-        """A chip like this one, on no stage and without diagnostics; in the same state, or in that of the bytes given."""
+        """Return another chip of the same kind that belongs to no stage and has no diagnostics.
+
+        Args:
+            state: Bytes of a state; default: a copy of this chip's.
+        """
         twin = type(self)(**self.options())
         twin._hold(np.frombuffer(bytearray(self.state.tobytes() if state is None else state), self.CORE.STATE), 0)
         return twin
 
     def attach(self, bus: Bus, rows: np.ndarray | None = None) -> None:
-        """Become a chip of a stage or bench, whose time `bus` keeps; the state moves into `rows`, one record of CORE.STATE."""
+        """Make the chip part of a stage or bench.
+
+        Args:
+            bus: Keeper of the time from now on.
+            rows: Array of one record of CORE.STATE, into which the state moves; None leaves the state where it is.
+        """
         self._bus = bus
         if rows is not None:
             rows[0] = self._rows[self._i]
@@ -251,14 +287,18 @@ class Chip:
             self._hold(rows, 0)
 
     def detach(self) -> None:
-        """Be on no stage again; the state is what it was before `attach`."""
+        """Separate the chip from its stage; its state is again what it was before `attach`."""
         self._bus = None
         if self._alone is not None:
             self._hold(*self._alone)
             self._alone = None
 
     def share(self, lock: Lock | None) -> None:
-        """Have each bus cycle take `lock` from now on; None: no lock, at no cost. See stage.chips.sharing."""
+        """Let each bus cycle take a lock from now on, see stage.chips.sharing.
+
+        Args:
+            lock: The lock; None: no lock, which costs nothing.
+        """
         self.lock = lock
         for name in ("read", "write"):
             vars(self).pop(name, None)
@@ -267,24 +307,28 @@ class Chip:
 
     @property
     def attached(self) -> bool:
-        """It belongs to a stage or a bench."""
+        """Whether the chip belongs to a stage or a bench."""
         return self._bus is not None
 
     def _hold(self, rows: np.ndarray, i: int) -> None:
+        """Use record `i` of `rows` as the state."""
         self._rows, self._i = rows, i
         self._here = rows.ctypes.data + i * rows.itemsize
         self._plain = rows.view(plain(rows.dtype))[i]
 
     @property
     def pointer(self) -> int:
-        """The address of its state, for compiled code that looks at it now; `_here` is for bus cycles, which begin with a look."""
+        """The address of the state, up to date, for compiled code.
+
+        `_here` is the same for bus cycles, which bring it up to date.
+        """
         if self._bus is not None:
             self._bus.ensure_powered()
         return self._here
 
     @property
     def state(self) -> Any:
-        """Its state, a record of CORE.STATE, in place. For tests and debuggers; `_plain` is for bus cycles, as `_here`."""
+        """The state, up to date: a record of CORE.STATE, in place, for tests and debuggers. `_plain` is the same for bus cycles."""
         if self._bus is not None:
             self._bus.ensure_powered()
         return self._plain
@@ -295,32 +339,59 @@ class Chip:
 
     @property
     def pins(self) -> Pins:
-        """The pins of a one-axis chip."""
+        """The pins of a one-axis chip. Raises StageError for a chip with several axes."""
         if self.AXES != 1:
             raise StageError(f"{type(self).__name__} has {self.AXES} axes: use chip.axes[i].pins")
         return self.axes[0].pins
 
     @classmethod
     def wired(cls, switch: str) -> int:
-        """The input bit that a stage's switch drives ("el_plus", "org", "ez" ...); 0 where nothing is wired to it."""
+        """Return the input bit that a switch of a stage drives.
+
+        Args:
+            switch: Name of the switch: "el_plus", "org", "ez" ...
+
+        Returns:
+            A bit of INPUTS; 0 if nothing is wired to the switch.
+        """
         return cls.INPUTS.get(cls.WIRING.get(switch, switch), 0)
 
     @classmethod
     def syno(cls, rows: np.ndarray) -> int:
-        """The address of the word that SYNO gives other chips; rows: the state of the chip, as an array of one."""
+        """Return the address of the word that SYNO gives other chips.
+
+        Args:
+            rows: State of the chip, an array of one record.
+
+        Raises:
+            NotImplementedError: The chip has no SYNO.
+        """
         raise NotImplementedError(f"{cls.__name__} has no SYNO.")
 
     def net(self, axis: int = 0) -> int:
-        """Pulses begun since power-up, plus minus minus: what a drive has been given. Not readable on the bus."""
+        """Return the pulses begun since power-up, plus minus minus: what a drive has received. No register shows it.
+
+        Args:
+            axis: Axis of the chip.
+        """
         self._check_axis(axis)
         return int(self.CORE.net.with_gil(self.pointer, axis))
 
     @told
     @exclusive
     def set_shaft(self, count: float, rate: float = 0.0, axis: int = 0) -> None:
-        """An encoder is on the axis, and from now on at `count + rate * (clock - now)`: edges (between two as the family
-        rounds), edges a clock. The axis' counter follows as its mode says; where the shaft is at first counts nothing. Raises
-        ArgumentError for what is no finite number, no axis, or a chip that looks at no encoder."""
+        """Put the shaft of an encoder at `count + rate * (clock - now)` from now on.
+
+        The axis' counter follows as its mode says; the first call only says where the shaft is.
+
+        Args:
+            count: Edges of the encoder, which the family rounds.
+            rate: Edges per reference clock.
+            axis: Axis of the chip.
+
+        Raises:
+            ArgumentError: A number is not finite, there is no such axis, or the chip has no inputs for an encoder.
+        """
         if not (self.ENCODERS or self.SERVO):
             raise ArgumentError(f"set_shaft: {a_or_an(type(self).__name__)} looks at no encoder.")
         if not (math.isfinite(count) and math.isfinite(rate)):
@@ -332,27 +403,46 @@ class Chip:
             self.open_journal.note_shaft(self.clock, axis, count, rate)
 
     def shaft_of(self, axis: int) -> tuple[float, float]:
-        """What a chip that looks at encoders was told last of an axis' shaft: count, and counts a clock."""
+        """Return the last count and rate that `set_shaft` was given for an axis: edges, and edges per reference clock.
+
+        Args:
+            axis: Axis of the chip.
+        """
         raise NotImplementedError(f"{type(self).__name__} looks at no encoder.")
 
     @classmethod
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
-        """The bus write cycles, (address, datum), that put a value into a register, as a driver of the family makes them.
+        """Return the bus write cycles that put a value into a register, as a host driver of the family makes them.
 
-        axis: of the chip, where the register is an axis' own. The value is not checked, see `RegisterMap.checked`. Raises
-        ArgumentError for a name that is none.
+        Args:
+            name: Name of the register in the map.
+            value: Value, which is not checked; see `RegisterMap.checked`.
+            axis: Axis of the chip, where each axis has the register.
+
+        Returns:
+            Pairs of address and datum.
+
+        Raises:
+            ArgumentError: There is no such register.
         """
         raise NotImplementedError(f"{cls.__name__} does not say how its registers are written.")
 
     @classmethod
     @told
     def command_cycles(cls, symbol: str, axis: int = 0, datum: int | None = None) -> list[tuple[int, int]]:
-        """The bus write cycles, (address, datum), that send a command of the map, or a word that a host writes, see
-        `Word.address`, as a driver of the family makes them.
+        """Return the bus write cycles that send a command of the map, or a word that a host writes (see `Word.address`).
 
-        axis: of the chip, where the command goes to axes. datum: the data of a command that takes some; of one that chooses, its
-        `Command.choice` bits; of a word, its bits. Raises ArgumentError for a name that is none, and for a datum that lacks, is
-        one too many or does not fit; NotImplementedError where the family does not say how its commands are sent.
+        Args:
+            symbol: Symbol of the command, or name of the word.
+            axis: Axis of the chip, where the command goes to axes.
+            datum: Data of a command that takes some; `Command.choice` bits of a command that chooses; bits of a word.
+
+        Returns:
+            Pairs of address and datum.
+
+        Raises:
+            ArgumentError: There is no such name, or the datum is missing, not expected, or does not fit.
+            NotImplementedError: The family does not say how its commands are sent.
         """
         cls._check_axis(axis)
         what, datum = cls.MAP.sent(symbol, datum)
@@ -362,41 +452,63 @@ class Chip:
 
     @classmethod
     def rates(cls, edges: np.ndarray) -> np.ndarray:
-        """How fast the axis of a course goes, from each of its edges on: pulses a clock, without a sign."""
+        """Return the magnitude of an axis' rate from each edge of its course on, in pulses per reference clock.
+
+        Args:
+            edges: EDGE records of the core, see `Journal.course`.
+        """
         return np.abs(edges["rate"])
 
     @classmethod
     def running(cls, edges: np.ndarray) -> np.ndarray:
-        """Whether the axis of a course drives, from each of its edges on (bool)."""
+        """Return whether an axis drives, from each edge of its course on (bool).
+
+        Args:
+            edges: EDGE records of the core, see `Journal.course`.
+        """
         return cls.rates(edges) != 0
 
     @classmethod
     def turns(cls, address: int, value: int) -> bool | None:
-        """Whether this bus write makes minus the direction of the drives to come; None if it says nothing of a direction."""
+        """Tell the direction that a bus write selects for the drives to come.
+
+        Args:
+            address: Bus address.
+            value: Datum.
+
+        Returns:
+            True for minus, False for plus, None if the write does not select a direction.
+        """
         return None
 
     def starts(self, address: int, value: int, axis: int = 0) -> bool:
-        """Whether this bus write, now, would make a standing axis drive: tried on a twin."""
+        """Tell whether a bus write would start a drive of a resting axis now. The chip does not change.
+
+        Args:
+            address: Bus address.
+            value: Datum.
+            axis: Axis of the chip.
+        """
         self._check_axis(axis)
         core, (at, bit) = self.CORE, self.BUSY
         twin = np.frombuffer(bytearray(self.state.tobytes()), core.STATE)
-        here, mask = twin.ctypes.data, bit << axis
-        if core.read.with_gil(here, at) & mask:
+        address_of_twin, mask = twin.ctypes.data, bit << axis
+        if core.read.with_gil(address_of_twin, at) & mask:
             return False
-        core.write.with_gil(here, address & self.ADDRESS_MASK, value & self.DATA_MASK)
-        return bool(core.read.with_gil(here, at) & mask)
+        core.write.with_gil(address_of_twin, address & self.ADDRESS_MASK, value & self.DATA_MASK)
+        return bool(core.read.with_gil(address_of_twin, at) & mask)
 
     def options(self) -> dict[str, Any]:
-        """What the chip was made with: type(chip)(**chip.options()) is another of its kind."""
+        """Return the arguments of the chip: type(chip)(**chip.options()) is another of its kind."""
         return {"clock_hz": self.clock_hz}
 
     def kind(self) -> tuple:
-        """What tells chips apart that cannot take each other's state: class, clock and further options."""
+        """Return what two chips must have in common to take each other's state: class, clock and further options."""
         return (type(self).__name__, *self.options().values())
 
     @cached_property
     def header(self) -> snapshots.Header:
-        """What its snapshots were taken of."""
+        """The description of the chip in its snapshots."""
         name, hz, *also = self.kind()
         options = "".join(f", {option}" for option in also)
         return snapshots.Header(
@@ -409,16 +521,25 @@ class Chip:
         return int(self.state["clock"])
 
     def write(self, address: int, value: int) -> None:
-        """One bus write cycle. Any numbers do: address and value are masked, mistakes go to `diagnostics`. Raises ArgumentError for
-        what is no number."""
+        """Make one bus write cycle.
+
+        Address and value are masked as on the bus; mistakes appear in `diagnostics`.
+
+        Args:
+            address: Bus address, any whole number.
+            value: Datum, any whole number.
+
+        Raises:
+            ArgumentError: The address or the value is no number.
+        """
         try:
             on_the_bus = int(address) & self.ADDRESS_MASK, int(value) & self.DATA_MASK
         except (TypeError, ValueError, OverflowError):
-            raise no_cycle("write", address, value) from None
+            raise make_cycle_error("write", address, value) from None
         self._write(*on_the_bus, (address, value))
 
-    def _write(self, address: int, value: int, given: tuple[int, int]) -> None:
-        """A bus write cycle of a host that meant what is `given`, address and value."""
+    def _write(self, address: int, value: int, meant: tuple[int, int]) -> None:
+        """Make a bus write cycle for a host that meant address and value `given`."""
         lost = self.loses(address, value)
         if self._bus is not None:
             self._bus.cycle()
@@ -426,8 +547,8 @@ class Chip:
             if self.open_journal is not None:
                 self.open_journal.note_lost(self.clock, address, value)
             return
-        if (address, value) != given:
-            self.diagnose(self.clock, address, value, [(BUS_WIDTH, masked(given, (address, value)))])
+        if (address, value) != meant:
+            self.diagnose(self.clock, address, value, [(BUS_WIDTH, describe_masked_write(meant, (address, value)))])
         if self.journal_lint is None:
             self.diagnose(self.clock, address, value, self.lint(address, value))
         self.CORE.write.with_gil(self._here, address, value)
@@ -435,7 +556,12 @@ class Chip:
             self.open_journal.note_write(self.clock, address, value)
 
     def loses(self, address: int, value: int) -> bool:
-        """Before a write: whether a fault of the bus loses it. Calls every fault."""
+        """Call every fault of the bus before a write, and tell whether one of them loses the write.
+
+        Args:
+            address: Bus address.
+            value: Datum.
+        """
         return any([glitch(address, value) for glitch in self.glitches]) if self.glitches else False
 
     def diagnose(self, clock: int, address: int, value: int, findings: Iterable[Finding]) -> None:
@@ -453,11 +579,21 @@ class Chip:
         del self._diagnostics[:-MAX_DIAGNOSTICS]
 
     def read(self, address: int) -> int:
-        """One bus read cycle; the byte (or word) on the data bus. Raises ArgumentError for what is no number."""
+        """Make one bus read cycle.
+
+        Args:
+            address: Bus address, any whole number; it is masked.
+
+        Returns:
+            The byte or word on the data bus.
+
+        Raises:
+            ArgumentError: The address is no number.
+        """
         try:
             address = int(address) & self.ADDRESS_MASK
         except (TypeError, ValueError, OverflowError):
-            raise no_cycle("read", address) from None
+            raise make_cycle_error("read", address) from None
         if self._bus is not None:
             self._bus.cycle()
         value = int(self.CORE.read.with_gil(self._here, address))
@@ -466,16 +602,29 @@ class Chip:
         return value
 
     def busy(self, axis: int = 0) -> bool:
-        """One bus read cycle of the status: is a drive in progress?"""
+        """Read the status by one bus cycle, and tell whether a drive is in progress.
+
+        Args:
+            axis: Axis of the chip.
+        """
         self._check_axis(axis)
         address, bit = self.BUSY
         return bool(self.read(address) & bit << axis)
 
     def advance(self, clocks: int) -> int:
-        """Let the reference clock run for `clocks` ticks. Returns the pulses begun, all axes.
+        """Let the reference clock run.
 
-        Ctrl-C ends a long run early; the chip is then at the clock that it has reached. Raises ArgumentError for what is no whole
-        number of 0 to MAX_CLOCKS, or leads beyond LAST_CLOCK.
+        Ctrl-C ends a long run early; the chip is then at the clock that it has reached.
+
+        Args:
+            clocks: Reference clocks, 0 to MAX_CLOCKS.
+
+        Returns:
+            The number of pulses begun, on all axes.
+
+        Raises:
+            ArgumentError: It is no such number, or leads beyond LAST_CLOCK.
+            StageError: The chip shares the clock of a stage.
         """
         until, advance, at = self._until(clocks), self.CORE.advance.c, self.pointer
         if clocks <= SHORT_RUN_CLOCKS:
@@ -483,8 +632,19 @@ class Chip:
         return sum(int(advance(at, stop)) for stop in split_run(self.clock, until))
 
     def trace(self, clocks: int) -> np.ndarray:
-        """As advance, but returns the pulses: a structured array of `clock` (tick since power-up at which the pulse
-        begins, int64), `axis` and `direction` (int8; +1 or -1)."""
+        """Let the reference clock run as `advance` does, and return the pulses.
+
+        Args:
+            clocks: Reference clocks, 0 to MAX_CLOCKS.
+
+        Returns:
+            Structured array with the fields clock (int64, tick since power-up at which the pulse begins), axis and direction
+            (int8, +1 or -1).
+
+        Raises:
+            ArgumentError: As `advance`; also if there are more pulses than memory holds.
+            StageError: The chip shares the clock of a stage.
+        """
         until = self._until(clocks)
         if clocks <= SHORT_RUN_CLOCKS:
             return self._trace_piece(until)
@@ -527,19 +687,27 @@ class Chip:
 
     @exclusive
     def reset(self) -> None:
-        """The /RESET pin. Registers and modes clear; the clock, the inputs and the diagnostics stay."""
+        """Assert the /RESET pin: registers and modes clear; the clock, the inputs and the diagnostics stay."""
         self._change()
         self.CORE.power_up.with_gil(self._here)
         if self.open_journal is not None:
             self.open_journal.note_reset(self.clock)
 
     def snapshot(self) -> Snapshot:
-        """All state, to be restored into a chip of the same class."""
+        """Return all state, for `restore` into a chip of the same kind."""
         state = self.state.tobytes()
         return Snapshot(self.header, state, tuple(self.diagnostics), crc32(state, self.header.checksum))
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Continue from `snapshot`. Raises ArgumentError when it is another chip's, or damaged."""
+        """Continue from a snapshot.
+
+        Args:
+            snapshot: What `snapshot` of a chip of this kind has returned.
+
+        Raises:
+            ArgumentError: The snapshot is damaged, or of another kind of chip.
+            StageError: The chip belongs to a stage, which is to be restored as a whole.
+        """
         if self._bus is not None:
             raise StageError("this chip belongs to a stage: restore the stage, so that all its parts agree.")
         snapshots.check(snapshot, Snapshot, self.header)
@@ -556,26 +724,45 @@ class Chip:
         return _revived(type(self), self.options(), self.snapshot())
 
     def input_word(self, axis: int) -> int:
-        """The input pins of an axis, bits of INPUTS."""
+        """Return the input pins of an axis, bits of INPUTS.
+
+        Args:
+            axis: Axis of the chip.
+        """
         self._check_pins(axis)
         return int(self.CORE.inputs.with_gil(self.pointer, axis))
 
     def set_input_word(self, axis: int, word: int) -> None:
-        """Drive the input pins of an axis, without a note in a journal."""
+        """Drive the input pins of an axis. Journals do not note it.
+
+        Args:
+            axis: Axis of the chip.
+            word: Bits of INPUTS.
+        """
         self._check_pins(axis)
         self.CORE.set_input.with_gil(self._here, axis, word)
 
     def output_word(self, axis: int) -> int:
-        """The output pins of an axis, bits of OUTPUTS."""
+        """Return the output pins of an axis, bits of OUTPUTS.
+
+        Args:
+            axis: Axis of the chip.
+        """
         self._check_pins(axis)
         return int(self.CORE.outputs.with_gil(self.pointer, axis))
 
     def journal(self, axis: int = 0) -> Journal:
-        """Start to note what acts on the chip, so that the course of an axis can be replayed exactly: bus writes, input changes,
-        and the reads at READING_ACTS.
+        """Begin to note the inputs of the chip, so that the course of an axis can be replayed exactly.
 
-        The journal notes until its `close()`; a chip keeps one journal at a time, a new one continues beside it.
-        Raises ArgumentError for an axis that the chip does not have.
+        The journal notes bus writes, input changes, and the reads at READING_ACTS until its `close()`. A new journal
+        continues beside those
+        that are open.
+
+        Args:
+            axis: Axis whose course the journal replays.
+
+        Raises:
+            ArgumentError: The chip does not have this axis.
         """
         self._check_axis(axis)
         self.open_journal = Journal(self, self.open_journal, axis)
@@ -584,33 +771,45 @@ class Chip:
     @classmethod
     def _check_axis(cls, axis: int) -> None:
         if isinstance(axis, bool) or not isinstance(axis, int | np.integer) or not 0 <= axis < cls.AXES:
-            most = "one axis, 0" if cls.AXES == 1 else f"axes 0 to {cls.AXES - 1}"
-            raise ArgumentError(f"axis={axis!r}: {a_or_an(cls.__name__)} has {most}.")
+            axes = "one axis, 0" if cls.AXES == 1 else f"axes 0 to {cls.AXES - 1}"
+            raise ArgumentError(f"axis={axis!r}: {a_or_an(cls.__name__)} has {axes}.")
 
     def _check_pins(self, axis: int) -> None:
-        """Raises ArgumentError unless the chip has pins under this axis."""
+        """Raise ArgumentError unless the chip has pins under this axis."""
         self._check_axis(axis)
 
     def decoder(self, axis: int = 0) -> Decoder:
-        """Tells what a journal's bus writes say to an axis."""
+        """Return an object that puts the bus writes of a journal into words, as far as they concern an axis.
+
+        Args:
+            axis: Axis of the chip.
+        """
         raise NotImplementedError
 
     def listener(self) -> Listener:
-        """Tells in words what bus cycles say from now on; it starts from what the chip holds now."""
+        """Return an object that puts bus cycles into words from now on, beginning with what the chip holds now."""
         raise NotImplementedError
 
     def values(self) -> dict[str, int]:
-        """What every register holds now, by name: a debugger's view, free of bus cycles."""
+        """Return what every register holds now, by its name: a debugger's view without bus cycles."""
         raise NotImplementedError
 
     def values_of(self, axis: int = 0) -> dict[str, int]:
-        """What registers and words of one axis hold now, by name, and those that all axes share; free of bus cycles. Registers that
-        cannot be read are in it, too, where the family keeps them. Raises ArgumentError for an axis that it does not have."""
+        """Return what the registers and words of one axis hold now, by name, and those that all axes share.
+
+        It needs no bus cycles, and has registers that cannot be read where the family keeps them.
+
+        Args:
+            axis: Axis of the chip.
+
+        Raises:
+            ArgumentError: The chip does not have this axis.
+        """
         self._check_axis(axis)
         return self.values()
 
     def dump(self) -> str:
-        """The register map with the values held now."""
+        """Return the register map as text, with the values held now."""
         return dump(self.MAP, self.values())
 
     def __repr__(self) -> str:
@@ -619,7 +818,11 @@ class Chip:
 
 
 def check_clock(until: int) -> None:
-    """Raise ArgumentError where a chip's clock would go beyond LAST_CLOCK."""
+    """Raise ArgumentError if a chip's clock would go beyond LAST_CLOCK.
+
+    Args:
+        until: Clock that a run would reach.
+    """
     if until > LAST_CLOCK:
         raise ArgumentError(
             f"clock {until}: a chip's clock ends at {LAST_CLOCK}, centuries after power-up; make a new chip."
@@ -627,9 +830,13 @@ def check_clock(until: int) -> None:
 
 
 def split_run(begin: int, until: int) -> Iterator[int]:
-    """Yield the clocks at which a run of a chip comes back to Python, so that Ctrl-C works, `until` last.
+    """Yield the clocks at which a long run of a chip comes back to Python, so that Ctrl-C works; the last is `until`.
 
     The pieces become longer or shorter until one takes some hundredths of a second of real time, whatever the chip does meanwhile.
+
+    Args:
+        begin: Clock at the begin of the run.
+        until: Clock at its end.
     """
     piece = SHORT_RUN_CLOCKS
     while until - begin > piece:
@@ -644,25 +851,35 @@ def split_run(begin: int, until: int) -> Iterator[int]:
     yield until
 
 
-def no_cycle(what: str, *given: Any) -> ArgumentError:
-    """For a bus cycle with what is no number: `what`, a write or a read, and its address and value."""
-    are = "address and value are whole numbers" if given[1:] else "an address is a whole number"
-    return ArgumentError(f"{what}({', '.join(map(repr, given))}): {are}.")
+def make_cycle_error(what: str, *args: Any) -> ArgumentError:
+    """Return the error about a bus cycle whose address or value is no number.
+
+    Args:
+        what: Name of the method: "read", "write" ...
+        *given: Its arguments.
+    """
+    are = "address and value are whole numbers" if args[1:] else "an address is a whole number"
+    return ArgumentError(f"{what}({', '.join(map(repr, args))}): {are}.")
 
 
-def masked(given: tuple[int, int], acts: tuple[int, int]) -> str:
-    """What to say of a write whose address or value does not fit the bus."""
-    said = []
-    for what, wanted, got in zip(("address", "value"), given, acts, strict=True):
+def describe_masked_write(meant: tuple[int, int], acts: tuple[int, int]) -> str:
+    """Describe what a write does whose address or value does not fit the bus.
+
+    Args:
+        given: Address and value that the host meant.
+        acts: Address and value that the chip sees.
+    """
+    parts = []
+    for what, wanted, got in zip(("address", "value"), meant, acts, strict=True):
         if wanted != got:
-            shown = f"{wanted:02X}h" if isinstance(wanted, int) and wanted >= 0 else repr(wanted)
-            said.append(f"{what} {shown} acts as {got:02X}h")
-    whole = all(
+            number = f"{wanted:02X}h" if isinstance(wanted, int) and wanted >= 0 else repr(wanted)
+            parts.append(f"{what} {number} acts as {got:02X}h")
+    is_whole = all(
         wanted == got or int(wanted) == wanted
-        for wanted, got in zip(given, acts, strict=True)
+        for wanted, got in zip(meant, acts, strict=True)
         if not isinstance(wanted, str)
     )
-    return f"{' and '.join(said)}: the bus {'is no wider' if whole else 'has whole numbers'}"
+    return f"{' and '.join(parts)}: the bus {'is no wider' if is_whole else 'has whole numbers'}"
 
 
 def _revived(cls: type[Chip], options: dict[str, Any], snapshot: Snapshot) -> Chip:

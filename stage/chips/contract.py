@@ -47,9 +47,15 @@ METHODS = {
 
 
 def check(chip: Any, base: type, methods: bool = True) -> None:
-    """Raises ArgumentError for a class that is not below `base`, Chip, or lacks what every chip has, with its name.
+    """Check that a class has what stages, boards, recordings and environments need of a chip.
 
-    methods: METHODS, too. A class that nobody knows by its name may do without them, as long as nobody asks for words.
+    Args:
+        chip: The class.
+        base: Chip.
+        methods: Check METHODS as well. A class that is not registered may do without them, as long as nobody asks for words.
+
+    Raises:
+        ArgumentError: The class is not derived from `base`, or lacks something; the message names it.
     """
     if (chip, methods) in _CHECKED:
         return
@@ -64,14 +70,14 @@ def check(chip: Any, base: type, methods: bool = True) -> None:
 
 
 def _names(dtype: np.dtype) -> Iterator[str]:
-    """Of all fields, also of records in it."""
+    """Yield the names of all fields, also of records in it."""
     for name in dtype.names or ():
         yield name
         yield from _names(dtype[name].base)
 
 
 def _of_class(chip: Any) -> list[str]:
-    found = []
+    problems = []
     for name, kind, what in (
         ("MAP", RegisterMap, "its RegisterMap"),
         ("CORE", object, "the module of its compiled functions"),
@@ -82,81 +88,91 @@ def _of_class(chip: Any) -> list[str]:
         ("DEFAULT_CLOCK_HZ", int, "the data sheet's reference clock, Hz"),
     ):
         if not isinstance(getattr(chip, name, None), kind) or getattr(chip, name, None) is None:
-            found.append(f"the class has no {name}, {what}")
-    if found:
-        return found
-    found += _of_pins(chip) + _of_map(chip.MAP)
+            problems.append(f"the class has no {name}, {what}")
+    if problems:
+        return problems
+    problems += _of_pins(chip) + _of_map(chip.MAP)
     numbers = {name: getattr(chip, name) for name in ("AXES", "ADDRESSES", "ADDRESS_MASK", "DATA_MASK")}
     if wrong := [f"{name} is {n!r}: a whole number, 1 or more" for name, n in numbers.items() if not _counts(n)]:
-        return found + wrong
+        return problems + wrong
     if chip.MAP.axes != chip.AXES:
-        found.append(f"AXES is {chip.AXES}, and its MAP is of {chip.MAP.axes}: RegisterMap(..., axes={chip.AXES})")
+        problems.append(f"AXES is {chip.AXES}, and its MAP is of {chip.MAP.axes}: RegisterMap(..., axes={chip.AXES})")
     if chip.ADDRESS_MASK < chip.ADDRESSES - 1:
-        found.append(f"ADDRESS_MASK {chip.ADDRESS_MASK:X}h does not reach all of its {chip.ADDRESSES} ADDRESSES")
+        problems.append(f"ADDRESS_MASK {chip.ADDRESS_MASK:X}h does not reach all of its {chip.ADDRESSES} ADDRESSES")
     if not _pair(chip.BUSY, int) or chip.BUSY[0] < 0 or chip.BUSY[1] < 1:
-        found.append(f"BUSY is {chip.BUSY!r}: address, and the bit of axis 0, two numbers")
+        problems.append(f"BUSY is {chip.BUSY!r}: address, and the bit of axis 0, two numbers")
     if not _pair(chip.COUNTER, str) or chip.COUNTER[1] < 1:
-        found.append(f"COUNTER is {chip.COUNTER!r}: a register's name, and its bits")
+        problems.append(f"COUNTER is {chip.COUNTER!r}: a register's name, and its bits")
     low, high = CLOCKS
     if not low <= chip.DEFAULT_CLOCK_HZ <= high:
-        found.append(f"DEFAULT_CLOCK_HZ is {chip.DEFAULT_CLOCK_HZ}: {low} to {high:,} Hz")
+        problems.append(f"DEFAULT_CLOCK_HZ is {chip.DEFAULT_CLOCK_HZ}: {low} to {high:,} Hz")
     if chip.MICROSTEPS and (not isinstance(chip.MICROSTEPS, int) or not 1 <= chip.MICROSTEPS <= 256):
-        found.append(f"MICROSTEPS is {chip.MICROSTEPS!r}: 1 to 256 pulses of the chip a full step, or 0")
+        problems.append(f"MICROSTEPS is {chip.MICROSTEPS!r}: 1 to 256 pulses of the chip a full step, or 0")
     if chip.DRIVER and not all(chip.DRIVER.partition(":")[::2]):
-        found.append(f"DRIVER is {chip.DRIVER!r}: write 'package.module:Class'")
-    return found
+        problems.append(f"DRIVER is {chip.DRIVER!r}: write 'package.module:Class'")
+    return problems
 
 
 def _counts(number: Any) -> bool:
     return isinstance(number, int | np.integer) and not isinstance(number, bool) and int(number) >= 1
 
 
-def _pair(given: Any, first: type) -> bool:
+def _pair(value: Any, first: type) -> bool:
     return (
-        isinstance(given, tuple) and [isinstance(v, k) for v, k in zip(given, (first, int), strict=False)] == [True] * 2
+        isinstance(value, tuple) and [isinstance(v, k) for v, k in zip(value, (first, int), strict=False)] == [True] * 2
     )
 
 
 def _of_pins(chip: Any) -> list[str]:
-    found = []
+    problems = []
     if twice := {name for name in chip.INPUTS if name in chip.OUTPUTS}:
-        found.append(f"pin {', '.join(sorted(twice))} is an input and an output")
+        problems.append(f"pin {', '.join(sorted(twice))} is an input and an output")
     for what, pins in (("INPUTS", chip.INPUTS), ("OUTPUTS", chip.OUTPUTS)):
-        taken = 0
+        used = 0
         for name, bit in pins.items():
             if not _counts(bit):
-                return [*found, f"pin {name} has no bit: a number above 0"]
-            if bit & taken:
-                found.append(f"pin {name} of {what} has a bit that another one has: {bit:X}h")
-            taken |= bit
+                return [*problems, f"pin {name} has no bit: a number above 0"]
+            if bit & used:
+                problems.append(f"pin {name} of {what} has a bit that another one has: {bit:X}h")
+            used |= bit
     if wrong := [pin for pin in chip.PHASES if pin not in chip.OUTPUTS]:
-        found.append(f"PHASES names {wrong[0]!r}, and OUTPUTS has no such pin")
-    return found
+        problems.append(f"PHASES names {wrong[0]!r}, and OUTPUTS has no such pin")
+    return problems
 
 
 def _of_map(map_: RegisterMap) -> list[str]:
-    found, names = [], [r.name for r in map_.registers]
-    found += [f"its MAP has two registers {name}" for name in dict.fromkeys(names) if names.count(name) > 1]
+    problems, names = [], [r.name for r in map_.registers]
+    problems += [f"its MAP has two registers {name}" for name in dict.fromkeys(names) if names.count(name) > 1]
     for r in map_.registers:
         low, high = r.range
         if not -((r.mask + 1) // 2) <= low <= high <= r.mask:
-            found.append(f"register {r.name} takes {low} to {high}, and {r.bits} bits do not hold that")
+            problems.append(f"register {r.name} takes {low} to {high}, and {r.bits} bits do not hold that")
     places: list[Register | Word] = [*map_.registers, *map_.words]
     for place in places:
-        taken = 0
+        used = 0
         for field in place.fields:
             if not 0 <= field.low <= field.high:
-                found.append(f"field {field.name} of {place.name} has bits {field.high}..{field.low}: the higher first")
+                problems.append(
+                    f"field {field.name} of {place.name} has bits {field.high}..{field.low}: the higher first"
+                )
                 break
-            if field.mask & taken:
-                found.append(f"field {field.name} of {place.name} has bits that another one has: {field.bits}")
-            taken |= field.mask
-    return found
+            if field.mask & used:
+                problems.append(f"field {field.name} of {place.name} has bits that another one has: {field.bits}")
+            used |= field.mask
+    return problems
 
 
 def loaded(chip: Any, attribute: str, what: str) -> Any:
-    """What a class names as "package.module:Name" in an attribute. Raises ArgumentError where there is no such thing; what: that it
-    should be."""
+    """Load what a class names as "package.module:Name".
+
+    Args:
+        chip: The class.
+        attribute: Its attribute with the name.
+        what: What the name should be of, for the error.
+
+    Raises:
+        ArgumentError: It cannot be loaded.
+    """
     where = getattr(chip, attribute)
     module, _, name = where.partition(":")
     try:
@@ -179,35 +195,35 @@ def _of_methods(chip: Any, base: Any) -> list[str]:
 def _of_core(core: Any, chip: Any) -> list[str]:
     if core is None:
         return []
-    found = []
+    problems = []
     for name, (what, fields) in RECORDS.items():
-        given = getattr(core, name, None)
-        if not isinstance(given, np.dtype) or not set(fields) <= set(given.names or ()):
-            found.append(f"its core {_name(core)} has no dtype {name}, {what}, with the fields {', '.join(fields)}")
-    if found:
-        return found
+        present = getattr(core, name, None)
+        if not isinstance(present, np.dtype) or not set(fields) <= set(present.names or ()):
+            problems.append(f"its core {_name(core)} has no dtype {name}, {what}, with the fields {', '.join(fields)}")
+    if problems:
+        return problems
     for name in (n for n in _names(core.STATE) if hasattr(np.record, n)):
-        found.append(
+        problems.append(
             f"field {name!r} of STATE of {_name(core)} has the name of an attribute of NumPy's records: plain Python sees that"
         )
     kind, offset = core.STATE.fields["clock"][:2]
     if offset or kind != np.dtype("i8"):
-        found.append(f"STATE of {_name(core)} does not begin with ('clock', 'i8')")
+        problems.append(f"STATE of {_name(core)} does not begin with ('clock', 'i8')")
     if core.STATE.itemsize % 8:
-        found.append(f"STATE of {_name(core)} has {core.STATE.itemsize} bytes: a multiple of 8, use 'i8' and 'f8'")
+        problems.append(f"STATE of {_name(core)} has {core.STATE.itemsize} bytes: a multiple of 8, use 'i8' and 'f8'")
     arrays = {name: array_of(getattr(core, name)) for name in ("PULSE", "EDGE")}
-    looks = OF_ENCODERS if chip.ENCODERS or chip.SERVO else {}
-    for name, (result, *arguments) in (ANSWERS | ANSWERS_OF_CHIPS | OPTIONAL | looks).items():
+    of_encoders = OF_ENCODERS if chip.ENCODERS or chip.SERVO else {}
+    for name, (result, *arguments) in (ANSWERS | ANSWERS_OF_CHIPS | OPTIONAL | of_encoders).items():
         wanted = (core.STATE, *(arrays.get(a, a) for a in arguments))
-        given = getattr(core, name, None)
+        present = getattr(core, name, None)
         words = ", ".join([repr(result), "STATE", *(_argument(a, arrays) for a in arguments)])
-        if given is None and name in OPTIONAL:
+        if present is None and name in OPTIONAL:
             continue
-        if given is None:
-            found.append(f"its core {_name(core)} has no answer {name}, @exported({words})")
-        elif not isinstance(given, Exported) or given.result != result or given.arguments != wanted:
-            found.append(f"the answer {name} of its core {_name(core)} is not declared @exported({words})")
-    return found
+        if present is None:
+            problems.append(f"its core {_name(core)} has no answer {name}, @exported({words})")
+        elif not isinstance(present, Exported) or present.result != result or present.arguments != wanted:
+            problems.append(f"the answer {name} of its core {_name(core)} is not declared @exported({words})")
+    return problems
 
 
 def _argument(a: Any, arrays: Mapping[str, Any]) -> str:

@@ -97,7 +97,13 @@ _mean, _rate, _word = (_TYPES[ANSWERS[name]] for name in ("drive_input", "pulse_
 
 
 def fill(row: Any, core: Any, at: int) -> None:
-    """Make `row`, a CHIP, that of this core whose state lies at an address."""
+    """Make a CHIP record that of a chip.
+
+    Args:
+        row: The record.
+        core: Core of the chip's family.
+        at: Address of the chip's state.
+    """
     row["at"], row["own"] = at, address_of(row)
     for name in ANSWERS:
         row[name] = getattr(core, name).address
@@ -107,26 +113,28 @@ def fill(row: Any, core: Any, at: int) -> None:
 
 @hot
 def axis_of(c, j):
-    """Which axis of the stage the chip's axis `j` is."""
+    """Return the axis of the stage that the chip's axis `j` is."""
     return array_at(c.table, c.axes, CHIP_AXIS)[j].axis
 
 
 @hot
 def clock(c):
-    """Ticks of its reference clock since power-up."""
+    """Return the ticks of the chip's reference clock since power-up."""
     return array_at(c.at, 1, CLOCK)[0].clock
 
 
 @hot
 def run(c, until):
-    """Let its clock run up to `until`."""
+    """Let the chip's clock run up to `until`."""
     _run(c.run, (c.at, until))
 
 
 @hot
 def window(c, k):
-    """Let it run through the slices k, k + 1 ... of a window in which nothing happens to its pins; each axis' mean counts and net
-    go where the row says."""
+    """Let the chip run through slices k, k + 1 ...
+
+    of a window in which its pins do not change; mean counts and net go where the row says.
+    """
     _window(c.window, (c.at, c.own, k))
 
 
@@ -138,7 +146,16 @@ def end_of_slice(end, begin, rest):
 
 @hot
 def through(state, row, k, run, net, drive_input):
-    """What a core answers to `window`; run, net, drive_input: its own."""
+    """Run a window for a core: its answer to `window`.
+
+    Args:
+        state: State of the chip.
+        row: Address of its CHIP record.
+        k: First slice.
+        run: The core's `run`.
+        net: The core's `net`.
+        drive_input: The core's `drive_input`.
+    """
     c = array_at(row, 1, CHIP)[0]
     ends, axes = array_at(c.ends, c.slices, SLICE_END), array_at(c.table, c.axes, CHIP_AXIS)
     while k < c.slices:
@@ -152,7 +169,25 @@ def through(state, row, k, run, net, drive_input):
 
 @hot
 def scan_shafts(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done, scan, set_shaft):
-    """What a core answers to `scan_shaft`; scan, set_shaft: its own."""
+    """Scan a chip while shafts of its axes move: a core's answer to `scan_shaft`.
+
+    Args:
+        c: State of the chip.
+        until: Clock at the end.
+        every_pulse: Include the edges of the pulse output.
+        axis: Axis whose edges are wanted.
+        out: EDGE records to fill.
+        clocks: Clocks of the shafts' entries, in order.
+        axes: Axes of the entries.
+        counts: Counts at these clocks.
+        rates: Counts per clock from there on.
+        done: Number of entries that have been applied, an array of one.
+        scan: The core's `scan`.
+        set_shaft: The core's `set_shaft`.
+
+    Returns:
+        The number of edges.
+    """
     k = 0
     while k < len(out) - SCAN_ROOM:
         n = done[0]
@@ -168,77 +203,97 @@ def scan_shafts(c, until, every_pulse, axis, out, clocks, axes, counts, rates, d
 
 @hot
 def set_shaft(c, j, count, rate):
-    """From now on the shaft of axis `j` (0 up to AXES - 1) is at `count + rate * clocks`, in counts of its encoder; only where the
-    axis has one."""
+    """Put the shaft of an axis at `count + rate * clocks` from now on. Call it only if the axis has an encoder.
+
+    Args:
+        c: CHIP record.
+        j: Axis of the chip.
+        count: Counts of the encoder.
+        rate: Counts per reference clock.
+    """
     _set_shaft(c.set_shaft, (c.at, j, count, rate))
 
 
 @hot
 def current(c, j):
-    """Amplitude of the phase currents that the chip gives its motor, A; only where `c.current` is not 0."""
+    """Return the amplitude of the phase currents that the chip gives its motor, A. Call it only if `c.current` is not 0."""
     return _current(c.current, (c.at, j))
 
 
 @hot
 def set_load(c, j, angle, emf):
-    """A sample of the motor's load, once a window: how far the field of axis `j` is ahead of its rotor (electrical radians, not
-    wrapped; below 0 behind), and the back EMF as a share of the supply. Returns whether the chip has taken it: only then a journal
-    needs it. Only where `c.set_load` is not 0."""
+    """Give the chip a sample of the motor's load, once a window. Call it only if `c.set_load` is not 0.
+
+    Args:
+        c: CHIP record.
+        j: Axis of the chip.
+        angle: How far the field is ahead of the rotor, electrical radians, not wrapped; below 0: behind.
+        emf: Back EMF as a share of the supply.
+
+    Returns:
+        Whether the chip has used the sample: only then a journal needs it.
+    """
     return _load(c.set_load, (c.at, j, angle, emf))
 
 
 @hot
 def says(c):
-    """What it drives onto the wires between chips now; only where `c.link` is not 0."""
+    """Return what the chip drives onto the wires between chips now. Call it only if `c.link` is not 0."""
     return _says(c.says, (c.at,))
 
 
 @hot
 def silent(c):
-    """The clock up to which that does not change, as long as it hears nothing."""
+    """Return the clock up to which that does not change, as long as the wires bring nothing."""
     return _silent(c.silent, (c.at,))
 
 
 @hot
 def heard(c):
-    """What it has heard last on those wires, see `hear_wires`."""
+    """Return the word that the wires brought last, see `hear_wires`."""
     return _heard(c.heard, (c.at,))
 
 
 @hot
 def hear_wires(c, word):
-    """From now on these levels, this number and so many pulses are on the wires between chips."""
+    """Bring the chip a new word from the wires between chips: levels, a number, and a count of pulses."""
     _hear_wires(c.hear_wires, (c.at, word))
 
 
 @hot
 def net(c, j):
-    """The commanded position: net pulses since power-up; of a servo the encoder count of its command position."""
+    """Return the commanded position: net pulses since power-up; of a servo the encoder count of its command position."""
     return _word(c.net, (c.at, j))
 
 
 @hot
 def drive_input(c, j, before, ticks):
-    """What the drive gets, its mean over the last `ticks`: `net`, which was `before` at their start; the motor command of a servo,
-    -1 to 1."""
+    """Return what the drive receives: the mean of `net` over the last ticks; of a servo the motor command, -1 to 1.
+
+    Args:
+        c: CHIP record.
+        j: Axis of the chip.
+        before: `net` at the start of these ticks.
+        ticks: Reference clocks.
+    """
     return _mean(c.drive_input, (c.at, j, before, ticks))
 
 
 @hot
 def pulse_rate(c, j, hz):
-    """How fast `net` moves now, a second."""
+    """Return how fast `net` moves now, per second."""
     return _rate(c.pulse_rate, (c.at, j, hz))
 
 
 @hot
 def counter(c, j):
-    """What counts the pulses for the host: R0, LP."""
+    """Return the register that counts the pulses for the host: R0, LP."""
     return _word(c.counter, (c.at, j))
 
 
 @hot
 def inputs(c, j):
-    """Input pins as a word."""
+    """Return the input pins as a word."""
     return _word(c.inputs, (c.at, j))
 
 
@@ -250,13 +305,13 @@ def set_input(c, j, word):
 
 @hot
 def outputs(c, j):
-    """Output pins as a word."""
+    """Return the output pins as a word."""
     return _word(c.outputs, (c.at, j))
 
 
 @hot
 def hear(c):
-    """What the other chip's output, if one is wired to this chip, drives now is at its input. Returns whether that has changed."""
+    """Let the output of another chip, if one is wired to this chip, drive its input. Returns whether the input has changed."""
     if c.wire == 0:
         return False
     word = inputs(c, 0)
@@ -269,29 +324,29 @@ def hear(c):
 
 @hot
 def status(c, j):
-    """The status word."""
+    """Return the status word."""
     return _word(c.status, (c.at, j))
 
 
 @hot
 def busy(c, j):
-    """A drive is in progress."""
+    """Return whether a drive is in progress."""
     return _word(c.busy, (c.at, j))
 
 
 @hot
 def peek(c, address):
-    """What a host would like to read there now: no bus cycle, nothing changes."""
+    """Return what a host would read there now, without a bus cycle: nothing changes."""
     return _word(c.peek, (c.at, address))
 
 
 @hot
 def write(c, address, value):
-    """A bus write cycle."""
+    """Make a bus write cycle."""
     _set(c.write, (c.at, address, value))
 
 
 @hot
 def read(c, address):
-    """A bus read cycle."""
+    """Make a bus read cycle."""
     return _word(c.read, (c.at, address))

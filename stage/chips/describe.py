@@ -6,7 +6,7 @@
     decode(chip.decoder(), journal.entries)      a journal as commands and whole register values
 
 A listener describes each bus cycle, given those before it. It sees bus cycles only: after a reset pin or a lost write, get a new
-one from the chip. A decoder gives the commands and register values as a whole: all bytes of a register are one `Said`.
+one from the chip. A decoder gives the commands and register values as a whole: all bytes of a register are one `Statement`.
 """
 
 from __future__ import annotations
@@ -17,16 +17,24 @@ from typing import NamedTuple, Protocol
 from stage.chips.entries import LOST, RESET, WRITE, Entry
 from stage.chips.register_map import Field, Register, Word
 
-LONGEST = 120
+MAX_LINE_LENGTH = 120
 """Characters of a sentence."""
-WIDE = 4
+MAX_DECIMAL_BITS = 4
 """Numbers of more bits are given in hexadecimal, too."""
-_MANY = 4096
+MAX_CACHED_LINES = 4096
 
 
-class Said(NamedTuple):
-    """One command, or one register written with all its words. `clock`: of the last write; `kind`: command, register, reset,
-    lost (a write that did not arrive). `register`, `value`: which register and what, where a map has it by name."""
+class Statement(NamedTuple):
+    """One command, or one register written with all its words.
+
+    Attributes:
+        clock: Reference clocks since power-up, at the last write.
+        kind: "command", "register", "reset", or "lost": a write that did not arrive.
+        code: The bytes or words written, in hexadecimal.
+        meaning: What they say, in words.
+        register: Name of the register in the map; "" for a command.
+        value: Value of the register.
+    """
 
     clock: int
     kind: str
@@ -40,71 +48,118 @@ class Said(NamedTuple):
 
 
 class Listener(Protocol):
-    """The meaning of each bus cycle, as one line of ASCII of at most LONGEST characters. Never raises."""
+    """Descriptions of bus cycles: each a line of ASCII of at most LONGEST characters. A listener never raises."""
 
     def write(self, address: int, value: int) -> str:
-        """What this write cycle says, given those before."""
+        """Describe a write cycle, given those before it.
+
+        Args:
+            address: Bus address.
+            value: Datum.
+        """
 
     def read(self, address: int, value: int) -> str:
-        """What this read cycle, which returned `value`, said."""
+        """Describe a read cycle.
+
+        Args:
+            address: Bus address.
+            value: Datum that it returned.
+        """
 
 
 class Decoder:
-    """Journal entries as commands and whole register values, in parts. A family defines the meaning of its writes and resets."""
+    """Base class of decoders: journal entries become commands and whole register values, a part at a time."""
 
-    def take(self, entries: Iterable[Entry]) -> list[Said]:
-        """What `entries` say, after those before; the last writes may wait for what comes next, see `rest`."""
-        said: list[Said] = []
+    def take(self, entries: Iterable[Entry]) -> list[Statement]:
+        """Decode further entries.
+
+        Args:
+            entries: Entries of a journal, after those of the calls before.
+
+        Returns:
+            Commands and register values. The last writes may wait for what comes next, see `rest`.
+        """
+        statements: list[Statement] = []
         for e in entries:
             if e.kind == WRITE:
-                said += self.wrote(e.clock, e.a, e.b)
+                statements += self.wrote(e.clock, e.a, e.b)
             elif e.kind == RESET:
-                said += self.rest()
+                statements += self.rest()
                 self.reset()
-                said.append(Said(e.clock, "reset", "/RESET", "reset pin"))
+                statements.append(Statement(e.clock, "reset", "/RESET", "reset pin"))
             elif e.kind == LOST:
                 code, meaning = self.lost(e.a, e.b)
-                said.append(Said(e.clock, "lost", code, f"LOST: {meaning}"))
-        return said
+                statements.append(Statement(e.clock, "lost", code, f"LOST: {meaning}"))
+        return statements
 
-    def rest(self) -> list[Said]:
-        """What nothing followed, if anything."""
+    def rest(self) -> list[Statement]:
+        """Return what still waited for further writes."""
         return []
 
-    def wrote(self, clock: int, address: int, value: int) -> list[Said]:
-        """What a write says, and what waited for it."""
+    def wrote(self, clock: int, address: int, value: int) -> list[Statement]:
+        """Decode a write, and what waited for it.
+
+        Args:
+            clock: Reference clocks since power-up.
+            address: Bus address.
+            value: Datum.
+        """
         raise NotImplementedError
 
     def lost(self, address: int, value: int) -> tuple[str, str]:
-        """Code and meaning of a write that did not arrive."""
+        """Return code and meaning of a write that did not arrive.
+
+        Args:
+            address: Bus address.
+            value: Datum.
+        """
         raise NotImplementedError
 
     def reset(self) -> None:
-        """The reset pin: forget."""
+        """Forget all writes: the reset pin was asserted."""
 
 
-def decode(decoder: Decoder, entries: Iterable[Entry]) -> list[Said]:
-    """A journal's writes as commands and whole register values."""
+def decode(decoder: Decoder, entries: Iterable[Entry]) -> list[Statement]:
+    """Return the writes of a journal as commands and whole register values.
+
+    Args:
+        decoder: A new decoder of the chip's family.
+        entries: The journal's entries.
+    """
     return decoder.take(entries) + decoder.rest()
 
 
 class Fields:
-    """Describes the contents of a register or word, field by field.
+    """Descriptions of a register's or word's contents, field by field.
 
-    silent: values without information are left out, see `Field.silent`.
+    Args:
+        place: The register or word.
+        silent: Leave out values without information, see `Field.silent`.
     """
 
     def __init__(self, place: Register | Word, silent: bool = True):
-        self._fields = [(f, f.low, f.mask >> f.low, _sayings(f, silent)) for f in place.fields if f.name != "group"]
+        self._fields = [
+            (f, f.low, f.mask >> f.low, _list_meanings(f, silent)) for f in place.fields if f.name != "group"
+        ]
         self._lines: dict[tuple[str, int, str], str] = {}
 
     def tell(self, head: str, value: int, tail: str = "") -> str:
-        """`head`, the fields that say something, and `tail`; the longest fields by name where there is not room for all words."""
+        """Describe a value.
+
+        Args:
+            head: Words before the fields.
+            value: Contents of the register or word.
+            tail: Words behind the fields.
+
+        Returns:
+            `head`, the fields that have something to say, and `tail`. If all words are too long, the longest fields are
+            given by name.
+        """
         known = self._lines.get((head, value, tail))
         if known is None:
-            if len(self._lines) >= _MANY:
+            if len(self._lines) >= MAX_CACHED_LINES:
                 self._lines.clear()
-            words = self._words(value, LONGEST - len(head) - len(tail) - 2)
+            words = self._words(value, MAX_LINE_LENGTH - len(head) - len(tail) - 2)
             known = self._lines[head, value, tail] = line(f"{head}: {words}{tail}")
         return known
 
@@ -112,10 +167,10 @@ class Fields:
         words, names = [], []
         for f, low, mask, sayings in self._fields:
             v = value >> low & mask
-            said = sayings.get(v) or (_number(f, v) if v and f.high > f.low else "")
-            if said:
-                words.append(said)
-                names.append(said if not v else f.name if f.high == f.low else f"{f.name} {v:X}h")
+            text = sayings.get(v) or (_number(f, v) if v and f.high > f.low else "")
+            if text:
+                words.append(text)
+                names.append(text if not v else f.name if f.high == f.low else f"{f.name} {v:X}h")
         if not words:
             return "nothing to report" if value else "all bits 0"
         length = sum(map(len, words)) + 2 * len(words) - 2
@@ -127,21 +182,27 @@ class Fields:
 
 
 def line(text: str) -> str:
-    """`text`, cut where it is too long."""
-    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
+    """Return a text, cut where it is longer than a line of a trace."""
+    return text if len(text) <= MAX_LINE_LENGTH else text[: MAX_LINE_LENGTH - 3] + "..."
 
 
 def bits(name: str, byte: int, value: int) -> str:
-    """One byte of a register, the lowest is byte 0."""
+    """Describe one byte of a register.
+
+    Args:
+        name: Name of the register.
+        byte: Number of the byte; the lowest is 0.
+        value: Its new value.
+    """
     return f"{name} bits {8 * byte + 7}..{8 * byte} = {value:02X}h"
 
 
-def _sayings(f: Field, silent: bool) -> dict[int, str]:
-    """What the map says of the values of a field."""
+def _list_meanings(f: Field, silent: bool) -> dict[int, str]:
+    """Return the words that the map has for the values of a field."""
     values = f.values or {1: f.meaning}
     return {v: f.says(v) for v in values if not (silent and v == f.silent)}
 
 
 def _number(f: Field, v: int) -> str:
     subject = f.meaning or f.name
-    return f"{subject} = {v}" if f.high - f.low < WIDE else f"{subject} = {v:X}h ({v})"
+    return f"{subject} = {v}" if f.high - f.low < MAX_DECIMAL_BITS else f"{subject} = {v:X}h ({v})"

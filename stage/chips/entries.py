@@ -12,7 +12,7 @@ import numpy as np
 
 
 class Kind(IntEnum):
-    """What happened to a chip, as an entry says it."""
+    """Kinds of events in a journal."""
 
     WRITE = 0
     """A bus write cycle: address, value."""
@@ -38,17 +38,18 @@ AXIS = 32
 
 
 def bits(number: float) -> int:
-    """A float64 as the whole number of the same bits, for an entry."""
+    """Return a float64 as the whole number of the same bits, for an entry."""
     return int(struct.unpack("q", struct.pack("d", number))[0])
 
 
 def number(bits: int) -> float:
-    """The float64 of these bits."""
+    """Return the float64 of these bits."""
     return float(struct.unpack("d", struct.pack("q", bits))[0])
 
 
 class Entry(NamedTuple):
-    """One event between two ticks: its `Kind`, and what that says of a and b; axis: of a SHAFT or a LOAD."""
+    """One event between two ticks: its `Kind`, and numbers `a` and `b` whose meaning the kind says; `axis` is that of a SHAFT
+    or a LOAD."""
 
     clock: int
     kind: int
@@ -57,26 +58,31 @@ class Entry(NamedTuple):
     axis: int = 0
 
     def apply(self, core: Any, c: Any) -> None:
-        """Let it happen to the chip of state `c` (a record, an array of one, an address), whose core this is."""
-        given: tuple[float, ...] = ()
+        """Let the event happen to a chip.
+
+        Args:
+            core: Core of the chip's family.
+            c: State of the chip: a record, an array of one, or an address.
+        """
+        args: tuple[float, ...] = ()
         kind = self.kind
         if kind == INPUT:
-            does, given = core.set_input, (self.a, self.b)
+            function, args = core.set_input, (self.a, self.b)
         elif kind == WRITE:
-            does, given = core.write, (self.a, self.b)
+            function, args = core.write, (self.a, self.b)
         elif kind == READ:
-            does, given = core.read, (self.a,)
+            function, args = core.read, (self.a,)
         elif kind == SHAFT:
-            does, given = core.set_shaft, (self.axis, number(self.a), number(self.b))
+            function, args = core.set_shaft, (self.axis, number(self.a), number(self.b))
         elif kind == LOAD:
-            does, given = core.set_load, (self.axis, number(self.a), number(self.b))
+            function, args = core.set_load, (self.axis, number(self.a), number(self.b))
         elif kind == WIRES:
-            does, given = core.hear_wires, (self.a,)
+            function, args = core.hear_wires, (self.a,)
         elif kind == RESET:
-            does = core.power_up
+            function = core.power_up
         else:
             return
-        (does.c if isinstance(c, int) else does)(c, *given)
+        (function.c if isinstance(c, int) else function)(c, *args)
 
 
 class Entries(Sequence[Entry]):
@@ -86,15 +92,23 @@ class Entries(Sequence[Entry]):
         self._words = array("q")
 
     def note(self, clock: int, kind: int, a: int, b: int, axis: int = 0) -> None:
-        """Append one."""
+        """Append an entry.
+
+        Args:
+            clock: Reference clocks since power-up.
+            kind: A `Kind`.
+            a: First number.
+            b: Second number.
+            axis: Axis of a SHAFT or a LOAD.
+        """
         self._words.extend((clock, kind | axis << AXIS, a, b))
 
     def extend(self, packed: np.ndarray) -> None:
-        """PACKED records at the end."""
+        """Append PACKED records."""
         self._words.frombytes(packed.tobytes())
 
     def packed(self) -> np.ndarray:
-        """A copy as PACKED records."""
+        """Return a copy as PACKED records."""
         return np.frombuffer(self._words.tobytes(), PACKED)
 
     def __len__(self) -> int:

@@ -23,9 +23,16 @@ ROOM = 64  # edges: the least piece, as a scan writes several before it looks wh
 
 
 class Course(NamedTuple):
-    """What an axis of a chip did. `edges`: EDGE records of its core (clock, inputs, outputs, counter, net, rate in pulses per
-    clock, and what the family adds), one for the start, one after each entry, one for every change in between, and
-    one for the end."""
+    """The course of one axis of a chip: everything that it did, to the clock.
+
+    Attributes:
+        chip: Class of the chip.
+        clock_hz: Reference clock.
+        edges: EDGE records of its core (clock, inputs, outputs, counter, net, rate in pulses per clock, and what the family
+            adds): one
+            for the start, one after each entry, one for every change in between, and one for the end.
+        entries: The journal's entries.
+    """
 
     chip: type[Chip]
     clock_hz: int
@@ -43,13 +50,17 @@ class Course(NamedTuple):
         return self.chip.running(self.edges)
 
     def pin(self, name: str) -> np.ndarray:
-        """A pin's state from each edge on (bool)."""
+        """Return the state of a pin from each edge on (bool).
+
+        Args:
+            name: Name of the input or output pin.
+        """
         bit, word = (self.chip.INPUTS, "inputs") if name in self.chip.INPUTS else (self.chip.OUTPUTS, "outputs")
         return (self.edges[word] & bit[name]) != 0
 
 
 class Journal:
-    """Notes events of one chip from its creation to `close()`; its course is that of one axis of the chip."""
+    """The events of one chip from its creation to `close()`; its course is that of one axis of the chip."""
 
     def __init__(self, chip: Chip, previous: Journal | None = None, axis: int = 0):
         self.chip, self._previous, self.axis = chip, previous, axis
@@ -58,21 +69,27 @@ class Journal:
         self.entries = Entries()
 
     def note_write(self, clock: int, address: int, value: int) -> None:
+        """Note a bus write cycle."""
         self._note(clock, WRITE, address, value)
 
     def note_lost(self, clock: int, address: int, value: int) -> None:
+        """Note a write that did not arrive."""
         self._note(clock, LOST, address, value)
 
     def note_read(self, clock: int, address: int, value: int) -> None:
+        """Note a read cycle that changes something."""
         self._note(clock, READ, address, value)
 
     def note_input(self, clock: int, axis: int, word: int) -> None:
+        """Note a change of the input pins of an axis."""
         self._note(clock, INPUT, axis, word)
 
     def note_reset(self, clock: int) -> None:
+        """Note the reset pin."""
         self._note(clock, RESET, 0, 0)
 
     def note_shaft(self, clock: int, axis: int, count: float, rate: float) -> None:
+        """Note the place and the rate of an encoder's shaft."""
         self._note(clock, SHAFT, bits(count), bits(rate), axis)
 
     def extend(self, packed: np.ndarray) -> None:
@@ -99,7 +116,7 @@ class Journal:
         self.chip.open_journal = now
 
     def restart(self) -> None:
-        """Forget what was noted; begin again here."""
+        """Forget all entries, and begin again with the present state."""
         self._start, self.entries = self.chip.state.tobytes(), Entries()
 
     @property
@@ -113,20 +130,29 @@ class Journal:
         return self.chip.clock if self._end is None else self._end
 
     def course(self, every_pulse: bool = False) -> Course:
-        """Replay. With `every_pulse` the edges of the pulse output are in it too."""
+        """Replay the journal.
+
+        Args:
+            every_pulse: Include the edges of the pulse output.
+        """
         chip = self.chip
         return Course(type(chip), chip.clock_hz, np.concatenate(list(self.pieces(every_pulse))), self.entries[:])
 
     def pieces(self, every_pulse: bool = False, size: int = CHUNK) -> Iterator[np.ndarray]:
-        """The edges of `course`, at most `size` at a time: any length of run in the same memory.
+        """Replay the journal a piece at a time: any length of run in the same memory.
 
-        Raises ArgumentError for a `size` below 64.
+        Args:
+            every_pulse: Include the edges of the pulse output.
+            size: Maximum number of edges in a piece, 64 or more.
+
+        Raises:
+            ArgumentError: `size` is below 64.
         """
         return Replay(self).pieces(every_pulse, size)
 
 
 class Replay:
-    """A journal's course, read while it grows."""
+    """The course of a journal, read while the journal grows."""
 
     def __init__(self, journal: Journal):
         self._journal = journal
@@ -135,11 +161,19 @@ class Replay:
 
     @property
     def state(self) -> bytes:
-        """The chip's state as far as it has been read: in the end the chip's own."""
+        """The chip's state as far as the journal has been read: in the end the chip's own."""
         return self._rows.tobytes()
 
     def pieces(self, every_pulse: bool = False, size: int = CHUNK) -> Iterator[np.ndarray]:
-        """As `Journal.pieces`, from where the last call ended; the first edge is the chip as it was there."""
+        """Replay what was noted since the last call. The first edge is the chip as it was there.
+
+        Args:
+            every_pulse: Include the edges of the pulse output.
+            size: Maximum number of edges in a piece, 64 or more.
+
+        Raises:
+            ArgumentError: `size` is below 64.
+        """
         whole_number("size", size, ROOM)
         return self._pieces(every_pulse, size)
 
@@ -158,12 +192,12 @@ class Replay:
                 if size - k < ROOM:
                     yield out[:k].copy()
                     k = 0
-                given = chip, until, every_pulse, axis, at + k * row, size - k
+                args = chip, until, every_pulse, axis, at + k * row, size - k
                 if len(shafts[0]):
                     where = (word for array in shafts for word in (array.ctypes.data, len(array)))
-                    k += core.scan_shaft.c(*given, *where, count, 1)
+                    k += core.scan_shaft.c(*args, *where, count, 1)
                 else:
-                    k += core.scan.c(*given)
+                    k += core.scan.c(*args)
             if e is not None:
                 e.apply(core, chip)
             if k == size:
@@ -181,19 +215,21 @@ NO_SHAFT: Shafts = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), n
 
 
 def _between_shafts(entries: Entries) -> Iterator[tuple[Entry | None, Shafts]]:
-    """Each entry but those of shafts and wires, and after all None, with those since the one before: they come every physics step,
-    or with every pulse. Of wires the word, negated, takes the place of the axis."""
+    """Yield each entry, or None at the end, with the entries of shafts and wires before it.
+
+    Shafts come every physics step, and wires with every pulse. For wires the word, negated, takes the place of the axis.
+    """
     packed = entries.packed()
     wires = packed["kind"] == WIRES
-    seen = (packed["kind"] == SHAFT) | wires
-    if not seen.any():
+    of_shafts = (packed["kind"] == SHAFT) | wires
+    if not of_shafts.any():
         yield from ((e, NO_SHAFT) for e in entries)
         yield None, NO_SHAFT
         return
     clocks, axes = np.ascontiguousarray(packed["clock"]), np.where(wires, -packed["a"], packed["axis"])
     counts, rates = (np.ascontiguousarray(packed[name]).view(np.float64) for name in ("a", "b"))
     begin = 0
-    for k in (*np.flatnonzero(~seen).tolist(), len(entries)):
+    for k in (*np.flatnonzero(~of_shafts).tolist(), len(entries)):
         part = slice(begin, k)
         yield entries[k] if k < len(entries) else None, (clocks[part], axes[part], counts[part], rates[part])
         begin = k + 1

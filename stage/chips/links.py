@@ -24,37 +24,49 @@ ROUNDS = 8  # of answers at one clock
 
 @hot
 def number(word):
+    """Return the number in a word."""
     return word >> NUMBER & _ALL
 
 
 @hot
 def pulses_since(word, old):
-    """Pulses that are in a word and not in an older one."""
+    """Return the pulses that are in a word and not in an older one."""
     return (word >> PULSES) - (old >> PULSES) & _ALL
 
 
 @hot
 def share(levels, number, pulses):
-    """What a chip says: levels, with LINKED or without; a number; pulses that it has ever driven."""
+    """Put together what a chip drives: levels, with LINKED or without; a number; pulses that it has ever driven."""
     return levels | number << NUMBER | (pulses & _ALL) << PULSES
 
 
 @hot
 def _word(chips, link):
-    """What is on the wires."""
-    levels, most, pulses = LINKED, 0, 0
+    """Put together what all chips drive onto the wires."""
+    levels, maximum, pulses = LINKED, 0, 0
     for i in range(len(chips)):
         if chips[i].link == link:
-            own = cores.says(chips[i])
-            levels |= own & (1 << LEVELS) - 1
-            most = greatest(most, number(own))
-            pulses += own >> PULSES
-    return share(levels, most, pulses)
+            share_of_chip = cores.says(chips[i])
+            levels |= share_of_chip & (1 << LEVELS) - 1
+            maximum = greatest(maximum, number(share_of_chip))
+            pulses += share_of_chip >> PULSES
+    return share(levels, maximum, pulses)
 
 
 @hot
 def exchange(chips, link, now, edges, n_edges):
-    """All hear what is on the wires, and what comes of it. Returns how many edges are noted by now, at `now` ns."""
+    """Bring every linked chip what is on the wires, until no chip drives anything new.
+
+    Args:
+        chips: CHIP records.
+        link: Number of the link.
+        now: Time of the stage, ns.
+        edges: Records for the journals.
+        n_edges: Number of them so far.
+
+    Returns:
+        The number of edges.
+    """
     for _ in range(ROUNDS):
         word, quiet = _word(chips, link), True
         for i in range(len(chips)):
@@ -74,17 +86,29 @@ def exchange(chips, link, now, edges, n_edges):
 
 @hot
 def run(chips, link, until, now, edges, n_edges):
-    """Let the clocks of linked chips run up to `until`. Returns how many edges are noted by now, at `now` ns."""
+    """Let the clocks of linked chips run up to a clock.
+
+    Args:
+        chips: CHIP records.
+        link: Number of the link.
+        until: Clock at the end.
+        now: Time of the stage, ns.
+        edges: Records for the journals.
+        n_edges: Number of them so far.
+
+    Returns:
+        The number of edges.
+    """
     n_edges = exchange(chips, link, now, edges, n_edges)
     while True:
-        at, here = until, until
+        at, earliest = until, until
         for i in range(len(chips)):
             if chips[i].link == link:
-                here = least(here, cores.clock(chips[i]))
+                earliest = least(earliest, cores.clock(chips[i]))
                 at = least(at, cores.silent(chips[i]))
-        if here >= until:
+        if earliest >= until:
             return n_edges
-        at = greatest(at, here + 1)
+        at = greatest(at, earliest + 1)
         for i in range(len(chips)):
             if chips[i].link == link:
                 cores.run(chips[i], at)

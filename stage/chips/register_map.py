@@ -30,17 +30,25 @@ COMMAND_KINDS = ("data write", "mode write", "data read", "drive", "interpolatio
 
 @dataclass(frozen=True)
 class Field:
-    """Bits `high`..`low` of a register, command or status word. `legal`: its range, where not every value means something.
+    """A field of a register, command or status word: bits `high` to `low`.
 
-    meaning: the subject of the bits; of a field without `values` its meaning when it is not 0. May be empty where the values are
-        enough.
-    values: the meaning of each value, of a field that selects; `between` stands between meaning and value in a sentence. A value
-        that the sources do not explain is left out. listed: a dump lists them.
-    note: further text of a dump.
-    silent: the value without information, which a trace leaves out; None: a trace shows each.
-    only: of a register that each axis has, the one axis (0 is the first) on which the field acts; None: on all.
-    pins: of a status bit, the pin that it shows, with `/` before it where the bit is 0 while the pin is asserted; two where the
-        direction says which: that of plus, that of minus.
+    Attributes:
+        name: Name of the data sheet, or one of ours where it has none.
+        high: Highest bit.
+        low: Lowest bit.
+        meaning: Subject of the bits; of a field without `values` what it means if it is not 0. It may be empty where the
+            values are enough.
+        evidence: Letter of EVIDENCE.
+        access: "R", "W" or "RW".
+        legal: Range of a field of which not every value means something.
+        values: Value -> meaning, of a field that selects. A value that the sources do not explain is left out.
+        note: Further text of a dump.
+        silent: Value without information, which a trace leaves out; None: a trace shows each.
+        pins: Pin that a status bit shows, with `/` before it if the bit is 0 while the pin is asserted; two pins if the direction
+            decides, that of plus first.
+        between: Text between meaning and value in a sentence.
+        listed: Whether a dump lists the values.
+        only: The one axis on which the field of a register that each axis has acts; None: all axes.
     """
 
     name: str
@@ -60,22 +68,42 @@ class Field:
 
     @property
     def mask(self) -> int:
+        """The bits of the field, in place."""
         return ((1 << (self.high - self.low + 1)) - 1) << self.low
 
     @property
     def bits(self) -> str:
+        """The numbers of the bits, as text."""
         return f"{self.high}" if self.high == self.low else f"{self.high}..{self.low}"
 
     def of(self, word: int) -> int:
-        """The field's value in `word`."""
+        """Return the field's value.
+
+        Args:
+            word: Contents of the register or word.
+        """
         return (word & self.mask) >> self.low
 
     def code(self, says: str) -> int:
-        """The bits, in place, of the value that says this. Raises ArgumentError with near misses."""
-        return _found({text: v for v, text in self.values.items()}, says, f"value of {self.name}") << self.low
+        """Return the bits, in place, of a value.
+
+        Args:
+            says: Meaning of the value in `values`.
+
+        Raises:
+            ArgumentError: No value has this meaning; the message has near misses.
+        """
+        return _look_up({text: v for v, text in self.values.items()}, says, f"value of {self.name}") << self.low
 
     def says(self, value: int) -> str:
-        """What this value of the field says, in words; "" where the map has no words for it."""
+        """Return the meaning of a value in words.
+
+        Args:
+            value: Value of the field.
+
+        Returns:
+            The words; "" if the map has none for it.
+        """
         if self.values:
             text = self.values.get(value, "")
             return f"{self.meaning}{self.between}{text}" if text and self.meaning else text
@@ -83,19 +111,33 @@ class Field:
 
     @property
     def text(self) -> str:
-        """All that a dump says of it: the meaning, the values, the note."""
+        """All words of a dump: the meaning, the values, the note."""
         listed = [f"{v} {text}" for v, text in self.values.items()] if self.listed else []
         values = ("; " if any("," in text for text in listed) else ", ").join(listed)
-        said = ": ".join(part for part in (self.meaning, values) if part)
-        return "; ".join(part for part in (said, self.note) if part)
+        text = ": ".join(part for part in (self.meaning, values) if part)
+        return "; ".join(part for part in (text, self.note) if part)
 
 
 @dataclass(frozen=True)
 class Register:
-    """One register: `number` is how the chip selects it, `bits` its width, `legal` the data sheet's range.
+    """One register.
 
-    `signed`: two's complement. `also`: legal values outside the range. `reset`: its value after reset, if known. `title` is its
-    name in words, `note` further text. `tuned`: the range that a search chooses from, where it is not `legal`.
+    Attributes:
+        name: Name of the data sheet.
+        number: How the chip selects it.
+        bits: Width.
+        access: "R", "W" or "RW".
+        title: Name in words.
+        legal: Range of the data sheet.
+        fields: Fields, if it has some.
+        evidence: Letter of EVIDENCE.
+        unit: Unit of its value.
+        signed: Whether it holds two's complement.
+        also: Legal values outside the range.
+        reset: Value after reset, if known.
+        note: Further text.
+        tuned: Range that a search chooses from, where it is not `legal`.
+        section: Section of the data sheet that describes it, for diagnostics.
     """
 
     name: str
@@ -121,21 +163,30 @@ class Register:
 
     @property
     def mask(self) -> int:
+        """All bits."""
         return (1 << self.bits) - 1
 
     @property
     def range(self) -> tuple[int, int]:
-        """The smallest and the largest legal value; what the bits can hold where the data sheet has no range."""
+        """The smallest and the largest legal value; what the bits can hold if the data sheet has no range."""
         half = (self.mask + 1) // 2
         return self.legal or ((-half, half - 1) if self.signed else (0, self.mask))
 
     def value(self, word: int) -> int:
-        """The number that the bits `word` mean."""
+        """Return the number that the bits of a word mean.
+
+        Args:
+            word: Contents of the register.
+        """
         word &= self.mask
         return word - self.mask - 1 if self.signed and word > self.mask // 2 else word
 
     def allows(self, value: int) -> bool:
-        """Whether the data sheet allows the number `value`."""
+        """Tell whether the data sheet allows a value.
+
+        Args:
+            value: Number, as `value` returns it.
+        """
         return self.range[0] <= value <= self.range[1] or value in self.also
 
     @cached_property
@@ -151,10 +202,17 @@ class Register:
 
 @dataclass(frozen=True)
 class Word:
-    """A command or status word: its name in words, further text, its bits, and their number.
+    """A command or status word.
 
-    address: where it is written or read on the bus; None: the map does not say. sends: what a host usually writes, and what that
-        does; bits that tell the word from others are in it or not.
+    Attributes:
+        name: Name of the data sheet.
+        title: Name in words.
+        fields: Its fields.
+        bits: Width.
+        note: Further text.
+        address: Bus address at which it is written or read; None: the map does not say.
+        sends: What a host usually writes -> what it does. Bits that tell the word from others may be left out.
+        section: Section of the data sheet that describes it, for diagnostics.
     """
 
     name: str
@@ -178,7 +236,7 @@ class Word:
 
     @property
     def written(self) -> bool:
-        """A host writes it, at its address."""
+        """Whether a host writes it, at its address."""
         return self.address is not None and any("W" in f.access for f in self.fields)
 
     @cached_property
@@ -189,11 +247,25 @@ class Word:
 
 @dataclass(frozen=True)
 class Command:
-    """A command code. `bytes`: of data that it takes or returns, in the range `legal`. `kind`: one of COMMAND_KINDS.
+    """A command code.
 
-    `choice`: bits of the code that choose what it acts on, by the names `chooses`, the lowest first; at least one is set. `axes`:
-    it is sent to axes. `starts`: it begins a drive. `together`: how many axes take part, of a command that moves several;
-    `points`: it moves them to finish points. `lacking`: what the emulator does not do of it, as a diagnostic says it.
+    Attributes:
+        code: The code.
+        symbol: Name of the data sheet.
+        title: Name in words.
+        kind: One of COMMAND_KINDS.
+        bytes: Number of bytes of data that it takes or returns.
+        legal: Range of the data.
+        evidence: Letter of EVIDENCE.
+        unit: Unit of the data.
+        choice: Bits of the code that choose what it acts on; at least one of them is set.
+        axes: Whether it is sent to axes.
+        starts: Whether it begins a drive.
+        note: Further text.
+        chooses: Names of the `choice` bits, the lowest first.
+        together: Numbers of axes that take part, of a command that moves several.
+        points: Whether it moves them to finish points.
+        lacking: What the emulator does not do of it, as a diagnostic says it.
     """
 
     code: int
@@ -221,8 +293,8 @@ class Command:
     @property
     def what(self) -> str:
         """Title, note and unit."""
-        chosen = f" {self.chooses[0]} to {self.chooses[-1]}" if self.chooses else ""
-        return _text(self.title + chosen, self.note) + (f" ({self.unit})" if self.unit else "")
+        choices = f" {self.chooses[0]} to {self.chooses[-1]}" if self.chooses else ""
+        return _text(self.title + choices, self.note) + (f" ({self.unit})" if self.unit else "")
 
     @property
     def hex(self) -> str:
@@ -231,21 +303,37 @@ class Command:
 
 
 def writes(r: Register, kind: str = "data write", axes: bool = True) -> Command:
-    """The command that writes `r`, where a register's number is this command's code."""
+    """Return the command that writes a register whose number is the command's code.
+
+    Args:
+        r: The register.
+        kind: "data write" or "mode write".
+        axes: Whether the command is sent to axes.
+    """
     return Command(r.number, r.name, r.title, kind, r.bits // 8, r.legal, r.evidence, r.unit, axes=axes, note=r.note)
 
 
 def reads(r: Register, code: int | None = None, evidence: str = "", axes: bool = True) -> Command:
-    """The command that reads `r`: its number if it can only be read, else `code`, and R- before the symbol."""
+    """Return the command that reads a register.
+
+    Args:
+        r: The register.
+        code: Code of the command, whose symbol is then R- and the register's name; None: the register's number, as it can
+            only be read.
+        evidence: Letter of EVIDENCE; "": that of the register.
+        axes: Whether the command is sent to axes.
+    """
     if code is None:
         return replace(writes(r, "data read", axes), legal=None)
-    found = evidence or r.evidence
-    return Command(code, f"R-{r.name}", f"read {r.name}", "data read", r.bits // 8, None, found, r.unit, axes=axes)
+    evidence_letter = evidence or r.evidence
+    return Command(
+        code, f"R-{r.name}", f"read {r.name}", "data read", r.bits // 8, None, evidence_letter, r.unit, axes=axes
+    )
 
 
 @dataclass(frozen=True, repr=False)
 class RegisterMap:
-    """Everything a host can address on one chip, and how many axes it has. `print(dump(map_))` prints it."""
+    """Everything that a host can address on one chip, and the number of its axes. `print(dump(map_))` prints it."""
 
     chip: str
     title: str
@@ -263,20 +351,32 @@ class RegisterMap:
 
     @property
     def places(self) -> tuple[Register | Word, ...]:
-        """Everything with fields."""
+        """All registers and words."""
         return (*self.registers, *self.words)
 
     def register(self, name: str) -> Register:
-        """The register called `name` (any case). Raises ArgumentError with near misses."""
-        return _found(self._registers, _upper(name), f"{self.chip} register")
+        """Return the register with a name, in any case.
+
+        Raises:
+            ArgumentError: There is none; the message has near misses.
+        """
+        return _look_up(self._registers, _upper(name), f"{self.chip} register")
 
     def word(self, name: str) -> Word:
-        """The word called `name`. Raises ArgumentError with near misses."""
-        return _found(self._words, name, f"{self.chip} word")
+        """Return the word with a name.
+
+        Raises:
+            ArgumentError: There is none; the message has near misses.
+        """
+        return _look_up(self._words, name, f"{self.chip} word")
 
     def command(self, symbol: str) -> Command:
-        """The command with this symbol (any case). Raises ArgumentError with near misses."""
-        return _found(self._commands, _upper(symbol), f"{self.chip} command")
+        """Return the command with a symbol, in any case.
+
+        Raises:
+            ArgumentError: There is none; the message has near misses.
+        """
+        return _look_up(self._commands, _upper(symbol), f"{self.chip} command")
 
     @cached_property
     def by_code(self) -> dict[int, Command]:
@@ -284,13 +384,23 @@ class RegisterMap:
         return {code: c for c in self.commands for code in c.codes}
 
     def sent(self, symbol: str, datum: int | None = None) -> tuple[Command | Word, int]:
-        """What a host sends under this name (any case), a command or a word that it writes, and its checked datum: see
-        `Chip.command_cycles`. Raises ArgumentError with near misses, or for a datum that there is none of or that does not fit."""
+        """Find what a host sends under a name, and check its datum; see `Chip.command_cycles`.
+
+        Args:
+            symbol: Symbol of a command, or name of a word that a host writes, in any case.
+            datum: Its data; None if it takes none.
+
+        Returns:
+            The command or word, and the datum as bits.
+
+        Raises:
+            ArgumentError: There is no such name, or the datum is missing, not expected, or does not fit.
+        """
         from stage.errors import ArgumentError
 
         words = {w.name.upper(): w for w in self.words if w.written}
         known: dict[str, Command | Word] = {**words, **{name.upper(): c for name, c in self._commands.items()}}
-        what = _found(known, _upper(symbol), f"{self.chip} command")
+        what = _look_up(known, _upper(symbol), f"{self.chip} command")
         if isinstance(what, Word):
             takes, mask = f"{what.bits} bits: {what.title}", (1 << what.bits) - 1
         elif what.choice:
@@ -301,29 +411,52 @@ class RegisterMap:
                 if datum is not None:
                     raise ArgumentError(f"{self.chip} {symbol}: this command takes no data, and {datum!r} was given.")
                 return what, 0
-        whole = isinstance(datum, int) and not isinstance(datum, bool)
-        if not whole or not -(mask + 1) // 2 <= int(datum or 0) <= mask:
-            given = "none was given" if datum is None else f"{datum!r} was given"
-            raise ArgumentError(f"{self.chip} {symbol} takes {takes}; {given}.")
+        is_whole = isinstance(datum, int) and not isinstance(datum, bool)
+        if not is_whole or not -(mask + 1) // 2 <= int(datum or 0) <= mask:
+            datum_text = "none was given" if datum is None else f"{datum!r} was given"
+            raise ArgumentError(f"{self.chip} {symbol} takes {takes}; {datum_text}.")
         if isinstance(what, Command) and what.choice and not int(datum or 0) & mask == datum != 0:
             raise ArgumentError(f"{self.chip} {symbol} takes {takes}, one of them at least; {datum!r} was given.")
         return what, int(datum or 0) & mask
 
     def field(self, where: str, name: str) -> Field:
-        """Field `name` of the register or word `where`. Raises ArgumentError with near misses."""
-        fields = _found(self._fields, where, f"{self.chip} register or word")
-        return _found(fields, name, f"field of {self.chip} {where}")
+        """Return a field.
+
+        Args:
+            where: Name of the register or word.
+            name: Name of the field.
+
+        Raises:
+            ArgumentError: There is none; the message has near misses.
+        """
+        fields = _look_up(self._fields, where, f"{self.chip} register or word")
+        return _look_up(fields, name, f"field of {self.chip} {where}")
 
     def mask(self, where: str, name: str) -> int:
-        """The bits of a field, in place."""
+        """Return the bits of a field, in place.
+
+        Args:
+            where: Name of the register or word.
+            name: Name of the field.
+        """
         return self.field(where, name).mask
 
     def bit(self, where: str, name: str) -> int:
-        """The number of a field's lowest bit."""
+        """Return the number of a field's lowest bit.
+
+        Args:
+            where: Name of the register or word.
+            name: Name of the field.
+        """
         return self.field(where, name).low
 
     def masks(self, where: str, *names: str) -> tuple[int, ...]:
-        """The bits of several fields of one register or word, each in place."""
+        """Return the bits of several fields of one register or word, each in place.
+
+        Args:
+            where: Name of the register or word.
+            *names: Names of the fields.
+        """
         return tuple(self.mask(where, name) for name in names)
 
     @cached_property
@@ -343,15 +476,23 @@ class RegisterMap:
         return {place.name: {f.name: f for f in place.fields} for place in self.places}
 
     def checked(self, name: str, value: int) -> int:
-        """`value` if the data sheet allows it in register `name`; ArgumentError otherwise."""
+        """Return a value if the data sheet allows it.
+
+        Args:
+            name: Name of the register.
+            value: The value.
+
+        Raises:
+            ArgumentError: The data sheet does not allow it.
+        """
         from stage.errors import ArgumentError
 
         r = self.register(name)
         try:
-            whole = int(value) == value
+            is_whole = int(value) == value
         except (TypeError, ValueError, OverflowError):
-            whole = False
-        if not whole or not r.allows(int(value)):
+            is_whole = False
+        if not is_whole or not r.allows(int(value)):
             low, high = r.range
             other = "".join(f" or {v}" for v in r.also)
             raise ArgumentError(
@@ -362,7 +503,7 @@ class RegisterMap:
 
 
 def _upper(name: str) -> str:
-    """The name in capitals, as tables have it. Raises ArgumentError for what is no text."""
+    """Return a name in capitals, as tables have it. Raises ArgumentError for what is no text."""
     if isinstance(name, str):
         return name.upper()
     from stage.errors import ArgumentError
@@ -370,7 +511,7 @@ def _upper(name: str) -> str:
     raise ArgumentError(f"{name!r}: registers, words and commands are called by their names, as the map has them.")
 
 
-def _found(table: dict[str, T], name: str, kind: str) -> T:
+def _look_up(table: dict[str, T], name: str, kind: str) -> T:
     if name not in table:
         from stage.errors import unknown
 
@@ -379,7 +520,7 @@ def _found(table: dict[str, T], name: str, kind: str) -> T:
 
 
 def as_html(map_: RegisterMap) -> str:
-    """The map for a notebook: registers, words and commands as tables, each field behind its register."""
+    """Return the map for a notebook: registers, words and commands as tables, each field behind its register."""
 
     def fields(place: Register | Word) -> str:
         rows = [(f"b{f.bits}", f.name, f.evidence, f.text) for f in place.fields]
@@ -393,13 +534,18 @@ def as_html(map_: RegisterMap) -> str:
     parts = [html.heading(f"{map_.chip}: {map_.title}"), html.table(registers, head), *map(fields, map_.registers)]
     parts += [html.heading(f"{w.name}: {w.text}") + fields(w) for w in map_.words]
     if commands:
-        told = html.table(commands, ("code", "symbol", "kind", "bytes", "ev", "title"))
-        parts.append(html.folded(f"{len(commands)} commands", told))
+        table = html.table(commands, ("code", "symbol", "kind", "bytes", "ev", "title"))
+        parts.append(html.folded(f"{len(commands)} commands", table))
     return "".join(parts)
 
 
 def dump(map_: RegisterMap, values: dict[str, int] | None = None) -> str:
-    """The map as a text table; with `values` (register or word name -> value) also what each field holds now."""
+    """Return the map as a text table.
+
+    Args:
+        map_: The map.
+        values: Register or word -> value; with it the table also shows what each field holds now.
+    """
     lines = [f"{map_.chip}: {map_.title}", f"source: {map_.source}", *_summary(map_), ""]
     wide = max([18, *(len(_legal(r)) + 1 for r in map_.registers)])
     head = f"{'register':9}{'bits':>5} {'acc':4}{'legal':>{wide}}  {'ev':3}{'title'}"
@@ -426,7 +572,7 @@ def dump(map_: RegisterMap, values: dict[str, int] | None = None) -> str:
 
 
 def _summary(map_: RegisterMap) -> list[str]:
-    """How much there is, and how sure it is."""
+    """Count registers, words and commands, and the letters of their evidence."""
     written = sum("W" in r.access for r in map_.registers)
     counted = (
         (len(map_.registers), "register", f" ({written} writable)"),

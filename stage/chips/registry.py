@@ -30,7 +30,13 @@ OWN = "pulsestage"
 
 @dataclass(frozen=True)
 class Source:
-    """Where a chip comes from. name: as it is written there; package: with its version; where: "module:Class"."""
+    """The origin of a chip.
+
+    Attributes:
+        name: Name of the entry point.
+        package: Name and version of the package.
+        where: "module:Class".
+    """
 
     name: str
     package: str
@@ -42,7 +48,14 @@ class Source:
 
 @dataclass(frozen=True)
 class Listed:
-    """A line of a list of chips. chip: None where it cannot be had, and `problem` says why."""
+    """A line of a list of chips.
+
+    Attributes:
+        name: Name of the chip.
+        package: Package that brings it.
+        chip: Its class; None if it cannot be loaded.
+        problem: Reason why it cannot be loaded.
+    """
 
     name: str
     package: str
@@ -51,14 +64,18 @@ class Listed:
 
 
 def key(name: str) -> str:
-    """The name of a chip as the registry has it: any case, with or without hyphens."""
+    """Return the name of a chip as the registry has it: in any case, with or without hyphens."""
     return name.upper().replace("-", "").replace("_", "")
 
 
 class Registry(MutableMapping[str, type[Chip]]):
-    """Chip classes by name: `families`, of each package below `home` the classes, and those that installed packages bring.
+    """Chip classes by name: PulseStage's own, and those that installed packages bring.
 
     Iteration gives every name, also those that cannot be loaded; `listed` says which these are.
+
+    Args:
+        families: Package below `home` -> names of its classes.
+        home: Package of PulseStage's own families.
     """
 
     def __init__(self, families: Mapping[str, tuple[str, ...]], home: str):
@@ -67,15 +84,23 @@ class Registry(MutableMapping[str, type[Chip]]):
         self._told: set[str] = set()
 
     def __getitem__(self, name: str) -> type[Chip]:
-        """Raises KeyError for a name that nobody brings, LoadError for a package that cannot be imported, ArgumentError for a class
-        that is no chip and for a name that two packages bring."""
+        """Return a chip's class.
+
+        Args:
+            name: Name of the chip.
+
+        Raises:
+            UnknownKey: No package brings this name.
+            LoadError: The package cannot be imported.
+            ArgumentError: The class is no chip, or two packages bring the name.
+        """
         if not isinstance(name, str):
             raise UnknownKey(f"{name!r} is no name of a chip: give a text, as 'PCL240K'.")
         name = key(name)
-        found = self._loaded.get(name)
-        if found is None:
-            found = self._loaded[name] = self._load(name)
-        return found
+        chip = self._loaded.get(name)
+        if chip is None:
+            chip = self._loaded[name] = self._load(name)
+        return chip
 
     def __contains__(self, name: object) -> bool:
         known = isinstance(name, str) and (key(name) in self._loaded or key(name) in self._own)
@@ -110,7 +135,10 @@ class Registry(MutableMapping[str, type[Chip]]):
         return tuple(self._own)
 
     def listed(self) -> list[Listed]:
-        """Every chip, and of those that cannot be had, why; PulseStage's own first. Imports all packages that bring chips."""
+        """List every chip, PulseStage's own first; of those that cannot be loaded, say why.
+
+        Imports all packages that bring chips.
+        """
         lines = [Listed(name, OWN, self[name]) for name in self._own]
         for name, sources in sorted(_brought().items()):
             packages = ", ".join(source.package for source in sources)
@@ -123,7 +151,11 @@ class Registry(MutableMapping[str, type[Chip]]):
         return lines
 
     def tell_of_claims(self, name: str) -> None:
-        """Where a package brings a chip of one of PulseStage's own names, say once, on stderr, whose the name is."""
+        """Warn once, on stderr, if a package brings a chip under one of PulseStage's own names.
+
+        Args:
+            name: Name of the chip that is used.
+        """
         name = key(name)
         if name not in self._own or name in self._told:
             return
@@ -148,21 +180,21 @@ class Registry(MutableMapping[str, type[Chip]]):
 
 
 def _brought() -> dict[str, list[Source]]:
-    """Name -> who brings a chip of this name, of the packages that are installed now."""
+    """Find the chips that installed packages bring: name -> the packages."""
     from importlib.metadata import entry_points  # 50 ms of a start that mostly needs PulseStage's own chips only
 
-    found: dict[str, list[Source]] = {}
+    sources_by_name: dict[str, list[Source]] = {}
     for point in entry_points(group=GROUP):
         package = f"{point.dist.name} {point.dist.version}" if point.dist is not None else "of unknown name"
         source = Source(point.name, package, point.value)
-        sources = found.setdefault(key(point.name), [])
+        sources = sources_by_name.setdefault(key(point.name), [])
         if source not in sources:
             sources.append(source)
-    return found
+    return sources_by_name
 
 
 def _may_be_claimed(name: str) -> bool:
-    """Whether an installed package that has chips names this one: a look at their files, some ms, where `_brought` takes 50."""
+    """Search the files of installed packages for a chip of this name: some ms, where `_brought` takes 50."""
     for folder in sys.path:
         for info in (*glob(join(escape(folder), "*.dist-info")), *glob(join(escape(folder), "*.egg-info"))):
             try:
@@ -181,26 +213,26 @@ def _stays(name: str, sources: list[Source]) -> str:
 
 
 def _loaded(name: str, source: Source) -> type[Chip]:
-    """The class that an entry point names. Raises LoadError, ArgumentError."""
+    """Load the class that an entry point names. Raises LoadError or ArgumentError."""
     module, _, attribute = source.where.partition("[")[0].partition(":")  # behind "[" are extras, which pip looks at
     try:
-        found: Any = import_module(module.strip())
+        chip: Any = import_module(module.strip())
         for part in filter(None, attribute.strip().split(".")):
-            found = getattr(found, part)
+            chip = getattr(chip, part)
     except (Exception, SystemExit) as error:  # it is somebody else's code
         raise LoadError(
             f"chip {name} of {source} cannot be loaded: {type(error).__name__}: {error}. Every other chip works; mend that package "
             "or uninstall it."
         ) from error
     try:
-        contract.check(found, Chip)
-        if key(found.__name__) != name:
+        contract.check(chip, Chip)
+        if key(chip.__name__) != name:
             raise ArgumentError(
-                f"the class is called {found.__name__}. Recordings and reports name chips by their classes: {_rename([source])}"
+                f"the class is called {chip.__name__}. Recordings and reports name chips by their classes: {_rename([source])}"
             )
     except ArgumentError as error:
         raise ArgumentError(f"chip {name} of {source} is refused: {error}") from None
-    return found
+    return chip
 
 
 def _rename(sources: list[Source]) -> str:

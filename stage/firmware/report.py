@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from stage.chips.describe import Said, decode
+from stage.chips.describe import Statement, decode
 from stage.chips.journal import Course
 from stage.errors import RunTimeout
 from stage.firmware.axis import Axis
@@ -57,7 +57,7 @@ class Report:
     stopped_by: str
     residual: int | None
     course: Course = field(repr=False)
-    said: tuple[Said, ...] = field(repr=False)
+    said: tuple[Statement, ...] = field(repr=False)
     unit: str = "m"
 
     @property

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from stage.chips.describe import Said
+from stage.chips.describe import Statement
 from stage.chips.journal import Replay
 from stage.recording import scene, signals
 from stage.recording.sdk import rr
@@ -234,7 +234,7 @@ class Lanes:
             when = scene.to_time_column(self._recording.seconds(self._name, clocks))
             out.send_columns(path, indexes=[when], columns=rr.StateChange.columns(state=[str(s) for s in states]))
 
-    def _log_bus(self, out: Any, actions: list[Said]) -> None:
+    def _log_bus(self, out: Any, actions: list[Statement]) -> None:
         if not actions:
             return
         seconds = self._recording.seconds(self._name, np.array([s.clock for s in actions], np.int64))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from stage.chips.describe import Said, decode
+from stage.chips.describe import Statement, decode
 from stage.sim.fleet import Fleet
 from stage.sim.program import WAIT, WRITE, Program
 from stage.tune.plans import Plan, Plans
@@ -53,7 +53,7 @@ def cycles(task: Task, made: Program) -> list[Cycle]:
     return out
 
 
-def said(task: Task, made: Program) -> list[Said]:
+def said(task: Task, made: Program) -> list[Statement]:
     """The same as commands and whole registers."""
     stage = task.copy()
     axis: Any = stage.axes[task.axis]
@@ -65,7 +65,7 @@ def said(task: Task, made: Program) -> list[Said]:
     return decode(axis.chip.decoder(axis.chip_axis), journal.entries)
 
 
-def rows(task: Task, sayings: list[Said]) -> list[Row]:
+def rows(task: Task, sayings: list[Statement]) -> list[Row]:
     """The registers that were written, the last value of each."""
     map_ = task.stage.axes[task.axis].chip.MAP
     found: dict[str, Row] = {}

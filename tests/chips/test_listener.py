@@ -7,7 +7,7 @@ import pytest
 from support.examples import FIXED
 
 from stage.chips import CHIPS, HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
-from stage.chips.describe import LONGEST
+from stage.chips.describe import MAX_LINE_LENGTH
 
 NOVA = (MCX514, MCX304, MCX302, MCX312)
 PCL = (PCL240K, PCL240MK, PCL240MS)
@@ -329,7 +329,7 @@ def test_any_cycle_gets_a_short_line_of_ascii(name, seed):
         write, address, value = rng.random() < 0.6, rng.randrange(-1, 70), rng.randrange(-1, 1 << 17)
         said = says(listener, (write, address, value))
         where = f"seed {seed}: {'write' if write else 'read'} {value:#x} at {address}: {said!r}"
-        assert 0 < len(said) <= LONGEST, where
+        assert 0 < len(said) <= MAX_LINE_LENGTH, where
         assert said.isascii(), where
         assert said.isprintable(), where
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stage.chips import describe
-from stage.chips.describe import Said
+from stage.chips.describe import Statement
 from stage.chips.register_map import RegisterMap
 
 
@@ -18,9 +18,9 @@ class Decoder(describe.Decoder):
     def __init__(self, map_: RegisterMap):
         self._map = map_
 
-    def wrote(self, clock: int, address: int, value: int) -> list[Said]:
+    def wrote(self, clock: int, address: int, value: int) -> list[Statement]:
         return [
-            Said(
+            Statement(
                 clock,
                 "register" if address else "command",
                 f"{address} {value:04X}",

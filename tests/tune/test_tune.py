@@ -13,7 +13,7 @@ from stage import Stage
 from stage.board import Board, NativeHost, NoCompilerError, build
 from stage.board.library import find_compiler
 from stage.chips import HCTL1100, MCX304, MCX514, PCL240K, PCL240MS
-from stage.chips.describe import Said
+from stage.chips.describe import Statement
 from stage.cli import main
 from stage.drives.dynamometer import natural_frequency
 from stage.errors import ArgumentError, StageError
@@ -372,14 +372,14 @@ def test_a_header_in_c_has_waits_whole_numbers_and_comments_that_end_where_they_
 
 def test_a_register_has_the_digits_that_its_bits_need(task):
     places = {place.name: place.bits for place in task.stage.axes[task.axis].chip.MAP.places}
-    told = written.rows(task, [Said(0, "register", "", "", name, 1) for name in places])
+    told = written.rows(task, [Statement(0, "register", "", "", name, 1) for name in places])
     assert {r.name: r.digits for r in told} == {name: len(f"{(1 << bits) - 1:X}") for name, bits in places.items()}
     assert any(bits % 4 for bits in places.values())
 
 
 def test_a_register_that_was_written_twice_is_told_once_with_its_last_value_in_its_last_place(task):
-    sayings = [Said(0, "register", "", "", name, value) for name, value in (("R1", 1), ("R2", 2), ("R1", 3))]
-    assert [(r.name, r.value) for r in written.rows(task, [*sayings, Said(0, "command", "11", "start")])] == [
+    sayings = [Statement(0, "register", "", "", name, value) for name, value in (("R1", 1), ("R2", 2), ("R1", 3))]
+    assert [(r.name, r.value) for r in written.rows(task, [*sayings, Statement(0, "command", "11", "start")])] == [
         ("R2", 2),
         ("R1", 3),
     ]

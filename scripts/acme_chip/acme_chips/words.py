@@ -2,7 +2,7 @@
 
 from acme_chips.maps import CONTROL, MAP, STATUS
 from stage.chips import describe
-from stage.chips.describe import Fields, Said
+from stage.chips.describe import Fields, Statement
 from stage.chips.diagnostics import Rule
 
 NAMES = {r.number: r.name for r in MAP.registers}
@@ -37,7 +37,7 @@ class Decoder(describe.Decoder):
 
     def wrote(self, clock, address, value):
         kind, name = ("register", NAMES.get(address, "")) if address else ("command", "")
-        return [Said(clock, kind, f"{address} {value:04X}", wrote(address, value), name, value)]
+        return [Statement(clock, kind, f"{address} {value:04X}", wrote(address, value), name, value)]
 
     def lost(self, address, value):
         return f"{address} {value:04X}", wrote(address, value)

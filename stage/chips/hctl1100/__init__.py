@@ -58,7 +58,15 @@ class HCTL1100(Chip):
     @classmethod
     @told
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
-        """To its address; a number of several bytes, see `maps.NUMBERS`, by its name, in the order that it asks for."""
+        """Return the cycles to the register's address.
+
+        A number of several bytes has a name in `maps.NUMBERS`, and an order of its bytes.
+
+        Args:
+            name: Name of the register or number.
+            value: Its value.
+            axis: 0.
+        """
         cls._check_axis(axis)
         if isinstance(name, str) and name in NUMBERS:
             addresses = NUMBERS[name].addresses
@@ -67,7 +75,11 @@ class HCTL1100(Chip):
 
     @classmethod
     def rates(cls, edges: np.ndarray) -> np.ndarray:
-        """Those of the profile generator; where a host writes command positions, those from one to the next."""
+        """Return the rates of the profile generator; where a host writes command positions, those from one to the next.
+
+        Args:
+            edges: EDGE records of the core.
+        """
         rates = np.abs(edges["rate"])
         moved = np.flatnonzero(np.diff(edges["net"]))
         if rates.any() or len(moved) < 2:
@@ -78,7 +90,7 @@ class HCTL1100(Chip):
 
     @property
     def motor_command(self) -> int:
-        """What drives the motor, -128 to 127: the command given last, by a control law or by a write to R08 or R09."""
+        """The command to the motor, -128 to 127: the last one of a control law or of a write to R08 or R09."""
         return int(self.state["drive"])
 
     @property
@@ -99,7 +111,7 @@ class HCTL1100(Chip):
 
     @property
     def shaft(self) -> tuple[float, float]:
-        """What the chip was given last: count and rate, see `set_shaft`."""
+        """The count and the rate that `set_shaft` was given last."""
         return float(self.state["count"]), float(self.state["rate"])
 
     def shaft_of(self, axis: int) -> tuple[float, float]:

@@ -207,7 +207,7 @@ def write_byte(c, address, value):
 
 @hot
 def _write_idle(c, address, value):
-    """What can be written in Init/Idle only."""
+    """Write a register that can be written in Init/Idle only."""
     if address == PORT:
         motor.to_port(c, value - PORT_ZERO)
     elif address == PWM:
@@ -229,7 +229,7 @@ def status_byte(c):
 
 @hot
 def peek_byte(c, address):
-    """What a read returns, without what it does."""
+    """Return what a read returns, without what it changes."""
     if address == FLAG:
         return c.flag | (F1 if c.mode == IDLE else 0)
     if address == STATUS:

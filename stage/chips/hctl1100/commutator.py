@@ -12,7 +12,7 @@ from __future__ import annotations
 from stage.chips.hctl1100 import filter as law
 from stage.chips.hctl1100 import motor
 from stage.chips.hctl1100.encoder import heard, raw
-from stage.chips.hctl1100.maps import MOST_ADVANCE, OFFSET, PHASE_TIMER, RING, X, Y
+from stage.chips.hctl1100.maps import MAX_ADVANCE, OFFSET, PHASE_TIMER, RING, X, Y
 from stage.chips.hctl1100.state import ALIGN, CONTROL, F4, FOUR, FULL, PHA, signed
 from stage.native import greatest, hot, least
 
@@ -60,8 +60,8 @@ def release(c):
 def advance(c):
     """Counts of the ring that the shaft turns in the time of R19, at most R1F."""
     turned = heard(c) * (16.0 * (c.reg[PHASE_TIMER] + 1)) / _counts(c)
-    most = float(c.reg[MOST_ADVANCE])
-    return int(least(greatest(turned, -most), most))
+    max_advance = float(c.reg[MAX_ADVANCE])
+    return int(least(greatest(turned, -max_advance), max_advance))
 
 
 @hot

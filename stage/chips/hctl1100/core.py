@@ -74,7 +74,7 @@ def run(c, until):
 
 @exported(None, STATE, "i8", "f8", "f8")
 def set_shaft(c, j, count, rate):
-    """From now on the shaft is at `count + rate * (clock - now)`, in counts of the encoder and counts a clock."""
+    """Put the shaft at `count + rate * (clock - now)` from now on, in counts of the encoder."""
     encoder.set_shaft(c, count, rate)
 
 
@@ -99,7 +99,13 @@ def inputs(c, j):
 
 @exported(None, STATE, "i8", "i8")
 def set_input(c, j, word):
-    """Set the input pins, see INPUTS. They act at once."""
+    """Set the input pins, see INPUTS. They act at once.
+
+    Args:
+        c: State of the chip.
+        j: Axis of the chip.
+        word: Bits of INPUTS.
+    """
     bus.set_pins(c, word)
 
 
@@ -141,7 +147,14 @@ def pulse_rate(c, j, hz):
 
 @exported("f8", STATE, "i8", "i8", "f8")
 def drive_input(c, j, before, ticks):
-    """Mean over the last `ticks`, since it was asked last, of the motor command as a share of full drive, -1 to 1."""
+    """Compute the mean, since the last call, of the motor command as a share of full drive.
+
+    Args:
+        c: State of the chip.
+        j: Axis of the chip.
+        before: The value at the start of these ticks.
+        ticks: Reference clocks.
+    """
     mean = c.moment / (motor.FULL_DRIVE * ticks)
     c.moment = 0
     return mean
@@ -164,7 +177,13 @@ def power_up(c):
 
 @exported(None, STATE, "i8", "i8")
 def write(c, address, value):
-    """One bus write cycle, between two clocks."""
+    """Make a bus write cycle between two clocks.
+
+    Args:
+        c: State of the chip.
+        address: Bus address.
+        value: Datum.
+    """
     bus.write_byte(c, address & (ADDRESSES - 1), value & 0xFF)
 
 
@@ -176,7 +195,7 @@ def read(c, address):
 
 @exported("i8", STATE, "i8")
 def value(c, address):
-    """What a register reads as, free of bus cycles."""
+    """Return what a register reads as, without a bus cycle."""
     return bus.peek_byte(c, address)
 
 
@@ -202,13 +221,20 @@ def advance(c, until):
 
 @exported("i8", STATE, "i8", array_of(PULSE))
 def trace(c, until, out):
-    """As advance: there are no pulses to fill `out` with."""
+    """Let the clock run as `advance` does: a servo chip makes no pulses."""
     return advance(c, until)
 
 
 @exported(None, STATE, "i8", array_of(EDGE), "i8")
 def mark(c, axis, out, k):
-    """Write the chip as it stands to `out[k]` (an EDGE record)."""
+    """Write the present state of the chip into an EDGE record.
+
+    Args:
+        c: State of the chip.
+        axis: Axis of the chip.
+        out: EDGE records.
+        k: Number of the record.
+    """
     e = out[k]
     e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, c.inputs, outputs(c, 0), counter(c, 0), net(c, 0)
     e.command, e.motor, e.rate = c.command, c.drive, pulse_rate(c, 0, 1.0)
@@ -229,9 +255,18 @@ def _next_change(c, until, every_pulse):
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
 def scan(c, until, every_pulse, axis, out):
-    """As advance, and fills `out` (EDGE records) with every change of the commanded velocity or of an output pin, PULSE only with
-    `every_pulse`, and with it also of the command position and the motor command. Returns how many; stops early when `out` is
-    almost full: look at the clock and call again."""
+    """Let the clock run as `advance` does, and fill `out` (EDGE records) with every change of the axis' course.
+
+    Args:
+        c: State of the chip.
+        until: Clock at the end.
+        every_pulse: Include the edges of the pulse output.
+        axis: Axis of the chip.
+        out: EDGE records.
+
+    Returns:
+        The number of edges; where `out` is nearly full the chip stops early.
+    """
     k = 0
     watched = ALL_OUTPUTS if every_pulse else ALL_OUTPUTS & ~PULSE_ON
     while c.clock < until and k < len(out) - ROOM:
@@ -250,5 +285,5 @@ def scan(c, until, every_pulse, axis, out):
     array_of("i8"), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"),
 )  # fmt: skip
 def scan_shaft(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done):
-    """As scan, while the shafts of these axes are seen anew at `clocks`, see stage/chips/cores.py."""
+    """Scan while the shafts of axes move, see stage.chips.cores."""
     return scan_shafts(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done, scan, set_shaft)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from stage.chips import describe
-from stage.chips.describe import Fields, Said, line
+from stage.chips.describe import Fields, Statement, line
 from stage.chips.hctl1100.maps import (
     ADDRESSES,
     CLEAR,
@@ -35,11 +35,11 @@ class Decoder(describe.Decoder):
     def __init__(self, map_: RegisterMap):
         self._registers = {r.number: r for r in map_.registers}
 
-    def wrote(self, clock: int, address: int, value: int) -> list[Said]:
+    def wrote(self, clock: int, address: int, value: int) -> list[Statement]:
         r = self._registers.get(address)
         kind = "command" if address in (FLAG, MODE) else "register"
         known = (r.name, r.value(value)) if r and kind == "register" else ("", 0)
-        return [Said(clock, kind, f"{address:02X} {value:02X}", self._meaning(address, value), *known)]
+        return [Statement(clock, kind, f"{address:02X} {value:02X}", self._meaning(address, value), *known)]
 
     def lost(self, address: int, value: int) -> tuple[str, str]:
         return f"{address:02X} {value:02X}", self._meaning(address, value)
@@ -54,7 +54,7 @@ class Decoder(describe.Decoder):
 
 
 class Listener:
-    """See `stage.chips.describe.Listener`. record: the chip's state."""
+    """The bus cycles of an HCTL-1100 in words. `record` is the chip's state."""
 
     def __init__(self, map_: RegisterMap, record: Any):
         self._chip = map_.chip
@@ -149,6 +149,6 @@ class Listener:
 
 
 def _name(r: Register) -> str:
-    """What a register is, or the number that it is a part of."""
+    """Return the name of a register, or of the number that it is a part of."""
     q = QUANTITIES.get(r.number)
     return q.title if q else r.title

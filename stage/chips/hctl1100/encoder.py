@@ -31,7 +31,7 @@ def heard(c):
 
 @hot
 def set_shaft(c, count, rate):
-    """From now on the shaft is at `count + rate * (clock - now)`."""
+    """Put the shaft at `count + rate * (clock - now)` from now on."""
     c.lost = lost(c)
     c.seen, c.count, c.rate = c.clock, count, rate
 

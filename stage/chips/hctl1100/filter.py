@@ -10,7 +10,7 @@ from __future__ import annotations
 from stage.chips.hctl1100 import motor, profile
 from stage.chips.hctl1100.encoder import raw
 from stage.chips.hctl1100.maps import GAIN, INTEGRAL_VELOCITY, POLE, PROPORTIONAL_HIGH, PROPORTIONAL_LOW, ZERO
-from stage.chips.hctl1100.state import CONTROL, INTEGRAL, LEAST_T, PROPORTIONAL, TRAPEZOID, control_mode, signed
+from stage.chips.hctl1100.state import CONTROL, INTEGRAL, MIN_T, PROPORTIONAL, TRAPEZOID, control_mode, signed
 from stage.chips.hctl1100.timer import STEP
 from stage.native import hot
 
@@ -43,7 +43,7 @@ def sample(c):
     mode, count = control_mode(c.flag), raw(c)
     command, fraction, velocity, error, output = c.command, c.fraction, c.velocity, c.error, c.output
     still = c.rate == 0.0 and count == c.last and mode != TRAPEZOID
-    c.computing = c.clock + STEP * LEAST_T[mode]
+    c.computing = c.clock + STEP * MIN_T[mode]
     if mode == PROPORTIONAL:
         c.speed = signed(count - c.last, 16)
         c.output = _velocity_law(c)

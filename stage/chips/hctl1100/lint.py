@@ -19,10 +19,10 @@ from stage.chips.hctl1100.maps import (
     FRACTION,
     INTEGRAL_VELOCITY,
     MAP,
+    MAX_ADVANCE,
+    MAX_VELOCITY,
     MODE,
     MODE_WRITE,
-    MOST_ADVANCE,
-    MOST_VELOCITY,
     OFFSET,
     PORT,
     PRESET_POSITION,
@@ -45,7 +45,7 @@ from stage.chips.hctl1100.state import (
     GIVERS,
     IDLE,
     INTEGRAL,
-    LEAST_T,
+    MIN_T,
     POSITION,
     PROPORTIONAL,
     TRAPEZOID,
@@ -85,7 +85,7 @@ COMMANDS = {
     POSITION: (COMMAND_LOW,), TRAPEZOID: (COMMAND_LOW,), INTEGRAL: (COMMAND_LOW, INTEGRAL_VELOCITY),
     PROPORTIONAL: PROPORTIONAL_VELOCITY.addresses,
 }  # fmt: skip
-PROFILE_DATA = (*COMMAND_POSITION.addresses, *ACCELERATION.addresses, MOST_VELOCITY, *FINAL_POSITION.addresses)
+PROFILE_DATA = (*COMMAND_POSITION.addresses, *ACCELERATION.addresses, MAX_VELOCITY, *FINAL_POSITION.addresses)
 IDLE_ONLY = (PORT, PWM, *PRESET_POSITION.addresses)
 MODES = MODE_WRITE.fields[0]
 RESET, INIT, ALIGN = (MODES.code(name) for name in ("reset", "Init/Idle", "Align"))
@@ -169,26 +169,26 @@ def _lint_control_mode(c: Any, flags: int) -> Iterator[Finding]:
     reg = c["reg"]
     if flags & F0 and not (reg[FRACTION] or reg[WHOLE]):
         yield NO_ACCELERATION, "a trapezoid with acceleration 0 (R27, R26) does not move and never ends"
-    if flags & F0 and not reg[MOST_VELOCITY]:
+    if flags & F0 and not reg[MAX_VELOCITY]:
         yield NO_MAX_VELOCITY, "a trapezoid with maximum velocity 0 (R28) does not move and never ends"
     yield from _lint_timer(int(reg[TIMER]), control_mode(flags))
 
 
 def _lint_timer(t: int, mode: int) -> Iterator[Finding]:
-    if t < LEAST_T[mode]:
-        message = f"T = {t:02X}h is below {LEAST_T[mode]:02X}h, the least for {CONTROL_MODES[mode]} control"
+    if t < MIN_T[mode]:
+        message = f"T = {t:02X}h is below {MIN_T[mode]:02X}h, the least for {CONTROL_MODES[mode]} control"
         yield SAMPLE_TOO_SHORT, message
 
 
 def _lint_commutator(c: Any) -> Iterator[Finding]:
     reg = c["reg"]
-    ring, offset, most = int(reg[RING]), signed(int(reg[OFFSET]), 8), int(reg[MOST_ADVANCE])
+    ring, offset, max_advance = int(reg[RING]), signed(int(reg[OFFSET]), 8), int(reg[MAX_ADVANCE])
     phases = 4 if c["status"] & FOUR else 3
     if ring and phases * (int(reg[X]) + int(reg[Y])) != ring:
         message = f"the ring R18 = {ring} is not {phases} (X + Y) = {phases} ({reg[X]} + {reg[Y]})"
         yield RING_IS_NOT_PHASES, message
-    if ring and not -128 <= 1.5 * ring + offset - most <= 1.5 * ring + offset + most <= 127:
-        message = f"1.5 ring + offset +- maximum advance = {1.5 * ring + offset:g} +- {most} leaves -128 to 127"
+    if ring and not -128 <= 1.5 * ring + offset - max_advance <= 1.5 * ring + offset + max_advance <= 127:
+        message = f"1.5 ring + offset +- maximum advance = {1.5 * ring + offset:g} +- {max_advance} leaves -128 to 127"
         yield ADVANCE_RANGE, message
 
 
@@ -199,7 +199,7 @@ def _lint_data_in_control(c: Any, address: int, value: int) -> Iterator[Finding]
         message = f"R{address:02X} is written while PROF is high: the profile in progress takes it"
         yield PROFILE_IN_PROGRESS, message
     if address in COMMANDS[mode] and c["clock"] < c["computing"]:
-        when = f"wait until R0F has counted down by {LEAST_T[mode]}"
+        when = f"wait until R0F has counted down by {MIN_T[mode]}"
         yield SAMPLE_IN_COMPUTATION, f"R{address:02X} is written while the sample is computed: {when}"
     if address == INTEGRAL_VELOCITY and mode == INTEGRAL:
         step = signed(value, 8) - signed(int(c["reg"][address]), 8)

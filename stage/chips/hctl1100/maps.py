@@ -15,10 +15,10 @@ FLAG, MODE, STATUS, PORT, PWM = 0x00, 0x05, 0x07, 0x08, 0x09
 COMMAND_HIGH, COMMAND_MIDDLE, COMMAND_LOW, TIMER = 0x0C, 0x0D, 0x0E, 0x0F
 ACTUAL_HIGH, ACTUAL_MIDDLE, ACTUAL_LOW = 0x12, 0x13, 0x14
 PRESET_HIGH, PRESET_MIDDLE, PRESET_LOW = 0x15, 0x16, 0x17
-RING, PHASE_TIMER, X, Y, OFFSET, MOST_ADVANCE = 0x18, 0x19, 0x1A, 0x1B, 0x1C, 0x1F
+RING, PHASE_TIMER, X, Y, OFFSET, MAX_ADVANCE = 0x18, 0x19, 0x1A, 0x1B, 0x1C, 0x1F
 ZERO, POLE, GAIN = 0x20, 0x21, 0x22
 PROPORTIONAL_LOW, PROPORTIONAL_HIGH = 0x23, 0x24
-FRACTION, WHOLE, MOST_VELOCITY = 0x26, 0x27, 0x28
+FRACTION, WHOLE, MAX_VELOCITY = 0x26, 0x27, 0x28
 FINAL_LOW, FINAL_MIDDLE, FINAL_HIGH = 0x29, 0x2A, 0x2B
 VELOCITY_LOW, VELOCITY_HIGH, INTEGRAL_VELOCITY = 0x34, 0x35, 0x3C
 ADDRESSES = 64
@@ -175,7 +175,7 @@ MAP = RegisterMap(
         _register(X, "RW", "commutator: X, one phase alone", legal=SEVEN_BITS, unit="counts"),
         _register(Y, "RW", "commutator: Y, two phases together", legal=SEVEN_BITS, unit="counts"),
         _register(OFFSET, "RW", "commutator: offset", signed=True, unit="counts"),
-        _register(MOST_ADVANCE, "RW", "commutator: maximum phase advance", legal=SEVEN_BITS, unit="counts"),
+        _register(MAX_ADVANCE, "RW", "commutator: maximum phase advance", legal=SEVEN_BITS, unit="counts"),
         _register(ZERO, "RW", "filter: zero A, in 1/256", reset=0xE5),
         _register(POLE, "RW", "filter: pole B, in 1/256", reset=0x40),
         _register(GAIN, "RW", "filter: gain K, in 1/4", reset=0x40),
@@ -183,7 +183,7 @@ MAP = RegisterMap(
         _part(PROPORTIONAL_HIGH, "RW", "high byte; acts at once", signed=True),
         _part(FRACTION, "RW", "fraction /256"),
         _part(WHOLE, "RW", "whole", legal=SEVEN_BITS),
-        _register(MOST_VELOCITY, "RW", "maximum velocity", legal=SEVEN_BITS, unit="counts/sample"),
+        _register(MAX_VELOCITY, "RW", "maximum velocity", legal=SEVEN_BITS, unit="counts/sample"),
         _part(FINAL_LOW, "RW", "low byte"),
         _part(FINAL_MIDDLE, "RW", "middle byte"),
         _part(FINAL_HIGH, "RW", "high byte"),
@@ -218,7 +218,7 @@ NUMBERS = {
     "preset_position": Number(PRESET_POSITION.addresses, -TOP, TOP - 1),
     "final_position": Number(FINAL_POSITION.addresses, -TOP, TOP - 1),
     "acceleration": Number(ACCELERATION.addresses, 0, 0x7FFF),
-    "maximum_velocity": Number((MOST_VELOCITY,), 0, 0x7F),
+    "maximum_velocity": Number((MAX_VELOCITY,), 0, 0x7F),
     "proportional_velocity": Number(PROPORTIONAL_VELOCITY.addresses, -0x8000, 0x7FFF),
     "integral_velocity": Number((INTEGRAL_VELOCITY,), -0x80, 0x7F),
     "motor_command": Number((PWM,), -100, 100),
@@ -228,6 +228,6 @@ other velocities in counts per sample; motor_command in hundredths of full drive
 
 
 def after_reset(name: str) -> int:
-    """What a number of one byte, by its name in NUMBERS, is after a reset."""
+    """Return the value after a reset of a number of one byte, by its name in NUMBERS."""
     (address,) = NUMBERS[name].addresses
     return next(r.reset for r in MAP.registers if r.number == address) or 0

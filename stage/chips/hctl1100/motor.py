@@ -17,7 +17,7 @@ def clipped(c, value):
 
 @hot
 def _drive(c, value):
-    """This is what drives the motor from now on."""
+    """Drive the motor with a command from now on."""
     if c.status & INHIBIT and c.drive * value < 0:
         c.dead = c.clock + PWM_PERIOD
     c.drive = value
@@ -25,7 +25,7 @@ def _drive(c, value):
 
 @hot
 def command(c, value):
-    """To both ports."""
+    """Put a command on both ports."""
     c.port = c.pwm = value
     _drive(c, value)
 
@@ -73,7 +73,7 @@ def pins(c):
 @hot
 def next_edge(c):
     """The clock after now at which PULSE may turn on or off, were there no sample and no bus write."""
-    on, begun = _on(c), c.clock - c.clock % PWM_PERIOD
+    on, period_start = _on(c), c.clock - c.clock % PWM_PERIOD
     if on == 0 or (on == PWM_PERIOD and c.clock >= c.dead):
         return NEVER
-    return begun + on if c.clock < begun + on else begun + PWM_PERIOD
+    return period_start + on if c.clock < period_start + on else period_start + PWM_PERIOD

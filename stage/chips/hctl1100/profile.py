@@ -14,7 +14,7 @@ from stage.chips.hctl1100.maps import (
     FINAL_MIDDLE,
     FRACTION,
     INTEGRAL_VELOCITY,
-    MOST_VELOCITY,
+    MAX_VELOCITY,
     WHOLE,
 )
 from stage.chips.hctl1100.state import F0, signed
@@ -34,9 +34,9 @@ def final_position(c):
 
 
 @hot
-def _move(c, way):
+def _move(c, direction):
     """Move the command position by `way`, round the 24 bits."""
-    at = (c.command << 8 | c.fraction) + way
+    at = (c.command << 8 | c.fraction) + direction
     c.command, c.fraction = signed(at >> 8, 24), at & 0xFF
 
 
@@ -52,15 +52,15 @@ def trapezoid(c):
     """One sample of a move to the final position: faster as long as the rest allows to brake then."""
     a, goal = acceleration(c), final_position(c)
     rest = ((goal - c.command) << 8) - c.fraction
-    way, v = (1 if rest >= 0 else -1), abs(c.velocity)
+    direction, v = (1 if rest >= 0 else -1), abs(c.velocity)
     if a:
-        faster = least(v + a, c.reg[MOST_VELOCITY] << 8)
+        faster = least(v + a, c.reg[MAX_VELOCITY] << 8)
         v = faster if abs(rest) - faster >= _braking(faster, a) else greatest(v - a, a)
     if v >= abs(rest):
         c.command, c.fraction, c.velocity = goal, 0, 0
         c.flag &= ~F0
         return
-    c.velocity = way * v
+    c.velocity = direction * v
     _move(c, c.velocity)
 
 

@@ -19,7 +19,7 @@ NEVER = 1 << 62
 IDLE, ALIGN, CONTROL = range(3)
 POSITION, PROPORTIONAL, TRAPEZOID, INTEGRAL = range(4)
 CONTROL_MODES = ("position", "proportional velocity", "trapezoid", "integral velocity")
-LEAST_T = tuple(MINIMUM_T[name] for name in CONTROL_MODES)
+MIN_T = tuple(MINIMUM_T[name] for name in CONTROL_MODES)
 
 STATE = record(
     [

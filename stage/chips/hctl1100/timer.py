@@ -26,8 +26,8 @@ def idle_to(c, until):
     """Reload as often as it comes up to `until`: nothing else happens at a sample of Init/Idle."""
     if until >= c.next:
         c.period = c.reg[T]
-        whole = STEP * (c.period + 1)
-        c.next += ((until - c.next) // whole + 1) * whole
+        period = STEP * (c.period + 1)
+        c.next += ((until - c.next) // period + 1) * period
 
 
 @hot
@@ -41,7 +41,7 @@ def skip(c, samples):
 
 @hot
 def running_count(c):
-    """What R0F reads."""
+    """Return what R0F reads."""
     return 0 if c.held else (c.next - 1 - c.clock) // STEP
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, ClassVar
 
-from stage.chips.chip import Chip, Pins, no_cycle
+from stage.chips.chip import Chip, Pins, make_cycle_error
 from stage.chips.diagnostics import Finding
 from stage.chips.nova import core, state
 from stage.chips.nova.describe import Decoder, Listener
@@ -57,14 +57,14 @@ class Nova(Chip):
         try:
             on_the_bus = int(address) & 7, int(value) & self.DATA_MASK
         except (TypeError, ValueError, OverflowError):
-            raise no_cycle("write", address, value) from None
+            raise make_cycle_error("write", address, value) from None
         self._write(*on_the_bus, (address, value))
 
     def read(self, address: int) -> int:
         try:
             n = int(address) & 7
         except (TypeError, ValueError, OverflowError):
-            raise no_cycle("read", address) from None
+            raise make_cycle_error("read", address) from None
         return super().read(n)
 
     @property
@@ -108,8 +108,13 @@ class Nova(Chip):
     @classmethod
     @told
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
-        """WR6, WR7 if it has more than 16 bits, and the command that is its number, with the axis' bit where it is an axis' own
-        (manual, data writing commands)."""
+        """Return WR6, WR7 if it has more than 16 bits, and the command that is its number (manual, data writing commands).
+
+        Args:
+            name: Name of the register.
+            value: Its value.
+            axis: Axis of the chip, where each axis has the register.
+        """
         cls._check_axis(axis)
         r = cls.MAP.register(name)
         data = [(6, value & 0xFFFF), (7, value >> 16 & 0xFFFF)]
@@ -119,8 +124,15 @@ class Nova(Chip):
     @classmethod
     @told
     def command_cycles(cls, symbol: str, axis: int = 0, datum: int | None = None) -> list[tuple[int, int]]:
-        """Data to WR6 and WR7, then the code to WR0 with the axis' bit (axis assignment); WR1 to WR3, an axis' own, after a NOP
-        that selects it."""
+        """Return data to WR6 and WR7, then the code to WR0 with the axis' bit (manual, axis assignment).
+
+        WR1 to WR3, which each axis has, follow a NOP that selects it.
+
+        Args:
+            symbol: Symbol of the command, or name of the word.
+            axis: Axis of the chip.
+            datum: Its data.
+        """
         cls._check_axis(axis)
         what, datum = cls.MAP.sent(symbol, datum)
         if isinstance(what, Word):
@@ -147,7 +159,7 @@ class Nova(Chip):
     def values_of(self, axis: int = 0) -> dict[str, int]:
         """Words of an axis as if a host had selected it; registers as the reading commands say, or as they were written."""
         self._check_axis(axis)
-        chip, map_, found = self.twin(), self.MAP, {}
+        chip, map_, values = self.twin(), self.MAP, {}
         c: Any = chip.state
         select = 1 << axis << 8
         core.write.with_gil(chip.pointer, 0, select | map_.command("NOP").code)
@@ -155,23 +167,27 @@ class Nova(Chip):
             n = w.address
             if n and w.written:
                 common = {4: "outputs4", 5: "outputs5", 6: "low", 7: "high"}
-                found[w.name] = int(c["ax"][axis]["wr"][n]) if n <= 3 else int(c[common[n]])
+                values[w.name] = int(c["ax"][axis]["wr"][n]) if n <= 3 else int(c[common[n]])
             elif n is not None and w.fields and not w.written:
-                found[w.name] = core.value.with_gil(chip.pointer, n, w.name == "RR3-1")
+                values[w.name] = core.value.with_gil(chip.pointer, n, w.name == "RR3-1")
         reads = {k.symbol.removeprefix("R-"): k for k in map_.commands if k.kind == "data read"}
         for r in map_.registers:
             if (read := reads.get(r.name)) is not None:
                 core.write.with_gil(chip.pointer, 0, (select if read.axes else 0) | read.code)
-                found[r.name] = r.value(int(c["read_high"]) << 16 | int(c["read_low"]))
+                values[r.name] = r.value(int(c["read_high"]) << 16 | int(c["read_low"]))
             elif (place := self._place(r.name)) is not None:
                 name, k = place
-                own = map_.command(r.name).axes
-                found[r.name] = r.value(int(c["ax"][axis if own else 0][name][k]))
-        return found
+                has_each_axis = map_.command(r.name).axes
+                values[r.name] = r.value(int(c["ax"][axis if has_each_axis else 0][name][k]))
+        return values
 
     @classmethod
     def _place(cls, name: str) -> tuple[str, int] | None:
-        """Where in the state of an axis a register is that cannot be read: field and place; None: nowhere as it was written."""
+        """Find where in the state of an axis a register is kept that cannot be read.
+
+        Returns:
+            Field and place; None if it is kept nowhere as it was written.
+        """
         number = cls.MAP.register(name).number
         if number < state.REGISTERS:
             return "reg", number
@@ -199,21 +215,35 @@ class MCX514(Nova):
 
     @exclusive
     def write_byte(self, address: int, value: int) -> None:
-        """A write cycle of the 8-bit bus. Byte addresses: 0 low byte of WR0, 1 its high byte, to 15; the low byte of WR0 acts.
-        Raises ArgumentError for what is no number."""
+        """Make a write cycle of the 8-bit bus.
+
+        Args:
+            address: 0 for the low byte of WR0, 1 for its high byte, and so on to 15. The low byte of WR0 makes the chip act.
+            value: The byte.
+
+        Raises:
+            ArgumentError: The address or the value is no number.
+        """
         try:
             at, byte = int(address) & 15, int(value) & 0xFF
         except (TypeError, ValueError, OverflowError):
-            raise no_cycle("write_byte", address, value) from None
+            raise make_cycle_error("write_byte", address, value) from None
         self._write(BYTES | at, byte, (BYTES | at if at == address else address, value))
 
     @exclusive
     def read_byte(self, address: int) -> int:
-        """A read cycle of the 8-bit bus. Raises ArgumentError for what is no number."""
+        """Make a read cycle of the 8-bit bus.
+
+        Args:
+            address: 0 for the low byte of RR0, 1 for its high byte, and so on to 15.
+
+        Raises:
+            ArgumentError: The address is no number.
+        """
         try:
             at = int(address) & 15
         except (TypeError, ValueError, OverflowError):
-            raise no_cycle("read_byte", address) from None
+            raise make_cycle_error("read_byte", address) from None
         return Chip.read(self, BYTES | at)
 
 
@@ -272,8 +302,8 @@ class MCX312(_Erratum):
     AXES: ClassVar = 2
 
     def _interpolated(self) -> int:
-        chosen = int(self._plain["outputs5"])
-        return 1 << AX1.of(chosen) | 1 << AX2.of(chosen)
+        word = int(self._plain["outputs5"])
+        return 1 << AX1.of(word) | 1 << AX2.of(word)
 
     def _lint_state(self) -> LintState:
         return Mcx312LintState(self._plain, self.AXES, self._interpolated)

@@ -136,7 +136,7 @@ def counter(c, j):
 
 @exported(None, STATE, "i8", "f8", "f8")
 def set_shaft(c, j, count, rate):
-    """From now on axis `j` has an encoder, which is at `count + rate * (clock - now)`: edges of ECA and ECB, edges a clock."""
+    """Put the encoder of axis `j` at `count + rate * (clock - now)` from now on."""
     encoder.set_shaft(c, j, count, rate)
     if comparators.looks_at_rp(c, c.ax[j]):
         _settle(c)
@@ -163,7 +163,7 @@ def set_input(c, j, word):
 
 @exported("i8", STATE)
 def says(c):
-    """What the chip drives onto the wires to others, see stage/chips/links.py."""
+    """Return what the chip drives onto the wires to others, see stage/chips/links.py."""
     if c.stale:
         _settle(c)
     return multichip.says(c)
@@ -177,13 +177,13 @@ def silent(c):
 
 @exported("i8", STATE)
 def heard(c):
-    """What the chip has heard last on those wires."""
+    """Return the word that the wires brought last."""
     return c.heard
 
 
 @exported(None, STATE, "i8")
 def hear_wires(c, word):
-    """What the wires to other chips bring."""
+    """Bring the chip a new word from the wires to other chips."""
     if c.stale:
         _settle(c)
     multichip.hear(c, word, _settle)
@@ -248,9 +248,13 @@ def pulse_rate(c, j, hz):
 
 @exported("f8", STATE, "i8", "i8", "f8")
 def drive_input(c, j, before, ticks):
-    """Mean over the last `ticks` of the net pulse count, which was `before` at their start.
+    """Compute the mean over the last ticks of the net pulse count.
 
-    Pulses of a drive came evenly; those of an interpolation have had their clocks summed in `moment`.
+    Args:
+        c: State of the chip.
+        j: Axis of the chip.
+        before: The value at the start of these ticks.
+        ticks: Reference clocks.
     """
     x = c.ax[j]
     start, late, rest = c.clock - ticks, 0.0, x.net - before
@@ -263,13 +267,13 @@ def drive_input(c, j, before, ticks):
 
 @hot
 def _forget(x):
-    """Nobody asks for the mean of what was: so it does not matter how time was cut, nor whether a stage or a bench ran it."""
+    """Drop the times of pulses that no mean can need any more."""
     x.moment = x.shift = x.since = 0
 
 
 @hot
 def _missing(c, x, rest, ticks):
-    """By how much the mean over the last `ticks` is less than the count now, for `rest` pulses of a drive."""
+    """Compute by how much the mean over the last `ticks` is less than the count now."""
     n = abs(rest)
     if n == 0:
         return 0.0
@@ -336,7 +340,7 @@ def read(c, address):
 
 @exported("i8", STATE, "i8", "i8")
 def value(c, k, page):
-    """What RRk reads as (of RR3 this page), free of bus cycles and of what reading does."""
+    """Return what RRk reads as (of RR3 this page), without a bus cycle and what a read changes."""
     pages, c.pages = c.pages, 15 if page else 0
     word = peek(c, k)
     c.pages = pages
@@ -370,7 +374,16 @@ def advance(c, until):
 
 @exported("i8", STATE, "i8", array_of(PULSE))
 def trace(c, until, out):
-    """As advance, and fills `out` (PULSE records) with the pulses; `out` is long enough. Returns how many."""
+    """Let the clock run as `advance` does, and fill `out` (PULSE records) with the pulses.
+
+    Args:
+        c: State of the chip.
+        until: Clock at the end.
+        out: PULSE records, as many as there will be pulses.
+
+    Returns:
+        The number of pulses.
+    """
     k = 0
     if c.stale:
         _settle(c)
@@ -390,7 +403,14 @@ def trace(c, until, out):
 
 @exported(None, STATE, "i8", array_of(EDGE), "i8")
 def mark(c, axis, out, k):
-    """Write an axis as it stands to `out[k]` (an EDGE record)."""
+    """Write the present state of the chip into an EDGE record.
+
+    Args:
+        c: State of the chip.
+        axis: Axis of the chip.
+        out: EDGE records.
+        k: Number of the record.
+    """
     log(c, axis, out, k, outputs(c, axis), pulse_rate(c, axis, 1.0))
 
 
@@ -403,9 +423,18 @@ def _watched_outputs(c, j, every_pulse, off):
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
 def scan(c, until, every_pulse, axis, out):
-    """As advance, and fills `out` (EDGE records) with every change of an axis' rate and output pins, those of the pulse output and
-    of an encoder's pins only with `every_pulse`. Returns how many; stops early when `out` is almost full: look at the clock and
-    call again."""
+    """Let the clock run as `advance` does, and fill `out` (EDGE records) with every change of the axis' course.
+
+    Args:
+        c: State of the chip.
+        until: Clock at the end.
+        every_pulse: Include the edges of the pulse output.
+        axis: Axis of the chip.
+        out: EDGE records.
+
+    Returns:
+        The number of edges; where `out` is nearly full the chip stops early.
+    """
     k = 0
     if c.stale:
         _settle(c)
@@ -439,7 +468,7 @@ def scan(c, until, every_pulse, axis, out):
     array_of("i8"), array_of("i8"), array_of("f8"), array_of("f8"), array_of("i8"),
 )  # fmt: skip
 def scan_shaft(c, until, every_pulse, axis, out, clocks, axes, counts, rates, done):
-    """As scan, while the shafts of these axes are seen anew at `clocks`, and the wires to other chips, see stage/chips/cores.py."""
+    """Scan while the shafts of axes move, see stage.chips.cores."""
     k = 0
     while k < len(out) - 2 * ROOM:
         n = done[0]
@@ -460,7 +489,7 @@ def scan_shaft(c, until, every_pulse, axis, out, clocks, axes, counts, rates, do
 
 @hot
 def _hear(c, every_pulse, axis, out, k, word):
-    """What the wires bring, which can make a pulse: the edges that come of it."""
+    """Apply the word of the wires, which can make a pulse: note the edges that come of it."""
     x = c.ax[axis]
     before, net_before = _watched_outputs(c, axis, every_pulse, pulse_end(x)), x.net
     rate = pulse_rate(c, axis, 1.0)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from stage.chips import describe
-from stage.chips.describe import Fields, Said, bits, line
+from stage.chips.describe import Fields, Statement, bits, line
 from stage.chips.nova.registers.common import AXES, axis_names
 from stage.chips.nova.registers.mcx300 import RESET
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
@@ -20,12 +20,12 @@ _WRITING = ("data write", "mode write")
 
 
 def resets(map_: RegisterMap, value: int) -> bool:
-    """Whether a word to WR0 is the reset of a chip that has no command for it."""
+    """Return whether a word to WR0 is the reset of a chip that has no command for it."""
     return value == RESET and not any(c.symbol == "RST" for c in map_.commands)
 
 
 class Decoder(describe.Decoder):
-    """What reaches one axis of a chip: its commands, with the data that they take, and its words WR1 to WR5."""
+    """The commands to one axis of a chip, with the data that they take."""
 
     def __init__(self, map_: RegisterMap, axis: int = 0):
         self._map, self._bit = map_, 1 << axis
@@ -37,7 +37,7 @@ class Decoder(describe.Decoder):
     def lost(self, address: int, value: int) -> tuple[str, str]:
         return f"{value:04X}", f"data to WR{address & 7}"
 
-    def wrote(self, clock: int, address: int, value: int) -> list[Said]:
+    def wrote(self, clock: int, address: int, value: int) -> list[Statement]:
         n = address
         if address >= BYTES:
             n, high = (address - BYTES) >> 1, address & 1
@@ -51,18 +51,18 @@ class Decoder(describe.Decoder):
             return self._command(clock, value)
         if n >= 6 or (n <= 3 and not self._selected & self._bit):
             return []
-        return [Said(clock, "register", f"{value:04X}", f"WR{n} <- {value:04X}h", f"WR{n}", value)]
+        return [Statement(clock, "register", f"{value:04X}", f"WR{n} <- {value:04X}h", f"WR{n}", value)]
 
-    def _command(self, clock: int, value: int) -> list[Said]:
+    def _command(self, clock: int, value: int) -> list[Statement]:
         axes, command = AXIS.of(value), self._map.by_code.get(CODE.of(value))
         self._selected = axes or self._selected
         if axes and not axes & self._bit:
             return []
         words = f"{axis_names(axes)} {self._meaning(command, value)}".strip()
         if command is None or command.kind not in _WRITING:
-            return [Said(clock, "command", f"{value:04X}", words)]
+            return [Statement(clock, "command", f"{value:04X}", words)]
         r = self._map.register(command.symbol)
-        return [Said(clock, "register", f"{value:04X}", words, r.name, self._data(r))]
+        return [Statement(clock, "register", f"{value:04X}", words, r.name, self._data(r))]
 
     def _data(self, r: Register) -> int:
         """What a command writes into a register."""
@@ -80,10 +80,11 @@ class Decoder(describe.Decoder):
 
 
 class Listener:
-    """See `stage.chips.describe.Listener`; addresses 16 to 31 are bytes of WR0 to WR7 and RR0 to RR7, as on the 8-bit bus. What
-    filled RR6 and RR7 is told if the command was heard; a chip does not hold it.
+    """The bus cycles of a NOVA chip in words.
 
-    record: the chip's state."""
+    Addresses 16 to 31 are bytes of WR0 to WR7 and RR0 to RR7, as on the 8-bit bus. The contents of RR6 and RR7 have words if the
+    listener has seen the command that filled them.
+    """
 
     def __init__(self, map_: RegisterMap, record: Any):
         self._map, self._there = map_, (1 << map_.axes) - 1
@@ -131,15 +132,15 @@ class Listener:
 
     def _command(self, value: int) -> str:
         """A word to WR0."""
-        c, given = self._map.by_code.get(CODE.of(value)), AXIS.of(value)
-        axes = given & self._there if self._map.axes > 1 else 1
-        if resets(self._map, value) or (c is not None and c.symbol == "RST" and not given):
+        c, axis_bits = self._map.by_code.get(CODE.of(value)), AXIS.of(value)
+        axes = axis_bits & self._there if self._map.axes > 1 else 1
+        if resets(self._map, value) or (c is not None and c.symbol == "RST" and not axis_bits):
             self._reset()
             return "reset" if c is None or c.symbol != "RST" else c.title
         self._selected = axes or self._selected
         names = axis_names(axes)
-        if given & ~axes:
-            names += f" (no {axis_names(given & ~axes)} on the {self._map.chip})"
+        if axis_bits & ~axes:
+            names += f" (no {axis_names(axis_bits & ~axes)} on the {self._map.chip})"
         head = f"{names}: " if names else ""
         if c is None:
             return f"{head}{CODE.of(value):02X}h is no command of the {self._map.chip}"
@@ -219,6 +220,6 @@ class Listener:
 
 
 def _verb(c: Command, value: int) -> str:
-    """What a command does, and on what it chooses."""
-    chosen = [name for k, name in enumerate(c.chooses) if value & c.choice & 1 << k]
-    return " ".join([c.title, *chosen])
+    """Describe what a command does, and on what it chooses."""
+    names = [name for k, name in enumerate(c.chooses) if value & c.choice & 1 << k]
+    return " ".join([c.title, *names])

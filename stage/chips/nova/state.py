@@ -11,7 +11,7 @@ from stage.native import record
 
 AXES = 4
 REGISTERS = 32
-MOST_PIECES = 12
+MAX_PIECES = 12
 INPUT_PINS = 23
 DRAFTED = 4
 SYNC_SETS = 4
@@ -51,14 +51,14 @@ _PROFILE = [  # of the drive in progress: pieces of a cubic in the clocks since 
     ("end", "i8"),  # clocks after the origin at which the drive ends whatever its pulses
     ("brake", "i8"),  # the piece that begins the automatic deceleration
     # pieces; the last one lasts for ever
-    ("from_clock", "i8", (MOST_PIECES,)),  # the first whole clock at or after `t`
-    ("from_pulse", "i8", (MOST_PIECES,)),  # pulses done where it begins, whole ones
-    ("kind", "i8", (MOST_PIECES,)),  # ACCELERATING ...
-    ("t", "f8", (MOST_PIECES, 2)),  # clocks after the origin at which it begins
-    ("p", "f8", (MOST_PIECES, 2)),  # pulses done where it begins, beyond `from_pulse`
-    ("v", "f8", (MOST_PIECES, 2)),  # speed there, pulses a clock
-    ("a2", "f8", (MOST_PIECES, 2)),  # half its acceleration
-    ("j6", "f8", (MOST_PIECES, 2)),  # a sixth of its jerk
+    ("from_clock", "i8", (MAX_PIECES,)),  # the first whole clock at or after `t`
+    ("from_pulse", "i8", (MAX_PIECES,)),  # pulses done where it begins, whole ones
+    ("kind", "i8", (MAX_PIECES,)),  # ACCELERATING ...
+    ("t", "f8", (MAX_PIECES, 2)),  # clocks after the origin at which it begins
+    ("p", "f8", (MAX_PIECES, 2)),  # pulses done where it begins, beyond `from_pulse`
+    ("v", "f8", (MAX_PIECES, 2)),  # speed there, pulses a clock
+    ("a2", "f8", (MAX_PIECES, 2)),  # half its acceleration
+    ("j6", "f8", (MAX_PIECES, 2)),  # a sixth of its jerk
     # planner
     ("cursor", "f8", (4, 2)),  # t, p, v, a where the next piece would begin
     ("piece", "f8", (DRAFTED, 3, 2)),  # durations, accelerations, jerks of a change of speed that is drafted

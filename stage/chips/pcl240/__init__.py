@@ -102,10 +102,10 @@ class PCL240(Chip):
             if self.open_journal is not None:
                 self.open_journal.note_input(self.clock, 0, word)
 
-    def _write(self, address: int, value: int, given: tuple[int, int]) -> None:
+    def _write(self, address: int, value: int, meant: tuple[int, int]) -> None:
         if self._leader is not None and not self.attached:
             self._hear()
-        super()._write(address, value, given)
+        super()._write(address, value, meant)
 
     def _until(self, clocks: int) -> int:
         until = super()._until(clocks)
@@ -116,8 +116,15 @@ class PCL240(Chip):
     @classmethod
     @told
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
-        """Select it, then its bytes, high to low: the silicon has no latch, and so a value that grows in motion is never below the
-        old one on the way (data sheet section 4)."""
+        """Return a select command, then the register's bytes, high to low.
+
+        The silicon has no latch: a value that grows in motion is never below the old one on the way (data sheet, section 4).
+
+        Args:
+            name: Name of the register.
+            value: Its value.
+            axis: 0.
+        """
         cls._check_axis(axis)
         r = cls.MAP.register(name)
         bytes_ = [(1 + k, value >> 8 * k & 0xFF) for k in reversed(range((r.bits + 7) // 8))]
@@ -129,7 +136,7 @@ class PCL240(Chip):
 
     @classmethod
     def turns(cls, address: int, value: int) -> bool | None:
-        """A control mode has the direction in it."""
+        """Read the direction in a control mode."""
         return bool(value & state.MINUS) if address == 0 and value & state.GROUP == CONTROL else None
 
     def decoder(self, axis: int = 0) -> Decoder:

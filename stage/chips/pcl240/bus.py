@@ -12,7 +12,6 @@ from stage.chips.pcl240.state import (
     EXTENSION,
     EZ,
     EZ_COUNT,
-    EZ_MOST,
     EZ_SIGNAL,
     FDOWN,
     FKEEP,
@@ -24,6 +23,7 @@ from stage.chips.pcl240.state import (
     INT_AT_STOP,
     IRQ,
     LT,
+    MAX_EZ_COUNT,
     MINUS,
     ORG,
     ORIGIN,
@@ -154,9 +154,9 @@ def write_byte(c, address, value):
 
 @hot
 def register(c, k):
-    """What register `k` reads as. The EZ monitor in R17 came with the MS."""
+    """Return what register `k` reads as. The EZ monitor in R17 came with the MS."""
     if k == R17 and c.s_curves:
-        count = c.ez_left if c.ez_running else c.reg[R13] >> EZ_COUNT & EZ_MOST
+        count = c.ez_left if c.ez_running else c.reg[R13] >> EZ_COUNT & MAX_EZ_COUNT
         return c.reg[R17] | count << EZ_COUNT | (EZ_SIGNAL if c.seen & EZ else 0)
     return c.reg[k]
 

@@ -99,7 +99,14 @@ def pulse_rate(c, j, hz):
 
 @exported("f8", STATE, "i8", "i8", "f8")
 def drive_input(c, j, before, ticks):
-    """Mean over the last `ticks` of the net pulse count, which was `before` at their start."""
+    """Compute the mean over the last ticks of the net pulse count.
+
+    Args:
+        c: State of the chip.
+        j: Axis of the chip.
+        before: The value at the start of these ticks.
+        ticks: Reference clocks.
+    """
     if before != c.net and (not (c.running or c.finishing) or c.speed == 0):
         return 0.5 * (before + c.net)
     return mean_count(before, c.net, c.phase, c.multiplier, c.speed, ticks)
@@ -126,13 +133,13 @@ def _log_pulses(c, out, k, clock, phase, low, s, pulses, base, r0, net):
     """POUT's edges within a span of `s` ticks with `pulses` pulses that began at `clock` with `phase` and `low`."""
     m = 8192 * c.multiplier
     bit = _pulse_bit(c)
-    way = -1 if c.minus else 1
-    own = 0 if c.output & EXTERNAL else 1
+    direction = -1 if c.minus else 1
+    counts_output = 0 if c.output & EXTERNAL else 1
     for j in range(pulses + 1):
         if j:
             k = _log(c, out, k, clock - (phase - j * m) // c.speed, base | bit, r0, net)
-            r0 = (r0 - own) & COUNTER_MASK
-            net += way
+            r0 = (r0 - counts_output) & COUNTER_MASK
+            net += direction
             out[k - 1].counter, out[k - 1].net = r0, net
             low = 1
         rise = greatest(1, -((phase - j * m - m // 2) // c.speed))
@@ -144,14 +151,31 @@ def _log_pulses(c, out, k, clock, phase, low, s, pulses, base, r0, net):
 
 @exported(None, STATE, "i8", array_of(EDGE), "i8")
 def mark(c, axis, out, k):
-    """Write the chip as it stands to `out[k]` (an EDGE record)."""
+    """Write the present state of the chip into an EDGE record.
+
+    Args:
+        c: State of the chip.
+        axis: Axis of the chip.
+        out: EDGE records.
+        k: Number of the record.
+    """
     _log(c, out, k, c.clock, output_word(c), c.reg[0], c.net)
 
 
 @exported("i8", STATE, "i8", "i8", "i8", array_of(EDGE))
 def scan(c, until, every_pulse, axis, out):
-    """As advance, and fills `out` (EDGE records) with every change of speed or of an output pin, POUT's edges only with
-    `every_pulse`. Returns how many; stops early when `out` is almost full: look at the clock and call again."""
+    """Let the clock run as `advance` does, and fill `out` (EDGE records) with every change of the axis' course.
+
+    Args:
+        c: State of the chip.
+        until: Clock at the end.
+        every_pulse: Include the edges of the pulse output.
+        axis: Axis of the chip.
+        out: EDGE records.
+
+    Returns:
+        The number of edges; where `out` is nearly full the chip stops early.
+    """
     k = 0
     while c.clock < until and k < len(out) - 8:
         if not (c.running or c.finishing) and c.seen == c.sampled:
@@ -204,7 +228,7 @@ def read(c, address):
 
 @exported("i8", STATE, "i8")
 def value(c, k):
-    """What the k-th register reads as, free of bus cycles."""
+    """Return what the k-th register reads as, without a bus cycle."""
     return register(c, k)
 
 
@@ -218,7 +242,16 @@ def advance(c, until):
 
 @exported("i8", STATE, "i8", array_of(PULSE))
 def trace(c, until, out):
-    """As advance, and fills `out` (PULSE records) with the pulses; `out` is long enough. Returns how many."""
+    """Let the clock run as `advance` does, and fill `out` (PULSE records) with the pulses.
+
+    Args:
+        c: State of the chip.
+        until: Clock at the end.
+        out: PULSE records, as many as there will be pulses.
+
+    Returns:
+        The number of pulses.
+    """
     k = 0
     while c.clock < until:
         if not (c.running or c.finishing) and c.seen == c.sampled:
@@ -230,7 +263,7 @@ def trace(c, until, out):
         n = c.total - total
         if n:
             m = 8192 * c.multiplier
-            way = 1 if c.net > net else -1
+            direction = 1 if c.net > net else -1
             t = -((phase - m) // speed)
             rest = phase + t * speed - m  # phase just after the pulse began, < speed
             q = m // speed
@@ -239,7 +272,7 @@ def trace(c, until, out):
             for _ in range(n):
                 out[k].clock = t
                 out[k].axis = 0
-                out[k].direction = way
+                out[k].direction = direction
                 k += 1
                 if r > rest:
                     t += q + 1

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from stage.chips import describe
-from stage.chips.describe import Fields, Said, bits, line
+from stage.chips.describe import Fields, Statement, bits, line
 from stage.chips.pcl240.maps import CONTROL, COUNTERS, OPERATE, OPERATING_MODE, OUTPUT, SELECT, WRITTEN
 from stage.chips.pcl240.state import GROUP, INT_AT_STOP, RAMP, REGISTER, START, STOP
 from stage.chips.register_map import Register, RegisterMap
@@ -17,7 +17,7 @@ _NONE = {CONTROL: "manual, plus", OUTPUT: "common pulses"}
 
 
 def command_meaning(map_: RegisterMap, value: int) -> str:
-    """What a command byte (address 0) of the PCL-240 family says."""
+    """Describe a command byte (address 0) of the PCL-240 family."""
     group = value & GROUP
     if group == OPERATE:
         return _operating(value)
@@ -35,7 +35,7 @@ def selected(map_: RegisterMap, value: int) -> Register:
 
 
 def collective(map_: RegisterMap, value: int) -> bool:
-    """Whether a select byte asks for collective transfers."""
+    """Return whether a select byte asks for collective transfers."""
     return bool(value & _mask(map_, "select", "collective"))
 
 
@@ -70,20 +70,20 @@ class Decoder(describe.Decoder):
         self._bytes: dict[int, int] = {}
         self._held: dict[int, int] = {}
 
-    def wrote(self, clock: int, address: int, value: int) -> list[Said]:
-        said: list[Said] = []
+    def wrote(self, clock: int, address: int, value: int) -> list[Statement]:
+        statements: list[Statement] = []
         if address:
             if address in self._bytes:
-                said = self.rest()
+                statements = self.rest()
             self._bytes[address] = value
             self._clock = clock
-            return said
-        said = self.rest()
+            return statements
+        statements = self.rest()
         if value & GROUP == SELECT:
             self._select = value
         else:
-            said.append(Said(clock, "command", f"{value:02X}", command_meaning(self._map, value)))
-        return said
+            statements.append(Statement(clock, "command", f"{value:02X}", command_meaning(self._map, value)))
+        return statements
 
     def lost(self, address: int, value: int) -> tuple[str, str]:
         return f"{value:02X}", f"data to address {address}" if address else command_meaning(self._map, value)
@@ -92,28 +92,28 @@ class Decoder(describe.Decoder):
         self._held.clear()
         self._select = SELECT
 
-    def rest(self) -> list[Said]:
+    def rest(self) -> list[Statement]:
         """The register whose bytes are there, if any."""
         if not self._bytes:
             return []
-        r, whole, parts = selected(self._map, self._select), self._bytes, self._bytes
+        r, known, parts = selected(self._map, self._select), self._bytes, self._bytes
         self._bytes = {}
         if collective(self._map, self._select):  # the upper bytes wait for the lowest, and stay for the next
             self._held.update(parts)
-            whole = self._held
+            known = self._held
             if 1 not in parts:
                 return []
-        value = sum(b << 8 * (a - 1) for a, b in whole.items()) & r.mask
+        value = sum(b << 8 * (a - 1) for a, b in known.items()) & r.mask
         raw = " ".join(f"{b:02X}" for _, b in sorted(parts.items(), reverse=True))
         code = f"{self._select:02X} {raw}"
-        return [Said(self._clock, "register", code, f"{r.name} <- {value} ({r.text})", r.name, value)]
+        return [Statement(self._clock, "register", code, f"{r.name} <- {value} ({r.text})", r.name, value)]
 
 
 class Listener:
-    """See `stage.chips.describe.Listener`. A register is told whole with its lowest byte, or with its highest where the bytes
-    come from low to high; a counter whose other bytes may have counted on meanwhile is not.
+    """The bus cycles of a PCL-240 in words.
 
-    record: the chip's state."""
+    The whole value of a register is described with its lowest byte, or with its highest if the bytes come in that order.
+    """
 
     def __init__(self, map_: RegisterMap, record: Any):
         self._map = map_
@@ -155,33 +155,33 @@ class Listener:
 
     def _data(self, address: int, value: int) -> str:
         r = self._register
-        said = bits(r.name, address - 1, value)
+        text = bits(r.name, address - 1, value)
         if 8 * (address - 1) >= r.bits and not self._collective:
-            return f"{said}: {r.name} has {r.bits} bits"
+            return f"{text}: {r.name} has {r.bits} bits"
         if self._collective and address > 1:
             self._waiting[address] = value
-            return f"{said}: waits for bits 7..0"
-        return self._whole(r, said) if self._store(r, address, value) else said
+            return f"{text}: waits for bits 7..0"
+        return self._whole(r, text) if self._store(r, address, value) else text
 
     def _store(self, r: Register, address: int, value: int) -> bool:
         """Keep the byte; is it time to tell the whole?"""
         aged = self._aged.get(r.name, set())
-        held = self._held[r.name]
+        before = self._held[r.name]
         if self._collective:
             word = self._waiting[3] << 16 | self._waiting[2] << 8 | value
             aged.clear()
         else:
             shift = 8 * (address - 1)
-            word = held & ~(0xFF << shift) | value << shift
+            word = before & ~(0xFF << shift) | value << shift
             aged.discard(address)
-        self._held[r.name] = held & ~r.writable | word & r.writable
+        self._held[r.name] = before & ~r.writable | word & r.writable
         climbs = address == (r.bits + 7) // 8 and self._last == address - 1
         return (address == 1 or climbs) and not aged and r.writable == r.mask
 
-    def _whole(self, r: Register, said: str) -> str:
+    def _whole(self, r: Register, text: str) -> str:
         value = self._held[r.name]
-        said = f"{said}: {r.name} = {value:X}h ({r.value(value)})"
-        return self._fields[r.name].tell(said, value) if r.fields else said
+        text = f"{text}: {r.name} = {value:X}h ({r.value(value)})"
+        return self._fields[r.name].tell(text, value) if r.fields else text
 
     def read(self, address: int, value: int) -> str:
         """One read cycle, address 0 to 3."""
@@ -189,15 +189,15 @@ class Listener:
         if not address:
             return self._status.tell("status", value)
         r = self._register if self._output & self._extension else self._returned
-        said = bits(r.name, address - 1, value)
+        text = bits(r.name, address - 1, value)
         if not self._collective:
-            return said
+            return text
         if address > 1:
             if address == 3:
                 self._latched.clear()
             self._latched[address] = value
-            return f"{said}, latched" if address == 3 else said
+            return f"{text}, latched" if address == 3 else text
         if len(self._latched) < 2:
-            return said
+            return text
         word = self._latched[3] << 16 | self._latched[2] << 8 | value
-        return f"{said}: {r.name} = {word:X}h ({r.value(word)}), as latched"
+        return f"{text}: {r.name} = {word:X}h ({r.value(word)}), as latched"

@@ -17,7 +17,6 @@ from stage.chips.pcl240.state import (
     EL_PLUS,
     EZ_COUNT,
     EZ_FROM_FL,
-    EZ_MOST,
     EZ_RETURN,
     FH1,
     FH2,
@@ -25,6 +24,7 @@ from stage.chips.pcl240.state import (
     INT_AT_STOP,
     LINEAR,
     MAP,
+    MAX_EZ_COUNT,
     MINUS,
     ORG,
     ORG_POSITIVE,
@@ -102,7 +102,14 @@ class Foresight(NamedTuple):
 
 
 def lint_data(map_: RegisterMap, c: Any, address: int, value: int) -> Iterator[Finding]:
-    """Yield what is wrong with a byte to address 1, 2 or 3."""
+    """Yield what is wrong with a byte to address 1, 2 or 3.
+
+    Args:
+        map_: Register map of the chip.
+        c: State of the chip before the write.
+        address: Bus address.
+        value: The byte.
+    """
     k = int(c["selected"])
     r = map_.registers[k]
     shift = 8 * (address - 1)
@@ -135,7 +142,14 @@ def _find_sign_extension(name: str, c: Any, written: int) -> int:
 
 
 def lint_command(map_: RegisterMap, c: Any, foresight: Foresight, value: int) -> Iterator[Finding]:
-    """Yield what is wrong with a byte to address 0."""
+    """Yield what is wrong with a byte to address 0.
+
+    Args:
+        map_: Register map of the chip.
+        c: State of the chip before the write.
+        foresight: Answers to what the command leads to.
+        value: The byte.
+    """
     word = map_.word(WRITTEN[value & GROUP])
     if word.name != "operate":
         if unused := value & ~word.used:
@@ -235,7 +249,7 @@ def _lint_registers(c: Any, r: list[int], value: int) -> Iterator[Finding]:
     """Yield registers of a start that do not do what they are set for."""
     if value & RAMP and min(r[4], r[5]) < 2:
         yield RATE_BELOW_2, f"high-speed start with R4 = {r[4]}, R5 = {r[5]}: rates below 2 hold the speed"
-    if c["extended"] and c["origin"] and not r[R13] & EZ_RETURN and r[R13] & (EZ_MOST << EZ_COUNT | EZ_FROM_FL):
+    if c["extended"] and c["origin"] and not r[R13] & EZ_RETURN and r[R13] & (MAX_EZ_COUNT << EZ_COUNT | EZ_FROM_FL):
         yield EZ_NOT_SELECTED, "R13 counts EZ, but its bit 21 is 0: the origin return ends at ORG"
 
 

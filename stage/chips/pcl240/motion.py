@@ -28,8 +28,8 @@ from stage.chips.pcl240.state import (
     EZ,
     EZ_COUNT,
     EZ_FROM_FL,
-    EZ_MOST,
     EZ_RETURN,
+    MAX_EZ_COUNT,
     ORG,
     R10,
     R13,
@@ -46,17 +46,17 @@ FOREVER = 1 << 62
 def _sample(c):
     """What a changed input does at the tick that first sees it: EXTP counts on its rising edge. Returns the pins that
     have become asserted."""
-    struck = c.seen & ~c.sampled
+    rising = c.seen & ~c.sampled
     if c.sampled & EXTP and not c.seen & EXTP and c.output & EXTERNAL:
         c.reg[0] = (c.reg[0] - 1) & COUNTER_MASK
         if c.running and c.preset and c.reg[0] == 0:
             stop(c)
     c.sampled = c.seen
-    return struck
+    return rising
 
 
 @hot
-def _obey_switches(c, struck):
+def _obey_switches(c, rising):
     """Step 1 where it has something to do: a limit, or ORG, and with an EZ return what comes after ORG."""
     if c.seen & (EL_MINUS if c.minus else EL_PLUS):
         stop(c)
@@ -68,9 +68,9 @@ def _obey_switches(c, struck):
         c.homing = 1
     if c.homing and not c.counting and (not c.reg[R13] & EZ_FROM_FL or not c.ramps or c.speed <= c.reg[1]):
         c.counting = 1
-    if c.counting and struck & EZ:
+    if c.counting and rising & EZ:
         if not c.ez_running:
-            c.ez_running, c.ez_left = 1, c.reg[R13] >> EZ_COUNT & EZ_MOST
+            c.ez_running, c.ez_left = 1, c.reg[R13] >> EZ_COUNT & MAX_EZ_COUNT
         if c.ez_left == 0:
             stop(c)
         else:
@@ -98,16 +98,16 @@ def _finish(c, n):
 def span(c, n):
     """Run at least one and at most `n` ticks, up to the next event; returns the ticks run."""
     ran, c.quiet = c.running, 0
-    struck = _sample(c) if c.seen != c.sampled else 0
+    rising = _sample(c) if c.seen != c.sampled else 0
     if c.running and (c.homing or blocked(c)):
-        _obey_switches(c, struck)
+        _obey_switches(c, rising)
     if not c.running:  # a stop has its own tick, so that `scan` sees the edge of HOLD there and not after the idle ones
         return _finish(c, 1 if ran else n)
     goal = goal_speed(c)
     s = until_step(c, goal)
-    own = not c.output & EXTERNAL
+    counts_output = not c.output & EXTERNAL
     if s == NEVER and not c.homing and (not c.ramps or c.speed == goal):
-        c.quiet = _next_event(c, own)
+        c.quiet = _next_event(c, counts_output)
     s = least(n, s)
     pulses = 0
     if c.multiplier >= 2 and c.speed > 0:
@@ -115,10 +115,10 @@ def span(c, n):
         ahead = c.phase + s * c.speed
         pulses = ahead // m
         if pulses:
-            far = _pulses_to_event(c, own)
-            if pulses >= far:
-                pulses = far
-                s = -((c.phase - far * m) // c.speed)
+            left = _pulses_to_event(c, counts_output)
+            if pulses >= left:
+                pulses = left
+                s = -((c.phase - left * m) // c.speed)
                 ahead = c.phase + s * c.speed
         c.phase = ahead - pulses * m
         if pulses or c.low:
@@ -132,7 +132,7 @@ def span(c, n):
     if c.quiet < c.clock:
         c.quiet = 0  # over: what is left of it must not tell how time was cut
     if pulses:
-        _count(c, pulses, own)
+        _count(c, pulses, counts_output)
         if c.preset and c.reg[0] == 0:
             stop(c)
             return s
@@ -141,28 +141,28 @@ def span(c, n):
 
 
 @hot
-def _pulses_to_event(c, own):
+def _pulses_to_event(c, counts_output):
     """Pulses until R0 or the counter of the ramp means something else: 0, below R6, wrapped, the automatic point."""
     r0 = c.reg[0]
-    far = NEVER
-    if own or (c.preset and r0 == 0):
-        far = r0 if r0 else 1
+    left = NEVER
+    if counts_output or (c.preset and r0 == 0):
+        left = r0 if r0 else 1
         if 0 < c.reg[6] <= r0:
-            far = r0 - c.reg[6] + 1
+            left = r0 - c.reg[6] + 1
     if not c.down and watching(c):
-        closer = (1 if own else 0) + c.rising
+        closer = (1 if counts_output else 0) + c.rising
         if closer:
-            far = least(far, greatest(1, -(-margin(c) // closer)))
-    return far
+            left = least(left, greatest(1, -(-margin(c) // closer)))
+    return left
 
 
 @hot
-def _next_event(c, own):
+def _next_event(c, counts_output):
     """At constant speed: the clock before that of the next pulse that is an event."""
-    far = _pulses_to_event(c, own)
-    if far == NEVER or c.speed == 0 or c.multiplier < 2:
+    left = _pulses_to_event(c, counts_output)
+    if left == NEVER or c.speed == 0 or c.multiplier < 2:
         return FOREVER
-    return c.clock + (far * 8192 * c.multiplier - c.phase - 1) // c.speed
+    return c.clock + (left * 8192 * c.multiplier - c.phase - 1) // c.speed
 
 
 @hot
@@ -186,9 +186,18 @@ def _cruise(c, until):
 
 @hot
 def mean_count(before, net, phase, multiplier, speed, ticks):
-    """Compute the mean over the last `ticks` of a count that was `before` at their start and is `net` now.
+    """Compute the mean of a count over the last ticks.
 
-    The last pulse began phase / speed ticks ago, the ones before it a period apart each.
+    Args:
+        before: Count at the start of these ticks.
+        net: Count now.
+        phase: Phase of the pulse generator now.
+        multiplier: R7.
+        speed: Speed steps.
+        ticks: Reference clocks.
+
+    Returns:
+        The mean, a float.
     """
     n = abs(net - before)
     if n == 0:
@@ -213,7 +222,7 @@ def cruise_through(c, row, k):
     if c.quiet < last or c.seen != c.sampled or multiplier < 2 or speed == 0:
         return False
     means, before = array_at(axis.means, r.slices, REAL), array_at(axis.net, 1, WORD)
-    m, way = 8192 * multiplier, -1 if c.minus else 1
+    m, direction = 8192 * multiplier, -1 if c.minus else 1
     clock, phase, net, count = c.clock, c.phase, c.net, before[0]
     while k < r.slices:
         until = end_of_slice(ends[k], begin, rest)
@@ -222,7 +231,7 @@ def cruise_through(c, row, k):
         if ahead >= m:
             pulses = 1 if ahead < 2 * m else ahead // m
         clock, phase = until, ahead - pulses * m
-        net += way * pulses
+        net += direction * pulses
         means[k] = mean_count(count, net, phase, multiplier, speed, r.ticks)
         count = net
         k += 1
@@ -234,16 +243,16 @@ def cruise_through(c, row, k):
 @hot
 def _climb(c, until):
     """Take the steps of a ramp, but not its last, that come up to `until` and before anything else happens."""
-    goal, way = goal_speed(c), c.ramp
-    rate, last = linear_rate(c, way), goal - way
-    if c.rising != (1 if way > 0 else 0) or (last - c.speed) * way <= 0 or rate < 2 or c.multiplier < 2:
+    goal, direction = goal_speed(c), c.ramp
+    rate, last = linear_rate(c, direction), goal - direction
+    if c.rising != (1 if direction > 0 else 0) or (last - c.speed) * direction <= 0 or rate < 2 or c.multiplier < 2:
         return
     if blocked(c) or c.homing or (c.decel and c.speed <= c.reg[1]) or (not c.down and watching(c)):
         return
     if c.curved and c.goal != goal:
         return
-    own = not c.output & EXTERNAL
-    m, far, begun = 8192 * c.multiplier, _pulses_to_event(c, own), 0
+    counts_output = not c.output & EXTERNAL
+    m, left, begun = 8192 * c.multiplier, _pulses_to_event(c, counts_output), 0
     clock, phase, speed = c.clock, c.phase, c.speed
     wait = (c.next if c.curved else rate) - c.timer
     while speed != last and 0 < wait <= until - clock:
@@ -251,12 +260,12 @@ def _climb(c, until):
         pulses = 0
         if ahead >= m:
             pulses = 1 if ahead < 2 * m else ahead // m
-            if begun + pulses >= far:
+            if begun + pulses >= left:
                 break
             begun += pulses
         phase = ahead - pulses * m
         clock += wait
-        speed += way
+        speed += direction
         if c.curved:
             c.timer = c.next
             took_step(c)
@@ -271,21 +280,21 @@ def _climb(c, until):
     if begun or (c.low and moved):
         c.low = 1 if 2 * phase < m else 0
     if begun:
-        _count(c, begun, own)
+        _count(c, begun, counts_output)
 
 
 @hot
-def _count(c, pulses, own):
+def _count(c, pulses, counts_output):
     """`pulses` have begun."""
-    way = -pulses if c.minus else pulses
+    signed_pulses = -pulses if c.minus else pulses
     c.total += pulses
-    c.net += way
+    c.net += signed_pulses
     if c.rising:
         c.risen += pulses
-    if own:
+    if counts_output:
         c.reg[0] = (c.reg[0] - pulses) & COUNTER_MASK
     if c.position:
-        c.reg[R10] = (c.reg[R10] + way) & COUNTER_MASK
+        c.reg[R10] = (c.reg[R10] + signed_pulses) & COUNTER_MASK
 
 
 @exported(None, STATE, "i8")

@@ -55,7 +55,7 @@ def margin(c):
 
 @hot
 def goal_speed(c):
-    """Where a ramp leads: FL or the selected register."""
+    """Return the speed to which a ramp leads: FL or the selected register."""
     if c.decel or c.down or c.homing or slowed(c):
         return c.reg[1]
     if c.preset and c.reg[0] < c.reg[6] and not watching(c):
@@ -86,16 +86,16 @@ def correct_top(c):
     low, high, rate = c.reg[1], selected_speed(c), c.reg[4]
     if not (c.s_curves and watching(c) and (c.select == FH1 or c.select == FH2) and rate) or c.reg[R14] & UNCORRECTED:
         return
-    way = c.reg[0] * c.multiplier
+    product = c.reg[0] * c.multiplier
     a, b = c.reg[R14] & SPAN, c.reg[R15] & SPAN
     s, m = a + b, greatest(a, b)
-    whole = c.reg[R14] & LINEAR or a == 0 or b == 0 or 2 * m >= high - low
-    if way * 16384 > ((high + low) * (high - low) * 2 if whole else (low + high) * (high - low + s)) * rate:
+    linear = c.reg[R14] & LINEAR or a == 0 or b == 0 or 2 * m >= high - low
+    if product * 16384 > ((high + low) * (high - low) * 2 if linear else (low + high) * (high - low + s)) * rate:
         return
-    if whole or way * 8192 <= (low + m) * (s + 2 * m) * rate:
-        c.top = _root(8192 * way // rate + low * low)
+    if linear or product * 8192 <= (low + m) * (s + 2 * m) * rate:
+        c.top = _root(8192 * product // rate + low * low)
     else:
-        c.top = (_root((s - 2 * low) ** 2 + 65536 * way // rate) - s) // 2
+        c.top = (_root((s - 2 * low) ** 2 + 65536 * product // rate) - s) // 2
     c.top_select = c.select
 
 
@@ -113,13 +113,13 @@ def _curve_time(c, k):
 
 
 @hot
-def _start_ramp(c, goal, way):
-    c.ramp, c.timer, c.goal = way, 0, goal
+def _start_ramp(c, goal, direction):
+    c.ramp, c.timer, c.goal = direction, 0, goal
     c.curved = 1 if c.s_curves and not c.reg[R14] & LINEAR else 0
     if c.curved:
         c.steps = abs(goal - c.speed)
         c.step = 0
-        c.rate_place = 4 if way > 0 or c.down else 5
+        c.rate_place = 4 if direction > 0 or c.down else 5
         c.rate, c.twice_span = c.reg[c.rate_place], _twice_span(c)
         next_step(c)
 
@@ -132,9 +132,9 @@ def _twice_span(c):
 
 
 @hot
-def linear_rate(c, way):
+def linear_rate(c, direction):
     """R4, or R5; after the automatic ramp-down point R4 both ways."""
-    return c.reg[4] if way > 0 or c.down else c.reg[5]
+    return c.reg[4] if direction > 0 or c.down else c.reg[5]
 
 
 @hot
@@ -206,23 +206,23 @@ def step_speed(c):
     if c.speed == goal:
         c.ramp = 0
     else:
-        way = 1 if c.speed < goal else -1
-        c.rising = 1 if way > 0 else 0
+        direction = 1 if c.speed < goal else -1
+        c.rising = 1 if direction > 0 else 0
         c.fall = 0
-        first = c.ramp != way or (c.curved and c.goal != goal)
+        first = c.ramp != direction or (c.curved and c.goal != goal)
         if first:
-            _start_ramp(c, goal, way)
+            _start_ramp(c, goal, direction)
         c.timer += 1
         if c.curved:
             if c.timer >= c.next:
-                c.speed += way
+                c.speed += direction
                 took_step(c)
         else:
-            rate = linear_rate(c, way)
-            if rate >= 2 and (c.timer >= rate or (first and way < 0)):
-                c.speed += way
+            rate = linear_rate(c, direction)
+            if rate >= 2 and (c.timer >= rate or (first and direction < 0)):
+                c.speed += direction
                 c.timer = 0
-        if way < 0 and c.speed == goal:
+        if direction < 0 and c.speed == goal:
             c.fall = c.clock + _tail(c)
     if c.decel and c.speed <= c.reg[1]:
         stop(c)

@@ -31,7 +31,7 @@ LINEAR, UNCORRECTED, SPAN = MAP.masks("R14", "linear", "uncorrected", "span")  #
 EZ_RETURN, EZ_FROM_FL, ORG_POSITIVE = MAP.masks("R13", "ez_return", "ez_from_fl", "org_logic")
 EZ_POSITIVE = MAP.mask("R12", "ez_logic")
 EZ_COUNT = MAP.bit("R13", "ez_count")  # of R17, too
-EZ_MOST = MAP.mask("R13", "ez_count") >> EZ_COUNT
+MAX_EZ_COUNT = MAP.mask("R13", "ez_count") >> EZ_COUNT
 EZ_SIGNAL = MAP.mask("R17", "ez")
 
 STATE = record(
@@ -176,7 +176,7 @@ def read_pins(c):
 
 @hot
 def begin(c):
-    """What one run does not know of the last."""
+    """Clear what one run does not take over from the last."""
     c.phase = c.timer = c.ramp = c.curved = c.fall = 0
     c.rising = c.risen = c.manual = c.down = c.top = c.top_select = 0
     c.homing = c.counting = c.ez_left = c.ez_running = 0

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from stage.chips import Chip, Diagnostic, contract
-from stage.chips.describe import LONGEST, decode
+from stage.chips.describe import MAX_LINE_LENGTH, decode
 from stage.chips.register_map import Command, Word
 from stage.errors import ArgumentError, StageError
 from stage.testing.acts import copy_state, describe_differences, perform, perform_all
@@ -224,9 +224,9 @@ def words(t: Trial) -> None:
                     raise BrokenPromise(
                         f"listener.{act.kind}({act.a}, {value}) raises {type(error).__name__}: {error}"
                     ) from error
-                if not text or not text.isascii() or "\n" in text or len(text) > LONGEST:
+                if not text or not text.isascii() or "\n" in text or len(text) > MAX_LINE_LENGTH:
                     raise BrokenPromise(
-                        f"listener.{act.kind}({act.a}, {value}) says {text!r}: one line of ASCII, up to {LONGEST}"
+                        f"listener.{act.kind}({act.a}, {value}) says {text!r}: one line of ASCII, up to {MAX_LINE_LENGTH}"
                     )
             perform(chip, act)
         _require_no_error("the decoder", decode, chip.decoder(0), journal.entries)

@@ -6,7 +6,7 @@ from typing import Any
 
 from pulsestage_trinamic.tmc5160 import maps
 from stage.chips import describe
-from stage.chips.describe import Fields, Said, line
+from stage.chips.describe import Fields, Statement, line
 
 _FIELDS = {r.number: Fields(r) for r in maps.MAP.registers if r.fields}
 CLEARED = [maps.MAP.register(name).number for name in ("GSTAT", "RAMP_STAT", "ENC_STATUS")]
@@ -45,7 +45,7 @@ class Decoder(describe.Decoder):
     def __init__(self) -> None:
         self._sent: list[int] | None = None
 
-    def wrote(self, clock: int, address: int, value: int) -> list[Said]:
+    def wrote(self, clock: int, address: int, value: int) -> list[Statement]:
         if address == maps.SPI_CS:
             sent, self._sent = self._sent, None if value & 1 else []
             if not value & 1 or not sent:
@@ -65,11 +65,13 @@ class Decoder(describe.Decoder):
             )
         ]
 
-    def _describe_datagram(self, clock: int, code: str, word: int, short: str = "", head: str = "SPI: ") -> Said:
+    def _describe_datagram(self, clock: int, code: str, word: int, short: str = "", head: str = "SPI: ") -> Statement:
         text = short or datagram(word)
         r = maps.WRITTEN.get(word >> 32 & 0x7F) if word >> 39 & 1 and not short else None
         known = (r.name, r.value(word)) if r else ("", 0)
-        return Said(clock, "register" if r else "command", code, text if head else text.removeprefix("SPI: "), *known)
+        return Statement(
+            clock, "register" if r else "command", code, text if head else text.removeprefix("SPI: "), *known
+        )
 
     def lost(self, address: int, value: int) -> tuple[str, str]:
         return f"{address:02X} {value:X}", write(address, value)

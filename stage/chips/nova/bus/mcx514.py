@@ -266,7 +266,7 @@ def write(c, address, value):
 
 @hot
 def content(c, address):
-    """What was last written to WR1 to WR7, for a write of half a word."""
+    """Return what was last written to WR1 to WR7, for a write of half a word."""
     if address <= 3:
         return c.ax[lowest(c)].wr[address]
     if address == 4:

@@ -20,7 +20,7 @@ class Parameters(NamedTuple):
 
 
 def parameters(map_: RegisterMap) -> Parameters:
-    """Those of a chip's map."""
+    """Return the parameters of a chip's map."""
     registers = [r for r in map_.registers if r.number < REGISTERS]
     after_reset = [r for r in registers if r.reset]
     return Parameters(

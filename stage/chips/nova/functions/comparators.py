@@ -23,7 +23,7 @@ PULSE, GE_MINUS, LT_MINUS, LT_PLUS, GE_PLUS = MCX304_MAP.masks("RR3", "PULSE", "
 
 @hot
 def _what(x, m):
-    """What MRm is compared with."""
+    """Return what MRm is compared with."""
     return x.mode[MRM] >> 4 * m & 3
 
 
@@ -47,7 +47,7 @@ def _true(c, x, m):
 
 @hot
 def _now(c, x):
-    """Which comparisons hold."""
+    """Return which comparisons hold."""
     word = 0
     if c.variant == MCX514_TYPE:
         for m in range(MRS):
@@ -61,7 +61,7 @@ def _now(c, x):
 
 @hot
 def reset(c, x):
-    """What holds after a reset is no news."""
+    """Take what holds after a reset as known."""
     x.compared = 0
     x.holds = _now(c, x)
 
@@ -90,25 +90,25 @@ def looks_at_rp(c, x):
 
 
 @hot
-def _until(counter, way, value):
+def _until(counter, direction, value):
     """Pulses until the counter comes to a value, leaves it, or turns over."""
-    left = (1 << 31) - counter if way > 0 else counter + (1 << 31) + 1
-    far = way * (value - counter)
-    return least(left, far if far > 0 else 1) if far >= 0 else left
+    left = (1 << 31) - counter if direction > 0 else counter + (1 << 31) + 1
+    distance = direction * (value - counter)
+    return least(left, distance if distance > 0 else 1) if distance >= 0 else left
 
 
 @hot
 def pulses_ahead(c, x):
     """Pulses of the drive until a comparison may change."""
-    far = NEVER
+    distance = NEVER
     if c.variant != MCX514_TYPE:
         if not x.soft_rp:
-            far = least(_until(x.reg[LP], x.way, x.reg[COMP_PLUS]), _until(x.reg[LP], x.way, x.reg[COMP_MINUS]))
-        return far
+            distance = least(_until(x.reg[LP], x.way, x.reg[COMP_PLUS]), _until(x.reg[LP], x.way, x.reg[COMP_MINUS]))
+        return distance
     for m in range(MRS):
         if _what(x, m) == AT_LP:
-            far = least(far, _until(x.reg[LP], x.way, x.reg[MR0 + m]))
-    return far
+            distance = least(distance, _until(x.reg[LP], x.way, x.reg[MR0 + m]))
+    return distance
 
 
 @hot

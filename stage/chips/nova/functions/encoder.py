@@ -36,7 +36,7 @@ def _edge_at(x, clock):
 
 @hot
 def _among(low, high, phase):
-    """How many of the edges low + 1 to high are `phase` modulo 4."""
+    """Count the edges from low + 1 to high that are `phase` modulo 4."""
     return (high - phase >> 2) - (low - phase >> 2)
 
 
@@ -75,7 +75,7 @@ def see(c):
 
 @hot
 def set_shaft(c, j, count, rate):
-    """From now on the shaft of axis `j` is at `count + rate * (clock - now)`. Where it is at first counts nothing."""
+    """Put the shaft of axis `j` at `count + rate * (clock - now)` from now on."""
     see(c)
     x = c.ax[j]
     x.seen, x.shaft, x.shaft_rate = c.clock, count, rate

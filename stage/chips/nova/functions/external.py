@@ -33,8 +33,8 @@ def _levels(x):
 def _mode(c, x):
     if c.variant != MCX514_TYPE:
         return x.wr[3] >> EXOP_304 & 3
-    taken = ports.inputs(x) >> EXP - ports.FIRST & 3
-    return x.mode[P2M] >> EXOP_514 & 3 if taken == 3 else OFF
+    levels = ports.inputs(x) >> EXP - ports.FIRST & 3
+    return x.mode[P2M] >> EXOP_514 & 3 if levels == 3 else OFF
 
 
 @hot
@@ -57,7 +57,7 @@ def _start(c, x, minus, fixed):
 
 @hot
 def step(c, x):
-    """What the pins have done since the last look."""
+    """Apply the changes of the pins since the last call."""
     levels = _levels(x)
     if x.exp_drives and not x.driving:
         x.exp_drives = 0

@@ -207,41 +207,41 @@ def _clear(x, real, logical):
 @hot
 def go(c, x):
     """The drive that a step has asked for begins. Apart from the steps: they compile much faster without it."""
-    way, x.go = x.go, 0
-    drive.launch(c, x, way, x.go_count)
+    direction, x.go = x.go, 0
+    drive.launch(c, x, direction, x.go_count)
 
 
 @hot
-def _go(x, state, way, slow):
+def _go(x, state, direction, slow):
     """Ask for a drive without an end, at HV if `slow`."""
     x.home, x.creeps = state, slow
     x.seeks = 1 if state in (SEEK, SEARCH) else 0
-    x.go, x.go_count = way, -1
+    x.go, x.go_count = direction, -1
 
 
 @hot
 def _begin(c, x, k):
     """Begin step `k`, or the first after it that is asked for."""
-    asked, mode = ENABLES[_new(c)], x.mode[H1M]
+    enabled, mode = ENABLES[_new(c)], x.mode[H1M]
     x.found = x.pause = x.seeks = 0
     c.stale = 1
-    if k <= 1 and mode & asked[0] and not _there(c, x, 1) and not _blocked(c, x, 1):
+    if k <= 1 and mode & enabled[0] and not _there(c, x, 1) and not _blocked(c, x, 1):
         _go(x, SEEK, _way(c, x, 1), 0)
-    elif k <= 2 and mode & asked[1]:
+    elif k <= 2 and mode & enabled[1]:
         if _there(c, x, 2):
             _go(x, OUT_OF, -_way(c, x, 2), 1)
         elif _blocked(c, x, 2):
             _go(x, OVER, -_way(c, x, 2), 1)
         else:
             _go(x, SEARCH, _way(c, x, 2), 1)
-    elif k <= 3 and mode & asked[2]:
+    elif k <= 3 and mode & enabled[2]:
         x.home = Z
         if x.active & STOP2:
             x.causes |= E_HOME
             end(c, x)
         else:
             _go(x, Z, _way(c, x, 3), 1)
-    elif k <= 4 and mode & asked[3]:
+    elif k <= 4 and mode & enabled[3]:
         x.home, x.creeps, x.absolute, x.sense = OFFSET, 0, 0, 1
         x.go, x.go_count = _way(c, x, 4), abs(x.reg[TP]) if c.variant == MCX514_TYPE else x.reg[TP] & 0xFFFFFFFF
     else:
@@ -319,8 +319,8 @@ def _mark(c, x, what):
 @hot
 def _more(c, x, k):
     """A step after step `k` is asked for."""
-    asked, mode = ENABLES[_new(c)], x.mode[H1M]
-    return (k < 2 and mode & asked[1]) or (k < 3 and mode & asked[2]) or (k < 4 and mode & asked[3])
+    enabled, mode = ENABLES[_new(c)], x.mode[H1M]
+    return (k < 2 and mode & enabled[1]) or (k < 3 and mode & enabled[2]) or (k < 4 and mode & enabled[3])
 
 
 @hot

@@ -14,7 +14,7 @@ UP_DOWN = 3  # PIMD
 
 @hot
 def turn(x, word):
-    """These of the inputs are active high from now on."""
+    """Make these inputs active high from now on."""
     x.turned = word
     x.active = x.level ^ word
 
@@ -29,10 +29,10 @@ def _quarter(word):
 @hot
 def _encoder(c, x, old, new):
     """An edge of ECA or ECB: four counts a period, two, one, or up on ECA and down on ECB."""
-    way = -1 if x.exchanges else 1
+    direction = -1 if x.exchanges else 1
     if x.encoder == UP_DOWN:
         rises = new & ~old
-        count_encoder(c, x, way * ((1 if rises & ECA else 0) - (1 if rises & ECB else 0)))
+        count_encoder(c, x, direction * ((1 if rises & ECA else 0) - (1 if rises & ECB else 0)))
         return
     begin, end = _quarter(old), _quarter(new)
     step = (end - begin) & 3
@@ -43,7 +43,7 @@ def _encoder(c, x, old, new):
         greatest(begin, end) if abs(begin - end) == 1 else 0
     )  # between which quarters: 1, 2, 3, or 0 at the period's end
     if x.encoder == 0 or (x.encoder == 1 and seam % 2 == 0) or (x.encoder == 2 and seam == 0):
-        count_encoder(c, x, way * step)
+        count_encoder(c, x, direction * step)
 
 
 @hot

@@ -27,7 +27,7 @@ PW, OUTSL = MCX514_MAP.bit("P2M", "PW"), MCX304_MAP.mask("WR3", "OUTSL")
 
 @hot
 def kind(x, i):
-    """What PIO `i` is."""
+    """Return the kind of PIO `i`."""
     return x.mode[P1M] >> 2 * i & 3
 
 
@@ -45,8 +45,8 @@ def inputs(x):
 def levels(c, j):
     """The pins of an axis, bit i for PIO i."""
     x = c.ax[j]
-    given = c.outputs5 if (j and c.axes == 2) or j > 1 else c.outputs4
-    given >>= 8 if j & 1 and c.axes == 4 else 0
+    output_word = c.outputs5 if (j and c.axes == 2) or j > 1 else c.outputs4
+    output_word >>= 8 if j & 1 and c.axes == 4 else 0
     status = (1 if busy(x) else 0) | (2 if x.causes & 0xFF else 0) | phase_bits(c, x) << 2
     other = (x.holds & 15) << 4
     for m in range(SYNC_SETS):
@@ -56,16 +56,18 @@ def levels(c, j):
     word = 0
     for i in range(PINS):
         what = kind(x, i)
-        source = x.inputs >> PIO if what == INPUT else given if what == OUTPUT else status if what == STATUS else other
+        source = (
+            x.inputs >> PIO if what == INPUT else output_word if what == OUTPUT else status if what == STATUS else other
+        )
         word |= source & 1 << i
-    return word | _more(x, given) if c.axes == 2 else word
+    return word | _more(x, output_word) if c.axes == 2 else word
 
 
 @hot
-def _more(x, given):
+def _more(x, output_word):
     """PIO8 to PIO13 of the MCX512: inputs or outputs."""
     out = x.mode[P3M] << PINS & MORE
-    return given & out | x.inputs >> PIO & MORE & ~out
+    return output_word & out | x.inputs >> PIO & MORE & ~out
 
 
 @hot
@@ -78,15 +80,15 @@ def word(c, first):
 
 @hot
 def driven(c, j):
-    """What the chip itself puts on the pins of an axis: PIO that are outputs; OUT3 to OUT0 of the older chips."""
+    """Return what the chip itself drives onto the pins of an axis: PIO that are outputs; OUT3 to OUT0 of the older chips."""
     if c.variant == MCX514_TYPE:
         x = c.ax[j]
-        given = inputs(x) | ~(x.mode[P3M] << PINS) & MORE
-        return levels(c, j) & ~given if x.mode[P1M] or x.mode[P3M] else 0
-    x, given = c.ax[j], c.outputs4 >> 4 * j & 15
+        output_word = inputs(x) | ~(x.mode[P3M] << PINS) & MORE
+        return levels(c, j) & ~output_word if x.mode[P1M] or x.mode[P3M] else 0
+    x, output_word = c.ax[j], c.outputs4 >> 4 * j & 15
     if c.extended:
-        return given | (_shown(c, x) if x.wr[3] & OUTSL else x.wr[3] >> OUT4 & 15) << 4
-    return _shown(c, x) if x.wr[3] & OUTSL else given
+        return output_word | (_shown(c, x) if x.wr[3] & OUTSL else x.wr[3] >> OUT4 & 15) << 4
+    return _shown(c, x) if x.wr[3] & OUTSL else output_word
 
 
 @hot

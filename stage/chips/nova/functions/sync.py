@@ -116,10 +116,10 @@ def _due(factor, m, fired, rises, falls, levels):
 
 @hot
 def _look(x):
-    """Which sets the events since the last look ask for."""
+    """Find the sets whose activation factors have occurred since the last call."""
     levels = x.level >> PIO & 0xFF
-    taken = ports.inputs(x)
-    rises, falls = levels & ~x.ports & taken, x.ports & ~levels & taken
+    as_inputs = ports.inputs(x)
+    rises, falls = levels & ~x.ports & as_inputs, x.ports & ~levels & as_inputs
     fired = x.fired
     x.ports, x.fired = levels, 0
     if x.sync and fired | rises | falls:

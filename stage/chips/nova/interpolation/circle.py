@@ -33,7 +33,18 @@ def octant_of(x, y):
 
 @hot
 def start(a, x, y, goal_x, goal_y):
-    """Begin an arc at a point about the centre; a whole circle if the finish point is the same. Returns whether it has a radius."""
+    """Begin an arc; a whole circle if the finish point is where it begins.
+
+    Args:
+        a: State of the arc.
+        x: First coordinate of its begin, from the center.
+        y: Second coordinate.
+        goal_x: First coordinate of the finish point, from the center.
+        goal_y: Second coordinate.
+
+    Returns:
+        Whether it has a radius.
+    """
     a.x, a.y, a.goal_x, a.goal_y = x, y, goal_x, goal_y
     a.off = a.passed = 0
     a.octant = octant_of(x, y)

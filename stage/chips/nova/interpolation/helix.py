@@ -70,7 +70,7 @@ def _count(a, g, turn):
 
 @hot
 def ticks(a, g):
-    """As in line.py; `a` is scratch."""
+    """Count the ticks as line.py does; `a` is scratch."""
     count = both = 0
     if g.turns > 0:
         count, both = _count(a, g, True)

@@ -30,23 +30,23 @@ def step(ip, g):
 
 @hot
 def ticks(ip, g):
-    """How many ticks of the whole line move one axis at most, two, three of those that constant vector speed looks at."""
-    whole = g.longest * g.fine
+    """Count the ticks of the whole line that move one axis at most, two, and three of them."""
+    ticks_in_all = g.longest * g.fine
     if not g.vector or g.axes == 1:
-        return whole, 0, 0
+        return ticks_in_all, 0, 0
     looked, always = least(g.vector, g.axes), 0
     a = b = 0  # the short ones, as far as there are two
     shorts = 0
     for k in range(looked):
-        far = abs(g.finish[k])
-        if far == g.longest:
+        length = abs(g.finish[k])
+        if length == g.longest:
             always += 1
         elif shorts == 0:
-            a, shorts = far, 1
+            a, shorts = length, 1
         else:
-            b, shorts = far, shorts + 1
+            b, shorts = length, shorts + 1
     if shorts == 3:
-        return _walked(ip, g, whole)
+        return _walked(ip, g, ticks_in_all)
     both = meetings(a, b, g.longest) if shorts == 2 else 0
     alone = a + b - 2 * both  # ticks in which just one of the short ones steps
     moved = ((g.longest - alone - both) * g.fine, alone * g.fine, both * g.fine)
@@ -54,19 +54,19 @@ def ticks(ip, g):
         return moved[0] + moved[1], moved[2], 0
     if always == 1:
         return moved
-    return (0, whole - moved[1], moved[1]) if always == 2 else (0, 0, whole)
+    return (0, ticks_in_all - moved[1], moved[1]) if always == 2 else (0, 0, ticks_in_all)
 
 
 @hot
-def _walked(ip, g, whole):
+def _walked(ip, g, ticks_in_all):
     """The same, tick by tick: three short axes, below a longer fourth one or a maximum of the host's."""
     two = three = 0
-    for _ in range(whole if load(ip, g) else 0):
+    for _ in range(ticks_in_all if load(ip, g) else 0):
         step(ip, g)
         moved = ip.step[0] + ip.step[1] + ip.step[2]
         two += moved == 2
         three += moved == 3
-    return whole - two - three, two, three
+    return ticks_in_all - two - three, two, three
 
 
 @hot

@@ -26,7 +26,7 @@ MCERR = MCX514_MAP.mask("RR3-1", "MCERR")
 
 @hot
 def role_of(c, word):
-    """What IPM makes of the chip: a master without wires is by itself."""
+    """Return the role that IPM gives the chip: a master without wires is by itself."""
     role = word >> MLT & 3
     return role if role == SLAVE or (role == MASTER and c.heard) else 0
 
@@ -73,7 +73,13 @@ def _begin(c):
 
 @hot
 def hear(c, word, settle):
-    """The wires have changed. settle: lets the chip do what is due."""
+    """Apply a change of the wires.
+
+    Args:
+        c: State of the chip.
+        word: The new word, see stage/chips/links.py.
+        settle: Function that lets the chip do what is due.
+    """
     ip, old = c.ip, c.heard
     c.heard = word
     if c.interpolating and ip.role:
@@ -108,7 +114,7 @@ def _ticks(c, count, settle):
 
 @hot
 def says(c):
-    """What the chip drives onto the wires."""
+    """Return what the chip drives onto the wires."""
     levels = FAILURE if c.fails else 0
     longest = 0
     if c.interpolating and c.ip.role:

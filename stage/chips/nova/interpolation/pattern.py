@@ -32,7 +32,7 @@ def step(ip, g):
 
 @hot
 def ticks(g):
-    """As in line.py."""
+    """Count the ticks as line.py does."""
     one = two = three = 0
     for bit in range(STEPS):
         moved = 0

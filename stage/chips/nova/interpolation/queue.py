@@ -159,11 +159,11 @@ def longest(c):
     if c.interpolating:
         g = c.queue[c.ip.head]
         return g.longest if g.kind == LINE else 0
-    most = 0
+    maximum = 0
     for j in range(AXES):
         if word >> j & 1:
-            most = greatest(most, abs(coordinate(c.ax[j].reg[TP], 1)))
-    return most
+            maximum = greatest(maximum, abs(coordinate(c.ax[j].reg[TP], 1)))
+    return maximum
 
 
 @hot

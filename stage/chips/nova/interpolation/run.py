@@ -70,7 +70,13 @@ def refuse(c):
 
 @hot
 def may_take(c, mask, depth):
-    """A segment of these axes can be written now; what is refused is noted."""
+    """Tell whether a segment can be written now, and note what is refused.
+
+    Args:
+        c: State of the chip.
+        mask: Axes of the segment, as bits.
+        depth: Segments that the queue holds.
+    """
     if mask == 0:
         return False
     if c.interpolating:
@@ -87,7 +93,15 @@ def may_take(c, mask, depth):
 
 @hot
 def submit(c, mask, main, depth, stepped):
-    """The segment at `place_for` is filled: it starts, or waits for those before it."""
+    """Start the segment at `place_for`, or queue it behind those before it.
+
+    Args:
+        c: State of the chip.
+        mask: Axes of the segment, as bits.
+        main: Main axis.
+        depth: Segments that the queue holds.
+        stepped: Whether single steps move it.
+    """
     ip = c.ip
     c.stale = 1
     if c.interpolating:
@@ -101,7 +115,15 @@ def submit(c, mask, main, depth, stepped):
 
 @hot
 def prepare(c, mask, main, depth, stepped):
-    """The axes of an interpolation that begins now, or when other chips do."""
+    """Prepare the axes of an interpolation that begins now, or when other chips do.
+
+    Args:
+        c: State of the chip.
+        mask: Its axes, as bits.
+        main: Main axis.
+        depth: Segments that the queue holds.
+        stepped: Whether single steps move it.
+    """
     ip = c.ip
     ip.mask, ip.main, ip.depth, ip.stepped = mask, main, depth, stepped
     ip.continuous = ip.waiting = ip.slow = 0
@@ -162,7 +184,7 @@ def _after_the_last(c):
     """The last tick of a segment has begun: the next segment, or the end."""
     ip, x = c.ip, c.ax[c.ip.main]
     c.stale = 1
-    ended = ip.ends
+    ends = ip.ends
     while True:
         if ip.waiting == 0 or (ip.slow and x.end >= NEVER):
             end(c)
@@ -175,7 +197,7 @@ def _after_the_last(c):
         if segment.load(c):
             break
     segment.prepare(c)
-    if not ip.slow and not segment.sets_follow(c) and (ended or c.queue[ip.head].slows):
+    if not ip.slow and not segment.sets_follow(c) and (ends or c.queue[ip.head].slows):
         segment.replan(c, x)
     else:
         segment.next_clock(c, x)
@@ -187,12 +209,12 @@ def _ask(c):
     ip = c.ip
     if c.variant == MCX514_TYPE:
         word = c.ax[0].mode[IPM]
-        asks = (ip.waiting == 3 and word & INTA) or (ip.waiting == 7 and word & INTB)
+        interrupts = (ip.waiting == 3 and word & INTA) or (ip.waiting == 7 and word & INTB)
     elif c.queue[ip.head].kind == PATTERN:
-        asks = ip.waiting == 0 and c.outputs5 & BPINT
+        interrupts = ip.waiting == 0 and c.outputs5 & BPINT
     else:
-        asks = c.outputs5 & CIINT
-    if asks:
+        interrupts = c.outputs5 & CIINT
+    if interrupts:
         ip.interrupt = 1
 
 
@@ -250,7 +272,17 @@ def move(c, until):
 
 @hot
 def trace(c, until, out, k):
-    """As `move`, and logs the pulses in out[k:], by clock, then axis. Returns how far it came, and the next k."""
+    """Move as `move` does, and log the pulses by clock, then axis.
+
+    Args:
+        c: State of the chip.
+        until: Clock at the end.
+        out: PULSE records.
+        k: First record to fill.
+
+    Returns:
+        The clock that was reached, and the next record.
+    """
     ip = c.ip
     while ip.due <= until:
         c.clock = ip.due

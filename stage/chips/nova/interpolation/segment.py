@@ -51,8 +51,10 @@ def _way(c, k):
         one, two, three = pattern.ticks(g)
     else:
         one, two, three = helical.ticks(ip.probe, g)
-    far = dd.add(dd.whole(one), dd.add(dd.mul(dd.whole(two), ROOT2), dd.mul(dd.whole(three), ROOT3)))
-    return dd.times(far, 1.0 / g.fine)
+    distance = dd.add(
+        dd.from_integer(one), dd.add(dd.mul(dd.from_integer(two), ROOT2), dd.mul(dd.from_integer(three), ROOT3))
+    )
+    return dd.times(distance, 1.0 / g.fine)
 
 
 @exported(None, STATE)
@@ -70,14 +72,14 @@ def prepare(c):
         moved += ip.step[k]
     put(ip.place, dd.add(pair(ip.place), dd.times(_length(moved), 1.0 / g.fine)))
     for k in range(g.axes):
-        x, way = c.ax[g.axis[k]], ip.toward[k]
+        x, direction = c.ax[g.axis[k]], ip.toward[k]
         if g.fine > 1:
             before = (ip.inner[k] + INNER // 2) // INNER
-            ip.inner[k] += way * ip.step[k]
+            ip.inner[k] += direction * ip.step[k]
             ip.step[k] = (ip.inner[k] + INNER // 2) // INNER != before
-        x.moves = way != 0
-        if way != 0 and x.way != way:
-            x.way = way
+        x.moves = direction != 0
+        if direction != 0 and x.way != direction:
+            x.way = direction
             c.stale = 1
 
 
@@ -103,10 +105,10 @@ def _plan(c, x):
     goal = drive.goal_of(x, dd.floor(dd.sub(pair(ip.ends_at), pair(ip.begun))))
     point = dd.floor(pair(ip.begun)) + x.reg[DP]
     if not x.manual:
-        to_the_end(x, dd.sub(pair(ip.ends_at), dd.whole(x.reg[AO])), goal)
-    elif dd.less(pair(x.cursor[PLACE]), dd.whole(point)):
+        to_the_end(x, dd.sub(pair(ip.ends_at), dd.from_integer(x.reg[AO])), goal)
+    elif dd.less(pair(x.cursor[PLACE]), dd.from_integer(point)):
         for_ever(x, goal)
-        if dd.less(dd.whole(point), pair(ip.ends_at)):
+        if dd.less(dd.from_integer(point), pair(ip.ends_at)):
             brake_at(x, point)
     else:
         brake(x)
@@ -150,13 +152,13 @@ def sets_follow(c):
 
 @hot
 def find_end(c):
-    """Where in the profile the running segment ends, if it slows there."""
+    """Find the place in the profile at which the running segment ends, if it slows there."""
     ip = c.ip
     if c.queue[ip.head].slows:
-        far = pair(ip.begun)
+        distance = pair(ip.begun)
         for k in range(1 + (ip.waiting if sets_follow(c) else 0)):
-            far = dd.add(far, _way(c, k))
-        put(ip.ends_at, far)
+            distance = dd.add(distance, _way(c, k))
+        put(ip.ends_at, distance)
 
 
 @hot

@@ -20,16 +20,22 @@ PULSE = 1  # RR3 of the older chips
 
 
 @hot
-def _ring(value, most):
+def _ring(value, maximum):
     """A counter that counts up to `most` and then from 0 on; 32 bits with a sign where there is no ring."""
-    if most != OFF:
-        return value % (most + 1)
+    if maximum != OFF:
+        return value % (maximum + 1)
     return (value + (1 << 31) & 0xFFFFFFFF) - (1 << 31)
 
 
 @hot
 def count(c, x, n):
-    """`n` pulses have begun."""
+    """Count pulses that have begun.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        n: Number of pulses.
+    """
     x.done += n
     x.total += n
     c.total += n
@@ -40,7 +46,13 @@ def count(c, x, n):
 
 @hot
 def count_encoder(c, x, n):
-    """The encoder has moved by `n` counts."""
+    """Count a movement of the encoder.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        n: Counts, with their sign.
+    """
     x.reg[RP] = _ring(x.reg[RP] + n, x.reg[RX] if c.variant == MCX514_TYPE else OFF)
 
 
@@ -51,16 +63,16 @@ def limited(x):
 
 
 @hot
-def beyond(c, x, way):
+def beyond(c, x, direction):
     """The software limit of a direction is enabled and passed: MCX514 LP > SP, LP < SM; before it LP >= C+, LP < C-."""
-    if way > 0:
+    if direction > 0:
         return x.soft_plus and (limited(x) > x.reg[SP] if c.variant == MCX514_TYPE else limited(x) >= x.reg[SP])
     return x.soft_minus and limited(x) < x.reg[SM]
 
 
 @hot
-def hardware_limit(x, way):
+def hardware_limit(x, direction):
     """The limit switch of a direction is asserted."""
     plus = LMT_MINUS if x.swaps else LMT_PLUS
     minus = LMT_PLUS if x.swaps else LMT_MINUS
-    return x.active & (plus if way > 0 else minus)
+    return x.active & (plus if direction > 0 else minus)

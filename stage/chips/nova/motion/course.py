@@ -15,7 +15,19 @@ ROOM = 8
 
 @hot
 def log(c, j, out, k, word, rate):
-    """Write axis `j` as it stands to `out[k]` (an EDGE record), its rate in pulses per clock. Returns k + 1."""
+    """Write the present state of an axis into an EDGE record.
+
+    Args:
+        c: State of the chip.
+        j: Axis.
+        out: EDGE records.
+        k: Number of the record.
+        word: Output pins.
+        rate: Pulses per clock.
+
+    Returns:
+        k + 1.
+    """
     e, x = out[k], c.ax[j]
     e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, x.inputs, word, x.reg[LP], x.net
     e.rate = rate

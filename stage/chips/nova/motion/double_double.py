@@ -43,7 +43,7 @@ def product(a, b):
 
 
 @hot
-def whole(i):
+def from_integer(i):
     """A whole number, |i| < 2^62."""
     h = float(i)
     return quick(h, float(i - int(h)))

@@ -86,7 +86,13 @@ def note_drive(x, event):
 
 @hot
 def keep_data(c, address, value):
-    """A write to WR6 or WR7."""
+    """Store a write to WR6 or WR7.
+
+    Args:
+        c: State of the chip.
+        address: 6 or 7.
+        value: Datum.
+    """
     c.unused = 1
     if address == 6:
         c.low = value
@@ -116,7 +122,7 @@ def plan(c, x):
         return
     goal = goal_of(x, x.output)
     if not x.manual:
-        to_the_end(x, dd.whole(x.output - x.reg[AO]), goal)
+        to_the_end(x, dd.from_integer(x.output - x.reg[AO]), goal)
     elif x.done < x.reg[DP]:
         for_ever(x, goal)
         if x.reg[DP] < x.output:
@@ -126,17 +132,24 @@ def plan(c, x):
 
 
 @exported(None, STATE, AXIS, "i8", "i8")
-def launch(c, x, way, output):
-    """Begin a drive of `output` pulses, or without an end where it is negative, at the present clock."""
+def launch(c, x, direction, output):
+    """Begin a drive at the present clock.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        direction: +1 or -1.
+        output: Pulses; below 0: without an end.
+    """
     x.causes &= 0xFF
     x.done = x.slow = 0
-    x.way, x.fixed, x.output = way, 1 if output >= 0 else 0, output
+    x.way, x.fixed, x.output = direction, 1 if output >= 0 else 0, output
     x.interpolates = 0
     c.stale = 1
     if output == 0:
         note_drive(x, D_STA | D_END)
         return
-    if blocked(c, x, way):
+    if blocked(c, x, direction):
         return
     note_drive(x, D_STA)
     x.driving, x.phase = 1, NO_PHASE
@@ -147,19 +160,29 @@ def launch(c, x, way, output):
 
 
 @hot
-def blocked(c, x, way):
-    """A limit of the direction, ALARM or EMG keeps a drive from starting; RR2 says which."""
+def blocked(c, x, direction):
+    """Note in RR2 what keeps a drive from starting: a limit of its direction, ALARM or EMG.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        direction: +1 or -1.
+
+    Returns:
+        Whether there is such a cause.
+    """
     cause = 0
-    if x.limits and hardware_limit(x, way):
-        cause = (E_HLMT_PLUS | F_LMT_PLUS) if way > 0 else (E_HLMT_MINUS | F_LMT_MINUS)
-    elif beyond(c, x, way):
-        cause = E_SLMT_PLUS if way > 0 else E_SLMT_MINUS
+    if x.limits and hardware_limit(x, direction):
+        cause = (E_HLMT_PLUS | F_LMT_PLUS) if direction > 0 else (E_HLMT_MINUS | F_LMT_MINUS)
+    elif beyond(c, x, direction):
+        cause = E_SLMT_PLUS if direction > 0 else E_SLMT_MINUS
     elif x.alarm_stops and x.active & ALARM:
         cause = E_ALARM | F_ALARM
     elif c.emergency:
         cause = E_EMG | F_EMG
     elif (
-        x.causes & (E_HLMT_PLUS | E_SLMT_PLUS if way > 0 else E_HLMT_MINUS | E_SLMT_MINUS) and c.variant == MCX514_TYPE
+        x.causes & (E_HLMT_PLUS | E_SLMT_PLUS if direction > 0 else E_HLMT_MINUS | E_SLMT_MINUS)
+        and c.variant == MCX514_TYPE
     ):
         cause = x.causes & 0xFF
     x.causes |= cause
@@ -168,7 +191,13 @@ def blocked(c, x, way):
 
 @hot
 def start(c, x, kind):
-    """A drive command: RELATIVE ... FIXED_MINUS, or by a MR. Nothing happens while a drive or a home search is in progress."""
+    """Execute a drive command. Nothing happens while a drive or a home search is in progress.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        kind: RELATIVE ... FIXED_MINUS, or a drive by a MR.
+    """
     if x.driving or x.waiting or x.home or x.interpolates:
         return
     if x.held & 1:
@@ -195,7 +224,13 @@ def start(c, x, kind):
 
 @hot
 def hold(c, x, on):
-    """Drive start hold, and its release: what has been commanded since begins now."""
+    """Begin or end drive start hold; its end begins what was commanded during it.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        on: Whether it begins.
+    """
     if on:
         x.held |= 1
         return
@@ -207,7 +242,7 @@ def hold(c, x, on):
 
 @exported(None, STATE, AXIS)
 def replan(c, x):
-    """The drive speed or the number of pulses has changed while driving."""
+    """Plan the rest of a drive again: its drive speed or number of pulses has changed."""
     if not x.driving or x.slow:
         return
     keep_pulse(x)
@@ -217,7 +252,13 @@ def replan(c, x):
 
 @hot
 def change_speed(c, x, value):
-    """A new drive speed; after the automatic deceleration has begun it waits for the next drive."""
+    """Change the drive speed. After the automatic deceleration has begun it waits for the next drive.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        value: DV, or V.
+    """
     x.reg[DV] = value
     if x.driving and not x.slow and piece_at(x, c.clock - x.origin) < x.brake:
         replan(c, x)
@@ -225,14 +266,26 @@ def change_speed(c, x, value):
 
 
 @hot
-def step_speed(c, x, way):
-    """Speed increase, decrease: the drive speed by IV."""
-    change_speed(c, x, least(greatest(x.reg[DV] + way * x.reg[IV], 1), RANGE))
+def step_speed(c, x, direction):
+    """Increase or decrease the drive speed by IV.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        direction: +1 or -1.
+    """
+    change_speed(c, x, least(greatest(x.reg[DV] + direction * x.reg[IV], 1), RANGE))
 
 
 @hot
 def change_output(c, x, value):
-    """A new number of pulses while driving: not the other way, and not one that has been passed, which stops at once."""
+    """Change the number of pulses while driving.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        value: TP. The drive stops at once if it asks for the other direction, or for a pulse that has passed.
+    """
     x.reg[TP] = value
     if not (x.driving and x.fixed) or x.absolute or x.interpolates:
         return
@@ -252,7 +305,15 @@ def change_output(c, x, value):
 
 @hot
 def end(c, x, cause):
-    """The drive ends now. Cause: bits of RR2. Before the MCX514 constant speed ends with it (C-END): the failure notice says so."""
+    """End the drive now.
+
+    Before the MCX514 a constant speed ends with it (C-END), as the failure notice says.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        cause: Bits of RR2.
+    """
     x.causes |= cause
     if x.phase == CONSTANT and c.variant != MCX514_TYPE:
         note(x, C_END)
@@ -268,8 +329,16 @@ def end(c, x, cause):
 
 @exported(None, STATE, AXIS, "i8")
 def request_stop(c, x, cause):
-    """A decelerating stop: 56h, 26h, a STOP signal, a limit in that mode. The chips of the erratum take no notice while they
-    brake on an S-curve anyway, and in its area d they run away. An axis that interpolates asks the interpolation to stop."""
+    """Begin a decelerating stop: 56h, 26h, a STOP signal, a limit in that mode.
+
+    The chips of the erratum ignore it while they brake on an S-curve anyway, and in its area d they run away. An axis that
+    interpolates stops the interpolation.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        cause: Bits of RR2.
+    """
     x.causes |= cause
     if x.interpolates and not x.slow:
         x.slow = c.stale = 1
@@ -294,7 +363,13 @@ def request_stop(c, x, cause):
 
 @hot
 def stop(c, x, cause):
-    """An instant stop: 57h, 27h, ALARM, EMG, a limit. Cause: bits of RR2."""
+    """Stop at once: 57h, 27h, ALARM, EMG, a limit.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        cause: Bits of RR2.
+    """
     if x.driving:
         end(c, x, cause)
     elif x.interpolates:
@@ -304,7 +379,7 @@ def stop(c, x, cause):
 
 @hot
 def obey_inputs(c, x):
-    """What the present levels do to a drive, or to an interpolation in which the axis takes part; limits if that moves it."""
+    """Apply the present levels to a drive, or to an interpolation in which the axis takes part; limits only if that moves it."""
     if x.waiting and (x.active & INPOS or not x.inpos_waits):
         x.waiting = 0
         note_drive(x, D_END)
@@ -349,7 +424,13 @@ def _obey_limits(c, x):
 
 @hot
 def move(c, x, clock):
-    """Let the pulses up to `clock` begin."""
+    """Let the pulses up to a clock begin.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        clock: Reference clocks since power-up.
+    """
     k = reached(x, clock - x.origin)
     if x.fixed and k > x.output:
         k = x.output
@@ -386,33 +467,42 @@ def watch_phase(x, n):
 @hot
 def pulses_ahead(c, x):
     """Pulses until a counter reaches something."""
-    far = x.output - x.done if x.fixed else NEVER
+    pulses = x.output - x.done if x.fixed else NEVER
     if not x.soft_rp:
         lp = x.reg[LP]
         if x.way > 0 and x.soft_plus:
             limit = x.reg[SP] + (1 if c.variant == MCX514_TYPE else 0)
             if lp < limit:
-                far = least(far, limit - lp)
+                pulses = least(pulses, limit - lp)
         elif x.way < 0 and x.soft_minus and lp >= x.reg[SM]:
-            far = least(far, lp - x.reg[SM] + 1)
+            pulses = least(pulses, lp - x.reg[SM] + 1)
     if c.variant == MCX514_TYPE and x.reg[LX] != OFF:
         if not 0 <= x.reg[LP] <= x.reg[LX]:
             return 1  # the ring takes it in with the next pulse
-        far = least(far, x.reg[LX] + 1 - x.reg[LP] if x.way > 0 else x.reg[LP] + 1)
-    return far
+        pulses = least(pulses, x.reg[LX] + 1 - x.reg[LP] if x.way > 0 else x.reg[LP] + 1)
+    return pulses
 
 
 @hot
-def next_event(c, x, far):
-    """The clock of the next event of a drive; `far`: pulses until others care."""
+def next_event(c, x, pulses):
+    """Find the next event of a drive.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        pulses: Pulses until other functions need the chip to stop.
+
+    Returns:
+        Its clock.
+    """
     n = c.clock - x.origin
     s = piece_at(x, n)
     at = x.end
     if s + 1 < x.pieces:
         at = least(at, x.from_clock[s + 1])
-    far = least(far, pulses_ahead(c, x))
-    if far < NEVER:
-        k = x.done + greatest(far, 1)
+    pulses = least(pulses, pulses_ahead(c, x))
+    if pulses < NEVER:
+        k = x.done + greatest(pulses, 1)
         if at >= NEVER or reached(x, at) >= k:
             at = least(at, clock_of(x, k))
     return x.origin + at if at < NEVER else NEVER

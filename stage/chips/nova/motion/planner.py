@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from stage.chips.nova.motion import double_double as dd
 from stage.chips.nova.motion.profile import NEVER, exactly, piece_at, time_in
-from stage.chips.nova.state import ACCELERATING, AREA_D, CONSTANT, DECELERATING, MOST_PIECES, RUNAWAY
+from stage.chips.nova.state import ACCELERATING, AREA_D, CONSTANT, DECELERATING, MAX_PIECES, RUNAWAY
 from stage.native import hot
 
 T, PLACE, SPEED, RATE = range(4)  # rows of the cursor
@@ -52,7 +52,17 @@ def _signed(a, negative):
 
 @hot
 def draft(x, v, a, goal):
-    """Draft the change from speed v, acceleration a to the speed `goal`. Returns how many pieces it has."""
+    """Draft the change to another speed.
+
+    Args:
+        x: State of the axis.
+        v: Speed, pulses per clock.
+        a: Acceleration.
+        goal: Speed at the end.
+
+    Returns:
+        The number of pieces.
+    """
     zero = dd.ZERO
     if not x.curved:
         if dd.less(v, goal):
@@ -68,18 +78,18 @@ def draft(x, v, a, goal):
             k = _piece(x, 0, dd.div(_signed(a, falls), jerk), a, _signed(jerk, not falls))
             v, a = settled, zero
     falls = dd.less(goal, v) if a[0] == 0.0 else falls
-    way = _signed(dd.sub(goal, v), falls)
-    if a[0] == 0.0 and way[0] <= DUST * goal[0]:
+    gap = _signed(dd.sub(goal, v), falls)
+    if a[0] == 0.0 and gap[0] <= DUST * goal[0]:
         return k
-    jerk, most = (pair(x.down_jerk), pair(x.down)) if falls else (pair(x.up_jerk), pair(x.up))
+    jerk, maximum = (pair(x.down_jerk), pair(x.down)) if falls else (pair(x.up_jerk), pair(x.up))
     size = _signed(a, falls)
     squares = dd.times(dd.mul(size, size), 0.5)
-    top = dd.root(dd.add(dd.mul(jerk, way), squares))
+    top = dd.root(dd.add(dd.mul(jerk, gap), squares))
     hold = zero
-    if dd.less(most, top):
-        top = most
-        held = dd.sub(way, dd.div(dd.sub(dd.mul(most, most), squares), jerk))
-        hold = dd.div(held, most)
+    if dd.less(maximum, top):
+        top = maximum
+        at_maximum = dd.sub(gap, dd.div(dd.sub(dd.mul(maximum, maximum), squares), jerk))
+        hold = dd.div(at_maximum, maximum)
     k = _piece(x, k, dd.div(dd.sub(top, size), jerk), a, _signed(jerk, falls))
     k = _piece(x, k, hold, _signed(top, falls), zero)
     return _piece(x, k, dd.div(top, jerk), _signed(top, falls), _signed(jerk, not falls))
@@ -87,16 +97,28 @@ def draft(x, v, a, goal):
 
 @hot
 def _after(duration, v, a, jerk):
-    """Way and speed of a piece: duration (v + duration (a / 2 + duration jerk / 6)), v + duration (a + duration jerk / 2)."""
+    """Return the distance and the speed of a piece.
+
+    They are duration (v + duration (a / 2 + duration jerk / 6)) and v + duration (a + duration jerk / 2).
+    """
     half = dd.times(dd.mul(duration, jerk), 0.5)
     third = dd.div(half, (3.0, 0.0))
-    way = dd.mul(duration, dd.add(v, dd.mul(duration, dd.add(dd.times(a, 0.5), third))))
-    return way, dd.add(v, dd.mul(duration, dd.add(a, half)))
+    distance = dd.mul(duration, dd.add(v, dd.mul(duration, dd.add(dd.times(a, 0.5), third))))
+    return distance, dd.add(v, dd.mul(duration, dd.add(a, half)))
 
 
 @hot
 def draft_brake(x, v, a):
-    """Draft the deceleration to the initial speed; at or below it only what acceleration there is goes to 0."""
+    """Draft the deceleration to the initial speed. At or below it only an acceleration that there is goes to 0.
+
+    Args:
+        x: State of the axis.
+        v: Speed, pulses per clock.
+        a: Acceleration.
+
+    Returns:
+        The number of pieces.
+    """
     if not x.curved:
         return draft(x, v, a, pair(x.sv)) if dd.less(pair(x.sv), v) else 0
     if a[0] == 0.0:
@@ -112,12 +134,21 @@ def draft_brake(x, v, a):
 
 @hot
 def braking_distance(x, v, a):
-    """Pulses that the deceleration to the initial speed takes."""
-    far = dd.ZERO
+    """Compute the pulses that the deceleration to the initial speed takes.
+
+    Args:
+        x: State of the axis.
+        v: Speed, pulses per clock.
+        a: Acceleration.
+
+    Returns:
+        Pulses, a double-double.
+    """
+    total = dd.ZERO
     for k in range(draft_brake(x, v, a)):
-        way, v = _after(pair(x.piece[k, DURATION]), v, pair(x.piece[k, FROM]), pair(x.piece[k, JERK]))
-        far = dd.add(far, way)
-    return far
+        distance, v = _after(pair(x.piece[k, DURATION]), v, pair(x.piece[k, FROM]), pair(x.piece[k, JERK]))
+        total = dd.add(total, distance)
+    return total
 
 
 # --- writing pieces ---
@@ -125,8 +156,17 @@ def braking_distance(x, v, a):
 
 @hot
 def begin(x, clock, t, place, v, a):
-    """An empty plan whose origin is `clock`, and whose first piece will begin t clocks later at `place` pulses of the drive."""
-    x.origin, x.pieces, x.end, x.brake = clock, 0, NEVER, MOST_PIECES
+    """Begin an empty plan.
+
+    Args:
+        x: State of the axis.
+        clock: Its origin.
+        t: Clocks after the origin at which its first piece begins.
+        place: Pulses there.
+        v: Speed there, pulses per clock.
+        a: Acceleration there.
+    """
+    x.origin, x.pieces, x.end, x.brake = clock, 0, NEVER, MAX_PIECES
     put(x.cursor[T], t)
     put(x.cursor[PLACE], place)
     put(x.cursor[SPEED], v)
@@ -141,7 +181,7 @@ def _write(x, kind, a, jerk):
     put(x.t[s], t)
     x.from_clock[s] = -dd.floor(dd.add(dd.neg(t), (1e-15, 0.0)))
     x.from_pulse[s] = dd.floor(place)
-    put(x.p[s], dd.sub(place, dd.whole(x.from_pulse[s])))
+    put(x.p[s], dd.sub(place, dd.from_integer(x.from_pulse[s])))
     put(x.v[s], v)
     put(x.a2[s], dd.times(a, 0.5))
     put(x.j6[s], dd.div(jerk, (6.0, 0.0)))
@@ -155,9 +195,9 @@ def _go(x, kind, duration, a, jerk):
     if duration[0] <= 0.0:
         return
     _write(x, kind, a, jerk)
-    way, v = _after(duration, pair(x.cursor[SPEED]), a, jerk)
+    distance, v = _after(duration, pair(x.cursor[SPEED]), a, jerk)
     put(x.cursor[T], dd.add(pair(x.cursor[T]), duration))
-    put(x.cursor[PLACE], dd.add(pair(x.cursor[PLACE]), way))
+    put(x.cursor[PLACE], dd.add(pair(x.cursor[PLACE]), distance))
     put(x.cursor[SPEED], v)
     put(x.cursor[RATE], dd.add(a, dd.mul(jerk, duration)))
 
@@ -200,7 +240,7 @@ def brake(x):
 
 @hot
 def _on(x):
-    """From here on at constant speed."""
+    """Go on at constant speed."""
     _write(x, CONSTANT, dd.ZERO, dd.ZERO)
 
 
@@ -226,21 +266,21 @@ def run_away(x):
 def cap(x, pulses):
     """Triangle prevention: the speed at which accelerating and decelerating have taken half of the pulses of the drive."""
     up, down, low = pair(x.up), pair(x.down), pair(x.sv)
-    square = dd.mul(dd.whole(pulses), dd.div(dd.mul(up, down), dd.add(up, down)))
+    square = dd.mul(dd.from_integer(pulses), dd.div(dd.mul(up, down), dd.add(up, down)))
     return dd.root(dd.add(dd.mul(low, low), square))
 
 
 @hot
 def _overshoot(x, t, v, a, jerk, room):
     """Pulses by which the drive would pass its end if it braked t clocks into this piece."""
-    way, speed = _after(t, v, a, jerk)
-    return dd.sub(dd.add(way, braking_distance(x, speed, dd.add(a, dd.mul(jerk, t)))), room)
+    distance, speed = _after(t, v, a, jerk)
+    return dd.sub(dd.add(distance, braking_distance(x, speed, dd.add(a, dd.mul(jerk, t)))), room)
 
 
 @hot
-def _brake_time(x, longest, v, a, jerk, room):
-    """When in a piece to begin to brake, so as to need `room` pulses from its beginning. Illinois: false position, never stuck."""
-    low, high = dd.ZERO, longest
+def _brake_time(x, max_time, v, a, jerk, room):
+    """Find the time in a piece at which to begin to brake, so that `room` pulses are needed from there."""
+    low, high = dd.ZERO, max_time
     under, over = _overshoot(x, low, v, a, jerk, room), _overshoot(x, high, v, a, jerk, room)
     side = 0
     for _ in range(200):
@@ -264,8 +304,13 @@ def _brake_time(x, longest, v, a, jerk, room):
 
 @hot
 def to_the_end(x, pulses, goal):
-    """A drive to the speed `goal` that ends after `pulses` (a double-double: of the drive, not from here): it brakes as soon as
-    braking takes all that is left."""
+    """Plan a drive that ends after a number of pulses.
+
+    Args:
+        x: State of the axis.
+        pulses: Pulses of the drive from its start, a double-double.
+        goal: Drive speed.
+    """
     v, a = pair(x.cursor[SPEED]), pair(x.cursor[RATE])
     room = dd.sub(pulses, pair(x.cursor[PLACE]))
     if not dd.less(braking_distance(x, v, a), room):
@@ -281,8 +326,8 @@ def to_the_end(x, pulses, goal):
             _go(x, _kind(a, jerk), _brake_time(x, duration, v, a, jerk, room), a, jerk)
             brake(x)
             return
-        way, v = _after(duration, v, a, jerk)
-        room = dd.sub(room, way)
+        distance, v = _after(duration, v, a, jerk)
+        room = dd.sub(room, distance)
         _go(x, _kind(a, jerk), duration, a, jerk)
     put(x.cursor[SPEED], goal)
     put(x.cursor[RATE], dd.ZERO)
@@ -303,11 +348,11 @@ def brake_at(x, pulses):
     s = x.pieces - 1
     while s > 0 and x.from_pulse[s] + (1 if x.p[s, 0] > 0.0 else 0) > pulses:
         s -= 1
-    far = dd.sub(dd.whole(pulses - x.from_pulse[s]), pair(x.p[s]))
+    distance = dd.sub(dd.from_integer(pulses - x.from_pulse[s]), pair(x.p[s]))
     v, a2, j6 = pair(x.v[s]), pair(x.a2[s]), pair(x.j6[s])
-    t = (time_in(x, s, far[0], 1e17), 0.0)
+    t = (time_in(x, s, distance[0], 1e17), 0.0)
     for _ in range(3):
-        off = dd.sub(dd.mul(t, dd.add(v, dd.mul(t, dd.add(a2, dd.mul(t, j6))))), far)
+        off = dd.sub(dd.mul(t, dd.add(v, dd.mul(t, dd.add(a2, dd.mul(t, j6))))), distance)
         slope = v[0] + t[0] * (2.0 * a2[0] + 3.0 * t[0] * j6[0])
         if slope > 0.0:
             t = dd.sub(t, dd.div(off, (slope, 0.0)))
@@ -315,7 +360,7 @@ def brake_at(x, pulses):
     speed = dd.add(v, dd.mul(t, dd.add(dd.times(a2, 2.0), dd.mul(t, dd.mul(j6, (3.0, 0.0))))))
     x.pieces = s + 1 if t[0] > 0.0 else s
     put(x.cursor[T], dd.add(pair(x.t[s]), t))
-    put(x.cursor[PLACE], dd.whole(pulses))
+    put(x.cursor[PLACE], dd.from_integer(pulses))
     put(x.cursor[SPEED], speed)
     put(x.cursor[RATE], a if x.curved else dd.ZERO)
     brake(x)
@@ -325,8 +370,8 @@ def brake_at(x, pulses):
 def from_here(x, n):
     """Begin a new plan `n` clocks after the origin, with the place, speed and acceleration that the drive has there."""
     s = piece_at(x, n)
-    t = dd.sub(dd.whole(n), pair(x.t[s]))
-    place = dd.add(dd.whole(x.from_pulse[s]), exactly(x, s, n))
+    t = dd.sub(dd.from_integer(n), pair(x.t[s]))
+    place = dd.add(dd.from_integer(x.from_pulse[s]), exactly(x, s, n))
     a2, j6 = pair(x.a2[s]), pair(x.j6[s])
     v = dd.add(pair(x.v[s]), dd.mul(t, dd.add(dd.times(a2, 2.0), dd.mul(t, dd.mul(j6, (3.0, 0.0))))))
     a = dd.add(dd.times(a2, 2.0), dd.mul(t, dd.mul(j6, (6.0, 0.0))))

@@ -28,8 +28,17 @@ def piece_at(x, n):
 
 @hot
 def exactly(x, s, n):
-    """Pulses since the beginning of piece `s`, and the fraction it began with, at clock `n`: a double-double."""
-    t = dd.sub(dd.whole(n), (x.t[s, 0], x.t[s, 1]))
+    """Compute the place at a clock.
+
+    Args:
+        x: State of the axis.
+        s: Number of the piece.
+        n: Clock after the origin.
+
+    Returns:
+        Pulses since the begin of the piece, and the fraction it began with, as a double-double.
+    """
+    t = dd.sub(dd.from_integer(n), (x.t[s, 0], x.t[s, 1]))
     r = dd.add((x.a2[s, 0], x.a2[s, 1]), dd.mul(t, (x.j6[s, 0], x.j6[s, 1])))
     r = dd.add((x.v[s, 0], x.v[s, 1]), dd.mul(t, r))
     return dd.add((x.p[s, 0], x.p[s, 1]), dd.mul(t, r))
@@ -37,7 +46,16 @@ def exactly(x, s, n):
 
 @hot
 def reached_in(x, s, n):
-    """Pulses of the drive that have begun `n` clocks after the origin, which is in piece `s`."""
+    """Count the pulses of the drive that have begun.
+
+    Args:
+        x: State of the axis.
+        s: Number of the piece.
+        n: Clock after the origin, in this piece.
+
+    Returns:
+        Number of pulses.
+    """
     t = (float(n) - x.t[s, 0]) - x.t[s, 1]
     r = x.p[s, 0] + t * (x.v[s, 0] + t * (x.a2[s, 0] + t * x.j6[s, 0]))
     k = math.floor(r)
@@ -77,17 +95,27 @@ def phase_at(x, n):
 
 
 @hot
-def time_in(x, s, far, longest):
-    """Clocks, a float, after the beginning of piece `s` until `far` more pulses are done, at most `longest`."""
+def time_in(x, s, distance, max_time):
+    """Compute the time in a piece until further pulses are done.
+
+    Args:
+        x: State of the axis.
+        s: Number of the piece.
+        distance: Pulses from its begin.
+        max_time: Clocks, the largest result.
+
+    Returns:
+        Clocks, a float.
+    """
     v, a2, j6 = x.v[s, 0], x.a2[s, 0], x.j6[s, 0]
-    root = v * v + 4.0 * a2 * far
-    t = 2.0 * far / (v + math.sqrt(root)) if root > 0.0 else longest
+    root = v * v + 4.0 * a2 * distance
+    t = 2.0 * distance / (v + math.sqrt(root)) if root > 0.0 else max_time
     if j6 == 0.0:
-        return least(t, longest)
-    t = least(t, longest)
-    low, high = 0.0, longest
+        return least(t, max_time)
+    t = least(t, max_time)
+    low, high = 0.0, max_time
     for _ in range(100):
-        off = t * (v + t * (a2 + t * j6)) - far
+        off = t * (v + t * (a2 + t * j6)) - distance
         if off > 0.0:
             high = t
         else:
@@ -103,7 +131,7 @@ def time_in(x, s, far, longest):
 
 
 @hot
-def _surely(x, s, far):
+def _surely(x, s, distance):
     """The clock after the origin at which `far` pulses of piece `s` are done, if floats can tell it; else -1.
 
     Their error is below 1e-15 of the time, 1e-14 in a ramp; S-curves, and linear ramps close to standstill, are not looked at.
@@ -111,18 +139,18 @@ def _surely(x, s, far):
     v, a2 = x.v[s, 0], x.a2[s, 0]
     if x.j6[s, 0] != 0.0 or v <= 0.0:
         return -1
-    t = far / v
+    t = distance / v
     if a2 != 0.0:
-        root = v * v + 4.0 * a2 * far
+        root = v * v + 4.0 * a2 * distance
         if root < 1e-4 * v * v:
             return -1
-        t = 2.0 * far / (v + math.sqrt(root))
+        t = 2.0 * distance / (v + math.sqrt(root))
     t += x.t[s, 0]
     if not 0.0 <= t < (1e9 if a2 == 0.0 else 1e8):
         return -1
     n = int(math.ceil(t))
-    late = n - t
-    if late < 1e-5 or late > 1.0 - 1e-5 or n < x.from_clock[s]:
+    delay = n - t
+    if delay < 1e-5 or delay > 1.0 - 1e-5 or n < x.from_clock[s]:
         return -1
     if s + 1 < x.pieces and n > x.from_clock[s + 1]:
         return -1
@@ -131,7 +159,16 @@ def _surely(x, s, far):
 
 @hot
 def piece_of(x, s, k):
-    """The piece, `s` or a later one, in which the k-th pulse of the drive begins."""
+    """Find the piece in which a pulse of the drive begins.
+
+    Args:
+        x: State of the axis.
+        s: Number of the first piece to search.
+        k: Number of the pulse.
+
+    Returns:
+        Number of the piece.
+    """
     while s + 1 < x.pieces and reached_in(x, s, x.from_clock[s + 1]) < k:
         s += 1
     return s
@@ -145,14 +182,23 @@ def clock_of(x, k):
 
 @hot
 def clock_in(x, s, k):
-    """The same, where it is known that this is in piece `s`."""
-    far = float(k - x.from_pulse[s]) - x.p[s, 0]
-    n = _surely(x, s, far)
+    """Compute the clock at which a pulse begins, where its piece is known.
+
+    Args:
+        x: State of the axis.
+        s: Number of the piece.
+        k: Number of the pulse.
+
+    Returns:
+        The clock after the origin.
+    """
+    distance = float(k - x.from_pulse[s]) - x.p[s, 0]
+    n = _surely(x, s, distance)
     if n >= 0:
         return n
     last = s + 1 == x.pieces
-    longest = 1e17 if last else (x.t[s + 1, 0] - x.t[s, 0]) + (x.t[s + 1, 1] - x.t[s, 1])
-    t = x.t[s, 0] + time_in(x, s, greatest(far, 0.0), longest)
+    max_time = 1e17 if last else (x.t[s + 1, 0] - x.t[s, 0]) + (x.t[s + 1, 1] - x.t[s, 1])
+    t = x.t[s, 0] + time_in(x, s, greatest(distance, 0.0), max_time)
     if not t < 1e17:
         return NEVER
     n = int(math.ceil(t))

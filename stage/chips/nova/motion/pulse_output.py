@@ -62,7 +62,16 @@ def _exchange(c, x, word):
 
 @hot
 def levels(c, x, on):
-    """Return PLS and DIR, set where the pin is high. on: a pulse is on."""
+    """Compute the levels of PLS and DIR.
+
+    Args:
+        c: State of the chip.
+        x: State of the axis.
+        on: Whether a pulse is on.
+
+    Returns:
+        Bits of PLS and DIR, set where the pin is high.
+    """
     mode, low = _mode(c, x), x.wr[3] & DP_L if c.variant == MCX514_TYPE else x.wr[2] & PLS_L
     word = 0
     if mode == INDEPENDENT:

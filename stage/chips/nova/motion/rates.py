@@ -31,7 +31,7 @@ def runs(x):
 
 @hot
 def _ratio(a, b):
-    return dd.div(dd.whole(a), dd.whole(b))
+    return dd.div(dd.from_integer(a), dd.from_integer(b))
 
 
 @hot
@@ -40,7 +40,7 @@ def speed(c, x, value):
     if c.variant == MCX514_TYPE:
         return _ratio(least(greatest(value, 1), RANGE), HZ)
     fastest = RANGE // 1000
-    return dd.div(dd.whole(least(greatest(value, 1), fastest) * RANGE), dd.whole(HZ * _range(x)))
+    return dd.div(dd.from_integer(least(greatest(value, 1), fastest) * RANGE), dd.from_integer(HZ * _range(x)))
 
 
 @hot
@@ -53,17 +53,19 @@ def _range(x):
 def _rate(c, x, value):
     """An acceleration parameter in pulses per clock^2."""
     if c.variant == MCX514_TYPE:
-        return dd.div(_ratio(greatest(value, 1), HZ), dd.whole(HZ))
-    return dd.div(dd.div(dd.whole(125 * greatest(value, 1) * RANGE), dd.whole(HZ * _range(x))), dd.whole(HZ))
+        return dd.div(_ratio(greatest(value, 1), HZ), dd.from_integer(HZ))
+    return dd.div(
+        dd.div(dd.from_integer(125 * greatest(value, 1) * RANGE), dd.from_integer(HZ * _range(x))), dd.from_integer(HZ)
+    )
 
 
 @hot
 def _jerk(c, x, value):
     """A jerk parameter in pulses per clock^3."""
     if c.variant == MCX514_TYPE:
-        return dd.div(dd.div(_ratio(greatest(value, 1), HZ), dd.whole(HZ)), dd.whole(HZ))
-    up = dd.div(dd.whole(62_500_000 * RANGE), dd.whole(greatest(value, 1) * _range(x)))
-    return dd.div(dd.div(dd.div(up, dd.whole(HZ)), dd.whole(HZ)), dd.whole(HZ))
+        return dd.div(dd.div(_ratio(greatest(value, 1), HZ), dd.from_integer(HZ)), dd.from_integer(HZ))
+    up = dd.div(dd.from_integer(62_500_000 * RANGE), dd.from_integer(greatest(value, 1) * _range(x)))
+    return dd.div(dd.div(dd.div(up, dd.from_integer(HZ)), dd.from_integer(HZ)), dd.from_integer(HZ))
 
 
 @hot
@@ -100,9 +102,9 @@ def take_rates(c, x):
     put(x.sv, speed(c, x, x.reg[SV]))
     put(x.up, _rate(c, x, x.reg[AC]))
     put(x.down, _rate(c, x, x.reg[DC] if x.asymmetric else x.reg[AC]))
-    own = x.reg[JK] if c.variant == MCX514_TYPE else x.reg[K]
-    other = x.reg[DJ] if c.variant == MCX514_TYPE else x.reg[L] if c.has_l else own
-    put(x.up_jerk, _jerk(c, x, own))
-    put(x.down_jerk, _jerk(c, x, other if x.asymmetric else own))
+    jerk = x.reg[JK] if c.variant == MCX514_TYPE else x.reg[K]
+    other = x.reg[DJ] if c.variant == MCX514_TYPE else x.reg[L] if c.has_l else jerk
+    put(x.up_jerk, _jerk(c, x, jerk))
+    put(x.down_jerk, _jerk(c, x, other if x.asymmetric else jerk))
     x.curved = x.s_curve
     put(x.finest, _rate(c, x, 1) if c.errata and x.fixed else dd.ZERO)

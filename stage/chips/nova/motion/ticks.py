@@ -17,10 +17,10 @@ FAR = 1e17  # clocks: centuries
 def _reached(x, s, n, place):
     """The profile, in its piece `s`, has come to `place` n clocks after its origin."""
     if x.a2[s, 0] == 0.0 and x.j6[s, 0] == 0.0:  # the same, sooner
-        here = dd.add(pair(x.p[s]), dd.mul(dd.sub(dd.whole(n), pair(x.t[s])), pair(x.v[s])))
+        reached = dd.add(pair(x.p[s]), dd.mul(dd.sub(dd.from_integer(n), pair(x.t[s])), pair(x.v[s])))
     else:
-        here = exactly(x, s, n)
-    return not dd.less(dd.add(dd.add(dd.whole(x.from_pulse[s]), here), (SNAP, 0.0)), place)
+        reached = exactly(x, s, n)
+    return not dd.less(dd.add(dd.add(dd.from_integer(x.from_pulse[s]), reached), (SNAP, 0.0)), place)
 
 
 @hot
@@ -31,15 +31,15 @@ def clock_at(x, s, place):
         low = x.from_clock[s]
         last = s + 1 == x.pieces
         edge = NEVER if last else x.from_clock[s + 1]
-        longest = FAR if last else (x.t[s + 1, 0] - x.t[s, 0]) + (x.t[s + 1, 1] - x.t[s, 1])
-        far = greatest(dd.sub(dd.sub(place, dd.whole(x.from_pulse[s])), pair(x.p[s]))[0], 0.0)
-        t = time_in(x, s, far, longest)
+        max_time = FAR if last else (x.t[s + 1, 0] - x.t[s, 0]) + (x.t[s + 1, 1] - x.t[s, 1])
+        distance = greatest(dd.sub(dd.sub(place, dd.from_integer(x.from_pulse[s])), pair(x.p[s]))[0], 0.0)
+        t = time_in(x, s, distance, max_time)
         at = x.t[s, 0] + t
         if not at < FAR:
             return NEVER, s
         n = greatest(int(math.ceil(at)), low)
         slope = x.v[s, 0] + t * (2.0 * x.a2[s, 0] + 3.0 * t * x.j6[s, 0])
-        guard = 1e-6 + 1e-14 * at + 1e-14 * (far + 1.0) / greatest(slope, 1e-12)
+        guard = 1e-6 + 1e-14 * at + 1e-14 * (distance + 1.0) / greatest(slope, 1e-12)
         if n - at > 1.0 - guard:
             while n > low and _reached(x, s, n - 1, place):
                 n -= 1

@@ -61,18 +61,18 @@ def _look_back(x):
 @hot
 def _train(x, a, until, out, k):
     """Log the pulses of axis `a` from the one that is due up to `until`, as far as they come evenly. Returns the next k."""
-    due, rest, pps, way = x.due, x.rest, x.pps, x.way
+    due, rest, pps, direction = x.due, x.rest, x.pps, x.way
     last = x.origin + x.from_clock[x.at + 1] if x.at + 1 < x.pieces else NEVER
     n = 1 + (pps * least(least(until, last) - due, LONG) + rest) // HZ
     n = least(n, len(out) - k)
     if x.fixed:
         n = least(n, x.output - x.done - x.ahead + 1)
-    whole = HZ // pps
-    part = HZ - whole * pps
+    period = HZ // pps
+    part = HZ - period * pps
     for i in range(k, k + n):
         e = out[i]
-        e.clock, e.axis, e.direction = due, a, way
-        due += whole
+        e.clock, e.axis, e.direction = due, a, direction
+        due += period
         rest -= part
         if rest < 0:
             rest += pps
@@ -107,12 +107,12 @@ def _even(x, s, k, clock):
     x.pps = UNEVEN
     if x.a2[s, 0] != 0.0 or x.j6[s, 0] != 0.0 or clock >= NEVER:
         return
-    hz = dd.whole(HZ)
+    hz = dd.from_integer(HZ)
     speed = dd.mul((x.v[s, 0], x.v[s, 1]), hz)
     pps = dd.floor(dd.add(speed, (0.5, 0.0)))
-    if pps < 1 or abs(dd.sub(speed, dd.whole(pps))[0]) > 1e-29 * pps:
+    if pps < 1 or abs(dd.sub(speed, dd.from_integer(pps))[0]) > 1e-29 * pps:
         return
-    over = dd.add(dd.sub(exactly(x, s, clock), dd.whole(k - x.from_pulse[s])), (SNAP, 0.0))
+    over = dd.add(dd.sub(exactly(x, s, clock), dd.from_integer(k - x.from_pulse[s])), (SNAP, 0.0))
     rest = dd.floor(dd.mul(over, hz))
     x.pps = 0
     if 0 <= rest < pps:

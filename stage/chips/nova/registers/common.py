@@ -28,7 +28,17 @@ def axis_names(axes: int) -> str:
 
 def bit(name: str, number: int, meaning: str, evidence: str = "C", values: Values = (), note: str = "",
         only: int | None = None) -> Field:  # fmt: skip
-    """A field of one bit."""
+    """Return a field of one bit.
+
+    Args:
+        name: Name of the field.
+        number: Number of the bit.
+        meaning: Meaning of the bit; see `Field`.
+        evidence: Letter of EVIDENCE.
+        values: Meanings of 0 and 1.
+        note: Further text.
+        only: The one axis on which it acts.
+    """
     return bits(name, number, number, meaning, evidence, values=values, note=note, only=only)
 
 
@@ -36,7 +46,20 @@ def bits(
     name: str, high: int, low: int, meaning: str, evidence: str = "C", legal: Range = None, values: Values = (), note: str = "",
     listed: bool = True, only: int | None = None,
 ) -> Field:  # fmt: skip
-    """A field of several bits."""
+    """Return a field of several bits.
+
+    Args:
+        name: Name of the field.
+        high: Highest bit.
+        low: Lowest bit.
+        meaning: Subject of the bits; see `Field`.
+        evidence: Letter of EVIDENCE.
+        legal: Range, where not every value means something.
+        values: Meanings of the values, from 0 on or by value.
+        note: Further text.
+        listed: Whether a dump lists the values.
+        only: The one axis on which it acts.
+    """
     by_value = values if isinstance(values, Mapping) else dict(enumerate(values))
     between = " " if values == LEVELS else ": "  # level of STOP0 high
     return Field(
@@ -55,17 +78,33 @@ def bits(
 
 
 def axis_bits(name: str, low: int, axes: int, says: str, evidence: str = "C") -> Field:
-    """A field with a bit for each of so many axes, X first. says: of axes whose bits are 1, after their names."""
+    """Return a field with a bit for each axis, X first.
+
+    Args:
+        name: Name of the field.
+        low: Bit of X.
+        axes: Number of axes.
+        says: Meaning of axes whose bits are 1, behind their names.
+        evidence: Letter of EVIDENCE.
+    """
     values = {v: (axis_names(v) or "no axis") + says for v in range(1 << axes)}
     note = f"{', '.join(AXES[:axes])}{says}"
     return bits(name, low + axes - 1, low, "", evidence, values=values, note=note, listed=False)
 
 
 def word(name: str, title: str, *fields: Field | Iterable[Field], access: str = "", note: str = "") -> Word:
-    """A word of 16 bits; `fields` in any order. RRn can be read, WRn be written, unless `access` says more."""
-    found = [f for some in fields for f in ([some] if isinstance(some, Field) else some)]
+    """Return a word of 16 bits.
+
+    Args:
+        name: Name of the word.
+        title: Name in words.
+        *fields: Its fields, in any order.
+        access: "R" or "W"; default: RRn can be read, WRn be written.
+        note: Further text.
+    """
+    in_order = [f for some in fields for f in ([some] if isinstance(some, Field) else some)]
     access = access or ("R" if name.startswith("RR") else "W")
-    ordered = tuple(replace(f, access=access) for f in sorted(found, key=lambda f: -f.high))
+    ordered = tuple(replace(f, access=access) for f in sorted(in_order, key=lambda f: -f.high))
     address = int(name[2]) if name[:2] in ("WR", "RR") else None
     return Word(name, title, ordered, 16, note, address)
 

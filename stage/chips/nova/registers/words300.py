@@ -36,7 +36,7 @@ DELAYS = (2, 256, 512, 1024, 2048, 4096, 8192, 16384)
 def _home(shift: int = 0) -> tuple[Field, ...]:
     """The home search: HM, or from bit 16 on the word in WR7 of EM."""
     ways = ("+", "-")
-    said = (
+    meaning = (
         bits("DCCW", 15, 13, "DCC width", "I", values=times(DCC_WIDTHS)),
         bit("DCC-L", 12, "DCC pulse", "I", values=("high", "low")),
         bit("DCC-E", 11, "DCC output at the end of the search", "I"),
@@ -52,7 +52,7 @@ def _home(shift: int = 0) -> tuple[Field, ...]:
         bit("ST1-D", 1, "direction of step 1", "I", values=ways),
         bit("ST1-E", 0, "step 1 (high-speed search of STOP0, V) is executed", "I"),
     )
-    return tuple(replace(f, high=f.high + shift, low=f.low + shift) for f in said)
+    return tuple(replace(f, high=f.high + shift, low=f.low + shift) for f in meaning)
 
 
 HM = Register(
@@ -239,7 +239,7 @@ def _one_input(name: str, a: str) -> Word:
 def _extended() -> tuple[Word, ...]:
     """WR1, WR3, WR5, RR1 and the inputs of the MCX314As, whose STOP inputs are IN0 to IN3 in its manual."""
     written = {w.name: w for w in _WRITTEN}
-    shown = {w.name: w for w in _SHOWN}
+    outputs = {w.name: w for w in _SHOWN}
     wr1 = [f for f in written["WR1"].fields if f.name not in ("EPCLR", "EPINV")]
     wr3 = [f for f in written["WR3"].fields if f.low < 5]
     return (
@@ -257,7 +257,7 @@ def _extended() -> tuple[Word, ...]:
             bit("CIINT", 14, "interrupt when the next segment can be written"),
             bit("BPINT", 15, "interrupt when BPSC goes from 2 to 1"),
         ),
-        word("RR1", shown["RR1"].title, shown["RR1"].fields, bit("STOP3", 11, "ended by STOP3")),
+        word("RR1", outputs["RR1"].title, outputs["RR1"].fields, bit("STOP3", 11, "ended by STOP3")),
         *(
             word(name, f"input levels of {low} and {high}", (
                 bit(f"{a}-{n}", shift + k, f"level of {n} of {a}", values=LEVELS)
@@ -276,9 +276,9 @@ def _extended() -> tuple[Word, ...]:
 
 def extended_words() -> tuple[Word, ...]:
     """The words of the MCX314As."""
-    own = {w.name: w for w in _extended()}
+    added = {w.name: w for w in _extended()}
     shared = words(4, True)
-    return (*(own.pop(w.name, w) for w in shared), *own.values())
+    return (*(added.pop(w.name, w) for w in shared), *added.values())
 
 
 def words(axes: int, interpolates: bool) -> tuple[Word, ...]:

@@ -31,12 +31,12 @@ def _pio(i: int) -> Field:
 
 
 def _sync(n: int, axes: int = 4) -> Register:
-    own = {4: f"MR{n} -> {('LP', 'RP', 'SV', 'AC')[n]}", 8: ("CV -> MR0", "CA -> MR1", "none", "none")[n]}
+    actions_of_set = {4: f"MR{n} -> {('LP', 'RP', 'SV', 'AC')[n]}", 8: ("CV -> MR0", "CA -> MR1", "none", "none")[n]}
     return _mode(
         0x26 + n, f"S{n}M", f"synchronous action set {n}",
         bits("PREV", 3, 0, "factor", values=FACTORS, note="see FACTORS", listed=False),
-        bits("ACT", 8, 4, "action", legal=(0, 24), values=dict(enumerate(ACTIONS)) | own,
-             note=f"see ACTIONS; 4 is {own[4]}, 8 is {own[8]}", listed=False),
+        bits("ACT", 8, 4, "action", legal=(0, 24), values=dict(enumerate(ACTIONS)) | actions_of_set,
+             note=f"see ACTIONS; 4 is {actions_of_set[4]}, 8 is {actions_of_set[8]}", listed=False),
         *(bit(f"SNC+{k}", 8 + k, f"also SYNC{(n + k) % 4} of this axis") for k in (1, 2, 3)),
         *(bit(f"AXIS{k}", 11 + k, f"also SYNC0 of axis +{k}") for k in range(1, axes)),
         bit("REP", 15, "", values=("once", "repeatedly")),
