@@ -9,27 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from stage.chips.cores import scan_shafts, through
-from stage.chips.hctl1100 import bus, commutator, encoder, motor, timer
+from stage.chips.hctl1100 import bus, commutator, encoder, motor, state, timer
 from stage.chips.hctl1100 import filter as law
 from stage.chips.hctl1100.maps import ADDRESSES, PROPORTIONAL_HIGH, PROPORTIONAL_LOW, RING
-from stage.chips.hctl1100.state import (
-    CONTROL,
-    EDGE,
-    F0,
-    IDLE,
-    INIT,
-    INPUTS,
-    INTEGRAL,
-    OUTPUTS,
-    PROF,
-    PROPORTIONAL,
-    PULSE,
-    PULSE_ON,
-    STATE,
-    TRAPEZOID,
-    control_mode,
-    signed,
-)
+from stage.chips.hctl1100.state import EDGE, INPUTS, OUTPUTS, PULSE, STATE
 from stage.native import array_of, exported, hot, least
 
 ROOM = 8
@@ -45,7 +28,7 @@ __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "co
 def _sample(c, until):
     """The timer has come to its end. Where the sample changes nothing, those that follow up to `until` do not either."""
     timer.start(c)
-    if c.mode != CONTROL:
+    if c.mode != state.CONTROL:
         commutator.align_sample(c)
     elif law.sample(c) and c.clock < until:
         more = (until - c.clock) // (c.next - c.clock)
@@ -57,7 +40,7 @@ def _sample(c, until):
 def run(c, until):
     """Let the chip's clock run up to `until`."""
     while c.clock < until:
-        if c.mode == IDLE:
+        if c.mode == state.IDLE:
             motor.spend(c, until)
             timer.idle_to(c, until)
             c.clock = until
@@ -82,7 +65,7 @@ def set_shaft(c, j, count, rate):
 def net(c, j):
     """The encoder's count that the command position stands for."""
     now = encoder.raw(c)
-    return now + signed(c.command - (now - c.zero), 24)
+    return now + state.signed(c.command - (now - c.zero), 24)
 
 
 @exported("i8", STATE, "i8")
@@ -124,25 +107,25 @@ def peek(c, address):
 @exported("i8", STATE, "i8")
 def busy(c, j):
     """A trapezoid is in progress."""
-    return c.flag & F0 if c.mode == CONTROL else 0
+    return c.flag & state.F0 if c.mode == state.CONTROL else 0
 
 
 @exported("i8", STATE, "i8")
 def outputs(c, j):
     """Output pins, see OUTPUTS."""
-    word = (PROF if c.flag & F0 else 0) | (INIT if c.mode == IDLE else 0)
+    word = (state.PROF if c.flag & state.F0 else 0) | (state.INIT if c.mode == state.IDLE else 0)
     return word | motor.pins(c) | commutator.phases(c)
 
 
 @exported("f8", STATE, "i8", "f8")
 def pulse_rate(c, j, hz):
     """The commanded velocity, counts per second."""
-    if c.mode != CONTROL:
+    if c.mode != state.CONTROL:
         return 0.0
-    mode, sample = control_mode(c.flag), 16.0 * (c.period + 1)
-    if mode == PROPORTIONAL:
-        return signed(c.reg[PROPORTIONAL_HIGH] << 8 | c.reg[PROPORTIONAL_LOW], 16) * hz / (16.0 * sample)
-    return c.velocity * hz / (256.0 * sample) if mode in (TRAPEZOID, INTEGRAL) else 0.0
+    mode, sample = state.control_mode(c.flag), 16.0 * (c.period + 1)
+    if mode == state.PROPORTIONAL:
+        return state.signed(c.reg[PROPORTIONAL_HIGH] << 8 | c.reg[PROPORTIONAL_LOW], 16) * hz / (16.0 * sample)
+    return c.velocity * hz / (256.0 * sample) if mode in (state.TRAPEZOID, state.INTEGRAL) else 0.0
 
 
 @exported("f8", STATE, "i8", "i8", "f8")
@@ -243,7 +226,7 @@ def mark(c, axis, out, k):
 @hot
 def _next_change(c, until, every_pulse):
     """The clock, at most `until`, at which a pin may change; PULSE only with `every_pulse`."""
-    stop = until if c.mode == IDLE else least(until, c.next)
+    stop = until if c.mode == state.IDLE else least(until, c.next)
     if every_pulse:
         stop = least(stop, motor.next_edge(c))
     if c.clock < c.dead:
@@ -268,7 +251,7 @@ def scan(c, until, every_pulse, axis, out):
         The number of edges; where `out` is nearly full the chip stops early.
     """
     k = 0
-    watched = ALL_OUTPUTS if every_pulse else ALL_OUTPUTS & ~PULSE_ON
+    watched = ALL_OUTPUTS if every_pulse else ALL_OUTPUTS & ~state.PULSE_ON
     while c.clock < until and k < len(out) - ROOM:
         word, rate, command, drive = outputs(c, 0), pulse_rate(c, 0, 1.0), c.command, c.drive
         run(c, _next_change(c, until, every_pulse))

@@ -8,23 +8,12 @@ from typing import Any
 
 from stage.chips import describe
 from stage.chips.describe import Fields, Statement, line
-from stage.chips.hctl1100.maps import (
-    ADDRESSES,
-    CLEAR,
-    FLAG,
-    FLAG_WRITE,
-    MODE,
-    MODE_WRITE,
-    PRESET_POSITION,
-    QUANTITIES,
-    STATUS,
-    Quantity,
-)
+from stage.chips.hctl1100 import maps
 from stage.chips.hctl1100.state import IDLE, STORED
 from stage.chips.register_map import Register, RegisterMap
 
-SET, NUMBER = FLAG_WRITE.fields
-MODES = MODE_WRITE.fields[0].values
+SET, NUMBER = maps.FLAG_WRITE.fields
+MODES = maps.MODE_WRITE.fields[0].values
 _IDLE = [v for v, mode in MODES.items() if mode in ("reset", "Init/Idle")]
 """What leads to Init/Idle."""
 
@@ -37,7 +26,7 @@ class Decoder(describe.Decoder):
 
     def wrote(self, clock: int, address: int, value: int) -> list[Statement]:
         r = self._registers.get(address)
-        kind = "command" if address in (FLAG, MODE) else "register"
+        kind = "command" if address in (maps.FLAG, maps.MODE) else "register"
         known = (r.name, r.value(value)) if r and kind == "register" else ("", 0)
         return [Statement(clock, kind, f"{address:02X} {value:02X}", self._meaning(address, value), *known)]
 
@@ -45,9 +34,9 @@ class Decoder(describe.Decoder):
         return f"{address:02X} {value:02X}", self._meaning(address, value)
 
     def _meaning(self, address: int, value: int) -> str:
-        if address == FLAG:
+        if address == maps.FLAG:
             return f"{SET.says(SET.of(value))} F{NUMBER.of(value)}"
-        if address == MODE:
+        if address == maps.MODE:
             return MODES.get(value, "no mode")
         r = self._registers.get(address)
         return f"{r.name} <- {r.value(value)} ({r.text})" if r else f"no register at {address:02X}h"
@@ -59,37 +48,37 @@ class Listener:
     def __init__(self, map_: RegisterMap, record: Any):
         self._chip = map_.chip
         self._registers = {r.number: r for r in map_.registers}
-        self._bytes = {a: int(record["reg"][a]) for a in range(ADDRESSES)}
-        for a, q in QUANTITIES.items():
+        self._bytes = {a: int(record["reg"][a]) for a in range(maps.ADDRESSES)}
+        for a, q in maps.QUANTITIES.items():
             if q.waits and a != q.low:
                 place = ("high", "middle")[q.addresses.index(a)]
-                self._bytes[a] = int(record[f"preset_{place}" if q is PRESET_POSITION else place])
+                self._bytes[a] = int(record[f"preset_{place}" if q is maps.PRESET_POSITION else place])
             elif q.latched:
                 self._bytes[a] = int(record["latch"]) >> q.shift(a) & 0xFF
         self._unread: set[int] = set()  # of the latched bytes
         self._idle = int(record["mode"]) == IDLE
-        flags, status = self._registers[FLAG], self._registers[STATUS]
+        flags, status = self._registers[maps.FLAG], self._registers[maps.STATUS]
         self._flags, self._status = Fields(flags), Fields(status)
         self._set = Fields(replace(status, fields=tuple(f for f in status.fields if f.access == "RW")), silent=False)
-        self._known = {FLAG: map_.mask(flags.name, "f1"), STATUS: map_.mask(status.name, "init")}
+        self._known = {maps.FLAG: map_.mask(flags.name, "f1"), maps.STATUS: map_.mask(status.name, "init")}
 
     def write(self, address: int, value: int) -> str:
         """One write cycle to register `address`, 0 to 63."""
-        address, value = address % ADDRESSES, value & 0xFF
+        address, value = address % maps.ADDRESSES, value & 0xFF
         r = self._registers.get(address)
         if r is None:
             return f"no register of the {self._chip} at {address:02X}h: nothing changes"
         if r.access == "R":
             return line(f"{r.name} can only be read: nothing changes ({_name(r)})")
-        if address == FLAG:
+        if address == maps.FLAG:
             return self._flag(r, value)
-        if address == MODE:
+        if address == maps.MODE:
             self._idle = value in _IDLE or (self._idle and value not in MODES)
             return f"{r.title}: {MODES.get(value) or f'{value:02X}h is no mode of the {self._chip}'}"
-        if address == STATUS:
+        if address == maps.STATUS:
             return self._set.tell("status", value, "; clears LIMIT and STOP if released")
-        if address == CLEAR:
-            return f"{r.name}, any value: clears the {QUANTITIES[address].title}"
+        if address == maps.CLEAR:
+            return f"{r.name}, any value: clears the {maps.QUANTITIES[address].title}"
         return self._number(r, value)
 
     def _flag(self, r: Register, value: int) -> str:
@@ -98,16 +87,16 @@ class Listener:
         f = next((f for f in r.fields if f.low == number), None)
         if f is None:
             return f"{verb} F{number}: no flag of the {self._chip}"
-        if f.mask == self._known[FLAG]:
+        if f.mask == self._known[maps.FLAG]:
             return f"{verb} F{number}: nothing changes, it can only be read ({f.meaning})"
         return line(f"{verb} F{number}: {f.meaning}")
 
     def _number(self, r: Register, value: int) -> str:
         """A write to a register that is a number, or part of one."""
-        q = QUANTITIES.get(r.number)
+        q = maps.QUANTITIES.get(r.number)
         if q is None:
             return self._text_of(r, value, value if r.signed else value & STORED[r.number])
-        preset = q is PRESET_POSITION
+        preset = q is maps.PRESET_POSITION
         if self._idle or not preset:
             self._bytes[r.number] = value & STORED[r.number] if not q.waits else value
         if q.waits and (r.number != q.low or (preset and not self._idle)):
@@ -116,7 +105,7 @@ class Listener:
 
     def read(self, address: int, value: int) -> str:
         """One read cycle of register `address`, 0 to 63."""
-        address, value = address % ADDRESSES, value & 0xFF
+        address, value = address % maps.ADDRESSES, value & 0xFF
         r = self._registers.get(address)
         if r is None:
             return f"no register of the {self._chip} at {address:02X}h: reads {value:02X}h"
@@ -124,15 +113,15 @@ class Listener:
             return line(f"{r.name} can only be written: reads {value:02X}h ({_name(r)})")
         if address in self._known:
             self._idle = bool(value & self._known[address])
-            return self._flags.tell("flags", value) if address == FLAG else self._status.tell("status", value)
-        q = QUANTITIES.get(address)
+            return self._flags.tell("flags", value) if address == maps.FLAG else self._status.tell("status", value)
+        q = maps.QUANTITIES.get(address)
         if q is None:
             return self._text_of(r, value, value)
         if not q.latched:
             return line(f"{r.name} = {value:02X}h: {r.text}")
         return self._position(r, q, value)
 
-    def _position(self, r: Register, q: Quantity, value: int) -> str:
+    def _position(self, r: Register, q: maps.Quantity, value: int) -> str:
         """A read of a latched byte: the whole with the last of them, after a read of the low one."""
         if r.number == q.low:
             self._unread = set(q.addresses)
@@ -150,5 +139,5 @@ class Listener:
 
 def _name(r: Register) -> str:
     """Return the name of a register, or of the number that it is a part of."""
-    q = QUANTITIES.get(r.number)
+    q = maps.QUANTITIES.get(r.number)
     return q.title if q else r.title

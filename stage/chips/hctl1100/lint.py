@@ -9,49 +9,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from stage.chips.diagnostics import Finding, Rule
-from stage.chips.hctl1100.maps import (
-    ACCELERATION,
-    COMMAND_LOW,
-    COMMAND_POSITION,
-    FINAL_POSITION,
-    FLAG,
-    FLAG_WRITE,
-    FRACTION,
-    INTEGRAL_VELOCITY,
-    MAP,
-    MAX_ADVANCE,
-    MAX_VELOCITY,
-    MODE,
-    MODE_WRITE,
-    OFFSET,
-    PORT,
-    PRESET_POSITION,
-    PROPORTIONAL_VELOCITY,
-    PWM,
-    RING,
-    TIMER,
-    WHOLE,
-    X,
-    Y,
-)
-from stage.chips.hctl1100.state import (
-    CONTROL,
-    CONTROL_MODES,
-    F0,
-    F1,
-    F3,
-    F5,
-    FOUR,
-    GIVERS,
-    IDLE,
-    INTEGRAL,
-    MIN_T,
-    POSITION,
-    PROPORTIONAL,
-    TRAPEZOID,
-    control_mode,
-    signed,
-)
+from stage.chips.hctl1100 import maps, state
 
 # every write
 NO_REGISTER = Rule("no-register", "register table")
@@ -79,17 +37,22 @@ STOP_TRIGGERED = Rule("stop-triggered", "status")
 VELOCITY_STEP = Rule("velocity-step", "R3C")
 TWICE_IN_SAMPLE = Rule("twice-in-sample", "page 24")
 
-REGISTERS = {r.number: r for r in MAP.registers}
-MODE_FLAGS = F0 | F3 | F5
+REGISTERS = {r.number: r for r in maps.MAP.registers}
+MODE_FLAGS = state.F0 | state.F3 | state.F5
 COMMANDS = {
-    POSITION: (COMMAND_LOW,), TRAPEZOID: (COMMAND_LOW,), INTEGRAL: (COMMAND_LOW, INTEGRAL_VELOCITY),
-    PROPORTIONAL: PROPORTIONAL_VELOCITY.addresses,
+    state.POSITION: (maps.COMMAND_LOW,), state.TRAPEZOID: (maps.COMMAND_LOW,),
+    state.INTEGRAL: (maps.COMMAND_LOW, maps.INTEGRAL_VELOCITY), state.PROPORTIONAL: maps.PROPORTIONAL_VELOCITY.addresses,
 }  # fmt: skip
-PROFILE_DATA = (*COMMAND_POSITION.addresses, *ACCELERATION.addresses, MAX_VELOCITY, *FINAL_POSITION.addresses)
-IDLE_ONLY = (PORT, PWM, *PRESET_POSITION.addresses)
-MODES = MODE_WRITE.fields[0]
+PROFILE_DATA = (
+    *maps.COMMAND_POSITION.addresses,
+    *maps.ACCELERATION.addresses,
+    maps.MAX_VELOCITY,
+    *maps.FINAL_POSITION.addresses,
+)
+IDLE_ONLY = (maps.PORT, maps.PWM, *maps.PRESET_POSITION.addresses)
+MODES = maps.MODE_WRITE.fields[0]
 RESET, INIT, ALIGN = (MODES.code(name) for name in ("reset", "Init/Idle", "Align"))
-SET, NUMBER = FLAG_WRITE.fields
+SET, NUMBER = maps.FLAG_WRITE.fields
 
 
 def lint_write(c: Any, read_encoder: Callable[[], int], address: int, value: int) -> Iterator[Finding]:
@@ -108,35 +71,35 @@ def lint_write(c: Any, read_encoder: Callable[[], int], address: int, value: int
     if r.access == "R":
         yield READ_ONLY, f"{r.name} can only be read: the write does nothing"
         return
-    if address in IDLE_ONLY and c["mode"] != IDLE:
+    if address in IDLE_ONLY and c["mode"] != state.IDLE:
         yield NOT_IN_IDLE.at(r.name), f"{r.name} is written outside of Init/Idle: ignored"
-    if address == FLAG:
+    if address == maps.FLAG:
         yield from _lint_flag(c, value)
-    elif address == MODE:
+    elif address == maps.MODE:
         yield from _lint_mode(c, read_encoder, value)
-    elif address == TIMER:
-        yield from _lint_timer(value, control_mode(int(c["flag"])))
+    elif address == maps.TIMER:
+        yield from _lint_timer(value, state.control_mode(int(c["flag"])))
     elif r.legal and not r.allows(r.value(value)):
         message = f"{r.name} = {r.value(value)}: {r.title} takes {r.legal[0]} to {r.legal[1]}"
         yield VALUE_RANGE.at(r.name), message
-    if c["mode"] == CONTROL:
+    if c["mode"] == state.CONTROL:
         yield from _lint_data_in_control(c, address, value)
 
 
 def _lint_flag(c: Any, value: int) -> Iterator[Finding]:
     number = NUMBER.of(value)
     bit, on = 1 << number, SET.of(value)
-    if bit == F1:
+    if bit == state.F1:
         yield CHIP_SETS_F1, "F1 is set and cleared by the chip alone: write R05"
         return
-    if bit > F5:
+    if bit > state.F5:
         yield NO_FLAG, f"{value:02X}h: there is no flag {number}"
         return
     others = int(c["flag"]) & MODE_FLAGS & ~bit
     if on and bit & MODE_FLAGS and others:
         names = " and ".join(f"F{k}" for k in range(6) if (others | bit) >> k & 1)
         yield SEVERAL_MODE_FLAGS, f"{names} are set: only one of F0, F3 and F5 may be"
-    if on and c["mode"] == CONTROL:
+    if on and c["mode"] == state.CONTROL:
         yield from _lint_control_mode(c, int(c["flag"]) | bit)
 
 
@@ -147,16 +110,16 @@ def _lint_mode(c: Any, read_encoder: Callable[[], int], value: int) -> Iterator[
         return
     if value in (RESET, INIT):
         return
-    begins = c["mode"] == IDLE and not c["limited"]
-    if c["mode"] != IDLE:
+    begins = c["mode"] == state.IDLE and not c["limited"]
+    if c["mode"] != state.IDLE:
         yield NOT_IN_IDLE, f"R05 = {value:02X}h outside of Init/Idle: ignored"
     if c["limited"]:
         message = f"R05 = {value:02X}h while LIMIT has triggered: release the pin and write R07 first"
         yield LIMIT_TRIGGERED, message
     if begins and value == ALIGN:
-        if not c["reg"][RING]:
+        if not c["reg"][maps.RING]:
             yield ALIGN_WITHOUT_RING, "Align turns the motor by the commutator, whose ring R18 is 0"
-        if c["flag"] & MODE_FLAGS or c["command"] or signed(read_encoder() - int(c["zero"]), 24):
+        if c["flag"] & MODE_FLAGS or c["command"] or state.signed(read_encoder() - int(c["zero"]), 24):
             yield ALIGN_FROM_ELSEWHERE, "Align begins with F0, F3, F5 clear and both positions 0"
     elif begins:
         yield from _lint_control_mode(c, int(c["flag"]))
@@ -167,25 +130,25 @@ def _lint_mode(c: Any, read_encoder: Callable[[], int], value: int) -> Iterator[
 def _lint_control_mode(c: Any, flags: int) -> Iterator[Finding]:
     """Yield what is wrong with the registers of a control mode that begins, the one that `flags` select."""
     reg = c["reg"]
-    if flags & F0 and not (reg[FRACTION] or reg[WHOLE]):
+    if flags & state.F0 and not (reg[maps.FRACTION] or reg[maps.WHOLE]):
         yield NO_ACCELERATION, "a trapezoid with acceleration 0 (R27, R26) does not move and never ends"
-    if flags & F0 and not reg[MAX_VELOCITY]:
+    if flags & state.F0 and not reg[maps.MAX_VELOCITY]:
         yield NO_MAX_VELOCITY, "a trapezoid with maximum velocity 0 (R28) does not move and never ends"
-    yield from _lint_timer(int(reg[TIMER]), control_mode(flags))
+    yield from _lint_timer(int(reg[maps.TIMER]), state.control_mode(flags))
 
 
 def _lint_timer(t: int, mode: int) -> Iterator[Finding]:
-    if t < MIN_T[mode]:
-        message = f"T = {t:02X}h is below {MIN_T[mode]:02X}h, the least for {CONTROL_MODES[mode]} control"
+    if t < state.MIN_T[mode]:
+        message = f"T = {t:02X}h is below {state.MIN_T[mode]:02X}h, the least for {state.CONTROL_MODES[mode]} control"
         yield SAMPLE_TOO_SHORT, message
 
 
 def _lint_commutator(c: Any) -> Iterator[Finding]:
     reg = c["reg"]
-    ring, offset, max_advance = int(reg[RING]), signed(int(reg[OFFSET]), 8), int(reg[MAX_ADVANCE])
-    phases = 4 if c["status"] & FOUR else 3
-    if ring and phases * (int(reg[X]) + int(reg[Y])) != ring:
-        message = f"the ring R18 = {ring} is not {phases} (X + Y) = {phases} ({reg[X]} + {reg[Y]})"
+    ring, offset, max_advance = int(reg[maps.RING]), state.signed(int(reg[maps.OFFSET]), 8), int(reg[maps.MAX_ADVANCE])
+    phases = 4 if c["status"] & state.FOUR else 3
+    if ring and phases * (int(reg[maps.X]) + int(reg[maps.Y])) != ring:
+        message = f"the ring R18 = {ring} is not {phases} (X + Y) = {phases} ({reg[maps.X]} + {reg[maps.Y]})"
         yield RING_IS_NOT_PHASES, message
     if ring and not -128 <= 1.5 * ring + offset - max_advance <= 1.5 * ring + offset + max_advance <= 127:
         message = f"1.5 ring + offset +- maximum advance = {1.5 * ring + offset:g} +- {max_advance} leaves -128 to 127"
@@ -194,20 +157,20 @@ def _lint_commutator(c: Any) -> Iterator[Finding]:
 
 def _lint_data_in_control(c: Any, address: int, value: int) -> Iterator[Finding]:
     """Yield what is wrong with the moment of a write in a control mode, and with the step of a velocity."""
-    mode = control_mode(int(c["flag"]))
-    if mode == TRAPEZOID and address in PROFILE_DATA:
+    mode = state.control_mode(int(c["flag"]))
+    if mode == state.TRAPEZOID and address in PROFILE_DATA:
         message = f"R{address:02X} is written while PROF is high: the profile in progress takes it"
         yield PROFILE_IN_PROGRESS, message
     if address in COMMANDS[mode] and c["clock"] < c["computing"]:
-        when = f"wait until R0F has counted down by {MIN_T[mode]}"
+        when = f"wait until R0F has counted down by {state.MIN_T[mode]}"
         yield SAMPLE_IN_COMPUTATION, f"R{address:02X} is written while the sample is computed: {when}"
-    if address == INTEGRAL_VELOCITY and mode == INTEGRAL:
-        step = signed(value, 8) - signed(int(c["reg"][address]), 8)
+    if address == maps.INTEGRAL_VELOCITY and mode == state.INTEGRAL:
+        step = state.signed(value, 8) - state.signed(int(c["reg"][address]), 8)
         if c["stopped"]:
             message = "R3C is written while STOP has triggered: it stays 0. Release the pin and write R07 first"
             yield STOP_TRIGGERED, message
         elif abs(step) > 127:
             yield VELOCITY_STEP, f"R3C changes by {step}: successive command velocities may differ by 127"
-    if address in COMMANDS[mode] and c["given"] == c["next"] and int(c["gave"]) >> GIVERS.index(address) & 1:
+    if address in COMMANDS[mode] and c["given"] == c["next"] and int(c["gave"]) >> state.GIVERS.index(address) & 1:
         message = f"R{address:02X} is written twice in one sample: the later command counts, and the sheet allows one"
         yield TWICE_IN_SAMPLE, message

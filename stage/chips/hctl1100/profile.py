@@ -8,15 +8,7 @@
 
 from __future__ import annotations
 
-from stage.chips.hctl1100.maps import (
-    FINAL_HIGH,
-    FINAL_LOW,
-    FINAL_MIDDLE,
-    FRACTION,
-    INTEGRAL_VELOCITY,
-    MAX_VELOCITY,
-    WHOLE,
-)
+from stage.chips.hctl1100 import maps
 from stage.chips.hctl1100.state import F0, signed
 from stage.native import greatest, hot, least
 
@@ -24,13 +16,13 @@ from stage.native import greatest, hot, least
 @hot
 def acceleration(c):
     """256ths of counts per sample2."""
-    return c.reg[WHOLE] << 8 | c.reg[FRACTION]
+    return c.reg[maps.WHOLE] << 8 | c.reg[maps.FRACTION]
 
 
 @hot
 def final_position(c):
     """R2B to R29, sign extended."""
-    return signed(c.reg[FINAL_HIGH] << 16 | c.reg[FINAL_MIDDLE] << 8 | c.reg[FINAL_LOW], 24)
+    return signed(c.reg[maps.FINAL_HIGH] << 16 | c.reg[maps.FINAL_MIDDLE] << 8 | c.reg[maps.FINAL_LOW], 24)
 
 
 @hot
@@ -54,7 +46,7 @@ def trapezoid(c):
     rest = ((goal - c.command) << 8) - c.fraction
     direction, v = (1 if rest >= 0 else -1), abs(c.velocity)
     if a:
-        faster = least(v + a, c.reg[MAX_VELOCITY] << 8)
+        faster = least(v + a, c.reg[maps.MAX_VELOCITY] << 8)
         v = faster if abs(rest) - faster >= _braking(faster, a) else greatest(v - a, a)
     if v >= abs(rest):
         c.command, c.fraction, c.velocity = goal, 0, 0
@@ -68,7 +60,7 @@ def trapezoid(c):
 def integral(c):
     """One sample at the command velocity, or on the ramp towards it. STOP makes it 0."""
     if c.stopped:
-        c.reg[INTEGRAL_VELOCITY] = 0
-    goal, a = signed(c.reg[INTEGRAL_VELOCITY], 8) << 8, acceleration(c)
+        c.reg[maps.INTEGRAL_VELOCITY] = 0
+    goal, a = signed(c.reg[maps.INTEGRAL_VELOCITY], 8) << 8, acceleration(c)
     c.velocity = least(c.velocity + a, goal) if c.velocity < goal else greatest(c.velocity - a, goal)
     _move(c, c.velocity)

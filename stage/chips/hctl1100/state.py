@@ -4,22 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from stage.chips.hctl1100.maps import (
-    ADDRESSES,
-    COMMAND_LOW,
-    INTEGRAL_VELOCITY,
-    MAP,
-    MINIMUM_T,
-    PROPORTIONAL_HIGH,
-    PROPORTIONAL_LOW,
-)
+from stage.chips.hctl1100 import maps
 from stage.native import hot, record
 
 NEVER = 1 << 62
 IDLE, ALIGN, CONTROL = range(3)
 POSITION, PROPORTIONAL, TRAPEZOID, INTEGRAL = range(4)
 CONTROL_MODES = ("position", "proportional velocity", "trapezoid", "integral velocity")
-MIN_T = tuple(MINIMUM_T[name] for name in CONTROL_MODES)
+MIN_T = tuple(maps.MINIMUM_T[name] for name in CONTROL_MODES)
 
 STATE = record(
     [
@@ -68,25 +60,25 @@ STATE = record(
         ("count", "f8"),  # counts of the encoder
         ("rate", "f8"),  # counts a clock
         ("lost", "f8"),  # counts that came too fast for the filter, plus minus minus
-        ("reg", "i8", (ADDRESSES,)),  # what is stored as it was written, by address
+        ("reg", "i8", (maps.ADDRESSES,)),  # what is stored as it was written, by address
     ]
 )
 """One chip."""
 
 LIMIT, STOP, INDEX, SYNC = (1 << k for k in range(4))
 INPUTS = {"limit": LIMIT, "stop": STOP, "index": INDEX, "sync": SYNC}
-GIVERS = (COMMAND_LOW, PROPORTIONAL_LOW, PROPORTIONAL_HIGH, INTEGRAL_VELOCITY)
+GIVERS = (maps.COMMAND_LOW, maps.PROPORTIONAL_LOW, maps.PROPORTIONAL_HIGH, maps.INTEGRAL_VELOCITY)
 """Addresses whose write is a new command; a bit of `gave` each."""
 PROF, INIT, SIGN, PULSE_ON, PHA, PHB, PHC, PHD = (1 << k for k in range(8))
 OUTPUTS = {
     "prof": PROF, "init": INIT, "sign": SIGN, "pulse": PULSE_ON, "pha": PHA, "phb": PHB, "phc": PHC, "phd": PHD,
 }  # fmt: skip
 
-F0, F1, F2, F3, F4, F5 = (MAP.mask("R00", f"f{k}") for k in range(6))
-INHIBIT, FOUR, FULL = (MAP.mask("R07", name) for name in ("inhibit", "four", "full"))
+F0, F1, F2, F3, F4, F5 = (maps.MAP.mask("R00", f"f{k}") for k in range(6))
+INHIBIT, FOUR, FULL = (maps.MAP.mask("R07", name) for name in ("inhibit", "four", "full"))
 STORED = tuple(
-    next((r.legal[1] if r.legal else r.mask for r in MAP.registers if r.number == k and r.access != "R"), 0)
-    for k in range(ADDRESSES)
+    next((r.legal[1] if r.legal else r.mask for r in maps.MAP.registers if r.number == k and r.access != "R"), 0)
+    for k in range(maps.ADDRESSES)
 )
 """The bits that a write stores, by address."""
 

@@ -11,7 +11,6 @@ from stage.chips.diagnostics import Finding
 from stage.chips.nova import core, state
 from stage.chips.nova.describe import Decoder, Listener
 from stage.chips.nova.functions import encoder
-from stage.chips.nova.interpolation import run as interpolation
 from stage.chips.nova.lint import LintState, Mcx312LintState, Mcx314asLintState, lint_write
 from stage.chips.nova.registers.mcx300 import MCX302_MAP, MCX304_MAP, MCX312_MAP, MCX314AS_MAP
 from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
@@ -211,7 +210,7 @@ class MCX514(Nova):
         return bool(self.state["heard"])
 
     def _interpolated(self) -> int:
-        return int(self._plain["ax"][0]["mode"][interpolation.IPM]) & 15
+        return int(self._plain["ax"][0]["mode"][state.IPM]) & 15
 
     @exclusive
     def write_byte(self, address: int, value: int) -> None:

@@ -8,11 +8,11 @@ trace.py for a trace of them.
 from __future__ import annotations
 
 from stage.chips.cores import through
+from stage.chips.nova import state
 from stage.chips.nova.bus import mcx300 as bus304
 from stage.chips.nova.bus import mcx514 as bus514
-from stage.chips.nova.bus.parameters import lowest
-from stage.chips.nova.bus.status import busy as driving
-from stage.chips.nova.bus.status import phase_bits
+from stage.chips.nova.bus.common import busy as driving
+from stage.chips.nova.bus.common import lowest, phase_bits
 from stage.chips.nova.functions import comparators, encoder, external, home, sync
 from stage.chips.nova.functions import inputs as pins_in
 from stage.chips.nova.functions import io as ports
@@ -20,25 +20,10 @@ from stage.chips.nova.interpolation import multichip
 from stage.chips.nova.interpolation import run as interpolation
 from stage.chips.nova.motion import drive
 from stage.chips.nova.motion import trace as pulses
-from stage.chips.nova.motion.course import ROOM, log, stop_at
 from stage.chips.nova.motion.profile import speed_at
 from stage.chips.nova.motion.pulse_output import half_period, levels, pulse_end, resting_levels
-from stage.chips.nova.state import (
-    ASND,
-    CNST,
-    DCC,
-    DRIVE,
-    DSND,
-    EDGE,
-    INPUTS,
-    LP,
-    MCX514_TYPE,
-    OUT,
-    OUTPUTS,
-    PULSE,
-    SPLIT,
-    STATE,
-)  # fmt: skip
+from stage.chips.nova.motion.trace import ROOM, stop_at, write_edge
+from stage.chips.nova.state import EDGE, INPUTS, OUTPUTS, PULSE, STATE
 from stage.native import array_of, exported, greatest, hot, least
 
 ROUNDS = 100  # of events that cause others at one clock
@@ -131,7 +116,7 @@ def net(c, j):
 @exported("i8", STATE, "i8")
 def counter(c, j):
     """The logical position counter LP."""
-    return c.ax[j].reg[LP]
+    return c.ax[j].reg[state.LP]
 
 
 @exported(None, STATE, "i8", "f8", "f8")
@@ -224,17 +209,17 @@ def outputs(c, j):
 def _other_outputs(c, j):
     """The output pins of axis `j` but those of its pulses."""
     x = c.ax[j]
-    word = DRIVE if driving(x) else 0
+    word = state.DRIVE if driving(x) else 0
     bits = phase_bits(c, c.ax[c.ip.main] if x.interpolates else x)
-    word |= (ASND if bits & 1 else 0) | (CNST if bits & 2 else 0) | (DSND if bits & 4 else 0)
-    word |= (DCC if c.clock < x.dcc else 0) | (SPLIT if x.split_on else 0)
-    return word | ports.driven(c, j) * OUT
+    word |= (state.ASND if bits & 1 else 0) | (state.CNST if bits & 2 else 0) | (state.DSND if bits & 4 else 0)
+    word |= (state.DCC if c.clock < x.dcc else 0) | (state.SPLIT if x.split_on else 0)
+    return word | ports.driven(c, j) * state.OUT
 
 
 @hot
 def _interrupts(c):
     """INT0N, INT1N: see COMMON_OUTPUTS."""
-    return bus514.interrupts(c) | c.ip.interrupt << 1 if c.variant == MCX514_TYPE else bus304.interrupts(c)
+    return bus514.interrupts(c) | c.ip.interrupt << 1 if c.variant == state.MCX514_TYPE else bus304.interrupts(c)
 
 
 @exported("f8", STATE, "i8", "f8")
@@ -301,7 +286,7 @@ def _alone(c):
 
 @hot
 def write_word(c, address, value):
-    if c.variant == MCX514_TYPE:
+    if c.variant == state.MCX514_TYPE:
         bus514.write(c, address, value)
     else:
         bus304.write(c, address, value)
@@ -309,7 +294,7 @@ def write_word(c, address, value):
 
 @hot
 def read_word(c, address):
-    return bus514.read(c, address) if c.variant == MCX514_TYPE else bus304.read(c, address)
+    return bus514.read(c, address) if c.variant == state.MCX514_TYPE else bus304.read(c, address)
 
 
 @exported(None, STATE, "i8", "i8")
@@ -356,7 +341,7 @@ def window(c, row, k):
 @exported(None, STATE)
 def power_up(c):
     """A cleared record becomes a chip that was just switched on."""
-    if c.variant == MCX514_TYPE:
+    if c.variant == state.MCX514_TYPE:
         bus514.reset(c)
     else:
         bus304.reset(c)
@@ -411,7 +396,7 @@ def mark(c, axis, out, k):
         out: EDGE records.
         k: Number of the record.
     """
-    log(c, axis, out, k, outputs(c, axis), pulse_rate(c, axis, 1.0))
+    write_edge(c, axis, out, k, outputs(c, axis), pulse_rate(c, axis, 1.0))
 
 
 @hot
@@ -458,7 +443,7 @@ def scan(c, until, every_pulse, axis, out):
         word = _watched_outputs(c, axis, every_pulse, off)
         now = pulse_rate(c, axis, 1.0)
         if word != before or now != rate or (every_pulse and (x.net != net_before or x.inputs != pins_before)):
-            k = log(c, axis, out, k, word if every_pulse else outputs(c, axis), now)
+            k = write_edge(c, axis, out, k, word if every_pulse else outputs(c, axis), now)
     _alone(c)
     return k
 
@@ -497,5 +482,5 @@ def _hear(c, every_pulse, axis, out, k, word):
     now = pulse_rate(c, axis, 1.0)
     word = _watched_outputs(c, axis, every_pulse, pulse_end(x))
     if word != before or now != rate or (every_pulse and x.net != net_before):
-        k = log(c, axis, out, k, outputs(c, axis), now)
+        k = write_edge(c, axis, out, k, outputs(c, axis), now)
     return k

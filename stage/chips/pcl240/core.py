@@ -3,24 +3,11 @@
 from __future__ import annotations
 
 from stage.chips.cores import through
+from stage.chips.pcl240 import state
 from stage.chips.pcl240.bus import outputs as output_word
 from stage.chips.pcl240.bus import read_byte, register, write_byte
 from stage.chips.pcl240.motion import cruise_through, mean_count, run, span
-from stage.chips.pcl240.state import (
-    COUNTER_MASK,
-    EDGE,
-    EXTERNAL,
-    INDEPENDENT,
-    INPUTS,
-    OUTPUTS,
-    PDIR,
-    POUT,
-    PULSE,
-    S_OPERATING,
-    STATE,
-    read_pins,
-    reset,
-)
+from stage.chips.pcl240.state import EDGE, INPUTS, OUTPUTS, PULSE, STATE
 from stage.native import array_of, exported, greatest, hot, least
 
 __all__ = ["EDGE", "INPUTS", "OUTPUTS", "PULSE", "STATE", "advance", "busy", "counter", "inputs", "mark", "drive_input", "net",
@@ -60,7 +47,7 @@ def set_input(c, j, word):
     """Set the input pins, see INPUTS."""
     multiplier = c.multiplier
     c.inputs = word
-    read_pins(c)
+    state.read_pins(c)
     if c.multiplier != multiplier:
         c.quiet = 0
 
@@ -80,7 +67,7 @@ def peek(c, address):
 @exported("i8", STATE, "i8")
 def busy(c, j):
     """Status b6: in operation."""
-    return read_byte(c, 0) & S_OPERATING
+    return read_byte(c, 0) & state.S_OPERATING
 
 
 @exported("i8", STATE, "i8")
@@ -115,7 +102,7 @@ def drive_input(c, j, before, ticks):
 @hot
 def _pulse_bit(c):
     """The pin that carries the pulses of the present direction."""
-    return PDIR if c.output & INDEPENDENT and c.minus else POUT
+    return state.PDIR if c.output & state.INDEPENDENT and c.minus else state.POUT
 
 
 @hot
@@ -134,11 +121,11 @@ def _log_pulses(c, out, k, clock, phase, low, s, pulses, base, r0, net):
     m = 8192 * c.multiplier
     bit = _pulse_bit(c)
     direction = -1 if c.minus else 1
-    counts_output = 0 if c.output & EXTERNAL else 1
+    counts_output = 0 if c.output & state.EXTERNAL else 1
     for j in range(pulses + 1):
         if j:
             k = _log(c, out, k, clock - (phase - j * m) // c.speed, base | bit, r0, net)
-            r0 = (r0 - counts_output) & COUNTER_MASK
+            r0 = (r0 - counts_output) & state.COUNTER_MASK
             net += direction
             out[k - 1].counter, out[k - 1].net = r0, net
             low = 1
@@ -211,7 +198,7 @@ def window(c, row, k):
 @exported(None, STATE)
 def power_up(c):
     """A cleared record becomes a chip that was just switched on."""
-    reset(c)
+    state.reset(c)
 
 
 @exported(None, STATE, "i8", "i8")

@@ -17,26 +17,9 @@ the normative model: 1 limit switches, 2 pulse, 3 speed.
 from __future__ import annotations
 
 from stage.chips.cores import CHIP, CHIP_AXIS, REAL, SLICE_END, WORD, end_of_slice
+from stage.chips.pcl240 import state
 from stage.chips.pcl240.bus import blocked
 from stage.chips.pcl240.ramp import NEVER, goal_speed, linear_rate, margin, step_speed, took_step, until_step, watching
-from stage.chips.pcl240.state import (
-    COUNTER_MASK,
-    EL_MINUS,
-    EL_PLUS,
-    EXTERNAL,
-    EXTP,
-    EZ,
-    EZ_COUNT,
-    EZ_FROM_FL,
-    EZ_RETURN,
-    MAX_EZ_COUNT,
-    ORG,
-    R10,
-    R13,
-    STATE,
-    end,
-    stop,
-)
 from stage.native import array_at, exported, greatest, hot, least
 
 FOREVER = 1 << 62
@@ -47,10 +30,10 @@ def _sample(c):
     """What a changed input does at the tick that first sees it: EXTP counts on its rising edge. Returns the pins that
     have become asserted."""
     rising = c.seen & ~c.sampled
-    if c.sampled & EXTP and not c.seen & EXTP and c.output & EXTERNAL:
-        c.reg[0] = (c.reg[0] - 1) & COUNTER_MASK
+    if c.sampled & state.EXTP and not c.seen & state.EXTP and c.output & state.EXTERNAL:
+        c.reg[0] = (c.reg[0] - 1) & state.COUNTER_MASK
         if c.running and c.preset and c.reg[0] == 0:
-            stop(c)
+            state.stop(c)
     c.sampled = c.seen
     return rising
 
@@ -58,21 +41,21 @@ def _sample(c):
 @hot
 def _obey_switches(c, rising):
     """Step 1 where it has something to do: a limit, or ORG, and with an EZ return what comes after ORG."""
-    if c.seen & (EL_MINUS if c.minus else EL_PLUS):
-        stop(c)
+    if c.seen & (state.EL_MINUS if c.minus else state.EL_PLUS):
+        state.stop(c)
         return
-    if c.origin and c.seen & ORG:
-        if not (c.extended and c.reg[R13] & EZ_RETURN):
-            stop(c)
+    if c.origin and c.seen & state.ORG:
+        if not (c.extended and c.reg[state.R13] & state.EZ_RETURN):
+            state.stop(c)
             return
         c.homing = 1
-    if c.homing and not c.counting and (not c.reg[R13] & EZ_FROM_FL or not c.ramps or c.speed <= c.reg[1]):
+    if c.homing and not c.counting and (not c.reg[state.R13] & state.EZ_FROM_FL or not c.ramps or c.speed <= c.reg[1]):
         c.counting = 1
-    if c.counting and rising & EZ:
+    if c.counting and rising & state.EZ:
         if not c.ez_running:
-            c.ez_running, c.ez_left = 1, c.reg[R13] >> EZ_COUNT & MAX_EZ_COUNT
+            c.ez_running, c.ez_left = 1, c.reg[state.R13] >> state.EZ_COUNT & state.MAX_EZ_COUNT
         if c.ez_left == 0:
-            stop(c)
+            state.stop(c)
         else:
             c.ez_left -= 1
 
@@ -89,7 +72,7 @@ def _finish(c, n):
         c.phase += s * c.speed
         if c.phase >= half:
             c.low = 0
-            end(c)
+            state.end(c)
     c.clock += s
     return s
 
@@ -105,7 +88,7 @@ def span(c, n):
         return _finish(c, 1 if ran else n)
     goal = goal_speed(c)
     s = until_step(c, goal)
-    counts_output = not c.output & EXTERNAL
+    counts_output = not c.output & state.EXTERNAL
     if s == NEVER and not c.homing and (not c.ramps or c.speed == goal):
         c.quiet = _next_event(c, counts_output)
     s = least(n, s)
@@ -134,7 +117,7 @@ def span(c, n):
     if pulses:
         _count(c, pulses, counts_output)
         if c.preset and c.reg[0] == 0:
-            stop(c)
+            state.stop(c)
             return s
     step_speed(c)
     return s
@@ -181,7 +164,7 @@ def _cruise(c, until):
     if pulses or c.low:
         c.low = 1 if 2 * ahead < m else 0
     if pulses:
-        _count(c, pulses, not c.output & EXTERNAL)
+        _count(c, pulses, not c.output & state.EXTERNAL)
 
 
 @hot
@@ -251,7 +234,7 @@ def _climb(c, until):
         return
     if c.curved and c.goal != goal:
         return
-    counts_output = not c.output & EXTERNAL
+    counts_output = not c.output & state.EXTERNAL
     m, left, begun = 8192 * c.multiplier, _pulses_to_event(c, counts_output), 0
     clock, phase, speed = c.clock, c.phase, c.speed
     wait = (c.next if c.curved else rate) - c.timer
@@ -292,12 +275,12 @@ def _count(c, pulses, counts_output):
     if c.rising:
         c.risen += pulses
     if counts_output:
-        c.reg[0] = (c.reg[0] - pulses) & COUNTER_MASK
+        c.reg[0] = (c.reg[0] - pulses) & state.COUNTER_MASK
     if c.position:
-        c.reg[R10] = (c.reg[R10] + signed_pulses) & COUNTER_MASK
+        c.reg[state.R10] = (c.reg[state.R10] + signed_pulses) & state.COUNTER_MASK
 
 
-@exported(None, STATE, "i8")
+@exported(None, state.STATE, "i8")
 def run(c, until):
     """Let the chip's clock run up to `until`."""
     while c.clock < until:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 
-from stage.chips.pcl240.state import FH1, FH2, LINEAR, R14, R15, SD_MINUS, SD_PLUS, SPAN, UNCORRECTED, stop
+from stage.chips.pcl240 import state
 from stage.native import greatest, hot
 
 NEVER = 1 << 40
@@ -25,9 +25,9 @@ def selected_speed(c):
     """The speed register that the operating mode selects, or the corrected FH in its place."""
     if c.select == c.top_select and c.select:
         return c.top
-    if c.select == FH1:
+    if c.select == state.FH1:
         return c.reg[2]
-    if c.select == FH2:
+    if c.select == state.FH2:
         return c.reg[3]
     return c.reg[1]
 
@@ -35,7 +35,7 @@ def selected_speed(c):
 @hot
 def slowed(c):
     """SD enabled and the SD switch of the direction asserted."""
-    return c.sd_enable and c.seen & (SD_MINUS if c.minus else SD_PLUS)
+    return c.sd_enable and c.seen & (state.SD_MINUS if c.minus else state.SD_PLUS)
 
 
 @hot
@@ -84,12 +84,15 @@ def correct_top(c):
         revised R2                   sqrt(8192 R0 R7 / R4 + R1^2)    or  (-s + sqrt((s - 2 R1)^2 + 65536 R0 R7 / R4)) / 2
     """
     low, high, rate = c.reg[1], selected_speed(c), c.reg[4]
-    if not (c.s_curves and watching(c) and (c.select == FH1 or c.select == FH2) and rate) or c.reg[R14] & UNCORRECTED:
+    if (
+        not (c.s_curves and watching(c) and (c.select == state.FH1 or c.select == state.FH2) and rate)
+        or c.reg[state.R14] & state.UNCORRECTED
+    ):
         return
     product = c.reg[0] * c.multiplier
-    a, b = c.reg[R14] & SPAN, c.reg[R15] & SPAN
+    a, b = c.reg[state.R14] & state.SPAN, c.reg[state.R15] & state.SPAN
     s, m = a + b, greatest(a, b)
-    linear = c.reg[R14] & LINEAR or a == 0 or b == 0 or 2 * m >= high - low
+    linear = c.reg[state.R14] & state.LINEAR or a == 0 or b == 0 or 2 * m >= high - low
     if product * 16384 > ((high + low) * (high - low) * 2 if linear else (low + high) * (high - low + s)) * rate:
         return
     if linear or product * 8192 <= (low + m) * (s + 2 * m) * rate:
@@ -115,7 +118,7 @@ def _curve_time(c, k):
 @hot
 def _start_ramp(c, goal, direction):
     c.ramp, c.timer, c.goal = direction, 0, goal
-    c.curved = 1 if c.s_curves and not c.reg[R14] & LINEAR else 0
+    c.curved = 1 if c.s_curves and not c.reg[state.R14] & state.LINEAR else 0
     if c.curved:
         c.steps = abs(goal - c.speed)
         c.step = 0
@@ -127,7 +130,7 @@ def _start_ramp(c, goal, direction):
 @hot
 def _twice_span(c):
     """2 S by R14, R15 as they are now."""
-    span = c.reg[R14 if c.ramp > 0 else R15] & SPAN
+    span = c.reg[state.R14 if c.ramp > 0 else state.R15] & state.SPAN
     return c.steps if span == 0 or 2 * span > c.steps else 2 * span
 
 
@@ -225,4 +228,4 @@ def step_speed(c):
         if direction < 0 and c.speed == goal:
             c.fall = c.clock + _tail(c)
     if c.decel and c.speed <= c.reg[1]:
-        stop(c)
+        state.stop(c)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from stage.chips.nova import power
-from stage.chips.nova.bus.parameters import lowest, meant, parameters
-from stage.chips.nova.bus.status import busy, phase_bits
+from stage.chips.nova import power, state
+from stage.chips.nova.bus.common import busy, lowest, meant, parameters, phase_bits
 from stage.chips.nova.functions import home
 from stage.chips.nova.functions import io as ports
 from stage.chips.nova.functions.inputs import turn
@@ -13,45 +12,6 @@ from stage.chips.nova.motion import counters, drive, rates
 from stage.chips.nova.registers.mcx300 import MCX304_MAP, MCX314AS_MAP, RESET
 from stage.chips.nova.registers.mcx300 import MCX312_MAP as MAP
 from stage.chips.nova.registers.words300 import DELAYS
-from stage.chips.nova.state import (
-    ALARM,
-    AXES,
-    C_END,
-    C_STA,
-    COMP_MINUS,
-    COMP_PLUS,
-    D_END,
-    DV,
-    E_ALARM,
-    E_EMG,
-    E_HLMT_MINUS,
-    E_HLMT_PLUS,
-    E_HOME,
-    E_SLMT_MINUS,
-    E_SLMT_PLUS,
-    EM,
-    EMG_FILTER,
-    EP,
-    EXP,
-    F_ALARM,
-    F_EMG,
-    F_STOP3,
-    H_END,
-    HM,
-    HV,
-    INPOS,
-    LMT_MINUS,
-    LMT_PLUS,
-    LP,
-    LX,
-    REGISTERS,
-    STATE,
-    STOP0,
-    STOP1,
-    STOP2,
-    STOP3,
-    TP,
-)  # fmt: skip
 from stage.native import exported, hot, least
 
 WRITES, SIGNED, SHORT, RESET_PLACES, RESET_VALUES = parameters(MAP)
@@ -101,7 +61,13 @@ SP3_L, SP3_E = MCX314AS_MAP.masks("WR1", "SP3-L", "SP3-E")
 EM_EPCLR, EM_EPINV, EM_AVTRI = MCX314AS_MAP.masks("EM", "EPCLR", "EPINV", "AVTRI")
 EM_FE0, EM_FL = MCX314AS_MAP.bit("EM", "FE0"), MCX314AS_MAP.bit("EM", "FL")
 BY_STOP3, IN_STOP3 = MCX314AS_MAP.mask("RR1", "STOP3"), MCX314AS_MAP.mask("RR4", "X-STOP3")
-_FILTERS = (EMG_FILTER | LMT_PLUS | LMT_MINUS | STOP0 | STOP1, STOP2, INPOS | ALARM, 3 << EXP, STOP3)
+_FILTERS = (
+    state.EMG_FILTER | state.LMT_PLUS | state.LMT_MINUS | state.STOP0 | state.STOP1,
+    state.STOP2,
+    state.INPOS | state.ALARM,
+    3 << state.EXP,
+    state.STOP3,
+)
 """Of FE0 to FE4; the last one is the MCX314As's alone."""
 
 
@@ -109,12 +75,12 @@ _FILTERS = (EMG_FILTER | LMT_PLUS | LMT_MINUS | STOP0 | STOP1, STOP2, INPOS | AL
 def reset(c):
     """Reset: registers to their values, modes and counters 0, X selected; the clock, the input pins and the pulse totals go on."""
     power.clear(c)
-    for j in range(AXES):
+    for j in range(state.AXES):
         x = c.ax[j]
         for k in range(len(RESET_PLACES)):
             x.reg[RESET_PLACES[k]] = RESET_VALUES[k]
-        x.reg[LX] = 1  # L; LX is the other chips'
-        x.reg[HV] = 1
+        x.reg[state.LX] = 1  # L; LX is the other chips'
+        x.reg[state.HV] = 1
         configure(c, x)
 
 
@@ -123,17 +89,17 @@ def configure(c, x):
     """WR1 to WR3 in plain terms."""
     w = x.wr[1]
     x.stops = (1 if w & SP0_E else 0) | (2 if w & SP1_E else 0) | (4 if w & SP2_E else 0)
-    e = x.mode[EM]
+    e = x.mode[state.EM]
     if c.extended:
         x.stops |= 8 if w & SP3_E else 0
         x.exchanges, x.clears = e & EM_EPINV, e & EM_EPCLR
     else:
         x.exchanges, x.clears = w & EPINV, w & EPCLR
-    turned = STOP3 if c.extended and w & SP3_L else 0
-    turned |= (STOP0 if w & SP0_L else 0) | (STOP1 if w & SP1_L else 0) | (STOP2 if w & SP2_L else 0)
+    turned = state.STOP3 if c.extended and w & SP3_L else 0
+    turned |= (state.STOP0 if w & SP0_L else 0) | (state.STOP1 if w & SP1_L else 0) | (state.STOP2 if w & SP2_L else 0)
     w = x.wr[2]
-    turned |= (LMT_PLUS if w & HLMT_PLUS else 0) | (LMT_MINUS if w & HLMT_MINUS else 0)
-    turn(x, turned | (INPOS if w & INP_L else 0) | (ALARM if w & ALM_L else 0))
+    turned |= (state.LMT_PLUS if w & HLMT_PLUS else 0) | (state.LMT_MINUS if w & HLMT_MINUS else 0)
+    turn(x, turned | (state.INPOS if w & INP_L else 0) | (state.ALARM if w & ALM_L else 0))
     x.limits, x.limit_slow = 1, w & LMTMD
     x.soft_plus, x.soft_minus, x.soft_rp, x.soft_instant = w & SLMT_PLUS, w & SLMT_MINUS, w & CMPSL, 0
     x.inpos_waits, x.alarm_stops = w & INP_E, w & ALM_E
@@ -155,9 +121,9 @@ def configure(c, x):
 def _set(c, x, code, value):
     """Write parameter `code` of an axis."""
     value = meant(value, SIGNED >> code & 1, SHORT >> code & 1)
-    if code == DV:
+    if code == state.DV:
         drive.change_speed(c, x, value)
-    elif code == TP:
+    elif code == state.TP:
         drive.change_output(c, x, value)
     else:
         x.reg[code] = value
@@ -181,12 +147,12 @@ def _axis_command(c, x, j, code):
         home.end(c, x)
         drive.stop(c, x, 0)
     elif code == HM_CODE:
-        x.mode[HM] = c.high if c.extended else c.low
+        x.mode[state.HM] = c.high if c.extended else c.low
         if c.extended:
-            x.mode[EM] = c.low
+            x.mode[state.EM] = c.low
             configure(c, x)
     elif code == HV_CODE:
-        x.reg[HV] = c.low
+        x.reg[state.HV] = c.low
     elif code == HOME:
         home.start(c, x)
     elif code == DCC:
@@ -204,7 +170,7 @@ def command(c, value):
     if axes:
         c.selected = axes
     c.stale = 1
-    if code < REGISTERS and WRITES >> code & 1:
+    if code < state.REGISTERS and WRITES >> code & 1:
         for j in range(c.axes):
             if axes >> j & 1:
                 _set(c, c.ax[j], code, c.high << 16 | c.low)
@@ -213,7 +179,7 @@ def command(c, value):
     elif R_LP <= code <= R_CA:
         x = c.ax[lowest(c)]
         if code in (R_LP, R_EP):
-            data = x.reg[LP] if code == R_LP else x.reg[EP]
+            data = x.reg[state.LP] if code == R_LP else x.reg[state.EP]
         else:
             data = rates.speed_reading(c, x) if code == R_CV else rates.rate_reading(c, x)
         c.read_low, c.read_high = data & 0xFFFF, data >> 16 & 0xFFFF
@@ -226,7 +192,7 @@ def command(c, value):
                 _axis_command(c, c.ax[j], j, code)
 
 
-@exported(None, STATE, "i8", "i8")
+@exported(None, state.STATE, "i8", "i8")
 def write(c, address, value):
     """WR0 to WR7; on the MCX312 after 36h the bit pattern in place of WR2 to WR5."""
     if address == 0:
@@ -252,7 +218,9 @@ def write(c, address, value):
 def _compared(x):
     """CMP+ and CMP-."""
     counter = counters.limited(x)
-    return (CMP_PLUS if counter >= x.reg[COMP_PLUS] else 0) | (CMP_MINUS if counter < x.reg[COMP_MINUS] else 0)
+    return (CMP_PLUS if counter >= x.reg[state.COMP_PLUS] else 0) | (
+        CMP_MINUS if counter < x.reg[state.COMP_MINUS] else 0
+    )
 
 
 @hot
@@ -260,18 +228,18 @@ def errors(c, x):
     """RR2: soft limits while they are passed, hardware limits, ALARM and EMG while their levels are there."""
     word = 0
     if x.soft_plus and _compared(x) & CMP_PLUS:
-        word |= E_SLMT_PLUS
+        word |= state.E_SLMT_PLUS
     if x.soft_minus and _compared(x) & CMP_MINUS:
-        word |= E_SLMT_MINUS
-    if x.active & LMT_PLUS:
-        word |= E_HLMT_PLUS
-    if x.active & LMT_MINUS:
-        word |= E_HLMT_MINUS
-    if x.alarm_stops and x.active & ALARM:
-        word |= E_ALARM
+        word |= state.E_SLMT_MINUS
+    if x.active & state.LMT_PLUS:
+        word |= state.E_HLMT_PLUS
+    if x.active & state.LMT_MINUS:
+        word |= state.E_HLMT_MINUS
+    if x.alarm_stops and x.active & state.ALARM:
+        word |= state.E_ALARM
     if c.emergency:
-        word |= E_EMG
-    if x.causes & E_HOME:
+        word |= state.E_EMG
+    if x.causes & state.E_HOME:
         word |= HOME_ERROR
     return word
 
@@ -282,7 +250,9 @@ def status(c):
     word = 0
     for j in range(c.axes):
         x = c.ax[j]
-        word |= (DRIVES << j if busy(x) else 0) | (FAILS << j if errors(c, x) or x.causes & (F_ALARM | F_EMG) else 0)
+        word |= (DRIVES << j if busy(x) else 0) | (
+            FAILS << j if errors(c, x) or x.causes & (state.F_ALARM | state.F_EMG) else 0
+        )
         if not c.has_l and x.home:
             word |= HOMES << j
     return word | (interpolation312.status_bits(c) if c.has_l else 0)
@@ -293,18 +263,18 @@ def _levels(c, x, j):
     """RR4, RR5: the electrical levels of an axis; STOP0, STOP1, STOP2, EMG, EX+, EX-, INPOS, ALARM. A pin that is set is low."""
     word = 0
     for k in range(3):
-        word |= (0 if x.inputs & STOP0 << k else 1) << k
+        word |= (0 if x.inputs & state.STOP0 << k else 1) << k
     if c.extended:
-        word |= 0 if x.inputs & STOP3 else IN_STOP3
+        word |= 0 if x.inputs & state.STOP3 else IN_STOP3
     elif j == 0:
         word |= 0 if c.emg else IN_EMG
-    word |= (0 if x.inputs >> EXP & 1 else IN_EXP_PLUS) | (0 if x.inputs >> EXP & 2 else IN_EXP_MINUS)
-    word |= 0 if x.inputs & INPOS else IN_INPOS
-    word |= 0 if x.inputs & ALARM else IN_ALARM
+    word |= (0 if x.inputs >> state.EXP & 1 else IN_EXP_PLUS) | (0 if x.inputs >> state.EXP & 2 else IN_EXP_MINUS)
+    word |= 0 if x.inputs & state.INPOS else IN_INPOS
+    word |= 0 if x.inputs & state.ALARM else IN_ALARM
     if c.axes == 2:
         word |= IN_IN
-        word |= 0 if x.inputs & LMT_PLUS else IN_LMT_PLUS
-        word |= 0 if x.inputs & LMT_MINUS else IN_LMT_MINUS
+        word |= 0 if x.inputs & state.LMT_PLUS else IN_LMT_PLUS
+        word |= 0 if x.inputs & state.LMT_MINUS else IN_LMT_MINUS
     return word
 
 
@@ -312,8 +282,8 @@ def _levels(c, x, j):
 def factors(x):
     """RR3."""
     word = x.compared  # PULSE and the comparisons, see comparators.py
-    word |= (CONSTANT_END if x.factors & C_END else 0) | (CONSTANT_START if x.factors & C_STA else 0)
-    return word | (DRIVE_END if x.factors & D_END else 0) | (HOME_END if x.factors & H_END else 0)
+    word |= (CONSTANT_END if x.factors & state.C_END else 0) | (CONSTANT_START if x.factors & state.C_STA else 0)
+    return word | (DRIVE_END if x.factors & state.D_END else 0) | (HOME_END if x.factors & state.H_END else 0)
 
 
 @hot
@@ -324,7 +294,7 @@ def read(c, address):
         return status(c)
     if address == 1:
         bits = phase_bits(c, x)
-        more = BY_STOP3 if x.causes & F_STOP3 else 0
+        more = BY_STOP3 if x.causes & state.F_STOP3 else 0
         return _compared(x) | bits << FIRST_PHASE | (x.causes >> 1 & BY_STOPS) | (x.causes & BY_REST) | more
     if address == 2:
         return errors(c, x) | home.state304(x) << HMST

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from stage.chips.nova import power
-from stage.chips.nova.bus.parameters import lowest, meant, parameters
-from stage.chips.nova.bus.status import busy, phase_bits
+from stage.chips.nova import power, state
+from stage.chips.nova.bus.common import busy, lowest, meant, parameters, phase_bits
 from stage.chips.nova.functions import home, sync, timer
 from stage.chips.nova.functions import io as ports
 from stage.chips.nova.functions.inputs import turn
@@ -13,27 +12,6 @@ from stage.chips.nova.interpolation import queue as prebuffer
 from stage.chips.nova.motion import drive, rates
 from stage.chips.nova.registers.mcx514 import GENERATION
 from stage.chips.nova.registers.mcx514 import MCX514_MAP as MAP
-from stage.chips.nova.state import (
-    ALARM,
-    AXES,
-    DV,
-    ECA,
-    ECB,
-    EMG_FILTER,
-    FLM,
-    INPOS,
-    IPM,
-    LMT_MINUS,
-    LMT_PLUS,
-    MODE_FIRST,
-    PIO,
-    REGISTERS,
-    STATE,
-    STOP0,
-    STOP1,
-    STOP2,
-    TP,
-)  # fmt: skip
 from stage.native import exported, hot
 
 WRITES, SIGNED, SHORT, RESET_PLACES, RESET_VALUES = parameters(MAP)
@@ -54,9 +32,11 @@ MODE_LAST = max(c.code for m in GENERATION for c in m.commands if c.kind == "mod
 READS = {c.symbol: c.code for m in GENERATION for c in m.commands if c.kind == "data read"}
 R_CV, R_CA, R_CT, R_CHLN, R_TX = (READS[n] for n in ("CV", "CA", "CT", "CHLN", "R-TX"))
 _READ = {READS[f"R-{r.name}"]: r.number for m in GENERATION for r in m.registers if f"R-{r.name}" in READS}
-PLACES = tuple(k if (k := _READ.get(code, -1)) < REGISTERS else -1 for code in range(256))
+PLACES = tuple(k if (k := _READ.get(code, -1)) < state.REGISTERS else -1 for code in range(256))
 """Of a reading command: the place in `reg` that it reads, or -1."""
-MODE_PLACES = tuple(k - MODE_FIRST if (k := _READ.get(code, -1)) >= MODE_FIRST else -1 for code in range(256))
+MODE_PLACES = tuple(
+    k - state.MODE_FIRST if (k := _READ.get(code, -1)) >= state.MODE_FIRST else -1 for code in range(256)
+)
 """The place in `mode` that it reads, or -1."""
 READ_FIRST, READ_LAST = min(READS.values()), max(READS.values()) | 15
 """Reading commands; the others among them read as 0."""
@@ -85,14 +65,23 @@ ERRORS = sum(MAP.masks("RR2", "SLMT+", "SLMT-", "HLMT+", "HLMT-", "ALARM", "EMG"
 HSST, FIRST_PHASE = MAP.bit("RR3-0", "HSST"), MAP.bit("RR3-1", "ASND")
 MEMBERS = sum(MAP.masks("IPM", "X-EN", "Y-EN", "Z-EN", "U-EN"))
 FL0, FL1 = MAP.bit("FLM", "FL0"), MAP.bit("FLM", "FL1")
-_FILTERS = (EMG_FILTER, LMT_PLUS | LMT_MINUS, STOP0 | STOP1, INPOS | ALARM, 15 << PIO, 15 << PIO + 4, STOP2, ECA | ECB)
+_FILTERS = (
+    state.EMG_FILTER,
+    state.LMT_PLUS | state.LMT_MINUS,
+    state.STOP0 | state.STOP1,
+    state.INPOS | state.ALARM,
+    15 << state.PIO,
+    15 << state.PIO + 4,
+    state.STOP2,
+    state.ECA | state.ECB,
+)
 
 
 @hot
 def reset(c):
     """Reset: registers to their values, modes and counters 0, X selected; the clock, the input pins and the pulse totals go on."""
     power.clear(c)
-    for j in range(AXES):
+    for j in range(state.AXES):
         x = c.ax[j]
         for k in range(len(RESET_PLACES)):
             x.reg[RESET_PLACES[k]] = RESET_VALUES[k]
@@ -108,14 +97,14 @@ def configure(x):
     x.limits, x.limit_slow = w & HLM_E, w & HLM_M
     x.soft_plus = x.soft_minus = w & SLM_E
     x.soft_rp, x.soft_instant = w & SLM_O, w & SLM_M
-    turned = (STOP0 if w & SP0_L else 0) | (STOP1 if w & SP1_L else 0) | (STOP2 if w & SP2_L else 0)
-    turned |= (INPOS if w & INP_L else 0) | (ALARM if w & ALM_L else 0)
-    turn(x, turned | (LMT_PLUS | LMT_MINUS if w & HLM_L else 0))
+    turned = (state.STOP0 if w & SP0_L else 0) | (state.STOP1 if w & SP1_L else 0) | (state.STOP2 if w & SP2_L else 0)
+    turned |= (state.INPOS if w & INP_L else 0) | (state.ALARM if w & ALM_L else 0)
+    turn(x, turned | (state.LMT_PLUS | state.LMT_MINUS if w & HLM_L else 0))
     w = x.wr[3]
     x.manual, x.asymmetric = w & MANLD, 1 if w & DSNDE else 0
     x.s_curve, x.prevents = 1 if w & SACC else 0, 0 if w & AVTRI else 1
     x.swaps, x.exchanges, x.encoder = w & LMINV, w & PIINV, w >> PIMD & 3
-    f = x.mode[FLM]
+    f = x.mode[state.FLM]
     x.filtered = 0
     for k in range(8):
         if f >> k & 1:
@@ -132,9 +121,9 @@ def _data(c):
 def _set(c, x, code, value):
     """Write parameter `code` of an axis."""
     value = meant(value, SIGNED >> code & 1, SHORT >> code & 1)
-    if code == DV:
+    if code == state.DV:
         drive.change_speed(c, x, value)
-    elif code == TP:
+    elif code == state.TP:
         drive.change_output(c, x, value)
     else:
         x.reg[code] = value
@@ -148,7 +137,7 @@ def _read_data(c, code):
     place = PLACES[code]
     if code == R_TX:
         value = prebuffer.longest(c)
-    elif 0 <= place < REGISTERS:
+    elif 0 <= place < state.REGISTERS:
         value = c.ax[0].reg[place] if ALONE >> place & 1 else x.reg[place]
     elif MODE_PLACES[code] >= 0:
         value = x.mode[MODE_PLACES[code]]
@@ -220,38 +209,38 @@ def command(c, value):
         if READ_FIRST <= code <= READ_LAST:
             c.read_low = c.read_high = 0
         return
-    if code < REGISTERS and WRITES >> code & 1:
+    if code < state.REGISTERS and WRITES >> code & 1:
         if ALONE >> code & 1:
             _set(c, c.ax[0], code, _data(c))
             return
-        for j in range(AXES):
+        for j in range(state.AXES):
             if axes >> j & 1:
                 _set(c, c.ax[j], code, _data(c))
-    elif MODE_FIRST <= code <= MODE_LAST:
-        if code == MODE_FIRST + IPM:
-            c.ax[0].mode[IPM] = c.low & ~(MEMBERS & ~0 << c.axes)
+    elif state.MODE_FIRST <= code <= MODE_LAST:
+        if code == state.MODE_FIRST + state.IPM:
+            c.ax[0].mode[state.IPM] = c.low & ~(MEMBERS & ~0 << c.axes)
             return
-        for j in range(AXES):
+        for j in range(state.AXES):
             if axes >> j & 1:
-                c.ax[j].mode[code - MODE_FIRST] = c.low
+                c.ax[j].mode[code - state.MODE_FIRST] = c.low
                 configure(c.ax[j])
     elif READ_FIRST <= code <= READ_LAST:
         _read_data(c, code)
     elif INTERPOLATION_FIRST <= code <= INTERPOLATION_LAST or code == MFPC:
         prebuffer.command(c, code)
     else:
-        for j in range(AXES):
+        for j in range(state.AXES):
             if axes >> j & 1:
                 _axis_command(c, c.ax[j], j, code)
 
 
-@exported(None, STATE, "i8", "i8")
+@exported(None, state.STATE, "i8", "i8")
 def write(c, address, value):
     """WR0 to WR7."""
     if address == 0:
         command(c, value)
     elif address <= 3:
-        for j in range(AXES):
+        for j in range(state.AXES):
             if c.selected >> j & 1:
                 c.ax[j].wr[address] = value
                 configure(c.ax[j])
@@ -285,9 +274,9 @@ def _low(x, bit):
 @hot
 def _pins_page(c, x):
     return (
-        _low(x, STOP0) | _low(x, STOP1) << 1 | _low(x, STOP2) << 2
-        | (1 - _low(x, ECA)) << 3 | (1 - _low(x, ECB)) << 4 | _low(x, INPOS) << 5 | _low(x, ALARM) << 6
-        | _low(x, LMT_PLUS) << 7 | _low(x, LMT_MINUS) << 8 | x.home << HSST
+        _low(x, state.STOP0) | _low(x, state.STOP1) << 1 | _low(x, state.STOP2) << 2
+        | (1 - _low(x, state.ECA)) << 3 | (1 - _low(x, state.ECB)) << 4 | _low(x, state.INPOS) << 5 | _low(x, state.ALARM) << 6
+        | _low(x, state.LMT_PLUS) << 7 | _low(x, state.LMT_MINUS) << 8 | x.home << HSST
     )  # fmt: skip
 
 
@@ -295,7 +284,7 @@ def _pins_page(c, x):
 def status(c):
     """RR0."""
     word = 0
-    for j in range(AXES):
+    for j in range(state.AXES):
         x = c.ax[j]
         word |= (DRIVES << j if busy(x) else 0) | (FAILS << j if x.causes & ERRORS else 0)
     return word | prebuffer.status_bits(c)
@@ -329,7 +318,7 @@ def read(c, address):
 @hot
 def interrupts(c):
     """The interrupt pin INT0N: an enabled factor of an axis."""
-    for j in range(AXES):
+    for j in range(state.AXES):
         if c.ax[j].factors & c.ax[j].wr[1]:
             return 1
     return 0

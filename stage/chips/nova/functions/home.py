@@ -18,38 +18,12 @@ first, then the timer, which runs only where a step follows. D-STA and D-END com
 
 from __future__ import annotations
 
+from stage.chips.nova import state
 from stage.chips.nova.functions import io as ports
 from stage.chips.nova.motion import counters, drive
 from stage.chips.nova.registers.mcx300 import MCX304_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.registers.words514 import HOME_TIMES
-from stage.chips.nova.state import (
-    ALARM,
-    D_END,
-    D_STA,
-    E_ALARM,
-    E_EMG,
-    E_HOME,
-    F_ALARM,
-    F_EMG,
-    F_LMT_MINUS,
-    F_LMT_PLUS,
-    F_STOP0,
-    F_STOP1,
-    F_STOP2,
-    H1M,
-    H2M,
-    H_END,
-    HM,
-    LP,
-    MCX514_TYPE,
-    NEVER,
-    RP,
-    STOP0,
-    STOP1,
-    STOP2,
-    TP,
-)
 from stage.native import hot
 
 IDLE, SEEK, PAUSE_1, OVER, OUT_OF, PAUSE_BACK, SEARCH, PAUSE_2, Z, PAUSE_3, OFFSET = (
@@ -105,27 +79,27 @@ def state304(x):
 
 @hot
 def _new(c):
-    return 1 if c.variant == MCX514_TYPE else 0
+    return 1 if c.variant == state.MCX514_TYPE else 0
 
 
 @hot
 def _way(c, x, k):
     """The direction of step `k`."""
-    if k == 4 and c.variant == MCX514_TYPE:
-        return 1 if x.reg[TP] >= 0 else -1
-    return -1 if x.mode[H1M] & MINUS[_new(c)][k - 1] else 1
+    if k == 4 and c.variant == state.MCX514_TYPE:
+        return 1 if x.reg[state.TP] >= 0 else -1
+    return -1 if x.mode[state.H1M] & MINUS[_new(c)][k - 1] else 1
 
 
 @hot
 def _stop_of(c, x, k):
     """The STOP input that step 1 or 2 searches; 0: the limit of its direction."""
-    mode = x.mode[H1M]
-    if c.variant != MCX514_TYPE:
-        return 0 if mode & LIMIT_304 else STOP0 if k == 1 else STOP1
+    mode = x.mode[state.H1M]
+    if c.variant != state.MCX514_TYPE:
+        return 0 if mode & LIMIT_304 else state.STOP0 if k == 1 else state.STOP1
     if k == 2:
-        return 0 if mode & S2SG else STOP1
+        return 0 if mode & S2SG else state.STOP1
     what = mode >> S1G & 3
-    return STOP0 if what == 0 else STOP1 if what == 1 else 0
+    return state.STOP0 if what == 0 else state.STOP1 if what == 1 else 0
 
 
 @hot
@@ -147,12 +121,12 @@ def _cause(c, x, k):
     stop = _stop_of(c, x, k)
     if stop == 0:
         return _limit_cause(c, x, k)
-    return F_STOP0 if stop == STOP0 else F_STOP1
+    return state.F_STOP0 if stop == state.STOP0 else state.F_STOP1
 
 
 @hot
 def _limit_cause(c, x, k):
-    return F_LMT_PLUS if _way(c, x, k) > 0 else F_LMT_MINUS
+    return state.F_LMT_PLUS if _way(c, x, k) > 0 else state.F_LMT_MINUS
 
 
 # --- beginning and end ---
@@ -163,7 +137,7 @@ def start(c, x):
     """5Ah, 62h."""
     if x.driving or x.waiting or x.home or x.interpolates:
         return
-    drive.note(x, D_STA)
+    drive.note(x, state.D_STA)
     _begin(c, x, 1)
 
 
@@ -173,19 +147,19 @@ def end(c, x):
     if not x.home:
         return
     reset(x)
-    drive.note(x, H_END)
+    drive.note(x, state.H_END)
     if not x.driving and not x.waiting:
-        drive.note(x, D_END)
+        drive.note(x, state.D_END)
     c.stale = 1
 
 
 @hot
 def _succeed(c, x):
-    if c.variant == MCX514_TYPE:
-        mode = x.mode[H2M]
+    if c.variant == state.MCX514_TYPE:
+        mode = x.mode[state.H2M]
         _clear(x, mode & RCLR, mode & LCLR)
     else:
-        mode = x.mode[HM]
+        mode = x.mode[state.HM]
         _clear(x, mode & PCLR, mode & PCLR)
         if mode & DCC_E:
             ports.clear_deviation(c, x)
@@ -196,9 +170,9 @@ def _succeed(c, x):
 def _clear(x, real, logical):
     """Clear position counters."""
     if real:
-        x.reg[RP] = 0
+        x.reg[state.RP] = 0
     if logical:
-        x.reg[LP] = 0
+        x.reg[state.LP] = 0
 
 
 # --- steps ---
@@ -212,17 +186,17 @@ def go(c, x):
 
 
 @hot
-def _go(x, state, direction, slow):
+def _go(x, next_step, direction, slow):
     """Ask for a drive without an end, at HV if `slow`."""
-    x.home, x.creeps = state, slow
-    x.seeks = 1 if state in (SEEK, SEARCH) else 0
+    x.home, x.creeps = next_step, slow
+    x.seeks = 1 if next_step in (SEEK, SEARCH) else 0
     x.go, x.go_count = direction, -1
 
 
 @hot
 def _begin(c, x, k):
     """Begin step `k`, or the first after it that is asked for."""
-    enabled, mode = ENABLES[_new(c)], x.mode[H1M]
+    enabled, mode = ENABLES[_new(c)], x.mode[state.H1M]
     x.found = x.pause = x.seeks = 0
     c.stale = 1
     if k <= 1 and mode & enabled[0] and not _there(c, x, 1) and not _blocked(c, x, 1):
@@ -236,14 +210,17 @@ def _begin(c, x, k):
             _go(x, SEARCH, _way(c, x, 2), 1)
     elif k <= 3 and mode & enabled[2]:
         x.home = Z
-        if x.active & STOP2:
-            x.causes |= E_HOME
+        if x.active & state.STOP2:
+            x.causes |= state.E_HOME
             end(c, x)
         else:
             _go(x, Z, _way(c, x, 3), 1)
     elif k <= 4 and mode & enabled[3]:
         x.home, x.creeps, x.absolute, x.sense = OFFSET, 0, 0, 1
-        x.go, x.go_count = _way(c, x, 4), abs(x.reg[TP]) if c.variant == MCX514_TYPE else x.reg[TP] & 0xFFFFFFFF
+        x.go, x.go_count = (
+            _way(c, x, 4),
+            abs(x.reg[state.TP]) if c.variant == state.MCX514_TYPE else x.reg[state.TP] & 0xFFFFFFFF,
+        )
     else:
         x.home = OFFSET
         _succeed(c, x)
@@ -276,15 +253,15 @@ def _watch(c, x):
         if not _there(c, x, 2):
             x.found = SIGNAL
             drive.end(c, x, 0)
-    elif x.active & STOP2 and (x.active & STOP1 or not _only_with_stop1(c, x)) and x.home == Z:
+    elif x.active & state.STOP2 and (x.active & state.STOP1 or not _only_with_stop1(c, x)) and x.home == Z:
         x.found = SIGNAL
-        drive.end(c, x, F_STOP2)
+        drive.end(c, x, state.F_STOP2)
 
 
 @hot
 def _only_with_stop1(c, x):
     """Step 3 stops only while STOP1 is active, too."""
-    return x.mode[H2M] & SAND if c.variant == MCX514_TYPE else x.mode[HM] & SAND_304
+    return x.mode[state.H2M] & SAND if c.variant == state.MCX514_TYPE else x.mode[state.HM] & SAND_304
 
 
 @hot
@@ -309,9 +286,9 @@ def _arrive(c, x):
 @hot
 def _mark(c, x, what):
     """DCC and the clears after step 2 or 3. Returns how many clocks DCC takes."""
-    if c.variant != MCX514_TYPE:
+    if c.variant != state.MCX514_TYPE:
         return 0
-    mode = x.mode[H1M]
+    mode = x.mode[state.H1M]
     _clear(x, mode & what[1], mode & what[2])
     return ports.clear_deviation(c, x) if mode & what[0] else 0
 
@@ -319,7 +296,7 @@ def _mark(c, x, what):
 @hot
 def _more(c, x, k):
     """A step after step `k` is asked for."""
-    enabled, mode = ENABLES[_new(c)], x.mode[H1M]
+    enabled, mode = ENABLES[_new(c)], x.mode[state.H1M]
     return (k < 2 and mode & enabled[1]) or (k < 3 and mode & enabled[2]) or (k < 4 and mode & enabled[3])
 
 
@@ -330,11 +307,11 @@ def _next(x):
 
 
 @hot
-def _pause(c, x, state, clocks):
+def _pause(c, x, next_step, clocks):
     """Between two steps: DCC, then the timer if a step follows."""
-    x.home, x.seeks, x.creeps = state, 0, 0
-    mode = x.mode[H2M]
-    if c.variant == MCX514_TYPE and mode & HTME and _more(c, x, _next(x) - 1):
+    x.home, x.seeks, x.creeps = next_step, 0, 0
+    mode = x.mode[state.H2M]
+    if c.variant == state.MCX514_TYPE and mode & HTME and _more(c, x, _next(x) - 1):
         clocks += MS * HOME_TIMES[mode >> HTM & 7]
     x.pause = c.clock + clocks
     if clocks == 0:
@@ -350,8 +327,8 @@ def step(c, x):
     if not x.home:
         return
     if x.pause:
-        if c.emergency or (x.alarm_stops and x.active & ALARM):
-            x.causes |= (E_EMG | F_EMG) if c.emergency else (E_ALARM | F_ALARM)
+        if c.emergency or (x.alarm_stops and x.active & state.ALARM):
+            x.causes |= (state.E_EMG | state.F_EMG) if c.emergency else (state.E_ALARM | state.F_ALARM)
             end(c, x)
         elif c.clock >= x.pause:
             _begin(c, x, _next(x))
@@ -364,4 +341,4 @@ def step(c, x):
 @hot
 def next_event(c, x):
     """The clock of the next event, NEVER if none is coming."""
-    return x.pause if x.pause else NEVER
+    return x.pause if x.pause else state.NEVER

@@ -7,7 +7,7 @@ OUT0 to OUT3 of the older chips are those of WR4, or with OUTSL CMP+, CMP-, ASND
 
 from __future__ import annotations
 
-from stage.chips.nova.bus.status import busy, phase_bits
+from stage.chips.nova.bus.common import busy, phase_bits
 from stage.chips.nova.motion import counters
 from stage.chips.nova.registers.common import DCC_WIDTHS
 from stage.chips.nova.registers.mcx300 import MCX304_MAP, MCX314AS_MAP

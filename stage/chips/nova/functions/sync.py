@@ -8,38 +8,18 @@ set ends a home search as 56h and 57h do.
 
 from __future__ import annotations
 
+from stage.chips.nova import state
 from stage.chips.nova.functions import comparators as compare
 from stage.chips.nova.functions import home, split_pulse, timer
 from stage.chips.nova.functions import io as ports
 from stage.chips.nova.motion import drive, rates
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
 from stage.chips.nova.registers.words514 import ACTIONS
-from stage.chips.nova.state import (
-    AC,
-    C_END,
-    C_STA,
-    D_END,
-    D_STA,
-    F_SYNC,
-    LP,
-    MCX514_TYPE,
-    MR0,
-    PIO,
-    RP,
-    S0M,
-    SP1,
-    SPLIT_START,
-    SPLTE,
-    SPLTP,
-    SV,
-    SYNC_SETS,
-    TIMER,
-)  # fmt: skip
 from stage.native import hot, least
 
 DCC, TMSTA, TMSTP, SPSTA, SPSTP = (MCX514_MAP.command(n).code for n in ("DCC", "TMSTA", "TMSTP", "SPSTA", "SPSTP"))
 ENABLE, DISABLE, ACTIVATE = (MCX514_MAP.command(n).code for n in ("SYNCEN", "SYNCDIS", "SYNCACT"))
-ALL = (1 << SYNC_SETS) - 1
+ALL = (1 << state.SYNC_SETS) - 1
 ACT, SNC, AXIS = (MCX514_MAP.bit("S0M", n) for n in ("ACT", "SNC+1", "AXIS1"))
 REP = MCX514_MAP.mask("S0M", "REP")
 SYNC0 = MCX514_MAP.mask("RR1", "SYNC0")
@@ -47,20 +27,31 @@ SHOWN = tuple(MCX514_MAP.mask("RR3-1", n) for n in ("TIMER", "SPLIT"))
 
 COMPARISON, RISES, FALLS = 1, 10, 11
 RISES_LOW, RISES_HIGH, FALLS_LOW, FALLS_HIGH = range(12, 16)
-EVENTS = (0, 0, TIMER, D_STA, C_STA, C_END, D_END, SPLIT_START, SPLTE, SPLTP)
+EVENTS = (
+    0,
+    0,
+    state.TIMER,
+    state.D_STA,
+    state.C_STA,
+    state.C_END,
+    state.D_END,
+    state.SPLIT_START,
+    state.SPLTE,
+    state.SPLTP,
+)
 """The event of a factor, from 2 (timer up) to 9 (split pulse output)."""
 
 (TO_DV, TO_TP, TO_SP1, TO_OWN, FROM_LP, FROM_RP, FROM_CT, FROM_OWN, PULSE, DRIVE, COUNTER_DRIVE, ABSOLUTE_DRIVE, PLUS, MINUS,
  DRIVE_BY, DRIVE_TO, SLOW_STOP, STOP, FASTER, SLOWER, TIMER_START, TIMER_STOP, SPLIT_ON, SPLIT_OFF
  ) = range(1, len(ACTIONS))  # fmt: skip
-OWN = (LP, RP, SV, AC)
+OWN = (state.LP, state.RP, state.SV, state.AC)
 """Where action 4 of SYNC0 to SYNC3 puts its MR."""
 
 
 @hot
 def reset(c, x):
     x.timer = x.split = x.split_on = x.sync = x.triggered = 0
-    x.ports = x.level >> PIO & 0xFF
+    x.ports = x.level >> state.PIO & 0xFF
     ports.reset(x)
     compare.reset(c, x)
 
@@ -117,14 +108,14 @@ def _due(factor, m, fired, rises, falls, levels):
 @hot
 def _look(x):
     """Find the sets whose activation factors have occurred since the last call."""
-    levels = x.level >> PIO & 0xFF
+    levels = x.level >> state.PIO & 0xFF
     as_inputs = ports.inputs(x)
     rises, falls = levels & ~x.ports & as_inputs, x.ports & ~levels & as_inputs
     fired = x.fired
     x.ports, x.fired = levels, 0
     if x.sync and fired | rises | falls:
-        for m in range(SYNC_SETS):
-            if _due(x.mode[S0M + m] & 15, m, fired, rises, falls, levels):
+        for m in range(state.SYNC_SETS):
+            if _due(x.mode[state.S0M + m] & 15, m, fired, rises, falls, levels):
                 x.triggered |= 1 << m
 
 
@@ -134,20 +125,20 @@ def _look(x):
 @hot
 def _act(c, x, m, action):
     """The action of set `m`."""
-    mr = MR0 + m
+    mr = state.MR0 + m
     value = x.reg[mr]
     if action == TO_DV:
         drive.change_speed(c, x, value & 0xFFFFFFFF)
     elif action == TO_TP:
         drive.change_output(c, x, value)
     elif action == TO_SP1:
-        x.reg[SP1] = value & 0xFFFFFFFF
+        x.reg[state.SP1] = value & 0xFFFFFFFF
     elif action == TO_OWN:
         x.reg[OWN[m]] = value if m < 2 else value & 0xFFFFFFFF
     elif action == FROM_LP:
-        x.reg[mr] = x.reg[LP]
+        x.reg[mr] = x.reg[state.LP]
     elif action == FROM_RP:
-        x.reg[mr] = x.reg[RP]
+        x.reg[mr] = x.reg[state.RP]
     elif action == FROM_CT:
         x.reg[mr] = timer.reading(c, x)
     elif action == FROM_OWN:
@@ -160,9 +151,9 @@ def _act(c, x, m, action):
     elif action in (SLOW_STOP, STOP):
         home.end(c, x)
         if x.driving and action == SLOW_STOP:
-            drive.request_stop(c, x, F_SYNC)
+            drive.request_stop(c, x, state.F_SYNC)
         elif x.driving:
-            drive.end(c, x, F_SYNC)
+            drive.end(c, x, state.F_SYNC)
     elif action in (FASTER, SLOWER):
         drive.step_speed(c, x, 1 if action == FASTER else -1)
     elif action == TIMER_START:
@@ -194,14 +185,14 @@ def _start(c, x, m, action):
 def _activate(c, j, m):
     """Set `m` acts, and asks others to."""
     x = c.ax[j]
-    mode = x.mode[S0M + m]
+    mode = x.mode[state.S0M + m]
     x.acted |= 1 << m
     x.factors |= SYNC0 << m
     if not mode & REP:
         x.sync &= ~(1 << m)
-    for k in range(1, SYNC_SETS):
+    for k in range(1, state.SYNC_SETS):
         if mode >> SNC + k - 1 & 1:
-            x.triggered |= 1 << (m + k) % SYNC_SETS
+            x.triggered |= 1 << (m + k) % state.SYNC_SETS
     for k in range(1, c.axes):
         if mode >> AXIS + k - 1 & 1:
             c.ax[(j + k) % c.axes].triggered |= 1
@@ -216,7 +207,7 @@ def _activate(c, j, m):
 def step(c, j):
     """What is due at the present clock; sets `stale` where it changes something."""
     x = c.ax[j]
-    if c.variant != MCX514_TYPE:
+    if c.variant != state.MCX514_TYPE:
         compare.step(c, x)
         return
     timer.step(c, x)
@@ -225,7 +216,7 @@ def step(c, j):
     _look(x)
     due = x.triggered & x.sync & ~x.acted
     x.triggered = 0
-    for m in range(SYNC_SETS):
+    for m in range(state.SYNC_SETS):
         if due >> m & 1:
             _activate(c, j, m)
 

@@ -6,7 +6,7 @@ from stage.chips.nova.interpolation import helix as helical
 from stage.chips.nova.interpolation import multichip, segment
 from stage.chips.nova.interpolation import run as interpolation
 from stage.chips.nova.registers.mcx514 import MCX514_MAP as MAP
-from stage.chips.nova.state import ARC, AXES, CP, HELIX, HLN, HLV, LINE, PATTERN, STAGES, TP, TX
+from stage.chips.nova.state import ARC, AXES, CP, HELIX, HLN, HLV, IPM, LINE, PATTERN, STAGES, TP, TX
 from stage.native import greatest, hot, least
 
 
@@ -89,7 +89,7 @@ def _circle(c, g, word, clockwise):
 @hot
 def _segment(c, code):
     """60h to 6Ah."""
-    word = c.ax[0].mode[interpolation.IPM]
+    word = c.ax[0].mode[IPM]
     mask = word & ENABLES
     count = _axes(mask)
     if code < CIRCLE_CW:
@@ -140,7 +140,7 @@ def _segment(c, code):
 @hot
 def _calculate(c, code):
     """6Bh, 6Ch: HLV, at once."""
-    word = c.ax[0].mode[interpolation.IPM]
+    word = c.ax[0].mode[IPM]
     if c.interpolating or _axes(word & ENABLES) < 2:
         return
     g = c.queue[interpolation.place_for(c)]
@@ -153,7 +153,7 @@ def _calculate(c, code):
 @hot
 def longest(c):
     """TX as it reads: the maximum finish point of the running segment, or of the one that is being written."""
-    word = c.ax[0].mode[interpolation.IPM]
+    word = c.ax[0].mode[IPM]
     if word & MAXM:
         return c.ax[0].reg[TX]
     if c.interpolating:

@@ -7,6 +7,7 @@ last tick of a segment has begun the next segment is taken from the pre-buffer, 
 
 from __future__ import annotations
 
+from stage.chips.nova import state
 from stage.chips.nova.functions import sync
 from stage.chips.nova.interpolation import segment
 from stage.chips.nova.motion import counters, drive, rates
@@ -16,23 +17,6 @@ from stage.chips.nova.motion.profile import piece_at, speed_at
 from stage.chips.nova.motion.pulse_output import half_period
 from stage.chips.nova.registers.mcx300 import MCX312_MAP
 from stage.chips.nova.registers.mcx514 import MCX514_MAP
-from stage.chips.nova.state import (
-    AXES,
-    D_END,
-    D_STA,
-    E_CERR,
-    IPM,
-    LINE,
-    MAIN,
-    MASTER,
-    MCX514_TYPE,
-    NEVER,
-    NO_PHASE,
-    PATTERN,
-    SLAVE,
-    STAGES,
-    STATE,
-)
 from stage.native import exported, greatest, hot, least
 
 INTA, INTB = MCX514_MAP.mask("IPM", "INTA"), MCX514_MAP.mask("IPM", "INTB")
@@ -45,8 +29,8 @@ def reset(c):
     c.interpolating = 0
     ip.enabled = ip.interrupt = ip.waiting = ip.head = ip.rotations = ip.writing = ip.stacked = 0
     ip.role = ip.waits = c.fails = c.failed = 0
-    ip.due = NEVER
-    for j in range(AXES):
+    ip.due = state.NEVER
+    for j in range(state.AXES):
         c.ax[j].interpolates = c.ax[j].moves = 0
     for k in range(len(ip.loading)):
         ip.loading[k] = 0
@@ -58,14 +42,14 @@ def reset(c):
 @hot
 def place_for(c):
     """The place in the queue that takes the next segment."""
-    return (c.ip.head + 1 + c.ip.waiting) % (STAGES + 1) if c.interpolating else c.ip.head
+    return (c.ip.head + 1 + c.ip.waiting) % (state.STAGES + 1) if c.interpolating else c.ip.head
 
 
 @hot
 def refuse(c):
     """A segment that cannot be taken: an error of continuous interpolation, if there is one."""
-    if c.interpolating and c.variant == MCX514_TYPE:
-        c.ax[c.ip.main].causes |= E_CERR
+    if c.interpolating and c.variant == state.MCX514_TYPE:
+        c.ax[c.ip.main].causes |= state.E_CERR
 
 
 @hot
@@ -134,7 +118,7 @@ def prepare(c, mask, main, depth, stepped):
             y.done = y.slow = y.fixed = y.output = 0
 
 
-@exported(None, STATE)
+@exported(None, state.STATE)
 def start(c):
     """The prepared interpolation begins."""
     ip, x = c.ip, c.ax[c.ip.main]
@@ -145,7 +129,7 @@ def start(c):
     if not segment.load(c):
         for j in range(c.axes):
             if ip.mask >> j & 1:
-                drive.note(c.ax[j], D_STA | D_END)
+                drive.note(c.ax[j], state.D_STA | state.D_END)
         return
     segment.prepare(c)
     stopped = 0
@@ -157,11 +141,11 @@ def start(c):
         return
     for j in range(c.axes):
         if ip.mask >> j & 1:
-            c.ax[j].interpolates = MAIN if j == ip.main and ip.role != SLAVE else 1
-            drive.note(c.ax[j], D_STA)
+            c.ax[j].interpolates = state.MAIN if j == ip.main and ip.role != state.SLAVE else 1
+            drive.note(c.ax[j], state.D_STA)
     c.interpolating = 1
-    x.phase = NO_PHASE
-    if ip.role == SLAVE:
+    x.phase = state.NO_PHASE
+    if ip.role == state.SLAVE:
         return
     rates.take_rates(c, x)
     segment.replan(c, x)
@@ -172,25 +156,25 @@ def end(c):
     """The interpolation ends now, and what waits is dropped."""
     ip = c.ip
     c.interpolating = ip.waiting = ip.slow = ip.stepped = ip.zone = ip.waits = 0
-    ip.due = NEVER
+    ip.due = state.NEVER
     for j in range(c.axes):
         if c.ax[j].interpolates:
             drive.end(c, c.ax[j], 0)
     c.stale = 1
 
 
-@exported(None, STATE)
+@exported(None, state.STATE)
 def _after_the_last(c):
     """The last tick of a segment has begun: the next segment, or the end."""
     ip, x = c.ip, c.ax[c.ip.main]
     c.stale = 1
     ends = ip.ends
     while True:
-        if ip.waiting == 0 or (ip.slow and x.end >= NEVER):
+        if ip.waiting == 0 or (ip.slow and x.end >= state.NEVER):
             end(c)
             return
         ip.waiting -= 1
-        ip.head = (ip.head + 1) % (STAGES + 1)
+        ip.head = (ip.head + 1) % (state.STAGES + 1)
         _ask(c)
         put(ip.begun, pair(ip.place))
         segment.find_end(c)
@@ -207,10 +191,10 @@ def _after_the_last(c):
 def _ask(c):
     """A segment has left the pre-buffer: interrupts."""
     ip = c.ip
-    if c.variant == MCX514_TYPE:
-        word = c.ax[0].mode[IPM]
+    if c.variant == state.MCX514_TYPE:
+        word = c.ax[0].mode[state.IPM]
         interrupts = (ip.waiting == 3 and word & INTA) or (ip.waiting == 7 and word & INTB)
-    elif c.queue[ip.head].kind == PATTERN:
+    elif c.queue[ip.head].kind == state.PATTERN:
         interrupts = ip.waiting == 0 and c.outputs5 & BPINT
     else:
         interrupts = c.outputs5 & CIINT
@@ -225,7 +209,7 @@ def _ask(c):
 def _tick_rate(c):
     """Ticks per clock."""
     ip, x = c.ip, c.ax[c.ip.main]
-    if ip.role == SLAVE:
+    if ip.role == state.SLAVE:
         return 1.0 / ip.gap if ip.gap > 0 else 0.0
     return 0.0 if ip.waits else speed_at(x, c.clock - x.origin)
 
@@ -237,7 +221,7 @@ def tick(c):
     if ip.closing:
         end(c)
         return
-    if ip.role == MASTER:
+    if ip.role == state.MASTER:
         c.beats += 1
     off = c.clock + half_period(_tick_rate(c))
     for k in range(g.axes):
@@ -259,7 +243,7 @@ def tick(c):
         segment.next_clock(c, c.ax[ip.main])
 
 
-@exported("i8", STATE, "i8")
+@exported("i8", state.STATE, "i8")
 def move(c, until):
     """Let the ticks up to a clock begin. Returns how far it came: it stops where something is to be looked at."""
     while c.ip.due <= until:
@@ -309,21 +293,21 @@ def step(c):
     for j in range(c.axes):
         if c.ax[j].interpolates:
             stop = greatest(stop, c.ax[j].slow)
-    if ip.waits or ip.role == SLAVE:
+    if ip.waits or ip.role == state.SLAVE:
         if stop:
-            c.fails = 1 if ip.role == SLAVE else 0
+            c.fails = 1 if ip.role == state.SLAVE else 0
             end(c)
         return
     n = c.clock - x.origin
     if stop == drive.AT_ONCE or n >= x.end or (stop and ip.stepped):
-        if ip.role == MASTER and errors(c) & ~ip.errors:
+        if ip.role == state.MASTER and errors(c) & ~ip.errors:
             c.fails = 1
         end(c)
         return
     s = piece_at(x, n)
     if stop and not ip.slow:
         ip.slow = 1
-        if s < x.brake or not x.curved or c.variant == MCX514_TYPE:
+        if s < x.brake or not x.curved or c.variant == state.MCX514_TYPE:
             from_here(x, n)
             slow_down(x)
             segment.schedule(c, x)
@@ -347,25 +331,25 @@ def errors(c):
 def next_event(c):
     """The clock of the next event but ticks; how many of these may pass until somebody looks at a counter goes to `watch`."""
     ip, x = c.ip, c.ax[c.ip.main]
-    ip.watch = NEVER
+    ip.watch = state.NEVER
     for j in range(c.axes):
         y = c.ax[j]
         if y.interpolates:
             ip.watch = least(ip.watch, least(drive.pulses_ahead(c, y), sync.pulses_ahead(c, y)))
-    if ip.waits or ip.role == SLAVE:
-        return NEVER
+    if ip.waits or ip.role == state.SLAVE:
+        return state.NEVER
     n = c.clock - x.origin
     s = piece_at(x, n)
     at = x.end
     if s + 1 < x.pieces:
         at = least(at, x.from_clock[s + 1])
-    return x.origin + at if at < NEVER else NEVER
+    return x.origin + at if at < state.NEVER else state.NEVER
 
 
 @hot
 def single_step(c):
     """A command makes the next tick."""
-    if c.interpolating and c.ip.stepped and not c.ip.waits and c.ip.role != SLAVE:
+    if c.interpolating and c.ip.stepped and not c.ip.waits and c.ip.role != state.SLAVE:
         tick(c)
         c.stale = 1
 
@@ -380,9 +364,9 @@ def rate(c, j):
     share = 0.0
     for k in range(g.axes):
         if g.axis[k] == j:
-            if g.kind == PATTERN:
+            if g.kind == state.PATTERN:
                 share = float(ip.step[k])
-            elif g.kind == LINE or k >= 2:
+            elif g.kind == state.LINE or k >= 2:
                 share = abs(g.finish[k]) / greatest(g.longest, 1)
             else:
                 u, v = abs(ip.arc.x), abs(ip.arc.y)

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import math
+
 from stage.chips.nova.interpolation import helix as helical
 from stage.chips.nova.interpolation import line as linear
 from stage.chips.nova.interpolation import pattern
 from stage.chips.nova.motion import double_double as dd
 from stage.chips.nova.motion import drive, rates
 from stage.chips.nova.motion.planner import PLACE, begin, brake, brake_at, for_ever, from_here, pair, put, to_the_end
-from stage.chips.nova.motion.ticks import clock_at
+from stage.chips.nova.motion.profile import SNAP, exactly, time_in
 from stage.chips.nova.registers.mcx514 import CONTINUOUS_SPEED, MCX514_MAP
 from stage.chips.nova.state import AO, AXES, AXIS, DP, DV, LINE, MCX514_TYPE, NEVER, PATTERN, STAGES, STATE
-from stage.native import exported, hot, least
+from stage.native import exported, greatest, hot, least
 
 ONE = (1.0, 0.0)
 ROOT2 = (1.4142135623730951, -9.667293313452913e-17)
 ROOT3 = (1.7320508075688772, 1.0035084221806903e-16)
-MOST = MCX514_MAP.register("DV").range[1]
+MAX_SPEED = MCX514_MAP.register("DV").range[1]
+MAX_CLOCKS = 1e17  # centuries
 INNER = 8  # inner ticks of a tick where short-axis pulses are equalized
 
 
@@ -89,7 +92,7 @@ def limited(c, x):
     ip = c.ip
     if c.variant != MCX514_TYPE:
         return x.reg[DV]
-    return least(x.reg[DV], (CONTINUOUS_SPEED if ip.continuous else MOST) // c.queue[ip.head].fine)
+    return least(x.reg[DV], (CONTINUOUS_SPEED if ip.continuous else MAX_SPEED) // c.queue[ip.head].fine)
 
 
 @hot
@@ -167,3 +170,51 @@ def extend(c):
     if c.interpolating:
         find_end(c)
         c.ip.speed = -1  # plan anew
+
+
+@hot
+def _reached(x, s, n, place):
+    """The profile, in its piece `s`, has come to `place` n clocks after its origin."""
+    if x.a2[s, 0] == 0.0 and x.j6[s, 0] == 0.0:  # the same, sooner
+        reached = dd.add(pair(x.p[s]), dd.mul(dd.sub(dd.from_integer(n), pair(x.t[s])), pair(x.v[s])))
+    else:
+        reached = exactly(x, s, n)
+    return not dd.less(dd.add(dd.add(dd.from_integer(x.from_pulse[s]), reached), (SNAP, 0.0)), place)
+
+
+@hot
+def clock_at(x, s, place):
+    """Find the first clock after the origin at which the profile has come to a place, which need not be a whole number of pulses.
+
+    Double-doubles decide where the time is next to a whole clock.
+
+    Args:
+        x: State of the axis.
+        s: First piece of the profile to search.
+        place: Pulses, a double-double.
+
+    Returns:
+        The clock, NEVER if it is centuries ahead; and the number of the piece.
+    """
+    while True:
+        low = x.from_clock[s]
+        last = s + 1 == x.pieces
+        edge = NEVER if last else x.from_clock[s + 1]
+        max_time = MAX_CLOCKS if last else (x.t[s + 1, 0] - x.t[s, 0]) + (x.t[s + 1, 1] - x.t[s, 1])
+        distance = greatest(dd.sub(dd.sub(place, dd.from_integer(x.from_pulse[s])), pair(x.p[s]))[0], 0.0)
+        t = time_in(x, s, distance, max_time)
+        at = x.t[s, 0] + t
+        if not at < MAX_CLOCKS:
+            return NEVER, s
+        n = greatest(int(math.ceil(at)), low)
+        slope = x.v[s, 0] + t * (2.0 * x.a2[s, 0] + 3.0 * t * x.j6[s, 0])
+        guard = 1e-6 + 1e-14 * at + 1e-14 * (distance + 1.0) / greatest(slope, 1e-12)
+        if n - at > 1.0 - guard:
+            while n > low and _reached(x, s, n - 1, place):
+                n -= 1
+        if n - at < guard:
+            while n < edge and not _reached(x, s, n, place):
+                n += 1
+        if n < edge:
+            return n, s
+        s += 1

@@ -2,17 +2,7 @@
 
 from __future__ import annotations
 
-from stage.chips.nova.state import (
-    LMT_MINUS,
-    LMT_PLUS,
-    LP,
-    LX,
-    MCX514_TYPE,
-    RP,
-    RX,
-    SM,
-    SP,
-)
+from stage.chips.nova import state
 from stage.native import hot
 
 OFF = 0xFFFFFFFF
@@ -41,7 +31,7 @@ def count(c, x, n):
     c.total += n
     x.net += x.way * n
     x.compared |= PULSE
-    x.reg[LP] = _ring(x.reg[LP] + x.way * n, x.reg[LX] if c.variant == MCX514_TYPE else OFF)
+    x.reg[state.LP] = _ring(x.reg[state.LP] + x.way * n, x.reg[state.LX] if c.variant == state.MCX514_TYPE else OFF)
 
 
 @hot
@@ -53,26 +43,28 @@ def count_encoder(c, x, n):
         x: State of the axis.
         n: Counts, with their sign.
     """
-    x.reg[RP] = _ring(x.reg[RP] + n, x.reg[RX] if c.variant == MCX514_TYPE else OFF)
+    x.reg[state.RP] = _ring(x.reg[state.RP] + n, x.reg[state.RX] if c.variant == state.MCX514_TYPE else OFF)
 
 
 @hot
 def limited(x):
     """The counter that the software limits look at."""
-    return x.reg[RP] if x.soft_rp else x.reg[LP]
+    return x.reg[state.RP] if x.soft_rp else x.reg[state.LP]
 
 
 @hot
 def beyond(c, x, direction):
     """The software limit of a direction is enabled and passed: MCX514 LP > SP, LP < SM; before it LP >= C+, LP < C-."""
     if direction > 0:
-        return x.soft_plus and (limited(x) > x.reg[SP] if c.variant == MCX514_TYPE else limited(x) >= x.reg[SP])
-    return x.soft_minus and limited(x) < x.reg[SM]
+        return x.soft_plus and (
+            limited(x) > x.reg[state.SP] if c.variant == state.MCX514_TYPE else limited(x) >= x.reg[state.SP]
+        )
+    return x.soft_minus and limited(x) < x.reg[state.SM]
 
 
 @hot
 def hardware_limit(x, direction):
     """The limit switch of a direction is asserted."""
-    plus = LMT_MINUS if x.swaps else LMT_PLUS
-    minus = LMT_PLUS if x.swaps else LMT_MINUS
+    plus = state.LMT_MINUS if x.swaps else state.LMT_PLUS
+    minus = state.LMT_PLUS if x.swaps else state.LMT_MINUS
     return x.active & (plus if direction > 0 else minus)

@@ -2,66 +2,13 @@
 
 from __future__ import annotations
 
+from stage.chips.nova import state
 from stage.chips.nova.motion import double_double as dd
+from stage.chips.nova.motion import planner
 from stage.chips.nova.motion.counters import OFF, beyond, count, hardware_limit
-from stage.chips.nova.motion.planner import (
-    RATE,
-    SPEED,
-    begin,
-    brake,
-    brake_at,
-    cap,
-    for_ever,
-    from_here,
-    pair,
-    put,
-    run_away,
-    slow_down,
-    to_the_end,
-)  # fmt: skip
 from stage.chips.nova.motion.profile import clock_of, phase_at, piece_at, reached
 from stage.chips.nova.motion.pulse_output import keep_pulse
 from stage.chips.nova.motion.rates import RANGE, take_rates, take_speed
-from stage.chips.nova.state import (
-    ALARM,
-    AO,
-    AREA_D,
-    AXIS,
-    C_END,
-    C_STA,
-    CONSTANT,
-    D_END,
-    D_STA,
-    DECELERATING,
-    DP,
-    DV,
-    E_ALARM,
-    E_EMG,
-    E_HLMT_MINUS,
-    E_HLMT_PLUS,
-    E_SLMT_MINUS,
-    E_SLMT_PLUS,
-    F_ALARM,
-    F_EMG,
-    F_LMT_MINUS,
-    F_LMT_PLUS,
-    F_STOP0,
-    F_STOP3,
-    INPOS,
-    IV,
-    LP,
-    LX,
-    MCX514_TYPE,
-    MR0,
-    NEVER,
-    NO_PHASE,
-    SM,
-    SP,
-    STATE,
-    STOP0,
-    STOP3,
-    TP,
-)
 from stage.native import exported, greatest, hot, least
 
 RELATIVE, COUNTER_RELATIVE, ABSOLUTE, FORWARD, BACKWARD = range(5)
@@ -106,9 +53,9 @@ def keep_data(c, address, value):
 @hot
 def goal_of(x, pulses):
     """The speed to which a drive of so many pulses accelerates: DV, or less to prevent a triangle."""
-    goal = pair(x.dv)
-    if x.prevents and not x.curved and dd.less(pair(x.sv), goal):  # a speed above the cap is kept
-        top, now = cap(x, pulses), pair(x.cursor[SPEED])
+    goal = planner.pair(x.dv)
+    if x.prevents and not x.curved and dd.less(planner.pair(x.sv), goal):  # a speed above the cap is kept
+        top, now = planner.cap(x, pulses), planner.pair(x.cursor[planner.SPEED])
         goal = dd.least(goal, now if dd.less(top, now) else top)
     return goal
 
@@ -116,22 +63,22 @@ def goal_of(x, pulses):
 @hot
 def plan(c, x):
     """Plan the rest of the drive from the cursor on."""
-    take_speed(c, x, x.reg[DV])
+    take_speed(c, x, x.reg[state.DV])
     if not x.fixed:
-        for_ever(x, pair(x.dv))
+        planner.for_ever(x, planner.pair(x.dv))
         return
     goal = goal_of(x, x.output)
     if not x.manual:
-        to_the_end(x, dd.from_integer(x.output - x.reg[AO]), goal)
-    elif x.done < x.reg[DP]:
-        for_ever(x, goal)
-        if x.reg[DP] < x.output:
-            brake_at(x, x.reg[DP])
+        planner.to_the_end(x, dd.from_integer(x.output - x.reg[state.AO]), goal)
+    elif x.done < x.reg[state.DP]:
+        planner.for_ever(x, goal)
+        if x.reg[state.DP] < x.output:
+            planner.brake_at(x, x.reg[state.DP])
     else:
-        brake(x)
+        planner.brake(x)
 
 
-@exported(None, STATE, AXIS, "i8", "i8")
+@exported(None, state.STATE, state.AXIS, "i8", "i8")
 def launch(c, x, direction, output):
     """Begin a drive at the present clock.
 
@@ -147,15 +94,15 @@ def launch(c, x, direction, output):
     x.interpolates = 0
     c.stale = 1
     if output == 0:
-        note_drive(x, D_STA | D_END)
+        note_drive(x, state.D_STA | state.D_END)
         return
     if blocked(c, x, direction):
         return
-    note_drive(x, D_STA)
-    x.driving, x.phase = 1, NO_PHASE
+    note_drive(x, state.D_STA)
+    x.driving, x.phase = 1, state.NO_PHASE
     take_rates(c, x)
-    take_speed(c, x, x.reg[DV])
-    begin(x, c.clock, dd.ZERO, dd.ZERO, dd.least(pair(x.sv), pair(x.dv)), dd.ZERO)
+    take_speed(c, x, x.reg[state.DV])
+    planner.begin(x, c.clock, dd.ZERO, dd.ZERO, dd.least(planner.pair(x.sv), planner.pair(x.dv)), dd.ZERO)
     plan(c, x)
 
 
@@ -173,16 +120,16 @@ def blocked(c, x, direction):
     """
     cause = 0
     if x.limits and hardware_limit(x, direction):
-        cause = (E_HLMT_PLUS | F_LMT_PLUS) if direction > 0 else (E_HLMT_MINUS | F_LMT_MINUS)
+        cause = (state.E_HLMT_PLUS | state.F_LMT_PLUS) if direction > 0 else (state.E_HLMT_MINUS | state.F_LMT_MINUS)
     elif beyond(c, x, direction):
-        cause = E_SLMT_PLUS if direction > 0 else E_SLMT_MINUS
-    elif x.alarm_stops and x.active & ALARM:
-        cause = E_ALARM | F_ALARM
+        cause = state.E_SLMT_PLUS if direction > 0 else state.E_SLMT_MINUS
+    elif x.alarm_stops and x.active & state.ALARM:
+        cause = state.E_ALARM | state.F_ALARM
     elif c.emergency:
-        cause = E_EMG | F_EMG
+        cause = state.E_EMG | state.F_EMG
     elif (
-        x.causes & (E_HLMT_PLUS | E_SLMT_PLUS if direction > 0 else E_HLMT_MINUS | E_SLMT_MINUS)
-        and c.variant == MCX514_TYPE
+        x.causes & (state.E_HLMT_PLUS | state.E_SLMT_PLUS if direction > 0 else state.E_HLMT_MINUS | state.E_SLMT_MINUS)
+        and c.variant == state.MCX514_TYPE
     ):
         cause = x.causes & 0xFF
     x.causes |= cause
@@ -205,7 +152,7 @@ def start(c, x, kind):
         return
     x.absolute = 1 if kind == ABSOLUTE or kind >= ABSOLUTE_TO else 0
     x.sense = -1 if kind == COUNTER_RELATIVE else 1
-    tp = x.reg[TP]
+    tp = x.reg[state.TP]
     if kind == FORWARD:
         launch(c, x, 1, -1)
     elif kind == BACKWARD:
@@ -214,9 +161,9 @@ def start(c, x, kind):
         launch(c, x, 1 if kind == FIXED_PLUS else -1, tp & 0xFFFFFFFF)
     else:
         if kind >= RELATIVE_BY:
-            tp = x.reg[MR0 + kind - (ABSOLUTE_TO if kind >= ABSOLUTE_TO else RELATIVE_BY)]
+            tp = x.reg[state.MR0 + kind - (ABSOLUTE_TO if kind >= ABSOLUTE_TO else RELATIVE_BY)]
         if x.absolute:
-            tp -= x.reg[LP]
+            tp -= x.reg[state.LP]
         elif kind == COUNTER_RELATIVE:
             tp = -tp
         launch(c, x, 1 if tp >= 0 else -1, abs(tp))
@@ -240,13 +187,13 @@ def hold(c, x, on):
         start(c, x, kind)
 
 
-@exported(None, STATE, AXIS)
+@exported(None, state.STATE, state.AXIS)
 def replan(c, x):
     """Plan the rest of a drive again: its drive speed or number of pulses has changed."""
     if not x.driving or x.slow:
         return
     keep_pulse(x)
-    from_here(x, c.clock - x.origin)
+    planner.from_here(x, c.clock - x.origin)
     plan(c, x)
 
 
@@ -259,7 +206,7 @@ def change_speed(c, x, value):
         x: State of the axis.
         value: DV, or V.
     """
-    x.reg[DV] = value
+    x.reg[state.DV] = value
     if x.driving and not x.slow and piece_at(x, c.clock - x.origin) < x.brake:
         replan(c, x)
     c.stale = 1
@@ -274,7 +221,7 @@ def step_speed(c, x, direction):
         x: State of the axis.
         direction: +1 or -1.
     """
-    change_speed(c, x, least(greatest(x.reg[DV] + direction * x.reg[IV], 1), RANGE))
+    change_speed(c, x, least(greatest(x.reg[state.DV] + direction * x.reg[state.IV], 1), RANGE))
 
 
 @hot
@@ -286,11 +233,11 @@ def change_output(c, x, value):
         x: State of the axis.
         value: TP. The drive stops at once if it asks for the other direction, or for a pulse that has passed.
     """
-    x.reg[TP] = value
+    x.reg[state.TP] = value
     if not (x.driving and x.fixed) or x.absolute or x.interpolates:
         return
     output = value & 0xFFFFFFFF
-    if c.variant == MCX514_TYPE:
+    if c.variant == state.MCX514_TYPE:
         output = abs(value) if (value >= 0) == (x.way * x.sense > 0) else 0
     c.stale = 1
     if output <= x.done:
@@ -315,19 +262,19 @@ def end(c, x, cause):
         cause: Bits of RR2.
     """
     x.causes |= cause
-    if x.phase == CONSTANT and c.variant != MCX514_TYPE:
-        note(x, C_END)
+    if x.phase == state.CONSTANT and c.variant != state.MCX514_TYPE:
+        note(x, state.C_END)
     keep_pulse(x)
     x.driving = x.slow = x.interpolates = 0
-    x.phase = NO_PHASE
+    x.phase = state.NO_PHASE
     c.stale = 1
-    if x.inpos_waits and not x.active & INPOS:
+    if x.inpos_waits and not x.active & state.INPOS:
         x.waiting = 1
     else:
-        note_drive(x, D_END)
+        note_drive(x, state.D_END)
 
 
-@exported(None, STATE, AXIS, "i8")
+@exported(None, state.STATE, state.AXIS, "i8")
 def request_stop(c, x, cause):
     """Begin a decelerating stop: 56h, 26h, a STOP signal, a limit in that mode.
 
@@ -346,18 +293,18 @@ def request_stop(c, x, cause):
         return
     n = c.clock - x.origin
     s = piece_at(x, n)
-    if s >= x.brake and x.curved and c.variant != MCX514_TYPE and x.kind[s] == DECELERATING:
+    if s >= x.brake and x.curved and c.variant != state.MCX514_TYPE and x.kind[s] == state.DECELERATING:
         return
     x.slow = 1
     keep_pulse(x)
-    from_here(x, n)
-    if x.kind[s] == AREA_D:
-        put(x.cursor[RATE], dd.ZERO)
-        run_away(x)
+    planner.from_here(x, n)
+    if x.kind[s] == state.AREA_D:
+        planner.put(x.cursor[planner.RATE], dd.ZERO)
+        planner.run_away(x)
         x.fixed = 0
     else:
-        take_speed(c, x, x.reg[DV])
-        slow_down(x)
+        take_speed(c, x, x.reg[state.DV])
+        planner.slow_down(x)
     c.stale = 1
 
 
@@ -380,38 +327,38 @@ def stop(c, x, cause):
 @hot
 def obey_inputs(c, x):
     """Apply the present levels to a drive, or to an interpolation in which the axis takes part; limits only if that moves it."""
-    if x.waiting and (x.active & INPOS or not x.inpos_waits):
+    if x.waiting and (x.active & state.INPOS or not x.inpos_waits):
         x.waiting = 0
-        note_drive(x, D_END)
+        note_drive(x, state.D_END)
     if not (x.driving or x.interpolates):
         return
     if c.emergency:
-        stop(c, x, E_EMG | F_EMG)
+        stop(c, x, state.E_EMG | state.F_EMG)
         return
-    if x.alarm_stops and x.active & ALARM:
-        stop(c, x, E_ALARM | F_ALARM)
+    if x.alarm_stops and x.active & state.ALARM:
+        stop(c, x, state.E_ALARM | state.F_ALARM)
         return
     if (x.driving or x.moves) and _obey_limits(c, x):
         return
     for k in range(3):
-        if x.stops >> k & 1 and x.active & STOP0 << k and not x.home:
-            request_stop(c, x, F_STOP0 << k)
-    if x.stops >> 3 and x.active & STOP3 and not x.home:
-        request_stop(c, x, F_STOP3)
+        if x.stops >> k & 1 and x.active & state.STOP0 << k and not x.home:
+            request_stop(c, x, state.F_STOP0 << k)
+    if x.stops >> 3 and x.active & state.STOP3 and not x.home:
+        request_stop(c, x, state.F_STOP3)
 
 
 @hot
 def _obey_limits(c, x):
     """Returns whether a limit has stopped the drive at once."""
     if x.limits and not x.seeks and hardware_limit(x, x.way):
-        cause = (E_HLMT_PLUS | F_LMT_PLUS) if x.way > 0 else (E_HLMT_MINUS | F_LMT_MINUS)
+        cause = (state.E_HLMT_PLUS | state.F_LMT_PLUS) if x.way > 0 else (state.E_HLMT_MINUS | state.F_LMT_MINUS)
         if x.limit_slow:
             request_stop(c, x, cause)
         else:
             stop(c, x, cause)
             return True
     if beyond(c, x, x.way):
-        cause = E_SLMT_PLUS if x.way > 0 else E_SLMT_MINUS
+        cause = state.E_SLMT_PLUS if x.way > 0 else state.E_SLMT_MINUS
         if x.soft_instant:
             stop(c, x, cause)
             return True
@@ -454,32 +401,32 @@ def look(c, x):
 def watch_phase(x, n):
     """Note where constant speed begins and ends."""
     now = phase_at(x, n)
-    if now == AREA_D:
-        now = CONSTANT
+    if now == state.AREA_D:
+        now = state.CONSTANT
     if now != x.phase:
-        if now == CONSTANT:
-            note(x, C_STA)
-        elif x.phase == CONSTANT:
-            note(x, C_END)
+        if now == state.CONSTANT:
+            note(x, state.C_STA)
+        elif x.phase == state.CONSTANT:
+            note(x, state.C_END)
         x.phase = now
 
 
 @hot
 def pulses_ahead(c, x):
     """Pulses until a counter reaches something."""
-    pulses = x.output - x.done if x.fixed else NEVER
+    pulses = x.output - x.done if x.fixed else state.NEVER
     if not x.soft_rp:
-        lp = x.reg[LP]
+        lp = x.reg[state.LP]
         if x.way > 0 and x.soft_plus:
-            limit = x.reg[SP] + (1 if c.variant == MCX514_TYPE else 0)
+            limit = x.reg[state.SP] + (1 if c.variant == state.MCX514_TYPE else 0)
             if lp < limit:
                 pulses = least(pulses, limit - lp)
-        elif x.way < 0 and x.soft_minus and lp >= x.reg[SM]:
-            pulses = least(pulses, lp - x.reg[SM] + 1)
-    if c.variant == MCX514_TYPE and x.reg[LX] != OFF:
-        if not 0 <= x.reg[LP] <= x.reg[LX]:
+        elif x.way < 0 and x.soft_minus and lp >= x.reg[state.SM]:
+            pulses = least(pulses, lp - x.reg[state.SM] + 1)
+    if c.variant == state.MCX514_TYPE and x.reg[state.LX] != OFF:
+        if not 0 <= x.reg[state.LP] <= x.reg[state.LX]:
             return 1  # the ring takes it in with the next pulse
-        pulses = least(pulses, x.reg[LX] + 1 - x.reg[LP] if x.way > 0 else x.reg[LP] + 1)
+        pulses = least(pulses, x.reg[state.LX] + 1 - x.reg[state.LP] if x.way > 0 else x.reg[state.LP] + 1)
     return pulses
 
 
@@ -501,8 +448,8 @@ def next_event(c, x, pulses):
     if s + 1 < x.pieces:
         at = least(at, x.from_clock[s + 1])
     pulses = least(pulses, pulses_ahead(c, x))
-    if pulses < NEVER:
+    if pulses < state.NEVER:
         k = x.done + greatest(pulses, 1)
-        if at >= NEVER or reached(x, at) >= k:
+        if at >= state.NEVER or reached(x, at) >= k:
             at = least(at, clock_of(x, k))
-    return x.origin + at if at < NEVER else NEVER
+    return x.origin + at if at < state.NEVER else state.NEVER

@@ -1,4 +1,4 @@
-"""NOVA chips, compiled: the pulses of drives one by one, in the order of their clocks, for a trace.
+"""NOVA chips, compiled: the pulses of drives in the order of their clocks, for a trace; the changes of an axis, for waveforms.
 
 At a constant speed of a whole number of pps the next pulse is HZ / pps clocks later: that is counted in whole numbers, as in
 Bresenham's line. `rest` is what the position at the clock of a pulse is ahead of it, in pulses / HZ, rounded down; where that has
@@ -8,18 +8,30 @@ become less than nothing, the pulse is a clock later. So it falls where profile.
 from __future__ import annotations
 
 from stage.chips.nova.motion import double_double as dd
-from stage.chips.nova.motion.profile import HZ, SNAP, clock_in, exactly, piece_of
-from stage.chips.nova.state import NEVER
-from stage.native import hot, least
+from stage.chips.nova.motion.profile import HZ, SNAP, clock_in, clock_of, exactly, piece_at, piece_of
+from stage.chips.nova.state import CONSTANT, LP, NEVER
+from stage.native import greatest, hot, least
 
 UNEVEN = -1  # in place of pps: not a whole number, or a ramp
+STEPS_OF_RAMP = 128  # of its rate, in a piece
+ROOM = 8
 LONG = 1 << 38  # clocks; times pps it fits 63 bits
 
 
 @hot
 def log(c, until, out, first, k):
-    """Log the pulses that the drives in progress begin up to `until`, by clock, then axis, among out[first:k]. Returns the
-    next k."""
+    """Log the pulses that the drives in progress begin, by clock, then axis.
+
+    Args:
+        c: State of the chip.
+        until: Clock at the end.
+        out: PULSE records.
+        first: First of the records that are in use.
+        k: Next free record.
+
+    Returns:
+        The next free record.
+    """
     begin = k
     for j in range(c.axes):
         x = c.ax[j]
@@ -131,3 +143,59 @@ def _merge(out, first, middle, end):
             out[at].clock, out[at].axis, out[at].direction = out[at - 1].clock, out[at - 1].axis, out[at - 1].direction
             at -= 1
         out[at].clock, out[at].axis, out[at].direction = clock, axis, direction
+
+
+@hot
+def write_edge(c, j, out, k, word, rate):
+    """Write the present state of an axis into an EDGE record.
+
+    Args:
+        c: State of the chip.
+        j: Axis.
+        out: EDGE records.
+        k: Number of the record.
+        word: Output pins.
+        rate: Pulses per clock.
+
+    Returns:
+        k + 1.
+    """
+    e, x = out[k], c.ax[j]
+    e.clock, e.inputs, e.outputs, e.counter, e.net = c.clock, x.inputs, word, x.reg[LP], x.net
+    e.rate = rate
+    return k + 1
+
+
+@hot
+def _next_step(x, n):
+    """The clock after the origin at which the rate of a ramp takes its next step."""
+    s = piece_at(x, n)
+    if x.kind[s] == CONSTANT or s + 1 >= x.pieces:
+        return 1 << 60
+    begin = x.from_clock[s]
+    step = greatest(1, (x.from_clock[s + 1] - begin) // STEPS_OF_RAMP)
+    return begin + ((n - begin) // step + 1) * step
+
+
+@hot
+def stop_at(c, j, every_pulse, pulse_end, until):
+    """Compute how far the chip can run so that no change of an axis is missed. A ramp shows as steps of its rate.
+
+    Args:
+        c: State of the chip.
+        j: Axis.
+        every_pulse: Include the edges of the pulse output.
+        pulse_end: Clock at which the present pulse goes off.
+        until: Clock at the end.
+
+    Returns:
+        The clock.
+    """
+    x = c.ax[j]
+    if every_pulse and pulse_end > c.clock:
+        until = least(until, pulse_end)
+    if x.driving:
+        until = least(until, x.origin + _next_step(x, c.clock - x.origin))
+        if every_pulse and not (x.fixed and x.done >= x.output):
+            until = least(until, x.origin + clock_of(x, x.done + 1))
+    return until
