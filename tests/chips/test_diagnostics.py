@@ -1,5 +1,6 @@
 """Diagnostics of every family: a rule has one key and one section, and a write has a diagnostic of each rule that it breaks."""
 
+import copy
 import importlib.util
 import inspect
 import re
@@ -7,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from stage.chips import HCTL1100, MCX514, PCL240K, PCL240MS
+from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.chips.diagnostics import MAX_DIAGNOSTICS, Rule, list_rules
 from stage.chips.hctl1100 import lint as hctl1100_lint
 from stage.chips.nova import lint as nova_lint
@@ -91,6 +92,47 @@ def test_the_last_thousand_diagnostics_are_kept():
     for value in range(MAX_DIAGNOSTICS + 1):
         chip.write(0, 0xB8 | value & 7)
     assert [d.value for d in chip.diagnostics] == [0xB8 | value & 7 for value in range(1, MAX_DIAGNOSTICS + 1)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "minimum", "maximum"),
+    [(PCL240K, 1, 8_064_516), (PCL240MK, 1, 8_064_516), (PCL240MS, 1, 8_064_516), (HCTL1100, 100_000, 2_000_000)]
+    + [(kind, 1, 16_000_000) for kind in (MCX302, MCX304, MCX312)] + [(MCX514, 1, 20_000_000)],
+    ids=lambda value: value.__name__ if isinstance(value, type) else str(value),
+)  # fmt: skip
+def test_a_reference_clock_beyond_the_silicon_has_one_diagnostic(kind, minimum, maximum):
+    assert kind(minimum).diagnostics == kind(maximum).diagnostics == []
+    for hz in {maximum + 1, max(minimum - 1, 1)} - {1}:
+        chip = kind(hz)
+        chip.reset()
+        (d,) = copy.copy(chip).diagnostics
+        assert (d.key, d.clock) == ("clock-range", 0)
+        assert f"{hz:,} Hz" in d.message
+        assert f"{minimum:,} to {maximum:,} Hz" in d.message
+
+
+@pytest.mark.parametrize("kind", [PCL240K, PCL240MK, PCL240MS, MCX304, MCX514, HCTL1100], ids=lambda k: k.__name__)
+@pytest.mark.parametrize(
+    ("address", "value", "what"),
+    [
+        (0, 1 << 20 | 0x15, "value 100015h acts as 15h"),
+        (1 << 10 | 1, 8, "address 401h acts as 01h"),
+        (1, 3.7, "value 3.7 acts as 03h"),
+    ],
+)
+def test_a_write_that_does_not_fit_the_bus_has_a_diagnostic_of_what_the_chip_sees(kind, address, value, what):
+    chip = kind()
+    chip.write(address, value)
+    found = [d for d in chip.diagnostics if d.key == "bus-width"]
+    assert [d.message.split(":")[0] for d in found] == [what]
+    assert (found[0].address, found[0].value) == (address & kind.ADDRESS_MASK & 63, int(value) & kind.DATA_MASK)
+
+
+def test_an_address_and_a_value_that_both_do_not_fit_have_one_diagnostic():
+    chip = PCL240K()
+    chip.write(5, -1)
+    (d,) = (d for d in chip.diagnostics if d.key == "bus-width")
+    assert d.message.split(":")[0] == "address 05h acts as 01h and value -1 acts as FFh"
 
 
 @LINTS

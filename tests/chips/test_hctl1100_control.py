@@ -471,9 +471,3 @@ def test_two_commands_in_one_sample_are_noted_and_one_in_each_is_not(mode, first
     for address, value in first:
         chip.write(address, value)
     assert chip.diagnostics == []
-
-
-def test_a_reference_clock_beyond_the_silicon_is_noted():
-    assert HCTL1100(100_000).diagnostics == HCTL1100(2_000_000).diagnostics == []
-    for hz in (99_999, 2_000_001):
-        assert "100,000 to 2,000,000 Hz" in HCTL1100(hz).diagnostics[0].message

@@ -813,22 +813,3 @@ def test_a_drive_command_that_a_signal_refuses_says_so_and_another_does_not(cls,
     command(chip, minus)
     assert chip.advance(SECOND // 100) == 10
     assert chip.diagnostics == []
-
-
-@pytest.mark.parametrize(
-    ("cls", "most"), [(MCX304, 16_000_000), (MCX302, 16_000_000), (MCX312, 16_000_000), (MCX514, 20_000_000)]
-)
-def test_a_clock_beyond_the_silicon_is_noted(cls, most):
-    assert cls(most).diagnostics == []
-    assert f"{most:,} Hz" in cls(most + 1).diagnostics[0].message
-
-
-@pytest.mark.parametrize("cls", [MCX304, MCX514])
-def test_a_write_that_the_bus_cuts_down_is_noted(cls):
-    chip = cls()
-    chip.write(9, 0)
-    chip.write(6, 0x12345)
-    assert [d.message.split(":")[0] for d in chip.diagnostics] == [
-        "address 09h acts as 01h",
-        "value 12345h acts as 2345h",
-    ]

@@ -12,7 +12,7 @@ STEPS, RATE = 4000, 300
 
 
 def seconds(stage, r14):
-    """Time of half a second in which three axes ramp up and down."""
+    """Return the CPU time of half a second in which three axes ramp up and down."""
     stage.reset()
     for axis in stage.axes.values():
         chip = axis.chip
@@ -22,13 +22,13 @@ def seconds(stage, r14):
             chip.write(address, r14 >> 8 * (address - 1) & 0xFF)
         chip.write(0, 0x40)
         chip.write(0, 0x15)
-    begin = time.perf_counter()
+    begin = time.process_time()
     for command in (0x14, 0x15):
         stage.run(0.25)
         for axis in stage.axes.values():
             assert axis.chip.pins.fkeep
             axis.chip.write(0, command)
-    return time.perf_counter() - begin
+    return time.process_time() - begin
 
 
 def test_an_s_curve_costs_at_most_half_as_much_again_as_a_linear_ramp():
