@@ -112,6 +112,7 @@ class RequestGuard:
         self._app, self._names, self._token = app, names, token
 
     async def __call__(self, scope: dict, receive: Any, send: Any) -> None:
+        """Handle a request as ASGI has it: refuse it, or give it to the application."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return

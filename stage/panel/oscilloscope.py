@@ -16,6 +16,7 @@ import os
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -213,12 +214,11 @@ def to_csv(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> 
 
 def to_png(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> bytes:
     """Return a picture as on the page: a chart for each unit, a lane for each pin. Needs matplotlib (extra `plot`)."""
-    Figure = need("matplotlib.figure", "drawing").Figure
     times, columns = _collect(sampler, names, begin, end)
     units = list(dict.fromkeys(t.unit for t, _ in columns if not t.pin))
     pins = [(t, v) for t, v in columns if t.pin]
     heights = [3.0] * len(units) + [0.35] * len(pins)
-    figure = Figure(figsize=(9, sum(heights) * 0.75 + 0.8), layout="constrained")
+    figure = need("matplotlib.figure", "drawing").Figure(figsize=(9, sum(heights) * 0.75 + 0.8), layout="constrained")
     plots = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     for plot, unit in zip(plots, units, strict=False):
         for t, v in columns:
@@ -277,11 +277,10 @@ def to_rrd(sampler: Sampler, names: Sequence[str], begin: float, end: float) -> 
         out.flush()
         out.disconnect()
         del out
-        with open(path, "rb") as file:
-            return file.read()
+        return Path(path).read_bytes()
     finally:
         release_streams()
-        os.unlink(path)
+        Path(path).unlink()
 
 
 FORMATS: dict[str, Callable[[Sampler, Sequence[str], float, float], Any]] = {

@@ -225,8 +225,7 @@ def _y_axis(k: int, is_chart: bool, title: str) -> dict[str, Any]:
 
 
 def _significant(values: np.ndarray, places: int) -> np.ndarray:
-    """Round to six digits of the greatest value, what a screen can show, and to `places` decimals at most, so that what rests is
-    level."""
+    """Round to six digits of the greatest value, and to `places` decimals at most, so that an axis at rest is a level line."""
     top = float(np.max(np.abs(values), initial=0.0))
     digits = min(places, 5 - math.floor(math.log10(top))) if top > 0 else 0
     return np.round(np.asarray(values, float), digits) + 0.0  # no -0

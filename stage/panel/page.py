@@ -34,7 +34,8 @@ def format_position(unit: str, position: float, commanded: float, lost: int) -> 
 
     Args:
         unit: Unit of the axis, m or rad.
-        position, commanded: In that unit.
+        position: Position, in that unit.
+        commanded: Position that the pulses command, in that unit.
         lost: Full steps.
     """
     scale, symbol = (1e3, "mm") if unit == "m" else (degrees(1), "deg")

@@ -265,7 +265,8 @@ class Sampler:
 
         Args:
             names: Names of traces.
-            begin, end: s.
+            begin: Begin of the window, s.
+            end: End of the window, s.
 
         Returns:
             The times, s, and the values of each trace in its unit.
@@ -287,7 +288,8 @@ class Sampler:
 
         Args:
             names: Names of traces.
-            begin, end: s.
+            begin: Begin of the window, s.
+            end: End of the window, s.
             points: Columns of pixels.
 
         Returns:

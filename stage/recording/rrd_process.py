@@ -85,7 +85,7 @@ def _describe_end(code: int) -> str:
 
 def _write_chunks(path: str, out: IO[bytes]) -> None:
     """Write the chunks of a file, as the program that `read_chunks` starts."""
-    limit = LIMITS[0] + LIMITS[1] * os.path.getsize(path) + BYTES_OF_PROCESS
+    limit = LIMITS[0] + LIMITS[1] * Path(path).stat().st_size + BYTES_OF_PROCESS
     with suppress(ValueError, OSError):  # somebody has set a lower limit
         resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
     import pyarrow

@@ -58,7 +58,7 @@ class Sink:
 
     def __init__(self, out: Any, path: Path, blueprint: Any, overwrite: bool):
         self.out, self._bytes, self._closing = out, bytearray(), False
-        self._file = open(path, "wb" if overwrite else "xb", buffering=0)  # noqa: SIM115
+        self._file = path.open("wb" if overwrite else "xb", buffering=0)
         self._end, write_end = os.pipe()
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._collect, name="rerun file", daemon=True)

@@ -58,7 +58,7 @@ def write(recording: Recording, path: Path) -> Path:
     """
     from vcd import VCDWriter
 
-    with open(path, "w", encoding="ascii", buffering=1 << 20) as file:
+    with path.open("w", encoding="ascii", buffering=1 << 20) as file:
         begin = min(to_nanoseconds(int(j.start["clock"]), _hz(recording, n)) for n, j in recording.journals.items())
         end = max(to_nanoseconds(j.until, _hz(recording, n)) for n, j in recording.journals.items())
         comment = f"PulseStage: {recording!r}".encode("ascii", "backslashreplace").decode().replace("$", r"\x24")
@@ -176,7 +176,8 @@ class HostBus:
 
         Args:
             writer: VCDWriter of the file.
-            begin, end: ns.
+            begin: First time of the file, ns.
+            end: Last time of the file, ns.
         """
         if self._stage.host is None or (self._until is not None and self._end is None):
             return []

@@ -67,11 +67,13 @@ class Server(ThreadingHTTPServer):
         return [f"{name}:{self.server_port}" for name in NAMES] + list(NAMES) * (self.server_port == 80)
 
     def server_bind(self) -> None:
-        TCPServer.server_bind(self)  # HTTPServer's own asks the network what the machine is called
+        """Bind without asking the network for the name of the machine, as HTTPServer does."""
+        TCPServer.server_bind(self)
         self.server_name, self.server_port = HOST, int(self.server_address[1])
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        if not isinstance(sys.exception(), ConnectionError):  # a browser may go away in the middle
+        """Report errors, but those of a browser that disconnects."""
+        if not isinstance(sys.exception(), ConnectionError):
             super().handle_error(request, client_address)
 
 
@@ -80,6 +82,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 60  # s that a browser may say nothing
 
     def do_GET(self) -> None:
+        """Answer a request of a browser."""
         hosts = self.headers.get_all("Host") or []
         if len(hosts) != 1 or hosts[0].lower() not in self.server.hosts:
             self._refuse(HTTPStatus.FORBIDDEN, f"This server answers to {' and '.join(self.server.hosts)} only.")
