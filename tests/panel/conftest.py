@@ -96,7 +96,7 @@ class Browser:
         return self.find(name).get_attribute("value")
 
     def error_at(self, name):
-        """What is said at a field, or ""."""
+        """Return the error at a field, or ""."""
         return self.driver.execute_script(ERROR_AT, self.find(name))
 
     def curve(self, k):
@@ -104,7 +104,7 @@ class Browser:
         return self.driver.execute_script(CURVE, self.find("chart"), k)
 
     def lit(self, name):
-        """Whether a lamp is on."""
+        """Return whether a lamp is on."""
         return "on" in self.find(name).get_attribute("class").split()
 
     def type(self, name, *keys):
@@ -118,7 +118,7 @@ class Browser:
         return field
 
     def choose(self, name, text):
-        """From a list that opens with a click."""
+        """Select an item of a list that opens with a click."""
         self.click(name)
         option = self.until(lambda: self._option(text))
         self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", option)
@@ -176,7 +176,7 @@ def needs_a_browser():
 
 @pytest.fixture(scope="module")
 def address():
-    """Of a panel of xy, which the command line serves."""
+    """Address of a panel of xy that the command line serves."""
     needs_a_browser()
     command = [sys.executable, "-m", "stage", "panel", "xy", "--port", "0", "--no-browser"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
@@ -240,7 +240,7 @@ class Bench:
         return self.session.do(observe)
 
     def x(self, what):
-        """Something of the axis x."""
+        """Return an attribute of the axis x."""
         return self.stage(lambda stage: getattr(stage.axes["x"], what))
 
     def close(self):
@@ -265,14 +265,14 @@ def bench(_bench):
 
 @pytest.fixture(scope="module")
 def session():
-    """Of xy, where time stands still until a test lets it pass."""
+    """Session of xy, paused until a test lets time pass."""
     with Session(Stage("xy", visuals=False), speed=FREE, paused=True) as session:
         yield session
 
 
 @pytest.fixture
 def sampler(session):
-    """Of that session, at power-up."""
+    """Sampler of that session, at power-up."""
     session.reset()
     sampler = Sampler(session)
     yield sampler

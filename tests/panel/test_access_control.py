@@ -34,7 +34,7 @@ def loggers_without_filters():
 
 
 def requested(guard, kind="http", query=b"", **headers):
-    """What the guard sends, and whether it let the request through."""
+    """Return the messages of the guard, and whether it let the request through."""
     sent, through = [], []
 
     async def app(scope, receive, send):

@@ -12,7 +12,7 @@ from stage.panel.browser_updates import ANSWER_TIMEOUT_S, FRAMES, TEXT_INTERVAL_
 
 @pytest.fixture
 def live(monkeypatch):
-    """Of no page; live.sent: the messages; live.real.now: real time, s."""
+    """Updates without a page; live.sent: the messages; live.real.now: real time, s."""
     monkeypatch.setattr(lives.ui, "timer", lambda *arguments: None)
     live = BrowserUpdates.__new__(BrowserUpdates)
     monkeypatch.setattr(lives.ui.element, "__init__", lambda self: None)
@@ -31,7 +31,7 @@ def live(monkeypatch):
 
 
 def frame(live, after=0.0):
-    """What one frame sends; None where nothing is new."""
+    """Return the message of one frame; None where nothing is new."""
     live.real.now += after
     live.sent.clear()
     asyncio.run(live._frame())

@@ -41,7 +41,7 @@ def session(served, page):
 
 @pytest.fixture
 def ordered(session, monkeypatch):
-    """What the session is outcome to do, in words of people."""
+    """Titles of the actions that the session gets."""
     names, act = [], session.act
     monkeypatch.setattr(session, "act", lambda name, order: names.append(name) or act(name, order))
     return names

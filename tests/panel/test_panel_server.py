@@ -166,7 +166,7 @@ def test_a_text_with_quotes_is_one_property_value():
 
 @pytest.fixture
 def refused(capsys):
-    """What the command says, where it refuses."""
+    """Function that returns the error of the command."""
 
     def run(*arguments):
         assert main(["panel", "xy", "--no-browser", *arguments]) == 2

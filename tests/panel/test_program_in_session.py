@@ -20,7 +20,7 @@ def until(condition, seconds=20.0):
 
 
 def program(stage):
-    """What somebody does with a stage."""
+    """Use a stage as a program of a user does."""
     x = stage.axes["x"]
     firmware.move(x, distance=0.002)
     x.chip.write(0, 0x81)

@@ -45,7 +45,7 @@ class RowOnPage:
         return next(control.element for control in self.row._fields if control.field is field)
 
     def set(self, field, value):
-        """As somebody sets it: a choice, a tick, a number and Enter."""
+        """Set a field as a user does: a choice, a tick, a number and Enter."""
         widget = self.field(field)
         if isinstance(widget, ui.input):
             self.page.put(widget, str(value))

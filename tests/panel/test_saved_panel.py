@@ -259,12 +259,12 @@ def test_a_program_makes_its_stage_with_the_options_of_the_panel(option, said):
 
 
 def shared(sent=(), start=0, options=STAGE_OPTIONS, payloads=None):
-    """What is saved of a panel, as far as a program needs it."""
+    """Return the content of a file, as far as a program needs it."""
     return SavedPanel(options, payloads or {}, [], list(sent), (start, None), None)
 
 
 def panel(**options):
-    """As far as a program needs one: a stage."""
+    """Return a panel, as far as a program needs it: a stage."""
     return SimpleNamespace(session=SimpleNamespace(stage=Stage("xy", visuals=False, **options)))
 
 

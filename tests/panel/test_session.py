@@ -432,7 +432,7 @@ def test_time_continues_at_once_from_a_restored_snapshot(session):
 
 @PAUSED_IN_REAL_TIME
 def test_the_view_includes_a_finished_order(session):
-    """Whoever waits for `changed` is told of it, with what it has left."""
+    """Threads that wait for `changed` are notified when the view has the effect of the order."""
     until(lambda: session.do(lambda stage: True))
     number, reported = session.view.number, threading.Event()
 

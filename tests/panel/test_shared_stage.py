@@ -72,7 +72,7 @@ class User(threading.Thread):
 
 
 class Visitor(User):
-    """As User, by orders: the session has the stage alone."""
+    """User that gives orders: the session has the stage alone."""
 
     def _do_read(self, stage):
         self.session.do(super()._do_read, MAX_WAIT_S)
@@ -155,7 +155,7 @@ def test_pause_and_stop_act_within_two_slices_of_a_procedure(chips, name, speed)
     with Session(stage, speed=speed) as session:
 
         def interrupt(stage):
-            """In the middle of the procedure, as an order comes."""
+            """Interrupt the procedure by an order."""
             if not requested and session.view.action and stage.now > 20_000_000:
                 session.paused = True
                 requested.append(stage.now)

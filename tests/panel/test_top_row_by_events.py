@@ -31,7 +31,7 @@ def session(served, page):
 
 
 def inert(page, name):
-    """Whether it looks as if it could not be used."""
+    """Return whether an element is shown as unusable."""
     return any("inert" in e.props for e in page.find(name).ancestors(include_self=True))
 
 
