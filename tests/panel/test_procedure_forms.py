@@ -150,7 +150,7 @@ def test_a_circle_is_drawn_by_the_chips_that_can(fresh):
     x, y = (recording.column(f"{name}/commanded") for name in ("x", "y"))
     assert (report.ok, report.pulses) == (True, {"x": 0, "y": 0})
     assert y.max() == pytest.approx(2e-3, abs=1e-5)  # about a center 1 mm along y
-    assert x.max() == -x.min() == pytest.approx(1e-3, abs=1e-5)
+    assert (x.min(), x.max()) == pytest.approx((-1e-3, 1e-3), abs=1e-5)
 
 
 @pytest.mark.slow
