@@ -52,7 +52,7 @@ from stage.firmware.driver import Speeds, driver_of
 from stage.sim.fleet import Fleet, Played
 from stage.sim.program import Program
 from stage.support import portable
-from stage.tune.formula import Load, speeds
+from stage.tune.formula import Load, compute_speeds
 
 RATES = {"start": (200.0, 6000.0), "drive": (2000.0, 60_000.0), "up": (0.01, 0.3), "down": (0.01, 0.3)}  # pps, s
 ENCODER_COUNT_M = 5e-6  # m, of the encoder
@@ -176,7 +176,7 @@ class FewShotTuning(MachineTask[Config]):
         self.table = np.zeros((n, c.tries, NUMBERS_PER_TRY))
         self.best_time, self.cost = np.full(n, np.inf), np.full((n, c.tries), np.inf)
         self.rows = np.zeros((n, c.tries, len(self.names)), np.int64)
-        self.load = Load.of(self.axis)
+        self.load = Load.from_axis(self.axis)
         self.formula, self.damage = np.ones((n, 5)), np.zeros((n, 2), np.int64)
         self.proof_fleet = Fleet([copy.deepcopy(first) for _ in range(n)], self.fleet.threads)
 
@@ -205,7 +205,7 @@ class FewShotTuning(MachineTask[Config]):
 
     def _set_formula(self, k: int, payload: float) -> None:
         """Store the formula's rates and ramps for a payload, kg, and the time that they take."""
-        move, distance = speeds(self.load.heavier(payload), int(self.distance[k])), int(self.distance[k])
+        move, distance = compute_speeds(self.load.add_mass(payload), int(self.distance[k])), int(self.distance[k])
         rate = self.rates(action_of(*move[:4]), distance)
         start, top, up, down = rate
         took = up + down + (distance - (up + down) * (start + top) / 2) / top

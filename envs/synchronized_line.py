@@ -50,7 +50,7 @@ from stage.firmware.lines import LineMoves
 from stage.sim.fleet import Fleet, Played
 from stage.sim.program import MEASURE
 from stage.support import portable
-from stage.tune.formula import Load, speeds
+from stage.tune.formula import Load, compute_speeds
 
 CORRECTIONS = 6  # an axis
 
@@ -122,7 +122,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         m = len(self.axes)
         self.judged, self.point = find_judged_point(first, c.axes[0], c.judge_at)
         self.prepare_machines()
-        self.loads = [Load.of(a) for a in self.axes]
+        self.loads = [Load.from_axis(a) for a in self.axes]
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2 + CORRECTIONS * m,), np.float32)
         self.observation_space = self.make_observation_space()
         self.angles = np.zeros((n, m))
@@ -167,7 +167,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         longest = int(sizes.max())
         rates, slopes = [], []
         for load, size in zip(self.loads, sizes.tolist(), strict=True):
-            move = speeds(load.heavier(self.ranges["payload"][1]), int(size))
+            move = compute_speeds(load.add_mass(self.ranges["payload"][1]), int(size))
             rates.append(move.drive * longest / size)
             slopes.append((move.drive - move.start) / max(move.up, move.down) * longest / size)
         rate = float(np.clip(min(rates), *c.rates))

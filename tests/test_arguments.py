@@ -11,7 +11,7 @@ from stage.chips import CHIPS, PCL240K, chip_class
 from stage.drives.dc_motors import Servo
 from stage.errors import UnknownKey
 from stage.firmware import Profile
-from stage.support.arguments import WrongType, told, whole_number
+from stage.support.arguments import WrongType, check_whole_number, explain_arguments
 from stage.tune import Task, tune
 
 WRONG = ("1", None, math.nan, math.inf, -1, -1.5, [], {}, object(), b"x", "nosuch", 3.5, True, ["q"], Decimal("NaN"))
@@ -83,7 +83,7 @@ def test_an_error_of_somebody_elses_stays_as_it_is(stage):
         stage.run_until(condition, timeout=1e-3)
     assert not isinstance(caught.value, WrongType)
 
-    @told
+    @explain_arguments
     def add(a: "int", b: "object") -> "object":
         return a + b
 
@@ -96,7 +96,7 @@ def test_an_error_of_somebody_elses_stays_as_it_is(stage):
         add(1)
 
 
-@told
+@explain_arguments
 def failing(
     flag: "bool" = True,
     number: "float | None" = None,
@@ -138,7 +138,7 @@ def test_where_all_arguments_fit_the_error_is_pythons(given):
 
 
 def test_of_values_that_follow_each_other_the_one_that_does_not_fit_is_named():
-    @told
+    @explain_arguments
     def add(*numbers: "float") -> "float":
         return sum(numbers)
 
@@ -179,10 +179,10 @@ def test_a_tuning_with_a_number_out_of_range_is_refused_by_its_name(name, value)
 @pytest.mark.parametrize("value", [True, False, 2.0, -1, 2, "3", None])
 def test_a_whole_number_is_an_int_from_its_bound_on(value):
     with pytest.raises(ArgumentError, match=r"^n=.*: a whole number, 3 or more\.$"):
-        whole_number("n", value, 3)
+        check_whole_number("n", value, 3)
     with pytest.raises(ArgumentError):
-        whole_number("n", True, 0)
-    whole_number("n", 3, 3)
+        check_whole_number("n", True, 0)
+    check_whole_number("n", 3, 3)
 
 
 @pytest.mark.parametrize("name", ["x\0", "x\0y", "\0", "\ud800", "x\ud800"])

@@ -28,10 +28,10 @@ from stage.agents.tool import Answer, Tool, ToolSet
 from stage.agents.truth_tools import TruthTools
 from stage.errors import ArgumentError, StageError
 from stage.sim.stage import Stage
-from stage.support.arguments import told, told_when_made
+from stage.support.arguments import explain_arguments, explain_constructor
 
 
-@told_when_made
+@explain_constructor
 class Toolbox(ToolContext, ToolSet):
     """Tools of a stage for one agent. One call runs at a time; others wait.
 
@@ -78,7 +78,7 @@ class Toolbox(ToolContext, ToolSet):
         tools += TruthTools(self).tools() if mode == "truth" else []
         ToolSet.__init__(self, [*tools, *self.recordings.tools(), *more])
 
-    @told
+    @explain_arguments
     def act(self, tool: Tool, values: dict[str, Any]) -> Any:
         """Run a tool and count what it uses. A move that is refused before its first bus cycle does not count."""
         self.meter.begin()

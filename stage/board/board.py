@@ -33,7 +33,7 @@ from stage.board.waveforms import HostWaveforms
 from stage.chips.diagnostics import JournalLint
 from stage.errors import ArgumentError, StageError, unknown
 from stage.sim.stage import MAX_RUN_S, Stage
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 
 DEFAULT_CYCLES = 100_000  # lines of the trace
 MAX_CYCLES = 1 << 28
@@ -74,7 +74,7 @@ class Board:
 
     LINTS: ClassVar = True
 
-    @told
+    @explain_arguments
     def __init__(
         self,
         stage: Stage,
@@ -112,38 +112,38 @@ class Board:
 
     # --- requests of a host ---
 
-    @told
+    @explain_arguments
     def out8(self, port: int, value: int) -> None:
         """Make one write cycle of 8 bits. It sets half a register of a chip with a bus of 16 bits; the other half floats."""
         self.link.ask(host_record.OUT8, port, value)
 
-    @told
+    @explain_arguments
     def in8(self, port: int) -> int:
         """Make one read cycle of 8 bits; FFh where there is nothing."""
         return self.link.ask(host_record.IN8, port, 0)
 
-    @told
+    @explain_arguments
     def out16(self, port: int, value: int) -> None:
         """Make one write cycle of 16 bits; two of 8, the low byte first, at chips with a bus of 8 bits."""
         self.link.ask(host_record.OUT16, port, value)
 
-    @told
+    @explain_arguments
     def in16(self, port: int) -> int:
         """Make one read cycle of 16 bits; two of 8, the low byte first, at chips with a bus of 8 bits."""
         return self.link.ask(host_record.IN16, port, 0)
 
-    @told
+    @explain_arguments
     def out32(self, port: int, value: int) -> None:
         """Make two write cycles of 16 bits, the low half at `port`, then the high half at `port + 2`; four of 8 at chips with a
         bus of 8 bits."""
         self.link.ask(host_record.OUT32, port, value)
 
-    @told
+    @explain_arguments
     def in32(self, port: int) -> int:
         """Make two read cycles of 16 bits, in the same order."""
         return self.link.ask(host_record.IN32, port, 0)
 
-    @told
+    @explain_arguments
     def delay_us(self, us: int) -> None:
         """Let time pass. After Ctrl-C time stands somewhere in the delay, and the board can be used as before.
 
@@ -219,7 +219,7 @@ class Board:
 
     # --- devices ---
 
-    @told
+    @explain_arguments
     def device(  # noqa: PLR0913  each is one property of the device
         self,
         ports: int | Iterable[int],
@@ -348,7 +348,7 @@ class Board:
 
     # --- inside ---
 
-    @told
+    @explain_arguments
     def name_of(self, chip: int) -> str:
         """Return the names of the axes of a chip. chip: its index."""
         return "".join(axis.name for axis in self.stage.axes.values() if axis.chip is self.stage.chips[chip])

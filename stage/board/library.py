@@ -21,7 +21,7 @@ from stage.board.bus.requests import REQUEST, restore_float_mode, set_usual_floa
 from stage.board.errors import CompileError, CompilerWarning, LibraryError, NoCompilerError
 from stage.board.scratch import Scratch
 from stage.errors import ArgumentError, escape
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 from stage.support.files import FileError, refuse_irregular
 from stage.support.processes import run_program
 
@@ -95,7 +95,7 @@ def find_compiler(source: str | Path = "x.c") -> str:
     )
 
 
-@told
+@explain_arguments
 def build(
     sources: str | os.PathLike | Sequence[str | os.PathLike],
     output: str | os.PathLike | None = None,

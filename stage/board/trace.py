@@ -16,7 +16,7 @@ import numpy as np
 from stage.board.bus import host_record
 from stage.board.bus.interrupts import BACK, JUMPED, LOWERED
 from stage.board.interrupt_hooks import name_source
-from stage.support.arguments import told_when_made
+from stage.support.arguments import explain_constructor
 
 if TYPE_CHECKING:
     from stage.board.board import Board
@@ -76,7 +76,7 @@ def describe_interrupt(kind: int, source: int, value: int) -> str:
     return f"interrupt: {name} is called{missed}"
 
 
-@told_when_made
+@explain_constructor
 class BusTrace:
     """The last cycles of a board, oldest first; iterate for `Cycle`s, print for text.
 

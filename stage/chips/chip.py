@@ -37,7 +37,7 @@ from stage.chips.sharing import Lock, exclusive, exclusively, with_lock
 from stage.errors import ArgumentError, StageError, a_or_an, unknown
 from stage.native import plain
 from stage.support import snapshots
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 from stage.support.snapshot_files import FiledSnapshot
 
 MAX_CLOCKS = 1 << 45  # a speed of 13 bits times this still fits 63 bits
@@ -377,7 +377,7 @@ class Chip:
         self._check_axis(axis)
         return int(self.CORE.net.with_gil(self.pointer, axis))
 
-    @told
+    @explain_arguments
     @exclusive
     def set_shaft(self, count: float, rate: float = 0.0, axis: int = 0) -> None:
         """Put the shaft of an encoder at `count + rate * (clock - now)` from now on.
@@ -428,7 +428,7 @@ class Chip:
         raise NotImplementedError(f"{cls.__name__} does not say how its registers are written.")
 
     @classmethod
-    @told
+    @explain_arguments
     def command_cycles(cls, symbol: str, axis: int = 0, datum: int | None = None) -> list[tuple[int, int]]:
         """Return the bus write cycles that send a command of the map, or a word that a host writes (see `Word.address`).
 

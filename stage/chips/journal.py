@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from stage.chips.entries import INPUT, LOST, READ, RESET, SHAFT, WIRES, WRITE, Entries, Entry, bits
-from stage.support.arguments import whole_number
+from stage.support.arguments import check_whole_number
 
 if TYPE_CHECKING:
     from stage.chips.chip import Chip
@@ -174,7 +174,7 @@ class Replay:
         Raises:
             ArgumentError: `size` is below 64.
         """
-        whole_number("size", size, ROOM)
+        check_whole_number("size", size, ROOM)
         return self._pieces(every_pulse, size)
 
     def _pieces(self, every_pulse: bool, size: int) -> Iterator[np.ndarray]:

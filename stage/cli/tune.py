@@ -73,13 +73,13 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Find registers, print them, and write them to files."""
     from stage.tune import Task, tune
-    from stage.tune.search import optuna
+    from stage.tune.search import import_optuna
 
     if args.distance is None:
         raise ArgumentError("--distance: registers are for one distance. Give it, for example --distance 100mm.")
     folder = _check_folder(args)
     if args.by == "search":
-        optuna()
+        import_optuna()
     if args.seed < 0:
         raise ArgumentError(f"--seed {args.seed}: must be a whole number, 0 or more.")
     stage = make_stage(args, visuals=False)
@@ -93,7 +93,13 @@ def run(args: argparse.Namespace) -> int:
     progress = _Progress(args.trials)
     try:
         result = tune(
-            task, by=args.by, trials=args.trials, seed=args.seed, workers=args.workers, moves=args.moves, told=progress
+            task,
+            by=args.by,
+            trials=args.trials,
+            seed=args.seed,
+            workers=args.workers,
+            moves=args.moves,
+            on_progress=progress,
         )
     except StageError as error:
         raise StageError(f"{error}{explain_unit(axis, args.distance)}") from error
@@ -105,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"\n{result.c_source()}", end="")
     else:
         _write_files(args, result, folder)
-    return 130 if result.stopped else 0
+    return 130 if result.interrupted else 0
 
 
 def _write_files(args: argparse.Namespace, result: Any, folder: Path) -> None:
@@ -175,10 +181,10 @@ def explain_unit(axis: Any, distance: str) -> str:
 
 def _parse_settle(axis: Any, settle: list[str] | None) -> tuple[float | None, float]:
     """Return the window of --settle in m (rad), None for the usual one, and its time in s. Raises ArgumentError."""
-    from stage.tune.task import HOLD
+    from stage.tune.task import DEFAULT_HOLD_S
 
     if settle is None:
-        return None, HOLD
+        return None, DEFAULT_HOLD_S
     return _parse_length(axis, "--settle", settle[0]), _parse_positive("--settle", settle[1], BESIDES["time"], "50ms")
 
 

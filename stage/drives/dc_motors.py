@@ -10,13 +10,13 @@ from typing import Any, ClassVar
 from stage.drives.drive import SERVO
 from stage.drives.motors import MAX_BUS_VOLTAGE, within
 from stage.errors import ArgumentError, unknown
-from stage.support.arguments import told_when_made
+from stage.support.arguments import explain_constructor
 
 MAX_COUNTS = 1 << 20
 MAX_CURRENT_A = 1000
 
 
-@told_when_made
+@explain_constructor
 @dataclass(frozen=True)
 class DCMotor:
     """Brushed DC motor with permanent magnets.
@@ -87,7 +87,7 @@ def find_dc_motor(name: str | DCMotor) -> DCMotor:
     return DC_MOTORS[name]
 
 
-@told_when_made
+@explain_constructor
 @dataclass(frozen=True)
 class Servo:
     """A servo amplifier, its DC motor and an incremental encoder on the motor's shaft.

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from stage.drives import stepper
 from stage.errors import ArgumentError, unknown
-from stage.support.arguments import told_when_made
+from stage.support.arguments import explain_constructor
 
 EVIDENCE = {"C": "fitted to a published pull-out curve", "S": "data sheet", "I": "inferred"}
 """Letters that begin the evidence of a preset's value, and what they mean; after ": " comes a tolerance or a reason."""
@@ -249,7 +249,7 @@ def find_motor(name: str | Motor) -> Motor:
     return MOTORS[name]
 
 
-@told_when_made
+@explain_constructor
 @dataclass(frozen=True)
 class Drive:
     """Microstepping drive with its motor.

@@ -21,7 +21,7 @@ import numpy as np
 from stage.drives.dynamometer import pull_out
 from stage.drives.motors import Drive, Motor, find_motor, within
 from stage.errors import ArgumentError, unknown
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 
 MIN_POINTS = 3
 MAX_FITTED_POINTS = 6
@@ -143,7 +143,7 @@ class CurveFit(NamedTuple):
         return f"{self.comparison}\nrms deviation at the speeds that were not fitted: {others}"
 
 
-@told
+@explain_arguments
 def fit_curve(
     motor: Motor | str,
     curve: PublishedCurve,

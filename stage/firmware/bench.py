@@ -23,7 +23,7 @@ from stage.chips import Chip
 from stage.chips.chip import Bus, Pins, check_clock, split_run
 from stage.errors import ArgumentError, unknown
 from stage.firmware.axis import check_seconds
-from stage.support.arguments import told, told_when_made
+from stage.support.arguments import explain_arguments, explain_constructor
 
 NAMES = "xyzuvw"
 Span = tuple[int | None, int | None]
@@ -54,7 +54,7 @@ class BenchAxis:
         """Seconds since the bench was made."""
         return self._bench.time
 
-    @told
+    @explain_arguments
     def wait(self, seconds: float) -> None:
         """Let `seconds` pass, for all chips of the bench."""
         self._bench.wait(seconds)
@@ -115,7 +115,7 @@ class BenchAxis:
         return f"<BenchAxis {self.name} {self.chip!r}>"
 
 
-@told_when_made
+@explain_constructor
 class Bench(Bus):
     """Chips on one bus and one time line.
 
@@ -164,13 +164,13 @@ class Bench(Bus):
         """Let one bus cycle pass; chips call it before each read and write."""
         self._advance(self._now + self._bus_ns)
 
-    @told
+    @explain_arguments
     def wait(self, seconds: float) -> None:
         """Let `seconds` pass. Raises ArgumentError for a negative time."""
         check_seconds(seconds)
         self._advance(self._now + round(seconds * 1e9))
 
-    @told
+    @explain_arguments
     def at(self, seconds: float, action: Callable[[], Any]) -> None:
         """Call a function at a time of the bench, to change an input, for example.
 
@@ -187,7 +187,7 @@ class Bench(Bus):
             raise ArgumentError(f"action={action!r}: give a function without arguments.")
         heapq.heappush(self._events, (round(seconds * 1e9), next(self._order), action))
 
-    @told
+    @explain_arguments
     def rail(self, axis: str, at: int = 0, **spans: Span) -> None:
         """Put a carriage that never slips under an axis.
 

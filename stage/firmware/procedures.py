@@ -19,10 +19,10 @@ from stage.firmware.axis import Axes, Axis, check_direction, check_seconds, forw
 from stage.firmware.driver import RAMP, RATES, Driver, Speeds, driver_of, usual_speeds
 from stage.firmware.report import Procedure, Report
 from stage.firmware.together import SynchronizedReport, select_axes
-from stage.support.arguments import patience, told
+from stage.support.arguments import check_timeout, explain_arguments
 
 
-@told
+@explain_arguments
 def move(
     axis: Axis,
     distance: float | None = None,
@@ -57,12 +57,12 @@ def move(
         StageError: The axis moves already.
         RunTimeout: The axis still moved after `timeout`.
     """
-    patience(timeout)
+    check_timeout(timeout)
     options = {"speed": speed, "start_speed": start_speed, "accel": accel, "decel": decel, "s_curve": s_curve}
     return driver_of(axis).move(pulses_of(axis, distance, pulses), parse_speeds(axis, options), timeout)
 
 
-@told
+@explain_arguments
 def two_rates(
     axis: Axis,
     distance: float | None = None,
@@ -86,7 +86,7 @@ def two_rates(
     return driver_of(axis).two_rates(pulses_of(axis, distance, pulses), speed, dwell, rates)
 
 
-@told
+@explain_arguments
 def home(
     axis: Axis,
     direction: int = -1,
@@ -121,7 +121,7 @@ def home(
         RunTimeout: The return took longer than `timeout`.
     """
     check_direction(direction)
-    patience(timeout)
+    check_timeout(timeout)
     driver = driver_of(axis)
     wanted = parse_speeds(axis, {"speed": speed, "start_speed": start_speed, "accel": accel})
     if by is not None:
@@ -138,7 +138,7 @@ def home(
     return driver.home(direction, wanted, index, timeout)
 
 
-@told
+@explain_arguments
 @exclusive
 def jog(
     axis: Axis, seconds: float, speed: float | None = None, *, start_speed: float | None = None, accel: float = RAMP
@@ -172,13 +172,13 @@ def jog(
         return p.report(met or "decelerating stop")
 
 
-@told
+@explain_arguments
 def stop(axis: Axis, at_once: bool = False) -> None:
     """Stop the axis, with a ramp or at once, and wait until it is at rest."""
     driver_of(axis).halt(at_once)
 
 
-@told
+@explain_arguments
 @exclusive
 def line(
     distances: Mapping[str, float] | Mapping[Axis, float],
@@ -216,7 +216,7 @@ def line(
         ArgumentError: The chips cannot do it, with the reason, or every distance is 0.
         RunTimeout: An axis still moved after `timeout`.
     """
-    patience(timeout)
+    check_timeout(timeout)
     selected = select_axes(distances, axes, "line")
     drivers = {name: driver_of(axis) for name, (axis, _) in selected.items()}
     if not drivers:

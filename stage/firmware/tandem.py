@@ -20,7 +20,7 @@ from stage.firmware.report import Report
 from stage.firmware.stop_reasons import UNWANTED_REASONS
 from stage.firmware.together import SynchronizedReport
 from stage.sim.axis import Axis
-from stage.support.arguments import patience
+from stage.support.arguments import check_timeout
 
 PIECE = 1 / 60  # of the travel: what the load bears if one axis alone goes so far
 SLOWLY = 0.25  # of the speed, for an axis alone
@@ -54,7 +54,7 @@ def square(
     if len(axes) < 2:
         raise ArgumentError(f"{len(axes)} axes: tandem axes are two or more; use home for one.")
     check_direction(direction)
-    patience(timeout)
+    check_timeout(timeout)
     drivers = [driver_of(axis) for axis in axes]
     for driver in drivers:
         driver.check_origin()

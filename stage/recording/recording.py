@@ -36,7 +36,7 @@ from stage.recording.table import Columns, Tabular
 from stage.recording.vcd import HostBus
 from stage.sim.records import SAMPLE
 from stage.support import html
-from stage.support.arguments import told, whole_number
+from stage.support.arguments import check_whole_number, explain_arguments
 from stage.support.files import RECORDING, WAVEFORMS, FileError, ends_as, is_stream, writable, written
 
 if TYPE_CHECKING:
@@ -243,7 +243,7 @@ class Recording(Tabular):
             return
         self._spooled += ROWS
 
-    @told
+    @explain_arguments
     def stream(
         self, path: str | os.PathLike, seconds: float = 1.0, overwrite: bool = False, on_error: str = "raise"
     ) -> Recording:
@@ -379,8 +379,8 @@ class Recording(Tabular):
         Raises:
             ArgumentError: A number is out of range; when the first piece is taken.
         """
-        whole_number("rows", rows, 1)
-        whole_number("begin", begin, 0)
+        check_whole_number("rows", rows, 1)
+        check_whole_number("begin", begin, 0)
         self._separate_fork()
         skipped = max(0, begin - self._spooled)
         for at in range(begin, self._spooled, rows):
@@ -399,7 +399,7 @@ class Recording(Tabular):
         """
         return Columns(self._read(list(self.units)))
 
-    @told
+    @explain_arguments
     def column(self, name: str) -> np.ndarray:
         """Return one column, see `columns`. Raises ArgumentError with the near misses."""
         if name not in (units := self.units):
@@ -447,7 +447,7 @@ class Recording(Tabular):
         axis, column = name.rsplit("/", 1)
         return self.axes[axis], column
 
-    @told
+    @explain_arguments
     def seconds(self, axis: str, clock: Number) -> Number:
         """Return the stage's time, s, of clocks of a chip: both count from power-up.
 
@@ -497,7 +497,7 @@ class Recording(Tabular):
             write(self, part)
         return Path(path)
 
-    @told
+    @explain_arguments
     def plot(self, path: str | os.PathLike | None = None, *, overwrite: bool = False) -> Figure:
         """Draw one static picture: rates, positions, following errors, lost steps and switches over time.
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.errors import UnknownKey, unknown
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 from stage.support.extras import need
 from stage.support.files import FileError, ends_as, written
 
@@ -48,7 +48,7 @@ class Tabular:
         """Unit of each column, "" for pins and states; in the order of the columns."""
         raise NotImplementedError
 
-    @told
+    @explain_arguments
     def parts(self, names: Sequence[str]) -> Iterator[dict[str, np.ndarray]]:
         """Yield these columns, a number of rows at a time; once at least. Raises ArgumentError for an unknown column."""
         return self._parts(self._known_columns(names))
@@ -70,7 +70,7 @@ class Tabular:
         names = self._known_columns([columns] if isinstance(columns, str) else columns)
         return ["time", *(name for name in dict.fromkeys(names) if name != "time")]
 
-    @told
+    @explain_arguments
     def to_pandas(self, columns: Sequence[str] | str | None = None) -> pandas.DataFrame:
         """Return a data frame whose index is the time, s; its `attrs["units"]` has the units.
 
@@ -90,7 +90,7 @@ class Tabular:
         frame.attrs["units"] = {name: self.units[name] for name in names}
         return frame
 
-    @told
+    @explain_arguments
     def to_parquet(
         self, path: str | os.PathLike, columns: Sequence[str] | str | None = None, *, overwrite: bool = False
     ) -> Path:
@@ -132,7 +132,7 @@ class Tabular:
                     writer.close()
         return Path(path)
 
-    @told
+    @explain_arguments
     def to_csv(
         self, path: str | os.PathLike, columns: Sequence[str] | str | None = None, *, overwrite: bool = False
     ) -> Path:
@@ -159,7 +159,7 @@ class Tabular:
                 rows.writerows(zip(*((v.astype(int) if v.dtype == bool else v).tolist() for v in values), strict=True))
         return Path(path)
 
-    @told
+    @explain_arguments
     def to_npz(
         self, path: str | os.PathLike, columns: Sequence[str] | str | None = None, *, overwrite: bool = False
     ) -> Path:

@@ -12,7 +12,7 @@ from stage.chips.sharing import Lock, exclusively
 from stage.drives import drive as any_drive
 from stage.errors import ArgumentError, StageError, UnknownKey, unknown
 from stage.support import html
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 from stage.units import PLACES
 
 SWITCH_FAULTS = ["forced", "bounce", "toggles"]
@@ -175,7 +175,7 @@ class Axis:
         """Simulated time of the stage, s."""
         return self.stage.time
 
-    @told
+    @explain_arguments
     def wait(self, seconds: float) -> None:
         """Let simulated time pass, for the whole stage.
 

@@ -38,7 +38,7 @@ from stage.errors import ArgumentError, unknown
 from stage.sim.axis import Axis
 from stage.sim.records import MAX_TOGGLES
 from stage.sim.stage import Stage
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 
 PHASES = {"a": stepper.A, "b": stepper.B}
 JAM = 10.0  # times what the motor can push at its most
@@ -126,7 +126,7 @@ def _change(
 # --- switches ---
 
 
-@told
+@explain_arguments
 def switch_stuck(axis: Axis, pin: str, closed: bool) -> Fault:
     """Make a limit switch stay asserted or released, wherever its vane is.
 
@@ -143,7 +143,7 @@ def switch_stuck(axis: Axis, pin: str, closed: bool) -> Fault:
     return _switches(axis, f"{pin} stuck {'closed' if closed else 'open'}", {row: {"forced": int(bool(closed))}})
 
 
-@told
+@explain_arguments
 def vane_missing(axis: Axis, pin: str) -> Fault:
     """Take off the vane that trips a switch: no switch that it serves will trip again (an EL vane serves both EL).
 
@@ -165,7 +165,7 @@ def vane_missing(axis: Axis, pin: str) -> Fault:
     return _switches(axis, f"vane of {' and '.join(served)} missing", rows)
 
 
-@told
+@explain_arguments
 def bounce(axis: Axis, pin: str, seconds: float = 2e-3, toggles: int = 6) -> Fault:
     """Make the contact of a switch bounce: each edge is followed by `toggles` more within `seconds`, and then it rests.
 
@@ -226,7 +226,7 @@ def _is_on_body(model: Any, body: int, other: int) -> bool:
 # --- mechanics ---
 
 
-@told
+@explain_arguments
 def payload(stage: Stage, factor: float = 2.0, body: str | None = None) -> Fault:
     """Multiply the payload that `Stage.set_payload` put on a body.
 
@@ -248,7 +248,7 @@ def payload(stage: Stage, factor: float = 2.0, body: str | None = None) -> Fault
     return Fault(stage, f"payload {before * factor:g} kg in place of {before:g} kg", begin, ["payload"])
 
 
-@told
+@explain_arguments
 def jam(axis: Axis, force: float | None = None) -> Fault:
     """Make the axis jam, by more dry friction.
 
@@ -286,7 +286,7 @@ def jam(axis: Axis, force: float | None = None) -> Fault:
 # --- drives ---
 
 
-@told
+@explain_arguments
 def bus_voltage(where: Axis | Stage, volts: float) -> Fault:
     """Make the supply of an axis' drive, or of all drives of a stage, fall or rise. Currents follow the new voltage.
 
@@ -310,7 +310,7 @@ def bus_voltage(where: Axis | Stage, volts: float) -> Fault:
     return _change_axes(stage, axes, text, "bus_voltage", lambda before: float(volts))
 
 
-@told
+@explain_arguments
 def phase_open(axis: Axis, phase: str = "a") -> Fault:
     """Break a wire to the motor: the phase carries no current, from one moment to the next.
 
@@ -344,7 +344,7 @@ def _change_axes(stage: Stage, axes: list[Axis], text: str, field: str, to: Call
     return Fault(stage, text, begin, [(field, a.name) for a in axes])
 
 
-@told
+@explain_arguments
 def motor(axis: Axis, motor: str | Motor | DCMotor) -> Fault:
     """Put another motor in place of the axis' own.
 
@@ -381,7 +381,7 @@ def motor(axis: Axis, motor: str | Motor | DCMotor) -> Fault:
 # --- the host's board ---
 
 
-@told
+@explain_arguments
 def start_skew(axis: Axis, seconds: float) -> Fault:
     """Delay the next bus write that makes this axis drive, a start command, as if the CPU were called away.
 
@@ -409,7 +409,7 @@ def start_skew(axis: Axis, seconds: float) -> Fault:
     return fault
 
 
-@told
+@explain_arguments
 def lost_write(where: Axis | Chip, address: int | None = None, value: int | None = None, skip: int = 0) -> Fault:
     """Lose one bus write: the next to this axis' chip, or the next that has this `address` and this `value`.
 

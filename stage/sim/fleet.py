@@ -25,7 +25,7 @@ from stage.sim import engine, handle, play, records
 from stage.sim.loop import IN_USE
 from stage.sim.program import END, KEEP, LOOK, MEASURE, NAMES, READ, STOP, WAIT, WRITE, Program
 from stage.sim.stage import Stage
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 
 DEVICES = ("cpu", "cuda")
 MAX_TIME_NS = records.SECOND * 10**9  # ns
@@ -79,7 +79,7 @@ class Fleet:
             return super().__new__(GpuFleet)
         return super().__new__(cls)
 
-    @told
+    @explain_arguments
     def __init__(
         self, stages: Sequence[Stage], threads: int | None = None, *, device: str = "cpu", copies: int | None = None
     ):
@@ -126,7 +126,7 @@ class Fleet:
     def __len__(self) -> int:
         return len(self.stages)
 
-    @told
+    @explain_arguments
     def play(self, programs: Sequence[Program] | np.ndarray) -> Played:
         """Play programs[k] on stage k; an empty one leaves it alone.
 
@@ -178,7 +178,7 @@ class Fleet:
         return indices
 
     @staticmethod
-    @told
+    @explain_arguments
     def check_status(status: np.ndarray) -> None:
         """Check that all stages could be played.
 
@@ -216,7 +216,7 @@ class Fleet:
             self._pool.shutdown()
             self._pool = None
 
-    @told
+    @explain_arguments
     def run_on_threads(self, work: Callable[[int, int], None]) -> None:
         """Call `work` for ranges of stages that make up all of them, on the fleet's threads.
 

@@ -26,7 +26,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Self
 
 from stage.errors import ArgumentError
-from stage.support.arguments import WrongType, told
+from stage.support.arguments import WrongType, explain_arguments
 
 if TYPE_CHECKING:
     from stage.chips import Chip
@@ -75,7 +75,7 @@ class Operations(ABC):
         """
         return self.write(axis, 0, value)
 
-    @told
+    @explain_arguments
     def register(self, axis: int, chip: Chip | type[Chip], name: str, value: int, chip_axis: int = 0) -> Self:
         """Add the writes of a register as the chip's family makes them, see `Chip.register_cycles`.
 
@@ -156,7 +156,7 @@ class Program(Operations):
         self.ops.append((WAIT, _to_ns("seconds", seconds), 0, 0))
         return self
 
-    @told
+    @explain_arguments
     def until_stopped(self, axes: Sequence[int], limit: float, poll: float = 2.5e-4, keep_step: bool = False) -> Self:
         """Add a poll until none of the axes is in motion; the result is the ns it took, negative when the limit came first.
 

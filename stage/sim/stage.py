@@ -41,7 +41,7 @@ from stage.sim.refit import fit_model, fit_power_up, fit_record
 from stage.sim.snapshot import Snapshot, header
 from stage.sim.state import SAVED, State, chips_of, words_needed
 from stage.support import html, snapshots
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 from stage.support.snapshots import Header
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ class Stage:
 
     host: Any = None
 
-    @told
+    @explain_arguments
     def __init__(
         self,
         model: str | PathLike[str] | mujoco.MjModel | mujoco.MjSpec = "xyz",
@@ -227,7 +227,7 @@ class Stage:
         if any(not np.array_equal(a, b) for a, b in zip(places, arrays, strict=True)):
             self._settle(zip(arrays, places, strict=True))
 
-    @told
+    @explain_arguments
     @exclusive
     def step(self, n: int = 1) -> None:
         """Advance to the end of the current physics step, and n - 1 more.
@@ -248,7 +248,7 @@ class Stage:
         self.loop.check_options()
         self.loop.run_to(self.state.start + int(n) * dt)
 
-    @told
+    @explain_arguments
     @exclusive
     def run(self, seconds: float) -> None:
         """Advance by `seconds` of simulated time, rounded to a nanosecond.
@@ -265,7 +265,7 @@ class Stage:
         self.loop.check_options()
         self.loop.run_to(self.state.now + round(seconds * 1e9))
 
-    @told
+    @explain_arguments
     @exclusive
     def run_to(self, until: int) -> None:
         """Advance to a time; one that has passed changes nothing.
@@ -284,7 +284,7 @@ class Stage:
         self.loop.check_options()
         self.loop.run_to(max(int(until), self.state.now))
 
-    @told
+    @explain_arguments
     @exclusive
     def run_until(self, condition: Callable[[], bool], timeout: float, poll: float = 1e-3) -> float:
         """Advance until a condition holds.
@@ -323,7 +323,7 @@ class Stage:
 
     # --- load and faults ---
 
-    @told
+    @explain_arguments
     @exclusive
     def set_payload(self, mass: float, body: str | None = None) -> None:
         """Put a payload on a body, in place of the payload that it had, at the body's center of mass.
@@ -339,7 +339,7 @@ class Stage:
         """
         self._payloads.put(self.model, mass, body)
 
-    @told
+    @explain_arguments
     def payload(self, body: str | None = None) -> float:
         """Return the mass that `set_payload` put on a body, kg.
 
@@ -367,13 +367,13 @@ class Stage:
         if self.recording is not None:
             self.recording.note(self.time, f"{fault.text}: {'begins' if begins else 'cleared'}", self.faults)
 
-    @told
+    @explain_arguments
     @exclusive
     def update_switches(self, axis: Axis) -> None:
         """Apply a change of this axis' rows of `state.switch_table` from now on."""
         self.loop.update_switches(axis.index)
 
-    @told
+    @explain_arguments
     @exclusive
     def replace_drive(self, axis: Axis, drive: Drive | Servo) -> None:
         """Give an axis a drive with another motor, see `faults.motor`. Snapshots taken before are those of another stage.
@@ -417,7 +417,7 @@ class Stage:
 
     # --- state ---
 
-    @told
+    @explain_arguments
     @exclusive
     def place(self, /, **positions: float) -> None:
         """Place carriages, at rest, as if moved by hand with the motors off: `stage.place(x=0.05)`.
@@ -510,7 +510,7 @@ class Stage:
             what = f"{state.dtype} of shape {state.shape}" if isinstance(state, np.ndarray) else repr(state)
             raise ArgumentError(f"state={what}: this stage's state is an array of float64 of shape ({words},).")
 
-    @told
+    @explain_arguments
     @exclusive
     def attach(self, name: str, arrays: Sequence[np.ndarray]) -> None:
         """Make arrays of a device on its bus part of the stage's state; as they are now they are at power-up.
@@ -567,7 +567,7 @@ class Stage:
         taking = self.loop.recording
         return taking if taking is not None and taking.FORWARD else None
 
-    @told
+    @explain_arguments
     def record(
         self,
         every: float = 1e-3,

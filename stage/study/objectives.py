@@ -19,7 +19,7 @@ from stage.chips import chip_class
 from stage.chips.pcl240 import PCL240
 from stage.errors import ArgumentError, unknown
 from stage.firmware import Profile
-from stage.support.arguments import told, told_when_made
+from stage.support.arguments import explain_arguments, explain_constructor
 
 if TYPE_CHECKING:
     from optuna import Trial
@@ -67,7 +67,7 @@ def values_of(name: str, text: str | int) -> Range | tuple[int, ...]:
         ) from None
 
 
-@told
+@explain_arguments
 def suggest(trial: Trial, space: Space) -> dict[str, int]:
     """Register values of a trial; the trial's `params` hold them all. Raises ArgumentError."""
     registers = {}
@@ -82,14 +82,14 @@ def suggest(trial: Trial, space: Space) -> dict[str, int]:
     return registers
 
 
-@told
+@explain_arguments
 def seed_of(trial: Trial, seed: int = 0) -> int:
     """For whatever else a trial draws: follows from a seed and the trial's number, so that neither order nor place matters."""
     made = np.random.SeedSequence(seed, spawn_key=(trial.number, 1)).generate_state(1, np.uint64)[0]
     return int(made >> np.uint64(1))
 
 
-@told_when_made
+@explain_constructor
 @dataclass(frozen=True)
 class PresetMoves:
     """Preset moves of one axis with a trial's R1, R2, R4, R5, R7 (R3: R2; R14, R15: spans of S-curves), one after the other.

@@ -12,7 +12,7 @@ from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError, StageError
-from stage.support.arguments import told, whole_number
+from stage.support.arguments import check_whole_number, explain_arguments
 
 if TYPE_CHECKING:
     import optuna
@@ -43,7 +43,7 @@ def open_study(
     """
     from stage.study.storage import ByNumber, optuna, storage_at
 
-    whole_number("seed", seed, 0)
+    check_whole_number("seed", seed, 0)
     study = optuna.create_study(
         storage=storage_at(storage),
         sampler=ByNumber(sampler or optuna.samplers.TPESampler, seed),
@@ -69,7 +69,7 @@ def open_study(
     return study
 
 
-@told
+@explain_arguments
 def read_study(storage: str | os.PathLike) -> optuna.Study:
     """The study in `storage`, to look at it, also while it runs. Raises ArgumentError: there is none."""
     from stage.study.storage import optuna, storage_at
@@ -81,7 +81,7 @@ def read_study(storage: str | os.PathLike) -> optuna.Study:
     raise ArgumentError(f"{storage} holds no study.")
 
 
-@told
+@explain_arguments
 def run(
     objective: Objective,
     storage: Any,
@@ -104,8 +104,8 @@ def run(
     """
     if not callable(objective):
         raise ArgumentError(f"objective={objective!r}: give a function of a trial, as PresetMoves().")
-    whole_number("trials", trials, 1)
-    whole_number("workers", workers, 1)
+    check_whole_number("trials", trials, 1)
+    check_whole_number("workers", workers, 1)
     how = {"sampler": sampler, "pruner": pruner, "seed": seed}
     study = open_study(objective, storage, **how)  # type: ignore[arg-type]
     if finished(study) >= trials:
@@ -139,7 +139,7 @@ def run(
     return study
 
 
-@told
+@explain_arguments
 def finished(study: optuna.Study) -> int:
     """How many trials of the study have ended by themselves: complete, pruned, or failed with an error that was recorded."""
     return sum(

@@ -27,7 +27,7 @@ class WrongType(ArgumentError, TypeError):
     """An argument is of a wrong type, or there is none of that name: a TypeError as well."""
 
 
-def told(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
+def explain_arguments(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
     """The function; what it raises for arguments that do not fit its annotations is a WrongType."""
 
     @wraps(function)
@@ -46,13 +46,13 @@ def told(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
     return call
 
 
-def patience(timeout: float | None) -> None:
+def check_timeout(timeout: float | None) -> None:
     """Raise ArgumentError for a `timeout` that is no time: below 0, or not a number, which would never be over."""
     if timeout is not None and not timeout >= 0:
         raise ArgumentError(f"timeout={timeout!r}: seconds, 0 or more; float('inf') waits for ever.")
 
 
-def whole_number(name: str, value: Any, least: int) -> None:
+def check_whole_number(name: str, value: Any, least: int) -> None:
     """Raise ArgumentError for what is no whole number from `least` on."""
     if isinstance(value, bool) or not isinstance(value, int) or value < least:
         raise ArgumentError(f"{name}={value!r}: a whole number, {least} or more.")
@@ -60,7 +60,7 @@ def whole_number(name: str, value: Any, least: int) -> None:
 
 def told_when_made(cls: type[Made]) -> type[Made]:
     """A class whose constructor is `told`; for dataclasses, above their own decorator."""
-    cls.__init__ = told(cls.__init__)  # type: ignore[method-assign]
+    cls.__init__ = explain_arguments(cls.__init__)  # type: ignore[method-assign]
     return cls
 
 

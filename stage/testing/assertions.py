@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 from stage.units import PLACES, SMALL
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ MAX_LINES = 20  # lines of a list
 STILL_SPEED = 0.01  # m/s, rad/s: a motor that swings about its step is slower
 
 
-@told
+@explain_arguments
 def assert_no_lost_steps(what: Stage | Axis | Iterable[Axis]) -> None:
     """Assert that the rotor of every axis is where its pulses say, to the full step.
 
@@ -46,7 +46,7 @@ def assert_no_lost_steps(what: Stage | Axis | Iterable[Axis]) -> None:
         raise AssertionError("\n".join(lines))
 
 
-@told
+@explain_arguments
 def assert_at(axis: Axis, position: float, within: float = 25e-6) -> None:
     """Assert that the carriage is at `position`: its true place, not that of a counter.
 
@@ -84,7 +84,7 @@ def assert_at(axis: Axis, position: float, within: float = 25e-6) -> None:
         raise AssertionError("\n".join(lines))
 
 
-@told
+@explain_arguments
 def assert_stopped(what: Stage | Axis | Iterable[Axis], speed: float = STILL_SPEED) -> None:
     """Assert that no axis gets pulses, and that none moves. For what happens after a limit switch.
 
@@ -109,7 +109,7 @@ def assert_stopped(what: Stage | Axis | Iterable[Axis], speed: float = STILL_SPE
         )
 
 
-@told
+@explain_arguments
 def assert_pins(axis: Axis, **expected: bool) -> None:
     """Assert that pins of an axis are asserted or not, whatever their polarity: `assert_pins(x, org=True, irq=False)`.
 
@@ -130,7 +130,7 @@ def assert_pins(axis: Axis, **expected: bool) -> None:
         )
 
 
-@told
+@explain_arguments
 def assert_no_diagnostics(stage: Stage) -> None:
     """Assert that no bus write was a mistake by the data sheet: what silicon ignores in silence."""
     __tracebackhide__ = True
@@ -155,7 +155,7 @@ def assert_no_diagnostics(stage: Stage) -> None:
         )
 
 
-@told
+@explain_arguments
 def assert_no_strays(board: Board) -> None:
     """Assert that every bus cycle in the board's trace reached a chip."""
     __tracebackhide__ = True

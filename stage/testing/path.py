@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError, unknown
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 from stage.testing.assertions import format_deviation
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from stage.recording import Recording
 
 
-@told
+@explain_arguments
 def assert_path_within(
     recording: Recording,
     line: ArrayLike,

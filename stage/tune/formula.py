@@ -1,17 +1,17 @@
-"""The engineer's answer: how fast a stepper may go, from data sheets and drawings, without a trial.
+"""The data sheet formula: how fast a motor can move a load, computed from data sheets and drawings without a trial.
 
-1. Mass that the motor feels: carriages, payload, and rotor and screw through the lead. Friction from the guides' data sheet, weight
-   where the axis is not level.
-2. Thrust that the motor has at a rate: its pull-out torque (spec of motor and drive, V and I, less the motor's core loss) by the
-   screw, and no more of it than 1 / SAFETY, as motor makers advise for open loop (1.5 to 2).
-3. For a top rate, constant acceleration uses that thrust up at the top; deceleration, where friction helps, too. The top rate is
-   the one that makes the move shortest.
-   But no ramp is shorter than SWINGS periods of the rotor in its field, which would swing out of it.
-4. FL: an eighth of the rate at which the motor starts at once. The bare rotor's from its data sheet, by the root of the inertias
-   for the load (motor makers' rule). Half of it would do to start; but a move also ends
-   by stopping from FL at once, which swings, and half of it saves only 10 ms.
+1. Inertia at the motor: carriages, payload, and rotor and screw through the lead. Friction comes from the data sheet of the
+   guides; weight counts where the axis is not level.
+2. Available thrust at a rate: the pull-out torque of motor and drive, converted by the screw and divided by the safety factor.
+   Motor makers recommend 1.5 to 2 for open loop.
+3. Ramps: for a top rate, constant acceleration uses the thrust available at that rate. Deceleration also uses friction. The top
+   rate is the one that gives the shortest move. No ramp is shorter than MIN_RAMP_SWINGS natural periods of the rotor in its
+   field, because a shorter one would swing the rotor out of it.
+4. Start rate (FL): one eighth of the pull-in rate with this load. That rate follows from the bare rotor's by the square root of
+   the inertia ratio (motor makers' rule). One half would be enough to start; but a move also ends with a stop from FL, which
+   makes the rotor swing, and one half saves only 10 ms.
 
-A DC motor has its stall torque less its back-EMF in place of the pull-out torque, starts from rest, and has no field to swing in.
+A DC motor has its stall torque less its back-EMF in place of the pull-out torque. It starts from rest and has no swing limit.
 """
 
 from __future__ import annotations
@@ -30,123 +30,155 @@ from stage.firmware import Profile
 from stage.firmware.driver import Speeds, driver_of
 from stage.support import portable
 
-SAFETY = 1.5
-START = 0.125  # FL in parts of the pull-in rate
-SWINGS = 4  # natural periods of a ramp, at least
-FASTEST = 1_256.637  # rad/s of a rotor: 12,000 rpm, above any motor here
+SAFETY_FACTOR = 1.5
+START_RATE_RATIO = 0.125  # start rate (FL) as a fraction of the pull-in rate
+MIN_RAMP_SWINGS = 4
+MAX_ROTOR_SPEED_RAD_S = 1_256.637  # 12,000 rpm, above any supported motor
 
 
 @dataclass(frozen=True)
 class Load:
-    """What a drive moves, seen at the carriage: kg with rotor and screw, N, N s/m; pulses and rotor radians a metre.
+    """The load of a drive, referred to the carriage. On a hinge, read kg m^2, N m and rad for kg, N and m.
 
-    weight: N along the axis, of one that is not level. On a hinge kg m^2, N m, and radians for metres.
+    Attributes:
+        mass: Moving mass with rotor and screw, kg.
+        friction: Coulomb friction, N.
+        damping: Viscous friction, N s/m.
+        drive: Stepper drive or DC drive of the axis.
+        pulses_per_metre: Pulses of one metre of travel.
+        gear: Rotor angle of one metre of travel, rad/m.
+        weight: Force of gravity along the axis, N.
+        weight_per_kg: Force of gravity along the axis for each kg of payload, N/kg.
     """
 
     mass: float
     friction: float
     damping: float
     drive: Any
-    per_metre: float
+    pulses_per_metre: float
     gear: float
     weight: float = 0.0
-    slope: float = 0.0
-    """Weight a kg, N."""
+    weight_per_kg: float = 0.0
 
     @classmethod
-    def of(cls, axis: Any) -> Load:
-        """From the machine's drawings: the model, with what it carries now."""
+    def from_axis(cls, axis: Any) -> Load:
+        """Compute the load of an axis from its model, including the current payload."""
         stage = axis.stage
         model = stage.model
         body, dof = int(model.jnt_bodyid[axis.joint]), int(model.jnt_dofadr[axis.joint])
-        carried = float(model.body_subtreemass[body])
+        carried_mass = float(model.body_subtreemass[body])
         friction, damping = float(model.dof_frictionloss[dof]), float(model.dof_damping[dof])
-        slope = 0.0
-        inertia = carried
+        weight_per_kg = 0.0
+        inertia = carried_mass
         if axis.unit == "m":
-            slope = abs(float(np.dot(model.opt.gravity, stage.data.xaxis[axis.joint])))
+            weight_per_kg = abs(float(np.dot(model.opt.gravity, stage.data.xaxis[axis.joint])))
         else:
-            whole, one = np.zeros(model.nv), np.zeros(model.nv)
-            one[dof] = 1.0
-            mujoco.mj_mulM(model, stage.data, whole, one)
-            inertia = float(whole[dof]) - float(model.dof_armature[dof])
+            column, unit_vector = np.zeros(model.nv), np.zeros(model.nv)
+            unit_vector[dof] = 1.0
+            mujoco.mj_mulM(model, stage.data, column, unit_vector)
+            inertia = float(column[dof]) - float(model.dof_armature[dof])
         mass = inertia + float(model.dof_armature[dof])
-        slope = slope if slope > 1e-9 else 0.0
-        per = 1 / axis.meters_per_pulse
-        return cls(mass, friction, damping, axis.drive, per, abs(axis.gear), slope * carried, slope)
+        weight_per_kg = weight_per_kg if weight_per_kg > 1e-9 else 0.0
+        pulses_per_metre = 1 / axis.meters_per_pulse
+        weight = weight_per_kg * carried_mass
+        return cls(mass, friction, damping, axis.drive, pulses_per_metre, abs(axis.gear), weight, weight_per_kg)
 
-    def heavier(self, kg: float) -> Load:
-        """With so much more on it."""
-        return replace(self, mass=self.mass + kg, weight=self.weight + kg * self.slope)
+    def add_mass(self, kg: float) -> Load:
+        """Return the load with additional mass."""
+        return replace(self, mass=self.mass + kg, weight=self.weight + kg * self.weight_per_kg)
 
     @property
-    def stepper(self) -> bool:
+    def is_stepper(self) -> bool:
+        """True for a stepper, False for a DC motor."""
         return isinstance(self.drive, Drive)
 
-    def thrust(self, speed: np.ndarray) -> np.ndarray:
-        """Compute the force at the carriage that the motor has at most, N, at speeds in m/s; its core loss is taken off."""
-        if not self.stepper:
-            motor, volts = self.drive.motor, self.drive.bus_voltage
-            back = motor.torque_constant * speed * self.gear
-            thrust = np.maximum(volts - back, 0.0) * motor.torque_constant / motor.resistance * self.gear
+    def compute_max_thrust(self, speed: np.ndarray) -> np.ndarray:
+        """Return the largest thrust of the motor at the carriage in N, at speeds in m/s, less its core loss."""
+        if not self.is_stepper:
+            motor, bus_voltage = self.drive.motor, self.drive.bus_voltage
+            back_emf = motor.torque_constant * speed * self.gear
+            thrust = np.maximum(bus_voltage - back_emf, 0.0) * motor.torque_constant / motor.resistance * self.gear
             limit = self.drive.current_limit
             return thrust if limit is None else np.minimum(thrust, limit * motor.torque_constant * self.gear)
         rpm = speed * self.gear * 60 / (2 * np.pi)
         return closed_form(self.drive.motor, self.drive.bus_voltage, self.drive.amplitude, rpm) * self.gear
 
     @property
-    def inertia(self) -> float:
-        """kg m^2 at the rotor."""
+    def inertia_at_rotor(self) -> float:
+        """Inertia referred to the rotor, kg m^2."""
         return self.mass / self.gear**2
 
     @property
-    def pull_in(self) -> float:
-        """pps at which the motor starts at once with this load: f / sqrt(J / J rotor)."""
-        return bare_pull_in(self.drive) / float(np.sqrt(self.inertia / self.drive.motor.rotor_inertia))
+    def pull_in_rate(self) -> float:
+        """Pull-in rate with this load, pps: f / sqrt(J / J rotor)."""
+        unloaded = measure_unloaded_pull_in(self.drive)
+        return unloaded / float(np.sqrt(self.inertia_at_rotor / self.drive.motor.rotor_inertia))
 
 
 @cache
-def bare_pull_in(drive: Drive) -> float:
-    """A motor's data sheet gives it; ours are simulated on the bench of stage.drives."""
+def measure_unloaded_pull_in(drive: Drive) -> float:
+    """Measure the pull-in rate of the bare rotor on the dynamometer of stage.drives, pps.
+
+    For a real motor it is in the data sheet.
+    """
     return pull_in(drive, drive.motor.rotor_inertia)
 
 
-def speeds(load: Load, pulses: int, safety: float = SAFETY) -> Speeds:
-    """The shortest move of `pulses` that uses 1 / safety of the thrust. Raises ArgumentError where there is none."""
-    way = pulses / load.per_metre
-    low = START * load.pull_in / load.per_metre if load.stepper else 0.0
-    fastest = FASTEST / load.gear
-    top = portable.geomspace(low * 1.01 or fastest * 1e-4, fastest, 4000)
-    thrust, friction = load.thrust(top) / safety, load.friction + load.damping * top
-    gentle = np.full(len(top), np.inf)
-    with np.errstate(divide="ignore", invalid="ignore"):  # beyond the speed where the motor has no torque left
-        if load.stepper:
-            gentle = (top - low) * natural_frequency(load.drive, load.inertia) / SWINGS
-        free = thrust - load.weight  # it goes both ways
-        up, down = (np.minimum(f / load.mass, gentle) for f in (free - friction, free + friction))
-        ramps = (top**2 - low**2) / 2 * (1 / up + 1 / down)
-        seconds = (top - low) * (1 / up + 1 / down) + (way - ramps) / top
-    fits = (up > 0) & (down > 0) & (ramps <= way)
-    if not fits.any():
-        raise ArgumentError(f"{pulses} pulses with a safety factor of {safety}: too short a move, or too weak a motor.")
-    k = int(np.argmin(np.where(fits, seconds, np.inf)))
-    rate, fl = top[k] * load.per_metre, low * load.per_metre
-    return Speeds(float(fl), float(rate), float((top[k] - low) / up[k]), float((top[k] - low) / down[k]))
+def compute_speeds(load: Load, pulses: int, safety_factor: float = SAFETY_FACTOR) -> Speeds:
+    """Compute the fastest move that uses at most 1 / safety_factor of the available thrust.
+
+    Args:
+        load: Load of the drive.
+        pulses: Distance.
+        safety_factor: Ratio of the available thrust to the thrust used.
+
+    Returns:
+        Start rate, drive rate and ramps.
+
+    Raises:
+        ArgumentError: The move is too short or the motor is too weak.
+    """
+    distance = pulses / load.pulses_per_metre
+    start = START_RATE_RATIO * load.pull_in_rate / load.pulses_per_metre if load.is_stepper else 0.0
+    max_speed = MAX_ROTOR_SPEED_RAD_S / load.gear
+    top = portable.geomspace(start * 1.01 or max_speed * 1e-4, max_speed, 4000)
+    thrust, friction = load.compute_max_thrust(top) / safety_factor, load.friction + load.damping * top
+    swing_limit = np.full(len(top), np.inf)
+    with np.errstate(divide="ignore", invalid="ignore"):  # beyond the speed at which the motor has no torque left
+        if load.is_stepper:
+            swing_limit = (top - start) * natural_frequency(load.drive, load.inertia_at_rotor) / MIN_RAMP_SWINGS
+        net_thrust = thrust - load.weight  # the move must work in both directions
+        acceleration, deceleration = (
+            np.minimum(force / load.mass, swing_limit) for force in (net_thrust - friction, net_thrust + friction)
+        )
+        ramp_distance = (top**2 - start**2) / 2 * (1 / acceleration + 1 / deceleration)
+        duration = (top - start) * (1 / acceleration + 1 / deceleration) + (distance - ramp_distance) / top
+    feasible = (acceleration > 0) & (deceleration > 0) & (ramp_distance <= distance)
+    if not feasible.any():
+        raise ArgumentError(
+            f"{pulses} pulses with a safety factor of {safety_factor}: too short a move, or too weak a motor."
+        )
+    k = int(np.argmin(np.where(feasible, duration, np.inf)))
+    drive_pps, start_pps = top[k] * load.pulses_per_metre, start * load.pulses_per_metre
+    up, down = float((top[k] - start) / acceleration[k]), float((top[k] - start) / deceleration[k])
+    return Speeds(float(start_pps), float(drive_pps), up, down)
 
 
-def plan_profile(load: Load, pulses: int, safety: float = SAFETY) -> Profile:
-    """Plan the shortest move of `pulses` that uses 1 / safety of the pull-out thrust. Raises ArgumentError where there is none."""
-    s = speeds(load, pulses, safety)
+def plan_profile(load: Load, pulses: int, safety_factor: float = SAFETY_FACTOR) -> Profile:
+    """Plan the shortest move of `pulses` that uses 1 / safety_factor of the pull-out thrust. Raises as `compute_speeds`."""
+    s = compute_speeds(load, pulses, safety_factor)
     return Profile.of(s.start, s.drive, s.drive, accel=s.up, decel=s.down)
 
 
-def compute_registers(axis: Any, pulses: int, safety: float = SAFETY, s_curve: bool | None = None) -> dict[str, int]:
+def compute_registers(
+    axis: Any, pulses: int, safety_factor: float = SAFETY_FACTOR, s_curve: bool | None = None
+) -> dict[str, int]:
     """Compute the registers of the axis' chip for the shortest move of `pulses`, by that chip's data sheet.
 
     Args:
         axis: Axis of a stage, with the payload that it carries now.
         pulses: Length of the move.
-        safety: Pull-out thrust over the thrust that the move uses.
+        safety_factor: Pull-out thrust over the thrust that the move uses.
         s_curve: Ramp by S-curves; None leaves that to the chip's driver.
 
     Returns:
@@ -155,5 +187,5 @@ def compute_registers(axis: Any, pulses: int, safety: float = SAFETY, s_curve: b
     Raises:
         ArgumentError: No move of this length is possible.
     """
-    p = plan_profile(Load.of(axis), pulses, safety)
+    p = plan_profile(Load.from_axis(axis), pulses, safety_factor)
     return driver_of(axis).formula(p.fl, p.fh1, p.accel(), p.decel(), pulses, s_curve)

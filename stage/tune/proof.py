@@ -1,4 +1,4 @@
-"""The proof of a plan: moves of machines that no search has seen, and how much more these would carry."""
+"""Proof of a plan: moves of machines that the search has not seen, and the spare payload that these carry."""
 
 from __future__ import annotations
 
@@ -7,108 +7,145 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stage.tune.looks import LOOK
 from stage.tune.machines import Machine
-from stage.tune.plans import Plan
-from stage.tune.task import Case
-from stage.tune.tries import Tries
+from stage.tune.move_runner import MoveRunner
+from stage.tune.planners import MovePlan
+from stage.tune.position_sampler import SAMPLE_INTERVAL_S
+from stage.tune.task import MoveCase
 
-MOVES = 96
-LADDER = 8  # payloads that are tried at once, six moves each
-ANGLES = 6
-FARTHEST = 4  # times the spare that was asked for: one of the payloads tried is just that
+DEFAULT_PROOF_MOVES = 96
+PAYLOAD_STEPS = 8  # payloads that are tested at once
+ANGLES_PER_PAYLOAD = 6
+MAX_MARGIN_FACTOR = 4  # heaviest tested payload, in margins; one of the steps is exactly the margin
 
 
 @dataclass(frozen=True)
 class Proof:
-    """How the moves of a proof ended, each made by a machine of its own.
+    """Results of the moves of one plan, each made by a machine of its own.
 
     Attributes:
-        moves: Number of moves.
-        kept: Number of those that made all pulses and lost no step, and with up to the payload arrived without going too far.
-        times: Seconds of the moves with up to the payload, NaN where not arrived; in the same order for all plans.
-        beyond: Most that a move with up to the payload went too far, m.
-        lost: Number of moves that did not keep step.
-        failed: Indices of the moves that are not among `kept`.
+        move_count: Number of moves.
+        good_count: Number of moves that kept step and, within the payload, arrived without excessive overshoot.
+        arrival_times: Arrival times within the payload, s; NaN where a move did not arrive. All plans use the same order.
+        max_overshoot: Largest distance beyond the goal, m.
+        lost_step_count: Number of moves that did not keep step.
+        failed: Indices of the moves that were not good.
     """
 
-    moves: int
-    kept: int
-    times: np.ndarray
-    beyond: float
-    lost: int = 0
+    move_count: int
+    good_count: int
+    arrival_times: np.ndarray
+    max_overshoot: float
+    lost_step_count: int = 0
     failed: tuple[int, ...] = ()
 
-    def said(self) -> str:
-        """How the moves ended, in words."""
-        late = self.moves - self.kept - self.lost
-        ends = {"good": self.kept, "did not keep step": self.lost, "did not come to rest at the goal": late}
-        return f"{self.moves} machines " + ", ".join(
-            f"{n} {'were ' if end == 'good' else ''}{end}" for end, n in ends.items() if n
-        )
+    def describe(self) -> str:
+        """Describe in words how the moves ended."""
+        unsettled = self.move_count - self.good_count - self.lost_step_count
+        counts = {
+            "were good": self.good_count,
+            "did not keep step": self.lost_step_count,
+            "did not come to rest at the goal": unsettled,
+        }
+        return f"{self.move_count} machines " + ", ".join(f"{n} {text}" for text, n in counts.items() if n)
 
     @property
-    def holds(self) -> bool:
-        return self.kept == self.moves
+    def is_passed(self) -> bool:
+        """True if all moves were good."""
+        return self.good_count == self.move_count
 
     @property
-    def mean(self) -> float:
-        return float(np.mean(self.times))
+    def mean_time(self) -> float:
+        """Mean arrival time, s."""
+        return float(np.mean(self.arrival_times))
 
     @property
-    def worst(self) -> float:
-        return float(np.max(self.times))
+    def max_time(self) -> float:
+        """Longest arrival time, s."""
+        return float(np.max(self.arrival_times))
 
 
-def prove(tries: Tries, plans: Sequence[Plan], cases: Sequence[Case], limit: float) -> list[Proof]:
-    """The same moves with each plan."""
-    outcome = tries.make(plans, cases, limit)
-    asked = tries.task.asked(list(cases))
-    good, found = outcome.good(tries.task, asked), []
-    for k in range(len(plans)):
-        found.append(
-            Proof(
-                len(cases),
-                int(good[k].sum()),
-                outcome.arrived[k][asked],
-                float(outcome.beyond[k][asked].max()),
-                int((~outcome.kept[k]).sum()),
-                tuple(np.flatnonzero(~good[k]).tolist()),
-            )
-        )
-    return found
+def prove_plans(
+    runner: MoveRunner, plans: Sequence[MovePlan], cases: Sequence[MoveCase], time_limit: float
+) -> list[Proof]:
+    """Run the same moves with each plan.
 
+    Args:
+        runner: Runner of the task.
+        plans: Plans to prove.
+        cases: Cases that the search has not seen.
+        time_limit: Observed time of a move, s.
 
-def spare(
-    tries: Tries,
-    plan: Plan,
-    limit: float,
-    rng: np.random.Generator,
-    machines: Sequence[Machine | None] = (None,) * ANGLES,
-) -> tuple[float, bool]:
-    """Find how many kg on top of the payload a plan carries before it first loses a step; and whether it may be more.
-
-    Two rounds of payloads, each with moves of the six `machines` at rotor angles all round, both ways.
+    Returns:
+        A proof for each plan.
     """
-    task = tries.task
-    low, high = 0.0, FARTHEST * float(task.spare or 0.1 * (task.payload + task.moved))
+    outcomes = runner.run_moves(plans, cases, time_limit)
+    within_payload = runner.task.is_within_payload(list(cases))
+    good = outcomes.is_good(runner.task, within_payload)
+    return [
+        Proof(
+            len(cases),
+            int(good[k].sum()),
+            outcomes.arrival_times[k][within_payload],
+            float(outcomes.overshoots[k][within_payload].max()),
+            int((~outcomes.kept_step[k]).sum()),
+            tuple(np.flatnonzero(~good[k]).tolist()),
+        )
+        for k in range(len(plans))
+    ]
+
+
+def measure_spare_payload(
+    runner: MoveRunner,
+    plan: MovePlan,
+    time_limit: float,
+    rng: np.random.Generator,
+    machines: Sequence[Machine | None] = (None,) * ANGLES_PER_PAYLOAD,
+) -> tuple[float, bool]:
+    """Measure how much more than the payload a plan carries before it first loses a step.
+
+    The first round covers the full range of payloads, the second one the step in which the first failure occurred.
+
+    Args:
+        runner: Runner of the task.
+        plan: Plan to test.
+        time_limit: Observed time of a move, s.
+        rng: Source of the rotor angles.
+        machines: Machines that make the moves with each payload; None: that of the task.
+
+    Returns:
+        Spare payload in kg, and True if nothing heavier was tested, so that the value is a lower bound.
+    """
+    task = runner.task
+    low, high = 0.0, MAX_MARGIN_FACTOR * float(task.margin or 0.1 * (task.payload + task.moving_mass))
     for _ in range(2):
-        steps = low + (high - low) / LADDER * np.arange(1, LADDER + 1)
-        places = rng.uniform(-0.5, 0.5, (LADDER, ANGLES)) * task.turn
+        spare_payloads = low + (high - low) / PAYLOAD_STEPS * np.arange(1, PAYLOAD_STEPS + 1)
+        offsets = rng.uniform(-0.5, 0.5, (PAYLOAD_STEPS, ANGLES_PER_PAYLOAD)) * task.pulses_per_electrical_turn
         cases = [
-            Case(task.payload + float(kg), float(place), 1 - 2 * (j % 2), machine)
-            for kg, row in zip(steps, places, strict=True)
-            for j, (place, machine) in enumerate(zip(row, machines, strict=True))
+            MoveCase(task.payload + float(kg), float(offset), 1 - 2 * (j % 2), machine)
+            for kg, row in zip(spare_payloads, offsets, strict=True)
+            for j, (offset, machine) in enumerate(zip(row, machines, strict=True))
         ]
-        kept = tries.make([plan], cases, limit).kept.reshape(LADDER, ANGLES).all(axis=1)
-        if kept.all():
+        kept_step = runner.run_moves([plan], cases, time_limit).kept_step
+        passed = kept_step.reshape(PAYLOAD_STEPS, ANGLES_PER_PAYLOAD).all(axis=1)
+        if passed.all():
             return high, low == 0.0
-        first = int(np.argmin(kept))
-        low, high = (low if first == 0 else float(steps[first - 1])), float(steps[first])
+        first = int(np.argmin(passed))
+        low, high = (low if first == 0 else float(spare_payloads[first - 1])), float(spare_payloads[first])
     return low, False
 
 
-def gain(formula: Proof, found: Proof) -> tuple[float, float]:
-    """By how much the second is faster, s, and twice the standard error of that, from the same moves with both."""
-    saved = formula.times - found.times
-    return float(np.mean(saved)), float(2 * np.std(saved, ddof=1) / np.sqrt(len(saved))) if len(saved) > 1 else LOOK
+def compute_time_saved(formula: Proof, search: Proof) -> tuple[float, float]:
+    """Compute how much faster the search's plan is than the formula's.
+
+    Args:
+        formula: Proof of the formula's plan.
+        search: Proof of the search's plan, from the same moves.
+
+    Returns:
+        Mean time saved and twice its standard error, s.
+    """
+    saved = formula.arrival_times - search.arrival_times
+    if len(saved) < 2:
+        return float(np.mean(saved)), SAMPLE_INTERVAL_S
+    return float(np.mean(saved)), float(2 * np.std(saved, ddof=1) / np.sqrt(len(saved)))

@@ -1,7 +1,7 @@
-"""The search: Optuna chooses rates and ramps around the formula's; least time until arrived, no step lost with the margin.
+"""Search for faster registers: Optuna varies rates and ramps around the formula and minimizes the arrival time.
 
-Trials are made in batches of a fixed size, and what a trial measures does not depend on who else runs: so a seed gives the same
-search, whatever the number of threads.
+Trials run in batches of a fixed size, and the measurements of a trial do not depend on its neighbors. A seed therefore gives
+the same search with any number of threads.
 """
 
 from __future__ import annotations
@@ -13,121 +13,159 @@ import numpy as np
 
 from stage.errors import ArgumentError
 from stage.support.extras import need
-from stage.tune.formula import SAFETY
-from stage.tune.looks import LOOK
-from stage.tune.plans import Plan, Plans
-from stage.tune.task import Case
-from stage.tune.tries import Tries
+from stage.tune.formula import SAFETY_FACTOR
+from stage.tune.move_runner import MoveRunner
+from stage.tune.planners import MovePlan, MovePlanner
+from stage.tune.position_sampler import SAMPLE_INTERVAL_S
+from stage.tune.task import MoveCase
 
-BATCH = 8
-BOLDER = (0.9, 0.8, 0.7)  # of the formula's safety factor: tried first
-
-
-PATIENCE = 1.3
+BATCH_SIZE = 8
+INITIAL_SAFETY_RATIOS = (0.9, 0.8, 0.7)  # parts of the formula's safety factor for the first trials
+TIME_LIMIT_FACTOR = 1.3
 
 
-def horizon(worst: float, hold: float) -> float:
-    """s, how long moves are looked at that are to be about as fast as one that takes `worst` s: PATIENCE times that."""
-    return float(np.ceil((PATIENCE * worst + hold) / LOOK) * LOOK)
+def compute_time_limit(max_time: float, hold: float) -> float:
+    """Compute how long to observe moves that should be about as fast as a known one.
+
+    Args:
+        max_time: Longest arrival time of the known plan, s.
+        hold: Time that a move must stay at its goal, s.
+
+    Returns:
+        Time limit in whole sample intervals, s.
+    """
+    return float(np.ceil((TIME_LIMIT_FACTOR * max_time + hold) / SAMPLE_INTERVAL_S) * SAMPLE_INTERVAL_S)
 
 
 class Trial(NamedTuple):
-    """One that was made. worst: s, the longest of the moves with up to the payload; broken: moves that lost steps, did not
-    arrive or went too far, and more where the chip cannot make them at all."""
+    """Result of one trial of the search.
+
+    Attributes:
+        number: Number that Optuna gave it.
+        plan: Plan, or None if the values do not fit the chip's registers.
+        max_time: Longest arrival time within the payload, s.
+        failed_moves: Number of moves that lost steps, did not arrive or overshot. Without a plan, more than all moves.
+    """
 
     number: int
-    plan: Plan | None
-    worst: float
-    broken: int
+    plan: MovePlan | None
+    max_time: float
+    failed_moves: int
 
 
-def optuna() -> Any:
-    """Optuna. Raises ExtraMissing that says how to get it."""
+def import_optuna() -> Any:
+    """Import Optuna.
+
+    Raises:
+        ExtraMissing: Optuna is not installed. The message says how to install it.
+    """
     optuna = need("optuna", "the search", "; or leave it at the formula: --by formula")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return optuna
 
 
-def search(
-    tries: Tries,
-    cases: Sequence[Case],
-    more: Sequence[Case],
-    limit: float,
+def search_registers(
+    runner: MoveRunner,
+    cases: Sequence[MoveCase],
+    leader_cases: Sequence[MoveCase],
+    time_limit: float,
     trials: int,
     seed: int,
-    safety: float = SAFETY,
-    told: Callable[[int, Trial | None], None] = lambda done, best: None,
+    safety_factor: float = SAFETY_FACTOR,
+    on_progress: Callable[[int, Trial | None], None] = lambda done, best: None,
 ) -> tuple[list[Trial], bool]:
-    """Make so many trials, of each the same cases. Returns the trials, the best first, and whether Ctrl-C has ended it early.
+    """Search for the plan with the shortest arrival time of which no move fails.
 
-    more: further cases for those alone that would be the best so far: few cases let through what keeps step by luck.
-    limit: s, how long a move is looked at, and less as the best gets faster; what takes longer has not arrived. told: called after
-    each batch with the number of trials and the best so far.
+    Args:
+        runner: Runner of the task.
+        cases: Cases of every trial.
+        leader_cases: Further cases for trials that would be the best so far, because a few cases also pass by luck.
+        time_limit: Observed time of a move, s. It shrinks as the best trial gets faster.
+        trials: Number of trials.
+        seed: Seed of the sampler.
+        safety_factor: Safety factor of the formula's plan at the center of the search.
+        on_progress: Called after each batch with the number of trials and the best trial so far.
+
+    Returns:
+        Trials with the best one first, and whether Ctrl-C ended the search early.
     """
-    study = _study(seed)
-    plans: Plans = tries.plans
-    middle = plans.speeds(safety)
+    study = _create_study(seed)
+    planner: MovePlanner = runner.planner
+    center = planner.compute_speeds(safety_factor)
     study.enqueue_trial({})
-    for shape in plans.shapes:
-        study.enqueue_trial(_named(plans, {}, shape))
-        for part in BOLDER:
-            study.enqueue_trial(_named(plans, plans.towards(middle, plans.speeds(safety * part)), shape))
-    made: list[Trial] = []
-    best = float("inf")
-    stopped = False
+    for shape in planner.ramp_shapes:
+        study.enqueue_trial(_build_trial_parameters(planner, {}, shape))
+        for ratio in INITIAL_SAFETY_RATIOS:
+            faster = planner.compute_speeds(safety_factor * ratio)
+            study.enqueue_trial(_build_trial_parameters(planner, planner.find_parameters(center, faster), shape))
+    finished: list[Trial] = []
+    best_time = float("inf")
+    interrupted = False
     try:
-        while len(made) < trials:
-            batch = [study.ask() for _ in range(min(BATCH, trials - len(made)))]
-            limit = min(limit, horizon(best, tries.task.hold))
-            found = _measured(tries, [_plan(plans, trial, middle) for trial in batch], cases, limit)
-            leading = [k for k, trial in enumerate(found) if not trial.broken and trial.worst < best]
-            once_more = _measured(tries, [found[k].plan for k in leading] if more else [], more, limit)
-            for k, again in zip(leading, once_more, strict=False):
-                found[k] = again._replace(worst=max(found[k].worst, again.worst))
-            for trial, one in zip(batch, found, strict=True):
-                trial.set_constraint("broken", one.broken)
-                study.tell(trial, one.worst)
-                made.append(one._replace(number=trial.number))
-            best = min([best, *(one.worst for one in found if not one.broken)])
-            told(len(made), _ranked(made)[0])
+        while len(finished) < trials:
+            batch = [study.ask() for _ in range(min(BATCH_SIZE, trials - len(finished)))]
+            time_limit = min(time_limit, compute_time_limit(best_time, runner.task.hold))
+            results = _measure_plans(
+                runner, [_suggest_plan(planner, trial, center) for trial in batch], cases, time_limit
+            )
+            leaders = [k for k, trial in enumerate(results) if not trial.failed_moves and trial.max_time < best_time]
+            leader_plans = [results[k].plan for k in leaders] if leader_cases else []
+            retests = _measure_plans(runner, leader_plans, leader_cases, time_limit)
+            for k, retest in zip(leaders, retests, strict=False):
+                results[k] = retest._replace(max_time=max(results[k].max_time, retest.max_time))
+            for trial, result in zip(batch, results, strict=True):
+                trial.set_constraint("broken", result.failed_moves)
+                study.tell(trial, result.max_time)
+                finished.append(result._replace(number=trial.number))
+            best_time = min([best_time, *(result.max_time for result in results if not result.failed_moves)])
+            on_progress(len(finished), _rank_trials(finished)[0])
     except KeyboardInterrupt:
-        stopped = True
-    return _ranked(made), stopped
+        interrupted = True
+    return _rank_trials(finished), interrupted
 
 
-def _measured(tries: Tries, plans: Sequence[Plan | None], cases: Sequence[Case], limit: float) -> list[Trial]:
-    """A trial of each plan; None is one that the chip cannot make."""
-    real = [plan for plan in plans if plan is not None]
-    asked = tries.task.asked(list(cases))
-    made: list[Trial] = []
-    if real:
-        outcome = tries.make(real, cases, limit)
-        broken = (~outcome.good(tries.task, asked)).sum(axis=1)
-        times = np.where(np.isnan(outcome.arrived), 1.5 * limit, outcome.arrived)[:, asked].max(axis=1)
-        made = [Trial(0, plan, float(t), int(b)) for plan, t, b in zip(real, times, broken, strict=True)]
-    left = iter(made)
-    return [Trial(0, None, 2 * limit, 1 + len(cases)) if plan is None else next(left) for plan in plans]
+def _measure_plans(
+    runner: MoveRunner, plans: Sequence[MovePlan | None], cases: Sequence[MoveCase], time_limit: float
+) -> list[Trial]:
+    """Run a trial of each plan. A plan of None, which the chip cannot make, gets more failures than any other."""
+    possible = [plan for plan in plans if plan is not None]
+    within_payload = runner.task.is_within_payload(list(cases))
+    measured: list[Trial] = []
+    if possible:
+        outcomes = runner.run_moves(possible, cases, time_limit)
+        failures = (~outcomes.is_good(runner.task, within_payload)).sum(axis=1)
+        times = np.where(np.isnan(outcomes.arrival_times), 1.5 * time_limit, outcomes.arrival_times)
+        max_times = times[:, within_payload].max(axis=1)
+        measured = [
+            Trial(0, plan, float(time), int(failed))
+            for plan, time, failed in zip(possible, max_times, failures, strict=True)
+        ]
+    remaining = iter(measured)
+    return [Trial(0, None, 2 * time_limit, 1 + len(cases)) if plan is None else next(remaining) for plan in plans]
 
 
-def _study(seed: int) -> Any:
-    library = optuna()
-    sampler = library.samplers.TPESampler(n_startup_trials=16, multivariate=True, seed=seed)
-    return library.create_study(sampler=sampler)
+def _create_study(seed: int) -> Any:
+    optuna = import_optuna()
+    sampler = optuna.samplers.TPESampler(n_startup_trials=16, multivariate=True, seed=seed)
+    return optuna.create_study(sampler=sampler)
 
 
-def _named(plans: Plans, values: dict[str, float], shape: str) -> dict[str, Any]:
-    """Values as an Optuna trial has them: all of them, and the shape where there is a choice."""
-    return {name: values.get(name, 0.0) for name in plans.knobs} | ({"shape": shape} if len(plans.shapes) > 1 else {})
+def _build_trial_parameters(planner: MovePlanner, values: dict[str, float], shape: str) -> dict[str, Any]:
+    """Return all parameters of an Optuna trial, with the ramp shape if the chip offers a choice."""
+    parameters: dict[str, Any] = {name: values.get(name, 0.0) for name in planner.parameter_names}
+    return parameters | ({"shape": shape} if len(planner.ramp_shapes) > 1 else {})
 
 
-def _plan(plans: Plans, trial: Any, middle: Any) -> Plan | None:
-    values = {name: trial.suggest_float(name, -1.0, 1.0) for name in plans.knobs}
-    shape = trial.suggest_categorical("shape", plans.shapes) if len(plans.shapes) > 1 else plans.shapes[0]
+def _suggest_plan(planner: MovePlanner, trial: Any, center: Any) -> MovePlan | None:
+    """Build the plan that Optuna suggests, or return None if it does not fit the chip's registers."""
+    values = {name: trial.suggest_float(name, -1.0, 1.0) for name in planner.parameter_names}
+    shapes = planner.ramp_shapes
+    shape = trial.suggest_categorical("shape", shapes) if len(shapes) > 1 else shapes[0]
     try:
-        return plans.plan(middle, values, shape)
+        return planner.build_plan(center, values, shape)
     except ArgumentError:
         return None
 
 
-def _ranked(made: Sequence[Trial]) -> list[Trial]:
-    return sorted(made, key=lambda trial: (trial.broken, trial.worst, trial.number))
+def _rank_trials(trials: Sequence[Trial]) -> list[Trial]:
+    return sorted(trials, key=lambda trial: (trial.failed_moves, trial.max_time, trial.number))

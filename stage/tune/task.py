@@ -1,4 +1,4 @@
-"""`Task`: what is wanted of an axis: one distance, with up to a payload, and what counts as arrived."""
+"""The tuning task: the axis, the distance, the maximum payload, and the condition under which a move has arrived."""
 
 from __future__ import annotations
 
@@ -15,70 +15,78 @@ from stage import Stage
 from stage.envs.task import find_carrier, find_judged_point
 from stage.errors import ArgumentError, unknown
 from stage.firmware.driver import driver_of
-from stage.support.arguments import told_when_made
+from stage.support.arguments import explain_constructor
 from stage.tune.machines import Machine, fit_machine
 from stage.units import PLACES, SMALL
 
-SPARE = 0.3
-"""Default margin: payload to spare, in parts of the payload."""
-HOLD = 0.05  # s
-COUNTS = 10  # of a servo's encoder: within so many it has arrived
-TWICE = 2.0  # `within`: how far beyond its goal a move may go
-ROUNDING = 1e-9  # kg
+DEFAULT_MARGIN_RATIO = 0.3
+"""Default margin as a fraction of the payload."""
+DEFAULT_HOLD_S = 0.05
+SERVO_TOLERANCE_COUNTS = 10
+OVERSHOOT_TOLERANCE_RATIO = 2.0  # default overshoot limit, as a multiple of the tolerance
+PAYLOAD_ROUNDING_KG = 1e-9
 
 
-class Case(NamedTuple):
-    """One move to be tried.
+class MoveCase(NamedTuple):
+    """Conditions of one test move.
 
     Attributes:
         payload: Mass on the axis, kg.
-        beside: Where it begins, in pulses beside the usual place: the angle of the rotor.
-        way: 1, or -1 towards minus.
-        machine: Machine that makes it; None: the one of the task's stage.
+        start_offset: Offset of the start position from the nominal one, pulses.
+        direction: 1 or -1.
+        machine: Machine that makes the move; None: that of the task's stage.
     """
 
     payload: float
-    beside: float
-    way: int
+    start_offset: float
+    direction: int
     machine: Machine | None = None
 
 
-@told_when_made
+@explain_constructor
 @dataclass(frozen=True)
 class Task:
-    """A move of one axis of a stage, to be made again and again, and back.
+    """A move that one axis of a stage repeats in both directions.
 
     Attributes:
-        stage: the machine, at power-up; it is copied and never moved. axis: its name. pulses: of the move (of a servo counts);
-            below 0 towards minus, which `way` then says.
-        payload: kg, the most that it carries; less counts, too, down to nothing. spare: kg on top of it with which no step may be
-            lost: the margin. None: 30 % of the payload; without a payload 30 % of what the axis itself moves.
-        within, hold: arrived is who stays within so many m (rad) of the goal for so many s. None: a full step, or 10 counts of an
-            encoder; 0.05 s.
-        overshoot: m (rad) beyond the goal, at most. None: twice `within`, and any with judge_at.
-        judge_at: site or body that the axis carries, whose place counts: a tool, a camera on a mast. None: the axis itself.
-        payload_on: body or site that carries; None: site "work", if it rides on the axis, else what the axis moves.
-        way: 1 or -1, of the bus cycles that are told; registers are tried both ways.
-        point: of judge_at, as `Program.look` has it. carrier: the body that carries. moved: kg that the axis moves by itself.
-            middle: of the room between the limit switches, m; moves lie around it.
-    Raises ArgumentError: no such axis; a distance that it has no room for; a payload that is none.
+        stage: Machine at power-up. It is copied and never moved.
+        axis: Name of the axis.
+        pulses: Distance in pulses (of a servo: encoder counts). A negative value sets `direction` to -1.
+        payload: Maximum payload, kg. Smaller payloads are tested too, down to none.
+        margin: Additional mass with which the axis must not lose a step, kg. Default: 30 % of the payload, or 30 % of the
+            moving mass if there is no payload.
+        tolerance: Largest distance from the goal that counts as arrived, m (rad). Default: one full step, or 10 encoder counts.
+        hold: Time that the axis must stay within the tolerance, s.
+        overshoot: Largest distance beyond the goal, m (rad). Default: twice the tolerance; unlimited with `judge_at`.
+        judge_at: Site or body on the axis whose position is judged, such as a tool or a camera. Default: the axis itself.
+        payload_on: Site or body that carries the payload. Default: site "work" if it rides on the axis, else the body that
+            the axis moves.
+        direction: 1 or -1: direction of the bus cycles in the result. Registers are tested in both directions.
+        sample_point: Index of `judge_at` in the form that `Program.look` takes; 0 for the axis itself.
+        payload_body: Name of the body that carries the payload.
+        moving_mass: Mass that the axis moves without a payload, kg.
+        travel_center: Center between the limit switches, m (rad). Moves are centered there.
+
+    Raises:
+        ArgumentError: The axis does not exist or is part of a tandem, the distance does not fit between the limit switches,
+            or a value is out of range.
     """
 
     stage: Stage
     axis: str
     pulses: int
     payload: float = 0.0
-    spare: float | None = None
-    within: float | None = None
-    hold: float = HOLD
+    margin: float | None = None
+    tolerance: float | None = None
+    hold: float = DEFAULT_HOLD_S
     overshoot: float | None = None
     judge_at: str | None = None
     payload_on: str | None = None
-    way: int = field(init=False, default=1)
-    point: int = field(init=False, default=0)
-    carrier: str = field(init=False, default="")
-    moved: float = field(init=False, default=0.0)
-    middle: float = field(init=False, default=0.0)
+    direction: int = field(init=False, default=1)
+    sample_point: int = field(init=False, default=0)
+    payload_body: str = field(init=False, default="")
+    moving_mass: float = field(init=False, default=0.0)
+    travel_center: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
         if self.axis not in self.stage.axes:
@@ -90,38 +98,40 @@ class Task:
                 "registers. Tune another axis, or try registers by lines of all of them: firmware.line."
             )
 
-        def put(name: str, value: Any) -> None:
+        def set_field(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
         if self.judge_at is not None:
-            put("point", find_judged_point(self.stage, self.axis, self.judge_at)[1])
-        put("carrier", self._carrier(axis))
+            set_field("sample_point", find_judged_point(self.stage, self.axis, self.judge_at)[1])
+        set_field("payload_body", self._find_payload_body(axis))
         if not 0 <= self.payload < 1e6:
             raise ArgumentError(f"payload={self.payload!r} kg: 0 or more, and less than 1,000,000.")
         body = int(self.stage.model.jnt_bodyid[axis.joint])
-        put("moved", float(self.stage.model.body_subtreemass[body]))
-        if self.spare is None:
-            put("spare", SPARE * (self.payload or self.moved))
-        if not 0 <= float(self.spare or 0.0) < math.inf:
-            raise ArgumentError(f"spare={self.spare!r} kg: 0 or more.")
-        if self.within is None:
-            put("within", (COUNTS if self.is_servo else axis.drive.microsteps) * axis.meters_per_pulse)
-        if not (0 < float(self.within or 0.0) < math.inf and 0 < self.hold < math.inf):
-            raise ArgumentError(f"within={self.within!r}, hold={self.hold!r}: both more than 0.")
+        set_field("moving_mass", float(self.stage.model.body_subtreemass[body]))
+        if self.margin is None:
+            set_field("margin", DEFAULT_MARGIN_RATIO * (self.payload or self.moving_mass))
+        if not 0 <= float(self.margin or 0.0) < math.inf:
+            raise ArgumentError(f"margin={self.margin!r} kg: 0 or more.")
+        if self.tolerance is None:
+            pulses = SERVO_TOLERANCE_COUNTS if self.is_servo else axis.drive.microsteps
+            set_field("tolerance", pulses * axis.meters_per_pulse)
+        if not (0 < float(self.tolerance or 0.0) < math.inf and 0 < self.hold < math.inf):
+            raise ArgumentError(f"tolerance={self.tolerance!r}, hold={self.hold!r}: both more than 0.")
         if self.overshoot is None:
-            put("overshoot", TWICE * float(self.within or 0.0) if self.judge_at is None else math.inf)
+            limit = OVERSHOOT_TOLERANCE_RATIO * float(self.tolerance or 0.0) if self.judge_at is None else math.inf
+            set_field("overshoot", limit)
         if not float(self.overshoot or 0.0) > 0:
             raise ArgumentError(f"overshoot={self.overshoot!r}: more than 0.")
-        put("way", -1 if self.pulses < 0 else 1)
-        put("pulses", abs(int(self.pulses)))
-        low, high = room(axis)
-        most = math.floor((high - low) / axis.meters_per_pulse) - self.turn
-        if not 0 < self.pulses <= most:
+        set_field("direction", -1 if self.pulses < 0 else 1)
+        set_field("pulses", abs(int(self.pulses)))
+        low, high = compute_usable_travel(axis)
+        max_pulses = math.floor((high - low) / axis.meters_per_pulse) - self.pulses_per_electrical_turn
+        if not 0 < self.pulses <= max_pulses:
             raise ArgumentError(
-                f"a distance of {self.pulses} pulses: axis {self.axis} has room for 1 to {most} pulses between its limit switches "
-                f"({PLACES[axis.unit].text(most * axis.meters_per_pulse, 'g')})."
+                f"a distance of {self.pulses} pulses: axis {self.axis} has room for 1 to {max_pulses} pulses between its "
+                f"limit switches ({PLACES[axis.unit].text(max_pulses * axis.meters_per_pulse, 'g')})."
             )
-        put("middle", 0.5 * (low + high))
+        set_field("travel_center", 0.5 * (low + high))
 
     @property
     def is_servo(self) -> bool:
@@ -129,115 +139,158 @@ class Task:
         return driver_of(self.stage.axes[self.axis]).has_position_loop
 
     @property
-    def turn(self) -> int:
-        """Pulses of an electrical turn: moves begin anywhere within one, so that no rotor angle is the lucky one."""
+    def pulses_per_electrical_turn(self) -> int:
+        """Pulses of one electrical turn.
+
+        Start positions are spread over one turn, so that the result does not depend on a favorable rotor angle.
+        """
         axis: Any = self.stage.axes[self.axis]
         return 4 * (1 if self.is_servo else axis.drive.microsteps)
 
-    def _carrier(self, axis: Any) -> str:
-        """That of `payload_on`; of the usual ones the first that rides on the axis."""
-        named = find_carrier(self.stage, self.axis, self.payload_on)
-        if self.payload_on is not None or rides(self.stage.model, named, axis.joint):
-            return named
+    def _find_payload_body(self, axis: Any) -> str:
+        """Return `payload_on`, or the default body if it rides on the axis, or the body that the axis moves."""
+        default = find_carrier(self.stage, self.axis, self.payload_on)
+        if self.payload_on is not None or is_moved_by_joint(self.stage.model, default, axis.joint):
+            return default
         model = self.stage.model
         return str(model.body(int(model.jnt_bodyid[axis.joint])).name)
 
-    def length(self, metres: float) -> str:
-        """A small length of the axis in words."""
+    def format_length(self, metres: float) -> str:
+        """Format a small length in the unit of the axis."""
         return SMALL[self.stage.axes[self.axis].unit].text(metres, "g")
 
     @property
-    def signed(self) -> int:
-        """Pulses of the move that is told, with their sign."""
-        return self.way * self.pulses
+    def signed_pulses(self) -> int:
+        """Pulses of the move, negative in the minus direction."""
+        return self.direction * self.pulses
 
     @property
-    def carries(self) -> str:
-        """What it carries, in words."""
+    def payload_text(self) -> str:
+        """Payload in words, for headings."""
         return f"with up to {self.payload:g} kg" if self.payload else "with nothing on it"
 
     @property
-    def most(self) -> float:
-        """kg, payload and spare."""
-        return self.payload + float(self.spare or 0.0)
+    def max_payload(self) -> float:
+        """Payload plus margin, kg."""
+        return self.payload + float(self.margin or 0.0)
 
-    def begin(self, stage: Stage, case: Case) -> float:
-        """Bring a stage at power-up to where a move begins. Returns its goal, m."""
+    def place_at_start(self, stage: Stage, case: MoveCase) -> float:
+        """Set the payload of a stage at power-up and place its axis at the start of a move.
+
+        Args:
+            stage: Copy of the task's stage.
+            case: Conditions of the move.
+
+        Returns:
+            Goal of the move, m (rad).
+        """
         axis = stage.axes[self.axis]
         fit_machine(axis, case.machine or self.machine, self.stage.model)
-        stage.set_payload(case.payload, self.carrier)
+        stage.set_payload(case.payload, self.payload_body)
         step = axis.meters_per_pulse * np.sign(axis.gear)
-        way = step * self.pulses * case.way
-        stage.place(**{self.axis: self.middle - 0.5 * way + case.beside * axis.meters_per_pulse})
-        return float((axis.position if self.is_servo else axis.commanded) + way)
+        distance = step * self.pulses * case.direction
+        start = self.travel_center - 0.5 * distance + case.start_offset * axis.meters_per_pulse
+        stage.place(**{self.axis: start})
+        return float((axis.position if self.is_servo else axis.commanded) + distance)
 
     @property
     def machine(self) -> Machine:
-        """The machine of `stage` as it is."""
+        """Machine of `stage` as it is."""
         axis: Any = self.stage.axes[self.axis]
         return Machine(replace(axis.drive, bus_voltage=axis.faults.bus_voltage), 1.0)
 
-    def copy(self) -> Stage:
-        """Another machine of the same kind."""
+    def copy_stage(self) -> Stage:
+        """Return an independent copy of the stage."""
         return copy.deepcopy(self.stage)
 
-    def corners(
-        self, rng: np.random.Generator, angles: int, guard: float = 1.0, machines: Iterable[Machine] = ()
-    ) -> list[Case]:
-        """Combine nothing, the payload, the payload with `guard` times the spare with some rotor angles, both ways.
+    def build_corner_cases(
+        self, rng: np.random.Generator, angles: int, margin_factor: float = 1.0, machines: Iterable[Machine] = ()
+    ) -> list[MoveCase]:
+        """Combine the extreme payloads with evenly spaced rotor angles and both directions.
 
-        The heaviest get the first of `machines`; where these end, the moves are those of the task's own machine.
+        Args:
+            rng: Source of the first rotor angle.
+            angles: Number of rotor angles for each payload.
+            margin_factor: Multiple of the margin in the heaviest payload.
+            machines: Machines of the heaviest cases; where they end, the task's own machine makes the moves.
+
+        Returns:
+            Cases without a payload, with the payload, and with the payload and its margin.
         """
-        loads = sorted({0.0, self.payload, self._loaded(guard)})
-        first, n = rng.uniform(0, 1), angles * len(loads)
-        places = [(first + k / n) % 1.0 - 0.5 for k in range(n)]
+        payloads = sorted({0.0, self.payload, self._payload_with_margin(margin_factor)})
+        first, n = rng.uniform(0, 1), angles * len(payloads)
+        turns = [(first + k / n) % 1.0 - 0.5 for k in range(n)]
         cases = [
-            Case(load, self.turn * places[j * len(loads) + k], 1 - 2 * (j % 2))
-            for k, load in enumerate(loads)
+            MoveCase(payload, self.pulses_per_electrical_turn * turns[j * len(payloads) + k], 1 - 2 * (j % 2))
+            for k, payload in enumerate(payloads)
             for j in range(angles)
         ]
         return _with_machines(cases[::-1], machines)[::-1]
 
-    def drawn(
-        self, rng: np.random.Generator, moves: int, guard: float = 1.0, machines: Iterable[Machine] = ()
-    ) -> list[Case]:
-        """Draw the moves of a proof: the corners' payloads and others in between, any rotor angle, both ways.
+    def draw_cases(
+        self, rng: np.random.Generator, moves: int, margin_factor: float = 1.0, machines: Iterable[Machine] = ()
+    ) -> list[MoveCase]:
+        """Draw cases at random rotor angles in both directions.
 
-        Each is made by another of `machines`; where these end, by the task's own machine.
+        Args:
+            rng: Source of the random numbers.
+            moves: Number of cases.
+            margin_factor: Multiple of the margin in the heaviest payload.
+            machines: Machines of the cases, one each; where they end, the task's own machine makes the moves.
+
+        Returns:
+            Cases, a quarter of them at each extreme payload and a quarter at random payloads in between.
         """
-        fixed = (0.0, self.payload, self._loaded(guard))
-        loads = [fixed[k % 4] if k % 4 < 3 else float(rng.uniform(0, fixed[2])) for k in range(moves)]
+        corners = (0.0, self.payload, self._payload_with_margin(margin_factor))
+        payloads = [corners[k % 4] if k % 4 < 3 else float(rng.uniform(0, corners[2])) for k in range(moves)]
         cases = [
-            Case(load, self.turn * float(rng.uniform(-0.5, 0.5)), 1 - 2 * (k // 4 % 2)) for k, load in enumerate(loads)
+            MoveCase(payload, self.pulses_per_electrical_turn * float(rng.uniform(-0.5, 0.5)), 1 - 2 * (k // 4 % 2))
+            for k, payload in enumerate(payloads)
         ]
         return _with_machines(cases, machines)
 
-    def _loaded(self, guard: float) -> float:
-        return self.payload + guard * float(self.spare or 0.0)
+    def _payload_with_margin(self, margin_factor: float) -> float:
+        return self.payload + margin_factor * float(self.margin or 0.0)
 
-    def asked(self, cases: list[Case]) -> np.ndarray:
-        """Which cases have no more than the payload: theirs is the time that counts."""
-        return np.array([c.payload <= self.payload + ROUNDING for c in cases])
+    def is_within_payload(self, cases: list[MoveCase]) -> np.ndarray:
+        """Mark the cases without extra mass from the margin.
+
+        Args:
+            cases: Conditions of the moves.
+
+        Returns:
+            Mask of the cases whose arrival times count.
+        """
+        return np.array([case.payload <= self.payload + PAYLOAD_ROUNDING_KG for case in cases])
 
 
-def _with_machines(cases: list[Case], machines: Iterable[Machine]) -> list[Case]:
+def _with_machines(cases: list[MoveCase], machines: Iterable[Machine]) -> list[MoveCase]:
     return [case._replace(machine=machine) for case, machine in zip_longest(cases, machines) if case is not None]
 
 
-def rides(model: Any, body: str, joint: int) -> bool:
-    """Whether a body is moved by a joint."""
-    k, moved = int(model.body(body).id), int(model.jnt_bodyid[joint])
-    while k not in (0, moved):
+def is_moved_by_joint(model: Any, body: str, joint: int) -> bool:
+    """Check whether a joint moves a body.
+
+    Args:
+        model: MuJoCo model.
+        body: Name of the body.
+        joint: Index of the joint.
+
+    Returns:
+        True if the body belongs to the subtree that the joint moves.
+    """
+    k, moved_body = int(model.body(body).id), int(model.jnt_bodyid[joint])
+    while k not in (0, moved_body):
         k = int(model.body_parentid[k])
-    return k == moved
+    return k == moved_body
 
 
-def room(axis: Any) -> tuple[float, float]:
-    """Between which places neither limit switch of an axis is on, m: its travel, less what the switches take."""
+def compute_usable_travel(axis: Any) -> tuple[float, float]:
+    """Return the lowest and highest position at which neither limit switch of an axis is active, m (rad)."""
     low, high = axis.travel
-    for s in axis.plant.switches:
-        if s.pin == "el_plus":
-            low, high = (low, min(high, s.touch)) if s.slope < 0 else (max(low, s.touch), high)
-        elif s.pin == "el_minus":
-            low, high = (max(low, s.touch), high) if s.slope > 0 else (low, min(high, s.touch))
+    for switch in axis.plant.switches:
+        if switch.pin == "el_plus":
+            low, high = (low, min(high, switch.touch)) if switch.slope < 0 else (max(low, switch.touch), high)
+        elif switch.pin == "el_minus":
+            low, high = (max(low, switch.touch), high) if switch.slope > 0 else (low, min(high, switch.touch))
     return low, high

@@ -227,9 +227,11 @@ def test_a_model_that_switches_dampers_off_is_refused_before_it_drops_a_loss():
 
 
 def test_the_formula_has_the_thrust_less_the_loss_and_friction_without_it():
-    lossless, lossy = (Load.of(stage_with(m).axes["x"]) for m in (LOSSLESS, LOSSY))
+    lossless, lossy = (Load.from_axis(stage_with(m).axes["x"]) for m in (LOSSLESS, LOSSY))
     speed = np.array([0.0, 0.05, 0.1])
-    assert lossy.thrust(speed) == pytest.approx(lossless.thrust(speed) - DAMPING * lossy.gear**2 * speed)
+    assert lossy.compute_max_thrust(speed) == pytest.approx(
+        lossless.compute_max_thrust(speed) - DAMPING * lossy.gear**2 * speed
+    )
     assert lossy.damping == lossless.damping
 
 

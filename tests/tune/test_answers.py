@@ -14,12 +14,12 @@ from stage import Stage
 from stage.chips import PCL240K
 from stage.errors import StageError
 from stage.firmware.driver import Speeds
-from stage.tune import Task, proof, run, tune
-from stage.tune.plans import Plan, plans_of
-from stage.tune.result import Answer, Result
+from stage.tune import Task, proof, tune, tuning
+from stage.tune.bus_listing import RegisterValue
+from stage.tune.move_runner import MoveOutcomes
+from stage.tune.planners import MovePlan, create_planner
+from stage.tune.result import Answer, TuningResult
 from stage.tune.search import Trial
-from stage.tune.tries import Outcome
-from stage.tune.written import Row
 
 PAYLOAD, MOST = 2.0, 2.6  # kg, with the spare
 
@@ -35,19 +35,19 @@ def task():
 
 
 def named(name):
-    return Plan({"name": name}, Speeds())
+    return MovePlan({"name": name}, Speeds())
 
 
 class Told:
     """goes(name of the plan, case): s until it arrives, and whether it keeps step. The formula's plan is called formula."""
 
     def __init__(self, task, goes):
-        self.task, self.plans, self.goes, self.made = task, None, goes, 0
+        self.task, self.planner, self.goes, self.move_count = task, None, goes, 0
 
-    def make(self, plans, cases, limit):
+    def run_moves(self, plans, cases, limit):
         went = np.array([[self.goes(p.registers.get("name", "formula"), c) for c in cases] for p in plans], float)
         times = np.where(went[..., 0] <= limit, went[..., 0], np.nan)
-        return Outcome(times, went[..., 1] != 0, np.zeros(times.shape))
+        return MoveOutcomes(times, went[..., 1] != 0, np.zeros(times.shape))
 
     def __enter__(self):
         return self
@@ -64,9 +64,9 @@ def tuned(monkeypatch, task):
         ranked = [
             Trial(k, named(name), worst, int(name in broken)) for k, (name, worst) in enumerate((found or {}).items())
         ]
-        monkeypatch.setattr(run, "optuna", lambda: None)
-        monkeypatch.setattr(run, "search", lambda *given: (ranked, False))
-        monkeypatch.setattr(run, "Tries", lambda task, plans, workers: Told(task, goes))
+        monkeypatch.setattr(tuning, "import_optuna", lambda: None)
+        monkeypatch.setattr(tuning, "search_registers", lambda *given: (ranked, False))
+        monkeypatch.setattr(tuning, "MoveRunner", lambda task, plans, workers: Told(task, goes))
         return tune(task, by="formula" if found is None else "search", moves=moves, **how)
 
     return made
@@ -76,7 +76,7 @@ def test_a_slow_answer_of_a_search_is_looked_at_for_as_long_as_it_takes(tuned):
     result = tuned(
         lambda name, case: ({"fast": 0.05, "slow": 0.2}.get(name, 0.3), True), 8, {"fast": 0.05, "slow": 0.2}
     )
-    assert (result.won, result.failed) == ("search", 0)
+    assert (result.selected_name, result.rejected_count) == ("search", 0)
     assert result.answer.plan == named("fast")
 
 
@@ -91,22 +91,22 @@ def test_the_fastest_in_the_mean_is_taken(tuned):
 def test_registers_without_the_spare_that_was_asked_for_are_out(tuned):
     """They carry the payload and 2.6 kg, the moves of the proof, but not 2.3 kg"""
     result = tuned(lambda name, case: (0.1, name == "formula" or not 2.1 < case.payload < 2.5), 3, {"other": 0.1})
-    assert (result.won, result.failed, len(result.answers)) == ("formula", 1, 1)
-    assert "found nothing that passes the proof" in result.verdict()
+    assert (result.selected_name, result.rejected_count, len(result.answers)) == ("formula", 1, 1)
+    assert "found nothing that passes the proof" in result.explain_selection()
 
 
 def test_a_gain_that_is_less_than_its_error_is_none(tuned):
     result = tuned(
         lambda name, case: (0.1 - (0.002 if name == "lucky" and case.payload == 0 else 0.0), True), 3, {"lucky": 0.1}
     )
-    assert result.won == "formula"
-    assert "gains 1.0 ms (+- 2.0 ms), which the proof cannot tell from nothing" in result.verdict()
+    assert result.selected_name == "formula"
+    assert "gains 1.0 ms (+- 2.0 ms), which the proof cannot tell from nothing" in result.explain_selection()
 
 
 def test_where_the_formula_loses_steps_in_the_proof_the_search_wins_by_whatever_time(tuned):
     result = tuned(lambda name, case: (0.1, name == "sound" or case.payload in (0.0, PAYLOAD, MOST)), 4, {"sound": 0.1})
-    assert result.won == "search"
-    assert result.verdict() == "The search's registers (1 trials): the formula's lose steps in the proof."
+    assert result.selected_name == "search"
+    assert result.explain_selection() == "The search's registers (1 trials): the formula's lose steps in the proof."
 
 
 def test_a_formula_that_loses_steps_says_what_it_carries(tuned):
@@ -117,7 +117,7 @@ def test_a_formula_that_loses_steps_says_what_it_carries(tuned):
 
 
 def test_what_swings_for_long_is_looked_at_for_four_times_as_long(tuned):
-    assert tuned(lambda name, case: (0.9, True), 3).answer.proof.worst == 0.9
+    assert tuned(lambda name, case: (0.9, True), 3).answer.proof.max_time == 0.9
     with pytest.raises(StageError, match=r"keep step, but do not come to rest within .* give more room, --settle"):
         tuned(lambda name, case: (9.0, True), 3)
 
@@ -138,7 +138,7 @@ def test_of_many_answers_of_a_search_the_first_that_passes_is_the_one(tuned):
     found = {f"try {k}": 0.1 + 0.01 * k for k in range(20)}
     result = tuned(lambda name, case: (found.get(name, 0.5), name not in ("try 0", "try 1")), 4, found)
     assert result.answer.plan == named("try 2")
-    assert (len(result.answers), result.failed) == (2, 2)
+    assert (len(result.answers), result.rejected_count) == (2, 2)
 
 
 def test_three_times_eight_answers_of_a_search_are_tried_and_no_more(tuned):
@@ -149,8 +149,10 @@ def test_three_times_eight_answers_of_a_search_are_tried_and_no_more(tuned):
         return 0.1, name not in found or seen.setdefault(case, len(seen)) != int(name.removeprefix("try "))
 
     result = tuned(goes, 96, found)
-    assert (result.won, result.failed, result.trials) == ("formula", 24, 40)
-    assert "24 of the search's best registers failed in moves that it had not seen" in str(replace(result, failed=24))
+    assert (result.selected_name, result.rejected_count, result.trial_count) == ("formula", 24, 40)
+    assert "24 of the search's best registers failed in moves that it had not seen" in str(
+        replace(result, rejected_count=24)
+    )
 
 
 def test_where_eight_answers_fail_in_the_same_moves_those_that_fail_there_are_out_and_the_next_is_the_one(tuned):
@@ -165,24 +167,24 @@ def test_where_eight_answers_fail_in_the_same_moves_those_that_fail_there_are_ou
         found,
     )
     assert result.answer.plan == named("try 30")
-    assert result.failed == 30
+    assert result.rejected_count == 30
 
 
 def test_a_trial_that_broke_is_no_answer_however_fast(tuned):
     result = tuned(lambda name, case: (0.05 if name == "fast" else 0.2, True), 4, {"fast": 0.05}, {"fast"})
-    assert (result.won, len(result.answers), result.failed) == ("formula", 1, 0)
+    assert (result.selected_name, len(result.answers), result.rejected_count) == ("formula", 1, 0)
 
 
 def test_one_move_is_a_proof_too(tuned):
     result = tuned(lambda name, case: (0.05 if name == "fast" else 0.2, True), 1, {"fast": 0.05})
     assert result.answer.plan == named("fast")
-    assert (result.answer.proof.moves, result.answer.proof.kept) == (1, 1)
+    assert (result.answer.proof.move_count, result.answer.proof.good_count) == (1, 1)
 
 
 def test_the_spare_that_was_asked_for_is_enough_and_none_may_be_asked_for(tuned, task):
     for most in (MOST, MOST - 0.01):
         try:
-            held = tuned(lambda name, case, most=most: (0.1, case.payload <= most + 1e-9), 3).answer.holds
+            held = tuned(lambda name, case, most=most: (0.1, case.payload <= most + 1e-9), 3).answer.is_proved
         except StageError:
             held = False
         assert held == (most == MOST)
@@ -190,7 +192,7 @@ def test_the_spare_that_was_asked_for_is_enough_and_none_may_be_asked_for(tuned,
 
 def test_what_is_done_is_told_from_the_formula_to_the_end(tuned, monkeypatch):
     heard = []
-    tuned(lambda name, case: (0.1, True), 4, {"even": 0.1}, told=lambda *said: heard.append(said))
+    tuned(lambda name, case: (0.1, True), 4, {"even": 0.1}, on_progress=lambda *said: heard.append(said))
     assert heard == [("the formula", 0.0, None), ("the proof", 0.0, None), ("the proof", 1.0, None)]
     heard.clear()
 
@@ -200,32 +202,37 @@ def test_what_is_done_is_told_from_the_formula_to_the_end(tuned, monkeypatch):
         return [], True
 
     made = monkeypatch.setattr
-    made(run, "optuna", lambda: None)
-    made(run, "search", searching)
-    result = tune(task_of(), trials=20, moves=1, told=lambda *said: heard.append(said))
+    made(tuning, "import_optuna", lambda: None)
+    made(tuning, "search_registers", searching)
+    result = tune(task_of(), trials=20, moves=1, on_progress=lambda *said: heard.append(said))
     assert heard[1:-2] == [("searching", 0.4, None), ("searching", 0.8, 0.3), ("searching", 1.0, None)]
-    assert ", ended by Ctrl-C)" in result.verdict()
+    assert ", ended by Ctrl-C)" in result.explain_selection()
 
 
 def answered(task, **more):
-    plans = plans_of(task)
-    answer = Answer("formula", plans.formula(), proof.Proof(1, 1, np.array([0.1]), 0.0), 0.6, False, True)
-    given = {"won": "formula", "safety": 1.5, "by": "formula", "trials": 0, "stopped": False, "failed": 0, "seed": 0}
-    return Result(task, plans, (answer,), moves=1, **{**given, **more})
+    plans = create_planner(task)
+    answer = Answer("formula", plans.build_formula_plan(), proof.Proof(1, 1, np.array([0.1]), 0.0), 0.6, False, True)
+    given = {
+        "selected_name": "formula", "safety_factor": 1.5, "method": "formula", "trial_count": 0, "interrupted": False,
+        "rejected_count": 0, "seed": 0,
+    }  # fmt: skip
+    return TuningResult(task, plans, (answer,), move_count=1, **{**given, **more})
 
 
 def told_of(task, **more):
     """A result of two answers that differ in every number."""
-    plans = plans_of(task)
+    plans = create_planner(task)
     speeds = Speeds(1000.0, 20_000.0, 0.1, 0.05)
-    plan = plans.formula()
+    plan = plans.build_formula_plan()
     times = np.array([0.1, 0.2, np.nan]), np.array([0.05, 0.08, 0.08])
     answers = (
         Answer("formula", plan, proof.Proof(4, 3, times[0], 3e-5, 1), 0.61, False, False),
         Answer("search", plan._replace(speeds=speeds), proof.Proof(4, 4, times[1], 1.5e-5, 0), 2.4, True, True),
     )
-    given = {"safety": 1.5, "by": "search", "trials": 20, "stopped": True, "failed": 2, "seed": 7}
-    return Result(task, plans, answers, moves=99, **{"won": "search", **given, **more})
+    given = {
+        "safety_factor": 1.5, "method": "search", "trial_count": 20, "interrupted": True, "rejected_count": 2, "seed": 7,
+    }  # fmt: skip
+    return TuningResult(task, plans, answers, move_count=99, **{"selected_name": "search", **given, **more})
 
 
 def test_every_number_of_an_answer_is_told_in_its_place(task):
@@ -248,7 +255,7 @@ def test_every_number_of_an_answer_is_told_in_its_place(task):
     assert "(20 trials, ended by Ctrl-C): the formula's lose steps in the proof." in lines[7]
     assert (
         lines.pop(8)
-        == result.claim()
+        == result.state_claim()
         == (
             "The axis keeps step in 4 of 4 drawn machines with up to 2.6 kg, from the ranges above. Core loss of the 17HS4401: "
             "0.0002 to 0.00064 N m s/rad (no pull-out curve of the 17HS4401 is at hand; after the 17HS19-2004S1)."
@@ -258,7 +265,7 @@ def test_every_number_of_an_answer_is_told_in_its_place(task):
     text = result.c_source("x")
     assert "arrives after 70.0 ms, 80.0 ms at most" in text
     assert "(by search; stage tune, seed 7)" in text
-    assert "by the data sheet formula" in told_of(task, won="formula").c_source("x")
+    assert "by the data sheet formula" in told_of(task, selected_name="formula").c_source("x")
 
 
 def test_every_number_of_an_answer_is_in_its_json(task):
@@ -283,21 +290,24 @@ def test_every_number_of_an_answer_is_in_its_json(task):
 def test_a_servo_goes_counts_and_arrives():
     task = task_of(Stage("xy", chips="HCTL1100", visuals=False))
     result = told_of(task)
-    assert result.way() == "2 mm (400 counts)"
-    assert result.proved(result.answer) == "arrives in 4 of 4 drawn machines with up to 2.6 kg"
-    assert "up to 20,000 counts/s" in result.rates()
+    assert result.describe_distance() == "2 mm (400 counts)"
+    assert result.describe_proof(result.answer) == "arrives in 4 of 4 drawn machines with up to 2.6 kg"
+    assert "up to 20,000 counts/s" in result.describe_rates()
 
 
 def test_a_unit_stands_behind_a_meaning_that_does_not_have_it():
-    assert Row("R1", 1, 4, "FL speed", "pps").words == "FL speed, pps"
-    assert Row("R1", 1, 4, "rate in pps", "pps").words == "rate in pps"
-    assert Row("R1", 1, 4, "mode", "").words == "mode"
+    assert RegisterValue("R1", 1, 4, "FL speed", "pps").meaning_with_unit == "FL speed, pps"
+    assert RegisterValue("R1", 1, 4, "rate in pps", "pps").meaning_with_unit == "rate in pps"
+    assert RegisterValue("R1", 1, 4, "mode", "").meaning_with_unit == "mode"
 
 
 def test_a_negative_register_is_told_in_hexadecimal_as_it_is_on_the_bus(task):
     result = answered(task)
-    vars(result)["rows"] = [Row("TP", -40_000, 8, "goal", ""), Row("R1", 20, 4, "FL", "")]
-    assert [line.split()[:3] for line in result.table().splitlines()[2:]] == [
+    vars(result)["register_values"] = [
+        RegisterValue("TP", -40_000, 8, "goal", ""),
+        RegisterValue("R1", 20, 4, "FL", ""),
+    ]
+    assert [line.split()[:3] for line in result.format_register_table().splitlines()[2:]] == [
         ["TP", "-40000", "FFFF63C0h"],
         ["R1", "20", "0014h"],
     ]
@@ -311,15 +321,15 @@ def test_what_has_no_limit_is_none_in_json():
 
 def test_moves_of_a_proof_go_both_ways_with_each_payload(task):
     rng = np.random.default_rng(0)
-    for cases in (task.corners(rng, 2), task.drawn(rng, 16)):
+    for cases in (task.build_corner_cases(rng, 2), task.draw_cases(rng, 16)):
         for payload in (0.0, PAYLOAD, MOST):
-            assert {case.way for case in cases if case.payload == pytest.approx(payload)} == {1, -1}
+            assert {case.direction for case in cases if case.payload == pytest.approx(payload)} == {1, -1}
 
 
 def test_on_a_screw_that_turns_the_other_way_the_picture_has_the_move_towards_plus(tmp_path, monkeypatch):
     pytest.importorskip("matplotlib")
     drawn = []
-    monkeypatch.setattr("stage.tune.picture.save_figure", lambda figure, *rest: drawn.append(figure))
+    monkeypatch.setattr("stage.tune.result_plot.save_figure", lambda figure, *rest: drawn.append(figure))
     result = answered(task_of(Stage(mirrored(tmp_path), chips=PCL240K, visuals=False)))
     result.plot(tmp_path / "tuned.png")
     position, behind = (drawn[0].axes[k].lines[0].get_ydata() for k in (1, 2))
@@ -327,12 +337,12 @@ def test_on_a_screw_that_turns_the_other_way_the_picture_has_the_move_towards_pl
     assert behind[np.abs(behind) > 1][0] > 0, "um: at the start the carriage is behind"
     deviation = drawn[0].axes[3]
     band = deviation.transData.inverted().transform_bbox(deviation.patches[0].get_extents())
-    assert (band.y0, band.y1) == pytest.approx((-1e6 * result.task.within, 1e6 * result.task.within))
+    assert (band.y0, band.y1) == pytest.approx((-1e6 * result.task.tolerance, 1e6 * result.task.tolerance))
 
 
 def test_headers_of_axes_whose_names_c_does_not_take_differ(task, monkeypatch):
-    monkeypatch.setattr(Result, "rows", ())
-    monkeypatch.setattr(Result, "cycles", ())
+    monkeypatch.setattr(TuningResult, "register_values", ())
+    monkeypatch.setattr(TuningResult, "bus_cycles", ())
     functions = []
     for name in ("x 1", "轴"):
         renamed = copy(task)

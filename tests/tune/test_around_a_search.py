@@ -8,13 +8,12 @@ import pytest
 from stage import Stage
 from stage.chips import PCL240K
 from stage.firmware.driver import Speeds
-from stage.tune import Case, Task, run, search
-from stage.tune.formula import SAFETY
-from stage.tune.plans import Plan, plans_of
-from stage.tune.tries import Outcome, Tries
+from stage.tune import MoveCase, Task, search, tuning
+from stage.tune.formula import SAFETY_FACTOR
+from stage.tune.move_runner import MoveOutcomes, MoveRunner
+from stage.tune.planners import MovePlan, create_planner
 
-CASES = [Case(0.0, 1.0, 1), Case(2.0, 2.0, -1), Case(2.6, 3.0, 1), Case(0.0, 4.0, -1), Case(2.0, 5.0, 1), Case(2.6, 6.0, -1),
-         Case(0.0, 7.0, 1), Case(2.0, 8.0, -1), Case(2.6, 9.0, 1)]  # fmt: skip
+CASES = [MoveCase((0.0, 2.0, 2.6)[k % 3], 1.0 + k, 1 - 2 * (k % 2)) for k in range(8)] + [MoveCase(2.6, 9.0, 1)]
 
 
 @pytest.fixture(scope="module")
@@ -39,11 +38,11 @@ def test_who_is_as_good_as_the_best_does_not_lead_and_gets_no_further_cases(task
     def make(plans, cases, limit):
         sizes.append((len(plans), len(cases)))
         shape = len(plans), len(cases)
-        return Outcome(np.full(shape, 0.25), np.ones(shape, bool), np.zeros(shape))
+        return MoveOutcomes(np.full(shape, 0.25), np.ones(shape, bool), np.zeros(shape))
 
-    monkeypatch.setattr(search, "_study", lambda seed: Study())
-    tries = SimpleNamespace(task=task, plans=plans_of(task), make=make)
-    search.search(tries, CASES[:2], CASES[2:5], 0.5, 16, seed=1)
+    monkeypatch.setattr(search, "_create_study", lambda seed: Study())
+    tries = SimpleNamespace(task=task, planner=create_planner(task), run_moves=make)
+    search.search_registers(tries, CASES[:2], CASES[2:5], 0.5, 16, seed=1)
     assert sizes == [(8, 2), (8, 3), (8, 2)], "the first eight lead nobody, the next eight are as good"
 
 
@@ -52,7 +51,7 @@ def test_a_search_draws_sixteen_trials_before_its_sampler_has_an_opinion_and_say
     was = optuna.logging.get_verbosity()
     try:
         optuna.logging.set_verbosity(optuna.logging.DEBUG)
-        sampler = search._study(7).sampler
+        sampler = search._create_study(7).sampler
         assert optuna.logging.get_verbosity() == optuna.logging.WARNING
     finally:
         optuna.logging.set_verbosity(was)
@@ -73,20 +72,22 @@ def test_what_the_formula_carries_is_the_most_of_nine_payloads_each_with_four_of
 
     def make(plans, cases, limit):
         asked.append(([plan.registers for plan in plans], cases, limit))
-        return Outcome(*(np.array([[c.payload <= most for c in cases]]) for _ in range(3)))
+        return MoveOutcomes(*(np.array([[c.payload <= most for c in cases]]) for _ in range(3)))
 
-    plans = SimpleNamespace(formula=lambda safety: Plan({"safety": safety}, Speeds(1000.0, 4000.0, 0.1, 0.2)))
-    assert run._carries(SimpleNamespace(task=task, make=make), plans, CASES).startswith(said)
+    plans = SimpleNamespace(
+        build_formula_plan=lambda safety: MovePlan({"safety": safety}, Speeds(1000.0, 4000.0, 0.1, 0.2))
+    )
+    assert tuning._describe_largest_payload(SimpleNamespace(task=task, run_moves=make), plans, CASES).startswith(said)
     ((registers, cases, limit),) = asked
-    assert registers == [{"safety": SAFETY}]
+    assert registers == [{"safety": SAFETY_FACTOR}]
     assert limit == pytest.approx(2 * (400 / 4000 + 0.1 + 0.2) + 0.3 + 0.02)
-    assert [c.payload for c in cases] == pytest.approx(np.repeat(np.linspace(0.0, task.most, 9), 4))
-    assert [(c.beside, c.way) for c in cases[4:8]] == [(c.beside, c.way) for c in CASES[:8:2]]
+    assert [c.payload for c in cases] == pytest.approx(np.repeat(np.linspace(0.0, task.max_payload, 9), 4))
+    assert [(c.start_offset, c.direction) for c in cases[4:8]] == [(c.start_offset, c.direction) for c in CASES[:8:2]]
 
 
 def test_tries_that_are_over_have_closed_their_fleet_and_so_do_those_that_were_cut_short(task, monkeypatch):
     closed = []
-    made = Tries(task, plans_of(task), 1, lanes=1)
+    made = MoveRunner(task, create_planner(task), 1, fleet_size=1)
     monkeypatch.setattr(made.fleet, "close", lambda: closed.append("closed"))
     with made as tries:
         assert tries is made
@@ -97,7 +98,7 @@ def test_tries_that_are_over_have_closed_their_fleet_and_so_do_those_that_were_c
 
 
 def test_as_many_stages_are_made_as_there_are_lanes_and_played_by_as_many_threads_as_workers(task):
-    made = Tries(task, plans_of(task), 2, lanes=3)
+    made = MoveRunner(task, create_planner(task), 2, fleet_size=3)
     assert (len(made.fleet), made.fleet.threads) == (3, 2)
     assert len({id(stage) for stage in made.fleet.stages} | {id(task.stage)}) == 4
     made.close()

@@ -11,7 +11,7 @@ from stage.tune.formula import Load
 def test_the_load_of_a_hinge_is_the_inertia_about_it():
     stage = Stage("xya", visuals=False)
     a = stage.axes["a"]
-    load = Load.of(a)
+    load = Load.from_axis(a)
     armature = float(stage.model.dof_armature[a.plant.dof])
     table, work = 0.5 * 1.0 * 0.080**2, 0.15 * (0.035**2 + (0.052**2 + 0.034**2) / 12)
     assert load.mass == pytest.approx(armature + table + work, rel=0.02)

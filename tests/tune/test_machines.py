@@ -13,11 +13,11 @@ from stage.chips import HCTL1100, PCL240K
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import MOTORS, Drive, find_motor
 from stage.errors import ArgumentError
-from stage.tune import Case, Task, tune
+from stage.tune import MoveCase, Task, tune
 from stage.tune.machines import draw_machines, find_spreads, fit_machine
-from stage.tune.plans import plans_of
-from stage.tune.result import Result
-from stage.tune.tries import Tries
+from stage.tune.move_runner import MoveRunner
+from stage.tune.planners import create_planner
+from stage.tune.result import TuningResult
 
 PULSES, PAYLOAD = 400, 2.0
 
@@ -116,8 +116,18 @@ def test_the_page_and_every_other_motor_have_the_table_of_ranges_with_a_gap_betw
     page = (Path(__file__).parents[2] / "docs" / "tuning.md").read_text()
     for name in MOTORS:
         task = task_with(name)
-        result = Result(
-            task, plans_of(task), (), "", 1.5, "formula", trials=0, stopped=False, failed=0, seed=0, moves=0
+        result = TuningResult(
+            task,
+            create_planner(task),
+            (),
+            "",
+            1.5,
+            "formula",
+            trial_count=0,
+            interrupted=False,
+            rejected_count=0,
+            seed=0,
+            move_count=0,
         )
         table = result.describe_spreads()
         head, *rows = table.splitlines()
@@ -157,18 +167,18 @@ def test_a_seed_proves_the_same_machines_and_another_seed_others():
 def test_a_machine_leaves_nothing_behind_and_is_the_one_that_a_stage_is_built_with():
     """The same move bit for bit: after three other machines, and on a stage that was built with this motor and supply"""
     task = task_with()
-    plans = plans_of(task)
-    plan = plans.formula()
+    plans = create_planner(task)
+    plan = plans.build_formula_plan()
     machines = [m._replace(friction=1.0) for m in draw_machines(task.stage.axes["x"], np.random.default_rng(5), 4)]
     ends = []
-    with Tries(task, plans, 1, lanes=1) as tries:
+    with MoveRunner(task, plans, 1, fleet_size=1) as tries:
         for machine in machines:
-            tries.make([plan], [Case(PAYLOAD, 3.0, 1, machine)], 0.15)
+            tries.run_moves([plan], [MoveCase(PAYLOAD, 3.0, 1, machine)], 0.15)
         model = tries.fleet.stages[0].model
         ends.append(tries.fleet.stages[0].axes["x"].position)
     built = task_with(machines[-1].drive)
-    with Tries(built, plans, 1, lanes=1) as tries:
-        tries.make([plan], [Case(PAYLOAD, 3.0, 1)], 0.15)
+    with MoveRunner(built, plans, 1, fleet_size=1) as tries:
+        tries.run_moves([plan], [MoveCase(PAYLOAD, 3.0, 1)], 0.15)
         ends.append(tries.fleet.stages[0].axes["x"].position)
     assert ends[0] == ends[1]
     worked_out = {name: np.array(getattr(model, name)) for name in ("dof_M0", "dof_invweight0", "body_invweight0")}
@@ -207,7 +217,7 @@ def check_claim(moves, pulses, every=1):
     answer = record["answers"]["formula"]
     assert (answer["kept"], answer["proved"], answer["failed"]) == (moves, moves, [])
     assert f"keeps step in {moves} of {moves} drawn machines with up to 2.6 kg" in str(results[1])
-    cycles = {way: result.cycles for way, result in results.items()}
+    cycles = {way: result.bus_cycles for way, result in results.items()}
     results = [replay(record, cycles, machine) for machine in record["machines"][::every]]
     assert all(results), np.flatnonzero(~np.array(results))
 
@@ -224,20 +234,22 @@ def test_96_of_96_machines_keep_step_over_100_mm_when_they_are_built_and_moved_b
 def test_the_optimum_of_a_motor_without_core_loss_loses_steps_with_any_of_the_losses_that_it_is_likely_to_have():
     """Up to 124,347 pps (2,331 rpm), ramps of 130.0 and 48.3 ms, which the page once promised to lose no step in 48 of 48 moves"""
     task = task_with(pulses=32_000)
-    plans = plans_of(task)
-    plan = plans.plan(plans.speeds(1.5)._replace(start=1710, drive=124_347, up=0.13, down=0.0483), {}, "linear")
+    plans = create_planner(task)
+    plan = plans.build_plan(
+        plans.compute_speeds(1.5)._replace(start=1710, drive=124_347, up=0.13, down=0.0483), {}, "linear"
+    )
     spread = find_spreads(task.stage.axes["x"])["core loss"]
     kept = {}
-    with Tries(task, plans, lanes=3) as tries:
+    with MoveRunner(task, plans, fleet_size=3) as tries:
         for loss in (0.0, spread.low, spread.high):
             variant = replace(
                 find_motor("17HS4401"),
                 core_loss_resistance=find_motor("17HS4401").torque_constant ** 2 / loss if loss else None,
             )
             machine = task.machine._replace(drive=replace(task.machine.drive, motor=variant))
-            kept[loss] = tries.make(
-                [plan], [Case(PAYLOAD, 5.0 * k, way, machine) for k, way in enumerate((1, -1))], 0.6
-            ).kept
+            kept[loss] = tries.run_moves(
+                [plan], [MoveCase(PAYLOAD, 5.0 * k, way, machine) for k, way in enumerate((1, -1))], 0.6
+            ).kept_step
     assert kept[0.0].all()
     assert not kept[spread.low].all()
     assert not kept[spread.high].any()
@@ -251,17 +263,17 @@ def test_a_motor_with_a_wider_band_of_core_loss_gets_an_answer_that_is_slower_or
     results = [tune(task_with(motor_with(band), pulses=8000), by="formula", moves=12) for band in (2, 95)]
     narrow, wide = (result.answer.plan.speeds for result in results)
     assert wide.drive < narrow.drive
-    assert results[1].answer.proof.mean > results[0].answer.proof.mean
+    assert results[1].answer.proof.mean_time > results[0].answer.proof.mean_time
 
 
 def test_registers_of_the_formula_that_some_machines_do_not_keep_are_made_slower_until_all_do(monkeypatch):
     """A safety factor of 0.75 asks for more than the weakest machines have"""
-    monkeypatch.setattr("stage.tune.run.SAFETY", 0.75)
+    monkeypatch.setattr("stage.tune.tuning.SAFETY_FACTOR", 0.75)
     task = task_with(pulses=8000)
     result = tune(task, by="formula", moves=24)
-    assert result.safety > 0.75
-    assert result.answer.proof.holds
-    plans = plans_of(task)
-    with Tries(task, plans) as tries:
-        bold = tries.make([plans.formula(0.75)], result.cases, 0.6)
-    assert not bold.kept.all()
+    assert result.safety_factor > 0.75
+    assert result.answer.proof.is_passed
+    plans = create_planner(task)
+    with MoveRunner(task, plans) as tries:
+        bold = tries.run_moves([plans.build_formula_plan(0.75)], result.cases, 0.6)
+    assert not bold.kept_step.all()

@@ -5,36 +5,41 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stage.tune import Case, proof
-from stage.tune.task import ROUNDING
-from stage.tune.tries import Outcome
+from stage.tune import MoveCase, proof
+from stage.tune.move_runner import MoveOutcomes
+from stage.tune.task import PAYLOAD_ROUNDING_KG
 
 PAYLOAD = 2.0
-CASES = [Case(0.0, 0.0, 1), Case(PAYLOAD, 0.0, -1), Case(2.6, 0.0, 1), Case(2.6, 5.0, -1)]
+CASES = [MoveCase(0.0, 0.0, 1), MoveCase(PAYLOAD, 0.0, -1), MoveCase(2.6, 0.0, 1), MoveCase(2.6, 5.0, -1)]
 
 
-def tries(outcome=None, make=None, **of_task):
+def tries(outcome=None, run_moves=None, **of_task):
     """Whose moves come out so."""
-    given = {"payload": PAYLOAD, "spare": 0.6, "moved": 3.0, "turn": 64, "overshoot": 1e-4, **of_task}
-    task = SimpleNamespace(**given, asked=lambda cases: np.array([c.payload <= PAYLOAD + ROUNDING for c in cases]))
-    return SimpleNamespace(task=task, make=make or (lambda plans, cases, limit: outcome))
+    given = {
+        "payload": PAYLOAD, "margin": 0.6, "moving_mass": 3.0, "pulses_per_electrical_turn": 64, "overshoot": 1e-4, **of_task,
+    }  # fmt: skip
+    task = SimpleNamespace(
+        **given, is_within_payload=lambda cases: np.array([c.payload <= PAYLOAD + PAYLOAD_ROUNDING_KG for c in cases])
+    )
+    return SimpleNamespace(task=task, run_moves=run_moves or (lambda plans, cases, limit: outcome))
 
 
 def test_a_proof_counts_what_kept_step_apart_from_what_came_to_rest_and_times_what_was_asked_for():
     nan, far = np.nan, 2e-4
-    outcome = Outcome(
+    outcome = MoveOutcomes(
         np.array([[0.1, 0.2, 0.9, nan], [0.1, nan, 0.3, 0.3], [0.1, 0.2, 0.3, 0.4]]),
         np.array([[True, True, True, True], [True, True, True, False], [False, True, False, False]]),
         np.array([[0.0, 1e-5, 9e-4, 9e-4], [1e-5, 0.0, 0.0, 0.0], [0.0, far, 0.0, 0.0]]),
     )
-    found = proof.prove(tries(outcome), [None] * 3, CASES, 1.0)
-    assert [(p.moves, p.kept, p.lost, p.holds) for p in found] == [(4, 4, 0, True), (4, 2, 1, False), (4, 0, 3, False)]
+    found = proof.prove_plans(tries(outcome), [None] * 3, CASES, 1.0)
+    counts = [(p.move_count, p.good_count, p.lost_step_count, p.is_passed) for p in found]
+    assert counts == [(4, 4, 0, True), (4, 2, 1, False), (4, 0, 3, False)]
     assert [p.failed for p in found] == [(), (1, 3), (0, 1, 2, 3)]
-    assert [p.beyond for p in found] == [1e-5, 1e-5, far], "of the moves with up to the payload"
-    assert found[0].times.tolist() == found[2].times.tolist() == [0.1, 0.2]
-    assert (found[0].mean, found[0].worst) == (pytest.approx(0.15), 0.2)
-    assert np.isnan([found[1].mean, found[1].worst]).all(), "what has not arrived has no time"
-    assert [p.said() for p in found] == [
+    assert [p.max_overshoot for p in found] == [1e-5, 1e-5, far], "of the moves with up to the payload"
+    assert found[0].arrival_times.tolist() == found[2].arrival_times.tolist() == [0.1, 0.2]
+    assert (found[0].mean_time, found[0].max_time) == (pytest.approx(0.15), 0.2)
+    assert np.isnan([found[1].mean_time, found[1].max_time]).all(), "what has not arrived has no time"
+    assert [p.describe() for p in found] == [
         "4 machines 4 were good",
         "4 machines 2 were good, 1 did not keep step, 1 did not come to rest at the goal",
         "4 machines 3 did not keep step, 1 did not come to rest at the goal",
@@ -44,10 +49,10 @@ def test_a_proof_counts_what_kept_step_apart_from_what_came_to_rest_and_times_wh
 @pytest.mark.parametrize(
     ("of_task", "most"),
     [
-        ({"spare": 0.6}, 2.4),
-        ({"spare": 0.0}, 0.4 * (PAYLOAD + 3.0)),
-        ({"spare": 0.0, "payload": 0.0}, 0.4 * 3.0),
-        ({"spare": 5.0, "payload": 0.0}, 20.0),
+        ({"margin": 0.6}, 2.4),
+        ({"margin": 0.0}, 0.4 * (PAYLOAD + 3.0)),
+        ({"margin": 0.0, "payload": 0.0}, 0.4 * 3.0),
+        ({"margin": 5.0, "payload": 0.0}, 20.0),
     ],
 )
 def test_payloads_up_to_four_times_the_spare_are_tried_and_without_one_up_to_two_fifths_of_what_moves(of_task, most):
@@ -55,13 +60,16 @@ def test_payloads_up_to_four_times_the_spare_are_tried_and_without_one_up_to_two
 
     def make(plans, cases, limit):
         seen.extend(cases)
-        return SimpleNamespace(kept=np.ones((1, len(cases)), bool))
+        return SimpleNamespace(kept_step=np.ones((1, len(cases)), bool))
 
-    assert proof.spare(tries(make=make, **of_task), None, 1.0, np.random.default_rng(0)) == (most, True)
+    assert proof.measure_spare_payload(tries(run_moves=make, **of_task), None, 1.0, np.random.default_rng(0)) == (
+        most,
+        True,
+    )
     payload = of_task.get("payload", PAYLOAD)
     assert min(c.payload for c in seen) == pytest.approx(payload + most / 8)
     assert max(c.payload for c in seen) == pytest.approx(payload + most)
-    assert -32 <= min(c.beside for c in seen) < -20 < 20 < max(c.beside for c in seen) <= 32
+    assert -32 <= min(c.start_offset for c in seen) < -20 < 20 < max(c.start_offset for c in seen) <= 32
 
 
 def test_what_lost_a_step_once_is_not_said_to_carry_more():
@@ -70,9 +78,12 @@ def test_what_lost_a_step_once_is_not_said_to_carry_more():
 
     def make(plans, cases, limit):
         most = next(rounds)
-        return SimpleNamespace(kept=np.array([[c.payload - PAYLOAD < most - 1e-9 for c in cases]]))
+        return SimpleNamespace(kept_step=np.array([[c.payload - PAYLOAD < most - 1e-9 for c in cases]]))
 
-    assert proof.spare(tries(make=make), None, 1.0, np.random.default_rng(0)) == (pytest.approx(0.9), False)
+    assert proof.measure_spare_payload(tries(run_moves=make), None, 1.0, np.random.default_rng(0)) == (
+        pytest.approx(0.9),
+        False,
+    )
 
 
 @pytest.mark.parametrize("angle", [0, 1, -1])
@@ -80,10 +91,10 @@ def test_a_payload_is_carried_where_it_is_at_every_rotor_angle(angle):
     """More than 2.0 + 0.9 kg loses steps at one angle of each row alone"""
 
     def make(plans, cases, limit):
-        kept = np.ones((proof.LADDER, proof.ANGLES), bool)
-        kept[:, angle] = [c.payload - PAYLOAD <= 0.9 for c in cases[:: proof.ANGLES]]
-        return SimpleNamespace(kept=kept.reshape(1, -1))
+        kept = np.ones((proof.PAYLOAD_STEPS, proof.ANGLES_PER_PAYLOAD), bool)
+        kept[:, angle] = [c.payload - PAYLOAD <= 0.9 for c in cases[:: proof.ANGLES_PER_PAYLOAD]]
+        return SimpleNamespace(kept_step=kept.reshape(1, -1))
 
-    carried, more = proof.spare(tries(make=make), None, 1.0, np.random.default_rng(0))
+    carried, more = proof.measure_spare_payload(tries(run_moves=make), None, 1.0, np.random.default_rng(0))
     assert not more
     assert 0.8 < carried <= 0.9

@@ -11,11 +11,11 @@ from stage.chips import HCTL1100, PCL240K
 from stage.drives.motors import Drive
 from stage.errors import ArgumentError
 from stage.sim.fleet import Played
-from stage.tune import Case, Task
-from stage.tune.looks import LOOK, Looks
-from stage.tune.plans import plans_of
-from stage.tune.task import room
-from stage.tune.tries import Tries
+from stage.tune import MoveCase, Task
+from stage.tune.move_runner import MoveRunner
+from stage.tune.planners import create_planner
+from stage.tune.position_sampler import SAMPLE_INTERVAL_S, PositionSampler
+from stage.tune.task import compute_usable_travel
 
 PULSES, PAYLOAD = 400, 2.0
 
@@ -43,21 +43,21 @@ def axis_with(*switches):
     ],
 )
 def test_the_room_of_an_axis_ends_where_an_end_limit_trips_on_whichever_side_it_is(switches, ends):
-    assert room(axis_with(*switches)) == room(axis_with(*switches[::-1])) == ends
+    assert compute_usable_travel(axis_with(*switches)) == compute_usable_travel(axis_with(*switches[::-1])) == ends
 
 
 def test_moves_lie_around_the_middle_of_the_room_and_not_of_the_travel(monkeypatch):
-    monkeypatch.setattr("stage.tune.task.room", lambda axis: (-0.02, 0.07))
+    monkeypatch.setattr("stage.tune.task.compute_usable_travel", lambda axis: (-0.02, 0.07))
     task = task_of()
-    assert task.middle == pytest.approx(0.025)
-    stage = task.copy()
-    goal = task.begin(stage, Case(0.0, 0.0, 1))
+    assert task.travel_center == pytest.approx(0.025)
+    stage = task.copy_stage()
+    goal = task.place_at_start(stage, MoveCase(0.0, 0.0, 1))
     assert stage.axes["x"].position + goal == pytest.approx(0.05, abs=1e-5)
 
 
 def test_the_longest_move_is_a_turn_of_the_rotor_shorter_than_the_room():
     stage = Stage("xy", chips=PCL240K, visuals=False)
-    low, high = room(stage.axes["x"])
+    low, high = compute_usable_travel(stage.axes["x"])
     most = int((high - low) / stage.axes["x"].meters_per_pulse) - 4 * 16
     assert task_of(stage, pulses=most).pulses == task_of(stage, pulses=-most).pulses == most
     with pytest.raises(ArgumentError, match=f"a distance of {most + 1} pulses: .* room for 1 to {most} pulses"):
@@ -69,21 +69,23 @@ def test_the_longest_move_is_a_turn_of_the_rotor_shorter_than_the_room():
 def test_a_full_step_and_a_turn_are_as_many_pulses_as_the_drive_makes_of_them():
     stage = Stage("xy", chips=PCL240K, drives=Drive(microsteps=8), visuals=False)
     task, x = task_of(stage), stage.axes["x"]
-    assert (task.turn, task.within) == (32, pytest.approx(8 * x.meters_per_pulse))
+    assert (task.pulses_per_electrical_turn, task.tolerance) == (32, pytest.approx(8 * x.meters_per_pulse))
 
 
 def test_no_spare_is_a_margin_that_may_be_asked_for():
-    task = task_of(spare=0.0)
-    assert (task.spare, task.most) == (0.0, PAYLOAD)
-    assert {case.payload for case in task.corners(np.random.default_rng(0), 2, 1.25)} == {0.0, PAYLOAD}
-    assert task_of(spare=0.0, payload=0.0).most == 0.0
+    task = task_of(margin=0.0)
+    assert (task.margin, task.max_payload) == (0.0, PAYLOAD)
+    assert {case.payload for case in task.build_corner_cases(np.random.default_rng(0), 2, 1.25)} == {0.0, PAYLOAD}
+    assert task_of(margin=0.0, payload=0.0).max_payload == 0.0
 
 
 def test_a_guard_is_on_top_of_the_spare_and_not_of_the_payload():
-    task, rng = task_of(spare=1.0), np.random.default_rng(0)
-    for cases in (task.corners(rng, 2, 1.5), task.drawn(rng, 24, 1.5)):
+    task, rng = task_of(margin=1.0), np.random.default_rng(0)
+    for cases in (task.build_corner_cases(rng, 2, 1.5), task.draw_cases(rng, 24, 1.5)):
         assert max(case.payload for case in cases) == pytest.approx(3.5)
-    assert task.asked([Case(PAYLOAD, 0, 1), Case(PAYLOAD + 1e-3, 0, 1), Case(0.0, 0, 1)]).tolist() == [
+    assert task.is_within_payload(
+        [MoveCase(PAYLOAD, 0, 1), MoveCase(PAYLOAD + 1e-3, 0, 1), MoveCase(0.0, 0, 1)]
+    ).tolist() == [
         True,
         False,
         True,
@@ -100,14 +102,14 @@ def test_a_move_begins_half_its_way_before_the_middle_and_its_goal_is_where_its_
     task = task_of(stage, payload_on="x")
     x = stage.axes["x"]
     per_pulse = x.meters_per_pulse * (-1 if turned else 1)
-    machine = task.copy()
-    goal = task.begin(machine, Case(1.5, 7.0, way))
-    begin = task.middle - 0.5 * way * PULSES * per_pulse + 7.0 * x.meters_per_pulse
+    machine = task.copy_stage()
+    goal = task.place_at_start(machine, MoveCase(1.5, 7.0, way))
+    begin = task.travel_center - 0.5 * way * PULSES * per_pulse + 7.0 * x.meters_per_pulse
     at = machine.axes["x"]
     assert at.position == pytest.approx(begin, abs=2e-6)
     assert goal == pytest.approx((at.position if chip is HCTL1100 else at.commanded) + way * PULSES * per_pulse)
     assert (machine.payload("x"), machine.payload("y")) == (1.5, 0)
-    goals = Looks(task).begin(task.copy(), Case(1.5, 7.0, way))
+    goals = PositionSampler(task).place_at_start(task.copy_stage(), MoveCase(1.5, 7.0, way))
     assert goals[:, 0] == pytest.approx([goal, way * PULSES * per_pulse])
 
 
@@ -115,11 +117,13 @@ def test_a_body_that_is_judged_is_looked_at_as_a_site_is_and_off_its_way_counts(
     goals = {}
     for name in ("work", task_of(judge_at="work").stage.model.body(2).name):
         task = task_of(judge_at=name)
-        goals[name] = Looks(task).begin(task.copy(), Case(0.0, 0.0, 1))[1]
+        goals[name] = PositionSampler(task).place_at_start(task.copy_stage(), MoveCase(0.0, 0.0, 1))[1]
     a, b = goals.values()
     assert a == pytest.approx(b, abs=1e-9), "the way is the same"
-    looks = Looks(task)
-    distance, beyond = looks.errors(np.array([[0, *(1e12 * (a + np.array([3e-3, 4e-3, 0])))]]), np.array([[a, a]]))
+    looks = PositionSampler(task)
+    distance, beyond = looks.compute_errors(
+        np.array([[0, *(1e12 * (a + np.array([3e-3, 4e-3, 0])))]]), np.array([[a, a]])
+    )
     assert (distance.item(), beyond.item()) == (pytest.approx(5e-3), pytest.approx(3e-3))
 
 
@@ -129,15 +133,15 @@ def test_a_body_that_is_judged_is_looked_at_as_a_site_is_and_off_its_way_counts(
 @pytest.fixture(scope="module")
 def tries():
     task = task_of()
-    with Tries(task, plans_of(task), lanes=2) as made:
+    with MoveRunner(task, create_planner(task), fleet_size=2) as made:
         yield made
 
 
 def made(tries, monkeypatch, rows, pulses=None, lost=0, diverged=False, way=1):
     """The outcome of moves that are seen so far from the goal, m, at each look, a row each."""
     task = tries.task
-    plan, goals, offs, real = tries.plans.formula(), [], iter(rows), tries.fleet.truth
-    begin = tries.looks.begin
+    plan, goals, offs, real = tries.planner.build_formula_plan(), [], iter(rows), tries.fleet.truth
+    begin = tries.sampler.place_at_start
 
     def begun(stage, case):
         goals.append(begin(stage, case))
@@ -153,14 +157,14 @@ def made(tries, monkeypatch, rows, pulses=None, lost=0, diverged=False, way=1):
 
     def truth():
         found = real().copy()
-        found["pulses"][:, tries.index] = way * task.pulses if pulses is None else pulses
-        found["lost_steps"][:, tries.index] = lost
+        found["pulses"][:, tries.axis_index] = way * task.pulses if pulses is None else pulses
+        found["lost_steps"][:, tries.axis_index] = lost
         return found
 
     monkeypatch.setattr(tries.fleet, "play", play)
     monkeypatch.setattr(tries.fleet, "truth", truth)
-    monkeypatch.setattr(tries.looks, "begin", begun)
-    return tries.make([plan], [Case(0.0, 0.0, way)] * len(rows), LOOK * len(rows[0]))
+    monkeypatch.setattr(tries.sampler, "place_at_start", begun)
+    return tries.run_moves([plan], [MoveCase(0.0, 0.0, way)] * len(rows), SAMPLE_INTERVAL_S * len(rows[0]))
 
 
 FAR, NEAR = 1e-3, 1e-6
@@ -179,16 +183,16 @@ def test_who_stays_within_from_a_look_on_has_arrived_at_it(tries, monkeypatch, w
     ]
     rows[0] = [FAR] * 5 + AT_REST
     outcome = made(tries, monkeypatch, rows, way=way)
-    looks = np.round(outcome.arrived[0] / LOOK, 6).tolist()
+    looks = np.round(outcome.arrival_times[0] / SAMPLE_INTERVAL_S, 6).tolist()
     assert looks[:4] == [15, 15, 0, 14]
-    assert np.isnan(outcome.arrived[0, 4:]).all(), "40 looks are the hold"
-    assert outcome.kept.all()
+    assert np.isnan(outcome.arrival_times[0, 4:]).all(), "40 looks are the hold"
+    assert outcome.kept_step.all()
 
 
 def test_how_far_a_move_went_beyond_its_goal_is_none_where_it_stayed_before(tries, monkeypatch):
     rows = [[-FAR] * 10 + [-NEAR] * 40, [-FAR] * 9 + [3e-5] + [NEAR] * 40]
     outcome = made(tries, monkeypatch, rows)
-    assert outcome.beyond[0] == pytest.approx([0.0, 3e-5])
+    assert outcome.overshoots[0] == pytest.approx([0.0, 3e-5])
 
 
 @pytest.mark.parametrize(
@@ -203,8 +207,8 @@ def test_how_far_a_move_went_beyond_its_goal_is_none_where_it_stayed_before(trie
     ],
 )
 def test_what_has_kept_step_made_all_pulses_its_way_lost_none_and_did_not_diverge(tries, monkeypatch, how, kept, there):
-    before = tries.made
+    before = tries.move_count
     outcome = made(tries, monkeypatch, [AT_REST] * 3, **how)
-    assert outcome.kept.tolist() == [[kept] * 3]
-    assert (~np.isnan(outcome.arrived)).tolist() == [[there] * 3]
-    assert tries.made == before + 3
+    assert outcome.kept_step.tolist() == [[kept] * 3]
+    assert (~np.isnan(outcome.arrival_times)).tolist() == [[there] * 3]
+    assert tries.move_count == before + 3

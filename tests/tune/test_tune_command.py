@@ -17,7 +17,7 @@ from stage.errors import ArgumentError
 @pytest.fixture
 def told(monkeypatch):
     """told(arguments) -> (code, what Task was given, what tune was given)."""
-    monkeypatch.setattr("stage.tune.search.optuna", lambda: None)
+    monkeypatch.setattr("stage.tune.search.import_optuna", lambda: None)
 
     def run(*typed, stopped=False):
         given = []
@@ -28,7 +28,7 @@ def told(monkeypatch):
 
         def tune(task, **how):
             given.append((task, how))
-            return SimpleNamespace(stopped=stopped, c_source=lambda: "// C\n", json=lambda: {"won": "formula"})
+            return SimpleNamespace(interrupted=stopped, c_source=lambda: "// C\n", json=lambda: {"won": "formula"})
 
         monkeypatch.setattr(stage.tune, "Task", task)
         monkeypatch.setattr(stage.tune, "tune", tune)
@@ -44,7 +44,7 @@ def test_what_was_not_said_is_the_usual(told):
     assert (code, axis, pulses, given) == (0, "x", 8000, "task")
     assert list(machine.axes) == ["x", "y"]
     assert rest == [0.0, None, None, 0.05, None, None, None]
-    told_ = how.pop("told")
+    told_ = how.pop("on_progress")
     assert isinstance(told_, _Progress)
     assert how == {"by": "search", "trials": 200, "seed": 0, "workers": None, "moves": 96}
 
@@ -76,7 +76,7 @@ def test_every_option_is_for_what_its_help_says(told):
         36.0,
         pytest.approx(2e-6),
     )
-    del how["told"]
+    del how["on_progress"]
     assert how == {"by": "formula", "trials": 7, "seed": 5, "workers": 3, "moves": 9}
     assert code == 130, "Ctrl-C has ended it"
 

@@ -11,7 +11,7 @@ import gymnasium
 
 from stage.envs import contexts
 from stage.errors import ArgumentError, unknown
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 
 TRACKS = {
     "host": "the policy sees what a host on the bus can know",
@@ -168,7 +168,7 @@ def card_of(task: str) -> Card:
     raise unknown("task", task, CARDS)
 
 
-@told
+@explain_arguments
 def seeds(card: Card, split: str, round_: str = OPEN) -> list[int]:
     """Of the test episodes, in their order; each draws a context. Of the open round FIRST, FIRST + 1, ...; of any other what its
     name gives: a referee who wants seeds that nobody has played on announces a name after the policies are handed in."""

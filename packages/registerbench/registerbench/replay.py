@@ -15,7 +15,7 @@ from registerbench.episodes import digest, scored
 from registerbench.versions import made_of, versions
 from stage.envs.base import info_of
 from stage.errors import ArgumentError
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 
 LANES = 16  # episodes that are played at once
 
@@ -98,7 +98,7 @@ class Verdict:
         return "\n".join(lines)
 
 
-@told
+@explain_arguments
 def verify(
     entry: Submission | str | os.PathLike,
     tolerance: float | None = None,

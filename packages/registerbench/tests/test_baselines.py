@@ -59,7 +59,7 @@ def test_the_formula_loses_no_step_whatever_the_place_and_the_payloads_tolerance
 
 
 def test_the_formula_takes_the_time_that_it_says(axis):
-    p = plan_profile(Load.of(axis), DISTANCE)
+    p = plan_profile(Load.from_axis(axis), DISTANCE)
     ramps = formula.np.array([p.accel(), p.decel()])
     made = (p.fl + p.fh1) / 2 * ramps.sum()
     with Moves(0.0, 1, distance=DISTANCE, lanes=1) as moves:
@@ -70,26 +70,26 @@ def test_the_formula_takes_the_time_that_it_says(axis):
 
 def test_no_other_top_rate_makes_the_formulas_move_shorter(axis):
     """Its thrust, friction and mass, written out once more."""
-    load, safety = Load.of(axis), formula.SAFETY
+    load, safety = Load.from_axis(axis), formula.SAFETY_FACTOR
     best = plan_profile(load, DISTANCE)
-    low = best.fl / load.per_metre
+    low = best.fl / load.pulses_per_metre
 
     def seconds(top):
-        thrust, drag = float(load.thrust(np.array(top))) / safety, load.friction + load.damping * top
+        thrust, drag = float(load.compute_max_thrust(np.array(top))) / safety, load.friction + load.damping * top
         up, down = (thrust - drag) / load.mass, (thrust + drag) / load.mass
         ramps = (top**2 - low**2) * (0.5 / up + 0.5 / down)
-        way = DISTANCE / load.per_metre
+        way = DISTANCE / load.pulses_per_metre
         return np.inf if up <= 0 or ramps > way else (top - low) * (1 / up + 1 / down) + (way - ramps) / top
 
-    chosen = seconds(best.fh1 / load.per_metre)
-    assert chosen <= min(seconds(best.fh1 / load.per_metre * k) for k in np.linspace(0.7, 1.3, 61)) * 1.001
+    chosen = seconds(best.fh1 / load.pulses_per_metre)
+    assert chosen <= min(seconds(best.fh1 / load.pulses_per_metre * k) for k in np.linspace(0.7, 1.3, 61)) * 1.001
 
 
 def test_a_heavier_load_or_a_larger_safety_factor_makes_the_formulas_move_slower(axis):
-    bare = plan_profile(Load.of(axis), DISTANCE)
-    careful = plan_profile(Load.of(axis), DISTANCE, safety=2.0)
+    bare = plan_profile(Load.from_axis(axis), DISTANCE)
+    careful = plan_profile(Load.from_axis(axis), DISTANCE, safety_factor=2.0)
     axis.stage.set_payload(10.0)
-    heavy = plan_profile(Load.of(axis), DISTANCE)
+    heavy = plan_profile(Load.from_axis(axis), DISTANCE)
     for slower in (careful, heavy):
         assert slower.fh1 < bare.fh1
         assert slower.accel() / slower.fh1 > bare.accel() / bare.fh1
@@ -97,7 +97,7 @@ def test_a_heavier_load_or_a_larger_safety_factor_makes_the_formulas_move_slower
 
 def test_the_formula_refuses_what_the_motor_cannot_move(axis):
     with pytest.raises(ArgumentError, match="too weak a motor"):
-        plan_profile(Load.of(axis), DISTANCE, safety=100.0)
+        plan_profile(Load.from_axis(axis), DISTANCE, safety_factor=100.0)
 
 
 def test_knobs_at_zero_are_the_formula_and_each_does_what_it_is_called(axis):
@@ -259,7 +259,7 @@ def test_an_agent_with_empty_registers_is_told_what_came_of_it():
 @pytest.mark.slow
 def test_an_answer_holds_with_the_margin_and_is_the_best_by_its_mean_not_by_one_lucky_move(axis):
     """A move that was lucky once is ranked first."""
-    made = [compute_registers(axis, 2000, safety=safety) for safety in (1.5, 3.0)]
+    made = [compute_registers(axis, 2000, safety_factor=safety) for safety in (1.5, 3.0)]
     rows = [[a[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")] for a in made]
     means = [np.mean(log.reward) for log in prove(rows, 0.5, 2000, repeats=4, margin=common.MARGIN, most=2)]
     rows = [rows[k] for k in np.argsort(means)]

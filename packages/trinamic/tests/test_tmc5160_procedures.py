@@ -4,9 +4,9 @@ import pytest
 
 from stage import Stage, firmware
 from stage.firmware.driver import driver_class
-from stage.tune import Task, written
-from stage.tune.c_source import c_source
-from stage.tune.plans import plans_of
+from stage.tune import Task, bus_listing
+from stage.tune.c_header import format_c_header
+from stage.tune.planners import create_planner
 
 
 @pytest.mark.parametrize(("limited", "other"), [("x", "y"), ("y", "x")])
@@ -40,9 +40,9 @@ def test_each_axis_of_a_broken_line_slows_down_once(monkeypatch):
 def test_the_formula_of_a_tuned_move_keeps_to_the_registers_and_its_waits_are_in_the_c():
     task = Task(Stage("xy", chips="tmc5160", visuals=False), "x", pulses=512_000, payload=2.0, hold=0.02)
     chip = task.stage.axes["x"].chip
-    plans = plans_of(task)
-    for name, value in plans.formula().registers.items():
+    plans = create_planner(task)
+    for name, value in plans.build_formula_plan().registers.items():
         assert chip.MAP.register(name).allows(value)
-    shown = written.cycles(task, written.program(plans, plans.formula(), task.pulses))
-    assert "send(address, value)" in c_source("x", "", [], [], shown, chip)
-    assert "50000}, /* CHOPCONF" in c_source("x", "", [], [], shown, chip)
+    shown = bus_listing.list_bus_cycles(task, bus_listing.build_program(plans, plans.build_formula_plan(), task.pulses))
+    assert "send(address, value)" in format_c_header("x", "", [], [], shown, chip)
+    assert "50000}, /* CHOPCONF" in format_c_header("x", "", [], [], shown, chip)

@@ -17,7 +17,7 @@ from stage.board.devices.device import Device, Encoder, Listener
 from stage.board.errors import LibraryError
 from stage.board.scratch import Scratch
 from stage.errors import ArgumentError
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 from stage.support.files import FileError, refuse_irregular
 
 ABI = 1
@@ -90,7 +90,7 @@ class CDevice(UserDevice):
         FileError: There is no such file.
     """
 
-    @told
+    @explain_arguments
     def __init__(
         self,
         source: str | os.PathLike | Sequence[str | os.PathLike],

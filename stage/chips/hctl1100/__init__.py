@@ -22,7 +22,7 @@ from stage.chips.hctl1100 import core
 from stage.chips.hctl1100.describe import Decoder, Listener
 from stage.chips.hctl1100.lint import lint_write
 from stage.chips.hctl1100.maps import ACTUAL_LOW, ADDRESSES, MAP, NUMBERS, STATUS
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 
 __all__ = ["HCTL1100"]
 
@@ -56,7 +56,7 @@ class HCTL1100(Chip):
     ADDRESS_MASK: ClassVar = ADDRESSES - 1
 
     @classmethod
-    @told
+    @explain_arguments
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
         """Return the cycles to the register's address.
 

@@ -17,7 +17,7 @@ from stage.chips.nova.registers.mcx514 import MCX501_MAP, MCX512_MAP, MCX514_MAP
 from stage.chips.register_map import Word
 from stage.chips.sharing import exclusive
 from stage.errors import StageError
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 
 __all__ = ["MCX302", "MCX304", "MCX312", "MCX314AS", "MCX501", "MCX512", "MCX514", "Nova"]
 
@@ -105,7 +105,7 @@ class Nova(Chip):
         return 0
 
     @classmethod
-    @told
+    @explain_arguments
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
         """Return WR6, WR7 if it has more than 16 bits, and the command that is its number (manual, data writing commands).
 
@@ -121,7 +121,7 @@ class Nova(Chip):
         return [*data[: 2 if r.bits > 16 else 1], (0, select | r.number)]
 
     @classmethod
-    @told
+    @explain_arguments
     def command_cycles(cls, symbol: str, axis: int = 0, datum: int | None = None) -> list[tuple[int, int]]:
         """Return data to WR6 and WR7, then the code to WR0 with the axis' bit (manual, axis assignment).
 

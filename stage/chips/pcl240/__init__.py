@@ -25,7 +25,7 @@ from stage.chips.pcl240.maps import (
     WIRES,
 )
 from stage.errors import ArgumentError, StageError
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 
 __all__ = ["OPERATING_MODE", "STATUS", "PCL240", "PCL240K", "PCL240MK", "PCL240MS"]
 
@@ -114,7 +114,7 @@ class PCL240(Chip):
         return until
 
     @classmethod
-    @told
+    @explain_arguments
     def register_cycles(cls, name: str, value: int, axis: int = 0) -> list[tuple[int, int]]:
         """Return a select command, then the register's bytes, high to low.
 

@@ -19,7 +19,7 @@ from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis
 from stage.firmware.nova.port import MAP, POLL, Port, inputs_514, mask, same_chip, stop
-from stage.support.arguments import patience
+from stage.support.arguments import check_timeout
 
 CNEXT, DRIVING = MAP.mask("RR0", "CNEXT"), MAP.mask("RR0", "n-DRV")
 TWO_AXES, THREE_AXES = 1, 2  # SPD of IPM
@@ -129,7 +129,7 @@ def draw(segments: Sequence[Segment], *axes: Axis, speed: Speed, timeout: float 
         ArgumentError: A segment does not suit the axes, which do not move then.
         RunTimeout: The path was not drawn after `timeout`; the axes are stopped.
     """
-    patience(timeout)
+    check_timeout(timeout)
     ports = same_chip(axes)
     words = [_words(segment, len(ports)) for segment in segments]
     if not words:

@@ -32,7 +32,7 @@ from stage.chips.pcl240.state import (
 from stage.errors import ArgumentError, RunTimeout, StageError, a_or_an
 from stage.firmware.axis import Axis
 from stage.firmware.driver import poll_interval
-from stage.support.arguments import told_when_made
+from stage.support.arguments import explain_constructor
 
 START = {"FL": bits.START | bits.FL, "FH1": bits.START | bits.FH1, "FH2": bits.START | bits.FH2}  # constant speed
 RAMP = {name: start | bits.RAMP for name, start in START.items()}
@@ -183,7 +183,7 @@ def has_ez_monitor(chip: Chip | type[Chip]) -> bool:
     return any(f.name == "ez" for f in chip.MAP.register("R17").fields)
 
 
-@told_when_made
+@explain_constructor
 class Port:
     """Bus of one axis' chip."""
 

@@ -18,13 +18,13 @@ from stage.firmware.pcl240.moves import check_pulses, choose_profile, encode_dir
 from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import Profile
 from stage.firmware.report import Report
-from stage.support.arguments import patience, told
+from stage.support.arguments import check_timeout, explain_arguments
 
 BACK_OFF = 200  # pulses beyond the release of ORG
 APPROACH = 400.0  # pps; slow, so that the motor does not ring when the switch trips
 
 
-@told
+@explain_arguments
 @exclusive
 def origin_return(
     axis: Axis,
@@ -69,7 +69,7 @@ def origin_return(
         ArgumentError: A value is out of its range, or the axis has no origin switch.
         RunTimeout: A run took longer than `timeout`.
     """
-    patience(timeout)
+    check_timeout(timeout)
     check_origin(axis)
     profile, logic = choose_profile(axis, profile), bus.polarity(axis)
     if ez is not None:

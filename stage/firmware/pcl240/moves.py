@@ -18,12 +18,12 @@ from stage.firmware.pcl240.bus import Port, check, name_leader, require_clock
 from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import Profile
 from stage.firmware.report import Report
-from stage.support.arguments import patience, told
+from stage.support.arguments import check_timeout, explain_arguments
 
 AUTOMATIC_OFFSET_PULSES = 2  # the counts of ramp-up and ramp-down differ by one or two, and this way FL is reached
 
 
-@told
+@explain_arguments
 @exclusive
 def preset_move(
     axis: Axis,
@@ -74,7 +74,7 @@ def preset_move(
         RunTimeout: The chip still moved after `timeout`.
     """
     profile, count = choose_profile(axis, profile), check_pulses(pulses)
-    patience(timeout)
+    check_timeout(timeout)
     if s_curve is not None:
         profile = profile.shaped(s_curve, fh2)
     if automatic is None:
@@ -128,7 +128,7 @@ def encode_offset(profile: Profile, offset: int) -> int:
     return int(offset) % (2 * half)
 
 
-@told
+@explain_arguments
 @exclusive
 def continuous_move(
     axis: Axis,
@@ -183,7 +183,7 @@ def continuous_move(
         return p.finish(2 * profile.decel(fh2) + 1)
 
 
-@told
+@explain_arguments
 @exclusive
 def interrupted_move(
     axis: Axis,
@@ -216,7 +216,7 @@ def interrupted_move(
         ArgumentError: A value is out of its range.
         RunTimeout: The chip still moved after `timeout`.
     """
-    patience(timeout)
+    check_timeout(timeout)
     full_profile, count = choose_profile(axis, profile), check_pulses(pulses)
     profile = full_profile.within(count, fh2)
     check_seconds(after)
@@ -244,7 +244,7 @@ def interrupted_move(
         return p.report(p.stop_reason(), pulses)
 
 
-@told
+@explain_arguments
 @exclusive
 def external_count(
     axis: Axis,
@@ -276,7 +276,7 @@ def external_count(
         ArgumentError: A value is out of its range.
     """
     profile = choose_profile(axis, profile)
-    patience(timeout)
+    check_timeout(timeout)
     count = check_pulses(pulses)
     check_direction(direction)
     if pulses < 0:

@@ -36,7 +36,7 @@ from stage.firmware.pcl240.leader import (
     search,
 )
 from stage.firmware.pcl240.profile import ACCEL, FH1, FL, ramp_seconds
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 
 MAX_R0 = PCL240K.MAP.registers[0].mask
 PLAYED = 2_000_000  # pulses: longer moves are judged by the closed form alone
@@ -187,7 +187,7 @@ class Plan:
         return "\n".join([*lines, *self.notes])
 
 
-@told
+@explain_arguments
 def plan(
     distances: Mapping[str, int],
     *,

@@ -18,7 +18,7 @@ from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import SPAN
 from stage.errors import ArgumentError, Limit
 from stage.firmware.driver import DRIVE, RAMP, START
-from stage.support.arguments import told, told_when_made
+from stage.support.arguments import explain_arguments, explain_constructor
 
 FL, FH1, FH2 = START, DRIVE, 2 * DRIVE
 """Default rates, pps: 3.125, 50 and 100 mm/s on the default stage, where 17HS4401 at 24 V pulls out far above."""
@@ -149,7 +149,7 @@ def usual_second(fh1: float, clock_hz: int, multiplier: int | None = None) -> fl
     return min(2 * fh1, pulse_rate(8191, multiplier or 2, clock_hz))
 
 
-@told_when_made
+@explain_constructor
 @dataclass(frozen=True)
 class Profile:
     """Speed registers of a move. Every value is checked against the register map: ArgumentError names the register.
@@ -183,7 +183,7 @@ class Profile:
             self.chip.MAP.checked(name, value)
 
     @classmethod
-    @told
+    @explain_arguments
     def of(
         cls,
         fl: float | None = None,

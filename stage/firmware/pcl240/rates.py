@@ -20,13 +20,13 @@ from stage.firmware.pcl240.moves import check_pulses, choose_profile, compute_ti
 from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import Profile, down_point, ramp_pulses
 from stage.firmware.report import Report
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 
 MAX_RAMP_S = 60.0  # R4 and R5 make no more than 27
 POLL_DELAY_S = 1e-3  # by which a host that polls may be late at each rate
 
 
-@told
+@explain_arguments
 @exclusive
 def dual_rate_move(
     axis: Axis,
@@ -120,7 +120,7 @@ def _run_through_rates(p: Procedure, rates: list[str], dwell: float) -> Status:
     return status
 
 
-@told
+@explain_arguments
 @exclusive
 def speed_change_move(
     axis: Axis,
@@ -166,7 +166,7 @@ def speed_change_move(
         return p.finish(compute_time_limit(timeout, _with_high_rates(profile, min(speeds)), count), pulses)
 
 
-@told
+@explain_arguments
 @exclusive
 def curved_ramp_move(
     axis: Axis,

@@ -22,13 +22,13 @@ from stage.firmware.pcl240.plan import Plan, plan
 from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import ACCEL, FH1, FL
 from stage.firmware.together import SynchronizedReport, Together, select_axes
-from stage.support.arguments import patience, told
+from stage.support.arguments import check_timeout, explain_arguments
 
 WORTH_IT = 0.02  # pulses that a plan for the bus delay may be better than one for a common start
 MAX_POLLS = 200  # at the status bytes of a long move
 
 
-@told
+@explain_arguments
 @exclusive
 def synchronized_move(
     distances: Mapping[str, int] | Mapping[Axis, int] | Plan,
@@ -69,7 +69,7 @@ def synchronized_move(
         ArgumentError: The chips cannot do it; the message has the reason.
         RunTimeout: An axis still moved after `timeout`; `reports` of the error says how far each axis came.
     """
-    patience(timeout)
+    check_timeout(timeout)
     if not isinstance(distances, Mapping | Plan):
         distances, axes = axes, distances
     if isinstance(distances, Plan):

@@ -23,7 +23,7 @@ from stage.sim.gpu.layout import HOST, WARP, LaneLayout
 from stage.sim.gpu.physics import Physics, load_warp
 from stage.sim.program import Program
 from stage.sim.stage import Stage
-from stage.support.arguments import told
+from stage.support.arguments import explain_arguments
 from stage.support.extras import need
 
 KERNELS = ("stage.chips.pcl240.core", "stage.chips.hctl1100.core")
@@ -40,7 +40,7 @@ class GpuFleet(fleet.Fleet):
         physics: What moves the copies.
     """
 
-    @told
+    @explain_arguments
     def __init__(
         self, stages: Sequence[Stage], threads: int | None = None, *, device: str = "cuda", copies: int | None = None
     ):
@@ -111,7 +111,7 @@ class GpuFleet(fleet.Fleet):
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(state["stages"], copies=state["copies"])  # type: ignore[misc]
 
-    @told
+    @explain_arguments
     def play(self, programs: Sequence[Program] | np.ndarray) -> fleet.Played:
         """Play programs[k] on copy k; an empty one leaves it alone. Programs may be given as an array (copies, operations, 4).
 
@@ -135,7 +135,7 @@ class GpuFleet(fleet.Fleet):
             status == play.DIVERGED,
         )
 
-    @told
+    @explain_arguments
     def load(self, programs: Sequence[Program] | np.ndarray) -> None:
         """Let every copy begin its program; `advance` plays them. Raises ArgumentError as `play`."""
         ops = fleet.check_programs(programs, len(self), self.stages[0])

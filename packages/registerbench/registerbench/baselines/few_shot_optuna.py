@@ -18,7 +18,7 @@ import optuna
 
 from stage import Stage
 from stage.envs.few_shot import action_of
-from stage.tune.formula import Load, speeds
+from stage.tune.formula import Load, compute_speeds
 
 RANGES = {"rates": (0.5, 2.0), "ramps": (0.4, 2.5)}
 HEAVIEST = 5.5  # kg, of the split train with the margin
@@ -30,7 +30,7 @@ class Host:
     def __init__(self) -> None:
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        self.load = Load.of(Stage("xyz", visuals=False).axes["x"]).heavier(HEAVIEST)
+        self.load = Load.from_axis(Stage("xyz", visuals=False).axes["x"]).add_mass(HEAVIEST)
         self.episode = 0
 
     def sampler(self, seed: int) -> optuna.samplers.BaseSampler:
@@ -53,7 +53,7 @@ class Host:
             held = observation[self.kept[last]] > 0
             self.study.tell(self.trial, float(observation[self.duration[last]]) if held else 1.0)
         self.trial, self.tries = self.study.ask(self.space), self.tries + 1
-        s, chosen = speeds(self.load, int(info["distance"])), self.trial.params
+        s, chosen = compute_speeds(self.load, int(info["distance"])), self.trial.params
         ramps = chosen["ramps"]
         return action_of(s.start, s.drive * chosen["rates"], s.up * ramps, s.down * ramps)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from stage.firmware import Axis
 from stage.firmware.driver import driver_of
-from stage.tune.formula import SAFETY, Load, compute_registers, plan_profile
+from stage.tune.formula import SAFETY_FACTOR, Load, compute_registers, plan_profile
 
 if TYPE_CHECKING:
     from registerbench.baselines.common import Moves
@@ -31,7 +31,7 @@ class Knobs:
     RANGES = (3.0, 1.3, 1.7, 1.7, 1.06)  # FL, FH, acceleration, deceleration, R6: from 1 / so much to so much
 
     def __init__(self, axis: Axis, pulses: int):
-        self.pulses, self.middle, self.driver = pulses, plan_profile(Load.of(axis), pulses), driver_of(axis)
+        self.pulses, self.middle, self.driver = pulses, plan_profile(Load.from_axis(axis), pulses), driver_of(axis)
         self.ranges = self.RANGES if "R6" in self.driver.tuned_by(s_curve=False) else self.RANGES[:3]
 
     def registers(self, knobs: np.ndarray) -> dict[str, int]:
@@ -47,7 +47,7 @@ class Knobs:
         return {**made, "R6": min(round(made["R6"] * point), 0xFFFFF)} if others else made
 
 
-def search(moves: Moves, seed: int = 0, safety: float = SAFETY) -> None:
+def search(moves: Moves, seed: int = 0, safety: float = SAFETY_FACTOR) -> None:
     """One move."""
     moves.make_actions(
         moves.registers.to_action(compute_registers(moves.axis, moves.distance, safety, s_curve=False))[None]
@@ -64,11 +64,11 @@ def main() -> None:
     from registerbench.baselines.common import Moves, arguments, told
 
     parser = arguments(__doc__, searches=False)
-    parser.add_argument("--safety", type=float, default=SAFETY, help="pull-out thrust over the thrust used")
+    parser.add_argument("--safety", type=float, default=SAFETY_FACTOR, help="pull-out thrust over the thrust used")
     args = parser.parse_args()
     with Moves(args.payload, 1, "registers", args.distance, lanes=1, chip=args.chip, model=args.model) as moves:
-        load = Load.of(moves.axis)
-        print(f"moves {load.mass:.2f} kg, rotor and screw included; pull-in {load.pull_in:.0f} pps")
+        load = Load.from_axis(moves.axis)
+        print(f"moves {load.mass:.2f} kg, rotor and screw included; pull-in {load.pull_in_rate:.0f} pps")
         print(plan_profile(load, args.distance, args.safety))
         search(moves, safety=args.safety)
     print(told(moves.log, moves.registers.names, args.payload, args.distance, args.chip, args.model, args.margin))
