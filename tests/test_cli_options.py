@@ -16,7 +16,7 @@ from support.extras import needs_rerun
 from stage import ArgumentError, Stage, StageError, firmware
 from stage.chips.chip import Diagnostic
 from stage.cli import build_parser, demo, files, home, listing, main, move, setup, terminal
-from stage.cli.erratum import Shown
+from stage.cli.erratum import ErratumResult
 from stage.cli.fault import demonstrations
 from stage.cli.options import Quantity
 from stage.cli.run import print_report
@@ -522,7 +522,7 @@ RAN_AWAY = {"n-DRV 2 s later": 1, "pulses past the target": 9000, "lost steps": 
     ],
 )
 def test_the_erratum_is_as_claimed_where_all_its_figures_are(mended, bare, guarded, claimed):
-    assert Shown("MCX304", mended, (bare, guarded), (None, None)).as_claimed == claimed
+    assert ErratumResult("MCX304", mended, (bare, guarded), (None, None)).as_claimed == claimed
 
 
 def test_pullout_measures_the_drive_that_was_asked_for(monkeypatch, capsys, tmp_path):
@@ -556,7 +556,7 @@ def test_fault_lists_them_all_and_what_does_not_happen_as_claimed_ends_with_1(mo
         monkeypatch.setattr(
             demonstrations,
             "show",
-            lambda *_, d=demo: demonstrations.Shown("jam", d, ({"n": 1}, {"n": 2}), (None, None)),
+            lambda *_, d=demo: demonstrations.DemoResult("jam", d, ({"n": 1}, {"n": 2}), (None, None)),
         )
         assert main(["fault", "jam"]) == code
         said = capsys.readouterr().out.splitlines()

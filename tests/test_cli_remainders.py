@@ -6,10 +6,9 @@ import pytest
 
 from stage import Stage
 from stage.cli import erratum_picture, files, main
-from stage.cli.erratum import Shown as Erratum
+from stage.cli.erratum import ErratumResult
 from stage.cli.fault import picture
-from stage.cli.fault.demonstrations import DEMOS
-from stage.cli.fault.demonstrations import Shown as Fault
+from stage.cli.fault.demonstrations import DEMOS, DemoResult
 from stage.cli.terminal import Output
 
 
@@ -52,7 +51,10 @@ def test_a_picture_of_two_runs_replaces_a_file_only_where_asked(overwrite, monke
     asked = []
     for module in (erratum_picture, picture):
         monkeypatch.setattr(module, "draw", lambda shown, path, over: asked.append((path, over)))
-    for shown in (Erratum("MCX304", False, ({}, {}), (None, None)), Fault("jam", DEMOS["jam"], ({}, {}), (None, None))):
+    for shown in (
+        ErratumResult("MCX304", False, ({}, {}), (None, None)),
+        DemoResult("jam", DEMOS["jam"], ({}, {}), (None, None)),
+    ):
         shown.plot("a.png") if overwrite is None else shown.plot("a.png", overwrite)
         shown.plot()
     assert asked == [("a.png", bool(overwrite)), (None, False)] * 2

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stage.cli.fault.demonstrations import Demo, Shown
+from stage.cli.fault.demonstrations import Demo, DemoResult
 
 pytest.importorskip("matplotlib")
 TIME = np.arange(0.0, 1.0, 0.1)
@@ -26,7 +26,7 @@ def recording(org_from, begins=0.2):
 
 def drawn(draws, close_up=None, unit="m"):
     demo = Demo("", "", lambda stage, strike: {}, lambda h, f: True, draws, close_up)
-    return Shown("jam", demo, ({}, {}), (recording(0.4), recording(0.6)), unit).plot()
+    return DemoResult("jam", demo, ({}, {}), (recording(0.4), recording(0.6)), unit).plot()
 
 
 def test_lengths_are_in_thousandths_and_counts_as_they_are():

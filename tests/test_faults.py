@@ -82,7 +82,7 @@ def test_a_claim_is_judged_in_motor_revolutions_for_any_screw():
     demo = demos.Demo("", "", lambda *_: {}, lambda healthy, faulty: faulty["moved, mm"] == pytest.approx(5.0))
     for turn, moved in ((10e-3, 5.0), (4e-3, 2.0)):
         figures = {"moved, mm": moved}
-        assert demos.Shown("", demo, (figures, figures), (None, None), turn=turn).as_claimed
+        assert demos.DemoResult("", demo, (figures, figures), (None, None), turn=turn).as_claimed
 
 
 EVERY_DAY = ["pcl240k", "mcx514", "mcx304", "hctl1100"]

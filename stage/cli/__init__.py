@@ -9,10 +9,17 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from stage.cli.parser import Parser
+
+MODULES = (
+    "demo", "home", "move", "tune", "mcp", "run", "serve", "panel", "fault", "erratum", "export", "example", "listing", "pullout",
+    "view", "new_model", "completion",
+)  # fmt: skip
+"""Modules of this package that add commands, in the order of the help text."""
 
 EPILOG = """\
 examples:
@@ -82,25 +89,6 @@ def build_parser(words: Sequence[str] = ()) -> Parser:
         words: What was typed. Commands of other packages are only looked for where the first word is no command of PulseStage.
     """
     from stage import __version__
-    from stage.cli import (
-        completion,
-        demo,
-        erratum,
-        example,
-        export,
-        fault,
-        home,
-        listing,
-        mcp,
-        move,
-        new_model,
-        panel,
-        pullout,
-        run,
-        serve,
-        tune,
-        view,
-    )
     from stage.cli.package_commands import add_package_commands
     from stage.cli.parser import Parser
 
@@ -112,11 +100,8 @@ def build_parser(words: Sequence[str] = ()) -> Parser:
     parser.add_argument("--version", action="version", version=f"pulsestage {__version__}")
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
-    for module in (
-        demo, home, move, tune, mcp, run, serve, panel, fault, erratum, export, example, listing, pullout, view, new_model,
-        completion,
-    ):  # fmt: skip
-        module.add(commands)
+    for name in MODULES:
+        import_module(f"stage.cli.{name}").add(commands)
     if not (words and words[0] in commands.choices):
         add_package_commands(commands)
     return parser

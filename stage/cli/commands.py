@@ -127,12 +127,12 @@ def run_as_json(run: Callable[[argparse.Namespace], int], args: argparse.Namespa
             interruption = stop
     facts = to_json(getattr(args, "facts", {}))
     if isinstance(facts, dict):
-        beside = {
+        more = {
             "files": args.wrote,
             "warnings": getattr(args, "warnings", None),
             "interrupted": interruption is not None,
         }
-        facts |= {name: value for name, value in beside.items() if value}
+        facts |= {name: value for name, value in more.items() if value}
     if interruption is None or facts:
         print(json.dumps(facts, indent=1, allow_nan=False))
     if interruption is not None:

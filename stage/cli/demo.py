@@ -6,9 +6,9 @@ import argparse
 import time
 from typing import Any
 
+from stage.cli import options
 from stage.cli.commands import add_command, tell
 from stage.cli.files import record_to_files
-from stage.cli.options import add_stage_and_output_options
 from stage.cli.setup import make_stage
 from stage.cli.terminal import note, show_simulated_time
 from stage.errors import ArgumentError
@@ -33,7 +33,7 @@ def add(commands: Any) -> None:
         ("stage demo --chips mcx514 --model xy --no-view", "with other chips, and without a window"),
         ("stage demo --picture demo.png", "the dashboard as a picture; needs no screen"),
     )  # fmt: skip
-    add_stage_and_output_options(p)
+    options.add_stage_and_output_options(p)
     p.set_defaults(default_record="demo.rrd")
     p.add_argument("--no-view", action="store_true", help="do not open the viewer even where there is a screen")
 

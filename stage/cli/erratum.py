@@ -14,10 +14,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from stage.cli import options
 from stage.cli.commands import add_command, tell
 from stage.cli.fault import SAMPLE_INTERVAL_S
 from stage.cli.files import check_outputs, draw_plot, record_for_plot
-from stage.cli.options import add_plot_option, add_stage_and_output_options
 from stage.cli.terminal import note
 from stage.errors import StageError
 
@@ -46,12 +46,12 @@ def add(commands: Any) -> None:
         ("stage erratum --mended", "chips without the failure"),
     )  # fmt: skip
     p.add_argument("--mended", action="store_true", help="chips without the failure (errata=False)")
-    add_plot_option(p)
-    add_stage_and_output_options(p, CHIPS)
+    options.add_plot_option(p)
+    options.add_stage_and_output_options(p, CHIPS)
 
 
 @dataclass(frozen=True)
-class Shown:
+class ErratumResult:
     """Result: the run with the bare 26h, and the one with the work-around.
 
     Attributes:
@@ -70,7 +70,7 @@ class Shown:
 
     @property
     def as_claimed(self) -> bool:
-        """Whether the bare 26h runs away and loses steps, except on mended chips, and the work-around ends on the target."""
+        """Verdict: the bare 26h runs away and loses steps, except on mended chips, and the work-around ends on the target."""
         bare, guarded = self.figures
         good = [
             f["n-DRV 2 s later"] == 0 and f["pulses past the target"] == 0 == f["lost steps"] for f in (bare, guarded)
@@ -92,23 +92,23 @@ class Shown:
 
 def run(args: argparse.Namespace) -> int:
     """Show the failure; exit code 0 if it is as claimed."""
-    both = args, _name_files_of_work_around(args)
-    for options in both:
-        check_outputs(options)
-    first, second = (partial(record_for_plot, options, interval=SAMPLE_INTERVAL_S) for options in both)
-    shown = show(partial(_make_stage, args), (first, second))
+    both = args, _rename_files_of_work_around(args)
+    for named in both:
+        check_outputs(named)
+    first, second = (partial(record_for_plot, named, interval=SAMPLE_INTERVAL_S) for named in both)
+    result = show(partial(_make_stage, args), (first, second))
     print(
-        f"{shown.chip}{', mended' if shown.mended else ''}: a decelerating stop is commanded in area d\n\n{shown.table()}"
+        f"{result.chip}{', mended' if result.mended else ''}: a decelerating stop is commanded in area d\n\n{result.table()}"
     )
-    bare, guarded = shown.figures
-    facts = {"chip": shown.chip, "mended": shown.mended, "as_claimed": shown.as_claimed}
+    bare, guarded = result.figures
+    facts = {"chip": result.chip, "mended": result.mended, "as_claimed": result.as_claimed}
     tell(args, facts | {"26h": bare, "stop_by_speed": guarded})
-    draw_plot(args, shown.plot)
-    print("as claimed" if shown.as_claimed else "NOT as claimed")
-    return 0 if shown.as_claimed else 1
+    draw_plot(args, result.plot)
+    print("as claimed" if result.as_claimed else "NOT as claimed")
+    return 0 if result.as_claimed else 1
 
 
-def _name_files_of_work_around(args: argparse.Namespace) -> argparse.Namespace:
+def _rename_files_of_work_around(args: argparse.Namespace) -> argparse.Namespace:
     """Return the options for the run with the work-around: its files have names of their own, and no viewer is opened."""
     named = {}
     for what in ("record", "vcd", "picture"):
@@ -132,7 +132,7 @@ def _make_stage(args: argparse.Namespace) -> Any:
     return Stage(args.model, chips=chips, drives=drive, bus_cycle=args.bus_cycle)
 
 
-def show(make: Callable[[], Any], records: tuple[Record | None, Record | None] = (None, None)) -> Shown:
+def show(make: Callable[[], Any], records: tuple[Record | None, Record | None] = (None, None)) -> ErratumResult:
     """Make the move on two stages: with the work-around, and then with a bare 26h.
 
     Args:
@@ -150,7 +150,7 @@ def show(make: Callable[[], Any], records: tuple[Record | None, Record | None] =
             figures.append(_move(stage, program))
         recordings.append(recording)
     x = first_axis(stage)
-    return Shown(
+    return ErratumResult(
         type(x.chip).__name__, not x.chip.errata, (figures[1], figures[0]), (recordings[1], recordings[0]), x.unit
     )
 

@@ -9,13 +9,13 @@ import numpy as np
 from stage.units import PLACES
 
 if TYPE_CHECKING:
-    from stage.cli.erratum import Shown
+    from stage.cli.erratum import ErratumResult
 
 CLOSE_UP_S = 0.06  # before area d, and after it
 LANES = {"ASND": "asnd", "CNST": "cnst", "DSND": "dsnd", "n-DRV": "drive"}
 
 
-def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
+def draw(result: ErratumResult, path: str | None, overwrite: bool) -> Any:
     """Draw rate and position of both runs; beside them, close up, the rate and the bits of RR1 around area d."""
     from stage.support.files import save_figure
     from stage.support.pictures import COLOURS, INK, MUTED, bare, figure, title
@@ -23,8 +23,8 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     fig = figure(11, 6)
     (rate, close), (place, lanes) = fig.subplots(2, 2)
     styles = ((COLOURS[0], 1.6, "26h in area d", 2), (MUTED, 3.0, "stop_by_speed", 1))
-    areas, unit = _find_areas(shown.recordings[0]), PLACES[shown.unit]
-    for recording, (color, width, label, order) in zip(shown.recordings, styles, strict=True):
+    areas, unit = _find_areas(result.recordings[0]), PLACES[result.unit]
+    for recording, (color, width, label, order) in zip(result.recordings, styles, strict=True):
         axis = next(iter(recording.axes))
         time, pps = recording.column("time"), recording.column(f"{axis}/rate")
         drawn = {"color": color, "linewidth": width, "label": label, "zorder": order}
@@ -34,7 +34,7 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
         place.plot(
             time, recording.column(f"{axis}/commanded") * unit.per, color=color, linewidth=1, linestyle=(0, (2, 2))
         )
-    _draw_bits(lanes, shown.recordings[0], COLOURS[0])
+    _draw_bits(lanes, result.recordings[0], COLOURS[0])
     begin, end = areas["d"]
     for panel in (close, lanes):
         panel.set_xlim(begin - CLOSE_UP_S, end + CLOSE_UP_S)
@@ -42,7 +42,7 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     rate.set_ylim(top=1.12 * pps.max())
     initial = float(np.interp(areas["a"][0] + 1e-3, time, pps))
     close.set_ylim(0.97 * initial, 1.08 * initial)
-    letters = {area: sum(areas[area]) / 2 for area in "abc"} | ({} if shown.mended else {"e": end + 0.9})
+    letters = {area: sum(areas[area]) / 2 for area in "abc"} | ({} if result.mended else {"e": end + 0.9})
     for area, when in letters.items():
         rate.annotate(area, (when, 0.98), xycoords=("data", "axes fraction"), ha="center", va="top", color=INK)
     for area, when in {"c": begin - CLOSE_UP_S / 2, "d": (begin + end) / 2, "e": end + CLOSE_UP_S / 2}.items():
@@ -53,7 +53,7 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     place.set(ylabel=f"position ({unit.symbol})", xlabel="time (s)")
     lanes.set(xlabel="time (s)")
     titles = {
-        rate: f"{shown.chip}{', mended' if shown.mended else ''}: the drive",
+        rate: f"{result.chip}{', mended' if result.mended else ''}: the drive",
         close: "The end of the deceleration; shaded: area d, up to 26h",
         place: "The carriage; dotted: what the pulses say",
         lanes: "RR1 and n-DRV after 26h in area d",
@@ -69,14 +69,14 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
 
 
 def _read_waveform(recording: Any) -> tuple[Any, np.ndarray]:
-    course = recording.journals[next(iter(recording.axes))].course()
-    return course, recording.began + course.seconds
+    waveform = recording.journals[next(iter(recording.axes))].course()
+    return waveform, recording.began + waveform.seconds
 
 
 def _find_areas(recording: Any) -> dict[str, tuple[float, float]]:
     """Return when the areas a to d of the notice begin and end, s, by the chip's status pins."""
-    course, time = _read_waveform(recording)
-    asnd, cnst, dsnd = (course.pin(name) for name in ("asnd", "cnst", "dsnd"))
+    waveform, time = _read_waveform(recording)
+    asnd, cnst, dsnd = (waveform.pin(name) for name in ("asnd", "cnst", "dsnd"))
 
     def span(on: np.ndarray) -> tuple[float, float]:
         first = int(np.argmax(on))
@@ -88,8 +88,8 @@ def _find_areas(recording: Any) -> dict[str, tuple[float, float]]:
 
 
 def _draw_bits(panel: Any, recording: Any, color: str) -> None:
-    course, time = _read_waveform(recording)
+    waveform, time = _read_waveform(recording)
     for k, pin in enumerate(reversed(LANES.values())):
-        panel.plot(time, k + 0.7 * course.pin(pin), drawstyle="steps-post", color=color, linewidth=1.6)
+        panel.plot(time, k + 0.7 * waveform.pin(pin), drawstyle="steps-post", color=color, linewidth=1.6)
         panel.axhline(k, color=color, linewidth=0.5, alpha=0.4)
     panel.set_yticks([k + 0.35 for k in range(len(LANES))], list(reversed(LANES)))

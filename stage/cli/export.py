@@ -8,8 +8,8 @@ from collections.abc import Container
 from pathlib import Path
 from typing import Any
 
+from stage.cli import options
 from stage.cli.commands import add_command, tell, wrote
-from stage.cli.options import add_force_option
 
 
 def add(commands: Any) -> None:
@@ -25,7 +25,7 @@ def add(commands: Any) -> None:
     p.add_argument("file", metavar="FILE.rrd", help="a recording, of --record or Recording.save")
     p.add_argument("-o", "--output", metavar="FILE", help="a name that ends in .csv, .parquet or .npz")
     p.add_argument("--columns", metavar="NAME,...", help="only these, for example x/position,x/rate (default: all)")
-    add_force_option(p)
+    options.add_force_option(p)
 
 
 def run(args: argparse.Namespace) -> int:

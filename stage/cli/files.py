@@ -19,7 +19,12 @@ FILE_OPTIONS = ("record", "vcd", "picture", "plot", "trace")
 
 
 def check_outputs(args: argparse.Namespace) -> None:
-    """Refuse what cannot be written or served, before the work and not after it. Raises FileError, ArgumentError."""
+    """Refuse what cannot be written or served, before the work and not after it.
+
+    Raises:
+        FileError: A file cannot be written, or has the wrong ending.
+        ArgumentError: Options contradict each other.
+    """
     web, view = getattr(args, "web", False), getattr(args, "view", False)
     if view:
         need("rerun", "--view")
@@ -38,7 +43,7 @@ def check_outputs(args: argparse.Namespace) -> None:
             if given:
                 raise ArgumentError(f"{option}: it prints text, and --json prints JSON. Leave one of them out.")
     named = _list_files(args)
-    _check_apart(named)
+    _check_separate(named)
     _check_writable(named, args.force)
     if "record" in args:
         for name in ("web", "picture", "record"):  # who gave one of the others gave no --record
@@ -54,14 +59,14 @@ def _list_files(args: argparse.Namespace) -> dict[str, str]:
     return named
 
 
-def _check_apart(named: dict[str, str]) -> None:
+def _check_separate(named: dict[str, str]) -> None:
     """Refuse two outputs in one file. Raises FileError."""
     from stage.support.files import FileError
 
-    taken: dict[str, str] = {}
+    options_by_file: dict[str, str] = {}
     for name, path in named.items():
         if os.path.isfile(path) or not os.path.exists(path):  # a device takes all
-            other = taken.setdefault(os.path.realpath(path), name)
+            other = options_by_file.setdefault(os.path.realpath(path), name)
             if other != name:
                 raise FileError(f"--{other} and --{name} both write {path}. Give each a file of its own.")
 

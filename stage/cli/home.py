@@ -5,15 +5,10 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from stage.cli import options
 from stage.cli.commands import add_command, tell
 from stage.cli.files import draw_plot, record_to_files
-from stage.cli.options import (
-    add_plot_option,
-    add_speed_options,
-    add_stage_and_output_options,
-    add_start_option,
-    count,
-)
+from stage.cli.options import count
 from stage.cli.setup import find_axis, make_stage, parse_speed_options, place_carriage
 from stage.cli.terminal import note, show_simulated_time
 from stage.errors import ArgumentError, a_or_an
@@ -39,10 +34,10 @@ def add(commands: Any) -> None:
     p.add_argument(
         "--ez", type=count, metavar="N", help="end at the N-th index pulse after ORG (N > 1: PCL240MK, PCL240MS)"
     )
-    add_start_option(p)
-    add_speed_options(p)
-    add_plot_option(p)
-    add_stage_and_output_options(p)
+    options.add_start_option(p)
+    options.add_speed_options(p)
+    options.add_plot_option(p)
+    options.add_stage_and_output_options(p)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -8,8 +8,9 @@ import os
 import sys
 from typing import Any
 
+from stage.cli import options
 from stage.cli.commands import add_command
-from stage.cli.options import TIME, add_model_argument, add_stage_options, number, port
+from stage.cli.options import TIME, number, port
 from stage.cli.setup import make_stage
 from stage.errors import ArgumentError
 from stage.support.extras import need
@@ -30,7 +31,7 @@ def add(commands: Any) -> None:
         ("stage mcp --mode truth --folder runs", "the agent sees everything, and may write recordings into runs/"),
         json=False,
     )  # fmt: skip
-    add_model_argument(p)
+    options.add_model_argument(p)
     g = p.add_argument_group("agent")
     g.add_argument(
         "--mode", choices=("host", "truth"), default="host",
@@ -54,7 +55,7 @@ def add(commands: Any) -> None:
         "--idle", type=TIME, default=600.0, metavar="S",
         help="end a session that has made no call for so many seconds (default: 600)",
     )  # fmt: skip
-    add_stage_options(p.add_argument_group("stage"))
+    options.add_stage_options(p.add_argument_group("stage"))
 
 
 def run(args: argparse.Namespace) -> int:

@@ -7,18 +7,10 @@ import shlex
 from collections.abc import Sequence
 from typing import Any
 
+from stage.cli import options
 from stage.cli.commands import add_command, tell, warn
 from stage.cli.files import draw_plot, record_to_files
-from stage.cli.options import (
-    DURATION,
-    RATE,
-    TIME,
-    add_plot_option,
-    add_ramp_options,
-    add_speed_options,
-    add_stage_and_output_options,
-    add_start_option,
-)
+from stage.cli.options import DURATION, RATE, TIME
 from stage.cli.setup import (
     find_axis,
     make_stage,
@@ -44,11 +36,11 @@ def add(commands: Any) -> None:
     )  # fmt: skip
     _add_axis_and_distance(p)
     p.add_argument("--constant", action="store_true", help="constant rate, no ramps (PCL-240 family)")
-    add_start_option(p)
-    add_speed_options(p)
-    add_ramp_options(p)
-    add_plot_option(p)
-    add_stage_and_output_options(p)
+    options.add_start_option(p)
+    options.add_speed_options(p)
+    options.add_ramp_options(p)
+    options.add_plot_option(p)
+    options.add_stage_and_output_options(p)
     p = add_command(
         commands, "dual-rate", dual_rate, "FL to FH1 to FH2 and back in one move",
         "Ramp to FH1, in motion on to FH2 (or down to it) and back, and stop on the last pulse. With --rates any order of the "
@@ -68,10 +60,10 @@ def add(commands: Any) -> None:
     p.add_argument(
         "--dwell", type=TIME, default=0.1, help="seconds at each rate except the last, after its ramp (default: 0.1)"
     )
-    add_start_option(p)
-    add_speed_options(p)
-    add_plot_option(p)
-    add_stage_and_output_options(p)
+    options.add_start_option(p)
+    options.add_speed_options(p)
+    options.add_plot_option(p)
+    options.add_stage_and_output_options(p)
     p = add_command(
         commands, "sync", sync, "several axes along a straight line, in the ratio a:b",
         "Move several axes along a straight line: registers in the ratio of the distances, equal ramp times, one start after the "
@@ -86,9 +78,9 @@ def add(commands: Any) -> None:
     p.add_argument("--rate", dest="fh1", type=RATE, help="rate of the axis with the most pulses, pps")
     p.add_argument("--fl", type=RATE, help="rate of that axis at the start and at the stop, pps")
     p.add_argument("--accel", type=DURATION, help="seconds of the ramps")
-    add_ramp_options(p)
-    add_plot_option(p)
-    add_stage_and_output_options(p)
+    options.add_ramp_options(p)
+    options.add_plot_option(p)
+    options.add_stage_and_output_options(p)
 
 
 def _add_axis_and_distance(p: argparse.ArgumentParser) -> None:
@@ -143,21 +135,21 @@ def _run_on_axis(args: argparse.Namespace, run: Any) -> int:
     return 0 if report.ok else 1
 
 
-def _warn_of_tandem(args: argparse.Namespace, axis: Any, behind: Sequence[str], items: list[str]) -> None:
+def _warn_of_tandem(args: argparse.Namespace, axis: Any, left: Sequence[str], items: list[str]) -> None:
     """Warn that an axis moves without those which drive the same load.
 
     Args:
         args: Options, for `warn`.
         axis: Axis that moves.
-        behind: Axes of the load that do not move as far.
+        left: Axes of the load that do not move as far.
         items: Typed moves, AXIS=DISTANCE.
     """
     distance = next(value for name, value in map(split_pair, items) if name == axis.name)
-    others = [item for item in items if split_pair(item)[0] not in behind]
+    others = [item for item in items if split_pair(item)[0] not in left]
     warn(
         args,
-        f"axis {axis.name} drives one load with {' and '.join(behind)}, which stays behind: the load is twisted. "
-        f"To move all of them: {shlex.join(['stage', 'sync', *others, *(f'{name}={distance}' for name in behind)])}",
+        f"axis {axis.name} drives one load with {' and '.join(left)}, which stays behind: the load is twisted. "
+        f"To move all of them: {shlex.join(['stage', 'sync', *others, *(f'{name}={distance}' for name in left)])}",
     )
 
 
@@ -178,8 +170,8 @@ def sync(args: argparse.Namespace) -> int:
             raise ArgumentError(f"{item!r}: axis {name} already has {pulses[name]} pulses. Give each axis once.")
         pulses[name] = warn_beyond_limits(args, axis, parse_distance(axis, distance))
     for name in pulses:
-        if behind := [other for other in stage.axes[name].tandem if pulses.get(other) != pulses[name]]:
-            _warn_of_tandem(args, stage.axes[name], behind, args.distances)
+        if left := [other for other in stage.axes[name].tandem if pulses.get(other) != pulses[name]]:
+            _warn_of_tandem(args, stage.axes[name], left, args.distances)
     check_one_kind({name: driver_of(stage.axes[name]) for name in pulses})
     speeds = parse_speed_options(args, stage.axes[next(iter(pulses))])
     with record_to_files(args, stage), show_simulated_time(stage):

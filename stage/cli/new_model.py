@@ -6,8 +6,8 @@ import argparse
 import shlex
 from typing import Any
 
+from stage.cli import options
 from stage.cli.commands import add_command, tell, wrote
-from stage.cli.options import add_force_option
 
 
 def add(commands: Any) -> None:
@@ -26,7 +26,7 @@ def add(commands: Any) -> None:
         "x:slide:300mm,y:slide:200mm)",
     )  # fmt: skip
     p.add_argument("-o", "--output", metavar="FILE.xml", help="file to write; - prints the model (default: -)")
-    add_force_option(p)
+    options.add_force_option(p)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -37,7 +37,7 @@ class Quantity:
         return value
 
 
-class WholeQuantity(Quantity):
+class IntegerQuantity(Quantity):
     """Type of a quantity that is a whole number; it may also be written as 0x300."""
 
     def __call__(self, text: str) -> int:
@@ -52,7 +52,7 @@ class WholeQuantity(Quantity):
 
 RATE, DURATION = Quantity("pulse rate", positive=True), Quantity("time", positive=True)
 TIME, VOLTAGE, MASS, FREQUENCY = map(Quantity, ("time", "voltage", "mass", "frequency"))
-HERTZ = WholeQuantity("frequency")
+HERTZ = IntegerQuantity("frequency")
 
 
 def number(text: str) -> int:

@@ -6,9 +6,10 @@ import argparse
 from functools import partial
 from typing import Any
 
+from stage.cli import options
 from stage.cli.commands import add_command, tell
 from stage.cli.files import check_outputs, draw_plot
-from stage.cli.options import VOLTAGE, add_force_option, add_plot_option
+from stage.cli.options import VOLTAGE
 from stage.cli.terminal import show_progress
 
 
@@ -23,8 +24,8 @@ def add(commands: Any) -> None:
     p.add_argument("--motor", default="17HS4401", help="a stepper, see `stage list motors` (default: 17HS4401)")
     p.add_argument("--bus-voltage", type=VOLTAGE, default=24.0, help="supply of the drive, V (default: 24)")
     p.add_argument("--microsteps", type=int, default=16, help="microsteps per full step (default: 16)")
-    add_plot_option(p)
-    add_force_option(p)
+    options.add_plot_option(p)
+    options.add_force_option(p)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -15,16 +15,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from stage.cli import options
 from stage.cli.commands import add_command, tell, warn, wrote
 from stage.cli.files import check_outputs, record_to_files
-from stage.cli.options import (
-    FREQUENCY,
-    TIME,
-    add_board_options,
-    add_panel_options,
-    add_stage_and_output_options,
-    number,
-)
+from stage.cli.options import FREQUENCY, TIME, number
 from stage.cli.panel import keep_panel, run_in_real_time, show_panel
 from stage.cli.setup import make_board
 from stage.cli.terminal import note, show_simulated_time
@@ -77,9 +71,9 @@ def add(commands: Any) -> None:
         help="run it in this process, for debuggers (default: in a process of its own; a crash ends only that)",
     )  # fmt: skip
     g.add_argument("--isolated", action="store_true", help=argparse.SUPPRESS)  # what is the default now
-    add_board_options(p)
-    add_panel_options(p)
-    add_stage_and_output_options(p)
+    options.add_board_options(p)
+    options.add_panel_options(p)
+    options.add_stage_and_output_options(p)
     add_command(
         commands, "include", include, "the folder of pulsestage.h",
         'Print the folder of the one header that firmware needs: cc -shared -fPIC -I"$(stage include)" driver.c -o driver.so',
@@ -112,15 +106,15 @@ def run(args: argparse.Namespace) -> int:
         board = make_board(args)
         host = _host(args, board, flags)
     stage = board.stage
-    ended = threading.Event()
+    terminated = threading.Event()
     with show_panel(args, stage, os.path.basename(args.firmware[0])) as session:
-        code = _run(args, board, host, session, ended)
-        if session is not None and not ended.is_set():
+        code = _run(args, board, host, session, terminated)
+        if session is not None and not terminated.is_set():
             keep_panel(session)
     return code
 
 
-def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, ended: threading.Event) -> int:
+def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, terminated: threading.Event) -> int:
     """Run firmware, and print what came of it; return the exit code.
 
     Args:
@@ -128,7 +122,7 @@ def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, ended: t
         board: Board that the firmware drives.
         host: Host that runs the firmware.
         session: Session of the page beside it, or None.
-        ended: Event that SIGTERM sets.
+        terminated: Event that SIGTERM sets.
     """
     from stage.board import HostError, HostTimeout, StormError
     from stage.errors import SimulationError
@@ -140,7 +134,7 @@ def _run(args: argparse.Namespace, board: Any, host: Any, session: Any, ended: t
     with record_to_files(args, stage):
         note(f"{host.path.name} runs ...")
         try:
-            with _raise_at_sigterm(board, ended), show_simulated_time(stage):
+            with _raise_at_sigterm(board, terminated), show_simulated_time(stage):
                 if session is not None:
                     result = run_in_real_time(session, host, args.seconds, args.timeout)
                 else:
@@ -194,12 +188,12 @@ def _compiler_warnings(args: argparse.Namespace) -> Iterator[None]:
 
 
 @contextmanager
-def _raise_at_sigterm(board: Any, ended: threading.Event) -> Iterator[None]:
+def _raise_at_sigterm(board: Any, terminated: threading.Event) -> Iterator[None]:
     """Make SIGTERM an error of the firmware in this block, so that files are written when a CI ends what takes too long."""
     from stage.board import HostError
 
     def end(*_: Any) -> None:
-        ended.set()
+        terminated.set()
         raise HostError(
             f"ended from outside by SIGTERM. What is known of it ends at {board.stage.time:.6f} s, after {board.cycles:,} bus "
             f"cycles:\n{board.trace.text(12)}"
@@ -299,8 +293,9 @@ def _print_axes(stage: Any) -> None:
     print(f"{'axis':6}{f'position {unit}':>18}{f'commanded {unit}':>19}{'lost':>6}  switches")
     for axis in stage.axes.values():
         on = ", ".join(name for name, state in axis.switches.as_dict().items() if state)
-        own = PLACES[axis.unit]
-        position, commanded = (own.text(q) if mixed else f"{q * own.per:.4f}" for q in (axis.position, axis.commanded))
+        unit_of_axis = PLACES[axis.unit]
+        places = axis.position, axis.commanded
+        position, commanded = (unit_of_axis.text(q) if mixed else f"{q * unit_of_axis.per:.4f}" for q in places)
         print(f"{axis.name:6}{position:>18}{commanded:>19}{axis.lost_steps:6}  {on}".rstrip())
 
 

@@ -6,9 +6,10 @@ import argparse
 import ipaddress
 from typing import Any
 
+from stage.cli import options
 from stage.cli.commands import add_command, warn
 from stage.cli.files import check_outputs, record_to_files
-from stage.cli.options import add_board_options, add_panel_options, add_stage_and_output_options, port
+from stage.cli.options import port
 from stage.cli.panel import on_end_signals, show_panel
 from stage.cli.run import print_report, write_trace
 from stage.cli.setup import make_board
@@ -38,9 +39,9 @@ def add(commands: Any) -> None:
         "--fresh", action="store_true",
         help="put the stage back to its start for each host (default: a host finds it as the one before has left it)",
     )  # fmt: skip
-    add_board_options(p)
-    add_panel_options(p)
-    add_stage_and_output_options(p)
+    options.add_board_options(p)
+    options.add_panel_options(p)
+    options.add_stage_and_output_options(p)
 
 
 def run(args: argparse.Namespace) -> int:

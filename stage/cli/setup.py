@@ -13,7 +13,12 @@ from stage.units import PLACES, TYPED, slip, typed
 
 
 def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
-    """Make the stage that the options describe; `visuals`: with what is only for display."""
+    """Make the stage that the options describe.
+
+    Args:
+        args: Options of the command.
+        visuals: Keep what is only for display.
+    """
     from stage import Drive, Stage
     from stage.chips import chip_class
 
@@ -102,7 +107,11 @@ def _parse_unique_pairs(option: str, text: str, form: str) -> dict[str, str]:
 
 
 def parse_encoder(item: str) -> Any:
-    """Return the encoder of --encoder x=2000/turn. Raises ArgumentError."""
+    """Return the encoder of --encoder x=2000/turn.
+
+    Raises:
+        ArgumentError: The text names no axis, or no counts other than 0.
+    """
     from stage.sim.encoder import Encoder
 
     axis, text = split_pair(item)
@@ -120,7 +129,11 @@ def parse_encoder(item: str) -> Any:
 
 
 def parse_wiring(items: Iterable[str]) -> dict[str, dict[str, str]]:
-    """Return the logic of each sensor of each axis, of --wiring x.org=positive. Raises ArgumentError."""
+    """Return the logic of each sensor of each axis, of --wiring x.org=positive.
+
+    Raises:
+        ArgumentError: An item is not AXIS.SENSOR=LOGIC.
+    """
     wiring: dict[str, dict[str, str]] = {}
     for item in items:
         where, logic = split_pair(item)
@@ -151,31 +164,39 @@ SPEED_OPTIONS = {
 
 
 def parse_speed_options(args: argparse.Namespace, axis: Any) -> Any:
-    """Return the `Speeds` that the options ask of an axis. Raises ArgumentError for an option that its chip does not have."""
+    """Return the `Speeds` that the options ask of an axis.
+
+    Raises:
+        ArgumentError: Its chip does not have what an option asks for.
+    """
     from stage.firmware.driver import driver_of
     from stage.firmware.procedures import parse_speeds
 
     driver, chip = driver_of(axis), a_or_an(axis.chip.MAP.chip)
-    given = {name: value for name in SPEED_OPTIONS if (value := getattr(args, name, None)) not in (None, False)}
+    values = {name: value for name in SPEED_OPTIONS if (value := getattr(args, name, None)) not in (None, False)}
     for name in ("fh2", "constant", "automatic", "fast_only"):
-        if name in given and SPEED_OPTIONS[name] not in driver.OPTIONS:
+        if name in values and SPEED_OPTIONS[name] not in driver.OPTIONS:
             option = name.replace("_", "-")
             raise ArgumentError(f"--{option}: {chip} has no such option; it is of the PCL-240 family. Leave it out.")
-    if given.get("s_curve", True) is not True and "s_curve_share" not in driver.OPTIONS:
+    if values.get("s_curve", True) is not True and "s_curve_share" not in driver.OPTIONS:
         raise ArgumentError(f"--s-curve {args.s_curve:g}: {chip} knows no shares. Give --s-curve alone.")
-    options = {SPEED_OPTIONS[name]: value for name, value in given.items()} | {
+    options = {SPEED_OPTIONS[name]: value for name, value in values.items()} | {
         "automatic": getattr(args, "automatic", None)
     }
-    if "fast_only" in given:
+    if "fast_only" in values:
         options["approach"] = 0.0
     speeds = parse_speeds(axis, options, in_pulses=True)
-    if "fh2" in args and "fh2" not in given and (second := driver.usual_second(speeds.drive)):
+    if "fh2" in args and "fh2" not in values and (second := driver.usual_second(speeds.drive)):
         return parse_speeds(axis, options | {"second": second}, in_pulses=True)
     return speeds
 
 
 def parse_distance(axis: Any, text: str) -> int:
-    """Return the pulses of a distance as it is typed: 8000 (pulses), 10mm, -0.5deg. Raises ArgumentError."""
+    """Return the pulses of a distance as it is typed: 8000 (pulses), 10mm, -0.5deg.
+
+    Raises:
+        ArgumentError: The text is no whole number, and no distance in a unit of the axis.
+    """
     from stage.firmware.procedures import pulses_of
 
     text = text.strip()
@@ -192,7 +213,11 @@ def parse_distance(axis: Any, text: str) -> int:
 
 
 def warn_beyond_limits(args: argparse.Namespace, axis: Any, pulses: int) -> int:
-    """Return `pulses`, and warn where they lead beyond the end limits of the axis, or its travel where it has none."""
+    """Warn where a move leads beyond the end limits of the axis, or its travel where it has none.
+
+    Returns:
+        `pulses`, the signed length of the move.
+    """
     ends = {s.pin: s.touch for s in axis.plant.switches}
     low, high = (-math.inf, math.inf) if axis.unit == "rad" else axis.travel  # a hinge without limits turns without end
     low, high = ends.get("el_minus", low), ends.get("el_plus", high)
@@ -209,16 +234,28 @@ def warn_beyond_limits(args: argparse.Namespace, axis: Any, pulses: int) -> int:
 
 
 def find_axis(stage: Any, name: str) -> Any:
-    """Return an axis by its name. Raises ArgumentError with near names."""
+    """Return an axis by its name.
+
+    Raises:
+        ArgumentError: There is no such axis; the error has near names.
+    """
     if name not in stage.axes:
         raise unknown("axis", name, stage.axes)
     return stage.axes[name]
 
 
 def place_carriage(stage: Any, axis: Any, option: str, place: str | None) -> None:
-    """Put the carriage of `axis` where `option` says: 62mm, 90deg, or a number of mm, degrees on a hinge; None: leave it.
+    """Put the carriage of an axis at a place.
 
-    Raises ArgumentError for what is no place, or outside its travel."""
+    Args:
+        stage: Stage of the axis.
+        axis: Axis to place.
+        option: Option that names the place, for errors.
+        place: 62mm, 90deg, or a number of mm, degrees on a hinge; None: leave the carriage where it is.
+
+    Raises:
+        ArgumentError: The text is no place, or outside the travel of the axis.
+    """
     if place is None:
         return
     unit, (low, high) = PLACES[axis.unit], axis.travel

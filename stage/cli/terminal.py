@@ -73,18 +73,18 @@ def run_with_output(run: Callable[[], int]) -> int:
     """
     open_missing_streams()
     output = Output(sys.stdout)
-    ended = None
+    exit_request = None
     with redirect_stdout(output):
         try:
             code = run()
         except SystemExit as end:  # argparse: the help, the version, wrong usage
-            ended = end
+            exit_request = end
         output.flush()
     if output.error is not None and not isinstance(output.error, BrokenPipeError):
         print(f"stage: nothing can be printed: {output.error.strerror}.", file=sys.stderr)
         return 2
-    if ended is not None:
-        raise ended
+    if exit_request is not None:
+        raise exit_request
     return code
 
 
@@ -112,14 +112,14 @@ def show_simulated_time(stage: Any) -> Iterator[None]:
     if not sys.stderr.isatty():
         yield
         return
-    over, shown = threading.Event(), False
+    over, has_line = threading.Event(), False
 
     def update() -> None:
-        nonlocal shown
+        nonlocal has_line
         wait = FIRST_UPDATE_S
         while not over.wait(wait):
             rewrite_line(f"{stage.data.time:.2f} s simulated; Ctrl-C ends it")
-            shown, wait = True, UPDATE_INTERVAL_S
+            has_line, wait = True, UPDATE_INTERVAL_S
 
     thread = threading.Thread(target=update, daemon=True)
     thread.start()
@@ -128,5 +128,5 @@ def show_simulated_time(stage: Any) -> Iterator[None]:
     finally:
         over.set()
         thread.join()
-        if shown:
+        if has_line:
             rewrite_line("")

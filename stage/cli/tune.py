@@ -9,8 +9,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from stage.cli import options
 from stage.cli.commands import add_command, tell
-from stage.cli.options import MASS, add_force_option, add_model_argument, add_stage_options
+from stage.cli.options import MASS
 from stage.cli.setup import find_axis, make_stage, parse_distance
 from stage.cli.terminal import rewrite_line
 from stage.errors import ArgumentError, StageError
@@ -32,7 +33,7 @@ def add(commands: Any) -> None:
         ("stage tune xy --distance 8000 --settle 20um 100ms --by formula", "without Optuna"),
         more="docs/tuning.md says how it works, and what the proof proves.",
     )  # fmt: skip
-    add_model_argument(p)
+    options.add_model_argument(p)
     p.add_argument("--axis", help="the axis (default: the first of the model)")
     p.add_argument("--distance", help="distance of the move: 100mm, -30deg, or pulses (counts of a servo)")
     p.add_argument("--payload", type=MASS, default=0.0, metavar="KG", help="largest mass that it carries (default: 0)")
@@ -64,10 +65,10 @@ def add(commands: Any) -> None:
     g.add_argument(
         "--workers", type=int, help="threads; the result does not depend on them (default: one per processor)"
     )
-    add_stage_options(p.add_argument_group("stage"))
+    options.add_stage_options(p.add_argument_group("stage"))
     g = p.add_argument_group("output")
     g.add_argument("-o", "--output", metavar="FOLDER", help="write tuned.h, tuned.txt, tuned.json and tuned.png there")
-    add_force_option(g)
+    options.add_force_option(g)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -210,5 +211,5 @@ class _Progress:
 
     def __call__(self, task: str, share: float, best: float | None) -> None:
         trials = f" {round(share * self._trials)} of {self._trials} trials" if task == "searching" else ""
-        best_so_far = f", best {best * 1e3:.1f} ms" if best is not None else ""
-        rewrite_line(f"{task}{trials}{best_so_far} ...")
+        best_time = f", best {best * 1e3:.1f} ms" if best is not None else ""
+        rewrite_line(f"{task}{trials}{best_time} ...")

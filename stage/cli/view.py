@@ -6,9 +6,9 @@ import argparse
 import math
 from typing import Any
 
+from stage.cli import options
 from stage.cli.commands import add_command, tell, wrote
 from stage.cli.files import check_outputs
-from stage.cli.options import add_force_option, add_model_argument
 from stage.errors import StageError, unknown
 from stage.support.extras import need
 
@@ -25,11 +25,11 @@ def add(commands: Any) -> None:
         ("stage view xyz --text", "axes, travel, switches"),
         ("stage view my.xml --picture my.png", "a picture with the axes' names"),
     )  # fmt: skip
-    add_model_argument(p)
+    options.add_model_argument(p)
     p.add_argument("--text", action="store_true", help="print axes, travel and switches instead")
     p.add_argument("--picture", metavar="FILE.png", help="draw it instead; needs no screen")
     p.add_argument("--camera", metavar="NAME", help="a camera of the model (default: overview, or one that sees all)")
-    add_force_option(p)
+    options.add_force_option(p)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -122,8 +122,8 @@ def _draw_arrow(ax: Any, model: Any, data: Any, eye: Any, axis: Any, k: int) -> 
         aside = np.cross(direction, [1.0, 0.0, 0.0] if abs(direction[0]) < 0.9 else [0.0, 1.0, 0.0])
         aside /= np.linalg.norm(aside)
         turn = np.linspace(0, 1.5 * np.pi, 40)[:, None]
-        around = np.cos(turn) * aside + np.sin(turn) * np.cross(direction, aside)
-        points = data.xanchor[axis.joint] + 0.6 * length * around
+        arc = np.cos(turn) * aside + np.sin(turn) * np.cross(direction, aside)
+        points = data.xanchor[axis.joint] + 0.6 * length * arc
     else:
         points = np.array([middle, middle + length * direction])
     points_px = _project(eye, points)

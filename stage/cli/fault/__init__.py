@@ -10,9 +10,9 @@ import argparse
 from functools import partial
 from typing import Any
 
+from stage.cli import options
 from stage.cli.commands import add_command, tell
 from stage.cli.files import check_outputs, draw_plot, record_for_plot
-from stage.cli.options import add_plot_option, add_stage_and_output_options
 from stage.cli.setup import make_stage
 
 SAMPLE_INTERVAL_S = 2.5e-4
@@ -30,8 +30,8 @@ def add(commands: Any) -> None:
         ("stage fault bounce --chips mcx514 --record bounce.rrd", "a switch that bounces; the faulty run is recorded"),
     )  # fmt: skip
     p.add_argument("name", nargs="?", metavar="NAME", help="for example jam (default: list them all)")
-    add_plot_option(p)
-    add_stage_and_output_options(p)
+    options.add_plot_option(p)
+    options.add_stage_and_output_options(p)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -47,13 +47,13 @@ def run(args: argparse.Namespace) -> int:
     demonstrations.find_key(args.name)
     check_outputs(args)
     record = partial(record_for_plot, args, interval=SAMPLE_INTERVAL_S)
-    shown = demonstrations.show(args.name, partial(make_stage, args), record, args.plot is not None)
-    print(f"{shown.name}: {shown.demo.claim}\n\n{shown.table()}\n\nHow a host can tell: {shown.demo.notice}")
-    healthy, faulty = shown.figures
+    result = demonstrations.show(args.name, partial(make_stage, args), record, args.plot is not None)
+    print(f"{result.name}: {result.demo.claim}\n\n{result.table()}\n\nHow a host can tell: {result.demo.notice}")
+    healthy, faulty = result.figures
     tell(
-        args, fault=shown.name, claim=shown.demo.claim, notice=shown.demo.notice, as_claimed=shown.as_claimed,
-        unit=shown.unit, healthy=healthy, faulty=faulty,
+        args, fault=result.name, claim=result.demo.claim, notice=result.demo.notice, as_claimed=result.as_claimed,
+        unit=result.unit, healthy=healthy, faulty=faulty,
     )  # fmt: skip
-    draw_plot(args, shown.plot)
-    print("happened as claimed" if shown.as_claimed else "did NOT happen as claimed")
-    return 0 if shown.as_claimed else 1
+    draw_plot(args, result.plot)
+    print("happened as claimed" if result.as_claimed else "did NOT happen as claimed")
+    return 0 if result.as_claimed else 1

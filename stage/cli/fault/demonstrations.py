@@ -31,7 +31,7 @@ HYSTERESIS_UM = 28.0  # 25 of a switch, and a pulse
 
 @dataclass(frozen=True)
 class Claim:
-    """What happens with a servo, where this differs from a stepper; see `Demo`."""
+    """Claim for a servo, where it differs from that for a stepper; see `Demo`."""
 
     claim: str
     notice: str
@@ -68,7 +68,7 @@ class Demo:
 
 
 @dataclass(frozen=True)
-class Shown:
+class DemoResult:
     """Result of a demonstration: the healthy run and the faulty one.
 
     Attributes:
@@ -89,7 +89,7 @@ class Shown:
 
     @property
     def as_claimed(self) -> bool:
-        """Whether what is claimed has happened."""
+        """Verdict: what is claimed has happened."""
         return self.demo.happened(*map(self._scale_to_screw, self.figures))
 
     def _scale_to_screw(self, figures: Figures) -> Figures:
@@ -137,7 +137,7 @@ def find_key(name: str) -> str:
     return key
 
 
-def show(name: str, make: Callable[[], Any], record: Record | None = None, record_both: bool = False) -> Shown:
+def show(name: str, make: Callable[[], Any], record: Record | None = None, record_both: bool = False) -> DemoResult:
     """Run a demonstration on two stages, the healthy one first.
 
     Args:
@@ -163,7 +163,7 @@ def show(name: str, make: Callable[[], Any], record: Record | None = None, recor
     with record(stage) if record else nullcontext() as faulty_recording:
         faulty = demo.program(stage, lambda fault, *args: fault(*args))
     turn = 2 * math.pi / abs(axis.gear)
-    return Shown(key, demo, (healthy, faulty), (healthy_recording, faulty_recording), axis.unit, turn)
+    return DemoResult(key, demo, (healthy, faulty), (healthy_recording, faulty_recording), axis.unit, turn)
 
 
 def has_arrived(figures: Figures) -> bool:

@@ -10,7 +10,7 @@ from stage.support import pictures
 from stage.units import PLACES
 
 if TYPE_CHECKING:
-    from stage.cli.fault.demonstrations import Shown
+    from stage.cli.fault.demonstrations import DemoResult
 
 STYLES = (
     {"color": "#f0a868", "linewidth": 5.5, "alpha": 0.75, "label": "healthy"},
@@ -19,27 +19,27 @@ STYLES = (
 """Styles of the two runs. The healthy one is a wide band, so that both are visible where the runs are alike."""
 
 
-def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
+def draw(result: DemoResult, path: str | None, overwrite: bool) -> Any:
     """Draw a result that has both recordings, and return the figure; see `Shown.plot`."""
     from stage.support.files import save_figure
 
     figure = pictures.figure(9, 5.2)
     panels = figure.subplots(2, 1, sharex=True)
-    begins = [n.time for n in shown.recordings[1].notes if n.text.endswith("begins")][:1]
-    limits = _find_limits(shown, begins)
-    for panel, column in zip(panels, shown.demo.draws, strict=True):
+    begins = [n.time for n in result.recordings[1].notes if n.text.endswith("begins")][:1]
+    limits = _find_limits(result, begins)
+    for panel, column in zip(panels, result.demo.draws, strict=True):
         unit = _find_unit(column)
         if unit is None:
-            _draw_pin(panel, shown, column)
+            _draw_pin(panel, result, column)
         else:
-            for recording, style in zip(shown.recordings, STYLES, strict=True):
+            for recording, style in zip(result.recordings, STYLES, strict=True):
                 time, values, steps = _read_waveform(recording, column)
-                scale = PLACES[shown.unit].per if unit == "m" else 1
+                scale = PLACES[result.unit].per if unit == "m" else 1
                 panel.plot(time, values * scale, drawstyle="steps-post" if steps else "default", **style)
         for when in begins:
             if limits is None or limits[0] <= when <= limits[1]:
                 panel.axvline(when, color="#c53030", linewidth=1, linestyle=(0, (4, 2)), label="the fault begins")
-        unit = PLACES[shown.unit].symbol if unit == "m" else unit
+        unit = PLACES[result.unit].symbol if unit == "m" else unit
         panel.set_ylabel(f"{column.replace('_', ' ')}{f', {unit}' if unit else ''}", color=pictures.INK, fontsize=8.5)
         pictures.bare(panel)
     handles, labels = panels[0].get_legend_handles_labels()
@@ -48,16 +48,16 @@ def draw(shown: Shown, path: str | None, overwrite: bool) -> Any:
     panels[1].set_xlabel("time, s", color=pictures.INK, fontsize=8.5)
     if limits:
         panels[0].set_xlim(limits)
-    name = shown.recordings[1].notes[0].text.removesuffix(": begins")
-    pictures.heading(figure, f"{name[:1].upper()}{name[1:]}", shown.name)
+    name = result.recordings[1].notes[0].text.removesuffix(": begins")
+    pictures.heading(figure, f"{name[:1].upper()}{name[1:]}", result.name)
     if path is not None:
         save_figure(figure, path, 150, overwrite)
     return figure
 
 
-def _draw_pin(panel: Any, shown: Shown, column: str) -> None:
+def _draw_pin(panel: Any, result: DemoResult, column: str) -> None:
     """Draw a lane for each run, filled while the pin is asserted."""
-    for k, (recording, style) in enumerate(zip(shown.recordings, STYLES, strict=True)):
+    for k, (recording, style) in enumerate(zip(result.recordings, STYLES, strict=True)):
         time, on, _ = _read_waveform(recording, column)
         low = 1 - k
         panel.fill_between(time, low + 0.15, low + 0.15 + 0.7 * on, step="post", color=style["color"], linewidth=0)
@@ -79,23 +79,23 @@ def _read_waveform(recording: Any, column: str) -> tuple[np.ndarray, np.ndarray,
     name, axis = next(iter(recording.axes.items()))
     if _find_unit(column) is not None and column != "rate":
         return recording.column("time"), recording.column(f"{name}/{column}"), False
-    course = recording.journals[name].course()
+    waveform = recording.journals[name].course()
     values = (
-        to_pulse_rates(course.edges, course.clock_hz)
+        to_pulse_rates(waveform.edges, waveform.clock_hz)
         if column == "rate"
-        else is_asserted(axis.chip, course.edges, column)
+        else is_asserted(axis.chip, waveform.edges, column)
     )
-    return recording.began + course.seconds, values, True
+    return recording.began + waveform.seconds, values, True
 
 
-def _find_limits(shown: Shown, begins: list[float]) -> tuple[float, float] | None:
+def _find_limits(result: DemoResult, begins: list[float]) -> tuple[float, float] | None:
     """Return when the picture begins and ends, s; None: all of the run."""
-    if shown.demo.close_up is None:
+    if result.demo.close_up is None:
         return None
-    pin = next((column for column in shown.demo.draws if _find_unit(column) is None), None)
+    pin = next((column for column in result.demo.draws if _find_unit(column) is None), None)
     moment = begins[0]
     if pin is not None:
-        time, on, _ = _read_waveform(shown.recordings[1], pin)
+        time, on, _ = _read_waveform(result.recordings[1], pin)
         moment = float(time[on.argmax()])
-    before, after = shown.demo.close_up
+    before, after = result.demo.close_up
     return moment + before, moment + after

@@ -71,16 +71,16 @@ def start_move(axis: Any, turns: float, *speeds: float) -> Callable[[], Figures]
         worst = max(worst, abs(axis.commanded - axis.position))
 
     def finish() -> Figures:
-        ended = driver.wait(TIMEOUT_S, measure_error if servo else None)
-        behind = axis.commanded - axis.position
+        stopped_by = driver.wait(TIMEOUT_S, measure_error if servo else None)
+        lag = axis.commanded - axis.position
         axis.wait(0.3)
         figures = {
-            "stopped by": ended,
+            "stopped by": stopped_by,
             "counts commanded" if servo else "pulses made": axis.chip.net(axis.chip_axis) - net,
             "carriage moved, mm": (axis.position - start) * 1e3,
         }
         if servo:
-            return figures | {"behind at most, mm": worst * 1e3, "behind at the end, mm": behind * 1e3}
+            return figures | {"behind at most, mm": worst * 1e3, "behind at the end, mm": lag * 1e3}
         return figures | {"lost steps": axis.lost_steps - lost}
 
     return finish
@@ -106,11 +106,11 @@ def bounce(stage: Any, make_fault: MakeFault) -> Figures:
     with make_fault(faults.bounce, x, "org", BOUNCE_S):
         stage.place(**{x.name: find_touch(x, "org") + 0.002})
         report = firmware.home(x, speed=make_speeds(x, 5, 0.07))
-    course = report.course
-    org, time = course.edges["inputs"] & x.chip.wired("org") != 0, course.seconds
+    waveform = report.course
+    org, time = waveform.edges["inputs"] & x.chip.wired("org") != 0, waveform.seconds
     first = int(org.argmax())
-    seen = (time[:-1] >= time[first]) & (time[:-1] < time[first] + 1.5 * BOUNCE_S)
-    off = (time[1:] - time[:-1])[seen & ~org[:-1]]
+    in_bounce = (time[:-1] >= time[first]) & (time[:-1] < time[first] + 1.5 * BOUNCE_S)
+    off = (time[1:] - time[:-1])[in_bounce & ~org[:-1]]
     return {
         "edges of ORG that the chip saw": int((org[1:] != org[:-1]).sum()),
         "after the first edge ORG is off for, ms": float(off.sum()) * 1e3,
@@ -167,11 +167,11 @@ def phase_open(stage: Any, make_fault: MakeFault) -> Figures:
 
 
 def start_skew(stage: Any, make_fault: MakeFault) -> Figures:
-    late = first_axis(stage)
-    other = _find_axis_started_apart(stage, late)
-    distances = {other: pulses(other, -2.34375), late: pulses(late, 6.25)}  # the longest one last: it is started last
-    with make_fault(faults.start_skew, late, 5e-3):
-        report = firmware.line(distances, pulses=True, speed=make_speeds(late, 6.25, 0.15))
+    last = first_axis(stage)
+    other = _find_axis_started_separately(stage, last)
+    distances = {other: pulses(other, -2.34375), last: pulses(last, 6.25)}  # the longest one last: it is started last
+    with make_fault(faults.start_skew, last, 5e-3):
+        report = firmware.line(distances, pulses=True, speed=make_speeds(last, 6.25, 0.15))
     return {
         "done": "yes" if report.ok else "no",
         "started within, ms": report.skew * 1e3,
@@ -181,7 +181,7 @@ def start_skew(stage: Any, make_fault: MakeFault) -> Figures:
     }
 
 
-def _find_axis_started_apart(stage: Any, axis: Any) -> Any:
+def _find_axis_started_separately(stage: Any, axis: Any) -> Any:
     """Return an axis that a line with `axis` starts by another command. Raises StageError where there is none, with the reason."""
     chip = axis.chip.MAP.chip
     if driver_of(axis).has_position_loop:
@@ -204,8 +204,8 @@ def _find_axis_started_apart(stage: Any, axis: Any) -> Any:
 def lost_write(stage: Any, make_fault: MakeFault) -> Figures:
     x = first_axis(stage)
     turns = min(5, 0.9 * (x.travel[1] - x.position) * abs(x.gear) / (2 * math.pi))
-    asked, register = pulses(x, turns), driver_of(x).FINISH
-    written, nothing = (x.chip.register_cycles(register, distance, x.chip_axis) for distance in (asked, 0))
+    distance, register = pulses(x, turns), driver_of(x).FINISH
+    written, nothing = (x.chip.register_cycles(register, value, x.chip_axis) for value in (distance, 0))
     address, value = next(cycle for cycle, other in zip(written, nothing, strict=True) if cycle != other)
     with make_fault(faults.lost_write, x, address, value):
-        return {"asked": asked} | start_move(x, turns, 3.125, 0.1)() | {"diagnostics": len(x.chip.diagnostics)}
+        return {"asked": distance} | start_move(x, turns, 3.125, 0.1)() | {"diagnostics": len(x.chip.diagnostics)}
