@@ -48,7 +48,11 @@ class Range(NamedTuple):
 
 
 def values_of(name: str, text: str | int) -> Range | tuple[int, ...]:
-    """What a register takes, of its text in a space. Raises ArgumentError."""
+    """Return the values that a register may take, by its text in a space.
+
+    Raises:
+        ArgumentError: The text is no value, no list of values and no range.
+    """
     try:
         if ":" not in str(text):
             values = tuple(int(v) for v in str(text).split(","))
@@ -69,7 +73,11 @@ def values_of(name: str, text: str | int) -> Range | tuple[int, ...]:
 
 @explain_arguments
 def suggest(trial: Trial, space: Space) -> dict[str, int]:
-    """Register values of a trial; the trial's `params` hold them all. Raises ArgumentError."""
+    """Return the register values of a trial; the trial's `params` hold them all.
+
+    Raises:
+        ArgumentError: A text of the space is no value, no list of values and no range.
+    """
     registers = {}
     for name, text in space.items():
         values = values_of(name, text)
@@ -84,9 +92,9 @@ def suggest(trial: Trial, space: Space) -> dict[str, int]:
 
 @explain_arguments
 def seed_of(trial: Trial, seed: int = 0) -> int:
-    """For whatever else a trial draws: follows from a seed and the trial's number, so that neither order nor place matters."""
-    made = np.random.SeedSequence(seed, spawn_key=(trial.number, 1)).generate_state(1, np.uint64)[0]
-    return int(made >> np.uint64(1))
+    """Return a seed for whatever else a trial draws: it follows from `seed` and the number of the trial alone."""
+    words = np.random.SeedSequence(seed, spawn_key=(trial.number, 1)).generate_state(1, np.uint64)[0]
+    return int(words >> np.uint64(1))
 
 
 @explain_constructor
@@ -146,15 +154,15 @@ class PresetMoves:
         registers, seed = suggest(trial, self.space), seed_of(trial, self.seed)
         trial.set_user_attr("seed", seed)
 
-        def report(move: int, so_far: dict[str, float]) -> None:
-            trial.report(so_far[self.goals[0]], move)
+        def report(move: int, measures: dict[str, float]) -> None:
+            trial.report(measures[self.goals[0]], move)
             if trial.should_prune():
                 from optuna import TrialPruned
 
                 raise TrialPruned(f"after {move + 1} moves")
 
         alone = len(self.goals) == 1  # Optuna prunes by one goal only
-        measured = self.measure(registers, seed, report if alone else lambda move, so_far: None)
+        measured = self.measure(registers, seed, report if alone else lambda move, measures: None)
         for name, value in measured.items():
             trial.set_user_attr(name, value)
         return measured[self.goals[0]] if alone else tuple(measured[goal] for goal in self.goals)
@@ -202,7 +210,7 @@ def _together(moves: list[dict[str, float]]) -> dict[str, float]:
 
 
 def check_registers(names: Mapping[str, object], chip: Any) -> None:
-    """Raises ArgumentError for a speed register that is missing or unknown."""
+    """Raise ArgumentError for a speed register that is missing or unknown."""
     known = {"R1", "R2", "R3", "R4", "R5", "R7"} | ({"R14", "R15"} if chip.S_CURVES else set())
     for name in names:
         if name not in known:
@@ -214,16 +222,20 @@ def check_registers(names: Mapping[str, object], chip: Any) -> None:
 
 
 def profile_of(registers: Mapping[str, int], chip: Any) -> Profile:
-    """The speed registers as a Profile. Raises ArgumentError for one that is missing or unknown."""
+    """Return the speed registers as a Profile.
+
+    Raises:
+        ArgumentError: A register is missing or unknown.
+    """
     check_registers(registers, chip)
-    plain = {k: v for k, v in registers.items() if k not in ("R14", "R15")}
+    speeds = {k: v for k, v in registers.items() if k not in ("R14", "R15")}
     curved = "R14" in registers or "R15" in registers
     spans = (registers.get("R14", 0), registers.get("R15", 0)) if curved else None
-    return Profile(**({"R3": registers["R2"]} | plain), spans=spans, chip=chip)
+    return Profile(**({"R3": registers["R2"]} | speeds), spans=spans, chip=chip)
 
 
 def _stage(model: str, chip: Any) -> tuple[Stage, Any]:
-    """A stage of this thread, and its power-up."""
+    """Return a stage of this thread, and its snapshot at power-up."""
     stages = _local.__dict__.setdefault("stages", {})
     if (model, chip) not in stages:
         stage = Stage(model, chips=chip)
@@ -254,7 +266,7 @@ def _measure(stage: Stage, name: str, profile: Profile, pulses: int, band: float
 
 
 def _bend(stage: Stage, recording: Any, name: str) -> Any:
-    """How far the camera of xy_mast is off its carriage; 0 on stages without one."""
+    """Return how far the camera of xy_mast is off its carriage, m; 0 on stages without one."""
     joints = [stage.model.joint(k) for k in range(stage.model.njnt)]
     at = [j.qposadr[0] for j in joints if j.name == f"camera_{name}"]
     if not at:

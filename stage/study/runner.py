@@ -71,13 +71,17 @@ def open_study(
 
 @explain_arguments
 def read_study(storage: str | os.PathLike) -> optuna.Study:
-    """The study in `storage`, to look at it, also while it runs. Raises ArgumentError: there is none."""
+    """Open the study in `storage` for reading, also while it runs.
+
+    Raises:
+        ArgumentError: There is no study.
+    """
     from stage.study.storage import optuna, storage_at
 
     if "://" in str(storage) or os.path.exists(storage):
-        held = storage_at(storage)
-        if optuna.get_all_study_names(held):
-            return optuna.load_study(study_name=NAME, storage=held)
+        opened = storage_at(storage)
+        if optuna.get_all_study_names(opened):
+            return optuna.load_study(study_name=NAME, storage=opened)
     raise ArgumentError(f"{storage} holds no study.")
 
 
@@ -141,19 +145,19 @@ def run(
 
 @explain_arguments
 def finished(study: optuna.Study) -> int:
-    """How many trials of the study have ended by themselves: complete, pruned, or failed with an error that was recorded."""
+    """Count the trials of the study that ended by themselves: complete, pruned, or failed with an error that was recorded."""
     return sum(
         t.state.name in ("COMPLETE", "PRUNED") or "error" in t.user_attrs for t in study.get_trials(deepcopy=False)
     )
 
 
 def goals_of(objective: Objective) -> tuple[str, ...]:
-    """What an objective minimizes, by name."""
+    """Return the names of what an objective minimizes."""
     return tuple(getattr(objective, "goals", ("score",)))
 
 
 def definition(objective: Objective) -> dict[str, str]:
-    """What the numbers of a study depend on, as far as can be known: a study keeps to it."""
+    """Return what the numbers of a study depend on, as far as can be known; a study must not mix two of these."""
     named = objective if hasattr(objective, "__qualname__") else type(objective)
     fields = dataclasses.fields(objective) if dataclasses.is_dataclass(objective) else ()
     settings = {f.name: repr(getattr(objective, f.name)) for f in fields}
@@ -164,7 +168,7 @@ def definition(objective: Objective) -> dict[str, str]:
 def _optimize(study: optuna.Study, objective: Objective, trials: int) -> None:
     parent = multiprocessing.parent_process()
 
-    def noted(trial: optuna.Trial) -> Any:
+    def run_trial(trial: optuna.Trial) -> Any:
         try:
             return objective(trial)
         except StageError as error:
@@ -176,11 +180,11 @@ def _optimize(study: optuna.Study, objective: Objective, trials: int) -> None:
             study.stop()
 
     if finished(study) < trials:
-        study.optimize(noted, catch=(StageError,), callbacks=[stop])
+        study.optimize(run_trial, catch=(StageError,), callbacks=[stop])
 
 
 def _work(objective: Objective, storage: Any, trials: int, how: dict[str, Any]) -> None:
-    """A worker process. It ends when its parent does, however that ends."""
+    """Run trials in a worker process, which ends when its parent does, however that ends."""
     try:
         _optimize(open_study(objective, storage, **how), objective, trials)
     except StageError as error:

@@ -19,12 +19,16 @@ need("optuna", "a study")
 import optuna  # noqa: E402
 from optuna.storages.journal import JournalFileBackend  # noqa: E402
 
-FIRST = b'{"op_code":'
-"""How a journal begins."""
+JOURNAL_HEAD = b'{"op_code":'
+"""First bytes of a journal."""
 
 
 def storage_at(place: str | os.PathLike) -> optuna.storages.BaseStorage:
-    """The storage at `place`: a file, made or gone on with, or a database's URL as SQLAlchemy takes it. Raises StageError."""
+    """Open the storage at `place`: a file, which is made if it is missing, or the URL of a database as SQLAlchemy takes it.
+
+    Raises:
+        StageError: The place cannot hold a study.
+    """
     try:
         if "://" in str(place):
             return optuna.storages.RDBStorage(str(place))
@@ -43,14 +47,18 @@ class Journal(JournalFileBackend):
             if not path.is_file():
                 raise StageError(f"{path} is no regular file: choose another place.")
             with open(path, "rb") as file:
-                head = file.read(len(FIRST))
-            if not FIRST.startswith(head):
+                head = file.read(len(JOURNAL_HEAD))
+            if not JOURNAL_HEAD.startswith(head):
                 raise StageError(f"{path} is there and holds no study: choose another place.")
         lock: Any = Lock(path)  # Optuna's base class is not public
         super().__init__(str(path), lock)
 
     def append_logs(self, logs: list[dict[str, Any]]) -> None:
-        """Append to the file, durably. Raises FileError; what was recorded before stays."""
+        """Append to the file, durably.
+
+        Raises:
+            FileError: The file cannot be written; what was recorded before stays.
+        """
         try:
             super().append_logs(logs)
         except OSError as error:
@@ -61,7 +69,7 @@ class Journal(JournalFileBackend):
 
 
 class Lock:
-    """Who holds it may append to the journal.
+    """Lock of the right to append to the journal.
 
     Optuna's own locks are files: if their holder is killed, all others wait for half a minute. This lock is released by the system.
     The next holder removes a line that was not written to its end; otherwise the journal could not be read any more.
@@ -69,20 +77,20 @@ class Lock:
 
     def __init__(self, path: Path):
         self._path = path
-        self._held: IO | None = None
+        self._lock_file: IO | None = None
 
     def acquire(self) -> bool:
-        held = open(f"{self._path}.lock", "a")  # noqa: SIM115
+        lock_file = open(f"{self._path}.lock", "a")  # noqa: SIM115
         try:
-            fcntl.flock(held, fcntl.LOCK_EX)
-            self._mend()
+            fcntl.flock(lock_file, fcntl.LOCK_EX)
+            self._remove_unfinished_line()
         except BaseException:
-            held.close()
+            lock_file.close()
             raise
-        self._held = held
+        self._lock_file = lock_file
         return True
 
-    def _mend(self) -> None:
+    def _remove_unfinished_line(self) -> None:
         with open(self._path, "rb+") as journal:
             end = journal.seek(0, os.SEEK_END)
             if end and (journal.seek(-1, os.SEEK_END), journal.read(1))[1] != b"\n":
@@ -90,13 +98,13 @@ class Lock:
                 journal.truncate(journal.read().rfind(b"\n") + 1)
 
     def release(self) -> None:
-        held, self._held = self._held, None
-        if held is not None:
-            held.close()
+        lock_file, self._lock_file = self._lock_file, None
+        if lock_file is not None:
+            lock_file.close()
 
 
 class ByNumber(optuna.samplers.BaseSampler):
-    """A sampler whose random numbers follow from a seed and the trial's number.
+    """Sampler whose random numbers follow from a seed and the trial's number.
 
     So a continued study does not repeat its first trials, no two workers draw the same trial, and one worker makes the same
     study to the bit, whether stopped in between or not.

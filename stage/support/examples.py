@@ -57,12 +57,16 @@ EXTRAS = {
     **{f"{name}.ipynb": Needs("nbclient", "notebook") for name in NOTEBOOKS},
 }
 """What an example needs beside PulseStage."""
-MADE = ("__pycache__", "*.pyc", "_native.so*", "build", "*.egg-info")
-"""What lies in a folder and is no part of the example."""
+GENERATED_FILES = ("__pycache__", "*.pyc", "_native.so*", "build", "*.egg-info")
+"""Files that lie in a folder and are no part of the example."""
 
 
 def place(name: str) -> Path:
-    """Where an example lies here. Raises ArgumentError with the near misses."""
+    """Return where an example lies on this machine.
+
+    Raises:
+        ArgumentError: There is no such example; the error has near names.
+    """
     if name not in PLACES:
         raise unknown("example", name, PLACES)
     checkout = ROOT / PLACES[name]
@@ -70,7 +74,7 @@ def place(name: str) -> Path:
 
 
 def title(name: str) -> str:
-    """What an example shows, in a line: of a program the first of its docstring, of a notebook its heading."""
+    """Return a line that says what an example shows: the first one of a program's docstring, the heading of a notebook."""
     if name in FOLDERS:
         return FOLDERS[name]
     text = place(name).read_text(encoding="utf-8")
@@ -80,7 +84,12 @@ def title(name: str) -> str:
 
 
 def copy(name: str, folder: Path, overwrite: bool = False) -> Path:
-    """Copy an example into `folder`; returns the copy. Raises ArgumentError, and FileError where it is there already."""
+    """Copy an example into `folder`, and return the copy.
+
+    Raises:
+        ArgumentError: There is no such example.
+        FileError: The copy exists already, or cannot be written.
+    """
     source = place(name)
     target = folder / (f"{name}{source.suffix}" if name in PROGRAMS else name)
     if not folder.is_dir():
@@ -97,14 +106,14 @@ def copy(name: str, folder: Path, overwrite: bool = False) -> Path:
 def install(into: Path) -> None:
     """Put all of them into the folder `into`, for a wheel."""
     into.mkdir(parents=True, exist_ok=True)
-    for way in PLACES.values():
-        if (source := ROOT / way).exists():  # a part of the tree may be built alone
+    for location in PLACES.values():
+        if (source := ROOT / location).exists():  # a part of the tree may be built alone
             _copied(source, into / source.name)
 
 
 def _copied(source: Path, target: Path) -> None:
     if source.is_dir():
-        ignore: Callable = shutil.ignore_patterns(*MADE)
+        ignore: Callable = shutil.ignore_patterns(*GENERATED_FILES)
         shutil.copytree(source, target, ignore=ignore, dirs_exist_ok=True)
     else:
         shutil.copyfile(source, target)

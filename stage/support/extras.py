@@ -18,7 +18,7 @@ from stage.errors import LoadError
 
 
 class Extra(NamedTuple):
-    """What a library is called, and the extra of pyproject.toml that has it."""
+    """Title of a library, and the extra of pyproject.toml that has it."""
 
     title: str
     extra: str
@@ -44,7 +44,7 @@ LIBRARIES = {
 
 
 class ExtraMissing(LoadError):
-    """What was asked for needs a library that is not installed.
+    """Error: something needs a library that is not installed.
 
     Attributes:
         extra: the extra that has it, for pip install 'pulsestage[EXTRA]'.
@@ -59,10 +59,16 @@ class ExtraMissing(LoadError):
 
 
 def need(module: str, what: str, instead: str = "") -> Any:
-    """The module `module` of a library of LIBRARIES, for `what`, as in "drawing".
+    """Import a module of a library of LIBRARIES.
 
-    instead: what works without it, for the message.
-    Raises ExtraMissing where the library is not there; LoadError where it cannot be loaded.
+    Args:
+        module: Name of the module.
+        what: What needs it, for errors, as in "drawing".
+        instead: What works without it, for errors.
+
+    Raises:
+        ExtraMissing: The library is not installed.
+        LoadError: It cannot be loaded.
     """
     if module.startswith("matplotlib"):
         _give_matplotlib_a_folder()
@@ -86,13 +92,13 @@ def _give_matplotlib_a_folder() -> None:
         while not os.path.lexists(folder) and os.path.dirname(folder) != folder:
             folder = os.path.dirname(folder)
         if not (os.path.isdir(folder) and os.access(folder, os.W_OK | os.X_OK)):
-            os.environ["MPLCONFIGDIR"] = made = tempfile.mkdtemp(prefix="pulsestage-matplotlib-")
-            atexit.register(shutil.rmtree, made, ignore_errors=True)
+            os.environ["MPLCONFIGDIR"] = own_folder = tempfile.mkdtemp(prefix="pulsestage-matplotlib-")
+            atexit.register(shutil.rmtree, own_folder, ignore_errors=True)
             return
 
 
 def has(library: str) -> bool:
-    """Whether a library is installed; it is not imported for that."""
+    """Check whether a library is installed, without importing it."""
     try:
         return find_spec(library) is not None
     except (ValueError, ModuleNotFoundError):  # somebody has put None in its place, or blocks it

@@ -33,7 +33,7 @@ class FileError(StageError):
 
 
 def path_of(path: Any, error: type[StageError] = FileError) -> Path:
-    """A path as somebody gives it; raises `error` for what is none."""
+    """Return a path as a Path; raise `error` for what is none."""
     try:
         return Path(path)
     except TypeError:
@@ -41,23 +41,26 @@ def path_of(path: Any, error: type[StageError] = FileError) -> Path:
 
 
 def readable(path: Any, what: str, error: type[StageError] = FileError) -> Path:
-    """`path`, if it is a regular file with something in it that can be read; what: it should be, as in "recording".
+    """Return a path, if it is a regular file with something in it that can be read.
 
-    Raises `error` for what is missing, a folder, a device or a pipe, empty, or not to be read, each in its own words.
+    Args:
+        path: Path to check.
+        what: What should be there, for errors, as in "recording".
+        error: Type of the error for what is missing, a folder, a device or a pipe, empty, or cannot be read.
     """
     path = path_of(path, error)
     try:
-        there = path.stat()
+        status = path.stat()
     except (FileNotFoundError, NotADirectoryError):
         raise error(f"there is no {what} {path}.") from None
     except (OSError, ValueError) as why:
         raise error(f"{path} cannot be read: {getattr(why, 'strerror', None) or why}.") from why
-    if stat.S_ISDIR(there.st_mode):
+    if stat.S_ISDIR(status.st_mode):
         raise error(f"{path} is a folder. Name a file in it.")
     refuse_irregular(path, what, error)
     if not os.access(path, os.R_OK):
         raise error(f"{path} cannot be read: no permission. `ls -l` says who may.")
-    if not there.st_size:
+    if not status.st_size:
         raise error(f"{path} is empty, and no {what}.")
     return path
 
@@ -80,9 +83,13 @@ def refuse_irregular(path: Path, what: str, error: type[StageError] = FileError)
 def writable(
     path: str | os.PathLike, overwrite: bool, error: type[FileError] = FileError, ask: str = "say overwrite=True"
 ) -> Path:
-    """The file that `path` names, links followed, if it can be written and nothing would be lost; raises `error` otherwise.
+    """Return the file that a path names, links followed, if it can be written and nothing would be lost.
 
-    ask: what whoever wants to overwrite has to do.
+    Args:
+        path: Path to check.
+        overwrite: A file that exists may be lost.
+        error: Type of the error for what cannot be written.
+        ask: What a user has to do in order to overwrite, for errors.
     """
     path = path_of(path, error)
     kind = _kind(path, error)
@@ -105,23 +112,27 @@ def writable(
 
 
 def ends_as(path: str | os.PathLike, endings: Iterable[str], what: str, error: type[FileError] = FileError) -> str:
-    """The ending of `path` in small letters, which is one of `endings`; of a device, which may have any, the first of them.
+    """Return the ending of a path in small letters; that of a device, which may have any, is the first of `endings`.
 
-    what: is written there, as in "a recording". Raises `error` for another ending, or none.
+    Args:
+        path: Path to check.
+        endings: Endings that are allowed.
+        what: What is written there, for errors, as in "a recording".
+        error: Type of the error for another ending, or none.
     """
-    known, given = list(endings), path_of(path, error).suffix.lower()
+    known, ending = list(endings), path_of(path, error).suffix.lower()
     if os.path.isdir(path):
         raise error(f"{path} is a folder. Name a file in it.")
-    if given in known:
-        return given
+    if ending in known:
+        return ending
     if is_stream(path):
         return known[0]
-    said = f"{what} is no {given[1:]!r}" if given else "the name has no ending, and that says the format"
-    raise error(f"{path}: {said}. Name a file that ends in {', '.join(known)}.")
+    reason = f"{what} is no {ending[1:]!r}" if ending else "the name has no ending, and that says the format"
+    raise error(f"{path}: {reason}. Name a file that ends in {', '.join(known)}.")
 
 
 def is_stream(path: str | os.PathLike) -> bool:
-    """Whether `path` is there and bytes pass through it, as through a device, a pipe or /dev/stdout."""
+    """Check whether `path` exists and bytes pass through it, as through a device, a pipe or /dev/stdout."""
     try:
         kind = os.stat(path).st_mode
     except (OSError, ValueError):
@@ -131,7 +142,7 @@ def is_stream(path: str | os.PathLike) -> bool:
 
 @contextmanager
 def written(path: str | os.PathLike, overwrite: bool, error: type[FileError] = FileError) -> Iterator[Path]:
-    """A name, in a folder of its own, to write to; it becomes `path` when all went well, and is gone when not.
+    """Yield a temporary name to write to, which becomes `path` when all went well, and is gone when not.
 
     The bytes are on the disk before the name is. A file that appears as `path` meanwhile stays, unless `overwrite`.
     Raises `error` for what `writable` refuses and for every OSError inside.
@@ -139,11 +150,11 @@ def written(path: str | os.PathLike, overwrite: bool, error: type[FileError] = F
     target = writable(path, overwrite, error)
     folder = None
     try:
-        beside = None if is_stream(target) else target.parent  # a rename does not leave a file system
-        folder = Path(tempfile.mkdtemp(prefix=".", suffix=".part", dir=beside))
+        folder_of_target = None if is_stream(target) else target.parent  # a rename does not leave a file system
+        folder = Path(tempfile.mkdtemp(prefix=".", suffix=".part", dir=folder_of_target))
         part = folder / target.name
         yield part
-        if beside is None:
+        if folder_of_target is None:
             _pour(part, target)
         elif not _placed(part, target, overwrite):
             raise error(f"{path} exists: it appeared meanwhile, and stays. Choose another name, or say overwrite=True.")
@@ -162,13 +173,13 @@ def save_figure(figure: Any, path: str | os.PathLike, dpi: int, overwrite: bool)
 
 
 def figure_format(path: str | os.PathLike) -> str:
-    """The format that matplotlib writes to `path`, PNG to a device; FileError where it knows none of that name."""
+    """Return the format that matplotlib writes to `path`, PNG to a device; raise FileError where it knows none of that name."""
     known = need("matplotlib.backend_bases", "drawing").FigureCanvasBase.get_supported_filetypes()
     return ends_as(path, (".png", *sorted(f".{kind}" for kind in known if kind != "png")), "a figure")[1:]
 
 
 def _kind(path: Path, error: type[FileError]) -> int | None:
-    """The mode (of stat) of what exists at `path`; None if nothing does."""
+    """Return the mode (of stat) of what exists at `path`; None if nothing does."""
     try:
         return path.stat().st_mode
     except (FileNotFoundError, NotADirectoryError):

@@ -14,29 +14,29 @@ CELL = 'style="text-align:left"'
 
 
 def table(rows: Iterable[Sequence[Any]], head: Sequence[Any] = ()) -> str:
-    """A table, a row each; `head` above it. Texts are escaped."""
+    """Return a table with `head` above its rows. Texts are escaped."""
     above = f"<thead><tr>{''.join(f'<th {CELL}>{escape(str(h))}</th>' for h in head)}</tr></thead>" if head else ""
     body = "".join(f"<tr>{''.join(f'<td {CELL}>{escape(str(v))}</td>' for v in row)}</tr>" for row in rows)
     return f"<table>{above}<tbody>{body}</tbody></table>"
 
 
 def heading(text: str) -> str:
-    """What stands above."""
+    """Return a heading."""
     return f"<div><b>{escape(text)}</b></div>"
 
 
 def folded(title: str, content: str) -> str:
-    """What opens by a click."""
+    """Return content that opens by a click on its title."""
     return f"<details><summary>{escape(title)}</summary>{content}</details>"
 
 
 def lines(text: str) -> str:
-    """Text as it is."""
+    """Return preformatted text."""
     return f"<pre>{escape(text)}</pre>"
 
 
 def picture(draw: Callable[[], Any]) -> str:
-    """The figure that `draw()` makes, in the page itself; a line that says what it needs where matplotlib is missing."""
+    """Return the figure that `draw()` makes, in the page itself; a line that says what it needs where matplotlib is missing."""
     try:
         figure = draw()
     except ExtraMissing as missing:

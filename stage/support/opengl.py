@@ -26,7 +26,7 @@ _open: WeakSet = WeakSet()  # renderers
 
 
 def has_screen() -> bool:
-    """Whether a window could open here."""
+    """Check whether a window could open here."""
     if sys.platform in ("darwin", "win32"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
@@ -41,7 +41,7 @@ def check_window(instead: str) -> None:
 
 
 def renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
-    """MuJoCo's renderer of pictures (pixels), without a screen by EGL unless MUJOCO_GL says otherwise.
+    """Return MuJoCo's renderer of pictures (pixels), without a screen by EGL unless MUJOCO_GL says otherwise.
 
     Raises StageError where there is no OpenGL, each time, and where the model's offscreen buffer is smaller than the picture.
     """
@@ -55,12 +55,12 @@ def renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
         )
     if not _failed:
         try:
-            with _chosen(mujoco.Renderer):
-                made = mujoco.Renderer(model, height, width)
+            with _choose_context(mujoco.Renderer):
+                new_renderer = mujoco.Renderer(model, height, width)
             if not _open:
                 atexit.register(_close)  # after MuJoCo's own, hence before it: EGL's display goes last
-            _open.add(made)
-            return made
+            _open.add(new_renderer)
+            return new_renderer
         except Exception as error:  # PyOpenGL and MuJoCo have no common one
             _failed.append(f"{type(error).__name__}: {error}")
     raise StageError(
@@ -70,17 +70,19 @@ def renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
 
 
 def _close() -> None:
-    for made in list(_open):
-        made.close()
+    for new_renderer in list(_open):
+        new_renderer.close()
 
 
 @contextmanager
-def _chosen(cls: type) -> Iterator[None]:
-    """Within it, MuJoCo's renderer makes its context by EGL if there is no screen and MUJOCO_GL does not say otherwise. Raises
-    where GLFW would be used and does not work."""
-    asked = os.environ.get("MUJOCO_GL", "").lower().strip()
+def _choose_context(cls: type) -> Iterator[None]:
+    """Let MuJoCo's renderer make its context by EGL in this block, if there is no screen and MUJOCO_GL does not say otherwise.
+
+    Raises RuntimeError where GLFW would be used and does not work.
+    """
+    setting = os.environ.get("MUJOCO_GL", "").lower().strip()
     module: Any = getattr(sys.modules[cls.__module__], "gl_context", None)
-    if sys.platform == "linux" and not asked and not has_screen() and module is not None:
+    if sys.platform == "linux" and not setting and not has_screen() and module is not None:
         from mujoco.egl import GLContext
 
         usual, module.GLContext = module.GLContext, GLContext
@@ -89,19 +91,19 @@ def _chosen(cls: type) -> Iterator[None]:
         finally:
             module.GLContext = usual
         return
-    if sys.platform == "linux" and asked not in ("egl", "osmesa") and (why := _glfw()):
+    if sys.platform == "linux" and setting not in ("egl", "osmesa") and (why := _glfw()):
         raise RuntimeError(why)
     yield
 
 
 def _glfw() -> str:
-    """Why GLFW does not work here; empty where it does."""
+    """Return why GLFW does not work here; "" where it does."""
     try:
         import glfw
 
-        with warnings.catch_warnings(record=True) as said:
+        with warnings.catch_warnings(record=True) as messages:
             warnings.simplefilter("always")
             works = glfw.init()
     except Exception as error:  # the library itself may be missing
         return f"{type(error).__name__}: {error}"
-    return "" if works else "; ".join(str(w.message) for w in said) or "GLFW does not start"
+    return "" if works else "; ".join(str(w.message) for w in messages) or "GLFW does not start"

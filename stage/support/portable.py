@@ -16,8 +16,8 @@ import numpy as np
 
 def _each(function: Callable[[float], float]) -> Callable[[Any], Any]:
     def call(x: Any) -> Any:
-        given = np.asarray(x, np.float64)
-        return np.array([function(v) for v in given.ravel().tolist()], np.float64).reshape(given.shape)[()]
+        values = np.asarray(x, np.float64)
+        return np.array([function(v) for v in values.ravel().tolist()], np.float64).reshape(values.shape)[()]
 
     return call
 
@@ -45,14 +45,14 @@ log, log1p, exp, cbrt = _each(_log), _each(_log1p), _each(_exp), _each(math.cbrt
 
 
 def power(x: Any, exponent: Any) -> Any:
-    """x ** exponent, of numbers from 0 up."""
+    """Return x ** exponent, for numbers from 0 up."""
     base, exponents = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(exponent, np.float64))
     pairs = zip(base.ravel().tolist(), exponents.ravel().tolist(), strict=True)
     return np.array([math.pow(v, e) for v, e in pairs], np.float64).reshape(base.shape)[()]
 
 
 def geomspace(first: float, last: float, n: int) -> np.ndarray:
-    """As numpy.geomspace."""
-    found = power(10.0, np.linspace(math.log10(first), math.log10(last), n))
-    found[0], found[-1] = first, last
-    return found
+    """Return `n` numbers from `first` to `last`, evenly spaced on a logarithmic scale, as numpy.geomspace does."""
+    values = power(10.0, np.linspace(math.log10(first), math.log10(last), n))
+    values[0], values[-1] = first, last
+    return values

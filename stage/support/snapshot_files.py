@@ -45,37 +45,43 @@ class FiledSnapshot(Snapshot):
 
     @classmethod
     def _state_of(cls, data: bytes) -> Any:
-        """The state that `data` holds."""
+        """Return the state that `data` holds."""
         return data
 
     @classmethod
-    def _noted_of(cls, told: Any) -> tuple:
-        """The diagnostics, of what JSON gave for them."""
+    def _noted_of(cls, description: Any) -> tuple:
+        """Return the diagnostics, from what JSON gave for them."""
         raise NotImplementedError
 
     def save(self, path: str | os.PathLike, overwrite: bool = False) -> Path:
-        """Write it to a file. Raises FileError, also where one is there (and not `overwrite`); ArgumentError if damaged."""
+        """Write the snapshot to a file, and return its path.
+
+        Raises:
+            FileError: The file cannot be written, or exists (and not `overwrite`).
+            ArgumentError: The snapshot is damaged.
+        """
         self.checked()
         state = np.frombuffer(self.state, np.uint8).tobytes()
-        told = {
+        description = {
             "of": self.of,
             "version": VERSION,
             "parts": self.header.parts,
             "noted": self.diagnostics,
             "checksum": self.checksum,
         }
-        head = json.dumps(told).encode()
-        whole = MAGIC + LENGTHS.pack(FORMAT, len(head), len(state)) + head + state
+        head = json.dumps(description).encode()
+        content = MAGIC + LENGTHS.pack(FORMAT, len(head), len(state)) + head + state
         with written(path, overwrite) as part:
-            part.write_bytes(whole + hashlib.sha256(whole).digest())
+            part.write_bytes(content + hashlib.sha256(content).digest())
         return Path(path)
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> Self:
-        """The snapshot in a file that `save` has written; `restore` says whether it fits.
+        """Return the snapshot in a file that `save` has written; `restore` says whether it fits.
 
-        Raises SnapshotError for what is missing, no regular file, no snapshot, larger than 64 MiB, damaged, of another format, or a
-        snapshot of something else.
+        Raises:
+            SnapshotError: The file is missing, no regular file, no snapshot, larger than 64 MiB, damaged, of another format, or of
+                something else.
         """
         return cls.from_bytes(read_bytes(path, "snapshot", LARGEST, SnapshotError), str(path))
 
@@ -84,25 +90,27 @@ class FiledSnapshot(Snapshot):
         """Return the snapshot that the bytes of a file hold; `name` says in errors where they come from. Raises as `load`."""
         if not isinstance(data, bytes):
             raise SnapshotError(f"data={data!r}: give the bytes of a snapshot's file.")
-        told, state = _parts(name, data)
-        if told["version"] != VERSION:
+        description, state = _parts(name, data)
+        if description["version"] != VERSION:
             raise SnapshotError(
-                f"{name} is of version {told['version']} of {told['of']}'s state, and this PulseStage reads version {VERSION}: "
-                "take it anew."
+                f"{name} is of version {description['version']} of {description['of']}'s state, and this PulseStage reads version "
+                f"{VERSION}: take it anew."
             )
-        if told["of"] != cls.of:
-            raise SnapshotError(f"{name} is a snapshot of {told['of']}, and was loaded as one of {cls.of}.")
+        if description["of"] != cls.of:
+            raise SnapshotError(f"{name} is a snapshot of {description['of']}, and was loaded as one of {cls.of}.")
         try:
-            parts = tuple((str(what), str(which)) for what, which in told["parts"])
-            found = cls(Header(parts), cls._state_of(state), cls._noted_of(told["noted"]), told["checksum"])
-            found.checked()
+            parts = tuple((str(what), str(which)) for what, which in description["parts"])
+            snapshot = cls(
+                Header(parts), cls._state_of(state), cls._noted_of(description["noted"]), description["checksum"]
+            )
+            snapshot.checked()
         except (ArgumentError, KeyError, TypeError, ValueError) as error:
             raise SnapshotError(_damaged(name, "what it says of itself does not fit its state")) from error
-        return found
+        return snapshot
 
 
 def _parts(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
-    """The head and the state of a file. Raises SnapshotError."""
+    """Return the description and the state in a file. Raises SnapshotError."""
     if not data.startswith(MAGIC):
         if data and MAGIC.startswith(data[: len(MAGIC)]):
             raise SnapshotError(_damaged(name, "it ends in its first line"))
@@ -123,12 +131,15 @@ def _parts(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
         raise SnapshotError(_damaged(name, "its SHA-256 is not that of its content"))
     begin = len(MAGIC) + LENGTHS.size
     try:
-        told = parse_json(data[begin : begin + head])
-        if not isinstance(told, dict) or not {"of", "version", "parts", "noted", "checksum"} <= told.keys():
+        description = parse_json(data[begin : begin + head])
+        if (
+            not isinstance(description, dict)
+            or not {"of", "version", "parts", "noted", "checksum"} <= description.keys()
+        ):
             raise ValueError("no head")
     except ValueError as error:
         raise SnapshotError(_damaged(name, "its head cannot be read")) from error
-    return told, data[begin + head : begin + head + state]
+    return description, data[begin + head : begin + head + state]
 
 
 def _damaged(name: str, why: str) -> str:

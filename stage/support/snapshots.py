@@ -25,7 +25,7 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class Header:
-    """What a snapshot was taken of: (what, which) in words, the coarsest difference first."""
+    """Description of what a snapshot was taken of: (what, which) in words, the coarsest difference first."""
 
     parts: tuple[tuple[str, str], ...]
 
@@ -54,10 +54,10 @@ class Snapshot:
     def checked(self) -> None:
         """Raise ArgumentError where header and state are not those that were taken."""
         try:
-            whole = self.checksum == zlib.crc32(self.state, self.header.checksum)
+            is_intact = self.checksum == zlib.crc32(self.state, self.header.checksum)
         except (TypeError, ValueError, AttributeError):
-            whole = False
-        if not whole:
+            is_intact = False
+        if not is_intact:
             raise _damaged(type(self))
 
     def __reduce__(self) -> tuple:
@@ -92,10 +92,14 @@ def check(snapshot: Any, cls: type[Snapshot], header: Header) -> None:
     snapshot.checked()
     if snapshot.header is header or snapshot.header.parts == header.parts:
         return
-    there, here = dict(snapshot.header.parts), dict(header.parts)
-    different = (what for what in {**there, **here} if there.get(what) != here.get(what))
+    parts_of_snapshot, parts_of_target = dict(snapshot.header.parts), dict(header.parts)
+    different = (
+        what
+        for what in {**parts_of_snapshot, **parts_of_target}
+        if parts_of_snapshot.get(what) != parts_of_target.get(what)
+    )
     what = next(different, "order")
-    theirs, ours = there.get(what, "none"), here.get(what, "none")
+    theirs, ours = parts_of_snapshot.get(what, "none"), parts_of_target.get(what, "none")
     raise ArgumentError(
         f"this snapshot of {cls.of} cannot be restored here, for it is another's: {what}: {theirs} there, {ours} here. Restore it "
         f"into {cls.of} made like the one that it was taken of."
@@ -104,12 +108,12 @@ def check(snapshot: Any, cls: type[Snapshot], header: Header) -> None:
 
 @cache
 def layout(dtype: np.dtype) -> str:
-    """A name for the layout of a record, another for each."""
+    """Return a name for the layout of a record, another one for each layout."""
     return hashlib.blake2b(repr(_fields(dtype)).encode(), digest_size=6).hexdigest()
 
 
 def _fields(dtype: np.dtype) -> Any:
-    """All that says how a record lies in memory; NumPy's own text of it takes milliseconds."""
+    """Return all that says how a record lies in memory; NumPy's own text of it takes milliseconds."""
     if dtype.subdtype:
         return _fields(dtype.subdtype[0]), dtype.shape
     if dtype.fields:
