@@ -119,55 +119,6 @@ def test_view_without_a_screen_says_what_to_do(here, capsys):
     assert "el_plus" in out(capsys, "view", "--text").out
 
 
-@pytest.mark.parametrize(
-    ("argv", "message"),
-    [
-        (["home", "q"], "unknown axis 'q'"),
-        (["move", "x", "0"], "R0 counts 1 to 16777215"),
-        (["move", "x", "100", "--model", "xyzz"], "Did you mean"),
-        (["move", "x", "100", "--model", "nowhere.xml"], "no MJCF file"),
-        (["move", "x", "100", "--chips", "PCL241"], "Did you mean"),
-        (["move", "x", "100", "--chips", "hctl1100", "--s-curve"], "an HCTL1100 has linear ramps only"),
-        (["move", "x", "100", "--chips", "HCTL-1100", "--constant"], "--constant: .* of the PCL-240 family"),
-        (["move", "x", "10kg"], r"'10kg': .* pulses for axis x, such as 8000, or a distance in nm, um, mm, cm, m"),
-        (["move", "x", "1.5"], r"'1\.5': give a whole number of pulses"),
-        (
-            ["home", "x", "--chips", "mcx304", "--by", "stall"],
-            "home by 'stall': an MCX304 cannot; it homes by switch or index",
-        ),
-        (["home", "x", "--chips", "pcl240k", "--by", "index"], "home by 'index': a PCL240K cannot; it homes by switch"),
-        (["home", "x", "--chips", "pcl240ms", "--by", "switch", "--ez", "1"], "give one of the two"),
-        (["home", "x", "--chips", "mcx304", "--ez", "3"], "--ez 3: .* index pulse 1 after"),
-        (["dual-rate", "x", "100", "--chips", "mcx514"], "MCX514 has one drive speed"),
-        (["sync", "x=0", "y=0", "--chips", "mcx302"], "nothing moves"),
-        (["sync", "x=100", "y=100", "--chips", "x=mcx302,y=pcl240k"], "MCX302 and PCL240K draw no line together"),
-        (["move", "x", "100", "--chips", "mcx304", "--fh1", "1e6"], "MCX304 makes 20 to 160000 pps"),
-        (["move", "x", "100", "--motor", "17HS4410"], "Did you mean '17HS4401'"),
-        (["move", "x", "100", "--fh1", "1e9"], "at most|makes up to"),
-        (["sync", "x:3"], "unknown axis|AXIS=PULSES"),
-        (["sync", "x"], "AXIS=PULSES"),
-        (["sync", "x=abc"], "a whole number of pulses for axis x"),
-        (["registers", "pcl"], "Known: .*PCL240K"),
-        (["move", "x", "100", "--record", "no/such/folder.rrd"], "no folder"),
-        # stage move x 100 --plot a.foo
-        (["move", "x", "100", "--plot", "a.foo"], r"a\.foo: a figure is no 'foo'\. .*\.png"),
-        (["move", "x", "100", "--picture", "q.jpg"], r"q\.jpg: .*\.png"),
-        # stage pullout --plot a.foo
-        (["pullout", "--plot", "a.foo"], "a figure is no 'foo'"),
-        (["fault", "start-skew", "--chips", "mcx302", "--model", "xy"], r"one command starts all axes .* one MCX302's"),
-        (["fault", "phase-open", "--chips", "hctl1100", "--model", "xy"], r"a DC motor, 14201S003, without phases"),
-        # stage move x 100 --from 1000
-        (["move", "x", "100", "--from", "1000"], r"--from 1000: axis x travels from -158 to 158 mm"),
-        # stage home y --from nan
-        (["home", "y", "--from", "nan"], r"--from nan: axis y travels from .* mm"),
-        # stage sync x=100 x=200
-        (["sync", "x=100", "x=200"], "'x=200': axis x already has 100 pulses"),
-    ],
-)
-def test_errors_say_what_was_given_and_what_is_allowed(here, capsys, argv, message):
-    assert re.search(message, out(capsys, *argv, code=2).err)
-
-
 def test_a_plot_of_a_format_that_nobody_draws_is_refused_before_the_work(here, capsys):
     """stage move x 100 --plot a.foo"""
     said = out(capsys, "move", "x", "100", "--plot", "a.foo", code=2)

@@ -75,7 +75,7 @@ def add(commands: Any) -> None:
     p.add_argument(
         "distances", nargs="+", metavar="AXIS=DISTANCE", help="for example x=20000 y=-7500, or x=10mm y=-2mm"
     )
-    p.add_argument("--rate", dest="fh1", type=RATE, help="rate of the axis with the most pulses, pps")
+    p.add_argument("--rate", dest="fh1", type=RATE, metavar="RATE", help="rate of the axis with the most pulses, pps")
     p.add_argument("--fl", type=RATE, help="rate of that axis at the start and at the stop, pps")
     p.add_argument("--accel", type=DURATION, help="seconds of the ramps")
     options.add_ramp_options(p)
@@ -84,7 +84,7 @@ def add(commands: Any) -> None:
 
 
 def _add_axis_and_distance(p: argparse.ArgumentParser) -> None:
-    p.add_argument("axis", metavar="AXIS")
+    p.add_argument("axis", metavar="AXIS", help="axis to move")
     p.add_argument(
         "distance", metavar="DISTANCE", help="pulses (counts of a servo), or 10mm, 30deg; the sign is the direction"
     )

@@ -162,7 +162,7 @@ def add_start_option(p: Any) -> None:
 
 def add_speed_options(p: argparse.ArgumentParser) -> None:
     """Add rates and ramp times."""
-    g = p.add_argument_group("speeds (pulses per second; the chip makes, and the command prints, the nearest possible)")
+    g = p.add_argument_group("speeds (pulses per second; the chip makes the nearest that its registers allow)")
     g.add_argument("--fl", type=RATE, help="FL: rate at the start and at the stop")
     g.add_argument("--fh1", type=RATE, help="FH1: rate of the move")
     g.add_argument("--fh2", type=RATE, help="FH2: second rate (PCL-240 family; default: twice FH1)")

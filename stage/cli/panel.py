@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
             print("there is no browser here: open the link in one", flush=True)
         over.wait()
         panel.close()
-    gc.freeze()  # Python would look through all pages that were ever shown, and take seconds to end
+    gc.freeze()  # Python would look through all pages that a browser has ever had, and take seconds to end
     return 0
 
 

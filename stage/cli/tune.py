@@ -51,7 +51,7 @@ def add(commands: Any) -> None:
         help="the axis has arrived when it stays within WITHIN of the goal for FOR: 50um 50ms (default: a full step, 10 counts of "
         "a servo; 50ms)",
     )  # fmt: skip
-    p.add_argument("--overshoot", metavar="LENGTH", help="largest way beyond the goal (default: twice WITHIN)")
+    p.add_argument("--overshoot", metavar="LENGTH", help="largest distance beyond the goal (default: twice WITHIN)")
     p.add_argument(
         "--site",
         metavar="NAME",
