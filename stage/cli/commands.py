@@ -23,6 +23,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import redirect_stdout
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 from typing import Any
 
 from stage.cli.options import TIME, number
@@ -120,7 +121,7 @@ def describe_interruption(args: argparse.Namespace) -> str:
 def run_as_json(run: Callable[[argparse.Namespace], int], args: argparse.Namespace) -> int:
     """Run a command, and print its facts, files and warnings as JSON, also where Ctrl-C ends it."""
     interruption: KeyboardInterrupt | None = None
-    with open(os.devnull, "w", encoding="utf-8", errors="replace") as nowhere, redirect_stdout(nowhere):
+    with Path(os.devnull).open("w", encoding="utf-8", errors="replace") as nowhere, redirect_stdout(nowhere):
         try:
             code = run(args)
         except KeyboardInterrupt as stop:

@@ -25,6 +25,23 @@ def check_outputs(args: argparse.Namespace) -> None:
         FileError: A file cannot be written, or has the wrong ending.
         ArgumentError: Options contradict each other.
     """
+    _check_viewers(args)
+    if getattr(args, "json", False):
+        printing = {"--web": getattr(args, "web", False), "--trace -": getattr(args, "trace", None) == "-"}
+        for option, given in printing.items():
+            if given:
+                raise ArgumentError(f"{option}: it prints text, and --json prints JSON. Leave one of them out.")
+    named = _list_files(args)
+    _check_separate(named)
+    _check_writable(named, args.force)
+    if "record" in args:
+        for name in ("web", "picture", "record"):  # who gave one of the others gave no --record
+            if getattr(args, name, None):
+                need("rerun", f"--{name}")
+
+
+def _check_viewers(args: argparse.Namespace) -> None:
+    """Refuse --view without a screen, and a port that cannot serve --web."""
     web, view = getattr(args, "web", False), getattr(args, "view", False)
     if view:
         need("rerun", "--view")
@@ -38,17 +55,6 @@ def check_outputs(args: argparse.Namespace) -> None:
         check_port(args.port)
     elif getattr(args, "port_given", False) and hasattr(args, "web"):
         raise ArgumentError(f"--port {args.port}: --web serves the dashboard there. Give --web as well, or no --port.")
-    if getattr(args, "json", False):
-        for option, given in (("--web", web), ("--trace -", getattr(args, "trace", None) == "-")):
-            if given:
-                raise ArgumentError(f"{option}: it prints text, and --json prints JSON. Leave one of them out.")
-    named = _list_files(args)
-    _check_separate(named)
-    _check_writable(named, args.force)
-    if "record" in args:
-        for name in ("web", "picture", "record"):  # who gave one of the others gave no --record
-            if getattr(args, name, None):
-                need("rerun", f"--{name}")
 
 
 def _list_files(args: argparse.Namespace) -> dict[str, str]:
@@ -65,7 +71,7 @@ def _check_separate(named: dict[str, str]) -> None:
 
     options_by_file: dict[str, str] = {}
     for name, path in named.items():
-        if os.path.isfile(path) or not os.path.exists(path):  # a device takes all
+        if Path(path).is_file() or not Path(path).exists():  # a device takes all
             other = options_by_file.setdefault(os.path.realpath(path), name)
             if other != name:
                 raise FileError(f"--{other} and --{name} both write {path}. Give each a file of its own.")

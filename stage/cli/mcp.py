@@ -6,6 +6,7 @@ import argparse
 import math
 import os
 import sys
+from pathlib import Path
 from typing import Any
 
 from stage.cli import options
@@ -69,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
             raise ArgumentError(f"--{name} {getattr(args, name)}: must be greater than 0.")
     if not 0 < args.patience < math.inf:
         raise ArgumentError(f"--patience {args.patience}: must be greater than 0 s, and finite.")
-    if args.folder is not None and not os.path.isdir(args.folder):
+    if args.folder is not None and not Path(args.folder).is_dir():
         raise ArgumentError(f"--folder {args.folder}: there is no such folder. Create it first.")
     if args.folder is not None and args.mode != "truth":
         raise ArgumentError("--folder: only mode truth writes recordings. Add --mode truth, or leave the folder out.")

@@ -24,6 +24,7 @@ class Quantity:
         self.kind, self.units, self.positive = kind, BESIDES[kind], positive
 
     def __call__(self, text: str) -> float:
+        """Parse a number with or without a unit."""
         text = text.strip()
         value = quantity(text, {"": 1.0} | self.units)
         if value is None:
@@ -41,6 +42,7 @@ class IntegerQuantity(Quantity):
     """Type of a quantity that is a whole number; it may also be written as 0x300."""
 
     def __call__(self, text: str) -> int:
+        """Parse a whole number with or without a unit."""
         try:
             return int(text, 0)
         except ValueError:
@@ -82,6 +84,7 @@ class NotedAction(argparse.Action):
     """Action that stores a value, and as NAME_given that the user gave one."""
 
     def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
+        """Store the value of an option."""
         setattr(namespace, self.dest, values)
         setattr(namespace, f"{self.dest}_given", True)
 

@@ -13,6 +13,7 @@ import warnings
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from stage.cli import options
@@ -107,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
         host = _host(args, board, flags)
     stage = board.stage
     terminated = threading.Event()
-    with show_panel(args, stage, os.path.basename(args.firmware[0])) as session:
+    with show_panel(args, stage, Path(args.firmware[0]).name) as session:
         code = _run(args, board, host, session, terminated)
         if session is not None and not terminated.is_set():
             keep_panel(session)

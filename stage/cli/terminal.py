@@ -11,6 +11,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
+from pathlib import Path
 from typing import Any
 
 FIRST_UPDATE_S, UPDATE_INTERVAL_S = 1.5, 0.5
@@ -18,9 +19,9 @@ FIRST_UPDATE_S, UPDATE_INTERVAL_S = 1.5, 0.5
 
 
 class Output:
-    """Text stream that drops everything after the first write that fails; `error` is what that write raised.
+    r"""Text stream that drops everything after the first write that fails; `error` is what that write raised.
 
-    A character that the stream cannot encode is written as an escape, such as \\xb5, as standard error does it.
+    A character that the stream cannot encode is written as an escape, such as \xb5, as standard error does it.
     """
 
     def __init__(self, stream: Any):
@@ -63,7 +64,7 @@ def open_missing_streams() -> None:
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
+            setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def run_with_output(run: Callable[[], int]) -> int:

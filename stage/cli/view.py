@@ -83,7 +83,7 @@ def draw_model(model: Any, path: str, camera: str | None, overwrite: bool, key: 
     from stage.support.files import save_figure
     from stage.support.opengl import renderer
 
-    Figure = need("matplotlib.figure", "drawing").Figure
+    figures = need("matplotlib.figure", "drawing")
     cameras = [model.camera(k).name for k in range(model.ncam)]
     if camera is not None and camera not in cameras:
         raise unknown("camera", camera, cameras) if cameras else StageError(f"camera {camera!r}: the model has none.")
@@ -98,7 +98,7 @@ def draw_model(model: Any, path: str, camera: str | None, overwrite: bool, key: 
         picture.update_scene(data, camera or ("overview" if "overview" in cameras else _make_camera(model)))
         eye = picture.scene.camera[0]
         image = picture.render()
-    figure = Figure(figsize=(WIDTH_PX / 100, HEIGHT_PX / 100), dpi=100)
+    figure = figures.Figure(figsize=(WIDTH_PX / 100, HEIGHT_PX / 100), dpi=100)
     ax = figure.add_axes((0, 0, 1, 1))
     ax.imshow(image)
     ax.set_axis_off()

@@ -175,13 +175,20 @@ class PresetMoves:
     ) -> dict[str, float]:
         """Make the moves with these registers: the same arguments give the same bits, in whatever process or thread.
 
-        `report` is called after each move but the last, with its index from 0 on and the measures so far.
+        Args:
+            registers: Register values by name.
+            seed: Seed of the place at which the moves begin.
+            report: Called after each move but the last, with its index from 0 on and the measures so far.
+
         Returns:
             score: s from a move's start until the tool stays within `band` of its place, the mean of the moves; 10 s more for a
                 move after which it does not within `rest`, or that loses steps or ends elsewhere.
             duration: s from the first pulse to the last, all moves. lost_steps: of all. reached: moves that ended as asked.
             vibration: m, the largest half swing of the tool after a stop.
-        Raises ArgumentError: a register value that is not legal; SimulationError.
+
+        Raises:
+            ArgumentError: A register value is not legal.
+            SimulationError: The simulation diverged.
         """
         profile = profile_of(registers, self._chip)
         stage, begin = _stage(self.model, self._chip)

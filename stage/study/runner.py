@@ -9,6 +9,7 @@ import pickle
 import sys
 from collections.abc import Callable
 from importlib import metadata
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError, StageError
@@ -78,7 +79,7 @@ def read_study(storage: str | os.PathLike) -> optuna.Study:
     """
     from stage.study.storage import optuna, storage_at
 
-    if "://" in str(storage) or os.path.exists(storage):
+    if "://" in str(storage) or Path(storage).exists():
         opened = storage_at(storage)
         if optuna.get_all_study_names(opened):
             return optuna.load_study(study_name=NAME, storage=opened)

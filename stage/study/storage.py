@@ -46,7 +46,7 @@ class Journal(JournalFileBackend):
         if path.exists():
             if not path.is_file():
                 raise StageError(f"{path} is no regular file: choose another place.")
-            with open(path, "rb") as file:
+            with path.open("rb") as file:
                 head = file.read(len(JOURNAL_HEAD))
             if not JOURNAL_HEAD.startswith(head):
                 raise StageError(f"{path} is there and holds no study: choose another place.")
@@ -80,7 +80,8 @@ class Lock:
         self._lock_file: IO | None = None
 
     def acquire(self) -> bool:
-        lock_file = open(f"{self._path}.lock", "a")  # noqa: SIM115
+        """Wait for the lock, and remove a line that was not written to its end."""
+        lock_file = Path(f"{self._path}.lock").open("a")  # noqa: SIM115
         try:
             fcntl.flock(lock_file, fcntl.LOCK_EX)
             self._remove_unfinished_line()
@@ -91,13 +92,14 @@ class Lock:
         return True
 
     def _remove_unfinished_line(self) -> None:
-        with open(self._path, "rb+") as journal:
+        with self._path.open("rb+") as journal:
             end = journal.seek(0, os.SEEK_END)
             if end and (journal.seek(-1, os.SEEK_END), journal.read(1))[1] != b"\n":
                 journal.seek(0)
                 journal.truncate(journal.read().rfind(b"\n") + 1)
 
     def release(self) -> None:
+        """Release the lock."""
         lock_file, self._lock_file = self._lock_file, None
         if lock_file is not None:
             lock_file.close()
@@ -121,16 +123,21 @@ class ByNumber(optuna.samplers.BaseSampler):
         return self._make(seed=int(np.random.SeedSequence(self._seed, spawn_key=key).generate_state(1)[0]))
 
     def before_trial(self, study: Any, trial: Any) -> None:
+        """Prepare a trial by its own sampler."""
         self._sampler(trial).before_trial(study, trial)
 
     def infer_relative_search_space(self, study: Any, trial: Any) -> dict:
+        """Return the search space of a trial's own sampler."""
         return self._sampler(trial).infer_relative_search_space(study, trial)
 
     def sample_relative(self, study: Any, trial: Any, search_space: dict) -> dict:
+        """Sample the search space by a trial's own sampler."""
         return self._sampler(trial).sample_relative(study, trial, search_space)
 
     def sample_independent(self, study: Any, trial: Any, param_name: str, param_distribution: Any) -> Any:
+        """Sample one parameter by a trial's own sampler."""
         return self._sampler(trial).sample_independent(study, trial, param_name, param_distribution)
 
     def after_trial(self, study: Any, trial: Any, state: Any, values: Any) -> None:
+        """Finish a trial by its own sampler."""
         self._sampler(trial).after_trial(study, trial, state, values)

@@ -31,6 +31,7 @@ class Header:
 
     @cached_property
     def checksum(self) -> int:
+        """CRC-32 of the parts."""
         return zlib.crc32(repr((VERSION, self.parts)).encode())
 
 

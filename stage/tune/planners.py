@@ -193,6 +193,7 @@ class StepperPlanner(MovePlanner):
         return target
 
     def build_plan(self, center: Speeds, parameters: Mapping[str, float], shape: str) -> MovePlan:
+        """Build the plan of a stepper, see `MovePlanner.build_plan`."""
         start, drive, up, down = (
             getattr(center, name) * max_factor ** parameters.get(name, 0.0)
             for name, max_factor in MAX_SPEED_FACTORS.items()
@@ -211,6 +212,7 @@ class StepperPlanner(MovePlanner):
         return MovePlan(registers, Speeds(start, drive, up, down, shape == "s_curve"))
 
     def write_move(self, program: Operations, plan: MovePlan, pulses: int) -> None:
+        """Write the bus cycles of a stepper's move, see `MovePlanner.write_move`."""
         self.driver.write_move(program, plan.registers, pulses)
 
 
@@ -227,6 +229,7 @@ class ServoPlanner(MovePlanner):
         self.parameter_names = ("drive", "up", *self.filter_ranges)
 
     def build_plan(self, center: Speeds, parameters: Mapping[str, float], shape: str) -> MovePlan:
+        """Build the plan of a servo, see `MovePlanner.build_plan`."""
         drive, up = (
             getattr(center, name) * MAX_SPEED_FACTORS[name] ** parameters.get(name, 0.0) for name in ("drive", "up")
         )
@@ -256,6 +259,7 @@ class ServoPlanner(MovePlanner):
         return speeds._replace(up=ramp, down=ramp)
 
     def write_move(self, program: Operations, plan: MovePlan, pulses: int) -> None:
+        """Write the bus cycles of a servo's move, see `MovePlanner.write_move`."""
         speeds = plan.speeds
         self.driver.write_servo_move(program, plan.registers, pulses, (speeds.drive, speeds.drive / speeds.up))
 

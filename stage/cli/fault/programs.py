@@ -87,6 +87,7 @@ def start_move(axis: Any, turns: float, *speeds: float) -> Callable[[], Figures]
 
 
 def stuck_open(stage: Any, make_fault: MakeFault) -> Figures:
+    """Run into EL+, which is stuck open."""
     x = first_axis(stage)
     stage.place(**{x.name: find_touch(x, "el_plus") - 0.010})
     with make_fault(faults.switch_stuck, x, "el_plus", False):
@@ -94,6 +95,7 @@ def stuck_open(stage: Any, make_fault: MakeFault) -> Figures:
 
 
 def stuck_closed(stage: Any, make_fault: MakeFault) -> Figures:
+    """Let EL+ stick closed in a move."""
     x = first_axis(stage)
     finish = start_move(x, 10, 6.25, 0.1)
     x.wait(0.5)
@@ -102,6 +104,7 @@ def stuck_closed(stage: Any, make_fault: MakeFault) -> Figures:
 
 
 def bounce(stage: Any, make_fault: MakeFault) -> Figures:
+    """Home while ORG bounces."""
     x = first_axis(stage)
     with make_fault(faults.bounce, x, "org", BOUNCE_S):
         stage.place(**{x.name: find_touch(x, "org") + 0.002})
@@ -120,6 +123,7 @@ def bounce(stage: Any, make_fault: MakeFault) -> Figures:
 
 
 def vane_missing(stage: Any, make_fault: MakeFault) -> Figures:
+    """Home without the vane of ORG."""
     x = first_axis(stage)
     with make_fault(faults.vane_missing, x, "org"):
         report = firmware.home(x, speed=make_speeds(x, 5, 0.07))
@@ -132,6 +136,7 @@ def vane_missing(stage: Any, make_fault: MakeFault) -> Figures:
 
 
 def payload(stage: Any, make_fault: MakeFault) -> Figures:
+    """Move with a payload that is twice what it should be."""
     x = first_axis(stage)
     stage.set_payload(10.0)
     with make_fault(faults.payload, stage, 2.0):
@@ -139,6 +144,7 @@ def payload(stage: Any, make_fault: MakeFault) -> Figures:
 
 
 def bus_voltage(stage: Any, make_fault: MakeFault) -> Figures:
+    """Let the supply fall to 8 V at speed."""
     x = first_axis(stage)
     finish = start_move(x, 12.5, 18.75, 0.1, 0.46875)
     x.wait(0.3)
@@ -147,6 +153,7 @@ def bus_voltage(stage: Any, make_fault: MakeFault) -> Figures:
 
 
 def jam(stage: Any, make_fault: MakeFault) -> Figures:
+    """Jam the axis in a move."""
     x = first_axis(stage)
     finish = start_move(x, 10, 6.25, 0.1)
     x.wait(0.5)
@@ -156,6 +163,7 @@ def jam(stage: Any, make_fault: MakeFault) -> Figures:
 
 
 def phase_open(stage: Any, make_fault: MakeFault) -> Figures:
+    """Open phase B before a move from rest, and at speed."""
     x = first_axis(stage)
     with make_fault(faults.phase_open, x, "b"):
         figures = start_move(x, 5, 3.125, 0.1)()
@@ -167,6 +175,7 @@ def phase_open(stage: Any, make_fault: MakeFault) -> Figures:
 
 
 def start_skew(stage: Any, make_fault: MakeFault) -> Figures:
+    """Draw a line whose two start commands are 5 ms apart."""
     last = first_axis(stage)
     other = _find_axis_started_separately(stage, last)
     distances = {other: pulses(other, -2.34375), last: pulses(last, 6.25)}  # the longest one last: it is started last
@@ -202,6 +211,7 @@ def _find_axis_started_separately(stage: Any, axis: Any) -> Any:
 
 
 def lost_write(stage: Any, make_fault: MakeFault) -> Figures:
+    """Lose a write of the distance."""
     x = first_axis(stage)
     turns = min(5, 0.9 * (x.travel[1] - x.position) * abs(x.gear) / (2 * math.pi))
     distance, register = pulses(x, turns), driver_of(x).FINISH
