@@ -119,13 +119,6 @@ def test_view_without_a_screen_says_what_to_do(here, capsys):
     assert "el_plus" in out(capsys, "view", "--text").out
 
 
-def test_a_plot_of_a_format_that_nobody_draws_is_refused_before_the_work(here, capsys):
-    """stage move x 100 --plot a.foo"""
-    said = out(capsys, "move", "x", "100", "--plot", "a.foo", code=2)
-    assert "a figure is no 'foo'" in said.err
-    assert "100 of 100" not in said.out
-
-
 @needs_rerun
 def test_nothing_is_overwritten_unasked(here, capsys):
     (here / "mine.rrd").write_text("precious")

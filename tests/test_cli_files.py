@@ -29,6 +29,7 @@ def here(tmp_path, monkeypatch):
             "stage: move: the name has no ending, and that says the format. Name a file that ends in .png, ",
         ),
         ("--picture q.jpg", "stage: q.jpg: a rendered picture is no 'jpg'. Name a file that ends in .png.\n"),
+        ("--plot a.foo", "stage: a.foo: a figure is no 'foo'. Name a file that ends in .png, "),
         ("--plot nowhere/a.png", "stage: nowhere is no folder. Make it first, or choose another.\n"),
     ],
 )

@@ -66,8 +66,7 @@ def _serve(args: argparse.Namespace, board: Any, session: Any) -> int:
     )
     if not _is_local(args.bind):
         warn(
-            args,
-            f"other machines may reach {args.bind}, and there is no password: whoever connects drives the stage.",
+            args, f"other machines may reach {args.bind}, and there is no password: whoever connects drives the stage."
         )
     with record_to_files(args, board.stage):
         host, port = server.address
