@@ -1,4 +1,4 @@
-"""Arguments of a wrong type are told in words: `@told` on a public function.
+"""Errors in words about arguments of a wrong type: `@explain_arguments` on a public function.
 
 A call that goes well pays for one more call of Python, and no more. Where Python raises a TypeError or the like, the arguments are
 compared with their annotations, and the one that does not fit is named with what it may be. An error without such an argument
@@ -17,28 +17,28 @@ from typing import Any, ParamSpec, TypeVar
 
 from stage.errors import ArgumentError, near_names
 
-Given = ParamSpec("Given")
+Parameters = ParamSpec("Parameters")
 Returned = TypeVar("Returned")
-Made = TypeVar("Made")
+Constructed = TypeVar("Constructed")
 RAW = (TypeError, ValueError, AttributeError, KeyError, IndexError, ArithmeticError)
 
 
 class WrongType(ArgumentError, TypeError):
-    """An argument is of a wrong type, or there is none of that name: a TypeError as well."""
+    """Error: an argument is of a wrong type, or there is none of that name. It is a TypeError as well."""
 
 
-def explain_arguments(function: Callable[Given, Returned]) -> Callable[Given, Returned]:
-    """The function; what it raises for arguments that do not fit its annotations is a WrongType."""
+def explain_arguments(function: Callable[Parameters, Returned]) -> Callable[Parameters, Returned]:
+    """Decorate a function: what it raises for arguments that do not fit its annotations is a WrongType."""
 
     @wraps(function)
-    def call(*given: Given.args, **named: Given.kwargs) -> Returned:
+    def call(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Returned:
         __tracebackhide__ = True  # pytest shows who was called, and not this
         try:
-            return function(*given, **named)
+            return function(*args, **kwargs)
         except ArgumentError:
             raise
         except RAW as error:
-            wrong = _wrong(function, given, named)
+            wrong = _describe_wrong(function, args, kwargs)
             if wrong is None:
                 raise
             raise wrong from error
@@ -58,8 +58,8 @@ def check_whole_number(name: str, value: Any, least: int) -> None:
         raise ArgumentError(f"{name}={value!r}: a whole number, {least} or more.")
 
 
-def told_when_made(cls: type[Made]) -> type[Made]:
-    """A class whose constructor is `told`; for dataclasses, above their own decorator."""
+def explain_constructor(cls: type[Constructed]) -> type[Constructed]:
+    """Decorate a class: `explain_arguments` for its constructor; for dataclasses, above their own decorator."""
     cls.__init__ = explain_arguments(cls.__init__)  # type: ignore[method-assign]
     return cls
 
@@ -69,51 +69,51 @@ def _signature(function: Callable) -> inspect.Signature:
     return inspect.signature(function)
 
 
-def _wrong(function: Callable, given: tuple, named: dict[str, Any]) -> WrongType | None:
-    """What is wrong with the arguments; None: nothing that annotations tell."""
+def _describe_wrong(function: Callable, args: tuple, kwargs: dict[str, Any]) -> WrongType | None:
+    """Return what is wrong with the arguments; None: nothing that annotations tell."""
     signature = _signature(function)
     names = [name for name in signature.parameters if name not in ("self", "cls")]
-    open_ended = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
-    for name in () if open_ended else (n for n in named if n not in names):
+    has_any_names = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
+    for name in () if has_any_names else (n for n in kwargs if n not in names):
         what = function.__qualname__.removesuffix(".__init__")
         near = near_names(name, names)
         hint = f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
         return WrongType(f"{what} has no argument {name!r}.{hint} Known: {', '.join(names)}.")
     try:
-        bound = signature.bind(*given, **named)
+        bound = signature.bind(*args, **kwargs)
     except TypeError:
         return None
     for name, value in bound.arguments.items():
         parameter = signature.parameters[name]
         for label, each in _each(name, value, parameter.kind):
-            if (words := _unlike(each, str(parameter.annotation))) is not None:
+            if (words := _describe_expected(each, str(parameter.annotation))) is not None:
                 return WrongType(f"{label}={each!r}: {words}.")
     return None
 
 
 def _each(name: str, value: Any, kind: Any) -> list[tuple[str, Any]]:
-    """The values of a parameter, *values or **values, with their names."""
+    """Return the values of a parameter, *values or **values, with their names."""
     if kind is inspect.Parameter.VAR_KEYWORD:
         return list(value.items())
     return [(name, each) for each in value] if kind is inspect.Parameter.VAR_POSITIONAL else [(name, value)]
 
 
-def _number(value: Any) -> bool:
+def _is_number(value: Any) -> bool:
     return isinstance(value, Real) and math.isfinite(value)
 
 
-def _whole(value: Any) -> bool:
-    return isinstance(value, Integral) or (_number(value) and float(value).is_integer())
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, Integral) or (_is_number(value) and float(value).is_integer())
 
 
-def _iterable(value: Any) -> bool:
+def _is_iterable(value: Any) -> bool:
     return isinstance(value, Iterable) and not isinstance(value, str | bytes)
 
 
 Kind = tuple[Callable[[Any], bool], str]
 KINDS: dict[str, Kind] = {
-    "float": (_number, "a number"),
-    "int": (_whole, "a whole number"),
+    "float": (_is_number, "a number"),
+    "int": (_is_whole, "a whole number"),
     "bool": (lambda v: isinstance(v, Integral), "True or False"),
     "str": (lambda v: isinstance(v, str), "a text"),
     "Axis": (lambda v: hasattr(v, "chip") and hasattr(v, "name"), "an axis, as stage.axes['x']"),
@@ -122,9 +122,9 @@ KINDS: dict[str, Kind] = {
     "Mapping": (lambda v: isinstance(v, Mapping), "a mapping, as {'x': ...}"),
     "dict": (lambda v: isinstance(v, Mapping), "a mapping, as {'x': ...}"),
     "Space": (lambda v: isinstance(v, Mapping), "a mapping, as {'R2': (100, 200)}"),
-    "Sequence": (_iterable, "a list"),
-    "Iterable": (_iterable, "a list"),
-    "list": (_iterable, "a list"),
+    "Sequence": (_is_iterable, "a list"),
+    "Iterable": (_is_iterable, "a list"),
+    "list": (_is_iterable, "a list"),
     "PathLike": (lambda v: isinstance(v, PathLike), "a path"),
     "None": (lambda v: v is None, "None"),
     "Axes": (
@@ -155,16 +155,16 @@ KINDS: dict[str, Kind] = {
 """Name in an annotation -> whether a value is such, and what it is in words."""
 
 
-def _unlike(value: Any, annotation: str) -> str | None:
-    """What a value should be in words, where it is none of an annotation's kinds; None: it is, or the annotation tells nothing."""
-    kinds = [_kind(part) for part in _parts(annotation)]
+def _describe_expected(value: Any, annotation: str) -> str | None:
+    """Return what a value should be, if it is none of an annotation's kinds; None: it is one, or nothing is known."""
+    kinds = [_find_kind(part) for part in _split_union(annotation)]
     if any(kind is None for kind in kinds) or any(kind[0](value) for kind in kinds if kind):
         return None
     return " or ".join(dict.fromkeys(kind[1] for kind in kinds if kind))
 
 
-def _kind(part: str) -> Kind | None:
-    """Of a part of an annotation; of a list with what is in it."""
+def _find_kind(part: str) -> Kind | None:
+    """Return the kind of a part of an annotation; that of a list with its elements."""
     name, _, inside = part.partition("[")
     kind = KINDS.get(name.rpartition(".")[2])
     each = KINDS.get(inside.removesuffix("]"))
@@ -174,8 +174,8 @@ def _kind(part: str) -> Kind | None:
     return (lambda v: outer(v) and all(map(inner, v))), f"a list, of each {each[1]}"
 
 
-def _parts(annotation: str) -> list[str]:
-    """Those between the bars of a union, brackets left whole."""
+def _split_union(annotation: str) -> list[str]:
+    """Split a union at its bars, except those in brackets."""
     parts, depth = [""], 0
     for letter in annotation:
         depth += {"[": 1, "]": -1}.get(letter, 0)

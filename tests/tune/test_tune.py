@@ -18,13 +18,13 @@ from stage.cli import main
 from stage.drives.dynamometer import natural_frequency
 from stage.errors import ArgumentError, StageError
 from stage.firmware.driver import AtOnce, Speeds, driver_of
-from stage.tune import Case, Task, proof, tune, written
-from stage.tune.c_source import c_source
-from stage.tune.formula import Load, speeds
-from stage.tune.looks import LOOK
-from stage.tune.plans import plans_of
-from stage.tune.search import horizon, search
-from stage.tune.tries import Outcome, Tries
+from stage.tune import MoveCase, Task, bus_listing, proof, tune
+from stage.tune.c_header import format_c_header
+from stage.tune.formula import Load, compute_speeds
+from stage.tune.move_runner import MoveOutcomes, MoveRunner
+from stage.tune.planners import create_planner
+from stage.tune.position_sampler import SAMPLE_INTERVAL_S
+from stage.tune.search import compute_time_limit, search_registers
 
 PULSES, PAYLOAD = 400, 2.0
 LIMIT = 0.1  # s
@@ -43,7 +43,7 @@ def task():
 
 @pytest.fixture(scope="module")
 def tries(task):
-    with Tries(task, plans_of(task), lanes=8) as made:
+    with MoveRunner(task, create_planner(task), fleet_size=8) as made:
         yield made
 
 
@@ -55,31 +55,31 @@ def result():
 
 def test_the_answer_arrives_and_keeps_step_up_to_the_margin_in_moves_that_the_search_has_not_seen(result):
     answer = result.answer
-    assert answer.holds
-    assert answer.proof.kept == answer.proof.moves == 8
-    assert answer.spare >= result.task.spare == pytest.approx(0.6)
+    assert answer.is_proved
+    assert answer.proof.good_count == answer.proof.move_count == 8
+    assert answer.spare_payload >= result.task.margin == pytest.approx(0.6)
     assert f"keeps step in 8 of 8 drawn machines with up to {2.6} kg" in str(result)
     formula = result.answers[0]
     assert formula.name == "formula"
-    if result.won == "search":
-        assert answer.proof.mean < formula.proof.mean - 5e-4
-        assert "faster than the formula's" in result.verdict()
+    if result.selected_name == "search":
+        assert answer.proof.mean_time < formula.proof.mean_time - 5e-4
+        assert "faster than the formula's" in result.explain_selection()
 
 
 @pytest.mark.parametrize("chip", [PCL240K, PCL240MS, MCX514, MCX304, HCTL1100])
 def test_a_distance_below_0_gets_the_bytes_of_a_move_towards_minus(chip):
     """`stage tune xy --distance -100mm` gave those of +100 mm, and did not say so."""
     plus, minus = (tune(task_of(chip, pulses=way * PULSES), by="formula", moves=4) for way in (1, -1))
-    assert (minus.task.pulses, minus.task.way, minus.json()["pulses"]) == (PULSES, -1, -PULSES)
+    assert (minus.task.pulses, minus.task.direction, minus.json()["pulses"]) == (PULSES, -1, -PULSES)
     assert minus.answer.plan == plus.answer.plan, "registers are tried both ways"
     assert f"({-PULSES} " in str(minus)
     assert f"({-PULSES} " in minus.c_source()
     moved = []
     for result in (plus, minus):
-        stage = result.task.copy()
+        stage = result.task.copy_stage()
         axis = stage.axes["x"]
         begun = axis.position
-        for cycle in result.cycles:
+        for cycle in result.bus_cycles:
             if cycle.address is None:
                 stage.run(cycle.value * 1e-9)
             else:
@@ -90,16 +90,18 @@ def test_a_distance_below_0_gets_the_bytes_of_a_move_towards_minus(chip):
 
 
 def test_the_printed_bytes_are_the_move_and_leave_the_registers_of_the_table(result):
-    stage = result.task.copy()
+    stage = result.task.copy_stage()
     axis = stage.axes["x"]
-    for cycle in result.cycles:
+    for cycle in result.bus_cycles:
         axis.chip.write(cycle.address, cycle.value)
     values = axis.chip.values()
     assert not axis.chip.diagnostics
     for name, value in result.answer.plan.registers.items():
         assert values[name] == value
         assert re.search(
-            rf"^{name} +{value} +{value:0{3}X}h".replace(f"{value:03X}", f"0*{value:X}"), result.table(), re.M
+            rf"^{name} +{value} +{value:0{3}X}h".replace(f"{value:03X}", f"0*{value:X}"),
+            result.format_register_table(),
+            re.M,
         )
     stage.run(0.5)
     assert (axis.chip.net(), axis.lost_steps) == (PULSES, 0)
@@ -128,7 +130,7 @@ def test_the_c_header_compiles_without_a_warning_and_makes_the_same_move(result,
         }
         """)
     flags = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", f"-I{tmp_path}")
-    board = Board(result.task.copy())
+    board = Board(result.task.copy_stage())
     axis = board.stage.axes["x"]
     ended = NativeHost(build(tmp_path / "driver.c", tmp_path / "driver.so", flags), board, isolated=False).run()
     registers = result.answer.plan.registers
@@ -139,30 +141,30 @@ def test_the_c_header_compiles_without_a_warning_and_makes_the_same_move(result,
 
 
 def test_a_trial_counts_lost_steps_and_moves_that_do_not_arrive(task, tries):
-    plans = tries.plans
-    wild = plans.plan(plans.speeds(1.5)._replace(drive=100_000, up=2e-3, down=2e-3), {}, "linear")
-    calm = plans.formula()
-    cases = [Case(PAYLOAD, 0.0, 1), Case(PAYLOAD, 7.0, -1)]
-    outcome = tries.make([wild, calm], cases, LIMIT)
-    assert outcome.kept.tolist() == [[False, False], [True, True]]
-    asked = task.asked(cases)
-    assert outcome.good(task, asked).tolist() == [[False, False], [True, True]]
-    short = tries.make([calm], cases, 0.05)
-    assert np.isnan(short.arrived).all()
-    assert not short.good(task, asked).any()
+    plans = tries.planner
+    wild = plans.build_plan(plans.compute_speeds(1.5)._replace(drive=100_000, up=2e-3, down=2e-3), {}, "linear")
+    calm = plans.build_formula_plan()
+    cases = [MoveCase(PAYLOAD, 0.0, 1), MoveCase(PAYLOAD, 7.0, -1)]
+    outcome = tries.run_moves([wild, calm], cases, LIMIT)
+    assert outcome.kept_step.tolist() == [[False, False], [True, True]]
+    asked = task.is_within_payload(cases)
+    assert outcome.is_good(task, asked).tolist() == [[False, False], [True, True]]
+    short = tries.run_moves([calm], cases, 0.05)
+    assert np.isnan(short.arrival_times).all()
+    assert not short.is_good(task, asked).any()
 
 
 def test_the_time_until_arrived_is_that_of_the_same_move_on_a_stage(task, tries):
-    plan = tries.plans.formula()
-    arrived = float(tries.make([plan], [Case(PAYLOAD, 0.0, 1)], LIMIT).arrived[0, 0])
-    stage = task.copy()
+    plan = tries.planner.build_formula_plan()
+    arrived = float(tries.run_moves([plan], [MoveCase(PAYLOAD, 0.0, 1)], LIMIT).arrival_times[0, 0])
+    stage = task.copy_stage()
     axis = stage.axes["x"]
-    goal = task.begin(stage, Case(PAYLOAD, 0.0, 1))
+    goal = task.place_at_start(stage, MoveCase(PAYLOAD, 0.0, 1))
     driver_of(axis).write_move(AtOnce(axis), plan.registers, PULSES)
     begin, last = stage.time, 0.0
     while stage.time < begin + LIMIT:
         stage.run(5e-4)
-        if abs(axis.position - goal) > task.within:
+        if abs(axis.position - goal) > task.tolerance:
             last = stage.time - begin
     assert arrived == pytest.approx(last, abs=1e-6)
 
@@ -171,55 +173,57 @@ def test_a_seed_gives_the_same_search_whatever_the_number_of_threads(task):
     pytest.importorskip("optuna")
     made = []
     for workers in (1, 2):
-        with Tries(task, plans_of(task), workers, lanes=6 + workers) as tries:
-            cases = task.corners(np.random.default_rng(1), 1)
-            made.append([t[1:] for t in search(tries, cases, cases[:1], LIMIT, 17, seed=5)[0]])
+        with MoveRunner(task, create_planner(task), workers, fleet_size=6 + workers) as tries:
+            cases = task.build_corner_cases(np.random.default_rng(1), 1)
+            made.append([t[1:] for t in search_registers(tries, cases, cases[:1], LIMIT, 17, seed=5)[0]])
     assert made[0] == made[1]
 
 
 @pytest.mark.parametrize(("first", "further"), [(0.05, 0.03), (0.03, 0.05)])
 def test_a_trial_that_leads_is_as_slow_as_the_slowest_of_all_its_cases(task, tries, first, further):
     pytest.importorskip("optuna")
-    cases, more = [Case(0.0, 0.0, 1)], [Case(0.0, 1.0, 1), Case(0.0, 2.0, -1)]
+    cases, more = [MoveCase(0.0, 0.0, 1)], [MoveCase(0.0, 1.0, 1), MoveCase(0.0, 2.0, -1)]
 
     def make(plans, made, limit):
         shape = len(plans), len(made)
         times = np.full(shape, first if len(made) == 1 else further)
-        return Outcome(times, np.ones(shape, bool), np.zeros(shape))
+        return MoveOutcomes(times, np.ones(shape, bool), np.zeros(shape))
 
-    lanes = SimpleNamespace(plans=tries.plans, task=task, make=make)
-    ranked, _ = search(lanes, cases, more, LIMIT, 1, seed=0)
-    assert ranked[0].worst == 0.05
+    lanes = SimpleNamespace(planner=tries.planner, task=task, run_moves=make)
+    ranked, _ = search_registers(lanes, cases, more, LIMIT, 1, seed=0)
+    assert ranked[0].max_time == 0.05
 
 
 def test_a_trial_is_as_slow_as_its_slowest_move_that_was_asked_for_and_what_does_not_arrive_breaks_it(task, tries):
     pytest.importorskip("optuna")
-    cases, limits, late = [Case(0.0, 0.0, 1), Case(PAYLOAD + 0.6, 0.0, 1)], [], []
+    cases, limits, late = [MoveCase(0.0, 0.0, 1), MoveCase(PAYLOAD + 0.6, 0.0, 1)], [], []
 
     def make(plans, made, limit):
         limits.append(limit)
         times = np.array([[np.nan if late else 0.04, 0.09]] * len(plans))
-        return Outcome(times, np.ones(times.shape, bool), np.zeros(times.shape))
+        return MoveOutcomes(times, np.ones(times.shape, bool), np.zeros(times.shape))
 
-    lanes = SimpleNamespace(plans=tries.plans, task=task, make=make)
-    ranked, _ = search(lanes, cases, [], LIMIT, 16, seed=0)
-    assert {(trial.worst, trial.broken) for trial in ranked} == {(0.04, 0)}
-    assert limits == [LIMIT, horizon(0.04, task.hold)], "what is slower than the best need not be seen to its end"
+    lanes = SimpleNamespace(planner=tries.planner, task=task, run_moves=make)
+    ranked, _ = search_registers(lanes, cases, [], LIMIT, 16, seed=0)
+    assert {(trial.max_time, trial.failed_moves) for trial in ranked} == {(0.04, 0)}
+    assert limits == [LIMIT, compute_time_limit(0.04, task.hold)], (
+        "what is slower than the best need not be seen to its end"
+    )
     late.append(True)
-    assert search(lanes, cases, [], LIMIT, 1, seed=0)[0][0][2:] == (1.5 * LIMIT, 1)
+    assert search_registers(lanes, cases, [], LIMIT, 1, seed=0)[0][0][2:] == (1.5 * LIMIT, 1)
 
 
 def test_who_is_not_looked_at_for_the_whole_hold_has_not_arrived(task, tries):
-    plan, case = tries.plans.formula(), Case(PAYLOAD, 0.0, 1)
-    arrived = float(tries.make([plan], [case], LIMIT).arrived[0, 0])
-    for more, seen in ((0.0, True), (-LOOK, False)):
-        again = tries.make([plan], [case], arrived + task.hold + more).arrived[0, 0]
+    plan, case = tries.planner.build_formula_plan(), MoveCase(PAYLOAD, 0.0, 1)
+    arrived = float(tries.run_moves([plan], [case], LIMIT).arrival_times[0, 0])
+    for more, seen in ((0.0, True), (-SAMPLE_INTERVAL_S, False)):
+        again = tries.run_moves([plan], [case], arrived + task.hold + more).arrival_times[0, 0]
         assert (again == arrived) == seen
         assert np.isnan(again) != seen
 
 
 def test_nothing_starts_faster_than_it_is_to_drive(tries):
-    made = tries.plans.plan(Speeds(1000.0, 2000.0, 0.1, 0.1), {"start": 1.0, "drive": -1.0}, "linear")
+    made = tries.planner.build_plan(Speeds(1000.0, 2000.0, 0.1, 0.1), {"start": 1.0, "drive": -1.0}, "linear")
     assert made.speeds.start == made.speeds.drive == pytest.approx(2000 / 1.5)
 
 
@@ -229,7 +233,9 @@ def test_ctrl_c_keeps_the_best_so_far(task, tries):
     def told(done, best):
         raise KeyboardInterrupt
 
-    ranked, stopped = search(tries, task.corners(np.random.default_rng(1), 1)[:2], [], LIMIT, 100, 0, told=told)
+    ranked, stopped = search_registers(
+        tries, task.build_corner_cases(np.random.default_rng(1), 1)[:2], [], LIMIT, 100, 0, on_progress=told
+    )
     assert stopped
     assert len(ranked) == 8
 
@@ -240,7 +246,7 @@ def test_ctrl_c_keeps_the_best_so_far(task, tries):
         ({"axis": "w"}, "unknown axis 'w'. Known: x, y."),
         ({"pulses": 200_000}, r"has room for 1 to 95935 pulses between its limit switches \(299.797 mm\)"),
         ({"payload": -1.0}, "0 or more"),
-        ({"within": 0.0}, "both more than 0"),
+        ({"tolerance": 0.0}, "both more than 0"),
     ],
 )
 def test_what_cannot_be_is_told_before_any_move(how, said):
@@ -252,26 +258,26 @@ def test_what_cannot_be_is_told_before_any_move(how, said):
 def test_a_payload_that_the_motor_does_not_lift_is_told_with_the_largest_that_it_does():
     task = Task(Stage("xyz", chips=PCL240K, visuals=False), "z", pulses=1000, payload=80.0)
     with pytest.raises(ArgumentError, match=r"80 kg on axis z: .* Up to [\d.]+ kg it works"):
-        plans_of(task).formula()
+        create_planner(task).build_formula_plan()
 
 
 def test_the_formula_of_an_upright_axis_has_its_weight():
     stage = Stage("xyz", chips=PCL240K, visuals=False)
-    z, x = (plans_of(Task(stage, name, pulses=1000, payload=3.0)).load(3.0) for name in "zx")
-    assert z.slope == pytest.approx(9.81)
+    z, x = (create_planner(Task(stage, name, pulses=1000, payload=3.0)).build_load(3.0) for name in "zx")
+    assert z.weight_per_kg == pytest.approx(9.81)
     assert z.weight > 3.0 * 9.81
-    assert x.weight == x.slope == 0
+    assert x.weight == x.weight_per_kg == 0
 
 
 def test_friction_helps_to_brake_and_hinders_the_start(task):
-    load = replace(Load.of(task.stage.axes["x"]).heavier(10.0), friction=8.0)
-    made = speeds(load, 40_000)
-    assert made.start == pytest.approx(load.pull_in / 8)
-    top, low = made.drive / load.per_metre, made.start / load.per_metre
-    thrust = float(load.thrust(np.array([top]))[0]) / 1.5
+    load = replace(Load.from_axis(task.stage.axes["x"]).add_mass(10.0), friction=8.0)
+    made = compute_speeds(load, 40_000)
+    assert made.start == pytest.approx(load.pull_in_rate / 8)
+    top, low = made.drive / load.pulses_per_metre, made.start / load.pulses_per_metre
+    thrust = float(load.compute_max_thrust(np.array([top]))[0]) / 1.5
     helps = load.friction + load.damping * top
     for seconds, force in ((made.up, thrust - helps), (made.down, thrust + helps)):
-        gentle = (top - low) * natural_frequency(load.drive, load.inertia) / 4
+        gentle = (top - low) * natural_frequency(load.drive, load.inertia_at_rotor) / 4
         assert seconds == pytest.approx((top - low) / min(force / load.mass, gentle), rel=1e-6)
     assert made.down < 0.9 * made.up
 
@@ -280,10 +286,10 @@ def test_the_weight_of_an_upright_axis_is_that_of_what_it_carries_without_rotor_
     stage = Stage("xyz", chips=PCL240K, visuals=False)
     z, model = stage.axes["z"], stage.model
     carried = model.body_subtreemass[model.jnt_bodyid[z.joint]]
-    load = Load.of(z)
+    load = Load.from_axis(z)
     assert load.mass > carried + 0.1
     assert load.weight == pytest.approx(9.81 * carried)
-    assert load.heavier(2.0).weight == pytest.approx(9.81 * (carried + 2))
+    assert load.add_mass(2.0).weight == pytest.approx(9.81 * (carried + 2))
 
 
 def test_a_payload_that_does_not_ride_on_the_axis_does_not_weigh_on_it():
@@ -294,7 +300,7 @@ def test_a_payload_that_does_not_ride_on_the_axis_does_not_weigh_on_it():
     masses = {}
     for axis in "xy":
         task = Task(stage, axis, pulses=PULSES, payload=9.0, payload_on=other[axis])
-        masses[axis] = plans_of(task).load(9.0).mass - plans_of(task).load(0.0).mass
+        masses[axis] = create_planner(task).build_load(9.0).mass - create_planner(task).build_load(0.0).mass
     assert sorted(masses.values()) == pytest.approx([0.0, 9.0])
 
 
@@ -302,30 +308,32 @@ def test_what_a_task_does_not_say_is_as_its_page_says():
     stage = Stage("xy", chips={"x": PCL240K, "y": HCTL1100}, visuals=False)
     x, y = Task(stage, "x", pulses=-PULSES, payload=2.0), Task(stage, "y", pulses=PULSES)
     steps = {axis.name: axis.meters_per_pulse for axis in stage.axes.values()}
-    assert (x.pulses, x.hold, x.turn, y.turn) == (PULSES, 0.05, 64, 4)
-    assert (x.spare, y.spare) == pytest.approx((0.6, 0.3 * y.moved))
-    assert (x.within, y.within) == pytest.approx((16 * steps["x"], 10 * steps["y"]))
-    assert (x.overshoot, x.most) == pytest.approx((2 * x.within, 2.6))
+    assert (x.pulses, x.hold, x.pulses_per_electrical_turn, y.pulses_per_electrical_turn) == (PULSES, 0.05, 64, 4)
+    assert (x.margin, y.margin) == pytest.approx((0.6, 0.3 * y.moving_mass))
+    assert (x.tolerance, y.tolerance) == pytest.approx((16 * steps["x"], 10 * steps["y"]))
+    assert (x.overshoot, x.max_payload) == pytest.approx((2 * x.tolerance, 2.6))
     assert Task(stage, "x", pulses=PULSES, judge_at="work").overshoot == np.inf
     rng = np.random.default_rng(0)
-    for cases in (x.corners(rng, 2), x.drawn(rng, 16)):
-        assert {case.way for case in cases} == {1, -1}
+    for cases in (x.build_corner_cases(rng, 2), x.draw_cases(rng, 16)):
+        assert {case.direction for case in cases} == {1, -1}
         assert {0.0, 2.0, 2.6} <= {round(case.payload, 9) for case in cases}
-        assert max(abs(case.beside) for case in cases) <= 32
+        assert max(abs(case.start_offset) for case in cases) <= 32
         assert max(case.payload for case in cases) == pytest.approx(2.6)
 
 
 def test_the_spare_is_the_last_payload_before_the_first_that_loses_a_step():
     """Two rounds of eight payloads, each at six rotor angles, both ways"""
-    task = SimpleNamespace(spare=0.5, payload=2.0, moved=1.0, turn=64)
+    task = SimpleNamespace(margin=0.5, payload=2.0, moving_mass=1.0, pulses_per_electrical_turn=64)
     seen = []
 
     def carries(most):
         def make(plans, cases, limit):
             seen.extend(cases)
-            return SimpleNamespace(kept=np.array([[case.payload - 2.0 <= most for case in cases]]))
+            return SimpleNamespace(kept_step=np.array([[case.payload - 2.0 <= most for case in cases]]))
 
-        return proof.spare(SimpleNamespace(task=task, make=make), None, LIMIT, np.random.default_rng(0))
+        return proof.measure_spare_payload(
+            SimpleNamespace(task=task, run_moves=make), None, LIMIT, np.random.default_rng(0)
+        )
 
     assert carries(9.0) == (2.0, True)
     assert carries(0.8) == (pytest.approx(0.78125), False)
@@ -334,36 +342,45 @@ def test_the_spare_is_the_last_payload_before_the_first_that_loses_a_step():
     assert carries(1.7499) == (pytest.approx(1.71875), False)
     ways = {}
     for case in seen:
-        ways.setdefault(case.payload, []).append(case.way)
+        ways.setdefault(case.payload, []).append(case.direction)
     assert all(sum(of) == 0 for of in ways.values())
 
 
 def test_what_is_gained_is_told_with_twice_its_standard_error():
     formula, found = (proof.Proof(3, 3, np.array(times), 0.0) for times in ([2.0, 4.0, 6.0], [1.0, 2.0, 3.0]))
-    assert proof.gain(formula, found) == pytest.approx((2.0, 2 / np.sqrt(3)))
+    assert proof.compute_time_saved(formula, found) == pytest.approx((2.0, 2 / np.sqrt(3)))
     one = proof.Proof(1, 1, np.array([1.0]), 0.0)
-    assert proof.gain(one, one) == (0.0, LOOK)
-    assert (formula.mean, formula.worst, formula.holds) == (4.0, 6.0, True)
+    assert proof.compute_time_saved(one, one) == (0.0, SAMPLE_INTERVAL_S)
+    assert (formula.mean_time, formula.max_time, formula.is_passed) == (4.0, 6.0, True)
 
 
 def test_a_move_that_goes_too_far_is_not_good_where_its_payload_was_asked_for(task):
     far = task.overshoot
-    outcome = Outcome(np.array([[0.1, 0.1, 0.1]]), np.array([[True] * 3]), np.array([[far, 1.01 * far, 1.01 * far]]))
-    assert outcome.good(task, np.array([True, True, False])).tolist() == [[True, False, True]]
+    outcome = MoveOutcomes(
+        np.array([[0.1, 0.1, 0.1]]), np.array([[True] * 3]), np.array([[far, 1.01 * far, 1.01 * far]])
+    )
+    assert outcome.is_good(task, np.array([True, True, False])).tolist() == [[True, False, True]]
 
 
 def test_a_servos_ramps_are_alike_the_longer_of_both():
-    plans = plans_of(task_of(HCTL1100))
-    plans.bare = replace(plans.bare, friction=10.0)
-    made, both = plans.speeds(1.5), speeds(plans.load(PAYLOAD), PULSES, 1.5)
+    plans = create_planner(task_of(HCTL1100))
+    plans.unloaded = replace(plans.unloaded, friction=10.0)
+    made, both = plans.compute_speeds(1.5), compute_speeds(plans.build_load(PAYLOAD), PULSES, 1.5)
     assert both.down < both.up
     assert (made.up, made.down) == (both.up, both.up)
 
 
 def test_a_header_in_c_has_waits_whole_numbers_and_comments_that_end_where_they_should(task):
-    rows = [written.Row("TP", -40_000, 8, "goal /* of */ a move", ""), written.Row("SV", 7, 4, "start", "pps")]
-    cycles = [written.Cycle(6, -1, "a */"), written.Cycle(None, 1_000_000, ""), written.Cycle(None, 500_000, "")]
-    text = c_source("x", "", [], rows, [*cycles, written.Cycle(0, 2, "go")], task.stage.axes["x"].chip)
+    rows = [
+        bus_listing.RegisterValue("TP", -40_000, 8, "goal /* of */ a move", ""),
+        bus_listing.RegisterValue("SV", 7, 4, "start", "pps"),
+    ]
+    cycles = [
+        bus_listing.BusCycle(6, -1, "a */"),
+        bus_listing.BusCycle(None, 1_000_000, ""),
+        bus_listing.BusCycle(None, 500_000, ""),
+    ]
+    text = format_c_header("x", "", [], rows, [*cycles, bus_listing.BusCycle(0, 2, "go")], task.stage.axes["x"].chip)
     assert re.search(r"#define X_TP +-40000L /\* goal / \* of \* / a move \*/", text)
     assert re.search(r"#define X_SV +7 /\* start, pps \*/", text)
     assert "{6, 0xFF, 1500}, /* a * / */" in text
@@ -372,14 +389,17 @@ def test_a_header_in_c_has_waits_whole_numbers_and_comments_that_end_where_they_
 
 def test_a_register_has_the_digits_that_its_bits_need(task):
     places = {place.name: place.bits for place in task.stage.axes[task.axis].chip.MAP.places}
-    told = written.rows(task, [Statement(0, "register", "", "", name, 1) for name in places])
+    told = bus_listing.list_register_values(task, [Statement(0, "register", "", "", name, 1) for name in places])
     assert {r.name: r.digits for r in told} == {name: len(f"{(1 << bits) - 1:X}") for name, bits in places.items()}
     assert any(bits % 4 for bits in places.values())
 
 
 def test_a_register_that_was_written_twice_is_told_once_with_its_last_value_in_its_last_place(task):
     sayings = [Statement(0, "register", "", "", name, value) for name, value in (("R1", 1), ("R2", 2), ("R1", 3))]
-    assert [(r.name, r.value) for r in written.rows(task, [*sayings, Statement(0, "command", "11", "start")])] == [
+    assert [
+        (r.name, r.value)
+        for r in bus_listing.list_register_values(task, [*sayings, Statement(0, "command", "11", "start")])
+    ] == [
         ("R2", 2),
         ("R1", 3),
     ]
@@ -395,23 +415,23 @@ def test_a_register_that_was_written_twice_is_told_once_with_its_last_value_in_i
 )
 def test_chips_are_tuned_through_their_drivers_and_go_both_ways(chip, goal, write):
     task = task_of(chip)
-    plans = plans_of(task)
-    assert ("s_curve" in plans.shapes) == (chip is not HCTL1100)
-    plan = plans.formula()
-    with Tries(task, plans, lanes=2) as tries:
-        outcome = tries.make([plan], [Case(0.0, 5.0, 1), Case(PAYLOAD, 0.0, -1)], 0.4)
-    assert outcome.good(task, np.array([True, True])).all()
-    made = written.program(plans, plan, PULSES)
-    table = {r.name: r.value for r in written.rows(task, written.said(task, made))}
+    plans = create_planner(task)
+    assert ("s_curve" in plans.ramp_shapes) == (chip is not HCTL1100)
+    plan = plans.build_formula_plan()
+    with MoveRunner(task, plans, fleet_size=2) as tries:
+        outcome = tries.run_moves([plan], [MoveCase(0.0, 5.0, 1), MoveCase(PAYLOAD, 0.0, -1)], 0.4)
+    assert outcome.is_good(task, np.array([True, True])).all()
+    made = bus_listing.build_program(plans, plan, PULSES)
+    table = {r.name: r.value for r in bus_listing.list_register_values(task, bus_listing.decode_program(task, made))}
     assert table[goal[0]] == goal[1]
     assert plan.registers.items() <= table.items()
-    text = c_source("x", "", [], [], written.cycles(task, made), task.stage.axes["x"].chip)
+    text = format_c_header("x", "", [], [], bus_listing.list_bus_cycles(task, made), task.stage.axes["x"].chip)
     assert write in text
 
 
 def test_a_chip_that_has_no_ramps_as_short_gets_slower_ones(task):
-    plans = plans_of(task)
-    real, wanted = plans.driver.formula, plans.speeds(1.5)
+    plans = create_planner(task)
+    real, wanted = plans.driver.formula, plans.compute_speeds(1.5)
 
     def lazy(fl, fh, up, down, *more):
         if min(up, down) < 0.2:
@@ -419,7 +439,7 @@ def test_a_chip_that_has_no_ramps_as_short_gets_slower_ones(task):
         return real(fl, fh, up, down, *more)
 
     plans.driver.formula = lazy
-    made = plans.formula().speeds
+    made = plans.build_formula_plan().speeds
     assert 0.2 <= made.down < 0.25
     assert (made.start, made.drive) == (wanted.start, wanted.drive)
 
@@ -428,10 +448,12 @@ def test_a_camera_on_a_mast_arrives_later_than_its_carriage():
     stage = Stage("xy_mast", chips=PCL240MS, visuals=False)
     arrived = []
     for site in (None, "camera"):
-        task = Task(stage, "x", pulses=3200, payload=0.5, within=2e-3, judge_at=site)
-        plans = plans_of(task)
-        with Tries(task, plans, lanes=1) as tries:
-            arrived.append(float(tries.make([plans.formula()], [Case(0.5, 0.0, 1)], 3.0).arrived[0, 0]))
+        task = Task(stage, "x", pulses=3200, payload=0.5, tolerance=2e-3, judge_at=site)
+        plans = create_planner(task)
+        with MoveRunner(task, plans, fleet_size=1) as tries:
+            arrived.append(
+                float(tries.run_moves([plans.build_formula_plan()], [MoveCase(0.5, 0.0, 1)], 3.0).arrival_times[0, 0])
+            )
     assert arrived[1] > arrived[0] + 0.3
     with pytest.raises(ArgumentError, match="mirror"):
         Task(stage, "x", pulses=3200, judge_at="mirror")
@@ -444,9 +466,9 @@ def test_a_search_of_usual_length_beats_the_formula_by_more_than_the_proof_sees(
         Stage("xy", chips=chip, visuals=False), "x", pulses=32_000 if chip is not HCTL1100 else 20_000, payload=2.0
     )
     found = tune(task, trials=96)
-    assert found.won == "search"
-    assert found.answer.holds
-    assert found.answer.proof.mean < found.answers[0].proof.mean - 0.01
+    assert found.selected_name == "search"
+    assert found.answer.is_proved
+    assert found.answer.proof.mean_time < found.answers[0].proof.mean_time - 0.01
 
 
 def test_the_command_writes_its_files_and_refuses_before_the_run(tmp_path, capsys, monkeypatch):
@@ -455,7 +477,7 @@ def test_the_command_writes_its_files_and_refuses_before_the_run(tmp_path, capsy
     assert main([*short, "-o", "out", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said == json.loads((tmp_path / "out/tuned.json").read_text())
-    assert said["spare"] == pytest.approx(0.3 * Task(Stage("xy", visuals=False), "x", PULSES).moved), (
+    assert said["spare"] == pytest.approx(0.3 * Task(Stage("xy", visuals=False), "x", PULSES).moving_mass), (
         "30 % of what moves"
     )
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"tuned.h", "tuned.txt", "tuned.json", "tuned.png"}
@@ -463,9 +485,9 @@ def test_the_command_writes_its_files_and_refuses_before_the_run(tmp_path, capsy
     for wrong, said in (
         ([*short, "-o", "out"], "give --force"),
         ([*short, "-o", "no/where"], "no is no folder"),
-        ([*short, "--spare", "much"], "--spare much: percent of the payload, 30%, or kg, 0.6."),
-        ([*short, "--settle", "5kg", "1s"], "--settle: '5kg' is not more than 0 in one of nm, um, mm, cm, m"),
-        (["tune", "xy"], "--distance: registers are for a distance"),
+        ([*short, "--spare", "much"], "--spare much: give percent of the payload, such as 30%, or kg, such as 0.6."),
+        ([*short, "--settle", "5kg", "1s"], "--settle 5kg: must be greater than 0, in one of nm, um, mm, cm, m"),
+        (["tune", "xy"], "--distance: registers are for one distance"),
         ([*short, "--axis", "q"], "unknown axis 'q'. Known: x, y."),
     ):
         assert main(wrong) == 2
@@ -473,7 +495,7 @@ def test_the_command_writes_its_files_and_refuses_before_the_run(tmp_path, capsy
 
 
 def test_a_search_that_ctrl_c_has_ended_writes_what_it_has_and_says_so_by_its_code(result, capsys, monkeypatch):
-    monkeypatch.setattr("stage.tune.tune", lambda *given, **how: replace(result, stopped=True))
+    monkeypatch.setattr("stage.tune.tune", lambda *given, **how: replace(result, interrupted=True))
     assert main(["tune", "xy", "--distance", "1mm", "--trials", "8"]) == 130
     assert ", ended by Ctrl-C)" in capsys.readouterr().out
 
