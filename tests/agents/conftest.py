@@ -20,16 +20,16 @@ def a_box(chips="PCL240K", mode="host", model="xy", **how):
 @pytest.fixture
 def make_box():
     """`make_box(chips, mode, budget=...)`; all are closed at the end."""
-    made = []
+    created = []
 
     def make(*args, **how):
-        for box in made:
+        for box in created:
             box.close()
-        made.append(a_box(*args, **how))
-        return made[-1]
+        created.append(a_box(*args, **how))
+        return created[-1]
 
     yield make
-    for box in made:
+    for box in created:
         for name in ("mend",):
             if name in box.tools:
                 box.call(name, {"all": True})

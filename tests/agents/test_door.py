@@ -55,7 +55,7 @@ class Held:
 def door():
     """`door(method, session)`: what was sent; door.app, door.sessions."""
     app, sessions = App(), Held()
-    made = Gate(app, "t", sessions)
+    created = Gate(app, "t", sessions)
 
     def ask(method="POST", session=None, kind="http", token="Bearer t", **more):
         sent = []
@@ -69,28 +69,28 @@ def door():
         headers = [(b"Authorization", token.encode()), (b"host", b"here"), (b"Accept", b"all"), (b"x-more", b"1")]
         headers += [(ID, session.encode())] if session else []
         scope = {"type": kind, "method": method, "path": "/mcp", "headers": headers, **more}
-        asyncio.run(made(scope, receive, send))
+        asyncio.run(created(scope, receive, send))
         return sent
 
     ask.app, ask.sessions = app, sessions
     return ask
 
 
-def ended(door):
+def finished(door):
     return [headers[ID].decode() for method, headers in door.app.came if method == "DELETE"]
 
 
 def test_of_silent_sessions_the_one_that_spoke_longest_ago_goes_when_there_are_too_many(door):
     for _ in range(3):
         door()
-    assert ended(door) == []
+    assert finished(door) == []
     door(session="s1")
     door(session="unknown")
     door()
-    assert ended(door) == ["s2"]
+    assert finished(door) == ["s2"]
     door()
     door()
-    assert ended(door) == ["s2", "s3", "s1"]
+    assert finished(door) == ["s2", "s3", "s1"]
 
 
 def test_a_session_that_has_a_stage_is_none_of_the_silent_ones(door):
@@ -99,17 +99,17 @@ def test_a_session_that_has_a_stage_is_none_of_the_silent_ones(door):
     door.sessions.with_stage = {"s1", "s3"}
     for _ in range(2):
         door()
-    assert ended(door) == []
+    assert finished(door) == []
     door()
-    assert ended(door) == ["s2"]
+    assert finished(door) == ["s2"]
 
 
 def test_a_session_that_is_made_room_for_ends_as_if_its_client_had_asked_for_it(door):
     for _ in range(4):
         door()
     (headers,) = [headers for method, headers in door.app.came if method == "DELETE"]
-    kept = {b"authorization": b"Bearer t", b"host": b"here", b"accept": b"all"}
-    assert {k.lower(): v for k, v in headers.items()} == {**kept, ID: b"s1"}
+    saved = {b"authorization": b"Bearer t", b"host": b"here", b"accept": b"all"}
+    assert {k.lower(): v for k, v in headers.items()} == {**saved, ID: b"s1"}
     assert door.app.body == {"type": "http.request", "body": b"", "more_body": False}
     assert door.sessions.closed == []
 
@@ -128,7 +128,7 @@ def test_a_session_that_its_client_ends_is_closed_and_leaves_room(door):
     door("DELETE", "s1")
     assert door.sessions.closed == ["s1"]
     door()
-    assert ended(door) == ["s1"]
+    assert finished(door) == ["s1"]
     door("DELETE", "nobody's")
     assert door.sessions.closed == ["s1", "nobody's"]
 
@@ -156,25 +156,25 @@ def test_what_is_no_request_goes_on_without_a_token(door):
 
 
 @pytest.fixture
-def made(monkeypatch):
+def created(monkeypatch):
     """`made(sessions, ...)`: a server, and how its app and its listener were made."""
-    seen = SimpleNamespace()
+    observed = SimpleNamespace()
 
     class Protocol:
         def __init__(self, factory, sessions, find_key, sessionless, threads):
-            seen.sessionless, seen.threads, seen.key = sessionless, threads, find_key
+            observed.sessionless, observed.threads, observed.key = sessionless, threads, find_key
             self.server = SimpleNamespace(streamable_http_app=self._app)
 
         def _app(self, **how):
-            seen.app = how
+            observed.app = how
             return SimpleNamespace(router=SimpleNamespace(lifespan_context=None))
 
     class Server:
         def __init__(self, config, sessions):
-            seen.config, self.should_exit = config, False
+            observed.config, self.should_exit = config, False
 
         def run(self, sockets):
-            seen.sockets = sockets
+            observed.sockets = sockets
 
     monkeypatch.setattr(http, "Protocol", Protocol)
     monkeypatch.setattr(http, "InterruptibleServer", Server)
@@ -184,60 +184,60 @@ def made(monkeypatch):
     def make(*args, **how):
         server = HttpServer(None, *args, **how)
         opened.append(server)
-        return server, seen
+        return server, observed
 
     yield make
     for server in opened:
         server._socket.close()
 
 
-def test_a_server_is_bounded_as_its_sessions_are(made):
-    server, seen = made(Sessions(dict, limit=7, idle_s=33.0), token="mine")
-    assert seen.app == {
+def test_a_server_is_bounded_as_its_sessions_are(created):
+    server, observed = created(Sessions(dict, limit=7, idle_s=33.0), token="mine")
+    assert observed.app == {
         "streamable_http_path": "/mcp", "json_response": True, "max_request_body_size": 256 * 1024, "session_idle_timeout": 33.0,
         "max_sessions": 14, "host": "127.0.0.1",
     }  # fmt: skip
-    assert (seen.sessionless, seen.threads) == (False, max(2, os.cpu_count() or 2))
-    assert (seen.config.log_level, seen.config.timeout_graceful_shutdown) == ("error", 1)
+    assert (observed.sessionless, observed.threads) == (False, max(2, os.cpu_count() or 2))
+    assert (observed.config.log_level, observed.config.timeout_graceful_shutdown) == ("error", 1)
     assert server.token == "mine"
-    assert isinstance(seen.config.app, Gate)
+    assert isinstance(observed.config.app, Gate)
     server.run()
-    assert seen.sockets == [server._socket]
+    assert observed.sockets == [server._socket]
     server.stop()
     assert server._server.should_exit
 
 
-def test_a_token_that_is_not_given_is_long_and_no_other_server_s(made):
-    tokens = {made(Sessions(dict))[0].token for _ in range(3)}
+def test_a_token_that_is_not_given_is_long_and_no_other_server_s(created):
+    tokens = {created(Sessions(dict))[0].token for _ in range(3)}
     assert len(tokens) == 3
     assert min(map(len, tokens)) >= 32
 
 
-def test_a_client_connects_to_the_port_that_is_listened_at(made):
-    server, _ = made(Sessions(dict))
+def test_a_client_connects_to_the_port_that_is_listened_at(created):
+    server, _ = created(Sessions(dict))
     assert server.address == f"http://127.0.0.1:{server.port}/mcp"
     assert server.port == server._socket.getsockname()[1] > 0
     socket.create_connection(("127.0.0.1", server.port), 5).close()
 
 
 @pytest.mark.parametrize("port", [None, 70_000])
-def test_a_port_that_cannot_be_had_is_named_with_what_to_do(made, port):
-    taken = made(Sessions(dict))[0].port
+def test_a_port_that_cannot_be_had_is_named_with_what_to_do(created, port):
+    acquired = created(Sessions(dict))[0].port
     with pytest.raises(
-        StageError, match=f"127.0.0.1:{port or taken}: .*Choose another port, or 0 for any that is free"
+        StageError, match=f"127.0.0.1:{port or acquired}: .*Choose another port, or 0 for any that is free"
     ):
-        made(Sessions(dict), port or taken)
+        created(Sessions(dict), port or acquired)
 
 
-def test_a_request_without_a_session_has_no_key(made):
-    key = made(Sessions(dict))[1].key
+def test_a_request_without_a_session_has_no_key(created):
+    key = created(Sessions(dict))[1].key
     assert key(SimpleNamespace(request=None)) is None
     assert key(SimpleNamespace(request=SimpleNamespace(headers={"mcp-session-id": "a"}))) == "a"
     assert key(SimpleNamespace(request=SimpleNamespace(headers={}))) is None
 
 
 def test_due_sessions_are_looked_for_every_two_seconds_while_the_app_lives_and_all_end_with_it(monkeypatch):
-    told, slept = [], []
+    reported, slept = [], []
 
     async def sleep(seconds):
         slept.append(seconds)
@@ -245,26 +245,28 @@ def test_due_sessions_are_looked_for_every_two_seconds_while_the_app_lives_and_a
             await asyncio.Event().wait()
 
     monkeypatch.setattr(http.anyio, "sleep", sleep)
-    sessions = SimpleNamespace(close_due=lambda: told.append("reap"), close_all=lambda: told.append("close all"))
+    sessions = SimpleNamespace(
+        close_due=lambda: reported.append("reap"), close_all=lambda: reported.append("close all")
+    )
 
     class Before:
         async def __aenter__(self):
-            told.append("begin")
+            reported.append("begin")
             return "state"
 
         async def __aexit__(self, *_):
-            told.append("end")
+            reported.append("end")
 
     app = SimpleNamespace(router=SimpleNamespace(lifespan_context=lambda app: Before()))
     http._add_cleanup(app, sessions)
 
     async def live():
         async with app.router.lifespan_context(app):
-            while told.count("reap") < 3:
+            while reported.count("reap") < 3:
                 await asyncio.sleep(0.001)
 
     asyncio.run(asyncio.wait_for(live(), 20))
-    assert told == ["begin", "reap", "reap", "reap", "close all", "end"]
+    assert reported == ["begin", "reap", "reap", "reap", "close all", "end"]
     assert slept == [2.0] * 4
 
 
@@ -274,34 +276,34 @@ def test_due_sessions_are_looked_for_every_two_seconds_while_the_app_lives_and_a
 def test_when_the_client_is_silent_for_good_its_session_ends(monkeypatch):
     import anyio
 
-    told = []
+    reported = []
 
     async def work():
         give, reading = anyio.create_memory_object_stream(2)
-        passed_on, taken = anyio.create_memory_object_stream(2)
+        passed_on, acquired = anyio.create_memory_object_stream(2)
         await give.send("a")
         await give.send("b")
         give.close()
-        await stdio._relay(reading, passed_on, SimpleNamespace(close_all=lambda: told.append("all")))
-        return [m async for m in taken]
+        await stdio._relay(reading, passed_on, SimpleNamespace(close_all=lambda: reported.append("all")))
+        return [m async for m in acquired]
 
     assert asyncio.run(work()) == ["a", "b"]
-    assert told == ["all"]
+    assert reported == ["all"]
 
 
 @pytest.mark.parametrize("gone", [BrokenPipeError, ConnectionResetError])
 def test_a_client_that_breaks_its_pipe_is_no_failure(monkeypatch, gone):
-    made = []
+    created = []
 
     def run(work, maker):
         raise BaseExceptionGroup("ended", [gone("x")])
 
     monkeypatch.setattr(stdio.anyio, "run", run)
-    monkeypatch.setattr(stdio.os, "dup2", lambda *to: made.append(to))
+    monkeypatch.setattr(stdio.os, "dup2", lambda *to: created.append(to))
     monkeypatch.setattr(stdio.os, "open", lambda *of: of)
     monkeypatch.setattr(stdio.sys, "stdout", SimpleNamespace(fileno=lambda: 77))
     stdio.serve(None)
-    assert made == [((os.devnull, os.O_WRONLY), 77)]
+    assert created == [((os.devnull, os.O_WRONLY), 77)]
 
 
 def test_another_failure_of_the_transport_is_one_still(monkeypatch):

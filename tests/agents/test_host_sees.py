@@ -61,8 +61,8 @@ def test_a_mistake_that_follows_from_a_hidden_pin_is_not_told(make_box):
         with faults.switch_stuck(box.stage.axes["x"], "el_plus", True):
             for call in start:
                 assert box.call(*call).ok
-            told = "limit switch" in box.call("diagnostics").text
-        assert told == (mode == "truth")
+            reported = "limit switch" in box.call("diagnostics").text
+        assert reported == (mode == "truth")
         assert any("limit switch" in d.message for d in box.stage.axes["x"].chip.diagnostics)
 
 
@@ -93,13 +93,13 @@ def test_a_drawing_for_a_host_has_the_lanes_that_registers_show(box):
     pytest.importorskip("matplotlib")
     box.call("home", {"axis": "x"})
     report = box.report
-    whole = {t.get_text() for axes in draw(report).axes for t in axes.get_yticklabels()}
-    seen = {
+    full = {t.get_text() for axes in draw(report).axes for t in axes.get_yticklabels()}
+    observed = {
         t.get_text()
         for axes in draw(hide_truth(report), pins=box.diagnostics[0].readable).axes
         for t in axes.get_yticklabels()
     }
-    assert seen < whole
+    assert observed < full
     assert hide_truth(report).lost_steps is None
 
 

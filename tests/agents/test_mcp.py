@@ -64,8 +64,8 @@ async def tour(client):
     assert "Did you mean 'move'" in unknown.content[0].text
     moved = json.loads((await client.read_resource("stage://recording/last")).contents[0].text)
     assert moved["move"] == "origin return"
-    asked = (await client.get_prompt("find_lost_steps", {"axis": "Y"})).messages[0].content.text
-    assert "axis y" in asked
+    requested = (await client.get_prompt("find_lost_steps", {"axis": "Y"})).messages[0].content.text
+    assert "axis y" in requested
     return [t.name for t in tools]
 
 
@@ -151,7 +151,7 @@ def test_no_other_resource_can_be_read(served, uri):
 
 
 @pytest.mark.parametrize(
-    ("name", "given", "said"),
+    ("name", "given", "message"),
     [
         ("tune_mvoe", {}, "Did you mean 'tune_move'"),
         ("tune_move", {"axis": "q"}, "Known: x, y"),
@@ -159,11 +159,11 @@ def test_no_other_resource_can_be_read(served, uri):
         ("tune_move", {"distance": "\n"}, "printable"),
     ],
 )
-def test_prompts_refuse_in_words(served, name, given, said):
+def test_prompts_refuse_in_words(served, name, given, message):
     from mcp.shared.exceptions import MCPError
 
     async def work(client):
-        with pytest.raises(MCPError, match=said):
+        with pytest.raises(MCPError, match=message):
             await client.get_prompt(name, given)
 
     served.talk(work)
@@ -182,16 +182,16 @@ def test_a_client_with_two_lines_is_there_until_both_have_broken():
     async def work():
         door, ends = Gate(app, "t", SimpleNamespace(note_disconnect=gone.append)), (asyncio.Event(), asyncio.Event())
         lines = [asyncio.create_task(door(scope, end.wait, None)) for end in ends]
-        for end, line, told in zip(ends, lines, ([], ["a"]), strict=True):
+        for end, line, reported in zip(ends, lines, ([], ["a"]), strict=True):
             await asyncio.sleep(0)
             end.set()
             await line
-            assert gone == told
+            assert gone == reported
 
     asyncio.run(work())
 
 
-def asked(served, method="POST", **headers):
+def requested(served, method="POST", **headers):
     import httpx2
 
     head = {"Accept": "application/json, text/event-stream", "Authorization": f"Bearer {served.server.token}"}
@@ -203,21 +203,21 @@ def asked(served, method="POST", **headers):
 @pytest.mark.parametrize("given", ["", "Bearer nonsense", "Bearer", "Basic x", "Bearer \u00e9".encode("latin1")])
 def test_without_the_token_nobody_comes_in(served, given):
     empties(served)
-    refused = asked(served, Authorization=given)
+    refused = requested(served, Authorization=given)
     assert refused.status_code == 401
     assert "Authorization: Bearer" in refused.text
     assert len(served.sessions) == 0
 
 
 def test_pages_of_other_sites_are_refused(served):
-    assert asked(served, Host="evil.example").status_code >= 400
-    assert asked(served, Origin="http://evil.example").status_code >= 400
+    assert requested(served, Host="evil.example").status_code >= 400
+    assert requested(served, Origin="http://evil.example").status_code >= 400
 
 
 def test_a_request_without_a_session_is_told_to_open_one(served):
-    said = asked(served, **{"MCP-Protocol-Version": "2025-11-25"})
-    assert said.status_code == 400
-    assert asked(served, **{"mcp-session-id": "f" * 32}).status_code == 404
+    message = requested(served, **{"MCP-Protocol-Version": "2025-11-25"})
+    assert message.status_code == 400
+    assert requested(served, **{"mcp-session-id": "f" * 32}).status_code == 404
     empties(served)
 
 
@@ -295,7 +295,7 @@ def test_a_server_whose_client_was_killed_ends():
 def test_the_command_says_what_is_wrong(capsys):
     from stage.cli import main
 
-    for arguments, said in (
+    for arguments, message in (
         (["mcp", "xq", "--http"], "Did you mean"),
         (["mcp", "xq"], "Did you mean"),
         (["mcp", "--chips", "bogus"], "unknown chip"),
@@ -306,9 +306,9 @@ def test_the_command_says_what_is_wrong(capsys):
         (["mcp", "--http", "--idle", "0"], "greater than 0"),
     ):
         assert main(arguments) == 2
-        assert said in capsys.readouterr().err
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        assert main(["mcp", "xy", "--http", "--port", str(taken.getsockname()[1])]) == 2
+        assert message in capsys.readouterr().err
+    with socket.create_server(("127.0.0.1", 0)) as acquired:
+        assert main(["mcp", "xy", "--http", "--port", str(acquired.getsockname()[1])]) == 2
     assert "Choose another port" in capsys.readouterr().err
     with pytest.raises(SystemExit, match="2"):
         main(["mcp", "xy", "--http", "--port", "70000"])
@@ -364,9 +364,9 @@ def test_a_call_of_the_wrong_form_is_a_tool_error_too(served, params):
     import httpx2
 
     body = {"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": params}
-    said = httpx2.post(served.server.address, json=body, headers=opened(served), timeout=60).json()
-    assert said["result"]["isError"]
-    text = said["result"]["content"][0]["text"]
+    message = httpx2.post(served.server.address, json=body, headers=opened(served), timeout=60).json()
+    assert message["result"]["isError"]
+    text = message["result"]["content"][0]["text"]
     assert "called by its name" in text or "should be an object" in text
 
 
@@ -381,9 +381,9 @@ def test_a_call_that_is_cancelled_ends_and_the_next_is_made(served):
         return httpx2.post(served.server.address, json=body, headers=head, timeout=60)
 
     post(1, "tools/call", {"name": "budget", "arguments": {}})
-    said = []
+    message = []
     wait = threading.Thread(
-        target=lambda: said.append(post(7, "tools/call", {"name": "wait", "arguments": {"seconds": 120}}))
+        target=lambda: message.append(post(7, "tools/call", {"name": "wait", "arguments": {"seconds": 120}}))
     )
     wait.start()
     box = served.sessions.box(head["mcp-session-id"])
@@ -391,7 +391,7 @@ def test_a_call_that_is_cancelled_ends_and_the_next_is_made(served):
         time.sleep(0.001)
     post(0, "notifications/cancelled", {"requestId": 7})
     wait.join(30)
-    assert "error" in said[0].json()
+    assert "error" in message[0].json()
     used = post(8, "tools/call", {"name": "budget", "arguments": {}}).json()["result"]["structuredContent"]["used"]
     assert used["seconds"] < 120
 
@@ -425,11 +425,11 @@ def test_a_flood_of_sessions_without_a_call_keeps_no_one_out():
 def test_prompts_name_tools_and_prompts_that_there_are(served, name, given):
     async def work(client):
         tools = [t.name for t in (await client.list_tools()).tools]
-        asked = (await client.get_prompt(name, {"axis": "Y", **given})).messages[0].content.text
+        requested = (await client.get_prompt(name, {"axis": "Y", **given})).messages[0].content.text
         known = {*tools, *[p.name for p in (await client.list_prompts()).prompts]}
-        assert "axis y" in asked
-        assert set(re.findall(r"`(\w+)`", asked)) <= known
-        assert "5mm" in asked or not given
+        assert "axis y" in requested
+        assert set(re.findall(r"`(\w+)`", requested)) <= known
+        assert "5mm" in requested or not given
         assert not (await client.list_resource_templates()).resource_templates
 
     served.talk(work)

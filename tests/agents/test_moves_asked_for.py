@@ -25,8 +25,8 @@ class Noting:
         assert by in self.homings()
 
     def __getattr__(self, name):
-        def noted(*given):
-            self.told.append((name, *given))
+        def noted(*arguments):
+            self.told.append((name, *arguments))
             if name != "halt":
                 raise StageError("noted.")
 
@@ -36,18 +36,18 @@ class Noting:
 def noted_of(box):
     driver = box._drivers["x"] = Noting()
 
-    def made(name, **given):
+    def created(name, **arguments):
         driver.told.clear()
-        answer = box.call(name, {"axis": "x", **given})
+        answer = box.call(name, {"axis": "x", **arguments})
         assert answer.ok or answer.text == "noted.", answer.text
         return driver.told[0]
 
-    made.box = box
-    return made
+    created.box = box
+    return created
 
 
 @pytest.fixture
-def asked(make_box):
+def requested(make_box):
     """asked(tool, arguments) -> what the driver was told, on an axis of 3.125 um a pulse."""
     return noted_of(make_box())
 
@@ -55,60 +55,60 @@ def asked(make_box):
 PULSE = 3.125e-6  # m
 
 
-def test_a_distance_is_signed_pulses_and_a_timeout_is_the_driver_s(asked):
-    for given, pulses in (
+def test_a_distance_is_signed_pulses_and_a_timeout_is_the_driver_s(requested):
+    for arguments, pulses in (
         ({"pulses": -50}, -50),
         ({"distance": "10mm"}, 3200),
         ({"distance": -0.001}, -320),
         ({"distance": f"{0.6 * PULSE}m"}, 1),
     ):
-        name, wanted, speeds, timeout = asked("move", **given)
+        name, wanted, speeds, timeout = requested("move", **arguments)
         assert (name, wanted, timeout) == ("move", pulses, None)
         assert (speeds.up, speeds.down, speeds.s_curve) == (RAMP, RAMP, False)
-        assert asked("move", timeout=3, **given)[3] == 3.0
-        assert asked("start", **given)[:2] == ("start", pulses)
+        assert requested("move", timeout=3, **arguments)[3] == 3.0
+        assert requested("start", **arguments)[:2] == ("start", pulses)
 
 
-def test_speeds_are_pulses_a_second_and_ramps_seconds(asked):
-    speeds = asked("move", pulses=100, speed=0.05, start_speed="0.0025", accel=0.2, decel=0.4, s_curve=True)[2]
+def test_speeds_are_pulses_a_second_and_ramps_seconds(requested):
+    speeds = requested("move", pulses=100, speed=0.05, start_speed="0.0025", accel=0.2, decel=0.4, s_curve=True)[2]
     assert (speeds.start, speeds.drive) == pytest.approx((800, 16_000))
     assert (speeds.up, speeds.down, speeds.s_curve) == (0.2, 0.4, True)
-    speeds = asked("start", pulses=100, accel=0.3)[2]
+    speeds = requested("start", pulses=100, accel=0.3)[2]
     assert (speeds.up, speeds.down) == (0.3, 0.3)
     assert (
-        asked("move", pulses=100, speed=MIN_RATE_PPS * PULSE * 1.0001, start_speed=MIN_RATE_PPS * PULSE * 1.0001)[0]
+        requested("move", pulses=100, speed=MIN_RATE_PPS * PULSE * 1.0001, start_speed=MIN_RATE_PPS * PULSE * 1.0001)[0]
         == "move"
     )
-    refused = asked.box.call("move", {"axis": "x", "pulses": 100, "start_speed": 0.99 * MIN_RATE_PPS * PULSE})
+    refused = requested.box.call("move", {"axis": "x", "pulses": 100, "start_speed": 0.99 * MIN_RATE_PPS * PULSE})
     assert refused.text.startswith("start_speed: ")
     assert "is too slow; the least is 3.125e-08 m/s, 0.01 pulses a second" in refused.text
 
 
 def test_an_origin_return_goes_the_way_and_by_what_was_said(make_box):
-    asked = noted_of(make_box("MCX514"))
-    assert asked("home")[:3] == ("home_by", "switch", -1)
-    assert asked("home", direction="plus", by="INDEX")[:3] == ("home_by", "index", 1)
-    assert asked("home")[4] == 60.0
-    assert asked("home", timeout=5)[4] == 5.0
-    assert asked("home", speed=0.05)[3].drive == pytest.approx(16_000)
+    requested = noted_of(make_box("MCX514"))
+    assert requested("home")[:3] == ("home_by", "switch", -1)
+    assert requested("home", direction="plus", by="INDEX")[:3] == ("home_by", "index", 1)
+    assert requested("home")[4] == 60.0
+    assert requested("home", timeout=5)[4] == 5.0
+    assert requested("home", speed=0.05)[3].drive == pytest.approx(16_000)
 
 
-def test_a_stop_is_with_a_ramp_unless_it_is_at_once(asked):
-    assert asked("stop") == ("halt", False)
-    assert asked("stop", at_once=True) == ("halt", True)
+def test_a_stop_is_with_a_ramp_unless_it_is_at_once(requested):
+    assert requested("stop") == ("halt", False)
+    assert requested("stop", at_once=True) == ("halt", True)
 
 
-def test_a_start_that_failed_is_none_that_somebody_waits_for(asked):
-    asked("start", pulses=100)
-    del asked.box._drivers["x"]
-    assert asked.box.call("wait_until_stopped", {"axis": "x"}).data["at_rest"]
-    assert not asked.box.call("report").ok
+def test_a_start_that_failed_is_none_that_somebody_waits_for(requested):
+    requested("start", pulses=100)
+    del requested.box._drivers["x"]
+    assert requested.box.call("wait_until_stopped", {"axis": "x"}).data["at_rest"]
+    assert not requested.box.call("report").ok
 
 
 @pytest.mark.parametrize("both", [{}, {"distance": "1mm", "pulses": 5}])
-def test_one_of_distance_and_pulses_is_given(asked, both):
-    assert "one of the two" in asked.box.call("move", {"axis": "x", **both}).text
-    assert "no pulse: a pulse of axis x is 3.125e-06 m" in asked.box.call("move", {"axis": "x", "pulses": 0}).text
+def test_one_of_distance_and_pulses_is_given(requested, both):
+    assert "one of the two" in requested.box.call("move", {"axis": "x", **both}).text
+    assert "no pulse: a pulse of axis x is 3.125e-06 m" in requested.box.call("move", {"axis": "x", "pulses": 0}).text
 
 
 def test_a_line_has_its_speeds_its_curve_and_its_timeout(make_box, monkeypatch):
@@ -119,8 +119,8 @@ def test_a_line_has_its_speeds_its_curve_and_its_timeout(make_box, monkeypatch):
         raise StageError("noted.")
 
     monkeypatch.setattr(procedures, "line", line)
-    given = {"distances": {"x": "1mm", "Y": -0.002}, "speed": 0.02, "s_curve": True, "timeout": 4, "accel": 0.2}
-    assert box.call("line", given).text == "noted."
+    arguments = {"distances": {"x": "1mm", "Y": -0.002}, "speed": 0.02, "s_curve": True, "timeout": 4, "accel": 0.2}
+    assert box.call("line", arguments).text == "noted."
     distances, how = noted[0]
     assert distances == {"x": pytest.approx(1e-3), "y": -0.002}
     assert how == {"speed": 0.02, "s_curve": True, "timeout": 4.0, "accel": 0.2}
@@ -150,17 +150,17 @@ def test_what_is_left_of_a_move_is_told_though_it_is_nothing(make_box):
 def test_an_axis_that_moves_is_not_moved_otherwise(make_box):
     box = make_box()
     assert box.call("start", {"axis": "x", "pulses": 20_000}).ok
-    for name, given in (
+    for name, arguments in (
         ("move", {"axis": "x", "pulses": 5}),
         ("home", {"axis": "x"}),
         ("start", {"axis": "x", "pulses": 5}),
         ("line", {"distances": {"y": "1mm", "x": "1mm"}}),
     ):
-        assert "axis x is moving" in box.call(name, given).text, name
+        assert "axis x is moving" in box.call(name, arguments).text, name
     assert box.call("move", {"axis": "y", "pulses": 50}).ok, "the other one is"
-    ended = box.call("stop", {"axis": "x"}).data
-    assert 0 < ended["counted_pulses"] < 20_000
-    assert not ended["as_asked"]
+    finished = box.call("stop", {"axis": "x"}).data
+    assert 0 < finished["counted_pulses"] < 20_000
+    assert not finished["as_asked"]
 
 
 def test_a_move_that_made_all_its_pulses_was_not_stopped_by_the_host(make_box):
@@ -169,18 +169,18 @@ def test_a_move_that_made_all_its_pulses_was_not_stopped_by_the_host(make_box):
     assert box.call("start", {"axis": "x", "pulses": 200}).ok
     assert box.call("wait", {"seconds": 1.0}).ok
     assert box.call("write_bytes", {"axis": "x", "address": 0, "values": ["11h"]}).ok
-    ended = box.call("wait_until_stopped", {"axis": "x"}).data
-    assert ended["counted_pulses"] == ended["asked_pulses"] == 200
-    assert "stopped by the host" not in ended["stopped_by"]
+    finished = box.call("wait_until_stopped", {"axis": "x"}).data
+    assert finished["counted_pulses"] == finished["asked_pulses"] == 200
+    assert "stopped by the host" not in finished["stopped_by"]
 
 
 def test_axes_that_drive_one_load_are_squared_the_way_and_in_the_time_that_was_said(monkeypatch):
-    box, asked = Toolbox(Stage("gantry", visuals=False)), []
-    monkeypatch.setattr(motion_tools, "square_by", lambda *given: asked.append(given) or [])
-    for axis, given in (("y", {}), ("w", {"direction": "plus", "timeout": 7, "speed": 0.05})):
-        assert box.call("home", {"axis": axis, **given}).ok
-    (first, other) = asked
-    assert [[a.name for a in axes] for axes, *_ in asked] == [["y", "w"], ["w", "y"]]
+    box, requested = Toolbox(Stage("gantry", visuals=False)), []
+    monkeypatch.setattr(motion_tools, "square_by", lambda *arguments: requested.append(arguments) or [])
+    for axis, arguments in (("y", {}), ("w", {"direction": "plus", "timeout": 7, "speed": 0.05})):
+        assert box.call("home", {"axis": axis, **arguments}).ok
+    (first, other) = requested
+    assert [[a.name for a in axes] for axes, *_ in requested] == [["y", "w"], ["w", "y"]]
     assert (first[1], first[3]) == (-1, 60.0)
     assert (other[1], other[3]) == (1, 7.0)
     assert other[2].drive == pytest.approx(16_000)

@@ -10,19 +10,19 @@ from stage.firmware import plot
 @pytest.fixture
 def figures(monkeypatch):
     """What was drawn, in the place of drawings."""
-    made = []
+    created = []
 
     class Figure:
         def __init__(self, report, pins):
             self.report, self.pins = report, pins
-            made.append(self)
+            created.append(self)
 
         def savefig(self, out, format, dpi):
             self.saved = (format, dpi)
-            out.write(b"drawing %d" % len(made))
+            out.write(b"drawing %d" % len(created))
 
     monkeypatch.setattr(plot, "draw", lambda report, pins=None: Figure(report, pins))
-    return made
+    return created
 
 
 LINE = {"distances": {"x": "0.2mm", "y": "-0.5mm"}, "accel": 0.01}
@@ -65,9 +65,9 @@ def test_a_write_that_was_lost_is_a_command_to_a_host_and_all_else_stays(make_bo
     box.call("move", {"axis": "x", "pulses": 40, "accel": 0.01})
     first, *others = box.report.said
     object.__setattr__(box.report, "said", (first._replace(kind="lost", meaning="LOST: start"), *others))
-    seen = hide_truth(box.report).said
-    assert (seen[0].kind, seen[0].meaning, seen[0].clock) == ("command", "start", first.clock)
-    assert list(seen[1:]) == others
+    observed = hide_truth(box.report).said
+    assert (observed[0].kind, observed[0].meaning, observed[0].clock) == ("command", "start", first.clock)
+    assert list(observed[1:]) == others
 
 
 def test_before_any_move_there_is_nothing_to_draw(box):

@@ -35,8 +35,8 @@ def test_a_host_reads_the_course_of_its_last_move(make_box):
 
 
 def test_who_sees_the_truth_records_it(recording):
-    ended = a_recording(recording)
-    assert ended.data["seconds"] > 0.1
+    finished = a_recording(recording)
+    assert finished.data["seconds"] > 0.1
     columns = recording.recordings.last()["columns"]
     assert columns
     assert all(len(c) <= MAX_SAMPLES for c in columns.values())

@@ -13,9 +13,9 @@ STOPS = {"PCL240K": ("1Dh", "08h"), "PCL240MS": ("1Dh", "08h"), "MCX514": None, 
 def test_a_move_that_is_refused_is_not_charged_and_says_what_to_call(make_box, chips):
     box = make_box(chips, budget=Budget(moves=2))
     assert box.call("start", {"axis": "x", "distance": "30mm"}).ok
-    for name, given in (("move", {"distance": "1mm"}), ("start", {"distance": "1mm"}), ("home", {})):
-        said = box.call(name, {"axis": "x", **given})
-        assert said.text == "axis x is moving: wait_until_stopped waits for its end, and stop stops it."
+    for name, arguments in (("move", {"distance": "1mm"}), ("start", {"distance": "1mm"}), ("home", {})):
+        message = box.call(name, {"axis": "x", **arguments})
+        assert message.text == "axis x is moving: wait_until_stopped waits for its end, and stop stops it."
     assert not box.call("line", {"distances": {"x": "1mm", "y": "1mm"}}).ok
     assert box.meter.moves == 1
     assert box.call("stop", {"axis": "x"}).data["stopped_by"] == "stopped by the host"
@@ -31,9 +31,9 @@ def test_a_stop_that_the_host_has_written_is_named(make_box, chips, k):
     else:
         driver = driver_of(box.axis("x"))
         box.call("command", {"axis": "x", "name": (driver.STOP, driver.SLOW_DOWN)[k]})
-    said = box.call("wait_until_stopped", {"axis": "x"}).data
-    assert said["stopped_by"].startswith("stopped by the host: ")
-    assert not said["as_asked"]
+    message = box.call("wait_until_stopped", {"axis": "x"}).data
+    assert message["stopped_by"].startswith("stopped by the host: ")
+    assert not message["as_asked"]
 
 
 def test_a_limit_switch_is_one_still(make_box):
@@ -62,8 +62,8 @@ def test_a_stop_that_the_host_wrote_into_one_move_is_none_of_the_next(make_box, 
 
 @pytest.mark.parametrize("speed", [1e-30, 1e-12, "1e-30"])
 def test_a_speed_that_is_none_is_refused(box, speed):
-    said = box.call("move", {"axis": "x", "distance": "1mm", "speed": speed})
-    assert "too slow" in said.text
+    message = box.call("move", {"axis": "x", "distance": "1mm", "speed": speed})
+    assert "too slow" in message.text
     assert box.meter.moves == 0
 
 
@@ -74,15 +74,15 @@ def test_an_example_of_a_move_is_a_move(box):
 
 def test_the_last_recording_is_of_the_last_move(make_box):
     box = make_box(mode="truth")
-    kept = box.recordings
+    saved = box.recordings
     box.call("record", {"on": True})
     box.call("move", {"axis": "x", "pulses": 100})
     box.call("record", {"on": False})
-    assert "seconds" in kept.last()
+    assert "seconds" in saved.last()
     box.call("move", {"axis": "y", "pulses": 200})
-    assert kept.last()["axis"] == "y"
+    assert saved.last()["axis"] == "y"
     box.call("line", {"distances": {"x": "1mm", "y": "2mm"}})
-    assert {n: a["columns"]["pulses"][-1] for n, a in kept.last()["axes"].items()} == {"x": 320, "y": 640}
+    assert {n: a["columns"]["pulses"][-1] for n, a in saved.last()["axes"].items()} == {"x": 320, "y": 640}
 
 
 def test_another_axis_of_the_chip_is_not_stopped():

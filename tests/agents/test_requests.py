@@ -27,17 +27,17 @@ def maker():
 def served(maker):
     """`served(handler, key=..., **params)`: what a handler answers to the session `key`."""
     sessions = Sessions(maker)
-    made = Protocol(maker, sessions, lambda ctx: ctx.key, sessionless=True, threads=2)
+    created = Protocol(maker, sessions, lambda ctx: ctx.key, sessionless=True, threads=2)
 
     def ask(handler, /, key="a", **params):
         async def work():
-            made._limiter, made._call_locks = None, {} if not keep else made._call_locks
-            return await getattr(made, handler)(SimpleNamespace(key=key), SimpleNamespace(**params))
+            created._limiter, created._call_locks = None, {} if not keep else created._call_locks
+            return await getattr(created, handler)(SimpleNamespace(key=key), SimpleNamespace(**params))
 
         keep = params.pop("keep", False)
         return asyncio.run(work())
 
-    ask.protocol, ask.sessions = made, sessions
+    ask.protocol, ask.sessions = created, sessions
     yield ask
     sessions.close_all()
 
@@ -63,21 +63,21 @@ def test_an_answer_is_text_and_structure_and_a_picture_an_image_behind_it():
 
 
 def test_a_call_without_a_session_is_told_how_to_open_one(served):
-    said = served("_call_tool", key=None, name="budget", arguments={})
-    assert said.is_error
-    assert said.content[0].text == NO_SESSION
+    message = served("_call_tool", key=None, name="budget", arguments={})
+    assert message.is_error
+    assert message.content[0].text == NO_SESSION
     assert len(served.sessions) == 0
 
 
 def test_a_call_is_made_in_the_session_that_asks(served):
     served("_call_tool", key="a", name="move", arguments={"axis": "x", "pulses": 30, "accel": 0.01})
     for key, moves in (("a", 1), ("b", 0)):
-        said = served("_call_tool", key=key, name="budget", arguments=None)
-        assert said.structured_content["used"]["moves"] == moves
+        message = served("_call_tool", key=key, name="budget", arguments=None)
+        assert message.structured_content["used"]["moves"] == moves
     served.sessions.close("a")
-    late = served("_call_tool", key="a", name="budget", arguments=None)
-    assert late.is_error
-    assert "This session has ended" in late.content[0].text
+    delayed = served("_call_tool", key="a", name="budget", arguments=None)
+    assert delayed.is_error
+    assert "This session has ended" in delayed.content[0].text
 
 
 def test_of_sessions_that_call_no_more_nothing_is_kept(served):
@@ -90,12 +90,12 @@ def test_of_sessions_that_call_no_more_nothing_is_kept(served):
 
 
 def test_every_page_is_listed_and_read_as_its_kind(served, maker):
-    there = list_pages(maker.catalog)
+    present = list_pages(maker.catalog)
     listed = served("_list_resources").resources
-    told = [(str(r.uri), r.name, r.description, r.mime_type) for r in listed]
-    assert told == [(p.uri, p.name, p.text, p.kind) for p in there.values()]
+    reported = [(str(r.uri), r.name, r.description, r.mime_type) for r in listed]
+    assert reported == [(p.uri, p.name, p.text, p.kind) for p in present.values()]
     served("_call_tool", name="move", arguments={"axis": "y", "pulses": 30, "accel": 0.01})
-    for p in there.values():
+    for p in present.values():
         (text,) = served("_read_resource", uri=p.uri).contents
         assert (str(text.uri), text.mime_type) == (p.uri, p.kind)
         assert text.text == p.read(served.sessions.box("a"))
@@ -106,9 +106,9 @@ def test_every_page_is_listed_and_read_as_its_kind(served, maker):
 NOT_READ = (("stage://axs", "a", "unknown resource"), ("stage://axes", None, "belongs to no session"))
 
 
-@pytest.mark.parametrize(("uri", "key", "said"), NOT_READ)
-def test_a_page_that_cannot_be_read_is_an_error_of_the_protocol_in_our_words(served, uri, key, said):
-    with pytest.raises(protocol.MCPError, match=said) as error:
+@pytest.mark.parametrize(("uri", "key", "message"), NOT_READ)
+def test_a_page_that_cannot_be_read_is_an_error_of_the_protocol_in_our_words(served, uri, key, message):
+    with pytest.raises(protocol.MCPError, match=message) as error:
         served("_read_resource", key=key, uri=uri)
     assert error.value.error.code == protocol.types.INVALID_PARAMS
 
@@ -118,9 +118,9 @@ def test_every_prompt_is_listed_with_its_arguments_and_their_defaults(served):
     assert [(p.name, p.description) for p in listed] == [(name, p.text) for name, p in PROMPTS.items()]
     arguments = {p.name: {a.name: (a.description, a.required) for a in p.arguments} for p in listed}
     assert arguments["tune_move"] == {"axis": ("which one", False), "distance": ("of the move (default 20mm)", False)}
-    said = served("_get_prompt", name="tune_move", arguments={"axis": "y"}).messages
-    assert [m.role for m in said] == ["user"]
-    assert said[0].content.text.startswith("Tune one move of axis y: 20mm, as fast as it goes")
+    message = served("_get_prompt", name="tune_move", arguments={"axis": "y"}).messages
+    assert [m.role for m in message] == ["user"]
+    assert message[0].content.text.startswith("Tune one move of axis y: 20mm, as fast as it goes")
     with pytest.raises(protocol.MCPError, match="Did you mean 'tune_move'"):
         served("_get_prompt", name="tune_moves", arguments={})
 
@@ -133,10 +133,10 @@ def test_without_a_stage_there_are_no_prompts_and_no_pages(served):
 
 def test_a_server_without_sessions_in_its_protocol_names_those_that_have_them(maker):
     old = Protocol(maker, Sessions(maker), lambda ctx: None, sessionless=False, threads=1)
-    said = asyncio.run(old._discover(None, None))
-    assert said.supported_versions == list(protocol.HANDSHAKE_PROTOCOL_VERSIONS)
-    assert said.instructions == protocol.INSTRUCTIONS
-    assert said.capabilities.tools is not None
+    message = asyncio.run(old._discover(None, None))
+    assert message.supported_versions == list(protocol.HANDSHAKE_PROTOCOL_VERSIONS)
+    assert message.instructions == protocol.INSTRUCTIONS
+    assert message.capabilities.tools is not None
     assert (old.server.name, old.server.version, old.server.title) == ("pulsestage", __version__, "PulseStage")
 
 
@@ -148,15 +148,15 @@ CALLS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("method", "number", "params", "said"), CALLS)
-def test_a_call_of_another_form_is_answered_as_one_of_wrong_arguments(method, number, params, said):
+@pytest.mark.parametrize(("method", "number", "params", "message"), CALLS)
+def test_a_call_of_another_form_is_answered_as_one_of_wrong_arguments(method, number, params, message):
     async def after(ctx):
         return "passed on"
 
-    made = asyncio.run(protocol._check_call(SimpleNamespace(method=method, request_id=number, params=params), after))
-    if said is None:
-        assert made == "passed on"
+    created = asyncio.run(protocol._check_call(SimpleNamespace(method=method, request_id=number, params=params), after))
+    if message is None:
+        assert created == "passed on"
     else:
-        assert made["isError"] is True
-        assert said in made["content"][0]["text"]
-        assert said in made["structuredContent"]["error"]
+        assert created["isError"] is True
+        assert message in created["content"][0]["text"]
+        assert message in created["structuredContent"]["error"]

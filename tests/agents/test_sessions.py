@@ -105,5 +105,5 @@ def test_a_session_that_is_closed_ends_the_call_that_it_makes(maker):
 
 
 def test_a_call_computes_for_no_longer_than_its_patience():
-    made = ToolboxFactory(lambda: Stage("xy", visuals=False), patience=1e-3)
-    assert "compute for 0.001 s" in made().call("wait", {"seconds": 60}).text
+    created = ToolboxFactory(lambda: Stage("xy", visuals=False), patience=1e-3)
+    assert "compute for 0.001 s" in created().call("wait", {"seconds": 60}).text

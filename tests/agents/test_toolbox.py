@@ -45,8 +45,8 @@ def test_a_line_is_the_end_of_what_was_started_before(box):
 def test_a_trace_has_as_many_cycles_as_are_asked_for_whatever_was_a_mistake(box):
     box.call("write_bytes", {"axis": "x", "address": 0, "values": ["44h", "50h", "50h", "50h"]})
     assert len(box.call("diagnostics").data["diagnostics"]) == 3
-    told = box.call("trace", {"axis": "x", "lines": 4}).text.splitlines()
-    assert [line.split()[3] for line in told] == ["44", "50", "50", "50"]
+    reported = box.call("trace", {"axis": "x", "lines": 4}).text.splitlines()
+    assert [line.split()[3] for line in reported] == ["44", "50", "50", "50"]
 
 
 def test_bytes_and_commands_make_the_same_move_as_a_driver(make_box):
@@ -55,16 +55,16 @@ def test_bytes_and_commands_make_the_same_move_as_a_driver(make_box):
         assert box.call("write_register", {"axis": "x", "name": name, "value": value}).ok
     assert box.call("command", {"axis": "x", "name": "OPERATE", "data": "08h"}).ok
     assert box.call("write_bytes", {"axis": "x", "address": 0, "values": ["44h", "15h"]}).ok
-    ended = box.call("wait_until_stopped", {"axis": "x"})
-    assert (ended.data["counted_pulses"], ended.data["as_asked"]) == (2000, None)
-    assert "not operating" in ended.data["stopped_by"]
+    finished = box.call("wait_until_stopped", {"axis": "x"})
+    assert (finished.data["counted_pulses"], finished.data["as_asked"]) == (2000, None)
+    assert "not operating" in finished.data["stopped_by"]
     assert "start, ramp to FH1" in box.call("trace", {"axis": "x"}).text
     assert box.call("read_register", {"axis": "x", "name": "r0"}).data["value"] == 0
     assert box.meter.moves == 1
 
 
 @pytest.mark.parametrize(
-    ("name", "given", "said"),
+    ("name", "arguments", "message"),
     [
         ("mvoe", {}, "Did you mean 'move'"),
         ("", {}, "Known: describe"),
@@ -90,11 +90,11 @@ def test_bytes_and_commands_make_the_same_move_as_a_driver(make_box):
         ("line", {"distances": {"x": "1mm", "q": 1}}, "Known: x, y."),
     ],
 )
-def test_every_refusal_says_what_is_allowed(box, name, given, said):
+def test_every_refusal_says_what_is_allowed(box, name, arguments, message):
     before = box.stage.time
-    answer = box.call(name, given)
+    answer = box.call(name, arguments)
     assert not answer.ok
-    assert said in answer.text
+    assert message in answer.text
     assert "Traceback" not in answer.text
     assert (box.stage.time, box.meter.moves) == (before, 0)
 
@@ -138,14 +138,14 @@ def test_bus_cycles_are_counted_and_end(make_box):
 def test_a_budget_of_nothing_is_spent_from_the_beginning(make_box):
     box = make_box(budget=Budget(moves=0, cycles=0, seconds=0))
     assert box.call("budget").data["left"] == {"moves": 0, "seconds": 0.0, "cycles": 0}
-    for name, given, said in (
+    for name, arguments, message in (
         ("move", {"axis": "x", "pulses": 10}, "All 0 moves are spent"),
         ("write_bytes", {"axis": "x", "address": 0, "values": [0]}, "All 0 bus cycles are spent"),
         ("wait", {"seconds": 0.1}, "All 0 s of simulated time are spent"),
     ):
-        answer = box.call(name, given)
+        answer = box.call(name, arguments)
         assert not answer.ok
-        assert said in answer.text
+        assert message in answer.text
     assert box.call("budget").data["used"] == {"moves": 0, "seconds": 0.0, "cycles": 0}
 
 
@@ -210,11 +210,11 @@ def test_the_last_cycles_and_the_last_mistakes_are_told(make_box):
     box = make_box()
     for k in range(30):
         box.call("write_bytes", {"axis": "x", "address": 0, "values": [0x44, 0x50 + k % 2, 0x50]})
-    told = box.call("trace", {"axis": "x", "lines": 3}).text.splitlines()
-    assert [line.split()[3] for line in told] == ["44", "51", "50"]
-    said = box.call("diagnostics").data
-    assert len(said["diagnostics"]) == 40 < said["all"] == 60
-    assert said["diagnostics"][-1]["time_s"] == pytest.approx(box.stage.time, abs=3e-6)
+    reported = box.call("trace", {"axis": "x", "lines": 3}).text.splitlines()
+    assert [line.split()[3] for line in reported] == ["44", "51", "50"]
+    message = box.call("diagnostics").data
+    assert len(message["diagnostics"]) == 40 < message["all"] == 60
+    assert message["diagnostics"][-1]["time_s"] == pytest.approx(box.stage.time, abs=3e-6)
 
 
 def test_a_datum_is_no_wider_than_the_bus_of_the_chip_that_it_is_for():
@@ -227,16 +227,16 @@ def test_a_datum_is_no_wider_than_the_bus_of_the_chip_that_it_is_for():
 
 def test_an_axis_is_told_apart_from_those_on_its_chip():
     box = Toolbox(Stage("xyz", chips="MCX514", visuals=False))
-    said = box.call("describe").data["axes"]
-    assert [said[name]["same_chip_as"] for name in "xyz"] == [["y", "z"], ["x", "z"], ["x", "y"]]
+    message = box.call("describe").data["axes"]
+    assert [message[name]["same_chip_as"] for name in "xyz"] == [["y", "z"], ["x", "z"], ["x", "y"]]
     assert box.call("write_register", {"axis": "z", "name": "DV", "value": 777}).ok
     values = [box.stage.axes[name].chip.values_of(box.stage.axes[name].chip_axis)["DV"] for name in "xyz"]
     assert values[2] == 777
     assert 777 not in values[:2]
     assert box.call("read_register", {"axis": "z", "name": "LP"}).data["value"] == 0
     assert box.call("move", {"axis": "z", "pulses": -50}).ok
-    told = box.call("read_register", {"axis": "z", "name": "LP"}).data
-    assert (told["value"], told["hex"]) == (-50, "FFFFFFCEh")
+    reported = box.call("read_register", {"axis": "z", "name": "LP"}).data
+    assert (reported["value"], reported["hex"]) == (-50, "FFFFFFCEh")
 
 
 def test_a_call_takes_no_more_than_so_much_time(box):
@@ -307,9 +307,9 @@ MADE_WRONG = [
 ]
 
 
-@pytest.mark.parametrize(("args", "said"), MADE_WRONG)
-def test_toolboxes_are_made_of_what_they_need(args, said, box):
-    with pytest.raises(ArgumentError, match=said):
+@pytest.mark.parametrize(("args", "message"), MADE_WRONG)
+def test_toolboxes_are_made_of_what_they_need(args, message, box):
+    with pytest.raises(ArgumentError, match=message):
         Toolbox(*(box.stage if a is None else a for a in args))
 
 

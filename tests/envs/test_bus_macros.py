@@ -26,13 +26,13 @@ def act(env, *names):
     return [env.step(env.macros.index(name)) for name in names]
 
 
-def course(env, policy, **reset):
+def play_episode(env, policy, **reset):
     """(sum of rewards, steps, last info) of an episode."""
     total, steps, over = 0.0, 0, False
     env.reset(**{"seed": 1} | reset)
     while not over:
-        _, reward, ended, cut, info = env.step(policy())
-        total, steps, over = total + reward, steps + 1, ended or cut
+        _, reward, finished, cut, info = env.step(policy())
+        total, steps, over = total + reward, steps + 1, finished or cut
     return total, steps, info
 
 
@@ -47,7 +47,7 @@ def course(env, policy, **reset):
     ],
 )
 def test_the_longest_distances_first_lead_to_the_target_on_both_ways(env, level, targets):
-    total, steps, info = course(env, env.scripted_action, options={"level": level, "targets": targets})
+    total, steps, info = play_episode(env, env.scripted_action, options={"level": level, "targets": targets})
     assert info["score"]["success"]
     assert info["score"]["moves"] == steps
     assert info["score"]["time"] == info["elapsed"]
@@ -64,10 +64,10 @@ def test_from_an_unknown_place_the_origin_is_found_first(chip):
     sides = set()
     for seed in (0, 1, 2, 8):
         env.reset(seed=seed, options={"targets": {"x": 320}})
-        begun = env._task.axis_states[0, 0]
-        assert not begun["known"]
-        sides.add(bool(begun["org"]))
-        _, _, info = course(env, env.scripted_action, seed=seed, options={"targets": {"x": 320}})
+        started = env._task.axis_states[0, 0]
+        assert not started["known"]
+        sides.add(bool(started["org"]))
+        _, _, info = play_episode(env, env.scripted_action, seed=seed, options={"targets": {"x": 320}})
         assert info["score"]["success"], seed
         assert abs(env.stage.axes["x"].position - env._task.origin[0]) / env.stage.axes[
             "x"
@@ -129,10 +129,10 @@ def test_an_end_limit_is_a_damage_once_for_as_long_as_the_axis_stands_there(env)
     x = env.stage.axes["x"]
     near = next(s.touch for s in x.plant.switches if s.pin == "el_plus")
     env.stage.place(x=near - 100 * x.meters_per_pulse)
-    told = act(env, "rates gentle", "distance 1024", "plus", "wait", "read")
+    reported = act(env, "rates gentle", "distance 1024", "plus", "wait", "read")
     assert x.switches.el_plus
     assert x.lost_steps == 0
-    assert sum(info["reward_parts"]["damage"] for *_, info in told) == -0.5
+    assert sum(info["reward_parts"]["damage"] for *_, info in reported) == -0.5
 
 
 def test_stable_baselines_asks_for_the_masks():
@@ -149,12 +149,12 @@ def test_to_give_up_is_no_cheaper_than_to_fail_at_the_end():
     """Masked actions again and again, or a step lost at once, which ends an episode below the level "origin"."""
     env = make(level="target")
     idle = env.macros.index("home")
-    spun, steps, info = course(env, lambda: idle)
+    spun, steps, info = play_episode(env, lambda: idle)
     assert steps == 120
     assert info["score"]["time"] == info["score"]["regret"] == np.inf
     assert spun == pytest.approx(-FULL, abs=1e-9)
     crash = iter(["rates bold", "distance 1024", "plus"])
-    lost, steps, info = course(
+    lost, steps, info = play_episode(
         env,
         lambda: env.macros.index(next(crash, "wait")),
         options={"current": 0.6, "payload": 5.0, "targets": {"x": 16}},
@@ -168,25 +168,25 @@ def test_a_host_reads_before_it_knows(env):
     env.reset(seed=4, options={"level": "target", "targets": {"x": 512}})
     names = [e.name for e in env.observation_features]
     left = names.index("left")
-    seen = [out[0][left] for out in act(env, "rates usual", "distance 256", "plus", "wait", "read")]
-    assert len(set(seen[:4])) == 1
-    assert seen[4] == pytest.approx(seen[0] / 2)
+    observed = [out[0][left] for out in act(env, "rates usual", "distance 256", "plus", "wait", "read")]
+    assert len(set(observed[:4])) == 1
+    assert observed[4] == pytest.approx(observed[0] / 2)
     assert not any(e.who == "truth" for e in env.observation_features)
 
 
 def test_levels_targets_and_grids_that_are_none_are_refused(env):
-    for options, said in (
+    for options, text in (
         ({"level": 4}, "option level=4: 0 to 3, or move"), ({"targets": {"x": 1 << 20}}, "option targets="),
         ({"targets": {"q": 16}}, "axis 'q'"), ({"level": 3, "targets": {"x": -16}}, "1 to 2720"),
     ):  # fmt: skip
-        with pytest.raises(ArgumentError, match=said):
+        with pytest.raises(ArgumentError, match=text):
             env.reset(options=options)
-    for settings, said in (
+    for settings, text in (
         ({"grid": (64, 16)}, "grid="),
         ({"grid": (8, 16)}, "beyond the tolerance"),
         ({"level": "x"}, "level"),
     ):
-        with pytest.raises(ArgumentError, match=said):
+        with pytest.raises(ArgumentError, match=text):
             Config(**settings)
     with pytest.raises(ArgumentError, match="no stepper's slide"):
         make(chip="HCTL1100", model="xyz_servo")
@@ -215,20 +215,20 @@ AT_GOAL = {"off": (0, 0), "rest": (0, 0), "busy": (0, 0), "known": (1, 1), "lost
 def test_success_is_all_of_it_by_all_axes_that_take_part(env, monkeypatch, level, how, success):
     """Pulses off the target; of the place to which the motor pulls; still driving; origin known; full steps lost."""
     env.reset(seed=1, options={"level": level})
-    task, real, made = env._task, env._task.fleet.truth, AT_GOAL | how
-    task.axis_states["known"][0] = made["known"]
+    task, real, created = env._task, env._task.fleet.truth, AT_GOAL | how
+    task.axis_states["known"][0] = created["known"]
 
     def truth():
-        found = real().copy()
+        results = real().copy()
         for a, index in enumerate(task.index):
-            t, goal = found[0, index], task.axis_states[0, a]["goal"]
-            found["position"][0, index] = goal + made["off"][a] * task.per_pulse[a]
-            found["commanded"][0, index] = (
-                goal + made["rest"][a] * task.per_pulse[a] + made["lost"][a] * task.full_step[a]
+            t, goal = results[0, index], task.axis_states[0, a]["goal"]
+            results["position"][0, index] = goal + created["off"][a] * task.per_pulse[a]
+            results["commanded"][0, index] = (
+                goal + created["rest"][a] * task.per_pulse[a] + created["lost"][a] * task.full_step[a]
             )
-            found["busy"][0, index], found["lost_steps"][0, index] = made["busy"][a], made["lost"][a]
+            results["busy"][0, index], results["lost_steps"][0, index] = created["busy"][a], created["lost"][a]
             assert t["now"] >= 0
-        return found
+        return results
 
     monkeypatch.setattr(task.fleet, "truth", truth)
     info = act(env, "rates usual")[0][4]
@@ -240,9 +240,9 @@ def test_the_first_lost_step_of_an_episode_costs_and_no_other(env, monkeypatch):
     task, real, lost = env._task, env._task.fleet.truth, iter([(0, 4), (0, 8), (0, 0), (12, 0)])
 
     def truth():
-        found = real().copy()
-        found["lost_steps"][0, task.index] = next(lost)
-        return found
+        results = real().copy()
+        results["lost_steps"][0, task.index] = next(lost)
+        return results
 
     monkeypatch.setattr(task.fleet, "truth", truth)
     steps = act(env, "rates usual", "rates bold", "rates usual", "rates bold")
@@ -254,9 +254,9 @@ def test_the_first_lost_step_of_an_episode_costs_and_no_other(env, monkeypatch):
 def test_who_waits_no_longer_than_his_patience_does_not_know_that_it_has_stopped():
     env = make(level="move", patience=0.01)
     env.reset(seed=1, options={"targets": {"x": 1024}})
-    seen = act(env, "rates gentle", "distance 1024", "plus", "wait")
+    observed = act(env, "rates gentle", "distance 1024", "plus", "wait")
     running = [e.name for e in env.observation_features].index("running")
-    assert [s[0][running] for s in seen] == [0, 0, 1, 1]
+    assert [s[0][running] for s in observed] == [0, 0, 1, 1]
     over = False
     while not over:
         observation, _, over, _, info = act(env, "wait")[0]

@@ -39,8 +39,8 @@ def total(env, first=(), then=(rb.WAIT, 0, 0, 0)):
     env.reset(seed=1, options={"target": {"x": 1000}})
     actions, reward, over = iter(first), 0.0, False
     while not over:
-        _, r, ended, cut, info = env.step(np.array(next(actions, then)))
-        reward, over = reward + r, ended or cut
+        _, r, finished, cut, info = env.step(np.array(next(actions, then)))
+        reward, over = reward + r, finished or cut
     return reward, info["elapsed"], info["lost_steps"]
 
 
@@ -67,13 +67,13 @@ def test_spinning_the_bus_or_waiting_pays_no_better_than_acting():
 def played(env, choose, options):
     """(plain sum of rewards, the sum with each discounted, what it is worth: the sum of its parts at the end, success)."""
     env.reset(seed=1, options=options)
-    plain = discounted = 0.0
+    basic = discounted = 0.0
     weight, over, t = 1.0, False, 0
     while not over:
-        _, reward, ended, cut, info = env.step(choose(t))
-        plain, discounted, over, t = plain + reward, discounted + weight * reward, ended or cut, t + 1
+        _, reward, finished, cut, info = env.step(choose(t))
+        basic, discounted, over, t = basic + reward, discounted + weight * reward, finished or cut, t + 1
         last, weight = weight, weight * env._task.config.discount
-    return plain, discounted, last, info["success"]
+    return basic, discounted, last, info["success"]
 
 
 DISCOUNTS = (1.0, 0.99, 0.01, *(pytest.param(d, marks=pytest.mark.slow) for d in (0.999, 0.9, 0.5)))
@@ -127,12 +127,12 @@ def test_no_discount_makes_a_failure_pay_more_than_to_solve_it(discount, play, s
     # discount 0.99, target 8000: 2000 reads once got +13.79 and the solution +13.14; 120 waits of macros got +0.445
     worth = {name: totals[0] for name, totals in play(1.0, setting).items()}
     failures = play(discount, setting) | {}
-    plain, discounted, last, success = failures.pop(SOLVES)
+    basic, discounted, last, success = failures.pop(SOLVES)
     assert success
     assert discounted == pytest.approx(last * worth[SOLVES], abs=1e-9)
     for name, failed in failures.items():
         assert not failed[3], name
-        assert failed[0] < min(plain - 1, ceiling), name
+        assert failed[0] < min(basic - 1, ceiling), name
         assert failed[1] < discounted + 1e-12, name
         assert failed[1] == pytest.approx(failed[2] * worth[name], abs=1e-9), name
 
@@ -195,7 +195,7 @@ def test_a_servo_that_is_inside_at_the_last_look_alone_is_not_at_rest():
     """R22 = 34, R20 = 69, R21 = 10, T = 7: it swings by 26 counts, and is 2 counts off when the time is up."""
     env = make("stage/ServoTuning-v0", payloads=(0.0, 0.0), distances=(200, 200), limit=0.2, rest=0.1)
     env.reset(seed=0)
-    found = False
+    results = False
     for angle in np.linspace(0, 1, 4):
         env.reset(seed=0, options={"angle": float(angle)})
         info = env.step(env._task.registers.to_action({"R22": 34, "R20": 69, "R21": 10, "R0F": 7}))[4]
@@ -203,8 +203,8 @@ def test_a_servo_that_is_inside_at_the_last_look_alone_is_not_at_rest():
         assert not info["finished"]
         assert info["settled"] == 0.2
         assert info["reward_parts"]["limit"] == -1
-        found |= abs(info["error"]) <= env._task.config.deadband
-    assert found, "the last look was inside once at least: that is the cheat"
+        results |= abs(info["error"]) <= env._task.config.deadband
+    assert results, "the last look was inside once at least: that is the cheat"
 
 
 def test_what_swings_is_judged_and_not_what_carries_it():

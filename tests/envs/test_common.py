@@ -77,14 +77,14 @@ def make_vec(id_, n, **settings):
 
 def episode(env, seed, actions=6):
     """Everything that an episode, and the next ones, say."""
-    said = [env.reset(seed=seed)]
+    text = [env.reset(seed=seed)]
     env.action_space.seed(seed)
     for _ in range(actions):
         out = env.step(env.action_space.sample())
-        said.append(out)
+        text.append(out)
         if out[2] or out[3]:
-            said.append(env.reset())
-    return said
+            text.append(env.reset())
+    return text
 
 
 def busy(any_, action):
@@ -136,12 +136,12 @@ def test_a_pickled_environment_goes_on_as_the_first(any_):
     env.reset(seed=3)
     env.action_space.seed(3)
     env.step(env.action_space.sample())
-    twin = pickle.loads(pickle.dumps(env))
+    replica = pickle.loads(pickle.dumps(env))
     for _ in range(2):
         action = env.action_space.sample()
         if env._over:
-            assert same(env.reset(), twin.reset())
-        assert same(env.step(action), twin.step(action))
+            assert same(env.reset(), replica.reset())
+        assert same(env.step(action), replica.step(action))
 
 
 BRIEFLY = [  # every chip in every mode on every number of threads: `make test-slow`
@@ -163,30 +163,30 @@ LONG = [
 def test_a_vector_is_as_many_environments_to_the_bit(any_, mode, threads):
     n, steps = 2 if FIXED else 3, 5
     vector, parts = make_vec(any_, n, threads=threads, autoreset_mode=mode), [make(any_) for _ in range(n)]
-    seen, infos = vector.reset(seed=11)
+    observed, infos = vector.reset(seed=11)
     for k, env in enumerate(parts):
         observation, info = env.reset(seed=11 + k)
-        assert same(seen[k], observation)
+        assert same(observed[k], observation)
         assert same(stage.envs.base.info_of(infos, k), info)
     vector.action_space.seed(11)
     over = np.zeros(n, bool)
     for _ in range(steps):
         if mode == AutoresetMode.DISABLED and over.any():
-            seen, _ = vector.reset(options={"reset_mask": over})
+            observed, _ = vector.reset(options={"reset_mask": over})
             for k in np.flatnonzero(over):
-                assert same(seen[k], parts[k].reset()[0])
+                assert same(observed[k], parts[k].reset()[0])
             over[:] = False
         actions = vector.action_space.sample()
-        seen, rewards, terminated, truncated, infos = vector.step(actions)
-        assert seen.dtype == vector.observation_space.dtype
+        observed, rewards, terminated, truncated, infos = vector.step(actions)
+        assert observed.dtype == vector.observation_space.dtype
         for k, env in enumerate(parts):
             if over[k] and mode == AutoresetMode.NEXT_STEP:
                 expected = *env.reset(), 0.0
-                got = seen[k], stage.envs.base.info_of(infos, k), float(rewards[k])
+                got = observed[k], stage.envs.base.info_of(infos, k), float(rewards[k])
             else:
-                observation, reward, ended, cut, info = env.step(actions[k])
-                assert (ended, cut) == (terminated[k], truncated[k])
-                if mode == AutoresetMode.SAME_STEP and (ended or cut):
+                observation, reward, finished, cut, info = env.step(actions[k])
+                assert (finished, cut) == (terminated[k], truncated[k])
+                if mode == AutoresetMode.SAME_STEP and (finished or cut):
                     assert same(infos["final_obs"][k], observation)
                     assert same(stage.envs.base.info_of(infos["final_info"], k), info)
                     observation, info = env.reset()
@@ -194,15 +194,15 @@ def test_a_vector_is_as_many_environments_to_the_bit(any_, mode, threads):
                 else:
                     got = stage.envs.base.info_of(infos, k)
                 expected = observation, info, reward
-                got = seen[k], got, float(rewards[k])
+                got = observed[k], got, float(rewards[k])
             assert same(got, expected), (k, got, expected)
         over = (terminated | truncated) & (mode != AutoresetMode.SAME_STEP)
 
 
 def test_each_environment_of_a_vector_may_be_given_a_seed_of_its_own():
     vector, one = make_vec("stage/OriginReturn-v0", 2), make("stage/OriginReturn-v0")
-    seen, _ = vector.reset(seed=[5, 3])
-    for row, seed in zip(seen, (5, 3), strict=True):
+    observed, _ = vector.reset(seed=[5, 3])
+    for row, seed in zip(observed, (5, 3), strict=True):
         assert same(row, one.reset(seed=seed)[0])
     for seeds in ([5], [1, 2, 3]):
         with pytest.raises(
@@ -267,12 +267,12 @@ def test_what_a_step_said_stays_said(id_):
     for e in (env, vector):
         e.reset(seed=6)
         e.action_space.seed(6)
-        said = e.step(e.action_space.sample())
-        kept = copy.deepcopy(said)
-        if np.any(said[2] | said[3]):
+        text = e.step(e.action_space.sample())
+        saved = copy.deepcopy(text)
+        if np.any(text[2] | text[3]):
             e.reset()
         e.step(e.action_space.sample())
-        assert same(list(said), list(kept))
+        assert same(list(text), list(saved))
 
 
 def test_a_step_after_the_end_asks_for_a_reset(id_):
@@ -296,21 +296,21 @@ def test_unknown_settings_and_options_are_named(id_):
 
 
 def test_an_unknown_setting_is_a_type_error_too_and_all_that_there_are_are_named(id_):
-    for maker, own in ((make, "render_every"), (lambda id_, **s: make_vec(id_, 2, **s), "threads")):
-        with pytest.raises(TypeError, match=r"unexpected keyword argument 'colour': .* Known: ") as found:
+    for maker, custom in ((make, "render_every"), (lambda id_, **s: make_vec(id_, 2, **s), "threads")):
+        with pytest.raises(TypeError, match=r"unexpected keyword argument 'colour': .* Known: ") as results:
             maker(id_, colour="red")
-        assert isinstance(found.value, ArgumentError)
-        assert own in str(found.value)
+        assert isinstance(results.value, ArgumentError)
+        assert custom in str(results.value)
     gc.collect()  # Gymnasium closes a vector that was never made: an error in that would be a warning here
 
 
 def test_options_and_seeds_that_are_none_are_refused_in_words(id_):
     env, vector = make(id_), make_vec(id_, 2)
-    for e, most in ((env, "None, or a dict with any of: "), (vector, "reset_mask")):
+    for e, maximum in ((env, "None, or a dict with any of: "), (vector, "reset_mask")):
         for options in (3, "x", [1]):
-            with pytest.raises(ArgumentError, match="options=") as found:
+            with pytest.raises(ArgumentError, match="options=") as results:
                 e.reset(options=options)
-            assert most in str(found.value)
+            assert maximum in str(results.value)
     for seed in (1.5, "ab", [1.0, 2], {1: 2}):
         with pytest.raises(
             ArgumentError, match=r"seed=.*: a whole number, None, or one of them for each environment\."
@@ -322,33 +322,33 @@ def test_options_and_seeds_that_are_none_are_refused_in_words(id_):
 @pytest.mark.usefixtures("elsewhere")
 def test_a_stage_that_diverges_ends_its_own_episode_alone(any_):
     vector, calm = make_vec(any_, 3), make_vec(any_, 3)
-    seen, _ = vector.reset(seed=5)
+    observed, _ = vector.reset(seed=5)
     calm.reset(seed=5)
     vector.stages[1].data.qfrc_applied[:] = 1e30
     vector.action_space.seed(5)
     actions = busy(any_, vector.action_space.sample())
     for _ in range(3):
-        last = seen[1].copy()
-        seen, rewards, terminated, truncated, infos = vector.step(actions)
+        last = observed[1].copy()
+        observed, rewards, terminated, truncated, infos = vector.step(actions)
         expected = calm.step(actions)
         if truncated[1]:
             break
     assert truncated[1]
     assert infos["cause"][1] == "diverged"
     assert infos["reward_parts"]["diverged"][1] == rewards[1] == stage.envs.base.DIVERGED
-    assert same(seen[1], last), "nothing of it is observed"
-    assert np.isfinite(seen).all()
+    assert same(observed[1], last), "nothing of it is observed"
+    assert np.isfinite(observed).all()
     for k in (0, 2):
-        assert same(seen[k], expected[0][k])
+        assert same(observed[k], expected[0][k])
         assert rewards[k] == expected[1][k]
     assert infos["cause"][0] == ""
-    ended = terminated | truncated
+    finished = terminated | truncated
     vector.stages[1].data.qfrc_applied[:] = 0.0
     again, *_, infos = vector.step(actions)
     assert np.isfinite(again).all(), "it starts anew"
     assert same(stage.envs.base.info_of(infos, 1), vector.unwrapped._task.reset_info(1))
     assert vector.stages[1].time == 0, "and waits for its first action"
-    if not ended[0]:  # else it begins anew, too
+    if not finished[0]:  # else it begins anew, too
         assert stage.envs.base.info_of(infos, 0)["cause"] == ""
 
 
@@ -386,8 +386,8 @@ def test_closing_writes_the_recording_of_an_episode_that_goes_on(tmp_path):
 
 @pytest.mark.parametrize("any_", daily([*FRAME_INTERVAL, OTHER_CHIPS[0]], BRIEF[1:]), ids=lambda id_: id_.split("/")[1])
 def test_an_episode_can_be_recorded(any_, tmp_path):
-    env, plain = make(any_, record=str(tmp_path / "run" / "{}.rrd")), make(any_)
-    assert same(episode(env, 2, 3), episode(plain, 2, 3)), "a recording changes nothing"
+    env, basic = make(any_, record=str(tmp_path / "run" / "{}.rrd")), make(any_)
+    assert same(episode(env, 2, 3), episode(basic, 2, 3)), "a recording changes nothing"
     env.close()
     files = sorted((tmp_path / "run").iterdir())
     assert files[0].name == "0.rrd"
@@ -421,11 +421,11 @@ def test_a_vector_goes_on_with_its_numbers_unless_it_is_seeded_anew():
     vector, parts = make_vec(bus, 2), [make(bus) for _ in range(2)]
     firsts = []
     for seed, seeds in ((None, (None, None)), (3, (3, 4)), (None, (None, None)), ([None, 9], (None, 9))):
-        seen, _ = vector.reset(seed=seed)
+        observed, _ = vector.reset(seed=seed)
         if seed is not None or firsts:
             for k, env in enumerate(parts):
-                assert same(env.reset(seed=seeds[k])[0], seen[k]), (seed, k)
-            firsts.append(seen)
+                assert same(env.reset(seed=seeds[k])[0], observed[k]), (seed, k)
+            firsts.append(observed)
     assert not same(firsts[0], firsts[1])
     vector.reset(seed=3)
     masked, _ = vector.reset(seed=5, options={"reset_mask": np.array([False, True])})

@@ -35,7 +35,7 @@ def test_nothing_may_be_given_where_it_is_in_the_range():
 
 def test_what_is_given_changes_nothing_that_is_drawn():
     drawn = []
-    for asked in ({}, {"payload": 1.0}, {"friction": 1.0, "supply": 1.0}):
+    for requested in ({}, {"payload": 1.0}, {"friction": 1.0, "supply": 1.0}):
         context = np.zeros((), contexts.CONTEXT)
         ends = {
             "payload": (0.0, 5.0),
@@ -44,9 +44,9 @@ def test_what_is_given_changes_nothing_that_is_drawn():
             "current": (0.6, 1.0),
             "loss": (0.56, 1.78),
         }
-        contexts.draw_context(np.random.default_rng(3), ends, context, asked)
-        drawn.append({name: float(context[name]) for name in ends if name not in asked})
-        assert all(context[name] == value for name, value in asked.items())
+        contexts.draw_context(np.random.default_rng(3), ends, context, requested)
+        drawn.append({name: float(context[name]) for name in ends if name not in requested})
+        assert all(context[name] == value for name, value in requested.items())
     assert drawn[0] == drawn[0] | drawn[1] | drawn[2]
 
 
@@ -80,9 +80,9 @@ def test_a_machine_is_what_its_context_says_and_its_torque_constant_is_that_of_i
     was = stage.model.dof_frictionloss[dof], stage.model.dof_damping[dof]
     motor = x.drive.motor
     carrier = stage.model.body(int(stage.model.jnt_bodyid[x.joint])).name
-    made = contexts.NominalMachine.from_stage(stage, "x", carrier)
+    created = contexts.NominalMachine.from_stage(stage, "x", carrier)
     for _ in range(2):
-        made.apply(stage, context, more=0.5)
+        created.apply(stage, context, more=0.5)
         assert stage.model.dof_frictionloss[dof] == pytest.approx(3 * was[0])
         assert stage.model.dof_damping[dof] == pytest.approx(3 * was[1])
         assert loss.tolist() == pytest.approx([1.5 * motor.core_loss_damping, motor.core_loss_damping])
@@ -98,22 +98,22 @@ def test_a_fault_is_gone_with_the_next_one_and_with_none(fault):
     stage, x, parts = machine()
     row, dof = stage.state.switch_table[x.switches.row("org")], x.plant.dof
 
-    def seen():
+    def observed():
         switch = int(row["forced"]), int(row["bounce"]), int(row["toggles"])
         return *stage.model.dof_solref[dof], *stage.model.dof_solimp[dof], x.faults.open_phases, *switch
 
-    healthy = seen()
+    healthy = observed()
     parts.apply(stage, "none")
-    assert seen() == healthy
+    assert observed() == healthy
     parts.apply(stage, fault)
-    broken = seen()
+    broken = observed()
     assert broken != healthy
     other = "jam" if fault != "jam" else "org open"
     parts.apply(stage, other)
     parts.apply(stage, fault)
-    assert seen() == broken
+    assert observed() == broken
     parts.apply(stage, "none")
-    assert seen() == healthy
+    assert observed() == healthy
 
 
 def test_a_switch_that_was_stuck_before_stays_so_without_a_fault():
@@ -148,9 +148,9 @@ def test_a_score_in_columns_is_of_those_alone_whose_episode_ends_now():
             3, make_result_dtype(("time",), (Feature("duration", HOST, "s", kind=float), SCORE_FEATURE)), hidden
         )
         results["score"]["time"], results["terminated"] = [1.0, 2.0, 3.0], [True, True, False]
-        told = results.read_columns(np.array([True, False, True]))
-        assert ("score" in told) == ("score" not in hidden)
+        reported = results.read_columns(np.array([True, False, True]))
+        assert ("score" in reported) == ("score" not in hidden)
         if not hidden:
-            assert told["_score"].tolist() == [True, False, False]
-            assert told["score"]["time"].tolist() == [1.0, 0.0, 0.0]
-            assert told["score"]["_time"].tolist() == [True, False, False]
+            assert reported["_score"].tolist() == [True, False, False]
+            assert reported["score"]["time"].tolist() == [1.0, 0.0, 0.0]
+            assert reported["score"]["_time"].tolist() == [True, False, False]

@@ -22,7 +22,7 @@ CODE = {
 }
 
 
-def told(text):
+def reported(text):
     """(name, value) of what stands as `name=value`."""
     return [(name, literal_eval(value)) for name, value in re.findall(r"`(\w+)=([^`]+)`", text)]
 
@@ -42,21 +42,21 @@ def test_each_task_is_defined():
 @pytest.mark.parametrize("task", CODE)
 def test_numbers_of_a_definition_are_the_code_s_defaults(task):
     two = ("memory", "answer")  # both values are told
-    found = [(name, value, of(name, CODE[task])) for name, value in told(SECTIONS[task]) if name not in two]
-    assert len(found) > 8
-    assert [row for row in found if row[1] != row[2]] == []
+    results = [(name, value, of(name, CODE[task])) for name, value in reported(SECTIONS[task]) if name not in two]
+    assert len(results) > 8
+    assert [row for row in results if row[1] != row[2]] == []
 
 
 @pytest.mark.parametrize("task", CODE)
 def test_no_weight_of_a_reward_is_missing_in_a_definition(task):
     config = CODE[task][0]
-    own = {f.name for f in fields(config)} & set(type(config).__annotations__)
-    weights = {name for name in own if name.endswith("_weight")}
-    assert weights <= dict(told(SECTIONS[task])).keys()
+    custom = {f.name for f in fields(config)} & set(type(config).__annotations__)
+    weights = {name for name in custom if name.endswith("_weight")}
+    assert weights <= dict(reported(SECTIONS[task])).keys()
 
 
 def test_the_usual_time_is_that_of_the_driver_s_speeds():
-    assert dict(told(COMMON)) == {"start": Speeds().start, "drive": Speeds().drive, "up": Speeds().up}
+    assert dict(reported(COMMON)) == {"start": Speeds().start, "drive": Speeds().drive, "up": Speeds().up}
 
 
 def test_figures_that_follow_from_settings_are_right():

@@ -27,19 +27,19 @@ def env():
     return make()
 
 
-def course(env, policy, **reset):
+def play_episode(env, policy, **reset):
     """(sum of rewards, infos) of an episode."""
     env.reset(**{"seed": 1} | reset)
     total, infos, over = 0.0, [], False
     while not over:
-        _, reward, ended, cut, info = env.step(policy())
-        total, over = total + reward, ended or cut
+        _, reward, finished, cut, info = env.step(policy())
+        total, over = total + reward, finished or cut
         infos.append(info)
     return total, infos
 
 
 def test_a_healthy_machine_is_returned_to_its_origin_again_and_again(env):
-    total, infos = course(env, env.scripted_action, options={"fault": "none"})
+    total, infos = play_episode(env, env.scripted_action, options={"fault": "none"})
     assert len(infos) == env._task.config.returns
     assert all(info["home"] and abs(info["error"]) < 12 and not info["lost_steps"] for info in infos)
     assert infos[-1]["score"]["success"]
@@ -51,7 +51,7 @@ def test_a_healthy_machine_is_returned_to_its_origin_again_and_again(env):
 @pytest.mark.parametrize("reach", [0.004, 0.02])
 def test_the_time_to_beat_is_that_of_the_usual_rates_from_near_and_far(reach):
     env = make(reach=reach)
-    _, infos = course(env, env.scripted_action, seed=4, options={"fault": "none"})
+    _, infos = play_episode(env, env.scripted_action, seed=4, options={"fault": "none"})
     assert all(info["start"] > env._task.origin for info in infos), "plus of ORG: one search and back"
     assert abs(infos[-1]["score"]["regret"]) < 0.1
 
@@ -60,7 +60,7 @@ def test_the_time_to_beat_is_that_of_the_usual_rates_from_near_and_far(reach):
     "fault", ["org closed", *(pytest.param(n, marks=pytest.mark.slow) for n in BROKEN if n != "org closed")]
 )
 def test_a_fault_is_noticed_by_what_a_return_found_and_its_report_pays(env, fault):
-    total, infos = course(
+    total, infos = play_episode(
         env, env.scripted_action, options={"fault": fault, "current": 0.6, "friction": 1.9, "payload": 4.0}
     )
     assert [info["home"] for info in infos[-3:]] == [False] * 3
@@ -68,7 +68,9 @@ def test_a_fault_is_noticed_by_what_a_return_found_and_its_report_pays(env, faul
     assert infos[-1]["reward_parts"]["report"] == 5
     assert infos[-1]["score"]["success"]
     assert infos[-1]["fault"] == faulty.NAMES.index(fault)
-    silent, infos = course(env, lambda: GOOD, options={"fault": fault, "current": 0.6, "friction": 1.9, "payload": 4.0})
+    silent, infos = play_episode(
+        env, lambda: GOOD, options={"fault": fault, "current": 0.6, "friction": 1.9, "payload": 4.0}
+    )
     assert len(infos) == env._task.config.returns
     assert infos[-1]["reward_parts"]["report"] == -5
     assert not infos[-1]["score"]["success"]
@@ -78,24 +80,24 @@ def test_a_fault_is_noticed_by_what_a_return_found_and_its_report_pays(env, faul
 def test_a_report_without_a_fault_is_dearer_than_the_worst_that_could_come():
     """To report at once, always: an episode would be over for a fixed price."""
     env = make(limit=0.05, settle=0.01)
-    told, (info,) = course(env, lambda: action_of(report=True), options={"fault": "none"})
+    reported, (info,) = play_episode(env, lambda: action_of(report=True), options={"fault": "none"})
     assert info["reported"]
     assert not info["score"]["success"]
     assert env.stage.time == 0, "and nothing was moved"
-    worst, infos = course(env, lambda: GOOD, options={"fault": "none"})
+    worst, infos = play_episode(env, lambda: GOOD, options={"fault": "none"})
     assert all(info["late"] for info in infos)
-    assert told < worst - 5
-    late, infos = course(env, iter([GOOD] * 2 + [action_of(report=True)]).__next__, options={"fault": "none"})
-    assert late < worst - 4, "nor is it cheaper at the end"
+    assert reported < worst - 5
+    delayed, infos = play_episode(env, iter([GOOD] * 2 + [action_of(report=True)]).__next__, options={"fault": "none"})
+    assert delayed < worst - 4, "nor is it cheaper at the end"
 
 
 def test_one_failure_alone_is_no_proof_of_a_switch_that_is_stuck(env):
     """From the far side of ORG the chip refuses a return that does not leave it first, as with a switch that is stuck closed."""
-    said = []
+    text = []
     for fault in ("none", "org closed"):
         env.reset(seed=2, options={"fault": fault, "start": env._task.origin - 0.003})
-        said.append(env.step(GOOD)[0][3:8].tolist())
-    assert said[0] == said[1]
+        text.append(env.step(GOOD)[0][3:8].tolist())
+    assert text[0] == text[1]
     env.reset(seed=2, options={"fault": "none", "start": env._task.origin - 0.003})
     assert env.step(action_of(leave=1500))[4]["home"]
 
@@ -181,7 +183,7 @@ def test_splits_have_faults_of_their_own_and_most_machines_none():
         env = make(split=split)
         drawn[split] = [env.reset(seed=seed)[1]["fault"] for seed in range(24)]
         assert 9 <= drawn[split].count(0) <= 20
-    names = {split: {faulty.NAMES[k] for k in found if k} for split, found in drawn.items()}
+    names = {split: {faulty.NAMES[k] for k in results if k} for split, results in drawn.items()}
     assert names["train"] == set(contexts.SPLITS["train"]["faults"])
     assert names["faults"] == set(contexts.SPLITS["faults"]["faults"]) & set(Config.FAULTS)
     assert not names["train"] & names["faults"]
@@ -198,7 +200,7 @@ def test_splits_have_faults_of_their_own_and_most_machines_none():
 def test_the_same_policy_returns_with_every_chip(chip):
     env = make(chip=chip, returns=3)
     for seed in (1, 2):
-        _, infos = course(env, env.scripted_action, seed=seed, options={"fault": "none"})
+        _, infos = play_episode(env, env.scripted_action, seed=seed, options={"fault": "none"})
         assert infos[-1]["score"]["success"], seed
-    _, infos = course(env, env.scripted_action, options={"fault": "org open"})
+    _, infos = play_episode(env, env.scripted_action, options={"fault": "org open"})
     assert infos[-1]["score"]["success"]

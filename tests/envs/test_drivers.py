@@ -31,8 +31,8 @@ def test_the_formulas_registers_of_every_chip_are_those_that_tune_it_and_legal(c
             continue
         box = RegisterBox.of_registers(h.chip.MAP, h.tuned_by(s_curve))
         values = h.formula(1000.0, 40_000.0, 0.2, 0.15, 16_000, s_curve)
-        made = box.named(box.from_action(box.to_action(values)))
-        assert made == {name: pytest.approx(values[name], rel=2e-6) for name in box.names}
+        created = box.named(box.from_action(box.to_action(values)))
+        assert created == {name: pytest.approx(values[name], rel=2e-6) for name in box.names}
 
 
 @pytest.mark.parametrize("chip", PULSING)
@@ -45,26 +45,26 @@ def test_programs_of_moves_are_alike_whatever_their_registers(chip):
         h.write_move(program, box.named(row), pulses)
         return np.array(program.ops)
 
-    least, most = move(box.low, 1), move(box.high, 100_000)
-    assert (least[:, :3] == most[:, :3]).all(), "only data differ"
+    least, maximum = move(box.low, 1), move(box.high, 100_000)
+    assert (least[:, :3] == maximum[:, :3]).all(), "only data differ"
 
 
 @pytest.mark.parametrize("chip", PULSING)
 @pytest.mark.parametrize("axis", ["x", "z"])
 def test_programs_of_searches_keep_their_marks_whatever_is_chosen(chip, axis):
     search = driver(chip, axis).search(Config())
-    kept = dict(search.marks)
-    for row in (search.choices.low, [most for _, most in search.choices.ranges.values()]):
+    saved = dict(search.marks)
+    for row in (search.choices.low, [maximum for _, maximum in search.choices.ranges.values()]):
         program = search.program(row)
-        assert search.marks == kept
-        assert max(kept.values()) < len(program)
+        assert search.marks == saved
+        assert max(saved.values()) < len(program)
 
 
 def test_the_driver_of_a_servos_chip_stops_it_and_refuses_what_is_of_pulses():
     h, p = driver("HCTL1100"), Program()
     h.write_stop(p)
     assert p.ops == [(WRITE, 0, 0x05, 0x01)]
-    for asked in (
+    for requested in (
         lambda: h.tuned_by(None),
         lambda: h.write_move(p, {}, 100),
         lambda: h.formula(1000.0, 40_000.0, 0.2, 0.15, 16_000),
@@ -74,7 +74,7 @@ def test_the_driver_of_a_servos_chip_stops_it_and_refuses_what_is_of_pulses():
         with pytest.raises(
             ArgumentError, match=r"chip HCTL1100 on axis x: .* makes no pulses\. Take ServoTuning, RegisterBus"
         ):
-            asked()
+            requested()
 
 
 @pytest.mark.parametrize("name", ["RegisterTuning", "OriginReturn", "SynchronizedMove"])

@@ -46,10 +46,10 @@ def test_good_moves_are_the_same_and_all_others_cost_the_time_of_the_limit(chip)
 def test_a_move_that_cannot_end_in_time_takes_no_time_of_the_stage():
     env = make(True)
     stages, slow = env.unwrapped.stages, np.full((8, len(env.single_action_space.low)), -1.0, np.float32)
-    begun = [s.now for s in stages]
+    started = [s.now for s in stages]
     env.unwrapped._task.actions[...] = slow
     env.unwrapped._task.play()
-    assert [s.now for s in stages] == begun
+    assert [s.now for s in stages] == started
     assert not env.unwrapped._task.results["info"]["finished"].any()
 
 

@@ -42,23 +42,23 @@ def vector(id_, n, **settings):
     ).unwrapped
 
 
-def plain(said):
+def basic(text):
     """All that an environment says, as what compares by ==."""
-    if isinstance(said, dict):
-        return {k: plain(v) for k, v in said.items()}
-    if isinstance(said, tuple | list):
-        return [plain(v) for v in said]
-    return (said.dtype.str, said.tolist()) if isinstance(said, np.ndarray) else said
+    if isinstance(text, dict):
+        return {k: basic(v) for k, v in text.items()}
+    if isinstance(text, tuple | list):
+        return [basic(v) for v in text]
+    return (text.dtype.str, text.tolist()) if isinstance(text, np.ndarray) else text
 
 
-def course(env, actions):
+def play_episode(env, actions):
     """What so many steps say, over the end of an episode and the next one's draws."""
-    said = []
+    text = []
     for action in actions:
         if env._over:
-            said.append(plain(env.reset()))
-        said.append(plain(env.step(action)))
-    return said
+            text.append(basic(env.reset()))
+        text.append(basic(env.step(action)))
+    return text
 
 
 @pytest.mark.parametrize("id_", [*BRIEF, *(pytest.param(k, marks=pytest.mark.slow) for k in SHORT if k not in BRIEF)])
@@ -69,13 +69,13 @@ def test_an_episode_goes_on_from_a_snapshot_to_the_bit(id_):
     env.action_space.seed(5)
     actions = [env.action_space.sample() for _ in range(4)]
     env.step(actions[0])
-    kept = env.snapshot()
-    expected = course(env, actions[1:])
+    saved = env.snapshot()
+    expected = play_episode(env, actions[1:])
     env.step(actions[0]) if not env._over else env.reset(seed=99)
-    env.restore(kept)
-    assert course(env, actions[1:]) == expected, "in the environment itself, which has gone elsewhere"
-    other.restore(pickle.loads(pickle.dumps(kept)))
-    assert course(other, actions[1:]) == expected, "in another, which was never reset"
+    env.restore(saved)
+    assert play_episode(env, actions[1:]) == expected, "in the environment itself, which has gone elsewhere"
+    other.restore(pickle.loads(pickle.dumps(saved)))
+    assert play_episode(other, actions[1:]) == expected, "in another, which was never reset"
     assert other.np_random_seed == env.np_random_seed
 
 
@@ -86,10 +86,10 @@ def test_a_vector_goes_on_from_a_snapshot_to_the_bit(id_):
     envs.action_space.seed(5)
     actions = [envs.action_space.sample() for _ in range(3)]
     envs.step(actions[0])
-    kept = envs.snapshot()
-    expected = [plain(envs.step(a)) for a in actions[1:]]
-    other.restore(kept)
-    assert [plain(other.step(a)) for a in actions[1:]] == expected
+    saved = envs.snapshot()
+    expected = [basic(envs.step(a)) for a in actions[1:]]
+    other.restore(saved)
+    assert [basic(other.step(a)) for a in actions[1:]] == expected
 
 
 def drawn(task):
@@ -107,12 +107,12 @@ def test_what_a_reset_draws_or_clears_is_kept_by_a_snapshot(id_):
     env.reset(seed=5)
     env.action_space.seed(5)
     env.step(env.action_space.sample())
-    kept, before, result = env.snapshot(), drawn(env._task), env._task.results.rows.tobytes()
+    saved, before, result = env.snapshot(), drawn(env._task), env._task.results.rows.tobytes()
     env.reset(seed=6)
     env._task.results.rows[:] = np.zeros((), env._task.results.rows.dtype)
     changed = [name for name, value in drawn(env._task).items() if value.tobytes() != before[name].tobytes()]
     assert "observations" in changed
-    env.restore(kept)
+    env.restore(saved)
     again = drawn(env._task)
     assert env._task.results.rows.tobytes() == result
     assert [name for name in changed if again[name].tobytes() != before[name].tobytes()] == []
@@ -122,12 +122,12 @@ def test_a_vector_that_goes_on_from_a_snapshot_draws_its_next_episodes_from_it_t
     id_ = "stage/FewShotTuning-v1"
     first = vector(id_, 2)
     first.reset(seed=5)
-    kept, drawn_next = first.snapshot(), []
+    saved, drawn_next = first.snapshot(), []
     for _ in range(2):
         other = vector(id_, 2)
-        other.restore(kept)
-        drawn_next.append(plain(other.reset()))
-    assert drawn_next[0] == drawn_next[1] == plain(first.reset())
+        other.restore(saved)
+        drawn_next.append(basic(other.reset()))
+    assert drawn_next[0] == drawn_next[1] == basic(first.reset())
 
 
 def test_a_search_looks_ahead_and_then_acts_as_if_it_had_not():
@@ -136,13 +136,13 @@ def test_a_search_looks_ahead_and_then_acts_as_if_it_had_not():
     for e in (env, plainly):
         e.reset(seed=8)
     env.action_space.seed(8)
-    candidates, kept, foreseen = [env.action_space.sample() for _ in range(3)], env.snapshot(), []
+    candidates, saved, foreseen = [env.action_space.sample() for _ in range(3)], env.snapshot(), []
     for action in candidates:
-        env.restore(kept)
+        env.restore(saved)
         foreseen.append(env.step(action)[1])
-    env.restore(kept)
+    env.restore(saved)
     best = candidates[int(np.argmax(foreseen))]
-    assert plain(env.step(best)) == plain(plainly.step(best))
+    assert basic(env.step(best)) == basic(plainly.step(best))
     assert env.step(best)[1] != max(foreseen), "the next move is another"
 
 
@@ -161,13 +161,13 @@ def test_a_snapshot_that_does_not_belong_here_is_refused_and_changes_nothing(tmp
     with pytest.raises(ArgumentError, match=r"no episode .*call reset\(\) first"):
         env.snapshot()
     env.reset(seed=1)
-    kept = env.snapshot()
+    saved = env.snapshot()
     with pytest.raises(ArgumentError, match=r"another's: setting lost_weight: 0\.05 there, 0\.5 here"):
-        make(id_, lost_weight=0.5).restore(kept)
+        make(id_, lost_weight=0.5).restore(saved)
     with pytest.raises(ArgumentError, match="another's: environment: RegisterBus there, RegisterTuning here"):
-        make("stage/RegisterTuning-v0").restore(kept)
+        make("stage/RegisterTuning-v0").restore(saved)
     with pytest.raises(ArgumentError, match="another's: stages: 1 there, 2 here"):
-        vector(id_, 2).restore(kept)
+        vector(id_, 2).restore(saved)
     with pytest.raises(ArgumentError, match="snapshot of a stage cannot be restored into an environment"):
         env.restore(env.stage.snapshot())
     damaged = env.snapshot()

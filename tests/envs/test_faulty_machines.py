@@ -33,32 +33,32 @@ def faults(id_):
 @pytest.mark.parametrize("id_", SHORT)
 def test_the_split_faults_has_faults_that_train_has_not_and_all_else_is_the_same(id_):
     train, test = make(id_), make(id_, split="faults")
-    seen = {name: set() for name in ("train", "faults")}
+    observed = {name: set() for name in ("train", "faults")}
     for seed in range(40 if id_ == "stage/DriftingHome-v1" else 16):
         (first, a), (second, b) = (env.reset(seed=seed) for env in (train, test))
-        seen["train"].add(faulty.NAMES[a.pop("fault")])
-        seen["faults"].add(faulty.NAMES[b.pop("fault")])
+        observed["train"].add(faulty.NAMES[a.pop("fault")])
+        observed["faults"].add(faulty.NAMES[b.pop("fault")])
         assert str(a) == str(b), "what the machine is beside its fault"
-        told = 1 if id_ == "stage/DriftingHome-v1" else 0  # there ORG is the first, and it may be stuck
-        assert np.array_equal(first[told:], second[told:]), "nobody is told"
+        reported = 1 if id_ == "stage/DriftingHome-v1" else 0  # there ORG is the first, and it may be stuck
+        assert np.array_equal(first[reported:], second[reported:]), "nobody is told"
     known = set(contexts.SPLITS["faults"]["faults"]) & set(faults(id_))
-    assert seen["faults"] - {"none"} == known
-    assert not (seen["train"] & seen["faults"]) - {"none"}
-    assert id_ == "stage/DriftingHome-v1" or (seen["train"] == {"none"} and "none" not in seen["faults"])
+    assert observed["faults"] - {"none"} == known
+    assert not (observed["train"] & observed["faults"]) - {"none"}
+    assert id_ == "stage/DriftingHome-v1" or (observed["train"] == {"none"} and "none" not in observed["faults"])
 
 
 @pytest.mark.parametrize("fault", faulty.HAMPERING)
 def test_a_machine_that_is_hampered_loses_steps_where_a_healthy_one_does_not_and_still_makes_the_usual_moves(fault):
     env = make("stage/FewShotTuning-v1", proofs=0)
     moves = {"brisk": action_of(1500, 96_000, 0.025, 0.025), "usual": action_of(1000, 16_000, 0.15, 0.15)}
-    kept = {}
+    saved = {}
     for name in ("none", fault):
         env.reset(seed=1, options={**GIVEN, "fault": name, "distance": 2000})
         for what, action in moves.items():
             *_, info = env.step(action)
-            kept[name, what] = info["kept"]
+            saved[name, what] = info["kept"]
             assert faulty.NAMES[info["fault"]] == name
-    assert kept == {("none", "brisk"): True, ("none", "usual"): True, (fault, "brisk"): False, (fault, "usual"): True}
+    assert saved == {("none", "brisk"): True, ("none", "usual"): True, (fault, "brisk"): False, (fault, "usual"): True}
 
 
 def test_what_was_left_on_the_table_is_on_top_of_the_payload_and_of_the_margin_of_a_proof():
@@ -94,8 +94,8 @@ def test_the_contact_of_org_bounces_and_an_origin_is_found_all_the_same():
         assert switch["bounce"] == (1_000_000 if fault == "bounce" else 0)
         over = False
         while not over:
-            *_, ended, cut, info = env.step(env.scripted_action())
-            over = ended or cut
+            *_, finished, cut, info = env.step(env.scripted_action())
+            over = finished or cut
         assert info["score"]["success"]
 
 

@@ -31,7 +31,7 @@ def make(id_, **settings):
     return gymnasium.make(id_, disable_env_checker=True, **SHORT[id_] | settings).unwrapped
 
 
-def told(env):
+def reported(env):
     """(observations, names of the infos) of a reset and a step."""
     first, info = env.reset(seed=4)
     env.action_space.seed(4)
@@ -46,29 +46,29 @@ def kinds(id_):
 
 @pytest.mark.parametrize("id_", FRAME_INTERVAL)
 def test_what_is_told_is_what_the_table_says_with_and_without_truth(id_):
-    task, seen, names = kinds(id_), {}, {}
+    task, observed, names = kinds(id_), {}, {}
     for truth in (True, "info", False):
         env = make(id_, truth=truth)
-        seen[truth], names[truth] = told(env)
-        assert len(env.observation_features) == env.observation_space.shape[0] == seen[truth].shape[1]
+        observed[truth], names[truth] = reported(env)
+        assert len(env.observation_features) == env.observation_space.shape[0] == observed[truth].shape[1]
     every = {e.name: e.who for e in (*task.INFO, *features.EVERY_STEP)}
     assert names[True] == names["info"] == set(every)
     assert names[False] == {name for name, who in every.items() if who == features.HOST}
-    whole = make(id_, truth=True)
-    host = [e.who == features.HOST for e in whole.observation_features]
+    full = make(id_, truth=True)
+    host = [e.who == features.HOST for e in full.observation_features]
     assert not all(host)
     assert not any(e.who == features.TRUTH for e in make(id_, truth=False).observation_features)
-    assert np.array_equal(seen[True][:, host], seen[False])
-    assert np.array_equal(seen["info"], seen[False])
+    assert np.array_equal(observed[True][:, host], observed[False])
+    assert np.array_equal(observed["info"], observed[False])
 
 
 @pytest.mark.parametrize("id_", FRAME_INTERVAL[:2])
 def test_a_vector_without_truth_says_what_one_environment_says(id_):
     envs = gymnasium.make_vec(id_, num_envs=2, vectorization_mode="vector_entry_point", truth=False, **SHORT[id_])
     env = make(id_, truth=False)
-    seen, infos = envs.reset(seed=4)
+    observed, infos = envs.reset(seed=4)
     first, info = env.reset(seed=4)
-    assert np.array_equal(seen[0], first)
+    assert np.array_equal(observed[0], first)
     assert info_of(infos, 0).keys() == info.keys()
     envs.action_space.seed(4)
     actions = envs.action_space.sample()
@@ -80,7 +80,7 @@ def test_a_vector_without_truth_says_what_one_environment_says(id_):
 @pytest.mark.parametrize("id_", ["stage/RegisterTuning-v0", "stage/OriginReturn-v0"])
 def test_two_loads_that_a_host_cannot_tell_apart_are_told_alike(id_):
     """A gentle move of 0 and of 8 kg: the chip makes the same pulses in the same time."""
-    said = {}
+    text = {}
     for truth in (True, False):
         for payload in (0.0, 8.0):
             settings = {"limit": 2.0, "distances": (800, 900)} if "Tuning" in id_ else {}
@@ -90,9 +90,9 @@ def test_two_loads_that_a_host_cannot_tell_apart_are_told_alike(id_):
                 rates = {"R1": 50, "R2": 80, "R4": 900, "R5": 900, "R6": 50, "R7": 30}
                 out.append(env.step(env._task.registers.to_action(rates)))
                 assert out[-1][-1]["finished"]
-            said[truth, payload] = repr([(o[0].tolist(), o[-1]) for o in out])
-    assert said[False, 0.0] == said[False, 8.0]
-    assert said[True, 0.0] != said[True, 8.0]
+            text[truth, payload] = repr([(o[0].tolist(), o[-1]) for o in out])
+    assert text[False, 0.0] == text[False, 8.0]
+    assert text[True, 0.0] != text[True, 8.0]
 
 
 def test_a_host_with_an_encoder_knows_whole_counts():
@@ -119,5 +119,5 @@ def test_where_truth_is_shown_is_one_of_three():
 
 
 def test_the_page_is_that_of_the_tables():
-    kept = (Path(__file__).parents[2] / "docs" / "envs_features.md").read_text()
-    assert kept == features.write_page(), "python -m stage.envs.features > docs/envs_features.md"
+    saved = (Path(__file__).parents[2] / "docs" / "envs_features.md").read_text()
+    assert saved == features.write_page(), "python -m stage.envs.features > docs/envs_features.md"

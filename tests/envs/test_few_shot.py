@@ -47,15 +47,15 @@ def test_what_was_gained_and_holds_is_the_logarithm_of_the_time_saved(env):
 
 def test_a_try_that_does_not_hold_in_the_proof_is_taken_back_and_the_next_best_is_proved(monkeypatch):
     env = make()
-    hold, asked = FewShotTuning._keep_step, []
+    hold, requested = FewShotTuning._keep_step, []
 
     def only_the_second(task, which, rows):
-        asked.append(rows[0].tolist())
-        return hold(task, which, rows) & (len(asked) > 1)
+        requested.append(rows[0].tolist())
+        return hold(task, which, rows) & (len(requested) > 1)
 
     monkeypatch.setattr(FewShotTuning, "_keep_step", only_the_second)
     rewards, infos = episode(env, (USUAL, BRISK, WILD))
-    assert asked == [infos[1]["registers"].tolist(), infos[0]["registers"].tolist()]
+    assert requested == [infos[1]["registers"].tolist(), infos[0]["registers"].tolist()]
     assert not infos[2]["kept"]
     assert infos[2]["reward_parts"]["damage"] == -0.05
     assert infos[2]["reward_parts"]["proof"] < 0
@@ -74,12 +74,14 @@ def test_where_the_last_try_is_the_answer_nothing_that_came_before_is_kept(monke
     assert rewards[:2] == pytest.approx([worth[0], -worth[0] - 0.05]), "what the try before was worth is lost"
     assert infos[-1]["best"] == infos[0]["best"] < infos[-1]["proved"], "the best try is not the answer"
     assert rewards.sum() == pytest.approx(np.log(2 * infos[0]["usual"] / infos[-1]["proved"]) - 0.05)
-    asked: list = []
+    requested: list = []
     monkeypatch.setattr(
-        FewShotTuning, "_keep_step", lambda task, which, rows: asked.append(rows) or np.zeros_like(which)
+        FewShotTuning, "_keep_step", lambda task, which, rows: requested.append(rows) or np.zeros_like(which)
     )
     rewards, infos = episode(env, (USUAL, USUAL, BRISK))
-    assert [len(asked), rewards.sum(), infos[-1]["proved"]] == [1, pytest.approx(0), np.inf], "nor proved in its place"
+    assert [len(requested), rewards.sum(), infos[-1]["proved"]] == [1, pytest.approx(0), np.inf], (
+        "nor proved in its place"
+    )
 
 
 def test_a_move_without_margin_does_not_hold_in_the_proof():
@@ -91,7 +93,7 @@ def test_a_move_without_margin_does_not_hold_in_the_proof():
 
 
 def test_the_machine_is_the_one_that_was_drawn_and_stays_so_for_all_tries(env):
-    given = {
+    arguments = {
         "payload": 3.0,
         "friction": 1.5,
         "supply": 0.95,
@@ -101,10 +103,10 @@ def test_the_machine_is_the_one_that_was_drawn_and_stays_so_for_all_tries(env):
         "switch": 0.25,
         "drift": 0.05,
     }
-    plain = FewShotTuning(1, Config(**SHORT))
-    before = plain.machines[0]
-    _, info = env.reset(seed=2, options=given)
-    assert {name: info[name] for name in given} == given
+    basic = FewShotTuning(1, Config(**SHORT))
+    before = basic.machines[0]
+    _, info = env.reset(seed=2, options=arguments)
+    assert {name: info[name] for name in arguments} == arguments
     angles = set()
     for k in range(3):
         axis = env.stage.axes["x"]
@@ -171,30 +173,30 @@ def test_loss_and_inductance_take_torque_at_speed_and_a_low_current_takes_it_at_
 
 def test_a_host_sees_its_tries_and_nothing_of_the_machine(env):
     blind = make(truth=False)
-    said = []
+    text = []
     for payload in (0.0, 5.0):
         first, info = blind.reset(seed=3, options={"payload": payload})
         assert info.keys() == {"distance"}
-        said.append(first.tolist())
-    assert said[0] == said[1]
+        text.append(first.tolist())
+    assert text[0] == text[1]
     *_, info = blind.step(USUAL)
     assert info.keys() == {"distance", "registers", "duration", "usual", "finished", "error", "cause"}
-    seen, _ = env.reset(seed=3)
+    observed, _ = env.reset(seed=3)
     names = [e.name for e in env.observation_features]
-    assert len(names) == len(seen) == 3 + 3 * 9
-    assert not seen[3:].any()
-    seen, *_ = env.step(BRISK)
-    rows = seen[3:].reshape(3, 9)
+    assert len(names) == len(observed) == 3 + 3 * 9
+    assert not observed[3:].any()
+    observed, *_ = env.step(BRISK)
+    rows = observed[3:].reshape(3, 9)
     assert rows[0, :4] == pytest.approx(BRISK)
     assert rows[0, 4] == rows[0, 6] == rows[0, 7] == 1
     assert not rows[1:].any()
     best = names.index("best")
-    assert seen[best] == pytest.approx(rows[0, 5])
+    assert observed[best] == pytest.approx(rows[0, 5])
     wild, *_ = env.step(WILD)
     again = wild[3:].reshape(3, 9)
     assert np.array_equal(again[0], rows[0]), "what was seen stays"
     assert again[1, 7] == 0, "the encoder shows that steps were lost"
-    assert wild[best] == seen[best]
+    assert wild[best] == observed[best]
 
 
 def test_with_the_last_try_alone_a_policy_has_to_remember_and_without_an_encoder_nobody_knows(env):
@@ -203,8 +205,8 @@ def test_with_the_last_try_alone_a_policy_has_to_remember_and_without_an_encoder
     for e in (env, last, none):
         e.reset(seed=4)
     for action in (BRISK, WILD):
-        whole, short, dark = (e.step(action)[0] for e in (env, last, none))
-    rows = whole[3:].reshape(3, 9)
+        full, short, dark = (e.step(action)[0] for e in (env, last, none))
+    rows = full[3:].reshape(3, 9)
     assert np.array_equal(short[3:], rows[1])
     assert not dark[3:].reshape(3, 9)[:, 7:].any()
     assert dark[2] == 1, "no try is known to have kept step"
@@ -221,9 +223,9 @@ def test_every_split_draws_where_it_says_and_a_setting_comes_before_it():
                 inside = train[of]
                 assert ends == differs[of]
                 assert ends[0] >= inside[1] or ends[1] <= inside[0], "none of it is in train"
-            rng, made = np.random.default_rng(5), np.zeros((), contexts.CONTEXT)
-            contexts.draw_context(rng, contexts.get_ranges(config), made, {})
-            assert ends[0] <= made[kind] <= ends[1]
+            rng, created = np.random.default_rng(5), np.zeros((), contexts.CONTEXT)
+            contexts.draw_context(rng, contexts.get_ranges(config), created, {})
+            assert ends[0] <= created[kind] <= ends[1]
         assert all(name == "train" or differs[key] != train[key] for key in differs)
     assert contexts.get_ranges(Config(split="heavy", payloads=(7.0, 8.0)))["payload"] == (7.0, 8.0)
     with pytest.raises(ArgumentError, match=r"split 'hevy'.*Did you mean 'heavy'"):
@@ -277,9 +279,9 @@ def test_a_step_lost_and_an_end_limit_are_damage_alike(monkeypatch, how, damage,
 
     env = make(tries=2, proofs=0, damage_weight=0.5)
     env.reset(seed=1)
-    made = {"finished": True, "stopped": False, "lost": False} | {k: v for k, v in how.items() if k != "kept"}
-    told = MoveOutcomes(*(np.array([v]) for v in (0.1, *made.values(), 0.0, 0.0, 0.0)))
-    monkeypatch.setattr(env._task.trial, "read_outcomes", lambda *given: told)
+    created = {"finished": True, "stopped": False, "lost": False} | {k: v for k, v in how.items() if k != "kept"}
+    reported = MoveOutcomes(*(np.array([v]) for v in (0.1, *created.values(), 0.0, 0.0, 0.0)))
+    monkeypatch.setattr(env._task.trial, "read_outcomes", lambda *arguments: reported)
     for _ in range(2):
         info = env.step(USUAL)[4]
         assert info["reward_parts"]["damage"] == damage

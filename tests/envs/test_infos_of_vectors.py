@@ -22,8 +22,8 @@ def test_what_a_beginning_episode_and_a_step_both_tell_is_told_of_both_stages(id
     envs.reset(seed=3)
     envs.step(actions)
     envs.reset(options={"reset_mask": np.array([True, False])})  # the first is a step behind from now on
-    *_, ended, cut, _ = envs.step(actions)
-    assert (ended | cut).tolist() == [False, True]
+    *_, finished, cut, _ = envs.step(actions)
+    assert (finished | cut).tolist() == [False, True]
     *_, infos = envs.step(actions)
     goes_on, begins = (info_of(infos, k) for k in (0, 1))
     named = "distances" if "distances" in begins else "distance"

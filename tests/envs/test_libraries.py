@@ -38,9 +38,9 @@ def test_the_program_of_the_page_runs_and_prints_what_the_page_says(library, tmp
         pytest.importorskip("jax", reason="minari[create] is not installed")
     program = tmp_path / "program.py"
     program.write_text(BLOCKS[library].code)
-    said = run(program, MINARI_DATASETS_PATH=str(tmp_path / "minari"))
-    said = "".join(line for line in said.splitlines(True) if "torchrl]" not in line)  # its log
-    assert agree(said, BLOCKS[library].prints), said
+    message = run(program, MINARI_DATASETS_PATH=str(tmp_path / "minari"))
+    message = "".join(line for line in message.splitlines(True) if "torchrl]" not in line)  # its log
+    assert agree(message, BLOCKS[library].prints), message
 
 
 def test_cleanrls_script_is_told_the_id_alone(tmp_path):

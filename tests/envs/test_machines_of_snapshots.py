@@ -56,14 +56,14 @@ def test_the_machine_of_a_snapshot_is_put_on_wherever_it_is_restored(id_, seed):
     if env.action_space.shape:
         env.step(np.zeros(env.action_space.shape, np.float32))  # the next return, try or move is drawn
     drawn = machine(env.stage)
-    kept = env.snapshot()
+    saved = env.snapshot()
     other.reset(seed=seed + 1)
     if drawn == machine(other.stage):
         pytest.fail("both drew the same machine, and nothing is shown")
-    other.restore(kept)
+    other.restore(saved)
     assert machine(other.stage) == drawn
     env.reset(seed=seed + 2)
-    env.restore(kept)
+    env.restore(saved)
     assert machine(env.stage) == drawn
 
 
@@ -75,8 +75,8 @@ def test_a_chip_by_name_or_by_class_is_one_environment_to_snapshots(id_):
         for chip in ("mcx514", "MCX514", MCX514)
     ]
     envs[0].reset(seed=2)
-    kept = envs[0].snapshot()
+    saved = envs[0].snapshot()
     for env in envs:
-        env.restore(kept)
+        env.restore(saved)
     with pytest.raises(ArgumentError, match="setting chip: 'MCX514' there, 'PCL240K' here"):
-        gymnasium.make(id_, disable_env_checker=True, **{**more, "chip": "PCL240K"}).unwrapped.restore(kept)
+        gymnasium.make(id_, disable_env_checker=True, **{**more, "chip": "PCL240K"}).unwrapped.restore(saved)

@@ -119,8 +119,8 @@ def test_leaving_first_is_a_drive_of_so_many_pulses_and_an_end_limit_cuts_it_sho
     observation, _, info = nova_return(MCX514, ON, leave=3200)
     assert info["home"]
     assert not info["end_limit"]
-    searched, way = 3200 - (-0.12 - ON) / 3.125e-6, 0.3 / 3.125e-6
-    assert observation[11] == pytest.approx(searched / way, abs=1e-4)
+    searched, direction = 3200 - (-0.12 - ON) / 3.125e-6, 0.3 / 3.125e-6
+    assert observation[11] == pytest.approx(searched / direction, abs=1e-4)
     _, _, info = nova_return(MCX514, 0.148, leave=8200)
     assert info["home"]
     assert info["end_limit"]
@@ -161,19 +161,19 @@ def test_a_fast_search_that_nothing_slows_down_loses_steps_at_the_switch():
 
 def test_a_faster_search_gains_time_and_a_faster_approach_loses_precision():
     env = make()
-    _, plain_reward, plain = one_return(env, 0.05)
+    _, plain_reward, basic = one_return(env, 0.05)
     _, reward, fast = one_return(env, 0.05, R2=1500, R4=400, R1=150)
     assert fast["home"]
-    assert fast["duration"] < plain["duration"] - 2
+    assert fast["duration"] < basic["duration"] - 2
     assert reward > plain_reward + 2
     _, _, rough = one_return(env, MAX_BEFORE_ORIGIN, approach=100)
     assert rough["home"]
-    assert abs(rough["error"]) > abs(plain["error"]) + 0.5
+    assert abs(rough["error"]) > abs(basic["error"]) + 0.5
 
 
 def test_the_origin_at_an_index_pulse_is_its_upper_rim_however_the_motor_turns():
     """gear="-628.3185307" """
-    made = [
+    created = [
         returns.OriginReturn._find_origin(
             SimpleNamespace(
                 switch=SimpleNamespace(position=-0.12),
@@ -183,7 +183,7 @@ def test_the_origin_at_an_index_pulse_is_its_upper_rim_however_the_motor_turns()
         )
         for gear in (200 * np.pi, -200 * np.pi)
     ]
-    assert made == pytest.approx([-0.14 + 0.5 * INDEX * 0.01] * 2, abs=1e-9)
+    assert created == pytest.approx([-0.14 + 0.5 * INDEX * 0.01] * 2, abs=1e-9)
 
 
 def test_a_rotor_that_got_ahead_of_its_pulses_has_lost_steps_too():
@@ -251,13 +251,13 @@ def test_index_pulses_make_up_for_a_switch_that_drifts():
     def errors(ez):
         env = make(chip=PCL240MS, ez=ez, drift=1e-4)
         env.reset(seed=3)
-        found = []
+        matches = []
         for _ in range(2):
             env._task._draw_move(0, {"start": NEAR})
             info = env.step(action(env))[4]
             assert info["home"]
-            found.append(info["error"])
-        return np.array(found)
+            matches.append(info["error"])
+        return np.array(matches)
 
     assert np.ptp(errors(0)) > 5
     assert np.abs(errors(1)).max() < 1
@@ -265,7 +265,7 @@ def test_index_pulses_make_up_for_a_switch_that_drifts():
 
 def test_payload_and_friction_are_drawn_told_and_felt():
     env = make(returns=1)
-    seen, damping = set(), Stage("xyz", visuals=False).model.dof_damping
+    observed, damping = set(), Stage("xyz", visuals=False).model.dof_damping
     for seed in range(3):
         observation, info = env.reset(seed=seed)
         c = env._task.config
@@ -273,11 +273,11 @@ def test_payload_and_friction_are_drawn_told_and_felt():
         assert c.frictions[0] <= info["friction"] <= c.frictions[1]
         assert observation[3] == pytest.approx(info["payload"] / 5 - 1, abs=1e-6)
         assert observation[4] == pytest.approx(np.log2(info["friction"]), abs=1e-6)
-        seen.add(tuple(info.values()))
+        observed.add(tuple(info.values()))
         dof = env._task.dof
         assert env.stage.model.dof_frictionloss[dof] == pytest.approx(4.0 * info["friction"])
         assert env.stage.model.dof_damping[dof] == pytest.approx(damping[dof] * info["friction"])
-    assert len(seen) == 3
+    assert len(observed) == 3
     ends = [one_return(env, MAX_BEFORE_ORIGIN, payload=p, friction=f)[2]["error"] for p, f in ((0.0, 0.5), (10.0, 2.0))]
     assert ends[0] != ends[1]
 
@@ -307,9 +307,9 @@ def test_an_action_stands_for_its_numbers_exactly():
         assert np.array_equal(strategy.from_action(strategy.to_action(rows)), rows), f"seed {seed}"
         for end, rows in ((-1.0, strategy.low), (1.0, strategy.high)):
             assert np.array_equal(strategy.from_action(np.full(len(strategy), end)), rows)
-    plain = RegisterBox.of_registers(PCL240K.MAP, ("R1", "R2", "R4", "R1"))
+    basic = RegisterBox.of_registers(PCL240K.MAP, ("R1", "R2", "R4", "R1"))
     row = make().strategy.from_action(np.full(7, 0.3))
-    assert np.array_equal(row[:4], plain.from_action(np.full(4, 0.3)))
+    assert np.array_equal(row[:4], basic.from_action(np.full(4, 0.3)))
 
 
 def test_numbers_themselves_are_actions_too():
@@ -325,8 +325,8 @@ def test_numbers_themselves_are_actions_too():
 def test_a_pickled_environment_keeps_its_drifted_switch_and_friction():
     env = make(drift=1e-4, returns=2)
     env.reset(seed=9, options={"start": MAX_BEFORE_ORIGIN, "friction": 1.7})
-    twin = pickle.loads(pickle.dumps(env))
-    assert env.step(action(env))[4]["error"] == twin.step(action(env))[4]["error"]
+    replica = pickle.loads(pickle.dumps(env))
+    assert env.step(action(env))[4]["error"] == replica.step(action(env))[4]["error"]
 
 
 @pytest.mark.parametrize(
@@ -372,13 +372,13 @@ def test_an_origin_that_is_stuck_up_to_the_end_limit_is_no_home(chip, leave):
 def test_payload_and_friction_are_seen_from_end_to_end_of_their_ranges():
     """payloads 2 to 6 kg, frictions 0.5 to 2 (by their logarithm); of a range of one number -1"""
     env = make(payloads=(2.0, 6.0), frictions=(0.5, 2.0))
-    for payload, friction, seen in (
+    for payload, friction, observed in (
         (2.0, 0.5, (-1, -1)),
         (6.0, 2.0, (1, 1)),
         (3.0, 1.0, (-0.5, 0)),
         (4.0, 2**0.5, (0, 0.5)),
     ):
         observation, _ = env.reset(seed=0, options={"payload": payload, "friction": friction})
-        assert observation[3:5] == pytest.approx(seen, abs=1e-6), (payload, friction)
+        assert observation[3:5] == pytest.approx(observed, abs=1e-6), (payload, friction)
     env = make(payloads=(4.0, 4.0), frictions=(1.5, 1.5))
     assert env.reset(seed=0)[0][3:5].tolist() == [-1, -1]

@@ -32,16 +32,16 @@ def test_ramps_that_do_not_fit_are_as_steep_and_meet_on_the_way():
 
 
 def test_a_declared_payload_is_within_what_may_be_however_badly_it_is_known():
-    asked = []
+    requested = []
     context = np.array([(5.0,)], [("payload", float)])
     task = SimpleNamespace(
         config=SimpleNamespace(error=0.9), ranges={"payload": (4.0, 5.0)}, context=context, declared=np.zeros(1)
     )
-    task._set_formula = lambda k, payload: asked.append(payload)
+    task._set_formula = lambda k, payload: requested.append(payload)
     rng = np.random.default_rng(1)
     for _ in range(12):
         OneShotTuning._compute_formula(task, 0, rng, {})  # type: ignore[arg-type]
-    assert max(asked) == 5.0, "no more than the heaviest"
-    assert 0 <= min(asked) < 4.0
+    assert max(requested) == 5.0, "no more than the heaviest"
+    assert 0 <= min(requested) < 4.0
     OneShotTuning._compute_formula(task, 0, rng, {"declared": 0.0})  # type: ignore[arg-type]
-    assert asked[-1] == 0.0
+    assert requested[-1] == 0.0

@@ -165,15 +165,15 @@ def test_a_chip_of_several_axes_is_observed_once_and_then_its_axes():
     second = Words(host, 1, env.stage.axes["z"].chip)
     second.command("LP", 1, -2)
     assert second.long("R-LP", 1) == -2
-    seen = host.steps[-1][0]
-    targets = seen[[block, block + 5, 2 * block + 10]]
+    observed = host.steps[-1][0]
+    targets = observed[[block, block + 5, 2 * block + 10]]
     assert targets == pytest.approx(info["target"] / 8000, abs=1e-6)
-    assert seen[:block].tolist() == [0] * block, "the first chip was not read"
-    words, fresh = seen[block + 10 + 16 :][:7], seen[block + 10 + 23 :][:8]
+    assert observed[:block].tolist() == [0] * block, "the first chip was not read"
+    words, fresh = observed[block + 10 + 16 :][:7], observed[block + 10 + 23 :][:8]
     assert words == pytest.approx([0, 0, 0, 0, 0, 0xFFFE / 0xFFFF, 1], abs=1e-6)
     assert fresh[:6].tolist() == [0] * 6
     assert fresh[6:] == pytest.approx([1 / 1.001, 1], abs=1e-6)
-    assert seen[-4:-2].tolist() == [1, 1]
+    assert observed[-4:-2].tolist() == [1, 1]
 
 
 def test_a_live_observation_of_a_nova_chip_clears_nothing():
@@ -185,11 +185,11 @@ def test_a_live_observation_of_a_nova_chip_clears_nothing():
     nova.command("TP", 1, 400)
     nova.command("DRVRL", 1)
     host.act(rb.WAIT)
-    seen = host.steps[-1][0]
-    assert seen[:16].tolist() == [1] + [0] * 15
+    observed = host.steps[-1][0]
+    assert observed[:16].tolist() == [1] + [0] * 15
     started = nova.map.mask("RR1", "D-STA")
-    assert int(np.rint(seen[16] * 0xFFFF)) & started
-    assert seen[23:31].tolist() == [1] * 8
+    assert int(np.rint(observed[16] * 0xFFFF)) & started
+    assert observed[23:31].tolist() == [1] * 8
     assert host.act(rb.READ, 0, 1)["value"] & started, "the first read of RR1"
     assert not int(np.rint(host.steps[-1][0][16] * 0xFFFF)) & started, "which clears it"
 
@@ -204,10 +204,10 @@ def test_a_live_observation_leaves_the_factors_of_an_mcx304_for_the_host_to_read
     nova.command("F_DRV_P", 1)
     host.act(rb.WAIT + 2)
     host.act(rb.WAIT + 2)
-    ended = nova.map.mask("RR3", "D-END")
-    assert int(np.rint(host.steps[-1][0][18] * 0xFFFF)) & ended
-    assert host.act(rb.READ, 0, 3)["value"] & ended
-    assert not host.act(rb.READ, 0, 3)["value"] & ended
+    finished = nova.map.mask("RR3", "D-END")
+    assert int(np.rint(host.steps[-1][0][18] * 0xFFFF)) & finished
+    assert host.act(rb.READ, 0, 3)["value"] & finished
+    assert not host.act(rb.READ, 0, 3)["value"] & finished
 
 
 def go_home(host):
@@ -302,8 +302,8 @@ def test_what_a_host_reads_is_what_the_chip_says_and_the_observation_keeps_it():
         assert host.act(rb.READ, 1, address)["value"] == byte
     assert chip.values()["R0"] == 0x123456
     status = host.act(rb.READ, 1, 0)["value"]
-    seen = host.steps[-1][0]
-    x, z, common = seen[:16], seen[16:32], seen[32:]
+    observed = host.steps[-1][0]
+    x, z, common = observed[:16], observed[16:32], observed[32:]
     assert z[:8].tolist() == [status >> k & 1 for k in range(8)]
     assert z[8:11] == pytest.approx(np.array([0x56, 0x34, 0x12]) / 255, abs=1e-6)
     assert x[:15].tolist() == [0] * 15, "the other chip was not read"
@@ -335,12 +335,12 @@ def test_live_observations_cost_no_bus_cycle_and_know_the_counter_in_motion():
             h.act(rb.WRITE, 0, address, byte)
         h.act(rb.WRITE, 0, 0, 0x10)
         h.act(rb.WAIT + 2)
-    seen = host.steps[-1][0]
+    observed = host.steps[-1][0]
     counter = env.stage.axes["x"].chip.values()["R0"]
     assert 0 < counter < 0x1000
-    assert np.rint(seen[8:11] * 255).tolist() == [counter & 0xFF, counter >> 8, 0]
-    assert seen[6] == 1, "operating"
-    assert seen[11:15].tolist() == [1, 1, 1, 1]
+    assert np.rint(observed[8:11] * 255).tolist() == [counter & 0xFF, counter >> 8, 0]
+    assert observed[6] == 1, "operating"
+    assert observed[11:15].tolist() == [1, 1, 1, 1]
     assert blind.steps[-1][0][:15].tolist() == [0] * 15
     assert env.stage.time == slow.stage.time
 
@@ -352,16 +352,16 @@ def test_truth_shows_what_no_host_knows():
     assert first[15:20] == pytest.approx([0.5, 0, 0, 0, -0.5], abs=1e-3)
     env.stage.place(x=0.079)
     env.stage.data.qvel[env.stage.axes["x"].plant.dof] = 0.1
-    seen = env.step(np.array([rb.READ, 0, 0, 0]))[0]
-    assert seen[16] == pytest.approx(0.5, abs=1e-3)
-    assert seen[17] == pytest.approx(0.2, abs=1e-3)
+    observed = env.step(np.array([rb.READ, 0, 0, 0]))[0]
+    assert observed[16] == pytest.approx(0.5, abs=1e-3)
+    assert observed[17] == pytest.approx(0.2, abs=1e-3)
     x = env.stage.axes["x"]
     env.stage.place(x=0.0)
     env.stage.data.qpos[x.plant.qpos] += 128 * x.meters_per_pulse  # two electrical periods, eight full steps
-    seen = env.step(np.array([rb.READ, 0, 0, 0]))[0]
+    observed = env.step(np.array([rb.READ, 0, 0, 0]))[0]
     assert abs(x.lost_steps) == 8
-    assert seen[18] == pytest.approx(x.lost_steps / 64)
-    assert seen[19] == pytest.approx((128 - 4000) / 8000, abs=1e-3)
+    assert observed[18] == pytest.approx(x.lost_steps / 64)
+    assert observed[19] == pytest.approx((128 - 4000) / 8000, abs=1e-3)
 
 
 def test_a_wait_lasts_as_long_as_it_says_and_a_bus_cycle_as_long_as_one():
@@ -432,10 +432,10 @@ def test_no_more_than_so_many_lost_steps_cost_and_what_could_have_been_lost_is_p
     paid = []
     for teeth in (10, 10, -10, 10, 0, 5, 0, 0):
         env.stage.data.qpos[axis.plant.qpos] += teeth * tooth
-        *_, ended, cut, info = env.step(np.array([rb.WAIT + 3, 0, 0, 0]))
+        *_, finished, cut, info = env.step(np.array([rb.WAIT + 3, 0, 0, 0]))
         paid.append(info["reward_parts"]["lost"])
     assert paid == pytest.approx([-20, -12, 0, 0, 0, 0, 0, 0])
-    assert (ended, cut) == (False, True)
+    assert (finished, cut) == (False, True)
     assert info["reward_parts"]["failed"] == pytest.approx(-0.25 * (20.0 - info["elapsed"]))
     few = make(axes=("x",), cycles=2, lost_weight=0.5, time_weight=0.0)
     few.reset(seed=0)
@@ -554,12 +554,12 @@ def same(a, b):
     "form", [list, tuple, np.int8, np.uint8, np.int64, ">i8"], ids=lambda f: getattr(f, "__name__", f)
 )
 def test_whole_numbers_of_any_form_are_an_action(form):
-    env, plain = make(), make()
-    for e in (env, plain):
+    env, basic = make(), make()
+    for e in (env, basic):
         e.reset(seed=2)
     action = [rb.WRITE, 2, 3, 77]
-    given = form(action) if form in (list, tuple) else np.array(action, form)
-    assert same(env.step(given), plain.step(np.array(action)))
+    arguments = form(action) if form in (list, tuple) else np.array(action, form)
+    assert same(env.step(arguments), basic.step(np.array(action)))
 
 
 @pytest.mark.parametrize("place", range(4))
@@ -578,14 +578,14 @@ def test_a_number_out_of_range_is_refused(place, value):
 def test_a_journal_changes_nothing(goal):
     """Stages with a journal are played by Python, the others compiled."""
     settings = {"axes": ("x", "z"), "goal": goal, "truth": True, "cycles": 40, "threads": 2}
-    envs, plain = make_vec(3, **settings), make_vec(3, **settings)
+    envs, basic = make_vec(3, **settings), make_vec(3, **settings)
     journal = envs.stages[1].axes["x"].chip.journal()
-    for e in (envs, plain):
+    for e in (envs, basic):
         e.reset(seed=8)
         e.action_space.seed(8)
     for _ in range(60):
-        actions = plain.action_space.sample()
-        assert same(envs.step(actions), plain.step(actions))
+        actions = basic.action_space.sample()
+        assert same(envs.step(actions), basic.step(actions))
     assert journal.entries
 
 
@@ -691,12 +691,12 @@ def test_on_a_screw_that_turns_the_other_way_the_target_lies_the_other_way(tmp_p
 def test_there_is_room_up_to_the_nearer_of_both_end_limits():
     """z of xyz, put at power-up nearer to one of them; less the electrical turn, 64 pulses, in which it may begin"""
     task = make(axes=("z",))._task
-    for side, most in (((-3064.0, 20_000.0), 2700), ((-20_000.0, 3064.0), 2700), ((-9000.0, 9000.0), 8000)):
+    for side, maximum in (((-3064.0, 20_000.0), 2700), ((-20_000.0, 3064.0), 2700), ((-9000.0, 9000.0), 8000)):
         task._find_limits = lambda axis, side=side, p=task.per_pulse[0], at=task.power_up[0]: tuple(
             at + p * np.array(side)
         )
         task.prepare()
-        assert task.distances == pytest.approx((400, most), abs=1)
+        assert task.distances == pytest.approx((400, maximum), abs=1)
 
 
 def test_after_a_journal_is_closed_cycles_are_made_as_before():

@@ -76,9 +76,9 @@ def test_addresses_and_values_are_those_of_the_chips_bus():
     host = Bus(env, 1)
     host.write(0x22, 0x35)
     assert host.read(0x22) == 0x35
-    seen = host.steps[-1][0]
+    observed = host.steps[-1][0]
     other = [a for a in range(64) if a != R07].index(0x22)
-    assert seen[BLOCK + 5 + 8 + other] == pytest.approx(0x35 / 255)
+    assert observed[BLOCK + 5 + 8 + other] == pytest.approx(0x35 / 255)
 
 
 def test_a_live_observation_latches_nothing():
@@ -88,9 +88,9 @@ def test_a_live_observation_latches_nothing():
     env.stage.place(x=0.01)
     host = Bus(env, 0)
     host.act(rb.WAIT)
-    seen = host.steps[-1][0]
+    observed = host.steps[-1][0]
     low = [a for a in range(64) if a != R07].index(R14)
-    assert round(float(seen[8 + low]) * 255) == env.stage.axes["x"].chip.encoder & 0xFF
+    assert round(float(observed[8 + low]) * 255) == env.stage.axes["x"].chip.encoder & 0xFF
     assert host.read(0x13) == 0, "nobody has read R14"
     assert host.read(R14) == env.stage.axes["x"].chip.encoder & 0xFF
     assert host.read(0x13) == env.stage.axes["x"].chip.encoder >> 8 & 0xFF
@@ -100,11 +100,11 @@ def test_a_vector_of_them_gives_the_bits_of_single_ones():
     envs = gymnasium.make_vec(
         "stage/RegisterBus-v0", num_envs=3, vectorization_mode="vector_entry_point", threads=2, **SETTINGS
     )
-    seen, _ = envs.reset(seed=5)
+    observed, _ = envs.reset(seed=5)
     rng = np.random.default_rng(5)
     actions = rng.integers(0, envs.single_action_space.nvec, (40, 3, 4))
     actions[:4, :, 0], actions[:4, :, 2], actions[:4, :, 3] = rb.WRITE, 0x05, 0x03
-    vector = [seen, *(envs.step(a)[0] for a in actions)]
+    vector = [observed, *(envs.step(a)[0] for a in actions)]
     for k in range(3):
         env = make()
         one, _ = env.reset(seed=5 + k)

@@ -125,13 +125,13 @@ def test_a_carriage_that_its_motor_does_not_bring_along_costs_a_lost_step():
 
 def test_an_observation_begins_with_where_distance_and_payload_lie_in_their_ranges():
     env = make()
-    for distance, payload, seen in (
+    for distance, payload, observed in (
         (1600, 0.0, (-1, -1)),
         (8000, 1.0, (1, 1)),
         (round((1600 * 8000) ** 0.5), 0.25, (0, -0.5)),
     ):
         observation, _ = env.reset(seed=1, options={"distance": distance, "payload": payload})
-        assert observation[:2] == pytest.approx(seen, abs=1e-3)
+        assert observation[:2] == pytest.approx(observed, abs=1e-3)
 
 
 @pytest.mark.parametrize("distance", [1600.5, "1600", True, 1599, float("nan"), np.bool_(True), None])
@@ -175,11 +175,11 @@ def test_a_move_is_judged_at_a_site_or_body_of_ones_choice_that_the_axis_carries
         make(judge_at=3)
 
 
-@pytest.mark.parametrize("way", [1, -1])
-def test_a_move_begins_with_the_rotor_at_its_angle_and_half_the_distance_before_the_middle(way, tmp_path):
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_move_begins_with_the_rotor_at_its_angle_and_half_the_distance_before_the_middle(direction, tmp_path):
     """reset(options={"distance": 4000, "angle": 0.25}), and the same with gear="-628.3185307" of axis x"""
     for part in (Path(__file__).parents[2] / "models").glob("*.xml"):
-        sign = "" if way > 0 else "-"
+        sign = "" if direction > 0 else "-"
         (tmp_path / part.name).write_text(part.read_text().replace('joint="x" gear="', f'joint="x" gear="{sign}'))
     env = make(model=str(tmp_path / "xy.xml"))
     x = env.stage.axes["x"]
@@ -188,9 +188,9 @@ def test_a_move_begins_with_the_rotor_at_its_angle_and_half_the_distance_before_
     for angle in (0.0, 0.25, 0.9):
         env.reset(seed=1, options={"distance": DISTANCE, "payload": 0.0, "angle": angle})
         begin = x.position
-        assert np.sign(x.gear) == way
+        assert np.sign(x.gear) == direction
         assert (begin / turn - angle + 0.5) % 1.0 == pytest.approx(0.5, abs=1e-6)
-        assert begin == pytest.approx(middle - 0.5 * way * DISTANCE * x.meters_per_pulse, abs=turn)
+        assert begin == pytest.approx(middle - 0.5 * direction * DISTANCE * x.meters_per_pulse, abs=turn)
     travel = x.travel[1] - x.travel[0]
     room = int(min(0.95 * travel, travel - 2 * turn) / x.meters_per_pulse)
     assert make(distances=(room, room))._task.config.distances == (room, room)
@@ -214,7 +214,7 @@ def test_of_a_body_and_a_site_of_one_name_the_body_carries_and_the_site_is_judge
 
 
 @pytest.mark.parametrize(
-    ("finished", "lost", "vibration", "parts", "seen"),
+    ("finished", "lost", "vibration", "parts", "observed"),
     [
         (True, False, 0.0, (-0.2, 0, 0, 0), (0.5, 0, 0, 1)),
         (True, False, 3e-4, (-0.2, 0, -1.5, 0), (0.5, 0, 0.75, 1)),
@@ -222,22 +222,22 @@ def test_of_a_body_and_a_site_of_one_name_the_body_carries_and_the_site_is_judge
         (False, False, 9.0, (-0.2, 0, -50, -3), (0.5, 0, 1, 0)),
     ],
 )
-def test_a_move_costs_what_was_seen_of_it(monkeypatch, finished, lost, vibration, parts, seen):
+def test_a_move_costs_what_was_seen_of_it(monkeypatch, finished, lost, vibration, parts, observed):
     from stage.envs.trial import MoveOutcomes
 
-    made = {"lost_weight": 7.0, "vibration_weight": 0.5, "limit_weight": 3.0, "limit": 0.4}
-    env = gymnasium.make("stage/RegisterTuning-v0", model="xy", disable_env_checker=True, **made).unwrapped
+    created = {"lost_weight": 7.0, "vibration_weight": 0.5, "limit_weight": 3.0, "limit": 0.4}
+    env = gymnasium.make("stage/RegisterTuning-v0", model="xy", disable_env_checker=True, **created).unwrapped
     env.reset(seed=1)
-    told = MoveOutcomes(*(np.array([v]) for v in (0.2, finished, not finished, lost, vibration, 0.0, 0.0)))
-    monkeypatch.setattr(env._task.trial, "read_outcomes", lambda *given: told)
+    reported = MoveOutcomes(*(np.array([v]) for v in (0.2, finished, not finished, lost, vibration, 0.0, 0.0)))
+    monkeypatch.setattr(env._task.trial, "read_outcomes", lambda *arguments: reported)
     observation, reward, *_, info = env.step(np.zeros(6, np.float32))
     assert tuple(info["reward_parts"].values()) == pytest.approx(parts)
     assert reward == pytest.approx(sum(parts))
-    assert observation[2:] == pytest.approx(seen, abs=1e-4)
+    assert observation[2:] == pytest.approx(observed, abs=1e-4)
 
 
 @pytest.mark.parametrize(
-    ("took", "pulses", "off", "steps", "seen"),
+    ("took", "pulses", "off", "steps", "observed"),
     [
         (0.1, 400, 0.0, 0, (True, False, False)),
         (0.1, 399, 0.0, 0, (False, True, False)),
@@ -249,7 +249,7 @@ def test_a_move_costs_what_was_seen_of_it(monkeypatch, finished, lost, vibration
         (0.1, 400, 0.0, -4, (True, False, True)),
     ],
 )
-def test_a_move_is_finished_stopped_or_late_and_has_lost_its_place_on_either_side(took, pulses, off, steps, seen):
+def test_a_move_is_finished_stopped_or_late_and_has_lost_its_place_on_either_side(took, pulses, off, steps, observed):
     """took: s until its chip had stopped, negative where it had not"""
     from stage.sim.fleet import Played
 
@@ -262,7 +262,7 @@ def test_a_move_is_finished_stopped_or_late_and_has_lost_its_place_on_either_sid
     results = np.zeros((1, 400), np.int64)
     results[0, trial.stop] = round(took * 1e9)
     results[0, trial.rest] = round(2e-4 * 1e12)
-    found = trial.read_outcomes(Played(results, np.zeros((1, 4, 2)), np.zeros(1, bool)), truth, np.array([400]))
-    assert (bool(found.finished[0]), bool(found.stopped[0]), bool(found.lost[0])) == seen
-    assert found.duration[0] == pytest.approx(0.1)
-    assert found.vibration[0] == pytest.approx(2e-4)
+    matches = trial.read_outcomes(Played(results, np.zeros((1, 4, 2)), np.zeros(1, bool)), truth, np.array([400]))
+    assert (bool(matches.finished[0]), bool(matches.stopped[0]), bool(matches.lost[0])) == observed
+    assert matches.duration[0] == pytest.approx(0.1)
+    assert matches.vibration[0] == pytest.approx(2e-4)

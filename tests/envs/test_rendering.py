@@ -43,10 +43,10 @@ class Watcher:
 @pytest.fixture
 def watched(monkeypatch):
     """All frames of the environments to come, however they are shown."""
-    made = []
-    monkeypatch.setattr(rendering, "viewer", lambda stage, *_: made.append(Watcher(stage)) or made[-1])
+    created = []
+    monkeypatch.setattr(rendering, "viewer", lambda stage, *_: created.append(Watcher(stage)) or created[-1])
     monkeypatch.setattr("time.sleep", lambda _: None)
-    return lambda: [frame for watcher in made for frame in watcher.frames]
+    return lambda: [frame for watcher in created for frame in watcher.frames]
 
 
 def make(id_, mode=None, **settings):
@@ -55,10 +55,10 @@ def make(id_, mode=None, **settings):
 
 def play(env):
     """An episode of the action in the middle; returns what it said."""
-    said = [env.reset(seed=3)]
-    while len(said) == 1 or not (said[-1][2] or said[-1][3]):
-        said.append(env.step(np.zeros(env.action_space.shape, np.float32)))
-    return said
+    message = [env.reset(seed=3)]
+    while len(message) == 1 or not (message[-1][2] or message[-1][3]):
+        message.append(env.step(np.zeros(env.action_space.shape, np.float32)))
+    return message
 
 
 @pytest.mark.skipif(not {"MUJOCO_GL", "DISPLAY"} & set(os.environ), reason="no GL on this machine")
@@ -83,9 +83,9 @@ def test_an_unknown_camera_is_named():
 
 def test_a_stage_has_what_only_a_picture_needs_where_there_is_one(tmp_path):
     """gymnasium.make("stage/RegisterBus-v0", render_mode="rgb_array"), or record="run/{}.rrd": parts that only look, materials"""
-    seen = {None: make("stage/RegisterBus-v0"), "pictures": make("stage/RegisterBus-v0", "rgb_array"),
+    observed = {None: make("stage/RegisterBus-v0"), "pictures": make("stage/RegisterBus-v0", "rgb_array"),
             "recording": make("stage/RegisterBus-v0", record=str(tmp_path / "{}.rrd"))}  # fmt: skip
-    materials = {name: env.stage.model.nmat > 0 for name, env in seen.items()}
+    materials = {name: env.stage.model.nmat > 0 for name, env in observed.items()}
     assert materials == {None: False, "pictures": True, "recording": True}
 
 
@@ -119,9 +119,9 @@ def rendered(*argv, **environment):
     """What a program says that asks twice for a window and for a picture."""
     inherited = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL")}
     command = [sys.executable, "-c", PROGRAM, *argv]
-    ended = subprocess.run(command, env=inherited | environment, capture_output=True, text=True, check=False)
-    assert ended.returncode == 0, ended.stderr
-    return ended.stdout.splitlines(), ended.stderr
+    finished = subprocess.run(command, env=inherited | environment, capture_output=True, text=True, check=False)
+    assert finished.returncode == 0, finished.stderr
+    return finished.stdout.splitlines(), finished.stderr
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="screens and EGL are Linux's")
@@ -136,18 +136,18 @@ def rendered(*argv, **environment):
 )
 def test_without_opengl_each_rendering_is_refused_and_the_process_lives(argv, environment, human, picture):
     """env = gymnasium.make("stage/RegisterTuning-v0", render_mode="human"); env.reset(); env.reset()"""
-    said, _ = rendered(*argv, **environment)
-    for line, expected in zip(said, (human, picture) * 2, strict=True):
+    message, _ = rendered(*argv, **environment)
+    for line, expected in zip(message, (human, picture) * 2, strict=True):
         assert re.match(expected, line)
 
 
 @pytest.mark.skipif(sys.platform != "linux" or not ctypes.util.find_library("EGL"), reason="no EGL on this machine")
 def test_without_a_screen_pictures_are_rendered_by_egl():
     """env = gymnasium.make("stage/RegisterTuning-v0", render_mode="rgb_array"); env.reset(); env.render(); env.render()"""
-    said, errors = rendered()
-    if any("no OpenGL" in line for line in said):
+    message, errors = rendered()
+    if any("no OpenGL" in line for line in message):
         pytest.skip("an EGL without a device")
-    assert said[1::2] == ["(48, 64, 3)"] * 2
+    assert message[1::2] == ["(48, 64, 3)"] * 2
     assert errors == ""
 
 
@@ -201,14 +201,14 @@ def test_a_frame_after_a_step_shows_its_end_and_not_where_the_next_begins(id_, w
 def test_frames_of_a_whole_move_show_the_way_and_change_nothing(id_, mode, watched):
     """gymnasium.make("stage/OriginReturn-v0", render_mode="rgb_array_list"): a frame a step, the origin in each."""
     env = make(id_, mode)
-    said, plain = play(env), play(make(id_))
-    for (seen, *_, info), (expected, *_, wanted) in zip(said, plain, strict=True):
-        assert np.array_equal(seen, expected)
+    message, basic = play(env), play(make(id_))
+    for (observed, *_, info), (expected, *_, wanted) in zip(message, basic, strict=True):
+        assert np.array_equal(observed, expected)
         assert info.get("duration") == wanted.get("duration")
     if mode == "rgb_array_list":
         assert len(env.render()) == len(watched())
         assert env.render() == [], "each frame once"
-    seconds = [s[4].get("duration", 0.3) for s in said[1:]]
+    seconds = [s[4].get("duration", 0.3) for s in message[1:]]
     assert len(watched()) >= sum(int(s * 30) + 1 for s in seconds)
     moved = [np.abs(b - a).max() for a, b in zip(watched(), watched()[1:], strict=False)]
     assert np.count_nonzero(np.array(moved) > 1e-5) > len(seconds), "more than the ends"
@@ -285,7 +285,7 @@ def test_why_no_window_opens_is_said_each_time_whatever_warnings_are_shown(monke
 
 
 @pytest.mark.parametrize(
-    ("system", "variables", "there"),
+    ("system", "variables", "present"),
     [
         ("darwin", {}, True),
         ("linux", {}, False),
@@ -293,10 +293,10 @@ def test_why_no_window_opens_is_said_each_time_whatever_warnings_are_shown(monke
         ("linux", {"WAYLAND_DISPLAY": "w"}, True),
     ],
 )
-def test_where_there_is_a_screen(system, variables, there, monkeypatch):
+def test_where_there_is_a_screen(system, variables, present, monkeypatch):
     monkeypatch.setattr(sys, "platform", system)
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    assert opengl.has_screen() is there
+    assert opengl.has_screen() is present

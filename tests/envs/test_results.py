@@ -11,12 +11,12 @@ from stage.envs.results import DIVERGED, Results, make_result_dtype
 def results():
     kinds = {"duration": float, "finished": bool, "lost_steps": int, "registers": int}
     info = [Feature(name, HOST, "", kind=kind) for name, kind in kinds.items()]
-    made = Results(3, make_result_dtype(("time", "lost"), info, {"registers": (2,)}))
-    made["parts"]["time"], made["parts"]["lost"] = [-1.0, -2.0, np.nan], [0.0, -5.0, 0.0]
-    made["info"]["registers"] = [[1, 2], [3, 4], [5, 6]]
-    made["terminated"] = [False, True, True]
-    made.finish(np.array([False, False, True]))
-    return made
+    created = Results(3, make_result_dtype(("time", "lost"), info, {"registers": (2,)}))
+    created["parts"]["time"], created["parts"]["lost"] = [-1.0, -2.0, np.nan], [0.0, -5.0, 0.0]
+    created["info"]["registers"] = [[1, 2], [3, 4], [5, 6]]
+    created["terminated"] = [False, True, True]
+    created.finish(np.array([False, False, True]))
+    return created
 
 
 def test_a_row_holds_plain_numbers_and_arrays_of_its_own(results):

@@ -37,8 +37,8 @@ def test_a_score_comes_at_the_end_alone_and_says_the_same_of_every_task(id_):
     env.reset(seed=1)
     over = False
     while not over:
-        *_, ended, cut, info = env.step(env.scripted_action())
-        over = ended or cut
+        *_, finished, cut, info = env.step(env.scripted_action())
+        over = finished or cut
         assert ("score" in info) == over
     assert info["score"] == {name: scores[0][name] for name in SCORE.names}
     assert {type(v) for v in info["score"].values()} == {bool, float, int}

@@ -30,8 +30,8 @@ def test_the_registers_chosen_are_those_in_the_chip():
     env._task.prepare_next = lambda: None
     values = {"R22": 77, "R20": 200, "R21": 31, "R0F": 90}
     info = env.step(env._task.registers.to_action(values))[4]
-    held = env.stage.axes["x"].chip.values()
-    assert {n: held[n] for n in ("R22", "R20", "R21")} == {"R22": 77, "R20": 200, "R21": 31}
+    holding = env.stage.axes["x"].chip.values()
+    assert {n: holding[n] for n in ("R22", "R20", "R21")} == {"R22": 77, "R20": 200, "R21": 31}
     assert int(env.stage.axes["x"].chip.state["period"]) == 90
     assert list(info["registers"]) == list(values.values())
 
@@ -80,14 +80,14 @@ def test_a_heavier_load_overshoots_more_with_the_same_filter():
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "text"),
     [
         ({"motion": "jump"}, "unknown motion"), ({"axis": "w"}, "unknown axis"), ({"rest": 1.0}, "a part of limit"),
         ({"distances": (10, 10_000_000)}, "has room for"),
     ],
 )  # fmt: skip
-def test_settings_that_make_no_sense_are_refused(settings, said):
-    with pytest.raises(ArgumentError, match=said):
+def test_settings_that_make_no_sense_are_refused(settings, text):
+    with pytest.raises(ArgumentError, match=text):
         make(**settings)
     env = make()
     with pytest.raises(ArgumentError, match="option distance=1"):
@@ -102,17 +102,17 @@ def test_distances_and_payloads_are_drawn_within_their_ranges():
     assert np.isfinite([d["payload"] for d in drawn]).all()
 
 
-def judged(monkeypatch, looks, rest=None, distance=100, **settings):
+def judged(monkeypatch, samples, rest=None, distance=100, **settings):
     """(reward parts, info, observation) of a move that is seen so many counts from its goal, and from - to in its rest."""
     env = make(limit=0.02, rest=0.005, distances=(50, 500), **settings)
     env.reset(seed=1, options={"distance": distance})
     task = env._task
     count, goal = env.stage.axes["x"].meters_per_pulse, float(task.goal[0])
-    real, (low, high) = task.fleet.play, rest or (looks[-1], looks[-1])
+    real, (low, high) = task.fleet.play, rest or (samples[-1], samples[-1])
 
     def play(programs):
         played = real(programs)
-        played.results[0, task.first + 1 :: 2] = np.rint(1e12 * count * (goal + np.array(looks)))
+        played.results[0, task.first + 1 :: 2] = np.rint(1e12 * count * (goal + np.array(samples)))
         played.extremes[0, task.axis.plant.qpos] = count * (goal + low), count * (goal + high)
         return played
 
@@ -122,12 +122,12 @@ def judged(monkeypatch, looks, rest=None, distance=100, **settings):
 
 
 def test_a_servo_has_settled_from_the_last_look_outside_the_deadband_on(monkeypatch):
-    for looks, settled in (([90] * 5 + [2] * 15, 5), ([2] * 20, 0), ([90] * 3 + [1] * 3 + [-4] * 4 + [0] * 10, 10)):
-        parts, info, _ = judged(monkeypatch, looks)
+    for samples, settled in (([90] * 5 + [2] * 15, 5), ([2] * 20, 0), ([90] * 3 + [1] * 3 + [-4] * 4 + [0] * 10, 10)):
+        parts, info, _ = judged(monkeypatch, samples)
         assert (info["finished"], parts["limit"]) == (True, 0)
         assert info["settled"] == -parts["time"] == pytest.approx(settled * 1e-3)
-    for looks, rest in (([90] * 5 + [2] * 15, (-4, 2)), ([90] * 5 + [2] * 15, (0, 4)), ([90] * 19 + [4], (0, 0))):
-        parts, info, _ = judged(monkeypatch, looks, rest, limit_weight=2.5)
+    for samples, rest in (([90] * 5 + [2] * 15, (-4, 2)), ([90] * 5 + [2] * 15, (0, 4)), ([90] * 19 + [4], (0, 0))):
+        parts, info, _ = judged(monkeypatch, samples, rest, limit_weight=2.5)
         assert (info["finished"], info["settled"], parts["limit"]) == (False, 0.02, -2.5)
 
 
@@ -138,11 +138,11 @@ def test_overshoot_counts_in_shares_of_the_distance_and_unrest_up_to_a_thousand_
         (0, (0, 0), 100, (0.01, 0.0)),
         (300, (-700, 800), 200, (1.0, 10.0)),
     ):
-        parts, info, seen = judged(monkeypatch, [-90] * 4 + [over] * 6 + [1] * 10, rest, distance, **weights)
+        parts, info, observed = judged(monkeypatch, [-90] * 4 + [over] * 6 + [1] * 10, rest, distance, **weights)
         assert (-2 * parts["overshoot"], -4 * parts["unrest"]) == pytest.approx(costs, abs=1e-6)
         assert (info["overshoot"], info["unrest"], info["error"]) == (max(over, 1), rest[1] - rest[0], -1)
         shares = max(over, 1) / (max(over, 1) + 10), (rest[1] - rest[0]) / (rest[1] - rest[0] + 10)
-        assert seen[3:5] == pytest.approx(shares, abs=1e-5)
+        assert observed[3:5] == pytest.approx(shares, abs=1e-5)
 
 
 def test_a_rest_is_shorter_than_the_move_it_ends():

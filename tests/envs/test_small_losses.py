@@ -51,11 +51,11 @@ def test_one_full_step_lost_either_way_costs_as_losing_steps_does(id_, lost, mon
     axis = getattr(task, "axis", None) or task.axes[1]
 
     def truth():
-        found = real()
-        found["lost_steps"] = 0
+        matches = real()
+        matches["lost_steps"] = 0
         if played:
-            found["lost_steps"][:, axis.index] = lost
-        return found
+            matches["lost_steps"][:, axis.index] = lost
+        return matches
 
     played, play = [], task.fleet.play
     monkeypatch.setattr(task.fleet, "play", lambda programs: (played.append(1), play(programs))[1])
@@ -87,19 +87,19 @@ SHORT = {
 }
 
 
-def course(env, seed, **options):
+def play_episode(env, seed, **options):
     """What an episode's first steps say, of the usual host or of the middle of all actions."""
-    said = [*env.reset(seed=seed, options=options)]
+    text = [*env.reset(seed=seed, options=options)]
     for _ in range(3):
         try:
             action = env.scripted_action()
         except stage.ArgumentError:
             action = np.zeros(env.action_space.shape, env.action_space.dtype)
         out = env.step(action)
-        said += out
+        text += out
         if out[2] or out[3]:
             break
-    return repr([part.tolist() if isinstance(part, np.ndarray) else part for part in said])
+    return repr([part.tolist() if isinstance(part, np.ndarray) else part for part in text])
 
 
 @pytest.mark.parametrize("id_", SHORT)
@@ -116,7 +116,7 @@ def test_nothing_that_an_episode_has_left_is_in_the_next(id_):
             array[part] = {"b": True, "f": 3.25}.get(array[part].dtype.kind, -5)
     task.results.rows[:] = np.zeros((), task.results.rows.dtype)
     task.results["cause"] = 1
-    assert course(env, 4, **options) == course(fresh, 4, **options)
+    assert play_episode(env, 4, **options) == play_episode(fresh, 4, **options)
 
 
 def test_the_spread_of_returns_is_of_one_episode_and_none_after_its_first():
@@ -148,11 +148,11 @@ def test_the_spread_of_returns_is_of_one_episode_and_none_after_its_first():
 def test_a_list_or_letters_are_the_same_setting_and_snapshots_of_both_are_each_other_s(id_, name, same):
     envs = [make(id_, model="xy", **{name: value}) for value in same]
     envs[0].reset(seed=1)
-    kept = envs[0].snapshot()
+    saved = envs[0].snapshot()
     for env in envs:
         assert getattr(env.config, name) == same[0]
         assert all(type(part) is type(same[0][0]) for part in getattr(env.config, name))
-        env.restore(kept)
+        env.restore(saved)
 
 
 @pytest.mark.parametrize("rate", [3333.0, 4500.0, 7777.7])
@@ -171,5 +171,5 @@ def test_a_fault_reported_before_any_return_takes_the_time_of_the_formula():
         score = info["score"]
         assert terminated
         assert (score["success"], score["regret"], score["moves"]) == (True, 0.0, 1)
-        far = abs(start - task.origin) / task.per_pulse
-        assert score["time"] == pytest.approx(far / 8000 + 0.1 + 200 * (1 / 1000 + 1 / 400) + 3 * 0.05)
+        distance = abs(start - task.origin) / task.per_pulse
+        assert score["time"] == pytest.approx(distance / 8000 + 0.1 + 200 * (1 / 1000 + 1 / 400) + 3 * 0.05)

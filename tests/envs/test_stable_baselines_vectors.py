@@ -50,11 +50,11 @@ class VecEnv:
 @pytest.fixture
 def sb3(monkeypatch):
     """The module, on that class."""
-    there = ModuleType("stable_baselines3.common.vec_env")
-    there.VecEnv = VecEnv
+    present = ModuleType("stable_baselines3.common.vec_env")
+    present.VecEnv = VecEnv
     for name in ("stable_baselines3", "stable_baselines3.common"):
         monkeypatch.setitem(sys.modules, name, ModuleType(name))
-    monkeypatch.setitem(sys.modules, there.__name__, there)
+    monkeypatch.setitem(sys.modules, present.__name__, present)
     monkeypatch.setitem(sys.modules, "stage.envs.sb3", None)
     monkeypatch.delitem(sys.modules, "stage.envs.sb3")
     monkeypatch.delattr(stage.envs, "sb3", raising=False)
@@ -66,38 +66,38 @@ def scalar(seed, id_=ID, options=None, **settings):
     return env, *env.reset(seed=seed, options=options)
 
 
-def plain(info):
-    return {k: plain(v) if isinstance(v, dict) else np.asarray(v).tolist() for k, v in info.items()}
+def basic(info):
+    return {k: basic(v) if isinstance(v, dict) else np.asarray(v).tolist() for k, v in info.items()}
 
 
 def test_a_vector_for_stable_baselines_says_what_as_many_scalar_environments_say_over_an_end(sb3):
     envs = sb3.StageVecEnv(ID, 3, **SHORT)
     envs.seed(5)
-    seen = envs.reset()
+    observed = envs.reset()
     ones = [scalar(5 + k) for k in range(3)]
-    assert (seen == [one[1] for one in ones]).all()
-    assert [plain(info) for info in envs.reset_infos] == [plain(one[2]) for one in ones]
+    assert (observed == [one[1] for one in ones]).all()
+    assert [basic(info) for info in envs.reset_infos] == [basic(one[2]) for one in ones]
     assert envs._spread_seeds == [None] * 3, "a seed is for one reset"
     rng = np.random.default_rng(2)
     for step in (1, 2, 3):
         actions = rng.uniform(-1, 1, (3, *envs.action_space.shape)).astype(np.float32)
-        seen, rewards, ends, infos = envs.step(actions)
-        said = [one[0].step(action) for one, action in zip(ones, actions, strict=True)]
+        observed, rewards, ends, infos = envs.step(actions)
+        text = [one[0].step(action) for one, action in zip(ones, actions, strict=True)]
         assert rewards.dtype == np.float32
-        assert rewards.tolist() == [np.float32(out[1]) for out in said]
+        assert rewards.tolist() == [np.float32(out[1]) for out in text]
         assert ends.tolist() == [step == 2] * 3
-        for k, (info, out) in enumerate(zip(infos, said, strict=True)):
+        for k, (info, out) in enumerate(zip(infos, text, strict=True)):
             last = info.pop("terminal_observation", None)
             assert info.pop("TimeLimit.truncated") is (step == 2), "the moves are up, and the task is not done"
-            assert plain(info) == plain(out[4])
+            assert basic(info) == basic(out[4])
             if step == 2:
                 assert (last == out[0]).all()
-                begun, told = ones[k][0].reset()
-                assert (seen[k] == begun).all()
-                assert plain(envs.reset_infos[k]) == plain(told)
+                started, reported = ones[k][0].reset()
+                assert (observed[k] == started).all()
+                assert basic(envs.reset_infos[k]) == basic(reported)
             else:
                 assert last is None
-                assert (seen[k] == out[0]).all()
+                assert (observed[k] == out[0]).all()
     envs.close()
 
 
@@ -115,10 +115,10 @@ def test_options_of_stable_baselines_are_for_each_environment_and_for_one_reset(
     envs = sb3.StageVecEnv(ID, 3, **SHORT)
     envs.seed(7)
     envs.set_options([{"distance": 400}, {"payload": 2.5}, {}])
-    seen = envs.reset()
+    observed = envs.reset()
     ones = [scalar(7 + k, options=o) for k, o in enumerate(({"distance": 400}, {"payload": 2.5}, {}))]
-    assert (seen == [one[1] for one in ones]).all()
-    assert [plain(info) for info in envs.reset_infos] == [plain(one[2]) for one in ones]
+    assert (observed == [one[1] for one in ones]).all()
+    assert [basic(info) for info in envs.reset_infos] == [basic(one[2]) for one in ones]
     assert not any(envs._check_options)
     envs.reset()
     assert [info["distance"] for info in envs.reset_infos] == [one[0].reset()[1]["distance"] for one in ones]
@@ -168,15 +168,15 @@ def test_what_stable_baselines_cannot_have_is_refused(sb3, id_, settings, says):
 
 def test_a_vector_of_others_is_none_of_stages(sb3, monkeypatch):
     def make_vec(id_, num_envs, **settings):
-        made.append((id_, num_envs, settings))
+        created.append((id_, num_envs, settings))
         return gymnasium.vector.VectorEnv()
 
-    made = []
+    created = []
     monkeypatch.setattr(gymnasium, "make_vec", make_vec)
     with pytest.raises(ArgumentError, match=r"'CartPole-v1' is no vector of stages\. Known: stage/RegisterTuning-v0"):
         sb3.StageVecEnv("CartPole-v1", 2, 4)
     kind = {"vectorization_mode": "vector_entry_point", "autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP}
-    assert made == [("CartPole-v1", 2, {"threads": 4, **kind})]
+    assert created == [("CartPole-v1", 2, {"threads": 4, **kind})]
 
 
 def test_closing_for_stable_baselines_closes_the_vector(sb3, monkeypatch):

@@ -109,12 +109,12 @@ def test_the_engineers_action_is_the_rate_and_the_ramp_of_the_formula(env):
 
 
 def test_what_no_line_can_be_is_refused():
-    for settings, said in (
+    for settings, text in (
         ({"moves": 2}, "moves=2: one here"),
         ({"actions": "box"}, "actions='box'"),
         ({"ramps": (0.0, 1.0)}, "ramps="),
     ):
-        with pytest.raises(ArgumentError, match=said):
+        with pytest.raises(ArgumentError, match=text):
             Config(**settings)
     with pytest.raises(ArgumentError, match=r"axis of model xy_mast 'z'"):
         SynchronizedLine(1, Config(split="mast", axes=("x", "z")))

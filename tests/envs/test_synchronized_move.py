@@ -42,11 +42,11 @@ def as_action(chip, rows):
 
 def task(number=1, **settings):
     """Rules alone, with `number` moves drawn."""
-    made = SynchronizedMove(number, Config(**settings))
+    created = SynchronizedMove(number, Config(**settings))
     for k in range(number):
-        made.rngs[k] = np.random.default_rng(k)
-        made.reset_stage(k, {})
-    return made
+        created.rngs[k] = np.random.default_rng(k)
+        created.reset_stage(k, {})
+    return created
 
 
 SMALLER = ("MCX501", "MCX512")
@@ -87,19 +87,19 @@ def test_deviation_and_duration_are_those_of_the_pulses_that_the_chips_made(chip
 
 
 def test_the_planners_registers_as_an_action_keep_the_planners_line():
-    made = firmware.plan(LINE, rate=16_000, accel=0.05, bus_delay=1e-6)
-    rows = [made.axes[n].registers for n in "xy"]
+    created = firmware.plan(LINE, rate=16_000, accel=0.05, bus_delay=1e-6)
+    rows = [created.axes[n].registers for n in "xy"]
     chip = CHIPS["PCL240K"]
     env = SynchronizedMoveEnv(**SHORT, actions="box")
     env.reset(seed=1, options={"distances": LINE})
     begin = {n: env.stage.axes[n].position for n in LINE}
     info = env.step(as_action(chip, rows))[4]
     assert info["registers"].tolist() == [[r[n] for n in REGISTERS] for r in rows]
-    assert info["deviation"] == pytest.approx(made.deviation, abs=0.01)
+    assert info["deviation"] == pytest.approx(created.deviation, abs=0.01)
     stage = Stage("xyz", chips=chip)
     stage.place(**begin)
-    report = firmware.synchronized_move(made, stage)
-    assert info["duration"] == pytest.approx(made.seconds, abs=2e-6)
+    report = firmware.synchronized_move(created, stage)
+    assert info["duration"] == pytest.approx(created.seconds, abs=2e-6)
     assert info["carriage_deviation"] == pytest.approx(report.carriage_deviation, rel=0.2)
     assert 2e-6 < info["carriage_deviation"] < 1e-4
 
@@ -118,9 +118,9 @@ def test_registers_as_integers_are_the_registers_written():
 @pytest.mark.parametrize("axes", ["xy", "xyz"])
 def test_no_correction_is_the_data_sheets_answer_in_the_ratio_of_the_distances(axes):
     rules = task(15, axes=axes, distances=(2_000, 20_000))
-    made = rules.to_registers(np.zeros((15, 6 * len(axes)), np.float32))
-    assert (made == rules.data_sheet()).all()
-    for row, d in zip(made.astype(float), np.abs(rules.distances), strict=True):
+    created = rules.to_registers(np.zeros((15, 6 * len(axes)), np.float32))
+    assert (created == rules.data_sheet()).all()
+    for row, d in zip(created.astype(float), np.abs(rules.distances), strict=True):
         low, high, up, down, point, r7 = row.T
         rho, lead = d / d.max(), int(d.argmax())
         assert (r7 == r7[0]).all()
@@ -134,22 +134,22 @@ def test_no_correction_is_the_data_sheets_answer_in_the_ratio_of_the_distances(a
 
 def test_each_number_of_a_correction_moves_its_own_register_by_no_more_than_its_reach():
     rules = task(8)
-    plain = rules.to_registers(np.zeros((8, 12), np.float32))
-    worth = rules.line.worth(plain, rules.requested_lines)
+    basic = rules.to_registers(np.zeros((8, 12), np.float32))
+    worth = rules.line.worth(basic, rules.requested_lines)
     for k in range(12):
         axis, register = divmod(k, 6)
         for sign in (-1, 1):
             action = np.zeros((8, 12), np.float32)
             action[:, k] = sign
-            change = rules.to_registers(action) - plain
+            change = rules.to_registers(action) - basic
             assert (abs(change[:, :, 5]) <= (np.arange(2) == axis) * (register == 5)).all()
             if register == 5:  # the other registers are worked out for the new R7
                 continue
             assert (change[:, 1 - axis] == 0).all()
-            mine = change[:, axis, register]
+            own_values = change[:, axis, register]
             assert (np.delete(change[:, axis], register, axis=1) == 0).all()
-            assert (np.sign(mine) == sign).all()
-            assert (abs(mine) * worth[:, axis, register] <= np.maximum(5.0, worth[:, axis, register])).all()
+            assert (np.sign(own_values) == sign).all()
+            assert (abs(own_values) * worth[:, axis, register] <= np.maximum(5.0, worth[:, axis, register])).all()
 
 
 def test_a_small_number_leaves_the_multiplier_alone():
@@ -214,15 +214,15 @@ def test_a_move_far_off_its_line_costs_no_more_than_the_bounds_of_its_parts():
 
 def test_a_carriage_beyond_an_end_of_the_line_is_as_far_from_it_as_from_that_end():
     env, _, _ = one_move(options={"distances": LINE})
-    made = env._task
-    looks, columns = made.config.looks, made._sample_slices
-    results = np.zeros((1, columns[0].start + looks * columns[0].step - 1), np.int64)
-    length = float(np.hypot(*(made.signed_pulse_m * made.distances)[0]))
+    created = env._task
+    samples, columns = created.config.looks, created._sample_slices
+    results = np.zeros((1, columns[0].start + samples * columns[0].step - 1), np.int64)
+    length = float(np.hypot(*(created.signed_pulse_m * created.distances)[0]))
     for along, off in ((0.5, 0.0), (1.02, 0.02), (-0.03, 0.03)):
         for a, column in enumerate(columns):
-            at = made._truth_at_start["position"][0, a] + along * made.signed_pulse_m[a] * made.distances[0, a]
+            at = created._truth_at_start["position"][0, a] + along * created.signed_pulse_m[a] * created.distances[0, a]
             results[:, column] = round(at * 1e12)
-        assert made._measure_carriages(results)[0] == pytest.approx(off * length, abs=1e-9)
+        assert created._measure_carriages(results)[0] == pytest.approx(off * length, abs=1e-9)
 
 
 def test_an_end_limit_ends_the_episode_of_its_stage_alone():
@@ -271,7 +271,7 @@ def test_every_move_of_an_episode_starts_at_rest_around_the_middle():
     env = SynchronizedMoveEnv(**SHORT, moves=3)
     observation, _ = env.reset(seed=5)
     assert (observation[-4:] == 0).all()
-    seen = []
+    observed = []
     for k in range(3):
         for n, d in zip("xy", env._task.distances[0], strict=True):
             axis = env.stage.axes[n]
@@ -281,12 +281,12 @@ def test_every_move_of_an_episode_starts_at_rest_around_the_middle():
             )
             assert axis.lost_steps == 0
         observation, _, terminated, truncated, info = env.step(NOTHING)
-        seen.append(info["distances"].tolist())
+        observed.append(info["distances"].tolist())
         assert terminated == (k == 2)
         assert not truncated
         assert observation[-4] == np.float32(min(info["deviation"] / 20, 1))
         assert observation[-1] == 1
-    assert len(set(map(tuple, seen))) == 3
+    assert len(set(map(tuple, observed))) == 3
 
 
 def test_distances_and_rate_may_be_given_at_reset():
@@ -297,7 +297,7 @@ def test_distances_and_rate_may_be_given_at_reset():
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "text"),
     [
         ({"distances": {"x": 5_000}}, "whole pulses"),
         ({"distances": {"x": 5_000, "y": 100}}, "4000 to 20000"),
@@ -310,13 +310,13 @@ def test_distances_and_rate_may_be_given_at_reset():
         ({"speed": 1}, "unknown SynchronizedMove reset option"),
     ],
 )
-def test_options_that_do_not_exist_are_refused(options, said):
-    with pytest.raises(ArgumentError, match=said):
+def test_options_that_do_not_exist_are_refused(options, text):
+    with pytest.raises(ArgumentError, match=text):
         SynchronizedMoveEnv().reset(seed=1, options=options)
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "text"),
     [
         ({"axes": ("x",)}, "two or more"),
         ({"axes": ("x", "x")}, "different"),
@@ -340,8 +340,8 @@ def test_options_that_do_not_exist_are_refused(options, said):
         ({"colour": 1}, "unknown SynchronizedMove setting"),
     ],
 )
-def test_settings_that_make_no_sense_are_refused(settings, said):
-    with pytest.raises(ArgumentError, match=said):
+def test_settings_that_make_no_sense_are_refused(settings, text):
+    with pytest.raises(ArgumentError, match=text):
         SynchronizedMoveEnv(**settings)
 
 
@@ -390,9 +390,9 @@ def test_a_recorded_episode_is_the_same_episode(tmp_path):
         env.reset(seed=9)
         results.append([env.step(NOTHING) for _ in range(2)])
         env.close()
-    for plain, recorded in zip(*results, strict=True):
-        assert (plain[0] == recorded[0]).all()
-        assert plain[1] == recorded[1]
+    for basic, recorded in zip(*results, strict=True):
+        assert (basic[0] == recorded[0]).all()
+        assert basic[1] == recorded[1]
     assert (tmp_path / "0.rrd").stat().st_size > 1000
 
 
@@ -428,10 +428,10 @@ def test_interpolation_keeps_half_a_pulse_whatever_is_chosen(chip, axes, s_curve
 def test_ranges_in_the_ratio_of_the_distances_stray_as_perfect_axes_do(chip, axes, s_curve):
     """The chips of two axes each are released a bus cycle apart."""
     rules = task(20, chip=chip, axes=axes, s_curve=s_curve)
-    made = rules.to_registers(np.zeros((20, *rules.action_space.shape), np.float32))
-    assert (made == rules.data_sheet()).all()
+    created = rules.to_registers(np.zeros((20, *rules.action_space.shape), np.float32))
+    assert (created == rules.data_sheet()).all()
     rules.make_programs()
-    for row, d, path, rate in zip(made.astype(float), rules.distances, rules.path, rules.rate, strict=True):
+    for row, d, path, rate in zip(created.astype(float), rules.distances, rules.path, rules.rate, strict=True):
         assert path <= perfect_deviation(d) + 0.1
         m = 8_000_000 / row[:, 0]
         shares = np.abs(d) / np.abs(d).max()
@@ -454,16 +454,16 @@ def test_very_different_distances_still_have_legal_ranges():
 @pytest.mark.parametrize("s_curve", [False, True])
 def test_counts_of_the_ratio_move_an_axis_by_no_more_than_reach_pulses(s_curve):
     rules = task(8, chip="MCX304", s_curve=s_curve)
-    plain, (n, m) = rules.data_sheet(), rules.line.shape
-    worth = rules.line.worth(plain, rules.requested_lines)
+    basic, (n, m) = rules.data_sheet(), rules.line.shape
+    worth = rules.line.worth(basic, rules.requested_lines)
     for k in range(n * m):
         axis, register = divmod(k, m)
         for sign in (-1, 1):
             action = np.zeros((8, n * m), np.float32)
             action[:, k] = sign
-            change = rules.to_registers(action) - plain
-            mine = np.delete(change.reshape(8, -1), k, axis=1)
-            assert (mine == 0).all()
+            change = rules.to_registers(action) - basic
+            own_values = np.delete(change.reshape(8, -1), k, axis=1)
+            assert (own_values == 0).all()
             count = worth[:, axis, register]
             if np.isfinite(count).all():
                 assert (abs(change[:, axis, register]) * count <= np.maximum(4.0 + count / 2, count)).all()
@@ -472,11 +472,11 @@ def test_counts_of_the_ratio_move_an_axis_by_no_more_than_reach_pulses(s_curve):
 
 
 def test_no_correction_takes_fl_above_fh():
-    made = task(4, rate=2000.0, fl=2000.0, accel=0.01, reach=20.0)
-    shape = (4, *made.line.shape)
+    created = task(4, rate=2000.0, fl=2000.0, accel=0.01, reach=20.0)
+    shape = (4, *created.line.shape)
     corrections = np.zeros(shape)
     corrections[:, :, 0], corrections[:, :, 1] = 1.0, -1.0
-    sheet, corrected = made.data_sheet(), made.line.corrected(made.requested_lines, corrections)
+    sheet, corrected = created.data_sheet(), created.line.corrected(created.requested_lines, corrections)
     assert (sheet[:, :, 0] <= sheet[:, :, 1]).all()
     assert (corrected[:, :, 1] < sheet[:, :, 1]).any()
     assert (corrected[:, :, 0] <= corrected[:, :, 1]).all()
@@ -506,11 +506,10 @@ def test_after_the_last_move_of_an_episode_the_next_is_not_drawn_yet():
 
 
 def test_the_data_sheets_ramp_down_point_is_some_pulses_before_the_end_in_the_ratio_of_the_distances():
-    """line.data_sheet(Asked([[8000, 10], [4, 3]], [8000.0, 8000.0])): 5 pulses of the longest axis at FL, one at least, and never
-    more than the axis makes"""
+    """5 pulses of the longest axis at FL, one at least, and never more than the axis makes."""
     line = task(2).line
-    asked = LineMoves(np.array([[8000, 10], [4, 3]]), np.array([8000.0, 8000.0]))
-    low, high, _, down, point, r7 = np.moveaxis(line.data_sheet(asked), 2, 0)
+    requested = LineMoves(np.array([[8000, 10], [4, 3]]), np.array([8000.0, 8000.0]))
+    low, high, _, down, point, r7 = np.moveaxis(line.data_sheet(requested), 2, 0)
     fall = np.floor((high + low) * np.maximum(high - low, 1) * down / (16384.0 * r7))
     assert (point - fall)[0].tolist() == [5, 1]
     assert point[1].tolist() == [4, 3]
@@ -527,12 +526,12 @@ def test_the_last_pulse_of_registers_of_ones_own_is_as_long_as_the_slower_rate_m
 
 def test_corrections_of_interpolation_are_factors():
     rules = task(6, chip="MCX514")
-    plain = rules.data_sheet()
-    assert plain.shape == (6, 1, 3)
+    basic = rules.data_sheet()
+    assert basic.shape == (6, 1, 3)
     for k in range(3):
         action = np.zeros((6, 3), np.float32)
         action[:, k] = 1
-        factors = rules.to_registers(action) / plain
+        factors = rules.to_registers(action) / basic
         assert factors[:, 0, k] == pytest.approx(2, rel=1e-4)
         assert (np.delete(factors[:, 0], k, axis=1) == 1).all()
 

@@ -39,16 +39,16 @@ def test_a_picture_is_of_the_size_and_by_the_camera_that_were_asked_for_and_of_t
 ):
     monkeypatch.setattr(rendering, "renderer", Renderer)
     camera = machine.model.camera(0).name
-    made = rendering.viewer(machine, "rgb_array", camera, 64, 48)
-    assert isinstance(made, rendering.OffScreen)
+    created = rendering.viewer(machine, "rgb_array", camera, 64, 48)
+    assert isinstance(created, rendering.OffScreen)
     before = machine.data.qpos.copy()
-    assert made.frame() == made.frame(np.array([0.01, -0.02])) == "a picture"
-    made.close()
-    size, here, elsewhere, closed = made._renderer.said
+    assert created.frame() == created.frame(np.array([0.01, -0.02])) == "a picture"
+    created.close()
+    size, current, elsewhere, closed = created._renderer.said
     assert size == (machine.model, 48, 64)
-    assert (here[0], here[2]) == (before.tolist(), camera)
+    assert (current[0], current[2]) == (before.tolist(), camera)
     assert (elsewhere[0], elsewhere[2]) == ([0.01, -0.02], camera)
-    assert here[1] != elsewhere[1], "what is drawn follows the joints"
+    assert current[1] != elsewhere[1], "what is drawn follows the joints"
     assert closed == "closed"
     assert (machine.data.qpos == before).all(), "the stage itself stays where it is"
     with pytest.raises(ArgumentError, match=f"unknown camera 'nowhere'.*{camera}"):
@@ -59,27 +59,27 @@ def test_a_picture_is_of_the_size_and_by_the_camera_that_were_asked_for_and_of_t
 def window(monkeypatch):
     """MuJoCo's viewer, noting what it is asked."""
     said, asked = [], []
-    there = ModuleType("mujoco.viewer")
+    present = ModuleType("mujoco.viewer")
     handle = SimpleNamespace(sync=lambda: said.append("synced"), close=lambda: said.append("closed"))
-    there.launch_passive = lambda model, data: (said.append((model, data)), handle)[1]
-    monkeypatch.setitem(sys.modules, "mujoco.viewer", there)
-    monkeypatch.setattr(mujoco, "viewer", there, raising=False)
+    present.launch_passive = lambda model, data: (said.append((model, data)), handle)[1]
+    monkeypatch.setitem(sys.modules, "mujoco.viewer", present)
+    monkeypatch.setattr(mujoco, "viewer", present, raising=False)
     monkeypatch.setattr(rendering, "check_window", asked.append)
-    return SimpleNamespace(said=said, asked=asked, module=there)
+    return SimpleNamespace(said=said, asked=asked, module=present)
 
 
 def test_a_window_shows_the_model_posed_and_is_brought_up_to_date_with_each_frame(machine, window):
-    made = rendering.viewer(machine, "human", "overview", 64, 48)
-    assert isinstance(made, rendering.OnScreen)
+    created = rendering.viewer(machine, "human", "overview", 64, 48)
+    assert isinstance(created, rendering.OnScreen)
     assert window.asked == ["Use render_mode='rgb_array', or record."]
     ((model, data),) = window.said
-    assert (model, data) == (machine.model, made._pose.data)
+    assert (model, data) == (machine.model, created._pose.data)
     assert data.qpos.tolist() == machine.data.qpos.tolist()
-    assert made.frame(np.array([0.01, 0.02])) is None
+    assert created.frame(np.array([0.01, 0.02])) is None
     assert data.qpos.tolist() == [0.01, 0.02]
-    made.frame()
+    created.frame()
     assert data.qpos.tolist() == machine.data.qpos.tolist()
-    made.close()
+    created.close()
     assert window.said[1:] == ["synced", "synced", "closed"]
 
 
@@ -110,8 +110,8 @@ def test_a_frame_is_due_when_so_much_time_has_passed_to_the_nanosecond(every, fr
     for _ in range(2):
         env.reset(seed=1)
         assert len(env.render()) == 1, "where the episode begins"
-        seen = []
+        observed = []
         for _ in frames:
             env.step(np.array([2, 0, 0, 0]))
-            seen.append(len(env.render()))
-        assert seen == frames
+            observed.append(len(env.render()))
+        assert observed == frames

@@ -103,7 +103,7 @@ def play_suite(args: argparse.Namespace) -> int:
             file = stack.enter_context(arena.Writer(args.output, head_of(games, name, limits), args.force, args.resume))
         count = len(file.before) if file else 0
 
-        def told(r: Round) -> None:
+        def report_progress(r: Round) -> None:
             nonlocal count
             count += 1
             if file:
@@ -114,7 +114,7 @@ def play_suite(args: argparse.Namespace) -> int:
                 print(f"\r{count} of {len(games.games)} games", end="", file=sys.stderr)
 
         try:
-            came = arena.play(games, player, name, limits, told, file.before if file else ())
+            came = arena.play(games, player, name, limits, report_progress, file.before if file else ())
         except arena.Interrupted as why:
             _print(args, why.played, out)
             kept = f"{args.output} has the games until then: --resume goes on."
@@ -168,7 +168,7 @@ def _print(args: argparse.Namespace, came: Played, out: Any) -> None:
 
 
 def _trouble(came: Played) -> None:
-    """What went wrong, how often, on standard error."""
+    """Print on standard error what went wrong and how often."""
     found = came.troubles
     for what, times in found.most_common(SHOWN):
         print(f"stage: {what}{f' ({times} times)' if times > 1 else ''}", file=sys.stderr)

@@ -91,33 +91,35 @@ def list_tasks(args: argparse.Namespace) -> int:
     """The tasks, or one of them."""
     from registerbench import CARDS
     from registerbench.cards import OPEN, TRACKS, card_of, seeds
-    from registerbench.shipped_policies import OWN, PLAYERS
+    from registerbench.shipped_policies import PLAYERS, SHIPPED
 
-    chosen = [card_of(args.task)] if args.task else list(CARDS.values())
+    selected = [card_of(args.task)] if args.task else list(CARDS.values())
     if args.json:
         rows = {
             c.name: {
                 "id": c.id, "asked": c.asked, "settings": dict(c.settings), "choices": {k: list(v) for k, v in c.choices.items()},
                 "splits": {s: seeds(c, s) for s in c.splits},
-                "machines": {s: c.machines(s) for s in c.splits}, "players": [*PLAYERS, *OWN.get(c.name, {})],
+                "machines": {s: c.machines(s) for s in c.splits}, "players": [*PLAYERS, *SHIPPED.get(c.name, {})],
             }
-            for c in chosen
+            for c in selected
         }  # fmt: skip
         tell(args, rows)
         return 0
-    for c in chosen:
+    for c in selected:
         print(f"{c.name}  {c.id}\n  {c.asked}")
         print(
             f"  splits: {', '.join(c.splits)}; {c.episodes} test episodes each, seeds from {seeds(c, c.splits[0], OPEN)[0]} on"
         )
         for name, values in c.choices.items():
             print(f"  a player may choose --set {name}=: {', '.join(map(str, values))}")
-        print(f"  players: {', '.join([*PLAYERS, *OWN.get(c.name, {})])}")
+        print(f"  players: {', '.join([*PLAYERS, *SHIPPED.get(c.name, {})])}")
     if args.task:
         print("machines of a split, where they differ from train:")
-        for split in chosen[0].splits:
+        for split in selected[0].splits:
             print(
-                textwrap.fill(chosen[0].machines(split), 118, initial_indent=f"  {split:6} ", subsequent_indent=9 * " ")
+                textwrap.fill(
+                    selected[0].machines(split), 118, initial_indent=f"  {split:6} ", subsequent_indent=9 * " "
+                )
             )
         print("tracks:")
         for name, text in TRACKS.items():
@@ -137,7 +139,8 @@ def submit_entry(args: argparse.Namespace) -> int:
     progress = _Progress("played")
     entry = registerbench.play(
         args.policy, args.task, args.split, track=args.track, round_=args.round, settings=_settings(args.set, card.choices),
-        name=args.name, run=args.run_number, notes=args.notes, cost=_cost(args.cost), episodes=args.episodes, told=progress,
+        name=args.name, run=args.run_number, notes=args.notes, cost=_cost(args.cost), episodes=args.episodes,
+        report_progress=progress,
     )  # fmt: skip
     progress.end()
     entry.write(args.output, args.force)
@@ -174,7 +177,7 @@ def compare_entries(args: argparse.Namespace) -> int:
 
 
 def _means(entry: Any) -> dict[str, float | None]:
-    """Of each score over the episodes; None where one is infinite."""
+    """Return the mean of each score over the episodes; None where one is infinite."""
     import numpy as np
 
     return {name: float(v.mean()) if np.isfinite(v).all() else None for name, v in entry.scores.items()}
@@ -182,13 +185,13 @@ def _means(entry: Any) -> dict[str, float | None]:
 
 def _settings(pairs: list[str], choices: Any) -> dict[str, Any]:
     """NAME=VALUE, where VALUE is one of those that the card has. Raises ArgumentError."""
-    chosen = {}
+    selected = {}
     for pair in pairs:
         name, equals, text = pair.partition("=")
         if not equals:
             raise ArgumentError(f"--set {pair}: NAME=VALUE, for example memory=last.")
-        chosen[name] = next((v for v in choices.get(name, ()) if str(v) == text), text)
-    return chosen
+        selected[name] = next((v for v in choices.get(name, ()) if str(v) == text), text)
+    return selected
 
 
 def _cost(pairs: list[str]) -> dict[str, float]:

@@ -41,30 +41,46 @@ class Card:
     splits: tuple[str, ...] = tuple(contexts.SPLITS)
     episodes: int = 64
 
-    def check(self, split: str, track: str, chosen: Mapping[str, Any]) -> None:
-        """Raise ArgumentError for what this task does not have."""
+    def check(self, split: str, track: str, selected: Mapping[str, Any]) -> None:
+        """Check a choice of the task.
+
+        Args:
+            split: Of its machines.
+            track: What the player sees.
+            selected: Settings.
+
+        Raises:
+            ArgumentError: The task does not have one of them.
+        """
         if split not in self.splits:
             raise unknown(f"split of {self.name}", split, self.splits)
         if track not in TRACKS:
             raise unknown("track", track, TRACKS)
-        for name, value in chosen.items():
+        for name, value in selected.items():
             if name not in self.choices:
                 raise unknown(f"setting that a player of {self.name} may choose,", name, self.choices)
             if value not in self.choices[name] or isinstance(value, bool) not in map(_is_bool, self.choices[name]):
                 allowed = ", ".join(map(repr, self.choices[name]))
                 raise ArgumentError(f"{name}={value!r}: {self.name} has {allowed}.")
 
-    def make(self, split: str, track: str, chosen: Mapping[str, Any], vector: int = 0) -> Any:
-        """The environment, or a vector of so many."""
-        self.check(split, track, chosen)
-        settings = {**self.settings, **chosen, "split": split, "truth": True if track == "truth" else "info"}
+    def make(self, split: str, track: str, selected: Mapping[str, Any], vector: int = 0) -> Any:
+        """Make the environment of the task.
+
+        Args:
+            split: Of its machines.
+            track: What the player sees.
+            selected: Settings.
+            vector: Number of environments; None for a scalar one.
+        """
+        self.check(split, track, selected)
+        settings = {**self.settings, **selected, "split": split, "truth": True if track == "truth" else "info"}
         if vector:
             kind: Any = {"vectorization_mode": "vector_entry_point", "autoreset_mode": "Disabled"}
             return gymnasium.make_vec(self.id, vector, **kind, **settings).unwrapped
         return gymnasium.make(self.id, disable_env_checker=True, **settings).unwrapped
 
     def machines(self, split: str) -> str:
-        """What machines a split has, in words; all of "train", of another what is not as in train."""
+        """Describe the machines of a split; for another than "train", what differs."""
         made: Any = gymnasium.envs.registration.load_env_creator(str(gymnasium.spec(self.id).entry_point))
         values = {**contexts.SPLITS[split]}
         values |= {name: value for name, value in self.settings.items() if name in values}
@@ -161,7 +177,7 @@ CARDS = {
 
 
 def card_of(task: str) -> Card:
-    """By its name or the id of its environment. Raises ArgumentError."""
+    """Return the card of this name, or of this id of an environment. Raises ArgumentError."""
     for card in CARDS.values():
         if task in (card.name, card.id):
             return card
@@ -170,8 +186,16 @@ def card_of(task: str) -> Card:
 
 @explain_arguments
 def seeds(card: Card, split: str, round_: str = OPEN) -> list[int]:
-    """Of the test episodes, in their order; each draws a context. Of the open round FIRST, FIRST + 1, ...; of any other what its
-    name gives: a referee who wants seeds that nobody has played on announces a name after the policies are handed in."""
+    """Return the seeds of the test episodes, in their order.
+
+    Args:
+        card: Of the task.
+        split: Of its machines.
+        round_: Open, or the name of a round whose seeds are secret until it ends.
+
+    Raises:
+        ArgumentError: There is no such split or round.
+    """
     if round_ == OPEN:
         return [FIRST + k for k in range(card.episodes)]
     said = [f"{card.name} {split} {round_} {k}".encode() for k in range(card.episodes)]

@@ -85,13 +85,13 @@ class Submission:
         if types["actions"] not in ACTIONS:
             raise ArgumentError(f"actions of type {self.actions.dtype}: one of {', '.join(ACTIONS)}.")
         raw = {name: np.ascontiguousarray(a, types[name]).tobytes() for name, a in arrays.items()}
-        said = {
+        header = {
             "format": [MARK, FORMAT], "task": self.task, "split": self.split, "track": self.track, "round": self.round,
             "settings": self.settings, "player": self.player, "run": self.run, "notes": self.notes, "cost": self.cost,
             "seeds": list(self.seeds), "scores": list(self.scores), "actions": [types["actions"], list(self.actions.shape[1:])],
             "versions": self.versions, "made_of": self.made_of,
         }  # fmt: skip
-        text = json.dumps({**said, "checksum": _checksum(said, raw)}, indent=1, sort_keys=True, allow_nan=False)
+        text = json.dumps({**header, "checksum": _checksum(header, raw)}, indent=1, sort_keys=True, allow_nan=False)
         file = io.BytesIO()
         with zipfile.ZipFile(file, "w") as archive:
             for name, content in {"entry.json": text.encode(), **raw}.items():
@@ -101,7 +101,16 @@ class Submission:
         return file.getvalue()
 
     def write(self, path: str | os.PathLike, overwrite: bool = False) -> None:
-        """Raises FileError, and Refused for what `read` would refuse."""
+        """Write the entry.
+
+        Args:
+            path: Of the file.
+            overwrite: Replace a file that is there.
+
+        Raises:
+            FileError: The file cannot be written.
+            Refused: `read` would refuse the entry.
+        """
         content = self.pack()
         unpack(content)
         if len(content) > LARGEST:
@@ -130,7 +139,16 @@ def read_all(path: str | os.PathLike) -> dict[str, Submission]:
 
 
 def write_archive(archive: str | os.PathLike, paths: Iterable[str | os.PathLike], overwrite: bool = False) -> None:
-    """Pack files of entries into an archive; equal files give equal bytes. Raises FileError."""
+    """Pack files of entries into an archive; equal files give equal bytes.
+
+    Args:
+        archive: To write.
+        paths: Of the entries.
+        overwrite: Replace an archive that is there.
+
+    Raises:
+        FileError: The archive cannot be written.
+    """
     with written(archive, overwrite) as part, zipfile.ZipFile(part, "w") as packed:
         for path in sorted(map(Path, paths)):
             packed.writestr(zipfile.ZipInfo(path.name, WHEN), path.read_bytes())
@@ -152,29 +170,37 @@ def _read_archive(path: Path, names: Sequence[str] = ()) -> dict[str, bytes]:
 
 
 def unpack(content: bytes, name: str = "the entry") -> Submission:
-    """An entry from the bytes of a file. Raises Refused."""
+    """Read an entry from the bytes of a file.
+
+    Args:
+        content: Bytes.
+        name: Of the file, for errors.
+
+    Raises:
+        Refused: The bytes are no entry.
+    """
 
     def refuse(why: str) -> Refused:
         return Refused(f"{name}: not an entry of the bench: {why}. Get it again from where it came.")
 
     raw = read_members(content, MEMBERS, UNPACKED, refuse, only=True)
-    said = _said(raw.pop("entry.json"), name)
-    if said.pop("checksum", None) != _checksum(said, raw):
+    header = _format_error(raw.pop("entry.json"), name)
+    if header.pop("checksum", None) != _checksum(header, raw):
         raise Refused(f"{name}: damaged or changed by hand: its checksum is not that of what is in it.")
-    return _submission(said, raw, name)
+    return _submission(header, raw, name)
 
 
-def _said(text: bytes, name: str) -> dict[str, Any]:
+def _format_error(text: bytes, name: str) -> dict[str, Any]:
     def no_number(word: str) -> Any:
         raise ValueError(f"{word} is no number")
 
     if len(text) > WORDS:
         raise Refused(f"{name}: entry.json has {len(text)} bytes, and at most {WORDS} are read.")
     try:
-        said = parse_json(text, no_number)
+        header = parse_json(text, no_number)
     except DocumentError as why:
         raise Refused(f"{name}: entry.json cannot be read: {why}.") from None
-    mark = said.get("format") if isinstance(said, dict) else None
+    mark = header.get("format") if isinstance(header, dict) else None
     if not isinstance(mark, list) or len(mark) != 2 or mark[0] != MARK:
         raise Refused(f"{name}: entry.json does not begin as an entry does.")
     if mark[1] != FORMAT or isinstance(mark[1], bool):
@@ -182,10 +208,10 @@ def _said(text: bytes, name: str) -> dict[str, Any]:
             f"{name}: of format {mark[1]!r:.60}, and this PulseStage reads format {FORMAT}: "
             "use the PulseStage that it was made with."
         )
-    return said
+    return header
 
 
-def _submission(said: dict[str, Any], raw: Mapping[str, bytes], name: str) -> Submission:
+def _submission(header: dict[str, Any], raw: Mapping[str, bytes], name: str) -> Submission:
     def refuse(what: str) -> Refused:
         return Refused(f"{name}: {what}.")
 
@@ -198,33 +224,33 @@ def _submission(said: dict[str, Any], raw: Mapping[str, bytes], name: str) -> Su
         "scores": list,
     }
     kinds |= {"run": int, "actions": list, **dict.fromkeys(TEXTS, str)}
-    if sorted(said) != sorted([*kinds, "format"]):
+    if sorted(header) != sorted([*kinds, "format"]):
         raise refuse(f"entry.json should have {', '.join(sorted([*kinds, 'format', 'checksum']))}")
     for key, kind in kinds.items():
-        if not isinstance(said[key], kind) or isinstance(said[key], bool):
+        if not isinstance(header[key], kind) or isinstance(header[key], bool):
             raise refuse(f"{key} is no {kind.__name__}")
-        if isinstance(said[key], str) and (len(said[key]) > LONG or not said[key].isprintable()):
+        if isinstance(header[key], str) and (len(header[key]) > LONG or not header[key].isprintable()):
             raise refuse(f"{key} is longer than {LONG} characters, or has some that cannot be printed")
-    if not all(_whole(s) for s in said["seeds"]) or not said["seeds"]:
+    if not all(_whole(s) for s in header["seeds"]) or not header["seeds"]:
         raise refuse("seeds are whole numbers from 0 up, one at least")
     if not all(
-        isinstance(v, int | float) and not isinstance(v, bool) and 0 <= v <= 1e15 for v in said["cost"].values()
+        isinstance(v, int | float) and not isinstance(v, bool) and 0 <= v <= 1e15 for v in header["cost"].values()
     ):
         raise refuse("cost has numbers from 0 to 1e15")
     for key in ("versions", "made_of"):
-        if not all(isinstance(v, str) and len(v) <= LONG and v.isprintable() for v in said[key].values()):
+        if not all(isinstance(v, str) and len(v) <= LONG and v.isprintable() for v in header[key].values()):
             raise refuse(f"{key} has texts")
-    keys = [k for part in ("settings", "cost", "versions", "made_of") for k in said[part]] + said["scores"]
+    keys = [k for part in ("settings", "cost", "versions", "made_of") for k in header[part]] + header["scores"]
     if not all(isinstance(k, str) and len(k) <= 200 and k.isprintable() for k in keys):
         raise refuse("a name is no short text")
-    if len(set(said["scores"])) != len(said["scores"]) or "return" not in said["scores"]:
+    if len(set(header["scores"])) != len(header["scores"]) or "return" not in header["scores"]:
         raise refuse("scores have names, each once, and 'return' is one of them")
-    arrays: dict[str, Any] = _arrays(said, raw, refuse)
-    scores = dict(zip(said["scores"], arrays.pop("scores").T, strict=True))
-    texts = {key: said[key] for key in TEXTS}
+    arrays: dict[str, Any] = _arrays(header, raw, refuse)
+    scores = dict(zip(header["scores"], arrays.pop("scores").T, strict=True))
+    texts = {key: header[key] for key in TEXTS}
     return Submission(
-        **texts, settings=said["settings"], run=said["run"], cost=said["cost"], seeds=tuple(said["seeds"]), **arrays,
-        scores=scores, versions=said["versions"], made_of=said["made_of"],
+        **texts, settings=header["settings"], run=header["run"], cost=header["cost"], seeds=tuple(header["seeds"]), **arrays,
+        scores=scores, versions=header["versions"], made_of=header["made_of"],
     )  # fmt: skip
 
 
@@ -232,13 +258,13 @@ def _whole(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << 63
 
 
-def _arrays(said: dict[str, Any], raw: Mapping[str, bytes], refuse: Any) -> dict[str, np.ndarray]:
-    kind = said["actions"]
+def _arrays(header: dict[str, Any], raw: Mapping[str, bytes], refuse: Any) -> dict[str, np.ndarray]:
+    kind = header["actions"]
     if len(kind) != 2 or kind[0] not in ACTIONS or not isinstance(kind[1], list) or len(kind[1]) > 4:
         raise refuse(f"actions are of one of the types {', '.join(ACTIONS)}, with a shape")
     if not all(_whole(n) and 0 < n <= 1 << 16 for n in kind[1]):
         raise refuse("actions have a shape of whole numbers")
-    episodes = len(said["seeds"])
+    episodes = len(header["seeds"])
     if len(raw["steps"]) != 8 * episodes:
         raise refuse(f"steps has {len(raw['steps'])} bytes, and {episodes} episodes want {8 * episodes}")
     steps = np.frombuffer(raw["steps"], "<i8")
@@ -246,7 +272,7 @@ def _arrays(said: dict[str, Any], raw: Mapping[str, bytes], refuse: Any) -> dict
         raise refuse("an episode has one step or more")
     total = int(steps.sum())
     shapes = {"actions": (total, *kind[1]), "rewards": (total,), "seen": (total + episodes,)}
-    shapes["scores"] = (episodes, len(said["scores"]))
+    shapes["scores"] = (episodes, len(header["scores"]))
     found = {"steps": steps.astype(np.int64)}
     for key, shape in shapes.items():
         dtype = np.dtype(kind[0] if key == "actions" else TYPES[key])
@@ -257,9 +283,9 @@ def _arrays(said: dict[str, Any], raw: Mapping[str, bytes], refuse: Any) -> dict
     return found
 
 
-def _checksum(said: Mapping[str, Any], raw: Mapping[str, bytes]) -> str:
-    """Of all that is in an entry: it finds damage, and is no proof of who made it."""
-    digest = hashlib.blake2b(json.dumps(said, sort_keys=True).encode(), digest_size=16)
+def _checksum(header: Mapping[str, Any], raw: Mapping[str, bytes]) -> str:
+    """Compute the checksum of an entry: it finds damage, and does not prove who made it."""
+    digest = hashlib.blake2b(json.dumps(header, sort_keys=True).encode(), digest_size=16)
     for name in ARRAYS:
         digest.update(hashlib.blake2b(raw[name]).digest())
     return digest.hexdigest()

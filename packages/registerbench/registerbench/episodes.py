@@ -10,7 +10,7 @@ import numpy as np
 
 from registerbench.cards import OPEN, card_of, seeds
 from registerbench.entry_files import ACTIONS, Submission
-from registerbench.policies import Around, Policy, player
+from registerbench.policies import Policy, PolicyContext, player
 from registerbench.versions import made_of, versions
 from stage.envs.features import list_hidden
 from stage.envs.task import check_action
@@ -29,31 +29,45 @@ NAMES = {
 
 
 def scored(rewards: np.ndarray, info: Mapping[str, Any]) -> dict[str, float]:
-    """Of an episode: its rewards, and the info of its last step."""
-    told = info.get("score")
-    if told is None:
-        told = {"time": info["proved"], "success": np.isfinite(info["proved"])} if "proved" in info else {}
-        told = {**told, "moves": len(rewards)}
-    return {"return": float(rewards.sum()), **{name: float(value) for name, value in told.items()}}
+    """Return the scores of an episode.
+
+    Args:
+        rewards: Of its steps.
+        info: Of its last step.
+    """
+    score = info.get("score")
+    if score is None:
+        score = {"time": info["proved"], "success": np.isfinite(info["proved"])} if "proved" in info else {}
+        score = {**score, "moves": len(rewards)}
+    return {"return": float(rewards.sum()), **{name: float(value) for name, value in score.items()}}
 
 
 def table(episodes: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
-    """By name, (episodes,)."""
+    """Return the scores of episodes by name, (episodes,)."""
     return {name: np.array([e[name] for e in episodes]) for name in episodes[0]}
 
 
 def digest(observation: np.ndarray) -> int:
-    """8 bytes that tell an observation from others: its type, shape and bits."""
+    """Return 8 bytes that distinguish an observation from others: its type, shape and bits."""
     array = np.ascontiguousarray(observation)
     said = f"{array.dtype.str} {array.shape} ".encode()
     return int.from_bytes(hashlib.blake2b(said + array.tobytes(), digest_size=8).digest(), "little")
 
 
 class Episodes:
-    """Of a split. Raises ArgumentError for what there is not.
+    """Test episodes of a split, played one after the other.
 
-    Attributes: env; wanted: seeds; observation, info: what the player sees now, info without what the track does not show; over:
-        the episode is; done: how many are; scores: of each.
+    Attributes:
+        env: The environment.
+        wanted: Seeds of the episodes.
+        observation: What the player sees now.
+        info: Likewise, without what the track hides.
+        over: The episode is over.
+        done: Number of finished episodes.
+        scores: Of each finished episode.
+
+    Raises:
+        ArgumentError: There is no such task, split, track or round.
     """
 
     def __init__(
@@ -79,13 +93,13 @@ class Episodes:
         self.scores: list[dict[str, float]] = []
 
     def begin(self) -> None:
-        """The next episode."""
+        """Begin the next episode."""
         self.observation, info = self.env.reset(seed=self.wanted[self.done])
         self._look(info)
         self._begun, self.over = len(self._rewards), False
 
     def act(self, action: Any) -> None:
-        """A step. Raises ArgumentError for an action that the task does not take."""
+        """Make a step. Raises ArgumentError for an action that the task does not take."""
         action = check_action(self.env.action_space, action)
         self.observation, reward, terminated, truncated, info = self.env.step(action)
         self._actions.append(action)
@@ -98,7 +112,14 @@ class Episodes:
             self.done += 1
 
     def entry(self, player: str, run: int, notes: str, cost: Mapping[str, float]) -> Submission:
-        """What was played, as a file has it."""
+        """Return what was played, as a file has it.
+
+        Args:
+            player: Name of the player.
+            run: Number of the training run.
+            notes: Anything to be kept with it.
+            cost: What the player took.
+        """
         space = self.env.action_space
         kind = np.dtype(space.dtype).newbyteorder("<").str
         whole: Any = np.asarray(self._actions, kind if kind in ACTIONS else "<i8")
@@ -119,7 +140,7 @@ class Episodes:
 
 
 def some(every: list[int], episodes: int | None) -> list[int]:
-    """The first so many. Raises ArgumentError."""
+    """Return the first `episodes` of a list, or all for None. Raises ArgumentError."""
     if episodes is None:
         return every
     if not 1 <= episodes <= len(every):
@@ -140,16 +161,26 @@ def play(
     notes: str = "",
     cost: Mapping[str, float] | None = None,
     episodes: int | None = None,
-    told: Callable[[int, int], None] | None = None,
+    report_progress: Callable[[int, int], None] | None = None,
 ) -> Submission:
     """Play the test episodes of a split.
 
-    policy: see players.py. task: the name of a card. track, settings: as the card has them. name: of the player, by default the
-    policy's own; run: number of the training run, where a learner has several; cost: what it took (moves, processor_s, tokens), to
-    which a policy's own dict `cost` is added at the end; episodes: only so many of them, for a trial; told: called with (episodes
-    played, of).
+    Args:
+        policy: Name of a player, "module:attribute", or a policy; see policies.py.
+        task: Name of a card.
+        split: Of its machines.
+        track: What the player sees.
+        round_: Whose seeds are played.
+        settings: As the card has them.
+        name: Of the player; default: the policy's own.
+        run: Number of the training run, where a learner has several.
+        notes: Anything to be kept with it.
+        cost: What the player took (moves, processor_s, tokens); a policy's own dict `cost` is added at the end.
+        episodes: Only so many, for a trial.
+        report_progress: Called with (episodes played, episodes).
 
-    Raises ArgumentError for what there is not, for an action that the task does not take, and on the track tools without tokens.
+    Raises:
+        ArgumentError: There is no such task; the task does not take an action; the track tools has no tokens.
     """
     played = Episodes(task, split, track, round_, settings or {}, episodes)
     env = played.env
@@ -159,7 +190,7 @@ def play(
             raise ArgumentError(
                 "the track tools counts tokens: give cost tokens=N, or the policy a dict `cost` with tokens, which it counts."
             )
-        around = Around(
+        context = PolicyContext(
             played.card.name,
             env.action_space,
             env.observation_space,
@@ -168,12 +199,12 @@ def play(
         )
         while played.done < len(played.wanted):
             played.begin()
-            acting.begin(around)
+            acting.begin(context)
             while not played.over:
                 played.act(acting.act(played.observation, played.info))
             acting.end()
-            if told:
-                told(played.done, len(played.wanted))
+            if report_progress:
+                report_progress(played.done, len(played.wanted))
         return played.entry(name or acting.name, run, notes, {**(cost or {}), **acting.cost})
     finally:
         env.close()

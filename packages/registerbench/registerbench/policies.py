@@ -20,7 +20,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from registerbench.shipped_policies import OWN, PLAYERS
+from registerbench.shipped_policies import PLAYERS, SHIPPED
 from stage.errors import ArgumentError, unknown
 from stage.support.foreign_files import DocumentError, parse_array, read_bytes, read_members
 
@@ -28,9 +28,16 @@ Policy = Callable[[np.ndarray, Mapping[str, Any]], Any]
 
 
 @dataclass(frozen=True)
-class Around:
-    """What a policy is told before an episode. entries: the name of each number of the observation. env: the environment itself,
-    for shipped players alone."""
+class PolicyContext:
+    """Context of a policy before an episode.
+
+    Attributes:
+        task: Name of the card.
+        action_space: Of the environment.
+        observation_space: Of the environment.
+        entries: Name of each number of the observation.
+        env: The environment itself, for shipped players alone.
+    """
 
     task: str
     action_space: Any
@@ -44,37 +51,54 @@ LARGEST, UNPACKED = 1 << 28, 1 << 30
 
 
 class Player(Protocol):
-    """What is played, with its name; cost: what it says that it took."""
+    """A policy with its name, and the cost that it states."""
 
     name: str
 
     @property
     def cost(self) -> dict[str, float]: ...
 
-    def begin(self, around: Around) -> None: ...
+    def begin(self, context: PolicyContext) -> None: ...
     def act(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any: ...
     def end(self) -> None: ...
 
 
 def player(policy: str | Policy, task: str, seed: int) -> Player:
-    """The player of a policy. seed: of those shipped that draw. Raises ArgumentError."""
+    """Return the player of a policy.
+
+    Args:
+        policy: Its name, or the policy itself.
+        task: Name of the card.
+        seed: For shipped players that draw.
+
+    Raises:
+        ArgumentError: There is no such player.
+    """
     if not isinstance(policy, str):
         if not callable(policy):
             raise ArgumentError(f"policy {policy!r}: a function (observation, info) -> action, or a name.")
-        return Given(policy, str(getattr(policy, "__name__", type(policy).__name__)))
-    shipped = {**PLAYERS, **OWN.get(task, {})}
+        return UserPolicy(policy, str(getattr(policy, "__name__", type(policy).__name__)))
+    shipped = {**PLAYERS, **SHIPPED.get(task, {})}
     if policy in shipped:
-        return Given(shipped[policy](seed), policy, shipped=True)
+        return UserPolicy(shipped[policy](seed), policy, shipped=True)
     if policy.endswith(".npz"):
         return Recorded(policy)
     if ":" in policy:
-        return Given(_policy(policy), policy)
+        return UserPolicy(_policy(policy), policy)
     near = unknown(f"player of {task}", policy, shipped)
     raise ArgumentError(f"{near} Or give module:function, or an .npz of actions.")
 
 
 def imported(name: str, kind: str) -> Any:
-    """What `module:attribute` names, also of a module in this folder. kind: of what, for errors. Raises ArgumentError."""
+    """Import what `module:attribute` names, also from a module in this folder.
+
+    Args:
+        name: "module:attribute".
+        kind: Of what, for errors.
+
+    Raises:
+        ArgumentError: There is no such attribute.
+    """
     module, _, attribute = name.partition(":")
     if not all(part.isidentifier() for part in module.split(".")):
         raise ArgumentError(
@@ -99,16 +123,16 @@ def _policy(name: str) -> Policy:
     return found
 
 
-class Given:
+class UserPolicy:
     """A policy from outside, or a shipped one."""
 
     def __init__(self, policy: Policy, name: str, shipped: bool = False):
         self.policy, self.name, self.shipped = policy, name, shipped
 
-    def begin(self, around: Around) -> None:
+    def begin(self, context: PolicyContext) -> None:
         reset = getattr(self.policy, "reset", None)
         if reset is not None:
-            reset(around if self.shipped else Around(**{**vars(around), "env": None}))
+            reset(context if self.shipped else PolicyContext(**{**vars(context), "env": None}))
 
     @property
     def cost(self) -> dict[str, float]:
@@ -131,7 +155,7 @@ class Recorded:
         self.episodes = _read_episodes(path)
         self.episode, self.at = -1, 0
 
-    def begin(self, around: Around) -> None:
+    def begin(self, context: PolicyContext) -> None:
         self.episode, self.at = self.episode + 1, 0
         if self.episode >= len(self.episodes):
             raise ArgumentError(f"{self.name}: actions for {len(self.episodes)} episodes, and there are more.")

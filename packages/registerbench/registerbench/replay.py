@@ -39,12 +39,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came of a replay.
-
-    exact: every reward, observation, end and score is equal, bit for bit. within: with a tolerance, every reward and score is
-    equal within it, and every end; None without one. whole: the entry has all test episodes. unlike: what it was made with and of
-    that is different here, (what, there, here).
-    """
+    """Result of the replay of an entry."""
 
     entry: Submission
     exact: bool
@@ -58,11 +53,11 @@ class Verdict:
 
     @property
     def ok(self) -> bool:
-        """It is what it says."""
+        """The entry is what it claims to be."""
         return self.exact or bool(self.within)
 
     def json(self) -> dict[str, Any]:
-        """As `stage bench-verify --json` prints it."""
+        """Return the verdict as `stage bench-verify --json` prints it."""
         e = self.entry
         return {
             "ok": self.ok, "exact": self.exact, "within": self.within, "tolerance": self.tolerance, "whole": self.whole,
@@ -102,12 +97,17 @@ class Verdict:
 def verify(
     entry: Submission | str | os.PathLike,
     tolerance: float | None = None,
-    told: Callable[[int, int], None] | None = None,
+    report_progress: Callable[[int, int], None] | None = None,
 ) -> Verdict:
-    """Replay an entry, or the file of one. told: called with (episodes replayed, of).
+    """Replay an entry.
 
-    Raises Refused for a file that is no whole entry, and for one of other episodes than the test's; ArgumentError for a tolerance
-    below 0.
+    Args:
+        entry: An entry, or its file.
+        tolerance: Of numbers; None: they have to be equal.
+        report_progress: Called with (episodes replayed, episodes).
+
+    Raises:
+        Refused: The file is no entry.
     """
     if tolerance is not None and not 0 <= tolerance < np.inf:
         raise ArgumentError(f"tolerance={tolerance!r}: 0 or more.")
@@ -118,7 +118,7 @@ def verify(
     try:
         _same_actions(e, envs.single_action_space)
         replay = _Replay(e, tolerance)
-        replay.run(envs, told)
+        replay.run(envs, report_progress)
         here = {**versions(), **made_of(envs)}
     finally:
         envs.close()
@@ -167,7 +167,7 @@ def _same_actions(e: Submission, space: Any) -> None:
 
 
 class _Replay:
-    """What differs so far. far: something differs by more than the tolerance."""
+    """Differences so far; far: something differs by more than the tolerance."""
 
     def __init__(self, e: Submission, tolerance: float | None):
         self.e, self.tolerance = e, tolerance
@@ -177,7 +177,12 @@ class _Replay:
         self.begins = np.concatenate([[0], np.cumsum(e.steps)])
 
     def note(self, difference: Difference, by: float) -> None:
-        """by: how much numbers differ, infinite for what is no number; NaN for observations, of which there are digests alone."""
+        """Note a difference.
+
+        Args:
+            difference: Where it is.
+            by: How much numbers differ; infinite for other values; NaN for observations, of which there are only digests.
+        """
         if self.first is None or _earlier(difference, self.first):
             self.first = difference
         if np.isnan(by):
@@ -191,7 +196,7 @@ class _Replay:
             if self.worst is None or _earlier(difference, self.worst):
                 self.worst = difference
 
-    def run(self, envs: Any, told: Callable[[int, int], None] | None) -> None:
+    def run(self, envs: Any, report_progress: Callable[[int, int], None] | None) -> None:
         """Replay all episodes, as many at once as there are stages. A stage that has no more to do plays its last one again."""
         e, n = self.e, envs.num_envs
         queue = list(range(len(e.seeds)))
@@ -226,8 +231,8 @@ class _Replay:
                     self.scores(k, scored(np.array(rewards[lane]), info_of(infos, lane)))
                 over[lane] |= last
                 busy[lane] = not over[lane]
-                if over[lane] and told:
-                    told(len(e.seeds) - len(queue) - int(busy.sum()), len(e.seeds))
+                if over[lane] and report_progress:
+                    report_progress(len(e.seeds) - len(queue) - int(busy.sum()), len(e.seeds))
             at += 1
 
     def look(self, k: int, step: int, observation: np.ndarray) -> None:
@@ -250,7 +255,7 @@ class _Replay:
 
 
 def _earlier(a: Difference, b: Difference) -> bool:
-    """Whether a comes before b."""
+    """Return whether a comes before b."""
 
     def place(d: Difference) -> tuple[float, float]:
         return (np.inf if d.episode is None else d.episode, np.inf if d.step is None else d.step)

@@ -10,7 +10,7 @@ import numpy as np
 from stage.envs import few_shot
 
 if TYPE_CHECKING:
-    from registerbench.policies import Around, Policy
+    from registerbench.policies import Policy, PolicyContext
 
 
 class Random:
@@ -20,9 +20,9 @@ class Random:
         self.seed = seed
         self.space: Any = None
 
-    def reset(self, around: Around) -> None:
+    def reset(self, context: PolicyContext) -> None:
         if self.space is None:
-            self.space = around.action_space
+            self.space = context.action_space
             self.space.seed(self.seed)
 
     def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
@@ -33,8 +33,8 @@ class Random:
 class Scripted:
     """The task's own host that learns nothing."""
 
-    def reset(self, around: Around) -> None:
-        self.env = around.env
+    def reset(self, context: PolicyContext) -> None:
+        self.env = context.env
 
     def __call__(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
         return self.env.scripted_action()
@@ -55,8 +55,8 @@ class Search:
 
     STEP, SHARE, CLOSE, RETREAT, FIRST = 1.12, 0.5, 1.1, 1.4, 3.4 / 1.12
 
-    def reset(self, around: Around) -> None:
-        self.kept = [k for k, name in enumerate(around.entries) if name == "kept"]
+    def reset(self, context: PolicyContext) -> None:
+        self.kept = [k for k, name in enumerate(context.entries) if name == "kept"]
         self.good: float | None = None
         self.bad, self.last, self.tries = np.inf, self.FIRST, 0
 
@@ -103,7 +103,7 @@ PLAYERS: dict[str, Callable[[int], Policy]] = {"random": Random, "scripted": lam
 FORMULA: dict[str, Callable[[int], Policy]] = {"formula": lambda seed: Scripted()}
 """Where the task's own host is the engineer's formula."""
 
-OWN: dict[str, dict[str, Callable[[int], Policy]]] = {
+SHIPPED: dict[str, dict[str, Callable[[int], Policy]]] = {
     "one-shot": FORMULA,
     "few-shot": FORMULA
     | {

@@ -27,7 +27,12 @@ LONG = {"lost_steps": "steps lost", "limits": "limits", "moves": "steps"}
 
 
 def iqm(scores: np.ndarray, axis: int | None = None) -> Any:
-    """The mean of the middle half of all numbers, or of those along `axis`; of fewer than four, of all."""
+    """Compute the mean of the middle half of the scores; of fewer than four, of all.
+
+    Args:
+        scores: Numbers.
+        axis: Along which; None: of all.
+    """
     values = np.asarray(scores, float)
     values = np.sort(values.ravel() if axis is None else np.moveaxis(values, axis, -1), axis=-1)
     cut = values.shape[-1] // 4
@@ -42,9 +47,17 @@ def interval(
     seed: int = 0,
     of: Callable[..., Any] = iqm,
 ) -> tuple[float, float]:
-    """Of the IQM of scores, (runs, episodes), or of another figure, by the bootstrap over whole runs and episodes.
+    """Compute the interval of a figure of scores by the bootstrap.
 
-    of: called with an array and `axis`, as np.mean is.
+    Args:
+        scores: (runs, episodes).
+        draws: Number of samples.
+        level: Of the interval, such as 0.95.
+        seed: Of the samples.
+        of: The figure.
+
+    Returns:
+        Both ends.
     """
     scores = np.atleast_2d(np.asarray(scores, float))
     runs, episodes = scores.shape
@@ -60,7 +73,7 @@ def interval(
 
 @lru_cache(maxsize=8)  # a table has few shapes
 def _drawn(runs: int, episodes: int, draws: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Which runs, (draws, runs), and which episodes, (draws, episodes)."""
+    """Draw runs, (draws, runs), and episodes, (draws, episodes)."""
     rng = np.random.default_rng(seed)
     pairs = [(rng.integers(0, episodes, episodes), rng.integers(0, runs, runs)) for _ in range(draws)]
     return np.array([r for _, r in pairs]), np.array([e for e, _ in pairs])
@@ -100,12 +113,21 @@ class Row:
         return self.task, self.split, self.track, self.round
 
     def beats(self, other: Row) -> bool:
-        """The intervals of the IQM part, and this is the higher. A learner needs RUNS runs to say so. Of one place alone."""
+        """Return whether this player beats another: the intervals of the IQM do not overlap, and a learner has RUNS runs.
+
+        Args:
+            other: Row of the same place.
+        """
         parted = self.place == other.place and self.low > other.high
         return parted and (self.runs >= RUNS or not self.learned)
 
     def cells(self, others: Iterable[Row], long: bool) -> list[str]:
-        """As a table has them."""
+        """Return the cells of a table.
+
+        Args:
+            others: Rows of the same place.
+            long: With regret and more.
+        """
         names = [f"{o.player}{' (lower in the mean)' * (self.mean < o.mean)}" for o in others if self.beats(o)]
         beaten = ", ".join(names) or "-"
         if self.learned and self.runs < RUNS:
@@ -150,7 +172,7 @@ def _whole(e: Submission) -> None:
 
 
 def _row(some: list[Submission]) -> Row:
-    """Of the runs of a player."""
+    """Return the row of the runs of a player."""
     e = some[0]
     if len({e.run for e in some}) < len(some):
         raise ArgumentError(
@@ -178,8 +200,12 @@ def _row(some: list[Submission]) -> Row:
 
 
 def table(entries: Iterable[Submission], long: bool = False) -> str:
-    """Markdown, a table for each task, split, track and round; the last column names whom a player beats: whose intervals lie
-    below its own, and which of them have the higher mean all the same. long: with regret, damage and steps of the episodes."""
+    """Write a Markdown table for each task, split, track and round; its last column names whom a player beats.
+
+    Args:
+        entries: To compare.
+        long: With regret and more columns.
+    """
     lines: list[str] = []
     every = rows(entries)
     heads = ["player", "runs x episodes", "IQM of the return (95 %)", "mean (95 %)", "success"]

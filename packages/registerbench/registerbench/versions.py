@@ -30,7 +30,7 @@ def versions() -> dict[str, str]:
 
 
 def _processor() -> str:
-    """Its name, where the system tells it."""
+    """Return the name of the processor, where the system knows it."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -39,8 +39,7 @@ def _processor() -> str:
 
 
 def made_of(env: Any) -> dict[str, str]:
-    """What an environment (or a vector of them) consists of, in words: that of its snapshots, of the compiled sources, and of the
-    rules, which are the sources of stage.envs."""
+    """Describe the parts of an environment, or of a vector of them, in words."""
     parts = {what: which for what, which in env.header.parts if what != "stages"}
     rules = sorted(Path(stage.envs.__file__).parent.glob("*.py"))
     content = b"\0".join(path.name.encode() + b"\0" + path.read_bytes() for path in rules)

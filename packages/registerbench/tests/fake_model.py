@@ -7,7 +7,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 def calls(*pairs, tokens=10):
     """A reply that calls tools: (name, arguments) each; arguments as text are sent as they are."""
-    made = [
+    created = [
         {
             "id": f"c{k}",
             "type": "function",
@@ -16,7 +16,7 @@ def calls(*pairs, tokens=10):
         for k, (n, a) in enumerate(pairs)
     ]
     return {
-        "choices": [{"message": {"role": "assistant", "content": None, "tool_calls": made}}],
+        "choices": [{"message": {"role": "assistant", "content": None, "tool_calls": created}}],
         "usage": {"total_tokens": tokens},
     }
 

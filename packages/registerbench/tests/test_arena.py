@@ -14,25 +14,25 @@ from stage.errors import ArgumentError
 
 
 @pytest.fixture(scope="module")
-def late():
+def delayed():
     return play(suite("diagnosis:late"), player("technician"), "technician")
 
 
 @pytest.mark.parametrize("task", CARDS)
 def test_every_task_of_the_bench_is_played_by_tools(task):
-    seen = []
+    observed = []
 
     def formula(table):
         assert "RegisterBench" in table.task
-        seen.append({t["name"] for t in table.tools})
-        said = table.call("formula")
-        assert said.ok
+        observed.append({t["name"] for t in table.tools})
+        message = table.call("formula")
+        assert message.ok
         while not table.over:
             assert table.call("act", table.call("formula").data).ok
-        assert "over" in table.call("act", said.data).text
+        assert "over" in table.call("act", message.data).text
 
     played = play(suite(task, episodes=1), formula)
-    assert seen == [{"task", "observe", "formula", "act"}]
+    assert observed == [{"task", "observe", "formula", "act"}]
     assert played.rounds[0].score["given_up"] == 0
     verdict = registerbench.verify(played.entry)
     assert verdict.exact, verdict
@@ -65,14 +65,14 @@ def test_an_action_that_is_none_does_nothing(given):
 def test_every_shipped_player_plays_a_task_and_a_set_up(name):
     if name == "optuna":
         pytest.importorskip("optuna")
-    tries = play(suite("few-shot", episodes=1), player(name), name)
-    assert tries.rounds[0].score["moves"] == 8
+    attempts = play(suite("few-shot", episodes=1), player(name), name)
+    assert attempts.rounds[0].score["moves"] == 8
     assert play(suite("diagnosis:late"), player(name), name).value >= -0.5
 
 
-def test_the_technician_finds_and_mends(late):
-    assert late.value > 0.97
-    assert late.rounds[0].score["runs"] == 3
+def test_the_technician_finds_and_mends(delayed):
+    assert delayed.value > 0.97
+    assert delayed.rounds[0].score["runs"] == 3
 
 
 @pytest.mark.slow
@@ -97,39 +97,41 @@ NO_SUITES = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "said"), NO_SUITES)
-def test_a_suite_that_is_none_is_refused(name, said):
-    with pytest.raises(ArgumentError, match=said):
+@pytest.mark.parametrize(("name", "message"), NO_SUITES)
+def test_a_suite_that_is_none_is_refused(name, message):
+    with pytest.raises(ArgumentError, match=message):
         suite(name)
     assert "diagnosis" in suites()
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("techician", "Did you mean 'technician'"),
         ("nowhere:play", "Name a module"),
         ("json:nothing", "has no 'nothing'"),
     ],
 )
-def test_a_player_that_is_none_is_refused(name, said):
-    with pytest.raises(ArgumentError, match=said):
+def test_a_player_that_is_none_is_refused(name, message):
+    with pytest.raises(ArgumentError, match=message):
         player(name)
 
 
 def test_the_command_plays_and_replays(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["agent", "diagnosis:late", "--by", "technician", "-o", "t.jsonl"]) == 0
-    told = capsys.readouterr().out
-    assert "diagnosis:late         found  mended" in told
-    assert "technician on 1 of 10 games of diagnosis: 0.983 (0.983 to 0.983), mean of found and mended; a part" in told
+    reported = capsys.readouterr().out
+    assert "diagnosis:late         found  mended" in reported
+    assert (
+        "technician on 1 of 10 games of diagnosis: 0.983 (0.983 to 0.983), mean of found and mended; a part" in reported
+    )
     assert main(["agent-replay", "t.jsonl"]) == 0
     assert "bit for bit" in capsys.readouterr().out
     assert main(["agent", "one-shot", "--episodes", "2", "--entry", "f.bench", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert len(told["games"]) == 2
+    reported = json.loads(capsys.readouterr().out)
+    assert len(reported["games"]) == 2
     assert main(["bench-verify", "f.bench"]) == 0
-    for arguments, said in (
+    for arguments, message in (
         *([(["agent", "diagnosis", "--mcp"], "one game for one client")] if find_spec("mcp") else []),
         (["agent", "diagnosis", "--mcp", "--by", "x"], "one player at a time"),
         (["agent", "diagnosis:late", "--entry", "x.bench"], "entries are of RegisterBench"),
@@ -144,7 +146,7 @@ def test_the_command_plays_and_replays(tmp_path, capsys, monkeypatch):
     ):
         capsys.readouterr()
         assert main(arguments) == 2
-        assert said in capsys.readouterr().err
+        assert message in capsys.readouterr().err
 
 
 FREE = {"budget", "describe", "diagnostics", "picture", "registers", "report", "trace"}
@@ -168,14 +170,14 @@ def test_in_a_broken_set_up_reading_the_program_and_measuring_are_free_and_a_run
 
 
 @pytest.mark.parametrize(
-    ("argv", "said"),
+    ("argv", "message"),
     [
         ("agent diagnosis:late -o a.txt", "a.txt: a transcript is no 'txt'. Name a file that ends in .jsonl."),
         ("agent one-shot --entry a.zip", "a.zip: an entry is no 'zip'. Name a file that ends in .bench."),
         ("bench-submit random -o a", "Name a file that ends in .bench."),
     ],
 )
-def test_what_is_played_is_not_lost_to_a_name(argv, said, tmp_path, monkeypatch, capsys):
+def test_what_is_played_is_not_lost_to_a_name(argv, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(argv.split()) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err

@@ -27,7 +27,7 @@ def search_of(name):
     return getattr(importlib.import_module(f"registerbench.baselines.{module}"), name)
 
 
-def found(name, seed, budget=10, lanes=4):
+def results(name, seed, budget=10, lanes=4):
     with Moves(0.5, budget, distance=2000, lanes=lanes, seed=seed) as moves:
         search_of(name)(moves, seed)
         return moves.log
@@ -61,11 +61,11 @@ def test_the_formula_loses_no_step_whatever_the_place_and_the_payloads_tolerance
 def test_the_formula_takes_the_time_that_it_says(axis):
     p = plan_profile(Load.from_axis(axis), DISTANCE)
     ramps = formula.np.array([p.accel(), p.decel()])
-    made = (p.fl + p.fh1) / 2 * ramps.sum()
+    created = (p.fl + p.fh1) / 2 * ramps.sum()
     with Moves(0.0, 1, distance=DISTANCE, lanes=1) as moves:
         formula.search(moves)
         (duration,) = moves.log.duration
-    assert duration == pytest.approx(ramps.sum() + (DISTANCE - made) / p.fh1, rel=0.01)
+    assert duration == pytest.approx(ramps.sum() + (DISTANCE - created) / p.fh1, rel=0.01)
 
 
 def test_no_other_top_rate_makes_the_formulas_move_shorter(axis):
@@ -147,7 +147,7 @@ def test_any_choice_makes_legal_registers(space, chip):
 
 @pytest.mark.parametrize("name", SEARCHES)
 def test_a_search_spends_its_budget_and_no_move_more(name):
-    log = found(name, seed=1)
+    log = results(name, seed=1)
     assert len(log) == 10
     assert {len(getattr(log, f)) for f in Log.__dataclass_fields__} == {10}
 
@@ -155,21 +155,21 @@ def test_a_search_spends_its_budget_and_no_move_more(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SEARCHES)
 def test_a_seed_gives_the_same_search_again_and_another_seed_another(name):
-    assert found(name, seed=3) == found(name, seed=3)
-    assert found(name, seed=3).registers != found(name, seed=4).registers
+    assert results(name, seed=3) == results(name, seed=3)
+    assert results(name, seed=3).registers != results(name, seed=4).registers
 
 
 @pytest.mark.parametrize("name", ["search_by_cma_es"])
 def test_a_search_that_begins_with_the_formula_makes_its_move_first(name, axis):
     axis.stage.set_payload(0.5)
     first = compute_registers(axis, 2000)
-    assert found(name, seed=0).registers[0] == [first[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")]
+    assert results(name, seed=0).registers[0] == [first[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")]
 
 
 def test_the_learning_curve_is_the_highest_reward_so_far_of_a_move_that_kept_step():
     log = Log()
-    for reward, duration, kept in ((-9, 1, False), (-3, 3, True), (-1, 9, False), (-4, 2, True), (-2, 5, True)):
-        log.note(reward, duration, 0, 0.0, kept, [1], (2000, 0.5, 0.0))
+    for reward, duration, saved in ((-9, 1, False), (-3, 3, True), (-1, 9, False), (-4, 2, True), (-2, 5, True)):
+        log.note(reward, duration, 0, 0.0, saved, [1], (2000, 0.5, 0.0))
     np.testing.assert_equal(log.curve(), [-np.inf, -3, -3, -3, -2])
     assert log.ranking == [4, 1, 3]
 
@@ -195,21 +195,21 @@ def test_proofs_have_from_none_to_the_whole_margin_and_the_same_draws_for_all(ax
 
 
 def test_every_second_move_of_a_test_goes_the_other_way_and_the_rest_is_as_the_environment_has_it(axis):
-    made = {"budget": 8, "space": "registers", "distance": 2000, "lanes": 4, "seed": 5}
+    created = {"budget": 8, "space": "registers", "distance": 2000, "lanes": 4, "seed": 5}
     logs = []
-    for both_ways in (False, True):
-        with Moves(0.5, both_ways=both_ways, **made) as moves:
+    for both_directions in (False, True):
+        with Moves(0.5, both_directions=both_directions, **created) as moves:
             action = moves.registers.to_action(compute_registers(axis, 2000, s_curve=False))
             while moves.left:
                 moves.make_actions(np.tile(action, (4, 1)))
             assert (np.abs(moves.observation) <= 1).all()
         logs.append(moves.log)
-    there, both = logs
-    assert [d for d, *_ in both.drawn] == [d if k % 2 == 0 else -d for k, (d, *_) in enumerate(there.drawn)]
-    assert [rest for _, *rest in both.drawn] == [rest for _, *rest in there.drawn]
-    assert there.reward[::2] == both.reward[::2]
+    present, both = logs
+    assert [d for d, *_ in both.drawn] == [d if k % 2 == 0 else -d for k, (d, *_) in enumerate(present.drawn)]
+    assert [rest for _, *rest in both.drawn] == [rest for _, *rest in present.drawn]
+    assert present.reward[::2] == both.reward[::2]
     assert all(both.kept)
-    assert both.duration == pytest.approx(there.duration, rel=0.01)
+    assert both.duration == pytest.approx(present.duration, rel=0.01)
 
 
 @pytest.mark.slow
@@ -221,8 +221,8 @@ def test_a_baseline_takes_a_model_and_a_proof_a_margin():
         formula.search(moves)
     rows = moves.log.registers
     assert best(prove(rows, 0.5, 2000, repeats=4, model="xy")) == 0
-    said = common.told(moves.log, moves.registers.names, 0.5, 2000, model="xy", margin=100.0)
-    assert "none of the best 1 does so again and again" in said
+    message = common.describe_answer(moves.log, moves.registers.names, 0.5, 2000, model="xy", margin=100.0)
+    assert "none of the best 1 does so again and again" in message
 
 
 def test_stable_baselines3_accepts_the_vector_environment():
@@ -233,8 +233,8 @@ def test_stable_baselines3_accepts_the_vector_environment():
         env = MovesVecEnv(moves)
         assert env.reset().shape == (4, *env.observation_space.shape)
         for _ in range(3):  # the second step goes over the budget, the third makes nothing
-            seen, rewards, over, infos = env.step(np.zeros((4, 5), np.float32))
-            assert all(row in env.observation_space for row in seen)
+            observed, rewards, over, infos = env.step(np.zeros((4, 5), np.float32))
+            assert all(row in env.observation_space for row in observed)
             assert over.all()
             assert ((rewards <= 0) & (rewards >= SCALE * WORST)).all()
             assert len(infos) == 4

@@ -19,17 +19,17 @@ def played(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
 
     def run(*typed, episodes=64):
-        given = []
+        arguments = []
 
-        def play(*of, told=None, **how):
-            given.append((of, how))
+        def play(*of, report_progress=None, **how):
+            arguments.append((of, how))
             scores = {"return": np.array([1.0, 2.0]), "time": np.array([1.0, np.inf])}
             about = {"player": "p", "task": of[1], "split": of[2]}
-            written = lambda *of: given.append(of)  # noqa: E731
+            written = lambda *of: arguments.append(of)  # noqa: E731
             return SimpleNamespace(**about, seeds=range(episodes), rewards=np.zeros(9), scores=scores, write=written)
 
         monkeypatch.setattr(registerbench, "play", play)
-        return main(["bench-submit", *typed]), *given
+        return main(["bench-submit", *typed]), *arguments
 
     return run
 
@@ -40,9 +40,9 @@ def test_what_was_not_said_is_the_usual(played, capsys):
     assert how == {
         "track": "host", "round_": "open", "settings": {}, "name": None, "run": 0, "notes": "", "cost": {}, "episodes": None,
     }  # fmt: skip
-    said = capsys.readouterr().out
-    assert "return 1.5 (means)" in said, "what is infinite has no mean"
-    assert "can stand in no table" not in said
+    text = capsys.readouterr().out
+    assert "return 1.5 (means)" in text, "what is infinite has no mean"
+    assert "can stand in no table" not in text
 
 
 def test_every_option_is_for_what_its_help_says(played, capsys):
@@ -71,21 +71,21 @@ def test_a_mean_is_of_finite_numbers_alone():
 
 
 def test_a_replay_has_the_tolerance_that_was_asked_for_and_its_code(monkeypatch, capsys):
-    asked = []
+    requested = []
 
     class Verdict(SimpleNamespace):
         def json(self):
             return {"ok": self.ok}
 
-    def verify(file, tolerance, told):
-        asked.append((file, tolerance))
+    def verify(file, tolerance, reported):
+        requested.append((file, tolerance))
         return Verdict(ok=tolerance is not None, exact=False)
 
     monkeypatch.setattr(registerbench, "verify", verify)
     assert main(["bench-verify", "a.bench", "--tolerance", "1e-9", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"ok": True}
     assert main(["bench-verify", "a.bench"]) == 1
-    assert asked == [("a.bench", 1e-9), ("a.bench", None)]
+    assert requested == [("a.bench", 1e-9), ("a.bench", None)]
 
 
 def test_a_table_in_json_has_its_rows(monkeypatch, capsys):
@@ -106,14 +106,14 @@ def test_a_card_says_in_words_which_machines_each_split_has(name, capsys):
     card = CARDS[name]
     config = card.make("train", "host", {})._task.config
     for split in card.splits:
-        said = card.machines(split)
-        asked = contexts.SPLITS[split]
-        assert all(f"{of} {asked[of]}" in said for of in ("model", "chip") if of in asked)
+        text = card.machines(split)
+        requested = contexts.SPLITS[split]
+        assert all(f"{of} {requested[of]}" in text for of in ("model", "chip") if of in requested)
         for of, (ranges, unit) in contexts.KINDS.items():
-            ends = dict(card.settings).get(ranges, asked.get(ranges)) if ranges in asked else None
-            assert (f"{of} {ends[0]:g} to {ends[1]:g} {unit}" in said) if ends else f"{of} " not in said
-        mine = [fault for fault in asked.get("faults", ()) if fault in config.FAULTS]
-        assert said.endswith(f"a fault: {', '.join(mine)}") if mine else "fault" not in said
+            ends = dict(card.settings).get(ranges, requested.get(ranges)) if ranges in requested else None
+            assert (f"{of} {ends[0]:g} to {ends[1]:g} {unit}" in text) if ends else f"{of} " not in text
+        own_values = [fault for fault in requested.get("faults", ()) if fault in config.FAULTS]
+        assert text.endswith(f"a fault: {', '.join(own_values)}") if own_values else "fault" not in text
     assert main(["bench", name]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert all(f"{split} {card.machines(split)}" in printed for split in card.splits)

@@ -23,9 +23,9 @@ def entry(player="a", value=1.0, **how):
         "player": player,
         "run": 0,
     }
-    made = {**usual, "cost": {}, "scores": {"return": np.full(64, value)}, **how}
-    made.setdefault("seeds", tuple(seeds(card_of(made["task"]), made["split"], made["round"])))
-    return SimpleNamespace(**made)
+    created = {**usual, "cost": {}, "scores": {"return": np.full(64, value)}, **how}
+    created.setdefault("seeds", tuple(seeds(card_of(created["task"]), created["split"], created["round"])))
+    return SimpleNamespace(**created)
 
 
 def replay(tolerance):
@@ -147,37 +147,37 @@ def test_a_long_table_has_regret_where_there_was_success_and_the_means_of_damage
 
 def test_who_beats_another_in_the_middle_half_and_is_lower_in_the_mean_is_told_so():
     bold = np.repeat([2.0, -9.0], [56, 8])
-    said = statistics.table([entry("bold", scores={"return": bold}), entry("safe", 1.0), entry("bad", -5.0)])
-    assert "| safe (lower in the mean), bad |" in said
+    message = statistics.table([entry("bold", scores={"return": bold}), entry("safe", 1.0), entry("bad", -5.0)])
+    assert "| safe (lower in the mean), bad |" in message
     (row,) = statistics.rows([entry(scores={"return": bold})])
     assert row.mean == bold.mean() == 0.625
     assert row.mean_low < row.mean < row.mean_high < row.low
 
 
 def test_a_difference_as_large_as_the_tolerance_is_within_it():
-    for by, far in ((0.25, False), (0.26, True), (np.inf, True), (np.nan, False)):
-        seen = replay(0.25)
-        seen.note(Difference(0, 0, "reward", "", ""), by)
-        assert seen.far == far
-        assert (seen.worst is None) != far
-        assert seen.first is not None
-    seen = replay(None)
-    seen.note(Difference(0, 0, "digest of the observation", "", ""), np.nan)
-    assert seen.far, "without a tolerance every bit counts"
+    for by, distance in ((0.25, False), (0.26, True), (np.inf, True), (np.nan, False)):
+        observed = replay(0.25)
+        observed.note(Difference(0, 0, "reward", "", ""), by)
+        assert observed.far == distance
+        assert (observed.worst is None) != distance
+        assert observed.first is not None
+    observed = replay(None)
+    observed.note(Difference(0, 0, "digest of the observation", "", ""), np.nan)
+    assert observed.far, "without a tolerance every bit counts"
 
 
 def test_of_differences_in_any_order_the_first_in_the_entry_is_told_and_the_largest():
     places = [(1, 0), (0, 5), (0, -1), (0, None), (None, None)]
-    seen = replay(0.0)
+    observed = replay(0.0)
     for k, (episode, step) in enumerate(places):
-        seen.note(Difference(episode, step, "reward", "", ""), 5.0 - k)
-    assert (seen.first.episode, seen.first.step) == (seen.worst.episode, seen.worst.step) == (0, -1)
-    assert seen.most == 5.0
-    told = [
+        observed.note(Difference(episode, step, "reward", "", ""), 5.0 - k)
+    assert (observed.first.episode, observed.first.step) == (observed.worst.episode, observed.worst.step) == (0, -1)
+    assert observed.most == 5.0
+    reported = [
         Difference(*place, "reward", "", "")
         for place in sorted(places, key=lambda p: (p[0] is None, p[0], p[1] is None, p[1]))
     ]
-    assert all(_earlier(a, b) and not _earlier(b, a) for a, b in pairwise(told))
+    assert all(_earlier(a, b) and not _earlier(b, a) for a, b in pairwise(reported))
 
 
 @pytest.mark.parametrize(("exact", "within", "ok"), [(True, None, True), (False, True, True), (False, False, False)])

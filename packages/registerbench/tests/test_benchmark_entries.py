@@ -46,9 +46,9 @@ def brief(monkeypatch):
 @pytest.fixture(scope="module")
 def entry():
     CARDS["brief"] = BRIEF
-    made = registerbench.play("random", "brief", notes="by hand")
+    created = registerbench.play("random", "brief", notes="by hand")
     del CARDS["brief"]
-    return made
+    return created
 
 
 @pytest.fixture(scope="module")
@@ -127,11 +127,11 @@ def test_a_tolerance_tells_near_from_equal(entry):
     assert not verdict.exact
     assert "equal within 1e-06, not bit for bit" in str(verdict)
     assert "1 of 9 observations are not the same bits" in str(verdict)
-    most = registerbench.verify(changed(near, "rewards", 0, entry.rewards[0] + 1e-3), tolerance=1)
-    assert most.most == pytest.approx(1e-3), "and not the last difference"
-    far = registerbench.verify(near, tolerance=1e-12)
-    assert not far.ok
-    assert "episode 1, step 0, reward" in str(far), "and not the observation, of which there is a digest alone"
+    maximum = registerbench.verify(changed(near, "rewards", 0, entry.rewards[0] + 1e-3), tolerance=1)
+    assert maximum.most == pytest.approx(1e-3), "and not the last difference"
+    distance = registerbench.verify(near, tolerance=1e-12)
+    assert not distance.ok
+    assert "episode 1, step 0, reward" in str(distance), "and not the observation, of which there is a digest alone"
     for wrong in (-1, float("inf"), float("nan")):
         with pytest.raises(ArgumentError, match=f"tolerance={wrong}: 0 or more"):
             registerbench.verify(entry, tolerance=wrong)
@@ -258,9 +258,9 @@ def test_an_entry_has_short_texts_costs_from_nothing_up_a_return_and_a_step_an_e
 def archive(**members):
     """With these members, the others empty; packed well."""
     file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as made:
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as created:
         for name in entry_files.MEMBERS:
-            made.writestr(name, members.get(name, b""))
+            created.writestr(name, members.get(name, b""))
     return file.getvalue()
 
 
@@ -288,8 +288,8 @@ class Watching:
     def __init__(self):
         self.seen, self.begun, self.cost = [], [], {"tokens": 12}
 
-    def reset(self, around):
-        self.begun.append(around)
+    def reset(self, context):
+        self.begun.append(context)
 
     def __call__(self, observation, info):
         self.seen.append((observation.shape, set(info)))
@@ -328,8 +328,8 @@ def test_a_player_with_tools_sees_what_a_host_sees():
 def test_moves_of_the_test_are_counted_whatever_is_said():
     entry = registerbench.play("random", "brief", episodes=1, cost={"test_moves": 99, "moves": 5})
     assert entry.cost == {"test_moves": 2, "moves": 5}
-    own = Watching()
-    assert registerbench.play(own, "brief", episodes=1, cost={"tokens": 5}).cost["tokens"] == 12, (
+    custom = Watching()
+    assert registerbench.play(custom, "brief", episodes=1, cost={"tokens": 5}).cost["tokens"] == 12, (
         "its own count comes last"
     )
 
@@ -350,8 +350,8 @@ def test_as_many_episodes_are_played_as_there_are_one_at_least(episodes):
 
 def test_who_waits_is_told_of_each_episode_that_is_done(entry):
     played, replayed = [], []
-    registerbench.play("random", "brief", told=lambda *of: played.append(of))
-    registerbench.verify(entry, told=lambda *of: replayed.append(of))
+    registerbench.play("random", "brief", report_progress=lambda *of: played.append(of))
+    registerbench.verify(entry, report_progress=lambda *of: replayed.append(of))
     assert played == [(1, 3), (2, 3), (3, 3)]
     assert [done for done, _ in replayed] == sorted(done for done, _ in replayed)
     assert replayed[-1] == (3, 3)
@@ -368,12 +368,12 @@ def test_a_policy_that_is_a_class_is_made_and_recorded_actions_of_unlike_episode
 
     path = tmp_path / "moves.npz"
     np.savez(path, actions=np.arange(12).reshape(6, 2), steps=(1, 3, 2))
-    made = Recorded(str(path))
-    assert [e[:, 0].tolist() for e in made.episodes] == [[0], [2, 4, 6], [8, 10]]
+    created = Recorded(str(path))
+    assert [e[:, 0].tolist() for e in created.episodes] == [[0], [2, 4, 6], [8, 10]]
     for _ in range(3):
-        made.begin(None)
+        created.begin(None)
     with pytest.raises(ArgumentError, match="actions for 3 episodes, and there are more"):
-        made.begin(None)
+        created.begin(None)
     np.savez(path, actions=np.arange(6.0))
     with pytest.raises(ArgumentError, match=r"actions of shape \(6,\); \(episodes, steps, ...\), or give `steps`"):
         Recorded(str(path))
@@ -406,17 +406,17 @@ def test_the_shipped_search_closes_in_on_what_a_machine_holds_and_doubts_its_luc
     """Eight tries; the encoder says of each whether it has kept step"""
 
     def played(holds, player):
-        seen, made = np.full(16, -1.0), []
+        observed, created = np.full(16, -1.0), []
         player.reset(SimpleNamespace(entries=("duration", "kept") * 8))
         for k in range(8):
-            player(seen, {})
-            made.append(player.last)
-            seen[2 * k + 1] = 1.0 if holds(k, player.last) else -1.0
-        return made
+            player(observed, {})
+            created.append(player.last)
+            observed[2 * k + 1] = 1.0 if holds(k, player.last) else -1.0
+        return created
 
-    made = played(lambda k, boldness: boldness < 4.1, Search())
-    assert made[:3] == pytest.approx([3.4 / 1.12, 3.4, 3.4 * 1.12])
-    assert 4.1 / 1.25 < made[-1] < 4.1
+    created = played(lambda k, boldness: boldness < 4.1, Search())
+    assert created[:3] == pytest.approx([3.4 / 1.12, 3.4, 3.4 * 1.12])
+    assert 4.1 / 1.25 < created[-1] < 4.1
     lucky = played(lambda k, boldness: k < 2, Search())
     assert lucky[2:6] == pytest.approx([3.4 * 1.12, 3.4, 3.4 / 1.4, 3.4 / 1.4**2]), "at 3.4 it has held by luck"
     careful = played(lambda k, boldness: boldness < 3.0, Answer())
@@ -479,8 +479,8 @@ def test_what_it_took_is_told_by_option_and_may_be_nothing(tmp_path, monkeypatch
     monkeypatch.chdir(tmp_path)
     cost = ["--cost", "moves=3", "--cost", "tokens=0"]
     assert main(["bench-submit", "random", "--task", "brief", "-o", "a.bench", "--episodes", "1", *cost]) == 0
-    kept = registerbench.read("a.bench")
-    assert kept.cost == {"moves": 3, "tokens": 0, "test_moves": len(kept.rewards)}
+    saved = registerbench.read("a.bench")
+    assert saved.cost == {"moves": 3, "tokens": 0, "test_moves": len(saved.rewards)}
 
 
 def test_the_commands_say_what_is_wrong(entry, tmp_path, monkeypatch, capsys):
@@ -511,19 +511,19 @@ def test_the_list_of_tasks_names_splits_and_players(capsys):
     assert main(["bench"]) == 0
     assert "few-shot  stage/FewShotTuning-v1" in capsys.readouterr().out
     assert main(["bench", "few-shot", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["few-shot"]
-    assert told["splits"]["weak"][:2] == [1_000_000, 1_000_001]
-    assert "formula" in told["players"]
+    reported = json.loads(capsys.readouterr().out)["few-shot"]
+    assert reported["splits"]["weak"][:2] == [1_000_000, 1_000_001]
+    assert "formula" in reported["players"]
 
 
 def test_the_middle_half_is_averaged_and_its_interval_holds_the_truth():
     assert statistics.iqm(np.array([-1e9, 1, 2, 3, 4, 5, 6, 1e9])) == 3.5
     draw = np.random.default_rng(5)
-    held = 0
+    holding = 0
     for _ in range(40):  # normal scores, of which the truth is 0
         low, high = statistics.interval(draw.normal(size=(4, 32)), draws=100)
-        held += low < 0 < high
-    assert 32 <= held <= 40
+        holding += low < 0 < high
+    assert 32 <= holding <= 40
     machines = np.tile(draw.normal(size=(1, 32)), (4, 1))
     assert np.ptp(statistics.interval(machines)) > 0.3, "four runs that do the same tell no more than one"
     one = draw.normal(size=(1, 32))

@@ -20,11 +20,11 @@ SHORT = Limits(patience=0.15)
 LATE = ["agent", "diagnosis:late"]
 
 
-def ended(player, limits=SHORT):
+def finished(player, limits=SHORT):
     """Why its one game was ended; in time."""
-    begun = time.monotonic()
+    started = time.monotonic()
     came = play(suite("diagnosis:late"), player, "slow", limits)
-    assert time.monotonic() - begun < 3
+    assert time.monotonic() - started < 3
     assert not came.sound
     assert replay(came).same
     return came.rounds[0].ended
@@ -38,7 +38,7 @@ def ended(player, limits=SHORT):
               ["sh", "-c", 'while true; do echo \'{"call": "program"}\'; done']]
 )  # fmt: skip
 def test_a_command_that_hangs_or_never_reads_is_left(words):
-    assert "timed out" in ended(Command(words), Limits(patience=0.15, most=10**6))
+    assert "timed out" in finished(Command(words), Limits(patience=0.15, most=10**6))
 
 
 def test_a_function_that_hangs_is_left_and_the_next_game_is_played():
@@ -60,7 +60,7 @@ def test_a_game_has_its_time_too():
             table.call("task")
             time.sleep(0.05)
 
-    assert ended(dawdles, Limits(time=0.2)) == "timed out: its calls took 0.2 s in all"
+    assert finished(dawdles, Limits(time=0.2)) == "timed out: its calls took 0.2 s in all"
 
 
 def test_a_function_that_ignores_the_end_is_ended():
@@ -101,7 +101,7 @@ def test_an_endpoint_that_drips_bytes_is_left():
         server.done = threading.Event()
         threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
         try:
-            assert "timed out" in ended(Endpoint(f"http://127.0.0.1:{server.server_port}/v1", "m"))
+            assert "timed out" in finished(Endpoint(f"http://127.0.0.1:{server.server_port}/v1", "m"))
         finally:
             server.done.set()
             server.shutdown()
@@ -117,10 +117,10 @@ def test_a_client_that_hangs_is_left():
         assert "timed out: no call for 0.3 s" in p.stderr.read()
 
 
-@pytest.mark.parametrize("given", ["nan", "0", "-1", "inf"])
-def test_limits_are_limits(given, capsys):
+@pytest.mark.parametrize("values", ["nan", "0", "-1", "inf"])
+def test_limits_are_limits(values, capsys):
     for name in ("--patience", "--time"):
-        assert main([*LATE, name, given]) == 2
+        assert main([*LATE, name, values]) == 2
         assert "seconds, more than 0" in capsys.readouterr().err
     assert main([*LATE, "--most", "0"]) == 2
 
@@ -141,11 +141,11 @@ BROKEN = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize(("arguments", "code", "said"), BROKEN)
-def test_a_broken_player_gets_no_score_without_a_word(arguments, code, said, capsys):
+@pytest.mark.parametrize(("arguments", "code", "message"), BROKEN)
+def test_a_broken_player_gets_no_score_without_a_word(arguments, code, message, capsys):
     assert main([*LATE, *arguments]) == code
     err = capsys.readouterr().err
-    assert said in err
+    assert message in err
     assert "Traceback" not in err
 
 
@@ -193,10 +193,10 @@ def nested(depth):
     return value
 
 
-@pytest.mark.parametrize("given", [{b"x": 1}, {"text": nested(100_000)}, {(1, 2): 3}])
-def test_arguments_that_are_no_json_are_refused(given):
+@pytest.mark.parametrize("values", [{b"x": 1}, {"text": nested(100_000)}, {(1, 2): 3}])
+def test_arguments_that_are_no_json_are_refused(values):
     def odd(table):
-        assert "cannot be written as JSON" in table.call("write_program", given).text
+        assert "cannot be written as JSON" in table.call("write_program", values).text
         table.call("task")
 
     came = play(suite("diagnosis:late"), odd)
@@ -212,8 +212,8 @@ def test_json_that_is_nested_deeply_ends_nothing():
 
 
 def test_an_answer_behind_the_end_does_not_count():
-    def late(table):
+    def delayed(table):
         table.call("finish")
         assert "this game is over" in table.call("answer", {"cause": "ramp-down point too late"}).text
 
-    assert play(suite("diagnosis:late"), late).value == 0
+    assert play(suite("diagnosis:late"), delayed).value == 0

@@ -27,15 +27,15 @@ READERS = {
 
 def refuses(path, which):
     """Whether a file is refused in words; fails where its reader fails otherwise."""
-    said = ""
+    text = ""
     try:
         READERS[path.suffix](path)
     except StageError as error:
-        said = str(error)
+        text = str(error)
     except BaseException as error:
         pytest.fail(f"{path.suffix}, {which}: {error!r}")
-    assert len(said) < 2000
-    return bool(said)
+    assert len(text) < 2000
+    return bool(text)
 
 
 @pytest.fixture(scope="module")

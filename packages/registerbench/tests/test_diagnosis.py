@@ -20,14 +20,14 @@ WORK = {cause: work for work, cause in SERVICES.items() if cause}
 
 @pytest.fixture
 def case():
-    made = []
+    created = []
 
     def make(name, **how):
-        made.append(Case(name, **how))
-        return made[-1]
+        created.append(Case(name, **how))
+        return created[-1]
 
     yield make
-    for c in made:
+    for c in created:
         c.box.close()
 
 
@@ -59,7 +59,7 @@ def test_work_on_what_is_whole_mends_nothing(case):
     for work, cause in SERVICES.items():
         if cause != c.setup.cause:
             c.box.call("service", {"work": work})
-    assert not c.score().mended
+    assert not c.score().repaired
 
 
 def test_a_base_holds_for_its_own_program(case):
@@ -69,14 +69,14 @@ def test_a_base_holds_for_its_own_program(case):
     lines = c.box.call("program").text.splitlines()
     assert c.box.call("write_program", {"text": "\n".join(line for line in lines if not line.startswith("base"))}).ok
     c.box.call("run")
-    assert c.score().mended
+    assert c.score().repaired
 
 
 def test_an_agent_is_told_nothing_of_the_machine_that_a_host_cannot_see(case):
     c = case("slip")
-    said = "".join(c.box.call(name).text for name in ("describe", "run", "measure", "diagnostics"))
+    message = "".join(c.box.call(name).text for name in ("describe", "run", "measure", "diagnostics"))
     assert "truth" not in c.box.tools
-    assert not [word for word in ("slip", "torque", "lost") if word in said]
+    assert not [word for word in ("slip", "torque", "lost") if word in message]
 
 
 def test_runs_are_counted_and_the_first_answer_counts(case):
@@ -96,7 +96,7 @@ def test_an_agent_that_spends_everything_is_scored_all_the_same(case):
     c.box.meter.ns = 10**15
     assert "of simulated time are spent" in c.box.call("run").text
     c.box.call("write_program", {"text": c._text.replace(*BETTER["late"])})
-    assert c.score().mended
+    assert c.score().repaired
 
 
 def test_a_program_writes_into_the_air_where_no_chip_is(case):
@@ -107,7 +107,7 @@ def test_a_program_writes_into_the_air_where_no_chip_is(case):
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("x operate 15h", "a line begins with an axis"),
         ("q: operate 15h", "Known: x, y"),
@@ -123,9 +123,9 @@ def test_a_program_writes_into_the_air_where_no_chip_is(case):
         ("\n" * 300, "up to 200"),
     ],
 )
-def test_a_line_that_cannot_be_read_is_told_with_its_number(case, line, said):
+def test_a_line_that_cannot_be_read_is_told_with_its_number(case, line, message):
     c = case("reset")
-    with pytest.raises(ArgumentError, match=said.replace("(", r"\(")):
+    with pytest.raises(ArgumentError, match=message.replace("(", r"\(")):
         parse("# first\n" + line, c.stage)
     answer = c.box.call("write_program", {"text": "# first\n" + line})
     assert not answer.ok

@@ -39,7 +39,7 @@ def test_who_does_nothing_gets_nothing(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_who_crawls_mends_nothing(name):
     got = score(name, crawl)
-    assert not got.mended
+    assert not got.repaired
     assert got.value == 0
 
 
@@ -103,7 +103,7 @@ def test_a_program_that_goes_round_a_broken_machine_does_not_mend_it():
         box.call("answer", {"cause": "supply too low"})
 
     got = score("supply", slower)
-    assert (got.found, got.mended, got.value) == (1, False, 0.5)
+    assert (got.found, got.repaired, got.value) == (1, False, 0.5)
 
 
 def test_work_costs():
@@ -127,9 +127,9 @@ def test_work_costs():
 def test_nothing_counts_behind_finish():
     case = Case("supply")
     case.box.call("finish")
-    for name, given in (("answer", {"cause": "supply too low"}), ("write_program", {"text": ""}), ("run", {}),
+    for name, arguments in (("answer", {"cause": "supply too low"}), ("write_program", {"text": ""}), ("run", {}),
                         ("service", {"work": "set the supply of the drives to what is on the nameplate"})):  # fmt: skip
-        assert "you have finished" in case.box.call(name, given).text
+        assert "you have finished" in case.box.call(name, arguments).text
     assert case.score().value == 0
     case.box.close()
 
@@ -140,82 +140,82 @@ def test_the_technician_is_near_one_on_all():
     assert all(r.score["value"] > 0.95 for r in came.rounds)
 
 
-def way(stops, rate=1000.0, aside=0.0, lost=0.0, start=0.0, rest=100, ramps=()):
+def direction(stops, rate=1000.0, aside=0.0, lost=0.0, start=0.0, rest=100, ramps=()):
     """Samples of a way at `rate`, a pulse a millimetre, with rests of 0.2 s; ramps: s up to that rate, of each way."""
-    seen, t, x = [Sample(0.0, start, start, 0.0, 0.0, False)], 0.0, start
+    observed, t, x = [Sample(0.0, start, start, 0.0, 0.0, False)], 0.0, start
     for stop, ramp in zip(stops, (*ramps, *[0.0] * len(stops)), strict=False):
         begin = t
         while abs(stop - x) > 1e-9:
             now = rate * min((t - begin + 2e-3) / ramp, 1.0) if ramp else rate
             step = max(-now * 2e-6, min(now * 2e-6, stop - x))
             t, x = t + 2e-3, x + step
-            seen.append(Sample(t, x, x, 0.0, aside, True))
+            observed.append(Sample(t, x, x, 0.0, aside, True))
         for _ in range(rest):
             t += 2e-3
-            seen.append(Sample(t, x, x, lost, aside, False))
-    return seen
+            observed.append(Sample(t, x, x, lost, aside, False))
+    return observed
 
 
 @pytest.mark.parametrize(
-    ("seen", "why"),
+    ("observed", "why"),
     [
-        (way((0.05, 0.0)), ""),
-        (way((0.05,)), "it rests at 1 places"),
-        (way((0.05, 0.02, 0.0)), "it rests at 3 places"),
-        (way((0.05, 0.001)), "it rests at 1.000 mm"),
-        (way((0.05, 0.0), rate=900), "way 1 has 900 pulses"),
-        (way((0.05, 0.0), rate=1100), "way 1 has 1100 pulses"),
-        (way((0.05, 0.0), aside=1e-3), "y moves"),
-        (way((0.05, 0.0), lost=4), "steps are lost"),
+        (direction((0.05, 0.0)), ""),
+        (direction((0.05,)), "it rests at 1 places"),
+        (direction((0.05, 0.02, 0.0)), "it rests at 3 places"),
+        (direction((0.05, 0.001)), "it rests at 1.000 mm"),
+        (direction((0.05, 0.0), rate=900), "way 1 has 900 pulses"),
+        (direction((0.05, 0.0), rate=1100), "way 1 has 1100 pulses"),
+        (direction((0.05, 0.0), aside=1e-3), "y moves"),
+        (direction((0.05, 0.0), lost=4), "steps are lost"),
     ],
 )
-def test_a_trial_sees_what_is_wrong(seen, why):
-    assert len(rests_of(seen))
-    found = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(seen, 0.0, 1e-3)
-    assert found.startswith(why) if why else not found
+def test_a_trial_sees_what_is_wrong(observed, why):
+    assert len(rests_of(observed))
+    results = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(observed, 0.0, 1e-3)
+    assert results.startswith(why) if why else not results
 
 
 @pytest.mark.parametrize(
-    ("seen", "how", "start", "why"),
+    ("observed", "how", "start", "why"),
     [
-        (way((0.05, -0.001)), {}, 0.0, "it rests at -1.000 mm, and 0 mm is wanted"),
-        (way((0.05, 0.00005)), {}, 0.0, ""),
-        (way((0.05, -0.00007)), {}, 0.0, "it rests at -0.070 mm"),
-        (way((0.05, -0.00007)), {"within": 1e-4}, 0.0, ""),
-        (way((0.05, 0.0), aside=-1e-3), {}, 0.0, "y moves"),
-        (way((0.05, 0.0), aside=-2e-5), {}, 0.0, ""),
-        (way((0.05, 0.0), lost=-4), {}, 0.0, "steps are lost"),
-        (way((0.06, 0.01), start=0.01), {}, 0.01, ""),
-        (way((0.05, 0.0), start=0.01), {}, 0.01, "it rests at 50.000 mm, and 60 mm is wanted"),
-        (way((0.05, 0.0), start=0.01), {"from_start": False}, 0.01, ""),
-        (way((0.05, 0.0), rest=40), {}, 0.0, "it rests at 0 places, and 2 are wanted"),
-        (way((0.05, 0.0), rest=52), {}, 0.0, ""),
-        (way((0.05, 0.0)), {"ramp": 0.1}, 0.0, "its ramp up takes"),
-        (way((0.05, 0.0), ramps=(0.08,)), {"ramp": 0.08}, 0.0, ""),
-        (way((0.05, 0.0), ramps=(0.02, 0.08)), {"ramp": 0.08}, 0.0, "its ramp up takes"),
-        (way((0.05, 0.0), rate=951), {}, 0.0, ""),
-        (way((0.05, 0.0), rate=1049), {}, 0.0, ""),
+        (direction((0.05, -0.001)), {}, 0.0, "it rests at -1.000 mm, and 0 mm is wanted"),
+        (direction((0.05, 0.00005)), {}, 0.0, ""),
+        (direction((0.05, -0.00007)), {}, 0.0, "it rests at -0.070 mm"),
+        (direction((0.05, -0.00007)), {"within": 1e-4}, 0.0, ""),
+        (direction((0.05, 0.0), aside=-1e-3), {}, 0.0, "y moves"),
+        (direction((0.05, 0.0), aside=-2e-5), {}, 0.0, ""),
+        (direction((0.05, 0.0), lost=-4), {}, 0.0, "steps are lost"),
+        (direction((0.06, 0.01), start=0.01), {}, 0.01, ""),
+        (direction((0.05, 0.0), start=0.01), {}, 0.01, "it rests at 50.000 mm, and 60 mm is wanted"),
+        (direction((0.05, 0.0), start=0.01), {"from_start": False}, 0.01, ""),
+        (direction((0.05, 0.0), rest=40), {}, 0.0, "it rests at 0 places, and 2 are wanted"),
+        (direction((0.05, 0.0), rest=52), {}, 0.0, ""),
+        (direction((0.05, 0.0)), {"ramp": 0.1}, 0.0, "its ramp up takes"),
+        (direction((0.05, 0.0), ramps=(0.08,)), {"ramp": 0.08}, 0.0, ""),
+        (direction((0.05, 0.0), ramps=(0.02, 0.08)), {"ramp": 0.08}, 0.0, "its ramp up takes"),
+        (direction((0.05, 0.0), rate=951), {}, 0.0, ""),
+        (direction((0.05, 0.0), rate=1049), {}, 0.0, ""),
     ],
 )
-def test_a_trial_measures_either_side_and_the_first_ramp_alone(seen, how, start, why):
-    found = Trial((0.05, 0.0), rate=1000, seconds=1.0, **how).wrong(seen, start, 1e-3)
-    assert found.startswith(why) if why else not found, found
+def test_a_trial_measures_either_side_and_the_first_ramp_alone(observed, how, start, why):
+    results = Trial((0.05, 0.0), rate=1000, seconds=1.0, **how).wrong(observed, start, 1e-3)
+    assert results.startswith(why) if why else not results, results
 
 
 def test_the_second_way_is_judged_by_itself():
     """As fast as the first on the way there, too slow back"""
-    there, back = way((0.05,)), way((0.0,), rate=800, start=0.05)
-    last = there[-1].time
-    seen = [*there, *(s._replace(time=s.time + last + 2e-3) for s in back)]
-    found = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(seen, 0.0, 1e-3)
-    assert found.startswith("way 2 has 800 pulses a second")
+    present, back = direction((0.05,)), direction((0.0,), rate=800, start=0.05)
+    last = present[-1].time
+    observed = [*present, *(s._replace(time=s.time + last + 2e-3) for s in back)]
+    results = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(observed, 0.0, 1e-3)
+    assert results.startswith("way 2 has 800 pulses a second")
 
 
 @pytest.mark.parametrize(
     ("back", "why"), [(1000.0, ""), (800.0, "way 2 has 800 pulses"), (1300.0, "way 2 has 1300 pulses")]
 )
 def test_each_way_has_its_own_rate_seen_from_the_rest_before_it(back, why):
-    out, home = way((0.05,)), way((0.0,), rate=back, start=0.05)
-    seen = out + [s._replace(time=s.time + out[-1].time) for s in home[1:]]
-    found = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(seen, 0.0, 1e-3)
-    assert found.startswith(why) if why else not found
+    out, home = direction((0.05,)), direction((0.0,), rate=back, start=0.05)
+    observed = out + [s._replace(time=s.time + out[-1].time) for s in home[1:]]
+    results = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(observed, 0.0, 1e-3)
+    assert results.startswith(why) if why else not results

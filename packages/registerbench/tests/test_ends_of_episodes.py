@@ -24,15 +24,15 @@ def brief(monkeypatch):
 
 @pytest.fixture
 def closed(monkeypatch):
-    found = []
-    monkeypatch.setattr(StageEnv, "close", lambda self: found.append(self))
-    return found
+    results = []
+    monkeypatch.setattr(StageEnv, "close", lambda self: results.append(self))
+    return results
 
 
 def test_episodes_that_are_closed_close_their_environment(closed):
-    made = Episodes("brief", "train", "host", "open", {})
-    made.close()
-    assert closed == [made.env]
+    created = Episodes("brief", "train", "host", "open", {})
+    created.close()
+    assert closed == [created.env]
 
 
 def test_a_play_closes_its_environment_after_its_end_and_after_an_error(closed):
@@ -44,15 +44,15 @@ def test_a_play_closes_its_environment_after_its_end_and_after_an_error(closed):
 
 
 def test_a_player_that_draws_is_seeded_by_its_run_and_plays_the_round_that_was_asked_for(monkeypatch):
-    asked, rounds, real, drawn = [], [], episodes.player, episodes.seeds
-    monkeypatch.setattr(episodes, "player", lambda *given: (asked.append(given), real(*given))[1])
-    monkeypatch.setattr(episodes, "seeds", lambda *given: (rounds.append(given[1:]), drawn(*given))[1])
-    made = registerbench.play(
+    requested, rounds, real, drawn = [], [], episodes.player, episodes.seeds
+    monkeypatch.setattr(episodes, "player", lambda *arguments: (requested.append(arguments), real(*arguments))[1])
+    monkeypatch.setattr(episodes, "seeds", lambda *arguments: (rounds.append(arguments[1:]), drawn(*arguments))[1])
+    created = registerbench.play(
         "random", "brief", "heavy", run=6, round_="2031", episodes=1, name="dice", notes="n", cost={"moves": 4}
     )
-    assert asked == [("random", "brief", 6)]
+    assert requested == [("random", "brief", 6)]
     assert rounds == [("heavy", "2031")]
-    assert (made.run, made.player, made.notes, made.round, made.split, made.cost["moves"]) == (
+    assert (created.run, created.player, created.notes, created.round, created.split, created.cost["moves"]) == (
         6,
         "dice",
         "n",
@@ -61,7 +61,7 @@ def test_a_player_that_draws_is_seeded_by_its_run_and_plays_the_round_that_was_a
         4,
     )
     assert registerbench.play("random", "brief", episodes=1).player == "random"
-    assert made.seeds == (drawn(BRIEF, "heavy", "2031")[0],)
+    assert created.seeds == (drawn(BRIEF, "heavy", "2031")[0],)
 
 
 def test_what_a_policy_says_of_its_cost_comes_before_what_was_said_of_it_and_what_was_counted_before_both():
@@ -69,5 +69,5 @@ def test_what_a_policy_says_of_its_cost_comes_before_what_was_said_of_it_and_wha
         return [0.0] * 4
 
     frugal.cost = {"tokens": 12, "test_moves": 99}
-    made = registerbench.play(frugal, "brief", episodes=1, cost={"tokens": 1, "moves": 7, "test_moves": 5})
-    assert made.cost == {"tokens": 12, "moves": 7, "test_moves": 1}
+    created = registerbench.play(frugal, "brief", episodes=1, cost={"tokens": 1, "moves": 7, "test_moves": 5})
+    assert created.cost == {"tokens": 12, "moves": 7, "test_moves": 1}

@@ -10,7 +10,7 @@ import pytest
 import registerbench
 import stage.envs  # noqa: F401
 from registerbench.cards import CARDS
-from registerbench.policies import Around
+from registerbench.policies import PolicyContext
 from registerbench.statistics import rows
 
 
@@ -24,14 +24,14 @@ def rules():
 NAMES = ("distance", "kept")
 
 
-def boldness(rules, kind, w, *kept):
+def boldness(rules, kind, w, *saved):
     """Logarithm of the boldness of each try, after tries that kept step or did not."""
     rule, tried = kind(w, NAMES), []
     usual = rules.bold(np.ones(1))[0, 2]
     per = (rules.bold(np.full(1, np.e))[0, 2] - usual).item()
-    for k in range(len(kept) + 1):
-        seen = np.array([[0.5, float(kept[k - 1]) if k else 0.0]])
-        tried.append((rule(seen)[0, 2] - usual) / per)
+    for k in range(len(saved) + 1):
+        observed = np.array([[0.5, float(saved[k - 1]) if k else 0.0]])
+        tried.append((rule(observed)[0, 2] - usual) / per)
     return pytest.approx(tried, abs=1e-5)
 
 
@@ -48,8 +48,8 @@ def test_a_policy_with_memory_goes_up_until_it_loses_steps_and_then_between(rule
     assert boldness(rules, kind, w, True, False, True) == [0.6, 0.8, 0.65, 0.65 + 0.15 / 4]
     assert boldness(rules, kind, w, *[True] * 7) == [0.6, 0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 1.7], "back at last"
     rule = kind(w, NAMES)
-    for seen in (0.0, 1.0, 0.0):  # the same try, once so and once so
-        rule(np.array([[0.5, seen]]))
+    for observed in (0.0, 1.0, 0.0):  # the same try, once so and once so
+        rule(np.array([[0.5, observed]]))
         rule.last[:] = 0.5
     assert not np.isfinite(rule.held), "it was luck, and is forgotten"
     assert rule.last == pytest.approx(0.5)
@@ -68,20 +68,20 @@ def test_the_policy_of_the_bench_plays_as_the_one_that_learned(rules, task, play
     total, _, steps = learners.play(envs, kind, w, 5)
     envs.close()
     card, policy = CARDS[task], learners.Policy(kind, w.tolist())
-    chosen = {"memory": "last"} if "memory" in card.choices else {}
+    selected = {"memory": "last"} if "memory" in card.choices else {}
     env = gymnasium.make(
-        card.id, disable_env_checker=True, **{**card.settings, **chosen, **learners.CHEAPER.get(task, {})}
+        card.id, disable_env_checker=True, **{**card.settings, **selected, **learners.CHEAPER.get(task, {})}
     ).unwrapped
-    made = 0
+    created = 0
     for k in range(2):
         observation, info = env.reset(seed=5 + k)
-        policy.reset(Around(task, None, None, tuple(e.name for e in env.observation_features)))
+        policy.reset(PolicyContext(task, None, None, tuple(e.name for e in env.observation_features)))
         alone, over = 0.0, False
         while not over:
             observation, reward, terminated, truncated, info = env.step(policy(observation, info))
-            alone, over, made = alone + reward, terminated or truncated, made + 1
+            alone, over, created = alone + reward, terminated or truncated, created + 1
         assert alone == pytest.approx(total[k])
-    assert made == steps
+    assert created == steps
 
 
 @pytest.mark.slow
@@ -105,11 +105,11 @@ def test_a_rule_earns_on_a_table_what_its_tries_are_worth_there(rules):
     from registerbench.baselines.boldness import BOLDNESS, Table
 
     edge = np.array([2.0, 4.0])
-    kept = BOLDNESS[:, None] < edge
-    worth = np.where(kept, np.log(BOLDNESS)[:, None], 0.0)
-    table = Table(kept, kept, worth, np.zeros(2), False, 0, 0.05)
+    saved = BOLDNESS[:, None] < edge
+    worth = np.where(saved, np.log(BOLDNESS)[:, None], 0.0)
+    table = Table(saved, saved, worth, np.zeros(2), False, 0, 0.05)
     at = table.at(np.log([1.9, 2.1, 3.9]))
-    assert kept[at].tolist() == [[True, True], [False, True], [False, True]]
+    assert saved[at].tolist() == [[True, True], [False, True], [False, True]]
     best = table.total(np.array([at[0], at[2], at[1]])[:, None])
     assert best == pytest.approx([worth[at[0], 0] - 2 * 0.05, worth[at[2], 1]])
     answer = dataclasses.replace(table, last=True)
@@ -125,8 +125,8 @@ def test_a_rule_earns_on_a_table_what_its_tries_are_worth_there(rules):
 
 def test_memory_pays_where_the_last_try_is_the_answer_by_more_than_the_intervals():
     published = registerbench.read_all(Path(__file__).parents[1] / "docs" / "data" / "entries" / "few-shot-wide.zip")
-    found = {row.player: row for row in rows(published.values()) if row.split == "train"}
-    assert found["es with memory"].beats(found["es without memory"])
+    results = {row.player: row for row in rows(published.values()) if row.split == "train"}
+    assert results["es with memory"].beats(results["es without memory"])
 
 
 @pytest.fixture
@@ -159,9 +159,9 @@ def test_axes_are_seen_by_their_role_and_macros_are_those_of_the_environment_aga
     names, macros = [e.name for e in env.observation_features], list(env.macros)
     turn, of_axes = Turn(names, len(macros)), names.index("used")
 
-    def now(seen, mask):
-        axis = turn.axis(seen[None])
-        return axis, turn.seen(seen[None], axis)[0], turn.masks(mask[None], axis)[0]
+    def now(observed, mask):
+        axis = turn.axis(observed[None])
+        return axis, turn.seen(observed[None], axis)[0], turn.masks(mask[None], axis)[0]
 
     first, info = env.reset(seed=1, options={"targets": {"x": 16, "y": 16}})
     axis, x, x_mask = now(first, info["action_mask"])
@@ -189,8 +189,8 @@ def test_to_a_learner_the_way_of_an_axis_is_worth_as_much_with_a_second_axis_as_
         weight = learners.PROGRESS[level]
         env = gymnasium.make(learners.ID, disable_env_checker=True, level=level, progress_weight=weight).unwrapped
         env.reset(seed=1, options={"targets": targets})
-        said = ("rates usual", "distance 1024", "plus", "wait")
-        return sum(env.step(env.macros.index(m))[-1]["reward_parts"]["progress"] for m in said)
+        text = ("rates usual", "distance 1024", "plus", "wait")
+        return sum(env.step(env.macros.index(m))[-1]["reward_parts"]["progress"] for m in text)
 
     alone = progress("target", x=2048)
     assert alone > 0.1
@@ -215,11 +215,11 @@ def test_dqn_never_takes_a_macro_that_is_masked_and_learns_one_axis_in_a_minute(
     policy, rng = learners.Policy.load(tmp_path / "target-dqn-0.zip"), np.random.default_rng(0)
     env = gymnasium.make(learners.ID, disable_env_checker=True).unwrapped
     policy.reset(
-        Around("bus", env.action_space, env.observation_space, tuple(e.name for e in env.observation_features))
+        PolicyContext("bus", env.action_space, env.observation_space, tuple(e.name for e in env.observation_features))
     )
     masks = rng.integers(0, 2, (200, env.action_space.n))
     masks[:, 0] |= masks.sum(axis=1) == 0
-    seen = rng.uniform(-1, 1, (200, env.observation_space.shape[0])).astype(np.float32)
-    assert masks[np.arange(200), policy.choose(seen, masks)].all()
+    observed = rng.uniform(-1, 1, (200, env.observation_space.shape[0])).astype(np.float32)
+    assert masks[np.arange(200), policy.choose(observed, masks)].all()
     entry = registerbench.play(policy, "bus-target", "train", episodes=24)
     assert entry.scores["success"].mean() > 0.8

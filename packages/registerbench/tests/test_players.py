@@ -81,10 +81,10 @@ def test_what_a_model_gets_wrong_it_is_taught():
     wrong = calls(("runn", {}), ("service", '{"work": '), ("answer", '["x"]'), ("answer", {"cause": "late"}))
     with FakeModel(wrong, calls(("finish", {}))) as model:
         play(suite("diagnosis:late"), Endpoint(model.url, "fake"))
-        said = [m["content"] for m in model.asked[1]["messages"] if m["role"] == "tool"]
-    assert all(text.startswith("error: ") for text in said)
-    assert "Did you mean 'run'" in said[0]
-    assert "should be an object" in said[1]
+        message = [m["content"] for m in model.asked[1]["messages"] if m["role"] == "tool"]
+    assert all(text.startswith("error: ") for text in message)
+    assert "Did you mean 'run'" in message[0]
+    assert "should be an object" in message[1]
 
 
 def test_a_model_that_calls_nothing_is_left_alone():
@@ -106,9 +106,9 @@ NO_REPLIES = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize(("reply", "said"), NO_REPLIES)
-def test_an_endpoint_that_is_none_is_told(reply, said):
-    with FakeModel(reply) as model, pytest.raises(StageError, match=said):
+@pytest.mark.parametrize(("reply", "message"), NO_REPLIES)
+def test_an_endpoint_that_is_none_is_told(reply, message):
+    with FakeModel(reply) as model, pytest.raises(StageError, match=message):
         play(suite("diagnosis:late"), Endpoint(model.url, "fake", pause=0.0))
 
 
@@ -138,15 +138,15 @@ def test_a_client_of_the_protocol_plays_a_game(tmp_path):
             await client.call_tool("write_program", {"text": better})
             await client.call_tool("answer", {"cause": "ramp-down point too late"})
             await client.call_tool("finish", {})
-            late = await client.call_tool("run", {})
-            assert late.is_error
-            assert "this game is over" in late.content[0].text
+            delayed = await client.call_tool("run", {})
+            assert delayed.is_error
+            assert "this game is over" in delayed.content[0].text
             await asyncio.sleep(0)
 
     asyncio.run(work())
-    found = replay(file)
-    assert found.same
-    assert found.played.calls == 4
+    results = replay(file)
+    assert results.same
+    assert results.played.calls == 4
 
 
 def test_the_key_goes_to_the_address_that_was_given_and_to_no_other():

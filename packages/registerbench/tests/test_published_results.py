@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from registerbench.baselines import runs as published
-from registerbench.baselines.common import HELD, REPEATS, Log
+from registerbench.baselines.common import MAX_HOLDING, REPEATS, Log
 from registerbench.baselines.runs import Run, Runs
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -23,21 +23,21 @@ def results(monkeypatch):
     return module
 
 
-def moves(*rewards, kept=True, duration=0.4, more=0.0):
+def moves(*rewards, saved=True, duration=0.4, more=0.0):
     log = Log()
     for k, reward in enumerate(rewards):
         log.note(
-            reward, duration, 0 if kept else 4, 1e-5, kept, [1, 2, 3, 4, 5, 6], (32_000, 0.5 + more, k / len(rewards))
+            reward, duration, 0 if saved else 4, 1e-5, saved, [1, 2, 3, 4, 5, 6], (32_000, 0.5 + more, k / len(rewards))
         )
     return log
 
 
-def run(method="CMA-ES", seed=1, reward=-0.4, duration=0.4, found=True):
-    made = Run(method, "heavy", seed, moves(-0.3, -0.35))
-    if found:
-        made.proofs = {0: moves(-5.3, kept=False), 1: moves(*[-0.36] * 48)}
-        made.test = {context: moves(reward, duration=duration) for context in published.CONTEXTS}
-    return made
+def run(method="CMA-ES", seed=1, reward=-0.4, duration=0.4, matches=True):
+    created = Run(method, "heavy", seed, moves(-0.3, -0.35))
+    if matches:
+        created.proofs = {0: moves(-5.3, saved=False), 1: moves(*[-0.36] * 48)}
+        created.test = {context: moves(reward, duration=duration) for context in published.CONTEXTS}
+    return created
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def all_():
 
 def test_a_formula_is_beaten_by_an_interval_of_rewards_above_0_of_ten_seeds_or_more_that_all_found_an_answer(results):
     """Five verdicts were of time alone, and other ones by the reward by which the answers are chosen."""
-    made = [run("formula", reward=-0.44, duration=0.43)]
+    created = [run("formula", reward=-0.44, duration=0.43)]
     for method, rewards, durations in (
         ("CMA-ES", np.linspace(-0.41, -0.40, 10), [0.45] * 10),  # better by reward, slower
         ("PPO", np.linspace(-0.50, -0.40, 10), [0.40] * 10),  # faster
@@ -55,40 +55,42 @@ def test_a_formula_is_beaten_by_an_interval_of_rewards_above_0_of_ten_seeds_or_m
         ("SAC", [-0.40] * 9, [0.40] * 9),
     ):
         for k, (reward, duration) in enumerate(zip(rewards, durations, strict=True)):
-            made.append(run(method, k + 1, reward, duration, found=(method, k) != ("random", 9)))
-    made.append(run("agent loop", reward=-0.47, duration=0.47))
-    said = results.verdict(made, "heavy", results.FORMULA)
-    assert "(-440.0 ms, time 430.0 ms): by reward it is beaten by CMA-ES; better than none; open: random, PPO." in said
-    assert "In time it is beaten by PPO; better than CMA-ES; open: random." in said, "one of its ten found none"
-    assert said.endswith("Fewer than 10 runs, hence no verdict: agent loop, SAC.")
-    told = {m.name: g for m, g in results.gains(made, "heavy", results.FORMULA).items()}
-    assert re.fullmatch(r"\+35\.0 \(\+3\d\.\d to \+3\d\.\d\)", told["CMA-ES"][0].told)
-    assert told["agent loop"][0].told == "-30.0"
+            created.append(run(method, k + 1, reward, duration, matches=(method, k) != ("random", 9)))
+    created.append(run("agent loop", reward=-0.47, duration=0.47))
+    message = results.verdict(created, "heavy", results.FORMULA)
+    assert (
+        "(-440.0 ms, time 430.0 ms): by reward it is beaten by CMA-ES; better than none; open: random, PPO." in message
+    )
+    assert "In time it is beaten by PPO; better than CMA-ES; open: random." in message, "one of its ten found none"
+    assert message.endswith("Fewer than 10 runs, hence no verdict: agent loop, SAC.")
+    reported = {m.name: g for m, g in results.gains(created, "heavy", results.FORMULA).items()}
+    assert re.fullmatch(r"\+35\.0 \(\+3\d\.\d to \+3\d\.\d\)", reported["CMA-ES"][0].text)
+    assert reported["agent loop"][0].text == "-30.0"
 
 
 def test_an_answer_is_told_by_its_test_and_not_by_its_proof():
-    made = run(reward=-0.41)
-    assert (made.answer, made.lucky) == (1, 1)
-    assert made.mean("reward") == pytest.approx(-410)
-    assert made.flattered == pytest.approx(50)
-    made.test[published.NEW] = moves(-0.4, -5.4)
-    made.test[published.NEW].kept[1] = False
-    assert made.lost(published.NEW) == 1
-    assert made.mean("reward") == pytest.approx(-2900), "a lost step is paid for"
-    assert made.mean("reward", kept=True) == pytest.approx(-400)
+    created = run(reward=-0.41)
+    assert (created.answer, created.lucky) == (1, 1)
+    assert created.mean("reward") == pytest.approx(-410)
+    assert created.flattered == pytest.approx(50)
+    created.test[published.NEW] = moves(-0.4, -5.4)
+    created.test[published.NEW].kept[1] = False
+    assert created.lost(published.NEW) == 1
+    assert created.mean("reward") == pytest.approx(-2900), "a lost step is paid for"
+    assert created.mean("reward", kept=True) == pytest.approx(-400)
 
 
 def test_spare_ends_at_the_first_payload_with_which_a_step_was_lost():
-    made = run()
-    assert made.spare == 3.0
-    made.test["+2 kg"] = moves(-5.4, kept=False)
-    assert made.spare == 1.5
-    made.test["+0.5 kg"] = moves(-5.4, kept=False)
-    assert made.spare == 0.0
+    created = run()
+    assert created.spare == 3.0
+    created.test["+2 kg"] = moves(-5.4, saved=False)
+    assert created.spare == 1.5
+    created.test["+0.5 kg"] = moves(-5.4, saved=False)
+    assert created.spare == 0.0
 
 
 def test_runs_come_back_from_their_file_and_equal_ones_give_equal_bytes(tmp_path):
-    some = Runs(2, 2, {"heavy": 10.0}, versions={"mujoco": "3.17.0"}, runs=[run(seed=1), run(seed=2, found=False)])
+    some = Runs(2, 2, {"heavy": 10.0}, versions={"mujoco": "3.17.0"}, runs=[run(seed=1), run(seed=2, matches=False)])
     some.write(tmp_path / "a.parquet")
     back = Runs.read(tmp_path / "a.parquet")
     back.write(tmp_path / "b.parquet")
@@ -105,7 +107,7 @@ def test_runs_come_back_from_their_file_and_equal_ones_give_equal_bytes(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("made", "options"),
+    ("created", "options"),
     [
         ({"payloads": {"light": 0.5, "heavy": 10.0}}, ""),
         ({"payloads": {"2 kg": 2.0, "5 kg": 5.0}, "model": "xy"}, "--model xy --payload 2 5 "),
@@ -116,10 +118,10 @@ def test_runs_come_back_from_their_file_and_equal_ones_give_equal_bytes(tmp_path
         ),
     ],
 )
-def test_made_by_is_the_command_that_makes_the_page(made, options, results):
+def test_made_by_is_the_command_that_makes_the_page(created, options, results):
     """`--model xy --payload 2` was missing."""
-    said = results.made_by(Runs(16, 2, **made))
-    assert said == f"python -m registerbench.baselines.results {options}--budget 16 --seeds 2"
+    message = results.made_by(Runs(16, 2, **created))
+    assert message == f"python -m registerbench.baselines.results {options}--budget 16 --seeds 2"
 
 
 def test_the_page_is_what_the_published_moves_say(all_, results):
@@ -132,15 +134,15 @@ def test_each_published_answer_follows_from_its_proofs(all_):
     for r in all_.runs:
         ranked = [k for k in np.argsort(-np.array(r.search.reward), kind="stable") if r.search.kept[k]]
         assert list(r.proofs) == ranked[: len(r.proofs)]
-        held = {k: np.mean(log.reward) for k, log in r.proofs.items() if len(log) == REPEATS and all(log.kept)}
-        assert len(held) <= HELD
-        assert r.answer == (max(held, key=held.get) if held else None)
+        holding = {k: np.mean(log.reward) for k, log in r.proofs.items() if len(log) == REPEATS and all(log.kept)}
+        assert len(holding) <= MAX_HOLDING
+        assert r.answer == (max(holding, key=holding.get) if holding else None)
         assert {c: len(log) for c, log in r.test.items()} == (
-            {c: k.moves for c, k in published.CONTEXTS.items()} if held else {}
+            {c: k.moves for c, k in published.CONTEXTS.items()} if holding else {}
         )
         registers = [log.registers for log in r.test.values()]
         assert all(row == r.search.registers[r.answer] for rows in registers for row in rows)
-        answers += bool(held)
+        answers += bool(holding)
     assert answers > 80
 
 
@@ -172,8 +174,8 @@ def test_no_search_and_no_proof_has_seen_a_move_of_a_test_and_seed_0_is_not_amon
 
     assert {r.seed for r in all_.runs} == set(range(1, 11))
     tests = drawn(log for r in all_.runs for log in r.test.values())
-    seen = drawn(log for r in all_.runs for log in (r.search, *r.proofs.values()))
-    assert not tests & seen
+    observations = drawn(log for r in all_.runs for log in (r.search, *r.proofs.values()))
+    assert not tests & observations
     new = next(r.test["new"] for r in all_.runs if r.test)
     assert all(r.test["new"].drawn == new.drawn for r in all_.runs if r.test and r.payload == all_.runs[0].payload)
     assert sum(d < 0 for d, *_ in new.drawn) == len(new) // 2

@@ -45,8 +45,8 @@ def part(entry: Submission, episodes: int) -> Submission:
 
 
 def bits_are_promised(entry: Submission) -> None:
-    here, there = versions(), {"physics": "1"} | entry.versions
-    if other := [f"{name} {there[name]}" for name in SAME if there[name] != here[name]]:
+    current, present = versions(), {"physics": "1"} | entry.versions
+    if other := [f"{name} {present[name]}" for name in SAME if present[name] != current[name]]:
         pytest.skip(f"made with {', '.join(other)}")
 
 
@@ -74,21 +74,23 @@ def made_by_the_commands_of_the_page():
         parser.add_argument(f"--{name}", nargs="+", default=usual)
     parser.add_argument("--round", default="open")
     page = (FOLDER.parents[1] / "benchmark.md").read_text()
-    made = set()
+    created = set()
     for script, typed in re.findall(r"`python -m registerbench\.baselines\.(\w+) ([^`]*-o entries[^`]*)`", page):
-        given, rest = parser.parse_known_args(typed.split())
+        arguments, rest = parser.parse_known_args(typed.split())
         learned = script != "bench_entries"
         of_file = rest[1].removeprefix("runs/").partition("_") if learned else ("", "", "")
-        tasks = given.tasks or [of_file[0] if of_file[1] else "few-shot"]
-        made |= set(product(tasks, given.splits, [given.round], ["learned"] if learned else given.players))
-    return made
+        tasks = arguments.tasks or [of_file[0] if of_file[1] else "few-shot"]
+        created |= set(
+            product(tasks, arguments.splits, [arguments.round], ["learned"] if learned else arguments.players)
+        )
+    return created
 
 
 def test_each_published_entry_is_made_by_a_command_of_the_page():
-    made = made_by_the_commands_of_the_page()
+    created = made_by_the_commands_of_the_page()
     for name, e in ENTRIES.items():
         who = {"learned"} if e.cost.get("moves") else {"", e.player}
-        assert {(e.task, e.split, e.round, name) for name in who} & made, name
+        assert {(e.task, e.split, e.round, name) for name in who} & created, name
 
 
 @pytest.mark.parametrize("name", DAILY)

@@ -15,7 +15,7 @@ LAST_FIGURE = 1e-3  # of a return, in the tables
 EPISODES = 8
 
 
-def made(card, split):
+def created(card, split):
     """Whether the card offers it or not."""
     return gymnasium.make(card.id, disable_env_checker=True, **{**card.settings, "split": split}).unwrapped
 
@@ -23,17 +23,17 @@ def made(card, split):
 @cache
 def outcome(task, split, player, seed):
     """(sum of rewards, observations) of a test episode."""
-    env = made(CARDS[task], split)
+    env = created(CARDS[task], split)
     observation, _ = env.reset(seed=seed)
     env.action_space.seed(seed)
-    total, seen, over = 0.0, [observation], False
+    total, observed, over = 0.0, [observation], False
     while not over:
         action = env.scripted_action() if player == "scripted" else env.action_space.sample()
         observation, reward, terminated, truncated, _ = env.step(action)
         total, over = total + reward, terminated or truncated
-        seen.append(observation)
+        observed.append(observation)
     env.close()
-    return total, np.array(seen, float)
+    return total, np.array(observed, float)
 
 
 LONG = ("home", "bus-target", "bus-axes", "bus")  # seconds an episode
@@ -57,9 +57,9 @@ def test_every_split_of_a_card_changes_what_comes_out(task, split):
 @pytest.mark.parametrize("task", ["home", "line", "line-3", "bus-target", "bus-axes", "bus"])
 def test_looseness_changes_no_bit_of_these_tasks_and_they_do_not_offer_it(task):
     assert "loose" not in CARDS[task].splits
-    (train, seen), (test, also) = (outcome(task, split, "scripted", FIRST) for split in ("train", "loose"))
+    (train, observed), (test, also) = (outcome(task, split, "scripted", FIRST) for split in ("train", "loose"))
     assert train == test
-    assert (seen == also).all()
+    assert (observed == also).all()
 
 
 @pytest.mark.parametrize("card", CARDS.values(), ids=lambda card: card.name)
@@ -68,4 +68,4 @@ def test_environments_take_every_split_whatever_a_card_offers(card):
     assert card.splits[0] == "train"
     known = [split for split in contexts.SPLITS if split != "mast" or card.name != "line-3"]
     for split in known:
-        made(card, split).close()
+        created(card, split).close()

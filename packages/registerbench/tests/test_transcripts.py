@@ -13,20 +13,20 @@ from stage.cli import main
 from stage.errors import ArgumentError, StageError
 
 
-def looks(table):
+def samples(table):
     """A player that costs nothing."""
     table.call("program")
     table.spent(7)
 
 
 @pytest.fixture(scope="module")
-def late():
+def delayed():
     return play(suite("diagnosis:late"), player("technician"), "technician")
 
 
 @pytest.fixture(scope="module")
 def three():
-    return play(suite("diagnosis", episodes=3), looks, "looks")
+    return play(suite("diagnosis", episodes=3), samples, "looks")
 
 
 def lines(path):
@@ -37,14 +37,14 @@ def write(path, rows):
     path.write_text("".join(json.dumps(row) + "\n" for row in rows))
 
 
-def test_a_transcript_is_replayed_bit_for_bit_without_the_player(late, tmp_path):
+def test_a_transcript_is_replayed_bit_for_bit_without_the_player(delayed, tmp_path):
     file = tmp_path / "late.jsonl"
-    save(late, file)
+    save(delayed, file)
     back = read(file)
-    assert (back.head, back.rounds) == (late.head, late.rounds)
-    found = replay(file)
-    assert found.same
-    assert (found.played.value, found.played.calls) == (late.value, late.calls)
+    assert (back.head, back.rounds) == (delayed.head, delayed.rounds)
+    results = replay(file)
+    assert results.same
+    assert (results.played.value, results.played.calls) == (delayed.value, delayed.calls)
 
 
 CHANGES = (
@@ -55,16 +55,16 @@ CHANGES = (
 
 
 @pytest.mark.parametrize(("was", "becomes"), CHANGES)
-def test_a_transcript_that_was_changed_differs(late, tmp_path, was, becomes, capsys):
+def test_a_transcript_that_was_changed_differs(delayed, tmp_path, was, becomes, capsys):
     file = tmp_path / "late.jsonl"
-    save(late, file)
+    save(delayed, file)
     text = file.read_text()
     assert was in text
     file.write_text(text.replace(was, becomes, 1))
     assert main(["agent-replay", str(file)]) == 1
-    told = capsys.readouterr().out
-    assert "DIFFERS" in told
-    assert " to 0.9" not in told
+    reported = capsys.readouterr().out
+    assert "DIFFERS" in reported
+    assert " to 0.9" not in reported
 
 
 def test_what_nobody_can_verify_is_told_as_claimed(three, tmp_path, capsys):
@@ -74,21 +74,21 @@ def test_what_nobody_can_verify_is_told_as_claimed(three, tmp_path, capsys):
     rows[0]["player"] = "the best model\x1b[2J of all"
     write(file, rows)
     assert main(["agent-replay", str(file)]) == 0
-    told = capsys.readouterr().out
-    assert "Claimed, and not to be verified: the player's name 'the best model\\x1b[2J of all', 21 tokens." in told
-    assert "\x1b" not in told
+    reported = capsys.readouterr().out
+    assert "Claimed, and not to be verified: the player's name 'the best model\\x1b[2J of all', 21 tokens." in reported
+    assert "\x1b" not in reported
 
 
-def test_a_part_is_never_told_as_the_suite(three, late, tmp_path, capsys):
+def test_a_part_is_never_told_as_the_suite(three, delayed, tmp_path, capsys):
     """Of a part the games are counted, and named as no score of the suite, when it is played and when it is replayed."""
-    for came, said in ((three, "3 of 10 games of diagnosis: "), (late, "1 of 10 games of diagnosis: ")):
-        assert said in str(came)
+    for came, message in ((three, "3 of 10 games of diagnosis: "), (delayed, "1 of 10 games of diagnosis: ")):
+        assert message in str(came)
         assert "a part, and no score of the suite" in str(came)
         save(came, tmp_path / "t.jsonl", overwrite=True)
         assert main(["agent-replay", str(tmp_path / "t.jsonl")]) == 0
-        told = capsys.readouterr().out
-        assert said in told
-        assert "no score of the suite" in told
+        reported = capsys.readouterr().out
+        assert message in reported
+        assert "no score of the suite" in reported
     assert main(["agent", "one-shot", "--episodes", "2"]) == 0
     assert "formula on 2 of 64 games of one-shot train: " in capsys.readouterr().out
 
@@ -165,7 +165,7 @@ def test_what_a_suite_does_not_have_is_refused(three, tmp_path, k, key, value):
 
 
 def test_other_limits_than_the_usual_are_told():
-    assert "up to 9 calls a game, and 400 are usual" in str(play(suite("diagnosis:late"), looks, "l", Limits(most=9)))
+    assert "up to 9 calls a game, and 400 are usual" in str(play(suite("diagnosis:late"), samples, "l", Limits(most=9)))
 
 
 def test_a_transcript_of_the_bench_is_replayed_too(tmp_path):
@@ -195,18 +195,18 @@ def test_a_run_that_breaks_off_leaves_its_games_and_goes_on(tmp_path):
     games, file = suite("diagnosis", episodes=4), tmp_path / "t.jsonl"
     with Writer(file, head_of(games, "p", Limits())) as writer:
         with pytest.raises(Interrupted, match=r"^game 3 of 4, diagnosis:wide: the endpoint is out of money$") as error:
-            play(games, breaks(3), "p", told=writer.game)
+            play(games, breaks(3), "p", report_progress=writer.game)
         assert len(error.value.played.rounds) == 2
-    found = replay(file)
-    assert not found.same
-    assert "cut: 2 of its 4 games are there" in str(found)
+    results = replay(file)
+    assert not results.same
+    assert "cut: 2 of its 4 games are there" in str(results)
     file.write_text(
         file.read_text() + '{"game": "diagnosis:wide", "seed": null}\n{"call": "pro'
     )  # killed while it wrote
     assert "2 of its 4 games" in replay(file).cut
     later = breaks(0)
     with Writer(file, head_of(games, "p", Limits()), go_on=True) as writer:
-        came = play(games, later, "p", told=writer.game, before=writer.before)
+        came = play(games, later, "p", report_progress=writer.game, before=writer.before)
         writer.end(came)
     assert later.games == ["diagnosis:wide", "diagnosis:swapped"]
     assert replay(file).same
@@ -247,7 +247,7 @@ def test_what_was_played_before_must_come_out_the_same(tmp_path, three):
     rows[2]["answer"] = {"text": "nothing"}
     write(file, rows)
     with Writer(file, three.head, go_on=True) as writer, pytest.raises(ArgumentError, match="comes out otherwise here"):
-        play(suite("diagnosis", episodes=3), looks, "looks", before=writer.before)
+        play(suite("diagnosis", episodes=3), samples, "looks", before=writer.before)
 
 
 def test_an_end_amid_a_game_is_none(tmp_path):
@@ -285,9 +285,9 @@ SPOILED = (
 
 
 @pytest.mark.parametrize(("row", "key", "value", "says"), SPOILED)
-def test_a_transcript_with_a_wrong_value_is_refused_with_the_value(late, tmp_path, row, key, value, says):
+def test_a_transcript_with_a_wrong_value_is_refused_with_the_value(delayed, tmp_path, row, key, value, says):
     file = tmp_path / "late.jsonl"
-    save(late, file)
+    save(delayed, file)
     rows = lines(file)
     assert key in rows[row]
     rows[row][key] = value
@@ -296,20 +296,20 @@ def test_a_transcript_with_a_wrong_value_is_refused_with_the_value(late, tmp_pat
         read(file)
 
 
-def test_a_line_behind_the_end_of_a_transcript_is_refused(late, tmp_path):
+def test_a_line_behind_the_end_of_a_transcript_is_refused(delayed, tmp_path):
     file = tmp_path / "late.jsonl"
-    save(late, file)
+    save(delayed, file)
     rows = lines(file)
     write(file, [*rows, rows[1]])
     with pytest.raises(ArgumentError, match=rf"line {len(rows) + 1}\b.*behind its end"):
         read(file)
 
 
-def test_a_game_that_is_played_again_says_where_it_first_differs(late):
-    (claimed,) = late.rounds
+def test_a_game_that_is_played_again_says_where_it_first_differs(delayed):
+    (claimed,) = delayed.rounds
     game = next(iter(suite("diagnosis:late")))
     assert "with seed" in again(game, dataclasses.replace(claimed, seed=5))
     assert "2 are allowed" in again(game, claimed, most=2)
     unmade = [{**row, "made": False, "ok": True} for row in claimed.calls]
-    assert "call 1, 'program'" in (said := again(game, dataclasses.replace(claimed, calls=unmade)))
-    assert "it was not made, and has an answer" in said
+    assert "call 1, 'program'" in (message := again(game, dataclasses.replace(claimed, calls=unmade)))
+    assert "it was not made, and has an answer" in message

@@ -37,7 +37,7 @@ class Game:
         raise NotImplementedError
 
     def score(self) -> dict[str, float]:
-        """What has been reached, by name, "value" among them. Called once, at the end."""
+        """Return what has been reached, by name, "value" among them. Called once, at the end."""
         raise NotImplementedError
 
     def close(self) -> None:
@@ -61,14 +61,15 @@ class Diagnosis(Game):
         return {
             "value": reached.value,
             "found": float(reached.found),
-            "mended": float(reached.mended),
+            "mended": float(reached.repaired),
             "work": reached.work,
             "runs": reached.runs,
         }
 
 
-ASKED = """RegisterBench, task {name}: {asked}. The machine is drawn anew for each episode, and hidden; you see what a host on the
-bus can know. `observe` tells it, `formula` what the engineer's rule would do, `act` does it: {act} The episode ends by itself."""
+TASK_TEXT = """RegisterBench, task {name}: {asked}. The machine is drawn anew for each episode, and hidden; you see what a host on
+the bus can know. `observe` tells it, `formula` what the engineer's rule would do, `act` does it: {act} The episode ends by
+itself."""
 
 
 class Bench(Game):
@@ -90,34 +91,34 @@ class Bench(Game):
                 Tool("act", self._actions.text, self._act, arguments, moves=True),
             ]
         )
-        self.task = ASKED.format(name=played.card.name, asked=played.card.asked, act=self._actions.text)
+        self.task = TASK_TEXT.format(name=played.card.name, asked=played.card.asked, act=self._actions.text)
 
     @property
     def over(self) -> bool:
         return self._played.done > self.number
 
     def _formula(self) -> dict[str, Any]:
-        self._goes_on()
+        self._require_running()
         return self._actions.formula()
 
     def _act(self, **given: Any) -> dict[str, Any]:
-        self._goes_on()
+        self._require_running()
         self._played.act(self._actions.make_action(**given))
         return {"over": self.over, **self._actions.observation()}
 
-    def _goes_on(self) -> None:
+    def _require_running(self) -> None:
         if self.over:
             raise StageError("this episode is over: nothing can be done in it any more.")
 
     def score(self) -> dict[str, float]:
-        given_up = 0
+        left_steps = 0
         while not self.over:  # whoever goes early leaves the rest to the rule of who does nothing
             self._played.act(self._actions.idle())
-            given_up += 1
+            left_steps += 1
         return {
             "value": self._played.scores[self.number]["return"],
             **self._played.scores[self.number],
-            "given_up": given_up,
+            "given_up": left_steps,
         }
 
 
@@ -151,17 +152,33 @@ class Suite:
                 self._played.close()
 
     def entry(self, player: str, cost: dict[str, float], notes: str = "") -> Submission | None:
-        """An entry of the bench, which `stage bench-verify` replays; None of broken set-ups."""
+        """Return the entry of the bench, which `stage bench-verify` replays; None for broken set-ups.
+
+        Args:
+            player: Name of the player.
+            cost: What the player took.
+            notes: Anything to be kept with it.
+        """
         return None if self._played is None else self._played.entry(player, 0, notes, cost)
 
 
 def suites() -> list[str]:
-    """The names of all suites."""
+    """List the names of all suites."""
     return [DIAGNOSIS, *CARDS]
 
 
 def suite(name: str, split: str = TRAIN, episodes: int | None = None, round_: str = OPEN) -> Suite:
-    """By its name. episodes: only the first so many. Raises ArgumentError."""
+    """Return the suite of this name.
+
+    Args:
+        name: Of a task of the bench; "diagnosis", or "diagnosis:NAME" for one set-up.
+        split: Of the task.
+        episodes: Play only the first ones.
+        round_: Of the bench.
+
+    Raises:
+        ArgumentError: There is no such suite, set-up or number of episodes.
+    """
     first, _, one = name.partition(":")
     kind = choose("suite", first, tuple(suites()))
     if kind == DIAGNOSIS:
@@ -179,5 +196,5 @@ def suite(name: str, split: str = TRAIN, episodes: int | None = None, round_: st
 
 
 def _named(played: Episodes) -> list[tuple[str, int | None]]:
-    """Of each episode."""
+    """List the name and the seed of each episode."""
     return [(f"{played.card.name}:{played.split}:{k}", seed) for k, seed in enumerate(played.wanted)]

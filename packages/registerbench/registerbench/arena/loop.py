@@ -31,14 +31,21 @@ def play(
     player: Player,
     name: str = "",
     limits: Limits | None = None,
-    told: Callable[[Round], None] | None = None,
+    report_progress: Callable[[Round], None] | None = None,
     before: Sequence[Round] = (),
 ) -> Played:
-    """Let a player play every game.
+    """Let a player play every game of a suite.
 
-    name: of the player; limits: of calls and time; told: of each game that is over; before: games of this suite that were played
-    already: their calls are made again. Raises Interrupted where the player cannot play, as an endpoint that does not answer;
-    ArgumentError where a game before does not come out as it did. What else a player raises comes out as it is.
+    Args:
+        suite: The games.
+        player: Called with the table of each game.
+        name: Of the player; default: as it calls itself.
+        limits: Of calls and time.
+        report_progress: Called with each game that is over.
+        before: Games that were played earlier.
+
+    Returns:
+        The games and their score.
     """
     name = name or name_of(player)
     limits = limits or Limits()
@@ -55,19 +62,19 @@ def play(
         except StageError as why:
             said = f"game {k + 1} of {len(suite.games)}, {game.name}: {why}"
             raise Interrupted(said, played(head, rounds)) from why
-        if told:
-            told(rounds[-1])
+        if report_progress:
+            report_progress(rounds[-1])
     cost: dict[str, float] = {"tokens": sum(r.tokens for r in rounds), "calls": sum(len(r.calls) for r in rounds)}
     return played(head, rounds, suite.entry(name, cost))
 
 
 def head_of(suite: Suite, player: str, limits: Limits) -> Head:
-    """Of a run."""
+    """Return the first line of a run."""
     return Head(suite.name, suite.split, suite.round, suite.games, suite.of, limits, player)
 
 
 def name_of(player: Player) -> str:
-    """As it calls itself."""
+    """Return the name that the player gives itself."""
     return str(getattr(player, "name", getattr(player, "__name__", type(player).__name__)))
 
 
@@ -97,7 +104,7 @@ def _sit(player: Player, table: Table) -> None:
 
     thread = threading.Thread(target=work, name="player", daemon=True)
     thread.start()
-    while not done.wait(table.look_again()):
+    while not done.wait(table.find_time_left()):
         if why := table.late():
             table.leave(why)
             getattr(player, "stop", lambda: None)()

@@ -15,8 +15,13 @@ from stage.agents.arguments import format_value
 
 @dataclass(frozen=True)
 class Replayed:
-    """What came of a replay. played: the games that came out as the transcript says, with their score; first: the first
-    difference, in words, "" where there is none; cut: the transcript ends before its games do."""
+    """Result of a replay.
+
+    Attributes:
+        played: Games that came out as the transcript says, with their score.
+        first: First difference, in words; "" where there is none.
+        cut: Sentence about a transcript that ends before its games do; "" otherwise.
+    """
 
     played: Played
     first: str
@@ -36,8 +41,18 @@ class Replayed:
         return "\n".join(lines)
 
 
-def replay(transcript: Played | str | os.PathLike, told: Callable[[int, int], None] | None = None) -> Replayed:
-    """Make the calls again, without the player, and compare. told: of (games, of). Raises ArgumentError."""
+def replay(
+    transcript: Played | str | os.PathLike, report_progress: Callable[[int, int], None] | None = None
+) -> Replayed:
+    """Make the calls of a transcript again, without the player, and compare.
+
+    Args:
+        transcript: What was played, or a file.
+        report_progress: Called with (games replayed, games).
+
+    Raises:
+        ArgumentError: The file cannot be read.
+    """
     if isinstance(transcript, Played):
         given = Transcript(transcript.head, transcript.rounds, closing_of(transcript), 0)
     else:
@@ -48,14 +63,23 @@ def replay(transcript: Played | str | os.PathLike, told: Callable[[int, int], No
         if first := again(game, claimed, given.head.limits.most):
             return Replayed(played(given.head, rounds), first)
         rounds.append(claimed)
-        if told:
-            told(len(rounds), len(given.rounds))
+        if report_progress:
+            report_progress(len(rounds), len(given.rounds))
     came = played(given.head, rounds)
     return Replayed(came, _closing(given, came), _cut(given))
 
 
 def again(game: Game, claimed: Round, most: int | None = None) -> str:
-    """Make the calls of a game. Returns the first difference, "" if all is equal."""
+    """Make the calls of a game again.
+
+    Args:
+        game: To play.
+        claimed: What the transcript says of it.
+        most: Number of calls.
+
+    Returns:
+        The first difference in words, "" if all is equal.
+    """
     if (game.name, game.seed) != (claimed.game, claimed.seed):
         return f"game {claimed.game!r} with seed {claimed.seed} in the transcript, {game.name!r} with {game.seed} here"
     if most is not None and len(claimed.calls) > most:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from registerbench.arena.games import DIAGNOSIS
-from registerbench.arena.table import MOST, Limits, jsonable
+from registerbench.arena.table import MAX_CALLS, Limits, jsonable
 from registerbench.entry_files import Submission
 from registerbench.statistics import interval, iqm
 
@@ -19,7 +19,7 @@ FAILED = "failed"
 
 @dataclass(frozen=True)
 class Head:
-    """What was to be played, by whom, within which limits. games: names and seeds; of: so many has the whole suite."""
+    """Head of a run: what was to be played, by whom, within which limits; games: names and seeds."""
 
     suite: str
     split: str
@@ -56,8 +56,14 @@ class Round:
 
 @dataclass(frozen=True)
 class Played:
-    """What a player has reached. rounds: games, in their order; value, low, high: of these games, with its 95 % interval: the mean
-    of broken set-ups, the interquartile mean of returns."""
+    """Games of a player and their score.
+
+    Attributes:
+        head: Of the run.
+        rounds: Games, in their order.
+        value, low, high: Value of these games with its 95 % interval: the mean of set-ups, the interquartile mean of returns.
+        entry: Of the bench, or None.
+    """
 
     head: Head
     rounds: list[Round]
@@ -68,22 +74,22 @@ class Played:
 
     @property
     def whole(self) -> bool:
-        """All games of the suite were played: then it is the suite's score."""
+        """All games of the suite were played, so that this is the suite's score."""
         return len(self.rounds) == self.head.of
 
     @property
     def player(self) -> str:
-        """Its name."""
+        """Name of the player."""
         return self.head.player
 
     @property
     def tokens(self) -> int:
-        """In all."""
+        """Tokens in all games."""
         return sum(r.tokens for r in self.rounds)
 
     @property
     def calls(self) -> int:
-        """In all."""
+        """Calls in all games."""
         return sum(len(r.calls) for r in self.rounds)
 
     def __str__(self) -> str:
@@ -100,12 +106,12 @@ class Played:
         refused = f", {self.calls - valid} of them refused" if valid < self.calls else ""
         numbers = f"{self.value:.3f} ({self.low:.3f} to {self.high:.3f}), {what}" if n else "no game was played"
         most = self.head.limits.most
-        limit = "" if most == MOST else f"; up to {most} calls a game, and {MOST} are usual"
+        limit = "" if most == MAX_CALLS else f"; up to {most} calls a game, and {MAX_CALLS} are usual"
         return f"{head}{numbers}{part}; {self.calls} calls{refused}{limit}"
 
     @property
     def troubles(self) -> Counter[str]:
-        """What went wrong, how often: games that were ended, and what happened beside calls."""
+        """Number of each kind of trouble: games that were ended, and what happened beside them."""
         found = Counter({r.ended: 0 for r in self.rounds if r.ended})
         for r in self.rounds:
             found.update(r.troubles)
@@ -115,17 +121,23 @@ class Played:
 
     @property
     def sound(self) -> bool:
-        """Somebody has played: a call was valid, and no game was ended because it took too long or its player failed."""
+        """At least one call was valid, and no game was ended."""
         return any(r.valid for r in self.rounds) and not any(r.ended for r in self.rounds)
 
 
 def played(head: Head, rounds: list[Round], entry: Submission | None = None) -> Played:
-    """With the score of what has been played."""
+    """Return what was played, with its score.
+
+    Args:
+        head: Of the run.
+        rounds: Games, in their order.
+        entry: Of the bench, or None.
+    """
     return Played(head, rounds, *value_of(head.kind, [r.score["value"] for r in rounds]), entry)
 
 
 def closing_of(came: Played) -> dict[str, Any]:
-    """The last line of a transcript: what its games come to."""
+    """Return the last line of a transcript: the scores of its games."""
     return jsonable(
         {"played": len(came.rounds), "of": came.head.of, "value": came.value, "low": came.low, "high": came.high}
         | {"calls": came.calls, "tokens": came.tokens}
@@ -133,7 +145,15 @@ def closing_of(came: Played) -> dict[str, Any]:
 
 
 def value_of(kind: str, values: Sequence[float]) -> tuple[float, float, float]:
-    """Of games' scores: value, low, high."""
+    """Compute the value of games.
+
+    Args:
+        kind: Of the suite.
+        values: Of its games.
+
+    Returns:
+        Mean, and both ends of its interval.
+    """
     scores = np.array(values, float)
     if not len(scores):
         return float("nan"), float("nan"), float("nan")

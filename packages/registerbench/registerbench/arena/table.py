@@ -15,7 +15,7 @@ from stage.agents import Answer
 from stage.agents.arguments import format_value
 from stage.errors import ArgumentError
 
-MOST, PATIENCE, TIME = 400, 600.0, 3600.0
+MAX_CALLS, PATIENCE, TIME = 400, 600.0, 3600.0
 AFTER = 20  # calls that are refused when a game is over, and the next one ends the player
 TOKENS = 1 << 40  # of a reply, at most
 
@@ -25,7 +25,7 @@ class Limits:
     """most: calls of a game; patience: s of real time that a player may take for its next call; time: s for all of a game's.
     The simulation's own time is not the player's. Raises ArgumentError."""
 
-    most: int = MOST
+    most: int = MAX_CALLS
     patience: float = PATIENCE
     time: float = TIME
 
@@ -62,7 +62,7 @@ class Table:
 
     @property
     def tools(self) -> list[dict[str, Any]]:
-        """As most interfaces of language models take them: name, description, parameters."""
+        """Tools as most interfaces of language models take them: name, description, parameters."""
         return [
             {"name": t.name, "description": t.text, "parameters": t.schema()} for t in self._game.calls.tools.values()
         ]
@@ -72,7 +72,12 @@ class Table:
         return self._left or self._game.over or len(self.log) >= self.limits.most
 
     def call(self, name: Any, arguments: Any = None) -> Answer:
-        """Make a call; it never raises, but for who goes on and on when the game is over."""
+        """Make a call. It does not raise, unless the player goes on although the game is over.
+
+        Args:
+            name: Of the tool.
+            arguments: As the player gives them.
+        """
         with self._lock:
             self._thought += monotonic() - (self._since or monotonic())
             self._since = None
@@ -85,15 +90,15 @@ class Table:
         if self.over:
             return self._refused()
         try:
-            asked = jsonable({"call": name, "arguments": arguments})
+            request = jsonable({"call": name, "arguments": arguments})
         except (TypeError, ValueError, RecursionError) as why:
             self.trouble("arguments that are no JSON")
             said = f"the arguments cannot be written as JSON ({type(why).__name__}: {format_value(str(why))})."
-            asked, answer = {"call": format_value(name), "arguments": None}, Answer(False, {"error": said})
-            self.log.append({**asked, "ok": False, "answer": answer.data, "made": False})
+            request, answer = {"call": format_value(name), "arguments": None}, Answer(False, {"error": said})
+            self.log.append({**request, "ok": False, "answer": answer.data, "made": False})
             return answer
-        answer = self._game.calls.call(asked["call"], asked["arguments"])
-        self.log.append({**asked, "ok": answer.ok, "answer": jsonable(answer.data)})
+        answer = self._game.calls.call(request["call"], request["arguments"])
+        self.log.append({**request, "ok": answer.ok, "answer": jsonable(answer.data)})
         return answer
 
     def _refused(self) -> Answer:
@@ -106,11 +111,11 @@ class Table:
         return Answer(False, {"error": why})
 
     def trouble(self, what: str) -> None:
-        """Note what the player does wrong beside its calls: it is told at the end, with how often."""
+        """Count what the player does wrong beside its calls; the end of the game reports it."""
         self.troubles[what] += 1
 
     def spent(self, tokens: Any) -> None:
-        """Count what the player says that it took. What is no number of tokens is not counted."""
+        """Count the tokens that the player states; anything else than a number does not count."""
         if isinstance(tokens, bool) or not isinstance(tokens, int) or not 0 <= tokens < TOKENS:
             self.trouble("tokens that are no whole number, and are not counted")
         else:
@@ -118,8 +123,8 @@ class Table:
 
     # --- for the loop ---
 
-    def look_again(self) -> float:
-        """s until it may be too late."""
+    def find_time_left(self) -> float:
+        """Return the seconds until the player may be out of time."""
         since = self._since
         if since is None:
             return min(self.limits.patience, 1.0)
@@ -139,7 +144,7 @@ class Table:
         return ""
 
     def leave(self, why: str) -> None:
-        """No call is made from now on. why: it was ended, unless it was over already."""
+        """End the game for the player, unless it is over already."""
         with self._lock:
             if not self.over:
                 self.ended = why
@@ -147,5 +152,5 @@ class Table:
 
 
 def jsonable(value: Any) -> Any:
-    """As it comes back from a file of JSON."""
+    """Return a value as it comes back from a JSON file."""
     return json.loads(json.dumps(value, default=repr))

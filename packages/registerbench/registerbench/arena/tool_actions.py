@@ -23,13 +23,23 @@ def rates_of(action: np.ndarray) -> dict[str, float]:
 
 
 def from_log_scale(value: float, ends: Sequence[float]) -> float:
-    """Return the number for which -1 to 1 stands on a logarithmic scale between two ends."""
+    """Convert a place on a logarithmic scale to the number.
+
+    Args:
+        value: From -1 to 1.
+        ends: Least and largest number.
+    """
     low, high = np.log(ends)
     return float(np.clip(np.exp(low + (high - low) * (value + 1) / 2), ends[0], ends[1]))
 
 
 def to_log_scale(value: float, ends: Sequence[float]) -> float:
-    """Return the place, -1 to 1, of a number on a logarithmic scale between two ends."""
+    """Convert a number to its place on a logarithmic scale, -1 to 1.
+
+    Args:
+        value: The number.
+        ends: Least and largest number.
+    """
     low, high = np.log(ends)
     return float(np.clip(2 * (np.log(value) - low) / max(high - low, 1e-9) - 1, -1, 1))
 

@@ -32,7 +32,14 @@ LARGEST = 256 << 20  # bytes of a file
 
 @dataclass(frozen=True)
 class Transcript:
-    """From a file. closing: its last line, None where it is missing; ends: bytes until the last whole game."""
+    """Transcript that was read from a file.
+
+    Attributes:
+        head: Its first line.
+        rounds: Games.
+        closing: Its last line; None where it is missing.
+        ends: Bytes up to the last complete game.
+    """
 
     head: Head
     rounds: list[Round]
@@ -41,7 +48,7 @@ class Transcript:
 
 
 def suite_of(head: Head) -> Suite:
-    """The suite of a transcript, as it is here. Raises ArgumentError where its games are others."""
+    """Return the suite of a transcript. Raises ArgumentError if its games are others here."""
     one = ":" in head.suite
     games = suite(head.suite, head.split or "train", None if one else len(head.games), head.round)
     if (games.split, games.round) != (head.split, head.round):
@@ -68,16 +75,16 @@ class Writer:
             self._file = target.open("w", encoding="utf-8")
         except OSError as why:
             raise FileError(f"{path} cannot be written: {why.strerror or why}.") from why
-        told = asdict(head)
-        self._write({"format": [MARK, FORMAT], **told.pop("limits"), **told, "versions": versions()})
+        columns = asdict(head)
+        self._write({"format": [MARK, FORMAT], **columns.pop("limits"), **columns, "versions": versions()})
 
     def game(self, r: Round) -> None:
-        """A game is over."""
+        """Write the lines of a game that is over."""
         end = {"score": r.score, "tokens": r.tokens, "ended": r.ended, "troubles": r.troubles}
         self._write({"game": r.game, "seed": r.seed}, *r.calls, end)
 
     def end(self, came: Played) -> None:
-        """All games are."""
+        """Write the last line."""
         self._write(closing_of(came))
 
     def close(self) -> None:
@@ -103,7 +110,16 @@ class Writer:
 
 
 def save(came: Played, path: str | os.PathLike, overwrite: bool = False) -> None:
-    """Write a transcript at once. Raises FileError."""
+    """Write a transcript as one file.
+
+    Args:
+        came: What was played.
+        path: Of the file.
+        overwrite: Replace a file that is there.
+
+    Raises:
+        FileError: The file cannot be written.
+    """
     with Writer(path, came.head, overwrite) as writer:
         for r in came.rounds:
             writer.game(r)
@@ -176,7 +192,7 @@ def _head(line: Any) -> Head:
 
 
 def _round(lines: list[dict[str, Any]], end: dict[str, Any]) -> Round:
-    """Of a game's lines, the last one apart."""
+    """Return the game of these lines, without the last one."""
     first, *calls = lines
     for row in calls:
         _ = row["call"], row["arguments"], row["answer"]

@@ -23,7 +23,7 @@ FIRST = (0.2, 0.9, 0.1, -0.1)  # of the last column: start, drive, up, down, all
 
 
 def named(observation: np.ndarray, names: list[str]) -> dict[str, Any]:
-    """One observation by names, as a player's tool tells it."""
+    """Return one observation by names, as a tool gives it to a player."""
     found: dict[str, Any] = {}
     for name, value in zip(names, observation.tolist(), strict=True):
         found.setdefault(name, []).append(value)
@@ -31,20 +31,27 @@ def named(observation: np.ndarray, names: list[str]) -> dict[str, Any]:
 
 
 def returns(envs: Any, kind: str, tables: np.ndarray, seed: int) -> np.ndarray:
-    """Of the tables, the mean of an episode each on some machines."""
+    """Compute the return of each table: the mean over an episode on each of some machines.
+
+    Args:
+        envs: Vector environment.
+        kind: Of the task.
+        tables: Weights, (tables, ...).
+        seed: Of the machines.
+    """
     tables = np.repeat(tables, EACH, axis=0)
     names, total = [e.name for e in envs.observation_features], np.zeros(MACHINES)
-    seen, _ = envs.reset(seed=seed)
+    observation, _ = envs.reset(seed=seed)
     while True:
-        chosen = [action(w, features(kind, named(row, names))) for w, row in zip(tables, seen, strict=True)]
-        seen, rewards, terminated, truncated, _ = envs.step(np.array(chosen, np.float32))
+        chosen = [action(w, features(kind, named(row, names))) for w, row in zip(tables, observation, strict=True)]
+        observation, rewards, terminated, truncated, _ = envs.step(np.array(chosen, np.float32))
         total += rewards
         if (terminated | truncated).all():
             return total.reshape(TABLES, EACH).mean(axis=1)
 
 
 def trained(kind: str, generations: int, start: np.ndarray | None = None) -> np.ndarray:
-    """The table of a task."""
+    """Train the table of a task."""
     card = CARDS[kind]
     vector: Any = {"vectorization_mode": "vector_entry_point", "autoreset_mode": "Disabled"}
     envs = gymnasium.make_vec(card.id, MACHINES, **vector, **card.settings, split="train", truth="info").unwrapped

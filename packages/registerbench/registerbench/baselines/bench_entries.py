@@ -17,14 +17,24 @@ from typing import Any
 import registerbench
 from registerbench.baselines import stops
 from registerbench.cards import CARDS, OPEN
-from registerbench.shipped_policies import OWN
+from registerbench.shipped_policies import SHIPPED
 
 DRAWN = ("random",)
 OPTUNA = {"tpe": "Tpe", "cma-es": "CmaEs"}
 
 
 def write_entry(policy: Any, task: str, split: str, folder: Path, method: str, run: int, **how: Any) -> None:
-    """Play the test episodes of a split, write the entry into `folder`, and say what it reached; `how` is for `play`."""
+    """Play the test episodes of a split, write the entry, and print its scores.
+
+    Args:
+        policy: As `play` takes it.
+        task: Name of a card.
+        split: Of its machines.
+        folder: For the file.
+        method: In the name of the file.
+        run: Number of the training run.
+        **how: Other arguments of `play`.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     entry = registerbench.play(policy, task, split, run=run, **how)
     entry.write(folder / f"{task}-{split}-{method}-{run}.bench", overwrite=True)
@@ -32,7 +42,7 @@ def write_entry(policy: Any, task: str, split: str, folder: Path, method: str, r
 
 
 def players_of(task: str) -> list[str]:
-    own = list(OWN.get(task, {})) or ["scripted"]
+    own = list(SHIPPED.get(task, {})) or ["scripted"]
     return ["random", *own, *(OPTUNA if task == "few-shot" else ())]
 
 

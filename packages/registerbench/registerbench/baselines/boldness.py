@@ -27,9 +27,17 @@ POPULATION, GENERATIONS = 16, 60
 
 @dataclass(frozen=True)
 class Table:
-    """Of each boldness and machine: it kept step, by the truth and by the encoder; and what it is worth if it holds, which is 0 if
-    not, (boldness, machines). last: the last try is the answer. distance: as an observation has it, (machines,). moves: made;
-    damage: what a try costs that loses steps."""
+    """Outcomes of each boldness on each machine, (boldness, machines).
+
+    Attributes:
+        kept: The move kept step.
+        shown: Likewise by the encoder.
+        worth: Value if it holds; 0 if not.
+        distance: As an observation has it, (machines,).
+        last: The last try is the answer.
+        moves: Moves that were made.
+        damage: Cost of a try that loses steps.
+    """
 
     kept: np.ndarray
     shown: np.ndarray
@@ -40,17 +48,17 @@ class Table:
     damage: float
 
     def part(self, machines: int) -> Table:
-        """Of the first machines."""
+        """Return the table of the first machines."""
         share = machines / len(self.distance)
         columns = (a[:, :machines] for a in (self.kept, self.shown, self.worth))
         return Table(*columns, self.distance[:machines], self.last, round(self.moves * share), self.damage)
 
     def at(self, logs: np.ndarray) -> np.ndarray:
-        """Rows of these boldnesses, by their logarithms."""
+        """Return the rows of these boldnesses, by their logarithms."""
         return np.abs(np.log(BOLDNESS) - np.asarray(logs)[..., None]).argmin(axis=-1)
 
     def total(self, tries: np.ndarray) -> np.ndarray:
-        """Sums of rewards of rows that were tried, (tries, machines)."""
+        """Return the sums of rewards of rows that were tried, (tries, machines)."""
         every = np.arange(len(self.distance))
         worth = self.worth[tries, every]
         return (worth[-1] if self.last else worth.max(axis=0)) - self.damage * (~self.kept[tries, every]).sum(axis=0)
@@ -65,7 +73,13 @@ class Table:
 
 
 def tabulate(task: str, first: int, machines: int) -> Table:
-    """machines: a multiple of LANES."""
+    """Play moves of every boldness on machines.
+
+    Args:
+        task: Name of a card.
+        first: Seed of the first machine.
+        machines: A multiple of LANES.
+    """
     from registerbench.baselines.rule_learners import CHEAPER, vector
 
     envs = vector(task, LANES, **CHEAPER[task] | {"tries": 1})
@@ -74,9 +88,11 @@ def tabulate(task: str, first: int, machines: int) -> Table:
         rows = []
         for b in BOLDNESS:
             envs.reset(seed=first + begin)
-            seen, *_, info = envs.step(bold(np.full(LANES, b)).astype(np.float32))
+            observation, *_, info = envs.step(bold(np.full(LANES, b)).astype(np.float32))
             worth = np.maximum(np.log(2 * info["usual"]) - np.log(info["proved"]), 0.0)
-            rows.append((info["kept"], seen[:, names.index("kept")] > 0, worth, seen[:, names.index("distance")]))
+            rows.append(
+                (info["kept"], observation[:, names.index("kept")] > 0, worth, observation[:, names.index("distance")])
+            )
             moves += LANES
             if not info["kept"].any() and b > 4:
                 break  # what is bolder still is lost, too
@@ -89,7 +105,7 @@ def tabulate(task: str, first: int, machines: int) -> Table:
 
 
 def learned(kind: type[Bold], table: Table, seed: int) -> np.ndarray:
-    """As rules.numbers takes it."""
+    """Search the numbers of a rule on a table, as `Rule.numbers` takes them."""
     from cmaes import CMA
 
     search = CMA(mean=np.zeros(len(kind.BEGINS)), sigma=1.0, seed=seed, population_size=POPULATION)

@@ -16,7 +16,7 @@ AGAIN, LAST = 0.3, 0.03  # chance of a random macro where a later level begins, 
 
 
 class MaskedNetwork(QNetwork):
-    """What a masked action is worth: nothing would choose it. The mask is the end of what is seen."""
+    """Network that gives a masked action so low a value that nothing chooses it; the mask is part of the observation."""
 
     def forward(self, obs: Any) -> torch.Tensor:
         values = super().forward(obs)

@@ -81,7 +81,7 @@ def model_of(method: str, envs: Any, seed: int) -> Any:
 
 
 class Policy:
-    """What a learner has learned, for registerbench."""
+    """A learner's policy, for registerbench."""
 
     def __init__(self, method: str, model: Any, temperature: float = TEMPERATURE):
         self.method, self.model, self.temperature = method, model, temperature
@@ -90,26 +90,28 @@ class Policy:
 
     @classmethod
     def load(cls, path: Path) -> Policy:
-        """Of a file that `learn` wrote: LEVEL-METHOD-SEED.zip, and its temperature beside it."""
+        """Load a file that `learn` wrote: LEVEL-METHOD-SEED.zip."""
         method = path.stem.split("-")[1]
         kind: Any = MaskablePPO if method == "ppo" else MaskedDQN
         torch.manual_seed(0)
         said = json.loads(path.with_suffix(".json").read_text())
         return cls(method, kind.load(path, device="cpu"), said["temperature"])
 
-    def reset(self, around: Any) -> None:
+    def reset(self, context: Any) -> None:
         """around.entries has the names of what is seen."""
-        self.turn = Turn(around.entries, self.model.action_space.n)
+        self.turn = Turn(context.entries, self.model.action_space.n)
 
     def choose(self, observations: np.ndarray, masks: np.ndarray) -> np.ndarray:
         """Macros, (n,)."""
         axis = self.turn.axis(observations)
-        seen, masks = self.turn.seen(observations, axis), self.turn.masks(masks, axis)
+        observation, masks = self.turn.seen(observations, axis), self.turn.masks(masks, axis)
         if self.method == "ppo":
-            chosen = self.model.predict(seen, deterministic=False, action_masks=masks > 0)[0]
+            chosen = self.model.predict(observation, deterministic=False, action_masks=masks > 0)[0]
         else:
             with torch.no_grad():
-                worth = self.model.q_net(torch.as_tensor(np.concatenate([seen, masks], axis=1, dtype=np.float32)))
+                worth = self.model.q_net(
+                    torch.as_tensor(np.concatenate([observation, masks], axis=1, dtype=np.float32))
+                )
             chosen = (worth.numpy() / self.temperature + self.draw.gumbel(size=worth.shape)).argmax(axis=1)
         return self.turn.back(chosen, axis)
 
@@ -125,17 +127,17 @@ class Judge:
         self.ways: list[str] = []
 
     def play(self, policy: Policy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Which were solved, with how many macros, and for what return, (machines,) each."""
+        """Play an episode on each machine, and return what was solved, the macros, and the returns, (machines,) each."""
         n, envs = self.machines, self.envs.envs
         policy.turn = Turn([e.name for e in envs.observation_features], envs.single_action_space.n)
         policy.draw = np.random.default_rng(0)
         self.envs.seed(self.first)
-        seen, states = self.envs.reset(), envs.task_instance.axis_states
+        observation, states = self.envs.reset(), envs.task_instance.axis_states
         used = envs.task_instance.uses_axis[0]
         self.ways = ["".join("-+"[int(t > 0)] for t in row) for row in states["target"][:, used].tolist()]
         won, moves, total, left = np.zeros(n, bool), np.zeros(n, int), np.zeros(n), np.ones(n, bool)
         while left.any():
-            seen, rewards, ends, infos = self.envs.step(policy.choose(seen, envs.action_masks()))
+            observation, rewards, ends, infos = self.envs.step(policy.choose(observation, envs.action_masks()))
             total += np.where(left, rewards, 0.0)
             for k in np.flatnonzero(ends & left):
                 won[k], moves[k] = infos[k]["score"]["success"], infos[k]["score"]["moves"]
@@ -194,10 +196,10 @@ class Validated(BaseCallback):
 def learn(method: str, seed: int, times: float, top: str, folder: Path) -> None:
     torch.set_num_threads(1)
     folder.mkdir(parents=True, exist_ok=True)
-    model, told = None, Validated(method, folder)
+    model, callback = None, Validated(method, folder)
     for level, steps in list(LEVELS.items())[: list(LEVELS).index(top) + 1]:
         path, envs = folder / f"{level}-{method}-{seed}", vector(method, level, seed)
-        told.level(level, path)
+        callback.level(level, path)
         if model is None:
             model = model_of(method, envs, seed)
         else:
@@ -205,8 +207,8 @@ def learn(method: str, seed: int, times: float, top: str, folder: Path) -> None:
             if method == "dqn":
                 model.again()
         envs.seed(10_000 * (seed + 1) + 1_000 * list(LEVELS).index(level))
-        model.learn(int(steps * LONGER[method] * times), callback=told, reset_num_timesteps=False)
-        path.with_suffix(".json").write_text(json.dumps(told.ended()))
+        model.learn(int(steps * LONGER[method] * times), callback=callback, reset_num_timesteps=False)
+        path.with_suffix(".json").write_text(json.dumps(callback.ended()))
         envs.close()
         model.save(path.with_suffix(".zip"))
 

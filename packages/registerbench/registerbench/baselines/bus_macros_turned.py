@@ -32,13 +32,13 @@ class Turn:
         self.axes, self.at, self.macros = list(names).count("used"), list(names).index("used"), macros
         self.per = macros - self.axes
 
-    def axis(self, seen: np.ndarray) -> np.ndarray:
-        return self._of_axes(seen)[:, :, OF_AXES.index("selected")].argmax(axis=1)
+    def axis(self, observation: np.ndarray) -> np.ndarray:
+        return self._of_axes(observation)[:, :, OF_AXES.index("selected")].argmax(axis=1)
 
-    def seen(self, seen: np.ndarray, axis: np.ndarray) -> np.ndarray:
-        out, size = seen.copy(), len(OF_AXES) * self.axes
-        rolled = np.take_along_axis(self._of_axes(seen), self._order(axis)[:, :, None], axis=1)
-        out[:, self.at : self.at + size] = rolled.reshape(len(seen), size)
+    def seen(self, observation: np.ndarray, axis: np.ndarray) -> np.ndarray:
+        out, size = observation.copy(), len(OF_AXES) * self.axes
+        rolled = np.take_along_axis(self._of_axes(observation), self._order(axis)[:, :, None], axis=1)
+        out[:, self.at : self.at + size] = rolled.reshape(len(observation), size)
         return out
 
     def masks(self, masks: np.ndarray, axis: np.ndarray) -> np.ndarray:
@@ -49,11 +49,13 @@ class Turn:
     def back(self, macros: np.ndarray, axis: np.ndarray) -> np.ndarray:
         return np.where(macros < self.per, macros, self.per + (macros - self.per + axis) % self.axes)
 
-    def _of_axes(self, seen: np.ndarray) -> np.ndarray:
-        return seen[:, self.at : self.at + len(OF_AXES) * self.axes].reshape(len(seen), self.axes, len(OF_AXES))
+    def _of_axes(self, observation: np.ndarray) -> np.ndarray:
+        return observation[:, self.at : self.at + len(OF_AXES) * self.axes].reshape(
+            len(observation), self.axes, len(OF_AXES)
+        )
 
     def _order(self, axis: np.ndarray) -> np.ndarray:
-        """Of each row the axes, the selected one first."""
+        """Return the axes of each row, the selected one first."""
         return (axis[:, None] + np.arange(self.axes)) % self.axes
 
 
@@ -66,14 +68,14 @@ class Turned(VecEnvWrapper):
         super().__init__(envs, gymnasium.spaces.Box(-1.0, 1.0, (size,), np.float32))
         self.selected = np.zeros(envs.num_envs, np.int64)
 
-    def _turned(self, seen: np.ndarray, masks: np.ndarray) -> np.ndarray:
-        axis = self.turn.axis(seen)
-        out = self.turn.seen(seen, axis)
+    def _turned(self, observation: np.ndarray, masks: np.ndarray) -> np.ndarray:
+        axis = self.turn.axis(observation)
+        out = self.turn.seen(observation, axis)
         return np.concatenate([out, self.turn.masks(masks, axis).astype(np.float32)], axis=1) if self.behind else out
 
-    def _now(self, seen: np.ndarray) -> np.ndarray:
-        self.selected = self.turn.axis(seen)
-        return self._turned(seen, self.venv.envs.action_masks())  # type: ignore[attr-defined]
+    def _now(self, observation: np.ndarray) -> np.ndarray:
+        self.selected = self.turn.axis(observation)
+        return self._turned(observation, self.venv.envs.action_masks())  # type: ignore[attr-defined]
 
     def reset(self) -> np.ndarray:
         return self._now(self.venv.reset())
@@ -82,11 +84,11 @@ class Turned(VecEnvWrapper):
         self.venv.step_async(self.turn.back(np.asarray(actions), self.selected))
 
     def step_wait(self) -> Any:
-        seen, rewards, ends, infos = self.venv.step_wait()
+        observation, rewards, ends, infos = self.venv.step_wait()
         for k in np.flatnonzero(ends):
             last, mask = infos[k]["terminal_observation"], np.asarray(infos[k]["action_mask"])
             infos[k]["terminal_observation"] = self._turned(last[None], mask[None])[0]
-        return self._now(seen), rewards, ends, infos
+        return self._now(observation), rewards, ends, infos
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
         if method_name != "action_masks":
@@ -106,7 +108,7 @@ class Mixed(VecEnvWrapper):
         return self.venv.reset()
 
     def options(self) -> dict[str, Any] | None:
-        """Of the next episode; None: one of the level itself."""
+        """Return the options of the next episode; None: one of the level itself."""
         at = self.rng.random()
         for (level, near), share in self.shares.items():
             at -= share
@@ -117,9 +119,9 @@ class Mixed(VecEnvWrapper):
         return None
 
     def step_wait(self) -> Any:
-        seen, rewards, ends, infos = self.venv.step_wait()
+        observation, rewards, ends, infos = self.venv.step_wait()
         for k in np.flatnonzero(ends):
             if options := self.options():
                 which = np.arange(self.num_envs) == k
-                seen[k] = self.venv.envs.reset(options={**options, "reset_mask": which})[0][k]  # type: ignore[attr-defined]
-        return seen, rewards, ends, infos
+                observation[k] = self.venv.envs.reset(options={**options, "reset_mask": which})[0][k]  # type: ignore[attr-defined]
+        return observation, rewards, ends, infos

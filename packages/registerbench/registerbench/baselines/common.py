@@ -39,25 +39,29 @@ LANES = 16  # moves made at once
 CHIP, MODEL = "PCL240K", "xyz"
 CANDIDATES, REPEATS, PROOF_SEED = 100, 48, 99  # a method's best moves that are tried again, and how often each
 MARGIN = 0.5  # kg: a proof's moves have from none to so much beyond the payload
-HELD = 5  # moves that hold, of which the best by its mean reward is the answer
+MAX_HOLDING = 5  # moves that hold, of which the best by its mean reward is the answer
 SPACES = ("registers", "knobs")
 
 
-class BothWays(RegisterTuning):
+class BothDirections(RegisterTuning):
     """RegisterTuning whose odd stages move minus. No agent plays it; answers are tested by it."""
 
     def draw_distance(self, k: int, options: Mapping[str, Any]) -> int:
         return super().draw_distance(k, options) * (-1 if k % 2 else 1)
 
 
-class BothWaysVectorEnv(StageVectorEnv):
-    task = BothWays
+class BothDirectionsVectorEnv(StageVectorEnv):
+    task = BothDirections
 
 
 @dataclass
 class Log:
-    """Every move made, in order: reward, s, full steps, m, the registers, and what was drawn for it: pulses, kg, and the angle of
-    the rotor in electrical turns. `kept`: no step lost, all pulses made."""
+    """Moves in order: reward, s, full steps, m, registers, and the values drawn for each.
+
+    Attributes:
+        kept: The move lost no step and made all its pulses.
+        drawn: Pulses, kg, and the angle of the rotor in electrical turns.
+    """
 
     reward: list[float] = field(default_factory=list)
     duration: list[float] = field(default_factory=list)
@@ -77,7 +81,7 @@ class Log:
 
     @property
     def ranking(self) -> list[int]:
-        """Which moves kept step, the highest reward first."""
+        """Numbers of the moves that kept step, the highest reward first."""
         return sorted(np.flatnonzero(self.kept).tolist(), key=lambda k: -self.reward[k])
 
     def curve(self) -> np.ndarray:
@@ -88,11 +92,24 @@ class Log:
 class Moves:
     """One move of one payload, made again and again with other registers, `lanes` at a time.
 
-    more: kg that may come on top of the payload. shortest: pulses, where distances are to be drawn from there on. both_ways: every
-    second lane moves the other way.
+    Args:
+        payload: kg on the table.
+        budget: Number of moves.
+        space: "registers" or "knobs".
+        distance: Pulses.
+        lanes: Moves at once.
+        seed: Of the draws.
+        chip, model: Of the stage.
+        more: kg that may come on top of the payload.
+        shortest: Pulses from which distances are drawn; None: almost equal distances.
+        both_ways: Every second lane moves the other way.
 
-    Attributes: log; size, the numbers of a choice; env, the vector environment; registers, its RegisterBox; axis, with
-    just the payload, for whoever reckons.
+    Attributes:
+        log: Moves so far.
+        size: Numbers of a choice.
+        env: The vector environment.
+        registers: Its RegisterBox.
+        axis: Axis that carries just the payload, for formulas.
     """
 
     def __init__(
@@ -106,22 +123,22 @@ class Moves:
         chip: str = CHIP,
         model: str = MODEL,
         more: float = 0.0,
-        shortest: int | None = None,
-        both_ways: bool = False,
+        min_distance: int | None = None,
+        both_directions: bool = False,
     ):
         self.payload, self.distance, self.budget, self.lanes, self.model = payload, distance, budget, lanes, model
         settings: dict[str, Any] = {
             "model": model,
             "chip": chip,
             "s_curve": False,
-            "distances": (shortest or distance - TURN, distance + TURN),
+            "distances": (min_distance or distance - TURN, distance + TURN),
             "payloads": (payload * (1 - TOLERANCE), (payload + more) * (1 + TOLERANCE)),
             "moves": budget + lanes,
             "limit": LIMIT,
         }
         self.env: Any = (
-            BothWaysVectorEnv(num_envs=lanes, **settings)
-            if both_ways
+            BothDirectionsVectorEnv(num_envs=lanes, **settings)
+            if both_directions
             else gymnasium.make_vec("stage/RegisterTuning-v0", lanes, "vector_entry_point", **settings)
         )
         self._seed = 1000 * seed
@@ -134,7 +151,7 @@ class Moves:
         self.size = len(self.knobs.ranges) if self.knobs else len(self.registers)
 
     def begin(self) -> None:
-        """An empty log, and the same draws again."""
+        """Empty the log, and begin the same draws again."""
         self.log = Log()
         self.observation, _ = self.env.reset(seed=self._seed)
 
@@ -144,14 +161,21 @@ class Moves:
         return self.budget - len(self.log)
 
     def make(self, choices: np.ndarray) -> np.ndarray:
-        """Make a move for each of up to `lanes` choices, (k, size). Returns rewards, (k,); NaN beyond the budget."""
+        """Make a move for each of up to `lanes` choices.
+
+        Args:
+            choices: (k, size), from -1 to 1.
+
+        Returns:
+            Rewards, (k,); NaN beyond the budget.
+        """
         choices = np.clip(np.asarray(choices, float), -1, 1)
         if self.knobs:
             choices = np.stack([self.registers.to_action(self.knobs.registers(row)) for row in choices])
         return self.make_actions(choices)
 
     def make_actions(self, actions: np.ndarray) -> np.ndarray:
-        """The same of the environment's actions."""
+        """Make a move for each of the environment's actions, (k, registers), and return the rewards, (k,)."""
         n = min(len(actions), self.left)
         rewards = np.full(len(actions), np.nan)
         if n:
@@ -189,10 +213,23 @@ def prove(
     margin: float = 0.0,
     most: int = 1,
 ) -> list[Log]:
-    """Try rows of registers again, one after the other, until `most` of them hold: the moves of each that was tried.
+    """Try rows of registers again, one after the other, until `most` of them hold.
 
-    A row holds that loses no step in `repeats` moves, from as many angles of the rotor, with up to `margin` kg more. They are the
-    same for all rows; of one that loses a step not all are made.
+    A row holds that loses no step in `repeats` moves, from as many angles of the rotor, with up to `margin` kg more. The moves are
+    the same for all rows; a row that loses a step ends there.
+
+    Args:
+        rows: Registers.
+        payload: kg.
+        distance: Pulses.
+        repeats: Moves of a proof.
+        chip: Name of the chip.
+        model: Name of the model.
+        margin: kg beyond the payload.
+        most: Number of rows that have to hold.
+
+    Returns:
+        The moves of each row that was tried.
     """
     proofs: list[Log] = []
     with Moves(payload, repeats, "registers", distance, seed=PROOF_SEED, chip=chip, model=model, more=margin) as moves:
@@ -208,9 +245,9 @@ def prove(
 
 
 def best(proofs: Sequence[Log]) -> int | None:
-    """Of the rows that hold, the one with the highest mean reward in its proof. None: none holds."""
-    held = [k for k, log in enumerate(proofs) if all(log.kept)]
-    return max(held, key=lambda k: float(np.mean(proofs[k].reward)), default=None)
+    """Return the row that holds with the highest mean reward in its proof; None if none holds."""
+    holding = [k for k, log in enumerate(proofs) if all(log.kept)]
+    return max(holding, key=lambda k: float(np.mean(proofs[k].reward)), default=None)
 
 
 def answer(
@@ -222,16 +259,26 @@ def answer(
     model: str = MODEL,
     margin: float = MARGIN,
 ) -> tuple[int, Log] | None:
-    """The answer of a method, by the same rule for all. rows: its moves that kept step, the highest reward first.
+    """Choose the answer of a method by the same rule for all.
 
-    Of the first HELD that hold, the best: which it is, and the moves of its proof. None: none holds.
+    Args:
+        rows: Registers of its moves that kept step, the highest reward first.
+        payload: kg.
+        distance: Pulses.
+        repeats: Moves of a proof.
+        chip: Name of the chip.
+        model: Name of the model.
+        margin: kg beyond the payload.
+
+    Returns:
+        Of the first HELD rows that hold, the number of the best and the moves of its proof; None if none holds.
     """
-    proofs = prove(rows, payload, distance, repeats, chip, model, margin, HELD)
+    proofs = prove(rows, payload, distance, repeats, chip, model, margin, MAX_HOLDING)
     which = best(proofs)
     return None if which is None else (which, proofs[which])
 
 
-def told(
+def describe_answer(
     log: Log,
     names: Sequence[str],
     payload: float,
@@ -240,7 +287,7 @@ def told(
     model: str = MODEL,
     margin: float = MARGIN,
 ) -> str:
-    """The answer of a method (see `answer`), in a line."""
+    """Describe the answer of a method in a line; see `answer`."""
     candidates = log.ranking[:CANDIDATES]
     rows = [log.registers[k] for k in candidates]
     proven = answer(rows, payload, distance, chip=chip, model=model, margin=margin) if rows else None
@@ -256,18 +303,33 @@ def told(
 
 
 def run(doc: str | None, searches: Mapping[str, Callable[[Moves, int], None]]) -> None:
-    """Run the command line of searches: make the moves of one of them, tell the best."""
+    """Run the command line of searches: make the moves of one of them, and print the best.
+
+    Args:
+        doc: Description of the program.
+        searches: By name.
+    """
     parser = arguments(doc)
     parser.add_argument("search", choices=searches)
     args = parser.parse_args()
     made = {"seed": args.seed, "chip": args.chip, "model": args.model}
     with Moves(args.payload, args.budget, args.space, args.distance, **made) as moves:
         searches[args.search](moves, args.seed)
-    print(told(moves.log, moves.registers.names, args.payload, args.distance, args.chip, args.model, args.margin))
+    print(
+        describe_answer(
+            moves.log, moves.registers.names, args.payload, args.distance, args.chip, args.model, args.margin
+        )
+    )
 
 
 def arguments(doc: str | None, searches: bool = True, chips: bool = True) -> argparse.ArgumentParser:
-    """The options that all baselines have."""
+    """Return a parser with the options of all baselines.
+
+    Args:
+        doc: Description of the program.
+        searches: It searches: budget, seed and space are options.
+        chips: The chip is an option.
+    """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--payload", type=float, default=PAYLOADS["light"], metavar="KG", help="on the table")
     parser.add_argument("--distance", type=int, default=DISTANCE, metavar="PULSES", help="of the move")

@@ -35,7 +35,7 @@ Host = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def fixed(boldness: float) -> Callable[[int], Host]:
-    return lambda n: lambda before, kept: np.full(n, boldness)
+    return lambda n: lambda before, in_step: np.full(n, boldness)
 
 
 def search(first: float) -> Callable[[int], Host]:
@@ -44,11 +44,11 @@ def search(first: float) -> Callable[[int], Host]:
     def made(n: int) -> Host:
         good, bad = np.full(n, np.nan), np.full(n, np.inf)
 
-        def choose(before: np.ndarray, kept: np.ndarray) -> np.ndarray:
+        def choose(before: np.ndarray, in_step: np.ndarray) -> np.ndarray:
             if np.isnan(before).all():
                 return np.full(n, first)
-            good[kept] = np.fmax(good, before)[kept]
-            bad[~kept] = np.fmin(bad, before)[~kept]
+            good[in_step] = np.fmax(good, before)[in_step]
+            bad[~in_step] = np.fmin(bad, before)[~in_step]
             good[good >= bad] = np.nan  # it was luck
             half = np.sqrt(good * bad)
             known = np.where(np.isinf(bad), good * STEP, np.where(half > good * CLOSE, half, good))
@@ -60,7 +60,17 @@ def search(first: float) -> Callable[[int], Host]:
 
 
 def play(host: Callable[[int], Host], split: str, machines: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """(sum of rewards, proved cost / usual time) of an episode on each machine, (machines,)."""
+    """Play an episode on each machine.
+
+    Args:
+        host: Player.
+        split: Of the machines.
+        machines: Their number.
+        seed: Of the first.
+
+    Returns:
+        Sums of rewards, and proved cost / usual time, (machines,) each.
+    """
     totals, costs = [], []
     envs = gymnasium.make_vec(
         "stage/FewShotTuning-v1", num_envs=LANES, vectorization_mode="vector_entry_point", split=split, memory="last"
@@ -68,11 +78,11 @@ def play(host: Callable[[int], Host], split: str, machines: int, seed: int) -> t
     names = [e.name for e in envs.unwrapped.observation_features]
     tries = envs.unwrapped.task_instance.config.tries
     for begin in range(0, machines, LANES):
-        seen, _ = envs.reset(seed=seed + begin)
+        observation, _ = envs.reset(seed=seed + begin)
         choose, total, before = host(LANES), np.zeros(LANES), np.full(LANES, np.nan)
         for _ in range(tries):
-            before = choose(before, seen[:, names.index("kept")] > 0)
-            seen, rewards, *_, info = envs.step(np.stack([action_at(b) for b in before]))
+            before = choose(before, observation[:, names.index("kept")] > 0)
+            observation, rewards, *_, info = envs.step(np.stack([action_at(b) for b in before]))
             total += rewards
         totals.append(total)
         costs.append(info["proved"] / info["usual"])

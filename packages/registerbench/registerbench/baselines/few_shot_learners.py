@@ -48,7 +48,12 @@ NETS: dict[str, dict[str, Any]] = {
 
 
 def columns(method: str, names: Any) -> np.ndarray:
-    """Which numbers of an observation the method sees."""
+    """Return the numbers of an observation that the method sees.
+
+    Args:
+        method: Name of the method.
+        names: Of the observation's features.
+    """
     return np.array([k for k, name in enumerate(names) if name in SEEN.get(method, names)])
 
 
@@ -60,14 +65,14 @@ class Partly(VecEnvWrapper):
         self.which = which
 
     def reset(self) -> Any:
-        seen: Any = self.venv.reset()
-        return seen[:, self.which]
+        observation: Any = self.venv.reset()
+        return observation[:, self.which]
 
     def step_wait(self) -> Any:
-        seen, rewards, ends, infos = self.venv.step_wait()
+        observation, rewards, ends, infos = self.venv.step_wait()
         for k in np.flatnonzero(ends):
             infos[k]["terminal_observation"] = infos[k]["terminal_observation"][self.which]
-        return seen[:, self.which], rewards, ends, infos  # type: ignore[index]
+        return observation[:, self.which], rewards, ends, infos  # type: ignore[index]
 
 
 def learn(method: str, seed: int, steps: int, folder: Path) -> None:
@@ -84,15 +89,15 @@ def learn(method: str, seed: int, steps: int, folder: Path) -> None:
 
 
 class Policy:
-    """What a learner has learned, for registerbench."""
+    """A learner's policy, for registerbench."""
 
     def __init__(self, method: str, path: Path):
         self.method = method
         kind: Any = RecurrentPPO if method == "recurrent" else PPO
         self.model = kind.load(path, device="cpu")
 
-    def reset(self, around: Any) -> None:
-        self.which, self.state = columns(self.method, around.entries), None
+    def reset(self, context: Any) -> None:
+        self.which, self.state = columns(self.method, context.entries), None
 
     def __call__(self, observation: np.ndarray, info: Any) -> np.ndarray:
         begins = np.array([self.state is None])

@@ -36,9 +36,9 @@ class Host:
     def sampler(self, seed: int) -> optuna.samplers.BaseSampler:
         raise NotImplementedError
 
-    def reset(self, around: Any) -> None:
+    def reset(self, context: Any) -> None:
         where: dict[str, list[int]] = {}
-        for k, name in enumerate(around.entries):
+        for k, name in enumerate(context.entries):
             where.setdefault(name, []).append(k)
         self.kept, self.duration = where["kept"], where["duration"]
         self.study = optuna.create_study(sampler=self.sampler(self.episode))

@@ -35,7 +35,7 @@ class Knobs:
         self.ranges = self.RANGES if "R6" in self.driver.tuned_by(s_curve=False) else self.RANGES[:3]
 
     def registers(self, knobs: np.ndarray) -> dict[str, int]:
-        """Registers of as many numbers from -1 to 1 as there are `ranges`; all 0 are the formula's."""
+        """Compute registers from as many numbers from -1 to 1 as there are `ranges`; all 0 are the formula's."""
         fl, fh, up, *others = np.array(self.ranges) ** np.asarray(knobs, float)
         down, point = others or (up, 1.0)
         m = self.middle
@@ -48,20 +48,20 @@ class Knobs:
 
 
 def search(moves: Moves, seed: int = 0, safety: float = SAFETY_FACTOR) -> None:
-    """One move."""
+    """Make one move: the formula's."""
     moves.make_actions(
         moves.registers.to_action(compute_registers(moves.axis, moves.distance, safety, s_curve=False))[None]
     )
 
 
 def boldest(moves: Moves, seed: int = 0) -> None:
-    """An engineer with a machine to try it on: the same formula with one safety factor after the other."""
+    """Try the formula with one safety factor after the other, as an engineer with a machine does."""
     for factor in FACTORS:
         search(moves, safety=float(factor))
 
 
 def main() -> None:
-    from registerbench.baselines.common import Moves, arguments, told
+    from registerbench.baselines.common import Moves, arguments, describe_answer
 
     parser = arguments(__doc__, searches=False)
     parser.add_argument("--safety", type=float, default=SAFETY_FACTOR, help="pull-out thrust over the thrust used")
@@ -71,7 +71,11 @@ def main() -> None:
         print(f"moves {load.mass:.2f} kg, rotor and screw included; pull-in {load.pull_in_rate:.0f} pps")
         print(plan_profile(load, args.distance, args.safety))
         search(moves, safety=args.safety)
-    print(told(moves.log, moves.registers.names, args.payload, args.distance, args.chip, args.model, args.margin))
+    print(
+        describe_answer(
+            moves.log, moves.registers.names, args.payload, args.distance, args.chip, args.model, args.margin
+        )
+    )
 
 
 if __name__ == "__main__":

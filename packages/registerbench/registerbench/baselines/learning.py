@@ -27,12 +27,12 @@ class Noted(VecEnvWrapper):
         return self.venv.reset()
 
     def step_wait(self) -> Any:
-        seen, rewards, ends, infos = self.venv.step_wait()
+        observation, rewards, ends, infos = self.venv.step_wait()
         self.totals += rewards
         for k in np.flatnonzero(ends).tolist():
             self.done.append((float(self.totals[k]), float(infos[k].get("score", {}).get("success", np.nan))))
         self.totals[ends] = 0.0
-        return seen, rewards, ends, infos
+        return observation, rewards, ends, infos
 
 
 class Curve(BaseCallback):
@@ -61,21 +61,27 @@ class Curve(BaseCallback):
 
 
 def cost_of(policy: Path) -> dict[str, float]:
-    """What a policy took to learn, from its curve: moves, and processor seconds."""
+    """Return what a policy took to learn, from its curve: moves, and processor seconds."""
     with policy.with_suffix(".csv").open() as file:
         *_, last = csv.DictReader(file)
     return {"moves": float(last["steps"]), "processor_s": float(last["processor_s"])}
 
 
 def wilson(won: int, of: int, z: float = 1.96) -> tuple[float, float]:
-    """The share of successes, 95 %, by Wilson's score interval."""
+    """Compute the share of successes and its interval by Wilson's score.
+
+    Args:
+        won: Successes.
+        of: Trials.
+        z: Of the normal distribution; 1.96 for 95 %.
+    """
     share, more = won / of, z * z / of
     half = z * np.sqrt(share * (1 - share) / of + more / (4 * of))
     return float((share + more / 2 - half) / (1 + more)), float((share + more / 2 + half) / (1 + more))
 
 
 def save(model: Any, path: Path, steps: int) -> None:
-    """The policy; its file is the learner's own, to be loaded by whoever made it."""
+    """Save a policy to a file of the learner's own, and the cost of its learning beside it."""
     model.save(path.with_suffix(".zip"))
     print(f"{path}.zip: {steps} steps", flush=True)
 

@@ -93,7 +93,7 @@ def read(path: Path) -> dict[str, dict[str, dict[str, list[dict]]]]:
 
 
 def points(runs: dict[str, list[dict]], what: str = "return") -> tuple[np.ndarray, np.ndarray]:
-    """Steps, and returns (or another column) of all runs and episodes there, (points, runs, episodes)."""
+    """Return steps, and returns (or another column) of all runs and episodes there, (points, runs, episodes)."""
     every = []
     for rows in runs.values():
         at: dict[int, list[float]] = {}
@@ -113,7 +113,7 @@ def levels(runs: dict[str, list[dict]]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def others(task: str, episodes: int) -> dict[str, dict[str, np.ndarray]]:
-    """Scores of players that do not learn, on the test episodes that the curves have."""
+    """Return the scores of players that do not learn, on the test episodes of the curves."""
     found = {}
     published = registerbench.read_all(DOCS / "data" / "entries" / f"{task}.zip")
     for name in OTHERS:
@@ -124,7 +124,7 @@ def others(task: str, episodes: int) -> dict[str, dict[str, np.ndarray]]:
 
 
 def spread(values: np.ndarray, of: Any = iqm) -> str:
-    """The IQM of returns, (runs, episodes), or another figure, with its interval."""
+    """Compute the IQM of returns, (runs, episodes), or another figure, with its interval."""
     low, high = interval(values, of=of)
     return f"{of(values):.3f} ({low:.3f} to {high:.3f})"
 

@@ -26,16 +26,16 @@ FROM, STARTS = 2000, 6
 
 
 def blind(table: Table) -> float:
-    def mean(tries: list[int]) -> float:
-        return float(table.total(np.array(tries)[:, None]).mean())
+    def mean(attempts: list[int]) -> float:
+        return float(table.total(np.array(attempts)[:, None]).mean())
 
     rng, best = np.random.default_rng(0), -np.inf
     for _ in range(STARTS):
-        tries, value, better = rng.integers(0, len(BOLDNESS), TRIES).tolist(), -np.inf, True
+        attempts, value, better = rng.integers(0, len(BOLDNESS), TRIES).tolist(), -np.inf, True
         while better:
-            others = [[*tries[:j], b, *tries[j + 1 :]] for j in range(TRIES) for b in range(len(BOLDNESS))]
-            tries = max(others, key=mean)
-            value, better = mean(tries), mean(tries) > value
+            others = [[*attempts[:j], b, *attempts[j + 1 :]] for j in range(TRIES) for b in range(len(BOLDNESS))]
+            attempts = max(others, key=mean)
+            value, better = mean(attempts), mean(attempts) > value
         best = max(best, value)
     return best
 

@@ -54,7 +54,7 @@ def learn(method: str, seed: int, steps: int, folder: Path) -> None:
 
 
 class Policy:
-    """What a learner has learned, for registerbench."""
+    """A learner's policy, for registerbench."""
 
     def __init__(self, method: str, path: Path):
         self.model = KINDS[method].load(path, device="cpu")

@@ -24,9 +24,9 @@ from registerbench.baselines import formula
 from registerbench.baselines.common import (
     CANDIDATES,
     DISTANCE,
-    HELD,
     LIMIT,
     MARGIN,
+    MAX_HOLDING,
     MODEL,
     PAYLOADS,
     REPEATS,
@@ -38,10 +38,10 @@ from registerbench.baselines.runs import (
     FORMULA,
     HEAVIER,
     METHODS,
+    MIN_DISTANCE,
     NEW,
     QUICK,
     SHORTER,
-    SHORTEST,
     Method,
     Run,
     Runs,
@@ -65,7 +65,7 @@ def power_up(model: str) -> tuple[Stage, Any]:
 
 
 def again(registers: dict[str, int], payload: float, model: str = MODEL) -> Report:
-    """The move made by firmware, with its course."""
+    """Make the move of an answer by firmware, with its course."""
     stage, begin = power_up(model)
     stage.restore(begin)
     stage.set_payload(payload)
@@ -82,7 +82,7 @@ def of(runs: list[Run], payload: str, method: Method) -> list[Run]:
 
 
 def spread(values: list[float], form: str) -> str:
-    """IQM, and its 95 % interval where there are several."""
+    """Format the IQM, and its 95 % interval where there are several runs."""
     known = [v for v in values if v == v]
     if not known:
         return "none"
@@ -92,7 +92,7 @@ def spread(values: list[float], form: str) -> str:
 
 
 def losses(runs: list[Run], context: str) -> str:
-    """Of the moves of all tests, how many lost steps, and of how many answers these were."""
+    """Return the number of moves that lost steps in all tests, and the number of answers with such a move."""
     lost = [r.lost(context) for r in runs if r.test]
     if not lost:
         return "none"
@@ -127,12 +127,11 @@ class Gain(NamedTuple):
 
     beats: bool | None
     loses: bool
-    told: str
+    text: str
 
 
 def gain(runs: list[Run], base: Run, name: str, kept: bool = False) -> Gain:
-    """Of `reward` or `duration`, the IQM over the runs that found an answer. It beats the formula where its interval is above 0, in
-    SEEDS runs or more that all found one."""
+    """Return the IQM of `reward` or `duration` over the runs that found an answer."""
     sign = 1 if name == "reward" else -1
     values = sign * np.array([r.mean(name, kept) - base.mean(name, kept) for r in runs])
     found = values[~np.isnan(values)]
@@ -145,7 +144,7 @@ def gain(runs: list[Run], base: Run, name: str, kept: bool = False) -> Gain:
 
 
 def gains(runs: list[Run], payload: str, against: Method) -> dict[Method, tuple[Gain, Gain, Gain]]:
-    """By reward, in time, and by reward of the moves that kept step; of each method that searched and found something."""
+    """Return the gains by reward, in time, and by reward of the moves that kept step."""
     (base,) = of(runs, payload, against)
     some = {m: of(runs, payload, m) for m in METHODS if m not in (FORMULA, BOLDEST)}
     return {
@@ -156,7 +155,7 @@ def gains(runs: list[Run], payload: str, against: Method) -> dict[Method, tuple[
 
 
 def verdict(runs: list[Run], payload: str, against: Method) -> str:
-    """Which methods beat the formula, in a sentence."""
+    """Say in a sentence which methods beat the formula."""
     (base,) = of(runs, payload, against)
     if base.answer is None:
         return f"**{payload}**: {against.name} found no move that can be repeated."
@@ -177,7 +176,7 @@ def verdict(runs: list[Run], payload: str, against: Method) -> str:
 
 
 def comparison(runs: list[Run], payloads: dict[str, float]) -> list[str]:
-    """The gains that the verdicts are made of."""
+    """Write the gains on which the verdicts rest."""
     lines = [
         "| payload | against | method | runs | by reward, ms | in time, ms | by reward where steps were kept, ms |",
         "|---|---|---|---|---|---|---|",
@@ -187,13 +186,13 @@ def comparison(runs: list[Run], payloads: dict[str, float]) -> list[str]:
             if of(runs, payload, against)[0].answer is not None:
                 for method, some in gains(runs, payload, against).items():
                     count = len(of(runs, payload, method))
-                    told = " | ".join(g.told for g in some)
-                    lines.append(f"| {payload} | {against.name} | {method.name} | {count} | {told} |")
+                    text = " | ".join(g.text for g in some)
+                    lines.append(f"| {payload} | {against.name} | {method.name} | {count} | {text} |")
     return lines
 
 
 def flattered(runs: list[Run]) -> str:
-    """What the proofs promised more than the tests show, the formula's aside: of it nothing was chosen."""
+    """Say what the proofs promised beyond what the tests show, without the formula."""
     chosen = [r.flattered for r in runs if r.test and r.method != FORMULA.name]
     (plain, *_) = [r.flattered for r in runs if r.method == FORMULA.name]
     return (
@@ -204,7 +203,7 @@ def flattered(runs: list[Run]) -> str:
 
 
 def priced(runs: list[Run]) -> str:
-    """What a loss takes, by the new moves that lost steps, and how many of them went the way that no search has tried."""
+    """Say what a loss costs, by the new moves that lost steps."""
     logs = [r.test[NEW] for r in runs if r.test]
     lost = [(log.reward[k], log.drawn[k][0]) for log in logs for k in np.flatnonzero(~np.array(log.kept))]
     if not lost:
@@ -239,8 +238,8 @@ def page(all_: Runs) -> str:
         limit=LIMIT, tables="\n".join(tables), verdicts="\n".join(verdicts), comparison="\n".join(comparison(runs, payloads_)),
         versions=versions, minutes=all_.took / 60, moves=sum(len(r.search) for r in runs),
         more=sum(len(log) for r in runs for log in (*r.proofs.values(), *r.test.values())), safety=formula.SAFETY,
-        held=HELD, margin=MARGIN, tolerance=TOLERANCE, repeats=REPEATS, candidates=CANDIDATES, model=all_.model,
-        new=CONTEXTS[NEW].moves, shorter=CONTEXTS[SHORTER].moves, shortest=SHORTEST * MM,
+        held=MAX_HOLDING, margin=MARGIN, tolerance=TOLERANCE, repeats=REPEATS, candidates=CANDIDATES, model=all_.model,
+        new=CONTEXTS[NEW].moves, shorter=CONTEXTS[SHORTER].moves, shortest=MIN_DISTANCE * MM,
         each=CONTEXTS[f"+{HEAVIER[0]:g} kg"].moves, step=HEAVIER[0], most=HEAVIER[-1], flattered=flattered(runs), enough=SEEDS,
         priced=priced(runs),
     )  # fmt: skip

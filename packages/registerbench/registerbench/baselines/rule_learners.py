@@ -57,13 +57,23 @@ def vector(task: str, machines: int, **settings: Any) -> Any:
 
 
 def play(envs: Any, kind: type[Rule], w: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, int]:
-    """Sums of rewards and successes of an episode on the machines of seeds seed, seed + 1, ..., (n,), and steps that were made."""
+    """Play an episode on each of the machines of seeds seed, seed + 1, ...
+
+    Args:
+        envs: Vector environment.
+        kind: Class of the rule.
+        w: Its numbers.
+        seed: Of the first machine.
+
+    Returns:
+        Sums of rewards, successes, (n,) each, and the number of steps.
+    """
     n = envs.num_envs
-    seen, _ = envs.reset(seed=seed)
+    observation, _ = envs.reset(seed=seed)
     rule, steps = kind(w, [e.name for e in envs.observation_features], n), 0
     total, won, over = np.zeros(n), np.zeros(n, bool), np.zeros(n, bool)
     while not over.all():
-        seen, rewards, terminated, truncated, infos = envs.step(rule(seen))
+        observation, rewards, terminated, truncated, infos = envs.step(rule(observation))
         total += np.where(over, 0.0, rewards)
         steps += int((~over).sum())
         ends = (terminated | truncated) & ~over
@@ -90,7 +100,7 @@ class Run:
         return float(total.mean())
 
     def first(self) -> tuple[np.ndarray, np.ndarray]:
-        """What the rule reaches before it has learned, which is the same for all runs."""
+        """Return what the rule reaches before it has learned, the same for all seeds."""
         if (self.task, self.kind) not in BEGUN:
             begins = np.array(self.kind.BEGINS)
             BEGUN[self.task, self.kind] = play(self.testing, self.kind, begins, FIRST)[:2]
@@ -107,7 +117,7 @@ class Run:
         self.seconds += time.process_time() - begun
 
     def learn(self, generations: int) -> np.ndarray:
-        """What CMA-ES has found, as numbers of the rule."""
+        """Search the numbers of the rule by CMA-ES."""
         from cmaes import CMA
 
         size = len(self.kind.BEGINS)
@@ -120,7 +130,7 @@ class Run:
         return search.mean
 
     def learn_on(self, table: Any) -> np.ndarray:
-        """Likewise of a table, more of it at each point."""
+        """Search likewise on a table, with more machines at each point."""
         self.check(z := np.zeros(len(self.kind.BEGINS)))
         for machines in (m for m in PARTS if m <= len(table.distance)):
             begun, part = time.process_time(), table.part(machines)
@@ -145,7 +155,7 @@ class Run:
 
 
 def learn(task: str, run: int, folder: Path, generations: int | None = None, machines: int = TABLE) -> None:
-    """A run of each player of a task. generations: of one that learns by moves; machines: of one that learns on a table."""
+    """Search the numbers of the rule by CMA-ES."""
     players = {player: folder / f"{task}_{player.replace(' ', '-')}-{run}" for t, player in RULES if t == task}
     folder.mkdir(parents=True, exist_ok=True)
     table, spent = None, 0.0
@@ -167,13 +177,13 @@ def learn(task: str, run: int, folder: Path, generations: int | None = None, mac
 
 
 class Policy:
-    """What was learned, for registerbench."""
+    """A learner's policy, for registerbench."""
 
     def __init__(self, kind: type[Rule], w: list[float]):
         self.kind, self.w = kind, w
 
-    def reset(self, around: Any) -> None:
-        self.rule = self.kind(self.w, around.entries)
+    def reset(self, context: Any) -> None:
+        self.rule = self.kind(self.w, context.entries)
 
     def __call__(self, observation: np.ndarray, info: Any) -> np.ndarray:
         return self.rule(observation[None])[0]

@@ -32,18 +32,18 @@ class Rule:
 
     @classmethod
     def numbers(cls, z: np.ndarray) -> np.ndarray:
-        """For what CMA-ES has: 0 for each at the beginning, with a spread of 1."""
+        """Convert the numbers of CMA-ES to those of the rule: 0 stands for the initial ones, with a spread of 1."""
         return np.array(cls.BEGINS) + np.array(cls.SCALES) * z
 
-    def of(self, name: str, seen: np.ndarray) -> np.ndarray:
-        return seen[:, self.names.index(name)].astype(float)
+    def of(self, name: str, observation: np.ndarray) -> np.ndarray:
+        return observation[:, self.names.index(name)].astype(float)
 
-    def __call__(self, seen: np.ndarray) -> np.ndarray:
-        chosen = self.choose(seen)
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        chosen = self.choose(observation)
         self.made += 1
         return np.clip(chosen, -1.0, 1.0).astype(np.float32)
 
-    def choose(self, seen: np.ndarray) -> np.ndarray:
+    def choose(self, observation: np.ndarray) -> np.ndarray:
         raise NotImplementedError
 
 
@@ -54,13 +54,15 @@ class Linear(Rule):
     ACTIONS: ClassVar[tuple[int, int]]
     """Of those that are chosen, and of all."""
 
-    def features(self, seen: np.ndarray) -> list[np.ndarray]:
+    def features(self, observation: np.ndarray) -> list[np.ndarray]:
         raise NotImplementedError
 
-    def choose(self, seen: np.ndarray) -> np.ndarray:
+    def choose(self, observation: np.ndarray) -> np.ndarray:
         used, every = self.ACTIONS
-        out = np.zeros((len(seen), every))
-        out[:, :used] = np.stack([np.ones(len(seen)), *self.features(seen)], axis=1) @ self.w.reshape(-1, used)
+        out = np.zeros((len(observation), every))
+        out[:, :used] = np.stack([np.ones(len(observation)), *self.features(observation)], axis=1) @ self.w.reshape(
+            -1, used
+        )
         return out
 
 
@@ -70,8 +72,8 @@ class OneShot(Linear):
     ACTIONS = 4, 4
     BEGINS, SCALES = (0.0,) * 12, (0.5,) * 4 + (0.25,) * 8
 
-    def features(self, seen: np.ndarray) -> list[np.ndarray]:
-        return [self.of("distance", seen), self.of("declared", seen)]
+    def features(self, observation: np.ndarray) -> list[np.ndarray]:
+        return [self.of("distance", observation), self.of("declared", observation)]
 
 
 class Line(Linear):
@@ -80,8 +82,8 @@ class Line(Linear):
     ACTIONS = 2, 14
     BEGINS, SCALES = (0.0,) * 6, (0.5,) * 2 + (0.25,) * 4
 
-    def features(self, seen: np.ndarray) -> list[np.ndarray]:
-        ways = np.abs(seen[:, [k for k, name in enumerate(self.names) if name == "distance"]])
+    def features(self, observation: np.ndarray) -> list[np.ndarray]:
+        ways = np.abs(observation[:, [k for k, name in enumerate(self.names) if name == "distance"]])
         longest = ways.max(axis=1)
         return [np.log(longest) + 1.0, np.log(ways.min(axis=1) / longest) + 1.0]
 
@@ -92,13 +94,13 @@ class Home(Rule):
 
     BEGINS, SCALES = (0.0,) * 7 + (-0.5, 0.0, 0.0, 0.0), (0.5,) * 7 + (0.3, 1.0, 0.5, 0.5)
 
-    def choose(self, seen: np.ndarray) -> np.ndarray:
+    def choose(self, observation: np.ndarray) -> np.ndarray:
         search, ramp, approach, back_off, leave, asserted, slower, report, *signs = self.w
-        failed, ones = self.of("failed", seen), np.ones(len(seen))
-        said = failed, self.of("last_end_limit", seen), self.of("last_late", seen)
+        failed, ones = self.of("failed", observation), np.ones(len(observation))
+        said = failed, self.of("last_end_limit", observation), self.of("last_late", observation)
         return np.stack(
             [
-                search * ones, ramp * ones, approach + slower * failed, leave + asserted * self.of("org", seen),
+                search * ones, ramp * ones, approach + slower * failed, leave + asserted * self.of("org", observation),
                 back_off * ones, report + sum(w * x for w, x in zip(signs, said, strict=True)),
             ], axis=1,
         )  # fmt: skip
@@ -112,14 +114,14 @@ def bold(boldness: np.ndarray) -> np.ndarray:
 class Bold(Rule):
     """FewShotTuning by one boldness a try."""
 
-    def choose(self, seen: np.ndarray) -> np.ndarray:
-        return bold(np.exp(self.boldness(self.of("distance", seen), self.of("kept", seen) > 0)))
+    def choose(self, observation: np.ndarray) -> np.ndarray:
+        return bold(np.exp(self.boldness(self.of("distance", observation), self.of("kept", observation) > 0)))
 
-    def boldness(self, distance: np.ndarray, kept: np.ndarray) -> np.ndarray:
-        """Logarithm of the next one, (n,). kept: whether the last try kept step by the encoder."""
-        return np.clip(self.next(distance, kept), np.log(TAMEST), np.log(BOLDEST))
+    def boldness(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
+        """Compute the logarithm of the next boldness, (n,); `in_step`: the last try kept step by the encoder."""
+        return np.clip(self.next(distance, in_step), np.log(TAMEST), np.log(BOLDEST))
 
-    def next(self, distance: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    def next(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
         raise NotImplementedError
 
 
@@ -129,17 +131,13 @@ class Blind(Bold):
 
     BEGINS, SCALES = (0.7, 0.0, 0.0), (0.4, 0.2, 0.4)
 
-    def next(self, distance: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    def next(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
         w = self.w
         return w[0] + w[1] * distance + w[2] * self.made / TRIES
 
 
 class Remembering(Bold):
-    """By what past tries have shown: of the boldest try g that kept step by the encoder and the tamest l that did not.
-
-    First w0 + w1 distance. Then log g + w2 where none has lost steps, log l - 2 w2 where none has kept them, else
-    log g + w3 (log l - log g); and at the last try log g - w4, where there is one. Where g >= l it was luck, and g is forgotten.
-    """
+    """Rule that remembers past tries: it looks between the boldest try that kept step and the least bold one that did not."""
 
     BEGINS, SCALES = (0.7, 0.0, 0.2, 0.5, 0.1), (0.4, 0.2, 0.1, 0.2, 0.1)
 
@@ -147,21 +145,21 @@ class Remembering(Bold):
         super().__init__(w, names, n)
         self.held, self.lost, self.last = np.full(n, -np.inf), np.full(n, np.inf), np.zeros(n)  # logarithms
 
-    def boldness(self, distance: np.ndarray, kept: np.ndarray) -> np.ndarray:
-        self.last = super().boldness(distance, kept)
+    def boldness(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
+        self.last = super().boldness(distance, in_step)
         return self.last
 
-    def see(self, kept: np.ndarray) -> None:
-        self.held = np.where(kept, np.maximum(self.held, self.last), self.held)
-        self.lost = np.where(kept, self.lost, np.minimum(self.lost, self.last))
+    def see(self, in_step: np.ndarray) -> None:
+        self.held = np.where(in_step, np.maximum(self.held, self.last), self.held)
+        self.lost = np.where(in_step, self.lost, np.minimum(self.lost, self.last))
         self.held = np.where(self.held >= self.lost, -np.inf, self.held)
 
-    def next(self, distance: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    def next(self, distance: np.ndarray, in_step: np.ndarray) -> np.ndarray:
         (first, slope), (up, share, back) = self.w[:2], np.abs(self.w[2:])
         down = 2 * up
         if not self.made:
             return first + slope * distance
-        self.see(kept)
+        self.see(in_step)
         held, lost = np.isfinite(self.held), np.isfinite(self.lost)
         with np.errstate(invalid="ignore"):
             between = self.held + min(share, 1.0) * (self.lost - self.held)

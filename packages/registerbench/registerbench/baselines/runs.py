@@ -23,13 +23,13 @@ import pyarrow
 import pyarrow.parquet
 
 from registerbench.baselines import formula, searches, tool_loop
-from registerbench.baselines.common import CANDIDATES, HELD, LANES, MARGIN, MODEL, Log, Moves, best, prove
+from registerbench.baselines.common import CANDIDATES, LANES, MARGIN, MAX_HOLDING, MODEL, Log, Moves, best, prove
 from stage.firmware.pcl240.driver import TUNED as REGISTERS
 
 FIRST_SEED = 1  # with seed 0 the settings were chosen
 TEST_SEED = 1_000  # of no search, and of no proof
 NEW, SHORTER = "new", "shorter"
-SHORTEST = 12_800  # pulses, 40 mm
+MIN_DISTANCE = 12_800  # pulses, 40 mm
 HEAVIER = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)  # kg on top of the payload
 
 
@@ -39,12 +39,12 @@ class Context(NamedTuple):
     moves: int
     heavier: float = 0.0
     more: float = 0.0
-    shortest: int | None = None
+    min_distance: int | None = None
 
 
 CONTEXTS = {
     NEW: Context(128, more=MARGIN),
-    SHORTER: Context(64, more=MARGIN, shortest=SHORTEST),
+    SHORTER: Context(64, more=MARGIN, min_distance=MIN_DISTANCE),
     **{f"+{kg:g} kg": Context(16, heavier=kg) for kg in HEAVIER},
 }
 """Of a test. In each every second move goes the other way."""
@@ -104,7 +104,9 @@ class Run:
         ranked = search.ranking[:CANDIDATES]
         if ranked:
             rows = [search.registers[k] for k in ranked]
-            run.proofs = dict(zip(ranked, prove(rows, mass, model=model, margin=MARGIN, most=HELD), strict=False))
+            run.proofs = dict(
+                zip(ranked, prove(rows, mass, model=model, margin=MARGIN, most=MAX_HOLDING), strict=False)
+            )
         if run.answer is not None:
             run.test = tested(search.registers[run.answer], mass, model)
         return run
@@ -130,8 +132,12 @@ class Run:
         return float(np.mean(self.search.kept))
 
     def mean(self, name: str, kept: bool = False) -> float:
-        """Of the answer in new moves: `reward` in ms, `duration` in ms, `vibration` in um. kept: of the moves alone that kept step.
-        NaN without an answer."""
+        """Compute the mean of a column of the answer's new moves.
+
+        Args:
+            name: "reward" (ms), "duration" (ms) or "vibration" (um).
+            kept: Of the moves alone that kept step.
+        """
         if not self.test:
             return np.nan
         log = self.test[NEW]
@@ -139,7 +145,7 @@ class Run:
         return {"vibration": 1e6}.get(name, 1e3) * float(np.mean(values))
 
     def lost(self, context: str) -> int:
-        """How many moves of its test did not keep step."""
+        """Count the moves of its test that did not keep step."""
         return self.test[context].kept.count(False)
 
     @property
@@ -154,16 +160,16 @@ class Run:
     @property
     def spare(self) -> float:
         """kg on top of the payload, up to which no move of the test lost a step."""
-        held = 0.0
+        holding = 0.0
         for kg in HEAVIER if self.test else ():
             if self.lost(f"+{kg:g} kg"):
-                return held
-            held = kg
-        return held if self.test else np.nan
+                return holding
+            holding = kg
+        return holding if self.test else np.nan
 
     @cached_property
     def table(self) -> pyarrow.Table:
-        """Its moves, in order."""
+        """Moves of the run, in order."""
         parts = [("search", "", None, self.search)]
         parts += [("proof", "", number, log) for number, log in self.proofs.items()]
         parts += [("test", context, self.answer, log) for context, log in self.test.items()]
@@ -171,10 +177,22 @@ class Run:
 
 
 def tested(registers: list[int], payload: float, model: str) -> dict[str, Log]:
-    """The test of an answer: the same moves for every method."""
+    """Make the test of an answer: the same moves for every method.
+
+    Args:
+        registers: The answer.
+        payload: kg.
+        model: Name of the model.
+    """
     found = {}
     for seed, (name, c) in enumerate(CONTEXTS.items(), TEST_SEED):
-        made: dict[str, Any] = {"seed": seed, "model": model, "more": c.more, "shortest": c.shortest, "both_ways": True}
+        made: dict[str, Any] = {
+            "seed": seed,
+            "model": model,
+            "more": c.more,
+            "shortest": c.min_distance,
+            "both_ways": True,
+        }
         with Moves(payload + c.heavier, c.moves, "registers", **made) as moves:
             action = moves.registers.to_action(np.array(registers))
             while moves.left:
@@ -226,7 +244,7 @@ def rows(run: Run, part: str, context: str, number: int | None, log: Log) -> pya
 
 
 def log_of(columns: dict[str, list[Any]], begin: int, end: int) -> Log:
-    """The moves of these rows."""
+    """Return the moves of these rows as a log."""
     c = {name: values[begin:end] for name, values in columns.items()}
     registers = [list(row) for row in zip(*(c[name] for name in REGISTERS), strict=True)]
     drawn = list(zip(c["distance"], c["kg"], c["angle"], strict=True))
@@ -270,7 +288,7 @@ class Runs:
         return all_
 
     def write(self, path: Path) -> None:
-        """Equal runs give equal bytes."""
+        """Write the runs; equal runs give equal bytes."""
         about = {
             name: getattr(self, name) for name in ("budget", "seeds", "payloads", "model", "quick", "took", "versions")
         }
@@ -286,7 +304,11 @@ class Runs:
         )
 
     def run_all(self, keep: Path | None) -> None:
-        """What is there already is not run again. keep: a file that is written after each run."""
+        """Make the runs that are not there yet.
+
+        Args:
+            keep: File that is written after each run.
+        """
         done = {(r.payload, r.method, r.seed) for r in self.runs}
         packages = (
             "pulsestage",

@@ -40,9 +40,9 @@ class MovesVecEnv(VecEnvAdapter):
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict]]:
         rewards = SCALE * np.maximum(np.nan_to_num(self.moves.make(self._actions)), WORST)
-        seen = self.moves.observation
-        infos = [{"terminal_observation": row} for row in seen]
-        return seen, rewards.astype(np.float32), np.ones(self.num_envs, bool), infos
+        observation = self.moves.observation
+        infos = [{"terminal_observation": row} for row in observation]
+        return observation, rewards.astype(np.float32), np.ones(self.num_envs, bool), infos
 
     def close(self) -> None:
         pass

@@ -72,13 +72,13 @@ def design(loop: Loop, margin: float = MARGIN, rattle: float = RATTLE) -> Design
 
 
 def registers(axis: Any, timer: int = TIMER) -> dict[str, int]:
-    """R22, R20, R21, R0F for an axis of a stage, with the payload that it carries."""
+    """Return R22, R20, R21 and R0F for an axis of a stage, with the payload that it carries."""
     t = design(Loop.of(axis, Tuning(pole=POLE, timer=timer))).tuning
     return {"R22": t.gain, "R20": t.zero, "R21": t.pole, "R0F": t.timer}
 
 
 def plot(d: Design, loop: Loop, path: Path) -> None:
-    """Bode diagram and root locus."""
+    """Draw the Bode diagram and the root locus."""
     from matplotlib import pyplot as plt
 
     c, system = control(), open_loop(replace(loop, tuning=d.tuning))
@@ -101,7 +101,7 @@ def plot(d: Design, loop: Loop, path: Path) -> None:
 
 
 def trial(payload: float, values: dict[str, int], distance: int = 200, moves: int = 8) -> dict[str, float]:
-    """Means over a few moves of the environment with these registers."""
+    """Compute the means over a few moves of the environment with these registers."""
     import gymnasium
 
     import stage.envs  # noqa: F401

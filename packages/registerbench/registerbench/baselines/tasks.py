@@ -43,7 +43,17 @@ def splits(id_: str) -> tuple[str, ...]:
 
 
 def play(id_: str, player: str, episodes: int, **settings: Any) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """(sum of rewards, score by name) of so many episodes, (episodes,) each."""
+    """Play episodes of an environment.
+
+    Args:
+        id_: Of the environment.
+        player: "random" or "scripted".
+        episodes: Their number.
+        **settings: Of the environment.
+
+    Returns:
+        Sums of rewards, and scores by name, (episodes,) each.
+    """
     totals, scores = [], []
     envs: Any = gymnasium.make_vec(
         id_, num_envs=LANES, vectorization_mode="vector_entry_point", autoreset_mode="Disabled", **settings
@@ -74,7 +84,7 @@ def play(id_: str, player: str, episodes: int, **settings: Any) -> tuple[np.ndar
 
 
 def choose(envs: Any, player: str, rng: np.random.Generator) -> np.ndarray:
-    """The next actions of a player."""
+    """Choose the next actions of a player."""
     if player == "scripted":
         return np.asarray(envs.scripted_action())
     if hasattr(envs, "action_masks"):
@@ -83,7 +93,7 @@ def choose(envs: Any, player: str, rng: np.random.Generator) -> np.ndarray:
 
 
 def row(task: str, split: str, player: str, totals: np.ndarray, score: dict[str, np.ndarray]) -> str:
-    """A row of the table."""
+    """Format a row of the table."""
     low, high = interval(totals)
     won = score["success"].astype(bool)
     medians = [f"{np.median(score[name][won]):.3f}" if won.any() else "-" for name in ("time", "regret")]

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from registerbench.baselines.common import DISTANCE, LIMIT, MODEL, TURN, Log, Moves, arguments, told
+from registerbench.baselines.common import DISTANCE, LIMIT, MODEL, TURN, Log, Moves, arguments, describe_answer
 from stage import Stage
 from stage.agents import Budget, Tool, Toolbox
 from stage.envs.register_tuning import Config
@@ -73,12 +73,12 @@ class Tuned:
             stage.step()
             places.append(axis.position)
         lost, vibration, made = axis.lost_steps, float(np.ptp(places)), port.counter() == 0
-        kept = not lost and made and abs(axis.commanded - axis.position) <= MAX_OFFSET_M
+        in_step = not lost and made and abs(axis.commanded - axis.position) <= MAX_OFFSET_M
         reward = -duration - c.vibration_weight * min(vibration / TENTH_MM, 100.0)
-        reward -= 0.0 if made and kept else c.lost_weight if made else c.limit_weight
+        reward -= 0.0 if made and in_step else c.lost_weight if made else c.limit_weight
         values = axis.chip.values()
         drawn = self.distance, stage.payload(), self._angle
-        self.log.note(reward, duration, lost, vibration, kept, [values[n] for n in REGISTERS], drawn)
+        self.log.note(reward, duration, lost, vibration, in_step, [values[n] for n in REGISTERS], drawn)
         self._put_back()
         return {
             "move": len(self.log), "duration_s": round(duration, 6), "steps_lost": lost,
@@ -101,7 +101,7 @@ SMALLEST = 0.02
 
 
 def technician(tuned: Tuned, show: bool = False) -> None:
-    """A scripted agent: coordinate search, until the moves are spent or no step is left that is worth one."""
+    """Search one coordinate after the other by tools, until the moves are spent or no step is left that is worth one."""
 
     def attempt(registers: dict[str, int]) -> float | None:
         point = int(ramp_pulses(*(registers[n] for n in ("R1", "R2", "R5", "R7")))) + AT_FL
@@ -132,7 +132,7 @@ def technician(tuned: Tuned, show: bool = False) -> None:
 
 
 def search(moves: Moves, seed: int = 0) -> None:
-    """The technician's moves, as a search: they fill the log of `moves`."""
+    """Let the technician search; its moves fill the log of `moves`."""
     tuned = Tuned(moves.payload, moves.distance, moves.budget, moves.model)
     technician(tuned)
     moves.log = tuned.log
@@ -145,7 +145,7 @@ def main() -> None:
     args = parser.parse_args()
     tuned = Tuned(args.payload, args.distance, args.budget, args.model)
     technician(tuned, args.show)
-    print(told(tuned.log, REGISTERS, args.payload, args.distance, model=args.model, margin=args.margin))
+    print(describe_answer(tuned.log, REGISTERS, args.payload, args.distance, model=args.model, margin=args.margin))
 
 
 if __name__ == "__main__":

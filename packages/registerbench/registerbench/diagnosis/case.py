@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from registerbench.diagnosis.machine import MENDED, SERVICES
+from registerbench.diagnosis.machine import REPAIRS, SERVICES
 from registerbench.diagnosis.program import DONE, Host, parse
 from registerbench.diagnosis.setups import CAUSES, SETUPS, Setup
 from registerbench.diagnosis.trial import Watch
@@ -30,11 +30,11 @@ the program as it came. A service that mends nothing costs a quarter of this, a 
 
 @dataclass(frozen=True)
 class Score:
-    """found: 1 if the first answer names the cause, -1 if it names another, 0 if there is none; mended: the program, run from
+    """found: 1 if the first answer names the cause, -1 if it names another, 0 if there is none; repaired: the program, run from
     power-up, does what the customer wants; work: what the way to there has cost, a share of mending; runs: made."""
 
     found: int
-    mended: bool
+    repaired: bool
     work: float
     runs: int
     answered: str
@@ -42,7 +42,7 @@ class Score:
     @property
     def value(self) -> float:
         """Half for finding, half for mending: 1 at most, -0.5 for a wrong answer and nothing mended, 0 for doing nothing."""
-        return 0.5 * self.found + 0.5 * max(self.mended - self.work, 0.0)
+        return 0.5 * self.found + 0.5 * max(self.repaired - self.work, 0.0)
 
 
 class Case:
@@ -55,7 +55,7 @@ class Case:
         self.setup: Setup = SETUPS[choose("set-up", name, tuple(SETUPS))]
         self.stage = Stage("xy", chips=self.setup.chips, visuals=False)
         self.stage.set_payload(self.setup.payload)
-        self._text, self._mended, self._answer, self.over, self._needless = self.setup.program, False, "", False, 0
+        self._text, self._is_repaired, self._answer, self.over, self._needless = self.setup.program, False, "", False, 0
         self.box = Toolbox(self.stage, "host", Budget(seconds=SECONDS), snapshots=False, more=self._tools())
         self._host = Host(self.stage, self.box.driver)
         self.task = TASK.format(complaint=self.setup.complaint, wanted=self.setup.trial, runs=runs)
@@ -63,7 +63,7 @@ class Case:
         self._begin()
 
     def score(self) -> Score:
-        """What has been reached. It runs the program as the customer does, if the budget of the agent is spent, too."""
+        """Return what has been reached. The program runs as the customer runs it, even if the agent's budget is spent."""
         found = (1 if self._answer == self.setup.cause else -1) if self._answer else 0
         used = self.box.meter
         work = NEEDLESS * self._needless + EACH * (self._runs + used.moves) + EACH * used.ns * 1e-9 / LONG
@@ -90,13 +90,13 @@ class Case:
         ]  # fmt: skip
 
     def _write(self, text: str) -> dict[str, Any]:
-        self._goes_on()
+        self._require_running()
         lines = parse(text, self.stage)
         self._text = text
         return {"lines": len(lines), "text": "written; run it"}
 
     def _run(self) -> dict[str, Any]:
-        self._goes_on()
+        self._require_running()
         if self._runs >= self._most:
             raise StageError(f"all {self._most} runs are made. Answer, mend and finish by what you know.")
         lines = parse(self._text, self.stage)
@@ -108,16 +108,16 @@ class Case:
         return {f"{a.name}_mm": round(a.position * 1e3, 2) for a in self.stage.axes.values()}
 
     def _serve(self, work: str) -> dict[str, Any]:
-        self._goes_on()
-        if SERVICES[work] == self.setup.cause and not self._mended:
-            self._mended = True
+        self._require_running()
+        if SERVICES[work] == self.setup.cause and not self._is_repaired:
+            self._is_repaired = True
         else:
             self._needless += 1
         self._begin()
         return {"text": "done. The machine is at power-up."}
 
     def _say(self, cause: str) -> dict[str, Any]:
-        self._goes_on()
+        self._require_running()
         if self._answer:
             raise StageError(f"you have answered already: {self._answer}. The first answer counts.")
         self._answer = cause
@@ -127,7 +127,7 @@ class Case:
         self.over = True
         return {"text": "thank you."}
 
-    def _goes_on(self) -> None:
+    def _require_running(self) -> None:
         if self.over:
             raise StageError("you have finished: nothing counts any more.")
 
@@ -138,10 +138,10 @@ class Case:
         stage = self.stage
         stage.reset()
         self.box.forget()
-        if self._mended and self.setup.cause in MENDED:
-            MENDED[self.setup.cause](stage)
+        if self._is_repaired and self.setup.cause in REPAIRS:
+            REPAIRS[self.setup.cause](stage)
         stage.place(x=self.setup.trial.starts[0] if start is None else start)
-        if self.setup.equip is not None and not self._mended:
+        if self.setup.equip is not None and not self._is_repaired:
             self.setup.equip(stage)
 
     def why_not(self) -> str:
@@ -157,10 +157,10 @@ class Case:
         lines = parse(text, self.stage)
         self._begin(start)
         watch = Watch(self.stage, self.setup.trial.seconds)
-        ended = Host(self.stage, self.box.driver, watch.look).run(lines)
+        ended = Host(self.stage, self.box.driver, watch.sample).run(lines)
         if ended["ended"] != DONE:
             return ended["ended"]
-        return self.setup.trial.wrong(watch.seen, start, self.stage.axes["x"].meters_per_pulse)
+        return self.setup.trial.wrong(watch.samples, start, self.stage.axes["x"].meters_per_pulse)
 
     @property
     def _work_on_machine(self) -> bool:

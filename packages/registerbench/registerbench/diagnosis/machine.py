@@ -18,7 +18,7 @@ SERVICES = {
 
 
 def swap_limits(stage: Stage) -> None:
-    """The wires of x's end limits are exchanged."""
+    """Exchange the wires of x's end limits."""
     axis = stage.axes["x"]
     rows = [axis.switches.row(pin) for pin in ("el_plus", "el_minus")]
     bits = {pin: axis.chip.wired(pin) for pin in ("el_plus", "el_minus")}
@@ -27,7 +27,7 @@ def swap_limits(stage: Stage) -> None:
 
 
 def straighten_limits(stage: Stage) -> None:
-    """They are as they should be."""
+    """Connect the wires of x's end limits as they should be."""
     axis = stage.axes["x"]
     for pin in ("el_plus", "el_minus"):
         stage.state.switch_table[axis.switches.row(pin)].bit = axis.chip.wired(pin)
@@ -35,26 +35,26 @@ def straighten_limits(stage: Stage) -> None:
 
 
 def weak_supply(stage: Stage) -> None:
-    """The supply has sunk to a sixth."""
+    """Lower the supply to a sixth."""
     for axis in stage.axes.values():
         axis.faults.bus_voltage = axis.drive.bus_voltage / 6
     stage.apply_faults()
 
 
 def full_supply(stage: Stage) -> None:
-    """The supply is what it should be."""
+    """Set the supply to what it should be."""
     for axis in stage.axes.values():
         axis.faults.bus_voltage = axis.drive.bus_voltage
     stage.apply_faults()
 
 
 def slip(stage: Stage) -> None:
-    """A fifteenth of the motor's torque reaches the screw of x: there is no other rotor in the model than that on the screw."""
+    """Let a fifteenth of the motor's torque reach the screw of x; the only rotor of the model is that on the screw."""
     drive = stage.state.drives[stage.axes["x"].index]
     drive.torque_constant, drive.slice = drive.torque_constant / 15, 0.0
 
 
-MENDED: dict[str, Callable[[Stage], None]] = {
+REPAIRS: dict[str, Callable[[Stage], None]] = {
     "swapped limit switches": straighten_limits,
     "supply too low": full_supply,
 }

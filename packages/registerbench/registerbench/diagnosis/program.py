@@ -26,12 +26,12 @@ from stage.firmware import Axis
 from stage.firmware.driver import Driver
 from stage.panel.register_text import BusCycle, parse_line
 
-MOST = 200  # lines
-WIDE = 200  # characters of a line
+MAX_LINES = 200  # lines
+MAX_LINE_CHARACTERS = 200  # characters of a line
 FIRST, STRIDE = 0x300, 4  # the port of the first chip, and from one chip to the next, as on a PCL-240 card
 POLL = 5e-4  # s
 DONE = "the program came to its end"
-LOOK = 2e-3  # s between two looks of who watches
+SAMPLE_INTERVAL_S = 2e-3  # s between two looks of who watches
 
 
 @dataclass(frozen=True)
@@ -46,12 +46,22 @@ class Line:
 class Host:
     """Runs programs on a stage. driver: of an axis by its name; look: called every few milliseconds."""
 
-    def __init__(self, stage: Stage, driver: Callable[[str], Driver], look: Callable[[], None] | None = None):
-        self.stage, self.driver, self._look = stage, driver, look
+    def __init__(self, stage: Stage, driver: Callable[[str], Driver], sample: Callable[[], None] | None = None):
+        self.stage, self.driver, self._sample = stage, driver, sample
         self._base: dict[str, int] = {}
 
     def run(self, lines: Iterable[Line]) -> dict[str, Any]:
-        """Run to the end, or until a poll is given up. Raises StageError as the tools do."""
+        """Run lines to the end, or until the host gives up a poll.
+
+        Args:
+            lines: Of a program.
+
+        Returns:
+            How the program ended, by name.
+
+        Raises:
+            StageError: As the tools raise it.
+        """
         self._base.clear()
         done = 0
         for line in lines:
@@ -67,11 +77,21 @@ class Host:
         return {"ended": DONE, "lines_done": done, "time_s": round(self.stage.time, 9)}
 
     def base(self, axis: str, port: int) -> None:
-        """From now on the host believes the chip of `axis` there."""
+        """Set the port at which the host believes the chip of an axis.
+
+        Args:
+            axis: Name of the axis.
+            port: Number of the port.
+        """
         self._base[axis] = port
 
     def cycle(self, axis: str, cycle: BusCycle) -> None:
-        """A bus cycle to the ports where the host believes the chip of `axis`."""
+        """Make a bus cycle at the ports where the host believes the chip of an axis.
+
+        Args:
+            axis: Name of the axis.
+            cycle: To make.
+        """
         chip = self.stage.axes[axis].chip
         if axis in self._base:
             k, offset = divmod(self._base[axis] + cycle.address - FIRST, STRIDE)
@@ -87,25 +107,34 @@ class Host:
             chip.write(address, cycle.datum)
 
     def wait_until(self, test: Callable[[], bool], limit: float, what: str) -> None:
-        """Poll. Raises RunTimeout."""
+        """Poll until a test is true.
+
+        Args:
+            test: Called after each poll.
+            limit: Simulated seconds.
+            what: The test in words.
+
+        Raises:
+            RunTimeout: The test was not true in time.
+        """
         begun = self.stage.time
         while not test():
             if self.stage.time - begun >= limit:
                 raise RunTimeout(f"{what} did not come within {limit:g} s, and the host gave up.")
             self.stage.run(POLL)
-            if self._look is not None:
-                self._look()
+            if self._sample is not None:
+                self._sample()
 
     def wait(self, seconds: float) -> None:
         """Let time pass."""
         until = self.stage.time + seconds
-        while self._look is not None and self.stage.time + LOOK < until:
-            self.stage.run(LOOK)
-            self._look()
+        while self._sample is not None and self.stage.time + SAMPLE_INTERVAL_S < until:
+            self.stage.run(SAMPLE_INTERVAL_S)
+            self._sample()
         self.stage.run(max(until - self.stage.time, 0.0))
 
     def reads(self, axis: str) -> Axis:
-        """The axis whose chip answers where the host believes that of `axis`."""
+        """Return the axis whose chip answers where the host believes that of `axis`."""
         if axis not in self._base:
             return self.stage.axes[axis]
         k = (self._base[axis] - FIRST) // STRIDE
@@ -118,9 +147,19 @@ class Host:
 
 
 def parse(text: str, stage: Stage) -> list[Line]:
-    """The lines of a program that do something. Raises ArgumentError with the number of the line that cannot be read."""
-    if len(text) > MOST * WIDE or text.count("\n") >= MOST:
-        raise ArgumentError(f"a program of {text.count(chr(10)) + 1} lines: up to {MOST}, each of {WIDE} characters.")
+    """Parse the lines of a program that do something.
+
+    Args:
+        text: Of the program.
+        stage: Whose axes it names.
+
+    Raises:
+        ArgumentError: A line cannot be read; the message has its number.
+    """
+    if len(text) > MAX_LINES * MAX_LINE_CHARACTERS or text.count("\n") >= MAX_LINES:
+        raise ArgumentError(
+            f"a program of {text.count(chr(10)) + 1} lines: up to {MAX_LINES}, each of {MAX_LINE_CHARACTERS} characters."
+        )
     lines = []
     for number, raw in enumerate(text.split("\n"), 1):
         line = raw.partition("#")[0].strip()
@@ -160,7 +199,7 @@ def _parsed(line: str, stage: Stage) -> Callable[[Host], None]:
 
 
 def _cycles(axis: Axis, order: str) -> tuple[BusCycle, ...]:
-    """Of what stands behind the colon: an order of the console, or bytes with their addresses among them."""
+    """Parse what stands behind the colon: an order of the console, or bytes with their addresses among them."""
     kind = type(axis.chip)
     if re.fullmatch(r"[0-9a-fA-F]{1,4}( [0-3]: ?[0-9a-fA-F]{1,4})+", order):
         first, *others = re.split(r" (?=[0-3]:)", order)
@@ -205,11 +244,11 @@ def _until(words: list[str], stage: Stage) -> Callable[[Host], None]:
 def _status_names(axis: Axis) -> tuple[str, ...]:
     from stage.firmware.driver import driver_of
 
-    twin = _Apart(axis)
-    return tuple(driver_of(twin).status_words())  # type: ignore[arg-type]
+    replica = _Elsewhere(axis)
+    return tuple(driver_of(replica).status_words())  # type: ignore[arg-type]
 
 
-class _Apart:
+class _Elsewhere:
     """An axis whose bus cycles nobody sees: to ask a driver which words it reads."""
 
     def __init__(self, axis: Axis):

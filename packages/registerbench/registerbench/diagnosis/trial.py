@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from registerbench.diagnosis.program import LOOK
+from registerbench.diagnosis.program import SAMPLE_INTERVAL_S
 from stage import Stage
 from stage.errors import RunTimeout
 
@@ -24,7 +24,7 @@ REACHED = 0.95  # of the rate of a leg: its ramp ends there
 
 
 class Sample(NamedTuple):
-    """What is so at a time. commanded, x: m; lost: steps; aside: m, of the axis that is not asked for."""
+    """State at a time: what was commanded and where x is, m; lost steps; travel of the other axis, m."""
 
     time: float
     commanded: float
@@ -50,36 +50,42 @@ class Trial:
 
     def __str__(self) -> str:
         places = ", ".join(f"{1e3 * s:g}" for s in self.stops)
-        seen = "from where it begins" if self.from_start else "from the middle of its travel"
+        samples = "from where it begins" if self.from_start else "from the middle of its travel"
         ramp = f", with ramps up of {self.ramp:g} s or more on the way to the first" if self.ramp else ""
         return (
-            f"x comes to {places} mm {seen}, and rests {REST:g} s at each; within {1e3 * self.within:g} mm, "
+            f"x comes to {places} mm {samples}, and rests {REST:g} s at each; within {1e3 * self.within:g} mm, "
             f"at {self.rate:g} pulses a second{ramp}, all in {self.seconds:g} s from power-up; y stands still, and no step "
             "may be lost"
         )
 
-    def wrong(self, seen: list[Sample], start: float, per_pulse: float) -> str:
-        """Why this is not what is wanted; "" if it is."""
-        rests = rests_of(seen)
+    def wrong(self, samples: list[Sample], start: float, per_pulse: float) -> str:
+        """Return why a run is not what the customer wants, or "".
+
+        Args:
+            samples: Of the run.
+            start: Where x began, m.
+            per_pulse: m.
+        """
+        rests = rests_of(samples)
         wanted = [s + start * self.from_start for s in self.stops]
-        found = [seen[last].x for _, last in rests]
+        found = [samples[last].x for _, last in rests]
         if len(found) != len(wanted):
             return f"it rests at {len(found)} places, and {len(wanted)} are wanted"
         for place, goal in zip(found, wanted, strict=True):
             if abs(place - goal) > self.within:
                 return f"it rests at {1e3 * place:.3f} mm, and {1e3 * goal:g} mm is wanted"
-        if any(round(abs(seen[last].lost)) for _, last in rests):
+        if any(round(abs(samples[last].lost)) for _, last in rests):
             return "steps are lost"
-        if max(abs(s.aside) for s in seen) > ASIDE:
+        if max(abs(s.aside) for s in samples) > ASIDE:
             return "y moves"
-        return self._wrong_way(seen, rests, per_pulse)
+        return self._wrong_way(samples, rests, per_pulse)
 
-    def _wrong_way(self, seen: list[Sample], rests: list[tuple[int, int]], per_pulse: float) -> str:
-        """Whether the ways between the places have their rate and ramp."""
+    def _wrong_way(self, samples: list[Sample], rests: list[tuple[int, int]], per_pulse: float) -> str:
+        """Return what is wrong with the rates and ramps between the stops, or ""."""
         begins = 0
         for k, (first, last) in enumerate(rests):
-            times = np.array([s.time for s in seen[begins : first + 1]])
-            places = np.array([s.commanded for s in seen[begins : first + 1]])
+            times = np.array([s.time for s in samples[begins : first + 1]])
+            places = np.array([s.commanded for s in samples[begins : first + 1]])
             if len(times) <= WINDOW:
                 return "a way is too short to have a rate"
             rates = np.abs((places[WINDOW:] - places[:-WINDOW]) / (times[WINDOW:] - times[:-WINDOW])) / per_pulse
@@ -87,7 +93,7 @@ class Trial:
             if not SLOWER * self.rate <= top <= FASTER * self.rate:
                 return f"way {k + 1} has {top:.0f} pulses a second"
             up = times[int(np.argmax(rates >= REACHED * top))] - times[int(np.argmax(rates > 0))]
-            if k == 0 and up < REACHED * self.ramp - 2 * WINDOW * LOOK:
+            if k == 0 and up < REACHED * self.ramp - 2 * WINDOW * SAMPLE_INTERVAL_S:
                 return f"its ramp up takes {up:.3f} s"
             begins = last
         return ""
@@ -98,32 +104,32 @@ class Watch:
 
     def __init__(self, stage: Stage, seconds: float):
         self._stage, self._seconds = stage, seconds
-        self.seen: list[Sample] = []
-        self.look()
+        self.samples: list[Sample] = []
+        self.sample()
 
-    def look(self) -> None:
+    def sample(self) -> None:
         """Note what is so, every few milliseconds."""
         now = self._stage.time
-        if self.seen and now - self.seen[-1].time < 0.9 * LOOK:
+        if self.samples and now - self.samples[-1].time < 0.9 * SAMPLE_INTERVAL_S:
             return
         if now > self._seconds:
             raise RunTimeout(f"it takes more than {self._seconds:g} s.")
         x, y = self._stage.axes["x"], self._stage.axes["y"]
         busy = x.chip.busy(x.chip_axis) or y.chip.busy(y.chip_axis)
-        self.seen.append(Sample(now, x.commanded, x.position, x.lost_steps, y.position, busy))
+        self.samples.append(Sample(now, x.commanded, x.position, x.lost_steps, y.position, busy))
 
 
-def rests_of(seen: list[Sample]) -> list[tuple[int, int]]:
+def rests_of(samples: list[Sample]) -> list[tuple[int, int]]:
     """The first and last sample of each rest of REST or more, after x was told to move."""
     rests: list[tuple[int, int]] = []
     first, gone = None, False
-    for k, s in enumerate([*seen, seen[-1]._replace(busy=True)]):
+    for k, s in enumerate([*samples, samples[-1]._replace(busy=True)]):
         if s.busy:
-            if gone and first is not None and seen[k - 1].time - seen[first].time >= REST:
+            if gone and first is not None and samples[k - 1].time - samples[first].time >= REST:
                 rests.append((first, k - 1))
                 gone = False
             first = None
         else:
-            gone = gone or s.commanded != seen[rests[-1][1] if rests else 0].commanded
+            gone = gone or s.commanded != samples[rests[-1][1] if rests else 0].commanded
             first = k if first is None else first
     return rests

@@ -13,7 +13,7 @@ from stage.agents import Answer
 
 
 class Client:
-    """Whoever is at standard input and output; one game, for one client speaks to one server."""
+    """A client of the Model Context Protocol at standard input and output; it plays one game."""
 
     name = "mcp client"
 

@@ -53,8 +53,8 @@ class Command:
                 start_new_session=True,
             )  # fmt: skip
         except (OSError, ValueError) as why:
-            said = getattr(why, "strerror", None) or why
-            raise StageError(f"{self.words[0]}: {said}. Name a program that can be run.") from why
+            message = getattr(why, "strerror", None) or why
+            raise StageError(f"{self.words[0]}: {message}. Name a program that can be run.") from why
         lines, gone = queue.Queue[str](AHEAD), threading.Event()
         threading.Thread(target=_read, args=(process.stdout, lines, gone), daemon=True).start()
         try:
@@ -69,17 +69,17 @@ class Command:
                     pipe.close()  # type: ignore[union-attr]
 
     def stop(self) -> None:
-        """From another thread: the game is over for it."""
+        """End the command, from another thread: the game is over."""
         self._kill(self._process)
 
     def _kill(self, process: Any) -> None:
-        """It and what it has started."""
+        """Kill the command and the processes that it has started."""
         if process is not None and process.returncode is None:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(process.pid, signal.SIGKILL)
 
     def _play(self, table: Table, process: Any, lines: queue.Queue[str]) -> bool:
-        """Whether it went on to the end; else it has ended before."""
+        """Play until the game ends, and return whether the command played on to the end."""
 
         def say(what: dict[str, Any]) -> None:
             with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it reads no more
@@ -92,19 +92,19 @@ class Command:
             line = lines.get()
             if not line:
                 return False
-            said = _parsed(line)
-            if isinstance(said, str):
+            message = _parsed(line)
+            if isinstance(message, str):
                 table.trouble("a line that is no call")
                 wrong += 1
                 if wrong == WRONG:
                     table.leave(f"{FAILED}: {WRONG} lines that are no calls")
-                say({"ok": False, "answer": {"error": said}, "over": table.over})
+                say({"ok": False, "answer": {"error": message}, "over": table.over})
                 continue
-            if "tokens" in said:
-                table.spent(said["tokens"])
-            if said.get("done"):
+            if "tokens" in message:
+                table.spent(message["tokens"])
+            if message.get("done"):
                 return True
-            answer = table.call(said["call"], said.get("arguments"))
+            answer = table.call(message["call"], message.get("arguments"))
             say({"ok": answer.ok, "answer": answer.data, "over": table.over})
         return True
 
@@ -138,11 +138,11 @@ def _read(stream: Any, lines: queue.Queue[str], gone: threading.Event) -> None:
 
 
 def _parsed(line: str) -> dict[str, Any] | str:
-    """What a line says, or what is wrong with it."""
+    """Parse a line, or say what is wrong with it."""
     try:
-        said = parse_json(line)
+        message = parse_json(line)
     except DocumentError as why:
         return f'a line of JSON is expected, {{"call": NAME, "arguments": {{...}}}}: {why}.'
-    if not isinstance(said, dict) or not ("call" in said or said.get("done")):
+    if not isinstance(message, dict) or not ("call" in message or message.get("done")):
         return 'a line has "call" and "arguments", or "done": true.'
-    return said
+    return message

@@ -15,7 +15,7 @@ from stage.support.foreign_files import DocumentError, parse_json
 
 TIMEOUT = 300.0  # s for a reply
 AGAIN = (429, 500, 502, 503, 504)
-TRIES = 4
+MAX_ATTEMPTS = 4
 SILENT = 3  # replies without a call, after which the game is left
 LARGEST = 16 << 20  # bytes of a reply
 RULES = "You act by calling tools, and by nothing else. Read each answer before the next call. The task:\n\n"
@@ -55,7 +55,7 @@ class Endpoint:
                 )
 
     def _reply(self, table: Table, messages: list[dict[str, Any]], tools: list[dict[str, Any]]) -> dict[str, Any]:
-        said = self._ask(table, {"model": self.model, "messages": messages, "tools": tools})
+        said = self._request(table, {"model": self.model, "messages": messages, "tools": tools})
         try:
             message = said["choices"][0]["message"]
             calls = message.get("tool_calls") or []
@@ -71,19 +71,19 @@ class Endpoint:
         kept = {"role": "assistant", "content": message.get("content") or ""}
         return {**kept, "tool_calls": calls} if calls else kept
 
-    def _ask(self, table: Table, body: dict[str, Any]) -> Any:
+    def _request(self, table: Table, body: dict[str, Any]) -> Any:
         head = {"Content-Type": "application/json", **({"Authorization": f"Bearer {self._key}"} if self._key else {})}
         request = urllib.request.Request(self.url, json.dumps(body).encode(), head)
-        for tried in range(TRIES):
+        for tried in range(MAX_ATTEMPTS):
             try:
                 with _OPENER.open(request, timeout=TIMEOUT) as reply:
                     return parse_json(_all(table, reply))
             except urllib.error.HTTPError as error:
-                if error.code not in AGAIN or tried == TRIES - 1:
+                if error.code not in AGAIN or tried == MAX_ATTEMPTS - 1:
                     text = error.read(300).decode(errors="replace")
                     raise StageError(f"{self.url}: {error.code} {error.reason}: {text}") from None
             except (urllib.error.URLError, TimeoutError, ConnectionError) as error:
-                if tried == TRIES - 1:
+                if tried == MAX_ATTEMPTS - 1:
                     raise StageError(f"{self.url} cannot be reached: {getattr(error, 'reason', error)}.") from None
             except DocumentError as error:
                 raise StageError(f"{self.url} does not answer in JSON: {error}.") from None

@@ -20,16 +20,16 @@ FASTER = {"drive": 1.15, "up": 0.85, "down": 0.85, "start": 1.2}
 SPAN = 2.0  # Optuna draws from the formula's number / SPAN to times SPAN
 
 
-def _tries(table: Table) -> bool:
-    """Whether an episode is several tries at a move."""
+def _has_several_tries(table: Table) -> bool:
+    """Return whether an episode is several tries at a move."""
     act = next((t for t in table.tools if t["name"] == "act"), None)
     return act is not None and tuple(act["parameters"]["properties"]) == NUMBERS and table.name.startswith("few-shot")
 
 
 def _cost(answer: Any) -> float:
-    """Of a try: its seconds, or worse than all where it lost step, as the encoder says."""
-    info, seen = answer.data["info"], answer.data["observation"]
-    kept = [k for k, made in zip(seen["kept"], seen["tried"], strict=True) if made > 0][-1]
+    """Return the cost of a try: its seconds, or more than any time where it lost step by the encoder."""
+    info, observation = answer.data["info"], answer.data["observation"]
+    kept = [k for k, made in zip(observation["kept"], observation["tried"], strict=True) if made > 0][-1]
     return float(info["duration"]) if kept > 0 else 10.0 * float(info["usual"])
 
 
@@ -39,8 +39,8 @@ def _limits(table: Table) -> dict[str, tuple[float, float]]:
 
 
 def coordinate(table: Table) -> None:
-    """From the formula on, a rate or ramp at a time: further as long as it pays, else half the step back."""
-    if not _tries(table):
+    """Change one rate or ramp at a time, from the formula on: further as long as it pays, else half the step back."""
+    if not _has_several_tries(table):
         formula(table)
         return
     limits, steps, turn = _limits(table), dict(FASTER), list(FASTER)
@@ -62,7 +62,7 @@ def coordinate(table: Table) -> None:
 
 def optuna(table: Table) -> None:
     """Optuna's TPE around the formula, which it tries first."""
-    if not _tries(table):
+    if not _has_several_tries(table):
         formula(table)
         return
     library = need("optuna", "the player optuna")

@@ -40,7 +40,7 @@ def play(table: Table) -> None:
 
 
 def _by_the_book(program: str, ran: str, noted: str) -> str:
-    """What diagnostics and the program's end say by themselves; "" where they say nothing."""
+    """Return the cause that diagnostics and the program's end name, or ""."""
     for sign, cause in SIGNS:
         if sign in noted:
             return cause

@@ -31,26 +31,38 @@ def play(table: Table) -> None:
         formula(table)
         return
     weights = np.array(json.loads(files(__package__).joinpath("trained.json").read_text(encoding="utf-8"))[kind])
-    seen = table.call("observe").data["observation"]
+    observation = table.call("observe").data["observation"]
     while not table.over:
-        answer = table.call("act", rates_of(action(weights, features(kind, seen))))
+        answer = table.call("act", rates_of(action(weights, features(kind, observation))))
         if not answer.ok:
             return
-        seen = answer.data["observation"]
+        observation = answer.data["observation"]
 
 
-def features(kind: str, seen: Mapping[str, Any]) -> np.ndarray:
-    """What the policy looks at, with a 1 behind it; seen: an observation by names."""
+def features(kind: str, observation: Mapping[str, Any]) -> np.ndarray:
+    """Compute the inputs of the policy, with a 1 at the end.
+
+    Args:
+        kind: Of the task.
+        observation: Features by name.
+    """
     if kind == "one-shot":
-        return np.array([seen["distance"], seen["declared"], 1.0])
-    made = [k for k, m in enumerate(seen["tried"]) if m > 0]
+        return np.array([observation["distance"], observation["declared"], 1.0])
+    made = [k for k, m in enumerate(observation["tried"]) if m > 0]
     last = made[-1] if made else None
-    kept = 0.0 if last is None else 2.0 * seen["kept"][last] - 1.0
-    took = 0.0 if last is None else seen["duration"][last]
-    good = [seen["tried_drive"][k] for k in made if seen["kept"][k] > 0]
-    return np.array([seen["distance"], seen["left"], seen["best"], kept, took, max(good, default=-1.0), 1.0])
+    kept = 0.0 if last is None else 2.0 * observation["kept"][last] - 1.0
+    took = 0.0 if last is None else observation["duration"][last]
+    good = [observation["tried_drive"][k] for k in made if observation["kept"][k] > 0]
+    return np.array(
+        [observation["distance"], observation["left"], observation["best"], kept, took, max(good, default=-1.0), 1.0]
+    )
 
 
-def action(weights: np.ndarray, looks: np.ndarray) -> np.ndarray:
-    """The environment's action, (4,)."""
-    return np.tanh(weights @ looks)
+def action(weights: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+    """Compute the environment's action, (4,), from the inputs of the policy.
+
+    Args:
+        weights: Of the policy.
+        inputs: Of the policy.
+    """
+    return np.tanh(weights @ inputs)
