@@ -38,5 +38,5 @@ def make_box():
 
 @pytest.fixture
 def box(make_box):
-    """Of xy with PCL-240Ks, host mode, no limit."""
+    """A toolbox of xy with PCL-240Ks, in host mode, without limits."""
     return make_box()

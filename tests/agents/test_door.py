@@ -20,7 +20,7 @@ ID = b"mcp-session-id"
 
 
 class App:
-    """In the place of the protocol: what came, and a session for each request that has none."""
+    """Stand-in of the protocol: it notes requests, and opens a session for each that has none."""
 
     def __init__(self):
         self.came, self.made = [], 0
@@ -39,7 +39,7 @@ class App:
 
 
 class Held:
-    """In the place of sessions."""
+    """Stand-in of the sessions."""
 
     def __init__(self, limit=3):
         self.limit, self.closed, self.with_stage = limit, [], set()
@@ -104,7 +104,7 @@ def test_a_session_that_has_a_stage_is_none_of_the_silent_ones(door):
     assert finished(door) == ["s2"]
 
 
-def test_a_session_that_is_made_room_for_ends_as_if_its_client_had_asked_for_it(door):
+def test_a_session_that_is_made_room_for_ends_as_if_its_client_had_requested_it(door):
     for _ in range(4):
         door()
     (headers,) = [headers for method, headers in door.app.came if method == "DELETE"]
@@ -139,7 +139,7 @@ def test_the_token_is_known_however_it_is_spaced(door, token):
 
 
 @pytest.mark.parametrize("token", ["", "t", "Bearer", "Bearer x", "Bearer tt", "Basic t", "Bearer T", "Bearer t t"])
-def test_whoever_has_another_token_is_told_which_header_to_send_and_gets_no_further(door, token):
+def test_a_client_with_another_token_learns_which_header_to_send_and_gets_no_further(door, token):
     start, body = door(token=token)
     assert (start["type"], start["status"]) == ("http.response.start", 401)
     assert dict(start["headers"]) == {b"content-type": b"text/plain; charset=utf-8", b"www-authenticate": b"Bearer"}
@@ -147,7 +147,7 @@ def test_whoever_has_another_token_is_told_which_header_to_send_and_gets_no_furt
     assert door.app.came == []
 
 
-def test_what_is_no_request_goes_on_without_a_token(door):
+def test_what_is_no_request_continues_without_a_token(door):
     door(kind="lifespan", token="")
     assert [kind for kind, _ in door.app.came] == ["POST"]
 
@@ -207,7 +207,7 @@ def test_a_server_is_bounded_as_its_sessions_are(created):
     assert server._server.should_exit
 
 
-def test_a_token_that_is_not_given_is_long_and_no_other_server_s(created):
+def test_a_token_that_the_server_makes_is_long_and_no_other_server_s(created):
     tokens = {created(Sessions(dict))[0].token for _ in range(3)}
     assert len(tokens) == 3
     assert min(map(len, tokens)) >= 32

@@ -26,14 +26,14 @@ CALLS = [
 ]
 
 
-def test_a_host_is_not_told_of_lost_steps(box):
+def test_a_host_is_not_reported_of_lost_steps(box):
     said = everything(box, CALLS)
     assert box.stage.axes["x"].lost_steps
     assert not [word for word in HIDDEN if word in said]
     assert box.call("report").data["as_asked"]  # the chip made its pulses
 
 
-def test_truth_tells_them(make_box):
+def test_truth_shows_them(make_box):
     box = make_box(mode="truth")
     said = everything(box, CALLS)
     assert "lost_steps" in said
@@ -48,7 +48,7 @@ def test_tools_of_truth_are_not_there_for_a_host(box):
     assert "not known" in box.call("truth").text
 
 
-def test_a_mistake_that_follows_from_a_hidden_pin_is_not_told(make_box):
+def test_a_mistake_that_follows_from_a_hidden_pin_is_not_reported(make_box):
     start = [
         *(
             ("write_register", {"axis": "x", "name": name, "value": v})
@@ -66,13 +66,13 @@ def test_a_mistake_that_follows_from_a_hidden_pin_is_not_told(make_box):
         assert any("limit switch" in d.message for d in box.stage.axes["x"].chip.diagnostics)
 
 
-def test_a_mistake_of_its_own_is_told(box):
+def test_a_mistake_of_its_own_is_reported(box):
     box.call("write_bytes", {"axis": "x", "address": 0, "values": ["44h", "15h"]})
     assert "R0 = 0" in box.call("diagnostics").text
 
 
 @pytest.mark.parametrize("mode", ["host", "truth"])
-def test_of_many_mistakes_the_last_are_kept(make_box, mode):
+def test_of_many_mistakes_the_last_are_stored(make_box, mode):
     box = make_box(mode=mode)
     chip = box.stage.axes["x"].chip
     for k in range(MAX_DIAGNOSTICS + 40):
@@ -81,7 +81,7 @@ def test_of_many_mistakes_the_last_are_kept(make_box, mode):
     assert [d.value for d in box.diagnostics[0].all()] == [0x51] * MAX_DIAGNOSTICS
 
 
-def test_a_write_that_was_lost_looks_like_any_other(make_box):
+def test_a_write_that_was_lost_resembles_any_other(make_box):
     for mode in ("host", "truth"):
         box = make_box(mode=mode)
         with faults.lost_write(box.stage.axes["x"], value=0x44):
@@ -114,7 +114,7 @@ def test_faults_are_tools_of_their_own(make_box):
     assert "Did you mean 'org'" in box.call("fault_switch_stuck", {"axis": "x", "pin": "orgg", "closed": True}).text
 
 
-def test_the_last_fault_is_mended_first(make_box):
+def test_the_last_fault_is_repaired_first(make_box):
     box = make_box(mode="truth")
     box.call("fault_jam", {"axis": "x"})
     box.call("fault_phase_open", {"axis": "y", "phase": "b"})
@@ -122,7 +122,7 @@ def test_the_last_fault_is_mended_first(make_box):
     assert box.call("mend").data["faults"] == []
 
 
-def test_two_faults_of_one_kind_are_mended_to_what_was_before_both(make_box):
+def test_two_faults_of_one_kind_are_repaired_to_what_was_before_both(make_box):
     box = make_box(mode="truth")
     dof = box.stage.axes["x"].plant.dof
     friction = float(box.stage.model.dof_frictionloss[dof])
@@ -133,7 +133,7 @@ def test_two_faults_of_one_kind_are_mended_to_what_was_before_both(make_box):
     assert box.stage.model.dof_frictionloss[dof] == friction
 
 
-def test_hands_load_and_place(make_box):
+def test_tools_load_and_place(make_box):
     box = make_box(mode="truth")
     assert box.call("load", {"mass": 2}).data["payload_kg"] == 2
     assert box.call("place", {"axis": "x", "position": "20mm"}).data["position"] == pytest.approx(0.02)

@@ -50,7 +50,7 @@ def empties(served):
 
 
 async def tour(client):
-    """What a client does first; the same over each transport."""
+    """Do what a client does first, the same over each transport."""
     tools = (await client.list_tools()).tools
     homed = await client.call_tool("home", {"axis": "x"})
     assert not homed.is_error
@@ -121,7 +121,7 @@ def test_a_picture_comes_as_an_image(served):
     assert base64.b64decode(image.data).startswith(b"\x89PNG")
 
 
-def test_resources_tell_the_chip(served):
+def test_resources_describe_the_chip(served):
     async def work(client):
         texts = {}
         for r in (await client.list_resources()).resources:
@@ -214,7 +214,7 @@ def test_pages_of_other_sites_are_refused(served):
     assert requested(served, Origin="http://evil.example").status_code >= 400
 
 
-def test_a_request_without_a_session_is_told_to_open_one(served):
+def test_a_request_without_a_session_has_to_open_one(served):
     message = requested(served, **{"MCP-Protocol-Version": "2025-11-25"})
     assert message.status_code == 400
     assert requested(served, **{"mcp-session-id": "f" * 32}).status_code == 404
@@ -241,7 +241,7 @@ def test_a_session_that_was_ended_says_so(served):
 
 @pytest.mark.slow
 def test_a_client_whose_line_breaks_leaves_no_stage(served, monkeypatch):
-    """As one that was killed: it closes nothing, its sockets break."""
+    """The client is killed: it closes nothing, and its sockets break."""
     monkeypatch.setattr(served.sessions, "grace_s", 0.0)
     code = f"""
 import asyncio, os, sys, time
@@ -266,7 +266,7 @@ asyncio.run(work())
 
 @pytest.mark.slow
 def test_a_server_whose_client_was_killed_ends():
-    """In the middle of a call that would take a while."""
+    """The client dies in the middle of a call that would take a while."""
     command = [sys.executable, "-m", "stage", "mcp", "xy"]
     begin = {
         "protocolVersion": "2025-11-25", "capabilities": {}, "clientInfo": {"name": "test", "version": "0"},
@@ -334,7 +334,7 @@ def test_whatever_is_called_over_the_protocol_the_server_lives(served, data):
 
 
 @pytest.mark.slow
-def test_fifty_sessions_at_once_are_served_and_leave_nothing_behind():
+def test_fifty_sessions_at_once_are_served_and_leave_nothing_over():
     script = Path(__file__).parents[2] / "scripts" / "agents_speed.py"
     done = subprocess.run([sys.executable, script, "--sessions", "50", "--calls", "10"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -422,7 +422,7 @@ def test_a_flood_of_sessions_without_a_call_keeps_no_one_out():
 @pytest.mark.parametrize(
     ("name", "given"), [("find_lost_steps", {}), ("tune_move", {"distance": "5mm"}), ("bring_up_axis", {})]
 )
-def test_prompts_name_tools_and_prompts_that_there_are(served, name, given):
+def test_prompts_name_tools_and_prompts_that_exist(served, name, given):
     async def work(client):
         tools = [t.name for t in (await client.list_tools()).tools]
         requested = (await client.get_prompt(name, {"axis": "Y", **given})).messages[0].content.text

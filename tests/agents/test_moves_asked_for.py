@@ -84,7 +84,7 @@ def test_speeds_are_pulses_a_second_and_ramps_seconds(requested):
     assert "is too slow; the least is 3.125e-08 m/s, 0.01 pulses a second" in refused.text
 
 
-def test_an_origin_return_goes_the_way_and_by_what_was_said(make_box):
+def test_an_origin_return_goes_the_way_and_to_what_was_requested(make_box):
     requested = noted_of(make_box("MCX514"))
     assert requested("home")[:3] == ("home_by", "switch", -1)
     assert requested("home", direction="plus", by="INDEX")[:3] == ("home_by", "index", 1)
@@ -106,7 +106,7 @@ def test_a_start_that_failed_is_none_that_somebody_waits_for(requested):
 
 
 @pytest.mark.parametrize("both", [{}, {"distance": "1mm", "pulses": 5}])
-def test_one_of_distance_and_pulses_is_given(requested, both):
+def test_one_of_distance_and_pulses_is_required(requested, both):
     assert "one of the two" in requested.box.call("move", {"axis": "x", **both}).text
     assert "no pulse: a pulse of axis x is 3.125e-06 m" in requested.box.call("move", {"axis": "x", "pulses": 0}).text
 
@@ -137,7 +137,7 @@ def test_a_line_is_as_asked_where_all_its_axes_are(make_box):
     assert "off_the_line_pulses" not in describe_report(report, "host")
 
 
-def test_what_is_left_of_a_move_is_told_though_it_is_nothing(make_box):
+def test_what_is_left_of_a_move_is_reported_though_it_is_nothing(make_box):
     box = make_box("PCL240K", "truth")
     data = box.call("move", {"axis": "x", "pulses": 100}).data
     assert data["R0_left"] == 0

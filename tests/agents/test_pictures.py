@@ -9,7 +9,7 @@ from stage.firmware import plot
 
 @pytest.fixture
 def figures(monkeypatch):
-    """What was drawn, in the place of drawings."""
+    """Stand-ins of drawings, in order."""
     created = []
 
     class Figure:
@@ -52,7 +52,7 @@ def test_of_a_line_a_host_sees_the_axis_that_goes_farthest(make_box, figures):
     assert figures[-1].report.pulses == -160
 
 
-def test_of_a_line_whoever_sees_all_sees_how_straight_it_was(make_box, figures, monkeypatch):
+def test_of_a_line_the_truth_shows_how_straight_it_was(make_box, figures, monkeypatch):
     box = make_box(mode="truth")
     box.call("line", LINE)
     monkeypatch.setattr(type(box.report), "plot", lambda report: plot.draw(report))

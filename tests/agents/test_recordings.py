@@ -23,7 +23,7 @@ def a_recording(box):
     return box.call("record", {"on": False})
 
 
-def test_a_host_reads_the_course_of_its_last_move(make_box):
+def test_a_host_reads_the_profile_of_its_last_move(make_box):
     box = make_box()
     assert "record" not in box.tools
     with pytest.raises(StageError, match="Nothing has been recorded"):
@@ -73,7 +73,7 @@ def test_time_in_a_recording_runs_forward_only(recording):
     assert "runs forward only" in recording.call("restore", {"name": "power-up"}).text
 
 
-def test_a_course_begins_at_nothing_wherever_the_counter_stands(make_box):
+def test_a_profile_begins_at_nothing_wherever_the_counter_stands(make_box):
     box = make_box()
     for pulses in (1000, -300):
         box.call("move", {"axis": "x", "pulses": pulses})
@@ -95,7 +95,7 @@ def test_a_session_writes_so_many_files_and_no_more(recording, monkeypatch):
     assert "A session writes at most 2 files" in recording.call("save_recording", {"name": "4.vcd"}).text
 
 
-def test_a_recording_goes_on_from_call_to_call(recording):
+def test_a_recording_continues_from_call_to_call(recording):
     recording.call("record", {"on": True})
     for _ in range(3):
         recording.call("wait", {"seconds": 0.1})

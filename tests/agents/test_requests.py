@@ -42,7 +42,7 @@ def served(maker):
     sessions.close_all()
 
 
-def test_a_tool_is_listed_with_its_schema_and_whether_it_only_looks(served, maker):
+def test_a_tool_is_listed_with_its_schema_and_whether_it_only_reads(served, maker):
     listed = served("_list_tools").tools
     assert [t.name for t in listed] == list(maker.catalog.tools)
     for tool, one in zip(maker.catalog.tools.values(), listed, strict=True):
@@ -51,7 +51,7 @@ def test_a_tool_is_listed_with_its_schema_and_whether_it_only_looks(served, make
         assert one.annotations.open_world_hint is False
 
 
-def test_an_answer_is_text_and_structure_and_a_picture_an_image_behind_it():
+def test_an_answer_is_text_and_structure_and_a_picture_an_image_after_it():
     good = protocol._make_result(Answer(True, {"a": 1.5}))
     assert (good.is_error, good.structured_content) == (False, {"a": 1.5})
     assert [json.loads(c.text) for c in good.content] == [{"a": 1.5}]
@@ -62,7 +62,7 @@ def test_an_answer_is_text_and_structure_and_a_picture_an_image_behind_it():
     assert (base64.b64decode(drawn.content[1].data), drawn.content[1].mime_type) == (b"png", "image/png")
 
 
-def test_a_call_without_a_session_is_told_how_to_open_one(served):
+def test_a_call_without_a_session_learns_how_to_open_one(served):
     message = served("_call_tool", key=None, name="budget", arguments={})
     assert message.is_error
     assert message.content[0].text == NO_SESSION
@@ -80,7 +80,7 @@ def test_a_call_is_made_in_the_session_that_asks(served):
     assert "This session has ended" in delayed.content[0].text
 
 
-def test_of_sessions_that_call_no_more_nothing_is_kept(served):
+def test_of_sessions_that_call_no_more_nothing_stays(served):
     served.sessions.limit = 2
     for k in range(9):
         served("_call_tool", key=f"k{k}", name="nothing", arguments={}, keep=True)

@@ -46,7 +46,7 @@ def test_the_first_stage_and_the_catalogue_stay_at_power_up(maker):
     assert list(maker.catalog.tools) == list(sessions.box("a").tools)
 
 
-def test_a_silent_session_ends_and_a_late_caller_is_told(maker, clock):
+def test_a_silent_session_ends_and_a_later_caller_is_reported(maker, clock):
     sessions = Sessions(maker, idle_s=60, clock=clock)
     box = sessions.box("a")
     clock.now = 59

@@ -44,7 +44,7 @@ WHOLE_NUMBERS += [("-31", -31), ("-1Fh", -31), ("-0b11", -3), ("1_000", 1000), (
 
 
 @pytest.mark.parametrize(("written", "value"), WHOLE_NUMBERS)
-def test_whole_numbers_are_understood_as_agents_write_them(written, value):
+def test_integers_are_understood_as_agents_write_them(written, value):
     assert parse(integer(), written) == value
 
 
@@ -58,12 +58,12 @@ NOT_WHOLE = [
 
 
 @pytest.mark.parametrize(("written", "sentence"), NOT_WHOLE)
-def test_what_is_no_whole_number_of_the_range_is_refused_in_words(written, sentence):
+def test_what_is_no_integer_of_the_range_is_refused_in_words(written, sentence):
     assert sentence in refuse(REGISTER, written)
 
 
 @pytest.mark.parametrize("much", [2**63, -(2**63), str(2**63)])
-def test_a_whole_number_has_at_most_64_bits(much):
+def test_a_integer_has_at_most_64_bits(much):
     assert "9223372036854775807" in refuse(integer(), much)
 
 

@@ -42,7 +42,7 @@ def test_a_line_is_the_end_of_what_was_started_before(box):
     assert box.call("report").data["procedure"] == "line"
 
 
-def test_a_trace_has_as_many_cycles_as_are_asked_for_whatever_was_a_mistake(box):
+def test_a_trace_has_as_many_cycles_as_are_requested_whatever_was_a_mistake(box):
     box.call("write_bytes", {"axis": "x", "address": 0, "values": ["44h", "50h", "50h", "50h"]})
     assert len(box.call("diagnostics").data["diagnostics"]) == 3
     reported = box.call("trace", {"axis": "x", "lines": 4}).text.splitlines()
@@ -206,7 +206,7 @@ def test_what_a_branch_leaves_behind_is_its_own(box):
     assert "There is no report yet" in box.call("report").text
 
 
-def test_the_last_cycles_and_the_last_mistakes_are_told(make_box):
+def test_the_last_cycles_and_the_last_mistakes_are_reported(make_box):
     box = make_box()
     for k in range(30):
         box.call("write_bytes", {"axis": "x", "address": 0, "values": [0x44, 0x50 + k % 2, 0x50]})
@@ -225,7 +225,7 @@ def test_a_datum_is_no_wider_than_the_bus_of_the_chip_that_it_is_for():
     assert box.call("budget").data["used"]["cycles"] == 1
 
 
-def test_an_axis_is_told_apart_from_those_on_its_chip():
+def test_an_axis_is_distinguished_from_those_on_its_chip():
     box = Toolbox(Stage("xyz", chips="MCX514", visuals=False))
     message = box.call("describe").data["axes"]
     assert [message[name]["same_chip_as"] for name in "xyz"] == [["y", "z"], ["x", "z"], ["x", "y"]]

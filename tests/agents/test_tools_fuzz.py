@@ -25,7 +25,7 @@ def machine(request):
 
 @pytest.fixture(scope="module")
 def tools(machine):
-    """To look at."""
+    """Tools of a machine."""
     box = opened(machine)
     box.close()
     return box.tools

@@ -46,7 +46,7 @@ def play_episode(env, policy, **reset):
         ("axes", {"x": -96, "y": 64}),
     ],
 )
-def test_the_longest_distances_first_lead_to_the_target_on_both_ways(env, level, targets):
+def test_the_longest_distances_first_lead_to_the_target_in_both_directions(env, level, targets):
     total, steps, info = play_episode(env, env.scripted_action, options={"level": level, "targets": targets})
     assert info["score"]["success"]
     assert info["score"]["moves"] == steps
@@ -59,7 +59,7 @@ def test_the_longest_distances_first_lead_to_the_target_on_both_ways(env, level,
 @pytest.mark.parametrize(
     "chip", ["PCL240K", *(pytest.param(c, marks=pytest.mark.slow) for c in ("PCL240MS", "MCX514"))]
 )
-def test_from_an_unknown_place_the_origin_is_found_first(chip):
+def test_from_an_unknown_place_the_origin_is_sought_first(chip):
     env = make(chip=chip, axes=("x",))
     sides = set()
     for seed in (0, 1, 2, 8):
@@ -135,7 +135,7 @@ def test_an_end_limit_is_a_damage_once_for_as_long_as_the_axis_stands_there(env)
     assert sum(info["reward_parts"]["damage"] for *_, info in reported) == -0.5
 
 
-def test_stable_baselines_asks_for_the_masks():
+def test_stable_baselines_requests_the_masks():
     sb3 = pytest.importorskip("stage.envs.sb3", reason="extra rl is not installed")
     envs = sb3.StageVecEnv("stage/BusMacros-v1", 2, model="xy")
     envs.seed(1)

@@ -191,7 +191,7 @@ def test_the_rotors_stand_anywhere_at_the_start_by_the_seed(id_):
     assert (angles(100) != first).all()
 
 
-def test_a_servo_that_is_inside_at_the_last_look_alone_is_not_at_rest():
+def test_a_servo_that_is_inside_at_the_last_sample_alone_is_not_at_rest():
     """R22 = 34, R20 = 69, R21 = 10, T = 7: it swings by 26 counts, and is 2 counts off when the time is up."""
     env = make("stage/ServoTuning-v0", payloads=(0.0, 0.0), distances=(200, 200), limit=0.2, rest=0.1)
     env.reset(seed=0)

@@ -131,7 +131,7 @@ def test_equal_seeds_give_equal_episodes(any_):
     assert not same(first, episode(other, 8))
 
 
-def test_a_pickled_environment_goes_on_as_the_first(any_):
+def test_a_pickled_environment_continues_as_the_first(any_):
     env = make(any_)
     env.reset(seed=3)
     env.action_space.seed(3)
@@ -199,7 +199,7 @@ def test_a_vector_is_as_many_environments_to_the_bit(any_, mode, threads):
         over = (terminated | truncated) & (mode != AutoresetMode.SAME_STEP)
 
 
-def test_each_environment_of_a_vector_may_be_given_a_seed_of_its_own():
+def test_each_environment_of_a_vector_may_have_its_seed():
     vector, one = make_vec("stage/OriginReturn-v0", 2), make("stage/OriginReturn-v0")
     observed, _ = vector.reset(seed=[5, 3])
     for row, seed in zip(observed, (5, 3), strict=True):
@@ -211,7 +211,7 @@ def test_each_environment_of_a_vector_may_be_given_a_seed_of_its_own():
             vector.reset(seed=seeds)
 
 
-def test_an_episode_begins_with_its_own_info_beside_others_that_go_on(id_):
+def test_an_episode_begins_with_its_own_info_beside_others_that_continue(id_):
     if id_ in ONE_STEP:
         pytest.skip("episodes of one step all end together")
     longer = {"moves": 3} if id_ == "stage/SynchronizedMove-v0" else {}
@@ -262,7 +262,7 @@ def test_a_refused_action_changes_nothing(any_):
     assert same(env.step(action), other.step(action))
 
 
-def test_what_a_step_said_stays_said(id_):
+def test_what_a_step_returned_stays(id_):
     env, vector = make(id_), make_vec(id_, 2)
     for e in (env, vector):
         e.reset(seed=6)
@@ -275,7 +275,7 @@ def test_what_a_step_said_stays_said(id_):
         assert same(list(text), list(saved))
 
 
-def test_a_step_after_the_end_asks_for_a_reset(id_):
+def test_a_step_after_the_end_requests_a_reset(id_):
     env = make(id_)
     with pytest.raises(ArgumentError, match="call reset"):
         env.step(env.action_space.sample())
@@ -295,7 +295,7 @@ def test_unknown_settings_and_options_are_named(id_):
             make_vec(id_, 2).reset(options={"reset_mask": mask})
 
 
-def test_an_unknown_setting_is_a_type_error_too_and_all_that_there_are_are_named(id_):
+def test_an_unknown_setting_is_a_type_error_too_and_all_that_exist_are_named(id_):
     for maker, custom in ((make, "render_every"), (lambda id_, **s: make_vec(id_, 2, **s), "threads")):
         with pytest.raises(TypeError, match=r"unexpected keyword argument 'colour': .* Known: ") as results:
             maker(id_, colour="red")
@@ -375,7 +375,7 @@ def test_the_named_parts_of_the_reward_are_its_sum(any_):
             assert sum(step[4]["reward_parts"].values()) == pytest.approx(step[1], abs=1e-12)
 
 
-def test_closing_writes_the_recording_of_an_episode_that_goes_on(tmp_path):
+def test_closing_writes_the_recording_of_an_episode_that_continues(tmp_path):
     env = make("stage/RegisterBus-v0", record=str(tmp_path / "{}.rrd"))
     env.reset(seed=1)
     env.step(env.action_space.sample())
@@ -394,7 +394,7 @@ def test_an_episode_can_be_recorded(any_, tmp_path):
     assert all(f.stat().st_size > 1000 for f in files)
 
 
-def test_what_a_vector_cannot_be_or_do_is_said():
+def test_what_a_vector_cannot_be_or_do_is_explained():
     bus = "stage/RegisterBus-v0"
     for n in (0, -1, 1.5):
         with pytest.raises(ArgumentError, match=f"num_envs={n}: a whole number, 1 or more"):
@@ -416,7 +416,7 @@ def test_what_a_vector_cannot_be_or_do_is_said():
         vector.step(action)
 
 
-def test_a_vector_goes_on_with_its_numbers_unless_it_is_seeded_anew():
+def test_a_vector_continues_with_its_numbers_unless_it_is_seeded_anew():
     bus = "stage/RegisterBus-v0"
     vector, parts = make_vec(bus, 2), [make(bus) for _ in range(2)]
     firsts = []

@@ -20,20 +20,20 @@ def machine():
 
 
 @pytest.mark.parametrize("end", [0.5, 2.0])
-def test_a_number_of_a_machine_may_be_given_up_to_both_ends(end):
+def test_a_number_of_a_machine_may_be_set_up_to_both_ends(end):
     context = np.zeros((), contexts.CONTEXT)
     contexts.draw_context(np.random.default_rng(1), ENDS, context, {"friction": end})
     assert (context["payload"], context["friction"]) == (2.0, end), "of a range of one number that number is drawn"
 
 
-def test_nothing_may_be_given_where_it_is_in_the_range():
+def test_nothing_may_be_set_where_it_is_in_the_range():
     context = np.zeros((), contexts.CONTEXT)
     ends = {"payload": (0.0, 5.0), "drift": (0.0, 0.1)}
     contexts.draw_context(np.random.default_rng(1), ends, context, {"payload": 0, "drift": 0.0})
     assert (context["payload"], context["drift"]) == (0.0, 0.0)
 
 
-def test_what_is_given_changes_nothing_that_is_drawn():
+def test_what_is_set_changes_nothing_that_is_drawn():
     drawn = []
     for requested in ({}, {"payload": 1.0}, {"friction": 1.0, "supply": 1.0}):
         context = np.zeros((), contexts.CONTEXT)
@@ -56,7 +56,7 @@ def test_what_is_no_number_of_a_machine_is_refused(wrong):
         contexts.draw_context(np.random.default_rng(1), ENDS, np.zeros((), contexts.CONTEXT), {"friction": wrong})
 
 
-def test_a_range_of_one_number_is_shown_as_its_least():
+def test_a_range_of_one_number_is_scaled_to_its_least():
     context = np.zeros(2, contexts.CONTEXT)
     context["payload"], context["friction"], context["fault"] = 2.0, (0.5, 2.0), (0, 7)
     assert contexts.scale_contexts(ENDS, context).tolist() == [[-1, -1, 0], [-1, 1, 1]]
@@ -134,7 +134,7 @@ def test_a_supply_sags_from_what_it_is():
     assert x.faults.bus_voltage == pytest.approx(0.6 * 36.0)
 
 
-def test_bearings_bind_on_a_screw_that_turns_the_other_way_too(tmp_path):
+def test_bearings_bind_on_a_screw_that_turns_the_other_direction_too(tmp_path):
     stage = Stage(mirrored(tmp_path), visuals=False)
     parts, dof = faulty.FaultyAxis.from_stage(stage, "x"), stage.axes["x"].plant.dof
     was = stage.model.dof_frictionloss[dof]

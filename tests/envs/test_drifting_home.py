@@ -78,7 +78,7 @@ def test_a_fault_is_noticed_by_what_a_return_found_and_its_report_pays(env, faul
 
 
 def test_a_report_without_a_fault_is_dearer_than_the_worst_that_could_come():
-    """To report at once, always: an episode would be over for a fixed price."""
+    """A report at once would end an episode for a fixed price."""
     env = make(limit=0.05, settle=0.01)
     reported, (info,) = play_episode(env, lambda: action_of(report=True), options={"fault": "none"})
     assert info["reported"]
@@ -115,7 +115,7 @@ def test_the_origin_walks_and_what_was_counted_shows_it():
     assert np.allclose(off[1:], np.diff(shifts), atol=1.5e-5)
 
 
-def test_a_fault_is_of_its_episode_and_leaves_nothing_behind(env):
+def test_a_fault_is_of_its_episode_and_leaves_nothing_over(env):
     model, axis = env.stage.model, env.stage.axes["x"]
     row, dof = axis.switches.row("org"), axis.plant.dof
 

@@ -51,7 +51,7 @@ def test_programs_of_moves_are_alike_whatever_their_registers(chip):
 
 @pytest.mark.parametrize("chip", PULSING)
 @pytest.mark.parametrize("axis", ["x", "z"])
-def test_programs_of_searches_keep_their_marks_whatever_is_chosen(chip, axis):
+def test_programs_of_searches_keep_their_marks_whatever_is_selected(chip, axis):
     search = driver(chip, axis).search(Config())
     saved = dict(search.marks)
     for row in (search.choices.low, [maximum for _, maximum in search.choices.ranges.values()]):

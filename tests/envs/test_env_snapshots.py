@@ -62,7 +62,7 @@ def play_episode(env, actions):
 
 
 @pytest.mark.parametrize("id_", [*BRIEF, *(pytest.param(k, marks=pytest.mark.slow) for k in SHORT if k not in BRIEF)])
-def test_an_episode_goes_on_from_a_snapshot_to_the_bit(id_):
+def test_an_episode_continues_from_a_snapshot_to_the_bit(id_):
     assert set(SHORT) == set(stage.envs.IDS)
     env, other = make(id_), make(id_)
     env.reset(seed=5)
@@ -80,7 +80,7 @@ def test_an_episode_goes_on_from_a_snapshot_to_the_bit(id_):
 
 
 @pytest.mark.parametrize("id_", ["stage/RegisterBus-v0", "stage/RegisterTuning-v0"])
-def test_a_vector_goes_on_from_a_snapshot_to_the_bit(id_):
+def test_a_vector_continues_from_a_snapshot_to_the_bit(id_):
     envs, other = vector(id_, 2), vector(id_, 2, threads=1)
     envs.reset(seed=5)
     envs.action_space.seed(5)
@@ -93,7 +93,7 @@ def test_a_vector_goes_on_from_a_snapshot_to_the_bit(id_):
 
 
 def drawn(task):
-    """What a task keeps of its stages."""
+    """Return the state that a task has of its stages."""
     return {
         name: value.copy()
         for name, value in vars(task).items()
@@ -102,7 +102,7 @@ def drawn(task):
 
 
 @pytest.mark.parametrize("id_", SHORT)
-def test_what_a_reset_draws_or_clears_is_kept_by_a_snapshot(id_):
+def test_what_a_reset_draws_or_clears_is_saved_by_a_snapshot(id_):
     env = make(id_)
     env.reset(seed=5)
     env.action_space.seed(5)
@@ -118,7 +118,7 @@ def test_what_a_reset_draws_or_clears_is_kept_by_a_snapshot(id_):
     assert [name for name in changed if again[name].tobytes() != before[name].tobytes()] == []
 
 
-def test_a_vector_that_goes_on_from_a_snapshot_draws_its_next_episodes_from_it_too():
+def test_a_vector_that_continues_from_a_snapshot_draws_its_next_episodes_from_it_too():
     id_ = "stage/FewShotTuning-v1"
     first = vector(id_, 2)
     first.reset(seed=5)
@@ -130,7 +130,7 @@ def test_a_vector_that_goes_on_from_a_snapshot_draws_its_next_episodes_from_it_t
     assert drawn_next[0] == drawn_next[1] == basic(first.reset())
 
 
-def test_a_search_looks_ahead_and_then_acts_as_if_it_had_not():
+def test_a_search_plans_ahead_and_then_acts_as_if_it_had_not():
     """The use on the page: each candidate from the same moment, then the best of them, with the reward that was foreseen."""
     env, plainly = make("stage/RegisterTuning-v0"), make("stage/RegisterTuning-v0")
     for e in (env, plainly):

@@ -86,7 +86,7 @@ def test_a_fault_of_a_machine_with_two_axes_is_on_one_of_them_and_only_where_it_
     assert {tuple(h) for h in hit[12:]} == {(True, False)}
 
 
-def test_the_contact_of_org_bounces_and_an_origin_is_found_all_the_same():
+def test_the_contact_of_org_bounces_and_an_origin_is_reached_all_the_same():
     env = make("stage/BusMacros-v1", level="origin", axes=("x",))
     for fault in ("none", "bounce"):
         _, info = env.reset(seed=3, options={**GIVEN, "fault": fault, "targets": {"x": 64}})

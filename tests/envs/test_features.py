@@ -45,7 +45,7 @@ def kinds(id_):
 
 
 @pytest.mark.parametrize("id_", FRAME_INTERVAL)
-def test_what_is_told_is_what_the_table_says_with_and_without_truth(id_):
+def test_what_is_reported_is_what_the_table_says_with_and_without_truth(id_):
     task, observed, names = kinds(id_), {}, {}
     for truth in (True, "info", False):
         env = make(id_, truth=truth)
@@ -78,7 +78,7 @@ def test_a_vector_without_truth_says_what_one_environment_says(id_):
 
 
 @pytest.mark.parametrize("id_", ["stage/RegisterTuning-v0", "stage/OriginReturn-v0"])
-def test_two_loads_that_a_host_cannot_tell_apart_are_told_alike(id_):
+def test_two_loads_that_a_host_cannot_distinguish_are_reported_alike(id_):
     """A gentle move of 0 and of 8 kg: the chip makes the same pulses in the same time."""
     text = {}
     for truth in (True, False):
@@ -95,7 +95,7 @@ def test_two_loads_that_a_host_cannot_tell_apart_are_told_alike(id_):
     assert text[True, 0.0] != text[True, 8.0]
 
 
-def test_a_host_with_an_encoder_knows_whole_counts():
+def test_a_host_with_an_encoder_knows_integer_counts():
     env = make("stage/ServoTuning-v0", limit=0.2)
     env.reset(seed=2)
     info = env.step(env._task.registers.to_action({"R22": 64, "R20": 229, "R21": 64, "R0F": 64}))[4]
@@ -112,7 +112,7 @@ def test_each_chip_and_axis_has_its_entries_in_the_observation():
     assert line[:7] == ["rate", "distance", "ahead", "more_ahead", "earlier", "shorter", "distance"]
 
 
-def test_where_truth_is_shown_is_one_of_three():
+def test_where_truth_is_visible_is_one_of_three():
     for wrong in ("all", 1, None, [True]):
         with pytest.raises(ArgumentError, match=r"truth=.*True .* 'info' .* or False"):
             make("stage/RegisterTuning-v0", truth=wrong)

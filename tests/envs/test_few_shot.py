@@ -67,7 +67,7 @@ def test_a_try_that_does_not_hold_in_the_proof_is_taken_back_and_the_next_best_i
     assert infos[-1]["proved"] == np.inf
 
 
-def test_where_the_last_try_is_the_answer_nothing_that_came_before_is_kept(monkeypatch):
+def test_where_the_last_try_is_the_answer_nothing_that_came_before_counts(monkeypatch):
     env = make(answer="last")
     rewards, infos = episode(env, (BRISK, WILD, USUAL))
     worth = [np.log(2 * i["usual"] / i["best"]) for i in infos]
@@ -85,14 +85,14 @@ def test_where_the_last_try_is_the_answer_nothing_that_came_before_is_kept(monke
 
 
 def test_a_move_without_margin_does_not_hold_in_the_proof():
-    """What is just kept with this payload fails with 300 kg more: the proof is made with the margin, on a machine of its own."""
+    """A move that just holds with this payload fails with 300 kg more in the proof."""
     rewards, infos = episode(make(margin=300.0), (BRISK, BRISK, BRISK), options={"current": 0.7, "payload": 2.0})
     assert infos[0]["kept"]
     assert infos[-1]["proved"] == np.inf
     assert rewards.sum() == pytest.approx(0)
 
 
-def test_the_machine_is_the_one_that_was_drawn_and_stays_so_for_all_tries(env):
+def test_the_machine_is_the_one_that_was_drawn_and_stays_so_for_all_attempts(env):
     arguments = {
         "payload": 3.0,
         "friction": 1.5,
@@ -171,7 +171,7 @@ def test_loss_and_inductance_take_torque_at_speed_and_a_low_current_takes_it_at_
     assert {name: bool(env.step(action)[4]["lost_steps"]) for name, action in moves.items()} == lost
 
 
-def test_a_host_sees_its_tries_and_nothing_of_the_machine(env):
+def test_a_host_sees_its_attempts_and_nothing_of_the_machine(env):
     blind = make(truth=False)
     text = []
     for payload in (0.0, 5.0):
@@ -245,7 +245,7 @@ def test_every_split_draws_where_it_says_and_a_setting_comes_before_it():
         pytest.param("mast", "PCL240K", "camera", marks=pytest.mark.slow),
     ],
 )
-def test_the_same_action_is_the_same_move_with_a_chip_or_model_not_seen(split, chip, judged):
+def test_the_same_action_is_the_same_move_with_a_chip_or_unknown_model(split, chip, judged):
     env = make(split=split, model=None, tries=1, proofs=0)
     assert type(env.stage.axes["x"].chip).__name__ == chip
     assert env._task.judged == judged
@@ -290,7 +290,7 @@ def test_a_step_lost_and_an_end_limit_are_damage_alike(monkeypatch, how, damage,
 
 
 @pytest.mark.parametrize("name", ["FewShotTuning", "SynchronizedLine"])
-def test_a_closed_environment_leaves_no_thread_behind(name):
+def test_a_closed_environment_leaves_no_thread_running(name):
     before = threading.active_count()
     envs = gymnasium.make_vec(f"stage/{name}-v1", 4, vectorization_mode="vector_entry_point", threads=2, model="xy")
     envs.reset(seed=1)

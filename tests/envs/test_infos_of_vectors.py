@@ -15,7 +15,7 @@ SHORT = {
 
 
 @pytest.mark.parametrize("id_", SHORT)
-def test_what_a_beginning_episode_and_a_step_both_tell_is_told_of_both_stages(id_):
+def test_what_a_beginning_episode_and_a_step_both_tell_is_reported_of_both_stages(id_):
     kind = {"vectorization_mode": "vector_entry_point", "autoreset_mode": "NextStep"}
     envs = gymnasium.make_vec(id_, 2, **kind, **SHORT[id_]).unwrapped
     actions = np.zeros(envs.action_space.shape, np.float32)
@@ -34,7 +34,7 @@ def test_what_a_beginning_episode_and_a_step_both_tell_is_told_of_both_stages(id
     assert infos["_cause"].tolist() == [True, False]
 
 
-def test_columns_of_one_name_are_joined_and_all_others_kept():
+def test_columns_of_one_name_are_joined_and_all_others_stay():
     second, others = np.array([False, True, False]), np.array([True, False, True])
     infos = {"a": np.array([0, 5, 0]), "_a": second, "b": np.array([0, 7, 0]), "_b": second}
     columns = {"a": np.array([3, 0, 4]), "_a": others.copy(), "c": np.array([1, 0, 2]), "_c": others}

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 
 
 def run(program: Path, *arguments: str, **more: str) -> str:
-    """What a program prints; AssertionError with its error if it fails."""
+    """Run a program and return its output; AssertionError with its error if it fails."""
     done = subprocess.run(
         [sys.executable, "-W", "ignore", program.name, *arguments],
         cwd=program.parent, capture_output=True, text=True, check=False, timeout=300, env=os.environ | more,
@@ -43,7 +43,7 @@ def test_the_program_of_the_page_runs_and_prints_what_the_page_says(library, tmp
     assert agree(message, BLOCKS[library].prints), message
 
 
-def test_cleanrls_script_is_told_the_id_alone(tmp_path):
+def test_cleanrls_script_is_reported_the_id_alone(tmp_path):
     for name in ("torch", "tyro", "tensorboard"):
         pytest.importorskip(name, reason="extra libraries is not installed")
     if not CLEANRL.is_file():

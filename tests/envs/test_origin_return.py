@@ -143,7 +143,7 @@ def test_a_search_from_beyond_origin_is_refused_unless_the_carriage_leaves_first
     assert reward < one_return(env, BEYOND, leave=8200)[1]
 
 
-def test_status_tells_a_host_that_it_stands_on_origin_before_it_chooses():
+def test_status_shows_a_host_that_it_stands_on_origin_before_it_chooses():
     env = make()
     for start, on in ((MAX_BEFORE_ORIGIN, 0), (ON, 1), (BEYOND, 1)):
         observation, _ = env.reset(seed=0, options={"start": start})
@@ -198,7 +198,7 @@ def test_a_rotor_that_got_ahead_of_its_pulses_has_lost_steps_too():
     assert task.results["parts"]["lost"][0] == -returns.Config.lost_weight
 
 
-def test_leaving_into_the_end_limit_is_seen_and_costs():
+def test_leaving_into_the_end_limit_is_observed_and_costs():
     observation, _, info = one_return(make(), 0.148, leave=8200)
     assert info["home"]
     assert info["end_limit"]

@@ -18,7 +18,7 @@ def test_the_ends_of_an_action_are_those_of_the_rates():
     assert rates(1, 1, 1, 1, distance=10**6) == pytest.approx([high for _, high in RATES.values()])
 
 
-def test_who_asks_for_a_start_above_the_drive_rate_drives_a_little_faster_than_that():
+def test_who_requests_a_start_above_the_drive_rate_drives_a_little_faster_than_that():
     start, drive, *_ = rates(1, -1, -1, -1)
     assert (start, drive) == pytest.approx((6000, 6300))
 

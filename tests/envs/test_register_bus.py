@@ -279,7 +279,7 @@ def test_one_command_to_a_nova_chip_sends_all_its_axes_home():
     assert host.info["success"]
 
 
-def test_steps_lost_on_the_way_home_are_mended_by_it():
+def test_steps_lost_on_the_way_home_are_repaired_by_it():
     env = make(goal="home", axes=("x",))
     env.reset(seed=1, options={"start": {"x": -0.119}})
     axis = env.stage.axes["x"]
@@ -553,7 +553,7 @@ def same(a, b):
 @pytest.mark.parametrize(
     "form", [list, tuple, np.int8, np.uint8, np.int64, ">i8"], ids=lambda f: getattr(f, "__name__", f)
 )
-def test_whole_numbers_of_any_form_are_an_action(form):
+def test_integers_of_any_form_are_an_action(form):
     env, basic = make(), make()
     for e in (env, basic):
         e.reset(seed=2)
@@ -673,7 +673,7 @@ def test_options_that_cannot_be_are_named(options, message):
         make(goal="home").reset(options={"target": {"x": 100}})
 
 
-def test_on_a_screw_that_turns_the_other_way_the_target_lies_the_other_way(tmp_path):
+def test_on_a_screw_that_turns_the_other_direction_the_target_lies_the_other_direction(tmp_path):
     from support.mirrored import mirrored
 
     env = make(model=mirrored(tmp_path), axes=("x",))

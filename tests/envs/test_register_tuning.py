@@ -74,7 +74,7 @@ def test_registers_are_rates_by_the_data_sheet(chip, values, curved):
 
 
 @pytest.mark.parametrize("axis", ["x", "z"])
-def test_the_axis_of_a_chip_that_moves_is_the_one_asked_for(axis):
+def test_the_axis_of_a_chip_that_moves_is_the_one_requested(axis):
     env = make(chip=MCX514, axis=axis)
     env.reset(seed=1, options={"distance": DISTANCE})
     env._task.prepare_next = lambda: None
@@ -135,7 +135,7 @@ def test_an_observation_begins_with_where_distance_and_payload_lie_in_their_rang
 
 
 @pytest.mark.parametrize("distance", [1600.5, "1600", True, 1599, float("nan"), np.bool_(True), None])
-def test_a_distance_is_a_whole_number_of_pulses_in_its_range(distance):
+def test_a_distance_is_a_integer_of_pulses_in_its_range(distance):
     env = make()
     with pytest.raises(ArgumentError, match=r"option distance=.*: a whole number from 1600 to 8000\."):
         env.reset(seed=1, options={"distance": distance})

@@ -27,7 +27,7 @@ MOVES = {
 
 
 class Watcher:
-    """In place of a screen or GL: keeps the joint positions of all frames."""
+    """Stand-in of a screen or GL that keeps the joint positions of all frames."""
 
     def __init__(self, stage):
         self.stage, self.frames = stage, []
@@ -116,7 +116,7 @@ for _ in range(2):
 
 
 def rendered(*argv, **environment):
-    """What a program says that asks twice for a window and for a picture."""
+    """Run a program that opens a window and a picture twice, and return its output."""
     inherited = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL")}
     command = [sys.executable, "-c", PROGRAM, *argv]
     finished = subprocess.run(command, env=inherited | environment, capture_output=True, text=True, check=False)
@@ -198,7 +198,7 @@ def test_a_frame_after_a_step_shows_its_end_and_not_where_the_next_begins(id_, w
         *(pytest.param(id_, "human", marks=[pytest.mark.slow] if k else []) for k, id_ in enumerate(MOVES)),
     ],
 )
-def test_frames_of_a_whole_move_show_the_way_and_change_nothing(id_, mode, watched):
+def test_frames_of_a_complete_move_show_the_way_and_change_nothing(id_, mode, watched):
     """gymnasium.make("stage/OriginReturn-v0", render_mode="rgb_array_list"): a frame a step, the origin in each."""
     env = make(id_, mode)
     message, basic = play(env), play(make(id_))
@@ -275,7 +275,7 @@ def test_frames_that_nobody_fetched_end_with_their_episode(watched):
     assert counts == [0, 1, 0, 1], "0.05 s from the begin of the new one, not of the old"
 
 
-def test_why_no_window_opens_is_said_each_time_whatever_warnings_are_shown(monkeypatch):
+def test_why_no_window_opens_is_explained_each_time_whatever_warnings_appear(monkeypatch):
     """python -W ignore"""
     glfw = SimpleNamespace(init=lambda: warnings.warn("DISPLAY is missing", stacklevel=1))
     monkeypatch.setitem(sys.modules, "glfw", glfw)

@@ -49,7 +49,7 @@ def test_a_score_comes_at_the_end_alone_and_says_the_same_of_every_task(id_):
     assert scores[0]["moves"] == scores[0]["steps"]
 
 
-def test_a_host_is_not_told_its_score():
+def test_a_host_is_not_reported_its_score():
     env = gymnasium.make(
         "stage/OneShotTuning-v1", disable_env_checker=True, truth=False, **TASKS["stage/OneShotTuning-v1"]
     )

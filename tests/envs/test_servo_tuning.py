@@ -24,7 +24,7 @@ def one_move(values, distance=200, payload=0.0, **settings):
     return env, reward, info
 
 
-def test_the_registers_chosen_are_those_in_the_chip():
+def test_the_registers_selected_are_those_in_the_chip():
     env = make()
     env.reset(seed=1)
     env._task.prepare_next = lambda: None
@@ -51,7 +51,7 @@ def test_a_good_filter_settles_and_the_carriage_is_at_its_goal(motion, axis):
     assert reward == pytest.approx(sum(info["reward_parts"].values()))
 
 
-def test_a_trapezoid_takes_its_time_by_the_rates_asked_for_whatever_t_is():
+def test_a_trapezoid_takes_its_time_by_the_rates_requested_whatever_t_is():
     """4000 counts at 40,000 counts/s and 400,000 counts/s2: triangle, 0.2 s."""
     for t in (0x1F, 0x40, 0x60):
         _, _, info = one_move(GOOD | {"R0F": t, "R22": 0x30}, 4000, motion="trapezoid", distances=(100, 4000))
@@ -121,7 +121,7 @@ def judged(monkeypatch, samples, rest=None, distance=100, **settings):
     return info["reward_parts"], info, observation
 
 
-def test_a_servo_has_settled_from_the_last_look_outside_the_deadband_on(monkeypatch):
+def test_a_servo_has_settled_from_the_last_sample_outside_the_deadband_on(monkeypatch):
     for samples, settled in (([90] * 5 + [2] * 15, 5), ([2] * 20, 0), ([90] * 3 + [1] * 3 + [-4] * 4 + [0] * 10, 10)):
         parts, info, _ = judged(monkeypatch, samples)
         assert (info["finished"], parts["limit"]) == (True, 0)
@@ -150,7 +150,7 @@ def test_a_rest_is_shorter_than_the_move_it_ends():
         make(limit=0.1, rest=0.1)
 
 
-def test_a_screw_that_turns_the_other_way_makes_no_difference(tmp_path):
+def test_a_screw_that_turns_the_other_direction_makes_no_difference(tmp_path):
     """gear="-628.3185307" of axis x: the goal is where the carriage goes"""
     env, _, info = one_move(GOOD, 1000, model=mirrored(tmp_path, "xyz_servo"), distances=(100, 4000))
     assert env.stage.axes["x"].gear < 0

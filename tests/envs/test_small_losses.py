@@ -42,7 +42,7 @@ def make(id_, **settings):
 
 @pytest.mark.parametrize("id_", LOSSES)
 @pytest.mark.parametrize("lost", [0, 1, -1])
-def test_one_full_step_lost_either_way_costs_as_losing_steps_does(id_, lost, monkeypatch):
+def test_one_full_step_lost_in_either_direction_costs_as_losing_steps_does(id_, lost, monkeypatch):
     settings, part, costs = LOSSES[id_]
     assert id_ in stage.envs.IDS
     env = make(id_, **settings)

@@ -19,7 +19,7 @@ FEW = {"model": "xy", "distances": (300, 900), "tries": 1, "proofs": 0, "settle"
 
 
 class VecEnv:
-    """What stable_baselines3.common.vec_env.VecEnv does for its subclasses."""
+    """Stand-in of stable_baselines3's VecEnv, as far as its subclasses need it."""
 
     def __init__(self, num_envs, observation_space, action_space):
         self.num_envs, self.observation_space, self.action_space = num_envs, observation_space, action_space
@@ -124,7 +124,7 @@ def test_options_of_stable_baselines_are_for_each_environment_and_for_one_reset(
     assert [info["distance"] for info in envs.reset_infos] == [one[0].reset()[1]["distance"] for one in ones]
 
 
-def test_stable_baselines_asks_for_attributes_and_rows_of_those_that_it_names(sb3):
+def test_stable_baselines_requests_attributes_and_rows_of_those_that_it_names(sb3):
     envs = sb3.StageVecEnv("stage/FewShotTuning-v1", 3, 1, **FEW)
     envs.seed(3)
     envs.reset()

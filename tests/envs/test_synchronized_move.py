@@ -175,7 +175,7 @@ def test_the_observation_foretells_how_far_the_followers_pulses_are_off_their_sh
         assert (errors[k, lead] == 0).all()
 
 
-def test_corrections_against_the_errors_seen_bring_the_path_closer_to_the_line():
+def test_corrections_against_the_observed_errors_bring_the_path_closer_to_the_line():
     """A policy without learning: R1 against the error after the ramp-up, R2 against that at the ramp-down."""
     rules = task(60)
     errors, zeros = rules.line.errors(rules.requested_lines), np.zeros((60, 2, 6))
@@ -289,7 +289,7 @@ def test_every_move_of_an_episode_starts_at_rest_around_the_middle():
     assert len(set(map(tuple, observed))) == 3
 
 
-def test_distances_and_rate_may_be_given_at_reset():
+def test_distances_and_rate_may_be_set_at_reset():
     env = SynchronizedMoveEnv()
     _, info = env.reset(seed=1, options={"distances": {"y": -5_000, "x": 20_000}, "rate": 12_000})
     assert info["distances"].tolist() == [20_000, -5_000]
@@ -396,7 +396,7 @@ def test_a_recorded_episode_is_the_same_episode(tmp_path):
     assert (tmp_path / "0.rrd").stat().st_size > 1000
 
 
-def test_it_is_found_by_gymnasium():
+def test_it_is_registered_in_gymnasium():
     env = gymnasium.make("stage/SynchronizedMove-v0", axes=("x", "z"), chip="PCL240MK", actions="registers")
     assert env.action_space.shape == (12,)
     assert env.observation_space.shape == (15,)
@@ -408,7 +408,7 @@ NOVA = [name for name in CHIPS.own if name.startswith("MCX") and name not in SMA
 @pytest.mark.parametrize("s_curve", [False, True])
 @pytest.mark.parametrize("axes", ["xy", "yx", "xyz"])
 @pytest.mark.parametrize("chip", ["MCX514", "MCX312"])
-def test_interpolation_keeps_half_a_pulse_whatever_is_chosen(chip, axes, s_curve):
+def test_interpolation_keeps_half_a_pulse_whatever_is_selected(chip, axes, s_curve):
     if chip == "MCX312" and axes == "xyz":
         pytest.skip("its two chips have two axes each")
     env = SynchronizedMoveEnv(**SHORT, chip=chip, axes=axes, s_curve=s_curve, moves=4)
@@ -573,7 +573,7 @@ def test_chips_that_cannot_be_synchronized_are_refused():
         line_of([driver_of(axis) for axis in alone.axes.values()], Config())
 
 
-def test_a_screw_that_turns_the_other_way_is_no_way_off_the_line(tmp_path):
+def test_a_screw_that_turns_the_other_direction_is_no_way_off_the_line(tmp_path):
     """gear="-628.3185307" of axis x: the carriages keep to the line that the pulses draw"""
     (env, other, _), (_, usual, _) = (
         one_move(options={"distances": LINE}, model=model) for model in (mirrored(tmp_path), "xy")

@@ -34,7 +34,7 @@ class Renderer:
         self.said.append("closed")
 
 
-def test_a_picture_is_of_the_size_and_by_the_camera_that_were_asked_for_and_of_the_stage_or_of_joints_elsewhere(
+def test_a_picture_is_of_the_size_and_by_the_camera_that_were_requested_and_of_the_stage_or_of_joints_elsewhere(
     machine, monkeypatch
 ):
     monkeypatch.setattr(rendering, "renderer", Renderer)

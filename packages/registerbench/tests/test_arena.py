@@ -45,7 +45,7 @@ def test_what_the_formula_does_by_tools_it_does_without_them():
     assert [r.score["return"] for r in by_tools.rounds] == pytest.approx(alone.scores["return"].tolist(), rel=1e-6)
 
 
-def test_whoever_leaves_early_is_scored_and_the_entry_stands():
+def test_a_player_that_leaves_early_is_scored_and_the_entry_stands():
     played = play(suite("bus-target", episodes=1), lambda table: table.call("act", {"macro": "rates usual"}))
     assert played.rounds[0].score["given_up"] > 10
     assert registerbench.verify(played.entry).exact

@@ -12,7 +12,7 @@ from stage.chips import HCTL1100
 from stage.envs import contexts
 
 
-def test_the_table_of_all_tasks_is_of_whole_episodes_and_names_its_splits(monkeypatch):
+def test_the_table_of_all_tasks_is_of_complete_episodes_and_names_its_splits(monkeypatch):
     monkeypatch.setattr(tasks, "LANES", 2)
     assert set(tasks.TASKS.values()) == {id_ for id_ in stage.envs.IDS if id_.endswith("-v1")}
     assert {tasks.splits(id_) for id_ in tasks.TASKS.values()} == {tuple(contexts.SPLITS)}

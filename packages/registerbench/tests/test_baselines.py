@@ -69,7 +69,7 @@ def test_the_formula_takes_the_time_that_it_says(axis):
 
 
 def test_no_other_top_rate_makes_the_formulas_move_shorter(axis):
-    """Its thrust, friction and mass, written out once more."""
+    """The thrust, friction and mass are written out once more."""
     load, safety = Load.from_axis(axis), formula.SAFETY_FACTOR
     best = plan_profile(load, DISTANCE)
     low = best.fl / load.pulses_per_metre
@@ -181,7 +181,7 @@ def test_a_move_that_kept_step_by_luck_is_not_proven(axis):
     assert best(prove(rows, 0.5, 2000, repeats=8)) == 1
 
 
-def test_proofs_have_from_none_to_the_whole_margin_and_the_same_draws_for_all(axis):
+def test_proofs_have_from_none_to_the_full_margin_and_the_same_draws_for_all(axis):
     """With just the whole margin a move was proven that lost steps with the payload itself."""
     axis.stage.set_payload(3.0)
     r = compute_registers(axis, 2000)
@@ -194,7 +194,7 @@ def test_proofs_have_from_none_to_the_whole_margin_and_the_same_draws_for_all(ax
     assert len({drawn[2] for drawn in first.drawn}) == 32
 
 
-def test_every_second_move_of_a_test_goes_the_other_way_and_the_rest_is_as_the_environment_has_it(axis):
+def test_every_second_move_of_a_test_goes_the_other_direction_and_the_rest_is_as_the_environment_has_it(axis):
     created = {"budget": 8, "space": "registers", "distance": 2000, "lanes": 4, "seed": 5}
     logs = []
     for both_directions in (False, True):
@@ -249,7 +249,7 @@ def test_an_agent_that_has_tools_alone_improves_a_move():
     assert "All 12 moves are spent" in tuned.box.call("attempt").text
 
 
-def test_an_agent_with_empty_registers_is_told_what_came_of_it():
+def test_an_agent_with_empty_registers_learns_what_came_of_it():
     tuned = tool_loop.Tuned(0.5, distance=500, budget=1)
     assert "from 1 to 8191" in tuned.box.call("write_register", {"axis": "x", "name": "R2", "value": "0h"}).text
     assert tuned.box.call("attempt").data["all_pulses_made"] is False

@@ -34,7 +34,7 @@ def played(monkeypatch, tmp_path):
     return run
 
 
-def test_what_was_not_said_is_the_usual(played, capsys):
+def test_what_was_not_set_is_the_default(played, capsys):
     code, (of, how), (path, force) = played("random", "-o", "a.bench")
     assert (code, of, path, force) == (0, ("random", "few-shot", "train"), "a.bench", False)
     assert how == {
@@ -70,7 +70,7 @@ def test_a_mean_is_of_finite_numbers_alone():
     assert _means(entry) == {"a": 2.5, "b": None}
 
 
-def test_a_replay_has_the_tolerance_that_was_asked_for_and_its_code(monkeypatch, capsys):
+def test_a_replay_has_the_tolerance_that_was_requested_and_its_code(monkeypatch, capsys):
     requested = []
 
     class Verdict(SimpleNamespace):

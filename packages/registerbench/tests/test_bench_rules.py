@@ -47,7 +47,7 @@ def test_a_task_is_named_by_its_card_or_its_environment():
         card_of("hom")
 
 
-def test_a_digest_tells_observations_of_one_content_by_type_and_shape_and_stays_the_same():
+def test_a_digest_distinguishes_observations_of_one_content_by_type_and_shape_and_stays_the_same():
     zeros = np.zeros(4, np.float32)
     others = (zeros.reshape(2, 2), zeros.reshape(4, 1), np.zeros(4, np.int32), np.zeros(2, np.float64), -zeros)
     assert len({digest(zeros), *map(digest, others)}) == 6
@@ -145,7 +145,7 @@ def test_a_long_table_has_regret_where_there_was_success_and_the_means_of_damage
     assert statistics.rows([entry(scores=none)])[0].regret is None
 
 
-def test_who_beats_another_in_the_middle_half_and_is_lower_in_the_mean_is_told_so():
+def test_who_beats_another_in_the_middle_half_and_is_lower_in_the_mean_is_reported_so():
     bold = np.repeat([2.0, -9.0], [56, 8])
     message = statistics.table([entry("bold", scores={"return": bold}), entry("safe", 1.0), entry("bad", -5.0)])
     assert "| safe (lower in the mean), bad |" in message
@@ -154,7 +154,7 @@ def test_who_beats_another_in_the_middle_half_and_is_lower_in_the_mean_is_told_s
     assert row.mean_low < row.mean < row.mean_high < row.low
 
 
-def test_a_difference_as_large_as_the_tolerance_is_within_it():
+def test_a_difference_as_big_as_the_tolerance_is_within_it():
     for by, distance in ((0.25, False), (0.26, True), (np.inf, True), (np.nan, False)):
         observed = replay(0.25)
         observed.note(Difference(0, 0, "reward", "", ""), by)
@@ -166,7 +166,7 @@ def test_a_difference_as_large_as_the_tolerance_is_within_it():
     assert observed.far, "without a tolerance every bit counts"
 
 
-def test_of_differences_in_any_order_the_first_in_the_entry_is_told_and_the_largest():
+def test_of_differences_in_any_order_the_first_in_the_entry_is_reported_and_the_largest():
     places = [(1, 0), (0, 5), (0, -1), (0, None), (None, None)]
     observed = replay(0.0)
     for k, (episode, step) in enumerate(places):

@@ -105,21 +105,21 @@ def test_the_same_player_gives_the_same_bytes_and_another_run_of_it_others(entry
         ("steps", slice(None), (3, 1, 2), "episode 0, step 1, end of the episode: goes on in the entry, over here"),
     ],
 )
-def test_a_changed_action_reward_observation_or_end_is_found_and_named(entry, name, at, value, says):
+def test_a_changed_action_reward_observation_or_end_is_detected_and_named(entry, name, at, value, says):
     verdict = registerbench.verify(changed(entry, name, at, value))
     assert not verdict.ok
     assert re.search(says, str(verdict)), verdict
     assert "with the same versions on the same kind of processor" in str(verdict)
 
 
-def test_a_changed_score_is_found_and_one_that_there_is_not(entry):
+def test_a_changed_score_is_detected_and_one_that_does_not_exist(entry):
     more = {**entry.scores, "return": entry.scores["return"] + (0, 0, 1e-12)}
     assert "episode 2, score 'return'" in str(registerbench.verify(dataclasses.replace(entry, scores=more)))
     other = {**entry.scores, "glory": entry.scores["return"]}
     assert "glory in the entry, return" in str(registerbench.verify(dataclasses.replace(entry, scores=other)))
 
 
-def test_a_tolerance_tells_near_from_equal(entry):
+def test_a_tolerance_distinguishes_near_from_equal(entry):
     near = changed(changed(entry, "rewards", 2, entry.rewards[2] + 1e-9), "seen", 0, 7)
     assert not registerbench.verify(near).ok
     verdict = registerbench.verify(near, tolerance=1e-6)
@@ -137,7 +137,7 @@ def test_a_tolerance_tells_near_from_equal(entry):
             registerbench.verify(entry, tolerance=wrong)
 
 
-def test_other_versions_are_told_as_a_possible_cause_and_only_of_what_differs(entry):
+def test_other_versions_are_reported_as_a_possible_cause_and_only_of_what_differs(entry):
     elsewhere = dataclasses.replace(entry, versions={**entry.versions, "mujoco": "3.0.0", "processor": "Z80"})
     assert registerbench.verify(elsewhere).exact
     assert "mujoco" not in str(registerbench.verify(elsewhere))
@@ -168,7 +168,7 @@ def test_an_entry_of_other_episodes_is_refused(entry, changes, says):
         registerbench.verify(other)
 
 
-def test_a_part_of_the_episodes_is_told_to_be_one(entry):
+def test_a_part_of_the_episodes_is_reported_to_be_one(entry):
     verdict = registerbench.verify(
         registerbench.play("random", "brief", "heavy", episodes=1, settings={"memory": "last"})
     )
@@ -256,7 +256,7 @@ def test_an_entry_has_short_texts_costs_from_nothing_up_a_return_and_a_step_an_e
 
 
 def archive(**members):
-    """With these members, the others empty; packed well."""
+    """Pack an archive with these members, the others empty."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as created:
         for name in entry_files.MEMBERS:
@@ -272,7 +272,7 @@ def test_a_bomb_that_lies_about_its_size_is_not_unpacked(packed):
         unpack(bytes(lying))
 
 
-def test_a_large_file_is_not_read(tmp_path):
+def test_a_huge_file_is_not_read(tmp_path):
     path = tmp_path / "large.bench"
     with path.open("wb") as file:
         file.truncate(entry_files.LARGEST + 1)
@@ -325,7 +325,7 @@ def test_a_player_with_tools_sees_what_a_host_sees():
     assert not {"payload", "current", "reward_parts", "score"} & tools.seen[-1][1]
 
 
-def test_moves_of_the_test_are_counted_whatever_is_said():
+def test_moves_of_the_test_are_counted_whatever_is_stated():
     entry = registerbench.play("random", "brief", episodes=1, cost={"test_moves": 99, "moves": 5})
     assert entry.cost == {"test_moves": 2, "moves": 5}
     custom = Watching()
@@ -348,7 +348,7 @@ def test_as_many_episodes_are_played_as_there_are_one_at_least(episodes):
         registerbench.play("random", "brief", episodes=episodes)
 
 
-def test_who_waits_is_told_of_each_episode_that_is_done(entry):
+def test_who_waits_is_reported_of_each_episode_that_is_done(entry):
     played, replayed = [], []
     registerbench.play("random", "brief", report_progress=lambda *of: played.append(of))
     registerbench.verify(entry, report_progress=lambda *of: replayed.append(of))
@@ -357,7 +357,9 @@ def test_who_waits_is_told_of_each_episode_that_is_done(entry):
     assert replayed[-1] == (3, 3)
 
 
-def test_a_policy_that_is_a_class_is_made_and_recorded_actions_of_unlike_episodes_are_told_apart(tmp_path, monkeypatch):
+def test_a_policy_that_is_a_class_is_made_and_recorded_actions_of_unlike_episodes_are_distinguished(
+    tmp_path, monkeypatch
+):
     (tmp_path / "mine_class.py").write_text(
         "class Policy:\n    def __call__(self, observation, info):\n        return [0.0, 0.3, 0.0, 0.0]\n"
     )
@@ -474,7 +476,7 @@ def test_the_commands_submit_and_verify_in_a_fresh_process(tmp_path, monkeypatch
     ).items()
 
 
-def test_what_it_took_is_told_by_option_and_may_be_nothing(tmp_path, monkeypatch):
+def test_what_it_took_is_reported_by_option_and_may_be_nothing(tmp_path, monkeypatch):
     """stage bench-submit random --cost moves=3 --cost tokens=0"""
     monkeypatch.chdir(tmp_path)
     cost = ["--cost", "moves=3", "--cost", "tokens=0"]
@@ -530,7 +532,7 @@ def test_the_middle_half_is_averaged_and_its_interval_holds_the_truth():
     assert statistics.interval(one) == statistics.interval(one)
 
 
-def test_whole_runs_are_drawn_so_that_the_luck_of_training_is_in_the_interval():
+def test_complete_runs_are_drawn_so_that_the_luck_of_training_is_in_the_interval():
     """a run plays all episodes: of a good one and a bad one a quarter of all draws has the good one alone"""
     assert statistics.interval(np.repeat([[0.0], [1.0]], 64, axis=1), draws=200) == (0.0, 1.0)
 
@@ -595,7 +597,7 @@ def test_rows_part_by_rounds_and_who_is_as_good_beats_nobody(entry):
     assert half.learned, "one run of it has learned"
 
 
-def test_what_a_player_may_choose_is_told_from_true_and_false():
+def test_what_a_player_may_choose_is_reported_from_true_and_false():
     card = dataclasses.replace(BRIEF, choices={"tries": (1, 2)})
     card.check("train", "host", {"tries": 1})
     for wrong in (True, 3):

@@ -180,7 +180,7 @@ def test_tokens_that_are_none_are_not_counted_and_told(tokens):
 
 
 @pytest.mark.parametrize("tokens", [0, 1, (1 << 40) - 1])
-def test_a_whole_number_of_tokens_is_counted_none_too(tokens):
+def test_a_integer_of_tokens_is_counted_none_too(tokens):
     with FakeModel(calls(("finish", {}), tokens=tokens)) as model:
         came = play(suite("diagnosis:late"), Endpoint(model.url, "fake"))
     assert (came.tokens, came.troubles["tokens that are no whole number, and are not counted"]) == (tokens, 0)
@@ -211,7 +211,7 @@ def test_json_that_is_nested_deeply_ends_nothing():
     assert replay(came).same
 
 
-def test_an_answer_behind_the_end_does_not_count():
+def test_an_answer_after_the_end_does_not_count():
     def delayed(table):
         table.call("finish")
         assert "this game is over" in table.call("answer", {"cause": "ramp-down point too late"}).text

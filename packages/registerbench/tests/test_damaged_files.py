@@ -26,7 +26,7 @@ READERS = {
 
 
 def refuses(path, which):
-    """Whether a file is refused in words; fails where its reader fails otherwise."""
+    """Return whether a file is refused in words; fail if its reader fails otherwise."""
     text = ""
     try:
         READERS[path.suffix](path)

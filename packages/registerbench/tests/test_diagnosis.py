@@ -41,7 +41,7 @@ LONG = [name if name in ("late", "forgotten") else pytest.param(name, marks=pyte
 
 
 @pytest.mark.parametrize("name", LONG)
-def test_it_fails_as_the_customer_says_and_is_well_when_mended(case, name):
+def test_it_fails_as_the_customer_says_and_works_when_repaired(case, name):
     c = case(name)
     assert c.box.call("run").ok
     assert c.why_not()
@@ -54,7 +54,7 @@ def test_it_fails_as_the_customer_says_and_is_well_when_mended(case, name):
     assert c.score() == c.score()
 
 
-def test_work_on_what_is_whole_mends_nothing(case):
+def test_work_on_what_is_intact_repairs_nothing(case):
     c = case("supply")
     for work, cause in SERVICES.items():
         if cause != c.setup.cause:
@@ -72,7 +72,7 @@ def test_a_base_holds_for_its_own_program(case):
     assert c.score().repaired
 
 
-def test_an_agent_is_told_nothing_of_the_machine_that_a_host_cannot_see(case):
+def test_an_agent_is_reported_nothing_of_the_machine_that_a_host_cannot_see(case):
     c = case("slip")
     message = "".join(c.box.call(name).text for name in ("describe", "run", "measure", "diagnostics"))
     assert "truth" not in c.box.tools
@@ -123,7 +123,7 @@ def test_a_program_writes_into_the_air_where_no_chip_is(case):
         ("\n" * 300, "up to 200"),
     ],
 )
-def test_a_line_that_cannot_be_read_is_told_with_its_number(case, line, message):
+def test_a_line_that_cannot_be_read_is_reported_with_its_number(case, line, message):
     c = case("reset")
     with pytest.raises(ArgumentError, match=message.replace("(", r"\(")):
         parse("# first\n" + line, c.stage)

@@ -37,7 +37,7 @@ def test_who_does_nothing_gets_nothing(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_who_crawls_mends_nothing(name):
+def test_who_crawls_repairs_nothing(name):
     got = score(name, crawl)
     assert not got.repaired
     assert got.value == 0
@@ -84,7 +84,7 @@ NOT_ASKED = (
 
 
 @pytest.mark.parametrize(("name", "changes", "why"), NOT_ASKED)
-def test_what_is_not_asked_for_is_not_mended(name, changes, why):
+def test_what_is_not_requested_is_not_repaired(name, changes, why):
     case = Case(name)
     text = case.setup.program
     for was, becomes in changes:
@@ -95,7 +95,7 @@ def test_what_is_not_asked_for_is_not_mended(name, changes, why):
     case.box.close()
 
 
-def test_a_program_that_goes_round_a_broken_machine_does_not_mend_it():
+def test_a_program_that_goes_round_a_broken_machine_does_not_repair_it():
     """Another program than that which came, at half the rate: the machine is as weak as it was."""
 
     def slower(box):
@@ -124,7 +124,7 @@ def test_work_costs():
     assert score("supply", busy).value == pytest.approx(0.5 * (1 - 0.03 - 0.02), abs=1e-3)
 
 
-def test_nothing_counts_behind_finish():
+def test_nothing_counts_after_finish():
     case = Case("supply")
     case.box.call("finish")
     for name, arguments in (("answer", {"cause": "supply too low"}), ("write_program", {"text": ""}), ("run", {}),
@@ -202,8 +202,8 @@ def test_a_trial_measures_either_side_and_the_first_ramp_alone(observed, how, st
     assert results.startswith(why) if why else not results, results
 
 
-def test_the_second_way_is_judged_by_itself():
-    """As fast as the first on the way there, too slow back"""
+def test_the_second_leg_is_judged_by_itself():
+    """The second leg is too slow, although the first is as fast as it should be."""
     present, back = direction((0.05,)), direction((0.0,), rate=800, start=0.05)
     last = present[-1].time
     observed = [*present, *(s._replace(time=s.time + last + 2e-3) for s in back)]
@@ -214,7 +214,7 @@ def test_the_second_way_is_judged_by_itself():
 @pytest.mark.parametrize(
     ("back", "why"), [(1000.0, ""), (800.0, "way 2 has 800 pulses"), (1300.0, "way 2 has 1300 pulses")]
 )
-def test_each_way_has_its_own_rate_seen_from_the_rest_before_it(back, why):
+def test_each_leg_has_its_own_rate_seen_from_the_rest_before_it(back, why):
     out, home = direction((0.05,)), direction((0.0,), rate=back, start=0.05)
     observed = out + [s._replace(time=s.time + out[-1].time) for s in home[1:]]
     results = Trial((0.05, 0.0), rate=1000, seconds=1.0).wrong(observed, 0.0, 1e-3)

@@ -43,7 +43,7 @@ def test_a_play_closes_its_environment_after_its_end_and_after_an_error(closed):
     assert len(closed) == 2
 
 
-def test_a_player_that_draws_is_seeded_by_its_run_and_plays_the_round_that_was_asked_for(monkeypatch):
+def test_a_player_that_draws_is_seeded_by_its_run_and_plays_the_round_that_was_requested(monkeypatch):
     requested, rounds, real, drawn = [], [], episodes.player, episodes.seeds
     monkeypatch.setattr(episodes, "player", lambda *arguments: (requested.append(arguments), real(*arguments))[1])
     monkeypatch.setattr(episodes, "seeds", lambda *arguments: (rounds.append(arguments[1:]), drawn(*arguments))[1])

@@ -35,7 +35,7 @@ def boldness(rules, kind, w, *saved):
     return pytest.approx(tried, abs=1e-5)
 
 
-def test_a_policy_without_memory_does_the_same_whatever_its_tries_have_shown(rules):
+def test_a_policy_without_memory_does_the_same_whatever_its_attempts_have_revealed(rules):
     w = (0.2, 0.4, 0.8)
     assert boldness(rules, rules.Blind, w, True, True) == [0.4, 0.5, 0.6]
     assert boldness(rules, rules.Blind, w, False, True) == [0.4, 0.5, 0.6]
@@ -101,7 +101,7 @@ def test_cma_es_finds_a_bolder_policy_than_it_begins_with(tmp_path):
     assert entry.scores["return"][: learners.EPISODES] == pytest.approx(last, abs=1e-3), "the curve's end is the entry"
 
 
-def test_a_rule_earns_on_a_table_what_its_tries_are_worth_there(rules):
+def test_a_rule_earns_on_a_table_what_its_attempts_are_worth_there(rules):
     from registerbench.baselines.boldness import BOLDNESS, Table
 
     edge = np.array([2.0, 4.0])
@@ -151,7 +151,7 @@ def test_of_published_curves_the_processor_s_time_grows_and_has_what_was_tried_i
                 assert spent[-1] > 5, (task, player, run)
 
 
-def test_axes_are_seen_by_their_role_and_macros_are_those_of_the_environment_again():
+def test_axes_are_ordered_by_their_role_and_macros_are_those_of_the_environment_again():
     pytest.importorskip("stable_baselines3")
     from registerbench.baselines.bus_macros_turned import OF_AXES, Turn
 
@@ -197,7 +197,7 @@ def test_to_a_learner_the_way_of_an_axis_is_worth_as_much_with_a_second_axis_as_
     assert progress("axes", x=2048, y=0) == pytest.approx(alone, abs=1e-3)
 
 
-def test_a_learner_that_is_stopped_says_what_is_kept_and_ends_as_shells_have_it(capsys):
+def test_a_learner_that_is_stopped_says_what_it_saved_and_ends_as_shells_have_it(capsys):
     from registerbench.baselines import stops
 
     with pytest.raises(SystemExit) as stopped, stops("two runs are kept."):

@@ -44,7 +44,7 @@ def test_programs_that_a_page_names_exist_with_their_options(page):
 
 
 def test_commands_of_the_readme_run(tmp_path, monkeypatch, capsys):
-    """Those in its block of shell commands, with two episodes where all would take long."""
+    """The commands are those of its shell block, with two episodes where all would take too long."""
     monkeypatch.chdir(tmp_path)
     block = re.search(r"```sh\n(.*?)```", PAGES[0].read_text(), re.S)[1]
     for line in block.splitlines():

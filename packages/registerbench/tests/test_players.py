@@ -47,7 +47,7 @@ def test_a_command_that_speaks_nonsense_is_scored_as_it_is(code):
     assert played.value == 0.0
 
 
-def test_a_command_that_there_is_not_is_told():
+def test_a_command_that_does_not_exist_is_reported():
     with pytest.raises(StageError, match="Name a program"):
         play(suite("diagnosis:late"), Command("/nowhere/agent"))
     with pytest.raises(ArgumentError, match="is empty"):
@@ -58,7 +58,7 @@ def test_a_command_that_there_is_not_is_told():
 
 
 def mend(body):
-    """What a model would do that has read the program."""
+    """Act as a model that has read the program."""
     program = next(m["content"] for m in body["messages"] if m["role"] == "tool")
     return calls(
         ("write_program", {"text": program.replace("R6 <- 320 ", "R6 <- 3200")}),
@@ -67,7 +67,7 @@ def mend(body):
     )
 
 
-def test_a_model_behind_an_endpoint_plays():
+def test_a_model_at_an_endpoint_plays():
     with FakeModel(calls(("program", {})), says("let me see"), mend) as model:
         played = play(suite("diagnosis:late"), Endpoint(model.url, "fake", "secret"))
     assert (played.player, played.value, played.tokens) == ("fake", 1.0, 21)
@@ -107,12 +107,12 @@ NO_REPLIES = (
 
 
 @pytest.mark.parametrize(("reply", "message"), NO_REPLIES)
-def test_an_endpoint_that_is_none_is_told(reply, message):
+def test_an_endpoint_that_is_none_is_reported(reply, message):
     with FakeModel(reply) as model, pytest.raises(StageError, match=message):
         play(suite("diagnosis:late"), Endpoint(model.url, "fake", pause=0.0))
 
 
-def test_an_endpoint_that_cannot_be_reached_is_told():
+def test_an_endpoint_that_cannot_be_reached_is_reported():
     with pytest.raises(StageError, match="cannot be reached"):
         play(suite("diagnosis:late"), Endpoint("http://127.0.0.1:9/v1", "fake", pause=0.0))
 
@@ -149,7 +149,7 @@ def test_a_client_of_the_protocol_plays_a_game(tmp_path):
     assert results.played.calls == 4
 
 
-def test_the_key_goes_to_the_address_that_was_given_and_to_no_other():
+def test_the_key_goes_to_the_address_that_was_set_and_to_no_other():
     """An endpoint that answers 302: the request, with its key, is not sent on"""
     came = []
 

@@ -68,7 +68,7 @@ def test_a_formula_is_beaten_by_an_interval_of_rewards_above_0_of_ten_seeds_or_m
     assert reported["agent loop"][0].text == "-30.0"
 
 
-def test_an_answer_is_told_by_its_test_and_not_by_its_proof():
+def test_an_answer_is_reported_by_its_test_and_not_by_its_proof():
     created = run(reward=-0.41)
     assert (created.answer, created.lucky) == (1, 1)
     assert created.mean("reward") == pytest.approx(-410)
@@ -168,7 +168,7 @@ def test_the_table_is_recomputed_from_the_rows_by_pandas(all_):
     assert len(lost) == 14
 
 
-def test_no_search_and_no_proof_has_seen_a_move_of_a_test_and_seed_0_is_not_among_the_seeds(all_):
+def test_no_search_and_no_proof_has_used_a_move_of_a_test_and_seed_0_is_not_among_the_seeds(all_):
     def drawn(logs):
         return {tuple(row[1:]) for log in logs for row in log.drawn}
 

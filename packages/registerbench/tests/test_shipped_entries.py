@@ -110,7 +110,7 @@ def test_a_published_entry_is_what_was_played_to_its_last_episode(name):
     assert verdict.whole
 
 
-def test_a_published_entry_with_one_other_action_is_found_out():
+def test_a_published_entry_with_one_other_action_is_detected():
     entry = part(ENTRIES["line.zip/line-train-random-0.bench"], 1)
     bits_are_promised(entry)
     actions = entry.actions.copy()

@@ -16,7 +16,7 @@ EPISODES = 8
 
 
 def created(card, split):
-    """Whether the card offers it or not."""
+    """Make an environment whether the card offers it or not."""
     return gymnasium.make(card.id, disable_env_checker=True, **{**card.settings, "split": split}).unwrapped
 
 

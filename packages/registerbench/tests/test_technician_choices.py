@@ -81,7 +81,7 @@ def test_a_repaired_program_differs_in_the_lines_that_were_wrong(name, cause, re
     assert all(text in new for text in added)
 
 
-def test_a_reset_command_stands_before_each_move_and_never_behind_the_registers():
+def test_a_reset_command_stands_before_each_move_and_never_after_the_registers():
     parts = "x: R0 <- 16000\nx: R6 <- 3200\nx: operate 15h\n"
     repaired = technician.MENDINGS["missing reset command"](parts + "x: operate 08h\n" + parts)
     assert repaired == "x: operate 08h\n" + parts + "x: operate 08h\n" + parts

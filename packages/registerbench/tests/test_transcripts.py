@@ -67,7 +67,7 @@ def test_a_transcript_that_was_changed_differs(delayed, tmp_path, was, becomes, 
     assert " to 0.9" not in reported
 
 
-def test_what_nobody_can_verify_is_told_as_claimed(three, tmp_path, capsys):
+def test_what_nobody_can_verify_is_reported_as_claimed(three, tmp_path, capsys):
     file = tmp_path / "t.jsonl"
     save(three, file)
     rows = lines(file)
@@ -79,8 +79,8 @@ def test_what_nobody_can_verify_is_told_as_claimed(three, tmp_path, capsys):
     assert "\x1b" not in reported
 
 
-def test_a_part_is_never_told_as_the_suite(three, delayed, tmp_path, capsys):
-    """Of a part the games are counted, and named as no score of the suite, when it is played and when it is replayed."""
+def test_a_part_is_never_reported_as_the_suite(three, delayed, tmp_path, capsys):
+    """The games of a part are counted, and it has no score of the suite."""
     for came, message in ((three, "3 of 10 games of diagnosis: "), (delayed, "1 of 10 games of diagnosis: ")):
         assert message in str(came)
         assert "a part, and no score of the suite" in str(came)
@@ -94,7 +94,7 @@ def test_a_part_is_never_told_as_the_suite(three, delayed, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("change", ["of", "fewer", "other", "seed", "round", "split"])
-def test_a_part_cannot_be_written_as_the_whole(tmp_path, change, request):
+def test_a_part_cannot_be_written_as_complete(tmp_path, change, request):
     came = play(suite("one-shot", episodes=2), player("random"), "r") if change in ("seed", "round", "split") else None
     came = came or request.getfixturevalue("three")
     file = tmp_path / "t.jsonl"
@@ -120,7 +120,7 @@ def test_a_part_cannot_be_written_as_the_whole(tmp_path, change, request):
         replay(file)
 
 
-def test_calls_behind_the_end_or_beyond_the_limit_are_found(tmp_path):
+def test_calls_after_the_end_or_beyond_the_limit_are_detected(tmp_path):
     came = play(suite("diagnosis:late"), lambda t: t.call("finish"), "f", Limits(most=1))
     save(came, tmp_path / "t.jsonl")
     rows = lines(tmp_path / "t.jsonl")
@@ -164,7 +164,7 @@ def test_what_a_suite_does_not_have_is_refused(three, tmp_path, k, key, value):
     assert main(["agent-replay", str(tmp_path / "t.jsonl")]) == 2
 
 
-def test_other_limits_than_the_usual_are_told():
+def test_other_limits_than_the_usual_are_reported():
     assert "up to 9 calls a game, and 400 are usual" in str(play(suite("diagnosis:late"), samples, "l", Limits(most=9)))
 
 
@@ -191,7 +191,7 @@ def breaks(at):
     return one
 
 
-def test_a_run_that_breaks_off_leaves_its_games_and_goes_on(tmp_path):
+def test_a_run_that_breaks_off_leaves_its_games_and_continues(tmp_path):
     games, file = suite("diagnosis", episodes=4), tmp_path / "t.jsonl"
     with Writer(file, head_of(games, "p", Limits())) as writer:
         with pytest.raises(Interrupted, match=r"^game 3 of 4, diagnosis:wide: the endpoint is out of money$") as error:
@@ -215,7 +215,7 @@ def test_a_run_that_breaks_off_leaves_its_games_and_goes_on(tmp_path):
         Writer(file, head_of(games, "p", Limits()), go_on=True)
 
 
-def test_the_command_goes_on_where_it_broke_off(tmp_path, capsys, monkeypatch):
+def test_the_command_continues_where_it_broke_off(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "broke.py").write_text(
         "import os\nfrom stage import StageError\ndef play(table):\n    table.call('observe')\n"
@@ -296,7 +296,7 @@ def test_a_transcript_with_a_wrong_value_is_refused_with_the_value(delayed, tmp_
         read(file)
 
 
-def test_a_line_behind_the_end_of_a_transcript_is_refused(delayed, tmp_path):
+def test_a_line_after_the_end_of_a_transcript_is_refused(delayed, tmp_path):
     file = tmp_path / "late.jsonl"
     save(delayed, file)
     rows = lines(file)
