@@ -23,15 +23,23 @@ FIRST, LAST = 1_000_000, 1 << 31  # seeds of test episodes; those below FIRST ar
 
 
 def without(*splits: str) -> tuple[str, ...]:
-    """All splits but those that a task cannot have, or that do not change it: fewer than a third of its test episodes end with a
-    return that differs from that on train by 0.001, the last figure of the tables, for the scripted and for the random player."""
+    """Return all splits but those that a task cannot have, or that do not change it.
+
+    A split does not change a task if fewer than a third of its test episodes end with a return that differs from that on train by
+    0.001, the last figure of the tables, for the scripted and for the random player.
+    """
     return tuple(split for split in contexts.SPLITS if split not in splits)
 
 
 @dataclass(frozen=True)
 class Card:
-    """A task. settings: of the environment, the same for all; choices: those that a player may choose, and among what; splits:
-    those that change it (`without`), for a split that does not is no test."""
+    """Task of the bench.
+
+    Attributes:
+        settings: Of the environment, the same for all.
+        choices: Settings that a player may choose, and among what.
+        splits: Those that change it; see `without`.
+    """
 
     name: str
     id: str

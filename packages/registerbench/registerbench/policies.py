@@ -12,10 +12,10 @@ In Python also such a function or object itself. `info` is without what the trac
 from __future__ import annotations
 
 import importlib
-import os
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -105,7 +105,7 @@ def imported(name: str, kind: str) -> Any:
             f"{kind} {name}: {module!r} is no name of a module. Name a module that Python finds from this folder."
         )
     if "" not in sys.path:
-        sys.path.insert(0, os.getcwd())
+        sys.path.insert(0, str(Path.cwd()))
     try:
         return getattr(importlib.import_module(module), attribute)
     except ImportError as why:

@@ -149,8 +149,14 @@ def _said(value: float | None, form: str) -> str:
 
 
 def rows(entries: Iterable[Submission]) -> list[Row]:
-    """A row for each task, split, track, round and player, the best first. Raises ArgumentError for an entry that has not all
-    test episodes of its round, and where entries of a player are the same run twice."""
+    """Return a row for each task, split, track, round and player, the best first.
+
+    Args:
+        entries: To compare.
+
+    Raises:
+        ArgumentError: An entry lacks test episodes of its round, or a player's run is there twice.
+    """
     groups: dict[tuple[str, str, str, str, str], list[Submission]] = {}
     for e in entries:
         _whole(e)

@@ -31,14 +31,23 @@ class Head:
 
     @property
     def kind(self) -> str:
-        """ "diagnosis", or a task."""
+        """Kind of the suite: "diagnosis", or a task."""
         return self.suite.partition(":")[0]
 
 
 @dataclass(frozen=True)
 class Round:
-    """A game that was played. calls: each with its arguments and answer; score: by name; tokens: 0 where nobody told;
-    ended: why it was ended, "" by the player itself or the game; troubles: what went wrong beside calls, how often."""
+    """Game that was played.
+
+    Attributes:
+        game: Its name.
+        seed: Of the episode, or None.
+        calls: Calls, each with its arguments and answer.
+        score: By name.
+        tokens: 0 where the player does not count.
+        ended: Why it was ended; "" by the player itself or the game.
+        troubles: What went wrong beside calls, and how often.
+    """
 
     game: str
     seed: int | None

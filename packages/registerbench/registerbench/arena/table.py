@@ -22,8 +22,16 @@ TOKENS = 1 << 40  # of a reply, at most
 
 @dataclass(frozen=True)
 class Limits:
-    """most: calls of a game; patience: s of real time that a player may take for its next call; time: s for all of a game's.
-    The simulation's own time is not the player's. Raises ArgumentError."""
+    """Limits of a game. The simulation's own time is not the player's.
+
+    Attributes:
+        most: Number of calls.
+        patience: Real seconds that a player may take for its next call.
+        time: Real seconds for all of a game's calls.
+
+    Raises:
+        ArgumentError: A limit is not such a number.
+    """
 
     most: int = MAX_CALLS
     patience: float = PATIENCE
@@ -43,10 +51,16 @@ class Left(BaseException):
 
 
 class Table:
-    """A game as a player has it. task: what is to be done; tools: name, description, schema of each; tokens: the player counts;
-    playing: the calls themselves, which keep no log; troubles: what a player does wrong beside its calls, how often.
+    """Game as a player has it.
 
-    over: nothing more can be done, too many calls were made, or it took too long; ended: why it was ended before, "" if it was not.
+    Attributes:
+        task: What is to be done.
+        tools: Name, description and schema of each.
+        tokens: As the player counts them.
+        playing: The calls themselves, which keep no log.
+        troubles: What a player does wrong beside its calls, and how often.
+        over: Nothing more can be done, too many calls were made, or it took too long.
+        ended: Why it was ended before; "" if it was not.
     """
 
     def __init__(self, game: Game, limits: Limits | None = None):

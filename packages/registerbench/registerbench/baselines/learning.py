@@ -96,8 +96,18 @@ def parser_of(
     levels: Sequence[str] = (),
     evaluate: Callable[[Path], None] | None = None,
 ) -> argparse.ArgumentParser:
-    """`learn METHOD`, `submit POLICY`, and `evaluate POLICY` where there is one. steps: of learning; of a learner with levels,
-    times the steps that each has."""
+    """Return the parser of a learner: `learn METHOD`, `submit POLICY`, and `evaluate POLICY` where there is one.
+
+    Args:
+        doc: Description of the program.
+        methods: Names.
+        steps: Of learning; for a learner with levels, a factor of the steps of each.
+        learn: Called for `learn`.
+        submit: Called for `submit`.
+        tasks: Of the bench.
+        levels: Names, easiest first.
+        evaluate: Called for `evaluate`, or None.
+    """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
     p = commands.add_parser("learn")

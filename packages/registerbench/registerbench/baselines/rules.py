@@ -89,8 +89,11 @@ class Line(Linear):
 
 
 class Home(Rule):
-    """Rates, ramps and how far to back off, always the same; how far to leave ORG, by whether it is asserted; the approach, and
-    whether to report, by returns in a row that failed, and by how the last one did."""
+    """Rule of home: rates, ramps and backing off are constant.
+
+    How far to leave ORG follows from whether it is asserted; the approach and the report follow from the returns in a row that
+    failed, and from how the last one did.
+    """
 
     BEGINS, SCALES = (0.0,) * 7 + (-0.5, 0.0, 0.0, 0.0), (0.5,) * 7 + (0.3, 1.0, 0.5, 0.5)
 
@@ -126,8 +129,10 @@ class Bold(Rule):
 
 
 class Blind(Bold):
-    """w0 + w1 distance + w2 share of the tries that were made: what a policy can know that sees no try. It may go from tame to
-    bold, or the other way, and be where it wants to at the last."""
+    """Rule w0 + w1 distance + w2 share of the tries: what a policy can do that sees no try.
+
+    It may go from tame to bold, or the other way, and be where it wants to at the last.
+    """
 
     BEGINS, SCALES = (0.7, 0.0, 0.0), (0.4, 0.2, 0.4)
 

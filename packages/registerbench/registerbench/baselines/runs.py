@@ -150,7 +150,7 @@ class Run:
 
     @property
     def flattered(self) -> float:
-        """ms of reward that the proof promised and the test does not show."""
+        """Reward, ms, that the proof promised and the test does not show."""
         return (
             1e3 * float(np.mean(self.proofs[self.answer].reward)) - self.mean("reward")
             if self.answer is not None
@@ -159,7 +159,7 @@ class Run:
 
     @property
     def spare(self) -> float:
-        """kg on top of the payload, up to which no move of the test lost a step."""
+        """Mass on top of the payload, kg, up to which no move of the test lost a step."""
         holding = 0.0
         for kg in HEAVIER if self.test else ():
             if self.lost(f"+{kg:g} kg"):

@@ -30,8 +30,15 @@ the program as it came. A service that mends nothing costs a quarter of this, a 
 
 @dataclass(frozen=True)
 class Score:
-    """found: 1 if the first answer names the cause, -1 if it names another, 0 if there is none; repaired: the program, run from
-    power-up, does what the customer wants; work: what the way to there has cost, a share of mending; runs: made."""
+    """Score of a case.
+
+    Attributes:
+        found: 1 if the first answer names the cause, -1 if it names another, 0 if there is none.
+        repaired: The program, run from power-up, does what the customer wants.
+        work: Cost of the way to there, as a share of a repair.
+        runs: Number of runs.
+        answered: The first answer.
+    """
 
     found: int
     repaired: bool
@@ -145,8 +152,10 @@ class Case:
             self.setup.equip(stage)
 
     def why_not(self) -> str:
-        """Why the machine and the program, as they are now, do not do what the customer wants; "" if they do. Of work on a machine
-        the program as it came is judged, too."""
+        """Return why the present machine and program do not do what the customer wants; "" if they do.
+
+        After work on a machine the original program is judged, too.
+        """
         texts = [self._text] + [self.setup.program] * (self._work_on_machine and self._text != self.setup.program)
         self.box.meter.end()
         return next(

@@ -26,8 +26,13 @@ CAUSES = {
 
 @dataclass(frozen=True)
 class Setup:
-    """A set-up. equip: breaks the machine at power-up, each time, until `cause` has been mended; program: the host's; trial: what
-    the customer wants of the machine and its program."""
+    """Broken set-up.
+
+    Attributes:
+        equip: Breaks the machine at each power-up, until `cause` has been repaired.
+        program: Of the host.
+        trial: What the customer wants of the machine and its program.
+    """
 
     name: str
     cause: str

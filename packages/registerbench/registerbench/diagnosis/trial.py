@@ -36,9 +36,17 @@ class Sample(NamedTuple):
 
 @dataclass(frozen=True)
 class Trial:
-    """stops: where x rests, one after the other, m; from_start: seen from where it begins; rate: pps, at the top of each way;
-    seconds: for all; ramp: s that the first way takes at least to come to its rate; starts: where x is put at power-up, a run for
-    each; within: m."""
+    """Requirements of the customer on a run.
+
+    Attributes:
+        stops: Where x rests, one after the other, m.
+        from_start: They are seen from where x begins.
+        rate: At the top of each leg, pps.
+        seconds: For all.
+        ramp: Seconds that the first leg takes at least to reach its rate.
+        starts: Where x is put at power-up, a run for each.
+        within: m.
+    """
 
     stops: tuple[float, ...]
     rate: float
