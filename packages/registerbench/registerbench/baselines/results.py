@@ -237,7 +237,7 @@ def page(all_: Runs) -> str:
         made_by=made_by(all_), distance=DISTANCE, mm=DISTANCE * MM, payloads=payloads, budget=all_.budget, seeds=all_.seeds,
         limit=LIMIT, tables="\n".join(tables), verdicts="\n".join(verdicts), comparison="\n".join(comparison(runs, payloads_)),
         versions=versions, minutes=all_.took / 60, moves=sum(len(r.search) for r in runs),
-        more=sum(len(log) for r in runs for log in (*r.proofs.values(), *r.test.values())), safety=formula.SAFETY,
+        more=sum(len(log) for r in runs for log in (*r.proofs.values(), *r.test.values())), safety=formula.SAFETY_FACTOR,
         held=MAX_HOLDING, margin=MARGIN, tolerance=TOLERANCE, repeats=REPEATS, candidates=CANDIDATES, model=all_.model,
         new=CONTEXTS[NEW].moves, shorter=CONTEXTS[SHORTER].moves, shortest=MIN_DISTANCE * MM,
         each=CONTEXTS[f"+{HEAVIER[0]:g} kg"].moves, step=HEAVIER[0], most=HEAVIER[-1], flattered=flattered(runs), enough=SEEDS,
