@@ -32,7 +32,7 @@ def test_the_solver_has_little_left_to_do_while_carriages_move(model, chips, mos
     stage = Stage(model, chips=chips, visuals=False)
     for axis in stage.axes.values():
         driver = driver_of(axis)
-        driver.ready()
+        driver.prepare()
         driver.run(1, Speeds(start=500, drive=2000))
     stage.run(0.3)
     iterations = []

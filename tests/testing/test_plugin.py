@@ -525,11 +525,11 @@ def test_ctrl_c_closes_the_recording_and_stops_the_firmware(session, driver, pyt
             raise KeyboardInterrupt
         """
     pytester.makeconftest(
-        "def pytest_unconfigure():\n    print('LEFT', stage.recording, [r._on_close for r in stage.recordings])\n"
+        "def pytest_unconfigure():\n    print('LEFT', stage.recording, [' closed' in repr(r) for r in stage.recordings])\n"
     )
     result, text = session(source, "-s", no_reraise_ctrlc=True)
     assert result.ret == pytest.ExitCode.INTERRUPTED
-    assert "LEFT None [None]" in text
+    assert "LEFT None [True]" in text
 
 
 @pytest.mark.slow

@@ -165,7 +165,7 @@ def test_a_seed_proves_the_same_machines_and_another_seed_others():
 
 
 def test_a_machine_leaves_nothing_behind_and_is_the_one_that_a_stage_is_built_with():
-    """The same move, to the tolerance of MuJoCo's solver, after three other machines and on a stage that was built with this motor."""
+    """The same move, to the tolerance of the solver, after three other machines and on a stage that was built with this motor."""
     task = task_with()
     plans = create_planner(task)
     plan = plans.build_formula_plan()
