@@ -66,9 +66,9 @@ class Browser:
 
     def click(self, name):
         """A real click, of the mouse, where the element is then to be seen."""
-        self.shown(name).click()
+        self.scroll_to(name).click()
 
-    def displayed(self, name):
+    def scroll_to(self, name):
         """The element, in the middle of the window, when it has come to rest there."""
         self.until(lambda: self.find(name).is_displayed())
         before: list[dict] = []
@@ -82,11 +82,11 @@ class Browser:
         return self.until(rests)
 
     @contextmanager
-    def current(self, name):
+    def press_and_hold(self, name):
         """The mouse's button is down on the element for as long as the block lasts."""
         from selenium.webdriver.common.action_chains import ActionChains
 
-        ActionChains(self.driver).click_and_hold(self.shown(name)).perform()
+        ActionChains(self.driver).click_and_hold(self.scroll_to(name)).perform()
         try:
             yield
         finally:
@@ -111,7 +111,7 @@ class Browser:
         """Click a field, and type in place of what it holds."""
         from selenium.webdriver.common.keys import Keys
 
-        field = self.shown(name)
+        field = self.scroll_to(name)
         field.click()
         field.send_keys(Keys.CONTROL + "a")  # the key goes up at the end of a call
         field.send_keys(*keys)

@@ -22,7 +22,7 @@ def fault_bench(bench):
 
 def press(bench, name, *keys):
     """Keys to a slider, as somebody without a mouse has it."""
-    slider = bench.browser.shown(name)
+    slider = bench.browser.scroll_to(name)
     slider = slider.find_elements("css selector", "[tabindex='0']") or [slider]
     slider[0].send_keys(*keys)
 
@@ -75,7 +75,7 @@ def test_a_push_ends_with_the_button(fault_bench):
 
     before = fault_bench.x("position")
     browser.type("push-force", "25")
-    with browser.held("push-plus"):
+    with browser.press_and_hold("push-plus"):
         browser.until(lambda: force() == 25.0)
         browser.until(lambda: fault_bench.x("position") > before + 1e-6)
     browser.until(lambda: force() == 0.0)
@@ -88,12 +88,12 @@ def test_an_excessive_push_is_an_error_at_its_field_and_is_not_applied(fault_ben
         ("1e300", "up to 503 N"),
     ):
         browser.type("push-force", typed)
-        with browser.held("push-plus"):
+        with browser.press_and_hold("push-plus"):
             browser.until(lambda message=message: message in browser.error_at("push-force"))
     assert fault_bench.stage(lambda stage: stage.data.qfrc_applied[stage.axes["x"].plant.dof]) == 0
     browser.type("push-force", "25")
     before = fault_bench.x("position")
-    with browser.held("push-plus"):
+    with browser.press_and_hold("push-plus"):
         browser.until(lambda: fault_bench.x("position") > before + 1e-6)
         assert browser.error_at("push-force") == ""
 

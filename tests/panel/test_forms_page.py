@@ -80,12 +80,12 @@ def test_an_axis_jogs_while_a_button_is_down(bench):
     browser = bench.browser
     browser.click("tab-jog")
     fill(browser, jog__speed="slow")
-    with browser.held("jog-plus"):
+    with browser.press_and_hold("jog-plus"):
         browser.until(lambda: "is not a number" in browser.error_at("jog-speed"))
     assert bench.session.view.action == ""
     fill(browser, jog__speed="20")
     before = bench.x("commanded")
-    with browser.held("jog-plus"):
+    with browser.press_and_hold("jog-plus"):
         browser.until(lambda: bench.x("commanded") > before + MM)
         assert browser.error_at("jog-speed") == ""
         assert bench.session.view.action == "jog x"
@@ -100,7 +100,7 @@ def test_a_jog_by_the_space_bar_ends_with_the_key(bench):
     from selenium.webdriver.common.keys import Keys
 
     browser = bench.browser
-    button = browser.shown("jog-minus")
+    button = browser.scroll_to("jog-minus")
     before = bench.x("commanded")
     browser.driver.execute_script("arguments[0].focus()", button)
     ActionChains(browser.driver).key_down(Keys.SPACE).perform()
@@ -131,7 +131,7 @@ def test_a_double_click_is_one_move(bench):
     browser.click("tab-move")
     fill(browser, move__distance="3", move__speed="20")
     with bench.slow_motion():
-        ActionChains(browser.driver).double_click(browser.shown("go-move")).perform()
+        ActionChains(browser.driver).double_click(browser.scroll_to("go-move")).perform()
         browser.until(lambda: not browser.find("go-move").is_enabled())
     browser.until(lambda: "done" in browser.text("report"))
     browser.until(lambda: browser.find("go-move").is_enabled())

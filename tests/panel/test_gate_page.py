@@ -45,7 +45,7 @@ def test_who_loses_the_controls_lets_go_of_a_jog(bench, second):
     first = bench.browser
     first.until(lambda: first.text("controls") == "2 watching")
     first.click("tab-jog")
-    with first.held("jog-plus"):
+    with first.press_and_hold("jog-plus"):
         first.until(lambda: bench.session.view.action == "jog x")
         second.click("controls")
         second.until(lambda: bench.session.view.action == "")

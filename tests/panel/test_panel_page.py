@@ -25,7 +25,7 @@ def test_a_double_click_on_a_toggle_is_one_click(browser):
     from selenium.webdriver.common.action_chains import ActionChains
 
     browser.until(lambda: "stands still" not in browser.text("pace"))
-    ActionChains(browser.driver).double_click(browser.shown("play")).perform()
+    ActionChains(browser.driver).double_click(browser.scroll_to("play")).perform()
     browser.until(lambda: "stands still" in browser.text("pace"))
     browser.click("play")
     browser.until(lambda: "stands still" not in browser.text("pace"))
