@@ -41,7 +41,7 @@ from stage.envs.features import HOST, TRUTH, Feature
 from stage.envs.machines import MachineSettings, MachineTask
 from stage.envs.results import SCORE_FEATURE, write_scores
 from stage.envs.settings import AxisName, Counts, Number, NumberOrRange, Pair, Range, Seconds, Weight
-from stage.envs.synchronized_move import SynchronizedMove
+from stage.envs.synchronized_move import END_FEATURES, LINE_FEATURES, SynchronizedMove
 from stage.envs.task import find_judged_point
 from stage.envs.trial import TENTH_MM, compute_move_time
 from stage.errors import ArgumentError
@@ -95,18 +95,10 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
         Feature("rate", HOST, "pps of the longest axis, that was chosen", kind=float),
         Feature("ramp", HOST, "s, that was chosen", kind=float),
         Feature("registers", HOST, "that these and the corrections make", kind=int),
-        Feature(
-            "deviation",
-            HOST,
-            "pulses off the line, which follow from the registers; infinite if not finished",
-            kind=float,
-        ),
-        Feature("carriage_deviation", TRUTH, "m off the line", kind=float),
-        Feature("duration", HOST, "s", kind=float),
+        *LINE_FEATURES,
         Feature("usual", HOST, "s, that the usual rate takes", kind=float),
         Feature("vibration", TRUTH, "m, travel of the point at which moves are judged after the stop", kind=float),
-        Feature("lost_steps", TRUTH, "full steps of each axis", kind=int),
-        Feature("finished", HOST, "all axes made their pulses", kind=bool),
+        *END_FEATURES,
         Feature("proved", TRUTH, "s, the cost of the try if it held in the proof; infinite if not", kind=float),
         SCORE_FEATURE,
     )

@@ -110,6 +110,24 @@ class Config(settings.Settings):
         return float(low), float(high)
 
 
+LINE_FEATURES = (
+    Feature(
+        "deviation",
+        HOST,
+        "pulses off the line, which follow from the registers; infinite if not finished",
+        kind=float,
+    ),
+    Feature("carriage_deviation", TRUTH, "m off the line", kind=float),
+    Feature("duration", HOST, "s", kind=float),
+)
+"""How well and how fast a move followed its line."""
+END_FEATURES = (
+    Feature("lost_steps", TRUTH, "full steps of each axis", kind=int),
+    Feature("finished", HOST, "all axes made their pulses", kind=bool),
+)
+"""How a move of several axes ended."""
+
+
 class SynchronizedMove(MoveTask[Config]):
     Config: ClassVar[type] = Config
     OPTIONS: ClassVar[tuple[str, ...]] = ("distances", "rate")
@@ -128,16 +146,8 @@ class SynchronizedMove(MoveTask[Config]):
         Feature("last_finished", HOST, "1 if it was finished"),
     )
     INFO: ClassVar[tuple[Feature, ...]] = (
-        Feature(
-            "deviation",
-            HOST,
-            "pulses off the line, which follow from the registers; infinite if not finished",
-            kind=float,
-        ),
-        Feature("carriage_deviation", TRUTH, "m off the line", kind=float),
-        Feature("duration", HOST, "s", kind=float),
-        Feature("lost_steps", TRUTH, "full steps of each axis", kind=int),
-        Feature("finished", HOST, "all axes made their pulses", kind=bool),
+        *LINE_FEATURES,
+        *END_FEATURES,
         Feature("distances", HOST, "pulses of each axis, of a reset the next move's", kind=int),
         Feature("rate", HOST, "pps, likewise", kind=float),
         Feature("registers", HOST, "that were chosen", kind=int),
