@@ -63,7 +63,7 @@ def test_what_is_no_integer_of_the_range_is_refused_in_words(written, sentence):
 
 
 @pytest.mark.parametrize("much", [2**63, -(2**63), str(2**63)])
-def test_a_integer_has_at_most_64_bits(much):
+def test_an_integer_has_at_most_64_bits(much):
     assert "9223372036854775807" in refuse(integer(), much)
 
 
