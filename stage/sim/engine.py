@@ -70,7 +70,7 @@ from stage.sim.records import (
     WIPED,
     clock_at,
 )
-from stage.sim.warm_start import force_change
+from stage.sim.warm_start import apply_effort
 
 _step = called(None, "i8", "i8")
 _get_state = called(None, "i8", "i8", "i8", "i4")
@@ -281,17 +281,10 @@ def _run(h, until):
         if clock.currents:
             _set_currents(h)
         for a in range(len(axis_records)):
-            t = axis_table[a]
-            speed, before = speeds[t.dof], ctrl[t.actuator]
-            gain = clock.half * t.gear * t.gear / inertia[t.dof]
-            effort = drive.effort(
-                rows[a], axis_records[a].counts, clock.slices, positions[t.qpos] * t.gear, speed * t.gear, clock.h, gain
-            )
-            ctrl[t.actuator] = effort
-            accelerations[t.dof] += (
-                force_change(axis_records[a], t, rows[a], effort - before, speed, damping[t.dof], core_loss[t.actuator])
-                / inertia[t.dof]
-            )
+            apply_effort(
+                clock, axis_records[a], axis_table[a], rows[a], positions, speeds,
+                ctrl, accelerations, inertia, damping, core_loss,
+            )  # fmt: skip
         _step(clock.mj_step, (h.mj_model, h.mj_data))
         w.slice = 0
         w.start += clock.dt

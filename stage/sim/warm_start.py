@@ -27,3 +27,21 @@ def force_change(axis, t, d, effort_change, speed, damping, core_loss):
     rotor_change = speed_change * t.gear
     torque_change = drive.torque_change(d, effort_change, rotor_change) - core_loss * rotor_change
     return torque_change * t.gear - damping * speed_change
+
+
+@hot
+def apply_effort(clock, axis, t, d, q, v, ctrl, accelerations, inertia, damping, core_loss):
+    """Set what goes to an axis' actuator in the next physics step, and predict the acceleration of its joint.
+
+    Args:
+        clock: CLOCKWORK of the stage.
+        axis: AXIS of the axis; t, d: its rows of AXIS_TABLE and DRIVE.
+        q, v, ctrl, accelerations: MuJoCo's qpos, qvel, ctrl and qacc_warmstart.
+        inertia, damping, core_loss: MuJoCo's dof_M0, dof_damping and actuator_damping.
+    """
+    speed, before = v[t.dof], ctrl[t.actuator]
+    gain = clock.half * t.gear * t.gear / inertia[t.dof]
+    effort = drive.effort(d, axis.counts, clock.slices, q[t.qpos] * t.gear, speed * t.gear, clock.h, gain)
+    ctrl[t.actuator] = effort
+    change = force_change(axis, t, d, effort - before, speed, damping[t.dof], core_loss[t.actuator])
+    accelerations[t.dof] += change / inertia[t.dof]

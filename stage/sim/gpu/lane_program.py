@@ -23,7 +23,7 @@ from stage.sim.gpu.layout import HOST, PLAYING, WARP
 from stage.sim.play import DIVERGED, PLAYED, inspect_axis
 from stage.sim.program import END, KEEP, LOOK, MEASURE, READ, STOP, WRITE
 from stage.sim.records import AXIS, MAX_SPEED, SECOND, SLICES, SWITCH, WORLD, clock_at
-from stage.sim.warm_start import force_change
+from stage.sim.warm_start import apply_effort
 
 LOST = 1 << 62
 """Beside the bits of axes in motion: a step was lost that the program wants to keep."""
@@ -305,17 +305,10 @@ def advance_lanes(
         world.now = end
         host.stepped = 1
         for j in range(c.axes):
-            t = table[j]
-            speed, before = v[t.dof], ctrl[copy, t.actuator]
-            gain = clockwork.half * t.gear * t.gear / inertia[copy, t.dof]
-            effort = drive.effort(
-                drives[j], axes[j].counts, clockwork.slices, q[t.qpos] * t.gear, speed * t.gear, clockwork.h, gain
-            )
-            ctrl[copy, t.actuator] = effort
-            warmstart[copy, t.dof] += (
-                force_change(axes[j], t, drives[j], effort - before, speed, damping[t.dof], core_loss[t.actuator])
-                / inertia[copy, t.dof]
-            )
+            apply_effort(
+                clockwork, axes[j], table[j], drives[j], q, v,
+                ctrl[copy], warmstart[copy], inertia[copy], damping, core_loss,
+            )  # fmt: skip
         if lane == 0:
             playing[0] = 1
     elif in_use and not host.frozen:
