@@ -561,7 +561,7 @@ def test_fault_lists_them_all_and_what_does_not_happen_as_claimed_ends_with_1(mo
         assert main(["fault", "jam"]) == code
         said = capsys.readouterr().out.splitlines()
         assert (said[0], said[-1]) == ("jam: a claim", says)
-        assert "How a host can tell: a notice" in said
+        assert "How a host can detect it: a notice" in said
 
 
 @pytest.mark.skipif(sys.platform in ("darwin", "win32"), reason="there is a screen always")

@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     check_outputs(args)
     record = partial(record_for_plot, args, interval=SAMPLE_INTERVAL_S)
     result = demonstrations.show(args.name, partial(make_stage, args), record, args.plot is not None)
-    print(f"{result.name}: {result.demo.claim}\n\n{result.table()}\n\nHow a host can tell: {result.demo.notice}")
+    print(f"{result.name}: {result.demo.claim}\n\n{result.table()}\n\nHow a host can detect it: {result.demo.notice}")
     healthy, faulty = result.figures
     tell(
         args, fault=result.name, claim=result.demo.claim, notice=result.demo.notice, as_claimed=result.as_claimed,
