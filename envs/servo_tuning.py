@@ -121,7 +121,7 @@ class ServoTuning(Tuning[Config]):
         self.first = len(p)  # of the pairs of a wait and a look
         for k in range(self.samples):
             (p.measure if k >= self.samples - self.tail else p.wait)(LOOK)
-            p.look(self.axis.index)
+            p.sample_position(self.axis.index)
         return p
 
     def judge(self, played: Played, truth: np.ndarray) -> None:

@@ -150,13 +150,13 @@ class Trial(StartPositions):
         """
         p = Program()
         if self.encoder:
-            p.look(self.axis.index)
+            p.sample_position(self.axis.index)
         self.driver.write_move(p, values, distance)
         self.stop = len(p)  # the wait for the stop
         self.driver.write_stop(p.until_stopped([self.axis.index], limit, keep_step=keep_step))
         self.rest = len(p)
         p.measure(self.settle, self.point)
-        return p.look(self.axis.index) if self.encoder else p
+        return p.sample_position(self.axis.index) if self.encoder else p
 
     def is_hopeless(self, program: Program, distance: int, limit: float) -> bool:
         """Return whether the chip alone cannot make the pulses within the limit, so that physics need not run.

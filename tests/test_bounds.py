@@ -107,7 +107,7 @@ ON_A_STAGE = {
     "ns of a wait": (
         lambda s, v: Fleet([s], 1).play(np.array([[[0, 0, 0, 0], [3, v, 0, 0]]])), (0, 0), (),
     ),
-    "axis of a look": (lambda s, v: Fleet([s], 1).play([Program().look(v)]), (0, 1), (-1, 2)),
+    "axis of a sampled position": (lambda s, v: Fleet([s], 1).play([Program().sample_position(v)]), (0, 1), (-1, 2)),
     "poll of a wait": (
         lambda s, v: Fleet([s], 1).play(np.array([[[4, 1, v, MAX_TIME_NS]]])), (1, MAX_TIME_NS), (0, MAX_TIME_NS + 1),
     ),

@@ -82,7 +82,7 @@ def test_a_program_does_what_a_python_driver_does_to_the_bit(first):
 
 
 def test_a_wait_whose_limit_a_poll_meets_exactly_ends_there_compiled_and_in_python(first):
-    """a bus cycle of 1 us and polls of 250 us: the fourth look is 754 us after the begin"""
+    """a bus cycle of 1 us and polls of 250 us: the fourth poll is 754 us after the begin"""
     p = Program().command(0, 0x08)
     for name, value in {"R1": 1000, "R2": 1000, "R7": 12}.items():
         p.register(0, first.axes["x"].chip, name, value)
@@ -131,9 +131,9 @@ def test_a_stage_that_diverges_does_not_stop_the_others(first):
     assert (fleet.truth()["counter"][[0, 2, 3, 4]] == 0).all()
 
 
-@pytest.mark.parametrize(("bus_cycle", "poll"), [(1e-6, 2e-3), (1e-3, 1e-6)], ids=["in the rest", "in a look"])
+@pytest.mark.parametrize(("bus_cycle", "poll"), [(1e-6, 2e-3), (1e-3, 1e-6)], ids=["in the rest", "in a poll"])
 def test_a_stage_that_diverges_while_a_program_waits_for_a_stop_ends_it(bus_cycle, poll):
-    """Program().until_stopped([0], 5, poll) on a stage that diverges in the first ms, between two looks or in one"""
+    """Program().until_stopped([0], 5, poll) on a stage that diverges in the first ms, between two polls or in one"""
     stage = Stage("xy", bus_cycle=bus_cycle, visuals=False)
     chip = stage.axes["x"].chip
     p = Program().register(0, chip, "R1", 500).register(0, chip, "R7", 100).command(0, 0x40).command(0, 0x10)
@@ -198,10 +198,10 @@ def test_a_point_is_one_that_each_stage_of_the_fleet_has(first):
     more.worldbody.add_body(name="beside").add_site(name="more")
     fleet = Fleet([bare, Stage(more, visuals=False)], 1)
     for point in (bare.model.nsite, 1 - bare.model.nbody):
-        fleet.play([Program().look(0, point)] * 2)
+        fleet.play([Program().sample_position(0, point)] * 2)
     for point in (bare.model.nsite + 1, -bare.model.nbody):
         with pytest.raises(ArgumentError, match="program 0, operation 0: LOOK"):
-            fleet.play([Program().look(0, point)] * 2)
+            fleet.play([Program().sample_position(0, point)] * 2)
 
 
 def test_axes_of_a_wait_are_a_set(first):
@@ -296,7 +296,7 @@ def test_a_position_reading_is_in_pm_and_extremes_are_of_measured_time_alone(fir
     fleet = Fleet(stages(first, 2), 1)
     x, z = fleet.stages[0].axes.values()
     fleet.stages[0].place(x=0.0123, z=-0.01)
-    played = fleet.play([Program().wait(1.3e-4).look(0).look(1), Program()])
+    played = fleet.play([Program().wait(1.3e-4).sample_position(0).sample_position(1), Program()])
     assert played.results[0].tolist() == [0, *(int(np.floor(axis.position * 1e12)) for axis in (x, z))]
     assert played.results[1].tolist() == [0, 0, 0]
     assert (played.extremes == [np.inf, -np.inf]).all()
@@ -319,9 +319,9 @@ def test_what_a_point_travels_is_the_diagonal_of_its_box_by_python_as_by_compile
     for name, value in {"R1": 500, "R2": 500, "R7": 30}.items():
         p.register(0, PCL240K, name, value)
     p.command(0, 0x40).command(0, 0x10).wait(0.03)
-    p.look(0, site, 0).look(0, -body, 2)
+    p.sample_position(0, site, 0).sample_position(0, -body, 2)
     p.measure(0.02, site).measure(0.02, -body).measure(0.02).measure(0, site)
-    p.look(0, site, 0).look(0, -body, 2)
+    p.sample_position(0, site, 0).sample_position(0, -body, 2)
     played = one.play([p])
     other.stages[0].record()
     assert other.list_python_stages() == [0], "Python plays it"
@@ -336,7 +336,7 @@ def test_what_a_point_travels_is_the_diagonal_of_its_box_by_python_as_by_compile
     assert as_high == height
     for wrong in ((0, model.nsite + 1), (0, -model.nbody), (0, 1, 3), (0, 1, -1)):
         with pytest.raises(ArgumentError, match="A point is 1"):
-            one.play([Program().look(*wrong)])
+            one.play([Program().sample_position(*wrong)])
 
 
 def test_a_register_is_written_by_a_program_as_its_family_takes_it():
@@ -396,7 +396,7 @@ WRONG = {
     "write": (lambda n: Program().write(0, 0, n), "value"),
     "address": (lambda n: Program().write(0, n, 0), "address"),
     "read": (lambda n: Program().read(n, 0), "axis"),
-    "look": (lambda n: Program().look(n), "axis"),
+    "sample_position": (lambda n: Program().sample_position(n), "axis"),
     "point": (lambda n: Program().measure(1, n), "point"),
     "stop": (lambda n: Program().until_stopped([n], 1), "ax[ei]s"),
 }

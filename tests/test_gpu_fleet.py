@@ -212,7 +212,7 @@ def test_a_fleet_on_a_gpu_checks_programs_and_plays_longer_ones_later(stage):
     with pytest.raises(ArgumentError, match="WAIT"):
         fleet.play(np.full((2, 1, 4), [3, fleets.MAX_TIME_NS + 1, 0, 0]))
     fleet.play([Program().wait(1e-3)] * 2)
-    assert fleet.play([Program().wait(1e-3).look(0).wait(1e-3)] * 2).results.shape == (2, 3)
+    assert fleet.play([Program().wait(1e-3).sample_position(0).wait(1e-3)] * 2).results.shape == (2, 3)
     assert fleet.truth()["now"].max() == 3_000_000
 
 
@@ -220,7 +220,7 @@ def test_a_fleet_on_a_gpu_checks_programs_and_plays_longer_ones_later(stage):
 def test_arrays_on_a_gpu_reach_other_libraries(stage):
     torch = pytest.importorskip("torch")
     fleet = Fleet([stage], device="cuda", copies=5)
-    played = fleet.play([Program().wait(1e-3).look(0)] * 5)
+    played = fleet.play([Program().wait(1e-3).sample_position(0)] * 5)
     qpos, results = (torch.from_dlpack(fleet.arrays[name]) for name in ("qpos", "results"))
     assert qpos.is_cuda
     assert qpos.shape == (5, 3)

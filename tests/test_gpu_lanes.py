@@ -119,7 +119,8 @@ def steppers(rng):
         pulses = int(rng.integers(least, maximum))
         driver.write_move(p, driver.formula(800, 5000, 0.004, 0.003, pulses), pulses)
     p.until_stopped([0, 1, 2], 0.03, poll=float(rng.uniform(5e-5, 4e-4)))
-    p.wait(float(rng.uniform(0, 1e-3))).look(1).look(0, 1, 2).measure(float(rng.uniform(5e-4, 2e-3)), 1)
+    p.wait(float(rng.uniform(0, 1e-3))).sample_position(1).sample_position(0, 1, 2)
+    p.measure(float(rng.uniform(5e-4, 2e-3)), 1)
     for axis in range(3):
         p.read(axis, 0).read(axis, 1)
     return stage, p.until_stopped([0, 2], 0.01, keep_step=True).measure(0.0).write(0, 0, 8)
@@ -132,7 +133,7 @@ def servos(rng):
         driver = driver_of(axis)
         driver.write_servo_move(p, driver.filter_formula(), int(rng.integers(40, 90)), (2e4, 4e6))
     p.until_stopped([0, 1, 2], 0.01).measure(0.001, -1)
-    return stage, p.read(0, 0x14).read(1, 0x13).look(2)
+    return stage, p.read(0, 0x14).read(1, 0x13).sample_position(2)
 
 
 @pytest.mark.parametrize("seed", range(2))

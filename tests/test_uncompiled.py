@@ -84,7 +84,7 @@ def every_operation():
     p = Program().command(0, 0x08)
     for name, value in {"R0": 12, "R2": 30, "R7": 5}.items():
         p.register(0, chip, name, value)
-    p.command(0, 0x44).command(0, 0x11).wait(1e-3).read(0, 0).until_stopped([0], 0.05).measure(1e-3).look(0)
+    p.command(0, 0x44).command(0, 0x11).wait(1e-3).read(0, 0).until_stopped([0], 0.05).measure(1e-3).sample_position(0)
     p.command(0, 0x08).command(0, 0x40).command(0, 0x11).until_stopped([0, 1], 2e-3)
     played = fleet.play([p])
     assert played.results[0, -1] < 0, "X has not stopped"
@@ -231,7 +231,7 @@ def a_closed_loop():
     p = Program()
     servo.control(type("Bus", (), {"write": staticmethod(lambda *w: p.write(0, *w))}))
     p.register(0, x.chip, "R29", 30).register(0, x.chip, "R28", 5).register(0, x.chip, "R26", 0x80).write(0, 0, 0x08)
-    played = fleet.play([p.until_stopped([0], 0.01).read(0, 0x14).look(0)])
+    played = fleet.play([p.until_stopped([0], 0.01).read(0, 0x14).sample_position(0)])
     yield played.results.tobytes() + fleet.truth().tobytes()
 
 
@@ -363,7 +363,7 @@ def test_a_program_of_a_driver_in_python_makes_the_same_bits():
     fleet, stage = Fleet([make_stage()], threads=1), make_stage()
     chip = stage.axes["y"].chip
     p = Program().command(1, 0x08).register(1, chip, "R0", 9).register(1, chip, "R2", 30).register(1, chip, "R7", 5)
-    p.command(1, 0x44).command(1, 0x11).until_stopped([1], 0.05).measure(1e-3).look(1).read(1, 0).wait(1e-4)
+    p.command(1, 0x44).command(1, 0x11).until_stopped([1], 0.05).measure(1e-3).sample_position(1).read(1, 0).wait(1e-4)
     ops = np.array(p.ops)
     results, extremes = np.zeros(len(ops), np.int64), np.full((stage.model.nq, 2), np.inf) * [1, -1]
     assert play.play_in_python(stage, ops, results, extremes) == play.PLAYED

@@ -254,7 +254,7 @@ class _PythonPlayer:
         data = self.stage.data
         return data.site_xpos[point - 1] if point > 0 else data.xpos[-point]
 
-    def look(self, axis: int, point: int, coordinate: int) -> int:
+    def sample_position(self, axis: int, point: int, coordinate: int) -> int:
         at = self._place(point)[coordinate] if point else self.axes[axis].position
         return math.floor(at * 1e12)
 
@@ -286,7 +286,7 @@ def play_in_python(stage: Any, ops: np.ndarray, results: np.ndarray, extremes: n
     player = _PythonPlayer(stage, extremes)
     play_operation: dict[int, Any] = {
         WRITE: player.write, READ: player.read, WAIT: player.wait, STOP: player.stop, KEEP: player.keep,
-        LOOK: player.look, MEASURE: player.measure,
+        LOOK: player.sample_position, MEASURE: player.measure,
     }  # fmt: skip
     try:
         for j, (kind, *operands) in enumerate(ops.tolist()):

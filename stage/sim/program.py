@@ -176,13 +176,13 @@ class Program(Operations):
         self.ops.append((KEEP if keep_step else STOP, mask, _to_ns("poll", poll), _to_ns("limit", limit)))
         return self
 
-    def look(self, axis: int, point: int = 0, coordinate: int = 0) -> Self:
-        """Add a reading of a position; the result is in pm (prad on a hinge).
+    def sample_position(self, axis: int, point: int = 0, coordinate: int = 0) -> Self:
+        """Add a sample of a true position, which no bus cycle reads; the result is in pm (prad on a hinge).
 
         Args:
             axis: Index of the axis.
-            point: 0 for the position of the axis; else a point as of `measure`, whose place at the physics step's begin is read.
-            coordinate: Coordinate of the world that is read of the point, 0 to 2.
+            point: 0 for the position of the axis; else a point as of `measure`, sampled at the beginning of the physics step.
+            coordinate: Coordinate of the point in the world, 0 to 2.
         """
         self.ops.append((LOOK, _to_int("axis", axis), _to_int("point", point), _to_int("coordinate", coordinate)))
         return self

@@ -62,7 +62,7 @@ class Task:
         payload_on: Site or body that carries the payload. Default: site "work" if it rides on the axis, else the body that
             the axis moves.
         direction: 1 or -1: direction of the bus cycles in the result. Registers are tested in both directions.
-        sample_point: Index of `judge_at` in the form that `Program.look` takes; 0 for the axis itself.
+        sample_point: Index of `judge_at` in the form that `Program.sample_position` takes; 0 for the axis itself.
         payload_body: Name of the body that carries the payload.
         moving_mass: Mass that the axis moves without a payload, kg.
         travel_center: Center between the limit switches, m (rad). Moves are centered there.

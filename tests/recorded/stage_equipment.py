@@ -325,7 +325,7 @@ def measure_points():
     bodies = [mujoco.mj_name2id(m, mujoco.mjtObj.mjOBJ_BODY, name) for name in ("x", "y")]
     points = [site, m.nsite, -bodies[0], -bodies[1], 1 - m.nbody]
     for name, program in {
-        "points": lambda p: [p.look(0, point, k) for point in points for k in range(3)],
+        "points": lambda p: [p.sample_position(0, point, k) for point in points for k in range(3)],
         "measure": lambda p: [
             p.measure(s, point)
             for s, point in ((0.003, 0), (0.0101, site), (0.004, -bodies[1]), (0, site), (1e-9, 1 - m.nbody))
@@ -343,7 +343,7 @@ def measure_points():
         "keep": lambda p: [
             p.until_stopped([0], 0.02, keep_step=True),
             p.until_stopped([1], 0.5, 1e-3, True),
-            p.look(0),
+            p.sample_position(0),
         ],
         "end": lambda p: [p.wait(1e-3), p.ops.append((0, 9, 9, 9)), p.wait(5.0)],
     }.items():
@@ -351,7 +351,7 @@ def measure_points():
         start_preset(ProgramBus(p, 1), 700)
         p.wait(0.002)
         program(p)
-        p.look(2).look(1).read(1, 0)
+        p.sample_position(2).sample_position(1).read(1, 0)
         some = [copy.deepcopy(stage) for _ in range(2)]
         other = [copy.deepcopy(stage) for _ in range(2)]
         for k, s in enumerate((*some, *other)):

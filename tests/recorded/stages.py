@@ -286,7 +286,8 @@ def play_fleets():
         for k in range(3):
             p = Program()
             write_move(p, 0, chips, 300 + 100 * k)
-            p.until_stopped([0], 0.05 if k == 1 else 0.4).wait(0.003).look(0).read(0, 0).measure(0.011).look(1)
+            p.until_stopped([0], 0.05 if k == 1 else 0.4).wait(0.003)
+            p.sample_position(0).read(0, 0).measure(0.011).sample_position(1)
             programs.append(p)
         stages[2].chips[0].journal()
         played = fleet.play(programs)
@@ -296,7 +297,7 @@ def play_fleets():
             "truth": [[[truth[k, j][name] for name in TRUTH.names] for j in range(2)] for k in range(3)],
         }  # fmt: skip
         try:
-            fleet.play([Program().wait(1), Program(), Program().look(7)])
+            fleet.play([Program().wait(1), Program(), Program().sample_position(7)])
         except StageError as error:
             results[f"{chips.__name__} bad"] = str(error)
     return results
