@@ -32,26 +32,26 @@ class Frame(NamedTuple):
 
 FRAMES = (
     Frame(client.HELLO, "HELLO", "`PULSESTG`, u32 version, u32 role (0 drive, 1 observe)", "u32 version, JSON text",
-          "first of each connection; the text tells of axes, chips and ports", True),
+          "first of each connection; the text describes axes, chips and ports", True),
     Frame(client.BATCH, "BATCH", "entries of 32 bytes, see below", "i64 of each entry", "bus cycles and time, in order"),
     Frame(client.LOG, "LOG", "text", "", "a line for the log"),
-    Frame(client.HOOK, "HOOK", "u32", "", "1: INTERRUPT frames come while the interrupt line is asserted; 0: no more"),
-    Frame(client.RETURN, "RETURN", "text, empty if all is well", "none at all", "the hook that an INTERRUPT called has returned"),
+    Frame(client.HOOK, "HOOK", "u32", "", "1: send INTERRUPT frames while the interrupt line is asserted; 0: send none"),
+    Frame(client.RETURN, "RETURN", "text, empty if the hook succeeded", "no reply", "the hook that an INTERRUPT called has returned"),
     Frame(client.RESET, "RESET", "", "", "the reset pin of every chip"),
     Frame(client.SNAPSHOT, "SNAPSHOT", "name", "", "keeps the state under a name"),
-    Frame(client.RESTORE, "RESTORE", "name", "", "goes on from such a state; `start` is that with which the server began"),
+    Frame(client.RESTORE, "RESTORE", "name", "", "continues from such a state; `start` is the initial one"),
     Frame(client.STATUS, "STATUS", "", "i64 time (ns), i64 bus cycles, i64 interrupt line", "takes no time", True),
     Frame(client.POSITIONS, "POSITIONS", "", "of each axis f64 position, f64 commanded (m or rad), i64 lost steps",
-          "where the carriages are; takes no time", True),
+          "positions of the carriages; takes no time", True),
     Frame(client.PIN, "PIN", "name: `x.pout`, `x.switches.org`", "i64", "a chip's pin or a switch, 1 asserted; takes no time",
           True),
     Frame(client.STICK, "STICK", "u32 (0 released, 1 asserted, 2 cleared), name: `x.org`", "", "a switch that sticks"),
     Frame(client.TIMER, "TIMER", "u32 which (0 to 3), u32 level (1 to 15), i64 period (ns)", "",
-          "INTERRUPT frames come every period, for the first time that long from now; 0: no more"),
+          "INTERRUPT frames every period, the first after one period; 0: no more"),
     Frame(client.INTERRUPT, "INTERRUPT", "u32 (0 the interrupt line, 1 to 4 timer 0 to 3)", "",
-          "from the server, in the middle of a request: call the hook, then send RETURN"),
-    Frame(client.ERROR, "ERROR", "", "u32 n, n times i64, text", "from the server: what is wrong, in words; of a BATCH the answers "
-          "of the n entries that were done"),
+          "from the server, during a request: call the hook, then send RETURN"),
+    Frame(client.ERROR, "ERROR", "", "u32 n, n times i64, text", "from the server: an explanation in words; for a BATCH, the answers "
+          "of the n completed entries"),
 )  # fmt: skip
 
 ENTRIES = (
@@ -64,12 +64,12 @@ ENTRIES = (
     (client.LINE, "LINE", "", "", "whether the interrupt line is asserted"),
     (client.SPEND, "SPEND", "ns", "", "computing that takes time"),
     (client.IN32, "IN32", "port", "", "read 32 bits, in two cycles of 16, the low half first"),
-    (client.OUT32, "OUT32", "port", "value", "write 32 bits, likewise"),
-    (client.UNTIL8, "UNTIL8", "port", "value", "read until (what was read & `mask`) == value, `times` times at most, `every` us "
-     "apart; the answer is what was read last"),
-    (client.UNTIL16, "UNTIL16", "port", "value", "as UNTIL8, of 16 bits"),
-    (client.UNTIL_LINE, "UNTIL_LINE", "us", "", "until the interrupt line is asserted, `us` at most; the answer is 1 if it is, "
-     "else 0"),
+    (client.OUT32, "OUT32", "port", "value", "write 32 bits, in the same way"),
+    (client.UNTIL8, "UNTIL8", "port", "value", "read until (data & `mask`) == value, at most `times` times, `every` us "
+     "apart; the answer is the last value read"),
+    (client.UNTIL16, "UNTIL16", "port", "value", "as UNTIL8, with 16 bits"),
+    (client.UNTIL_LINE, "UNTIL_LINE", "us", "", "wait until the interrupt line is asserted, at most `us`; the answer is 1 if it is, "
+     "otherwise 0"),
 )  # fmt: skip
 """Entries of a BATCH: (what, name, a, b, what it does)."""
 

@@ -80,6 +80,6 @@ def test_the_lines_of_the_examples_are_counted_right():
     programs = ("arduino/hctl1100_home/hctl1100_home.ino", "avr/main.c", "vxworks/mcxDrv.c", "dos/home240.c")
     lines = [len((PORTS / name).read_text().splitlines()) for name in programs]
     assert [int(n) for n in re.findall(r"\| 0 of (\d+)", PAGE)] == lines
-    for name, counted in zip(("arduino", "avr"), re.findall(r"and (\d+) beside it", PAGE), strict=True):
+    for name, counted in zip(("arduino", "avr"), re.findall(r"and (\d+) in a separate file", PAGE), strict=True):
         text = (PORTS / name / "pins.cpp").read_text()
         assert len([x for x in text.splitlines() if x and not x.startswith("/*")]) == int(counted)

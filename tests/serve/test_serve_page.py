@@ -80,7 +80,7 @@ int main(int count, char **given)
 
 
 def client_of_the_page(language: str) -> str:
-    return re.search(rf"^```{language}\n(.*?)^```", PAGE.split("## A client of one's own")[1], re.M | re.S).group(1)
+    return re.search(rf"^```{language}\n(.*?)^```", PAGE.split("## Your own client")[1], re.M | re.S).group(1)
 
 
 @pytest.mark.parametrize("language", ["python", "c"])
