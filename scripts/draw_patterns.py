@@ -25,7 +25,7 @@ PATTERNS: list[Pattern] = []
 
 @dataclass(frozen=True)
 class Pattern:
-    """One pattern: `run` makes the move on a fresh bench; its docstring is the page's text, its source the page's code."""
+    """One pattern: `run` makes the move on a new bench; its docstring is the page's text, its source the page's code."""
 
     name: str
     title: str
@@ -51,30 +51,29 @@ def pattern(title: str, source: str) -> Callable:
 
 
 def axis():
-    """A fresh chip on a bench."""
+    """Return the axis of a new chip on a bench."""
     return Bench(PCL240K()).axes["x"]
 
 
 @pattern("High speed preset mode", "section 5 b")
 def high_speed_preset() -> Report:
-    """R0 holds the number of pulses, R6 the ramp-down point. The chip starts at FL, ramps up to FH1, compares R0 with R6
-    after each pulse, ramps down once R0 < R6, and stops at R0 = 0: five pulses after it has reached FL again, or a few
-    more.
+    """R0 contains the number of pulses, R6 the ramp-down point. The chip starts at FL, ramps up to FH1, compares R0 with R6
+    after each pulse, ramps down once R0 < R6, and stops at R0 = 0: five pulses, or a few more, after it has reached FL again.
     """
     return firmware.preset_move(axis(), 3000, P)
 
 
 @pattern("Constant speed preset mode", "section 5 c")
 def constant_speed_preset() -> Report:
-    """Bit 2 of the start command is 0: no ramps. From the first pulse on, the rate is that of the selected register; R6 has
-    no effect.
+    """Bit 2 of the start command is 0, so there are no ramps. From the first pulse on, the rate is that of the selected
+    register; R6 has no effect.
     """
     return firmware.preset_move(axis(), 2000, P, high_speed=False)
 
 
 @pattern("High speed continuous mode", "section 5 d")
 def high_speed_continuous() -> Report:
-    """Manual mode (40h): the chip runs until a stop command. 1Dh (from FH1; 1Fh from FH2) ramps down to FL and stops there.
+    """In manual mode (40h), the chip runs until a stop command. 1Dh (from FH1; 1Fh from FH2) ramps down to FL and stops there.
     R0 counts down from its present value, and wraps.
     """
     return firmware.continuous_move(axis(), 0.4, +1, P)
@@ -82,14 +81,14 @@ def high_speed_continuous() -> Report:
 
 @pattern("Constant speed continuous mode", "section 5 e")
 def constant_speed_continuous() -> Report:
-    """Manual mode without ramps. The reset command 08h stops at once; a pulse in progress is completed first."""
+    """This is the manual mode without ramps. The reset command 08h stops at once; the chip first completes a pulse in progress."""
     return firmware.continuous_move(axis(), 0.3, +1, P, high_speed=False)
 
 
 @pattern("High speed origin return mode", "section 5 f")
 def high_speed_origin_return() -> Report:
-    """Control mode 4Bh: origin return, SD enabled, minus. The SD switch lies before the origin: it slows the axis to FL, a
-    rate from which the motor can stop at ORG without a ramp.
+    """Control mode 4Bh is the origin return in minus direction with SD enabled. The SD switch lies before the origin: it slows
+    the axis to FL, a rate from which the motor can stop at ORG without a ramp.
     """
     bench = Bench(PCL240K())
     bench.rail("x", at=4000, sd_minus=(None, 700), org=(None, 0))
@@ -98,17 +97,17 @@ def high_speed_origin_return() -> Report:
 
 @pattern("Constant speed origin return mode", "section 5 g")
 def constant_speed_origin_return() -> Report:
-    """Control mode 49h: origin return, minus. Constant FL, ORG stops the axis."""
+    """Control mode 49h is the origin return in minus direction. The rate is constant FL, and ORG stops the axis."""
     bench = Bench(PCL240K())
     bench.rail("x", at=500, org=(None, 0))
     return firmware.origin_return(bench.axes["x"], -1, P, high_speed=False, slow_approach=False)
 
 
-@pattern("Origin return with a slow approach", "section 5 f; what firmware makes of it")
+@pattern("Origin return with a slow approach", "section 5 f; as firmware uses it")
 def origin_return_slow_approach() -> Report:
-    """The default of `origin_return`. After the fast return it leaves ORG at a very low rate (R1 rewritten), goes 100 pulses
-    further, and approaches again at that rate: the motor does not ring when the switch trips, and the position repeats within
-    a pulse.
+    """This is the default of `origin_return`. After the fast return, it leaves ORG at a very low rate (R1 rewritten), goes 100
+    pulses further, and approaches again at that rate: the motor does not oscillate when the switch trips, and the position
+    repeats within a pulse.
     """
     bench = Bench(PCL240K())
     bench.rail("x", at=4000, sd_minus=(None, 700), org=(None, 0))
@@ -117,49 +116,49 @@ def origin_return_slow_approach() -> Report:
 
 @pattern("Speed change during operation", "section 5 h")
 def speed_change() -> Report:
-    """A start command while running changes the rate: 15h, 17h and 14h ramp to FH1, FH2 and FL. The register that is not
-    selected may be rewritten during the run without effect and then selected, so any number of rates is possible.
+    """A start command during a run changes the rate: 15h, 17h and 14h ramp to FH1, FH2 and FL. The host can rewrite the
+    register that is not selected during the run without effect and then select it, so any number of rates is possible.
     """
     return firmware.speed_change_move(axis(), 6000, [4000, 9000, 6000, 12_000, 3000], P, dwell=0.08)
 
 
 @pattern("Dual rate mode (1), ramping up", "section 6")
 def dual_rate_up() -> Report:
-    """Started at constant FL (10h), later ramped up. Section 5 h says to set bit 2 before the rate is changed, hence 14h
-    before 15h.
+    """The move starts at constant FL (10h) and ramps up later. According to section 5 h, bit 2 must be set before the rate
+    changes, hence 14h before 15h.
     """
     return firmware.dual_rate_move(axis(), 2500, P, rates=("FL", "FH1"), dwell=0.15)
 
 
 @pattern("Dual rate mode (2), ramping down", "section 6")
 def dual_rate_down() -> Report:
-    """Started to FH1, later ramped down to FL by 14h, and ended at FL: with R6 = 5 there is no second ramp-down."""
+    """The move starts to FH1, ramps down to FL by 14h, and ends at FL: with R6 = 5, there is no second ramp-down."""
     return firmware.dual_rate_move(axis(), 2400, P, rates=("FH1", "FL"), dwell=0.15)
 
 
 @pattern("Dual rate, up and down", "section 3 a, 6")
 def dual_rate_up_and_down() -> Report:
-    """FL, FH1, FH2 and back to FH1 in one preset move; the ramp-down point is that of FH1, the last rate."""
+    """One preset move uses FL, FH1, FH2 and FH1 again; the ramp-down point is that of FH1, the last rate."""
     return firmware.dual_rate_move(axis(), 6500, P, rates=("FL", "FH1", "FH2", "FH1"), dwell=0.1)
 
 
 @pattern("Ramping up/down and interrupting mode", "section 6; section 4, R0")
 def ramping_and_interrupting() -> Report:
-    """3Dh is the decelerating stop with /INT at the stop. R0 keeps the residual pulses. The reset command clears /INT and
-    allows the next start, which makes the remaining pulses.
+    """3Dh is the decelerating stop with /INT at the stop. R0 contains the remaining pulses. The reset command clears /INT
+    and enables the next start, which makes these pulses.
     """
     return firmware.interrupted_move(axis(), 4500, P, after=0.25, pause=0.15)
 
 
 @pattern("Switchover of frequency register", "section 6")
 def switchover() -> Report:
-    """FH1 and FH2 by turns in a continuous run, then 1Dh."""
+    """A continuous run alternates between FH1 and FH2, then 1Dh stops it."""
     return firmware.dual_rate_move(axis(), None, P, rates=("FH1", "FH2", "FH1"), dwell=0.1, seconds=0.1)
 
 
 @pattern("Decelerating stop", "section 3 a")
 def decelerating_stop() -> Report:
-    """1Fh from FH2, here with /INT at the stop (bit 5: 37h, 3Fh)."""
+    """1Fh stops from FH2, here with /INT at the stop (bit 5: 37h, 3Fh)."""
     return firmware.continuous_move(axis(), 0.35, +1, P, fh2=True, interrupt=True)
 
 
@@ -173,7 +172,7 @@ def immediate_stop() -> Report:
 
 @pattern("Triangular drive", "Q & A")
 def triangular() -> Report:
-    """A move too short to reach FH1: R6 = R0 R5 / (R4 + R5). `preset_move` adds 2: rounding down takes up to one pulse, and
+    """The move is too short to reach FH1: R6 = R0 R5 / (R4 + R5). `preset_move` adds 2: rounding down takes up to one pulse, and
     R0 < R6 is true one pulse after R0 = R6. With the printed formula the chip is still a little above FL when R0 reaches
     0.
     """
@@ -182,20 +181,20 @@ def triangular() -> Report:
 
 @pattern("Ramp-down point too late", "section 4, R6, Fig. A")
 def down_point_too_late() -> Report:
-    """R6 is less than the pulses of the ramp-down: the output ends in the middle of the ramp-down."""
+    """R6 is smaller than the number of pulses of the ramp-down: the output ends in the middle of the ramp-down."""
     return firmware.preset_move(axis(), 3000, P, down_point=200)
 
 
 @pattern("Ramp-down point too early", "section 4, R6, Fig. C")
 def down_point_too_early() -> Report:
-    """R6 is more than the pulses of the ramp-down: the remaining pulses are made at FL, which takes long."""
+    """R6 is larger than the number of pulses of the ramp-down: the chip makes the remaining pulses at FL, which takes long."""
     return firmware.preset_move(axis(), 3000, P, down_point=700)
 
 
 @pattern("Acceleration in pieces", "Q & A")
 def curved_ramp() -> Report:
-    """The chip ramps linearly. When a ramp is long beside the host's bus cycles, acceleration rate R4 and speed register are
-    rewritten one after the other: here five pieces come near an S. The way down stays one line to FL.
+    """The chip ramps linearly. If a ramp is long compared with the host's bus cycles, the host can rewrite acceleration rate R4
+    and the speed register repeatedly: here five pieces approximate an S. The ramp down remains one line to FL.
     """
     pieces = [(2000, 0.12), (5000, 0.14), (11_000, 0.16), (14_000, 0.14), (15_000, 0.12)]
     return firmware.curved_ramp_move(axis(), 11_500, pieces, P)
@@ -203,8 +202,8 @@ def curved_ramp() -> Report:
 
 @pattern("Speed changed several times while ramping up", "Q & A")
 def steps_while_ramping_up() -> Report:
-    """The other answer of the Q & A: one acceleration rate, the speed register rewritten several times, and constant rate
-    between the ramps.
+    """This is the other answer of the Q & A: one acceleration rate, with the speed register rewritten several times, and a
+    constant rate between the ramps.
     """
     return firmware.speed_change_move(axis(), 7000, [4000, 8000, 12_000, 16_000], P, dwell=0.05)
 
@@ -222,7 +221,7 @@ def slow_down() -> Report:
 @pattern("End limit", "section 2, EL+ and EL-")
 def end_limit() -> Report:
     """The EL switch of the direction stops the output at once, whatever the mode; while it is asserted, a start in that
-    direction is refused, and a start in the other direction is allowed.
+    direction has no effect, and a start in the other direction works.
     """
     bench = Bench(PCL240K())
     bench.rail("x", el_plus=(2000, None))
@@ -231,8 +230,8 @@ def end_limit() -> Report:
 
 @pattern("Counting external pulses", "section 4, R0; output mode")
 def external_counting() -> Report:
-    """Output mode D0h: R0 counts the rising edges of EXTP in place of the output's pulses. The axis runs at FL until 20 of
-    them have come.
+    """In output mode D0h, R0 counts the rising edges of EXTP in place of the output's pulses. The axis runs at FL until 20 edges
+    have arrived.
     """
     return firmware.external_count(axis(), 20, P, rate=100)
 
@@ -240,19 +239,20 @@ def external_counting() -> Report:
 HEAD = """\
 # Operation patterns
 
-The figures of the PCL-240K data sheet's sections 5 and 6 are lost. Here the emulated chip draws them again: each picture
-is a move that firmware made by bus cycles, replayed to the clock. `scripts/draw_patterns.py` makes this page and its
-pictures from one list; a test compares the bytes below with those that the code writes now.
+The figures of sections 5 and 6 of the PCL-240K data sheet are lost. On this page, the emulated chip draws them again: each
+picture is a move that firmware made by bus cycles, replayed to the clock. `scripts/draw_patterns.py` makes this page and
+its pictures from one list; a test compares the bytes below with those that the code writes now.
 
-**How to read a picture.** Pulse rate over time; dashed, the rates FL, FH1, FH2. Above, with arrows, the bytes that start,
-change or stop a run; with dots, events in the chip: the ramp-down point R0 < R6, and the reason of the stop. Below, the
-pins, filled while asserted (FUP, FKEEP, FDOWN, HOLD high; SD, ORG, EL, EXTP and INT low). FKEEP is asserted at rest, too.
+**How to read a picture.** A picture shows the pulse rate over time; dashed lines are the rates FL, FH1, FH2. Above them,
+arrows mark the bytes that start, change or stop a run, and dots mark events in the chip: the ramp-down point R0 < R6, and
+the reason of the stop. Below them are the pins, filled while asserted (FUP, FKEEP, FDOWN, HOLD high; SD, ORG, EL, EXTP and
+INT low). FKEEP is also asserted at rest.
 
-**How to read the bytes.** The first byte of a row goes to address 0; any others are a register's bytes, for the addresses 3,
-2, 1, the last of them for address 1. Times are ms from the first start.
+**How to read the bytes.** The first byte of a row goes to address 0; any others are the bytes of a register, for the
+addresses 3, 2, 1, the last of them for address 1. Times are in ms from the first start.
 
-**How to make them.** The code of every pattern continues this code. `axis()` is a new chip; `stage.axes["x"]` can be used
-instead and moves a carriage. `report.plot("move.png")` draws the move of `report = firmware.preset_move(...)`.
+**How to make these moves.** The code of every pattern continues this code. `axis()` is a new chip; use `stage.axes["x"]`
+instead to move a carriage. `report.plot("move.png")` draws the move of `report = firmware.preset_move(...)`.
 
 ```python
 from stage import firmware
@@ -271,7 +271,7 @@ SPEED_DATA = """
 ## Setting speed data
 
 *Section 5 a.* `P = {call}`: the reset command, then R1 to R5 and R7. All patterns on this page begin with it.
-FL to FH1 takes Tsu = (R2 - R1) R4 / CLOCK = {accel:.1f} ms, and the same down.
+The ramp from FL to FH1 takes Tsu = (R2 - R1) R4 / CLOCK = {accel:.1f} ms, and so does the ramp down.
 
 {table}
 """
@@ -292,7 +292,7 @@ def is_speed_data(row: tuple[str, str, str]) -> bool:
 
 
 def section(p: Pattern, report: Report) -> str:
-    """The page's part on one pattern."""
+    """Return the section of the page about one pattern."""
     table_rows: list[tuple[str, str, str]] = []
     for row in rows(report):
         if not is_speed_data(row):
@@ -306,7 +306,7 @@ def section(p: Pattern, report: Report) -> str:
 
 
 def page(reports: dict[str, Report]) -> str:
-    """docs/patterns.md."""
+    """Return the text of docs/patterns.md."""
     first = [r for r in rows(next(iter(reports.values()))) if is_speed_data(r) or r[1] == "08"]
     call = next(re.finditer(r"^P = (.*)$", Path(__file__).read_text(), re.M))[1]
     speed = SPEED_DATA.format(call=call, accel=P.accel() * 1e3, table=table(first))
@@ -315,7 +315,7 @@ def page(reports: dict[str, Report]) -> str:
 
 
 def anchor(title: str) -> str:
-    """GitHub's name for a heading."""
+    """Return GitHub's anchor of a heading."""
     return re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
 
 

@@ -36,7 +36,8 @@ FRAMES = (
     Frame(client.BATCH, "BATCH", "entries of 32 bytes, see below", "i64 of each entry", "bus cycles and time, in order"),
     Frame(client.LOG, "LOG", "text", "", "a line for the log"),
     Frame(client.HOOK, "HOOK", "u32", "", "1: send INTERRUPT frames while the interrupt line is asserted; 0: send none"),
-    Frame(client.RETURN, "RETURN", "text, empty if the hook succeeded", "no reply", "the hook that an INTERRUPT called has returned"),
+    Frame(client.RETURN, "RETURN", "text, empty if the hook succeeded", "no reply",
+          "the hook that an INTERRUPT called has returned"),
     Frame(client.RESET, "RESET", "", "", "the reset pin of every chip"),
     Frame(client.SNAPSHOT, "SNAPSHOT", "name", "", "keeps the state under a name"),
     Frame(client.RESTORE, "RESTORE", "name", "", "continues from such a state; `start` is the initial one"),
@@ -50,8 +51,8 @@ FRAMES = (
           "INTERRUPT frames every period, the first after one period; 0: no more"),
     Frame(client.INTERRUPT, "INTERRUPT", "u32 (0 the interrupt line, 1 to 4 timer 0 to 3)", "",
           "from the server, during a request: call the hook, then send RETURN"),
-    Frame(client.ERROR, "ERROR", "", "u32 n, n times i64, text", "from the server: an explanation in words; for a BATCH, the answers "
-          "of the n completed entries"),
+    Frame(client.ERROR, "ERROR", "", "u32 n, n times i64, text",
+          "from the server: an explanation in words; for a BATCH, the answers of the n completed entries"),
 )  # fmt: skip
 
 ENTRIES = (
@@ -68,8 +69,8 @@ ENTRIES = (
     (client.UNTIL8, "UNTIL8", "port", "value", "read until (data & `mask`) == value, at most `times` times, `every` us "
      "apart; the answer is the last value read"),
     (client.UNTIL16, "UNTIL16", "port", "value", "as UNTIL8, with 16 bits"),
-    (client.UNTIL_LINE, "UNTIL_LINE", "us", "", "wait until the interrupt line is asserted, at most `us`; the answer is 1 if it is, "
-     "otherwise 0"),
+    (client.UNTIL_LINE, "UNTIL_LINE", "us", "",
+     "wait until the interrupt line is asserted, at most `us`; the answer is 1 if it is, otherwise 0"),
 )  # fmt: skip
 """Entries of a BATCH: (what, name, a, b, what it does)."""
 
