@@ -20,7 +20,7 @@ from stage.envs.features import Feature
 from stage.envs.results import DIVERGED as DIVERGED
 from stage.envs.settings import Number
 from stage.envs.task import MoveTask, Task, check_action, make_config
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.support.snapshots import Header
 
 RENDER_MODES = ("rgb_array", "rgb_array_list", "human")
@@ -39,7 +39,7 @@ def _check_options(task: type[Task], options: Mapping[str, Any] | None, more: Se
         raise ArgumentError(f"options={options!r}: None, or a dict with any of: {', '.join(known) or 'nothing'}.")
     for name in options or {}:
         if name not in known:
-            raise unknown(f"{task.__name__} reset option", name, known)
+            raise unknown_name_error(f"{task.__name__} reset option", name, known)
     return dict(options or {})
 
 
@@ -109,7 +109,7 @@ class StageEnv(_TaskAccess, gymnasium.Env[np.ndarray, Any]):
         **settings: Any,
     ):
         if render_mode is not None and render_mode not in RENDER_MODES:
-            raise unknown("render mode", render_mode, RENDER_MODES)
+            raise unknown_name_error("render mode", render_mode, RENDER_MODES)
         if render_every is not None:
             FRAME_INTERVAL.check("render_every", render_every)
         self.render_mode, self._camera, self._record = render_mode, camera, record

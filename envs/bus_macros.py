@@ -62,7 +62,7 @@ from stage.envs.origin_switch import OriginSwitch
 from stage.envs.results import SCORE_FEATURE, write_scores
 from stage.envs.settings import Count, Discount, Each, Flag, Names, Number, Positive, Seconds, Weight, Word
 from stage.envs.trial import compute_move_time
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.sim.fleet import Played
 from stage.support import portable
 
@@ -192,7 +192,7 @@ class BusMacros(BusHost):
             raise ArgumentError(f"option targets={targets!r}: {{axis: whole pulses, {low} to {c.longest}}}.")
         for name, pulses in targets.items():
             if name not in c.axes:
-                raise unknown("axis", name, c.axes)
+                raise unknown_name_error("axis", name, c.axes)
             axes["target"][c.axes.index(name)] = pulses
 
     def _find_starts(self, k: int, level: int, start: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ from stage.chips import Chip, chip_class
 from stage.envs import contexts, faulty
 from stage.envs.settings import AxisName, Cycle, Number, Pair, Payloads, Range, Settings, TruthOption, Word, Words
 from stage.envs.task import ConfigT, MoveTask, find_carrier
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class MachineSettings(Settings):
             raise ArgumentError(f"faults={self.faults!r}: some of {', '.join(self.FAULTS)}; or say healthy=1.0.")
         for name in self.faults or ():
             if name not in self.FAULTS:
-                raise unknown("fault of this task, in faults,", name, self.FAULTS)
+                raise unknown_name_error("fault of this task, in faults,", name, self.FAULTS)
 
 
 class MachineTask(MoveTask[ConfigT]):
@@ -77,7 +77,7 @@ class MachineTask(MoveTask[ConfigT]):
         new_stage = Stage(model, chips=chip_class(chip), bus_cycle=c.bus_cycle, visuals=visuals)
         for name in self.axis_names:
             if name not in new_stage.axes:
-                raise unknown(f"axis of model {model}", name, new_stage.axes)
+                raise unknown_name_error(f"axis of model {model}", name, new_stage.axes)
             if new_stage.axes[name].drive.has_encoder or new_stage.axes[name].unit != "m":
                 raise ArgumentError(f"axis {name}: it is no stepper's slide, and this task is of those.")
         return new_stage
@@ -114,7 +114,7 @@ class MachineTask(MoveTask[ConfigT]):
         faulty.draw_fault(rng, self.faults, c.healthy, axes, self.context[k])
         if "fault" in options:
             if options["fault"] not in (known := ("none", *c.FAULTS)):
-                raise unknown("option fault", options["fault"], known)
+                raise unknown_name_error("option fault", options["fault"], known)
             self.context[k]["fault"] = faulty.NAMES.index(options["fault"])
 
     def configure_stage(self, stage: Stage, k: int, more: float = 0.0, bounce: float = 0.0) -> None:

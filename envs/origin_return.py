@@ -52,7 +52,7 @@ from stage.envs.origin_switch import OriginSwitch
 from stage.envs.registers import RegisterBox
 from stage.envs.scaling import scale, scale_log
 from stage.envs.task import MoveTask, find_carrier
-from stage.errors import unknown
+from stage.errors import unknown_name_error
 from stage.firmware.driver import driver_of
 from stage.sim.fleet import Played
 from stage.sim.program import Program
@@ -138,7 +138,7 @@ class OriginReturn(MoveTask[Config]):
         c = self.config
         new_stage = Stage(c.model, chips=chip_class(c.chip), bus_cycle=c.bus_cycle, visuals=visuals)
         if c.axis not in new_stage.axes:
-            raise unknown("axis", c.axis, new_stage.axes)
+            raise unknown_name_error("axis", c.axis, new_stage.axes)
         return new_stage
 
     def prepare(self) -> None:

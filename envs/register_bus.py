@@ -57,7 +57,7 @@ from stage.envs.features import HOST, TRUTH, Feature
 from stage.envs.results import DIVERGED
 from stage.envs.task import Task
 from stage.envs.trial import StartPositions
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.sim import play
 from stage.support import portable
 
@@ -285,7 +285,7 @@ class RegisterBus(Task[Config]):
             raise ArgumentError(f"option {name}={values!r}: a mapping axis -> value; goal 'home' has no target.")
         for axis, value in values.items():
             if axis not in names:
-                raise unknown("axis", axis, names)
+                raise unknown_name_error("axis", axis, names)
             if isinstance(value, bool) or not isinstance(value, kinds):
                 raise ArgumentError(f"option {name}={values!r}: pulses are whole numbers, places are metres.")
         return [(names.index(axis), value) for axis, value in values.items()]

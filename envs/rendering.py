@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from stage import Stage
-from stage.errors import StageError, unknown
+from stage.errors import StageError, unknown_name_error
 from stage.support.opengl import check_window, renderer
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class OffScreen:
         model = stage.model
         names = [model.camera(k).name for k in range(model.ncam)]
         if camera not in names:
-            raise unknown("camera", camera, names)
+            raise unknown_name_error("camera", camera, names)
         self._pose, self._camera = Pose(stage), camera
         self._renderer = renderer(model, height, width)
 

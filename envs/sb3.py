@@ -21,7 +21,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from stage.envs import IDS
 from stage.envs.base import StageVectorEnv, info_of
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 
 PER_STAGE_METHODS = ("action_masks", "scripted_action")
 """Methods of vectors that return a row for each stage."""
@@ -97,7 +97,7 @@ class StageVecEnv(VecEnvAdapter):
         if "autoreset_mode" in settings:
             raise ArgumentError("autoreset_mode: SB3 wants finished episodes reset in the same step; leave it out.")
         if id_ not in IDS and id_ not in gymnasium.registry:
-            raise unknown("environment", id_, IDS)
+            raise unknown_name_error("environment", id_, IDS)
         kind: Any = {"vectorization_mode": "vector_entry_point", "autoreset_mode": AutoresetMode.SAME_STEP}
         envs = gymnasium.make_vec(id_, num_envs, threads=threads, **kind, **settings).unwrapped
         if not isinstance(envs, StageVectorEnv):

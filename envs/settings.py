@@ -21,7 +21,7 @@ from typing import Annotated, Any, get_args, get_type_hints
 import numpy as np
 
 from stage.envs.features import TruthSetting
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 
 
 class UnknownSetting(ArgumentError, TypeError):
@@ -91,7 +91,7 @@ class Word:
     def check(self, name: str, value: Any) -> None:
         """Raise ArgumentError unless the setting `name` accepts the value."""
         if not isinstance(value, str) or value not in self.known:
-            raise unknown(name, value, self.known)
+            raise unknown_name_error(name, value, self.known)
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ class Words:
             raise ArgumentError(f"{name}={value!r}: some of {', '.join(self.allowed)}, as ({self.allowed[0]!r},).")
         for word in value:
             if not isinstance(word, str) or word not in self.allowed:
-                raise unknown(f"word of {name}", word, self.allowed)
+                raise unknown_name_error(f"word of {name}", word, self.allowed)
         if len(set(value)) != len(value):
             raise ArgumentError(f"{name}={value!r}: each once.")
 

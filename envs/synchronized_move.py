@@ -53,7 +53,7 @@ from stage.envs.registers import RegisterBox
 from stage.envs.scaling import scale_log
 from stage.envs.task import MoveTask
 from stage.envs.trial import StartPositions
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.firmware.driver import driver_of
 from stage.firmware.lines import LineMoves, line_of
 from stage.firmware.path import path_deviation
@@ -158,7 +158,7 @@ class SynchronizedMove(MoveTask[Config]):
         new_stage = Stage(c.model, chips=chip_class(c.chip), bus_cycle=c.bus_cycle, visuals=visuals)
         for name in c.axes:
             if name not in new_stage.axes:
-                raise unknown("axis", name, new_stage.axes)
+                raise unknown_name_error("axis", name, new_stage.axes)
             if new_stage.axes[name].unit != "m":
                 raise ArgumentError(f"axes={c.axes!r}: {name} turns, and a line is of slides.")
         return new_stage

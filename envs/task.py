@@ -16,7 +16,7 @@ from stage import Stage
 from stage.envs.features import Feature, list_hidden, list_visible
 from stage.envs.results import Results, make_result_dtype
 from stage.envs.settings import UnknownSetting
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.sim.fleet import Fleet, Played
 from stage.sim.program import Program
 from stage.sim.snapshot import Snapshot
@@ -290,7 +290,7 @@ def find_carrier(stage: Stage, axis: str, named: str | None) -> str:
     if named is None:
         body = sites.get("work", model.jnt_bodyid[stage.axes[axis].joint])
     elif named not in bodies and named not in sites:
-        raise unknown("body or site of payload_on", named, filter(None, {**bodies, **sites}))
+        raise unknown_name_error("body or site of payload_on", named, filter(None, {**bodies, **sites}))
     else:
         body = bodies.get(named, sites.get(named))
     return str(model.body(int(body)).name)
@@ -334,7 +334,7 @@ def find_judged_point(stage: Stage, axis: str, named: str | None) -> tuple[str, 
         for kind in ("site", "body"):
             if f"{kind} {named}" in carried:
                 return named, carried[f"{kind} {named}"][0]
-        raise unknown(
+        raise unknown_name_error(
             f"site or body of judge_at that axis {axis} carries,", named, {name.split(" ", 1)[1] for name in carried}
         )
     chosen_sites = {name: carried[f"site {name}"] for name in JUDGED_SITES if f"site {name}" in carried}
@@ -359,7 +359,7 @@ def make_config(task: type[Task], settings: Mapping[str, Any], more: Iterable[st
     known = [f.name for f in fields(task.Config)]
     for name in settings:
         if name not in known:
-            detail = unknown(f"{task.__name__} setting", name, [*known, *more])
+            detail = unknown_name_error(f"{task.__name__} setting", name, [*known, *more])
             raise UnknownSetting(f"got an unexpected keyword argument {name!r}: {detail}")
     return task.Config(**settings)
 

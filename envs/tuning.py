@@ -22,7 +22,7 @@ from stage.envs.scaling import scale, scale_log
 from stage.envs.settings import read_option
 from stage.envs.task import MoveTask, find_carrier
 from stage.envs.trial import StartPositions
-from stage.errors import unknown
+from stage.errors import unknown_name_error
 from stage.sim.program import Program
 from stage.support import portable
 
@@ -88,7 +88,7 @@ class Tuning(MoveTask[ConfigT]):
         c: Any = self.config
         new_stage = Stage(c.model, chips=self.chip(), bus_cycle=c.bus_cycle, visuals=visuals)
         if c.axis not in new_stage.axes:
-            raise unknown("axis", c.axis, new_stage.axes)
+            raise unknown_name_error("axis", c.axis, new_stage.axes)
         return new_stage
 
     def prepare(self) -> None:

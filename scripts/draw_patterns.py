@@ -15,7 +15,7 @@ from pathlib import Path
 
 from stage import firmware
 from stage.chips import PCL240K
-from stage.errors import StageError, unknown
+from stage.errors import StageError, unknown_name_error
 from stage.firmware import Bench, Profile, Report
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -330,7 +330,7 @@ def main(names: list[str]) -> None:
     known = {p.name: p for p in PATTERNS}
     for name in names:
         if name not in known:
-            raise unknown("pattern", name, known)
+            raise unknown_name_error("pattern", name, known)
     selected = [known[n] for n in names] or PATTERNS
     reports = {p.name: p.run() for p in selected}
     for p in selected:

@@ -1,4 +1,4 @@
-"""The project's errors: each says what was given, what is allowed and what to do; state stays as it was."""
+"""Errors of PulseStage. The text of each says what was given, what is allowed and what to do; no state has changed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple, Self
 
 
 def escape(text: str) -> str:
-    """Write escapes for what UTF-8 cannot encode: the bytes of file names in other encodings."""
+    """Replace characters that UTF-8 cannot encode, such as bytes of file names in other encodings, by escapes."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
@@ -18,43 +18,50 @@ class StageError(Exception):
         return escape(super().__str__())
 
 
-class Limit(NamedTuple):
-    """What somebody asked of a chip, and from where to where it goes. what: "speed", "start_speed", "fast", the second of two
-    speeds (all pps), "acceleration" (pps/s), "accel", a ramp (s), or "pulses"."""
+class ExceededLimit(NamedTuple):
+    """Limit of a chip that a requested value exceeds.
 
-    what: str
-    given: float
-    least: float
-    most: float = float("inf")
+    Attributes:
+        quantity: "speed", "start_speed" or "fast" (the second of two speeds), pps; "acceleration", pps/s; "accel", the duration of
+            a ramp, s; or "pulses".
+        value: Value requested.
+        minimum: Least value that the chip can have.
+        maximum: Greatest value that the chip can have.
+    """
+
+    quantity: str
+    value: float
+    minimum: float
+    maximum: float = float("inf")
 
 
 class ArgumentError(StageError, ValueError):
     """An argument is out of range or not known.
 
     Attributes:
-        limit: the same as numbers, for who tells it in other units; None where there are none.
+        exceeded_limit: Limit of the chip behind the error, for a caller that shows it in other units; None without numbers.
     """
 
-    limit: Limit | None = None
+    exceeded_limit: ExceededLimit | None = None
 
-    def of(self, limit: Limit) -> Self:
-        """This error, with its numbers."""
-        self.limit = limit
+    def with_limit(self, limit: ExceededLimit) -> Self:
+        """Attach the limit that was exceeded, and return this error."""
+        self.exceeded_limit = limit
         return self
 
 
 class UnknownKey(ArgumentError, KeyError):
-    """A mapping has no such key: a KeyError as well, but printed as plain text."""
+    """A mapping has no such key. It is a KeyError as well, but is printed without quotes."""
 
     def __str__(self) -> str:
         return escape(str(self.args[0]))
 
 
 class ModelError(StageError, ValueError):
-    """An MJCF model does not keep the naming contract; `missing` holds the lines to add.
+    """An MJCF model does not keep the naming contract.
 
     Attributes:
-        missing: tuple of MJCF lines that would repair the model (may be empty).
+        missing: MJCF lines that would repair the model if they were added; it may be empty.
     """
 
     def __init__(self, message: str, missing: Iterable[str] = ()):
@@ -63,11 +70,11 @@ class ModelError(StageError, ValueError):
 
 
 class SimulationError(StageError, RuntimeError):
-    """The simulation diverged; the stage holds the state before the step that did.
+    """The simulation diverged. The stage is back in the state before the physics step that diverged.
 
     Attributes:
-        time: seconds, the time of the state held.
-        axis: name of the axis that diverged first.
+        time: Simulated time of that state, s.
+        axis: Name of the axis that diverged first.
     """
 
     def __init__(self, message: str, time: float, axis: str):
@@ -80,43 +87,55 @@ class SimulationError(StageError, RuntimeError):
 
 
 class RunTimeout(StageError, TimeoutError):
-    """A condition did not become true within the simulated time allowed."""
+    """A condition did not become true within its timeout of simulated time."""
 
 
 class LoadError(StageError, ImportError):
-    """A part of the package cannot be loaded, because a library below it cannot."""
+    """A part of the package cannot be loaded because a library that it needs cannot be loaded."""
 
 
 class GpuMissing(LoadError):
-    """A GPU was asked for, and none can be used here."""
+    """A GPU was requested, but none can be used on this machine."""
 
 
 class NativeError(LoadError):
-    """The native library is missing, or does not fit these sources or this machine, and could not be built."""
+    """The native library is missing or does not match the sources or the machine, and could not be built."""
 
 
-def near_names(given: object, names: Iterable[str], cutoff: float = 0.5) -> list[str]:
-    """Those of `names` that are similar to `given`, whatever the case, the most similar first; three at most."""
+def find_similar_names(name: object, names: Iterable[str], cutoff: float = 0.5) -> list[str]:
+    """Return up to three names that are similar to a name, the most similar first; case does not count.
+
+    Args:
+        name: Name to compare.
+        names: Names to choose from.
+        cutoff: Least similarity, 0 to 1.
+    """
     from difflib import get_close_matches  # 2 ms of a start that mostly has no error
 
-    folded = {name.casefold(): name for name in names}
-    return [folded[near] for near in get_close_matches(str(given).casefold(), folded, n=3, cutoff=cutoff)]
+    folded = {known.casefold(): known for known in names}
+    return [folded[match] for match in get_close_matches(str(name).casefold(), folded, n=3, cutoff=cutoff)]
 
 
-def unknown(kind: str, given: object, allowed: Iterable[str]) -> ArgumentError:
-    """An ArgumentError for a name that is not among `allowed`, with the near misses."""
+def unknown_name_error(kind: str, name: object, allowed: Iterable[str]) -> ArgumentError:
+    """Make the error for an unknown name; its text proposes similar names.
+
+    Args:
+        kind: Kind of thing that has the name, such as "axis".
+        name: Unknown name.
+        allowed: Known names.
+    """
     names = sorted(allowed)
-    near = near_names(given, names)
-    hint = f" Did you mean {' or '.join(repr(n) for n in near)}?" if near else ""
-    return ArgumentError(f"unknown {kind} {given!r}.{hint} Known: {', '.join(names) or 'none'}.")
+    similar = find_similar_names(name, names)
+    hint = f" Did you mean {' or '.join(repr(n) for n in similar)}?" if similar else ""
+    return ArgumentError(f"unknown {kind} {name!r}.{hint} Known: {', '.join(names) or 'none'}.")
 
 
-_SPOKEN_WITH_A_VOWEL = frozenset("8AEFHILMNORSX")
-"""What begins with a vowel where it is read letter by letter: an M, an S, an 8."""
+_LETTERS_AFTER_AN = frozenset("8AEFHILMNORSX")
+"""Letters and digits whose own names begin with a vowel: an M, an S, an 8."""
 
 
-def a_or_an(name: str) -> str:
-    """With its article: "an MCX304", "a PCL240K", "an ACME1000". What has no vowel is read letter by letter."""
+def add_article(name: str) -> str:
+    """Put the article before a name: "an MCX304", "a PCL240K". A name without vowels is read letter by letter."""
     first, is_word = name[:1].upper(), any(letter in "AEIOU" for letter in name.partition(" ")[0].upper())
-    vowel = first in "AEIOU8" if is_word else first in _SPOKEN_WITH_A_VOWEL
+    vowel = first in "AEIOU8" if is_word else first in _LETTERS_AFTER_AN
     return f"{'an' if vowel else 'a'} {name}"

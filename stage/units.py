@@ -1,4 +1,4 @@
-"""The units in which places and ways are told and typed: a slide's in mm, a hinge's in degrees. Inside they are SI: m, rad."""
+"""Units in which users read and type quantities. Inside the program all quantities are in SI units: m, rad, s."""
 
 from __future__ import annotations
 
@@ -9,92 +9,111 @@ from typing import NamedTuple
 
 
 class Unit(NamedTuple):
-    """symbol; per: so many are an SI unit."""
+    """Unit in which a quantity is shown.
+
+    Attributes:
+        symbol: Symbol, such as "mm".
+        factor: Number of these units in one SI unit.
+    """
 
     symbol: str
-    per: float
+    factor: float
 
-    def text(self, value: float, form: str = "z.4f") -> str:
-        """A value in SI, told in this unit: "12.5000 mm"."""
-        return f"{value * self.per:{form}} {self.symbol}"
+    def format(self, value: float, spec: str = "z.4f") -> str:
+        """Format a quantity in this unit, as "12.5000 mm".
+
+        Args:
+            value: Quantity in the SI unit.
+            spec: Format specification of the number.
+        """
+        return f"{value * self.factor:{spec}} {self.symbol}"
 
 
-DEGREES = math.degrees(1)
-PLACES = {"m": Unit("mm", 1e3), "rad": Unit("deg", DEGREES)}
-"""Of an axis' places and ways, by the unit that the axis has inside (`Axis.unit`)."""
+DEGREES_PER_RAD = math.degrees(1)
+POSITION_UNITS = {"m": Unit("mm", 1e3), "rad": Unit("deg", DEGREES_PER_RAD)}
+"""Units of positions and distances, by the SI unit of the axis (`Axis.unit`)."""
 
-SMALL = {"m": Unit("um", 1e6), "rad": Unit("mdeg", 1e3 * DEGREES)}
-"""Of deviations."""
+DEVIATION_UNITS = {"m": Unit("um", 1e6), "rad": Unit("mdeg", 1e3 * DEGREES_PER_RAD)}
+"""Units of small deviations, by the SI unit of the axis."""
 
-TYPED = {
+POSITION_FACTORS = {
     "m": {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0},
-    "rad": {"urad": 1e-6, "mrad": 1e-3, "rad": 1.0, "mdeg": 1e-3 / DEGREES, "deg": 1 / DEGREES},
+    "rad": {"urad": 1e-6, "mrad": 1e-3, "rad": 1.0, "mdeg": 1e-3 / DEGREES_PER_RAD, "deg": 1 / DEGREES_PER_RAD},
 }
-"""What may follow a number that somebody types, and how much it is in SI."""
+"""Units that users may type behind a position, with their values in the SI unit of the axis."""
 
-BESIDES = {
+OTHER_FACTORS = {
     "pulse rate": {"pps": 1.0, "kpps": 1e3},
     "time": {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0},
     "voltage": {"mV": 1e-3, "V": 1.0},
     "mass": {"g": 1e-3, "kg": 1.0},
     "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6},
 }
-"""The same of what is no place: the first with 1.0 is what a number without a unit is in."""
+"""Units that users may type behind other quantities. A number without a unit is in the first one whose value is 1.0."""
 
-KINDS = {"length": TYPED["m"], "angle": TYPED["rad"], **BESIDES}
-
-
-WHOLE = "0[xX][0-9a-fA-F]+|[0-9a-fA-F]+[hH]|0[bB][01]+|[0-9]+"
-"""A whole number as somebody types it, without a sign. Its digits are those of ASCII."""
-MOST = 80
-"""Characters of one, at most: no register is so wide."""
+FACTORS_BY_QUANTITY = {"length": POSITION_FACTORS["m"], "angle": POSITION_FACTORS["rad"], **OTHER_FACTORS}
 
 
-def whole(text: str) -> int | None:
-    """The whole number that somebody has typed: 31, 1Fh, 0x1F, 0b11111, with a sign or without. None: it is none."""
+INTEGER_PATTERN = "0[xX][0-9a-fA-F]+|[0-9a-fA-F]+[hH]|0[bB][01]+|[0-9]+"
+"""Regular expression of an integer that a user types, without a sign. Its digits are those of ASCII."""
+MAX_INTEGER_LENGTH = 80
+"""Maximum number of characters of such an integer: no register needs more."""
+
+
+def parse_integer(text: str) -> int | None:
+    """Parse an integer such as 31, 1Fh, 0x1F or 0b11111, with or without a sign; return None for any other text."""
     sign, digits = (-1, text[1:]) if text.startswith("-") else (1, text.removeprefix("+"))
-    if not re.fullmatch(WHOLE, digits):
+    if not re.fullmatch(INTEGER_PATTERN, digits):
         return None
     if digits[-1] in "hH":
         return sign * int(digits[:-1], 16)
     return sign * int(digits, {"0x": 16, "0b": 2}.get(digits[:2].lower(), 10))
 
 
-def kind_of(text: str) -> tuple[str, str] | None:
-    """The unit behind a number, and what it is a unit of: ("kg", "mass") of "2kg". None: no number with a unit."""
-    for kind, units in KINDS.items():
-        symbol = next((u for u in sorted(units, key=len, reverse=True) if text.strip().endswith(u)), None)
-        if symbol is not None and quantity(text.strip(), {symbol: 1.0}) is not None:
-            return symbol, kind
+def identify_unit(text: str) -> tuple[str, str] | None:
+    """Return the unit of a number and its quantity, as ("kg", "mass") of "2kg"; None where there is no such unit."""
+    for quantity, factors in FACTORS_BY_QUANTITY.items():
+        symbol = next((u for u in sorted(factors, key=len, reverse=True) if text.strip().endswith(u)), None)
+        if symbol is not None and parse_quantity(text.strip(), {symbol: 1.0}) is not None:
+            return symbol, quantity
     return None
 
 
-def slip(text: str) -> str:
-    """What is wrong with a number that is none, in a sentence with a blank before it; "": nobody knows."""
-    mended = text.strip().replace(",", ".")
-    if text.count(",") == 1 and (kind_of(mended) or quantity(mended, {"": 1.0}) is not None):
-        return f" A decimal point, no comma: {mended}."
+def explain_number_error(text: str) -> str:
+    """Explain what is wrong with a text that is not a number: a sentence after a space, or "" without an explanation."""
+    repaired = text.strip().replace(",", ".")
+    if text.count(",") == 1 and (identify_unit(repaired) or parse_quantity(repaired, {"": 1.0}) is not None):
+        return f" A decimal point, no comma: {repaired}."
     return ""
 
 
-def typed(text: str, unit: str) -> float | None:
-    """A place or way as it is typed, `10mm`, `-0.5deg`, in m or rad; without a unit in that of PLACES. None: it is neither.
+def parse_position(text: str, unit: str) -> float | None:
+    """Parse a position or distance such as `10mm` or `-0.5deg`; a number without a unit is in that of POSITION_UNITS.
 
     Args:
-        unit: "m" or "rad", as of an axis.
+        text: Text that a user has typed.
+        unit: SI unit of the axis, "m" or "rad".
+
+    Returns:
+        The position in the SI unit, or None if the text is not a number or has another unit.
     """
     text = text.strip()
-    if text.endswith(tuple(TYPED[unit])):
-        return quantity(text, TYPED[unit])
-    bare = quantity(text, {"": 1.0})
-    return None if bare is None else bare / PLACES[unit].per
+    if text.endswith(tuple(POSITION_FACTORS[unit])):
+        return parse_quantity(text, POSITION_FACTORS[unit])
+    number = parse_quantity(text, {"": 1.0})
+    return None if number is None else number / POSITION_UNITS[unit].factor
 
 
-def quantity(text: str, units: Mapping[str, float]) -> float | None:
-    """A number with one of these units behind it, times what the unit says; "": it has none. None: it is no such."""
-    for symbol in (u for u in sorted(units, key=len, reverse=True) if text.endswith(u)):
+def parse_quantity(text: str, factors: Mapping[str, float]) -> float | None:
+    """Parse a number with a unit, and return the quantity in the SI unit; None if it is not a number with one of the units.
+
+    Args:
+        text: Text that a user has typed.
+        factors: Value of each unit in the SI unit; "" stands for no unit.
+    """
+    for symbol in (u for u in sorted(factors, key=len, reverse=True) if text.endswith(u)):
         try:
-            return float(text.removesuffix(symbol)) * units[symbol]
+            return float(text.removesuffix(symbol)) * factors[symbol]
         except ValueError:
             continue
     return None

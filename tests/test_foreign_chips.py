@@ -11,7 +11,7 @@ import stage.envs  # noqa: F401
 from stage import LoadError, Stage, firmware
 from stage.chips import CHIPS, PCL240MS, chip_class
 from stage.cli import main
-from stage.errors import ArgumentError, a_or_an
+from stage.errors import ArgumentError, add_article
 
 
 @pytest.fixture
@@ -128,7 +128,7 @@ def test_each_axis_has_its_own_chip_on_the_command_line(toy_package, capsys):
 
 def test_names_have_the_article_that_they_are_spoken_with():
     names = "PCL240K MCX304 HCTL1100 ACME1000 TMC5160 8254 LS7166 TOY atmega328p cortex-m4 8AXIS XR2206".split()
-    said = " ".join(a_or_an(name).split()[0] for name in names)
+    said = " ".join(add_article(name).split()[0] for name in names)
     assert said == "a an an an a an an a an a an an"
 
 

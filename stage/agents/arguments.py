@@ -18,15 +18,15 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, ValidationError
 
 from stage import units
-from stage.errors import ArgumentError, near_names
-from stage.units import TYPED
+from stage.errors import ArgumentError, find_similar_names
+from stage.units import POSITION_FACTORS
 
 MAX_LENGTH_M = 1e3  # also rad
 MAX_TEXT_CHARACTERS = 4000
 MAX_LIST_ITEMS = 256
 MAX_INTEGER = (1 << 63) - 1
-UNITS = TYPED["m"] | TYPED["rad"]
-INTEGER_PATTERN = rf"^\s*[-+]?({units.WHOLE})\s*$"
+UNITS = POSITION_FACTORS["m"] | POSITION_FACTORS["rad"]
+INTEGER_PATTERN = rf"^\s*[-+]?({units.INTEGER_PATTERN})\s*$"
 LENGTH_PATTERN = rf"^\s*[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?\s*({'|'.join(UNITS)})?\s*$"
 REQUIRED: Any = ...
 
@@ -89,7 +89,7 @@ def _match_name(choices: tuple[str, ...], value: Any) -> str:
     same = [c for c in choices if c.lower() == folded]
     if len(same) == 1:
         return same[0]
-    near = near_names(folded[:64], choices)
+    near = find_similar_names(folded[:64], choices)
     hint = f" Did you mean {' or '.join(repr(n) for n in near)}?" if near else ""
     known = ", ".join(choices[:40]) + (" ..." if len(choices) > 40 else "")
     raise ValueError(f"{format_value(value)} is not known.{hint} Known: {known or 'none'}.")
@@ -117,7 +117,7 @@ def _parse_integer(value: Any) -> Any:
     if not isinstance(value, str):
         return value
     text = value.replace("_", "")
-    if (number := units.whole(text)) is not None and len(text) <= units.MOST:
+    if (number := units.parse_integer(text)) is not None and len(text) <= units.MAX_INTEGER_LENGTH:
         return number
     if re.fullmatch(r"[0-9a-fA-F]{1,16}", text):
         raise ValueError(f"{format_value(value)} is not decimal. Did you mean '{text.upper()}h' ({int(text, 16)})?")

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from pydantic.json_schema import GenerateJsonSchema
 
 from stage.agents.arguments import choose, explain, format_value
-from stage.errors import ArgumentError, StageError, near_names
+from stage.errors import ArgumentError, StageError, find_similar_names
 
 ENDED = "This session has ended, and its stage is gone. Open a new session, which begins at power-up."
 
@@ -105,7 +105,7 @@ class Tool:
 
     def _unexpected(self, name: str) -> str:
         known = list(self.arguments)
-        near = near_names(name, known)
+        near = find_similar_names(name, known)
         hint = f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
         return f"{self.name} takes no argument {format_value(name)}.{hint} Known: {', '.join(known) or 'none'}."
 

@@ -31,7 +31,7 @@ from stage.board.link import Link
 from stage.board.trace import BusTrace, Cycle, Meaning
 from stage.board.waveforms import HostWaveforms
 from stage.chips.diagnostics import JournalLint
-from stage.errors import ArgumentError, StageError, unknown
+from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.sim.stage import MAX_RUN_S, Stage
 from stage.support.arguments import explain_arguments
 
@@ -422,7 +422,7 @@ def _by_chip(stage: Stage, base: int | Mapping[str, int] | None) -> Any:
         return base
     for name in base:
         if name not in stage.axes:
-            raise unknown("axis", name, stage.axes)
+            raise unknown_name_error("axis", name, stage.axes)
     by_chip = {stage.axes[name].chip: port for name, port in base.items()}
     for axis in stage.axes.values():
         if axis.chip not in by_chip:

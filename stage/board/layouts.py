@@ -30,7 +30,7 @@ from stage.chips import CHIPS, Chip, chip_class, contract
 from stage.chips.hctl1100 import HCTL1100
 from stage.chips.nova import BYTES, MCX514, Nova
 from stage.chips.pcl240 import PCL240
-from stage.errors import ArgumentError, a_or_an, near_names, unknown
+from stage.errors import ArgumentError, add_article, find_similar_names, unknown_name_error
 from stage.support.foreign_files import DocumentError, parse_json, parse_toml, read_text
 
 MAX_PORTS = LAST_PORT + 1
@@ -151,8 +151,8 @@ def place_chips(
         if not isinstance(chip, one.kind):
             fitting = ", ".join(x.name for x in LAYOUTS.values() if isinstance(chip, x.kind))
             raise ArgumentError(
-                f"layout {one.name}: it is for {a_or_an(one.kind.__name__)}, and this stage has "
-                f"{a_or_an(type(chip).__name__)}. Layouts for "
+                f"layout {one.name}: it is for {add_article(one.kind.__name__)}, and this stage has "
+                f"{add_article(type(chip).__name__)}. Layouts for "
                 f"that: {fitting or 'the one that it has without layout=, or a Layout of yours'}."
             )
         if one.chips and len(chips) > one.chips:
@@ -242,7 +242,7 @@ def load_layout(layout: str | os.PathLike | Layout | None) -> Layout | None:
 
 def _shipped(name: str) -> Layout:
     if name not in LAYOUTS:
-        raise unknown("layout", name[:MAX_SHOWN], LAYOUTS)
+        raise unknown_name_error("layout", name[:MAX_SHOWN], LAYOUTS)
     return LAYOUTS[name]
 
 
@@ -272,7 +272,7 @@ def read_layout(path: str | os.PathLike) -> Layout:
 def _parse_layout(name: str, content: Mapping[str, Any]) -> Layout:
     for key in content:
         if key not in KEYS:
-            raise unknown("key", key[:MAX_SHOWN], KEYS)
+            raise unknown_name_error("key", key[:MAX_SHOWN], KEYS)
     start = _parse_start(name, content)
     ports = _parse_ports("ports", content["ports"], start.kind) if "ports" in content else start.ports
     if not ports:
@@ -327,13 +327,15 @@ def _parse_ports(key: str, texts: Any, chip: type[Chip]) -> tuple[tuple[int, int
 def _parse_port(where: str, text: Any, chip: type[Chip]) -> tuple[int, int]:
     word, _, number = str(text).partition(" ")
     if word not in WORDS:
-        near = near_names(word, WORDS)
+        near = find_similar_names(word, WORDS)
         hint = f" Did you mean {near[0]!r}?" if near else ""
         forms = ", ".join(f'"{name} N"' if addressed else f'"{name}"' for name, (_, addressed) in WORDS.items())
         raise ArgumentError(f"{where}: a port reaches one of {forms}.{hint}")
     kind, addressed = WORDS[word]
     if kind in (WORD, HALF) and chip.DATA_MASK <= 0xFF:
-        raise ArgumentError(f'{where}: the bus of {a_or_an(chip.__name__)} has 8 bits. Write "byte" and the address.')
+        raise ArgumentError(
+            f'{where}: the bus of {add_article(chip.__name__)} has 8 bits. Write "byte" and the address.'
+        )
     if not addressed:
         if number:
             raise ArgumentError(f'{where}: no address follows. Write "{word}".')
@@ -345,7 +347,7 @@ def _parse_port(where: str, text: Any, chip: type[Chip]) -> tuple[int, int]:
         address = -1
     if not 0 <= address <= highest:
         raise ArgumentError(
-            f'{where}: an address of {a_or_an(chip.__name__)} follows, 0 to {highest}. Write for example "{word} 0".'
+            f'{where}: an address of {add_article(chip.__name__)} follows, 0 to {highest}. Write for example "{word} 0".'
         )
     return kind, address
 

@@ -15,7 +15,7 @@ from stage.chips import contract
 from stage.chips.chip import Chip, ChipAxis, Snapshot
 from stage.chips.diagnostics import Diagnostic
 from stage.chips.registry import Registry
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 
 if TYPE_CHECKING:
     from stage.chips.hctl1100 import HCTL1100
@@ -52,7 +52,7 @@ def chip_class(chip: str | type[Chip]) -> type[Chip]:
         contract.check(chip, Chip, methods=False)
         return chip
     if chip not in CHIPS:
-        raise unknown("chip", chip.upper(), CHIPS)
+        raise unknown_name_error("chip", chip.upper(), CHIPS)
     CHIPS.tell_of_claims(chip)
     return CHIPS[chip]
 

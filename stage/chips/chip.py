@@ -34,7 +34,7 @@ from stage.chips.diagnostics import (
 from stage.chips.journal import Journal
 from stage.chips.register_map import RegisterMap, Word, dump
 from stage.chips.sharing import Lock, exclusive, exclusively, with_lock
-from stage.errors import ArgumentError, StageError, a_or_an, unknown
+from stage.errors import ArgumentError, StageError, add_article, unknown_name_error
 from stage.native import plain
 from stage.support import snapshots
 from stage.support.arguments import explain_arguments
@@ -97,7 +97,7 @@ class Pins:
             return bool(chip.input_word(self._axis) & self._inputs[name])
         if name in self._outputs:
             return bool(chip.output_word(self._axis) & self._outputs[name])
-        raise _NoPin(unknown(f"{type(chip).__name__} pin", name, dir(self)))
+        raise _NoPin(unknown_name_error(f"{type(chip).__name__} pin", name, dir(self)))
 
     def __setattr__(self, name: str, value: bool) -> None:
         chip = self._chip
@@ -393,7 +393,7 @@ class Chip:
             ArgumentError: A number is not finite, there is no such axis, or the chip has no inputs for an encoder.
         """
         if not (self.ENCODERS or self.SERVO):
-            raise ArgumentError(f"set_shaft: {a_or_an(type(self).__name__)} looks at no encoder.")
+            raise ArgumentError(f"set_shaft: {add_article(type(self).__name__)} looks at no encoder.")
         if not (math.isfinite(count) and math.isfinite(rate)):
             raise ArgumentError(f"set_shaft({count!r}, {rate!r}): a shaft is at a finite count and has a finite rate.")
         self._check_axis(axis)
@@ -772,7 +772,7 @@ class Chip:
     def _check_axis(cls, axis: int) -> None:
         if isinstance(axis, bool) or not isinstance(axis, int | np.integer) or not 0 <= axis < cls.AXES:
             axes = "one axis, 0" if cls.AXES == 1 else f"axes 0 to {cls.AXES - 1}"
-            raise ArgumentError(f"axis={axis!r}: {a_or_an(cls.__name__)} has {axes}.")
+            raise ArgumentError(f"axis={axis!r}: {add_article(cls.__name__)} has {axes}.")
 
     def _check_pins(self, axis: int) -> None:
         """Raise ArgumentError unless the chip has pins under this axis."""

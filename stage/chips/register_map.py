@@ -513,9 +513,9 @@ def _upper(name: str) -> str:
 
 def _look_up(table: dict[str, T], name: str, kind: str) -> T:
     if name not in table:
-        from stage.errors import unknown
+        from stage.errors import unknown_name_error
 
-        raise unknown(kind, name, table)
+        raise unknown_name_error(kind, name, table)
     return table[name]
 
 

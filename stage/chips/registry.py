@@ -21,7 +21,7 @@ from typing import Any
 
 from stage.chips import contract
 from stage.chips.chip import Chip
-from stage.errors import ArgumentError, LoadError, StageError, UnknownKey, unknown
+from stage.errors import ArgumentError, LoadError, StageError, UnknownKey, unknown_name_error
 
 GROUP = "pulsestage.chips"
 """The entry points of a package that name chips."""
@@ -171,7 +171,7 @@ class Registry(MutableMapping[str, type[Chip]]):
             module, _, attribute = self._own[name].partition(":")
             return getattr(import_module(module), attribute)
         if not (sources := _brought().get(name, [])):
-            raise UnknownKey(str(unknown("chip", name, self)))
+            raise UnknownKey(str(unknown_name_error("chip", name, self)))
         if len(sources) > 1:
             raise ArgumentError(
                 f"chip {name}: {' and '.join(map(str, sources))} bring a chip of this name. Uninstall one of them."

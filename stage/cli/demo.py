@@ -13,7 +13,7 @@ from stage.cli.setup import make_stage
 from stage.cli.terminal import note, show_simulated_time
 from stage.errors import ArgumentError
 from stage.support.extras import has
-from stage.units import PLACES
+from stage.units import POSITION_UNITS
 
 START_PLACES = (0.1962, -0.1435, 0.177)
 """Positions at which the carriages happen to stand, from the middle of their travel, as shares of the travel."""
@@ -159,7 +159,7 @@ def format_row(report: Any) -> tuple[str, ...]:
     good = report.ok and (report.stopped_by == "ORG" or report.asked is not None)
     return (
         report.axis, report.procedure, asked, f"{report.pulses:+d}", f"{report.duration:.3f}", f"{report.peak_rate:,.0f}",
-        PLACES[report.unit].text(report.position), str(report.lost_steps), report.stopped_by, "yes" if good else "NO",
+        POSITION_UNITS[report.unit].format(report.position), str(report.lost_steps), report.stopped_by, "yes" if good else "NO",
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.units import PLACES
+from stage.units import POSITION_UNITS
 
 if TYPE_CHECKING:
     from stage.cli.erratum import ErratumResult
@@ -23,16 +23,16 @@ def draw(result: ErratumResult, path: str | None, overwrite: bool) -> Any:
     fig = figure(11, 6)
     (rate, close), (place, lanes) = fig.subplots(2, 2)
     styles = ((COLOURS[0], 1.6, "26h in area d", 2), (MUTED, 3.0, "stop_by_speed", 1))
-    areas, unit = _find_areas(result.recordings[0]), PLACES[result.unit]
+    areas, unit = _find_areas(result.recordings[0]), POSITION_UNITS[result.unit]
     for recording, (color, width, label, order) in zip(result.recordings, styles, strict=True):
         axis = next(iter(recording.axes))
         time, pps = recording.column("time"), recording.column(f"{axis}/rate")
         drawn = {"color": color, "linewidth": width, "label": label, "zorder": order}
         for panel in (rate, close):
             panel.plot(time, pps, **drawn)
-        place.plot(time, recording.column(f"{axis}/position") * unit.per, **drawn)
+        place.plot(time, recording.column(f"{axis}/position") * unit.factor, **drawn)
         place.plot(
-            time, recording.column(f"{axis}/commanded") * unit.per, color=color, linewidth=1, linestyle=(0, (2, 2))
+            time, recording.column(f"{axis}/commanded") * unit.factor, color=color, linewidth=1, linestyle=(0, (2, 2))
         )
     _draw_bits(lanes, result.recordings[0], COLOURS[0])
     begin, end = areas["d"]

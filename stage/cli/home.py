@@ -11,7 +11,7 @@ from stage.cli.files import draw_plot, record_to_files
 from stage.cli.options import count
 from stage.cli.setup import find_axis, make_stage, parse_speed_options, place_carriage
 from stage.cli.terminal import note, show_simulated_time
-from stage.errors import ArgumentError, a_or_an
+from stage.errors import ArgumentError, add_article
 
 
 def add(commands: Any) -> None:
@@ -76,7 +76,7 @@ def _home(args: argparse.Namespace, axis: Any) -> Any:
     if args.ez and args.ez > last:
         pulses = "1" if last == 1 else f"1 to {last}"
         raise ArgumentError(
-            f"--ez {args.ez}: {a_or_an(axis.chip.MAP.chip)} ends at ORG, or at index pulse {pulses} after it."
+            f"--ez {args.ez}: {add_article(axis.chip.MAP.chip)} ends at ORG, or at index pulse {pulses} after it."
         )
     speeds = parse_speed_options(args, axis)
     return firmware.home(axis, +1 if args.plus else -1, index=args.ez or 0, speed=speeds, by=args.by)

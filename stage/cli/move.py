@@ -21,7 +21,7 @@ from stage.cli.setup import (
     warn_beyond_limits,
 )
 from stage.cli.terminal import show_simulated_time
-from stage.errors import ArgumentError, a_or_an
+from stage.errors import ArgumentError, add_article
 
 
 def add(commands: Any) -> None:
@@ -105,7 +105,7 @@ def dual_rate(args: argparse.Namespace) -> int:
     def run(axis: Any, pulses: int, speeds: Any) -> Any:
         if "second" not in driver_of(axis).OPTIONS:
             raise ArgumentError(
-                f"dual-rate: {a_or_an(axis.chip.MAP.chip)} has one drive speed; FH1 and FH2 are of the PCL-240 family."
+                f"dual-rate: {add_article(axis.chip.MAP.chip)} has one drive speed; FH1 and FH2 are of the PCL-240 family."
             )
         return two_rates(axis, pulses=pulses, speed=speeds, dwell=args.dwell, rates=args.rates.upper().split(","))
 

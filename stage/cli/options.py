@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
-from stage.units import BESIDES, kind_of, quantity, slip
+from stage.units import OTHER_FACTORS, explain_number_error, identify_unit, parse_quantity
 
 PCL240 = ("PCL240K", "PCL240MK", "PCL240MS")
 CHIPS = (*PCL240, "MCX514", "MCX512", "MCX501", "MCX314AS", "MCX304", "MCX302", "MCX312", "HCTL1100")
@@ -21,15 +21,15 @@ class Quantity:
     """Type of a number of one kind, a key of BESIDES; without a unit in SI, pps for a pulse rate."""
 
     def __init__(self, kind: str, positive: bool = False):
-        self.kind, self.units, self.positive = kind, BESIDES[kind], positive
+        self.kind, self.units, self.positive = kind, OTHER_FACTORS[kind], positive
 
     def __call__(self, text: str) -> float:
         """Parse a number with or without a unit."""
         text = text.strip()
-        value = quantity(text, {"": 1.0} | self.units)
+        value = parse_quantity(text, {"": 1.0} | self.units)
         if value is None:
-            other = kind_of(text)
-            hint = f" {other[0]} is a {other[1]}." if other else slip(text)
+            other = identify_unit(text)
+            hint = f" {other[0]} is a {other[1]}." if other else explain_number_error(text)
             raise argparse.ArgumentTypeError(
                 f"{text!r} is no {self.kind}.{hint} Give a number, or one in {', '.join(self.units)}."
             )

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from stage.cli.package_commands import explain_missing_command
-from stage.errors import near_names
-from stage.units import kind_of, quantity
+from stage.errors import find_similar_names
+from stage.units import identify_unit, parse_quantity
 
 EXAMPLES = "examples:\n"
 """Heading of the examples in a help text."""
@@ -82,7 +82,7 @@ def _explain_left_over(parser: Parser, word: str, words: Sequence[str]) -> str:
     if word == "--json" and word not in options:
         return f"--json: `{parser.prog}` serves, or prints what a program or a shell reads. It has no JSON."
     before = words[words.index(word) - 1] if word in words else ""
-    if quantity(before, {"": 1.0}) is not None and kind_of(f"1{word}"):
+    if parse_quantity(before, {"": 1.0}) is not None and identify_unit(f"1{word}"):
         return f"unknown argument {word!r}. A number and its unit are one word: {before}{word}."
     return _explain_unknown("option" if word.startswith("-") else "argument", word.strip(), options)
 
@@ -104,5 +104,5 @@ def _explain(message: str) -> str:
 
 
 def _explain_unknown(kind: str, value: str, known: Sequence[str]) -> str:
-    near = near_names(value, known, 0.6)
+    near = find_similar_names(value, known, 0.6)
     return f"unknown {kind} {value!r}." + (f" Did you mean {' or '.join(near)}?" if near else "")

@@ -24,7 +24,7 @@ from stage.cli.panel import keep_panel, run_in_real_time, show_panel
 from stage.cli.setup import make_board
 from stage.cli.terminal import note, show_simulated_time
 from stage.errors import ArgumentError, StageError
-from stage.units import PLACES
+from stage.units import POSITION_UNITS
 
 MAX_DIAGNOSTICS = 10
 """Diagnostics of a chip that a report prints."""
@@ -289,14 +289,14 @@ def print_report(board: Any) -> None:
 
 
 def _print_axes(stage: Any) -> None:
-    symbols = [PLACES[unit].symbol for unit in dict.fromkeys(axis.unit for axis in stage.axes.values())]
+    symbols = [POSITION_UNITS[unit].symbol for unit in dict.fromkeys(axis.unit for axis in stage.axes.values())]
     unit, mixed = "|".join(symbols), len(symbols) > 1
     print(f"{'axis':6}{f'position {unit}':>18}{f'commanded {unit}':>19}{'lost':>6}  switches")
     for axis in stage.axes.values():
         on = ", ".join(name for name, state in axis.switches.as_dict().items() if state)
-        unit_of_axis = PLACES[axis.unit]
+        unit_of_axis = POSITION_UNITS[axis.unit]
         places = axis.position, axis.commanded
-        position, commanded = (unit_of_axis.text(q) if mixed else f"{q * unit_of_axis.per:.4f}" for q in places)
+        position, commanded = (unit_of_axis.format(q) if mixed else f"{q * unit_of_axis.factor:.4f}" for q in places)
         print(f"{axis.name:6}{position:>18}{commanded:>19}{axis.lost_steps:6}  {on}".rstrip())
 
 

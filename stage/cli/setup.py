@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from typing import Any
 
 from stage.cli.commands import warn
-from stage.errors import ArgumentError, a_or_an, unknown
-from stage.units import PLACES, TYPED, slip, typed
+from stage.errors import ArgumentError, add_article, unknown_name_error
+from stage.units import POSITION_FACTORS, POSITION_UNITS, explain_number_error, parse_position
 
 
 def make_stage(args: argparse.Namespace, visuals: bool = True) -> Any:
@@ -172,7 +172,7 @@ def parse_speed_options(args: argparse.Namespace, axis: Any) -> Any:
     from stage.firmware.driver import driver_of
     from stage.firmware.procedures import parse_speeds
 
-    driver, chip = driver_of(axis), a_or_an(axis.chip.MAP.chip)
+    driver, chip = driver_of(axis), add_article(axis.chip.MAP.chip)
     values = {name: value for name in SPEED_OPTIONS if (value := getattr(args, name, None)) not in (None, False)}
     for name in ("fh2", "constant", "automatic", "fast_only"):
         if name in values and SPEED_OPTIONS[name] not in driver.OPTIONS:
@@ -203,11 +203,11 @@ def parse_distance(axis: Any, text: str) -> int:
     try:
         return pulses_of(axis, None, int(text, 0))
     except ValueError:
-        distance = typed(text, axis.unit) if text.endswith(tuple(TYPED[axis.unit])) else None
+        distance = parse_position(text, axis.unit) if text.endswith(tuple(POSITION_FACTORS[axis.unit])) else None
     if distance is None:
         raise ArgumentError(
             f"{text!r}: give a whole number of pulses for axis {axis.name}, such as 8000, or a distance in "
-            f"{', '.join(TYPED[axis.unit])}, such as 10{PLACES[axis.unit].symbol}.{slip(text)}"
+            f"{', '.join(POSITION_FACTORS[axis.unit])}, such as 10{POSITION_UNITS[axis.unit].symbol}.{explain_number_error(text)}"
         )
     return pulses_of(axis, distance, None)
 
@@ -224,11 +224,11 @@ def warn_beyond_limits(args: argparse.Namespace, axis: Any, pulses: int) -> int:
     goal = axis.position + pulses * axis.meters_per_pulse * math.copysign(1.0, axis.gear)
     slack = abs(axis.meters_per_pulse)
     if not low - slack <= goal <= high + slack:
-        unit = PLACES[axis.unit]
+        unit = POSITION_UNITS[axis.unit]
         warn(
             args,
-            f"axis {axis.name} reaches from {low * unit.per:g} to {unit.text(high, 'g')}, and this move goes to "
-            f"{unit.text(goal, '.4g')}.",
+            f"axis {axis.name} reaches from {low * unit.factor:g} to {unit.format(high, 'g')}, and this move goes to "
+            f"{unit.format(goal, '.4g')}.",
         )
     return pulses
 
@@ -240,7 +240,7 @@ def find_axis(stage: Any, name: str) -> Any:
         ArgumentError: There is no such axis; the error has near names.
     """
     if name not in stage.axes:
-        raise unknown("axis", name, stage.axes)
+        raise unknown_name_error("axis", name, stage.axes)
     return stage.axes[name]
 
 
@@ -258,17 +258,17 @@ def place_carriage(stage: Any, axis: Any, option: str, place: str | None) -> Non
     """
     if place is None:
         return
-    unit, (low, high) = PLACES[axis.unit], axis.travel
+    unit, (low, high) = POSITION_UNITS[axis.unit], axis.travel
     place = place.strip()
-    position = typed(place, axis.unit)
+    position = parse_position(place, axis.unit)
     if position is None:
         raise ArgumentError(
-            f"{option} {place}: a place on axis {axis.name} is a number of {unit.symbol}, or in {', '.join(TYPED[axis.unit])}."
-            f"{slip(place)}"
+            f"{option} {place}: a place on axis {axis.name} is a number of {unit.symbol}, or in "
+            f"{', '.join(POSITION_FACTORS[axis.unit])}.{explain_number_error(place)}"
         )
     slack = 1e-9 * (high - low)
     if not low - slack <= position <= high + slack:
         raise ArgumentError(
-            f"{option} {place}: axis {axis.name} travels from {low * unit.per:g} to {unit.text(high, 'g')}."
+            f"{option} {place}: axis {axis.name} travels from {low * unit.factor:g} to {unit.format(high, 'g')}."
         )
     stage.place(**{axis.name: min(max(position, low), high)})

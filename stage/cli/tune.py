@@ -15,7 +15,7 @@ from stage.cli.options import MASS
 from stage.cli.setup import find_axis, make_stage, parse_distance
 from stage.cli.terminal import rewrite_line
 from stage.errors import ArgumentError, StageError
-from stage.units import BESIDES, PLACES, TYPED, quantity
+from stage.units import OTHER_FACTORS, POSITION_FACTORS, POSITION_UNITS, parse_quantity
 
 FILES = {"c": "tuned.h", "text": "tuned.txt", "json": "tuned.json", "picture": "tuned.png"}
 
@@ -161,7 +161,7 @@ def parse_spare(text: str, payload: float) -> float | None:
     """
     text = text.strip()
     number, percent, rest = text.partition("%")
-    value = quantity(number, {"": 1.0} if percent else {"": 1.0} | BESIDES["mass"])
+    value = parse_quantity(number, {"": 1.0} if percent else {"": 1.0} | OTHER_FACTORS["mass"])
     if value is None or rest or not 0 <= value < float("inf"):
         raise ArgumentError(f"--spare {text}: give percent of the payload, such as 30%, or kg, such as 0.6.")
     if not percent:
@@ -174,10 +174,10 @@ def explain_unit(axis: Any, distance: str) -> str:
     from stage.firmware.driver import driver_of
 
     distance = distance.strip()
-    if quantity(distance, {"": 1.0}) is None:
+    if parse_quantity(distance, {"": 1.0}) is None:
         return ""
     pulses = "counts" if driver_of(axis).has_position_loop else "pulses"
-    return f" --distance {distance} is {distance} {pulses}: did you mean {distance}{PLACES[axis.unit].symbol}?"
+    return f" --distance {distance} is {distance} {pulses}: did you mean {distance}{POSITION_UNITS[axis.unit].symbol}?"
 
 
 def _parse_settle(axis: Any, settle: list[str] | None) -> tuple[float | None, float]:
@@ -186,16 +186,18 @@ def _parse_settle(axis: Any, settle: list[str] | None) -> tuple[float | None, fl
 
     if settle is None:
         return None, DEFAULT_HOLD_S
-    return _parse_length(axis, "--settle", settle[0]), _parse_positive("--settle", settle[1], BESIDES["time"], "50ms")
+    return _parse_length(axis, "--settle", settle[0]), _parse_positive(
+        "--settle", settle[1], OTHER_FACTORS["time"], "50ms"
+    )
 
 
 def _parse_length(axis: Any, option: str, text: str) -> float:
     """Return a length in m, or in rad on a hinge. Raises ArgumentError."""
-    return _parse_positive(option, text, TYPED[axis.unit], "50um" if axis.unit == "m" else "50mdeg")
+    return _parse_positive(option, text, POSITION_FACTORS[axis.unit], "50um" if axis.unit == "m" else "50mdeg")
 
 
 def _parse_positive(option: str, text: str, units: dict[str, float], example: str) -> float:
-    value = quantity(text, units)
+    value = parse_quantity(text, units)
     if value is None or not 0 < value < float("inf"):
         raise ArgumentError(
             f"{option} {text.strip()}: must be greater than 0, in one of {', '.join(units)}; for example {example}."

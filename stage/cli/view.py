@@ -9,7 +9,7 @@ from typing import Any
 from stage.cli import options
 from stage.cli.commands import add_command, tell, wrote
 from stage.cli.files import check_outputs
-from stage.errors import StageError, unknown
+from stage.errors import StageError, unknown_name_error
 from stage.support.extras import need
 
 WIDTH_PX, HEIGHT_PX = 1600, 900
@@ -86,7 +86,11 @@ def draw_model(model: Any, path: str, camera: str | None, overwrite: bool, key: 
     figures = need("matplotlib.figure", "drawing")
     cameras = [model.camera(k).name for k in range(model.ncam)]
     if camera is not None and camera not in cameras:
-        raise unknown("camera", camera, cameras) if cameras else StageError(f"camera {camera!r}: the model has none.")
+        raise (
+            unknown_name_error("camera", camera, cameras)
+            if cameras
+            else StageError(f"camera {camera!r}: the model has none.")
+        )
     buffer, lamp = model.vis.global_, model.vis.headlight
     buffer.offwidth, buffer.offheight = max(buffer.offwidth, WIDTH_PX), max(buffer.offheight, HEIGHT_PX)
     lamp.ambient[:], lamp.diffuse[:] = AMBIENT, DIFFUSE

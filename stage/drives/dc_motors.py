@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from stage.drives.drive import SERVO
 from stage.drives.motors import MAX_BUS_VOLTAGE, within
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.support.arguments import explain_constructor
 
 MAX_COUNTS = 1 << 20
@@ -83,7 +83,7 @@ def find_dc_motor(name: str | DCMotor) -> DCMotor:
     if isinstance(name, DCMotor):
         return name
     if not isinstance(name, str) or name not in DC_MOTORS:
-        raise unknown("DC motor", name, DC_MOTORS)
+        raise unknown_name_error("DC motor", name, DC_MOTORS)
     return DC_MOTORS[name]
 
 

@@ -10,7 +10,7 @@ from numbers import Real
 from typing import Any, ClassVar, NamedTuple
 
 from stage.drives import stepper
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.support.arguments import explain_constructor
 
 EVIDENCE = {"C": "fitted to a published pull-out curve", "S": "data sheet", "I": "inferred"}
@@ -137,7 +137,7 @@ def _check_evidence(motor: Motor) -> None:
         )
     for name, source in motor.evidence.items():
         if name not in UNITS:
-            raise unknown(f"value of the {motor.name} in its evidence", name, UNITS)
+            raise unknown_name_error(f"value of the {motor.name} in its evidence", name, UNITS)
         letter, _, _ = source.partition(":") if isinstance(source, str) else ("", "", "")
         if letter not in EVIDENCE:
             letters = ", ".join(f"{letter} ({text})" for letter, text in EVIDENCE.items())
@@ -245,7 +245,7 @@ def find_motor(name: str | Motor) -> Motor:
     if isinstance(name, Motor):
         return name
     if not isinstance(name, str) or name not in MOTORS:
-        raise unknown("motor", name, MOTORS)
+        raise unknown_name_error("motor", name, MOTORS)
     return MOTORS[name]
 
 
@@ -288,7 +288,7 @@ class Drive:
         if self.detent is not None:
             within(f"detent of the {self.motor.name}", self.detent, 0, self.motor.holding_torque, "N m", zero=True)
         if self.mode not in MODES:
-            raise unknown("drive mode", self.mode, MODES)
+            raise unknown_name_error("drive mode", self.mode, MODES)
 
     @property
     def amplitude(self) -> float:

@@ -20,7 +20,7 @@ import numpy as np
 
 from stage.drives.dynamometer import pull_out
 from stage.drives.motors import Drive, Motor, find_motor, within
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.support.arguments import explain_arguments
 
 MIN_POINTS = 3
@@ -166,7 +166,7 @@ def fit_curve(
     motor = find_motor(motor)
     for name in values:
         if name not in _VALUES:
-            raise unknown("value to fit", name, _VALUES)
+            raise unknown_name_error("value to fit", name, _VALUES)
     selected = sorted({float(speed) for speed in speeds})
     if not 1 <= len(set(values)) == len(values) <= MAX_FITTED_VALUES:
         raise ArgumentError(f"values={tuple(values)!r}: a curve fixes one or two values; give different ones.")

@@ -14,7 +14,7 @@ Chips without a stage run the same procedures on a `Bench`.
 
 from collections.abc import Callable
 
-from stage.errors import unknown
+from stage.errors import unknown_name_error
 from stage.firmware.axis import Axis
 from stage.firmware.bench import Bench
 from stage.firmware.pcl240.bus import Port
@@ -50,7 +50,7 @@ def procedure(name: str) -> Callable:
     """
     key = str(name).lower().replace("-", "_")
     if key not in PROCEDURES:
-        raise unknown("procedure", name, PROCEDURES)
+        raise unknown_name_error("procedure", name, PROCEDURES)
     return PROCEDURES[key]
 
 

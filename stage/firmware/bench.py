@@ -21,7 +21,7 @@ import numpy as np
 
 from stage.chips import Chip
 from stage.chips.chip import Bus, Pins, check_clock, split_run
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.firmware.axis import check_seconds
 from stage.support.arguments import explain_arguments, explain_constructor
 
@@ -200,11 +200,11 @@ class Bench(Bus):
             ArgumentError: An unknown axis or pin.
         """
         if axis not in self.axes:
-            raise unknown("axis", axis, self.axes)
+            raise unknown_name_error("axis", axis, self.axes)
         chip = self.axes[axis].chip
         for pin in spans:
             if pin not in chip.INPUTS:
-                raise unknown(f"{type(chip).__name__} input", pin, chip.INPUTS)
+                raise unknown_name_error(f"{type(chip).__name__} input", pin, chip.INPUTS)
         self.axes[axis]._place_on_rail(at, spans)
 
     def _advance(self, until: int) -> None:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar, cast
 from stage.chips import Chip, contract
 from stage.chips.entries import WRITE
 from stage.chips.sharing import Lock, exclusive
-from stage.errors import ArgumentError, RunTimeout, StageError, a_or_an
+from stage.errors import ArgumentError, RunTimeout, StageError, add_article
 from stage.firmware.axis import Axis, check_origin
 from stage.firmware.pattern import Pattern
 from stage.firmware.stop_reasons import STOPPED, UNKNOWN
@@ -152,7 +152,7 @@ class Driver(ABC):
         """Return the error for a sensor that the chip, or its driver, would read inverted."""
         logic = getattr(self.axis, "wiring", {}).get(sensor, "positive")
         return ArgumentError(
-            f"axis {self.axis.name}: {sensor} is of {logic} logic, and {a_or_an(self.chip.MAP.chip)} cannot read it so. "
+            f"axis {self.axis.name}: {sensor} is of {logic} logic, and {add_article(self.chip.MAP.chip)} cannot read it so. "
             f"Wire a sensor of {self.chip.LOGIC} logic, or an inverter."
         )
 
@@ -187,7 +187,7 @@ class Driver(ABC):
             ArgumentError: The chip cannot do it.
             StageError: The axis moves already.
         """
-        raise ArgumentError(f"{a_or_an(self.chip.MAP.chip)} waits for the end of its moves here: use move.")
+        raise ArgumentError(f"{add_article(self.chip.MAP.chip)} waits for the end of its moves here: use move.")
 
     def wait(self, timeout: float, on_poll: Callable[[], None] | None = None) -> str:
         """Wait for the end of what `start` has begun; of a servo for the end of its profile, wherever the carriage is then.
@@ -207,7 +207,7 @@ class Driver(ABC):
 
     def check_speeds(self, speeds: Speeds) -> None:
         """Raise ArgumentError for what this family does not have of `Speeds`."""
-        chip = a_or_an(self.chip.MAP.chip)
+        chip = add_article(self.chip.MAP.chip)
         for name in ("second", "constant", "automatic", "approach"):
             value = getattr(speeds, name)
             if value is not None and value is not False and name not in self.OPTIONS:
@@ -299,7 +299,7 @@ class Driver(ABC):
         Raises:
             ArgumentError: The chip does not home so, or `index` contradicts it.
         """
-        known, chip = self.homings(), a_or_an(self.chip.MAP.chip)
+        known, chip = self.homings(), add_article(self.chip.MAP.chip)
         if by not in known:
             raise ArgumentError(f"home by {by!r}: {chip} cannot; it homes by {' or '.join(known)}.")
         if index and by != "index":
@@ -412,7 +412,7 @@ class Driver(ABC):
             ArgumentError: The chips draw no such line.
             RunTimeout: An axis still moved after `timeout`.
         """
-        raise ArgumentError(f"{a_or_an(next(iter(drivers.values())).chip.MAP.chip)} draws no lines.")
+        raise ArgumentError(f"{add_article(next(iter(drivers.values())).chip.MAP.chip)} draws no lines.")
 
     # --- as programs ---
 
@@ -480,7 +480,7 @@ class Driver(ABC):
         Raises:
             ArgumentError: The chips draw no such lines.
         """
-        raise ArgumentError(f"{a_or_an(self.chip.MAP.chip)} draws no lines by programs.")
+        raise ArgumentError(f"{add_article(self.chip.MAP.chip)} draws no lines by programs.")
 
     def filter_choices(self, trapezoid: bool) -> Choices:
         """Return the ranges of a servo's filter and sample time.
@@ -492,7 +492,7 @@ class Driver(ABC):
             ArgumentError: The chip closes no loop.
         """
         raise ArgumentError(
-            f"{a_or_an(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop: it has no filter to tune."
+            f"{add_article(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop: it has no filter to tune."
         )
 
     def filter_formula(self) -> dict[str, int]:
@@ -501,7 +501,7 @@ class Driver(ABC):
         Raises:
             ArgumentError: The chip closes no loop.
         """
-        raise ArgumentError(f"{a_or_an(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop.")
+        raise ArgumentError(f"{add_article(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop.")
 
     def write_servo_move(
         self, program: Operations, values: Mapping[str, int], counts: int, rates: tuple[float, float] | None
@@ -517,11 +517,11 @@ class Driver(ABC):
         Raises:
             ArgumentError: The chip closes no loop.
         """
-        raise ArgumentError(f"{a_or_an(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop.")
+        raise ArgumentError(f"{add_article(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop.")
 
     def no_s_curves(self) -> ArgumentError:
         """Return the error for S-curves that the chip does not have."""
-        return ArgumentError(f"s_curve=True: {a_or_an(self.chip.MAP.chip)} has linear ramps only.")
+        return ArgumentError(f"s_curve=True: {add_article(self.chip.MAP.chip)} has linear ramps only.")
 
     def moving(self) -> StageError:
         """Return the error for an axis that moves already."""
@@ -557,7 +557,7 @@ def driver_class(chip: type[Chip]) -> type[Driver]:
     """
     if not chip.DRIVER:
         raise ArgumentError(
-            f"{a_or_an(chip.__name__)} has no driver: its class names one in DRIVER, as 'package.module:Class'."
+            f"{add_article(chip.__name__)} has no driver: its class names one in DRIVER, as 'package.module:Class'."
         )
     loaded = contract.loaded(chip, "DRIVER", "its driver")
     if not isinstance(loaded, type) or not issubclass(loaded, Driver):

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from stage.chips.sharing import exclusive
-from stage.errors import ArgumentError, a_or_an
+from stage.errors import ArgumentError, add_article
 from stage.firmware.axis import Axes, Axis, check_direction, check_seconds, forward
 from stage.firmware.driver import RAMP, RATES, Driver, Speeds, driver_of, usual_speeds
 from stage.firmware.report import Procedure, Report
@@ -133,7 +133,7 @@ def home(
     if not 0 <= index <= driver.INDEX_PULSES:
         most = f" to {driver.INDEX_PULSES}" if driver.INDEX_PULSES > 1 else ""
         raise ArgumentError(
-            f"index={index}: {a_or_an(driver.chip.MAP.chip)} ends at ORG, index=0, or at index pulse 1{most} after it."
+            f"index={index}: {add_article(driver.chip.MAP.chip)} ends at ORG, index=0, or at index pulse 1{most} after it."
         )
     return driver.home(direction, wanted, index, timeout)
 

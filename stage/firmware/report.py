@@ -14,7 +14,7 @@ from stage.errors import RunTimeout
 from stage.firmware.axis import Axis
 from stage.firmware.stop_reasons import UNWANTED_REASONS
 from stage.support import html
-from stage.units import PLACES
+from stage.units import POSITION_UNITS
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -93,7 +93,7 @@ class Report:
         ]
         if self.position is not None and self.start is not None:
             lines.append(
-                f"  from {PLACES[self.unit].text(self.start)} to {PLACES[self.unit].text(self.position)}, "
+                f"  from {POSITION_UNITS[self.unit].format(self.start)} to {POSITION_UNITS[self.unit].format(self.position)}, "
                 f"lost steps {self.lost_steps}"
             )
         return "\n".join(lines)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.errors import ArgumentError, RunTimeout, unknown
+from stage.errors import ArgumentError, RunTimeout, unknown_name_error
 from stage.firmware.axis import Axes, Axis
 from stage.firmware.path import Deviation, path_deviation, pulses_of
 from stage.firmware.report import Procedure, Report
@@ -273,7 +273,7 @@ def select_axes(distances: Mapping, axes: Axes, procedure: str) -> dict[str, tup
             if known is None:
                 raise ArgumentError(f"axis {key!r}: say where it is: {procedure}({{{key!r}: ...}}, stage.axes).")
             if key not in known:
-                raise unknown("axis", key, known)
+                raise unknown_name_error("axis", key, known)
             axis = known[key]
         else:
             label = getattr(key, "name", repr(key))

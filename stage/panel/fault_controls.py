@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import mujoco
 import numpy as np
 
-from stage.errors import ArgumentError, StageError, unknown
+from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.panel.procedure_forms import Field, FieldError, parse_fields
 from stage.sim import faults
 from stage.sim.faults import Fault
@@ -158,7 +158,7 @@ class FaultControls:
         """
         functions = fault_functions()
         if name not in functions:
-            raise unknown("fault", name, functions)
+            raise unknown_name_error("fault", name, functions)
         form = next(form for form in self.list_forms(axis) if form.name == name)
         values = {field: BOOLEANS.get(value, value) for field, value in parse_fields(form.fields, texts).items()}
         request = FaultRequest(name, axis, {field: str(text) for field, text in texts.items()})

@@ -19,12 +19,12 @@ from itertools import chain, combinations, repeat
 from math import inf, isfinite, radians
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from stage.errors import ArgumentError, StageError, a_or_an
+from stage.errors import ArgumentError, StageError, add_article
 from stage.firmware import procedures
 from stage.firmware.driver import Driver, driver_of
 from stage.firmware.report import Procedure
 from stage.panel.stage_thread import has_end_limits
-from stage.units import whole
+from stage.units import parse_integer
 
 if TYPE_CHECKING:
     from stage.sim.axis import Axis
@@ -85,7 +85,7 @@ class Field(NamedTuple):
                 raise FieldError(self.name, f"{text!r}: {', '.join(self.choices)}.")
             return text
         if self.is_whole:
-            if (number := whole(text)) is None:
+            if (number := parse_integer(text)) is None:
                 raise FieldError(self.name, f"{text!r} is not a whole number: 16, 0x10 or 10h.")
             return number
         try:
@@ -142,14 +142,14 @@ def to_field_error(error: StageError, axis: Axis, texts: Mapping[str, Any], fiel
         texts: Texts of the fields.
         fields: Fields of the form.
     """
-    limit, by_name = getattr(error, "limit", None), {f.name: f for f in fields}
+    limit, by_name = getattr(error, "exceeded_limit", None), {f.name: f for f in fields}
     if limit is None:
         return error
-    name, bounds = limit.what, (limit.least, limit.most, limit.given)
+    name, bounds = limit.quantity, (limit.minimum, limit.maximum, limit.value)
     if name == "acceleration":  # the form has the time that a ramp to the drive speed takes
         speed = by_name["speed"].parse(str(texts["speed"])) if texts.get("speed") else None
         drive = procedures.parse_speeds(axis, {"speed": speed}).drive
-        name, bounds = "accel", (drive / limit.most, drive / limit.least, drive / limit.given)
+        name, bounds = "accel", (drive / limit.maximum, drive / limit.minimum, drive / limit.value)
     elif name != "accel":
         pulse = (axis.meters_per_pulse or 1.0) / find_unit(axis)[1]
         bounds = tuple(bound * pulse for bound in bounds)
@@ -164,7 +164,7 @@ def to_field_error(error: StageError, axis: Axis, texts: Mapping[str, Any], fiel
     if not least:
         allowed = f"up to {most:.3g}"
     unit = by_name[name].unit
-    return FieldError(name, f"{value:.4g} {unit}: {a_or_an(axis.chip.MAP.chip)} makes {allowed} {unit} here.")
+    return FieldError(name, f"{value:.4g} {unit}: {add_article(axis.chip.MAP.chip)} makes {allowed} {unit} here.")
 
 
 def distance_field(axis: Axis, name: str, title: str, default: str, missing: str = "") -> Field:

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 from stage.chips.chip import Chip
 from stage.chips.register_map import EVIDENCE, Field, Register, Word
-from stage.errors import ArgumentError, near_names
-from stage.units import MOST, WHOLE, whole
+from stage.errors import ArgumentError, find_similar_names
+from stage.units import INTEGER_PATTERN, MAX_INTEGER_LENGTH, parse_integer
 
 BY_ROWS = ("data write", "mode write")
 """Kinds of commands that a register's row sends when somebody writes there."""
@@ -144,9 +144,9 @@ def replace_field(word: int, field: Field, value: int) -> int:
 def parse_number(text: str, bits: int) -> int:
     """Return a typed number of so many bits: decimal, 0x1F or 1Fh, 0b101, signed in two's complement. Raises ArgumentError."""
     typed = re.sub(r"[_\s]", "", text)
-    if len(typed) > MOST:
+    if len(typed) > MAX_INTEGER_LENGTH:
         raise ArgumentError(f"a number of {len(typed)} characters needs more than {bits} bits.")
-    if (value := whole(typed)) is None:
+    if (value := parse_integer(typed)) is None:
         raise ArgumentError(_no_number(text, re.sub(r"^[-+]", "", typed)))
     if not -(1 << bits - 1) <= value < 1 << bits:
         raise ArgumentError(f"{text.strip()} needs more than {bits} bits: {-(1 << bits - 1)} to {(1 << bits) - 1} fit.")
@@ -161,7 +161,7 @@ def _no_number(text: str, digits: str) -> str:
     if re.fullmatch(r"[0-9]*[.,][0-9]*", digits):
         return f"{text.strip()!r}: registers hold whole numbers. Did you mean {digits.replace(',', '.').partition('.')[0] or 0}?"
     near = digits.translate(str.maketrans("OoIl", "0011"))
-    if re.fullmatch(WHOLE, near):
+    if re.fullmatch(INTEGER_PATTERN, near):
         return f"{text.strip()!r} is no number. Did you mean {near}?"
     return f"{text.strip()!r} is no number: 100, 64h or 0x64, 0b1100100."
 
@@ -366,7 +366,7 @@ def _place(kind: type[Chip], name: str) -> Register | Word | None:
 
 def _near(kind: type[Chip], name: str) -> str:
     known = {n.upper(): n for n in list_names(kind)}
-    near = [known[n] for n in near_names(name.upper(), known)]
+    near = [known[n] for n in find_similar_names(name.upper(), known)]
     return f" Did you mean {' or '.join(near)}?" if near else ""
 
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.recording.series import SERIES, Series, describe_series, series_of
 from stage.sim import handle
 from stage.sim.records import SAMPLE
@@ -257,7 +257,7 @@ class Sampler:
     def trace(self, name: str) -> Trace:
         """Return a trace by name. Raises ArgumentError with the near misses."""
         if name not in self.traces:
-            raise unknown("trace", name, self.traces)
+            raise unknown_name_error("trace", name, self.traces)
         return self.traces[name]
 
     def columns(self, names: Sequence[str], begin: float, end: float) -> tuple[np.ndarray, dict[str, np.ndarray]]:

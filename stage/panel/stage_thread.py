@@ -38,7 +38,7 @@ from stage.panel.snapshot_history import SnapshotHistory
 from stage.panel.stage_lock import StageLock
 from stage.sim.axis import Axis
 from stage.sim.stage import Stage
-from stage.units import PLACES
+from stage.units import POSITION_UNITS
 
 T = TypeVar("T")
 Order = Callable[[Stage], Any]
@@ -67,10 +67,10 @@ def describe_escape(stage: Stage) -> str:
         position, (low, high) = float(stage.data.qpos[axis.plant.qpos]), axis.travel
         margin = MAX_PENETRATION * (high - low)
         if not low - margin <= position <= high + margin:
-            place = PLACES[axis.unit]
+            place = POSITION_UNITS[axis.unit]
             return (
-                f"{axis.name} is out of its travel, at {place.text(position, '.4g')}: its end stops are at {place.text(low, 'g')} "
-                f"and {place.text(high, 'g')}. Take the cause away, and go back to a good state."
+                f"{axis.name} is out of its travel, at {place.format(position, '.4g')}: its end stops are at "
+                f"{place.format(low, 'g')} and {place.format(high, 'g')}. Take the cause away, and go back to a good state."
             )
     return ""
 

@@ -31,7 +31,7 @@ import numpy as np
 
 from stage.chips.journal import Journal
 from stage.chips.sharing import exclusively
-from stage.errors import ArgumentError, StageError, unknown
+from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.recording.table import Columns, Tabular
 from stage.recording.vcd import HostBus
 from stage.sim.records import SAMPLE
@@ -403,7 +403,7 @@ class Recording(Tabular):
     def column(self, name: str) -> np.ndarray:
         """Return one column, see `columns`. Raises ArgumentError with the near misses."""
         if name not in (units := self.units):
-            raise unknown("column", name, units)
+            raise unknown_name_error("column", name, units)
         return self._read([name])[name]
 
     @property
@@ -459,7 +459,7 @@ class Recording(Tabular):
             ArgumentError: An unknown axis.
         """
         if axis not in self.axes:
-            raise unknown("axis", axis, self.axes)
+            raise unknown_name_error("axis", axis, self.axes)
         return clock / self.axes[axis].chip.clock_hz
 
     def _goes_back(self, n: int) -> bool:

@@ -29,7 +29,7 @@ from stage.recording.sdk import rr
 from stage.recording.series import COLORS, FORMAT, colors_of, series_of
 from stage.recording.sink import Sink
 from stage.recording.thin import thin
-from stage.units import SMALL
+from stage.units import DEVIATION_UNITS
 
 if TYPE_CHECKING:
     from stage.recording.recording import Note, Recording
@@ -122,7 +122,7 @@ def _log_about(out: Any, recording: Recording) -> None:
     for axis in recording.axes.values():
         chip, drive = axis.chip, axis.drive
         motor = drive.title
-        pulse = f"{SMALL[axis.unit].text(axis.meters_per_pulse, '.4g')} a {'count' if drive.has_encoder else 'pulse'}"
+        pulse = f"{DEVIATION_UNITS[axis.unit].format(axis.meters_per_pulse, '.4g')} a {'count' if drive.has_encoder else 'pulse'}"
         rows.append(f"| {axis.name} | {type(chip).__name__} | {chip.clock_hz:,} Hz | {motor} | {pulse} |")
         facts.with_component_from_data(axis.name, f"{type(chip).__name__} at {chip.clock_hz} Hz, {motor}, {pulse}")
     of_stage = {"model": name, "samples": len(recording), "every_s": recording.every, "timestep_s": model.opt.timestep}

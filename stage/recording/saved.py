@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from stage.errors import StageError, unknown
+from stage.errors import StageError, unknown_name_error
 from stage.recording.recording import RecordingError, unit_of
 from stage.recording.rrd_process import DamagedFile, read_chunks
 from stage.recording.series import FORMAT, SERIES
@@ -153,7 +153,7 @@ class Saved(Tabular):
     def column(self, name: str) -> np.ndarray:
         """Return one column, (len(self),). Raises ArgumentError with the near misses."""
         if name not in self.units:
-            raise unknown("column", name, self.units)
+            raise unknown_name_error("column", name, self.units)
         if name == "time":
             return self._ticks * 1e-9
         if name in self._series:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from stage.units import DEGREES, PLACES, SMALL, Unit
+from stage.units import DEGREES_PER_RAD, DEVIATION_UNITS, POSITION_UNITS, Unit
 
 if TYPE_CHECKING:
     from stage.recording.recording import Recording
@@ -41,20 +41,22 @@ class Series(NamedTuple):
 
 def _split_units(units: dict[str, Unit]) -> tuple[tuple[str, str], tuple[float, float]]:
     slide, hinge = units["m"], units["rad"]
-    return (slide.symbol, hinge.symbol), (slide.per, hinge.per)
+    return (slide.symbol, hinge.symbol), (slide.factor, hinge.factor)
 
 
 SERIES = {
     "rate": Series(
         "Pulse rate", ("pps", "pps"), (1, 1), 0.5, lambda s: s["rate"], servo=("Commanded velocity", "counts/s")
     ),
-    "position": Series("Position", *_split_units(PLACES), 2e-4, lambda s: s["position"]),
-    "commanded": Series("Commanded position", *_split_units(PLACES), 2e-4, lambda s: s["commanded"]),
-    "following_error": Series("Following error", *_split_units(SMALL), 0.02, lambda s: s["commanded"] - s["position"]),
+    "position": Series("Position", *_split_units(POSITION_UNITS), 2e-4, lambda s: s["position"]),
+    "commanded": Series("Commanded position", *_split_units(POSITION_UNITS), 2e-4, lambda s: s["commanded"]),
+    "following_error": Series(
+        "Following error", *_split_units(DEVIATION_UNITS), 0.02, lambda s: s["commanded"] - s["position"]
+    ),
     "voltage": Series("Motor voltage", ("V", "V"), (1, 1), 0.02, lambda s: s["voltage"], "servo"),
     "current": Series("Motor current", ("A", "A"), (1, 1), 0.005, lambda s: s["current_a"], "servo"),
     "load_angle": Series(
-        "Load angle", ("electrical deg",) * 2, (DEGREES,) * 2, 0.1, lambda s: s["load_angle"], "stepper"
+        "Load angle", ("electrical deg",) * 2, (DEGREES_PER_RAD,) * 2, 0.1, lambda s: s["load_angle"], "stepper"
     ),
     "lost_steps": Series("Lost steps", ("full steps",) * 2, (1, 1), 0, lambda s: s["lost_steps"], "stepper"),
     "counter": Series(

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.errors import UnknownKey, unknown
+from stage.errors import UnknownKey, unknown_name_error
 from stage.support.arguments import explain_arguments
 from stage.support.extras import need
 from stage.support.files import FileError, ends_as, written
@@ -35,7 +35,7 @@ class Columns(dict[str, np.ndarray]):
     """Columns by name. An unknown name raises UnknownKey, which is a KeyError, with the near misses."""
 
     def __missing__(self, name: object) -> np.ndarray:
-        raise UnknownKey(str(unknown("column", name, self)))
+        raise UnknownKey(str(unknown_name_error("column", name, self)))
 
 
 class Tabular:
@@ -61,7 +61,7 @@ class Tabular:
         known = list(self.units)
         for name in names:
             if name not in known:
-                raise unknown("column", name, known)
+                raise unknown_name_error("column", name, known)
         return list(names)
 
     def _select_columns(self, columns: Sequence[str] | str | None) -> list[str]:

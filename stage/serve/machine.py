@@ -14,7 +14,7 @@ from stage import __version__
 from stage.board import Board, HostError
 from stage.board.bus.batch import ENTRY, first_wrong, go_on, run_batch
 from stage.board.bus.host_record import LAST_PORT, MAX_DELAY_US
-from stage.errors import ArgumentError, StageError, unknown
+from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.serve import client
 from stage.serve.frames import ENTRIES
 
@@ -185,7 +185,7 @@ class Machine:
     def _restore(self, body: bytes) -> bytes:
         name, board = _parse_text("RESTORE", body), self.board
         if name not in self._snapshots:
-            raise unknown("snapshot", name, self._snapshots)
+            raise unknown_name_error("snapshot", name, self._snapshots)
         if board.link.record["serving"]:
             raise StageError("RESTORE: not from within an interrupt hook.")
         board.stage.restore(self._snapshots[name])
@@ -212,7 +212,7 @@ class Machine:
             return client.ANSWER.pack(getattr(axis.switches, name))
         pins: dict[str, bool] = {**getattr(axis.chip, "pins", axis.pins).as_dict(), **axis.pins.as_dict()}
         if name not in pins:
-            raise unknown(
+            raise unknown_name_error(
                 f"pin of axis {axis_name}", name, (*pins, *(f"switches.{s}" for s in axis.switches.as_dict()))
             )
         return client.ANSWER.pack(pins[name])
@@ -226,7 +226,7 @@ class Machine:
     def _axis(self, name: str) -> Any:
         axes = self.board.stage.axes
         if name not in axes:
-            raise ArgumentError(f"{unknown('axis', name, axes)} Write AXIS.PIN or AXIS.switches.SWITCH.")
+            raise ArgumentError(f"{unknown_name_error('axis', name, axes)} Write AXIS.PIN or AXIS.switches.SWITCH.")
         return axes[name]
 
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from stage.chips.sharing import Lock, exclusively
 from stage.drives import drive as any_drive
-from stage.errors import ArgumentError, StageError, UnknownKey, unknown
+from stage.errors import ArgumentError, StageError, UnknownKey, unknown_name_error
 from stage.support import html
 from stage.support.arguments import explain_arguments
-from stage.units import PLACES
+from stage.units import POSITION_UNITS
 
 SWITCH_FAULTS = ["forced", "bounce", "toggles"]
 """Fields of SWITCH_TABLE that faults change."""
@@ -48,7 +48,7 @@ class Switches:
         for k, s in enumerate(axis.plant.switches):
             if s.pin == name:
                 return int(axis.stage.state.axis_table[axis.index].first_switch) + k
-        raise unknown(f"switch of axis {axis.name}", name, (s.pin for s in axis.plant.switches))
+        raise unknown_name_error(f"switch of axis {axis.name}", name, (s.pin for s in axis.plant.switches))
 
     def __getattr__(self, name: str) -> bool:
         if name.startswith("_"):
@@ -223,7 +223,7 @@ class Axis:
 
     def __repr__(self) -> str:
         return (
-            f"<Axis {self.name} {type(self.chip).__name__} position={PLACES[self.unit].text(self.position)} "
+            f"<Axis {self.name} {type(self.chip).__name__} position={POSITION_UNITS[self.unit].format(self.position)} "
             f"lost_steps={self.lost_steps} {self.switches!r}>"
         )
 
@@ -247,7 +247,7 @@ class Axes(Mapping[str, Axis]):
         try:
             return self._axes[name]
         except (KeyError, TypeError):  # a list has no hash
-            raise UnknownKey(str(unknown("axis", name, self))) from None
+            raise UnknownKey(str(unknown_name_error("axis", name, self))) from None
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._axes)
@@ -288,7 +288,10 @@ def format_axes_table(axes: Iterable[Axis]) -> str:
     """Format axes as a table of HTML, a line each."""
     rows = []
     for a in axes:
-        place, on = PLACES[a.unit].text, ", ".join(name for name, state in a.switches.as_dict().items() if state)
+        place, on = (
+            POSITION_UNITS[a.unit].format,
+            ", ".join(name for name, state in a.switches.as_dict().items() if state),
+        )
         rows.append(
             (
                 a.name,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stage.chips import Chip, ChipAxis
-from stage.errors import ArgumentError, a_or_an, unknown
+from stage.errors import ArgumentError, add_article, unknown_name_error
 from stage.sim.plant import PlantAxis
 
 WiringChoice = Mapping[str, Mapping[str, str]] | None
@@ -36,7 +36,7 @@ def choose_wiring(
     names = [p.name for p in plant]
     for name, sensors in (wiring or {}).items():
         if name not in names:
-            raise unknown("axis", name, names)
+            raise unknown_name_error("axis", name, names)
         if not isinstance(sensors, Mapping):
             raise _refuse_wiring(wiring)
     return tuple(
@@ -53,7 +53,7 @@ def _choose_axis_wiring(sensors: Mapping[str, str], plant: PlantAxis, chip: Any)
     fitted = [*(s.pin for s in plant.switches), "ez"]
     for sensor, logic in sensors.items():
         if sensor not in fitted:
-            raise unknown(f"sensor of axis {plant.name}", sensor, fitted)
+            raise unknown_name_error(f"sensor of axis {plant.name}", sensor, fitted)
         if logic not in LOGIC:
             raise ArgumentError(
                 f"wiring of {sensor} of axis {plant.name}: {logic!r} is no logic; it is {LOGIC[0]!r} (low while the sensor is "
@@ -61,7 +61,7 @@ def _choose_axis_wiring(sensors: Mapping[str, str], plant: PlantAxis, chip: Any)
             )
         if not chip.wired(sensor):
             raise ArgumentError(
-                f"wiring of {sensor} of axis {plant.name}: no pin of {a_or_an(chip.__name__)} is wired to it; leave it out."
+                f"wiring of {sensor} of axis {plant.name}: no pin of {add_article(chip.__name__)} is wired to it; leave it out."
             )
     turned = {sensor: logic for sensor, logic in sensors.items() if logic != chip.LOGIC}
     for sensor in turned:
@@ -69,7 +69,7 @@ def _choose_axis_wiring(sensors: Mapping[str, str], plant: PlantAxis, chip: Any)
         if others:
             raise ArgumentError(
                 f"wiring of {sensor} of axis {plant.name}: {', '.join(others)} is on the same pin of "
-                f"{a_or_an(chip.__name__)}; give all "
+                f"{add_article(chip.__name__)}; give all "
                 "of them one logic."
             )
     return turned
@@ -95,7 +95,7 @@ def choose_leaders(
     for pair in wanted.items():
         for name in pair:
             if name not in chip_of:
-                raise unknown("axis", name, names)
+                raise unknown_name_error("axis", name, names)
         if pair[1] in wanted:
             raise ArgumentError(
                 f"syni: axis {pair[1]} leads {pair[0]}, and follows {wanted[pair[1]]}: connect all to one leader."
@@ -118,7 +118,7 @@ def check_pair(follower: Chip, leader: Chip, what: str) -> None:
     for chip in (follower, leader):
         if not chip.SYNCHRO:
             raise ArgumentError(
-                f"{what}: {a_or_an(type(chip).__name__)} has no SYNI and SYNO; chips of the PCL-240 family have."
+                f"{what}: {add_article(type(chip).__name__)} has no SYNI and SYNO; chips of the PCL-240 family have."
             )
     if follower is leader:
         raise ArgumentError(f"{what}: a chip does not follow itself.")
@@ -148,13 +148,13 @@ def choose_linked_axes(
     chip_of = {name: axis.chip for name, axis in zip(names, chip_axes, strict=True)}
     for name in multichip:
         if name not in chip_of:
-            raise unknown("axis", name, names)
+            raise unknown_name_error("axis", name, names)
     chips = tuple(dict.fromkeys(chip_of[name] for name in multichip))
     for name, chip in zip(multichip, (chip_of[name] for name in multichip), strict=True):
         if not chip.MULTICHIP:
             raise ArgumentError(
-                f"multichip of axis {name}: {a_or_an(type(chip).__name__)} has no lines of multichip interpolation; an MCX514 and "
-                "an MCX512 have."
+                f"multichip of axis {name}: {add_article(type(chip).__name__)} has no lines of multichip interpolation; an MCX514 "
+                "and an MCX512 have."
             )
         if chip.clock_hz != chips[0].clock_hz or chip.clock != chips[0].clock:
             raise ArgumentError(

@@ -13,7 +13,7 @@ import numpy as np
 from stage.chips import CHIPS, PCL240K, Chip, ChipAxis, chip_class
 from stage.drives.dc_motors import DC_MOTORS, DCMotor, Servo, find_dc_motor
 from stage.drives.motors import MOTORS, Drive, Motor, find_motor
-from stage.errors import ArgumentError, ModelError, unknown
+from stage.errors import ArgumentError, ModelError, unknown_name_error
 from stage.sim import plant
 
 ChipChoice = type[Chip] | str | Callable[[], Chip] | Mapping[str, Any]
@@ -42,7 +42,7 @@ def wire(
     for argument in (chips, drives):
         for name in argument if isinstance(argument, Mapping) else ():
             if name not in known:
-                raise unknown("axis", name, known)
+                raise unknown_name_error("axis", name, known)
     plant.reserve_fitted_values(spec, names)
     axes = _make_chip_axes(chips, names, clock)
     return names, axes, [_choose_drive(drives, name, axis.chip, spec) for name, axis in zip(names, axes, strict=True)]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from stage.chips import CHIPS, ChipAxis
-from stage.errors import ArgumentError, a_or_an, unknown
+from stage.errors import ArgumentError, add_article, unknown_name_error
 
 if TYPE_CHECKING:
     from stage.sim.plant import PlantAxis
@@ -58,7 +58,7 @@ class Encoder:
     def row(self, stage: Stage) -> tuple[int, float, float]:
         """Return the ENCODER record of stage.board for a stage: index of the axis, counts per unit, and zero."""
         if self.axis not in stage.axes:
-            raise unknown("axis", self.axis, stage.axes)
+            raise unknown_name_error("axis", self.axis, stage.axes)
         axis = stage.axes[self.axis]
         gear = float(stage.state.axis_table[axis.index].gear)
         return axis.index, self.counts(gear), axis.position if self.zero is None else self.zero
@@ -87,7 +87,7 @@ def choose_encoders(
     chosen: dict[str, Encoder] = {}
     for encoder in _list_encoders(encoders_given):
         if encoder.axis not in names:
-            raise unknown("axis", encoder.axis, names)
+            raise unknown_name_error("axis", encoder.axis, names)
         if encoder.axis in chosen:
             raise ArgumentError(f"encoders: axis {encoder.axis} is given two; a chip counts one an axis.")
         chip = type(chip_axes[names.index(encoder.axis)].chip)
@@ -104,7 +104,7 @@ def choose_encoders(
             )
         if encoder.zero is not None:
             raise ArgumentError(
-                f"{encoder!r}: zero= is for devices; the counter of {a_or_an(chip.__name__)} is 0 after a reset, and "
+                f"{encoder!r}: zero= is for devices; the counter of {add_article(chip.__name__)} is 0 after a reset, and "
                 "a host can set it."
             )
         chosen[encoder.axis] = encoder

@@ -34,7 +34,7 @@ from stage.chips.sharing import exclusively
 from stage.drives import stepper
 from stage.drives.dc_motors import DCMotor
 from stage.drives.motors import Motor
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.sim.axis import Axis
 from stage.sim.records import MAX_TOGGLES
 from stage.sim.stage import Stage
@@ -327,7 +327,7 @@ def phase_open(axis: Axis, phase: str = "a") -> Fault:
             f"axis {axis.name} has a DC motor, {axis.drive.motor.name}, without phases: bus_voltage takes its supply away."
         )
     if phase not in PHASES:
-        raise unknown(f"phase of axis {axis.name}", phase, PHASES)
+        raise unknown_name_error(f"phase of axis {axis.name}", phase, PHASES)
     text = f"axis {axis.name}: phase {phase} open"
     return _change_axes(axis.stage, [axis], text, "open_phases", lambda before: before | PHASES[phase])
 
@@ -364,7 +364,7 @@ def motor(axis: Axis, motor: str | Motor | DCMotor) -> Fault:
     before = axis.drive
     presets: Mapping[str, Any] = before.PRESETS
     if not isinstance(motor, type(before.motor)) and not (isinstance(motor, str) and motor in presets):
-        raise unknown(f"motor of axis {axis.name}", str(getattr(motor, "name", motor)), presets)
+        raise unknown_name_error(f"motor of axis {axis.name}", str(getattr(motor, "name", motor)), presets)
     after: Any = replace(before, motor=motor)  # type: ignore[arg-type]
     if after == before:
         raise ArgumentError(f"motor={after.motor.name!r}: axis {axis.name} has it already: {', '.join(presets)}.")

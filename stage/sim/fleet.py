@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stage.errors import ArgumentError, StageError, unknown
+from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.sim import engine, handle, play, records
 from stage.sim.loop import IN_USE
 from stage.sim.program import END, KEEP, LOOK, MEASURE, NAMES, READ, STOP, WAIT, WRITE, Program
@@ -72,7 +72,7 @@ class Fleet:
     ) -> Fleet:
         """Make room for a fleet on processors, or, with device="cuda", on a GPU; see `__init__`."""
         if device not in DEVICES:
-            raise unknown("device", device, DEVICES)
+            raise unknown_name_error("device", device, DEVICES)
         if device == "cuda" and cls is Fleet:
             from stage.sim.gpu.fleet import GpuFleet  # few have a GPU
 

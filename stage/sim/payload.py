@@ -6,7 +6,7 @@ from typing import Any
 
 import mujoco
 
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.support.arguments import WrongType
 
 MAX_PAYLOAD_KG = 1e6  # kg
@@ -74,5 +74,5 @@ def _find_body(model: Any, body: str | None) -> int:
         raise WrongType(f"body={body!r}: a text or None.")
     names = [model.body(k).name for k in range(model.nbody)]  # MuJoCo's own search ends a name at a NUL
     if body not in names:
-        raise unknown("body", body, names[1:])
+        raise unknown_name_error("body", body, names[1:])
     return names.index(body)

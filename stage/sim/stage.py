@@ -27,7 +27,7 @@ from stage.chips import ChipAxis
 from stage.chips.sharing import Lock, exclusive
 from stage.drives.dc_motors import Servo
 from stage.drives.motors import Drive
-from stage.errors import ArgumentError, RunTimeout, StageError, unknown
+from stage.errors import ArgumentError, RunTimeout, StageError, unknown_name_error
 from stage.sim import callbacks, encoder, engine, handle, integration, plant, records
 from stage.sim.axis import Axes, Axis, format_axes_table
 from stage.sim.chip_wires import Wires, WiringChoice, choose_leaders, choose_linked_axes, choose_wiring
@@ -432,7 +432,7 @@ class Stage:
         """
         for name, q in positions.items():
             if name not in self.axes:
-                raise unknown("axis", name, self.axes)
+                raise unknown_name_error("axis", name, self.axes)
             low, high = self.axes[name].travel
             if not low <= q <= high:
                 raise ArgumentError(f"{name}={q!r}: the joint travels from {low} to {high} {self.axes[name].unit}.")

@@ -17,7 +17,7 @@ import numpy as np
 from stage import Stage, firmware
 from stage.chips import chip_class
 from stage.chips.pcl240 import PCL240
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.firmware import Profile
 from stage.support.arguments import explain_arguments, explain_constructor
 
@@ -130,7 +130,7 @@ class PresetMoves:
     def __post_init__(self) -> None:
         for goal in self.goals:
             if goal not in MEASURED:
-                raise unknown("goal", goal, MEASURED)
+                raise unknown_name_error("goal", goal, MEASURED)
         if not self.goals:
             raise ArgumentError(f"goals=(): one at least of {', '.join(MEASURED)}.")
         if not issubclass(self._chip, PCL240):
@@ -143,7 +143,7 @@ class PresetMoves:
             values_of(name, text)
         stage, _ = _stage(self.model, self._chip)
         if self.axis not in stage.axes:
-            raise unknown("axis", self.axis, stage.axes)
+            raise unknown_name_error("axis", self.axis, stage.axes)
 
     @property
     def _chip(self) -> Any:
@@ -221,7 +221,7 @@ def check_registers(names: Mapping[str, object], chip: Any) -> None:
     known = {"R1", "R2", "R3", "R4", "R5", "R7"} | ({"R14", "R15"} if chip.S_CURVES else set())
     for name in names:
         if name not in known:
-            raise unknown(f"{chip.MAP.chip} speed register", name, known)
+            raise unknown_name_error(f"{chip.MAP.chip} speed register", name, known)
     if missing := sorted({"R1", "R2", "R4", "R5", "R7"} - set(names)):
         raise ArgumentError(
             f"a preset move needs {', '.join(missing)}, too: give one value at least, for example R7=12."

@@ -15,7 +15,7 @@ from numbers import Integral, Real
 from os import PathLike
 from typing import Any, ParamSpec, TypeVar
 
-from stage.errors import ArgumentError, near_names
+from stage.errors import ArgumentError, find_similar_names
 
 Parameters = ParamSpec("Parameters")
 Returned = TypeVar("Returned")
@@ -76,7 +76,7 @@ def _describe_wrong(function: Callable, args: tuple, kwargs: dict[str, Any]) -> 
     has_any_names = any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values())
     for name in () if has_any_names else (n for n in kwargs if n not in names):
         what = function.__qualname__.removesuffix(".__init__")
-        near = near_names(name, names)
+        near = find_similar_names(name, names)
         hint = f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
         return WrongType(f"{what} has no argument {name!r}.{hint} Known: {', '.join(names)}.")
     try:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from stage.errors import unknown
+from stage.errors import unknown_name_error
 from stage.support.files import FileError
 
 
@@ -68,7 +68,7 @@ def place(name: str) -> Path:
         ArgumentError: There is no such example; the error has near names.
     """
     if name not in PLACES:
-        raise unknown("example", name, PLACES)
+        raise unknown_name_error("example", name, PLACES)
     checkout = ROOT / PLACES[name]
     return checkout if checkout.exists() else INSTALLED / checkout.name
 

@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from stage.errors import ArgumentError, StageError, a_or_an
+from stage.errors import ArgumentError, StageError, add_article
 from stage.support.files import FileError, readable
 
 MAX_LEVELS = 64
@@ -52,7 +52,7 @@ def open_regular(path: str | os.PathLike, what: str, max_bytes: int, error: type
         return file
     file.close()
     if stat.S_ISREG(status.st_mode):
-        raise error(f"{path} has {status.st_size:,} bytes, and {a_or_an(what)} has at most {max_bytes:,}.")
+        raise error(f"{path} has {status.st_size:,} bytes, and {add_article(what)} has at most {max_bytes:,}.")
     raise error(f"{path} is no regular file, and no {what}. Name a regular file.")
 
 
@@ -65,7 +65,7 @@ def read_bytes(path: str | os.PathLike, what: str, max_bytes: int, error: type[S
         raise error(f"{path} cannot be read: {why.strerror or why}.") from why
     if len(content) > max_bytes:
         raise error(
-            f"{path} has grown beyond {max_bytes:,} bytes while it was read: {a_or_an(what)} has at most so many."
+            f"{path} has grown beyond {max_bytes:,} bytes while it was read: {add_article(what)} has at most so many."
         )
     return content
 
@@ -77,7 +77,7 @@ def read_text(
     try:
         return read_bytes(path, what, max_bytes, error).decode("utf-8")
     except UnicodeDecodeError as why:
-        raise error(f"{path} cannot be read: {why}. {a_or_an(what).capitalize()} is a text in UTF-8.") from None
+        raise error(f"{path} cannot be read: {why}. {add_article(what).capitalize()} is a text in UTF-8.") from None
 
 
 def parse_json(text: str | bytes, parse_constant: Callable[[str], Any] | None = None) -> Any:

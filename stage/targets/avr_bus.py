@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stage.board.board import Board
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.targets import avr_core
 from stage.targets.avr_core import PORTS
 
@@ -113,7 +113,7 @@ def _split(text: str) -> dict[str, str]:
     for part in text.split(","):
         key, equals, value = part.strip().partition("=")
         if key not in KEYS:
-            raise ArgumentError(f"--map {text!r}: write {FORM}. {unknown('part', key, KEYS)}")
+            raise ArgumentError(f"--map {text!r}: write {FORM}. {unknown_name_error('part', key, KEYS)}")
         if not equals or key in parts:
             raise ArgumentError(f"--map {text!r}: {key} is given {'twice' if key in parts else 'without a value'}.")
         parts[key] = value.strip().upper()

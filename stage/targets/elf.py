@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from stage.board.errors import LibraryError
 from stage.board.library import ELF_HEAD_SIZE, MACHINES, read_elf_head
-from stage.errors import a_or_an
+from stage.errors import add_article
 from stage.support.files import FileError, refuse_irregular
 from stage.support.foreign_files import read_bytes
 from stage.support.processes import run_program
@@ -254,7 +254,7 @@ def check_arm(elf: Elf, mcu: str, how: str) -> None:
     runs = [name for name in _ARM_RUNS if arch in _ARM_RUNS[name] and (name == "cortex-m4" or not floats)]
     hint = f"Run it with --mcu {runs[0]}, or build it" if profile == "M" and runs else "Build it"
     raise LibraryError(
-        f"{elf.path} was built for {target}, and this is {a_or_an(mcu)}. {hint} by {how.format(mcu=mcu)}."
+        f"{elf.path} was built for {target}, and this is {add_article(mcu)}. {hint} by {how.format(mcu=mcu)}."
     )
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from stage.errors import ArgumentError
 from stage.support.arguments import explain_arguments
-from stage.units import PLACES, SMALL
+from stage.units import DEVIATION_UNITS, POSITION_UNITS
 
 if TYPE_CHECKING:
     from stage.board import Board
@@ -211,12 +211,12 @@ def describe_missing_current(axis: Axis) -> str:
 
 def format_position(value: float, unit: str) -> str:
     """Format a position with its unit."""
-    return PLACES[unit].text(value)
+    return POSITION_UNITS[unit].format(value)
 
 
 def format_deviation(value: float, unit: str, sign: bool = False) -> str:
     """Format a deviation with its unit."""
-    return SMALL[unit].text(value, f"{'+' if sign else ''},.1f")
+    return DEVIATION_UNITS[unit].format(value, f"{'+' if sign else ''},.1f")
 
 
 def format_list(head: str, lines: list[str], tail: str) -> str:

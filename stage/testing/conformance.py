@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any
 
 from stage.chips import Chip, chip_class
-from stage.errors import ArgumentError, NativeError, StageError, unknown
+from stage.errors import ArgumentError, NativeError, StageError, unknown_name_error
 from stage.testing.child_process import NOT_FINISHED, run_bounded
 from stage.testing.promises import PROMISES
 from stage.testing.trial import BrokenPromise, Trial
@@ -91,7 +91,7 @@ class ChipConformance:
             pass
         for name in PROMISES if promises is None else promises:
             if name not in PROMISES:
-                raise unknown("promise", name, PROMISES)
+                raise unknown_name_error("promise", name, PROMISES)
             if report := run_bounded(partial(_try_promise, PROMISES[name], trial), limit):
                 broken[name] = report
                 limit = _shorten_limit(limit, broken)

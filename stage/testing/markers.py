@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.support.files import FileError
 from stage.testing.plugin import read_setting
 
@@ -113,7 +113,7 @@ def _bind_arguments(mark: pytest.Mark, names: Iterable[str], exactly: bool = Fal
         raise ArgumentError(f"@pytest.mark.{mark.name}({text}): it takes {', '.join(names)}.")
     for name in mark.kwargs:
         if name not in names:
-            raise unknown(f"argument of @pytest.mark.{mark.name}", name, names)
+            raise unknown_name_error(f"argument of @pytest.mark.{mark.name}", name, names)
     arguments = dict(zip(names, mark.args, strict=False))
     for name in mark.kwargs:
         if name in arguments:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.support.arguments import explain_arguments
 from stage.testing.assertions import format_deviation
 
@@ -55,7 +55,7 @@ def assert_path_within(
         raise ArgumentError(f"axes={names}: the points of the line have {points.shape[1]} numbers, one an axis.")
     for name in names:
         if name not in recording.axes:
-            raise unknown("axis", name, recording.axes)
+            raise unknown_name_error("axis", name, recording.axes)
     time = recording.column("time")
     selected = (time >= begin) & (time <= end)
     time = time[selected]

@@ -24,7 +24,7 @@ from stage.tune.planners import MovePlan, MovePlanner
 from stage.tune.position_sampler import SAMPLE_INTERVAL_S
 from stage.tune.proof import Proof, compute_time_saved
 from stage.tune.task import MoveCase, Task
-from stage.units import PLACES, SMALL
+from stage.units import DEVIATION_UNITS, POSITION_UNITS
 
 SPEED_KEYS = ("start", "drive", "up", "down", "s_curve")
 """Fields of `Speeds` in the JSON of a result."""
@@ -104,7 +104,7 @@ class TuningResult:
     def describe_distance(self) -> str:
         """Describe the distance in the unit of the axis and in pulses."""
         axis = self.task.stage.axes[self.task.axis]
-        distance = PLACES[axis.unit].text(self.task.signed_pulses * axis.meters_per_pulse, "g")
+        distance = POSITION_UNITS[axis.unit].format(self.task.signed_pulses * axis.meters_per_pulse, "g")
         return f"{distance} ({self.task.signed_pulses} {'counts' if self.task.is_servo else 'pulses'})"
 
     def describe_proof(self, answer: Answer) -> str:
@@ -185,7 +185,7 @@ class TuningResult:
         for answer in self.answers:
             proof = answer.proof
             spare = f"{'>= ' if answer.spare_is_lower_bound else ''}{answer.spare_payload:.2f} kg"
-            overshoot = SMALL[axis.unit].text(proof.max_overshoot, ".1f")
+            overshoot = DEVIATION_UNITS[axis.unit].format(proof.max_overshoot, ".1f")
             times = f"{proof.mean_time * 1e3:>12.1f} ms{proof.max_time * 1e3:>8.1f} ms"
             lines.append(f"{answer.name:9}{times}{overshoot:>11}{spare:>15}  {self.describe_proof(answer)}")
         if self.rejected_count:

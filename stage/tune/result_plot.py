@@ -14,7 +14,7 @@ from stage.support.pictures import COLOURS, MUTED, bare, figure, heading
 from stage.tune.planners import MovePlan
 from stage.tune.position_sampler import SAMPLE_INTERVAL_S, PositionSampler
 from stage.tune.task import MoveCase
-from stage.units import PLACES, SMALL
+from stage.units import DEVIATION_UNITS, POSITION_UNITS
 
 if TYPE_CHECKING:
     from stage.tune.result import TuningResult
@@ -37,7 +37,7 @@ def plot_result(result: TuningResult, path: str | PathLike, overwrite: bool = Fa
     """
     task = result.task
     axis: Any = task.stage.axes[task.axis]
-    unit, small_unit = PLACES[axis.unit], SMALL[axis.unit]
+    unit, small_unit = POSITION_UNITS[axis.unit], DEVIATION_UNITS[axis.unit]
     fig = figure(9, 8.4)
     panels: Any = fig.subplots(4, 1, sharex=True)
     duration = 1.15 * max(answer.proof.max_time for answer in result.answers) + 0.01
@@ -47,12 +47,12 @@ def plot_result(result: TuningResult, path: str | PathLike, overwrite: bool = Fa
         mean_ms, max_ms = answer.proof.mean_time * 1e3, answer.proof.max_time * 1e3
         label = f"{answer.name}: arrives after {mean_ms:.0f} ms (mean), {max_ms:.0f} ms (worst)"
         panels[0].plot(t * 1e3, rate * 1e-3, color=colour, lw=1.4, label=label, drawstyle="steps-post")
-        panels[1].plot(t * 1e3, position * unit.per, color=colour, lw=1.4)
-        panels[2].plot(t * 1e3, following_error * small_unit.per, color=colour, lw=1.0)
-        panels[3].plot(sample_t * 1e3, goal_error * small_unit.per, color=colour, lw=1.2)
+        panels[1].plot(t * 1e3, position * unit.factor, color=colour, lw=1.4)
+        panels[2].plot(t * 1e3, following_error * small_unit.factor, color=colour, lw=1.0)
+        panels[3].plot(sample_t * 1e3, goal_error * small_unit.factor, color=colour, lw=1.2)
         for panel in panels:
             panel.axvline(mean_ms, color=colour, lw=0.8, ls=(0, (5, 4)))
-    tolerance = float(task.tolerance or 0.0) * small_unit.per
+    tolerance = float(task.tolerance or 0.0) * small_unit.factor
     panels[3].axhspan(-tolerance, tolerance, color=TOLERANCE_COLOUR, zorder=0, label="arrived")
     panels[3].set_ylim(-4 * tolerance, 4 * tolerance)
     panels[0].set(ylabel="rate, 1000 counts/s" if task.is_servo else "pulse rate, kpps")

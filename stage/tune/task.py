@@ -13,11 +13,11 @@ import numpy as np
 
 from stage import Stage
 from stage.envs.task import find_carrier, find_judged_point
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.firmware.driver import driver_of
 from stage.support.arguments import explain_constructor
 from stage.tune.machines import Machine, fit_machine
-from stage.units import PLACES, SMALL
+from stage.units import DEVIATION_UNITS, POSITION_UNITS
 
 DEFAULT_MARGIN_RATIO = 0.3
 """Default margin as a fraction of the payload."""
@@ -90,7 +90,7 @@ class Task:
 
     def __post_init__(self) -> None:
         if self.axis not in self.stage.axes:
-            raise unknown("axis", self.axis, self.stage.axes)
+            raise unknown_name_error("axis", self.axis, self.stage.axes)
         axis: Any = self.stage.axes[self.axis]
         if axis.tandem:
             raise ArgumentError(
@@ -129,7 +129,7 @@ class Task:
         if not 0 < self.pulses <= max_pulses:
             raise ArgumentError(
                 f"a distance of {self.pulses} pulses: axis {self.axis} has room for 1 to {max_pulses} pulses between its "
-                f"limit switches ({PLACES[axis.unit].text(max_pulses * axis.meters_per_pulse, 'g')})."
+                f"limit switches ({POSITION_UNITS[axis.unit].format(max_pulses * axis.meters_per_pulse, 'g')})."
             )
         set_field("travel_center", 0.5 * (low + high))
 
@@ -157,7 +157,7 @@ class Task:
 
     def format_length(self, metres: float) -> str:
         """Format a small length in the unit of the axis."""
-        return SMALL[self.stage.axes[self.axis].unit].text(metres, "g")
+        return DEVIATION_UNITS[self.stage.axes[self.axis].unit].format(metres, "g")
 
     @property
     def signed_pulses(self) -> int:

@@ -128,7 +128,7 @@ def test_nor_is_anything_with_them_proposed(typed):
     """x: R2 <- 1O\u0663"""
     with pytest.raises(ArgumentError, match="is no number: 100, 64h"):
         parse_number(typed, 13)
-    assert units.whole(typed) is None
+    assert units.parse_integer(typed) is None
 
 
 @pytest.mark.parametrize("line", ["1FF", "2: 100", "15 99999"])

@@ -21,9 +21,11 @@ def attempt(call, *args, **kwargs):
     try:
         return read_report(call(*args, **kwargs))
     except ERRORS as error:
-        report, limit = getattr(error, "report", None), getattr(error, "limit", None)
-        return {"end": error, **({} if report is None else {"report": read_report(report)}), **({} if limit is None else {
-            "limit": str(limit)})}  # fmt: skip
+        report, limit = getattr(error, "report", None), getattr(error, "exceeded_limit", None)
+        result = {"end": error} | ({} if report is None else {"report": read_report(report)})
+        if limit is not None:  # in the words of the records, which are older than those of the class
+            result["limit"] = "Limit(what={!r}, given={!r}, least={!r}, most={!r})".format(*limit)
+        return result
 
 
 def read_report(report):

@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium
 
 from stage.envs import contexts
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.support.arguments import explain_arguments
 
 TRACKS = {
@@ -61,12 +61,12 @@ class Card:
             ArgumentError: The task does not have one of them.
         """
         if split not in self.splits:
-            raise unknown(f"split of {self.name}", split, self.splits)
+            raise unknown_name_error(f"split of {self.name}", split, self.splits)
         if track not in TRACKS:
-            raise unknown("track", track, TRACKS)
+            raise unknown_name_error("track", track, TRACKS)
         for name, value in selected.items():
             if name not in self.choices:
-                raise unknown(f"setting that a player of {self.name} may choose,", name, self.choices)
+                raise unknown_name_error(f"setting that a player of {self.name} may choose,", name, self.choices)
             if value not in self.choices[name] or isinstance(value, bool) not in map(_is_bool, self.choices[name]):
                 allowed = ", ".join(map(repr, self.choices[name]))
                 raise ArgumentError(f"{name}={value!r}: {self.name} has {allowed}.")
@@ -189,7 +189,7 @@ def card_of(task: str) -> Card:
     for card in CARDS.values():
         if task in (card.name, card.id):
             return card
-    raise unknown("task", task, CARDS)
+    raise unknown_name_error("task", task, CARDS)
 
 
 @explain_arguments

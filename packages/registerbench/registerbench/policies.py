@@ -21,7 +21,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from registerbench.shipped_policies import PLAYERS, SHIPPED
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 from stage.support.foreign_files import DocumentError, parse_array, read_bytes, read_members
 
 Policy = Callable[[np.ndarray, Mapping[str, Any]], Any]
@@ -85,7 +85,7 @@ def player(policy: str | Policy, task: str, seed: int) -> Player:
         return Recorded(policy)
     if ":" in policy:
         return UserPolicy(_policy(policy), policy)
-    near = unknown(f"player of {task}", policy, shipped)
+    near = unknown_name_error(f"player of {task}", policy, shipped)
     raise ArgumentError(f"{near} Or give module:function, or an .npz of actions.")
 
 

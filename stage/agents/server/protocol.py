@@ -21,7 +21,7 @@ from stage.agents.server.resources import list_pages
 from stage.agents.server.sessions import Sessions, ToolboxFactory
 from stage.agents.tool import Answer, Tool, refuse
 from stage.agents.toolbox import Toolbox
-from stage.errors import StageError, unknown
+from stage.errors import StageError, unknown_name_error
 
 INSTRUCTIONS = """An emulated motion stage: chips on a bus make pulses, drives and motors move carriages. Begin with `describe`.
 Time is simulated: it passes only in bus cycles, moves and waits. Your stage is yours; other sessions have others. An error says
@@ -118,7 +118,7 @@ class Protocol:
         def read() -> tuple[str, str]:
             box, pages = self._find_box(ctx), list_pages(self._factory.catalog)
             if uri not in pages:
-                raise unknown("resource", uri, pages)
+                raise unknown_name_error("resource", uri, pages)
             return pages[uri].kind, pages[uri].read(box)
 
         kind, text = await self._run_or_refuse(read)

@@ -10,7 +10,7 @@ from stage.agents.bus_tools import describe_map
 from stage.agents.toolbox import Toolbox
 from stage.chips.chip import Chip
 from stage.chips.register_map import EVIDENCE
-from stage.errors import a_or_an
+from stage.errors import add_article
 
 JSON, TEXT = "application/json", "text/plain"
 
@@ -78,7 +78,7 @@ def describe_chip(kind: type[Chip]) -> str:
         "While it drives, a status bit shows it; a start in that time changes the speed or is ignored, as the data sheet says.",
         "A chip only knows pulses: steps that the motor loses show only where it meets a switch, an index or an encoder again.",
         "",
-        f"Notes of the register map of {a_or_an(kind.MAP.chip)}:",
+        f"Notes of the register map of {add_article(kind.MAP.chip)}:",
     ]
     notes = [f"{r.name}: {r.note}." for r in kind.MAP.registers if r.note]
     notes += [f"{p.name} {f.name}: {f.note}." for p in kind.MAP.places for f in p.fields if f.note]

@@ -14,7 +14,7 @@ from stage.board.devices.latch import Latch
 from stage.board.devices.ls7166 import LS7166
 from stage.board.devices.uart import UART
 from stage.board.devices.user_devices import CDevice
-from stage.errors import ArgumentError, a_or_an, near_names
+from stage.errors import ArgumentError, add_article, find_similar_names
 
 COUNTS_PER_TURN = 2000
 COUNTERS: dict[str, type] = {d.KIND: d for d in (HCTL2000, HCTL2016, HCTL2020, LS7166)}
@@ -44,7 +44,7 @@ def parse_device(text: str) -> tuple[Device, list[int]]:
         first, n = _parse_port(text, port), _parse_port(text, ports or "1")
         return CDevice(kind), list(range(first, first + n))
     if kind not in KNOWN:
-        near = near_names(kind, KNOWN)
+        near = find_similar_names(kind, KNOWN)
         hint = f" Did you mean {near[0]!r}?" if near else ""
         raise ArgumentError(f"device {text!r}: unknown kind {kind!r}; known are {', '.join(KNOWN)}.{hint}")
     first = _parse_port(text, rest[0])
@@ -54,13 +54,15 @@ def parse_device(text: str) -> tuple[Device, list[int]]:
 
 def _make_other(text: str, kind: str, rest: list[str]) -> Device:
     if len(rest) > 1:
-        raise ArgumentError(f"device {text!r}: {a_or_an(kind)} is on no axis. Write {kind}:{rest[0]}")
+        raise ArgumentError(f"device {text!r}: {add_article(kind)} is on no axis. Write {kind}:{rest[0]}")
     return OTHERS[kind]()
 
 
 def _make_counter(text: str, kind: str, rest: list[str]) -> Device:
     if not 2 <= len(rest) <= 3:
-        raise ArgumentError(f"device {text!r}: {a_or_an(kind)} counts an encoder on an axis. Write {kind}:{rest[0]}:x")
+        raise ArgumentError(
+            f"device {text!r}: {add_article(kind)} counts an encoder on an axis. Write {kind}:{rest[0]}:x"
+        )
     try:
         counts = float(rest[2]) if len(rest) == 3 else COUNTS_PER_TURN
     except ValueError:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stage.board.platforms.sketch import SKETCH, list_sketch_files, translate_sketch
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 
 FOLDER = Path(__file__).parent
 WRAPPER = ".pulsestage.cpp"
@@ -100,7 +100,7 @@ def platform_of(name: str | None, sources: Sequence[Path]) -> Platform | None:
     if name is None:
         return PLATFORMS["arduino"] if sketches else None
     if name not in PLATFORMS:
-        raise unknown("platform", name, PLATFORMS)
+        raise unknown_name_error("platform", name, PLATFORMS)
     if sketches and name != "arduino":
         raise ArgumentError(f"{sketches[0].name}: a sketch is of the platform arduino, not {name}.")
     return PLATFORMS[name]

@@ -13,9 +13,9 @@ from typing import Any
 
 from stage.cli.fault import SAMPLE_INTERVAL_S, programs
 from stage.cli.terminal import note
-from stage.errors import unknown
+from stage.errors import unknown_name_error
 from stage.firmware.driver import driver_of
-from stage.units import PLACES, SMALL
+from stage.units import DEVIATION_UNITS, POSITION_UNITS
 
 Figures = dict[str, Any]
 MakeFault = Callable[..., AbstractContextManager]
@@ -122,9 +122,9 @@ def format_figures(head: tuple[str, str, str], figures: tuple[Figures, Figures],
 
 def _format_figure(name: str, first: Any, second: Any, unit: str) -> tuple[str, ...]:
     title, comma, scale = name.rpartition(", ")
-    units = {"mm": PLACES, "um": SMALL}.get(scale) if comma else None
+    units = {"mm": POSITION_UNITS, "um": DEVIATION_UNITS}.get(scale) if comma else None
     if units is not None:
-        name, factor = f"{title}, {units[unit].symbol}", units[unit].per / units["m"].per
+        name, factor = f"{title}, {units[unit].symbol}", units[unit].factor / units["m"].factor
         first, second = first * factor, second * factor
     return name, *(f"{v:.4f}" if isinstance(v, float) else str(v) for v in (first, second))
 
@@ -133,7 +133,7 @@ def find_key(name: str) -> str:
     """Return the name of a demonstration as DEMOS has it. Raises ArgumentError with near names."""
     key = name.lower().replace("_", "-")
     if key not in DEMOS:
-        raise unknown("fault", name, DEMOS)
+        raise unknown_name_error("fault", name, DEMOS)
     return key
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.support import pictures
-from stage.units import PLACES
+from stage.units import POSITION_UNITS
 
 if TYPE_CHECKING:
     from stage.cli.fault.demonstrations import DemoResult
@@ -34,12 +34,12 @@ def draw(result: DemoResult, path: str | None, overwrite: bool) -> Any:
         else:
             for recording, style in zip(result.recordings, STYLES, strict=True):
                 time, values, steps = _read_waveform(recording, column)
-                scale = PLACES[result.unit].per if unit == "m" else 1
+                scale = POSITION_UNITS[result.unit].factor if unit == "m" else 1
                 panel.plot(time, values * scale, drawstyle="steps-post" if steps else "default", **style)
         for when in begins:
             if limits is None or limits[0] <= when <= limits[1]:
                 panel.axvline(when, color="#c53030", linewidth=1, linestyle=(0, (4, 2)), label="the fault begins")
-        unit = PLACES[result.unit].symbol if unit == "m" else unit
+        unit = POSITION_UNITS[result.unit].symbol if unit == "m" else unit
         panel.set_ylabel(f"{column.replace('_', ' ')}{f', {unit}' if unit else ''}", color=pictures.INK, fontsize=8.5)
         pictures.bare(panel)
     handles, labels = panels[0].get_legend_handles_labels()

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from stage import faults, firmware
-from stage.errors import StageError, a_or_an
+from stage.errors import StageError, add_article
 from stage.firmware.driver import Speeds, driver_of
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def find_touch(axis: Any, pin: str) -> float:
     """Return the position at which the axis trips a switch, m. Raises StageError where there is no switch, or no pin for it."""
     if not axis.chip.wired(pin):
         raise StageError(
-            f"axis {axis.name}: {a_or_an(type(axis.chip).__name__)} has no pin for {pin}, which is to fail. Choose a "
+            f"axis {axis.name}: {add_article(type(axis.chip).__name__)} has no pin for {pin}, which is to fail. Choose a "
             "chip that has one."
         )
     for switch in axis.plant.switches:

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NoReturn, cast
 import numpy as np
 
 from stage.chips.hctl1100.maps import CLEAR, FLAG, MINIMUM_T, MODE, NUMBERS
-from stage.errors import ArgumentError, Limit, RunTimeout
+from stage.errors import ArgumentError, ExceededLimit, RunTimeout
 from stage.firmware import pattern
 from stage.firmware.axis import forward, positive
 from stage.firmware.choices import Choices
@@ -440,7 +440,7 @@ def _rows(distances: list[int], speeds: Speeds, sample: float) -> np.ndarray:
     if not 0 < speeds.drive <= maximum:
         raise ArgumentError(
             f"drive speed {speeds.drive:g} counts/s: more than 0, up to {maximum:g} at this sample time."
-        ).of(Limit("speed", speeds.drive, 0.0, maximum))
+        ).with_limit(ExceededLimit("speed", speeds.drive, 0.0, maximum))
     rate = compute_peak_rate(0.0, speeds.drive, max_distance, speeds.up, speeds.down)
     up, down = (ramp * rate / speeds.drive for ramp in (speeds.up, speeds.down))
     cruising = max_distance / rate - 0.5 * (up + down)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stage.chips.hctl1100.maps import FLAG, MINIMUM_T, NUMBERS, after_reset
-from stage.errors import ArgumentError, Limit
+from stage.errors import ArgumentError, ExceededLimit
 from stage.firmware.axis import Axis
 from stage.firmware.hctl1100.port import FLAGS, LIMIT, MARGIN, PROFILE, STOP, Port
 from stage.firmware.hctl1100.profile import follow, next_sample
@@ -397,5 +397,5 @@ def _round_to_register(port: Port, name: str, requested: float, scale: float, wh
         raise ArgumentError(
             f"{requested:g} {unit} are {value} in the register of {name} at samples of {port.sample * 1e6:g} us: "
             f"{max(number.least, 1)} to {number.most} it holds. Choose another rate, or another T."
-        ).of(Limit(what, requested, max(number.least, 1) / scale, number.most / scale))
+        ).with_limit(ExceededLimit(what, requested, max(number.least, 1) / scale, number.most / scale))
     return value

@@ -31,7 +31,7 @@ from stage.chips.hctl1100.maps import (
     after_reset,
 )
 from stage.chips.hctl1100.state import signed
-from stage.errors import ArgumentError, RunTimeout, unknown
+from stage.errors import ArgumentError, RunTimeout, unknown_name_error
 from stage.firmware.axis import Axis
 
 POLL = 1e-3  # s between two looks
@@ -142,7 +142,7 @@ class Port:
             ArgumentError: A name that MINIMUM_T does not have.
         """
         if name not in MINIMUM_T:
-            raise unknown("control mode", name, MINIMUM_T)
+            raise unknown_name_error("control mode", name, MINIMUM_T)
         self._set_flags(name)
         self.axis.wait(self.sample)
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, TypeVar, cast
 import numpy as np
 
 from stage.chips.journal import Journal
-from stage.errors import ArgumentError, Limit, a_or_an
+from stage.errors import ArgumentError, ExceededLimit, add_article
 from stage.firmware import pattern
 from stage.firmware.axis import positive
 from stage.firmware.choices import limits
@@ -153,12 +153,12 @@ class NovaDriver(Driver):
         for name, field, rate in (("start", "start_speed", speeds.start), ("drive", "speed", speeds.drive)):
             if not low <= rate <= high:
                 raise ArgumentError(
-                    f"{name} speed {rate:g} pps: {a_or_an(self.map.chip)} makes {low:g} to {high:g} pps here."
-                ).of(Limit(field, rate, low, high))
+                    f"{name} speed {rate:g} pps: {add_article(self.map.chip)} makes {low:g} to {high:g} pps here."
+                ).with_limit(ExceededLimit(field, rate, low, high))
         if speeds.start > speeds.drive:
             raise ArgumentError(
                 f"start speed {speeds.start:g} pps is above the drive speed {speeds.drive:g}: ramps lead up."
-            ).of(Limit("start_speed", speeds.start, low, speeds.drive))
+            ).with_limit(ExceededLimit("start_speed", speeds.start, low, speeds.drive))
         return self.formula(speeds.start, speeds.drive, speeds.up, speeds.down, pulses, bool(speeds.s_curve))
 
     def _prepare(self, registers: Mapping[str, int]) -> None:
@@ -202,8 +202,8 @@ class NovaDriver(Driver):
         for n, driver in moving_drivers.items():
             line_plan.check_pulses(driver, pulses[n])
         if speeds.drive > line_plan.fastest:
-            raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {line_plan.fastest:g} here.").of(
-                Limit("speed", speeds.drive, 0.0, line_plan.fastest)
+            raise ArgumentError(f"drive speed {speeds.drive:g} pps: up to {line_plan.fastest:g} here.").with_limit(
+                ExceededLimit("speed", speeds.drive, 0.0, line_plan.fastest)
             )
         distances = np.array([[pulses[n] for n in moving_drivers]])
         moves = LineMoves(distances, np.array([speeds.drive]))

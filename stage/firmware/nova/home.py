@@ -21,7 +21,7 @@ from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, RunTimeout
 from stage.firmware.axis import Axis
 from stage.firmware.nova.port import MAP, POLL, Port, inputs_514, mask, same_chip, stop
-from stage.units import PLACES
+from stage.units import POSITION_UNITS
 
 HSST = MAP.field("RR3-0", "HSST")
 BACK = HSST.code("step 2 irregular: waits for the signal in the other direction")
@@ -53,7 +53,7 @@ class HomeReport:
 
     def __str__(self) -> str:
         what = "found" if self.ok else f"NOT found ({', '.join(self.errors)})"
-        where = "" if self.position is None else f", at {PLACES[self.unit].text(self.position)}"
+        where = "" if self.position is None else f", at {POSITION_UNITS[self.unit].format(self.position)}"
         lines = [f"{self.axis}: home {what} in {self.seconds:.3f} s{where}"]
         return "\n".join([*lines, *(f"  {t:8.3f} s  {HOME_STATES[state]}" for t, state in self.states)])
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from stage.chips.nova.registers.mcx300 import RANGE
-from stage.errors import ArgumentError, a_or_an
+from stage.errors import ArgumentError, add_article
 from stage.firmware.choices import limits
 from stage.firmware.lines import Line, LineMoves
 from stage.sim.program import Program
@@ -85,7 +85,7 @@ class Interpolated(NovaLine):
         if abs(pulses) > MAX_FINISH_POINT:
             raise ArgumentError(
                 f"a line of {pulses} pulses on axis {driver.axis.name}: in interpolation the finish point of "
-                f"{a_or_an(self.chip.MAP.chip)} is signed, and holds {MAX_FINISH_POINT} to each side. Split a longer line."
+                f"{add_article(self.chip.MAP.chip)} is signed, and holds {MAX_FINISH_POINT} to each side. Split a longer line."
             )
 
     def data_sheet(self, moves: LineMoves) -> np.ndarray:

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from stage.chips import MCX514
 from stage.chips.nova import Nova
 from stage.chips.nova.registers.mcx514 import MCX514_MAP as MAP
-from stage.errors import ArgumentError, RunTimeout, a_or_an
+from stage.errors import ArgumentError, RunTimeout, add_article
 from stage.firmware.axis import Axis, positive
 
 POLL = 1e-3  # s between two looks
@@ -55,7 +55,7 @@ def level_bits(axis: Axis, word: str) -> int:
         others = [s for s, at in levels.items() if at == (place, name) and not positive(axis, s)]
         if others:
             raise ArgumentError(
-                f"axis {axis.name}: {sensor} is of positive logic and {others[0]} is not, and {a_or_an(map_.chip)} "
+                f"axis {axis.name}: {sensor} is of positive logic and {others[0]} is not, and {add_article(map_.chip)} "
                 "has one bit for both, "
                 f"{place} {name}: give both one logic."
             )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stage.errors import ArgumentError, a_or_an
+from stage.errors import ArgumentError, add_article
 from stage.firmware.choices import Choices, limits
 from stage.firmware.search import Search, SearchResult
 from stage.sim.program import Program
@@ -26,7 +26,7 @@ class HomeSearch(Search):
         self.driver, self.settings = driver, settings
         if settings.ez not in (0, 1):
             raise ArgumentError(
-                f"ez={settings.ez!r}: {a_or_an(driver.map.chip)} ends at the first index pulse after ORG, or at ORG."
+                f"ez={settings.ez!r}: {add_article(driver.map.chip)} ends at the first index pulse after ORG, or at ORG."
             )
         speeds = {name: limits(driver.map, name) for name in (*driver.SPEEDS, "HV")}
         self.choices = Choices({**speeds, "leave": (0, settings.leave), **driver.choices()}, cubed=("leave",))

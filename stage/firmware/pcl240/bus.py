@@ -29,7 +29,7 @@ from stage.chips.pcl240.state import (
     SD,
     UNCORRECTED,
 )
-from stage.errors import ArgumentError, RunTimeout, StageError, a_or_an
+from stage.errors import ArgumentError, RunTimeout, StageError, add_article
 from stage.firmware.axis import Axis
 from stage.firmware.driver import poll_interval
 from stage.support.arguments import explain_constructor
@@ -107,8 +107,8 @@ def check(axis: Any) -> type[PCL240]:
         raise ArgumentError(f"{axis!r} is no axis: give stage.axes['x'], or Bench(x=PCL240K()).axes['x'].")
     if not isinstance(chip, PCL240):
         raise ArgumentError(
-            f"axis {axis.name} has {a_or_an(chip.MAP.chip)}; these procedures speak to the PCL-240 family, stage.firmware.nova and "
-            "stage.firmware.hctl1100 to others."
+            f"axis {axis.name} has {add_article(chip.MAP.chip)}; these procedures speak to the PCL-240 family, stage.firmware.nova "
+            "and stage.firmware.hctl1100 to others."
         )
     return type(chip)
 
@@ -166,7 +166,7 @@ def polarity(axis: Axis) -> dict[str, int]:
         if register is None or field not in (f.name for f in register.fields):
             able = {"org": "; a PCL240MS can", "ez": "; a PCL240MK or PCL240MS can"}.get(sensor, "")
             raise ArgumentError(
-                f"axis {axis.name}: {sensor} is of positive logic, and {a_or_an(map_.chip)} cannot read it so{able}. "
+                f"axis {axis.name}: {sensor} is of positive logic, and {add_article(map_.chip)} cannot read it so{able}. "
                 "Wire a sensor of negative logic, or an inverter."
             )
         bits[name] = bits.get(name, 0) | map_.mask(name, field)
@@ -254,7 +254,7 @@ class Port:
             StageError: The chip reads nothing but R0.
         """
         if not self.extended:
-            raise StageError(f"axis {self.axis.name}: {a_or_an(self._chip.MAP.chip)} reads R0 only (Port.counter).")
+            raise StageError(f"axis {self.axis.name}: {add_article(self._chip.MAP.chip)} reads R0 only (Port.counter).")
         output = self._output
         self.command(output | EXTENSION)
         self.command(SELECT | COLLECTIVE | self._chip.MAP.register(name).number)

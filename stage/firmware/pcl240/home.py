@@ -10,7 +10,7 @@ ORG is asserted from the origin on to the end of travel, so that firmware knows 
 from __future__ import annotations
 
 from stage.chips.sharing import exclusive
-from stage.errors import ArgumentError, a_or_an
+from stage.errors import ArgumentError, add_article
 from stage.firmware.axis import Axis, check_direction, check_origin
 from stage.firmware.driver import SETTLE
 from stage.firmware.pcl240 import bus
@@ -101,7 +101,7 @@ def _check_index_number(axis: Axis, ez: int) -> None:
     """Raise ArgumentError for a chip that counts no index pulses, and for a number that it does not count to."""
     if not getattr(axis.chip, "EXTENDED", False):
         raise ArgumentError(
-            f"axis {axis.name}: {a_or_an(axis.chip.MAP.chip)} does not count EZ: a PCL240MK or PCL240MS does."
+            f"axis {axis.name}: {add_article(axis.chip.MAP.chip)} does not count EZ: a PCL240MK or PCL240MS does."
         )
     if ez not in range(1, 17):
         raise ArgumentError(f"ez={ez!r}: the origin return ends at the 1st to 16th index pulse after ORG.")

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 
 from stage.chips.pcl240.state import COUNTER_MASK
 from stage.chips.sharing import exclusive
-from stage.errors import ArgumentError, StageError, a_or_an
+from stage.errors import ArgumentError, StageError, add_article
 from stage.firmware.axis import Axis, check_direction, check_seconds
 from stage.firmware.driver import SETTLE
 from stage.firmware.pcl240 import bus
@@ -121,7 +121,7 @@ def encode_offset(profile: Profile, offset: int) -> int:
     half = (profile.chip.MAP.register("R6").mask + 1) // 2
     if not profile.chip.EXTENDED:
         raise ArgumentError(
-            f"{a_or_an(profile.chip.MAP.chip)} has no automatic ramp-down point: a PCL240MK or PCL240MS has."
+            f"{add_article(profile.chip.MAP.chip)} has no automatic ramp-down point: a PCL240MK or PCL240MS has."
         )
     if int(offset) != offset or not -half <= offset < half:
         raise ArgumentError(f"down_point={offset!r}: as an offset R6 takes whole pulses from {-half} to {half - 1}.")

@@ -16,7 +16,7 @@ import numpy as np
 from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import LINEAR, SPAN
-from stage.errors import ArgumentError, Limit, a_or_an, unknown
+from stage.errors import ArgumentError, ExceededLimit, add_article, unknown_name_error
 from stage.firmware.lines import ROOM, compute_peak_rate
 from stage.firmware.path import path_deviation, perfect_deviation
 from stage.firmware.pcl240 import fit
@@ -274,7 +274,7 @@ def _of_axis(what: str, name: str, values: Any) -> Any:
     if not isinstance(values, Mapping):
         return values
     if name not in values:
-        raise unknown(f"axis in {what}", name, values)
+        raise unknown_name_error(f"axis in {what}", name, values)
     return values[name]
 
 
@@ -296,13 +296,13 @@ def _offers(chips: dict, s_curve: bool, automatic: bool, accel: float, decel: fl
             raise ArgumentError(f"chips: axis {name} has {chip!r}; give a class, as PCL240K, PCL240MK or PCL240MS.")
         if s_curve and not chip.S_CURVES:
             raise ArgumentError(
-                f"axis {name} has {a_or_an(chip.MAP.chip)}, which has linear ramps only: for S-curves every axis that "
+                f"axis {name} has {add_article(chip.MAP.chip)}, which has linear ramps only: for S-curves every axis that "
                 "moves needs a "
                 f"PCL240MS."
             )
         if automatic and not chip.EXTENDED:
             raise ArgumentError(
-                f"axis {name} has {a_or_an(chip.MAP.chip)}, which has no automatic ramp-down point: a PCL240MK or PCL240MS has."
+                f"axis {name} has {add_article(chip.MAP.chip)}, which has no automatic ramp-down point: a PCL240MK or PCL240MS has."
             )
     if automatic and decel != accel:
         raise ArgumentError(
@@ -346,7 +346,7 @@ def _reach(moving: dict, leader: str, move: LeaderMove, rate: float, hz: dict) -
     if max(rate, move.fh) > max_rate:
         raise ArgumentError(
             f"rate={rate:g} pps: a chip at {hz[leader]} Hz makes at most {max_rate:.0f} pps (8191 at R7 = 2)."
-        ).of(Limit("speed", rate, 0.0, max_rate))
+        ).with_limit(ExceededLimit("speed", rate, 0.0, max_rate))
     for name, d in moving.items():
         least, own = hz[name] / (8192 * MAX_R7), abs(d) / move.length
         max_own_rate = hz[name] * MAX_SPEED / (8192 * MIN_R7)

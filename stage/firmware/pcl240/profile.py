@@ -16,7 +16,7 @@ import numpy as np
 from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import SPAN
-from stage.errors import ArgumentError, Limit
+from stage.errors import ArgumentError, ExceededLimit
 from stage.firmware.driver import DRIVE, RAMP, START
 from stage.support.arguments import explain_arguments, explain_constructor
 
@@ -229,11 +229,13 @@ class Profile:
             if not 0 < value <= max_rate:
                 raise ArgumentError(
                     f"{name}={value!r} pps: a chip at {clock_hz} Hz makes up to {max_rate:.0f} pps (R7 = {r7[0]})."
-                ).of(Limit({"fh1": "speed", "fh2": "fast", "fl": "start_speed"}[name], value, 0.0, max_rate))
+                ).with_limit(
+                    ExceededLimit({"fh1": "speed", "fh2": "fast", "fl": "start_speed"}[name], value, 0.0, max_rate)
+                )
         if fl > min(fh1, fh2):
             raise ArgumentError(
                 f"fl={fl!r} pps is above a high rate ({fh1:g}, {fh2:g}): ramps lead from FL upwards."
-            ).of(Limit("start_speed", fl, 0.0, min(fh1, fh2)))
+            ).with_limit(ExceededLimit("start_speed", fl, 0.0, min(fh1, fh2)))
         for name, value in {"accel": accel, "decel": decel}.items():
             if not 0 < value <= 100:
                 raise ArgumentError(f"{name}={value!r} s: a ramp takes more than 0 and up to about 27 s.")
@@ -266,7 +268,7 @@ class Profile:
                 raise ArgumentError(
                     f"a ramp of {seconds} s from {self.fl:.0f} pps on needs {register} = {wanted:.0f}: it takes 2 to {max_rate}. "
                     f"Between these rates a ramp takes at most {span * max_rate / self.clock_hz:.3f} s."
-                ).of(Limit("accel", seconds, 0.0, span * max_rate / self.clock_hz))
+                ).with_limit(ExceededLimit("accel", seconds, 0.0, span * max_rate / self.clock_hz))
 
     def shaped(self, s_curve: bool | float, fh2: bool = False) -> Profile:
         """Return the profile with ramps of another shape.

@@ -12,7 +12,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 from stage.chips.sharing import exclusive
-from stage.errors import ArgumentError, Limit
+from stage.errors import ArgumentError, ExceededLimit
 from stage.firmware.axis import Axis, check_direction, check_seconds
 from stage.firmware.pcl240 import bus
 from stage.firmware.pcl240.bus import Port, Status
@@ -267,7 +267,7 @@ def _refuse_short_move(count: int, needed: float) -> None:
     if count < needed + 5:
         raise ArgumentError(
             f"pulses={count}: these rates take at least {int(needed) + 6} pulses; give more, dwell less, or ask for fewer rates."
-        ).of(Limit("pulses", count, int(needed) + 6))
+        ).with_limit(ExceededLimit("pulses", count, int(needed) + 6))
 
 
 def _with_high_rates(profile: Profile, speed: int) -> Profile:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.chips.pcl240.state import COUNTER_MASK, S_OPERATING, S_ORG, S_ZERO
-from stage.errors import ArgumentError, a_or_an
+from stage.errors import ArgumentError, add_article
 from stage.firmware.choices import Choices, limits
 from stage.firmware.pcl240 import bus
 from stage.firmware.search import Search, SearchResult
@@ -30,7 +30,9 @@ class FourRuns(Search):
         self.driver, self.settings = driver, settings
         chip, ez = driver.chip, settings.ez
         if ez and not chip.EXTENDED:
-            raise ArgumentError(f"ez={ez!r}: {a_or_an(chip.MAP.chip)} does not count EZ: a PCL240MK or PCL240MS does.")
+            raise ArgumentError(
+                f"ez={ez!r}: {add_article(chip.MAP.chip)} does not count EZ: a PCL240MK or PCL240MS does."
+            )
         chip.MAP.checked("R7", settings.multiplier)
         rates = {"R1": limits(chip.MAP, "R1"), "R2": limits(chip.MAP, "R2"), "R4": limits(chip.MAP, "R4")}
         travel = {"leave": (0, settings.leave), "back_off": (1, settings.back_off), "sd": (0, 1)}

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 from stage.chips.sharing import exclusive
-from stage.errors import ArgumentError, RunTimeout, a_or_an
+from stage.errors import ArgumentError, RunTimeout, add_article
 from stage.firmware.axis import Axes, Axis
 from stage.firmware.pcl240 import bus
 from stage.firmware.pcl240.bus import check, name_leader, require_clock
@@ -155,8 +155,8 @@ def _same_chips(line_plan: Plan, selected: dict[str, tuple[Axis, int]]) -> None:
     for n, a in line_plan.axes.items():
         if type(selected[n][0].chip) is not a.chip:
             raise ArgumentError(
-                f"the plan is for {a_or_an(a.chip.MAP.chip)}, and axis {n} has {a_or_an(selected[n][0].chip.MAP.chip)}: plan with "
-                f"chips={{{n!r}: {type(selected[n][0].chip).__name__}}}."
+                f"the plan is for {add_article(a.chip.MAP.chip)}, and axis {n} has {add_article(selected[n][0].chip.MAP.chip)}: "
+                f"plan with chips={{{n!r}: {type(selected[n][0].chip).__name__}}}."
             )
         if selected[n][0].chip.clock_hz != a.clock_hz:
             raise ArgumentError(

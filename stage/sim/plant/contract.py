@@ -16,7 +16,7 @@ from stage.sim.plant.problems import Problems, actuator_line, joint_line, simila
 from stage.sim.plant.spec import axis_names, texts
 from stage.sim.plant.switches import Switch, SwitchFinder
 from stage.sim.records import PINS
-from stage.units import PLACES
+from stage.units import POSITION_UNITS
 
 MAX_BOUND_PLANTS = 64
 MIN_PARALLEL_COSINE = 0.99  # the least cosine between the joints of tandem axes
@@ -83,7 +83,7 @@ def describe(model: mujoco.MjModel) -> str:
     """Format the axes of a model as a text table."""
     lines = [f"{'axis':6}{'kind':7}{'travel':>22}{'per turn':>12}  {'motor':16}switches trip at"]
     for a in bind(model):
-        unit, k = PLACES["rad" if a.hinge else "m"]
+        unit, k = POSITION_UNITS["rad" if a.hinge else "m"]
         travel = f"{a.travel[0] * k:.1f} .. {a.travel[1] * k:.1f} {unit}"
         trips = ", ".join(f"{s.pin} {s.touch * k:z.2f}" for s in a.switches) or "none fitted"
         per_turn = f"{2 * np.pi / abs(a.gear) * k:.3f} {unit}"

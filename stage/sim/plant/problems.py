@@ -7,7 +7,7 @@ from typing import Any
 
 import mujoco
 
-from stage.errors import ModelError, near_names
+from stage.errors import ModelError, find_similar_names
 
 MARGIN, GAP = -0.03, 0.04  # of the pairs that the errors propose
 
@@ -46,7 +46,7 @@ class Problems:
 
 def similar(name: str, known: Iterable[str]) -> list[str]:
     """Return the name nearest to `name`, if one is near."""
-    return near_names(name, filter(None, known), 0.6)[:1]
+    return find_similar_names(name, filter(None, known), 0.6)[:1]
 
 
 def slip(model: Any, kind: Any, count: int, name: str, axes: Sequence[str]) -> str:

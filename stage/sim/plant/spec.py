@@ -13,7 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from stage.errors import ArgumentError, ModelError, near_names, unknown
+from stage.errors import ArgumentError, ModelError, find_similar_names, unknown_name_error
 from stage.sim.plant.model_size import check_model_size
 from stage.sim.plant.problems import actuator_line, similar
 
@@ -41,10 +41,10 @@ def open_spec(source: Any) -> Any:
     path = Path(source)
     if not path.suffix and len(path.parts) == 1:
         if str(source) not in names():
-            raise unknown("model", str(source), names())
+            raise unknown_name_error("model", str(source), names())
         return _shipped(str(source), _state_of_models()).copy()
     if not os.path.lexists(path):
-        near = near_names(path.stem, names(), 0.5)
+        near = find_similar_names(path.stem, names(), 0.5)
         hint = f" Did you mean the shipped model {near[0]!r}?" if near else ""
         raise ModelError(f"no MJCF file at {path}.{hint} Shipped models, by name: {', '.join(names())}.")
     check_model_size(path)

@@ -19,7 +19,7 @@ from pulsestage_trinamic.tmc5160.homing import LEAST_VSTOP, STOPS
 from pulsestage_trinamic.tmc5160.line import NAMES, InRatio
 from pulsestage_trinamic.tmc5160.maps import M32, NUMBER
 from pulsestage_trinamic.tmc5160.power import FULL_SCALE
-from stage.errors import ArgumentError, RunTimeout, a_or_an
+from stage.errors import ArgumentError, RunTimeout, add_article
 from stage.firmware.axis import turned
 from stage.firmware.choices import limits
 from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, select_moving, wait_until_stopped
@@ -160,7 +160,7 @@ class Tmc5160Driver(Driver):
             r = self.chip.MAP.register(name)
             if not r.allows(value):
                 raise ArgumentError(
-                    f"{name} = {value}: {a_or_an(self.chip.MAP.chip)} takes {r.range[0]} to {r.range[1]}. At {hz:,} Hz a "
+                    f"{name} = {value}: {add_article(self.chip.MAP.chip)} takes {r.range[0]} to {r.range[1]}. At {hz:,} Hz a "
                     f"velocity of 1 is {hz / (1 << 24):.4g} pulses/s, an acceleration of 1 {hz**2 / (1 << 41):.4g} pulses/s2."
                 )
         return values
@@ -301,8 +301,8 @@ class Tmc5160Driver(Driver):
 
     def search(self, settings: Any) -> NoReturn:
         raise ArgumentError(
-            f"{a_or_an(self.chip.MAP.chip)} has no ORG: its two reference switches are the end limits, and an origin return is to "
-            "find ORG between them. firmware.home homes it by a switch, index or stall."
+            f"{add_article(self.chip.MAP.chip)} has no ORG: its two reference switches are the end limits, and an origin return is "
+            "to find ORG between them. firmware.home homes it by a switch, index or stall."
         )
 
     # --- lines ---

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from registerbench.arena.loop import Guarded, Player
 from registerbench.arena.players import searches, simple, technician, trained
 from registerbench.policies import imported
-from stage.errors import ArgumentError, unknown
+from stage.errors import ArgumentError, unknown_name_error
 
 SHIPPED: dict[str, Callable[[], Player]] = {
     "formula": lambda: simple.formula,
@@ -25,7 +25,9 @@ def player(name: str) -> Player:
     if name in SHIPPED:
         return SHIPPED[name]()
     if ":" not in name:
-        raise ArgumentError(f"{unknown('player', name, SHIPPED)} Or give module:function, which takes a Table.")
+        raise ArgumentError(
+            f"{unknown_name_error('player', name, SHIPPED)} Or give module:function, which takes a Table."
+        )
     found = imported(name, "player")
     if not callable(found):
         raise ArgumentError(f"player {name}: is no function of a Table.")
