@@ -2,32 +2,33 @@
 
     import registerbench
 
-    entry = registerbench.play("random", "few-shot", "train")     a player's name, or a policy: see policies.py
+    entry = registerbench.play("random", "few-shot", "train")     the first argument is a player's name or a policy
     entry.write("random.bench")
     print(registerbench.verify("random.bench"))                   plays the actions again, without the policy
 
-cards.py has the tasks and their test episodes, entry_files.py the format; episodes.py plays, replay.py compares, statistics.py
-tells when one method beats another. arena/ measures agents, diagnosis/ has broken set-ups, baselines/ made the published results.
+cards.py holds the tasks and their test episodes, policies.py the kinds of policies, entry_files.py the file format. episodes.py
+plays, replay.py compares, and statistics.py decides whether one method beats another. arena/ measures agents, diagnosis/ has
+broken set-ups, and baselines/ made the published results.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from registerbench.cards import CARDS, Card, seeds
-    from registerbench.entry_files import Submission, read, read_all
+    from registerbench.cards import CARDS, Card, list_test_seeds
+    from registerbench.entry_files import Entry, read_entries, read_entry
     from registerbench.episodes import play
     from registerbench.replay import Verdict, verify
 
 _MODULES = {
-    "CARDS": "cards", "Card": "cards", "seeds": "cards", "Submission": "entry_files", "read": "entry_files",
-    "read_all": "entry_files", "play": "episodes", "Verdict": "replay", "verify": "replay",
+    "CARDS": "cards", "Card": "cards", "list_test_seeds": "cards", "Entry": "entry_files", "read_entry": "entry_files",
+    "read_entries": "entry_files", "play": "episodes", "Verdict": "replay", "verify": "replay",
 }  # fmt: skip
-__all__ = ["CARDS", "Card", "Submission", "Verdict", "play", "read", "read_all", "seeds", "verify"]
+__all__ = ["CARDS", "Card", "Entry", "Verdict", "list_test_seeds", "play", "read_entries", "read_entry", "verify"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is first asked for: the list of commands needs none of them."""
+    """Import a public name at its first use, because the list of commands needs none of them."""
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = globals()[name] = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

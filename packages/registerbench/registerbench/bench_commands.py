@@ -16,7 +16,7 @@ PROMISED = "docs/benchmark.md says what is promised, and what is not."
 def add_bench(commands: Any) -> None:
     """Add `stage bench`."""
     p = add_command(
-        commands, "bench", list_tasks, "the tasks of the benchmark and their test episodes",
+        commands, "bench", print_tasks, "the tasks of the benchmark and their test episodes",
         "List the tasks of the benchmark, or show one: what is asked, splits, tracks, settings, players that are shipped.",
         ("stage bench", "all tasks"),
         ("stage bench few-shot --json", "one, with the seeds of all test episodes"),
@@ -77,7 +77,7 @@ def add_bench_verify(commands: Any) -> None:
 def add_bench_table(commands: Any) -> None:
     """Add `stage bench-table`."""
     p = add_command(
-        commands, "bench-table", compare_entries, "compare entries of the benchmark, as tables in Markdown",
+        commands, "bench-table", print_tables, "compare entries of the benchmark, as tables in Markdown",
         "Print a table for each task, split, track and round: interquartile mean and mean of the return with their intervals, and "
         "who beats whom. Entries of one player are its runs, and have all test episodes. Nothing is replayed.",
         ("stage bench-table formula.bench mine.bench", "who beats whom"),
@@ -87,19 +87,20 @@ def add_bench_table(commands: Any) -> None:
     p.add_argument("--long", action="store_true", help="with regret, steps lost, end limits and steps of the episodes")
 
 
-def list_tasks(args: argparse.Namespace) -> int:
+def print_tasks(args: argparse.Namespace) -> int:
     """The tasks, or one of them."""
     from registerbench import CARDS
-    from registerbench.cards import OPEN, TRACKS, card_of, seeds
-    from registerbench.shipped_policies import PLAYERS, SHIPPED
+    from registerbench.cards import FIRST_TEST_SEED, TRACKS, find_card, list_test_seeds
+    from registerbench.shipped_policies import COMMON_PLAYERS, TASK_PLAYERS
 
-    selected = [card_of(args.task)] if args.task else list(CARDS.values())
+    selected = [find_card(args.task)] if args.task else list(CARDS.values())
     if args.json:
         rows = {
             c.name: {
                 "id": c.id, "asked": c.asked, "settings": dict(c.settings), "choices": {k: list(v) for k, v in c.choices.items()},
-                "splits": {s: seeds(c, s) for s in c.splits},
-                "machines": {s: c.machines(s) for s in c.splits}, "players": [*PLAYERS, *SHIPPED.get(c.name, {})],
+                "splits": {s: list_test_seeds(c, s) for s in c.splits},
+                "machines": {s: c.describe_machines(s) for s in c.splits},
+                "players": [*COMMON_PLAYERS, *TASK_PLAYERS.get(c.name, {})],
             }
             for c in selected
         }  # fmt: skip
@@ -107,18 +108,16 @@ def list_tasks(args: argparse.Namespace) -> int:
         return 0
     for c in selected:
         print(f"{c.name}  {c.id}\n  {c.asked}")
-        print(
-            f"  splits: {', '.join(c.splits)}; {c.episodes} test episodes each, seeds from {seeds(c, c.splits[0], OPEN)[0]} on"
-        )
+        print(f"  splits: {', '.join(c.splits)}; {c.episodes} test episodes each, seeds from {FIRST_TEST_SEED} on")
         for name, values in c.choices.items():
             print(f"  a player may choose --set {name}=: {', '.join(map(str, values))}")
-        print(f"  players: {', '.join([*PLAYERS, *SHIPPED.get(c.name, {})])}")
+        print(f"  players: {', '.join([*COMMON_PLAYERS, *TASK_PLAYERS.get(c.name, {})])}")
     if args.task:
         print("machines of a split, where they differ from train:")
         for split in selected[0].splits:
             print(
                 textwrap.fill(
-                    selected[0].machines(split), 118, initial_indent=f"  {split:6} ", subsequent_indent=9 * " "
+                    selected[0].describe_machines(split), 118, initial_indent=f"  {split:6} ", subsequent_indent=9 * " "
                 )
             )
         print("tracks:")
@@ -130,10 +129,10 @@ def list_tasks(args: argparse.Namespace) -> int:
 def submit_entry(args: argparse.Namespace) -> int:
     """Play and pack."""
     import registerbench
-    from registerbench.cards import card_of
+    from registerbench.cards import find_card
     from stage.support.files import ENTRY, ends_as, writable
 
-    card = card_of(args.task)
+    card = find_card(args.task)
     ends_as(args.output, *ENTRY)
     writable(args.output, args.force, ask="give --force")
     progress = _Progress("played")
@@ -165,14 +164,14 @@ def verify_entry(args: argparse.Namespace) -> int:
     return 0 if verdict.ok else 1
 
 
-def compare_entries(args: argparse.Namespace) -> int:
+def print_tables(args: argparse.Namespace) -> int:
     """Entries compared."""
-    from registerbench import read_all, statistics
+    from registerbench import read_entries, statistics
 
-    entries = [entry for path in args.files for entry in read_all(path).values()]
+    entries = [entry for path in args.files for entry in read_entries(path).values()]
     if args.json:
-        tell(args, statistics.rows(entries))
-    print(statistics.table(entries, args.long))
+        tell(args, statistics.compute_rows(entries))
+    print(statistics.format_tables(entries, args.long))
     return 0
 
 

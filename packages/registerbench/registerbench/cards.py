@@ -1,4 +1,4 @@
-"""The tasks of the bench, and their test episodes: a table that everybody plays."""
+"""The tasks of the benchmark and the seeds of their test episodes."""
 
 from __future__ import annotations
 
@@ -15,30 +15,37 @@ from stage.support.arguments import explain_arguments
 
 TRACKS = {
     "host": "the policy sees what a host on the bus can know",
-    "truth": "it sees the hidden context, too: an upper bound",
-    "tools": "as host, by a language model with tools: tokens are counted",
+    "truth": "the policy also sees the hidden context, which gives an upper bound",
+    "tools": "a language model sees the same as on track host, acts by tools, and its tokens are counted",
 }
-OPEN = "open"  # the round whose seeds stand in the page
-FIRST, LAST = 1_000_000, 1 << 31  # seeds of test episodes; those below FIRST are for learning
+OPEN_ROUND = "open"  # the round whose seeds are public: docs/benchmark.md lists them
+FIRST_TEST_SEED, SEED_LIMIT = 1_000_000, 1 << 31  # learners may use all seeds below the first of them
 
 
-def without(*splits: str) -> tuple[str, ...]:
-    """Return all splits but those that a task cannot have, or that do not change it.
+def list_splits_except(*splits: str) -> tuple[str, ...]:
+    """Return the names of all splits but those that a task lacks or that do not change it.
 
-    A split does not change a task if fewer than a third of its test episodes end with a return that differs from that on train by
-    0.001, the last figure of the tables, for the scripted and for the random player.
+    A split does not change a task if fewer than a third of its test episodes end with a return that differs from the return
+    on the split train by 0.001 (the last digit of the tables), for the scripted player and for the random one.
+
+    Args:
+        *splits: Names of the splits to leave out.
     """
     return tuple(split for split in contexts.SPLITS if split not in splits)
 
 
 @dataclass(frozen=True)
 class Card:
-    """Task of the bench.
+    """Task of the benchmark.
 
     Attributes:
-        settings: Of the environment, the same for all.
-        choices: Settings that a player may choose, and among what.
-        splits: Those that change it; see `without`.
+        name: Name by which commands select the task.
+        id: Id of its Gymnasium environment.
+        asked: Goal of the task, in words.
+        settings: Settings of the environment that are the same for all players.
+        choices: Settings that a player may choose, each with its allowed values.
+        splits: Splits that change the task; see `list_splits_except`.
+        episodes: Number of test episodes of a split.
     """
 
     name: str
@@ -49,13 +56,13 @@ class Card:
     splits: tuple[str, ...] = tuple(contexts.SPLITS)
     episodes: int = 64
 
-    def check(self, split: str, track: str, selected: Mapping[str, Any]) -> None:
-        """Check a choice of the task.
+    def check_choice(self, split: str, track: str, settings: Mapping[str, Any]) -> None:
+        """Check that the task has a split, a track and the settings that a player chose.
 
         Args:
-            split: Of its machines.
-            track: What the player sees.
-            selected: Settings.
+            split: Split from which the machines are drawn.
+            track: Name of the track, which says what the player sees.
+            settings: Settings that the player chose.
 
         Raises:
             ArgumentError: The task does not have one of them.
@@ -64,35 +71,35 @@ class Card:
             raise unknown_name_error(f"split of {self.name}", split, self.splits)
         if track not in TRACKS:
             raise unknown_name_error("track", track, TRACKS)
-        for name, value in selected.items():
+        for name, value in settings.items():
             if name not in self.choices:
                 raise unknown_name_error(f"setting that a player of {self.name} may choose,", name, self.choices)
-            if value not in self.choices[name] or isinstance(value, bool) not in map(_is_bool, self.choices[name]):
+            if value not in self.choices[name] or isinstance(value, bool) not in map(_is_boolean, self.choices[name]):
                 allowed = ", ".join(map(repr, self.choices[name]))
-                raise ArgumentError(f"{name}={value!r}: {self.name} has {allowed}.")
+                raise ArgumentError(f"{name}={value!r}: the task {self.name} allows {allowed}.")
 
-    def make(self, split: str, track: str, selected: Mapping[str, Any], vector: int = 0) -> Any:
+    def make_env(self, split: str, track: str, selected: Mapping[str, Any], vector: int = 0) -> Any:
         """Make the environment of the task.
 
         Args:
-            split: Of its machines.
-            track: What the player sees.
-            selected: Settings.
-            vector: Number of environments; None for a scalar one.
+            split: Split from which the machines are drawn.
+            track: Name of the track, which says what the player sees.
+            selected: Settings that the player chose.
+            vector: Number of environments of a vector environment; 0 for a single environment.
         """
-        self.check(split, track, selected)
+        self.check_choice(split, track, selected)
         settings = {**self.settings, **selected, "split": split, "truth": True if track == "truth" else "info"}
         if vector:
             kind: Any = {"vectorization_mode": "vector_entry_point", "autoreset_mode": "Disabled"}
             return gymnasium.make_vec(self.id, vector, **kind, **settings).unwrapped
         return gymnasium.make(self.id, disable_env_checker=True, **settings).unwrapped
 
-    def machines(self, split: str) -> str:
-        """Describe the machines of a split; for another than "train", what differs."""
-        made: Any = gymnasium.envs.registration.load_env_creator(str(gymnasium.spec(self.id).entry_point))
+    def describe_machines(self, split: str) -> str:
+        """Describe the machines of a split in words; for any other split than "train", describe what differs from "train"."""
+        env_class: Any = gymnasium.envs.registration.load_env_creator(str(gymnasium.spec(self.id).entry_point))
         values = {**contexts.SPLITS[split]}
         values |= {name: value for name, value in self.settings.items() if name in values}
-        faults = [name for name in values.pop("faults", ()) if name in made.task.Config.FAULTS]
+        faults = [name for name in values.pop("faults", ()) if name in env_class.task.Config.FAULTS]
         words = [
             f"{name} {values[ranges][0]:g} to {values[ranges][1]:g} {text}"
             for name, (ranges, text) in contexts.KINDS.items()
@@ -103,7 +110,7 @@ class Card:
         return "; ".join([*(f"{name} {values[name]}" for name in ("model", "chip") if name in values), *words])
 
 
-def _is_bool(value: Any) -> bool:
+def _is_boolean(value: Any) -> bool:
     return isinstance(value, bool)
 
 
@@ -114,14 +121,14 @@ CARDS = {
             "one-shot",
             "stage/OneShotTuning-v1",
             "a fast move at the first try, that holds with 0.5 kg more, on a machine of which the payload alone is declared",
-            splits=without("ms"),
+            splits=list_splits_except("ms"),
         ),
         Card(
             "few-shot",
             "stage/FewShotTuning-v1",
             "in eight tries, the fastest move that holds with 0.5 kg more, on a machine that nobody has measured",
             choices={"memory": ("all", "last")},
-            splits=without("ms"),
+            splits=list_splits_except("ms"),
         ),
         Card(
             "few-shot-wide",
@@ -138,54 +145,54 @@ CARDS = {
                 "inductances": (0.8, 1.4),
             },
             choices={"memory": ("all", "last")},
-            splits=without("heavy", "worn", "weak", "ms"),
+            splits=list_splits_except("heavy", "worn", "weak", "ms"),
         ),
         Card(
             "home",
             "stage/DriftingHome-v1",
             "origin returns to the same place, by a switch that walks, on a machine that may be broken, which is to be reported",
-            splits=without("loose"),
+            splits=list_splits_except("loose"),
         ),
         Card(
             "line",
             "stage/SynchronizedLine-v1",
             "a fast straight line of two axes, by the registers of both",
-            splits=without("loose", "ms"),
+            splits=list_splits_except("loose", "ms"),
         ),
         Card(
             "line-3",
             "stage/SynchronizedLine-v1",
             "the same of three axes",
             settings={"axes": ("x", "y", "z")},
-            splits=without("loose", "ms", "mast"),
+            splits=list_splits_except("loose", "ms", "mast"),
         ),
         Card(
             "bus-target",
             "stage/BusMacros-v1",
             "one axis to a target either way, by phrases of bus cycles",
             settings={"level": "target"},
-            splits=without("loose", "ms", "mast"),
+            splits=list_splits_except("loose", "ms", "mast"),
         ),
         Card(
             "bus-axes",
             "stage/BusMacros-v1",
             "both axes to their targets either way, by phrases of bus cycles",
             settings={"level": "axes"},
-            splits=without("loose", "ms", "mast"),
+            splits=list_splits_except("loose", "ms", "mast"),
         ),
         Card(
             "bus",
             "stage/BusMacros-v1",
             "both axes from an unknown place by their origins to their targets, by phrases of bus cycles",
-            splits=without("worn", "loose", "ms", "mast"),
+            splits=list_splits_except("worn", "loose", "ms", "mast"),
         ),
     )
 }
 """By name."""
 
 
-def card_of(task: str) -> Card:
-    """Return the card of this name, or of this id of an environment. Raises ArgumentError."""
+def find_card(task: str) -> Card:
+    """Return the card with this name or with this environment id. Raises ArgumentError."""
     for card in CARDS.values():
         if task in (card.name, card.id):
             return card
@@ -193,19 +200,21 @@ def card_of(task: str) -> Card:
 
 
 @explain_arguments
-def seeds(card: Card, split: str, round_: str = OPEN) -> list[int]:
-    """Return the seeds of the test episodes, in their order.
+def list_test_seeds(card: Card, split: str, round_: str = OPEN_ROUND) -> list[int]:
+    """Return the seeds of the test episodes, in the order in which they are played.
 
     Args:
-        card: Of the task.
-        split: Of its machines.
-        round_: Open, or the name of a round whose seeds are secret until it ends.
+        card: Card of the task.
+        split: Split from which the machines are drawn.
+        round_: Name of the round: "open", or the name of a round whose seeds are secret until it ends.
 
     Raises:
         ArgumentError: There is no such split or round.
     """
-    if round_ == OPEN:
-        return [FIRST + k for k in range(card.episodes)]
-    said = [f"{card.name} {split} {round_} {k}".encode() for k in range(card.episodes)]
-    drawn = [int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "little") for text in said]
-    return [FIRST + card.episodes + number % (LAST - FIRST - card.episodes) for number in drawn]
+    if round_ == OPEN_ROUND:
+        return [FIRST_TEST_SEED + k for k in range(card.episodes)]
+    texts = [f"{card.name} {split} {round_} {k}".encode() for k in range(card.episodes)]
+    hashes = [int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "little") for text in texts]
+    return [
+        FIRST_TEST_SEED + card.episodes + number % (SEED_LIMIT - FIRST_TEST_SEED - card.episodes) for number in hashes
+    ]

@@ -1,19 +1,19 @@
-"""The file of an entry: what was played, as data. It comes from strangers, and nothing in it is ever run.
+"""The file of an entry: what a player played, as data. Entries come from strangers, so nothing in a file is ever executed.
 
-A zip archive of exactly these members, so that `unzip -p FILE entry.json` shows what it says about itself:
+An entry is a zip archive of exactly these members, so `unzip -p FILE entry.json` shows what it says about itself:
 
-entry.json     FORMAT, task, split, track, round, settings chosen, player, notes, cost, seeds, names of the scores, versions,
-               what the environment was made of, types, and the checksum of all members
-steps          how many steps each episode took, int64
-actions        of every step of every episode, in the type and shape of the action space
-rewards        of every step, float64
-seen           a digest of each observation, 8 bytes: of the reset and of each step
+entry.json     format, task, split, track, round, the settings that the player chose, player, notes, cost, seeds, names of the
+               scores, versions, parts of the environment, types, and the checksum of all members
+steps          number of steps of each episode, int64
+actions        action of every step of every episode, in the type and shape of the action space
+rewards        reward of every step, float64
+seen           a digest of 8 bytes for each observation: that of the reset and those of the steps (`observation_digests`)
 scores         (episodes, names) float64
 
-All numbers are little-endian. A file is at most LARGEST, unpacked at most UNPACKED.
+All numbers are little-endian. A file has at most MAX_FILE_BYTES, and its members have at most MAX_UNPACKED_BYTES together.
 
-Published entries are kept in an archive a task, a zip file without further compression: `read_all("line.zip")` reads all of its
-entries, `read("line.zip/line-train-random-0.bench")` one of them.
+Published entries lie in one archive for each task, a zip file without further compression: `read_entries("line.zip")` reads all
+of its entries, `read_entry("line.zip/line-train-random-0.bench")` reads one of them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import io
 import json
 import os
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,27 +34,42 @@ from stage.errors import ArgumentError
 from stage.support.files import written
 from stage.support.foreign_files import DocumentError, parse_json, read_bytes, read_members
 
-FORMAT = 1
-MARK = "RegisterBench entry"
-LARGEST, UNPACKED, WORDS = 16 << 20, 64 << 20, 1 << 20  # bytes: of the file, of all its members, of entry.json
+FORMAT_VERSION = 1
+FORMAT_NAME = "RegisterBench entry"
+MAX_FILE_BYTES, MAX_UNPACKED_BYTES, MAX_HEADER_BYTES = (
+    16 << 20,
+    64 << 20,
+    1 << 20,
+)  # bytes: of the file, of all its members, of entry.json
 MAX_ARCHIVE_BYTES = 256 << 20
-ARRAYS = ("steps", "actions", "rewards", "seen", "scores")
-MEMBERS = ("entry.json", *ARRAYS)
-TYPES = {"steps": "<i8", "rewards": "<f8", "seen": "<u8", "scores": "<f8"}
-ACTIONS = ("<f4", "<f8", "<i4", "<i8", "|i1", "|u1")  # types that an action may have
-TEXTS = ("task", "split", "track", "round", "player", "notes")
-LONG = 4000  # characters of a text, at most
-WHEN = (1980, 1, 1, 0, 0, 0)  # the same entry gives the same bytes, whenever it is packed
+ARRAY_MEMBERS = ("steps", "actions", "rewards", "seen", "scores")
+MEMBERS = ("entry.json", *ARRAY_MEMBERS)
+ARRAY_TYPES = {"steps": "<i8", "rewards": "<f8", "seen": "<u8", "scores": "<f8"}
+ACTION_TYPES = ("<f4", "<f8", "<i4", "<i8", "|i1", "|u1")
+TEXT_KEYS = ("task", "split", "track", "round", "player", "notes")
+MAX_TEXT_LENGTH = 4000
+ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # a constant, so that the same entry gives the same bytes whenever it is packed
 
 
 @dataclass(frozen=True)
-class Submission:
-    """An entry: the test episodes of a split, as one player played them.
+class Entry:
+    """The test episodes of a split, as one player played them.
 
-    settings: those that the player chose; run: number of the training run, where there are several; cost: what it took, by names
-    (moves of the test are counted, the rest is as the player says); made_of: what the environment was made of, in words.
-    steps (episodes,); actions (steps in all, ...); rewards (steps in all,); seen (steps in all + episodes,); scores (episodes,),
-    each.
+    Attributes:
+        task, split, track, round: What was played.
+        settings: Settings that the player chose.
+        player: Name of the player.
+        run: Number of the training run, if a learner has several.
+        notes: Text of the player.
+        cost: What the player spent, by name. The moves of the test are counted; the rest is as the player states it.
+        seeds: Seeds of the episodes.
+        steps: Number of steps of each episode, (episodes,).
+        actions: Actions of all episodes one after the other, (all steps, ...).
+        rewards: Rewards likewise, (all steps,).
+        observation_digests: A digest of each observation, (all steps + episodes,).
+        scores: Scores by name, (episodes,) each.
+        versions: Versions with which the entry was made.
+        made_of: Parts of the environment, in words.
     """
 
     task: str
@@ -70,222 +85,249 @@ class Submission:
     steps: np.ndarray
     actions: np.ndarray
     rewards: np.ndarray
-    seen: np.ndarray
+    observation_digests: np.ndarray
     scores: dict[str, np.ndarray]
     versions: dict[str, str]
     made_of: dict[str, str]
 
     def pack(self) -> bytes:
-        """The bytes of the file; equal entries give equal bytes."""
+        """Return the bytes of the file; equal entries give equal bytes."""
         arrays = {
-            "steps": self.steps, "actions": self.actions, "rewards": self.rewards, "seen": self.seen,
+            "steps": self.steps, "actions": self.actions, "rewards": self.rewards, "seen": self.observation_digests,
             "scores": np.stack(list(self.scores.values()), axis=1),
         }  # fmt: skip
-        types = {**TYPES, "actions": self.actions.dtype.newbyteorder("<").str}
-        if types["actions"] not in ACTIONS:
-            raise ArgumentError(f"actions of type {self.actions.dtype}: one of {', '.join(ACTIONS)}.")
-        raw = {name: np.ascontiguousarray(a, types[name]).tobytes() for name, a in arrays.items()}
+        types = {**ARRAY_TYPES, "actions": self.actions.dtype.newbyteorder("<").str}
+        if types["actions"] not in ACTION_TYPES:
+            raise ArgumentError(
+                f"actions of type {self.actions.dtype}: use one of the types {', '.join(ACTION_TYPES)}."
+            )
+        contents = {name: np.ascontiguousarray(a, types[name]).tobytes() for name, a in arrays.items()}
         header = {
-            "format": [MARK, FORMAT], "task": self.task, "split": self.split, "track": self.track, "round": self.round,
-            "settings": self.settings, "player": self.player, "run": self.run, "notes": self.notes, "cost": self.cost,
-            "seeds": list(self.seeds), "scores": list(self.scores), "actions": [types["actions"], list(self.actions.shape[1:])],
-            "versions": self.versions, "made_of": self.made_of,
+            "format": [FORMAT_NAME, FORMAT_VERSION], "task": self.task, "split": self.split, "track": self.track,
+            "round": self.round, "settings": self.settings, "player": self.player, "run": self.run, "notes": self.notes,
+            "cost": self.cost, "seeds": list(self.seeds), "scores": list(self.scores),
+            "actions": [types["actions"], list(self.actions.shape[1:])], "versions": self.versions, "made_of": self.made_of,
         }  # fmt: skip
-        text = json.dumps({**header, "checksum": _checksum(header, raw)}, indent=1, sort_keys=True, allow_nan=False)
+        text = json.dumps(
+            {**header, "checksum": _compute_checksum(header, contents)}, indent=1, sort_keys=True, allow_nan=False
+        )
         file = io.BytesIO()
         with zipfile.ZipFile(file, "w") as archive:
-            for name, content in {"entry.json": text.encode(), **raw}.items():
-                member = zipfile.ZipInfo(name, WHEN)
+            for name, content in {"entry.json": text.encode(), **contents}.items():
+                member = zipfile.ZipInfo(name, ZIP_DATE)
                 member.external_attr, member.create_system = 0o644 << 16, 3
                 archive.writestr(member, content, zipfile.ZIP_DEFLATED, 9)
         return file.getvalue()
 
     def write(self, path: str | os.PathLike, overwrite: bool = False) -> None:
-        """Write the entry.
+        """Write the entry to a file.
 
         Args:
-            path: Of the file.
-            overwrite: Replace a file that is there.
+            path: Path of the file.
+            overwrite: Whether to replace an existing file.
 
         Raises:
             FileError: The file cannot be written.
-            Refused: `read` would refuse the entry.
+            EntryError: `read_entry` would refuse the entry.
         """
         content = self.pack()
-        unpack(content)
-        if len(content) > LARGEST:
-            raise ArgumentError(f"the entry has {len(content)} bytes, and a file at most {LARGEST}.")
+        unpack_entry(content)
+        if len(content) > MAX_FILE_BYTES:
+            raise ArgumentError(f"the entry has {len(content)} bytes, and a file at most {MAX_FILE_BYTES}.")
         with written(path, overwrite) as part:
             part.write_bytes(content)
 
 
-class Refused(ArgumentError):
-    """A file that is no whole entry of this format."""
+class EntryError(ArgumentError):
+    """The error of a file that is not a complete, undamaged entry of this format."""
 
 
-def read(path: str | os.PathLike) -> Submission:
-    """Read an entry from a file or from ARCHIVE.zip/NAME. Raises Refused for any other file, also for one that does not exist."""
+def read_entry(path: str | os.PathLike) -> Entry:
+    """Read an entry from a file or from ARCHIVE.zip/NAME. Raises EntryError for any other file and for one that does not exist."""
     archive = Path(path).parent
     if archive.suffix == ".zip" and archive.is_file():
-        return unpack(_read_archive(archive, [Path(path).name])[Path(path).name], str(path))
-    return unpack(read_bytes(path, "entry", LARGEST, Refused), str(path))
+        return unpack_entry(_read_archive(archive, [Path(path).name])[Path(path).name], str(path))
+    return unpack_entry(read_bytes(path, "entry", MAX_FILE_BYTES, EntryError), str(path))
 
 
-def read_all(path: str | os.PathLike) -> dict[str, Submission]:
-    """Read all entries of an archive, or the one entry of a file, by the names of their files. Raises Refused as `read` does."""
+def read_entries(path: str | os.PathLike) -> dict[str, Entry]:
+    """Read all entries of an archive, or the one entry of a file, by file name. Raises EntryError as `read_entry` does."""
     if Path(path).suffix != ".zip":
-        return {Path(path).name: read(path)}
-    return {name: unpack(content, f"{path}/{name}") for name, content in _read_archive(Path(path)).items()}
+        return {Path(path).name: read_entry(path)}
+    return {name: unpack_entry(content, f"{path}/{name}") for name, content in _read_archive(Path(path)).items()}
 
 
 def write_archive(archive: str | os.PathLike, paths: Iterable[str | os.PathLike], overwrite: bool = False) -> None:
     """Pack files of entries into an archive; equal files give equal bytes.
 
     Args:
-        archive: To write.
-        paths: Of the entries.
-        overwrite: Replace an archive that is there.
+        archive: Path of the archive.
+        paths: Paths of the entries.
+        overwrite: Whether to replace an existing archive.
 
     Raises:
         FileError: The archive cannot be written.
     """
     with written(archive, overwrite) as part, zipfile.ZipFile(part, "w") as packed:
         for path in sorted(map(Path, paths)):
-            packed.writestr(zipfile.ZipInfo(path.name, WHEN), path.read_bytes())
+            packed.writestr(zipfile.ZipInfo(path.name, ZIP_DATE), path.read_bytes())
 
 
-def _read_archive(path: Path, names: Sequence[str] = ()) -> dict[str, bytes]:
-    """Return the files of these names in an archive, by default all. Raises Refused."""
+def _read_archive(path: Path, members: Sequence[str] = ()) -> dict[str, bytes]:
+    """Return the contents of these members of an archive, by default of all, by name. Raises EntryError."""
 
-    def refuse(why: str) -> Refused:
-        return Refused(f"{path}: not an archive of entries: {why}. Get it again from where it came.")
+    def refuse(why: str) -> EntryError:
+        return EntryError(f"{path} is not an archive of entries: {why}. Get it again from where it came.")
 
-    content = read_bytes(path, "archive of entries", MAX_ARCHIVE_BYTES, Refused)
-    if not names:
+    content = read_bytes(path, "archive of entries", MAX_ARCHIVE_BYTES, EntryError)
+    if not members:
         try:
-            names = zipfile.ZipFile(io.BytesIO(content)).namelist()
+            members = zipfile.ZipFile(io.BytesIO(content)).namelist()
         except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError) as why:
-            raise refuse(f"it is no zip archive ({why!s:.200})") from None
-    return read_members(content, names, MAX_ARCHIVE_BYTES, refuse)
+            raise refuse(f"it is not a zip archive ({why!s:.200})") from None
+    return read_members(content, members, MAX_ARCHIVE_BYTES, refuse)
 
 
-def unpack(content: bytes, name: str = "the entry") -> Submission:
-    """Read an entry from the bytes of a file.
+def unpack_entry(content: bytes, name: str = "the entry") -> Entry:
+    """Read an entry from the bytes of its file.
 
     Args:
-        content: Bytes.
-        name: Of the file, for errors.
+        content: Bytes of the file.
+        name: Name of the file, for error messages.
 
     Raises:
-        Refused: The bytes are no entry.
+        EntryError: The bytes are not a complete, undamaged entry.
     """
 
-    def refuse(why: str) -> Refused:
-        return Refused(f"{name}: not an entry of the bench: {why}. Get it again from where it came.")
+    def refuse(why: str) -> EntryError:
+        return EntryError(f"{name} is not an entry of the benchmark: {why}. Get it again from where it came.")
 
-    raw = read_members(content, MEMBERS, UNPACKED, refuse, only=True)
-    header = _format_error(raw.pop("entry.json"), name)
-    if header.pop("checksum", None) != _checksum(header, raw):
-        raise Refused(f"{name}: damaged or changed by hand: its checksum is not that of what is in it.")
-    return _submission(header, raw, name)
+    raw = read_members(content, MEMBERS, MAX_UNPACKED_BYTES, refuse, only=True)
+    header = _parse_header(raw.pop("entry.json"), name)
+    if header.pop("checksum", None) != _compute_checksum(header, raw):
+        raise EntryError(f"{name} is damaged or was changed by hand: its checksum does not match its content.")
+    return _build_entry(header, raw, name)
 
 
-def _format_error(text: bytes, name: str) -> dict[str, Any]:
-    def no_number(word: str) -> Any:
-        raise ValueError(f"{word} is no number")
+def _parse_header(text: bytes, name: str) -> dict[str, Any]:
+    """Parse entry.json and check its format. Raises EntryError."""
 
-    if len(text) > WORDS:
-        raise Refused(f"{name}: entry.json has {len(text)} bytes, and at most {WORDS} are read.")
+    def refuse_constant(word: str) -> Any:
+        raise ValueError(f"{word} is not a number")
+
+    if len(text) > MAX_HEADER_BYTES:
+        raise EntryError(f"{name}: entry.json has {len(text)} bytes; at most {MAX_HEADER_BYTES} are read.")
     try:
-        header = parse_json(text, no_number)
+        header = parse_json(text, refuse_constant)
     except DocumentError as why:
-        raise Refused(f"{name}: entry.json cannot be read: {why}.") from None
+        raise EntryError(f"{name}: entry.json cannot be read: {why}.") from None
     mark = header.get("format") if isinstance(header, dict) else None
-    if not isinstance(mark, list) or len(mark) != 2 or mark[0] != MARK:
-        raise Refused(f"{name}: entry.json does not begin as an entry does.")
-    if mark[1] != FORMAT or isinstance(mark[1], bool):
-        raise Refused(
-            f"{name}: of format {mark[1]!r:.60}, and this PulseStage reads format {FORMAT}: "
-            "use the PulseStage that it was made with."
+    if not isinstance(mark, list) or len(mark) != 2 or mark[0] != FORMAT_NAME:
+        raise EntryError(f"{name}: entry.json lacks the format of an entry.")
+    if mark[1] != FORMAT_VERSION or isinstance(mark[1], bool):
+        raise EntryError(
+            f"{name} has format {mark[1]!r:.60}, and this PulseStage reads format {FORMAT_VERSION}: "
+            "use the PulseStage with which the entry was made."
         )
     return header
 
 
-def _submission(header: dict[str, Any], raw: Mapping[str, bytes], name: str) -> Submission:
-    def refuse(what: str) -> Refused:
-        return Refused(f"{name}: {what}.")
+def _build_entry(header: dict[str, Any], raw: Mapping[str, bytes], name: str) -> Entry:
+    """Build an entry from its header and the bytes of its arrays. Raises EntryError for a value that is not allowed."""
 
-    kinds: dict[str, type] = {
-        "settings": dict,
-        "cost": dict,
-        "versions": dict,
-        "made_of": dict,
-        "seeds": list,
-        "scores": list,
-    }
-    kinds |= {"run": int, "actions": list, **dict.fromkeys(TEXTS, str)}
-    if sorted(header) != sorted([*kinds, "format"]):
-        raise refuse(f"entry.json should have {', '.join(sorted([*kinds, 'format', 'checksum']))}")
-    for key, kind in kinds.items():
-        if not isinstance(header[key], kind) or isinstance(header[key], bool):
-            raise refuse(f"{key} is no {kind.__name__}")
-        if isinstance(header[key], str) and (len(header[key]) > LONG or not header[key].isprintable()):
-            raise refuse(f"{key} is longer than {LONG} characters, or has some that cannot be printed")
-    if not all(_whole(s) for s in header["seeds"]) or not header["seeds"]:
-        raise refuse("seeds are whole numbers from 0 up, one at least")
-    if not all(
-        isinstance(v, int | float) and not isinstance(v, bool) and 0 <= v <= 1e15 for v in header["cost"].values()
-    ):
-        raise refuse("cost has numbers from 0 to 1e15")
-    for key in ("versions", "made_of"):
-        if not all(isinstance(v, str) and len(v) <= LONG and v.isprintable() for v in header[key].values()):
-            raise refuse(f"{key} has texts")
-    keys = [k for part in ("settings", "cost", "versions", "made_of") for k in header[part]] + header["scores"]
-    if not all(isinstance(k, str) and len(k) <= 200 and k.isprintable() for k in keys):
-        raise refuse("a name is no short text")
-    if len(set(header["scores"])) != len(header["scores"]) or "return" not in header["scores"]:
-        raise refuse("scores have names, each once, and 'return' is one of them")
-    arrays: dict[str, Any] = _arrays(header, raw, refuse)
+    def refuse(what: str) -> EntryError:
+        return EntryError(f"{name}: {what}.")
+
+    _check_types(header, refuse)
+    _check_values(header, refuse)
+    arrays: dict[str, Any] = _parse_arrays(header, raw, refuse)
     scores = dict(zip(header["scores"], arrays.pop("scores").T, strict=True))
-    texts = {key: header[key] for key in TEXTS}
-    return Submission(
-        **texts, settings=header["settings"], run=header["run"], cost=header["cost"], seeds=tuple(header["seeds"]), **arrays,
-        scores=scores, versions=header["versions"], made_of=header["made_of"],
+    texts = {key: header[key] for key in TEXT_KEYS}
+    return Entry(
+        **texts, settings=header["settings"], run=header["run"], cost=header["cost"], seeds=tuple(header["seeds"]),
+        observation_digests=arrays.pop("seen"), **arrays, scores=scores, versions=header["versions"], made_of=header["made_of"],
     )  # fmt: skip
 
 
-def _whole(value: Any) -> bool:
+def _check_types(header: dict[str, Any], refuse: Callable[[str], EntryError]) -> None:
+    """Raise EntryError unless the header has exactly the keys of an entry, each with a value of its type."""
+    kinds: dict[str, type] = {
+        **dict.fromkeys(("settings", "cost", "versions", "made_of"), dict),
+        **dict.fromkeys(("seeds", "scores", "actions"), list), "run": int, **dict.fromkeys(TEXT_KEYS, str),
+    }  # fmt: skip
+    if sorted(header) != sorted([*kinds, "format"]):
+        raise refuse(f"entry.json must have the keys {', '.join(sorted([*kinds, 'format', 'checksum']))}")
+    for key, kind in kinds.items():
+        if not isinstance(header[key], kind) or isinstance(header[key], bool):
+            raise refuse(f"{key} must be of type {kind.__name__}")
+        if isinstance(header[key], str) and not _is_text(header[key], MAX_TEXT_LENGTH):
+            raise refuse(f"{key} is longer than {MAX_TEXT_LENGTH} characters, or has characters that cannot be printed")
+
+
+def _check_values(header: dict[str, Any], refuse: Callable[[str], EntryError]) -> None:
+    """Raise EntryError for seeds, costs, texts and names that an entry may not have."""
+    if not all(_is_count(s) for s in header["seeds"]) or not header["seeds"]:
+        raise refuse("seeds must be one or more integers, 0 or greater")
+    if not all(
+        isinstance(v, int | float) and not isinstance(v, bool) and 0 <= v <= 1e15 for v in header["cost"].values()
+    ):
+        raise refuse("cost must have numbers from 0 to 1e15")
+    for key in ("versions", "made_of"):
+        if not all(_is_text(v, MAX_TEXT_LENGTH) for v in header[key].values()):
+            raise refuse(f"{key} must have texts of at most {MAX_TEXT_LENGTH} characters")
+    keys = [k for part in ("settings", "cost", "versions", "made_of") for k in header[part]] + header["scores"]
+    if not all(_is_text(k, 200) for k in keys):
+        raise refuse("a name must be a text of at most 200 characters")
+    if len(set(header["scores"])) != len(header["scores"]) or "return" not in header["scores"]:
+        raise refuse("scores must have different names, and 'return' must be one of them")
+
+
+def _is_text(value: Any, max_length: int) -> bool:
+    return isinstance(value, str) and len(value) <= max_length and value.isprintable()
+
+
+def _is_count(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << 63
 
 
-def _arrays(header: dict[str, Any], raw: Mapping[str, bytes], refuse: Any) -> dict[str, np.ndarray]:
-    kind = header["actions"]
-    if len(kind) != 2 or kind[0] not in ACTIONS or not isinstance(kind[1], list) or len(kind[1]) > 4:
-        raise refuse(f"actions are of one of the types {', '.join(ACTIONS)}, with a shape")
-    if not all(_whole(n) and 0 < n <= 1 << 16 for n in kind[1]):
-        raise refuse("actions have a shape of whole numbers")
+def _parse_arrays(
+    header: dict[str, Any], raw: Mapping[str, bytes], refuse: Callable[[str], EntryError]
+) -> dict[str, np.ndarray]:
+    """Parse the arrays of an entry, by the name of the member. Raises EntryError if their sizes do not fit."""
+    action_type = header["actions"]
+    if (
+        len(action_type) != 2
+        or action_type[0] not in ACTION_TYPES
+        or not isinstance(action_type[1], list)
+        or len(action_type[1]) > 4
+    ):
+        raise refuse(f"actions must have one of the types {', '.join(ACTION_TYPES)}, and a shape")
+    if not all(_is_count(n) and 0 < n <= 1 << 16 for n in action_type[1]):
+        raise refuse("actions must have a shape of positive integers")
     episodes = len(header["seeds"])
     if len(raw["steps"]) != 8 * episodes:
-        raise refuse(f"steps has {len(raw['steps'])} bytes, and {episodes} episodes want {8 * episodes}")
+        raise refuse(f"steps has {len(raw['steps'])} bytes, and {episodes} episodes require {8 * episodes}")
     steps = np.frombuffer(raw["steps"], "<i8")
-    if (steps < 1).any() or (steps > UNPACKED).any():
-        raise refuse("an episode has one step or more")
+    if (steps < 1).any() or (steps > MAX_UNPACKED_BYTES).any():
+        raise refuse("an episode must have one step or more")
     total = int(steps.sum())
-    shapes = {"actions": (total, *kind[1]), "rewards": (total,), "seen": (total + episodes,)}
+    shapes = {"actions": (total, *action_type[1]), "rewards": (total,), "seen": (total + episodes,)}
     shapes["scores"] = (episodes, len(header["scores"]))
-    found = {"steps": steps.astype(np.int64)}
+    arrays = {"steps": steps.astype(np.int64)}
     for key, shape in shapes.items():
-        dtype = np.dtype(kind[0] if key == "actions" else TYPES[key])
-        wanted = int(np.prod(shape, dtype=object)) * dtype.itemsize
-        if len(raw[key]) != wanted:
-            raise refuse(f"{key} has {len(raw[key])} bytes, and {total} steps in {episodes} episodes want {wanted}")
-        found[key] = np.frombuffer(raw[key], dtype).reshape(shape).astype(dtype.newbyteorder("="))
-    return found
+        dtype = np.dtype(action_type[0] if key == "actions" else ARRAY_TYPES[key])
+        expected = int(np.prod(shape, dtype=object)) * dtype.itemsize
+        if len(raw[key]) != expected:
+            raise refuse(
+                f"{key} has {len(raw[key])} bytes, and {total} steps in {episodes} episodes require {expected}"
+            )
+        arrays[key] = np.frombuffer(raw[key], dtype).reshape(shape).astype(dtype.newbyteorder("="))
+    return arrays
 
 
-def _checksum(header: Mapping[str, Any], raw: Mapping[str, bytes]) -> str:
-    """Compute the checksum of an entry: it finds damage, and does not prove who made it."""
+def _compute_checksum(header: Mapping[str, Any], raw: Mapping[str, bytes]) -> str:
+    """Compute the checksum of an entry. It finds damage, and does not prove who made the entry."""
     digest = hashlib.blake2b(json.dumps(header, sort_keys=True).encode(), digest_size=16)
-    for name in ARRAYS:
+    for name in ARRAY_MEMBERS:
         digest.update(hashlib.blake2b(raw[name]).digest())
     return digest.hexdigest()

@@ -1,4 +1,4 @@
-"""Test episodes that are played one after the other, their scores, and the entry that comes of them."""
+"""Playing the test episodes of a split one after the other, and the entry that holds their actions and scores."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from typing import Any
 
 import numpy as np
 
-from registerbench.cards import OPEN, card_of, seeds
-from registerbench.entry_files import ACTIONS, Submission
-from registerbench.policies import Policy, PolicyContext, player
-from registerbench.versions import made_of, versions
+from registerbench.cards import OPEN_ROUND, find_card, list_test_seeds
+from registerbench.entry_files import ACTION_TYPES, Entry
+from registerbench.policies import Policy, PolicyContext, make_player
+from registerbench.versions import describe_environment, list_versions
 from stage.envs.features import list_hidden
 from stage.envs.task import check_action
 from stage.errors import ArgumentError
 
-NAMES = {
+SCORE_MEANINGS = {
     "return": "sum of rewards",
     "success": "1 if the task was done, as the task defines it",
-    "time": "s, of what was proved",
+    "time": "seconds of the proved move",
     "regret": "log(time / the time of the formula)",
     "moves": "steps of the episode",
     "lost_steps": "full steps lost",
     "limits": "moves that ended at an end limit",
 }
-"""Of a task with `info["score"]`; others have the return, and the time of what was proved where they have a proof."""
+"""Meaning of each score of a task with `info["score"]`. Other tasks have the return, and the time if they prove a move."""
 
 
-def scored(rewards: np.ndarray, info: Mapping[str, Any]) -> dict[str, float]:
-    """Return the scores of an episode.
+def score_episode(rewards: np.ndarray, info: Mapping[str, Any]) -> dict[str, float]:
+    """Return the scores of an episode by name.
 
     Args:
-        rewards: Of its steps.
-        info: Of its last step.
+        rewards: Rewards of its steps.
+        info: Info of its last step.
     """
     score = info.get("score")
     if score is None:
@@ -42,29 +42,29 @@ def scored(rewards: np.ndarray, info: Mapping[str, Any]) -> dict[str, float]:
     return {"return": float(rewards.sum()), **{name: float(value) for name, value in score.items()}}
 
 
-def table(episodes: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
-    """Return the scores of episodes by name, (episodes,)."""
+def stack_scores(episodes: Sequence[Mapping[str, float]]) -> dict[str, np.ndarray]:
+    """Return the scores of several episodes by name, each an array (episodes,)."""
     return {name: np.array([e[name] for e in episodes]) for name in episodes[0]}
 
 
-def digest(observation: np.ndarray) -> int:
-    """Return 8 bytes that distinguish an observation from others: its type, shape and bits."""
+def digest_observation(observation: np.ndarray) -> int:
+    """Return a hash of 8 bytes over type, shape and bits of an observation."""
     array = np.ascontiguousarray(observation)
-    said = f"{array.dtype.str} {array.shape} ".encode()
-    return int.from_bytes(hashlib.blake2b(said + array.tobytes(), digest_size=8).digest(), "little")
+    prefix = f"{array.dtype.str} {array.shape} ".encode()
+    return int.from_bytes(hashlib.blake2b(prefix + array.tobytes(), digest_size=8).digest(), "little")
 
 
-class Episodes:
+class EpisodeSequence:
     """Test episodes of a split, played one after the other.
 
     Attributes:
         env: The environment.
-        wanted: Seeds of the episodes.
-        observation: What the player sees now.
-        info: Likewise, without what the track hides.
-        over: The episode is over.
-        done: Number of finished episodes.
-        scores: Of each finished episode.
+        seeds: Seeds of the episodes.
+        observation: The latest observation.
+        info: The latest info, without the entries that the track hides from the player.
+        over: Whether the current episode is over.
+        finished: Number of finished episodes.
+        scores: Scores of each finished episode.
 
     Raises:
         ArgumentError: There is no such task, split, track or round.
@@ -74,78 +74,78 @@ class Episodes:
         self, task: str, split: str, track: str, round_: str, settings: Mapping[str, Any], episodes: int | None = None
     ):
         self.card, self.split, self.track, self.round_, self.settings = (
-            card_of(task),
+            find_card(task),
             split,
             track,
             round_,
             dict(settings),
         )
-        self.env = self.card.make(split, track, self.settings)
-        self._unseen = frozenset() if track == "truth" else list_hidden(self.env.info_features, False)
-        self.wanted = some(seeds(self.card, split, round_), episodes)
+        self.env = self.card.make_env(split, track, self.settings)
+        self._hidden_names = frozenset() if track == "truth" else list_hidden(self.env.info_features, False)
+        self.seeds = limit_episodes(list_test_seeds(self.card, split, round_), episodes)
         self.observation: Any = None
         self.info: dict[str, Any] = {}
-        self.over, self.done, self._begun = True, 0, 0
+        self.over, self.finished, self._first_step = True, 0, 0
         self._steps: list[int] = []
         self._actions: list[np.ndarray] = []
         self._rewards: list[float] = []
-        self._seen: list[int] = []
+        self._observation_digests: list[int] = []
         self.scores: list[dict[str, float]] = []
 
     def begin(self) -> None:
         """Begin the next episode."""
-        self.observation, info = self.env.reset(seed=self.wanted[self.done])
-        self._look(info)
-        self._begun, self.over = len(self._rewards), False
+        self.observation, info = self.env.reset(seed=self.seeds[self.finished])
+        self._store_observation(info)
+        self._first_step, self.over = len(self._rewards), False
 
     def act(self, action: Any) -> None:
-        """Make a step. Raises ArgumentError for an action that the task does not take."""
+        """Make one step. Raises ArgumentError for an action that is not in the action space."""
         action = check_action(self.env.action_space, action)
         self.observation, reward, terminated, truncated, info = self.env.step(action)
         self._actions.append(action)
         self._rewards.append(float(reward))
-        self._look(info)
+        self._store_observation(info)
         self.over = bool(terminated or truncated)
         if self.over:
-            self._steps.append(len(self._rewards) - self._begun)
-            self.scores.append(scored(np.array(self._rewards[self._begun :]), info))
-            self.done += 1
+            self._steps.append(len(self._rewards) - self._first_step)
+            self.scores.append(score_episode(np.array(self._rewards[self._first_step :]), info))
+            self.finished += 1
 
-    def entry(self, player: str, run: int, notes: str, cost: Mapping[str, float]) -> Submission:
-        """Return what was played, as a file has it.
+    def build_entry(self, player: str, run: int, notes: str, cost: Mapping[str, float]) -> Entry:
+        """Build the entry that holds the finished episodes.
 
         Args:
             player: Name of the player.
             run: Number of the training run.
-            notes: Anything to be kept with it.
-            cost: What the player took.
+            notes: Text to store in the entry.
+            cost: What the player spent, by name: moves, processor_s, tokens.
         """
         space = self.env.action_space
         kind = np.dtype(space.dtype).newbyteorder("<").str
-        whole: Any = np.asarray(self._actions, kind if kind in ACTIONS else "<i8")
+        actions: Any = np.asarray(self._actions, kind if kind in ACTION_TYPES else "<i8")
         spent = {**cost, "test_moves": len(self._rewards)}
-        return Submission(
-            self.card.name, self.split, self.track, self.round_, self.settings, player, run, notes, spent, tuple(self.wanted),
-            np.array(self._steps, np.int64), whole, np.array(self._rewards), np.array(self._seen, np.uint64),
-            table(self.scores), versions(), made_of(self.env),
+        return Entry(
+            self.card.name, self.split, self.track, self.round_, self.settings, player, run, notes, spent, tuple(self.seeds),
+            np.array(self._steps, np.int64), actions, np.array(self._rewards), np.array(self._observation_digests, np.uint64),
+            stack_scores(self.scores), list_versions(), describe_environment(self.env),
         )  # fmt: skip
 
     def close(self) -> None:
-        """End the threads of the environment."""
+        """Close the environment and end its threads."""
         self.env.close()
 
-    def _look(self, info: Mapping[str, Any]) -> None:
-        self._seen.append(digest(self.observation))
-        self.info = {key: v for key, v in info.items() if key not in self._unseen}
+    def _store_observation(self, info: Mapping[str, Any]) -> None:
+        self._observation_digests.append(digest_observation(self.observation))
+        self.info = {key: v for key, v in info.items() if key not in self._hidden_names}
 
 
-def some(every: list[int], episodes: int | None) -> list[int]:
-    """Return the first `episodes` of a list, or all for None. Raises ArgumentError."""
+def limit_episodes(seeds: list[int], episodes: int | None) -> list[int]:
+    """Return the first `episodes` seeds, or all for None. Raises ArgumentError if there are fewer."""
     if episodes is None:
-        return every
-    if not 1 <= episodes <= len(every):
-        raise ArgumentError(f"episodes={episodes}: 1 to {len(every)} here.")
-    return every[:episodes]
+        return seeds
+    if not 1 <= episodes <= len(seeds):
+        raise ArgumentError(f"episodes={episodes}: give a number from 1 to {len(seeds)}.")
+    return seeds[:episodes]
 
 
 def play(
@@ -154,7 +154,7 @@ def play(
     split: str = "train",
     *,
     track: str = "host",
-    round_: str = OPEN,
+    round_: str = OPEN_ROUND,
     settings: Mapping[str, Any] | None = None,
     name: str | None = None,
     run: int = 0,
@@ -162,49 +162,50 @@ def play(
     cost: Mapping[str, float] | None = None,
     episodes: int | None = None,
     report_progress: Callable[[int, int], None] | None = None,
-) -> Submission:
-    """Play the test episodes of a split.
+) -> Entry:
+    """Play the test episodes of a split and return the entry that holds them.
 
     Args:
-        policy: Name of a player, "module:attribute", or a policy; see policies.py.
+        policy: Name of a player, "module:attribute", or a policy itself; see policies.py.
         task: Name of a card.
-        split: Of its machines.
-        track: What the player sees.
-        round_: Whose seeds are played.
-        settings: As the card has them.
-        name: Of the player; default: the policy's own.
-        run: Number of the training run, where a learner has several.
-        notes: Anything to be kept with it.
-        cost: What the player took (moves, processor_s, tokens); a policy's own dict `cost` is added at the end.
-        episodes: Only so many, for a trial.
-        report_progress: Called with (episodes played, episodes).
+        split: Split from which the machines are drawn.
+        track: Name of the track, which says what the player sees.
+        round_: Name of the round whose seeds are played.
+        settings: Settings that the card lets a player choose.
+        name: Name of the player; default: the policy's own.
+        run: Number of the training run, if a learner has several.
+        notes: Text to store in the entry.
+        cost: What the player spent (moves, processor_s, tokens); the dict `cost` of a policy is added at the end.
+        episodes: Number of episodes to play for a trial; None: all.
+        report_progress: Called with (episodes played, all episodes).
 
     Raises:
-        ArgumentError: There is no such task; the task does not take an action; the track tools has no tokens.
+        ArgumentError: There is no such task, the task does not take an action, or the cost of a player on the track tools has no
+            tokens.
     """
-    played = Episodes(task, split, track, round_, settings or {}, episodes)
-    env = played.env
+    sequence = EpisodeSequence(task, split, track, round_, settings or {}, episodes)
+    env = sequence.env
     try:
-        acting = player(policy, played.card.name, run)
-        if track == "tools" and "tokens" not in {**(cost or {}), **acting.cost}:
+        player = make_player(policy, sequence.card.name, run)
+        if track == "tools" and "tokens" not in {**(cost or {}), **player.cost}:
             raise ArgumentError(
-                "the track tools counts tokens: give cost tokens=N, or the policy a dict `cost` with tokens, which it counts."
+                "the track tools counts tokens: give the cost tokens=N, or give the policy a dict `cost` in which it counts tokens."
             )
         context = PolicyContext(
-            played.card.name,
+            sequence.card.name,
             env.action_space,
             env.observation_space,
             tuple(e.name for e in env.observation_features),
             env,
         )
-        while played.done < len(played.wanted):
-            played.begin()
-            acting.begin(context)
-            while not played.over:
-                played.act(acting.act(played.observation, played.info))
-            acting.end()
+        while sequence.finished < len(sequence.seeds):
+            sequence.begin()
+            player.begin(context)
+            while not sequence.over:
+                sequence.act(player.act(sequence.observation, sequence.info))
+            player.end()
             if report_progress:
-                report_progress(played.done, len(played.wanted))
-        return played.entry(name or acting.name, run, notes, {**(cost or {}), **acting.cost})
+                report_progress(sequence.finished, len(sequence.seeds))
+        return sequence.build_entry(name or player.name, run, notes, {**(cost or {}), **player.cost})
     finally:
         env.close()

@@ -1,12 +1,13 @@
-"""Policies: what `stage bench-submit` plays.
+"""Policies, which choose the actions that `stage bench-submit` plays.
 
-A policy is any of
-    module:name          a function (observation, info) -> action; an object with such a __call__; or a class without arguments that
-                         makes one. If it has a method `reset(around)`, that is called before each episode, see `Around`
-    moves.npz            recorded actions: an array `actions`, (episodes, steps, ...), or (steps in all, ...) with an array `steps`
-    random, ...          a player that is shipped, see shipped.py
+A policy is one of
+    module:name          a function (observation, info) -> action, an object with such a __call__, or a class without arguments
+                         that makes such an object. If it has a method `reset(context)`, that is called with a `PolicyContext`
+                         before each episode
+    moves.npz            recorded actions: an array `actions`, (episodes, steps, ...), or (all steps, ...) with an array `steps`
+    random, ...          a shipped player, see shipped_policies.py
 
-In Python also such a function or object itself. `info` is without what the track does not show.
+In Python a policy may also be such a function or object itself. Its `info` lacks the entries that the track hides.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from registerbench.shipped_policies import PLAYERS, SHIPPED
+from registerbench.shipped_policies import COMMON_PLAYERS, TASK_PLAYERS
 from stage.errors import ArgumentError, unknown_name_error
 from stage.support.foreign_files import DocumentError, parse_array, read_bytes, read_members
 
@@ -29,29 +30,29 @@ Policy = Callable[[np.ndarray, Mapping[str, Any]], Any]
 
 @dataclass(frozen=True)
 class PolicyContext:
-    """Context of a policy before an episode.
+    """Information for a policy before an episode.
 
     Attributes:
         task: Name of the card.
-        action_space: Of the environment.
-        observation_space: Of the environment.
-        entries: Name of each number of the observation.
-        env: The environment itself, for shipped players alone.
+        action_space: Action space of the environment.
+        observation_space: Observation space of the environment.
+        feature_names: Name of each number of the observation.
+        env: The environment itself, for shipped players alone; None for others.
     """
 
     task: str
     action_space: Any
     observation_space: Any
-    entries: tuple[str, ...]
+    feature_names: tuple[str, ...]
     env: Any = None
 
 
-LARGEST, UNPACKED = 1 << 28, 1 << 30
-"""Bytes of a file of actions, and of its arrays."""
+MAX_FILE_BYTES, MAX_UNPACKED_BYTES = 1 << 28, 1 << 30
+"""Largest file of recorded actions that is read, and largest size of its unpacked arrays."""
 
 
 class Player(Protocol):
-    """A policy with its name, and the cost that it states."""
+    """Policy with its name and the cost that it states."""
 
     name: str
 
@@ -63,13 +64,13 @@ class Player(Protocol):
     def end(self) -> None: ...
 
 
-def player(policy: str | Policy, task: str, seed: int) -> Player:
-    """Return the player of a policy.
+def make_player(policy: str | Policy, task: str, seed: int) -> Player:
+    """Make the player of a policy.
 
     Args:
-        policy: Its name, or the policy itself.
+        policy: Name of the policy, or the policy itself.
         task: Name of the card.
-        seed: For shipped players that draw.
+        seed: Seed of shipped players that act at random.
 
     Raises:
         ArgumentError: There is no such player.
@@ -78,31 +79,31 @@ def player(policy: str | Policy, task: str, seed: int) -> Player:
         if not callable(policy):
             raise ArgumentError(f"policy {policy!r}: a function (observation, info) -> action, or a name.")
         return UserPolicy(policy, str(getattr(policy, "__name__", type(policy).__name__)))
-    shipped = {**PLAYERS, **SHIPPED.get(task, {})}
+    shipped = {**COMMON_PLAYERS, **TASK_PLAYERS.get(task, {})}
     if policy in shipped:
         return UserPolicy(shipped[policy](seed), policy, shipped=True)
     if policy.endswith(".npz"):
-        return Recorded(policy)
+        return RecordedActions(policy)
     if ":" in policy:
-        return UserPolicy(_policy(policy), policy)
-    near = unknown_name_error(f"player of {task}", policy, shipped)
-    raise ArgumentError(f"{near} Or give module:function, or an .npz of actions.")
+        return UserPolicy(_import_policy(policy), policy)
+    message = unknown_name_error(f"player of {task}", policy, shipped)
+    raise ArgumentError(f"{message} Or give module:function, or an .npz of actions.")
 
 
-def imported(name: str, kind: str) -> Any:
-    """Import what `module:attribute` names, also from a module in this folder.
+def import_attribute(name: str, kind: str) -> Any:
+    """Import the object that `module:attribute` names; the module may also lie in the current folder.
 
     Args:
-        name: "module:attribute".
-        kind: Of what, for errors.
+        name: Name of the object, as "module:attribute".
+        kind: Kind of the object, for error messages.
 
     Raises:
-        ArgumentError: There is no such attribute.
+        ArgumentError: There is no such module or attribute.
     """
     module, _, attribute = name.partition(":")
     if not all(part.isidentifier() for part in module.split(".")):
         raise ArgumentError(
-            f"{kind} {name}: {module!r} is no name of a module. Name a module that Python finds from this folder."
+            f"{kind} {name}: {module!r} is not the name of a module. Name a module that Python finds from this folder."
         )
     if "" not in sys.path:
         sys.path.insert(0, str(Path.cwd()))
@@ -114,17 +115,18 @@ def imported(name: str, kind: str) -> Any:
         raise ArgumentError(f"{kind} {name}: module {module} has no {attribute!r}.") from None
 
 
-def _policy(name: str) -> Policy:
-    found = imported(name, "policy")
-    if isinstance(found, type):
-        found = found()
-    if not callable(found):
-        raise ArgumentError(f"policy {name}: is no function of (observation, info).")
-    return found
+def _import_policy(name: str) -> Policy:
+    """Import the policy that `module:attribute` names; make an object of a class. Raises ArgumentError."""
+    policy = import_attribute(name, "policy")
+    if isinstance(policy, type):
+        policy = policy()
+    if not callable(policy):
+        raise ArgumentError(f"policy {name}: it is not a function of (observation, info).")
+    return policy
 
 
 class UserPolicy:
-    """A policy from outside, or a shipped one."""
+    """Player that asks a policy (a user's or a shipped one) for each action."""
 
     def __init__(self, policy: Policy, name: str, shipped: bool = False):
         self.policy, self.name, self.shipped = policy, name, shipped
@@ -145,32 +147,36 @@ class UserPolicy:
         pass
 
 
-class Recorded:
-    """Actions from a file."""
+class RecordedActions:
+    """Player that repeats the actions of a file, whatever it observes."""
 
     cost: dict[str, float] = {}  # noqa: RUF012 (a Player's)
 
     def __init__(self, path: str):
         self.name = path
         self.episodes = _read_episodes(path)
-        self.episode, self.at = -1, 0
+        self.episode, self.step = -1, 0
 
     def begin(self, context: PolicyContext) -> None:
-        self.episode, self.at = self.episode + 1, 0
+        self.episode, self.step = self.episode + 1, 0
         if self.episode >= len(self.episodes):
-            raise ArgumentError(f"{self.name}: actions for {len(self.episodes)} episodes, and there are more.")
+            raise ArgumentError(
+                f"{self.name} has actions for {len(self.episodes)} episodes, but more episodes are to be played."
+            )
 
     def act(self, observation: np.ndarray, info: Mapping[str, Any]) -> Any:
         rows = self.episodes[self.episode]
-        if self.at >= len(rows):
-            raise ArgumentError(f"{self.name}: episode {self.episode} goes on after its {len(rows)} actions.")
-        self.at += 1
-        return rows[self.at - 1]
+        if self.step >= len(rows):
+            raise ArgumentError(
+                f"{self.name}: episode {self.episode} is not over after its {len(rows)} recorded actions."
+            )
+        self.step += 1
+        return rows[self.step - 1]
 
     def end(self) -> None:
-        if self.at < len(self.episodes[self.episode]):
+        if self.step < len(self.episodes[self.episode]):
             raise ArgumentError(
-                f"{self.name}: episode {self.episode} was over after {self.at} actions; there are more."
+                f"{self.name}: episode {self.episode} was over after {self.step} actions, but more are recorded for it."
             )
 
 
@@ -178,22 +184,24 @@ def _read_episodes(path: str) -> list[np.ndarray]:
     """Return the actions of each episode in an .npz. Raises ArgumentError."""
 
     def refuse(why: str) -> ArgumentError:
-        return ArgumentError(f"{path}: no .npz with an array `actions` ({why}).")
+        return ArgumentError(f"{path} is not an .npz file with an array `actions`: {why}.")
 
-    content = read_bytes(path, "file of actions", LARGEST, ArgumentError)
-    members = read_members(content, ["actions.npy"], UNPACKED, refuse, optional=["steps.npy"])
+    content = read_bytes(path, "file of actions", MAX_FILE_BYTES, ArgumentError)
+    members = read_members(content, ["actions.npy"], MAX_UNPACKED_BYTES, refuse, optional=["steps.npy"])
     try:
         arrays = {name: parse_array(data) for name, data in members.items()}
     except DocumentError as why:
         raise refuse(str(why)) from why
     actions, steps = arrays["actions.npy"], arrays.get("steps.npy")
     if steps is None and actions.ndim < 2:
-        raise ArgumentError(f"{path}: actions of shape {actions.shape}; (episodes, steps, ...), or give `steps`, too.")
+        raise ArgumentError(
+            f"{path}: `actions` has the shape {actions.shape}; give the shape (episodes, steps, ...), or add an array `steps`."
+        )
     if steps is None:
         return list(actions)
     valid = steps.ndim == 1 and steps.dtype.kind in "iu" and (steps >= 0).all()
     if not valid or not actions.ndim or sum(steps.tolist()) != len(actions):
         raise ArgumentError(
-            f"{path}: `steps` are whole numbers, how many actions each episode has; together they are as many as `actions`."
+            f"{path}: `steps` must hold the number of actions of each episode as integers, and add up to the length of `actions`."
         )
     return np.split(actions, np.cumsum(steps)[:-1])

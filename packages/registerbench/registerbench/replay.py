@@ -1,4 +1,4 @@
-"""Replaying an entry: its actions are played again, without the policy, and everything that came of them is compared."""
+"""Replay of an entry: its actions are played again, without the policy, and all rewards, observations and scores are compared."""
 
 from __future__ import annotations
 
@@ -9,20 +9,28 @@ from typing import Any
 
 import numpy as np
 
-from registerbench.cards import Card, card_of, seeds
-from registerbench.entry_files import Refused, Submission, read
-from registerbench.episodes import digest, scored
-from registerbench.versions import made_of, versions
+from registerbench.cards import Card, find_card, list_test_seeds
+from registerbench.entry_files import Entry, EntryError, read_entry
+from registerbench.episodes import digest_observation, score_episode
+from registerbench.versions import describe_environment, list_versions
 from stage.envs.base import info_of
 from stage.errors import ArgumentError
 from stage.support.arguments import explain_arguments
 
-LANES = 16  # episodes that are played at once
+MAX_LANES = 16  # episodes that are played at once
 
 
 @dataclass(frozen=True)
 class Difference:
-    """The first one: in which episode and step (-1: at the reset, None: of the whole entry), of what, claimed and found."""
+    """First difference between an entry and its replay.
+
+    Attributes:
+        episode: Index of the episode; None if the difference concerns the whole entry.
+        step: Index of the step; -1 for the reset, None for the scores of an episode.
+        what: Value that differs, in words.
+        claimed: Value in the entry.
+        found: Value in the replay.
+    """
 
     episode: int | None
     step: int | None
@@ -39,33 +47,46 @@ class Difference:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of the replay of an entry."""
+    """Result of the replay of an entry.
 
-    entry: Submission
+    Attributes:
+        entry: The entry.
+        exact: Whether every reward, observation, end and score is equal, bit for bit.
+        within_tolerance: Whether all numbers are equal within the tolerance; None without a tolerance.
+        is_complete: Whether the entry has all test episodes of its round.
+        first_difference: First difference, by the tolerance if something exceeds it; None if all is equal.
+        largest_difference: Largest difference of a reward or score.
+        differing_versions: (name, in the entry, on this machine) of the versions that differ.
+        tolerance: Tolerance of rewards and scores.
+        differing_observations: Number of observations that differ.
+    """
+
+    entry: Entry
     exact: bool
-    within: bool | None
-    whole: bool
-    first: Difference | None
-    most: float
-    unlike: tuple[tuple[str, str, str], ...] = ()
+    within_tolerance: bool | None
+    is_complete: bool
+    first_difference: Difference | None
+    largest_difference: float
+    differing_versions: tuple[tuple[str, str, str], ...] = ()
     tolerance: float | None = None
-    observations: int = field(default=0)
+    differing_observations: int = field(default=0)
 
     @property
     def ok(self) -> bool:
-        """The entry is what it claims to be."""
-        return self.exact or bool(self.within)
+        """Whether the replay confirms the entry, exactly or within the tolerance."""
+        return self.exact or bool(self.within_tolerance)
 
     def json(self) -> dict[str, Any]:
         """Return the verdict as `stage bench-verify --json` prints it."""
-        e = self.entry
+        e, first = self.entry, self.first_difference
         return {
-            "ok": self.ok, "exact": self.exact, "within": self.within, "tolerance": self.tolerance, "whole": self.whole,
-            "task": e.task, "split": e.split, "track": e.track, "round": e.round, "player": e.player, "run": e.run,
+            "ok": self.ok, "exact": self.exact, "within": self.within_tolerance, "tolerance": self.tolerance,
+            "whole": self.is_complete, "task": e.task, "split": e.split, "track": e.track, "round": e.round,
+            "player": e.player, "run": e.run,
             "episodes": len(e.seeds), "steps": len(e.rewards), "return": float(e.scores["return"].mean()),
-            "first_difference": None if self.first is None else {**vars(self.first), "text": str(self.first)},
-            "largest_difference": self.most if np.isfinite(self.most) else None, "observations_that_differ": self.observations,
-            "unlike": [list(row) for row in self.unlike],
+            "first_difference": None if first is None else {**vars(first), "text": str(first)},
+            "largest_difference": self.largest_difference if np.isfinite(self.largest_difference) else None,
+            "observations_that_differ": self.differing_observations, "unlike": [list(row) for row in self.differing_versions],
         }  # fmt: skip
 
     def __str__(self) -> str:
@@ -75,187 +96,215 @@ class Verdict:
         ]
         if self.exact:
             lines.append("OK: every reward, observation, end and score is equal, bit for bit")
-        elif self.within:
+        elif self.within_tolerance:
             lines.append(
-                f"equal within {self.tolerance:g}, not bit for bit: rewards and scores differ by at most {self.most:.3g}, "
-                f"{self.observations} of {len(e.seen)} observations are not the same bits"
+                f"equal within {self.tolerance:g}, not bit for bit: rewards and scores differ by at most "
+                f"{self.largest_difference:.3g}, {self.differing_observations} of {len(e.observation_digests)} observations "
+                "are not the same bits"
             )
         else:
-            lines.append(f"DIFFERS first in {self.first}")
-        if not self.whole:
-            lines.append("part of the test episodes alone: this entry can stand in no table")
+            lines.append(f"DIFFERS first in {self.first_difference}")
+        if not self.is_complete:
+            lines.append("This entry has only a part of the test episodes, and can stand in no table.")
         lines.append(f"mean return {e.scores['return'].mean():.4f}")
-        if self.unlike and not self.exact:
-            lines.append("made otherwise than here, which may be the cause:")
-            lines += [f"  {what}: {there} there, {here} here" for what, there, here in self.unlike]
+        if self.differing_versions and not self.exact:
+            lines.append("The entry was made with other versions than these, which may be the cause:")
+            lines += [f"  {name}: {theirs} there, {ours} here" for name, theirs, ours in self.differing_versions]
         elif not self.ok:
-            lines.append("made with the same versions on the same kind of processor: the entry is not what was played")
+            lines.append(
+                "The entry was made with these versions on such a processor, so its content is not what was played."
+            )
         return "\n".join(lines)
 
 
 @explain_arguments
 def verify(
-    entry: Submission | str | os.PathLike,
+    entry: Entry | str | os.PathLike,
     tolerance: float | None = None,
     report_progress: Callable[[int, int], None] | None = None,
 ) -> Verdict:
-    """Replay an entry.
+    """Replay an entry and compare.
 
     Args:
-        entry: An entry, or its file.
-        tolerance: Of numbers; None: they have to be equal.
-        report_progress: Called with (episodes replayed, episodes).
+        entry: An entry, or the path of its file.
+        tolerance: Largest allowed difference of rewards and scores; None: they have to be equal, bit for bit.
+        report_progress: Called with (episodes replayed, all episodes).
 
     Raises:
-        Refused: The file is no entry.
+        EntryError: The file is not an entry, or the entry cannot be replayed here.
     """
     if tolerance is not None and not 0 <= tolerance < np.inf:
-        raise ArgumentError(f"tolerance={tolerance!r}: 0 or more.")
-    e = entry if isinstance(entry, Submission) else read(entry)
-    card = _asked(e)
-    lanes = min(LANES, len(e.seeds))
-    envs = card.make(e.split, e.track, e.settings, lanes)
+        raise ArgumentError(f"tolerance={tolerance!r}: must be 0 or greater.")
+    e = entry if isinstance(entry, Entry) else read_entry(entry)
+    card = _find_replayable_card(e)
+    lanes = min(MAX_LANES, len(e.seeds))
+    envs = card.make_env(e.split, e.track, e.settings, lanes)
     try:
-        _same_actions(e, envs.single_action_space)
+        _check_actions(e, envs.single_action_space)
         replay = _Replay(e, tolerance)
-        replay.run(envs, report_progress)
-        here = {**versions(), **made_of(envs)}
+        replay.replay_all(envs, report_progress)
+        current = {**list_versions(), **describe_environment(envs)}
     finally:
         envs.close()
-    there = {**e.versions, **e.made_of}
-    unlike = [(what, there.get(what, "none"), here.get(what, "none")) for what in dict.fromkeys([*there, *here])]
-    first = replay.first
-    whole = len(e.seeds) == card.episodes
-    within = None if tolerance is None else not replay.far
-    different = tuple((what, a, b) for what, a, b in unlike if a != b)
+    recorded = {**e.versions, **e.made_of}
+    version_rows = [
+        (what, recorded.get(what, "none"), current.get(what, "none")) for what in dict.fromkeys([*recorded, *current])
+    ]
+    differing = tuple((what, a, b) for what, a, b in version_rows if a != b)
     return Verdict(
-        e, first is None, within, whole, replay.worst if replay.far else first, replay.most, different, tolerance,
-        replay.observations,
+        e,
+        exact=replay.first_difference is None,
+        within_tolerance=None if tolerance is None else not replay.exceeds_tolerance,
+        is_complete=len(e.seeds) == card.episodes,
+        first_difference=replay.first_beyond_tolerance or replay.first_difference,
+        largest_difference=replay.largest_difference,
+        differing_versions=differing,
+        tolerance=tolerance,
+        differing_observations=replay.differing_observations,
     )  # fmt: skip
 
 
-def _asked(e: Submission) -> Card:
-    """The card of an entry that is of a task's test episodes; Refused for any other."""
+def _find_replayable_card(e: Entry) -> Card:
+    """Return the card of an entry whose seeds are test episodes of its task. Raises EntryError for any other entry."""
     try:
-        card = card_of(e.task)
+        card = find_card(e.task)
         if e.task != card.name:
-            raise Refused(f"the entry is of task {e.task!r}; {card.name!r} is meant.")
-        card.check(e.split, e.track, e.settings)
+            raise EntryError(f"the entry names the task {e.task!r}, and must name it {card.name!r}.")
+        card.check_choice(e.split, e.track, e.settings)
     except ArgumentError as why:
-        raise Refused(f"this entry cannot be replayed here: {why}") from None
-    wanted = seeds(card, e.split, e.round)
-    if list(e.seeds) != wanted[: len(e.seeds)]:
-        k = next((k for k, (a, b) in enumerate(zip(e.seeds, wanted, strict=False)) if a != b), len(wanted))
-        found, right = (str(s[k]) if k < len(s) else "none" for s in (e.seeds, wanted))
-        raise Refused(
-            f"seed of episode {k}: {found} in the entry, {right} in the round {e.round!r} of {e.task} {e.split}."
+        raise EntryError(f"this entry cannot be replayed here: {why}") from None
+    expected = list_test_seeds(card, e.split, e.round)
+    if list(e.seeds) != expected[: len(e.seeds)]:
+        k = next((k for k, (a, b) in enumerate(zip(e.seeds, expected, strict=False)) if a != b), len(expected))
+        actual, right = (str(s[k]) if k < len(s) else "none" for s in (e.seeds, expected))
+        raise EntryError(
+            f"seed of episode {k}: {actual} in the entry, {right} in the round {e.round!r} of {e.task} {e.split}."
         )
     return card
 
 
-def _same_actions(e: Submission, space: Any) -> None:
-    """Raise Refused where the actions are of another type or shape than the task's."""
-    wanted = np.dtype(space.dtype)
-    if e.actions.shape[1:] != space.shape or e.actions.dtype != wanted:
-        raise Refused(
-            f"actions of type {e.actions.dtype} and shape {e.actions.shape[1:]} in the entry, and {e.task} takes {wanted} and "
+def _check_actions(e: Entry, space: Any) -> None:
+    """Raise EntryError if the actions have another type or shape than the action space, or lie outside it."""
+    expected = np.dtype(space.dtype)
+    if e.actions.shape[1:] != space.shape or e.actions.dtype != expected:
+        raise EntryError(
+            f"actions of type {e.actions.dtype} and shape {e.actions.shape[1:]} in the entry, and {e.task} takes {expected} and "
             f"{space.shape}."
         )
     for k, action in enumerate(e.actions):
         if not space.contains(action):
-            raise Refused(f"action {k}, {action.tolist()}, is not in {space}.")
+            raise EntryError(f"action {k}, {action.tolist()}, is not in {space}.")
 
 
 class _Replay:
-    """Differences so far; far: something differs by more than the tolerance."""
+    """Comparison of an entry with its replay, and the differences so far.
 
-    def __init__(self, e: Submission, tolerance: float | None):
+    Attributes:
+        first_difference: The first one in the order of episodes and steps.
+        first_beyond_tolerance: The first one that exceeds the tolerance.
+        exceeds_tolerance: Whether there is such a difference.
+        largest_difference: Largest difference of numbers.
+        differing_observations: Number of observations with another digest.
+        first_steps: Index of the first step of each episode.
+    """
+
+    def __init__(self, e: Entry, tolerance: float | None):
         self.e, self.tolerance = e, tolerance
-        self.first: Difference | None = None
-        self.worst: Difference | None = None
-        self.far, self.most, self.observations = False, 0.0, 0
-        self.begins = np.concatenate([[0], np.cumsum(e.steps)])
+        self.first_difference: Difference | None = None
+        self.first_beyond_tolerance: Difference | None = None
+        self.exceeds_tolerance, self.largest_difference, self.differing_observations = False, 0.0, 0
+        self.first_steps = np.concatenate([[0], np.cumsum(e.steps)])
 
-    def note(self, difference: Difference, by: float) -> None:
+    def note_difference(self, difference: Difference, by: float) -> None:
         """Note a difference.
 
         Args:
-            difference: Where it is.
-            by: How much numbers differ; infinite for other values; NaN for observations, of which there are only digests.
+            difference: Where it is, and of what.
+            by: Difference of numbers; infinite for other values; NaN for observations, of which there are only digests.
         """
-        if self.first is None or _earlier(difference, self.first):
-            self.first = difference
+        if self.first_difference is None or _is_earlier(difference, self.first_difference):
+            self.first_difference = difference
         if np.isnan(by):
-            self.observations += 1
+            self.differing_observations += 1
             if self.tolerance is not None:
                 return
         else:
-            self.most = max(self.most, by)
+            self.largest_difference = max(self.largest_difference, by)
         if self.tolerance is None or by > self.tolerance:
-            self.far = True
-            if self.worst is None or _earlier(difference, self.worst):
-                self.worst = difference
+            self.exceeds_tolerance = True
+            if self.first_beyond_tolerance is None or _is_earlier(difference, self.first_beyond_tolerance):
+                self.first_beyond_tolerance = difference
 
-    def run(self, envs: Any, report_progress: Callable[[int, int], None] | None) -> None:
-        """Replay all episodes, as many at once as there are stages. A stage that has no more to do plays its last one again."""
+    def replay_all(self, envs: Any, report_progress: Callable[[int, int], None] | None) -> None:
+        """Replay all episodes, as many at once as there are lanes.
+
+        A lane for which no episode is left replays its last one, and this replay does not count.
+        """
         e, n = self.e, envs.num_envs
         queue = list(range(len(e.seeds)))
-        playing, at = np.zeros(n, np.int64), np.zeros(n, np.int64)
-        begun, busy, over = np.ones(n, bool), np.zeros(n, bool), np.ones(n, bool)
+        playing, step_numbers = np.zeros(n, np.int64), np.zeros(n, np.int64)
+        needs_reset, is_counted, is_over = np.ones(n, bool), np.zeros(n, bool), np.ones(n, bool)
         rewards: list[list[float]] = [[] for _ in range(n)]
-        while queue or busy.any():
-            begun[:] = over
-            for lane in np.flatnonzero(over).tolist():
-                busy[lane] = bool(queue)
+        while queue or is_counted.any():
+            needs_reset[:] = is_over
+            for lane in np.flatnonzero(is_over).tolist():
+                is_counted[lane] = bool(queue)
                 playing[lane] = queue.pop(0) if queue else playing[lane]
-                at[lane], rewards[lane] = 0, []
-            if over.any():
-                given = [int(e.seeds[k]) for k in playing]
-                seen, _ = envs.reset(seed=given, options={"reset_mask": begun})
-                for lane in np.flatnonzero(begun & busy).tolist():
-                    self.look(int(playing[lane]), -1, seen[lane])
-            rows = np.minimum(self.begins[playing] + at, self.begins[playing + 1] - 1)
-            seen, made, terminated, truncated, infos = envs.step(e.actions[rows])
+                step_numbers[lane], rewards[lane] = 0, []
+            if is_over.any():
+                seeds = [int(e.seeds[k]) for k in playing]
+                observations, _ = envs.reset(seed=seeds, options={"reset_mask": needs_reset})
+                for lane in np.flatnonzero(needs_reset & is_counted).tolist():
+                    self.compare_observation(int(playing[lane]), -1, observations[lane])
+            rows = np.minimum(self.first_steps[playing] + step_numbers, self.first_steps[playing + 1] - 1)
+            observations, new_rewards, terminated, truncated, infos = envs.step(e.actions[rows])
             ends = terminated | truncated
-            over[:] = ends
-            for lane in np.flatnonzero(busy).tolist():
-                k, step = int(playing[lane]), int(at[lane])
-                rewards[lane].append(float(made[lane]))
-                self._number(k, step, "reward", float(e.rewards[self.begins[k] + step]), rewards[lane][-1])
-                self.look(k, step, seen[lane])
+            is_over[:] = ends
+            for lane in np.flatnonzero(is_counted).tolist():
+                k, step = int(playing[lane]), int(step_numbers[lane])
+                rewards[lane].append(float(new_rewards[lane]))
+                self._compare_number(k, step, "reward", float(e.rewards[self.first_steps[k] + step]), rewards[lane][-1])
+                self.compare_observation(k, step, observations[lane])
                 last = step + 1 == int(e.steps[k])
                 if last != ends[lane]:
                     words = {True: "over", False: "goes on"}
-                    self.note(Difference(k, step, "end of the episode", words[last], words[bool(ends[lane])]), np.inf)
+                    self.note_difference(
+                        Difference(k, step, "end of the episode", words[last], words[bool(ends[lane])]), np.inf
+                    )
                 elif last:
-                    self.scores(k, scored(np.array(rewards[lane]), info_of(infos, lane)))
-                over[lane] |= last
-                busy[lane] = not over[lane]
-                if over[lane] and report_progress:
-                    report_progress(len(e.seeds) - len(queue) - int(busy.sum()), len(e.seeds))
-            at += 1
+                    self.compare_scores(k, score_episode(np.array(rewards[lane]), info_of(infos, lane)))
+                is_over[lane] |= last
+                is_counted[lane] = not is_over[lane]
+                if is_over[lane] and report_progress:
+                    report_progress(len(e.seeds) - len(queue) - int(is_counted.sum()), len(e.seeds))
+            step_numbers += 1
 
-    def look(self, k: int, step: int, observation: np.ndarray) -> None:
-        claimed, found = int(self.e.seen[self.begins[k] + k + step + 1]), digest(observation)
+    def compare_observation(self, k: int, step: int, observation: np.ndarray) -> None:
+        claimed, found = (
+            int(self.e.observation_digests[self.first_steps[k] + k + step + 1]),
+            digest_observation(observation),
+        )
         if claimed != found:
-            self.note(Difference(k, step, "digest of the observation", f"{claimed:016x}", f"{found:016x}"), np.nan)
+            self.note_difference(
+                Difference(k, step, "digest of the observation", f"{claimed:016x}", f"{found:016x}"), np.nan
+            )
 
-    def scores(self, k: int, found: Mapping[str, float]) -> None:
+    def compare_scores(self, k: int, found: Mapping[str, float]) -> None:
         if set(found) != set(self.e.scores):
             texts = (", ".join(names) for names in (self.e.scores, found))
-            self.note(Difference(k, None, "names of the scores", *texts), np.inf)
+            self.note_difference(Difference(k, None, "names of the scores", *texts), np.inf)
             return
         for name, value in found.items():
-            self._number(k, None, f"score {name!r}", float(self.e.scores[name][k]), value)
+            self._compare_number(k, None, f"score {name!r}", float(self.e.scores[name][k]), value)
 
-    def _number(self, k: int, step: int | None, what: str, claimed: float, found: float) -> None:
+    def _compare_number(self, k: int, step: int | None, what: str, claimed: float, found: float) -> None:
         if np.float64(claimed).tobytes() != np.float64(found).tobytes():
             by = abs(claimed - found)
-            self.note(Difference(k, step, what, repr(claimed), repr(found)), np.inf if np.isnan(by) else by)
+            self.note_difference(Difference(k, step, what, repr(claimed), repr(found)), np.inf if np.isnan(by) else by)
 
 
-def _earlier(a: Difference, b: Difference) -> bool:
-    """Return whether a comes before b."""
+def _is_earlier(a: Difference, b: Difference) -> bool:
+    """Return whether a difference comes before another in the order of episodes and steps."""
 
     def place(d: Difference) -> tuple[float, float]:
         return (np.inf if d.episode is None else d.episode, np.inf if d.step is None else d.step)

@@ -1,9 +1,10 @@
-"""When one method beats another: interquartile means and bootstrap intervals.
+"""Interquartile means and bootstrap intervals, which decide whether one method beats another.
 
-The interquartile mean is that of Agarwal et al. (NeurIPS 2021, rliable). Scores are (runs, episodes): each run of a learner plays
-the same test episodes, each of which is a machine of its own. For the interval, whole runs are drawn again with replacement, and
-episodes: one training run plays all of its episodes, so its luck is in all of them. Where there is one run, the interval has the
-machines alone.
+The interquartile mean (IQM) is that of Agarwal et al. (NeurIPS 2021, rliable). Scores are arrays (runs, episodes): each run
+of a learner plays the same test episodes, and each episode has a machine of its own. The bootstrap draws whole runs and
+episodes
+again, with replacement: a training run plays all of its episodes, so its luck is in all of them. The interval of a single run
+reflects the spread over machines alone.
 """
 
 from __future__ import annotations
@@ -15,23 +16,23 @@ from typing import Any
 
 import numpy as np
 
-from registerbench.cards import card_of, seeds
-from registerbench.entry_files import Submission
+from registerbench.cards import find_card, list_test_seeds
+from registerbench.entry_files import Entry
 from stage.errors import ArgumentError
 
-DRAWS, LEVEL = 2000, 0.95
-NUMBERS = 100_000  # drawn together at most: 800 kB
-RUNS = 10  # of a learner, without which it beats nobody
-LONG = {"lost_steps": "steps lost", "limits": "limits", "moves": "steps"}
-"""Scores of which a long table has the mean of an episode, and what it calls them."""
+BOOTSTRAP_SAMPLES, CONFIDENCE_LEVEL = 2000, 0.95
+MAX_NUMBERS_AT_ONCE = 100_000  # of one batch of bootstrap samples: 800 kB
+MIN_LEARNER_RUNS = 10  # a learner with fewer training runs beats nobody
+LONG_TABLE_SCORES = {"lost_steps": "steps lost", "limits": "limits", "moves": "steps"}
+"""Scores whose mean over the episodes stands in a long table, and the heading of each column."""
 
 
-def iqm(scores: np.ndarray, axis: int | None = None) -> Any:
-    """Compute the mean of the middle half of the scores; of fewer than four, of all.
+def compute_iqm(scores: np.ndarray, axis: int | None = None) -> Any:
+    """Compute the interquartile mean: the mean of the middle half of the scores, or of all scores if there are fewer than four.
 
     Args:
         scores: Numbers.
-        axis: Along which; None: of all.
+        axis: Axis along which to compute the mean; None: of all scores.
     """
     values = np.asarray(scores, float)
     values = np.sort(values.ravel() if axis is None else np.moveaxis(values, axis, -1), axis=-1)
@@ -40,40 +41,40 @@ def iqm(scores: np.ndarray, axis: int | None = None) -> Any:
     return float(middle) if axis is None else middle
 
 
-def interval(
+def compute_interval(
     scores: np.ndarray,
-    draws: int = DRAWS,
-    level: float = LEVEL,
+    draws: int = BOOTSTRAP_SAMPLES,
+    level: float = CONFIDENCE_LEVEL,
     seed: int = 0,
-    of: Callable[..., Any] = iqm,
+    statistic: Callable[..., Any] = compute_iqm,
 ) -> tuple[float, float]:
-    """Compute the interval of a figure of scores by the bootstrap.
+    """Compute the confidence interval of a statistic of the scores by the bootstrap.
 
     Args:
-        scores: (runs, episodes).
-        draws: Number of samples.
-        level: Of the interval, such as 0.95.
-        seed: Of the samples.
-        of: The figure.
+        scores: Scores, (runs, episodes).
+        draws: Number of bootstrap samples.
+        level: Confidence level, such as 0.95.
+        seed: Seed of the bootstrap samples.
+        statistic: Function of scores and axis, such as `compute_iqm`.
 
     Returns:
-        Both ends.
+        Lower and upper end of the interval.
     """
     scores = np.atleast_2d(np.asarray(scores, float))
     runs, episodes = scores.shape
-    which_runs, which_episodes = _drawn(runs, episodes, draws, seed)
-    found = np.empty(draws)
-    together = max(1, NUMBERS // scores.size)
-    for first in range(0, draws, together):
-        some = slice(first, first + together)
-        values = scores[which_runs[some, :, None], which_episodes[some, None, :]]
-        found[some] = of(values.reshape(len(values), -1), axis=1)
-    return float(np.quantile(found, 0.5 - level / 2)), float(np.quantile(found, 0.5 + level / 2))
+    which_runs, which_episodes = _draw_bootstrap_indices(runs, episodes, draws, seed)
+    figures = np.empty(draws)
+    batch_size = max(1, MAX_NUMBERS_AT_ONCE // scores.size)
+    for first in range(0, draws, batch_size):
+        batch = slice(first, first + batch_size)
+        values = scores[which_runs[batch, :, None], which_episodes[batch, None, :]]
+        figures[batch] = statistic(values.reshape(len(values), -1), axis=1)
+    return float(np.quantile(figures, 0.5 - level / 2)), float(np.quantile(figures, 0.5 + level / 2))
 
 
 @lru_cache(maxsize=8)  # a table has few shapes
-def _drawn(runs: int, episodes: int, draws: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Draw runs, (draws, runs), and episodes, (draws, episodes)."""
+def _draw_bootstrap_indices(runs: int, episodes: int, draws: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Draw the indices of runs, (draws, runs), and of episodes, (draws, episodes)."""
     rng = np.random.default_rng(seed)
     pairs = [(rng.integers(0, episodes, episodes), rng.integers(0, runs, runs)) for _ in range(draws)]
     return np.array([r for _, r in pairs]), np.array([e for e, _ in pairs])
@@ -81,10 +82,19 @@ def _drawn(runs: int, episodes: int, draws: int, seed: int) -> tuple[np.ndarray,
 
 @dataclass(frozen=True)
 class Row:
-    """A player on a split: IQM of the return (value) and its mean, with their intervals, over `runs` runs.
+    """Scores of a player on a split, over all of its runs.
 
-    success: the share of episodes; regret: its median over those; lost_steps, limits, moves: means of an episode. None where a
-    task has none. learned: its cost has moves that it learned from.
+    Attributes:
+        task, split, track, round: What was played.
+        player: Name of the player.
+        runs: Number of training runs.
+        episodes: Number of test episodes of a run.
+        value, low, high: IQM of the return with its interval.
+        mean, mean_low, mean_high: Mean of the return with its interval.
+        success: Share of the episodes that succeeded; None if the task does not define success.
+        regret: Median of the regret over the episodes that have one.
+        lost_steps, limits, moves: Means over the episodes; None if the task does not count them.
+        learned: Whether the player states that it made moves to learn from.
     """
 
     task: str
@@ -108,121 +118,133 @@ class Row:
     learned: bool = False
 
     @property
-    def place(self) -> tuple[str, str, str, str]:
-        """Rows of one place stand in one table: task, split, track, round."""
+    def table_key(self) -> tuple[str, str, str, str]:
+        """Task, split, track and round; rows with the same four stand in one table."""
         return self.task, self.split, self.track, self.round
 
     def beats(self, other: Row) -> bool:
-        """Return whether this player beats another: the intervals of the IQM do not overlap, and a learner has RUNS runs.
+        """Return whether this player beats another: its interval of the IQM lies above, and a learner has MIN_LEARNER_RUNS runs.
 
         Args:
-            other: Row of the same place.
+            other: Row of the same task, split, track and round.
         """
-        parted = self.place == other.place and self.low > other.high
-        return parted and (self.runs >= RUNS or not self.learned)
+        is_above = self.table_key == other.table_key and self.low > other.high
+        return is_above and (self.runs >= MIN_LEARNER_RUNS or not self.learned)
 
-    def cells(self, others: Iterable[Row], long: bool) -> list[str]:
-        """Return the cells of a table.
+    def format_cells(self, others: Iterable[Row], long: bool) -> list[str]:
+        """Format the cells of this row of a table.
 
         Args:
-            others: Rows of the same place.
-            long: With regret and more.
+            others: All rows of the table.
+            long: Whether the table has the columns regret, lost steps, limits and steps.
         """
-        names = [f"{o.player}{' (lower in the mean)' * (self.mean < o.mean)}" for o in others if self.beats(o)]
+        names = [
+            f"{other.player}{' (lower in the mean)' * (self.mean < other.mean)}"
+            for other in others
+            if self.beats(other)
+        ]
         beaten = ", ".join(names) or "-"
-        if self.learned and self.runs < RUNS:
-            beaten = f"too few runs: {RUNS} are asked"
-        more = [_said(self.regret, ".3f"), *(_said(getattr(self, name), ".1f") for name in LONG)]
+        if self.learned and self.runs < MIN_LEARNER_RUNS:
+            beaten = f"too few runs: {MIN_LEARNER_RUNS} are needed"
+        more = [
+            _format_or_dash(self.regret, ".3f"),
+            *(_format_or_dash(getattr(self, name), ".1f") for name in LONG_TABLE_SCORES),
+        ]
         return [
             self.player,
             f"{self.runs} x {self.episodes}",
             f"{self.value:.3f} ({self.low:.3f} to {self.high:.3f})",
             f"{self.mean:.3f} ({self.mean_low:.3f} to {self.mean_high:.3f})",
-            _said(self.success, ".0%"),
+            _format_or_dash(self.success, ".0%"),
             *(more if long else ()),
             beaten,
         ]
 
 
-def _said(value: float | None, form: str) -> str:
+def _format_or_dash(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-def rows(entries: Iterable[Submission]) -> list[Row]:
-    """Return a row for each task, split, track, round and player, the best first.
+def compute_rows(entries: Iterable[Entry]) -> list[Row]:
+    """Compute a row for each task, split, track, round and player, sorted by the IQM of the return, the best first.
 
     Args:
-        entries: To compare.
+        entries: Entries to compare.
 
     Raises:
-        ArgumentError: An entry lacks test episodes of its round, or a player's run is there twice.
+        ArgumentError: An entry lacks test episodes of its round, or two entries hold the same run of a player.
     """
-    groups: dict[tuple[str, str, str, str, str], list[Submission]] = {}
+    groups: dict[tuple[str, str, str, str, str], list[Entry]] = {}
     for e in entries:
-        _whole(e)
+        _require_all_test_episodes(e)
         groups.setdefault((e.task, e.split, e.track, e.round, e.player), []).append(e)
-    found = [_row(some) for some in groups.values()]
-    return sorted(found, key=lambda r: (*r.place, -r.value))
+    rows_ = [_compute_row(runs) for runs in groups.values()]
+    return sorted(rows_, key=lambda r: (*r.table_key, -r.value))
 
 
-def _whole(e: Submission) -> None:
-    """Raise ArgumentError for an entry that can stand in no table."""
-    wanted, given = seeds(card_of(e.task), e.split, e.round), list(e.seeds)
-    if given != wanted:
-        part = given == wanted[: len(given)]
-        what = f"{len(given)} of the {len(wanted)}" if part else "others than the"
+def _require_all_test_episodes(e: Entry) -> None:
+    """Raise ArgumentError for an entry that lacks test episodes of its round, and so can stand in no table."""
+    wanted, played = list_test_seeds(find_card(e.task), e.split, e.round), list(e.seeds)
+    if played != wanted:
+        part = played == wanted[: len(played)]
+        what = f"{len(played)} of the {len(wanted)}" if part else "others than the"
         raise ArgumentError(
-            f"{e.player} on {e.task} {e.split}, run {e.run}: it has {what} test episodes of the round {e.round!r}, and can stand "
-            "in no table; leave its file out."
+            f"{e.player} on {e.task} {e.split}, run {e.run}: the entry has {what} test episodes of the round {e.round!r}, and can "
+            "stand in no table; leave its file out."
         )
 
 
-def _row(some: list[Submission]) -> Row:
-    """Return the row of the runs of a player."""
-    e = some[0]
-    if len({e.run for e in some}) < len(some):
+def _compute_row(runs: list[Entry]) -> Row:
+    """Compute the row of a player from the entries of its runs."""
+    e = runs[0]
+    if len({e.run for e in runs}) < len(runs):
         raise ArgumentError(
-            f"{e.player} on {e.task} {e.split}: two entries are of the same run; give --run to bench-submit."
+            f"{e.player} on {e.task} {e.split}: two entries hold the same run; give each its number by --run of bench-submit."
         )
 
-    def of(name: str) -> np.ndarray | None:
-        return np.array([e.scores[name] for e in some]) if all(name in e.scores for e in some) else None
+    def stack_scores(name: str) -> np.ndarray | None:
+        return np.array([e.scores[name] for e in runs]) if all(name in e.scores for e in runs) else None
 
-    def mean(name: str) -> float | None:
-        values = of(name)
+    def compute_mean(name: str) -> float | None:
+        values = stack_scores(name)
         return None if values is None else float(values.mean())
 
-    scores, regret = np.array([e.scores["return"] for e in some]), of("regret")
+    scores, regret = np.array([e.scores["return"] for e in runs]), stack_scores("regret")
     known = np.array([]) if regret is None else regret[np.isfinite(regret)]
-    low, high = interval(scores)
-    mean_low, mean_high = interval(scores, of=np.mean)
+    low, high = compute_interval(scores)
+    mean_low, mean_high = compute_interval(scores, statistic=np.mean)
     return Row(
         task=e.task, split=e.split, track=e.track, round=e.round, player=e.player, runs=scores.shape[0], episodes=scores.shape[1],
-        value=iqm(scores), low=low, high=high, mean=float(scores.mean()), mean_low=mean_low, mean_high=mean_high,
-        success=mean("success"), regret=float(np.median(known)) if len(known) else None,
-        lost_steps=mean("lost_steps"), limits=mean("limits"), moves=mean("moves"),
-        learned=any(e.cost.get("moves", 0) > 0 for e in some),
+        value=compute_iqm(scores), low=low, high=high, mean=float(scores.mean()), mean_low=mean_low, mean_high=mean_high,
+        success=compute_mean("success"), regret=float(np.median(known)) if len(known) else None,
+        lost_steps=compute_mean("lost_steps"), limits=compute_mean("limits"), moves=compute_mean("moves"),
+        learned=any(e.cost.get("moves", 0) > 0 for e in runs),
     )  # fmt: skip
 
 
-def table(entries: Iterable[Submission], long: bool = False) -> str:
-    """Write a Markdown table for each task, split, track and round; its last column names whom a player beats.
+def format_tables(entries: Iterable[Entry], long: bool = False) -> str:
+    """Format a Markdown table for each task, split, track and round; its last column names the players that a player beats.
 
     Args:
-        entries: To compare.
-        long: With regret and more columns.
+        entries: Entries to compare.
+        long: Whether to add the columns regret, lost steps, limits and steps.
     """
     lines: list[str] = []
-    every = rows(entries)
+    all_rows = compute_rows(entries)
     heads = ["player", "runs x episodes", "IQM of the return (95 %)", "mean (95 %)", "success"]
-    heads += [*(["regret", *LONG.values()] if long else []), "beats"]
-    for place in dict.fromkeys(r.place for r in every):
-        some = [r for r in every if r.place == place]
-        task, split, track, round_ = place
+    heads += [*(["regret", *LONG_TABLE_SCORES.values()] if long else []), "beats"]
+    for key in dict.fromkeys(r.table_key for r in all_rows):
+        group = [r for r in all_rows if r.table_key == key]
+        task, split, track, round_ = key
         lines += [f"**{task}, {split}, round {round_}** (track {track})", ""]
-        lines += [_line(heads), "|---" * len(heads) + "|", *(_line(r.cells(some, long)) for r in some), ""]
+        lines += [
+            _format_row(heads),
+            "|---" * len(heads) + "|",
+            *(_format_row(r.format_cells(group, long)) for r in group),
+            "",
+        ]
     return "\n".join(lines).rstrip()
 
 
-def _line(cells: Iterable[str]) -> str:
+def _format_row(cells: Iterable[str]) -> str:
     return f"| {' | '.join(cells)} |"

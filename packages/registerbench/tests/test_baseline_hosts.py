@@ -26,7 +26,9 @@ def test_the_table_of_all_tasks_is_of_complete_episodes_and_names_its_splits(mon
 def test_on_machines_that_differ_a_host_that_remembers_is_better_than_one_that_does_not():
     fixed, _ = few_shot.play(few_shot.fixed(3.4), "weak", 16, few_shot.TEST)
     search, times = few_shot.play(few_shot.search(3.4 / few_shot.STEP), "weak", 16, few_shot.TEST)
-    assert few_shot.interval(search, of=np.mean)[0] > few_shot.interval(fixed, of=np.mean)[1]
+    assert (
+        few_shot.compute_interval(search, statistic=np.mean)[0] > few_shot.compute_interval(fixed, statistic=np.mean)[1]
+    )
     assert np.isfinite(times).mean() > 0.9
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import registerbench
-from registerbench import CARDS, seeds
+from registerbench import CARDS, list_test_seeds
 from registerbench.bench_commands import _means
 from stage.cli import main
 from stage.envs import contexts
@@ -90,10 +90,11 @@ def test_a_replay_has_the_tolerance_that_was_requested_and_its_code(monkeypatch,
 
 def test_a_table_in_json_has_its_rows(monkeypatch, capsys):
     entry = SimpleNamespace(
-        task="home", split="worn", track="host", round="open", player="a", run=0, seeds=seeds(CARDS["home"], "worn"), cost={},
+        task="home", split="worn", track="host", round="open", player="a", run=0, cost={},
+        seeds=list_test_seeds(CARDS["home"], "worn"),
         scores={"return": np.tile([1.0, 3.0], 32), "success": np.tile([1.0, 0.0], 32)},
     )  # fmt: skip
-    monkeypatch.setattr(registerbench, "read_all", lambda path: {"a.bench": entry})
+    monkeypatch.setattr(registerbench, "read_entries", lambda path: {"a.bench": entry})
     assert main(["bench-table", "a.bench", "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)
     assert row["value"] == 2.0
@@ -104,9 +105,9 @@ def test_a_table_in_json_has_its_rows(monkeypatch, capsys):
 @pytest.mark.parametrize("name", CARDS)
 def test_a_card_says_in_words_which_machines_each_split_has(name, capsys):
     card = CARDS[name]
-    config = card.make("train", "host", {})._task.config
+    config = card.make_env("train", "host", {})._task.config
     for split in card.splits:
-        text = card.machines(split)
+        text = card.describe_machines(split)
         requested = contexts.SPLITS[split]
         assert all(f"{of} {requested[of]}" in text for of in ("model", "chip") if of in requested)
         for of, (ranges, unit) in contexts.KINDS.items():
@@ -116,6 +117,6 @@ def test_a_card_says_in_words_which_machines_each_split_has(name, capsys):
         assert text.endswith(f"a fault: {', '.join(own_values)}") if own_values else "fault" not in text
     assert main(["bench", name]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert all(f"{split} {card.machines(split)}" in printed for split in card.splits)
+    assert all(f"{split} {card.describe_machines(split)}" in printed for split in card.splits)
     assert main(["bench", name, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)[name]["machines"]["train"] == card.machines("train")
+    assert json.loads(capsys.readouterr().out)[name]["machines"]["train"] == card.describe_machines("train")

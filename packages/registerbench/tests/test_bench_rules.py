@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from registerbench import statistics
-from registerbench.cards import CARDS, FIRST, LAST, card_of, seeds
-from registerbench.episodes import digest, scored
-from registerbench.replay import Difference, Verdict, _earlier, _Replay
+from registerbench.cards import CARDS, FIRST_TEST_SEED, SEED_LIMIT, find_card, list_test_seeds
+from registerbench.episodes import digest_observation, score_episode
+from registerbench.replay import Difference, Verdict, _is_earlier, _Replay
 from stage import ArgumentError
 
 
@@ -24,7 +24,7 @@ def entry(player="a", value=1.0, **how):
         "run": 0,
     }
     created = {**usual, "cost": {}, "scores": {"return": np.full(64, value)}, **how}
-    created.setdefault("seeds", tuple(seeds(card_of(created["task"]), created["split"], created["round"])))
+    created.setdefault("seeds", tuple(list_test_seeds(find_card(created["task"]), created["split"], created["round"])))
     return SimpleNamespace(**created)
 
 
@@ -34,47 +34,51 @@ def replay(tolerance):
 
 
 def test_seeds_of_a_round_follow_from_its_name_and_the_task_s_for_good():
-    assert seeds(CARDS["home"], "train", "2027")[:2] == [665991244, 1239686963]
-    drawn = [seeds(CARDS[name], "train", "2027") for name in CARDS]
+    assert list_test_seeds(CARDS["home"], "train", "2027")[:2] == [665991244, 1239686963]
+    drawn = [list_test_seeds(CARDS[name], "train", "2027") for name in CARDS]
     assert len({s for some in drawn for s in some}) == sum(map(len, drawn)), "no two tasks have the same"
-    assert all(FIRST + 64 <= s < LAST for some in drawn for s in some)
-    assert seeds(CARDS["home"], "train") == seeds(CARDS["home"], "worn") == list(range(FIRST, FIRST + 64))
+    assert all(FIRST_TEST_SEED + 64 <= s < SEED_LIMIT for some in drawn for s in some)
+    assert (
+        list_test_seeds(CARDS["home"], "train")
+        == list_test_seeds(CARDS["home"], "worn")
+        == list(range(FIRST_TEST_SEED, FIRST_TEST_SEED + 64))
+    )
 
 
 def test_a_task_is_named_by_its_card_or_its_environment():
-    assert card_of("home") is card_of("stage/DriftingHome-v1") is CARDS["home"]
+    assert find_card("home") is find_card("stage/DriftingHome-v1") is CARDS["home"]
     with pytest.raises(ArgumentError, match="unknown task 'hom'"):
-        card_of("hom")
+        find_card("hom")
 
 
 def test_a_digest_distinguishes_observations_of_one_content_by_type_and_shape_and_stays_the_same():
     zeros = np.zeros(4, np.float32)
     others = (zeros.reshape(2, 2), zeros.reshape(4, 1), np.zeros(4, np.int32), np.zeros(2, np.float64), -zeros)
-    assert len({digest(zeros), *map(digest, others)}) == 6
-    assert digest(np.zeros((2, 4), np.float32)[:, ::2]) == digest(np.zeros((2, 2), np.float32)), (
-        "not how it lies in memory"
-    )
-    assert digest(zeros) == 13031525093526981456
+    assert len({digest_observation(zeros), *map(digest_observation, others)}) == 6
+    assert digest_observation(np.zeros((2, 4), np.float32)[:, ::2]) == digest_observation(
+        np.zeros((2, 2), np.float32)
+    ), "not how it lies in memory"
+    assert digest_observation(zeros) == 13031525093526981456
 
 
 def test_an_episode_without_a_score_has_what_it_has():
     rewards = np.array([1.0, 2.0])
-    assert scored(rewards, {}) == {"return": 3.0, "moves": 2.0}
-    assert scored(rewards, {"proved": 0.5}) == {"return": 3.0, "time": 0.5, "success": 1.0, "moves": 2.0}
-    assert scored(rewards, {"proved": np.inf})["success"] == 0.0
-    assert scored(rewards, {"proved": 0.5, "score": {"time": 7.0}}) == {"return": 3.0, "time": 7.0}
+    assert score_episode(rewards, {}) == {"return": 3.0, "moves": 2.0}
+    assert score_episode(rewards, {"proved": 0.5}) == {"return": 3.0, "time": 0.5, "success": 1.0, "moves": 2.0}
+    assert score_episode(rewards, {"proved": np.inf})["success"] == 0.0
+    assert score_episode(rewards, {"proved": 0.5, "score": {"time": 7.0}}) == {"return": 3.0, "time": 7.0}
 
 
 def test_the_middle_half_of_few_numbers_is_of_all():
-    assert statistics.iqm([1.0]) == 1.0
-    assert statistics.iqm([0.0, 1.0, 5.0]) == 2.0
-    assert statistics.iqm([0.0, 1.0, 3.0, 100.0]) == 2.0
+    assert statistics.compute_iqm([1.0]) == 1.0
+    assert statistics.compute_iqm([0.0, 1.0, 5.0]) == 2.0
+    assert statistics.compute_iqm([0.0, 1.0, 3.0, 100.0]) == 2.0
 
 
 def test_an_interval_of_a_lower_level_lies_within_that_of_a_higher():
     scores = np.random.default_rng(1).normal(size=(2, 16))
-    low, high = statistics.interval(scores, 200, 0.5)
-    wide = statistics.interval(scores, 200, 0.95)
+    low, high = statistics.compute_interval(scores, 200, 0.5)
+    wide = statistics.compute_interval(scores, 200, 0.95)
     assert wide[0] < low < high < wide[1]
 
 
@@ -87,7 +91,7 @@ def test_rows_part_by_tracks_splits_and_tasks_and_the_best_stands_first():
         entry("a", task="bus"),
         entry("a", 4.0, round="2027"),
     ]
-    rows = [(*r.place, r.player, r.value) for r in statistics.rows(some)]
+    rows = [(*r.table_key, r.player, r.value) for r in statistics.compute_rows(some)]
     assert rows == [
         ("bus", "train", "host", "open", "a", 1.0),
         ("home", "train", "host", "2027", "a", 4.0),
@@ -100,34 +104,34 @@ def test_rows_part_by_tracks_splits_and_tasks_and_the_best_stands_first():
 
 def test_each_round_has_a_table_of_its_own_and_nobody_beats_a_player_of_another():
     some = [entry("a", 1.0), entry("b", 0.0), entry("c", 9.0, round="2027"), entry("d", 8.0, round="2027")]
-    open_, other = sorted(statistics.table(some).split("\n\n**"), key=lambda text: "2027" in text)
+    open_, other = sorted(statistics.format_tables(some).split("\n\n**"), key=lambda text: "2027" in text)
     assert "home, train, round open** (track host)" in open_
     assert "home, train, round 2027** (track host)" in other
     assert "| b |\n" in open_
     assert "| d |\n" in other
-    a, c = (next(r for r in statistics.rows(some) if r.player == name) for name in "ac")
+    a, c = (next(r for r in statistics.compute_rows(some) if r.player == name) for name in "ac")
     assert c.low > a.high
     assert not c.beats(a)
 
 
 def test_an_entry_of_a_part_or_of_other_episodes_than_its_round_s_stands_in_no_table():
     with pytest.raises(
-        ArgumentError, match=r"a on home train, run 2: it has 2 of the 64 test episodes of the round 'open'"
+        ArgumentError, match=r"a on home train, run 2: the entry has 2 of the 64 test episodes of the round 'open'"
     ):
-        statistics.rows([entry(), entry(run=2, seeds=(FIRST, FIRST + 1))])
-    with pytest.raises(ArgumentError, match="it has others than the test episodes of the round '2027'"):
-        statistics.rows([entry(round="2027", seeds=tuple(range(FIRST, FIRST + 64)))])
+        statistics.compute_rows([entry(), entry(run=2, seeds=(FIRST_TEST_SEED, FIRST_TEST_SEED + 1))])
+    with pytest.raises(ArgumentError, match="the entry has others than the test episodes of the round '2027'"):
+        statistics.compute_rows([entry(round="2027", seeds=tuple(range(FIRST_TEST_SEED, FIRST_TEST_SEED + 64)))])
     with pytest.raises(ArgumentError, match="unknown task 'mine'"):
-        statistics.rows([entry(task="mine", seeds=(1, 2))])
+        statistics.compute_rows([entry(task="mine", seeds=(1, 2))])
 
 
 def test_the_success_of_a_player_is_that_of_all_its_runs_and_of_none_where_a_task_has_none():
     runs = [
         entry(run=k, scores={"return": np.zeros(64), "success": np.tile(s, 32)}) for k, s in enumerate([(1, 1), (0, 1)])
     ]
-    assert statistics.rows(runs)[0].success == 0.75
-    assert "| 75% |" in statistics.table(runs)
-    assert statistics.rows([entry()])[0].success is None
+    assert statistics.compute_rows(runs)[0].success == 0.75
+    assert "| 75% |" in statistics.format_tables(runs)
+    assert statistics.compute_rows([entry()])[0].success is None
 
 
 def test_a_long_table_has_regret_where_there_was_success_and_the_means_of_damage_and_steps():
@@ -135,21 +139,23 @@ def test_a_long_table_has_regret_where_there_was_success_and_the_means_of_damage
         "return": np.zeros(64), "success": np.repeat([1, 0], 32), "regret": np.repeat([0.25, np.inf], 32),
         "lost_steps": np.repeat([3, 0], 32), "limits": np.repeat([1, 0], 32), "moves": np.full(64, 8),
     }  # fmt: skip
-    (row,) = statistics.rows([entry(scores=scores)])
+    (row,) = statistics.compute_rows([entry(scores=scores)])
     assert (row.regret, row.lost_steps, row.limits, row.moves) == (0.25, 1.5, 0.5, 8.0)
-    assert "| success | regret | steps lost | limits | steps | beats |" in statistics.table([entry()], long=True)
-    assert "| 50% | 0.250 | 1.5 | 0.5 | 8.0 | - |" in statistics.table([entry(scores=scores)], long=True)
-    assert "| - | - | - | - | - | - |" in statistics.table([entry()], long=True), "a task that has none of them"
-    assert "regret" not in statistics.table([entry(scores=scores)])
+    assert "| success | regret | steps lost | limits | steps | beats |" in statistics.format_tables(
+        [entry()], long=True
+    )
+    assert "| 50% | 0.250 | 1.5 | 0.5 | 8.0 | - |" in statistics.format_tables([entry(scores=scores)], long=True)
+    assert "| - | - | - | - | - | - |" in statistics.format_tables([entry()], long=True), "a task that has none of them"
+    assert "regret" not in statistics.format_tables([entry(scores=scores)])
     none = {**scores, "regret": np.full(64, np.inf)}
-    assert statistics.rows([entry(scores=none)])[0].regret is None
+    assert statistics.compute_rows([entry(scores=none)])[0].regret is None
 
 
 def test_who_beats_another_in_the_middle_half_and_is_lower_in_the_mean_is_reported_so():
     bold = np.repeat([2.0, -9.0], [56, 8])
-    message = statistics.table([entry("bold", scores={"return": bold}), entry("safe", 1.0), entry("bad", -5.0)])
+    message = statistics.format_tables([entry("bold", scores={"return": bold}), entry("safe", 1.0), entry("bad", -5.0)])
     assert "| safe (lower in the mean), bad |" in message
-    (row,) = statistics.rows([entry(scores={"return": bold})])
+    (row,) = statistics.compute_rows([entry(scores={"return": bold})])
     assert row.mean == bold.mean() == 0.625
     assert row.mean_low < row.mean < row.mean_high < row.low
 
@@ -157,27 +163,31 @@ def test_who_beats_another_in_the_middle_half_and_is_lower_in_the_mean_is_report
 def test_a_difference_as_big_as_the_tolerance_is_within_it():
     for by, distance in ((0.25, False), (0.26, True), (np.inf, True), (np.nan, False)):
         observed = replay(0.25)
-        observed.note(Difference(0, 0, "reward", "", ""), by)
-        assert observed.far == distance
-        assert (observed.worst is None) != distance
-        assert observed.first is not None
+        observed.note_difference(Difference(0, 0, "reward", "", ""), by)
+        assert observed.exceeds_tolerance == distance
+        assert (observed.first_beyond_tolerance is None) != distance
+        assert observed.first_difference is not None
     observed = replay(None)
-    observed.note(Difference(0, 0, "digest of the observation", "", ""), np.nan)
-    assert observed.far, "without a tolerance every bit counts"
+    observed.note_difference(Difference(0, 0, "digest of the observation", "", ""), np.nan)
+    assert observed.exceeds_tolerance, "without a tolerance every bit counts"
 
 
 def test_of_differences_in_any_order_the_first_in_the_entry_is_reported_and_the_largest():
     places = [(1, 0), (0, 5), (0, -1), (0, None), (None, None)]
     observed = replay(0.0)
     for k, (episode, step) in enumerate(places):
-        observed.note(Difference(episode, step, "reward", "", ""), 5.0 - k)
-    assert (observed.first.episode, observed.first.step) == (observed.worst.episode, observed.worst.step) == (0, -1)
-    assert observed.most == 5.0
+        observed.note_difference(Difference(episode, step, "reward", "", ""), 5.0 - k)
+    assert (
+        (observed.first_difference.episode, observed.first_difference.step)
+        == (observed.first_beyond_tolerance.episode, observed.first_beyond_tolerance.step)
+        == (0, -1)
+    )
+    assert observed.largest_difference == 5.0
     reported = [
         Difference(*place, "reward", "", "")
         for place in sorted(places, key=lambda p: (p[0] is None, p[0], p[1] is None, p[1]))
     ]
-    assert all(_earlier(a, b) and not _earlier(b, a) for a, b in pairwise(reported))
+    assert all(_is_earlier(a, b) and not _is_earlier(b, a) for a, b in pairwise(reported))
 
 
 @pytest.mark.parametrize(("exact", "within", "ok"), [(True, None, True), (False, True, True), (False, False, False)])
@@ -192,4 +202,4 @@ def test_a_verdict_as_json_says_what_came_of_the_replay_and_where_it_first_diffe
     assert (data["largest_difference"], data["tolerance"], data["observations_that_differ"]) == (0.5, 0.25, 4)
     assert data["unlike"] == [["mujoco", "3.17.0", "3.18.0"]]
     assert (data["first_difference"] or {}).get("text") == (None if exact else str(first))
-    assert replace(verdict, most=np.inf).json()["largest_difference"] is None
+    assert replace(verdict, largest_difference=np.inf).json()["largest_difference"] is None

@@ -18,9 +18,9 @@ import pytest
 import registerbench
 import stage.envs
 from registerbench import entry_files, statistics
-from registerbench.cards import CARDS, Card, seeds
-from registerbench.entry_files import Refused, unpack
-from registerbench.shipped_policies import Answer, Random, Search
+from registerbench.cards import CARDS, Card, list_test_seeds
+from registerbench.entry_files import EntryError, unpack_entry
+from registerbench.shipped_policies import BoldnessSearch, FinalTryBoldnessSearch, RandomPolicy
 from stage import ArgumentError
 from stage.cli import main
 from stage.envs import contexts
@@ -57,6 +57,7 @@ def packed(entry):
 
 
 def changed(entry, name, at, value):
+    name = {"seen": "observation_digests"}.get(name, name)
     array = getattr(entry, name).copy()
     array[at] = value
     return dataclasses.replace(entry, **{name: array})
@@ -69,7 +70,9 @@ def repacked(content, **members):
     said = json.loads(raw.pop("entry.json")) | members.pop("said", {})
     del said["checksum"]
     raw |= members
-    said["checksum"] = entry_files._checksum(said, {name: raw.get(name, b"") for name in entry_files.ARRAYS})
+    said["checksum"] = entry_files._compute_checksum(
+        said, {name: raw.get(name, b"") for name in entry_files.ARRAY_MEMBERS}
+    )
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
         for name, member in {"entry.json": json.dumps(said).encode(), **raw}.items():
@@ -82,15 +85,15 @@ def test_what_was_played_is_replayed_bit_for_bit_without_the_policy(entry, tmp_p
     entry.write(path)
     verdict = registerbench.verify(path)
     assert verdict.exact
-    assert verdict.whole
-    assert verdict.unlike == ()
+    assert verdict.is_complete
+    assert verdict.differing_versions == ()
     assert "OK: every reward, observation, end and score is equal, bit for bit" in str(verdict)
     with pytest.raises(FileError, match="exists"):
         entry.write(path)
 
 
 def test_the_same_player_gives_the_same_bytes_and_another_run_of_it_others(entry, packed):
-    assert registerbench.play("random", "brief", notes="by hand").pack() == packed == unpack(packed).pack()
+    assert registerbench.play("random", "brief", notes="by hand").pack() == packed == unpack_entry(packed).pack()
     assert not np.array_equal(registerbench.play("random", "brief", run=1, episodes=1).actions, entry.actions[:2])
 
 
@@ -109,7 +112,7 @@ def test_a_changed_action_reward_observation_or_end_is_detected_and_named(entry,
     verdict = registerbench.verify(changed(entry, name, at, value))
     assert not verdict.ok
     assert re.search(says, str(verdict)), verdict
-    assert "with the same versions on the same kind of processor" in str(verdict)
+    assert "made with these versions on such a processor" in str(verdict)
 
 
 def test_a_changed_score_is_detected_and_one_that_does_not_exist(entry):
@@ -128,12 +131,12 @@ def test_a_tolerance_distinguishes_near_from_equal(entry):
     assert "equal within 1e-06, not bit for bit" in str(verdict)
     assert "1 of 9 observations are not the same bits" in str(verdict)
     maximum = registerbench.verify(changed(near, "rewards", 0, entry.rewards[0] + 1e-3), tolerance=1)
-    assert maximum.most == pytest.approx(1e-3), "and not the last difference"
+    assert maximum.largest_difference == pytest.approx(1e-3), "and not the last difference"
     distance = registerbench.verify(near, tolerance=1e-12)
     assert not distance.ok
     assert "episode 1, step 0, reward" in str(distance), "and not the observation, of which there is a digest alone"
     for wrong in (-1, float("inf"), float("nan")):
-        with pytest.raises(ArgumentError, match=f"tolerance={wrong}: 0 or more"):
+        with pytest.raises(ArgumentError, match=f"tolerance={wrong}: must be 0 or greater"):
             registerbench.verify(entry, tolerance=wrong)
 
 
@@ -153,10 +156,10 @@ def test_other_versions_are_reported_as_a_possible_cause_and_only_of_what_differ
         ({"split": "weak"}, "unknown split of brief 'weak'"),
         ({"round": "2027"}, "seed of episode 0: 1000000 in the entry"),
         ({"task": "few"}, "unknown task 'few'. Did you mean"),
-        ({"task": "stage/FewShotTuning-v1"}, "'few-shot' is meant"),
+        ({"task": "stage/FewShotTuning-v1"}, "must name it 'few-shot'"),
         ({"track": "god"}, "unknown track 'god'"),
         ({"settings": {"model": "/etc/passwd"}}, "unknown setting that a player of brief may choose, 'model'"),
-        ({"settings": {"memory": "none"}}, "memory='none': brief has 'all', 'last'"),
+        ({"settings": {"memory": "none"}}, "memory='none': the task brief allows 'all', 'last'"),
     ],
 )
 def test_an_entry_of_other_episodes_is_refused(entry, changes, says):
@@ -164,7 +167,7 @@ def test_an_entry_of_other_episodes_is_refused(entry, changes, says):
     if says is None:  # the same seeds are other machines there
         assert "episode 0, step 0, reward" in str(registerbench.verify(other))
         return
-    with pytest.raises(Refused, match=re.escape(says)):
+    with pytest.raises(EntryError, match=re.escape(says)):
         registerbench.verify(other)
 
 
@@ -173,83 +176,85 @@ def test_a_part_of_the_episodes_is_reported_to_be_one(entry):
         registerbench.play("random", "brief", "heavy", episodes=1, settings={"memory": "last"})
     )
     assert verdict.exact
-    assert not verdict.whole
+    assert not verdict.is_complete
     assert "can stand in no table" in str(verdict)
 
 
 def test_actions_of_another_type_or_beyond_the_space_are_refused(entry, packed):
     doubles = dataclasses.replace(entry, actions=entry.actions.astype(np.float64))
     with pytest.raises(
-        Refused, match=r"actions of type float64 and shape \(4,\) in the entry, and brief takes float32"
+        EntryError, match=r"actions of type float64 and shape \(4,\) in the entry, and brief takes float32"
     ):
-        registerbench.verify(unpack(doubles.pack()))
+        registerbench.verify(unpack_entry(doubles.pack()))
     for bad in (2.0, np.nan):
-        with pytest.raises(Refused, match=r"action 1, .* is not in Box"):
+        with pytest.raises(EntryError, match=r"action 1, .* is not in Box"):
             registerbench.verify(changed(entry, "actions", (1, 2), bad))
-    with pytest.raises(Refused, match="one of the types <f4"):
-        unpack(repacked(packed, said={"actions": ["|O", [4]]}))
-    with pytest.raises(Refused, match="one of the types <f4"):
-        unpack(repacked(packed, said={"actions": ["<f4,(1000000000,)f8", [4]]}))
+    with pytest.raises(EntryError, match="one of the types <f4"):
+        unpack_entry(repacked(packed, said={"actions": ["|O", [4]]}))
+    with pytest.raises(EntryError, match="one of the types <f4"):
+        unpack_entry(repacked(packed, said={"actions": ["<f4,(1000000000,)f8", [4]]}))
 
 
 def test_a_file_that_is_cut_off_anywhere_or_has_a_bit_changed_is_refused_or_the_same(entry, packed):
     draw = np.random.default_rng(20)
     for at in draw.integers(0, len(packed), 40).tolist():
-        with pytest.raises(Refused):
-            unpack(packed[:at])
+        with pytest.raises(EntryError):
+            unpack_entry(packed[:at])
         flipped = bytearray(packed)
         flipped[at] ^= 1 << int(draw.integers(8))
-        with contextlib.suppress(Refused):
-            assert unpack(bytes(flipped)).pack() == packed, "a date of the archive, which nobody reads"
+        with contextlib.suppress(EntryError):
+            assert unpack_entry(bytes(flipped)).pack() == packed, "a date of the archive, which nobody reads"
 
 
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        (lambda p: b"", "not an entry of the bench"),
-        (lambda p: b"\x80\x04\x95 a pickle", "not an entry of the bench"),
+        (lambda p: b"", "is not an entry of the benchmark"),
+        (lambda p: b"\x80\x04\x95 a pickle", "is not an entry of the benchmark"),
         (lambda p: repacked(p, extra=b"x"), "it should hold entry.json, steps"),
         (
-            lambda p: repacked(p, said={"format": [entry_files.MARK, 2]}),
-            "of format 2, and this PulseStage reads format 1",
+            lambda p: repacked(p, said={"format": [entry_files.FORMAT_NAME, 2]}),
+            "has format 2, and this PulseStage reads format 1",
         ),
-        (lambda p: repacked(p, said={"format": "zip"}), "does not begin as an entry does"),
-        (lambda p: repacked(p, said={"more": 1}), "entry.json should have actions"),
-        (lambda p: repacked(p, said={"seeds": [-1]}), "seeds are whole numbers"),
+        (lambda p: repacked(p, said={"format": "zip"}), "lacks the format of an entry"),
+        (lambda p: repacked(p, said={"more": 1}), "entry.json must have the keys actions"),
+        (lambda p: repacked(p, said={"seeds": [-1]}), "seeds must be one or more integers"),
         (lambda p: repacked(p, said={"player": "\x1b[2J"}), "cannot be printed"),
-        (lambda p: repacked(p, said={"cost": {"moves": float("nan")}}), "NaN is no number"),
-        (lambda p: repacked(p, said={"versions": {"mujoco": 3}}), "versions has texts"),
+        (lambda p: repacked(p, said={"cost": {"moves": float("nan")}}), "NaN is not a number"),
+        (lambda p: repacked(p, said={"versions": {"mujoco": 3}}), "versions must have texts"),
         (lambda p: repacked(p, steps=b"\xff" * 24), "one step or more"),
-        (lambda p: repacked(p, rewards=b"\0" * 8), "rewards has 8 bytes, and 6 steps in 3 episodes want 48"),
+        (lambda p: repacked(p, rewards=b"\0" * 8), "rewards has 8 bytes, and 6 steps in 3 episodes require 48"),
         (lambda p: p.replace(b"entry.json", b"../../x.js"), "it should hold entry.json"),
         (lambda p: archive(**{"entry.json": b"[" * 100_000}), "entry.json cannot be read"),
-        (lambda p: archive(actions=b"\0" * (entry_files.UNPACKED + 1)), "when unpacked, and at most"),
-        (lambda p: archive(**{"entry.json": b" " * (entry_files.WORDS + 1)}), "at most 1048576 are read"),
+        (lambda p: archive(actions=b"\0" * (entry_files.MAX_UNPACKED_BYTES + 1)), "when unpacked, and at most"),
+        (lambda p: archive(**{"entry.json": b" " * (entry_files.MAX_HEADER_BYTES + 1)}), "at most 1048576 are read"),
     ],
 )
 def test_foreign_and_hostile_files_are_refused_in_words(packed, content, says):
-    with pytest.raises(Refused, match=re.escape(says)):
-        unpack(content(packed))
+    with pytest.raises(EntryError, match=re.escape(says)):
+        unpack_entry(content(packed))
 
 
 def test_an_entry_has_short_texts_costs_from_nothing_up_a_return_and_a_step_an_episode(packed, entry, monkeypatch):
     names = list(entry.scores)
-    fine = unpack(repacked(packed, said={"notes": "x" * entry_files.LONG, "cost": {"moves": 0, "tokens": 1e15}}))
+    fine = unpack_entry(
+        repacked(packed, said={"notes": "x" * entry_files.MAX_TEXT_LENGTH, "cost": {"moves": 0, "tokens": 1e15}})
+    )
     assert (len(fine.notes), fine.cost) == (4000, {"moves": 0, "tokens": 1e15})
     for said, why in (
         ({"notes": "x" * 4001}, "notes is longer than 4000 characters"),
-        ({"cost": {"moves": -1}}, "cost has numbers from 0 to 1e15"),
-        ({"cost": {"moves": 1.1e15}}, "cost has numbers from 0 to 1e15"),
-        ({"cost": {"moves": True}}, "cost has numbers from 0 to 1e15"),
-        ({"scores": ["glory" if n == "return" else n for n in names]}, "'return' is one of them"),
-        ({"scores": [names[0]] * len(names)}, "each once"),
-        ({"seeds": []}, "one at least"),
-        ({"run": True}, "run is no int"),
+        ({"cost": {"moves": -1}}, "cost must have numbers from 0 to 1e15"),
+        ({"cost": {"moves": 1.1e15}}, "cost must have numbers from 0 to 1e15"),
+        ({"cost": {"moves": True}}, "cost must have numbers from 0 to 1e15"),
+        ({"scores": ["glory" if n == "return" else n for n in names]}, "'return' must be one of them"),
+        ({"scores": [names[0]] * len(names)}, "must have different names"),
+        ({"seeds": []}, "one or more integers"),
+        ({"run": True}, "run must be of type int"),
     ):
-        with pytest.raises(Refused, match=re.escape(why)):
-            unpack(repacked(packed, said=said))
-    with pytest.raises(Refused, match="one step or more"):
-        unpack(repacked(packed, steps=np.array([0, 4, 2], "<i8").tobytes()))
+        with pytest.raises(EntryError, match=re.escape(why)):
+            unpack_entry(repacked(packed, said=said))
+    with pytest.raises(EntryError, match="one step or more"):
+        unpack_entry(repacked(packed, steps=np.array([0, 4, 2], "<i8").tobytes()))
     monkeypatch.setattr(entry_files, "LARGEST", len(packed) - 1)
     with pytest.raises(ArgumentError, match=f"the entry has {len(packed)} bytes, and a file at most {len(packed) - 1}"):
         entry.write("never.bench")
@@ -268,31 +273,31 @@ def test_a_bomb_that_lies_about_its_size_is_not_unpacked(packed):
     lying = bytearray(archive(actions=b"\0" * (1 << 20)))
     at = lying.index((1 << 20).to_bytes(4, "little"), lying.index(b"PK\1\2"))
     lying[at : at + 4] = (24).to_bytes(4, "little")
-    with pytest.raises(Refused):
-        unpack(bytes(lying))
+    with pytest.raises(EntryError):
+        unpack_entry(bytes(lying))
 
 
 def test_a_huge_file_is_not_read(tmp_path):
     path = tmp_path / "large.bench"
     with path.open("wb") as file:
-        file.truncate(entry_files.LARGEST + 1)
-    with pytest.raises(Refused, match="an entry has at most"):
-        registerbench.read(path)
-    with pytest.raises(Refused, match="is a folder"):
-        registerbench.read(tmp_path)
+        file.truncate(entry_files.MAX_FILE_BYTES + 1)
+    with pytest.raises(EntryError, match="an entry has at most"):
+        registerbench.read_entry(path)
+    with pytest.raises(EntryError, match="is a folder"):
+        registerbench.read_entry(tmp_path)
 
 
 class Watching:
     """A policy that notes what it is shown."""
 
     def __init__(self):
-        self.seen, self.begun, self.cost = [], [], {"tokens": 12}
+        self.observation_digests, self.begun, self.cost = [], [], {"tokens": 12}
 
     def reset(self, context):
         self.begun.append(context)
 
     def __call__(self, observation, info):
-        self.seen.append((observation.shape, set(info)))
+        self.observation_digests.append((observation.shape, set(info)))
         return np.zeros(4)
 
 
@@ -302,10 +307,13 @@ def test_a_policy_sees_what_its_track_shows():
     entry = registerbench.play(truth, "brief", track="truth", episodes=1)
     assert len(host.begun) == 2
     assert host.begun[0].env is None
-    assert host.begun[0].entries[0] == "distance"
-    assert all("distance" in names and not {"payload", "lost_steps", "reward_parts"} & names for _, names in host.seen)
-    assert {"payload", "current", "loss", "inductance"} <= truth.seen[0][1]
-    assert truth.seen[0][0][0] == host.seen[0][0][0] + len(contexts.OBSERVATION)
+    assert host.begun[0].feature_names[0] == "distance"
+    assert all(
+        "distance" in names and not {"payload", "lost_steps", "reward_parts"} & names
+        for _, names in host.observation_digests
+    )
+    assert {"payload", "current", "loss", "inductance"} <= truth.observation_digests[0][1]
+    assert truth.observation_digests[0][0][0] == host.observation_digests[0][0][0] + len(contexts.OBSERVATION)
     assert entry.player == "Watching"
     assert registerbench.verify(entry).exact
 
@@ -321,8 +329,8 @@ def test_a_player_with_tools_sees_what_a_host_sees():
     host, tools = Watching(), Watching()
     registerbench.play(host, "brief", episodes=1)
     registerbench.play(tools, "brief", track="tools", episodes=1)
-    assert tools.seen == host.seen
-    assert not {"payload", "current", "reward_parts", "score"} & tools.seen[-1][1]
+    assert tools.observation_digests == host.observation_digests
+    assert not {"payload", "current", "reward_parts", "score"} & tools.observation_digests[-1][1]
 
 
 def test_moves_of_the_test_are_counted_whatever_is_stated():
@@ -336,15 +344,15 @@ def test_moves_of_the_test_are_counted_whatever_is_stated():
 
 def test_what_a_player_chose_comes_before_the_settings_of_the_card():
     card = dataclasses.replace(BRIEF, choices={"tries": (1, 2)})
-    env = card.make("heavy", "host", {"tries": 1})
+    env = card.make_env("heavy", "host", {"tries": 1})
     assert (env.config.tries, env.config.split, env.config.truth, env.config.proofs) == (1, "heavy", "info", 1)
-    assert card.make("train", "truth", {}).config.truth is True
-    assert card.make("train", "tools", {}, 3).num_envs == 3
+    assert card.make_env("train", "truth", {}).config.truth is True
+    assert card.make_env("train", "tools", {}, 3).num_envs == 3
 
 
 @pytest.mark.parametrize("episodes", [0, -1, 4])
 def test_as_many_episodes_are_played_as_there_are_one_at_least(episodes):
-    with pytest.raises(ArgumentError, match=f"episodes={episodes}: 1 to 3 here"):
+    with pytest.raises(ArgumentError, match=f"episodes={episodes}: give a number from 1 to 3"):
         registerbench.play("random", "brief", episodes=episodes)
 
 
@@ -366,62 +374,65 @@ def test_a_policy_that_is_a_class_is_made_and_recorded_actions_of_unlike_episode
     monkeypatch.syspath_prepend(tmp_path)
     entry = registerbench.play("mine_class:Policy", "brief", episodes=1)
     assert entry.actions[:, 1] == pytest.approx(0.3)
-    from registerbench.policies import Recorded
+    from registerbench.policies import RecordedActions
 
     path = tmp_path / "moves.npz"
     np.savez(path, actions=np.arange(12).reshape(6, 2), steps=(1, 3, 2))
-    created = Recorded(str(path))
+    created = RecordedActions(str(path))
     assert [e[:, 0].tolist() for e in created.episodes] == [[0], [2, 4, 6], [8, 10]]
     for _ in range(3):
         created.begin(None)
-    with pytest.raises(ArgumentError, match="actions for 3 episodes, and there are more"):
+    with pytest.raises(ArgumentError, match="actions for 3 episodes, but more"):
         created.begin(None)
     np.savez(path, actions=np.arange(6.0))
-    with pytest.raises(ArgumentError, match=r"actions of shape \(6,\); \(episodes, steps, ...\), or give `steps`"):
-        Recorded(str(path))
+    with pytest.raises(
+        ArgumentError,
+        match=r"`actions` has the shape \(6,\); give the shape \(episodes, steps, ...\), or add an array `steps`",
+    ):
+        RecordedActions(str(path))
 
 
 def test_shipped_players_are_as_bold_as_their_task_wants():
-    from registerbench.policies import player
-    from registerbench.shipped_policies import action_at
+    from registerbench.policies import make_player
+    from registerbench.shipped_policies import compute_bold_action
     from stage.envs.few_shot import action_of
 
     bold = {
-        (task, name): player(name, task, 0).act(None, {})
+        (task, name): make_player(name, task, 0).act(None, {})
         for task in ("few-shot", "few-shot-wide")
         for name in ("usual", "fixed")
     }
     assert bold["few-shot", "usual"].tolist() == action_of(1000, 16_000, 0.15, 0.15).tolist()
     assert bold["few-shot", "fixed"].tolist() == action_of(1500, 54_400, 0.15 / 3.4, 0.15 / 3.4).tolist()
     assert bold["few-shot-wide", "fixed"].tolist() == action_of(1500, 41_600, 0.15 / 2.6, 0.15 / 2.6).tolist()
-    assert action_at(1.2).tolist() == action_of(1200, 19_200, 0.125, 0.125).tolist()
+    assert compute_bold_action(1.2).tolist() == action_of(1200, 19_200, 0.125, 0.125).tolist()
 
 
 def test_a_random_player_keeps_to_the_actions_that_are_allowed():
-    player = Random(3)
-    player.reset(SimpleNamespace(action_space=gymnasium.spaces.Discrete(5)))
-    assert {int(player(None, {"action_mask": [0, 0, 1, 0, 1]})) for _ in range(40)} == {2, 4}
-    assert {int(player(None, {})) for _ in range(60)} == set(range(5))
+    make_player = RandomPolicy(3)
+    make_player.reset(SimpleNamespace(action_space=gymnasium.spaces.Discrete(5)))
+    assert {int(make_player(None, {"action_mask": [0, 0, 1, 0, 1]})) for _ in range(40)} == {2, 4}
+    assert {int(make_player(None, {})) for _ in range(60)} == set(range(5))
 
 
 def test_the_shipped_search_closes_in_on_what_a_machine_holds_and_doubts_its_luck():
     """Eight tries; the encoder says of each whether it has kept step"""
 
-    def played(holds, player):
+    def played(holds, make_player):
         observed, created = np.full(16, -1.0), []
-        player.reset(SimpleNamespace(entries=("duration", "kept") * 8))
+        make_player.reset(SimpleNamespace(feature_names=("duration", "kept") * 8))
         for k in range(8):
-            player(observed, {})
-            created.append(player.last)
-            observed[2 * k + 1] = 1.0 if holds(k, player.last) else -1.0
+            make_player(observed, {})
+            created.append(make_player.latest)
+            observed[2 * k + 1] = 1.0 if holds(k, make_player.latest) else -1.0
         return created
 
-    created = played(lambda k, boldness: boldness < 4.1, Search())
+    created = played(lambda k, boldness: boldness < 4.1, BoldnessSearch())
     assert created[:3] == pytest.approx([3.4 / 1.12, 3.4, 3.4 * 1.12])
     assert 4.1 / 1.25 < created[-1] < 4.1
-    lucky = played(lambda k, boldness: k < 2, Search())
+    lucky = played(lambda k, boldness: k < 2, BoldnessSearch())
     assert lucky[2:6] == pytest.approx([3.4 * 1.12, 3.4, 3.4 / 1.4, 3.4 / 1.4**2]), "at 3.4 it has held by luck"
-    careful = played(lambda k, boldness: boldness < 3.0, Answer())
+    careful = played(lambda k, boldness: boldness < 3.0, FinalTryBoldnessSearch())
     assert careful[-1] == pytest.approx(max(b for b in careful if b < 3.0) / 1.1), "its last try is its answer"
 
 
@@ -431,14 +442,14 @@ def test_recorded_actions_are_played_and_have_to_be_as_many_as_there_are_steps(e
     again = registerbench.play(str(path), "brief", name="random", notes="by hand")
     assert again.pack() == entry.pack()
     for steps, says in (
-        ((1, 3, 2), "goes on after its 1 actions"),
-        ((3, 1, 2), "over after 2 actions; there are more"),
+        ((1, 3, 2), "is not over after its 1 recorded actions"),
+        ((3, 1, 2), "over after 2 actions, but more are recorded"),
     ):
         np.savez(path, actions=entry.actions, steps=steps)
         with pytest.raises(ArgumentError, match=says):
             registerbench.play(str(path), "brief")
     np.savez(path, actions=np.array([None]))
-    with pytest.raises(ArgumentError, match=r"no \.npz with an array `actions`"):
+    with pytest.raises(ArgumentError, match=r"is not an \.npz file with an array `actions`"):
         registerbench.play(str(path), "brief")
 
 
@@ -448,11 +459,11 @@ def test_an_action_that_the_task_does_not_take_is_refused():
 
 
 def test_a_round_has_seeds_of_its_own_for_each_split():
-    drawn = {(s, r): seeds(BRIEF, s, r) for s in BRIEF.splits for r in ("2027", "2028")}
+    drawn = {(s, r): list_test_seeds(BRIEF, s, r) for s in BRIEF.splits for r in ("2027", "2028")}
     every = [seed for some in drawn.values() for seed in some]
     assert len(set(every)) == 12
-    assert min(every) > max(seeds(BRIEF, "train"))
-    assert drawn["train", "2027"] == seeds(BRIEF, "train", "2027")
+    assert min(every) > max(list_test_seeds(BRIEF, "train"))
+    assert drawn["train", "2027"] == list_test_seeds(BRIEF, "train", "2027")
 
 
 @pytest.mark.slow
@@ -468,7 +479,7 @@ def test_the_commands_submit_and_verify_in_a_fresh_process(tmp_path, monkeypatch
         [sys.executable, "-m", "stage", "bench-verify", "mine.bench", "--json"],
         capture_output=True,
         text=True,
-        check=False,
+        check_choice=False,
     )
     assert done.returncode == 0, done.stderr
     assert {"ok": True, "exact": True, "whole": False, "player": "mine:policy"}.items() <= json.loads(
@@ -481,7 +492,7 @@ def test_what_it_took_is_reported_by_option_and_may_be_nothing(tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     cost = ["--cost", "moves=3", "--cost", "tokens=0"]
     assert main(["bench-submit", "random", "--task", "brief", "-o", "a.bench", "--episodes", "1", *cost]) == 0
-    saved = registerbench.read("a.bench")
+    saved = registerbench.read_entry("a.bench")
     assert saved.cost == {"moves": 3, "tokens": 0, "test_moves": len(saved.rewards)}
 
 
@@ -492,16 +503,16 @@ def test_the_commands_say_what_is_wrong(entry, tmp_path, monkeypatch, capsys):
     assert "DIFFERS first in episode 0, step 0, reward: 9.0 in the entry" in capsys.readouterr().out
     for argv, says in (
         ("bench-verify none.bench", "there is no entry none.bench"),
-        (f"bench-verify {__file__}", "not an entry of the bench"),
+        (f"bench-verify {__file__}", "is not an entry of the benchmark"),
         ("bench-submit randon -o a.bench", "unknown player of few-shot 'randon'. Did you mean 'random'"),
         ("bench-submit none_such:policy -o a.bench", "No module named 'none_such'"),
         ("bench-submit json:policy -o a.bench", "module json has no 'policy'"),
         ("bench-submit none.npz -o a.bench", "there is no file of actions none.npz"),
         ("bench-submit random -o changed.bench", "changed.bench exists"),
         ("bench-submit random -o a.bench --set memory", "NAME=VALUE"),
-        ("bench-submit random -o a.bench --set memory=some", "memory='some': few-shot has 'all', 'last'"),
+        ("bench-submit random -o a.bench --set memory=some", "memory='some': the task few-shot allows 'all', 'last'"),
         ("bench-submit random -o a.bench --cost moves=many", "--cost moves=many: NAME=NUMBER"),
-        ("bench-submit random -o a.bench --episodes 65", "episodes=65: 1 to 64 here"),
+        ("bench-submit random -o a.bench --episodes 65", "episodes=65: give a number from 1 to 64"),
         ("bench few", "unknown task 'few'. Did you mean 'few-shot'"),
     ):
         assert main(argv.split()) == 2
@@ -519,46 +530,46 @@ def test_the_list_of_tasks_names_splits_and_players(capsys):
 
 
 def test_the_middle_half_is_averaged_and_its_interval_holds_the_truth():
-    assert statistics.iqm(np.array([-1e9, 1, 2, 3, 4, 5, 6, 1e9])) == 3.5
+    assert statistics.compute_iqm(np.array([-1e9, 1, 2, 3, 4, 5, 6, 1e9])) == 3.5
     draw = np.random.default_rng(5)
     holding = 0
     for _ in range(40):  # normal scores, of which the truth is 0
-        low, high = statistics.interval(draw.normal(size=(4, 32)), draws=100)
+        low, high = statistics.compute_interval(draw.normal(size=(4, 32)), draws=100)
         holding += low < 0 < high
     assert 32 <= holding <= 40
     machines = np.tile(draw.normal(size=(1, 32)), (4, 1))
-    assert np.ptp(statistics.interval(machines)) > 0.3, "four runs that do the same tell no more than one"
+    assert np.ptp(statistics.compute_interval(machines)) > 0.3, "four runs that do the same tell no more than one"
     one = draw.normal(size=(1, 32))
-    assert statistics.interval(one) == statistics.interval(one)
+    assert statistics.compute_interval(one) == statistics.compute_interval(one)
 
 
 def test_complete_runs_are_drawn_so_that_the_luck_of_training_is_in_the_interval():
     """a run plays all episodes: of a good one and a bad one a quarter of all draws has the good one alone"""
-    assert statistics.interval(np.repeat([[0.0], [1.0]], 64, axis=1), draws=200) == (0.0, 1.0)
+    assert statistics.compute_interval(np.repeat([[0.0], [1.0]], 64, axis=1), draws=200) == (0.0, 1.0)
 
 
 def test_runs_and_machines_are_both_in_the_interval():
     draw = np.random.default_rng(2)
     runs, machines = draw.normal(size=(10, 1)), draw.normal(size=(1, 32))
     of_runs, of_machines, both = (
-        np.ptp(statistics.interval(s)) for s in (np.tile(runs, 32), np.tile(machines, (10, 1)), runs + machines)
+        np.ptp(statistics.compute_interval(s)) for s in (np.tile(runs, 32), np.tile(machines, (10, 1)), runs + machines)
     )
     assert both > max(of_runs, of_machines)
 
 
 def test_an_interval_may_be_of_the_mean():
     one_bad = np.repeat([[0.0, -64.0]], [63, 1], axis=1)
-    assert statistics.interval(one_bad) == (0.0, 0.0)
-    assert statistics.interval(one_bad, of=np.mean) == (-3.0, 0.0)
+    assert statistics.compute_interval(one_bad) == (0.0, 0.0)
+    assert statistics.compute_interval(one_bad, statistic=np.mean) == (-3.0, 0.0)
 
 
 def test_a_table_says_who_beats_whom_by_intervals_that_part(entry, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 
-    def like(player, run, returns, **cost):
+    def like(make_player, run, returns, **cost):
         scores = {**entry.scores, "return": np.array(returns)}
-        path = f"{player}-{run}.bench"
-        dataclasses.replace(entry, player=player, run=run, scores=scores, cost=cost).write(path)
+        path = f"{make_player}-{run}.bench"
+        dataclasses.replace(entry, player=make_player, run=run, scores=scores, cost=cost).write(path)
         return path
 
     files_ = [like("best", k, (3.0, 3.1, 3.2)) for k in range(2)] + [like("worst", 0, (0.0, 0.1, 0.2))]
@@ -567,7 +578,7 @@ def test_a_table_says_who_beats_whom_by_intervals_that_part(entry, tmp_path, mon
     files_ += [like("many", k, (9.0, 9.1, 9.2), moves=100) for k in range(10)]
     assert main(["bench-table", *files_]) == 0
     said = capsys.readouterr().out
-    assert re.search(r"\| few \| 9 x 3 .* \| too few runs: 10 are asked \|", said), "a learner"
+    assert re.search(r"\| few \| 9 x 3 .* \| too few runs: 10 are needed \|", said), "a learner"
     assert re.search(r"\| many \| 10 x 3 .* \| best, wide, worst \|", said)
     assert "| best | 2 x 3 | 3.100 (" in said
     assert re.search(r"\| best .* \| worst \|\n\| wide .* \| - \|\n\| worst .* \| - \|", said)
@@ -575,34 +586,34 @@ def test_a_table_says_who_beats_whom_by_intervals_that_part(entry, tmp_path, mon
     assert main(["bench-table", *files_, "--long"]) == 0
     assert "steps lost" in capsys.readouterr().out
     assert main(["bench-table", files_[0], files_[0]]) == 2
-    assert "two entries are of the same run" in capsys.readouterr().err
+    assert "two entries hold the same run" in capsys.readouterr().err
     registerbench.play("random", "brief", name="quick", episodes=2).write("quick.bench")
     assert main(["bench-table", files_[0], "quick.bench"]) == 2
-    assert "quick on brief train, run 0: it has 2 of the 3 test episodes" in capsys.readouterr().err
+    assert "quick on brief train, run 0: the entry has 2 of the 3 test episodes" in capsys.readouterr().err
 
 
 def test_rows_part_by_rounds_and_who_is_as_good_beats_nobody(entry):
-    def like(player, run=0, value=1.0, **changes):
+    def like(make_player, run=0, value=1.0, **changes):
         scores = {**entry.scores, "return": np.full(3, value)}
-        return dataclasses.replace(entry, player=player, run=run, scores=scores, **changes)
+        return dataclasses.replace(entry, player=make_player, run=run, scores=scores, **changes)
 
-    one, other = statistics.rows([like("a"), like("b")])
+    one, other = statistics.compute_rows([like("a"), like("b")])
     assert one.low == one.high == other.high
     assert not one.beats(other)
     assert not other.beats(one)
-    drawn = tuple(seeds(BRIEF, "train", "second"))
-    rounds = statistics.rows([like("a"), like("a", round="second", seeds=drawn)])
+    drawn = tuple(list_test_seeds(BRIEF, "train", "second"))
+    rounds = statistics.compute_rows([like("a"), like("a", round="second", seeds=drawn)])
     assert [(row.player, row.runs) for row in rounds] == [("a", 1), ("a", 1)]
-    (half,) = statistics.rows([like("a", 0, cost={"moves": 0}), like("a", 1, cost={"moves": 100})])
+    (half,) = statistics.compute_rows([like("a", 0, cost={"moves": 0}), like("a", 1, cost={"moves": 100})])
     assert half.learned, "one run of it has learned"
 
 
 def test_what_a_player_may_choose_is_reported_from_true_and_false():
     card = dataclasses.replace(BRIEF, choices={"tries": (1, 2)})
-    card.check("train", "host", {"tries": 1})
+    card.check_choice("train", "host", {"tries": 1})
     for wrong in (True, 3):
-        with pytest.raises(ArgumentError, match=rf"tries={wrong}: brief has 1, 2"):
-            card.check("train", "host", {"tries": wrong})
+        with pytest.raises(ArgumentError, match=rf"tries={wrong}: the task brief allows 1, 2"):
+            card.check_choice("train", "host", {"tries": wrong})
 
 
 @pytest.mark.parametrize("card", CARDS.values(), ids=lambda card: card.name)
@@ -620,5 +631,5 @@ def test_every_task_of_the_list_has_an_environment_with_each_of_its_splits(card)
 @pytest.mark.parametrize("name", CARDS)
 def test_an_entry_of_every_task_is_replayed_bit_for_bit(name):
     for split in (CARDS[name].splits[0], CARDS[name].splits[-1]):
-        for player in ("random", "scripted"):
-            assert registerbench.verify(registerbench.play(player, name, split, episodes=3)).exact
+        for make_player in ("random", "scripted"):
+            assert registerbench.verify(registerbench.play(make_player, name, split, episodes=3)).exact

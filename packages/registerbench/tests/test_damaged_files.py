@@ -12,15 +12,15 @@ from support.damage import damage, replace_value, zipped
 from support.examples import SEED, scaled
 
 import registerbench
-from registerbench.arena import play, read, save, suite
-from registerbench.policies import Recorded
+from registerbench.arena import play, read_transcript, suite, write_transcript
+from registerbench.policies import RecordedActions
 from stage import StageError
 
 READERS = {
-    ".bench": registerbench.read,
-    ".zip": registerbench.read_all,
-    ".jsonl": read,
-    ".npz": lambda path: Recorded(str(path)),
+    ".bench": registerbench.read_entry,
+    ".zip": registerbench.read_entries,
+    ".jsonl": read_transcript,
+    ".npz": lambda path: RecordedActions(str(path)),
 }
 """The ending of each format, and what reads it."""
 
@@ -42,7 +42,7 @@ def refuses(path, which):
 def intact(tmp_path_factory):
     """The bytes of an intact file of each format."""
     folder = tmp_path_factory.mktemp("whole")
-    save(play(suite("diagnosis:late"), lambda table: table.call("program"), "looks"), folder / "a.jsonl")
+    write_transcript(play(suite("diagnosis:late"), lambda table: table.call("program"), "looks"), folder / "a.jsonl")
     entry = registerbench.play("random", "line", episodes=1).pack()
     np.savez(folder / "a.npz", actions=np.ones((6, 4)), steps=np.array([2, 3, 1]))
     return {

@@ -11,7 +11,7 @@ import registerbench
 import stage.envs  # noqa: F401
 from registerbench.cards import CARDS
 from registerbench.policies import PolicyContext
-from registerbench.statistics import rows
+from registerbench.statistics import compute_rows
 
 
 @pytest.fixture
@@ -89,14 +89,14 @@ def test_cma_es_finds_a_bolder_policy_than_it_begins_with(tmp_path):
     pytest.importorskip("cmaes")
     from registerbench.baselines import rule_learners as learners
 
-    learners.learn("few-shot", 0, tmp_path, machines=16)
+    learners.learn("few-shot", 0, tmp_path, describe_machines=16)
     path = tmp_path / "few-shot_es-without-memory-0.csv"
     points = [r.split(",") for r in path.read_text().splitlines()[1:]]
     first, last = ([float(r[3]) for r in points if r[0] == points[k][0]] for k in (0, -1))
     assert len(first) == len(last) == learners.EPISODES
     assert np.mean(last) > np.mean(first) + 0.2
     learners.submit(path.with_suffix(".json"), ["train"], tmp_path)
-    entry = registerbench.read(tmp_path / "few-shot-train-es-without-memory-0.bench")
+    entry = registerbench.read_entry(tmp_path / "few-shot-train-es-without-memory-0.bench")
     assert entry.cost["moves"] == float(points[-1][0])
     assert entry.scores["return"][: learners.EPISODES] == pytest.approx(last, abs=1e-3), "the curve's end is the entry"
 
@@ -124,8 +124,10 @@ def test_a_rule_earns_on_a_table_what_its_attempts_are_worth_there(rules):
 
 
 def test_memory_pays_where_the_last_try_is_the_answer_by_more_than_the_intervals():
-    published = registerbench.read_all(Path(__file__).parents[1] / "docs" / "data" / "entries" / "few-shot-wide.zip")
-    results = {row.player: row for row in rows(published.values()) if row.split == "train"}
+    published = registerbench.read_entries(
+        Path(__file__).parents[1] / "docs" / "data" / "entries" / "few-shot-wide.zip"
+    )
+    results = {row.player: row for row in compute_rows(published.values()) if row.split == "train"}
     assert results["es with memory"].beats(results["es without memory"])
 
 
@@ -161,7 +163,7 @@ def test_axes_are_ordered_by_their_role_and_macros_are_those_of_the_environment_
 
     def now(observed, mask):
         axis = turn.axis(observed[None])
-        return axis, turn.seen(observed[None], axis)[0], turn.masks(mask[None], axis)[0]
+        return axis, turn.observation_digests(observed[None], axis)[0], turn.masks(mask[None], axis)[0]
 
     first, info = env.reset(seed=1, options={"targets": {"x": 16, "y": 16}})
     axis, x, x_mask = now(first, info["action_mask"])

@@ -15,14 +15,14 @@ import pytest
 import registerbench
 from registerbench import statistics
 from registerbench.cards import CARDS
-from registerbench.entry_files import Submission
-from registerbench.versions import versions
+from registerbench.entry_files import Entry
+from registerbench.versions import list_versions
 
 FOLDER = Path(__file__).parents[1] / "docs" / "data" / "entries"
 ENTRIES = {
     f"{archive.name}/{name}": entry
     for archive in sorted(FOLDER.glob("*.zip"))
-    for name, entry in registerbench.read_all(archive).items()
+    for name, entry in registerbench.read_entries(archive).items()
 }
 SAME = ("mujoco", "numpy", "system", "physics")
 """Versions with which an entry promises its bits."""
@@ -34,18 +34,18 @@ DAILY = [
 """One with the fewest steps of each task."""
 
 
-def part(entry: Submission, episodes: int) -> Submission:
+def part(entry: Entry, episodes: int) -> Entry:
     """The first episodes of an entry."""
     steps = int(entry.steps[:episodes].sum())
     return dataclasses.replace(
         entry, seeds=entry.seeds[:episodes], steps=entry.steps[:episodes], actions=entry.actions[:steps],
-        rewards=entry.rewards[:steps], seen=entry.seen[: steps + episodes],
+        rewards=entry.rewards[:steps], observation_digests=entry.observation_digests[: steps + episodes],
         scores={name: values[:episodes] for name, values in entry.scores.items()},
     )  # fmt: skip
 
 
-def bits_are_promised(entry: Submission) -> None:
-    current, present = versions(), {"physics": "1"} | entry.versions
+def bits_are_promised(entry: Entry) -> None:
+    current, present = list_versions(), {"physics": "1"} | entry.versions
     if other := [f"{name} {present[name]}" for name in SAME if present[name] != current[name]]:
         pytest.skip(f"made with {', '.join(other)}")
 
@@ -63,7 +63,7 @@ def test_files_are_named_by_what_is_in_them_and_every_task_that_was_played_has_t
 
 def test_the_page_has_the_tables_that_the_published_entries_make():
     page = (FOLDER.parents[1] / "benchmark.md").read_text()
-    for table in statistics.table(ENTRIES.values(), long=True).split("\n\n"):
+    for table in statistics.format_tables(ENTRIES.values(), long=True).split("\n\n"):
         assert f"\n{table}\n" in page, table
 
 
@@ -107,7 +107,7 @@ def test_a_published_entry_is_what_was_played_to_its_last_episode(name):
     bits_are_promised(ENTRIES[name])
     verdict = registerbench.verify(FOLDER / name)
     assert verdict.exact, verdict
-    assert verdict.whole
+    assert verdict.is_complete
 
 
 def test_a_published_entry_with_one_other_action_is_detected():
@@ -122,7 +122,7 @@ def test_a_published_entry_with_one_other_action_is_detected():
 def test_the_bits_do_not_depend_on_what_numpy_makes_of_the_processor():
     """`stage bench-verify bus-target.zip/bus-target-train-scripted-0.bench`, on processors with AVX-512 and without."""
     path = FOLDER / "bus-target.zip" / "bus-target-train-scripted-0.bench"
-    bits_are_promised(registerbench.read(path))
+    bits_are_promised(registerbench.read_entry(path))
     for disabled in ("", "X86_V4 AVX512_ICL"):
         done = subprocess.run(
             [sys.executable, "-c", f"import registerbench; print(registerbench.verify({str(path)!r}).exact)"],

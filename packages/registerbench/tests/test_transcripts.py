@@ -5,7 +5,17 @@ import json
 
 import pytest
 
-from registerbench.arena import Interrupted, Writer, play, player, read, replay, save, suite, transcript
+from registerbench.arena import (
+    Interrupted,
+    Writer,
+    play,
+    player,
+    read_transcript,
+    replay,
+    suite,
+    transcript,
+    write_transcript,
+)
 from registerbench.arena.loop import head_of
 from registerbench.arena.replay import again
 from registerbench.arena.table import Limits
@@ -39,8 +49,8 @@ def write(path, rows):
 
 def test_a_transcript_is_replayed_bit_for_bit_without_the_player(delayed, tmp_path):
     file = tmp_path / "late.jsonl"
-    save(delayed, file)
-    back = read(file)
+    write_transcript(delayed, file)
+    back = read_transcript(file)
     assert (back.head, back.rounds) == (delayed.head, delayed.rounds)
     results = replay(file)
     assert results.same
@@ -57,7 +67,7 @@ CHANGES = (
 @pytest.mark.parametrize(("was", "becomes"), CHANGES)
 def test_a_transcript_that_was_changed_differs(delayed, tmp_path, was, becomes, capsys):
     file = tmp_path / "late.jsonl"
-    save(delayed, file)
+    write_transcript(delayed, file)
     text = file.read_text()
     assert was in text
     file.write_text(text.replace(was, becomes, 1))
@@ -69,7 +79,7 @@ def test_a_transcript_that_was_changed_differs(delayed, tmp_path, was, becomes, 
 
 def test_what_nobody_can_verify_is_reported_as_claimed(three, tmp_path, capsys):
     file = tmp_path / "t.jsonl"
-    save(three, file)
+    write_transcript(three, file)
     rows = lines(file)
     rows[0]["player"] = "the best model\x1b[2J of all"
     write(file, rows)
@@ -84,7 +94,7 @@ def test_a_part_is_never_reported_as_the_suite(three, delayed, tmp_path, capsys)
     for came, message in ((three, "3 of 10 games of diagnosis: "), (delayed, "1 of 10 games of diagnosis: ")):
         assert message in str(came)
         assert "a part, and no score of the suite" in str(came)
-        save(came, tmp_path / "t.jsonl", overwrite=True)
+        write_transcript(came, tmp_path / "t.jsonl", overwrite=True)
         assert main(["agent-replay", str(tmp_path / "t.jsonl")]) == 0
         reported = capsys.readouterr().out
         assert message in reported
@@ -98,7 +108,7 @@ def test_a_part_cannot_be_written_as_complete(tmp_path, change, request):
     came = play(suite("one-shot", episodes=2), player("random"), "r") if change in ("seed", "round", "split") else None
     came = came or request.getfixturevalue("three")
     file = tmp_path / "t.jsonl"
-    save(came, file)
+    write_transcript(came, file)
     rows = lines(file)
     head = rows[0]
     if change == "of":
@@ -122,7 +132,7 @@ def test_a_part_cannot_be_written_as_complete(tmp_path, change, request):
 
 def test_calls_after_the_end_or_beyond_the_limit_are_detected(tmp_path):
     came = play(suite("diagnosis:late"), lambda t: t.call("finish"), "f", Limits(most=1))
-    save(came, tmp_path / "t.jsonl")
+    write_transcript(came, tmp_path / "t.jsonl")
     rows = lines(tmp_path / "t.jsonl")
     more = {
         "call": "answer",
@@ -151,13 +161,13 @@ def test_any_other_file_is_refused_in_words(tmp_path, text):
     file = tmp_path / "other.jsonl"
     file.write_text(text)
     with pytest.raises(ArgumentError, match="no transcript"):
-        read(file)
+        read_transcript(file)
     assert main(["agent-replay", str(file)]) == 2
 
 
 @pytest.mark.parametrize(("k", "key", "value"), [(0, "round", "mine"), (0, "split", "train"), (2, "ok", 1)])
 def test_what_a_suite_does_not_have_is_refused(three, tmp_path, k, key, value):
-    save(three, tmp_path / "t.jsonl")
+    write_transcript(three, tmp_path / "t.jsonl")
     rows = lines(tmp_path / "t.jsonl")
     rows[k][key] = value
     write(tmp_path / "t.jsonl", rows)
@@ -170,7 +180,7 @@ def test_other_limits_than_the_usual_are_reported():
 
 def test_a_transcript_of_the_bench_is_replayed_too(tmp_path):
     came = play(suite("few-shot", "weak", 2), player("random"), "random")
-    save(came, tmp_path / "r.jsonl")
+    write_transcript(came, tmp_path / "r.jsonl")
     assert replay(tmp_path / "r.jsonl").same
 
 
@@ -210,7 +220,7 @@ def test_a_run_that_breaks_off_leaves_its_games_and_continues(tmp_path):
         writer.end(came)
     assert later.games == ["diagnosis:wide", "diagnosis:swapped"]
     assert replay(file).same
-    assert len(read(file).rounds) == 4
+    assert len(read_transcript(file).rounds) == 4
     with pytest.raises(ArgumentError, match="nothing is left"):
         Writer(file, head_of(games, "p", Limits()), go_on=True)
 
@@ -242,7 +252,7 @@ def test_the_command_continues_where_it_broke_off(tmp_path, capsys, monkeypatch)
 
 def test_what_was_played_before_must_come_out_the_same(tmp_path, three):
     file = tmp_path / "t.jsonl"
-    save(three, file)
+    write_transcript(three, file)
     rows = lines(file)[:-1]
     rows[2]["answer"] = {"text": "nothing"}
     write(file, rows)
@@ -253,14 +263,14 @@ def test_what_was_played_before_must_come_out_the_same(tmp_path, three):
 def test_an_end_amid_a_game_is_none(tmp_path):
     """A transcript whose last game has lost the line of its score"""
     games, file = suite("diagnosis", episodes=2), tmp_path / "t.jsonl"
-    save(play(games, breaks(0), "p"), file)
+    write_transcript(play(games, breaks(0), "p"), file)
     lines = file.read_text().splitlines(keepends=True)
     scores = [k for k, line in enumerate(lines) if "score" in json.loads(line)]
     file.write_text("".join(lines[: scores[-1]] + lines[scores[-1] + 1 :]))
     with pytest.raises(
         ArgumentError, match=rf"t\.jsonl, line {scores[-1] + 1}: no transcript of `stage agent`: a line out of"
     ):
-        read(file)
+        read_transcript(file)
 
 
 def test_what_is_written_of_a_game_is_on_the_disk_when_the_next_begins(tmp_path, monkeypatch, three):
@@ -287,22 +297,22 @@ SPOILED = (
 @pytest.mark.parametrize(("row", "key", "value", "says"), SPOILED)
 def test_a_transcript_with_a_wrong_value_is_refused_with_the_value(delayed, tmp_path, row, key, value, says):
     file = tmp_path / "late.jsonl"
-    save(delayed, file)
+    write_transcript(delayed, file)
     rows = lines(file)
     assert key in rows[row]
     rows[row][key] = value
     write(file, rows)
     with pytest.raises(ArgumentError, match=rf"no transcript of `stage agent`: .*{says}"):
-        read(file)
+        read_transcript(file)
 
 
 def test_a_line_after_the_end_of_a_transcript_is_refused(delayed, tmp_path):
     file = tmp_path / "late.jsonl"
-    save(delayed, file)
+    write_transcript(delayed, file)
     rows = lines(file)
     write(file, [*rows, rows[1]])
     with pytest.raises(ArgumentError, match=rf"line {len(rows) + 1}\b.*behind its end"):
-        read(file)
+        read_transcript(file)
 
 
 def test_a_game_that_is_played_again_says_where_it_first_differs(delayed):

@@ -16,7 +16,7 @@ from registerbench.arena.players import player
 from registerbench.arena.replay import Replayed, replay
 from registerbench.arena.scores import Played, Round
 from registerbench.arena.table import Limits, Table
-from registerbench.arena.transcript import Writer, read, save
+from registerbench.arena.transcript import Writer, read_transcript, write_transcript
 
 __all__ = [
     "Game",
@@ -30,9 +30,9 @@ __all__ = [
     "head_of",
     "play",
     "player",
-    "read",
+    "read_transcript",
     "replay",
-    "save",
     "suite",
     "suites",
+    "write_transcript",
 ]

@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from registerbench.arena.tool_actions import find_actions
-from registerbench.cards import CARDS, OPEN
+from registerbench.cards import CARDS, OPEN_ROUND
 from registerbench.diagnosis import SETUPS, Case
-from registerbench.entry_files import Submission
-from registerbench.episodes import Episodes
+from registerbench.entry_files import Entry
+from registerbench.episodes import EpisodeSequence
 from stage.agents import Tool
 from stage.agents.arguments import choose
 from stage.agents.tool import ToolSet
@@ -75,8 +75,8 @@ itself."""
 class Bench(Game):
     """An episode of a task. The episodes of a suite share `played`."""
 
-    def __init__(self, played: Episodes):
-        self._played, self.number = played, played.done
+    def __init__(self, played: EpisodeSequence):
+        self._played, self.number = played, played.finished
         self.name, self.seed = _named(played)[self.number]
         self._actions = find_actions(played)
         played.begin()
@@ -95,7 +95,7 @@ class Bench(Game):
 
     @property
     def over(self) -> bool:
-        return self._played.done > self.number
+        return self._played.finished > self.number
 
     def _formula(self) -> dict[str, Any]:
         self._require_running()
@@ -134,7 +134,7 @@ class Suite:
         games: Sequence[tuple[str, int | None]],
         of: int,
         make: Callable[[int], Game],
-        played: Episodes | None = None,
+        played: EpisodeSequence | None = None,
     ):
         self.name, self.games, self.of, self._make, self._played = name, tuple(games), of, make, played
         self.split, self.round = ("", "") if played is None else (played.split, played.round_)
@@ -151,7 +151,7 @@ class Suite:
             if self._played is not None:
                 self._played.close()
 
-    def entry(self, player: str, cost: dict[str, float], notes: str = "") -> Submission | None:
+    def entry(self, player: str, cost: dict[str, float], notes: str = "") -> Entry | None:
         """Return the entry of the bench, which `stage bench-verify` replays; None for broken set-ups.
 
         Args:
@@ -159,7 +159,7 @@ class Suite:
             cost: What the player took.
             notes: Anything to be kept with it.
         """
-        return None if self._played is None else self._played.entry(player, 0, notes, cost)
+        return None if self._played is None else self._played.build_entry(player, 0, notes, cost)
 
 
 def suites() -> list[str]:
@@ -167,7 +167,7 @@ def suites() -> list[str]:
     return [DIAGNOSIS, *CARDS]
 
 
-def suite(name: str, split: str = TRAIN, episodes: int | None = None, round_: str = OPEN) -> Suite:
+def suite(name: str, split: str = TRAIN, episodes: int | None = None, round_: str = OPEN_ROUND) -> Suite:
     """Return the suite of this name.
 
     Args:
@@ -191,10 +191,10 @@ def suite(name: str, split: str = TRAIN, episodes: int | None = None, round_: st
         return Suite(name, [(f"{DIAGNOSIS}:{n}", None) for n in names], len(SETUPS), lambda k: Diagnosis(names[k]))
     if one:
         raise ArgumentError(f"suite {name!r}: {kind} has episodes, and no names in them; give episodes=1 for one.")
-    played = Episodes(kind, split, TRACK, round_, {}, episodes)
+    played = EpisodeSequence(kind, split, TRACK, round_, {}, episodes)
     return Suite(kind, _named(played), played.card.episodes, lambda k: Bench(played), played)
 
 
-def _named(played: Episodes) -> list[tuple[str, int | None]]:
+def _named(played: EpisodeSequence) -> list[tuple[str, int | None]]:
     """List the name and the seed of each episode."""
-    return [(f"{played.card.name}:{played.split}:{k}", seed) for k, seed in enumerate(played.wanted)]
+    return [(f"{played.card.name}:{played.split}:{k}", seed) for k, seed in enumerate(played.seeds)]

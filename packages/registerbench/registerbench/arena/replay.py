@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from registerbench.arena.games import Game
 from registerbench.arena.scores import Played, Round, closing_of, played
 from registerbench.arena.table import jsonable
-from registerbench.arena.transcript import Transcript, read, suite_of
+from registerbench.arena.transcript import Transcript, read_transcript, suite_of
 from stage.agents.arguments import format_value
 
 
@@ -56,7 +56,7 @@ def replay(
     if isinstance(transcript, Played):
         given = Transcript(transcript.head, transcript.rounds, closing_of(transcript), 0)
     else:
-        given = read(transcript)
+        given = read_transcript(transcript)
     games = suite_of(given.head)
     rounds: list[Round] = []
     for claimed, game in zip(given.rounds, games, strict=False):

@@ -11,8 +11,8 @@ import numpy as np
 
 from registerbench.arena.games import DIAGNOSIS
 from registerbench.arena.table import MAX_CALLS, Limits, jsonable
-from registerbench.entry_files import Submission
-from registerbench.statistics import interval, iqm
+from registerbench.entry_files import Entry
+from registerbench.statistics import compute_interval, compute_iqm
 
 FAILED = "failed"
 
@@ -79,7 +79,7 @@ class Played:
     value: float
     low: float
     high: float
-    entry: Submission | None = field(default=None, repr=False)
+    entry: Entry | None = field(default=None, repr=False)
 
     @property
     def whole(self) -> bool:
@@ -134,7 +134,7 @@ class Played:
         return any(r.valid for r in self.rounds) and not any(r.ended for r in self.rounds)
 
 
-def played(head: Head, rounds: list[Round], entry: Submission | None = None) -> Played:
+def played(head: Head, rounds: list[Round], entry: Entry | None = None) -> Played:
     """Return what was played, with its score.
 
     Args:
@@ -167,7 +167,7 @@ def value_of(kind: str, values: Sequence[float]) -> tuple[float, float, float]:
     if not len(scores):
         return float("nan"), float("nan"), float("nan")
     if kind != DIAGNOSIS:
-        return iqm(scores), *interval(scores)
+        return compute_iqm(scores), *compute_interval(scores)
     rng = np.random.default_rng(0)
     means = scores[rng.integers(0, len(scores), (2000, len(scores)))].mean(axis=1)
     return float(scores.mean()), float(np.quantile(means, 0.025)), float(np.quantile(means, 0.975))

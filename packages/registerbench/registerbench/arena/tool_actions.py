@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from registerbench.episodes import Episodes
+from registerbench.episodes import EpisodeSequence
 from stage.agents.arguments import Flag, argument, choice, integer, list_of, number
 from stage.envs import drifting_home, few_shot
 from stage.errors import ArgumentError
@@ -53,7 +53,7 @@ class ToolActions:
 
     text: str
 
-    def __init__(self, played: Episodes):
+    def __init__(self, played: EpisodeSequence):
         self._played, self._env = played, played.env
         self._names = [e.name for e in played.env.observation_features]
 
@@ -188,7 +188,7 @@ KINDS: dict[str, type[ToolActions]] = {
 """Kind of actions by the name of the card."""
 
 
-def find_actions(played: Episodes) -> ToolActions:
+def find_actions(played: EpisodeSequence) -> ToolActions:
     """Return the tool actions of the task that is played. Raises ArgumentError for a task without."""
     if played.card.name in KINDS:
         return KINDS[played.card.name](played)

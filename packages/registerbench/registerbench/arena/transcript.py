@@ -20,7 +20,7 @@ from typing import IO, Any
 from registerbench.arena.games import Suite, suite
 from registerbench.arena.scores import Head, Played, Round, closing_of
 from registerbench.arena.table import TOKENS, Limits
-from registerbench.versions import versions
+from registerbench.versions import list_versions
 from stage.errors import ArgumentError
 from stage.support.files import FileError, writable
 from stage.support.foreign_files import open_regular, parse_json
@@ -76,7 +76,7 @@ class Writer:
         except OSError as why:
             raise FileError(f"{path} cannot be written: {why.strerror or why}.") from why
         columns = asdict(head)
-        self._write({"format": [MARK, FORMAT], **columns.pop("limits"), **columns, "versions": versions()})
+        self._write({"format": [MARK, FORMAT], **columns.pop("limits"), **columns, "versions": list_versions()})
 
     def game(self, r: Round) -> None:
         """Write the lines of a game that is over."""
@@ -109,7 +109,7 @@ class Writer:
             raise FileError(f"{self._file.name} cannot be written: {why.strerror or why}.") from why
 
 
-def save(came: Played, path: str | os.PathLike, overwrite: bool = False) -> None:
+def write_transcript(came: Played, path: str | os.PathLike, overwrite: bool = False) -> None:
     """Write a transcript as one file.
 
     Args:
@@ -128,7 +128,7 @@ def save(came: Played, path: str | os.PathLike, overwrite: bool = False) -> None
 
 def _continued(path: Path, head: Head) -> tuple[IO[str], list[Round]]:
     """A file that is to go on: what it has, cut behind its last whole game."""
-    there = read(path)
+    there = read_transcript(path)
     if there.head != head:
         wrong = [k for k, v in asdict(head).items() if asdict(there.head)[k] != v]
         raise ArgumentError(
@@ -142,7 +142,7 @@ def _continued(path: Path, head: Head) -> tuple[IO[str], list[Round]]:
     return file, there.rounds
 
 
-def read(path: str | os.PathLike) -> Transcript:
+def read_transcript(path: str | os.PathLike) -> Transcript:
     """Read a transcript from a file, as far as it goes. Raises ArgumentError for any other file, or none."""
     wrong = (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError)
     with open_regular(path, "transcript", LARGEST, ArgumentError) as file:

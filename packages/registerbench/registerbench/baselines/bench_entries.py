@@ -16,8 +16,8 @@ from typing import Any
 
 import registerbench
 from registerbench.baselines import stops
-from registerbench.cards import CARDS, OPEN
-from registerbench.shipped_policies import SHIPPED
+from registerbench.cards import CARDS, OPEN_ROUND
+from registerbench.shipped_policies import TASK_PLAYERS
 
 DRAWN = ("random",)
 OPTUNA = {"tpe": "Tpe", "cma-es": "CmaEs"}
@@ -42,7 +42,7 @@ def write_entry(policy: Any, task: str, split: str, folder: Path, method: str, r
 
 
 def players_of(task: str) -> list[str]:
-    own = list(SHIPPED.get(task, {})) or ["scripted"]
+    own = list(TASK_PLAYERS.get(task, {})) or ["scripted"]
     return ["random", *own, *(OPTUNA if task == "few-shot" else ())]
 
 
@@ -58,7 +58,10 @@ def main() -> None:
     parser.add_argument("--players", nargs="+", help="of those that a task has (default: all)")
     parser.add_argument("--runs", type=int, default=1, help="of players that draw")
     parser.add_argument(
-        "--round", default=OPEN, metavar="WORD", help="whose test episodes (default: the open ones); a folder for each"
+        "--round",
+        default=OPEN_ROUND,
+        metavar="WORD",
+        help="whose test episodes (default: the open ones); a folder for each",
     )
     args = parser.parse_args()
     for task in args.tasks:

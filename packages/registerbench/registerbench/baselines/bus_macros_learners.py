@@ -45,7 +45,7 @@ from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.bus_macros_dqn import MaskedDQN, dqn
 from registerbench.baselines.bus_macros_turned import Mixed, Turn, Turned
 from registerbench.baselines.learning import cost_of, parser_of, wilson
-from registerbench.cards import FIRST
+from registerbench.cards import FIRST_TEST_SEED
 from stage.envs.sb3 import StageVecEnv
 
 ID = "stage/BusMacros-v1"
@@ -99,7 +99,7 @@ class Policy:
 
     def reset(self, context: Any) -> None:
         """around.entries has the names of what is seen."""
-        self.turn = Turn(context.entries, self.model.action_space.n)
+        self.turn = Turn(context.feature_names, self.model.action_space.n)
 
     def choose(self, observations: np.ndarray, masks: np.ndarray) -> np.ndarray:
         """Macros, (n,)."""
@@ -217,7 +217,7 @@ def evaluate(path: Path) -> None:
     """Success on the test episodes of the policy's level, by the signs of the targets of x and y."""
     torch.set_num_threads(1)
     level, method, run = path.stem.split("-")
-    judge = Judge(level, FIRST, EPISODES)
+    judge = Judge(level, FIRST_TEST_SEED, EPISODES)
     won, moves, _ = judge.play(Policy.load(path))
     judge.close()
     of = {way: won[[w == way for w in judge.ways]] for way in sorted(set(judge.ways))}

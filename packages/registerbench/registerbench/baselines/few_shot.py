@@ -21,8 +21,8 @@ from collections.abc import Callable
 import gymnasium
 import numpy as np
 
-from registerbench.shipped_policies import action_at
-from registerbench.statistics import interval
+from registerbench.shipped_policies import compute_bold_action
+from registerbench.statistics import compute_interval
 from stage.envs.contexts import SPLITS
 
 BOLDNESS = (1.0, 2.0, 2.5, 3.0, 3.2, 3.4, 3.6, 4.0, 5.0)
@@ -82,7 +82,7 @@ def play(host: Callable[[int], Host], split: str, machines: int, seed: int) -> t
         choose, total, before = host(LANES), np.zeros(LANES), np.full(LANES, np.nan)
         for _ in range(tries):
             before = choose(before, observation[:, names.index("kept")] > 0)
-            observation, rewards, *_, info = envs.step(np.stack([action_at(b) for b in before]))
+            observation, rewards, *_, info = envs.step(np.stack([compute_bold_action(b) for b in before]))
             total += rewards
         totals.append(total)
         costs.append(info["proved"] / info["usual"])
@@ -104,7 +104,7 @@ def main() -> None:
     for split in args.splits:
         for name, host in {"usual": fixed(1.0), "fixed": fixed(best), "search": search(best / STEP)}.items():
             totals, costs = play(host, split, args.machines, TEST)
-            low, high = interval(totals, of=np.mean)
+            low, high = compute_interval(totals, statistic=np.mean)
             held = np.isfinite(costs)
             median = f"{np.median(costs[held]):.3f}" if held.any() else "-"
             print(

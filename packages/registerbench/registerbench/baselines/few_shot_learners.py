@@ -97,7 +97,7 @@ class Policy:
         self.model = kind.load(path, device="cpu")
 
     def reset(self, context: Any) -> None:
-        self.which, self.state = columns(self.method, context.entries), None
+        self.which, self.state = columns(self.method, context.feature_names), None
 
     def __call__(self, observation: np.ndarray, info: Any) -> np.ndarray:
         begins = np.array([self.state is None])

@@ -38,7 +38,7 @@ class Host:
 
     def reset(self, context: Any) -> None:
         where: dict[str, list[int]] = {}
-        for k, name in enumerate(context.entries):
+        for k, name in enumerate(context.feature_names):
             where.setdefault(name, []).append(k)
         self.kept, self.duration = where["kept"], where["duration"]
         self.study = optuna.create_study(sampler=self.sampler(self.episode))

@@ -27,8 +27,8 @@ import numpy as np
 
 import registerbench
 from registerbench.baselines import stops
-from registerbench.cards import OPEN
-from registerbench.statistics import interval, iqm
+from registerbench.cards import OPEN_ROUND
+from registerbench.statistics import compute_interval, compute_iqm
 from stage.support import pictures
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -115,17 +115,17 @@ def levels(runs: dict[str, list[dict]]) -> tuple[np.ndarray, np.ndarray]:
 def others(task: str, episodes: int) -> dict[str, dict[str, np.ndarray]]:
     """Return the scores of players that do not learn, on the test episodes of the curves."""
     found = {}
-    published = registerbench.read_all(DOCS / "data" / "entries" / f"{task}.zip")
+    published = registerbench.read_entries(DOCS / "data" / "entries" / f"{task}.zip")
     for name in OTHERS:
         entry = published.get(f"{task}-train-{name}-0.bench")
-        if entry is not None and entry.round == OPEN:
+        if entry is not None and entry.round == OPEN_ROUND:
             found[name] = {score: values[:episodes] for score, values in entry.scores.items()}
     return found
 
 
-def spread(values: np.ndarray, of: Any = iqm) -> str:
+def spread(values: np.ndarray, of: Any = compute_iqm) -> str:
     """Compute the IQM of returns, (runs, episodes), or another figure, with its interval."""
-    low, high = interval(values, of=of)
+    low, high = compute_interval(values, statistic=of)
     return f"{of(values):.3f} ({low:.3f} to {high:.3f})"
 
 
@@ -168,13 +168,17 @@ def panel(ax: Any, task: str, players: dict[str, dict[str, list[dict]]]) -> None
     ordered = sorted(players.items(), key=lambda of: max(int(r[-1]["steps"]) for r in of[1].values()))
     for color, (player, runs) in zip(pictures.COLOURS, ordered, strict=False):
         at, values = levels(runs) if task == "bus" else points(runs)
-        ends = np.array([interval(v, draws=1000) for v in values])
+        ends = np.array([compute_interval(v, draws=1000) for v in values])
         ax.fill_between(at, *ends.T, color=color, alpha=0.18, lw=0)
         ax.plot(
-            at, [iqm(v) for v in values], color=color, lw=1.8, label=f"{player}, {len(runs)} run{'s'[: len(runs) > 1]}"
+            at,
+            [compute_iqm(v) for v in values],
+            color=color,
+            lw=1.8,
+            label=f"{player}, {len(runs)} run{'s'[: len(runs) > 1]}",
         )
     for name, scores in ({} if task == "bus" else others(task, EPISODES)).items():  # returns, where bus has shares
-        ax.axhline(iqm(scores["return"]), color=pictures.MUTED, lw=1.2, ls=OTHERS[name], label=name)
+        ax.axhline(compute_iqm(scores["return"]), color=pictures.MUTED, lw=1.2, ls=OTHERS[name], label=name)
     pictures.title(ax, PANELS[task])
     what = "solved, of 64 machines" if task == "bus" else "return, IQM of test episodes"
     ax.set_xlabel("macros of learning" if task == "bus" else "tries of learning", fontsize=8)

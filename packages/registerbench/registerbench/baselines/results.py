@@ -46,7 +46,7 @@ from registerbench.baselines.runs import (
     Run,
     Runs,
 )
-from registerbench.statistics import interval, iqm
+from registerbench.statistics import compute_interval, compute_iqm
 from stage import Stage, firmware
 from stage.firmware.report import Report, rates
 from stage.support.pictures import bare, title
@@ -86,8 +86,8 @@ def spread(values: list[float], form: str) -> str:
     known = [v for v in values if v == v]
     if not known:
         return "none"
-    middle = format(iqm(np.array(known)), form)
-    low, high = (format(v, form) for v in interval(np.array(known)[:, None]))
+    middle = format(compute_iqm(np.array(known)), form)
+    low, high = (format(v, form) for v in compute_interval(np.array(known)[:, None]))
     return middle if len(known) == 1 else f"{middle} ({low} to {high})"
 
 
@@ -136,10 +136,12 @@ def gain(runs: list[Run], base: Run, name: str, kept: bool = False) -> Gain:
     values = sign * np.array([r.mean(name, kept) - base.mean(name, kept) for r in runs])
     found = values[~np.isnan(values)]
     if len(runs) < SEEDS:
-        return Gain(None, False, f"{iqm(found):+.1f}")
-    low, high = interval(found[:, None])
+        return Gain(None, False, f"{compute_iqm(found):+.1f}")
+    low, high = compute_interval(found[:, None])
     return Gain(
-        bool(low > 0 and len(found) == len(runs)), bool(high < 0), f"{iqm(found):+.1f} ({low:+.1f} to {high:+.1f})"
+        bool(low > 0 and len(found) == len(runs)),
+        bool(high < 0),
+        f"{compute_iqm(found):+.1f} ({low:+.1f} to {high:+.1f})",
     )
 
 

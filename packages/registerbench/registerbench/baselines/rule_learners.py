@@ -29,7 +29,7 @@ from registerbench.baselines import stops
 from registerbench.baselines.bench_entries import write_entry
 from registerbench.baselines.boldness import learned, tabulate
 from registerbench.baselines.rules import RULES, Bold, Rule
-from registerbench.cards import CARDS, FIRST, OPEN
+from registerbench.cards import CARDS, FIRST_TEST_SEED, OPEN_ROUND
 
 BUDGET = {"one-shot": (12, 16), "line": (12, 8), "home": (8, 12)}
 """Generations, and machines of each."""
@@ -94,16 +94,18 @@ class Run:
         self.rows: list[tuple] = [COLUMNS]
 
     def check(self, z: np.ndarray) -> float:
-        total, won = self.first() if not z.any() else play(self.testing, self.kind, self.kind.numbers(z), FIRST)[:2]
+        total, won = (
+            self.first() if not z.any() else play(self.testing, self.kind, self.kind.numbers(z), FIRST_TEST_SEED)[:2]
+        )
         for k, (value, success) in enumerate(zip(total.tolist(), won.tolist(), strict=True)):
-            self.rows.append((self.moves, f"{self.seconds:.1f}", FIRST + k, f"{value:.5f}", int(success)))
+            self.rows.append((self.moves, f"{self.seconds:.1f}", FIRST_TEST_SEED + k, f"{value:.5f}", int(success)))
         return float(total.mean())
 
     def first(self) -> tuple[np.ndarray, np.ndarray]:
         """Return what the rule reaches before it has learned, the same for all seeds."""
         if (self.task, self.kind) not in BEGUN:
             begins = np.array(self.kind.BEGINS)
-            BEGUN[self.task, self.kind] = play(self.testing, self.kind, begins, FIRST)[:2]
+            BEGUN[self.task, self.kind] = play(self.testing, self.kind, begins, FIRST_TEST_SEED)[:2]
         return BEGUN[self.task, self.kind]
 
     def generation(self, search: Any, number: int) -> None:
@@ -183,13 +185,13 @@ class Policy:
         self.kind, self.w = kind, w
 
     def reset(self, context: Any) -> None:
-        self.rule = self.kind(self.w, context.entries)
+        self.rule = self.kind(self.w, context.feature_names)
 
     def __call__(self, observation: np.ndarray, info: Any) -> np.ndarray:
         return self.rule(observation[None])[0]
 
 
-def submit(path: Path, splits: list[str], folder: Path, round_: str = OPEN) -> None:
+def submit(path: Path, splits: list[str], folder: Path, round_: str = OPEN_ROUND) -> None:
     said, (task, _, name) = json.loads(path.read_text()), path.stem.partition("_")
     method, _, run = name.rpartition("-")
     player = method.replace("-", " ")
@@ -211,7 +213,7 @@ def main() -> None:
     p.add_argument("policy", type=Path, nargs="+")
     p.add_argument("--splits", nargs="+", default=["train"])
     p.add_argument("-o", "--out", type=Path, required=True, metavar="FOLDER")
-    p.add_argument("--round", default=OPEN, metavar="WORD", help="whose test episodes (default: the open ones)")
+    p.add_argument("--round", default=OPEN_ROUND, metavar="WORD", help="whose test episodes (default: the open ones)")
     p.set_defaults(run=lambda a: [submit(path, a.splits, a.out, a.round) for path in a.policy])
     args = parser.parse_args()
     with stops("runs that are done are kept, and the same command goes on after them."):

@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from registerbench.shipped_policies import action_at
+from registerbench.shipped_policies import compute_bold_action
 
 TRIES = 8
 TAMEST, BOLDEST = 0.5, 12.0
@@ -111,7 +111,7 @@ class Home(Rule):
 
 def bold(boldness: np.ndarray) -> np.ndarray:
     """The usual rates times a boldness each, the usual ramps divided by it: actions, (n, 4)."""
-    return np.stack([action_at(b) for b in boldness.tolist()])
+    return np.stack([compute_bold_action(b) for b in boldness.tolist()])
 
 
 class Bold(Rule):

@@ -22,7 +22,7 @@ import gymnasium
 import numpy as np
 
 import stage.envs
-from registerbench.baselines.few_shot import interval
+from registerbench.baselines.few_shot import compute_interval
 from stage.envs.results import SCORE
 
 TASKS = {id_.split("/")[1].split("-")[0]: id_ for id_ in stage.envs.IDS if id_.endswith("-v1")}
@@ -94,7 +94,7 @@ def choose(envs: Any, player: str, rng: np.random.Generator) -> np.ndarray:
 
 def row(task: str, split: str, player: str, totals: np.ndarray, score: dict[str, np.ndarray]) -> str:
     """Format a row of the table."""
-    low, high = interval(totals)
+    low, high = compute_interval(totals)
     won = score["success"].astype(bool)
     medians = [f"{np.median(score[name][won]):.3f}" if won.any() else "-" for name in ("time", "regret")]
     means = [f"{score[name].mean():.1f}" for name in ("moves", "lost_steps", "limits")]

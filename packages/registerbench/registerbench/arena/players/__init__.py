@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from registerbench.arena.loop import Guarded, Player
 from registerbench.arena.players import searches, simple, technician, trained
-from registerbench.policies import imported
+from registerbench.policies import import_attribute
 from stage.errors import ArgumentError, unknown_name_error
 
 SHIPPED: dict[str, Callable[[], Player]] = {
@@ -28,7 +28,7 @@ def player(name: str) -> Player:
         raise ArgumentError(
             f"{unknown_name_error('player', name, SHIPPED)} Or give module:function, which takes a Table."
         )
-    found = imported(name, "player")
+    found = import_attribute(name, "player")
     if not callable(found):
         raise ArgumentError(f"player {name}: is no function of a Table.")
     return Guarded(found() if isinstance(found, type) else found)
