@@ -224,7 +224,7 @@ class DriftingHome(MachineTask[Config]):
             search, ramp, approach = portable.exp(low + (high - low) * u[:3]).tolist()
             approach = min(approach, search)
             leave, back_off = round(float(LEAVE * u[3] ** 3)), round(float(portable.exp(b0 + (b1 - b0) * u[4])))
-            rows.append(self.search.row(max(FL * search, 100.0), search, ramp, approach, leave, back_off))
+            rows.append(self.search.find_nearest_row(max(FL * search, 100.0), search, ramp, approach, leave, back_off))
         return np.array(rows, np.int64)
 
     @property

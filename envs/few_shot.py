@@ -168,7 +168,7 @@ class FewShotTuning(MachineTask[Config]):
         self.trial = Trial(self.axis, point, c.settle, encoder=True)
         self.prepare_machines()
         self.trial.check(c.distances, "pulses")
-        self.names = self.driver.tuned_by(s_curve=False)
+        self.names = self.driver.list_move_registers(s_curve=False)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (len(RATES),), np.float32)
         self.observation_space = self.make_observation_space()
         self.shapes = {"registers": (len(self.names),)}

@@ -66,7 +66,7 @@ class MacroTable:
             values = driver.formula(*speeds, self.grid[-1], s_curve=False)
             self._add(self._registers(Program(), axis, values))
         for d in self.grid:
-            self._add(self._registers(Program(), axis, {driver.FINISH: d}))
+            self._add(self._registers(Program(), axis, {driver.DISTANCE_REGISTER: d}))
         for sign in (1, -1):
             pages = []
             for speeds in rates:
@@ -75,7 +75,7 @@ class MacroTable:
                     driver.write_move(p, driver.formula(*speeds, d, s_curve=False), sign * d)
             self._add(*pages)
         search = driver.search(HOMING)
-        row = search.row(*SPEEDS_HOME, 0, HOMING.back_off)
+        row = search.find_nearest_row(*SPEEDS_HOME, 0, HOMING.back_off)
         self.home_searches.append(search)
         self._choices.append(np.array([row]))
         self._add(search.program(row))

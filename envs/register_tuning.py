@@ -88,7 +88,7 @@ class RegisterTuning(Tuning[Config]):
         return chip_class(self.config.chip)
 
     def make_register_box(self) -> RegisterBox:
-        return RegisterBox.of_registers(self.axis.chip.MAP, self.trial.driver.tuned_by(self.config.s_curve))
+        return RegisterBox.of_registers(self.axis.chip.MAP, self.trial.driver.list_move_registers(self.config.s_curve))
 
     def prepare(self) -> None:
         c, first = self.config, self.stages[0]
@@ -98,7 +98,7 @@ class RegisterTuning(Tuning[Config]):
 
     def make_program(self, row: np.ndarray, distance: int) -> Program:
         c = self.config
-        program = self.trial.program(self.registers.named(row), distance, c.limit, keep_step=c.early_ends)
+        program = self.trial.program(self.registers.to_dict(row), distance, c.limit, keep_step=c.early_ends)
         if c.early_ends and self.trial.is_hopeless(program, distance, c.limit):
             program.ops[0] = (END, 0, 0, 0)
         return program

@@ -23,7 +23,7 @@ import numpy as np
 
 from stage.chips.register_map import RegisterMap
 from stage.errors import ArgumentError
-from stage.firmware.choices import limits
+from stage.firmware.parameter_ranges import get_register_range
 from stage.support import portable
 
 WIDE_RANGE = 1 << 16
@@ -48,7 +48,7 @@ class RegisterBox:
     @classmethod
     def of_registers(cls, map_: RegisterMap, names: Sequence[str]) -> RegisterBox:
         """Make a box of some registers of a chip."""
-        return cls(names, [limits(map_, name) for name in names])
+        return cls(names, [get_register_range(map_, name) for name in names])
 
     def __len__(self) -> int:
         return len(self.names)
@@ -98,6 +98,6 @@ class RegisterBox:
             )
         return (2.0 * u - 1.0).astype(np.float32)
 
-    def named(self, registers: np.ndarray) -> dict[str, int]:
+    def to_dict(self, registers: np.ndarray) -> dict[str, int]:
         """Return one row of registers by name."""
         return {n: int(v) for n, v in zip(self.names, registers, strict=True)}

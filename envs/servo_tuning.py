@@ -100,7 +100,7 @@ class ServoTuning(Tuning[Config]):
 
     def make_register_box(self) -> RegisterBox:
         self.driver = driver_of(self.axis)
-        ranges = self.driver.filter_choices(self.config.motion == "trapezoid").ranges
+        ranges = self.driver.get_filter_ranges(self.config.motion == "trapezoid").ranges
         return RegisterBox(list(ranges), ranges.values())
 
     def prepare(self) -> None:
@@ -117,7 +117,7 @@ class ServoTuning(Tuning[Config]):
         """The host's bus cycles for one move, and looks at the carriage."""
         c, p = self.config, Program()
         rates = (c.velocity, c.acceleration) if c.motion == "trapezoid" else None
-        self.driver.write_servo_move(p, self.registers.named(row), distance, rates)
+        self.driver.write_servo_move(p, self.registers.to_dict(row), distance, rates)
         self.first = len(p)  # of the pairs of a wait and a look
         for k in range(self.samples):
             (p.measure if k >= self.samples - self.tail else p.wait)(LOOK)

@@ -182,7 +182,7 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
     def to_registers(self, actions: np.ndarray) -> np.ndarray:
         rows, columns = self.line.shape
         wanted = actions[:, 2:].astype(np.float64).reshape(len(actions), len(self.axes), CORRECTIONS)
-        return self.line.corrected(self.requested_lines, wanted[:, :rows, :columns])
+        return self.line.apply_corrections(self.requested_lines, wanted[:, :rows, :columns])
 
     def action_of(self, rate: Any, ramp: Any) -> np.ndarray:
         """Return the actions that mean these values, without corrections.
@@ -274,7 +274,8 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
             self.distances, np.full(self.n, np.clip(Speeds().drive, *c.rates)), np.full(self.n, Speeds().up)
         )
         of_axes = np.concatenate(
-            [(self.distances / c.distances[1])[:, :, None], self.line.errors(usual) / (2 * c.reach)], axis=2
+            [(self.distances / c.distances[1])[:, :, None], self.line.compute_share_errors(usual) / (2 * c.reach)],
+            axis=2,
         )
         observations = np.concatenate([of_axes.reshape(self.n, -1), self.machine_features], axis=1)
         return np.clip(observations, -1.0, 1.0).astype(np.float32)

@@ -248,7 +248,7 @@ class SynchronizedMove(MoveTask[Config]):
             return actions.astype(np.int64).reshape(shape)
         if self.config.actions == "box":
             return self.registers.from_action(actions).reshape(shape)
-        return self.line.corrected(self.requested_lines, actions.astype(np.float64).reshape(shape))
+        return self.line.apply_corrections(self.requested_lines, actions.astype(np.float64).reshape(shape))
 
     # --- the move ---
 
@@ -271,7 +271,10 @@ class SynchronizedMove(MoveTask[Config]):
         """Run copies of the chips of some stages, and store how far the pulses stray from the line and how long they take."""
         cycle = round(self.config.bus_cycle * 1e9)
         for k in np.flatnonzero(self.active[low:high]) + low:
-            began = int(self._truth_at_start[k, 0]["now"]) + (self.line.starts(self.distances[k]) + 1) * cycle
+            began = (
+                int(self._truth_at_start[k, 0]["now"])
+                + (self.line.find_start_operations(self.distances[k]) + 1) * cycle
+            )
             starts = [clock_at(now, self.hz) for now in began.tolist()]
             paths = self.line.pulses(moves[k], self.distances[k])
             paths = [t + (start - min(starts)) for t, start in zip(paths, starts, strict=True)]
@@ -320,7 +323,10 @@ class SynchronizedMove(MoveTask[Config]):
         c = self.config
         rate = scale_log(self.rate, c.rates) if c.rates[1] > c.rates[0] else np.zeros(self.n)
         of_axes = np.concatenate(
-            [(self.distances / c.distances[1])[:, :, None], self.line.errors(self.requested_lines) / (2 * c.reach)],
+            [
+                (self.distances / c.distances[1])[:, :, None],
+                self.line.compute_share_errors(self.requested_lines) / (2 * c.reach),
+            ],
             axis=2,
         )
         observations = np.concatenate([rate[:, None], of_axes.reshape(self.n, -1), self.last], axis=1)

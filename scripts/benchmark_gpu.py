@@ -44,7 +44,7 @@ def servo_programs(stage: Stage, rng: np.random.Generator) -> list[Program]:
         p = Program()
         for axis in stage.axes.values():
             driver = driver_of(axis)
-            driver.write_servo_move(p, driver.filter_formula(), int(rng.integers(-8000, 8000)), (1e4, 1e5))
+            driver.write_servo_move(p, driver.compute_filter(), int(rng.integers(-8000, 8000)), (1e4, 1e5))
         programs.append(p.until_stopped([0, 1, 2], 1.0))
     return programs
 

@@ -91,7 +91,7 @@ def high_speed_origin_return() -> Report:
     the axis to FL, a rate from which the motor can stop at ORG without a ramp.
     """
     bench = Bench(PCL240K())
-    bench.rail("x", at=4000, sd_minus=(None, 700), org=(None, 0))
+    bench.add_rail("x", at=4000, sd_minus=(None, 700), org=(None, 0))
     return firmware.origin_return(bench.axes["x"], -1, P, slow_approach=False)
 
 
@@ -99,7 +99,7 @@ def high_speed_origin_return() -> Report:
 def constant_speed_origin_return() -> Report:
     """Control mode 49h is the origin return in minus direction. The rate is constant FL, and ORG stops the axis."""
     bench = Bench(PCL240K())
-    bench.rail("x", at=500, org=(None, 0))
+    bench.add_rail("x", at=500, org=(None, 0))
     return firmware.origin_return(bench.axes["x"], -1, P, high_speed=False, slow_approach=False)
 
 
@@ -110,7 +110,7 @@ def origin_return_slow_approach() -> Report:
     repeats within a pulse.
     """
     bench = Bench(PCL240K())
-    bench.rail("x", at=4000, sd_minus=(None, 700), org=(None, 0))
+    bench.add_rail("x", at=4000, sd_minus=(None, 700), org=(None, 0))
     return firmware.origin_return(bench.axes["x"], -1, P, back_off=100)
 
 
@@ -214,7 +214,7 @@ def slow_down() -> Report:
     when the switch is released, it ramps up again.
     """
     bench = Bench(PCL240K())
-    bench.rail("x", sd_plus=(2000, 2700))
+    bench.add_rail("x", sd_plus=(2000, 2700))
     return firmware.continuous_move(bench.axes["x"], 0.9, +1, P, slow_down=True)
 
 
@@ -224,7 +224,7 @@ def end_limit() -> Report:
     direction has no effect, and a start in the other direction works.
     """
     bench = Bench(PCL240K())
-    bench.rail("x", el_plus=(2000, None))
+    bench.add_rail("x", el_plus=(2000, None))
     return firmware.preset_move(bench.axes["x"], 5000, P)
 
 

@@ -145,7 +145,7 @@ class Soak:
         self.stage = Stage("xyz", chips=dict(zip("xyz", chips, strict=True)), visuals=False)
         self.fleet = Fleet([self.stage], threads=1)
         self.axes = list(self.stage.axes.values())
-        self.rounds = self.moves = self.stops = self.homings = 0
+        self.rounds = self.moves = self.stops = self.list_homing_methods = 0
         self.pulses = self.redrawn = 0
         self.worst = self.worst_home = 0.0
         self.expected = [0] * len(self.axes)  # net pulses since power-up
@@ -248,7 +248,7 @@ class Soak:
         if axis.chip.diagnostics:
             raise Fault(f"{said}: {axis.chip.diagnostics}")
         self.stage.run(0.25)
-        self.homings += 1
+        self.list_homing_methods += 1
         k = axis.index
         self.expected[k] += report.pulses
         self.position[k] = 0
@@ -284,7 +284,7 @@ class Soak:
     def line(self):
         wall = time.perf_counter() - self.began
         return (
-            f"{self.hours:8.3f} h simulated  {wall:7.1f} s  {self.moves:6d} moves  {self.homings:4d} homings  "
+            f"{self.hours:8.3f} h simulated  {wall:7.1f} s  {self.moves:6d} moves  {self.list_homing_methods:4d} homings  "
             f"worst {self.worst:.2f}, home {self.worst_home:.2f} pulses  {resident():.1f} MiB"
         )
 
@@ -297,7 +297,7 @@ class Soak:
             "chips": {a.name: type(a.chip).__name__ for a in self.axes},
             "rounds": self.rounds, "moves": self.moves, "stops_in_motion": self.stops,
             "redrawn": self.redrawn, "pulses": self.pulses,
-            "homings": self.homings, "worst_at_rest_pulses": self.worst, "worst_home_pulses": self.worst_home,
+            "homings": self.list_homing_methods, "worst_at_rest_pulses": self.worst, "worst_home_pulses": self.worst_home,
             "allowed_pulses": [AT_REST, HOME_SPREAD],
             "memory_mib": resident(), "memory_growth_mib": grown, "memory_growth_allowed_mib": allowed,
         }  # fmt: skip

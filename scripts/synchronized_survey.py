@@ -17,7 +17,7 @@ from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, plan, synchronized_move
 from stage.firmware.path import path_deviation
 from stage.firmware.pcl240.closed_form import bend, stretch
-from stage.firmware.pcl240.emulated import trace_row
+from stage.firmware.pcl240.row_emulation import trace_row
 
 DELAYS = (1e-6, 1e-5, 1e-4)
 

@@ -108,7 +108,7 @@ class NoStop(Pcl240Driver):
 
 
 class Plain(Pcl240Driver):
-    POSITIVE = ()
+    INVERTIBLE_SENSORS = ()
 
 
 @pytest.mark.parametrize(

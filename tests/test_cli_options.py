@@ -20,7 +20,7 @@ from stage.cli.erratum import ErratumResult
 from stage.cli.fault import demonstrations
 from stage.cli.options import Quantity
 from stage.cli.run import print_report
-from stage.firmware.driver import Speeds, driver_of, usual_speeds
+from stage.firmware.driver import Speeds, driver_of, get_default_speeds
 from stage.recording import viewer
 from stage.support import opengl
 from stage.support.files import FileError
@@ -168,7 +168,7 @@ def test_speeds_are_as_the_options_say_and_else_the_usual_ones(bench, monkeypatc
     calls = note_calls(monkeypatch, {"sync": "line"}.get(command := options.split()[0], command))
     assert main(options.split()) == 0
     ((args, kwargs),) = calls
-    usual = usual_speeds(bench.axes["x"].chip)._replace(second=2 * usual_speeds(bench.axes["x"].chip).drive)
+    usual = get_default_speeds(bench.axes["x"].chip)._replace(second=2 * get_default_speeds(bench.axes["x"].chip).drive)
     assert kwargs["speed"] == usual._replace(**fields)
     assert args[0] == {"x": 5, "y": 4} if command == "sync" else args[0].name == "x"
 

@@ -168,7 +168,7 @@ def test_servos_on_a_gpu_come_to_where_they_come_on_processors():
         p = Program()
         for axis in stage.axes.values():
             driver = driver_of(axis)
-            driver.write_servo_move(p, driver.filter_formula(), int(rng.integers(-4000, 4000)), (2e4, 3e5))
+            driver.write_servo_move(p, driver.compute_filter(), int(rng.integers(-4000, 4000)), (2e4, 3e5))
         programs.append(p.until_stopped([0, 1, 2], 1.0).wait(0.2))
     on_gpu, on_cpu = Fleet([stage], device="cuda", copies=n), Fleet([copy.deepcopy(stage) for _ in range(n)])
     played, wanted = on_gpu.play(programs), on_cpu.play(programs)

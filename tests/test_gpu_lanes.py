@@ -131,7 +131,7 @@ def servos(rng):
     p = Program()
     for axis in stage.axes.values():
         driver = driver_of(axis)
-        driver.write_servo_move(p, driver.filter_formula(), int(rng.integers(40, 90)), (2e4, 4e6))
+        driver.write_servo_move(p, driver.compute_filter(), int(rng.integers(40, 90)), (2e4, 4e6))
     p.until_stopped([0, 1, 2], 0.01).measure(0.001, -1)
     return stage, p.read(0, 0x14).read(1, 0x13).sample_position(2)
 

@@ -11,7 +11,7 @@ import pytest
 from stage import Stage, firmware
 from stage.cli import main
 from stage.errors import ArgumentError, ModelError
-from stage.firmware.tandem import tandems
+from stage.firmware.tandem import group_tandem_axes
 from stage.sim import plant
 
 OTHERS = ("xya", "gantry")
@@ -83,7 +83,7 @@ def test_a_gantry_is_squared_from_anywhere_with_any_chip(chips, y, w):
     stage = Stage("gantry", chips=chips, visuals=False)
     stage.place(y=y, w=w)
     stage.run(0.1)
-    reports = firmware.square(*(stage.axes[name] for name in ("y", "w")))
+    reports = firmware.square_gantry(*(stage.axes[name] for name in ("y", "w")))
     assert [(r.axis, r.stopped_by, r.lost_steps) for r in reports] == [("y", "ORG", 0), ("w", "ORG", 0)]
     assert abs(racking(stage)) < 2e-3
     assert firmware.line({"y": 80e-3, "w": 80e-3}, stage).axes["y"].lost_steps == 0
@@ -93,11 +93,11 @@ def test_a_gantry_is_squared_from_anywhere_with_any_chip(chips, y, w):
 def test_tandem_axes_know_each_other_and_form_a_group():
     stage = Stage("gantry", visuals=False)
     assert {name: axis.tandem for name, axis in stage.axes.items()} == {"y": ("w",), "w": ("y",), "x": ()}
-    assert [[a.name for a in group] for group in tandems(stage.axes.values())] == [["y", "w"], ["x"]]
-    assert [[a.name for a in group] for group in tandems([stage.axes["w"]])] == [["y", "w"]]
+    assert [[a.name for a in group] for group in group_tandem_axes(stage.axes.values())] == [["y", "w"], ["x"]]
+    assert [[a.name for a in group] for group in group_tandem_axes([stage.axes["w"]])] == [["y", "w"]]
     alone = Stage("gantry", chips={"x": "PCL240K", "y": "PCL240K"}, visuals=False).axes
     assert alone["y"].tandem == (), "its other motor is no axis of the stage"
-    assert [[a.name for a in group] for group in tandems(alone.values())] == [["x"], ["y"]]
+    assert [[a.name for a in group] for group in group_tandem_axes(alone.values())] == [["x"], ["y"]]
 
 
 def test_a_tandem_of_what_is_no_other_axis_is_refused():
@@ -110,16 +110,16 @@ def test_a_tandem_of_what_is_no_other_axis_is_refused():
 def test_squaring_one_axis_is_refused_and_so_is_a_direction_that_is_none():
     axes = Stage("gantry", visuals=False).axes
     with pytest.raises(ArgumentError, match="1 axes: tandem axes are two or more; use home for one"):
-        firmware.square(axes["y"])
+        firmware.square_gantry(axes["y"])
     with pytest.raises(ArgumentError, match="direction=2: "):
-        firmware.square(axes["y"], axes["w"], direction=2)
+        firmware.square_gantry(axes["y"], axes["w"], direction=2)
 
 
 def test_squaring_without_an_origin_ahead_ends_at_the_limit():
     stage = Stage("gantry", visuals=False)
     for name in ("y", "w"):
         stage.axes[name].switches.stick("org", False)
-    reports = firmware.square(stage.axes["y"], stage.axes["w"])
+    reports = firmware.square_gantry(stage.axes["y"], stage.axes["w"])
     assert {r.stopped_by for r in reports} == {"EL-"}
 
 

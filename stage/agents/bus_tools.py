@@ -95,7 +95,7 @@ class BusTools:
             "unit": axis.unit,
             "per_pulse": axis.meters_per_pulse,
             "travel": [round(float(end), 9) for end in axis.travel],
-            "homes_by": list(self._context.driver(name).homings()),
+            "homes_by": list(self._context.driver(name).list_homing_methods()),
             "registers": [r.name for r in map_.registers],
             "same_chip_as": [a.name for a in self._context.stage.axes.values() if a.chip is axis.chip and a.name != name],
         }  # fmt: skip

@@ -14,11 +14,11 @@ from stage.chips.chip import Chip
 from stage.chips.describe import Fields
 from stage.errors import ArgumentError, StageError
 from stage.firmware import procedures
-from stage.firmware.driver import RAMP, SETTLE, Speeds, wait_until_stopped
+from stage.firmware.driver import DEFAULT_RAMP_S, SETTLING_TIME_S, Speeds, wait_until_stopped
 from stage.firmware.report import Procedure, Report
 from stage.firmware.stop_reasons import UNWANTED_REASONS
-from stage.firmware.tandem import square_by
-from stage.firmware.together import SynchronizedReport
+from stage.firmware.synchronized_report import SynchronizedReport
+from stage.firmware.tandem import square_gantry_at_speeds
 
 DIRECTIONS = {"minus": -1, "plus": 1}
 MIN_RATE_PPS = 0.01
@@ -46,7 +46,7 @@ class MotionTools:
         how_fast = {
             "speed": argument(number(gt=0), "Speed of the move in m/s (rad/s); default 16,000 pulses a second.", None),
             "start_speed": argument(number(gt=0), "Speed in m/s (rad/s) at which ramps begin.", None),
-            "accel": argument(number(gt=0), "Duration of the ramp up in s.", RAMP),
+            "accel": argument(number(gt=0), "Duration of the ramp up in s.", DEFAULT_RAMP_S),
         }
         ramps = {
             "decel": argument(number(gt=0), "Duration of the ramp down in s; default: as accel.", None),
@@ -55,7 +55,7 @@ class MotionTools:
         timeout = {
             "timeout": argument(number(gt=0, le=CALL_LIMIT_S), "Simulated seconds after which to give up.", None)
         }
-        homings = tuple(dict.fromkeys(h for name in context.axes for h in context.driver(name).homings()))
+        homings = tuple(dict.fromkeys(h for name in context.axes for h in context.driver(name).list_homing_methods()))
         direction = argument(choice(tuple(DIRECTIONS)), "Direction in which ORG lies.", "minus")
         by = argument(choice(homings), "What ends the return; default: the chip's usual.", None)
         timeout_s = argument(number(gt=0, le=CALL_LIMIT_S), "Simulated seconds after which to give up.", 30.0)
@@ -93,11 +93,11 @@ class MotionTools:
                 raise ArgumentError(f"by={by!r}: axis {axis} drives one load with {', '.join(tandem)}; leave it out.")
             self._require_rest([axis, *tandem])
             axes = [self._context.axis(name) for name in (axis, *tandem)]
-            reports = square_by(axes, DIRECTIONS[direction], speeds, timeout)
+            reports = square_gantry_at_speeds(axes, DIRECTIONS[direction], speeds, timeout)
             return {"procedure": "home of axes that drive one load", "axes": {r.axis: self._finish(r) for r in reports}}
         driver = self._context.driver(axis)
         self._require_rest([axis])
-        by = by or driver.homings()[0]
+        by = by or driver.list_homing_methods()[0]
         driver.check_homing(by)
         return self._finish(driver.home_by(by, DIRECTIONS[direction], speeds, timeout))
 
@@ -137,7 +137,7 @@ class MotionTools:
         else:
             wait_until_stopped([a], timeout)
             reason = self._describe_status(axis)
-        a.wait(SETTLE)
+        a.wait(SETTLING_TIME_S)
         return self._finish_watched(axis, reason, self._stop_commands.pop(axis, ""))
 
     def report(self) -> dict[str, Any]:
@@ -204,7 +204,7 @@ class MotionTools:
         a, distance, pulses = self._context.axis(axis), values.get("distance"), values.get("pulses")
         if (distance is None) == (pulses is None):
             raise ArgumentError('give distance ("10mm", or in m) or pulses, one of the two.')
-        number = procedures.pulses_of(a, distance, pulses)
+        number = procedures.convert_to_pulses(a, distance, pulses)
         if not number:
             raise ArgumentError(
                 f"no pulse: a pulse of axis {axis} is {a.meters_per_pulse:g} {a.unit}; ask for one at least."

@@ -46,8 +46,8 @@ def draw_report(report: Any, mode: str) -> Picture:
 
 def hide_truth(report: Report) -> Report:
     """Copy a report without what no host knows; a write that a fault has lost looks like any other."""
-    said = tuple(
+    statements = tuple(
         s._replace(kind="command", meaning=s.meaning.removeprefix("LOST: ")) if s.kind == "lost" else s
-        for s in report.said
+        for s in report.statements
     )
-    return replace(report, start=None, position=None, lost_steps=None, said=said)
+    return replace(report, start=None, position=None, lost_steps=None, statements=statements)

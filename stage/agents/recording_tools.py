@@ -18,7 +18,7 @@ from stage.agents.context import ToolContext
 from stage.agents.tool import Tool
 from stage.errors import ArgumentError, StageError
 from stage.firmware.report import Report
-from stage.firmware.together import SynchronizedReport
+from stage.firmware.synchronized_report import SynchronizedReport
 
 MAX_SAMPLES = 1000  # of a column in an answer
 MAX_DURATION_S = 120.0  # simulated time of a recording

@@ -40,13 +40,13 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Make the moves; exit code 0 if all went as asked."""
-    from stage.firmware.tandem import tandems
+    from stage.firmware.tandem import group_tandem_axes
     from stage.support.opengl import has_screen
 
     begin = time.perf_counter()
     note("building the stage ...")
     stage = make_stage(args)
-    for k, group in enumerate(tandems(stage.axes.values())):
+    for k, group in enumerate(group_tandem_axes(stage.axes.values())):
         low, high = group[0].travel
         place = round(0.5 * (low + high) + START_PLACES[k % len(START_PLACES)] * (high - low), 3)
         stage.place(**{axis.name: place for axis in group})
@@ -64,11 +64,11 @@ def run(args: argparse.Namespace) -> int:
 def make_moves(stage: Any) -> list[Any]:
     """Make the moves of the demonstration; return their reports."""
     from stage.firmware.driver import Speeds
-    from stage.firmware.tandem import tandems
+    from stage.firmware.tandem import group_tandem_axes
 
     speeds = Speeds(START_PPS, DRIVE_PPS, 0.1, 0.1)
     reports: list[Any] = []
-    groups = tandems(stage.axes.values())
+    groups = group_tandem_axes(stage.axes.values())
     for group in reversed(groups):  # Z first: it clears the way
         names = " and ".join(axis.name for axis in group)
         if any("org" not in axis.switches.as_dict() for axis in group):
@@ -108,7 +108,7 @@ def _home(group: list[Any], speeds: Any) -> list[Any]:
     from stage import firmware
 
     if len(group) > 1:
-        return firmware.square(*group)
+        return firmware.square_gantry(*group)
     axis = group[0]
     slowed = "sd_minus" in axis.switches.as_dict() or not axis.chip.wired("sd_minus")
     return [firmware.home(axis, speed=speeds if slowed else speeds._replace(drive=DRIVE_PPS / 2))]

@@ -43,10 +43,10 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Home axes, those of one load together; exit code 0 if each has found its origin and no step is lost."""
     from stage.firmware.driver import driver_of
-    from stage.firmware.tandem import tandems
+    from stage.firmware.tandem import group_tandem_axes
 
     stage = make_stage(args)
-    groups = tandems([find_axis(stage, name) for name in args.axes] or stage.axes.values())
+    groups = group_tandem_axes([find_axis(stage, name) for name in args.axes] or stage.axes.values())
     axes = [axis for group in groups for axis in group]
     for axis in axes:
         place_carriage(stage, axis, "--from", args.start)
@@ -84,11 +84,11 @@ def _home(args: argparse.Namespace, axis: Any) -> Any:
 
 def _home_together(args: argparse.Namespace, axes: list[Any], names: str) -> list[Any]:
     """Home axes that drive one load."""
-    from stage.firmware.tandem import square_by
+    from stage.firmware.tandem import square_gantry_at_speeds
 
     for option in ("by", "ez", "constant", "fast_only", "fh2"):
         if getattr(args, option) not in (None, False):
             raise ArgumentError(
                 f"--{option.replace('_', '-')}: axes {names} drive one load; they go to their origin switches together."
             )
-    return square_by(axes, +1 if args.plus else -1, parse_speed_options(args, axes[0]))
+    return square_gantry_at_speeds(axes, +1 if args.plus else -1, parse_speed_options(args, axes[0]))

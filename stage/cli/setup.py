@@ -186,7 +186,7 @@ def parse_speed_options(args: argparse.Namespace, axis: Any) -> Any:
     if "fast_only" in values:
         options["approach"] = 0.0
     speeds = parse_speeds(axis, options, in_pulses=True)
-    if "fh2" in args and "fh2" not in values and (second := driver.usual_second(speeds.drive)):
+    if "fh2" in args and "fh2" not in values and (second := driver.get_default_second_rate(speeds.drive)):
         return parse_speeds(axis, options | {"second": second}, in_pulses=True)
     return speeds
 
@@ -197,11 +197,11 @@ def parse_distance(axis: Any, text: str) -> int:
     Raises:
         ArgumentError: The text is no whole number, and no distance in a unit of the axis.
     """
-    from stage.firmware.procedures import pulses_of
+    from stage.firmware.procedures import convert_to_pulses
 
     text = text.strip()
     try:
-        return pulses_of(axis, None, int(text, 0))
+        return convert_to_pulses(axis, None, int(text, 0))
     except ValueError:
         distance = parse_position(text, axis.unit) if text.endswith(tuple(POSITION_FACTORS[axis.unit])) else None
     if distance is None:
@@ -209,7 +209,7 @@ def parse_distance(axis: Any, text: str) -> int:
             f"{text!r}: give a whole number of pulses for axis {axis.name}, such as 8000, or a distance in "
             f"{', '.join(POSITION_FACTORS[axis.unit])}, such as 10{POSITION_UNITS[axis.unit].symbol}.{explain_number_error(text)}"
         )
-    return pulses_of(axis, distance, None)
+    return convert_to_pulses(axis, distance, None)
 
 
 def warn_beyond_limits(args: argparse.Namespace, axis: Any, pulses: int) -> int:

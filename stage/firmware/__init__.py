@@ -6,8 +6,8 @@
     print(firmware.home(stage.axes["x"]))
     print(firmware.move(stage.axes["x"], 10e-3))
 
-move, home, square, line, jog and stop work with every chip. preset_move, origin_return and the like are those of the PCL-240's
-data sheet; `stage.firmware.nova` and `stage.firmware.hctl1100` have what only these families can do.
+move, home, square_gantry, line, jog and stop work with every chip. preset_move, origin_return and the like are procedures of the
+PCL-240's data sheet; `stage.firmware.nova` and `stage.firmware.hctl1100` have what only these families can do.
 
 Chips without a stage run the same procedures on a `Bench`.
 """
@@ -26,8 +26,8 @@ from stage.firmware.pcl240.rates import curved_ramp_move, dual_rate_move, speed_
 from stage.firmware.pcl240.synchronized import synchronized_move
 from stage.firmware.procedures import home, jog, line, move, stop
 from stage.firmware.report import Report
-from stage.firmware.tandem import square
-from stage.firmware.together import SynchronizedReport
+from stage.firmware.synchronized_report import SynchronizedReport
+from stage.firmware.tandem import square_gantry
 
 PROCEDURES: dict[str, Callable] = {
     f.__name__: f
@@ -57,5 +57,5 @@ def procedure(name: str) -> Callable:
 __all__ = [
     "Axis", "Bench", "PROCEDURES", "Plan", "Port", "Profile", "Report", "SynchronizedReport", "continuous_move",
     "curved_ramp_move", "dual_rate_move", "external_count", "home", "interrupted_move", "jog", "line", "move", "origin_return",
-    "plan", "preset_move", "procedure", "speed_change_move", "square", "stop", "synchronized_move",
+    "plan", "preset_move", "procedure", "speed_change_move", "square_gantry", "stop", "synchronized_move",
 ]  # fmt: skip

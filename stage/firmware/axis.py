@@ -9,7 +9,7 @@ from stage.chips import Chip
 from stage.errors import ArgumentError
 
 
-def turned(axis: object, sensor: str) -> bool:
+def is_sensor_inverted(axis: object, sensor: str) -> bool:
     """Return whether a sensor is of the other logic than that of the axis' chip after a reset, see `Chip.LOGIC`.
 
     Args:
@@ -22,9 +22,9 @@ def turned(axis: object, sensor: str) -> bool:
     return sensor in getattr(axis, "wiring", {})
 
 
-def positive(axis: object, sensor: str) -> bool:
+def has_positive_logic(axis: object, sensor: str) -> bool:
     """Return whether a sensor is of positive logic, high while it is on, for chips that take what is low as asserted."""
-    return turned(axis, sensor)
+    return is_sensor_inverted(axis, sensor)
 
 
 class Axis(Protocol):
@@ -85,10 +85,10 @@ def check_origin(axis: Axis, others: Sequence[str] = ()) -> None:
         )
 
 
-def check_direction(direction: int, what: str = "") -> None:
-    """Raise ArgumentError for a direction that is neither 1 nor -1. `what` says what it is the direction of."""
+def check_direction(direction: int, meaning: str = "") -> None:
+    """Raise ArgumentError for a direction that is neither 1 nor -1. `method` says what it is the direction of."""
     if direction not in (1, -1):
-        raise ArgumentError(f"direction={direction!r}: +1 or -1{what}.")
+        raise ArgumentError(f"direction={direction!r}: +1 or -1{meaning}.")
 
 
 def check_seconds(seconds: float) -> None:
@@ -109,6 +109,6 @@ Axes = HasAxes | Mapping[str, Axis] | None
 """Where axes are found by name."""
 
 
-def forward(axis: Axis) -> int:
+def get_forward_direction(axis: Axis) -> int:
     """Return the direction of the pulses that move the carriage plus: -1 where the motor turns the other way round."""
     return -1 if getattr(axis, "gear", 1.0) < 0 else 1

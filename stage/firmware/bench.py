@@ -60,7 +60,7 @@ class BenchAxis:
         self._bench.wait(seconds)
 
     @property
-    def place(self) -> int:
+    def rail_position(self) -> int:
         """Position of a rail's carriage, pulses."""
         return self._offset + self.chip.net(self.chip_axis)
 
@@ -71,11 +71,11 @@ class BenchAxis:
 
     def _assert_switches(self) -> None:
         """All at once, as the switches of a stage that share an edge: a chip between two of them would see neither state."""
-        chip, place = self.chip, self.place
+        chip, place = self.chip, self.rail_position
         old = word = chip.input_word(self.chip_axis)
         for pin, span in self._spans.items():
             bit = chip.INPUTS[pin]
-            word = word | bit if _within(place, span) else word & ~bit
+            word = word | bit if _is_within(place, span) else word & ~bit
         if word != old:
             chip.set_input_word(self.chip_axis, word)
             if chip.open_journal is not None:
@@ -95,7 +95,7 @@ class BenchAxis:
         chip = self.chip
         core, c = chip.CORE, chip.pointer
         while self._spans and chip.clock < clock:
-            n, place = core.advance(self._copy_record(), clock), self.place
+            n, place = core.advance(self._copy_record(), clock), self.rail_position
             if n == 0 or n < min((abs(bound - place) for bound in self._bounds), default=0):
                 break
             pulses = np.empty(n, core.PULSE)
@@ -104,7 +104,7 @@ class BenchAxis:
             places = place + np.cumsum(pulses["direction"], dtype=np.int64)
             changed = np.zeros(n, bool)
             for pin, span in self._spans.items():
-                changed |= _within(places, span) != getattr(self.pins, pin)
+                changed |= _is_within(places, span) != getattr(self.pins, pin)
             if not changed.any():
                 break
             core.advance.c(c, int(pulses["clock"][np.argmax(changed)]))
@@ -188,7 +188,7 @@ class Bench(Bus):
         heapq.heappush(self._events, (round(seconds * 1e9), next(self._order), action))
 
     @explain_arguments
-    def rail(self, axis: str, at: int = 0, **spans: Span) -> None:
+    def add_rail(self, axis: str, at: int = 0, **spans: Span) -> None:
         """Put a carriage that never slips under an axis.
 
         Args:
@@ -226,6 +226,6 @@ class Bench(Bus):
         return self._start[name] + time * chip.clock_hz // 1_000_000_000
 
 
-def _within(place: Any, span: Span) -> Any:
+def _is_within(place: Any, span: Span) -> Any:
     low, high = span
     return (place >= (-np.inf if low is None else low)) & (place <= (np.inf if high is None else high))

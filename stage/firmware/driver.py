@@ -21,23 +21,23 @@ from stage.chips.sharing import Lock, exclusive
 from stage.errors import ArgumentError, RunTimeout, StageError, add_article
 from stage.firmware.axis import Axis, check_origin
 from stage.firmware.pattern import Pattern
-from stage.firmware.stop_reasons import STOPPED, UNKNOWN
+from stage.firmware.stop_reasons import STOP_COMMAND, UNKNOWN
 from stage.sim.program import Operations
 
 if TYPE_CHECKING:
     from stage.chips.journal import Journal
-    from stage.firmware.choices import Choices
     from stage.firmware.lines import Line
+    from stage.firmware.parameter_ranges import ParameterRanges
     from stage.firmware.report import Report
     from stage.firmware.search import Search
-    from stage.firmware.together import SynchronizedReport
+    from stage.firmware.synchronized_report import SynchronizedReport
 
-START, DRIVE, RAMP = 1_000.0, 16_000.0, 0.15
-USUAL = 16  # microsteps, that these rates are for
+DEFAULT_START_PPS, DEFAULT_DRIVE_PPS, DEFAULT_RAMP_S = 1_000.0, 16_000.0, 0.15
+DEFAULT_MICROSTEPS = 16  # microsteps, that these rates are for
 MAX_POLL_S = 2e-3
-RATES = ("FH1", "FH2", "FH1")
+DUAL_RATE_ORDER = ("FH1", "FH2", "FH1")
 """Order of the drive speeds in a move at two of them."""
-SETTLE = 0.05  # s after a stop, before a report looks where the carriage came to rest
+SETTLING_TIME_S = 0.05  # s after a stop, before a report looks where the carriage came to rest
 
 
 class Speeds(NamedTuple):
@@ -58,10 +58,10 @@ class Speeds(NamedTuple):
     The last four are for drivers whose OPTIONS name them.
     """
 
-    start: float = START
-    drive: float = DRIVE
-    up: float = RAMP
-    down: float = RAMP
+    start: float = DEFAULT_START_PPS
+    drive: float = DEFAULT_DRIVE_PPS
+    up: float = DEFAULT_RAMP_S
+    down: float = DEFAULT_RAMP_S
     s_curve: bool | float = False
     second: float | None = None
     constant: bool = False
@@ -74,13 +74,13 @@ class Speeds(NamedTuple):
         return self._replace(second=second, up=self.up * longer, down=self.down * longer)
 
 
-def usual_speeds(chip: Chip) -> Speeds:
+def get_default_speeds(chip: Chip) -> Speeds:
     """Return the speeds of a move that states none.
 
     A chip that drives its motor itself, and so determines the microsteps, gets rates for the same speed of the motor.
     """
-    fine = (chip.MICROSTEPS or USUAL) / USUAL
-    return Speeds(START * fine, DRIVE * fine)
+    fine = (chip.MICROSTEPS or DEFAULT_MICROSTEPS) / DEFAULT_MICROSTEPS
+    return Speeds(DEFAULT_START_PPS * fine, DEFAULT_DRIVE_PPS * fine)
 
 
 class Driver(ABC):
@@ -95,33 +95,33 @@ class Driver(ABC):
     """What a report says has ended a move that nothing else ended."""
     HOME_REASONS: ClassVar[tuple[str, ...]] = ("ORG", "EZ")
     """What a report says has ended a homing that found its place."""
-    HOMINGS: ClassVar[tuple[str, ...]] = ("switch", "index")
+    HOMING_METHODS: ClassVar[tuple[str, ...]] = ("switch", "index")
     """What `home_by` can home by, the usual one first; an index pulse only where the chip has an input for it."""
     INDEX_PULSES: ClassVar[int] = 1
     """Last index pulse after ORG at which a homing can end."""
-    FINISH: ClassVar[str] = ""
+    DISTANCE_REGISTER: ClassVar[str] = ""
     """The register that says how far a move goes, and by its range how far one start can."""
-    POSITIVE: ClassVar[tuple[str, ...]] = ()
+    INVERTIBLE_SENSORS: ClassVar[tuple[str, ...]] = ()
     """Sensors that may be of the other logic than the chip's after a reset: the driver tells the chip so, or refuses itself where
     it cannot."""
-    TRIMS: ClassVar[Mapping[str, float]] = {}
-    """Registers of `tuned_by` that a search may trim beside rates and ramps: by a factor of so much, at most."""
+    TRIM_FACTORS: ClassVar[Mapping[str, float]] = {}
+    """Registers of `list_move_registers` that a search may trim beside rates and ramps: by a factor of so much, at most."""
 
     OPTIONS: ClassVar[frozenset[str]] = frozenset()
     """Fields of `Speeds` that only some families have, as far as this one has them, and "s_curve_share"."""
 
-    PROCEDURES: ClassVar[tuple[str, ...]] = (
+    EXCLUSIVE_METHODS: ClassVar[tuple[str, ...]] = (
         "move",
         "start",
         "two_rates",
         "circle",
         "home",
         "home_by",
-        "ready",
+        "prepare",
         "run",
         "halt",
     )
-    """Methods that make several bus cycles: no other thread comes between them, whatever the family, see stage.chips.sharing."""
+    """Methods of several bus cycles, during which no other thread uses the chip, see stage.chips.sharing."""
 
     has_position_loop: ClassVar[bool] = False
     """Whether the chip closes a position loop over an encoder: its pulses are counts of the encoder, and no step is lost."""
@@ -134,12 +134,12 @@ class Driver(ABC):
         self.axis, self.chip = axis, axis.chip
         self.index: int = getattr(axis, "index", 0)
         for sensor in getattr(axis, "wiring", {}):
-            if sensor not in self.POSITIVE:
-                raise self.no_positive(sensor)
+            if sensor not in self.INVERTIBLE_SENSORS:
+                raise self.build_inverted_sensor_error(sensor)
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        for name in cls.PROCEDURES:
+        for name in cls.EXCLUSIVE_METHODS:
             if name in vars(cls):
                 setattr(cls, name, exclusive(vars(cls)[name]))
 
@@ -148,7 +148,7 @@ class Driver(ABC):
         """Lock of the chip, see `Chip.lock`."""
         return self.chip.lock
 
-    def no_positive(self, sensor: str) -> ArgumentError:
+    def build_inverted_sensor_error(self, sensor: str) -> ArgumentError:
         """Return the error for a sensor that the chip, or its driver, would read inverted."""
         logic = getattr(self.axis, "wiring", {}).get(sensor, "positive")
         return ArgumentError(
@@ -217,7 +217,7 @@ class Driver(ABC):
                 f"s_curve={speeds.s_curve!r}: {chip} takes no shares of S-curves: give True, or leave it out."
             )
 
-    def usual_second(self, drive: float) -> float | None:
+    def get_default_second_rate(self, drive: float) -> float | None:
         """Return the usual second drive speed beside a drive speed, pps; None where the chip has one drive speed."""
         return None
 
@@ -225,7 +225,7 @@ class Driver(ABC):
         """Describe the rates and ramps that the chip's registers give for these speeds; "" where they give them as they are."""
         return ""
 
-    def two_rates(self, pulses: int, speeds: Speeds, dwell: float, rates: Sequence[str] = RATES) -> Report:
+    def two_rates(self, pulses: int, speeds: Speeds, dwell: float, rates: Sequence[str] = DUAL_RATE_ORDER) -> Report:
         """Move through several drive speeds. A chip with one drive speed moves at `speeds.second`. Raises as `move`.
 
         Args:
@@ -271,11 +271,11 @@ class Driver(ABC):
             RunTimeout: The search took longer than `timeout`.
         """
 
-    def home_by(self, what: str, direction: int, speeds: Speeds, timeout: float = 60.0) -> Report:
-        """Find home by one of `homings`; the other arguments are those of `home`.
+    def home_by(self, method: str, direction: int, speeds: Speeds, timeout: float = 60.0) -> Report:
+        """Find home by one of `list_homing_methods`; the other arguments are those of `home`.
 
         Args:
-            what: "switch", "index" (the first index pulse after the switch), or another of `homings`.
+            what: "switch", "index" (the first index pulse after the switch), or another of `list_homing_methods`.
             direction: Direction in which home lies, 1 or -1.
             speeds: Rates and ramps.
             timeout: Simulated seconds to wait.
@@ -283,34 +283,34 @@ class Driver(ABC):
         Returns:
             A report, as that of `home`.
         """
-        return self.home(direction, speeds, int(what == "index"), timeout)
+        return self.home(direction, speeds, int(method == "index"), timeout)
 
-    def homings(self) -> tuple[str, ...]:
+    def list_homing_methods(self) -> tuple[str, ...]:
         """Return the ways to home, of HOMINGS, that the axis' chip has."""
-        return tuple(what for what in self.HOMINGS if what != "index" or self.chip.wired("ez"))
+        return tuple(what for what in self.HOMING_METHODS if what != "index" or self.chip.wired("ez"))
 
-    def check_homing(self, by: str, index: int = 0) -> None:
+    def check_homing(self, method: str, index: int = 0) -> None:
         """Check a way to home.
 
         Args:
-            by: Name of the way, one of `homings`.
+            by: Name of the way, one of `list_homing_methods`.
             index: Whether a user has asked for the index pulse beside it.
 
         Raises:
             ArgumentError: The chip does not home so, or `index` contradicts it.
         """
-        known, chip = self.homings(), add_article(self.chip.MAP.chip)
-        if by not in known:
-            raise ArgumentError(f"home by {by!r}: {chip} cannot; it homes by {' or '.join(known)}.")
-        if index and by != "index":
-            raise ArgumentError(f"home by {by!r} and to an index pulse (index=True, --ez): give one of the two.")
+        known, chip = self.list_homing_methods(), add_article(self.chip.MAP.chip)
+        if method not in known:
+            raise ArgumentError(f"home by {method!r}: {chip} cannot; it homes by {' or '.join(known)}.")
+        if index and method != "index":
+            raise ArgumentError(f"home by {method!r} and to an index pulse (index=True, --ez): give one of the two.")
 
     def check_origin(self) -> None:
         """Raise ArgumentError where an origin return would find no switch.
 
         The message has the other ways in which the chip homes.
         """
-        check_origin(self.axis, [by for by in self.homings() if by not in ("switch", "index")])
+        check_origin(self.axis, [by for by in self.list_homing_methods() if by not in ("switch", "index")])
 
     def prepare(self) -> Any:
         """Prepare the chip for a drive, where it needs that once; nothing moves.
@@ -361,7 +361,7 @@ class Driver(ABC):
         if done:
             return self.DONE
         if journal is not None and any(e.kind == WRITE and self.is_stop_command(e.a, e.b) for e in journal.entries):
-            return STOPPED
+            return STOP_COMMAND
         return UNKNOWN
 
     def status_words(self) -> dict[str, int]:
@@ -385,9 +385,9 @@ class Driver(ABC):
             ArgumentError: An unknown name, or a register that the chip, or this driver, cannot read back.
         """
         r = self.chip.MAP.register(name)
-        raise self.no_reading(r.name)
+        raise self.build_unreadable_register_error(r.name)
 
-    def no_reading(self, name: str) -> ArgumentError:
+    def build_unreadable_register_error(self, name: str) -> ArgumentError:
         """Return the error for a register that can only be written. A host remembers what it wrote."""
         return ArgumentError(
             f"{self.chip.MAP.chip} {name} cannot be read back on axis {self.axis.name}: a host remembers what it wrote there."
@@ -417,7 +417,7 @@ class Driver(ABC):
     # --- as programs ---
 
     @abstractmethod
-    def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:
+    def list_move_registers(self, s_curve: bool | None) -> tuple[str, ...]:
         """Return the names of the registers that determine a move.
 
         Args:
@@ -431,7 +431,7 @@ class Driver(ABC):
     def formula(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
-        """Compute the registers of `tuned_by` by the formulas of the data sheet.
+        """Compute the registers of `list_move_registers` by the formulas of the data sheet.
 
         Args:
             fl: Start rate, pps.
@@ -451,7 +451,7 @@ class Driver(ABC):
 
         Args:
             program: Program, or operations that are done at once.
-            values: Values of the registers of `tuned_by` by name.
+            values: Values of the registers of `list_move_registers` by name.
             pulses: Signed pulses of the move.
         """
 
@@ -482,7 +482,7 @@ class Driver(ABC):
         """
         raise ArgumentError(f"{add_article(self.chip.MAP.chip)} draws no lines by programs.")
 
-    def filter_choices(self, trapezoid: bool) -> Choices:
+    def get_filter_ranges(self, trapezoid: bool) -> ParameterRanges:
         """Return the ranges of a servo's filter and sample time.
 
         Args:
@@ -495,8 +495,8 @@ class Driver(ABC):
             f"{add_article(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop: it has no filter to tune."
         )
 
-    def filter_formula(self) -> dict[str, int]:
-        """Compute the numbers of `filter_choices` by an engineer's formula for the present load of the axis.
+    def compute_filter(self) -> dict[str, int]:
+        """Compute the numbers of `get_filter_ranges` by an engineer's formula for the present load of the axis.
 
         Raises:
             ArgumentError: The chip closes no loop.
@@ -510,7 +510,7 @@ class Driver(ABC):
 
         Args:
             program: Program, or operations that are done at once.
-            values: Values of `filter_choices` by name.
+            values: Values of `get_filter_ranges` by name.
             counts: Signed counts of the move.
             rates: Speed, counts/s, and acceleration, counts/s2, of a trapezoid; None: a position step.
 
@@ -519,11 +519,11 @@ class Driver(ABC):
         """
         raise ArgumentError(f"{add_article(self.chip.MAP.chip)} on axis {self.axis.name} closes no loop.")
 
-    def no_s_curves(self) -> ArgumentError:
+    def build_s_curve_error(self) -> ArgumentError:
         """Return the error for S-curves that the chip does not have."""
         return ArgumentError(f"s_curve=True: {add_article(self.chip.MAP.chip)} has linear ramps only.")
 
-    def moving(self) -> StageError:
+    def build_moving_error(self) -> StageError:
         """Return the error for an axis that moves already."""
         return StageError(f"axis {self.axis.name} is moving: wait until it stops, or firmware.stop(axis).")
 
@@ -581,7 +581,7 @@ def select_moving(drivers: Mapping[str, D], pulses: Mapping[str, int]) -> dict[s
     return moving
 
 
-class AtOnce(Operations):
+class ImmediateOperations(Operations):
     """Operations that are carried out at once on axes that exist, in place of being added to a program."""
 
     def __init__(self, *axes: Axis):
@@ -591,17 +591,17 @@ class AtOnce(Operations):
     def __len__(self) -> int:
         return self._done
 
-    def write(self, axis: int, address: int, value: int) -> AtOnce:
+    def write(self, axis: int, address: int, value: int) -> ImmediateOperations:
         self._axes[axis].chip.write(address, value)
         self._done += 1
         return self
 
-    def wait(self, seconds: float) -> AtOnce:
+    def wait(self, seconds: float) -> ImmediateOperations:
         next(iter(self._axes.values())).wait(seconds)
         self._done += 1
         return self
 
-    def until_stopped(self, axes: Sequence[int], limit: float, poll: float = 1e-3) -> AtOnce:
+    def until_stopped(self, axes: Sequence[int], limit: float, poll: float = 1e-3) -> ImmediateOperations:
         """Wait until axes have stopped.
 
         Args:
@@ -641,10 +641,10 @@ def wait_until_stopped(
             )
         if on_poll is not None:
             on_poll()
-        clock.wait(min(poll_interval(poll, passed), timeout - passed + 1e-6))
+        clock.wait(min(compute_poll_interval(poll, passed), timeout - passed + 1e-6))
 
 
-def poll_interval(poll: float, passed: float) -> float:
+def compute_poll_interval(poll: float, passed: float) -> float:
     """Return the seconds until the next poll.
 
     It grows from `poll` to MAX_POLL_S, which is how late an end is seen at most; a longer `poll` stays. Beyond 100 s it is

@@ -20,12 +20,12 @@ import numpy as np
 
 from stage.chips import cores
 from stage.errors import ArgumentError
-from stage.firmware.choices import limits
 from stage.firmware.driver import Driver
+from stage.firmware.parameter_ranges import get_register_range
 from stage.sim import play
 from stage.sim.program import Program
 
-ROOM = 0.8  # of a short move may be ramps
+MAX_RAMP_SHARE = 0.8  # of a short move may be ramps
 
 
 def compute_peak_rate(fl: Any, rate: Any, room: Any, up: Any, down: Any) -> Any:
@@ -113,10 +113,10 @@ class Line(ABC):
         self.chip: Any = drivers[0].chip
         self.hz = self.chip.clock_hz
         self.shape = (rows, len(names))
-        ranges = [limits(self.chip.MAP, name) for name in names]
+        ranges = [get_register_range(self.chip.MAP, name) for name in names]
         self.low, self.high = (np.array(side, np.int64) for side in zip(*ranges, strict=True))
         self._slots: list[tuple[int, int, int]] = []
-        self._fresh = [type(chip)(**chip.options()).snapshot().record for chip, _ in self._chips()]
+        self._fresh = [type(chip)(**chip.options()).snapshot().record for chip, _ in self._group_by_chip()]
 
     # --- what a family answers ---
 
@@ -125,7 +125,7 @@ class Line(ABC):
         """Compute the registers by the formulas of the data sheet (stages, *shape)."""
 
     @abstractmethod
-    def corrected(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
+    def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """Compute the registers of the data sheet with corrections.
 
         Args:
@@ -137,8 +137,12 @@ class Line(ABC):
         """
 
     @abstractmethod
-    def errors(self, moves: LineMoves) -> np.ndarray:
-        """Compute how far the data sheet's registers take each axis off its share, see `strays`: pulses (stages, axes, 4)."""
+    def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
+        """Compute how far the data sheet's registers take each axis off its share of the line.
+
+        Returns:
+            Pulses (stages, axes, 4), see `compute_deviations`.
+        """
 
     @abstractmethod
     def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
@@ -153,7 +157,7 @@ class Line(ABC):
         """
 
     @abstractmethod
-    def starts(self, distances: np.ndarray) -> np.ndarray:
+    def find_start_operations(self, distances: np.ndarray) -> np.ndarray:
         """Return the index of the operation that starts each axis (axes), for one stage's distances."""
 
     def last_pulse(self, registers: np.ndarray) -> np.ndarray:
@@ -162,11 +166,11 @@ class Line(ABC):
 
     # --- the same for all ---
 
-    def legal(self, registers: np.ndarray) -> np.ndarray:
+    def clip_to_legal(self, registers: np.ndarray) -> np.ndarray:
         """Return the nearest registers that the data sheet allows."""
         return np.clip(np.rint(registers), self.low, self.high).astype(np.int64)
 
-    def reach(self, moves: LineMoves) -> tuple[np.ndarray, np.ndarray]:
+    def compute_peaks(self, moves: LineMoves) -> tuple[np.ndarray, np.ndarray]:
         """Compute the peak rate and the ramp time that the moves have room for.
 
         Returns:
@@ -175,10 +179,10 @@ class Line(ABC):
         c = self.settings
         accel = c.accel if moves.ramp is None else moves.ramp
         top = np.maximum(moves.rate - c.fl, 1e-9)
-        peak = compute_peak_rate(c.fl, moves.rate, ROOM * moves.longest, accel, accel)
+        peak = compute_peak_rate(c.fl, moves.rate, MAX_RAMP_SHARE * moves.longest, accel, accel)
         return peak, np.maximum(accel * (peak - c.fl) / top, 1e-6)
 
-    def strays(
+    def compute_deviations(
         self, moves: LineMoves, rate: np.ndarray, ramp: np.ndarray, lag: np.ndarray, less: np.ndarray, point: np.ndarray
     ) -> np.ndarray:
         """Compute by the closed form how far axes are from their share of the longest one.
@@ -213,7 +217,7 @@ class Line(ABC):
             Ticks (int64) from each axis' start to each of its pulses.
         """
         out: list[np.ndarray] = [np.empty(0, np.int64)] * len(self.drivers)
-        for (chip, mine), fresh in zip(self._chips(), self._fresh, strict=True):
+        for (chip, mine), fresh in zip(self._group_by_chip(), self._fresh, strict=True):
             rows = np.frombuffer(bytearray(fresh), chip.CORE.STATE)
             replica = np.zeros(1, cores.CHIP)
             cores.fill(replica[0], chip.CORE, rows.ctypes.data)
@@ -224,18 +228,18 @@ class Line(ABC):
                 out[a] = pulses["clock"][pulses["axis"] == self.drivers[a].axis.chip_axis]
         return out
 
-    def _chips(self) -> list[tuple[Any, list[int]]]:
+    def _group_by_chip(self) -> list[tuple[Any, list[int]]]:
         """Each chip, and which axes of the line it has."""
         chips: dict[int, tuple[Any, list[int]]] = {}
         for a, h in enumerate(self.drivers):
             chips.setdefault(id(h.chip), (h.chip, []))[1].append(a)
         return list(chips.values())
 
-    def _slot(self, program: Program, back: int, column: int, shift: int = 0) -> None:
+    def _add_slot(self, program: Program, back: int, column: int, shift: int = 0) -> None:
         """The operation `back` before the end writes a number, shifted right."""
         self._slots.append((len(program) - back, column, shift))
 
-    def _filled(self, template: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    def _fill_template(self, template: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Programs with the numbers of columns (stages, columns) in their slots."""
         ops = np.repeat(template[None], len(columns), axis=0)
         for j, column, shift in self._slots:

@@ -17,8 +17,8 @@ from stage.chips.journal import Journal
 from stage.errors import ArgumentError
 from stage.native import array_of, exported, hot
 
-STRETCH = 1 << 24  # ticks replayed at a time
-NOTHING = 1e-12  # relative, and pulses squared: rounding
+REPLAY_CHUNK_TICKS = 1 << 24  # ticks replayed at a time
+ROUNDING_TOLERANCE = 1e-12  # relative, and pulses squared: rounding
 
 
 class Deviation(NamedTuple):
@@ -30,7 +30,7 @@ class Deviation(NamedTuple):
 
 
 @hot
-def _next(times, ends, cursor):
+def _find_next_pulse_time(times, ends, cursor):
     """The time of the next pulse of any axis; infinite when there is none."""
     t = np.inf
     for k in range(len(cursor)):
@@ -40,7 +40,7 @@ def _next(times, ends, cursor):
 
 
 @exported("f8", *[array_of(t) for t in ("f8", "i1", "i8", "i8", "f8", "f8", "i8", "f8")])
-def _walk(times, signs, starts, ends, line, at, cursor, when):
+def _find_worst_deviation(times, signs, starts, ends, line, at, cursor, when):
     """Walk the pulses of all axes in order of time; axis k's are times[starts[k]:ends[k]]. Pulses at one time are one
     step. Returns the largest distance, and its time in when[0]. at, cursor: zeros, and `starts`, to work on."""
     n = len(line)
@@ -49,7 +49,7 @@ def _walk(times, signs, starts, ends, line, at, cursor, when):
         length2 += line[k] * line[k]
     worst = when[0] = 0.0
     while True:
-        t = _next(times, ends, cursor)
+        t = _find_next_pulse_time(times, ends, cursor)
         if t == np.inf:
             break
         dot = 0.0
@@ -62,12 +62,12 @@ def _walk(times, signs, starts, ends, line, at, cursor, when):
         d2 = 0.0
         for k in range(n):
             d2 += (at[k] - along * line[k]) ** 2
-        if d2 > worst + NOTHING * (1.0 + worst):
+        if d2 > worst + ROUNDING_TOLERANCE * (1.0 + worst):
             worst, when[0] = d2, t
     return np.sqrt(worst)
 
 
-def _arrays(pulses: Sequence[Any], distances: Sequence[int], clock_hz: Any) -> tuple[np.ndarray, ...]:
+def _pack_pulses(pulses: Sequence[Any], distances: Sequence[int], clock_hz: Any) -> tuple[np.ndarray, ...]:
     if len(pulses) != len(distances) or not len(pulses):
         raise ArgumentError(f"{len(pulses)} axes of pulses and {len(distances)} distances: give one distance an axis.")
     hz = [clock_hz] * len(pulses) if clock_hz is None or np.isscalar(clock_hz) else list(clock_hz)
@@ -102,9 +102,9 @@ def path_deviation(pulses: Sequence[Any], distances: Sequence[int], clock_hz: An
     Raises:
         ArgumentError: Times that do not ascend, or another number of axes than of distances.
     """
-    times, signs, starts, ends, line = _arrays(pulses, distances, clock_hz)
+    times, signs, starts, ends, line = _pack_pulses(pulses, distances, clock_hz)
     worst_time = np.zeros(1)
-    worst = _walk(times, signs, starts, ends, line, np.zeros(len(line)), starts.copy(), worst_time)
+    worst = _find_worst_deviation(times, signs, starts, ends, line, np.zeros(len(line)), starts.copy(), worst_time)
     when = worst_time[0]
     counts_made = (np.searchsorted(times[a:b], when, side="right") for a, b in zip(starts, ends, strict=True))
     counts = tuple(int(signs[a : a + k].sum(dtype=np.int64)) for a, k in zip(starts, counts_made, strict=True))
@@ -123,7 +123,7 @@ def path_points(pulses: Sequence[Any], clock_hz: Any = None) -> tuple[np.ndarray
     Returns:
         Times (n,) and counts (n, axes).
     """
-    times, signs, starts, ends, _ = _arrays(pulses, [1] * len(pulses), clock_hz)
+    times, signs, starts, ends, _ = _pack_pulses(pulses, [1] * len(pulses), clock_hz)
     order = np.argsort(times, kind="stable")
     steps = np.zeros((len(times), len(starts)), np.int64)
     for k, (a, b) in enumerate(zip(starts, ends, strict=True)):
@@ -140,7 +140,7 @@ def perfect_deviation(distances: Sequence[int]) -> float:
     return path_deviation(perfect, distances).pulses
 
 
-def pulses_of(journal: Journal) -> np.ndarray:
+def replay_pulses(journal: Journal) -> np.ndarray:
     """Replay every pulse that a chip made while a journal was open; of a servo, each count of its command.
 
     Args:
@@ -151,29 +151,29 @@ def pulses_of(journal: Journal) -> np.ndarray:
     """
     core = journal.chip.CORE
     if journal.chip.SERVO:
-        return _counts_of(journal)
+        return _list_counts(journal)
     rows = np.frombuffer(bytearray(journal.start.tobytes()), core.STATE)
     clock = rows["clock"]
     begin = int(clock[0])
     parts = [np.empty(0, core.PULSE)]
 
-    def go(until: int) -> None:
+    def replay_until(until: int) -> None:
         while clock[0] < until:
-            to = min(until, int(clock[0]) + STRETCH)
+            to = min(until, int(clock[0]) + REPLAY_CHUNK_TICKS)
             out = np.zeros(core.advance(rows.copy(), to), core.PULSE)
             core.trace.c(rows.ctypes.data, to, out.ctypes.data, len(out))
             parts.append(out)
 
     for e in journal.entries:
-        go(e.clock)
+        replay_until(e.clock)
         e.apply(core, rows)
-    go(journal.until)
+    replay_until(journal.until)
     pulses = np.concatenate(parts)
     pulses["clock"] -= begin
     return pulses
 
 
-def _counts_of(journal: Journal) -> np.ndarray:
+def _list_counts(journal: Journal) -> np.ndarray:
     edges = journal.course().edges
     steps = np.diff(edges["net"])
     at = np.repeat(np.arange(1, len(edges)), np.abs(steps))

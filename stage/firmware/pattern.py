@@ -36,7 +36,7 @@ class Pattern:
     def __init__(self, report: Report):
         self.report, self.course = report, report.course
 
-    def lanes(self, pins: Collection[str] | None = None) -> list[tuple[np.ndarray, str, str]]:
+    def list_lanes(self, pins: Collection[str] | None = None) -> list[tuple[np.ndarray, str, str]]:
         """Return the signals that play a role.
 
         Args:
@@ -46,10 +46,10 @@ class Pattern:
             For each signal whether it is on from each edge on, its label and its color.
         """
         chosen = self.LANES or tuple((pin, pin.upper(), BLUE) for pin in self.course.chip.OUTPUTS)
-        visible = (lane for lane in chosen if (pins is None or lane[0] in pins) and self.plays(lane[0]))
+        visible = (lane for lane in chosen if (pins is None or lane[0] in pins) and self.is_relevant(lane[0]))
         return [(self.course.pin(pin), label, colour) for pin, label, colour in visible]
 
-    def plays(self, pin: str) -> bool:
+    def is_relevant(self, pin: str) -> bool:
         """Return whether a pin plays a role in this move."""
         on = self.course.pin(pin)
         return pin in self.ALWAYS or bool(on.any() if pin in self.course.chip.INPUTS else on.any() and not on.all())
@@ -58,7 +58,7 @@ class Pattern:
         """Return whether the axis moves in the minus direction, from each edge on (bool)."""
         return np.diff(self.course.edges["net"], append=self.course.edges["net"][-1]) < 0
 
-    def levels(self) -> dict[str, float]:
+    def list_named_rates(self) -> dict[str, float]:
         """Return the rates that have a name, pps."""
         return {}
 
@@ -71,7 +71,7 @@ class Pattern:
         report = self.report
         notes = [
             Note(when, code.split(" ")[0] + "h" if len(code) == 2 else code, meaning, False)
-            for (when, code, meaning), s in zip(report.writes(), report.said, strict=True)
+            for (when, code, meaning), s in zip(report.writes(), report.statements, strict=True)
             if s.kind == "command" and self.is_noteworthy(meaning) and when > -0.02 * max(report.duration, 1e-3)
         ]
         return sorted([*notes, *self.describe_end()], key=lambda n: n.time)

@@ -55,7 +55,7 @@ def draw(
 
     pattern = driver_class(report.course.chip).PATTERN(report)
     t = report.course.seconds - report.began
-    begin, end = _window(report, t)
+    begin, end = _compute_time_range(report, t)
     t[0], t[-1] = min(t[0], begin), max(t[-1], end)  # nothing moves before and after
     scale, unit = (1e3, "ms") if end - begin < 2 else (1.0, "s")
     limits = begin * scale, end * scale
@@ -63,48 +63,50 @@ def draw(
     if ax is not None:
         figure = ax.figure
         box = ax.get_window_extent()
-        _panel(ax, pattern, t * scale, limits, notes, 72 * box.width / figure.dpi, 72 * box.height / figure.dpi)
+        _draw_rate_panel(
+            ax, pattern, t * scale, limits, notes, 72 * box.width / figure.dpi, 72 * box.height / figure.dpi
+        )
         ax.set_xlabel(f"time from the first start, {unit}", color=INK, fontsize=8.5)
     else:
-        lanes = pattern.lanes(pins)
-        rows = _rows(notes, limits, 72 * (WIDTH - LEFT - RIGHT))
+        lanes = pattern.list_lanes(pins)
+        rows = _assign_note_rows(notes, limits, 72 * (WIDTH - LEFT - RIGHT))
         panel = PANEL + (max(rows, default=0) + 1.6) * ROW / 72
         height = TOP + panel + 0.1 + LANE * len(lanes) + BOTTOM
         figure = Figure(figsize=(WIDTH, height))
         width = (WIDTH - LEFT - RIGHT) / WIDTH
         low = figure.add_axes((LEFT / WIDTH, BOTTOM / height, width, LANE * len(lanes) / height))
         top = figure.add_axes((LEFT / WIDTH, 1 - (TOP + panel) / height, width, panel / height))
-        _panel(top, pattern, t * scale, limits, notes, 72 * WIDTH * width, 72 * panel)
+        _draw_rate_panel(top, pattern, t * scale, limits, notes, 72 * WIDTH * width, 72 * panel)
         top.tick_params(labelbottom=False, bottom=False)
         _draw_lanes(low, t * scale, limits, lanes)
         low.set_xlabel(f"time from the first start, {unit}", color=INK, fontsize=8.5)
-        _heading(figure, report, title, height)
+        _draw_heading(figure, report, title, height)
     if path is not None:
         save_figure(figure, path, 150, overwrite)
     return figure
 
 
-def _heading(figure: Any, report: Report, title: str | None, height: float) -> None:
+def _draw_heading(figure: Any, report: Report, title: str | None, height: float) -> None:
     y = 1 - 0.25 / height
     name = title or f"{report.procedure[:1].upper()}{report.procedure[1:]}, axis {report.axis}"
-    summary = f"{_signed(report.pulses)} pulses, {report.duration:.3f} s, stopped by {report.stopped_by}"
+    summary = f"{_format_signed(report.pulses)} pulses, {report.duration:.3f} s, stopped by {report.stopped_by}"
     if report.lost_steps:
         summary += f", {report.lost_steps} steps lost"
     figure.text(LEFT / WIDTH, y, name, color=INK, fontsize=11, weight="bold", va="center")
     figure.text(1 - 0.12 / WIDTH, y, summary, color=MUTED, fontsize=8.5, ha="right", va="center")
 
 
-def _signed(n: int) -> str:
+def _format_signed(n: int) -> str:
     return f"{n:+,d}".replace("-", "\N{MINUS SIGN}")
 
 
-def _window(report: Report, t: np.ndarray) -> tuple[float, float]:
+def _compute_time_range(report: Report, t: np.ndarray) -> tuple[float, float]:
     """Return the times from shortly before the first start to shortly after the last stop, s."""
     last = report.duration if report.duration else max(float(t[-1]), 1e-3)
     return -0.025 * last, 1.04 * last
 
 
-def _panel(
+def _draw_rate_panel(
     ax: Any,
     pattern: Pattern,
     t: np.ndarray,
@@ -114,11 +116,11 @@ def _panel(
     height: float,
 ) -> None:
     """The pulse rate, in an axes of `width` x `height` points, with the notes above it."""
-    report, levels = pattern.report, pattern.levels()
+    report, levels = pattern.report, pattern.list_named_rates()
     rates = report.rates
     peak = float(rates.max()) or 1.0
-    rows = _rows(notes, limits, width)
-    plateaus = _plateaus(report, levels, t, limits)
+    rows = _assign_note_rows(notes, limits, width)
+    plateaus = _find_plateaus(report, levels, t, limits)
     first = 1.6 if any(rate > 0.97 * peak for _, rate in plateaus) else 0.9  # the lowest note leaves room for the rate
     above = (max(rows, default=0) + first + 0.7) * ROW  # points for the notes
     scale = peak / (height - above)  # pps a point
@@ -168,7 +170,7 @@ def _rate_at(report: Report, t: np.ndarray, note: Note) -> float:
     return before or after
 
 
-def _plateaus(
+def _find_plateaus(
     report: Report, named: dict[str, float], t: np.ndarray, limits: tuple[float, float]
 ) -> list[tuple[float, float]]:
     """(time of its middle, rate) of each stretch of constant rate that no level line names."""
@@ -183,7 +185,7 @@ def _plateaus(
     ]
 
 
-def _width(text: str, bold: bool = False) -> float:
+def _measure_text_width(text: str, bold: bool = False) -> float:
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import TextPath
 
@@ -193,13 +195,13 @@ def _width(text: str, bold: bool = False) -> float:
     return 1.04 * float(TextPath((0, 0), text, size=SIZE, prop=prop).get_extents().x1)
 
 
-def _rows(notes: list[Note], limits: tuple[float, float], width: float) -> list[int]:
+def _assign_note_rows(notes: list[Note], limits: tuple[float, float], width: float) -> list[int]:
     """A row for each note, so that no text meets another or the arrow of a later one: from the last to the first, each
     goes above all that begin within its length."""
     at = [(n.time - limits[0]) / (limits[1] - limits[0]) * width for n in notes]
     rows = [0] * len(notes)
     for k in reversed(range(len(notes))):
-        end = at[k] + _width(notes[k].code, True) + _width(notes[k].words) + 12
+        end = at[k] + _measure_text_width(notes[k].code, True) + _measure_text_width(notes[k].words) + 12
         rows[k] = max((rows[j] + 1 for j in range(k + 1, len(notes)) if at[j] < end), default=0)
     return rows
 
@@ -218,7 +220,7 @@ def _draw_note(ax: Any, note: Note, rate: float, y: float) -> None:
                 text, (note.time, y), xytext=(gap, -0.5), textcoords="offset points", va="center", fontsize=SIZE,
                 color=colour if bold or note.event else MUTED, weight="bold" if bold else "normal", annotation_clip=False,
             )  # fmt: skip
-            gap += _width(text, bold) + 3.5
+            gap += _measure_text_width(text, bold) + 3.5
 
 
 def _draw_lanes(ax: Any, t: np.ndarray, limits: tuple[float, float], lanes: list) -> None:

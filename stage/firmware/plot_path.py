@@ -13,7 +13,7 @@ from stage.support.files import save_figure
 from stage.support.pictures import INK, MUTED, bare
 
 if TYPE_CHECKING:
-    from stage.firmware.together import SynchronizedReport
+    from stage.firmware.synchronized_report import SynchronizedReport
 
 COLOURS = (LINE, "#c05621", "#2f855a", "#6b46c1", "#b7791f", "#2b6cb0")
 WORST = "#c53030"
@@ -41,11 +41,11 @@ def draw(report: SynchronizedReport, path: Any = None, title: str | None = None,
     figure = Figure(figsize=(10.5, 4.6) if flat else (8, 5.2), layout="constrained")
     if flat:
         near, off, rates = figure.subplot_mosaic([["near", "off"], ["near", "rates"]], width_ratios=[1, 1.25]).values()
-        _staircase(near, report, counts, line)
+        _draw_staircase(near, report, counts, line)
     else:
         off, rates = figure.subplots(2, 1)
-    _distance(off, report, times, counts, line)
-    _rates(rates, report)
+    _draw_distance(off, report, times, counts, line)
+    _draw_rates(rates, report)
     distances = ", ".join(f"{n} {d:+,}" for n, d in report.distances.items())
     figure.suptitle(title or f"a:b move, {distances} pulses", x=0.01, ha="left", color=INK, fontsize=11, weight="bold")
     if path is not None:
@@ -53,7 +53,7 @@ def draw(report: SynchronizedReport, path: Any = None, title: str | None = None,
     return figure
 
 
-def _staircase(ax: Any, report: SynchronizedReport, counts: np.ndarray, line: np.ndarray) -> None:
+def _draw_staircase(ax: Any, report: SynchronizedReport, counts: np.ndarray, line: np.ndarray) -> None:
     """The path around its farthest point, in a plane of two axes."""
     worst = np.array(report.deviation.counts, float)
     unit = line / np.linalg.norm(line)
@@ -86,7 +86,9 @@ def _make_locator() -> Any:
     return MultipleLocator(2)
 
 
-def _distance(ax: Any, report: SynchronizedReport, times: np.ndarray, counts: np.ndarray, line: np.ndarray) -> None:
+def _draw_distance(
+    ax: Any, report: SynchronizedReport, times: np.ndarray, counts: np.ndarray, line: np.ndarray
+) -> None:
     """Distance from the line over time; with two axes to its left (+) and right (-)."""
     unit = line / max(np.linalg.norm(line), 1.0)
     if len(line) == 2:
@@ -95,7 +97,7 @@ def _distance(ax: Any, report: SynchronizedReport, times: np.ndarray, counts: np
         along = np.clip(counts @ unit, 0, np.linalg.norm(line))
         off = np.linalg.norm(counts - along[:, None] * unit, axis=1)
     ax.set_ylabel("from the line (pulses)", color=INK)
-    scale, _ = _scale(report)
+    scale, _ = _choose_time_unit(report)
     d = report.deviation
     if len(off) > 3 * BINS:
         cuts = np.unique(np.searchsorted(times, np.linspace(0, times[-1], BINS)))[:-1]
@@ -119,14 +121,14 @@ def _distance(ax: Any, report: SynchronizedReport, times: np.ndarray, counts: np
     bare(ax, grid=False, size=SIZE)
 
 
-def _rates(ax: Any, report: SynchronizedReport) -> None:
-    scale, unit_name = _scale(report)
+def _draw_rates(ax: Any, report: SynchronizedReport) -> None:
+    scale, unit_name = _choose_time_unit(report)
     first = min(r.began for r in report.axes.values())
     peak = 0.0
     for k, (name, r) in enumerate(report.axes.items()):
         ax.step(
             (r.course.seconds - first) * scale, r.rates, where="post", color=COLOURS[k % len(COLOURS)], linewidth=1.4,
-            label=f"{name}  {report.written(name)}",
+            label=f"{name}  {report.describe_rate(name)}",
         )  # fmt: skip
         peak = max(peak, r.peak_rate)
     ax.set_xlim(0, report.seconds * scale * 1.01)
@@ -140,5 +142,5 @@ def _rates(ax: Any, report: SynchronizedReport) -> None:
     bare(ax, grid=False, size=SIZE)
 
 
-def _scale(report: SynchronizedReport) -> tuple[float, str]:
+def _choose_time_unit(report: SynchronizedReport) -> tuple[float, str]:
     return (1e3, "ms") if report.seconds < 2 else (1.0, "s")

@@ -15,10 +15,10 @@ from typing import Any
 
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, add_article
-from stage.firmware.axis import Axes, Axis, check_direction, check_seconds, forward
-from stage.firmware.driver import RAMP, RATES, Driver, Speeds, driver_of, usual_speeds
+from stage.firmware.axis import Axes, Axis, check_direction, check_seconds, get_forward_direction
+from stage.firmware.driver import DEFAULT_RAMP_S, DUAL_RATE_ORDER, Driver, Speeds, driver_of, get_default_speeds
 from stage.firmware.report import Procedure, Report
-from stage.firmware.together import SynchronizedReport, select_axes
+from stage.firmware.synchronized_report import SynchronizedReport, select_axes
 from stage.support.arguments import check_timeout, explain_arguments
 
 
@@ -30,7 +30,7 @@ def move(
     pulses: int | None = None,
     speed: float | Speeds | None = None,
     start_speed: float | None = None,
-    accel: float = RAMP,
+    accel: float = DEFAULT_RAMP_S,
     decel: float | None = None,
     s_curve: bool = False,
     timeout: float | None = None,
@@ -59,7 +59,7 @@ def move(
     """
     check_timeout(timeout)
     options = {"speed": speed, "start_speed": start_speed, "accel": accel, "decel": decel, "s_curve": s_curve}
-    return driver_of(axis).move(pulses_of(axis, distance, pulses), parse_speeds(axis, options), timeout)
+    return driver_of(axis).move(convert_to_pulses(axis, distance, pulses), parse_speeds(axis, options), timeout)
 
 
 @explain_arguments
@@ -70,7 +70,7 @@ def two_rates(
     speed: Speeds,
     pulses: int | None = None,
     dwell: float = 0.1,
-    rates: Sequence[str] = RATES,
+    rates: Sequence[str] = DUAL_RATE_ORDER,
 ) -> Report:
     """Move an axis through several drive speeds, and wait until it is there. A chip with one drive speed moves at `speed.second`.
 
@@ -83,7 +83,7 @@ def two_rates(
     Raises:
         ArgumentError, StageError, RunTimeout: As `move`.
     """
-    return driver_of(axis).two_rates(pulses_of(axis, distance, pulses), speed, dwell, rates)
+    return driver_of(axis).two_rates(convert_to_pulses(axis, distance, pulses), speed, dwell, rates)
 
 
 @explain_arguments
@@ -94,7 +94,7 @@ def home(
     index: int = 0,
     speed: float | Speeds | None = None,
     start_speed: float | None = None,
-    accel: float = RAMP,
+    accel: float = DEFAULT_RAMP_S,
     timeout: float = 60.0,
     by: str | None = None,
 ) -> Report:
@@ -141,7 +141,12 @@ def home(
 @explain_arguments
 @exclusive
 def jog(
-    axis: Axis, seconds: float, speed: float | None = None, *, start_speed: float | None = None, accel: float = RAMP
+    axis: Axis,
+    seconds: float,
+    speed: float | None = None,
+    *,
+    start_speed: float | None = None,
+    accel: float = DEFAULT_RAMP_S,
 ) -> Report:
     """Run for some time, then stop with a ramp.
 
@@ -160,7 +165,9 @@ def jog(
         StageError: The axis moves already.
     """
     check_seconds(seconds)
-    driver, direction = driver_of(axis), -forward(axis) if speed is not None and speed < 0 else forward(axis)
+    driver, direction = driver_of(axis), get_forward_direction(axis)
+    if speed is not None and speed < 0:
+        direction = -direction
     options = {"speed": None if speed is None else abs(speed), "start_speed": start_speed, "accel": accel}
     wanted = parse_speeds(axis, options)
     driver.prepare()
@@ -187,7 +194,7 @@ def line(
     pulses: bool = False,
     speed: float | Speeds | None = None,
     start_speed: float | None = None,
-    accel: float = RAMP,
+    accel: float = DEFAULT_RAMP_S,
     s_curve: bool = False,
     timeout: float | None = None,
 ) -> SynchronizedReport:
@@ -223,7 +230,8 @@ def line(
         raise ArgumentError("no distances: give at least one axis a distance.")
     check_one_kind(drivers)
     counts = {
-        name: pulses_of(axis, None, d) if pulses else pulses_of(axis, d, None) for name, (axis, d) in selected.items()
+        name: convert_to_pulses(axis, None, d) if pulses else convert_to_pulses(axis, d, None)
+        for name, (axis, d) in selected.items()
     }
     main_axis = selected[max(counts, key=lambda n: abs(counts[n]))][0]
     first = next(iter(drivers.values()))
@@ -238,9 +246,9 @@ def check_one_kind(drivers: Mapping[str, Driver]) -> None:
         raise ArgumentError(f"{' and '.join(kinds)} draw no line together: give the axes one kind of chip.")
 
 
-OPTIONS = {"start_speed": "start", "speed": "drive", "second": "second", "accel": "up", "decel": "down"}
+OPTION_FIELDS = {"start_speed": "start", "speed": "drive", "second": "second", "accel": "up", "decel": "down"}
 """Options of users, and the fields of `Speeds` that they give."""
-CHOICES = ("s_curve", "constant", "automatic", "approach")
+SAME_NAME_OPTIONS = ("s_curve", "constant", "automatic", "approach")
 """Fields of `Speeds` that are options under their own names."""
 
 
@@ -259,21 +267,23 @@ def parse_speeds(axis: Axis, options: Mapping[str, Any], in_pulses: bool = False
     """
     made = options.get("speed")
     if not isinstance(made, Speeds):
-        given = {name: options[name] for name in (*OPTIONS, *CHOICES) if options.get(name) is not None}
-        for name in (name for name in OPTIONS if name in given):
+        given = {name: options[name] for name in (*OPTION_FIELDS, *SAME_NAME_OPTIONS) if options.get(name) is not None}
+        for name in (name for name in OPTION_FIELDS if name in given):
             if not 0 < given[name] < math.inf:
                 raise ArgumentError(f"{name}={given[name]!r}: must be greater than 0, and finite.")
             if not in_pulses and name not in ("accel", "decel"):
-                given[name] /= _unit(axis, name)
-        given.setdefault("decel", given.get("accel", RAMP))
-        made = usual_speeds(axis.chip)._replace(**{OPTIONS.get(name, name): value for name, value in given.items()})
+                given[name] /= _get_meters_per_pulse(axis, name)
+        given.setdefault("decel", given.get("accel", DEFAULT_RAMP_S))
+        made = get_default_speeds(axis.chip)._replace(
+            **{OPTION_FIELDS.get(name, name): value for name, value in given.items()}
+        )
         if "start_speed" not in given:
             made = made._replace(start=min(made.start, made.drive, made.second or math.inf))
     driver_of(axis).check_speeds(made)
     return made
 
 
-def pulses_of(axis: Axis, distance: float | None, pulses: int | None) -> int:
+def convert_to_pulses(axis: Axis, distance: float | None, pulses: int | None) -> int:
     """Return the signed pulses, as the chip counts, of a distance or of pulses.
 
     Args:
@@ -292,10 +302,10 @@ def pulses_of(axis: Axis, distance: float | None, pulses: int | None) -> int:
         return int(pulses)
     if not isinstance(distance, int | float) or not math.isfinite(distance):
         raise ArgumentError(f"distance={distance!r}: metres, or radians on a hinge.")
-    return round(forward(axis) * distance / _unit(axis, "distance"))
+    return round(get_forward_direction(axis) * distance / _get_meters_per_pulse(axis, "distance"))
 
 
-def _unit(axis: Axis, what: str) -> float:
+def _get_meters_per_pulse(axis: Axis, what: str) -> float:
     """Return the distance of a pulse, m. Raises ArgumentError for an axis without a carriage."""
     if axis.meters_per_pulse is None:
         raise ArgumentError(f"{what}: axis {axis.name} has no carriage and no metres: give pulses=, and no speed.")

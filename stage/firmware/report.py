@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-PRESET = 8  # counts at once, faster than any rate: a host has written the position, and nothing has moved
+PRESET_RATE_LIMIT = 8  # counts at once, faster than any rate: a host has written the position, and nothing has moved
 
 
 @dataclass(frozen=True, repr=False)
@@ -57,7 +57,7 @@ class Report:
     stopped_by: str
     residual: int | None
     course: Course = field(repr=False)
-    said: tuple[Statement, ...] = field(repr=False)
+    statements: tuple[Statement, ...] = field(repr=False)
     unit: str = "m"
 
     @property
@@ -70,7 +70,7 @@ class Report:
     def average_rate(self) -> float:
         """Pulses made in both directions by `duration`, pps."""
         steps, seconds = np.abs(np.diff(self.course.edges["net"])), np.diff(self.course.seconds)
-        counted = int(steps[steps <= 2 * self.peak_rate * seconds + PRESET].sum())
+        counted = int(steps[steps <= 2 * self.peak_rate * seconds + PRESET_RATE_LIMIT].sum())
         return counted / self.duration if self.duration else 0.0
 
     @property
@@ -81,11 +81,11 @@ class Report:
     @property
     def rates(self) -> np.ndarray:
         """Pulse rate from each edge of the course on, pps."""
-        return rates(self.course)
+        return compute_rates(self.course)
 
     def __str__(self) -> str:
         asked = "" if self.asked is None else f" of {self.asked}"
-        left = "" if self.residual is None else f", R0 {self.residual}{self._below_nothing()}"
+        left = "" if self.residual is None else f", R0 {self.residual}{self._describe_undershoot()}"
         lines = [
             f"{self.procedure} on {self.axis}: {'done' if self.ok else 'NOT as asked'}, stopped by {self.stopped_by}",
             f"  pulses {self.pulses}{asked}{left}; {self.duration:.4f} s, peak {self.peak_rate:.1f} pps, "
@@ -98,7 +98,7 @@ class Report:
             )
         return "\n".join(lines)
 
-    def _below_nothing(self) -> str:
+    def _describe_undershoot(self) -> str:
         """Return in words how far the down counter has gone below 0; "" where it has not."""
         of = getattr(self.course.chip, "COUNTER", None)
         if of is None or self.residual is None:
@@ -114,7 +114,7 @@ class Report:
         The first byte of a row goes to address 0; further ones are a register's, to the addresses 3, 2, 1, the last to 1.
         """
         begin, hz = self.course.edges["clock"][0], self.course.clock_hz
-        return [(float(s.clock - begin) / hz - self.began, s.code, s.meaning) for s in self.said]
+        return [(float(s.clock - begin) / hz - self.began, s.code, s.meaning) for s in self.statements]
 
     def listing(self) -> str:
         """Return `writes` as text, one line each: ms from the first start, bytes, meaning."""
@@ -173,7 +173,7 @@ class Report:
         return draw(self, path, title, ax, overwrite)
 
 
-def rates(course: Course) -> np.ndarray:
+def compute_rates(course: Course) -> np.ndarray:
     """Return the pulse rate from each edge of a waveform on, pps; without a sign."""
     return course.chip.rates(course.edges) * course.clock_hz
 
@@ -229,7 +229,7 @@ class Procedure:
         duration = float(seconds[min(running[-1] + 1, len(net) - 1)] - seconds[running[0]]) if len(running) else 0.0
         lost = axis.lost_steps
         return Report(
-            self.name, axis.name, int(net[-1] - net[0]), asked, duration, float(rates(course).max()),
+            self.name, axis.name, int(net[-1] - net[0]), asked, duration, float(compute_rates(course).max()),
             self._position, axis.position, None if lost is None else lost - (self._lost or 0),
             stopped_by, residual, course, tuple(decode(axis.chip.decoder(axis.chip_axis), self.journal.entries)),
             getattr(axis, "unit", "m"),

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stage.errors import ArgumentError
-from stage.firmware.choices import Choices
+from stage.firmware.parameter_ranges import ParameterRanges
 from stage.sim.program import Program
 
 
@@ -38,7 +38,7 @@ class Search(ABC):
         marks: the places of the results that `read_results` needs; the same for every program.
     """
 
-    choices: Choices
+    choices: ParameterRanges
     marks: dict[str, int]
 
     @abstractmethod
@@ -52,7 +52,9 @@ class Search(ABC):
             The program.
         """
 
-    def row(self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int) -> list[int]:
+    def find_nearest_row(
+        self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int
+    ) -> list[int]:
         """Return the choices that come closest to the rates and pulses of a user.
 
         Args:
@@ -71,7 +73,7 @@ class Search(ABC):
             f"{', '.join(self.choices.ranges)}. (Whose driver it is gives it a method `row`, see stage.firmware.search.Search.)"
         )
 
-    def _row(self, wanted: Mapping[str, float]) -> list[int]:
+    def _round_to_ranges(self, wanted: Mapping[str, float]) -> list[int]:
         """Return the row whose numbers are as near to the wanted ones as their ranges allow."""
         ranges = self.choices.ranges.items()
         return [int(min(max(round(wanted[name]), low), high)) for name, (low, high) in ranges]
@@ -88,7 +90,7 @@ class Search(ABC):
             Results as a host knows them.
         """
 
-    def _mark(self, name: str, program: Program) -> Program:
+    def _note_result_index(self, name: str, program: Program) -> Program:
         """Note that the next operation's result is `name`."""
         self.marks[name] = len(program)
         return program

@@ -1,6 +1,6 @@
 """Stop reasons that reports give beside those of the chips: `Report.stopped_by`."""
 
-STOPPED = "stop command"
+STOP_COMMAND = "stop command"
 """What a report says has ended a move that a host has stopped before its end."""
 ANOTHER_AXIS = "another axis"
 """What a report says has ended an axis of a line that stopped because another axis of it did."""

@@ -14,24 +14,24 @@ from collections.abc import Iterable, Sequence
 
 from stage.errors import ArgumentError
 from stage.firmware.axis import check_direction
-from stage.firmware.driver import RAMP, Speeds, driver_of
+from stage.firmware.driver import DEFAULT_RAMP_S, Speeds, driver_of
 from stage.firmware.procedures import line, parse_speeds
 from stage.firmware.report import Report
 from stage.firmware.stop_reasons import UNWANTED_REASONS
-from stage.firmware.together import SynchronizedReport
+from stage.firmware.synchronized_report import SynchronizedReport
 from stage.sim.axis import Axis
 from stage.support.arguments import check_timeout
 
-PIECE = 1 / 60  # of the travel: what the load bears if one axis alone goes so far
-SLOWLY = 0.25  # of the speed, for an axis alone
+SEARCH_PIECE_RATIO = 1 / 60  # of the travel: what the load bears if one axis alone goes so far
+SOLO_SPEED_RATIO = 0.25  # of the speed, for an axis alone
 
 
-def square(
+def square_gantry(
     *axes: Axis,
     direction: int = -1,
     speed: float | None = None,
     start_speed: float | None = None,
-    accel: float = RAMP,
+    accel: float = DEFAULT_RAMP_S,
     timeout: float = 60.0,
 ) -> list[Report]:
     """Return tandem axes to their origins, which lie in `direction`, from any position.
@@ -60,24 +60,26 @@ def square(
         driver.check_origin()
     named = {axis.name: axis for axis in axes}
 
-    def go(distance: float) -> SynchronizedReport:
+    def move_together(distance: float) -> SynchronizedReport:
         return line(dict.fromkeys(named, distance), named, speed=speed, start_speed=start_speed, accel=accel)
 
-    piece = PIECE * min(high - low for low, high in (axis.travel for axis in axes))
-    while _is_on_origin(axes) and _free(go(-direction * piece)):
+    piece = SEARCH_PIECE_RATIO * min(high - low for low, high in (axis.travel for axis in axes))
+    while _is_on_origin(axes) and _is_unobstructed(move_together(-direction * piece)):
         pass
-    while not _is_on_origin(axes) and _free(go(direction * piece)):
+    while not _is_on_origin(axes) and _is_unobstructed(move_together(direction * piece)):
         pass
     reports = []
     for driver in drivers:
         usual = parse_speeds(driver.axis, {"speed": speed, "start_speed": start_speed, "accel": accel})
-        alone = Speeds(min(usual.start, usual.drive * SLOWLY), usual.drive * SLOWLY, accel, accel)
+        alone = Speeds(min(usual.start, usual.drive * SOLO_SPEED_RATIO), usual.drive * SOLO_SPEED_RATIO, accel, accel)
         reports.append(driver.home(direction, alone, timeout=timeout))
     return reports
 
 
-def square_by(axes: Sequence[Axis], direction: int, wanted: Speeds, timeout: float = 60.0) -> list[Report]:
-    """Square axes as `square` does, at speeds in pulses per second of the first axis.
+def square_gantry_at_speeds(
+    axes: Sequence[Axis], direction: int, wanted: Speeds, timeout: float = 60.0
+) -> list[Report]:
+    """Square axes as `square_gantry` does, at speeds in pulses per second of the first axis.
 
     Args:
         axes: All axes that drive the load.
@@ -89,13 +91,13 @@ def square_by(axes: Sequence[Axis], direction: int, wanted: Speeds, timeout: flo
         A report of each axis' own search.
     """
     unit = axes[0].meters_per_pulse
-    return square(
+    return square_gantry(
         *axes, direction=direction, speed=wanted.drive * unit, start_speed=wanted.start * unit, accel=wanted.up,
         timeout=timeout,
     )  # fmt: skip
 
 
-def tandems(axes: Iterable[Axis]) -> list[list[Axis]]:
+def group_tandem_axes(axes: Iterable[Axis]) -> list[list[Axis]]:
     """Group axes that move together, most of them alone; axes that share a load with them are added.
 
     Args:
@@ -116,6 +118,6 @@ def _is_on_origin(axes: Sequence[Axis]) -> bool:
     return any(axis.switches.org for axis in axes)
 
 
-def _free(report: SynchronizedReport) -> bool:
+def _is_unobstructed(report: SynchronizedReport) -> bool:
     """Return whether nothing was in the way. A servo's encoder may show a count less, or more, than commanded."""
     return not any(r.stopped_by in UNWANTED_REASONS or r.lost_steps for r in report.axes.values())

@@ -276,7 +276,7 @@ def has_two_rates(stage: Stage, name: str) -> bool:
 def list_home_fields(stage: Stage, name: str) -> list[Field]:
     """Return the fields of an origin return."""
     axis, directions = stage.axes[name], tuple(DIRECTIONS)
-    homings = driver_of(axis).homings()
+    homings = driver_of(axis).list_homing_methods()
     return [
         Field("direction", "origin lies", default=directions[0], choices=directions),
         Field("by", "by", default=homings[0], choices=homings),
@@ -323,7 +323,7 @@ def list_circle_fields(stage: Stage, name: str) -> list[Field]:
 def begin_circle(stage: Stage, name: str, values: Values) -> Callable[[Stage], Any]:
     """Prepare a circle."""
     first, second = (stage.axes[n] for n in values["axes"].split())
-    radius, speeds = procedures.pulses_of(first, values["radius"], None), procedures.parse_speeds(first, values)
+    radius, speeds = procedures.convert_to_pulses(first, values["radius"], None), procedures.parse_speeds(first, values)
     return lambda stage: driver_of(first).circle(driver_of(second), radius, speeds)
 
 

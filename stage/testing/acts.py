@@ -171,14 +171,14 @@ def draw_move(
 
     driver, program = driver_class(type(chip))(_BareAxis(chip, axis)), Program()  # type: ignore[arg-type]
     if driver.has_position_loop:
-        ranges = driver.filter_choices(True).ranges
+        ranges = driver.get_filter_ranges(True).ranges
         values = {name: low + (high - low) // 4 for name, (low, high) in ranges.items()}
         driver.write_servo_move(program, values, int(rng.integers(100, 1000)), (20_000.0, 100_000.0))
         return _convert_program(program, chip), 0
     start, pulses = float(rng.uniform(500, 2000)), int(rng.integers(60, 400))
     if slow:
         start, pulses = float(rng.uniform(2000, 10_000)), 2000
-    if driver.FINISH and (legal := chip.MAP.register(driver.FINISH).range):
+    if driver.DISTANCE_REGISTER and (legal := chip.MAP.register(driver.DISTANCE_REGISTER).range):
         pulses = min(pulses, legal[1])
     drive, ramp = start * (1.0 if slow else float(rng.uniform(2, 12))), float(rng.uniform(0.01, 0.05))
     values, direction = driver.formula(start, drive, ramp, ramp, pulses), direction or (1 if rng.integers(2) else -1)

@@ -168,11 +168,11 @@ class StepperPlanner(MovePlanner):
     def __init__(self, task: Task):
         super().__init__(task)
         try:
-            self.driver.tuned_by(True)
+            self.driver.list_move_registers(True)
             self.ramp_shapes = ("linear", "s_curve")
         except ArgumentError:
             pass
-        self.trim_factors: dict[str, float] = dict(self.driver.TRIMS)
+        self.trim_factors: dict[str, float] = dict(self.driver.TRIM_FACTORS)
         # A chip with one ramp ignores the deceleration: different ramps give the same registers.
         equal_ramps = self.driver.formula(1e3, 1e4, 0.1, 0.1, task.pulses, False)
         unequal_ramps = self.driver.formula(1e3, 1e4, 0.1, 0.08, task.pulses, False)
@@ -207,7 +207,7 @@ class StepperPlanner(MovePlanner):
         registers = self.driver.formula(start, drive, up, down, self.task.pulses, shape == "s_curve")
         for name, max_factor in self.trim_factors.items():
             registers[name] = round(registers[name] * max_factor ** parameters.get(name, 0.0))
-        for name in self.driver.tuned_by(shape == "s_curve"):
+        for name in self.driver.list_move_registers(shape == "s_curve"):
             self.axis.chip.MAP.checked(name, registers[name])
         return MovePlan(registers, Speeds(start, drive, up, down, shape == "s_curve"))
 
@@ -225,7 +225,7 @@ class ServoPlanner(MovePlanner):
 
     def __init__(self, task: Task):
         super().__init__(task)
-        self.filter_ranges = self.driver.filter_choices(True).ranges
+        self.filter_ranges = self.driver.get_filter_ranges(True).ranges
         self.parameter_names = ("drive", "up", *self.filter_ranges)
 
     def build_plan(self, center: Speeds, parameters: Mapping[str, float], shape: str) -> MovePlan:
@@ -249,7 +249,7 @@ class ServoPlanner(MovePlanner):
         if not hasattr(self, "_filter"):
             stage = self.task.copy_stage()
             stage.set_payload(self.task.payload, self.task.payload_body)
-            self._filter = driver_of(stage.axes[self.task.axis]).filter_formula()
+            self._filter = driver_of(stage.axes[self.task.axis]).compute_filter()
         return self._filter
 
     def compute_speeds(self, safety_factor: float, payload: float | None = None) -> Speeds:

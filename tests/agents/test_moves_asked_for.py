@@ -9,7 +9,7 @@ from stage.agents import Toolbox, motion_tools
 from stage.agents.motion_tools import MIN_RATE_PPS, describe_report
 from stage.errors import StageError
 from stage.firmware import procedures
-from stage.firmware.driver import RAMP
+from stage.firmware.driver import DEFAULT_RAMP_S
 
 
 class Noting:
@@ -18,11 +18,11 @@ class Noting:
     def __init__(self, fails=()):
         self.told, self._fails = [], fails
 
-    def homings(self):
+    def list_homing_methods(self):
         return ("switch", "index")
 
-    def check_homing(self, by, index=False):
-        assert by in self.homings()
+    def check_homing(self, method, index=False):
+        assert method in self.list_homing_methods()
 
     def __getattr__(self, name):
         def noted(*arguments):
@@ -64,7 +64,7 @@ def test_a_distance_is_signed_pulses_and_a_timeout_is_the_driver_s(requested):
     ):
         name, wanted, speeds, timeout = requested("move", **arguments)
         assert (name, wanted, timeout) == ("move", pulses, None)
-        assert (speeds.up, speeds.down, speeds.s_curve) == (RAMP, RAMP, False)
+        assert (speeds.up, speeds.down, speeds.s_curve) == (DEFAULT_RAMP_S, DEFAULT_RAMP_S, False)
         assert requested("move", timeout=3, **arguments)[3] == 3.0
         assert requested("start", **arguments)[:2] == ("start", pulses)
 
@@ -176,7 +176,7 @@ def test_a_move_that_made_all_its_pulses_was_not_stopped_by_the_host(make_box):
 
 def test_axes_that_drive_one_load_are_squared_the_way_and_in_the_time_that_was_said(monkeypatch):
     box, requested = Toolbox(Stage("gantry", visuals=False)), []
-    monkeypatch.setattr(motion_tools, "square_by", lambda *arguments: requested.append(arguments) or [])
+    monkeypatch.setattr(motion_tools, "square_gantry_at_speeds", lambda *arguments: requested.append(arguments) or [])
     for axis, arguments in (("y", {}), ("w", {"direction": "plus", "timeout": 7, "speed": 0.05})):
         assert box.call("home", {"axis": axis, **arguments}).ok
     (first, other) = requested

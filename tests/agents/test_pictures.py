@@ -63,9 +63,9 @@ def test_of_a_line_the_truth_shows_how_straight_it_was(make_box, figures, monkey
 def test_a_write_that_was_lost_is_a_command_to_a_host_and_all_else_stays(make_box):
     box = make_box()
     box.call("move", {"axis": "x", "pulses": 40, "accel": 0.01})
-    first, *others = box.report.said
-    object.__setattr__(box.report, "said", (first._replace(kind="lost", meaning="LOST: start"), *others))
-    observed = hide_truth(box.report).said
+    first, *others = box.report.statements
+    object.__setattr__(box.report, "statements", (first._replace(kind="lost", meaning="LOST: start"), *others))
+    observed = hide_truth(box.report).statements
     assert (observed[0].kind, observed[0].meaning, observed[0].clock) == ("command", "start", first.clock)
     assert list(observed[1:]) == others
 

@@ -27,22 +27,22 @@ def test_the_formulas_registers_of_every_chip_are_those_that_tune_it_and_legal(c
     for s_curve in (None, False, True):
         if s_curve and chip in ("PCL240K", "PCL240MK"):
             with pytest.raises(ArgumentError, match="linear ramps only"):
-                h.tuned_by(s_curve)
+                h.list_move_registers(s_curve)
             continue
-        box = RegisterBox.of_registers(h.chip.MAP, h.tuned_by(s_curve))
+        box = RegisterBox.of_registers(h.chip.MAP, h.list_move_registers(s_curve))
         values = h.formula(1000.0, 40_000.0, 0.2, 0.15, 16_000, s_curve)
-        created = box.named(box.from_action(box.to_action(values)))
+        created = box.to_dict(box.from_action(box.to_action(values)))
         assert created == {name: pytest.approx(values[name], rel=2e-6) for name in box.names}
 
 
 @pytest.mark.parametrize("chip", PULSING)
 def test_programs_of_moves_are_alike_whatever_their_registers(chip):
     h = driver(chip)
-    box = RegisterBox.of_registers(h.chip.MAP, h.tuned_by(None))
+    box = RegisterBox.of_registers(h.chip.MAP, h.list_move_registers(None))
 
     def move(row, pulses):
         program = Program()
-        h.write_move(program, box.named(row), pulses)
+        h.write_move(program, box.to_dict(row), pulses)
         return np.array(program.ops)
 
     least, maximum = move(box.low, 1), move(box.high, 100_000)
@@ -65,7 +65,7 @@ def test_the_driver_of_a_servos_chip_stops_it_and_refuses_what_is_of_pulses():
     h.write_stop(p)
     assert p.ops == [(WRITE, 0, 0x05, 0x01)]
     for requested in (
-        lambda: h.tuned_by(None),
+        lambda: h.list_move_registers(None),
         lambda: h.write_move(p, {}, 100),
         lambda: h.formula(1000.0, 40_000.0, 0.2, 0.15, 16_000),
         lambda: h.search(Config()),

@@ -10,7 +10,7 @@ import stage.envs  # noqa: F401
 from stage import ArgumentError, Stage
 from stage.envs import contexts
 from stage.envs.few_shot import Config, FewShotTuning, action_of
-from stage.firmware.choices import limits
+from stage.firmware.parameter_ranges import get_register_range
 
 USUAL = action_of(1000, 16_000, 0.15, 0.15)
 BRISK = action_of(1000, 24_000, 0.08, 0.08)
@@ -265,7 +265,7 @@ def test_every_action_is_registers_of_every_chip(chip):
         for distance in (1600, 16_000):
             task.distance[:] = distance
             (row,) = task.to_registers(action[None].astype(np.float32))
-            ranges = [limits(task.axis.chip.MAP, name) for name in task.names]
+            ranges = [get_register_range(task.axis.chip.MAP, name) for name in task.names]
             assert all(low <= value <= high for value, (low, high) in zip(row, ranges, strict=True)), (action, row)
     assert task.rates(action_of(1000, 16_000, 0.15, 0.1), 9000) == pytest.approx((1000, 16_000, 0.15, 0.1), rel=1e-4)
 

@@ -37,7 +37,7 @@ def test_every_action_is_legal_and_the_ends_are_the_ends(chip):
     b = box(chip)
     actions = np.random.default_rng(SEED).uniform(-1, 1, (5000, len(b))).astype(np.float32)
     for row in b.from_action(actions)[:200]:
-        for name, value in b.named(row).items():
+        for name, value in b.to_dict(row).items():
             if name not in S_CURVES:
                 chip.MAP.checked(name, value)
             assert b.discrete.contains(row)
@@ -54,7 +54,7 @@ def test_a_row_of_many_is_that_row_alone():
 
 def test_small_speeds_have_as_much_room_as_large_ones():
     b = box(PCL240K)
-    middle = b.named(b.from_action(np.zeros(len(b))))
+    middle = b.to_dict(b.from_action(np.zeros(len(b))))
     assert middle["R1"] == 91, "the root of 8191"
     assert middle["R6"] == 131072, "an eighth of its range"
 

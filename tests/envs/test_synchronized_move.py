@@ -17,8 +17,8 @@ from stage.envs.synchronized_move import (
 from stage.errors import ArgumentError
 from stage.firmware.driver import driver_of
 from stage.firmware.lines import LineMoves, line_of
-from stage.firmware.path import path_deviation, perfect_deviation, pulses_of
-from stage.firmware.pcl240 import emulated
+from stage.firmware.path import path_deviation, perfect_deviation, replay_pulses
+from stage.firmware.pcl240 import row_emulation
 from stage.firmware.pcl240.driver import TUNED as REGISTERS
 
 SHORT = {"distances": (500, 3000), "rate": 16_000.0, "accel": 0.05}
@@ -60,7 +60,7 @@ def step_with_journals(env, action):
     chips, began = env.stage.chips, env.stage.chips[0].clock
     journals = [c.journal() for c in chips]
     info = env.step(action)[-1]
-    pulses = {id(c): pulses_of(j) for c, j in zip(chips, journals, strict=True)}
+    pulses = {id(c): replay_pulses(j) for c, j in zip(chips, journals, strict=True)}
     codes = next(codes for name, codes in STARTS.items() if type(chips[0]).__name__.startswith(name))
     first = min(e.clock for j in journals for e in j.entries if e.a == 0 and e.b & 0xFF in codes)
     for j in journals:
@@ -161,11 +161,14 @@ def test_a_small_number_leaves_the_multiplier_alone():
 
 def test_the_observation_foretells_how_far_the_followers_pulses_are_off_their_share():
     rules = task(30)
-    errors, rows = rules.line.errors(rules.requested_lines), rules.line.rows(rules.data_sheet(), rules.requested_lines)
+    errors, rows = (
+        rules.line.compute_share_errors(rules.requested_lines),
+        rules.line.rows(rules.data_sheet(), rules.requested_lines),
+    )
     for k, d in enumerate(np.abs(rules.distances)):
         lead = int(d.argmax())
         follower, rho = 1 - lead, d[1 - lead] / d[lead]
-        pulses = [emulated.trace_row(row, CHIPS["PCL240K"]) for row in rows[k]]
+        pulses = [row_emulation.trace_row(row, CHIPS["PCL240K"]) for row in rows[k]]
         row = rows[k, lead]
         risen = (row[2] - row[1]) * row[4]
         falls = pulses[lead][d[lead] - row[6]]
@@ -178,7 +181,7 @@ def test_the_observation_foretells_how_far_the_followers_pulses_are_off_their_sh
 def test_corrections_against_the_observed_errors_bring_the_path_closer_to_the_line():
     """A policy without learning: R1 against the error after the ramp-up, R2 against that at the ramp-down."""
     rules = task(60)
-    errors, zeros = rules.line.errors(rules.requested_lines), np.zeros((60, 2, 6))
+    errors, zeros = rules.line.compute_share_errors(rules.requested_lines), np.zeros((60, 2, 6))
     action = zeros.copy()
     action[:, :, 0], action[:, :, 1] = -errors[:, :, 0] / 4, -errors[:, :, 1] / 4
 
@@ -438,7 +441,7 @@ def test_ranges_in_the_ratio_of_the_distances_stray_as_perfect_axes_do(chip, axe
         assert m / m.max() == pytest.approx(shares, rel=1e-5)
         assert (row[:, 1:] == row[0, 1:]).all()
         assert (m * row[:, 2]).max() <= rate * (1 + 1e-6)
-    assert abs(rules.line.errors(rules.requested_lines)).max() < 0.01
+    assert abs(rules.line.compute_share_errors(rules.requested_lines)).max() < 0.01
 
 
 def test_very_different_distances_still_have_legal_ranges():
@@ -446,7 +449,9 @@ def test_very_different_distances_still_have_legal_ranges():
     for d in ([20_000, 1], [20_000, 300], [3, 2], [1, 1]):
         rules.distances[0] = d
         (registers,) = rules.data_sheet()
-        assert ((registers >= rules.line.legal(registers)) & (registers <= rules.line.legal(registers))).all()
+        assert (
+            (registers >= rules.line.clip_to_legal(registers)) & (registers <= rules.line.clip_to_legal(registers))
+        ).all()
         rules.make_programs()
         assert rules.path[0] < 1.6
 
@@ -476,12 +481,12 @@ def test_no_correction_takes_fl_above_fh():
     shape = (4, *created.line.shape)
     corrections = np.zeros(shape)
     corrections[:, :, 0], corrections[:, :, 1] = 1.0, -1.0
-    sheet, corrected = created.data_sheet(), created.line.corrected(created.requested_lines, corrections)
+    sheet, corrected = created.data_sheet(), created.line.apply_corrections(created.requested_lines, corrections)
     assert (sheet[:, :, 0] <= sheet[:, :, 1]).all()
     assert (corrected[:, :, 1] < sheet[:, :, 1]).any()
     assert (corrected[:, :, 0] <= corrected[:, :, 1]).all()
     chip = task(4, chip="MCX514", rate=2000.0, fl=2000.0, accel=0.01)
-    bent = chip.line.corrected(chip.requested_lines, np.tile([1.0, -1.0, 0.0], (4, 1, 1)))
+    bent = chip.line.apply_corrections(chip.requested_lines, np.tile([1.0, -1.0, 0.0], (4, 1, 1)))
     assert (bent[:, :, 1] < chip.data_sheet()[:, :, 1]).all()
     assert (bent[:, :, 0] == bent[:, :, 1]).all()
 

@@ -51,12 +51,12 @@ def test_an_action_may_spend_bus_cycles_itself():
 @pytest.mark.parametrize("rate", [100, 8000, 200_000])
 def test_a_rail_changes_its_switch_at_the_very_pulse(rate):
     bench = Bench(PCL240K())
-    bench.rail("x", at=-50, ins=(0, 9))
+    bench.add_rail("x", at=-50, ins=(0, 9))
     x = bench.axes["x"]
     journal = x.chip.journal()
     firmware.preset_move(x, 100, firmware.Profile.of(fl=rate, fh1=rate, fh2=rate), high_speed=False)
     edges = journal.course(every_pulse=True).edges
-    assert x.place == 50
+    assert x.rail_position == 50
     for bit_on in (False, True):
         places = {int(e["net"]) - 50 for e in edges if bool(e["inputs"] & PCL240K.INPUTS["ins"]) is bit_on}
         # an edge of the pulse and that of the switch share a clock: the one that crosses is seen on both sides
@@ -65,7 +65,7 @@ def test_a_rail_changes_its_switch_at_the_very_pulse(rate):
 
 def test_an_end_limit_on_a_rail_stops_the_axis_on_it():
     bench = Bench(PCL240K())
-    bench.rail("x", el_plus=(1234, None))
+    bench.add_rail("x", el_plus=(1234, None))
     report = firmware.preset_move(bench.axes["x"], 5000)
     assert (report.stopped_by, report.pulses) == ("EL+", 1234)
     assert firmware.preset_move(bench.axes["x"], 10).pulses == 0, "the way on is closed"
@@ -81,8 +81,8 @@ def test_an_end_limit_on_a_rail_stops_the_axis_on_it():
         (lambda: Bench(*(PCL240K() for _ in range(7))), "7 chips"),
         (lambda: (lambda c: Bench(c, c))(PCL240K()), "already has a bus"),
         (lambda: Bench(Bench(PCL240K()).axes["x"].chip), "already has a bus"),
-        (lambda: Bench(PCL240K()).rail("y"), "unknown axis 'y'"),
-        (lambda: Bench(PCL240K()).rail("x", orgg=(0, 1)), "Did you mean 'org'"),
+        (lambda: Bench(PCL240K()).add_rail("y"), "unknown axis 'y'"),
+        (lambda: Bench(PCL240K()).add_rail("x", orgg=(0, 1)), "Did you mean 'org'"),
         (lambda: Bench(PCL240K()).wait(-1), "time runs forward"),
     ],
 )
@@ -118,9 +118,9 @@ def test_a_rail_under_an_axis_that_has_moved_stands_where_it_is_put():
     bench = Bench(PCL240K())
     x = bench.axes["x"]
     firmware.preset_move(x, 300)
-    bench.rail("x", at=-20, org=(0, 10))
-    assert (x.place, x.pins.org) == (-20, False)
+    bench.add_rail("x", at=-20, org=(0, 10))
+    assert (x.rail_position, x.pins.org) == (-20, False)
     firmware.preset_move(x, 30)
-    assert (x.place, x.pins.org) == (10, True)
+    assert (x.rail_position, x.pins.org) == (10, True)
     firmware.preset_move(x, 1)
-    assert (x.place, x.pins.org) == (11, False)
+    assert (x.rail_position, x.pins.org) == (11, False)

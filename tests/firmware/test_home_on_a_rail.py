@@ -26,20 +26,20 @@ PASSES_INDEX = {"stop2": (-100, -90)}
 def test_a_home_search_that_failed_says_what_ended_it(chip, switches, at, ended, place):
     """firmware.home(axis) with an ORG that is stuck said "ORG" at the end limit"""
     bench = Bench(chip())
-    bench.rail("x", at=at, **switches)
+    bench.add_rail("x", at=at, **switches)
     x = bench.axes["x"]
     report = firmware.home(x, index="stop2" in switches or switches.get("lmt_minus") == (None, -5))
-    assert (report.stopped_by, x.place, report.ok) == (ended, place, ended in ("ORG", "EZ"))
+    assert (report.stopped_by, x.rail_position, report.ok) == (ended, place, ended in ("ORG", "EZ"))
 
 
 @pytest.mark.parametrize("chip", [MCX304, MCX314AS])
 def test_a_search_that_goes_back_from_the_limit_for_ever_ends_with_the_limits_name(chip):
     """The axis stands where ORG ends before the limit does: on its way out the chip sees no ORG any more."""
     bench = Bench(chip())
-    bench.rail("x", at=0, stop1=(None, 0), lmt_minus=(None, 10))
+    bench.add_rail("x", at=0, stop1=(None, 0), lmt_minus=(None, 10))
     report = firmware.home(bench.axes["x"], timeout=5)
     assert (report.stopped_by, report.ok) == ("EL-", False)
-    assert 0 < bench.axes["x"].place <= 10
+    assert 0 < bench.axes["x"].rail_position <= 10
     assert not bench.axes["x"].chip.busy()
 
 

@@ -423,7 +423,7 @@ def test_a_move_that_sd_may_slow_or_whose_ramps_differ_has_its_ramp_down_point_f
     def automatic(profile=None, **options):
         report = firmware.preset_move(Bench(x=kind()).axes["x"], 4000, profile, **options)
         assert report.ok
-        modes = [int(s.code, 16) for s in report.said if s.kind == "command" and int(s.code, 16) >> 6 == 1]
+        modes = [int(s.code, 16) for s in report.statements if s.kind == "command" and int(s.code, 16) >> 6 == 1]
         return {bool(mode & bus.AUTOMATIC) for mode in modes}
 
     even, uneven = (Profile.of(fh1=8000, accel=0.1, decel=decel, chip=kind) for decel in (0.1, 0.15))

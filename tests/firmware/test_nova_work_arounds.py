@@ -170,7 +170,7 @@ def with_limit(name, when, cls=MCX304, sign=1, routine=True, errata=True, begins
 
     def touch():
         setattr(setup.pins, "lmt_plus" if sign > 0 else "lmt_minus", True)
-        places.append(abs(setup.driver.axis.place))
+        places.append(abs(setup.driver.axis.rail_position))
 
     setup.bench.at(setup.began + when, touch)
     setup.run_to(begins)
@@ -261,7 +261,7 @@ def with_stop(k, when, cls=MCX304, routine=True, begins=0.0):
 
     def touch():
         setattr(setup.pins, f"stop{k}", True)
-        places.append(setup.driver.axis.place)
+        places.append(setup.driver.axis.rail_position)
 
     setup.bench.at(setup.began + when, touch)
     setup.run_to(begins)

@@ -21,7 +21,7 @@ SWITCHES = {
 
 def at(place, chip=PCL240K, **switches):
     bench = Bench(chip())
-    bench.rail("x", at=place, **(SWITCHES | switches))
+    bench.add_rail("x", at=place, **(SWITCHES | switches))
     return bench.axes["x"]
 
 
@@ -34,7 +34,7 @@ def test_it_ends_on_the_same_pulse_from_any_place(place, high_speed):
     report = firmware.origin_return(x, -1, P, high_speed=high_speed)
     assert report.stopped_by == "ORG"
     assert report.ok
-    assert x.place == 0
+    assert x.rail_position == 0
     assert report.pulses == -place
     assert x.chip.diagnostics == []
 
@@ -47,19 +47,19 @@ def test_it_ends_on_the_same_pulse_from_random_places_at_random_speeds():
         fl = rng.uniform(300, 2000)
         speeds = Profile.of(fl=fl, fh1=rng.uniform(fl, 40_000), accel=rng.uniform(0.01, 0.3))
         report = firmware.origin_return(x, -1, speeds, back_off=int(rng.integers(1, 500)))
-        assert (report.stopped_by, x.place) == ("ORG", 0)
+        assert (report.stopped_by, x.rail_position) == ("ORG", 0)
 
 
 def test_towards_plus_it_is_the_mirror_image():
     mirrored = {"el_plus": (3200, None), "sd_plus": (-6400, None), "org": (0, None), "el_minus": (None, -20_000)}
     bench = Bench(PCL240K())
     for place in (-15_000, -200, 0, 3200):
-        bench.rail("x", at=place, **mirrored)
+        bench.add_rail("x", at=place, **mirrored)
         report = firmware.origin_return(bench.axes["x"], +1, P)
-        assert (report.stopped_by, bench.axes["x"].place) == ("ORG", 0)
-    bench.rail("x", at=0, **mirrored | {"org": (None, None)})
+        assert (report.stopped_by, bench.axes["x"].rail_position) == ("ORG", 0)
+    bench.add_rail("x", at=0, **mirrored | {"org": (None, None)})
     report = firmware.origin_return(bench.axes["x"], +1, P)
-    assert (report.stopped_by, bench.axes["x"].place, report.ok) == ("EL-", -20_000, False)
+    assert (report.stopped_by, bench.axes["x"].rail_position, report.ok) == ("EL-", -20_000, False)
 
 
 @pytest.mark.parametrize("chip", [PCL240MK, PCL240MS])
@@ -68,7 +68,7 @@ def test_an_end_limit_before_the_index_pulse_is_no_origin(ez, chip):
     """firmware.origin_return(axis, -1, ez=1) of an encoder without index pulses"""
     x = at(3000, chip=chip)
     report = firmware.origin_return(x, -1, P, ez=ez, approach=500)
-    assert (report.stopped_by, x.place, report.ok) == ("EL-", LOW, False)
+    assert (report.stopped_by, x.rail_position, report.ok) == ("EL-", LOW, False)
     assert x.chip.values()["R1"] == round(500 / P.step), "the speed of the approach, as on every chip"
 
 
@@ -77,7 +77,7 @@ def test_the_approach_is_never_faster_than_fl_and_takes_the_least_speed_there_is
     for approach, r1 in [(0.4 * P.step, 1), (500, round(500 / P.step)), (1e4, P.R1), (P.step * 8191, P.R1)]:
         x = at(30)
         report = firmware.origin_return(x, -1, P, approach=approach, back_off=3)
-        assert (report.stopped_by, x.place) == ("ORG", 0)
+        assert (report.stopped_by, x.rail_position) == ("ORG", 0)
         assert report.course.edges["speed"][report.course.running][-1] == r1
 
 
@@ -94,7 +94,7 @@ def test_without_org_it_ends_on_the_end_limit_and_says_so(high_speed):
     report = firmware.origin_return(x, -1, P, high_speed=high_speed)
     assert report.stopped_by == "EL-"
     assert not report.ok
-    assert x.place == LOW
+    assert x.rail_position == LOW
 
 
 def test_an_org_that_never_lets_go_is_not_taken_for_the_origin():
@@ -102,7 +102,7 @@ def test_an_org_that_never_lets_go_is_not_taken_for_the_origin():
     report = firmware.origin_return(x, -1, P)
     assert report.stopped_by == "EL+", "it went to look where ORG ends"
     assert not report.ok
-    assert x.place == HIGH
+    assert x.rail_position == HIGH
 
 
 @pytest.mark.parametrize("high_speed", [True, False])
@@ -122,7 +122,7 @@ def test_a_carriage_that_lets_go_of_org_as_the_host_looks_has_found_it(monkeypat
     monkeypatch.setattr(Port, "status", status)
     x = at(12_000)
     report = firmware.origin_return(x, -1, P, high_speed=high_speed)
-    assert (report.stopped_by, x.place, len(missed)) == ("ORG", 0, 2)
+    assert (report.stopped_by, x.rail_position, len(missed)) == ("ORG", 0, 2)
 
 
 def test_an_axis_without_any_switch_times_out_with_a_report():
@@ -158,5 +158,5 @@ def test_the_last_approach_is_at_its_rate_and_no_faster_than_fl(approach, speed)
         report = firmware.origin_return(x, -1, P, approach=approach, back_off=1, timeout=500.0)
     else:
         report = firmware.origin_return(x, -1, P, approach=approach)
-    assert (report.stopped_by, x.place) == ("ORG", 0)
+    assert (report.stopped_by, x.rail_position) == ("ORG", 0)
     assert x.chip.values()["R1"] == speed

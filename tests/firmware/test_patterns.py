@@ -135,7 +135,9 @@ def test_no_rate_is_named_while_it_stands(reports):
     for name in ("ramping_and_interrupting", "end_limit"):
         report = reports[name]
         t = report.course.seconds - report.began
-        assert all(rate > 0 for _, rate in plot._plateaus(report, {}, t, plot._window(report, t))), name
+        assert all(rate > 0 for _, rate in plot._find_plateaus(report, {}, t, plot._compute_time_range(report, t))), (
+            name
+        )
 
 
 def test_notes_never_overlap(reports, monkeypatch):
@@ -143,15 +145,15 @@ def test_notes_never_overlap(reports, monkeypatch):
     from stage.firmware import plot
     from stage.firmware.driver import driver_class
 
-    monkeypatch.setattr(plot, "_width", cache(plot._width))  # the same words stand in many
+    monkeypatch.setattr(plot, "_measure_text_width", cache(plot._measure_text_width))  # the same words stand in many
     for report in reports.values():
         t = report.course.seconds - report.began
         notes = driver_class(report.course.chip).PATTERN(report).notes(t)
-        limits, width = plot._window(report, t), 500.0
-        rows = plot._rows(notes, limits, width)
+        limits, width = plot._compute_time_range(report, t), 500.0
+        rows = plot._assign_note_rows(notes, limits, width)
         at = [(n.time - limits[0]) / (limits[1] - limits[0]) * width for n in notes]
         for k, note in enumerate(notes):
-            end = at[k] + plot._width(note.code, True) + plot._width(note.words)
+            end = at[k] + plot._measure_text_width(note.code, True) + plot._measure_text_width(note.words)
             assert all(rows[k] > rows[j] for j in range(k + 1, len(notes)) if at[j] < end)
 
 

@@ -9,7 +9,16 @@ import pytest
 from stage import ArgumentError, Drive, RunTimeout, Stage, StageError, faults, firmware
 from stage.chips import CHIPS, HCTL1100, MCX304, MCX312, MCX501, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench
-from stage.firmware.driver import SETTLE, AtOnce, Speeds, driver_class, driver_of, usual_speeds, wait_until_stopped
+from stage.firmware.driver import (
+    SETTLING_TIME_S,
+    Driver,
+    ImmediateOperations,
+    Speeds,
+    driver_class,
+    driver_of,
+    get_default_speeds,
+    wait_until_stopped,
+)
 from stage.firmware.procedures import parse_speeds, two_rates
 from stage.firmware.report import Procedure
 from stage.firmware.stop_reasons import UNWANTED_REASONS
@@ -62,10 +71,10 @@ def test_homings_that_a_chip_has_are_by_the_switch_and_by_the_index(stage, monke
     monkeypatch.setattr(
         type(driver), "home", lambda self, way, speeds, index, timeout: asked.append((way, index, timeout))
     )
-    for by in driver.homings():
+    for by in driver.list_homing_methods():
         firmware.home(axis, 1, by=by, timeout=9.0)
     assert asked == [(1, False, 9.0), (1, True, 9.0)][: 1 if type(axis.chip) is PCL240K else 2]
-    firmware.home(axis, 1, by=driver.homings()[-1], index=len(asked) == 2)
+    firmware.home(axis, 1, by=driver.list_homing_methods()[-1], index=len(asked) == 2)
     with pytest.raises(ArgumentError, match=r"home by 'nose': an? \w+ cannot; it homes by switch"):
         firmware.home(axis, by="nose")
     with pytest.raises(ArgumentError, match="give one of the two"):
@@ -579,7 +588,7 @@ def test_reports_of_every_chip_are_drawn(stage, tmp_path):
     notes = pattern.notes(t)
     assert any(not n.event for n in notes), "the start command"
     assert notes[-1].event, "why it stopped"
-    assert pattern.lanes()
+    assert pattern.list_lanes()
 
 
 def test_the_drawing_of_a_line_names_its_interpolation_and_leaves_out_what_was_only_written():
@@ -612,8 +621,12 @@ def test_speeds_keep_their_slopes_and_what_is_not_said_is_usual():
     """Speeds(1000, 16000, 0.1, 0.2).with_second(32000); firmware.move(x, speed=..., accel=0.1, decel=0.2) below the usual start"""
     given = Speeds(1000.0, 16_000.0, 0.1, 0.2, True)
     assert given.with_second(32_000.0) == Speeds(1000.0, 16_000.0, 0.2, 0.4, True, 32_000.0)
-    assert usual_speeds(SimpleNamespace(MICROSTEPS=0)) == usual_speeds(SimpleNamespace(MICROSTEPS=16)) == Speeds()
-    assert usual_speeds(SimpleNamespace(MICROSTEPS=256)) == Speeds(16_000.0, 256_000.0)
+    assert (
+        get_default_speeds(SimpleNamespace(MICROSTEPS=0))
+        == get_default_speeds(SimpleNamespace(MICROSTEPS=16))
+        == Speeds()
+    )
+    assert get_default_speeds(SimpleNamespace(MICROSTEPS=256)) == Speeds(16_000.0, 256_000.0)
     axis = SimpleNamespace(chip=PCL240K(), meters_per_pulse=1e-3, name="x")
     for asked, made in (
         ((None, None, 0.1, 0.2, False), Speeds(1000.0, 16_000.0, 0.1, 0.2)),
@@ -657,7 +670,7 @@ def test_a_wait_returns_within_two_milliseconds_of_the_end_of_a_long_move(name):
     driver.wait(60.0)
     assert 0 <= x.time - begin - 4000 / 500 < 2.2e-3 + 1 / 500
     report = driver.move(-4000, slow)
-    assert 0 <= x.time - begin - 2 * 4000 / 500 < 2 * 2.2e-3 + 2 / 500 + SETTLE + report.began
+    assert 0 <= x.time - begin - 2 * 4000 / 500 < 2 * 2.2e-3 + 2 / 500 + SETTLING_TIME_S + report.began
 
 
 def test_an_index_pulse_is_not_sought_behind_an_origin_switch_that_is_not_there():
@@ -691,7 +704,7 @@ def test_ctrl_c_has_the_reports_of_all_axes_that_are_watched():
 
 def test_operations_that_are_done_at_once_are_counted():
     bench = Bench(PCL240K())
-    now = AtOnce(bench.axes["x"])
+    now = ImmediateOperations(bench.axes["x"])
     assert len(now.write(0, 0, 0x08).wait(1e-3).until_stopped([0], 1.0)) == 3
     assert bench.time >= 1e-3
 
@@ -748,7 +761,7 @@ def test_a_timeout_that_is_no_time_is_refused_before_the_first_bus_cycle(stage, 
     calls = [
         lambda: firmware.move(x, 1e-3, timeout=timeout), lambda: firmware.home(x, timeout=timeout),
         lambda: firmware.line({"x": 1e-3, "y": 1e-3}, stage, timeout=timeout),
-        lambda: firmware.square(*stage.axes.values(), timeout=timeout),
+        lambda: firmware.square_gantry(*stage.axes.values(), timeout=timeout),
     ]  # fmt: skip
     if type(x.chip).__name__.startswith("PCL240"):
         calls += [
@@ -784,14 +797,16 @@ def test_a_family_refuses_the_options_of_another(chip, extra):
         firmware.move(x, pulses=8000, speed=Speeds(**extra))
     with pytest.raises(ArgumentError, match="eave it out"):
         parse_speeds(x, extra, in_pulses=True)
-    assert parse_speeds(x, {"automatic": False}) == usual_speeds(x.chip)._replace(automatic=False)
+    assert parse_speeds(x, {"automatic": False}) == get_default_speeds(x.chip)._replace(automatic=False)
 
 
 def test_a_pcl240_obeys_the_options_of_its_family():
     """constant speed, a second rate, the chip's own ramp-down point, one approach of ORG, an index pulse"""
     x = Stage("xy", chips=PCL240MK, visuals=False).axes["x"]
-    assert driver_of(x).usual_second(10_000.0) == 20_000.0
-    assert driver_of(x).usual_second(2e6) == pytest.approx(8191 * 4_915_200 / (8192 * 2))  # the data sheet, equation 4
+    assert driver_of(x).get_default_second_rate(10_000.0) == 20_000.0
+    assert driver_of(x).get_default_second_rate(2e6) == pytest.approx(
+        8191 * 4_915_200 / (8192 * 2)
+    )  # the data sheet, equation 4
     assert "FH2 20000.0 pps" in driver_of(x).describe_speeds(Speeds(second=20_000.0))
     flat = firmware.move(x, pulses=800, speed=Speeds(1000, 4000, constant=True))
     assert flat.procedure == "constant-speed preset move"
@@ -810,3 +825,7 @@ def test_a_pcl240_obeys_the_options_of_its_family():
         firmware.home(x, index=17)
     with pytest.raises(ArgumentError, match=r"index=2: .* at index pulse 1 after"):
         firmware.home(firmware.Bench(x=MCX514()).axes["x"], index=2)
+
+
+def test_each_method_that_no_other_thread_may_interrupt_is_a_method_of_the_driver():
+    assert [name for name in Driver.EXCLUSIVE_METHODS if not callable(getattr(Driver, name, None))] == []

@@ -63,7 +63,7 @@ def test_a_host_that_looks_late_at_each_rate_has_pulses_left():
 
 
 def test_an_end_limit_ends_the_sequence_without_further_starts(x):
-    x._bench.rail("x", el_plus=(1500, None))
+    x._bench.add_rail("x", el_plus=(1500, None))
     report = firmware.dual_rate_move(x, 12_000, P, rates=("FH1", "FH2", "FH1"), dwell=0.2)
     assert report.stopped_by == "EL+"
     assert report.pulses == 1500
@@ -77,7 +77,7 @@ def test_an_end_limit_ends_the_sequence_without_further_starts(x):
 @pytest.mark.parametrize("asked", [-20_000, None])
 def test_an_end_limit_in_any_part_of_a_run_of_several_rates_is_what_ended_it(x, limit, sent, asked):
     """firmware.dual_rate_move(axis, None, rates=(...), seconds=1.0, direction=-1) onto EL-: at once, without the dwells"""
-    x._bench.rail("x", el_minus=(None, limit))
+    x._bench.add_rail("x", el_minus=(None, limit))
     kind = {"seconds": 1.0, "direction": -1} if asked is None else {}
     report = firmware.dual_rate_move(x, asked, P, rates=("FH2", "FH1", "FH2"), dwell=0.1, **kind)
     assert (report.stopped_by, report.pulses, report.asked) == ("EL-", limit, asked)
@@ -93,13 +93,13 @@ def test_an_end_limit_ends_changes_of_speed_and_bent_ramps_too(x, limit):
         lambda a: firmware.curved_ramp_move(a, 12_000, [(2000, 0.2), (6000, 0.3), (12_000, 0.4)], P),
     ):
         begun, bench = x.time, x._bench
-        bench.rail("x", at=0, el_plus=(limit, None))
+        bench.add_rail("x", at=0, el_plus=(limit, None))
         report = run(x)
         assert (report.stopped_by, report.pulses, report.ok) == ("EL+", limit, False)
         assert x.time - begun < 1.4
         ended = report.course.seconds[np.flatnonzero(report.course.running)[-1] + 1] - report.began
         assert max(t for t, code, _ in report.writes() if code in ("15", "17")) < ended, "no start after the stop"
-        bench.rail("x", at=0)
+        bench.add_rail("x", at=0)
 
 
 def test_one_rate_is_a_move_of_any_length_in_both_directions(x):

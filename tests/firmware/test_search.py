@@ -126,11 +126,11 @@ def test_an_origin_return_to_the_index_pulse_counts_from_fl_on(ez):
 
 @pytest.mark.parametrize(("kind", "chip"), [(FourRuns, PCL240K), (HomeSearch, MCX514), (HomeSearch, MCX304)])
 def test_a_row_of_any_wishes_is_as_near_as_the_registers_may_be(kind, chip):
-    """search.row(fl, fh, ramp, approach, leave, back_off)"""
+    """search.find_nearest_row(fl, fh, ramp, approach, leave, back_off)"""
     made = search(kind, chip)
     ranges = made.choices.ranges
     for wishes in ((1e-9, 1e-9, 1e-9, 1e-9, -1, -1), (1e12, 2e12, 1e9, 1e12, 10**9, 10**9)):
-        row = made.choices.named(made.row(*wishes))
+        row = made.choices.to_dict(made.find_nearest_row(*wishes))
         assert all(low <= row[name] <= high for name, (low, high) in ranges.items())
         end = 0 if wishes[4] < 0 else 1
         assert row["leave"] == ranges["leave"][end]

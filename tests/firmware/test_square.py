@@ -64,7 +64,7 @@ def test_a_beam_is_squared_towards_org_at_either_end_from_before_it_and_from_on_
     """firmware.square(y, w, direction=1)"""
     direction, axes = placed(gantry, millimetres)
     assert {axis.switches.org for axis in axes} == {on}
-    reports = firmware.square(*axes, direction=direction)
+    reports = firmware.square_gantry(*axes, direction=direction)
     assert [(r.axis, r.stopped_by, r.lost_steps) for r in reports] == [("y", "ORG", 0), ("w", "ORG", 0)]
     org = [next(s.touch for s in axis.plant.switches if s.pin == "org") for axis in axes]
     assert [axis.position for axis in axes] == pytest.approx(org, abs=0.1e-3)
@@ -81,21 +81,21 @@ def test_together_axes_have_the_speeds_asked_and_alone_a_quarter_and_no_start_ab
     homes, driver = [], type(tandem.driver_of(axes[0]))
     monkeypatch.setattr(driver, "home", lambda self, *given, **options: homes.append((given, options)))
     asked = {"speed": 0.06, "start_speed": 0.02, "accel": 0.05}
-    tandem.square(*axes, direction=direction, **asked, timeout=7.0)
+    tandem.square_gantry(*axes, direction=direction, **asked, timeout=7.0)
     assert [options for _, options in ways] == [asked] * len(ways)
     slow = 0.06 / 4 / axes[0].meters_per_pulse
     assert homes == [((direction, pytest.approx(Speeds(slow, slow, 0.05, 0.05))), {"timeout": 7.0})] * 2
     homes.clear()
-    tandem.square(*axes, direction=direction, speed=0.06, start_speed=0.002)
+    tandem.square_gantry(*axes, direction=direction, speed=0.06, start_speed=0.002)
     assert [given[1].start for given, _ in homes] == pytest.approx([0.002 / axes[0].meters_per_pulse] * 2)
 
 
 def test_speeds_in_pulses_are_those_of_the_first_axis(gantry, monkeypatch):
     direction, axes = placed(gantry, 67)
     seen = []
-    monkeypatch.setattr(tandem, "square", lambda *axes, **options: seen.append((axes, options)) or ["squared"])
+    monkeypatch.setattr(tandem, "square_gantry", lambda *axes, **options: seen.append((axes, options)) or ["squared"])
     unit = axes[0].meters_per_pulse
-    assert tandem.square_by(axes, direction, Speeds(500, 6000, 0.1, 0.3), 9.0) == ["squared"]
+    assert tandem.square_gantry_at_speeds(axes, direction, Speeds(500, 6000, 0.1, 0.3), 9.0) == ["squared"]
     wanted = {"direction": direction, "speed": 6000 * unit, "start_speed": 500 * unit, "accel": 0.1, "timeout": 9.0}
     assert seen == [(tuple(axes), pytest.approx(wanted))]
 
@@ -106,5 +106,5 @@ def test_where_a_step_is_lost_on_the_way_together_each_axis_searches_for_the_tim
 ):
     direction, axes = placed(gantry, millimetres)
     with faults.jam(axes[0]), faults.jam(axes[1]), pytest.raises(RunTimeout, match=r"after 0\.300 s"):
-        firmware.square(*axes, direction=direction, timeout=0.3)
+        firmware.square_gantry(*axes, direction=direction, timeout=0.3)
     assert len(ways) == 1

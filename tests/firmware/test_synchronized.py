@@ -10,7 +10,7 @@ from support.examples import SEED, assert_axes_are_named, scaled
 from stage import ArgumentError, RunTimeout, Stage
 from stage.chips import PCL240K
 from stage.firmware import Bench, plan, synchronized_move
-from stage.firmware.together import Carriages
+from stage.firmware.synchronized_report import CarriageDeviationMeter
 
 
 def bench(names="xy", **options):
@@ -165,7 +165,7 @@ def test_an_end_limit_stops_the_other_axes_too():
     assert 0 < report.axes["x"].pulses < 20_000
     assert "NOT as asked" in str(report)
     assert report.seconds == report.plan.seconds, "what was planned"
-    stops = {n: [s.code for s in r.said if s.kind == "command"].count("1D") for n, r in report.axes.items()}
+    stops = {n: [s.code for s in r.statements if s.kind == "command"].count("1D") for n, r in report.axes.items()}
     assert stops == {"x": 1, "y": 0}, "told once, and only who still runs"
 
 
@@ -173,7 +173,7 @@ def test_an_axis_that_made_its_pulses_while_another_met_a_limit_says_so():
     """x meets its limit in its last pulses, when y has as good as ended: y is given a decelerating stop or is not, by chance."""
     for limit in range(19_985, 20_000, 2):
         chips = bench()
-        chips.rail("x", el_plus=(limit, None))
+        chips.add_rail("x", el_plus=(limit, None))
         report = synchronized_move({"x": 20_000, "y": 400}, chips)
         assert report.axes["x"].stopped_by == "EL+"
         y = report.axes["y"]
@@ -266,9 +266,9 @@ def test_a_carriage_beyond_an_end_of_its_line_is_as_far_off_as_from_that_end():
         ((4.2e-3, -5.6e-3), 2e-3),
     ):
         x.position = y.position = 0.0
-        carriages = Carriages({"x": x, "y": y}, {"x": 3000, "y": 4000})
+        carriages = CarriageDeviationMeter({"x": x, "y": y}, {"x": 3000, "y": 4000})
         x.position, y.position = place
         carriages.measure()
         assert carriages.worst == pytest.approx(far)
     y.unit = "rad"
-    assert Carriages({"x": x, "y": y}, {"x": 3000, "y": 4000}).worst is None
+    assert CarriageDeviationMeter({"x": x, "y": y}, {"x": 3000, "y": 4000}).worst is None

@@ -11,7 +11,7 @@ from support.programs import start_preset
 
 from stage import ArgumentError
 from stage.chips import PCL240K
-from stage.firmware.path import path_deviation, path_points, perfect_deviation, pulses_of
+from stage.firmware.path import path_deviation, path_points, perfect_deviation, replay_pulses
 
 
 def slow_deviation(pulses, distances):
@@ -113,7 +113,7 @@ def test_a_journal_gives_back_every_pulse_of_its_chip():
         twin.write(0, 0x08)
     journal.close()
     expected = np.concatenate(expected)
-    got = pulses_of(journal)
+    got = replay_pulses(journal)
     assert len(got) > 100
     assert (got["clock"] + 777 == expected["clock"]).all()
     assert (got["direction"] == expected["direction"]).all()

@@ -15,9 +15,9 @@ from stage.chips import PCL240K
 from stage.firmware import Bench, plan, synchronized_move
 from stage.firmware.pcl240 import fit, leader
 from stage.firmware.pcl240.closed_form import count, fill_motion, first_pulse, ramp_ticks
-from stage.firmware.pcl240.emulated import trace_row
 from stage.firmware.pcl240.leader import effective_steps
 from stage.firmware.pcl240.profile import ramp_seconds
+from stage.firmware.pcl240.row_emulation import trace_row
 
 
 def log_uniform(low, high):

@@ -14,7 +14,7 @@ from stage import ArgumentError, Stage
 from stage.chips import PCL240K, PCL240MK, PCL240MS
 from stage.firmware import Bench, plan, synchronized_move
 from stage.firmware.pcl240.closed_form import bend, count, fill_motion
-from stage.firmware.pcl240.emulated import trace_row
+from stage.firmware.pcl240.row_emulation import trace_row
 
 FAMILY = (PCL240K, PCL240MK, PCL240MS)
 SHAPES = {

@@ -8,7 +8,7 @@ import pytest
 from stage import Stage
 from stage.board import Board, HostTimeout, NativeHost
 from stage.chips import MCX304
-from stage.firmware.path import pulses_of
+from stage.firmware.path import replay_pulses
 
 PULSES, SV = 40_000, 4000  # pps
 SHORT = 5e-3  # m from the target to EL+
@@ -49,7 +49,7 @@ def test_a_bare_26h_makes_pulses_for_ever_and_the_run_is_bounded(firmware):
     asked, text = host.log[-1]
     assert re.fullmatch(r"stop at 399[23]\d: 26h", text)
     assert x.chip.busy(x.chip_axis)
-    pulses = pulses_of(journal)
+    pulses = replay_pulses(journal)
     assert len(pulses) == pytest.approx(PULSES - 80 + SV * (TIMEOUT - asked), rel=0.03), "pulses go on at about SV"
     assert x.lost_steps > 0
     assert x.position > end + SHORT, "the carriage stands at its hard stop"

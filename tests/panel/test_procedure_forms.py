@@ -53,7 +53,7 @@ def begin(stage, monkeypatch):
     real = forms.driver_of
 
     def driver_of(axis):
-        return SimpleNamespace(axis=axis.name, circle=noting("circle"), homings=real(axis).homings)
+        return SimpleNamespace(axis=axis.name, circle=noting("circle"), homings=real(axis).list_homing_methods)
 
     def begin(name, axis="x", **texts):
         calls.clear()

@@ -12,21 +12,22 @@ from stage import Stage, firmware
 from stage.chips import HCTL1100, MCX302, MCX304, MCX312, MCX314AS, MCX501, MCX512, MCX514, PCL240K, PCL240MK, PCL240MS
 from stage.errors import StageError
 from stage.firmware import Bench, Profile
-from stage.firmware.choices import limits
-from stage.firmware.driver import AtOnce, Speeds, driver_of, usual_speeds
+from stage.firmware.driver import ImmediateOperations, Speeds, driver_of, get_default_speeds
 from stage.firmware.lines import LineMoves, LineSettings, line_of
 from stage.firmware.nova import draw
 from stage.firmware.nova.port import Port as NovaPort
+from stage.firmware.parameter_ranges import get_register_range
 from stage.firmware.path import path_points, perfect_deviation
 from stage.firmware.pcl240 import closed_form as closed
-from stage.firmware.pcl240 import emulated, fit
-from stage.firmware.tandem import square_by, tandems
+from stage.firmware.pcl240 import fit, row_emulation
+from stage.firmware.tandem import group_tandem_axes, square_gantry_at_speeds
 from stage.sim import plant
 from stage.sim.program import Program
 
 CHIPS = (PCL240K, PCL240MK, PCL240MS, MCX514, MCX512, MCX304, MCX312, MCX314AS, HCTL1100)
 SENSORS = {
-    PCL240K: {}, PCL240MK: {"ez": "positive"}, PCL240MS: {"org": "positive", "ez": "positive"}, HCTL1100: {"ez": "positive"},
+    PCL240K: {}, PCL240MK: {"ez": "positive"}, PCL240MS: {"org": "positive", "ez": "positive"},
+    HCTL1100: {"ez": "positive"},
 }  # fmt: skip
 ALL = dict.fromkeys(("org", "ez", "el_plus", "el_minus"), "positive")
 SLOW = Speeds(800.0, 5000.0, 0.03, 0.05)
@@ -39,7 +40,7 @@ def is_refused(result):
 
 def list_choices(choices):
     """Return the names, the lowest of all, and these by name."""
-    return [list(choices), choices.low, choices.named(choices.low)]
+    return [list(choices), choices.low, choices.to_dict(choices.low)]
 
 
 def build_left_handed_model(model="xy", axis="y"):
@@ -87,7 +88,8 @@ def read_answers(cls):
     h, x = driver_of(y), driver_of(stage.axes["x"])
     polls = []
     results = {
-        "usual": usual_speeds(y.chip)[:5], "names": [h.DONE, h.FINISH, h.POSITIVE, h.homings(), h.HOME_REASONS], "index": h.index,
+        "usual": get_default_speeds(y.chip)[:5], "names": [h.DONE, h.DISTANCE_REGISTER, h.INVERTIBLE_SENSORS,
+        h.list_homing_methods(), h.HOME_REASONS], "index": h.index,
         "at rest": [h.is_running(), h.stopped_by(), attempt(h.status_words)],
         "no start": attempt(h.start, 0, SLOW), "half": attempt(h.start, 10.5, SLOW),
         "s": attempt(h.start, 30, SLOW._replace(s_curve=True)),
@@ -174,8 +176,11 @@ def write_programs(cls):
         result = attempt(write, p, *args)
         return [result if is_refused(result) else None, p.ops, len(p)]
 
-    results = {"limits": [attempt(limits, h.chip.MAP, r.name) for r in h.chip.MAP.registers]}
-    results |= {"stop": program(h.write_stop), "tuned": [attempt(h.tuned_by, s) for s in (None, False, True)]}
+    results = {"limits": [attempt(get_register_range, h.chip.MAP, r.name) for r in h.chip.MAP.registers]}
+    results |= {
+        "stop": program(h.write_stop),
+        "tuned": [attempt(h.list_move_registers, s) for s in (None, False, True)],
+    }
     for curve in (None, False, True):
         for fl, fh, up, down in ((500.0, 4000.0, 0.02, 0.05), (3000.0, 90_000.0, 0.5, 0.1), (700.0, 700.0, 0.1, 0.1)):
             result = attempt(h.formula, fl, fh, up, down, -2000, curve)
@@ -183,8 +188,8 @@ def write_programs(cls):
             if not is_refused(result):
                 results[f"move {curve} {fl:g} {fh:g}"] = [program(h.write_move, result, n) for n in (300, -1)]
     for steps in (False, True):
-        results[f"filter {steps}"] = attempt(lambda steps=steps: list_choices(h.filter_choices(steps)))
-    results["by frequency"] = attempt(h.filter_formula)
+        results[f"filter {steps}"] = attempt(lambda steps=steps: list_choices(h.get_filter_ranges(steps)))
+    results["by frequency"] = attempt(h.compute_filter)
     filters = {"R22": 9, "R20": 0xE5, "R21": 0x40, "R0F": 0x40}
     rates = (None, (9000.0, 200_000.0), (1.0, 1.0), (1e9, 1e9))
     results["servo"] = [program(h.write_servo_move, filters, n, r) for n in (500, -70) for r in rates]
@@ -196,8 +201,9 @@ def write_programs(cls):
             results[f"search {ez}"] = error
             continue
         rows = [
-            search.row(500.0, 6000.0, 0.1, 300.0, 400, 50), search.row(1.0, 1e9, 9.0, 1e9, 10**6, 0), search.choices.low,
-            search.row(700.0, 700.0, 0.2, 10.0, 0, 7),
+            search.find_nearest_row(500.0, 6000.0, 0.1, 300.0, 400, 50), search.find_nearest_row(1.0, 1e9, 9.0, 1e9,
+            10**6, 0), search.choices.low,
+            search.find_nearest_row(700.0, 700.0, 0.2, 10.0, 0, 7),
             [high for _, high in search.choices.ranges.values()],
         ]  # fmt: skip
         results[f"search {ez}"] = [search.choices.ranges, search.choices.cubed, rows, [
@@ -207,7 +213,8 @@ def write_programs(cls):
 
 
 MOVES = {
-    "two": [[4000, -1500], [120, 7], [9, 9]], "one": [[700, 700], [-1, 30_000], [5, -3]], "three": [[300, 100, -40], [8, 800, 3]],
+    "two": [[4000, -1500], [120, 7], [9, 9]], "one": [[700, 700], [-1, 30_000], [5, -3]], "three": [[300, 100, -40],
+    [8, 800, 3]],
 }  # fmt: skip
 
 
@@ -229,15 +236,17 @@ def plan_lines(cls, curve):
         steep = requested._replace(ramp=np.array([0.01, 0.2, 1e-3])[: len(moves)])
         rows = result.data_sheet(requested)
         off = np.linspace(-1, 1, rows.size).reshape(rows.shape)
-        changed = result.corrected(requested, off)
+        changed = result.apply_corrections(requested, off)
         ops = result.programs(changed, requested)
         times = result.pulses(ops[-1], distances[-1])
         results[name] = {
             "is": [type(result).__name__, result.names, result.shape, result.fastest, result.low, result.high],
-            "reach": [result.reach(requested), result.reach(steep)], "rows": rows, "steep": result.data_sheet(steep), "same": bool(
-            (result.corrected(requested, 0 * off) == rows).all()), "changed": changed, "errors": result.errors(requested),
+            "reach": [result.compute_peaks(requested), result.compute_peaks(steep)], "rows": rows,
+            "steep": result.data_sheet(steep), "same": bool(
+            (result.apply_corrections(requested, 0 * off) == rows).all()), "changed": changed,
+            "errors": result.compute_share_errors(requested),
             "ops": [ops.shape, compute_digest(ops)],
-            "starts": [result.starts(d) for d in distances], "last": result.last_pulse(changed),
+            "starts": [result.find_start_operations(d) for d in distances], "last": result.last_pulse(changed),
             "pulses": [[len(t), int(t.sum()), t[:1], t[-1:]] for t in times],
         }  # fmt: skip
     return results
@@ -247,7 +256,7 @@ def run_at_once():
     """Do operations at once instead of writing them."""
     stage = Stage("xy", PCL240K, visuals=False)
     x, y = stage.axes.values()
-    now = AtOnce(x, y)
+    now = ImmediateOperations(x, y)
     now.write(1, 0, 0x87).write(1, 1, 5).wait(0.01).register(0, x.chip, "R2", 700)
     results = {"done": [len(now), stage.time, [c.dump().splitlines()[9:12] for c in stage.chips]]}
     y.chip.write(0, 0x81), y.chip.write(1, 50), y.chip.write(0, 0x08), y.chip.write(0, 0x10)
@@ -263,11 +272,17 @@ def run_at_once():
 def square_beams():
     stage = Stage("gantry", PCL240K, visuals=False)
     y, w, x = (stage.axes[n] for n in "ywx")
-    results = {"groups": [[[a.name for a in g] for g in tandems(some)] for some in ((w,), (x, w, y), (y, x), ())]}
+    results = {
+        "groups": [[[a.name for a in g] for g in group_tandem_axes(some)] for some in ((w,), (x, w, y), (y, x), ())]
+    }
     stage.place(y=-0.0689, w=-0.0688)
-    results["by"] = [read_report(r) for r in square_by([y, w], -1, Speeds(900.0, 9000.0, 0.05, 0.3), timeout=5.0)]
+    results["by"] = [
+        read_report(r) for r in square_gantry_at_speeds([y, w], -1, Speeds(900.0, 9000.0, 0.05, 0.3), timeout=5.0)
+    ]
     results["at"] = [y.position, w.position, stage.time]
-    results["late"] = attempt(lambda: list(map(str, square_by([y, w], -1, Speeds(900.0, 9000.0, 0.05), timeout=1e-3))))
+    results["late"] = attempt(
+        lambda: list(map(str, square_gantry_at_speeds([y, w], -1, Speeds(900.0, 9000.0, 0.05), timeout=1e-3)))
+    )
     return results
 
 
@@ -279,11 +294,11 @@ def use_benches():
     result = Bench({"a": PCL240K(4_000_000), "b": PCL240MS()}, bus_cycle=3e-6)
     a, b = result.axes.values()
     order = []
-    results = {"made": [result.time, result.bus_cycle, repr(a), a.place, list(result.axes)]}
-    result.rail("a", at=40, org=(30, 60), el_plus=(90, None), el_minus=(None, -20))
-    results["on"] = [a.pins.as_dict(), a.place]
+    results = {"made": [result.time, result.bus_cycle, repr(a), a.rail_position, list(result.axes)]}
+    result.add_rail("a", at=40, org=(30, 60), el_plus=(90, None), el_minus=(None, -20))
+    results["on"] = [a.pins.as_dict(), a.rail_position]
     for when, name in ((0.02, "second"), (0.01, "first"), (0.02, "third"), (0.0, "at once")):
-        result.at(when, lambda name=name: order.append([name, result.time, a.place]))
+        result.at(when, lambda name=name: order.append([name, result.time, a.rail_position]))
     result.at(0.03, lambda: result.wait(0.05))
     journal = a.chip.journal()
     for byte in (0x08, 0x81):
@@ -298,15 +313,23 @@ def use_benches():
     )
     for seconds in (0.015, 0.02, 0.3, 1.0):
         result.wait(seconds)
-        results[f"after {seconds}"] = [result.time, a.place, a.chip.clock, b.chip.clock, repr(a.pins), a.chip.net()]
+        results[f"after {seconds}"] = [
+            result.time,
+            a.rail_position,
+            a.chip.clock,
+            b.chip.clock,
+            repr(a.pins),
+            a.chip.net(),
+        ]
     journal.close()
     edges = journal.course().edges
     results["edges"] = [[int(e["clock"]), int(e["inputs"]), int(e["net"])] for e in edges]
     results["order"] = order
-    result.rail("a", at=-5, org=(None, None))
-    results["anew"] = [a.place, repr(a.pins)]
+    result.add_rail("a", at=-5, org=(None, None))
+    results["anew"] = [a.rail_position, repr(a.pins)]
     for name, call in {
-        "axis": lambda: result.rail("c"), "pin": lambda: result.rail("a", orgg=(0, 1)), "none": Bench, "seven": lambda: Bench(
+        "axis": lambda: result.add_rail("c"), "pin": lambda: result.add_rail("a", orgg=(0, 1)), "none": Bench,
+        "seven": lambda: Bench(
         *[PCL240K() for _ in range(7)]), "cycle": lambda: Bench(PCL240K(), bus_cycle=2), "no chip": lambda: Bench(x=5),
         "twice": lambda: Bench(a.chip), "same": lambda: Bench(*[PCL240K()] * 2), "wait": lambda: result.wait(-1),
     }.items():  # fmt: skip
@@ -353,10 +376,10 @@ def compute_closed_forms():
         closed.fill_motion(r, c)
         times = [float(c[3]) * part for part in (0.01, 0.1, 0.37, 0.5, 0.8, 0.99, 1.0)]
         chip = PCL240MS if len(r) > 8 else PCL240MK
-        ticks = emulated.trace_row(r, chip, bool(k % 2 and fh > fl and r[6] > 1))
+        ticks = row_emulation.trace_row(r, chip, bool(k % 2 and fh > fl and r[6] > 1))
         results[k] = [
-            c, [closed.count(r, c, t) for t in times], closed.first_pulse(r, c), closed.ramp_ticks(r, r[4]), closed.stretch(r),
-            r[8:], len(ticks), int(ticks.sum()), int(ticks[0]), emulated.compute_offset(r, chip),
+            c, [closed.count(r, c, t) for t in times], closed.first_pulse(r, c), closed.ramp_ticks(r, r[4]),
+            closed.stretch(r), r[8:], len(ticks), int(ticks.sum()), int(ticks[0]), row_emulation.compute_offset(r, chip),
         ]  # fmt: skip
         if leader is not None and leader[0] >= size:
             results[f"{k} follows"] = fit.estimate(leader, 4_915_200, r, 4_000_000, 3e-6 * (k % 4), work)
@@ -398,7 +421,8 @@ def use_nova_ports():
         results[cls.__name__] = [
             saved, port.chip.values_of(0)["WR1"], attempt(port.mode, WR4=1), attempt(port.load, XX=1),
             attempt(port.load, LP=1 << 40),
-            attempt(port.start, 0), attempt(port.start, -60), port.driving(), port.position(), [port.word(k) for k in (1, 2, 3)],
+            attempt(port.start, 0), attempt(port.start, -60), port.driving(), port.position(),
+            [port.word(k) for k in (1, 2, 3)],
             attempt(port.wait_until_stopped, 1e-3), attempt(port.command, "NONE"), port.errors(),
         ]  # fmt: skip
         calls = []
@@ -433,7 +457,7 @@ def read_reports():
     results = {
         "json": one.json(), "writes": one.writes(), "listing": one.listing(), "repr": repr(one), "began": one.began,
         "line json": {k: v for k, v in two.json().items() if k != "reports"}, "line": [two.distances, two.seconds, two.ok,
-        repr(two), [two.written(n) for n in two.axes], two.ratio_error],
+        repr(two), [two.describe_rate(n) for n in two.axes], two.ratio_error],
     }  # fmt: skip
     nova = Stage("xyz", MCX304, visuals=False)
     three = firmware.line({"z": 200, "y": -130}, nova, pulses=True, accel=0.03)
@@ -441,7 +465,7 @@ def read_reports():
         three.distances,
         three.seconds,
         repr(three),
-        [three.written(n) for n in three.axes],
+        [three.describe_rate(n) for n in three.axes],
         three.ratio_error,
     ]
     names = {

@@ -23,7 +23,7 @@ def move_synchronized():
 
     def bench(at=0, cls=PCL240K, clock=None):
         b = Bench(x=cls(clock), y=PCL240MS(), bus_cycle=3e-6)
-        b.rail("x", at=at, el_plus=(900, None))
+        b.add_rail("x", at=at, el_plus=(900, None))
         return b
 
     result = firmware.plan({"x": 900, "y": -333}, rate=6000, accel=0.02, chips={"x": PCL240K, "y": PCL240MS})

@@ -16,7 +16,7 @@ from stage.firmware.hctl1100 import moves as servo
 from stage.firmware.hctl1100 import profile as follow
 from stage.firmware.nova import draw, erratum
 from stage.firmware.nova.home import home_search
-from stage.firmware.path import path_deviation, pulses_of
+from stage.firmware.path import path_deviation, replay_pulses
 
 PCL = (PCL240K, PCL240MK, PCL240MS)
 CHIPS = (*PCL, MCX514, MCX304, MCX302, MCX312, HCTL1100)
@@ -28,7 +28,7 @@ def bench(cls, **places):
     created = Bench(cls())
     names = {pin: cls.WIRING.get(pin, pin) for pin in ("org", "el_plus", "el_minus")}
     spans = {"org": (None, 0), "el_plus": (5000, None), "el_minus": (None, -700)}
-    created.rail("x", at=places.get("at", 900), **{names[k]: v for k, v in spans.items() if names[k] in cls.INPUTS})
+    created.add_rail("x", at=places.get("at", 900), **{names[k]: v for k, v in spans.items() if names[k] in cls.INPUTS})
     return created.axes["x"]
 
 
@@ -323,7 +323,7 @@ def measure_deviations():
         attempt(firmware.synchronized_move, {"x": a, "y": c}, b.axes, rate=4000, accel=0.02)
         for j in journals:
             j.close()
-        results[f"{a} {c}"] = str(path_deviation([pulses_of(j) for j in journals], [a, c]))
+        results[f"{a} {c}"] = str(path_deviation([replay_pulses(j) for j in journals], [a, c]))
     return results
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, NoReturn
 
 from stage.errors import ArgumentError
-from stage.firmware.driver import AtOnce, Driver, Speeds, wait_until_stopped
+from stage.firmware.driver import Driver, ImmediateOperations, Speeds, wait_until_stopped
 from stage.firmware.report import Procedure, Report
 from stage.sim.program import Operations
 
@@ -15,7 +15,7 @@ class ToyDriver(Driver):
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
         self.chip.MAP.checked(self._named("COUNT"), abs(pulses))
         with Procedure(self.axis, "move") as p:
-            self.write_move(AtOnce(self.axis), {"RATE": round(speeds.start)}, pulses)
+            self.write_move(ImmediateOperations(self.axis), {"RATE": round(speeds.start)}, pulses)
             wait_until_stopped([self.axis], timeout or 2 * abs(pulses) / speeds.start + 1)
             self.axis.wait(0.05)
             return p.report(self.stopped_by() or "all pulses", pulses)
@@ -24,7 +24,7 @@ class ToyDriver(Driver):
         raise ArgumentError("a TOY has no origin return: move it, and look at ORG.")
 
     def run(self, direction: int, speeds: Speeds) -> None:
-        self.write_move(AtOnce(self.axis), {"RATE": round(speeds.start)}, direction * 0xFFFF)
+        self.write_move(ImmediateOperations(self.axis), {"RATE": round(speeds.start)}, direction * 0xFFFF)
 
     def halt(self, at_once: bool = False) -> None:
         self.chip.write(0, self._code("STOP"))
@@ -41,9 +41,9 @@ class ToyDriver(Driver):
             return ""
         return "EL+" if self.axis.pins.el_plus else "EL-"
 
-    def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:
+    def list_move_registers(self, s_curve: bool | None) -> tuple[str, ...]:
         if s_curve:
-            raise self.no_s_curves()
+            raise self.build_s_curve_error()
         return ("RATE",)
 
     def formula(

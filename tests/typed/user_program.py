@@ -46,7 +46,7 @@ def moves(stage: Stage) -> float:
     skew: float = both.skew
     homed = firmware.home(x)
     beside: tuple[str, ...] = x.tandem
-    squared = [] if not beside else firmware.square(x, *(stage.axes[name] for name in beside))
+    squared = [] if not beside else firmware.square_gantry(x, *(stage.axes[name] for name in beside))
     x.switches.stick("org", True)
     x.switches.stick("org", None)
     level: bool = x.pins.org

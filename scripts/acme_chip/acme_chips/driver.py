@@ -6,8 +6,8 @@ import numpy as np
 
 from acme_chips.maps import MAP
 from stage.errors import ArgumentError
-from stage.firmware.choices import Choices, limits
-from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, wait_until_stopped
+from stage.firmware.driver import SETTLING_TIME_S, Driver, ImmediateOperations, Speeds, wait_until_stopped
+from stage.firmware.parameter_ranges import ParameterRanges, get_register_range
 from stage.firmware.report import Procedure
 from stage.firmware.search import Search, SearchResult
 from stage.sim.program import Program
@@ -20,11 +20,11 @@ class AcmeDriver(Driver):
     """Speaks to one chip."""
 
     DONE: ClassVar = "COUNT = 0"
-    FINISH: ClassVar = "COUNT"
+    DISTANCE_REGISTER: ClassVar = "COUNT"
 
     def start(self, pulses, speeds):
         if speeds.s_curve:
-            raise self.no_s_curves()
+            raise self.build_s_curve_error()
         if not pulses:
             raise ArgumentError("pulses=0: a move has at least one; its sign is the direction.")
         MAP.checked("COUNT", abs(pulses))
@@ -36,7 +36,7 @@ class AcmeDriver(Driver):
             self.start(pulses, speeds)
             longest = 1.5 * abs(pulses) / speeds.start + speeds.up + speeds.down + 1
             ended = self.wait(longest if timeout is None else timeout)
-            self.axis.wait(SETTLE)
+            self.axis.wait(SETTLING_TIME_S)
             return p.report(ended, pulses)
 
     def home(self, direction, speeds, index=False, timeout=60.0):
@@ -53,7 +53,7 @@ class AcmeDriver(Driver):
                 self.chip.write(MAP.register("COUNT").number, BACK)
                 ended = self._go("MOVE-" if direction > 0 else "MOVE+", timeout)
             ended = ended or self._go("CREEP+" if direction > 0 else "CREEP-", timeout)
-            self.axis.wait(SETTLE)
+            self.axis.wait(SETTLING_TIME_S)
             return p.report("ORG" if self.chip.read(0) & ORG else ended or "EL")
 
     def run(self, direction, speeds):
@@ -71,14 +71,14 @@ class AcmeDriver(Driver):
             return "EL+" if way == "plus" else "EL-"
         return ""
 
-    def tuned_by(self, s_curve):
+    def list_move_registers(self, s_curve):
         if s_curve:
-            raise self.no_s_curves()
+            raise self.build_s_curve_error()
         return "START", "DRIVE", "SLOPE"
 
     def formula(self, fl, fh, up, down, pulses, s_curve=None):
         values = {"START": fl, "DRIVE": fh, "SLOPE": (fh - fl) / (1e3 * up)}
-        return {name: int(np.clip(round(value), *limits(MAP, name))) for name, value in values.items()}
+        return {name: int(np.clip(round(value), *get_register_range(MAP, name))) for name, value in values.items()}
 
     def write_move(self, program, values, pulses):
         for name, value in {**values, "COUNT": abs(pulses)}.items():
@@ -93,12 +93,12 @@ class AcmeDriver(Driver):
 
     def _prepare(self, speeds: Speeds, pulses):
         if self.chip.busy():
-            raise self.moving()
+            raise self.build_moving_error()
         for name, rate in (("START", speeds.start), ("DRIVE", speeds.drive)):
             MAP.checked(name, round(rate))
         if speeds.start > speeds.drive:
             raise ArgumentError(f"start speed {speeds.start:g} pps is above the drive speed {speeds.drive:g}.")
-        now = AtOnce(self.axis)
+        now = ImmediateOperations(self.axis)
         values = self.formula(speeds.start, speeds.drive, speeds.up, speeds.down, pulses)
         for name, value in {**values, "COUNT": pulses}.items():
             now.register(self.index, self.chip, name, value)
@@ -110,7 +110,7 @@ class AcmeDriver(Driver):
         self._send(symbol)
         wait_until_stopped([self.axis], timeout)
         ended = self.stopped_by()
-        self.axis.wait(SETTLE)
+        self.axis.wait(SETTLING_TIME_S)
         return ended
 
 
@@ -121,14 +121,16 @@ class Return(Search):
         if settings.ez:
             raise ArgumentError(f"ez={settings.ez!r}: an ACME1000 does not see an encoder's index pulse.")
         self.driver, self.settings, self.marks = driver, settings, {}
-        rates = {name: limits(MAP, name) for name in ("START", "DRIVE", "SLOPE")}
+        rates = {name: get_register_range(MAP, name) for name in ("START", "DRIVE", "SLOPE")}
         ways = {"leave": (1, settings.leave), "back_off": (1, settings.back_off)}
-        self.choices = Choices({**rates, "approach": limits(MAP, "START"), **ways}, cubed=("leave",))
+        self.choices = ParameterRanges(
+            {**rates, "approach": get_register_range(MAP, "START"), **ways}, cubed=("leave",)
+        )
         self.program(self.choices.low)
 
-    def row(self, fl, fh, ramp, approach, leave, back_off):
+    def find_nearest_row(self, fl, fh, ramp, approach, leave, back_off):
         rates = self.driver.formula(fl, fh, ramp, ramp, leave)
-        return self._row({**rates, "approach": approach, "leave": leave, "back_off": back_off})
+        return self._round_to_ranges({**rates, "approach": approach, "leave": leave, "back_off": back_off})
 
     def program(self, row):
         start, drive, slope, approach, leave, back = np.asarray(row).tolist()
@@ -144,9 +146,9 @@ class Return(Search):
     def _run(self, p, name, symbol, pulses):
         a = self.driver.index
         p.register(a, self.driver.chip, "COUNT", pulses).command(a, MAP.command(symbol).code)
-        self._mark(f"{name} time", p).until_stopped([a], self.settings.limit)
+        self._note_result_index(f"{name} time", p).until_stopped([a], self.settings.limit)
         p.command(a, MAP.command("STOP").code).wait(self.settings.settle)
-        self._mark(name, p).read(a, 0)
+        self._note_result_index(name, p).read(a, 0)
 
     def read_results(self, results, rows):
         said = {name: results[:, at] for name, at in self.marks.items()}

@@ -214,7 +214,7 @@ def lost_write(stage: Any, make_fault: MakeFault) -> Figures:
     """Lose a write of the distance."""
     x = first_axis(stage)
     turns = min(5, 0.9 * (x.travel[1] - x.position) * abs(x.gear) / (2 * math.pi))
-    distance, register = pulses(x, turns), driver_of(x).FINISH
+    distance, register = pulses(x, turns), driver_of(x).DISTANCE_REGISTER
     written, nothing = (x.chip.register_cycles(register, value, x.chip_axis) for value in (distance, 0))
     address, value = next(cycle for cycle, other in zip(written, nothing, strict=True) if cycle != other)
     with make_fault(faults.lost_write, x, address, value):

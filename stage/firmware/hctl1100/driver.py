@@ -14,9 +14,8 @@ import numpy as np
 from stage.chips.hctl1100.maps import CLEAR, FLAG, MINIMUM_T, MODE, NUMBERS
 from stage.errors import ArgumentError, ExceededLimit, RunTimeout
 from stage.firmware import pattern
-from stage.firmware.axis import forward, positive
-from stage.firmware.choices import Choices
-from stage.firmware.driver import SETTLE, Driver, Speeds, select_moving
+from stage.firmware.axis import get_forward_direction, has_positive_logic
+from stage.firmware.driver import SETTLING_TIME_S, Driver, Speeds, select_moving
 from stage.firmware.hctl1100.home import home, leave_limit, stand
 from stage.firmware.hctl1100.model import POLE, Loop, design
 from stage.firmware.hctl1100.moves import (
@@ -34,11 +33,12 @@ from stage.firmware.hctl1100.moves import (
 from stage.firmware.hctl1100.port import CONTROL, FLAGS, IDLE, LIMIT, SET, STOP, Port
 from stage.firmware.hctl1100.profile import follow, synchronize
 from stage.firmware.lines import compute_peak_rate
+from stage.firmware.parameter_ranges import ParameterRanges
 from stage.firmware.pattern import BLUE, GREEN, GREY, RED
 from stage.firmware.report import Procedure, Report
 from stage.firmware.search import Search
 from stage.firmware.stop_reasons import ANOTHER_AXIS
-from stage.firmware.together import SynchronizedReport, Together
+from stage.firmware.synchronized_report import LineObserver, SynchronizedReport
 from stage.sim.program import Operations
 
 PATIENCE = 5.0  # s, to come to rest
@@ -65,8 +65,8 @@ class Hctl1100Driver(Driver):
     PATTERN: ClassVar = Pattern
     DONE: ClassVar = "end of profile"
     has_position_loop: ClassVar = True
-    FINISH: ClassVar = "final_position"
-    POSITIVE: ClassVar = ("ez",)  # which only a homing to it looks at
+    DISTANCE_REGISTER: ClassVar = "final_position"
+    INVERTIBLE_SENSORS: ClassVar = ("ez",)  # which only a homing to it looks at
     tuning = Tuning()
 
     def __init__(self, axis: Any):
@@ -86,7 +86,7 @@ class Hctl1100Driver(Driver):
         """
         mode = self.port.control_mode()
         if self._is_moving(mode):
-            raise self.moving()
+            raise self.build_moving_error()
         if mode:
             self.port.load(timer=self.tuning.timer)
             return self.port
@@ -129,12 +129,12 @@ class Hctl1100Driver(Driver):
         """Read which end limits are on, as directions of counts, by inputs of the host's own: the chip has one pin for both."""
         switches = getattr(self.axis, "switches", None)
         on = switches.as_dict() if switches is not None else {}
-        return {end * forward(self.axis) for end, name in LIMITS.items() if on.get(name)}
+        return {end * get_forward_direction(self.axis) for end, name in LIMITS.items() if on.get(name)}
 
     def _limit(self, direction: int) -> str:
         """Name the end limit that has triggered LIMIT; where both are on, or neither, that in the direction of the drive."""
         on = self._limits()
-        end = (on.pop() if len(on) == 1 else direction) * forward(self.axis)
+        end = (on.pop() if len(on) == 1 else direction) * get_forward_direction(self.axis)
         return {1: "EL+", -1: "EL-", 0: "LIMIT"}[end]
 
     def _heading(self) -> int:
@@ -186,8 +186,8 @@ class Hctl1100Driver(Driver):
             return p.report(self.stopped_by() if done.limited else self.DONE, int(pulses))
 
     def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
-        if index and positive(self.axis, "ez"):
-            raise self.no_positive("ez")
+        if index and has_positive_logic(self.axis, "ez"):
+            raise self.build_inverted_sensor_error("ez")
         port = self._prepare_for(speeds)
         with Procedure(self.axis, "origin return") as p:
             first = direction if port.status() & STOP else -direction  # out of the home switch
@@ -204,7 +204,7 @@ class Hctl1100Driver(Driver):
                 if not self.port.limited():
                     raise
                 return p.report(self.stopped_by())
-            self.axis.wait(SETTLE)
+            self.axis.wait(SETTLING_TIME_S)
             return p.report("EZ" if index else "ORG")
 
     def run(self, direction: int, speeds: Speeds) -> None:
@@ -264,12 +264,12 @@ class Hctl1100Driver(Driver):
     def read_register(self, name: str) -> int:
         r = self.chip.MAP.register(name)
         if "R" not in r.access:
-            raise self.no_reading(r.name)
+            raise self.build_unreadable_register_error(r.name)
         return r.value(self.chip.read(r.number))
 
     def _linear(self, speeds: Speeds) -> None:
         if speeds.s_curve:
-            raise self.no_s_curves()
+            raise self.build_s_curve_error()
 
     @classmethod
     def line(
@@ -301,19 +301,19 @@ class Hctl1100Driver(Driver):
         for (n, driver), port in zip(moving_drivers.items(), ports, strict=True):
             driver._check_goal(port.commanded() + pulses[n])
         _rows([pulses[n] for n in moving_drivers], speeds, ports[0].sample)  # refuses before anything moves
-        with Together(
+        with LineObserver(
             {n: Procedure(d.axis, "line") for n, d in moving_drivers.items()}, {n: pulses[n] for n in moving_drivers}
         ) as line:
-            line.began()
+            line.note_start()
             met = {n: d._blocked_by(int(np.sign(pulses[n]))) for n, d in moving_drivers.items()}
             if any(met.values()):
                 return line.report({n: limit or ANOTHER_AXIS for n, limit in met.items()})
-            with line.in_time():
+            with line.attach_reports_to_timeout():
                 goals = [d._counts_left(pulses[n]) + d.port.commanded() for n, d in moving_drivers.items()]
             synchronize(ports)  # each holds where it is, which may be beside its command
             left = [goal - port.commanded() for port, goal in zip(ports, goals, strict=True)]
             rows = _rows(left, speeds, ports[0].sample)
-            line.began()
+            line.note_start()
             begin = ports[0].axis.time
 
             def check_progress() -> None:
@@ -321,9 +321,9 @@ class Hctl1100Driver(Driver):
                 if timeout is not None and not ports[0].axis.time - begin <= timeout:
                     raise RunTimeout(f"the line was not drawn after {timeout:g} s; the axes are held where they are.")
 
-            with line.in_time():
+            with line.attach_reports_to_timeout():
                 drawn = _draw(ports, rows, max(round(speeds.down / ports[0].sample), 1), check_progress)
-            ports[0].axis.wait(SETTLE)
+            ports[0].axis.wait(SETTLING_TIME_S)
             line.measure_carriages()
             reasons = {}
             for (n, driver), port, goal in zip(moving_drivers.items(), ports, goals, strict=True):
@@ -342,7 +342,7 @@ class Hctl1100Driver(Driver):
             "Take ServoTuning, RegisterBus or another chip."
         )
 
-    def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:
+    def list_move_registers(self, s_curve: bool | None) -> tuple[str, ...]:
         self._no("RegisterTuning tunes ramps of pulse rates")
 
     def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
@@ -356,11 +356,11 @@ class Hctl1100Driver(Driver):
     def write_stop(self, program: Operations) -> None:
         program.write(self.index, MODE, IDLE)
 
-    def filter_choices(self, trapezoid: bool) -> Choices:
+    def get_filter_ranges(self, trapezoid: bool) -> ParameterRanges:
         least = MINIMUM_T["trapezoid" if trapezoid else "position"]
-        return Choices({"R22": (1, 0xFF), "R20": (0, 0xFF), "R21": (0, 0xFF), "R0F": (least, 0xFF)})
+        return ParameterRanges({"R22": (1, 0xFF), "R20": (0, 0xFF), "R21": (0, 0xFF), "R0F": (least, 0xFF)})
 
-    def filter_formula(self) -> dict[str, int]:
+    def compute_filter(self) -> dict[str, int]:
         """Compute the filter by frequency response, see `model.design`; pole and T as after a reset."""
         t = design(Loop.of(self.axis, Tuning(pole=POLE)))
         return {"R22": t.gain, "R20": t.zero, "R21": t.pole, "R0F": t.timer}

@@ -11,18 +11,25 @@ import numpy as np
 from stage.chips.journal import Journal
 from stage.errors import ArgumentError, ExceededLimit, add_article
 from stage.firmware import pattern
-from stage.firmware.axis import positive
-from stage.firmware.choices import limits
-from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, select_moving, wait_until_stopped
+from stage.firmware.axis import has_positive_logic
+from stage.firmware.driver import (
+    SETTLING_TIME_S,
+    Driver,
+    ImmediateOperations,
+    Speeds,
+    select_moving,
+    wait_until_stopped,
+)
 from stage.firmware.lines import Line, LineMoves, LineSettings, line_of
 from stage.firmware.nova.line import InRatio, Interpolated, NovaLine
 from stage.firmware.nova.port import Port
 from stage.firmware.nova.search import HomeSearch
+from stage.firmware.parameter_ranges import get_register_range
 from stage.firmware.pattern import AMBER, BLUE, GREEN, GREY, RED, VIOLET
 from stage.firmware.report import Procedure, Report
 from stage.firmware.search import Search
 from stage.firmware.stop_reasons import ANOTHER_AXIS, UNKNOWN, UNWANTED_REASONS
-from stage.firmware.together import StopTogether, SynchronizedReport, Together
+from stage.firmware.synchronized_report import EarlyStopHandler, LineObserver, SynchronizedReport
 from stage.sim.program import Operations, Program
 
 Ops = TypeVar("Ops", bound=Operations)
@@ -55,7 +62,7 @@ class NovaDriver(Driver):
     """Common part of the family's drivers. The order of SPEEDS is initial speed, drive speed, acceleration."""
 
     PATTERN: ClassVar = Pattern
-    POSITIVE: ClassVar = ("org", "ez", "el_plus", "el_minus")
+    INVERTIBLE_SENSORS: ClassVar = ("org", "ez", "el_plus", "el_minus")
     SPEEDS: ClassVar[tuple[str, str, str]]
     JERK: ClassVar[str]
     UNIT: ClassVar[int] = 1
@@ -79,10 +86,10 @@ class NovaDriver(Driver):
     def start(self, pulses: int, speeds: Speeds) -> None:
         if not pulses:
             raise ArgumentError("pulses=0: a drive has at least one; its sign is the direction.")
-        self.map.checked(self.FINISH, pulses if self.SIGNED else abs(pulses))
+        self.map.checked(self.DISTANCE_REGISTER, pulses if self.SIGNED else abs(pulses))
         self._prepare(self._registers(speeds, abs(pulses)))
         self.goal = self.chip.net(self.axis.chip_axis) + pulses
-        self.drive(AtOnce(self.axis), pulses)
+        self.drive(ImmediateOperations(self.axis), pulses)
 
     def move(self, pulses: int, speeds: Speeds, timeout: float | None = None) -> Report:
         with Procedure(self.axis, "move") as p:
@@ -90,7 +97,7 @@ class NovaDriver(Driver):
             slowest = min(speeds.start, speeds.drive)
             max_seconds = 1.5 * abs(pulses) / slowest + 3 * (speeds.up + speeds.down) + 1
             wait_until_stopped([self.axis], max_seconds if timeout is None else timeout)
-            self.axis.wait(SETTLE)
+            self.axis.wait(SETTLING_TIME_S)
             reasons = self.explain_end(p.pulses_made == pulses, p.journal)
             # a drive that nothing has stopped made the pulses that it was told: others than asked, where a write was lost
             return p.report(self.DONE if reasons == UNKNOWN else reasons, pulses)
@@ -139,7 +146,7 @@ class NovaDriver(Driver):
         for symbol in (f"R-{r.name}", r.name):
             if any(c.symbol == symbol and c.kind == "data read" for c in self.map.commands):
                 return r.value(self.port.value(symbol))
-        raise self.no_reading(r.name)
+        raise self.build_unreadable_register_error(r.name)
 
     def _get_end_mask(self, bit: str) -> int:
         """Return the mask of a cause in END_WORD, 0 where the chip has none; of the MCX514 END-EMG and END-ALARM."""
@@ -149,7 +156,7 @@ class NovaDriver(Driver):
 
     def _registers(self, speeds: Speeds, pulses: int) -> dict[str, int]:
         """Compute the registers of these speeds. Raises ArgumentError for what the chip cannot make."""
-        low, high = (limit * self.UNIT for limit in limits(self.map, self.SPEEDS[1]))
+        low, high = (limit * self.UNIT for limit in get_register_range(self.map, self.SPEEDS[1]))
         for name, field, rate in (("start", "start_speed", speeds.start), ("drive", "speed", speeds.drive)):
             if not low <= rate <= high:
                 raise ArgumentError(
@@ -164,8 +171,8 @@ class NovaDriver(Driver):
     def _prepare(self, registers: Mapping[str, int]) -> None:
         """Write modes and speeds. Raises StageError for an axis that moves."""
         if self.port.driving():
-            raise self.moving()
-        now = AtOnce(self.axis)
+            raise self.build_moving_error()
+        now = ImmediateOperations(self.axis)
         self.begin(now, self.JERK in registers)
         for name, value in registers.items():
             self.set(now, name, value)
@@ -194,7 +201,7 @@ class NovaDriver(Driver):
         moving_drivers = select_moving(cast("dict[str, NovaDriver]", drivers), pulses)
         for driver in moving_drivers.values():
             if driver.port.driving():
-                raise driver.moving()
+                raise driver.build_moving_error()
         settings = LineSettings(
             speeds.start, max(speeds.up, speeds.down), bool(speeds.s_curve), axes=tuple(moving_drivers)
         )
@@ -209,25 +216,25 @@ class NovaDriver(Driver):
         moves = LineMoves(distances, np.array([speeds.drive]))
         ops = line_plan.programs(line_plan.data_sheet(moves), moves)[0]
         axes = [d.axis for d in moving_drivers.values()]
-        now = AtOnce(*axes)
-        with Together(
+        now = ImmediateOperations(*axes)
+        with LineObserver(
             {n: Procedure(d.axis, "line") for n, d in moving_drivers.items()}, {n: pulses[n] for n in moving_drivers}
         ) as together:
             for d in moving_drivers.values():
                 d.forget(now)
-            starts = line_plan.starts(distances[0]).tolist()
+            starts = line_plan.find_start_operations(distances[0]).tolist()
             for j, (_, index, address, value) in enumerate(ops.tolist()):
                 now.write(index, address, value)
                 if j in starts:
-                    together.began(*(n for n, at in zip(moving_drivers, starts, strict=True) if at == j))
+                    together.note_start(*(n for n, at in zip(moving_drivers, starts, strict=True) if at == j))
             max_pulses = float(moves.longest[0])
             max_seconds = 1.5 * max_pulses / min(speeds.start, speeds.drive) + 6 * settings.accel + 1
-            breaker = StopTogether(
+            breaker = EarlyStopHandler(
                 together, {} if isinstance(line_plan, Interpolated) else moving_drivers
             )  # a chip ends its own
-            with together.in_time():
+            with together.attach_reports_to_timeout():
                 wait_until_stopped(axes, max_seconds if timeout is None else timeout, on_poll=breaker)
-            axes[0].wait(SETTLE)
+            axes[0].wait(SETTLING_TIME_S)
             reasons = {
                 n: d.explain_end(together.has_arrived(n), together.watch[n].journal) for n, d in moving_drivers.items()
             }
@@ -295,7 +302,7 @@ class NovaDriver(Driver):
             pulses: Signed pulses of the drive.
         """
 
-    def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:
+    def list_move_registers(self, s_curve: bool | None) -> tuple[str, ...]:
         return (*self.SPEEDS, self.JERK) if s_curve else self.SPEEDS
 
     def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
@@ -307,9 +314,9 @@ class NovaDriver(Driver):
     def write_stop(self, program: Operations) -> None:
         self.command(program, self.STOP)
 
-    def legal(self, name: str, value: float) -> int:
+    def clip_to_legal(self, name: str, value: float) -> int:
         """Return the nearest value of a register that the data sheet allows."""
-        low, high = limits(self.map, name)
+        low, high = get_register_range(self.map, name)
         return int(np.clip(round(value), low, high))
 
     def search(self, settings: Any) -> Search:
@@ -381,7 +388,7 @@ class NovaDriver(Driver):
 
     def high(self, k: int) -> bool:
         """Return whether STOP1 (ORG) or STOP2 (EZ) is high while it is on."""
-        return positive(self.axis, ("org", "ez")[k - 1])
+        return has_positive_logic(self.axis, ("org", "ez")[k - 1])
 
     @abstractmethod
     def forget(self, p: Ops) -> Ops:

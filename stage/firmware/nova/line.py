@@ -9,8 +9,8 @@ import numpy as np
 
 from stage.chips.nova.registers.mcx300 import RANGE
 from stage.errors import ArgumentError, add_article
-from stage.firmware.choices import limits
 from stage.firmware.lines import Line, LineMoves
+from stage.firmware.parameter_ranges import get_register_range
 from stage.sim.program import Program
 
 if TYPE_CHECKING:
@@ -44,15 +44,15 @@ class NovaLine(Line):
         Raises:
             ArgumentError: It does not.
         """
-        driver.map.checked(driver.FINISH, pulses if driver.SIGNED else abs(pulses))
+        driver.map.checked(driver.DISTANCE_REGISTER, pulses if driver.SIGNED else abs(pulses))
 
     def _set(self, program: Program, h: NovaDriver, name: str, column: int) -> None:
         """Add a register whose value is a column."""
         h.set(program, name, 0)
         wide = self.chip.MAP.register(name).bits > 16
-        self._slot(program, 3 if wide else 2, column)
+        self._add_slot(program, 3 if wide else 2, column)
         if wide:
-            self._slot(program, 2, column, 16)
+            self._add_slot(program, 2, column, 16)
 
 
 class Interpolated(NovaLine):
@@ -64,8 +64,8 @@ class Interpolated(NovaLine):
 
     def __init__(self, drivers: Sequence[NovaDriver], settings: Any):
         self.main = min(drivers, key=lambda h: h.bit)
-        super().__init__(drivers, settings, 1, self.main.tuned_by(settings.s_curve))
-        self.fastest = float(limits(self.chip.MAP, self.names[1])[1] * self.main.UNIT)
+        super().__init__(drivers, settings, 1, self.main.list_move_registers(settings.s_curve))
+        self.fastest = float(get_register_range(self.chip.MAP, self.names[1])[1] * self.main.UNIT)
         self._first = self._write_template()
 
     def _write_template(self) -> int:
@@ -75,7 +75,7 @@ class Interpolated(NovaLine):
         for column, name in enumerate(self.names):
             self._set(p, h, name, column)
         for a, other in enumerate(self.drivers):
-            self._set(p, other, other.FINISH, len(self.names) + a)
+            self._set(p, other, other.DISTANCE_REGISTER, len(self.names) + a)
         h.interpolate(p, sorted(self.drivers, key=lambda h: h.bit))
         self._template = np.array(p.ops, np.int64)
         return len(p) - 1
@@ -91,26 +91,26 @@ class Interpolated(NovaLine):
     def data_sheet(self, moves: LineMoves) -> np.ndarray:
         """Compute the formulas of the data sheet for the longest axis."""
         c, rows = self.settings, []
-        for peak, ramp, longest in zip(*self.reach(moves), moves.longest, strict=True):
+        for peak, ramp, longest in zip(*self.compute_peaks(moves), moves.longest, strict=True):
             registers = self.main.formula(min(c.fl, peak), peak, ramp, ramp, int(longest), c.s_curve)
             rows.append([[registers[name] for name in self.names]])
         return np.array(rows, np.int64)
 
-    def corrected(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
+    def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """Multiply the registers by factors from a half to two: nothing brings the axes off the line, so no count is worth a
         pulse."""
-        rows = self.legal(self.data_sheet(moves) * FACTOR**corrections)
+        rows = self.clip_to_legal(self.data_sheet(moves) * FACTOR**corrections)
         rows[:, :, 0] = np.minimum(rows[:, :, 0], rows[:, :, 1])
         return rows
 
-    def errors(self, moves: LineMoves) -> np.ndarray:
+    def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
         """Return zeros: the chip interpolates."""
         return np.zeros((*moves.distances.shape, 4))
 
     def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
-        return self._filled(self._template, np.concatenate([registers[:, 0], moves.distances], axis=1))
+        return self._fill_template(self._template, np.concatenate([registers[:, 0], moves.distances], axis=1))
 
-    def starts(self, distances: np.ndarray) -> np.ndarray:
+    def find_start_operations(self, distances: np.ndarray) -> np.ndarray:
         return np.full(len(self.drivers), self._first)
 
 
@@ -122,21 +122,21 @@ class InRatio(NovaLine):
     """
 
     def __init__(self, drivers: Sequence[NovaDriver], settings: Any):
-        tuned = drivers[0].tuned_by(settings.s_curve)
+        tuned = drivers[0].list_move_registers(settings.s_curve)
         super().__init__(drivers, settings, len(drivers), ("R", *tuned))
-        self.ranges = limits(self.chip.MAP, "R")
+        self.ranges = get_register_range(self.chip.MAP, "R")
         self.fastest = float(MAX_SPEED * RANGE / self.ranges[0])
         self._write_template()
 
     def _write_template(self) -> None:
         p, m = Program(), len(self.names)
         self._drives, self._released = [], np.zeros(len(self.drivers), np.int64)
-        chips = [[self.drivers[a] for a in mine] for _, mine in self._chips()]
+        chips = [[self.drivers[a] for a in mine] for _, mine in self._group_by_chip()]
         for a, h in enumerate(self.drivers):
             h.begin(p, self.settings.s_curve)
             for column, name in enumerate(self.names):
                 self._set(p, h, name, a * m + column)
-            self._set(p, h, h.FINISH, len(self.drivers) * m + a)
+            self._set(p, h, h.DISTANCE_REGISTER, len(self.drivers) * m + a)
         for h in self.drivers:
             h.command(h.command(p, "START_HOLD"), "F_DRV_P")
             self._drives.append(len(p) - 1)
@@ -150,7 +150,7 @@ class InRatio(NovaLine):
     def data_sheet(self, moves: LineMoves) -> np.ndarray:
         """Compute V as large as leaves the shortest axis a multiple of 1; the others get the nearest to their share of the
         longest axis' values."""
-        c, rho, (peak, ramp) = self.settings, moves.share, self.reach(moves)
+        c, rho, (peak, ramp) = self.settings, moves.share, self.compute_peaks(moves)
         fl = np.minimum(c.fl, peak)
         least, max_range = self.ranges
         multiple = np.clip(np.maximum(1.0 / rho.min(axis=1), peak / MAX_SPEED), 1.0, np.minimum(RANGE / least, peak))
@@ -163,20 +163,20 @@ class InRatio(NovaLine):
         low, high = np.rint(fl / multiple), speed
         columns = [ranges, share * low[:, None], share * high[:, None]]
         if c.s_curve:
-            columns += [np.full_like(m, limits(self.chip.MAP, "A")[1])]
+            columns += [np.full_like(m, get_register_range(self.chip.MAP, "A")[1])]
             jerk = 4.0 * gain / ramp**2
             columns += [np.rint(62_500_000 * multiple / jerk)[:, None] / share]
         else:
             columns += [share * np.maximum(np.rint(gain / ramp / (125 * multiple)), 1.0)[:, None]]
-        return self._ordered(self.legal(np.stack(columns, axis=2)))
+        return self._ordered(self.clip_to_legal(np.stack(columns, axis=2)))
 
-    def corrected(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
+    def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """Correct registers by a share of the counts that move the axis by `reach` pulses along the line, one at least."""
         rows = self.data_sheet(moves)
-        counts = np.maximum(np.rint(self.settings.reach / self.worth(rows, moves)), 1)
-        return self._ordered(self.legal(rows + np.rint(corrections * counts)))
+        counts = np.maximum(np.rint(self.settings.reach / self.compute_pulses_per_count(rows, moves)), 1)
+        return self._ordered(self.clip_to_legal(rows + np.rint(corrections * counts)))
 
-    def worth(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
+    def compute_pulses_per_count(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         """Compute by how many pulses one count of each register moves an axis along the line, by the data sheet's formulas.
 
         Args:
@@ -192,9 +192,9 @@ class InRatio(NovaLine):
             worth[3:] = [np.full_like(at.ramp, np.inf), at.lag / (2.0 * r[..., 4])]
         return np.maximum(np.stack(worth, axis=2), 1e-9)
 
-    def errors(self, moves: LineMoves) -> np.ndarray:
+    def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
         at = self._compute_ramps(self.data_sheet(moves))
-        return self.strays(moves, at.high, at.ramp, at.lag, at.lag, 0.5 * (at.low + at.high) * at.ramp)
+        return self.compute_deviations(moves, at.high, at.ramp, at.lag, at.lag, 0.5 * (at.low + at.high) * at.ramp)
 
     def _compute_ramps(self, registers: np.ndarray) -> Ramps:
         """Compute the ramps that registers (stages, axes, names) give."""
@@ -213,11 +213,13 @@ class InRatio(NovaLine):
         return registers
 
     def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
-        ops = self._filled(self._template, np.concatenate([registers.reshape(len(registers), -1), moves.size], axis=1))
+        ops = self._fill_template(
+            self._template, np.concatenate([registers.reshape(len(registers), -1), moves.size], axis=1)
+        )
         minus = self.chip.MAP.command("F_DRV_M").code ^ self.chip.MAP.command("F_DRV_P").code
         for a, j in enumerate(self._drives):
             ops[:, j, 3] ^= np.where(moves.distances[:, a] < 0, minus, 0)
         return ops
 
-    def starts(self, distances: np.ndarray) -> np.ndarray:
+    def find_start_operations(self, distances: np.ndarray) -> np.ndarray:
         return self._released

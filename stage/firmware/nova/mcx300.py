@@ -7,10 +7,10 @@ from typing import ClassVar, TypeVar
 
 from stage.chips.nova import MCX314AS
 from stage.chips.nova.registers.mcx300 import MCX304_MAP, RANGE
-from stage.firmware.choices import limits
-from stage.firmware.driver import SETTLE, AtOnce, Speeds, wait_until_stopped
+from stage.firmware.driver import SETTLING_TIME_S, ImmediateOperations, Speeds, wait_until_stopped
 from stage.firmware.nova.driver import HOME_SPEED, SEARCHES, NovaDriver
 from stage.firmware.nova.port import level_bits
+from stage.firmware.parameter_ranges import get_register_range
 from stage.firmware.report import Procedure, Report
 from stage.sim.program import Operations, Program
 
@@ -35,7 +35,7 @@ class FirstGenerationDriver(NovaDriver):
     SPEEDS: ClassVar = ("SV", "V", "A")
     JERK: ClassVar = "K"
     UNIT: ClassVar = MULTIPLE
-    FINISH: ClassVar = "P"
+    DISTANCE_REGISTER: ClassVar = "P"
     SIGNED: ClassVar = False
     STOP: ClassVar = "STOP_SUDDEN"
     SLOW_DOWN: ClassVar = "STOP_DEC"
@@ -46,15 +46,15 @@ class FirstGenerationDriver(NovaDriver):
         registers = self._registers(speeds._replace(s_curve=False), 1)
         with Procedure(self.axis, "origin return") as p:
             self._prepare(registers)
-            now = AtOnce(self.axis)
-            self.set(now, "HV", self.legal("HV", HOME_SPEED / self.UNIT))
-            self._to_signal(now, direction, timeout, SETTLE)
+            now = ImmediateOperations(self.axis)
+            self.set(now, "HV", self.clip_to_legal("HV", HOME_SPEED / self.UNIT))
+            self._to_signal(now, direction, timeout, SETTLING_TIME_S)
             address, stop1 = self._level(1)
             if (met := self.stopped_by()) in ("EL+", "EL-") and bool(self.chip.read(address) & stop1) != self.high(1):
                 return p.report(met)
             self._begin_search(now, bool(index), direction, STEADY)
             at_limit = self._watch(timeout)
-            self.command(now, self.STOP).wait(2 * SETTLE)
+            self.command(now, self.STOP).wait(2 * SETTLING_TIME_S)
             if at_limit:
                 return p.report("EL-" if direction < 0 else "EL+")
             if self.port.word(2) & self.mask("RR2", "HOME"):
@@ -107,10 +107,10 @@ class FirstGenerationDriver(NovaDriver):
         seconds = max(up, down)
         values = {"SV": fl / MULTIPLE, "V": fh / MULTIPLE, "A": (fh - fl) / seconds / (125 * MULTIPLE)}
         if s_curve:
-            max_jerk = limits(self.map, "K")[1]  # also where nothing is to be ramped
+            max_jerk = get_register_range(self.map, "K")[1]  # also where nothing is to be ramped
             jerk = 62_500_000 * MULTIPLE * seconds**2 / (4 * (fh - fl)) if fh > fl else max_jerk
-            values |= {"A": limits(self.map, "A")[1], "K": jerk}
-        return {name: self.legal(name, value) for name, value in values.items()}
+            values |= {"A": get_register_range(self.map, "A")[1], "K": jerk}
+        return {name: self.clip_to_legal(name, value) for name, value in values.items()}
 
     def interpolates(self, drivers: Sequence[NovaDriver]) -> bool:
         has_it = any(c.symbol == f"IP_{len(drivers)}ST" for c in self.map.commands)

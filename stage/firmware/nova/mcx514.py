@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from typing import ClassVar, TypeVar
 
 from stage.errors import ArgumentError
-from stage.firmware.choices import limits
-from stage.firmware.driver import SETTLE, Driver, Speeds
+from stage.firmware.driver import SETTLING_TIME_S, Driver, Speeds
 from stage.firmware.nova.draw import Arc, Drawn, Speed, draw
 from stage.firmware.nova.driver import CAUSES, HOME_SPEED, SEARCHES, NovaDriver
 from stage.firmware.nova.home import home_search
 from stage.firmware.nova.port import inputs_514
+from stage.firmware.parameter_ranges import get_register_range
 from stage.firmware.report import Procedure, Report
 from stage.sim.program import Operations, Program
 
@@ -24,7 +24,7 @@ MASTER, SLAVE = 1, 2  # MLT
 class Mcx514Driver(NovaDriver):
     SPEEDS: ClassVar = ("SV", "DV", "AC")
     JERK: ClassVar = "JK"
-    FINISH: ClassVar = "TP"
+    DISTANCE_REGISTER: ClassVar = "TP"
     SIGNED: ClassVar = True
     STOP: ClassVar = "DRVFBRK"
     SLOW_DOWN: ClassVar = "DRVSBRK"
@@ -39,7 +39,7 @@ class Mcx514Driver(NovaDriver):
                 initial_speed=registers["SV"], acceleration=registers["AC"], index=bool(index), timeout=timeout,
                 back=False,
             )[self.axis.name]  # fmt: skip
-            self.axis.wait(SETTLE)
+            self.axis.wait(SETTLING_TIME_S)
             errors = [CAUSES.get(name.removeprefix("H"), name) for name in search_report.errors]
             return p.report(next(iter(errors), self.stopped_by() or "HOME"))
 
@@ -66,8 +66,8 @@ class Mcx514Driver(NovaDriver):
         seconds = max(up, down)
         values = {"SV": fl, "DV": fh, "AC": (fh - fl) / seconds}
         if s_curve:
-            values |= {"AC": limits(self.map, "AC")[1], "JK": 4 * (fh - fl) / seconds**2}
-        return {name: self.legal(name, value) for name, value in values.items()}
+            values |= {"AC": get_register_range(self.map, "AC")[1], "JK": 4 * (fh - fl) / seconds**2}
+        return {name: self.clip_to_legal(name, value) for name, value in values.items()}
 
     def interpolates(self, drivers: Sequence[NovaDriver]) -> bool:
         if len({id(h.chip) for h in drivers}) > 1 and not all(getattr(h.chip, "linked", False) for h in drivers):

@@ -17,7 +17,7 @@ from stage.chips import MCX514
 from stage.chips.nova import Nova
 from stage.chips.nova.registers.mcx514 import MCX514_MAP as MAP
 from stage.errors import ArgumentError, RunTimeout, add_article
-from stage.firmware.axis import Axis, positive
+from stage.firmware.axis import Axis, has_positive_logic
 
 POLL = 1e-3  # s between two looks
 LEVELS_514 = {
@@ -50,9 +50,9 @@ def level_bits(axis: Axis, word: str) -> int:
     map_, bits = axis.chip.MAP, 0
     levels = LEVELS_514 if isinstance(axis.chip, MCX514) else LEVELS_300
     for sensor, (place, name) in levels.items():
-        if place != word or not positive(axis, sensor):
+        if place != word or not has_positive_logic(axis, sensor):
             continue
-        others = [s for s, at in levels.items() if at == (place, name) and not positive(axis, s)]
+        others = [s for s, at in levels.items() if at == (place, name) and not has_positive_logic(axis, s)]
         if others:
             raise ArgumentError(
                 f"axis {axis.name}: {sensor} is of positive logic and {others[0]} is not, and {add_article(map_.chip)} "

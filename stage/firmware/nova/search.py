@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stage.errors import ArgumentError, add_article
-from stage.firmware.choices import Choices, limits
+from stage.firmware.parameter_ranges import ParameterRanges, get_register_range
 from stage.firmware.search import Search, SearchResult
 from stage.sim.program import Program
 
@@ -28,24 +28,26 @@ class HomeSearch(Search):
             raise ArgumentError(
                 f"ez={settings.ez!r}: {add_article(driver.map.chip)} ends at the first index pulse after ORG, or at ORG."
             )
-        speeds = {name: limits(driver.map, name) for name in (*driver.SPEEDS, "HV")}
-        self.choices = Choices({**speeds, "leave": (0, settings.leave), **driver.choices()}, cubed=("leave",))
+        speeds = {name: get_register_range(driver.map, name) for name in (*driver.SPEEDS, "HV")}
+        self.choices = ParameterRanges({**speeds, "leave": (0, settings.leave), **driver.choices()}, cubed=("leave",))
         self.marks = {}
         self._bits: dict[str, tuple[int, bool]] = {}
         self.program(self.choices.low)
 
-    def row(self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int) -> list[int]:
+    def find_nearest_row(
+        self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int
+    ) -> list[int]:
         registers = self.driver.formula(fl, fh, ramp, ramp, 1 << 20, s_curve=False)
         slow = self.driver.formula(approach, fh, ramp, ramp, 1 << 20, s_curve=False)[self.driver.SPEEDS[0]]
-        return self._row({**registers, "HV": slow, "leave": leave, "step1": 1, "timer": 1})
+        return self._round_to_ranges({**registers, "HV": slow, "leave": leave, "step1": 1, "timer": 1})
 
     def program(self, row: Sequence[int] | np.ndarray) -> Program:
         c, driver = self.settings, self.driver
-        values = self.choices.named(row)
+        values = self.choices.to_dict(row)
         p = driver.begin(Program())
         for name in (*driver.SPEEDS, "HV"):
             driver.set(p, name, values[name])
-        self._mark("leave time", driver.drive(p, values["leave"])).until_stopped([driver.index], c.limit)
+        self._note_result_index("leave time", driver.drive(p, values["leave"])).until_stopped([driver.index], c.limit)
         driver.command(p, driver.STOP).wait(c.settle if values["leave"] else 0.0)
         self._position(p, "left")
         driver.forget(p)  # a limit that the leaving has met
@@ -59,7 +61,7 @@ class HomeSearch(Search):
     def _position(self, p: Program, name: str) -> None:
         self.driver.command(p, "R-LP")
         for address in (6, 7):
-            self._mark(f"{name} {address}", p).read(self.driver.index, address)
+            self._note_result_index(f"{name} {address}", p).read(self.driver.index, address)
 
     def read_results(self, results: np.ndarray, rows: np.ndarray) -> SearchResult:
         marked = {name: results[:, at] for name, at in self.marks.items()}

@@ -31,7 +31,7 @@ from stage.chips.pcl240.state import (
 )
 from stage.errors import ArgumentError, RunTimeout, StageError, add_article
 from stage.firmware.axis import Axis
-from stage.firmware.driver import poll_interval
+from stage.firmware.driver import compute_poll_interval
 from stage.support.arguments import explain_constructor
 
 START = {"FL": bits.START | bits.FL, "FH1": bits.START | bits.FH1, "FH2": bits.START | bits.FH2}  # constant speed
@@ -269,7 +269,7 @@ class Port:
         return raw - (1 << 24) if raw & 1 << 23 else raw
 
     def wait_until_stopped(self, timeout: float, poll: float = POLL) -> Status:
-        """Poll status bit 6, every `poll` seconds at first and ever more slowly in a long run, see `driver.poll_interval`.
+        """Poll status bit 6, every `poll` seconds at first and ever more slowly in a long run, see `driver.compute_poll_interval`.
 
         Args:
             timeout: Simulated seconds to wait.
@@ -309,5 +309,5 @@ class Port:
                     f"axis {self.axis.name} {still} after {timeout:.3f} s (waiting for {what}): R0 = {self.counter()}, {status}. "
                     f"{explain_silence(self.axis) or 'Give it more time, or stop it with 08h.'}"
                 )
-            self.axis.wait(min(poll_interval(poll, passed), timeout - passed + 1e-6))
+            self.axis.wait(min(compute_poll_interval(poll, passed), timeout - passed + 1e-6))
         return status

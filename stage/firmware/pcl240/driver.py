@@ -7,20 +7,20 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, cast
 
 from stage.chips.journal import Journal
-from stage.firmware.driver import RATES, Driver, Speeds
+from stage.firmware.driver import DUAL_RATE_ORDER, Driver, Speeds
 from stage.firmware.pcl240 import bus, moves
 from stage.firmware.pcl240.bus import Port, require_clock
 from stage.firmware.pcl240.home import APPROACH, origin_return
 from stage.firmware.pcl240.line import RatioLine
 from stage.firmware.pcl240.pattern import Pattern
 from stage.firmware.pcl240.procedure import find_cause, find_stop_reason
-from stage.firmware.pcl240.profile import Profile, usual_second
+from stage.firmware.pcl240.profile import Profile, get_default_second_rate
 from stage.firmware.pcl240.rates import dual_rate_move
 from stage.firmware.pcl240.search import FourRuns
 from stage.firmware.pcl240.synchronized import synchronized_move
 from stage.firmware.report import Report
 from stage.firmware.search import Search
-from stage.firmware.together import SynchronizedReport
+from stage.firmware.synchronized_report import SynchronizedReport
 from stage.sim.program import Operations
 
 TUNED = ("R1", "R2", "R4", "R5", "R6", "R7")
@@ -32,9 +32,9 @@ class Pcl240Driver(Driver):
 
     PATTERN: ClassVar = Pattern
     DONE: ClassVar = "R0 = 0"
-    FINISH: ClassVar = "R0"
-    POSITIVE: ClassVar = ("org", "ez", "el_plus", "el_minus", "sd_plus", "sd_minus")
-    TRIMS: ClassVar = {"R6": 1.06}  # the formula leaves pulses at FL
+    DISTANCE_REGISTER: ClassVar = "R0"
+    INVERTIBLE_SENSORS: ClassVar = ("org", "ez", "el_plus", "el_minus", "sd_plus", "sd_minus")
+    TRIM_FACTORS: ClassVar = {"R6": 1.06}  # the formula leaves pulses at FL
     OPTIONS: ClassVar = frozenset({"second", "constant", "automatic", "approach", "s_curve_share"})
     INDEX_PULSES: ClassVar = 16
     chip: Any
@@ -45,8 +45,8 @@ class Pcl240Driver(Driver):
         self._journal: Journal | None = None
         self._close = weakref.finalize(self, lambda: None)
 
-    def usual_second(self, drive: float) -> float:
-        return usual_second(drive, self.chip.clock_hz, require_clock(self.axis))
+    def get_default_second_rate(self, drive: float) -> float:
+        return get_default_second_rate(drive, self.chip.clock_hz, require_clock(self.axis))
 
     def describe_speeds(self, speeds: Speeds) -> str:
         return str(self.profile(speeds))
@@ -77,7 +77,7 @@ class Pcl240Driver(Driver):
         self.goal = self.chip.net() + pulses
         moves.start_preset(self.port, self.profile(speeds), pulses)
 
-    def two_rates(self, pulses: int, speeds: Speeds, dwell: float, rates: Sequence[str] = RATES) -> Report:
+    def two_rates(self, pulses: int, speeds: Speeds, dwell: float, rates: Sequence[str] = DUAL_RATE_ORDER) -> Report:
         """Make a dual-rate move, see `dual_rate_move`."""
         self._forget()
         return dual_rate_move(self.axis, pulses, self.profile(speeds), rates=rates, dwell=dwell)
@@ -130,7 +130,7 @@ class Pcl240Driver(Driver):
         if r.name == "R0":
             return self.port.counter()
         if not self.port.extended:
-            raise self.no_reading(r.name)
+            raise self.build_unreadable_register_error(r.name)
         return r.value(self.port.read_register(r.name))
 
     @classmethod
@@ -146,9 +146,9 @@ class Pcl240Driver(Driver):
             s_curve=speeds.s_curve, automatic=speeds.automatic, timeout=timeout,
         )  # fmt: skip
 
-    def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:
+    def list_move_registers(self, s_curve: bool | None) -> tuple[str, ...]:
         if s_curve and not self.chip.S_CURVES:
-            raise self.no_s_curves()
+            raise self.build_s_curve_error()
         return TUNED + (S_CURVES if self.chip.S_CURVES and s_curve is not False else ())
 
     def write_move(self, program: Operations, values: Mapping[str, int], pulses: int) -> None:
@@ -169,7 +169,7 @@ class Pcl240Driver(Driver):
     ) -> dict[str, int]:
         p = Profile.of(fl, fh, fh, accel=up, decel=down, clock_hz=self.chip.clock_hz)
         result = {**p.registers(), "R6": p.down_point(pulses)}
-        curved = [name for name in S_CURVES if name in self.tuned_by(s_curve)]
+        curved = [name for name in S_CURVES if name in self.list_move_registers(s_curve)]
         return {**result, **dict.fromkeys(curved, 0)}  # curved throughout
 
     def search(self, settings: Any) -> Search:

@@ -10,7 +10,7 @@ Counts are whole: n = floor(N), so n - rho n_leader lies between E - 1 and E + r
 above 0 before that pulse, it strays less. `accelerations` and `decelerations` look for it over every multiplier R7.
 
 An axis' registers are a row: R0 to R7, and on a chip with S-curves R14 and R15 after them. R6 in it is always the pulses left
-when the ramp-down begins; with the automatic ramp-down point the chip gets the equivalent offset (`emulated.compute_offset`).
+when the ramp-down begins; with the automatic ramp-down point the chip gets the equivalent offset (`row_emulation.compute_offset`).
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from __future__ import annotations
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, add_article
 from stage.firmware.axis import Axis, check_direction, check_origin
-from stage.firmware.driver import SETTLE
+from stage.firmware.driver import SETTLING_TIME_S
 from stage.firmware.pcl240 import bus
 from stage.firmware.pcl240.moves import check_pulses, choose_profile, encode_direction, prepare
 from stage.firmware.pcl240.procedure import Procedure
@@ -116,7 +116,7 @@ def _approach(p: Procedure, direction: int, high_speed: bool, timeout: float, ez
     port.control(bus.ORIGIN | (bus.SD if high_speed else 0) | encode_direction(direction))
     port.command(bus.RAMP["FH1"] if high_speed else bus.START["FL"])
     port.wait_until_stopped(timeout)
-    port.axis.wait(SETTLE)
+    port.axis.wait(SETTLING_TIME_S)
     return p.stop_reason()
 
 
@@ -132,13 +132,13 @@ def _leave(p: Procedure, direction: int, back_off: int, high_speed: bool, timeou
     port.wait_until(lambda s: not s.org or not s.operating, timeout, what="the release of ORG")
     port.command(bus.SLOW_DOWN["FH1"] if high_speed else bus.RESET)
     port.wait_until_stopped(timeout)
-    port.axis.wait(SETTLE)
+    port.axis.wait(SETTLING_TIME_S)
     port.command(bus.RESET)
     port.write_register("R0", back_off)
     port.control(bus.PRESET | encode_direction(direction))
     port.command(bus.START["FL"])
     status = port.wait_until_stopped(timeout)
-    port.axis.wait(SETTLE)
+    port.axis.wait(SETTLING_TIME_S)
     met = p.stop_reason()
     port.command(bus.RESET)
     if not status.org:

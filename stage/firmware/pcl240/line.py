@@ -26,7 +26,7 @@ class RatioLine(Line):
     """
 
     def __init__(self, drivers: Sequence[Pcl240Driver], settings: Any):
-        super().__init__(drivers, settings, len(drivers), drivers[0].tuned_by(settings.s_curve)[:6])
+        super().__init__(drivers, settings, len(drivers), drivers[0].list_move_registers(settings.s_curve)[:6])
         self.fastest = self.hz * FINEST / (8192 * 2)
         self._write_template()
 
@@ -41,13 +41,13 @@ class RatioLine(Line):
         Returns:
             Registers (stages, axes, 6).
         """
-        peak = self.reach(moves)[0]
+        peak = self.compute_peaks(moves)[0]
         return self._with(moves, self._finest(peak[:, None] * np.ones_like(moves.share), FINEST))
 
     def _with(self, moves: LineMoves, r7: np.ndarray) -> np.ndarray:
         """Compute the registers of `data_sheet` with other multipliers (stages, axes)."""
         fl, max_rate = self.settings.fl, self.chip.MAP.register("R4").mask
-        rho, (peak, ramp) = moves.share, self.reach(moves)
+        rho, (peak, ramp) = moves.share, self.compute_peaks(moves)
         step = self.hz / (8192.0 * r7)
         high = np.clip(np.rint(rho * peak[:, None] / step), 1, SPEED)
         low = np.clip(np.rint(rho * np.minimum(fl, peak)[:, None] / step), 1, high)
@@ -57,9 +57,9 @@ class RatioLine(Line):
         rate = np.clip(np.rint(clocks / gain), 2, max_rate)
         fall = (high + low) * gain * rate / (16384.0 * r7)
         point = np.minimum(np.floor(fall) + np.maximum(np.rint(AT_FL * rho), 1), moves.size)
-        return self.legal(np.stack([low, high, rate, rate, point, r7], axis=2))
+        return self.clip_to_legal(np.stack([low, high, rate, rate, point, r7], axis=2))
 
-    def corrected(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
+    def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """Correct the registers of the data sheet.
 
         R1, R2, R4, R5 and R6 change by a share of the counts that move the axis by `reach` pulses along the line, one at least; R7
@@ -73,16 +73,16 @@ class RatioLine(Line):
             Registers (stages, axes, 6).
         """
         c, a = self.settings, corrections
-        peak = self.reach(moves)[0]
+        peak = self.compute_peaks(moves)[0]
         r7 = self.data_sheet(moves)[:, :, 5] + np.rint(a[:, :, 5] * c.multiplier_reach)
         corrected = self._with(moves, np.clip(r7, 2, self._finest(moves.share * peak[:, None], SPEED)))
-        counts = np.maximum(np.rint(c.reach / self.worth(corrected, moves)), 1)
+        counts = np.maximum(np.rint(c.reach / self.compute_pulses_per_count(corrected, moves)), 1)
         corrected[:, :, :5] += np.rint(a[:, :, :5] * counts).astype(np.int64)
-        corrected = self.legal(corrected)
+        corrected = self.clip_to_legal(corrected)
         corrected[:, :, 0] = np.minimum(corrected[:, :, 0], corrected[:, :, 1])
         return corrected
 
-    def worth(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
+    def compute_pulses_per_count(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         """Compute by how many pulses one count of R1, R2, R4, R5, R6 moves an axis along the line, by the data sheet's formulas.
 
         Args:
@@ -98,11 +98,11 @@ class RatioLine(Line):
         worth = [(2 * gain + 1) * up / (16384.0 * r7), moves.size / high, per_clock, per_clock]
         return np.stack([*worth, np.ones_like(gain)], axis=2)
 
-    def errors(self, moves: LineMoves) -> np.ndarray:
+    def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
         low, high, up, down, point, r7 = np.moveaxis(self.data_sheet(moves).astype(np.float64), 2, 0)
         gain, pps = high - low, high * self.hz / (8192.0 * r7)
         lag, less = (gain * (gain + 1) * rate / (16384.0 * r7) for rate in (up, down))
-        return self.strays(moves, pps, gain * up / self.hz, lag, less, point)
+        return self.compute_deviations(moves, pps, gain * up / self.hz, lag, less, point)
 
     def _finest(self, fh: np.ndarray, speed: int) -> np.ndarray:
         """Return the largest R7 at which FH is at most `speed` steps."""
@@ -120,7 +120,7 @@ class RatioLine(Line):
             for column, name in enumerate(self._written):
                 p.register(h.index, self.chip, name, 0)
                 for k in range((self.chip.MAP.register(name).bits + 7) // 8):
-                    self._slot(p, 1 + k, a * len(self._written) + column, 8 * k)
+                    self._add_slot(p, 1 + k, a * len(self._written) + column, 8 * k)
             p.command(h.index, bus.CONTROL | bus.PRESET)
             self._controls.append(len(p) - 1)
         self._first = len(p)
@@ -139,7 +139,7 @@ class RatioLine(Line):
 
     def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         rows = self.rows(registers, moves)
-        ops = self._filled(self._template, rows.reshape(len(rows), -1))
+        ops = self._fill_template(self._template, rows.reshape(len(rows), -1))
         for a, j in enumerate(self._controls):
             ops[:, j, 3] |= np.where(moves.distances[:, a] < 0, bus.MINUS, 0)
         order = np.argsort(moves.size, axis=1, kind="stable")
@@ -148,7 +148,7 @@ class RatioLine(Line):
         ops[:, self._first :, 3] = np.take_along_axis(ramps, order, 1)
         return ops
 
-    def starts(self, distances: np.ndarray) -> np.ndarray:
+    def find_start_operations(self, distances: np.ndarray) -> np.ndarray:
         return self._first + np.argsort(np.argsort(np.abs(distances), kind="stable"))
 
     def last_pulse(self, registers: np.ndarray) -> np.ndarray:

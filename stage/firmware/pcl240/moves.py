@@ -12,7 +12,7 @@ from stage.chips.pcl240.state import COUNTER_MASK
 from stage.chips.sharing import exclusive
 from stage.errors import ArgumentError, StageError, add_article
 from stage.firmware.axis import Axis, check_direction, check_seconds
-from stage.firmware.driver import SETTLE
+from stage.firmware.driver import SETTLING_TIME_S
 from stage.firmware.pcl240 import bus
 from stage.firmware.pcl240.bus import Port, check, name_leader, require_clock
 from stage.firmware.pcl240.procedure import Procedure
@@ -240,7 +240,7 @@ def interrupted_move(
             p.port.write_register("R6", rest.down_point(residual, fh2))
             p.port.command(bus.RAMP[rate])
             p.port.wait_until_stopped(compute_time_limit(timeout, profile, residual))
-        axis.wait(SETTLE)
+        axis.wait(SETTLING_TIME_S)
         return p.report(p.stop_reason(), pulses)
 
 
@@ -298,7 +298,7 @@ def external_count(
             p.port.command(bus.RESET)
         p.port.wait_until_stopped(1 / profile.fl + 1)
         p.port.command(bus.OUTPUT)
-        axis.wait(SETTLE)
+        axis.wait(SETTLING_TIME_S)
         if status.operating and not counted:
             return p.report("timeout" if more else "reset command")
         return p.report(p.stop_reason())

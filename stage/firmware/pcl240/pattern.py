@@ -32,7 +32,7 @@ class Pattern(pattern.Pattern):
     LANES = LANES
     ALWAYS = ("fup", "fkeep", "fdown", "hold")
 
-    def plays(self, pin: str) -> bool:
+    def is_relevant(self, pin: str) -> bool:
         if pin == "pdir":
             return len(set(self.minus()[self.course.running].tolist())) > 1
         return pin in self.ALWAYS or bool(self.course.pin(pin).any())
@@ -40,11 +40,11 @@ class Pattern(pattern.Pattern):
     def minus(self) -> np.ndarray:
         return self.course.pin("pdir")
 
-    def levels(self) -> dict[str, float]:
+    def list_named_rates(self) -> dict[str, float]:
         """Return FL, FH1, FH2 in pps, of those that commands select and whose register was written once."""
         values: dict[str, set[int]] = {}
         used = set()
-        for s in self.report.said:
+        for s in self.report.statements:
             if s.kind == "register":
                 values.setdefault(s.register, set()).add(s.value)
             elif s.kind == "command" and (byte := int(s.code, 16)) & START and byte & GROUP == OPERATE:
@@ -67,7 +67,7 @@ class Pattern(pattern.Pattern):
         hold, clocks = course.pin("hold"), course.edges["clock"]
         notes: list[Note] = []
         ahead: list[str] = []
-        for (when, code, _), s in zip(report.writes(), report.said, strict=True):
+        for (when, code, _), s in zip(report.writes(), report.statements, strict=True):
             halted = bool(hold[max(int(np.searchsorted(clocks, s.clock)) - 1, 0)])
             if s.kind == "register":
                 if not halted:

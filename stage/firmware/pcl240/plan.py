@@ -17,11 +17,10 @@ from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import LINEAR, SPAN
 from stage.errors import ArgumentError, ExceededLimit, add_article, unknown_name_error
-from stage.firmware.lines import ROOM, compute_peak_rate
+from stage.firmware.lines import MAX_RAMP_SHARE, compute_peak_rate
 from stage.firmware.path import path_deviation, perfect_deviation
 from stage.firmware.pcl240 import fit
 from stage.firmware.pcl240.closed_form import fill_motion
-from stage.firmware.pcl240.emulated import NAMES, compute_offset, trace_row
 from stage.firmware.pcl240.leader import (
     AS_LEADER,
     MAX_R7,
@@ -36,6 +35,7 @@ from stage.firmware.pcl240.leader import (
     search,
 )
 from stage.firmware.pcl240.profile import ACCEL, FH1, FL, ramp_seconds
+from stage.firmware.pcl240.row_emulation import NAMES, compute_offset, trace_row
 from stage.support.arguments import explain_arguments
 
 MAX_R0 = PCL240K.MAP.registers[0].mask
@@ -329,7 +329,7 @@ def _shorten(length: int, rate: float, fl: float, accel: float, decel: float) ->
     it."""
     if rate <= fl:
         return LeaderMove(length, fl, fl, 0.0, 0.0), []
-    room = max(min(ROOM * length, length - 2 * TAILS[0]), 0.0)
+    room = max(min(MAX_RAMP_SHARE * length, length - 2 * TAILS[0]), 0.0)
     peak = float(compute_peak_rate(fl, rate, room, accel, decel))
     if peak >= rate:
         return LeaderMove(length, rate, fl, accel, decel), []

@@ -16,7 +16,7 @@ from stage.chips.pcl240 import state as bits
 from stage.chips.pcl240.maps import OPERATE
 from stage.firmware import report
 from stage.firmware.axis import Axis
-from stage.firmware.driver import SETTLE
+from stage.firmware.driver import SETTLING_TIME_S
 from stage.firmware.pcl240.bus import Port, check
 from stage.firmware.report import Report
 from stage.firmware.stop_reasons import UNKNOWN
@@ -48,7 +48,7 @@ class Procedure(report.Procedure):
             RunTimeout: The chip still moved after `timeout`.
         """
         self.port.wait_until_stopped(timeout)
-        self.axis.wait(SETTLE)
+        self.axis.wait(SETTLING_TIME_S)
         return self.report(self.stop_reason(), asked)
 
 

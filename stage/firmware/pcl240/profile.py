@@ -17,12 +17,12 @@ from stage.chips import PCL240K
 from stage.chips.pcl240 import PCL240
 from stage.chips.pcl240.state import SPAN
 from stage.errors import ArgumentError, ExceededLimit
-from stage.firmware.driver import DRIVE, RAMP, START
+from stage.firmware.driver import DEFAULT_DRIVE_PPS, DEFAULT_RAMP_S, DEFAULT_START_PPS
 from stage.support.arguments import explain_arguments, explain_constructor
 
-FL, FH1, FH2 = START, DRIVE, 2 * DRIVE
+FL, FH1, FH2 = DEFAULT_START_PPS, DEFAULT_DRIVE_PPS, 2 * DEFAULT_DRIVE_PPS
 """Default rates, pps: 3.125, 50 and 100 mm/s on the default stage, where 17HS4401 at 24 V pulls out far above."""
-ACCEL = RAMP
+ACCEL = DEFAULT_RAMP_S
 """Default ramp, seconds from FL to the highest rate."""
 RATE_TOLERANCE, TIME_TOLERANCE = 2e-4, 1e-2
 """Within these relative errors finer speed steps are worth more than exact values."""
@@ -144,7 +144,7 @@ def down_point(r0: int, low: int, high: int, r4: int, r5: int, r7: int, down: in
     return int(ramp_pulses(low, high, r5, r7, down)) + AT_FL
 
 
-def usual_second(fh1: float, clock_hz: int, multiplier: int | None = None) -> float:
+def get_default_second_rate(fh1: float, clock_hz: int, multiplier: int | None = None) -> float:
     """Return the usual FH2 beside an FH1, pps: twice as much, where the chip reaches that with R7 = `multiplier` (None: any)."""
     return min(2 * fh1, pulse_rate(8191, multiplier or 2, clock_hz))
 
@@ -222,7 +222,7 @@ class Profile:
         slowest = chip.MAP.register("R4").mask
         r7 = np.arange(2, 1024) if multiplier is None else np.array([multiplier])
         max_rate = pulse_rate(8191, int(r7[0]), clock_hz)
-        fh2 = usual_second(fh1, clock_hz, multiplier) if fh2 is None else fh2
+        fh2 = get_default_second_rate(fh1, clock_hz, multiplier) if fh2 is None else fh2
         fl = min(FL, fh1, fh2) if fl is None else fl
         decel = accel if decel is None else decel
         for name, value in {"fh1": fh1, "fh2": fh2, "fl": fl}.items():

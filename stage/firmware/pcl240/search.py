@@ -9,7 +9,7 @@ import numpy as np
 
 from stage.chips.pcl240.state import COUNTER_MASK, S_OPERATING, S_ORG, S_ZERO
 from stage.errors import ArgumentError, add_article
-from stage.firmware.choices import Choices, limits
+from stage.firmware.parameter_ranges import ParameterRanges, get_register_range
 from stage.firmware.pcl240 import bus
 from stage.firmware.search import Search, SearchResult
 from stage.sim.program import Program
@@ -34,17 +34,21 @@ class FourRuns(Search):
                 f"ez={ez!r}: {add_article(chip.MAP.chip)} does not count EZ: a PCL240MK or PCL240MS does."
             )
         chip.MAP.checked("R7", settings.multiplier)
-        rates = {"R1": limits(chip.MAP, "R1"), "R2": limits(chip.MAP, "R2"), "R4": limits(chip.MAP, "R4")}
+        rates = {name: get_register_range(chip.MAP, name) for name in ("R1", "R2", "R4")}
         travel = {"leave": (0, settings.leave), "back_off": (1, settings.back_off), "sd": (0, 1)}
-        self.choices = Choices({**rates, "approach": limits(chip.MAP, "R1"), **travel}, cubed=("leave",))
+        self.choices = ParameterRanges(
+            {**rates, "approach": get_register_range(chip.MAP, "R1"), **travel}, cubed=("leave",)
+        )
         self.marks = {}
         self.program(self.choices.low)
 
-    def row(self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int) -> list[int]:
+    def find_nearest_row(
+        self, fl: float, fh: float, ramp: float, approach: float, leave: int, back_off: int
+    ) -> list[int]:
         unit = self.driver.chip.clock_hz / (8192 * self.settings.multiplier)  # pps
         rate = self.driver.chip.clock_hz * ramp * unit / max(fh - fl, unit)
         rates = {"R1": fl / unit, "R2": fh / unit, "R4": rate, "approach": approach / unit}
-        return self._row({**rates, "leave": leave, "back_off": back_off, "sd": 0})
+        return self._round_to_ranges({**rates, "leave": leave, "back_off": back_off, "sd": 0})
 
     def program(self, row: Sequence[int] | np.ndarray) -> Program:
         c, a, chip = self.settings, self.driver.index, self.driver.chip
@@ -70,19 +74,21 @@ class FourRuns(Search):
             chip
         ):  # a start at speed step 1, taken back at once, is accepted: no end limit
             p.register(a, chip, "R1", 1).command(a, bus.CONTROL | bus.MINUS).command(a, bus.START["FL"])
-            self._mark("index", p).read(a, 0).command(a, bus.RESET).register(a, chip, "R1", approach)
+            self._note_result_index("index", p).read(a, 0).command(a, bus.RESET).register(a, chip, "R1", approach)
         elif c.ez:  # the index pulse, as R17 shows it: bit 20, in the high byte
             p.command(a, bus.OUTPUT | bus.EXTENSION)
             p.command(a, bus.SELECT | bus.COLLECTIVE | chip.MAP.register("R17").number)
-            self._mark("index", p).read(a, 3).command(a, bus.OUTPUT)
+            self._note_result_index("index", p).read(a, 3).command(a, bus.OUTPUT)
         return p
 
     def _run(self, p: Program, name: str, control: int, start: int, r0: int, rest: float) -> None:
         a = self.driver.index
         p.register(a, self.driver.chip, "R0", r0).command(a, bus.CONTROL | control).command(a, start)
-        self._mark(f"{name} time", p).until_stopped([a], self.settings.limit).command(a, bus.RESET).wait(rest)
+        self._note_result_index(f"{name} time", p).until_stopped([a], self.settings.limit).command(a, bus.RESET).wait(
+            rest
+        )
         for address in (0, 3, 2, 1):
-            self._mark(f"{name} {address}", p).read(a, address)
+            self._note_result_index(f"{name} {address}", p).read(a, address)
 
     def read_results(self, results: np.ndarray, rows: np.ndarray) -> SearchResult:
         marked = {name: results[:, at] for name, at in self.marks.items()}

@@ -17,11 +17,11 @@ from stage.errors import ArgumentError, RunTimeout, add_article
 from stage.firmware.axis import Axes, Axis
 from stage.firmware.pcl240 import bus
 from stage.firmware.pcl240.bus import check, name_leader, require_clock
-from stage.firmware.pcl240.moves import SETTLE
+from stage.firmware.pcl240.moves import SETTLING_TIME_S
 from stage.firmware.pcl240.plan import Plan, plan
 from stage.firmware.pcl240.procedure import Procedure
 from stage.firmware.pcl240.profile import ACCEL, FH1, FL
-from stage.firmware.together import SynchronizedReport, Together, select_axes
+from stage.firmware.synchronized_report import LineObserver, SynchronizedReport, select_axes
 from stage.support.arguments import check_timeout, explain_arguments
 
 WORTH_IT = 0.02  # pulses that a plan for the bus delay may be better than one for a common start
@@ -97,7 +97,7 @@ def synchronized_move(
 def _run(axes: dict[str, Axis], line_plan: Plan, timeout: float | None) -> SynchronizedReport:
     """Write the registers, start the axes in the order of the plan, wait, and return the report."""
     watch = {n: Procedure(a, "synchronized move") for n, a in axes.items()}
-    with Together(watch, line_plan.distances) as line:
+    with LineObserver(watch, line_plan.distances) as line:
         for n, p in watch.items():
             p.port.command(bus.RESET)
             p.port.write_registers(**line_plan.axes[n].registers)
@@ -106,14 +106,14 @@ def _run(axes: dict[str, Axis], line_plan: Plan, timeout: float | None) -> Synch
             p.port.control(bus.PRESET | minus | (bus.AUTOMATIC if line_plan.axes[n].automatic else 0))
         for n, p in watch.items():  # nothing between the starts but the bus
             p.port.command(bus.RAMP["FH1"] if line_plan.axes[n].ramps else bus.START["FH1"])
-            line.began(n)
-        with line.in_time():
+            line.note_start(n)
+        with line.attach_reports_to_timeout():
             stopped_by = _wait(watch, line_plan, 1.5 * line_plan.seconds + 1 if timeout is None else timeout, line)
-        next(iter(axes.values())).wait(SETTLE)
+        next(iter(axes.values())).wait(SETTLING_TIME_S)
         return line.report(stopped_by, line_plan)
 
 
-def _wait(watch: dict[str, Procedure], line_plan: Plan, patience: float, line: Together) -> dict[str, str]:
+def _wait(watch: dict[str, Procedure], line_plan: Plan, patience: float, line: LineObserver) -> dict[str, str]:
     """Poll all axes until none operates; return why each stopped."""
     stopped_by: dict[str, str] = {}
     broken = False

@@ -146,7 +146,9 @@ class Moves:
         nominal = Stage(model, chips=chip_class(chip))
         nominal.set_payload(payload, self.env.unwrapped.task_instance.carrier)
         self.axis = nominal.axes["x"]
-        self.registers = RegisterBox.of_registers(self.axis.chip.MAP, driver_of(self.axis).tuned_by(s_curve=False))
+        self.registers = RegisterBox.of_registers(
+            self.axis.chip.MAP, driver_of(self.axis).list_move_registers(s_curve=False)
+        )
         self.knobs = formula.Knobs(self.axis, distance) if space == "knobs" else None
         self.size = len(self.knobs.ranges) if self.knobs else len(self.registers)
 

@@ -32,7 +32,7 @@ class Knobs:
 
     def __init__(self, axis: Axis, pulses: int):
         self.pulses, self.middle, self.driver = pulses, plan_profile(Load.from_axis(axis), pulses), driver_of(axis)
-        self.ranges = self.RANGES if "R6" in self.driver.tuned_by(s_curve=False) else self.RANGES[:3]
+        self.ranges = self.RANGES if "R6" in self.driver.list_move_registers(s_curve=False) else self.RANGES[:3]
 
     def registers(self, knobs: np.ndarray) -> dict[str, int]:
         """Compute registers from as many numbers from -1 to 1 as there are `ranges`; all 0 are the formula's."""

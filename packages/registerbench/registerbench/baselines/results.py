@@ -48,7 +48,7 @@ from registerbench.baselines.runs import (
 )
 from registerbench.statistics import compute_interval, compute_iqm
 from stage import Stage, firmware
-from stage.firmware.report import Report, rates
+from stage.firmware.report import Report, compute_rates
 from stage.support.pictures import bare, title
 
 BUDGET, SEEDS = 256, 10  # moves a seed; fewer seeds say nothing of who beats whom
@@ -369,7 +369,7 @@ def draw_the_moves(ax: Any, runs: list[Run], payload: str, mass: float, model: s
         middle = sorted(found, key=lambda r: r.mean("reward"))[len(found) // 2]
         course = again(middle.registers, mass, model).course
         running = np.flatnonzero(~course.pin("hold"))
-        t, rate = (course.seconds - course.seconds[running[0]]) * 1e3, rates(course) / 1e3
+        t, rate = (course.seconds - course.seconds[running[0]]) * 1e3, compute_rates(course) / 1e3
         shown = slice(running[0], running[-1] + 2)
         style = {FORMULA.name: "--", BOLDEST.name: ":"}.get(method.name, "-")
         ax.plot(np.r_[0, t[shown]], np.r_[0, rate[shown]], style, color=method.color, lw=1.7, label=method.name)

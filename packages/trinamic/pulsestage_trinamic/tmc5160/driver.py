@@ -20,13 +20,20 @@ from pulsestage_trinamic.tmc5160.line import NAMES, InRatio
 from pulsestage_trinamic.tmc5160.maps import M32, NUMBER
 from pulsestage_trinamic.tmc5160.power import FULL_SCALE
 from stage.errors import ArgumentError, RunTimeout, add_article
-from stage.firmware.axis import turned
-from stage.firmware.choices import limits
-from stage.firmware.driver import SETTLE, AtOnce, Driver, Speeds, select_moving, wait_until_stopped
+from stage.firmware.axis import is_sensor_inverted
+from stage.firmware.driver import (
+    SETTLING_TIME_S,
+    Driver,
+    ImmediateOperations,
+    Speeds,
+    select_moving,
+    wait_until_stopped,
+)
 from stage.firmware.lines import LineMoves, LineSettings
+from stage.firmware.parameter_ranges import get_register_range
 from stage.firmware.report import Procedure, Report
 from stage.firmware.stop_reasons import ANOTHER_AXIS
-from stage.firmware.together import StopTogether, SynchronizedReport, Together
+from stage.firmware.synchronized_report import EarlyStopHandler, LineObserver, SynchronizedReport
 from stage.sim.program import Operations
 
 CHOPCONF = 0x100100C3
@@ -99,10 +106,10 @@ class Tmc5160Driver(Driver):
     """Host driver of the TMC5160. Speeds are those of 1/256 full steps: MRES stays 0."""
 
     DONE: ClassVar = "position reached"
-    FINISH: ClassVar = "XTARGET"
+    DISTANCE_REGISTER: ClassVar = "XTARGET"
     HOME_REASONS: ClassVar = ("REFL", "REFR", "ENCN", "stall")
-    HOMINGS: ClassVar = ("switch", "index", "stall")
-    POSITIVE: ClassVar = ("el_minus", "el_plus", "ez")
+    HOMING_METHODS: ClassVar = ("switch", "index", "stall")
+    INVERTIBLE_SENSORS: ClassVar = ("el_minus", "el_plus", "ez")
     chip: Any
 
     # --- registers ---
@@ -118,15 +125,15 @@ class Tmc5160Driver(Driver):
     def read_register(self, name: str) -> int:
         r = self.chip.MAP.register(name)
         if "R" not in r.access:
-            raise self.no_reading(r.name)
+            raise self.build_unreadable_register_error(r.name)
         return self.get(r.name)
 
     def switches(self, bits: int) -> int:
         """SW_MODE of these bits, with the polarity of the axis' sensors as they are wired."""
         return (
             bits
-            | (state.POL_L if turned(self.axis, "el_minus") else 0)
-            | (state.POL_R if turned(self.axis, "el_plus") else 0)
+            | (state.POL_L if is_sensor_inverted(self.axis, "el_minus") else 0)
+            | (state.POL_R if is_sensor_inverted(self.axis, "el_plus") else 0)
         )
 
     def currents(self) -> dict[str, int]:
@@ -140,7 +147,7 @@ class Tmc5160Driver(Driver):
     def prepare(self) -> None:
         """Switch the power stage on, where it is off: currents as the axis' Drive has them."""
         if not self.get("CHOPCONF") & 15:
-            self._switch_on(AtOnce(self.axis))
+            self._switch_on(ImmediateOperations(self.axis))
 
     def switched_on(self) -> dict[str, int]:
         """The registers that switch the power stage on."""
@@ -154,7 +161,7 @@ class Tmc5160Driver(Driver):
     def _speeds(self, speeds: Speeds) -> dict[str, int]:
         """Raises ArgumentError for what the registers cannot hold."""
         if speeds.s_curve:
-            raise self.no_s_curves()
+            raise self.build_s_curve_error()
         values, hz = self._wanted(speeds.start, speeds.drive, speeds.up, speeds.down), self.chip.clock_hz
         for name, value in values.items():
             r = self.chip.MAP.register(name)
@@ -165,17 +172,17 @@ class Tmc5160Driver(Driver):
                 )
         return values
 
-    def tuned_by(self, s_curve: bool | None) -> tuple[str, ...]:
+    def list_move_registers(self, s_curve: bool | None) -> tuple[str, ...]:
         if s_curve:
-            raise self.no_s_curves()
+            raise self.build_s_curve_error()
         return NAMES
 
     def formula(
         self, fl: float, fh: float, up: float, down: float, pulses: int, s_curve: bool | None = None
     ) -> dict[str, int]:
         """The nearest of what is chosen from for each register."""
-        self.tuned_by(s_curve)
-        ranges = {name: limits(self.chip.MAP, name) for name in NAMES}
+        self.list_move_registers(s_curve)
+        ranges = {name: get_register_range(self.chip.MAP, name) for name in NAMES}
         return {n: min(max(value, ranges[n][0]), ranges[n][1]) for n, value in self._wanted(fl, fh, up, down).items()}
 
     def _wanted(self, fl: float, fh: float, up: float, down: float) -> dict[str, int]:
@@ -200,7 +207,7 @@ class Tmc5160Driver(Driver):
             wait_until_stopped([self.axis], 1.5 * expected_seconds + 1 if timeout is None else timeout)
             met = self.explain_end(p.pulses_made == pulses)
             self.stay()
-            self.axis.wait(SETTLE)
+            self.axis.wait(SETTLING_TIME_S)
             return p.report(met, pulses)
 
     def start(self, pulses: int, speeds: Speeds) -> None:
@@ -231,7 +238,7 @@ class Tmc5160Driver(Driver):
     def check_still(self) -> None:
         """Raises StageError for an axis that moves."""
         if self.is_running():
-            raise self.moving()
+            raise self.build_moving_error()
 
     def stay(self) -> None:
         """Nothing moves, whatever comes: the target is where the axis is."""
@@ -274,16 +281,16 @@ class Tmc5160Driver(Driver):
     def home(self, direction: int, speeds: Speeds, index: int = 0, timeout: float = 60.0) -> Report:
         return self.home_by("index" if index else "switch", direction, speeds, timeout)
 
-    def home_by(self, what: str, direction: int, speeds: Speeds, timeout: float = 60.0) -> Report:
+    def home_by(self, method: str, direction: int, speeds: Speeds, timeout: float = 60.0) -> Report:
         values = self._speeds(speeds)
         self.check_still()
         with Procedure(self.axis, "home") as p:
             self.prepare()
-            end_reason = homing.to_stall(self, direction, values, timeout) if what == "stall" else ""
+            end_reason = homing.to_stall(self, direction, values, timeout) if method == "stall" else ""
             end_reason = end_reason or homing.to_switch(self, direction, values, timeout)
-            if what == "index" and end_reason in self.HOME_REASONS:
+            if method == "index" and end_reason in self.HOME_REASONS:
                 end_reason = homing.to_index(self, -direction, values, timeout)
-            self.axis.wait(SETTLE)
+            self.axis.wait(SETTLING_TIME_S)
             report = p.report(end_reason)
         # zero is where the motor has stalled: steps lost before do not count
         return replace(report, lost_steps=0) if end_reason == "stall" else report
@@ -328,16 +335,16 @@ class Tmc5160Driver(Driver):
         moves = LineMoves(np.array([[pulses[n] for n in mine]]), np.array([speeds.drive]))
         rows = made.data_sheet(moves)[0].tolist()
         wanted = {n: pulses[n] for n in mine}
-        with Together({n: Procedure(d.axis, "line") for n, d in mine.items()}, wanted) as together:
+        with LineObserver({n: Procedure(d.axis, "line") for n, d in mine.items()}, wanted) as together:
             goals = {
                 n: d.aim(dict(zip(made.names, row, strict=True)), wanted[n])
                 for (n, d), row in zip(mine.items(), rows, strict=True)
             }
             for name, goal in goals.items():
                 mine[name].put("XTARGET", goal)
-                together.began(name)
+                together.note_start(name)
             expected_seconds = 1.5 * float(moves.longest[0]) / speeds.drive + 6 * ramp + 1
-            breaker = StopTogether(together, mine)
+            breaker = EarlyStopHandler(together, mine)
             try:
                 wait_until_stopped(
                     [d.axis for d in mine.values()], expected_seconds if timeout is None else timeout, on_poll=breaker
@@ -351,5 +358,5 @@ class Tmc5160Driver(Driver):
             }
             for driver in mine.values():
                 driver.stay()
-            next(iter(mine.values())).axis.wait(SETTLE)
+            next(iter(mine.values())).axis.wait(SETTLING_TIME_S)
             return together.report(end_reason)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from pulsestage_trinamic.tmc5160 import state
 from pulsestage_trinamic.tmc5160.encoder import CLR_ONCE, DECIMAL, IGNORE_AB, LATCH_X, N_EVENT, POL_N
 from pulsestage_trinamic.tmc5160.stallguard import PER_SGT
-from stage.firmware.axis import turned
+from stage.firmware.axis import is_sensor_inverted
 from stage.firmware.driver import wait_until_stopped
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def to_index(d: Tmc5160Driver, direction: int, values: Mapping[str, int], timeou
     slow = {**values, "VMAX": max(values["VMAX"] // SLOWLY, LEAST_VSTOP)}
     slow["VSTART"] = min(values["VSTART"], slow["VMAX"])
     slow["VSTOP"] = max(slow["VSTART"], LEAST_VSTOP)
-    level = 0 if turned(d.axis, "ez") else POL_N
+    level = 0 if is_sensor_inverted(d.axis, "ez") else POL_N
     end = d.axis.time + timeout
     d.put("ENC_STATUS", N_EVENT)
     d.put("ENCMODE", d.get("ENCMODE") & DECIMAL | level | IGNORE_AB | CLR_ONCE | LATCH_X | RISING)

@@ -25,7 +25,7 @@ class InRatio(Line):
     """A row of NAMES an axis: those of the longest axis, times its share."""
 
     def __init__(self, drivers: Sequence[Driver], settings: Any):
-        names = drivers[0].tuned_by(settings.s_curve)
+        names = drivers[0].list_move_registers(settings.s_curve)
         super().__init__(drivers, settings, len(drivers), names)
         self.fastest = float(self.high[names.index("VMAX")] * self.hz / V)
         self._write_template()
@@ -37,30 +37,30 @@ class InRatio(Line):
                 p.register(driver.index, driver.chip, name, value)
             for column, name in enumerate(self.names):
                 p.register(driver.index, driver.chip, name, 0)
-                self._slot(p, 1, a * len(self.names) + column)
+                self._add_slot(p, 1, a * len(self.names) + column)
         for a, driver in enumerate(self.drivers):
             p.register(driver.index, driver.chip, "XTARGET", 0)
-            self._slot(p, 1, count * len(self.names) + a)
+            self._add_slot(p, 1, count * len(self.names) + a)
         self._template = np.array(p.ops, np.int64)
 
     def data_sheet(self, moves: LineMoves) -> np.ndarray:
         """The longest axis' registers by the formulas, rounded; of the others the nearest to their share of them."""
-        c, (peak, ramp) = self.settings, self.reach(moves)
+        c, (peak, ramp) = self.settings, self.compute_peaks(moves)
         low = np.minimum(c.fl, peak)
         lead = np.zeros((len(peak), len(self.names)))
         lead[:, 0] = lead[:, 4] = low * V / self.hz
         lead[:, 2] = peak * V / self.hz
         lead[:, 1] = lead[:, 3] = (peak - low) / ramp * A / self.hz**2
         rounded = np.maximum(np.rint(lead), 1.0)
-        return self.legal(moves.share[:, :, None] * rounded[:, None, :])
+        return self.clip_to_legal(moves.share[:, :, None] * rounded[:, None, :])
 
-    def corrected(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
+    def apply_corrections(self, moves: LineMoves, corrections: np.ndarray) -> np.ndarray:
         """Correct registers by a share of the counts that move the axis by `reach` steps along the line, one at least."""
         made = self.data_sheet(moves)
-        counts = np.maximum(np.rint(self.settings.reach / self.worth(made, moves)), 1)
-        return self.legal(made + np.rint(corrections * counts))
+        counts = np.maximum(np.rint(self.settings.reach / self.compute_pulses_per_count(made, moves)), 1)
+        return self.clip_to_legal(made + np.rint(corrections * counts))
 
-    def worth(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
+    def compute_pulses_per_count(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         """Return by how many steps one count of each register moves an axis along the line."""
         r = registers.astype(np.float64)
         up, down = (self._seconds(r, start, rate) for start, rate in ((0, 1), (4, 3)))
@@ -73,15 +73,17 @@ class InRatio(Line):
         """Of a ramp between the columns `start` and VMAX."""
         return np.maximum(r[..., 2] - r[..., start], 0.0) * (A / V) / (r[..., rate] * self.hz)
 
-    def errors(self, moves: LineMoves) -> np.ndarray:
+    def compute_share_errors(self, moves: LineMoves) -> np.ndarray:
         r, unit = self.data_sheet(moves).astype(np.float64), self.hz / V
         up, down = self._seconds(r, 0, 1), self._seconds(r, 4, 3)
         lag, less = 0.5 * (r[..., 2] - r[..., 0]) * unit * up, 0.5 * (r[..., 2] - r[..., 4]) * unit * down
-        return self.strays(moves, r[..., 2] * unit, up, lag, less, 0.5 * (r[..., 2] + r[..., 4]) * unit * down)
+        return self.compute_deviations(
+            moves, r[..., 2] * unit, up, lag, less, 0.5 * (r[..., 2] + r[..., 4]) * unit * down
+        )
 
     def programs(self, registers: np.ndarray, moves: LineMoves) -> np.ndarray:
         columns = [registers.reshape(len(registers), -1), moves.distances & 0xFFFFFFFF]
-        return self._filled(self._template, np.concatenate(columns, axis=1))
+        return self._fill_template(self._template, np.concatenate(columns, axis=1))
 
-    def starts(self, distances: np.ndarray) -> np.ndarray:
+    def find_start_operations(self, distances: np.ndarray) -> np.ndarray:
         return np.arange(len(self._template) - len(self.drivers), len(self._template))

@@ -11,13 +11,13 @@ from stage.chips.register_map import RegisterMap
 from stage.errors import ArgumentError
 
 
-class Choices(NamedTuple):
+class ParameterRanges(NamedTuple):
     """Numbers by name, in order: (least, most). cubed: those of which small values matter most."""
 
     ranges: dict[str, tuple[int, int]]
     cubed: tuple[str, ...] = ()
 
-    def named(self, row: Sequence[int] | np.ndarray) -> dict[str, int]:
+    def to_dict(self, row: Sequence[int] | np.ndarray) -> dict[str, int]:
         """Return one row of numbers by name."""
         return {name: int(value) for name, value in zip(self.ranges, row, strict=True)}
 
@@ -27,7 +27,7 @@ class Choices(NamedTuple):
         return [low for low, _ in self.ranges.values()]
 
 
-def limits(map_: RegisterMap, name: str) -> tuple[int, int]:
+def get_register_range(register_map: RegisterMap, name: str) -> tuple[int, int]:
     """Return the range of a register that numbers are chosen from.
 
     Args:
@@ -40,7 +40,7 @@ def limits(map_: RegisterMap, name: str) -> tuple[int, int]:
     Raises:
         ArgumentError: The register has no such range.
     """
-    r = map_.register(name)
+    r = register_map.register(name)
     if not (least_and_most := r.tuned or r.legal):
-        raise ArgumentError(f"{map_.chip} {name} has no legal range to choose from.")
+        raise ArgumentError(f"{register_map.chip} {name} has no legal range to choose from.")
     return least_and_most

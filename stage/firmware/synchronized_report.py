@@ -1,7 +1,7 @@
 """Several axes on one straight line: an observer of all of them, and the report.
 
 with Together({name: Procedure(axis, "line") ...}, distances) as line:
-    ...                                      write, start; line.began(name) after each start
+    ...                                      write, start; line.note_start(name) after each start
     line.measure_carriages()                 while they move
     report = line.report(stopped_by)
 """
@@ -17,7 +17,7 @@ import numpy as np
 
 from stage.errors import ArgumentError, RunTimeout, unknown_name_error
 from stage.firmware.axis import Axes, Axis
-from stage.firmware.path import Deviation, path_deviation, pulses_of
+from stage.firmware.path import Deviation, path_deviation, replay_pulses
 from stage.firmware.report import Procedure, Report
 from stage.support import html
 
@@ -68,7 +68,7 @@ class SynchronizedReport:
         """Time that the motion takes, by the plan or by the clock, s."""
         return self.plan.seconds if self.plan else max(r.duration for r in self.axes.values())
 
-    def written(self, axis: str) -> str:
+    def describe_rate(self, axis: str) -> str:
         """Return the rate of an axis in words."""
         if self.plan is None:
             return f"up to {self.axes[axis].peak_rate:,.1f} pps"
@@ -127,7 +127,7 @@ class SynchronizedReport:
         return draw(self, path, title, overwrite)
 
 
-class Together:
+class LineObserver:
     """Observer of axes that move together.
 
     Args:
@@ -140,16 +140,16 @@ class Together:
         self._began: dict[str, float] = {}
         self._books = ExitStack()
 
-    def __enter__(self) -> Together:
+    def __enter__(self) -> LineObserver:
         for p in self.watch.values():
             self._books.enter_context(p)
-        self.carriages = Carriages({n: p.axis for n, p in self.watch.items()}, self.distances)
+        self.carriages = CarriageDeviationMeter({n: p.axis for n, p in self.watch.items()}, self.distances)
         return self
 
     def __exit__(self, *error: Any) -> None:
         self._books.__exit__(*error)
 
-    def began(self, *names: str) -> None:
+    def note_start(self, *names: str) -> None:
         """Note that the start commands of these axes have just been written; without names those of all axes."""
         for n in names or self.watch:
             self._began[n] = self.watch[n].axis.time
@@ -171,7 +171,7 @@ class Together:
         return {n: self.watch[n].report(stopped_by[n], d) for n, d in self.distances.items()}
 
     @contextmanager
-    def in_time(self) -> Iterator[None]:
+    def attach_reports_to_timeout(self) -> Iterator[None]:
         """Add the reports of all axes to a RunTimeout that is raised within it, as `reports`."""
         try:
             yield
@@ -194,7 +194,7 @@ class Together:
         paths = {}
         for n in self.distances:
             p = self.watch[n]
-            pulses, origin = pulses_of(p.journal), first - p.began
+            pulses, origin = replay_pulses(p.journal), first - p.began
             pulses = pulses[pulses["axis"] == p.axis.chip_axis]
             paths[n] = pulses["clock"] / p.axis.chip.clock_hz - origin, pulses["direction"].copy()
         ends = [t[-1] for t, _ in paths.values() if len(t)]
@@ -204,14 +204,14 @@ class Together:
         )  # fmt: skip
 
 
-class StopTogether:
+class EarlyStopHandler:
     """Called at each poll of a line, `on_poll` of `wait_until_stopped`: slows all axes down once one has stopped early.
 
     Attributes:
         stopped: Names of the axes that it has slowed down.
     """
 
-    def __init__(self, together: Together, drivers: Mapping[str, Any]):
+    def __init__(self, together: LineObserver, drivers: Mapping[str, Any]):
         """`drivers`: by name, each with `slow_down()`."""
         self._together, self._drivers = together, drivers
         self.stopped: set[str] = set()
@@ -226,7 +226,7 @@ class StopTogether:
             self.stopped = running
 
 
-class Carriages:
+class CarriageDeviationMeter:
     """Meter of the largest distance of carriages from their line, m; `worst` is None without a stage."""
 
     def __init__(self, axes: dict[str, Axis], distances: dict[str, int]):
