@@ -73,7 +73,7 @@ def constant_speed_preset() -> Report:
 
 @pattern("High speed continuous mode", "section 5 d")
 def high_speed_continuous() -> Report:
-    """In manual mode (40h), the chip runs until a stop command. 1Dh (from FH1; 1Fh from FH2) ramps down to FL and stops there.
+    """The chip runs in manual mode (40h) until a stop command. 1Dh (from FH1; 1Fh from FH2) ramps down to FL and stops there.
     R0 counts down from its present value, and wraps.
     """
     return firmware.continuous_move(axis(), 0.4, +1, P)
@@ -81,7 +81,7 @@ def high_speed_continuous() -> Report:
 
 @pattern("Constant speed continuous mode", "section 5 e")
 def constant_speed_continuous() -> Report:
-    """This is the manual mode without ramps. The reset command 08h stops at once; the chip first completes a pulse in progress."""
+    """The chip runs in manual mode without ramps. The reset command 08h stops at once; the chip first completes a pulse in progress."""
     return firmware.continuous_move(axis(), 0.3, +1, P, high_speed=False)
 
 
@@ -105,7 +105,7 @@ def constant_speed_origin_return() -> Report:
 
 @pattern("Origin return with a slow approach", "section 5 f; as firmware uses it")
 def origin_return_slow_approach() -> Report:
-    """This is the default of `origin_return`. After the fast return, it leaves ORG at a very low rate (R1 rewritten), goes 100
+    """The default of `origin_return` has two phases. After the fast return, it leaves ORG at a very low rate (R1 rewritten), goes 100
     pulses further, and approaches again at that rate: the motor does not oscillate when the switch trips, and the position
     repeats within a pulse.
     """
@@ -202,7 +202,7 @@ def curved_ramp() -> Report:
 
 @pattern("Speed changed several times while ramping up", "Q & A")
 def steps_while_ramping_up() -> Report:
-    """This is the other answer of the Q & A: one acceleration rate, with the speed register rewritten several times, and a
+    """The other answer of the Q & A uses one acceleration rate, rewrites the speed register several times, and has a
     constant rate between the ramps.
     """
     return firmware.speed_change_move(axis(), 7000, [4000, 8000, 12_000, 16_000], P, dwell=0.05)
@@ -230,7 +230,7 @@ def end_limit() -> Report:
 
 @pattern("Counting external pulses", "section 4, R0; output mode")
 def external_counting() -> Report:
-    """In output mode D0h, R0 counts the rising edges of EXTP in place of the output's pulses. The axis runs at FL until 20 edges
+    """R0 counts the rising edges of EXTP in place of the output's pulses in output mode D0h. The axis runs at FL until 20 edges
     have arrived.
     """
     return firmware.external_count(axis(), 20, P, rate=100)

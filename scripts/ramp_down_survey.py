@@ -66,7 +66,7 @@ def survey(count, seed):
     print(
         f"{count} random moves, seed {seed}, R6 = 0: {exact} ended exactly at R0 = 0; {count - len(runs)} had no ramp\n"
     )
-    row("ramps", "moves", "pulses at FL: median / 90 % / most", "late by: 10 % / median / 90 %", "above FL")
+    row("ramps", "moves", "pulses at FL: median / 90 % / maximum", "late by: 10 % / median / 90 %", "above FL")
     row("---", *["--:"] * 4)
     for kind in SHAPES[:3]:
         for end in TOPS:
