@@ -81,7 +81,9 @@ def high_speed_continuous() -> Report:
 
 @pattern("Constant speed continuous mode", "section 5 e")
 def constant_speed_continuous() -> Report:
-    """The chip runs in manual mode without ramps. The reset command 08h stops at once; the chip first completes a pulse in progress."""
+    """The chip runs in manual mode without ramps. The reset command 08h stops at once; the chip first
+    completes a pulse in progress.
+    """
     return firmware.continuous_move(axis(), 0.3, +1, P, high_speed=False)
 
 
@@ -105,8 +107,8 @@ def constant_speed_origin_return() -> Report:
 
 @pattern("Origin return with a slow approach", "section 5 f; as firmware uses it")
 def origin_return_slow_approach() -> Report:
-    """The default of `origin_return` has two phases. After the fast return, it leaves ORG at a very low rate (R1 rewritten), goes 100
-    pulses further, and approaches again at that rate: the motor does not oscillate when the switch trips, and the position
+    """The default of `origin_return` has two phases. After the fast return, it leaves ORG at a very low rate (R1
+    rewritten), goes 100 pulses further, and approaches again at that rate: the motor does not oscillate when the switch trips, and the position
     repeats within a pulse.
     """
     bench = Bench(PCL240K())

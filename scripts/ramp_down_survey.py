@@ -92,7 +92,7 @@ def print_group(name, group):
 
 def reasons(runs):
     print()
-    row("ends above FL", "R6 = 0", "R6 = 2", "pulses of the ramp left: median / 90 % / most")
+    row("ends above FL", "R6 = 0", "R6 = 2", "pulses of the ramp left: median / 90 % / maximum")
     row("---", *["--:"] * 3)
     above = [(m, e, excuse(m, e) or ROUNDING) for m, e in runs if ends_above(m, e)]
     two = [(m, made(m._replace(offset=2))) for m, _ in runs]
