@@ -57,8 +57,9 @@ def axis():
 
 @pattern("High speed preset mode", "section 5 b")
 def high_speed_preset() -> Report:
-    """R0 contains the number of pulses, R6 the ramp-down point. The chip starts at FL, ramps up to FH1, compares R0 with R6
-    after each pulse, ramps down once R0 < R6, and stops at R0 = 0: five pulses, or a few more, after it has reached FL again.
+    """R0 contains the number of pulses, R6 the ramp-down point. The chip starts at FL, ramps up to FH1, compares R0
+    with R6 after each pulse, ramps down once R0 < R6, and stops at R0 = 0: five pulses, or a few more, after it has
+    reached FL again.
     """
     return firmware.preset_move(axis(), 3000, P)
 
@@ -73,8 +74,8 @@ def constant_speed_preset() -> Report:
 
 @pattern("High speed continuous mode", "section 5 d")
 def high_speed_continuous() -> Report:
-    """The chip runs in manual mode (40h) until a stop command. 1Dh (from FH1; 1Fh from FH2) ramps down to FL and stops there.
-    R0 counts down from its present value, and wraps.
+    """The chip runs in manual mode (40h) until a stop command. 1Dh (from FH1; 1Fh from FH2) ramps down to FL and
+    stops there. R0 counts down from its present value, and wraps.
     """
     return firmware.continuous_move(axis(), 0.4, +1, P)
 
@@ -89,8 +90,8 @@ def constant_speed_continuous() -> Report:
 
 @pattern("High speed origin return mode", "section 5 f")
 def high_speed_origin_return() -> Report:
-    """Control mode 4Bh is the origin return in minus direction with SD enabled. The SD switch lies before the origin: it slows
-    the axis to FL, a rate from which the motor can stop at ORG without a ramp.
+    """Control mode 4Bh is the origin return in minus direction with SD enabled. The SD switch lies before the
+    origin: it slows the axis to FL, a rate from which the motor can stop at ORG without a ramp.
     """
     bench = Bench(PCL240K())
     bench.add_rail("x", at=4000, sd_minus=(None, 700), org=(None, 0))
@@ -108,8 +109,8 @@ def constant_speed_origin_return() -> Report:
 @pattern("Origin return with a slow approach", "section 5 f; as firmware uses it")
 def origin_return_slow_approach() -> Report:
     """The default of `origin_return` has two phases. After the fast return, it leaves ORG at a very low rate (R1
-    rewritten), goes 100 pulses further, and approaches again at that rate: the motor does not oscillate when the switch trips, and the position
-    repeats within a pulse.
+    rewritten), goes 100 pulses further, and approaches again at that rate: the motor does not oscillate when the
+    switch trips, and the position repeats within a pulse.
     """
     bench = Bench(PCL240K())
     bench.add_rail("x", at=4000, sd_minus=(None, 700), org=(None, 0))
@@ -118,8 +119,9 @@ def origin_return_slow_approach() -> Report:
 
 @pattern("Speed change during operation", "section 5 h")
 def speed_change() -> Report:
-    """A start command during a run changes the rate: 15h, 17h and 14h ramp to FH1, FH2 and FL. The host can rewrite the
-    register that is not selected during the run without effect and then select it, so any number of rates is possible.
+    """A start command during a run changes the rate: 15h, 17h and 14h ramp to FH1, FH2 and FL. The host can rewrite
+    the register that is not selected during the run without effect and then select it, so any number of rates is
+    possible.
     """
     return firmware.speed_change_move(axis(), 6000, [4000, 9000, 6000, 12_000, 3000], P, dwell=0.08)
 
@@ -174,9 +176,9 @@ def immediate_stop() -> Report:
 
 @pattern("Triangular drive", "Q & A")
 def triangular() -> Report:
-    """The move is too short to reach FH1: R6 = R0 R5 / (R4 + R5). `preset_move` adds 2: rounding down takes up to one pulse, and
-    R0 < R6 is true one pulse after R0 = R6. With the printed formula the chip is still a little above FL when R0 reaches
-    0.
+    """The move is too short to reach FH1: R6 = R0 R5 / (R4 + R5). `preset_move` adds 2: rounding down takes up to
+    one pulse, and R0 < R6 is true one pulse after R0 = R6. With the printed formula the chip is still a little
+    above FL when R0 reaches 0.
     """
     return firmware.preset_move(axis(), 500, P)
 
@@ -195,8 +197,9 @@ def down_point_too_early() -> Report:
 
 @pattern("Acceleration in pieces", "Q & A")
 def curved_ramp() -> Report:
-    """The chip ramps linearly. If a ramp is long compared with the host's bus cycles, the host can rewrite acceleration rate R4
-    and the speed register repeatedly: here five pieces approximate an S. The ramp down remains one line to FL.
+    """The chip ramps linearly. If a ramp is long compared with the host's bus cycles, the host can rewrite
+    acceleration rate R4 and the speed register repeatedly: here five pieces approximate an S. The ramp down remains
+    one line to FL.
     """
     pieces = [(2000, 0.12), (5000, 0.14), (11_000, 0.16), (14_000, 0.14), (15_000, 0.12)]
     return firmware.curved_ramp_move(axis(), 11_500, pieces, P)
@@ -232,8 +235,8 @@ def end_limit() -> Report:
 
 @pattern("Counting external pulses", "section 4, R0; output mode")
 def external_counting() -> Report:
-    """R0 counts the rising edges of EXTP in place of the output's pulses in output mode D0h. The axis runs at FL until 20 edges
-    have arrived.
+    """R0 counts the rising edges of EXTP in place of the output's pulses in output mode D0h. The axis runs at FL
+    until 20 edges have arrived.
     """
     return firmware.external_count(axis(), 20, P, rate=100)
 
