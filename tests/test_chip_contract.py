@@ -129,7 +129,7 @@ def test_a_driver_that_is_none_is_told(driver, said):
 def test_a_layout_that_is_none_is_told(monkeypatch):
     monkeypatch.setattr(layouts, "LAYOUTS", {})  # a shipped family has its own
     with pytest.raises(ArgumentError, match=r"LAYOUT = 'stage.board.layouts:BYTE' is no stage.board.layouts.Layout"):
-        layouts.default_layout(type("BAD", (PCL240K,), {"LAYOUT": "stage.board.layouts:BYTE"})())
+        layouts.make_default_layout(type("BAD", (PCL240K,), {"LAYOUT": "stage.board.layouts:BYTE"})())
 
 
 def test_a_driver_that_says_nothing_of_polarity_refuses_sensors_of_positive_logic():

@@ -66,7 +66,7 @@ def test_in_motion_it_counts_with_a_counter_on_the_bus(fed):
     """The same Encoder at the same moment, to a count; a switch of 62.5 ns away."""
     board = Board(copy.copy(fed))
     x = board.stage.axes["x"]
-    counter = board.put(HCTL2016(Encoder("x", per_metre=PER_METRE)), 0x320)
+    counter = board.attach_device(HCTL2016(Encoder("x", per_metre=PER_METRE)), 0x320)
     nova.move(x.chip, 2000)
     for _ in range(20):
         board.stage.run(7e-3)
@@ -259,11 +259,11 @@ def test_counts_a_turn_have_the_sign_of_the_gear():
 def test_an_encoder_of_a_device_counts_from_the_present_position_and_those_of_a_chip_are_in_the_order_of_the_axes(
     encoder_stage, fed
 ):
-    """board.put(HCTL2016(Encoder("x", per_metre=320_000)), 0x340) with the carriage 5 mm away; Encoder("x", zero=0.0)"""
+    """board.attach_device(HCTL2016(Encoder("x", per_metre=320_000)), 0x340) with the carriage 5 mm away; Encoder("x", zero=0.0)"""
     fed.place(x=5e-3)
     board = Board(fed)
     for port, encoder in ((0x340, Encoder("x", PER_METRE)), (0x350, Encoder("x", PER_METRE, zero=0.0))):
-        board.put(HCTL2016(encoder), port)
+        board.attach_device(HCTL2016(encoder), port)
     counts = [board.in8(port) << 8 | board.in8(port + 1) for port in (0x340, 0x350)]
     assert counts[0] in (0, 1, 0xFFFF)
     assert counts[1] == pytest.approx(5e-3 * PER_METRE, abs=1)

@@ -271,7 +271,7 @@ def on_a_board():
                 board.out8(port, 0x30)
             while board.in8(0x304) & 0x40 and stage.time < 1e-3:
                 observed.append(board.in16(0x301) + board.in8(0x2FF))
-            board.link.ask(host_record.SETTLE, 0, 0)
+            board.link.make_request(host_record.SETTLE, 0, 0)
             faults.lost_write(stage.axes["y"], address=0)
             board.on_interrupt(
                 lambda board=board, observed=observed: (

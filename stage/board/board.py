@@ -24,7 +24,7 @@ from stage.board.bus.host_record import DEVICE, EIGHT, HALF, LATCH, LATCHED, NOT
 from stage.board.bus.interrupts import ANY_LINE, HIGHEST
 from stage.board.devices import device_texts
 from stage.board.devices.device import Device, Encoder, Listener
-from stage.board.devices.user_devices import CDevice, Describe, PythonDevice
+from stage.board.devices.user_devices import CDevice, DescribeCycle, PythonDevice
 from stage.board.errors import HostError
 from stage.board.interrupt_hooks import PYTHONS_TIMERS
 from stage.board.link import Link
@@ -93,9 +93,9 @@ class Board:
         self.stage = stage
         self.options = {"layout": layout, "base": base, "stride": stride, "keep_cycles": keep_cycles}
         chips = {stage.chips.index(axis.chip): axis.chip for axis in stage.axes.values()}
-        self.places = layouts.place_chips(chips, layout, _by_chip(stage, base), stride)
-        self.regions, self.port_table = layouts.make_table(self.places)
-        self._at_first = [place.chip.twin() for place in self.places]
+        self.places = layouts.assign_ports(chips, layout, _map_bases_to_chips(stage, base), stride)
+        self.regions, self.port_table = layouts.make_port_table(self.places)
+        self._initial_chips = [place.chip.twin() for place in self.places]
         self.trace = BusTrace(self, int(keep_cycles))
         stage.host = HostWaveforms(self)
         self.log: list[tuple[float, str]] = []
@@ -108,40 +108,40 @@ class Board:
         if not isinstance(devices, Iterable):
             raise ArgumentError(f'devices={devices!r}: a list of texts, for example ["hctl2016:0x320:x"].')
         for text in (devices,) if isinstance(devices, str) else devices:
-            self.put(*device_texts.parse_device(text))
+            self.attach_device(*device_texts.make_device(text))
 
     # --- requests of a host ---
 
     @explain_arguments
     def out8(self, port: int, value: int) -> None:
         """Make one write cycle of 8 bits. It sets half a register of a chip with a bus of 16 bits; the other half floats."""
-        self.link.ask(host_record.OUT8, port, value)
+        self.link.make_request(host_record.OUT8, port, value)
 
     @explain_arguments
     def in8(self, port: int) -> int:
         """Make one read cycle of 8 bits; FFh where there is nothing."""
-        return self.link.ask(host_record.IN8, port, 0)
+        return self.link.make_request(host_record.IN8, port, 0)
 
     @explain_arguments
     def out16(self, port: int, value: int) -> None:
         """Make one write cycle of 16 bits; two of 8, the low byte first, at chips with a bus of 8 bits."""
-        self.link.ask(host_record.OUT16, port, value)
+        self.link.make_request(host_record.OUT16, port, value)
 
     @explain_arguments
     def in16(self, port: int) -> int:
         """Make one read cycle of 16 bits; two of 8, the low byte first, at chips with a bus of 8 bits."""
-        return self.link.ask(host_record.IN16, port, 0)
+        return self.link.make_request(host_record.IN16, port, 0)
 
     @explain_arguments
     def out32(self, port: int, value: int) -> None:
         """Make two write cycles of 16 bits, the low half at `port`, then the high half at `port + 2`; four of 8 at chips with a
         bus of 8 bits."""
-        self.link.ask(host_record.OUT32, port, value)
+        self.link.make_request(host_record.OUT32, port, value)
 
     @explain_arguments
     def in32(self, port: int) -> int:
         """Make two read cycles of 16 bits, in the same order."""
-        return self.link.ask(host_record.IN32, port, 0)
+        return self.link.make_request(host_record.IN32, port, 0)
 
     @explain_arguments
     def delay_us(self, us: int) -> None:
@@ -156,12 +156,12 @@ class Board:
         if not 0 <= us <= MAX_RUN_S * 1_000_000:
             raise ArgumentError(f"us={us!r}: a delay takes 0 to 1e15 us (1e9 s).")
         if us <= DELAY_PIECE_US:
-            self.link.ask(host_record.DELAY, us, 0)
+            self.link.make_request(host_record.DELAY, us, 0)
             return
-        self.link.ask(host_record.SETTLE, 0, 0)
+        self.link.make_request(host_record.SETTLE, 0, 0)
         end = self.stage.now + int(us) * 1000
         while (left := end - self.stage.now) > 0:
-            self.link.ask(host_record.SPEND, min(left, DELAY_PIECE_US * 1000), 0)
+            self.link.make_request(host_record.SPEND, min(left, DELAY_PIECE_US * 1000), 0)
 
     @property
     def micros(self) -> int:
@@ -171,12 +171,12 @@ class Board:
     @property
     def interrupt(self) -> bool:
         """True while a chip or a device pulls the interrupt line."""
-        return bool(self.pulling())
+        return bool(self.read_interrupt_mask())
 
-    def pulling(self) -> int:
+    def read_interrupt_mask(self) -> int:
         """Return who pulls the interrupt line, a bit each: the stage's chips, and behind them the devices. No bus cycle."""
         self.stage.ensure_powered()
-        return int(requests.pulling_mask.c(self.link.pointer))
+        return int(requests.read_interrupt_mask.c(self.link.pointer))
 
     def on_interrupt(self, hook: Callable[[], None] | None) -> None:
         """Call a function while the interrupt line is asserted: after a bus cycle, or within a delay at the very ns.
@@ -187,9 +187,9 @@ class Board:
         Args:
             hook: The function; None: nobody is called.
         """
-        self.link.ask(host_record.SETTLE, 0, 0)
-        self.link.hooks.set(ANY_LINE, hook, lines=-1)
-        self.link.ask(host_record.LEVEL, -1, 0)  # the line may be asserted now
+        self.link.make_request(host_record.SETTLE, 0, 0)
+        self.link.hooks.set_hook(ANY_LINE, hook, lines=-1)
+        self.link.make_request(host_record.LEVEL, -1, 0)  # the line may be asserted now
 
     def on_timer(self, period_us: float, hook: Callable[[], None] | None, *, n: int = 0, level: int = 1) -> None:
         """Call a function periodically, for the first time one period from now: after a bus cycle, or within a delay at the ns.
@@ -214,13 +214,13 @@ class Board:
         if level not in range(1, HIGHEST + 1):
             raise ArgumentError(f"level={level!r}: levels of hooks are 1 to {HIGHEST}.")
         period = round(period_us * 1000)
-        self.link.ask(host_record.SETTLE, 0, 0)
-        self.link.hooks.set(PYTHONS_TIMERS[n], hook if period else None, level=level, period=period)
+        self.link.make_request(host_record.SETTLE, 0, 0)
+        self.link.hooks.set_hook(PYTHONS_TIMERS[n], hook if period else None, level=level, period=period)
 
     # --- devices ---
 
     @explain_arguments
-    def device(  # noqa: PLR0913  each is one property of the device
+    def add_device(  # noqa: PLR0913  each is one property of the device
         self,
         ports: int | Iterable[int],
         read: Callable[[int], int] | None = None,
@@ -229,7 +229,7 @@ class Board:
         source: str | os.PathLike | Sequence[str | os.PathLike] | None = None,
         flags: Sequence[str] = (),
         state: np.ndarray | bytearray | None = None,
-        tell: Describe | None = None,
+        describe: DescribeCycle | None = None,
         name: str | None = None,
         encoders: Sequence[Encoder] = (),
         width: int = 8,
@@ -259,17 +259,17 @@ class Board:
         """
         if source is None:
             device: Device = PythonDevice(
-                read, write, state=state, tell=tell, name=name, encoders=encoders, width=width
+                read, write, state=state, describe=describe, name=name, encoders=encoders, width=width
             )
         elif read is not None or write is not None or state is not None:
             raise ArgumentError(
                 f"source={source!r}: the device has its functions and its state in C; read, write and state are Python's."
             )
         else:
-            device = CDevice(source, flags=flags, tell=tell, name=name, encoders=encoders, width=width)
-        return self.put(device, ports)
+            device = CDevice(source, flags=flags, describe=describe, name=name, encoders=encoders, width=width)
+        return self.attach_device(device, ports)
 
-    def put(self, device: _D, ports: int | Iterable[int]) -> _D:
+    def attach_device(self, device: _D, ports: int | Iterable[int]) -> _D:
         """Put a device on the bus.
 
         Args:
@@ -288,33 +288,33 @@ class Board:
             raise ArgumentError(f"{device.name} is on a board already. Make another one.")
         if (self.driver is not None and self.driver.running) or self.link.answering or self.link.calls % 2:
             raise StageError(f"{device.name}: firmware drives this board. Put devices on it before it runs.")
-        numbers = _check_ports(device, ports)
+        numbers = _parse_ports_of_device(device, ports)
         if len(self.stage.chips) + len(self.devices) == MAX_SOURCES:
             raise ArgumentError(f"a bus has at most {MAX_SOURCES} chips and devices.")
         for port in numbers:
             if (occupant := self.ports.get(port)) is not None:
                 raise ArgumentError(
                     f"{device.name}: port {port:03X}h is taken: {occupant}. Choose ports from "
-                    f"{self._find_free(len(numbers)):03X}h on, for example."
+                    f"{self._find_free_port(len(numbers)):03X}h on, for example."
                 )
-        device.join(self, numbers)
+        device.attach_to(self, numbers)
         self.devices.append(device)
-        self._update_ports()
+        self._rebuild_port_table()
         self.link.publish_devices()
-        self.stage.attach(device.name, device.arrays())
+        self.stage.attach(device.name, device.list_arrays())
         return device
 
-    def _update_ports(self) -> None:
+    def _rebuild_port_table(self) -> None:
         """Make the table of ports again, with the devices in it."""
         rows = {}
         for k, device in enumerate(self.devices):
             for n, port in enumerate(device.ports):
                 wide = device.width == 16
                 rows[port] = (DEVICE, k, n // 2 if wide else n, EIGHT if not wide else UPPER if n % 2 else WIDE)
-        self.regions, self.port_table = layouts.make_table(self.places, rows)
+        self.regions, self.port_table = layouts.make_port_table(self.places, rows)
         self.link.publish_ports()
 
-    def _find_free(self, n: int) -> int:
+    def _find_free_port(self, n: int) -> int:
         """Return a port from which on so many are free."""
         return (max(self.ports) + 16) & ~15 if max(self.ports) + n + 16 <= host_record.LAST_PORT else 0
 
@@ -333,39 +333,39 @@ class Board:
     @property
     def ports(self) -> dict[int, str]:
         """The ports that reach something, with what it is in words."""
-        names = {place.index: self.name_of(place.index) for place in self.places}
+        names = {place.index: self.name_chip(place.index) for place in self.places}
         return {
             port: f"{names[int(p['chip'])]} {KINDS[int(p['kind'])].format(int(p['address']))}"
             if p["kind"] != DEVICE
-            else f"{self.devices[int(p['chip'])].name}, {self.devices[int(p['chip'])].port_name(int(p['address']))}"
-            for port, p in self._by_port()
+            else f"{self.devices[int(p['chip'])].name}, {self.devices[int(p['chip'])].name_port(int(p['address']))}"
+            for port, p in self._list_ports()
         }
 
     def __repr__(self) -> str:
-        members = [f"{self.name_of(p.index)} at {p.first:03X}h ({p.layout.name})" for p in self.places]
+        members = [f"{self.name_chip(p.index)} at {p.first:03X}h ({p.layout.name})" for p in self.places]
         members += [device.name for device in self.devices]
         return f"<Board {', '.join(members)}; {self.cycles:,} cycles>"
 
     # --- inside ---
 
     @explain_arguments
-    def name_of(self, chip: int) -> str:
+    def name_chip(self, chip: int) -> str:
         """Return the names of the axes of a chip. chip: its index."""
         return "".join(axis.name for axis in self.stage.axes.values() if axis.chip is self.stage.chips[chip])
 
     def make_describer(self) -> Meaning:
         """Return a function that says what a bus cycle means, if it gets all cycles from the first on."""
-        listeners = {place.index: twin.listener() for place, twin in zip(self.places, self._at_first, strict=True)}
+        listeners = {place.index: twin.listener() for place, twin in zip(self.places, self._initial_chips, strict=True)}
         latches: dict[int, int] = {}
-        by_port = {port: tuple(p) for port, p in self._by_port()}
-        of_devices = [device.listener() for device in self.devices]
+        by_port = {port: tuple(p) for port, p in self._list_ports()}
+        of_devices = [device.make_describer() for device in self.devices]
 
         def describe(port: int, value: int, writes: bool, wide: bool) -> str:
             kind, chip, address, mask, _ = by_port.get(port, (NOTHING, 0, 0, 0, 0))
             if kind == NOTHING:
                 return "nothing is here"
             if kind == PULLS:
-                on = [self.name_of(k) for k in range(len(self.stage.chips)) if value >> k & 1]
+                on = [self.name_chip(k) for k in range(len(self.stage.chips)) if value >> k & 1]
                 return f"interrupts: {', '.join(on) or 'none'}"
             if kind == HALF or (kind == DEVICE and mask == UPPER):
                 value = value << 8 | (0xFF if writes else 0)
@@ -382,27 +382,27 @@ class Board:
                     address = latches.get(port - 1, 0)
                 listener = listeners[chip]
                 words = listener.write(address, value) if writes else listener.read(address, value)
-            return f"{self.name_of(chip)}: {words}"
+            return f"{self.name_chip(chip)}: {words}"
 
         return describe
 
     def _describe_device_cycle(self, listener: Listener, n: int, value: int, writes: bool, wide: bool) -> str:
         """Say what a cycle of a device means. A `tell` that fails does not hide what the trace is printed for."""
         loop, before = self.stage.loop, self.stage.loop.time_refusal
-        loop.time_refusal = "a tell= says what cycles mean, and neither makes any nor lets time pass."
+        loop.time_refusal = "a describe= function only explains cycles: it makes none and lets no time pass."
         try:
             return listener(n, value, writes, wide)
         except Exception as error:
-            return f"its tell has raised {type(error).__name__}: {error}"
+            return f"its function describe raised {type(error).__name__}: {error}"
         finally:
             loop.time_refusal = before
 
-    def _by_port(self) -> list[tuple[int, Any]]:
+    def _list_ports(self) -> list[tuple[int, Any]]:
         """Return the ports that reach something, with their PORT records."""
-        pairs = zip(layouts.list_ports(self.regions).tolist(), self.port_table, strict=True)
+        pairs = zip(layouts.list_port_numbers(self.regions).tolist(), self.port_table, strict=True)
         return [(port, p) for port, p in pairs if p["kind"]]
 
-    def note(self, text: str) -> None:
+    def add_log_line(self, text: str) -> None:
         """Add a line to the log, now. Raises HostError for more of them than a log keeps."""
         self._check_log_lines(len(self.log))
         self.log.append((self.stage.time, text))
@@ -416,7 +416,7 @@ class Board:
             )
 
 
-def _by_chip(stage: Stage, base: int | Mapping[str, int] | None) -> Any:
+def _map_bases_to_chips(stage: Stage, base: int | Mapping[str, int] | None) -> Any:
     """Convert first ports by axis to first ports by chip."""
     if not isinstance(base, Mapping):
         return base
@@ -430,7 +430,7 @@ def _by_chip(stage: Stage, base: int | Mapping[str, int] | None) -> Any:
     return by_chip
 
 
-def _check_ports(device: Device, ports: Any) -> list[int]:
+def _parse_ports_of_device(device: Device, ports: Any) -> list[int]:
     """Return the ports that a device gets. Raises ArgumentError."""
     one, text = isinstance(ports, int | np.integer), reprlib.repr(ports)
     numbers = [int(ports)] if one else list(ports) if isinstance(ports, Iterable) else []

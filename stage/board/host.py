@@ -23,7 +23,7 @@ from stage.board.crash_report import IS_SUPPORTED
 from stage.board.errors import HostTimeout
 from stage.board.link import UNBOUNDED
 from stage.board.scratch import Scratch
-from stage.board.thread_runner import PATIENCE_S, Loaded, Program, ThreadRunner
+from stage.board.thread_runner import PATIENCE_S, LoadedProgram, Program, ThreadRunner
 from stage.chips.sharing import Lock, exclusive
 from stage.errors import ArgumentError, RunTimeout, StageError
 
@@ -54,7 +54,7 @@ class Runner(Protocol):
         """True while it has begun and not returned."""
         ...
 
-    def go_on(self, until: int, max_cycles: int) -> int | None:
+    def resume(self, until: int, max_cycles: int) -> int | None:
         """Let it run, and pause it. An error ends it.
 
         Args:
@@ -118,7 +118,7 @@ class Host:
             SimulationError, StormError: The stage has diverged, or an interrupt is not cleared. An exception of a hook in Python
                 comes out as it is.
         """
-        result = self._go_on(to_nanoseconds(timeout, "timeout"), max_cycles)
+        result = self._resume(to_nanoseconds(timeout, "timeout"), max_cycles)
         if result is None:
             by_time = self.board.cycles < self._cycle_limit
             bound = f"{timeout:g} s of simulated time" if by_time else f"{max_cycles:,} bus cycles"
@@ -138,7 +138,7 @@ class Host:
         Raises:
             HostTimeout: It has made too many bus cycles. Other errors as `run`.
         """
-        result = self._go_on(to_nanoseconds(seconds, "seconds"), max_cycles)
+        result = self._resume(to_nanoseconds(seconds, "seconds"), max_cycles)
         if result is None and self.board.cycles >= self._cycle_limit:
             raise self._make_timeout(f"has made {max_cycles:,} bus cycles in less than {seconds:g} s")
         return result
@@ -190,7 +190,7 @@ class Host:
         return self.board.stage.lock
 
     @exclusive
-    def _go_on(self, ns: int, max_cycles: int) -> Result | None:
+    def _resume(self, ns: int, max_cycles: int) -> Result | None:
         board, stage = self.board, self.board.stage
         if int(max_cycles) != max_cycles or max_cycles < 1:
             raise ArgumentError(f"max_cycles={max_cycles!r}: a whole number of bus cycles, 1 or more.")
@@ -203,14 +203,14 @@ class Host:
                 )
             board.driver, self._start = self, (stage.now, board.cycles)
         self._cycle_limit = min(board.cycles + int(max_cycles), UNBOUNDED)
-        code = self._runner.go_on(stage.now + ns, self._cycle_limit)
+        code = self._runner.resume(stage.now + ns, self._cycle_limit)
         now, cycles = self._start
         return None if code is None else Result(code, (stage.now - now) * 1e-9, board.cycles - cycles)
 
     def _make_timeout(self, what: str) -> HostTimeout:
         board = self.board
         return HostTimeout(
-            f"{self.path.name} {what} (now {board.stage.time:.6f} s). {board.trace.ending(SHOWN_CYCLES)}"
+            f"{self.path.name} {what} (now {board.stage.time:.6f} s). {board.trace.format_ending(SHOWN_CYCLES)}"
         )
 
 
@@ -228,7 +228,7 @@ class NativeProgram:
     windows: tuple[windows.Window, ...] = ()
     cost: int = 0
 
-    def load(self, board: Board, isolated: bool) -> Loaded:
+    def load(self, board: Board, isolated: bool) -> LoadedProgram:
         """Load a copy of the library.
 
         Raises:

@@ -39,9 +39,9 @@ class Hooks:
         self.pointer = ctypes.cast(self._trampoline, ctypes.c_void_p).value or 0
         self._left: list[np.ndarray] = []
         self.sources = np.zeros(interrupts.SOURCES, plain(interrupts.SOURCE))
-        self.move_to(self.sources)
+        self.use_table(self.sources)
 
-    def move_to(self, sources: np.ndarray) -> None:
+    def use_table(self, sources: np.ndarray) -> None:
         """Use that array for the table from now on; firmware that goes on with the old one has no effect."""
         sources[:] = self.sources
         self.sources, self._hooks = sources, np.zeros(interrupts.HOOKS, interrupts.HOOK_CALLED)
@@ -49,14 +49,14 @@ class Hooks:
         h = self._link.record
         h["sources"], h["hooks"] = sources.ctypes.data, self._hooks.ctypes.data
         h["serving"] = h["level"] = 0
-        self.rearm()
+        self.update_interrupts()
 
-    def rearm(self) -> None:
+    def update_interrupts(self) -> None:
         """Let compiled code take over a changed table."""
         self._link.record["quiet"] = 0
-        requests.rearm.c(self._link.pointer)
+        requests.update_interrupts.c(self._link.pointer)
 
-    def set(
+    def set_hook(
         self, source: int, function: Callable[[], None] | None, lines: int = 0, level: int = 1, period: int = 0
     ) -> None:
         """Set the hook of a source to a function in Python, or remove it.
@@ -82,18 +82,18 @@ class Hooks:
         row["level"], row["lines"], row["period"] = level, lines, period if function else 0
         row["pending"] = row["missed"] = 0
         row["next"] = self._link.stage.now + period
-        self.rearm()
+        self.update_interrupts()
 
-    def remove_firmware(self) -> None:
+    def remove_firmware_hooks(self) -> None:
         """Remove the hooks of firmware that has ended; those of Python take their place again."""
         others = [k for k in range(interrupts.SOURCES) if k not in self.functions]
         self.sources[others] = np.zeros((), self.sources.dtype)
-        self.adopt(self.functions)
+        self.point_to_python(self.functions)
         h = self._link.record
         h["serving"] = h["level"] = h["meter"] = h["stack_low"] = h["stack_high"] = h["stack_checks"] = 0
-        self.rearm()
+        self.update_interrupts()
 
-    def adopt(self, functions: Collection[int], keep: bool = False) -> None:
+    def point_to_python(self, functions: Collection[int], keep: bool = False) -> None:
         """Let the sources that have hooks in Python call these.
 
         Args:
@@ -107,14 +107,14 @@ class Hooks:
             row = self.sources[interrupts.ANY_LINE]
             row["hook"], row["argument"] = self.pointer if interrupts.ANY_LINE in functions else 0, interrupts.ANY_LINE
             row["lines"], row["level"] = -1, 1
-        self.rearm()
+        self.update_interrupts()
 
-    def call(self, source: int) -> None:
+    def call_hook(self, source: int) -> None:
         """Call a hook in Python, uninterrupted."""
         h, loop = self._link.record, self._link.stage.loop
         before, keeps = (h["level"], h["lazy"]), loop.state_refusal
         h["level"], h["lazy"] = interrupts.HIGHEST, 0
-        name = name_source(source)
+        name = format_source_name(source)
         loop.state_refusal = (
             f"the hook of {name} runs, and what it interrupts goes on from here: do that when it is over."
         )
@@ -130,13 +130,13 @@ class Hooks:
         link = self._link
         before, link.record["in_python"] = int(link.record["in_python"]), 1
         try:
-            link.end()  # the hook may write to a chip itself: journals want what was before it first
+            link.end_run()  # the hook may write to a chip itself: journals want what was before it first
             try:
-                self.call(source or interrupts.ANY_LINE)
+                self.call_hook(source or interrupts.ANY_LINE)
             finally:
-                link.begin()
+                link.begin_run()
         except BaseException as error:
-            link.fail(error)
+            link.set_error(error)
         link.record["in_python"] = before
 
     # --- errors in words ---
@@ -149,7 +149,7 @@ class Hooks:
                 f"hooks of interrupts interrupt each other without end, {at}: a hook that lowers the level (ps_level) clears its "
                 "interrupt before."
             )
-        hook = "the interrupt hook" if source == interrupts.ANY_LINE else f"the hook of {name_source(source)}"
+        hook = "the interrupt hook" if source == interrupts.ANY_LINE else f"the hook of {format_source_name(source)}"
         again = f"{hook} was called {host_record.STORM_CALLS:,} times in a row {at} and"
         if period := int(self.sources[source]["period"]):
             return f"{again} is due again: it takes longer than its period of {period / 1e3:g} us, so that nothing else runs."
@@ -157,7 +157,7 @@ class Hooks:
             return f"{again} is raised again: it raises itself (ps_raise)."
         return f"{again} the line is still asserted: the hook has to clear the interrupt at its chip."
 
-    def describe_refusal(self, what: int, a: int, b: int) -> str:
+    def describe_refusal(self, code: int, a: int, b: int) -> str:
         """Say what is out of range in a request.
 
         Args:
@@ -174,8 +174,8 @@ class Hooks:
             host_record.LEVEL: f"ps_level({a}): levels are 0 to {interrupts.HIGHEST}",
             host_record.RAISE: f"ps_raise({a}): software interrupts are 0 to {interrupts.SOFTWARE - 1}",
         }
-        of_level = f"level {b} of {_name_request(what, a)}: levels of hooks are 1 to {interrupts.HIGHEST}"
-        return f"{bounds.get(what, of_level)}; at {self._link.stage.time:.6f} s."
+        level_error = f"level {b} of {_name_request(code, a)}: levels of hooks are 1 to {interrupts.HIGHEST}"
+        return f"{bounds.get(code, level_error)}; at {self._link.stage.time:.6f} s."
 
     def check_returned(self) -> None:
         """Raise HostError if a hook of firmware that returns has never returned, and has kept interrupts from being called."""
@@ -187,13 +187,13 @@ class Hooks:
         pending, on_line = (bool(np.any(blocked & (rows[name] != 0))) for name in ("pending", "lines"))
         if pending or (on_line and self._link.board.interrupt):
             raise HostError(
-                f"the firmware has returned, and the hook of {name_source(source)} has not: it was left by a jump to another "
-                f"stack, and since then interrupts of level {h['level']} and below were not called. Call ps_level(0) where the "
-                "code goes on."
+                f"the firmware has returned, and the hook of {format_source_name(source)} has not: it was left by a jump to "
+                f"another stack, and since then interrupts of level {h['level']} and below were not called. Call ps_level(0) "
+                "where the code goes on."
             )
 
 
-def name_source(source: int) -> str:
+def format_source_name(source: int) -> str:
     """Return a source in words."""
     if source == interrupts.ANY_LINE:
         return "the interrupt line"
@@ -206,8 +206,8 @@ def name_source(source: int) -> str:
     return f"line {source - interrupts.FIRST_LINE}"
 
 
-def _name_request(what: int, which: int) -> str:
+def _name_request(code: int, which: int) -> str:
     """Return in words the interrupt that a request of ps_timer or ps_on_line is about."""
-    if what & ~host_record.WRONG_LEVEL == host_record.TIMER:
+    if code & ~host_record.WRONG_LEVEL == host_record.TIMER:
         return f"timer {which}"
     return f"line {which}" if which < interrupts.SOFTWARE_LINE else f"PS_SOFTWARE({which - interrupts.SOFTWARE_LINE})"

@@ -12,7 +12,7 @@ A file, TOML or JSON, says how the chips of a card lie on a bus, without a line 
     own = ["interrupts"]
 
 Keys: chip, the class; like, a shipped layout that the rest is taken from; the others are those of `Layout`. Numbers may be text as
-well ("0x240"), for JSON. What a port reaches is one of `WORDS`.
+well ("0x240"), for JSON. What a port reaches is one of `PORT_WORDS`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from stage.support.foreign_files import DocumentError, parse_json, parse_toml, r
 MAX_PORTS = LAST_PORT + 1
 MIN_GAP = 64
 """Ports with nothing there: as many of them in a row begin another region of the table."""
-WORDS = {
+PORT_WORDS = {
     "byte": (BYTE, True), "word": (WORD, True), "upper": (HALF, True), "latch": (LATCH, False), "data": (LATCHED, False),
     "interrupts": (PULLS, False), "none": (NOTHING, False),
 }  # fmt: skip
@@ -94,7 +94,7 @@ LAYOUTS: dict[str, Layout] = {
 }  # fmt: skip
 
 
-def default_layout(chip: Chip) -> Layout:
+def make_default_layout(chip: Chip) -> Layout:
     """Return the layout that a chip has by default: a shipped one, or that which its class names in LAYOUT; a class that names none
     has each bus address at a port of its own."""
     for layout in LAYOUTS.values():
@@ -130,7 +130,7 @@ class Place:
     first: int
 
 
-def place_chips(
+def assign_ports(
     chips: Mapping[int, Chip], layout: Layout | None, base: int | Mapping[Chip, int] | None, stride: int | None
 ) -> list[Place]:
     """Choose the ports of a stage's chips.
@@ -144,33 +144,33 @@ def place_chips(
     Raises:
         ArgumentError: A layout that does not fit, or ports that do not exist.
     """
-    found: list[Place] = []
-    at = None if isinstance(base, Mapping) else base
+    places: list[Place] = []
+    next_base = None if isinstance(base, Mapping) else base
     for k, chip in chips.items():
-        one = layout or default_layout(chip)
-        if not isinstance(chip, one.kind):
+        chip_layout = layout or make_default_layout(chip)
+        if not isinstance(chip, chip_layout.kind):
             fitting = ", ".join(x.name for x in LAYOUTS.values() if isinstance(chip, x.kind))
             raise ArgumentError(
-                f"layout {one.name}: it is for {add_article(one.kind.__name__)}, and this stage has "
+                f"layout {chip_layout.name}: it is for {add_article(chip_layout.kind.__name__)}, and this stage has "
                 f"{add_article(type(chip).__name__)}. Layouts for "
                 f"that: {fitting or 'the one that it has without layout=, or a Layout of yours'}."
             )
-        if one.chips and len(chips) > one.chips:
+        if chip_layout.chips and len(chips) > chip_layout.chips:
             raise ArgumentError(
-                f"layout {one.name}: it has room for {one.chips} chips, and this stage has {len(chips)}."
+                f"layout {chip_layout.name}: it has room for {chip_layout.chips} chips, and this stage has {len(chips)}."
             )
-        first = base[chip] if isinstance(base, Mapping) else one.base if at is None else at
-        if not isinstance(first, int | np.integer) or not 0 <= first <= MAX_PORTS - len(one.ports):
+        first = base[chip] if isinstance(base, Mapping) else chip_layout.base if next_base is None else next_base
+        if not isinstance(first, int | np.integer) or not 0 <= first <= MAX_PORTS - len(chip_layout.ports):
             text = f"{first:#x}" if isinstance(first, int | np.integer) else repr(first)
             raise ArgumentError(
-                f"base={text}: ports are whole numbers from 0 to {LAST_PORT:X}h, and the chip takes {len(one.ports)}."
+                f"base={text}: ports are whole numbers from 0 to {LAST_PORT:X}h, and the chip takes {len(chip_layout.ports)}."
             )
-        found.append(Place(chip, k, one, int(first)))
-        at = int(first) + (one.stride if stride is None else stride)
-    return found
+        places.append(Place(chip, k, chip_layout, int(first)))
+        next_base = int(first) + (chip_layout.stride if stride is None else stride)
+    return places
 
 
-def make_table(
+def make_port_table(
     places: list[Place], others: Mapping[int, tuple[int, int, int, int]] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Make the table of ports of a bus.
@@ -218,7 +218,7 @@ def make_table(
     return regions, ports
 
 
-def list_ports(regions: np.ndarray) -> np.ndarray:
+def list_port_numbers(regions: np.ndarray) -> np.ndarray:
     """Return the port that each PORT record of a table is about; -1 for the first record."""
     return np.concatenate([[-1], *(np.arange(first, first + n) for first, n, _ in regions.tolist())])
 
@@ -226,21 +226,21 @@ def list_ports(regions: np.ndarray) -> np.ndarray:
 # --- files ---
 
 
-def names_file(layout: Any) -> bool:
+def is_layout_file(layout: Any) -> bool:
     """Tell whether this names a file, and not a layout."""
     return isinstance(layout, os.PathLike) or (isinstance(layout, str) and bool(Path(layout).suffix))
 
 
 def load_layout(layout: str | os.PathLike | Layout | None) -> Layout | None:
     """Return a layout by its name, or from a file. Raises ArgumentError, and as `read_layout`."""
-    if names_file(layout):
+    if is_layout_file(layout):
         return read_layout(layout)  # type: ignore[arg-type]
     if isinstance(layout, str):
-        return _shipped(layout)
+        return _find_shipped_layout(layout)
     return layout  # type: ignore[return-value]
 
 
-def _shipped(name: str) -> Layout:
+def _find_shipped_layout(name: str) -> Layout:
     if name not in LAYOUTS:
         raise unknown_name_error("layout", name[:MAX_SHOWN], LAYOUTS)
     return LAYOUTS[name]
@@ -296,7 +296,7 @@ def _parse_start(name: str, content: Mapping[str, Any]) -> Layout:
     """Return what a file begins with: a shipped layout, or nothing but the class of the chip."""
     kind = chip_class(str(content["chip"])[:MAX_SHOWN]) if "chip" in content else None
     if "like" in content:
-        start = _shipped(str(content["like"]))
+        start = _find_shipped_layout(str(content["like"]))
         return replace(start, kind=kind or start.kind)
     if kind is None:
         raise ArgumentError(
@@ -326,12 +326,12 @@ def _parse_ports(key: str, texts: Any, chip: type[Chip]) -> tuple[tuple[int, int
 
 def _parse_port(where: str, text: Any, chip: type[Chip]) -> tuple[int, int]:
     word, _, number = str(text).partition(" ")
-    if word not in WORDS:
-        near = find_similar_names(word, WORDS)
+    if word not in PORT_WORDS:
+        near = find_similar_names(word, PORT_WORDS)
         hint = f" Did you mean {near[0]!r}?" if near else ""
-        forms = ", ".join(f'"{name} N"' if addressed else f'"{name}"' for name, (_, addressed) in WORDS.items())
+        forms = ", ".join(f'"{name} N"' if addressed else f'"{name}"' for name, (_, addressed) in PORT_WORDS.items())
         raise ArgumentError(f"{where}: a port reaches one of {forms}.{hint}")
-    kind, addressed = WORDS[word]
+    kind, addressed = PORT_WORDS[word]
     if kind in (WORD, HALF) and chip.DATA_MASK <= 0xFF:
         raise ArgumentError(
             f'{where}: the bus of {add_article(chip.__name__)} has 8 bits. Write "byte" and the address.'

@@ -72,7 +72,7 @@ def include() -> Path:
     return Path(__file__).parent
 
 
-def how_to_build(path: Any = "driver.so") -> str:
+def format_build_command(path: Any = "driver.so") -> str:
     """Return the command that builds a library."""
     suffix = ".dylib" if platform.system() == "Darwin" else ".dll" if platform.system() == "Windows" else ".so"
     if Path(path).suffix == ".rs":
@@ -166,9 +166,9 @@ def build(
 
 def _compile(source: Path, command: list[str], platform: platforms.Platform | None = None) -> str:
     """Run a compiler and return its messages. Raises CompileError."""
-    has_failed, message = _run(command)
+    has_failed, message = _run_compiler(command)
     if has_failed:
-        raise _refuse(source, command, message, platform)
+        raise _make_compile_error(source, command, message, platform)
     return message
 
 
@@ -179,26 +179,28 @@ def _link(sources: Sequence[Path], command: list[str], platform: platforms.Platf
         CompileError: Also for a function that neither a source nor a library of this process has: the loader would name it without
             the place that calls it.
     """
-    has_failed, message = _run([*command, *LINK_FLAGS])
+    has_failed, message = _run_compiler([*command, *LINK_FLAGS])
     absent = [name for name in _UNDEFINED.findall(message) if not _is_loaded(name)]
     if has_failed and _UNDEFINED.search(message) and not absent:
-        has_failed, message = _run(command)
+        has_failed, message = _run_compiler(command)
     if has_failed and _LINKER_ERROR.search(message):
         names = ", ".join(map(str, sources))
         raise CompileError(f"{names}: the linker fails ({command[0]}):\n{message}{LINK_HINT * bool(absent)}", message)
     if has_failed:
-        raise _refuse(sources[0], command, message, platform)
+        raise _make_compile_error(sources[0], command, message, platform)
     return message
 
 
-def _refuse(source: Path, command: list[str], message: str, platform: platforms.Platform | None) -> CompileError:
+def _make_compile_error(
+    source: Path, command: list[str], message: str, platform: platforms.Platform | None
+) -> CompileError:
     """Make the error of a source that does not compile."""
     return CompileError(
         f"{source} does not compile ({command[0]}):\n{message}{platforms.suggest_platform(platform, message)}", message
     )
 
 
-def _run(command: list[str]) -> tuple[bool, str]:
+def _run_compiler(command: list[str]) -> tuple[bool, str]:
     """Run a compiler; return whether it has failed, and its messages about the sources."""
     done = run_program(command)
     return done.returncode != 0, platforms.remove_wrappers((done.stderr + done.stdout).strip())
@@ -307,10 +309,10 @@ def check_library(path: str | os.PathLike) -> Path:
     """
     file = Path(path)
     if file.is_dir():
-        raise FileError(f"{file} is a folder. Name a library, or the sources of one: {how_to_build()}")
+        raise FileError(f"{file} is a folder. Name a library, or the sources of one: {format_build_command()}")
     refuse_irregular(file, "library")
     if not file.is_file():
-        raise FileError(f"{file}: there is no such library. Build it: {how_to_build(file)}")
+        raise FileError(f"{file}: there is no such library. Build it: {format_build_command(file)}")
     with file.open("rb") as f:
         head = read_elf_head(f.read(ELF_HEAD_SIZE))
     this_machine = MACHINE_NAMES.get(platform.machine(), platform.machine())
@@ -319,15 +321,15 @@ def check_library(path: str | os.PathLike) -> Path:
         target = MACHINES.get(machine, f"machine {machine}")
         if platform.system() == "Linux" and target != this_machine:
             raise LibraryError(
-                f"{file} was built for {target}, and this is {this_machine}. Build it here: {how_to_build(file)}"
+                f"{file} was built for {target}, and this is {this_machine}. Build it here: {format_build_command(file)}"
                 f"{_suggest_emulator(machine)}"
             )
         if kind != 3:
             what = {1: "an object file", 2: "a program", 4: "a core dump"}.get(kind, "no library")
-            raise LibraryError(f"{file} is {what}, not a shared library. Build it so: {how_to_build(file)}")
+            raise LibraryError(f"{file} is {what}, not a shared library. Build it so: {format_build_command(file)}")
     elif platform.system() == "Linux":
         raise LibraryError(
-            f"{file} is no shared library of this machine ({this_machine}, ELF). Build it so: {how_to_build(file)}"
+            f"{file} is no shared library of this machine ({this_machine}, ELF). Build it so: {format_build_command(file)}"
         )
     return file
 
@@ -349,7 +351,7 @@ def _suggest_emulator(machine: int) -> str:
     return f" Or run it as it is, on an emulated processor: --mcu {mcu} (docs/targets.md)." if mcu else ""
 
 
-def find_sanitizers(path: str | os.PathLike) -> list[str]:
+def list_sanitizers(path: str | os.PathLike) -> list[str]:
     """Return the run-time libraries of sanitizers that a library was built with: they have to be loaded before all others."""
     try:
         content = Path(path).read_bytes()
@@ -358,16 +360,16 @@ def find_sanitizers(path: str | os.PathLike) -> list[str]:
     return sorted({name.decode() for name in re.findall(rb"lib(?:a|t|ub)san\.so[.\d]*", content)})
 
 
-def _choose_mode(path: Path) -> int:
+def _choose_load_mode(path: Path) -> int:
     """Return how a library is loaded: its own symbols win, so that a `wait` or `pause` of the firmware is not the system's.
     Sanitizers do not allow that."""
-    deep = 0 if find_sanitizers(path) else getattr(os, "RTLD_DEEPBIND", 0)
+    deep = 0 if list_sanitizers(path) else getattr(os, "RTLD_DEEPBIND", 0)
     return deep | getattr(os, "RTLD_NOW", 0) | getattr(os, "RTLD_LOCAL", 0)
 
 
 def _check_sanitizers(path: Path) -> None:
     """Raise LibraryError where a sanitizer would end this process, since it was not loaded first."""
-    first = [name for name in find_sanitizers(path) if not name.startswith("libubsan")]
+    first = [name for name in list_sanitizers(path) if not name.startswith("libubsan")]
     if first and not any(hasattr(ctypes.CDLL(None), f"__{name[3:7]}_init") for name in first):
         raise LibraryError(
             f"{path} was built with a sanitizer, whose {first[0]} has to be loaded before all else: run it in a process of its own "
@@ -402,29 +404,29 @@ class Library:
         self.copy = Path(shutil.copy(path, self._scratch.path / path.name))
         mode = set_usual_float_mode.c()
         try:
-            self._library = ctypes.CDLL(str(self.copy), mode=_choose_mode(path))
+            self._library = ctypes.CDLL(str(self.copy), mode=_choose_load_mode(path))
         except (OSError, UnicodeDecodeError) as error:  # ctypes decodes what the loader says as UTF-8
             self._scratch.close()
             text = error.object.decode(errors="replace") if isinstance(error, UnicodeDecodeError) else str(error)
             message = _demangle(text.replace(str(self.copy), str(path)).removeprefix(f"{path}: "))
             raise LibraryError(
                 f"{path} cannot be loaded: {message}. Link what it needs into it, or add a source that has it (a function of a "
-                f"platform that is not emulated: docs/porting.md); it is built so: {how_to_build(path)}"
+                f"platform that is not emulated: docs/porting.md); it is built so: {format_build_command(path)}"
             ) from None
         finally:
             restore_float_mode.c(mode)  # one that was built with -ffast-math changes it as it is loaded
         self.handle: int = self._library._handle  # ctypes shows it nowhere else
-        abi = self._variable(ctypes.c_uint32, "pulsestage_abi").value
+        abi = self._find_variable(ctypes.c_uint32, "pulsestage_abi").value
         if abi != ABI:
             raise LibraryError(
                 f"{path} was built with pulsestage.h of version {abi}, and this is version {ABI}: build it again."
             )
         self.bus = BusStruct(ABI, ctypes.sizeof(BusStruct), link.pointer, link.request)
-        self._variable(ctypes.c_void_p, "pulsestage_bus").value = ctypes.addressof(self.bus)
+        self._find_variable(ctypes.c_void_p, "pulsestage_bus").value = ctypes.addressof(self.bus)
         if not hasattr(self._library, ENTRY):
             raise LibraryError(
                 f"{path} has no entry point {ENTRY}: begin the firmware with `PULSESTAGE_MAIN {{ ... return 0; }}`, which "
-                f"pulsestage.h defines, and build it so: {how_to_build(path)}"
+                f"pulsestage.h defines, and build it so: {format_build_command(path)}"
             )
         self._set_meter(NO_LIMIT)
 
@@ -460,11 +462,12 @@ class Library:
         words[0], words[1] = 0, interval
         return ctypes.addressof(words)
 
-    def _variable(self, kind: Any, name: str) -> Any:
+    def _find_variable(self, kind: Any, name: str) -> Any:
         try:
             return kind.in_dll(self._library, name)
         except ValueError:
             raise LibraryError(
                 f"{self.path} has no {name}: it was not built with pulsestage.h, so nobody knows whether its {ENTRY} is meant. "
-                f"Write `#include <pulsestage.h>` and `PULSESTAGE_MAIN {{ ... }}`, and build it so: {how_to_build(self.path)}"
+                "Write `#include <pulsestage.h>` and `PULSESTAGE_MAIN { ... }`, and build it so: "
+                f"{format_build_command(self.path)}"
             ) from None

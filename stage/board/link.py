@@ -82,7 +82,7 @@ class Link:
         if len(stage.state.edges) < NOTED:
             stage.state.set_edge_buffer(np.zeros(NOTED, records.EDGE))
         self._rows = np.zeros(1, host_record.HOST)
-        self.move_to(self._rows)
+        self.use_record(self._rows)
         h = self.record
         handle.fill(self._rows, 0, stage.state)
         self.irqs = np.zeros(len(stage.chips), host_record.IRQ)
@@ -113,7 +113,7 @@ class Link:
 
     def publish_devices(self) -> None:
         """Hand the devices of the board to compiled code."""
-        rows = [device.row() for device in self.board.devices]
+        rows = [device.make_record() for device in self.board.devices]
         self._devices = np.array(rows, host_record.DEVICE_TABLE)
         self.record["devices"], self.record["n_devices"] = self._devices.ctypes.data, len(rows)
 
@@ -125,38 +125,38 @@ class Link:
                 "copy, Board(copy.copy(stage))."
             )
 
-    def begin(self) -> None:
+    def begin_run(self) -> None:
         """Prepare a run of compiled code. Raises as `check_is_current`."""
         self.check_is_current()
         stage, h = self.stage, self.record
         stage.ensure_powered()
         stage.loop.check_options()
-        h["checked_chips"] = self.checked_chips()
+        h["checked_chips"] = self.find_checked_chips()
         h["reached"] = stage.now
         handle.set_sample_buffers(h, stage.loop.recording)
 
-    def checked_chips(self) -> int:
+    def find_checked_chips(self) -> int:
         """Return the chips, a bit each, whose writes a fault of the bus may lose."""
         return sum(1 << k for k, chip in enumerate(self.stage.chips) if chip.glitches)
 
-    def end(self) -> None:
+    def end_run(self) -> None:
         """Pass on to journals and recording what compiled code has noted."""
         stage, h = self.stage, self.record
         if n := int(h["noted"]):
             h["noted"] = 0
-            self.take_edges(n)
+            self.journal_edges(n)
         if (recording := stage.loop.recording) is not None:
             recording.take(int(h["filled"]))
             h["filled"] = recording.filled
 
-    def take_edges(self, n: int) -> None:
+    def journal_edges(self, n: int) -> None:
         """Pass the first `n` notes on to journals and diagnostics."""
         self.stage.loop.journal_edges(n)
         for chip in self.stage.chips:
             if chip.journal_lint is not None:
                 chip.journal_lint.limit_memory()
 
-    def loses(self, chip: int, address: int, value: int) -> bool:
+    def is_write_lost(self, chip: int, address: int, value: int) -> bool:
         """Tell whether a fault of the bus keeps this write from its chip."""
         return self.stage.chips[chip].loses(address, value)
 
@@ -169,27 +169,27 @@ class Link:
             "Do it later."
         )
         try:
-            return device.call(n, kind, value)
+            return device.access_register(n, kind, value)
         finally:
             self.answering, loop.time_refusal = None, ""
 
-    def ask(self, what: int, a: int, b: int) -> int:
+    def make_request(self, what: int, a: int, b: int) -> int:
         """Make a request of a host in Python."""
         lock = self.stage.loop.lock
         if lock is None:
-            return self._ask(what, a, b)
+            return self._make_request(what, a, b)
         with lock:
-            return self._ask(what, a, b)
+            return self._make_request(what, a, b)
 
-    def _ask(self, what: int, a: int, b: int) -> int:
+    def _make_request(self, what: int, a: int, b: int) -> int:
         if self.answering is not None:
             raise StageError(f"{self.answering.name} answers a bus cycle: it can make none itself, and no time passes.")
         self.stage.loop.check_time_allowed()
-        self.begin()
+        self.begin_run()
         answer = int(self.request(self.pointer, what | host_record.FROM_PYTHON, int(a), int(b)))
         if answer == host_record.BUS_BUSY:
             raise StageError("this board is in use by another thread: a bus has one host at a time.")
-        self.end()
+        self.end_run()
         self.raise_error()
         return answer
 
@@ -200,32 +200,32 @@ class Link:
             self.record["stopped"] = 0
             raise error
 
-    def fail(self, error: BaseException) -> None:
+    def set_error(self, error: BaseException) -> None:
         """Let nothing more happen on this bus until the error was raised."""
         self.record["stopped"] = 1
         if self.error is None:
             self.error = error
 
-    def abandon(self, thread: threading.Thread) -> None:
+    def abandon_thread(self, thread: threading.Thread) -> None:
         """Keep a thread of firmware, which may still run, from this board for ever: it keeps a HOST record that is stopped, and the
         board goes on with a copy."""
         self.abandoned.add(thread)
         self.record["stopped"] = 1
         self._left.append(self._rows)
-        self.move_to(self._rows.copy())
+        self.use_record(self._rows.copy())
         self.record["stopped"] = self.record["inside"] = self.record["in_python"] = 0
-        self.hooks.move_to(self.hooks.sources.copy())
-        self.hooks.remove_firmware()
+        self.hooks.use_table(self.hooks.sources.copy())
+        self.hooks.remove_firmware_hooks()
         self.pause = None
 
-    def settle(self) -> None:
+    def take_last_notes(self) -> None:
         """Take the notes of the last cycles of firmware that was given up without a bus cycle; the stage keeps its state."""
-        self.end()
-        self.begin()
+        self.end_run()
+        self.begin_run()
         self.request(self.pointer, host_record.SETTLE, 0, 0)
-        self.end()
+        self.end_run()
 
-    def move_to(self, rows: np.ndarray) -> None:
+    def use_record(self, rows: np.ndarray) -> None:
         """Use the HOST record in `rows`, of one, from now on."""
         rows[:] = self._rows
         self._rows, self.pointer = rows, rows.ctypes.data
@@ -249,17 +249,17 @@ class Link:
     def _handle_call(self, reason: int) -> None:
         self.calls += 1
         try:
-            self.end()
+            self.end_run()
             if (answer := self._answers.get(reason)) is not None:
                 answer(self.record)
-            self.begin()
+            self.begin_run()
         except BaseException as error:
-            self.fail(error)
+            self.set_error(error)
         self.calls += 1
 
     def _undo_divergence(self, h: Any) -> None:
         error = self.stage.loop.undo_divergence(self.pointer)
-        self.end()
+        self.end_run()
         raise error
 
     def _run_stage(self, h: Any) -> None:
@@ -285,7 +285,7 @@ class Link:
             return
         if not self.has_other_threads:
             self.has_other_threads = True
-            self.board.note(
+            self.board.add_log_line(
                 "bus cycles come from several threads of the firmware: their order is one of real time, and no two runs need be "
                 "alike"
             )
@@ -294,10 +294,10 @@ class Link:
     def _note_line(self, h: Any) -> None:
         if not h["call_value"]:
             raise HostError(f"ps_log(0), at {self.stage.time:.6f} s: a null pointer is no text.")
-        self.board.note(ctypes.string_at(int(h["call_value"])).decode(errors="replace"))
+        self.board.add_log_line(ctypes.string_at(int(h["call_value"])).decode(errors="replace"))
 
     def _check_write(self, h: Any) -> None:
-        h["call_value"] = self.loses(int(h["call_chip"]), int(h["call_address"]), int(h["call_value"]))
+        h["call_value"] = self.is_write_lost(int(h["call_chip"]), int(h["call_address"]), int(h["call_value"]))
 
     def _call_device(self, h: Any) -> None:
         k, n, kind, value = (int(h[name]) for name in ("call_chip", "call_address", "call_kind", "call_value"))
@@ -312,7 +312,7 @@ class Link:
         h, buffer, reads = self.record, self.board.trace.buffer, kind in (host_record.IN8, host_record.IN16)
         now = self.stage.now + int(h["ahead"])
         data = (0xFF if kind == host_record.IN8 else 0xFFFF) if reads else value
-        port = self.board.devices[k].port(n)
+        port = self.board.devices[k].get_board_port(n)
         buffer[self.traced % len(buffer)] = (now, now, 1, kind | host_record.RAISED, port, data)
         h["traced"] += 1
         h["changed"] = h["traced"]
@@ -324,4 +324,4 @@ class Link:
             raise HostError(f"ps_window({a:#x}, {b:#x}): {explain_missing(isolated=False)}")
         if what != host_record.WINDOW:
             raise self.windows.explain_refusal(what, a, b)
-        h["call_value"] = self.windows.choose(a, b)
+        h["call_value"] = self.windows.map_anywhere(a, b)

@@ -10,7 +10,7 @@
  *
  *     PS_DEVICE(struct adc, adc_read, adc_write, adc_interrupt)
  *
- *     board.device(range(0x320, 0x324), source="adc.c")
+ *     board.add_device(range(0x320, 0x324), source="adc.c")
  *
  * `port` is 0 for the first of the device's ports. Where a function is missing, write 0 in its place. The state begins as zeros. All
  * that the device remembers is in it: snapshots carry it, and so isolated firmware goes on where it stood; static variables are

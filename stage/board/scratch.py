@@ -33,7 +33,7 @@ class Scratch:
 
     def __init__(self) -> None:
         if fcntl is not None and _parent is None:
-            sweep()
+            remove_stale_folders()
         self.path = Path(tempfile.mkdtemp(prefix=PREFIX, dir=_parent))
         lock = os.open(self.path / LOCK, os.O_CREAT | os.O_RDWR | getattr(os, "O_CLOEXEC", 0), 0o600)
         if fcntl is not None:
@@ -45,7 +45,7 @@ class Scratch:
         self._finalizer()
 
 
-def use_parent(folder: Path) -> None:
+def set_parent_folder(folder: Path) -> None:
     """Make all further folders of this process in this one, which another process owns and removes."""
     global _parent
     _parent = folder
@@ -59,7 +59,7 @@ def _remove(path: Path, lock: int, owner: int) -> None:
 
 
 @cache
-def sweep() -> None:
+def remove_stale_folders() -> None:
     """Remove the folders of processes that were killed; once a process."""
     for path in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
         with suppress(OSError):  # of another user, or gone already

@@ -33,7 +33,7 @@ TASKS = Path("/proc/self/task")
 """The threads of this process, where the system lists them."""
 
 
-class Loaded(Protocol):
+class LoadedProgram(Protocol):
     """Firmware in memory, with its variables as they were compiled."""
 
     def main(self) -> int:
@@ -57,7 +57,7 @@ class Program(Protocol):
         """The file."""
         ...
 
-    def load(self, board: Board, isolated: bool) -> Loaded:
+    def load(self, board: Board, isolated: bool) -> LoadedProgram:
         """Load a copy, whose requests go to the board.
 
         Args:
@@ -96,7 +96,7 @@ class ThreadRunner:
         self._path = program.path
         self._thread: threading.Thread | None = None
         self._code: int | None = None
-        self._unloadable: list[Loaded] = []
+        self._unloadable: list[LoadedProgram] = []
         self._check()
 
     @property
@@ -104,7 +104,7 @@ class ThreadRunner:
         """Whether the firmware has begun and not yet ended."""
         return self._thread is not None
 
-    def go_on(self, until: int, max_cycles: int) -> int | None:
+    def resume(self, until: int, max_cycles: int) -> int | None:
         """Let the firmware run up to the time `until`. The result is the exit code, or None before the end."""
         if self._thread is None:
             self._start()
@@ -112,7 +112,7 @@ class ThreadRunner:
         h = link.record
         h["lazy"], h["quiet"], h["until"], h["max_cycles"] = 1, 0, until, max_cycles
         link.pause = self._pause
-        link.begin()
+        link.begin_run()
         self._go.release()
         try:
             self._wait()
@@ -131,7 +131,7 @@ class ThreadRunner:
     def close(self) -> None:
         """Keep it from the board, whatever it still does."""
         if self._thread is not None:
-            self._board.link.abandon(self._thread)
+            self._board.link.abandon_thread(self._thread)
         self._thread = None
 
     # --- what a process of the firmware's own adds ---
@@ -158,7 +158,7 @@ class ThreadRunner:
         finally:
             record["stopped"] = 0
 
-    def _load(self) -> Loaded:
+    def _load(self) -> LoadedProgram:
         """Load a copy of the firmware, with a bus of its own: firmware that was given up keeps its own."""
         return self._program.load(self._board, self.isolated)
 
@@ -173,13 +173,13 @@ class ThreadRunner:
         finally:
             threading.stack_size(before)
 
-    def _main(self, loaded: Loaded) -> None:
+    def _main(self, loaded: LoadedProgram) -> None:
         """Run in the firmware's thread."""
         self._go.acquire()
         link = self._board.link
         link.firmware_thread, link.has_other_threads = threading.get_ident(), False
-        code, failure, others = 0, None, native_threads()
-        top, h = requests.stack_position.c(), link.record
+        code, failure, others = 0, None, list_native_threads()
+        top, h = requests.get_stack_position.c(), link.record
         h["stack_low"], h["stack_high"], h["stack_checks"] = top - STACK_SIZE, top + NEAR, STACK_CHECKS
         try:
             with self._prepare_thread():
@@ -191,9 +191,9 @@ class ThreadRunner:
             return
         self._settle()
         if failure is not None:
-            link.fail(failure)
+            link.set_error(failure)
         self._thread = None
-        if left := native_threads() - others:  # the code that they run has to stay where it is
+        if left := list_native_threads() - others:  # the code that they run has to stay where it is
             self._unloadable.append(loaded)
             self._report_threads(len(left), code)
         else:
@@ -207,12 +207,12 @@ class ThreadRunner:
         link.record["lazy"] = 0
         try:
             link.request(link.pointer, host_record.SETTLE, 0, 0)
-            link.end()
+            link.end_run()
             link.hooks.check_returned()
         except BaseException as error:
-            link.fail(error)
+            link.set_error(error)
         finally:
-            link.hooks.remove_firmware()
+            link.hooks.remove_firmware_hooks()
 
     def _pause(self) -> None:
         """Wait in the firmware's thread; compiled code calls it."""
@@ -228,7 +228,7 @@ class ThreadRunner:
                 raise HostError(
                     f"{self._path.name} has ended the thread that runs PULSESTAGE_MAIN (pthread_exit, SYS_exit) at "
                     f"{board.stage.time:.6f} s, after {board.cycles:,} bus cycles. Return from there instead. "
-                    f"{board.trace.ending(12)}"
+                    f"{board.trace.format_ending(12)}"
                 )
             now = (int(h["cycles"]), board.stage.now, board.link.calls)
             if now != state or board.link.calls % 2:  # a call may have much to do
@@ -252,7 +252,7 @@ class ThreadRunner:
         """Say that the patience with it is over; answers: see HOST."""
         board, path = self._board, self._path
         duration, at = f"has computed for {self._patience:g} s of real time", f"at {board.stage.time:.6f} s"
-        end = f"{self.outlives} {board.trace.ending(12)}"
+        end = f"{self.outlives} {board.trace.format_ending(12)}"
         if not answers:
             return (
                 f"{path.name} {duration} without a bus cycle or a delay ({at}): a loop that waits for nothing?"
@@ -268,7 +268,7 @@ class ThreadRunner:
         self._board.link.record["until"] = 0
         if not self._paused.acquire(timeout=INTERRUPT_LIMIT_S):
             self.close()
-            self._board.link.settle()
+            self._board.link.take_last_notes()
 
 
 def _reset_float_environment() -> None:
@@ -278,7 +278,7 @@ def _reset_float_environment() -> None:
         libc.fesetenv(ctypes.c_void_p(-1))  # FE_DFL_ENV
 
 
-def native_threads() -> set[int]:
+def list_native_threads() -> set[int]:
     """Return the threads of this process that are not Python's, where the system lists them."""
     try:
         listed = {int(task.name) for task in TASKS.iterdir()}

@@ -15,7 +15,7 @@ import numpy as np
 
 from stage.board.bus import host_record
 from stage.board.bus.interrupts import BACK, JUMPED, LOWERED
-from stage.board.interrupt_hooks import name_source
+from stage.board.interrupt_hooks import format_source_name
 from stage.support.arguments import explain_constructor
 
 if TYPE_CHECKING:
@@ -67,9 +67,9 @@ Meaning = Callable[[int, int, bool, bool], str]
 """(port, value, whether it is written, whether with 16 bits) -> what it means."""
 
 
-def describe_interrupt(kind: int, source: int, value: int) -> str:
+def format_interrupt(kind: int, source: int, value: int) -> str:
     """Say that a hook was called, before which `value` ticks were missed; or how it ended."""
-    name = name_source(source) if source else "the hook"
+    name = format_source_name(source) if source else "the hook"
     if kind == host_record.RETURNED:
         return f"interrupt: {name} {ENDS[value]}"
     missed = f" ({value:,} {'tick was' if value == 1 else 'ticks were'} missed)" if value else ""
@@ -133,7 +133,7 @@ class BusTrace:
             head.append(f"{'':17}  ... {self.total - shown:,} lines before")
         return "\n".join([*head, *map(str, self.last(shown))])
 
-    def ending(self, n: int) -> str:
+    def format_ending(self, n: int) -> str:
         """Return the last `n` lines as the end of a message about a program that did not end well."""
         return f"Its last bus cycles:\n{self.text(n)}" if self.total else "It has made no bus cycle."
 
@@ -148,7 +148,7 @@ def _make_cycle(line: tuple[int, ...], describe: Meaning) -> Cycle:
     kind &= KIND_BITS
     if kind in (host_record.CALLED, host_record.RETURNED):
         way = "Ii"[kind - host_record.CALLED]
-        return Cycle(at * 1e-9, at * 1e-9, 1, way, None, 0, 0, False, describe_interrupt(kind, port, value))
+        return Cycle(at * 1e-9, at * 1e-9, 1, way, None, 0, 0, False, format_interrupt(kind, port, value))
     writes, wide = kind in (host_record.OUT, host_record.OUT_WIDE), kind in (host_record.IN_WIDE, host_record.OUT_WIDE)
     if lost:
         meaning = "lost on the way: it does not reach the chip"

@@ -30,7 +30,7 @@ PIECE_CYCLES = 16384
 HOLD_FRACTION = 8  # of a cycle: for so long PORT and DATA of the one before stay
 
 
-class Mark(NamedTuple):
+class TracePosition(NamedTuple):
     """How far the trace is.
 
     Attributes:
@@ -48,13 +48,13 @@ class HostWaveforms:
     def __init__(self, board: Board):
         self.board = board
 
-    def mark(self) -> Mark:
+    def get_position(self) -> TracePosition:
         """Return how far the trace is where a recording begins or ends."""
         trace = self.board.trace
-        return Mark(trace.total, trace.lines()["last"][-NEWEST_LINES:])
+        return TracePosition(trace.total, trace.lines()["last"][-NEWEST_LINES:])
 
     def changes(
-        self, writer: Any, first: Mark | None, last: Mark | None, begin: int, end: int
+        self, writer: Any, first: TracePosition | None, last: TracePosition | None, begin: int, end: int
     ) -> list[Iterator[tuple[int, Any, Any]]]:
         """Register the signals of the bus now, if there were cycles in a recording, and return their changes.
 
@@ -65,9 +65,13 @@ class HostWaveforms:
             begin: Time of its begin, ns.
             end: Time of its end, ns.
         """
-        return _changes(self._lines(first, last, begin, end), writer, round(self.board.stage.bus_cycle * 1e9), begin)
+        return _register_signals(
+            self._select_lines(first, last, begin, end), writer, round(self.board.stage.bus_cycle * 1e9), begin
+        )
 
-    def _lines(self, first: Mark | None, last: Mark | None, begin: int, end: int) -> np.ndarray:
+    def _select_lines(
+        self, first: TracePosition | None, last: TracePosition | None, begin: int, end: int
+    ) -> np.ndarray:
         """Return CYCLE records of these cycles; polling that had begun before is cut."""
         trace = self.board.trace
         lines, until = trace.lines(), last.total if last is not None else trace.total
@@ -85,7 +89,7 @@ class HostWaveforms:
         return cycles
 
 
-def _changes(lines: np.ndarray, writer: Any, bus_ns: int, begin: int) -> list[Iterator[tuple[int, Any, Any]]]:
+def _register_signals(lines: np.ndarray, writer: Any, bus_ns: int, begin: int) -> list[Iterator[tuple[int, Any, Any]]]:
     if not len(lines):
         return []
     kind = lines["kind"] & KIND_BITS
@@ -98,8 +102,8 @@ def _changes(lines: np.ndarray, writer: Any, bus_ns: int, begin: int) -> list[It
     rd, wr = (writer.register_var(HOST, name, "wire", size=1, init=1) for name in ("RD_n", "WR_n"))
     polls = writer.register_var(HOST, "POLLS", "wire", size=1, init=0)
     streams = [
-        _cycles(cycles, np.isin(kinds, (IN, IN_WIDE)), (port, data, rd, wr), bus_ns, begin),
-        _polls(cycles, polls),
+        _iterate_cycles(cycles, np.isin(kinds, (IN, IN_WIDE)), (port, data, rd, wr), bus_ns, begin),
+        _iterate_polls(cycles, polls),
     ]
     if hooks.any():
         hook = writer.register_var(HOST, "HOOK", "wire", size=1, init=0)
@@ -108,7 +112,9 @@ def _changes(lines: np.ndarray, writer: Any, bus_ns: int, begin: int) -> list[It
     return streams
 
 
-def _cycles(lines: np.ndarray, reads: np.ndarray, variables: tuple[Any, ...], bus_ns: int, begin: int) -> Iterator[Any]:
+def _iterate_cycles(
+    lines: np.ndarray, reads: np.ndarray, variables: tuple[Any, ...], bus_ns: int, begin: int
+) -> Iterator[Any]:
     """Yield the changes of each line's first cycle, and of its last if there were more."""
     port, data, rd, wr = variables
     more = np.flatnonzero(lines["last"] > lines["first"])
@@ -127,7 +133,7 @@ def _cycles(lines: np.ndarray, reads: np.ndarray, variables: tuple[Any, ...], bu
             yield end, strobe, 1
 
 
-def _polls(lines: np.ndarray, variable: Any) -> Iterator[Any]:
+def _iterate_polls(lines: np.ndarray, variable: Any) -> Iterator[Any]:
     """Yield 1 where at least one port begins to be read again and again, 0 where none is any more."""
     lines = lines[lines["count"] > 2]
     steps = heapq.merge(((t, 1) for t in lines["first"].tolist()), ((t, -1) for t in np.sort(lines["last"]).tolist()))

@@ -76,7 +76,7 @@ def parse_windows(windows: Windows = ()) -> tuple[Window, ...]:
     if isinstance(windows, str) or (isinstance(windows, tuple) and len(windows) == 3 and isinstance(windows[0], int)):
         windows = (windows,)
     try:
-        parsed = sorted(_check(Window(*_parse_numbers(one))) for one in windows)
+        parsed = sorted(_check_window(Window(*_parse_numbers(one))) for one in windows)
     except TypeError:
         raise ArgumentError(f"map={windows!r}: a window is a Window(address, port, length), or text: {FORM}.") from None
     for one, other in pairwise(parsed):
@@ -96,7 +96,7 @@ def _parse_numbers(one: Any) -> Iterable[int]:
     return (int(n, 16) if n[:2] in ("0x", "0X") else int(n) for n in match.groups())
 
 
-def _check(window: Window) -> Window:
+def _check_window(window: Window) -> Window:
     if window.length < 1:
         raise ArgumentError(f"window {window}: its length is 1 port or more.")
     if window.port < 0 or window.port + window.length > MAX_PORTS:

@@ -265,7 +265,7 @@ def _collect_facts(board: Any, result: Any, error: StageError | None) -> dict[st
         for a in board.stage.axes.values()
     ]  # fmt: skip
     diagnostics = {
-        board.name_of(k): [d._asdict() for d in chip.diagnostics] for k, chip in enumerate(board.stage.chips)
+        board.name_chip(k): [d._asdict() for d in chip.diagnostics] for k, chip in enumerate(board.stage.chips)
     }
     return {
         "returned": None if result is None else result.code, "error": None if error is None else str(error),
@@ -282,7 +282,7 @@ def print_report(board: Any) -> None:
             print(f"{axis.name} has lost steps without current: {reason}.")
     for k, chip in enumerate(board.stage.chips):
         if chip.diagnostics:
-            _print_diagnostics(board.name_of(k), chip)
+            _print_diagnostics(board.name_chip(k), chip)
     if strays := board.strays:
         times = sum(c.times for c in strays)
         print(f"{times:,} bus cycles reached no chip or half a register, the first:\n{strays[0]}")

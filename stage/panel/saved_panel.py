@@ -176,7 +176,7 @@ def to_pytest(panel: Panel, saved: SavedPanel, now: int) -> str:
 def to_c(panel: Panel, saved: SavedPanel, now: int) -> str:
     """Return firmware for `stage run`: the same cycles, to the microsecond. As `to_python`."""
     _check_program(saved)
-    places = {p.index: p for p in layouts.place_chips(dict(enumerate(panel.session.stage.chips)), None, None, None)}
+    places = {p.index: p for p in layouts.assign_ports(dict(enumerate(panel.session.stage.chips)), None, None, None)}
     lines = []
     for s, words in zip(saved.sent, _describe_cycles(panel, saved), strict=True):
         calls = "".join(f" {call};" for call in _ports(places[s.chip], s))

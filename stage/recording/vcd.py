@@ -158,13 +158,13 @@ class HostBus:
 
     def __init__(self, stage: Any):
         self._stage = stage
-        self._begin = None if stage.host is None else stage.host.mark()
+        self._begin = None if stage.host is None else stage.host.get_position()
         self._end: Any = None
         self._until: int | None = None
 
     def close(self) -> None:
         """End the recording of cycles."""
-        self._end, self._until = None if self._stage.host is None else self._stage.host.mark(), self._stage.now
+        self._end, self._until = None if self._stage.host is None else self._stage.host.get_position(), self._stage.now
 
     @property
     def until(self) -> int:

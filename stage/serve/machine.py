@@ -12,7 +12,7 @@ import numpy as np
 
 from stage import __version__
 from stage.board import Board, HostError
-from stage.board.bus.batch import ENTRY, first_wrong, go_on, run_batch
+from stage.board.bus.batch import ENTRY, find_first_invalid, resume_batch, run_batch
 from stage.board.bus.host_record import LAST_PORT, MAX_DELAY_US
 from stage.errors import ArgumentError, StageError, unknown_name_error
 from stage.serve import client
@@ -83,7 +83,7 @@ class Machine:
         """Describe the board to a host, in JSON."""
         board = self.board
         chips = [
-            {"chip": type(p.chip).__name__, "axes": board.name_of(p.index), "port": p.first, "layout": p.layout.name}
+            {"chip": type(p.chip).__name__, "axes": board.name_chip(p.index), "port": p.first, "layout": p.layout.name}
             for p in board.places
         ]
         axes = {name: axis.unit for name, axis in board.stage.axes.items()}
@@ -111,7 +111,7 @@ class Machine:
             raise ArgumentError(f"BATCH: {len(body)} bytes; an entry has {client.ENTRY.size}.")
         buffers = _Buffers(n) if self._in_batch else self._buffers  # the outer batch is not done yet
         buffers.bytes[: len(body)] = body
-        wrong = first_wrong.with_gil(buffers.entries_at, n)
+        wrong = find_first_invalid.with_gil(buffers.entries_at, n)
         if wrong < n:
             raise ArgumentError(
                 f"BATCH, entry {wrong}: {_describe_wrong(buffers.entries[wrong])}. Nothing of this batch was done."
@@ -119,9 +119,9 @@ class Machine:
         link, before = self.board.link, (self._in_batch, self.board.link.pause)
         self._in_batch, link.pause = True, self._pause_batch
         try:
-            link.begin()
+            link.begin_run()
             done = run_batch.c(link.pointer, buffers.entries_at, n, buffers.answers_at, n)
-            link.end()
+            link.end_run()
         finally:
             self._in_batch, link.pause = before
         try:
@@ -139,14 +139,14 @@ class Machine:
             try:
                 self._pause()
             except BaseException as error:
-                link.fail(error)
-        go_on.c(link.pointer)
+                link.set_error(error)
+        resume_batch.c(link.pointer)
 
     def _log(self, body: bytes) -> bytes:
         if len(body) > MAX_LINE_BYTES:
             raise ArgumentError(f"LOG: {len(body):,} bytes; a line has up to {MAX_LINE_BYTES:,}.")
         log = self.board.log
-        self.board.note(_make_printable(body.decode(errors="replace")))
+        self.board.add_log_line(_make_printable(body.decode(errors="replace")))
         self._report(*log[-1])
         if len(log) > self._keep + self._keep // 4:
             del log[: len(log) - self._keep]

@@ -100,7 +100,7 @@ def choose_encoders(
             able = ", ".join(line.name for line in CHIPS.listed() if line.chip and line.chip.ENCODERS)
             raise ArgumentError(
                 f"encoders for axis {encoder.axis}: {chip.__name__} has no input for an encoder; {able} have. Or put a counter on "
-                "the bus: board.put(HCTL2016(encoder), port)."
+                "the bus: board.attach_device(HCTL2016(encoder), port)."
             )
         if encoder.zero is not None:
             raise ArgumentError(

@@ -71,7 +71,7 @@ class AvrBus:
         b.levels, b.outputs, b.was_write = self._levels.ctypes.data, self._outputs.ctypes.data, 1
         used = sorted({pins.data, *(p[0] for p in (pins.cs, pins.wr, pins.rd, *pins.address) if p)})
         self._ports = np.array([(self._row.ctypes.data, port) for port in used], avr_core.PORT)
-        self._functions = avr_core.levels_changed.pointer, avr_core.outputs_changed.pointer
+        self._functions = avr_core.follow_levels.pointer, avr_core.follow_directions.pointer
         for k, port in enumerate(used):
             for number, function in zip((PIN_ALL, DIRECTION_ALL), self._functions, strict=True):
                 avr.notify(avr.find_irq(port, number), function, self._ports[k : k + 1])

@@ -11,7 +11,7 @@ import numpy as np
 from stage.board.bus.host_record import IN8, LOG, OUT8
 from stage.native import array_at, called, exported, hot, record
 from stage.sim.handle import INTEGER
-from stage.targets.processor_core import PROCESSOR_FIELDS, bus_cycle, reach, request
+from stage.targets.processor_core import PROCESSOR_FIELDS, advance_board, bus_cycle, request
 
 NO_PIN = -1
 PORTS = "ABCDEFGHJKL"
@@ -50,124 +50,125 @@ SLEEPING, DONE = 3, 6
 """cpu_Sleeping, cpu_Done, and above: crashed."""
 NOTHING_WAKES = 2
 LINE_END, CARRIAGE_RETURN = 10, 13
-_run, _raise = called("i4", "i8"), called(None, "i8", "i4")
+_run, _raise_irq = called("i4", "i8"), called(None, "i8", "i4")
 _is_enabled = called("i4", "i8", "i8")
-_status, _read_memory = called("i8", "i8", "i8", "i8"), called("i4", "i8", "i4")
+_get_timer_status, _read_memory = called("i8", "i8", "i8", "i8"), called("i4", "i8", "i4")
 
 
 @hot
-def cycles_of(t):
+def count_cycles(cpu):
     """Return the cycles that the processor has run."""
-    return t.when + 1 - _status(t.status, (t.avr, t.timer, t.own))
+    return cpu.when + 1 - _get_timer_status(cpu.status, (cpu.avr, cpu.timer, cpu.own))
 
 
 @hot
-def _read_pin(b, at):
+def _read_pin(bus, at):
     pin = array_at(at, 1, PIN)[0]
     if pin.port == NO_PIN:
         return 0
-    levels, outputs = array_at(b.levels, len(PORTS), INTEGER), array_at(b.outputs, len(PORTS), INTEGER)
+    levels, outputs = array_at(bus.levels, len(PORTS), INTEGER), array_at(bus.outputs, len(PORTS), INTEGER)
     return (levels[pin.port] | ~outputs[pin.port]) >> pin.bit & 1
 
 
 @hot
-def _read_address(b):
-    pins, address = array_at(b.addresses, b.n_addresses, PIN), 0
-    levels = array_at(b.levels, len(PORTS), INTEGER)
-    for k in range(b.n_addresses):
+def _read_address(bus):
+    pins, address = array_at(bus.addresses, bus.n_addresses, PIN), 0
+    levels = array_at(bus.levels, len(PORTS), INTEGER)
+    for k in range(bus.n_addresses):
         address |= (levels[pins[k].port] >> pins[k].bit & 1) << k
-    return b.first + address
+    return bus.first + address
 
 
 @hot
-def _follow_pins(b):
+def _update_bus(bus):
     """Make the bus cycle of pins that have changed, if they begin or end one."""
-    t = array_at(b.avr, 1, AVR)[0]
-    selected, write, read = _read_pin(b, b.select) == 0, _read_pin(b, b.write), _read_pin(b, b.read)
-    if write and not b.was_write and (selected or b.was_selected):
-        value = array_at(b.levels, len(PORTS), INTEGER)[b.data_port]
-        bus_cycle(t, cycles_of(t), OUT8, _read_address(b), value & 0xFF)
-    b.was_selected, b.was_write = selected, write
+    cpu = array_at(bus.avr, 1, AVR)[0]
+    selected, write, read = _read_pin(bus, bus.select) == 0, _read_pin(bus, bus.write), _read_pin(bus, bus.read)
+    if write and not bus.was_write and (selected or bus.was_selected):
+        value = array_at(bus.levels, len(PORTS), INTEGER)[bus.data_port]
+        bus_cycle(cpu, count_cycles(cpu), OUT8, _read_address(bus), value & 0xFF)
+    bus.was_selected, bus.was_write = selected, write
     if read or not selected:
-        b.reading = 0
-    elif not b.reading:
-        b.reading = 1
-        value = bus_cycle(t, cycles_of(t), IN8, _read_address(b), 0)
-        if array_at(b.outputs, len(PORTS), INTEGER)[b.data_port]:
-            if b.conflicts == 0:
-                request(t, LOG, b.warning, 0)
-            b.conflicts += 1
-        irqs = array_at(b.data_irqs, 8, INTEGER)
+        bus.reading = 0
+    elif not bus.reading:
+        bus.reading = 1
+        value = bus_cycle(cpu, count_cycles(cpu), IN8, _read_address(bus), 0)
+        if array_at(bus.outputs, len(PORTS), INTEGER)[bus.data_port]:
+            if bus.conflicts == 0:
+                request(cpu, LOG, bus.warning, 0)
+            bus.conflicts += 1
+        irqs = array_at(bus.data_irqs, 8, INTEGER)
         for k in range(8):
-            _raise(t.raise_irq, (irqs[k], value >> k & 1))
+            _raise_irq(cpu.raise_irq, (irqs[k], value >> k & 1))
 
 
 @exported(None, "i8", "i4", PORT)
-def levels_changed(_irq, value, p):
+def follow_levels(_irq, value, port):
     """Take over other levels that the program drives at a port."""
-    b = array_at(p.bus, 1, BUS)[0]
-    array_at(b.levels, len(PORTS), INTEGER)[p.port] = value
-    _follow_pins(b)
+    bus = array_at(port.bus, 1, BUS)[0]
+    array_at(bus.levels, len(PORTS), INTEGER)[port.port] = value
+    _update_bus(bus)
 
 
 @exported(None, "i8", "i4", PORT)
-def outputs_changed(_irq, value, p):
+def follow_directions(_irq, value, port):
     """Take over which pins of a port are outputs."""
-    b = array_at(p.bus, 1, BUS)[0]
-    array_at(b.outputs, len(PORTS), INTEGER)[p.port] = value
-    _follow_pins(b)
+    bus = array_at(port.bus, 1, BUS)[0]
+    array_at(bus.outputs, len(PORTS), INTEGER)[port.port] = value
+    _update_bus(bus)
 
 
 @hot
-def _check_sleep(t):
+def _check_sleep(cpu):
     """Return 1 for a processor that an interrupt can wake, else NOTHING_WAKES."""
-    vectors = array_at(t.vectors, t.n_vectors, INTEGER)
-    for k in range(t.n_vectors):
-        if _is_enabled(t.is_enabled, (t.avr, vectors[k])):
+    vectors = array_at(cpu.vectors, cpu.n_vectors, INTEGER)
+    for k in range(cpu.n_vectors):
+        if _is_enabled(cpu.is_enabled, (cpu.avr, vectors[k])):
             return 1
-    return NOTHING_WAKES if t.n_vectors else 1
+    return NOTHING_WAKES if cpu.n_vectors else 1
 
 
 @exported("i8", "i8", "i8", AVR)
-def tick(_avr, when, t):
+def end_quantum(_avr, when, cpu):
     """Advance the board at the end of a quantum; find out whether the program has ended or sleeps. Return the next end."""
-    t.when = when + t.quantum
-    line = reach(t, when)
-    if line != t.line:
-        t.line = line
-        _raise(t.raise_irq, (t.line_irq, 1 - line))
-    if t.pc and array_at(t.pc, 1, STATE)[0] == t.stop:
-        t.code = (
-            _read_memory(t.read_memory, (t.avr, 24)) & 0xFF | (_read_memory(t.read_memory, (t.avr, 25)) & 0xFF) << 8
+    cpu.when = when + cpu.quantum
+    line = advance_board(cpu, when)
+    if line != cpu.line:
+        cpu.line = line
+        _raise_irq(cpu.raise_irq, (cpu.line_irq, 1 - line))
+    if cpu.pc and array_at(cpu.pc, 1, STATE)[0] == cpu.stop:
+        cpu.code = (
+            _read_memory(cpu.read_memory, (cpu.avr, 24)) & 0xFF
+            | (_read_memory(cpu.read_memory, (cpu.avr, 25)) & 0xFF) << 8
         )
-        t.ended = 1
-    if array_at(t.state, 1, STATE)[0] != SLEEPING:
-        t.asleep = 0
-    elif t.asleep == 0:
-        t.asleep = _check_sleep(t)
-        t.ended |= t.asleep >> 1
-    return t.when
+        cpu.ended = 1
+    if array_at(cpu.state, 1, STATE)[0] != SLEEPING:
+        cpu.asleep = 0
+    elif cpu.asleep == 0:
+        cpu.asleep = _check_sleep(cpu)
+        cpu.ended |= cpu.asleep >> 1
+    return cpu.when
 
 
 @exported(None, "i8", "i4", SERIAL)
-def sent(_irq, value, s):
+def log_sent_byte(_irq, value, serial):
     """Take a byte that has left over a serial line; a whole line goes to the log."""
-    t, text = array_at(s.avr, 1, AVR)[0], array_at(s.text, s.room, BYTE)
+    cpu, text = array_at(serial.avr, 1, AVR)[0], array_at(serial.text, serial.room, BYTE)
     if value != LINE_END and value != CARRIAGE_RETURN:
-        text[s.length] = value
-        s.length += 1
-    if (value == LINE_END or s.length == s.room - 1) and s.length:
-        text[s.length] = 0
-        s.length = 0
-        reach(t, cycles_of(t))
-        request(t, LOG, s.text, 0)
+        text[serial.length] = value
+        serial.length += 1
+    if (value == LINE_END or serial.length == serial.room - 1) and serial.length:
+        text[serial.length] = 0
+        serial.length = 0
+        advance_board(cpu, count_cycles(cpu))
+        request(cpu, LOG, serial.text, 0)
 
 
 @exported("i8", AVR)
-def run(t):
+def run(cpu):
     """Run until the program ends, or cannot go on; return simavr's state."""
-    while not t.ended:
-        state = _run(t.run, (t.avr,))
+    while not cpu.ended:
+        state = _run(cpu.run, (cpu.avr,))
         if state >= DONE:
             return state
     return DONE

@@ -320,7 +320,7 @@ class DebugServer:
         skipped, self._skipped = self._skipped, None
         if address == skipped or address not in self._breakpoints:
             return
-        self._engine.uncount(size)
+        self._engine.uncount_instruction(size)
         self.steps = False
         self._halt(TRAP)
 

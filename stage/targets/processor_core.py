@@ -9,7 +9,7 @@ approximation, which is stated for each processor.
 
 from __future__ import annotations
 
-from stage.board.bus.host_record import HOST, IN8, IN16, IN32, OUT8, OUT16, OUT32, UNTIL, now_of
+from stage.board.bus.host_record import HOST, IN8, IN16, IN32, OUT8, OUT16, OUT32, UNTIL, get_now
 from stage.native import array_at, called, exported, greatest, hot, least, record
 from stage.sim.handle import INTEGER
 
@@ -50,139 +50,139 @@ _internal_port = called("i8", "i8", "i8", "i8", "i8")
 
 
 @hot
-def _has_interrupts_on(t):
-    _reg_read(t.reg_read, (t.uc, t.flags, t.flags_at))
-    return array_at(t.flags_at, 1, INTEGER)[0] & t.mask == t.on
+def _are_interrupts_enabled(cpu):
+    _reg_read(cpu.reg_read, (cpu.uc, cpu.flags, cpu.flags_at))
+    return array_at(cpu.flags_at, 1, INTEGER)[0] & cpu.mask == cpu.on
 
 
 @hot
-def poll(t):
+def poll(cpu):
     """Advance the board to the processor's time, and read the interrupt line; return 1 where Python has to do something."""
-    line = reach(t, t.cycles)
-    if line and not (t.edge and t.before):
-        t.raised = 1
-    elif not t.edge:
-        t.raised = 0
-    t.before = line
-    t.due = least(t.cycles + t.quantum, t.alarm)
-    if t.cycles >= t.alarm:
-        t.due = t.cycles + t.quantum
+    line = advance_board(cpu, cpu.cycles)
+    if line and not (cpu.edge and cpu.before):
+        cpu.raised = 1
+    elif not cpu.edge:
+        cpu.raised = 0
+    cpu.before = line
+    cpu.due = least(cpu.cycles + cpu.quantum, cpu.alarm)
+    if cpu.cycles >= cpu.alarm:
+        cpu.due = cpu.cycles + cpu.quantum
         return 1
-    return 1 if ((t.raised and t.line) or t.device_waits) and _has_interrupts_on(t) else 0
+    return 1 if ((cpu.raised and cpu.line) or cpu.device_waits) and _are_interrupts_enabled(cpu) else 0
 
 
 @exported("i8", MACHINE)
-def poll_from_python(t):
+def poll_from_python(cpu):
     """Poll as compiled code does."""
-    return poll(t)
+    return poll(cpu)
 
 
 @exported(None, MACHINE)
-def wait(t):
+def wait(cpu):
     """Let time pass without instructions, until Python has something to do."""
-    while not poll(t):
-        t.cycles = t.due
+    while not poll(cpu):
+        cpu.cycles = cpu.due
 
 
 @exported(None, "i8", "i8", "i4", MACHINE)
-def instruction(_uc, _address, size, t):
+def count_instruction(_uc, _address, size, cpu):
     """Count an instruction before it is run, and stop Unicorn where Python has to do something."""
-    t.cycles += t.each + t.byte * size
-    if t.cycles >= t.due and poll(t):
-        _stop(t.stop, (t.uc,))
+    cpu.cycles += cpu.each + cpu.byte * size
+    if cpu.cycles >= cpu.due and poll(cpu):
+        _stop(cpu.stop, (cpu.uc,))
 
 
 @hot
-def _in(t, size, port):
-    what = IN8 if size == 1 else IN16 if size == 2 else IN32
-    return bus_cycle(t, t.cycles, what, port, 0)
+def _read_port(cpu, size, port):
+    code = IN8 if size == 1 else IN16 if size == 2 else IN32
+    return bus_cycle(cpu, cpu.cycles, code, port, 0)
 
 
 @hot
-def _out(t, size, port, value):
-    what = OUT8 if size == 1 else OUT16 if size == 2 else OUT32
-    bus_cycle(t, t.cycles, what, port, value)
+def _write_port(cpu, size, port, value):
+    code = OUT8 if size == 1 else OUT16 if size == 2 else OUT32
+    bus_cycle(cpu, cpu.cycles, code, port, value)
 
 
 @exported("i4", "i8", "i4", "i4", MACHINE)
-def port_in(_uc, port, size, t):
+def execute_in(_uc, port, size, cpu):
     """Execute IN."""
-    if port < t.n_internal_ports:
-        return _internal_port(t.internal_port, (t.own, port, size, -1))
-    value = _in(t, size, port)
-    t.due = t.cycles  # the line may have changed
+    if port < cpu.n_internal_ports:
+        return _internal_port(cpu.internal_port, (cpu.own, port, size, -1))
+    value = _read_port(cpu, size, port)
+    cpu.due = cpu.cycles  # the line may have changed
     return value
 
 
 @exported(None, "i8", "i4", "i4", "i4", MACHINE)
-def port_out(_uc, port, size, value, t):
+def execute_out(_uc, port, size, value, cpu):
     """Execute OUT."""
-    if port < t.n_internal_ports:
-        _internal_port(t.internal_port, (t.own, port, size, value & (0xFF if size == 1 else 0xFFFF)))
+    if port < cpu.n_internal_ports:
+        _internal_port(cpu.internal_port, (cpu.own, port, size, value & (0xFF if size == 1 else 0xFFFF)))
         return
-    _out(t, size, port, value & 0xFFFFFFFF)
-    t.due = t.cycles
+    _write_port(cpu, size, port, value & 0xFFFFFFFF)
+    cpu.due = cpu.cycles
 
 
 @hot
-def _find_port(t, address, size):
+def _find_port(cpu, address, size):
     """Return the port that an address of a window is, or stop Unicorn and return -1."""
-    windows = array_at(t.windows, t.n_windows, WINDOW)
-    for k in range(t.n_windows):
+    windows = array_at(cpu.windows, cpu.n_windows, WINDOW)
+    for k in range(cpu.n_windows):
         n = address - windows[k].address
         if n >= 0 and n + size <= windows[k].length:
             return windows[k].port + n
-    t.outside = address + 1
-    _stop(t.stop, (t.uc,))
+    cpu.outside = address + 1
+    _stop(cpu.stop, (cpu.uc,))
     return -1
 
 
 @exported("i8", "i8", "i8", "i4", PAGE)
-def window_read(_uc, offset, size, p):
+def load_from_window(_uc, offset, size, page):
     """Load from memory that holds windows."""
-    t = array_at(p.machine, 1, MACHINE)[0]
-    port = _find_port(t, p.address + offset, size)
+    cpu = array_at(page.machine, 1, MACHINE)[0]
+    port = _find_port(cpu, page.address + offset, size)
     if port < 0:
         return 0
-    value = _in(t, size, port)
-    t.due = t.cycles
+    value = _read_port(cpu, size, port)
+    cpu.due = cpu.cycles
     return value
 
 
 @exported(None, "i8", "i8", "i4", "i8", PAGE)
-def window_written(_uc, offset, size, value, p):
+def store_to_window(_uc, offset, size, value, page):
     """Store to memory that holds windows."""
-    t = array_at(p.machine, 1, MACHINE)[0]
-    port = _find_port(t, p.address + offset, size)
+    cpu = array_at(page.machine, 1, MACHINE)[0]
+    port = _find_port(cpu, page.address + offset, size)
     if port >= 0:
-        _out(t, size, port, value & 0xFFFFFFFF)
-        t.due = t.cycles
+        _write_port(cpu, size, port, value & 0xFFFFFFFF)
+        cpu.due = cpu.cycles
 
 
 @hot
-def request(t, what, a, b):
+def request(cpu, code, a, b):
     """Make a request of the board."""
-    return _request(t.request, (t.host, what, a, b))
+    return _request(cpu.request, (cpu.host, code, a, b))
 
 
 @hot
-def time_of(t, cycles):
+def compute_time(cpu, cycles):
     """Return the board's time (ns) at which the processor has run so many cycles."""
-    return t.begin + t.waits + cycles // t.hz * SECOND + cycles % t.hz * SECOND // t.hz
+    return cpu.begin + cpu.waits + cycles // cpu.hz * SECOND + cycles % cpu.hz * SECOND // cpu.hz
 
 
 @hot
-def reach(t, cycles):
+def advance_board(cpu, cycles):
     """Advance the board to the processor's time; return 1 if the interrupt line then is asserted and leads here."""
-    return request(t, UNTIL, time_of(t, cycles), t.watched)
+    return request(cpu, UNTIL, compute_time(cpu, cycles), cpu.watched)
 
 
 @hot
-def bus_cycle(t, cycles, what, port, value):
+def bus_cycle(cpu, cycles, code, port, value):
     """Make a bus cycle that ends when the processor has run so many cycles."""
-    h = array_at(t.host, 1, HOST)[0]
-    end = time_of(t, cycles)
-    request(t, UNTIL, end - h.bus, 0)
-    answer = request(t, what, port, value)
-    t.waits += greatest(now_of(h) - end, 0)
+    host = array_at(cpu.host, 1, HOST)[0]
+    end = compute_time(cpu, cycles)
+    request(cpu, UNTIL, end - host.bus, 0)
+    answer = request(cpu, code, port, value)
+    cpu.waits += greatest(get_now(host) - end, 0)
     return answer

@@ -254,7 +254,7 @@ class LoadedAvr:
         t.line_irq = self.find_irq(*irq) if irq else 0
         t.state, t.is_enabled = self._state_at, library.address("avr_is_interrupt_enabled")
         t.vectors, t.n_vectors = self._vectors.addresses.ctypes.data, len(self._vectors.addresses)
-        self._tick, self._sent = avr_core.tick.pointer, avr_core.sent.pointer
+        self._tick, self._sent = avr_core.end_quantum.pointer, avr_core.log_sent_byte.pointer
         t.timer = ctypes.cast(self._tick, ctypes.c_void_p).value
 
     def find_irq(self, port: int, number: int) -> int:
@@ -329,7 +329,7 @@ class LoadedAvr:
         board = self._board
         return (
             f"{self.path.name}: {message}, at {self._elf.where(pc)}; at {board.stage.time:.6f} s, after {board.cycles:,} bus "
-            f"cycles. {board.trace.ending(12)}"
+            f"cycles. {board.trace.format_ending(12)}"
         )
 
     def close(self) -> None:

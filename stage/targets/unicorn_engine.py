@@ -108,7 +108,7 @@ class Engine:
         self.fault = ""
         self._functions: list[Any] = []
         self._line = ""
-        self.hook(_CODE, processor_core.instruction.pointer)
+        self.hook(_CODE, processor_core.count_instruction.pointer)
         self._touched: int | None = None
         self.uc.hook_add(unicorn.UC_HOOK_MEM_INVALID, self._note_touched)
 
@@ -149,8 +149,8 @@ class Engine:
         """Let IN and OUT reach the board; for ports below that number a function of ctypes is called."""
         self._functions.append(function)
         self.record.internal_port, self.record.n_internal_ports = _address(function), below
-        self.hook(_INSN, processor_core.port_in.pointer, _IN)
-        self.hook(_INSN, processor_core.port_out.pointer, _OUT)
+        self.hook(_INSN, processor_core.execute_in.pointer, _IN)
+        self.hook(_INSN, processor_core.execute_out.pointer, _OUT)
 
     def map_windows(self, windows: Any) -> None:
         """Map the memory in which the board's windows lie, in whole pages."""
@@ -158,7 +158,7 @@ class Engine:
         self.record.windows, self.record.n_windows = self._windows.ctypes.data, len(windows)
         self.window_pages = sorted({page for w in windows for page in range(w.address & -PAGE_SIZE, w.end, PAGE_SIZE)})
         self._pages = np.array([(self.record.own, page) for page in self.window_pages], processor_core.PAGE)
-        read, write = processor_core.window_read.pointer, processor_core.window_written.pointer
+        read, write = processor_core.load_from_window.pointer, processor_core.store_to_window.pointer
         for k, page in enumerate(self.window_pages):
             user = ctypes.c_void_p(address_of(self._pages[k : k + 1]))
             failed = self._lib.uc_mmio_map(
@@ -195,7 +195,7 @@ class Engine:
         """Let Unicorn call a function before the instruction at an address; return a number for hook_del."""
         return int(self.uc.hook_add(_CODE, function, begin=address, end=address))
 
-    def uncount(self, size: int) -> None:
+    def uncount_instruction(self, size: int) -> None:
         """Uncount an instruction of so many bytes that is not run now."""
         self.record.cycles -= self.record.each + self.record.byte * size
 
@@ -218,7 +218,7 @@ class Engine:
         self.ended = False
         try:
             while not self.ended:
-                self._go_on()
+                self._run_to_stop()
         except HostError:
             if self.gdb is not None:
                 self.gdb.report_failure()
@@ -229,7 +229,7 @@ class Engine:
         processor_core.poll_from_python.c(self.record.own)
         return self.code
 
-    def _go_on(self) -> None:
+    def _run_to_stop(self) -> None:
         """Run to the next instruction at which something is to be done, and do it."""
         gdb = self.gdb
         if gdb is not None:

@@ -51,7 +51,7 @@ def board_arguments(node: pytest.Item) -> dict[str, Any]:
     arguments: dict[str, Any] = {}
     for mark in _list_markers(node, "board"):
         arguments |= _bind_arguments(mark, BOARD_ARGUMENTS)
-    if layouts.names_file(arguments.get("layout")):
+    if layouts.is_layout_file(arguments.get("layout")):
         arguments["layout"] = find_file(node, arguments["layout"], "layout")
     return arguments
 

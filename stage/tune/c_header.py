@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from stage.board.bus.host_record import LATCH, WORD
-from stage.board.layouts import default_layout
+from stage.board.layouts import make_default_layout
 from stage.chips import Chip
 from stage.tune.bus_listing import BusCycle, RegisterValue
 
@@ -105,7 +105,7 @@ def _format_write_example(chip: Chip, used_addresses: set[int | None]) -> str:
 
     A board whose ports do not match the chip's addresses gets a call of a placeholder function.
     """
-    layout = default_layout(chip)
+    layout = make_default_layout(chip)
     base = f"0x{layout.base:X}"
     kinds, port_addresses = {kind for kind, _ in layout.ports}, {address for _, address in layout.ports}
     if LATCH in kinds:

@@ -9,7 +9,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board
-from stage.board.bus.batch import ENTRY, UNTIL8, UNTIL16, UNTIL_LINE, first_wrong, run_batch
+from stage.board.bus.batch import ENTRY, UNTIL8, UNTIL16, UNTIL_LINE, find_first_invalid, run_batch
 from stage.board.bus.host_record import DELAY, IN8, IN16, IN32, LINE, MICROS, OUT8, OUT16, OUT32
 from stage.chips import PCL240MK
 
@@ -28,10 +28,10 @@ def entries(*rows: tuple[int, ...]) -> np.ndarray:
 def together(board: Board, rows: list[tuple[int, ...]]) -> list[int]:
     """The answers of the rows as a batch."""
     requested, answers = entries(*rows), np.zeros(len(rows), np.int64)
-    assert first_wrong(requested) == len(rows)
-    board.link.begin()
+    assert find_first_invalid(requested) == len(rows)
+    board.link.begin_run()
     done = run_batch.c(board.link.pointer, requested.ctypes.data, len(rows), answers.ctypes.data, len(rows))
-    board.link.end()
+    board.link.end_run()
     assert done == len(rows)
     return answers.tolist()
 
@@ -74,7 +74,7 @@ def test_a_batch_is_its_requests_one_by_one_to_the_bit(boards):
             rows.append((DELAY, rng.choice((0, 3, 260, 4000))) if what == DELAY else (what, port, rng.randrange(256)))
         batched, single = boards
         answers = together(batched, rows)
-        assert [single.link.ask(*row[:2], row[2] if len(row) > 2 else 0) for row in rows] == answers
+        assert [single.link.make_request(*row[:2], row[2] if len(row) > 2 else 0) for row in rows] == answers
         assert state(batched) == state(single)
 
 
@@ -138,7 +138,7 @@ def test_a_wait_for_the_interrupt_line_ends_after_its_limit(boards):
     ],
 )  # fmt: skip
 def test_a_wrong_entry_is_found_before_a_batch_begins(row):
-    assert first_wrong(entries((IN8, PORT), row, (IN8, PORT))) == 1
+    assert find_first_invalid(entries((IN8, PORT), row, (IN8, PORT))) == 1
 
 
 def test_picoseconds_of_computing_that_are_left_over_are_carried_on(boards):
@@ -147,11 +147,11 @@ def test_picoseconds_of_computing_that_are_left_over_are_carried_on(boards):
     host, blocks = board.link._rows[0], np.zeros(1, np.int64)
     host["meter"], host["cost"], host["rest"] = blocks.ctypes.data, 300, 0
     try:
-        board.link.begin()
+        board.link.begin_run()
         for _ in range(10):
             blocks[0] = 1
             board.link.request(board.link.pointer, IN8, PORT, 0)
-        board.link.end()
+        board.link.end_run()
     finally:
         host["meter"] = 0
     assert (int(blocks[0]), int(host["rest"])) == (0, 0)

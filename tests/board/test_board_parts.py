@@ -22,12 +22,12 @@ from stage.errors import ArgumentError
 )
 def test_a_device_of_sources_has_as_many_ports_as_its_text_says(monkeypatch, text, ports):
     monkeypatch.setattr(device_texts, "CDevice", lambda source: source)
-    assert device_texts.parse_device(text) == (text.partition(":")[0], ports)
+    assert device_texts.make_device(text) == (text.partition(":")[0], ports)
 
 
 def test_a_chip_of_several_axes_has_its_first_port_by_any_of_them():
     board = Board(Stage("xyz", chips=MCX304, visuals=False), base={"y": 0x320})
-    assert [(place.first, board.name_of(place.index)) for place in board.places] == [(0x320, "xyz")]
+    assert [(place.first, board.name_chip(place.index)) for place in board.places] == [(0x320, "xyz")]
     two = Stage("xy", chips=PCL240K, visuals=False)
     assert [place.first for place in Board(two, base={"y": 0x320, "x": 0x340}).places] == [0x340, 0x320]
     with pytest.raises(ArgumentError, match=r"base=\{'y': 800\}: the chip of axis x has no first port"):
@@ -37,7 +37,7 @@ def test_a_chip_of_several_axes_has_its_first_port_by_any_of_them():
 def test_a_device_pulls_from_the_nearest_nanosecond_on():
     """times whose product with 1e9 is a little less than a whole number; then now, and off"""
     board = Board(Stage("xy", visuals=False))
-    latch = board.put(Latch(), 0x378)
+    latch = board.attach_device(Latch(), 0x378)
     cut = [ns for ns in range(1, 10_000) if int(ns / 1e9 * 1e9) != ns]
     assert cut, "some of them are not whole numbers"
     for ns in (*range(1, 100), *cut):
@@ -45,9 +45,9 @@ def test_a_device_pulls_from_the_nearest_nanosecond_on():
         assert latch.line[0] == ns
     latch.pull(at=5e-6)
     board.delay_us(4)
-    assert (latch.pulling, board.interrupt) == (False, False)
+    assert (latch.is_pulling, board.interrupt) == (False, False)
     board.delay_us(1)
-    assert (latch.pulling, board.interrupt) == (True, True)
+    assert (latch.is_pulling, board.interrupt) == (True, True)
     latch.pull(False)
     assert not board.interrupt
 
@@ -58,7 +58,7 @@ def test_reads_before_and_after_a_failed_cycle_are_two_lines():
     def write(port, value):
         raise ZeroDivisionError("no")
 
-    board.device(0x400, lambda port: 7, write)
+    board.add_device(0x400, lambda port: 7, write)
     board.in8(0x302), board.in8(0x302)
     with pytest.raises(ZeroDivisionError):
         board.out8(0x400, 0x12)
@@ -75,6 +75,6 @@ def test_an_occupied_port_is_refused_with_free_ports(base, free):
     with pytest.raises(
         ArgumentError, match=rf"port {base + 1:03X}h is taken: .*Choose ports from {free:03X}h on"
     ) as refused:
-        board.put(Latch(), base + 1)
+        board.attach_device(Latch(), base + 1)
     assert "x address 1" in str(refused.value)
-    assert board.put(Latch(), free).ports == (free,)
+    assert board.attach_device(Latch(), free).ports == (free,)

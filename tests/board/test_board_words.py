@@ -13,7 +13,7 @@ from stage.board import Board, layouts
 from stage.board.bus import host_record
 from stage.board.bus.interrupts import ANY_LINE, FIRST_LINE, FIRST_PYTHON_TIMER, FIRST_SOFTWARE, FIRST_TIMER, HIGHEST
 from stage.board.devices import HCTL2016, Encoder
-from stage.board.interrupt_hooks import name_source
+from stage.board.interrupt_hooks import format_source_name
 from stage.board.isolation.traps.memory import Windows
 from stage.board.layouts import read_layout
 from stage.board.windows import ADDRESS_LIMIT, Window, parse_windows
@@ -37,10 +37,10 @@ def test_the_trace_names_the_address_in_a_latch():
 
 
 def test_names_of_interrupts():
-    assert [name_source(n) for n in (0, FIRST_LINE, FIRST_LINE + 61, FIRST_SOFTWARE, FIRST_SOFTWARE + 1)] == [
+    assert [format_source_name(n) for n in (0, FIRST_LINE, FIRST_LINE + 61, FIRST_SOFTWARE, FIRST_SOFTWARE + 1)] == [
         "the interrupt line", "line 0", "line 61", "software interrupt 0", "software interrupt 1",
     ]  # fmt: skip
-    assert [name_source(n) for n in (FIRST_TIMER, FIRST_TIMER + 1, FIRST_PYTHON_TIMER, FIRST_PYTHON_TIMER + 3)] == [
+    assert [format_source_name(n) for n in (FIRST_TIMER, FIRST_TIMER + 1, FIRST_PYTHON_TIMER, FIRST_PYTHON_TIMER + 3)] == [
         "timer 0", "timer 1", "timer 0 of Python", "timer 3 of Python",
     ]  # fmt: skip
 
@@ -112,7 +112,7 @@ def test_an_access_outside_windows_names_the_nearest_window(address, nearest, mo
     monkeypatch.setattr("stage.board.isolation.traps.memory.array_at", lambda *_: [state])
     mapped = Windows.__new__(Windows)
     mapped._windows, mapped._library = list(argument), SimpleNamespace(path=SimpleNamespace(name="it.so"))
-    mapped._when = lambda: "now"
+    mapped._format_moment = lambda: "now"
     message = str(mapped.explain_refusal(host_record.BEYOND_WINDOW, 0, address))
     assert f"beyond the window {argument[nearest]}, which ends at {argument[nearest].end - 1:X}h" in message
 
@@ -173,11 +173,11 @@ def test_a_counter_without_a_zero_keeps_the_place_where_it_came_on_its_board():
     stage = Stage("xy", visuals=False)
     stage.place(x=0.002)
     board = Board(stage)
-    counter = board.put(HCTL2016(Encoder("x", per_metre=1e6)), 0x320)
-    argument = board.put(HCTL2016(Encoder("x", per_metre=1e6, zero=0.001)), 0x330)
+    counter = board.attach_device(HCTL2016(Encoder("x", per_metre=1e6)), 0x320)
+    argument = board.attach_device(HCTL2016(Encoder("x", per_metre=1e6, zero=0.001)), 0x330)
     assert counter.encoders[0].zero == stage.axes["x"].position
     assert argument.encoders[0].zero == 0.001
-    make, *arguments = counter.recipe()
+    make, *arguments = counter.make_recipe()
     assert make(*arguments).encoders == counter.encoders
     assert (counter.count, argument.count) == (0, round((stage.axes["x"].position - 0.001) * 1e6))
 
@@ -189,7 +189,7 @@ def test_nothing_of_a_firmware_that_has_gone_is_left_in_the_table_of_interrupts(
     for name in ("serving", "level", "meter", "stack_low", "stack_high"):
         h[name] = 1
     hooks.sources["hook"][:] = hooks.sources["level"][:] = hooks.sources["lines"][:] = 3
-    hooks.remove_firmware()
+    hooks.remove_firmware_hooks()
     assert [int(h[name]) for name in ("serving", "level", "meter", "stack_low", "stack_high")] == [0] * 5
     line, timer = hooks.sources[ANY_LINE], hooks.sources[FIRST_PYTHON_TIMER]
     assert (line["hook"], line["level"], line["lines"], line["argument"]) == (0, 1, -1, ANY_LINE)

@@ -92,7 +92,7 @@ def test_hosts_in_c_and_python_and_direct_access_give_the_same_bits(chips, monke
             answers = by_hand(reference, program)
         with python.record() as recording:
             board = Board(python)
-            requested = [board.link.ask(*request) for request in program]
+            requested = [board.link.make_request(*request) for request in program]
         assert [v for v, (what, _, _) in zip(requested, program, strict=True) if what in (IN8, IN16)] == answers
         assert everything(python) == everything(reference)
         (tmp_path / "program").write_text("".join(f"{what} {a} {b}\n" for what, a, b in program))

@@ -10,7 +10,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board, HostError, NativeHost, build, crash_report
-from stage.board.library import how_to_build
+from stage.board.library import format_build_command
 
 pytestmark = [
     pytest.mark.skipif(not crash_report.IS_SUPPORTED, reason="elsewhere a crash says its signal only"),
@@ -112,7 +112,7 @@ def test_a_panic_in_rust_is_named(tmp_path):
 def test_a_library_without_symbols_says_the_function_and_its_offset(tmp_path, monkeypatch):
     source = tmp_path / "it.c"
     source.write_text(f"{HEAD}volatile int *p;\nPULSESTAGE_MAIN {{ ps_in8(0x304); return *p; }}\n")
-    assert "-shared" in how_to_build(source)
+    assert "-shared" in format_build_command(source)
     library = build(source)
     subprocess.run(["strip", "--strip-debug", str(library)], check=True)
     assert "a null pointer?, in pulsestage_main;" in crashed(library)

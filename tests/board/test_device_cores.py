@@ -189,21 +189,21 @@ def uart(*more, lcr=3, fcr=1):
 def feed(b, n):
     """The peer begins now to send so many bytes, 0, 1, 2 and so on."""
     s = b.registers
-    s["due"] = b.at + character(b)
+    s["due"] = b.at + compute_character_ns(b)
     for _ in range(n):
         s["incoming"][int(s["fed"]) % uart_core.ROOM] = int(s["fed"]) & 0xFF
         s["fed"] += 1
 
 
-def character(b):
-    return int(uart_core.character(b.device.state[0].view(uart_core.STATE)[0]))
+def compute_character_ns(b):
+    return int(uart_core.compute_character_ns(b.device.state[0].view(uart_core.STATE)[0]))
 
 
 def test_fifos_that_are_switched_on_or_off_are_empty():
     for before in (1, 0):
         b = uart(fcr=before)
         feed(b, 1)
-        b.at += 2 * character(b)
+        b.at += 2 * compute_character_ns(b)
         assert b.read(5) & 1
         b.write((2, before))
         assert b.read(5) & 1, "as it was"
@@ -215,7 +215,7 @@ def test_a_character_of_a_uart_has_as_many_bits_as_its_lcr_says():
     """5 to 8 bits, parity, 1, 1.5 and 2 stop bits, at 115,200 baud; then divisors 0102h to 0304h"""
     for lcr in range(32):
         bits = 1 + 5 + (lcr & 3) + (lcr >> 3 & 1) + (1 if not lcr & 4 else 1.5 if not lcr & 3 else 2)
-        assert character(uart(lcr=lcr)) == int(bits * 16 * 1_000_000_000) // 1_843_200, lcr
+        assert compute_character_ns(uart(lcr=lcr)) == int(bits * 16 * 1_000_000_000) // 1_843_200, lcr
     b = uart()
     for n, value, divisor in ((0, 2, 2), (1, 1, 0x102), (0, 4, 0x104), (1, 3, 0x304)):
         b.write((3, 0x83), (n, value))
@@ -228,7 +228,7 @@ def test_a_fifo_interrupts_at_its_trigger_level_and_after_four_characters(code, 
     b = uart((1, 1), (4, 8), fcr=1 | code << 6)
     pulls = lambda: uart_core.pulls(b.device.state[0], b.at, 0)  # noqa: E731
     feed(b, level - 1 if level > 1 else 1)
-    c = character(b)
+    c = compute_character_ns(b)
     b.at += (level - 1 if level > 1 else 1) * c
     assert (b.read(2), pulls()) == ((0xC1, 0) if level > 1 else (0xC4, 1))
     b.at += 4 * c - 1
@@ -245,7 +245,7 @@ def test_a_fifo_interrupts_at_its_trigger_level_and_after_four_characters(code, 
 
 def test_the_time_out_of_a_fifo_counts_from_the_last_read_too():
     b = uart((1, 1), (4, 8), fcr=0xC1)
-    c = character(b)
+    c = compute_character_ns(b)
     feed(b, 2)
     b.at += (2 + 4) * c
     assert b.read(2) == 0xCC
@@ -258,7 +258,7 @@ def test_the_time_out_of_a_fifo_counts_from_the_last_read_too():
 
 def test_without_a_fifo_the_second_byte_overruns_the_first():
     b = uart((1, 5), (4, 8), fcr=0)
-    c = character(b)
+    c = compute_character_ns(b)
     feed(b, 2)
     b.at += c
     assert b.read(2) == 4
@@ -271,15 +271,15 @@ def test_without_a_fifo_the_second_byte_overruns_the_first():
     assert (b.read(2), b.read(5) & 3, b.read(2), b.read(5) & 3, b.read(0)) == (6, 3, 1, 1, 1)
     b = uart((1, 4), fcr=1)
     feed(b, 17)
-    b.at += 16 * character(b)
+    b.at += 16 * compute_character_ns(b)
     assert b.read(2) == 0xC1, "16 are no overrun"
-    b.at += character(b)
+    b.at += compute_character_ns(b)
     assert (b.read(2), b.read(5) & 2, b.read(2)) == (0xC6, 2, 0xC1)
 
 
 def test_the_transmitter_empties_by_characters_and_a_reset_of_its_fifo_keeps_the_one_on_the_line():
     b = uart((1, 2))
-    c = character(b)
+    c = compute_character_ns(b)
     assert (b.read(2), b.read(2)) == (0xC2, 0xC1), "told once"
     b.write((1, 2))
     assert b.read(2) == 0xC1, "it was enabled before"
@@ -304,7 +304,7 @@ def test_the_transmitter_empties_by_characters_and_a_reset_of_its_fifo_keeps_the
 
 def test_a_loop_gives_back_what_it_takes_in_order_a_character_each():
     rng, b = random.Random(1), uart((4, 0x10))
-    c, message = character(b), []
+    c, message = compute_character_ns(b), []
     for _ in range(4200):  # once round the ring
         message.append(rng.randrange(256))
         b.write((0, message[-1]))
@@ -321,7 +321,7 @@ def test_a_loop_gives_back_what_it_takes_in_order_a_character_each():
 
 def test_a_batch_refuses_numbers_just_beyond_their_bounds():
     """host.delay_us(10**15 + 1) and -1, ports of 33 bits"""
-    from stage.board.bus.batch import ENTRY, UNTIL_LINE, first_wrong
+    from stage.board.bus.batch import ENTRY, UNTIL_LINE, find_first_invalid
     from stage.board.bus.host_record import DELAY, IN8, MAX_DELAY_US, OUT8, OUT16, OUT32, SPEND
 
     Board(Stage("xy", visuals=False))
@@ -334,7 +334,7 @@ def test_a_batch_refuses_numbers_just_beyond_their_bounds():
     ):  # fmt: skip
         entries = np.zeros(1, ENTRY)
         entries["what"], entries["a"], entries["b"] = what, a, b
-        assert first_wrong(entries) == (0 if wrong else 1), (what, a, b)
+        assert find_first_invalid(entries) == (0 if wrong else 1), (what, a, b)
 
 
 def test_a_read_by_a_bus_of_16_bits_is_no_write():
@@ -381,7 +381,7 @@ def test_an_overrun_interrupts_before_the_line_status_is_read():
     for fcr, maximum in ((0, 1), (1, 16)):
         b = uart((1, 4), (4, 8), fcr=fcr)
         feed(b, maximum + 1)
-        begin, c = b.at, character(b)
+        begin, c = b.at, compute_character_ns(b)
         pulls = [uart_core.pulls(b.device.state[0], begin + n * c, 0) for n in (maximum, maximum + 1)]
         assert pulls == [0, 1], fcr
         b.at = begin + (maximum + 1) * c

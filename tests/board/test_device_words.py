@@ -10,7 +10,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board
-from stage.board.board import _check_ports
+from stage.board.board import _parse_ports_of_device
 from stage.board.devices import (
     HCTL2000,
     HCTL2016,
@@ -21,7 +21,7 @@ from stage.board.devices import (
     Encoder,
     Latch,
     PythonDevice,
-    parse_device,
+    make_device,
     user_devices,
 )
 from stage.errors import ArgumentError, StageError
@@ -38,7 +38,7 @@ def board():
         (0x3F8, UART()),
         (0x378, Latch()),
     ):
-        board.put(device, port)
+        board.attach_device(device, port)
     return board
 
 
@@ -58,7 +58,7 @@ def test_the_trace_names_control_words_and_status_of_an_ls7166(board):
     assert meanings_of(board, (c, 0x68), (c, 0x84), (c, 0xC0), (c, 0xC1), (c, 0xC2), (c, 0xC3)) == [
         "ICR <- 28h", "OCCR <- 04h", "QR: no quadrature", "QR: x1", "QR: x2", "QR: x4",
     ]  # fmt: skip
-    describe = board.devices[1].listener()
+    describe = board.devices[1].make_describer()
     assert [describe(1, value, False, False) for value in (0, 0x0A, 0x15, 0xE0)] == [
         "status: none", "status: CYT, SIGN", "status: BWT, COMPT, up", "status: none",
     ]  # fmt: skip
@@ -74,7 +74,7 @@ def test_the_trace_names_registers_of_a_uart_by_its_lcr(board):
     assert meanings_of(board, u, u + 2, u + 3, u + 5, (u + 5, 1), (u + 7, 9)) == [
         "RBR = 00h '\\x00'", "IIR: none", "LCR = 03h", "LSR: THR empty, all sent", "LSR <- 01h", "SCR <- 09h",
     ]  # fmt: skip
-    describe = board.devices[2].listener()
+    describe = board.devices[2].make_describer()
     assert describe(5, 0x91, False, False) == "LSR: data ready, break, FIFO error"
     assert describe(5, 0, False, False) == "LSR: none"
     assert [describe(2, value, False, False) for value in (0xC1, 0xC6, 0xC4, 0xCC, 0xC2, 0x00)] == [
@@ -93,8 +93,8 @@ def test_a_counter_has_the_nearest_count_from_where_it_is_zero_on():
     """Encoder("x", per_metre=1e6, zero=0.001): at -0.4, 0.6 and 3.2 counts from there, and after a reset"""
     stage = Stage("xy", visuals=False)
     board = Board(stage)
-    counter = board.put(HCTL2000(Encoder("x", per_metre=1e6, zero=0.001)), 0x320)
-    wide = board.put(HCTL2016(Encoder("x", per_metre=-1e6, zero=0.001)), 0x330)
+    counter = board.attach_device(HCTL2000(Encoder("x", per_metre=1e6, zero=0.001)), 0x320)
+    wide = board.attach_device(HCTL2016(Encoder("x", per_metre=-1e6, zero=0.001)), 0x330)
     q = stage.data.qpos
     for counts, expected in ((-0.4, 0), (0.6, 1), (3.2, 3), (4097.1, 1), (-1.0, 4095)):
         q[stage.state.axis_table[0].qpos] = 0.001 + counts * 1e-6
@@ -112,23 +112,23 @@ def test_a_counter_has_the_nearest_count_from_where_it_is_zero_on():
 def test_each_device_reports_whether_it_pulls_the_line():
     """two devices of one's own: the second pulls; then the first, then at a time that comes"""
     board = Board(Stage("xy", visuals=False))
-    a, b = (board.device(port) for port in (0x500, 0x501))
+    a, b = (board.add_device(port) for port in (0x500, 0x501))
     b.pull()
-    assert (a.pulling, b.pulling, board.interrupt) == (False, True, True)
+    assert (a.is_pulling, b.is_pulling, board.interrupt) == (False, True, True)
     a.pull(), b.pull(False)
-    assert (a.pulling, b.pulling, board.interrupt) == (True, False, True)
+    assert (a.is_pulling, b.is_pulling, board.interrupt) == (True, False, True)
     a.pull(at=-1e3)  # long ago
-    assert a.pulling
+    assert a.is_pulling
     for at in (1e10, -1e10, float("nan"), "soon"):
         with pytest.raises(ArgumentError, match="a time of the stage is wanted"):
             a.pull(at=at)
-    for question in (lambda: Device().pulling, lambda: Device().stage):
+    for question in (lambda: Device().is_pulling, lambda: Device().stage):
         with pytest.raises(StageError, match="is on no board yet"):
             question()
 
 
 def test_bounds_of_devices_are_what_their_messages_say(tmp_path):
-    """UART(clock=1e9), Board(stage, keep_cycles=1 << 28 + 1), board.device(range(70000)), a state of 1 MB + 1"""
+    """UART(clock=1e9), Board(stage, keep_cycles=1 << 28 + 1), board.add_device(range(70000)), a state of 1 MB + 1"""
     assert [UART(clock=c).clock for c in (1, 10**9)] == [1, 10**9]
     for clock in (0, 10**9 + 1, 1.5):
         with pytest.raises(ArgumentError, match="1 to 1e9 Hz"):
@@ -144,7 +144,7 @@ def test_bounds_of_devices_are_what_their_messages_say(tmp_path):
     for state in ([1, 2], np.array([object()])):
         with pytest.raises(ArgumentError, match="an array of numbers that the device changes in place"):
             PythonDevice(state=state)
-    uart = Board(Stage("xy", visuals=False)).put(UART(), 0x3F8)
+    uart = Board(Stage("xy", visuals=False)).attach_device(UART(), 0x3F8)
     uart.feed(b"x" * 4096)
     with pytest.raises(ArgumentError, match="4,096 bytes are still to arrive, and 1 more are too many"):
         uart.feed(b"y")
@@ -165,25 +165,25 @@ def test_bounds_of_boards_are_what_their_messages_say():
     board = Board(stage, devices="latch:0x378")
     assert [device.name for device in board.devices] == ["latch at 378h"]
     with pytest.raises(ArgumentError, match="is no device"):
-        board.put("latch", 0x380)
+        board.attach_device("latch", 0x380)
     last = 0xFFFFFFFF
-    board.device(last)
+    board.add_device(last)
     with pytest.raises(ArgumentError, match="each port once, and at most 65,536 of them"):
-        board.device(range(1 << 16, (1 << 17) + 1))
+        board.add_device(range(1 << 16, (1 << 17) + 1))
     with pytest.raises(ArgumentError, match="each register takes two ports"):
-        board.device(range(0x500, 0x503), width=16)
+        board.add_device(range(0x500, 0x503), width=16)
     with pytest.raises(ArgumentError, match="from 000h on"):  # behind the last port there is none
-        board.device(0x378)
-    assert len(_check_ports(Device(), range(0x10000, 0x20000))) == 1 << 16
+        board.add_device(0x378)
+    assert len(_parse_ports_of_device(Device(), range(0x10000, 0x20000))) == 1 << 16
     for n in range(62 - 2 - 2):
-        board.device(0x600 + n)
+        board.add_device(0x600 + n)
     with pytest.raises(ArgumentError, match="at most 62 chips and devices"):
-        board.device(0x700)
+        board.add_device(0x700)
     with pytest.raises(ArgumentError, match=r"a delay takes 0 to 1e15 us"):
         board.delay_us(10**15 + 1)
     for argument in ({"write": print}, {"state": bytearray(2)}, {"read": print}):
         with pytest.raises(ArgumentError, match="the device has its functions and its state in C"):
-            board.device(0x700, source="adc.c", **argument)
+            board.add_device(0x700, source="adc.c", **argument)
 
 
 def test_a_board_in_python_refuses_timers_that_cannot_be():
@@ -200,7 +200,7 @@ def test_a_pseudo_terminal_has_what_is_written_from_then_on(board):
     board = Board(Stage("xy", visuals=False))
     uart = UART()
     assert uart.access, "without a terminal Python is not called"
-    board.put(uart, 0x3F8)
+    board.attach_device(uart, 0x3F8)
     for n, value in ((3, 0x83), (0, 1), (1, 0), (3, 3)):
         board.out8(0x3F8 + n, value)
     board.out8(0x3F8, ord("a"))
@@ -222,7 +222,7 @@ def test_byte_writes_to_a_16_bit_device_are_traced_as_words():
     """board.out8 of either half of a register of 16 bits; a read of its half"""
     board = Board(Stage("xy", visuals=False))
     got = []
-    board.device(range(0x500, 0x504), read=lambda port: 0x1234, write=lambda port, value: got.append((port, value)), width=16,
+    board.add_device(range(0x500, 0x504), read=lambda port: 0x1234, write=lambda port, value: got.append((port, value)), width=16,
                  name="adc")  # fmt: skip
     board.out8(0x502, 0x56), board.out8(0x503, 0x78), board.out16(0x502, 0x9ABC), board.in8(0x502), board.in16(0x502)
     assert [cycle.meaning for cycle in board.trace] == [
@@ -250,5 +250,5 @@ def test_a_device_of_another_version_or_with_a_huge_state_is_refused(tmp_path):
 
 def test_a_text_of_a_device_that_is_like_none_gives_no_advice():
     with pytest.raises(ArgumentError) as refused:
-        parse_device("zzzzzz:0x320:x")
+        make_device("zzzzzz:0x320:x")
     assert "Did you mean" not in str(refused.value)

@@ -82,7 +82,7 @@ def with_devices(adc) -> tuple[Board, np.ndarray, list]:
     """A board with devices in C and in Python, and what the latter has seen."""
     stage = Stage("xy", visuals=False)
     board, observed, state = Board(stage, devices=["hctl2016:0x320:x"]), [], np.zeros(2, np.int64)
-    board.device(range(0x340, 0x342), source=adc, encoders=[Encoder("x", per_metre=1e6)])
+    board.add_device(range(0x340, 0x342), source=adc, encoders=[Encoder("x", per_metre=1e6)])
 
     def read(port):
         observed.append((stage.now, port, stage.axes["x"].position))
@@ -93,7 +93,7 @@ def with_devices(adc) -> tuple[Board, np.ndarray, list]:
         state[1] = stage.now
         stage.axes["y"].switches.stick("el_plus", bool(value & 1))
 
-    board.device([0x500, 0x501, 0x508], read, write, state=state, name="mine")
+    board.add_device([0x500, 0x501, 0x508], read, write, state=state, name="mine")
     return board, state, observed
 
 
@@ -123,7 +123,7 @@ def test_an_interrupt_of_a_device_comes_at_its_nanosecond_within_a_delay(adc):
     when = []
 
     def hook():
-        when.append((board.stage.now, board.pulling(), board.devices[1].pulling))
+        when.append((board.stage.now, board.read_interrupt_mask(), board.devices[1].is_pulling))
         board.in8(0x341)
 
     board.on_interrupt(hook)
@@ -137,7 +137,7 @@ def test_an_interrupt_of_a_device_comes_at_its_nanosecond_within_a_delay(adc):
 
 def test_a_device_in_python_pulls_the_line_now_or_from_a_time_on_until_it_lets_go():
     board = Board(Stage("xy", visuals=False))
-    device = board.device(
+    device = board.add_device(
         0x500, read=lambda port: device.pull(False) or 7, write=lambda port, value: device.pull(at=0.002)
     )
     board.out8(0x500, 1)
@@ -147,7 +147,7 @@ def test_a_device_in_python_pulls_the_line_now_or_from_a_time_on_until_it_lets_g
     board.delay_us(5000)
     assert when == [(2_000_000, 7)]
     device.pull()
-    assert (board.interrupt, device.pulling) == (True, True)
+    assert (board.interrupt, device.is_pulling) == (True, True)
     board.in8(0x200)
     assert (len(when), board.interrupt) == (2, False)
 
@@ -168,7 +168,7 @@ def test_snapshots_carry_the_state_of_devices_and_say_whose_they_are(adc):
     with pytest.raises(ArgumentError, match=r"devices on its bus: none there, hctl2016 at 320h \(\d+ bytes.*mine"):
         stage.restore(empty)
     other = Board(Stage("xy", visuals=False))
-    other.device(0x500, state=np.zeros(2, np.int32), name="mine")
+    other.add_device(0x500, state=np.zeros(2, np.int32), name="mine")
     with pytest.raises(ArgumentError, match=r"devices on its bus: hctl2016 .* there, mine"):
         other.stage.restore(complete)
     stage.reset()
@@ -196,7 +196,7 @@ def test_an_exception_of_a_device_comes_out_as_it_is(adc):
                 raise Mine("broken")
             return 1
 
-        board.device(0x500, read=read)
+        board.add_device(0x500, read=read)
         with NativeHost(library, board, isolated=isolated) as h, pytest.raises(Mine, match="broken"):
             h.run(timeout=1)
         assert (len(calls), board.cycles) == (5, 5)
@@ -209,9 +209,9 @@ def test_after_a_crash_devices_stand_where_the_firmware_left_them(adc):
         "PULSESTAGE_MAIN { " + cycles + " volatile uintptr_t no = 8; *(volatile int *)no = 1; return 0; }"
     )
     board = Board(Stage("xy", visuals=False), devices=["latch:0x378"])
-    board.device([0x340, 0x341], source=adc, encoders=[Encoder("x", per_turn=4)])
+    board.add_device([0x340, 0x341], source=adc, encoders=[Encoder("x", per_turn=4)])
     ours = np.zeros(3, np.uint8)
-    board.device(0x500, state=ours)
+    board.add_device(0x500, state=ours)
     ours[1] = 5
     with NativeHost(library, board, isolated=True) as h, pytest.raises(HostError, match="SIGSEGV"):
         h.run()
@@ -221,7 +221,7 @@ def test_after_a_crash_devices_stand_where_the_firmware_left_them(adc):
 @pytest.mark.parametrize("answer", [256, -1, None, "x", 1.5])
 def test_a_read_that_returns_no_byte_is_refused_in_words(answer):
     board = Board(Stage("xy", visuals=False))
-    board.device(0x500, read=lambda port: answer, name="odd")
+    board.add_device(0x500, read=lambda port: answer, name="odd")
     with pytest.raises(ArgumentError, match=rf"odd: its read\(500h\) returned {answer!r}; .* 0 to FFh"):
         board.in8(0x500)
 
@@ -229,10 +229,10 @@ def test_a_read_that_returns_no_byte_is_refused_in_words(answer):
 def test_cycles_of_8_and_16_bits_reach_a_device_and_are_traced(adc):
     board, written = Board(Stage("xy", visuals=False)), []
     describe = lambda port, value, writes: f"{'set' if writes else 'is'} {value}"  # noqa: E731
-    board.device(
-        range(0x340, 0x344), lambda port: port & 0xFF, lambda *both: written.append(both), name="io", tell=describe
+    board.add_device(
+        range(0x340, 0x344), lambda port: port & 0xFF, lambda *both: written.append(both), name="io", describe=describe
     )
-    board.device(range(0x360, 0x364), source=adc, width=16, encoders=[Encoder("y", per_turn=4)], name="wide")
+    board.add_device(range(0x360, 0x364), source=adc, width=16, encoders=[Encoder("y", per_turn=4)], name="wide")
     board.out16(0x342, 0xABCD)
     assert written == [(0x342, 0xCD), (0x343, 0xAB)]
     assert [board.in16(0x340), board.in16(0x362), board.in8(0x362), board.in8(0x363)] == [0x4140, 0x1234, 0x34, 0x12]
@@ -249,7 +249,7 @@ def test_cycles_of_8_and_16_bits_reach_a_device_and_are_traced(adc):
 
 def test_devices_and_chips_share_no_port_and_say_who_has_it(adc):
     board = Board(Stage("xy", visuals=False))
-    board.device(0x500, name="first")
+    board.add_device(0x500, name="first")
     table = board.port_table
     for ports, message in (
         (0x301, "port 301h is taken: x address 1"), ([0x4FF, 0x500], "port 500h is taken: first, port 0"), ([], "one at least"),
@@ -257,37 +257,37 @@ def test_devices_and_chips_share_no_port_and_say_who_has_it(adc):
         ("x", "ports="),
     ):  # fmt: skip
         with pytest.raises(ArgumentError, match=message):
-            board.device(ports, name="second")
+            board.add_device(ports, name="second")
     with pytest.raises(ArgumentError, match="each register takes two ports"):
-        board.device([0x600, 0x602], width=16)
+        board.add_device([0x600, 0x602], width=16)
     with pytest.raises(ArgumentError, match="width=32"):
-        board.device(0x600, width=32)
+        board.add_device(0x600, width=32)
     with pytest.raises(ArgumentError, match="it has 1 ports, and 2"):
-        board.put(Latch(), [0x600, 0x601])
+        board.attach_device(Latch(), [0x600, 0x601])
     with pytest.raises(ArgumentError, match="is on a board already"):
-        board.put(board.devices[0], 0x600)
+        board.attach_device(board.devices[0], 0x600)
     with pytest.raises(ArgumentError, match="unknown axis 'q'"):
-        board.device(0x600, encoders=[Encoder("q", per_turn=4)])
+        board.add_device(0x600, encoders=[Encoder("q", per_turn=4)])
     with pytest.raises(ArgumentError, match="either per_metre= or per_turn="):
         Encoder("x", per_turn=4, per_metre=5)
     with pytest.raises(ArgumentError, match="state="):
-        board.device(0x600, state=[1, 2])
+        board.add_device(0x600, state=[1, 2])
     with pytest.raises(ArgumentError, match="read=5"):
-        board.device(0x600, read=5)
+        board.add_device(0x600, read=5)
     assert board.port_table is table
     assert len(board.devices) == 1
     assert board.stage.device_state.words == 1
-    board.device([0xF0000000, 0x4FF], read=lambda port: 3, name="far")
+    board.add_device([0xF0000000, 0x4FF], read=lambda port: 3, name="far")
     assert (board.in8(0xF0000000), board.in8(0x4FF), board.in8(0x500), board.in8(0x4FE)) == (3, 3, 0xFF, 0xFF)
     assert board.port_table.nbytes < 2000
 
 
 def test_a_device_answers_cycles_and_makes_none():
     board = Board(Stage("xy", visuals=False))
-    board.device(0x500, read=lambda port: board.in8(0x300), name="loop")
+    board.add_device(0x500, read=lambda port: board.in8(0x300), name="loop")
     with pytest.raises(StageError, match="loop answers a bus cycle"):
         board.in8(0x500)
-    board.device(0x501, read=lambda port: board.device(0x502) and 1, name="builder")
+    board.add_device(0x501, read=lambda port: board.add_device(0x502) and 1, name="builder")
     with pytest.raises(StageError, match="Put devices on it before"):
         board.in8(0x501)
     assert board.in8(0x502) == 0xFF
@@ -295,7 +295,7 @@ def test_a_device_answers_cycles_and_makes_none():
 
 @pytest.mark.parametrize("isolated", [False, True])
 def test_within_its_cycle_a_device_neither_lets_time_pass_nor_puts_another_state_in_its_place(isolated):
-    """board.device(0x500, read=lambda port: stage.restore(snapshot) or 1)"""
+    """board.add_device(0x500, read=lambda port: stage.restore(snapshot) or 1)"""
     stage = Stage("xy", visuals=False)
     board, requested, refused = Board(stage), [], []
     acts = (
@@ -313,7 +313,7 @@ def test_within_its_cycle_a_device_neither_lets_time_pass_nor_puts_another_state
             refused.append(str(error))
         return stage.now != requested[-1]
 
-    board.device(0x500, read=read, name="mine")
+    board.add_device(0x500, read=read, name="mine")
     snapshot = stage.snapshot()
     library = firmware(
         f"PULSESTAGE_MAIN {{ int n = 0; for (int k = 0; k < {len(acts)}; k++) n += ps_in8(0x500); return n; }}"
@@ -329,9 +329,9 @@ def test_within_its_cycle_a_device_neither_lets_time_pass_nor_puts_another_state
 
 @pytest.mark.parametrize("isolated", [None, False, True])
 def test_the_cycle_that_a_device_in_python_fails_in_is_the_last_line_of_the_trace(isolated):
-    """board.device(range(0x500, 0x504), read=lambda port: 1 // 0, width=16)"""
+    """board.add_device(range(0x500, 0x504), read=lambda port: 1 // 0, width=16)"""
     board = Board(Stage("xy", visuals=False))
-    board.device(range(0x500, 0x504), read=lambda port: 1 // 0, write=lambda port, value: 1 // 0, width=16)
+    board.add_device(range(0x500, 0x504), read=lambda port: 1 // 0, write=lambda port, value: 1 // 0, width=16)
     for cycle, direction, value, width in (("in16(0x500)", "R", 0xFFFF, 16), ("out16(0x502, 0x1234)", "W", 0x1234, 16)):
         run = partial(eval, f"board.{cycle}", {"board": board})
         if isolated is not None:
@@ -350,12 +350,12 @@ def test_devices_are_added_before_firmware_runs(adc):
     library = firmware("PULSESTAGE_MAIN { ps_delay_us(1000); return ps_in8(0x500) + ps_in8(0x600); }")
     board = Board(Stage("xy", visuals=False))
     with NativeHost(library, board, isolated=True) as h:
-        board.device(0x500, read=lambda port: 3)
+        board.add_device(0x500, read=lambda port: 3)
         assert h.run_for(0.0005) is None
         with pytest.raises(StageError, match="firmware drives this board"):
-            board.device(0x600)
+            board.add_device(0x600)
         assert h.run().code == 3 + 0xFF
-        board.device(0x600, read=lambda port: 4)
+        board.add_device(0x600, read=lambda port: 4)
         assert h.run().code == 7
 
 
@@ -363,7 +363,7 @@ def test_address_latches_keep_what_they_have_when_a_device_comes():
     stage = Stage("xyz_servo", chips=HCTL1100, visuals=False)
     board = Board(stage)
     board.out8(0x300, 0x22)
-    board.device(0x200)
+    board.add_device(0x200)
     board.out8(0x301, 0xA5)
     assert board.in8(0x301) == stage.axes["x"].chip.read(0x22) == 0xA5
 
@@ -371,15 +371,15 @@ def test_address_latches_keep_what_they_have_when_a_device_comes():
 def test_what_is_no_device_in_c_is_refused_with_what_to_write(adc, tmp_path):
     board = Board(Stage("xy", chips=PCL240K, visuals=False))
     with pytest.raises(LibraryError, match=r"no pulsestage_device_abi.*PS_DEVICE"):
-        board.device(0x500, source=firmware("PULSESTAGE_MAIN { return 0; }"))
+        board.add_device(0x500, source=firmware("PULSESTAGE_MAIN { return 0; }"))
     (tmp_path / "bad.c").write_text("#include <pulsestage_device.h>\nthis is no C\n")
     with pytest.raises(CompileError, match=r"bad\.c"):
-        board.device(0x500, source=tmp_path / "bad.c")
+        board.add_device(0x500, source=tmp_path / "bad.c")
     (tmp_path / "text.so").write_text("no library")
     with pytest.raises(LibraryError, match=r"text\.so cannot be loaded"):
-        board.device(0x500, source=tmp_path / "text.so")
+        board.add_device(0x500, source=tmp_path / "text.so")
     with pytest.raises(FileError, match=r"gone\.so"):
-        board.device(0x500, source=tmp_path / "gone.so")
+        board.add_device(0x500, source=tmp_path / "gone.so")
     assert not board.devices
 
 
@@ -390,11 +390,11 @@ def test_what_is_no_device_in_c_is_refused_with_what_to_write(adc, tmp_path):
         (lambda: Encoder("x", per_turn=2000, zero=math.nan), "zero= is the position"),
         (lambda: Device(encoders=["x"]), "encoder 'x': write for example Encoder"),
         (
-            lambda: Board(Stage("xy", visuals=False)).put(Device(), list(range(99_999))),
+            lambda: Board(Stage("xy", visuals=False)).attach_device(Device(), list(range(99_999))),
             r"ports=\[0, 1, 2, 3, 4, 5, \.\.\.\]: each",
         ),
         (lambda: Board(Stage("xy", visuals=False), devices=5), "devices=5: a list of texts"),
-        (lambda: Board(Stage("xy", visuals=False), devices=[Device()]), r"board\.put\(device, ports\)"),
+        (lambda: Board(Stage("xy", visuals=False), devices=[Device()]), r"board\.attach_device\(device, ports\)"),
     ],
 )
 def test_what_a_device_cannot_be_is_refused_in_words(wrong, message):
@@ -404,7 +404,7 @@ def test_what_a_device_cannot_be_is_refused_in_words(wrong, message):
 
 
 def test_a_device_in_c_lies_where_the_next_run_removes_what_a_kill_has_left(adc):
-    """board.device(0x340, source="adc.c")"""
+    """board.add_device(0x340, source="adc.c")"""
     device = CDevice(adc.with_suffix(".c"))
     folder = device.path.parent
     assert folder.name.startswith(scratch.PREFIX)
@@ -434,7 +434,7 @@ def test_crashes_and_loops_of_a_device_in_c_name_the_device(tmp_path):
     """stage run driver.c --device breaks.c:0x340+2"""
     (tmp_path / "breaks.c").write_text(BREAKS)
     board = Board(Stage("xy", visuals=False))
-    board.device([0x340, 0x341], source=tmp_path / "breaks.c", name="mine")
+    board.add_device([0x340, 0x341], source=tmp_path / "breaks.c", name="mine")
     body = "PULSESTAGE_MAIN { ps_in8(0x300); return ps_in8(0x340 + PORT); }"
     crashes, loops = (firmware(body, f"-DPORT={n}") for n in (0, 1))
     with NativeHost(crashes, board, isolated=True) as h, pytest.raises(HostError) as failed:
@@ -450,14 +450,19 @@ def test_crashes_and_loops_of_a_device_in_c_name_the_device(tmp_path):
 
 
 def test_an_error_of_a_description_function_hides_no_cycle():
-    """board.device(0x500, tell=lambda port, value, writes: 1 // 0)"""
+    """board.add_device(0x500, describe=lambda port, value, writes: 1 // 0)"""
     board = Board(Stage("xy", visuals=False))
-    board.device(0x500, read=lambda port: 1, tell=lambda port, value, writes: 1 // 0, name="fails")
-    board.device(0x501, read=lambda port: 1, tell=lambda port, value, writes: str(board.in8(0x300)), name="asks")
+    board.add_device(0x500, read=lambda port: 1, describe=lambda port, value, writes: 1 // 0, name="fails")
+    board.add_device(
+        0x501, read=lambda port: 1, describe=lambda port, value, writes: str(board.in8(0x300)), name="asks"
+    )
     board.in8(0x500), board.in8(0x501)
     message = str(board.trace)
-    assert "fails: its tell has raised ZeroDivisionError: integer division" in message
-    assert "asks: its tell has raised StageError: a tell= says what cycles mean, and neither makes any" in message
+    assert "fails: its function describe raised ZeroDivisionError: integer division" in message
+    assert (
+        "asks: its function describe raised StageError: a describe= function only explains cycles: it makes none"
+        in message
+    )
     assert board.cycles == 2
     assert board.in8(0x500) == 1
 

@@ -12,7 +12,7 @@ from support.compiled_firmware import firmware
 
 from stage import Stage
 from stage.board import Board, CompileError, LibraryError, NativeHost, NoCompilerError, build, include, library
-from stage.board.library import check_library, how_to_build
+from stage.board.library import check_library, format_build_command
 from stage.errors import ArgumentError
 from stage.support.files import FileError
 
@@ -158,8 +158,8 @@ def test_libraries_among_the_flags_come_after_the_sources(tmp_path):
 
 
 def test_the_build_command_of_rust_and_zig_and_for_a_folder(tmp_path):
-    assert how_to_build("x/it.rs").startswith("rustc --edition 2024 --crate-type cdylib x/it.rs -o it.")
-    assert how_to_build("it.zig") == "zig build-lib -dynamic -O ReleaseSafe it.zig"
+    assert format_build_command("x/it.rs").startswith("rustc --edition 2024 --crate-type cdylib x/it.rs -o it.")
+    assert format_build_command("it.zig") == "zig build-lib -dynamic -O ReleaseSafe it.zig"
     with pytest.raises(FileError, match=r"is a folder\. Name a library, or the sources of one: cc "):
         check_library(tmp_path)
 
@@ -234,7 +234,7 @@ def test_what_is_no_library_says_what_it_is(tmp_path, kind, message):
 )
 def test_the_build_command_suits_language_and_system(monkeypatch, name, system, command):
     monkeypatch.setattr(platform, "system", lambda: system)
-    assert library.how_to_build(name) == command
+    assert library.format_build_command(name) == command
 
 
 def test_the_compiler_is_that_of_the_environment_or_the_first_installed(monkeypatch):
@@ -256,8 +256,8 @@ def test_the_compiler_is_that_of_the_environment_or_the_first_installed(monkeypa
 def test_sanitizers_of_a_library_are_named_each_once(tmp_path):
     file = tmp_path / "x.so"
     file.write_bytes(b"\0libubsan.so.1\0libasan.so.8\0libasan.so.8\0libtsan.so\0libmsan.so.1\0")
-    assert library.find_sanitizers(file) == ["libasan.so.8", "libtsan.so", "libubsan.so.1"]
-    assert library.find_sanitizers(tmp_path / "none") == []
+    assert library.list_sanitizers(file) == ["libasan.so.8", "libtsan.so", "libubsan.so.1"]
+    assert library.list_sanitizers(tmp_path / "none") == []
 
 
 def test_sources_are_known_by_their_ends_and_one_library_is_enough(tmp_path):

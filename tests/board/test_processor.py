@@ -207,7 +207,7 @@ def test_64_bits_are_two_accesses_of_32_the_low_half_first():
         return 0;
     }"""
     board = Board(Stage("xy", visuals=False))
-    board.device(range(0x308, 0x310), read=lambda port: port & 0xFF, width=16)
+    board.add_device(range(0x308, 0x310), read=lambda port: port & 0xFF, width=16)
     NativeHost(firmware(body), board).run()
     assert [(c.direction, c.port, c.value) for c in board.trace] == [
         *(("W", 0x308 + k, 0x1122334455667788 >> 8 * k & 0xFFFF) for k in (0, 2, 4, 6)),

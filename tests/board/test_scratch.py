@@ -115,7 +115,7 @@ def test_a_folder_in_use_is_not_swept(folder, monkeypatch):
     copy = folder / f"{scratch.PREFIX}left"
     shutil.copytree(left.path, copy)  # the lock is that of the other file
     left.close()
-    scratch.sweep.cache_clear()
+    scratch.remove_stale_folders.cache_clear()
     scratch.Scratch().close()
     assert of_runs(folder) == [used.path]
     used.close()

@@ -9,7 +9,7 @@ import pytest
 
 from stage import Stage
 from stage.board import Board
-from stage.board.devices import HCTL2000, HCTL2016, LS7166, UART, Encoder, Latch, parse_device
+from stage.board.devices import HCTL2000, HCTL2016, LS7166, UART, Encoder, Latch, make_device
 
 BAUD = ((3, 0x83), (0, 1), (1, 0), (3, 0x03), (2, 0x01))  # 115200, 8 bits, no parity, FIFOs
 CHARACTER = 86805  # ns
@@ -21,7 +21,7 @@ def moving():
     stage = Stage("xy", visuals=False)
     board = Board(stage)
     for port, kind in ((0x320, HCTL2000), (0x330, HCTL2016), (0x340, LS7166)):
-        board.put(kind(Encoder("x", per_metre=2e6)), port)
+        board.attach_device(kind(Encoder("x", per_metre=2e6)), port)
     for command in (0x20, 0x68, 0xC3):
         board.out8(0x341, command)
     return stage, board
@@ -77,7 +77,7 @@ def test_counters_count_the_true_position_at_the_moment_of_the_cycle(moving):
 def test_a_latch_reads_back_and_calls_when_it_changes():
     stage, calls = Stage("xy", visuals=False), []
     board = Board(stage, devices=["latch:0x378"])
-    board.put(Latch(lambda before, after: calls.append((stage.now, before, after))), 0x379)
+    board.attach_device(Latch(lambda before, after: calls.append((stage.now, before, after))), 0x379)
     for port in (0x378, 0x379):
         for value in (5, 5, 0x80):
             board.out8(port, value)
@@ -90,7 +90,7 @@ def test_a_latch_reads_back_and_calls_when_it_changes():
 def line():
     """A UART at 3F8h, 115200 baud."""
     board = Board(Stage("xy", visuals=False))
-    uart = board.put(UART(), 0x3F8)
+    uart = board.attach_device(UART(), 0x3F8)
     for register, value in BAUD:
         board.out8(0x3F8 + register, value)
     return board, uart
@@ -221,7 +221,7 @@ def test_a_pseudo_terminal_is_the_other_end_of_a_uart(line):
 )  # fmt: skip
 def test_a_text_that_is_no_device_says_what_to_write(text, message):
     with pytest.raises(Exception, match=message):
-        parse_device(text)
+        make_device(text)
 
 
 @pytest.mark.board(devices=["latch:0x378", "hctl2016:0x320:x"])

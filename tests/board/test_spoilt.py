@@ -12,7 +12,7 @@ from support.compiled_firmware import firmware
 
 from stage import Stage
 from stage.board import Board, HostError, NativeHost
-from stage.board.isolation.shared_memory import CRASH_SIZE, TEXT_SIZE, SharedMemory, SpoiltError
+from stage.board.isolation.shared_memory import CRASH_SIZE, TEXT_SIZE, CorruptedError, SharedMemory
 from stage.cli import main
 
 SPOILS = r"""
@@ -114,7 +114,7 @@ def test_each_field_that_a_crashed_process_left_is_checked(part, field, value, s
     shared.record["traced"] = 4
     shared.check_notes(b, 4, 0, 1000, ended=True)
     getattr(shared, part)[:][field] = value
-    with pytest.raises(SpoiltError):
+    with pytest.raises(CorruptedError):
         shared.check_notes(b, 4, 0, 1000, ended=True)
 
 
@@ -124,24 +124,24 @@ def shared(tmp_path):
 
 
 def test_lines_come_once_in_their_order_with_their_times(shared):
-    assert shared.note(1_500_000_000, "first")
-    assert shared.note(2_000_000_000, "zweite \u00fc")
-    assert shared.take_lines() == [(1.5, "first"), (2.0, "zweite \u00fc")]
-    assert shared.take_lines() == []
+    assert shared.add_log_line(1_500_000_000, "first")
+    assert shared.add_log_line(2_000_000_000, "zweite \u00fc")
+    assert shared.take_log_lines() == [(1.5, "first"), (2.0, "zweite \u00fc")]
+    assert shared.take_log_lines() == []
 
 
 def test_a_line_is_cut_at_half_of_the_room_and_refused_where_none_is_left(shared):
-    assert shared.note(0, "x" * TEXT_SIZE)
-    assert not shared.note(0, "y" * TEXT_SIZE)
-    assert [len(text) for _, text in shared.take_lines()] == [TEXT_SIZE // 2]
+    assert shared.add_log_line(0, "x" * TEXT_SIZE)
+    assert not shared.add_log_line(0, "y" * TEXT_SIZE)
+    assert [len(text) for _, text in shared.take_log_lines()] == [TEXT_SIZE // 2]
 
 
 def test_reading_ends_at_a_line_that_firmware_has_overwritten(shared):
-    shared.note(0, "kept")
+    shared.add_log_line(0, "kept")
     begin = shared._used[0]
-    shared.note(0, "lost")
+    shared.add_log_line(0, "lost")
     shared._text[begin + 8 : begin + 12] = b"\xff\xff\xff\x7f"  # its length
-    assert shared.take_lines() == [(0.0, "kept")]
+    assert shared.take_log_lines() == [(0.0, "kept")]
 
 
 def test_a_crash_is_stored_up_to_the_size_of_its_room(shared):
@@ -154,5 +154,5 @@ def test_a_crash_is_stored_up_to_the_size_of_its_room(shared):
 
 def test_the_parent_reads_what_the_child_that_mapped_the_file_has_noted(tmp_path, shared):
     child = SharedMemory(tmp_path / "shared", Board(Stage("xy", visuals=False)))
-    child.note(3, "from the child")
-    assert [text for _, text in shared.take_lines()] == ["from the child"]
+    child.add_log_line(3, "from the child")
+    assert [text for _, text in shared.take_log_lines()] == ["from the child"]

@@ -8,7 +8,7 @@ from stage import Stage
 from stage.board import Board
 from stage.board.bus.host_record import CALLED, LEVEL, ON_LINE, RAISE, RETURNED, TIMER, WRONG_LEVEL
 from stage.board.bus.interrupts import FIRST_SOFTWARE, FIRST_TIMER, SOFTWARE_LINE
-from stage.board.trace import Cycle, describe_interrupt
+from stage.board.trace import Cycle, format_interrupt
 
 
 @pytest.fixture
@@ -21,8 +21,8 @@ def board():
     [(0, ""), (1, " (1 tick was missed)"), (2, " (2 ticks were missed)"), (1234, " (1,234 ticks were missed)")],
 )
 def test_ticks_that_were_missed_are_counted_in_words(missed, message):
-    assert describe_interrupt(CALLED, 0, missed) == f"interrupt: the hook is called{message}"
-    assert describe_interrupt(RETURNED, 0, 0) == "interrupt: the hook returns"
+    assert format_interrupt(CALLED, 0, missed) == f"interrupt: the hook is called{message}"
+    assert format_interrupt(RETURNED, 0, 0) == "interrupt: the hook returns"
 
 
 @pytest.mark.parametrize(
@@ -131,10 +131,10 @@ def test_a_storm_says_whose_hook_it_is_and_why_it_comes_again(board, source, per
 
 
 def test_a_message_ends_with_the_last_cycles_if_there_were_any(board):
-    assert board.trace.ending(2) == "It has made no bus cycle."
+    assert board.trace.format_ending(2) == "It has made no bus cycle."
     for port in (0x300, 0x304, 0x308):
         board.in8(port)
-    message = board.trace.ending(2)
+    message = board.trace.format_ending(2)
     assert message == f"Its last bus cycles:\n{board.trace.text(2)}"
     assert [line.split()[1] for line in message.splitlines()[-2:]] == ["304h", "308h"]
     assert "1 lines before" in message

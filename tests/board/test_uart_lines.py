@@ -15,7 +15,7 @@ BASE = 0x3F8
 def line(divisor=12, **options):
     """A board with a UART, 8 bits, one stop bit, FIFOs."""
     board = Board(Stage("xy", visuals=False))
-    uart = board.put(UART(**options), BASE)
+    uart = board.attach_device(UART(**options), BASE)
     for n, value in ((3, 0x83), (0, divisor & 0xFF), (1, divisor >> 8), (3, 3), (2, 1)):
         board.out8(BASE + n, value)
     return board, uart
@@ -31,11 +31,11 @@ def test_the_speed_follows_from_crystal_and_divisor(clock, divisor, baud):
 def test_bytes_fed_later_do_not_delay_bytes_on_the_line():
     """two bytes, and half a character later one more: they arrive a character apart from the first feed on"""
     board, uart = line()
-    character = uart._character
-    assert character == pytest.approx(10 / 9600 * 1e9, abs=1)
+    compute_character_ns = uart._character_ns
+    assert compute_character_ns == pytest.approx(10 / 9600 * 1e9, abs=1)
     begin = board.stage.now
     uart.feed(b"ab")
-    board.delay_us(character // 2000)
+    board.delay_us(compute_character_ns // 2000)
     uart.feed("c")
     arrived = []
     while len(arrived) < 3:
@@ -43,7 +43,7 @@ def test_bytes_fed_later_do_not_delay_bytes_on_the_line():
             arrived.append((chr(board.in8(BASE)), (board.stage.now - begin) // 10_000))
         board.delay_us(5)
     assert [c for c, _ in arrived] == ["a", "b", "c"]
-    assert [at for _, at in arrived] == pytest.approx([character * k // 10_000 for k in (1, 2, 3)], abs=1)
+    assert [at for _, at in arrived] == pytest.approx([compute_character_ns * k // 10_000 for k in (1, 2, 3)], abs=1)
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_sent_has_the_bytes_that_have_left_the_uart_in_order(written, unsent):
     message = np.arange(written) * 7 % 251
     for k in range(max(0, written - uart_core.SENT_ROOM), written):
         s["sent"][k % uart_core.SENT_ROOM] = message[k]
-    s["written"], s["left"] = written, board.stage.now + unsent * uart._character - (1 if unsent else 0)
+    s["written"], s["left"] = written, board.stage.now + unsent * uart._character_ns - (1 if unsent else 0)
     end = written - unsent
     assert uart.sent == bytes(message[max(0, end - 4096) : end].tolist())
 

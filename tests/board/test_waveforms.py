@@ -16,7 +16,7 @@ from support.vcd_parser import parse
 from stage import Stage
 from stage.board import Board, NativeHost
 from stage.board.bus.host_record import CYCLE, IN, IN_WIDE, OUT, OUT_WIDE, STRAY
-from stage.board.waveforms import HostWaveforms, _changes, _polls
+from stage.board.waveforms import HostWaveforms, _iterate_polls, _register_signals
 from stage.chips import MCX304
 
 
@@ -183,7 +183,7 @@ class Writer:
     ],
 )
 def test_polling_is_three_equal_reads_and_more_of_any_port(rows, changes):
-    assert list(_polls(lines(*rows), "POLLS")) == [(t, "POLLS", v) for t, v in changes]
+    assert list(_iterate_polls(lines(*rows), "POLLS")) == [(t, "POLLS", v) for t, v in changes]
 
 
 @pytest.mark.parametrize(
@@ -197,15 +197,15 @@ def test_polling_is_three_equal_reads_and_more_of_any_port(rows, changes):
 )
 def test_a_bus_is_as_wide_as_its_ports_and_cycles(kind, port, sizes):
     writer = Writer()
-    _changes(lines((5, 5, 1, OUT, 0x300, 0), (9, 9, 1, kind, port, 1)), writer, 1000, 0)
+    _register_signals(lines((5, 5, 1, OUT, 0x300, 0), (9, 9, 1, kind, port, 1)), writer, 1000, 0)
     assert (writer.sizes["PORT"], writer.sizes["DATA"]) == sizes
     assert "HOOK" not in writer.sizes
-    assert _changes(lines(), Writer(), 1000, 0) == []
+    assert _register_signals(lines(), Writer(), 1000, 0) == []
 
 
 def test_the_waveform_of_a_cycle_has_the_documented_times():
     """a write that ends at 5000, a read at 7000 that is repeated until 9000, cycles of 1000 ns; the recording begins at 4500"""
-    cycles, polls = _changes(
+    cycles, polls = _register_signals(
         lines((5000, 5000, 1, OUT, 0x301, 0x12), (7000, 9000, 4, IN, 0x300, 0x34)), Writer(), 1000, 4500
     )
     assert list(cycles) == [
@@ -222,17 +222,17 @@ def test_polling_that_goes_on_is_recorded_and_earlier_polling_is_not():
     for port in (0x300, 0x304, 0x308) * 3:
         board.in8(port)
     wave = HostWaveforms(board)
-    first = wave.mark()
+    first = wave.get_position()
     begin = board.stage.now
     for port in (0x300, 0x304) * 3:
         board.in8(port)
-    last, end = wave.mark(), board.stage.now
+    last, end = wave.get_position(), board.stage.now
     for port in (0x300, 0x30C):
         board.in8(port)
-    matches = wave._lines(first, last, begin, end)
+    matches = wave._select_lines(first, last, begin, end)
     assert matches["port"].tolist() == [0x300, 0x304]
     assert matches["first"].tolist() == [begin, begin], "from where the recording begins"
     assert matches["last"].tolist() == [end, end], "the first of them goes on behind it, and is cut"
-    complete = wave._lines(None, None, 0, board.stage.now)
+    complete = wave._select_lines(None, None, 0, board.stage.now)
     assert complete["port"].tolist() == [0x300, 0x304, 0x308, 0x30C]
     assert complete["count"].tolist() == [7, 6, 3, 1]

@@ -42,7 +42,7 @@ def play_devices(kind):
     """Random cycles of all widths beside moves of both axes; what the peer feeds; what each holds; the trace."""
     stage = make_stage("xy", {"x": PCL240K, "y": PCL240MK})
     board, d, observed = Board(stage), Draw(kind), []
-    some = [board.put(device, port) for device, port in DEVICES[kind]()]
+    some = [board.attach_device(device, port) for device, port in DEVICES[kind]()]
     ports = [port for device in some for port in device.ports]
     at_first = stage.snapshot()
     for k in range(260):
@@ -65,8 +65,8 @@ def play_devices(kind):
         for device in some:
             if isinstance(device, UART) and d.chance(0.06):
                 observed.append(attempt(device.feed, d.choice(b"G1 X2\n", "ok", b"\0\xff" * 30)))
-        observed.append(board.pulling())
-    displayed = [[device.counts, read_registers(device), device.pulling] for device in some]
+        observed.append(board.read_interrupt_mask())
+    displayed = [[device.counts, read_registers(device), device.is_pulling] for device in some]
     results = {
         "seen": observed,
         "shown": displayed,
@@ -107,10 +107,12 @@ def play_serial_lines():
         for k in range(18):
             board.out8(0x3F8, 0x40 + k)
             if k % 5 == 0:
-                observed.append([board.in8(0x3FD), board.in8(0x3FA), board.pulling()])
+                observed.append([board.in8(0x3FD), board.in8(0x3FA), board.read_interrupt_mask()])
         for us in (1, 900, 900, 4000, 20_000, 70_000):
             board.delay_us(us)
-            observed.append([board.in8(0x3FD), board.in8(0x3FA), board.pulling(), len(u.sent), u.sent[-3:].hex()])
+            observed.append(
+                [board.in8(0x3FD), board.in8(0x3FA), board.read_interrupt_mask(), len(u.sent), u.sent[-3:].hex()]
+            )
             observed.append([board.in8(0x3F8) for _ in range(5)])
         observed.append(attempt(u.feed, b"x" * 4097))
         observed.append([board.in8(0x3F8 + n) for n in range(8)])

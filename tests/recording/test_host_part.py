@@ -11,7 +11,7 @@ class Host:
     def __init__(self):
         self.at, self.asked = 0, []
 
-    def mark(self):
+    def get_position(self):
         return self.at
 
     def changes(self, *arguments):
@@ -19,7 +19,7 @@ class Host:
         return ["changes"]
 
 
-def test_a_part_is_from_its_mark_at_the_start_to_that_at_the_end_or_to_now():
+def test_a_part_begins_and_ends_at_the_positions_of_the_bus_trace():
     host = Host()
     stage = SimpleNamespace(host=host, now=10)
     host.at = 3

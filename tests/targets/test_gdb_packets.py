@@ -57,7 +57,7 @@ class Engine:
         self.done.append(("watch", at))
         return at + 1
 
-    def uncount(self, size):
+    def uncount_instruction(self, size):
         self.done.append(("uncount", size))
 
     def address(self):

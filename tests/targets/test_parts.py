@@ -527,7 +527,7 @@ def test_carriage_returns_of_a_serial_line_are_not_in_its_text():
     processor, text, line = np.zeros(1, avr_core.AVR), np.zeros(80, "u1"), np.zeros(1, avr_core.SERIAL)
     line[0].avr, line[0].text, line[0].room = processor.ctypes.data, text.ctypes.data, 80
     for byte in b"a\rb":
-        avr_core.sent(0, byte, line)
+        avr_core.log_sent_byte(0, byte, line)
     assert (line[0].length, bytes(text[:3])) == (2, b"ab\0")
 
 

@@ -23,99 +23,99 @@ UNTIL16 only, the mask as 32 bits without a sign."""
 
 
 @hot
-def _is_wrong(e):
+def _is_invalid(entry):
     """Tell whether an entry is no request, or has a number that does not fit."""
-    what = e.what
-    if what in (host_record.MICROS, host_record.LINE):
+    code = entry.what
+    if code in (host_record.MICROS, host_record.LINE):
         return False
-    if what in (host_record.DELAY, UNTIL_LINE):
-        return e.a < 0 or e.a > host_record.MAX_DELAY_US
-    if what == host_record.SPEND:
-        return e.a < 0 or e.a > host_record.MAX_DELAY_US * 1000
-    if e.a < 0 or e.a > 0xFFFFFFFF:
+    if code in (host_record.DELAY, UNTIL_LINE):
+        return entry.a < 0 or entry.a > host_record.MAX_DELAY_US
+    if code == host_record.SPEND:
+        return entry.a < 0 or entry.a > host_record.MAX_DELAY_US * 1000
+    if entry.a < 0 or entry.a > 0xFFFFFFFF:
         return True
-    if what in (host_record.IN8, host_record.IN16, host_record.IN32):
+    if code in (host_record.IN8, host_record.IN16, host_record.IN32):
         return False
-    if what in (host_record.OUT8, host_record.OUT16, host_record.OUT32):
-        return e.b < 0 or e.b > (
-            0xFF if what == host_record.OUT8 else 0xFFFF if what == host_record.OUT16 else 0xFFFFFFFF
+    if code in (host_record.OUT8, host_record.OUT16, host_record.OUT32):
+        return entry.b < 0 or entry.b > (
+            0xFF if code == host_record.OUT8 else 0xFFFF if code == host_record.OUT16 else 0xFFFFFFFF
         )
-    if what in (UNTIL8, UNTIL16):
-        return e.times < 1 or e.every < 0
+    if code in (UNTIL8, UNTIL16):
+        return entry.times < 1 or entry.every < 0
     return True
 
 
 @exported("i8", array_of(ENTRY))
-def first_wrong(entries):
+def find_first_invalid(entries):
     """Return the index of the first entry that cannot be carried out, or their number."""
     for k in range(len(entries)):
-        if _is_wrong(entries[k]):
+        if _is_invalid(entries[k]):
             return k
     return len(entries)
 
 
 @hot
-def _read_until(h, e):
+def _read_until(host, entry):
     """Read a port until the value of an entry comes; return the last value that was read."""
-    what, mask, value = host_record.IN8 if e.what == UNTIL8 else host_record.IN16, int(e.mask) & 0xFFFFFFFF, 0
-    for k in range(e.times):
-        value = execute(h, what, e.a, 0)
-        if h.stopped or (value ^ e.b) & mask == 0:
+    code, mask, value = host_record.IN8 if entry.what == UNTIL8 else host_record.IN16, int(entry.mask) & 0xFFFFFFFF, 0
+    for k in range(entry.times):
+        value = execute(host, code, entry.a, 0)
+        if host.stopped or (value ^ entry.b) & mask == 0:
             break
-        if e.every and k < e.times - 1:
-            waiting.wait(h, int(e.every) * 1000)
+        if entry.every and k < entry.times - 1:
+            waiting.wait(host, int(entry.every) * 1000)
     return value
 
 
 @hot
-def _wait_for_line(h, us):
+def _wait_for_line(host, us):
     """Wait until the line is asserted; return 1 if it is. Reading it takes a bus cycle, as LINE does."""
-    waiting.pass_bus_cycle(h)
-    asserted = waiting.wait_for_line(h, us * 1000)
-    waiting.call_hooks(h)
+    waiting.pass_bus_cycle(host)
+    asserted = waiting.wait_for_line(host, us * 1000)
+    waiting.call_hooks(host)
     return asserted
 
 
 @hot
-def bound(h):
+def set_next_pause(host):
     """Set the time and the cycles of the next pause."""
-    h.until, h.max_cycles = host_record.now_of(h) + SLICE_NS, h.cycles + SLICE_CYCLES
+    host.until, host.max_cycles = host_record.get_now(host) + SLICE_NS, host.cycles + SLICE_CYCLES
 
 
 @exported("i8", host_record.HOST, array_of(ENTRY), array_of(np.int64))
-def run_batch(h, entries, answers):
+def run_batch(host, entries, answers):
     """Execute the entries, one after the other, on a board that is not stopped. Python is called at each PAUSE, and calls `go_on`.
 
     Returns:
         How many were executed to the end: fewer than all if the board was stopped; -1 if another thread is inside.
     """
-    if not host_record.enter(h):
+    if not host_record.enter(host):
         return -1
     mode, done = usual_float_mode(), 0
-    lazy, until, max_cycles = h.lazy, h.until, h.max_cycles
-    h.lazy, h.quiet = 1, 0
-    bound(h)
+    lazy, until, max_cycles = host.lazy, host.until, host.max_cycles
+    host.lazy, host.quiet = 1, 0
+    set_next_pause(host)
     while done < len(entries):
-        e = entries[done]
-        if e.what == UNTIL8 or e.what == UNTIL16:
-            answers[done] = _read_until(h, e)
-        elif e.what == UNTIL_LINE:
-            answers[done] = _wait_for_line(h, e.a)
+        entry = entries[done]
+        if entry.what == UNTIL8 or entry.what == UNTIL16:
+            answers[done] = _read_until(host, entry)
+        elif entry.what == UNTIL_LINE:
+            answers[done] = _wait_for_line(host, entry.a)
         else:
-            answers[done] = execute(h, e.what, e.a, e.b)
-        if h.stopped:
+            answers[done] = execute(host, entry.what, entry.a, entry.b)
+        if host.stopped:
             break
         done += 1
-    waiting.catch_up(h)
-    if h.stopped and done == len(entries):
+    waiting.catch_up(host)
+    if host.stopped and done == len(entries):
         done -= 1
-    h.lazy, h.until, h.max_cycles = lazy, until, max_cycles
+    host.lazy, host.until, host.max_cycles = lazy, until, max_cycles
     float_mode_as_before(mode)
-    host_record.leave(h)
+    host_record.leave(host)
     return done
 
 
 @exported(None, host_record.HOST)
-def go_on(h):
+def resume_batch(host):
     """Let a paused batch go on, until the next pause."""
-    bound(h)
+    set_next_pause(host)

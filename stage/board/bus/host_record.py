@@ -127,55 +127,55 @@ _pulls = called("i8", "i8", "i8", "i8")
 
 
 @hot
-def stage_of(h):
+def get_stage(host):
     """The HANDLE that a HOST record begins with."""
-    return array_at(h.own, 1, handle.HANDLE)[0]
+    return array_at(host.own, 1, handle.HANDLE)[0]
 
 
 @hot
-def chip_of(h, chip):
+def get_chip(host, chip):
     """The chip record with the number `chip`."""
-    return chips(stage_of(h))[chip]
+    return chips(get_stage(host))[chip]
 
 
 @hot
-def now_of(h):
+def get_now(host):
     """The host's time, ns."""
-    return world(stage_of(h)).now + h.ahead
+    return world(get_stage(host)).now + host.ahead
 
 
 @hot
-def enter(h):
+def enter(host):
     """Claim the board for a request; return False if another request is being answered."""
-    return claim(h.own + INSIDE, ENGINE)
+    return claim(host.own + INSIDE, ENGINE)
 
 
 @hot
-def leave(h):
+def leave(host):
     """Mark the end of a call into the engine."""
-    release(h.own + INSIDE, ENGINE)
+    release(host.own + INSIDE, ENGINE)
 
 
 @hot
-def call_outside(h, function, argument):
+def call_host_function(host, function, argument):
     """Call a function that may make requests, and restore the usual floating-point mode after it."""
-    leave(h)
+    leave(host)
     _call(function, (argument,))
     usual_float_mode()
-    while not enter(h):  # another thread is inside, and soon out
+    while not enter(host):  # another thread is inside, and soon out
         pass
 
 
 @hot
-def call_python(h, reason):
+def call_python(host, reason):
     """Call Python about `reason`."""
-    before, h.in_python = h.in_python, 1
-    call_outside(h, h.call, reason)
-    h.in_python = before
+    before, host.in_python = host.in_python, 1
+    call_host_function(host, host.call, reason)
+    host.in_python = before
 
 
 @hot
-def trace_cycle(h, kind, port, value, same):
+def append_to_trace(host, kind, port, value, same):
     """Add a cycle that has just ended to the trace.
 
     Args:
@@ -188,47 +188,47 @@ def trace_cycle(h, kind, port, value, same):
     Returns:
         The number of the line.
     """
-    if h.stopped:
+    if host.stopped:
         return -1
-    now, lines = now_of(h), array_at(h.lines, h.line_room, CYCLE)
-    if same >= h.changed and h.traced - same <= h.line_room:
-        line = lines[same % h.line_room]
+    now, lines = get_now(host), array_at(host.lines, host.line_room, CYCLE)
+    if same >= host.changed and host.traced - same <= host.line_room:
+        line = lines[same % host.line_room]
         if line.value == value and line.kind == kind and line.port == port:
             line.last, line.count = now, line.count + 1
             return same
-    line = lines[h.traced % h.line_room]
+    line = lines[host.traced % host.line_room]
     line.first, line.last, line.count, line.kind, line.port, line.value = now, now, 1, kind, port, value
-    h.traced += 1
+    host.traced += 1
     if kind & ~STRAY not in (IN, IN_WIDE):
-        h.changed = h.traced
-    return h.traced - 1
+        host.changed = host.traced
+    return host.traced - 1
 
 
 @hot
-def journal_cycle(h, kind, chip, address, value):
+def append_to_journal(host, kind, chip, address, value):
     """Note a cycle that has reached a chip, for its journal, in the order of the switches' edges."""
-    if h.noted >= h.edge_room - clockwork(stage_of(h)).most_edges:  # the engine needs that much in any step
-        call_python(h, FULL)
-    e = array_at(h.edges, h.edge_room, records.EDGE)[h.noted]
-    c = chip_of(h, chip)
-    e.now, e.clock, e.axis = now_of(h), cores.clock(c), cores.axis_of(c, 0)
+    if host.noted >= host.edge_room - clockwork(get_stage(host)).most_edges:  # the engine needs that much in any step
+        call_python(host, FULL)
+    e = array_at(host.edges, host.edge_room, records.EDGE)[host.noted]
+    c = get_chip(host, chip)
+    e.now, e.clock, e.axis = get_now(host), cores.clock(c), cores.axis_of(c, 0)
     e.kind, e.a, e.b = kind, address, value
-    h.noted += 1
+    host.noted += 1
 
 
 @hot
-def device_of(h, k):
+def get_device(host, k):
     """The row of device `k`."""
-    return array_at(h.devices, h.n_devices, DEVICE_TABLE)[k]
+    return array_at(host.devices, host.n_devices, DEVICE_TABLE)[k]
 
 
 @hot
-def _read_encoders(h, d):
+def _read_encoders(host, d):
     """Compute the counts of a device's encoders at the host's time."""
-    s = stage_of(h)
-    qpos, qvel, axes = array_at(h.qpos, h.nq, REAL), array_at(h.qvel, h.nv, REAL), table(s)
+    s = get_stage(host)
+    qpos, qvel, axes = array_at(host.qpos, host.nq, REAL), array_at(host.qvel, host.nv, REAL), table(s)
     counts, encoders = array_at(d.counts, d.n_encoders, INTEGER), array_at(d.encoders, d.n_encoders, ENCODER)
-    tau = float(now_of(h) - world(s).start) / records.SECOND - clockwork(s).half
+    tau = float(get_now(host) - world(s).start) / records.SECOND - clockwork(s).half
     for k in range(d.n_encoders):
         e = encoders[k]
         t = axes[e.axis]
@@ -236,37 +236,37 @@ def _read_encoders(h, d):
 
 
 @hot
-def reach_device(h, k, n, kind, value):
+def access_device(host, k, n, kind, value):
     """Make a cycle at port `n` of device `k` and return its answer. The stage has caught up for a device in Python."""
-    if h.stopped:
+    if host.stopped:
         return 0xFFFF
-    d = device_of(h, k)
+    d = get_device(host, k)
     if d.access == 0:
-        h.call_chip, h.call_address, h.call_kind, h.call_value = k, n, kind, value
-        call_python(h, DEVICE_CALLED)
-        h.quiet = 0
-        return h.call_value
+        host.call_chip, host.call_address, host.call_kind, host.call_value = k, n, kind, value
+        call_python(host, DEVICE_CALLED)
+        host.quiet = 0
+        return host.call_value
     if d.n_encoders:
-        _read_encoders(h, d)
-    h.answers = k + 1
-    answer = _access(d.access, (d.state, now_of(h), d.counts, n, kind, value))
-    h.answers = 0
+        _read_encoders(host, d)
+    host.answers = k + 1
+    answer = _access(d.access, (d.state, get_now(host), d.counts, n, kind, value))
+    host.answers = 0
     return answer
 
 
 @hot
-def pulling_devices(h):
+def find_interrupting_devices(host):
     """Return the devices that pull the interrupt line, a bit each."""
     pulling = 0
-    for k in range(h.n_devices):
-        d = device_of(h, k)
-        on = array_at(d.line, 1, INTEGER)[0] <= now_of(h)
+    for k in range(host.n_devices):
+        d = get_device(host, k)
+        on = array_at(d.line, 1, INTEGER)[0] <= get_now(host)
         if d.pulls and not on:
             if d.n_encoders:
-                _read_encoders(h, d)
-            h.answers = k + 1
-            on = _pulls(d.pulls, (d.state, now_of(h), d.counts)) != 0
-            h.answers = 0
+                _read_encoders(host, d)
+            host.answers = k + 1
+            on = _pulls(d.pulls, (d.state, get_now(host), d.counts)) != 0
+            host.answers = 0
         if on:
             pulling |= 1 << k
     return pulling

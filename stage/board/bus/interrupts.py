@@ -10,7 +10,7 @@ next request, by the position of its frame on the stack and by the mark below wh
 
 from __future__ import annotations
 
-from stage.board.bus.host_record import RETURNED, now_of, trace_cycle
+from stage.board.bus.host_record import RETURNED, append_to_trace, get_now
 from stage.native import array_at, greatest, hot, least, record
 from stage.sim.handle import INTEGER
 
@@ -41,39 +41,39 @@ NEAR = 1 << 14
 
 
 @hot
-def sources_of(h):
+def get_sources(host):
     """The rows of all interrupt sources."""
-    return array_at(h.sources, SOURCES, SOURCE)
+    return array_at(host.sources, SOURCES, SOURCE)
 
 
 @hot
-def _hooks(h):
-    return array_at(h.hooks, HOOKS, HOOK_CALLED)
+def _get_hooks(host):
+    return array_at(host.hooks, HOOKS, HOOK_CALLED)
 
 
 @hot
-def arm(h):
+def update_pending(host):
     """Compute what is to be checked, and when, after a change of the table."""
-    h.hooked_lines, h.line_level, h.n_pending, h.top_level, h.due = 0, 0, 0, 0, NEVER
-    sources = sources_of(h)
+    host.hooked_lines, host.line_level, host.n_pending, host.top_level, host.due = 0, 0, 0, 0, NEVER
+    sources = get_sources(host)
     for k in range(SOURCES):
         s = sources[k]
         if s.hook:
             if s.lines:
-                h.hooked_lines |= s.lines
-                h.line_level = greatest(h.line_level, s.level)
+                host.hooked_lines |= s.lines
+                host.line_level = greatest(host.line_level, s.level)
             if s.pending:
-                h.n_pending += 1
-                h.top_level = greatest(h.top_level, s.level)
+                host.n_pending += 1
+                host.top_level = greatest(host.top_level, s.level)
             if s.period:
-                h.due = least(h.due, s.next)
-    h.top_level = greatest(h.top_level, h.line_level)
+                host.due = least(host.due, s.next)
+    host.top_level = greatest(host.top_level, host.line_level)
 
 
 @hot
-def tick(h):
+def mark_due_timers(host):
     """Set the flags of timers that are due."""
-    now, sources = now_of(h), sources_of(h)
+    now, sources = get_now(host), get_sources(host)
     for k in range(FIRST_TIMER, FIRST_SOFTWARE):
         s = sources[k]
         if s.period and s.next <= now:
@@ -81,13 +81,13 @@ def tick(h):
             s.next += ticks * s.period
             s.missed += ticks - 1 + s.pending
             s.pending = 1
-    arm(h)
+    update_pending(host)
 
 
 @hot
-def choose(h, asserted):
+def choose_source(host, asserted):
     """Return the source that calls next, of those above the processor's level, or -1. asserted: the lines (bits)."""
-    sources, best, level = sources_of(h), -1, h.level
+    sources, best, level = get_sources(host), -1, host.level
     for k in range(SOURCES):
         s = sources[k]
         if s.hook and s.level > level and (s.pending or s.lines & asserted):
@@ -96,49 +96,49 @@ def choose(h, asserted):
 
 
 @hot
-def begin_hook(h, source, mark):
+def enter_hook(host, source, mark):
     """Enter a hook that is to be called. Return its place among the hooks, or -1 if there is none."""
-    hooks, s = _hooks(h), sources_of(h)[source]
+    hooks, s = _get_hooks(host), get_sources(host)[source]
     for k in range(HOOKS):
         c = hooks[k]
         if c.number == 0:
-            h.called += 1
-            c.number, c.source, c.level, c.mark = h.called, source, h.level, mark
-            c.outer, c.outer_number = h.serving, 0
-            if h.serving:
-                c.outer_number = hooks[h.serving - 1].number
-            h.level, h.serving, s.pending = s.level, k + 1, 0
-            arm(h)
+            host.called += 1
+            c.number, c.source, c.level, c.mark = host.called, source, host.level, mark
+            c.outer, c.outer_number = host.serving, 0
+            if host.serving:
+                c.outer_number = hooks[host.serving - 1].number
+            host.level, host.serving, s.pending = s.level, k + 1, 0
+            update_pending(host)
             return k
     return -1
 
 
 @hot
-def end_hook(h, place, number, level, outer, outer_number, how):
+def end_hook(host, place, number, level, outer, outer_number, how):
     """End the hook of call `number`, which has returned (BACK), was left, or has lowered the level; go on at `level`."""
-    hooks = _hooks(h)
+    hooks = _get_hooks(host)
     if hooks[place].number == number:
-        trace_cycle(h, RETURNED, hooks[place].source, how, -1)
+        append_to_trace(host, RETURNED, hooks[place].source, how, -1)
         hooks[place].number = 0
-    h.level = level
-    h.serving = outer if outer and hooks[outer - 1].number == outer_number else 0
+    host.level = level
+    host.serving = outer if outer and hooks[outer - 1].number == outer_number else 0
 
 
 @hot
-def close_left(h, frame):
+def end_abandoned_hooks(host, frame):
     """End hooks that a jump has left. frame: where the request's frame is."""
-    while h.serving:
-        c = _hooks(h)[h.serving - 1]
-        if c.mark == 0 or not _is_left(h, c.mark, frame):
+    while host.serving:
+        c = _get_hooks(host)[host.serving - 1]
+        if c.mark == 0 or not _is_abandoned(host, c.mark, frame):
             return
-        end_hook(h, h.serving - 1, c.number, c.level, c.outer, c.outer_number, JUMPED)
+        end_hook(host, host.serving - 1, c.number, c.level, c.outer, c.outer_number, JUMPED)
 
 
 @hot
-def _is_left(h, mark, frame):
+def _is_abandoned(host, mark, frame):
     """Tell whether the hook below `mark` runs no more, since a request comes from `frame`."""
     if frame > mark:
-        on_firmware_stack = h.stack_low < mark and frame < h.stack_high
+        on_firmware_stack = host.stack_low < mark and frame < host.stack_high
         return on_firmware_stack or frame - mark < NEAR
     words = array_at(mark, MARK, INTEGER)
     broken = 0
@@ -148,9 +148,9 @@ def _is_left(h, mark, frame):
 
 
 @hot
-def set_level(h, level):
+def set_level(host, level):
     """Set the processor's level, which ends hooks of a higher level."""
-    while h.serving and level < sources_of(h)[_hooks(h)[h.serving - 1].source].level:
-        c = _hooks(h)[h.serving - 1]
-        end_hook(h, h.serving - 1, c.number, level, c.outer, c.outer_number, LOWERED)
-    h.level = level
+    while host.serving and level < get_sources(host)[_get_hooks(host)[host.serving - 1].source].level:
+        c = _get_hooks(host)[host.serving - 1]
+        end_hook(host, host.serving - 1, c.number, level, c.outer, c.outer_number, LOWERED)
+    host.level = level

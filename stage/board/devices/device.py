@@ -81,10 +81,10 @@ class Device:
         self.line[0] = records.NEVER if not on else self.stage.now if at is None else round(at * 1e9)
 
     @property
-    def pulling(self) -> bool:
+    def is_pulling(self) -> bool:
         """True while it pulls the interrupt line."""
         board = self._require_board()
-        return bool(board.pulling() >> (len(board.stage.chips) + board.devices.index(self)) & 1)
+        return bool(board.read_interrupt_mask() >> (len(board.stage.chips) + board.devices.index(self)) & 1)
 
     @property
     def stage(self) -> Stage:
@@ -112,39 +112,39 @@ class Device:
 
     # --- for boards ---
 
-    def call(self, n: int, kind: int, value: int) -> int:
+    def access_register(self, n: int, kind: int, value: int) -> int:
         """Make a cycle at port `n` of a device in Python. kind: IN8, OUT8, IN16, OUT16 of stage.board.bus.host_record."""
         raise NotImplementedError
 
-    def listener(self) -> Listener:
+    def make_describer(self) -> Listener:
         """Return a function that says what its cycles mean, if it gets all of them."""
         return lambda n, value, writes, wide: f"port {n} {'<-' if writes else '='} {value:0{4 if wide else 2}X}h"
 
-    def port(self, n: int) -> int:
+    def get_board_port(self, n: int) -> int:
         """Return the port of the board that its port `n` is; the first of two on a bus of 16 bits."""
         return self.ports[2 * n if self.width == 16 else n]
 
-    def port_name(self, n: int) -> str:
+    def name_port(self, n: int) -> str:
         """Return a port in words."""
         return f"port {n}"
 
-    def arrays(self) -> list[np.ndarray]:
+    def list_arrays(self) -> list[np.ndarray]:
         """Return what snapshots carry of it."""
         return [self.line, *self.state]
 
-    def move_to(self, places: list[np.ndarray]) -> None:
+    def use_arrays(self, places: list[np.ndarray]) -> None:
         """Use these places for its `arrays` from now on."""
         line, *state = places
         self.line = line.view(np.int64)
         pairs = zip(self.state, state, strict=True)
         self.state = [place.view(before.dtype).reshape(before.shape) for before, place in pairs]
 
-    def recipe(self) -> tuple[Any, ...]:
+    def make_recipe(self) -> tuple[Any, ...]:
         """Return a function and its arguments, which can be pickled: they make the same device in another process, or one that
         takes its place there."""
         return (Placeholder, self.name, self.width, sum(a.nbytes for a in self.state), self.encoders)
 
-    def join(self, board: Board, ports: Sequence[int]) -> None:
+    def attach_to(self, board: Board, ports: Sequence[int]) -> None:
         """Become a device of this board, at these ports."""
         rows = [e.row(board.stage) for e in self.encoders]
         self.encoders = tuple(replace(e, zero=row[2]) for e, row in zip(self.encoders, rows, strict=True))
@@ -154,7 +154,7 @@ class Device:
         if not self._named:
             self.name = f"{self.KIND} at {self.ports[0]:03X}h"
 
-    def row(self) -> tuple[int, ...]:
+    def make_record(self) -> tuple[int, ...]:
         """Return its DEVICE_TABLE record."""
         state = self.state[0].ctypes.data if self.state else 0
         line, counts, encoders = (a.ctypes.data for a in (self.line, self._counts, self._encoders))
@@ -162,7 +162,9 @@ class Device:
 
     def _require_board(self) -> Board:
         if self.board is None:
-            raise StageError(f"{self.name} is on no board yet: board.put(device, ports) or board.device(ports, ...).")
+            raise StageError(
+                f"{self.name} is on no board yet: board.attach_device(device, ports) or board.add_device(ports, ...)."
+            )
         return self.board
 
 
@@ -200,10 +202,10 @@ class Compiled(Device):
         self.registers = self.state[0].view(plain(core.STATE))[0]
         self.access, self.pulls = core.access.address, core.pulls.address if hasattr(core, "pulls") else 0
 
-    def recipe(self) -> tuple[Any, ...]:
+    def make_recipe(self) -> tuple[Any, ...]:
         """Build the device by its class and options, in any process."""
         if not self.access:  # Python is called for its cycles
-            return super().recipe()
+            return super().make_recipe()
         options = {"name": self.name, **{name: getattr(self, name) for name in self.OPTIONS}}
         if self.encoders:
             options["encoder"] = self.encoders[0]

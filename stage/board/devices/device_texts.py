@@ -23,7 +23,7 @@ KNOWN = (*COUNTERS, *OTHERS)
 FORM = f"KIND:PORT[:AXIS[:COUNTS]], of the kinds {', '.join(COUNTERS)} (with AXIS), {', '.join(OTHERS)}; or SOURCE.c:PORT[+PORTS]"
 
 
-def parse_device(text: str) -> tuple[Device, list[int]]:
+def make_device(text: str) -> tuple[Device, list[int]]:
     """Make the device that a text describes, and return it with its ports.
 
     Raises:
@@ -32,7 +32,7 @@ def parse_device(text: str) -> tuple[Device, list[int]]:
     """
     if isinstance(text, Device):
         raise ArgumentError(
-            f"device {text!r}: texts name devices here; an object goes on the bus by board.put(device, ports)."
+            f"device {text!r}: texts name devices here; an object goes on the bus by board.attach_device(device, ports)."
         )
     if not isinstance(text, str) or ":" not in text:
         raise ArgumentError(f"device {text!r}: write {FORM}. For example hctl2016:0x320:x")

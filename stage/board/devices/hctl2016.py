@@ -32,13 +32,13 @@ class HCTL2016(Compiled):
         """Current value of the counter."""
         return (self.counts[0] - int(self.registers["zero"])) & (1 << self.BITS) - 1
 
-    def port_name(self, n: int) -> str:
+    def name_port(self, n: int) -> str:
         """The byte of the count that the port holds."""
         return ("high byte", "low byte")[n]
 
-    def listener(self) -> Listener:
+    def make_describer(self) -> Listener:
         """Describe an access in the trace."""
-        return lambda n, value, writes, wide: "reset" if writes else f"{self.port_name(n)} = {value:02X}h"
+        return lambda n, value, writes, wide: "reset" if writes else f"{self.name_port(n)} = {value:02X}h"
 
 
 class HCTL2000(HCTL2016):

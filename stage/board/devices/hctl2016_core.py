@@ -12,20 +12,20 @@ COUNT = np.dtype("i8")
 
 
 @hot
-def _counter(s, counts):
-    return (array_at(counts, 1, COUNT)[0] - s.zero) & (1 << s.bits) - 1
+def _read_counter(state, counts):
+    return (array_at(counts, 1, COUNT)[0] - state.zero) & (1 << state.bits) - 1
 
 
 @exported("i8", STATE, "i8", "i8", "i8", "i8", "i8")
-def access(s, now, counts, n, kind, value):
+def access(state, now, counts, register, kind, value):
     """Read a byte of the counter (port 0: SEL low, the high byte; port 1: SEL high, the low byte); a write to either is /RST."""
     if kind & 1:
-        s.zero, s.latch, s.inhibited = array_at(counts, 1, COUNT)[0], 0, 0
+        state.zero, state.latch, state.inhibited = array_at(counts, 1, COUNT)[0], 0, 0
         return 0
-    if not s.inhibited:
-        s.latch = _counter(s, counts)
-    if n == 0:
-        s.inhibited = 1  # both bytes are of one moment
-        return s.latch >> 8
-    s.inhibited = 0
-    return s.latch & 0xFF
+    if not state.inhibited:
+        state.latch = _read_counter(state, counts)
+    if register == 0:
+        state.inhibited = 1  # both bytes are of one moment
+        return state.latch >> 8
+    state.inhibited = 0
+    return state.latch & 0xFF

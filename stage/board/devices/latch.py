@@ -35,7 +35,7 @@ class Latch(Compiled):
         """The outputs."""
         return int(self.registers["value"])
 
-    def call(self, n: int, kind: int, value: int) -> int:
+    def access_register(self, n: int, kind: int, value: int) -> int:
         """Write the outputs and call the function that observes them, or read them back."""
         before = self.value
         if kind == OUT8 and value != before:
@@ -44,10 +44,10 @@ class Latch(Compiled):
                 self._changed(before, value)
         return self.value
 
-    def port_name(self, n: int) -> str:
+    def name_port(self, n: int) -> str:
         """All eight outputs are one port."""
         return "outputs"
 
-    def listener(self) -> Listener:
+    def make_describer(self) -> Listener:
         """Describe an access in the trace."""
         return lambda n, value, writes, wide: f"outputs {'<-' if writes else '='} {value:08b}"

@@ -8,8 +8,8 @@ STATE = record([("value", "i8")])
 
 
 @exported("i8", STATE, "i8", "i8", "i8", "i8", "i8")
-def access(s, now, counts, n, kind, value):
+def access(state, now, counts, register, kind, value):
     """Write or read the outputs."""
     if kind & 1:
-        s.value = value
-    return s.value
+        state.value = value
+    return state.value

@@ -38,11 +38,11 @@ class LS7166(Compiled):
         super().__init__(name=name, encoders=(encoder,))
         self.registers["pr"] = ls7166_core.FULL - 1
 
-    def port_name(self, n: int) -> str:
+    def name_port(self, n: int) -> str:
         """The name of the port in traces."""
         return ("data", "control")[n]
 
-    def listener(self) -> Listener:
+    def make_describer(self) -> Listener:
         """Describe an access in the trace, with the command that a control byte is."""
 
         def describe(n: int, value: int, writes: bool, wide: bool) -> str:

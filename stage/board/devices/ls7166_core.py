@@ -17,86 +17,88 @@ ENABLE, DIVIDE = 8, 4
 
 
 @hot
-def _units(s, counts):
+def _count_units(state, counts):
     """Return the count of the quadrature inputs in the mode of QR: one, two or all of the four edges of a line."""
-    return array_at(counts, 1, COUNT)[0] >> 3 - s.qr if s.qr else 0
+    return array_at(counts, 1, COUNT)[0] >> 3 - state.qr if state.qr else 0
 
 
 @hot
-def _update(s, counts):
+def _update(state, counts):
     """Let the counter count up to now. Between two cycles the net count matters: to and fro cancels out."""
-    units = _units(s, counts)
-    steps, s.last = units - s.last, units
-    if steps == 0 or s.qr == 0 or s.icr & ENABLE == 0:
+    units = _count_units(state, counts)
+    steps, state.last = units - state.last, units
+    if steps == 0 or state.qr == 0 or state.icr & ENABLE == 0:
         return
-    s.up = 1 if steps > 0 else 0
-    old = s.cntr
+    state.up = 1 if steps > 0 else 0
+    old = state.cntr
     new = old + steps
-    s.compares ^= ((new - s.pr) // FULL - (old - s.pr) // FULL) & 1
-    s.cntr = new & FULL - 1
+    state.compares ^= ((new - state.pr) // FULL - (old - state.pr) // FULL) & 1
+    state.cntr = new & FULL - 1
     period, times = FULL, 0
     if new >= FULL:
-        if s.occr & DIVIDE:
-            period = FULL - s.pr
-            s.cntr = s.pr + (new - FULL) % period
+        if state.occr & DIVIDE:
+            period = FULL - state.pr
+            state.cntr = state.pr + (new - FULL) % period
         times = 1 + (new - FULL) // period
-        s.carries, s.sign = s.carries ^ times & 1, 0
+        state.carries, state.sign = state.carries ^ times & 1, 0
     elif new < 0:
-        if s.occr & DIVIDE:
-            period = s.pr + 1
-            s.cntr = s.pr - (-new - 1) % period
+        if state.occr & DIVIDE:
+            period = state.pr + 1
+            state.cntr = state.pr - (-new - 1) % period
         times = 1 + (-new - 1) // period
-        s.borrows, s.sign = s.borrows ^ times & 1, 1
+        state.borrows, state.sign = state.borrows ^ times & 1, 1
 
 
 @hot
-def _master(s, value):
+def _write_mcr(state, value):
     """Carry out a write to MCR."""
     if value & 0x20:
-        s.cntr = s.icr = s.occr = s.qr = s.ol = s.pointer = s.borrows = s.carries = s.compares = s.sign = 0
-        s.pr = FULL - 1
+        state.cntr = state.icr = state.occr = state.qr = state.ol = state.pointer = state.borrows = state.carries = (
+            state.compares
+        ) = state.sign = 0
+        state.pr = FULL - 1
         return
     if value & 0x01:
-        s.pointer = 0
+        state.pointer = 0
     if value & 0x02:
-        s.ol = s.cntr
+        state.ol = state.cntr
     if value & 0x04:
-        s.cntr = s.borrows = s.carries = s.sign = 0
+        state.cntr = state.borrows = state.carries = state.sign = 0
     if value & 0x08:
-        s.cntr = s.pr
+        state.cntr = state.pr
     if value & 0x10:
-        s.compares = 0
+        state.compares = 0
 
 
 @hot
-def _control(s, counts, value):
+def _write_control(state, counts, value):
     register, value = value >> 6 & 3, value & 0x3F
     if register == 0:
-        _master(s, value)
+        _write_mcr(state, value)
     elif register == 1:
-        s.icr = value
+        state.icr = value
         if value & 2:
-            s.cntr = s.cntr + 1 & FULL - 1
+            state.cntr = state.cntr + 1 & FULL - 1
         if value & 4:
-            s.cntr = s.cntr - 1 & FULL - 1
+            state.cntr = state.cntr - 1 & FULL - 1
     elif register == 2:
-        s.occr = value
+        state.occr = value
     else:
-        s.qr = value & 3
-    s.last = _units(s, counts)
+        state.qr = value & 3
+    state.last = _count_units(state, counts)
 
 
 @exported("i8", STATE, "i8", "i8", "i8", "i8", "i8")
-def access(s, now, counts, n, kind, value):
+def access(state, now, counts, register, kind, value):
     """Make a cycle at port 0 (C/D low, data) or port 1 (C/D high, control and status)."""
-    _update(s, counts)
-    at = 8 * s.pointer
-    if n == 1:
+    _update(state, counts)
+    at = 8 * state.pointer
+    if register == 1:
         if kind & 1:
-            _control(s, counts, value)
-        return s.borrows | s.carries << 1 | s.compares << 2 | s.sign << 3 | s.up << 4
-    s.pointer = (s.pointer + 1) % 3
+            _write_control(state, counts, value)
+        return state.borrows | state.carries << 1 | state.compares << 2 | state.sign << 3 | state.up << 4
+    state.pointer = (state.pointer + 1) % 3
     if kind & 1:
-        s.pr = s.pr & ~(0xFF << at) | value << at
+        state.pr = state.pr & ~(0xFF << at) | value << at
         return 0
-    return s.ol >> at & 0xFF
+    return state.ol >> at & 0xFF

@@ -69,7 +69,7 @@ class UART(Compiled):
                 f"{uart_core.ROOM:,} at a time. Let time pass in between."
             )
         if not waiting:
-            s["due"] = self.stage.now + self._character
+            s["due"] = self.stage.now + self._character_ns
         for byte in content:
             s["incoming"][int(s["fed"]) % uart_core.ROOM] = byte
             s["fed"] += 1
@@ -78,7 +78,7 @@ class UART(Compiled):
     def sent(self) -> bytes:
         """Bytes that have left it so far; the last 4096 of them if there are more."""
         s, now = self.registers, self.stage.now
-        c = self._character
+        c = self._character_ns
         end = int(s["written"]) - (-(-max(int(s["left"]) - now, 0) // c) if c else 0)
         return self._written(max(0, end - uart_core.ROOM), end)
 
@@ -115,7 +115,7 @@ class UART(Compiled):
             self.board.link.publish_devices()
         return os.ttyname(slave)
 
-    def call(self, n: int, kind: int, value: int) -> int:
+    def access_register(self, n: int, kind: int, value: int) -> int:
         """Make a cycle while a pseudo-terminal is connected."""
         while select.select([self._master], [], [], 0)[0] and self.registers["fed"] - self.registers["taken"] < 64:
             self.feed(os.read(self._master, 64))
@@ -126,11 +126,11 @@ class UART(Compiled):
             self._sent_to_terminal = written
         return int(answer)
 
-    def port_name(self, n: int) -> str:
+    def name_port(self, n: int) -> str:
         """The name of the register, or both where reads and writes have one each."""
         return _READ[n] if _READ[n] == _WRITTEN[n] else f"{_READ[n]}, {_WRITTEN[n]}"
 
-    def listener(self) -> Listener:
+    def make_describer(self) -> Listener:
         """Describe an access in the trace. Bit 7 of LCR selects the divisor's registers."""
         lcr = 0
 
@@ -156,5 +156,5 @@ class UART(Compiled):
         return bytes(int(sent[k % uart_core.SENT_ROOM]) for k in range(begin, end))
 
     @property
-    def _character(self) -> int:
-        return int(uart_core.character(self.state[0].view(uart_core.STATE)[0]))
+    def _character_ns(self) -> int:
+        return int(uart_core.compute_character_ns(self.state[0].view(uart_core.STATE)[0]))

@@ -27,176 +27,182 @@ which the last leaves the transmitter at `left`; armed: the interrupt of an empt
 
 
 @hot
-def character(s):
+def compute_character_ns(state):
     """Return the time of a character on the line, ns; 0 without a divisor."""
-    halves = 2 * (6 + (s.lcr & 3) + (s.lcr >> 3 & 1)) + (2 if s.lcr & 4 == 0 else 3 if s.lcr & 3 == 0 else 4)
-    return halves * 8 * s.divisor * SECOND // s.clock
+    halves = 2 * (6 + (state.lcr & 3) + (state.lcr >> 3 & 1)) + (
+        2 if state.lcr & 4 == 0 else 3 if state.lcr & 3 == 0 else 4
+    )
+    return halves * 8 * state.divisor * SECOND // state.clock
 
 
 @hot
-def unsent(s, now):
+def count_unsent(state, now):
     """Count the bytes in the transmitter, with the one on the line."""
-    c = character(s)
-    return (s.left - now + c - 1) // c if s.left > now and c else 0
+    c = compute_character_ns(state)
+    return (state.left - now + c - 1) // c if state.left > now and c else 0
 
 
 @hot
-def _arrived(s, now):
+def _count_arrived(state, now):
     """Count the bytes that have arrived by now and are not in the FIFO yet."""
-    c = character(s)
-    return least(s.fed - s.taken, (now - s.due) // c + 1) if s.fed > s.taken and now >= s.due and c else 0
+    c = compute_character_ns(state)
+    return (
+        least(state.fed - state.taken, (now - state.due) // c + 1)
+        if state.fed > state.taken and now >= state.due and c
+        else 0
+    )
 
 
 @hot
-def _update(s, now):
+def _update(state, now):
     """Put the bytes that have arrived into the FIFO."""
-    c, n = character(s), _arrived(s, now)
-    room = FIFO if s.fcr & 1 else 1
-    for _ in range(n):
-        byte = s.incoming[s.taken % ROOM]
-        if s.waiting < room:
-            s.fifo[(s.first + s.waiting) % FIFO] = byte
-            s.waiting += 1
+    c, register = compute_character_ns(state), _count_arrived(state, now)
+    room = FIFO if state.fcr & 1 else 1
+    for _ in range(register):
+        byte = state.incoming[state.taken % ROOM]
+        if state.waiting < room:
+            state.fifo[(state.first + state.waiting) % FIFO] = byte
+            state.waiting += 1
         else:
-            s.oe = 1
+            state.oe = 1
             if room == 1:
-                s.fifo[s.first] = byte
-        s.taken += 1
-        s.last = s.due
-        s.due += c
+                state.fifo[state.first] = byte
+        state.taken += 1
+        state.last = state.due
+        state.due += c
 
 
 @hot
-def _identify(s, now):
+def _identify_interrupt(state, now):
     """Return IIR without the bits of the FIFO: the interrupt of the highest priority; 1: none."""
-    n, room, c = _arrived(s, now), FIFO if s.fcr & 1 else 1, character(s)
-    level = s.waiting + n
-    if s.ier & 4 and (s.oe or level > room):
+    register, room, c = _count_arrived(state, now), FIFO if state.fcr & 1 else 1, compute_character_ns(state)
+    level = state.waiting + register
+    if state.ier & 4 and (state.oe or level > room):
         return 6
-    if s.ier & 1 and level:
-        code = s.fcr >> 6 & 3
-        if s.fcr & 1 == 0 or level >= (14 if code == 3 else 1 if code == 0 else 4 * code):
+    if state.ier & 1 and level:
+        code = state.fcr >> 6 & 3
+        if state.fcr & 1 == 0 or level >= (14 if code == 3 else 1 if code == 0 else 4 * code):
             return 4
-        last = s.due + (n - 1) * c if n else s.last
+        last = state.due + (register - 1) * c if register else state.last
         if now - last >= 4 * c:
             return 12
-    return 2 if s.ier & 2 and s.armed and unsent(s, now) <= 1 else 1
+    return 2 if state.ier & 2 and state.armed and count_unsent(state, now) <= 1 else 1
 
 
 @exported("i8", STATE, "i8", "i8")
-def pulls(s, now, counts):
+def pulls(state, now, counts):
     """Return the output INTR, behind the driver that OUT2 enables."""
-    return 1 if s.mcr & 8 and _identify(s, now) != 1 else 0
+    return 1 if state.mcr & 8 and _identify_interrupt(state, now) != 1 else 0
 
 
 @hot
-def _transmit(s, now, value):
-    n, room = unsent(s, now), FIFO + 1 if s.fcr & 1 else 2
-    if s.divisor == 0:  # no clock on the line
+def _transmit(state, now, value):
+    register, room = count_unsent(state, now), FIFO + 1 if state.fcr & 1 else 2
+    if state.divisor == 0:  # no clock on the line
         return
-    if n >= room:  # no room: lost; without a FIFO the last byte is
+    if register >= room:  # no room: lost; without a FIFO the last byte is
         if room == 2:
-            s.sent[(s.written - 1) % SENT_ROOM] = value
+            state.sent[(state.written - 1) % SENT_ROOM] = value
         return
-    s.armed = 1
-    s.left = (s.left if n else now) + character(s)
-    if s.mcr & 16:  # loop
-        if s.fed - s.taken < ROOM:
-            if s.fed == s.taken:
-                s.due = s.left
-            s.incoming[s.fed % ROOM] = value
-            s.fed += 1
+    state.armed = 1
+    state.left = (state.left if register else now) + compute_character_ns(state)
+    if state.mcr & 16:  # loop
+        if state.fed - state.taken < ROOM:
+            if state.fed == state.taken:
+                state.due = state.left
+            state.incoming[state.fed % ROOM] = value
+            state.fed += 1
     else:
-        s.sent[s.written % SENT_ROOM] = value
-        s.written += 1
+        state.sent[state.written % SENT_ROOM] = value
+        state.written += 1
 
 
 @hot
-def _divide(s, now, divisor):
+def _set_divisor(state, now, divisor):
     """Change the speed, at which all that is still to arrive does so from now on."""
-    s.divisor = divisor
-    if s.fed > s.taken:
-        s.due = now + character(s)
+    state.divisor = divisor
+    if state.fed > state.taken:
+        state.due = now + compute_character_ns(state)
 
 
 @hot
-def _write(s, now, n, value):
+def _write(state, now, register, value):
     """Write register `n`; with bit 7 of LCR the first two are the divisor."""
-    if n < 2 and s.lcr & 0x80:
-        _divide(s, now, s.divisor & 0xFF00 | value if n == 0 else s.divisor & 0xFF | value << 8)
-    elif n == 0:
-        _transmit(s, now, value)
-    elif n == 1:
-        if value & 2 and s.ier & 2 == 0:
-            s.armed = 1
-        s.ier = value & 15
-    elif n == 2:
-        _control_fifos(s, now, value)
-    elif n == 3:
-        s.lcr = value
-    elif n == 4:
-        s.mcr = value & 31
-    elif n == 7:
-        s.scr = value
+    if register < 2 and state.lcr & 0x80:
+        _set_divisor(state, now, state.divisor & 0xFF00 | value if register == 0 else state.divisor & 0xFF | value << 8)
+    elif register == 0:
+        _transmit(state, now, value)
+    elif register == 1:
+        if value & 2 and state.ier & 2 == 0:
+            state.armed = 1
+        state.ier = value & 15
+    elif register == 2:
+        _control_fifos(state, now, value)
+    elif register == 3:
+        state.lcr = value
+    elif register == 4:
+        state.mcr = value & 31
+    elif register == 7:
+        state.scr = value
 
 
 @hot
-def _control_fifos(s, now, value):
-    if value & 2 or (value ^ s.fcr) & 1:
-        s.waiting = 0
-    if value & 4 and unsent(s, now) > 1:
-        s.written -= unsent(s, now) - 1
-        s.left = now + character(s)
-    s.fcr = value & 0xC9 if value & 1 else 0
+def _control_fifos(state, now, value):
+    if value & 2 or (value ^ state.fcr) & 1:
+        state.waiting = 0
+    if value & 4 and count_unsent(state, now) > 1:
+        state.written -= count_unsent(state, now) - 1
+        state.left = now + compute_character_ns(state)
+    state.fcr = value & 0xC9 if value & 1 else 0
 
 
 @hot
-def _receive(s, now):
-    if s.waiting:
-        s.rbr = s.fifo[s.first]
-        s.first = (s.first + 1) % FIFO
-        s.waiting -= 1
-        s.last = now
-    return s.rbr
+def _receive(state, now):
+    if state.waiting:
+        state.rbr = state.fifo[state.first]
+        state.first = (state.first + 1) % FIFO
+        state.waiting -= 1
+        state.last = now
+    return state.rbr
 
 
 @hot
-def _line_status(s, now):
-    n, oe = unsent(s, now), s.oe
-    s.oe = 0
-    return (1 if s.waiting else 0) | oe << 1 | (0x20 if n <= 1 else 0) | (0x40 if n == 0 else 0)
+def _line_status(state, now):
+    register, oe = count_unsent(state, now), state.oe
+    state.oe = 0
+    return (1 if state.waiting else 0) | oe << 1 | (0x20 if register <= 1 else 0) | (0x40 if register == 0 else 0)
 
 
 @hot
-def _modem_status(s):
+def _modem_status(state):
     """Return MSR: in the loop from the modem control register; else the peer is there and ready."""
-    return (s.mcr & 2) << 3 | (s.mcr & 1) << 5 | (s.mcr & 12) << 4 if s.mcr & 16 else 0xB0
+    return (state.mcr & 2) << 3 | (state.mcr & 1) << 5 | (state.mcr & 12) << 4 if state.mcr & 16 else 0xB0
 
 
 @hot
-def _acknowledge(s, now):
+def _acknowledge(state, now):
     """Read IIR, which ends the interrupt of an empty transmitter."""
-    code = _identify(s, now)
+    code = _identify_interrupt(state, now)
     if code == 2:
-        s.armed = 0
-    return code | (0xC0 if s.fcr & 1 else 0)
+        state.armed = 0
+    return code | (0xC0 if state.fcr & 1 else 0)
 
 
 @exported("i8", STATE, "i8", "i8", "i8", "i8", "i8")
-def access(s, now, counts, n, kind, value):
+def access(state, now, counts, register, kind, value):
     """Make a cycle at register `n`."""
-    _update(s, now)
+    _update(state, now)
     if kind & 1:
-        _write(s, now, n, value)
+        _write(state, now, register, value)
         return 0
-    if n < 2 and s.lcr & 0x80:
-        return s.divisor >> 8 * n & 0xFF
-    if n == 0:
-        return _receive(s, now)
-    if n == 2:
-        return _acknowledge(s, now)
-    if n == 5:
-        return _line_status(s, now)
-    if n == 6:
-        return _modem_status(s)
-    return s.ier if n == 1 else s.lcr if n == 3 else s.mcr if n == 4 else s.scr
+    if register < 2 and state.lcr & 0x80:
+        return state.divisor >> 8 * register & 0xFF
+    if register == 0:
+        return _receive(state, now)
+    if register == 2:
+        return _acknowledge(state, now)
+    if register == 5:
+        return _line_status(state, now)
+    if register == 6:
+        return _modem_status(state)
+    return state.ier if register == 1 else state.lcr if register == 3 else state.mcr if register == 4 else state.scr

@@ -21,7 +21,7 @@ from stage.support.arguments import explain_arguments
 from stage.support.files import FileError, refuse_irregular
 
 ABI = 1
-Describe = Callable[[int, int, bool], str]
+DescribeCycle = Callable[[int, int, bool], str]
 """(port, value, whether it is written) -> what the cycle means."""
 MAX_STATE_BYTES = 1 << 20
 
@@ -29,13 +29,13 @@ MAX_STATE_BYTES = 1 << 20
 class UserDevice(Device):
     """A device whose cycles a function of the user describes."""
 
-    tell: Describe | None
+    describe: DescribeCycle | None
 
-    def listener(self) -> Listener:
+    def make_describer(self) -> Listener:
         """Describe an access in the trace by the user's function, where there is one."""
-        if self.tell is None:
-            return super().listener()
-        return lambda n, value, writes, wide: str(self.tell(self.port(n), value, writes))  # type: ignore[misc]
+        if self.describe is None:
+            return super().make_describer()
+        return lambda n, value, writes, wide: str(self.describe(self.get_board_port(n), value, writes))  # type: ignore[misc]
 
 
 class PythonDevice(UserDevice):
@@ -47,22 +47,22 @@ class PythonDevice(UserDevice):
         write: Callable[[int, int], Any] | None = None,
         *,
         state: np.ndarray | bytearray | None = None,
-        tell: Describe | None = None,
+        describe: DescribeCycle | None = None,
         name: str | None = None,
         encoders: Sequence[Encoder] = (),
         width: int = 8,
     ):
         super().__init__(name, encoders, width)
-        for what, function in (("read", read), ("write", write), ("tell", tell)):
+        for what, function in (("read", read), ("write", write), ("describe", describe)):
             if function is not None and not callable(function):
                 raise ArgumentError(f"{what}={function!r}: a function is wanted, or None.")
-        self.read, self.write, self.tell = read, write, tell
+        self.read, self.write, self.describe = read, write, describe
         if state is not None:
             self.state = [_check_state(state)]
 
-    def call(self, n: int, kind: int, value: int) -> int:
+    def access_register(self, n: int, kind: int, value: int) -> int:
         """Call the user's function of a read or a write."""
-        port = self.port(n)
+        port = self.get_board_port(n)
         if kind in (OUT8, OUT16):
             if self.write is not None:
                 self.write(port, value)
@@ -96,13 +96,13 @@ class CDevice(UserDevice):
         source: str | os.PathLike | Sequence[str | os.PathLike],
         *,
         flags: Sequence[str] = (),
-        tell: Describe | None = None,
+        describe: DescribeCycle | None = None,
         name: str | None = None,
         encoders: Sequence[Encoder] = (),
         width: int = 8,
     ):
         super().__init__(name, encoders, width)
-        self.tell = tell
+        self.describe = describe
         if library.are_sources(source):  # built into a folder of its own, which goes with the device
             self._scratch = Scratch()
             first = source if isinstance(source, str | os.PathLike) else source[0]
@@ -125,7 +125,7 @@ class CDevice(UserDevice):
         """The device's name and source file."""
         return f"{self.name} ({self.path.name})"
 
-    def recipe(self) -> tuple[Any, ...]:
+    def make_recipe(self) -> tuple[Any, ...]:
         """Compile and load the source again, in any process."""
         return (_rebuild, str(self.path), self.name, self.encoders, self.width)
 

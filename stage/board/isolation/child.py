@@ -22,9 +22,18 @@ from stage.board.board import Board
 from stage.board.bus import host_record, requests
 from stage.board.bus.interrupts import ANY_LINE
 from stage.board.errors import HostError
-from stage.board.isolation.shared_memory import LOADING, Begin, Call, Go, Noted, Paused, SharedMemory, SpoiltError
+from stage.board.isolation.shared_memory import (
+    LOADING,
+    CorruptedError,
+    NoteCounts,
+    PausedMessage,
+    PythonCall,
+    RunOrder,
+    SharedMemory,
+    StartMessage,
+)
 from stage.board.link import NOTED, Link
-from stage.board.thread_runner import Loaded, ThreadRunner
+from stage.board.thread_runner import LoadedProgram, ThreadRunner
 from stage.errors import StageError
 from stage.sim.fingerprint import settings
 from stage.sim.stage import Stage
@@ -62,34 +71,34 @@ class ChildLink(Link):
         self.shared = shared = SharedMemory(shared_path, board)
         self.samples = Samples(shared)
         self.checked = 0
-        self.move_to(shared.record)
-        self.hooks.move_to(shared.sources)
+        self.use_record(shared.record)
+        self.hooks.use_table(shared.sources)
         self.stage.state.set_edge_buffer(shared.edges)
         board.trace.buffer = shared.cycles
         places = self.stage.device_state.move_to(shared.devices)
         for device in board.devices:  # after a crash they are still there
-            n = len(device.arrays())
-            device.move_to(places[:n])
+            n = len(device.list_arrays())
+            device.use_arrays(places[:n])
             places = places[n:]
         self.publish_devices()
         h = self.record
         h["edges"], h["lines"], h["edge_room"] = shared.edges.ctypes.data, shared.cycles.ctypes.data, len(shared.edges)
 
-    def checked_chips(self) -> int:
+    def find_checked_chips(self) -> int:
         """The chips whose writes the parent checks."""
         return self.checked
 
-    def end(self) -> None:
+    def end_run(self) -> None:
         """End a request: send samples and notes before their memory is full."""
         h = self.record
         self.samples.filled = int(h["filled"])
         if h["noted"] > NOTED // 2 or self.samples.filled == len(self.samples.samples):
             self.flush()
 
-    def hand_over(self) -> Noted:
+    def publish_state(self) -> NoteCounts:
         """Put the state into shared memory, where all notes are; return how many they are. The next notes begin again."""
         h = self.record
-        noted = Noted(int(h["noted"]), int(h["filled"]))
+        noted = NoteCounts(int(h["noted"]), int(h["filled"]))
         self.stage.copy_state(self.shared.state)
         h["faults"] = self.windows.faults if self.windows is not None else 0
         h["noted"] = h["filled"] = self.samples.filled = 0
@@ -97,18 +106,18 @@ class ChildLink(Link):
 
     def flush(self) -> None:
         """Wait until the parent has taken all notes."""
-        self._pipe.send(self.hand_over())
+        self._pipe.send(self.publish_state())
         self._pipe.recv()
 
     def call_device(self, k: int, n: int, kind: int, value: int) -> int:
         """Let the parent execute a cycle of a Python device."""
         return self._call_parent(k, n, value, kind)
 
-    def loses(self, chip: int, address: int, value: int) -> bool:
+    def is_write_lost(self, chip: int, address: int, value: int) -> bool:
         """Ask the parent whether a fault of the bus keeps this write from its chip."""
         return bool(self._call_parent(chip, address, value))
 
-    def _call_hook_in_parent(self, source: int) -> None:
+    def _call_parent_hook(self, source: int) -> None:
         self._call_parent(-1 - source, 0, 0)
 
     def set_hooks(self, sources: tuple[int, ...]) -> None:
@@ -116,17 +125,17 @@ class ChildLink(Link):
         hooks, row = self.hooks, self.hooks.sources[ANY_LINE]
         before = hooks.pointer if ANY_LINE in hooks.functions else 0
         of_firmware = row["hook"] != before and not (ANY_LINE in sources and not before)
-        hooks.functions = {source: partial(self._call_hook_in_parent, source) for source in sources}
-        hooks.adopt(sources, keep=of_firmware)
+        hooks.functions = {source: partial(self._call_parent_hook, source) for source in sources}
+        hooks.point_to_python(sources, keep=of_firmware)
 
     def _call_parent(self, chip: int, address: int, value: int, kind: int = -1) -> int:
-        self._pipe.send(Call(self.hand_over(), chip, address, value, kind))
-        answer, well, machine, hooks = self._pipe.recv()
+        self._pipe.send(PythonCall(self.publish_state(), chip, address, value, kind))
+        answer, succeeded, machine, hooks = self._pipe.recv()
         if machine is not None:
-            adopt(self.stage, pickle.loads(machine))
+            copy_settings(self.stage, pickle.loads(machine))
         self.stage.load_state(self.shared.state)
         self.set_hooks(hooks)
-        if not well:
+        if not succeeded:
             raise StageError("Python has raised in the parent")
         return int(answer)
 
@@ -137,34 +146,34 @@ class ChildBoard(Board):
     LINTS = False  # the parent does
     link: ChildLink
 
-    def __init__(self, pipe: Connection, begin: Begin):
-        stage, options, devices = _load_board(begin.board)
+    def __init__(self, pipe: Connection, start: StartMessage):
+        stage, options, devices = _load_board(start.board)
         super().__init__(stage, **options)
         self._lines = 0
         for (make, *arguments), ports in devices:
-            self.put(make(*arguments), ports)
-        self.link = ChildLink(self, pipe, begin.shared)
+            self.attach_device(make(*arguments), ports)
+        self.link = ChildLink(self, pipe, start.shared)
         self.link.shared.hide_from_forks()
         self.link.shared.remember()
 
-    def note(self, text: str) -> None:
+    def add_log_line(self, text: str) -> None:
         """Add a line to the board's log, in the parent."""
         self._check_log_lines(self._lines)
         self._lines += 1
-        if not self.link.shared.note(self.stage.now, text):
+        if not self.link.shared.add_log_line(self.stage.now, text):
             self.link.flush()
-            self.link.shared.note(self.stage.now, text)
+            self.link.shared.add_log_line(self.stage.now, text)
 
-    def go(self, go: Go) -> None:
+    def prepare_run(self, go: RunOrder) -> None:
         """Make everything as it is in the parent, before the firmware goes on."""
         link, stage, self._lines = self.link, self.stage, go.lines
         if go.machine is not None:
-            adopt(stage, pickle.loads(go.machine))
+            copy_settings(stage, pickle.loads(go.machine))
         stage.load_state(link.shared.state)
         self.port_table[:] = go.ports
         stage.state.clockwork[0].sample_every = go.sample_every
         stage.loop.recording = link.samples if go.sample_every else None
-        link.checked = go.checked_chips
+        link.checked = go.find_checked_chips
         link.set_hooks(go.hooks)
 
 
@@ -175,9 +184,9 @@ class ChildRunner(ThreadRunner):
 
     def _check(self) -> None:
         """Load it, for the first run."""
-        self._checked: Loaded | None = super()._load()
+        self._checked: LoadedProgram | None = super()._load()
 
-    def _load(self) -> Loaded:
+    def _load(self) -> LoadedProgram:
         loaded, self._checked = self._checked, None
         return loaded or super()._load()
 
@@ -188,7 +197,7 @@ class ChildRunner(ThreadRunner):
         return traps.trap_thread(self._note_sleep, self._wait_for_thread)
 
     def _report_threads(self, n: int, code: int) -> None:
-        self._board.link.fail(
+        self._board.link.set_error(
             HostError(
                 f"{self._path.name} has returned {code} while {n} of its threads still ran, at {self._board.stage.time:.6f} s: "
                 "whatever they do or break, nobody would know. Join them before PULSESTAGE_MAIN returns."
@@ -209,7 +218,9 @@ class ChildRunner(ThreadRunner):
         try:
             link.request(link.pointer, host_record.SETTLE, 0, 0)
             with suppress(StageError):  # the log is full
-                self._board.note(f"{call} passes real time only, and no simulated time: ps_delay_us passes that")
+                self._board.add_log_line(
+                    f"{call} passes real time only, and no simulated time: ps_delay_us passes that"
+                )
         finally:
             requests.restore_float_mode.c(mode)
 
@@ -219,7 +230,7 @@ class ChildRunner(ThreadRunner):
             time.sleep(THREAD_START_S)
 
 
-def adopt(ours: Stage, stage: Stage) -> None:
+def copy_settings(ours: Stage, stage: Stage) -> None:
     """Make our stage like the parent's, which was changed. What its drives have of that is state, and comes over as such."""
     for part, name, value in settings(stage.model):
         target = ours.model if part is stage.model else ours.model.opt
@@ -240,7 +251,7 @@ def _load_board(board: bytes) -> tuple[Any, dict[str, Any], list[Any]]:
         ) from None
 
 
-def _end_with(parent: int, fileno: int, begun: list[Begin]) -> None:
+def _exit_with_parent(parent: int, fileno: int, start_messages: list[StartMessage]) -> None:
     """End this process when its parent ends, however: firmware that computes, or whose end is far, polls no pipe."""
     pipe = select.poll()
     pipe.register(fileno, 0)  # hanging up is always reported
@@ -249,14 +260,14 @@ def _end_with(parent: int, fileno: int, begun: list[Begin]) -> None:
             if _is_open(fileno):
                 break
             time.sleep(POLL_INTERVAL_MS * 1e-3)  # the firmware has closed it: the next to send reports that
-    _remove_files(begun)
+    _remove_files(start_messages)
     os._exit(0)
 
 
-def _remove_files(begun: list[Begin]) -> None:
+def _remove_files(start_messages: list[StartMessage]) -> None:
     """Remove the folder of a parent that is gone, and may not have been able to do so."""
-    for begin in begun:
-        shutil.rmtree(Path(begin.shared).parent, ignore_errors=True)
+    for start in start_messages:
+        shutil.rmtree(Path(start.shared).parent, ignore_errors=True)
 
 
 def _is_open(fileno: int) -> bool:
@@ -289,32 +300,34 @@ def main(fileno: int) -> None:
     fileno = _move_descriptor(fileno)
     if crash_report.IS_SUPPORTED:
         traps.block_timers()
-    begun: list[Begin] = []
-    threading.Thread(target=_end_with, args=(os.getppid(), fileno, begun), name="parent", daemon=True).start()
+    start_messages: list[StartMessage] = []
+    threading.Thread(
+        target=_exit_with_parent, args=(os.getppid(), fileno, start_messages), name="parent", daemon=True
+    ).start()
     _offer_to_be_killed()
     pipe = Connection(fileno)
-    begin: Begin = pipe.recv()
-    begun.append(begin)
-    scratch.use_parent(Path(begin.shared).parent)
+    start: StartMessage = pipe.recv()
+    start_messages.append(start)
+    scratch.set_parent_folder(Path(start.shared).parent)
     try:
-        board = ChildBoard(pipe, begin)
+        board = ChildBoard(pipe, start)
         if crash_report.IS_SUPPORTED:
             traps.watch_crashes(board.link.shared.note_crash)
         pipe.send(LOADING)
-        runner = ChildRunner(begin.program, board, begin.patience)
+        runner = ChildRunner(start.program, board, start.patience)
     except StageError as error:
         pipe.send((type(error).__name__, str(error)))
         return
     try:
         _serve(pipe, board, runner)
     except EOFError:
-        _remove_files(begun)
+        _remove_files(start_messages)
         raise
     except OSError:
         board.link.shared.note_crash(crash_report.format_note(CLOSED))
         os._exit(1)
     except Exception:
-        with suppress(SpoiltError):
+        with suppress(CorruptedError):
             board.link.shared.check()
             raise
         os._exit(1)  # the error means nothing; the parent finds out, too
@@ -324,13 +337,13 @@ def _serve(pipe: Connection, board: ChildBoard, runner: ThreadRunner) -> None:
     """Let the firmware go on as the parent orders."""
     pipe.send(None)
     while True:
-        go: Go = pipe.recv()
-        board.go(go)
+        go: RunOrder = pipe.recv()
+        board.prepare_run(go)
         code, failure = None, None
         try:
-            code = runner.go_on(go.until, go.max_cycles)
+            code = runner.resume(go.until, go.max_cycles)
         except Exception as error:
             failure = (type(error).__name__, str(error))
-        pipe.send(Paused(board.link.hand_over(), board.port_table, code, failure))
+        pipe.send(PausedMessage(board.link.publish_state(), board.port_table, code, failure))
         if failure is not None:
             os._exit(1)

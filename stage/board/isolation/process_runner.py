@@ -27,8 +27,17 @@ from stage.board.board import Board
 from stage.board.devices.user_devices import CDevice
 from stage.board.errors import HostError
 from stage.board.isolation import starter
-from stage.board.isolation.shared_memory import LOADING, Begin, Call, Go, Noted, Paused, SharedMemory, SpoiltError
-from stage.board.library import find_sanitizers
+from stage.board.isolation.shared_memory import (
+    LOADING,
+    CorruptedError,
+    NoteCounts,
+    PausedMessage,
+    PythonCall,
+    RunOrder,
+    SharedMemory,
+    StartMessage,
+)
+from stage.board.library import list_sanitizers
 from stage.board.scratch import Scratch
 from stage.board.thread_runner import Program, is_debugged, read_status
 from stage.chips.entries import LOST, READ, WRITE
@@ -46,7 +55,7 @@ MAX_MESSAGE = 1 << 28  # bytes: text that comes as a length is more
 _HEAD = struct.Struct("!i")  # as multiprocessing.connection sends it
 
 
-class GarbledError(Exception):
+class InvalidMessageError(Exception):
     """What came over the pipe is no message."""
 
 
@@ -83,7 +92,7 @@ class _Messages:
         try:
             return pickle.loads(message)
         except Exception as error:
-            raise GarbledError from error
+            raise InvalidMessageError from error
 
     def _take_message(self) -> bytes | None:
         content = self._content
@@ -91,7 +100,7 @@ class _Messages:
             return None
         size = _HEAD.unpack_from(content)[0]
         if not 0 <= size < MAX_MESSAGE:
-            raise GarbledError
+            raise InvalidMessageError
         end = _HEAD.size + size
         if len(content) < end:
             return None
@@ -100,7 +109,7 @@ class _Messages:
         return message
 
 
-class _SilentError(Exception):
+class _StalledError(Exception):
     """The child has not got on for too long; its argument: whether it handles signals of timers."""
 
 
@@ -127,11 +136,11 @@ class ProcessRunner:
         """Whether the firmware has begun and not yet ended."""
         return self._running
 
-    def go_on(self, until: int, max_cycles: int) -> int | None:
+    def resume(self, until: int, max_cycles: int) -> int | None:
         """Let the child run up to the time `until`. The result is the exit code, or None before the end."""
         board = self._board
         if os.getpid() != self._owner:
-            self._leave_to_owner()
+            self._detach_from_owner()
         board.link.check_is_current()
         if engine.has_unguarded_callback.with_gil(board.stage.state.pointer):
             raise StageError(
@@ -139,23 +148,23 @@ class ProcessRunner:
                 "isolated=False."
             )
         if not self._running and self._devices != _list_devices(board):
-            self._end()  # its copy of the board has others
+            self._end_child()  # its copy of the board has others
         if self._child is None:
             self._start()
         self._running, self._error, self._until = True, None, until
         order = self._make_order(until, max_cycles)
         try:
-            message = self._run(order)
+            message = self._run_child(order)
         except (EOFError, OSError):
             raise self._explain_crash(self._explain_end()) from None
-        except (GarbledError, _SilentError) as error:
-            self._end()
+        except (InvalidMessageError, _StalledError) as error:
+            self._end_child()
             raise self._explain_crash(self._explain_giving_up(error)) from None
-        except SpoiltError:
-            self._end()
+        except CorruptedError:
+            self._end_child()
             raise self._explain_spoiling("was ended") from None
         except BaseException:
-            self._end()
+            self._end_child()
             raise
         board.port_table[:] = message.ports
         if message.error is not None:
@@ -166,35 +175,35 @@ class ProcessRunner:
     def close(self) -> None:
         """End the child, wherever its firmware is."""
         if os.getpid() != self._owner:
-            self._leave_to_owner(may_run=True)
-        self._end()
+            self._detach_from_owner(may_run=True)
+        self._end_child()
 
-    def _make_order(self, until: int, max_cycles: int) -> Go:
+    def _make_order(self, until: int, max_cycles: int) -> RunOrder:
         """Put the state into shared memory, and return the order for the child."""
         board, stage = self._board, self._board.stage
         machine = self._pickle_if_changed()
         every = int(stage.state.clockwork[0].sample_every) if stage.loop.recording is not None else 0
         stage.copy_state(self._shared.state)
-        self._shared.copy(board)
+        self._shared.copy_board_state(board)
         hooks = tuple(board.link.hooks.functions)
-        checked = board.link.checked_chips()
-        return Go(until, max_cycles, board.port_table, machine, every, checked, hooks, len(board.log))
+        checked = board.link.find_checked_chips()
+        return RunOrder(until, max_cycles, board.port_table, machine, every, checked, hooks, len(board.log))
 
-    def _run(self, order: Go) -> Paused:
+    def _run_child(self, order: RunOrder) -> PausedMessage:
         """Let the child carry out an order, and call Python for it on the way."""
         self._pipe.send(order)
-        while not isinstance(message := self._receive(), Paused):
-            if isinstance(message, Call):
-                self._pipe.send(self._answer(message))
+        while not isinstance(message := self._receive(), PausedMessage):
+            if isinstance(message, PythonCall):
+                self._pipe.send(self._answer_call(message))
             else:
-                self._take(message)
+                self._take_notes(message)
                 self._pipe.send(None)
         if message.error is not None:
-            self._end()
-        self._take(message.noted)
+            self._end_child()
+        self._take_notes(message.noted)
         return message
 
-    def _leave_to_owner(self, may_run: bool = False) -> None:
+    def _detach_from_owner(self, may_run: bool = False) -> None:
         """Leave the process of the firmware, and the memory that is shared with it, to the process of which this one is a fork."""
         ran, self._owner = self._running, os.getpid()
         self._child, self._running, self._machine = None, False, b""
@@ -207,7 +216,7 @@ class ProcessRunner:
     def _start(self) -> None:
         """Start a child with a copy of the stage; raise what is wrong with the library."""
         board = self._board
-        content = _pickle((board.stage, board.options, [(d.recipe(), d.ports) for d in board.devices]))
+        content = _pickle_stage((board.stage, board.options, [(d.make_recipe(), d.ports) for d in board.devices]))
         self._devices = _list_devices(board)
         self._scratch = Scratch()
         shared = self._scratch.path / "shared"
@@ -215,26 +224,26 @@ class ProcessRunner:
         try:
             self._shared = SharedMemory(shared, board, create=True)
             with theirs:
-                self._child = starter.start(theirs.fileno(), " ".join(find_sanitizers(self._path)))
+                self._child = starter.start(theirs.fileno(), " ".join(list_sanitizers(self._path)))
             self._pipe, self._messages = ours, _Messages(ours)
             weakref.finalize(self, self._child.kill)
-            ours.send(Begin(self._program, str(shared), content, self._patience))
+            ours.send(StartMessage(self._program, str(shared), content, self._patience))
             self._machine, self._faults = self._read_machine(), _read_faults(board.stage)
             answer = self._receive(START_LIMIT_S)
             if answer == LOADING:
                 answer = self._receive(LOAD_LIMIT_S)
         except (EOFError, ConnectionError):
             raise self._explain_load(self._explain_end()) from None
-        except (GarbledError, _SilentError) as error:
-            self._end()
+        except (InvalidMessageError, _StalledError) as error:
+            self._end_child()
             raise self._explain_load(self._explain_giving_up(error)) from None
         except BaseException:
-            self._end()
+            self._end_child()
             raise
         finally:
             shared.unlink(missing_ok=True)
         if answer is not None:
-            self._end()
+            self._end_child()
             raise _make_error(*answer)
         self._shared.remember()
 
@@ -242,25 +251,25 @@ class ProcessRunner:
         """Return the stage, pickled, if the child's is no longer like it in what is no state."""
         stage, before = self._board.stage, self._machine
         self._machine, self._faults = self._read_machine(), _read_faults(stage)
-        return _pickle(stage) if self._machine != before else None
+        return _pickle_stage(stage) if self._machine != before else None
 
     def _read_machine(self) -> bytes:
         """Return everything in which the child's stage must be like this one, but for the state. It is compared at each start."""
         parts = self._board.stage.describe_machine()
         model = parts.pop("model")
         options = [getattr(model.opt, name) for name in self._options]
-        return b"".join([*(array.tobytes() for array in self._arrays), _pickle((options, parts))])
+        return b"".join([*(array.tobytes() for array in self._arrays), _pickle_stage((options, parts))])
 
     # --- what comes over ---
 
-    def _take(self, noted: Noted) -> None:
+    def _take_notes(self, noted: NoteCounts) -> None:
         """Take over the child's state, and what it has noted since the last time."""
         board, shared, stage = self._board, self._shared, self._board.stage
         shared.check_notes(board, noted.edges, noted.samples, self._until)
         stage.load_state(shared.state)
-        shared.copy(board, back=True)
+        shared.copy_board_state(board, back=True)
         stage.state.edges[: noted.edges] = shared.edges[: noted.edges]
-        board.link.take_edges(noted.edges)
+        board.link.journal_edges(noted.edges)
         recording, at = stage.loop.recording, 0
         while recording is not None and at < noted.samples:
             begin = recording.filled
@@ -269,12 +278,12 @@ class ProcessRunner:
             recording.positions[begin:end] = shared.positions[at : at + end - begin]
             at += end - begin
             recording.take(end)
-        board.log += shared.take_lines()
+        board.log += shared.take_log_lines()
 
-    def _answer(self, call: Call) -> tuple[int, bool, bytes | None, tuple[int, ...]]:
+    def _answer_call(self, call: PythonCall) -> tuple[int, bool, bytes | None, tuple[int, ...]]:
         """Call Python here, where its objects are; the child goes on from the state after that."""
         board, shared = self._board, self._shared
-        self._take(call.noted)
+        self._take_notes(call.noted)
         hooks, answer, machine = board.link.hooks, 0, None
         try:
             if call.kind >= 0:
@@ -284,14 +293,14 @@ class ProcessRunner:
                 ):  # to compare the whole machine takes too long for a bus cycle
                     machine = self._pickle_if_changed()
             elif call.chip >= 0:
-                answer = int(board.link.loses(call.chip, call.address, call.value))
+                answer = int(board.link.is_write_lost(call.chip, call.address, call.value))
             else:
-                hooks.call(-1 - call.chip)
+                hooks.call_hook(-1 - call.chip)
                 machine = self._pickle_if_changed()
         except BaseException as error:
             self._error = error
         board.stage.copy_state(shared.state)
-        shared.copy(board)
+        shared.copy_board_state(board)
         return answer, self._error is None, machine, tuple(hooks.functions)
 
     def _receive(self, grace: float = GRACE_S) -> Any:
@@ -308,7 +317,7 @@ class ProcessRunner:
                 begin = time.monotonic(), now
             elif time.monotonic() - since > self._patience + grace:
                 if self._child is None or not is_debugged(self._child.pid):
-                    raise _SilentError(self._child is not None and _handles_timers(self._child.pid))
+                    raise _StalledError(self._child is not None and _handles_timers(self._child.pid))
                 begin = time.monotonic(), now
 
         return self._messages.receive(check)
@@ -316,7 +325,7 @@ class ProcessRunner:
     # --- errors in words ---
 
     def _explain_giving_up(self, error: Exception) -> str:
-        if isinstance(error, GarbledError):
+        if isinstance(error, InvalidMessageError):
             return (
                 "wrote into a file descriptor that it had not opened: that was the connection of its process with the stage, and "
                 "it was ended"
@@ -338,7 +347,7 @@ class ProcessRunner:
         board, theirs = self._board, self._shared.record[0]
         try:
             self._shared.check_notes(board, int(theirs["noted"]), 0, self._until, ended=True)
-        except SpoiltError:
+        except CorruptedError:
             return self._explain_spoiling(f"{how}{self._describe_crash()}")
         edges = self._shared.edges[: int(theirs["noted"])]
         self._repeat_cycles(edges[np.isin(edges["kind"], (WRITE, READ, LOST))])
@@ -346,11 +355,11 @@ class ProcessRunner:
         board.stage.device_state.copy_from(self._shared.devices)
         k = int(theirs["answers"]) - 1
         who = f"in the code of {board.devices[k].label}, " if 0 <= k < len(board.devices) else ""
-        self._shared.copy(board, back=True)
-        board.log += self._shared.take_lines()
+        self._shared.copy_board_state(board, back=True)
+        board.log += self._shared.take_log_lines()
         return HostError(
             f"{who}{self._path.name} {how}{self._describe_crash()}; at {board.stage.time:.6f} s, after "
-            f"{board.cycles:,} bus cycles. The stage stands where it stood then. {board.trace.ending(12)}"
+            f"{board.cycles:,} bus cycles. The stage stands where it stood then. {board.trace.format_ending(12)}"
         )
 
     def _describe_crash(self) -> str:
@@ -389,14 +398,14 @@ class ProcessRunner:
         """Wait for the end of a child that ends by itself, and say how it did."""
         code = self._child.wait(self._patience + GRACE_S) if self._child is not None else 0
         stopped = self._child.stopped if self._child is not None else 0
-        self._end()
+        self._end_child()
         if stopped:
             return f"was stopped by {_name_signal(stopped)}, and ended"
         if code == -signal.SIGKILL:
             return f"was ended by {_name_signal(-code)} (by somebody, or for want of memory)"
         return f"was ended by {_name_signal(-code)}" if code < 0 else f"ended its process with exit code {code}"
 
-    def _end(self) -> None:
+    def _end_child(self) -> None:
         """End the child."""
         if self._child is not None:
             self._child.kill()
@@ -417,7 +426,7 @@ def _read_faults(stage: Any) -> bytes:
     return pickle.dumps([parts[name] for name in ("axis_faults", "faults", "payloads")])
 
 
-def _pickle(stage: Any) -> bytes:
+def _pickle_stage(stage: Any) -> bytes:
     try:
         return pickle.dumps(stage)
     except Exception as error:

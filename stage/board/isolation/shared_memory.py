@@ -47,7 +47,7 @@ _LINE_BOUNDS = {
 }
 
 
-class SpoiltError(Exception):
+class CorruptedError(Exception):
     """Firmware has written over the file."""
 
 
@@ -55,7 +55,7 @@ LOADING = "loading"
 """The first message of the child: the firmware is about to be loaded. Then comes None, or what is wrong: type and text."""
 
 
-class Begin(NamedTuple):
+class StartMessage(NamedTuple):
     """The first message to the child.
 
     Attributes:
@@ -71,7 +71,7 @@ class Begin(NamedTuple):
     patience: float
 
 
-class Go(NamedTuple):
+class RunOrder(NamedTuple):
     """An order to run on, from the state in the file.
 
     Attributes:
@@ -90,19 +90,19 @@ class Go(NamedTuple):
     ports: np.ndarray
     machine: bytes | None
     sample_every: int
-    checked_chips: int
+    find_checked_chips: int
     hooks: tuple[int, ...]
     lines: int
 
 
-class Noted(NamedTuple):
+class NoteCounts(NamedTuple):
     """Numbers of EDGE records and samples in the file, beside the state."""
 
     edges: int
     samples: int
 
 
-class Call(NamedTuple):
+class PythonCall(NamedTuple):
     """A request to call Python in the parent: about a write to a chip, by an interrupt source, or as a device on the bus.
 
     The answer is a tuple: what Python returned, whether it went well, `Go.machine`, `Go.hooks`.
@@ -115,17 +115,17 @@ class Call(NamedTuple):
         kind: Kind of the cycle, as `Device.call` has it; -1 for a chip.
     """
 
-    noted: Noted
+    noted: NoteCounts
     chip: int
     address: int
     value: int
     kind: int = -1
 
 
-class Paused(NamedTuple):
+class PausedMessage(NamedTuple):
     """A message that the firmware is paused or has returned; or `error` ended it: type and text."""
 
-    noted: Noted
+    noted: NoteCounts
     ports: np.ndarray
     code: int | None
     error: tuple[str, str] | None
@@ -223,10 +223,10 @@ class SharedMemory:
         self._fixed = self.record[_FIXED].item()
 
     def check(self) -> None:
-        """Raise SpoiltError if somebody has written where only the board writes."""
+        """Raise CorruptedError if somebody has written where only the board writes."""
         guarded = b"".join(map(bytes, self._guards))
         if guarded != self._guarded or self._fixed not in (None, self.record[_FIXED].item()):
-            raise SpoiltError
+            raise CorruptedError
 
     def check_notes(self, board: Board, edges: int, samples: int, until: int, ended: bool = False) -> None:
         """Check what the parent is about to take.
@@ -239,7 +239,7 @@ class SharedMemory:
             ended: Whether the child is gone: the cycles are to be made again, and the trace is to be read as it is.
 
         Raises:
-            SpoiltError: Something cannot be what the child has noted.
+            CorruptedError: Something cannot be what the child has noted.
         """
         self.check()
         h, ours, timers = self.record[0], board.link.record, self.sources[TIMER_ROWS]
@@ -254,7 +254,7 @@ class SharedMemory:
             and _is_within(self.edges[:edges], axis=(0, len(board.stage.axes) - 1), now=(0, latest))
         )
         if not valid or (ended and not self._is_end_valid(int(ours["traced"]), edges, latest)):
-            raise SpoiltError
+            raise CorruptedError
 
     def _is_end_valid(self, traced: int, edges: int, latest: int) -> bool:
         """Tell whether the trace from line `traced` on and the cycles can be those of a child that is gone."""
@@ -283,7 +283,7 @@ class SharedMemory:
 
     # --- lines of the log ---
 
-    def note(self, now: int, text: str) -> bool:
+    def add_log_line(self, now: int, text: str) -> bool:
         """Add a line; return False if there is no room for it. now: time, ns."""
         content, begin = text.encode(errors="replace")[: TEXT_SIZE // 2], self._used[0]
         end = begin + _LINE.size + len(content)
@@ -294,7 +294,7 @@ class SharedMemory:
         self._used[0] = end
         return True
 
-    def take_lines(self) -> list[tuple[float, str]]:
+    def take_log_lines(self) -> list[tuple[float, str]]:
         """Return the lines since the last call: seconds, text."""
         content, at, lines = self._text[: self._used[0]].tobytes(), 0, []
         while at + _LINE.size <= len(content):
@@ -308,7 +308,7 @@ class SharedMemory:
 
     # --- the trace ---
 
-    def copy(self, board: Board, back: bool = False) -> None:
+    def copy_board_state(self, board: Board, back: bool = False) -> None:
         """Copy cycles, counts and timers of a board here, for the child's board to go on from; or back."""
         ours = board.link.record, board.link.hooks.sources[TIMER_ROWS], board.trace.buffer
         theirs = self.record[0], self.sources[TIMER_ROWS], self.cycles

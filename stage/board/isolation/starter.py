@@ -42,7 +42,7 @@ ANSWER_LIMIT_S = 30.0  # real time; a starter imports all that children need bef
 _POLL_INTERVAL_S = 0.25  # between two checks whether a silent starter was stopped
 _FILES = 4  # that go with a start: pipe, status, standard output, standard error
 _lock = threading.Lock()
-_ending: deque[tuple[Starter, int]] = deque()
+_pending_kills: deque[tuple[Starter, int]] = deque()
 _starters: dict[tuple[int, str], Starter] = {}  # by process (a fork has its own), and what is loaded first
 SANITIZED = {
     "ASAN_OPTIONS": "detect_leaks=0:abort_on_error=1",  # at its end the process does not tidy up, so all would be a leak
@@ -51,7 +51,7 @@ SANITIZED = {
 }
 
 
-class World(NamedTuple):
+class ProcessContext(NamedTuple):
     """Surroundings of a child.
 
     Attributes:
@@ -142,7 +142,7 @@ class Starter:
             return
         if self._process.poll() is None:
             for pid in self.children:  # it has not reaped them, so the numbers are still theirs
-                _end(pid)
+                _kill_child(pid)
             self._process.kill()
             self._process.wait()
         self._control.close()
@@ -170,13 +170,13 @@ class Starter:
 
     def start(self, pipe: int) -> Process:
         """Start a child with this end of a pipe."""
-        world = World(dict(os.environ), _folder(), list(sys.path))
+        world = ProcessContext(dict(os.environ), _find_working_folder(), list(sys.path))
         ours, theirs = socket.socketpair()
         with theirs:
             files = [pipe, theirs.fileno(), 1, 2]
             with _lock:
                 self.send(("start", world), files)
-            _end_children()
+            _send_kills()
         return Process(self, ours)
 
     def kill(self, pid: int) -> None:
@@ -185,8 +185,8 @@ class Starter:
         comes from."""
         if os.getpid() != self._owner:
             return
-        _ending.append((self, pid))
-        _end_children()
+        _pending_kills.append((self, pid))
+        _send_kills()
 
     def send(self, message: Any, files: list[int]) -> None:
         """Send a message with open files."""
@@ -195,12 +195,12 @@ class Starter:
         self._control.sendall(content)
 
 
-def _end_children() -> None:
+def _send_kills() -> None:
     """Send the orders of `kill`; while another thread has the lock, that thread sends them after it has released the lock."""
-    while _ending and _lock.acquire(blocking=False):
+    while _pending_kills and _lock.acquire(blocking=False):
         try:
-            while _ending:
-                starter, pid = _ending.popleft()
+            while _pending_kills:
+                starter, pid = _pending_kills.popleft()
                 with suppress(OSError):  # it is gone, and so are its children
                     starter.send(("kill", pid), [])
         finally:
@@ -234,12 +234,12 @@ def _find_starter(preload: str, silent: bool = False) -> Starter:
             starter = None
         if starter is None:
             starter = _starters[key] = Starter(preload)
-    _end_children()
+    _send_kills()
     return starter
 
 
 @atexit.register
-def _end_stopped() -> None:
+def _end_stopped_starters() -> None:
     """End starters that were stopped: they would not notice the end of this process."""
     for (owner, _), starter in _starters.items():
         if owner == os.getpid() and not starter.is_alive():
@@ -251,14 +251,14 @@ def _is_stopped(pid: int) -> bool:
     return read_status(pid).get("State", "")[:1] in ("T", "t")
 
 
-def _folder() -> str:
+def _find_working_folder() -> str:
     try:
         return str(Path.cwd())
     except OSError:
         return "/"
 
 
-def _read(source: socket.socket, size: int) -> bytes:
+def _read_exactly(source: socket.socket, size: int) -> bytes:
     content = b""
     while len(content) < size:
         more = source.recv(size - len(content))
@@ -287,15 +287,15 @@ def _serve(control: socket.socket, run: Callable[[int], None]) -> None:
             for key, _ in selector.select():
                 if key.fileobj is reader:
                     reader.recv(4096)
-                    _report_ended(children)
+                    _report_children(children)
                     continue
                 head, files, _, _ = socket.recv_fds(control, _HEAD.size, _FILES)
                 if not head:
                     return
-                what, argument = pickle.loads(_read(control, _HEAD.unpack(head)[0]))
+                what, argument = pickle.loads(_read_exactly(control, _HEAD.unpack(head)[0]))
                 if what == "kill":
                     if argument in children:
-                        _end(argument)
+                        _kill_child(argument)
                     continue
                 pid = os.fork()
                 if not pid:
@@ -309,7 +309,7 @@ def _serve(control: socket.socket, run: Callable[[int], None]) -> None:
                 children[pid].send(_HEAD.pack(pid))
 
 
-def _report_ended(children: dict[int, socket.socket]) -> None:
+def _report_children(children: dict[int, socket.socket]) -> None:
     """Report children that have ended or were stopped; end the latter."""
     while children:
         pid, status = os.waitpid(-1, os.WNOHANG | os.WUNTRACED)
@@ -320,14 +320,14 @@ def _report_ended(children: dict[int, socket.socket]) -> None:
             pid = int(read_status(pid).get("Tgid", 0)) if stopped else 0
         if pid not in children:
             continue
-        _end(pid, ended=not stopped)  # and what the firmware has started
+        _kill_child(pid, ended=not stopped)  # and what the firmware has started
         with suppress(OSError):  # nobody waits any more
             children[pid].send(_STATUS.pack(status))
         if not stopped:
             children.pop(pid).close()
 
 
-def _end(pid: int, ended: bool = False) -> None:
+def _kill_child(pid: int, ended: bool = False) -> None:
     """End a child, unless it has `ended`, and the processes that it has started."""
     with suppress(OSError):
         os.killpg(pid, signal.SIGKILL)
@@ -336,7 +336,7 @@ def _end(pid: int, ended: bool = False) -> None:
             os.kill(pid, signal.SIGKILL)
 
 
-def _become_child(world: World, files: list[int], run: Callable[[int], None]) -> None:
+def _become_child(world: ProcessContext, files: list[int], run: Callable[[int], None]) -> None:
     """Make this fork a child, and end with it."""
     code = 1
     try:

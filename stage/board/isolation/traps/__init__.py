@@ -17,13 +17,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from stage.board.isolation.traps.calls import observe, redirect_calls, set_observer
+from stage.board.isolation.traps.calls import observe_calls, redirect_calls, set_observer
 from stage.board.isolation.traps.memory import Windows
 from stage.board.isolation.traps.signals import (
     SignalHandlers,
+    allocate_signal_stack,
     block_timers,
     find_position,
-    give_stack,
     unblock_timers,
     watch_crashes,
 )
@@ -46,24 +46,24 @@ class TrappedLibrary(Library):
     def __init__(self, path: Path, link: Link, cost: int, windows: tuple[Window, ...]):
         self._handlers = SignalHandlers()
         super().__init__(path, link, cost)
-        observe(self.handle)
+        observe_calls(self.handle)
         self._windows = link.windows = Windows(self, link)
         try:
             for window in windows:
-                self._windows.claim(window)
+                self._windows.map_window(window)
         except StageError:
             self.close()
             raise
 
     def main(self) -> int:
         """Call its entry in this thread."""
-        self._windows.add_stack()
+        self._windows.allow_stack()
         return super().main()
 
     def close(self) -> None:
         """Unload it, with its windows and the handlers of signals that it has set."""
         self._windows.close()
-        self._handlers.remove_those_of(str(self.copy))
+        self._handlers.remove_handlers(str(self.copy))
         super().close()
 
 
@@ -75,7 +75,7 @@ def trap_thread(on_sleep: Callable[[str], None], on_thread: Callable[[], None]) 
         on_sleep: Called before it sleeps in real time, with the call in words.
         on_thread: Called after it has begun another thread.
     """
-    give_stack()
+    allocate_signal_stack()
     set_observer(on_sleep, on_thread)
     unblock_timers()
     try:

@@ -65,7 +65,7 @@ def set_observer(on_sleep: Callable[[str], None] | None, on_thread: Callable[[],
     _observer = None if on_sleep is None else _Observer((os.getpid(), get_ident()), on_sleep, on_thread)
 
 
-def loaded_libraries(handle: int) -> Iterator[LoadedLibrary]:
+def list_loaded_libraries(handle: int) -> Iterator[LoadedLibrary]:
     """Yield the library with a handle, which was just loaded, and those that were loaded with it."""
     library = ctypes.cast(handle, ctypes.POINTER(LoadedLibrary))
     while library:
@@ -73,21 +73,21 @@ def loaded_libraries(handle: int) -> Iterator[LoadedLibrary]:
         library = library.contents.next
 
 
-def observe(handle: int) -> None:
+def observe_calls(handle: int) -> None:
     """Report calls that sleep or begin a thread, of the library with this handle and of those that were loaded with it."""
     for name in _THREAD_CREATORS | _SLEEPS.keys():
         if name not in _functions:
-            _functions[name] = _CALL(_reporting(name))
-    for library in loaded_libraries(handle):
+            _functions[name] = _CALL(_make_reporter(name))
+    for library in list_loaded_libraries(handle):
         _redirect(library, _functions)
 
 
 def redirect_calls(handle: int, functions: Mapping[str, Any]) -> None:
     """Let the library with this handle call other functions (of ctypes); they have to live as long as it does."""
-    _redirect(next(loaded_libraries(handle)), functions)
+    _redirect(next(list_loaded_libraries(handle)), functions)
 
 
-def _reporting(name: str) -> Callable[..., int]:
+def _make_reporter(name: str) -> Callable[..., int]:
     """Make a function that calls the one of this name of the system, and reports it."""
 
     def call(*arguments: int) -> int:

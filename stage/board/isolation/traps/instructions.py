@@ -24,7 +24,7 @@ NONE, E, G, A, D, R, IMM, ONE, CL, EA = range(10)
 """Operands: E is a register or memory, as the byte behind the opcode says, G a register that it names, A RAX or the lower part of
 it, D RDX, R the register that the opcode names; what follows; 1; CL; the address of E itself."""
 
-OPCODE = record([(name, "i8") for name in "what known modrm width source_width target source immediate".split()])
+OPCODE = record([(name, "i8") for name in "operation known modrm width source_width target source immediate".split()])
 """known: whether it is in the table. modrm: whether a byte with E and G follows. width: bytes of the operands, 0 where prefixes say
 it; source_width: of the source, 0 for the same. immediate: bytes that follow; FULL: as many as operands have,
 UP_TO_4: but 4 at most."""
@@ -35,9 +35,9 @@ GROUPS = 512
 ARITHMETIC, SHIFTS, UNARY, COUNT, OFF, BITS = range(6)
 """Groups."""
 PAIRS = (
-    *((8 * what, what, E, G, 0) for what in range(ADD, TEST)),
-    *((8 * what + 2, what, G, E, 0) for what in range(ADD, TEST)),
-    *((8 * what + 4, what, A, IMM, UP_TO_4) for what in range(ADD, TEST)),
+    *((8 * operation, operation, E, G, 0) for operation in range(ADD, TEST)),
+    *((8 * operation + 2, operation, G, E, 0) for operation in range(ADD, TEST)),
+    *((8 * operation + 4, operation, A, IMM, UP_TO_4) for operation in range(ADD, TEST)),
     (0x80, GROUP + ARITHMETIC, E, IMM, UP_TO_4), (0x84, TEST, E, G, 0), (0x86, XCHG, E, G, 0), (0x88, MOV, E, G, 0),
     (0x8A, MOV, G, E, 0), (0xA0, MOV, A, E, 8), (0xA2, MOV, E, A, 8), (0xA4, MOVS, NONE, NONE, 0), (0xA8, TEST, A, IMM, UP_TO_4),
     (0xAA, STOS, NONE, NONE, 0), (0xC0, GROUP + SHIFTS, E, IMM, 1), (0xC6, MOV, E, IMM, UP_TO_4), (0xD0, GROUP + SHIFTS, E, ONE, 0),
@@ -64,11 +64,11 @@ SINGLE = (
 """Other opcodes: what they do, target, source, size of operands, size of the source, immediate."""
 MEMBERS = (
     *((ARITHMETIC, k, k, NONE, NONE, 0, 0) for k in range(8)),
-    *((SHIFTS, k, what, NONE, NONE, 0, 0) for k, what in ((0, ROL), (1, ROR), (4, SHL), (5, SHR), (6, SHL), (7, SAR))),
+    *((SHIFTS, k, operation, NONE, NONE, 0, 0) for k, operation in ((0, ROL), (1, ROR), (4, SHL), (5, SHR), (6, SHL), (7, SAR))),
     (UNARY, 0, TEST, E, IMM, 0, UP_TO_4), (UNARY, 1, TEST, E, IMM, 0, UP_TO_4), (UNARY, 2, NOT, E, E, 0, 0),
     (UNARY, 3, NEG, E, E, 0, 0), (COUNT, 0, INC, E, ONE, 0, 0), (COUNT, 1, DEC, E, ONE, 0, 0), (OFF, 0, INC, E, ONE, 0, 0),
     (OFF, 1, DEC, E, ONE, 0, 0), (OFF, 2, CALL, NONE, E, 8, 0), (OFF, 4, JMP, NONE, E, 8, 0), (OFF, 6, PUSH, NONE, E, 8, 0),
-    *((BITS, k, what, NONE, NONE, 0, 0) for k, what in ((4, BT), (5, BTS), (6, BTR), (7, BTC))),
+    *((BITS, k, operation, NONE, NONE, 0, 0) for k, operation in ((4, BT), (5, BTS), (6, BTR), (7, BTC))),
 )  # fmt: skip
 """Members of groups: group, number in the byte, what they do, target, source, size of operands, immediate."""
 
@@ -76,19 +76,19 @@ MEMBERS = (
 def _make_table() -> np.ndarray:
     table = np.zeros(GROUPS + 8 * (GROUP_DONE - GROUP), OPCODE)
 
-    def put(opcode: int, what: int, target: int, source: int, size: int, source_size: int, immediate: int) -> None:
+    def put(opcode: int, operation: int, target: int, source: int, size: int, source_size: int, immediate: int) -> None:
         modrm = E in (target, source) or G in (target, source) or opcode in (0x11E, 0x11F)
         by_address = immediate == 8  # it says the address of E itself
-        table[opcode] = (what, 1, modrm and not by_address, size, source_size, target, source, immediate)
+        table[opcode] = (operation, 1, modrm and not by_address, size, source_size, target, source, immediate)
 
-    for opcode, what, target, source, immediate in PAIRS:
-        put(opcode, what, target, source, 1, 0, immediate)
-        put(opcode + 1, what, target, source, 0, 0, immediate)
+    for opcode, operation, target, source, immediate in PAIRS:
+        put(opcode, operation, target, source, 1, 0, immediate)
+        put(opcode + 1, operation, target, source, 0, 0, immediate)
     for opcodes, *rest in SINGLE:
         for opcode in opcodes:
             put(opcode, *rest)
-    for number, reg, what, target, source, size, immediate in MEMBERS:
-        put(GROUPS + 8 * number + reg, what, target, source, size, 0, immediate)
+    for number, reg, operation, target, source, size, immediate in MEMBERS:
+        put(GROUPS + 8 * number + reg, operation, target, source, size, 0, immediate)
     return table
 
 

@@ -20,7 +20,7 @@ from stage.board import crash_report
 from stage.board.bus import host_record, requests
 from stage.board.errors import HostError
 from stage.board.isolation.traps import processor
-from stage.board.isolation.traps.calls import loaded_libraries
+from stage.board.isolation.traps.calls import list_loaded_libraries
 from stage.board.isolation.traps.instructions import TABLE
 from stage.board.isolation.traps.signals import (
     NO_MASK,
@@ -60,14 +60,14 @@ class Windows:
         self._library, self._link = library, link
         self._windows: list[Window] = []
         self._pages: list[tuple[int, int]] = []
-        self._memory = _memory_of(library) if is_supported() else []
+        self._memory = _list_memory(library) if is_supported() else []
 
     @property
     def faults(self) -> int:
         """Number of faults of this process that were accesses to windows: the handler goes on behind them as long as it can."""
         return int(_space["faults"][0])
 
-    def choose(self, port: int, length: int) -> int:
+    def map_anywhere(self, port: int, length: int) -> int:
         """Claim a window at an address of our choice, and return the address.
 
         Raises:
@@ -83,17 +83,17 @@ class Windows:
         begin = max([FREE_ADDRESS, *(-(-end // SPACING) * SPACING for _, end in self._pages)])
         for address in range(begin, begin + MAX_PLACES * SPACING, SPACING):
             try:
-                self.claim(Window(address, port, size))
+                self.map_window(Window(address, port, size))
             except ArgumentError:
                 continue
             except StageError as error:
                 raise HostError(
-                    f"{request}: {error} Ask once for each window, and keep the pointer; {self._when()}"
+                    f"{request}: {error} Ask once for each window, and keep the pointer; {self._format_moment()}"
                 ) from None
             return address
         raise HostError(f"{request}: there is no room for a window of this size.")
 
-    def claim(self, window: Window) -> None:
+    def map_window(self, window: Window) -> None:
         """Make accesses to a window bus cycles.
 
         Raises:
@@ -134,10 +134,10 @@ class Windows:
             self._windows, self._pages = [], []
             self._publish()
 
-    def add_stack(self) -> None:
+    def allow_stack(self) -> None:
         """Let the handler touch the stack of this thread."""
         if is_supported():
-            self._memory.append((*_stack(), processor.READABLE | processor.WRITABLE | processor.STACK))
+            self._memory.append((*_find_stack(), processor.READABLE | processor.WRITABLE | processor.STACK))
 
     def _publish(self) -> None:
         """Inform the handler of windows, their pages and memory."""
@@ -152,9 +152,9 @@ class Windows:
         _tables.append(spans)
         _space["spans"] = spans.ctypes.data
 
-    def explain_refusal(self, what: int, step: int, address: int) -> HostError:
+    def explain_refusal(self, what: int, execute_instruction: int, address: int) -> HostError:
         """Say why an instruction is no bus cycle. step: the address of its STEP."""
-        state: Any = array_at(step, 1, processor.STEP)[0]
+        state: Any = array_at(execute_instruction, 1, processor.INSTRUCTION)[0]
         start, top = int(state.start), ctypes.c_uint64.from_address(int(state.stack)).value
         place = crash_report.locate(start, top, self._library.path)
         access = f"{self._library.path.name}: an access to address {address:X}h in {place}"
@@ -164,16 +164,16 @@ class Windows:
             verb = "goes on" if near else "is"
             return HostError(
                 f"{access} {verb} beyond the window {window}, which ends at {window.end - 1:X}h. Give it more ports, or another "
-                f"window there (--map, map=); {self._when()}"
+                f"window there (--map, map=); {self._format_moment()}"
             )
         code = ctypes.string_at(start, 8).hex(" ")
         return HostError(
             f"{access}, in the window {near}, is by an instruction that is no bus cycle (its code begins {code}). Registers are "
             "read and written one at a time, as `volatile` variables of 8, 16 or 32 bits: not by memcpy or memset, as structs, "
-            f"vectors or floats; {self._when()}"
+            f"vectors or floats; {self._format_moment()}"
         )
 
-    def _when(self) -> str:
+    def _format_moment(self) -> str:
         board = self._link.board
         return f"at {board.stage.time:.6f} s, after {board.cycles:,} bus cycles:\n{board.trace.text(12)}"
 
@@ -181,8 +181,8 @@ class Windows:
 def _install_handler() -> None:
     """Handle faults; the handler of before is called for those that are no accesses to windows."""
     if not _thunks:
-        _space["opcodes"], _space["signal"] = TABLE.ctypes.data, _address(_libc.signal)
-        _space["request"] = _address(requests.request.pointer)
+        _space["opcodes"], _space["signal"] = TABLE.ctypes.data, _get_address(_libc.signal)
+        _space["request"] = _get_address(requests.request.pointer)
         _thunks.append(_make_thunk())
     action = get_action(SIGSEGV)
     if action.handler != _thunks[0]:
@@ -190,21 +190,21 @@ def _install_handler() -> None:
         set_action(SIGSEGV, SignalAction(_thunks[0], flags=WITH_INFO | NO_MASK | ON_STACK))
 
 
-def _address(function: Any) -> int:
+def _get_address(function: Any) -> int:
     return ctypes.cast(function, ctypes.c_void_p).value or 0
 
 
 def _make_thunk() -> int:
     """Make the handler in machine code: it gives `on_fault` its two records, of which STEP is on the stack, and jumps on to the
     handler of before if that is asked for."""
-    size = struct.pack("<i", -(-processor.STEP.itemsize // 16) * 16)
+    size = struct.pack("<i", -(-processor.INSTRUCTION.itemsize // 16) * 16)
     previous = _space.ctypes.data + int(dict(processor.SPACE.fields or {})["previous"][1])
     code = (
         b"\x57\x56\x52"  # push rdi, rsi, rdx
         + b"\x48\x81\xec" + size  # sub rsp, size
         + b"\x49\x89\xe0\x4d\x89\x00"  # mov r8, rsp; mov [r8], r8
         + b"\x48\xb9" + struct.pack("<Q", _space.ctypes.data)  # mov rcx, the SPACE
-        + b"\x48\xb8" + struct.pack("<Q", _address(processor.on_fault.pointer))  # mov rax, on_fault
+        + b"\x48\xb8" + struct.pack("<Q", _get_address(processor.handle_fault.pointer))  # mov rax, on_fault
         + b"\xff\xd0"  # call rax
         + b"\x48\x81\xc4" + size  # add rsp, size
         + b"\x5a\x5e\x5f"  # pop rdx, rsi, rdi
@@ -227,11 +227,11 @@ def _describe_use(begin: int, end: int) -> str:
     return "its pages cannot be had"
 
 
-def _memory_of(library: Library) -> list[tuple[int, int, int]]:
+def _list_memory(library: Library) -> list[tuple[int, int, int]]:
     """Return code and data of a library and of those that were loaded with it, and its bus: begin, end, kind."""
     bus_struct = ctypes.addressof(library.bus)
     memory = [(bus_struct, bus_struct + ctypes.sizeof(library.bus), processor.READABLE)]
-    for base in (loaded.base for loaded in loaded_libraries(library.handle)):
+    for base in (loaded.base for loaded in list_loaded_libraries(library.handle)):
         if not base or ctypes.string_at(base, 4) != _ELF:
             continue
         header = ctypes.string_at(base, 64)
@@ -239,20 +239,24 @@ def _memory_of(library: Library) -> list[tuple[int, int, int]]:
         rows = [struct.unpack_from("<IIQQQQQ", ctypes.string_at(base + first + k * size, size)) for k in range(n)]
         for kind in (_READ_ONLY, _LOAD):  # the first that fits is meant
             memory += [
-                (base + start, base + start + length, processor.READABLE if kind == _READ_ONLY else _access(flags))
+                (
+                    base + start,
+                    base + start + length,
+                    processor.READABLE if kind == _READ_ONLY else _convert_flags(flags),
+                )
                 for what, flags, _, start, _, _, length in rows
                 if what == kind
             ]
     return memory
 
 
-def _access(flags: int) -> int:
+def _convert_flags(flags: int) -> int:
     """Convert the flags of a program header: 4 read, 2 write, 1 execute."""
     names = ((4, processor.READABLE), (2, processor.WRITABLE), (1, processor.CODE))
     return sum(kind for flag, kind in names if flags & flag)
 
 
-def _stack() -> tuple[int, int]:
+def _find_stack() -> tuple[int, int]:
     """Return begin and end of the stack of this thread."""
     attributes, begin, size = (ctypes.c_uint64 * 8)(), ctypes.c_uint64(), ctypes.c_size_t()
     _libc.pthread_getattr_np(ctypes.c_void_p(_libc.pthread_self()), attributes)

@@ -26,7 +26,7 @@ SPACE = record([(name, "i8") for name in "request opcodes spans previous signal 
 """Data of the handler of faults: the function for requests, the table of instructions, SPANs, the handler before it, the function
 `signal` of C, and how many faults were accesses to windows."""
 _STEP = "own regs start at prefixes rex memory ea rm reg immediate status changes mask stack floor since"
-STEP = record([(name, "i8") for name in _STEP.split()])
+INSTRUCTION = record([(name, "i8") for name in _STEP.split()])
 """
     own             where this record is
     regs            where the saved registers are
@@ -65,7 +65,7 @@ ADDRESS, REGS = 16, 40
 
 
 @hot
-def fit(value, size):
+def sign_extend(value, size):
     """The low `size` bytes as a signed number."""
     if size == 8:
         return (((value >> 32 & 0xFFFFFFFF) ^ 0x80000000) - 0x80000000) << 32 | value & 0xFFFFFFFF
@@ -74,43 +74,43 @@ def fit(value, size):
 
 
 @hot
-def _place(n):
+def _find_place(n):
     return PLACES >> 4 * n & 15
 
 
 @hot
-def get(s, n, size):
+def read_register(state, n, size):
     """The value of register `n`, `size` bytes of it."""
-    regs = array_at(s.regs, REGISTERS, _I8)
-    if size == 1 and s.rex == 0 and 4 <= n < 8:  # AH, CH, DH, BH
-        return fit(int(regs[_place(n - 4)]) >> 8, 1)
-    return fit(int(regs[_place(n)]), size)
+    regs = array_at(state.regs, REGISTERS, _I8)
+    if size == 1 and state.rex == 0 and 4 <= n < 8:  # AH, CH, DH, BH
+        return sign_extend(int(regs[_find_place(n - 4)]) >> 8, 1)
+    return sign_extend(int(regs[_find_place(n)]), size)
 
 
 @hot
-def put_register(s, n, size, value):
+def write_register(state, n, size, value):
     """Write register `n`. As on the processor, 4 bytes clear the upper half and fewer leave the rest."""
-    regs = array_at(s.regs, REGISTERS, _I8)
+    regs = array_at(state.regs, REGISTERS, _I8)
     if size == 8:
-        regs[_place(n)] = value
+        regs[_find_place(n)] = value
     elif size == 4:
-        regs[_place(n)] = value & 0xFFFFFFFF
+        regs[_find_place(n)] = value & 0xFFFFFFFF
     elif size == 2:
-        regs[_place(n)] = int(regs[_place(n)]) & ~0xFFFF | value & 0xFFFF
-    elif s.rex == 0 and 4 <= n < 8:
-        regs[_place(n - 4)] = int(regs[_place(n - 4)]) & ~0xFF00 | (value & 0xFF) << 8
+        regs[_find_place(n)] = int(regs[_find_place(n)]) & ~0xFFFF | value & 0xFFFF
+    elif state.rex == 0 and 4 <= n < 8:
+        regs[_find_place(n - 4)] = int(regs[_find_place(n - 4)]) & ~0xFF00 | (value & 0xFF) << 8
     else:
-        regs[_place(n)] = int(regs[_place(n)]) & ~0xFF | value & 0xFF
+        regs[_find_place(n)] = int(regs[_find_place(n)]) & ~0xFF | value & 0xFF
 
 
 @hot
-def _on_stack(s, address, size):
+def _on_stack(state, address, size):
     """Tell whether this is memory of the stack that is there in any thread."""
-    return s.floor <= address and address + size <= s.stack + ABOVE_STACK
+    return state.floor <= address and address + size <= state.stack + ABOVE_STACK
 
 
 @hot
-def span_of(space, address):
+def find_span(space, address):
     """Return where the first SPAN with the address lies, or 0."""
     first, k = int(space.spans), 0
     spans = array_at(first, SPANS, SPAN)
@@ -124,17 +124,17 @@ def span_of(space, address):
 @hot
 def _is_window(space, address):
     """Tell whether an address lies in a window."""
-    at = span_of(space, address)
+    at = find_span(space, address)
     return at != 0 and array_at(at, 1, SPAN)[0].kind & WINDOW != 0
 
 
 @hot
-def _load(address, size):
+def _load_signed(address, size):
     """Read memory, signed."""
     content, value = array_at(address, size, _U1), 0
     for k in range(size):
         value |= int(content[k]) << 8 * k
-    return fit(value, size)
+    return sign_extend(value, size)
 
 
 @hot
@@ -142,128 +142,128 @@ def _make_cycle(space, span, address, size, value, writes):
     """Make the bus cycle of an access to a window; two of 32 bits for 64."""
     port, half = int(span.port + address - span.begin), 4 if size == 8 else size
     if writes:
-        what = host_record.OUT8 if half == 1 else host_record.OUT16 if half == 2 else host_record.OUT32
+        operation = host_record.OUT8 if half == 1 else host_record.OUT16 if half == 2 else host_record.OUT32
     else:
-        what = host_record.IN8 if half == 1 else host_record.IN16 if half == 2 else host_record.IN32
-    answer = _request(space.request, (span.host, what, port, value))
+        operation = host_record.IN8 if half == 1 else host_record.IN16 if half == 2 else host_record.IN32
+    answer = _request(space.request, (span.host, operation, port, value))
     if size == 8:
-        answer |= _request(space.request, (span.host, what, port + 4, value >> 32)) << 32
-    return fit(answer, size)
+        answer |= _request(space.request, (span.host, operation, port + 4, value >> 32)) << 32
+    return sign_extend(answer, size)
 
 
 @hot
-def access(s, space, address, size, value, writes):
+def access_memory(state, space, address, size, value, writes):
     """Read or write memory, by a bus cycle where it is a window; return what was read. Sets a status if it cannot be done."""
-    if not _on_stack(s, address, size):
-        at = span_of(space, address)
+    if not _on_stack(state, address, size):
+        at = find_span(space, address)
         if at == 0:
-            s.status = LEFT
+            state.status = LEFT
             return 0
         span = array_at(at, 1, SPAN)[0]
         inside = address + size <= span.end
         if span.kind & WINDOW and inside:
-            s.since = 0
+            state.since = 0
             return _make_cycle(space, span, address, size, value, writes)
         if span.kind & (WINDOW | PAGE):
-            s.status = BEYOND
+            state.status = BEYOND
             return 0
-        below = span.kind & STACK and address < s.floor
+        below = span.kind & STACK and address < state.floor
         if below or not inside or not span.kind & (WRITABLE if writes else READABLE):
-            s.status = LEFT
+            state.status = LEFT
             return 0
     if writes:
         content = array_at(address, size, _U1)
         for k in range(size):
             content[k] = value >> 8 * k & 0xFF
         return 0
-    return _load(address, size)
+    return _load_signed(address, size)
 
 
 @hot
-def follows(s, size):
+def read_code(state, size):
     """Read the next bytes of the instruction, signed."""
-    s.at += size
-    return _load(s.at - size, size)
+    state.at += size
+    return _load_signed(state.at - size, size)
 
 
 @hot
-def modrm(s):
+def decode_modrm(state):
     """Read the byte behind the opcode, and find where E lies. Return whether it is relative to the end of the instruction."""
-    byte = follows(s, 1) & 0xFF
-    mode, rm = byte >> 6, byte & 7
-    s.reg = byte >> 3 & 7 | (s.rex & 4) << 1
+    code = read_code(state, 1) & 0xFF
+    mode, rm = code >> 6, code & 7
+    state.reg = code >> 3 & 7 | (state.rex & 4) << 1
     if mode == 3:
-        s.rm = rm | (s.rex & 1) << 3
+        state.rm = rm | (state.rex & 1) << 3
         return False
-    regs, address, relative = array_at(s.regs, REGISTERS, _I8), 0, False
+    regs, address, relative = array_at(state.regs, REGISTERS, _I8), 0, False
     if rm == 4:
-        sib = follows(s, 1) & 0xFF
-        index, rm = sib >> 3 & 7 | (s.rex & 2) << 2, sib & 7
+        sib = read_code(state, 1) & 0xFF
+        index, rm = sib >> 3 & 7 | (state.rex & 2) << 2, sib & 7
         if index != 4:
-            address = int(regs[_place(index)]) << (sib >> 6)
+            address = int(regs[_find_place(index)]) << (sib >> 6)
         if rm == 5 and mode == 0:
-            address += follows(s, 4)
+            address += read_code(state, 4)
         else:
-            address += int(regs[_place(rm | (s.rex & 1) << 3)])
+            address += int(regs[_find_place(rm | (state.rex & 1) << 3)])
     elif rm == 5 and mode == 0:
-        address, relative = follows(s, 4), True
+        address, relative = read_code(state, 4), True
     else:
-        address = int(regs[_place(rm | (s.rex & 1) << 3)])
+        address = int(regs[_find_place(rm | (state.rex & 1) << 3)])
     if mode == 1:
-        address += follows(s, 1)
+        address += read_code(state, 1)
     elif mode == 2:
-        address += follows(s, 4)
-    s.memory, s.ea = 1, fit(address, 8)
+        address += read_code(state, 4)
+    state.memory, state.ea = 1, sign_extend(address, 8)
     return relative
 
 
 @hot
-def take(s, space, kind, size):
+def read_operand(state, space, kind, size):
     """Return the value of an operand; 0 with a status if it cannot be had."""
-    if kind == x86.E and s.memory:
-        return access(s, space, s.ea, size, 0, False)
+    if kind == x86.E and state.memory:
+        return access_memory(state, space, state.ea, size, 0, False)
     if kind in (x86.E, x86.R):
-        return get(s, s.rm, size)
+        return read_register(state, state.rm, size)
     if kind == x86.G:
-        return get(s, s.reg, size)
+        return read_register(state, state.reg, size)
     if kind == x86.IMM:
-        return int(s.immediate)
+        return int(state.immediate)
     if kind == x86.A:
-        return get(s, 0, size)
+        return read_register(state, 0, size)
     if kind == x86.CL:
-        return get(s, 1, 4) & 0xFF
+        return read_register(state, 1, 4) & 0xFF
     if kind == x86.EA:
-        return int(s.ea)
+        return int(state.ea)
     return 1 if kind == x86.ONE else 0
 
 
 @hot
-def put(s, space, kind, size, value):
+def write_operand(state, space, kind, size, value):
     """Give an operand a value, or set a status."""
-    if kind == x86.E and s.memory:
-        access(s, space, s.ea, size, value, True)
+    if kind == x86.E and state.memory:
+        access_memory(state, space, state.ea, size, value, True)
     elif kind in (x86.E, x86.R):
-        put_register(s, s.rm, size, value)
+        write_register(state, state.rm, size, value)
     elif kind == x86.G:
-        put_register(s, s.reg, size, value)
+        write_register(state, state.reg, size, value)
     elif kind == x86.A:
-        put_register(s, 0, size, value)
+        write_register(state, 0, size, value)
     elif kind == x86.D:
-        put_register(s, 2, size, value)
+        write_register(state, 2, size, value)
 
 
 @hot
-def _flags(s, mask, carry, overflow, result):
+def _set_flags(state, mask, carry, overflow, result):
     """Compute the flags of a result; those of `mask` are to be set."""
     low = result & 0xFF
     low ^= low >> 4
     new = (CF if carry else 0) | (OF if overflow else 0) | (ZF if result == 0 else 0) | (SF if result < 0 else 0)
-    s.changes = new | (PF if 0x9669 >> (low & 15) & 1 else 0)
-    s.mask = mask
+    state.changes = new | (PF if 0x9669 >> (low & 15) & 1 else 0)
+    state.mask = mask
 
 
 @hot
-def holds(flags, condition):
+def is_condition_met(flags, condition):
     """Tell whether a condition (of a jump, say) holds."""
     k = condition >> 1 & 7
     differ = (flags & SF != 0) != (flags & OF != 0)
@@ -276,91 +276,93 @@ def holds(flags, condition):
 
 
 @hot
-def compute(s, what, left, right, size):
+def compute_sum(state, operation, left, right, size):
     """Compute a sum, a difference or a bitwise operation."""
     carry = overflow = False
     adjust, mask = 0, CF | PF | AF | ZF | SF | OF
-    old = int(array_at(s.regs, REGISTERS, _I8)[FLAGS]) & CF
-    if what in (x86.ADD, x86.ADC, x86.INC):
-        result = fit(left + right + (old if what == x86.ADC else 0), size)
+    old = int(array_at(state.regs, REGISTERS, _I8)[FLAGS]) & CF
+    if operation in (x86.ADD, x86.ADC, x86.INC):
+        result = sign_extend(left + right + (old if operation == x86.ADC else 0), size)
         out = (left & right) | ((left | right) & ~result)
         carry, overflow, adjust = out < 0, (left ^ result) & (right ^ result) < 0, out
-    elif what == x86.OR:
+    elif operation == x86.OR:
         result = left | right
-    elif what in (x86.AND, x86.TEST):
+    elif operation in (x86.AND, x86.TEST):
         result = left & right
-    elif what == x86.XOR:
+    elif operation == x86.XOR:
         result = left ^ right
     else:
-        result = fit(left - right - (old if what == x86.SBB else 0), size)
+        result = sign_extend(left - right - (old if operation == x86.SBB else 0), size)
         out = (~left & right) | ((~left | right) & result)
         carry, overflow, adjust = out < 0, (left ^ right) & (left ^ result) < 0, out
-    _flags(s, mask & ~CF if what in (x86.INC, x86.DEC) else mask, carry, overflow, result)
-    s.changes |= (adjust >> 3 & 1) << 4
+    _set_flags(state, mask & ~CF if operation in (x86.INC, x86.DEC) else mask, carry, overflow, result)
+    state.changes |= (adjust >> 3 & 1) << 4
     return result
 
 
 @hot
-def shift(s, what, left, count, size):
+def compute_shift(state, operation, left, count, size):
     """Shift or rotate."""
     bits = 8 * size
     count &= 63 if size == 8 else 31
-    s.mask = 0
+    state.mask = 0
     if count == 0:
         return left
     unsigned = left if size == 8 else left & ((1 << bits) - 1)
     carry, overflow, mask = left >> (count - 1) & 1 == 1, False, CF | OF | ZF | SF | PF
-    if what == x86.SHL:
-        result = fit(left << count, size)
+    if operation == x86.SHL:
+        result = sign_extend(left << count, size)
         carry = count <= bits and left >> (bits - count) & 1 == 1
         overflow = carry != (result < 0)
-    elif what == x86.SAR:
+    elif operation == x86.SAR:
         result = left >> count
-    elif what == x86.SHR:
-        result, overflow = fit(unsigned >> count & ((1 << (64 - count)) - 1), size), left < 0
+    elif operation == x86.SHR:
+        result, overflow = sign_extend(unsigned >> count & ((1 << (64 - count)) - 1), size), left < 0
         carry = unsigned >> (count - 1) & 1 == 1
     elif size == 8:
-        s.status = LEFT
+        state.status = LEFT
         return left
     else:
-        turn, mask = count % bits if what == x86.ROL else -count % bits, CF | OF
-        result = fit(unsigned << turn | unsigned >> (bits - turn), size)
+        turn, mask = count % bits if operation == x86.ROL else -count % bits, CF | OF
+        result = sign_extend(unsigned << turn | unsigned >> (bits - turn), size)
         low, high, second = result & 1 == 1, result < 0, result >> (bits - 2) & 1 == 1
-        carry, overflow = low if what == x86.ROL else high, high != (low if what == x86.ROL else second)
-    _flags(s, mask, carry, overflow, result)
+        carry, overflow = low if operation == x86.ROL else high, high != (low if operation == x86.ROL else second)
+    _set_flags(state, mask, carry, overflow, result)
     return result
 
 
 @hot
-def change_bit(s, what, left, number, size):
+def change_bit(state, operation, left, number, size):
     """Copy one bit to the carry, and set, reset or invert it."""
     one = 1 << number
-    _flags(s, CF, left >> number & 1 == 1, False, 0)
-    if what == x86.BT:
+    _set_flags(state, CF, left >> number & 1 == 1, False, 0)
+    if operation == x86.BT:
         return left
-    return fit(left | one if what == x86.BTS else left & ~one if what == x86.BTR else left ^ one, size)
+    return sign_extend(
+        left | one if operation == x86.BTS else left & ~one if operation == x86.BTR else left ^ one, size
+    )
 
 
 _ROWS = x86.GROUPS + 8 * (x86.GROUP_DONE - x86.GROUP)
 
 
 @hot
-def _string(s, space, what, size):
+def _execute_string(state, space, operation, size):
     """Execute MOVS or STOS, once or as often as RCX says."""
-    regs = array_at(s.regs, REGISTERS, _I8)
+    regs = array_at(state.regs, REGISTERS, _I8)
     if regs[FLAGS] & DF:
-        s.status = LEFT
+        state.status = LEFT
         return
-    repeated = s.prefixes & REPEATED
+    repeated = state.prefixes & REPEATED
     left = int(regs[RCX]) if repeated else 1
     while left > 0:
-        value = int(regs[RAX]) if what == x86.STOS else access(s, space, int(regs[RSI]), size, 0, False)
-        if s.status == DONE:
-            access(s, space, int(regs[RDI]), size, value, True)
-        if s.status:
+        value = int(regs[RAX]) if operation == x86.STOS else access_memory(state, space, int(regs[RSI]), size, 0, False)
+        if state.status == DONE:
+            access_memory(state, space, int(regs[RDI]), size, value, True)
+        if state.status:
             return
         regs[RDI] += size
-        if what == x86.MOVS:
+        if operation == x86.MOVS:
             regs[RSI] += size
         left -= 1
         if repeated:
@@ -368,188 +370,190 @@ def _string(s, space, what, size):
 
 
 @hot
-def _go(s, space, what, value):
+def _execute_jump(state, space, operation, value):
     """Execute a jump, or an instruction of the stack."""
-    regs = array_at(s.regs, REGISTERS, _I8)
+    regs = array_at(state.regs, REGISTERS, _I8)
     top = int(regs[RSP])
-    if what in (x86.JMP, x86.JCC):
-        s.at = value
-    elif what in (x86.CALL, x86.PUSH):
-        access(s, space, top - 8, 8, int(s.at) if what == x86.CALL else value, True)
-        if s.status == DONE:
+    if operation in (x86.JMP, x86.JCC):
+        state.at = value
+    elif operation in (x86.CALL, x86.PUSH):
+        access_memory(state, space, top - 8, 8, int(state.at) if operation == x86.CALL else value, True)
+        if state.status == DONE:
             regs[RSP] = top - 8
-            if what == x86.CALL:
-                s.at = value
+            if operation == x86.CALL:
+                state.at = value
     else:
-        if what == x86.LEAVE:
+        if operation == x86.LEAVE:
             top = int(regs[RBP])
-        value = access(s, space, top, 8, 0, False)
-        if s.status == DONE:
+        value = access_memory(state, space, top, 8, 0, False)
+        if state.status == DONE:
             regs[RSP] = top + 8
-            if what == x86.RET:
-                s.at = value
-            elif what == x86.POP:
-                put_register(s, s.rm, 8, value)
+            if operation == x86.RET:
+                state.at = value
+            elif operation == x86.POP:
+                write_register(state, state.rm, 8, value)
             else:
                 regs[RBP] = value
 
 
 @hot
-def _move(s, what, size, source_size, value, condition):
+def _compute_move(state, operation, size, source_size, value, condition):
     """Execute a move, or what is like one. Return what the target gets."""
-    if what == x86.MOVZX:
+    if operation == x86.MOVZX:
         return value & ((1 << 8 * source_size) - 1)
-    if what == x86.NOT:
+    if operation == x86.NOT:
         return ~value
-    if what == x86.SIGN:
+    if operation == x86.SIGN:
         return -1 if value < 0 else 0
-    if what in (x86.SETCC, x86.CMOV):
-        yes = holds(int(array_at(s.regs, REGISTERS, _I8)[FLAGS]), condition)
-        if what == x86.SETCC:
+    if operation in (x86.SETCC, x86.CMOV):
+        yes = is_condition_met(int(array_at(state.regs, REGISTERS, _I8)[FLAGS]), condition)
+        if operation == x86.SETCC:
             return 1 if yes else 0
-        return value if yes else get(s, s.reg, size)
-    if what in (x86.IMUL, x86.IMUL3):
+        return value if yes else read_register(state, state.reg, size)
+    if operation in (x86.IMUL, x86.IMUL3):
         if size == 8:
-            s.status = LEFT
+            state.status = LEFT
             return 0
-        product = value * (get(s, s.reg, size) if what == x86.IMUL else int(s.immediate))
-        s.mask, s.changes = CF | OF, 0 if fit(product, size) == product else CF | OF
+        product = value * (read_register(state, state.reg, size) if operation == x86.IMUL else int(state.immediate))
+        state.mask, state.changes = CF | OF, 0 if sign_extend(product, size) == product else CF | OF
         return product
     return value
 
 
 @hot
-def _exchange(s, space, op, size, value):
-    other = take(s, space, op.target, size)
-    if s.status == DONE:
-        put(s, space, op.target, size, value)
-    if s.status == DONE:
-        put(s, space, op.source, size, other)
+def _execute_exchange(state, space, opcode, size, value):
+    other = read_operand(state, space, opcode.target, size)
+    if state.status == DONE:
+        write_operand(state, space, opcode.target, size, value)
+    if state.status == DONE:
+        write_operand(state, space, opcode.source, size, other)
 
 
 @hot
-def _calculate(s, space, op, what, size, value):
+def _execute_arithmetic(state, space, opcode, operation, size, value):
     """Execute an instruction that calculates, on its target and a value."""
-    if x86.BT <= what <= x86.BTC:
-        if op.source == x86.IMM:
+    if x86.BT <= operation <= x86.BTC:
+        if opcode.source == x86.IMM:
             value &= 8 * size - 1
-        s.ea += value // (8 * size) * size
+        state.ea += value // (8 * size) * size
         value &= 8 * size - 1
-    left = take(s, space, op.target, size) if what != x86.NEG else 0
-    if s.status:
+    left = read_operand(state, space, opcode.target, size) if operation != x86.NEG else 0
+    if state.status:
         return
-    if what <= x86.DEC:
-        value = compute(s, what, left, value, size)
-    elif what < x86.MOV:
-        value = shift(s, what, left, value, size)
+    if operation <= x86.DEC:
+        value = compute_sum(state, operation, left, value, size)
+    elif operation < x86.MOV:
+        value = compute_shift(state, operation, left, value, size)
     else:
-        value = change_bit(s, what, left, value, size)
-    if s.status == DONE and what != x86.CMP and what != x86.TEST and what != x86.BT:
-        put(s, space, op.target, size, value)
+        value = change_bit(state, operation, left, value, size)
+    if state.status == DONE and operation != x86.CMP and operation != x86.TEST and operation != x86.BT:
+        write_operand(state, space, opcode.target, size, value)
 
 
 @hot
-def _perform(s, space, op, what, size, source_size, byte):
+def _execute_decoded(state, space, opcode, operation, size, source_size, code):
     """Execute a decoded instruction; its flags are in `s`."""
-    if what >= x86.MOVS:
-        _string(s, space, what, size)
+    if operation >= x86.MOVS:
+        _execute_string(state, space, operation, size)
         return
-    value = take(s, space, op.source, source_size)
-    if s.status:
+    value = read_operand(state, space, opcode.source, source_size)
+    if state.status:
         return
-    if x86.PUSH <= what <= x86.LEAVE:
-        if op.source == x86.IMM and what != x86.PUSH:
-            value += int(s.at)
-        if what != x86.JCC or holds(int(array_at(s.regs, REGISTERS, _I8)[FLAGS]), byte):
-            _go(s, space, what, value)
-    elif what == x86.XCHG:
-        _exchange(s, space, op, size, value)
-    elif x86.MOV <= what <= x86.NOP:
-        value = _move(s, what, size, source_size, value, byte)
-        if s.status == DONE:
-            put(s, space, op.target, size, value)
+    if x86.PUSH <= operation <= x86.LEAVE:
+        if opcode.source == x86.IMM and operation != x86.PUSH:
+            value += int(state.at)
+        if operation != x86.JCC or is_condition_met(int(array_at(state.regs, REGISTERS, _I8)[FLAGS]), code):
+            _execute_jump(state, space, operation, value)
+    elif operation == x86.XCHG:
+        _execute_exchange(state, space, opcode, size, value)
+    elif x86.MOV <= operation <= x86.NOP:
+        value = _compute_move(state, operation, size, source_size, value, code)
+        if state.status == DONE:
+            write_operand(state, space, opcode.target, size, value)
     else:
-        _calculate(s, space, op, what, size, value)
+        _execute_arithmetic(state, space, opcode, operation, size, value)
 
 
 @hot
-def _read_opcode(s):
+def _read_opcode(state):
     """Read prefixes and opcode of an instruction; 100h | opcode of one behind 0Fh."""
-    byte = follows(s, 1) & 0xFF
+    code = read_code(state, 1) & 0xFF
     while True:
-        if byte == 0x66:
-            s.prefixes |= NARROW
-        elif byte == 0xF2 or byte == 0xF3:
-            s.prefixes |= REPEATED
-        elif byte == 0xF0:
-            s.prefixes |= LOCKED
-        elif byte == 0x67:
-            s.prefixes |= SHORT
-        elif byte & ~0x18 != 0x26:  # prefixes for segments that begin at 0
+        if code == 0x66:
+            state.prefixes |= NARROW
+        elif code == 0xF2 or code == 0xF3:
+            state.prefixes |= REPEATED
+        elif code == 0xF0:
+            state.prefixes |= LOCKED
+        elif code == 0x67:
+            state.prefixes |= SHORT
+        elif code & ~0x18 != 0x26:  # prefixes for segments that begin at 0
             break
-        byte = follows(s, 1) & 0xFF
-    if byte >> 4 == 4:
-        s.rex = byte
-        byte = follows(s, 1) & 0xFF
-    if byte == 0x0F:
-        byte = 0x100 | follows(s, 1) & 0xFF
-    return byte
+        code = read_code(state, 1) & 0xFF
+    if code >> 4 == 4:
+        state.rex = code
+        code = read_code(state, 1) & 0xFF
+    if code == 0x0F:
+        code = 0x100 | read_code(state, 1) & 0xFF
+    return code
 
 
 @hot
-def _read_immediate(s, n, size):
+def _read_immediate(state, n, size):
     """Read the number in an instruction. n: see OPCODE."""
     if n:
-        s.immediate = follows(s, size if n == x86.FULL else (4 if size > 4 else size) if n == x86.UP_TO_4 else n)
+        state.immediate = read_code(
+            state, size if n == x86.FULL else (4 if size > 4 else size) if n == x86.UP_TO_4 else n
+        )
     if n == 8:  # it is an address
-        s.memory, s.ea = 1, s.immediate
+        state.memory, state.ea = 1, state.immediate
 
 
 @hot
-def step(s, space):
+def execute_instruction(state, space):
     """Execute the instruction at RIP, and move RIP behind it; if `s.status` is not DONE, nothing was done."""
-    regs = array_at(s.regs, REGISTERS, _I8)
-    s.start = s.at = regs[RIP]
-    s.status, s.rex, s.memory, s.ea, s.mask, s.prefixes = DONE, 0, 0, 0, 0, 0
-    byte = _read_opcode(s)
-    s.rm = byte & 7 | (s.rex & 1) << 3
+    regs = array_at(state.regs, REGISTERS, _I8)
+    state.start = state.at = regs[RIP]
+    state.status, state.rex, state.memory, state.ea, state.mask, state.prefixes = DONE, 0, 0, 0, 0, 0
+    code = _read_opcode(state)
+    state.rm = code & 7 | (state.rex & 1) << 3
     table = array_at(space.opcodes, _ROWS, x86.OPCODE)
-    op = table[byte]
-    size = int(op.width) or (8 if s.rex & 8 else 2 if s.prefixes & NARROW else 4)
-    relative = modrm(s) if op.modrm else False
-    member = op
-    if op.what >= x86.GROUP:
-        member = table[x86.GROUPS + 8 * (op.what - x86.GROUP) + (s.reg & 7)]
-        if member.target or member.source:
-            op = member
-            size = int(op.width) or size
-    if member.known == 0 or (byte == 0x90 and s.rex & 1):
-        s.status = LEFT
+    opcode = table[code]
+    size = int(opcode.width) or (8 if state.rex & 8 else 2 if state.prefixes & NARROW else 4)
+    relative = decode_modrm(state) if opcode.modrm else False
+    variant = opcode
+    if opcode.operation >= x86.GROUP:
+        variant = table[x86.GROUPS + 8 * (opcode.operation - x86.GROUP) + (state.reg & 7)]
+        if variant.target or variant.source:
+            opcode = variant
+            size = int(opcode.width) or size
+    if variant.known == 0 or (code == 0x90 and state.rex & 1):
+        state.status = LEFT
         return
-    _read_immediate(s, int(op.immediate), size)
-    s.ea += s.at if relative else 0
-    if s.prefixes & SHORT:
-        s.ea &= 0xFFFFFFFF
-    if s.prefixes & LOCKED and s.memory and not _is_window(space, s.ea):
-        s.status = LEFT  # only the processor does it in one step
+    _read_immediate(state, int(opcode.immediate), size)
+    state.ea += state.at if relative else 0
+    if state.prefixes & SHORT:
+        state.ea &= 0xFFFFFFFF
+    if state.prefixes & LOCKED and state.memory and not _is_window(space, state.ea):
+        state.status = LEFT  # only the processor does it in one step
         return
-    source_size = size // 2 if byte == 0x98 else int(op.source_width) or size
-    _perform(s, space, op, int(member.what), size, source_size, byte)
-    if s.status == DONE:
-        if s.mask:
-            regs[FLAGS] = regs[FLAGS] & ~s.mask | s.changes & s.mask
-        regs[RIP] = s.at
+    source_size = size // 2 if code == 0x98 else int(opcode.source_width) or size
+    _execute_decoded(state, space, opcode, int(variant.operation), size, source_size, code)
+    if state.status == DONE:
+        if state.mask:
+            regs[FLAGS] = regs[FLAGS] & ~state.mask | state.changes & state.mask
+        regs[RIP] = state.at
 
 
-@exported("i4", "i4", "i8", "i8", SPACE, STEP)
-def on_fault(number, info, context, space, s):
+@exported("i4", "i4", "i8", "i8", SPACE, INSTRUCTION)
+def handle_fault(number, info, context, space, state):
     """Handle a fault; return 0 for one that is no access to a window.
 
     int32_t on_fault(int32_t signal, siginfo_t *, ucontext_t *, SPACE *, STEP *): the thunk of memory.py calls it, with a STEP on
     the handler's stack.
     """
     address = int(array_at(info + ADDRESS, 1, _I8)[0])
-    at, regs = span_of(space, address), array_at(context + REGS, REGISTERS, _I8)
+    at, regs = find_span(space, address), array_at(context + REGS, REGISTERS, _I8)
     jumped = regs[RIP] == address  # registers are no instructions
     if at == 0 or jumped or not array_at(at, 1, SPAN)[0].kind & (WINDOW | PAGE):
         if space.previous > 1:
@@ -557,28 +561,28 @@ def on_fault(number, info, context, space, s):
         _signal(space.signal, (number, 0))  # it happens again, and then ends the process
         return 1
     space.faults += 1
-    s.regs, s.since = context + REGS, 0
-    s.stack = regs[RSP]
-    same = 0 < s.stack - s.own < SAME_STACK
-    s.floor = s.stack - RED_ZONE if same else s.stack & ~0xFFF
-    step(s, space)
-    if s.status:
-        what = host_record.BEYOND_WINDOW if s.status == BEYOND else host_record.NO_CYCLE
-        _request(space.request, (array_at(at, 1, SPAN)[0].host, what, s.own, address))
+    state.regs, state.since = context + REGS, 0
+    state.stack = regs[RSP]
+    same = 0 < state.stack - state.own < SAME_STACK
+    state.floor = state.stack - RED_ZONE if same else state.stack & ~0xFFF
+    execute_instruction(state, space)
+    if state.status:
+        operation = host_record.BEYOND_WINDOW if state.status == BEYOND else host_record.NO_CYCLE
+        _request(space.request, (array_at(at, 1, SPAN)[0].host, operation, state.own, address))
         return 1
-    while s.since < MAX_INSTRUCTIONS:
+    while state.since < MAX_INSTRUCTIONS:
         if regs[RIP] == space.request:  # as ps_delay_us does: no reason to return to the processor
-            back = access(s, space, int(regs[RSP]), 8, 0, False)
-            if s.status:
+            back = access_memory(state, space, int(regs[RSP]), 8, 0, False)
+            if state.status:
                 return 1
             arguments = int(regs[RDI]), int(regs[RSI]), int(regs[RDX]), int(regs[RCX])
             regs[RAX] = _request(space.request, arguments)
-            regs[RIP], regs[RSP], s.since = back, int(regs[RSP]) + 8, 0
-        at = span_of(space, int(regs[RIP]))
+            regs[RIP], regs[RSP], state.since = back, int(regs[RSP]) + 8, 0
+        at = find_span(space, int(regs[RIP]))
         if at == 0 or not array_at(at, 1, SPAN)[0].kind & CODE:
             return 1
-        s.since += 1
-        step(s, space)
-        if s.status != DONE:
+        state.since += 1
+        execute_instruction(state, space)
+        if state.status != DONE:
             return 1
     return 1

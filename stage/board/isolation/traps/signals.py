@@ -103,7 +103,7 @@ def watch_crashes(note: Callable[[bytes], None]) -> None:
             crash = (
                 _FORKED
                 if _is_from_a_fork(number, info)
-                else json.dumps(_observe(libc, calls, number, info, context)).encode()
+                else json.dumps(_describe_crash(libc, calls, number, info, context)).encode()
             )
             note(crash)
         finally:
@@ -116,7 +116,7 @@ def watch_crashes(note: Callable[[bytes], None]) -> None:
         set_action(number, action)
 
 
-def give_stack() -> None:
+def allocate_signal_stack() -> None:
     """Give handlers of signals a stack of their own in this thread, for as long as the process lives."""
     room = mmap.mmap(-1, STACK_SIZE)
     _permanent.append(room)
@@ -124,7 +124,7 @@ def give_stack() -> None:
     ctypes.CDLL(None).sigaltstack(ctypes.byref(_Stack(begin, 0, STACK_SIZE)), None)
 
 
-def _observe(libc: Any, calls: Any, number: int, info: int, context: int) -> Crash:
+def _describe_crash(libc: Any, calls: Any, number: int, info: int, context: int) -> Crash:
     def word(at: int) -> int:
         return int(ctypes.c_uint64.from_address(at).value)
 
@@ -217,7 +217,7 @@ class SignalHandlers:
         numbers = {int(n) for n in signal.valid_signals()} - {int(signal.SIGKILL), int(signal.SIGSTOP)}
         self._before = {number: get_action(number) for number in sorted(numbers)}
 
-    def remove_those_of(self, file: str) -> None:
+    def remove_handlers(self, file: str) -> None:
         """Restore what handlers in this library have replaced; ignore a signal that nobody handled: it may still come."""
         for number, before in self._before.items():
             handler = get_action(number).handler or 0
