@@ -114,7 +114,7 @@ class BusMacros(BusHost):
     PARTS = ("progress", "cost", "success", "damage", "failed")
     STATE = ("context", "axis_states", "episodes")
     INFO = (
-        Feature("level", HOST, "of the episode, 0 to 3", kind=int),
+        Feature("level", HOST, "level of the episode, 0 to 3", kind=int),
         Feature("action_mask", HOST, "int8, 1 for an action that has an effect", kind=np.int8),
         *contexts.INFO,
         Feature("elapsed", HOST, "s since the episode began", kind=float),

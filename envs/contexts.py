@@ -63,8 +63,11 @@ KINDS = {
     "current": ("currents", "times the current of the drive"),
     "loss": ("losses", "times the core loss of the motor"),
     "inductance": ("inductances", "times the inductance of the motor"),
-    "switch": ("", "where ORG trips, hence each try begins, in electrical turns of the motor, from 0 to 1"),
-    "drift": ("drifts", "electrical turns by which ORG trips earlier or later from try to try, at most"),
+    "switch": ("", "place where ORG trips and each attempt begins, in electrical turns of the motor, from 0 to 1"),
+    "drift": (
+        "drifts",
+        "largest number of electrical turns by which ORG trips earlier or later from attempt to attempt",
+    ),
 }
 """Of a context: its setting, and what it is."""
 LOGARITHMIC = ("friction", "loss")

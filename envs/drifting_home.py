@@ -126,8 +126,8 @@ class DriftingHome(MachineTask[Config]):
     OBSERVATION = (
         Feature("org", HOST, "1 if ORG is asserted now"),
         Feature("left", HOST, "returns left / `returns`"),
-        Feature("away", HOST, "way that the host has moved away from the last origin / `reach`; 0 where it has none"),
-        Feature("last", HOST, "1 if there was a return; what follows is of it"),
+        Feature("away", HOST, "distance that the host has moved from the last origin / `reach`; 0 without an origin"),
+        Feature("last", HOST, "1 if there was a return; the following numbers describe it"),
         Feature("last_home", HOST, "1 if it ended at the origin, by the chip"),
         Feature("last_end_limit", HOST, "1 if it ran into an end limit"),
         Feature("last_late", HOST, "1 if a run took longer than `limit`"),
@@ -135,8 +135,8 @@ class DriftingHome(MachineTask[Config]):
         Feature("last_duration", HOST, "duration / 4 `limit`"),
         Feature("last_searched", HOST, "pulses of the search / those from EL to EL"),
         Feature("last_overrun", HOST, "pulses of the approach beyond those of backing off / 64 (NOVA: 0)"),
-        Feature("last_off", HOST, "pulses by which the origin was found off the last one, as counted, / 64"),
-        Feature("failed", HOST, "returns in a row up to the last that did not end at the origin / `returns`"),
+        Feature("last_off", HOST, "counted pulses between this origin and the last one / 64"),
+        Feature("failed", HOST, "number of last returns in a row that did not end at the origin / `returns`"),
         *contexts.OBSERVATION,
     )
     INFO = (
@@ -149,7 +149,7 @@ class DriftingHome(MachineTask[Config]):
         Feature("late", HOST, "a run took longer than `limit`", kind=bool),
         Feature("lost_steps", TRUTH, "full steps", kind=int),
         Feature("start", TRUTH, "m, where the return began", kind=float),
-        Feature("choices", HOST, "what the driver's search made of the action", kind=int),
+        Feature("choices", HOST, "parameters that the driver's search computes from the action", kind=int),
         SCORE_FEATURE,
     )
 

@@ -1,8 +1,8 @@
 """Features: the numbers of an observation and the values of an info, and whether a host could know them.
 
-A host reads the bus, has a clock, and can work out what follows from its own writes. All else is TRUTH: where the carriage is,
-lost steps, swing, payload, friction, the angle of the rotor, and the parts of the reward. Spaces, the setting `truth` and
-docs/envs_features.md come from one table for each environment.
+A host reads the bus, has a clock, and can compute what follows from its own writes. Everything else is TRUTH: the position of
+the carriage, lost steps, swing, payload, friction, the angle of the rotor, and the parts of the reward. Spaces, the setting
+`truth` and docs/envs_features.md come from one table for each environment.
 
     python -m stage.envs.features > docs/envs_features.md
 """
@@ -38,9 +38,7 @@ class Feature:
 
 
 EVERY_STEP = (
-    Feature(
-        "cause", HOST, 'why an episode ended that the task did not end: "diverged", or ""; of the simulation itself'
-    ),
+    Feature("cause", HOST, 'why the simulation itself ended the episode: "diverged", otherwise ""'),
     Feature("reward_parts", TRUTH, "the named parts of the reward"),
 )
 """Features of the info of every step."""
@@ -71,9 +69,9 @@ PAGE = """# Host or truth
 
 `python -m stage.envs.features` writes this page. Do not edit it.
 
-A **host** reads the bus, has a clock, and can work out what follows from its own writes. All else is **truth**, which only a
-simulation knows: where the carriage is, steps lost, swing, payload, friction, the angle of the rotor, and what the reward is
-made of. The setting `truth` says where truth is shown:
+A **host** reads the bus, has a clock, and can compute what follows from its own writes. Everything else is **truth**, which
+only a simulation knows: the position of the carriage, lost steps, oscillation, payload, friction, the angle of the rotor, and
+the parts of the reward. The setting `truth` selects where truth appears:
 
 | `truth=` | observation | info |
 |---|---|---|
@@ -81,9 +79,9 @@ made of. The setting `truth` says where truth is shown:
 | `"info"` | what a host can know | everything |
 | `False` | what a host can know | what a host can know |
 
-The observation space is smaller without the hidden numbers. The reward and the end of an episode are there in any case: a policy
-that learns from them uses truth while it learns, and none when it acts.
-`env.unwrapped.observation_features` lists the numbers of the observation in their order.
+The observation space is smaller without the hidden numbers. The reward and the end of an episode do not depend on the
+setting: a policy that learns from them uses truth during training, but not when it acts.
+`env.unwrapped.observation_features` lists the numbers of the observation in order.
 """
 
 

@@ -114,47 +114,49 @@ class FewShotTuning(MachineTask[Config]):
     )
     RESTARTS = True
     OBSERVATION: ClassVar[tuple[Feature, ...]] = (
-        Feature("distance", HOST, "of the move, by its logarithm from -1 to 1 over `distances`"),
-        Feature("left", HOST, "tries left / `tries`"),
+        Feature("distance", HOST, "distance of the move, by its logarithm from -1 to 1 over `distances`"),
+        Feature("left", HOST, "attempts left / `tries`"),
         Feature(
             "best",
             HOST,
-            "time of the best try that kept step by the encoder / twice the usual time; 1 before there is one",
+            "time of the best attempt that kept step by the encoder / twice the usual time; 1 before there is one",
         ),
-        *(Feature(f"tried_{name}", HOST, "that was chosen, from -1 to 1", "try") for name in RATES),
-        Feature("tried", HOST, "1 if this try was made", "try"),
-        Feature("duration", HOST, "/ twice the usual time", "try"),
+        *(Feature(f"tried_{name}", HOST, "rate or ramp of this attempt, from -1 to 1", "try") for name in RATES),
+        Feature("tried", HOST, "1 if this attempt was made", "try"),
+        Feature("duration", HOST, "duration / twice the usual time", "try"),
         Feature("finished", HOST, "1 if it made its pulses", "try"),
-        Feature("kept", HOST, "1 if it kept step by the encoder; 0 without one", "try"),
-        Feature("swing", HOST, "by the encoder after the stop: swing / (swing + 0.1 mm); 0 without one", "try"),
+        Feature("kept", HOST, "1 if it kept step by the encoder; 0 without an encoder", "try"),
+        Feature(
+            "swing", HOST, "swing after the stop by the encoder: swing / (swing + 0.1 mm); 0 without an encoder", "try"
+        ),
         *contexts.OBSERVATION,
     )
     INFO: ClassVar[tuple[Feature, ...]] = (
         Feature("distance", HOST, "pulses", kind=int),
         *contexts.INFO,
-        Feature("registers", HOST, "that the chip's formulas made of the action", kind=int),
+        Feature("registers", HOST, "registers that the chip's formulas compute from the action", kind=int),
         Feature("duration", HOST, "s", kind=float),
-        Feature("usual", HOST, "s, that the usual speeds take", kind=float),
+        Feature("usual", HOST, "s, time of the usual speeds", kind=float),
         Feature("finished", HOST, "the move made its pulses", kind=bool),
         Feature(
             "error",
             HOST,
-            "counts by which the encoder differs from the pulses after the stop; 0 without one",
+            "counts by which the encoder differs from the pulses after the stop; 0 without an encoder",
             kind=float,
         ),
         Feature("lost_steps", TRUTH, "full steps", kind=int),
-        Feature("vibration", TRUTH, "m, travel of the point at which moves are judged after the stop", kind=float),
+        Feature("vibration", TRUTH, "m, travel of the judged point after the stop", kind=float),
         Feature("kept", TRUTH, "made its pulses and lost no step", kind=bool),
         Feature(
             "best",
             TRUTH,
-            "s, of the best try that kept step so far, with its vibration; infinite before there is one",
+            "s, time of the best attempt so far that kept step, with its vibration; infinite before there is one",
             kind=float,
         ),
         Feature(
             "proved",
             TRUTH,
-            "s, likewise of the best one that held in the proof after the last try; infinite where none did, and before",
+            "s, the same of the best attempt that passed the proof after the last one; infinite if none did, and before",
             kind=float,
         ),
         SCORE_FEATURE,

@@ -54,7 +54,7 @@ class OneShotTuning(FewShotTuning):
         Feature("declared", HOST, "payload as declared, from -1 to 1 over `payloads`"),
         *contexts.OBSERVATION,
     )
-    INFO = (Feature("declared", HOST, "kg, of the payload, told by a reset"), *FewShotTuning.INFO)
+    INFO = (Feature("declared", HOST, "kg; in the info of a reset"), *FewShotTuning.INFO)
 
     def prepare(self) -> None:
         super().prepare()

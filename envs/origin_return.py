@@ -111,7 +111,7 @@ class OriginReturn(MoveTask[Config]):
         Feature("left", HOST, "returns left / `returns`"),
         Feature("payload", TRUTH, "from -1 to 1 over `payloads`"),
         Feature("friction", TRUTH, "by its logarithm from -1 to 1 over `frictions`"),
-        Feature("last", HOST, "1 if there was a return; what follows is of it"),
+        Feature("last", HOST, "1 if there was a return; the following numbers describe it"),
         Feature("last_home", HOST, "1 if it ended at the origin, by the chip"),
         Feature("last_end_limit", HOST, "1 if it ran into an end limit"),
         Feature("last_late", HOST, "1 if a run took longer than `limit`"),
@@ -121,8 +121,8 @@ class OriginReturn(MoveTask[Config]):
         Feature("last_overrun", HOST, "pulses of the approach beyond those of backing off / 64 (NOVA: 0)"),
     )
     INFO = (
-        Feature("payload", TRUTH, "kg, of the episode, told by a reset"),
-        Feature("friction", TRUTH, "times the nominal one, of the episode, told by a reset"),
+        Feature("payload", TRUTH, "kg, of the episode; in the info of a reset"),
+        Feature("friction", TRUTH, "times the nominal friction, of the episode; in the info of a reset"),
         Feature("duration", HOST, "s", kind=float),
         Feature("error", TRUTH, "pulses between the carriage and the origin", kind=float),
         Feature("spread", TRUTH, "pulses, the episode's largest minus smallest error", kind=float),
@@ -131,7 +131,7 @@ class OriginReturn(MoveTask[Config]):
         Feature("late", HOST, "a run took longer than `limit`", kind=bool),
         Feature("lost_steps", TRUTH, "full steps", kind=int),
         Feature("start", TRUTH, "m, where the return began", kind=float),
-        Feature("registers", HOST, "that were chosen", kind=int),
+        Feature("registers", HOST, "registers of the action", kind=int),
     )
 
     def make_stage(self, visuals: bool) -> Stage:

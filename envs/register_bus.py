@@ -113,18 +113,18 @@ class RegisterBus(Task[Config]):
     """target: {axis: pulses, signed} instead of drawn ones; start: {axis: m}, where carriages stand at the beginning."""
     STATE = ("episodes", "axis_states", "words")
     OBSERVATION = (
-        Feature("status", HOST, "bits of the status, from b0, as last read", "chip"),
-        Feature("words", HOST, "what was last read at the other addresses / the largest datum", "chip"),
-        Feature("ages", HOST, "of the values of all addresses: 0 never read, else 1 / (1 + age / 1 ms)", "chip"),
+        Feature("status", HOST, "bits of the status as last read, from b0", "chip"),
+        Feature("words", HOST, "last value read at each other address / the largest datum", "chip"),
+        Feature("ages", HOST, "age of the value of each address: 0 never read, otherwise 1 / (1 + age / 1 ms)", "chip"),
         Feature("target", HOST, 'pulses from the start / `distances[1]`; 0 with goal "home"', "axis"),
-        Feature("place", TRUTH, "of the carriage in its travel, from -1 to 1", "axis"),
-        Feature("velocity", TRUTH, "/ 0.5 m/s", "axis"),
-        Feature("lost", TRUTH, "full steps / 64", "axis"),
-        Feature("error", TRUTH, "from the goal / its scale", "axis"),
-        Feature("value", HOST, "of the last read / the largest datum"),
+        Feature("place", TRUTH, "position of the carriage in its travel, from -1 to 1", "axis"),
+        Feature("velocity", TRUTH, "velocity of the carriage / 0.5 m/s", "axis"),
+        Feature("lost", TRUTH, "lost full steps / 64", "axis"),
+        Feature("error", TRUTH, "distance from the goal / its scale", "axis"),
+        Feature("value", HOST, "value of the last read / the largest datum"),
         Feature("was_read", HOST, "1 if the last action was a read"),
-        Feature("time", HOST, "/ `time_limit`"),
-        Feature("actions", HOST, "/ `cycles`"),
+        Feature("time", HOST, "elapsed time / `time_limit`"),
+        Feature("actions", HOST, "actions so far / `cycles`"),
     )
     INFO = core.INFO
     PARTS = core.PARTS

@@ -73,9 +73,9 @@ def width(addresses, bits):
 
 PARTS = ("progress", "time", "success", "lost", "failed")
 INFO = (
-    features.Feature("target", features.HOST, "pulses of each axis, signed, told by a reset"),
+    features.Feature("target", features.HOST, "signed pulses of each axis; in the info of a reset"),
     features.Feature("elapsed", features.HOST, "s since the episode began", kind=float),
-    features.Feature("value", features.HOST, "that was just read, else -1", kind=int),
+    features.Feature("value", features.HOST, "value of this read, otherwise -1", kind=int),
     features.Feature("success", features.TRUTH, "every axis stands at its goal", kind=bool),
     features.Feature("error", features.TRUTH, "pulses, the largest of the axes' errors", kind=float),
     features.Feature("lost_steps", features.TRUTH, "full steps, of all axes", kind=int),

@@ -79,7 +79,7 @@ class RegisterTuning(Tuning[Config]):
     INFO = (
         Feature("duration", HOST, "s, from the start command to the stop", kind=float),
         Feature("lost_steps", TRUTH, "full steps", kind=int),
-        Feature("vibration", TRUTH, "m, travel of the point at which moves are judged after the stop", kind=float),
+        Feature("vibration", TRUTH, "m, travel of the judged point after the stop", kind=float),
         Feature("finished", HOST, "the move made all its pulses", kind=bool),
         *describe_move_info("pulses", "electrical turn of the motor"),
     )

@@ -34,7 +34,7 @@ SCORE = record(
     [("success", "?"), ("time", "f8"), ("regret", "f8"), ("moves", "i8"), ("lost_steps", "i8"), ("limits", "i8")]
 )
 SCORE_FEATURE = Feature(
-    "score", TRUTH, "at the end of an episode alone: success, time, regret, moves, lost_steps, limits"
+    "score", TRUTH, "only at the end of an episode: success, time, regret, moves, lost_steps, limits"
 )
 FAILED = (False, np.inf, np.inf)
 """Success, time and regret of an episode that came to nothing."""

@@ -92,14 +92,14 @@ class SynchronizedLine(MachineTask[Any], SynchronizedMove):
     INFO: ClassVar[tuple[Feature, ...]] = (
         Feature("distances", HOST, "pulses of each axis", kind=int),
         *contexts.INFO,
-        Feature("rate", HOST, "pps of the longest axis, that was chosen", kind=float),
-        Feature("ramp", HOST, "s, that was chosen", kind=float),
-        Feature("registers", HOST, "that these and the corrections make", kind=int),
+        Feature("rate", HOST, "pps of the longest axis, of the action", kind=float),
+        Feature("ramp", HOST, "s, of the action", kind=float),
+        Feature("registers", HOST, "registers computed from these and the corrections", kind=int),
         *LINE_FEATURES,
-        Feature("usual", HOST, "s, that the usual rate takes", kind=float),
-        Feature("vibration", TRUTH, "m, travel of the point at which moves are judged after the stop", kind=float),
+        Feature("usual", HOST, "s, time of the usual rate", kind=float),
+        Feature("vibration", TRUTH, "m, travel of the judged point after the stop", kind=float),
         *END_FEATURES,
-        Feature("proved", TRUTH, "s, the cost of the try if it held in the proof; infinite if not", kind=float),
+        Feature("proved", TRUTH, "s, the cost of the attempt if it passed the proof; otherwise infinite", kind=float),
         SCORE_FEATURE,
     )
 

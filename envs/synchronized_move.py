@@ -137,9 +137,9 @@ class SynchronizedMove(MoveTask[Config]):
         Feature("rate", HOST, "by its logarithm from -1 to 1 over `rate`; 0 if it is fixed"),
         Feature("distance", HOST, "signed distance / longest distance possible", "axis"),
         Feature("ahead", HOST, "by the closed form, pulses / 2 `reach`: ahead of its share after the ramp-up", "axis"),
-        Feature("more_ahead", HOST, "likewise: more ahead at the ramp-down", "axis"),
-        Feature("earlier", HOST, "likewise: ramp-down earlier by", "axis"),
-        Feature("shorter", HOST, "likewise: shorter ramp-down by", "axis"),
+        Feature("more_ahead", HOST, "in the same unit: further ahead at the ramp-down", "axis"),
+        Feature("earlier", HOST, "in the same unit: by how much the ramp-down begins earlier", "axis"),
+        Feature("shorter", HOST, "in the same unit: by how much the ramp-down is shorter", "axis"),
         Feature("last_deviation", HOST, "path deviation of the last move / `far`"),
         Feature("last_carriages", TRUTH, "its carriage deviation / (carriage deviation + 0.1 mm)"),
         Feature("last_duration", HOST, "its duration / `limit`"),
@@ -148,9 +148,9 @@ class SynchronizedMove(MoveTask[Config]):
     INFO: ClassVar[tuple[Feature, ...]] = (
         *LINE_FEATURES,
         *END_FEATURES,
-        Feature("distances", HOST, "pulses of each axis, of a reset the next move's", kind=int),
-        Feature("rate", HOST, "pps, likewise", kind=float),
-        Feature("registers", HOST, "that were chosen", kind=int),
+        Feature("distances", HOST, "pulses of each axis; in the info of a reset, those of the next move", kind=int),
+        Feature("rate", HOST, "pps; in the info of a reset, that of the next move", kind=float),
+        Feature("registers", HOST, "registers of the action", kind=int),
     )
 
     def make_stage(self, visuals: bool) -> Stage:

@@ -29,8 +29,8 @@ from stage.support import portable
 ConfigT = TypeVar("ConfigT")
 
 NEXT_MOVE = (
-    Feature("distance", HOST, "of the next move, by its logarithm from -1 to 1 over `distances`"),
-    Feature("payload", TRUTH, "of the next move, from -1 to 1 over `payloads`"),
+    Feature("distance", HOST, "distance of the next move, by its logarithm from -1 to 1 over `distances`"),
+    Feature("payload", TRUTH, "payload of the next move, from -1 to 1 over `payloads`"),
 )
 """What an observation has of the next move."""
 
@@ -43,10 +43,15 @@ def describe_move_info(unit: str, turn: str) -> tuple[Feature, ...]:
         turn: What an angle of 1 is.
     """
     return (
-        Feature("distance", HOST, f"{unit}, of a reset the next move's", kind=int),
-        Feature("payload", TRUTH, "kg, likewise", kind=float),
-        Feature("angle", TRUTH, f"of the rotor at the start, from 0 to 1 {turn}, likewise", kind=float),
-        Feature("registers", HOST, "that were chosen", kind=int),
+        Feature("distance", HOST, f"{unit}; in the info of a reset, those of the next move", kind=int),
+        Feature("payload", TRUTH, "kg; in the info of a reset, that of the next move", kind=float),
+        Feature(
+            "angle",
+            TRUTH,
+            f"of the rotor at the start, from 0 to 1 {turn}; in the info of a reset, that of the next move",
+            kind=float,
+        ),
+        Feature("registers", HOST, "registers of the action", kind=int),
     )
 
 
