@@ -42,7 +42,7 @@ MAX_DEVICE_PORTS = 1 << 16
 MAX_SOURCES = 62  # of interrupts: bits of a word
 DELAY_PIECE_US = 100_000  # a longer delay is made in pieces, between which Ctrl-C is heard
 KINDS = ("", "address {}", "address {}", "upper byte of address {}", "address latch", "data", "interrupts")
-"""What a port of a chip reaches, by its kind."""
+"""Description of what a port reaches, by the kind of the port."""
 _D = TypeVar("_D", bound=Device)
 
 
@@ -114,33 +114,36 @@ class Board:
 
     @explain_arguments
     def out8(self, port: int, value: int) -> None:
-        """Make one write cycle of 8 bits. It sets half a register of a chip with a bus of 16 bits; the other half floats."""
+        """Write 8 bits to a port in one bus cycle.
+
+        On a 16-bit bus this sets one half of the register, and the other half floats.
+        """
         self.link.make_request(host_record.OUT8, port, value)
 
     @explain_arguments
     def in8(self, port: int) -> int:
-        """Make one read cycle of 8 bits; FFh where there is nothing."""
+        """Read 8 bits from a port in one bus cycle; a port without a chip or device reads FFh."""
         return self.link.make_request(host_record.IN8, port, 0)
 
     @explain_arguments
     def out16(self, port: int, value: int) -> None:
-        """Make one write cycle of 16 bits; two of 8, the low byte first, at chips with a bus of 8 bits."""
+        """Write 16 bits to a port: one cycle on a 16-bit bus, two cycles with the low byte first on an 8-bit bus."""
         self.link.make_request(host_record.OUT16, port, value)
 
     @explain_arguments
     def in16(self, port: int) -> int:
-        """Make one read cycle of 16 bits; two of 8, the low byte first, at chips with a bus of 8 bits."""
+        """Read 16 bits from a port: one cycle on a 16-bit bus, two cycles with the low byte first on an 8-bit bus."""
         return self.link.make_request(host_record.IN16, port, 0)
 
     @explain_arguments
     def out32(self, port: int, value: int) -> None:
-        """Make two write cycles of 16 bits, the low half at `port`, then the high half at `port + 2`; four of 8 at chips with a
-        bus of 8 bits."""
+        """Write 32 bits in two 16-bit cycles: the low half to `port`, then the high half to `port + 2`. An 8-bit bus
+        takes four cycles."""
         self.link.make_request(host_record.OUT32, port, value)
 
     @explain_arguments
     def in32(self, port: int) -> int:
-        """Make two read cycles of 16 bits, in the same order."""
+        """Read 32 bits in two 16-bit cycles: the low half from `port`, then the high half from `port + 2`."""
         return self.link.make_request(host_record.IN32, port, 0)
 
     @explain_arguments
@@ -174,36 +177,43 @@ class Board:
         return bool(self.read_interrupt_mask())
 
     def read_interrupt_mask(self) -> int:
-        """Return who pulls the interrupt line, a bit each: the stage's chips, and behind them the devices. No bus cycle."""
+        """Return which chips and devices pull the interrupt line, as a bit mask: first the chips of the stage, then the
+        devices.
+
+        Reading the mask makes no bus cycle.
+        """
         self.stage.ensure_powered()
         return int(requests.read_interrupt_mask.c(self.link.pointer))
 
     def on_interrupt(self, hook: Callable[[], None] | None) -> None:
-        """Call a function while the interrupt line is asserted: after a bus cycle, or within a delay at the very ns.
+        """Call `hook` while the interrupt line is asserted: after a bus cycle, or inside a delay at the exact
+        nanosecond.
 
-        It is called again and again until the line is released, and not from within itself. It may make bus cycles. A hook of
-        firmware takes its place until the firmware returns.
+        The board calls the hook again until the line is released, but never from inside the hook. The hook may make bus
+        cycles. While firmware runs, the firmware's own interrupt hook replaces this one.
 
         Args:
-            hook: The function; None: nobody is called.
+            hook: Function without arguments, or None to remove the hook.
         """
         self.link.make_request(host_record.SETTLE, 0, 0)
         self.link.hooks.set_hook(ANY_LINE, hook, lines=-1)
         self.link.make_request(host_record.LEVEL, -1, 0)  # the line may be asserted now
 
     def on_timer(self, period_us: float, hook: Callable[[], None] | None, *, n: int = 0, level: int = 1) -> None:
-        """Call a function periodically, for the first time one period from now: after a bus cycle, or within a delay at the ns.
+        """Call `hook` periodically, for the first time one period from now: after a bus cycle, or inside a delay at the
+        exact nanosecond.
 
-        A tick that comes while the one before it still waits is missed. The hook may make bus cycles; it is not interrupted.
+        If a tick falls due while the previous one is still pending, the board counts it as missed. The hook may make
+        bus cycles, and nothing interrupts it.
 
         Args:
-            period_us: Period, us; 0: the timer is off.
-            hook: The function; None: the timer is off.
+            period_us: Period in microseconds; 0 turns the timer off.
+            hook: Function without arguments; None turns the timer off.
             n: Number of the timer, 0 to 3.
-            level: Level at which it interrupts hooks of the firmware, 1 to 15, see docs/interrupts.md.
+            level: Level, 1 to 15, at which the timer interrupts hooks of the firmware, see docs/interrupts.md.
 
         Raises:
-            ArgumentError: There is no such period, timer or level.
+            ArgumentError: The period, timer or level is out of range.
         """
         if not (isinstance(period_us, int | float) and (period_us == 0 or 1e-3 <= period_us <= MAX_RUN_S * 1_000_000)):
             raise ArgumentError(
@@ -305,7 +315,7 @@ class Board:
         return device
 
     def _rebuild_port_table(self) -> None:
-        """Make the table of ports again, with the devices in it."""
+        """Rebuild the table of ports from the chips and the devices, and pass it to compiled code."""
         rows = {}
         for k, device in enumerate(self.devices):
             for n, port in enumerate(device.ports):
@@ -315,24 +325,24 @@ class Board:
         self.link.publish_ports()
 
     def _find_free_port(self, n: int) -> int:
-        """Return a port from which on so many are free."""
+        """Return the first of `n` consecutive free ports."""
         return (max(self.ports) + 16) & ~15 if max(self.ports) + n + 16 <= host_record.LAST_PORT else 0
 
     # --- what has happened ---
 
     @property
     def cycles(self) -> int:
-        """Bus cycles since the board was made."""
+        """Number of bus cycles since the board was created."""
         return int(self.link.record["cycles"])
 
     @property
     def strays(self) -> list[Cycle]:
-        """The cycles of the trace that reached no chip, or half of a register only."""
+        """Cycles of the trace that reached no chip or device, or only half of a register."""
         return [cycle for cycle in self.trace if cycle.stray]
 
     @property
     def ports(self) -> dict[int, str]:
-        """The ports that reach something, with what it is in words."""
+        """Description of each port that reaches a chip or device."""
         names = {place.index: self.name_chip(place.index) for place in self.places}
         return {
             port: f"{names[int(p['chip'])]} {KINDS[int(p['kind'])].format(int(p['address']))}"
@@ -350,11 +360,15 @@ class Board:
 
     @explain_arguments
     def name_chip(self, chip: int) -> str:
-        """Return the names of the axes of a chip. chip: its index."""
+        """Return the joined names of the axes that a chip drives, for example "xyz".
+
+        Args:
+            chip: Index of the chip in `stage.chips`.
+        """
         return "".join(axis.name for axis in self.stage.axes.values() if axis.chip is self.stage.chips[chip])
 
     def make_describer(self) -> Meaning:
-        """Return a function that says what a bus cycle means, if it gets all cycles from the first on."""
+        """Return a function that explains bus cycles. It must receive all cycles from the first one on."""
         listeners = {place.index: twin.listener() for place, twin in zip(self.places, self._initial_chips, strict=True)}
         latches: dict[int, int] = {}
         by_port = {port: tuple(p) for port, p in self._list_ports()}
@@ -387,7 +401,8 @@ class Board:
         return describe
 
     def _describe_device_cycle(self, listener: Listener, n: int, value: int, writes: bool, wide: bool) -> str:
-        """Say what a cycle of a device means. A `tell` that fails does not hide what the trace is printed for."""
+        """Explain a bus cycle of a device. If the user's `describe` function fails, return its error, so that the trace
+        still prints."""
         loop, before = self.stage.loop, self.stage.loop.time_refusal
         loop.time_refusal = "a describe= function only explains cycles: it makes none and lets no time pass."
         try:
@@ -398,17 +413,21 @@ class Board:
             loop.time_refusal = before
 
     def _list_ports(self) -> list[tuple[int, Any]]:
-        """Return the ports that reach something, with their PORT records."""
+        """Return each port that reaches something, with its PORT record."""
         pairs = zip(layouts.list_port_numbers(self.regions).tolist(), self.port_table, strict=True)
         return [(port, p) for port, p in pairs if p["kind"]]
 
     def add_log_line(self, text: str) -> None:
-        """Add a line to the log, now. Raises HostError for more of them than a log keeps."""
+        """Add a line with the current time to the log.
+
+        Raises:
+            HostError: The log is full.
+        """
         self._check_log_lines(len(self.log))
         self.log.append((self.stage.time, text))
 
     def _check_log_lines(self, lines: int) -> None:
-        """Raise HostError if a log with so many lines has no room for more."""
+        """Raise HostError if a log with this number of lines is full."""
         if lines >= MAX_LOG_LINES:
             raise HostError(
                 f"{MAX_LOG_LINES:,} lines were noted by ps_log, and a log keeps no more (now {self.stage.time:.6f} s): a loop "
@@ -417,7 +436,7 @@ class Board:
 
 
 def _map_bases_to_chips(stage: Stage, base: int | Mapping[str, int] | None) -> Any:
-    """Convert first ports by axis to first ports by chip."""
+    """Convert a mapping from axis names to first ports into a mapping from chips to first ports."""
     if not isinstance(base, Mapping):
         return base
     for name in base:
@@ -431,7 +450,7 @@ def _map_bases_to_chips(stage: Stage, base: int | Mapping[str, int] | None) -> A
 
 
 def _parse_ports_of_device(device: Device, ports: Any) -> list[int]:
-    """Return the ports that a device gets. Raises ArgumentError."""
+    """Return the ports of a device as a list. Raises ArgumentError if they do not fit the device."""
     one, text = isinstance(ports, int | np.integer), reprlib.repr(ports)
     numbers = [int(ports)] if one else list(ports) if isinstance(ports, Iterable) else []
     if one and device.PORTS:

@@ -1,4 +1,4 @@
-"""Say in words where firmware crashed or computes: by the note of its process, with files and lines where addr2line finds them."""
+"""Explain in words where firmware crashed or where it computes, with source files and lines if addr2line finds them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import NamedTuple
 from stage.support.processes import run_program
 
 IS_SUPPORTED = sys.platform == "linux" and sys.maxsize > 1 << 32
-"""Whether the process of firmware can note crashes and calls, and have windows: 64-bit Linux."""
+"""True on 64-bit Linux, where the firmware's process can report crashes and calls and can have windows."""
 TOUCHES = (signal.SIGSEGV, signal.SIGBUS)
 MAX_SHOWN = 6  # calls in a message
 ENTRY = "pulsestage_main"
@@ -29,21 +29,23 @@ ARITHMETIC = {
     6: "a floating-point result was not exact, and the firmware has turned traps on",
     7: "a floating-point operation was invalid (0 / 0, the root of a negative number), and the firmware has turned traps on",
 }
-"""What SIGFPE says by its code (FPE_INTDIV, ...); another code: somebody has sent the signal."""
+"""Cause of a SIGFPE by its code (FPE_INTDIV, ...). Any other code means that a process sent the signal."""
 NULL = 1 << 16
 BUS_SPACE = 1 << 32  # addresses of microcontrollers
 RUST_ITSELF = "(/rustc/"  # where the files of its own library are
 
 
 class Crash(NamedTuple):
-    """A crash as the handler of its signal observed it.
+    """Crash, as the signal handler observed it.
 
     Attributes:
-        address: What was touched, or -1.
-        stack: Whether that is next to the stack pointer.
-        frames: Library, symbol and offset in the library of each call, the innermost first.
-        jumped: Whether the address was called, from the last place in frames.
-        code: si_code, the kind of the signal.
+        signal: Number of the signal.
+        address: Address that the firmware accessed, or -1.
+        wrote: Whether the access was a write; None if unknown.
+        stack: Whether the address is near the stack pointer.
+        frames: Library, symbol and offset in the library of each call, innermost first.
+        jumped: Whether the firmware called the address, from the last call in `frames`.
+        code: si_code of the signal, which tells its cause.
     """
 
     signal: int
@@ -64,7 +66,10 @@ class _Symbol(ctypes.Structure):
 
 
 def find_symbol(address: int) -> tuple[str, str, int]:
-    """Return the library and the symbol of an address of this process, "" where there is none, and its offset in the library."""
+    """Return the library, the symbol and the offset in the library of an address in this process.
+
+    Library and symbol are "" if none is known.
+    """
     symbol = _Symbol()
     if not ctypes.CDLL(None).dladdr(ctypes.c_void_p(address), ctypes.byref(symbol)):
         return "", "", address
@@ -72,16 +77,16 @@ def find_symbol(address: int) -> tuple[str, str, int]:
 
 
 def format_note(text: str) -> bytes:
-    """Format the note of an end that no signal describes, for `describe`."""
+    """Encode a text about the end of the process for `describe`; it serves where no signal describes the end."""
     return json.dumps(text).encode()
 
 
 def describe(note: bytes, *libraries: Path) -> str:
-    """Say what happened and where; "" if nothing was noted.
+    """Explain what happened and where, from the note of a crash; return "" if there is no note.
 
     Args:
-        note: A `Crash` as JSON, or what `format_note` returns.
-        libraries: The firmware, and devices in C.
+        note: JSON of a `Crash`, or the result of `format_note`.
+        libraries: Paths of the firmware and of devices in C.
     """
     if not note:
         return ""
@@ -103,7 +108,12 @@ def describe(note: bytes, *libraries: Path) -> str:
 
 
 def _describe_cause(crash: Crash, names: set[str]) -> str:
-    """Say what happened. names: of the functions that were called."""
+    """Explain the cause of a crash.
+
+    Args:
+        crash: The crash.
+        names: Names of the functions on the call stack.
+    """
     if crash.stack:
         return "its stack is full (endless recursion?)"
     if crash.jumped:
@@ -127,9 +137,15 @@ def _describe_cause(crash: Crash, names: set[str]) -> str:
 
 
 def locate(address: int, stack_top: int, *libraries: Path) -> str:
-    """Say where code of this process is, as `function (file:line)` of one of the libraries.
+    """Return the position of code in this process as `function (file:line)` of one of the libraries.
 
-    Of other code what is known is said, and which of the libraries has called it, if the word on top of the stack tells.
+    For code outside of these libraries, return the symbol and, if the word on top of the stack is a return address, the
+    function of a library that called it.
+
+    Args:
+        address: Address of the code.
+        stack_top: Word on top of the stack.
+        libraries: Paths of the firmware and of devices in C.
     """
     file, symbol, offset = frame = find_symbol(address)
     if place := _locate_frames([frame], libraries)[0]:
@@ -140,7 +156,7 @@ def locate(address: int, stack_top: int, *libraries: Path) -> str:
 
 
 def _locate_frames(frames: list[tuple[str, str, int]], libraries: Sequence[Path]) -> list[str]:
-    """Return each call as `function (file:line)`; "" for one of a library of the system."""
+    """Return each call as `function (file:line)`, or "" for a call in another library."""
     offsets: dict[str, set[int]] = {library.name: set() for library in libraries}
     for file, _, offset in frames:
         offsets.get(Path(file).name, set()).add(offset)
@@ -152,7 +168,7 @@ def _locate_frames(frames: list[tuple[str, str, int]], libraries: Sequence[Path]
 
 
 def _run_addr2line(library: Path, offsets: list[int]) -> dict[int, str]:
-    """Return function, file and line of offsets in a library, as far as they are known."""
+    """Return function, file and line of offsets in a library, as far as addr2line finds them."""
     tool = shutil.which("addr2line") or shutil.which("llvm-addr2line")
     if tool is None or not offsets:
         return {}

@@ -10,7 +10,11 @@ class LibraryError(StageError):
 
 
 class CompileError(StageError):
-    """The compiler refused the firmware. `output`: what it said."""
+    """Error of a compiler that could not build the firmware.
+
+    Attributes:
+        output: Messages of the compiler.
+    """
 
     def __init__(self, message: str, output: str = ""):
         super().__init__(message)
@@ -22,16 +26,16 @@ class CompilerWarning(UserWarning):
 
 
 class NoCompilerError(StageError):
-    """There is no C compiler."""
+    """Error for a system without a C or C++ compiler."""
 
 
 class StormError(StageError):
-    """An interrupt hook does not clear the interrupt that calls it."""
+    """Error for an interrupt hook that does not clear the interrupt that calls it."""
 
 
 class HostError(StageError):
-    """Firmware that could not continue."""
+    """Error of firmware that cannot continue."""
 
 
 class HostTimeout(RunTimeout):
-    """Firmware that did not return in the simulated time, or the bus cycles, that it was given."""
+    """Error of firmware that did not return within the simulated time or the number of bus cycles allowed."""

@@ -33,12 +33,12 @@ SHOWN_CYCLES = 12  # lines of the trace in messages
 
 @dataclass(frozen=True)
 class Result:
-    """The result of a run.
+    """Result of a run that returned.
 
     Attributes:
-        code: What the firmware returned.
-        seconds: Simulated time that it took.
-        cycles: Bus cycles that it took.
+        code: Exit code of the firmware.
+        seconds: Simulated time that the run took.
+        cycles: Number of bus cycles that the run made.
     """
 
     code: int
@@ -47,33 +47,33 @@ class Result:
 
 
 class Runner(Protocol):
-    """Where firmware runs: `ThreadRunner` in this process, `ProcessRunner` in a process of its own."""
+    """Executor of firmware: `ThreadRunner` in this process, or `ProcessRunner` in a separate process."""
 
     @property
     def running(self) -> bool:
-        """True while it has begun and not returned."""
+        """True while the firmware has started and has not returned."""
         ...
 
     def resume(self, until: int, max_cycles: int) -> int | None:
-        """Let it run, and pause it. An error ends it.
+        """Run the firmware until it returns or reaches a limit, where it pauses. An error ends it.
 
         Args:
-            until: Time of the board, ns.
-            max_cycles: Number of cycles of the board, at which it is paused at the latest.
+            until: Board time at which the firmware pauses, ns.
+            max_cycles: Total number of bus cycles of the board at which the firmware pauses.
 
         Returns:
-            What it returned, or None if it is paused.
+            Exit code of the firmware, or None if it is paused.
         """
 
     def close(self) -> None:
-        """End it, or give it up."""
+        """End the firmware, or abandon it if it cannot be ended."""
 
 
 class Host:
-    """Firmware on a board, of any kind: see NativeHost and stage.targets.TargetHost.
+    """Firmware on a board; the base of NativeHost and stage.targets.TargetHost.
 
     Attributes:
-        path: Its file.
+        path: File of the firmware.
         board: The Board that it drives.
     """
 
@@ -97,26 +97,26 @@ class Host:
 
     @property
     def running(self) -> bool:
-        """True while the firmware has begun and not returned: it is paused in a bus cycle or delay."""
+        """True while the firmware has started and has not returned; it is then paused in a bus cycle or delay."""
         return self._runner.running
 
     @property
     def log(self) -> list[tuple[float, str]]:
-        """Lines that the firmware noted (ps_log): seconds, text."""
+        """Lines that the firmware logged by ps_log: (seconds, text)."""
         return self.board.log
 
     def run(self, timeout: float = 60.0, max_cycles: int = DEFAULT_MAX_CYCLES) -> Result:
-        """Run the firmware until it returns: from its entry, or on from where it is paused.
+        """Run the firmware until it returns, from its entry point or from where it is paused.
 
         Args:
-            timeout: Simulated time that it may take, s.
-            max_cycles: Bus cycles that it may take.
+            timeout: Maximum simulated time, s.
+            max_cycles: Maximum number of bus cycles.
 
         Raises:
-            HostTimeout: It has not returned then; it is paused and may be run on.
-            HostError: It makes no bus cycle for `patience` seconds of real time, or has crashed.
-            SimulationError, StormError: The stage has diverged, or an interrupt is not cleared. An exception of a hook in Python
-                comes out as it is.
+            HostTimeout: The firmware has not returned within these limits. It is paused, and another call resumes it.
+            HostError: The firmware has crashed, or has made no bus cycle for `patience` seconds of real time.
+            SimulationError, StormError: The simulation has diverged, or a hook does not clear its interrupt. Exceptions
+                of hooks in Python pass through unchanged.
         """
         result = self._resume(to_nanoseconds(timeout, "timeout"), max_cycles)
         if result is None:
@@ -126,17 +126,19 @@ class Host:
         return result
 
     def run_for(self, seconds: float, max_cycles: int = DEFAULT_MAX_CYCLES) -> Result | None:
-        """Run the firmware for a time, and pause it, in the middle of a delay maybe; the stage can be read and changed then.
+        """Run the firmware for a simulated time and then pause it, possibly in the middle of a delay.
+
+        While the firmware is paused, the stage can be read and changed.
 
         Args:
             seconds: Simulated time, s.
-            max_cycles: Bus cycles that it may take.
+            max_cycles: Maximum number of bus cycles.
 
         Returns:
-            The Result if it has returned, up to which time then has passed; else None.
+            The Result if the firmware has returned; the remaining time does not pass then. Otherwise None.
 
         Raises:
-            HostTimeout: It has made too many bus cycles. Other errors as `run`.
+            HostTimeout: The firmware has made too many bus cycles. Other errors are those of `run`.
         """
         result = self._resume(to_nanoseconds(seconds, "seconds"), max_cycles)
         if result is None and self.board.cycles >= self._cycle_limit:
@@ -144,18 +146,19 @@ class Host:
         return result
 
     def run_until(self, condition: Callable[[], bool], timeout: float, poll: float = 1e-3) -> float:
-        """Run the firmware until `condition()` holds.
+        """Run the firmware until `condition()` is true.
 
         Args:
             condition: Function without arguments.
-            timeout: Simulated time that it may take, s.
+            timeout: Maximum simulated time, s.
             poll: Simulated time between two evaluations of the condition, s.
 
         Returns:
-            The simulated seconds that passed.
+            Simulated seconds that passed.
 
         Raises:
-            RunTimeout: `timeout` was not enough, or the firmware has returned before. Other errors as `run`.
+            RunTimeout: The condition did not come true within `timeout`, or the firmware returned before. Other errors
+                are those of `run`.
         """
         stage = self.board.stage
         begin, name = stage.now, getattr(condition, "__name__", repr(condition))
@@ -169,8 +172,8 @@ class Host:
         return (stage.now - begin) * 1e-9
 
     def close(self) -> None:
-        """Give up paused firmware; a process of its own ends. A thread cannot be ended: it waits for ever, and its code stays in
-        memory."""
+        """Abandon paused firmware. A separate process ends. A thread of this process cannot be ended: it waits forever,
+        and its code stays in memory."""
         if self.running:
             self.board.stage.loop.check_state_allowed()
         self._runner.close()
@@ -186,7 +189,7 @@ class Host:
 
     @property
     def lock(self) -> Lock | None:
-        """Lock of the board's stage, see `Stage.lock`: a run of firmware has it from its begin to its end."""
+        """Lock of the board's stage, see `Stage.lock`. A run of firmware holds it."""
         return self.board.stage.lock
 
     @exclusive
@@ -216,12 +219,12 @@ class Host:
 
 @dataclass(frozen=True)
 class NativeProgram:
-    """A library of this machine.
+    """Firmware in a shared library of this machine.
 
     Attributes:
-        path: The library.
+        path: Path of the library.
         windows: Windows of memory-mapped registers.
-        cost: Time that each of its basic blocks takes, ps; 0: it does not count them.
+        cost: Simulated time that each basic block takes, ps; 0: the library does not count basic blocks.
     """
 
     path: Path
@@ -229,12 +232,16 @@ class NativeProgram:
     cost: int = 0
 
     def load(self, board: Board, isolated: bool) -> LoadedProgram:
-        """Load a copy of the library.
+        """Load a copy of the library for a board.
+
+        Args:
+            board: Board that the firmware drives.
+            isolated: Whether this process runs only the firmware.
 
         Raises:
-            LibraryError: It is no firmware.
-            ArgumentError: There can be no such window.
-            StageError: There can be no windows here.
+            LibraryError: The library contains no firmware.
+            ArgumentError: A window does not fit.
+            StageError: Windows are not available on this system.
         """
         if isolated and IS_SUPPORTED:
             from stage.board.isolation.traps import TrappedLibrary
@@ -291,7 +298,15 @@ class NativeHost(Host):
 
 
 def to_nanoseconds(seconds: float, name: str) -> int:
-    """Convert a simulated time; raise ArgumentError with the name of the argument for one that is out of range."""
+    """Convert a simulated time in seconds to nanoseconds.
+
+    Args:
+        seconds: Simulated time, s.
+        name: Name of the argument, for the error.
+
+    Raises:
+        ArgumentError: The time is not between 0 and 1e9 s.
+    """
     if not (isinstance(seconds, int | float) and 0 <= seconds < 1e9 and math.isfinite(seconds)):
         raise ArgumentError(f"{name}={seconds!r}: simulated time from 0 to 1e9 s.")
     return round(seconds * 1e9)

@@ -1,6 +1,7 @@
-"""`Hooks`: the table of the interrupt controller, see stage.board.bus.interrupts, and the hooks in Python.
+"""`Hooks`: the Python side of the interrupt controller in stage.board.bus.interrupts, with its table and the hooks in
+Python.
 
-A hook in Python is not interrupted: it runs at the highest level, whatever its source's.
+A hook in Python cannot be interrupted: it runs at the highest level, whatever the level of its source.
 """
 
 from __future__ import annotations
@@ -28,8 +29,9 @@ class Hooks:
 
     Attributes:
         sources: SOURCE records.
-        functions: The hooks in Python, by the index of their source.
-        pointer: The function that compiled code calls for these; the hook's argument is the index.
+        functions: Hooks in Python by the index of their source.
+        pointer: Address of the function that compiled code calls for a hook in Python; its argument is the index of the
+            source.
     """
 
     def __init__(self, link: Link):
@@ -42,7 +44,8 @@ class Hooks:
         self.use_table(self.sources)
 
     def use_table(self, sources: np.ndarray) -> None:
-        """Use that array for the table from now on; firmware that goes on with the old one has no effect."""
+        """Use the array `sources` as the table from now on; abandoned firmware that still has the old table has no
+        effect."""
         sources[:] = self.sources
         self.sources, self._hooks = sources, np.zeros(interrupts.HOOKS, interrupts.HOOK_CALLED)
         self._left += [sources, self._hooks]
@@ -52,7 +55,7 @@ class Hooks:
         self.update_interrupts()
 
     def update_interrupts(self) -> None:
-        """Let compiled code take over a changed table."""
+        """Make compiled code apply a changed table."""
         self._link.record["quiet"] = 0
         requests.update_interrupts.c(self._link.pointer)
 
@@ -85,7 +88,7 @@ class Hooks:
         self.update_interrupts()
 
     def remove_firmware_hooks(self) -> None:
-        """Remove the hooks of firmware that has ended; those of Python take their place again."""
+        """Remove the hooks of firmware that has ended, and restore those of Python."""
         others = [k for k in range(interrupts.SOURCES) if k not in self.functions]
         self.sources[others] = np.zeros((), self.sources.dtype)
         self.point_to_python(self.functions)
@@ -94,11 +97,11 @@ class Hooks:
         self.update_interrupts()
 
     def point_to_python(self, functions: Collection[int], keep: bool = False) -> None:
-        """Let the sources that have hooks in Python call these.
+        """Point the sources with hooks in Python to these hooks.
 
         Args:
             functions: Indices of those sources.
-            keep: Whether the line's hook stays as it is.
+            keep: Whether the hook of the interrupt line stays unchanged.
         """
         for source in PYTHONS_TIMERS:
             row = self.sources[source]
@@ -110,7 +113,7 @@ class Hooks:
         self.update_interrupts()
 
     def call_hook(self, source: int) -> None:
-        """Call a hook in Python, uninterrupted."""
+        """Call the hook in Python of a source, at the highest level."""
         h, loop = self._link.record, self._link.stage.loop
         before, keeps = (h["level"], h["lazy"]), loop.state_refusal
         h["level"], h["lazy"] = interrupts.HIGHEST, 0
@@ -126,7 +129,7 @@ class Hooks:
             h["quiet"] = 0
 
     def _call_from_compiled_code(self, source: int | None) -> None:
-        """Call a hook for compiled code, which gets its error later."""
+        """Call a hook for compiled code, and store its exception for later."""
         link = self._link
         before, link.record["in_python"] = int(link.record["in_python"]), 1
         try:
@@ -142,7 +145,7 @@ class Hooks:
     # --- errors in words ---
 
     def describe_storm(self, source: int) -> str:
-        """Say whose hook is called without end, and why."""
+        """Explain which hook is called without end, and why."""
         at = f"at {self._link.stage.time:.6f} s"
         if source < 0:
             return (
@@ -158,12 +161,12 @@ class Hooks:
         return f"{again} the line is still asserted: the hook has to clear the interrupt at its chip."
 
     def describe_refusal(self, code: int, a: int, b: int) -> str:
-        """Say what is out of range in a request.
+        """Explain which operand of a request is out of range.
 
         Args:
-            what: The request, | WRONG_LEVEL if its level is wrong.
-            a: The number of the timer, line or interrupt, or the level.
-            b: The period, or the level.
+            code: Code of the request, | WRONG_LEVEL if its level is out of range.
+            a: Number of the timer, line or interrupt, or the level.
+            b: Period, or level.
         """
         lines = len(self._link.stage.chips) + int(self._link.record["n_devices"])
         bounds = {
@@ -178,7 +181,8 @@ class Hooks:
         return f"{bounds.get(code, level_error)}; at {self._link.stage.time:.6f} s."
 
     def check_returned(self) -> None:
-        """Raise HostError if a hook of firmware that returns has never returned, and has kept interrupts from being called."""
+        """Raise HostError if the firmware returns while one of its hooks has not returned and keeps other interrupts
+        from being called."""
         h = self._link.record
         if not h["serving"]:
             return
@@ -194,7 +198,7 @@ class Hooks:
 
 
 def format_source_name(source: int) -> str:
-    """Return a source in words."""
+    """Return the name of an interrupt source, for example "timer 0"."""
     if source == interrupts.ANY_LINE:
         return "the interrupt line"
     for first, name, after in (
@@ -207,7 +211,7 @@ def format_source_name(source: int) -> str:
 
 
 def _name_request(code: int, which: int) -> str:
-    """Return in words the interrupt that a request of ps_timer or ps_on_line is about."""
+    """Return the name of the interrupt that a request of ps_timer or ps_on_line sets."""
     if code & ~host_record.WRONG_LEVEL == host_record.TIMER:
         return f"timer {which}"
     return f"line {which}" if which < interrupts.SOFTWARE_LINE else f"PS_SOFTWARE({which - interrupts.SOFTWARE_LINE})"

@@ -1,9 +1,9 @@
-"""Which port of a host's bus reaches which address of which chip: layouts as data, shipped or in a file.
+"""Layouts: which port of a host's bus reaches which address of which chip, as data, built in or from a file.
 
-Chips stand one after the other from a base on, each as many ports as its layout has; a card may add ports of its own behind them.
-A file, TOML or JSON, says how the chips of a card lie on a bus, without a line of Python:
+Chips follow one another from a base port on, each with as many ports as its layout has; after them, a card may have
+ports of its own. A TOML or JSON file describes how the chips of a card lie on a bus, without any Python:
 
-    # card.toml: two chips whose registers lie in turn, and a port of the card itself
+    # card.toml: two chips whose registers alternate, and one port of the card itself
     chip = "PCL240K"
     base = 0x240
     stride = 1
@@ -11,8 +11,8 @@ A file, TOML or JSON, says how the chips of a card lie on a bus, without a line 
     chips = 8
     own = ["interrupts"]
 
-Keys: chip, the class; like, a shipped layout that the rest is taken from; the others are those of `Layout`. Numbers may be text as
-well ("0x240"), for JSON. What a port reaches is one of `PORT_WORDS`.
+Keys: `chip` is the class; `like` names a built-in layout that provides the remaining values; the other keys are the
+attributes of `Layout`. Numbers may also be text ("0x240"), for JSON. `PORT_WORDS` lists what a port can reach.
 """
 
 from __future__ import annotations
@@ -35,34 +35,35 @@ from stage.support.foreign_files import DocumentError, parse_json, parse_toml, r
 
 MAX_PORTS = LAST_PORT + 1
 MIN_GAP = 64
-"""Ports with nothing there: as many of them in a row begin another region of the table."""
+"""Minimum number of consecutive unused ports that divides the table into two regions."""
 PORT_WORDS = {
     "byte": (BYTE, True), "word": (WORD, True), "upper": (HALF, True), "latch": (LATCH, False), "data": (LATCHED, False),
     "interrupts": (PULLS, False), "none": (NOTHING, False),
 }  # fmt: skip
-"""What a port reaches, as a file says it -> (kind, whether an address of the chip follows): 8 bits; 16 bits; their upper byte, at
-the port behind the word; the address latch; the data, at the port behind it; the chips that pull the interrupt line; nothing."""
+"""What a port reaches, in the words of a file -> (kind, whether an address follows): an 8-bit register; a 16-bit
+register; the upper byte of the preceding word; the address latch; the data port that follows the latch; the mask of
+chips that pull the interrupt line; nothing."""
 KEYS = ("chip", "like", "title", "base", "stride", "ports", "own", "chips")
 ENDINGS = (".toml", ".json")
 MAX_SHOWN = 60
-"""Characters of a value that an error shows."""
+"""Maximum number of characters of a value in an error."""
 EXAMPLE = 'ports = ["byte 0", "byte 1", "byte 2", "byte 3"]'
 
 
 @dataclass(frozen=True)
 class Layout:
-    """How one kind of chip lies on the bus.
+    """Arrangement of one kind of chip on a bus.
 
     Attributes:
-        name: Its name.
-        title: What it is, in a line.
+        name: Name of the layout.
+        title: Description in one line.
         kind: Class of the chips.
         ports: What each port of a chip reaches: (kind, address), see stage.board.bus.host_record.
-        stride: Ports from one chip to the next.
+        stride: Number of ports from one chip to the next.
         base: First port of the first chip.
-        own: Ports of the card itself, behind room for `chips` chips.
-        chips: How many chips the card has room for; 0: any number.
-        evidence: S data sheet, I inferred (a card's choice).
+        own: Ports of the card itself, after the ports of `chips` chips.
+        chips: Maximum number of chips on the card; 0: unlimited.
+        evidence: S data sheet, I inferred (a choice of the card).
     """
 
     name: str
@@ -95,8 +96,10 @@ LAYOUTS: dict[str, Layout] = {
 
 
 def make_default_layout(chip: Chip) -> Layout:
-    """Return the layout that a chip has by default: a shipped one, or that which its class names in LAYOUT; a class that names none
-    has each bus address at a port of its own."""
+    """Return the default layout of a chip: a built-in one, or the one that its class names in LAYOUT.
+
+    For a class that names none, each bus address has its own port.
+    """
     for layout in LAYOUTS.values():
         if isinstance(chip, layout.kind):
             return layout
@@ -115,13 +118,13 @@ def make_default_layout(chip: Chip) -> Layout:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a chip lies on a bus.
+    """Position of a chip on a bus.
 
     Attributes:
         chip: The chip.
-        index: Its index among the stage's chips.
-        layout: Its layout.
-        first: Its first port.
+        index: Index of the chip in the stage's chips.
+        layout: Layout of the chip.
+        first: First port of the chip.
     """
 
     chip: Chip
@@ -133,16 +136,19 @@ class Place:
 def assign_ports(
     chips: Mapping[int, Chip], layout: Layout | None, base: int | Mapping[Chip, int] | None, stride: int | None
 ) -> list[Place]:
-    """Choose the ports of a stage's chips.
+    """Assign ports to the chips of a stage.
 
     Args:
-        chips: The chips by index, in their order on the bus.
-        layout: Their layout; default: that of each chip.
-        base: First port of the first chip, or of each; default: the layout's.
-        stride: Ports from one chip to the next; default: the layout's.
+        chips: Chips by index, in their order on the bus.
+        layout: Layout of all chips; default: the default layout of each chip.
+        base: First port of the first chip, or of each chip; default: the base of the layout.
+        stride: Number of ports from one chip to the next; default: the stride of the layout.
+
+    Returns:
+        The position of each chip.
 
     Raises:
-        ArgumentError: A layout that does not fit, or ports that do not exist.
+        ArgumentError: The layout does not fit a chip, or a port does not exist.
     """
     places: list[Place] = []
     next_base = None if isinstance(base, Mapping) else base
@@ -173,17 +179,17 @@ def assign_ports(
 def make_port_table(
     places: list[Place], others: Mapping[int, tuple[int, int, int, int]] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Make the table of ports of a bus.
+    """Build the table of ports of a bus.
 
     Args:
-        places: The chips.
-        others: Ports of devices, which no chip takes: (kind, chip, address, mask) by port.
+        places: Positions of the chips.
+        others: Ports of devices: (kind, device, address, mask) by port.
 
     Returns:
-        REGION records, and PORT records.
+        REGION records and PORT records.
 
     Raises:
-        ArgumentError: Two things share a port, or a port does not exist.
+        ArgumentError: Two chips or devices share a port, or a port does not exist.
     """
     rows: dict[int, tuple[int, int, int, int]] = dict(others or {})
 
@@ -219,7 +225,7 @@ def make_port_table(
 
 
 def list_port_numbers(regions: np.ndarray) -> np.ndarray:
-    """Return the port that each PORT record of a table is about; -1 for the first record."""
+    """Return the port of each PORT record in a table; -1 for the first record."""
     return np.concatenate([[-1], *(np.arange(first, first + n) for first, n, _ in regions.tolist())])
 
 
@@ -227,12 +233,12 @@ def list_port_numbers(regions: np.ndarray) -> np.ndarray:
 
 
 def is_layout_file(layout: Any) -> bool:
-    """Tell whether this names a file, and not a layout."""
+    """Tell whether `layout` is the path of a file, as opposed to the name of a layout."""
     return isinstance(layout, os.PathLike) or (isinstance(layout, str) and bool(Path(layout).suffix))
 
 
 def load_layout(layout: str | os.PathLike | Layout | None) -> Layout | None:
-    """Return a layout by its name, or from a file. Raises ArgumentError, and as `read_layout`."""
+    """Return a layout by its name or from a file. Raises ArgumentError and the errors of `read_layout`."""
     if is_layout_file(layout):
         return read_layout(layout)  # type: ignore[arg-type]
     if isinstance(layout, str):
@@ -247,11 +253,11 @@ def _find_shipped_layout(name: str) -> Layout:
 
 
 def read_layout(path: str | os.PathLike) -> Layout:
-    """Read a layout from a file.
+    """Read a layout from a TOML or JSON file.
 
     Raises:
         FileError: The file cannot be read.
-        ArgumentError: It is no layout: what is wrong, and the line to write.
+        ArgumentError: The file contains no valid layout; the message names the line to write.
     """
     file = Path(path)
     if file.suffix not in ENDINGS:
@@ -293,7 +299,7 @@ def _parse_layout(name: str, content: Mapping[str, Any]) -> Layout:
 
 
 def _parse_start(name: str, content: Mapping[str, Any]) -> Layout:
-    """Return what a file begins with: a shipped layout, or nothing but the class of the chip."""
+    """Return the layout on which a file builds: a built-in one, or an empty one for its class of chips."""
     kind = chip_class(str(content["chip"])[:MAX_SHOWN]) if "chip" in content else None
     if "like" in content:
         start = _find_shipped_layout(str(content["like"]))

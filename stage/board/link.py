@@ -1,6 +1,7 @@
-"""`Link`: connects a board to compiled code: the HOST record, the work before and after each run, the calls back into Python.
+"""`Link`: the connection of a board to compiled code: the HOST record, the work before and after each run, and calls
+back into Python.
 
-For runners of firmware; a program that drives a board from Python does not need it.
+It serves the runners of firmware. A Python program that drives a board uses the methods of `Board` instead.
 """
 
 from __future__ import annotations
@@ -35,18 +36,18 @@ class Link:
     """Connection of one board to compiled code.
 
     Attributes:
-        record: Its HOST record.
+        record: HOST record of the board.
         pointer: Address of the record, for compiled code.
-        request: The compiled function for all requests of a host: (pointer, what, a, b) -> answer.
-        error: Exception of a call from compiled code, until `raise_error`.
-        hooks: Python's interrupt hooks, and the table of the interrupt controller.
-        windows: Windows of the firmware that runs.
-        answering: The device in Python that answers a bus cycle now, or None.
-        pause: The function by which firmware in a thread of its own waits, while it runs.
-        abandoned: Threads of firmware that was given up.
+        request: Compiled function that executes all requests of a host: (pointer, code, a, b) -> answer.
+        error: Exception from a call of compiled code, stored until `raise_error`.
+        hooks: Interrupt hooks in Python, and the table of the interrupt controller.
+        windows: Windows of the running firmware.
+        answering: Device in Python that is answering a bus cycle, or None.
+        pause: Function with which the firmware's own thread waits while it is paused.
+        abandoned: Threads of abandoned firmware.
         firmware_thread: Identifier of the firmware's own thread.
         has_other_threads: Whether other threads of the firmware have made bus cycles.
-        calls: Count of the calls from compiled code into Python, at their begin and at their end: odd within a call.
+        calls: Counter that increases when a call from compiled code begins and when it ends: odd during a call.
     """
 
     def __init__(self, board: Board):
@@ -73,11 +74,11 @@ class Link:
 
     @property
     def traced(self) -> int:
-        """Lines that went into the bus trace so far."""
+        """Number of trace lines so far."""
         return int(self.record["traced"])
 
     def _make_record(self) -> None:
-        """Make the HOST record, and the arrays that it points to."""
+        """Create the HOST record and the arrays to which it points."""
         stage = self.stage
         if len(stage.state.edges) < NOTED:
             stage.state.set_edge_buffer(np.zeros(NOTED, records.EDGE))
@@ -106,19 +107,20 @@ class Link:
         h["call"] = ctypes.cast(self._call, ctypes.c_void_p).value
 
     def publish_ports(self) -> None:
-        """Hand the board's table of ports to compiled code."""
+        """Pass the table of ports to compiled code."""
         board, h = self.board, self.record
         h["regions"], h["ports"] = board.regions.ctypes.data, board.port_table.ctypes.data
         h["n_regions"], h["n_ports"] = len(board.regions), len(board.port_table)
 
     def publish_devices(self) -> None:
-        """Hand the devices of the board to compiled code."""
+        """Pass the table of devices to compiled code."""
         rows = [device.make_record() for device in self.board.devices]
         self._devices = np.array(rows, host_record.DEVICE_TABLE)
         self.record["devices"], self.record["n_devices"] = self._devices.ctypes.data, len(rows)
 
     def check_is_current(self) -> None:
-        """Raise StageError for a board that another has replaced: each would have time and interrupts of its own."""
+        """Raise StageError if another board has replaced this one on the stage; two boards would each have their own
+        time and interrupts."""
         if self.stage.host is None or self.stage.host.board is not self.board:
             raise StageError(
                 "this board's stage has got another board since, and a stage has one: go on with that, or make the other on a "
@@ -126,7 +128,7 @@ class Link:
             )
 
     def begin_run(self) -> None:
-        """Prepare a run of compiled code. Raises as `check_is_current`."""
+        """Prepare a run of compiled code. Raises the errors of `check_is_current`."""
         self.check_is_current()
         stage, h = self.stage, self.record
         stage.ensure_powered()
@@ -136,11 +138,11 @@ class Link:
         handle.set_sample_buffers(h, stage.loop.recording)
 
     def find_checked_chips(self) -> int:
-        """Return the chips, a bit each, whose writes a fault of the bus may lose."""
+        """Return a bit mask of the chips whose writes a fault of the bus may lose."""
         return sum(1 << k for k, chip in enumerate(self.stage.chips) if chip.glitches)
 
     def end_run(self) -> None:
-        """Pass on to journals and recording what compiled code has noted."""
+        """Pass the notes of compiled code to journals and recording."""
         stage, h = self.stage, self.record
         if n := int(h["noted"]):
             h["noted"] = 0
@@ -150,18 +152,25 @@ class Link:
             h["filled"] = recording.filled
 
     def journal_edges(self, n: int) -> None:
-        """Pass the first `n` notes on to journals and diagnostics."""
+        """Pass the first `n` noted edges and cycles to journals and diagnostics."""
         self.stage.loop.journal_edges(n)
         for chip in self.stage.chips:
             if chip.journal_lint is not None:
                 chip.journal_lint.limit_memory()
 
     def is_write_lost(self, chip: int, address: int, value: int) -> bool:
-        """Tell whether a fault of the bus keeps this write from its chip."""
+        """Tell whether a fault of the bus loses this write before it reaches the chip."""
         return self.stage.chips[chip].loses(address, value)
 
     def call_device(self, k: int, n: int, kind: int, value: int) -> int:
-        """Make a cycle at port `n` of device `k`, which is written in Python."""
+        """Make a bus cycle at a register of a device that is written in Python, and return the answer.
+
+        Args:
+            k: Index of the device.
+            n: Number of its register.
+            kind: IN8, OUT8, IN16 or OUT16.
+            value: Value that is written.
+        """
         device = self.board.devices[k]
         self.answering, loop = device, self.stage.loop
         loop.time_refusal = (
@@ -174,7 +183,13 @@ class Link:
             self.answering, loop.time_refusal = None, ""
 
     def make_request(self, what: int, a: int, b: int) -> int:
-        """Make a request of a host in Python."""
+        """Execute a request of a host in Python, with the stage's lock if it has one.
+
+        Args:
+            what: Code of the request, see host_record.
+            a: First operand.
+            b: Second operand.
+        """
         lock = self.stage.loop.lock
         if lock is None:
             return self._make_request(what, a, b)
@@ -194,21 +209,23 @@ class Link:
         return answer
 
     def raise_error(self) -> None:
-        """Raise the error of a call from compiled code, if there is one."""
+        """Raise the stored exception of a call from compiled code, if there is one."""
         if self.error is not None:
             error, self.error = self.error, None
             self.record["stopped"] = 0
             raise error
 
     def set_error(self, error: BaseException) -> None:
-        """Let nothing more happen on this bus until the error was raised."""
+        """Store an exception, and stop the bus until it is raised."""
         self.record["stopped"] = 1
         if self.error is None:
             self.error = error
 
     def abandon_thread(self, thread: threading.Thread) -> None:
-        """Keep a thread of firmware, which may still run, from this board for ever: it keeps a HOST record that is stopped, and the
-        board goes on with a copy."""
+        """Disconnect a thread of firmware from this board for good.
+
+        The thread may still run. It keeps a stopped HOST record, and the board continues with a copy.
+        """
         self.abandoned.add(thread)
         self.record["stopped"] = 1
         self._left.append(self._rows)
@@ -219,14 +236,15 @@ class Link:
         self.pause = None
 
     def take_last_notes(self) -> None:
-        """Take the notes of the last cycles of firmware that was given up without a bus cycle; the stage keeps its state."""
+        """Take the notes about the last cycles of abandoned firmware, without a bus cycle. The stage keeps its
+        state."""
         self.end_run()
         self.begin_run()
         self.request(self.pointer, host_record.SETTLE, 0, 0)
         self.end_run()
 
     def use_record(self, rows: np.ndarray) -> None:
-        """Use the HOST record in `rows`, of one, from now on."""
+        """Use the HOST record in the array `rows` of length one from now on."""
         rows[:] = self._rows
         self._rows, self.pointer = rows, rows.ctypes.data
         rows["own"] = self.pointer
@@ -235,7 +253,7 @@ class Link:
     # --- calls from compiled code ---
 
     def _answer_call(self, reason: int) -> None:
-        """Answer a call of compiled code. reason: see host_record."""
+        """Answer a call from compiled code. `reason` is one of the reasons in host_record."""
         if threading.current_thread() in self.abandoned:
             threading.Event().wait()
         if (lock := self.stage.loop.lock) is None:
@@ -279,8 +297,11 @@ class Link:
         )
 
     def _wait_for_others(self, h: Any) -> None:
-        """Wait at a bus cycle of another thread than the firmware's own: one that makes a cycle meanwhile is an error, unless a
-        mutex holds it back. Without this wait short threads would miss each other in most runs, and would meet in some."""
+        """Wait at a bus cycle of another thread than the firmware's own.
+
+        If a second thread makes a cycle during the wait and no mutex holds it back, that is an error. Without this
+        wait, short threads would miss each other in most runs and collide in some.
+        """
         if threading.get_ident() == self.firmware_thread:  # a coroutine, or a handler of signals on a stack of its own
             return
         if not self.has_other_threads:
@@ -308,7 +329,7 @@ class Link:
             raise
 
     def _trace_failure(self, k: int, n: int, kind: int, value: int) -> None:
-        """Add the cycle in which a device in Python has failed to the trace, as its last line."""
+        """Append the cycle in which a device in Python has failed to the trace."""
         h, buffer, reads = self.record, self.board.trace.buffer, kind in (host_record.IN8, host_record.IN16)
         now = self.stage.now + int(h["ahead"])
         data = (0xFF if kind == host_record.IN8 else 0xFFFF) if reads else value
@@ -318,7 +339,7 @@ class Link:
         h["changed"] = h["traced"]
 
     def _answer_window_request(self, h: Any) -> None:
-        """Choose a window that the firmware wants, or refuse an access to one that is no bus cycle."""
+        """Map a window that the firmware requests, or refuse an access to a window that is no bus cycle."""
         what, a, b = (int(h[name]) for name in ("call_chip", "call_value", "call_address"))
         if self.windows is None:
             raise HostError(f"ps_window({a:#x}, {b:#x}): {explain_missing(isolated=False)}")

@@ -1,7 +1,7 @@
-"""Folders for files that live as long as somebody uses them: copies of libraries, where debuggers find their symbols.
+"""Temporary folders that disappear with their owner: for copies of libraries, in which debuggers find symbols.
 
-A folder goes when it is closed, when its owner is collected, and when the process ends. After a kill that leaves no time for that,
-the next process to make a folder removes it: nobody holds its lock any more.
+Closing a folder, collecting its owner and ending the process all remove it. If a kill prevents that, the next process
+that creates a folder removes the old one, whose lock nobody holds.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _parent: Path | None = None
 
 
 class Scratch:
-    """A folder of its own, for as long as it is open.
+    """Temporary folder with a lock, removed when it is closed.
 
     Attributes:
         path: The folder.
@@ -46,7 +46,7 @@ class Scratch:
 
 
 def set_parent_folder(folder: Path) -> None:
-    """Make all further folders of this process in this one, which another process owns and removes."""
+    """Create all further folders of this process in `folder`, which another process owns and removes."""
     global _parent
     _parent = folder
 
@@ -60,7 +60,7 @@ def _remove(path: Path, lock: int, owner: int) -> None:
 
 @cache
 def remove_stale_folders() -> None:
-    """Remove the folders of processes that were killed; once a process."""
+    """Remove the folders of processes that were killed. Runs once in each process."""
     for path in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
         with suppress(OSError):  # of another user, or gone already
             lock = os.open(path / LOCK, os.O_RDWR)

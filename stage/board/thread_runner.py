@@ -34,44 +34,48 @@ TASKS = Path("/proc/self/task")
 
 
 class LoadedProgram(Protocol):
-    """Firmware in memory, with its variables as they were compiled."""
+    """Firmware loaded into memory, with its variables at their initial values."""
 
     def main(self) -> int:
-        """Run it from its entry, in the thread that calls, and return what it returned. Raises HostError if it ended otherwise."""
+        """Run the firmware from its entry point in the calling thread, and return its exit code.
+
+        Raises:
+            HostError: The firmware ended in another way.
+        """
         ...
 
     def close(self) -> None:
-        """Unload it."""
+        """Unload the firmware."""
         ...
 
 
 class Program(Protocol):
-    """Firmware in a file: a library of this machine, or a binary of another one that an emulator runs.
+    """Firmware in a file: a library of this machine, or a binary that an emulator runs.
 
-    It can be pickled: a process of its own gets it so. It makes its requests of the board in the thread that calls `main`, and
-    that is how it is paused.
+    A program can be pickled, since a separate process receives it in this form. It makes its requests to the board in
+    the thread that calls `main`; the runner pauses it there.
     """
 
     @property
     def path(self) -> Path:
-        """The file."""
+        """File of the firmware."""
         ...
 
     def load(self, board: Board, isolated: bool) -> LoadedProgram:
-        """Load a copy, whose requests go to the board.
+        """Load a copy of the program whose requests go to the board.
 
         Args:
-            board: The board that it drives.
-            isolated: Whether this process is its own, and may be changed for it.
+            board: Board that the program drives.
+            isolated: Whether this process runs only the firmware, so that loading may change the process.
 
         Raises:
-            StageError: Something is wrong with it.
+            StageError: The program cannot be loaded.
         """
         ...
 
 
 def read_status(process: int | str) -> dict[str, str]:
-    """Return what the system tells of a process or thread (/proc/PID/status), by name; nothing where it does not."""
+    """Return the fields of /proc/PID/status for a process or thread; empty on systems without that file."""
     try:
         lines = Path(f"/proc/{process}/status").read_text(errors="replace").splitlines()
     except OSError:
@@ -80,16 +84,16 @@ def read_status(process: int | str) -> dict[str, str]:
 
 
 def is_debugged(process: int | str = "self") -> bool:
-    """Tell whether a debugger holds a process: it may stand still for as long as a person takes."""
+    """Tell whether a debugger is attached to a process, which may then stop for a long time."""
     return read_status(process).get("TracerPid", "0") != "0"
 
 
 class ThreadRunner:
-    """A `Runner` in this process. Raises what is wrong with the program when it is made."""
+    """`Runner` in a thread of this process. The constructor raises an error if the program cannot be loaded."""
 
     isolated = False
     outlives = " (Its thread goes on until the process ends; isolated=True ends such a loop.)"
-    """A sentence about firmware that was given up."""
+    """Sentence about firmware that was abandoned."""
 
     def __init__(self, program: Program, board: Board, patience: float):
         self._program, self._board, self._patience = program, board, patience
@@ -101,11 +105,19 @@ class ThreadRunner:
 
     @property
     def running(self) -> bool:
-        """Whether the firmware has begun and not yet ended."""
+        """True while the firmware has started and has not returned."""
         return self._thread is not None
 
     def resume(self, until: int, max_cycles: int) -> int | None:
-        """Let the firmware run up to the time `until`. The result is the exit code, or None before the end."""
+        """Run the firmware until it returns or reaches a limit.
+
+        Args:
+            until: Board time at which the firmware pauses, ns.
+            max_cycles: Total number of bus cycles at which the firmware pauses.
+
+        Returns:
+            Exit code of the firmware, or None if it is paused.
+        """
         if self._thread is None:
             self._start()
         link = self._board.link
@@ -129,7 +141,7 @@ class ThreadRunner:
         return self._code
 
     def close(self) -> None:
-        """Keep it from the board, whatever it still does."""
+        """Disconnect the firmware from the board; its thread may continue."""
         if self._thread is not None:
             self._board.link.abandon_thread(self._thread)
         self._thread = None
@@ -141,16 +153,21 @@ class ThreadRunner:
         return nullcontext()
 
     def _report_threads(self, n: int, code: int) -> None:
-        """Report that `n` threads still ran when the entry returned `code`. Here others than the firmware may have begun them."""
+        """Report that `n` threads were still running when the entry point returned `code`.
+
+        Does nothing in this process, where threads may belong to other code.
+        """
 
     def _locate(self, *libraries: Path) -> str:
-        """Return a sentence that says where it computes, or ""; a signal would find out, and those are the user's here."""
+        """Return a sentence about where the firmware computes, or "". Finding out takes a signal, and signals of this
+        process belong to the user."""
         return ""
 
     # --- inside ---
 
     def _check(self) -> None:
-        """Find out what is wrong with it before anything runs. Requests of its destructors as it is unloaded reach no chip."""
+        """Load and unload the program once, so that errors appear before a run. Requests of its destructors reach no
+        chip."""
         loaded, record = self._load(), self._board.link.record
         record["stopped"] = 1
         try:
@@ -159,7 +176,7 @@ class ThreadRunner:
             record["stopped"] = 0
 
     def _load(self) -> LoadedProgram:
-        """Load a copy of the firmware, with a bus of its own: firmware that was given up keeps its own."""
+        """Load a copy of the firmware with its own bus record, since abandoned firmware keeps its record."""
         return self._program.load(self._board, self.isolated)
 
     def _start(self) -> None:
@@ -174,7 +191,7 @@ class ThreadRunner:
             threading.stack_size(before)
 
     def _main(self, loaded: LoadedProgram) -> None:
-        """Run in the firmware's thread."""
+        """Run the firmware in its thread."""
         self._go.acquire()
         link = self._board.link
         link.firmware_thread, link.has_other_threads = threading.get_ident(), False
@@ -202,7 +219,7 @@ class ThreadRunner:
         self._paused.release()
 
     def _settle(self) -> None:
-        """Let the stage catch up with firmware that has ended, and remove its hooks."""
+        """Advance the stage to the time of firmware that has ended, and remove the firmware's hooks."""
         link = self._board.link
         link.record["lazy"] = 0
         try:
@@ -215,12 +232,12 @@ class ThreadRunner:
             link.hooks.remove_firmware_hooks()
 
     def _pause(self) -> None:
-        """Wait in the firmware's thread; compiled code calls it."""
+        """Block the firmware's thread until `resume`. Compiled code calls this function."""
         self._paused.release()
         self._go.acquire()
 
     def _wait(self) -> None:
-        """Wait until the firmware is paused."""
+        """Wait until the firmware pauses, and raise HostError if it does not respond."""
         board = self._board
         h, state, since = board.link.record, None, time.monotonic()
         while not self._paused.acquire(timeout=POLL_INTERVAL_S):
@@ -239,7 +256,7 @@ class ThreadRunner:
                 since = time.monotonic()
 
     def _has_lost_its_thread(self) -> bool:
-        """Tell whether the firmware's thread has ended without a return of PULSESTAGE_MAIN."""
+        """Tell whether the firmware's thread has ended although PULSESTAGE_MAIN has not returned."""
         thread = self._thread
         if thread is None or thread.native_id is None or not TASKS.is_dir() or (TASKS / str(thread.native_id)).is_dir():
             return False
@@ -249,7 +266,11 @@ class ThreadRunner:
         return True
 
     def _explain_silence(self, answers: int) -> str:
-        """Say that the patience with it is over; answers: see HOST."""
+        """Explain that the firmware has made no bus cycle for too long.
+
+        Args:
+            answers: Field `answers` of the HOST record: the device whose code runs, plus one, or 0.
+        """
         board, path = self._board, self._path
         duration, at = f"has computed for {self._patience:g} s of real time", f"at {board.stage.time:.6f} s"
         end = f"{self.outlives} {board.trace.format_ending(12)}"
@@ -264,7 +285,7 @@ class ThreadRunner:
         return f"{device.label} {duration} in one bus cycle of {path.name} ({at}): a loop without end?{where}{end}"
 
     def _interrupt(self) -> None:
-        """Pause the firmware at its next request, or abandon it: after Ctrl-C, or when the patience is over."""
+        """Pause the firmware at its next request, or abandon it: after Ctrl-C, or when its patience is exhausted."""
         self._board.link.record["until"] = 0
         if not self._paused.acquire(timeout=INTERRUPT_LIMIT_S):
             self.close()
@@ -272,14 +293,15 @@ class ThreadRunner:
 
 
 def _reset_float_environment() -> None:
-    """Let this thread compute in the usual mode again, whatever traps and rounding firmware has left: Python goes on in it."""
+    """Restore the default floating-point environment of this thread, in which Python continues after the firmware."""
     libc = ctypes.CDLL(None)
     if hasattr(libc, "fesetenv"):
         libc.fesetenv(ctypes.c_void_p(-1))  # FE_DFL_ENV
 
 
 def list_native_threads() -> set[int]:
-    """Return the threads of this process that are not Python's, where the system lists them."""
+    """Return the identifiers of the threads of this process that Python did not start; empty where the system does not
+    list threads."""
     try:
         listed = {int(task.name) for task in TASKS.iterdir()}
     except OSError:

@@ -31,18 +31,18 @@ ENDS = {
 
 
 class Cycle(NamedTuple):
-    """Equal bus cycles of one port, or one call of an interrupt hook.
+    """Equal consecutive bus cycles of one port, or one event of an interrupt hook.
 
     Attributes:
-        seconds: When the first of them ended, s.
-        until: When the last of them ended, s.
-        times: How many they are.
-        direction: "R" or "W"; "I" where a hook was called, "i" where it returned.
-        port: The port; None for a hook.
-        value: What was read or written.
-        width: Bits.
-        stray: Whether no chip was reached, or half of a register only.
-        meaning: What they mean to the chip.
+        seconds: Time at which the first cycle ended, s.
+        until: Time at which the last cycle ended, s.
+        times: Number of equal cycles.
+        direction: "R" for reads, "W" for writes, "I" for the call of a hook, "i" for its return.
+        port: Port number; None for a hook.
+        value: Value that was read or written.
+        width: Width of the cycle, bits.
+        stray: Whether the cycle reached no chip or device, or only half of a register.
+        meaning: Explanation of the cycle.
     """
 
     seconds: float
@@ -68,7 +68,13 @@ Meaning = Callable[[int, int, bool, bool], str]
 
 
 def format_interrupt(kind: int, source: int, value: int) -> str:
-    """Say that a hook was called, before which `value` ticks were missed; or how it ended."""
+    """Return the text of a trace line about an interrupt hook.
+
+    Args:
+        kind: CALLED or RETURNED.
+        source: Index of the interrupt source.
+        value: For CALLED the number of ticks missed before the call; for RETURNED the way in which the hook ended.
+    """
     name = format_source_name(source) if source else "the hook"
     if kind == host_record.RETURNED:
         return f"interrupt: {name} {ENDS[value]}"
@@ -94,19 +100,19 @@ class BusTrace:
         self.capacity = capacity
 
     def lines(self) -> np.ndarray:
-        """Return the lines of the buffer, oldest first, as CYCLE records."""
+        """Return a copy of the buffered lines as CYCLE records, oldest first."""
         if self.total <= self.capacity:
             return self.buffer[: self.total].copy()
         return np.roll(self.buffer, -(self.total % self.capacity))
 
     @property
     def total(self) -> int:
-        """Lines so far, with those that were dropped."""
+        """Number of lines since the board was created, with those that the buffer dropped."""
         return self._board.link.traced
 
     @property
     def dropped(self) -> int:
-        """Lines before those of the buffer."""
+        """Number of lines that the buffer dropped."""
         return max(0, self.total - self.capacity)
 
     def __len__(self) -> int:
@@ -116,7 +122,7 @@ class BusTrace:
         return self.last(len(self))
 
     def last(self, n: int) -> Iterator[Cycle]:
-        """Yield the last `n` lines. Their meaning is found from all lines of the buffer."""
+        """Yield the last `n` lines as `Cycle`s. Their meaning is computed from all buffered lines."""
         lines = self.lines()
         first = len(lines) - n
         describe = self._board.make_describer()
@@ -134,7 +140,7 @@ class BusTrace:
         return "\n".join([*head, *map(str, self.last(shown))])
 
     def format_ending(self, n: int) -> str:
-        """Return the last `n` lines as the end of a message about a program that did not end well."""
+        """Return the last `n` lines as the end of an error message about a program."""
         return f"Its last bus cycles:\n{self.text(n)}" if self.total else "It has made no bus cycle."
 
     def __str__(self) -> str:
@@ -142,7 +148,12 @@ class BusTrace:
 
 
 def _make_cycle(line: tuple[int, ...], describe: Meaning) -> Cycle:
-    """Convert a CYCLE record. describe: gets each cycle, in order, so that it knows what the later ones mean."""
+    """Convert a CYCLE record to a `Cycle`.
+
+    Args:
+        line: Fields of the record.
+        describe: Function that explains cycles; it has to receive each cycle in order.
+    """
     at, until, count, kind, port, value = line
     stray, lost, raised = (bool(kind & flag) for flag in FLAGS)
     kind &= KIND_BITS

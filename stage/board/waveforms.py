@@ -31,11 +31,11 @@ HOLD_FRACTION = 8  # of a cycle: for so long PORT and DATA of the one before sta
 
 
 class TracePosition(NamedTuple):
-    """How far the trace is.
+    """Position in the bus trace at which a recording begins or ends.
 
     Attributes:
-        total: Lines so far.
-        last: When the newest of them ended, ns.
+        total: Number of lines so far.
+        last: Times at which the newest lines ended, ns.
     """
 
     total: int
@@ -43,27 +43,30 @@ class TracePosition(NamedTuple):
 
 
 class HostWaveforms:
-    """The bus of a board, for recordings of its stage."""
+    """Waveforms of the bus of a board, for recordings of its stage."""
 
     def __init__(self, board: Board):
         self.board = board
 
     def get_position(self) -> TracePosition:
-        """Return how far the trace is where a recording begins or ends."""
+        """Return the current position in the bus trace, for the begin or the end of a recording."""
         trace = self.board.trace
         return TracePosition(trace.total, trace.lines()["last"][-NEWEST_LINES:])
 
     def changes(
         self, writer: Any, first: TracePosition | None, last: TracePosition | None, begin: int, end: int
     ) -> list[Iterator[tuple[int, Any, Any]]]:
-        """Register the signals of the bus now, if there were cycles in a recording, and return their changes.
+        """Register the signals of the bus in a VCD file, if the recording has bus cycles, and return their changes.
 
         Args:
-            writer: Writer of a VCD file.
-            first: Mark at the begin of the recording; None: no board was there.
-            last: Mark at its end; None: the recording goes on.
-            begin: Time of its begin, ns.
-            end: Time of its end, ns.
+            writer: Writer of the VCD file.
+            first: Position at the begin of the recording; None: the stage had no board then.
+            last: Position at the end of the recording; None: the recording continues.
+            begin: Time at which the recording begins, ns.
+            end: Time at which the recording ends, ns.
+
+        Returns:
+            One iterator of (time in ns, variable, value) for each group of signals.
         """
         return _register_signals(
             self._select_lines(first, last, begin, end), writer, round(self.board.stage.bus_cycle * 1e9), begin
@@ -72,7 +75,7 @@ class HostWaveforms:
     def _select_lines(
         self, first: TracePosition | None, last: TracePosition | None, begin: int, end: int
     ) -> np.ndarray:
-        """Return CYCLE records of these cycles; polling that had begun before is cut."""
+        """Return the CYCLE records of a recording, with polling that began earlier cut at the begin."""
         trace = self.board.trace
         lines, until = trace.lines(), last.total if last is not None else trace.total
         number = trace.total - len(lines) + np.arange(len(lines))
@@ -115,7 +118,7 @@ def _register_signals(lines: np.ndarray, writer: Any, bus_ns: int, begin: int) -
 def _iterate_cycles(
     lines: np.ndarray, reads: np.ndarray, variables: tuple[Any, ...], bus_ns: int, begin: int
 ) -> Iterator[Any]:
-    """Yield the changes of each line's first cycle, and of its last if there were more."""
+    """Yield the signal changes of the first cycle of each line and, for repeated reads, of the last one."""
     port, data, rd, wr = variables
     more = np.flatnonzero(lines["last"] > lines["first"])
     at = np.concatenate([lines["first"], lines["last"][more]])
@@ -134,7 +137,7 @@ def _iterate_cycles(
 
 
 def _iterate_polls(lines: np.ndarray, variable: Any) -> Iterator[Any]:
-    """Yield 1 where at least one port begins to be read again and again, 0 where none is any more."""
+    """Yield 1 when repeated reads of at least one port begin, and 0 when none continues."""
     lines = lines[lines["count"] > 2]
     steps = heapq.merge(((t, 1) for t in lines["first"].tolist()), ((t, -1) for t in np.sort(lines["last"]).tolist()))
     depth = 0

@@ -26,12 +26,12 @@ _TEXT = re.compile(rf"\s*{_NUMBER}\s*=\s*{_NUMBER}\s*\+\s*{_NUMBER}\s*")
 
 
 class Window(NamedTuple):
-    """Ports of a board at addresses.
+    """Range of addresses that maps to ports of a board.
 
     Attributes:
-        address: Where they are.
-        port: The first of them.
-        length: How many they are, a byte each.
+        address: First address.
+        port: First port.
+        length: Number of ports, one byte each.
     """
 
     address: int
@@ -40,7 +40,7 @@ class Window(NamedTuple):
 
     @property
     def end(self) -> int:
-        """The first address behind it."""
+        """First address after the window."""
         return self.address + self.length
 
     def __str__(self) -> str:
@@ -56,7 +56,11 @@ def is_supported() -> bool:
 
 
 def explain_missing(isolated: bool) -> str:
-    """Say why there can be no windows here."""
+    """Return a sentence that explains why windows are not available here.
+
+    Args:
+        isolated: Whether the firmware runs in a separate process.
+    """
     if is_supported() and not isolated:
         return f"windows of memory-mapped registers need a process of the firmware's own: isolated=True, the default; or {PROXIES}."
     where = f"{platform.system()} on {platform.machine()}"
@@ -64,14 +68,17 @@ def explain_missing(isolated: bool) -> str:
 
 
 def parse_windows(windows: Windows = ()) -> tuple[Window, ...]:
-    """Parse windows: one, or several, each a Window, (address, port, length), or text in the form `ADDRESS=PORT+LENGTH` with
-    numbers in decimal or hexadecimal (0x).
+    """Parse one or several windows of memory-mapped registers.
+
+    Args:
+        windows: A Window, a tuple (address, port, length), a text `ADDRESS=PORT+LENGTH` with decimal or hexadecimal
+            (0x) numbers, or several of these.
 
     Returns:
         The windows, sorted by address.
 
     Raises:
-        ArgumentError: Another form, ports that do not exist, or windows that overlap.
+        ArgumentError: A window has another form, ports that do not exist, or an overlap with another window.
     """
     if isinstance(windows, str) or (isinstance(windows, tuple) and len(windows) == 3 and isinstance(windows[0], int)):
         windows = (windows,)

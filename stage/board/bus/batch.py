@@ -1,7 +1,8 @@
-"""Many requests of a host in one compiled call: `run_batch` takes an array of ENTRY records and gives an answer for each.
+"""Execute many requests of a host in one compiled call: `run_batch` takes an array of ENTRY records and returns one
+answer for each.
 
-For hosts at the other end of a network, see stage.serve: a batch may contain "read this port until (value & mask) == x", so that
-waiting for a chip takes no round trips.
+Hosts that drive the board over a network (stage.serve) send batches. A batch may contain "read this port until (value &
+mask) == x", so that waiting for a chip takes no network round trips.
 """
 
 from __future__ import annotations
@@ -13,18 +14,18 @@ from stage.board.bus.requests import execute
 from stage.native import array_of, exported, float_mode_as_before, hot, record, usual_float_mode
 
 SLICE_NS, SLICE_CYCLES = 50_000_000, 100_000
-"""Time and cycles of a batch between two pauses, in which Python may end it."""
+"""Simulated time and bus cycles between two pauses of a batch, at which Python may end it."""
 UNTIL8, UNTIL16, UNTIL_LINE = range(100, 103)
-"""What a batch knows beside the requests of `host_record`: read a port until (value & mask) == b, `times` times at most and
-`every` us apart; wait until the interrupt line is asserted, `a` us at most."""
+"""Requests that only a batch has: read a port until (value & mask) == b, at most `times` times, `every` microseconds
+apart; wait at most `a` microseconds until the interrupt line is asserted."""
 ENTRY = record([*((name, "i4") for name in ("what", "times", "every", "mask")), ("a", "i8"), ("b", "i8")])
-"""what: IN8 ... or UNTIL8 ...; a: a port, or us; b: the value that is written, or waited for; times, every, mask: of UNTIL8 and
-UNTIL16 only, the mask as 32 bits without a sign."""
+"""Request in a batch. what: IN8, ..., UNTIL8, ...; a: port, or time in us; b: value that is written or awaited; times,
+every, mask: for UNTIL8 and UNTIL16 only, the mask as 32 unsigned bits."""
 
 
 @hot
 def _is_invalid(entry):
-    """Tell whether an entry is no request, or has a number that does not fit."""
+    """Tell whether an entry has an unknown request code or an operand out of range."""
     code = entry.what
     if code in (host_record.MICROS, host_record.LINE):
         return False
@@ -47,7 +48,7 @@ def _is_invalid(entry):
 
 @exported("i8", array_of(ENTRY))
 def find_first_invalid(entries):
-    """Return the index of the first entry that cannot be carried out, or their number."""
+    """Return the index of the first entry that cannot be executed, or the number of entries if all can."""
     for k in range(len(entries)):
         if _is_invalid(entries[k]):
             return k
@@ -56,7 +57,7 @@ def find_first_invalid(entries):
 
 @hot
 def _read_until(host, entry):
-    """Read a port until the value of an entry comes; return the last value that was read."""
+    """Read a port until the value of the entry appears; return the last value that was read."""
     code, mask, value = host_record.IN8 if entry.what == UNTIL8 else host_record.IN16, int(entry.mask) & 0xFFFFFFFF, 0
     for k in range(entry.times):
         value = execute(host, code, entry.a, 0)
@@ -69,7 +70,7 @@ def _read_until(host, entry):
 
 @hot
 def _wait_for_line(host, us):
-    """Wait until the line is asserted; return 1 if it is. Reading it takes a bus cycle, as LINE does."""
+    """Wait until the interrupt line is asserted; return 1 if it is. Like a LINE request, this takes one bus cycle."""
     waiting.pass_bus_cycle(host)
     asserted = waiting.wait_for_line(host, us * 1000)
     waiting.call_hooks(host)
@@ -78,16 +79,22 @@ def _wait_for_line(host, us):
 
 @hot
 def set_next_pause(host):
-    """Set the time and the cycles of the next pause."""
+    """Set the time and the number of bus cycles at which the batch pauses next."""
     host.until, host.max_cycles = host_record.get_now(host) + SLICE_NS, host.cycles + SLICE_CYCLES
 
 
 @exported("i8", host_record.HOST, array_of(ENTRY), array_of(np.int64))
 def run_batch(host, entries, answers):
-    """Execute the entries, one after the other, on a board that is not stopped. Python is called at each PAUSE, and calls `go_on`.
+    """Execute the entries in order. At each PAUSE, Python is called, which has to call `resume_batch`.
+
+    Args:
+        host: HOST record of a board that is not stopped.
+        entries: ENTRY records.
+        answers: Array that receives the answer to each entry.
 
     Returns:
-        How many were executed to the end: fewer than all if the board was stopped; -1 if another thread is inside.
+        Number of entries that were executed completely, fewer than all if the board was stopped; -1 if another thread
+        uses the board.
     """
     if not host_record.enter(host):
         return -1
@@ -117,5 +124,5 @@ def run_batch(host, entries, answers):
 
 @exported(None, host_record.HOST)
 def resume_batch(host):
-    """Let a paused batch go on, until the next pause."""
+    """Let a paused batch continue until its next pause."""
     set_next_pause(host)

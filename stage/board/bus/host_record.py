@@ -45,12 +45,12 @@ WINDOW_REQUEST = 20
 FROM_PYTHON = 64
 """Added to requests of a host in Python, which is told at once that another thread is inside."""
 BUS_BUSY = -(1 << 62)
-"""The answer to a host that makes a request while another one makes one in another thread."""
+"""Answer to a request that another thread's request prevents."""
 MAX_DELAY_US = 10**15
-"""With more, ns would no longer fit 63 bits."""
+"""Maximum delay: longer ones would not fit into 63 bits of nanoseconds."""
 STORM_CALLS = 1000
 PAUSE_INTERVAL_NS = 10_000_000
-"""Time that passes between two checks whether the firmware is to be paused: Ctrl-C in a long delay."""
+"""Simulated time between two checks whether the firmware has to pause, so that Ctrl-C works in a long delay."""
 
 LAST_PORT = 0xFFFFFFFF
 NOTHING, BYTE, WORD, HALF, LATCH, LATCHED, PULLS, DEVICE = range(8)
@@ -128,19 +128,19 @@ _pulls = called("i8", "i8", "i8", "i8")
 
 @hot
 def get_stage(host):
-    """The HANDLE that a HOST record begins with."""
+    """Return the HANDLE with which a HOST record begins."""
     return array_at(host.own, 1, handle.HANDLE)[0]
 
 
 @hot
 def get_chip(host, chip):
-    """The chip record with the number `chip`."""
+    """Return the record of the chip with this number."""
     return chips(get_stage(host))[chip]
 
 
 @hot
 def get_now(host):
-    """The host's time, ns."""
+    """Return the time of the host, ns, which may be ahead of the stage's time."""
     return world(get_stage(host)).now + host.ahead
 
 
@@ -152,13 +152,13 @@ def enter(host):
 
 @hot
 def leave(host):
-    """Mark the end of a call into the engine."""
+    """Release the board at the end of a request."""
     release(host.own + INSIDE, ENGINE)
 
 
 @hot
 def call_host_function(host, function, argument):
-    """Call a function that may make requests, and restore the usual floating-point mode after it."""
+    """Call a function of the host that may itself make requests, then restore the default floating-point mode."""
     leave(host)
     _call(function, (argument,))
     usual_float_mode()
@@ -168,7 +168,7 @@ def call_host_function(host, function, argument):
 
 @hot
 def call_python(host, reason):
-    """Call Python about `reason`."""
+    """Call Python for one of the reasons above."""
     before, host.in_python = host.in_python, 1
     call_host_function(host, host.call, reason)
     host.in_python = before
@@ -176,17 +176,18 @@ def call_python(host, reason):
 
 @hot
 def append_to_trace(host, kind, port, value, same):
-    """Add a cycle that has just ended to the trace.
+    """Append a bus cycle that has just ended to the trace.
 
     Args:
-        h: The HOST record.
-        kind: IN, OUT, ... and its flags.
+        host: The HOST record.
+        kind: IN, OUT, ... with flags.
         port: Port of the cycle.
         value: Value that was read or written.
-        same: Number of the line about an equal read, which counts this one too if no write came between; or -1.
+        same: Number of the trace line of an earlier read of this port, which counts the new cycle if the value is equal
+            and no write came between; or -1.
 
     Returns:
-        The number of the line.
+        Number of the line.
     """
     if host.stopped:
         return -1
@@ -206,7 +207,7 @@ def append_to_trace(host, kind, port, value, same):
 
 @hot
 def append_to_journal(host, kind, chip, address, value):
-    """Note a cycle that has reached a chip, for its journal, in the order of the switches' edges."""
+    """Record a bus cycle that has reached a chip, in order with the edges of the switches, for the chip's journal."""
     if host.noted >= host.edge_room - clockwork(get_stage(host)).most_edges:  # the engine needs that much in any step
         call_python(host, FULL)
     e = array_at(host.edges, host.edge_room, records.EDGE)[host.noted]
@@ -218,7 +219,7 @@ def append_to_journal(host, kind, chip, address, value):
 
 @hot
 def get_device(host, k):
-    """The row of device `k`."""
+    """Return the DEVICE_TABLE record of device `k`."""
     return array_at(host.devices, host.n_devices, DEVICE_TABLE)[k]
 
 
@@ -237,7 +238,8 @@ def _read_encoders(host, d):
 
 @hot
 def access_device(host, k, n, kind, value):
-    """Make a cycle at port `n` of device `k` and return its answer. The stage has caught up for a device in Python."""
+    """Make a bus cycle at a register of device `k`, and return the answer. For a device in Python the caller advances
+    the stage first."""
     if host.stopped:
         return 0xFFFF
     d = get_device(host, k)
@@ -256,7 +258,7 @@ def access_device(host, k, n, kind, value):
 
 @hot
 def find_interrupting_devices(host):
-    """Return the devices that pull the interrupt line, a bit each."""
+    """Return a bit mask of the devices that pull the interrupt line."""
     pulling = 0
     for k in range(host.n_devices):
         d = get_device(host, k)

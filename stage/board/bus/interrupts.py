@@ -23,7 +23,7 @@ SOURCES = FIRST_SOFTWARE + SOFTWARE
 HIGHEST = 15
 NEVER = 1 << 62
 SOFTWARE_LINE = 64
-"""The first software interrupt, among the numbers of lines."""
+"""Number of the first software interrupt among the numbers of lines."""
 
 SOURCE = record([(name, "i8") for name in "level hook argument lines period next pending missed".split()])
 """A source: its level (1 to 15), its hook (0: none), the lines (bits) that assert it; of a timer the period (ns, 0: off) and
@@ -33,16 +33,16 @@ HOOK_CALLED = record([(name, "i8") for name in "number source level outer outer_
 """A hook that is being called: the number of the call (0: free), its source; the processor's level before; the hook that it has
 interrupted (plus one, and that one's number); where the stack is marked."""
 BACK, JUMPED, LOWERED = range(3)
-"""How a hook has ended: the value of the trace's line."""
+"""Ways in which a hook ends, as the value of its trace line."""
 MARK, MARKED = 32, 0x5053_4D41_524B
-"""Words of a mark, and the first of their values."""
+"""Length of a stack mark in words, and its first value."""
 NEAR = 1 << 14
-"""Bytes within which two frames are on the same stack."""
+"""Maximum distance in bytes of two frames on the same stack."""
 
 
 @hot
 def get_sources(host):
-    """The rows of all interrupt sources."""
+    """Return the SOURCE records of all interrupt sources."""
     return array_at(host.sources, SOURCES, SOURCE)
 
 
@@ -53,7 +53,8 @@ def _get_hooks(host):
 
 @hot
 def update_pending(host):
-    """Compute what is to be checked, and when, after a change of the table."""
+    """Compute from the table of sources which lines, levels and timers the board has to check, and when. Call it after
+    each change of the table."""
     host.hooked_lines, host.line_level, host.n_pending, host.top_level, host.due = 0, 0, 0, 0, NEVER
     sources = get_sources(host)
     for k in range(SOURCES):
@@ -72,7 +73,7 @@ def update_pending(host):
 
 @hot
 def mark_due_timers(host):
-    """Set the flags of timers that are due."""
+    """Set the flags of the timers that are due."""
     now, sources = get_now(host), get_sources(host)
     for k in range(FIRST_TIMER, FIRST_SOFTWARE):
         s = sources[k]
@@ -86,7 +87,12 @@ def mark_due_timers(host):
 
 @hot
 def choose_source(host, asserted):
-    """Return the source that calls next, of those above the processor's level, or -1. asserted: the lines (bits)."""
+    """Return the source with the highest level above the processor's level, or -1.
+
+    Args:
+        host: The HOST record.
+        asserted: Bit mask of the asserted lines.
+    """
     sources, best, level = get_sources(host), -1, host.level
     for k in range(SOURCES):
         s = sources[k]
@@ -97,7 +103,8 @@ def choose_source(host, asserted):
 
 @hot
 def enter_hook(host, source, mark):
-    """Enter a hook that is to be called. Return its place among the hooks, or -1 if there is none."""
+    """Reserve a HOOK_CALLED record for a hook that is about to be called. Return its index, or -1 if all records are in
+    use."""
     hooks, s = _get_hooks(host), get_sources(host)[source]
     for k in range(HOOKS):
         c = hooks[k]
@@ -115,7 +122,17 @@ def enter_hook(host, source, mark):
 
 @hot
 def end_hook(host, place, number, level, outer, outer_number, how):
-    """End the hook of call `number`, which has returned (BACK), was left, or has lowered the level; go on at `level`."""
+    """End a hook that has returned (BACK), was left by a jump, or has lowered the level.
+
+    Args:
+        host: The HOST record.
+        place: Index of its HOOK_CALLED record.
+        number: Number of the call; a record with another number is left alone.
+        level: Level of the processor from now on.
+        outer: Hook that this hook interrupted, plus one; 0 if none.
+        outer_number: Number of the call of that hook.
+        how: BACK, JUMPED or LOWERED.
+    """
     hooks = _get_hooks(host)
     if hooks[place].number == number:
         append_to_trace(host, RETURNED, hooks[place].source, how, -1)
@@ -126,7 +143,12 @@ def end_hook(host, place, number, level, outer, outer_number, how):
 
 @hot
 def end_abandoned_hooks(host, frame):
-    """End hooks that a jump has left. frame: where the request's frame is."""
+    """End hooks that a jump has left.
+
+    Args:
+        host: The HOST record.
+        frame: Address of the stack frame that makes the request.
+    """
     while host.serving:
         c = _get_hooks(host)[host.serving - 1]
         if c.mark == 0 or not _is_abandoned(host, c.mark, frame):
@@ -136,7 +158,7 @@ def end_abandoned_hooks(host, frame):
 
 @hot
 def _is_abandoned(host, mark, frame):
-    """Tell whether the hook below `mark` runs no more, since a request comes from `frame`."""
+    """Tell from the stack position of a request whether the hook below `mark` has been left."""
     if frame > mark:
         on_firmware_stack = host.stack_low < mark and frame < host.stack_high
         return on_firmware_stack or frame - mark < NEAR
@@ -149,7 +171,7 @@ def _is_abandoned(host, mark, frame):
 
 @hot
 def set_level(host, level):
-    """Set the processor's level, which ends hooks of a higher level."""
+    """Set the level of the processor, which ends the hooks of higher levels."""
     while host.serving and level < get_sources(host)[_get_hooks(host)[host.serving - 1].source].level:
         c = _get_hooks(host)[host.serving - 1]
         end_hook(host, host.serving - 1, c.number, level, c.outer, c.outer_number, LOWERED)

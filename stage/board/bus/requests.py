@@ -16,7 +16,7 @@ from stage.sim.handle import INTEGER
 
 @hot
 def _is_lost(host, chip, address, value):
-    """Return 1 if a fault of the bus keeps a write from its chip."""
+    """Return 1 if a fault of the bus loses this write before it reaches the chip."""
     if host.checked_chips >> chip & 1 == 0:
         return 0
     waiting.catch_up(host)
@@ -28,7 +28,17 @@ def _is_lost(host, chip, address, value):
 
 @hot
 def _write_chip(host, chip, address, value, kind, port, data):
-    """Make a write cycle. address, value: as the chip gets them; kind, port, data: as the trace shows it."""
+    """Make a write cycle to a chip.
+
+    Args:
+        host: The HOST record.
+        chip: Number of the chip.
+        address: Address at the chip.
+        value: Value at the chip.
+        kind: Kind of the cycle in the trace.
+        port: Port in the trace.
+        data: Value in the trace.
+    """
     lost = _is_lost(host, chip, address, value)
     waiting.pass_bus_cycle(host)
     if not host.stopped:
@@ -42,7 +52,7 @@ def _write_chip(host, chip, address, value, kind, port, data):
 
 @hot
 def _read_chip(host, chip, address):
-    """Read a chip, whose time is the host's then."""
+    """Advance a chip to the host's time and read it."""
     if host.stopped:
         return 0xFFFF
     waiting.advance_chip(host, chip)
@@ -54,7 +64,7 @@ def _read_chip(host, chip, address):
 
 @hot
 def _find_port(host, port):
-    """Find the PORT record of a port."""
+    """Return the PORT record of a port."""
     regions, at = array_at(host.regions, host.n_regions, host_record.REGION), 0
     for k in range(host.n_regions):
         n = port - regions[k].first
@@ -66,13 +76,13 @@ def _find_port(host, port):
 
 @hot
 def _get_latches(host):
-    """The address that each chip's latch holds: part of the stage's state."""
+    """Return the addresses that the chips' address latches hold; they are part of the stage's state."""
     return array_at(host.latches, host.n_chips, INTEGER)
 
 
 @hot
 def _access_device(host, p, kind, value):
-    """Make a cycle at a device."""
+    """Make a bus cycle at a device."""
     if host_record.get_device(host, p.chip).access == 0:
         waiting.catch_up(host)
     return host_record.access_device(host, p.chip, p.address, kind, value)
@@ -107,7 +117,7 @@ def _in8(host, port):
 
 @hot
 def _out8(host, port, value):
-    """Make a write cycle of 8 bits. The other half of a bus of 16 bits floats."""
+    """Write 8 bits. On a 16-bit bus the other half of the data lines floats."""
     p = _find_port(host, port)
     kind = p.kind
     if kind == host_record.WORD:
@@ -139,7 +149,7 @@ def _out8(host, port, value):
 
 @hot
 def _accepts_16_bits(p):
-    """Tell whether a cycle of 16 bits is one here; the bus makes two of any other."""
+    """Tell whether a 16-bit access to this port is one bus cycle; otherwise it takes two."""
     return p.kind in (host_record.NOTHING, host_record.WORD) or (p.kind == DEVICE and p.mask == host_record.WIDE)
 
 
@@ -181,7 +191,7 @@ def _out16(host, port, value):
 
 @hot
 def _pass_poll(host):
-    """Let the bus cycle of a poll of a timer or a line pass, so that firmware that waits for either gets on."""
+    """Pass the bus cycle of a poll of the time or the interrupt line, so that time advances in polling loops."""
     waiting.pass_bus_cycle(host)
     waiting.call_hooks(host)
 
@@ -194,7 +204,7 @@ def _report_refusal(host, code, a, b):
 
 @hot
 def _set_line_hook(host, hook, argument):
-    """Set the hook of all lines as one."""
+    """Set one hook for all interrupt lines."""
     waiting.catch_up(host)
     s = interrupts.get_sources(host)[interrupts.ANY_LINE]
     s.level, s.hook, s.argument, s.lines = 1, hook, argument, -1
@@ -205,7 +215,13 @@ def _set_line_hook(host, hook, argument):
 
 @hot
 def _set_source(host, code, settings):
-    """Set the hook of a timer, a line or a software interrupt. settings: see TIMER."""
+    """Set the hook of a timer, a line or a software interrupt.
+
+    Args:
+        host: The HOST record.
+        code: TIMER or ON_LINE.
+        settings: Five int64, see TIMER.
+    """
     number, level, source, lines = settings[0], settings[1], -1, 0
     if code == host_record.TIMER:
         if 0 <= number < interrupts.TIMERS and 0 <= settings[2] < host_record.MAX_DELAY_US * 1000:
@@ -247,7 +263,7 @@ def _raise_software_interrupt(host, number):
 
 @hot
 def _check_stack(host):
-    """Call Python about a request that comes from another stack than that of the firmware's own thread."""
+    """Call Python if a request comes from another stack than that of the firmware's own thread."""
     position = frame_address()
     if position < host.stack_low or position > host.stack_high:
         host.stack_checks -= 1
@@ -257,7 +273,7 @@ def _check_stack(host):
 
 @hot
 def _access_ports(host, code, port, value):
-    """Make the bus cycles of a request."""
+    """Make the bus cycles of a read or write request, and return the value that was read."""
     if code == IN8:
         return _in8(host, port)
     if code == IN16:
@@ -276,7 +292,7 @@ def _access_ports(host, code, port, value):
 
 @hot
 def _control_interrupts(host, code, a, b):
-    """Carry out a request to the interrupt controller; return the level before."""
+    """Execute a request to the interrupt controller; return the previous level for LEVEL, otherwise 0."""
     if code == host_record.HOOK:
         _set_line_hook(host, a, b)
     elif code in (host_record.TIMER, host_record.ON_LINE):
@@ -290,7 +306,7 @@ def _control_interrupts(host, code, a, b):
 
 @hot
 def _control_time(host, code, a, b):
-    """Let time pass, or answer what it is."""
+    """Execute a request that waits for or reads time or the interrupt line."""
     if code == host_record.DELAY:
         waiting.wait(host, least(greatest(a, 0), host_record.MAX_DELAY_US) * 1000)
     elif code == host_record.SPEND:
@@ -316,9 +332,9 @@ def execute(host, code, a, b):
     """Execute one host request and return its result, or 0.
 
     Args:
-        h: The HOST record.
-        what: IN8, host_record.OUT8, ...
-        a: First operand of the request.
+        host: The HOST record.
+        code: IN8, OUT8, ... of host_record.
+        a: First operand.
         b: Second operand.
     """
     if host.stack_checks:
@@ -350,9 +366,9 @@ def execute(host, code, a, b):
 
 @exported("i8", host_record.HOST, "i4", "i8", "i8")
 def request(host, code, a, b):
-    """Execute a request of a host.
+    """Execute one host request and return its result. Refuse it with BUS_BUSY if another request is being executed.
 
-    In C: int64_t request(void *host, int32_t what, int64_t a, int64_t b).
+    Prototype in C: int64_t request(void *host, int32_t what, int64_t a, int64_t b).
     """
     if (host.in_python and code < host_record.FROM_PYTHON) or not host_record.enter(host):
         if code < host_record.FROM_PYTHON:
@@ -369,31 +385,31 @@ def request(host, code, a, b):
 
 @exported("i8", host_record.HOST)
 def read_interrupt_mask(host):
-    """Return the chips and devices that pull the interrupt line, a bit each, without a bus cycle."""
+    """Return a bit mask of the chips and devices that pull the interrupt line, without a bus cycle."""
     return waiting.find_interrupt_mask(host)
 
 
 @exported(None, host_record.HOST)
 def update_interrupts(host):
-    """Take over a changed table of interrupt sources."""
+    """Apply a table of interrupt sources that Python has changed."""
     interrupts.update_pending(host)
 
 
 @exported("i8")
 def get_stack_position():
-    """Return about where the caller's stack is."""
+    """Return the approximate stack position of the caller."""
     return frame_address()
 
 
 @exported("i8")
 def set_usual_float_mode():
-    """Let this thread compute in the usual mode; return the mode before."""
+    """Set the default floating-point mode of this thread; return the previous mode."""
     return usual_float_mode()
 
 
 @exported(None, "i8")
 def restore_float_mode(mode):
-    """Let this thread compute in an earlier mode again."""
+    """Restore an earlier floating-point mode of this thread."""
     float_mode_as_before(mode)
 
 

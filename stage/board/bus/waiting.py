@@ -1,4 +1,5 @@
-"""Advances time for a host, compiled: in a bus cycle, in a delay, in computing; and calls the hooks of interrupts."""
+"""Advance the time of a host, compiled: in bus cycles, delays and computing. Calls the hooks of interrupts on the
+way."""
 
 from __future__ import annotations
 
@@ -12,12 +13,12 @@ from stage.sim.engine import advance
 from stage.sim.handle import AXIS, INTEGER, clockwork, world
 
 STACK_LEFT = 1 << 20
-"""Bytes of the firmware's stack that hooks which interrupt each other leave."""
+"""Bytes of the firmware's stack that nested hooks must leave free."""
 
 
 @hot
 def _run_stage(host, until):
-    """Let the stage's time pass up to `until` ns; journals and recordings take part."""
+    """Advance the stage to `until` ns, with journals and recordings."""
     w = world(get_stage(host))
     while w.now < until and not host.stopped:
         status = advance(get_stage(host), until)
@@ -41,7 +42,7 @@ def catch_up(host):
 
 @hot
 def _find_quiet_time(host):
-    """Find the time up to which nothing but the chips themselves moves: no edge, no end of a slice."""
+    """Compute the time up to which only the chips change: no edge and no end of a slice comes before it."""
     w, axes, dt = world(get_stage(host)), array_at(host.axes, host.n_axes, AXIS), clockwork(get_stage(host)).dt
     host.quiet = least(least(host.until, host.due), w.start + (w.slice + 1) * dt // records.SLICES)
     for a in range(len(axes)):
@@ -52,7 +53,7 @@ def _find_quiet_time(host):
 
 @hot
 def _pass_time(host, ns):
-    """Let `ns` pass; pause the firmware where it is to be paused on the way."""
+    """Let `ns` pass, and pause the firmware where it reaches its limit."""
     w, left = world(get_stage(host)), ns
     while left > 0 and not host.stopped:
         if w.now >= host.until:
@@ -65,8 +66,11 @@ def _pass_time(host, ns):
 
 @hot
 def _pass_cycle_time(host, ns):
-    """Let the time of a bus cycle pass. While nothing but the chips moves, the stage follows later, and only the chip that the host
-    accesses is advanced: all of them for each cycle would cost as much as the physics."""
+    """Let the time of a bus cycle pass.
+
+    While only the chips change, the stage follows later, and only the accessed chip advances. Advancing all chips in
+    each cycle would cost as much as the physics.
+    """
     lazy = host.lazy and host.line_level <= host.level
     if lazy and host_record.get_now(host) + ns < host.quiet:
         host.ahead += ns
@@ -81,7 +85,7 @@ def _pass_cycle_time(host, ns):
 
 @hot
 def advance_chip(host, chip):
-    """Advance a chip to the host's time."""
+    """Advance one chip to the host's time."""
     if host.ahead:
         c = host_record.get_chip(host, chip)
         cores.run(c, records.clock_at(host_record.get_now(host), c.hz))
@@ -89,7 +93,7 @@ def advance_chip(host, chip):
 
 @hot
 def find_interrupt_mask(host):
-    """Return the chips that pull the interrupt line, a bit each, and behind them the devices."""
+    """Return a bit mask of the chips and devices that pull the interrupt line: first the chips, then the devices."""
     catch_up(host)
     irqs, pulling = array_at(host.irqs, host.n_chips, host_record.IRQ), 0
     for k in range(host.n_chips):
@@ -103,14 +107,14 @@ def find_interrupt_mask(host):
 
 @hot
 def call_hooks(host):
-    """Let sources above the processor's level call their hooks."""
+    """Call the hooks of interrupts whose level is above the processor's."""
     if host.top_level > host.level:
         _call_hooks(host)
 
 
 @hot
 def _call_hooks(host):
-    """Call hooks, that of the highest source first, until none is left."""
+    """Call hooks, the one with the highest level first, until no interrupt is pending."""
     calls = 0
     while host.top_level > host.level and not host.stopped:
         asserted = find_interrupt_mask(host) & host.hooked_lines if host.line_level > host.level else 0
@@ -129,7 +133,7 @@ def _call_hooks(host):
 
 @hot
 def _call_hook(host, source):
-    """Call the hook of a source; the processor's level is as before when it has returned."""
+    """Call the hook of a source, and restore the level of the processor after it."""
     catch_up(host)
     s, level, outer, outer_number = interrupts.get_sources(host)[source], host.level, host.serving, 0
     mark, missed = stack_mark(MARK, MARKED), s.missed
@@ -153,8 +157,14 @@ def _copy_words(source, target, words):
 
 @hot
 def _run_to_line(host, lines, end):
-    """Advance to `end`, but no further than the end of the physics step; or to the ns at which one of the lines (bits) is
-    asserted, if that comes before. They are off now, or their hooks were called."""
+    """Advance to `end`, the end of the physics step, or the nanosecond at which one of the lines is asserted, whichever
+    comes first.
+
+    Args:
+        host: The HOST record.
+        lines: Bit mask of the lines. None of them is asserted now, or their hooks were called.
+        end: Time, ns.
+    """
     w, dt = world(get_stage(host)), clockwork(get_stage(host)).dt
     stop = least(end, w.start + dt)
     inside = stop - 1 if stop == w.start + dt else stop  # where no physics has come between, time can be taken back
@@ -181,8 +191,8 @@ def _run_to_line(host, lines, end):
 
 @hot
 def wait(host, ns):
-    """Let `ns` pass in a delay; an interrupt comes at the ns of its timer, or at which its line is asserted. The time that its hook
-    takes is part of the delay."""
+    """Let `ns` pass in a delay, and call hooks at the nanosecond of their timer or line. The time that a hook takes is
+    part of the delay."""
     catch_up(host)
     w = world(get_stage(host))
     end = w.now + ns
@@ -202,7 +212,7 @@ def wait(host, ns):
 
 @hot
 def advance_host(host, until):
-    """Advance the host's time to `until` ns, if it is not there."""
+    """Advance the host's time to `until` ns if that is later than now."""
     ns = until - host_record.get_now(host)
     if ns > 0:
         _pass_cycle_time(host, ns)
@@ -211,7 +221,7 @@ def advance_host(host, until):
 
 @hot
 def wait_for_line(host, ns):
-    """Let time pass until the line is asserted, `ns` at most. Return 1 if it is, else 0."""
+    """Let at most `ns` pass until the interrupt line is asserted. Return 1 if it is asserted, else 0."""
     asserted, w = find_interrupt_mask(host), world(get_stage(host))
     end = w.now + ns
     while not asserted and w.now < end and not host.stopped:
@@ -227,7 +237,7 @@ def wait_for_line(host, ns):
 
 @hot
 def pass_computing_time(host):
-    """Let the time pass that the firmware has computed since its last request."""
+    """Let the time pass that the firmware has spent computing since its last request."""
     counted = array_at(host.meter, 1, INTEGER)
     ps = host.rest + counted[0] * host.cost
     counted[0], host.rest = 0, ps % 1000
@@ -241,7 +251,15 @@ def pass_computing_time(host):
 
 @hot
 def set_source(host, source, lines, settings, is_on):
-    """Give a source another hook, or none. settings: number, level, period (ns), hook and argument."""
+    """Set or remove the hook of an interrupt source.
+
+    Args:
+        host: The HOST record.
+        source: Index of the source.
+        lines: Bit mask of the lines that assert it.
+        settings: Five int64: number, level, period (ns), hook, argument.
+        is_on: Whether the source has a hook from now on.
+    """
     catch_up(host)
     s = interrupts.get_sources(host)[source]
     s.level, s.hook, s.argument, s.lines = settings[1], settings[3] if is_on else 0, settings[4], lines
