@@ -1,4 +1,4 @@
-"""The examples of scripts/firmware, built as their reader would: C99, all warnings, errors."""
+"""Build the examples of scripts/firmware as a reader would: C99 with all warnings as errors."""
 
 import shutil
 from pathlib import Path
@@ -14,16 +14,20 @@ FLAGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror")
 
 @pytest.fixture(scope="session")
 def firmware(tmp_path_factory):
-    """firmware("pcl240mk", *flags, change=(file, old, new)) -> a library; with `change` of a copy that is broken on purpose."""
+    """Return a function that builds an example once and returns its library: `firmware("pcl240mk", *flags,
+    change=(file, old, new))`.
+
+    With `change`, it builds a copy in which a text of one file is replaced, for example to introduce a fault.
+    """
     try:
         find_compiler()
     except NoCompilerError as error:
         pytest.skip(f"firmware in C is not tested here: {error}")
-    made = {}
+    built_libraries = {}
 
     def make(name, *flags, change=None):
         key = (name, flags, change)
-        if key not in made:
+        if key not in built_libraries:
             folder = tmp_path_factory.mktemp(name)
             shutil.copytree(EXAMPLES / "hal", folder / "hal")
             shutil.copytree(EXAMPLES / name, folder / name)
@@ -34,7 +38,7 @@ def firmware(tmp_path_factory):
                 assert text.count(old) == 1, f"{file} has no {old!r} to change, or several"
                 path.write_text(text.replace(old, new))
             sources = [*sorted((folder / name).glob("*.c")), folder / "hal" / "hal_pulsestage.c"]
-            made[key] = build(sources, folder / f"{name}.so", (*FLAGS, f"-I{folder / 'hal'}", *flags))
-        return made[key]
+            built_libraries[key] = build(sources, folder / f"{name}.so", (*FLAGS, f"-I{folder / 'hal'}", *flags))
+        return built_libraries[key]
 
     return make

@@ -1,4 +1,4 @@
-"""docs/bugs_found.md: its programs print what stands there, and its code is theirs."""
+"""The programs of docs/bugs_found.md print the text of the page, and the page shows their code."""
 
 import re
 import shlex
@@ -15,33 +15,33 @@ STORIES = re.findall(r"```sh\nstage (.*?)\n```\n\n```text\n(.*?)```", PAGE, re.S
 
 
 @pytest.mark.parametrize(
-    ("command", "shown"),
+    ("command", "expected_output"),
     [pytest.param(*story, marks=pytest.mark.slow) if "MENDED" in story[0] else story for story in STORIES],
     ids=lambda value: re.sub(r".*/(\w+)\.c.*?(MENDED)?$", r"\1\2", value) if "/" in value else "",
 )
-def test_a_story_prints_what_stands_there(command, shown, firmware, tmp_path, monkeypatch, capsys):
+def test_each_story_prints_the_text_of_the_page(command, expected_output, firmware, tmp_path, monkeypatch, capsys):
     words = [str(ROOT / word) if word.startswith("scripts/") else word for word in shlex.split(command)]
     monkeypatch.chdir(tmp_path)
-    mended = "MENDED" in command
-    flags = "-std=c99 -Wall -Wextra -pedantic -Werror" + (" -DMENDED" if mended else "")
+    is_repaired = "MENDED" in command
+    flags = "-std=c99 -Wall -Wextra -pedantic -Werror" + (" -DMENDED" if is_repaired else "")
     words = [word for word in words if not word.startswith("--cflags")]
     code = main([*words, "--in-process", f"--cflags={flags}"])
-    said = capsys.readouterr()
-    printed = re.sub(r", in \S+ s of wall time", "", said.out) + said.err + Path("out.txt").read_text()
-    for line in shown.splitlines():
+    printed_text = capsys.readouterr()
+    printed = re.sub(r", in \S+ s of wall time", "", printed_text.out) + printed_text.err + Path("out.txt").read_text()
+    for line in expected_output.splitlines():
         assert any(agree(other, line) for other in printed.splitlines()), f"{line}\nis not in\n{printed}"
     failed = {
-        "rate_too_wide": mended,
-        "speed_never_set": not mended,
-        "wrong_command": not mended,
+        "rate_too_wide": is_repaired,
+        "speed_never_set": not is_repaired,
+        "wrong_command": not is_repaired,
         "no_axis_bits": False,
     }
     assert code == failed[Path(words[1]).stem]
     kind = "mistakes" in printed
-    assert kind is not mended
+    assert kind is not is_repaired
 
 
-def test_there_are_four_and_the_code_of_the_page_is_theirs():
+def test_the_page_shows_the_code_of_all_four_stories():
     assert len(STORIES) == 8
     programs = [
         re.sub(r"\s+", " ", path.read_text()) for path in (ROOT / "scripts" / "firmware" / "stories").glob("*.c")

@@ -10,7 +10,7 @@ from stage.cli import main
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "devices.md").read_text()
 
 
-def test_the_device_in_c_of_the_page_is_what_the_page_says(tmp_path, monkeypatch, capsys):
+def test_the_c_device_of_the_page_prints_the_documented_trace(tmp_path, monkeypatch, capsys):
     """The blocks of the page; and stage run driver.c --device adc.c:0x340+2 --device hctl2016:0x320:x"""
     firmware("PULSESTAGE_MAIN { return 0; }")  # skips where there is no compiler
     monkeypatch.chdir(tmp_path)

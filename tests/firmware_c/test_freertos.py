@@ -1,5 +1,5 @@
-"""FreeRTOS on an emulated board: the layer below it, with a kernel of a screenful; and the kernel itself where FREERTOS_KERNEL says
-in which folder it is (github.com/FreeRTOS/FreeRTOS-Kernel; nothing of it is here)."""
+"""FreeRTOS on an emulated board: the port layer with a minimal kernel; and the original kernel if FREERTOS_KERNEL names
+its folder (github.com/FreeRTOS/FreeRTOS-Kernel is not part of this repository)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ KERNEL = Path(os.environ.get("FREERTOS_KERNEL", "/nowhere"))
 needs_kernel = pytest.mark.skipif(
     not (KERNEL / "tasks.c").is_file(), reason="FREERTOS_KERNEL names no folder of FreeRTOS-Kernel"
 )
-OWN = [EXAMPLES / "freertos/drive_and_watch.c", EXAMPLES / "pcl240mk/pcl240.c"]
+FIRMWARE_SOURCES = [EXAMPLES / "freertos/drive_and_watch.c", EXAMPLES / "pcl240mk/pcl240.c"]
 FOLDERS = [
     f"-I{folder}" for folder in (EXAMPLES / "freertos", EXAMPLES / "hal", EXAMPLES / "pcl240mk", KERNEL / "include")
 ]
@@ -157,18 +157,18 @@ def test_an_assertion_that_fails_ends_the_run_and_says_where(tiny):
     assert "tiny.c:" in log[2][1]
 
 
-def driven(isolated: bool) -> tuple:
+def run_program(isolated: bool) -> tuple:
     """drive_and_watch.c on this machine."""
     stage = Stage("xy", chips=PCL240MK, visuals=False)
     board = Board(stage)
     kernel = [KERNEL / f"{name}.c" for name in ("tasks", "list", "queue")]
-    sources = [*OWN, EXAMPLES / "hal/hal_pulsestage.c", *kernel]
+    sources = [*FIRMWARE_SOURCES, EXAMPLES / "hal/hal_pulsestage.c", *kernel]
     with NativeHost(sources, board, platform="freertos", flags=tuple(FOLDERS), isolated=isolated) as host:
         code = host.run(timeout=5).code
     return code, [text for _, text in host.log], str(board.trace), stage.data.qpos.tolist()
 
 
-def on_a_cortex(program: Path) -> tuple:
+def run_on_cortex(program: Path) -> tuple:
     stage = Stage("xy", chips=PCL240MK, visuals=False)
     board = Board(stage)
     maps = ["0x40021000=0x300+0x40", "irq=6"]
@@ -177,13 +177,13 @@ def on_a_cortex(program: Path) -> tuple:
     return code, [text for _, text in host.log], str(board.trace), stage.data.qpos.tolist()
 
 
-def check(said: list[str]) -> None:
-    assert [text for text in said if "there" in text] == ["there at 2000", "there at 0"]
-    assert said[0] == "2000 pulses left"
-    assert said[-1] == "7 looks"
+def check_log(printed_text: list[str]) -> None:
+    assert [text for text in printed_text if "there" in text] == ["there at 2000", "there at 0"]
+    assert printed_text[0] == "2000 pulses left"
+    assert printed_text[-1] == "7 looks"
 
 
-def test_without_its_sources_it_is_said_where_they_come_from(tiny):
+def test_a_missing_freertos_source_names_where_to_get_it(tiny):
     (tiny / "alone").mkdir()
     (tiny / "alone" / "app.c").write_text("int main(void) { return 0; }\n")
     with pytest.raises(
@@ -194,22 +194,28 @@ def test_without_its_sources_it_is_said_where_they_come_from(tiny):
 
 @needs_kernel
 def test_freertos_itself_sleeps_and_wakes_by_interrupt(firmware):
-    runs = [driven(False), driven(False), driven(True)]
+    runs = [run_program(False), run_program(False), run_program(True)]
     assert runs[0][0] == 0
-    check(runs[0][1])
+    check_log(runs[0][1])
     assert runs[0] == runs[1] == runs[2]
 
 
 @needs_kernel
 @pytest.mark.skipif(not mcus.has_unicorn(), reason=f"there is no {mcus.UNICORN}")
 @pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="there is no arm-none-eabi-gcc")
-def test_its_own_port_runs_on_a_cortex_m3(tmp_path):
+def test_the_original_freertos_port_runs_on_a_cortex_m3(tmp_path):
     """SVC, PendSV, SysTick, BASEPRI and both stacks as FreeRTOS uses them."""
     port = KERNEL / "portable/GCC/ARM_CM3"
     kernel = [KERNEL / f"{name}.c" for name in ("tasks", "list", "queue")]
-    sources = [*OWN, EXAMPLES / "hal/hal_cortexm3.c", *kernel, port / "port.c", KERNEL / "portable/MemMang/heap_4.c"]
+    sources = [
+        *FIRMWARE_SOURCES,
+        EXAMPLES / "hal/hal_cortexm3.c",
+        *kernel,
+        port / "port.c",
+        KERNEL / "portable/MemMang/heap_4.c",
+    ]
     options = "-mcpu=cortex-m3 -mthumb -Os -DHAL_FREERTOS -nostartfiles -Wl,-n".split()
-    built = tmp_path / "drive_and_watch.elf"
+    build_example = tmp_path / "drive_and_watch.elf"
     command = [
         "arm-none-eabi-gcc",
         *options,
@@ -219,10 +225,10 @@ def test_its_own_port_runs_on_a_cortex_m3(tmp_path):
         f"-I{port}",
         *sources,
         "-o",
-        built,
+        build_example,
     ]
     subprocess.run(list(map(str, command)), check=True, capture_output=True)
-    first = on_a_cortex(built)
+    first = run_on_cortex(build_example)
     assert first[0] == 0
-    check(first[1])
-    assert on_a_cortex(built) == first
+    check_log(first[1])
+    assert run_on_cortex(build_example) == first

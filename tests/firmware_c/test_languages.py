@@ -1,4 +1,4 @@
-"""Firmware in Rust and Zig: the page's example and those of scripts/firmware, where their compilers are."""
+"""Firmware in Rust and Zig: the example of the page and those of scripts/firmware, if their compilers are installed."""
 
 import re
 import shutil
@@ -20,13 +20,25 @@ rust = pytest.mark.skipif(RUSTC is None, reason="no rustc here")
 pytestmark = pytest.mark.slow
 
 
-def rustc(source, folder, edition):
-    made = folder / "driver.so"
+def compile_with_rustc(source, folder, edition):
+    library = folder / "driver.so"
     subprocess.run(
-        [RUSTC, "--edition", edition, "-O", "-D", "warnings", "--crate-type", "cdylib", str(source), "-o", str(made)],
+        [
+            RUSTC,
+            "--edition",
+            edition,
+            "-O",
+            "-D",
+            "warnings",
+            "--crate-type",
+            "cdylib",
+            str(source),
+            "-o",
+            str(library),
+        ],
         check=True,
     )
-    return made
+    return library
 
 
 @rust
@@ -34,7 +46,9 @@ def rustc(source, folder, edition):
 def test_the_example_of_the_page_builds_and_runs(edition, tmp_path):
     page = (ROOT / "docs" / "firmware_in_the_loop.md").read_text()
     (tmp_path / "driver.rs").write_text(re.search(r"```rust\n(.*?)```", page, re.S)[1])
-    result = NativeHost(rustc(tmp_path / "driver.rs", tmp_path, edition), Board(Stage("xy"))).run(timeout=1)
+    result = NativeHost(compile_with_rustc(tmp_path / "driver.rs", tmp_path, edition), Board(Stage("xy"))).run(
+        timeout=1
+    )
     assert (result.code, result.cycles) == (0, 2)
 
 
@@ -42,7 +56,7 @@ def test_the_example_of_the_page_builds_and_runs(edition, tmp_path):
 @pytest.mark.parametrize("edition", ["2021", "2024"])
 def test_the_wrapper_moves_an_axis_without_unsafe_code_of_the_driver(edition, tmp_path):
     stage = Stage("xy", chips="PCL240MK", visuals=False)
-    host = NativeHost(rustc(EXAMPLES / "rust" / "driver.rs", tmp_path, edition), Board(stage))
+    host = NativeHost(compile_with_rustc(EXAMPLES / "rust" / "driver.rs", tmp_path, edition), Board(stage))
     assert host.run(timeout=5).code == 0
     assert host.log[-1][1] == "0 pulses are left"
     assert_at(stage.axes["x"], 4000 * stage.axes["x"].meters_per_pulse)
@@ -50,7 +64,7 @@ def test_the_wrapper_moves_an_axis_without_unsafe_code_of_the_driver(edition, tm
 
 
 @pytest.mark.skipif(find_spec("ziglang") is None, reason="no zig here")
-def test_zig_does_the_same(tmp_path):
+def test_the_example_in_zig_builds_and_runs(tmp_path):
     source = EXAMPLES / "zig" / "driver.zig"
     zig = [sys.executable, "-m", "ziglang", "build-lib", "-dynamic", "-O", "ReleaseSafe", str(source)]
     subprocess.run(zig, check=True, cwd=tmp_path)

@@ -1,4 +1,5 @@
-"""Each source is compiled in its own language: C stays C, on every platform and beside C++; what a compiler says is shown."""
+"""Each source is compiled in its own language: C stays C on every platform and beside C++. Messages of the compiler
+reach the user."""
 
 from __future__ import annotations
 
@@ -35,11 +36,11 @@ def board():
 
 def write(folder, **sources: str):
     """Write sources; names have _ in place of the dot."""
-    made = []
+    files = []
     for name, text in sources.items():
-        made.append(folder / name.replace("_", "."))
-        made[-1].write_text(text)
-    return made
+        files.append(folder / name.replace("_", "."))
+        files[-1].write_text(text)
+    return files
 
 
 def test_c_linked_with_cpp_is_compiled_as_c(board, tmp_path):
@@ -97,12 +98,12 @@ def test_an_avr_program_in_c_finds_other_sources_in_c_and_may_end_a_function_wit
     with pytest.warns(CompilerWarning) as warned:
         library = build(sources, platform="avr")
     assert NativeHost(library, board, isolated=True).run().code == 7 + 2
-    said = str(warned[0].message)
-    assert re.search(r"main\.c:7:\d+: warning: .*(?:end of|does not return a value).* \[-Wreturn-type\]", said)
-    assert "In file included from" not in said
+    printed_text = str(warned[0].message)
+    assert re.search(r"main\.c:7:\d+: warning: .*(?:end of|does not return a value).* \[-Wreturn-type\]", printed_text)
+    assert "In file included from" not in printed_text
 
 
-def test_a_loop_without_end_in_an_avr_program_in_c_is_one(board, tmp_path):
+def test_an_endless_loop_in_a_c_program_for_avr_is_not_optimized_away(board, tmp_path):
     """C++ may assume that a loop without effects ends."""
     text = "#include <avr/io.h>\nint main(void) { unsigned k = 1; while (k) k += 2; return 5; }\n"
     (source,) = write(tmp_path, main_c=text)
@@ -117,23 +118,26 @@ WARNS = '#include <pulsestage.h>\n#warning "look here"\nPULSESTAGE_MAIN { ps_in8
 def test_stage_run_shows_what_the_compiler_warns_of(tmp_path, capfd):
     (source,) = write(tmp_path, drive_c=WARNS)
     assert main(["run", str(source), "--model", "xy"]) == 0
-    said = capfd.readouterr()
+    printed_text = capfd.readouterr()
     assert re.search(
-        r"^stage: warning: .*drive\.c: the compiler warns:\n.*drive\.c:2:\d+: warning: .*look here", said.err, re.M
+        r"^stage: warning: .*drive\.c: the compiler warns:\n.*drive\.c:2:\d+: warning: .*look here",
+        printed_text.err,
+        re.M,
     )
     assert main(["run", str(source), "--model", "xy", "--json"]) == 0
-    said = capfd.readouterr()
-    assert "look here" in json.loads(said.out)["warnings"][0]
-    assert said.err == ""
+    printed_text = capfd.readouterr()
+    assert "look here" in json.loads(printed_text.out)["warnings"][0]
+    assert printed_text.err == ""
 
 
 @pytest.mark.parametrize("platform", [None, "avr"])
 def test_a_function_that_no_source_has_is_named_with_the_line_that_calls_it(platform, tmp_path):
     text = "#include <pulsestage.h>\nint absent(int);\nPULSESTAGE_MAIN\n{\n    return absent(3);\n}\n"
-    for name, shown in (("drive_cpp", r"absent\(int\)"), ("drive_c", "absent")):
+    for name, expected_output in (("drive_cpp", r"absent\(int\)"), ("drive_c", "absent")):
         (source,) = write(tmp_path, **{name: text})
         with pytest.raises(
-            CompileError, match=rf"(?s)linker fails.*{source.name}:5: undefined reference to .{shown}.\n.*docs/porting"
+            CompileError,
+            match=rf"(?s)linker fails.*{source.name}:5: undefined reference to .{expected_output}.\n.*docs/porting",
         ):
             build(source, platform=platform)
 
@@ -155,7 +159,7 @@ def test_a_function_of_this_process_is_no_missing_one(board, tmp_path):
 def test_the_loader_s_error_names_functions_of_cpp_as_their_source_does(board, tmp_path):
     text = "#include <pulsestage.h>\nint absent(int);\nPULSESTAGE_MAIN { return absent(3); }\n"
     (source,) = write(tmp_path, drive_cpp=text)
-    made = tmp_path / "drive.so"
-    subprocess.run(["c++", "-shared", "-fPIC", f"-I{include()}", source, "-o", made], check=True)
+    library = tmp_path / "drive.so"
+    subprocess.run(["c++", "-shared", "-fPIC", f"-I{include()}", source, "-o", library], check=True)
     with pytest.raises(LibraryError, match=r"undefined symbol: absent\(int\)"):
-        NativeHost(made, board)
+        NativeHost(library, board)

@@ -41,14 +41,14 @@ def test_the_driver_of_the_page_compiles_without_a_warning(folder):
     assert build("driver.c", folder / "driver.so", ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror")).is_file()
 
 
-def test_its_tests_pass(folder):
+def test_the_tests_of_the_page_pass(folder):
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_driver.py"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "2 passed" in done.stdout
+    finished_run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert finished_run.returncode == 0, finished_run.stdout + finished_run.stderr
+    assert "2 passed" in finished_run.stdout
 
 
-def test_its_program_runs_and_prints_the_result(folder, capsys):
+def test_the_program_of_the_page_runs_and_prints_the_result(folder, capsys):
     exec(compile(WITHOUT_PYTEST, "page", "exec"), {"__name__": "page"})
     assert re.match(
         r"Result\(code=0, seconds=0\.\d+, cycles=\d+\) \[\(0\.\d+, 'done after \d+ us'\)\] 0\n", capsys.readouterr().out
@@ -71,9 +71,12 @@ def test_the_tour_of_the_readme_runs_as_printed(folder, capsys):
     command = re.search(r"^stage (run driver.*)$", README, re.M)[1].split()
     assert main([*command, "--cflags=-Wall -Wextra -Werror -std=c99 -pedantic"]) == 0
     assert "mistakes" not in capsys.readouterr().out
-    shown = re.search(r"^```text\n( +0\.0.*?)^```", README, re.M | re.S)[1].splitlines()
-    assert set(shown) <= set((folder / "run.txt").read_text().splitlines())
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"], capture_output=True, text=True, check=False
+    expected_output = re.search(r"^```text\n( +0\.0.*?)^```", README, re.M | re.S)[1].splitlines()
+    assert set(expected_output) <= set((folder / "run.txt").read_text().splitlines())
+    finished_run = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
-    assert "1 passed" in done.stdout, done.stdout + done.stderr
+    assert "1 passed" in finished_run.stdout, finished_run.stdout + finished_run.stderr

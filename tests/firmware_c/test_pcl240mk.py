@@ -1,4 +1,5 @@
-"""scripts/firmware/pcl240mk: C firmware homes three PCL-240MK and moves them along a line; and what is seen when it is broken."""
+"""C firmware of scripts/firmware/pcl240mk homes three PCL-240MK and moves them along a line; faults in it are
+diagnosed."""
 
 import ctypes
 import platform
@@ -21,7 +22,7 @@ from stage.firmware.pcl240 import row_emulation
 EXAMPLES = Path(__file__).resolve().parents[2] / "scripts" / "firmware"
 LINE = {"x": 20_000, "y": 12_000, "z": 5_000}
 SPEED = (255, 4080, 193, 193, 153)  # that of home_and_line.c
-NO_CHIP, NOT_HOMED, NOT_THERE = 10, 20, 40
+NO_CHIP, NOT_HOMED, MISSING_CHIP_CODE = 10, 20, 40
 LINE_OK, LINE_TOO_LONG, LINE_TOO_SHORT, LINE_TOO_SLOW = range(4)
 TIMEOUT = 60.0  # simulated s
 NEAR = {"x": -0.115, "y": -0.065, "z": -0.009}  # m, 5 mm before ORG
@@ -69,13 +70,13 @@ def library(firmware):
 
 
 @pytest.fixture(scope="module")
-def done(library):
+def finished_run(library):
     return run(library, **NEAR)
 
 
-def test_three_axes_are_homed_within_a_pulse_of_orgs_edge(done):
-    for name, position in done.homed.items():
-        axis = done.stage.axes[name]
+def test_three_axes_are_homed_within_a_pulse_of_orgs_edge(finished_run):
+    for name, position in finished_run.homed.items():
+        axis = finished_run.stage.axes[name]
         print(f"{name}: {(position - org(axis)) * 1e6:+.2f} um")
         assert position == pytest.approx(org(axis), abs=axis.meters_per_pulse)
 
@@ -89,43 +90,43 @@ def test_three_axes_are_homed_within_a_pulse_of_orgs_edge(done):
         pytest.param({"x": -0.1501, "y": -0.1001, "z": -0.0401}, id="on the end limit behind ORG"),
     ],
 )
-def test_from_anywhere_they_are_homed_to_the_same_pulse(library, done, places):
+def test_homing_from_any_position_ends_at_the_same_pulse(library, finished_run, places):
     again = run(library, **places)
     assert again.code == 0
     for name, axis in again.stage.axes.items():
-        assert again.homed[name] == pytest.approx(done.homed[name], abs=axis.meters_per_pulse)
+        assert again.homed[name] == pytest.approx(finished_run.homed[name], abs=axis.meters_per_pulse)
         assert axis.lost_steps == 0
 
 
-def test_the_line_ends_on_its_pulses_and_no_step_is_lost(done):
-    assert done.code == 0
+def test_the_line_ends_on_its_pulses_and_no_step_is_lost(finished_run):
+    assert finished_run.code == 0
     for name, pulses in LINE.items():
-        axis = done.stage.axes[name]
-        assert done.paths[name][1].tolist() == [1] * pulses
-        assert f"{name}: at {pulses}" in [text for _, text in done.log]
+        axis = finished_run.stage.axes[name]
+        assert finished_run.paths[name][1].tolist() == [1] * pulses
+        assert f"{name}: at {pulses}" in [text for _, text in finished_run.log]
         assert axis.lost_steps == 0
-        assert axis.position - done.homed[name] == pytest.approx(pulses * axis.meters_per_pulse, abs=1e-5)
+        assert axis.position - finished_run.homed[name] == pytest.approx(pulses * axis.meters_per_pulse, abs=1e-5)
 
 
-def test_pulses_stay_within_two_of_the_line_and_end_together(done):
-    far = path_deviation(list(done.paths.values()), list(LINE.values())).pulses
-    ends = [seconds[-1] for seconds, _ in done.paths.values()]
-    print(f"{far:.2f} pulses from the line, ends within {np.ptp(ends) * 1e3:.2f} ms")
-    assert far <= 2
+def test_pulses_stay_within_two_of_the_line_and_end_together(finished_run):
+    max_distance = path_deviation(list(finished_run.paths.values()), list(LINE.values())).pulses
+    ends = [seconds[-1] for seconds, _ in finished_run.paths.values()]
+    print(f"{max_distance:.2f} pulses from the line, ends within {np.ptp(ends) * 1e3:.2f} ms")
+    assert max_distance <= 2
     assert np.ptp(ends) < 2 / 250, "two pulses of the slowest axis at FL"
 
 
-def test_a_reader_of_the_data_sheet_finds_no_mistake(done):
-    assert [axis.chip.diagnostics for axis in done.stage.axes.values()] == [[], [], []]
-    assert done.board.strays == []
+def test_a_reader_of_the_data_sheet_finds_no_mistake(finished_run):
+    assert [axis.chip.diagnostics for axis in finished_run.stage.axes.values()] == [[], [], []]
+    assert finished_run.board.strays == []
 
 
 @pytest.mark.parametrize("isolated", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_two_runs_are_the_same_to_the_bit(library, done, isolated):
+def test_two_runs_are_the_same_to_the_bit(library, finished_run, isolated):
     again = run(library, isolated, **NEAR)
-    assert again.stage.snapshot().state.tobytes() == done.stage.snapshot().state.tobytes()
-    assert again.board.trace.lines().tobytes() == done.board.trace.lines().tobytes()
-    assert again.log == done.log
+    assert again.stage.snapshot().state.tobytes() == finished_run.stage.snapshot().state.tobytes()
+    assert again.board.trace.lines().tobytes() == finished_run.board.trace.lines().tobytes()
+    assert again.log == finished_run.log
 
 
 class Speed(ctypes.Structure):
@@ -136,25 +137,27 @@ class Move(ctypes.Structure):
     _fields_ = (("pulses", ctypes.c_int32), ("speed", Speed), ("R6", ctypes.c_uint32))
 
 
-def planned(library, distances, speed=SPEED):
-    """What line_plan of line.c says, and the moves."""
+def plan_line(library, distances, speed=SPEED):
+    """Call line_plan of line.c; return its result and the moves that it has planned."""
     moves = (Move * len(distances))()
-    given = (ctypes.c_int32 * len(distances))(*distances)
-    return ctypes.CDLL(str(library)).line_plan(len(distances), given, ctypes.byref(Speed(*speed)), moves), moves
+    distances_array = (ctypes.c_int32 * len(distances))(*distances)
+    return ctypes.CDLL(str(library)).line_plan(
+        len(distances), distances_array, ctypes.byref(Speed(*speed)), moves
+    ), moves
 
 
 def test_random_lines_stay_within_two_and_a_half_pulses(library):
     seed = SEED
     print("seed", seed)
     rng = random.Random(seed)
-    far = []
+    max_distance = []
     for _ in range(40):
         distances = [
             rng.choice((-1, 1)) * rng.randint(100, 30_000),
             rng.randint(3000, 30_000),
             rng.randint(100, 30_000),
         ]
-        code, moves = planned(library, distances)
+        code, moves = plan_line(library, distances)
         assert code == LINE_OK
         order = sorted(range(3), key=lambda k: abs(distances[k]))
         paths = []
@@ -164,10 +167,10 @@ def test_random_lines_stay_within_two_and_a_half_pulses(library):
             row = np.array([abs(move.pulses), s.R1, s.R2, s.R2, s.R4, s.R5, move.R6, s.R7], np.int64)
             started = order.index(k) * 1e-6
             paths.append((row_emulation.trace_row(row, PCL240MK) / PCL240MK.DEFAULT_CLOCK_HZ + started, 1))
-        far.append(path_deviation(paths, np.abs(distances).tolist()).pulses)
-    print(f"median {np.median(far):.2f}, largest {max(far):.2f}")
-    assert np.median(far) <= 1.5
-    assert max(far) <= 2.5, "of 3000 the worst was 2.06"
+        max_distance.append(path_deviation(paths, np.abs(distances).tolist()).pulses)
+    print(f"median {np.median(max_distance):.2f}, largest {max(max_distance):.2f}")
+    assert np.median(max_distance) <= 1.5
+    assert max(max_distance) <= 2.5, "of 3000 the worst was 2.06"
 
 
 @pytest.mark.parametrize(
@@ -181,10 +184,10 @@ def test_random_lines_stay_within_two_and_a_half_pulses(library):
     ],
 )
 def test_a_line_that_no_registers_make_is_refused(library, distances, speed, code):
-    assert planned(library, distances, speed)[0] == code
+    assert plan_line(library, distances, speed)[0] == code
 
 
-def test_a_chip_that_is_not_there_is_missed_and_its_ports_are_noted(library):
+def test_the_driver_detects_a_missing_chip_and_the_board_lists_its_stray_cycles(library):
     stage = Stage("xy", chips=PCL240MK, visuals=False)
     board = Board(stage)
     host = NativeHost(library, board)
@@ -211,7 +214,7 @@ def test_an_end_limit_on_the_line_stops_the_other_axes_too(library):
     host.run_until(lambda: host.log and host.log[-1][1] == "line", timeout=TIMEOUT, poll=0.01)
     host.run_for(0.5)
     stage.axes["y"].switches.stick("el_plus", True)
-    assert host.run(TIMEOUT).code == NOT_THERE
+    assert host.run(TIMEOUT).code == MISSING_CHIP_CODE
     for axis in stage.axes.values():
         assert not axis.chip.busy()
         assert axis.lost_steps == 0
@@ -257,18 +260,18 @@ def test_a_broken_register_write_is_named_with_its_cycle_and_leaves_a_recording(
     with stage.record() as recording:
         host = NativeHost(firmware("pcl240mk", change=("pcl240.c", old, new)), board)
         code = host.run(TIMEOUT).code
-    said = next(d for d in stage.axes["x"].chip.diagnostics if message in d.message)
-    moment = said.clock / stage.axes["x"].chip.clock_hz
+    printed_text = next(d for d in stage.axes["x"].chip.diagnostics if message in d.message)
+    moment = printed_text.clock / stage.axes["x"].chip.clock_hz
     named = [cycle for cycle in board.trace if cycle.direction == "W" and cycle.port in range(0x300, 0x304)]
     cycle = min(named, key=lambda cycle: abs(cycle.seconds - moment))
-    print(f"returned {code}; {said.message}\n{cycle}")
+    print(f"returned {code}; {printed_text.message}\n{cycle}")
     assert (cycle.value, cycle.seconds) == (value, pytest.approx(moment, abs=1e-6))
     assert str(cycle) in board.trace.text()
     assert recording.save(tmp_path / "broken.rrd").stat().st_size > 10_000
     assert recording.to_vcd(tmp_path / "broken.vcd").stat().st_size > 1000
 
 
-def test_without_r6_the_line_is_seen_to_end_with_a_bang(firmware, done):
+def test_a_line_without_a_ramp_down_stops_abruptly(firmware, finished_run):
     """The firmware itself notices nothing: it counts pulses, as the chip does."""
     old, new, *_ = BROKEN["R6 is not written"]
     bang = run(firmware("pcl240mk", change=("pcl240.c", old, new)), **NEAR)
@@ -277,7 +280,7 @@ def test_without_r6_the_line_is_seen_to_end_with_a_bang(firmware, done):
         seconds, _ = bang.paths[name]
         rate = 1 / np.diff(seconds)[-1]
         assert rate == pytest.approx(16_000 * pulses / LINE["x"], rel=0.01), "it stops from FH1"
-        assert 1 / np.diff(done.paths[name][0])[-1] < rate / 10
+        assert 1 / np.diff(finished_run.paths[name][0])[-1] < rate / 10
 
 
 def test_the_same_driver_compiles_for_a_card_in_a_pc(firmware, tmp_path):
@@ -293,5 +296,7 @@ def test_the_same_driver_compiles_for_a_card_in_a_pc(firmware, tmp_path):
         f"-I{EXAMPLES / 'hal'}",
         *map(str, sources),
     ]
-    done = subprocess.run([*command, "-o", str(tmp_path / "program")], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
+    finished_run = subprocess.run(
+        [*command, "-o", str(tmp_path / "program")], capture_output=True, text=True, check=False
+    )
+    assert (finished_run.returncode, finished_run.stderr) == (0, "")

@@ -1,4 +1,4 @@
-"""What the headers of Arduino, VxWorks and DOS give a program: functions that are not ports."""
+"""Functions of the Arduino, VxWorks and DOS headers that access no port."""
 
 import fnmatch
 import tomllib
@@ -395,7 +395,7 @@ def compilers(firmware):
 def run(tmp_path, name, text, platform=None, flags=("-Wall", "-Wextra", "-Werror")):
     (tmp_path / name).write_text(text)
     host = NativeHost(tmp_path / name, Board(Stage("xy", visuals=False)), platform=platform, flags=flags)
-    return host.run(timeout=20).code, [said for _, said in host.log]
+    return host.run(timeout=20).code, [printed_text for _, printed_text in host.log]
 
 
 AVR_TIMERS = (
@@ -505,7 +505,7 @@ def test_an_error_of_a_sketch_names_its_line(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_wait_that_nothing_ends_is_ended_by_the_time(tmp_path):
+def test_a_wait_without_an_event_ends_at_the_timeout(tmp_path):
     (tmp_path / "wait.c").write_text(
         "#include <semLib.h>\nSTATUS usrAppInit(void) { return semTake(semBCreate(0, SEM_EMPTY), WAIT_FOREVER); }\n"
     )

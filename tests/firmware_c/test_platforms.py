@@ -1,4 +1,4 @@
-"""Drivers that were written for Arduino, AVR, VxWorks and DOS run as they are: scripts/firmware/ports."""
+"""Drivers for Arduino, AVR, VxWorks and DOS run unchanged: scripts/firmware/ports."""
 
 import itertools
 import re
@@ -73,21 +73,21 @@ def compilers(firmware):
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory):
-    made = {}
+def build_example(tmp_path_factory):
+    built_libraries = {}
 
     def make(name):
-        if name not in made:
+        if name not in built_libraries:
             sources, flags, _, _ = PROGRAMS[name]
-            made[name] = build(
+            built_libraries[name] = build(
                 [PORTS / s for s in sources], tmp_path_factory.mktemp(name) / f"{name}.so", flags, platform=name
             )
-        return made[name]
+        return built_libraries[name]
 
     return make
 
 
-def driven(library, name, isolated=False):
+def run_program(library, name, isolated=False):
     _, _, chips, layout = PROGRAMS[name]
     stage = Stage("xyz" if name == "vxworks" else "xy", chips=chips, visuals=False)
     stage.place(x=-0.115)
@@ -106,8 +106,8 @@ def driven(library, name, isolated=False):
         ("dos", 4000 * 3.125e-6, "done"),
     ],
 )
-def test_a_program_of_another_platform_homes_and_moves_without_a_change(name, moved, last, built):
-    stage, board, result = driven(built(name), name)
+def test_a_program_of_another_platform_homes_and_moves_without_a_change(name, moved, last, build_example):
+    stage, board, result = run_program(build_example(name), name)
     assert result is None if name == "arduino" else result.code == 0
     assert_at(stage.axes["x"], -0.120 + moved, within=400e-6)
     assert_no_lost_steps(stage)
@@ -118,8 +118,8 @@ def test_a_program_of_another_platform_homes_and_moves_without_a_change(name, mo
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_in_a_process_of_its_own_it_is_the_same_to_the_bit(name, built):
-    one, two = (driven(built(name), name, isolated) for isolated in (False, True))
+def test_an_isolated_program_gives_the_same_bits(name, build_example):
+    one, two = (run_program(build_example(name), name, isolated) for isolated in (False, True))
     assert one[0].snapshot().state.tobytes() == two[0].snapshot().state.tobytes()
     assert one[1].log == two[1].log
     assert one[1].trace.text() == two[1].trace.text()
@@ -131,9 +131,9 @@ def test_pins_make_cycles_and_registers_are_those_of_an_avr(tmp_path):
     library = build(tmp_path / "pins.c", flags=(*WARNINGS, "-O0"), platform="avr")
     for _ in range(2):  # the second run begins with fresh pins
         assert NativeHost(library, board).run(timeout=1).code == 0
-    shown = [(c.direction, c.port, c.value) for c in itertools.islice(board.trace, 8)]
-    assert shown[:2] == [("W", 0x300, 0xC0), ("W", 0x300, 0xC0)]
-    assert ("W", 0x300, 0xFF) in shown
+    expected_output = [(c.direction, c.port, c.value) for c in itertools.islice(board.trace, 8)]
+    assert expected_output[:2] == [("W", 0x300, 0xC0), ("W", 0x300, 0xC0)]
+    assert ("W", 0x300, 0xFF) in expected_output
     assert [text.partition(",")[0].partition(";")[0] for _, text in board.log[:2]] == [
         "pins: data of the bus at 300h is written while 8 of its 8 data pins are inputs",
         "pins: the bus at 300h is read while 4 of its 8 data pins are outputs: two drive one wire",
@@ -151,17 +151,17 @@ def test_each_header_compiles_alone_without_a_warning(platform, header, standard
     source.write_text(f"#include <{header}>\nint x;\n")
     folders = [f"-I{include() / 'platforms' / f}" for f in PLATFORMS[platform].folders]
     defines = [f for f in PLATFORMS[platform].flags if f.startswith("-D")]
-    done = subprocess.run(
+    finished_run = subprocess.run(
         [find_compiler(source), f"-std={standard}", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only", f"-I{include()}",
          *folders, *defines, str(source)],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert finished_run.returncode == 0, finished_run.stderr
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["vxworks", "dos"])
-def test_a_program_with_an_entry_of_its_own_keeps_it(name, tmp_path):
+def test_a_program_with_pulsestage_main_keeps_its_entry_point(name, tmp_path):
     (tmp_path / "own.c").write_text("#include <pulsestage.h>\nPULSESTAGE_MAIN { return 7; }\n")
     host = NativeHost(tmp_path / "own.c", Board(Stage("xy", visuals=False)), platform=name)
     assert host.run(timeout=1).code == 7
@@ -172,13 +172,13 @@ def test_a_program_with_an_entry_of_its_own_keeps_it(name, tmp_path):
     ("text", "code"),
     [("int main() { return 3; }", 3), ("void main() { }", 0), ("#include <stdlib.h>\nint main() { exit(5); }", 5)],
 )
-def test_a_dos_program_ends_as_it_would_there(text, code, tmp_path):
+def test_a_dos_program_returns_its_exit_code(text, code, tmp_path):
     (tmp_path / "end.c").write_text(text)
     assert NativeHost(tmp_path / "end.c", Board(Stage("xy", visuals=False)), platform="dos").run(timeout=1).code == code
 
 
 @pytest.mark.parametrize(("platform", "name"), [("dos", "main"), ("vxworks", "usrAppInit"), ("arduino", "loop")])
-def test_a_program_without_its_beginning_is_told_so(platform, name, tmp_path):
+def test_a_program_without_an_entry_function_is_refused(platform, name, tmp_path):
     (tmp_path / "none.c").write_text("void setup() {}\n")
     with pytest.raises(
         ArgumentError, match=rf"none\.c: no function {name}, and there a program of the platform {platform} begins"
@@ -186,7 +186,7 @@ def test_a_program_without_its_beginning_is_told_so(platform, name, tmp_path):
         build(tmp_path / "none.c", platform=platform)
 
 
-def test_a_platform_that_is_none_is_refused(tmp_path, capsys):
+def test_an_unknown_platform_is_refused(tmp_path, capsys):
     sketch, library = tmp_path / "a.ino", tmp_path / "a.so"
     sketch.write_text("void setup() {}\nvoid loop() {}\n")
     library.write_bytes(b"")

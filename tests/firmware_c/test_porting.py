@@ -1,4 +1,4 @@
-"""docs/porting.md: its commands run as printed, and its flags do what the table says."""
+"""The commands of docs/porting.md run as printed, and its flags have the documented effect."""
 
 import os
 import re
@@ -45,11 +45,11 @@ def compilers(firmware):
 def test_the_four_programs_run_as_the_page_says(line, monkeypatch, capsys):
     monkeypatch.chdir(PORTS)
     assert main(line.split()) == 0
-    said = capsys.readouterr().out
-    assert "mistakes" not in said
+    printed_text = capsys.readouterr().out
+    assert "mistakes" not in printed_text
     if "avr" in line:
-        shown = re.search(r"The second prints:\n\n```text\n(.*?)```", PAGE, re.S)[1]
-        assert shown in said
+        expected_output = re.search(r"The second prints:\n\n```text\n(.*?)```", PAGE, re.S)[1]
+        assert expected_output in printed_text
 
 
 def test_the_commands_of_the_page_make_the_same_libraries(tmp_path):
@@ -71,9 +71,11 @@ def test_the_commands_of_the_page_make_the_same_libraries(tmp_path):
 )
 def test_flags_do_what_the_table_says(flags, bits, tmp_path):
     (tmp_path / "different.c").write_text(DIFFERENT)
-    seen = NativeHost(tmp_path / "different.c", Board(Stage("xy", visuals=False)), flags=flags).run(timeout=1).code
+    detected_bits = (
+        NativeHost(tmp_path / "different.c", Board(Stage("xy", visuals=False)), flags=flags).run(timeout=1).code
+    )
     overflows = 0 if "-fwrapv" in flags else 0b100  # without it that is the compiler's own affair
-    assert seen | overflows == bits | overflows
+    assert detected_bits | overflows == bits | overflows
 
 
 def test_the_lines_of_the_examples_are_counted_right():
