@@ -1,4 +1,4 @@
-"""The commands agent and agent-replay: measure an agent, and replay what it did."""
+"""The commands `stage agent` and `stage agent-replay`, which measure an agent and repeat its calls."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from stage.cli.commands import TIME, add_command, number, tell, wrote
 from stage.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from registerbench.arena import Played, Round
+    from registerbench.arena import GameResult, SuiteResult, TranscriptWriter
 
-SHOWN = 6  # kinds of trouble
+MAX_SHOWN_TROUBLES = 6
 
 
 def add_agent(commands: Any) -> None:
-    """Add `stage agent`."""
+    """Add the command `stage agent`."""
     p = add_command(
         commands, "agent", play_suite, "measure an agent: broken set-ups, or a task of the benchmark by tools",
         "Let a player play the games of a suite by calling tools, and print its score with an interval. A player is one that is "
@@ -41,34 +41,42 @@ def add_agent(commands: Any) -> None:
         help="formula, random, coordinate, optuna, trained, technician; or module:function of yours (default: formula)",
     )
     g.add_argument("--command", metavar="COMMAND", help="a program that reads and writes lines of JSON")
-    g.add_argument("--endpoint", metavar="URL", help="OpenAI-compatible, up to its version: https://host/v1")
-    g.add_argument("--model", metavar="NAME", help="of the endpoint")
-    g.add_argument("--key-env", metavar="VARIABLE", help="the variable of the environment that has the endpoint's key")
-    g.add_argument("--mcp", action="store_true", help="the client at standard input and output; one game")
-    g.add_argument("--name", help="of the player, in transcripts and entries")
-    g = p.add_argument_group("games")
-    g.add_argument("--split", default="train", help="of a task, see `stage bench` (default: train)")
-    g.add_argument("--episodes", type=number, metavar="N", help="only the first N games")
-    g = p.add_argument_group("limits")
-    g.add_argument("--most", type=number, default=400, metavar="N", help="calls of a game, at most (default: 400)")
+    g.add_argument("--endpoint", metavar="URL", help="OpenAI-compatible endpoint, up to its version: https://host/v1")
+    g.add_argument("--model", metavar="NAME", help="name of the model at the endpoint")
     g.add_argument(
-        "--patience", type=TIME, default=600.0, metavar="S", help="seconds in which the next call comes (default: 600)"
+        "--key-env", metavar="VARIABLE", help="name of the environment variable that holds the key of the endpoint"
+    )
+    g.add_argument("--mcp", action="store_true", help="the MCP client at standard input and output plays one game")
+    g.add_argument("--name", help="name of the player in transcripts and entries")
+    g = p.add_argument_group("games")
+    g.add_argument("--split", default="train", help="split of a task, see `stage bench` (default: train)")
+    g.add_argument("--episodes", type=number, metavar="N", help="play only the first N games")
+    g = p.add_argument_group("limits")
+    g.add_argument(
+        "--most", type=number, default=400, metavar="N", help="largest number of calls in a game (default: 400)"
+    )
+    g.add_argument(
+        "--patience",
+        type=TIME,
+        default=600.0,
+        metavar="S",
+        help="seconds within which the next call must come (default: 600)",
     )
     g.add_argument(
         "--time", type=TIME, default=3600.0, metavar="S",
-        help="seconds that the player may take in a game, without those of the simulation (default: 3600)",
+        help="seconds that the player may take in a game, without the time of the simulation (default: 3600)",
     )  # fmt: skip
     g = p.add_argument_group("output")
     g.add_argument("-o", "--output", metavar="FILE.jsonl", help="write a transcript, each game when it ends")
     g.add_argument(
-        "--resume", action="store_true", help="go on with the transcript that -o names, where a run broke off"
+        "--resume", action="store_true", help="continue the transcript that -o names after an interrupted run"
     )
     g.add_argument("--entry", metavar="FILE.bench", help="write an entry of RegisterBench, track tools")
-    g.add_argument("--force", action="store_true", help="overwrite files that exist")
+    g.add_argument("--force", action="store_true", help="overwrite existing files")
 
 
 def add_agent_replay(commands: Any) -> None:
-    """Add `stage agent-replay`."""
+    """Add the command `stage agent-replay`."""
     p = add_command(
         commands, "agent-replay", replay_transcript, "make the calls of a transcript again, without the agent",
         "Make every call of a transcript again, compare answers and scores bit for bit, and print the score that comes of them. "
@@ -79,64 +87,68 @@ def add_agent_replay(commands: Any) -> None:
 
 
 def play_suite(args: argparse.Namespace) -> int:
-    """Play a suite with one player; print its score."""
+    """Play a suite with one player, and print its score.
+
+    Returns:
+        Exit code: 0 if all games were played, 1 if a game was ended for its player or no call was valid.
+    """
     from registerbench import arena
-    from registerbench.arena.loop import head_of, name_of
+    from registerbench.arena.suite_runner import get_player_name, make_header
     from stage.support.files import ENTRY, TRANSCRIPT, ends_as, writable
 
-    chosen = [name for name in ("by", "command", "endpoint") if getattr(args, name) is not None] + ["mcp"] * args.mcp
-    if len(chosen) > 1:
-        raise ArgumentError(f"--{' and --'.join(chosen)}: one player at a time.")
-    player, limits = _player(args), arena.Limits(args.most, args.patience, args.time)
-    games = arena.suite(args.suite, args.split, args.episodes)
-    _check(args, len(games.games))
+    player, limits = _make_player(args), arena.Limits(args.most, args.patience, args.time)
+    suite = arena.suite(args.suite, args.split, args.episodes)
+    _check_options(args, len(suite.games))
     for path, kind in ((args.output, TRANSCRIPT), (args.entry, ENTRY)):
         if path is not None:
             ends_as(path, *kind)
     if args.entry is not None:
         writable(args.entry, args.force, ask="give --force")
-    name = args.name or (name_of(player) if args.mcp or args.command or args.endpoint else args.by or "formula")
+    name = args.name or (get_player_name(player) if args.mcp or args.command or args.endpoint else args.by or "formula")
     out = sys.stderr if args.mcp else sys.stdout
     with ExitStack() as stack:
-        file = None
+        writer = None
         if args.output is not None:
-            file = stack.enter_context(arena.Writer(args.output, head_of(games, name, limits), args.force, args.resume))
-        count = len(file.before) if file else 0
-
-        def report_progress(r: Round) -> None:
-            nonlocal count
-            count += 1
-            if file:
-                file.game(r)
-            if r.ended:
-                print(f"stage: {r.game}: {r.ended}; its score until then counts", file=sys.stderr)
-            if sys.stderr.isatty():
-                print(f"\r{count} of {len(games.games)} games", end="", file=sys.stderr)
-
+            header = make_header(suite, name, limits)
+            writer = stack.enter_context(arena.TranscriptWriter(args.output, header, args.force, args.resume))
+        earlier_games = writer.earlier_games if writer else ()
+        progress = _Progress(writer, len(earlier_games), len(suite.games))
         try:
-            came = arena.play(games, player, name, limits, report_progress, file.before if file else ())
+            result = arena.play(suite, player, name, limits, progress, earlier_games)
         except arena.Interrupted as why:
-            _print(args, why.played, out)
-            kept = f"{args.output} has the games until then: --resume goes on."
-            raise type(why)(f"{why} {kept if file else '-o FILE keeps what was played.'}", why.played) from why
-        if file:
-            file.end(came)
-    _print(args, came, out)
-    if args.output is not None and not args.mcp:
-        wrote(args, args.output, "the transcript; `stage agent-replay` makes its calls again")
-    if args.entry is not None and came.entry is not None:
-        came.entry.write(args.entry, args.force)
-        if not args.mcp:
-            wrote(args, args.entry, "an entry of the bench; `stage bench-verify` replays it")
-    _trouble(came)
-    code = 0 if came.sound else 1
-    if args.mcp and any(r.ended for r in came.rounds):
+            _print_result(args, why.result, out)
+            saved = f"{args.output} has the games until then: --resume goes on."
+            raise type(why)(f"{why} {saved if writer else '-o FILE keeps what was played.'}", why.result) from why
+        if writer:
+            writer.write_summary(result)
+    _print_result(args, result, out)
+    _write_files(args, result)
+    _print_troubles(result)
+    code = 0 if result.is_valid else 1
+    if args.mcp and any(r.end_reason for r in result.games):
         sys.stderr.flush()
         os._exit(code)  # a thread that waits for standard input ends with the process alone
     return code
 
 
-def _check(args: argparse.Namespace, count: int) -> None:
+class _Progress:
+    """Callback that writes each finished game to the transcript, and prints the number of games on a terminal."""
+
+    def __init__(self, writer: TranscriptWriter | None, count: int, total: int):
+        self._writer, self._count, self._total = writer, count, total
+
+    def __call__(self, game: GameResult) -> None:
+        self._count += 1
+        if self._writer:
+            self._writer.write_game(game)
+        if game.end_reason:
+            print(f"stage: {game.game}: {game.end_reason}; its score until then counts", file=sys.stderr)
+        if sys.stderr.isatty():
+            print(f"\r{self._count} of {self._total} games", end="", file=sys.stderr)
+
+
+def _check_options(args: argparse.Namespace, count: int) -> None:
+    """Raise ArgumentError for options that do not go together; count: number of games."""
     if args.mcp and count != 1:
         raise ArgumentError(
             f"--mcp: one game for one client, and {args.suite} has {count}: give --episodes 1, or diagnosis:late."
@@ -147,72 +159,84 @@ def _check(args: argparse.Namespace, count: int) -> None:
         raise ArgumentError("--resume goes on with a transcript: name it by -o FILE.jsonl.")
 
 
-def _print(args: argparse.Namespace, came: Played, out: Any) -> None:
-    """The games and the score; as facts, too."""
-    if sys.stderr.isatty() and came.rounds:
+def _write_files(args: argparse.Namespace, result: SuiteResult) -> None:
+    """Write the entry, and print which files were written; MCP uses standard output itself."""
+    if args.output is not None and not args.mcp:
+        wrote(args, args.output, "the transcript; `stage agent-replay` makes its calls again")
+    if args.entry is not None and result.entry is not None:
+        result.entry.write(args.entry, args.force)
+        if not args.mcp:
+            wrote(args, args.entry, "an entry of the bench; `stage bench-verify` replays it")
+
+
+def _print_result(args: argparse.Namespace, result: SuiteResult, out: Any) -> None:
+    """Print the games and the score, and state them as JSON if --json is given."""
+    if sys.stderr.isatty() and result.games:
         print(file=sys.stderr)
-    for r in came.rounds:
-        if came.head.kind == "diagnosis":
-            found, mended = (
-                {1.0: "found", -1.0: "wrong"}.get(r.score["found"], "-"),
-                "mended" if r.score["mended"] else "-",
-            )
-            print(f"{r.game:22} {found:6} {mended:7} {len(r.calls)} calls", file=out)
-    print(came, file=out)
+    for r in result.games:
+        if result.head.kind == "diagnosis":
+            finding = {1.0: "found", -1.0: "wrong"}.get(r.score["found"], "-")
+            repair = "mended" if r.score["mended"] else "-"
+            print(f"{r.game:22} {finding:6} {repair:7} {len(r.calls)} calls", file=out)
+    print(result, file=out)
     tell(
-        args, suite=came.head.kind, split=came.head.split, player=came.player, value=came.value, low=came.low, high=came.high,
-        games={r.game: r.score for r in came.rounds}, of=came.head.of, whole=came.whole, tokens=came.tokens, calls=came.calls,
-        valid_calls=sum(r.valid for r in came.rounds), ended={r.game: r.ended for r in came.rounds if r.ended},
-        troubles=dict(came.troubles),
+        args, suite=result.head.kind, split=result.head.split, player=result.player, value=result.value, low=result.low,
+        high=result.high, games={r.game: r.score for r in result.games}, of=result.head.of, whole=result.is_complete,
+        tokens=result.tokens, calls=result.calls, valid_calls=sum(r.valid_calls for r in result.games),
+        ended={r.game: r.end_reason for r in result.games if r.end_reason}, troubles=dict(result.trouble_counts),
     )  # fmt: skip
 
 
-def _trouble(came: Played) -> None:
+def _print_troubles(result: SuiteResult) -> None:
     """Print on standard error what went wrong and how often."""
-    found = came.troubles
-    for what, times in found.most_common(SHOWN):
+    counts = result.trouble_counts
+    for what, times in counts.most_common(MAX_SHOWN_TROUBLES):
         print(f"stage: {what}{f' ({times} times)' if times > 1 else ''}", file=sys.stderr)
-    if len(found) > SHOWN:
-        print(f"stage: and {len(found) - SHOWN} more kinds", file=sys.stderr)
-    if not any(r.valid for r in came.rounds):
-        refused = next((c for r in came.rounds for c in r.calls), None)
+    if len(counts) > MAX_SHOWN_TROUBLES:
+        print(f"stage: and {len(counts) - MAX_SHOWN_TROUBLES} more kinds", file=sys.stderr)
+    if not any(r.valid_calls for r in result.games):
+        refused = next((c for r in result.games for c in r.calls), None)
         why = f"; the first answer was: {str(refused['answer'].get('error'))[:200]}" if refused else "; none was made"
-        print(f"stage: not one valid call in {len(came.rounds)} games{why}", file=sys.stderr)
+        print(f"stage: not one valid call in {len(result.games)} games{why}", file=sys.stderr)
 
 
-def _player(args: argparse.Namespace) -> Any:
-    from registerbench.arena.players import player
+def _make_player(args: argparse.Namespace) -> Any:
+    """Make the player that the options name. Raises ArgumentError if they name several."""
+    from registerbench.arena.players import make_player
 
+    named = [name for name in ("by", "command", "endpoint") if getattr(args, name) is not None] + ["mcp"] * args.mcp
+    if len(named) > 1:
+        raise ArgumentError(f"--{' and --'.join(named)}: one player at a time.")
     if args.mcp:
-        from registerbench.arena.players.client import Client
+        from registerbench.arena.players.mcp_client import McpClientPlayer
         from stage.support.extras import need
 
         need("mcp", "stage agent --mcp")
-        return Client()
+        return McpClientPlayer()
     if args.command is not None:
-        from registerbench.arena.players.command import Command
+        from registerbench.arena.players.command import CommandPlayer
 
-        return Command(args.command)
+        return CommandPlayer(args.command)
     if args.endpoint is not None:
-        from registerbench.arena.players.endpoint import Endpoint
+        from registerbench.arena.players.endpoint import EndpointPlayer
 
         key = os.environ.get(args.key_env, "") if args.key_env else ""
         if args.key_env and not key:
             raise ArgumentError(f"--key-env {args.key_env}: there is no such variable in the environment.")
-        return Endpoint(args.endpoint, args.model or "", key)
-    return player("formula" if args.by is None else args.by)
+        return EndpointPlayer(args.endpoint, args.model or "", key)
+    return make_player("formula" if args.by is None else args.by)
 
 
 def replay_transcript(args: argparse.Namespace) -> int:
-    """Make the calls of a transcript again. 0: the same; 1: it differs, or is cut; 2: refused."""
+    """Repeat the calls of a transcript, and return the exit code: 0 if all is the same, 1 if it differs or is cut."""
     from registerbench import arena
 
-    found = arena.replay(args.file)
-    came = found.played
-    print(found)
+    replay = arena.replay(args.file)
+    result = replay.result
+    print(replay)
     tell(
-        args, same=found.same, first=found.first, cut=found.cut, suite=came.head.kind, split=came.head.split,
-        games=len(came.rounds), of=came.head.of, whole=came.whole, calls=came.calls, value=came.value, low=came.low, high=came.high,
-        claimed={"player": came.player, "tokens": came.tokens},
+        args, same=replay.is_same, first=replay.first_difference, cut=replay.missing_part, suite=result.head.kind,
+        split=result.head.split, games=len(result.games), of=result.head.of, whole=result.is_complete, calls=result.calls,
+        value=result.value, low=result.low, high=result.high, claimed={"player": result.player, "tokens": result.tokens},
     )  # fmt: skip
-    return 0 if found.same else 1
+    return 0 if replay.is_same else 1

@@ -6,8 +6,8 @@ from importlib.util import find_spec
 import pytest
 
 import registerbench
-from registerbench.arena import Limits, Table, play, player, suite, suites
-from registerbench.arena.players import SHIPPED
+from registerbench.arena import GameSession, Limits, list_suites, make_player, play, suite
+from registerbench.arena.players import SHIPPED_PLAYERS
 from registerbench.cards import CARDS
 from stage.cli import main
 from stage.errors import ArgumentError
@@ -15,7 +15,7 @@ from stage.errors import ArgumentError
 
 @pytest.fixture(scope="module")
 def delayed():
-    return play(suite("diagnosis:late"), player("technician"), "technician")
+    return play(suite("diagnosis:late"), make_player("technician"), "technician")
 
 
 @pytest.mark.parametrize("task", CARDS)
@@ -33,21 +33,21 @@ def test_every_task_of_the_bench_is_played_by_tools(task):
 
     played = play(suite(task, episodes=1), formula)
     assert observed == [{"task", "observe", "formula", "act"}]
-    assert played.rounds[0].score["given_up"] == 0
+    assert played.games[0].score["given_up"] == 0
     verdict = registerbench.verify(played.entry)
     assert verdict.exact, verdict
     assert played.entry.track == "tools"
 
 
 def test_what_the_formula_does_by_tools_it_does_without_them():
-    by_tools = play(suite("one-shot", episodes=3), player("formula"))
+    by_tools = play(suite("one-shot", episodes=3), make_player("formula"))
     alone = registerbench.play("formula", "one-shot", episodes=3)
-    assert [r.score["return"] for r in by_tools.rounds] == pytest.approx(alone.scores["return"].tolist(), rel=1e-6)
+    assert [r.score["return"] for r in by_tools.games] == pytest.approx(alone.scores["return"].tolist(), rel=1e-6)
 
 
 def test_a_player_that_leaves_early_is_scored_and_the_entry_stands():
     played = play(suite("bus-target", episodes=1), lambda table: table.call("act", {"macro": "rates usual"}))
-    assert played.rounds[0].score["given_up"] > 10
+    assert played.games[0].score["given_up"] > 10
     assert registerbench.verify(played.entry).exact
 
 
@@ -58,35 +58,35 @@ def test_an_action_that_is_none_does_nothing(given):
         assert not answer.ok
         assert "act" in answer.text or "start" in answer.text
 
-    assert play(suite("one-shot", episodes=1), act).rounds[0].score["given_up"] == 1
+    assert play(suite("one-shot", episodes=1), act).games[0].score["given_up"] == 1
 
 
-@pytest.mark.parametrize("name", sorted(SHIPPED))
+@pytest.mark.parametrize("name", sorted(SHIPPED_PLAYERS))
 def test_every_shipped_player_plays_a_task_and_a_set_up(name):
     if name == "optuna":
         pytest.importorskip("optuna")
-    attempts = play(suite("few-shot", episodes=1), player(name), name)
-    assert attempts.rounds[0].score["moves"] == 8
-    assert play(suite("diagnosis:late"), player(name), name).value >= -0.5
+    attempts = play(suite("few-shot", episodes=1), make_player(name), name)
+    assert attempts.games[0].score["moves"] == 8
+    assert play(suite("diagnosis:late"), make_player(name), name).value >= -0.5
 
 
 def test_the_technician_finds_and_mends(delayed):
     assert delayed.value > 0.97
-    assert delayed.rounds[0].score["runs"] == 3
+    assert delayed.games[0].score["runs"] == 3
 
 
 @pytest.mark.slow
 def test_the_technician_finds_and_mends_all_ten():
-    assert play(suite("diagnosis"), player("technician")).value > 0.97
+    assert play(suite("diagnosis"), make_player("technician")).value > 0.97
 
 
 def test_a_game_has_so_many_calls_and_no_more():
-    def ask(table: Table):
+    def ask(table: GameSession):
         while not table.over:
             table.call("budget")
         assert "a game has no more" in table.call("finish").text
 
-    assert len(play(suite("diagnosis:late"), ask, limits=Limits(most=5)).rounds[0].calls) == 5
+    assert len(play(suite("diagnosis:late"), ask, limits=Limits(max_calls=5)).games[0].calls) == 5
 
 
 # --- words ---
@@ -101,7 +101,7 @@ NO_SUITES = (
 def test_a_suite_that_is_none_is_refused(name, message):
     with pytest.raises(ArgumentError, match=message):
         suite(name)
-    assert "diagnosis" in suites()
+    assert "diagnosis" in list_suites()
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_a_suite_that_is_none_is_refused(name, message):
 )
 def test_a_player_that_is_none_is_refused(name, message):
     with pytest.raises(ArgumentError, match=message):
-        player(name)
+        make_player(name)
 
 
 def test_the_command_plays_and_replays(tmp_path, capsys, monkeypatch):

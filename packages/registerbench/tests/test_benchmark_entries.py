@@ -255,7 +255,7 @@ def test_an_entry_has_short_texts_costs_from_nothing_up_a_return_and_a_step_an_e
             unpack_entry(repacked(packed, said=said))
     with pytest.raises(EntryError, match="one step or more"):
         unpack_entry(repacked(packed, steps=np.array([0, 4, 2], "<i8").tobytes()))
-    monkeypatch.setattr(entry_files, "LARGEST", len(packed) - 1)
+    monkeypatch.setattr(entry_files, "MAX_FILE_BYTES", len(packed) - 1)
     with pytest.raises(ArgumentError, match=f"the entry has {len(packed)} bytes, and a file at most {len(packed) - 1}"):
         entry.write("never.bench")
 
@@ -409,22 +409,22 @@ def test_shipped_players_are_as_bold_as_their_task_wants():
 
 
 def test_a_random_player_keeps_to_the_actions_that_are_allowed():
-    make_player = RandomPolicy(3)
-    make_player.reset(SimpleNamespace(action_space=gymnasium.spaces.Discrete(5)))
-    assert {int(make_player(None, {"action_mask": [0, 0, 1, 0, 1]})) for _ in range(40)} == {2, 4}
-    assert {int(make_player(None, {})) for _ in range(60)} == set(range(5))
+    player = RandomPolicy(3)
+    player.reset(SimpleNamespace(action_space=gymnasium.spaces.Discrete(5)))
+    assert {int(player(None, {"action_mask": [0, 0, 1, 0, 1]})) for _ in range(40)} == {2, 4}
+    assert {int(player(None, {})) for _ in range(60)} == set(range(5))
 
 
 def test_the_shipped_search_closes_in_on_what_a_machine_holds_and_doubts_its_luck():
     """Eight tries; the encoder says of each whether it has kept step"""
 
-    def played(holds, make_player):
+    def played(holds, player):
         observed, created = np.full(16, -1.0), []
-        make_player.reset(SimpleNamespace(feature_names=("duration", "kept") * 8))
+        player.reset(SimpleNamespace(feature_names=("duration", "kept") * 8))
         for k in range(8):
-            make_player(observed, {})
-            created.append(make_player.latest)
-            observed[2 * k + 1] = 1.0 if holds(k, make_player.latest) else -1.0
+            player(observed, {})
+            created.append(player.latest)
+            observed[2 * k + 1] = 1.0 if holds(k, player.latest) else -1.0
         return created
 
     created = played(lambda k, boldness: boldness < 4.1, BoldnessSearch())
@@ -566,10 +566,10 @@ def test_an_interval_may_be_of_the_mean():
 def test_a_table_says_who_beats_whom_by_intervals_that_part(entry, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 
-    def like(make_player, run, returns, **cost):
+    def like(player, run, returns, **cost):
         scores = {**entry.scores, "return": np.array(returns)}
-        path = f"{make_player}-{run}.bench"
-        dataclasses.replace(entry, player=make_player, run=run, scores=scores, cost=cost).write(path)
+        path = f"{player}-{run}.bench"
+        dataclasses.replace(entry, player=player, run=run, scores=scores, cost=cost).write(path)
         return path
 
     files_ = [like("best", k, (3.0, 3.1, 3.2)) for k in range(2)] + [like("worst", 0, (0.0, 0.1, 0.2))]
@@ -593,9 +593,9 @@ def test_a_table_says_who_beats_whom_by_intervals_that_part(entry, tmp_path, mon
 
 
 def test_rows_part_by_rounds_and_who_is_as_good_beats_nobody(entry):
-    def like(make_player, run=0, value=1.0, **changes):
+    def like(player, run=0, value=1.0, **changes):
         scores = {**entry.scores, "return": np.full(3, value)}
-        return dataclasses.replace(entry, player=make_player, run=run, scores=scores, **changes)
+        return dataclasses.replace(entry, player=player, run=run, scores=scores, **changes)
 
     one, other = statistics.compute_rows([like("a"), like("b")])
     assert one.low == one.high == other.high
@@ -631,5 +631,5 @@ def test_every_task_of_the_list_has_an_environment_with_each_of_its_splits(card)
 @pytest.mark.parametrize("name", CARDS)
 def test_an_entry_of_every_task_is_replayed_bit_for_bit(name):
     for split in (CARDS[name].splits[0], CARDS[name].splits[-1]):
-        for make_player in ("random", "scripted"):
-            assert registerbench.verify(registerbench.play(make_player, name, split, episodes=3)).exact
+        for player in ("random", "scripted"):
+            assert registerbench.verify(registerbench.play(player, name, split, episodes=3)).exact

@@ -12,8 +12,8 @@ import pytest
 from fake_model import FakeModel, calls
 
 from registerbench.arena import Limits, play, replay, suite
-from registerbench.arena.players.command import Command
-from registerbench.arena.players.endpoint import Endpoint
+from registerbench.arena.players.command import CommandPlayer
+from registerbench.arena.players.endpoint import EndpointPlayer
 from stage.cli import main
 
 SHORT = Limits(patience=0.15)
@@ -25,9 +25,9 @@ def finished(player, limits=SHORT):
     started = time.monotonic()
     came = play(suite("diagnosis:late"), player, "slow", limits)
     assert time.monotonic() - started < 3
-    assert not came.sound
-    assert replay(came).same
-    return came.rounds[0].ended
+    assert not came.is_valid
+    assert replay(came).is_same
+    return came.games[0].end_reason
 
 
 # --- who hangs ---
@@ -38,7 +38,7 @@ def finished(player, limits=SHORT):
               ["sh", "-c", 'while true; do echo \'{"call": "program"}\'; done']]
 )  # fmt: skip
 def test_a_command_that_hangs_or_never_reads_is_left(words):
-    assert "timed out" in finished(Command(words), Limits(patience=0.15, most=10**6))
+    assert "timed out" in finished(CommandPlayer(words), Limits(patience=0.15, max_calls=10**6))
 
 
 def test_a_function_that_hangs_is_left_and_the_next_game_is_played():
@@ -49,9 +49,9 @@ def test_a_function_that_hangs_is_left_and_the_next_game_is_played():
                 pass
 
     came = play(suite("diagnosis", episodes=2), hangs, "hangs", SHORT)
-    assert [r.ended for r in came.rounds] == ["timed out: no call for 0.15 s", ""]
-    assert [r.valid for r in came.rounds] == [1, 1]
-    assert not came.sound
+    assert [r.end_reason for r in came.games] == ["timed out: no call for 0.15 s", ""]
+    assert [r.valid_calls for r in came.games] == [1, 1]
+    assert not came.is_valid
 
 
 def test_a_game_has_its_time_too():
@@ -68,9 +68,9 @@ def test_a_function_that_ignores_the_end_is_ended():
         while True:
             table.call("budget")
 
-    came = play(suite("diagnosis:late"), ignores, "i", Limits(most=5))
-    assert len(came.rounds[0].calls) == 5
-    assert came.troubles["calls after the end"]
+    came = play(suite("diagnosis:late"), ignores, "i", Limits(max_calls=5))
+    assert len(came.games[0].calls) == 5
+    assert came.trouble_counts["calls after the end"]
 
 
 def test_the_time_of_the_simulation_is_not_the_players():
@@ -78,7 +78,7 @@ def test_the_time_of_the_simulation_is_not_the_players():
         table.call("wait", {"seconds": 6})
         table.call("wait", {"seconds": 6})
 
-    assert play(suite("diagnosis:late"), waits, "w", Limits(patience=0.2, time=0.2)).sound
+    assert play(suite("diagnosis:late"), waits, "w", Limits(patience=0.2, time=0.2)).is_valid
 
 
 class Drips(http.server.BaseHTTPRequestHandler):
@@ -101,7 +101,7 @@ def test_an_endpoint_that_drips_bytes_is_left():
         server.done = threading.Event()
         threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
         try:
-            assert "timed out" in finished(Endpoint(f"http://127.0.0.1:{server.server_port}/v1", "m"))
+            assert "timed out" in finished(EndpointPlayer(f"http://127.0.0.1:{server.server_port}/v1", "m"))
         finally:
             server.done.set()
             server.shutdown()
@@ -168,22 +168,22 @@ def test_a_function_without_await_may_be_async():
         await asyncio.sleep(0)
         table.call("program")
 
-    assert play(suite("diagnosis:late"), later).rounds[0].valid == 1
+    assert play(suite("diagnosis:late"), later).games[0].valid_calls == 1
 
 
 @pytest.mark.parametrize("tokens", ["12", -1, 1.5, True, [1], 1 << 60])
 def test_tokens_that_are_none_are_not_counted_and_told(tokens):
     with FakeModel(calls(("finish", {}), tokens=tokens)) as model:
-        came = play(suite("diagnosis:late"), Endpoint(model.url, "fake"))
+        came = play(suite("diagnosis:late"), EndpointPlayer(model.url, "fake"))
     assert came.tokens == 0
-    assert came.troubles["tokens that are no whole number, and are not counted"] == 1
+    assert came.trouble_counts["tokens that are no whole number, and are not counted"] == 1
 
 
 @pytest.mark.parametrize("tokens", [0, 1, (1 << 40) - 1])
 def test_a_integer_of_tokens_is_counted_none_too(tokens):
     with FakeModel(calls(("finish", {}), tokens=tokens)) as model:
-        came = play(suite("diagnosis:late"), Endpoint(model.url, "fake"))
-    assert (came.tokens, came.troubles["tokens that are no whole number, and are not counted"]) == (tokens, 0)
+        came = play(suite("diagnosis:late"), EndpointPlayer(model.url, "fake"))
+    assert (came.tokens, came.trouble_counts["tokens that are no whole number, and are not counted"]) == (tokens, 0)
 
 
 def nested(depth):
@@ -200,15 +200,15 @@ def test_arguments_that_are_no_json_are_refused(values):
         table.call("task")
 
     came = play(suite("diagnosis:late"), odd)
-    assert replay(came).same
-    json.dumps(came.rounds[0].calls)
+    assert replay(came).is_same
+    json.dumps(came.games[0].calls)
 
 
 def test_json_that_is_nested_deeply_ends_nothing():
     code = "import sys; input(); print('{\"call\": \"task\", \"arguments\": ' + '[' * 900 + ']' * 900 + '}', flush=True); input()"
-    came = play(suite("diagnosis:late"), Command([sys.executable, "-c", code]))
-    assert came.rounds[0].valid == 0
-    assert replay(came).same
+    came = play(suite("diagnosis:late"), CommandPlayer([sys.executable, "-c", code]))
+    assert came.games[0].valid_calls == 0
+    assert replay(came).is_same
 
 
 def test_an_answer_after_the_end_does_not_count():

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from registerbench.arena import play, player, suite
+from registerbench.arena import make_player, play, suite
 from registerbench.diagnosis import CAUSES, SERVICES, SETUPS, Case
 from registerbench.diagnosis.trial import Sample, Trial, rests_of
 
@@ -136,8 +136,8 @@ def test_nothing_counts_after_finish():
 
 @pytest.mark.slow
 def test_the_technician_is_near_one_on_all():
-    came = play(suite("diagnosis"), player("technician"))
-    assert all(r.score["value"] > 0.95 for r in came.rounds)
+    came = play(suite("diagnosis"), make_player("technician"))
+    assert all(r.score["value"] > 0.95 for r in came.games)
 
 
 def direction(stops, rate=1000.0, aside=0.0, lost=0.0, start=0.0, rest=100, ramps=()):

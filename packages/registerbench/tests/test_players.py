@@ -9,8 +9,8 @@ import pytest
 from fake_model import FakeModel, calls, says
 
 from registerbench.arena import play, replay, suite
-from registerbench.arena.players.command import Command
-from registerbench.arena.players.endpoint import Endpoint
+from registerbench.arena.players.command import CommandPlayer
+from registerbench.arena.players.endpoint import EndpointPlayer
 from stage.errors import ArgumentError, StageError
 
 SOLVES = """
@@ -28,14 +28,14 @@ print(json.dumps({"done": True, "tokens": 5}), flush=True)
 
 
 def command(code, **how):
-    return Command([sys.executable, "-c", code], **how)
+    return CommandPlayer([sys.executable, "-c", code], **how)
 
 
 def test_a_command_that_speaks_json_lines_plays():
     played = play(suite("diagnosis:late"), command(SOLVES), "mine")
     assert played.value == 1.0
     assert played.tokens == 12
-    assert replay(played).same
+    assert replay(played).is_same
 
 
 @pytest.mark.parametrize(
@@ -49,9 +49,9 @@ def test_a_command_that_speaks_nonsense_is_scored_as_it_is(code):
 
 def test_a_command_that_does_not_exist_is_reported():
     with pytest.raises(StageError, match="Name a program"):
-        play(suite("diagnosis:late"), Command("/nowhere/agent"))
+        play(suite("diagnosis:late"), CommandPlayer("/nowhere/agent"))
     with pytest.raises(ArgumentError, match="is empty"):
-        Command("  ")
+        CommandPlayer("  ")
 
 
 # --- endpoints ---
@@ -69,18 +69,18 @@ def mend(body):
 
 def test_a_model_at_an_endpoint_plays():
     with FakeModel(calls(("program", {})), says("let me see"), mend) as model:
-        played = play(suite("diagnosis:late"), Endpoint(model.url, "fake", "secret"))
+        played = play(suite("diagnosis:late"), EndpointPlayer(model.url, "fake", "secret"))
     assert (played.player, played.value, played.tokens) == ("fake", 1.0, 21)
     assert model.heads[0]["Authorization"] == "Bearer secret"
     assert model.asked[0]["tools"][0]["type"] == "function"
     assert model.asked[-1]["messages"][0]["content"].startswith("You act by calling tools")
-    assert replay(played).same
+    assert replay(played).is_same
 
 
 def test_what_a_model_gets_wrong_it_is_taught():
     wrong = calls(("runn", {}), ("service", '{"work": '), ("answer", '["x"]'), ("answer", {"cause": "late"}))
     with FakeModel(wrong, calls(("finish", {}))) as model:
-        play(suite("diagnosis:late"), Endpoint(model.url, "fake"))
+        play(suite("diagnosis:late"), EndpointPlayer(model.url, "fake"))
         message = [m["content"] for m in model.asked[1]["messages"] if m["role"] == "tool"]
     assert all(text.startswith("error: ") for text in message)
     assert "Did you mean 'run'" in message[0]
@@ -89,14 +89,14 @@ def test_what_a_model_gets_wrong_it_is_taught():
 
 def test_a_model_that_calls_nothing_is_left_alone():
     with FakeModel() as model:
-        played = play(suite("diagnosis:late"), Endpoint(model.url, "fake"))
+        played = play(suite("diagnosis:late"), EndpointPlayer(model.url, "fake"))
     assert played.value == 0.0
     assert len(model.asked) == 3
 
 
 def test_an_endpoint_may_be_busy_for_a_while():
     with FakeModel(503, 429, calls(("finish", {}))) as model:
-        assert play(suite("diagnosis:late"), Endpoint(model.url, "fake", pause=0.0)).rounds[0].calls
+        assert play(suite("diagnosis:late"), EndpointPlayer(model.url, "fake", pause=0.0)).games[0].calls
     assert len(model.asked) == 3
 
 
@@ -109,12 +109,12 @@ NO_REPLIES = (
 @pytest.mark.parametrize(("reply", "message"), NO_REPLIES)
 def test_an_endpoint_that_is_none_is_reported(reply, message):
     with FakeModel(reply) as model, pytest.raises(StageError, match=message):
-        play(suite("diagnosis:late"), Endpoint(model.url, "fake", pause=0.0))
+        play(suite("diagnosis:late"), EndpointPlayer(model.url, "fake", pause=0.0))
 
 
 def test_an_endpoint_that_cannot_be_reached_is_reported():
     with pytest.raises(StageError, match="cannot be reached"):
-        play(suite("diagnosis:late"), Endpoint("http://127.0.0.1:9/v1", "fake", pause=0.0))
+        play(suite("diagnosis:late"), EndpointPlayer("http://127.0.0.1:9/v1", "fake", pause=0.0))
 
 
 # --- clients ---
@@ -123,14 +123,14 @@ def test_an_endpoint_that_cannot_be_reached_is_reported():
 @pytest.mark.slow
 def test_a_client_of_the_protocol_plays_a_game(tmp_path):
     pytest.importorskip("mcp")
-    from mcp import Client
+    from mcp import McpClientPlayer
     from mcp.client.stdio import StdioServerParameters
 
     file = tmp_path / "t.jsonl"
 
     async def work():
         arguments = ["-m", "stage", "agent", "diagnosis:late", "--mcp", "-o", str(file)]
-        async with Client(StdioServerParameters(command=sys.executable, args=arguments)) as client:
+        async with McpClientPlayer(StdioServerParameters(command=sys.executable, args=arguments)) as client:
             assert "write_program" in [t.name for t in (await client.list_tools()).tools]
             assert not (await client.list_resources()).resources
             program = (await client.call_tool("program", {})).content[0].text
@@ -145,8 +145,8 @@ def test_a_client_of_the_protocol_plays_a_game(tmp_path):
 
     asyncio.run(work())
     results = replay(file)
-    assert results.same
-    assert results.played.calls == 4
+    assert results.is_same
+    assert results.result.calls == 4
 
 
 def test_the_key_goes_to_the_address_that_was_set_and_to_no_other():
@@ -172,7 +172,7 @@ def test_the_key_goes_to_the_address_that_was_set_and_to_no_other():
         try:
             url = f"http://127.0.0.1:{server.server_port}/v1"
             with pytest.raises(StageError, match="302"):
-                play(suite("diagnosis:late"), Endpoint(url, "m", "secret", pause=0.0))
+                play(suite("diagnosis:late"), EndpointPlayer(url, "m", "secret", pause=0.0))
         finally:
             server.shutdown()
     assert came == []

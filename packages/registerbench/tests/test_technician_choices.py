@@ -41,7 +41,7 @@ class ScriptedTable:
 @pytest.mark.parametrize(
     ("how", "cause"),
     [
-        *[({"diagnostics": f"x: {sign}."}, cause) for sign, cause in technician.SIGNS],
+        *[({"diagnostics": f"x: {sign}."}, cause) for sign, cause in technician.DIAGNOSTIC_SIGNS],
         ({"end_of_run": GAVE_UP}, "swapped limit switches"),
         ({"end_of_run": GAVE_UP, "program": "x: STOP_DEC\n" + PROGRAM}, "S-curve failure of the MCX304"),
         ({"places": [(0.5, 50)]}, "wrong base address"),
@@ -57,9 +57,9 @@ def test_each_sign_leads_to_its_cause_and_the_work_or_program_that_mends_it(how,
     assert cause in CAUSES
     assert table.argument("answer", "cause") == cause
     assert table.calls[-1] == ("finish", None)
-    assert ("service" in dict(table.calls)) == (cause in technician.WORK)
-    if cause in technician.WORK:
-        assert table.argument("service", "work") == technician.WORK[cause]
+    assert ("service" in dict(table.calls)) == (cause in technician.SERVICES_BY_CAUSE)
+    if cause in technician.SERVICES_BY_CAUSE:
+        assert table.argument("service", "work") == technician.SERVICES_BY_CAUSE[cause]
         assert table.argument("write_program", "text") == table.answers["program"], "the customer's program is back"
 
 
@@ -74,7 +74,7 @@ def test_each_sign_leads_to_its_cause_and_the_work_or_program_that_mends_it(how,
 )  # fmt: skip
 def test_a_repaired_program_differs_in_the_lines_that_were_wrong(name, cause, removed, added):
     before = SETUPS[name].program
-    after = technician.MENDINGS[cause](before)
+    after = technician.PROGRAM_REPAIRS[cause](before)
     gone = "\n".join(set(before.split("\n")) - set(after.split("\n")))
     new = "\n".join(set(after.split("\n")) - set(before.split("\n")))
     assert all(text in gone for text in removed)
@@ -83,7 +83,10 @@ def test_a_repaired_program_differs_in_the_lines_that_were_wrong(name, cause, re
 
 def test_a_reset_command_stands_before_each_move_and_never_after_the_registers():
     parts = "x: R0 <- 16000\nx: R6 <- 3200\nx: operate 15h\n"
-    repaired = technician.MENDINGS["missing reset command"](parts + "x: operate 08h\n" + parts)
+    repaired = technician.PROGRAM_REPAIRS["missing reset command"](parts + "x: operate 08h\n" + parts)
     assert repaired == "x: operate 08h\n" + parts + "x: operate 08h\n" + parts
     program = "x: operate 08h\nx: R6 <- 3200\nx: operate 08h  # too late\nx: operate 15h\n"
-    assert technician.MENDINGS["R6 missing after reset"](program) == "x: operate 08h\nx: R6 <- 3200\nx: operate 15h\n"
+    assert (
+        technician.PROGRAM_REPAIRS["R6 missing after reset"](program)
+        == "x: operate 08h\nx: R6 <- 3200\nx: operate 15h\n"
+    )

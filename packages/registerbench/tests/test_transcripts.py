@@ -7,18 +7,18 @@ import pytest
 
 from registerbench.arena import (
     Interrupted,
-    Writer,
+    TranscriptWriter,
+    make_player,
     play,
-    player,
     read_transcript,
     replay,
     suite,
     transcript,
     write_transcript,
 )
-from registerbench.arena.loop import head_of
-from registerbench.arena.replay import again
-from registerbench.arena.table import Limits
+from registerbench.arena.replay import replay_game
+from registerbench.arena.session import Limits
+from registerbench.arena.suite_runner import make_header
 from stage.cli import main
 from stage.errors import ArgumentError, StageError
 
@@ -26,12 +26,12 @@ from stage.errors import ArgumentError, StageError
 def samples(table):
     """A player that costs nothing."""
     table.call("program")
-    table.spent(7)
+    table.count_tokens(7)
 
 
 @pytest.fixture(scope="module")
 def delayed():
-    return play(suite("diagnosis:late"), player("technician"), "technician")
+    return play(suite("diagnosis:late"), make_player("technician"), "technician")
 
 
 @pytest.fixture(scope="module")
@@ -51,10 +51,10 @@ def test_a_transcript_is_replayed_bit_for_bit_without_the_player(delayed, tmp_pa
     file = tmp_path / "late.jsonl"
     write_transcript(delayed, file)
     back = read_transcript(file)
-    assert (back.head, back.rounds) == (delayed.head, delayed.rounds)
+    assert (back.head, back.games) == (delayed.head, delayed.games)
     results = replay(file)
-    assert results.same
-    assert (results.played.value, results.played.calls) == (delayed.value, delayed.calls)
+    assert results.is_same
+    assert (results.result.value, results.result.calls) == (delayed.value, delayed.calls)
 
 
 CHANGES = (
@@ -105,7 +105,11 @@ def test_a_part_is_never_reported_as_the_suite(three, delayed, tmp_path, capsys)
 
 @pytest.mark.parametrize("change", ["of", "fewer", "other", "seed", "round", "split"])
 def test_a_part_cannot_be_written_as_complete(tmp_path, change, request):
-    came = play(suite("one-shot", episodes=2), player("random"), "r") if change in ("seed", "round", "split") else None
+    came = (
+        play(suite("one-shot", episodes=2), make_player("random"), "r")
+        if change in ("seed", "round", "split")
+        else None
+    )
     came = came or request.getfixturevalue("three")
     file = tmp_path / "t.jsonl"
     write_transcript(came, file)
@@ -131,7 +135,7 @@ def test_a_part_cannot_be_written_as_complete(tmp_path, change, request):
 
 
 def test_calls_after_the_end_or_beyond_the_limit_are_detected(tmp_path):
-    came = play(suite("diagnosis:late"), lambda t: t.call("finish"), "f", Limits(most=1))
+    came = play(suite("diagnosis:late"), lambda t: t.call("finish"), "f", Limits(max_calls=1))
     write_transcript(came, tmp_path / "t.jsonl")
     rows = lines(tmp_path / "t.jsonl")
     more = {
@@ -141,10 +145,10 @@ def test_calls_after_the_end_or_beyond_the_limit_are_detected(tmp_path):
         "answer": {"text": "noted."},
     }
     write(tmp_path / "more.jsonl", [*rows[:3], more, *rows[3:]])
-    assert "2 calls, and 1 are allowed" in replay(tmp_path / "more.jsonl").first
+    assert "2 calls, and 1 are allowed" in replay(tmp_path / "more.jsonl").first_difference
     rows[0]["most"] = 400
     write(tmp_path / "more.jsonl", [*rows[:3], more, *rows[3:]])
-    assert "the game was over before it" in replay(tmp_path / "more.jsonl").first
+    assert "the game was over before it" in replay(tmp_path / "more.jsonl").first_difference
 
 
 HEAD = '{"format": ["PulseStage transcript", 2], "suite": "diagnosis"'
@@ -175,13 +179,15 @@ def test_what_a_suite_does_not_have_is_refused(three, tmp_path, k, key, value):
 
 
 def test_other_limits_than_the_usual_are_reported():
-    assert "up to 9 calls a game, and 400 are usual" in str(play(suite("diagnosis:late"), samples, "l", Limits(most=9)))
+    assert "up to 9 calls a game, and 400 are usual" in str(
+        play(suite("diagnosis:late"), samples, "l", Limits(max_calls=9))
+    )
 
 
 def test_a_transcript_of_the_bench_is_replayed_too(tmp_path):
-    came = play(suite("few-shot", "weak", 2), player("random"), "random")
+    came = play(suite("few-shot", "weak", 2), make_player("random"), "random")
     write_transcript(came, tmp_path / "r.jsonl")
-    assert replay(tmp_path / "r.jsonl").same
+    assert replay(tmp_path / "r.jsonl").is_same
 
 
 # --- runs that break off ---
@@ -203,26 +209,26 @@ def breaks(at):
 
 def test_a_run_that_breaks_off_leaves_its_games_and_continues(tmp_path):
     games, file = suite("diagnosis", episodes=4), tmp_path / "t.jsonl"
-    with Writer(file, head_of(games, "p", Limits())) as writer:
+    with TranscriptWriter(file, make_header(games, "p", Limits())) as writer:
         with pytest.raises(Interrupted, match=r"^game 3 of 4, diagnosis:wide: the endpoint is out of money$") as error:
-            play(games, breaks(3), "p", report_progress=writer.game)
-        assert len(error.value.played.rounds) == 2
+            play(games, breaks(3), "p", report_progress=writer.write_game)
+        assert len(error.value.result.games) == 2
     results = replay(file)
-    assert not results.same
+    assert not results.is_same
     assert "cut: 2 of its 4 games are there" in str(results)
     file.write_text(
         file.read_text() + '{"game": "diagnosis:wide", "seed": null}\n{"call": "pro'
     )  # killed while it wrote
-    assert "2 of its 4 games" in replay(file).cut
+    assert "2 of its 4 games" in replay(file).missing_part
     later = breaks(0)
-    with Writer(file, head_of(games, "p", Limits()), go_on=True) as writer:
-        came = play(games, later, "p", report_progress=writer.game, before=writer.before)
-        writer.end(came)
+    with TranscriptWriter(file, make_header(games, "p", Limits()), resume=True) as writer:
+        came = play(games, later, "p", report_progress=writer.write_game, earlier_games=writer.earlier_games)
+        writer.write_summary(came)
     assert later.games == ["diagnosis:wide", "diagnosis:swapped"]
-    assert replay(file).same
-    assert len(read_transcript(file).rounds) == 4
+    assert replay(file).is_same
+    assert len(read_transcript(file).games) == 4
     with pytest.raises(ArgumentError, match="nothing is left"):
-        Writer(file, head_of(games, "p", Limits()), go_on=True)
+        TranscriptWriter(file, make_header(games, "p", Limits()), resume=True)
 
 
 def test_the_command_continues_where_it_broke_off(tmp_path, capsys, monkeypatch):
@@ -256,8 +262,11 @@ def test_what_was_played_before_must_come_out_the_same(tmp_path, three):
     rows = lines(file)[:-1]
     rows[2]["answer"] = {"text": "nothing"}
     write(file, rows)
-    with Writer(file, three.head, go_on=True) as writer, pytest.raises(ArgumentError, match="comes out otherwise here"):
-        play(suite("diagnosis", episodes=3), samples, "looks", before=writer.before)
+    with (
+        TranscriptWriter(file, three.head, resume=True) as writer,
+        pytest.raises(ArgumentError, match="comes out otherwise here"),
+    ):
+        play(suite("diagnosis", episodes=3), samples, "looks", earlier_games=writer.earlier_games)
 
 
 def test_an_end_amid_a_game_is_none(tmp_path):
@@ -276,12 +285,12 @@ def test_an_end_amid_a_game_is_none(tmp_path):
 def test_what_is_written_of_a_game_is_on_the_disk_when_the_next_begins(tmp_path, monkeypatch, three):
     synced = []
     monkeypatch.setattr(transcript.os, "fsync", lambda number: synced.append((tmp_path / "t.jsonl").stat().st_size))
-    with Writer(tmp_path / "t.jsonl", three.head) as writer:
-        for r in three.rounds:
-            writer.game(r)
-        writer.end(three)
+    with TranscriptWriter(tmp_path / "t.jsonl", three.head) as writer:
+        for r in three.games:
+            writer.write_game(r)
+        writer.write_summary(three)
     assert writer._file.closed
-    assert len(synced) == len(three.rounds) + 2
+    assert len(synced) == len(three.games) + 2
     assert synced == sorted(set(synced))
     assert synced[-1] == (tmp_path / "t.jsonl").stat().st_size
 
@@ -316,10 +325,10 @@ def test_a_line_after_the_end_of_a_transcript_is_refused(delayed, tmp_path):
 
 
 def test_a_game_that_is_played_again_says_where_it_first_differs(delayed):
-    (claimed,) = delayed.rounds
+    (claimed,) = delayed.games
     game = next(iter(suite("diagnosis:late")))
-    assert "with seed" in again(game, dataclasses.replace(claimed, seed=5))
-    assert "2 are allowed" in again(game, claimed, most=2)
+    assert "with seed" in replay_game(game, dataclasses.replace(claimed, seed=5))
+    assert "2 are allowed" in replay_game(game, claimed, max_calls=2)
     unmade = [{**row, "made": False, "ok": True} for row in claimed.calls]
-    assert "call 1, 'program'" in (message := again(game, dataclasses.replace(claimed, calls=unmade)))
+    assert "call 1, 'program'" in (message := replay_game(game, dataclasses.replace(claimed, calls=unmade)))
     assert "it was not made, and has an answer" in message

@@ -1,38 +1,38 @@
-"""Measuring agents, whatever they are: games, players, transcripts that anybody replays without the agent.
+"""Measuring agents of any kind: games, players, and transcripts that anybody can replay without the agent.
 
-    came = play(suite("diagnosis"), player("technician"))
-    print(came)                                a score with its interval, of so many games
-    save(came, "technician.jsonl")
-    assert replay("technician.jsonl").same     the calls again, bit for bit
+    result = play(suite("diagnosis"), make_player("technician"))
+    print(result)                                 a score with its interval, and the number of games
+    write_transcript(result, "technician.jsonl")
+    assert replay("technician.jsonl").is_same     the same calls again, compared bit for bit
 
-games.py has what is played, table.py a game as a player has it, loop.py plays, scores.py counts, transcript.py and replay.py keep
-what was played; players/ has who plays: functions that are shipped, commands that speak JSON lines, OpenAI-compatible endpoints,
-clients of the Model Context Protocol. `stage agent` on the command line.
+games.py defines the games, session.py what a player sees of a game, and suite_runner.py plays a suite. results.py computes the
+scores; transcript.py and replay.py store games and repeat them. players/ has the players: shipped functions, commands that speak
+JSON lines, OpenAI-compatible endpoints, and clients of the Model Context Protocol. On the command line it is `stage agent`.
 """
 
-from registerbench.arena.games import Game, suite, suites
-from registerbench.arena.loop import Interrupted, head_of, play
-from registerbench.arena.players import player
-from registerbench.arena.replay import Replayed, replay
-from registerbench.arena.scores import Played, Round
-from registerbench.arena.table import Limits, Table
-from registerbench.arena.transcript import Writer, read_transcript, write_transcript
+from registerbench.arena.games import Game, list_suites, suite
+from registerbench.arena.players import make_player
+from registerbench.arena.replay import TranscriptReplay, replay
+from registerbench.arena.results import GameResult, SuiteResult
+from registerbench.arena.session import GameSession, Limits
+from registerbench.arena.suite_runner import Interrupted, make_header, play
+from registerbench.arena.transcript import TranscriptWriter, read_transcript, write_transcript
 
 __all__ = [
     "Game",
+    "GameResult",
+    "GameSession",
     "Interrupted",
     "Limits",
-    "Played",
-    "Replayed",
-    "Round",
-    "Table",
-    "Writer",
-    "head_of",
+    "SuiteResult",
+    "TranscriptReplay",
+    "TranscriptWriter",
+    "list_suites",
+    "make_header",
+    "make_player",
     "play",
-    "player",
     "read_transcript",
     "replay",
     "suite",
-    "suites",
     "write_transcript",
 ]

@@ -1,7 +1,7 @@
-"""What is played: a broken set-up, or an episode of RegisterBench whose actions are tool calls.
+"""Games that an agent plays by tools: broken set-ups to diagnose, and episodes of the tasks of the benchmark.
 
-suite("diagnosis")                 the ten set-ups; suite("diagnosis:late"): one of them
-suite("few-shot", episodes=8)      test episodes of a task of the bench
+suite("diagnosis")                 all ten broken set-ups; suite("diagnosis:late") has one of them
+suite("few-shot", episodes=8)      the first test episodes of a task
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from registerbench.arena.tool_actions import find_actions
+from registerbench.arena.tool_actions import make_tool_actions
 from registerbench.cards import CARDS, OPEN_ROUND
 from registerbench.diagnosis import SETUPS, Case
 from registerbench.entry_files import Entry
@@ -21,11 +21,18 @@ from stage.errors import ArgumentError, StageError
 
 DIAGNOSIS = "diagnosis"
 TRACK = "tools"
-TRAIN = "train"  # the split that is played if none is named
+TRAIN = "train"  # default split
 
 
 class Game:
-    """name; seed: of an episode; task: what a player is told; calls: its tools. over: nothing is left to do."""
+    """Game that a player plays by calling tools.
+
+    Attributes:
+        name: Name of the game.
+        seed: Seed of the episode, or None.
+        task: What is to be done, in words.
+        calls: Tools of the player.
+    """
 
     name: str
     seed: int | None = None
@@ -37,16 +44,16 @@ class Game:
         raise NotImplementedError
 
     def score(self) -> dict[str, float]:
-        """Return what has been reached, by name, "value" among them. Called once, at the end."""
+        """Return the scores by name, among them "value". It is called once, at the end."""
         raise NotImplementedError
 
     def close(self) -> None:
-        """The game is put away."""
+        """Close the tools of the game."""
         self.calls.close("this game is over.")
 
 
-class Diagnosis(Game):
-    """A broken set-up."""
+class DiagnosisGame(Game):
+    """Broken set-up that the player diagnoses and repairs."""
 
     def __init__(self, name: str):
         self.case, self.name = Case(name), f"{DIAGNOSIS}:{name}"
@@ -72,13 +79,13 @@ the bus can know. `observe` tells it, `formula` what the engineer's rule would d
 itself."""
 
 
-class Bench(Game):
-    """An episode of a task. The episodes of a suite share `played`."""
+class BenchmarkGame(Game):
+    """Test episode of a task. The games of a suite share one `EpisodeSequence`."""
 
     def __init__(self, played: EpisodeSequence):
         self._played, self.number = played, played.finished
-        self.name, self.seed = _named(played)[self.number]
-        self._actions = find_actions(played)
+        self.name, self.seed = _list_episodes(played)[self.number]
+        self._actions = make_tool_actions(played)
         played.begin()
         arguments = self._actions.arguments()
         self.calls = ToolSet(
@@ -101,9 +108,9 @@ class Bench(Game):
         self._require_running()
         return self._actions.formula()
 
-    def _act(self, **given: Any) -> dict[str, Any]:
+    def _act(self, **arguments: Any) -> dict[str, Any]:
         self._require_running()
-        self._played.act(self._actions.make_action(**given))
+        self._played.act(self._actions.make_action(**arguments))
         return {"over": self.over, **self._actions.observation()}
 
     def _require_running(self) -> None:
@@ -112,7 +119,7 @@ class Bench(Game):
 
     def score(self) -> dict[str, float]:
         left_steps = 0
-        while not self.over:  # whoever goes early leaves the rest to the rule of who does nothing
+        while not self.over:  # the rest of an episode that its player left is played with actions that do nothing
             self._played.act(self._actions.idle())
             left_steps += 1
         return {
@@ -123,26 +130,36 @@ class Bench(Game):
 
 
 class Suite:
-    """Games one after the other: `for game in suite` makes each, and puts it away.
+    """Games that are made, played and closed one after the other by iterating.
 
-    name; split, round: of the bench; games: name and seed of each; of: so many has the whole suite.
+    Attributes:
+        name: Name of the suite.
+        split, round: Split and round of a task; "" for broken set-ups.
+        games: Name and seed of each game.
+        total_games: Number of games of the complete suite.
     """
 
     def __init__(
         self,
         name: str,
         games: Sequence[tuple[str, int | None]],
-        of: int,
+        total_games: int,
         make: Callable[[int], Game],
         played: EpisodeSequence | None = None,
     ):
-        self.name, self.games, self.of, self._make, self._played = name, tuple(games), of, make, played
+        self.name, self.games, self.total_games, self._make_game, self._played = (
+            name,
+            tuple(games),
+            total_games,
+            make,
+            played,
+        )
         self.split, self.round = ("", "") if played is None else (played.split, played.round_)
 
     def __iter__(self) -> Iterator[Game]:
         try:
             for k in range(len(self.games)):
-                game = self._make(k)
+                game = self._make_game(k)
                 try:
                     yield game
                 finally:
@@ -151,50 +168,50 @@ class Suite:
             if self._played is not None:
                 self._played.close()
 
-    def entry(self, player: str, cost: dict[str, float], notes: str = "") -> Entry | None:
-        """Return the entry of the bench, which `stage bench-verify` replays; None for broken set-ups.
+    def build_entry(self, player: str, cost: dict[str, float], notes: str = "") -> Entry | None:
+        """Build the entry of the benchmark, which `stage bench-verify` replays; return None for broken set-ups.
 
         Args:
             player: Name of the player.
-            cost: What the player took.
-            notes: Anything to be kept with it.
+            cost: What the player spent, by name.
+            notes: Text to store in the entry.
         """
         return None if self._played is None else self._played.build_entry(player, 0, notes, cost)
 
 
-def suites() -> list[str]:
+def list_suites() -> list[str]:
     """List the names of all suites."""
     return [DIAGNOSIS, *CARDS]
 
 
 def suite(name: str, split: str = TRAIN, episodes: int | None = None, round_: str = OPEN_ROUND) -> Suite:
-    """Return the suite of this name.
+    """Make the suite with this name.
 
     Args:
-        name: Of a task of the bench; "diagnosis", or "diagnosis:NAME" for one set-up.
-        split: Of the task.
-        episodes: Play only the first ones.
-        round_: Of the bench.
+        name: Name of a task, "diagnosis", or "diagnosis:NAME" for one broken set-up.
+        split: Split of the task.
+        episodes: Number of games to play; None: all.
+        round_: Round of the benchmark.
 
     Raises:
-        ArgumentError: There is no such suite, set-up or number of episodes.
+        ArgumentError: There is no such suite or set-up, or not so many episodes.
     """
-    first, _, one = name.partition(":")
-    kind = choose("suite", first, tuple(suites()))
+    first, _, set_up = name.partition(":")
+    kind = choose("suite", first, tuple(list_suites()))
     if kind == DIAGNOSIS:
         if split != TRAIN:
             raise ArgumentError(f"split {split!r}: {DIAGNOSIS} has no splits; they are of RegisterBench's tasks.")
-        names = [choose("set-up", one, tuple(SETUPS))] if one else list(SETUPS)
+        names = [choose("set-up", set_up, tuple(SETUPS))] if set_up else list(SETUPS)
         if episodes is not None and not 1 <= episodes <= len(names):
             raise ArgumentError(f"episodes={episodes}: 1 to {len(names)} here.")
         names = names[:episodes]
-        return Suite(name, [(f"{DIAGNOSIS}:{n}", None) for n in names], len(SETUPS), lambda k: Diagnosis(names[k]))
-    if one:
+        return Suite(name, [(f"{DIAGNOSIS}:{n}", None) for n in names], len(SETUPS), lambda k: DiagnosisGame(names[k]))
+    if set_up:
         raise ArgumentError(f"suite {name!r}: {kind} has episodes, and no names in them; give episodes=1 for one.")
     played = EpisodeSequence(kind, split, TRACK, round_, {}, episodes)
-    return Suite(kind, _named(played), played.card.episodes, lambda k: Bench(played), played)
+    return Suite(kind, _list_episodes(played), played.card.episodes, lambda k: BenchmarkGame(played), played)
 
 
-def _named(played: EpisodeSequence) -> list[tuple[str, int | None]]:
+def _list_episodes(played: EpisodeSequence) -> list[tuple[str, int | None]]:
     """List the name and the seed of each episode."""
     return [(f"{played.card.name}:{played.split}:{k}", seed) for k, seed in enumerate(played.seeds)]

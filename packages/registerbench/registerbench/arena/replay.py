@@ -1,4 +1,4 @@
-"""`replay`: the calls of a transcript once more, without its player. Whatever it says is computed from them."""
+"""Replay of a transcript: its calls are made again, without its player, and every number is computed from them."""
 
 from __future__ import annotations
 
@@ -7,83 +7,90 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from registerbench.arena.games import Game
-from registerbench.arena.scores import Played, Round, closing_of, played
-from registerbench.arena.table import jsonable
-from registerbench.arena.transcript import Transcript, read_transcript, suite_of
+from registerbench.arena.results import GameResult, SuiteResult, make_result, summarize_result
+from registerbench.arena.session import round_trip_json
+from registerbench.arena.transcript import Transcript, read_transcript, rebuild_suite
 from stage.agents.arguments import format_value
 
 
 @dataclass(frozen=True)
-class Replayed:
-    """Result of a replay.
+class TranscriptReplay:
+    """Result of the replay of a transcript.
 
     Attributes:
-        played: Games that came out as the transcript says, with their score.
-        first: First difference, in words; "" where there is none.
-        cut: Sentence about a transcript that ends before its games do; "" otherwise.
+        result: Games that came out as the transcript states, with their score.
+        first_difference: First difference, in words; "" if there is none.
+        missing_part: Sentence about what a transcript lacks that ends before its games do; "" otherwise.
     """
 
-    played: Played
-    first: str
-    cut: str = ""
+    result: SuiteResult
+    first_difference: str
+    missing_part: str = ""
 
     @property
-    def same(self) -> bool:
-        """Every answer and every score is equal, bit for bit, and every game is there."""
-        return not self.first and not self.cut
+    def is_same(self) -> bool:
+        """Whether every answer and every score is equal, bit for bit, and every game is there."""
+        return not self.first_difference and not self.missing_part
 
     def __str__(self) -> str:
-        p = self.played
-        claimed = f"Claimed, and not to be verified: the player's name {format_value(p.player)}, {p.tokens} tokens."
-        if self.first:
-            return f"{len(p.rounds)} games are equal, then it DIFFERS: {self.first}"
-        lines = [p.said, "every answer and score is equal, bit for bit", *([self.cut] if self.cut else []), claimed]
+        result = self.result
+        claimed = (
+            f"Claimed, and not to be verified: the player's name {format_value(result.player)}, {result.tokens} tokens."
+        )
+        if self.first_difference:
+            return f"{len(result.games)} games are equal, then it DIFFERS: {self.first_difference}"
+        lines = [
+            result.summary,
+            "every answer and score is equal, bit for bit",
+            *([self.missing_part] if self.missing_part else []),
+            claimed,
+        ]
         return "\n".join(lines)
 
 
 def replay(
-    transcript: Played | str | os.PathLike, report_progress: Callable[[int, int], None] | None = None
-) -> Replayed:
+    transcript: SuiteResult | str | os.PathLike, report_progress: Callable[[int, int], None] | None = None
+) -> TranscriptReplay:
     """Make the calls of a transcript again, without the player, and compare.
 
     Args:
-        transcript: What was played, or a file.
-        report_progress: Called with (games replayed, games).
+        transcript: Path of a transcript, or the result of a suite.
+        report_progress: Called with (games replayed, all games).
 
     Raises:
         ArgumentError: The file cannot be read.
     """
-    if isinstance(transcript, Played):
-        given = Transcript(transcript.head, transcript.rounds, closing_of(transcript), 0)
+    if isinstance(transcript, SuiteResult):
+        recorded = Transcript(transcript.head, transcript.games, summarize_result(transcript), 0)
     else:
-        given = read_transcript(transcript)
-    games = suite_of(given.head)
-    rounds: list[Round] = []
-    for claimed, game in zip(given.rounds, games, strict=False):
-        if first := again(game, claimed, given.head.limits.most):
-            return Replayed(played(given.head, rounds), first)
-        rounds.append(claimed)
+        recorded = read_transcript(transcript)
+    games = rebuild_suite(recorded.head)
+    replayed: list[GameResult] = []
+    for claimed, game in zip(recorded.games, games, strict=False):
+        if first := replay_game(game, claimed, recorded.head.limits.max_calls):
+            return TranscriptReplay(make_result(recorded.head, replayed), first)
+        replayed.append(claimed)
         if report_progress:
-            report_progress(len(rounds), len(given.rounds))
-    came = played(given.head, rounds)
-    return Replayed(came, _closing(given, came), _cut(given))
+            report_progress(len(replayed), len(recorded.games))
+    result = make_result(recorded.head, replayed)
+    return TranscriptReplay(result, _compare_summary(recorded, result), _describe_cut(recorded))
 
 
-def again(game: Game, claimed: Round, most: int | None = None) -> str:
-    """Make the calls of a game again.
+def replay_game(game: Game, claimed: GameResult, max_calls: int | None = None) -> str:
+    """Make the calls of a game again, and compare its answers and its score.
 
     Args:
-        game: To play.
-        claimed: What the transcript says of it.
-        most: Number of calls.
+        game: Game in which to make the calls.
+        claimed: The game as the transcript states it.
+        max_calls: Largest number of calls; None: any number.
 
     Returns:
-        The first difference in words, "" if all is equal.
+        The first difference in words; "" if all is equal.
     """
     if (game.name, game.seed) != (claimed.game, claimed.seed):
         return f"game {claimed.game!r} with seed {claimed.seed} in the transcript, {game.name!r} with {game.seed} here"
-    if most is not None and len(claimed.calls) > most:
-        return f"game {game.name}: {len(claimed.calls)} calls, and {most} are allowed"
+    if max_calls is not None and len(claimed.calls) > max_calls:
+        return f"game {game.name}: {len(claimed.calls)} calls, and {max_calls} are allowed"
     for k, row in enumerate(claimed.calls):
         where = f"game {game.name}, call {k + 1}, {format_value(row['call'])}"
         if game.over:
@@ -93,25 +100,26 @@ def again(game: Game, claimed: Round, most: int | None = None) -> str:
                 return f"{where}: it was not made, and has an answer"
             continue
         answer = game.calls.call(row["call"], row["arguments"])
-        if (answer.ok, jsonable(answer.data)) != (row["ok"], row["answer"]):
+        if (answer.ok, round_trip_json(answer.data)) != (row["ok"], row["answer"]):
             return f"{where}: {str(row['answer'])[:200]} in the transcript, {answer.text[:200]} here"
-    score = jsonable({name: float(v) for name, v in game.score().items()})
+    score = round_trip_json({name: float(v) for name, v in game.score().items()})
     return "" if score == claimed.score else f"game {game.name}, score: {claimed.score} in the transcript, {score} here"
 
 
-def _closing(given: Transcript, came: Played) -> str:
-    """The last line against what came out."""
-    if given.closing is None:
+def _compare_summary(recorded: Transcript, result: SuiteResult) -> str:
+    """Compare the last line of the transcript with the replayed games, and return the differences in words."""
+    if recorded.closing is None:
         return ""
-    here = closing_of(came)
-    wrong = [k for k in here if given.closing.get(k) != here[k]]
+    current = summarize_result(result)
+    wrong = [k for k in current if recorded.closing.get(k) != current[k]]
     return "; ".join(
-        f"last line, {k}: {format_value(given.closing.get(k))} in the transcript, {here[k]} here" for k in wrong
+        f"last line, {k}: {format_value(recorded.closing.get(k))} in the transcript, {current[k]} here" for k in wrong
     )
 
 
-def _cut(given: Transcript) -> str:
-    n, of = len(given.rounds), len(given.head.games)
+def _describe_cut(recorded: Transcript) -> str:
+    """Say which part of the games a transcript lacks; "" if it is complete."""
+    n, of = len(recorded.games), len(recorded.head.games)
     if n < of:
         return f"The transcript is cut: {n} of its {of} games are there."
-    return "" if given.closing is not None else "The transcript is cut: its last line is missing."
+    return "" if recorded.closing is not None else "The transcript is cut: its last line is missing."

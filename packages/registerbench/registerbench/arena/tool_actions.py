@@ -1,4 +1,4 @@
-"""Actions of RegisterBench's environments as arguments of a tool, in pps, seconds and names; and observations by name."""
+"""Actions of the environments as arguments of the tool `act`, in pps, seconds and names, and observations by name."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from stage.envs import drifting_home, few_shot
 from stage.errors import ArgumentError
 
 
-def rates_of(action: np.ndarray) -> dict[str, float]:
-    """Return the rates and ramps of an action of few-shot or one-shot, as arguments of a tool."""
+def convert_action_to_rates(action: np.ndarray) -> dict[str, float]:
+    """Convert an action of few-shot or one-shot to the rates (pps) and ramps (s) of a move, by name."""
     return {
         name: from_log_scale(value, ends)
         for name, value, ends in zip(few_shot.RATES, action, few_shot.RATES.values(), strict=True)
@@ -23,32 +23,32 @@ def rates_of(action: np.ndarray) -> dict[str, float]:
 
 
 def from_log_scale(value: float, ends: Sequence[float]) -> float:
-    """Convert a place on a logarithmic scale to the number.
+    """Convert a number from -1 to 1 to the value at this place of a logarithmic scale.
 
     Args:
-        value: From -1 to 1.
-        ends: Least and largest number.
+        value: Number from -1 to 1.
+        ends: Values at both ends of the scale.
     """
     low, high = np.log(ends)
     return float(np.clip(np.exp(low + (high - low) * (value + 1) / 2), ends[0], ends[1]))
 
 
 def to_log_scale(value: float, ends: Sequence[float]) -> float:
-    """Convert a number to its place on a logarithmic scale, -1 to 1.
+    """Convert a value to its place on a logarithmic scale, from -1 to 1.
 
     Args:
-        value: The number.
-        ends: Least and largest number.
+        value: The value.
+        ends: Values at both ends of the scale.
     """
     low, high = np.log(ends)
     return float(np.clip(2 * (np.log(value) - low) / max(high - low, 1e-9) - 1, -1, 1))
 
 
 class ToolActions:
-    """Actions of one task as calls of the tool `act`.
+    """Conversion between the actions of a task and the arguments of the tool `act`.
 
     Attributes:
-        text: What `act` does, in a sentence.
+        text: What `act` does, as a phrase.
     """
 
     text: str
@@ -58,7 +58,7 @@ class ToolActions:
         self._names = [e.name for e in played.env.observation_features]
 
     def arguments(self) -> dict[str, Any]:
-        """Return the arguments of `act`."""
+        """Return the schema of the arguments of `act`, by name."""
         raise NotImplementedError
 
     def make_action(self, **values: Any) -> Any:
@@ -66,15 +66,15 @@ class ToolActions:
         raise NotImplementedError
 
     def formula(self) -> dict[str, Any]:
-        """Return what the task's scripted host does now, as arguments."""
+        """Return what the task's scripted host would do now, as arguments of `act`."""
         raise NotImplementedError
 
     def idle(self) -> Any:
-        """Return the action of a player who has left."""
+        """Return the action with which an episode goes on after its player has left."""
         return np.zeros(self._env.action_space.shape, self._env.action_space.dtype)
 
     def observation(self) -> dict[str, Any]:
-        """Return what a host may know of observation and info; numbers of one name are a list."""
+        """Return observation and info by name; several numbers of one name become a list."""
         numbers: dict[str, Any] = {}
         for name, value in zip(self._names, self._played.observation.tolist(), strict=True):
             numbers.setdefault(name, []).append(round(value, 6))
@@ -85,7 +85,7 @@ class ToolActions:
 
 
 class MoveActions(ToolActions):
-    """Rates and ramps of a move, of few-shot and one-shot."""
+    """Rates and ramps of a move, for few-shot and one-shot."""
 
     text = "a whole move with these rates (pps) and ramps (s)."
 
@@ -97,11 +97,11 @@ class MoveActions(ToolActions):
         return few_shot.action_of(**values)
 
     def formula(self) -> dict[str, Any]:
-        return rates_of(self._env.scripted_action().astype(float))
+        return convert_action_to_rates(self._env.scripted_action().astype(float))
 
 
 class HomeActions(ToolActions):
-    """An origin return, or the report of a fault, of home."""
+    """Origin return or report of a fault, for the task home."""
 
     text = "an origin return with these rates, or, with report=true, the report that the machine is broken, which ends the episode."
 
@@ -125,7 +125,7 @@ class HomeActions(ToolActions):
 
 
 class LineActions(ToolActions):
-    """Rate, ramp and corrections to the registers, of line and line-3."""
+    """Rate, ramp and corrections of the registers, for line and line-3."""
 
     text = "a straight line with this rate and ramp; corrections from -1 to 1 change the data sheet's registers, 0 leaves them."
 
@@ -157,7 +157,7 @@ class LineActions(ToolActions):
 
 
 class MacroActions(ToolActions):
-    """A macro, of bus and bus-target."""
+    """Choice of a macro, for the tasks whose name begins with bus."""
 
     text = "a phrase of bus cycles on the axis that is selected; what has no effect now is told as masked."
 
@@ -188,8 +188,8 @@ KINDS: dict[str, type[ToolActions]] = {
 """Kind of actions by the name of the card."""
 
 
-def find_actions(played: EpisodeSequence) -> ToolActions:
-    """Return the tool actions of the task that is played. Raises ArgumentError for a task without."""
+def make_tool_actions(played: EpisodeSequence) -> ToolActions:
+    """Make the conversion for the task that is played. Raises ArgumentError for a task without one."""
     if played.card.name in KINDS:
         return KINDS[played.card.name](played)
     if isinstance(played.env.action_space, gymnasium.spaces.Discrete) and hasattr(played.env, "macros"):
@@ -200,7 +200,7 @@ def find_actions(played: EpisodeSequence) -> ToolActions:
 
 
 def to_json(value: Any) -> Any:
-    """Convert a value of an info to what JSON has; None for what is not finite."""
+    """Convert a value of an info to a JSON value; infinite numbers and NaN become None."""
     if isinstance(value, np.ndarray):
         return [to_json(v) for v in value.tolist()]
     if isinstance(value, np.generic):

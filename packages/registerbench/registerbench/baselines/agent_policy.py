@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 
 import stage.envs  # noqa: F401 (registers the environments)
-from registerbench.arena.players.trained import FEATURES, action, features
+from registerbench.arena.players.trained import FEATURES, compute_action, compute_features
 from registerbench.cards import CARDS
 
 TABLES, EACH, ELITE = 24, 4, 6
@@ -43,7 +43,10 @@ def returns(envs: Any, kind: str, tables: np.ndarray, seed: int) -> np.ndarray:
     names, total = [e.name for e in envs.observation_features], np.zeros(MACHINES)
     observation, _ = envs.reset(seed=seed)
     while True:
-        chosen = [action(w, features(kind, named(row, names))) for w, row in zip(tables, observation, strict=True)]
+        chosen = [
+            compute_action(w, compute_features(kind, named(row, names)))
+            for w, row in zip(tables, observation, strict=True)
+        ]
         observation, rewards, terminated, truncated, _ = envs.step(np.array(chosen, np.float32))
         total += rewards
         if (terminated | truncated).all():

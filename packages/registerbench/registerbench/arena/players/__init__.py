@@ -1,34 +1,34 @@
-"""Players: who makes the calls. `player(name)` gives one that is shipped, or a function of a module of yours, `module:name`."""
+"""Players of games: `make_player(name)` makes a shipped player, or imports one as `module:name`."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from registerbench.arena.loop import Guarded, Player
-from registerbench.arena.players import searches, simple, technician, trained
+from registerbench.arena.players import formula_and_random, searches, technician, trained
+from registerbench.arena.suite_runner import GuardedPlayer, Player
 from registerbench.policies import import_attribute
 from stage.errors import ArgumentError, unknown_name_error
 
-SHIPPED: dict[str, Callable[[], Player]] = {
-    "formula": lambda: simple.formula,
-    "random": simple.Random,
+SHIPPED_PLAYERS: dict[str, Callable[[], Player]] = {
+    "formula": lambda: formula_and_random.formula,
+    "random": formula_and_random.RandomPlayer,
     "coordinate": lambda: searches.coordinate,
     "optuna": lambda: searches.optuna,
     "trained": lambda: trained.play,
     "technician": lambda: technician.play,
 }
-"""By name; made anew for each suite."""
+"""Functions that make each shipped player, by name."""
 
 
-def player(name: str) -> Player:
-    """A player by its name. Raises ArgumentError."""
-    if name in SHIPPED:
-        return SHIPPED[name]()
+def make_player(name: str) -> Player:
+    """Make the player with this name. Raises ArgumentError."""
+    if name in SHIPPED_PLAYERS:
+        return SHIPPED_PLAYERS[name]()
     if ":" not in name:
         raise ArgumentError(
-            f"{unknown_name_error('player', name, SHIPPED)} Or give module:function, which takes a Table."
+            f"{unknown_name_error('player', name, SHIPPED_PLAYERS)} Or give module:function, which takes a GameSession."
         )
-    found = import_attribute(name, "player")
-    if not callable(found):
-        raise ArgumentError(f"player {name}: is no function of a Table.")
-    return Guarded(found() if isinstance(found, type) else found)
+    player_ = import_attribute(name, "player")
+    if not callable(player_):
+        raise ArgumentError(f"player {name}: it is not a function of a GameSession.")
+    return GuardedPlayer(player_() if isinstance(player_, type) else player_)

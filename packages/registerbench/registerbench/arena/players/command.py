@@ -1,11 +1,11 @@
-"""A player that is a command: a process of any language that reads and writes lines of JSON. One process a game.
+"""A player that is a command: a process in any language that reads and writes lines of JSON. Each game starts a new process.
 
-it gets     {"task": "...", "tools": [{"name", "description", "parameters"}, ...]}
-it writes   {"call": "act", "arguments": {...}}                 one a line; "tokens": N beside it counts what it took
-it gets     {"ok": true, "answer": {...}, "over": false}
+it reads    {"task": "...", "tools": [{"name", "description", "parameters"}, ...]}
+it writes   {"call": "act", "arguments": {...}}                 one call a line; "tokens": N may stand beside it
+it reads    {"ok": true, "answer": {...}, "over": false}
 it writes   {"done": true, "tokens": N}, or ends
 
-docs/agents.md has one of ten lines.
+docs/agents.md shows a player of ten lines.
 """
 
 from __future__ import annotations
@@ -21,19 +21,26 @@ import threading
 from collections.abc import Sequence
 from typing import Any
 
-from registerbench.arena.scores import FAILED
-from registerbench.arena.table import Table
+from registerbench.arena.results import FAILED
+from registerbench.arena.session import GameSession
 from stage.errors import ArgumentError, StageError
 from stage.support.foreign_files import DocumentError, parse_json
 
-LONG = 1 << 20  # characters of a line
-WRONG = 20  # lines that are no calls, after which the game is ended
-END = 2.0  # s in which a process that has closed its output ends
-AHEAD = 100  # lines that are read before they are answered
+MAX_LINE_LENGTH = 1 << 20  # characters of a line
+MAX_INVALID_LINES = 20  # lines that are no calls, after which the game is ended
+EXIT_TIMEOUT_S = 2.0  # s in which a process that has closed its output ends
+READ_AHEAD_LINES = 100  # lines that are read before they are answered
 
 
-class Command:
-    """command: as a shell would split it, or in parts; no shell is called. Raises ArgumentError."""
+class CommandPlayer:
+    """Player that starts a command for each game.
+
+    Args:
+        command: Words of the command, or one string that is split as a shell would do; no shell is started.
+
+    Raises:
+        ArgumentError: The command is empty or has an open quote.
+    """
 
     def __init__(self, command: str | Sequence[str]):
         try:
@@ -45,8 +52,8 @@ class Command:
         self.name = self.words[-1] if len(self.words) == 1 else " ".join(self.words)
         self._process: Any = None
 
-    def __call__(self, table: Table) -> None:
-        """Play. Raises StageError where the command cannot be started."""
+    def __call__(self, session: GameSession) -> None:
+        """Play a game. Raises StageError if the command cannot be started."""
         try:
             process = self._process = subprocess.Popen(
                 self.words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8", errors="replace",
@@ -55,11 +62,11 @@ class Command:
         except (OSError, ValueError) as why:
             message = getattr(why, "strerror", None) or why
             raise StageError(f"{self.words[0]}: {message}. Name a program that can be run.") from why
-        lines, gone = queue.Queue[str](AHEAD), threading.Event()
-        threading.Thread(target=_read, args=(process.stdout, lines, gone), daemon=True).start()
+        lines, gone = queue.Queue[str](READ_AHEAD_LINES), threading.Event()
+        threading.Thread(target=_read_lines, args=(process.stdout, lines, gone), daemon=True).start()
         try:
-            if not self._play(table, process, lines):
-                _note_end(table, process)
+            if not self._play(session, process, lines):
+                _handle_early_exit(session, process)
         finally:
             gone.set()
             self._kill(process)
@@ -69,7 +76,7 @@ class Command:
                     pipe.close()  # type: ignore[union-attr]
 
     def stop(self) -> None:
-        """End the command, from another thread: the game is over."""
+        """End the command because the game is over; may be called from another thread."""
         self._kill(self._process)
 
     def _kill(self, process: Any) -> None:
@@ -78,52 +85,52 @@ class Command:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(process.pid, signal.SIGKILL)
 
-    def _play(self, table: Table, process: Any, lines: queue.Queue[str]) -> bool:
+    def _play(self, session: GameSession, process: Any, lines: queue.Queue[str]) -> bool:
         """Play until the game ends, and return whether the command played on to the end."""
 
-        def say(what: dict[str, Any]) -> None:
+        def send(what: dict[str, Any]) -> None:
             with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # it reads no more
                 process.stdin.write(json.dumps(what) + "\n")
                 process.stdin.flush()
 
-        say({"task": table.task, "tools": table.tools})
-        wrong = 0
-        while not table.over:
+        send({"task": session.task, "tools": session.tools})
+        invalid_lines = 0
+        while not session.over:
             line = lines.get()
             if not line:
                 return False
-            message = _parsed(line)
+            message = _parse_message(line)
             if isinstance(message, str):
-                table.trouble("a line that is no call")
-                wrong += 1
-                if wrong == WRONG:
-                    table.leave(f"{FAILED}: {WRONG} lines that are no calls")
-                say({"ok": False, "answer": {"error": message}, "over": table.over})
+                session.count_trouble("a line that is no call")
+                invalid_lines += 1
+                if invalid_lines == MAX_INVALID_LINES:
+                    session.end_game(f"{FAILED}: {MAX_INVALID_LINES} lines that are no calls")
+                send({"ok": False, "answer": {"error": message}, "over": session.over})
                 continue
             if "tokens" in message:
-                table.spent(message["tokens"])
+                session.count_tokens(message["tokens"])
             if message.get("done"):
                 return True
-            answer = table.call(message["call"], message.get("arguments"))
-            say({"ok": answer.ok, "answer": answer.data, "over": table.over})
+            answer = session.call(message["call"], message.get("arguments"))
+            send({"ok": answer.ok, "answer": answer.data, "over": session.over})
         return True
 
 
-def _note_end(table: Table, process: Any) -> None:
-    """It has ended by itself: which is good after its last call, and else is not."""
-    if table.over:
+def _handle_early_exit(session: GameSession, process: Any) -> None:
+    """End the game if the command exited with an error before the game was over."""
+    if session.over:
         return
     with contextlib.suppress(subprocess.TimeoutExpired):
-        process.wait(timeout=END)
+        process.wait(timeout=EXIT_TIMEOUT_S)
     code = process.returncode
     if code:
-        table.leave(f"{FAILED}: the command ended with exit code {code}")
-    elif not table.log:
-        table.trouble("the command ended without a call")
+        session.end_game(f"{FAILED}: the command ended with exit code {code}")
+    elif not session.log:
+        session.count_trouble("the command ended without a call")
 
 
-def _read(stream: Any, lines: queue.Queue[str], gone: threading.Event) -> None:
-    """All lines, and "" at the end; no more than are asked for."""
+def _read_lines(stream: Any, lines: queue.Queue[str], gone: threading.Event) -> None:
+    """Put the lines of a stream into a queue, and "" at its end; wait while the queue is full."""
 
     def put(line: str) -> None:
         while not gone.is_set():
@@ -132,13 +139,13 @@ def _read(stream: Any, lines: queue.Queue[str], gone: threading.Event) -> None:
                 return
 
     with contextlib.suppress(OSError, ValueError):
-        while not gone.is_set() and (line := stream.readline(LONG)):
+        while not gone.is_set() and (line := stream.readline(MAX_LINE_LENGTH)):
             put(line)
     put("")
 
 
-def _parsed(line: str) -> dict[str, Any] | str:
-    """Parse a line, or say what is wrong with it."""
+def _parse_message(line: str) -> dict[str, Any] | str:
+    """Parse a line of the command; return a sentence if it is not a message."""
     try:
         message = parse_json(line)
     except DocumentError as why:

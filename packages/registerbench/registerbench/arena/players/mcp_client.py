@@ -1,6 +1,6 @@
-"""A player that is a client of the Model Context Protocol: it is served a game over standard input and output, and plays.
+"""A player that is a client of the Model Context Protocol (MCP): it plays one game over standard input and output.
 
-The game ends when it is over, or when the client goes.
+The game ends when it is over, or when the client disconnects.
 """
 
 from __future__ import annotations
@@ -8,31 +8,31 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any, cast
 
-from registerbench.arena.table import Table
+from registerbench.arena.session import GameSession
 from stage.agents import Answer
 
 
-class Client:
-    """A client of the Model Context Protocol at standard input and output; it plays one game."""
+class McpClientPlayer:
+    """Player that serves a game to an MCP client at standard input and output."""
 
     name = "mcp client"
 
-    def __call__(self, table: Table) -> None:
+    def __call__(self, session: GameSession) -> None:
         from stage.agents.server.stdio import serve
 
-        serve(cast(Any, _Game(table)))
+        serve(cast(Any, _Game(session)))
 
 
 class _Game:
-    """A game in the place of a maker of stages: its one session is the table."""
+    """Stand-in for a factory of stages: the one session that it makes is the game."""
 
-    def __init__(self, table: Table):
-        self._table = table
+    def __init__(self, session: GameSession):
+        self._table = session
         self.catalog = self
 
     @property
     def tools(self) -> Any:
-        return self._table.playing.tools
+        return self._table.tools_without_log.tools
 
     @property
     def axes(self) -> tuple[str, ...]:
