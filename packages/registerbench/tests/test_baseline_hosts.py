@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import stage.envs
-from registerbench.baselines import common, few_shot, servo_loop, tasks
+from registerbench.baselines import few_shot, move_tuning, servo_loop, tasks
 from stage import Stage, StageError
 from stage.chips import HCTL1100
 from stage.envs import contexts
@@ -33,7 +33,7 @@ def test_on_machines_that_differ_a_host_that_remembers_is_better_than_one_that_d
 
 
 def test_a_proof_of_a_move_is_over_many_angles():
-    with common.Moves(0.5, 4, "registers", 2000, lanes=2, model="xy", seed=common.PROOF_SEED) as moves:
+    with move_tuning.MoveTuning(0.5, 4, "registers", 2000, lanes=2, model="xy", seed=move_tuning.PROOF_SEED) as moves:
         for _ in range(2):
             moves.make_actions(np.zeros((2, moves.size)))
         assert len({angle for _, _, angle in moves.log.drawn}) == 4

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.examples import scaled
 
-from registerbench.baselines import common, formula, tool_loop
-from registerbench.baselines.common import DISTANCE, PAYLOADS, Log, Moves, best, prove
+from registerbench.baselines import formula, formula_knobs, move_tuning, tool_loop
+from registerbench.baselines.move_tuning import DISTANCE, PAYLOADS, MoveLog, MoveTuning, best, prove
 from stage import Stage
 from stage.errors import ArgumentError
 from stage.tune.formula import Load, compute_registers, plan_profile
@@ -28,7 +28,7 @@ def search_of(name):
 
 
 def results(name, seed, budget=10, lanes=4):
-    with Moves(0.5, budget, distance=2000, lanes=lanes, seed=seed) as moves:
+    with MoveTuning(0.5, budget, distance=2000, lanes=lanes, seed=seed) as moves:
         search_of(name)(moves, seed)
         return moves.log
 
@@ -62,7 +62,7 @@ def test_the_formula_takes_the_time_that_it_says(axis):
     p = plan_profile(Load.from_axis(axis), DISTANCE)
     ramps = formula.np.array([p.accel(), p.decel()])
     created = (p.fl + p.fh1) / 2 * ramps.sum()
-    with Moves(0.0, 1, distance=DISTANCE, lanes=1) as moves:
+    with MoveTuning(0.0, 1, distance=DISTANCE, lanes=1) as moves:
         formula.search(moves)
         (duration,) = moves.log.duration
     assert duration == pytest.approx(ramps.sum() + (DISTANCE - created) / p.fh1, rel=0.01)
@@ -101,7 +101,7 @@ def test_the_formula_refuses_what_the_motor_cannot_move(axis):
 
 
 def test_knobs_at_zero_are_the_formula_and_each_does_what_it_is_called(axis):
-    knobs = formula.Knobs(axis, DISTANCE)
+    knobs = formula_knobs.FormulaKnobs(axis, DISTANCE)
     middle = knobs.registers(np.zeros(5))
     assert middle == compute_registers(axis, DISTANCE)
 
@@ -118,7 +118,7 @@ def test_knobs_at_zero_are_the_formula_and_each_does_what_it_is_called(axis):
 
 @pytest.mark.parametrize("chip", ["MCX514", "MCX304"])
 def test_a_nova_chip_is_tuned_by_three_knobs_and_its_formula_keeps_step(chip):
-    with Moves(0.5, 1, distance=2000, lanes=1, chip=chip) as moves:
+    with MoveTuning(0.5, 1, distance=2000, lanes=1, chip=chip) as moves:
         assert moves.size == 3
         middle = moves.knobs.registers(np.zeros(3))
         assert middle == compute_registers(moves.axis, 2000, s_curve=False)
@@ -137,7 +137,7 @@ def test_a_nova_chip_is_tuned_by_three_knobs_and_its_formula_keeps_step(chip):
 @pytest.mark.parametrize("space", ["knobs", "registers"])
 def test_any_choice_makes_legal_registers(space, chip):
     rng = np.random.default_rng(5)
-    with Moves(10.0, 1, space, lanes=1, chip=chip) as moves:
+    with MoveTuning(10.0, 1, space, lanes=1, chip=chip) as moves:
         for choice in rng.choice([-1.0, 0.0, 1.0], (40, moves.size)):
             if moves.knobs:
                 moves.registers.to_action(moves.knobs.registers(choice))
@@ -149,7 +149,7 @@ def test_any_choice_makes_legal_registers(space, chip):
 def test_a_search_spends_its_budget_and_no_move_more(name):
     log = results(name, seed=1)
     assert len(log) == 10
-    assert {len(getattr(log, f)) for f in Log.__dataclass_fields__} == {10}
+    assert {len(getattr(log, f)) for f in MoveLog.__dataclass_fields__} == {10}
 
 
 @pytest.mark.slow
@@ -167,10 +167,10 @@ def test_a_search_that_begins_with_the_formula_makes_its_move_first(name, axis):
 
 
 def test_the_learning_curve_is_the_highest_reward_so_far_of_a_move_that_kept_step():
-    log = Log()
+    log = MoveLog()
     for reward, duration, saved in ((-9, 1, False), (-3, 3, True), (-1, 9, False), (-4, 2, True), (-2, 5, True)):
-        log.note(reward, duration, 0, 0.0, saved, [1], (2000, 0.5, 0.0))
-    np.testing.assert_equal(log.curve(), [-np.inf, -3, -3, -3, -2])
+        log.append_move(reward, duration, 0, 0.0, saved, [1], (2000, 0.5, 0.0))
+    np.testing.assert_equal(log.compute_curve(), [-np.inf, -3, -3, -3, -2])
     assert log.ranking == [4, 1, 3]
 
 
@@ -186,11 +186,11 @@ def test_proofs_have_from_none_to_the_full_margin_and_the_same_draws_for_all(axi
     axis.stage.set_payload(3.0)
     r = compute_registers(axis, 2000)
     row = [r[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")]
-    first, second = prove([row, row], 2.0, 2000, repeats=32, margin=1.0, most=2)
+    first, second = prove([row, row], 2.0, 2000, repeats=32, margin=1.0, needed=2)
     assert first == second
     kg = [drawn[1] for drawn in first.drawn]
-    assert 2.0 * (1 - common.TOLERANCE) < min(kg) < 2.2
-    assert 2.8 < max(kg) < 3.0 * (1 + common.TOLERANCE)
+    assert 2.0 * (1 - move_tuning.TOLERANCE) < min(kg) < 2.2
+    assert 2.8 < max(kg) < 3.0 * (1 + move_tuning.TOLERANCE)
     assert len({drawn[2] for drawn in first.drawn}) == 32
 
 
@@ -198,7 +198,7 @@ def test_every_second_move_of_a_test_goes_the_other_direction_and_the_rest_is_as
     created = {"budget": 8, "space": "registers", "distance": 2000, "lanes": 4, "seed": 5}
     logs = []
     for both_directions in (False, True):
-        with Moves(0.5, both_directions=both_directions, **created) as moves:
+        with MoveTuning(0.5, both_directions=both_directions, **created) as moves:
             action = moves.registers.to_action(compute_registers(axis, 2000, s_curve=False))
             while moves.left:
                 moves.make_actions(np.tile(action, (4, 1)))
@@ -208,20 +208,20 @@ def test_every_second_move_of_a_test_goes_the_other_direction_and_the_rest_is_as
     assert [d for d, *_ in both.drawn] == [d if k % 2 == 0 else -d for k, (d, *_) in enumerate(present.drawn)]
     assert [rest for _, *rest in both.drawn] == [rest for _, *rest in present.drawn]
     assert present.reward[::2] == both.reward[::2]
-    assert all(both.kept)
+    assert all(both.kept_step)
     assert both.duration == pytest.approx(present.duration, rel=0.01)
 
 
 @pytest.mark.slow
 def test_a_baseline_takes_a_model_and_a_proof_a_margin():
     """python -m registerbench.baselines.formula --model xy --margin 100: of xyz, and with the payload alone"""
-    with Moves(0.5, 1, distance=2000, lanes=1, model="xy") as moves:
+    with MoveTuning(0.5, 1, distance=2000, lanes=1, model="xy") as moves:
         assert list(moves.axis.stage.axes) == list(moves.env.unwrapped.stages[0].axes) == ["x", "y"]
         assert moves.axis.stage.payload() == 0.5
         formula.search(moves)
     rows = moves.log.registers
     assert best(prove(rows, 0.5, 2000, repeats=4, model="xy")) == 0
-    message = common.describe_answer(moves.log, moves.registers.names, 0.5, 2000, model="xy", margin=100.0)
+    message = move_tuning.format_answer(moves.log, moves.registers.names, 0.5, 2000, model="xy", margin=100.0)
     assert "none of the best 1 does so again and again" in message
 
 
@@ -229,7 +229,7 @@ def test_stable_baselines3_accepts_the_vector_environment():
     pytest.importorskip("stable_baselines3", reason="needs stable-baselines3: pip install 'pulsestage[rl]'")
     from registerbench.baselines.sb3_searches import SCALE, WORST, MovesVecEnv
 
-    with Moves(0.5, 6, distance=2000, lanes=4) as moves:
+    with MoveTuning(0.5, 6, distance=2000, lanes=4) as moves:
         env = MovesVecEnv(moves)
         assert env.reset().shape == (4, *env.observation_space.shape)
         for _ in range(3):  # the second step goes over the budget, the third makes nothing
@@ -242,7 +242,7 @@ def test_stable_baselines3_accepts_the_vector_environment():
 
 
 def test_an_agent_that_has_tools_alone_improves_a_move():
-    tuned = tool_loop.Tuned(0.5, distance=4000, budget=12)
+    tuned = tool_loop.TuningSession(0.5, distance=4000, budget=12)
     tool_loop.technician(tuned)
     assert len(tuned.log) == 12
     assert max(tuned.log.reward) > tuned.log.reward[0] + 0.02
@@ -250,7 +250,7 @@ def test_an_agent_that_has_tools_alone_improves_a_move():
 
 
 def test_an_agent_with_empty_registers_learns_what_came_of_it():
-    tuned = tool_loop.Tuned(0.5, distance=500, budget=1)
+    tuned = tool_loop.TuningSession(0.5, distance=500, budget=1)
     assert "from 1 to 8191" in tuned.box.call("write_register", {"axis": "x", "name": "R2", "value": "0h"}).text
     assert tuned.box.call("attempt").data["all_pulses_made"] is False
     assert "R2" in tuned.task
@@ -261,9 +261,9 @@ def test_an_answer_holds_with_the_margin_and_is_the_best_by_its_mean_not_by_one_
     """A move that was lucky once is ranked first."""
     made = [compute_registers(axis, 2000, safety_factor=safety) for safety in (1.5, 3.0)]
     rows = [[a[n] for n in ("R1", "R2", "R4", "R5", "R6", "R7")] for a in made]
-    means = [np.mean(log.reward) for log in prove(rows, 0.5, 2000, repeats=4, margin=common.MARGIN, most=2)]
+    means = [np.mean(log.reward) for log in prove(rows, 0.5, 2000, repeats=4, margin=move_tuning.MARGIN, needed=2)]
     rows = [rows[k] for k in np.argsort(means)]
-    which, again = common.answer(rows, 0.5, 2000, repeats=4)
+    which, again = move_tuning.answer(rows, 0.5, 2000, repeats=4)
     assert which == 1
     assert np.mean(again.reward) == max(means)
-    assert common.answer(rows, 0.5, 2000, repeats=4, margin=200.0) is None
+    assert move_tuning.answer(rows, 0.5, 2000, repeats=4, margin=200.0) is None

@@ -3,7 +3,7 @@
 import pytest
 
 from registerbench.diagnosis import CAUSES, SERVICES, SETUPS, Case
-from registerbench.diagnosis.program import parse
+from registerbench.diagnosis.host_program import parse
 from stage.errors import ArgumentError
 
 BETTER = {

@@ -6,7 +6,7 @@ import pytest
 
 from registerbench.arena import make_player, play, suite
 from registerbench.diagnosis import CAUSES, SERVICES, SETUPS, Case
-from registerbench.diagnosis.trial import Sample, Trial, rests_of
+from registerbench.diagnosis.acceptance_trial import Sample, Trial, rests_of
 
 EVERY_DAY = ("polarity", "supply")
 NAMES = [name if name in EVERY_DAY else pytest.param(name, marks=pytest.mark.slow) for name in SETUPS]

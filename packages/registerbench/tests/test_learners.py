@@ -16,7 +16,7 @@ from registerbench.statistics import compute_rows
 
 @pytest.fixture
 def rules():
-    from registerbench.baselines import rules
+    from registerbench.baselines import rule_policies as rules
 
     return rules
 
@@ -27,8 +27,8 @@ NAMES = ("distance", "kept")
 def boldness(rules, kind, w, *saved):
     """Logarithm of the boldness of each try, after tries that kept step or did not."""
     rule, tried = kind(w, NAMES), []
-    usual = rules.bold(np.ones(1))[0, 2]
-    per = (rules.bold(np.full(1, np.e))[0, 2] - usual).item()
+    usual = rules.compute_bold_actions(np.ones(1))[0, 2]
+    per = (rules.compute_bold_actions(np.full(1, np.e))[0, 2] - usual).item()
     for k in range(len(saved) + 1):
         observed = np.array([[0.5, float(saved[k - 1]) if k else 0.0]])
         tried.append((rule(observed)[0, 2] - usual) / per)
@@ -37,12 +37,12 @@ def boldness(rules, kind, w, *saved):
 
 def test_a_policy_without_memory_does_the_same_whatever_its_attempts_have_revealed(rules):
     w = (0.2, 0.4, 0.8)
-    assert boldness(rules, rules.Blind, w, True, True) == [0.4, 0.5, 0.6]
-    assert boldness(rules, rules.Blind, w, False, True) == [0.4, 0.5, 0.6]
+    assert boldness(rules, rules.ScheduledRule, w, True, True) == [0.4, 0.5, 0.6]
+    assert boldness(rules, rules.ScheduledRule, w, False, True) == [0.4, 0.5, 0.6]
 
 
 def test_a_policy_with_memory_goes_up_until_it_loses_steps_and_then_between(rules):
-    kind, w = rules.Remembering, (0.6, 0.0, 0.2, 0.25, 0.1)
+    kind, w = rules.RememberingRule, (0.6, 0.0, 0.2, 0.25, 0.1)
     assert boldness(rules, kind, w, True, True) == [0.6, 0.8, 1.0]
     assert boldness(rules, kind, w, False, False) == [0.6, 0.2, -0.2]
     assert boldness(rules, kind, w, True, False, True) == [0.6, 0.8, 0.65, 0.65 + 0.15 / 4]
@@ -51,7 +51,7 @@ def test_a_policy_with_memory_goes_up_until_it_loses_steps_and_then_between(rule
     for observed in (0.0, 1.0, 0.0):  # the same try, once so and once so
         rule(np.array([[0.5, observed]]))
         rule.last[:] = 0.5
-    assert not np.isfinite(rule.held), "it was luck, and is forgotten"
+    assert not np.isfinite(rule.boldest_success), "it was luck, and is forgotten"
     assert rule.last == pytest.approx(0.5)
 
 
@@ -64,13 +64,13 @@ def test_the_policy_of_the_bench_plays_as_the_one_that_learned(rules, task, play
 
     kind = rules.RULES[task, player]
     w = np.array(kind.BEGINS) + 0.1
-    envs = learners.vector(task, 2, **learners.CHEAPER.get(task, {}))
+    envs = learners.make_training_envs(task, 2, **learners.CHEAPER_SETTINGS.get(task, {}))
     total, _, steps = learners.play(envs, kind, w, 5)
     envs.close()
-    card, policy = CARDS[task], learners.Policy(kind, w.tolist())
+    card, policy = CARDS[task], learners.RulePolicy(kind, w.tolist())
     selected = {"memory": "last"} if "memory" in card.choices else {}
     env = gymnasium.make(
-        card.id, disable_env_checker=True, **{**card.settings, **selected, **learners.CHEAPER.get(task, {})}
+        card.id, disable_env_checker=True, **{**card.settings, **selected, **learners.CHEAPER_SETTINGS.get(task, {})}
     ).unwrapped
     created = 0
     for k in range(2):
@@ -102,25 +102,25 @@ def test_cma_es_finds_a_bolder_policy_than_it_begins_with(tmp_path):
 
 
 def test_a_rule_earns_on_a_table_what_its_attempts_are_worth_there(rules):
-    from registerbench.baselines.boldness import BOLDNESS, Table
+    from registerbench.baselines.boldness_table import BOLDNESS, BoldnessTable
 
     edge = np.array([2.0, 4.0])
     saved = BOLDNESS[:, None] < edge
     worth = np.where(saved, np.log(BOLDNESS)[:, None], 0.0)
-    table = Table(saved, saved, worth, np.zeros(2), False, 0, 0.05)
-    at = table.at(np.log([1.9, 2.1, 3.9]))
+    table = BoldnessTable(saved, saved, worth, np.zeros(2), False, 0, 0.05)
+    at = table.find_rows(np.log([1.9, 2.1, 3.9]))
     assert saved[at].tolist() == [[True, True], [False, True], [False, True]]
-    best = table.total(np.array([at[0], at[2], at[1]])[:, None])
+    best = table.sum_rewards(np.array([at[0], at[2], at[1]])[:, None])
     assert best == pytest.approx([worth[at[0], 0] - 2 * 0.05, worth[at[2], 1]])
     answer = dataclasses.replace(table, last=True)
-    assert answer.total(np.array([at[2], at[1]])[:, None]) == pytest.approx([-2 * 0.05, worth[at[1], 1]])
-    w = rules.Remembering.BEGINS
-    closed_in, blind = (answer.play(kind, kind.BEGINS) for kind in (rules.Remembering, rules.Blind))
+    assert answer.sum_rewards(np.array([at[2], at[1]])[:, None]) == pytest.approx([-2 * 0.05, worth[at[1], 1]])
+    w = rules.RememberingRule.BEGINS
+    closed_in, blind = (answer.play(kind, kind.BEGINS) for kind in (rules.RememberingRule, rules.ScheduledRule))
     assert (closed_in > np.log(edge) - 0.2 - 5 * 0.05).all(), (
         "close to each machine's edge, after five tries that were lost"
     )
     assert blind[0] == blind[1] < closed_in[1], "the same for both"
-    assert table.part(1).play(rules.Remembering, w) == table.play(rules.Remembering, w)[:1]
+    assert table.take_machines(1).play(rules.RememberingRule, w) == table.play(rules.RememberingRule, w)[:1]
 
 
 def test_memory_pays_where_the_last_try_is_the_answer_by_more_than_the_intervals():
@@ -140,7 +140,7 @@ def curves():
 
 
 def test_the_page_has_the_table_of_the_published_curves(curves):
-    assert curves.table(curves.read(curves.DATA)) in (curves.DOCS / "benchmark.md").read_text()
+    assert curves.format_table(curves.read(curves.DATA)) in (curves.DOCS / "benchmark.md").read_text()
 
 
 def test_of_published_curves_the_processor_s_time_grows_and_has_what_was_tried_in_it(curves):
@@ -155,15 +155,15 @@ def test_of_published_curves_the_processor_s_time_grows_and_has_what_was_tried_i
 
 def test_axes_are_ordered_by_their_role_and_macros_are_those_of_the_environment_again():
     pytest.importorskip("stable_baselines3")
-    from registerbench.baselines.bus_macros_turned import OF_AXES, Turn
+    from registerbench.baselines.bus_macros_axis_roles import AXIS_FEATURES, AxisRoles
 
     env = gymnasium.make("stage/BusMacros-v1", disable_env_checker=True, model="xy", level="axes").unwrapped
     names, macros = [e.name for e in env.observation_features], list(env.macros)
-    turn, of_axes = Turn(names, len(macros)), names.index("used")
+    turn, of_axes = AxisRoles(names, len(macros)), names.index("used")
 
     def now(observed, mask):
-        axis = turn.axis(observed[None])
-        return axis, turn.observation_digests(observed[None], axis)[0], turn.masks(mask[None], axis)[0]
+        axis = turn.find_selected_axis(observed[None])
+        return axis, turn.observation_digests(observed[None], axis)[0], turn.reorder_masks(mask[None], axis)[0]
 
     first, info = env.reset(seed=1, options={"targets": {"x": 16, "y": 16}})
     axis, x, x_mask = now(first, info["action_mask"])
@@ -173,10 +173,12 @@ def test_axes_are_ordered_by_their_role_and_macros_are_those_of_the_environment_
     axis, y, y_mask = now(second, info["action_mask"])
     assert axis.tolist() == [1]
     assert not np.array_equal(second[of_axes:], first[of_axes:])
-    assert np.array_equal(y[: of_axes + 2 * len(OF_AXES)], x[: of_axes + 2 * len(OF_AXES)]), "y is now what x was"
+    assert np.array_equal(y[: of_axes + 2 * len(AXIS_FEATURES)], x[: of_axes + 2 * len(AXIS_FEATURES)]), (
+        "y is now what x was"
+    )
     assert np.array_equal(y_mask, x_mask)
     other = len(macros) - 1
-    assert [macros[k] for k in turn.back(np.array([0, other, other]), np.array([1, 0, 1]))] == [
+    assert [macros[k] for k in turn.restore_macros(np.array([0, other, other]), np.array([1, 0, 1]))] == [
         macros[0],
         "select y",
         "select x",
@@ -200,9 +202,9 @@ def test_to_a_learner_the_way_of_an_axis_is_worth_as_much_with_a_second_axis_as_
 
 
 def test_a_learner_that_is_stopped_says_what_it_saved_and_ends_as_shells_have_it(capsys):
-    from registerbench.baselines import stops
+    from registerbench.baselines import explain_interrupt
 
-    with pytest.raises(SystemExit) as stopped, stops("two runs are kept."):
+    with pytest.raises(SystemExit) as stopped, explain_interrupt("two runs are kept."):
         raise KeyboardInterrupt
     assert stopped.value.code == 130
     assert "two runs are kept." in capsys.readouterr().err
@@ -214,13 +216,13 @@ def test_dqn_never_takes_a_macro_that_is_masked_and_learns_one_axis_in_a_minute(
     from registerbench.baselines import bus_macros_learners as learners
 
     learners.learn("dqn", 0, 0.3, "target", tmp_path)
-    policy, rng = learners.Policy.load(tmp_path / "target-dqn-0.zip"), np.random.default_rng(0)
+    policy, rng = learners.RulePolicy.load(tmp_path / "target-dqn-0.zip"), np.random.default_rng(0)
     env = gymnasium.make(learners.ID, disable_env_checker=True).unwrapped
     policy.reset(
         PolicyContext("bus", env.action_space, env.observation_space, tuple(e.name for e in env.observation_features))
     )
     masks = rng.integers(0, 2, (200, env.action_space.n))
-    masks[:, 0] |= masks.sum(axis=1) == 0
+    masks[:, 0] |= masks.sum(find_selected_axis=1) == 0
     observed = rng.uniform(-1, 1, (200, env.observation_space.shape[0])).astype(np.float32)
     assert masks[np.arange(200), policy.choose(observed, masks)].all()
     entry = registerbench.play(policy, "bus-target", "train", episodes=24)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from registerbench.baselines import runs as published
-from registerbench.baselines.common import MAX_HOLDING, REPEATS, Log
-from registerbench.baselines.runs import Run, Runs
+from registerbench.baselines.move_tuning import MAX_HOLDING, REPEATS, MoveLog
+from registerbench.baselines.runs import MethodRun, MethodRuns
 
 DOCS = Path(__file__).parents[1] / "docs"
 DATA, PAGE = DOCS / "data" / "results.parquet", DOCS / "results.md"
@@ -24,16 +24,16 @@ def results(monkeypatch):
 
 
 def moves(*rewards, saved=True, duration=0.4, more=0.0):
-    log = Log()
+    log = MoveLog()
     for k, reward in enumerate(rewards):
-        log.note(
+        log.append_move(
             reward, duration, 0 if saved else 4, 1e-5, saved, [1, 2, 3, 4, 5, 6], (32_000, 0.5 + more, k / len(rewards))
         )
     return log
 
 
 def run(method="CMA-ES", seed=1, reward=-0.4, duration=0.4, matches=True):
-    created = Run(method, "heavy", seed, moves(-0.3, -0.35))
+    created = MethodRun(method, "heavy", seed, moves(-0.3, -0.35))
     if matches:
         created.proofs = {0: moves(-5.3, saved=False), 1: moves(*[-0.36] * 48)}
         created.test = {context: moves(reward, duration=duration) for context in published.CONTEXTS}
@@ -42,7 +42,7 @@ def run(method="CMA-ES", seed=1, reward=-0.4, duration=0.4, matches=True):
 
 @pytest.fixture(scope="module")
 def all_():
-    return Runs.read(DATA)
+    return MethodRuns.read(DATA)
 
 
 def test_a_formula_is_beaten_by_an_interval_of_rewards_above_0_of_ten_seeds_or_more_that_all_found_an_answer(results):
@@ -57,53 +57,55 @@ def test_a_formula_is_beaten_by_an_interval_of_rewards_above_0_of_ten_seeds_or_m
         for k, (reward, duration) in enumerate(zip(rewards, durations, strict=True)):
             created.append(run(method, k + 1, reward, duration, matches=(method, k) != ("random", 9)))
     created.append(run("agent loop", reward=-0.47, duration=0.47))
-    message = results.verdict(created, "heavy", results.FORMULA)
+    message = results.describe_verdict(created, "heavy", results.FORMULA)
     assert (
         "(-440.0 ms, time 430.0 ms): by reward it is beaten by CMA-ES; better than none; open: random, PPO." in message
     )
     assert "In time it is beaten by PPO; better than CMA-ES; open: random." in message, "one of its ten found none"
     assert message.endswith("Fewer than 10 runs, hence no verdict: agent loop, SAC.")
-    reported = {m.name: g for m, g in results.gains(created, "heavy", results.FORMULA).items()}
+    reported = {m.name: g for m, g in results.compute_gains(created, "heavy", results.FORMULA).items()}
     assert re.fullmatch(r"\+35\.0 \(\+3\d\.\d to \+3\d\.\d\)", reported["CMA-ES"][0].text)
     assert reported["agent loop"][0].text == "-30.0"
 
 
 def test_an_answer_is_reported_by_its_test_and_not_by_its_proof():
     created = run(reward=-0.41)
-    assert (created.answer, created.lucky) == (1, 1)
-    assert created.mean("reward") == pytest.approx(-410)
-    assert created.flattered == pytest.approx(50)
+    assert (created.answer, created.lucky_moves) == (1, 1)
+    assert created.compute_mean("reward") == pytest.approx(-410)
+    assert created.reward_excess == pytest.approx(50)
     created.test[published.NEW] = moves(-0.4, -5.4)
-    created.test[published.NEW].kept[1] = False
-    assert created.lost(published.NEW) == 1
-    assert created.mean("reward") == pytest.approx(-2900), "a lost step is paid for"
-    assert created.mean("reward", kept=True) == pytest.approx(-400)
+    created.test[published.NEW].kept_step[1] = False
+    assert created.count_lost(published.NEW) == 1
+    assert created.compute_mean("reward") == pytest.approx(-2900), "a lost step is paid for"
+    assert created.compute_mean("reward", kept_step_only=True) == pytest.approx(-400)
 
 
 def test_spare_ends_at_the_first_payload_with_which_a_step_was_lost():
     created = run()
-    assert created.spare == 3.0
+    assert created.spare_payload == 3.0
     created.test["+2 kg"] = moves(-5.4, saved=False)
-    assert created.spare == 1.5
+    assert created.spare_payload == 1.5
     created.test["+0.5 kg"] = moves(-5.4, saved=False)
-    assert created.spare == 0.0
+    assert created.spare_payload == 0.0
 
 
 def test_runs_come_back_from_their_file_and_equal_ones_give_equal_bytes(tmp_path):
-    some = Runs(2, 2, {"heavy": 10.0}, versions={"mujoco": "3.17.0"}, runs=[run(seed=1), run(seed=2, matches=False)])
+    some = MethodRuns(
+        2, 2, {"heavy": 10.0}, versions={"mujoco": "3.17.0"}, runs=[run(seed=1), run(seed=2, matches=False)]
+    )
     some.write(tmp_path / "a.parquet")
-    back = Runs.read(tmp_path / "a.parquet")
+    back = MethodRuns.read(tmp_path / "a.parquet")
     back.write(tmp_path / "b.parquet")
     assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
     assert (back.budget, back.payloads, back.versions) == (2, {"heavy": 10.0}, {"mujoco": "3.17.0"})
     for old, new in zip(some.runs, back.runs, strict=True):
-        assert (new.method, new.payload, new.seed, new.answer, new.lucky) == (
-            old.method, old.payload, old.seed, old.answer, old.lucky,
+        assert (new.method, new.payload, new.seed, new.answer, new.lucky_moves) == (
+            old.method, old.payload, old.seed, old.answer, old.lucky_moves,
         )  # fmt: skip
         assert new.search.registers == old.search.registers
         assert list(new.proofs) == list(old.proofs)
         assert list(new.test) == list(old.test)
-        assert new.mean("reward") == pytest.approx(old.mean("reward"), rel=1e-6, nan_ok=True)
+        assert new.compute_mean("reward") == pytest.approx(old.compute_mean("reward"), rel=1e-6, nan_ok=True)
 
 
 @pytest.mark.parametrize(
@@ -120,21 +122,21 @@ def test_runs_come_back_from_their_file_and_equal_ones_give_equal_bytes(tmp_path
 )
 def test_made_by_is_the_command_that_makes_the_page(created, options, results):
     """`--model xy --payload 2` was missing."""
-    message = results.made_by(Runs(16, 2, **created))
+    message = results.format_command(MethodRuns(16, 2, **created))
     assert message == f"python -m registerbench.baselines.results {options}--budget 16 --seeds 2"
 
 
 def test_the_page_is_what_the_published_moves_say(all_, results):
-    assert PAGE.read_text() == results.page(all_)
+    assert PAGE.read_text() == results.format_page(all_)
 
 
 def test_each_published_answer_follows_from_its_proofs(all_):
     """Written out once more: the first HELD that hold, of these the highest mean reward."""
     answers = 0
     for r in all_.runs:
-        ranked = [k for k in np.argsort(-np.array(r.search.reward), kind="stable") if r.search.kept[k]]
+        ranked = [k for k in np.argsort(-np.array(r.search.reward), kind="stable") if r.search.kept_step[k]]
         assert list(r.proofs) == ranked[: len(r.proofs)]
-        holding = {k: np.mean(log.reward) for k, log in r.proofs.items() if len(log) == REPEATS and all(log.kept)}
+        holding = {k: np.mean(log.reward) for k, log in r.proofs.items() if len(log) == REPEATS and all(log.kept_step)}
         assert len(holding) <= MAX_HOLDING
         assert r.answer == (max(holding, key=holding.get) if holding else None)
         assert {c: len(log) for c, log in r.test.items()} == (

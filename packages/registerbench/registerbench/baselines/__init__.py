@@ -8,10 +8,14 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def stops(kept: str) -> Iterator[None]:
-    """kept: what is still there of what was done; exit code 130, as shells have it."""
+def explain_interrupt(saved: str) -> Iterator[None]:
+    """Turn Ctrl-C into a message that says what was saved, and exit with code 130 as shells do.
+
+    Args:
+        saved: What remains of the work so far, as a sentence.
+    """
     try:
         yield
     except KeyboardInterrupt:
-        print(f"\nstopped: {kept}", file=sys.stderr, flush=True)
+        print(f"\nstopped: {saved}", file=sys.stderr, flush=True)
         raise SystemExit(130) from None

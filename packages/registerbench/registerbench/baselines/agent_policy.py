@@ -22,15 +22,15 @@ MACHINES = TABLES * EACH  # each table plays some
 FIRST = (0.2, 0.9, 0.1, -0.1)  # of the last column: start, drive, up, down, all a little slower than the formula
 
 
-def named(observation: np.ndarray, names: list[str]) -> dict[str, Any]:
+def name_features(observation: np.ndarray, names: list[str]) -> dict[str, Any]:
     """Return one observation by names, as a tool gives it to a player."""
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for name, value in zip(names, observation.tolist(), strict=True):
-        found.setdefault(name, []).append(value)
-    return {name: v[0] if len(v) == 1 else v for name, v in found.items()}
+        values.setdefault(name, []).append(value)
+    return {name: v[0] if len(v) == 1 else v for name, v in values.items()}
 
 
-def returns(envs: Any, kind: str, tables: np.ndarray, seed: int) -> np.ndarray:
+def compute_returns(envs: Any, kind: str, tables: np.ndarray, seed: int) -> np.ndarray:
     """Compute the return of each table: the mean over an episode on each of some machines.
 
     Args:
@@ -43,17 +43,17 @@ def returns(envs: Any, kind: str, tables: np.ndarray, seed: int) -> np.ndarray:
     names, total = [e.name for e in envs.observation_features], np.zeros(MACHINES)
     observation, _ = envs.reset(seed=seed)
     while True:
-        chosen = [
-            compute_action(w, compute_features(kind, named(row, names)))
+        actions = [
+            compute_action(w, compute_features(kind, name_features(row, names)))
             for w, row in zip(tables, observation, strict=True)
         ]
-        observation, rewards, terminated, truncated, _ = envs.step(np.array(chosen, np.float32))
+        observation, rewards, terminated, truncated, _ = envs.step(np.array(actions, np.float32))
         total += rewards
         if (terminated | truncated).all():
             return total.reshape(TABLES, EACH).mean(axis=1)
 
 
-def trained(kind: str, generations: int, start: np.ndarray | None = None) -> np.ndarray:
+def train_table(kind: str, generations: int, start: np.ndarray | None = None) -> np.ndarray:
     """Train the table of a task."""
     card = CARDS[kind]
     vector: Any = {"vectorization_mode": "vector_entry_point", "autoreset_mode": "Disabled"}
@@ -65,7 +65,7 @@ def trained(kind: str, generations: int, start: np.ndarray | None = None) -> np.
     for g in range(generations):
         tables = rng.normal(middle, spread, (TABLES, *middle.shape))
         tables[0] = middle
-        reached = returns(envs, kind, tables, 1000 + 10_000 * g)
+        reached = compute_returns(envs, kind, tables, 1000 + 10_000 * g)
         best = tables[np.argsort(reached)[-ELITE:]]
         middle, spread = best.mean(0), best.std(0) + 0.01
         print(f"{kind}, generation {g}: mean {reached.mean():.3f}, middle {reached[0]:.3f}", flush=True)
@@ -78,7 +78,7 @@ def main() -> None:
     parser.add_argument("--generations", type=int, default=12)
     parser.add_argument("-o", "--output", default="trained.json")
     args = parser.parse_args()
-    tables = {kind: np.round(trained(kind, args.generations), 4).tolist() for kind in FEATURES}
+    tables = {kind: np.round(train_table(kind, args.generations), 4).tolist() for kind in FEATURES}
     Path(args.output).write_text(json.dumps(tables, indent=1) + "\n")
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import registerbench
-from registerbench.baselines import stops
+from registerbench.baselines import explain_interrupt
 from registerbench.cards import CARDS, OPEN_ROUND
 from registerbench.shipped_policies import TASK_PLAYERS
 
@@ -41,12 +41,12 @@ def write_entry(policy: Any, task: str, split: str, folder: Path, method: str, r
     print(f"{task} {split} {entry.player} {run}: return {entry.scores['return'].mean():.3f}", flush=True)
 
 
-def players_of(task: str) -> list[str]:
-    own = list(TASK_PLAYERS.get(task, {})) or ["scripted"]
-    return ["random", *own, *(OPTUNA if task == "few-shot" else ())]
+def list_players(task: str) -> list[str]:
+    shipped = list(TASK_PLAYERS.get(task, {})) or ["scripted"]
+    return ["random", *shipped, *(OPTUNA if task == "few-shot" else ())]
 
 
-def policy_of(player: str) -> Any:
+def get_policy(player: str) -> Any:
     return f"registerbench.baselines.few_shot_optuna:{OPTUNA[player]}" if player in OPTUNA else player
 
 
@@ -66,14 +66,14 @@ def main() -> None:
     args = parser.parse_args()
     for task in args.tasks:
         for split in (s for s in args.splits if s in CARDS[task].splits):
-            for player in (p for p in players_of(task) if p in (args.players or players_of(task))):
+            for player in (p for p in list_players(task) if p in (args.players or list_players(task))):
                 for run in range(args.runs if player in DRAWN else 1):
                     path = args.out / f"{task}-{split}-{player}-{run}.bench"
                     if path.exists():
                         continue
-                    write_entry(policy_of(player), task, split, args.out, player, run, name=player, round_=args.round)
+                    write_entry(get_policy(player), task, split, args.out, player, run, name=player, round_=args.round)
 
 
 if __name__ == "__main__":
-    with stops("entries that are written are kept, and the same command goes on after them."):
+    with explain_interrupt("entries that are written are kept, and the same command goes on after them."):
         main()

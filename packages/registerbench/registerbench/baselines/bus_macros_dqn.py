@@ -36,11 +36,11 @@ class MaskedDQN(DQN):
     """
 
     draw = np.random.default_rng(0)
-    begun, first = 0, 1.0
+    level_start, first = 0, 1.0
 
-    def again(self) -> None:
+    def start_level(self) -> None:
         """Another level begins."""
-        self.begun, self.first = self.num_timesteps, AGAIN
+        self.level_start, self.first = self.num_timesteps, AGAIN
 
     def train(self, gradient_steps: int, batch_size: int = 256) -> None:
         for _ in range(gradient_steps):
@@ -58,22 +58,22 @@ class MaskedDQN(DQN):
 
     def _on_step(self) -> None:
         super()._on_step()
-        done = (self.num_timesteps - self.begun) / EXPLORES
+        done = (self.num_timesteps - self.level_start) / EXPLORES
         self.exploration_rate = max(self.first + (LAST - self.first) * done, LAST)
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> Any:
-        chosen, state = super().predict(observation, state, episode_start, deterministic=True)
+        actions, state = super().predict(observation, state, episode_start, deterministic=True)
         if not deterministic:
             masks = np.atleast_2d(observation)[:, -self.action_space.n :] > 0.5  # type: ignore[attr-defined]
             for k in np.flatnonzero(self.draw.random(len(masks)) < self.exploration_rate):
-                chosen[k] = self.draw.choice(np.flatnonzero(masks[k]))
-        return chosen, state
+                actions[k] = self.draw.choice(np.flatnonzero(masks[k]))
+        return actions, state
 
     def _sample_action(self, learning_starts: int, action_noise: Any = None, n_envs: int = 1) -> Any:
-        chosen, _ = self.predict(self._last_obs, deterministic=False)
-        return chosen, chosen
+        actions, _ = self.predict(self._last_obs, deterministic=False)
+        return actions, actions
 
 
 def dqn(envs: Any, gamma: float, seed: int) -> MaskedDQN:

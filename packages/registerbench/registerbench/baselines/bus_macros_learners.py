@@ -4,7 +4,7 @@ python -m registerbench.baselines.bus_macros_learners learn dqn --seed 0 --level
 python -m registerbench.baselines.bus_macros_learners evaluate runs/target-dqn-0.zip runs/axes-dqn-0.zip
 python -m registerbench.baselines.bus_macros_learners submit runs/target-dqn-0.zip --tasks bus-target -o entries
 
-Both see axes by their role (bus_macros_turned.py): what was learned of one can be done with each.
+Both see axes by their role (bus_macros_axis_roles.py): what was learned of one can be done with each.
 
 dqn   double DQN with returns of five macros (bus_macros_dqn.py). It explores anew at each level; what it has learned acts by the
       softmax of its values
@@ -40,11 +40,11 @@ import torch
 from sb3_contrib import MaskablePPO
 from stable_baselines3.common.callbacks import BaseCallback
 
-from registerbench.baselines import stops
+from registerbench.baselines import explain_interrupt
 from registerbench.baselines.bench_entries import write_entry
+from registerbench.baselines.bus_macros_axis_roles import AxisRoles, AxisRolesVecEnv, MixedLevelsVecEnv
 from registerbench.baselines.bus_macros_dqn import MaskedDQN, dqn
-from registerbench.baselines.bus_macros_turned import Mixed, Turn, Turned
-from registerbench.baselines.learning import cost_of, parser_of, wilson
+from registerbench.baselines.learner_support import compute_wilson_interval, make_parser, read_cost
 from registerbench.cards import FIRST_TEST_SEED
 from stage.envs.sb3 import StageVecEnv
 
@@ -52,9 +52,9 @@ ID = "stage/BusMacros-v1"
 TASKS = ("bus-target", "bus-axes", "bus")
 LEVELS = {"target": 163_840, "axes": 262_144, "origin": 393_216}
 """Steps of each at most, of which so many times as many with PPO."""
-LONGER = {"dqn": 1, "ppo": 8}
+PPO_STEPS_FACTOR = {"dqn": 1, "ppo": 8}
 LANES = {"dqn": 32, "ppo": 64}
-GAMMA, MACRO = 0.99, 0.03  # of learning
+GAMMA, MACRO_COST = 0.99, 0.03  # of learning
 PROGRESS = {"target": 2.0, "axes": 4.0, "origin": 4.0}
 TEMPERATURE = (
     0.05  # of a policy while it learns: macros that are nearly worth the same take turns, so none goes round in circles
@@ -62,13 +62,17 @@ TEMPERATURE = (
 TEMPERATURES = (TEMPERATURE, 0.02, 0.1, 0.005)  # of those that do equally well the first
 VALIDATION, FROM, MASTERED = 64, 900_000, 63  # machines; their first seed; so many of them
 EPISODES = 64  # of a test
-EVERY = {"target": 8_192, "axes": 8_192, "origin": 24_576}  # steps, of which origin's are the dearest
+VALIDATION_INTERVAL_STEPS = {
+    "target": 8_192,
+    "axes": 8_192,
+    "origin": 24_576,
+}  # steps, of which origin's are the dearest
 
 
-def vector(method: str, level: str, seed: int) -> Any:
-    settings = {"level": level, "macro_weight": MACRO, "progress_weight": PROGRESS[level]}
+def make_learning_envs(method: str, level: str, seed: int) -> Any:
+    settings = {"level": level, "macro_weight": MACRO_COST, "progress_weight": PROGRESS[level]}
     envs: Any = StageVecEnv(ID, LANES[method], threads=1, **settings)
-    return Turned(Mixed(envs, level, seed), behind=method == "dqn")
+    return AxisRolesVecEnv(MixedLevelsVecEnv(envs, level, seed), append_mask=method == "dqn")
 
 
 def model_of(method: str, envs: Any, seed: int) -> Any:
@@ -80,61 +84,63 @@ def model_of(method: str, envs: Any, seed: int) -> Any:
     )  # fmt: skip
 
 
-class Policy:
+class MacroPolicy:
     """A learner's policy, for registerbench."""
 
     def __init__(self, method: str, model: Any, temperature: float = TEMPERATURE):
         self.method, self.model, self.temperature = method, model, temperature
-        self.turn: Turn | None = None
+        self.turn: AxisRoles | None = None
         self.draw = np.random.default_rng(0)
 
     @classmethod
-    def load(cls, path: Path) -> Policy:
+    def load(cls, path: Path) -> MacroPolicy:
         """Load a file that `learn` wrote: LEVEL-METHOD-SEED.zip."""
         method = path.stem.split("-")[1]
         kind: Any = MaskablePPO if method == "ppo" else MaskedDQN
         torch.manual_seed(0)
-        said = json.loads(path.with_suffix(".json").read_text())
-        return cls(method, kind.load(path, device="cpu"), said["temperature"])
+        stored = json.loads(path.with_suffix(".json").read_text())
+        return cls(method, kind.load(path, device="cpu"), stored["temperature"])
 
     def reset(self, context: Any) -> None:
         """around.entries has the names of what is seen."""
-        self.turn = Turn(context.feature_names, self.model.action_space.n)
+        self.turn = AxisRoles(context.feature_names, self.model.action_space.n)
 
     def choose(self, observations: np.ndarray, masks: np.ndarray) -> np.ndarray:
         """Macros, (n,)."""
-        axis = self.turn.axis(observations)
-        observation, masks = self.turn.seen(observations, axis), self.turn.masks(masks, axis)
+        axis = self.turn.find_selected_axis(observations)
+        observation, masks = self.turn.reorder_observation(observations, axis), self.turn.reorder_masks(masks, axis)
         if self.method == "ppo":
-            chosen = self.model.predict(observation, deterministic=False, action_masks=masks > 0)[0]
+            macros = self.model.predict(observation, deterministic=False, action_masks=masks > 0)[0]
         else:
             with torch.no_grad():
                 worth = self.model.q_net(
-                    torch.as_tensor(np.concatenate([observation, masks], axis=1, dtype=np.float32))
+                    torch.as_tensor(np.concatenate([observation, masks], find_selected_axis=1, dtype=np.float32))
                 )
-            chosen = (worth.numpy() / self.temperature + self.draw.gumbel(size=worth.shape)).argmax(axis=1)
-        return self.turn.back(chosen, axis)
+            macros = (worth.numpy() / self.temperature + self.draw.gumbel(size=worth.shape)).argmax(
+                find_selected_axis=1
+            )
+        return self.turn.restore_macros(macros, axis)
 
     def __call__(self, observation: np.ndarray, info: Any) -> int:
         return int(self.choose(observation[None], np.asarray(info["action_mask"])[None])[0])
 
 
-class Judge:
+class PolicyValidator:
     """Machines on which policies of a level are played with the task's own settings: those of the seeds first, first + 1, ..."""
 
     def __init__(self, level: str, first: int, machines: int):
         self.envs, self.first, self.machines = StageVecEnv(ID, machines, threads=1, level=level), first, machines
-        self.ways: list[str] = []
+        self.directions: list[str] = []
 
-    def play(self, policy: Policy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def play(self, policy: MacroPolicy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Play an episode on each machine, and return what was solved, the macros, and the returns, (machines,) each."""
         n, envs = self.machines, self.envs.envs
-        policy.turn = Turn([e.name for e in envs.observation_features], envs.single_action_space.n)
+        policy.turn = AxisRoles([e.name for e in envs.observation_features], envs.single_action_space.n)
         policy.draw = np.random.default_rng(0)
         self.envs.seed(self.first)
         observation, states = self.envs.reset(), envs.task_instance.axis_states
         used = envs.task_instance.uses_axis[0]
-        self.ways = ["".join("-+"[int(t > 0)] for t in row) for row in states["target"][:, used].tolist()]
+        self.directions = ["".join("-+"[int(t > 0)] for t in row) for row in states["target"][:, used].tolist()]
         won, moves, total, left = np.zeros(n, bool), np.zeros(n, int), np.zeros(n), np.ones(n, bool)
         while left.any():
             observation, rewards, ends, infos = self.envs.step(policy.choose(observation, envs.action_masks()))
@@ -148,7 +154,7 @@ class Judge:
         self.envs.close()
 
 
-class Validated(BaseCallback):
+class ValidationCallback(BaseCallback):
     """Rows of the curve, by the machines of validation; keeps the best policy, and ends the level when it is mastered."""
 
     NAMES = ("steps", "processor_s", "episodes", "return", "success", "level")
@@ -157,20 +163,20 @@ class Validated(BaseCallback):
         super().__init__()
         self.method, self.path = method, path
         self.rows: list[tuple] = []
-        self.begun = time.process_time()
+        self.start_s = time.process_time()
         path.parent.mkdir(parents=True, exist_ok=True)
 
     def level(self, name: str, path: Path) -> None:
-        self.name, self.path, self.best, self.kept = name, path, -1.0, None
-        self.next = self.num_timesteps + EVERY[name]
-        self.judge = Judge(name, FROM, VALIDATION)
+        self.name, self.path, self.best, self.best_state = name, path, -1.0, None
+        self.next = self.num_timesteps + VALIDATION_INTERVAL_STEPS[name]
+        self.judge = PolicyValidator(name, FROM, VALIDATION)
 
     def _on_step(self) -> bool:
         if self.num_timesteps < self.next:
             return True
-        self.next = self.num_timesteps + EVERY[self.name]
-        won, _, total = self.judge.play(Policy(self.method, self.model))
-        spent = f"{time.process_time() - self.begun:.1f}"
+        self.next = self.num_timesteps + VALIDATION_INTERVAL_STEPS[self.name]
+        won, _, total = self.judge.play(MacroPolicy(self.method, self.model))
+        spent = f"{time.process_time() - self.start_s:.1f}"
         row = (self.num_timesteps, spent, VALIDATION, f"{total.mean():.4f}", f"{won.mean():.4f}", self.name)
         self.rows.append(row)
         print(*row, flush=True)
@@ -178,15 +184,15 @@ class Validated(BaseCallback):
             csv.writer(file).writerows([self.NAMES, *self.rows])
         worth = won.sum() + total.mean() * 1e-3
         if worth > self.best:
-            self.best, self.kept = worth, copy.deepcopy(self.model.policy.state_dict())
+            self.best, self.best_state = worth, copy.deepcopy(self.model.policy.state_dict())
         return bool(won.sum() < MASTERED)
 
-    def ended(self) -> dict[str, float]:
+    def choose_temperature(self) -> dict[str, float]:
         """The model is the level's best again; the temperature at which that one acts best, and what it does there."""
-        self.model.policy.load_state_dict(self.kept)
+        self.model.policy.load_state_dict(self.best_state)
         solved = {}
         for temperature in TEMPERATURES if self.method == "dqn" else (TEMPERATURE,):
-            solved[temperature] = int(self.judge.play(Policy(self.method, self.model, temperature))[0].sum())
+            solved[temperature] = int(self.judge.play(MacroPolicy(self.method, self.model, temperature))[0].sum())
         self.judge.close()
         best = max(solved, key=lambda t: solved[t])
         print(f"{self.path}: validation {solved}", flush=True)
@@ -196,19 +202,19 @@ class Validated(BaseCallback):
 def learn(method: str, seed: int, times: float, top: str, folder: Path) -> None:
     torch.set_num_threads(1)
     folder.mkdir(parents=True, exist_ok=True)
-    model, callback = None, Validated(method, folder)
+    model, callback = None, ValidationCallback(method, folder)
     for level, steps in list(LEVELS.items())[: list(LEVELS).index(top) + 1]:
-        path, envs = folder / f"{level}-{method}-{seed}", vector(method, level, seed)
+        path, envs = folder / f"{level}-{method}-{seed}", make_learning_envs(method, level, seed)
         callback.level(level, path)
         if model is None:
             model = model_of(method, envs, seed)
         else:
             model.set_env(envs)
             if method == "dqn":
-                model.again()
+                model.start_level()
         envs.seed(10_000 * (seed + 1) + 1_000 * list(LEVELS).index(level))
-        model.learn(int(steps * LONGER[method] * times), callback=callback, reset_num_timesteps=False)
-        path.with_suffix(".json").write_text(json.dumps(callback.ended()))
+        model.learn(int(steps * PPO_STEPS_FACTOR[method] * times), callback=callback, reset_num_timesteps=False)
+        path.with_suffix(".json").write_text(json.dumps(callback.choose_temperature()))
         envs.close()
         model.save(path.with_suffix(".zip"))
 
@@ -217,12 +223,12 @@ def evaluate(path: Path) -> None:
     """Success on the test episodes of the policy's level, by the signs of the targets of x and y."""
     torch.set_num_threads(1)
     level, method, run = path.stem.split("-")
-    judge = Judge(level, FIRST_TEST_SEED, EPISODES)
-    won, moves, _ = judge.play(Policy.load(path))
+    judge = PolicyValidator(level, FIRST_TEST_SEED, EPISODES)
+    won, moves, _ = judge.play(MacroPolicy.load(path))
     judge.close()
-    of = {way: won[[w == way for w in judge.ways]] for way in sorted(set(judge.ways))}
+    of = {way: won[[w == way for w in judge.directions]] for way in sorted(set(judge.directions))}
     each = ", ".join(f"{way} {found.sum()} of {len(found)}" for way, found in of.items())
-    spent, (low, high) = cost_of(path), wilson(int(won.sum()), EPISODES)
+    spent, (low, high) = read_cost(path), compute_wilson_interval(int(won.sum()), EPISODES)
     print(
         f"| {level} | {method} | {run} | {spent['moves']:.0f} | {spent['processor_s']:.0f} | {won.sum()} of {EPISODES} "
         f"({low:.0%} to {high:.0%}) | {each} | {moves[won].mean() if won.any() else np.nan:.1f} |",
@@ -233,13 +239,15 @@ def evaluate(path: Path) -> None:
 def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> None:
     torch.set_num_threads(1)
     _, method, run = path.stem.split("-")
-    how = {"name": f"{method}-masked", "cost": cost_of(path)}
+    how = {"name": f"{method}-masked", "cost": read_cost(path)}
     for task, split in product(tasks, splits):
-        write_entry(Policy.load(path), task, split, folder, method, int(run), **how)
+        write_entry(MacroPolicy.load(path), task, split, folder, method, int(run), **how)
 
 
 if __name__ == "__main__":
-    parser = parser_of(__doc__, ("dqn", "ppo"), 1.0, learn, submit, TASKS, tuple(LEVELS), evaluate)
+    parser = make_parser(__doc__, ("dqn", "ppo"), 1.0, learn, submit, TASKS, tuple(LEVELS), evaluate)
     args = parser.parse_args()
-    with stops("levels that are done have their policies, all their curves; the same command learns the run anew."):
+    with explain_interrupt(
+        "levels that are done have their policies, all their curves; the same command learns the run anew."
+    ):
         args.run(args)

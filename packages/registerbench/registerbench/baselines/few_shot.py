@@ -41,7 +41,7 @@ def fixed(boldness: float) -> Callable[[int], Host]:
 def search(first: float) -> Callable[[int], Host]:
     """A host that remembers, of each machine, the boldest try that kept step and the tamest that did not."""
 
-    def made(n: int) -> Host:
+    def make_host(n: int) -> Host:
         good, bad = np.full(n, np.nan), np.full(n, np.inf)
 
         def choose(before: np.ndarray, in_step: np.ndarray) -> np.ndarray:
@@ -56,7 +56,7 @@ def search(first: float) -> Callable[[int], Host]:
 
         return choose
 
-    return made
+    return make_host
 
 
 def play(host: Callable[[int], Host], split: str, machines: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -76,11 +76,11 @@ def play(host: Callable[[int], Host], split: str, machines: int, seed: int) -> t
         "stage/FewShotTuning-v1", num_envs=LANES, vectorization_mode="vector_entry_point", split=split, memory="last"
     )
     names = [e.name for e in envs.unwrapped.observation_features]
-    tries = envs.unwrapped.task_instance.config.tries
+    attempts = envs.unwrapped.task_instance.config.tries
     for begin in range(0, machines, LANES):
         observation, _ = envs.reset(seed=seed + begin)
         choose, total, before = host(LANES), np.zeros(LANES), np.full(LANES, np.nan)
-        for _ in range(tries):
+        for _ in range(attempts):
             before = choose(before, observation[:, names.index("kept")] > 0)
             observation, rewards, *_, info = envs.step(np.stack([compute_bold_action(b) for b in before]))
             total += rewards
@@ -105,10 +105,10 @@ def main() -> None:
         for name, host in {"usual": fixed(1.0), "fixed": fixed(best), "search": search(best / STEP)}.items():
             totals, costs = play(host, split, args.machines, TEST)
             low, high = compute_interval(totals, statistic=np.mean)
-            held = np.isfinite(costs)
-            median = f"{np.median(costs[held]):.3f}" if held.any() else "-"
+            proved = np.isfinite(costs)
+            median = f"{np.median(costs[proved]):.3f}" if proved.any() else "-"
             print(
-                f"| {split} | {name} | {totals.mean():.3f} ({low:.3f} to {high:.3f}) | {held.sum()} of {len(held)} | {median} |"
+                f"| {split} | {name} | {totals.mean():.3f} ({low:.3f} to {high:.3f}) | {proved.sum()} of {len(proved)} | {median} |"
             )
 
 

@@ -24,15 +24,15 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
-from registerbench.baselines import stops
+from registerbench.baselines import explain_interrupt
 from registerbench.baselines.bench_entries import write_entry
-from registerbench.baselines.learning import Curve, Noted, cost_of, parser_of, save
+from registerbench.baselines.learner_support import EpisodeRecorder, LearningCurve, make_parser, read_cost, save
 from stage.envs.sb3 import StageVecEnv
 
 ID, TASK = "stage/FewShotTuning-v1", "few-shot"
 METHODS = {"none": "last", "all": "all", "recurrent": "last"}
 """Of a method the setting `memory` of its environment."""
-SEEN = {"none": ("distance", "left")}
+VISIBLE_FEATURES = {"none": ("distance", "left")}
 """Entries of the observation that a method sees, where not all."""
 STEPS, LANES, BATCH = 16_384, 16, 512
 PROOFS = 2  # of training, which are cheaper; the test has the task's own number
@@ -54,10 +54,10 @@ def columns(method: str, names: Any) -> np.ndarray:
         method: Name of the method.
         names: Of the observation's features.
     """
-    return np.array([k for k, name in enumerate(names) if name in SEEN.get(method, names)])
+    return np.array([k for k, name in enumerate(names) if name in VISIBLE_FEATURES.get(method, names)])
 
 
-class Partly(VecEnvWrapper):
+class SelectedColumns(VecEnvWrapper):
     """Some columns of the observations."""
 
     def __init__(self, envs: Any, which: np.ndarray):
@@ -78,17 +78,17 @@ class Partly(VecEnvWrapper):
 def learn(method: str, seed: int, steps: int, folder: Path) -> None:
     torch.set_num_threads(1)
     raw = StageVecEnv(ID, LANES, threads=1, memory=METHODS[method], proofs=PROOFS)
-    envs = Noted(Partly(raw, columns(method, [e.name for e in raw.envs.observation_features])))
+    envs = EpisodeRecorder(SelectedColumns(raw, columns(method, [e.name for e in raw.envs.observation_features])))
     kind: Any = RecurrentPPO if method == "recurrent" else PPO
     policy = "MlpLstmPolicy" if method == "recurrent" else "MlpPolicy"
     model = kind(policy, envs, seed=seed, policy_kwargs=NETS[method], **SETTINGS)
     path = folder / f"{method}-{seed}"
-    model.learn(steps, callback=Curve(path.with_suffix(".csv"), BATCH))
+    model.learn(steps, callback=LearningCurve(path.with_suffix(".csv"), BATCH))
     envs.close()
     save(model, path, steps)
 
 
-class Policy:
+class FewShotPolicy:
     """A learner's policy, for registerbench."""
 
     def __init__(self, method: str, path: Path):
@@ -109,12 +109,12 @@ def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> Non
     torch.set_num_threads(1)
     method, run = path.stem.split("-")
     for split in splits:
-        how = {"settings": {"memory": METHODS[method]}, "name": f"ppo, memory {method}", "cost": cost_of(path)}
-        write_entry(Policy(method, path), TASK, split, folder, f"ppo-{method}", int(run), **how)
+        how = {"settings": {"memory": METHODS[method]}, "name": f"ppo, memory {method}", "cost": read_cost(path)}
+        write_entry(FewShotPolicy(method, path), TASK, split, folder, f"ppo-{method}", int(run), **how)
 
 
 if __name__ == "__main__":
-    parser = parser_of(__doc__, tuple(METHODS), STEPS, learn, submit, (TASK,))
+    parser = make_parser(__doc__, tuple(METHODS), STEPS, learn, submit, (TASK,))
     args = parser.parse_args()
-    with stops("the curve so far, and what was written before; the same command learns the run anew."):
+    with explain_interrupt("the curve so far, and what was written before; the same command learns the run anew."):
         args.run(args)

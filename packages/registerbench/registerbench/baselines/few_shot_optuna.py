@@ -24,7 +24,7 @@ RANGES = {"rates": (0.5, 2.0), "ramps": (0.4, 2.5)}
 HEAVIEST = 5.5  # kg, of the split train with the margin
 
 
-class Host:
+class OptunaPolicy:
     """A study an episode."""
 
     def __init__(self) -> None:
@@ -40,29 +40,29 @@ class Host:
         where: dict[str, list[int]] = {}
         for k, name in enumerate(context.feature_names):
             where.setdefault(name, []).append(k)
-        self.kept, self.duration = where["kept"], where["duration"]
+        self.kept_indices, self.duration = where["kept"], where["duration"]
         self.study = optuna.create_study(sampler=self.sampler(self.episode))
         self.study.enqueue_trial({"rates": 1.0, "ramps": 1.0})
         self.space = {n: optuna.distributions.FloatDistribution(*r, log=True) for n, r in RANGES.items()}
         self.trial: Any = None
-        self.episode, self.tries = self.episode + 1, 0
+        self.episode, self.attempts = self.episode + 1, 0
 
     def __call__(self, observation: np.ndarray, info: Any) -> np.ndarray:
         if self.trial is not None:
-            last = min(self.tries, len(self.kept)) - 1
-            held = observation[self.kept[last]] > 0
-            self.study.tell(self.trial, float(observation[self.duration[last]]) if held else 1.0)
-        self.trial, self.tries = self.study.ask(self.space), self.tries + 1
-        s, chosen = compute_speeds(self.load, int(info["distance"])), self.trial.params
-        ramps = chosen["ramps"]
-        return action_of(s.start, s.drive * chosen["rates"], s.up * ramps, s.down * ramps)
+            last = min(self.attempts, len(self.kept_indices)) - 1
+            kept_step = observation[self.kept_indices[last]] > 0
+            self.study.tell(self.trial, float(observation[self.duration[last]]) if kept_step else 1.0)
+        self.trial, self.attempts = self.study.ask(self.space), self.attempts + 1
+        s, factors = compute_speeds(self.load, int(info["distance"])), self.trial.params
+        ramps = factors["ramps"]
+        return action_of(s.start, s.drive * factors["rates"], s.up * ramps, s.down * ramps)
 
 
-class Tpe(Host):
+class Tpe(OptunaPolicy):
     def sampler(self, seed: int) -> optuna.samplers.BaseSampler:
         return optuna.samplers.TPESampler(seed=seed, n_startup_trials=3)
 
 
-class CmaEs(Host):
+class CmaEs(OptunaPolicy):
     def sampler(self, seed: int) -> optuna.samplers.BaseSampler:
         return optuna.samplers.CmaEsSampler(seed=seed, popsize=4, n_startup_trials=1)

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 import registerbench
-from registerbench.baselines import stops
+from registerbench.baselines import explain_interrupt
 from registerbench.cards import OPEN_ROUND
 from registerbench.statistics import compute_interval, compute_iqm
 from stage.support import pictures
@@ -61,7 +61,7 @@ def learn(folder: Path, tasks: list[str], quick: bool) -> None:
                     bus.learn("dqn", run, 0.1 if quick else 1.0, level, folder)
 
 
-def collected(folder: Path) -> Iterator[tuple]:
+def collect_rows(folder: Path) -> Iterator[tuple]:
     """Rows of all runs of a folder."""
     for path in sorted(folder.glob("*.csv")):
         with path.open() as file:
@@ -79,20 +79,22 @@ def collected(folder: Path) -> Iterator[tuple]:
 
 def pack(folder: Path, path: Path) -> None:
     with path.open("wb") as raw, gzip.GzipFile("", "wb", fileobj=raw, mtime=0) as file:
-        text = "\n".join(",".join(map(str, row)) for row in (COLUMNS, *collected(folder)))
+        text = "\n".join(",".join(map(str, row)) for row in (COLUMNS, *collect_rows(folder)))
         file.write((text + "\n").encode())
 
 
 def read(path: Path) -> dict[str, dict[str, dict[str, list[dict]]]]:
     """Rows of each run of each player of each task."""
-    found: dict[str, Any] = {}
+    rows_by_task: dict[str, Any] = {}
     with gzip.open(path, "rt") as file:
         for row in csv.DictReader(file):
-            found.setdefault(row["task"], {}).setdefault(row["player"], {}).setdefault(row["run"], []).append(row)
-    return found
+            rows_by_task.setdefault(row["task"], {}).setdefault(row["player"], {}).setdefault(row["run"], []).append(
+                row
+            )
+    return rows_by_task
 
 
-def points(runs: dict[str, list[dict]], what: str = "return") -> tuple[np.ndarray, np.ndarray]:
+def collect_points(runs: dict[str, list[dict]], what: str = "return") -> tuple[np.ndarray, np.ndarray]:
     """Return steps, and returns (or another column) of all runs and episodes there, (points, runs, episodes)."""
     every = []
     for rows in runs.values():
@@ -105,31 +107,31 @@ def points(runs: dict[str, list[dict]], what: str = "return") -> tuple[np.ndarra
     return steps, np.array([[list(at.values())[k] for at in every] for k in range(number)])
 
 
-def levels(runs: dict[str, list[dict]]) -> tuple[np.ndarray, np.ndarray]:
+def interpolate_levels(runs: dict[str, list[dict]]) -> tuple[np.ndarray, np.ndarray]:
     """Steps, and the share that is solved by each run there, (points, runs, 1): none before a run has come to the level."""
     curves = [np.array([(float(r["steps"]), float(r["success"])) for r in rows]).T for rows in runs.values()]
     at = np.unique(np.concatenate([c[0] for c in curves]))
     return at, np.stack([np.interp(at, *c, left=0.0) for c in curves], axis=1)[:, :, None]
 
 
-def others(task: str, episodes: int) -> dict[str, dict[str, np.ndarray]]:
+def read_other_players(task: str, episodes: int) -> dict[str, dict[str, np.ndarray]]:
     """Return the scores of players that do not learn, on the test episodes of the curves."""
-    found = {}
+    scores_by_player = {}
     published = registerbench.read_entries(DOCS / "data" / "entries" / f"{task}.zip")
     for name in OTHERS:
         entry = published.get(f"{task}-train-{name}-0.bench")
         if entry is not None and entry.round == OPEN_ROUND:
-            found[name] = {score: values[:episodes] for score, values in entry.scores.items()}
-    return found
+            scores_by_player[name] = {score: values[:episodes] for score, values in entry.scores.items()}
+    return scores_by_player
 
 
-def spread(values: np.ndarray, of: Any = compute_iqm) -> str:
+def format_spread(values: np.ndarray, of: Any = compute_iqm) -> str:
     """Compute the IQM of returns, (runs, episodes), or another figure, with its interval."""
     low, high = compute_interval(values, statistic=of)
     return f"{of(values):.3f} ({low:.3f} to {high:.3f})"
 
 
-def table(found: dict[str, dict[str, dict[str, list[dict]]]]) -> str:
+def format_table(rows_by_task: dict[str, dict[str, dict[str, list[dict]]]]) -> str:
     """Markdown: what learners with test episodes reach at each point of their curves, and those who do not learn."""
     heads = (
         "task",
@@ -142,9 +144,11 @@ def table(found: dict[str, dict[str, dict[str, list[dict]]]]) -> str:
         "success",
     )
     lines: list[tuple] = [heads, ("---",) * len(heads)]
-    for task in (t for t in PANELS if t in found and t != "bus"):
-        for player, runs in found[task].items():
-            (steps, values), (_, spent), (_, won) = (points(runs, c) for c in ("return", "processor_s", "success"))
+    for task in (t for t in PANELS if t in rows_by_task and t != "bus"):
+        for player, runs in rows_by_task[task].items():
+            (steps, values), (_, spent), (_, won) = (
+                collect_points(runs, c) for c in ("return", "processor_s", "success")
+            )
             for at, v, s, w in zip(steps, values, spent, won, strict=True):
                 lines.append(
                     (
@@ -153,21 +157,21 @@ def table(found: dict[str, dict[str, dict[str, list[dict]]]]) -> str:
                         len(runs),
                         f"{at:.0f}",
                         f"{s.mean():.0f}",
-                        spread(v),
-                        spread(v, np.mean),
+                        format_spread(v),
+                        format_spread(v, np.mean),
                         f"{w.mean():.0%}",
                     )
                 )
-        for name, scores in others(task, EPISODES).items():
+        for name, scores in read_other_players(task, EPISODES).items():
             v, w = scores["return"], scores["success"]
-            lines.append((task, name, "-", "-", "-", spread(v), spread(v, np.mean), f"{w.mean():.0%}"))
+            lines.append((task, name, "-", "-", "-", format_spread(v), format_spread(v, np.mean), f"{w.mean():.0%}"))
     return "\n".join(f"| {' | '.join(map(str, cells))} |" for cells in lines)
 
 
-def panel(ax: Any, task: str, players: dict[str, dict[str, list[dict]]]) -> None:
+def draw_panel(ax: Any, task: str, players: dict[str, dict[str, list[dict]]]) -> None:
     ordered = sorted(players.items(), key=lambda of: max(int(r[-1]["steps"]) for r in of[1].values()))
     for color, (player, runs) in zip(pictures.COLOURS, ordered, strict=False):
-        at, values = levels(runs) if task == "bus" else points(runs)
+        at, values = interpolate_levels(runs) if task == "bus" else collect_points(runs)
         ends = np.array([compute_interval(v, draws=1000) for v in values])
         ax.fill_between(at, *ends.T, color=color, alpha=0.18, lw=0)
         ax.plot(
@@ -177,7 +181,9 @@ def panel(ax: Any, task: str, players: dict[str, dict[str, list[dict]]]) -> None
             lw=1.8,
             label=f"{player}, {len(runs)} run{'s'[: len(runs) > 1]}",
         )
-    for name, scores in ({} if task == "bus" else others(task, EPISODES)).items():  # returns, where bus has shares
+    for name, scores in (
+        {} if task == "bus" else read_other_players(task, EPISODES)
+    ).items():  # returns, where bus has shares
         ax.axhline(compute_iqm(scores["return"]), color=pictures.MUTED, lw=1.2, ls=OTHERS[name], label=name)
     pictures.title(ax, PANELS[task])
     what = "solved, of 64 machines" if task == "bus" else "return, IQM of test episodes"
@@ -188,18 +194,18 @@ def panel(ax: Any, task: str, players: dict[str, dict[str, list[dict]]]) -> None
 
 
 def draw(data: Path, picture: Path) -> None:
-    found = read(data)
-    shown = [task for task in PANELS if task in found]
-    columns = min(len(shown), 3)
-    rows = -(-len(shown) // columns)
+    rows_by_task = read(data)
+    tasks = [task for task in PANELS if task in rows_by_task]
+    columns = min(len(tasks), 3)
+    rows = -(-len(tasks) // columns)
     figure = pictures.figure(4.4 * columns, 4 * rows)
     axes = list(figure.subplots(rows, columns, squeeze=False).flat)
-    for ax, task in zip(axes, shown, strict=False):
-        panel(ax, task, found[task])
-    for ax in axes[len(shown) :]:
+    for ax, task in zip(axes, tasks, strict=False):
+        draw_panel(ax, task, rows_by_task[task])
+    for ax in axes[len(tasks) :]:
         ax.set_axis_off()
     figure.savefig(picture, dpi=100)
-    print(table(found))
+    print(format_table(rows_by_task))
     print(f"{picture}: written")
 
 
@@ -217,7 +223,7 @@ def main() -> None:
     p.add_argument("--picture", type=Path, default=PICTURE, metavar="FILE.png")
     p.set_defaults(run=lambda a: (a.runs and pack(a.runs, a.data), draw(a.data, a.picture)))
     args = parser.parse_args()
-    with stops("runs that are done are kept, and the same command goes on after them."):
+    with explain_interrupt("runs that are done are kept, and the same command goes on after them."):
         args.run(args)
 
 

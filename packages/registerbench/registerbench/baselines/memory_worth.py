@@ -18,22 +18,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from registerbench.baselines import stops
-from registerbench.baselines.boldness import BOLDNESS, Table, learned, tabulate
-from registerbench.baselines.rules import TRIES, Remembering
+from registerbench.baselines import explain_interrupt
+from registerbench.baselines.boldness_table import BOLDNESS, BoldnessTable, learn_rule, measure_boldness_table
+from registerbench.baselines.rule_policies import ATTEMPTS, RememberingRule
 
 FROM, STARTS = 2000, 6
 
 
-def blind(table: Table) -> float:
+def search_blindly(table: BoldnessTable) -> float:
     def mean(attempts: list[int]) -> float:
-        return float(table.total(np.array(attempts)[:, None]).mean())
+        return float(table.sum_rewards(np.array(attempts)[:, None]).mean())
 
     rng, best = np.random.default_rng(0), -np.inf
     for _ in range(STARTS):
-        attempts, value, better = rng.integers(0, len(BOLDNESS), TRIES).tolist(), -np.inf, True
+        attempts, value, better = rng.integers(0, len(BOLDNESS), ATTEMPTS).tolist(), -np.inf, True
         while better:
-            others = [[*attempts[:j], b, *attempts[j + 1 :]] for j in range(TRIES) for b in range(len(BOLDNESS))]
+            others = [[*attempts[:j], b, *attempts[j + 1 :]] for j in range(ATTEMPTS) for b in range(len(BOLDNESS))]
             attempts = max(others, key=mean)
             value, better = mean(attempts), mean(attempts) > value
         best = max(best, value)
@@ -49,17 +49,19 @@ def main() -> None:
     args = parser.parse_args()
     print("| machines of | answer | knows | blind | looks |\n|---|---|---|---|---|")
     for task in args.tasks:
-        tried = tabulate(task, FROM, args.machines)
+        measured = measure_boldness_table(task, FROM, args.machines)
         for last in (False, True):
-            table = replace(tried, last=last)
-            looks = table.play(Remembering, Remembering.numbers(learned(Remembering, table, 0))).mean()
+            table = replace(measured, last=last)
+            remembering = table.play(
+                RememberingRule, RememberingRule.numbers(learn_rule(RememberingRule, table, 0))
+            ).mean()
             print(
                 f"| {task} | {'the last try' if last else 'the best try'} | {table.worth.max(axis=0).mean():.3f} "
-                f"| {blind(table):.3f} | {looks:.3f} |",
+                f"| {search_blindly(table):.3f} | {remembering:.3f} |",
                 flush=True,
             )
 
 
 if __name__ == "__main__":
-    with stops("rows above are whole, nothing else is kept."):
+    with explain_interrupt("rows above are whole, nothing else is kept."):
         main()

@@ -17,10 +17,10 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO, SAC
 
-from registerbench.baselines import stops
+from registerbench.baselines import explain_interrupt
 from registerbench.baselines.bench_entries import write_entry
-from registerbench.baselines.learning import Curve, Noted, cost_of, parser_of, save
-from registerbench.baselines.rule_learners import CHEAPER
+from registerbench.baselines.learner_support import EpisodeRecorder, LearningCurve, make_parser, read_cost, save
+from registerbench.baselines.training_envs import CHEAPER_SETTINGS
 from stage.envs.sb3 import StageVecEnv
 
 ID, TASK = "stage/OneShotTuning-v1", "one-shot"
@@ -41,19 +41,19 @@ SETTINGS: dict[str, dict[str, Any]] = {
 
 def learn(method: str, seed: int, steps: int, folder: Path) -> None:
     torch.set_num_threads(1)
-    envs = Noted(StageVecEnv(ID, LANES, threads=1, **CHEAPER[TASK]))
-    chosen = {**SETTINGS[method], "learning_rate": 1e-3, "seed": seed, "device": "cpu"}
-    chosen["policy_kwargs"] = {"net_arch": [64, 64], **chosen.get("policy_kwargs", {})}
-    model = KINDS[method]("MlpPolicy", envs, **chosen)
+    envs = EpisodeRecorder(StageVecEnv(ID, LANES, threads=1, **CHEAPER_SETTINGS[TASK]))
+    settings = {**SETTINGS[method], "learning_rate": 1e-3, "seed": seed, "device": "cpu"}
+    settings["policy_kwargs"] = {"net_arch": [64, 64], **settings.get("policy_kwargs", {})}
+    model = KINDS[method]("MlpPolicy", envs, **settings)
     if method == "sac":
         torch.nn.init.constant_(model.actor.log_std.bias, SPREAD)
     path = folder / f"{TASK}_{method}-{seed}"
-    model.learn(steps, callback=Curve(path.with_suffix(".csv"), BATCH))
+    model.learn(steps, callback=LearningCurve(path.with_suffix(".csv"), BATCH))
     envs.close()
     save(model, path, steps)
 
 
-class Policy:
+class OneShotPolicy:
     """A learner's policy, for registerbench."""
 
     def __init__(self, method: str, path: Path):
@@ -67,11 +67,13 @@ def submit(path: Path, splits: list[str], tasks: list[str], folder: Path) -> Non
     torch.set_num_threads(1)
     method, run = path.stem.partition("_")[2].split("-")
     for split in splits:
-        write_entry(Policy(method, path), TASK, split, folder, method, int(run), name=method, cost=cost_of(path))
+        write_entry(
+            OneShotPolicy(method, path), TASK, split, folder, method, int(run), name=method, cost=read_cost(path)
+        )
 
 
 if __name__ == "__main__":
-    parser = parser_of(__doc__, tuple(KINDS), STEPS, learn, submit, (TASK,))
+    parser = make_parser(__doc__, tuple(KINDS), STEPS, learn, submit, (TASK,))
     args = parser.parse_args()
-    with stops("the curve so far, and what was written before; the same command learns the run anew."):
+    with explain_interrupt("the curve so far, and what was written before; the same command learns the run anew."):
         args.run(args)

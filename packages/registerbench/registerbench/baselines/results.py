@@ -1,4 +1,4 @@
-"""All baselines, compared: runs every one with its budget and seeds, for a light and a heavy payload.
+"""Comparison of all baselines: runs every method with its budget and seeds, for a light and a heavy payload, and writes the page.
 
 python -m registerbench.baselines.results                  docs/results.md, which says how long it takes, with picture and data
 python -m registerbench.baselines.results --draw           page and picture again, from data/results.parquet; seconds
@@ -21,7 +21,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from registerbench.baselines import formula
-from registerbench.baselines.common import (
+from registerbench.baselines.move_tuning import (
     CANDIDATES,
     DISTANCE,
     LIMIT,
@@ -43,8 +43,8 @@ from registerbench.baselines.runs import (
     QUICK,
     SHORTER,
     Method,
-    Run,
-    Runs,
+    MethodRun,
+    MethodRuns,
 )
 from registerbench.statistics import compute_interval, compute_iqm
 from stage import Stage, firmware
@@ -58,15 +58,15 @@ DRAWN = [m for m in METHODS if m.space == "knobs"]
 
 
 @cache
-def power_up(model: str) -> tuple[Stage, Any]:
+def get_power_up_state(model: str) -> tuple[Stage, Any]:
     stage = Stage(model)
     stage.place(x=-DISTANCE / 2 * stage.axes["x"].meters_per_pulse)
     return stage, stage.snapshot()
 
 
-def again(registers: dict[str, int], payload: float, model: str = MODEL) -> Report:
-    """Make the move of an answer by firmware, with its course."""
-    stage, begin = power_up(model)
+def repeat_move(registers: dict[str, int], payload: float, model: str = MODEL) -> Report:
+    """Make the move of an answer with the procedures of `stage.firmware`, and return its report with the waveform."""
+    stage, begin = get_power_up_state(model)
     stage.restore(begin)
     stage.set_payload(payload)
     r = registers
@@ -77,12 +77,12 @@ def again(registers: dict[str, int], payload: float, model: str = MODEL) -> Repo
 # The page
 
 
-def of(runs: list[Run], payload: str, method: Method) -> list[Run]:
+def select_runs(runs: list[MethodRun], payload: str, method: Method) -> list[MethodRun]:
     return [r for r in runs if (r.payload, r.method) == (payload, method.name)]
 
 
-def spread(values: list[float], form: str) -> str:
-    """Format the IQM, and its 95 % interval where there are several runs."""
+def format_spread(values: list[float], form: str) -> str:
+    """Format the IQM, with its 95 % interval if there are several runs."""
     known = [v for v in values if v == v]
     if not known:
         return "none"
@@ -91,77 +91,91 @@ def spread(values: list[float], form: str) -> str:
     return middle if len(known) == 1 else f"{middle} ({low} to {high})"
 
 
-def losses(runs: list[Run], context: str) -> str:
-    """Return the number of moves that lost steps in all tests, and the number of answers with such a move."""
-    lost = [r.lost(context) for r in runs if r.test]
+def count_losses(runs: list[MethodRun], context: str) -> str:
+    """Format the number of moves that lost steps in all tests, and the number of answers with such a move."""
+    lost = [r.count_lost(context) for r in runs if r.test]
     if not lost:
         return "none"
     some = f", {np.count_nonzero(lost)} of {len(lost)} answers" if any(lost) and len(lost) > 1 else ""
     return f"{sum(lost)} of {len(lost) * CONTEXTS[context].moves}{some}"
 
 
-def table(runs: list[Run].moves, payload: str) -> list[str]:
+def format_table(runs: list[MethodRun], payload: str) -> list[str]:
     lines = [
         "| method | moves | seeds | reward, ms | time, ms | vibration, um | lost: new moves | lost: shorter moves | spare, kg "
         "| moves that kept step | lucky |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for method in METHODS:
-        rs = of(runs, payload, method)
+        rs = select_runs(runs, payload, method)
         if not rs:
             continue
         none = sum(r.answer is None for r in rs)
         some = f", {none} of {len(rs)} found none" if none else ""
         lines.append(
             f"| {method.name} | {len(rs[0].search)} | {'-' if method.fixed else len(rs)} "
-            f"| {spread([r.mean('reward') for r in rs], '.1f')}{some} | {spread([r.mean('duration') for r in rs], '.1f')} "
-            f"| {spread([r.mean('vibration') for r in rs], '.0f')} | {losses(rs, NEW)} | {losses(rs, SHORTER)} "
-            f"| {spread([r.spare for r in rs], '.1f')} "
-            f"| {np.mean([r.kept for r in rs]):.0%} | {spread([r.lucky for r in rs], '.0f')} |"
+            f"| {format_spread([r.compute_mean('reward') for r in rs], '.1f')}{some} "
+            f"| {format_spread([r.compute_mean('duration') for r in rs], '.1f')} "
+            f"| {format_spread([r.compute_mean('vibration') for r in rs], '.0f')} "
+            f"| {count_losses(rs, NEW)} | {count_losses(rs, SHORTER)} "
+            f"| {format_spread([r.spare_payload for r in rs], '.1f')} "
+            f"| {np.mean([r.kept_share for r in rs]):.0%} | {format_spread([r.lucky_moves for r in rs], '.0f')} |"
         )
     return lines
 
 
-class Gain(NamedTuple):
-    """ms by which a method is better than a formula. beats: None where there is no verdict; told: for the table."""
+class GainOverFormula(NamedTuple):
+    """Milliseconds by which a method is better than a formula.
+
+    Attributes:
+        beats: Whether the method beats the formula; None if there are too few runs for a verdict.
+        loses: Whether the formula beats the method.
+        text: Gain with its interval, for the table.
+    """
 
     beats: bool | None
     loses: bool
     text: str
 
 
-def gain(runs: list[Run], base: Run, name: str, kept: bool = False) -> Gain:
-    """Return the IQM of `reward` or `duration` over the runs that found an answer."""
+def compute_gain(runs: list[MethodRun], base: MethodRun, name: str, kept_step: bool = False) -> GainOverFormula:
+    """Compute the IQM of the gain in `reward` or `duration` over the runs that found an answer."""
     sign = 1 if name == "reward" else -1
-    values = sign * np.array([r.mean(name, kept) - base.mean(name, kept) for r in runs])
-    found = values[~np.isnan(values)]
+    values = sign * np.array([r.compute_mean(name, kept_step) - base.compute_mean(name, kept_step) for r in runs])
+    known = values[~np.isnan(values)]
     if len(runs) < SEEDS:
-        return Gain(None, False, f"{compute_iqm(found):+.1f}")
-    low, high = compute_interval(found[:, None])
-    return Gain(
-        bool(low > 0 and len(found) == len(runs)),
+        return GainOverFormula(None, False, f"{compute_iqm(known):+.1f}")
+    low, high = compute_interval(known[:, None])
+    return GainOverFormula(
+        bool(low > 0 and len(known) == len(runs)),
         bool(high < 0),
-        f"{compute_iqm(found):+.1f} ({low:+.1f} to {high:+.1f})",
+        f"{compute_iqm(known):+.1f} ({low:+.1f} to {high:+.1f})",
     )
 
 
-def gains(runs: list[Run], payload: str, against: Method) -> dict[Method, tuple[Gain, Gain, Gain]]:
-    """Return the gains by reward, in time, and by reward of the moves that kept step."""
-    (base,) = of(runs, payload, against)
-    some = {m: of(runs, payload, m) for m in METHODS if m not in (FORMULA, BOLDEST)}
+def compute_gains(
+    runs: list[MethodRun], payload: str, against: Method
+) -> dict[Method, tuple[GainOverFormula, GainOverFormula, GainOverFormula]]:
+    """Compute each method's gains in reward, in time, and in reward without the moves that lost steps."""
+    (base,) = select_runs(runs, payload, against)
+    some = {m: select_runs(runs, payload, m) for m in METHODS if m not in (FORMULA, BOLDEST)}
     return {
-        m: (gain(rs, base, "reward"), gain(rs, base, "duration"), gain(rs, base, "reward", kept=True))
+        m: (
+            compute_gain(rs, base, "reward"),
+            compute_gain(rs, base, "duration"),
+            compute_gain(rs, base, "reward", kept_step=True),
+        )
         for m, rs in some.items()
         if any(r.answer is not None for r in rs)
     }
 
 
-def verdict(runs: list[Run], payload: str, against: Method) -> str:
-    """Say in a sentence which methods beat the formula."""
-    (base,) = of(runs, payload, against)
+def describe_verdict(runs: list[MethodRun], payload: str, against: Method) -> str:
+    """Describe in a paragraph which methods beat the formula."""
+    (base,) = select_runs(runs, payload, against)
     if base.answer is None:
         return f"**{payload}**: {against.name} found no move that can be repeated."
-    every = gains(runs, payload, against)
+    every = compute_gains(runs, payload, against)
 
     def named(which: int, beats: bool, loses: bool) -> str:
         some = [m.name for m, g in every.items() if (g[which].beats, g[which].loses) == (beats, loses)]
@@ -170,44 +184,45 @@ def verdict(runs: list[Run], payload: str, against: Method) -> str:
     few = [m.name for m, g in every.items() if g[0].beats is None]
     alone = f" Fewer than {SEEDS} runs, hence no verdict: {', '.join(few)}." if few else ""
     return (
-        f"**{payload}, against {against.name}** ({base.mean('reward'):.1f} ms, time {base.mean('duration'):.1f} ms): "
+        f"**{payload}, against {against.name}** ({base.compute_mean('reward'):.1f} ms, "
+        f"time {base.compute_mean('duration'):.1f} ms): "
         f"by reward it is beaten by {named(0, True, False)}; better than {named(0, False, True)}; open: {named(0, False, False)}. "
         f"In time it is beaten by {named(1, True, False)}; better than {named(1, False, True)}; "
         f"open: {named(1, False, False)}.{alone}"
     )
 
 
-def comparison(runs: list[Run], payloads: dict[str, float]) -> list[str]:
-    """Write the gains on which the verdicts rest."""
+def format_comparison(runs: list[MethodRun], payloads: dict[str, float]) -> list[str]:
+    """Format the table of the gains on which the verdicts rest."""
     lines = [
         "| payload | against | method | runs | by reward, ms | in time, ms | by reward where steps were kept, ms |",
         "|---|---|---|---|---|---|---|",
     ]
     for payload in payloads:
         for against in (FORMULA, BOLDEST):
-            if of(runs, payload, against)[0].answer is not None:
-                for method, some in gains(runs, payload, against).items():
-                    count = len(of(runs, payload, method))
+            if select_runs(runs, payload, against)[0].answer is not None:
+                for method, some in compute_gains(runs, payload, against).items():
+                    count = len(select_runs(runs, payload, method))
                     text = " | ".join(g.text for g in some)
                     lines.append(f"| {payload} | {against.name} | {method.name} | {count} | {text} |")
     return lines
 
 
-def flattered(runs: list[Run]) -> str:
-    """Say what the proofs promised beyond what the tests show, without the formula."""
-    chosen = [r.flattered for r in runs if r.test and r.method != FORMULA.name]
-    (plain, *_) = [r.flattered for r in runs if r.method == FORMULA.name]
+def describe_reward_excess(runs: list[MethodRun]) -> str:
+    """Describe by how much the rewards in proofs exceed those in tests, leaving out the formula."""
+    excesses = [r.reward_excess for r in runs if r.test and r.method != FORMULA.name]
+    (formula_excess, *_) = [r.reward_excess for r in runs if r.method == FORMULA.name]
     return (
-        f"In its proof, by which it was\nchosen, an answer had {np.mean(chosen):.0f} ms more of reward than in its test (median "
-        f"{np.median(chosen):.1f}; the formula, of which nothing is chosen, {plain:.1f}):\n"
+        f"In its proof, by which it was\nchosen, an answer had {np.mean(excesses):.0f} ms more of reward than in its test (median "
+        f"{np.median(excesses):.1f}; the formula, of which nothing is chosen, {formula_excess:.1f}):\n"
         "nearly all of it are steps that the test alone saw lost."
     )
 
 
-def priced(runs: list[Run]) -> str:
-    """Say what a loss costs, by the new moves that lost steps."""
+def describe_price_of_losses(runs: list[MethodRun]) -> str:
+    """Describe what a lost step costs, by the new moves that lost steps."""
     logs = [r.test[NEW] for r in runs if r.test]
-    lost = [(log.reward[k], log.drawn[k][0]) for log in logs for k in np.flatnonzero(~np.array(log.kept))]
+    lost = [(log.reward[k], log.drawn[k][0]) for log in logs for k in np.flatnonzero(~np.array(log.kept_step))]
     if not lost:
         return "Here no new move lost a step."
     reward, back = float(np.mean([reward for reward, _ in lost])), sum(distance < 0 for _, distance in lost)
@@ -220,8 +235,8 @@ def priced(runs: list[Run]) -> str:
     )
 
 
-def made_by(all_: Runs) -> str:
-    """The command that makes the page."""
+def format_command(all_: MethodRuns) -> str:
+    """Return the command line that makes the page."""
     words = ["python", "-m", "registerbench.baselines.results", *(["--quick"] if all_.quick else [])]
     words += ["--model", all_.model] if all_.model != MODEL else []
     if not all_.payloads.items() <= PAYLOADS.items():
@@ -229,21 +244,23 @@ def made_by(all_: Runs) -> str:
     return shlex.join([*words, "--budget", str(all_.budget), "--seeds", str(all_.seeds)])
 
 
-def page(all_: Runs) -> str:
+def format_page(all_: MethodRuns) -> str:
     runs, payloads_ = all_.runs, all_.payloads
     versions = ", ".join(f"{p} {v}" for p, v in all_.versions.items())
     payloads = " and ".join(f"{kg:g} kg ({name})" for name, kg in payloads_.items())
-    tables = [line for p, kg in payloads_.items() for line in (f"### {kg:g} kg, {p}", "", *table(runs, p), "")]
-    verdicts = [f"- {verdict(runs, p, against)}" for p in payloads_ for against in (FORMULA, BOLDEST)]
+    tables = [line for p, kg in payloads_.items() for line in (f"### {kg:g} kg, {p}", "", *format_table(runs, p), "")]
+    verdicts = [f"- {describe_verdict(runs, p, against)}" for p in payloads_ for against in (FORMULA, BOLDEST)]
     return TEXT.format(
-        made_by=made_by(all_), distance=DISTANCE, mm=DISTANCE * MM, payloads=payloads, budget=all_.budget, seeds=all_.seeds,
-        limit=LIMIT, tables="\n".join(tables), verdicts="\n".join(verdicts), comparison="\n".join(comparison(runs, payloads_)),
+        made_by=format_command(all_), distance=DISTANCE, mm=DISTANCE * MM, payloads=payloads, budget=all_.budget, seeds=all_.seeds,
+        limit=LIMIT, tables="\n".join(tables), verdicts="\n".join(verdicts),
+        comparison="\n".join(format_comparison(runs, payloads_)),
         versions=versions, minutes=all_.took / 60, moves=sum(len(r.search) for r in runs),
         more=sum(len(log) for r in runs for log in (*r.proofs.values(), *r.test.values())), safety=formula.SAFETY_FACTOR,
         held=MAX_HOLDING, margin=MARGIN, tolerance=TOLERANCE, repeats=REPEATS, candidates=CANDIDATES, model=all_.model,
         new=CONTEXTS[NEW].moves, shorter=CONTEXTS[SHORTER].moves, shortest=MIN_DISTANCE * MM,
-        each=CONTEXTS[f"+{HEAVIER[0]:g} kg"].moves, step=HEAVIER[0], most=HEAVIER[-1], flattered=flattered(runs), enough=SEEDS,
-        priced=priced(runs),
+        each=CONTEXTS[f"+{HEAVIER[0]:g} kg"].moves, step=HEAVIER[0], most=HEAVIER[-1], flattered=describe_reward_excess(runs),
+        enough=SEEDS,
+        priced=describe_price_of_losses(runs),
     )  # fmt: skip
 
 
@@ -323,7 +340,7 @@ Budgets: {budget} moves a seed, {seeds} seeds (raw registers: a quarter of the m
 # The picture
 
 
-def draw(all_: Runs, path: Path) -> None:
+def draw(all_: MethodRuns, path: Path) -> None:
     runs, payloads = all_.runs, all_.payloads
     figure = Figure(figsize=(6.25 * len(payloads), 8.4), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.12)
@@ -331,8 +348,8 @@ def draw(all_: Runs, path: Path) -> None:
         for (top, bottom), (payload, mass) in zip(
             figure.subplots(2, len(payloads), squeeze=False).T, payloads.items(), strict=True
         ):
-            draw_the_learning(top, runs, payload)
-            draw_the_moves(bottom, runs, payload, mass, all_.model)
+            draw_learning_curves(top, runs, payload)
+            draw_moves(bottom, runs, payload, mass, all_.model)
             title(top, f"{mass:g} kg: highest reward of a move so far", 12)
             title(bottom, f"{mass:g} kg: the moves found", 12)
             for ax in (top, bottom):
@@ -343,15 +360,15 @@ def draw(all_: Runs, path: Path) -> None:
     figure.savefig(path, dpi=140)
 
 
-def draw_the_learning(ax: Any, runs: list[Run], payload: str) -> None:
+def draw_learning_curves(ax: Any, runs: list[MethodRun], payload: str) -> None:
     for base, style in ((FORMULA, "--"), (BOLDEST, ":")):
-        (run,) = of(runs, payload, base)
-        ax.axhline(run.mean("reward"), color=base.color, ls=style, lw=1.6)
+        (run,) = select_runs(runs, payload, base)
+        ax.axhline(run.compute_mean("reward"), color=base.color, ls=style, lw=1.6)
     for method in DRAWN:
-        mine = of(runs, payload, method)
-        if not mine:
+        own_runs = select_runs(runs, payload, method)
+        if not own_runs:
             continue
-        curves = 1e3 * np.array([r.search.curve() for r in mine])
+        curves = 1e3 * np.array([r.search.compute_curve() for r in own_runs])
         known = np.isfinite(curves).all(axis=0)
         at = np.arange(1, curves.shape[1] + 1)[known]
         ax.plot(at, np.median(curves[:, known], axis=0), color=method.color, lw=2)
@@ -361,18 +378,18 @@ def draw_the_learning(ax: Any, runs: list[Run], payload: str) -> None:
     ax.set(xlabel="moves made (median and span of the seeds)", ylabel="reward (ms)", xscale="log", xlim=(1, None))
 
 
-def draw_the_moves(ax: Any, runs: list[Run], payload: str, mass: float, model: str) -> None:
+def draw_moves(ax: Any, runs: list[MethodRun], payload: str, mass: float, model: str) -> None:
     for method in (FORMULA, BOLDEST, *DRAWN):
-        found = [r for r in of(runs, payload, method) if r.answer is not None]
-        if not found:
+        answered = [r for r in select_runs(runs, payload, method) if r.answer is not None]
+        if not answered:
             continue
-        middle = sorted(found, key=lambda r: r.mean("reward"))[len(found) // 2]
-        course = again(middle.registers, mass, model).course
-        running = np.flatnonzero(~course.pin("hold"))
-        t, rate = (course.seconds - course.seconds[running[0]]) * 1e3, compute_rates(course) / 1e3
-        shown = slice(running[0], running[-1] + 2)
+        middle = sorted(answered, key=lambda r: r.compute_mean("reward"))[len(answered) // 2]
+        waveform = repeat_move(middle.registers, mass, model).course
+        running = np.flatnonzero(~waveform.pin("hold"))
+        t, rate = (waveform.seconds - waveform.seconds[running[0]]) * 1e3, compute_rates(waveform) / 1e3
+        moving = slice(running[0], running[-1] + 2)
         style = {FORMULA.name: "--", BOLDEST.name: ":"}.get(method.name, "-")
-        ax.plot(np.r_[0, t[shown]], np.r_[0, rate[shown]], style, color=method.color, lw=1.7, label=method.name)
+        ax.plot(np.r_[0, t[moving]], np.r_[0, rate[moving]], style, color=method.color, lw=1.7, label=method.name)
     ax.set(xlabel="time (ms; the seed in the middle)", ylabel="pulse rate (kpps)", ylim=(0, None), xlim=(0, None))
 
 
@@ -394,15 +411,15 @@ def main() -> None:
         payloads, args.budget = dict([*payloads.items()][:1]), min(args.budget, 64)
     data = args.out / "data" / "results.parquet"
     if not args.draw:
-        all_ = Runs(args.budget, args.seeds, dict(payloads), args.model, args.quick)
+        all_ = MethodRuns(args.budget, args.seeds, dict(payloads), args.model, args.quick)
         if args.keep and args.keep.exists():
-            all_ = Runs.read(args.keep)
+            all_ = MethodRuns.read(args.keep)
         all_.run_all(args.keep)
         data.parent.mkdir(parents=True, exist_ok=True)
         all_.write(data)
-    all_ = Runs.read(data)  # what is published is what the page says
+    all_ = MethodRuns.read(data)  # what is published is what the page says
     draw(all_, args.out / "pictures" / "results.png")
-    (args.out / "results.md").write_text(page(all_))
+    (args.out / "results.md").write_text(format_page(all_))
     print(f"{args.out}: results.md and pictures/results.png written, from data/results.parquet")
 
 

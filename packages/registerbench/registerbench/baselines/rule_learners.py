@@ -4,12 +4,12 @@ python -m registerbench.baselines.rule_learners learn one-shot -o runs
 python -m registerbench.baselines.rule_learners learn few-shot-wide --seeds 0 1 2 3 4 5 6 7 8 9 -o runs
 python -m registerbench.baselines.rule_learners submit runs/few-shot-wide_*.json -o entries --splits train nova
 
-Generations of POPULATION choices, each played on the same machines of train (BUDGET), which are others for each generation and
-each run; what CMA-ES then has as its middle is the policy. Nothing is chosen by test episodes. Learning has cheaper settings than
-the tests, CHEAPER. At the beginning, where all runs are the same, and after a quarter, half and all of the generations the middle
-plays test episodes, which is the run's curve: a CSV with a row for each episode.
+A generation consists of POPULATION candidates, which play on the same machines of train (BUDGET); each generation of each run has
+machines of its own. The mean of CMA-ES's distribution after the last generation is the policy. Nothing is chosen by test episodes.
+Training has cheaper settings than the tests (training_envs.py). Before the first generation and after a quarter, half and all of
+them the mean plays test episodes, which gives the learning curve: a CSV file with a row for each episode.
 
-few-shot and few-shot-wide are learned on a table (boldness.py): a run tries TABLE machines of train at every boldness, once, and
+few-shot and few-shot-wide are learned on a table (boldness_table.py): a run tries TABLE_MACHINES of train at every boldness, and
 CMA-ES chooses the numbers on that, with memory and without by the same tries. Points of the curve are rules that were learned of
 the first PARTS machines. A run that is there is not learned again. Needs the package cmaes (extra `rl`).
 """
@@ -25,35 +25,20 @@ from typing import Any
 
 import numpy as np
 
-from registerbench.baselines import stops
+from registerbench.baselines import explain_interrupt
 from registerbench.baselines.bench_entries import write_entry
-from registerbench.baselines.boldness import learned, tabulate
-from registerbench.baselines.rules import RULES, Bold, Rule
+from registerbench.baselines.boldness_table import learn_rule, measure_boldness_table
+from registerbench.baselines.rule_policies import RULES, BoldnessRule, Rule
+from registerbench.baselines.training_envs import CHEAPER_SETTINGS, make_training_envs
 from registerbench.cards import CARDS, FIRST_TEST_SEED, OPEN_ROUND
 
 BUDGET = {"one-shot": (12, 16), "line": (12, 8), "home": (8, 12)}
 """Generations, and machines of each."""
 POPULATION = 8
-TABLE, PARTS = 48, (12, 48)
+TABLE_MACHINES, TABLE_PARTS = 48, (12, 48)
 EPISODES = 32  # of a point of the curve
-CHEAPER: dict[str, dict[str, Any]] = {
-    "one-shot": {"proofs": 1, "settle": 0.03},
-    "few-shot": {"settle": 0.03},
-    "few-shot-wide": {"settle": 0.03},
-    "line": {"proofs": 1, "rest": 0.03},
-}
-BEGUN: dict[tuple[str, type[Rule]], tuple[np.ndarray, np.ndarray]] = {}
+UNTRAINED_RESULTS: dict[tuple[str, type[Rule]], tuple[np.ndarray, np.ndarray]] = {}
 COLUMNS = ("steps", "processor_s", "episode", "return", "success")
-
-
-def vector(task: str, machines: int, **settings: Any) -> Any:
-    import gymnasium
-
-    import stage.envs  # noqa: F401
-
-    card, kind = CARDS[task], {"vectorization_mode": "vector_entry_point", "autoreset_mode": "NextStep", "threads": 1}
-    chosen = {"memory": "last"} if "memory" in card.choices else {}
-    return gymnasium.make_vec(card.id, machines, **kind, **{**card.settings, **chosen, **settings}).unwrapped
 
 
 def play(envs: Any, kind: type[Rule], w: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, int]:
@@ -82,41 +67,43 @@ def play(envs: Any, kind: type[Rule], w: np.ndarray, seed: int) -> tuple[np.ndar
     return total, won, steps
 
 
-class Run:
-    """One run of a learner, and its curve."""
+class RuleLearner:
+    """One training run of a rule, with its learning curve."""
 
     def __init__(self, task: str, player: str, seed: int):
         self.kind, self.task, self.seed = RULES[task, player], task, seed
         self.generations, self.machines = BUDGET.get(task, (0, 1))
-        self.learning = vector(task, self.machines, **CHEAPER.get(task, {}))
-        self.testing = vector(task, EPISODES)
+        self.learning = make_training_envs(task, self.machines, **CHEAPER_SETTINGS.get(task, {}))
+        self.testing = make_training_envs(task, EPISODES)
         self.moves, self.seconds = 0, 0.0
         self.rows: list[tuple] = [COLUMNS]
 
-    def check(self, z: np.ndarray) -> float:
+    def add_curve_point(self, z: np.ndarray) -> float:
         total, won = (
-            self.first() if not z.any() else play(self.testing, self.kind, self.kind.numbers(z), FIRST_TEST_SEED)[:2]
+            self.play_untrained()
+            if not z.any()
+            else play(self.testing, self.kind, self.kind.numbers(z), FIRST_TEST_SEED)[:2]
         )
         for k, (value, success) in enumerate(zip(total.tolist(), won.tolist(), strict=True)):
             self.rows.append((self.moves, f"{self.seconds:.1f}", FIRST_TEST_SEED + k, f"{value:.5f}", int(success)))
         return float(total.mean())
 
-    def first(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return what the rule reaches before it has learned, the same for all seeds."""
-        if (self.task, self.kind) not in BEGUN:
+    def play_untrained(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the results of the rule before it has learned, which are the same for all seeds."""
+        if (self.task, self.kind) not in UNTRAINED_RESULTS:
             begins = np.array(self.kind.BEGINS)
-            BEGUN[self.task, self.kind] = play(self.testing, self.kind, begins, FIRST_TEST_SEED)[:2]
-        return BEGUN[self.task, self.kind]
+            UNTRAINED_RESULTS[self.task, self.kind] = play(self.testing, self.kind, begins, FIRST_TEST_SEED)[:2]
+        return UNTRAINED_RESULTS[self.task, self.kind]
 
     def generation(self, search: Any, number: int) -> None:
-        begun, machines = time.process_time(), 1000 * (self.seed + 1) + self.machines * number
-        asked, worth = [search.ask() for _ in range(POPULATION)], []
-        for z in asked:
+        start_s, machines = time.process_time(), 1000 * (self.seed + 1) + self.machines * number
+        candidates, worth = [search.ask() for _ in range(POPULATION)], []
+        for z in candidates:
             total, _, steps = play(self.learning, self.kind, self.kind.numbers(z), machines)
             worth.append(float(total.mean()))
             self.moves += steps
-        search.tell([(z, -value) for z, value in zip(asked, worth, strict=True)])
-        self.seconds += time.process_time() - begun
+        search.tell([(z, -value) for z, value in zip(candidates, worth, strict=True)])
+        self.seconds += time.process_time() - start_s
 
     def learn(self, generations: int) -> np.ndarray:
         """Search the numbers of the rule by CMA-ES."""
@@ -124,22 +111,22 @@ class Run:
 
         size = len(self.kind.BEGINS)
         search = CMA(mean=np.zeros(size), sigma=1.0, seed=self.seed, population_size=POPULATION)
-        self.check(search.mean)
+        self.add_curve_point(search.mean)
         for k in range(generations):
             self.generation(search, k)
             if k + 1 in (generations // 4, generations // 2, generations):
-                self.check(search.mean)
+                self.add_curve_point(search.mean)
         return search.mean
 
     def learn_on(self, table: Any) -> np.ndarray:
-        """Search likewise on a table, with more machines at each point."""
-        self.check(z := np.zeros(len(self.kind.BEGINS)))
-        for machines in (m for m in PARTS if m <= len(table.distance)):
-            begun, part = time.process_time(), table.part(machines)
-            z = learned(self.kind, part, self.seed)
-            self.seconds += time.process_time() - begun
+        """Search the numbers of the rule on a table, with more machines at each point of the curve."""
+        self.add_curve_point(z := np.zeros(len(self.kind.BEGINS)))
+        for machines in (m for m in TABLE_PARTS if m <= len(table.distance)):
+            start_s, part = time.process_time(), table.take_machines(machines)
+            z = learn_rule(self.kind, part, self.seed)
+            self.seconds += time.process_time() - start_s
             self.moves = part.moves
-            self.check(z)
+            self.add_curve_point(z)
         return z
 
     def write(self, z: np.ndarray, path: Path) -> None:
@@ -156,20 +143,20 @@ class Run:
         self.testing.close()
 
 
-def learn(task: str, run: int, folder: Path, generations: int | None = None, machines: int = TABLE) -> None:
-    """Search the numbers of the rule by CMA-ES."""
+def learn(task: str, run: int, folder: Path, generations: int | None = None, machines: int = TABLE_MACHINES) -> None:
+    """Learn each rule of a task with CMA-ES, and write its numbers and its learning curve, unless they exist."""
     players = {player: folder / f"{task}_{player.replace(' ', '-')}-{run}" for t, player in RULES if t == task}
     folder.mkdir(parents=True, exist_ok=True)
     table, spent = None, 0.0
     for player, path in players.items():
         if path.with_suffix(".json").exists():
             continue
-        learner = Run(task, player, run)
-        if issubclass(learner.kind, Bold):
+        learner = RuleLearner(task, player, run)
+        if issubclass(learner.kind, BoldnessRule):
             if table is None:
-                begun = time.process_time()
-                table = tabulate(task, 1000 * (run + 1), machines)
-                spent = time.process_time() - begun
+                start_s = time.process_time()
+                table = measure_boldness_table(task, 1000 * (run + 1), machines)
+                spent = time.process_time() - start_s
                 print(f"{task} {run}: tried {machines} machines, {spent:.1f} s", flush=True)
             learner.seconds = spent
             learner.write(learner.learn_on(table), path)
@@ -178,8 +165,8 @@ def learn(task: str, run: int, folder: Path, generations: int | None = None, mac
         learner.close()
 
 
-class Policy:
-    """A learner's policy, for registerbench."""
+class RulePolicy:
+    """Policy of a rule that was learned, for `registerbench.play`."""
 
     def __init__(self, kind: type[Rule], w: list[float]):
         self.kind, self.w = kind, w
@@ -192,13 +179,13 @@ class Policy:
 
 
 def submit(path: Path, splits: list[str], folder: Path, round_: str = OPEN_ROUND) -> None:
-    said, (task, _, name) = json.loads(path.read_text()), path.stem.partition("_")
+    stored, (task, _, name) = json.loads(path.read_text()), path.stem.partition("_")
     method, _, run = name.rpartition("-")
     player = method.replace("-", " ")
-    chosen = {"memory": "last"} if "memory" in CARDS[task].choices else {}
-    how = {"settings": chosen, "name": player, "cost": said["cost"], "round_": round_}
+    settings = {"memory": "last"} if "memory" in CARDS[task].choices else {}
+    arguments = {"settings": settings, "name": player, "cost": stored["cost"], "round_": round_}
     for split in splits:
-        write_entry(Policy(RULES[task, player], said["w"]), task, split, folder, method, int(run), **how)
+        write_entry(RulePolicy(RULES[task, player], stored["w"]), task, split, folder, method, int(run), **arguments)
 
 
 def main() -> None:
@@ -216,7 +203,7 @@ def main() -> None:
     p.add_argument("--round", default=OPEN_ROUND, metavar="WORD", help="whose test episodes (default: the open ones)")
     p.set_defaults(run=lambda a: [submit(path, a.splits, a.out, a.round) for path in a.policy])
     args = parser.parse_args()
-    with stops("runs that are done are kept, and the same command goes on after them."):
+    with explain_interrupt("runs that are done are kept, and the same command goes on after them."):
         args.run(args)
 
 

@@ -1,9 +1,9 @@
-"""The runs of results.py: a search, the proofs of its best moves, the answer and its test; the Parquet file has every move.
+"""The runs of results.py: a search, the proofs of its best moves, and the answer with its test. A Parquet file holds every move.
 
-    Runs.read("data/results.parquet").runs[3].answer
+    MethodRuns.read("data/results.parquet").runs[3].answer
 
-The test is made of moves that neither a search nor a proof has seen: other angles of the rotor, other payloads, both directions,
-other distances, and payloads beyond the margin. By it nothing is chosen.
+A test consists of moves that neither the search nor a proof has made: other rotor angles, other payloads, both directions,
+other distances, and payloads beyond the margin. Nothing is chosen by a test.
 """
 
 from __future__ import annotations
@@ -23,7 +23,17 @@ import pyarrow
 import pyarrow.parquet
 
 from registerbench.baselines import formula, searches, tool_loop
-from registerbench.baselines.common import CANDIDATES, LANES, MARGIN, MAX_HOLDING, MODEL, Log, Moves, best, prove
+from registerbench.baselines.move_tuning import (
+    CANDIDATES,
+    LANES,
+    MARGIN,
+    MAX_HOLDING,
+    MODEL,
+    MoveLog,
+    MoveTuning,
+    best,
+    prove,
+)
 from stage.firmware.pcl240.driver import TUNED as REGISTERS
 
 FIRST_SEED = 1  # with seed 0 the settings were chosen
@@ -33,8 +43,15 @@ MIN_DISTANCE = 12_800  # pulses, 40 mm
 HEAVIER = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)  # kg on top of the payload
 
 
-class Context(NamedTuple):
-    """Moves of a test. heavier: kg that each has on top of the payload; more, shortest: as Moves has them."""
+class TestContext(NamedTuple):
+    """Moves of a part of a test.
+
+    Attributes:
+        moves: Number of moves.
+        heavier: Mass that each move has on top of the payload, kg.
+        more: Mass that may come on top at random, kg.
+        min_distance: Pulses from which distances are drawn; None: nearly equal distances.
+    """
 
     moves: int
     heavier: float = 0.0
@@ -43,19 +60,29 @@ class Context(NamedTuple):
 
 
 CONTEXTS = {
-    NEW: Context(128, more=MARGIN),
-    SHORTER: Context(64, more=MARGIN, min_distance=MIN_DISTANCE),
-    **{f"+{kg:g} kg": Context(16, heavier=kg) for kg in HEAVIER},
+    NEW: TestContext(128, more=MARGIN),
+    SHORTER: TestContext(64, more=MARGIN, min_distance=MIN_DISTANCE),
+    **{f"+{kg:g} kg": TestContext(16, heavier=kg) for kg in HEAVIER},
 }
 """Of a test. In each every second move goes the other way."""
 
 
 @dataclass(frozen=True)
 class Method:
-    """search(moves, seed) spends a budget; `fixed` is one that does not grow with --budget, of a method without chance."""
+    """Search or learner that is compared.
+
+    Attributes:
+        name: Name in the tables.
+        search: Function (moves, seed) that spends the budget of moves.
+        color: Color in the picture.
+        fixed: Number of moves that does not grow with --budget, for a method without chance.
+        space: "registers" or "knobs".
+        lanes: Number of moves made at once.
+        part: Share of the budget.
+    """
 
     name: str
-    search: Callable[[Moves, int], None]
+    search: Callable[[MoveTuning, int], None]
     color: str
     fixed: int | None = None
     space: str = "knobs"
@@ -66,8 +93,8 @@ class Method:
         return self.fixed or max(int(budget * self.part), 1)
 
 
-def lazily(name: str) -> Callable[[Moves, int], None]:
-    """A search of sb3_searches.py, whose extra may not be installed."""
+def load_search_lazily(name: str) -> Callable[[MoveTuning, int], None]:
+    """Return a search of sb3_searches.py that is imported when it is called, because its extra may not be installed."""
     return lambda moves, seed: getattr(import_module("registerbench.baselines.sb3_searches"), name)(moves, seed)
 
 
@@ -79,8 +106,8 @@ METHODS = (
     Method("agent loop", tool_loop.search, "#8a6bb8", 64, "registers", 1),
     Method("random", searches.search_randomly, "#d9a441"),
     Method("CMA-ES", searches.search_by_cma_es, "#17508f", lanes=8),
-    Method("PPO", lazily("search_by_ppo"), "#d1571f"),
-    Method("SAC", lazily("search_by_sac"), "#4f9d69"),
+    Method("PPO", load_search_lazily("search_by_ppo"), "#d1571f"),
+    Method("SAC", load_search_lazily("search_by_sac"), "#4f9d69"),
     Method("random, raw registers", searches.search_randomly, "#c9d1da", space="registers", part=1 / 4),
     Method("CMA-ES, raw registers", searches.search_by_cma_es, "#9fc3e6", space="registers", lanes=8, part=1 / 4),
 )
@@ -88,32 +115,41 @@ QUICK = ("formula", "formula, boldest", "agent loop", "random", "CMA-ES")
 
 
 @dataclass(eq=False)
-class Run:
-    """One search. proofs: of its best moves, the number of the move and the moves of its proof; test: of the answer, by context."""
+class MethodRun:
+    """One run of a method.
+
+    Attributes:
+        method: Name of the method.
+        payload: Name of the payload.
+        seed: Seed of the search.
+        search: Moves of the search.
+        proofs: Moves of the proof of each of the best moves, by the number of the move.
+        test: Moves of the answer's test, by context.
+    """
 
     method: str
     payload: str
     seed: int
-    search: Log
-    proofs: dict[int, Log] = field(default_factory=dict)
-    test: dict[str, Log] = field(default_factory=dict)
+    search: MoveLog
+    proofs: dict[int, MoveLog] = field(default_factory=dict)
+    test: dict[str, MoveLog] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, method: str, payload: str, seed: int, search: Log, mass: float, model: str) -> Run:
+    def from_search(cls, method: str, payload: str, seed: int, search: MoveLog, mass: float, model: str) -> MethodRun:
         run = cls(method, payload, seed, search)
         ranked = search.ranking[:CANDIDATES]
         if ranked:
             rows = [search.registers[k] for k in ranked]
             run.proofs = dict(
-                zip(ranked, prove(rows, mass, model=model, margin=MARGIN, most=MAX_HOLDING), strict=False)
+                zip(ranked, prove(rows, mass, model=model, margin=MARGIN, needed=MAX_HOLDING), strict=False)
             )
         if run.answer is not None:
-            run.test = tested(search.registers[run.answer], mass, model)
+            run.test = make_test(search.registers[run.answer], mass, model)
         return run
 
     @property
     def answer(self) -> int | None:
-        """The number of its move. None: none of those that were tried again holds."""
+        """Number of the move that is the answer; None if no move holds that was tried again."""
         which = best(list(self.proofs.values()))
         return None if which is None else list(self.proofs)[which]
 
@@ -122,47 +158,47 @@ class Run:
         return dict(zip(REGISTERS, self.search.registers[self.answer], strict=True)) if self.answer is not None else {}
 
     @property
-    def lucky(self) -> int:
-        """Moves with a higher reward that are not the answer."""
+    def lucky_moves(self) -> int:
+        """Number of moves with a higher reward that are not the answer."""
         return list(self.proofs).index(self.answer) if self.answer is not None else len(self.proofs)
 
     @property
-    def kept(self) -> float:
-        """The share of its moves that kept step."""
-        return float(np.mean(self.search.kept))
+    def kept_share(self) -> float:
+        """Share of the moves of the search that kept step."""
+        return float(np.mean(self.search.kept_step))
 
-    def mean(self, name: str, kept: bool = False) -> float:
-        """Compute the mean of a column of the answer's new moves.
+    def compute_mean(self, name: str, kept_step_only: bool = False) -> float:
+        """Compute the mean of a column over the new moves of the answer's test.
 
         Args:
             name: "reward" (ms), "duration" (ms) or "vibration" (um).
-            kept: Of the moves alone that kept step.
+            kept_step_only: Whether to leave out the moves that lost steps.
         """
         if not self.test:
             return np.nan
         log = self.test[NEW]
-        values = np.array(getattr(log, name))[log.kept if kept else slice(None)]
+        values = np.array(getattr(log, name))[log.kept_step if kept_step_only else slice(None)]
         return {"vibration": 1e6}.get(name, 1e3) * float(np.mean(values))
 
-    def lost(self, context: str) -> int:
+    def count_lost(self, context: str) -> int:
         """Count the moves of its test that did not keep step."""
-        return self.test[context].kept.count(False)
+        return self.test[context].kept_step.count(False)
 
     @property
-    def flattered(self) -> float:
-        """Reward, ms, that the proof promised and the test does not show."""
+    def reward_excess(self) -> float:
+        """Reward, ms, by which the proof was better than the test."""
         return (
-            1e3 * float(np.mean(self.proofs[self.answer].reward)) - self.mean("reward")
+            1e3 * float(np.mean(self.proofs[self.answer].reward)) - self.compute_mean("reward")
             if self.answer is not None
             else np.nan
         )
 
     @property
-    def spare(self) -> float:
+    def spare_payload(self) -> float:
         """Mass on top of the payload, kg, up to which no move of the test lost a step."""
         holding = 0.0
         for kg in HEAVIER if self.test else ():
-            if self.lost(f"+{kg:g} kg"):
+            if self.count_lost(f"+{kg:g} kg"):
                 return holding
             holding = kg
         return holding if self.test else np.nan
@@ -176,29 +212,29 @@ class Run:
         return pyarrow.concat_tables([rows(self, *part) for part in parts])
 
 
-def tested(registers: list[int], payload: float, model: str) -> dict[str, Log]:
-    """Make the test of an answer: the same moves for every method.
+def make_test(registers: list[int], payload: float, model: str) -> dict[str, MoveLog]:
+    """Make the moves of the test with an answer; they are the same for every method.
 
     Args:
-        registers: The answer.
-        payload: kg.
+        registers: Registers of the answer.
+        payload: Mass on the table, kg.
         model: Name of the model.
     """
-    found = {}
+    logs = {}
     for seed, (name, c) in enumerate(CONTEXTS.items(), TEST_SEED):
-        made: dict[str, Any] = {
+        settings: dict[str, Any] = {
             "seed": seed,
             "model": model,
             "more": c.more,
-            "shortest": c.min_distance,
-            "both_ways": True,
+            "min_distance": c.min_distance,
+            "both_directions": True,
         }
-        with Moves(payload + c.heavier, c.moves, "registers", **made) as moves:
+        with MoveTuning(payload + c.heavier, c.moves, "registers", **settings) as moves:
             action = moves.registers.to_action(np.array(registers))
             while moves.left:
                 moves.make_actions(np.tile(action, (moves.lanes, 1)))
-        found[name] = moves.log
-    return found
+        logs[name] = moves.log
+    return logs
 
 
 # The file: a row a move
@@ -225,11 +261,11 @@ SCHEMA = pyarrow.schema(
         ("kept", pyarrow.bool_()),
     ]
 )
-SPLIT = ("kg", "angle", "reward", "duration_s", "vibration_um")
-PLAIN = [f.name for f in SCHEMA if f.name not in SPLIT]
+BYTE_SPLIT_COLUMNS = ("kg", "angle", "reward", "duration_s", "vibration_um")
+DICTIONARY_COLUMNS = [f.name for f in SCHEMA if f.name not in BYTE_SPLIT_COLUMNS]
 
 
-def rows(run: Run, part: str, context: str, number: int | None, log: Log) -> pyarrow.Table:
+def rows(run: MethodRun, part: str, context: str, number: int | None, log: MoveLog) -> pyarrow.Table:
     count = len(log)
     order = list(range(count))
     distance, kg, angle = zip(*log.drawn, strict=True)
@@ -237,24 +273,24 @@ def rows(run: Run, part: str, context: str, number: int | None, log: Log) -> pya
         "payload": [run.payload] * count, "method": [run.method] * count, "part": [part] * count, "context": [context] * count,
         "seed": [run.seed] * count, "of": order if number is None else [number] * count, "number": order, "distance": distance,
         "kg": kg, "angle": angle, **dict(zip(REGISTERS, zip(*log.registers, strict=True), strict=True)), "reward": log.reward,
-        "duration_s": log.duration, "vibration_um": [1e6 * v for v in log.vibration], "lost_steps": log.lost, "kept": log.kept,
+        "duration_s": log.duration, "vibration_um": [1e6 * v for v in log.vibration], "lost_steps": log.lost, "kept": log.kept_step,
     }  # fmt: skip
     arrays = [pyarrow.array(columns[f.name], pyarrow.string() if f.type == WORDS else f.type) for f in SCHEMA]
     return pyarrow.table([a.cast(f.type) for a, f in zip(arrays, SCHEMA, strict=True)], schema=SCHEMA)
 
 
-def log_of(columns: dict[str, list[Any]], begin: int, end: int) -> Log:
-    """Return the moves of these rows as a log."""
+def make_log(columns: dict[str, list[Any]], begin: int, end: int) -> MoveLog:
+    """Make a log of the moves of these rows."""
     c = {name: values[begin:end] for name, values in columns.items()}
     registers = [list(row) for row in zip(*(c[name] for name in REGISTERS), strict=True)]
     drawn = list(zip(c["distance"], c["kg"], c["angle"], strict=True))
     vibration = [1e-6 * v for v in c["vibration_um"]]
-    return Log(c["reward"], c["duration_s"], c["lost_steps"], vibration, c["kept"], registers, drawn)
+    return MoveLog(c["reward"], c["duration_s"], c["lost_steps"], vibration, c["kept"], registers, drawn)
 
 
 @dataclass
-class Runs:
-    """Everything that was run. took: s; versions: of the packages."""
+class MethodRuns:
+    """All runs of all methods; `took` is in seconds, `versions` has the versions of the packages."""
 
     budget: int
     seeds: int
@@ -263,10 +299,10 @@ class Runs:
     quick: bool = False
     took: float = 0.0
     versions: dict[str, str] = field(default_factory=dict)
-    runs: list[Run] = field(default_factory=list)
+    runs: list[MethodRun] = field(default_factory=list)
 
     @classmethod
-    def read(cls, path: Path) -> Runs:
+    def read(cls, path: Path) -> MethodRuns:
         table = pyarrow.parquet.read_table(path)
         all_ = cls(**json.loads(table.schema.metadata[b"results"]))
         columns = {name: table[name].to_pylist() for name in table.column_names}
@@ -277,9 +313,9 @@ class Runs:
             if end < len(keys) and keys[end] == keys[begin] and (keys[end][3] == "search" or of[end] == of[begin]):
                 continue
             payload, method, seed, part, context = keys[begin]
-            log = log_of(columns, begin, end)
+            log = make_log(columns, begin, end)
             if part == "search":
-                all_.runs.append(Run(method, payload, seed, log))
+                all_.runs.append(MethodRun(method, payload, seed, log))
             elif part == "proof":
                 all_.runs[-1].proofs[of[begin]] = log
             else:
@@ -299,15 +335,15 @@ class Runs:
             path,
             compression="zstd",
             compression_level=19,
-            use_dictionary=PLAIN,
-            use_byte_stream_split=list(SPLIT),
+            use_dictionary=DICTIONARY_COLUMNS,
+            use_byte_stream_split=list(BYTE_SPLIT_COLUMNS),
         )
 
     def run_all(self, keep: Path | None) -> None:
-        """Make the runs that are not there yet.
+        """Make the runs that are still missing.
 
         Args:
-            keep: File that is written after each run.
+            keep: File to which all runs are written after each run, or None.
         """
         done = {(r.payload, r.method, r.seed) for r in self.runs}
         packages = (
@@ -332,19 +368,20 @@ class Runs:
 
     def run(self, payload: str, method: Method, seed: int) -> None:
         began, mass = time.perf_counter(), self.payloads[payload]
-        made: dict[str, Any] = {"lanes": method.lanes, "seed": seed, "model": self.model}
-        with Moves(mass, method.moves(self.budget), method.space, **made) as moves:
+        settings: dict[str, Any] = {"lanes": method.lanes, "seed": seed, "model": self.model}
+        with MoveTuning(mass, method.moves(self.budget), method.space, **settings) as moves:
             method.search(moves, seed)
-        run = Run.of(method.name, payload, seed, moves.log, mass, self.model)
+        run = MethodRun.from_search(method.name, payload, seed, moves.log, mass, self.model)
         took = time.perf_counter() - began
         self.runs.append(run)
         self.took += took
-        said = "none holds"
+        text = "none holds"
         if run.test:
-            lost = f"{run.lost(NEW)} and {run.lost(SHORTER)} moves of the test lost"
-            said = f"{run.mean('reward'):.1f} ms, {run.mean('duration'):.1f} of it time; {lost}, {run.spare:.1f} kg to spare"
+            lost = f"{run.count_lost(NEW)} and {run.count_lost(SHORTER)} moves of the test lost"
+            reward, duration = run.compute_mean("reward"), run.compute_mean("duration")
+            text = f"{reward:.1f} ms, {duration:.1f} of it time; {lost}, {run.spare_payload:.1f} kg to spare"
         print(
-            f"{payload:6}{run.method:22} seed {seed}: {len(run.search):4} moves, {run.kept:4.0%} kept step, "
-            f"{len(run.proofs)} tried again; {said}; took {took:.0f} s",
+            f"{payload:6}{run.method:22} seed {seed}: {len(run.search):4} moves, {run.kept_share:4.0%} kept step, "
+            f"{len(run.proofs)} tried again; {text}; took {took:.0f} s",
             flush=True,
         )

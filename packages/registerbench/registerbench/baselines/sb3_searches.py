@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO, SAC
 
-from registerbench.baselines.common import Moves, run
+from registerbench.baselines.move_tuning import MoveTuning, run
 from stage.envs.sb3 import VecEnvAdapter
 
 torch.set_num_threads(1)  # the networks are small, and the stages need the processors
@@ -31,7 +31,7 @@ class MovesVecEnv(VecEnvAdapter):
     Closing it leaves the environment to `moves`.
     """
 
-    def __init__(self, moves: Moves):
+    def __init__(self, moves: MoveTuning):
         self.moves = moves
         super().__init__(moves.env.unwrapped, gymnasium.spaces.Box(-1.0, 1.0, (moves.size,), np.float32))
 
@@ -48,7 +48,7 @@ class MovesVecEnv(VecEnvAdapter):
         pass
 
 
-def search_by_ppo(moves: Moves, seed: int = 0) -> None:
+def search_by_ppo(moves: MoveTuning, seed: int = 0) -> None:
     """Make the choices of PPO."""
     model = PPO(
         "MlpPolicy",
@@ -65,7 +65,7 @@ def search_by_ppo(moves: Moves, seed: int = 0) -> None:
     model.learn(moves.left)
 
 
-def search_by_sac(moves: Moves, seed: int = 0) -> None:
+def search_by_sac(moves: MoveTuning, seed: int = 0) -> None:
     """Make the choices of SAC."""
     model = SAC(
         "MlpPolicy",

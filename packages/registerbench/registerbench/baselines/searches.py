@@ -11,17 +11,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from registerbench.baselines.common import Moves, run
+from registerbench.baselines.move_tuning import MoveTuning, run
 
 
-def search_randomly(moves: Moves, seed: int = 0) -> None:
+def search_randomly(moves: MoveTuning, seed: int = 0) -> None:
     """Make random choices."""
     rng = np.random.default_rng(seed)
     while moves.left:
         moves.make(rng.uniform(-1, 1, (moves.lanes, moves.size)))
 
 
-def search_by_cma_es(moves: Moves, seed: int = 0) -> None:
+def search_by_cma_es(moves: MoveTuning, seed: int = 0) -> None:
     """Make the choices of CMA-ES, a generation of `moves.lanes` at a time."""
     import optuna
 

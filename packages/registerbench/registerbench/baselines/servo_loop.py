@@ -60,7 +60,7 @@ def open_loop(loop: Loop) -> Any:
     return tf(*loop.filter, h) * tf(*loop.plant, h)
 
 
-def judged(loop: Loop) -> Design:
+def compute_margins(loop: Loop) -> Design:
     """The margins of a loop."""
     gain, phase, _, crossover = control().margin(open_loop(loop))
     return Design(loop.tuning, float(phase), float(gain), float(crossover))
@@ -68,7 +68,7 @@ def judged(loop: Loop) -> Design:
 
 def design(loop: Loop, margin: float = MARGIN, rattle: float = RATTLE) -> Design:
     """Gain and zero for this plant, `stage.firmware.hctl1100.model.design`, and its margins; pole and T stay. Raises StageError."""
-    return judged(replace(loop, tuning=model.design(loop, margin, rattle)))
+    return compute_margins(replace(loop, tuning=model.design(loop, margin, rattle)))
 
 
 def registers(axis: Any, timer: int = TIMER) -> dict[str, int]:
@@ -111,11 +111,11 @@ def trial(payload: float, values: dict[str, int], distance: int = 200, moves: in
         payloads=(payload, payload),
     ).unwrapped  # fmt: skip
     env.reset(seed=0)
-    said = []
+    rows = []
     for _ in range(moves):
         _, reward, *_, info = env.step(env.task_instance.registers.to_action(values))
-        said.append((reward, info["settled"], info["overshoot"], info["unrest"]))
-    return dict(zip(("reward", "settled", "overshoot", "unrest"), np.mean(said, axis=0).tolist(), strict=True))
+        rows.append((reward, info["settled"], info["overshoot"], info["unrest"]))
+    return dict(zip(("reward", "settled", "overshoot", "unrest"), np.mean(rows, axis=0).tolist(), strict=True))
 
 
 def main() -> None:
@@ -134,17 +134,17 @@ def main() -> None:
     stage.set_payload(args.payload)
     loop = Loop.of(stage.axes["x"], Tuning(pole=POLE, timer=TIMER))
     try:
-        by_reset, made = judged(loop), design(loop, args.margin, args.rattle)
+        by_reset, designed = compute_margins(loop), design(loop, args.margin, args.rattle)
     except StageError as error:
         sys.exit(str(error))
-    for name, d in (("after a reset", by_reset), ("designed", made)):
+    for name, d in (("after a reset", by_reset), ("designed", designed)):
         t = d.tuning
         print(f"{name}: {d}")
-        said = trial(args.payload, {"R22": t.gain, "R20": t.zero, "R21": t.pole, "R0F": t.timer})
-        print(f"  settles in {said['settled'] * 1e3:.0f} ms, {said['overshoot']:.1f} counts beyond the goal, unrest "
-              f"{said['unrest']:.1f} counts; reward {said['reward']:.4f}")  # fmt: skip
+        means = trial(args.payload, {"R22": t.gain, "R20": t.zero, "R21": t.pole, "R0F": t.timer})
+        print(f"  settles in {means['settled'] * 1e3:.0f} ms, {means['overshoot']:.1f} counts beyond the goal, unrest "
+              f"{means['unrest']:.1f} counts; reward {means['reward']:.4f}")  # fmt: skip
     if args.plot:
-        plot(made, loop, args.plot)
+        plot(designed, loop, args.plot)
         print(f"{args.plot}: drawn")
 
 

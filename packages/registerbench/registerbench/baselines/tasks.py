@@ -63,13 +63,13 @@ def play(id_: str, player: str, episodes: int, **settings: Any) -> tuple[np.ndar
     for begin in range(0, episodes, LANES):
         envs.reset(seed=SEED + begin)
         total, over = np.zeros(LANES), np.zeros(LANES, bool)
-        found: list[Any] = [None] * LANES
+        scores_of_lane: list[Any] = [None] * LANES
         while not over.all():
             _, rewards, terminated, truncated, info = envs.step(choose(envs, player, rng))
             total += np.where(over, 0.0, rewards)
             ends = (terminated | truncated) & ~over
             for k in np.flatnonzero(ends):
-                found[k] = [info["score"][name][k] for name in SCORE.names or ()]
+                scores_of_lane[k] = [info["score"][name][k] for name in SCORE.names or ()]
             over |= ends
             if over.any() and not over.all():
                 # whoever is done begins an episode that does not count, so that all can step
@@ -77,7 +77,7 @@ def play(id_: str, player: str, episodes: int, **settings: Any) -> tuple[np.ndar
                 if again.any():
                     envs.reset(options={"reset_mask": again})
         totals.append(total)
-        scores += found
+        scores += scores_of_lane
     envs.close()
     columns = zip(SCORE.names or (), zip(*scores[:episodes], strict=True), strict=True)
     return np.concatenate(totals)[:episodes], {name: np.array(values) for name, values in columns}

@@ -14,7 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from registerbench.baselines.common import DISTANCE, LIMIT, MODEL, TURN, Log, Moves, arguments, describe_answer
+from registerbench.baselines.move_tuning import (
+    DISTANCE,
+    LIMIT,
+    MODEL,
+    TURN,
+    MoveLog,
+    MoveTuning,
+    format_answer,
+    make_parser,
+)
 from stage import Stage
 from stage.agents import Budget, Tool, Toolbox
 from stage.envs.register_tuning import Config
@@ -33,11 +42,11 @@ Pulse rate = R2 x clock / (8192 R7), FL likewise with R1; clock {clock} Hz. R4 a
 begins when R6 pulses are left. You have {moves} moves."""
 
 
-class Tuned:
+class TuningSession:
     """An axis whose registers are tuned. box: the agent's tools; task: what it is told; log: the moves made."""
 
     def __init__(self, payload: float, distance: int = DISTANCE, budget: int = 64, model: str = MODEL):
-        self.distance, self.log = distance, Log()
+        self.distance, self.log = distance, MoveLog()
         self._stage, self._rng = Stage(model), np.random.default_rng(0)
         self._stage.set_payload(payload)
         self._axis = self._stage.axes["x"]
@@ -72,17 +81,17 @@ class Tuned:
         while stage.time < began + duration + c.settle:
             stage.step()
             places.append(axis.position)
-        lost, vibration, made = axis.lost_steps, float(np.ptp(places)), port.counter() == 0
-        in_step = not lost and made and abs(axis.commanded - axis.position) <= MAX_OFFSET_M
+        lost, vibration, all_pulses_made = axis.lost_steps, float(np.ptp(places)), port.counter() == 0
+        in_step = not lost and all_pulses_made and abs(axis.commanded - axis.position) <= MAX_OFFSET_M
         reward = -duration - c.vibration_weight * min(vibration / TENTH_MM, 100.0)
-        reward -= 0.0 if made and in_step else c.lost_weight if made else c.limit_weight
+        reward -= 0.0 if all_pulses_made and in_step else c.lost_weight if all_pulses_made else c.limit_weight
         values = axis.chip.values()
         drawn = self.distance, stage.payload(), self._angle
-        self.log.note(reward, duration, lost, vibration, in_step, [values[n] for n in REGISTERS], drawn)
+        self.log.append_move(reward, duration, lost, vibration, in_step, [values[n] for n in REGISTERS], drawn)
         self._put_back()
         return {
             "move": len(self.log), "duration_s": round(duration, 6), "steps_lost": lost,
-            "vibration_um": round(vibration * 1e6, 2), "all_pulses_made": made, "score": round(reward, 4),
+            "vibration_um": round(vibration * 1e6, 2), "all_pulses_made": all_pulses_made, "score": round(reward, 4),
         }  # fmt: skip
 
     def _put_back(self) -> None:
@@ -96,11 +105,11 @@ class Tuned:
 
 
 FIRST = {"R1": 150, "R2": 4000, "R4": 150, "R5": 150, "R7": 45}
-WAYS = {"R4": -0.16, "R5": -0.16, "R2": 0.12, "R1": 0.3}
+STEP_FACTORS = {"R4": -0.16, "R5": -0.16, "R2": 0.12, "R1": 0.3}
 SMALLEST = 0.02
 
 
-def technician(tuned: Tuned, show: bool = False) -> None:
+def technician(tuned: TuningSession, show: bool = False) -> None:
     """Search one coordinate after the other by tools, until the moves are spent or no step is left that is worth one."""
 
     def attempt(registers: dict[str, int]) -> float | None:
@@ -112,11 +121,11 @@ def technician(tuned: Tuned, show: bool = False) -> None:
             print(json.dumps({**registers, "R6": point}), answer, sep="\n  ")
         return float(answer.data["score"]) if answer.ok else None
 
-    best, ways, queue = dict(FIRST), dict(WAYS), list(WAYS)
+    best, factors, queue = dict(FIRST), dict(STEP_FACTORS), list(STEP_FACTORS)
     score = attempt(best)
     while queue and score is not None:
         name = queue[0]
-        step = ways[name] * best[name]
+        step = factors[name] * best[name]
         tried = best | {name: max(2, best[name] + (round(step) or int(np.sign(step))))}
         now = attempt(tried)
         if now is None:
@@ -125,27 +134,27 @@ def technician(tuned: Tuned, show: bool = False) -> None:
         if now > score:
             best, score = tried, now
         else:
-            ways[name] /= -2 if ways[name] * WAYS[name] > 0 else 2  # the other way, then less of it
-            if abs(ways[name]) < SMALLEST:
+            factors[name] /= -2 if factors[name] * STEP_FACTORS[name] > 0 else 2  # the other way, then less of it
+            if abs(factors[name]) < SMALLEST:
                 continue
         queue.append(name)
 
 
-def search(moves: Moves, seed: int = 0) -> None:
+def search(moves: MoveTuning, seed: int = 0) -> None:
     """Let the technician search; its moves fill the log of `moves`."""
-    tuned = Tuned(moves.payload, moves.distance, moves.budget, moves.model)
+    tuned = TuningSession(moves.payload, moves.distance, moves.budget, moves.model)
     technician(tuned)
     moves.log = tuned.log
 
 
 def main() -> None:
-    parser: argparse.ArgumentParser = arguments(__doc__, searches=False, chips=False)
+    parser: argparse.ArgumentParser = make_parser(__doc__, searches=False, chips=False)
     parser.add_argument("--budget", type=int, default=64, metavar="N", help="moves")
     parser.add_argument("--show", action="store_true", help="every attempt, and what came of it")
     args = parser.parse_args()
-    tuned = Tuned(args.payload, args.distance, args.budget, args.model)
+    tuned = TuningSession(args.payload, args.distance, args.budget, args.model)
     technician(tuned, args.show)
-    print(describe_answer(tuned.log, REGISTERS, args.payload, args.distance, model=args.model, margin=args.margin))
+    print(format_answer(tuned.log, REGISTERS, args.payload, args.distance, model=args.model, margin=args.margin))
 
 
 if __name__ == "__main__":

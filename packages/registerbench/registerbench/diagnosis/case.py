@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from registerbench.diagnosis.acceptance_trial import Watch
+from registerbench.diagnosis.host_program import DONE, Host, parse
 from registerbench.diagnosis.machine import REPAIRS, SERVICES
-from registerbench.diagnosis.program import DONE, Host, parse
 from registerbench.diagnosis.setups import CAUSES, SETUPS, Setup
-from registerbench.diagnosis.trial import Watch
 from stage import Stage
 from stage.agents import Budget, Tool, Toolbox
 from stage.agents.arguments import Text, argument, choice, choose

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from registerbench.diagnosis.acceptance_trial import Trial
 from registerbench.diagnosis.machine import slip, swap_limits, weak_supply
-from registerbench.diagnosis.trial import Trial
 from stage import Stage
 
 CAUSES = {

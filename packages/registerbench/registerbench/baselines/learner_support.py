@@ -14,7 +14,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
 
-class Noted(VecEnvWrapper):
+class EpisodeRecorder(VecEnvWrapper):
     """Notes the sum of rewards and the success of each episode."""
 
     def __init__(self, envs: Any):
@@ -35,7 +35,7 @@ class Noted(VecEnvWrapper):
         return observation, rewards, ends, infos
 
 
-class Curve(BaseCallback):
+class LearningCurve(BaseCallback):
     """A row of the curve each `every` steps: steps, processor seconds, episodes, their mean sum of rewards and success."""
 
     NAMES = ("steps", "processor_s", "episodes", "return", "success")
@@ -44,7 +44,7 @@ class Curve(BaseCallback):
         super().__init__()
         self.path, self.every, self.next = path, every, every
         self.rows: list[tuple] = [self.NAMES]
-        self.begun = time.process_time()
+        self.start_s = time.process_time()
         path.parent.mkdir(parents=True, exist_ok=True)
 
     def _on_step(self) -> bool:
@@ -53,21 +53,21 @@ class Curve(BaseCallback):
             envs: Any = self.training_env
             done, envs.done = envs.done, []
             means = np.mean(done, axis=0) if done else (np.nan, np.nan)
-            spent = time.process_time() - self.begun
+            spent = time.process_time() - self.start_s
             self.rows.append((self.num_timesteps, f"{spent:.1f}", len(done), f"{means[0]:.4f}", f"{means[1]:.4f}"))
             with self.path.open("w", newline="") as file:
                 csv.writer(file).writerows(self.rows)
         return True
 
 
-def cost_of(policy: Path) -> dict[str, float]:
+def read_cost(policy: Path) -> dict[str, float]:
     """Return what a policy took to learn, from its curve: moves, and processor seconds."""
     with policy.with_suffix(".csv").open() as file:
         *_, last = csv.DictReader(file)
     return {"moves": float(last["steps"]), "processor_s": float(last["processor_s"])}
 
 
-def wilson(won: int, of: int, z: float = 1.96) -> tuple[float, float]:
+def compute_wilson_interval(won: int, of: int, z: float = 1.96) -> tuple[float, float]:
     """Compute the share of successes and its interval by Wilson's score.
 
     Args:
@@ -86,7 +86,7 @@ def save(model: Any, path: Path, steps: int) -> None:
     print(f"{path}.zip: {steps} steps", flush=True)
 
 
-def parser_of(
+def make_parser(
     doc: str | None,
     methods: Sequence[str],
     steps: float,

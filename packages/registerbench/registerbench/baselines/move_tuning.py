@@ -1,14 +1,14 @@
-"""What the baselines share: one move to be tuned, a log of the moves made, the proof of the best, and the command line.
+"""One move that searches tune: making it with chosen registers, the log of moves, the proof of the best, and the command line.
 
-The task is `stage/RegisterTuning-v0` with one distance and one payload, as a bench has them: each move begins at another angle of
-the rotor and weighs up to 3 % more or less. A move is an episode of one step, and a budget is a number of moves. What a
-method chooses is an array in [-1, 1]^n, of one of two spaces:
+The task is `stage/RegisterTuning-v0` with one distance and one payload, as on a bench: each move begins at another angle of the
+rotor, and its payload varies by up to 3 %. A move is an episode of one step, and a budget is a number of moves. A method
+chooses an array in [-1, 1]^n, in one of two spaces:
 
-registers   the environment's own action: of a PCL-240 R1, R2, R4, R5, R6, R7, each over its legal range
-knobs       factors on the data sheet's answer, 0 for 1: FL, FH, acceleration, of a PCL-240 also deceleration and ramp-down point;
-            the chip's formulas make registers of them (formula.py)
+registers   the action of the environment: R1, R2, R4, R5, R6 and R7 of a PCL-240, each over its legal range
+knobs       factors on the formula's answer, where 0 means 1: FL, FH and acceleration, with a PCL-240 also deceleration and
+            ramp-down point; the chip's formulas turn them into registers (formula_knobs.py)
 
-Any chip that has a driver (`stage.firmware.driver`) can be tuned: --chip MCX514.
+Any chip that has a driver (`stage.firmware.driver`) can be tuned, for example with --chip MCX514.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from registerbench.baselines import formula
+from registerbench.baselines.formula_knobs import FormulaKnobs
 from stage import Stage
 from stage.chips import CHIPS, chip_class
 from stage.envs.base import StageVectorEnv
@@ -43,73 +43,79 @@ MAX_HOLDING = 5  # moves that hold, of which the best by its mean reward is the 
 SPACES = ("registers", "knobs")
 
 
-class BothDirections(RegisterTuning):
-    """RegisterTuning whose odd stages move minus. No agent plays it; answers are tested by it."""
+class BothDirectionsTuning(RegisterTuning):
+    """RegisterTuning in which every second machine moves in the minus direction; it tests answers, and no method plays it."""
 
     def draw_distance(self, k: int, options: Mapping[str, Any]) -> int:
         return super().draw_distance(k, options) * (-1 if k % 2 else 1)
 
 
 class BothDirectionsVectorEnv(StageVectorEnv):
-    task = BothDirections
+    task = BothDirectionsTuning
 
 
 @dataclass
-class Log:
-    """Moves in order: reward, s, full steps, m, registers, and the values drawn for each.
+class MoveLog:
+    """Moves in order, a list for each quantity.
 
     Attributes:
-        kept: The move lost no step and made all its pulses.
-        drawn: Pulses, kg, and the angle of the rotor in electrical turns.
+        reward: Reward of the environment.
+        duration: Seconds.
+        lost: Full steps lost.
+        vibration: Peak-to-peak vibration after the stop, m.
+        kept_step: Whether the move lost no step and made all its pulses.
+        registers: Values of the tuned registers.
+        drawn: Distance in pulses, payload in kg, and angle of the rotor in electrical turns.
     """
 
     reward: list[float] = field(default_factory=list)
     duration: list[float] = field(default_factory=list)
     lost: list[int] = field(default_factory=list)
     vibration: list[float] = field(default_factory=list)
-    kept: list[bool] = field(default_factory=list)
+    kept_step: list[bool] = field(default_factory=list)
     registers: list[list[int]] = field(default_factory=list)
     drawn: list[tuple[int, float, float]] = field(default_factory=list)
 
     def __len__(self) -> int:
         return len(self.reward)
 
-    def note(self, *move: Any) -> None:
-        """Append a move: a value for each field."""
+    def append_move(self, *move: Any) -> None:
+        """Append a move: one value for each attribute, in their order."""
         for f, value in zip(fields(self), move, strict=True):
             getattr(self, f.name).append(value)
 
     @property
     def ranking(self) -> list[int]:
-        """Numbers of the moves that kept step, the highest reward first."""
-        return sorted(np.flatnonzero(self.kept).tolist(), key=lambda k: -self.reward[k])
+        """Indices of the moves that kept step, the highest reward first."""
+        return sorted(np.flatnonzero(self.kept_step).tolist(), key=lambda k: -self.reward[k])
 
-    def curve(self) -> np.ndarray:
-        """The highest reward of a move that kept step, after each move; -inf before the first."""
-        return np.maximum.accumulate(np.where(self.kept, self.reward, -np.inf))
+    def compute_curve(self) -> np.ndarray:
+        """Return the highest reward of a move that kept step, after each move; -inf before the first."""
+        return np.maximum.accumulate(np.where(self.kept_step, self.reward, -np.inf))
 
 
-class Moves:
-    """One move of one payload, made again and again with other registers, `lanes` at a time.
+class MoveTuning:
+    """One move with one payload, made again and again with other registers, `lanes` moves at a time.
 
     Args:
-        payload: kg on the table.
+        payload: Mass on the table, kg.
         budget: Number of moves.
         space: "registers" or "knobs".
-        distance: Pulses.
-        lanes: Moves at once.
-        seed: Of the draws.
-        chip, model: Of the stage.
-        more: kg that may come on top of the payload.
-        shortest: Pulses from which distances are drawn; None: almost equal distances.
-        both_ways: Every second lane moves the other way.
+        distance: Length of the move, pulses.
+        lanes: Number of moves made at once.
+        seed: Seed of the draws.
+        chip: Name of the chip.
+        model: Name of the model.
+        more: Mass that may come on top of the payload at random, kg.
+        min_distance: Pulses from which distances are drawn; None: nearly equal distances.
+        both_directions: Whether every second lane moves in the minus direction.
 
     Attributes:
         log: Moves so far.
-        size: Numbers of a choice.
-        env: The vector environment.
-        registers: Its RegisterBox.
-        axis: Axis that carries just the payload, for formulas.
+        size: Length of a choice.
+        env: Vector environment.
+        registers: Its tuned registers.
+        axis: Axis that carries exactly the payload, for formulas.
     """
 
     def __init__(
@@ -149,24 +155,24 @@ class Moves:
         self.registers = RegisterBox.of_registers(
             self.axis.chip.MAP, driver_of(self.axis).list_move_registers(s_curve=False)
         )
-        self.knobs = formula.Knobs(self.axis, distance) if space == "knobs" else None
+        self.knobs = FormulaKnobs(self.axis, distance) if space == "knobs" else None
         self.size = len(self.knobs.ranges) if self.knobs else len(self.registers)
 
     def begin(self) -> None:
         """Empty the log, and begin the same draws again."""
-        self.log = Log()
+        self.log = MoveLog()
         self.observation, _ = self.env.reset(seed=self._seed)
 
     @property
     def left(self) -> int:
-        """Moves that may still be made."""
+        """Number of moves that may still be made."""
         return self.budget - len(self.log)
 
     def make(self, choices: np.ndarray) -> np.ndarray:
         """Make a move for each of up to `lanes` choices.
 
         Args:
-            choices: (k, size), from -1 to 1.
+            choices: Choices from -1 to 1, (k, size).
 
         Returns:
             Rewards, (k,); NaN beyond the budget.
@@ -182,23 +188,23 @@ class Moves:
         rewards = np.full(len(actions), np.nan)
         if n:
             rows = np.resize(actions[:n].astype(np.float32), (self.lanes, len(self.registers)))
-            self.observation, given, _, _, info = self.env.step(rows)
-            rewards[:n] = given[:n]
-            self._note(given[:n], info, n)
+            self.observation, new_rewards, _, _, info = self.env.step(rows)
+            rewards[:n] = new_rewards[:n]
+            self._note(new_rewards[:n], info, n)
         return rewards
 
     def _note(self, rewards: np.ndarray, info: dict[str, Any], n: int) -> None:
         parts = info["reward_parts"]
-        kept = (parts["lost"] == 0) & (parts["limit"] == 0) & (info["cause"] != "diverged")
-        columns = rewards, info["duration"], info["lost_steps"], info["vibration"], kept, info["registers"]
+        kept_step = (parts["lost"] == 0) & (parts["limit"] == 0) & (info["cause"] != "diverged")
+        columns = rewards, info["duration"], info["lost_steps"], info["vibration"], kept_step, info["registers"]
         drawn = zip(*(info[name][:n].tolist() for name in ("distance", "payload", "angle")), strict=True)
         for move in zip(*(column[:n].tolist() for column in columns), drawn, strict=True):
-            self.log.note(*move)
+            self.log.append_move(*move)
 
     def close(self) -> None:
         self.env.close()
 
-    def __enter__(self) -> Moves:
+    def __enter__(self) -> MoveTuning:
         return self
 
     def __exit__(self, *exc: object) -> None:
@@ -213,42 +219,44 @@ def prove(
     chip: str = CHIP,
     model: str = MODEL,
     margin: float = 0.0,
-    most: int = 1,
-) -> list[Log]:
-    """Try rows of registers again, one after the other, until `most` of them hold.
+    needed: int = 1,
+) -> list[MoveLog]:
+    """Make several moves with each row of registers, one row after the other, until `needed` rows hold.
 
-    A row holds that loses no step in `repeats` moves, from as many angles of the rotor, with up to `margin` kg more. The moves are
-    the same for all rows; a row that loses a step ends there.
+    A row holds if it loses no step in `repeats` moves from different rotor angles, with up to `margin` kg more. The moves are
+    the same for all rows; a row ends with its first lost step.
 
     Args:
-        rows: Registers.
-        payload: kg.
-        distance: Pulses.
-        repeats: Moves of a proof.
+        rows: Rows of registers.
+        payload: Mass on the table, kg.
+        distance: Length of the move, pulses.
+        repeats: Number of moves of a proof.
         chip: Name of the chip.
         model: Name of the model.
-        margin: kg beyond the payload.
-        most: Number of rows that have to hold.
+        margin: Mass beyond the payload, kg.
+        needed: Number of rows that have to hold.
 
     Returns:
         The moves of each row that was tried.
     """
-    proofs: list[Log] = []
-    with Moves(payload, repeats, "registers", distance, seed=PROOF_SEED, chip=chip, model=model, more=margin) as moves:
+    proofs: list[MoveLog] = []
+    with MoveTuning(
+        payload, repeats, "registers", distance, seed=PROOF_SEED, chip=chip, model=model, more=margin
+    ) as moves:
         for row in rows:
             moves.begin()
             action = moves.registers.to_action(np.array(row))
-            while moves.left and all(moves.log.kept):
+            while moves.left and all(moves.log.kept_step):
                 moves.make_actions(np.tile(action, (moves.lanes, 1)))
             proofs.append(moves.log)
-            if sum(all(log.kept) for log in proofs) == most:
+            if sum(all(log.kept_step) for log in proofs) == needed:
                 break
     return proofs
 
 
-def best(proofs: Sequence[Log]) -> int | None:
-    """Return the row that holds with the highest mean reward in its proof; None if none holds."""
-    holding = [k for k, log in enumerate(proofs) if all(log.kept)]
+def best(proofs: Sequence[MoveLog]) -> int | None:
+    """Return the index of the row that holds with the highest mean reward in its proof; None if none holds."""
+    holding = [k for k, log in enumerate(proofs) if all(log.kept_step)]
     return max(holding, key=lambda k: float(np.mean(proofs[k].reward)), default=None)
 
 
@@ -260,28 +268,28 @@ def answer(
     chip: str = CHIP,
     model: str = MODEL,
     margin: float = MARGIN,
-) -> tuple[int, Log] | None:
-    """Choose the answer of a method by the same rule for all.
+) -> tuple[int, MoveLog] | None:
+    """Choose the answer of a method, by the same rule for all methods.
 
     Args:
         rows: Registers of its moves that kept step, the highest reward first.
-        payload: kg.
-        distance: Pulses.
-        repeats: Moves of a proof.
+        payload: Mass on the table, kg.
+        distance: Length of the move, pulses.
+        repeats: Number of moves of a proof.
         chip: Name of the chip.
         model: Name of the model.
-        margin: kg beyond the payload.
+        margin: Mass beyond the payload, kg.
 
     Returns:
-        Of the first HELD rows that hold, the number of the best and the moves of its proof; None if none holds.
+        Of the first MAX_HOLDING rows that hold, the index of the best and the moves of its proof; None if none holds.
     """
     proofs = prove(rows, payload, distance, repeats, chip, model, margin, MAX_HOLDING)
     which = best(proofs)
     return None if which is None else (which, proofs[which])
 
 
-def describe_answer(
-    log: Log,
+def format_answer(
+    log: MoveLog,
     names: Sequence[str],
     payload: float,
     distance: int,
@@ -289,48 +297,47 @@ def describe_answer(
     model: str = MODEL,
     margin: float = MARGIN,
 ) -> str:
-    """Describe the answer of a method in a line; see `answer`."""
+    """Format the answer of a method as one line; see `answer`."""
     candidates = log.ranking[:CANDIDATES]
     rows = [log.registers[k] for k in candidates]
     proven = answer(rows, payload, distance, chip=chip, model=model, margin=margin) if rows else None
     if proven is None:
-        return f"{len(log)} moves, {np.mean(log.kept):.0%} kept step; none of the best {len(candidates)} does so again and again"
+        failed = f"none of the best {len(candidates)} does so again and again"
+        return f"{len(log)} moves, {np.mean(log.kept_step):.0%} kept step; {failed}"
     k, again = candidates[proven[0]], proven[1]
     registers = " ".join(f"{n}={v}" for n, v in zip(names, log.registers[k], strict=True))
     return (
-        f"{len(log)} moves, {np.mean(log.kept):.0%} kept step. "
+        f"{len(log)} moves, {np.mean(log.kept_step):.0%} kept step. "
         f"Best that did in {len(again)} more with up to {margin:g} kg more: number {k + 1}, "
         f"{np.mean(again.duration):.4f} s, {np.mean(again.vibration) * 1e6:.1f} um vibration; {registers}"
     )
 
 
-def run(doc: str | None, searches: Mapping[str, Callable[[Moves, int], None]]) -> None:
+def run(doc: str | None, searches: Mapping[str, Callable[[MoveTuning, int], None]]) -> None:
     """Run the command line of searches: make the moves of one of them, and print the best.
 
     Args:
         doc: Description of the program.
         searches: By name.
     """
-    parser = arguments(doc)
+    parser = make_parser(doc)
     parser.add_argument("search", choices=searches)
     args = parser.parse_args()
-    made = {"seed": args.seed, "chip": args.chip, "model": args.model}
-    with Moves(args.payload, args.budget, args.space, args.distance, **made) as moves:
+    settings = {"seed": args.seed, "chip": args.chip, "model": args.model}
+    with MoveTuning(args.payload, args.budget, args.space, args.distance, **settings) as moves:
         searches[args.search](moves, args.seed)
     print(
-        describe_answer(
-            moves.log, moves.registers.names, args.payload, args.distance, args.chip, args.model, args.margin
-        )
+        format_answer(moves.log, moves.registers.names, args.payload, args.distance, args.chip, args.model, args.margin)
     )
 
 
-def arguments(doc: str | None, searches: bool = True, chips: bool = True) -> argparse.ArgumentParser:
-    """Return a parser with the options of all baselines.
+def make_parser(doc: str | None, searches: bool = True, chips: bool = True) -> argparse.ArgumentParser:
+    """Make a parser with the options that all baselines share.
 
     Args:
         doc: Description of the program.
-        searches: It searches: budget, seed and space are options.
-        chips: The chip is an option.
+        searches: Whether the program searches, and so has the options budget, seed and space.
+        chips: Whether the chip is an option.
     """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--payload", type=float, default=PAYLOADS["light"], metavar="KG", help="on the table")

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from registerbench.diagnosis.program import SAMPLE_INTERVAL_S
+from registerbench.diagnosis.host_program import SAMPLE_INTERVAL_S
 from stage import Stage
 from stage.errors import RunTimeout
 

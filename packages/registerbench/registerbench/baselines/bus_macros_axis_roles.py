@@ -18,7 +18,7 @@ import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
-OF_AXES = ("used", "selected", "moves", "arrived")
+AXIS_FEATURES = ("used", "selected", "moves", "arrived")
 EASIER: dict[str, dict[tuple[str, int | None], float]] = {
     "target": {("move", None): 0.5},
     "axes": {("axes", 0): 0.4, ("axes", 64): 0.1, ("target", None): 0.1},
@@ -27,61 +27,72 @@ EASIER: dict[str, dict[tuple[str, int | None], float]] = {
 """Of a level the shares of other episodes: their level, and how near one axis has its target: 0, there; 1, at its origin."""
 
 
-class Turn:
+class AxisRoles:
     def __init__(self, names: Sequence[str], macros: int):
         self.axes, self.at, self.macros = list(names).count("used"), list(names).index("used"), macros
         self.per = macros - self.axes
 
-    def axis(self, observation: np.ndarray) -> np.ndarray:
-        return self._of_axes(observation)[:, :, OF_AXES.index("selected")].argmax(axis=1)
+    def find_selected_axis(self, observation: np.ndarray) -> np.ndarray:
+        return self._of_axes(observation)[:, :, AXIS_FEATURES.index("selected")].argmax(find_selected_axis=1)
 
-    def seen(self, observation: np.ndarray, axis: np.ndarray) -> np.ndarray:
-        out, size = observation.copy(), len(OF_AXES) * self.axes
-        rolled = np.take_along_axis(self._of_axes(observation), self._order(axis)[:, :, None], axis=1)
+    def reorder_observation(self, observation: np.ndarray, find_selected_axis: np.ndarray) -> np.ndarray:
+        out, size = observation.copy(), len(AXIS_FEATURES) * self.axes
+        rolled = np.take_along_axis(
+            self._of_axes(observation), self._order(find_selected_axis)[:, :, None], find_selected_axis=1
+        )
         out[:, self.at : self.at + size] = rolled.reshape(len(observation), size)
         return out
 
-    def masks(self, masks: np.ndarray, axis: np.ndarray) -> np.ndarray:
-        out = masks.copy()
-        out[:, self.per :] = np.take_along_axis(masks[:, self.per :], self._order(axis), axis=1)
+    def reorder_masks(self, reorder_masks: np.ndarray, find_selected_axis: np.ndarray) -> np.ndarray:
+        out = reorder_masks.copy()
+        out[:, self.per :] = np.take_along_axis(
+            reorder_masks[:, self.per :], self._order(find_selected_axis), find_selected_axis=1
+        )
         return out
 
-    def back(self, macros: np.ndarray, axis: np.ndarray) -> np.ndarray:
-        return np.where(macros < self.per, macros, self.per + (macros - self.per + axis) % self.axes)
+    def restore_macros(self, macros: np.ndarray, find_selected_axis: np.ndarray) -> np.ndarray:
+        return np.where(macros < self.per, macros, self.per + (macros - self.per + find_selected_axis) % self.axes)
 
     def _of_axes(self, observation: np.ndarray) -> np.ndarray:
-        return observation[:, self.at : self.at + len(OF_AXES) * self.axes].reshape(
-            len(observation), self.axes, len(OF_AXES)
+        return observation[:, self.at : self.at + len(AXIS_FEATURES) * self.axes].reshape(
+            len(observation), self.axes, len(AXIS_FEATURES)
         )
 
-    def _order(self, axis: np.ndarray) -> np.ndarray:
+    def _order(self, find_selected_axis: np.ndarray) -> np.ndarray:
         """Return the axes of each row, the selected one first."""
-        return (axis[:, None] + np.arange(self.axes)) % self.axes
+        return (find_selected_axis[:, None] + np.arange(self.axes)) % self.axes
 
 
-class Turned(VecEnvWrapper):
+class AxisRolesVecEnv(VecEnvWrapper):
     """A StageVecEnv of BusMacros, with axes by their role. behind: the mask is part of what is seen, at the end."""
 
-    def __init__(self, envs: Any, behind: bool):
-        self.turn, self.behind = Turn([e.name for e in envs.envs.observation_features], envs.action_space.n), behind
-        size = envs.observation_space.shape[0] + (envs.action_space.n if behind else 0)
+    def __init__(self, envs: Any, append_mask: bool):
+        self.turn, self.append_mask = (
+            AxisRoles([e.name for e in envs.envs.observation_features], envs.action_space.n),
+            append_mask,
+        )
+        size = envs.observation_space.shape[0] + (envs.action_space.n if append_mask else 0)
         super().__init__(envs, gymnasium.spaces.Box(-1.0, 1.0, (size,), np.float32))
         self.selected = np.zeros(envs.num_envs, np.int64)
 
     def _turned(self, observation: np.ndarray, masks: np.ndarray) -> np.ndarray:
-        axis = self.turn.axis(observation)
-        out = self.turn.seen(observation, axis)
-        return np.concatenate([out, self.turn.masks(masks, axis).astype(np.float32)], axis=1) if self.behind else out
+        axis = self.turn.find_selected_axis(observation)
+        out = self.turn.reorder_observation(observation, axis)
+        return (
+            np.concatenate([out, self.turn.reorder_masks(masks, axis).astype(np.float32)], find_selected_axis=1)
+            if self.append_mask
+            else out
+        )
 
     def _now(self, observation: np.ndarray) -> np.ndarray:
-        self.selected = self.turn.axis(observation)
+        self.selected = self.turn.find_selected_axis(observation)
         return self._turned(observation, self.venv.envs.action_masks())  # type: ignore[attr-defined]
 
     def reset(self) -> np.ndarray:
         return self._now(self.venv.reset())
 
     def step_async(self, actions: np.ndarray) -> None:
-        self.venv.step_async(self.turn.back(np.asarray(actions), self.selected))
+        self.venv.step_async(self.turn.restore_macros(np.asarray(actions), self.selected))
 
     def step_wait(self) -> Any:
         observation, rewards, ends, infos = self.venv.step_wait()
@@ -93,10 +104,10 @@ class Turned(VecEnvWrapper):
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
         if method_name != "action_masks":
             return self.venv.env_method(method_name, *args, indices=indices, **kwargs)
-        return list(self.turn.masks(self.venv.envs.action_masks(), self.selected))  # type: ignore[attr-defined]
+        return list(self.turn.reorder_masks(self.venv.envs.action_masks(), self.selected))  # type: ignore[attr-defined]
 
 
-class Mixed(VecEnvWrapper):
+class MixedLevelsVecEnv(VecEnvWrapper):
     """Episodes of a level with easier ones among them, by EASIER."""
 
     def __init__(self, envs: Any, level: str, seed: int):
