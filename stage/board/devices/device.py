@@ -1,7 +1,8 @@
-"""`Device`: what lies at ports of a board beside its chips, and all that a board needs of it.
+"""`Device`: base of everything that lies at ports of a board besides its chips.
 
-A device's state changes in bus cycles, and when somebody feeds it, only; all else about it, the interrupt line too, is a function
-of that state, of the time, and of where the axes with its encoders are. So a delay can find the moment of an interrupt.
+The state of a device changes only in bus cycles and when a user sets inputs. Everything else, the interrupt line
+included, is a function of this state, the time and the positions of the axes with encoders. Therefore a delay can find
+the exact time of an interrupt.
 """
 
 from __future__ import annotations
@@ -25,24 +26,24 @@ if TYPE_CHECKING:
     from stage.sim.stage import Stage
 
 TIME_LIMIT_S = 9e9
-"""All times of a stage are before."""
+"""Upper limit of all times of a stage, s."""
 Listener = Callable[[int, int, bool, bool], str]
 """(port of the device, value, whether it is written, whether with 16 bits) -> what the cycle means."""
 
 
 class Device:
-    """Base of all devices.
+    """Base class of all devices.
 
     Args:
-        name: What the trace and messages call it; default: its kind and its first port.
-        encoders: Encoders whose counts it sees.
-        width: Bits of its bus, 8 or 16.
+        name: Name in the trace and in messages; default: kind and first port.
+        encoders: Encoders that the device counts.
+        width: Width of its bus in bits, 8 or 16.
 
     Attributes:
-        KIND: What it is, in a word.
-        PORTS: How many ports it has; 0: as many as it is given.
-        ports: Ports of the board that it takes, once it is there.
-        state: Arrays that snapshots carry.
+        KIND: Kind of the device, in one word.
+        PORTS: Number of ports; 0: any number.
+        ports: Ports of the board that the device occupies.
+        state: Arrays that snapshots include.
         access, pulls: Addresses of its compiled functions, see stage.board.bus.host_record, or 0.
     """
 
@@ -67,14 +68,14 @@ class Device:
     # --- for users ---
 
     def pull(self, on: bool = True, at: float | None = None) -> None:
-        """Pull the interrupt line, or let go of it.
+        """Pull the interrupt line, or release it.
 
         Args:
-            on: Whether it pulls.
-            at: Time from which it pulls, s since power-up; default: now.
+            on: True to pull, False to release.
+            at: Time from which the device pulls, s since power-up; default: now.
 
         Raises:
-            ArgumentError: `at` is no time.
+            ArgumentError: `at` is not a time of the stage.
         """
         if at is not None and not (_is_finite(at) and abs(at) < TIME_LIMIT_S):
             raise ArgumentError(f"{self.name}: pull(at={at!r}): a time of the stage is wanted, s since power-up.")
@@ -82,18 +83,18 @@ class Device:
 
     @property
     def is_pulling(self) -> bool:
-        """True while it pulls the interrupt line."""
+        """True while the device pulls the interrupt line."""
         board = self._require_board()
         return bool(board.read_interrupt_mask() >> (len(board.stage.chips) + board.devices.index(self)) & 1)
 
     @property
     def stage(self) -> Stage:
-        """The stage of its board."""
+        """Stage of the device's board."""
         return self._require_board().stage
 
     @property
     def counts(self) -> list[int]:
-        """Current count of each of its encoders."""
+        """Current count of each encoder."""
         stage = self.stage
         tau = float(stage.now - stage.state.start) / records.SECOND - float(stage.state.clockwork[0].half)
         counts = []
@@ -104,7 +105,7 @@ class Device:
 
     @property
     def label(self) -> str:
-        """Name of the device, with the file that it is made of if there is one."""
+        """Name of the device, with its source file if it has one."""
         return self.name
 
     def __repr__(self) -> str:
@@ -113,39 +114,45 @@ class Device:
     # --- for boards ---
 
     def access_register(self, n: int, kind: int, value: int) -> int:
-        """Make a cycle at port `n` of a device in Python. kind: IN8, OUT8, IN16, OUT16 of stage.board.bus.host_record."""
+        """Execute a bus cycle at a register of a device in Python, and return the answer.
+
+        Args:
+            n: Number of the register.
+            kind: IN8, OUT8, IN16 or OUT16 of stage.board.bus.host_record.
+            value: Value that is written.
+        """
         raise NotImplementedError
 
     def make_describer(self) -> Listener:
-        """Return a function that says what its cycles mean, if it gets all of them."""
+        """Return a function that explains bus cycles of this device. It has to receive all of them in order."""
         return lambda n, value, writes, wide: f"port {n} {'<-' if writes else '='} {value:0{4 if wide else 2}X}h"
 
     def get_board_port(self, n: int) -> int:
-        """Return the port of the board that its port `n` is; the first of two on a bus of 16 bits."""
+        """Return the port of the board at which register `n` lies; on a 16-bit bus the first of its two ports."""
         return self.ports[2 * n if self.width == 16 else n]
 
     def name_port(self, n: int) -> str:
-        """Return a port in words."""
+        """Return the name of register `n`."""
         return f"port {n}"
 
     def list_arrays(self) -> list[np.ndarray]:
-        """Return what snapshots carry of it."""
+        """Return the arrays that snapshots include."""
         return [self.line, *self.state]
 
     def use_arrays(self, places: list[np.ndarray]) -> None:
-        """Use these places for its `arrays` from now on."""
+        """Use these arrays in place of those of `list_arrays` from now on."""
         line, *state = places
         self.line = line.view(np.int64)
         pairs = zip(self.state, state, strict=True)
         self.state = [place.view(before.dtype).reshape(before.shape) for before, place in pairs]
 
     def make_recipe(self) -> tuple[Any, ...]:
-        """Return a function and its arguments, which can be pickled: they make the same device in another process, or one that
-        takes its place there."""
+        """Return a function and its arguments, which can be pickled and which create the same device, or a placeholder,
+        in another process."""
         return (Placeholder, self.name, self.width, sum(a.nbytes for a in self.state), self.encoders)
 
     def attach_to(self, board: Board, ports: Sequence[int]) -> None:
-        """Become a device of this board, at these ports."""
+        """Attach this device to a board at these ports."""
         rows = [e.row(board.stage) for e in self.encoders]
         self.encoders = tuple(replace(e, zero=row[2]) for e, row in zip(self.encoders, rows, strict=True))
         self._encoders = np.array(rows, host_record.ENCODER)
@@ -155,7 +162,7 @@ class Device:
             self.name = f"{self.KIND} at {self.ports[0]:03X}h"
 
     def make_record(self) -> tuple[int, ...]:
-        """Return its DEVICE_TABLE record."""
+        """Return the fields of its DEVICE_TABLE record."""
         state = self.state[0].ctypes.data if self.state else 0
         line, counts, encoders = (a.ctypes.data for a in (self.line, self._counts, self._encoders))
         return state, self.access, self.pulls, line, counts, encoders, len(self.encoders)
@@ -176,7 +183,8 @@ def _is_finite(value: Any) -> bool:
 
 
 class Placeholder(Device):
-    """A device in Python as the process of isolated firmware has it; it is called in the process of its board."""
+    """Stand-in for a device in Python in the process of isolated firmware, which calls the device in the process of the
+    board."""
 
     def __init__(self, name: str, width: int, size: int, encoders: Sequence[Encoder]):
         super().__init__(name, encoders, width)
@@ -184,12 +192,12 @@ class Placeholder(Device):
 
 
 class Compiled(Device):
-    """A device whose module CORE exports STATE, `access` and `pulls`, see stage.board.bus.host_record.
+    """Device with a module CORE that exports STATE, `access` and `pulls`, see stage.board.bus.host_record.
 
     Attributes:
         CORE: The module.
-        OPTIONS: Names of its arguments beside name and encoder.
-        registers: Its state by name.
+        OPTIONS: Names of its constructor's arguments except name and encoder.
+        registers: Fields of its state by name.
     """
 
     CORE: ClassVar[Any]
@@ -203,7 +211,7 @@ class Compiled(Device):
         self.access, self.pulls = core.access.address, core.pulls.address if hasattr(core, "pulls") else 0
 
     def make_recipe(self) -> tuple[Any, ...]:
-        """Build the device by its class and options, in any process."""
+        """Return a function that creates the device from its class and options in any process."""
         if not self.access:  # Python is called for its cycles
             return super().make_recipe()
         options = {"name": self.name, **{name: getattr(self, name) for name in self.OPTIONS}}

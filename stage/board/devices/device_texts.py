@@ -24,10 +24,13 @@ FORM = f"KIND:PORT[:AXIS[:COUNTS]], of the kinds {', '.join(COUNTERS)} (with AXI
 
 
 def make_device(text: str) -> tuple[Device, list[int]]:
-    """Make the device that a text describes, and return it with its ports.
+    """Create the device that a text describes; return the device and its ports.
+
+    Args:
+        text: KIND:PORT[:AXIS[:COUNTS]], or SOURCE.c:PORT[+PORTS].
 
     Raises:
-        ArgumentError: The text describes none.
+        ArgumentError: The text has another form.
         LibraryError, CompileError, NoCompilerError, FileError: See CDevice.
     """
     if isinstance(text, Device):

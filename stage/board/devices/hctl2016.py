@@ -33,11 +33,11 @@ class HCTL2016(Compiled):
         return (self.counts[0] - int(self.registers["zero"])) & (1 << self.BITS) - 1
 
     def name_port(self, n: int) -> str:
-        """The byte of the count that the port holds."""
+        """Return the name of the byte at a port."""
         return ("high byte", "low byte")[n]
 
     def make_describer(self) -> Listener:
-        """Describe an access in the trace."""
+        """Return a function that explains bus cycles of this counter."""
         return lambda n, value, writes, wide: "reset" if writes else f"{self.name_port(n)} = {value:02X}h"
 
 

@@ -11,13 +11,12 @@ from stage.board.devices.device import Compiled, Listener
 
 
 class Latch(Compiled):
-    """An 8-bit output port with read back, 0 at power-up.
+    """8-bit output port that reads back its value; 0 at power-up.
 
     Args:
-        changed: Function that is called as changed(before, after) in the cycle that changes the outputs, with the stage at its
-            time;
-            every cycle of the port is then a call of Python.
-        name: What messages call it.
+        changed: Function changed(before, after), called in the bus cycle that changes the outputs, with the stage at
+            the time of the cycle. With it, each cycle of the port calls Python.
+        name: Name in messages.
     """
 
     KIND = "latch"
@@ -32,11 +31,11 @@ class Latch(Compiled):
 
     @property
     def value(self) -> int:
-        """The outputs."""
+        """Current outputs."""
         return int(self.registers["value"])
 
     def access_register(self, n: int, kind: int, value: int) -> int:
-        """Write the outputs and call the function that observes them, or read them back."""
+        """Write the outputs and call the user's function, or read the outputs back."""
         before = self.value
         if kind == OUT8 and value != before:
             self.registers["value"] = value
@@ -45,9 +44,9 @@ class Latch(Compiled):
         return self.value
 
     def name_port(self, n: int) -> str:
-        """All eight outputs are one port."""
+        """Return the name of the only port."""
         return "outputs"
 
     def make_describer(self) -> Listener:
-        """Describe an access in the trace."""
+        """Return a function that explains bus cycles of this latch."""
         return lambda n, value, writes, wide: f"outputs {'<-' if writes else '='} {value:08b}"

@@ -39,11 +39,11 @@ class LS7166(Compiled):
         self.registers["pr"] = ls7166_core.FULL - 1
 
     def name_port(self, n: int) -> str:
-        """The name of the port in traces."""
+        """Return the name of a port in traces."""
         return ("data", "control")[n]
 
     def make_describer(self) -> Listener:
-        """Describe an access in the trace, with the command that a control byte is."""
+        """Return a function that explains bus cycles of this counter, with the command of each control byte."""
 
         def describe(n: int, value: int, writes: bool, wide: bool) -> str:
             if n == 0:

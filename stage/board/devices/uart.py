@@ -50,13 +50,13 @@ class UART(Compiled):
         self._sent_to_terminal = 0
 
     def feed(self, data: bytes | str) -> None:
-        """Let the peer send bytes from now on, behind those that it is still sending.
+        """Let the peer send bytes from now on, after those that it is still sending.
 
         Args:
-            data: Bytes, or text.
+            data: Bytes or text.
 
         Raises:
-            ArgumentError: More than 4096 bytes would wait, or it is neither bytes nor text.
+            ArgumentError: `data` is neither bytes nor text, or more than 4096 bytes would be waiting.
         """
         if not isinstance(data, str | bytes | bytearray | memoryview):
             raise ArgumentError(f"{self.name}: feed({data!r}): bytes or text are wanted, for example b'ok\\r\\n'.")
@@ -76,7 +76,7 @@ class UART(Compiled):
 
     @property
     def sent(self) -> bytes:
-        """Bytes that have left it so far; the last 4096 of them if there are more."""
+        """Bytes that have left the transmitter so far; if there are more than 4096, the last 4096."""
         s, now = self.registers, self.stage.now
         c = self._character_ns
         end = int(s["written"]) - (-(-max(int(s["left"]) - now, 0) // c) if c else 0)
@@ -84,18 +84,18 @@ class UART(Compiled):
 
     @property
     def baud(self) -> float:
-        """Speed of the line by the divisor, bits a second; 0 without one."""
+        """Speed of the line from the divisor, bits per second; 0 without a divisor."""
         divisor = int(self.registers["divisor"])
         return self.clock / 16 / divisor if divisor else 0.0
 
     def pty(self) -> str:
-        """Connect it to a pseudo-terminal, for `screen PATH`, `cu -l PATH` or a terminal program.
+        """Connect the UART to a pseudo-terminal, for `screen PATH`, `cu -l PATH` or another terminal program.
 
-        Bytes come and go at the UART's own bus cycles, when the other side happens to send them: a run is not deterministic then,
-        and firmware has to poll.
+        Bytes arrive in bus cycles of the UART, whenever the other side sends them. Runs are therefore not
+        deterministic, and the firmware has to poll.
 
         Returns:
-            The path of the terminal, the same at each call.
+            Path of the terminal, the same in each call.
 
         Raises:
             StageError: This system has no pseudo-terminals.
@@ -116,7 +116,7 @@ class UART(Compiled):
         return os.ttyname(slave)
 
     def access_register(self, n: int, kind: int, value: int) -> int:
-        """Make a cycle while a pseudo-terminal is connected."""
+        """Execute a bus cycle while a pseudo-terminal is connected."""
         while select.select([self._master], [], [], 0)[0] and self.registers["fed"] - self.registers["taken"] < 64:
             self.feed(os.read(self._master, 64))
         answer = self.CORE.access(self.state[0], self.stage.now, 0, n, kind, value)
@@ -127,11 +127,11 @@ class UART(Compiled):
         return int(answer)
 
     def name_port(self, n: int) -> str:
-        """The name of the register, or both where reads and writes have one each."""
+        """Return the name of a register, or both names if reads and writes reach different registers."""
         return _READ[n] if _READ[n] == _WRITTEN[n] else f"{_READ[n]}, {_WRITTEN[n]}"
 
     def make_describer(self) -> Listener:
-        """Describe an access in the trace. Bit 7 of LCR selects the divisor's registers."""
+        """Return a function that explains bus cycles of this UART; bit 7 of LCR selects the divisor registers."""
         lcr = 0
 
         def describe(n: int, value: int, writes: bool, wide: bool) -> str:

@@ -1,4 +1,4 @@
-"""Devices of users: `PythonDevice`, two functions; `CDevice`, a library with pulsestage_device.h."""
+"""User-defined devices: `PythonDevice` consists of two functions, `CDevice` of a library with pulsestage_device.h."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ MAX_STATE_BYTES = 1 << 20
 
 
 class UserDevice(Device):
-    """A device whose cycles a function of the user describes."""
+    """Device whose bus cycles a function of the user explains."""
 
     describe: DescribeCycle | None
 
     def make_describer(self) -> Listener:
-        """Describe an access in the trace by the user's function, where there is one."""
+        """Return the user's function that explains bus cycles, or the default one."""
         if self.describe is None:
             return super().make_describer()
         return lambda n, value, writes, wide: str(self.describe(self.get_board_port(n), value, writes))  # type: ignore[misc]
 
 
 class PythonDevice(UserDevice):
-    """A device of two functions, see `Board.device`."""
+    """Device that consists of two functions, see `Board.add_device`."""
 
     def __init__(
         self,
@@ -61,7 +61,7 @@ class PythonDevice(UserDevice):
             self.state = [_check_state(state)]
 
     def access_register(self, n: int, kind: int, value: int) -> int:
-        """Call the user's function of a read or a write."""
+        """Call the user's function for a read or a write."""
         port = self.get_board_port(n)
         if kind in (OUT8, OUT16):
             if self.write is not None:
@@ -82,12 +82,12 @@ class PythonDevice(UserDevice):
 
 
 class CDevice(UserDevice):
-    """A device in C: a library, or C or C++ sources that are built first, with pulsestage_device.h.
+    """Device in C: a library, or C or C++ sources that are built first, with pulsestage_device.h.
 
     Raises:
-        LibraryError: It is no library of a device.
+        LibraryError: The library contains no device.
         CompileError, NoCompilerError: See `build`.
-        FileError: There is no such file.
+        FileError: The file does not exist.
     """
 
     @explain_arguments
@@ -122,11 +122,11 @@ class CDevice(UserDevice):
 
     @property
     def label(self) -> str:
-        """The device's name and source file."""
+        """Name and source file of the device."""
         return f"{self.name} ({self.path.name})"
 
     def make_recipe(self) -> tuple[Any, ...]:
-        """Compile and load the source again, in any process."""
+        """Return a function that loads the library again in any process."""
         return (_rebuild, str(self.path), self.name, self.encoders, self.width)
 
 
@@ -135,7 +135,7 @@ def _rebuild(path: str, name: str, encoders: Sequence[Encoder], width: int) -> C
 
 
 def _check_state(state: Any) -> np.ndarray:
-    """Return a user's array, as it is. Raises ArgumentError."""
+    """Return the user's array unchanged. Raises ArgumentError if it cannot be the state of a device."""
     if isinstance(state, bytearray):
         return np.frombuffer(state, np.uint8)
     if not isinstance(state, np.ndarray) or state.dtype.hasobject:
@@ -148,7 +148,13 @@ def _check_state(state: Any) -> np.ndarray:
 
 
 def _load(path: Path, copy: Path, source: Any) -> ctypes.CDLL:
-    """Load a copy of a library, with static variables of its own. source: what it was made of, for messages."""
+    """Load a copy of a library, which has its own static variables.
+
+    Args:
+        path: The library.
+        copy: Path of the copy.
+        source: Source of the library, for messages.
+    """
     refuse_irregular(path, "library")
     if not path.is_file():
         raise FileError(f"{path}: there is no such library.")

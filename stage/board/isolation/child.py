@@ -1,4 +1,5 @@
-"""The process that isolated firmware runs in; `starter` begins it. It is the only one that uses `traps`."""
+"""Main program of the process that runs isolated firmware. `starter` starts it; it is the only module that uses
+`traps`."""
 
 from __future__ import annotations
 
@@ -50,7 +51,8 @@ POLL_INTERVAL_MS = (
 
 
 class Samples:
-    """Buffers in which the engine samples for the parent's recording; the stage uses them as a recording of its own."""
+    """Buffers for samples of the engine, which the parent copies into its recording. The stage uses them like a
+    recording."""
 
     FORWARD = True
 
@@ -58,12 +60,13 @@ class Samples:
         self.samples, self.positions, self.filled = shared.samples, shared.positions, 0
 
     def take(self, filled: int) -> None:
-        """Remember how many rows the engine has filled."""
+        """Store the number of rows that the engine has filled."""
         self.filled = filled
 
 
 class ChildLink(Link):
-    """A link that notes in shared memory, informs the parent when there is no room for more, and has the parent call Python."""
+    """Link that writes its notes to shared memory, lets the parent read them before the memory is full, and lets the
+    parent call Python."""
 
     def __init__(self, board: Board, pipe: Connection, shared_path: str):
         super().__init__(board)
@@ -85,18 +88,18 @@ class ChildLink(Link):
         h["edges"], h["lines"], h["edge_room"] = shared.edges.ctypes.data, shared.cycles.ctypes.data, len(shared.edges)
 
     def find_checked_chips(self) -> int:
-        """The chips whose writes the parent checks."""
+        """Return a bit mask of the chips whose writes the parent checks."""
         return self.checked
 
     def end_run(self) -> None:
-        """End a request: send samples and notes before their memory is full."""
+        """Flush samples and notes if their memory is nearly full."""
         h = self.record
         self.samples.filled = int(h["filled"])
         if h["noted"] > NOTED // 2 or self.samples.filled == len(self.samples.samples):
             self.flush()
 
     def publish_state(self) -> NoteCounts:
-        """Put the state into shared memory, where all notes are; return how many they are. The next notes begin again."""
+        """Write the state to shared memory; return the numbers of notes there and begin new ones."""
         h = self.record
         noted = NoteCounts(int(h["noted"]), int(h["filled"]))
         self.stage.copy_state(self.shared.state)
@@ -105,23 +108,23 @@ class ChildLink(Link):
         return noted
 
     def flush(self) -> None:
-        """Wait until the parent has taken all notes."""
+        """Wait until the parent has read all notes."""
         self._pipe.send(self.publish_state())
         self._pipe.recv()
 
     def call_device(self, k: int, n: int, kind: int, value: int) -> int:
-        """Let the parent execute a cycle of a Python device."""
+        """Let the parent execute a bus cycle of a device in Python."""
         return self._call_parent(k, n, value, kind)
 
     def is_write_lost(self, chip: int, address: int, value: int) -> bool:
-        """Ask the parent whether a fault of the bus keeps this write from its chip."""
+        """Request from the parent whether a fault of the bus loses this write."""
         return bool(self._call_parent(chip, address, value))
 
     def _call_parent_hook(self, source: int) -> None:
         self._call_parent(-1 - source, 0, 0)
 
     def set_hooks(self, sources: tuple[int, ...]) -> None:
-        """Let these interrupt sources call functions in Python, in the parent."""
+        """Point these interrupt sources to functions in Python, which the parent calls."""
         hooks, row = self.hooks, self.hooks.sources[ANY_LINE]
         before = hooks.pointer if ANY_LINE in hooks.functions else 0
         of_firmware = row["hook"] != before and not (ANY_LINE in sources and not before)
@@ -141,7 +144,7 @@ class ChildLink(Link):
 
 
 class ChildBoard(Board):
-    """A copy of the parent's board."""
+    """Copy of the parent's board."""
 
     LINTS = False  # the parent does
     link: ChildLink
@@ -157,7 +160,7 @@ class ChildBoard(Board):
         self.link.shared.remember()
 
     def add_log_line(self, text: str) -> None:
-        """Add a line to the board's log, in the parent."""
+        """Add a line to the log of the parent's board."""
         self._check_log_lines(self._lines)
         self._lines += 1
         if not self.link.shared.add_log_line(self.stage.now, text):
@@ -165,7 +168,7 @@ class ChildBoard(Board):
             self.link.shared.add_log_line(self.stage.now, text)
 
     def prepare_run(self, go: RunOrder) -> None:
-        """Make everything as it is in the parent, before the firmware goes on."""
+        """Copy the parent's state and settings before the firmware continues."""
         link, stage, self._lines = self.link, self.stage, go.lines
         if go.machine is not None:
             copy_settings(stage, pickle.loads(go.machine))
@@ -178,12 +181,13 @@ class ChildBoard(Board):
 
 
 class ChildRunner(ThreadRunner):
-    """Firmware in a thread of its own process: sleeps are noted, and threads that still run at its return are errors."""
+    """Runner of firmware in a thread of its own process: it logs sleeps, and treats threads that outlive the firmware
+    as errors."""
 
     isolated, outlives = True, ""
 
     def _check(self) -> None:
-        """Load it, for the first run."""
+        """Load the firmware for the first run."""
         self._checked: LoadedProgram | None = super()._load()
 
     def _load(self) -> LoadedProgram:
@@ -209,7 +213,7 @@ class ChildRunner(ThreadRunner):
         return f" It is in {crash_report.locate(pc, top, *libraries)}." if pc else ""
 
     def _note_sleep(self, call: str) -> None:
-        """Note in the log, once for each function and run, that firmware sleeps in real time. In the firmware's thread."""
+        """Log that the firmware sleeps in real time, once for each function and run. Runs in the firmware's thread."""
         link, name = self._board.link, call.partition("(")[0]
         if name in self._reported or threading.current_thread() in link.abandoned:
             return
@@ -225,13 +229,19 @@ class ChildRunner(ThreadRunner):
             requests.restore_float_mode.c(mode)
 
     def _wait_for_thread(self) -> None:
-        """Let a thread that the firmware has begun come to its first bus cycle, see `Link`. In the firmware's thread."""
+        """Give a thread that the firmware has started time for its first bus cycle, see `Link`. Runs in the firmware's
+        thread."""
         if self._board.link.record["stack_checks"]:
             time.sleep(THREAD_START_S)
 
 
 def copy_settings(ours: Stage, stage: Stage) -> None:
-    """Make our stage like the parent's, which was changed. What its drives have of that is state, and comes over as such."""
+    """Copy settings of the parent's stage that are not part of the state.
+
+    Args:
+        ours: Stage of this process.
+        stage: Stage of the parent.
+    """
     for part, name, value in settings(stage.model):
         target = ours.model if part is stage.model else ours.model.opt
         if isinstance(value, np.ndarray):
@@ -252,7 +262,7 @@ def _load_board(board: bytes) -> tuple[Any, dict[str, Any], list[Any]]:
 
 
 def _exit_with_parent(parent: int, fileno: int, start_messages: list[StartMessage]) -> None:
-    """End this process when its parent ends, however: firmware that computes, or whose end is far, polls no pipe."""
+    """Exit this process when its parent ends; a thread is needed since computing firmware polls no pipe."""
     pipe = select.poll()
     pipe.register(fileno, 0)  # hanging up is always reported
     while os.getppid() == parent:
@@ -265,7 +275,7 @@ def _exit_with_parent(parent: int, fileno: int, start_messages: list[StartMessag
 
 
 def _remove_files(start_messages: list[StartMessage]) -> None:
-    """Remove the folder of a parent that is gone, and may not have been able to do so."""
+    """Remove the folder of a parent that has ended and may have left it behind."""
     for start in start_messages:
         shutil.rmtree(Path(start.shared).parent, ignore_errors=True)
 
@@ -279,7 +289,7 @@ def _is_open(fileno: int) -> bool:
 
 
 def _move_descriptor(fileno: int) -> int:
-    """Give the pipe a number that firmware hits less easily, and that programs which it starts do not have."""
+    """Move the pipe to a high, not inherited file descriptor, which firmware is unlikely to close by mistake."""
     try:
         high = fcntl.fcntl(fileno, fcntl.F_DUPFD_CLOEXEC, HIGH_DESCRIPTOR)
     except OSError:  # not that many are allowed
@@ -290,13 +300,13 @@ def _move_descriptor(fileno: int) -> int:
 
 
 def _offer_to_be_killed() -> None:
-    """Let the system end this process, where memory is short, rather than one that has more to lose."""
+    """Ask the system to kill this process first if memory runs out."""
     with suppress(OSError), Path("/proc/self/oom_score_adj").open("w") as file:
         file.write("1000")
 
 
 def main(fileno: int) -> None:
-    """Run the firmware that comes over this end of a pipe, until the parent is gone."""
+    """Run the firmware that the parent sends over a pipe, until the parent ends."""
     fileno = _move_descriptor(fileno)
     if crash_report.IS_SUPPORTED:
         traps.block_timers()
@@ -334,7 +344,7 @@ def main(fileno: int) -> None:
 
 
 def _serve(pipe: Connection, board: ChildBoard, runner: ThreadRunner) -> None:
-    """Let the firmware go on as the parent orders."""
+    """Run the firmware each time the parent orders it."""
     pipe.send(None)
     while True:
         go: RunOrder = pipe.recv()

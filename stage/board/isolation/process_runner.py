@@ -1,8 +1,9 @@
-"""`ProcessRunner`: firmware in a process of its own. Its crash is an error here, and a loop that never ends is ended.
+"""`ProcessRunner`: firmware in a separate process. A crash of the firmware becomes an error here, and an endless loop
+can be ended.
 
-The child process has a copy of our stage, and the firmware drives the copy at full speed. The child sends the state of its stage
-and its notes: edges, bus cycles, samples, lines of the log. So our stage has the same state as the child's, to the bit, with
-recording, waveforms and diagnostics. After a crash our stage repeats the last bus cycles, from the last state that it received.
+The child process drives a copy of the stage at full speed, and sends back its state and notes: edges, bus cycles,
+samples and log lines. The parent's stage thus has the same state to the bit, with recording, waveforms and diagnostics.
+After a crash the parent repeats the last bus cycles from the last state that it received.
 """
 
 from __future__ import annotations
@@ -56,13 +57,14 @@ _HEAD = struct.Struct("!i")  # as multiprocessing.connection sends it
 
 
 class InvalidMessageError(Exception):
-    """What came over the pipe is no message."""
+    """Error for bytes in the pipe that form no message."""
 
 
 class _Messages:
-    """The messages that come over a pipe from the process of firmware: complete ones, or an error. Never waits for ever.
+    """Reader of messages from the firmware's process. It returns complete messages or raises an error, and never blocks
+    forever.
 
-    The firmware shares its process with the other end of the pipe: it may close it, write into it, or be stopped.
+    The firmware shares its process with the other end of the pipe and may close it, write to it, or be stopped.
     """
 
     def __init__(self, pipe: Connection):
@@ -75,11 +77,11 @@ class _Messages:
         """Return the next message.
 
         Args:
-            check: Called again and again while none comes; may raise.
+            check: Function that is called repeatedly during the wait; it may raise an error.
 
         Raises:
-            EOFError, OSError: The pipe has ended.
-            GarbledError: What came is no message.
+            EOFError, OSError: The pipe is closed.
+            InvalidMessageError: The bytes form no message.
         """
         while (message := self._take_message()) is None:
             if self._poll.poll(POLL_INTERVAL_MS):
@@ -110,11 +112,11 @@ class _Messages:
 
 
 class _StalledError(Exception):
-    """The child has not got on for too long; its argument: whether it handles signals of timers."""
+    """Error for a child without progress. Its argument tells whether the child handles timer signals."""
 
 
 class ProcessRunner:
-    """A `Runner` with a process of its own."""
+    """`Runner` of firmware in a separate process."""
 
     def __init__(self, program: Program, board: Board, patience: float):
         if os.name != "posix":
@@ -133,11 +135,19 @@ class ProcessRunner:
 
     @property
     def running(self) -> bool:
-        """Whether the firmware has begun and not yet ended."""
+        """True while the firmware has started and has not returned."""
         return self._running
 
     def resume(self, until: int, max_cycles: int) -> int | None:
-        """Let the child run up to the time `until`. The result is the exit code, or None before the end."""
+        """Run the child until its firmware returns or reaches a limit.
+
+        Args:
+            until: Board time at which the firmware pauses, ns.
+            max_cycles: Total number of bus cycles at which the firmware pauses.
+
+        Returns:
+            Exit code of the firmware, or None if it is paused.
+        """
         board = self._board
         if os.getpid() != self._owner:
             self._detach_from_owner()
@@ -173,13 +183,13 @@ class ProcessRunner:
         return message.code
 
     def close(self) -> None:
-        """End the child, wherever its firmware is."""
+        """End the child process."""
         if os.getpid() != self._owner:
             self._detach_from_owner(may_run=True)
         self._end_child()
 
     def _make_order(self, until: int, max_cycles: int) -> RunOrder:
-        """Put the state into shared memory, and return the order for the child."""
+        """Write the state to shared memory and return the order for the child."""
         board, stage = self._board, self._board.stage
         machine = self._pickle_if_changed()
         every = int(stage.state.clockwork[0].sample_every) if stage.loop.recording is not None else 0
@@ -190,7 +200,7 @@ class ProcessRunner:
         return RunOrder(until, max_cycles, board.port_table, machine, every, checked, hooks, len(board.log))
 
     def _run_child(self, order: RunOrder) -> PausedMessage:
-        """Let the child carry out an order, and call Python for it on the way."""
+        """Let the child execute an order, and call Python for it when requested."""
         self._pipe.send(order)
         while not isinstance(message := self._receive(), PausedMessage):
             if isinstance(message, PythonCall):
@@ -204,7 +214,7 @@ class ProcessRunner:
         return message
 
     def _detach_from_owner(self, may_run: bool = False) -> None:
-        """Leave the process of the firmware, and the memory that is shared with it, to the process of which this one is a fork."""
+        """Detach from the child and the shared memory, which belong to the process that this one was forked from."""
         ran, self._owner = self._running, os.getpid()
         self._child, self._running, self._machine = None, False, b""
         if ran and not may_run:
@@ -214,7 +224,7 @@ class ProcessRunner:
             )
 
     def _start(self) -> None:
-        """Start a child with a copy of the stage; raise what is wrong with the library."""
+        """Start a child with a copy of the stage. Raises the error that loading the firmware raises there."""
         board = self._board
         content = _pickle_stage((board.stage, board.options, [(d.make_recipe(), d.ports) for d in board.devices]))
         self._devices = _list_devices(board)
@@ -248,13 +258,13 @@ class ProcessRunner:
         self._shared.remember()
 
     def _pickle_if_changed(self) -> bytes | None:
-        """Return the stage, pickled, if the child's is no longer like it in what is no state."""
+        """Return the pickled stage if its settings differ from the child's, otherwise None."""
         stage, before = self._board.stage, self._machine
         self._machine, self._faults = self._read_machine(), _read_faults(stage)
         return _pickle_stage(stage) if self._machine != before else None
 
     def _read_machine(self) -> bytes:
-        """Return everything in which the child's stage must be like this one, but for the state. It is compared at each start."""
+        """Return all settings, apart from the state, in which the child's stage must equal this one."""
         parts = self._board.stage.describe_machine()
         model = parts.pop("model")
         options = [getattr(model.opt, name) for name in self._options]
@@ -263,7 +273,7 @@ class ProcessRunner:
     # --- what comes over ---
 
     def _take_notes(self, noted: NoteCounts) -> None:
-        """Take over the child's state, and what it has noted since the last time."""
+        """Take over the child's state and its notes since the last call."""
         board, shared, stage = self._board, self._shared, self._board.stage
         shared.check_notes(board, noted.edges, noted.samples, self._until)
         stage.load_state(shared.state)
@@ -281,7 +291,7 @@ class ProcessRunner:
         board.log += shared.take_log_lines()
 
     def _answer_call(self, call: PythonCall) -> tuple[int, bool, bytes | None, tuple[int, ...]]:
-        """Call Python here, where its objects are; the child goes on from the state after that."""
+        """Call Python in this process for the child, which continues from the state after the call."""
         board, shared = self._board, self._shared
         self._take_notes(call.noted)
         hooks, answer, machine = board.link.hooks, 0, None
@@ -304,7 +314,7 @@ class ProcessRunner:
         return answer, self._error is None, machine, tuple(hooks.functions)
 
     def _receive(self, grace: float = GRACE_S) -> Any:
-        """Return the next message of the child. Raises _SilentError."""
+        """Return the next message of the child. Raises _StalledError if the child makes no progress."""
         begin: tuple[float, Any] = time.monotonic(), None
         self._waited = self._patience + grace
 
@@ -343,7 +353,7 @@ class ProcessRunner:
         return HostError(f"{self._path.name} {how} while it was loaded, before PULSESTAGE_MAIN was called{what}.")
 
     def _explain_crash(self, how: str) -> HostError:
-        """Bring the stage to where the child, which is gone, has left its own, by what it did last; return the error."""
+        """Advance the stage to the point at which the child ended, by repeating its last cycles; return the error."""
         board, theirs = self._board, self._shared.record[0]
         try:
             self._shared.check_notes(board, int(theirs["noted"]), 0, self._until, ended=True)
@@ -363,7 +373,7 @@ class ProcessRunner:
         )
 
     def _describe_crash(self) -> str:
-        """Return in words what was noted of a crash."""
+        """Return the description of a crash from the child's note."""
         devices = (d.loaded for d in self._board.devices if isinstance(d, CDevice))
         return crash_report.describe(self._shared.crash, self._path, *devices)
 
@@ -377,7 +387,7 @@ class ProcessRunner:
         )
 
     def _repeat_cycles(self, edges: np.ndarray) -> None:
-        """Make the cycles on our stage that the child's has made."""
+        """Repeat the child's last bus cycles on the parent's stage."""
         stage = self._board.stage
         axes = list(stage.axes.values())
         for now, axis, kind, a, b in zip(*(edges[n].tolist() for n in ("now", "axis", "kind", "a", "b")), strict=True):
@@ -395,7 +405,7 @@ class ProcessRunner:
     # --- the process ---
 
     def _explain_end(self) -> str:
-        """Wait for the end of a child that ends by itself, and say how it did."""
+        """Wait for a child that ends by itself, and describe how it ended."""
         code = self._child.wait(self._patience + GRACE_S) if self._child is not None else 0
         stopped = self._child.stopped if self._child is not None else 0
         self._end_child()
@@ -406,7 +416,7 @@ class ProcessRunner:
         return f"was ended by {_name_signal(-code)}" if code < 0 else f"ended its process with exit code {code}"
 
     def _end_child(self) -> None:
-        """End the child."""
+        """End the child process and release its resources."""
         if self._child is not None:
             self._child.kill()
             self._child.wait()
@@ -416,12 +426,12 @@ class ProcessRunner:
 
 
 def _list_devices(board: Board) -> list[tuple[Any, int]]:
-    """Return the devices of a board, and whether they are compiled."""
+    """Return each device of a board with the address of its compiled function, or 0."""
     return [(device, device.access) for device in board.devices]
 
 
 def _read_faults(stage: Any) -> bytes:
-    """Return what the methods of a stage and its faults change of the machine."""
+    """Return the faults and payloads of a stage, for comparison."""
     parts = stage.describe_machine()
     return pickle.dumps([parts[name] for name in ("axis_faults", "faults", "payloads")])
 
@@ -437,7 +447,7 @@ def _pickle_stage(stage: Any) -> bytes:
 
 
 def _handles_timers(process: int) -> bool:
-    """Tell whether a process has a handler for one of the signals of setitimer, of alarm or of timer_create."""
+    """Tell whether a process handles one of the signals of setitimer, alarm or timer_create."""
     caught = int(read_status(process).get("SigCgt", "0"), 16)
     return any(caught >> number - 1 & 1 for number in (signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF))
 
@@ -450,6 +460,6 @@ def _name_signal(number: int) -> str:
 
 
 def _make_error(name: str, text: str) -> Exception:
-    """Return an error of the child's as one of this process."""
+    """Convert an error of the child to one of this process."""
     kind = next((error for module in (errors, general, files) if (error := getattr(module, name, None))), None)
     return kind(text) if isinstance(kind, type) and issubclass(kind, StageError) else HostError(f"{name}: {text}")

@@ -1,7 +1,7 @@
-"""What a board and the process of its firmware both see: a file in memory, and the messages about it.
+"""Shared memory of a board and the process of its firmware: a file in memory, and the messages about it.
 
-The child writes what it notes into the file: bus cycles and edges (EDGE), samples of a recording, lines of the log, the trace; and
-from time to time the whole state of its stage. A message says how much there is. After a crash the file is still there.
+The child writes bus cycles, edges (EDGE), samples of a recording, log lines, the trace and, from time to time, the
+whole state of its stage. Messages tell the parent how much there is to read. The file survives a crash of the child.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _LINE_BOUNDS = {
 
 
 class CorruptedError(Exception):
-    """Firmware has written over the file."""
+    """Error for shared memory that firmware has overwritten."""
 
 
 LOADING = "loading"
@@ -56,13 +56,13 @@ LOADING = "loading"
 
 
 class StartMessage(NamedTuple):
-    """The first message to the child.
+    """First message to the child.
 
     Attributes:
         program: The firmware.
-        shared: Path of the file.
-        board: The stage, what else a Board takes, and its devices, pickled.
-        patience: Seconds of real time that the firmware may compute.
+        shared: Path of the shared file.
+        board: Pickled stage, options of the Board, and devices.
+        patience: Real time in seconds that the firmware may compute without a bus cycle.
     """
 
     program: Program
@@ -72,17 +72,17 @@ class StartMessage(NamedTuple):
 
 
 class RunOrder(NamedTuple):
-    """An order to run on, from the state in the file.
+    """Order to continue from the state in the shared file.
 
     Attributes:
         until: Time at which to pause, ns.
         max_cycles: Number of bus cycles at which to pause.
-        ports: The table of ports.
-        machine: The stage, pickled, if it was changed in what is no state.
-        sample_every: Physics steps between samples, 0 for none.
-        checked_chips: Chips, a bit each, whose writes a fault of the bus may lose.
-        hooks: The interrupt sources that call Python.
-        lines: Lines of the log so far.
+        ports: Table of ports.
+        machine: Pickled stage if its settings changed, otherwise None.
+        sample_every: Physics steps between samples; 0 for none.
+        checked_chips: Bit mask of the chips whose writes a fault of the bus may lose.
+        hooks: Interrupt sources that call Python.
+        lines: Number of log lines so far.
     """
 
     until: int
@@ -96,23 +96,23 @@ class RunOrder(NamedTuple):
 
 
 class NoteCounts(NamedTuple):
-    """Numbers of EDGE records and samples in the file, beside the state."""
+    """Numbers of EDGE records and samples in the shared file."""
 
     edges: int
     samples: int
 
 
 class PythonCall(NamedTuple):
-    """A request to call Python in the parent: about a write to a chip, by an interrupt source, or as a device on the bus.
+    """Request to call Python in the parent: for a write to a chip, an interrupt source, or a device.
 
-    The answer is a tuple: what Python returned, whether it went well, `Go.machine`, `Go.hooks`.
+    The answer is a tuple: result of the call, whether it succeeded, `RunOrder.machine`, `RunOrder.hooks`.
 
     Attributes:
-        noted: What is in the file.
-        chip: Chip or device; -1 - the index of an interrupt source.
-        address: Address of the chip, or port of the device.
+        noted: Numbers of notes in the shared file.
+        chip: Number of the chip or device; -1 - k for interrupt source k.
+        address: Address at the chip, or register of the device.
         value: Value that is written.
-        kind: Kind of the cycle, as `Device.call` has it; -1 for a chip.
+        kind: Kind of the bus cycle as in `Device.access_register`; -1 for a chip.
     """
 
     noted: NoteCounts
@@ -123,7 +123,7 @@ class PythonCall(NamedTuple):
 
 
 class PausedMessage(NamedTuple):
-    """A message that the firmware is paused or has returned; or `error` ended it: type and text."""
+    """Message that the firmware has paused or returned, or that an error (type, text) ended it."""
 
     noted: NoteCounts
     ports: np.ndarray
@@ -132,7 +132,7 @@ class PausedMessage(NamedTuple):
 
 
 def _make_file(path: Path, size: int) -> None:
-    """Make a file whose bytes the disk has: a write to one that it had not would end the process. Raises StageError."""
+    """Create a file with reserved disk space, since a write without space would kill the process. Raises StageError."""
     try:
         with path.open("wb") as file:
             if hasattr(os, "posix_fallocate"):
@@ -148,14 +148,14 @@ def _make_file(path: Path, size: int) -> None:
 
 
 def _is_within(rows: np.ndarray, **bounds: tuple[int, int]) -> bool:
-    """Tell whether the fields of all rows are in these bounds."""
+    """Tell whether the fields of all rows are within bounds."""
     return not len(rows) or all(low <= rows[n].min() and rows[n].max() <= high for n, (low, high) in bounds.items())
 
 
 def _map_for_firmware(path: Path, size: int) -> np.ndarray:
-    """Map the file for as long as this process lives, and keep no file descriptor: firmware could cut the file by it.
+    """Map the file for the life of this process and close its descriptor, with which firmware could truncate the file.
 
-    A process that has mapped more than a file holds ends with SIGBUS where it reads beyond, and the parent maps it, too.
+    A read beyond the end of a truncated file raises SIGBUS, in the parent too.
     """
     map_file = ctypes.CDLL(None, use_errno=True).mmap
     map_file.restype = ctypes.c_void_p
@@ -168,16 +168,16 @@ def _map_for_firmware(path: Path, size: int) -> np.ndarray:
 
 
 class SharedMemory:
-    """The file. Both sides make it of boards that are alike.
+    """Shared file. Parent and child create it from equal boards.
 
     Attributes:
-        record: The HOST record of the child.
+        record: HOST record of the child.
         edges: EDGE records.
-        cycles: The lines of the child's trace.
-        state: MuJoCo's state as float64, with the whole stage in it, and the state of the devices behind it.
-        samples, positions: As those of a Recording.
-        sources: Sources of the child's interrupt controller.
-        devices: Float64, where the devices of the child have their state.
+        cycles: Lines of the child's trace.
+        state: State of MuJoCo with the whole stage, then the state of the devices, as float64.
+        samples, positions: Buffers like those of a Recording.
+        sources: Interrupt sources of the child.
+        devices: State of the child's devices, as float64.
     """
 
     def __init__(self, path: str | Path, board: Board, create: bool = False):
@@ -211,7 +211,7 @@ class SharedMemory:
         self._fixed: tuple[int, ...] | None = None
 
     def hide_from_forks(self) -> None:
-        """Keep the memory from processes that this one forks: they would change unnoticed what it shares."""
+        """Exclude the memory from forks of this process, which could otherwise change it unnoticed."""
         if hasattr(mmap, "MADV_DONTFORK"):
             address, size = ctypes.c_void_p(self._map.ctypes.data), ctypes.c_size_t(self._map.nbytes)
             ctypes.CDLL(None).madvise(address, size, mmap.MADV_DONTFORK)
@@ -219,27 +219,27 @@ class SharedMemory:
     # --- whether firmware has written over it ---
 
     def remember(self) -> None:
-        """Remember the child's HOST record, which is complete, for `check`."""
+        """Store the constant fields of the child's HOST record, for `check`."""
         self._fixed = self.record[_FIXED].item()
 
     def check(self) -> None:
-        """Raise CorruptedError if somebody has written where only the board writes."""
+        """Raise CorruptedError if the guards or constant fields have changed."""
         guarded = b"".join(map(bytes, self._guards))
         if guarded != self._guarded or self._fixed not in (None, self.record[_FIXED].item()):
             raise CorruptedError
 
     def check_notes(self, board: Board, edges: int, samples: int, until: int, ended: bool = False) -> None:
-        """Check what the parent is about to take.
+        """Validate the notes that the parent is about to read.
 
         Args:
-            board: The parent's board.
+            board: Board of the parent.
             edges: Number of EDGE records.
             samples: Number of samples.
             until: End of the run, ns.
-            ended: Whether the child is gone: the cycles are to be made again, and the trace is to be read as it is.
+            ended: Whether the child has ended; then the cycles and the trace are validated too.
 
         Raises:
-            CorruptedError: Something cannot be what the child has noted.
+            CorruptedError: The child cannot have written these notes.
         """
         self.check()
         h, ours, timers = self.record[0], board.link.record, self.sources[TIMER_ROWS]
@@ -257,7 +257,7 @@ class SharedMemory:
             raise CorruptedError
 
     def _is_end_valid(self, traced: int, edges: int, latest: int) -> bool:
-        """Tell whether the trace from line `traced` on and the cycles can be those of a child that is gone."""
+        """Tell whether a child that has ended can have written the cycles, and the trace from line `traced` on."""
         h = self.record[0]
         if not (0 <= h["reached"] <= latest and 0 <= h["ahead"] <= latest):
             return False
@@ -273,7 +273,7 @@ class SharedMemory:
     # --- a crash ---
 
     def note_crash(self, note: bytes) -> None:
-        """Store a note that `crash_report.describe` reads."""
+        """Store the note of a crash, which `crash_report.describe` reads."""
         self._crash[: min(len(note), CRASH_SIZE)] = note[:CRASH_SIZE]
 
     @property
@@ -284,7 +284,12 @@ class SharedMemory:
     # --- lines of the log ---
 
     def add_log_line(self, now: int, text: str) -> bool:
-        """Add a line; return False if there is no room for it. now: time, ns."""
+        """Add a log line; return False if there is no room.
+
+        Args:
+            now: Time, ns.
+            text: The line.
+        """
         content, begin = text.encode(errors="replace")[: TEXT_SIZE // 2], self._used[0]
         end = begin + _LINE.size + len(content)
         if end > TEXT_SIZE:
@@ -295,7 +300,7 @@ class SharedMemory:
         return True
 
     def take_log_lines(self) -> list[tuple[float, str]]:
-        """Return the lines since the last call: seconds, text."""
+        """Return the log lines since the last call: (seconds, text)."""
         content, at, lines = self._text[: self._used[0]].tobytes(), 0, []
         while at + _LINE.size <= len(content):
             now, length = _LINE.unpack_from(content, at)
@@ -309,7 +314,8 @@ class SharedMemory:
     # --- the trace ---
 
     def copy_board_state(self, board: Board, back: bool = False) -> None:
-        """Copy cycles, counts and timers of a board here, for the child's board to go on from; or back."""
+        """Copy trace, counters and timers from the parent's board to the shared file, or with `back` in the other
+        direction."""
         ours = board.link.record, board.link.hooks.sources[TIMER_ROWS], board.trace.buffer
         theirs = self.record[0], self.sources[TIMER_ROWS], self.cycles
         source, timers, cycles = theirs if back else ours
