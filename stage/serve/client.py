@@ -1,14 +1,14 @@
-"""A host in Python of a stage that `stage serve` serves. This one file needs nothing but Python: copy it to the host's machine.
+"""Python host for a stage that `stage serve` serves. This file needs only Python: copy it to the host's machine.
 
     from stage.serve.client import connect
 
     with connect("127.0.0.1:7240") as board:
-        board.out8(0x300, 0x11)                          one bus cycle, there and back
+        board.out8(0x300, 0x11)                          one bus cycle and one round trip
         status = board.in8(0x300)
         answers = board.batch().out8(0x300, 0x15).until8(0x300, mask=0x40, value=0, times=1_000_000).micros().run()
 
-`batch()` gathers requests, which then go in one frame and are done at full speed; `run()` gives the answers of those that read, in
-order. The bytes on the wire are those of docs/serve.md.
+`batch()` collects requests, which `run()` sends in one frame and which the server executes at full speed; `run()`
+returns the answers of those that read, in order. docs/serve.md describes the bytes on the wire.
 """
 
 from __future__ import annotations
@@ -208,14 +208,14 @@ class Batch(_Requests["Batch", "Batch"]):
         return len(self._entries) // ENTRY.size
 
     def run(self) -> list[int]:
-        """Carry out the requests, and empty the batch. A batch that is too long for a frame goes in several.
+        """Send the requests and empty the batch. A batch that exceeds one frame is split into several.
 
         Returns:
-            The answers to those that read, in order.
+            Answers to the requests that read, in order.
 
         Raises:
-            ServerError: A request is wrong, or has failed; those of earlier frames were carried out.
-            ConnectionError: The server is gone.
+            ServerError: A request is invalid or has failed; requests of earlier frames were executed.
+            ConnectionError: The server has closed the connection.
             ValueError: This batch belongs to no connection.
         """
         entries, reads = bytes(self._entries), list(self._reads)
@@ -239,7 +239,7 @@ def _unpack_answers(content: bytes) -> tuple[int, ...]:
 
 
 class Client(_Requests[None, int]):
-    """A connection; use `connect`.
+    """Connection to a server; `connect` creates it.
 
     Attributes:
         about: Description of the server's board.
@@ -274,7 +274,8 @@ class Client(_Requests[None, int]):
         return bool(super().until_line(us))
 
     def on_interrupt(self, hook: Callable[[], None] | None) -> None:
-        """Call a function while the interrupt line is asserted: after a bus cycle, or within a delay at that ns. None: nobody."""
+        """Call `hook` while the interrupt line is asserted: after a bus cycle, or inside a delay at the exact
+        nanosecond. None removes it."""
         self._hooks[THE_LINE] = hook
         self.request(HOOK, WORD.pack(hook is not None))
 
@@ -308,11 +309,11 @@ class Client(_Requests[None, int]):
         self.request(RESET)
 
     def snapshot(self, name: str) -> None:
-        """Keep the state under this name, on the server."""
+        """Store the current state on the server under a name."""
         self.request(SNAPSHOT, name.encode())
 
     def restore(self, name: str = "start") -> None:
-        """Go on from the state that has this name; "start" is that with which the server began."""
+        """Restore the state stored under a name; "start" is the state in which the server started."""
         self.request(RESTORE, name.encode())
 
     def status(self) -> Status:
@@ -330,7 +331,7 @@ class Client(_Requests[None, int]):
         return bool(ANSWER.unpack(self.request(PIN, name.encode()))[0])
 
     def stick(self, name: str, asserted: bool | None) -> None:
-        """Let a switch ("x.el_plus") stick asserted (True) or released (False) from now on; None clears the fault."""
+        """Make a switch ("x.el_plus") stick asserted (True) or released (False); None clears the fault."""
         self.request(STICK, WORD.pack(CLEARED if asserted is None else int(asserted)) + name.encode())
 
     # --- the wire ---

@@ -24,10 +24,10 @@ MAX_ENTRIES = client.MAX_BODY // client.ENTRY.size
 
 
 class BatchError(StageError):
-    """A batch that could not be carried out to the end.
+    """Error of a batch that could not be completed.
 
     Attributes:
-        answers: Answers to the entries that were carried out, i64 each.
+        answers: Answers to the completed entries, i64 each.
     """
 
     def __init__(self, text: str, answers: bytes):
@@ -80,7 +80,7 @@ class Machine:
         }  # fmt: skip
 
     def about(self) -> bytes:
-        """Describe the board to a host, in JSON."""
+        """Return a JSON description of the board for a host."""
         board = self.board
         chips = [
             {"chip": type(p.chip).__name__, "axes": board.name_chip(p.index), "port": p.first, "layout": p.layout.name}
@@ -93,11 +93,11 @@ class Machine:
         return json.dumps(about).encode()
 
     def reset_to_start(self) -> None:
-        """Restore the state of the start."""
+        """Restore the state in which the server started."""
         self._restore(START.encode())
 
     def remove_hooks(self) -> None:
-        """Remove the interrupt hook and the timers of a host that is gone."""
+        """Remove the interrupt hook and the timers of a host that has disconnected."""
         self.board.on_interrupt(None)
         self._timers.clear()
         for n in range(client.TIMERS):
@@ -243,7 +243,7 @@ def describe_error(error: BaseException) -> str:
 
 
 def _describe_wrong(entry: Any) -> str:
-    """Say what is wrong with an entry of a batch."""
+    """Explain what is invalid in an entry of a batch."""
     what = int(entry["what"])
     names = {number: name for number, name, *_ in ENTRIES}
     if what not in names:
@@ -281,7 +281,7 @@ def _parse_text(frame: str, body: bytes) -> str:
 
 
 def _make_printable(line: str) -> str:
-    """Escape characters that would control the terminal of a reader; a tab stays."""
+    """Escape control characters other than tabs, which could affect a reader's terminal."""
     return "".join(c if c.isprintable() or c == "\t" else ascii(c)[1:-1] for c in line.rstrip("\r\n"))
 
 

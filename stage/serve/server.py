@@ -34,18 +34,18 @@ _FOR_OBSERVERS = frozenset(frame.kind for frame in FRAMES if frame.observes)
 
 
 class _GoneError(StageError):
-    """The host, for which a frame is carried out, or the server is gone."""
+    """Error for a host or server that has ended while a frame is executed."""
 
 
 class _Connection:
-    """A connection.
+    """Connection of a host.
 
     Attributes:
         role: DRIVE or OBSERVE, None before HELLO.
-        received, outgoing: Bytes that are still to be handled, and to be sent.
-        since: Time since which a frame is awaited, or None.
-        closing: It is closed after its outgoing bytes were sent.
-        gone: The other end is closed.
+        received, outgoing: Bytes that are still to be handled or sent.
+        since: Time since when the server waits for a frame, or None.
+        closing: The connection closes after its outgoing bytes are sent.
+        gone: The other end has closed the connection.
     """
 
     def __init__(self, wire: socket.socket, name: str):
@@ -56,7 +56,7 @@ class _Connection:
         self.closing = self.gone = False
 
     def take_frame(self) -> tuple[int, int, bytes] | None:
-        """Return the next frame, if it is complete: kind, number, body."""
+        """Return the next complete frame as (kind, number, body), or None."""
         if len(self.received) < client.HEAD.size:
             return None
         length, kind, number = client.HEAD.unpack_from(self.received)
@@ -73,18 +73,18 @@ class _Connection:
         return kind, number, body
 
     def has_frame(self) -> bool:
-        """Tell whether the next frame is complete, or is known to be none."""
+        """Tell whether the next frame is complete or known to be invalid."""
         if len(self.received) < client.HEAD.size:
             return False
         length = client.HEAD.unpack_from(self.received)[0]
         return length > client.MAX_BODY or len(self.received) >= client.HEAD.size + length
 
     def is_awaited(self) -> bool:
-        """Tell whether part of a frame has come, or no hello."""
+        """Tell whether the rest of a frame or the greeting is still to come."""
         return self.role is None or len(self.received) > 0
 
     def is_late(self) -> bool:
-        """Tell whether the patience with it is over."""
+        """Tell whether the host has exceeded the time limit for a frame."""
         return self.since is not None and time.monotonic() - self.since > PATIENCE_S
 
 
@@ -141,7 +141,7 @@ class Server:
         self._selector.register(self._notified, selectors.EVENT_READ)
 
     def run(self) -> None:
-        """Serve until `stop`, and close all connections then."""
+        """Serve until `stop` is called, then close all connections."""
         try:
             while not self._stopping:
                 self._handle_events(self._find_wait())
@@ -153,7 +153,7 @@ class Server:
                 end.close()
 
     def stop(self) -> None:
-        """Let `run` return soon; a batch that is being carried out ends where it is. For other threads and signal handlers."""
+        """Make `run` return soon; a batch in progress ends early. Other threads and signal handlers may call this."""
         self._stopping = True
         with suppress(OSError):  # it has ended already
             self._notifier.send(b"!")
@@ -164,7 +164,7 @@ class Server:
         return (key.data for key in self._selector.get_map().values() if key.data is not None)
 
     def _handle_events(self, seconds: float | None) -> None:
-        """Wait for the next events, `seconds` at most (None: for ever), and handle them."""
+        """Wait at most `seconds` (None: without limit) for events, and handle them."""
         for key, events in self._selector.select(seconds):
             connection: _Connection | None = key.data
             if key.fileobj is self._listener:
@@ -182,12 +182,12 @@ class Server:
             self._update(connection)
 
     def _is_ready(self, connection: _Connection) -> bool:
-        """Tell whether a frame of this connection may be handled now."""
+        """Tell whether the server may handle a frame of this connection now."""
         in_request = self._busy and not self._in_hook and connection is self._driver
         return len(connection.outgoing) < MAX_WAITING and not in_request
 
     def _find_wait(self) -> float | None:
-        """Return the seconds after which something is to be done even if nothing comes; None: there is nothing to do."""
+        """Return the seconds until the server has to act without an event; None if there is nothing to do."""
         waits = []
         for connection in self._connections():
             if self._is_ready(connection) and not connection.closing and connection.has_frame():
@@ -231,7 +231,7 @@ class Server:
             connection.gone = True
 
     def _update(self, connection: _Connection) -> None:
-        """Close a connection, or choose the events that are awaited of it."""
+        """Close a connection, or select the events that the server awaits from it."""
         late = connection.is_late()
         if late and not connection.closing and connection.is_awaited() and not connection.has_frame():
             self._refuse(connection, f"no whole frame in {PATIENCE_S:g} s.")
@@ -255,7 +255,7 @@ class Server:
             self._release_driver()
 
     def _release_driver(self) -> None:
-        """Let another host drive: the one that drove is gone."""
+        """Let another host drive after the driving host has gone."""
         connection, self._driver = self._driver, None
         if connection is not None:
             self.machine.remove_hooks()
@@ -264,7 +264,7 @@ class Server:
     # --- frames ---
 
     def _handle_frame(self, connection: _Connection) -> None:
-        """Handle the next frame of a connection, if it is complete and may be."""
+        """Handle the next frame of a connection if it is complete and permitted now."""
         if connection.gone or connection.closing or not self._is_ready(connection):
             return
         try:
@@ -350,27 +350,28 @@ class Server:
         connection.outgoing += client.HEAD.pack(len(body), kind, number) + body
 
     def _refuse(self, connection: _Connection, text: str, number: int = 0) -> None:
-        """Send an error, and close the connection."""
+        """Send an error and close the connection."""
         self._put(connection, client.ERROR, number, client.WORD.pack(0) + text.encode())
         connection.closing, connection.since = True, time.monotonic()
 
     # --- while a frame of the driver is being carried out ---
 
     def _pause(self) -> None:
-        """Handle events within a batch."""
+        """Handle events during a batch."""
         self._handle_events(0.0)
         self._check_wanted()
         self._before_each()
 
     def _check_wanted(self) -> None:
-        """Raise _GoneError if nobody waits for the rest of the frame."""
+        """Raise _GoneError if no host waits for the rest of the frame."""
         if self._stopping:
             raise _GoneError("the server ends.")
         if self._driver is None or self._driver.gone:
             raise _GoneError("the host is gone.")
 
     def _call_hook(self, source: int) -> None:
-        """Call the host's hook for the interrupt line or a timer, and serve until it has returned; it may make bus cycles."""
+        """Let the host call its hook for the interrupt line or a timer, and serve its requests until the hook
+        returns."""
         driver = self._driver
         if driver is None:
             return

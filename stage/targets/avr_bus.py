@@ -1,12 +1,12 @@
-"""The pins that are an AVR's bus, as text and as a connection to the board.
+"""Pins of an AVR that form its bus: their description as text, and their connection to the board.
 
-The text:
+A description looks like this:
 
     data=A,address=C:0-1,cs=B0,wr=G0,rd=G1,irq=D0
 
-data: a port, eight data lines. address: address lines, the lowest first (`C:0-1`, `C0`, or several joined by +). cs, wr, rd: the
-strobes, active low; without cs the board is always selected. irq: the pin that the interrupt line pulls low. base: the board's port
-at address 0 (default: the board's first).
+data: port of the eight data lines. address: address lines, lowest first (`C:0-1`, `C0`, or several joined by +). cs,
+wr, rd: strobes, active low; without cs the board is always selected. irq: pin that the interrupt line pulls low. base:
+port of the board at address 0 (default: first port of the board).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _RANGE = re.compile(r"([A-HJ-L]):([0-7])-([0-7])")
 
 
 class Pins(NamedTuple):
-    """The pins of a bus. A pin: its port's number in PORTS, its bit."""
+    """Pins of a bus; each pin is the number of its port in PORTS and its bit."""
 
     data: int
     address: tuple[Pin, ...]
@@ -45,10 +45,10 @@ class Pins(NamedTuple):
 
 
 class AvrBus:
-    """The pins of an AVR, connected to the board.
+    """Connection of an AVR's pins to the board.
 
     Args:
-        pins: The pins.
+        pins: Pins of the bus.
         avr: A LoadedAvr.
         board: The board.
     """
@@ -78,10 +78,10 @@ class AvrBus:
 
 
 def parse_pins(texts: str | Sequence[str]) -> Pins:
-    """Parse the pins of a bus.
+    """Parse the description of a bus.
 
     Raises:
-        ArgumentError: Another form, or a pin that is used twice.
+        ArgumentError: The text has another form, or uses a pin twice.
     """
     texts = [texts] if isinstance(texts, str) else list(texts)
     if len(texts) != 1:
@@ -108,7 +108,7 @@ def parse_pins(texts: str | Sequence[str]) -> Pins:
 
 
 def _split(text: str) -> dict[str, str]:
-    """Split a text into values by key."""
+    """Split a description into values by key."""
     parts: dict[str, str] = {}
     for part in text.split(","):
         key, equals, value = part.strip().partition("=")

@@ -1,7 +1,7 @@
-"""An AVR on simavr, compiled: its clock, its serial lines, and the pins that are its bus. simavr calls these functions.
+"""AVR on simavr, compiled: its clock, its serial lines, and the pins that form its bus. simavr calls these functions.
 
-A write cycle is the rising edge of /WR with /CS low; a read cycle begins when /RD falls, and the data pins have its value from then
-on. Pins that the program has not made outputs are pulled up.
+A write cycle happens at the rising edge of /WR while /CS is low. A read cycle begins when /RD falls, and the data pins
+then carry the value. Pins that the program has not made outputs are pulled up.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ _get_timer_status, _read_memory = called("i8", "i8", "i8", "i8"), called("i4", "
 
 @hot
 def count_cycles(cpu):
-    """Return the cycles that the processor has run."""
+    """Return the clock cycles that the processor has run."""
     return cpu.when + 1 - _get_timer_status(cpu.status, (cpu.avr, cpu.timer, cpu.own))
 
 
@@ -81,7 +81,7 @@ def _read_address(bus):
 
 @hot
 def _update_bus(bus):
-    """Make the bus cycle of pins that have changed, if they begin or end one."""
+    """Make the bus cycle that a change of pins begins or ends."""
     cpu = array_at(bus.avr, 1, AVR)[0]
     selected, write, read = _read_pin(bus, bus.select) == 0, _read_pin(bus, bus.write), _read_pin(bus, bus.read)
     if write and not bus.was_write and (selected or bus.was_selected):
@@ -104,7 +104,7 @@ def _update_bus(bus):
 
 @exported(None, "i8", "i4", PORT)
 def follow_levels(_irq, value, port):
-    """Take over other levels that the program drives at a port."""
+    """Store the levels that the program drives at a port, and update the bus."""
     bus = array_at(port.bus, 1, BUS)[0]
     array_at(bus.levels, len(PORTS), INTEGER)[port.port] = value
     _update_bus(bus)
@@ -112,7 +112,7 @@ def follow_levels(_irq, value, port):
 
 @exported(None, "i8", "i4", PORT)
 def follow_directions(_irq, value, port):
-    """Take over which pins of a port are outputs."""
+    """Store which pins of a port are outputs, and update the bus."""
     bus = array_at(port.bus, 1, BUS)[0]
     array_at(bus.outputs, len(PORTS), INTEGER)[port.port] = value
     _update_bus(bus)
@@ -120,7 +120,7 @@ def follow_directions(_irq, value, port):
 
 @hot
 def _check_sleep(cpu):
-    """Return 1 for a processor that an interrupt can wake, else NOTHING_WAKES."""
+    """Return 1 if an interrupt can wake the sleeping processor, otherwise NOTHING_WAKES."""
     vectors = array_at(cpu.vectors, cpu.n_vectors, INTEGER)
     for k in range(cpu.n_vectors):
         if _is_enabled(cpu.is_enabled, (cpu.avr, vectors[k])):
@@ -130,7 +130,8 @@ def _check_sleep(cpu):
 
 @exported("i8", "i8", "i8", AVR)
 def end_quantum(_avr, when, cpu):
-    """Advance the board at the end of a quantum; find out whether the program has ended or sleeps. Return the next end."""
+    """Advance the board at the end of a quantum, and check whether the program has ended or sleeps. Return the cycle of
+    the next call."""
     cpu.when = when + cpu.quantum
     line = advance_board(cpu, when)
     if line != cpu.line:
@@ -152,7 +153,7 @@ def end_quantum(_avr, when, cpu):
 
 @exported(None, "i8", "i4", SERIAL)
 def log_sent_byte(_irq, value, serial):
-    """Take a byte that has left over a serial line; a whole line goes to the log."""
+    """Collect a byte sent over a serial line, and log each complete line."""
     cpu, text = array_at(serial.avr, 1, AVR)[0], array_at(serial.text, serial.room, BYTE)
     if value != LINE_END and value != CARRIAGE_RETURN:
         text[serial.length] = value
@@ -166,7 +167,7 @@ def log_sent_byte(_irq, value, serial):
 
 @exported("i8", AVR)
 def run(cpu):
-    """Run until the program ends, or cannot go on; return simavr's state."""
+    """Run until the program ends or cannot continue; return simavr's state."""
     while not cpu.ended:
         state = _run(cpu.run, (cpu.avr,))
         if state >= DONE:

@@ -1,6 +1,8 @@
-"""A Cortex-M on Unicorn: memory, exceptions with priorities, SysTick, NVIC, semihosting; the board lies in windows of its memory.
+"""Cortex-M on Unicorn: memory, exceptions with priorities, SysTick, NVIC and semihosting. Windows of its memory reach
+the board.
 
-Time: 1.5 cycles for an instruction of 16 bits and 2.5 for one of 32, an approximation of a Cortex-M3 whose flash has wait states.
+Timing: 1.5 cycles for a 16-bit instruction and 2.5 cycles for a 32-bit one, which approximates a Cortex-M3 whose flash
+has wait states.
 """
 
 from __future__ import annotations
@@ -72,12 +74,12 @@ class CortexProgram:
     gdb: int | None = None
 
     def load(self, board: Board, isolated: bool) -> Cortex:
-        """Load a copy. Raises LibraryError, FileError."""
+        """Load a copy of the program. Raises LibraryError or FileError."""
         return Cortex(self, board)
 
 
 class Cortex(Engine):
-    """A Cortex-M with a program."""
+    """Cortex-M with a loaded program."""
 
     REGISTER_PREFIX = "UC_ARM_REG_"
 
@@ -134,7 +136,7 @@ class Cortex(Engine):
         self.uc.mmio_map(PRIVATE, PRIVATE_SIZE, self._read_private, None, self._write_private, None)
 
     def _load(self) -> int:
-        """Load the content; return where the vectors are. The first word of the flash is the stack, the second the entry."""
+        """Load the segments into memory; return the address of the vector table."""
         import unicorn
 
         for segment in self._elf.segments:
@@ -154,7 +156,7 @@ class Cortex(Engine):
     # --- exceptions ---
 
     def main(self) -> int:
-        """Run the program from its reset vector."""
+        """Run the program from its reset vector; return its exit code."""
         vectors = self.nvic.vectors
         self.set(msp=self.word(vectors), sp=self.word(vectors), lr=RESET, xpsr=_THUMB)
         self._pc = self.word(vectors + 4) & ~1
@@ -162,11 +164,11 @@ class Cortex(Engine):
         return super().main()
 
     def start_address(self) -> int:
-        """The program counter, with bit 0 for Thumb as the engine wants it."""
+        """Return the program counter with bit 0 set for Thumb, as Unicorn requires."""
         return self._pc | 1
 
     def address(self) -> int:
-        """The program counter."""
+        """Return the program counter."""
         return self._pc
 
     def go_to(self, address: int) -> None:
@@ -174,11 +176,11 @@ class Cortex(Engine):
         self._pc = address & ~1
 
     def halted(self) -> None:
-        """Note the program counter at a stop."""
+        """Store the program counter when a debugger stops the processor."""
         self._pc = self.get("pc") & ~1
 
     def place(self) -> str:
-        """The source line of the program counter."""
+        """Return the source line of the program counter."""
         return self._elf.where(self.get("pc") & ~1)
 
     def _note_exception(self, _uc: Any, number: int, _user: Any) -> None:
@@ -186,7 +188,7 @@ class Cortex(Engine):
         self.uc.emu_stop()
 
     def stopped(self) -> None:
-        """Note masks and program counter at a stop, and enter or leave the exception that was its cause."""
+        """Handle a stop of Unicorn: enter or leave the exception that caused it, or wait for an interrupt."""
         number, self._raised = self._raised, 0
         primask, basepri, pc = self._masks.get()
         self._pc = pc & ~1
@@ -205,7 +207,7 @@ class Cortex(Engine):
         self._update()
 
     def _handle(self, number: int) -> None:
-        """Handle an exception of Unicorn's."""
+        """Handle an exception that Unicorn reports."""
         if number == _EXIT:
             self._leave(self._pc)
         elif number == _SVC:
@@ -234,7 +236,7 @@ class Cortex(Engine):
         return words
 
     def _enter(self, number: int) -> None:
-        """Begin the routine of an exception, with a frame on the stack."""
+        """Push a frame to the stack and begin the routine of an exception."""
         routine = self.word(self.nvic.vectors + 4 * number)
         if not routine & 1:
             raise self.make_error(f"exception {number} comes, and its vector is {routine:X}h, which is no routine")
@@ -251,7 +253,7 @@ class Cortex(Engine):
         self.nvic.entered(number)
 
     def _leave(self, value: int) -> None:
-        """Return from an exception by a jump to EXC_RETURN."""
+        """Return from an exception after a jump to EXC_RETURN."""
         self.nvic.left(self.nvic.before())
         self._mode.set(0 if value & 8 else self.nvic.before())
         if value & 8:
@@ -270,7 +272,7 @@ class Cortex(Engine):
     # --- its own devices ---
 
     def _update(self) -> None:
-        """Hand the state of the interrupt controller to compiled code."""
+        """Pass the state of the interrupt controller to compiled code."""
         t = self.record
         t.alarm = self.nvic.alarm() * UNITS
         t.line, t.device_waits = self.nvic.line_may_come(), self.nvic.waiting()
@@ -296,7 +298,7 @@ _FAILED = 0xFFFFFFFF
 
 
 class Semihosting:
-    """Services that a program asks for by a breakpoint (Arm's semihosting).
+    """Semihosting services (Arm), which a program requests by a breakpoint.
 
     Args:
         cpu: A Cortex.
@@ -306,7 +308,7 @@ class Semihosting:
         self._cpu = cpu
 
     def serve(self) -> None:
-        """Carry out one request."""
+        """Execute one request."""
         cpu = self._cpu
         what, about = cpu.get("r0"), cpu.get("r1")
         answer = 0

@@ -1,4 +1,5 @@
-"""What DOS and BIOS do for a program: text, time, vectors, its end. A function that is not here ends it, with its number."""
+"""Functions of DOS and BIOS for a program: text, time, interrupt vectors and exit. An unsupported function ends the
+program with an error that names it."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ NO_KEY = "it waits for a key, and nobody is at the keyboard"
 
 
 class Dos:
-    """The services of a PC, by interrupt and function.
+    """DOS and BIOS services of a PC, by interrupt and function.
 
     Args:
         pc: A Pc.
@@ -39,7 +40,7 @@ class Dos:
         }  # fmt: skip
 
     def serve(self, number: int) -> None:
-        """Carry out INT `number`, of which the program has no routine of its own."""
+        """Execute software interrupt `number`, for which the program has installed no routine."""
         pc, ah = self._pc, self._pc.get("ah")
         if number == 0x21:
             function = self._functions.get(ah)
@@ -119,7 +120,7 @@ class Dos:
             pc.set(al=0)
 
     def _delay(self) -> None:
-        """Let CX:DX us pass; interrupts come after it."""
+        """Let CX:DX microseconds pass; interrupts are served afterwards."""
         pc = self._pc
         us = pc.get("cx") << 16 | pc.get("dx")
         pc.record.cycles += us * int(pc.record.hz) // 1_000_000

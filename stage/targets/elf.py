@@ -1,7 +1,8 @@
-"""Read ELF programs of other processors by pyelftools: what is loaded, symbols, and which processor they were built for.
+"""Read ELF programs of other processors by pyelftools: segments, symbols, and the processor for which they were built.
 
-An AVR's file has its architecture in the ELF flags; its name, where avr-gcc (`.note.gnu.avr.deviceinfo`) or simavr's header
-(`.mmcu`) has written it. A Cortex-M's has the build attributes of Arm (`.ARM.attributes`).
+An AVR program has its architecture in the ELF flags, and its processor's name where avr-gcc
+(`.note.gnu.avr.deviceinfo`) or simavr's header (`.mmcu`) stored it. A Cortex-M program has Arm's build attributes
+(`.ARM.attributes`).
 """
 
 from __future__ import annotations
@@ -41,11 +42,12 @@ _ARM_NAMES = {
 }  # fmt: skip
 _ARM_RUNS = {"cortex-m0": (V6M, V6SM), "cortex-m3": (V6M, V6SM, V7), "cortex-m4": (V6M, V6SM, V7, V7EM)}
 _DAMAGED = (ValueError, LookupError, TypeError, AttributeError, AssertionError, OverflowError)
-"""What pyelftools raises for damaged files, beside its own errors."""
+"""Exceptions of pyelftools for damaged files, besides its own errors."""
 
 
 class Segment(NamedTuple):
-    """Content that is loaded at an address of the memory that keeps it (`at`), for use at `used_at`."""
+    """Content of a program segment, with its load address (`at`) and the address at which the program uses it
+    (`used_at`)."""
 
     at: int
     used_at: int
@@ -53,22 +55,28 @@ class Segment(NamedTuple):
 
 
 def machine_of(path: Path) -> str:
-    """Return the machine that a file is for, in words; "" if it is no ELF file. Raises FileError."""
+    """Return the name of the machine for which an ELF file was built, or "" for other files. Raises FileError."""
     head = read_elf_head(_read(path)[:ELF_HEAD_SIZE])
     return MACHINES.get(head[1], f"machine {head[1]}") if head else ""
 
 
 class Elf:
-    """A program of a machine of 32 bits or less.
+    """Program for a machine of 32 bits or less.
+
+    Args:
+        path: The file.
+        machine: Machine number of the processor, AVR or ARM.
+        mcu: Name of the processor, for messages.
+        how: Command that builds a program, for messages.
 
     Attributes:
-        flags, entry: Of the file's head.
-        segments: What is loaded.
+        flags, entry: Fields of the ELF header.
+        segments: Segments to load.
         symbols: Addresses by name.
 
     Raises:
-        FileError: There is no such file.
-        LibraryError: It is no program, or one for another machine.
+        FileError: The file does not exist.
+        LibraryError: The file is no program, or one for another machine.
     """
 
     def __init__(self, path: Path, machine: int, mcu: str, how: str):
@@ -104,12 +112,12 @@ class Elf:
         return next((section for section in self._sections if section.name == name), None)
 
     def section(self, name: str) -> bytes:
-        """Return what is in the section of that name; b"" if there is none."""
+        """Return the content of a section, or b"" if there is none."""
         section = self._find_section(name)
         return b"" if section is None or section["sh_type"] == "SHT_NOBITS" else bytes(section.data())
 
     def is_writable(self, begin: int, size: int) -> bool:
-        """Tell whether the linker has put variables into that memory."""
+        """Tell whether the program has variables in this range of addresses."""
         wanted = _WRITABLE | _ALLOCATED
         return any(
             s["sh_flags"] & wanted == wanted and begin <= s["sh_addr"] < begin + size and s["sh_size"]
@@ -117,7 +125,7 @@ class Elf:
         )
 
     def where(self, address: int) -> str:
-        """Say an address: with its symbol, and file and line if the file has them."""
+        """Return an address in hexadecimal with its symbol and, if known, its file and line."""
         words = f"{address:04X}h"
         k = bisect_right(self._functions, (address, chr(0x10FFFF))) - 1
         if k >= 0:
@@ -135,7 +143,7 @@ class Elf:
         return ""
 
     def _read_segments(self) -> list[Segment]:
-        """Read what is loaded; without the file's head, which linkers put into the first where there is room."""
+        """Return the segments to load, without the ELF header that a linker may have put into the first one."""
         contents = [s for s in self._sections if s["sh_type"] == "SHT_PROGBITS" and s["sh_flags"] & _ALLOCATED]
         first = min((s["sh_offset"] for s in contents), default=0)
         segments = []
@@ -146,7 +154,8 @@ class Elf:
         return segments
 
     def _read_symbols(self, thumb: bool) -> dict[str, int]:
-        """Read addresses by name. thumb: the lowest bit of a function's is the state of the processor."""
+        """Return addresses by name. With `thumb`, the lowest bit of a function's address is a processor state and is
+        removed."""
         symbols: dict[str, int] = {}
         self._functions: list[tuple[int, str]] = []
         for table in (s for s in self._sections if s["sh_type"] == "SHT_SYMTAB"):
@@ -162,7 +171,7 @@ class Elf:
         return symbols
 
     def _read_attributes(self) -> dict[str, Any]:
-        """Read the build attributes of Arm, of the whole file, by the names of their tags."""
+        """Return Arm's build attributes of the whole file, by tag name."""
         section = self._find_section(".ARM.attributes")
         if section is None or section["sh_type"] != "SHT_ARM_ATTRIBUTES":
             return {}
@@ -171,7 +180,7 @@ class Elf:
         return {attribute.tag: attribute.value for part in parts for attribute in part.iter_attributes()}
 
     def _read_device_name(self) -> str:
-        """Read the name that avr-gcc has written; "" if it has not."""
+        """Return the processor's name as stored by avr-gcc, or ""."""
         section = self._find_section(".note.gnu.avr.deviceinfo")
         for note in section.iter_notes() if section is not None else ():
             record = bytes(note["n_descdata"])
@@ -188,7 +197,7 @@ class Elf:
 
 
 def avr_architecture(mcu: str) -> int:
-    """Return the number of avr-gcc's architecture, as it stands in the ELF flags."""
+    """Return the number of an AVR's architecture in avr-gcc, which the ELF flags contain."""
     if mcu.startswith(_SMALL):
         return 25
     if mcu == "at90usb162":
@@ -201,7 +210,7 @@ def avr_architecture(mcu: str) -> int:
 
 
 def check_avr(elf: Elf, mcu: str, how: str) -> None:
-    """Raise LibraryError for a program that is for another AVR."""
+    """Raise LibraryError if a program was built for another AVR."""
     name, number = avr_name(elf), elf.flags & _ARCHITECTURE
     wanted = avr_architecture(mcu)
     other_name = name in AVRS and _family(name) != _family(mcu)
@@ -212,17 +221,17 @@ def check_avr(elf: Elf, mcu: str, how: str) -> None:
 
 
 def _family(name: str) -> str:
-    """Leave out the letters of variants that run the same programs."""
+    """Return a processor's name without the letters of variants that run the same programs."""
     return re.sub(r"(p|a|pa|l)$", "", name)
 
 
 def avr_name(elf: Elf) -> str:
-    """Return the name of the processor, for example atmega2560; "" where nobody has written it."""
+    """Return the processor's name, for example atmega2560, or "" if the file has none."""
     return read_mmcu(elf).get(_NAME_TAG, b"").split(b"\0")[0].decode("ascii", "replace").lower() or elf.device_name
 
 
 def read_mmcu(elf: Elf) -> dict[int, bytes]:
-    """Read what AVR_MCU(...) of simavr's header has put into the section .mmcu, by its tags."""
+    """Return the values by tag that AVR_MCU(...) of simavr's header has stored in the section .mmcu."""
     contents = [s.content for s in elf.segments if 0x910000 <= s.used_at < 0x920000]
     content = elf.section(".mmcu") or (contents[0] if contents else b"")
     tags: dict[int, bytes] = {}
@@ -238,7 +247,7 @@ def read_mmcu(elf: Elf) -> dict[int, bytes]:
 
 
 def check_arm(elf: Elf, mcu: str, how: str) -> None:
-    """Raise LibraryError for a program with instructions that this Cortex-M does not have."""
+    """Raise LibraryError if a program has instructions that this Cortex-M lacks."""
     tags = elf.attributes
     arch, profile = tags.get("TAG_CPU_ARCH", 0), chr(tags.get("TAG_CPU_ARCH_PROFILE", ord("M")))
     floats = tags.get("TAG_FP_ARCH")

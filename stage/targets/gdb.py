@@ -1,8 +1,8 @@
-"""A server for GDB (its remote serial protocol) of a processor on Unicorn, at a TCP port of this machine.
+"""Server of GDB's remote serial protocol for a processor on Unicorn, at a TCP port of this machine.
 
-The program halts before its first instruction until a debugger says c. The time of the stage stands while it halts, since it passes
-in instructions only. Breakpoints are found by address and leave the memory as it is. Memory of the board's windows is not shown: a
-read there would be a bus cycle.
+The program halts before its first instruction until the debugger continues it. Simulated time passes only in
+instructions, so it stands while the program halts. Breakpoints are found by address and do not change memory. The
+server does not show memory of the board's windows, where a read would be a bus cycle.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ _REPLIES = {"vCont?": "vCont;c;C;s;S", "qAttached": "1", "qC": "QC1", "qfThreadI
 
 
 class DebugRegisters:
-    """The registers of a processor as GDB sees them.
+    """Registers of a processor in GDB's numbering.
 
     Args:
         cpu: An Engine; its `go_to` sets the program counter.
-        architecture: GDB's name of it.
-        feature: GDB's name of the set of registers.
-        names: Names of 32 bits each, in GDB's order.
-        kinds: GDB's types of some of them, by name; the others are of type `kind`.
+        architecture: Name of the architecture in GDB.
+        feature: Name of the register set in GDB.
+        names: Names of the 32-bit registers, in GDB's order.
+        kinds: GDB types of some registers, by name; the others have the type `kind`.
         pc: Name of the program counter.
         kind: A type, or "".
-        absent: Further registers that GDB wants, which read as 0: (name, bits, type).
+        absent: Further registers that GDB requires and that read as 0: (name, bits, type).
 
     Attributes:
-        sizes: Bytes of each register.
-        description: The registers in XML.
+        sizes: Size of each register in bytes.
+        description: Description of the registers in XML.
     """
 
     def __init__(
@@ -74,13 +74,13 @@ class DebugRegisters:
 
 
 def cortex_registers(cpu: Any) -> DebugRegisters:
-    """Return the registers of a Cortex-M."""
+    """Create the registers of a Cortex-M."""
     names = [*(f"r{n}" for n in range(13)), "sp", "lr", "pc", "xpsr"]
     return DebugRegisters(cpu, "arm", "org.gnu.gdb.arm.m-profile", names, {"sp": "data_ptr", "pc": "code_ptr"}, "pc")
 
 
 def pc_registers(cpu: Any) -> DebugRegisters:
-    """Return the registers of an 8086. eip is the linear address, 16 * cs + ip, as the memory's addresses are."""
+    """Create the registers of an 8086; eip is the linear address 16 * cs + ip, as for memory."""
     floats = tuple((f"st{n}", 80, "i387_ext") for n in range(8))
     controls = tuple((f"f{name}", 32, "int") for name in "ctrl stat tag iseg ioff oseg ooff op".split())
     names = "eax ecx edx ebx esp ebp esi edi eip eflags cs ss ds es fs gs".split()
@@ -89,16 +89,16 @@ def pc_registers(cpu: Any) -> DebugRegisters:
 
 
 class DebugServer:
-    """A server for one debugger a run.
+    """Server for one debugger in each run.
 
     Args:
         engine: The Engine.
-        registers: Its registers.
+        registers: Registers of the engine.
         port: TCP port.
 
     Attributes:
-        halted: The program is paused until the debugger lets it go on.
-        steps: It goes on for one instruction.
+        halted: The program is halted until the debugger continues it.
+        steps: The program executes a single instruction.
     """
 
     def __init__(self, engine: Any, registers: DebugRegisters, port: int):
@@ -119,7 +119,7 @@ class DebugServer:
     # --- calls of the engine ---
 
     def before(self) -> None:
-        """Serve the debugger for as long as the program halts, before it goes on."""
+        """Serve the debugger while the program is halted, before the engine runs."""
         if self._socket is None and self._port:
             self._accept()
         if self.halted:
@@ -130,7 +130,8 @@ class DebugServer:
             self._runs.set()
 
     def after(self) -> bool:
-        """Tell, after the program has stopped, whether the debugger wanted that and the processor has nothing else to do."""
+        """Return, after the engine has stopped, whether the debugger stopped it, so that the processor has nothing else
+        to handle."""
         self._runs.clear()
         if self.steps:
             self.steps, self.halted, self._signal = False, True, TRAP
@@ -138,14 +139,14 @@ class DebugServer:
         return self.halted
 
     def report_failure(self) -> None:
-        """Let the debugger examine a program that cannot go on."""
+        """Report a fault, so that the debugger can examine a program that cannot continue."""
         self._runs.clear()
         if self._socket is not None:
             self.halted, self._reported, self._signal = True, False, SEGMENTATION
             self._serve()
 
     def report_end(self, code: int) -> None:
-        """Report that the program has returned."""
+        """Report the exit code of the program to the debugger."""
         self._runs.clear()
         if self._socket is not None:
             self._send(f"W{code & 0xFF:02x}")
@@ -193,7 +194,7 @@ class DebugServer:
                 self._close()
 
     def _receive(self) -> str | None:
-        """Return the next command; CTRL_C; or None when the debugger is gone."""
+        """Return the next command, CTRL_C, or None if the debugger has disconnected."""
         while self._socket is not None:
             self._received = self._received.lstrip(b"+-")
             if self._received.startswith(CTRL_C.encode()):
@@ -214,7 +215,7 @@ class DebugServer:
         return None
 
     def _serve(self) -> None:
-        """Answer commands for as long as the program halts."""
+        """Answer commands while the program is halted."""
         if not self._reported:
             self._send(f"S{self._signal:02x}")
             self._reported = True
@@ -225,7 +226,7 @@ class DebugServer:
     # --- commands ---
 
     def _answer(self, command: str) -> str | None:
-        """Execute a command, and return the reply; None: there is none, or it comes later."""
+        """Execute a command and return the reply, or None if there is none or it follows later."""
         kind, rest = command[:1], command[1:]
         if kind in "cs" or command.startswith("vCont;"):
             one = kind == "s" or command.startswith("vCont;s")
@@ -316,7 +317,7 @@ class DebugServer:
             self._engine.uc.hook_del(self._breakpoints.pop(address))
 
     def _reach(self, _uc: Any, address: int, size: int, _user: Any) -> None:
-        """Halt before the instruction at a breakpoint, unless it is the one from which the program goes on."""
+        """Halt before the instruction at a breakpoint, unless the program continues from there."""
         skipped, self._skipped = self._skipped, None
         if address == skipped or address not in self._breakpoints:
             return

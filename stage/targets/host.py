@@ -3,7 +3,7 @@
     host = TargetHost("firmware.elf", board, mcu="atmega2560", map="data=A,address=C:0-1,cs=B0,wr=G0,rd=G1")
     result = host.run(timeout=10)
 
-All else is as with NativeHost, except that time passes in its instructions, too.
+It works like NativeHost, except that instructions also take simulated time.
 """
 
 from __future__ import annotations
@@ -75,7 +75,8 @@ class TargetHost(Host):
 
 
 def _check_free(port: int) -> None:
-    """Raise ArgumentError for a port that is in use: emulators notice that only while they run, and simavr then waits for ever."""
+    """Raise ArgumentError if a port is in use. Emulators notice that only while they run, and simavr then waits
+    forever."""
     with socket.socket() as trial:
         trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -87,13 +88,13 @@ def _check_free(port: int) -> None:
 
 
 def make_program(path: Path, mcu: str, maps: list[str], hz: int | None, gdb: int | None) -> Program:
-    """Make a program of a processor.
+    """Create a program for a processor.
 
     Args:
         path: The file.
-        mcu: The processor.
-        maps: How the board is wired to it.
-        hz: Its clock, or None.
+        mcu: Name of the processor.
+        maps: Wiring of the board to the processor, see `TargetHost`.
+        hz: Clock of the processor in Hz, or None.
         gdb: TCP port of a GDB server, or None.
 
     Raises:

@@ -26,12 +26,12 @@ _NAMES = ("libsimavr.so.2", "libsimavr.so.1", "libsimavr.so", "libsimavr.dylib")
 
 
 class NoEmulatorError(StageError):
-    """An emulator that is not installed."""
+    """Error for an emulator that is not installed."""
 
 
 @cache
 def load_simavr() -> ctypes.CDLL:
-    """Load simavr's library. Raises NoEmulatorError, also where there is nothing to read its programs with."""
+    """Load the library of simavr. Raises NoEmulatorError if simavr or pyelftools is missing."""
     if importlib.util.find_spec("elftools") is None:
         raise NoEmulatorError(f"there is no {PYELFTOOLS}: install it.")
     for name in (*_NAMES, ctypes.util.find_library("simavr")):
@@ -63,7 +63,8 @@ def check_unicorn() -> None:
 
 
 def check_mcu(mcu: str) -> str:
-    """Return the name of a processor in lower case. Raises ArgumentError with the known ones for another."""
+    """Return the name of a processor in lower case. Raises ArgumentError for an unknown one and lists the known
+    ones."""
     name = str(mcu).lower()
     if name in AVRS or name in CORTEX or name in X86:
         return name

@@ -40,14 +40,19 @@ class Nvic:
     # --- exceptions ---
 
     def next(self, primask: int, basepri: int) -> int | None:
-        """Return the exception that is taken now, or None. primask, basepri: registers of the processor."""
+        """Return the exception that the processor takes now, or None.
+
+        Args:
+            primask: Register PRIMASK of the processor.
+            basepri: Register BASEPRI of the processor.
+        """
         if primask & 1 or not (candidates := self._candidates()):
             return None
         priority, number = min((self._priority.get(n, 0), n) for n in candidates)
         return None if priority >= self._running() or (basepri and priority >= basepri) else number
 
     def _waiting(self) -> set[int]:
-        """Return exceptions of the processor's own that are pending and enabled."""
+        """Return the pending and enabled exceptions of the processor itself."""
         return {n for n in self._pending if n < FIRST or n in self._enabled}
 
     def _candidates(self) -> set[int]:
@@ -59,25 +64,26 @@ class Nvic:
         return min((self._priority.get(n, 0) for n in self._active), default=_LOWEST)
 
     def entered(self, number: int) -> None:
-        """Note that the routine of an exception begins."""
+        """Record that the routine of an exception has begun."""
         self._pending.discard(number)
         self._active.append(number)
 
     def left(self, number: int) -> None:
-        """Note that the routine of an exception has returned."""
+        """Record that the routine of an exception has returned."""
         if number in self._active:
             self._active.remove(number)
 
     def before(self) -> int:
-        """Return the exception whose routine runs, or 0."""
+        """Return the exception whose routine is running, or 0."""
         return self._active[-1] if self._active else 0
 
     def waiting(self) -> bool:
-        """Tell whether an exception of the processor's own waits and may come by its priority."""
+        """Tell whether an exception of the processor itself is pending and has a sufficient priority."""
         return min((self._priority.get(n, 0) for n in self._waiting()), default=_LOWEST) < self._running()
 
     def line_may_come(self) -> bool:
-        """Tell whether the board's line is enabled, and of a higher priority than what runs."""
+        """Tell whether the interrupt of the board's line is enabled and has a higher priority than the running
+        routine."""
         if self._irq is None or FIRST + self._irq not in self._enabled or FIRST + self._irq in self._active:
             return False
         return self._priority.get(FIRST + self._irq, 0) < self._running()
@@ -89,7 +95,7 @@ class Nvic:
         return self._control & 3 == 3 and self._reload > 0
 
     def alarm(self) -> int:
-        """Return the cycle of the next interrupt of SysTick."""
+        """Return the cycle at which SysTick interrupts next."""
         if not self.ticks():
             return NEVER
         return self._started + ((self._now() - self._started) // (self._reload + 1) + 1) * (self._reload + 1)
@@ -105,7 +111,7 @@ class Nvic:
         return self._reload - (self._now() - self._started) % (self._reload + 1)
 
     def _flag(self) -> int:
-        """Read COUNTFLAG: the counter has reached zero since the last read."""
+        """Read and clear COUNTFLAG: whether the counter has reached zero since the last read."""
         if not self._control & 1 or not self._reload:
             return 0
         rounds = (self._now() - self._started) // (self._reload + 1)
@@ -115,7 +121,7 @@ class Nvic:
     # --- registers ---
 
     def read(self, at: int) -> int:
-        """Read a register of 32 bits. at: its offset."""
+        """Return a 32-bit register, by its offset."""
         values = {_RELOAD: self._reload, _VTOR: self.vectors, _CPUID: 0x412FC231, _AIRCR: 0xFA050000, _STIMULUS: 1}
         if at == _CONTROL:
             return self._control | self._flag()
@@ -136,7 +142,7 @@ class Nvic:
 
     @staticmethod
     def _first_priority(at: int) -> int | None:
-        """Return the first exception whose priority is in a register, or None."""
+        """Return the first exception whose priority a register contains, or None."""
         if 0xE400 <= at < 0xE400 + IRQS:
             return FIRST + at - 0xE400
         return 4 + at - _SHPR if _SHPR <= at < _SHPR + 12 else None
@@ -149,13 +155,13 @@ class Nvic:
         """Write a register.
 
         Args:
-            at: Its offset.
-            value: The bytes in their place in 32 bits.
-            size: How many bytes.
-            byte: The first of them.
+            at: Offset of the register.
+            value: Written bytes at their position in 32 bits.
+            size: Number of written bytes.
+            byte: Index of the first written byte.
 
         Returns:
-            Whether a reset is requested.
+            Whether the program requests a reset.
         """
         if at in (_CONTROL, _RELOAD, _VALUE):
             self._write_systick(at, value)

@@ -1,8 +1,8 @@
-"""A PC of the age of these chips: an 8086 in real mode on Unicorn, with as much of DOS and BIOS as a program needs that moves axes.
+"""PC with an 8086 in real mode on Unicorn, with as much of DOS and BIOS as a program that moves axes needs.
 
-IN and OUT reach the board, except that ports below 100h where the board has nothing are the PC's timer (40h to 43h, 61h) and its
-interrupt controller (20h, 21h). Time: 8 cycles an instruction and 4 for each of its bytes, of 4.77 MHz: an 8088 that waits for its
-bus most of the time.
+IN and OUT reach the board. Exceptions are the PC's timer (40h to 43h, 61h) and interrupt controller (20h, 21h), unless
+the board occupies these ports. Timing: 8 cycles for each instruction plus 4 for each of its bytes, at 4.77 MHz, which
+approximates an 8088 that mostly waits for its bus.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ TICK = bytes.fromhex("50 CD 1C B0 20 E6 20 58 CF")
 """The timer's routine: int 1Ch, end of interrupt, iret."""
 TICK_AT = 0x10
 SOURCES = (".asm", ".c", ".cc", ".cpp", ".cxx", ".h", ".ino", ".rs", ".s")
-"""A .COM begins with its first instruction, so that any file could be one: its name has to tell."""
+"""Suffixes of source files. Any file could be a .COM, which has no header, so the name has to tell."""
 LOAD = 0x1000  # segment of the program's prefix
 INTERNAL_PORTS = 0x100  # ports below are the PC's own
 NOBODY = 0xFF
@@ -45,12 +45,12 @@ _IF = 0x200
 
 @dataclass(frozen=True)
 class PcProgram:
-    """A .COM or .EXE.
+    """DOS program, a .COM or .EXE file.
 
     Attributes:
         path: The file.
-        hz: Clock of the processor, or None.
-        irq: The PC's interrupt (2 to 7) that the board's line is wired to, or None.
+        hz: Clock of the processor in Hz, or None.
+        irq: Interrupt of the PC (2 to 7) to which the board's line is wired, or None.
         gdb: TCP port of a GDB server, or None.
     """
 
@@ -60,12 +60,12 @@ class PcProgram:
     gdb: int | None = None
 
     def load(self, board: Board, isolated: bool) -> Pc:
-        """Load a copy. Raises LibraryError, FileError."""
+        """Load a copy of the program. Raises LibraryError or FileError."""
         return Pc(self, board)
 
 
 class Pc(Engine):
-    """A PC with a program.
+    """PC with a loaded program.
 
     Attributes:
         prefix: Segment of the program's prefix.
@@ -116,11 +116,11 @@ class Pc(Engine):
 
     @staticmethod
     def default_vector(n: int) -> tuple[int, int]:
-        """Return where the routine of an interrupt is, offset and segment, until the program sets one."""
+        """Return offset and segment of the default routine of an interrupt."""
         return (TICK_AT if n == 8 else STUBS + n), ROM
 
     def vector(self, n: int) -> tuple[int, int]:
-        """Return where the routine of an interrupt is now, offset and segment."""
+        """Return offset and segment of the current routine of an interrupt."""
         offset, segment = struct.unpack("<HH", self.read(0, 4 * n, 4))
         return offset, segment
 
@@ -184,7 +184,7 @@ class Pc(Engine):
             self.dos.serve(number)
 
     def start_address(self) -> int:
-        """The linear address of CS:IP."""
+        """Return the linear address of CS:IP."""
         return (self.get("cs") << 4) + self.get("ip")
 
     def go_to(self, address: int) -> None:
@@ -192,12 +192,13 @@ class Pc(Engine):
         self.set(ip=address - (self.get("cs") << 4) & 0xFFFF)
 
     def place(self) -> str:
-        """CS:IP, and the offset that the linker's map has."""
+        """Return CS:IP and the offset that appears in the linker's map."""
         cs, ip = self.get("cs"), self.get("ip")
         return f"{cs:04X}:{ip:04X} (offset {((cs - LOAD) << 4) + ip:X}h of its segment)"
 
     def stopped(self) -> None:
-        """Enter the interrupt that stopped the processor, wait at HLT, count the timer and look at the line of the board."""
+        """Handle a stop of Unicorn: enter a software interrupt, wait at HLT, update the timer and poll the board's
+        line."""
         t = self.record
         if self._call is not None:
             number, self._call = self._call, None
@@ -236,19 +237,19 @@ class Pc(Engine):
         self._set_line()
 
     def _set_line(self) -> None:
-        """Tell compiled code whether the board's line may interrupt."""
+        """Pass to compiled code whether the board's line may interrupt."""
         if self._irq:
             lower = (2 << self._irq) - 1
             self.record.line = not self._masked >> self._irq & 1 and not self._in_service & lower
             self.record.due = self.record.cycles
 
     def _tick(self) -> None:
-        """Note that channel 0 has reached zero."""
+        """Record that channel 0 has reached zero."""
         self._tick_pending = self.record.device_waits = 1
         self.watch_timer()
 
     def watch_timer(self) -> None:
-        """Let channel 0 interrupt from now on, if the program has set its routine."""
+        """Schedule the next interrupt of channel 0, if the program has installed a routine for it."""
         is_used = any(self.vector(n) != self.default_vector(n) for n in (0x08, 0x1C))
         t = self.record
         t.alarm = -(-self.timers.next_tick() * int(t.hz) // TIMER_HZ) if is_used else NEVER
@@ -257,7 +258,14 @@ class Pc(Engine):
     # --- ports of the PC ---
 
     def _access_internal_port(self, own: int, port: int, size: int, value: int) -> int:
-        """Make a cycle at a port below INTERNAL_PORTS. own: see MACHINE; value: -1 for IN."""
+        """Make a cycle at a port below INTERNAL_PORTS.
+
+        Args:
+            own: Address of the MACHINE record.
+            port: Port number.
+            size: Number of bytes.
+            value: Value that is written; -1 for a read.
+        """
         try:
             on_board = port in self._board.ports
             if size > 1 and not on_board:

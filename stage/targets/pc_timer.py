@@ -13,15 +13,15 @@ _SQUARE = 3
 
 @dataclass
 class Channel:
-    """One counter.
+    """Counter of the timer.
 
     Attributes:
-        mode, access: As its control word says.
-        reload: 1 to 65536.
-        started: When it was loaded, in clocks of the timer.
-        low: The low byte that was written first of two.
-        latched: The latched count, or -1.
-        half: The byte that comes next of two.
+        mode, access: Fields of its control word.
+        reload: Reload value, 1 to 65536.
+        started: Time at which it was loaded, in timer clocks.
+        low: Low byte, while the high byte has not been written.
+        latched: Latched count, or -1.
+        half: Byte that is accessed next, 0 low or 1 high.
     """
 
     mode: int = _SQUARE
@@ -33,7 +33,7 @@ class Channel:
     half: int = 0
 
     def count(self, now: int) -> int:
-        """Return what is read at a time."""
+        """Return the count at a time, as it is read."""
         passed = now - self.started
         if self.mode in (2, 6):
             return (self.reload - passed % self.reload) & 0xFFFF
@@ -42,7 +42,7 @@ class Channel:
         return (self.reload - passed) & 0xFFFF
 
     def output(self, now: int) -> bool:
-        """Return the level of its pin at a time."""
+        """Return the level of the output pin at a time."""
         passed = now - self.started
         if self.mode in (3, 7):
             return passed % self.reload < (self.reload + 1) // 2
@@ -50,10 +50,10 @@ class Channel:
 
 
 class Timers:
-    """Three channels.
+    """Three counter channels of a PC.
 
     Args:
-        now: Function that returns the clocks of the timer that have passed.
+        now: Function that returns the current time in timer clocks.
     """
 
     def __init__(self, now: Callable[[], int]):
@@ -62,12 +62,13 @@ class Timers:
         self._gate = 0
 
     def next_tick(self) -> int:
-        """Return when channel 0 reaches zero next, in clocks of the timer."""
+        """Return the time at which channel 0 reaches zero next, in timer clocks."""
         c = self.channels[0]
         return c.started + ((self._now() - c.started) // c.reload + 1) * c.reload
 
     def read(self, port: int) -> int:
-        """Read a byte of a counter; port 61h: bit 5 is channel 2's output, bit 4 toggles with the refresh."""
+        """Read a port: a byte of a counter, or at 61h the output of channel 2 in bit 5 and the refresh toggle in bit
+        4."""
         now = self._now()
         if port == 0x61:
             return self._gate | self.channels[2].output(now) << 5 | (now // 18 & 1) << 4
@@ -85,7 +86,7 @@ class Timers:
         return value & 0xFF if c.access == 1 else value >> 8
 
     def write(self, port: int, value: int) -> None:
-        """Write a byte of a counter, a control word, or the gate of channel 2."""
+        """Write a port: a byte of a counter, a control word, or at 61h the gate of channel 2."""
         now = self._now()
         if port == 0x61:
             if value & 1 and not self._gate & 1:

@@ -1,10 +1,12 @@
-"""What emulated processors have in common, compiled: the clock, bus cycles, and on Unicorn the interrupt line, ports and windows.
+"""Common functions of emulated processors, compiled: clock and bus cycles; on Unicorn also interrupt line, ports and
+windows.
 
-A processor counts its clock cycles. Before each of its bus cycles the time of the board advances to that of the processor, and at
-the latest after a quantum, when the interrupt line is read. Where the board's bus cycle is longer, the processor waits (READY).
+A processor counts its clock cycles. Before each bus cycle the board advances to the processor's time; at the latest it
+does so after a quantum, when the processor polls the interrupt line. If a bus cycle of the board takes longer, the
+processor waits (READY).
 
-Unicorn does not know how long an instruction takes. Here each takes a number of cycles, and some for each of its bytes: an
-approximation, which is stated for each processor.
+Unicorn does not model the duration of instructions. Here each instruction takes a fixed number of cycles plus some for
+each byte: an approximation that each processor documents.
 """
 
 from __future__ import annotations
@@ -44,7 +46,7 @@ MACHINE = record(
 """
 WINDOW = record([(name, "i8") for name in "address port length".split()])
 PAGE = record([("machine", "i8"), ("address", "i8")])
-"""A page of memory that holds windows, at this address."""
+"""Page of memory with windows, and its address."""
 _stop, _reg_read = called("i4", "i8"), called("i4", "i8", "i4", "i8")
 _internal_port = called("i8", "i8", "i8", "i8", "i8")
 
@@ -57,7 +59,8 @@ def _are_interrupts_enabled(cpu):
 
 @hot
 def poll(cpu):
-    """Advance the board to the processor's time, and read the interrupt line; return 1 where Python has to do something."""
+    """Advance the board to the processor's time and read the interrupt line; return 1 if Python has something to
+    handle."""
     line = advance_board(cpu, cpu.cycles)
     if line and not (cpu.edge and cpu.before):
         cpu.raised = 1
@@ -73,20 +76,20 @@ def poll(cpu):
 
 @exported("i8", MACHINE)
 def poll_from_python(cpu):
-    """Poll as compiled code does."""
+    """Poll on behalf of Python."""
     return poll(cpu)
 
 
 @exported(None, MACHINE)
 def wait(cpu):
-    """Let time pass without instructions, until Python has something to do."""
+    """Let time pass without instructions until Python has something to handle."""
     while not poll(cpu):
         cpu.cycles = cpu.due
 
 
 @exported(None, "i8", "i8", "i4", MACHINE)
 def count_instruction(_uc, _address, size, cpu):
-    """Count an instruction before it is run, and stop Unicorn where Python has to do something."""
+    """Count an instruction before it runs, and stop Unicorn if Python has something to handle."""
     cpu.cycles += cpu.each + cpu.byte * size
     if cpu.cycles >= cpu.due and poll(cpu):
         _stop(cpu.stop, (cpu.uc,))
@@ -106,7 +109,7 @@ def _write_port(cpu, size, port, value):
 
 @exported("i4", "i8", "i4", "i4", MACHINE)
 def execute_in(_uc, port, size, cpu):
-    """Execute IN."""
+    """Execute the instruction IN."""
     if port < cpu.n_internal_ports:
         return _internal_port(cpu.internal_port, (cpu.own, port, size, -1))
     value = _read_port(cpu, size, port)
@@ -116,7 +119,7 @@ def execute_in(_uc, port, size, cpu):
 
 @exported(None, "i8", "i4", "i4", "i4", MACHINE)
 def execute_out(_uc, port, size, value, cpu):
-    """Execute OUT."""
+    """Execute the instruction OUT."""
     if port < cpu.n_internal_ports:
         _internal_port(cpu.internal_port, (cpu.own, port, size, value & (0xFF if size == 1 else 0xFFFF)))
         return
@@ -126,7 +129,7 @@ def execute_out(_uc, port, size, value, cpu):
 
 @hot
 def _find_port(cpu, address, size):
-    """Return the port that an address of a window is, or stop Unicorn and return -1."""
+    """Return the port of an address in a window; for other addresses stop Unicorn and return -1."""
     windows = array_at(cpu.windows, cpu.n_windows, WINDOW)
     for k in range(cpu.n_windows):
         n = address - windows[k].address
@@ -139,7 +142,7 @@ def _find_port(cpu, address, size):
 
 @exported("i8", "i8", "i8", "i4", PAGE)
 def load_from_window(_uc, offset, size, page):
-    """Load from memory that holds windows."""
+    """Load from a page of memory with windows."""
     cpu = array_at(page.machine, 1, MACHINE)[0]
     port = _find_port(cpu, page.address + offset, size)
     if port < 0:
@@ -151,7 +154,7 @@ def load_from_window(_uc, offset, size, page):
 
 @exported(None, "i8", "i8", "i4", "i8", PAGE)
 def store_to_window(_uc, offset, size, value, page):
-    """Store to memory that holds windows."""
+    """Store to a page of memory with windows."""
     cpu = array_at(page.machine, 1, MACHINE)[0]
     port = _find_port(cpu, page.address + offset, size)
     if port >= 0:
@@ -161,25 +164,26 @@ def store_to_window(_uc, offset, size, value, page):
 
 @hot
 def request(cpu, code, a, b):
-    """Make a request of the board."""
+    """Execute a request to the board."""
     return _request(cpu.request, (cpu.host, code, a, b))
 
 
 @hot
 def compute_time(cpu, cycles):
-    """Return the board's time (ns) at which the processor has run so many cycles."""
+    """Return the board's time, ns, at which the processor has run this number of cycles."""
     return cpu.begin + cpu.waits + cycles // cpu.hz * SECOND + cycles % cpu.hz * SECOND // cpu.hz
 
 
 @hot
 def advance_board(cpu, cycles):
-    """Advance the board to the processor's time; return 1 if the interrupt line then is asserted and leads here."""
+    """Advance the board to the processor's time; return 1 if the interrupt line is asserted and wired to the
+    processor."""
     return request(cpu, UNTIL, compute_time(cpu, cycles), cpu.watched)
 
 
 @hot
 def bus_cycle(cpu, cycles, code, port, value):
-    """Make a bus cycle that ends when the processor has run so many cycles."""
+    """Make a bus cycle that ends when the processor has run this number of cycles; return the answer."""
     host = array_at(cpu.host, 1, HOST)[0]
     end = compute_time(cpu, cycles)
     request(cpu, UNTIL, end - host.bus, 0)

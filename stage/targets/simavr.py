@@ -1,7 +1,8 @@
-"""AVR programs on simavr, whose library is opened at run time: it is under the GPL, no part of this package, and not linked to it.
+"""Run AVR programs on simavr. Its library, which is under the GPL, is opened at run time; it is neither part of this
+package nor linked.
 
-simavr's functions are used, not its structures, which change between versions. Three numbers have none: clock, state and program
-counter; they are found next to the addresses of functions that simavr puts beside them.
+The module uses simavr's functions and avoids its structures, which change between versions. Clock, state and program
+counter have no functions; they are found next to known function addresses in the structure.
 """
 
 from __future__ import annotations
@@ -90,18 +91,19 @@ class AvrProgram:
     gdb: int | None
 
     def load(self, board: Board, isolated: bool) -> LoadedAvr:
-        """Load a copy. Raises NoEmulatorError, LibraryError, FileError."""
+        """Load a copy of the program. Raises NoEmulatorError, LibraryError or FileError."""
         return LoadedAvr(self, board, isolated)
 
 
 class _Library:
-    """simavr, whose messages come to us. In a process of its own also its output, its memory and its server for GDB are changed.
+    """Library of simavr, with its messages redirected to this module. In a separate process its output, allocation and
+    GDB server are changed too.
 
     Attributes:
         c: The library.
         messages: Level and text of each message.
-        runs: The AVR record of the program that runs, or None.
-        gdb_port: TCP port of its server for GDB.
+        runs: AVR record of the running program, or None.
+        gdb_port: TCP port of its GDB server.
     """
 
     one: _Library | None = None
@@ -138,7 +140,7 @@ class _Library:
             self.runs.ended = 1
 
     def _bind(self, socket: int, address: int, size: int) -> int:
-        """Bind simavr's server, which listens on all interfaces, and whose port is in a structure, to our address."""
+        """Bind simavr's GDB server, which would listen on all interfaces, to 127.0.0.1 and the chosen port."""
         ours = ctypes.string_at(address, 2) + struct.pack("!H", self.gdb_port) + bytes((127, 0, 0, 1)) + bytes(8)
         return int(self._libc.bind(socket, ours, size))
 
@@ -147,8 +149,8 @@ class _Library:
         return self._libc.calloc(1, size + room)
 
     def init(self, avr: int) -> None:
-        """Call avr_init with room behind the flash and the RAM, which it allocates first: simavr says that a write is wild, and
-        then does it, to whatever lies there."""
+        """Call avr_init, and allocate flash and RAM with reserve space: simavr reports a wild write but executes it all
+        the same."""
         self._reserves = dict.fromkeys(self._reserves, _ADDRESS_SPACE)
         self.c["avr_init"](ctypes.c_void_p(avr))
         self._reserves = dict.fromkeys(self._reserves, 0)
@@ -165,10 +167,10 @@ def _open_library(isolated: bool) -> _Library:
 
 
 class LoadedAvr:
-    """A program in the memory of an avr_t.
+    """AVR program loaded into simavr.
 
     Attributes:
-        record: Its AVR record.
+        record: AVR record of the processor.
     """
 
     def __init__(self, program: AvrProgram, board: Board, isolated: bool):
@@ -198,15 +200,15 @@ class LoadedAvr:
         self._connect_serial_lines()
 
     def _c(self, name: str, *arguments: Any) -> Any:
-        """Call a function of simavr about this AVR."""
+        """Call a function of simavr for this AVR."""
         return self._simavr.c[name](ctypes.c_void_p(self._avr), *arguments)
 
     def _read_clock(self) -> int:
-        """Return the clock by AVR_MCU(...) of simavr's header, Hz, or 0."""
+        """Return the clock from AVR_MCU(...) of simavr's header, Hz, or 0."""
         return int.from_bytes(read_mmcu(self._elf).get(_CLOCK_TAG, b"")[:4], "little")
 
     def _find_places(self, hz: int) -> int:
-        """Find clock and state of the avr_t, and set the clock; return where the program counter lies."""
+        """Find clock and state in the avr_t and set the clock; return the address of the program counter."""
         head: Any = array_at(self._avr, _HEAD_SIZE, np.dtype("u1"))
         words, pointers = head.view("<u4"), head.view("<u8")
         clock = [k for k in range(8, 40) if words[k] == _BEGIN_HZ]
@@ -241,7 +243,7 @@ class LoadedAvr:
         self._no_routine = self._vectors.guard(begin)
 
     def _make_record(self, irq: tuple[int, int] | None, hz: int) -> None:
-        """Make the AVR record. irq: the pin of the interrupt line, or None."""
+        """Create the AVR record. `irq` is the pin of the interrupt line, or None."""
         link, library = self._board.link, self._simavr
         self._row = np.zeros(1, avr_core.AVR)
         t = self.record = self._row[0]
@@ -258,20 +260,20 @@ class LoadedAvr:
         t.timer = ctypes.cast(self._tick, ctypes.c_void_p).value
 
     def find_irq(self, port: int, number: int) -> int:
-        """Return a simavr IRQ of a port. number: a pin, PIN_ALL or DIRECTION_ALL."""
+        """Return a simavr IRQ of a port. `number` is a pin, PIN_ALL or DIRECTION_ALL."""
         irq = self._simavr.getirq(ctypes.c_void_p(self._avr), _ioctl("iog" + avr_core.PORTS[port]), number)
         if not irq:
             raise StageError(f"--map: this AVR has no port {avr_core.PORTS[port]}.")
         return int(irq)
 
     def notify(self, irq: int, function: Any, row: np.ndarray) -> None:
-        """Let simavr call a compiled function with a record when an IRQ changes."""
+        """Register a compiled function that simavr calls with a record when an IRQ changes."""
         self._simavr.c["avr_irq_register_notify"](
             ctypes.c_void_p(irq), ctypes.cast(function, ctypes.c_void_p), ctypes.c_void_p(address_of(row))
         )
 
     def _connect_serial_lines(self) -> None:
-        """Let the text that the program sends over its serial lines go to the log."""
+        """Connect the serial lines of the program to the log."""
         self._texts, self._serials = [], []
         for name in UARTS:
             irq = self._simavr.getirq(ctypes.c_void_p(self._avr), _ioctl("uar" + name), UART_OUTPUT)
@@ -287,7 +289,7 @@ class LoadedAvr:
     # --- it runs ---
 
     def main(self) -> int:
-        """Run the program to its end, and return its code."""
+        """Run the program to its end; return its exit code."""
         t, library = self.record, self._simavr
         t.begin = self._board.stage.now
         t.when = t.quantum
@@ -307,7 +309,7 @@ class LoadedAvr:
         raise HostError(self._explain_end())
 
     def _explain_end(self) -> str:
-        """Say why it cannot go on."""
+        """Explain why the program cannot continue."""
         errors = [
             text for level, text in self._simavr.messages if level <= _ERROR or any(key in text for key, _ in _WORDS)
         ]
@@ -340,7 +342,7 @@ class LoadedAvr:
 
 
 def _read_flash_size(avr: int) -> int:
-    """Return the bytes of flash of an avr_t."""
+    """Return the size of an avr_t's flash in bytes."""
     return int(array_at(avr + 12, 1, np.dtype("u4"))[0]) + 1
 
 
@@ -362,12 +364,12 @@ class Vectors:
     """Interrupt vectors of an AVR.
 
     Args:
-        c: simavr's library.
+        c: Library of simavr.
         avr: Address of the avr_t.
-        flash: Its bytes of flash.
+        flash: Size of the flash in bytes.
 
     Attributes:
-        addresses: Address of the avr_int_vector_t of each interrupt; none where this version of simavr is not known.
+        addresses: Address of the avr_int_vector_t of each interrupt; empty for an unknown version of simavr.
     """
 
     def __init__(self, c: Any, avr: int, flash: int):
@@ -383,13 +385,13 @@ class Vectors:
                 break
 
     def guard(self, code: bytes) -> int:
-        """Let an interrupt without a routine end the run.
+        """Make an interrupt without a routine end the run.
 
         Args:
             code: The program, from address 0 on.
 
         Returns:
-            The address to which the vectors without routines lead; -1 if there is none.
+            Address to which vectors without routines lead, or -1.
         """
         size = 2 if self._flash <= _ONE_WORD else 4
         targets = {find_target(code, n * size, self._flash) for n in self._running}
@@ -400,12 +402,12 @@ class Vectors:
         return -1
 
     def running(self) -> str:
-        """Return the interrupt whose routine is to run, with its name in avr-libc."""
+        """Return the interrupt whose routine is about to run, with its name in avr-libc."""
         numbers = [n for n, at in self._running.items() if array_at(at, 1, np.dtype("u4"))[0]]
         return f"interrupt {numbers[0]} (__vector_{numbers[0]})" if numbers else "an interrupt"
 
     def interrupted(self) -> int:
-        """Return the address that the routine would return to."""
+        """Return the address to which the interrupt routine would return."""
         read = self._c["avr_core_watch_read"]
 
         def byte(at: int) -> int:
@@ -417,7 +419,7 @@ class Vectors:
 
 
 def find_target(code: bytes, at: int, flash: int) -> int:
-    """Return where the jump at an address leads, or -1 if there is none."""
+    """Return the target of the jump at an address, or -1 if there is no jump."""
     words = np.frombuffer(code[at : at + 4].ljust(4, b"\0"), "<u2")
     if words[0] & 0xFE0E == _JMP:
         return 2 * (int(words[0] & 0x01F0) << 13 | int(words[0] & 1) << 16 | int(words[1]))

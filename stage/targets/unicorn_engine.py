@@ -1,4 +1,5 @@
-"""`Engine`: a processor on Unicorn, with registers, log and errors in words. The rest of each is in cortex.py and pc.py."""
+"""`Engine`: base of processors on Unicorn, with registers, log and error messages. cortex.py and pc.py derive the
+processors."""
 
 from __future__ import annotations
 
@@ -27,18 +28,18 @@ INVALID = {
     13: "it reads memory that cannot be read", 14: "it runs where no code may be",
     21: "an exception that nobody handles",
 }  # fmt: skip
-"""Errors of a program, by uc_err."""
+"""Messages for errors of a program, by uc_err."""
 _MEMORY_ERRORS = (6, 7, 8, 12, 13, 14)
 
 
 class _Record(ctypes.Structure):
-    """A MACHINE record, as Python reads and writes it at once."""
+    """MACHINE record as a structure that Python reads and writes quickly."""
 
     _fields_ = tuple((name, ctypes.c_int64) for name in processor_core.MACHINE.names or ())
 
 
 class Registers:
-    """Several registers of a processor, read and written in one call."""
+    """Group of registers that are read and written in one call."""
 
     def __init__(self, lib: Any, handle: Any, numbers: list[int]):
         n = len(numbers)
@@ -48,32 +49,32 @@ class Registers:
         self._pointers = (ctypes.c_void_p * n)(*(begin + 8 * k for k in range(n)))
 
     def get(self) -> list[int]:
-        """Return their values."""
+        """Return the values of the registers."""
         self._lib.uc_reg_read_batch(self._handle, self._numbers, self._pointers, self._n)
         return [value & 0xFFFFFFFF for value in self._values]
 
     def set(self, *values: int) -> None:
-        """Set their values, in their order."""
+        """Set the registers, in their order."""
         self._values[:] = list(values)
         self._lib.uc_reg_write_batch(self._handle, self._numbers, self._pointers, self._n)
 
 
 class Engine:
-    """A processor on Unicorn.
+    """Processor on Unicorn.
 
     Args:
         path: The program.
-        board: The board that it drives.
-        arch, mode: As Unicorn has them.
-        hz: Its clock.
-        model: As Unicorn numbers it, or None.
+        board: Board that it drives.
+        arch, mode: Architecture and mode in Unicorn.
+        hz: Clock of the processor, Hz.
+        model: Model number in Unicorn, or None.
 
     Attributes:
         uc: Unicorn's object.
-        record: The MACHINE record.
-        ended: Whether the program has ended, with `code`.
-        fault: Error in words that a call of Unicorn has found, or "".
-        gdb: The server for a debugger, or None.
+        record: MACHINE record.
+        ended: Whether the program has ended; `code` is its exit code.
+        fault: Error message from a callback of Unicorn, or "".
+        gdb: Server for a debugger, or None.
     """
 
     REGISTER_PREFIX: ClassVar[str]
@@ -114,7 +115,7 @@ class Engine:
 
     @property
     def handle(self) -> Any:
-        """Unicorn's handle, for C."""
+        """Handle of the processor in Unicorn's C interface."""
         return self.uc._uch
 
     # --- registers ---
@@ -135,7 +136,13 @@ class Engine:
     # --- calls of Unicorn ---
 
     def hook(self, kind: int, function: Any, instruction: int = 0) -> None:
-        """Let Unicorn call a compiled function, with the MACHINE record."""
+        """Register a compiled function that Unicorn calls with the MACHINE record.
+
+        Args:
+            kind: Kind of the hook in Unicorn.
+            function: The function.
+            instruction: Number of the instruction, for hooks of one instruction.
+        """
         number = ctypes.c_size_t()
         self._functions.append(function)
         failed = self._lib.uc_hook_add(
@@ -146,14 +153,14 @@ class Engine:
             raise HostError(f"Unicorn refuses a hook ({failed}).")
 
     def hook_ports(self, function: Any, below: int) -> None:
-        """Let IN and OUT reach the board; for ports below that number a function of ctypes is called."""
+        """Connect IN and OUT to the board, and ports below `below` to a ctypes function."""
         self._functions.append(function)
         self.record.internal_port, self.record.n_internal_ports = _address(function), below
         self.hook(_INSN, processor_core.execute_in.pointer, _IN)
         self.hook(_INSN, processor_core.execute_out.pointer, _OUT)
 
     def map_windows(self, windows: Any) -> None:
-        """Map the memory in which the board's windows lie, in whole pages."""
+        """Map the pages of memory in which windows of the board lie."""
         self._windows = np.array([tuple(w) for w in windows] or [(0, 0, 0)], processor_core.WINDOW)
         self.record.windows, self.record.n_windows = self._windows.ctypes.data, len(windows)
         self.window_pages = sorted({page for w in windows for page in range(w.address & -PAGE_SIZE, w.end, PAGE_SIZE)})
@@ -171,7 +178,7 @@ class Engine:
     # --- the log ---
 
     def say(self, text: str) -> None:
-        """Print a text of the program to the log, by lines."""
+        """Add text of the program to the log, line by line."""
         *lines, self._line = (self._line + text.replace("\r", "")).split("\n")
         for line in lines:
             self._note(line)
@@ -179,7 +186,7 @@ class Engine:
             self.flush()
 
     def flush(self) -> None:
-        """Print the line whose end has not come."""
+        """Log the line that has not ended yet."""
         if self._line:
             self._note(self._line)
         self._line = ""
@@ -192,15 +199,16 @@ class Engine:
     # --- for a debugger ---
 
     def watch(self, address: int, function: Any) -> int:
-        """Let Unicorn call a function before the instruction at an address; return a number for hook_del."""
+        """Register a function that Unicorn calls before the instruction at an address; return its number for
+        hook_del."""
         return int(self.uc.hook_add(_CODE, function, begin=address, end=address))
 
     def uncount_instruction(self, size: int) -> None:
-        """Uncount an instruction of so many bytes that is not run now."""
+        """Subtract the cycles of a counted instruction of `size` bytes that does not run."""
         self.record.cycles -= self.record.each + self.record.byte * size
 
     def in_window(self, at: int, size: int) -> bool:
-        """Tell whether some of these bytes lie in memory that holds the board's windows."""
+        """Tell whether a range of bytes overlaps pages with windows of the board."""
         return any(page < at + size and at < page + PAGE_SIZE for page in self.window_pages)
 
     def address(self) -> int:
@@ -208,12 +216,12 @@ class Engine:
         return self.start_address()
 
     def halted(self) -> None:
-        """Take over the state at which a debugger has stopped it."""
+        """Update the state when a debugger stops the processor. The base does nothing."""
 
     # --- it runs ---
 
     def main(self) -> int:
-        """Run the program to its end, and return its code."""
+        """Run the program to its end; return its exit code."""
         self.record.begin = self._board.stage.now
         self.ended = False
         try:
@@ -230,7 +238,7 @@ class Engine:
         return self.code
 
     def _run_to_stop(self) -> None:
-        """Run to the next instruction at which something is to be done, and do it."""
+        """Run until Unicorn stops, and handle the reason."""
         gdb = self.gdb
         if gdb is not None:
             gdb.before()
@@ -255,7 +263,7 @@ class Engine:
                 raise self.make_error("its stack, or what it asks for, lies where there is no memory") from None
 
     def _note_touched(self, uc: Any, access: int, address: int, size: int, value: int, data: Any) -> bool:
-        """Note an access to memory that is not there, which ends the run."""
+        """Store the address of an access to unmapped memory, which ends the run."""
         self._touched = address
         return False
 
@@ -265,29 +273,29 @@ class Engine:
         return f"{words}, address {self._touched:X}h" if by_address else words
 
     def fail(self, fault: str) -> None:
-        """Stop Unicorn with an error in words."""
+        """Stop Unicorn with an error message."""
         self.fault = fault
         self.uc.emu_stop()
 
     def start_address(self) -> int:
-        """Return the address for uc_emu_start."""
+        """Return the address at which Unicorn continues."""
         raise NotImplementedError
 
     def stopped(self) -> None:
-        """Handle the reason why Unicorn has stopped: an interrupt, an alarm, or a wait for one."""
+        """Handle the reason for a stop of Unicorn: an interrupt, an alarm, or a wait for one."""
         raise NotImplementedError
 
     def place(self) -> str:
-        """Return the program counter in words."""
+        """Return a description of the program counter."""
         raise NotImplementedError
 
     def end(self, code: int) -> None:
-        """End the program."""
+        """End the program with an exit code."""
         self.ended, self.code = True, code
         self.uc.emu_stop()
 
     def make_error(self, what: str) -> HostError:
-        """Return the error of a program that cannot go on."""
+        """Create the error of a program that cannot continue."""
         board = self._board
         self.flush()
         processor_core.poll_from_python.c(self.record.own)
@@ -297,7 +305,7 @@ class Engine:
         )
 
     def close(self) -> None:
-        """Do nothing: Unicorn frees its memory with its object."""
+        """Do nothing; Unicorn frees its memory together with its object."""
 
 
 def _address(function: Any) -> int:
